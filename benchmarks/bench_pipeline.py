@@ -2,7 +2,7 @@
 
 import os
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from functools import cache, partial
 from importlib import import_module
@@ -23,13 +23,13 @@ from jaxdet.cores import cores
 from jaxdet.floor.plane import flat_plane, floor_limits
 from jaxdet.pipeline import detect
 from jaxdet.presets import preset
-from jaxdet.stages._spread import on_cuda, rows_over
+from jaxdet.stages._batches import on_cuda
 from jaxdet.stages._upload import Uploader
 from jaxdet.types import Detections, Frames
 
 SIZE = "640x480"
 BATCHES = {SIZE: 1024, "1080p": 256, "lens": 512}
-"""Frames of a batch on each GPU."""
+"""Frames of a batch on a GPU."""
 VOXEL_M = 0.05
 """Voxels of Open3D: as wide as the step height [m]."""
 
@@ -174,7 +174,7 @@ def _one_frame(images: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
 def throughput(seconds: float) -> list[Metric]:
     """Frames per second of the default and the paper's setting, of 1080p and of a lens.
 
-    On GPUs all of them are used, and frames lie on them or come from pinned host memory.
+    On a GPU frames lie in its memory or come from page-locked host memory.
     """
     runs = {
         "pipeline": (SIZE, CONFIG),
@@ -182,7 +182,7 @@ def throughput(seconds: float) -> list[Metric]:
         "pipeline.1080p": ("1080p", CONFIG),
         "pipeline.lens": ("lens", CONFIG),
     }
-    of_run = _on_gpus if on_cuda() else _on_cpu
+    of_run = _on_gpu if on_cuda() else _on_cpu
     return [
         Metric(f"{start}.{key}", rate, "frames/s", "higher", 0.15)
         for start, run in runs.items()
@@ -195,42 +195,22 @@ def _on_cpu(size: str, config: Config, seconds: float) -> Iterator[tuple[str, fl
     yield "fps", _frames_per_s(partial(detect, frames, config), BATCH, seconds)
 
 
-def _on_gpus(size: str, config: Config, seconds: float) -> Iterator[tuple[str, float]]:
-    """With images on the devices and in pinned memory: depth, and colour for ``paper`` alone."""
-    among = jax.local_devices()
-    frames = frames_of(size, BATCHES[size] * len(among), color=config.cluster.points)
+def _on_gpu(size: str, config: Config, seconds: float) -> Iterator[tuple[str, float]]:
+    """Images on the GPU and in page-locked memory: depth, and colour only for ``paper``."""
+    device = jax.local_devices()[0]
+    frames = frames_of(size, BATCHES[size], color=config.cluster.points)
     images = [frames.depth] if frames.color is None else [frames.depth, frames.color]
-    on_device = jax.device_put(images, rows_over(tuple(among)))
+    on_device, pinned = jax.device_put(images, device), list(map(pin, images))
+    uploader = Uploader([(array.shape, array.dtype.type) for array in pinned], device)
 
     def step(source: Callable[[], list[jax.Array]]) -> Detections:
         depth, *color = source()
         return detect(frames._replace(depth=depth, color=color[0] if color else None), config)
 
-    sources = {"resident": lambda: on_device, "pinned": _uploader(list(map(pin, images)), among)}
+    sources = {"resident": lambda: on_device, "pinned": lambda: uploader.upload([pinned])}
     for key, source in sources.items():
         check_equal(key, step(source), step(sources["resident"]))
         yield f"{key}.fps", _frames_per_s(partial(step, source), len(frames.depth), seconds)
-
-
-def _uploader(pinned: Sequence[np.ndarray], among: Sequence[Any]) -> Callable[[], list[jax.Array]]:
-    """Copies page-locked images to all GPUs in equal parts."""
-    size = len(pinned[0]) // len(among)
-    kinds = [((size, *images.shape[1:]), images.dtype.type) for images in pinned]
-    ways = [Uploader(kinds, device) for device in among]
-    rows = rows_over(tuple(among))
-
-    def upload() -> list[jax.Array]:
-        parts = [
-            way.upload([[images[i * size :][:size] for images in pinned]])
-            for i, way in enumerate(ways)
-        ]
-        if len(parts) == 1:
-            return parts[0]
-        join = jax.make_array_from_single_device_arrays
-        every = zip(pinned, zip(*parts, strict=True), strict=True)
-        return [join(images.shape, rows, list(part)) for images, part in every]
-
-    return upload
 
 
 def _frames_per_s(

@@ -148,9 +148,10 @@ def _totals(found: dict[str, Comparison]) -> Iterator[tuple[str, Comparison]]:
     for aligned in (True, False):
         mine = [one for one in found.values() if one.aligned == aligned]
         if mine:
-            sums = [sum(getattr(one, name) for one in mine) for name in Comparison._fields[1:-1]]
+            names = Comparison._fields[1:-1]
+            sums = {name: sum(getattr(one, name) for one in mine) for name in names}
             every = tuple(part for one in mine for part in one.differences)
-            yield "**all**", Comparison(aligned, *sums, every)
+            yield "**all**", Comparison(aligned, **sums, differences=every)
 
 
 def load(folder: Path) -> dict[str, LogResult]:
@@ -197,7 +198,9 @@ def compare(
         differences += parts
     count = [sum(len(one.frames[stamp].obstacles) for stamp in shared) for one in (old, new)]
     rest = [len(one.frames) - len(shared) for one in (old, new)]
-    return Comparison(T is None, len(shared), *rest, *count, same, tuple(differences))
+    return Comparison(
+        T is None, len(shared), rest[0], rest[1], count[0], count[1], same, tuple(differences)
+    )
 
 
 def extrinsics_of(calibration: dict[str, Any]) -> np.ndarray | None:

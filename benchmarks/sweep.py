@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from jaxdet.stages._spread import on_cuda
+from jaxdet.stages._batches import on_cuda
 
 SIZES = ("640x480", "848x480-1280x720", "1280x720")
 SLOTS = (512, 1024, 4096)

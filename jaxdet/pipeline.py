@@ -88,7 +88,7 @@ def detect(
     Returns:
         The obstacles of each frame, see :class:`jaxdet.types.Detections`; with ``jax`` they are JAX
         arrays, perhaps still being computed, or on the CPU NumPy arrays of batches that are
-        computed in parts, see :func:`jaxdet.stages._spread.in_parts`: larger ones, and those of 9
+        computed in parts, see :func:`jaxdet.stages._batches.in_parts`: larger ones, and those of 9
         frames or more whose number is no power of two.
 
     Raises:

@@ -30,7 +30,7 @@ def started() -> None:
     """What is compiled is kept, as by commands; Warp reports warnings and errors only.
 
     One of the CPU's devices is JAX's default, as where there is one, so that tests share programs;
-    ``test_spread.py`` uses both.
+    ``test_batches.py`` uses both.
     """
     import jax
     import warp

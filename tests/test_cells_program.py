@@ -23,6 +23,8 @@ from tests.scenes import (
 )
 from tests.steps import cells
 
+pytestmark = pytest.mark.twin
+
 THREE = SurfaceConfig(cell_rad=0.0078)
 
 

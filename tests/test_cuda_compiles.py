@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import warp as wp
 
-from jaxdet.stages._spread import LEAST_CAPABILITY
+from jaxdet.stages._batches import LEAST_CAPABILITY
 
 FOR_CPU = {"decode"}
 """Modules that CUDA has no use for."""

@@ -179,7 +179,7 @@ def test_cells_of_twice_the_pixels_add_half_to_the_step() -> None:
 def test_cells_carry_the_obstacle_that_their_box_spans() -> None:
     given = made(cast(POSE, [BOX])[None], POSE.plane())
     detections = detect(given, SURFACES, backend="reference", with_cells=True)
-    cells, side = detections.cells, 2
+    cells, side = detections.cells, 1
     assert cells
     on = cells.label[0] == 0
     assert cells.keep[0, on].all() and (cells.label[0, ~on] == -1).all()

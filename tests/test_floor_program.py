@@ -33,6 +33,8 @@ from tests.floor_cells import (
 from tests.scenes import assert_equal
 from tests.steps import find_floor as floor_program
 
+pytestmark = pytest.mark.twin
+
 SURFACE = Config().surface
 Cells = list[np.ndarray]
 

@@ -25,6 +25,8 @@ from tests.surface_frames import (
     with_floor,
 )
 
+pytestmark = pytest.mark.twin
+
 
 def assert_twins(batch: Batch, config: Config = SURFACES) -> set[int]:
     """Holds the kernel to the reference, for cameras of any roll; the ends that there are."""

@@ -390,6 +390,7 @@ def test_the_floor_is_found_through_the_colour_camera_where_transforms_have_that
         np.testing.assert_allclose(log.T_base_camera, T_base_color @ T_COLOR_DEPTH, atol=1e-12)
         T_odom_base = np.eye(4)
         T_odom_base[:2, 3] = 1, 2
+        assert log.T_world_camera is not None and log.T_base_camera is not None
         for T in log.T_world_camera:
             np.testing.assert_allclose(T, T_odom_base @ log.T_base_camera, atol=1e-12)
 

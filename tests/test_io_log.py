@@ -135,6 +135,7 @@ def test_images_are_decoded_where_the_caller_says(tmp_path):
     scene = make_scene(5)
     path = write_log(tmp_path / "log.mcap", scene)
     with open_log(str(path)) as log:
+        assert log.color_shape is not None
         depth, color = (
             np.full((4, *log.depth_shape), 7, "u2"),
             np.full((4, *log.color_shape), 7, "u1"),

@@ -1,10 +1,8 @@
 """The C++ of kernels: each header is a file that a compiler takes alone, and is shipped."""
 
-import os
 import re
 import shutil
 import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -86,38 +84,6 @@ def test_corners_of_both_sources(tmp_path, target):
         assert min(found[0], slots) == want.valid.sum()
         assert (found[0] > slots) == want.overflow[0]
         np.testing.assert_array_equal(found[1:].reshape(-1, 2), np.c_[want.u[0], want.v[0]])
-
-
-def sanitized(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """``tests/sanitized.py`` with the sanitizers loaded before all else."""
-    names = "libasan.so", "libubsan.so", "libstdc++.so"
-    asked = [[str(COMPILER), f"-print-file-name={name}"] for name in names]
-    found = [subprocess.run(ask, capture_output=True, text=True).stdout.strip() for ask in asked]
-    if not all(Path(name).is_absolute() for name in found):
-        pytest.skip("no sanitizers on this machine")
-    given = {"LD_PRELOAD": " ".join(found), "ASAN_OPTIONS": "detect_leaks=0"}
-    command = [sys.executable, "-m", "tests.sanitized", str(folder), *arguments]
-    return subprocess.run(
-        command, cwd=ROOT, env={**os.environ, **given}, capture_output=True, text=True
-    )
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(COMPILER is None, reason="no g++ on this machine")
-def test_all_kernels_on_mutated_calibrations(tmp_path):
-    """Of ``scripts/fuzz calibrations``; in results, too, they are the reference's twins."""
-    done = sanitized(tmp_path, "0", "60")
-    assert done.returncode == 0, done.stderr
-    ended = re.fullmatch(r"60 calibrations, (\d+) kernels: (.*)\n", done.stdout)
-    assert ended and int(ended[1]) >= 9, done.stdout
-    assert ended[2] == "['clean', 'error', 'frames']"
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(COMPILER is None, reason="no g++ on this machine")
-def test_a_kernel_that_leaves_its_memory_is_found(tmp_path):
-    done = sanitized(tmp_path, "0", "1", "fault")
-    assert done.returncode and "AddressSanitizer: heap-use-after-free" in done.stderr
 
 
 def test_each_header_is_used_and_each_twin_is_there():

@@ -1,8 +1,13 @@
-"""What CUDA's threads do to a frame, on a CPU without CUDA: the same as the CPU's one thread."""
+"""The steps' C++ by itself: CUDA's threads, which take turns, and the CPU's one under sanitizers.
+
+Both write what the compiled kernels do.
+"""
 
 import shutil
 import subprocess
+from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -10,63 +15,107 @@ import warp as wp
 
 from jaxdet.config import Config
 from jaxdet.floor.plane import unknown_plane
+from jaxdet.runtime.launch import prepare
 from jaxdet.sim import sample_frames
 from jaxdet.sim.config import calibration_of
 from jaxdet.stages import _program
+from jaxdet.types import Calibration, GroundPlane
+from jaxdet_kernels import program as kernels
 from jaxdet_kernels.build import INCLUDE
-from tests.scenes import level
+from tests.scenes import D435_DEPTH, level, noise_depth, resized, small, smooth_depth, with_lens
 from tests.steps import POISON
 
 ROOT = Path(__file__).resolve().parents[1]
 COMPILER = shutil.which("g++")
+FLAGS = ["-std=c++17", "-w", "-ffp-contract=off", "-I", str(INCLUDE), "-I", str(ROOT / "tests")]
+SANITIZED = ["-g1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(COMPILER is None, reason="no g++ on this machine"),
+]
 
 
-@pytest.mark.slow
-@pytest.mark.skipif(COMPILER is None, reason="no g++ on this machine")
-def test_threads_of_a_block_find_what_one_thread_does(tmp_path: Path) -> None:
-    program, main = tmp_path / "program", str(ROOT / "tests/team_main.cpp")
-    flags = [
-        "-std=c++17",
-        "-O1",
-        "-w",
-        "-ffp-contract=off",
-        "-I",
-        str(INCLUDE),
-        "-I",
-        str(ROOT / "tests"),
-    ]
-    subprocess.run([str(COMPILER), *flags, main, "-o", str(program)], check=True)
-    config = Config()
+class Case(NamedTuple):
+    """Frames of one camera."""
+
+    calibration: Calibration
+    depth: np.ndarray
+    plane: GroundPlane
+
+
+def simulated() -> Iterator[Case]:
+    """Ramps, with a prior and without."""
     shown = list(sample_frames("ramps", 300, 4, width=320, height=240, depth_error=1.0))
+    depth, calibration = np.stack([one.depth for one in shown]), calibration_of(shown[0].config)
     for plane in (level(4, 0.4, 0.1), unknown_plane(4)):
-        calibration = calibration_of(shown[0].config)
-        tables = _program.packed(*_program.host_tables(calibration, config))
-        static, unit = _program.Static.of(tables), calibration.depth_unit
-        depth = np.stack([one.depth for one in shown])
-        floors = _program.floors(plane, config, unit)
-        poison = [np.full((len(depth), words), POISON, np.int32) for words in static.words()]
-        arrays = [depth, floors, tables, *poison]
-        for step in range(len(_program.STEPS)):
-            expected = on_the_cpu(arrays, step)
-            found = by_teams(program, arrays, step, static.own_words)
-            for name, got, want in zip(("record", "contour", "work"), found, expected, strict=True):
-                np.testing.assert_array_equal(got, want, err_msg=f"{_program.STEPS[step]}: {name}")
+        yield Case(calibration, depth, plane)
+
+
+def odd() -> Iterator[Case]:
+    """Sizes with rests, lenses, another camera for the boxes, noise."""
+    cameras = [small(263, 195), small(33, 20), small(9, 8)]
+    for lens in ("plumb_bob", "rational", "inverse"):
+        cameras.append(Calibration(with_lens(resized(D435_DEPTH, 161, 119), lens)))
+    for seed, calibration in enumerate(cameras):
+        camera = calibration.depth
+        depth = np.concatenate([noise_depth(2, camera, seed), smooth_depth(2, camera)])
+        for plane in (level(4, 0.4, 0.1), unknown_plane(4)):
+            yield Case(calibration, depth, plane)
+
+
+def built(folder: Path, *flags: str) -> Path:
+    """``tests/team_main.cpp``."""
+    program, main = folder / "program", str(ROOT / "tests/team_main.cpp")
+    command = [str(COMPILER), *FLAGS, *flags, main, "-o", str(program)]
+    done = subprocess.run(command, capture_output=True, text=True)
+    if "cannot find" in done.stderr and "san" in done.stderr:
+        pytest.skip("no sanitizers on this machine")
+    assert done.returncode == 0, done.stderr
+    return program
+
+
+def test_threads_of_a_block_find_what_one_thread_does(tmp_path: Path) -> None:
+    check(built(tmp_path, "-O1", "-DSIMT"), simulated())
+
+
+def test_steps_stay_in_their_memory(tmp_path: Path) -> None:
+    check(built(tmp_path, "-O1", *SANITIZED), [*simulated(), *odd()])
+
+
+def check(program: Path, cases: Iterator[Case] | list[Case]) -> None:
+    """Holds each step to the compiled kernels, from what these made of the steps before."""
+    prepare(kernels)
+    for case in cases:
+        config, unit = Config(), case.calibration.depth_unit
+        tables = _program.packed(*_program.host_tables(case.calibration, config))
+        static = _program.Static.of(tables)
+        floors = _program.floors(case.plane, config, unit)
+        words = static.words()
+        poison = [np.full((len(case.depth), count), POISON, np.int32) for count in words]
+        arrays = [case.depth, floors, tables, *poison]
+        for step, name in enumerate(_program.STEPS):
+            expected = compiled(arrays, step)
+            found = by_itself(program, arrays, step, static.own_words)
+            for kind, got, want in zip(("record", "contour", "work"), found, expected, strict=True):
+                np.testing.assert_array_equal(got, want, err_msg=f"{name}: {kind}")
             arrays[3:] = expected
 
 
-def on_the_cpu(arrays: list[np.ndarray], step: int) -> list[np.ndarray]:
+def compiled(arrays: list[np.ndarray], step: int) -> list[np.ndarray]:
     """Record, contours and work after a step."""
     given = [wp.array(a, dtype=wp.dtype_from_numpy(a.dtype), device="cpu") for a in arrays]
     _program.launch(given, None, step, step + 1)
     return [array.numpy() for array in given[3:]]
 
 
-def by_teams(program: Path, arrays: list[np.ndarray], step: int, words: int) -> list[np.ndarray]:
-    """The same by ``tests/team_main.cpp``."""
+def by_itself(program: Path, arrays: list[np.ndarray], step: int, words: int) -> list[np.ndarray]:
+    """The same by the program."""
     depth, case = arrays[0], program.with_name("case")
     head = [step, len(depth), depth[0].size, words, *(a.nbytes for a in arrays)]
     case.write_bytes(np.array(head, np.int32).tobytes() + b"".join(a.tobytes() for a in arrays))
-    subprocess.run([str(program), str(case)], check=True)
+    done = subprocess.run([str(program), str(case)], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
     data, at, found = case.read_bytes(), 0, []
     for array in arrays[3:]:
         found.append(np.frombuffer(data, np.int32, array.size, at).reshape(array.shape))

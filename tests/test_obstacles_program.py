@@ -27,6 +27,8 @@ from jaxdet.types import Frames, GroundPlane
 from tests.scenes import frames
 from tests.steps import obstacles
 
+pytestmark = pytest.mark.twin
+
 UNIT = 0.001
 CONFIG = Config().obstacle
 

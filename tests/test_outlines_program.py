@@ -25,6 +25,8 @@ from tests.surface_frames import (
     simulated,
 )
 
+pytestmark = pytest.mark.twin
+
 
 def assert_twins(batch: Batch, config: Config = SURFACES) -> int:
     """Holds the kernel to the reference; how many obstacles there are."""

@@ -18,6 +18,8 @@ from jaxdet.stages import _detect, _points
 from jaxdet.types import Calibration, Extrinsics, Frames, Intrinsics
 from tests.scenes import D435, IDENTITY, assert_equal, blocks, frames, level, small, smooth_depth
 
+pytestmark = pytest.mark.twin
+
 
 def made_frames(batch: int) -> Frames:
     calibration = small(160, 120)

@@ -24,6 +24,8 @@ from tests.scenes import (
     with_lens,
 )
 
+pytestmark = pytest.mark.twin
+
 CONFIGS = {
     "default": Config(),
     "paper": PRESETS["paper"],

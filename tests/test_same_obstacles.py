@@ -62,7 +62,7 @@ def test_reasons(case):
     if case == "rectangle":
         wider["corners_ground"] = (np.array(wider["corners_ground"]) * 1.1).tolist()
     elif case == "cells":
-        wider["contour"] = [*wider["contour"], 0.25, 2.0]
+        wider["contour"] = [*np.array(wider["contour"]).tolist(), 0.25, 2.0]
     elif case == "joined":
         wider["top_m"] = 0.8
     new = [obstacle(), obstacle(2.0, u_min=None)] if case == "outside" else [wider]

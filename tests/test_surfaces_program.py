@@ -19,6 +19,8 @@ from jaxdet.stages._surfaces import tables
 from jaxdet.types import MAX_SURFACES, Calibration, Cells, GroundPlane, Intrinsics
 from tests.steps import Surfaces, surfaces
 
+pytestmark = pytest.mark.twin
+
 SURFACES, TABLETOP = Config(), preset("tabletop")
 UNIT = 0.001
 

@@ -27,6 +27,8 @@ from tests.scenes import (
     smooth_depth,
 )
 
+pytestmark = pytest.mark.twin
+
 BATCHES = pytest.mark.parametrize("batch", [1, 2, 3, 7])
 
 

@@ -96,7 +96,8 @@ class TruthScore:
         unit, valid = calibration.depth_unit, frames.valid & known
         z_m = align(np.asarray(frames.depth), calibration).z * unit
         self._check_depth(z_m[valid], *(of_all[valid] for of_all in images[:2]))
-        shown = truth_of(truth, which, *images, lengths)
+        ids, depths, drivable = images
+        shown = truth_of(truth, which, ids, depths, drivable, lengths)
         mount = truth.camera_height, truth.camera_pitch, truth.camera_roll
         height, pitch, roll = (of_all[which] for of_all in mount)
         step_m = self.config.step_height_m

@@ -127,8 +127,9 @@ class Cameras:
         if self._known is not None:
             depths, colors = self._known.depth, self._known.color
         for name, camera, shape in (("depth", depths, depth), ("color", colors, color)):
-            sized = isinstance(camera, Intrinsics) and shape is not None
-            if sized and (camera.height, camera.width) != shape[1:3]:
+            if not isinstance(camera, Intrinsics) or shape is None:
+                continue
+            if (camera.height, camera.width) != shape[1:3]:
                 raise CalibrationError(
                     f"images of {shape[2]}x{shape[1]} pixels, but the calibration is of "
                     f"{camera.width}x{camera.height}",

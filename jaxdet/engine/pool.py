@@ -63,9 +63,15 @@ def gpus() -> tuple[Any, ...]:
     if start_cuda():
         _start_server(LOADED)  # while JAX looks for them
     start_up()
-    from jaxdet.stages._spread import devices_for, on_cuda
+    import jax
 
-    return devices_for(None) if on_cuda() else ()
+    from jaxdet.stages._batches import check_device, default_device, on_cuda
+
+    if not on_cuda():
+        return ()
+    check_device(None)
+    chosen = jax.config.jax_default_device  # pyright: ignore[reportAttributeAccessIssue]
+    return tuple(jax.local_devices()) if chosen is None else (default_device(),)
 
 
 def _start_method() -> str:

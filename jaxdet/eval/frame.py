@@ -151,7 +151,9 @@ def cell_points(found: CellLabels, b: int, calibration: Calibration, side: int) 
         shift = T[:3, 3] / calibration.depth_unit
         moved = np.tensordot(T[:3, :3], xyz, axes=1) + shift[:, None, None]
         xyz = np.rint(moved).astype(np.int32)
-    return Features(u, v, *xyz, inside, np.asarray(found.keep[b]) & inside, np.zeros(1, bool))
+    x, y, z = xyz
+    kept = np.asarray(found.keep[b]) & inside
+    return Features(u, v, x, y, z, inside, kept, overflow=np.zeros(1, bool))
 
 
 def _match_frame(

@@ -86,8 +86,8 @@ def plane_in_color(plane: GroundPlane, calibration: Calibration) -> GroundPlane:
     down = down_vector(plane.pitch, plane.roll)
     center = -T[:3, :3].T @ T[:3, 3]  # of the colour camera, in the depth camera's frame
     moved = plane_from_down(down @ T[:3, :3].T, plane.height - down @ center)
-    known = [np.where(plane.valid, ours, 0.0) for ours in moved[:3]]
-    return flat_plane(*known, plane.valid)
+    height, pitch, roll = (np.where(plane.valid, ours, 0.0) for ours in moved[:3])
+    return flat_plane(height, pitch, roll, plane.valid)
 
 
 def flagged_plane(config: GroundConfig) -> GroundPlane:

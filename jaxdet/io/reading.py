@@ -1,7 +1,8 @@
 """Reads images of a log into the rows of arrays, a chunk at a time.
 
 Of a chunk that isn't packed the pixels go straight into their rows where they are what the rows
-hold, everything else beside them, and all of it through the CRC while it is in the core's cache.
+hold, everything else into other memory, and all of it through the CRC while it is in the core's
+cache.
 """
 
 import time

@@ -177,7 +177,7 @@ def apart(depth: FrameTable, color: FrameTable | None) -> tuple[np.ndarray, np.n
 
 
 def log_time_warnings(topic: str, backward: int) -> list[str]:
-    """A line on a stream of which so many messages come after a later one."""
+    """A line on a stream with messages that come after a later one."""
     text = f"{printable(topic)}: {backward} log times run backward; images are ordered by stamp"
     return [text] if backward else []
 

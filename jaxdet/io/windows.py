@@ -44,7 +44,7 @@ _STAMP_BYTES = 64
 
 
 class StreamWindows:
-    """The messages of one image topic; stamps are read when they are asked for.
+    """The messages of one image topic; stamps are read when they are needed.
 
     Args:
         found: The messages, in the order of the files.

@@ -276,7 +276,7 @@ def _color_stamps(batch: "Batch", count: int) -> np.ndarray:
     They are the same whether colour was read or not.
     """
     if batch.nearest_color_ns is None:
-        return np.ma.masked_all(count, np.int64)
+        return np.ma.masked_less(np.full(count, -1, np.int64), 0)
     return np.ma.masked_less(batch.nearest_color_ns[:count], 0)
 
 

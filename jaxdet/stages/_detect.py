@@ -10,7 +10,7 @@ import numpy as np
 from jaxdet.config import Config
 from jaxdet.floor.units import FloorFit, floor_fit
 from jaxdet.runtime.calls import uninterrupted
-from jaxdet.stages import _program, _spread
+from jaxdet.stages import _batches, _program
 from jaxdet.stages._check import check_kernels
 from jaxdet.stages._points import clusters
 from jaxdet.types import (
@@ -26,9 +26,6 @@ from jaxdet.types import (
     Scene,
 )
 
-SPECS = _spread.WHOLE, _spread.ROWS
-"""Of tables and floors: which have a row for each frame."""
-
 
 def detect(
     frames: Frames, plane: GroundPlane, config: Config, with_cells: bool = False
@@ -36,7 +33,7 @@ def detect(
     """Return what :func:`jaxdet.reference.detect` does.
 
     Args:
-        frames: ``B`` frames; images on the host, which all devices share, or already on devices.
+        frames: ``B`` frames; images on the host or already on a device.
             On the CPU, images whose memory starts at a multiple of 64 bytes are read in place, so
             leave them alone until the results are ready.
         plane: Prior of the floor in each frame.
@@ -44,7 +41,7 @@ def detect(
         with_cells: Whether to return the cells with their obstacles as well.
 
     Returns:
-        The obstacles, perhaps still being computed, see :func:`_spread.in_parts`.
+        The obstacles, perhaps still being computed, see :func:`_batches.in_parts`.
 
     Raises:
         ConfigError: The kernels don't take images or grids of this size.
@@ -55,9 +52,9 @@ def detect(
 
     def run(images: tuple[Any, ...], known: GroundPlane) -> Detections:
         given = tables, _program.floors(known, config, frames.calibration.depth_unit)
-        return _spread.run(_detect, images, given, SPECS, static, with_cells)
+        return uninterrupted(_detect, *images, given, static, with_cells)
 
-    found = _spread.in_parts(run, (frames.depth,), plane)
+    found = _batches.in_parts(run, (frames.depth,), plane)
     return found._replace(scene=found.scene._replace(prior=plane))
 
 
@@ -71,7 +68,7 @@ def find_floors(frames: Frames, prior: GroundPlane, config: Config) -> FloorFit:
         given = jax.device_put(*images), (tables, floors)
         return uninterrupted(_find_floors, *given, static)
 
-    found = _spread.in_parts(run, (frames.depth,), prior)
+    found = _batches.in_parts(run, (frames.depth,), prior)
     return floor_fit(np.asarray(found), prior, unit)
 
 

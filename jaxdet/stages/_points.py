@@ -1,14 +1,15 @@
 """Obstacles made of points: the paper's method as one compiled program, for the CPU and CUDA."""
 
 from functools import lru_cache, partial
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from jaxdet.config import Config
 from jaxdet.floor.plane import ground_axes, plane_in_color
-from jaxdet.stages import _align, _cluster, _features, _footprint, _ground, _spread
+from jaxdet.runtime.calls import uninterrupted
+from jaxdet.stages import _align, _batches, _cluster, _features, _footprint, _ground
 from jaxdet.stages._corners import corner_settings
 from jaxdet.types import AlignedDepth, Calibration, Detections, Frames, GroundPlane, Points
 
@@ -30,11 +31,6 @@ class _Given(NamedTuple):
     axes: jax.Array
 
 
-_PLANES = _spread.WHOLE, _spread.ROWS, _spread.WHOLE, _spread.WHOLE
-SPECS = _spread.WHOLE, cast(Any, _Given)(ground=_PLANES, axes=_spread.ROWS)
-"""Of :class:`_Tables` and :class:`_Given`: which have a row for each frame."""
-
-
 class _Static(NamedTuple):
     """What a compiled program is for."""
 
@@ -47,8 +43,7 @@ def clusters(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
     """Align depth, drop the floor, find corners, cluster them by gaps and outline the clusters.
 
     Args:
-        frames: ``B`` frames with colour; images on the host, which all devices share, or already
-            on devices.
+        frames: ``B`` frames with colour; images on the host or already on a device.
         plane: Floor of each frame.
         config: Configuration of the method; ``cluster.points`` is True.
 
@@ -62,9 +57,9 @@ def clusters(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
     def run(images: tuple[Any, ...], known: GroundPlane) -> Detections:
         ground = _ground.tables(known, frames.calibration, config)
         given = _Given(ground, jnp.asarray(ground_axes(known)))
-        return _spread.run(_detect, images, (shared, given), SPECS, static)
+        return uninterrupted(_detect, *images, (shared, given), static)
 
-    return _spread.in_parts(run, (frames.color, frames.depth), plane, staged=True)
+    return _batches.in_parts(run, (frames.color, frames.depth), plane, staged=True)
 
 
 @lru_cache(maxsize=8)

@@ -28,7 +28,7 @@ CASES: dict[str, tuple[Calibration, np.ndarray]] = {
     "turned": (BASE._replace(color_from_depth=TURNED), noise_depth(1, BASE.depth, 1)[0]),
     "fine_color": (small(color_scale=2.5), smooth_depth(1, BASE.depth)[0]),
     "coarse_color": (
-        Calibration(resized(BASE.depth, 40, 30), BASE.depth, D435_MOTION),
+        Calibration(BASE.depth, resized(BASE.depth, 40, 30), D435_MOTION),
         smooth_depth(1, BASE.depth)[0],
     ),
     "depth_lens": (

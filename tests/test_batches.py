@@ -1,30 +1,25 @@
-"""A batch over several devices: equal to one device, for any number of rows."""
+"""Batches of any size, in parts, on one of several devices: equal to the reference."""
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 import pytest
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from benchmarks.scene import pin
 from jaxdet import detect
+from jaxdet.errors import ConfigError
 from jaxdet.pipeline import find_floors
 from jaxdet.presets import PRESETS
 from jaxdet.sim import SimConfig, write_log
-from jaxdet.stages import _detect, _points, _spread, _upload
-from jaxdet.stages._spread import rows_over
+from jaxdet.stages import _batches, _detect, _points, _upload
 from jaxdet.types import Frames, GroundPlane
 from tests.runs import only_log, run_logs
 from tests.scenes import assert_equal, blocks, frames, level, small, smooth_depth, with_lens
 
-
-@pytest.fixture(autouse=True)
-def all_devices() -> Iterator[None]:
-    """None is JAX's default: a batch is shared out to all."""
-    with jax.default_device(None):
-        yield
+pytestmark = pytest.mark.twin
 
 
 def scene(batch: int, lens: str = "pinhole", size: tuple[int, int] = (80, 60)) -> Frames:
@@ -38,15 +33,23 @@ def scene(batch: int, lens: str = "pinhole", size: tuple[int, int] = (80, 60)) -
 @pytest.mark.parametrize(
     ("name", "batch"), [("wheeled", 1), ("wheeled", 2), ("wheeled", 5), ("paper", 5)]
 )
-def test_two_devices_equal_the_reference(name, batch):
-    assert len(jax.devices("cpu")) == 2
+def test_any_number_of_frames_equals_the_reference(name, batch):
     given, config = scene(batch), PRESETS[name]
-    found = detect(given, config)
-    assert_equal(found, detect(given, config, backend="reference"))
-    if batch == 2 and jax.default_backend() == "cpu":
-        shards = found.num_obstacles.addressable_shards
-        assert [shard.data.shape[0] for shard in shards] == [1, 1]
-        assert [shard.device for shard in shards] == jax.devices("cpu")
+    assert_equal(detect(given, config), detect(given, config, backend="reference"))
+
+
+def test_images_on_a_device_are_computed_there():
+    given, second = scene(2), jax.devices("cpu")[1]
+    found = detect(given._replace(depth=jax.device_put(given.depth, second)))
+    assert found.num_obstacles.devices() == {second}
+    assert_equal(found, detect(given, backend="reference"))
+
+
+def test_images_spread_over_devices_are_refused():
+    given, devices = scene(2), np.array(jax.devices("cpu"))
+    rows = NamedSharding(Mesh(devices, ("frames",)), PartitionSpec("frames"))
+    with pytest.raises(ConfigError, match="spread over 2 devices, but one computes a batch"):
+        detect(given._replace(depth=jax.device_put(given.depth, rows)))
 
 
 @pytest.mark.parametrize(
@@ -65,27 +68,22 @@ def test_batches_of_all_sizes_are_compiled_for_few(name, batches, compiled):
     assert program._cache_size() == compiled
 
 
-@pytest.mark.parametrize(("name", "devices"), [("wheeled", 1), ("wheeled", 2), ("paper", 2)])
-def test_a_batch_in_parts_equals_the_whole(name, devices, monkeypatch):
+@pytest.mark.parametrize("name", ["wheeled", "paper"])
+def test_a_batch_in_parts_equals_the_whole(name, monkeypatch):
     given, config = scene(7), PRESETS[name]
     frame = given.depth[0].nbytes + (given.color[0].nbytes if name == "paper" else 0)
     for part in "PART_BYTES", "STAGED_PART_BYTES":
-        monkeypatch.setattr(_spread, part, 3 * frame)  # two frames a device
-    chosen = jax.devices("cpu")[0] if devices == 1 else None
-    with jax.default_device(chosen):
-        found = detect(given, config)
-        fit = find_floors(given, config)
+        monkeypatch.setattr(_batches, part, 3 * frame)  # two frames
+    found, fit = detect(given, config), find_floors(given, config)
     assert_equal(found, detect(given, config, backend="reference"))
     assert_equal(fit, find_floors(given, config, backend="reference"))
 
 
 def test_a_batch_that_is_no_power_of_two_is_not_padded(monkeypatch):
-    """Two devices: of 23 frames 16 stay where they are, and 7 get one more."""
+    """Of 23 frames 16 are computed as they are, and the other 7 get one more."""
     given, sizes = scene(23), []
-    bucket = _spread._bucket
-    monkeypatch.setattr(
-        _spread, "_bucket", lambda *a: sizes.append((a[0], bucket(*a))) or bucket(*a)
-    )
+    bucket = _batches._bucket
+    monkeypatch.setattr(_batches, "_bucket", lambda n: sizes.append((n, bucket(n))) or bucket(n))
     assert_equal(detect(given), detect(given, backend="reference"))
     assert sizes == [(16, 16), (7, 8)]
 
@@ -142,27 +140,8 @@ def test_frames_on_page_locked_memory_equal_the_reference(gpus, name, batch, len
     want = jax.tree.map(lambda values: np.asarray(values)[rows], want)
     arrays = [(color.shape, np.uint8), (depth.shape, np.uint16)]
     uploader = _upload.Uploader(arrays, gpus[0])
-    pinned = pin(color, depth)
+    pinned = [pin(color), pin(depth)]
     for _ in range(2):
         on_device = uploader.upload([pinned])
         many = frames(given.calibration, *on_device, plane=plane)
         assert_equal(detect(many, config), want)
-
-
-@pytest.mark.gpu
-@pytest.mark.parametrize("name", ["wheeled", "paper"])
-@pytest.mark.parametrize("lens", ["pinhole", "equidistant"])
-@pytest.mark.parametrize("batch", [1, 5, 16])
-def test_all_gpus_share_a_batch(gpus, batch, lens, name):
-    if len(gpus) < 2:
-        pytest.skip(f"needs 2 GPUs, found {len(gpus)}")
-    given, config = scene(batch, lens), PRESETS[name]
-    want = detect(given, config, backend="reference")
-    found = detect(given, config)
-    assert_equal(found, want)
-    if batch % len(gpus) == 0:
-        assert found.num_obstacles.devices() == set(gpus)
-        rows = rows_over(tuple(gpus))
-        color, depth = jax.device_put((given.color, given.depth), rows)
-        assert color.devices() == set(gpus)
-        assert_equal(detect(given._replace(color=color, depth=depth), config), want)

@@ -1,0 +1,142 @@
+"""Batches of any size by programs that are compiled for few sizes."""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxdet.errors import ConfigError
+from jaxdet.types import GroundPlane
+
+PART_BYTES = 96 << 20
+"""Bytes of images that the CPU computes together, 64 frames of 640x480: results take memory in
+proportion, and the fixed time of a call is small compared with that of so many frames."""
+STAGED_PART_BYTES = 12 << 20
+"""The same for a program that takes all frames through one stage after the other: the process
+reuses temporaries of that size, and gets larger ones from the system as fresh pages at every
+call."""
+PAD_BELOW = 8
+"""Smaller batches are padded."""
+LEAST_CAPABILITY = 8.0
+"""Compute capability that GPUs need: from 8.0 on a warp adds integers in one instruction."""
+
+
+def check_device(images: Any) -> None:
+    """Refuse images on devices that kernels don't run on.
+
+    Images on a device are computed there, those on the host by the default device.
+
+    Raises:
+        ConfigError: The GPU is older than kernels are compiled for, or images are spread over
+            several devices.
+    """
+    devices = images.devices() if isinstance(images, jax.Array) else {default_device()}
+    if len(devices) > 1:
+        problem = f"images are spread over {len(devices)} devices, but one computes a batch"
+        raise ConfigError(problem, remedy="call detect for each device's images")
+    for device in devices:
+        capability = getattr(device, "compute_capability", None)
+        if capability and float(capability) < LEAST_CAPABILITY:
+            raise ConfigError(
+                f"{device.device_kind} has compute capability {capability}, and "
+                f"{LEAST_CAPABILITY} (Ampere) is needed: choose another GPU by "
+                "CUDA_VISIBLE_DEVICES, or JAX_PLATFORMS=cpu"
+            )
+
+
+def default_device() -> Any:
+    """Return the device that JAX computes on."""
+    chosen = getattr(jax.config, "jax_default_device", None)
+    return chosen if isinstance(chosen, jax.Device) else jax.local_devices()[0]
+
+
+def on_cuda() -> bool:
+    """Return whether JAX's default device is a CUDA device."""
+    chosen = getattr(jax.config, "jax_default_device", None)
+    platform = getattr(chosen, "platform", chosen) or jax.default_backend()
+    return platform in ("gpu", "cuda")
+
+
+def in_parts(
+    run: Callable[[tuple[Any, ...], GroundPlane], Any],
+    images: tuple[Any, ...],
+    plane: GroundPlane,
+    staged: bool = False,
+) -> Any:
+    """Return the results of a program for a batch of any size.
+
+    A batch is computed as a whole, on the CPU in parts of at most ``PART_BYTES`` of images whose
+    number of frames is a power of two. Fewer than ``PAD_BELOW`` images on the host, and any number
+    of them for CUDA, are padded with frames without depth to a power of two; the results of the
+    padding are dropped.
+
+    Args:
+        run: Takes images and planes, and returns a tree of arrays with a row for each frame.
+        images: ``(B, ...)`` of each kind, ``B`` at least 1.
+        plane: ``B`` planes.
+        staged: Whether the program takes all frames through one stage after the other, see
+            ``STAGED_PART_BYTES``.
+
+    Returns:
+        The tree for all ``B`` frames: what ``run`` returned for a batch in one part, NumPy arrays
+        for one in several.
+
+    Raises:
+        ConfigError: See :func:`check_device`.
+    """
+    check_device(images[0])
+    count = len(images[0])
+    most = _part_size(images, STAGED_PART_BYTES if staged else PART_BYTES)
+    joined: Any = None
+    end = 0
+    while end < count:
+        size = _next_part(count - end, most)
+        rows = slice(end, end := end + size)
+        some = tuple(image[rows] if size < count else image for image in images)
+        planes = GroundPlane(*(np.asarray(values)[rows] for values in plane))
+        number = len(some[0])
+        missing = 0 if isinstance(some[0], jax.Array) else _bucket(number) - number
+        if missing:
+            some = tuple(_padded(image, missing, "constant") for image in some)
+            planes = GroundPlane(*(_padded(values, missing, "edge") for values in planes))
+        part = run(some, planes)
+        if missing:
+            part = jax.tree.map(lambda values, number=number: values[:number], part)
+        if size == count:
+            return part
+        if joined is None:
+            joined = jax.tree.map(lambda a: np.empty((count, *a.shape[1:]), a.dtype), part)
+        jax.tree.map(partial(_put, rows), joined, part)
+        del part  # so that the next part can use its memory
+    return joined
+
+
+def _put(rows: slice, whole: np.ndarray, part: jax.Array) -> None:
+    whole[rows] = part
+
+
+def _part_size(images: tuple[Any, ...], part_bytes: int) -> int:
+    """The most frames that are computed together."""
+    count = len(images[0])
+    if on_cuda():
+        return count
+    frame = sum(image.nbytes for image in images) // count
+    return 1 << max(part_bytes // frame, 1).bit_length() - 1
+
+
+def _next_part(left: int, most: int) -> int:
+    """How many of the remaining frames are computed together."""
+    if left >= most or left < PAD_BELOW or on_cuda():
+        return min(left, most)
+    return 1 << left.bit_length() - 1
+
+
+def _bucket(count: int) -> int:
+    """The size that batches of ``count`` frames are padded to."""
+    return 1 << (count - 1).bit_length()
+
+
+def _padded(rows: np.ndarray, missing: int, mode: Any) -> np.ndarray:
+    return np.pad(rows, [(0, missing)] + [(0, 0)] * (rows.ndim - 1), mode=mode)
