@@ -322,7 +322,7 @@ def test_version(capsys: Captured) -> None:
         (["run", "a", "-o", "x", "--preset", ""], 2, "no preset ''; use one of wheeled"),
         (["run", "a", "-o", "x", "--end", "3"], 2, "no flag --end; did you mean --stop? see"),
         (["run", "a", "-o", "x", "--force"], 2, "no flag --force; did you mean --overwrite? see"),
-        (["run", "a", "-o", "x", "--verbose"], 2, "no flag --verbose; see jaxdet run --help"),
+        (["run", "a", "-o", "x", "--loud"], 2, "no flag --loud; see jaxdet run --help"),
         (["version"], 2, "no command 'version'; did you mean --version?"),
         (["run", "a", "--output", "x", "--batchsize", "4"], 2, "did you mean --batch-size?"),
         (["run", "a", "--camera-height", "1"], 2, "did you mean --ground.camera-height-m?"),

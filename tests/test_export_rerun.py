@@ -203,7 +203,7 @@ def test_each_log_and_lost_frames(tmp_path: Path) -> None:
     folder = make_results(tmp_path / "results", {"a/b": 60, "c": 5})
     with Results(folder) as results:
         export(results, "rerun", tmp_path / "out", {})
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["a_b.rrd", "c.rrd"]
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["a--b.rrd", "c.rrd"]
 
 
 def test_free_floor_is_that_of_the_map() -> None:

@@ -56,12 +56,15 @@ def test_a_terminal_of_80_columns_shows_all_of_a_bar(monkeypatch, capsys) -> Non
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setenv("FORCE_COLOR", "1")
     found = about(16, 1, read=1.2, decode=19.2, compute=0.01, write=1.2)
+    state = 1200, 4000, 17, 11_400.0, found.bottleneck, found.rates
     for name in ("drive", "rosbag2_2026_11_03-14_22_07_0_front_left"):
-        with _bars() as show:
-            show(Progress(name, 1, 12, 1200, 4000, 17, 11_400.0, found.bottleneck, found.rates))
-        plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", capsys.readouterr().err)
-        assert f"[2/12] {name[:7]}" in plain
-        assert "1200/4000 frames, 11k/s, slowest: decode, 17 not ok" in plain
+        for logs in (1, 300):
+            with _bars() as show:
+                show(Progress(name, 0, logs, *state, logs_done=100, logs_failed=10))
+            plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", capsys.readouterr().err)
+            assert name[:7] in plain
+            many = "100/300 logs, 10 failed; " in plain and "1200/4000 frames" in plain
+            assert many or "1200/4000 frames, 11k/s, slowest: decode, 17 not ok" in plain
 
 
 def test_what_goes_on_for_long_has_a_line(monkeypatch, capsys) -> None:
@@ -69,7 +72,7 @@ def test_what_goes_on_for_long_has_a_line(monkeypatch, capsys) -> None:
     for number in range(3):
         lines(Progress("a", 0, 40, 0, 0, 0, None, doing=f"{number} of 39 logs are done"))
         monkeypatch.setattr("jaxdet.cli.progress.LINE_EVERY_S", 0 if number == 0 else 99)
-    assert capsys.readouterr().err == "[1/40] a: 1 of 39 logs are done\n"
+    assert capsys.readouterr().err == "0/40 logs; a: 1 of 39 logs are done\n"
 
 
 @pytest.mark.skipif(not hasattr(os, "openpty"), reason="no terminals on this system")
@@ -98,13 +101,18 @@ def test_many_logs_have_a_line_each_and_their_warnings_once() -> None:
         log.notes = ["no map: no frame has a pose"]
     logs[7].error = "drive_007: torn"
     lines = summary_lines(Summary("jax", 16, logs, 20.0), Path("out"))
+    assert lines[0].split() == ["log", "frames", "not", "ok", "status"]
+    assert lines[1].split() == ["drive_007", "10", "1", "failed"]
+    assert lines[13] == "and 288 more, see summary.json of each log"
+    assert len(lines) == 14 + 12 + 1 + 2
+    lines = summary_lines(Summary("jax", 16, logs, 20.0), Path("out"), every=True)
     assert len(lines) == 300 + 12 + 1 + 1 + 2
     assert lines[3] == "drive_003: 10 frames (9 ok, 1 no_color), 3 obstacles"
     assert lines[7] == "drive_007: failed after 10 frames"
     first = "drive_000, drive_001, drive_002 and 296 more"
     assert lines[300] == f"warning    {first}: no frame has depth"
     assert lines[301] == "warning    drive_000: of 0 alone"
-    assert lines[312] == "warning    28 more in summary.json"
+    assert lines[312] == "warning    28 more, see summary.json of each log"
     assert lines[313] == f"note       {first}: no map: no frame has a pose"
     assert lines[-2].endswith("; 1 of 300 logs failed") and lines[-1] == "results: out (tables)"
     assert "  frames     10 (9 ok, 1 no_color)" in summary_lines(

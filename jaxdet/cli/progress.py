@@ -90,7 +90,9 @@ def _which(now: "Progress") -> str:
 def _logs_text(now: "Progress") -> str:
     """Return how many logs are done and failed, and where the log stands that is worked on."""
     failed = f", {now.logs_failed} failed" if now.logs_failed else ""
-    return f"{now.logs_done}/{now.num_logs} logs{failed}; {now.log}: {_text(now, _slowest)}"
+    name = now.log if len(now.log) <= MAX_NAME else f"{now.log[: MAX_NAME - 1]}…"
+    doing = now.doing or f"{now.done}/{now.total} frames"
+    return f"{now.logs_done}/{now.num_logs} logs{failed}; {name}: {doing}"
 
 
 def _text(now: "Progress", steps: Callable[["Progress"], str]) -> str:

@@ -21,9 +21,8 @@ if TYPE_CHECKING:
     from jaxdet.engine.startup import Caches
 
 DESCRIPTION = """\
-Finds the obstacles in every frame of logs and writes for each log a folder with frames.parquet,
-obstacles.parquet, summary.json, pictures and, where it has poses, a map. Logs that are done are
-left as they are: the same command continues a run that was stopped.
+Finds the obstacles in every frame of logs and writes for each a folder of tables, pictures and a
+map. Logs that are done are left as they are: the same command continues a run.
 
 Examples:
   jaxdet run drive.mcap --output results

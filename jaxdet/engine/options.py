@@ -34,7 +34,7 @@ class RunOptions:
     map: bool = True
     """Make a map of each log that has poses."""
     overwrite: bool = False
-    """Replace the results of the logs, also of another configuration or version."""
+    """Replace the results of the logs; also those of another configuration or version."""
     update: bool = False
     """Also do logs again that failed, lost frames or have changed since."""
 
