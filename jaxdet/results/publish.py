@@ -66,6 +66,8 @@ def finish(results: Path) -> int:
     with writing(results):
         for ready in waiting:
             _move(ready, results / ready.name)
+        for old in (results / WORKING).glob("old-*"):
+            remove(old)
         if waiting:
             flush(results)
         with suppress(OSError):
