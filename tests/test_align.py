@@ -169,6 +169,7 @@ def test_arctangent_is_accurate():
 # twin
 
 
+@pytest.mark.twin
 @pytest.mark.parametrize("lens", LENSES)
 @pytest.mark.parametrize("image", [noise_depth, smooth_depth])
 def test_twin_with_every_lens(device, lens, image):
@@ -178,6 +179,7 @@ def test_twin_with_every_lens(device, lens, image):
     assert_equal(stages.align(depth, calibration), reference.align(depth, calibration))
 
 
+@pytest.mark.twin
 @pytest.mark.parametrize("batch", [1, 2, 5])
 @pytest.mark.parametrize("size", [(640, 480), (848, 480)])
 def test_twin_at_full_size(device, batch, size):
@@ -187,6 +189,7 @@ def test_twin_at_full_size(device, batch, size):
     assert_equal(stages.align(depth, calibration), reference.align(depth, calibration))
 
 
+@pytest.mark.twin
 @pytest.mark.parametrize(
     ("lens", "depth_size", "color_size"),
     [
@@ -207,6 +210,7 @@ def test_twin_with_large_and_odd_images(device, lens, depth_size, color_size):
     assert_equal(aligned, reference.align(depth, calibration))
 
 
+@pytest.mark.twin
 @pytest.mark.parametrize("lens", LENSES)
 def test_twin_where_the_depth_camera_has_a_lens(device, lens):
     base = small(97, 61, 0.7)
@@ -217,6 +221,7 @@ def test_twin_where_the_depth_camera_has_a_lens(device, lens):
     assert_equal(stages.align(depth, calibration), reference.align(depth, calibration))
 
 
+@pytest.mark.twin
 def test_twin_without_any_measurement(device):
     depth = np.zeros((2, 60, 80), np.uint16)
     assert_equal(stages.align(depth, small()), reference.align(depth, small()))
