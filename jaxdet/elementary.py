@@ -1,0 +1,232 @@
+"""Functions of real numbers whose results are the same on every machine, bit for bit.
+
+NumPy and the C library choose their sine, logarithm or power by the features of the CPU, BLAS its
+matrix product, and the versions differ in the last bits. Everything that reaches a table or
+decides something is computed by these functions instead. They consist of float64 additions,
+subtractions, products, quotients and square roots in the order in which they are written, each
+rounded to nearest (IEEE 754), of comparisons, and of scaling by powers of two. NumPy evaluates one
+operation per call, so none is fused with the next.
+
+All take numbers or arrays of any shape, and compute in float64.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+_HALF_PI = 1.5707963267341256, 6.077100506303966e-11, 2.0222662487959506e-21
+"""π/2 as a sum; the first two have 33 bits, so their products with 20 bits are exact."""
+_MOST_QUARTERS = 1 << 20
+_PI_LOW = 1.2246467991473532e-16
+"""π less its float64."""
+_LN2 = 0.6931471803691238, 1.9082149292705877e-10
+"""ln 2 as a sum; the first has 32 bits."""
+_SIN = tuple((-1) ** k / math.factorial(2 * k + 1) for k in range(8, 0, -1))
+_COS = tuple((-1) ** k / math.factorial(2 * k) for k in range(9, 1, -1))
+_LOG = tuple(2 / (2 * k + 1) for k in range(10, 0, -1))
+_SMALL, _LARGE = 2.0**-500, 2.0**500
+"""Squares of what is between them neither vanish nor overflow."""
+
+
+def sin(x: ArrayLike) -> np.ndarray:
+    """Sine of angles [rad], within 1 ulp.
+
+    Of more than 2^20 quarter turns, whole turns of 2π as rounded to float64 are taken off first.
+    Infinities give NaN.
+
+    Example:
+        >>> sin([0.0, np.pi / 6, np.pi / 2]).round(15).tolist()
+        [0.0, 0.5, 1.0]
+    """
+    return sin_cos(x)[0]
+
+
+def cos(x: ArrayLike) -> np.ndarray:
+    """Cosine of angles [rad], see :func:`sin`."""
+    return sin_cos(x)[1]
+
+
+def sin_cos(x: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+    """Sine and cosine of angles [rad], see :func:`sin`.
+
+    The angle is reduced to an eighth of a turn or less, as a sum of two numbers (Cody and Waite
+    1980); there both functions are their Taylor series.
+    """
+    x = np.asarray(x, np.float64)
+    given = np.where(np.isfinite(x), x, np.nan)
+    far = np.abs(given) > _MOST_QUARTERS * _HALF_PI[0]
+    near = np.where(far, np.fmod(given, 2 * np.pi), given) if np.any(far) else given
+    turns = np.rint(near / (np.pi / 2))
+    rest, shift = near - turns * _HALF_PI[0], turns * _HALF_PI[1]
+    angle = rest - shift
+    low = (rest - angle) - shift - turns * _HALF_PI[2]
+    angle, low = angle + low, (angle - (angle + low)) + low
+
+    square = angle * angle
+    half = square / 2
+    s = angle + (low * (1 - half) + angle * square * _polynomial(_SIN, square))
+    c = 1 - half
+    c = c + (((1 - c) - half) + (square * square * _polynomial(_COS, square) - angle * low))
+    quarter = turns - 4 * np.floor(turns / 4)
+    odd = (quarter == 1) | (quarter == 3)
+    sine, cosine = np.where(odd, c, s), np.where(odd, s, c)
+    sine = np.where(quarter >= 2, -sine, sine)
+    cosine = np.where((quarter == 1) | (quarter == 2), -cosine, cosine)
+    return np.where(x == 0, x, sine), cosine
+
+
+def arctangent(x: np.ndarray) -> np.ndarray:
+    """Arc tangent of ``x >= 0``, ``(...)`` float64, within 2 ulp.
+
+    A rational approximation (Cephes ``atan.c``, S. Moshier), the same as in the kernels.
+
+    Example:
+        >>> float(arctangent(np.array([1.0]))[0] * 4)
+        3.141592653589793
+    """
+    large, middle = x > 2.414213562373095, x > 0.66
+    offset = np.where(large, np.pi / 2, np.where(middle, np.pi / 4, 0.0))
+    safe = np.where(large, x, 1.0)
+    t = np.where(large, -1.0 / safe, np.where(middle, (x - 1.0) / (x + 1.0), x))
+    z = t * t
+    return offset + (t * (z * _polynomial(_ATAN_P, z) / _polynomial(_ATAN_Q, z)) + t)
+
+
+_ATAN_P = (
+    -8.750608600031904122785e-1,
+    -1.615753718733365076637e1,
+    -7.500855792314704667340e1,
+    -1.228866684490136173410e2,
+    -6.485021904942025371773e1,
+)
+_ATAN_Q = (
+    1.0,
+    2.485846490142306297962e1,
+    1.650270098316988542046e2,
+    4.328810604912902668951e2,
+    4.853903996359136964868e2,
+    1.945506571482613964425e2,
+)
+
+
+def arctan2(y: ArrayLike, x: ArrayLike) -> np.ndarray:
+    """Angle of the vectors ``(x, y)`` from the x axis, from -π to π [rad], within 2 ulp.
+
+    Signed zeros, infinities and NaN are treated as by :func:`numpy.arctan2`.
+
+    Example:
+        >>> arctan2([1.0, 0.0, -0.0], [1.0, -1.0, -1.0]).tolist()
+        [0.7853981633974483, 3.141592653589793, -3.141592653589793]
+    """
+    y, x = np.asarray(y, np.float64), np.asarray(x, np.float64)
+    rise, run = np.abs(y), np.abs(x)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore", under="ignore"):
+        slope = rise / run
+    slope = np.where(rise == run, np.where(rise > 0, 1.0, 0.0), slope)  # both 0 or infinite too
+    angle = arctangent(slope)
+    return np.copysign(np.where(np.signbit(x), np.pi - (angle - _PI_LOW), angle), y)
+
+
+def arccos(x: ArrayLike) -> np.ndarray:
+    """Angle from 0 to π whose cosine is ``x`` [rad], within 3 ulp; NaN outside of [-1, 1]."""
+    x = np.asarray(x, np.float64)
+    x = np.where(np.abs(x) <= 1, x, np.nan)
+    return arctan2(np.sqrt((1 - x) * (1 + x)), x)
+
+
+def hypot(x: ArrayLike, y: ArrayLike) -> np.ndarray:
+    """Length of the vectors ``(x, y)``, within 1 ulp, without overflow on the way.
+
+    Example:
+        >>> hypot([3.0, 3e300], [4.0, 4e300]).tolist()
+        [5.0, 5e+300]
+    """
+    x, y = np.abs(np.asarray(x, np.float64)), np.abs(np.asarray(y, np.float64))
+    most = np.maximum(x, y)
+    scale = np.where(most > _LARGE, _SMALL, np.where(most < _SMALL, _LARGE, 1.0))
+    x, y = x * scale, y * scale
+    return np.sqrt(x * x + y * y) / scale
+
+
+def log(x: ArrayLike) -> np.ndarray:
+    """Natural logarithm, within 1 ulp; -infinity of 0, NaN of negative numbers.
+
+    Of the fraction ``1 + f`` between √½ and √2 it is the series in ``s = f / (2 + f)``.
+
+    Example:
+        >>> log([1.0, 2.0, 0.0]).tolist()
+        [0.0, 0.6931471805599453, -inf]
+    """
+    x = np.asarray(x, np.float64)
+    regular = (x > 0) & (x < np.inf)
+    fraction, exponent = np.frexp(np.where(regular, x, 1.0))
+    low = fraction < math.sqrt(0.5)
+    f = np.where(low, 2 * fraction, fraction) - 1
+    k = np.where(low, exponent - 1, exponent).astype(np.float64)
+    s, half = f / (2 + f), f * f / 2
+    square = s * s
+    tail = s * (half + square * _polynomial(_LOG, square)) + k * _LN2[1]
+    found = k * _LN2[0] - ((half - tail) - f)
+    return np.where(regular, found, np.where(x == 0, -np.inf, np.where(x > 0, np.inf, np.nan)))
+
+
+def dot(a: ArrayLike, b: ArrayLike) -> np.ndarray:
+    """Scalar product along the last axis, added from the first component to the last."""
+    a, b = np.asarray(a), np.asarray(b)
+    found = a[..., 0] * b[..., 0]
+    for i in range(1, a.shape[-1]):
+        found = found + a[..., i] * b[..., i]
+    return found
+
+
+def norm(a: ArrayLike) -> np.ndarray:
+    """Length along the last axis: the square root of :func:`dot` of vectors with themselves."""
+    return np.sqrt(dot(a, a))
+
+
+def matmul(a: ArrayLike, b: ArrayLike) -> np.ndarray:
+    """Product of matrices ``(..., N, K)`` and ``(..., K, M)``, added from the first term on.
+
+    Example:
+        >>> matmul([[1.0, 2.0], [3.0, 4.0]], [[1.0, 0.0], [0.0, -1.0]]).tolist()
+        [[1.0, -2.0], [3.0, -4.0]]
+    """
+    a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)
+    found = a[..., :, :1] * b[..., :1, :]
+    for i in range(1, a.shape[-1]):
+        found = found + a[..., :, i : i + 1] * b[..., i : i + 1, :]
+    return found
+
+
+def mean(values: np.ndarray, weights: np.ndarray | None = None) -> np.ndarray:
+    """Mean along the first axis, weighted or not, added from the first value to the last.
+
+    Args:
+        values: ``(N, ...)``, ``N`` at least 1.
+        weights: ``(N,)``, not all 0.
+    """
+    values = np.asarray(values, np.float64)
+    if weights is None:
+        return np.add.accumulate(values, axis=0)[-1] / len(values)
+    weights = np.asarray(weights, np.float64)
+    shape = (-1,) + (1,) * (values.ndim - 1)
+    total = np.add.accumulate(weights.reshape(shape) * values, axis=0)[-1]
+    return total / np.add.accumulate(weights)[-1]
+
+
+def median(values: np.ndarray, axis: int | None = None) -> np.ndarray:
+    """Median, the mean of both middle values of an even number; never a negative zero.
+
+    Which of several equal values is in the middle depends on how NumPy sorts them, so the one
+    case in which equal values differ, a zero's sign, is taken away.
+    """
+    return np.median(values, axis=axis) + 0.0
+
+
+def _polynomial(coefficients: tuple[float, ...], x: np.ndarray) -> np.ndarray:
+    """Value of a polynomial by Horner's rule, the highest power's coefficient first."""
+    found = coefficients[0] * x + coefficients[1]
+    for c in coefficients[2:]:
+        found = found * x + c
+    return found
