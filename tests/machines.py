@@ -44,7 +44,9 @@ def environments() -> list[Environment]:
         [{}, LIBC],
         [{}, OPENCV],
     )
-    return [{k: v for part in parts for k, v in part.items()} for parts in itertools.product(*variables)]
+    return [
+        {k: v for part in parts for k, v in part.items()} for parts in itertools.product(*variables)
+    ]
 
 
 def can_run(environment: Environment) -> bool:
@@ -80,7 +82,9 @@ def _digest(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()[:16]
 
 
-def results(logs: list[str], environment: Environment, backend: str = "reference") -> dict[str, str]:
+def results(
+    logs: list[str], environment: Environment, backend: str = "reference"
+) -> dict[str, str]:
     """Return :func:`tables` of a run and its tracks on another machine."""
     with TemporaryDirectory() as folder:
         how = ["--backend", backend, "--workers", "1", "--pictures", "0", "--every", "4"]

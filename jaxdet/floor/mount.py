@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxdet.arguments import number, numbers
+from jaxdet.elementary import hypot
 from jaxdet.errors import ConfigError, InputError
 from jaxdet.floor.plane import flat_plane, plane_from_down, plane_from_transform
 from jaxdet.types import GroundPlane, is_rigid
@@ -73,7 +74,7 @@ class Mount:
             Mount(height_m=0.5, pitch_rad=0.0, roll_rad=0.0)
         """
         down = numbers("gravity", gravity, np.float64)
-        length = float(np.linalg.norm(down)) if down.shape == (3,) else math.nan
+        length = float(hypot(hypot(*down[:2]), down[2])) if down.shape == (3,) else math.nan
         if not 0 < length < math.inf:
             problem = f"an array of shape {down.shape} and length {length:g} is no direction"
             raise ConfigError(problem, topic="gravity", remedy="give three numbers, x y z")
