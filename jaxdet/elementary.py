@@ -17,21 +17,24 @@ from numpy.typing import ArrayLike
 
 _HALF_PI = 1.5707963267341256, 6.077100506303966e-11, 2.0222662487959506e-21
 """π/2 as a sum; the first two have 33 bits, so their products with 20 bits are exact."""
-_MOST_QUARTERS = 1 << 20
+_FARTHEST = 2.0**20 * 1.57
+"""Largest angle that is reduced so [rad]."""
+_SIGNS = np.array([1.0, 1.0, -1.0, -1.0, 1.0])
+"""Signs of the sine by quarter of a turn; those of the cosine from the next one on."""
 _PI_LOW = 1.2246467991473532e-16
 """π less its float64."""
 _LN2 = 0.6931471803691238, 1.9082149292705877e-10
 """ln 2 as a sum; the first has 32 bits."""
 _SIN = tuple((-1) ** k / math.factorial(2 * k + 1) for k in range(8, 0, -1))
-_COS = tuple((-1) ** k / math.factorial(2 * k) for k in range(9, 1, -1))
+_COS = tuple((-1) ** k / math.factorial(2 * k) for k in range(8, 1, -1))
 _LOG = tuple(2 / (2 * k + 1) for k in range(10, 0, -1))
 
 
 def sin(x: ArrayLike) -> np.ndarray:
     """Sine of angles [rad], within 1 ulp.
 
-    Of more than 2^20 quarter turns, whole turns of 2π as rounded to float64 are taken off first.
-    Infinities give NaN.
+    Off angles of more than 1.6 million, whole turns of 2π as rounded to float64 are taken first.
+    Infinities give NaN, zeros of both signs 0.
 
     Example:
         >>> sin([0.0, np.pi / 6, np.pi / 2]).round(15).tolist()
@@ -52,26 +55,27 @@ def sin_cos(x: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
     1980); there both functions are their Taylor series.
     """
     x = np.asarray(x, np.float64)
-    given = np.where(np.isfinite(x), x, np.nan)
-    far = np.abs(given) > _MOST_QUARTERS * _HALF_PI[0]
-    near = np.where(far, np.fmod(given, 2 * np.pi), given) if np.any(far) else given
-    turns = np.rint(near / (np.pi / 2))
-    rest, shift = near - turns * _HALF_PI[0], turns * _HALF_PI[1]
-    angle = rest - shift
-    low = (rest - angle) - shift - turns * _HALF_PI[2]
-    angle, low = angle + low, (angle - (angle + low)) + low
+    if not np.all(np.abs(x) <= _FARTHEST):
+        finite = np.isfinite(x)
+        near = np.where(finite, x, 0.0)
+        both = sin_cos(np.where(np.abs(near) > _FARTHEST, np.fmod(near, 2 * np.pi), near))
+        sine, cosine = (np.where(finite, values, np.nan) for values in both)
+        return sine, cosine
+    turns = np.rint(x * (2 / np.pi))
+    rest, shift = x - turns * _HALF_PI[0], turns * _HALF_PI[1]
+    high = rest - shift
+    low = (rest - high) - shift - turns * _HALF_PI[2]
+    angle = high + low
+    low = (high - angle) + low
 
     square = angle * angle
     half = square / 2
     s = angle + (low * (1 - half) + angle * square * _polynomial(_SIN, square))
     c = 1 - half
     c = c + (((1 - c) - half) + (square * square * _polynomial(_COS, square) - angle * low))
-    quarter = turns - 4 * np.floor(turns / 4)
-    odd = (quarter == 1) | (quarter == 3)
-    sine, cosine = np.where(odd, c, s), np.where(odd, s, c)
-    sine = np.where(quarter >= 2, -sine, sine)
-    cosine = np.where((quarter == 1) | (quarter == 2), -cosine, cosine)
-    return np.where(x == 0, x, sine), cosine
+    quarter = turns.astype(np.int64) & 3
+    odd = quarter & 1 == 1
+    return np.where(odd, c, s) * _SIGNS[quarter], np.where(odd, s, c) * _SIGNS[quarter + 1]
 
 
 def arctangent(x: np.ndarray) -> np.ndarray:
@@ -124,13 +128,6 @@ def arctan2(y: ArrayLike, x: ArrayLike) -> np.ndarray:
     slope = np.where(rise == run, np.where(rise > 0, 1.0, 0.0), slope)  # both 0 or infinite too
     angle = arctangent(slope)
     return np.copysign(np.where(np.signbit(x), np.pi - (angle - _PI_LOW), angle), y)
-
-
-def arccos(x: ArrayLike) -> np.ndarray:
-    """Angle from 0 to π whose cosine is ``x`` [rad], within 3 ulp; NaN outside of [-1, 1]."""
-    x = np.asarray(x, np.float64)
-    x = np.where(np.abs(x) <= 1, x, np.nan)
-    return arctan2(np.sqrt((1 - x) * (1 + x)), x)
 
 
 def hypot(x: ArrayLike, y: ArrayLike) -> np.ndarray:

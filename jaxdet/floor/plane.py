@@ -57,7 +57,7 @@ def down_vector(pitch: np.ndarray, roll: np.ndarray) -> np.ndarray:
     Returns:
         ``(B, 3)`` float64 unit vectors.
     """
-    (sin_p, cos_p), (sin_r, cos_r) = sin_cos(pitch), sin_cos(roll)
+    (sin_p, sin_r), (cos_p, cos_r) = sin_cos(np.stack([pitch, roll]))
     return np.stack([sin_r * cos_p, cos_r * cos_p, sin_p], axis=-1)
 
 

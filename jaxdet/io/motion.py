@@ -4,7 +4,7 @@ from array import array
 
 import numpy as np
 
-from jaxdet.elementary import arccos, arctan2, dot, matmul, norm, sin
+from jaxdet.elementary import arctan2, dot, matmul, norm, sin
 from jaxdet.io.messages import TransformMessage
 
 MARGIN_S = 0.05
@@ -168,9 +168,9 @@ def difference(first: np.ndarray, second: np.ndarray) -> tuple[float, float]:
 def _slerp(first: np.ndarray, second: np.ndarray, share: np.ndarray) -> np.ndarray:
     cosine = dot(first, second)
     second = np.where(cosine[:, None] < 0, -second, second)
-    angle = arccos(np.clip(np.abs(cosine), 0, 1))
-    sine = sin(angle)
-    safe = np.where(sine > 1e-6, sine, 1.0)
-    weight_first = np.where(sine > 1e-6, sin((1 - share) * angle) / safe, 1 - share)
-    weight_second = np.where(sine > 1e-6, sin(share * angle) / safe, share)
-    return weight_first[:, None] * first + weight_second[:, None] * second
+    cosine = np.clip(np.abs(cosine), 0, 1)
+    sine = np.sqrt((1 - cosine) * (1 + cosine))
+    shares = np.stack([1 - share, share])
+    curved = sin(shares * arctan2(sine, cosine)) / np.where(sine > 1e-6, sine, 1.0)
+    weights = np.where(sine > 1e-6, curved, shares)[..., None]
+    return weights[0] * first + weights[1] * second

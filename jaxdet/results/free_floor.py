@@ -68,17 +68,18 @@ class FreeFloor(NamedTuple):
         sin, cos = world_angle(T_world_camera)
         sin, cos = sin[:, None], cos[:, None]
         right, ahead = self.way.real, self.way.imag
-        ways = np.stack([right * cos + ahead * sin, ahead * cos - right * sin], axis=-1)
-        origin = T_world_camera[:, :2, 3]
+        way, origin = np.empty(self.way.shape, np.complex128), np.empty(len(sin), np.complex128)
+        way.real, way.imag = right * cos + ahead * sin, ahead * cos - right * sin
+        origin.real, origin.imag = T_world_camera[:, 0, 3], T_world_camera[:, 1, 3]
         start = np.maximum(self.from_m[:, :-1], self.from_m[:, 1:])
         stop = np.minimum(self.to_m[:, :-1], self.to_m[:, 1:])
         free = self.seen[:, :-1] & self.seen[:, 1:] & (start < stop)
-        free &= (np.isfinite(origin).all(axis=1) & np.isfinite(sin[:, 0]))[:, None]
+        free &= np.isfinite(origin)[:, None] & np.isfinite(sin)
         parts = free.sum(axis=1, dtype=np.int64)
         frame = np.repeat(np.arange(len(parts)), parts)
         column = np.flatnonzero(free) + frame  # of the way to the left, counted over all frames
-        left, right = (ways.reshape(-1, 2)[at] for at in (column, column + 1))
-        start, stop = start[free][:, None], stop[free][:, None]
+        left, right = way.ravel()[column], way.ravel()[column + 1]
+        start, stop = start[free], stop[free]
 
         # Polygons go along the far edge to the right and along the near one back.
         first = np.flatnonzero(np.diff(column, prepend=-2) != 1)
@@ -86,11 +87,16 @@ class FreeFloor(NamedTuple):
         turn = np.repeat(2 * (first + first + length), length)
         far = 2 * (np.arange(column.size) + np.repeat(first, length))
         near = 2 * turn - far
-        points = np.empty((4 * column.size, 2))
-        points[far], points[far + 1] = left * stop, right * stop
-        points[near - 1], points[near - 2] = left * start, right * start
-        points += np.repeat(origin, 4 * parts, axis=0)
-        return Polygons(points, 4 * length, frame[first])
+        points = np.empty(4 * column.size, np.complex128)
+        points[far], points[far + 1] = _scaled(left, stop), _scaled(right, stop)
+        points[near - 1], points[near - 2] = _scaled(left, start), _scaled(right, start)
+        points += np.repeat(origin, 4 * parts)
+        return Polygons(points.view(np.float64).reshape(-1, 2), 4 * length, frame[first])
+
+
+def _scaled(way: np.ndarray, length: np.ndarray) -> np.ndarray:
+    """Complex numbers ``(n,)`` times real ones; NumPy's product of both depends on the CPU."""
+    return (way.view(np.float64).reshape(-1, 2) * length[:, None]).view(np.complex128).ravel()
 
 
 def free_floor(free: Array, free_end: Array, depth_unit: float) -> FreeFloor:

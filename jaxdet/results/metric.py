@@ -23,6 +23,7 @@ from jaxdet.types import Array, Detections, Obstacles, Scene
 
 MOST_TILT_DEG = 30.0
 """Of floors in a world whose z is up: ramps are up to 20° steep."""
+_LEAST_UP = float(cos(np.radians(MOST_TILT_DEG)))
 TILT = "camera_orientation_world", "camera_pitch_rad", "camera_roll_rad"
 """Columns of ``frames.parquet`` that :func:`tilted` takes."""
 
@@ -285,7 +286,7 @@ def tilted(orientation: np.ndarray, pitch: np.ndarray, roll: np.ndarray) -> np.n
     """
     T = motion_matrix(np.zeros((len(orientation), 3)), orientation)
     up = -dot(T[:, 2, :3], down_vector(pitch, roll))
-    return up < cos(np.radians(MOST_TILT_DEG))
+    return up < _LEAST_UP
 
 
 def world_angle(T_world_camera: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
