@@ -1,4 +1,4 @@
-"""Features, against OpenCV one frame at a time, and with kornia-rs's Canny."""
+"""Features of the preset ``paper``, against OpenCV one frame at a time, and kornia-rs's Canny."""
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor

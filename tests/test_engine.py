@@ -94,15 +94,15 @@ class FakeLog:
     name, base_frame, T_base_camera = "fake", "base_link", None
     description = SimpleNamespace(warnings=("odd",), notes=(), cameras_left_out=())
     num_frames, frames, camera, label = 10, range(10), "cam", "fake"
-    image_shapes, index_bytes = ((48, 64, 3), (48, 64)), 2000
-    status = (FrameStatus.OK,) * 6 + (FrameStatus.UNPAIRED, FrameStatus.DECODE_ERROR) * 2
+    depth_shape, color_shape, index_bytes = (48, 64), None, 2000
+    has_color, color_problem = False, ""
+    status = (FrameStatus.OK,) * 6 + (FrameStatus.BAD_CALIBRATION, FrameStatus.DECODE_ERROR) * 2
 
     def __init__(self) -> None:
         camera = Intrinsics(64, 48, 60.0, 60.0, 32.0, 24.0)
         self.calibration = Calibration(camera)
         self.stamps_ns = np.arange(10) * 100_000_000 + 950_000_000
-        unpaired = [s is FrameStatus.UNPAIRED for s in self.status]
-        self.depth_stamp_ns = np.where(unpaired, -1, self.stamps_ns)
+        self.color_stamps_ns = np.where(np.arange(10) == 6, -1, self.stamps_ns + 1)
 
     def __enter__(self) -> "FakeLog":
         return self
@@ -116,10 +116,13 @@ class FakeLog:
     def described(self, notes: Notes) -> SimpleNamespace:
         return self.description
 
-    def read(self, indices: Any) -> Batch:
+    def read(self, indices: Any, **color: Any) -> Batch:
         return self._batch(np.array(indices), len(indices))
 
-    def batches(self, size: int, start: int = 0, stop: int | None = None) -> Iterator[Batch]:
+    def batches(
+        self, size: int, start: int = 0, stop: int | None = None, **how: Any
+    ) -> Iterator[Batch]:
+        assert how["need_color"] is False and isinstance(how["color"], frozenset)
         for first in range(start, stop or 10, size):
             yield self._batch(np.arange(first, min(first + size, 10)), size)
 
@@ -134,16 +137,10 @@ class FakeLog:
         def padded(values: np.ndarray) -> np.ndarray:
             return np.pad(values[numbers], (0, pad))
 
-        frames = Frames(
-            np.zeros((size, 48, 64, 3), np.uint8),
-            depth,
-            self.calibration,
-            padded(np.arange(10)),
-            padded(self.stamps_ns),
-            padded(self.depth_stamp_ns),
-            valid,
-        )
-        return Batch(frames, status, tuple("" if s is FrameStatus.OK else "bad" for s in status))
+        stamps = padded(self.stamps_ns)
+        frames = Frames(depth, self.calibration, padded(np.arange(10)), stamps, valid)
+        errors = tuple("" if s is FrameStatus.OK else "bad" for s in status)
+        return Batch(frames, status, errors, nearest_color_ns=self.color_stamps_ns[numbers])
 
 
 @pytest.fixture
@@ -169,8 +166,8 @@ def test_every_frame_has_a_row_and_its_status(fake_logs: list, tmp_path: Path) -
     expected = [str(s) for s in FakeLog.status]
     expected[2] = "no_depth"
     assert [row["status"] for row in rows] == expected
-    assert rows[6]["depth_stamp_ns"] is None
-    assert rows[7]["depth_stamp_ns"] == rows[7]["stamp_ns"]
+    assert rows[6]["color_stamp_ns"] is None
+    assert rows[7]["color_stamp_ns"] == rows[7]["stamp_ns"] + 1
     assert rows[0]["camera_height_m"] is None
     assert summary.logs[0].num_bad == 5
     assert summary.logs[0].frame_errors[0] == "frame 6: bad"

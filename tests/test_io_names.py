@@ -309,7 +309,7 @@ def test_compressed_topics(tmp_path):
             message = ros_compressed(body, "16UC1; compressedDepth png", at, DEPTH_FRAME)
             log.ros("/cam/depth/image_rect_raw/compressedDepth", message, at)
     with open_log(str(tmp_path / "x.mcap")) as log:
-        frames = log.read([0, 1]).frames
+        frames = log.read([0, 1], color=True).frames
         np.testing.assert_array_equal(frames.color, scene.color)
         np.testing.assert_array_equal(frames.depth, scene.depth)
 

@@ -39,10 +39,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = folder / "results" / "frames.parquet"
     rows = pq.read_table(path).to_pylist()
     for row in rows:
-        row["depth_stamp_ns"] += 85  # which float64 can't tell from 0
-    for i, status in ((2, "unpaired"), (5, "no_depth"), (9, "unpaired"), (10, "unpaired")):
+        row["color_stamp_ns"] += 85  # which float64 can't tell from 0
+    for i, status in ((2, "timeout"), (5, "no_depth"), (9, "timeout"), (10, "timeout")):
         rows[i] |= {"status": status, "free_bearing_rad": None, "free_to_m": None}
-        rows[i]["depth_stamp_ns"] = None
+        rows[i]["color_stamp_ns"] = None
     for i, drop in ((1, 1.25), (7, 1.5), (8, 3.0)):
         rows[i]["drop_m"] = drop
     rows[7]["camera_position_world"] = None
@@ -116,12 +116,12 @@ def test_stamps_are_exact_where_some_are_missing(
     engine: str, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(folder)
-    stamps = pq.read_table("results/frames.parquet")["depth_stamp_ns"]
+    stamps = pq.read_table("results/frames.parquet")["color_stamp_ns"]
     assert stamps.null_count and any(int(float(one)) != one for one in stamps.to_pylist() if one)
     text = {
-        "python pandas": 'frames[["depth_stamp_ns"]].dropna()',
-        "python polars": 'frames.select("depth_stamp_ns").drop_nulls()',
-        "sql": "SELECT depth_stamp_ns FROM frames WHERE depth_stamp_ns IS NOT NULL",
+        "python pandas": 'frames[["color_stamp_ns"]].dropna()',
+        "python polars": 'frames.select("color_stamp_ns").drop_nulls()',
+        "sql": "SELECT color_stamp_ns FROM frames WHERE color_stamp_ns IS NOT NULL",
     }[engine]
     _, rows = answer(engine, START[engine], text)
     assert [int(one) for (one,) in rows] == stamps.drop_null().to_pylist()
@@ -161,7 +161,7 @@ def test_answers_are_those_of_the_tables(folder: Path, monkeypatch: pytest.Monke
         name: f"pictures/{name}_000000.png" for name in "ab"
     }
     lost = [(log, status, count) for log, _, status, count in sql(5)]
-    assert lost == [("a", "no_depth", 1), ("a", "unpaired", 1), ("b", "unpaired", 2)]
+    assert lost == [("a", "no_depth", 1), ("a", "timeout", 1), ("b", "timeout", 2)]
     assert [bottom for *_, bottom, _ in sql(6)][:2] == [0.5, pytest.approx(0.45)]
     assert len(sql(7)) == 8 and [frames for *_, frames, _ in sql(8)] == [6, 6]
     assert [seconds for *_, seconds in sql(8)] == [2.5, 2.5]

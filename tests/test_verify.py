@@ -33,7 +33,7 @@ from tests.test_io_image_folder import write_open3d
 
 FRAMES = 12
 TABLES = ("frames.parquet", "obstacles.parquet")
-KEYS = {"log", "camera", "frame", "stamp_ns", "depth_stamp_ns", *_OF_LOG}
+KEYS = {"log", "camera", "frame", "stamp_ns", *_OF_LOG}
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +79,6 @@ def rewrite(folder: Path, tables: Mapping[str, pa.Table], *, inputs: bool = Fals
         mine = rows.filter(pa.array([name == log["log"] for name in rows["log"].to_pylist()]))
         log["status"] = {"ok": mine.num_rows}
         log["floor_sources"] = dict.fromkeys(log["floor_sources"], mine.num_rows)
-        log["features"] = sum(mine["num_features"].to_pylist())
     read = Inputs()
     read.add(rows)
     for name, table in tables.items():
@@ -135,7 +134,7 @@ def test_a_log_that_was_read_as_a_whole_is_as_it_should_be(tmp_path: Path) -> No
     with log.open("rb") as file:
         summary = make_reader(file).get_summary()
     assert summary is not None
-    chunk = summary.chunk_indexes[-FRAMES - 1]  # a colour image that opening does not read
+    chunk = summary.chunk_indexes[-FRAMES]  # a depth image that opening does not read
     data = bytearray(log.read_bytes())
     data[chunk.chunk_start_offset + chunk.chunk_length - 9] ^= 0xFF
     log.write_bytes(data)
@@ -316,7 +315,7 @@ def test_a_row_of_another_log_is_found(results: Path) -> None:
 def test_figures_that_are_not_those_of_the_rows_are_found(results: Path) -> None:
     path = results / "summary.json"
     summary = json.loads(path.read_text(encoding="utf-8"))
-    summary["logs"][0]["status"] = {"ok": 11, "unpaired": 1}
+    summary["logs"][0]["status"] = {"ok": 11, "no_color": 1}
     summary["logs"][1]["lost"] = ["b, frames 0 to 3: timeout (twice)"]
     path.write_text(json.dumps(summary), encoding="utf-8")
     sealed(results, "summary.json")

@@ -224,13 +224,13 @@ def test_whole_logs_are_brought_up_to_date(folder, alone, shared, tmp_path, monk
 
 @pytest.mark.parametrize(("logs", "fits"), [(1, True), (100, False)])
 def test_rows_of_all_logs_wait_in_the_same_memory(tmp_path, logs, fits):
-    """Of 640x480 a thousand frames have rows of 10 MB, and a batch of a worker takes 120."""
+    """Of 640x480 a thousand frames have rows of 10 MB, and a batch of a worker takes 50."""
     how = engine.RunOptions(tmp_path)
     context: Any = SimpleNamespace(config=Config(), options=how, memory=Memory("1200M", 2))
     given: Any = SimpleNamespace(run=context, devices=0, entered=None, batch=0, logs=logs)
     task: Any = SimpleNamespace(files=LogFiles("a", ()), file_name="a", number=0)
     log: Any = SimpleNamespace(
-        name="a", frames=range(1000), image_shapes=((480, 640, 3), (480, 640)), index_bytes=0
+        name="a", frames=range(1000), depth_shape=(480, 640), has_color=False, index_bytes=0
     )
     one = whole_logs._WholeLogRun(given, task)
     one.about = one._new()

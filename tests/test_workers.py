@@ -34,6 +34,7 @@ from jaxdet.io import Batch, LogFiles, LogOptions, RescanError, find_logs
 from jaxdet.presets import PRESETS
 from jaxdet.results.summary import Summary
 from jaxdet.sim import SimConfig, write_log
+from jaxdet.types import Calibration, Extrinsics, Intrinsics
 from jaxdet.verify import verify
 from tests.pools import on_this_machine, same_results
 
@@ -164,7 +165,7 @@ def test_frames_on_which_workers_die_have_rows_that_say_so(sim_logs, plain_run, 
         if lost["frame"] in range(8, 12):
             assert (lost["status"], lost["num_obstacles"]) == ("worker_crashed", 0)
             assert lost["free_to_m"] is lost["drop_m"] is None
-            same = ("log", "frame", "stamp_ns", "depth_stamp_ns", "camera_frame", "world_frame")
+            same = ("log", "frame", "stamp_ns", "color_stamp_ns", "camera_frame", "world_frame")
             assert [lost[key] for key in same] == [row[key] for key in same]
         else:
             assert lost == row
@@ -352,21 +353,42 @@ def test_one_process_that_computes_for_all_gives_the_same_bytes(
         (640, 480, None, (16, 256)),
         (640, 480, 24, (16, 32)),
         (640, 480, 5, (5, 5)),
-        (1920, 1080, None, (2, 32)),
+        (1920, 1080, None, (6, 96)),
         (4096, 3072, None, (1, 16)),
     ],
 )
 def test_the_memory_is_bounded(width, height, asked, want):
-    log: Any = SimpleNamespace(image_shapes=((height, width, 3), (height, width)), calibration=None)
+    camera = Intrinsics(width, height, 600.0, 600.0, width / 2, height / 2)
+    log: Any = SimpleNamespace(depth_shape=(height, width), calibration=Calibration(camera))
     there = station.Station(2, ["gpu"])
     slots, batch = there.enter(log, Config(), asked, station.PIECE_FRAMES)
     again, _ = there.enter(log, Config(), asked, station.PIECE_FRAMES)
     assert (slots.frames, batch) == want and again is slots
-    assert slots.nbytes <= 2 * SLOTS * max(station.PIECE_BYTES + 8192, 5 * width * height)
+    assert slots.nbytes <= 2 * SLOTS * max(station.PIECE_BYTES + 8192, 2 * width * height)
     first, last = slots.views(attached(slots.path))[:: 2 * SLOTS - 1]
-    assert first[0].shape == (want[0], height, width, 3) and last[1].ctypes.data % 4096 == 0
-    last[1][...] = 7
+    assert first.depth.shape == (want[0], height, width) and first.color is None
+    assert last.depth.ctypes.data % 4096 == 0
+    last.depth[...] = 7
     there.close()
+
+
+def test_the_preset_paper_has_memory_for_colour():
+    camera = Intrinsics(64, 48, 60.0, 60.0, 32.0, 24.0)
+    wide = Intrinsics(80, 50, 60.0, 60.0, 40.0, 25.0)
+    still = Extrinsics((1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0), (0.0, 0.0, 0.0))
+    for calibration, shape in (
+        (Calibration(camera), (48, 64, 3)),
+        (Calibration(camera, wide, still), (50, 80, 3)),
+    ):
+        log: Any = SimpleNamespace(depth_shape=(48, 64), calibration=calibration)
+        there = station.Station(1, ["gpu"])
+        slots, _ = there.enter(log, PRESETS["paper"], 3, station.PIECE_FRAMES)
+        for number, images in enumerate(slots.views(attached(slots.path))):
+            assert images.color is not None and images.color.shape == (3, *shape)
+            images.depth[...], images.color[...] = number, number + 100
+        for number, images in enumerate(slots.views(attached(slots.path))):
+            assert (images.depth == number).all() and (images.color == number + 100).all()
+        there.close()
 
 
 def test_an_error_of_the_process_that_computes_reaches_the_log(sim_logs, tmp_path, monkeypatch):

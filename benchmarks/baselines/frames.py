@@ -8,9 +8,19 @@ import numpy as np
 from jaxdet import reference
 from jaxdet.camera import fixed_rays
 from jaxdet.config import MAX_POINTS, Config
+from jaxdet.floor.plane import plane_in_color
 from jaxdet.pipeline import find_floors
 from jaxdet.reference._features import lateral
-from jaxdet.types import Calibration, Detections, Features, Frames, GroundPlane, Keep, Labels
+from jaxdet.types import (
+    Calibration,
+    Detections,
+    Features,
+    Frames,
+    GroundPlane,
+    Keep,
+    Labels,
+    Points,
+)
 
 GRID_COLUMNS = 80
 """Columns of the grid of pixels that are points beside the corners."""
@@ -47,6 +57,8 @@ def prepare(frames: Frames, config: Config | None = None) -> list[Frame]:
     """
     config, calibration = config or Config(), frames.calibration
     plane = find_floors(frames, config, backend="reference").plane
+    plane = plane_in_color(plane, calibration)
+    assert frames.color is not None
     keep = reference.ground(reference.align(frames.depth, calibration), plane, calibration, config)
     corners = reference.features(frames.color, keep, calibration, config.features)
     features = _with_grid(corners, keep, calibration)
@@ -71,7 +83,7 @@ def _with_grid(corners: Features, keep: Keep, calibration: Calibration) -> Featu
     u, v = (np.broadcast_to(a.ravel(), (batch, a.size)) for a in (u, v))
     frame = np.arange(batch)[:, None]
     z, kept = keep.z[frame, v, u].astype(np.int32), keep.mask[frame, v, u]
-    x, y = (lateral(ray[v, u], z) for ray in fixed_rays(calibration.color))
+    x, y = (lateral(ray[v, u], z) for ray in fixed_rays(calibration.image))
     grid = Features(u, v, x, y, z, kept, kept, corners.overflow)
     parts = zip(corners[:-1], grid[:-1], strict=True)
     return Features(*[np.concatenate(part, axis=1) for part in parts], overflow=corners.overflow)
@@ -143,4 +155,6 @@ def detections_of(frame: Frame, labels: np.ndarray, config: Config) -> Detection
     roomy = replace(config, features=replace(config.features, max_corners=MAX_POINTS))
     unit, marked = frame.calibration.depth_unit, Labels(full, number)
     obstacles = reference.footprint(features, marked, frame.plane, unit, roomy)
-    return Detections(features, marked, obstacles, np.array([frame.keep.any()]))
+    seen = np.array([frame.keep.any()])
+    corners = Points(features, marked)
+    return Detections(number, features.overflow, seen, obstacles, points=corners)

@@ -9,12 +9,11 @@ from benchmarks.paper.lab import Lab
 from benchmarks.paper.pictures import encode, grid, shot_picture, titled
 from benchmarks.paper.plan import DISTANCES_M, LIGHTS, SCENES
 from benchmarks.paper.section import Section, percent
-from benchmarks.paper.shots import Shot, Spec
+from benchmarks.paper.shots import Shot, Spec, cell_side_of, tally_of
 from benchmarks.paper.systems import OURS, Prepared, System, eval_config, found_by
 from benchmarks.paper.table4_distance import specs_of
-from jaxdet.eval import EvalConfig, FrameTruth, Tally, evaluate_frames
+from jaxdet.eval import FrameTruth, Tally
 from jaxdet.eval.frame import objects_of, points_of
-from jaxdet.types import Detections
 
 NEAR_M = 2.0
 """Obstacles missed nearer than this are pictured first."""
@@ -92,19 +91,14 @@ def reasons(shot: Shot, system: System, tally: Tally) -> list[tuple[int, str]]:
         return []
     found = found_by(system, Prepared([shot]))[0]
     counted = eval_config(system.config)
+    side = cell_side_of(shot.calibration, system.config)
+    points, labels = points_of(found, 0, shot.calibration, side)
     unit = shot.calibration.depth_unit
-    return [(number, _reason(found, shot.truth, number, unit, counted)) for number in missed]
+    objects = objects_of(points, shot.truth, 0, unit, counted)
+    return [(number, _reason(labels, objects, shot.truth, number)) for number in missed]
 
 
-def _reason(
-    found: Detections,
-    truth: FrameTruth,
-    number: int,
-    unit: float,
-    counted: EvalConfig,
-) -> str:
-    points, labels = points_of(found, 0)
-    objects = objects_of(points, truth, 0, unit, counted)
+def _reason(labels: np.ndarray, objects: np.ndarray, truth: FrameTruth, number: int) -> str:
     mine = labels[objects == number]
     if len(mine) <= FEW_POINTS:
         return "missed: too little of it was measured above the floor"
@@ -167,7 +161,7 @@ def _near(section: Section, lab: Lab, system: System) -> None:
         for shot in lab.load(specs_of(lab, distance, light)):
             found = found_by(system, Prepared([shot]))[0]
             counted = eval_config(system.config)
-            tally = evaluate_frames(found, shot.truth, config=counted)[0]
+            tally = tally_of(found, shot, counted, system.config)
             if tally.found == tally.visible:
                 continue
             count += 1

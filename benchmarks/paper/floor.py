@@ -17,6 +17,7 @@ from jaxdet import reference
 from jaxdet.camera import cell_side
 from jaxdet.config import Config
 from jaxdet.eval import Tally, keep_shares, total
+from jaxdet.floor.plane import plane_in_color
 from jaxdet.pipeline import find_floors
 
 SOURCES = ("tf", "estimate")
@@ -64,9 +65,10 @@ def judge_floor(task: Task) -> dict[str, list[Tally]]:
 def _ground(shot: Shot, source: str, config: Config) -> tuple[np.ndarray, np.ndarray]:
     """Pixels that lie higher than the step of cells, ``(H, W)`` bool, and depths ``(H, W)``."""
     frames = frames_of([shot], plane=source == "tf")
-    plane = find_floors(frames, config, backend="reference").plane
     calibration, ground = frames.calibration, config.ground
-    side = cell_side(calibration.depth or calibration.color, config.surface.cell_rad)
+    plane = find_floors(frames, config, backend="reference").plane
+    plane = plane_in_color(plane, calibration)
+    side = cell_side(calibration.depth, config.surface.cell_rad)
     step = ground.step_height_per_m / side
     config = replace(config, ground=replace(ground, step_height_per_m=step))
     aligned = reference.align(frames.depth, frames.calibration)

@@ -11,9 +11,9 @@ from benchmarks.paper.lab import Lab
 from benchmarks.paper.measure import measured
 from benchmarks.paper.pictures import encode, grid, shot_picture, titled
 from benchmarks.paper.section import Direction, Section, percent
-from benchmarks.paper.shots import Spec, load_shots
+from benchmarks.paper.shots import Spec, load_shots, tally_of
 from benchmarks.paper.systems import OURS, Prepared, System, eval_config, found_by, ours
-from jaxdet.eval import Tally, evaluate_frames
+from jaxdet.eval import Tally
 from jaxdet.sim import HARD_FAMILIES
 
 FAMILIES = (*HARD_FAMILIES, "mixed")
@@ -61,7 +61,7 @@ def judge_hard(task: tuple[Path, System]) -> list[Judged]:
     shots, counted = load_shots(path), eval_config(system.config)
     return [
         Judged(
-            evaluate_frames(found, shot.truth, shot.calibration.depth_unit, counted)[0],
+            tally_of(found, shot, counted, system.config),
             claim_of(shot, found, system.config),
             shot.depth.size,
         )

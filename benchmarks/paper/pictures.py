@@ -9,7 +9,7 @@ from benchmarks.paper.shots import Shot, frames_of
 from benchmarks.paper.systems import Prepared, System, found_by
 from jaxdet.config import Config
 from jaxdet.render import canvas, draw_frame
-from jaxdet.render.camera import camera_view
+from jaxdet.render.camera import Shown, camera_view
 from jaxdet.results.metric import rectangles
 from jaxdet.types import Detections, Frames
 
@@ -72,6 +72,7 @@ def side_by_side(shot: Shot, systems: Sequence[System], titles: Sequence[str]) -
     views, prepared = [], Prepared([shot])
     for system, title in zip(systems, titles, strict=True):
         found = found_by(system, prepared)[0]
-        view = camera_view(shot.color, found, 0, shot.calibration.depth_unit, 1.0)
+        shown = Shown(shot.color, shot.calibration, None)
+        view = camera_view(shown, found, 0, system.config, 1.0)
         views.append(titled(view, title, 420))
     return encode(grid(views, len(views)))

@@ -13,6 +13,7 @@ from benchmarks.paper.pictures import encode, frame_picture, grid, scaled
 from benchmarks.paper.section import Section
 from jaxdet.config import Config
 from jaxdet.engine import decide_planes
+from jaxdet.engine.color import method_frames
 from jaxdet.errors import InputError, JaxdetError
 from jaxdet.floor.plane import repeat_plane
 from jaxdet.io import open_log
@@ -103,25 +104,24 @@ def _read(color: Path, depth: Path, calibration: Calibration) -> tuple[Frames, t
     count, zero = len(paths), np.zeros(len(paths), np.int64)
     colors = np.stack([np.asarray(image)[..., ::-1] for image in images])
     frames = Frames(
-        np.ascontiguousarray(colors),
         np.stack([np.asarray(image).astype(np.uint16) for image in depths]),
         calibration,
         np.arange(count),
         zero,
-        zero,
         np.ones(count, bool),
+        np.ascontiguousarray(colors),
     )
     return frames, tuple(path.stem for path in paths)
 
 
 def _one(frames: Frames, b: int) -> Frames:
-    plane = frames.plane
+    plane, color = frames.plane, frames.color
     return frames._replace(
-        color=frames.color[b : b + 1],
+        color=None if color is None else color[b : b + 1],
+        color_stamp_ns=None,
         depth=frames.depth[b : b + 1],
         number=frames.number[b : b + 1],
         stamp_ns=frames.stamp_ns[b : b + 1],
-        depth_stamp_ns=frames.depth_stamp_ns[b : b + 1],
         valid=frames.valid[b : b + 1],
         T_world_camera=None,
         plane=None if plane is None else GroundPlane(*(a[b : b + 1] for a in plane)),
@@ -136,8 +136,9 @@ def add(section: Section, recording: Recording, config: Config) -> None:
         if not recording.frames.valid[b]:
             continue
         one = _one(recording.frames, b)
-        found = to_host(detect(one, config, backend="reference"))
-        counts.append(int(found.labels.num_obstacles[0]))
+        found = detect(method_frames(one, config), config, backend="reference", with_cells=True)
+        found = to_host(found)
+        counts.append(int(found.num_obstacles[0]))
         title = f"{recording.name} {number}"
         pictures.append(scaled(frame_picture(one, found, config, title), WIDTH))
     columns, rows = SHEET

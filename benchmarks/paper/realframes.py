@@ -21,11 +21,13 @@ from benchmarks.scores.boxes import (
 from jaxdet import reference
 from jaxdet.config import Config
 from jaxdet.engine import decide_planes
+from jaxdet.engine.color import method_frames
+from jaxdet.floor.plane import plane_in_color
 from jaxdet.io import Log, open_log
-from jaxdet.pipeline import detect, floor_of
+from jaxdet.pipeline import detect, floor_prior
 from jaxdet.presets import PRESETS
 from jaxdet.render import canvas
-from jaxdet.render.camera import camera_view
+from jaxdet.render.camera import camera_view, shown_image
 from jaxdet.results.metric import extents, floors
 from jaxdet.results.rows import to_host
 from jaxdet.types import Detections, Frames
@@ -60,14 +62,14 @@ class Found(NamedTuple):
     @property
     def boxes(self) -> np.ndarray:
         """``(n, 4)`` int32, image boxes of the obstacles [pixel]."""
-        count, obstacles = self.detections.labels.num_obstacles[0], self.detections.obstacles
+        count, obstacles = self.detections.num_obstacles[0], self.detections.obstacles
         return np.concatenate([obstacles.uv_min[0], obstacles.uv_max[0]], axis=1)[:count]
 
     @property
     def nearest_m(self) -> np.ndarray:
         """``(n,)`` float, least forward depth of each [m]."""
         box = extents(self.detections.obstacles, self.frames.calibration.depth_unit)
-        return box.minimum[0, : self.detections.labels.num_obstacles[0], 2]
+        return box.minimum[0, : self.detections.num_obstacles[0], 2]
 
 
 class Task(NamedTuple):
@@ -92,9 +94,13 @@ class Judgement(NamedTuple):
 def find_obstacles(log: Log, config: Config) -> Iterator[Found]:
     """Every frame of a log as ``jaxdet run --backend reference`` finds its obstacles."""
     planes = decide_planes(log, config, "reference")
-    for batch in log.batches(1):
+    paper = config.cluster.points
+    for batch in log.batches(1, color=True, need_color=paper):
         frames = batch.frames._replace(plane=planes.of(batch.frames.stamp_ns))
-        yield Found(frames, to_host(detect(frames, config, backend="reference")))
+        read = method_frames(frames, config)
+        yield Found(
+            frames, to_host(detect(read, config, backend="reference", with_cells=not paper))
+        )
 
 
 def judge(task: Task) -> Judgement:
@@ -106,7 +112,7 @@ def judge(task: Task) -> Judgement:
     return Judgement(
         [int(found.frames.number[0]) for found, _, _ in known],
         [tally for _, _, tally in known],
-        [_picture(task.recording, *one) for one in worst],
+        [_picture(task.recording, task.config, *one) for one in worst],
     )
 
 
@@ -119,8 +125,9 @@ def _held(task: Task, found: Found) -> tuple[FrameLabels | None, BoxTally]:
     if labels is None:
         return None, BoxTally()
     scene = found.detections.scene
-    known = floor_of(frames, task.config, backend="reference")
+    known = floor_prior(frames, task.config, backend="reference")
     plane = floors(scene, calibration.depth_unit).plane if scene else known
+    plane = plane_in_color(plane, calibration)
     kept = np.asarray(reference.ground(aligned, plane, calibration, task.config).mask[0])
     boxes, nearest, least = found.boxes, found.nearest_m, task.recording.least_iou
     return labels, tally_boxes(labels, boxes, nearest, kept, z_m > 0, least)
@@ -217,12 +224,11 @@ def _row(section: Section, key: str, tallies: list[BoxTally]) -> list[str]:
 
 
 def _picture(
-    recording: Recording, found: Found, labels: FrameLabels, tally: BoxTally
+    recording: Recording, config: Config, found: Found, labels: FrameLabels, tally: BoxTally
 ) -> np.ndarray:
     """The camera's view with the labelled boxes over it."""
     frames = found.frames
-    unit = frames.calibration.depth_unit
-    view = camera_view(frames.color[0], found.detections, 0, unit, 1.0)
+    view = camera_view(shown_image(frames, 0, config), found.detections, 0, config, 1.0)
     counted = found.boxes[on_known_ground(labels, found.boxes)]
     pairs = match_boxes(labels.boxes, counted, recording.least_iou)
     for box, pair in zip(labels.boxes, pairs.tolist(), strict=True):

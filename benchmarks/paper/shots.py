@@ -9,11 +9,20 @@ from typing import Any, NamedTuple
 import numpy as np
 import zstandard
 
-from jaxdet.eval import FrameTruth, truth_of
-from jaxdet.floor.plane import flat_plane
+from jaxdet.camera import cell_side
+from jaxdet.config import Config
+from jaxdet.eval import (
+    EvalConfig,
+    FrameTruth,
+    Tally,
+    evaluate_frames,
+    in_depth_camera,
+    truth_of,
+)
+from jaxdet.floor.plane import down_vector, plane_from_down
 from jaxdet.sim import SimConfig, SimFrame, floor_truth, frame_truth, sample_frames, simulate
 from jaxdet.sim.config import calibration_of
-from jaxdet.types import Calibration, Frames
+from jaxdet.types import Calibration, Detections, Frames
 
 
 class Spec(NamedTuple):
@@ -54,9 +63,9 @@ class Shot(NamedTuple):
     """Height [m], pitch and roll [rad] of the colour camera, as a log's TF has them: without the
     mount's errors, which ``T_world_camera`` has."""
     T_world_camera: np.ndarray
-    """``(4, 4)`` float64."""
+    """``(4, 4)`` float64, of the colour camera."""
     truth: FrameTruth
-    """``B = 1``."""
+    """``B = 1``, lengths refer to the colour camera."""
     names: tuple[str, ...]
     """Of the objects."""
     height: np.ndarray | None
@@ -166,17 +175,57 @@ def frames_of(shots: Sequence[Shot], *, plane: bool = True) -> Frames:
         plane: Whether the floor is given by the camera's mount on the robot, as a log's TF does;
             else it is left to an estimate.
     """
-    count = len(shots)
+    count, calibration = len(shots), shots[0].calibration
     height, pitch, roll = np.array([shot.mount for shot in shots], np.float64).T
-    floor = flat_plane(height, pitch, roll) if plane else None
+    T = np.eye(4) if calibration.color_from_depth is None else calibration.color_from_depth.T
+    down = down_vector(pitch, roll)
+    floor = plane_from_down(down @ T[:3, :3], height - down @ T[:3, 3]) if plane else None
     return Frames(
-        np.stack([shot.color for shot in shots]),
         np.stack([shot.depth for shot in shots]),
-        shots[0].calibration,
+        calibration,
         np.arange(count),
         np.zeros(count, np.int64),
-        np.zeros(count, np.int64),
         np.ones(count, bool),
-        np.stack([shot.T_world_camera for shot in shots]),
-        floor,
+        np.stack([shot.color for shot in shots]),
+        T_world_camera=np.stack([shot.T_world_camera for shot in shots]) @ T,
+        plane=floor,
     )
+
+
+def truth_for(found: Detections, shot: Shot, truth: FrameTruth | None = None) -> FrameTruth:
+    """Return the truth of a frame in the camera that the lengths of detections refer to.
+
+    Args:
+        found: ``B = 1``; of points, which lie in the colour camera, or of depth cells.
+        shot: The frame.
+        truth: Another truth of the same frame; None: its own.
+    """
+    truth = shot.truth if truth is None else truth
+    if found.points is not None:
+        return truth
+    return in_depth_camera(truth, shot.T_world_camera[None], shot.calibration)
+
+
+def tally_of(
+    found: Detections,
+    shot: Shot,
+    config: EvalConfig,
+    method: Config,
+    truth: FrameTruth | None = None,
+) -> Tally:
+    """Return the tally of a frame.
+
+    Args:
+        found: ``B = 1``, with points or cells.
+        shot: The frame.
+        config: What counts.
+        method: The configuration that it was found with, for the size of cells.
+        truth: Another truth of the same frame; None: its own.
+    """
+    truth, side = truth_for(found, shot, truth), cell_side_of(shot.calibration, method)
+    return evaluate_frames(found, truth, shot.calibration, config, None, side)[0]
+
+
+def cell_side_of(calibration: Calibration, method: Config) -> int:
+    """Return the side of a depth cell [pixel]."""
+    return cell_side(calibration.depth, method.surface.cell_rad)

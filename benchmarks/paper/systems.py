@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from benchmarks.baselines import BASELINES, Baseline, Frame, detect_with, prepare, tune
-from benchmarks.paper.shots import Shot, frames_of, load_shots
+from benchmarks.paper.shots import Shot, frames_of, load_shots, tally_of
 from benchmarks.scores.group import group_objects
 from jaxdet import detect
 from jaxdet.config import ClusterConfig, Config
-from jaxdet.eval import EvalConfig, FrameTruth, Score, Tally, evaluate_frames
+from jaxdet.eval import EvalConfig, FrameTruth, Score, Tally
 from jaxdet.presets import preset
 from jaxdet.types import Detections
 
@@ -147,10 +147,10 @@ def judge(task: tuple[Path, tuple[System, ...]]) -> dict[str, list[Tally]]:
         config = system.config
         mine, together = [], []
         counted, plainly = eval_config(config, indices=system.name in indexed), eval_config(config)
-        unit = shots[0].calibration.depth_unit
-        for found, (plain, whole) in zip(found_by(system, prepared), truths, strict=True):
-            mine += evaluate_frames(found, plain, unit, counted)
-            together += evaluate_frames(found, whole, unit, plainly)
+        results = zip(shots, found_by(system, prepared), truths, strict=True)
+        for shot, found, (plain, whole) in results:
+            mine.append(tally_of(found, shot, counted, config, plain))
+            together.append(tally_of(found, shot, plainly, config, whole))
         out[system.name], out[JOINED + system.name] = mine, together
     return out
 

@@ -12,11 +12,10 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from jaxdet.config import Config
-from jaxdet.engine.color import check_color
 from jaxdet.engine.device import Device, OwnDevice
 from jaxdet.engine.floors import Planes, decide_planes, evenly
 from jaxdet.engine.join import WHOLE, join_parts, map_files
-from jaxdet.engine.memory import BATCH, Allotment, Memory, Needs
+from jaxdet.engine.memory import BATCH, IN_HAND, READ_AHEAD, Allotment, Memory, Needs
 from jaxdet.engine.options import RunOptions
 from jaxdet.engine.part import load_parts, part_path
 from jaxdet.engine.part_store import PartStore
@@ -186,7 +185,6 @@ class LogRun:
 
     def _run(self, log: "Log", begun: LogPlan | None, *, scan: bool) -> None:
         about = self.about
-        check_color(log, self.config)
         about.description, about.calibration = log.description, log.calibration
         about.warnings += log.description.warnings
         about.notes += log.description.notes
@@ -216,17 +214,18 @@ class LogRun:
         return self.memory.allot(needs, batch, workers, log.name)
 
     def _color_bytes(self, log: "Log", batch: int) -> int:
-        """Return the mean size of the colour images in the fullest batch, per frame [bytes].
+        """Return how much memory colour images take, per frame that is in memory [bytes].
 
-        All frames of the preset ``paper`` have one, of others those that are drawn.
+        All frames of the preset ``paper`` have one, else all of a batch in which one is drawn.
         """
         if self.config.cluster.points:
             camera = log.calibration.image
             return 3 * camera.height * camera.width
         if not log.has_color or log.color_shape is None:
             return 0
-        drawn = -(-self.options.pictures * batch // max(1, len(log.frames)))
-        return -(-prod(log.color_shape) * min(drawn, batch) // batch)
+        batches = IN_HAND + READ_AHEAD
+        drawn = -(-self.options.pictures * batches * batch // max(1, len(log.frames)))
+        return -(-prod(log.color_shape) * min(drawn, batches) // batches)
 
     def _begin(self, log: "Log", begun: LogPlan | None, *, scan: bool) -> LogPlan:
         """The plan, and whatever works on it started; with the parts that others have left."""

@@ -1,4 +1,4 @@
-"""Pairing by hand and its laws, and motions against SciPy."""
+"""The nearest colour image, by hand and its law; motions against SciPy."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ from jaxdet.io.motion import (
     inverse,
     motion_matrix,
 )
-from jaxdet.io.pairing import pair
+from jaxdet.io.timeline import nearest
 from jaxdet.io.transforms import TransformTree
 from tests.io_helpers import (
     COLOR,
@@ -38,50 +38,38 @@ MS = 1_000_000
 STAMPS = st.lists(st.integers(0, 60), max_size=12).map(lambda s: np.array(sorted(s), np.int64) * MS)
 
 
-def partners(color, depth, tolerance_ms):
-    found = pair(np.array(color, np.int64) * MS, np.array(depth, np.int64) * MS, tolerance_ms / 1e3)
-    return found.depth_of_color.tolist(), found.unpaired_depth.tolist()
-
-
 @pytest.mark.parametrize(
-    ("color", "depth", "expected"),
+    ("depth", "color", "expected"),
     [
-        ([0, 33, 66], [4, 37, 70], ([0, 1, 2], [])),
-        ([0, 33, 66], [37, 70], ([-1, 0, 1], [])),  # the first depth was dropped
-        ([0], [101, 268], ([0], [1])),  # the slow exposure of a real log
-        ([0], [200], ([-1], [0])),
-        ([50], [40, 60], ([0], [1])),  # a tie goes to the earlier depth
-        ([40, 60], [50], ([0, -1], [])),
-        ([10, 10, 10], [10, 10], ([0, 1, -1], [])),
-        ([], [1], ([], [0])),
-        ([1], [], ([-1], [])),
+        ([4, 37, 70], [0, 33, 66], [0, 1, 2]),
+        ([4, 37, 70], [33, 66], [0, 0, 1]),  # the first colour image was dropped
+        (
+            [0, 33, 66, 99],
+            [0, 66],
+            [0, 0, 1, 1],
+        ),  # colour at half the rate: a tie, then the nearest
+        ([0], [101, 268], [0]),
+        ([0], [151], [-1]),
+        ([50], [40, 60], [0]),
+        ([10, 10], [10, 10, 10], [0, 0]),
+        ([1], [], [-1]),
+        ([], [1], []),
     ],
 )
-def test_pairs_by_hand(color, depth, expected):
-    assert partners(color, depth, 150) == expected
+def test_nearest_by_hand(depth, color, expected):
+    stamps = [np.array(items, np.int64) * MS for items in (depth, color)]
+    assert nearest(*stamps, 0.15).tolist() == expected
 
 
 @given(STAMPS, STAMPS, st.integers(0, 40))
-def test_pairing_laws(color, depth, tolerance_ms):
-    found = pair(color, depth, tolerance_ms / 1e3)
-    partner = found.depth_of_color
-    used = partner[partner >= 0]
-    assert len(set(used)) == len(used)
-    assert sorted([*used, *found.unpaired_depth]) == list(range(len(depth)))
-    for index, number in enumerate(partner):
-        if number < 0:
-            continue
-        apart = abs(color[index] - depth[number])
-        assert apart <= tolerance_ms * MS
-        assert apart == np.abs(depth - color[index]).min()
-        assert apart == np.abs(color - depth[number]).min()
-    wider = pair(color, depth, 1.0).depth_of_color
-    assert ((partner == wider) | (partner == -1)).all()
-
-
-@given(STAMPS)
-def test_equal_stamps_all_pair(stamps):
-    assert pair(stamps, stamps, 0.0).depth_of_color.tolist() == list(range(len(stamps)))
+def test_nearest_is_the_least_difference_within_the_tolerance(depth, color, tolerance_ms):
+    found = nearest(depth, color, tolerance_ms / 1e3)
+    for stamp, number in zip(depth, found, strict=True):
+        apart = np.abs(color - stamp)
+        if not len(color) or apart.min() > tolerance_ms * MS:
+            assert number == -1
+        else:
+            assert number == np.flatnonzero(apart == apart.min())[0]
 
 
 def test_interpolation_equals_slerp():
@@ -202,8 +190,8 @@ def test_images_of_equal_stamps_go_by_log_time(tmp_path):
             log.ros(COLOR, ros_image(scene.color[number], "rgb8", START, COLOR_FRAME), at)
     for scan in (False, True):
         with open_log(str(path), LogOptions(scan=scan)) as log:
-            batch = log.read([0, 1])
-            np.testing.assert_array_equal(batch.frames.color, scene.color)
+            batch = log.read([0, 1], color=True)
+            np.testing.assert_array_equal(batch.frames.color, scene.color[[0, 0]])
             np.testing.assert_array_equal(batch.frames.depth, scene.depth)
 
 
@@ -218,17 +206,17 @@ def test_an_image_whose_stamp_cannot_be_read_keeps_its_place(tmp_path):
     with LogFile(path) as log:
         write_calibration(log)
         for i, (color, depth, at, depth_at) in enumerate(zip(*scene, strict=True)):
-            log.ros(DEPTH, ros_image(depth, "16UC1", int(depth_at), DEPTH_FRAME), int(depth_at))
+            log.ros(COLOR, ros_image(color, "rgb8", int(at), COLOR_FRAME), int(at))
             if i == 2:
-                raw(log, COLOR, b"\0\1\0\0", int(at))
+                raw(log, DEPTH, b"\0\1\0\0", int(depth_at))
             else:
-                log.ros(COLOR, ros_image(color, "rgb8", int(at), COLOR_FRAME), int(at))
+                log.ros(DEPTH, ros_image(depth, "16UC1", int(depth_at), DEPTH_FRAME), int(depth_at))
     for scan in (False, True):
         with open_log(str(path), LogOptions(scan=scan)) as log:
             [batch] = log.batches(5)
             bad, good = FrameStatus.DECODE_ERROR, FrameStatus.OK
             assert batch.status == (good, good, bad, good, good)
-            assert batch.frames.stamp_ns.tolist() == scene.color_ns.tolist()
+            assert batch.frames.stamp_ns.tolist() == scene.depth_ns.tolist()
 
 
 @pytest.mark.parametrize("scan", [False, True])
@@ -242,4 +230,4 @@ def test_a_clock_that_begins_at_zero(tmp_path, scan):
         [batch] = log.batches(4)
         assert batch.status == (FrameStatus.OK,) * 4, batch.errors
         np.testing.assert_array_equal(batch.frames.depth, scene.depth)
-        assert log.described(batch.notes).pairing.num_unpaired_color == 0
+        assert log.described(batch.notes).pairing.num_with_color == 4
