@@ -41,6 +41,11 @@ class Mount:
                 said = repr(value[:40]) if isinstance(value, str) else type(value).__name__
                 problem, remedy = f"{said} is no number", "give one, in metres or radians"
                 raise ConfigError(problem, topic=name, remedy=remedy)
+            try:
+                float(value)
+            except OverflowError as error:
+                problem, remedy = "is too large a number", "give metres or radians"
+                raise ConfigError(problem, topic=name, remedy=remedy) from error
         if not 0 < self.height_m < HIGHEST_M:
             raise ConfigError(
                 f"a camera {self.height_m:g} m above the floor",
