@@ -8,6 +8,10 @@ from jaxdet.sim import SimConfig, write_log
 from tests.machines import BLAS, PLAINEST, V4, can_run, environments, results, run
 
 FUNCTIONS = str(Path(__file__).with_name("machine_functions.py"))
+GOLDEN = Path(__file__).parent / "goldens" / "machine_functions.txt"
+"""What ``python tests/machine_functions.py`` prints; the same with an EPYC (AVX2), NumPy 2.4 and
+Python 3.11 and with a Xeon (AVX-512), NumPy 2.5 and Python 3.12. Written anew when a method
+changes."""
 CONTROL = """
 import zlib
 import numpy as np
@@ -33,9 +37,16 @@ def test_imitation_changes_what_libraries_compute():
 
 def test_functions_are_the_same_on_other_machines():
     here = printed([FUNCTIONS], {})
-    assert len(here) == 5
+    assert here == GOLDEN.read_text().splitlines()
     for environment in (PLAINEST, {"NPY_DISABLE_CPU_FEATURES": " ".join(V4)}):
         assert printed([FUNCTIONS], environment) == here
+
+
+@pytest.mark.slow
+def test_functions_are_the_same_in_all_combinations():
+    here = printed([FUNCTIONS], {})
+    for environment in filter(can_run, environments()):
+        assert printed([FUNCTIONS], environment) == here, environment
 
 
 @pytest.mark.slow

@@ -136,7 +136,8 @@ def motion(
         raise ValueError(f"translation ({tx:g}, {ty:g}, {tz:g}) m is none that a robot has")
     given = tuple(map(float, rotation))
     bounded = all(abs(value) <= 2 for value in given)
-    square = sum(value * value for value in given) if bounded else math.inf
+    x, y, z, w = given if bounded else (math.inf,) * 4
+    square = x * x + y * y + z * z + w * w  # sum() compensates from Python 3.12 on
     if not abs(square - 1) <= UNIT_TOLERANCE:
         text = ", ".join(f"{value:g}" for value in given)
         raise ValueError(f"quaternion ({text}) is not of unit length")
