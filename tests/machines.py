@@ -64,7 +64,7 @@ def run(arguments: list[str], environment: Environment) -> subprocess.CompletedP
 
 
 def tables(folder: Path) -> dict[str, str]:
-    """Return a digest of each column of each table, and of each array of each map."""
+    """Return digests of tables and maps, and of each column and array of theirs."""
     found = {}
     for path in sorted(folder.glob("*.parquet")):
         found[path.name] = _digest(path.read_bytes())
@@ -73,6 +73,7 @@ def tables(folder: Path) -> dict[str, str]:
             column = table[name].combine_chunks()
             found[f"{path.name} {name}"] = _digest(repr(column.to_pylist()).encode())
     for path in sorted(folder.glob("*.npz")):
+        found[path.name] = _digest(path.read_bytes())
         with np.load(path) as parts:
             found |= {f"{path.name} {name}": _digest(parts[name].tobytes()) for name in parts}
     return found
