@@ -86,7 +86,7 @@ def plane_in_color(plane: GroundPlane, calibration: Calibration) -> GroundPlane:
     center = -dot(T[:3, :3].T, T[:3, 3])  # of the colour camera, in the depth camera's frame
     moved = plane_from_down(matmul(down, T[:3, :3].T), plane.height - dot(down, center))
     known = [np.where(plane.valid, ours, 0.0) for ours in moved[:3]]
-    return flat_plane(*known, plane.valid)
+    return flat_plane(*known, valid=plane.valid)
 
 
 def flagged_plane(config: GroundConfig) -> GroundPlane:

@@ -67,7 +67,7 @@ class FreeFloor(NamedTuple):
         """
         sin, cos = world_angle(T_world_camera)
         sin, cos = sin[:, None], cos[:, None]
-        right, ahead = self.way.real, self.way.imag
+        right, ahead = np.real(self.way), np.imag(self.way)
         way, origin = np.empty(self.way.shape, np.complex128), np.empty(len(sin), np.complex128)
         way.real, way.imag = right * cos + ahead * sin, ahead * cos - right * sin
         origin.real, origin.imag = T_world_camera[:, 0, 3], T_world_camera[:, 1, 3]
