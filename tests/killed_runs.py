@@ -98,10 +98,10 @@ def remembered(detect: Callable[..., Any]) -> Callable[..., Any]:
     """Computes a batch once: the first run does, and what is forked from here has all of them."""
     known: dict[tuple[Any, ...], Any] = {}
 
-    def found(frames: Any, config: Config, *, backend: str) -> Any:
-        key = *frames.number.tolist(), config
+    def found(frames: Any, config: Config, *, backend: str, with_cells: bool) -> Any:
+        key = *frames.number.tolist(), config, with_cells
         if key not in known:
-            known[key] = detect(frames, config, backend=backend)
+            known[key] = detect(frames, config, backend=backend, with_cells=with_cells)
         return known[key]
 
     return found

@@ -20,11 +20,11 @@ from jaxdet.io import Batch, LogFiles, LogOptions
 from jaxdet.pipeline import detect
 from tests.test_engine import FakeLog
 
-SHAPE = 2048, 3072
+SHAPE = 3072, 5120
 
 
 class LargeLog(FakeLog):
-    """Frames of 6 megapixels."""
+    """Depth images of 16 megapixels."""
 
     depth_shape, num_frames, frames = SHAPE, 48, range(48)
 

@@ -235,6 +235,20 @@ def test_infrared_is_the_picture_where_there_is_no_colour(tmp_path, encoding, ow
         assert_holds(log, scene)
 
 
+def test_infrared_does_not_show_depth_that_is_aligned_to_colour(tmp_path):
+    scene = make_scene(3, size=COLOR_SIZE)
+    with LogFile(tmp_path / "x.mcap") as log:
+        write_calibration(log, aligned=True)
+        log.ros("/cam/infra1/camera_info", ros_info(COLOR_SIZE, DEPTH_K, START, DEPTH_FRAME), START)
+        for depth, at in zip(scene.depth, scene.depth_ns.tolist(), strict=True):
+            log.ros(ALIGNED, ros_image(depth, "16UC1", at, COLOR_FRAME), at)
+            log.ros(INFRA, ros_image(depth.astype("u1"), "mono8", at, DEPTH_FRAME), at)
+    with open_both_ways(str(tmp_path / "x.mcap")) as log:
+        assert not log.has_color and log.has_color_camera and log.calibration.is_aligned
+        assert log.calibration.depth[:6] == (*COLOR_SIZE, *COLOR_K)
+        np.testing.assert_array_equal(log.read(range(3), color=True).frames.depth, scene.depth)
+
+
 @pytest.mark.parametrize(
     ("schema", "said"),
     [

@@ -73,7 +73,7 @@ REPRODUCTIONS = {
     "units, version and configuration in the files": ("queries the_schema_is_printed",),
     "the order of corners, units of columns": ("help_pages every_column_is_explained",),
     "a log where results are meant": ("reading a_log_is_no_folder",),
-    "num_features is num_kept": ("engine_surfaces each_frame_is_as_alone",),
+    "a frame is as alone": ("engine_surfaces each_frame_is_as_alone",),
     "free and unknown in maps": ("export_grid nav2_loads",),
     "exports that Foxglove, Rerun, ROS 2 open": (
         "export_foxglove every_frame_replaces",
@@ -193,7 +193,9 @@ def test_points_that_no_camera_sees_are_clustered_alike(name: str, value: int) -
     config = jaxdet.preset("paper")
     depth = np.full((1, 60, 80), 1500, np.uint16)
     color = np.random.default_rng(0).integers(0, 255, (1, 60, 80, 3), np.uint8)
-    found = jaxdet.detect(frames(small(80, 60), color, depth), config, backend="reference").features
+    whole = jaxdet.detect(frames(small(80, 60), color, depth), config, backend="reference")
+    assert whole.points is not None
+    found = whole.points.features
     given = found._replace(**{name: np.full_like(getattr(found, name), value)})
     from jaxdet import reference, stages
 

@@ -663,14 +663,14 @@ def test_too_little_memory_halves_the_batch(monkeypatch: pytest.MonkeyPatch, fit
     calibration = small(48, 36)
     depth = smooth_depth(5, calibration.depth)
     images = frames(calibration, blocks(5, 36, 48), depth, plane=level(5))
-    want = detect(images, backend="reference")
+    want = detect(images, backend="reference", with_cells=True)
     sizes: list[int] = []
 
-    def limited(given: Any, config: Config, *, backend: str) -> Any:
+    def limited(given: Any, config: Config, *, backend: str, with_cells: bool) -> Any:
         sizes.append(len(given.valid))
         if sizes[-1] > fits:
             raise RuntimeError("RESOURCE_EXHAUSTED: Out of memory allocating 5 bytes")
-        return detect(given, config, backend="reference")
+        return detect(given, config, backend="reference", with_cells=with_cells)
 
     monkeypatch.setattr(device, "detect", limited)
     batch: Any = type("Batch", (), {"frames": images})
@@ -793,9 +793,9 @@ def test_a_log_that_hangs_one_process_is_left_to_a_worker(tmp_path: Path, monkey
 def test_a_process_that_makes_no_progress_says_so(many: list, tmp_path: Path, monkeypatch) -> None:
     """Once; and nothing where each batch takes less."""
 
-    def slow(frames: Any, config: Config, *, backend: str) -> Any:
+    def slow(frames: Any, config: Config, **how: Any) -> Any:
         time.sleep(1.0 if frames.number[0] == 5 else 0.0)
-        return COMPUTED(frames, config, backend=backend)
+        return COMPUTED(frames, config, **how)
 
     monkeypatch.setattr(device, "detect", slow)
     monkeypatch.setattr(pool, "NO_PROGRESS_S", 0.4)
@@ -834,7 +834,7 @@ def test_an_output_whose_name_is_not_utf8(many: list, tmp_path: Path) -> None:
 
 def test_a_log_that_was_scanned_goes_on_so(tmp_path):
     path = write_made(tmp_path / "x.mcap", make_scene(40), compression="none", chunk_size=1)
-    chunk = chunks_of(path)[10]  # of a colour image
+    chunk = chunks_of(path)[11]  # of a depth image
     flip(path, chunk.chunk_start_offset + chunk.chunk_length - 8)
     config = Config(GroundConfig(source="none", camera_height_m=0.5, camera_pitch_rad=0.0))
 

@@ -33,11 +33,11 @@ def small_units() -> Iterator[None]:
     """And what was computed once is not computed again."""
     known: dict[Any, Any] = {}
 
-    def remembered(frames: Any, config: Config, *, backend: str) -> Any:
+    def remembered(frames: Any, config: Config, *, backend: str, with_cells: bool) -> Any:
         planes = tuple(np.asarray(part).tobytes() for part in frames.plane)
-        key = frames.depth.tobytes(), planes, config
+        key = frames.depth.tobytes(), planes, config, with_cells
         if key not in known:
-            known[key] = detect(frames, config, backend=backend)
+            known[key] = detect(frames, config, backend=backend, with_cells=with_cells)
         return known[key]
 
     detect = device.detect
@@ -206,7 +206,7 @@ def test_logs_of_several_cameras_and_scans(tmp_path, monkeypatch):
             monkeypatch.setattr(log, "batches", rescan, raising=False)
         return log
 
-    def rescan(*_: Any) -> Any:
+    def rescan(*_: Any, **how: Any) -> Any:
         raise log_run.RescanError("out of order", path="a.mcap")
 
     monkeypatch.setattr(log_run, "open_log", open_log)

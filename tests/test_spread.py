@@ -143,7 +143,7 @@ def test_frames_on_page_locked_memory_equal_the_reference(gpus, name, batch, len
     want = jax.tree.map(lambda values: np.asarray(values)[rows], want)
     arrays = [(color.shape, np.uint8), (depth.shape, np.uint16)]
     uploader = _upload.Uploader(arrays, gpus[0])
-    pinned = pin(color, depth)
+    pinned = [pin(color), pin(depth)]
     for _ in range(2):
         on_device = uploader.upload([pinned])
         many = frames(given.calibration, *on_device, plane=plane)

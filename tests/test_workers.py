@@ -27,13 +27,13 @@ from jaxdet.config import Config, GroundConfig
 from jaxdet.engine import lane, log_run, pool, station, worker
 from jaxdet.engine.plan import LogPlan
 from jaxdet.engine.pooled_run import PooledLogRun
-from jaxdet.engine.signals import stops_raised
 from jaxdet.engine.slots import SLOTS, attached
 from jaxdet.engine.worker import decide_floors
 from jaxdet.errors import ConfigError, FrameError, FrameStatus, InputError, Interrupted
 from jaxdet.io import Batch, LogFiles, LogOptions, RescanError, find_logs
 from jaxdet.presets import PRESETS
 from jaxdet.results.summary import Summary
+from jaxdet.signals import stops_raised
 from jaxdet.sim import SimConfig, write_log
 from jaxdet.types import Calibration, Extrinsics, Intrinsics
 from jaxdet.verify import verify
@@ -78,7 +78,7 @@ class Threads(Odd):
     def __call__(self, batch: Batch, found: Any) -> Any:
         import cv2
 
-        from jaxdet.stages._threads import threads
+        from jaxdet.runtime.threads import threads
 
         return cv2.getNumThreads(), os.environ["PJRT_NPROC"], threads()
 
@@ -566,7 +566,7 @@ def test_control_c_while_the_floor_is_looked_for(sim_logs, tmp_path):
     sent = []
 
     def send(frame: Any, event: str, _: Any) -> None:
-        if event == "call" and frame.f_code.co_name == "handle":
+        if event == "call" and frame.f_code.co_filename.endswith("_program.py"):
             sys.setprofile(None)
             sent.append(frame.f_code.co_filename)
             signal.raise_signal(signal.SIGINT)
@@ -580,7 +580,7 @@ def test_control_c_while_the_floor_is_looked_for(sim_logs, tmp_path):
             run(sim_logs, tmp_path, progress=progress, workers=1, pictures=0)
     finally:
         sys.setprofile(None)
-    assert [Path(name).name for name in sent] == ["_xla.py"]
+    assert [Path(name).name for name in sent] == ["_program.py"]
 
 
 def test_a_signal_just_before_the_processes_start_does_not_hang(monkeypatch):

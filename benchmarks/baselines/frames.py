@@ -8,7 +8,7 @@ import numpy as np
 from jaxdet import reference
 from jaxdet.camera import fixed_rays
 from jaxdet.config import MAX_POINTS, Config
-from jaxdet.floor.plane import plane_in_color
+from jaxdet.floor.plane import down_vector, forward_vector, plane_in_color
 from jaxdet.pipeline import find_floors
 from jaxdet.reference._features import lateral
 from jaxdet.types import (
@@ -23,7 +23,7 @@ from jaxdet.types import (
 )
 
 GRID_COLUMNS = 80
-"""Columns of the grid of pixels that are points beside the corners."""
+"""Columns of the grid of pixels that are points besides the corners."""
 Space = Literal["xz", "xyz", "frame", "image"]
 
 
@@ -39,7 +39,7 @@ class Frame(NamedTuple):
     features: Features
     """``B = 1``."""
     plane: GroundPlane
-    """``B = 1``."""
+    """Floor seen from the colour camera, ``B = 1``."""
     calibration: Calibration
 
 
@@ -51,14 +51,14 @@ def prepare(frames: Frames, config: Config | None = None) -> list[Frame]:
     that surfaces without corners are seen by their depth.
 
     Args:
-        frames: ``B`` frames; ``plane`` is what is known of each frame's floor, where that is None
-            the configuration's.
+        frames: ``B`` frames with colour; ``plane`` is the prior of each frame's floor, where that
+            is None the configuration's.
         config: Range, floor and feature parameters.
     """
     config, calibration = config or Config(), frames.calibration
-    plane = find_floors(frames, config, backend="reference").plane
-    plane = plane_in_color(plane, calibration)
     assert frames.color is not None
+    found = find_floors(frames, config, backend="reference").plane
+    plane = color_plane(found, calibration)
     keep = reference.ground(reference.align(frames.depth, calibration), plane, calibration, config)
     corners = reference.features(frames.color, keep, calibration, config.features)
     features = _with_grid(corners, keep, calibration)
@@ -73,6 +73,17 @@ def prepare(frames: Frames, config: Config | None = None) -> list[Frame]:
         )
         for b in np.flatnonzero(frames.valid)
     ]
+
+
+def color_plane(plane: GroundPlane, calibration: Calibration) -> GroundPlane:
+    """Floors seen from the depth camera as the colour camera sees them, with their ramps."""
+    motion = calibration.color_from_depth
+    if motion is None:
+        return plane
+    center = -motion.T[:3, :3].T @ motion.T[:3, 3]  # of the colour camera, in the depth camera
+    ahead = forward_vector(down_vector(plane.pitch, plane.roll)) @ center
+    start, slope = plane.ramp_start - ahead, plane.ramp_slope
+    return plane_in_color(plane, calibration)._replace(ramp_start=start, ramp_slope=slope)
 
 
 def _with_grid(corners: Features, keep: Keep, calibration: Calibration) -> Features:
@@ -155,6 +166,10 @@ def detections_of(frame: Frame, labels: np.ndarray, config: Config) -> Detection
     roomy = replace(config, features=replace(config.features, max_corners=MAX_POINTS))
     unit, marked = frame.calibration.depth_unit, Labels(full, number)
     obstacles = reference.footprint(features, marked, frame.plane, unit, roomy)
-    seen = np.array([frame.keep.any()])
-    corners = Points(features, marked)
-    return Detections(number, features.overflow, seen, obstacles, points=corners)
+    return Detections(
+        number,
+        features.overflow,
+        np.array([frame.keep.any()]),
+        obstacles,
+        points=Points(features, marked),
+    )

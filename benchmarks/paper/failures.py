@@ -9,11 +9,14 @@ from benchmarks.paper.lab import Lab
 from benchmarks.paper.pictures import encode, grid, shot_picture, titled
 from benchmarks.paper.plan import DISTANCES_M, LIGHTS, SCENES
 from benchmarks.paper.section import Section, percent
-from benchmarks.paper.shots import Shot, Spec, cell_side_of, tally_of
-from benchmarks.paper.systems import OURS, Prepared, System, eval_config, found_by
+from benchmarks.paper.shots import Shot, Spec
+from benchmarks.paper.systems import OURS, Prepared, System, eval_config, found_by, tally_of
 from benchmarks.paper.table4_distance import specs_of
-from jaxdet.eval import FrameTruth, Tally
+from jaxdet.camera import cell_side
+from jaxdet.config import Config
+from jaxdet.eval import Tally
 from jaxdet.eval.frame import objects_of, points_of
+from jaxdet.types import Detections
 
 NEAR_M = 2.0
 """Obstacles missed nearer than this are pictured first."""
@@ -90,15 +93,14 @@ def reasons(shot: Shot, system: System, tally: Tally) -> list[tuple[int, str]]:
     if not missed:
         return []
     found = found_by(system, Prepared([shot]))[0]
-    counted = eval_config(system.config)
-    side = cell_side_of(shot.calibration, system.config)
-    points, labels = points_of(found, 0, shot.calibration, side)
-    unit = shot.calibration.depth_unit
-    objects = objects_of(points, shot.truth, 0, unit, counted)
-    return [(number, _reason(labels, objects, shot.truth, number)) for number in missed]
+    return [(number, _reason(found, shot, number, system.config)) for number in missed]
 
 
-def _reason(labels: np.ndarray, objects: np.ndarray, truth: FrameTruth, number: int) -> str:
+def _reason(found: Detections, shot: Shot, number: int, config: Config) -> str:
+    calibration, truth = shot.calibration, shot.truth
+    side = cell_side(calibration.depth, config.surface.cell_rad)
+    points, labels = points_of(found, 0, calibration, side)
+    objects = objects_of(points, truth, 0, calibration.depth_unit, eval_config(config))
     mine = labels[objects == number]
     if len(mine) <= FEW_POINTS:
         return "missed: too little of it was measured above the floor"
@@ -160,8 +162,7 @@ def _near(section: Section, lab: Lab, system: System) -> None:
     for distance, light in cells:
         for shot in lab.load(specs_of(lab, distance, light)):
             found = found_by(system, Prepared([shot]))[0]
-            counted = eval_config(system.config)
-            tally = tally_of(found, shot, counted, system.config)
+            tally = tally_of(shot, found, system.config)
             if tally.found == tally.visible:
                 continue
             count += 1

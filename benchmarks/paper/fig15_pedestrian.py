@@ -7,8 +7,8 @@ from benchmarks.paper import plots
 from benchmarks.paper.lab import Lab
 from benchmarks.paper.pictures import encode, frame_picture, grid, scaled
 from benchmarks.paper.section import Section, bootstrap, percent, wilson
-from benchmarks.paper.shots import Shot, frames_of, tally_of
-from benchmarks.paper.systems import Prepared, eval_config, found_by, ours
+from benchmarks.paper.shots import Shot, frames_of
+from benchmarks.paper.systems import Prepared, found_by, ours, tally_of
 from jaxdet.eval import total
 from jaxdet.render import draw_map
 from jaxdet.results.metric import rectangles, to_world
@@ -32,14 +32,11 @@ def run(lab: Lab) -> Section:
     for shot, found in zip(shots, results, strict=True):
         outline = rectangles(found.obstacles, shot.calibration.depth_unit, lab.config.footprint)
         count = int(found.num_obstacles[0])
-        pose = frames_of([shot]).T_world_camera
-        assert pose is not None
-        world = to_world(outline, pose)[0, :count]
+        world = to_world(outline, shot.T_world_camera[None])[0, :count]
         corners.append(world)
         occupancy.add(world.reshape(-1, 8).astype(np.float32))
         occupancy.add_path(shot.T_world_camera[None])
-        counted = eval_config(lab.config)
-        tallies.append(tally_of(found, shot, counted, lab.config))
+        tallies.append(tally_of(shot, found, lab.config))
     _figures(section, shots, tallies)
     pictures = []
     for index in np.linspace(0, len(shots) - 1, 4).round().astype(int).tolist():

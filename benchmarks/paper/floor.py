@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from benchmarks.baselines.frames import color_plane
 from benchmarks.paper.lab import Lab
 from benchmarks.paper.measure import measured
 from benchmarks.paper.plan import PITCHES_DEG, ROLLS_DEG, SLOPES_DEG
@@ -17,7 +18,6 @@ from jaxdet import reference
 from jaxdet.camera import cell_side
 from jaxdet.config import Config
 from jaxdet.eval import Tally, keep_shares, total
-from jaxdet.floor.plane import plane_in_color
 from jaxdet.pipeline import find_floors
 
 SOURCES = ("tf", "estimate")
@@ -66,8 +66,7 @@ def _ground(shot: Shot, source: str, config: Config) -> tuple[np.ndarray, np.nda
     """Pixels that lie higher than the step of cells, ``(H, W)`` bool, and depths ``(H, W)``."""
     frames = frames_of([shot], plane=source == "tf")
     calibration, ground = frames.calibration, config.ground
-    plane = find_floors(frames, config, backend="reference").plane
-    plane = plane_in_color(plane, calibration)
+    plane = color_plane(find_floors(frames, config, backend="reference").plane, calibration)
     side = cell_side(calibration.depth, config.surface.cell_rad)
     step = ground.step_height_per_m / side
     config = replace(config, ground=replace(ground, step_height_per_m=step))

@@ -11,8 +11,8 @@ from benchmarks.paper.lab import Lab
 from benchmarks.paper.measure import measured
 from benchmarks.paper.pictures import encode, grid, shot_picture, titled
 from benchmarks.paper.section import Direction, Section, percent
-from benchmarks.paper.shots import Spec, load_shots, tally_of
-from benchmarks.paper.systems import OURS, Prepared, System, eval_config, found_by, ours
+from benchmarks.paper.shots import Spec, load_shots
+from benchmarks.paper.systems import OURS, Prepared, System, found_by, ours, tally_of
 from jaxdet.eval import Tally
 from jaxdet.sim import HARD_FAMILIES
 
@@ -58,10 +58,10 @@ Cells = dict[tuple[str, float], list[Judged]]
 def judge_hard(task: tuple[Path, System]) -> list[Judged]:
     """A worker's task: a system on all frames of a file."""
     path, system = task
-    shots, counted = load_shots(path), eval_config(system.config)
+    shots = load_shots(path)
     return [
         Judged(
-            tally_of(found, shot, counted, system.config),
+            tally_of(shot, found, system.config),
             claim_of(shot, found, system.config),
             shot.depth.size,
         )

@@ -10,8 +10,8 @@ from benchmarks.paper.hard import CAMERAS, ERRORS, FAMILIES, specs_of
 from benchmarks.paper.lab import Lab
 from benchmarks.paper.plan import SCENES
 from benchmarks.paper.section import Section, percent
-from benchmarks.paper.shots import Shot, load_shots, tally_of
-from benchmarks.paper.systems import OURS, Prepared, System, eval_config, found_by, ours
+from benchmarks.paper.shots import Shot, load_shots
+from benchmarks.paper.systems import OURS, Prepared, System, eval_config, found_by, ours, tally_of
 from jaxdet import reference
 from jaxdet.eval import EvalConfig
 from jaxdet.eval.polygon import overlap
@@ -54,7 +54,7 @@ def judge_missed(task: tuple[Path, System]) -> Asked:
     total = Asked(np.zeros(3, np.int64), np.zeros(3, np.int64))
     for shot, found in zip(shots, found_by(system, Prepared(shots)), strict=True):
         kinds = kinds_of(shot, config)
-        for case in tally_of(found, shot, config, system.config).cases:
+        for case in tally_of(shot, found, system.config).cases:
             total.asked[kinds[case.number - 1]] += 1
             total.found[kinds[case.number - 1]] += case.found
     return total

@@ -11,15 +11,15 @@ import numpy as np
 from benchmarks.paper.lab import Lab
 from benchmarks.paper.pictures import encode, frame_picture, grid, scaled
 from benchmarks.paper.section import Section
+from benchmarks.paper.timing import split_batch
 from jaxdet.config import Config
 from jaxdet.engine import decide_planes
-from jaxdet.engine.color import method_frames
 from jaxdet.errors import InputError, JaxdetError
 from jaxdet.floor.plane import repeat_plane
 from jaxdet.io import open_log
 from jaxdet.pipeline import detect, estimate_plane
 from jaxdet.results.rows import to_host
-from jaxdet.types import Calibration, Frames, GroundPlane, Intrinsics
+from jaxdet.types import Calibration, Frames, Intrinsics
 
 SHEET = (3, 5)
 """Columns and rows of a sheet."""
@@ -69,7 +69,7 @@ def find(place: Path, config: Config) -> Iterator[Recording]:
         raise InputError("no log and no camera file", path=str(place), remedy="name its folder")
     for path in logs:
         with open_log(str(path)) as log:
-            frames = log.read(range(log.num_frames)).frames
+            frames = log.read(range(log.num_frames), color=True).frames
             planes = decide_planes(log, config, "reference").of(frames.stamp_ns)
             numbers = tuple(map(str, range(log.num_frames)))
             yield Recording(path.stem, frames._replace(plane=planes), numbers)
@@ -110,22 +110,13 @@ def _read(color: Path, depth: Path, calibration: Calibration) -> tuple[Frames, t
         zero,
         np.ones(count, bool),
         np.ascontiguousarray(colors),
+        zero,
     )
     return frames, tuple(path.stem for path in paths)
 
 
 def _one(frames: Frames, b: int) -> Frames:
-    plane, color = frames.plane, frames.color
-    return frames._replace(
-        color=None if color is None else color[b : b + 1],
-        color_stamp_ns=None,
-        depth=frames.depth[b : b + 1],
-        number=frames.number[b : b + 1],
-        stamp_ns=frames.stamp_ns[b : b + 1],
-        valid=frames.valid[b : b + 1],
-        T_world_camera=None,
-        plane=None if plane is None else GroundPlane(*(a[b : b + 1] for a in plane)),
-    )
+    return split_batch(frames)[b]._replace(T_world_camera=None)
 
 
 def add(section: Section, recording: Recording, config: Config) -> None:
@@ -136,8 +127,7 @@ def add(section: Section, recording: Recording, config: Config) -> None:
         if not recording.frames.valid[b]:
             continue
         one = _one(recording.frames, b)
-        found = detect(method_frames(one, config), config, backend="reference", with_cells=True)
-        found = to_host(found)
+        found = to_host(detect(one, config, backend="reference", with_cells=True))
         counts.append(int(found.num_obstacles[0]))
         title = f"{recording.name} {number}"
         pictures.append(scaled(frame_picture(one, found, config, title), WIDTH))

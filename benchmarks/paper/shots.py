@@ -9,20 +9,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import zstandard
 
-from jaxdet.camera import cell_side
-from jaxdet.config import Config
-from jaxdet.eval import (
-    EvalConfig,
-    FrameTruth,
-    Tally,
-    evaluate_frames,
-    in_depth_camera,
-    truth_of,
-)
-from jaxdet.floor.plane import down_vector, plane_from_down
+from benchmarks.mounts import depth_plane
+from jaxdet.eval import FrameTruth, truth_of
+from jaxdet.eval.truth import depth_poses
+from jaxdet.floor.plane import flat_plane
 from jaxdet.sim import SimConfig, SimFrame, floor_truth, frame_truth, sample_frames, simulate
 from jaxdet.sim.config import calibration_of
-from jaxdet.types import Calibration, Detections, Frames
+from jaxdet.types import Calibration, Frames
 
 
 class Spec(NamedTuple):
@@ -57,15 +50,19 @@ class Shot(NamedTuple):
     color: np.ndarray
     """``(H, W, 3)`` uint8, RGB."""
     depth: np.ndarray
-    """``(H, W)`` uint16 on the depth camera's rays."""
+    """``(Hd, Wd)`` uint16 on the depth camera's rays."""
     calibration: Calibration
     mount: tuple[float, float, float]
-    """Height [m], pitch and roll [rad] of the colour camera, as a log's TF has them: without the
-    mount's errors, which ``T_world_camera`` has."""
+    """Height [m], pitch and roll [rad] of the depth camera, as a log's TF has them: without the
+    mount's errors, which the poses have."""
     T_world_camera: np.ndarray
-    """``(4, 4)`` float64, of the colour camera."""
+    """Pose of the depth camera, ``(4, 4)`` float64."""
+    T_world_color: np.ndarray
+    """Pose of the colour camera, ``(4, 4)`` float64."""
     truth: FrameTruth
-    """``B = 1``, lengths refer to the colour camera."""
+    """``B = 1``; lengths refer to the depth camera."""
+    color_truth: FrameTruth
+    """The same with lengths that refer to the colour camera, as those of clustered points do."""
     names: tuple[str, ...]
     """Of the objects."""
     height: np.ndarray | None
@@ -128,7 +125,7 @@ def draw(task: tuple[Path, tuple[Spec, ...]]) -> None:
 
 
 def drawn(spec: Spec) -> list[Shot]:
-    """Its frames, drawn anew."""
+    """Its frames, drawn again."""
     return [shot_of(spec, frame) for frame in _frames(spec)]
 
 
@@ -147,21 +144,23 @@ def shot_of(spec: Spec, frame: SimFrame) -> Shot:
     """A simulated frame with its truth."""
     truth, config = frame_truth(frame), frame.config
     assert frame.depth is not None
+    calibration, floor = calibration_of(config), depth_plane(config)
+    images = (
+        frame.truth.obstacle_id[None],
+        frame.truth.depth[None].astype(np.float16),
+        floor_truth(frame).drivable[None],
+    )
     return Shot(
         spec,
         frame.number,
         frame.color,
         frame.depth,
-        calibration_of(config),
-        (config.camera_height_m, config.camera_pitch_rad, config.camera_roll_rad),
+        calibration,
+        (float(floor.height[0]), float(floor.pitch[0]), float(floor.roll[0])),
+        depth_poses(frame.T_world_color[None], calibration)[0],
         frame.T_world_color,
-        truth_of(
-            truth,
-            [0],
-            frame.truth.obstacle_id[None],
-            frame.truth.depth[None].astype(np.float16),
-            floor_truth(frame).drivable[None],
-        ),
+        truth_of(truth, [0], *images, calibration),
+        truth_of(truth, [0], *images),
         tuple(truth.names.tolist()),
         frame.truth.height.astype(np.float16) if spec.heights else None,
     )
@@ -175,57 +174,17 @@ def frames_of(shots: Sequence[Shot], *, plane: bool = True) -> Frames:
         plane: Whether the floor is given by the camera's mount on the robot, as a log's TF does;
             else it is left to an estimate.
     """
-    count, calibration = len(shots), shots[0].calibration
+    count = len(shots)
     height, pitch, roll = np.array([shot.mount for shot in shots], np.float64).T
-    T = np.eye(4) if calibration.color_from_depth is None else calibration.color_from_depth.T
-    down = down_vector(pitch, roll)
-    floor = plane_from_down(down @ T[:3, :3], height - down @ T[:3, 3]) if plane else None
+    floor = flat_plane(height, pitch, roll) if plane else None
     return Frames(
         np.stack([shot.depth for shot in shots]),
-        calibration,
+        shots[0].calibration,
         np.arange(count),
         np.zeros(count, np.int64),
         np.ones(count, bool),
         np.stack([shot.color for shot in shots]),
-        T_world_camera=np.stack([shot.T_world_camera for shot in shots]) @ T,
-        plane=floor,
+        np.zeros(count, np.int64),
+        np.stack([shot.T_world_camera for shot in shots]),
+        floor,
     )
-
-
-def truth_for(found: Detections, shot: Shot, truth: FrameTruth | None = None) -> FrameTruth:
-    """Return the truth of a frame in the camera that the lengths of detections refer to.
-
-    Args:
-        found: ``B = 1``; of points, which lie in the colour camera, or of depth cells.
-        shot: The frame.
-        truth: Another truth of the same frame; None: its own.
-    """
-    truth = shot.truth if truth is None else truth
-    if found.points is not None:
-        return truth
-    return in_depth_camera(truth, shot.T_world_camera[None], shot.calibration)
-
-
-def tally_of(
-    found: Detections,
-    shot: Shot,
-    config: EvalConfig,
-    method: Config,
-    truth: FrameTruth | None = None,
-) -> Tally:
-    """Return the tally of a frame.
-
-    Args:
-        found: ``B = 1``, with points or cells.
-        shot: The frame.
-        config: What counts.
-        method: The configuration that it was found with, for the size of cells.
-        truth: Another truth of the same frame; None: its own.
-    """
-    truth, side = truth_for(found, shot, truth), cell_side_of(shot.calibration, method)
-    return evaluate_frames(found, truth, shot.calibration, config, None, side)[0]
-
-
-def cell_side_of(calibration: Calibration, method: Config) -> int:
-    """Return the side of a depth cell [pixel]."""
-    return cell_side(calibration.depth, method.surface.cell_rad)

@@ -300,7 +300,7 @@ class Detector:
         return plane, ["mount" if known else "none" for known in plane.valid.tolist()]
 
     def _found(self, batch: Batch, plane: GroundPlane, sources: list[str]) -> BatchResult:
-        from jaxdet.engine.signals import stops_held_back
+        from jaxdet.signals import stops_held_back
 
         frames = batch.frames._replace(plane=plane)
         with stops_held_back():

@@ -24,7 +24,6 @@ from jaxdet.engine.pooled_run import PooledLogRun, Results
 from jaxdet.engine.progress import ProgressCallback, reporter
 from jaxdet.engine.record import digest, inputs_of, make_record
 from jaxdet.engine.sharing import open_store
-from jaxdet.engine.signals import stops_held_back, stops_raised
 from jaxdet.engine.whole_logs import FEW_BYTES, Task, WholeLogs, choose_whole
 from jaxdet.engine.workspace import Workspace
 from jaxdet.errors import CamerasError, ConfigError, InputError, Interrupted, OutputError
@@ -34,6 +33,7 @@ from jaxdet.results.manifest import MANIFEST, fingerprint, make_manifest
 from jaxdet.results.names import file_names
 from jaxdet.results.summary import LogSummary, Summary
 from jaxdet.results.writer import ResultWriter, write_json
+from jaxdet.signals import stops_held_back, stops_raised
 
 if TYPE_CHECKING:
     from jaxdet.io import LogFiles, LogOptions

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from jaxdet.config import Config
 from jaxdet.engine.plan import LogPlan, Unit
-from jaxdet.engine.signals import STOPS, stops_held_back
 from jaxdet.engine.slots import Slots
 from jaxdet.engine.startup import may_use_gpus, start_cuda, start_up
 from jaxdet.engine.station import Station
@@ -24,6 +23,7 @@ from jaxdet.engine.worker import Failure, Worker, lose_unit, run_unit
 from jaxdet.errors import FrameStatus, WorkerError
 from jaxdet.pipeline import BackendName
 from jaxdet.results.summary import Counts
+from jaxdet.signals import STOPS, stops_held_back
 
 if TYPE_CHECKING:
     from jaxdet.io import Log

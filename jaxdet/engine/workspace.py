@@ -33,7 +33,6 @@ from jaxdet.engine.record import (
     digest,
     record_of_results,
 )
-from jaxdet.engine.signals import stops_held_back
 from jaxdet.errors import ConfigError, ResultsError
 from jaxdet.results.commit import JOURNAL, commit, settle
 from jaxdet.results.durable import read_checked, write_checked, writing
@@ -47,6 +46,7 @@ from jaxdet.results.manifest import (
     result_files,
 )
 from jaxdet.results.names import file_names
+from jaxdet.signals import stops_held_back
 
 if TYPE_CHECKING:
     from jaxdet.engine.kept import KeptLogs

@@ -131,7 +131,7 @@ class Log:
         unit, limit = self.calibration.depth_unit, options.max_pixels
         by_index = isinstance(found.frames, IndexedFrames)
         self._reader = ImageReader(
-            store, found.depth, found.color, unit, limit, by_index, about.used
+            store, found.depth, found.color, unit, limit, by_index, about.used_for_depth
         )
         depth, image = self.calibration.depth, self.calibration.image
         self.depth_shape = depth.height, depth.width
@@ -141,7 +141,7 @@ class Log:
         store.keep(_FRAMES_KEPT * frame_bytes)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Without what looking at every message told."""
+        """Without the stamps and poses of all messages."""
         return {name: value for name, value in self.__dict__.items() if name != "_all"}
 
     def __enter__(self) -> Self:
@@ -234,11 +234,11 @@ class Log:
 
     @property
     def index_bytes(self) -> int:
-        """About how much memory what is known of the log's messages takes in each process."""
+        """About how much memory the log's messages take in each process."""
         return _MESSAGE_BYTES * sum(topic.num_messages for topic in self.description.topics)
 
     def described(self, notes: Notes) -> LogDescription:
-        """The log's description with what reading all its frames told.
+        """The log's description, with what reading all frames showed.
 
         Args:
             notes: Of batches that hold each frame once, see :func:`jaxdet.io.notes.total`.

@@ -18,7 +18,8 @@ R = TypeVar("R")
 CACHE_BYTES = 64 << 20
 """Of decompressed chunks that are kept, or one if it is larger."""
 BEGIN_BYTES = 4096
-"""Of a packed chunk's records, which may be read alone."""
+"""Of a large packed chunk's records, which may be read alone."""
+LARGE_BYTES = 1 << 18
 _MAX_HEADS = 4096
 
 
@@ -205,7 +206,8 @@ class ChunkStore:
             return memoryview(file.read(offset, min(size, file.size - offset)))
         head = self.head(place)
         if not head.is_plain:
-            if not whole and offset + size <= BEGIN_BYTES and place not in self._chunks:
+            near = head.uncompressed_size >= LARGE_BYTES and offset + size <= BEGIN_BYTES
+            if not whole and near and place not in self._chunks:
                 known = self.files[place.file].chunk_begin(place.position, offset + size)
                 if len(known) == offset + size:
                     return memoryview(known)[offset:]

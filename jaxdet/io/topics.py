@@ -249,7 +249,7 @@ def _candidates(
 
 
 def _is_eye(topic: str, contents: LogContents) -> bool:
-    """Whether this is a stereo camera's left or right image beside its colour one (ZED)."""
+    """Whether this is a stereo camera's left or right image next to its colour one (ZED)."""
     color = re.sub("/(left|right)/", "/rgb/", topic)
     return color != topic and color in contents.streams
 

@@ -10,9 +10,9 @@ division of its frames. So whoever reads all frames either gets the ranks of a w
 error.
 
 The stamps of colour images are read whether colour is decoded or not: of a chunk that isn't packed
-64 bytes of each message (0.02 ms); of a packed one its begin where the message is there (0.1 ms,
-where all of it is 1 ms), else all of it, which is to be read for depth anyway. Chunks with colour
-alone are checked against their CRC only where colour is decoded.
+64 bytes of each message (0.02 ms); of a large packed one its begin where the message is there
+(0.1 ms, where all of it is 1 ms), else all of it, which is to be read for depth anyway. Chunks with
+colour alone are checked against their CRC only with frames whose colour is decoded.
 """
 
 from itertools import groupby
@@ -28,7 +28,7 @@ from jaxdet.io.motion_windows import MotionWindows
 from jaxdet.io.notes import Notes, StreamNotes
 from jaxdet.io.poses import PoseSource
 from jaxdet.io.records import TopicMessages, read_message
-from jaxdet.io.store import BEGIN_BYTES, ChunkStore
+from jaxdet.io.store import BEGIN_BYTES, ChunkStore, Place
 from jaxdet.io.timeline import FrameTable, Window, apart, nearest
 from jaxdet.io.validity import CalibrationWindows
 
@@ -44,7 +44,7 @@ _STAMP_BYTES = 64
 
 
 class StreamWindows:
-    """The messages of one image topic; stamps are read when they are asked for.
+    """The messages of one image topic; stamps are read when they are needed.
 
     Args:
         found: The messages, in the order of the files.
@@ -235,11 +235,11 @@ class IndexedFrames(NamedTuple):
         ranked = self.depth.ranked(before, stop)
         numbers = ranked[start - before :]
         own = self.depth.table(numbers)
-        color = None
+        color, of_color = None, set()
         if self.color is self.depth:
             color = self.depth.table(numbers, color=True)
         elif self.color is not None:
-            color = self._colors(self.color, own.stamps_ns, start, stop)
+            color, of_color = self._colors(self.color, own.stamps_ns, start, stop)
         log_ns = self.depth.messages.log_ns
         begin = int(log_ns[start]) if start else None
         end = int(log_ns[stop]) if stop < len(self.depth) else None
@@ -249,12 +249,13 @@ class IndexedFrames(NamedTuple):
         chunks = chunks | self.depth.messages.chunks(slice(start, stop))
         poses = 0 if T is None else int(np.isfinite(T[:, 0, 0]).sum())
         notes = Notes(self.depth.notes(start, stop, ranked), *apart(own, color), poses)
-        return Window(own, color, T, notes, chunks=tuple(sorted(chunks)))
+        of_all, of_color = tuple(sorted(chunks)), tuple(sorted(of_color - chunks))
+        return Window(own, color, T, notes, chunks=of_all, color_chunks=of_color)
 
     def _colors(
         self, color: StreamWindows, stamps_ns: np.ndarray, start: int, stop: int
-    ) -> FrameTable:
-        """The nearest colour images of some frames.
+    ) -> tuple[FrameTable, set[Place]]:
+        """The nearest colour images of some frames, and the chunks that this window answers for.
 
         All messages are looked at that come between the frames by log time, so that those of a log
         are, and further ones until no other can be nearer.
@@ -281,4 +282,4 @@ class IndexedFrames(NamedTuple):
                 problem = "colour and depth stamps are too far apart"
                 raise RescanError(problem, path=self.path)
         numbers = np.append(ranked, -1)[nearest(stamps_ns, found, self.tolerance_s)]
-        return color.table(numbers)
+        return color.table(numbers), color.messages.chunks(slice(first, last))
