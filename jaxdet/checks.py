@@ -246,6 +246,12 @@ def check_frames(frames: Frames, config: Config, *, floor_only: bool = False) ->
     elif config.cluster.points and not floor_only:
         problem = "no colour images, but the preset paper finds corners in them"
         raise InputError(problem, remedy="give colour images, or use another preset")
+    ground = config.ground
+    stated = frames.plane is not None or ground.camera_height_m is not None
+    if config.cluster.points and not (floor_only or stated or ground.source == "none"):
+        problem = "no floor, but the preset paper takes the plane as it is"
+        remedy = "give frames.plane, for instance of jaxdet.estimate_plane(frames)"
+        raise InputError(problem, remedy=remedy)
     if floor_only or not config.cluster.points:
         _check_cells(frames.calibration.depth, config.surface)
     if frames.plane is not None:

@@ -16,7 +16,7 @@ from jaxdet.camera import cell_side, pixel_rays
 from jaxdet.config import ClusterConfig, Config, FootprintConfig, GroundConfig
 from jaxdet.elementary import arctan2, dot, hypot, matmul, norm, sin_cos
 from jaxdet.errors import InputError
-from jaxdet.types import MAX_LATERAL, Calibration, GroundPlane, Intrinsics
+from jaxdet.types import MAX_LATERAL, Calibration, Frames, GroundPlane, Intrinsics
 
 GROUND_BITS = 13  # fraction bits of the ground frame's axes
 DIRECTIONS = 90  # directions tried for a rectangle, a degree apart
@@ -96,8 +96,20 @@ def flagged_plane(config: GroundConfig) -> GroundPlane:
     return flat_plane(height, pitch, config.camera_roll_rad)
 
 
+def floor_prior(frames: Frames, config: Config) -> GroundPlane:
+    """Return the prior of each frame's floor: the frames' own, or the configuration's, or none."""
+    batch = len(frames.depth)
+    if config.ground.source == "none":
+        return unknown_plane(batch)
+    if frames.plane is not None:
+        return frames.plane
+    if config.ground.camera_height_m is not None:
+        return repeat_plane(flagged_plane(config.ground), batch)
+    return unknown_plane(batch)
+
+
 def unknown_plane(batch: int) -> GroundPlane:
-    """``batch`` frames whose floor is not known: level, and nothing is dropped as floor."""
+    """Return the planes of ``batch`` frames without a known floor: level, nothing is dropped."""
     zeros = np.zeros(batch)
     return flat_plane(zeros, zeros, zeros, np.zeros(batch, bool))
 
