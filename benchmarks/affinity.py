@@ -47,8 +47,8 @@ from jaxdet.cores import cores
 from jaxdet.engine import decide_planes
 from jaxdet.errors import InputError
 from jaxdet.eval.frame import cell_points, objects_of
+from jaxdet.floor.plane import floor_prior
 from jaxdet.io import open_log
-from jaxdet.pipeline import floor_prior
 from jaxdet.presets import preset
 from jaxdet.reference import surface_pairs
 from jaxdet.reference._cells import cell_boxes

@@ -34,9 +34,14 @@ def number(name: str, value: Any) -> float:
     """A real number.
 
     Raises:
-        InputError: It is none.
+        InputError: It is none, or too large for one of 64 bits.
     """
-    return float(of_type(name, value, Real))
+    try:
+        return float(of_type(name, value, Real))
+    except OverflowError as error:
+        raise InputError(
+            "is too large a number", topic=name, remedy="give a smaller one"
+        ) from error
 
 
 def whole_number(name: str, value: Any) -> int:

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxdet.elementary import arctan2, arctangent
 from jaxdet.errors import CalibrationError
 from jaxdet.types import NUM_COEFFICIENTS, Calibration, Distortion, Extrinsics, Intrinsics
 
@@ -40,7 +41,7 @@ def distort(x: np.ndarray, y: np.ndarray, camera: Intrinsics) -> tuple[np.ndarra
     r2 = x * x + y * y
     if camera.distortion is Distortion.EQUIDISTANT:
         r = np.sqrt(r2)
-        theta = np.arctan(r)
+        theta = arctangent(r)
         t2 = theta * theta
         rd = theta * (1 + t2 * (k[0] + t2 * (k[1] + t2 * (k[2] + t2 * k[3]))))
         scale = np.divide(rd, r, out=np.ones_like(r), where=r > 1e-12)
@@ -293,8 +294,8 @@ def _pixels_per_degree(camera: Intrinsics) -> tuple[np.float32, np.float32]:
 
     def along(size: int, focal: float, center: float) -> np.float32:
         c = f32(center) + f32(0.5)
-        angle = np.arctan2(c, f32(focal)) + np.arctan2(f32(size) - c, f32(focal))
-        return f32(f32(size) / f32(angle * f32(57.2957795)))
+        low, high = (f32(arctan2(side, f32(focal))) for side in (c, f32(size) - c))
+        return f32(f32(size) / f32((low + high) * f32(57.2957795)))
 
     return along(camera.width, camera.fx, camera.cx), along(camera.height, camera.fy, camera.cy)
 

@@ -6,7 +6,7 @@ Everything from a log, a flag or a caller passes here once; kernels check nothin
 import math
 import sys
 from collections import deque
-from functools import lru_cache
+from functools import lru_cache, reduce
 from numbers import Integral, Real
 from typing import Any
 
@@ -15,6 +15,7 @@ import numpy as np
 from jaxdet.arguments import of_type
 from jaxdet.camera import cell_side
 from jaxdet.config import DEPTH_UNITS_M, MAX_POINTS, Config, SurfaceConfig
+from jaxdet.elementary import arctan2, hypot
 from jaxdet.errors import CalibrationError, ConfigError, InputError
 from jaxdet.types import (
     MAX_CONTOUR,
@@ -133,7 +134,7 @@ def _check_ranges(calibration: Calibration) -> None:
         raise CalibrationError(problem, remedy="leave color_from_depth out, or give color")
     if not is_rotation(motion.rotation):
         raise CalibrationError("the rotation from depth to colour is none", remedy=remedy)
-    distance = math.hypot(*motion.translation)
+    distance = float(reduce(hypot, motion.translation, 0.0))
     farthest = min(MAX_BASELINE_M, 65535 * calibration.depth_unit)
     if len(motion.translation) != 3 or not distance <= farthest:
         raise CalibrationError(
@@ -170,7 +171,7 @@ def _check_view(name: str, camera: Intrinsics) -> None:
         raise CalibrationError(problem, remedy=remedy)
     sides = (width, fx, cx), (height, fy, cy)
     view = max(
-        math.degrees(math.atan2(size - center, focal) + math.atan2(center, focal))
+        math.degrees(arctan2(size - center, focal) + arctan2(center, focal))
         for size, focal, center in sides
     )
     narrowest, widest = VIEW_DEG
@@ -245,6 +246,12 @@ def check_frames(frames: Frames, config: Config, *, floor_only: bool = False) ->
     elif config.cluster.points and not floor_only:
         problem = "no colour images, but the preset paper finds corners in them"
         raise InputError(problem, remedy="give colour images, or use another preset")
+    ground = config.ground
+    stated = frames.plane is not None or ground.camera_height_m is not None
+    if config.cluster.points and not (floor_only or stated or ground.source == "none"):
+        problem = "no floor, but the preset paper takes the plane as it is"
+        remedy = "give frames.plane, for instance of jaxdet.estimate_plane(frames)"
+        raise InputError(problem, remedy=remedy)
     if floor_only or not config.cluster.points:
         _check_cells(frames.calibration.depth, config.surface)
     if frames.plane is not None:

@@ -53,7 +53,10 @@ def find_config(source: str | PathLike[str]) -> Config:
     if name in PRESETS:
         return preset(name)
     path = Path(name)
-    named = path.suffix.lower() in (".toml", ".json") or path.exists()
+    try:
+        named = path.suffix.lower() in (".toml", ".json") or path.exists()
+    except OSError:  # longer than names of files can be
+        named = False
     if isinstance(source, str) and not (name and named):
         preset(name)  # which says what presets there are
     return read_settings(path).config

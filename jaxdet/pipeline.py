@@ -12,7 +12,7 @@ from jaxdet.arguments import named_type, of_type
 from jaxdet.checks import check_frames
 from jaxdet.config import Config
 from jaxdet.errors import ConfigError
-from jaxdet.floor.plane import flagged_plane, repeat_plane, unknown_plane
+from jaxdet.floor.plane import floor_prior, unknown_plane
 from jaxdet.floor.sampled import SampledFloor, sampled_floor
 from jaxdet.quiet import quiet_warp
 from jaxdet.types import Detections, Frames, GroundPlane
@@ -77,8 +77,8 @@ def detect(
         frames: ``B`` frames, see :class:`jaxdet.types.Frames`. Their ``plane`` is the prior of each
             frame's floor; where it is None, the configuration's camera height, pitch and roll are.
             The frame's own depth corrects it, and finds the floor where there is no prior; the
-            preset ``paper`` takes one plane as it is, without a prior that of
-            :func:`estimate_plane`. With ``config.ground.source`` ``none`` there is no floor.
+            preset ``paper`` takes the plane as it is (:func:`estimate_plane` makes one). With
+            ``config.ground.source`` ``none`` there is no floor.
         config: Configuration of the method; by default the preset ``wheeled``.
         backend: ``jax`` for the compiled program or ``reference`` for plain NumPy; both return
             equal arrays.
@@ -93,14 +93,15 @@ def detect(
 
     Raises:
         CalibrationError: The calibration can't be used, or images are not of its cameras' sizes.
-        InputError: Numbers of images and planes differ, or the preset ``paper`` lacks colour.
+        InputError: Numbers of images and planes differ, or the preset ``paper`` lacks colour or a
+            plane.
         ConfigError: The backend is unknown, or images have a size that the kernels don't take.
     """
     config = _checked(config)
     of_type("with_cells", with_cells, bool)
     check_frames(frames, config)
-    plane = floor_prior(frames, config, backend=backend)
-    return load_backend(backend).detect(frames, plane, config, with_cells)
+    prior = floor_prior(frames, config)
+    return load_backend(backend).detect(frames, prior, config, with_cells)
 
 
 def find_floors(
@@ -123,7 +124,7 @@ def find_floors(
     """
     config = _checked(config)
     check_frames(frames._replace(color=None), config, floor_only=True)
-    prior = _given_plane(frames, config) or unknown_plane(len(frames.depth))
+    prior = floor_prior(frames, config)
     return load_backend(backend).find_floors(frames, prior, config)
 
 
@@ -139,29 +140,6 @@ def _checked(config: Config | None) -> Config:
     if config.ground.source != "none":
         return config
     return replace(config, floor=replace(config.floor, max_depth_m=0.0))
-
-
-def floor_prior(frames: Frames, config: Config, *, backend: BackendName = "jax") -> GroundPlane:
-    """Return the prior of each frame's floor as :func:`detect` uses it."""
-    plane = _given_plane(frames, config)
-    if plane is not None:
-        return plane
-    batch = len(frames.depth)
-    if not config.cluster.points:
-        return unknown_plane(batch)
-    return repeat_plane(estimate_plane(frames, config, backend=backend).plane, batch)
-
-
-def _given_plane(frames: Frames, config: Config) -> GroundPlane | None:
-    """Return the floor that the frames or the configuration state, or None."""
-    batch = len(frames.depth)
-    if config.ground.source == "none":
-        return unknown_plane(batch)
-    if frames.plane is not None:
-        return frames.plane
-    if config.ground.camera_height_m is not None:
-        return repeat_plane(flagged_plane(config.ground), batch)
-    return None
 
 
 def estimate_plane(

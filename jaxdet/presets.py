@@ -80,5 +80,5 @@ def preset(name: str) -> Config:
         raise ConfigError(problem, topic="name", remedy=f"use one of {', '.join(PRESETS)}")
     if name not in PRESETS:
         remedy = f"{meant(name, PRESETS)}use one of {', '.join(PRESETS)}"
-        raise ConfigError(f"no preset {name!r}", remedy=remedy)
+        raise ConfigError(f"no preset {name[:40]!r}", remedy=remedy)
     return PRESETS[name]

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxdet.arguments import numbers, whole_number
+from jaxdet.elementary import dot, matmul
 from jaxdet.errors import CalibrationError, InputError
 
 Array = Any
@@ -58,7 +59,8 @@ def is_rotation(values: Sequence[float] | np.ndarray) -> bool:
     if found.size != 9 or not np.isfinite(found).all() or np.abs(found).max() >= 2:
         return False
     R = found.reshape(3, 3)
-    return bool(np.abs(R @ R.T - np.eye(3)).max() <= MAX_SKEW and np.linalg.det(R) > 0)
+    skew = np.abs(matmul(R, R.T) - np.eye(3)).max()
+    return bool(skew <= MAX_SKEW and dot(np.cross(R[0], R[1]), R[2]) > 0)
 
 
 def is_rigid(T: np.ndarray) -> bool:

@@ -6,7 +6,6 @@ import pytest
 
 from jaxdet import reference, stages
 from jaxdet.errors import CalibrationError
-from jaxdet.reference._lens import arctangent
 from jaxdet.types import Calibration, Extrinsics, Intrinsics
 from tests.goldens.make_rs_align import CASES, FILE
 from tests.scenes import (
@@ -161,14 +160,10 @@ def test_colour_lens_projects_as_opencv(lens):
     assert np.array_equal(reference.align(depth, calibration).depth[0] == 1500, want)
 
 
-def test_arctangent_is_accurate():
-    x = np.concatenate([np.linspace(0, 3, 100_000), [10.0, 1e3, 1e9]])
-    assert np.max(np.abs(arctangent(x) - np.arctan(x))) < 3e-16
-
-
 # twin
 
 
+@pytest.mark.twin
 @pytest.mark.parametrize("lens", LENSES)
 @pytest.mark.parametrize("image", [noise_depth, smooth_depth])
 def test_twin_with_every_lens(device, lens, image):
@@ -178,6 +173,7 @@ def test_twin_with_every_lens(device, lens, image):
     assert_equal(stages.align(depth, calibration), reference.align(depth, calibration))
 
 
+@pytest.mark.twin
 @pytest.mark.parametrize("batch", [1, 2, 5])
 @pytest.mark.parametrize("size", [(640, 480), (848, 480)])
 def test_twin_at_full_size(device, batch, size):
@@ -187,6 +183,7 @@ def test_twin_at_full_size(device, batch, size):
     assert_equal(stages.align(depth, calibration), reference.align(depth, calibration))
 
 
+@pytest.mark.twin
 @pytest.mark.parametrize(
     ("lens", "depth_size", "color_size"),
     [
@@ -207,6 +204,7 @@ def test_twin_with_large_and_odd_images(device, lens, depth_size, color_size):
     assert_equal(aligned, reference.align(depth, calibration))
 
 
+@pytest.mark.twin
 @pytest.mark.parametrize("lens", LENSES)
 def test_twin_where_the_depth_camera_has_a_lens(device, lens):
     base = small(97, 61, 0.7)
@@ -217,6 +215,7 @@ def test_twin_where_the_depth_camera_has_a_lens(device, lens):
     assert_equal(stages.align(depth, calibration), reference.align(depth, calibration))
 
 
+@pytest.mark.twin
 def test_twin_without_any_measurement(device):
     depth = np.zeros((2, 60, 80), np.uint16)
     assert_equal(stages.align(depth, small()), reference.align(depth, small()))

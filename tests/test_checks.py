@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jaxdet import detect, find_floors, stages
+from jaxdet import detect, estimate_plane, find_floors, stages
 from jaxdet.checks import check_calibration, check_frames
 from jaxdet.config import (
     ClusterConfig,
@@ -420,6 +420,15 @@ def test_images_are_arrays_of_their_kind(backend):
     ):
         with pytest.raises(InputError, match=said):
             detect(given._replace(**{part: value}), backend=backend)
+
+
+@BACKENDS
+def test_paper_needs_a_plane(backend):
+    given = made(1)._replace(plane=None)
+    with pytest.raises(InputError, match=r"no floor.*jaxdet\.estimate_plane"):
+        detect(given, preset("paper"), backend=backend)
+    plane = estimate_plane(given, preset("paper"), backend=backend).plane
+    assert detect(given._replace(plane=plane), preset("paper"), backend=backend).points
 
 
 @BACKENDS

@@ -148,6 +148,7 @@ def random_points(seed: int, batch: int, n: int, spread: int) -> Features:
     return points(x, z, rng.random((batch, n)) < rng.random((batch, 1)))
 
 
+@pytest.mark.twin
 @pytest.mark.parametrize(
     ("batch", "n", "min_points"), [(1, 1, 0), (1, 7, 0), (3, 100, 2), (2, 1024, 10), (2, 5000, 2)]
 )
@@ -158,6 +159,7 @@ def test_twin(device, batch, n, spread, min_points):
     assert_equal(stages.cluster(*given_), reference.cluster(*given_))
 
 
+@pytest.mark.twin
 @pytest.mark.parametrize("share", [1.0, 0.9])
 @pytest.mark.parametrize("lateral_gap", [5, 10**4])
 def test_twin_of_as_many_parts_as_points(device, lateral_gap, share):
@@ -176,6 +178,7 @@ hostile = st.lists(
 )
 
 
+@pytest.mark.twin
 @given(hostile, st.integers(0, 60), st.integers(0, 60), st.sampled_from([0, 3]))
 @settings(max_examples=80)
 def test_twin_on_anything(rows, depth_gap, lateral_gap, min_points):

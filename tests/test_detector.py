@@ -400,6 +400,9 @@ def test_configurations_come_by_name_and_file(tmp_path):
         ground = detector(config=source).config.ground
         assert (ground.min_depth_m, ground.max_depth_m) == (0.4, 3.0)
     assert detector(config="tabletop").config == jaxdet.preset("tabletop")
+    with pytest.raises(ConfigError, match=r"no preset 'a{40}'; use one of wheeled") as caught:
+        detector(config="a" * 5000)
+    assert len(str(caught.value)) < 300
     with pytest.raises(ConfigError, match="no preset 'wheled'; did you mean wheeled"):
         detector(config="wheled")
     with pytest.raises(ConfigError, match=r"none\.toml: can't be read"):
@@ -558,6 +561,7 @@ def test_mounts_that_no_camera_has():
     for wrong, said in (
         ({"height_m": 300}, "height_m: .*metres"),
         ({"height_m": 0}, "height_m"),
+        ({"height_m": 10**400}, "height_m: is too large a number; give metres"),
         ({"height_m": "0.3"}, "height_m: '0.3' is no number"),
         ({"height_m": float("nan")}, "height_m"),
         ({"height_m": 0.3, "pitch_rad": 10}, "pitch_rad: 10 rad are 573°; .*math.radians"),
@@ -568,6 +572,9 @@ def test_mounts_that_no_camera_has():
     for gravity in ([0, 0, 0], [1, 2], [np.nan, 0, 1]):
         with pytest.raises(ConfigError, match="gravity"):
             Mount.from_gravity(0.3, gravity)
+    with pytest.raises(InputError, match="height_m: is too large a number"):
+        Mount.from_gravity(10**400, [0, 1, 0])
+    assert Mount.from_gravity(0.3, [0, 1e300, 1e300]).pitch_rad == pytest.approx(np.pi / 4)
     for T in (np.eye(3), np.zeros((4, 4)), np.diag([2.0, 2, 2, 1]), np.full((4, 4), np.nan)):
         with pytest.raises(InputError, match=r"T_base_camera: .*give a \(4, 4\) matrix of one"):
             Mount.from_transform(T)

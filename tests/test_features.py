@@ -182,6 +182,7 @@ CONFIGS = {
 }
 
 
+@pytest.mark.twin
 @pytest.mark.parametrize("width", [640, 424, 97, 31])
 @pytest.mark.parametrize("name", CONFIGS)
 def test_twin(device, name, width):
@@ -218,6 +219,7 @@ def test_settings_compile_nothing_anew():
     assert compiled() == before + 1
 
 
+@pytest.mark.twin
 @given(
     st.lists(st.integers(-(4 << 20), 4 << 20), min_size=1, max_size=50),
     st.integers(0, 65535),

@@ -141,6 +141,7 @@ def hostile_features(seed: int, batch: int, n: int) -> tuple[Features, Labels]:
     return features, Labels(labels, np.full(batch, 4, np.int32))
 
 
+@pytest.mark.twin
 @pytest.mark.parametrize(
     "settings",
     [outline(), FootprintConfig(), outline(trim=8192), outline(2, 0.1), outline(0, 1.0, 1.0)],
@@ -157,6 +158,7 @@ def test_twin(device, batch, n, settings):
     assert_equal(stages.footprint(*given_), want)
 
 
+@pytest.mark.twin
 def test_twin_without_obstacles(device):
     features, labels = hostile_features(0, 3, 300)
     none = Labels(np.full_like(labels.labels, -1), np.zeros(3, np.int32))

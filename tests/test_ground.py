@@ -191,6 +191,7 @@ def test_bad_values_name_the_flag():
 # twin
 
 
+@pytest.mark.twin
 @pytest.mark.parametrize("batch", [1, 4])
 def test_twin(device, batch):
     camera = resized(small().color, 97, 61)

@@ -98,6 +98,14 @@ def test_motion_is_held_at_the_margin_and_unknown_beyond_and_in_gaps():
     np.testing.assert_array_equal(x, [np.nan, 0, 0.25, np.nan, 5])
 
 
+def test_samples_as_far_apart_as_the_longest_gap_are_joined_and_no_farther():
+    longest = round(MAX_GAP_S * 1e9)
+    samples = np.array([[0, 0, 0, 0, 0, 0, 1], [2, 0, 0, 0, 0, 0, 1.0]])
+    for gap, middle in ((longest - 1, 1.0), (longest, 1.0), (longest + 1, np.nan)):
+        x = interpolate(np.array([0, gap // 2, gap]), np.array([0, gap]), samples)[:, 0, 3]
+        np.testing.assert_allclose(x, [0, middle, 2], atol=1e-6)
+
+
 def edge(parent, child, x, stamp_ns=0):
     return TransformMessage(stamp_ns, parent, child, (x, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 

@@ -86,6 +86,7 @@ def test_corners_of_both_sources(tmp_path, target):
         np.testing.assert_array_equal(found[1:].reshape(-1, 2), np.c_[want.u[0], want.v[0]])
 
 
+@pytest.mark.twin
 def test_each_header_is_used_and_each_twin_is_there():
     files = [*FILES, *INCLUDE.parent.glob("*.py")]
     texts = [path.read_text("utf-8") for path in files]

@@ -25,8 +25,9 @@ from jaxdet.config import Config
 from jaxdet.engine import decide_planes
 from jaxdet.engine.color import method_frames
 from jaxdet.eval.frame import cell_points
+from jaxdet.floor.plane import floor_prior
 from jaxdet.io import Log, open_log
-from jaxdet.pipeline import detect, floor_prior
+from jaxdet.pipeline import detect
 from jaxdet.presets import PRESETS
 from jaxdet.render import canvas
 from jaxdet.render.camera import camera_view, shown_image
@@ -142,7 +143,7 @@ def _held(task: Task, found: Found) -> tuple[FrameLabels | None, BoxTally]:
     if labels is None:
         return None, BoxTally()
     scene = found.detections.scene
-    prior = floor_prior(frames, task.config, backend="reference")
+    prior = floor_prior(frames, task.config)
     plane = floors(scene, calibration.depth_unit).plane if scene else prior
     plane = color_plane(plane, calibration)
     kept = np.asarray(reference.ground(aligned, plane, calibration, task.config).mask[0])

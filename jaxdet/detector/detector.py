@@ -28,8 +28,8 @@ from jaxdet.detector.arguments import (
 from jaxdet.detector.result import BatchResult, FrameResult
 from jaxdet.errors import ConfigError, FrameStatus, InputError
 from jaxdet.floor.mount import Mount
-from jaxdet.floor.plane import join_planes, unknown_plane
-from jaxdet.pipeline import BackendName, detect, floor_prior
+from jaxdet.floor.plane import floor_prior, join_planes, repeat_plane, unknown_plane
+from jaxdet.pipeline import BackendName, detect, estimate_plane
 from jaxdet.results.rows import batch_rows, row_inputs, to_host
 from jaxdet.types import Calibration, Extrinsics, Frames, GroundPlane, Intrinsics
 
@@ -296,7 +296,11 @@ class Detector:
         if self._planes is not None:
             stamps = frames.stamp_ns
             return self._planes.of(stamps), self._planes.sources(stamps)
-        plane = floor_prior(frames, self.config, backend=self._backend)
+        plane, ground = floor_prior(frames, self.config), self.config.ground
+        stated = ground.camera_height_m is not None or ground.source == "none"
+        if self.config.cluster.points and not stated:
+            found = estimate_plane(frames, self.config, backend=self._backend)
+            plane = repeat_plane(found.plane, len(frames.depth))
         return plane, ["mount" if known else "none" for known in plane.valid.tolist()]
 
     def _found(self, batch: Batch, plane: GroundPlane, sources: list[str]) -> BatchResult:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxdet.arguments import number, numbers
+from jaxdet.elementary import hypot
 from jaxdet.errors import ConfigError, InputError
 from jaxdet.floor.plane import flat_plane, plane_from_down, plane_from_transform
 from jaxdet.types import GroundPlane, is_rigid
@@ -40,6 +41,11 @@ class Mount:
                 said = repr(value[:40]) if isinstance(value, str) else type(value).__name__
                 problem, remedy = f"{said} is no number", "give one, in metres or radians"
                 raise ConfigError(problem, topic=name, remedy=remedy)
+            try:
+                float(value)
+            except OverflowError as error:
+                problem, remedy = "is too large a number", "give metres or radians"
+                raise ConfigError(problem, topic=name, remedy=remedy) from error
         if not 0 < self.height_m < HIGHEST_M:
             raise ConfigError(
                 f"a camera {self.height_m:g} m above the floor",
@@ -73,7 +79,7 @@ class Mount:
             Mount(height_m=0.5, pitch_rad=0.0, roll_rad=0.0)
         """
         down = numbers("gravity", gravity, np.float64)
-        length = float(np.linalg.norm(down)) if down.shape == (3,) else math.nan
+        length = float(hypot(hypot(*down[:2]), down[2])) if down.shape == (3,) else math.nan
         if not 0 < length < math.inf:
             problem = f"an array of shape {down.shape} and length {length:g} is no direction"
             raise ConfigError(problem, topic="gravity", remedy="give three numbers, x y z")

@@ -14,8 +14,9 @@ from numpy.typing import ArrayLike
 from jaxdet.arguments import numbers
 from jaxdet.camera import cell_side, pixel_rays
 from jaxdet.config import ClusterConfig, Config, FootprintConfig, GroundConfig
+from jaxdet.elementary import arctan2, dot, hypot, matmul, norm, sin_cos
 from jaxdet.errors import InputError
-from jaxdet.types import MAX_LATERAL, Calibration, GroundPlane, Intrinsics
+from jaxdet.types import MAX_LATERAL, Calibration, Frames, GroundPlane, Intrinsics
 
 GROUND_BITS = 13  # fraction bits of the ground frame's axes
 DIRECTIONS = 90  # directions tried for a rectangle, a degree apart
@@ -56,15 +57,14 @@ def down_vector(pitch: np.ndarray, roll: np.ndarray) -> np.ndarray:
     Returns:
         ``(B, 3)`` float64 unit vectors.
     """
-    return np.stack(
-        [np.sin(roll) * np.cos(pitch), np.cos(roll) * np.cos(pitch), np.sin(pitch)], axis=-1
-    )
+    (sin_p, sin_r), (cos_p, cos_r) = sin_cos(np.stack([pitch, roll]))
+    return np.stack([sin_r * cos_p, cos_r * cos_p, sin_p], axis=-1)
 
 
 def plane_from_down(down: np.ndarray, height: np.ndarray) -> GroundPlane:
     """The plane with these unit down vectors ``(B, 3)`` and heights ``(B,)`` [m]."""
-    pitch = np.arctan2(down[:, 2], np.hypot(down[:, 0], down[:, 1]))
-    roll = np.arctan2(down[:, 0], down[:, 1])
+    pitch = arctan2(down[:, 2], hypot(down[:, 0], down[:, 1]))
+    roll = arctan2(down[:, 0], down[:, 1])
     return flat_plane(height, pitch, roll, np.isfinite(height))
 
 
@@ -74,8 +74,7 @@ def plane_from_transform(T_base_camera: np.ndarray) -> GroundPlane:
     Returns:
         A :class:`GroundPlane` with ``B = 1``.
     """
-    down = T_base_camera[:3, :3].T @ np.array([0.0, 0.0, -1.0])
-    return plane_from_down(down[None], T_base_camera[2:3, 3])
+    return plane_from_down(-T_base_camera[2:3, :3], T_base_camera[2:3, 3])
 
 
 def plane_in_color(plane: GroundPlane, calibration: Calibration) -> GroundPlane:
@@ -84,8 +83,8 @@ def plane_in_color(plane: GroundPlane, calibration: Calibration) -> GroundPlane:
         return plane
     T = calibration.color_from_depth.T
     down = down_vector(plane.pitch, plane.roll)
-    center = -T[:3, :3].T @ T[:3, 3]  # of the colour camera, in the depth camera's frame
-    moved = plane_from_down(down @ T[:3, :3].T, plane.height - down @ center)
+    center = -dot(T[:3, :3].T, T[:3, 3])  # of the colour camera, in the depth camera's frame
+    moved = plane_from_down(matmul(down, T[:3, :3].T), plane.height - dot(down, center))
     height, pitch, roll = (np.where(plane.valid, ours, 0.0) for ours in moved[:3])
     return flat_plane(height, pitch, roll, plane.valid)
 
@@ -97,8 +96,20 @@ def flagged_plane(config: GroundConfig) -> GroundPlane:
     return flat_plane(height, pitch, config.camera_roll_rad)
 
 
+def floor_prior(frames: Frames, config: Config) -> GroundPlane:
+    """Return the prior of each frame's floor: the frames' own, or the configuration's, or none."""
+    batch = len(frames.depth)
+    if config.ground.source == "none":
+        return unknown_plane(batch)
+    if frames.plane is not None:
+        return frames.plane
+    if config.ground.camera_height_m is not None:
+        return repeat_plane(flagged_plane(config.ground), batch)
+    return unknown_plane(batch)
+
+
 def unknown_plane(batch: int) -> GroundPlane:
-    """``batch`` frames whose floor is not known: level, and nothing is dropped as floor."""
+    """Return the planes of ``batch`` frames without a known floor: level, nothing is dropped."""
     zeros = np.zeros(batch)
     return flat_plane(zeros, zeros, zeros, np.zeros(batch, bool))
 
@@ -274,7 +285,8 @@ def direction_table() -> np.ndarray:
         angle from 0 on, read-only.
     """
     angle = np.radians(np.arange(DIRECTIONS) * 90.0 / DIRECTIONS)
-    table = np.rint(np.stack([np.cos(angle), np.sin(angle)], -1) * (1 << DIRECTION_BITS))
+    sine, cosine = sin_cos(angle)
+    table = np.rint(np.stack([cosine, sine], -1) * (1 << DIRECTION_BITS))
     table = table.astype(np.int64)
     table.setflags(write=False)
     return table
@@ -292,8 +304,8 @@ def forward_vector(down: np.ndarray) -> np.ndarray:
         ``(B, 3)`` float64 unit vectors.
     """
     axis = np.where(np.abs(down[:, 2:]) > 1 - 1e-9, [[0.0, -1.0, 0.0]], [[0.0, 0.0, 1.0]])
-    forward = axis - down * np.sum(axis * down, axis=1, keepdims=True)
-    return forward / np.linalg.norm(forward, axis=1, keepdims=True)
+    forward = axis - down * dot(axis, down)[:, None]
+    return forward / norm(forward)[:, None]
 
 
 def ground_axes(plane: GroundPlane) -> np.ndarray:

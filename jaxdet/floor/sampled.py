@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxdet.elementary import median
 from jaxdet.floor.plane import flat_plane, unknown_plane
 from jaxdet.types import GroundPlane
 
@@ -54,7 +55,7 @@ def sampled_floor(planes: GroundPlane, own: np.ndarray) -> SampledFloor:
         nothing = float("nan")
         return SampledFloor(unknown_plane(1), decided, len(own), nothing, nothing)
     values = np.stack([planes.height, planes.pitch, planes.roll])[:, own]
-    middle = np.median(values, axis=1)
+    middle = median(values, axis=1)
     off = np.abs(values - middle[:, None])
     height, angle = (_quantile(a) for a in (off[0], off[1:].max(axis=0)))
     return SampledFloor(flat_plane(*middle[:, None]), decided, len(own), height, angle)

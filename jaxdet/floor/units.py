@@ -3,11 +3,13 @@
 Both backends look for it in these, see ``jaxdet/reference/_floor.py``.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from jaxdet.config import FloorConfig
+from jaxdet.elementary import sin
 from jaxdet.floor.plane import SLOPE_BITS, flat_plane
 from jaxdet.types import GroundPlane, Refusal
 
@@ -15,7 +17,7 @@ ANGLES = 32  # steps of an angle in a degree: 0.03 degrees are 2 mm at 4 m
 FARTHEST = 1 << 20  # heights and starts of ramps are at most so large [depth units]
 SINE_BITS = 15  # fraction bits of sines; the product of two has 32 bits with its sign
 _TURN = np.radians(np.arange(-360 * ANGLES, 370 * ANGLES + 1) / ANGLES)
-SINES = np.rint(np.sin(_TURN) * (1 << SINE_BITS)).astype(np.int64)  # from -360 degrees on
+SINES = np.rint(sin(_TURN) * (1 << SINE_BITS)).astype(np.int64)  # from -360 degrees on
 STEEPEST = 85 * ANGLES  # largest pitch, up or down: beyond it roll means nothing
 SLACK_BITS = 26  # fraction bits of what a tolerance has in proportion to depth
 ROUGH_M, FINE_M, FINE_PER_Z = 0.012, 0.008, 0.003
@@ -76,7 +78,8 @@ class Scale(NamedTuple):
 
     def bits(self, metres: float) -> int:
         """The nearest power of two."""
-        return max(round(np.log2(metres / self.unit)), 0)
+        fraction, exponent = math.frexp(metres / self.unit)  # from 1/2 to 1
+        return max(exponent - (fraction < math.sqrt(0.5)), 0)
 
     def slack(self, base_m: float, per_z: float) -> Slack:
         """A tolerance of so much, and so much more for each metre of depth."""
@@ -136,7 +139,7 @@ def slopes(turn: np.ndarray) -> np.ndarray:
 
 def stride(cells: int, config: FloorConfig) -> int:
     """Every so many of a frame's cells are used, in rows and columns."""
-    return max(1, int(np.ceil((cells / config.max_cells) ** 0.5)))
+    return max(1, math.ceil(math.sqrt(cells / config.max_cells)))
 
 
 def angle_steps(plane: GroundPlane) -> tuple[np.ndarray, np.ndarray]:

@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxdet.elementary import matmul
 from jaxdet.errors import TransformError, printable
 from jaxdet.io.contents import LogContents
 from jaxdet.io.motion import difference, inverse, motion_matrix
@@ -108,7 +109,7 @@ def _between_streams(
     for name in sorted(contents.extrinsics):
         other = depth + name.removeprefix(color)
         if name.startswith(color) and other in contents.extrinsics:
-            return contents.extrinsics[name] @ inverse(contents.extrinsics[other])
+            return matmul(contents.extrinsics[name], inverse(contents.extrinsics[other]))
     return None
 
 

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxdet.elementary import matmul
 from jaxdet.errors import CalibrationError, JaxdetError, RescanError, TransformError
 from jaxdet.io.calibration import Calibrated, calibrate
 from jaxdet.io.cameras import Cameras, find_cameras
@@ -175,7 +176,7 @@ def _find(
         base = find_base(contents, options, frame)
         poses = find_poses(contents, options, frame, base.frame, share_known)
     if T_frame_camera is not None and base.T_base_camera is not None:
-        base = base._replace(T_base_camera=base.T_base_camera @ T_frame_camera)
+        base = base._replace(T_base_camera=matmul(base.T_base_camera, T_frame_camera))
     return base, poses._replace(T_frame_camera=T_frame_camera)
 
 

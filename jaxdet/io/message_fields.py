@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxdet.elementary import matmul
 from jaxdet.io.limits import MAX_TRANSLATION_M
 from jaxdet.io.messages import (
     CameraInfoMessage,
@@ -134,9 +135,9 @@ def motion(
     if not all(abs(value) <= MAX_TRANSLATION_M for value in (tx, ty, tz)):  # NaN neither
         raise ValueError(f"translation ({tx:g}, {ty:g}, {tz:g}) m is none that a robot has")
     given = tuple(map(float, rotation))
-    numbers = np.array(given)
     bounded = all(abs(value) <= 2 for value in given)
-    square = float(numbers.dot(numbers)) if bounded else math.inf
+    x, y, z, w = given if bounded else (math.inf,) * 4
+    square = x * x + y * y + z * z + w * w  # sum() compensates from Python 3.12 on
     if not abs(square - 1) <= UNIT_TOLERANCE:
         text = ", ".join(f"{value:g}" for value in given)
         raise ValueError(f"quaternion ({text}) is not of unit length")
@@ -198,7 +199,7 @@ def _extrinsics(message: Any, name: str) -> np.ndarray:
         return motion_matrix(np.array(found.translation), np.array(found.rotation))
     T = np.eye(4)
     T[:3, :3] = R = np.array(message.rotation, np.float64).reshape(3, 3).T  # column-major
-    if not ((np.abs(R) <= 2).all() and np.allclose(R @ R.T, np.eye(3), atol=1e-3)):
+    if not ((np.abs(R) <= 2).all() and np.allclose(matmul(R, R.T), np.eye(3), atol=1e-3)):
         raise ValueError("rotation is not orthonormal")
     x, y, z = (float(value) for value in message.translation)
     T[:3, 3] = x, y, z

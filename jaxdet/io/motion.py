@@ -4,6 +4,7 @@ from array import array
 
 import numpy as np
 
+from jaxdet.elementary import arctan2, dot, matmul, norm, sin
 from jaxdet.io.messages import TransformMessage
 
 MARGIN_S = 0.05
@@ -101,7 +102,7 @@ def motion_matrix(translation: np.ndarray, quaternion: np.ndarray) -> np.ndarray
     The quaternions are x y z w and need not have exactly unit length.
     """
     translation, q = np.asarray(translation, np.float64), np.asarray(quaternion, np.float64)
-    x, y, z, w = np.moveaxis(q / np.linalg.norm(q, axis=-1, keepdims=True), -1, 0)
+    x, y, z, w = np.moveaxis(q / norm(q)[..., None], -1, 0)
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
         [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
@@ -141,7 +142,7 @@ def quaternions(rotations: np.ndarray) -> np.ndarray:
     all_rows = np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
     largest = np.argmax(np.diagonal(all_rows, axis1=-2, axis2=-1), axis=-1)
     q = np.take_along_axis(all_rows, largest[..., None, None], axis=-2)[..., 0, :]
-    q = q / np.sqrt(np.sum(q * q, axis=-1, keepdims=True))
+    q = q / norm(q)[..., None]
     return np.where(q[..., 3:] < 0, -q, q)
 
 
@@ -150,26 +151,26 @@ def inverse(T: np.ndarray) -> np.ndarray:
     rotation = np.swapaxes(T[..., :3, :3], -1, -2)
     result = np.zeros_like(T)
     result[..., :3, :3] = rotation
-    result[..., :3, 3] = -np.einsum("...ij,...j->...i", rotation, T[..., :3, 3])
+    result[..., :3, 3] = -dot(rotation, T[..., None, :3, 3])
     result[..., 3, 3] = T[..., 3, 3]
     return result
 
 
 def difference(first: np.ndarray, second: np.ndarray) -> tuple[float, float]:
     """How far two rigid motions ``(4, 4)`` are apart: metres and radians."""
-    delta = inverse(first) @ second
+    delta = matmul(inverse(first), second)
     skew = delta[:3, :3] - delta[:3, :3].T
-    sine = np.linalg.norm([skew[2, 1], skew[0, 2], skew[1, 0]]) / 2
-    angle = np.arctan2(sine, (np.trace(delta[:3, :3]) - 1) / 2)
-    return float(np.linalg.norm(first[:3, 3] - second[:3, 3])), float(angle)
+    sine = norm([skew[2, 1], skew[0, 2], skew[1, 0]]) / 2
+    angle = arctan2(sine, (np.trace(delta[:3, :3]) - 1) / 2)
+    return float(norm(first[:3, 3] - second[:3, 3])), float(angle)
 
 
 def _slerp(first: np.ndarray, second: np.ndarray, share: np.ndarray) -> np.ndarray:
-    cosine = np.sum(first * second, axis=1)
+    cosine = dot(first, second)
     second = np.where(cosine[:, None] < 0, -second, second)
-    angle = np.arccos(np.clip(np.abs(cosine), 0, 1))
-    sine = np.sin(angle)
-    safe = np.where(sine > 1e-6, sine, 1.0)
-    weight_first = np.where(sine > 1e-6, np.sin((1 - share) * angle) / safe, 1 - share)
-    weight_second = np.where(sine > 1e-6, np.sin(share * angle) / safe, share)
-    return weight_first[:, None] * first + weight_second[:, None] * second
+    cosine = np.clip(np.abs(cosine), 0, 1)
+    sine = np.sqrt((1 - cosine) * (1 + cosine))
+    shares = np.stack([1 - share, share])
+    curved = sin(shares * arctan2(sine, cosine)) / np.where(sine > 1e-6, sine, 1.0)
+    weights = np.where(sine > 1e-6, curved, shares)[..., None]
+    return weights[0] * first + weights[1] * second

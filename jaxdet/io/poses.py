@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxdet.elementary import matmul
 from jaxdet.errors import CalibrationError, TopicError, printable
 from jaxdet.io.contents import LogContents, PoseTrack
 from jaxdet.io.motion import MotionSamples
@@ -75,10 +76,10 @@ class PoseSource(NamedTuple):
             CalibrationError: The transforms form a cycle.
         """
         if self.topic:
-            T = tracks[self.topic].at(stamps_ns) @ self.T_child_camera
+            T = matmul(tracks[self.topic].at(stamps_ns), self.T_child_camera)
         else:
             T = tree.at(self.world, self.camera, stamps_ns) if self.world else None
-        return T if T is None or self.T_frame_camera is None else T @ self.T_frame_camera
+        return T if T is None or self.T_frame_camera is None else matmul(T, self.T_frame_camera)
 
 
 def find_base(contents: LogContents, options: LogOptions, camera_frame: str) -> Base:

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from jaxdet.elementary import matmul
 from jaxdet.errors import TransformError
 from jaxdet.io.limits import MAX_FRAMES_TF
 from jaxdet.io.messages import TransformMessage
@@ -106,7 +107,7 @@ class TransformTree:
         if paths is None:
             return None
         up, down = (self._fixed_product(path) for path in paths)
-        return None if up is None or down is None else inverse(up) @ down
+        return None if up is None or down is None else matmul(inverse(up), down)
 
     def at(self, target: str, source: str, stamps_ns: np.ndarray) -> np.ndarray | None:
         """``T_target_source`` at each stamp ``(F, 4, 4)``, NaN where unknown.
@@ -120,7 +121,7 @@ class TransformTree:
         if paths is None:
             return None
         up, down = (self._product_at(path, stamps_ns) for path in paths)
-        return inverse(up) @ down
+        return matmul(inverse(up), down)
 
     def joins(self, target: str, source: str) -> bool:
         """Whether a chain of transforms, static or moving, joins two frames.
@@ -223,14 +224,14 @@ class TransformTree:
             fixed = self._edges[frame].fixed
             if fixed is None:
                 return None
-            T = fixed @ T
+            T = matmul(fixed, T)
         return T
 
     def _product_at(self, path: Sequence[str], stamps_ns: np.ndarray) -> np.ndarray:
         T = np.broadcast_to(np.eye(4), (len(stamps_ns), 4, 4))
         for frame in path:
             edge = self._edges[frame]
-            T = (edge.samples.at(stamps_ns) if edge.fixed is None else edge.fixed) @ T
+            T = matmul(edge.samples.at(stamps_ns) if edge.fixed is None else edge.fixed, T)
         return T
 
     def _ignore(self, message: TransformMessage) -> None:

@@ -93,7 +93,8 @@ def to_ground(features: Features, plane: GroundPlane) -> np.ndarray:
         ``(B, N, 2)`` int32: right and forward.
     """
     xyz = np.stack([features.x, features.y, features.z], axis=-1).astype(np.int64)
-    along = np.einsum("bnk,bak->bna", xyz, ground_axes(plane).astype(np.int64))
+    axes = ground_axes(plane).astype(np.int64)
+    along = np.einsum("bnk,bak->bna", xyz, axes)  # noqa: TID251, of integers
     return ((along + (1 << (GROUND_BITS - 1))) >> GROUND_BITS).astype(np.int32)
 
 

@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxdet.elementary import arctan2
 from jaxdet.results.lists import Lists
 from jaxdet.results.metric import world_angle
 from jaxdet.types import Array, FreeEnd
@@ -65,12 +66,15 @@ class FreeFloor(NamedTuple):
             T_world_camera: ``(B, 4, 4)`` float64, NaN where unknown.
         """
         sin, cos = world_angle(T_world_camera)
-        way = self.way * (cos - 1j * sin)[:, None]
-        origin = T_world_camera[:, 0, 3] + 1j * T_world_camera[:, 1, 3]
+        sin, cos = sin[:, None], cos[:, None]
+        right, ahead = np.real(self.way), np.imag(self.way)
+        way, origin = np.empty(self.way.shape, np.complex128), np.empty(len(sin), np.complex128)
+        way.real, way.imag = right * cos + ahead * sin, ahead * cos - right * sin
+        origin.real, origin.imag = T_world_camera[:, 0, 3], T_world_camera[:, 1, 3]
         start = np.maximum(self.from_m[:, :-1], self.from_m[:, 1:])
         stop = np.minimum(self.to_m[:, :-1], self.to_m[:, 1:])
         free = self.seen[:, :-1] & self.seen[:, 1:] & (start < stop)
-        free &= np.isfinite(origin + sin)[:, None]
+        free &= np.isfinite(origin)[:, None] & np.isfinite(sin)
         parts = free.sum(axis=1, dtype=np.int64)
         frame = np.repeat(np.arange(len(parts)), parts)
         column = np.flatnonzero(free) + frame  # of the way to the left, counted over all frames
@@ -84,10 +88,15 @@ class FreeFloor(NamedTuple):
         far = 2 * (np.arange(column.size) + np.repeat(first, length))
         near = 2 * turn - far
         points = np.empty(4 * column.size, np.complex128)
-        points[far], points[far + 1] = left * stop, right * stop
-        points[near - 1], points[near - 2] = left * start, right * start
+        points[far], points[far + 1] = _scaled(left, stop), _scaled(right, stop)
+        points[near - 1], points[near - 2] = _scaled(left, start), _scaled(right, start)
         points += np.repeat(origin, 4 * parts)
         return Polygons(points.view(np.float64).reshape(-1, 2), 4 * length, frame[first])
+
+
+def _scaled(way: np.ndarray, length: np.ndarray) -> np.ndarray:
+    """Complex numbers ``(n,)`` times real ones; NumPy's product of both depends on the CPU."""
+    return (way.view(np.float64).reshape(-1, 2) * length[:, None]).view(np.complex128).ravel()
 
 
 def free_floor(free: Array, free_end: Array, depth_unit: float) -> FreeFloor:
@@ -103,9 +112,10 @@ def free_floor(free: Array, free_end: Array, depth_unit: float) -> FreeFloor:
     x0, y0, x, y = (a.astype(np.float64) for a in (x0, y0, x, y))
     start, stop = np.sqrt(x0 * x0 + y0 * y0), np.sqrt(x * x + y * y)
     start[x0 * x + y0 * y < 0] = 0.0  # it begins behind the camera's foot
-    way = (x + 1j * y) / np.where(stop, stop, 1.0)
+    way, length = np.empty(stop.shape, np.complex128), np.where(stop, stop, 1.0)
+    way.real, way.imag = x / length, y / length
     end = np.asarray(free_end, np.int8)
-    return FreeFloor(seen, way, np.arctan2(x, y), start * depth_unit, stop * depth_unit, end)
+    return FreeFloor(seen, way, arctan2(x, y), start * depth_unit, stop * depth_unit, end)
 
 
 def free_columns(free: FreeFloor, good: np.ndarray) -> dict[str, Any]:

@@ -14,6 +14,7 @@ import numpy as np
 
 from jaxdet.arguments import number, numeric, of_type
 from jaxdet.config import FootprintConfig
+from jaxdet.elementary import cos, dot, norm
 from jaxdet.errors import InputError
 from jaxdet.floor.plane import down_vector
 from jaxdet.floor.units import FloorFit, floor_fit
@@ -22,6 +23,7 @@ from jaxdet.types import Array, Detections, Obstacles, Scene
 
 MOST_TILT_DEG = 30.0
 """Of floors in a world whose z is up: ramps are up to 20° steep."""
+_LEAST_UP = float(cos(np.radians(MOST_TILT_DEG)))
 TILT = "camera_orientation_world", "camera_pitch_rad", "camera_roll_rad"
 """Columns of ``frames.parquet`` that :func:`tilted` takes."""
 
@@ -52,7 +54,7 @@ def extents(obstacles: Obstacles, depth_unit: float) -> Extents:
     """
     _check(obstacles, depth_unit, ("num_points", "xyz_min", "xyz_max", "xyz_sum"))
     points = np.maximum(np.asarray(obstacles.num_points), 1).astype(np.float64)
-    centroid = np.asarray(obstacles.xyz_sum) @ np.array([65536.0, 1.0]) / points[..., None]
+    centroid = dot(obstacles.xyz_sum, np.array([65536.0, 1.0])) / points[..., None]
     return Extents(
         *(
             (np.asarray(a).astype(np.float64) * depth_unit).astype(np.float32)
@@ -211,16 +213,14 @@ def rectangles(obstacles: Obstacles, depth_unit: float, config: FootprintConfig)
         return _fitted_rectangles(obstacles, depth_unit, config)
     a, b, c = (np.asarray(p).astype(np.float64) for p in (obstacles.a, obstacles.b, obstacles.c))
     edge = b - a
-    length = np.sqrt(np.sum(edge * edge, axis=-1, keepdims=True))
+    length = norm(edge)[..., None]
     along = np.divide(edge, length, out=np.zeros_like(edge), where=length > 0)
     along = np.where(length > 0, along, [1.0, 0.0])
     across = _backward_normal(a, along)
     has_vertex = np.asarray(obstacles.has_vertex)
-    left, right = np.sum(a * along, axis=-1), np.sum(b * along, axis=-1)
-    front = np.sum(a * across, axis=-1)
-    back = np.where(
-        has_vertex, np.sum(c * across, axis=-1), front + config.extension_m / depth_unit
-    )
+    left, right = dot(a, along), dot(b, along)
+    front = dot(a, across)
+    back = np.where(has_vertex, dot(c, across), front + config.extension_m / depth_unit)
     margin = _margin(obstacles, depth_unit, config)
     outward = np.where(front <= back, margin, -margin)
     left, right, front, back = left - margin, right + margin, front - outward, back + outward
@@ -234,7 +234,7 @@ def _fitted_rectangles(
 ) -> np.ndarray:
     """The rectangles of direction and span, margin added; ``(..., 4, 2)`` float64 [m]."""
     edge = np.asarray(obstacles.direction).astype(np.float64)
-    length = np.sqrt(np.sum(edge * edge, axis=-1, keepdims=True))
+    length = norm(edge)[..., None]
     scale = np.where(length > 0, length, 1.0)
     along, span = edge / scale, np.asarray(obstacles.span) / scale
     across = np.stack([-along[..., 1], along[..., 0]], axis=-1)
@@ -262,7 +262,7 @@ def _margin(obstacles: Obstacles, depth_unit: float, config: FootprintConfig) ->
 def _sides(ring: np.ndarray) -> np.ndarray:
     """How far the middle of each side of rectangles is from the camera, squared."""
     middle = ring + np.roll(ring, -1, axis=-2)
-    return np.sum(middle * middle, axis=-1)
+    return dot(middle, middle)
 
 
 def _backward_normal(a: np.ndarray, along: np.ndarray) -> np.ndarray:
@@ -285,8 +285,8 @@ def tilted(orientation: np.ndarray, pitch: np.ndarray, roll: np.ndarray) -> np.n
         ``(B,)`` bool; False where one of them is NaN, unknown.
     """
     T = motion_matrix(np.zeros((len(orientation), 3)), orientation)
-    up = -np.sum(T[:, 2, :3] * down_vector(pitch, roll), axis=1)
-    return up < np.cos(np.radians(MOST_TILT_DEG))
+    up = -dot(T[:, 2, :3], down_vector(pitch, roll))
+    return up < _LEAST_UP
 
 
 def world_angle(T_world_camera: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -304,9 +304,9 @@ def world_angle(T_world_camera: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         ``sin θ`` and ``cos θ``, each ``(...)`` float64, NaN where the pose is.
     """
     optical, up = T_world_camera[..., :2, 2], -T_world_camera[..., :2, 1]
-    length = np.sqrt(np.sum(optical * optical, axis=-1, keepdims=True))
+    length = norm(optical)[..., None]
     forward = np.where(length < 1e-9, up, optical)
-    forward = forward / np.sqrt(np.sum(forward * forward, axis=-1, keepdims=True))
+    forward = forward / norm(forward)[..., None]
     return forward[..., 0], forward[..., 1]
 
 

@@ -68,7 +68,8 @@ class OccupancyMap:
         (used,) = np.nonzero(fits)
         outlines = outlines.reshape(-1, 4, 2)
         # By tile, as what is counted together should lie together.
-        tiles, tile = np.unique(low[used] // TILE @ [1 << 32, 1], return_inverse=True)
+        column, row = low[used].T // TILE
+        tiles, tile = np.unique((column << 32) + row, return_inverse=True)
         for number in range(len(tiles)):
             part = used[tile == number]
             _add_outlines(self.tiles, outlines[part], low[part], size[part])

@@ -6,10 +6,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from jaxdet.config import Config
+from jaxdet.elementary import matmul
 from jaxdet.errors import FrameStatus
 from jaxdet.floor.plane import plane_in_color
 from jaxdet.floor.units import FloorFit, floor_fit
-from jaxdet.io.motion import quaternions
+from jaxdet.io.motion import inverse, quaternions
 from jaxdet.results.free_floor import Polygons, free_columns, free_floor, no_free_columns
 from jaxdet.results.lists import Lists
 from jaxdet.results.metric import (
@@ -223,7 +224,7 @@ def _of_color_camera(batch: "Batch") -> "Batch":
     name = batch.color_frame or batch.camera_frame
     if motion is None or frames.T_world_camera is None:
         return batch._replace(camera_frame=name)
-    poses = frames.T_world_camera @ np.linalg.inv(motion.T)
+    poses = matmul(frames.T_world_camera, inverse(motion.T))
     return batch._replace(frames=frames._replace(T_world_camera=poses), camera_frame=name)
 
 

@@ -5,6 +5,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxdet.elementary import hypot
+
 
 class Mover(NamedTuple):
     """A track in a frame, shown or not."""
@@ -47,6 +49,6 @@ def _mover(track: Mapping[str, Any], point: int) -> Mover:
     path = track["path"]
     point = min(point, len(path) - 1)
     way = path[min(point + 1, len(path) - 1)] - path[max(point - 1, 0)]
-    velocity = track["speed_mps"][point] * way / max(float(np.hypot(*way)), 1e-9)
+    velocity = track["speed_mps"][point] * way / max(float(hypot(*way)), 1e-9)
     about = track["track"], track["in_world"], track["moving"]
     return Mover(*about, path[: point + 1], velocity)

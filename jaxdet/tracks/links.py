@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxdet.elementary import hypot, log
 from jaxdet.tracks.config import TrackConfig
 from jaxdet.tracks.hidden import unseen
 from jaxdet.tracks.outlines import Outlines, displacement, gap
@@ -58,7 +59,7 @@ def _frame_cost(
     one, other = things.outline.take(a), things.outline.take(b)
     gap_s = (things.stamp_ns[b] - things.stamp_ns[a]) * 1e-9
     moved = np.maximum(displacement(one, other), displacement(other, one))
-    middle = np.hypot(*(other.center - one.center).T)
+    middle = hypot(*(other.center - one.center).T)
     reach = config.gate_m + config.max_speed_mps * gap_s
     near = (moved < reach) & (gap_s > 0) & (gap_s <= config.max_gap_s)
     near &= middle < reach + np.abs(one.half - other.half).max(axis=1, initial=0)
@@ -66,7 +67,7 @@ def _frame_cost(
 
 
 def _stretch(a: Outlines, b: Outlines) -> np.ndarray:
-    return np.abs(np.log(np.maximum(a.area, 1e-4) / np.maximum(b.area, 1e-4)))
+    return np.abs(log(np.maximum(a.area, 1e-4) / np.maximum(b.area, 1e-4)))
 
 
 def end_pieces(things: Things, before: np.ndarray, first: int, config: TrackConfig) -> np.ndarray:

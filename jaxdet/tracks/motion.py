@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxdet.elementary import hypot
 from jaxdet.tracks.config import TrackConfig
 from jaxdet.tracks.hidden import unseen
 from jaxdet.tracks.pairs import ranges
@@ -61,7 +62,7 @@ def motion_of(
     line, slope = _fitted(track, time, edges, weight, config.smooth_s)
     velocity = _middle(slope)
     # Over a few frames noise alone can be such a speed.
-    possible = _medians(np.hypot(*velocity.T), track, starts) <= config.max_speed_mps
+    possible = _medians(hypot(*velocity.T), track, starts) <= config.max_speed_mps
     moving = _moves(line, edges, weight, starts, track, usual, config) & possible
     velocity *= moving[track, None]
     return Motion(starts, _middle(line), velocity, moving)
@@ -114,7 +115,7 @@ def _moves(
     square = np.add.reduceat(weight[:, None] * (edges - line) ** 2, starts)
     noise = np.sqrt(square / np.add.reduceat(weight, starts)[:, None]).max(axis=1)
     far = np.maximum.reduceat(least, starts)
-    middle = np.maximum.reduceat(np.hypot(*(low + high).T) / 2, starts)
+    middle = np.maximum.reduceat(hypot(*(low + high).T) / 2, starts)
     short = (far > config.moving_m / 2) & (middle > np.maximum(config.moving_m, 1.2 * noise))
     long = (far > np.maximum(0.2 * size, 3 * noise)) & (far > config.moving_m)
     return np.where(usual <= config.long_m, short, long & (noise <= config.noise_m))

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from jaxdet.elementary import cos, dot
 from jaxdet.tracks.outlines import Outlines
 from jaxdet.tracks.things import Things
 
@@ -44,7 +45,7 @@ def obstacles_seen(
     across = np.stack([columns["x_min"], columns["x_max"]], axis=1).astype(np.float64)
     rightwards = _rightwards(columns["corners_ground"], world, known) * _across(roll_rad)[:, None]
     distance = columns["distance_m"].astype(np.float64)
-    weight = 1 / (1 + (distance / NOISE_M) ** 4)
+    weight = 1 / (1 + ((distance / NOISE_M) ** 2) ** 2)
     bottom, top = (columns[name].astype(np.float64) for name in ("bottom_m", "top_m"))
     one = np.ones(len(frame), np.int64)
     return Things(
@@ -56,9 +57,9 @@ def obstacles_seen(
 def _rightwards(ground: np.ndarray, world: np.ndarray, known: np.ndarray) -> np.ndarray:
     """``(N, 2)``, the ground frame's right in that of the outlines, from their diagonals."""
     one, other = (c.astype(np.float64)[:, 4:6] - c[:, :2] for c in (ground, world))
-    length = np.maximum((one * one).sum(axis=1), 1e-12)
+    length = np.maximum(dot(one, one), 1e-12)
     # The ground frame is right-handed with x right, y forward: the turn takes one to the other.
-    cos = (one * other).sum(axis=1) / length
+    cos = dot(one, other) / length
     sin = (one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]) / length
     return np.where(known[:, None], np.stack([cos, sin], axis=1), (1.0, 0.0))
 
@@ -69,5 +70,5 @@ def _across(roll_rad: np.ndarray) -> np.ndarray:
     To the left they go in a camera that is upside down (rolled by 135 degrees or more), neither in
     one on its side (45 degrees or more).
     """
-    upright = np.cos(np.where(np.isnan(roll_rad), 0.0, roll_rad))
-    return np.where(np.abs(upright) > np.cos(np.pi / 4), np.sign(upright), 0.0)
+    upright = cos(np.where(np.isnan(roll_rad), 0.0, roll_rad))
+    return np.where(np.abs(upright) > cos(np.pi / 4), np.sign(upright), 0.0)

@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxdet.elementary import dot
 from jaxdet.tracks.config import TrackConfig
 from jaxdet.tracks.outlines import Outlines, gap, overlap, turned
 from jaxdet.tracks.pairs import components, pairs_in_frames
@@ -113,7 +114,7 @@ def _joined(seen: Things, thing: np.ndarray, lead: np.ndarray) -> Things:
     shift = seen.outline.center - middle[thing]
     center, half = middle.copy(), np.empty((count, 2))
     for side, way in enumerate((axis, turned(axis))):
-        along, reach = (shift * way[thing]).sum(axis=1), seen.outline.reach(way[thing])
+        along, reach = dot(shift, way[thing]), seen.outline.reach(way[thing])
         low, high = np.full(count, np.inf), np.full(count, -np.inf)
         np.minimum.at(low, thing, along - reach)
         np.maximum.at(high, thing, along + reach)

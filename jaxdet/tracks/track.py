@@ -5,6 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxdet import elementary
+from jaxdet.elementary import median
 from jaxdet.tracks.things import Things
 
 
@@ -78,7 +80,7 @@ def piece_of(
     """
     moving = bool(speed.any())
     # Which side of an outline is its first one changes from frame to frame.
-    shorter, longer = 2 * np.median(np.sort(seen.outline.half, axis=1), axis=0)
+    shorter, longer = 2 * median(np.sort(seen.outline.half, axis=1), axis=0)
     top = seen.top_m[~np.isnan(seen.top_m)]
     return Piece(
         bool(seen.in_world[0]),
@@ -91,9 +93,9 @@ def piece_of(
         moving,
         float(longer),
         float(shorter),
-        float(np.median(top)) if len(top) else float("nan"),
+        float(median(top)) if len(top) else float("nan"),
         len(numbers),
-        way if moving else np.median(way, axis=0)[None],
+        way if moving else median(way, axis=0)[None],
         (speed if moving else speed[:1]).astype(np.float32),
     )
 
@@ -111,13 +113,13 @@ def track_of(number: int, pieces: Sequence[Piece]) -> Track:
         speed = np.concatenate([np.broadcast_to(p.speed, p.num_frames) for p in pieces])
     else:
         points = np.concatenate([piece.path for piece in pieces])
-        path = np.average(points, axis=0, weights=seen)[None]
+        path = elementary.mean(points, seen)[None]
         speed = np.zeros(1, np.float32)
 
     def mean(name: str) -> float:
         values = np.array([getattr(piece, name) for piece in pieces])
         known = ~np.isnan(values)
-        return float(np.average(values[known], weights=seen[known])) if known.any() else np.nan
+        return float(elementary.mean(values[known], seen[known])) if known.any() else np.nan
 
     return Track(
         number,
@@ -129,7 +131,7 @@ def track_of(number: int, pieces: Sequence[Piece]) -> Track:
         sum(piece.seen for piece in pieces),
         sum(piece.obstacles for piece in pieces),
         moving,
-        float(speed.mean(dtype=np.float64)),
+        float(elementary.mean(speed)),
         float(speed.max()),
         mean("length_m"),
         mean("width_m"),

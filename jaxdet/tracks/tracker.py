@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from jaxdet.elementary import hypot
 from jaxdet.tracks.config import TrackConfig
 from jaxdet.tracks.hidden import hide_sides
 from jaxdet.tracks.links import end_pieces, link_frames, link_tracklets
@@ -176,7 +177,7 @@ class Tracker:
         first = np.flatnonzero(np.diff(self.chain[rows], prepend=-1))
         things = self.things.take(rows)
         motion = motion_of(things, first, self.stamps, self.start, self.config)
-        speed = np.hypot(*motion.velocity.T)
+        speed = hypot(*motion.velocity.T)
         lasts = np.append(first[1:], len(rows))
         for k, chain in enumerate(self.chain[rows[first]].tolist()):
             frame = things.frame[first[k] : lasts[k]]

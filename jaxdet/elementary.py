@@ -1,0 +1,227 @@
+"""Functions of real numbers whose results are the same on every machine, bit for bit.
+
+NumPy and the C library choose their sine, logarithm or power by the features of the CPU, BLAS its
+matrix product, and the versions differ in the last bits. Everything that reaches a table or
+decides something is computed by these functions instead. They consist of float64 additions,
+subtractions, products, quotients and square roots in the order in which they are written, each
+rounded to nearest (IEEE 754), of comparisons, and of scaling by powers of two. NumPy evaluates one
+operation per call, so none is fused with the next.
+
+All take numbers or arrays of any shape, and compute in float64.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+_HALF_PI = 1.5707963267341256, 6.077100506303966e-11, 2.0222662487959506e-21
+"""π/2 as a sum; the first two have 33 bits, so their products with 20 bits are exact."""
+_FARTHEST = 2.0**20 * 1.57
+"""Largest angle that is reduced so [rad]."""
+_SIGNS = np.array([1.0, 1.0, -1.0, -1.0, 1.0])
+"""Signs of the sine by quarter of a turn; those of the cosine from the next one on."""
+_PI_LOW = 1.2246467991473532e-16
+"""π less its float64."""
+_LN2 = 0.6931471803691238, 1.9082149292705877e-10
+"""ln 2 as a sum; the first has 32 bits."""
+_SIN = tuple((-1) ** k / math.factorial(2 * k + 1) for k in range(8, 0, -1))
+_COS = tuple((-1) ** k / math.factorial(2 * k) for k in range(8, 1, -1))
+_LOG = tuple(2 / (2 * k + 1) for k in range(10, 0, -1))
+
+
+def sin(x: ArrayLike) -> np.ndarray:
+    """Sine of angles [rad], within 1 ulp.
+
+    Off angles of more than 1.6 million, whole turns of 2π as rounded to float64 are taken first.
+    Infinities give NaN, zeros of both signs 0.
+
+    Example:
+        >>> sin([0.0, np.pi / 6, np.pi / 2]).round(15).tolist()
+        [0.0, 0.5, 1.0]
+    """
+    return sin_cos(x)[0]
+
+
+def cos(x: ArrayLike) -> np.ndarray:
+    """Cosine of angles [rad], within 1.1 ulp, see :func:`sin`."""
+    return sin_cos(x)[1]
+
+
+def sin_cos(x: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+    """Sine and cosine of angles [rad], see :func:`sin`.
+
+    The angle is reduced to an eighth of a turn or less, as a sum of two numbers (Cody and Waite
+    1980); there both functions are their Taylor series.
+    """
+    x = np.asarray(x, np.float64)
+    if not np.all(np.abs(x) <= _FARTHEST):
+        finite = np.isfinite(x)
+        near = np.where(finite, x, 0.0)
+        both = sin_cos(np.where(np.abs(near) > _FARTHEST, np.fmod(near, 2 * np.pi), near))
+        sine, cosine = (np.where(finite, values, np.nan) for values in both)
+        return sine, cosine
+    turns = np.rint(x * (2 / np.pi))
+    rest, shift = x - turns * _HALF_PI[0], turns * _HALF_PI[1]
+    high = rest - shift
+    low = (rest - high) - shift - turns * _HALF_PI[2]
+    angle = high + low
+    low = (high - angle) + low
+
+    square = angle * angle
+    half = square / 2
+    s = angle + (low * (1 - half) + angle * square * _polynomial(_SIN, square))
+    c = 1 - half
+    c = c + (((1 - c) - half) + (square * square * _polynomial(_COS, square) - angle * low))
+    quarter = turns.astype(np.int64) & 3
+    odd = quarter & 1 == 1
+    return np.where(odd, c, s) * _SIGNS[quarter], np.where(odd, s, c) * _SIGNS[quarter + 1]
+
+
+def arctangent(x: np.ndarray) -> np.ndarray:
+    """Arc tangent of ``x >= 0``, ``(...)`` float64, within 2 ulp.
+
+    A rational approximation (Cephes ``atan.c``, S. Moshier), the same as in the kernels.
+
+    Example:
+        >>> float(arctangent(np.array([1.0]))[0] * 4)
+        3.141592653589793
+    """
+    large, middle = x > 2.414213562373095, x > 0.66
+    offset = np.where(large, np.pi / 2, np.where(middle, np.pi / 4, 0.0))
+    above = np.where(large, -1.0, np.where(middle, x - 1.0, x))
+    t = above / np.where(large, x, np.where(middle, x + 1.0, 1.0))
+    z = t * t
+    return offset + (t * (z * _polynomial(_ATAN_P, z) / _polynomial(_ATAN_Q, z)) + t)
+
+
+_ATAN_P = (
+    -8.750608600031904122785e-1,
+    -1.615753718733365076637e1,
+    -7.500855792314704667340e1,
+    -1.228866684490136173410e2,
+    -6.485021904942025371773e1,
+)
+_ATAN_Q = (
+    1.0,
+    2.485846490142306297962e1,
+    1.650270098316988542046e2,
+    4.328810604912902668951e2,
+    4.853903996359136964868e2,
+    1.945506571482613964425e2,
+)
+
+
+def arctan2(y: ArrayLike, x: ArrayLike) -> np.ndarray:
+    """Angle of the vectors ``(x, y)`` from the x axis, from -π to π [rad], within 2 ulp.
+
+    Signed zeros, infinities and NaN are treated as by :func:`numpy.arctan2`.
+
+    Example:
+        >>> arctan2([1.0, 0.0, -0.0], [1.0, -1.0, -1.0]).tolist()
+        [0.7853981633974483, 3.141592653589793, -3.141592653589793]
+    """
+    y, x = np.asarray(y, np.float64), np.asarray(x, np.float64)
+    rise, run = np.abs(y), np.abs(x)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore", under="ignore"):
+        slope = rise / run
+    slope = np.where(rise == run, np.where(rise > 0, 1.0, 0.0), slope)  # both 0 or infinite too
+    angle = arctangent(slope)
+    return np.copysign(np.where(np.signbit(x), np.pi - (angle - _PI_LOW), angle), y)
+
+
+def hypot(x: ArrayLike, y: ArrayLike) -> np.ndarray:
+    """Length of the vectors ``(x, y)``, within 1 ulp, without overflow on the way.
+
+    Example:
+        >>> hypot([3.0, 3e300], [4.0, 4e300]).tolist()
+        [5.0, 5e+300]
+    """
+    x, y = np.abs(np.asarray(x, np.float64)), np.abs(np.asarray(y, np.float64))
+    most = np.maximum(x, y)
+    scale = np.where(most > 2.0**500, 2.0**-600, np.where(most < 2.0**-500, 2.0**600, 1.0))
+    x, y = x * scale, y * scale
+    return np.sqrt(x * x + y * y) / scale
+
+
+def log(x: ArrayLike) -> np.ndarray:
+    """Natural logarithm, within 1 ulp; -infinity of 0, NaN of negative numbers.
+
+    Of the fraction ``1 + f`` between √½ and √2 it is the series in ``s = f / (2 + f)``.
+
+    Example:
+        >>> log([1.0, 2.0, 0.0]).tolist()
+        [0.0, 0.6931471805599453, -inf]
+    """
+    x = np.asarray(x, np.float64)
+    regular = (x > 0) & (x < np.inf)
+    fraction, exponent = np.frexp(np.where(regular, x, 1.0))
+    low = fraction < math.sqrt(0.5)
+    f = np.where(low, 2 * fraction, fraction) - 1
+    k = np.where(low, exponent - 1, exponent).astype(np.float64)
+    s, half = f / (2 + f), f * f / 2
+    square = s * s
+    tail = s * (half + square * _polynomial(_LOG, square)) + k * _LN2[1]
+    found = k * _LN2[0] - ((half - tail) - f)
+    return np.where(regular, found, np.where(x == 0, -np.inf, np.where(x > 0, np.inf, np.nan)))
+
+
+def dot(a: ArrayLike, b: ArrayLike) -> np.ndarray:
+    """Scalar product along the last axis, added from the first component to the last."""
+    a, b = np.asarray(a), np.asarray(b)
+    found = a[..., 0] * b[..., 0]
+    for i in range(1, a.shape[-1]):
+        found = found + a[..., i] * b[..., i]
+    return found
+
+
+def norm(a: ArrayLike) -> np.ndarray:
+    """Length along the last axis: the square root of :func:`dot` of vectors with themselves."""
+    return np.sqrt(dot(a, a))
+
+
+def matmul(a: ArrayLike, b: ArrayLike) -> np.ndarray:
+    """Product of matrices ``(..., N, K)`` and ``(..., K, M)``, added from the first term on.
+
+    Example:
+        >>> matmul([[1.0, 2.0], [3.0, 4.0]], [[1.0, 0.0], [0.0, -1.0]]).tolist()
+        [[1.0, -2.0], [3.0, -4.0]]
+    """
+    a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)
+    found = a[..., :, :1] * b[..., :1, :]
+    for i in range(1, a.shape[-1]):
+        found = found + a[..., :, i : i + 1] * b[..., i : i + 1, :]
+    return found
+
+
+def mean(values: np.ndarray, weights: np.ndarray | None = None) -> np.ndarray:
+    """Mean along the first axis, weighted or not, added from the first value to the last.
+
+    Args:
+        values: ``(N, ...)``, ``N`` at least 1.
+        weights: ``(N,)``, not all 0.
+    """
+    values = np.asarray(values, np.float64)
+    if weights is None:
+        return np.add.accumulate(values, axis=0)[-1] / len(values)
+    weights = np.asarray(weights, np.float64)
+    shape = (-1,) + (1,) * (values.ndim - 1)
+    total = np.add.accumulate(weights.reshape(shape) * values, axis=0)[-1]
+    return total / np.add.accumulate(weights)[-1]
+
+
+def median(values: np.ndarray, axis: int | None = None) -> np.ndarray:
+    """Median, the mean of both middle values of an even number; never a negative zero.
+
+    Which of several equal values is in the middle depends on how NumPy sorts them, so the one
+    case in which equal values differ, a zero's sign, is taken away.
+    """
+    return np.median(values, axis=axis) + 0.0
+
+
+def _polynomial(coefficients: tuple[float, ...], x: np.ndarray) -> np.ndarray:
+    """Value of a polynomial by Horner's rule, the highest power's coefficient first."""
+    found = coefficients[0] * x + coefficients[1]
+    for c in coefficients[2:]:
+        found = found * x + c
+    return found
