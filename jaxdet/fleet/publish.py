@@ -1,0 +1,370 @@
+"""Publishing: complete results of a log or none, never mixed, however many attempts race or die.
+
+In a bucket::
+
+    RESULTS/run.json                          configuration and versions, created once
+    RESULTS/LOG/current.json                  which version holds, swapped by If-Match
+    RESULTS/LOG/VERSION/manifest.json         which attempt holds: put last, if absent
+    RESULTS/LOG/VERSION/ATTEMPT/...           a results folder as on one machine
+    RESULTS/LOG/VERSION/tracks.json, tracks-ATTEMPT/...    the same for its tracks
+    RESULTS/LOG/VERSION/attempts/ATTEMPT      begun and not ended
+    RESULTS/LOG/VERSION/failed.json           why there are no results
+
+``VERSION`` is a checksum of input, configuration, jaxdet's version and the last ``--overwrite``.
+Each attempt writes under its own name, so two can't mix even where their files differ, and one that
+finds the manifest or another ``current.json`` than at its begin removes its own files.
+
+In a folder a log has the one layout of local runs, renamed into place; ``.jaxdet/fleet`` notes
+which folder is of which version, before the rename.
+"""
+
+import hashlib
+import json
+import os
+import shutil
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from jaxdet.errors import InputError
+from jaxdet.fleet.place import Folder, Place, is_url, open_place
+from jaxdet.fleet.spool import is_dead, process, testify
+from jaxdet.results.durable import sha256, writing
+
+MANIFEST, FAILED, TRACKS, CURRENT = "manifest.json", "failed.json", "tracks.json", "current.json"
+MOST_KILLED = 3
+"""Processes that a log may kill."""
+MOST_LOST = 9
+"""Attempts without an end that nobody saw die, as their machine was lost with them, in a day."""
+_DAY_S = 86400.0
+_NOTES = ".jaxdet/fleet/"
+_UPLOADS = 8
+
+
+class Standing(NamedTuple):
+    """What a place holds of a log."""
+
+    state: str
+    """``new``; of this version ``whole`` or ``failed``; ``other``: results of another one."""
+    current: Mapping[str, Any] | None = None
+    """Content of ``current.json``."""
+    failure: Mapping[str, Any] = {}
+    """Content of ``failed.json``."""
+
+
+def open_results(url: str) -> "Results":
+    """Open a place for results."""
+    return BucketResults(open_place(url)) if is_url(url) else FolderResults(open_place(url))
+
+
+def version_of(record: str, files: Iterable[Any]) -> str:
+    """Return the name of a version: of a record's checksum and the files of a log."""
+    text = json.dumps([record, [list(file) for file in files]], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+class Results(ABC):
+    """Results of logs at a place."""
+
+    notes = ""
+    """Where attempts are noted."""
+
+    def __init__(self, place: Place) -> None:
+        self.place = place
+
+    @abstractmethod
+    def standing(self, name: str, version: str) -> Standing:
+        """Return what there is of a log."""
+
+    @abstractmethod
+    def stage(self, attempt: str, spool: Path) -> Path:
+        """Return where an attempt makes its results folder."""
+
+    @abstractmethod
+    def publish(
+        self, name: str, version: str, attempt: str, staged: Path, seen: Standing
+    ) -> str:
+        """Make a complete folder that of a log.
+
+        Args:
+            name: Name of the log.
+            version: Its version.
+            attempt: Name of the attempt.
+            staged: Folder with ``manifest.json``.
+            seen: What there was when the attempt began.
+
+        Returns:
+            ``done``; ``there``: another attempt was first; ``replaced``: a run of another version
+            was.
+        """
+
+    @abstractmethod
+    def fail(self, name: str, version: str, failure: Mapping[str, Any], seen: Standing) -> None:
+        """Note why a log has no results, unless it has some."""
+
+    @abstractmethod
+    def reopen(self, name: str, version: str) -> None:
+        """Forget that a log failed, and its attempts."""
+
+    def begin(self, name: str, version: str, attempt: str) -> str:
+        """Note an attempt; return the key of the note."""
+        key = f"{self.notes}{name}/{version}/attempts/{attempt}"
+        self.place.put(key, json.dumps({"process": process(), "time": time.time()}).encode())
+        return key
+
+    def end(self, key: str) -> None:
+        """Forget an attempt that ended, with results or without."""
+        self.place.delete([key])
+
+    def deaths(self, name: str, version: str) -> tuple[int, int]:
+        """Count the processes that a log killed, and attempts that were lost with a machine."""
+        killed = lost = 0
+        for entry in self.place.list(f"{self.notes}{name}/{version}/attempts/"):
+            found = self.place.get(entry.key)
+            record = json.loads(found[0]) if found else {"time": 0}
+            dead = record.get("killed") or (found and is_dead(record["process"]))
+            if dead and not record.get("killed"):
+                testify(self.place.url, entry.key)
+            killed += bool(dead)
+            lost += dead is None and time.time() - record["time"] < _DAY_S
+        return killed, lost
+
+
+class BucketResults(Results):
+    """Results in a bucket."""
+
+    def standing(self, name: str, version: str) -> Standing:
+        current = self._json(f"{name}/{CURRENT}")
+        base = f"{name}/{version}"
+        if current and current["version"] == version and current["state"] == "whole":
+            return Standing("whole", current)
+        if self._json(f"{base}/{MANIFEST}"):  # an attempt died before it wrote current.json
+            state = "whole" if self._point(name, version, current) else "other"
+            return Standing(state, self._json(f"{name}/{CURRENT}"))
+        if failure := self._json(f"{base}/{FAILED}"):
+            return Standing("failed", current, failure)
+        other = current and current["version"] != version
+        return Standing("other" if other else "new", current)
+
+    def stage(self, attempt: str, spool: Path) -> Path:
+        return spool / "results"
+
+    def publish(
+        self, name: str, version: str, attempt: str, staged: Path, seen: Standing
+    ) -> str:
+        base = f"{name}/{version}"
+        first = self._upload(base, attempt, staged, None, MANIFEST)
+        if not self._point(name, version, seen.current):
+            self._clear(f"{base}/{attempt}/")
+            return "replaced"
+        if first:
+            self._clear(f"{base}/", keep=(f"{attempt}/", "tracks", MANIFEST))
+            if seen.current and seen.current["version"] != version:
+                self._clear(f"{name}/{seen.current['version']}/")
+        return "done" if first else "there"
+
+    def publish_tracks(self, name: str, version: str, attempt: str, staged: Path) -> None:
+        """Add the tracks of a log, which are whatever its manifest doesn't list."""
+        known = json.loads((staged / MANIFEST).read_text(encoding="utf-8"))["files"]
+        paths = [path for path in _files(staged) if path not in {*known, MANIFEST}]
+        self._upload(f"{name}/{version}", f"tracks-{attempt}", staged, paths, TRACKS)
+
+    def has_tracks(self, name: str, version: str) -> bool:
+        """Whether a log has tracks."""
+        return self._json(f"{name}/{version}/{TRACKS}") is not None
+
+    def fail(self, name: str, version: str, failure: Mapping[str, Any], seen: Standing) -> None:
+        self.place.put(f"{name}/{version}/{FAILED}", _bytes(failure))
+        self._point(name, version, seen.current)
+
+    def reopen(self, name: str, version: str) -> None:
+        base = f"{name}/{version}"
+        noted = self.place.list(f"{base}/attempts/")
+        self.place.delete([*(entry.key for entry in noted), f"{base}/{FAILED}"])
+
+    def files(self, name: str) -> dict[str, str]:
+        """Return the keys of a log's files by their names in its folder; empty: it has none."""
+        current = self._json(f"{name}/{CURRENT}")
+        if not current or current["state"] != "whole":
+            return {}
+        base = f"{name}/{current['version']}"
+        found = {}
+        for which in (MANIFEST, TRACKS):
+            manifest = self._json(f"{base}/{which}") or {"files": {}}
+            found |= {file: f"{base}/{manifest['attempt']}/{file}" for file in manifest["files"]}
+        return found
+
+    def _upload(
+        self, base: str, attempt: str, staged: Path, names: list[str] | None, manifest: str
+    ) -> bool:
+        """Put files and, last and if absent, their manifest; else remove them again."""
+        names = _files(staged) if names is None else names
+        about = {
+            name: {"size": (staged / name).stat().st_size, "sha256": sha256(staged / name)}
+            for name in names
+        }
+        with ThreadPoolExecutor(_UPLOADS) as pool:
+            puts = [
+                pool.submit(self.place.put, f"{base}/{attempt}/{name}", staged / name)
+                for name in names
+            ]
+            for put in puts:
+                put.result()
+        content = _bytes({"attempt": attempt, "files": about})
+        if self.place.create(f"{base}/{manifest}", content):
+            return True
+        self._clear(f"{base}/{attempt}/")
+        return False
+
+    def _point(self, name: str, version: str, seen: Mapping[str, Any] | None) -> bool:
+        """Swap ``current.json`` to a version; False: it is of neither this one nor ``seen``."""
+        key = f"{name}/{CURRENT}"
+        while True:
+            found = self.place.get(key)
+            before = json.loads(found[0]) if found else None
+            if before and before["version"] != version and before != seen:
+                return False
+            manifest = self._json(f"{name}/{version}/{MANIFEST}")
+            state = {"state": "failed"}
+            if manifest:
+                state = {"state": "whole", "attempt": manifest["attempt"]}
+            now = {"version": version, **state}
+            if before == now:
+                return True
+            content = _bytes(now)
+            if self.place.swap(key, content, found[1]) if found else self.place.create(key, content):
+                return True
+
+    def _json(self, key: str) -> dict[str, Any] | None:
+        found = self.place.get(key)
+        return json.loads(found[0]) if found else None
+
+    def _clear(self, prefix: str, keep: tuple[str, ...] = ()) -> None:
+        kept = tuple(prefix + name for name in keep)
+        keys = (entry.key for entry in self.place.list(prefix))
+        self.place.delete([key for key in keys if not (kept and key.startswith(kept))])
+
+
+class FolderResults(Results):
+    """Results in a folder that several processes or machines share."""
+
+    notes = _NOTES
+    place: Folder
+
+    def standing(self, name: str, version: str) -> Standing:
+        for file, state in ((MANIFEST, "whole"), (FAILED, "failed")):
+            found = self.place.get(f"{name}/{file}")
+            if found is None:
+                continue
+            if self.place.get(self._note(name, version, found[0])) is None:
+                return Standing("other")
+            return Standing(state, None, json.loads(found[0]) if file == FAILED else {})
+        return Standing("new")
+
+    def stage(self, attempt: str, spool: Path) -> Path:
+        parent = self.place.root / _NOTES / "staged"
+        with writing(parent):
+            parent.mkdir(parents=True, exist_ok=True)
+            for left in parent.iterdir():
+                if is_dead(left.name):
+                    shutil.rmtree(left, ignore_errors=True)
+        return parent / f"{process()}-{attempt}"
+
+    def publish(
+        self, name: str, version: str, attempt: str, staged: Path, seen: Standing
+    ) -> str:
+        return self._place(name, version, staged, MANIFEST)
+
+    def fail(self, name: str, version: str, failure: Mapping[str, Any], seen: Standing) -> None:
+        staged = self.stage("failed", Path())
+        with writing(staged):
+            staged.mkdir()
+            (staged / FAILED).write_bytes(_bytes(failure))
+        self._place(name, version, staged, FAILED)
+
+    def reopen(self, name: str, version: str) -> None:
+        noted = self.place.list(f"{_NOTES}{name}/{version}/")
+        self.place.delete([entry.key for entry in noted])
+
+    def _place(self, name: str, version: str, staged: Path, file: str) -> str:
+        self.place.put(self._note(name, version, (staged / file).read_bytes()), b"")
+        target = self.place.root / name
+        try:
+            while True:
+                with writing(target):
+                    if rename_if_absent(staged, target):
+                        return "done"
+                    if self.standing(name, version).state in ("whole", file == FAILED and "failed"):
+                        return "there"
+                    exchange(staged, target)
+        finally:
+            shutil.rmtree(staged, ignore_errors=True)
+
+    def _note(self, name: str, version: str, content: bytes) -> str:
+        return f"{_NOTES}{name}/{version}/{hashlib.sha256(content).hexdigest()[:16]}"
+
+
+def rename_if_absent(staged: Path, target: Path) -> bool:
+    """Rename a folder; False: there is one with files at its place."""
+    try:
+        os.rename(staged, target)
+    except OSError:
+        if target.is_dir():
+            return False
+        raise
+    return True
+
+
+def result_files(url: str, name: str = "obstacles.parquet") -> list[str]:
+    """Return the addresses of one file of every log with results, for readers of tables.
+
+    Args:
+        url: Place of results.
+        name: Name of the file in a log's folder.
+    """
+    results = open_results(url)
+    if not isinstance(results, BucketResults):
+        return sorted(str(path) for path in Path(results.place.url).glob(f"*/{name}"))
+    with ThreadPoolExecutor(32) as pool:
+        found = pool.map(results.files, _names(results.place))
+        return [f"{results.place.url}/{files[name]}" for files in found if name in files]
+
+
+def download(url: str, name: str, folder: Path) -> Path:
+    """Copy the results of one log from a bucket into ``folder``, as a local run leaves them.
+
+    Raises:
+        InputError: There are none, or they were replaced meanwhile.
+    """
+    results = open_results(url)
+    assert isinstance(results, BucketResults)
+    files = results.files(name)
+    if not files:
+        raise InputError("has no results", path=f"{url}/{name}")
+    for file, key in sorted(files.items(), key=lambda item: item[0] == MANIFEST):
+        found = results.place.get(key)
+        if found is None:
+            raise results.place.replaced(key)
+        with writing(folder / file):
+            (folder / file).parent.mkdir(parents=True, exist_ok=True)
+            (folder / file).write_bytes(found[0])
+    return folder
+
+
+def _names(place: Place) -> list[str]:
+    return sorted(
+        entry.key.partition("/")[0] for entry in place.list() if entry.key.endswith(f"/{CURRENT}")
+    )
+
+
+def _files(folder: Path) -> list[str]:
+    """Return the files of a folder, by name."""
+    paths = (path for path in folder.rglob("*") if path.is_file())
+    return sorted(path.relative_to(folder).as_posix() for path in paths)
+
+
+def _bytes(value: Mapping[str, Any]) -> bytes:
+    return (json.dumps(value, indent=1, sort_keys=True) + "\n").encode()
