@@ -280,7 +280,7 @@ class ObstacleConfig:
     min_size_m: float = 0.05
     """Obstacles are at least so wide or so high [m]."""
     min_cells: int = 8
-    """And show so many cells in the colour image."""
+    """Minimum number of depth cells."""
 
     def __post_init__(self) -> None:
         check_fields(self)

@@ -156,15 +156,14 @@ class FrameError(JaxdetError):
 
 
 class FrameStatus(StrEnum):
-    """What became of a depth image (the ``status`` column of the results)."""
+    """What became of a frame, a depth image (the ``status`` column of the results)."""
 
     OK = "ok"
     """Detected; the obstacle rows are complete."""
     NO_DEPTH = "no_depth"
-    """It has no measurement in range, so nothing can be said."""
+    """The depth image has no measurement in range, so nothing can be detected."""
     NO_COLOR = "no_color"
-    """Only in the preset ``paper``: no colour image lies within the pairing tolerance, or it could
-    not be decoded."""
+    """Preset ``paper``: no colour image near enough in time can be used."""
     DECODE_ERROR = "decode_error"
     """The depth image could not be decoded."""
     BAD_CALIBRATION = "bad_calibration"

@@ -33,7 +33,7 @@ def rotation(x: float, y: float, z: float) -> tuple[float, ...]:
 D435_DEPTH = Intrinsics(640, 480, 390.4315, 390.4315, 331.3879, 242.1873)
 D435_COLOR = Intrinsics(640, 480, 613.2037, 613.4193, 319.9388, 239.183)
 D435_MOTION = Extrinsics(rotation(0.0, 0.74, 0.59), (0.01431131, 0.00060231, 0.0006108))
-D435 = Calibration(D435_COLOR, D435_DEPTH, D435_MOTION)
+D435 = Calibration(D435_DEPTH, D435_COLOR, D435_MOTION)
 
 
 def resized(camera: Intrinsics, width: int, height: int) -> Intrinsics:
@@ -46,7 +46,7 @@ def resized(camera: Intrinsics, width: int, height: int) -> Intrinsics:
 def small(width: int = 80, height: int = 60, color_scale: float = 1.0) -> Calibration:
     """A D435-like calibration of small images."""
     color = resized(D435_COLOR, round(width * color_scale), round(height * color_scale))
-    return Calibration(color, resized(D435_DEPTH, width, height), D435_MOTION)
+    return Calibration(resized(D435_DEPTH, width, height), color, D435_MOTION)
 
 
 LENSES = {
@@ -103,9 +103,9 @@ def level(batch: int, height: float = 0.4, pitch: float = 0.0, roll: float = 0.0
 
 def frames(calibration: Calibration, color: np.ndarray, depth: np.ndarray, **rest) -> Frames:
     """A batch without poses."""
-    number = np.arange(len(color), dtype=np.int64)
-    valid = np.ones(len(color), bool)
-    return Frames(color, depth, calibration, number, number, number, valid, **rest)
+    number = np.arange(len(depth), dtype=np.int64)
+    valid = np.ones(len(depth), bool)
+    return Frames(depth, calibration, number, number, valid, color, **rest)
 
 
 def points(x, z, kept=None) -> Features:

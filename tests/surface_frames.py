@@ -19,7 +19,8 @@ from jaxdet.reference._floor import find_floor
 from jaxdet.reference._view import View
 from jaxdet.sim import HARD_FAMILIES, sample_frames
 from jaxdet.sim.config import calibration_of
-from jaxdet.types import Calibration, Cells, GroundPlane
+from jaxdet.types import Calibration, Cells, GroundPlane, Intrinsics
+from tests.scenes import D435_MOTION
 
 SURFACES = Config()
 
@@ -29,7 +30,12 @@ class Batch(NamedTuple):
 
     grid: Cells
     found: list[Found]
-    unit: float = 0.001
+    calibration: Calibration
+
+    @property
+    def unit(self) -> float:
+        """Metres in one depth unit."""
+        return self.calibration.depth_unit
 
     @property
     def label(self) -> np.ndarray:
@@ -56,7 +62,7 @@ def batch_of(depth: np.ndarray, calibration: Calibration, plane: GroundPlane, co
     fit = find_floor(grid.x, grid.y, grid.z, plane, config.floor, unit)
     floors, step = floor_frames(fit.plane, unit), step_height(calibration, config)
     found = [_group(grid, b, floor, step, unit, config) for b, floor in enumerate(floors)]
-    return Batch(grid, found, unit)
+    return Batch(grid, found, calibration)
 
 
 @lru_cache(maxsize=16)
@@ -89,10 +95,19 @@ def recorded_config(name: str) -> Config:
     return preset("tabletop" if name == "mosd" else "wheeled")
 
 
+def grid_calibration(rows: int, columns: int) -> Calibration:
+    """A camera with so many cells, and a colour camera that sees a part of them."""
+    side, focal = 3, 3 / SURFACES.surface.cell_rad
+    width, height = columns * side, rows * side
+    depth = Intrinsics(width, height, focal, focal, width / 2, height / 2)
+    color = Intrinsics(width, height, 2 * focal, 2 * focal, width / 2, height / 2)
+    return Calibration(depth, color, D435_MOTION)
+
+
 def drawn(
     shape: tuple[int, int, int], obstacles: int, seed: int, reach: int = 300000, block: int = 2
 ) -> Batch:
-    """Random frames whose obstacles are of square blocks, each seen in the colour image.
+    """Return random frames whose obstacles are made of square blocks.
 
     Args:
         shape: ``(B, R, C)``.
@@ -109,20 +124,15 @@ def drawn(
     label = label.repeat(block, axis=1).repeat(block, axis=2)[:, :rows, :columns].clip(-1)
     x, y, right, forward, height = rng.integers(-reach, reach + 1, (5, *shape))
     z = rng.integers(0, 65536, shape)
-    in_view = rng.random(shape) < 0.6
     for b in range(batch):
         _, inverse = np.unique(np.append(label[b].ravel(), -1), return_inverse=True)
         label[b] = inverse[:-1].reshape(rows, columns) - 1
-        for number in range(label[b].max() + 1):
-            places = np.argwhere(label[b] == number)
-            in_view[b][tuple(rng.choice(places))] = True
-    uv = np.sort(rng.integers(0, 2000, (2, *shape, 2)), axis=0).astype(np.int16)
     xyz = np.stack([x, y, z]).astype(np.int32)
     low = (label < 0) & (rng.random(shape) < 0.8)
-    places = (right, forward, height, in_view)
+    places = (right, forward, height)
     views = [View(x[b], y[b], z[b], *(a[b] for a in places)) for b in range(batch)]
     found = [Found(label[b], label[b] >= 0, low[b], views[b], low[b], False) for b in range(batch)]
-    return Batch(Cells(*xyz, *uv, in_view), found)
+    return Batch(Cells(*xyz), found, grid_calibration(rows, columns))
 
 
 def with_floor(batch: Batch, seed: int, far: int, step: int) -> Batch:

@@ -11,6 +11,7 @@ from jaxdet.types import Calibration, Extrinsics, Intrinsics
 from tests.goldens.make_rs_align import CASES, FILE
 from tests.scenes import (
     D435,
+    D435_COLOR,
     D435_MOTION,
     IDENTITY,
     LENSES,
@@ -69,14 +70,14 @@ def test_a_point_behind_the_colour_camera_is_dropped(backend):
     ahead = Extrinsics(IDENTITY, (0.0, 0.0, -2.0))
     depth = np.full((1, 3, 6), 1000, np.uint16)
     assert not np.asarray(
-        backend.align(depth, Calibration(still(0).color, still(0).color, ahead)).z
+        backend.align(depth, Calibration(still(0).depth, still(0).image, ahead)).z
     ).any()
 
 
 @BACKENDS
 def test_aligned_depth_is_passed_through(backend):
     depth = noise_depth(1, still(0).depth)
-    aligned = backend.align(depth, Calibration(still(0).color))
+    aligned = backend.align(depth, Calibration(still(0).depth))
     assert np.array_equal(aligned.depth, depth)
     assert np.array_equal(aligned.z, depth)
 
@@ -181,7 +182,7 @@ def test_twin_with_every_lens(device, lens, image):
 @pytest.mark.parametrize("size", [(640, 480), (848, 480)])
 def test_twin_at_full_size(device, batch, size):
     depth_camera = resized(D435.depth, *size)
-    calibration = Calibration(resized(D435.color, 640, 480), depth_camera, D435_MOTION)
+    calibration = Calibration(depth_camera, resized(D435_COLOR, 640, 480), D435_MOTION)
     depth = noise_depth(batch, depth_camera)
     assert_equal(stages.align(depth, calibration), reference.align(depth, calibration))
 
@@ -198,7 +199,7 @@ def test_twin_at_full_size(device, batch, size):
 )
 def test_twin_with_large_and_odd_images(device, lens, depth_size, color_size):
     color = with_lens(resized(D435.color, *color_size), lens)
-    calibration = Calibration(color, resized(D435.depth, *depth_size), TURNED)
+    calibration = Calibration(resized(D435.depth, *depth_size), color, TURNED)
     depth = smooth_depth(1, calibration.depth)
     depth[0, ::7, ::5] = 0
     aligned = stages.align(depth, calibration)

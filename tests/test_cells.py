@@ -11,7 +11,7 @@ from jaxdet.errors import CalibrationError
 from jaxdet.floor.plane import step_height
 from jaxdet.presets import preset
 from jaxdet.reference import align, cells
-from jaxdet.reference._cells import cover
+from jaxdet.reference._cells import cell_boxes
 from jaxdet.types import Calibration, Extrinsics, Intrinsics
 from tests.scenes import (
     D435,
@@ -53,11 +53,11 @@ def test_grid_of_whole_cells() -> None:
     assert grid.z.tolist() == [[[102, 700], [502, 0]]]
     assert grid.x.tolist() == [[[-1, 7], [-5, 0]]]  # (0.5 - 1.5) / 100 z, (2.5 - 1.5) / 100 z
     assert grid.y.tolist() == [[[-1, -7], [5, 0]]]
-    assert grid.uv_min.tolist() == [[[[0, 0], [2, 0]], [[0, 2], [0, 0]]]]
-    assert grid.uv_max.tolist() == [[[[1, 1], [3, 1]], [[1, 3], [0, 0]]]]
-    assert grid.in_view.tolist() == [[[True, True], [True, False]]]
-    assert {a.dtype.name for a in (grid.x, grid.y, grid.z)} == {"int32"}
-    assert {a.dtype.name for a in (grid.uv_min, grid.uv_max)} == {"int16"}
+    assert {a.dtype.name for a in grid} == {"int32"}
+    first, last, inside = cell_boxes(grid.z, Calibration(CAMERA), 2)
+    assert first.tolist() == [[[[0, 0], [2, 0]], [[0, 2], [0, 0]]]]
+    assert last.tolist() == [[[[1, 1], [3, 1]], [[1, 3], [0, 0]]]]
+    assert inside.tolist() == [[[True, True], [True, False]]]
 
 
 @pytest.mark.parametrize(
@@ -96,7 +96,7 @@ def test_the_step_height_grows_less_where_cells_have_more_pixels(
     steps = step_height(Calibration(camera), config).table
     assert cell_side(camera, THREE.cell_rad) == side
     assert (steps.shape, steps[0], steps[4000]) == ((65536,), 50, at_4_m)
-    apart = Calibration(D435_COLOR, camera, IDENTITY)
+    apart = Calibration(camera, D435_COLOR, D435_MOTION)
     np.testing.assert_array_equal(step_height(apart, config).table, steps)
     tenths = step_height(Calibration(camera, depth_unit=0.0001), config).table
     assert (tenths[0], tenths[40_000]) == (500, round(500 + 120 / side))
@@ -135,8 +135,8 @@ def test_depth_unit() -> None:
     assert cells(depth, coarse, TWO).z[0, 0, 0] == 9050
 
 
-def test_centre_is_moved_into_the_colour_camera() -> None:
-    """``P = R K_d^-1 p d + t`` in floating point, to the nearest depth unit."""
+def test_centre_lies_on_the_ray_of_the_middle() -> None:
+    """``P = d K^-1 p`` in floating point, to the nearest depth unit, whatever the colour camera."""
     depth = smooth_depth(1, D435_DEPTH)
     depth[0, :200] = 2000
     grid, side = cells(depth, D435, THREE), cell_side(D435_DEPTH, THREE.cell_rad)
@@ -145,8 +145,7 @@ def test_centre_is_moved_into_the_colour_camera() -> None:
     row, column = np.nonzero(flat)
     middle = np.stack([column, row, 0 * row]) * side + (side - 1) / 2
     middle[2] = 1.0
-    points = D435_MOTION.T[:3, :3] @ np.linalg.inv(D435_DEPTH.K) @ middle * 2000
-    points += 1000 * D435_MOTION.T[:3, 3:]
+    points = np.linalg.inv(D435_DEPTH.K) @ middle * 2000
     found = np.stack([grid.x[0][flat], grid.y[0][flat], grid.z[0][flat]])
     assert np.abs(found - points).max() <= 1.0
 
@@ -157,7 +156,6 @@ def test_box_holds_where_the_pixels_land(color_scale: float, turn: tuple) -> Non
     """Held against ``align``, alone in the image cell by cell; a turned cell's by a pixel."""
     motion = Extrinsics(rotation(*turn), (0.0143, 0.0006, 0.0006))
     calibration = small(color_scale=color_scale)._replace(color_from_depth=motion)
-    assert calibration.depth
     config = SurfaceConfig(cell_rad=4 / calibration.depth.fx)
     rng, slack, held = np.random.default_rng(3), int(any(turn)), 0
     for _ in range(60):
@@ -165,40 +163,45 @@ def test_box_holds_where_the_pixels_land(color_scale: float, turn: tuple) -> Non
         depth = np.zeros((1, 60, 80), np.uint16)
         depth[0, 4 * row : 4 * row + 4, 4 * column : 4 * column + 4] = rng.integers(300, 5000)
         hit = np.argwhere(align(depth, calibration).depth[0])[:, ::-1]
-        grid = cells(depth, calibration, config)
+        boxes = cell_boxes(cells(depth, calibration, config).z, calibration, 4)
+        first, last, inside = (part[0, row, column] for part in boxes)
         if len(hit):
-            assert grid.in_view[0, row, column]
-            assert (hit.min(axis=0) >= grid.uv_min[0, row, column] - slack).all()
-            assert (hit.max(axis=0) <= grid.uv_max[0, row, column] + slack).all()
-            tall, wide = grid.uv_max[0, row, column] - grid.uv_min[0, row, column]
+            assert inside
+            assert (hit.min(axis=0) >= first - slack).all()
+            assert (hit.max(axis=0) <= last + slack).all()
+            tall, wide = last - first
             assert max(tall, wide) <= 4 * 1.6 * color_scale + 2
             held += 1
     assert held > 15
 
 
 def test_cells_outside_of_the_colour_image() -> None:
-    """Depth sees wider than colour: places are known, but not in view."""
+    """Depth sees wider than colour: cells are measured, but have no box."""
     grid = cells(np.full((1, 480, 640), 1000, np.uint16), D435, THREE)
-    assert (grid.z > 900).all()
-    assert not grid.in_view[0, 0, 0]
-    assert grid.in_view[0, 80, 110]
-    u = D435_COLOR.fx * grid.x / grid.z + D435_COLOR.cx
-    v = D435_COLOR.fy * grid.y / grid.z + D435_COLOR.cy
+    assert (grid.z == 1000).all()
+    _, _, inside = cell_boxes(grid.z, D435, cell_side(D435_DEPTH, THREE.cell_rad))
+    assert not inside[0, 0, 0]
+    assert inside[0, 80, 110]
+    there = D435_MOTION.T[:3, :3] @ np.stack(grid).reshape(3, -1) + 1000 * D435_MOTION.T[:3, 3:]
+    x, y, z = there.reshape(3, *grid.z.shape)
+    u = D435_COLOR.fx * x / z + D435_COLOR.cx
+    v = D435_COLOR.fy * y / z + D435_COLOR.cy
     deep = (u > 6) & (u < 633) & (v > 6) & (v < 473)
     far = (u < -6) | (u > 646) | (v < -6) | (v > 486)
-    assert grid.in_view[deep].all()
-    assert not grid.in_view[far].any()
+    assert inside[deep].all()
+    assert not inside[far].any()
 
 
 @pytest.mark.parametrize("lens", ["pinhole", "inverse", "plumb_bob", "rational", "equidistant"])
-def test_cells_outside_of_the_lens_are_not_in_view(lens: str) -> None:
+def test_cells_outside_of_the_lens_have_no_box(lens: str) -> None:
     """As in ``align``: what the colour camera's lens model does not reach is not in its image."""
     assert lens in LENSES
     calibration = D435._replace(color=with_lens(D435_COLOR, lens))
     depth = np.zeros((1, 480, 640), np.uint16)
     depth[0, :30, :30] = 1000
     assert not align(depth, calibration).depth.any()
-    assert not cells(depth, calibration, THREE).in_view.any()
+    side = cell_side(D435_DEPTH, THREE.cell_rad)
+    assert not cell_boxes(cells(depth, calibration, THREE).z, calibration, side)[2].any()
 
 
 # laws
@@ -207,7 +210,6 @@ def test_cells_outside_of_the_lens_are_not_in_view(lens: str) -> None:
 @given(st.integers(0, 2**32 - 1))
 def test_batch_is_the_stack_of_singles(seed: int) -> None:
     calibration = small(41, 31)
-    assert calibration.depth
     depth = noise_depth(3, calibration.depth, seed)
     whole = cells(depth, calibration, SurfaceConfig(cell_rad=0.05))
     for b in range(3):
@@ -243,8 +245,9 @@ def test_a_mirrored_image_has_mirrored_cells() -> None:
     other = cells(depth[:, :, ::-1], Calibration(camera), config)
     np.testing.assert_array_equal(other.z, one.z[:, :, ::-1])
     assert np.abs(other.x + one.x[:, :, ::-1]).max() <= 1
-    seen, mirrored = other.in_view, 23 - one.uv_max[:, :, ::-1, 0]
-    np.testing.assert_array_equal(other.uv_min[seen, 0], mirrored[seen])
+    first, _, seen = cell_boxes(other.z, Calibration(camera), 3)
+    _, last, _ = cell_boxes(one.z, Calibration(camera), 3)
+    np.testing.assert_array_equal(first[seen, 0], 23 - last[:, :, ::-1, 0][seen])
 
 
 # edges
@@ -253,8 +256,8 @@ def test_a_mirrored_image_has_mirrored_cells() -> None:
 @pytest.mark.parametrize("calibration", [D435, Calibration(D435_COLOR)])
 def test_no_depth_at_all(calibration: Calibration) -> None:
     grid = cells(np.zeros((2, 480, 640), np.uint16), calibration, THREE)
-    assert not grid.in_view.any()
-    assert not np.concatenate([grid.x, grid.y, grid.z]).any()
+    assert not np.concatenate(grid).any()
+    assert not cell_boxes(grid.z, calibration, 3)[2].any()
 
 
 @pytest.mark.parametrize(("width", "height"), [(1280, 720), (639, 479), (7, 5), (1, 1)])
@@ -266,8 +269,9 @@ def test_sizes(width: int, height: int) -> None:
     for calibration in (Calibration(camera), Calibration(camera, camera, motion)):
         grid = cells(np.full((1, height, width), 800, np.uint16), calibration, THREE)
         assert grid.z.shape == (1, height // 5, width // 5)
-        assert grid.uv_max.shape == (1, height // 5, width // 5, 2)
-        assert (grid.z == 800).all() and grid.in_view.all()
+        _, last, inside = cell_boxes(grid.z, calibration, side)
+        assert last.shape == (1, height // 5, width // 5, 2)
+        assert (grid.z == 800).all() and inside.all()
 
 
 def test_a_cell_is_at_least_a_pixel() -> None:
@@ -275,7 +279,8 @@ def test_a_cell_is_at_least_a_pixel() -> None:
     depth = np.arange(600, 606, dtype=np.uint16).reshape(1, 2, 3)
     grid = cells(depth, Calibration(camera), SurfaceConfig(cell_rad=0.001))
     np.testing.assert_array_equal(grid.z, depth)
-    np.testing.assert_array_equal(grid.uv_min, grid.uv_max)
+    first, last, _ = cell_boxes(grid.z, Calibration(camera), 1)
+    np.testing.assert_array_equal(first, last)
 
 
 def test_what_cannot_be_calibrated() -> None:
@@ -284,26 +289,4 @@ def test_what_cannot_be_calibrated() -> None:
     with pytest.raises(CalibrationError, match="field of view is too wide"):
         cells(depth, Calibration(wide), THREE)
     with pytest.raises(CalibrationError, match="no extrinsics"):
-        cells(depth, Calibration(CAMERA, CAMERA), THREE)
-
-
-def test_cover_is_the_nearest_kept_cell_a_pixel_wider() -> None:
-    """Two cells beside each other and one far behind both; the first row is not kept."""
-    camera = Intrinsics(12, 9, 100.0, 100.0, 6.0, 4.5)
-    depth = np.full((1, 9, 12), 3000, np.uint16)
-    depth[:, 3:6, 3:6], depth[:, 3:6, 6:9] = 1000, 900
-    grid = cells(depth, Calibration(camera), SurfaceConfig(cell_rad=0.03))
-    keep = np.zeros((1, 3, 4), bool)
-    keep[0, 1, 1:3] = True
-    over = cover(grid, keep, camera)[0]
-    assert (over[2:7, 2:5] == 5).all() and (over[2:7, 5:10] == 6).all()
-    over[2:7, 2:10] = -1
-    assert (over == -1).all()
-
-
-def test_cover_of_equally_near_cells_is_the_first() -> None:
-    camera = Intrinsics(6, 3, 100.0, 100.0, 3.0, 1.5)
-    grid = cells(
-        np.full((1, 3, 6), 800, np.uint16), Calibration(camera), SurfaceConfig(cell_rad=0.03)
-    )
-    assert cover(grid, grid.in_view, camera)[0, 1].tolist() == [0, 0, 0, 0, 1, 1]
+        cell_boxes(np.ones((1, 2, 2), np.int32), Calibration(CAMERA, CAMERA), 2)

@@ -14,8 +14,6 @@ from jaxdet.config import SurfaceConfig
 from jaxdet.stages import _cells
 from jaxdet.types import Calibration, Cells, Intrinsics
 from tests.scenes import (
-    D435,
-    D435_COLOR,
     D435_DEPTH,
     assert_equal,
     noise_depth,
@@ -37,25 +35,18 @@ def assert_same(depth: np.ndarray, calibration: Calibration, config: SurfaceConf
     assert_equal(program(depth, calibration, config), reference.cells(depth, calibration, config))
 
 
-@pytest.mark.parametrize("color", ["pinhole", "plumb_bob", "rational", "equidistant", "inverse"])
 @pytest.mark.parametrize("lens", ["pinhole", "plumb_bob", "inverse"])
-def test_lenses(color: str, lens: str, device: Any) -> None:
-    calibration = D435._replace(
-        color=with_lens(D435_COLOR, color), depth=with_lens(D435_DEPTH, lens)
-    )
+def test_lenses(lens: str, device: Any) -> None:
+    calibration = Calibration(with_lens(D435_DEPTH, lens))
     depth = np.concatenate([noise_depth(1, D435_DEPTH), smooth_depth(2, D435_DEPTH)])
     assert_same(depth, calibration, THREE)
 
 
 @pytest.mark.parametrize("side", [1, 2, 3, 7, 8, 9, 15])
-@pytest.mark.parametrize("is_aligned", [False, True])
-def test_sides(side: int, is_aligned: bool, device: Any) -> None:
+def test_sides(side: int, device: Any) -> None:
     """Nine pixels a side and more find the median bit by bit."""
     calibration = small(263, 195)
-    assert calibration.depth
-    if is_aligned:
-        calibration = Calibration(calibration.depth)
-    camera = calibration.depth or calibration.color
+    camera = calibration.depth
     depth = np.concatenate([noise_depth(2, camera, side), smooth_depth(1, camera)])
     depth[1] = np.where(depth[1] % 3 == 0, 0, 1000 + depth[1] % 50)
     assert_same(depth, calibration, replace(THREE, cell_rad=side / camera.fx))
@@ -65,7 +56,6 @@ def test_sides(side: int, is_aligned: bool, device: Any) -> None:
 @given(st.integers(0, 2**32 - 1), st.sampled_from([1e-4, 0.00025, 0.001, 0.01]))
 def test_depth_units(seed: int, unit: float) -> None:
     calibration = small(40, 30)._replace(depth_unit=unit)
-    assert calibration.depth
     assert_same(noise_depth(2, calibration.depth, seed), calibration, replace(THREE, cell_rad=0.04))
 
 
@@ -76,6 +66,5 @@ def test_images_smaller_than_a_cell(device: Any) -> None:
 
 def test_nothing_and_batches(device: Any) -> None:
     calibration = small(64, 48)
-    assert calibration.depth
     assert_same(np.zeros((1, 48, 64), np.uint16), calibration, replace(THREE, cell_rad=0.05))
     assert_same(noise_depth(9, calibration.depth), calibration, replace(THREE, cell_rad=0.05))

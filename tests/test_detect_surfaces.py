@@ -13,6 +13,7 @@ from jaxdet import detect
 from jaxdet.config import Config, GroundConfig
 from jaxdet.floor.plane import flat_plane, unknown_plane
 from jaxdet.io import open_log
+from jaxdet.pipeline import BackendName
 from jaxdet.presets import preset
 from jaxdet.reference import align, ground
 from jaxdet.results import metric
@@ -34,7 +35,7 @@ from jaxdet.types import (
     Refusal,
 )
 from tests.floor_cells import CAMERA, Pose, cast
-from tests.scenes import D435, assert_equal, blocks, frames
+from tests.scenes import D435, D435_MOTION, assert_equal, frames
 
 SURFACES = Config()
 UNIT = 0.001
@@ -73,7 +74,7 @@ def simulated(
 
 
 def count(detections: Detections, b: int = 0) -> int:
-    return int(detections.labels.num_obstacles[b])
+    return int(detections.num_obstacles[b])
 
 
 def sizes(detections: Detections, config: Config = SURFACES) -> np.ndarray:
@@ -165,7 +166,9 @@ def test_cells_of_twice_the_pixels_add_half_to_the_step() -> None:
     def kept(given: Frames, per_m: float, noise: float = 0.0) -> np.ndarray:
         ground = GroundConfig(step_height_per_m=per_m, noise_per_m=noise)
         config = replace(SURFACES, ground=ground)
-        return found(given, config).features.kept[0, SURFACES.features.max_corners :]
+        cells = detect(given, config, backend="reference", with_cells=True).cells
+        assert cells
+        return cells.keep[0]
 
     np.testing.assert_array_equal(kept(coarse, 0.01), kept(fine, 0.02))
     assert kept(fine, 0.02).sum() > kept(coarse, 0.02).sum()
@@ -173,30 +176,41 @@ def test_cells_of_twice_the_pixels_add_half_to_the_step() -> None:
     assert kept(fine, 0.0, 0.1).sum() > kept(coarse, 0.0, 0.1).sum()
 
 
-def test_features_are_corners_and_every_second_cell() -> None:
-    detections = found(made(cast(POSE, [BOX])[None], POSE.plane()))
-    corners = SURFACES.features.max_corners
-    points, labels = detections.features, detections.labels.labels
-    assert points.z.shape == labels.shape == (1, corners + 80 * 60)
-    assert not points.valid[0, :corners].any()  # a black picture has none
-    on = labels[0] == 0
-    assert points.kept[0, on].all() and (labels[0, ~on] == -1).all()
-    u_min, v_min = detections.obstacles.uv_min[0, 0]
-    u_max, v_max = detections.obstacles.uv_max[0, 0]
-    assert points.u[0, on].min() - u_min <= 2 and u_max - points.u[0, on].max() <= 2
-    assert points.v[0, on].min() - v_min <= 2 and v_max - points.v[0, on].max() <= 2
-
-
-def test_corners_have_the_obstacle_of_their_cell() -> None:
-    """A box with a drawing on it, all of whose corners are the box's."""
+def test_cells_carry_the_obstacle_that_their_box_spans() -> None:
     given = made(cast(POSE, [BOX])[None], POSE.plane())
-    box = found(given).obstacles
-    (u, v), (right, bottom) = box.uv_min[0, 0], box.uv_max[0, 0]
-    given.color[0, v + 6 : bottom - 5 : 8, u + 6 : right - 5] = 255
-    detections = found(given)
-    corner = detections.features.valid[0, : SURFACES.features.max_corners]
-    assert corner.sum() >= 4
-    assert (detections.labels.labels[0, : len(corner)][corner] == 0).all()
+    detections = detect(given, SURFACES, backend="reference", with_cells=True)
+    cells, side = detections.cells, 2
+    assert cells
+    on = cells.label[0] == 0
+    assert cells.keep[0, on].all() and (cells.label[0, ~on] == -1).all()
+    row, column = np.nonzero(on)
+    assert detections.obstacles.num_points[0, 0] == on.sum()
+    first, last = detections.obstacles.uv_min[0, 0], detections.obstacles.uv_max[0, 0]
+    assert first.tolist() == [side * column.min(), side * row.min()]
+    assert last.tolist() == [side * (column.max() + 1) - 1, side * (row.max() + 1) - 1]
+
+
+def test_box_of_an_obstacle_outside_of_the_colour_image_is_empty() -> None:
+    """A narrow colour camera that looks to the left sees nothing of a box to the right."""
+    given = made(cast(POSE, [((0.3, 1.2, 0.0), (0.6, 1.5, 0.3))])[None], POSE.plane())
+    camera = given.calibration.depth
+    narrow = camera._replace(fx=4 * camera.fx, fy=4 * camera.fy)
+    calibration = given.calibration._replace(color=narrow, color_from_depth=D435_MOTION)
+    detections = found(given._replace(calibration=calibration))
+    assert count(detections) == 1
+    assert detections.obstacles.uv_min[0, 0].tolist() == [0, 0]
+    assert detections.obstacles.uv_max[0, 0].tolist() == [-1, -1]
+    alone = found(given)
+    np.testing.assert_array_equal(detections.obstacles.a, alone.obstacles.a)
+
+
+@pytest.mark.parametrize("backend", ["reference", "jax"])
+def test_colour_decides_nothing(backend: BackendName) -> None:
+    given = made(cast(POSE, [BOX])[None], POSE.plane())
+    noise = np.random.default_rng(0).integers(0, 256, given.color.shape).astype(np.uint8)
+    want = detect(given, backend=backend)
+    for color in (None, noise):
+        assert_equal(detect(given._replace(color=color), backend=backend), want)
 
 
 def test_a_low_bend_of_the_floor_at_the_margin() -> None:
@@ -302,7 +316,7 @@ def test_batch_is_the_stack_of_singles() -> None:
     plane = plane._replace(valid=np.array([True, True, True, False]))
     given = made(depth, plane)
     whole = found(given)
-    assert whole.labels.num_obstacles.tolist() == [1, 0, 0, 1]
+    assert whole.num_obstacles.tolist() == [1, 0, 0, 1]
     assert whole.has_depth.tolist() == [True, True, False, True]
 
     def part(values: Any, b: int) -> Any:
@@ -347,14 +361,14 @@ def test_the_depth_unit_matters_little() -> None:
 # edges
 
 
-@pytest.mark.parametrize("calibration", [D435, Calibration(D435.color)])
+@pytest.mark.parametrize("calibration", [D435, Calibration(D435.depth)])
 @pytest.mark.parametrize("known", [True, False])
 def test_no_depth_at_all(calibration: Calibration, known: bool) -> None:
     plane = POSE.plane() if known else unknown_plane(1)
     color, depth = np.zeros((1, 480, 640, 3), np.uint8), np.zeros((1, 480, 640), np.uint16)
     detections = found(frames(calibration, color, depth, plane=plane))
     assert count(detections) == 0 and not detections.has_depth[0]
-    assert not detections.features.valid.any() and not detections.features.overflow[0]
+    assert not detections.overflow[0]
     scene = detections.scene
     assert (
         scene
@@ -368,11 +382,12 @@ def test_no_depth_at_all(calibration: Calibration, known: bool) -> None:
 def test_without_a_floor_nothing_is_floor() -> None:
     """Floor and box are obstacles where no floor is believed."""
     config = replace(SURFACES, floor=replace(SURFACES.floor, min_share_alone=1.0))
-    detections = found(made(cast(POSE, [BOX])[None], None), config)
+    given = made(cast(POSE, [BOX])[None], None)
+    detections = detect(given, config, backend="reference", with_cells=True)
     scene = detections.scene
     assert scene and not floors(scene, UNIT).own[0] and not floors(scene, UNIT).plane.valid[0]
     assert count(detections) >= 1
-    assert detections.features.kept[0].mean() > 0.4
+    assert detections.cells and detections.cells.keep[0].mean() > 0.4
     assert FreeEnd.RANGE not in scene.free_end and FreeEnd.DROP not in scene.free_end
 
 
@@ -380,15 +395,6 @@ def test_no_floor_is_looked_for() -> None:
     config = replace(SURFACES, ground=GroundConfig(source="none"))
     scene = found(made(cast(POSE, [BOX])[None], None), config).scene
     assert scene and not floors(scene, UNIT).own[0] and not floors(scene, UNIT).plane.valid[0]
-
-
-def test_more_corners_than_slots_lose_no_obstacle() -> None:
-    given = made(cast(POSE, [BOX])[None], unknown_plane(1))
-    given = given._replace(color=blocks(1, *given.color.shape[1:3]))
-    few = replace(SURFACES, features=replace(SURFACES.features, max_corners=2))
-    many, some = (found(given, config) for config in (SURFACES, few))
-    assert many.features.valid[0, : SURFACES.features.max_corners].sum() > 2
-    assert not some.features.overflow[0] and count(some) == count(many) >= 1
 
 
 def test_more_obstacles_than_there_is_room_for() -> None:
@@ -402,8 +408,7 @@ def test_more_obstacles_than_there_is_room_for() -> None:
     detections = found(made(depth, unknown_plane(1)), replace(SURFACES, obstacle=loose))
     assert detections.scene and not floors(detections.scene, UNIT).own[0]
     assert count(detections) == MAX_OBSTACLES < 13 * 17
-    assert detections.features.overflow[0]
-    assert detections.labels.labels.max() == MAX_OBSTACLES - 1
+    assert detections.overflow[0]
     assert detections.obstacles.num_points.shape == (1, MAX_OBSTACLES)
     assert (detections.obstacles.num_points > 0).all()
 

@@ -91,7 +91,7 @@ def upright(columns: list[tuple[int, int, int]]) -> tuple[np.ndarray, View]:
         z[1:11, first : first + width] = depth
     row, column = np.indices(shape)
     x = (column - 60) * z // 100
-    return label, View(x, row * z // 100, z, x, z, 300 - 20 * row, z > 0)
+    return label, View(x, row * z // 100, z, x, z, 300 - 20 * row)
 
 
 def seen_of(things: list[tuple[int, int, int]], config: ObstacleConfig = CONFIG) -> list[dict]:
@@ -130,7 +130,7 @@ def test_columns_and_depth_unit() -> None:
     found = pairs(label, view.z < 0, view, UNIT, CONFIG)
     seen = dict(zip(SEEN, found.seen[0].tolist(), strict=True))
     assert seen["between_in_columns"] == 20 and seen["through_in_columns"] == 0
-    fine = View(*(10 * a for a in view[:-1]), view.in_view)
+    fine = View(*(10 * a for a in view))
     tenths = pairs(label, view.z < 0, fine, UNIT / 10, CONFIG).seen[0]
     scale = np.where([name in LENGTHS for name in SEEN], 10, 1)
     np.testing.assert_array_equal(tenths, found.seen[0] * scale)

@@ -45,7 +45,7 @@ class Picture:
     def view(self) -> View:
         x, y = (np.rint(ray * self.z).astype(np.int64) for ray in (self.ray_x, self.ray_y))
         height = np.where(self.z > 0, 400 - y, 0)
-        return View(x, y, self.z, x, self.z, height, self.z > 0)
+        return View(x, y, self.z, x, self.z, height)
 
     def found(self, config: ObstacleConfig = CONFIG) -> np.ndarray:
         return obstacles(self.label, self.free, self.view, FAR, UNIT, config)
@@ -183,13 +183,6 @@ def test_too_small_or_too_far_is_none() -> None:
     assert few.numbers(replace(CONFIG, min_cells=31)) == [-1]
 
 
-def test_what_is_not_in_the_colour_image_is_not_shown() -> None:
-    picture = Picture().paint(TALL, slice(0, 30), 2000).paint(TALL, slice(60, 90), 2500)
-    view = picture.view._replace(in_view=np.indices(picture.z.shape)[1] >= 40)
-    label = obstacles(picture.label, picture.free, view, FAR, UNIT, CONFIG)
-    np.testing.assert_array_equal(label, np.where(picture.label == 1, 0, -1))
-
-
 def test_the_walls_of_a_room_are_parted_at_its_corner() -> None:
     """A wall to the left, 2 m long, and one across, 1 m behind the chord of their ends."""
     picture = Picture()
@@ -288,7 +281,7 @@ def test_nothing() -> None:
 
 def test_one_cell() -> None:
     one = np.zeros((1, 1), np.int64)
-    view = View(one, one, one + 900, one, one + 900, one + 100, one == 0)
+    view = View(one, one, one + 900, one, one + 900, one + 100)
     assert obstacles(one, one > 0, view, FAR, UNIT, CONFIG).tolist() == [[-1]]
     loose = replace(CONFIG, min_size_m=0.0, min_cells=1)
     assert obstacles(one, one > 0, view, FAR, UNIT, loose).tolist() == [[0]]
@@ -298,6 +291,6 @@ def test_depth_unit() -> None:
     """The same frame in tenths of a millimetre."""
     picture = Picture().paint(TALL, slice(30, 55), 2000).paint(TALL, slice(60, 85), 2100)
     picture.paint(slice(0, 24), slice(55, 60), 1200).paint(LOW, slice(100, 104), 1800)
-    fine = View(*(10 * a for a in picture.view[:-1]), picture.view.in_view)
+    fine = View(*(10 * a for a in picture.view))
     label = obstacles(picture.label, picture.free, fine, 10 * FAR, UNIT / 10, CONFIG)
     np.testing.assert_array_equal(label, picture.found())

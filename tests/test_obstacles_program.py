@@ -78,7 +78,7 @@ def painted(seed: int, rows: int, columns: int, things: int, spread: int = 900) 
     label[none], z[none] = -1, 0
     free = (label < 0) & (z > 0) & (rng.random(z.shape) < 0.7)
     x, y = (column - columns // 2) * z // 100, (row - rows // 3) * z // 100
-    view = View(x, y, z, x, z + rng.integers(-9, 10, z.shape), 500 - y, rng.random(z.shape) < 0.9)
+    view = View(x, y, z, x, z + rng.integers(-9, 10, z.shape), 500 - y)
     return Given(renumbered(label), free, view)
 
 
@@ -89,8 +89,8 @@ def scattered(seed: int, rows: int, columns: int, surfaces: int) -> Given:
     z = rng.integers(0, 65536, shape)
     x, y, right, forward = (rng.integers(-(1 << 18) + 1, 1 << 18, shape) for _ in range(4))
     height = rng.integers(-(1 << 20), 1 << 20, shape)
-    free, in_view = (rng.random(shape) < share for share in (0.3, 0.8))
-    view = View(x, y, z, right, forward, height, in_view)
+    free = rng.random(shape) < 0.3
+    view = View(x, y, z, right, forward, height)
     label = rng.integers(-1, surfaces, shape)
     label.ravel()[rng.permutation(label.size)[:surfaces]] = np.arange(surfaces)
     return Given(renumbered(label), free, view)
@@ -102,7 +102,7 @@ def scattered(seed: int, rows: int, columns: int, surfaces: int) -> Given:
 @pytest.mark.parametrize("columns", [1, 40])
 def test_nothing_is_measured(columns: int) -> None:
     none = np.zeros((30, columns), np.int64)
-    given = Given(none - 1, none > 0, View(*(6 * [none]), none > 0))
+    given = Given(none - 1, none > 0, View(*(6 * [none])))
     assert assert_twin([given, given]) == [0, 0]
 
 
@@ -114,7 +114,7 @@ def test_one_surface() -> None:
 
 def test_one_cell() -> None:
     one = np.full((1, 1), 700)
-    given = Given(one * 0, one < 0, View(one, one, one, one, one, one, one > 0))
+    given = Given(one * 0, one < 0, View(one, one, one, one, one, one))
     assert assert_twin([given], replace(CONFIG, min_size_m=0.0, min_cells=1)) == [1]
     assert assert_twin([given]) == [0]
 
@@ -128,7 +128,7 @@ def test_a_room_is_split() -> None:
     z = depth.reshape(20, 120)
     side = np.tile((np.arange(120) - 60) * 20, (20, 1))
     height = 40 * np.indices(z.shape)[0]
-    view = View(side, -height, z, side, z, height, z > 0)
+    view = View(side, -height, z, side, z, height)
     given = room._replace(label=z * 0, free=z < 0, view=view)
     assert assert_twin([given]) == [3]
     assert assert_twin([given], replace(CONFIG, bend_m=0.0)) == [1]
@@ -142,7 +142,7 @@ def test_no_more_labels_than_there_is_room_for(monkeypatch: pytest.MonkeyPatch) 
     z = 1000 + np.tile(bends, (64, 1)) + 2000 * (label // 32)
     side = np.tile(column * 300, (64, 1))
     height = np.tile(100 * row[:, None], (1, 512))
-    view = View(side, -height, z, side, z, height, z > 0)
+    view = View(side, -height, z, side, z, height)
     near = replace(CONFIG, lateral_gap_m=0.0, forward_gap_m=0.0, min_cells=1)
     config = replace(near, bend_m=0.02, side_m=0.4)
     given = Given(renumbered(label), z < 0, view)
@@ -195,9 +195,9 @@ def test_other_depth_units(unit: float) -> None:
     """A millimetre in tenths, and four of them in one."""
     given = [painted(seed, 37, 61, 20) for seed in range(6)]
     if unit < UNIT:
-        views = [View(*(10 * a for a in one.view[:-1]), one.view.in_view) for one in given]
+        views = [View(*(10 * a for a in one.view)) for one in given]
     else:
-        views = [View(*(a // 4 for a in one.view[:-1]), one.view.in_view) for one in given]
+        views = [View(*(a // 4 for a in one.view)) for one in given]
     given = [one._replace(view=view) for one, view in zip(given, views, strict=True)]
     assert_twin(given, unit=unit, farthest=round(6 / unit))
 

@@ -1,5 +1,6 @@
 """The kernel of outlines: equal to the reference, field by field."""
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +30,7 @@ _traced: list[int] = []
 """One for each time that the program is traced."""
 
 
-@jax.jit
+@partial(jax.jit, static_argnums=5)
 def _program(*arguments: Any) -> Any:
     _traced.append(1)
     return outlines(*arguments)
@@ -37,11 +38,12 @@ def _program(*arguments: Any) -> Any:
 
 def assert_twins(batch: Batch, config: Config = SURFACES) -> int:
     """Holds the kernel to the reference; how many obstacles there are."""
-    measured, shapes = _outlines(batch.grid, batch.found, batch.unit, config)
-    shared = tables(config.footprint, batch.unit)
     label = batch.label
     count = (label.max(axis=(1, 2)) + 1).astype(np.int32)
-    twin = _program(label, count, batch.grid, batch.floor, shared)
+    kept = np.minimum(count, MAX_OBSTACLES)
+    measured, shapes = _outlines(batch.grid, batch.found, kept, batch.calibration, config)
+    shared, static = tables(batch.calibration, config)
+    twin = _program(label, count, batch.grid, batch.floor, shared, static)
     assert_equal(twin.obstacles, measured)
     for got, want in zip(twin[1:], shapes, strict=True):
         np.testing.assert_array_equal(np.asarray(got), want, strict=True)
@@ -95,7 +97,7 @@ def test_no_obstacles_beside_some() -> None:
     grid = type(some.grid)(
         *(np.concatenate(pair) for pair in zip(none.grid, some.grid, strict=True))
     )
-    assert 0 < assert_twins(Batch(grid, [empty, some.found[0]])) <= 5
+    assert 0 < assert_twins(Batch(grid, [empty, some.found[0]], some.calibration)) <= 5
 
 
 def test_an_obstacle_in_the_margins() -> None:
@@ -105,23 +107,22 @@ def test_an_obstacle_in_the_margins() -> None:
     for inner in range(0, 40, 5):
         own = (column < 5) | (column >= 35) | (np.abs(column - 19) < inner / 2)
         label = np.where(own, 0, -1) + np.zeros((12, 1), int)
-        in_view = np.ones((1, 12, 40), bool)
-        view = batch.found[0].view._replace(in_view=in_view[0])
-        grid = batch.grid._replace(in_view=in_view)
         for long_m in (0.1, 60.0):
-            found = [batch.found[0]._replace(label=label, view=view)]
-            assert assert_twins(Batch(grid, found), changed(long_m=long_m)) == 1
+            found = [batch.found[0]._replace(label=label)]
+            assert assert_twins(batch._replace(found=found), changed(long_m=long_m)) == 1
 
 
 def test_sums_beyond_32_bits() -> None:
     """A wall at 6 m in tenths of a millimetre, over the whole picture."""
     batch = drawn((1, 200, 220), 1, seed=6, reach=60000)
     one, z = batch.found[0], np.full((1, 200, 220), 60000, np.int32)
-    grid = batch.grid._replace(x=-z, z=z, in_view=z > 0)
-    view = one.view._replace(x=-z[0], z=z[0], in_view=z[0] > 0)
-    wall = Batch(grid, [one._replace(label=np.zeros((200, 220), int), view=view)])
+    grid = batch.grid._replace(x=-z, z=z)
+    view = one.view._replace(x=-z[0], z=z[0])
+    found = [one._replace(label=np.zeros((200, 220), int), view=view)]
+    wall = batch._replace(grid=grid, found=found)
     assert assert_twins(wall) == 1
-    measured, _ = _outlines(wall.grid, wall.found, wall.unit, SURFACES)
+    count = np.ones(1, np.int32)
+    measured, _ = _outlines(wall.grid, wall.found, count, wall.calibration, SURFACES)
     centroid = extents(measured, 0.0001).centroid[0, 0]
     np.testing.assert_array_equal(centroid[[0, 2]], np.array([-6.0, 6.0], np.float32))
 

@@ -28,7 +28,7 @@ def made_frames(batch: int) -> Frames:
 def recorded_frames(shared_data: Path) -> Frames:
     depth_camera = Intrinsics(640, 480, 384.5, 384.5, 321.7, 236.8)
     motion = Extrinsics(IDENTITY, (0.0148, 0.0, 0.0))
-    calibration = Calibration(Intrinsics(640, 480, 610, 610, 320, 240), depth_camera, motion)
+    calibration = Calibration(depth_camera, Intrinsics(640, 480, 610, 610, 320, 240), motion)
     folder = shared_data / "aims_slam/data"
     numbers = (8, 40, 60, 130, 144, 176)
     color = [cv2.imread(str(folder / f"rgb/{n}.png"))[..., ::-1] for n in numbers]
@@ -48,7 +48,7 @@ CONFIGS = {
 def test_backends_are_equal(device, name):
     given = made_frames(3), CONFIGS[name]
     want = detect(*given, backend="reference")
-    assert want.labels.num_obstacles.max() > 0
+    assert want.num_obstacles.max() > 0
     assert_equal(detect(*given), want)
 
 
@@ -56,7 +56,7 @@ def test_backends_are_equal(device, name):
 def test_backends_are_equal_on_a_recording(device, shared_data, name):
     given = recorded_frames(shared_data), CONFIGS[name]
     want = detect(*given, backend="reference")
-    assert want.labels.num_obstacles.sum() >= 5
+    assert want.num_obstacles.sum() >= 5
     assert_equal(detect(*given), want)
 
 
@@ -67,7 +67,8 @@ def test_a_batch_is_a_stack_of_singles(device):
         part = slice(b, b + 1)
         one = frames(whole.calibration, whole.color[part], whole.depth[part], plane=level(1))
         alone = detect(one)
-        assert np.array_equal(alone.labels.labels[0], together.labels.labels[b])
+        assert alone.num_obstacles[0] == together.num_obstacles[b]
+        assert np.array_equal(alone.obstacles.num_points[0], together.obstacles.num_points[b])
         assert np.array_equal(alone.obstacles.a[0], together.obstacles.a[b])
 
 
@@ -92,7 +93,7 @@ def test_the_plane_comes_from_the_configuration_when_the_frames_have_none():
     given = made_frames(2)._replace(plane=None)
     assert_equal(detect(given, replace(Config(), ground=ground)), detect_numpy(made_frames(2)))
     unknown = detect(given, replace(Config(), ground=GroundConfig(source="none")))
-    assert np.all(np.asarray(unknown.features.valid).sum(1) > 0)
+    assert unknown.scene and not np.asarray(unknown.scene.prior.valid).any()
 
 
 def detect_numpy(given: Frames):
@@ -104,7 +105,7 @@ def test_empty_depth_is_told_apart_from_no_obstacle():
     given.depth[1] = 0
     found = detect(given)
     assert np.asarray(found.has_depth).tolist() == [True, False]
-    assert np.asarray(found.labels.num_obstacles)[1] == 0
+    assert np.asarray(found.num_obstacles)[1] == 0
 
 
 def test_floors_are_found_with_the_default_configuration():

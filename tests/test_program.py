@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from itertools import product
-from typing import Any, cast
 
 import cv2
 import numpy as np
@@ -11,9 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jaxdet import detect
-from jaxdet.config import Config, FeaturesConfig, GroundConfig
+from jaxdet.config import Config, GroundConfig
 from jaxdet.presets import PRESETS
-from jaxdet.stages import _detect
 from jaxdet.types import Calibration, Frames
 from tests.scenes import (
     assert_equal,
@@ -34,7 +32,7 @@ CONFIGS = {
 
 
 def aligned_frames(batch: int, width: int, height: int, lens: str = "pinhole") -> Frames:
-    camera = with_lens(small(width, height).color, lens)
+    camera = with_lens(small(width, height).image, lens)
     depth = noise_depth(batch, camera, width)
     depth[0] = 0
     return frames(Calibration(camera), blocks(batch, height, width), depth, plane=level(batch, 0.3))
@@ -51,16 +49,6 @@ def test_depth_that_is_aligned_already(device, size, lens, name):
     assert not want.has_depth[0]
     for _ in range(2):
         assert_equal(detect(*given_), want)
-
-
-def test_settings_of_features_compile_nothing_anew():
-    compiled, given_ = cast(Any, _detect._detect)._cache_size, aligned_frames(1, 80, 60)
-    detect(given_)
-    before = compiled()
-    features = FeaturesConfig(9.0, 70.0, quality_level=0.2, min_distance=8.0, use_mask=False)
-    config = replace(Config(), features=features)
-    assert_equal(detect(given_, config), detect(given_, config, backend="reference"))
-    assert compiled() == before
 
 
 @given(st.sampled_from([1, 15, 40]), st.sampled_from([1, 16, 33]), st.integers(0, 65535))
@@ -91,26 +79,27 @@ def test_one_pixel_of_depth(width, height, units):
 def test_large_images_and_lenses(device, name, lens, depth_size, color_size, corners):
     """Up to the largest that cameras have, 2^20 pixels and more, some of them odd a side."""
     calibration = small()._replace(
-        color=with_lens(small(*color_size).color, lens), depth=small(*depth_size).depth
+        color=with_lens(small(*color_size).image, lens), depth=small(*depth_size).depth
     )
     depth = smooth_depth(1, small().depth)
     depth = cv2.resize(depth[0], depth_size, interpolation=cv2.INTER_NEAREST)[None]
     color = blocks(1, color_size[1], color_size[0])
     given_, config = frames(calibration, color, depth, plane=level(1, 0.3)), PRESETS[name]
     want = detect(given_, config, backend="reference")
-    assert want.features.kept.sum() > corners
+    assert want.points is None or want.points.features.kept.sum() > corners
+    assert want.num_obstacles[0] > 0
     assert_equal(detect(given_, config), want)
 
 
 def test_images_in_aligned_memory_are_left_alone():
     """They are read in place; the results must not change with them afterwards."""
     made = aligned_frames(2, 96, 61)
-    memory = np.zeros(made.color.nbytes + 64, np.uint8)
+    memory = np.zeros(made.depth.nbytes + 64, np.uint8)
     start = -memory.ctypes.data % 64
-    color = memory[start : start + made.color.nbytes].reshape(made.color.shape)
-    color[:] = made.color
-    found = detect(made._replace(color=color))
-    before = np.array(found.features.u)
-    color[:] = 0
-    assert np.array_equal(np.asarray(found.features.u), before)
+    depth = memory[start : start + made.depth.nbytes].view(np.uint16).reshape(made.depth.shape)
+    depth[:] = made.depth
+    found = detect(made._replace(depth=depth))
+    before = np.array(found.obstacles.num_points)
+    depth[:] = 0
+    assert np.array_equal(np.asarray(found.obstacles.num_points), before)
     assert_equal(found, detect(made, backend="reference"))

@@ -48,9 +48,9 @@ def test_box_face_is_where_it_should_be():
     assert (frame.aligned[face] == 1350).all()
     v, u = np.nonzero(face)
     calibration = calibration_of(config)
-    assert np.ptp(u) == pytest.approx(0.40 / 1.35 * calibration.color.fx, abs=1.5)
-    bottom = calibration.color.cy + 0.30 / 1.35 * calibration.color.fy
-    top = calibration.color.cy - 0.10 / 1.35 * calibration.color.fy
+    assert np.ptp(u) == pytest.approx(0.40 / 1.35 * calibration.image.fx, abs=1.5)
+    bottom = calibration.image.cy + 0.30 / 1.35 * calibration.image.fy
+    top = calibration.image.cy - 0.10 / 1.35 * calibration.image.fy
     assert v.max() == pytest.approx(bottom, abs=1) and v.min() == pytest.approx(top, abs=1)
 
 
@@ -105,13 +105,13 @@ def test_both_cameras_see_the_same_world():
     points = points_of(frame.depth * 0.001, calibration.depth)[frame.depth > 0]
     T = calibration.color_from_depth.T
     x, y, z = (points @ T[:3, :3].T + T[:3, 3]).T
-    u = np.rint(x / z * calibration.color.fx + calibration.color.cx).astype(int)
-    v = np.rint(y / z * calibration.color.fy + calibration.color.cy).astype(int)
+    u = np.rint(x / z * calibration.image.fx + calibration.image.cx).astype(int)
+    v = np.rint(y / z * calibration.image.fy + calibration.image.cy).astype(int)
     inside = (u >= 0) & (u < 640) & (v >= 0) & (v < 480) & (z < 4)
     there = frame.aligned[v[inside], u[inside]] * 0.001
     error = np.abs(z[inside] - there)
     # Half a pixel on the floor shifts z by z^2 / (2 f h); beside objects another one is seen.
-    assert (error < 0.002 + z[inside] ** 2 / (2 * calibration.color.fy * 0.3)).mean() > 0.98
+    assert (error < 0.002 + z[inside] ** 2 / (2 * calibration.image.fy * 0.3)).mean() > 0.98
     assert np.median(error) < 0.002
 
 

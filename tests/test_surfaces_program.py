@@ -45,7 +45,7 @@ def assert_twin(
     floors, step = floor_frames(plane, unit), step_height(camera(unit), config)
     out = program(x, y, z, floors, tables(camera(unit), config))
     got = Surfaces(*map(np.asarray, out))
-    grid = Cells(x, y, z, *np.zeros((2, *z.shape, 2), np.int32), z > 0)
+    grid = Cells(x, y, z)
     for b in range(len(z)):
         want = _surfaces(grid, b, floors[b], step, unit, config)
         for name in ("right", "forward", "height"):

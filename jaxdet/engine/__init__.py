@@ -12,7 +12,9 @@ if TYPE_CHECKING:
     from jaxdet.engine.options import RunOptions
     from jaxdet.engine.plan import Observer, Unit
     from jaxdet.engine.progress import Progress, ProgressCallback
+    from jaxdet.engine.one_log import run_one
     from jaxdet.engine.startup import start_up, use_caches
+    from jaxdet.results.names import log_name
     from jaxdet.results.summary import LogSummary, Summary, plain
     from jaxdet.results.versions import versions
 
@@ -27,8 +29,10 @@ _MODULES = {
     "Summary": "results.summary",
     "Unit": "engine.plan",
     "decide_planes": "engine.floors",
+    "log_name": "results.names",
     "plain": "results.summary",
     "run": "engine.local",
+    "run_one": "engine.one_log",
     "start_up": "engine.startup",
     "use_caches": "engine.startup",
     "versions": "results.versions",
@@ -44,8 +48,10 @@ __all__ = [
     "Summary",
     "Unit",
     "decide_planes",
+    "log_name",
     "plain",
     "run",
+    "run_one",
     "start_up",
     "use_caches",
     "versions",

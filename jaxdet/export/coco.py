@@ -9,9 +9,12 @@ from typing import IO, Any
 import cv2
 import numpy as np
 
+from jaxdet.camera import cell_side
+from jaxdet.config import Config
 from jaxdet.errors import ConfigError, FrameStatus, JaxdetError
 from jaxdet.export.recordings import Seen, look_again, recorded
 from jaxdet.io import LogFiles
+from jaxdet.render.camera import shown_image
 from jaxdet.results.masks import label_image
 from jaxdet.results.reading import ResultLog, Results
 
@@ -21,7 +24,10 @@ CATEGORY = {"id": 1, "name": "obstacle", "supercategory": "obstacle"}
 
 
 def export(results: Results, output: Path, recordings: Mapping[str, LogFiles]) -> list[str]:
-    """Writes a folder with ``images/`` and ``annotations.json``.
+    """Write a folder with ``images/`` and ``annotations.json``.
+
+    Images are the colour images; a frame without one is shown as its depth image in colours, with
+    boxes and masks in it, and ``info`` counts these.
 
     A log that was not given and can't be read where the run found it is left out; ``info`` in
     ``annotations.json`` has a line for each.
@@ -56,8 +62,8 @@ def export(results: Results, output: Path, recordings: Mapping[str, LogFiles]) -
             annotations.begin()
             try:
                 files = recordings.get(log.name) or recorded(log)
-                for seen in look_again(results, log, files, with_cells=True):
-                    _add(annotations, log, seen)
+                for seen in look_again(results, log, files, with_cells=True, color=True):
+                    _add(annotations, log, seen, results.method)
             except JaxdetError as error:
                 if log.name in recordings or len(results.logs) == 1:
                     raise
@@ -70,8 +76,8 @@ def export(results: Results, output: Path, recordings: Mapping[str, LogFiles]) -
     return left_out
 
 
-def _add(annotations: "_Annotations", log: ResultLog, seen: Seen) -> None:
-    """Adds some frames."""
+def _add(annotations: "_Annotations", log: ResultLog, seen: Seen, config: Config) -> None:
+    """Add some frames."""
     rows, first = seen.chunk.frames.to_pylist(), seen.chunk.first.tolist()
     obstacles, frames = seen.chunk.obstacles.to_pylist(), seen.batch.frames
     assert seen.found.cells is not None
@@ -79,9 +85,12 @@ def _add(annotations: "_Annotations", log: ResultLog, seen: Seen) -> None:
         if row["status"] != FrameStatus.OK:
             annotations.lost += 1
             continue
-        labels = label_image(seen.found.cells, b, frames.calibration.color)
+        shown = shown_image(frames, b, config)
+        side = cell_side(frames.calibration.depth, config.surface.cell_rad)
+        labels = label_image(seen.found.cells, b, shown.calibration, side)
         name = f"images/{log.file_name}_{row['frame']:06d}.jpg"
-        annotations.add(name, frames.color[b], row, obstacles[first[b] : first[b + 1]], labels)
+        own, of_depth = obstacles[first[b] : first[b + 1]], shown.depth_range_m is not None
+        annotations.add(name, shown.image, row, own, labels, of_depth=of_depth)
 
 
 class _Annotations:
@@ -89,7 +98,7 @@ class _Annotations:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.images, self.objects, self.lost = 0, 0, 0
+        self.images, self.objects, self.lost, self.of_depth = 0, 0, 0, 0
         self._images, self._objects = _Lines(), _Lines()
         self.begin()
 
@@ -102,14 +111,14 @@ class _Annotations:
 
     def begin(self) -> None:
         """Begins a log."""
-        self._before = self.images, self.objects, self.lost
+        self._before = self.images, self.objects, self.lost, self.of_depth
         self._names: list[str] = []
         self._images.mark()
         self._objects.mark()
 
     def take_back(self) -> None:
         """Takes back what was added of the log."""
-        self.images, self.objects, self.lost = self._before
+        self.images, self.objects, self.lost, self.of_depth = self._before
         for name in self._names:
             (self.folder / name).unlink()
         self._images.take_back()
@@ -122,8 +131,11 @@ class _Annotations:
         row: Mapping[str, Any],
         obstacles: Sequence[Mapping[str, Any]],
         labels: np.ndarray,
+        *,
+        of_depth: bool,
     ) -> None:
-        """Adds a frame: its image ``(H, W, 3)`` RGB, and ``(H, W)`` the obstacle of each pixel."""
+        """Add a frame: its image ``(H, W, 3)`` RGB, and ``(H, W)`` the obstacle of each pixel."""
+        self.of_depth += of_depth
         encoded = cv2.imencode(".jpg", color[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1]
         self._names.append(name)
         (self.folder / name).write_bytes(encoded.tobytes())
@@ -133,9 +145,13 @@ class _Annotations:
         size = {"width": width, "height": height}
         self._images.add({"id": self.images, "file_name": name, **size, **about})
         for obstacle in obstacles:
+            seen = labels == obstacle["obstacle"]
+            box = _box(obstacle, seen, of_depth=of_depth)
+            if box is None:
+                continue
             self.objects += 1
             place = {"id": self.objects, "image_id": self.images, "category_id": CATEGORY["id"]}
-            self._objects.add({**place, **_annotation(obstacle, labels)})
+            self._objects.add({**place, **_annotation(obstacle, seen, box)})
 
     def finish(self, results: Results, left_out: Sequence[str]) -> None:
         """Joins the parts; ``left_out`` has a line for each log that is not in them."""
@@ -143,6 +159,7 @@ class _Annotations:
             "description": "obstacles found by jaxdet",
             "version": results.version,
             "frames_without_result": self.lost,
+            "images_of_depth": self.of_depth,
             "left_out": left_out,
         }
         head = {"info": info, "licenses": [], "categories": [CATEGORY]}
@@ -178,17 +195,30 @@ class _Lines:
             yield (",\n" if number else "") + line.rstrip("\n")
 
 
-def _annotation(obstacle: Mapping[str, Any], labels: np.ndarray) -> dict[str, Any]:
-    """Box and mask of an obstacle; the mask lies in the box."""
-    left, top = obstacle["u_min"], obstacle["v_min"]
-    right, bottom = obstacle["u_max"] + 1, obstacle["v_max"] + 1
-    mask = np.zeros(labels.shape, bool)
-    box = (slice(top, bottom), slice(left, right))
-    mask[box] = labels[box] == obstacle["obstacle"]
+def _box(obstacle: Mapping[str, Any], mask: np.ndarray, *, of_depth: bool) -> list[int] | None:
+    """Return left, top, width and height of an obstacle in its image; None: it is outside.
+
+    The table's box is of the colour image where there is a colour camera: in the depth image of a
+    frame without colour it is that of the mask.
+    """
+    if of_depth and obstacle["box_image"] == "color":
+        rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
+        if not rows.size:
+            return None
+        left, right, top, bottom = *columns[[0, -1]].tolist(), *rows[[0, -1]].tolist()
+    else:
+        left, right, top, bottom = (obstacle[name] for name in ("u_min", "u_max", "v_min", "v_max"))
+        if left is None:
+            return None
+    return [left, top, right + 1 - left, bottom + 1 - top]
+
+
+def _annotation(obstacle: Mapping[str, Any], mask: np.ndarray, box: list[int]) -> dict[str, Any]:
+    """Return box and mask of an obstacle; the mask ``(H, W)`` lies in the box."""
     return {
-        "bbox": [left, top, right - left, bottom - top],
+        "bbox": box,
         "area": int(mask.sum()),
-        "segmentation": {"size": list(labels.shape), "counts": run_lengths(mask)},
+        "segmentation": {"size": list(mask.shape), "counts": run_lengths(mask)},
         "iscrowd": 0,
         **{name: obstacle[name] for name in ("obstacle", "distance_m", "bottom_m", "top_m")},
         **({"track_id": obstacle["track"]} if "track" in obstacle else {}),

@@ -1,6 +1,6 @@
 """Scenes for Foxglove: an MCAP file to open beside each log, and layouts.
 
-Obstacles are in the frame of the colour camera,
+Obstacles are in the frame of the camera that lengths refer to,
 the map is in the world's, and a transform adds the camera's floor frame, which is x right,
 y forward, z up. Each message replaces what the one before it showed, so that any moment of a log
 can be jumped to.
@@ -258,10 +258,12 @@ def _cube(obstacle: Row, T: np.ndarray, bottom: float, top: float) -> CubePrimit
 
 
 def annotations(frame: Frame) -> ImageAnnotations:
-    """The boxes and labels of a frame's obstacles in the colour image."""
+    """Return the boxes and labels of a frame's obstacles, of those that are in the image."""
     stamp = _stamp(frame.row["stamp_ns"])
     boxes, texts = [], []
     for obstacle in frame.obstacles:
+        if obstacle["u_min"] is None:
+            continue
         left, right = obstacle["u_min"], obstacle["u_max"] + 1
         upper, lower = obstacle["v_min"], obstacle["v_max"] + 1
         ring = [(left, upper), (right, upper), (right, lower), (left, lower)]
@@ -314,7 +316,9 @@ def grid_message(grid: Grid, row: Row) -> GridMessage:
 
 
 def layout(cameras: Sequence[tuple[ResultLog, str]]) -> dict[str, Any]:
-    """A layout with the scene of a log beside the colour image of its first camera.
+    """Return a layout with the scene of a log next to the image of its first camera.
+
+    That is the colour image, without one the depth image.
 
     Args:
         cameras: Each with what the view follows.
@@ -322,7 +326,7 @@ def layout(cameras: Sequence[tuple[ResultLog, str]]) -> dict[str, Any]:
     view, image = "3D!jaxdet", "Image!jaxdet"
     color, boxes, follow = "", "", ""
     for log, followed in cameras[:1]:
-        color, boxes, follow = log.topic("color"), topic(log, BOXES), followed
+        color, boxes, follow = log.topic("color") or log.topic("depth"), topic(log, BOXES), followed
     shown = {topic(log, name): {"visible": True} for log, _ in cameras for name in (SCENE, MAP)}
     return {
         "configById": {

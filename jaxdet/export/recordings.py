@@ -86,7 +86,12 @@ def recorded(log: ResultLog, flag: str = "--log") -> LogFiles:
 
 
 def images(
-    results: Results, log: ResultLog, files: LogFiles, wanted: np.ndarray | None = None
+    results: Results,
+    log: ResultLog,
+    files: LogFiles,
+    wanted: np.ndarray | None = None,
+    *,
+    color: bool = False,
 ) -> Iterator[tuple[Batch, Chunk]]:
     """The frames of a log with their rows, :data:`BATCH` at a time, see :class:`Seen`.
 
@@ -95,12 +100,13 @@ def images(
         log: One of its logs.
         files: Where that is.
         wanted: ``(n,)`` numbers of frames; None: all.
+        color: Whether to read colour images as well; the preset ``paper`` always does.
 
     Raises:
         InputError: It is another log, or it can't be read.
     """
     chunks = results.chunks(log, size=BATCH) if wanted is None else some(results, log, wanted)
-    waiting = next(chunks, None)
+    waiting, paper = next(chunks, None), results.method.cluster.points
     for options in ways(results, log):
         try:
             with _opened(log, files, options) as opened:
@@ -109,7 +115,9 @@ def images(
                     if numbers.max() >= opened.num_frames:
                         raise _other(log, files)
                     last = np.full(BATCH - len(numbers), numbers[-1])
-                    batch = opened.read([*numbers.tolist(), *last.tolist()])
+                    batch = opened.read(
+                        [*numbers.tolist(), *last.tolist()], color=color or paper, need_color=paper
+                    )
                     stamps = batch.frames.stamp_ns[: len(numbers)]
                     if not np.array_equal(stamps, waiting.frames["stamp_ns"].to_numpy()):
                         raise _other(log, files)
@@ -128,6 +136,7 @@ def look_again(
     wanted: np.ndarray | None = None,
     *,
     with_cells: bool = False,
+    color: bool = False,
 ) -> Iterator[Seen]:
     """The frames of a log with all that is found in them, as the run found it.
 
@@ -136,7 +145,8 @@ def look_again(
         log: One of its logs.
         files: Where that is.
         wanted: ``(n,)`` numbers of frames; None: all.
-        with_cells: Give the depth cells with their obstacles as well.
+        with_cells: Whether to return the depth cells with their obstacles as well.
+        color: Whether to read colour images as well.
 
     Raises:
         InputError: It is another log, or it can't be read.
@@ -144,11 +154,11 @@ def look_again(
     start_up()
     config = results.method
     planes = _planes(results, log, files)
-    for batch, chunk in images(results, log, files, wanted):
+    for batch, chunk in images(results, log, files, wanted, color=color):
         frames = batch.frames._replace(plane=planes.of(batch.frames.stamp_ns))
         found = to_host(detect(frames, config, with_cells=with_cells))
         good = frames.valid & found.has_depth
-        counts = np.where(good, found.labels.num_obstacles, 0)[: chunk.frames.num_rows]
+        counts = np.where(good, found.num_obstacles, 0)[: chunk.frames.num_rows]
         ok = chunk.frames["status"].to_numpy() == FrameStatus.OK
         if (counts != chunk.frames["num_obstacles"].to_numpy())[ok].any():
             raise _other(log, files)

@@ -9,15 +9,16 @@ Entities of a recording::
         boxes, contours, free    obstacles, and the free floor
         tracks/N                 paths of things that move, while they are there; in the world
                                  where there are poses (world/tracks/N)
-        camera                   the colour optical frame
-          color                  image and boxes in it
-          depth                  image
+        camera                   the optical frame of the depth camera; of results of the preset
+                                 paper that of the colour camera
+          color                  image, where the log has any, and boxes
+          depth                  image; the boxes, where there is no colour
           points                 depth cells by obstacle
     distance, obstacles          time series
     frames                       text: why a frame has no result
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -41,11 +42,13 @@ from jaxdet.export.shapes import (
 )
 from jaxdet.io import LogFiles
 from jaxdet.io.motion import quaternions
+from jaxdet.render.camera import has_color
 from jaxdet.render.canvas import FREE, PALETTE
+from jaxdet.results.masks import obstacle_points
 from jaxdet.results.metric import TILT, world_angle
 from jaxdet.results.occupancy import MapImage
 from jaxdet.results.reading import Chunk, Frame, ResultLog, Results
-from jaxdet.types import Detections
+from jaxdet.types import Detections, Extrinsics
 
 FLOOR, CAMERA = "world/floor", "world/floor/camera"
 COLOR, DEPTH = f"{CAMERA}/color", f"{CAMERA}/depth"
@@ -79,7 +82,9 @@ def export(results: Results, output: Path, recordings: Mapping[str, LogFiles]) -
         stream = rr.RecordingStream("jaxdet", recording_id=log.label, send_properties=False)
         stream.set_log_time_enabled(False)
         stream.set_log_tick_enabled(False)
-        stream.save(output / f"{log.file_name}.rrd", _blueprint(files is not None))
+        flat = ([("Colour", COLOR)] if _has_color(log) else []) + [("Depth", DEPTH)]
+        shown = flat if files is not None else flat[:1]
+        stream.save(output / f"{log.file_name}.rrd", _blueprint(shown))
         stream.send_recording_name(log.label)
         try:
             _Recording(stream, results, log).write(files)
@@ -87,10 +92,15 @@ def export(results: Results, output: Path, recordings: Mapping[str, LogFiles]) -
             stream.disconnect()
 
 
-def _blueprint(with_images: bool) -> rrb.Blueprint:
-    """How the viewer arranges it."""
-    flat = [rrb.Spatial2DView(origin=COLOR, name="Colour")]
-    flat += [rrb.Spatial2DView(origin=DEPTH, name="Depth")] if with_images else []
+def _has_color(log: ResultLog) -> bool:
+    """Whether boxes are shown in colour images: of a calibrated camera, or with depth's pixels."""
+    camera = log.summary["calibration"] or {}
+    return bool(camera.get("color") or log.topic("color"))
+
+
+def _blueprint(images: Sequence[tuple[str, str]]) -> rrb.Blueprint:
+    """Return how the viewer arranges it; ``images`` are names and entities."""
+    flat = [rrb.Spatial2DView(origin=path, name=name) for name, path in images]
     series = [
         rrb.TimeSeriesView(origin="distance", name="Distance [m]"),
         rrb.TimeSeriesView(origin="obstacles", name="Obstacles"),
@@ -113,6 +123,8 @@ class _Recording:
         self.in_world = _in_world(results, log)
         """Whether some frame has a place in the world; those that have none are then not in space,
         where they would be at the place of the one before."""
+        self.boxes = COLOR if _has_color(log) else DEPTH
+        """The image that boxes are shown in."""
         self.floor_z = 0.0
         """Of the last frame with a pose, from the origin on [m]."""
 
@@ -127,7 +139,7 @@ class _Recording:
                 if number % FLUSH_FRAMES == 0:
                     self.stream.flush()  # else what waits to be written has no bound
         if files is not None:
-            for seen in look_again(self.results, self.log, files, with_cells=True):
+            for seen in look_again(self.results, self.log, files, with_cells=True, color=True):
                 for b, frame in enumerate(seen.chunk.each()):
                     self._at(frame.row)
                     self._images(seen, b, frame)
@@ -143,13 +155,14 @@ class _Recording:
         log = self.stream.log
         log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         log("world", rr.Transform3D(translation=self.origin), static=True)
-        log(COLOR, _pinhole(camera["color"]), static=True)
-        if camera["depth"]:
-            to_color = camera["color_from_depth"]
-            rotation = np.reshape(to_color["rotation"], (3, 3))
-            placed = rr.Transform3D(translation=to_color["translation"], mat3x3=rotation)
-            log(DEPTH, placed, static=True)
-        log(DEPTH, _pinhole(camera["depth"] or camera["color"]), static=True)
+        if motion := camera["color_from_depth"]:
+            T = Extrinsics(tuple(motion["rotation"]), tuple(motion["translation"])).T
+            paper = self.results.method.cluster.points  # whose camera is the colour camera
+            path, T = (DEPTH, T) if paper else (COLOR, np.linalg.inv(T))
+            log(path, rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3]), static=True)
+        if self.boxes == COLOR:
+            log(COLOR, _pinhole(camera["color"] or camera["depth"]), static=True)
+        log(DEPTH, _pinhole(camera["depth"]), static=True)
         for name, color in (("nearest", PALETTE[0]), ("drop", PALETTE[4])):
             log(f"distance/{name}", rr.SeriesLines(colors=[color], names=[name]), static=True)
         log("obstacles", rr.SeriesLines(colors=[PALETTE[1]], names=["obstacles"]), static=True)
@@ -174,7 +187,7 @@ class _Recording:
         else:
             for name in ("boxes", "contours", "free"):
                 log(f"{FLOOR}/{name}", rr.Clear(recursive=False))
-        log(f"{COLOR}/boxes", _flat_boxes(frame.obstacles))
+        log(f"{self.boxes}/boxes", _flat_boxes(frame.obstacles))
         if row["status"] != FrameStatus.OK:
             text = f"frame {row['frame']}: {row['status']}"
             log("frames", rr.TextLog(text, level=rr.TextLogLevel.WARN))
@@ -203,14 +216,18 @@ class _Recording:
     def _images(self, seen: Seen, b: int, frame: Frame) -> None:
         """What the log says of a frame."""
         row, log, frames = frame.row, self.stream.log, seen.batch.frames
-        if row["status"] in (FrameStatus.UNPAIRED, FrameStatus.DECODE_ERROR):
+        if row["status"] == FrameStatus.DECODE_ERROR:
             for path in (COLOR, DEPTH, f"{CAMERA}/points"):
                 log(path, rr.Clear(recursive=False))
             return
-        color = _encoded(".jpg", frames.color[b, ..., ::-1], cv2.IMWRITE_JPEG_QUALITY, QUALITY)
+        if has_color(frames, b):
+            assert frames.color is not None
+            color = _encoded(".jpg", frames.color[b, ..., ::-1], cv2.IMWRITE_JPEG_QUALITY, QUALITY)
+            log(COLOR, rr.EncodedImage(contents=color, media_type="image/jpeg"))
+        elif self.boxes == COLOR:
+            log(COLOR, rr.Clear(recursive=False))
         depth = _encoded(".png", frames.depth[b], cv2.IMWRITE_PNG_COMPRESSION, PNG_LEVEL)
         unit = frames.calibration.depth_unit
-        log(COLOR, rr.EncodedImage(contents=color, media_type="image/jpeg"))
         reach = (0.0, self.results.method.ground.max_depth_m / unit)
         how = {"media_type": "image/png", "meter": 1 / unit, "depth_range": reach}
         log(DEPTH, rr.EncodedDepthImage(blob=depth, **how))
@@ -285,7 +302,7 @@ def _floor_in_world(row: Mapping[str, Any], T: np.ndarray) -> rr.Transform3D:
 
 
 def _camera_on_floor(row: Mapping[str, Any]) -> rr.Transform3D:
-    """From the colour optical frame to the floor below it."""
+    """Return the motion from the optical frame to the floor below it."""
     T = np.linalg.inv(T_camera_floor(row))
     return rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3])
 
@@ -316,8 +333,9 @@ def _contours(obstacles: list[dict[str, Any]]) -> rr.LineStrips3D:
 
 
 def _flat_boxes(obstacles: list[dict[str, Any]]) -> rr.Boxes2D:
-    """The boxes in the colour image."""
+    """Return the boxes of the obstacles that are in the image."""
     names = ("u_min", "v_min", "u_max", "v_max")
+    obstacles = [one for one in obstacles if one["u_min"] is not None]
     box = np.reshape([[one[name] for name in names] for one in obstacles], (-1, 4))
     return rr.Boxes2D(
         mins=box[:, :2],
@@ -346,18 +364,10 @@ def _free(row: Mapping[str, Any], cell_rad: float) -> rr.Mesh3D | rr.Clear:
 
 
 def _points(found: Detections, b: int, unit: float, obstacles: list[dict[str, Any]]) -> rr.Points3D:
-    """The cells of obstacles, also beside the colour image, or where those are clusters the points.
-
-    So they reach from ``bottom_m`` to ``top_m``.
-    """
-    if found.cells is None:
-        label, place = found.labels.labels[b], found.features
-    else:
-        label, place = found.cells.label[b], found.cells.cells
-    used = label >= 0
-    xyz = np.stack([axis[b][used] for axis in (place.x, place.y, place.z)], axis=-1) * unit
+    """Return the points of obstacles in their colours."""
+    xyz, label = obstacle_points(found, b, unit)
     number = np.array([number_of(one) for one in obstacles], np.int64)
-    return rr.Points3D(xyz.astype(np.float32), colors=_colors(number[label[used]]), radii=0.008)
+    return rr.Points3D(xyz, colors=_colors(number[label]), radii=0.008)
 
 
 def _map(stream: rr.RecordingStream, image: MapImage, origin: np.ndarray, floor_z: float) -> None:

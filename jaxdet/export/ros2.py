@@ -33,7 +33,7 @@ DETECTIONS, POINTS, MAP = "detections", "points", "map"
 """Topics, see :func:`jaxdet.export.shapes.topic`."""
 
 POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("obstacle", "<u4")])
-"""A point of the cloud, in the colour optical frame [m], and the obstacle's label."""
+"""A point of the cloud, in the camera's optical frame [m], and the obstacle's label."""
 _DATATYPES = {"<f4": 7, "<u4": 6}
 """Of ``sensor_msgs/PointField``."""
 

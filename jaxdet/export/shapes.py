@@ -39,7 +39,7 @@ def topic(log: ResultLog, name: str) -> str:
 
 
 def camera_name(row: Row) -> str:
-    """The colour camera's frame; ``camera`` where the log names none."""
+    """The frame of the camera that lengths refer to; ``camera`` where the log names none."""
     return row["camera_frame"] or "camera"
 
 
@@ -49,7 +49,7 @@ def floor_name(row: Row) -> str:
 
 
 def T_camera_floor(row: Row) -> np.ndarray:
-    """``(4, 4)`` float64, floor frame to colour optical frame, of a row of frames [m]; constant."""
+    """``(4, 4)`` float64, floor frame to optical frame, of a row of frames [m]; constant."""
     return _floor(*(row[f"camera_{name}"] for name in ("height_m", "pitch_rad", "roll_rad")))
 
 
@@ -69,7 +69,7 @@ def _floor(height: float | None, pitch: float | None, roll: float | None) -> np.
 
 
 def T_world_camera(row: Row) -> np.ndarray | None:
-    """``(4, 4)`` float64, colour optical frame to world [m]; None where the pose is unknown."""
+    """``(4, 4)`` float64, optical frame to world [m]; None where the pose is unknown."""
     if row["camera_position_world"] is None:
         return None
     return motion_matrix(row["camera_position_world"], row["camera_orientation_world"])

@@ -1,6 +1,6 @@
 """What a file that is opened or played beside a log shows of each of its frames.
 
-Messages have the header stamps of the log's colour images, and as log times the times at which
+Messages have the header stamps of the log's depth images, and as log times the times at which
 the log received them, so that both files have one timeline whatever clock stamped the images.
 """
 

@@ -10,33 +10,35 @@ from jaxdet.errors import FrameStatus
 from jaxdet.io.notes import Notes, total
 from jaxdet.types import Frames
 
-_PER_FRAME = ("number", "stamp_ns", "depth_stamp_ns", "valid")
-"""Of :class:`jaxdet.types.Frames`, what is known of each frame beside images and pose."""
+_PER_FRAME = ("number", "stamp_ns", "color_stamp_ns", "valid")
+"""Of :class:`jaxdet.types.Frames`, what is small, without the poses."""
 
 
 class LogFrame(NamedTuple):
     """A frame of a log, decoded."""
 
     number: int
-    """Number of the colour frame in the log, from 0."""
-    color: np.ndarray
-    """``(H, W, 3)`` uint8, RGB; zeros where the frame can't be used."""
+    """Number of the depth image in the log, from 0."""
     depth: np.ndarray
-    """``(Hd, Wd)`` uint16 [depth units], 0 = no measurement; zeros likewise."""
+    """``(Hd, Wd)`` uint16 [depth units], 0 = no measurement; zeros where it can't be decoded."""
+    color: np.ndarray | None
+    """``(H, W, 3)`` uint8, RGB, the nearest colour image; None where none was read."""
     status: FrameStatus
-    """``ok``, or why it can't be used."""
+    """``ok``, or why the frame can't be used."""
     error: str
     """One line on that; empty where it is ok."""
     stamp_ns: int
-    """Colour header stamp."""
-    depth_stamp_ns: int
-    """Depth header stamp, -1 = unpaired."""
+    """Depth header stamp."""
+    color_stamp_ns: int
+    """Colour header stamp, -1 = none."""
     T_world_camera: np.ndarray | None
-    """``(4, 4)`` float64, colour optical frame to world, NaN where unknown; None: no poses."""
+    """``(4, 4)`` float64, depth optical frame to world, NaN where unknown; None: no poses."""
 
     def __repr__(self) -> str:
-        (height, width), (high, wide) = self.color.shape[:2], self.depth.shape
-        sizes = f"colour {width}x{height}, depth {wide}x{high}"
+        high, wide = self.depth.shape
+        sizes = f"depth {wide}x{high}"
+        if self.color is not None:
+            sizes += f", colour {self.color.shape[1]}x{self.color.shape[0]}"
         return f"<LogFrame {self.number}: {self.status}, {sizes}, {self.stamp_ns} ns>"
 
 
@@ -44,10 +46,11 @@ class Batch(NamedTuple):
     """Decoded frames, and what became of each."""
 
     frames: Frames
-    """Padded to the batch size. Padding, unpaired and failed frames have zero images and
-    ``valid`` False; padding has ``number`` and stamps -1."""
+    """Padded to the batch size. Padding has zero images, ``valid`` False, ``number`` and stamps -1;
+    so has the depth image of a frame that can't be decoded. ``color_stamp_ns`` is -1 also where
+    the colour image was read and can't be decoded."""
     status: tuple[FrameStatus, ...]
-    """One for each colour frame asked for; at most the batch size."""
+    """One for each requested frame; at most the batch size."""
     errors: tuple[str, ...]
     """One line for each of them, empty where the status is OK."""
     notes: Notes = Notes()
@@ -55,24 +58,31 @@ class Batch(NamedTuple):
     decoding_s: float = 0.0
     """How long its images were decoded [s]; the rest of the time they were read."""
     camera_frame: str = ""
-    """Name of the colour camera's optical frame; empty where the log has none."""
+    """Name of the depth camera's optical frame; empty where the log has none."""
     world_frame: str = ""
     """Name of the frame that poses are in; empty where there are none."""
     log_time_ns: np.ndarray | None = None
-    """When the log received the colour image of each of them, int64 [ns]; None: of no log."""
+    """When the log received the depth image of each of them, int64 [ns]; None: of no log."""
+    color_frame: str = ""
+    """Name of the colour camera's optical frame; empty where the log has none."""
+    nearest_color_ns: np.ndarray | None = None
+    """Header stamp of the colour image that belongs to each of them, int64 [ns], -1 = none; the
+    same whether colour was read or not. None: of no log."""
 
     def one_by_one(self) -> Iterator[LogFrame]:
         """The frames without the padding."""
         frames, poses = self.frames, self.frames.T_world_camera
+        color, stamps = frames.color, frames.color_stamp_ns
         for row, (status, error) in enumerate(zip(self.status, self.errors, strict=True)):
+            stamp = -1 if stamps is None else int(stamps[row])
             yield LogFrame(
                 int(frames.number[row]),
-                frames.color[row],
                 frames.depth[row],
+                None if color is None or stamp < 0 else color[row],
                 status,
                 error,
                 int(frames.stamp_ns[row]),
-                int(frames.depth_stamp_ns[row]),
+                stamp,
                 None if poses is None else poses[row],
             )
 
@@ -80,25 +90,33 @@ class Batch(NamedTuple):
         """The batch without images and padding: what is small, and stays when memory is reused."""
         count, frames = len(self.status), self.frames
         poses = frames.T_world_camera
-        known = {name: getattr(frames, name)[:count] for name in _PER_FRAME}
-        small = {"color": frames.color[:0].copy(), "depth": frames.depth[:0].copy()}
-        poses = poses if poses is None else poses[:count]
-        return self._replace(frames=frames._replace(**known, **small, T_world_camera=poses))
+        known = {name: _rows(getattr(frames, name), count) for name in _PER_FRAME}
+        small = {"color": None, "depth": frames.depth[:0].copy()}
+        return self._replace(
+            frames=frames._replace(**known, **small, T_world_camera=_rows(poses, count))
+        )
 
     @classmethod
     def joined(cls, parts: Sequence["Batch"]) -> "Batch":
         """Batches of a log as one; they are :meth:`without_images`, and at least one."""
         frames = [part.frames for part in parts]
-        known = {name: np.concatenate([getattr(a, name) for a in frames]) for name in _PER_FRAME}
-        poses = [a.T_world_camera for a in frames if a.T_world_camera is not None]
-        times = [part.log_time_ns for part in parts if part.log_time_ns is not None]
+        names = (*_PER_FRAME, "T_world_camera")
+        known = {name: _joined([getattr(item, name) for item in frames]) for name in names}
         return parts[0]._replace(
-            frames=frames[0]._replace(
-                **known, T_world_camera=np.concatenate(poses) if poses else None
-            ),
+            frames=frames[0]._replace(**known),
             status=tuple(chain.from_iterable(part.status for part in parts)),
             errors=tuple(chain.from_iterable(part.errors for part in parts)),
             notes=total(part.notes for part in parts),
             decoding_s=sum(part.decoding_s for part in parts),
-            log_time_ns=np.concatenate(times) if times else None,
+            log_time_ns=_joined([part.log_time_ns for part in parts]),
+            nearest_color_ns=_joined([part.nearest_color_ns for part in parts]),
         )
+
+
+def _rows(values: np.ndarray | None, count: int) -> np.ndarray | None:
+    return None if values is None else values[:count]
+
+
+def _joined(columns: Sequence[np.ndarray | None]) -> np.ndarray | None:
+    known = [column for column in columns if column is not None]
+    return np.concatenate(known) if known else None

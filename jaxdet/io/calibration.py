@@ -7,16 +7,16 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxdet.checks import check_calibration, check_depth_unit
-from jaxdet.errors import CalibrationError, printable
+from jaxdet.errors import CalibrationError, TransformError, printable
 from jaxdet.io.contents import LogContents
 from jaxdet.io.extrinsics import find_extrinsics
 from jaxdet.io.image_folder import LISTED_DEPTH
-from jaxdet.io.intrinsics import CameraSource, find_intrinsics
+from jaxdet.io.intrinsics import CameraSource, Found, find_intrinsics
 from jaxdet.io.messages import CameraInfoMessage, Kind
 from jaxdet.io.options import LogOptions
-from jaxdet.io.streams import ImageSize, ImageStream
-from jaxdet.io.topics import Choice, affinity, listed
-from jaxdet.types import Calibration, Intrinsics
+from jaxdet.io.streams import ImageStream
+from jaxdet.io.topics import Choice, affinity, camera_name, is_color_name, listed
+from jaxdet.types import Calibration, Extrinsics, Intrinsics
 
 DEPTH_UNIT_M = 0.001
 """Metres in one depth unit, where nothing else is said."""
@@ -31,67 +31,250 @@ class Calibrated(NamedTuple):
     """A log's calibration and how it was found."""
 
     calibration: Calibration
+    camera_frame: str
+    """TF frame of the depth camera; of aligned depth, that of the colour camera."""
     color_frame: str
-    """TF frame of the colour camera."""
-    depth_size: ImageSize
-    """Of the depth images."""
+    """TF frame of the colour images; empty where none are used."""
+    has_color: bool
+    """Whether colour images have the pixels of ``calibration.image``."""
+    has_color_camera: bool
+    """Whether that image is a colour camera's."""
+    color_problem: str
+    """Why ``has_color`` is False, and what to do; else empty."""
+    color_error: CalibrationError | None
+    """What the colour camera lacks; None where it lacks nothing, or there is none."""
     origins: tuple[str, ...]
     """Sentences."""
     extrinsics_source: str
     used: dict[str, CameraInfoMessage]
     """The calibrations used, by topic."""
+    of_depth: str
+    """The topic of these that describes depth; empty where flags do."""
     warnings: tuple[str, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def used_for_depth(self) -> dict[str, CameraInfoMessage]:
+        """The calibration without which a frame can't be judged."""
+        return {name: info for name, info in self.used.items() if name == self.of_depth}
+
+
+class _Sources(NamedTuple):
+    """Both cameras before their calibration is settled."""
+
+    depth: CameraSource
+    color: CameraSource | None
+    """None: there are no colour images."""
+    depth_frame: str
+    color_frame: str
+
+    @property
+    def same_frame(self) -> bool:
+        """Whether both images are in one and the same frame."""
+        return bool(self.color_frame) and self.color_frame == self.depth_frame
+
+
+class _Color(NamedTuple):
+    """What colour images are to depth images."""
+
+    usable: bool
+    camera: Found | None = None
+    """Their camera, where it is not that of the depth images."""
+    extrinsics: Extrinsics | None = None
+    origin: str = ""
+    """Of the extrinsics."""
+    warnings: tuple[str, ...] = ()
+    error: CalibrationError | None = None
+    """Why they can't be used."""
 
 
 def calibrate(contents: LogContents, choice: Choice, options: LogOptions) -> Calibrated:
-    """The calibration for the chosen topics.
+    """The calibration for the chosen topics: depth's, and how colour is placed to it.
+
+    Depth that is aligned to colour has the calibration of the colour camera, or, where that has
+    none, its own. A colour camera that isn't calibrated, or whose place isn't known, is an error
+    only where options are about its calibration; else its images aren't used.
 
     Raises:
-        CalibrationError: A part is missing, unknown or contradicts another; the text names the
-            flag that supplies it.
+        CalibrationError: A part of depth's is missing, unknown or contradicts another; the text
+            names the flag that supplies it.
     """
-    color_stream, depth_stream = contents.streams[choice.color], contents.streams[choice.depth]
-    image_frame, depth_frame = color_stream.frame_id(False), depth_stream.frame_id(True)
-    color_frame = options.camera_frame or image_frame
-    color_source = _source(contents, color_stream, False, options)
-    color = find_intrinsics(color_source)
-    depth_source = _source(contents, depth_stream, True, options)
+    sources = _sources(contents, choice, options)
     unit, unit_source = _depth_unit(contents, options, choice.depth)
-    origins = [_line("colour", color.intrinsics, color.origin)]
-    warnings = [*color.warnings, *_unit_doubts(unit_source, contents.path)]
-    same_frame = bool(color_frame) and image_frame == depth_frame
-    aligned, why = _aligned(color.intrinsics, depth_source, choice, same_frame, options)
+    aligned, why = _aligned(sources, choice, options)
+    source = _of_depth(contents, sources, options) if aligned else sources.depth
+    found = find_intrinsics(source)
+    warnings = [*found.warnings, *_unit_doubts(unit_source, contents.path)]
     if aligned:
-        size = ImageSize(color.intrinsics.width, color.intrinsics.height)
-        warnings += _aligned_doubts(depth_source, color.intrinsics, choice.depth)
-        if why == _AS_FOLDERS and color_source.matrix is not None:  # no camera as Open3D's
+        color = _aligned_color(sources, source, found.intrinsics, choice.depth)
+        if source is sources.color:
+            warnings += _aligned_doubts(sources.depth, found.intrinsics)
+        if why == _AS_FOLDERS and source.matrix is not None:  # no camera as Open3D's
             text = f"depth is taken to be aligned to colour, {why}; else give "
             warnings.append(f"{text}--log.depth-intrinsics and --log.color-from-depth")
-        calibration = Calibration(color.intrinsics, None, None, unit)
-        extrinsics_source = f"not needed: depth is aligned to colour ({why})"
-        sources = [color_source]
+    elif choice.infrared:
+        color = _Color(_same_pixels(sources, found.intrinsics))
     else:
-        sources = [color_source, depth_source]
-        depth = find_intrinsics(depth_source)
-        topics = choice.color, choice.depth
-        one_lens = _one_lens(color.intrinsics, depth.intrinsics)
-        frames = color_frame, depth_frame
-        found = find_extrinsics(contents, options, topics, *frames, one_lens=one_lens)
-        origins.append(_line("depth", depth.intrinsics, depth.origin))
-        warnings += [*depth.warnings, *found.warnings]
-        calibration = Calibration(color.intrinsics, depth.intrinsics, found.extrinsics, unit)
-        extrinsics_source = found.origin
-        size = ImageSize(depth.intrinsics.width, depth.intrinsics.height)
+        color = _other_color(contents, choice, options, sources, found.intrinsics)
+    other = color.camera and color.camera.intrinsics
+    calibration = Calibration(found.intrinsics, other, color.extrinsics, unit)
     try:
         check_calibration(calibration)
     except CalibrationError as error:
         raise CalibrationError(error.problem, path=contents.path, remedy=error.remedy) from error
+    origins = [_line("depth" if source is sources.depth else "colour", found)]
+    origins += [_line("colour", color.camera)] if color.camera else []
     origins.append(f"depth unit: {unit:g} m, {unit_source}")
-    used = {item.topic: item.info for item in sources if item.info and item.matrix is None}
-    warnings += _changes(contents, used)
+    described = [source, *([sources.color] if color.camera and sources.color else [])]
+    used = {item.topic: item.info for item in described if item.info and item.matrix is None}
+    of_depth = source.topic if source.topic in used else ""
+    problem, note = _without_color(choice, color)
+    frame = sources.color_frame if aligned else ""
+    not_needed = f"not needed: depth is aligned to colour ({why})" if aligned else ""
     return Calibrated(
-        calibration, color_frame, size, tuple(origins), extrinsics_source, used, tuple(warnings)
+        calibration=calibration,
+        camera_frame=options.camera_frame or frame or sources.depth_frame,
+        color_frame=sources.color_frame if color.usable else "",
+        has_color=color.usable,
+        has_color_camera=aligned or color.camera is not None,
+        color_problem=problem,
+        color_error=color.error,
+        origins=tuple(origins),
+        extrinsics_source=color.origin or not_needed,
+        used=used,
+        of_depth=of_depth,
+        warnings=(*warnings, *color.warnings, *_changes(contents, used, of_depth)),
+        notes=(note,) if note else (),
     )
+
+
+def _sources(contents: LogContents, choice: Choice, options: LogOptions) -> _Sources:
+    depth = contents.streams[choice.depth]
+    color = contents.streams[choice.color] if choice.color else None
+    return _Sources(
+        _source(contents, depth, True, options),
+        _source(contents, color, False, options) if color is not None else None,
+        depth.frame_id(True),
+        color.frame_id(False) if color is not None else "",
+    )
+
+
+def _of_depth(contents: LogContents, sources: _Sources, options: LogOptions) -> CameraSource:
+    """The source of the calibration of depth that is aligned to colour."""
+    depth, color = sources.depth, sources.color
+    if color is None:
+        color = _without_images(contents, depth, options)
+    if (depth.info or depth.matrix) and not (color.info or color.matrix):
+        return depth
+    if depth.info and depth.size and color.size and depth.size != color.size:
+        return depth if depth.size == (depth.info.width, depth.info.height) else color
+    return color
+
+
+def _without_images(
+    contents: LogContents, depth: CameraSource, options: LogOptions
+) -> CameraSource:
+    """The colour camera of aligned depth whose own images aren't read: the flags, or the log's."""
+    known = [
+        topic
+        for topic in contents.calibrations
+        if is_color_name(topic) and camera_name(topic) == camera_name(depth.topic)
+    ]
+    topic = options.color_info or (known[0] if len(known) == 1 and not depth.info else "")
+    calibrations = contents.calibrations.get(topic)
+    return depth._replace(
+        name="color",
+        topic=topic,
+        info=calibrations.of(depth.size) if calibrations else None,
+        matrix=options.color_intrinsics,
+        model=options.color_distortion,
+    )
+
+
+def _aligned_color(
+    sources: _Sources, source: CameraSource, camera: Intrinsics, topic: str
+) -> _Color:
+    """Colour to which depth is aligned: of the same pixels, or of another number of them."""
+    color, size = sources.color, (camera.width, camera.height)
+    if color is None:
+        return _Color(False)
+    if source is color and sources.depth.size not in (None, size):
+        width, height = sources.depth.size or size
+        problem = f"aligned depth is {width}x{height} but colour is {camera.width}x{camera.height}"
+        remedy = "say --log.no-depth-aligned or choose another --log.depth"
+        raise CalibrationError(problem, path=color.path, topic=topic, remedy=remedy)
+    if color.size in (None, size):
+        return _Color(True)
+    try:
+        found = find_intrinsics(color)
+    except CalibrationError as error:
+        return _Color(False, error=error)
+    none = Extrinsics.from_matrix(np.eye(4))
+    return _Color(True, found, none, "none: depth is aligned to colour", found.warnings)
+
+
+def _other_color(
+    contents: LogContents,
+    choice: Choice,
+    options: LogOptions,
+    sources: _Sources,
+    depth: Intrinsics,
+) -> _Color:
+    """Colour of a camera of its own.
+
+    Raises:
+        CalibrationError: Its calibration or place isn't known, though options are about it.
+    """
+    if sources.color is None:
+        return _Color(False)
+    try:
+        camera = find_intrinsics(sources.color)
+        found = find_extrinsics(
+            contents,
+            options,
+            (choice.color, choice.depth),
+            sources.color_frame,
+            options.camera_frame or sources.depth_frame,
+            one_lens=_one_lens(camera.intrinsics, depth),
+        )
+        calibration = Calibration(depth, camera.intrinsics, found.extrinsics)
+        check_calibration(calibration)
+    except CalibrationError as error:
+        of_color = "color_info", "color_intrinsics", "color_distortion", "color_from_depth"
+        if any(getattr(options, name) is not None for name in of_color):
+            raise
+        return _Color(False, error=error)
+    warnings = *camera.warnings, *found.warnings
+    return _Color(True, camera, found.extrinsics, found.origin, warnings)
+
+
+def _without_color(choice: Choice, color: _Color) -> tuple[str, str]:
+    """What to tell of a log without colour: the problem with its remedy, and a note."""
+    if color.usable:
+        return "", f"no colour: pictures show infrared ({choice.color})" * choice.infrared
+    if color.error is not None:
+        unplaced = isinstance(color.error, TransformError)
+        text = "place relative to the depth camera" if unplaced else "calibration"
+        note = f"the colour camera's {text} is not known: pictures show depth"
+        return str(color.error), f"{note} ({color.error.problem})"
+    if choice.infrared:
+        why, remedy = "no colour image topic", "name a topic with --log.color"
+    else:
+        why, remedy = choice.why_no_color, choice.remedy
+    return f"{why}; {remedy}", f"no colour ({why}): pictures show depth"
+
+
+def _same_pixels(sources: _Sources, camera: Intrinsics) -> bool:
+    """Whether infrared images have the depth camera's pixels: its size, and its matrix or frame."""
+    color = sources.color
+    if color is None or color.size not in (None, (camera.width, camera.height)):
+        return False
+    if color.info is None:
+        return sources.same_frame
+    try:
+        return np.allclose(find_intrinsics(color).intrinsics[2:6], camera[2:6], rtol=0, atol=0.5)
+    except CalibrationError:
+        return False
 
 
 def _depth_unit(contents: LogContents, options: LogOptions, depth_topic: str) -> tuple[float, str]:
@@ -122,13 +305,9 @@ def _unit_doubts(source: str, path: str) -> list[str]:
     ]
 
 
-def _aligned(
-    color: Intrinsics,
-    depth: CameraSource,
-    choice: Choice,
-    same_frame: bool,
-    options: LogOptions,
-) -> tuple[bool, str]:
+def _aligned(sources: _Sources, choice: Choice, options: LogOptions) -> tuple[bool, str]:
+    """Whether depth is aligned to colour, and why."""
+    depth, color = sources.depth, sources.color
     if options.depth_aligned is not None:
         flag = "--log.depth-aligned" if options.depth_aligned else "--log.no-depth-aligned"
         return options.depth_aligned, f"given by {flag}"
@@ -136,15 +315,15 @@ def _aligned(
         return False, "depth's own calibration is given"
     if choice.aligned_by_name:
         return True, _AS_FOLDERS if Path(depth.path).is_dir() else "by the topic's name"
-    if not same_frame or depth.size != (color.width, color.height):
+    if color is None or choice.infrared or not sources.same_frame or depth.size != color.size:
         return False, ""
     if depth.info is None:
         return True, "same frame and size as colour"
     try:
-        own = find_intrinsics(depth).intrinsics
+        own, other = (find_intrinsics(one).intrinsics for one in (depth, color))
     except CalibrationError:
         return False, ""
-    same = np.allclose(own[2:6], color[2:6], rtol=0, atol=1e-3)
+    same = np.allclose(own[2:6], other[2:6], rtol=0, atol=1e-3)
     return bool(same), "same frame, size and camera matrix as colour"
 
 
@@ -157,12 +336,8 @@ def _one_lens(color: Intrinsics, depth: Intrinsics) -> bool:
     return np.allclose(*values, rtol=0, atol=_ONE_LENS)
 
 
-def _aligned_doubts(depth: CameraSource, color: Intrinsics, topic: str) -> list[str]:
-    if depth.size is not None and depth.size != (color.width, color.height):
-        problem = f"aligned depth is {depth.size.width}x{depth.size.height} but colour is "
-        problem += f"{color.width}x{color.height}"
-        remedy = "say --log.no-depth-aligned or choose another --log.depth"
-        raise CalibrationError(problem, path=depth.path, topic=topic, remedy=remedy)
+def _aligned_doubts(depth: CameraSource, color: Intrinsics) -> list[str]:
+    """A line where aligned depth has a camera matrix of its own."""
     if depth.info is None or len(depth.info.K) != 9:
         return []
     K = depth.info.K
@@ -198,7 +373,7 @@ def _source(
 def _info_topic(
     contents: LogContents, stream: ImageStream, depth: bool, override: str | None
 ) -> str:
-    """The flag's topic, else the one beside the images, else the only one of their frame."""
+    """The flag's topic, else the one next to the images, else the only one of their frame."""
     known = contents.calibrations
     if override:
         if override not in known:
@@ -223,17 +398,23 @@ def _info_topic(
     return nearest[0] if len(nearest) == 1 else ""
 
 
-def _changes(contents: LogContents, used: Mapping[str, CameraInfoMessage]) -> list[str]:
+def _changes(
+    contents: LogContents, used: Mapping[str, CameraInfoMessage], of_depth: str
+) -> list[str]:
+    lost = "frames with another calibration than the one used are left out"
+    kept = "boxes and pictures of later frames may be off"
     return [
-        f"{printable(name)} changes: frames with another calibration than the one used are left out"
+        f"{printable(name)} changes: {lost if name == of_depth else kept}"
         for name in sorted(used)
         if len(contents.calibrations[name].changes) > 1
     ]
 
 
-def _line(name: str, value: Intrinsics, origin: str) -> str:
+def _line(name: str, found: Found) -> str:
+    value = found.intrinsics
     matrix = f"fx {value.fx:.6g} fy {value.fy:.6g} cx {value.cx:.6g} cy {value.cy:.6g}"
     lens = value.distortion.value
     if value.coefficients:
         lens += " " + " ".join(f"{item:.6g}" for item in value.coefficients)
-    return f"{name}: {value.width}x{value.height}, {matrix}, distortion {lens}; from {origin}"
+    size = f"{value.width}x{value.height}"
+    return f"{name}: {size}, {matrix}, distortion {lens}; from {found.origin}"

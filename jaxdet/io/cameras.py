@@ -18,7 +18,7 @@ class Cameras(NamedTuple):
     """The cameras of a log by name, in order."""
 
     complete: Mapping[str, Choice]
-    """With colour, depth and calibration."""
+    """With depth and its calibration."""
     incomplete: Mapping[str, TopicError | CalibrationError]
     """What the others lack; empty where there is one camera."""
 
@@ -54,7 +54,10 @@ class Cameras(NamedTuple):
     @property
     def lines(self) -> tuple[str, ...]:
         """The cameras for a person; empty where there is one."""
-        found = {name: f"{item.color}, {item.depth}" for name, item in self.complete.items()}
+        found = {
+            name: ", ".join(dict.fromkeys(filter(None, (item.depth, item.color))))
+            for name, item in self.complete.items()
+        }
         found |= {name: f"not used: {error.problem}" for name, error in self.incomplete.items()}
         return tuple(printable(f"{name}: {found[name]}") for name in self.names if len(found) > 1)
 
@@ -70,7 +73,7 @@ def find_cameras(contents: LogContents, options: LogOptions) -> Cameras:
     """The cameras of a log; the calibration is looked at where there are several.
 
     Raises:
-        TopicError: No or several topics can be colour or depth of the only camera.
+        TopicError: No or several topics can be depth of the only camera.
     """
     complete: dict[str, Choice] = {}
     incomplete: dict[str, TopicError | CalibrationError] = {}

@@ -1,4 +1,4 @@
-"""Compressed images: JPEG and PNG colour, PNG depth, ROS's ``compressedDepth``.
+"""Compressed images: JPEG and PNG colour, PNG depth, ROS's ``compressedDepth`` and ``zstd``.
 
 ``compressedDepth`` is a head of 12 bytes (format, then the quantisation's A and B), then a PNG,
 or two counts (columns, rows) and an RVL stream. For 32FC1 the 16-bit numbers q in it are
@@ -11,12 +11,21 @@ from functools import lru_cache
 
 import numpy as np
 
-from jaxdet.io.images import check_row, check_size, metres_to_units
+from jaxdet.io.images import (
+    check_row,
+    check_size,
+    decode_color,
+    decode_depth,
+    is_color_encoding,
+    is_depth_encoding,
+    metres_to_units,
+)
 from jaxdet.io.jpeg import MAGIC as JPEG
 from jaxdet.io.jpeg import decode_jpeg, jpeg_size
-from jaxdet.io.messages import CompressedImageMessage, bad_frame
+from jaxdet.io.messages import CompressedImageMessage, ImageMessage, bad_frame
 from jaxdet.io.png import MAGIC, decode_png_color, decode_png_depth, read_png_head
 from jaxdet.io.rvl import decode_rvl
+from jaxdet.io.zstd_images import is_zstd, read_zstd_head, unpack
 
 _DEPTH_HEAD = struct.Struct("<iff")
 _RVL_HEAD = struct.Struct("<II")
@@ -38,6 +47,23 @@ def is_png16(data: bytes | memoryview) -> bool:
         return False
 
 
+def is_color_file(image: CompressedImageMessage) -> bool:
+    """Whether a CompressedImage can be turned into RGB, by its ``format`` or its own head."""
+    if is_zstd(image.format):
+        head = read_zstd_head(image.data)
+        return head is None or is_color_encoding(head.encoding)
+    named = any(name in image.format.lower() for name in ("jpeg", "jpg", "png"))
+    return named or any(_begins(memoryview(image.data), magic) for magic in (JPEG, MAGIC))
+
+
+def is_depth_file(image: CompressedImageMessage, topic: str) -> bool:
+    """Whether a CompressedImage holds depth, by its ``format``, its own head or its topic."""
+    if is_zstd(image.format):
+        head = read_zstd_head(image.data)
+        return head is not None and is_depth_encoding(head.encoding)
+    return is_compressed_depth(image.format, topic) or is_png16(image.data)
+
+
 def compressed_size(image: CompressedImageMessage) -> tuple[int, int]:
     """Width and height [pixel] by the file's own head, without decoding.
 
@@ -47,6 +73,11 @@ def compressed_size(image: CompressedImageMessage) -> tuple[int, int]:
     data = memoryview(image.data)
     if not len(data):
         raise bad_frame("the image has no data")
+    if is_zstd(image.format):
+        found = read_zstd_head(data)
+        if found is None:
+            raise bad_frame("the image has no head")
+        return found.width, found.height
     if _begins(data, JPEG):
         try:
             return jpeg_size(data)
@@ -67,7 +98,7 @@ def compressed_size(image: CompressedImageMessage) -> tuple[int, int]:
 def decode_compressed_color(
     image: CompressedImageMessage, row: np.ndarray, max_pixels: int
 ) -> None:
-    """RGB of a JPEG or a PNG; grey is repeated in the three channels.
+    """RGB of a JPEG, a PNG or an image packed by zstd; grey is repeated in the three channels.
 
     Args:
         image: The message.
@@ -77,6 +108,9 @@ def decode_compressed_color(
     Raises:
         FrameError: Another format or size, damaged, or larger than ``max_pixels``.
     """
+    if is_zstd(image.format):
+        decode_color(_unpacked("colour", image, row, max_pixels), row, max_pixels)
+        return
     _check("colour", image, row, max_pixels)
     data = memoryview(image.data)
     try:
@@ -92,7 +126,7 @@ def decode_compressed_color(
 def decode_compressed_depth(
     image: CompressedImageMessage, row: np.ndarray, unit_m: float, max_pixels: int
 ) -> None:
-    """Depth in units of ``unit_m`` of ``compressedDepth`` or a 16-bit PNG.
+    """Depth in units of ``unit_m`` of ``compressedDepth``, a 16-bit PNG or a zstd image.
 
     Args:
         image: The message.
@@ -103,6 +137,9 @@ def decode_compressed_depth(
     Raises:
         FrameError: Another format or size, damaged, or larger than ``max_pixels``.
     """
+    if is_zstd(image.format):
+        decode_depth(_unpacked("depth", image, row, max_pixels), row, unit_m, max_pixels)
+        return
     _check("depth", image, row, max_pixels)
     data = memoryview(image.data)
     headed = not _begins(data, MAGIC)
@@ -129,6 +166,14 @@ def _inverse_depths(a: float, b: float, unit_m: float) -> np.ndarray:
         metres = np.float32(a) / (codes.astype(np.float32) - np.float32(b))
     metres_to_units(np.where(codes == 0, np.float32(0), metres)[None], unit_m, units)
     return units[0]
+
+
+def _unpacked(
+    what: str, image: CompressedImageMessage, row: np.ndarray, max_pixels: int
+) -> ImageMessage:
+    if read_zstd_head(image.data) is not None:
+        _check(what, image, row, max_pixels)
+    return unpack(image, row.shape[1], row.shape[0])
 
 
 def _check(what: str, image: CompressedImageMessage, row: np.ndarray, max_pixels: int) -> None:

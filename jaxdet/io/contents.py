@@ -223,15 +223,15 @@ class ContentsBuilder:
         if decoder not in stream.decoders:
             stream.decoders.append(decoder)
         # What can't be decoded stays a frame, at its log time, and fails when it is read.
-        stamp = depth_stamp = log_ns
+        stamps = log_ns, log_ns
         try:
-            stamp = depth_stamp = decoder.stamp_ns(payload)
+            stamps = (decoder.stamp_ns(payload),) * 2
             if len(stream.probes) < NUM_PROBES or decoder.kind is Kind.RGBD:
-                stamp, depth_stamp = self._probe(stream, decoder, payload, log_ns)
+                stamps = self._probe(stream, decoder, payload, log_ns)
         finally:
             number = stream.decoders.index(decoder)
             where = (self.file_number, number, *location)
-            stream.add((stamp, depth_stamp, log_ns, *where))
+            stream.add((*stamps, log_ns, *where))
             check_images(len(stream), self.bytes, self.path, topic)
 
     def _probe(
@@ -247,7 +247,7 @@ class ContentsBuilder:
                 check_pixels(depth)
                 color, depth = color._replace(data=b""), depth._replace(data=b"")
                 stream.probes.append(message._replace(color=color, depth=depth))
-            return color.stamp_ns, depth.stamp_ns
+            return depth.stamp_ns, color.stamp_ns
         assert isinstance(message, ImageMessage | CompressedImageMessage)
         if isinstance(message, ImageMessage):
             check_pixels(message)
@@ -297,7 +297,7 @@ class ContentsBuilder:
 
 
 def image_stamps(decoder: MessageDecoder, payload: memoryview) -> tuple[int, int]:
-    """The stamps of the colour and the depth image in a message [ns]; of one image twice its own.
+    """The stamps of the depth and the colour image in a message [ns]; of one image twice its own.
 
     Raises:
         FrameError: The message can't be decoded.
@@ -307,5 +307,5 @@ def image_stamps(decoder: MessageDecoder, payload: memoryview) -> tuple[int, int
         with suppress(FrameError):
             message = decoder.decode(payload)
             assert isinstance(message, RgbdMessage)
-            return message.color.stamp_ns, message.depth.stamp_ns
+            return message.depth.stamp_ns, message.color.stamp_ns
     return stamp, stamp

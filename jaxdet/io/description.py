@@ -1,4 +1,4 @@
-"""What ``jaxdet info`` tells about a log; plain data, no arrays of images."""
+"""What ``jaxdet info`` shows of a log; plain data, no arrays of images."""
 
 from typing import NamedTuple
 
@@ -14,11 +14,12 @@ from jaxdet.io.part import first_told
 from jaxdet.io.timeline import ScannedFrames
 from jaxdet.io.windows import IndexedFrames
 
-_SLOW_PAIR_S = 0.05
+_SLOW_S = 0.05
+"""How far the nearest colour image is at most before it is noted."""
 _FEW = 0.1
 """Of a log's frames, to have no pose."""
 _TWO_CLOCKS_S = 0.5
-"""Recorded so much farther apart than their stamps are, images may be paired by two clocks."""
+"""Recorded so much farther apart than their stamps are, images may have stamps of two clocks."""
 
 
 class TopicDescription(NamedTuple):
@@ -41,21 +42,30 @@ class TopicDescription(NamedTuple):
 
 
 class PairingDescription(NamedTuple):
-    """How colour and depth were paired."""
+    """How far colour images are from the frames that they are shown with."""
 
     tolerance_s: float
-    num_paired: int
-    num_unpaired_color: int
-    num_unpaired_depth: int
-    unpaired_depth_stamps_ns: np.ndarray
-    """``(U,)`` int64."""
+    num_frames: int
+    num_with_color: int
+    """Frames with a colour image within the tolerance."""
     median_dt_s: float
-    """Of ``|colour - depth|`` of the pairs; 0 without pairs."""
+    """Of ``|colour - depth|`` of these; 0 without any."""
     max_dt_s: float
+
+    @property
+    def text(self) -> str:
+        """A line for people."""
+        count, missing = self.num_frames, self.num_frames - self.num_with_color
+        if not self.num_with_color:
+            return f"no colour within {self.tolerance_s:g} s of the {count} frames"
+        found = f"colour missing for {missing} of {count} frames"
+        found = found if missing else f"colour for all {count} frames"
+        median, most = self.median_dt_s * 1000, self.max_dt_s * 1000
+        return f"{found}, the nearest up to {most:.1f} ms away (median {median:.1f} ms)"
 
 
 class LogDescription(NamedTuple):
-    """All that is known of a log before its images are decoded."""
+    """What a log holds, before its images are decoded."""
 
     name: str
     paths: tuple[str, ...]
@@ -68,11 +78,11 @@ class LogDescription(NamedTuple):
     cameras_left_out: tuple[str, ...]
     """Those that can't be used, by their names; why is among the warnings."""
     num_frames: int
-    """Colour frames of the log."""
+    """Depth images of the log."""
     part: str
     """Which of them are used; empty: all."""
     duration_s: float
-    """From the first to the last colour stamp."""
+    """From the first to the last depth stamp."""
     topics: tuple[TopicDescription, ...]
     choices: tuple[str, ...]
     """Which topics are used and why."""
@@ -84,7 +94,7 @@ class LogDescription(NamedTuple):
     num_poses: int | None
     """Frames with a known pose; None where the log was opened by its index."""
     pairing: PairingDescription | None
-    """None where the log was opened by its index."""
+    """Of colour to depth; None where the log was opened by its index."""
     integrity: tuple[FileIntegrity, ...]
     """One for each file; its ``text`` is a line."""
     warnings: tuple[str, ...]
@@ -105,7 +115,7 @@ def describe(
     """
     warnings = [*contents.warnings, *contents.tree.warnings, *found.warnings]
     warnings += [*found.calibrated.warnings, *found.poses.warnings, *found.cameras.warnings]
-    count = found.frames.num_frames
+    count, color = found.frames.num_frames, found.choice.color
     first_ns = first_told(map(found.frames.stamp_ns, range(count)))
     return LogDescription(
         name=files.name,
@@ -117,7 +127,7 @@ def describe(
         num_frames=count,
         part=_part_text(numbers, found.frames, first_ns),
         duration_s=(found.frames.stamp_ns(count - 1) - first_ns) / 1e9,
-        topics=_topics(contents, found.choice.color, found.choice.depth),
+        topics=_topics(contents, color if found.color else "", found.choice.depth),
         choices=found.choice.reasons,
         calibration=found.calibrated.origins,
         extrinsics_source=found.calibrated.extrinsics_source,
@@ -127,7 +137,7 @@ def describe(
         pairing=None,
         integrity=tuple(contents.integrity),
         warnings=tuple(warnings),
-        notes=tuple(contents.notes),
+        notes=(*contents.notes, *found.calibrated.notes),
     )
 
 
@@ -143,33 +153,44 @@ def complete(
         has_poses: Whether the log has poses, of whatever time.
     """
     pairing = _pairing(notes, tolerance_s)
-    warnings = []
-    for role, counts in (("color", notes.color), ("depth", notes.depth)):
-        topic = next((item.topic for item in about.topics if role in item.chosen_as.split()), "")
-        texts = (
-            (counts.backward, "stamps run backward; frames are ordered by stamp"),
-            (counts.double, "stamps occur twice"),
-            (counts.zero, "header stamps are zero"),
-            (counts.undecodable, "messages can't be decoded"),
-        )
-        warnings += [f"{topic}: {count} {text}" for count, text in texts if count]
-    if pairing.max_dt_s > _SLOW_PAIR_S:
-        text = f"a pair is {pairing.max_dt_s * 1000:.1f} ms apart; see --log.pair-tolerance-s"
-        warnings.append(text)
+    warnings, counts = [], notes.depth
+    topic = next((item.topic for item in about.topics if "depth" in item.chosen_as.split()), "")
+    texts = (
+        (counts.backward, "stamps run backward; frames are ordered by stamp"),
+        (counts.double, "stamps occur twice"),
+        (counts.zero, "header stamps are zero"),
+        (counts.undecodable, "messages can't be decoded"),
+    )
+    warnings += [f"{topic}: {count} {text}" for count, text in texts if count]
     if (seconds := _recorded_apart(notes)) > _TWO_CLOCKS_S:
         warnings.append(
-            f"the images of a pair were recorded {seconds:.1f} s apart (median): where colour and "
-            "depth have stamps of two clocks, images of different times are paired"
+            f"colour and depth images of one stamp were recorded {seconds:.1f} s apart (median): "
+            "where they have stamps of two clocks, pictures show colour of another time"
         )
-    frames = len(notes.apart_ns) + notes.unpaired_color
+    more = []
+    has_color = any("color" in item.chosen_as.split() for item in about.topics)
+    if has_color and (pairing.num_with_color < pairing.num_frames or pairing.max_dt_s > _SLOW_S):
+        more.append(f"{pairing.text}; see --log.pair-tolerance-s")
+    frames = pairing.num_frames
     if has_poses and not notes.poses:
         warnings.append("no frame has a pose: the poses' stamps are of another time or clock")
     elif has_poses and (lacking := frames - notes.poses) > _FEW * frames:
         text = f"{lacking} of {frames} frames have no pose: see --log.world-frame and --log.odom"
         warnings.append(text)
     return about._replace(
-        num_poses=notes.poses, pairing=pairing, warnings=(*about.warnings, *warnings)
+        num_poses=notes.poses,
+        pairing=pairing,
+        warnings=(*about.warnings, *warnings),
+        notes=(*about.notes, *more),
     )
+
+
+def with_bad_color(about: LogDescription, notes: Notes) -> LogDescription:
+    """A description with a note on colour images that were read and can't be decoded."""
+    if not notes.bad_color:
+        return about
+    text = f"{notes.bad_color} colour images can't be decoded: {notes.why_bad_color}"
+    return about._replace(notes=(*about.notes, text))
 
 
 def _topics(contents: LogContents, color: str, depth: str) -> tuple[TopicDescription, ...]:
@@ -210,16 +231,14 @@ def _pairing(notes: Notes, tolerance_s: float) -> PairingDescription:
     apart = notes.apart_ns / 1e9
     return PairingDescription(
         tolerance_s=tolerance_s,
-        num_paired=len(apart),
-        num_unpaired_color=notes.unpaired_color,
-        num_unpaired_depth=len(notes.unpaired_depth_ns),
-        unpaired_depth_stamps_ns=notes.unpaired_depth_ns,
+        num_frames=len(apart) + notes.without_color,
+        num_with_color=len(apart),
         median_dt_s=float(np.median(apart)) if len(apart) else 0.0,
         max_dt_s=float(apart.max()) if len(apart) else 0.0,
     )
 
 
 def _recorded_apart(notes: Notes) -> float:
-    """How much farther apart pairs are by log time than by stamp, the median [s]."""
+    """How much farther colour is from depth by log time than by stamp, the median [s]."""
     more = (notes.recorded_apart_ns - notes.apart_ns) / 1e9
     return float(np.median(more)) if len(more) else 0.0

@@ -1,6 +1,7 @@
 """All that is found in a log before an image is decoded."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +16,7 @@ from jaxdet.io.messages import Kind, kind_of
 from jaxdet.io.options import LogOptions
 from jaxdet.io.poses import Base, PoseSource, find_base, find_poses
 from jaxdet.io.streams import NUM_PROBES
-from jaxdet.io.timeline import ScannedFrames, log_time_warnings, order_and_pair
+from jaxdet.io.timeline import ScannedFrames, log_time_warnings, order_frames
 from jaxdet.io.topics import Choice
 from jaxdet.io.validity import CalibrationWindows, other_calibration
 from jaxdet.io.windows import IndexedFrames
@@ -33,10 +34,10 @@ class Findings(NamedTuple):
     base: Base
     poses: PoseSource
     frames: ScannedFrames | IndexedFrames
-    color: Sequence[MessageDecoder]
-    """Of the colour topic; a message has the one of its ``decoder``."""
     depth: Sequence[MessageDecoder]
-    """Of the depth topic, which may be the same."""
+    """Of the depth topic; a message has the one of its ``decoder``."""
+    color: Sequence[MessageDecoder]
+    """Of the colour topic, which may be the same; empty where no colour is used."""
     warnings: tuple[str, ...]
     """About the frames."""
 
@@ -46,13 +47,15 @@ def find_scanned(contents: LogContents, options: LogOptions) -> Findings:
 
     Raises:
         CamerasError: There are several cameras.
-        TopicError: No or several topics can be colour or depth, or there is no such camera.
+        TopicError: No or several topics can be depth, or there is no such camera.
         CalibrationError: A part of the calibration is missing, unknown or contradictory.
     """
     cameras = find_cameras(contents, options)
     choice = cameras.chosen(options, contents.path)
-    color, depth = contents.streams[choice.color], contents.streams[choice.depth]
-    frames = order_and_pair(color, depth, options.pair_tolerance_s)
+    calibrated = _calibrate(contents, choice, options)
+    depth = contents.streams[choice.depth]
+    color = contents.streams[choice.color] if calibrated.has_color else None
+    frames = order_frames(depth, color, options.pair_tolerance_s)
     stamps, tracks = frames.about_ns(), contents.tracks
 
     def share_known(source: PoseSource) -> float:
@@ -61,10 +64,10 @@ def find_scanned(contents: LogContents, options: LogOptions) -> Findings:
         # Where the sample has none, any in the sample of another source go before all.
         return float(known[_sample(len(known))].mean() or known.mean() / 100)
 
-    calibrated, base, poses = _find(contents, choice, options, share_known)
+    base, poses = _find(contents, calibrated, options, share_known)
     other = np.zeros(len(stamps), bool)
-    for topic, used in calibrated.used.items():
-        if color.kind is not Kind.RGBD:  # whose images are read with their calibrations
+    for topic, used in calibrated.used_for_depth.items():
+        if depth.kind is not Kind.RGBD:  # whose images are read with their calibrations
             changes = contents.calibrations[topic].changes
             other |= other_calibration(stamps, changes, used, frames.by_log_time)
     return Findings(
@@ -74,8 +77,8 @@ def find_scanned(contents: LogContents, options: LogOptions) -> Findings:
         base,
         poses,
         frames.completed(poses.at(stamps, contents.tree, tracks), other),
-        color.decoders,
         depth.decoders,
+        [] if color is None else color.decoders,
         frames.warnings,
     )
 
@@ -85,7 +88,7 @@ def find_indexed(log: IndexedLog, options: LogOptions) -> Findings:
 
     Raises:
         CamerasError: There are several cameras.
-        TopicError: No or several topics can be colour or depth, or there is no such camera.
+        TopicError: No or several topics can be depth, or there is no such camera.
         CalibrationError: A part of the calibration is missing, unknown or contradictory.
         RescanError: The first messages are such that the index isn't enough.
         DamageError: The file contradicts its index.
@@ -97,28 +100,35 @@ def find_indexed(log: IndexedLog, options: LogOptions) -> Findings:
         if sampled or _is_of_first(log, error):
             raise RescanError(f"not found in a sample: {error.problem}", path=path)
     choice = cameras.chosen(options, contents.path)
-    color, depth = log.streams[choice.color], log.streams[choice.depth]
-    for topic in (choice.color, choice.depth):
+    try:
+        calibrated = _calibrate(contents, choice, options)
+    except CalibrationError as error:
+        _check_sampled(log, error)
+        raise
+    if calibrated.color_error is not None:
+        _check_sampled(log, calibrated.color_error)
+    topics = (choice.depth, choice.color) if calibrated.has_color else (choice.depth,)
+    for topic in topics:
         if not contents.streams[topic].column("stamp").any():
             raise RescanError("the first header stamps are zero", path=path, topic=topic)
+    depth, color = log.streams[topics[0]], log.streams[topics[-1]] if topics[1:] else None
     tolerance = options.pair_tolerance_s
-    frames = IndexedFrames(color, depth, log.motions, PoseSource(""), tolerance, path)
+    frames = IndexedFrames(depth, color, log.motions, PoseSource(""), tolerance, path)
 
     def share_known(source: PoseSource) -> float:
-        sample, with_poses = _sample(len(color)), frames._replace(source=source)
-        share = float(np.mean([with_poses.window(i, i + 1).notes.poses for i in sample.tolist()]))
-        if not share and len(sample) < len(color):
+        sample, looked = _sample(len(depth)), frames._replace(source=source, color=None)
+        share = float(np.mean([looked.window(i, i + 1).notes.poses for i in sample.tolist()]))
+        if not share and len(sample) < len(depth):
             raise RescanError("no sampled frame has a pose in the world frame", path=path)
         return share
 
     try:
-        calibrated, base, poses = _find(contents, choice, options, share_known)
+        base, poses = _find(contents, calibrated, options, share_known)
     except CalibrationError as error:
-        if log.motions.whole and not _is_of_first(log, error):
-            raise
-        raise RescanError(f"not found in a sample: {error.problem}", path=path) from error
-    frames_used = {calibrated.color_frame, contents.streams[choice.depth].frame_id(True)}
-    frames_used |= {base.frame or "", poses.world}
+        _check_sampled(log, error)
+        raise
+    frames_used = {calibrated.camera_frame, calibrated.color_frame, base.frame or "", poses.world}
+    frames_used.add(contents.streams[choice.depth].frame_id(True))
     if not log.motions.whole and contents.tree.sampled_once() & {
         above for frame in frames_used for above in contents.tree.above(frame)
     }:
@@ -133,36 +143,64 @@ def find_indexed(log: IndexedLog, options: LogOptions) -> Findings:
         base,
         poses,
         frames._replace(source=poses, calibrations=calibrations),
-        color.decoders,
         depth.decoders,
+        () if color is None else color.decoders,
         tuple(
             text
-            for stream in dict.fromkeys((color, depth))
-            for text in log_time_warnings(stream.topic, stream.backward)
+            for topic in dict.fromkeys(topics)
+            for text in log_time_warnings(topic, log.streams[topic].backward)
         ),
     )
 
 
+def _calibrate(contents: LogContents, choice: Choice, options: LogOptions) -> Calibrated:
+    with _naming_tree(contents):
+        return calibrate(contents, choice, options)
+
+
 def _find(
     contents: LogContents,
-    choice: Choice,
+    calibrated: Calibrated,
     options: LogOptions,
     share_known: Callable[[PoseSource], float],
-) -> tuple[Calibrated, Base, PoseSource]:
-    try:
-        calibrated = calibrate(contents, choice, options)
-        frame = calibrated.color_frame
+) -> tuple[Base, PoseSource]:
+    """Floor and poses of the depth camera; of the colour camera's frame where TF has that alone."""
+    frame, T_frame_camera = calibrated.camera_frame, None
+    motion, frames = calibrated.calibration.color_from_depth, contents.tree.frames
+    if motion is not None and frame not in frames and calibrated.color_frame in frames:
+        frame, T_frame_camera = calibrated.color_frame, motion.T
+    with _naming_tree(contents):
         base = find_base(contents, options, frame)
-        return calibrated, base, find_poses(contents, options, frame, base.frame, share_known)
+        poses = find_poses(contents, options, frame, base.frame, share_known)
+    if T_frame_camera is not None and base.T_base_camera is not None:
+        base = base._replace(T_base_camera=base.T_base_camera @ T_frame_camera)
+    return base, poses._replace(T_frame_camera=T_frame_camera)
+
+
+@contextmanager
+def _naming_tree(contents: LogContents) -> Iterator[None]:
+    """Names file and topic in errors of the tree of transforms, which knows neither."""
+    try:
+        yield
     except TransformError as error:
         if error.path:
             raise
-        # Of the tree, which knows no file.
         topics = contents.topics.items()
         kinds = ((name, kind_of(about.channel.schema_name)) for name, about in topics)
         topic = ", ".join(sorted(name for name, kind in kinds if kind is Kind.TRANSFORM))
         problem, remedy = error.problem, error.remedy
         raise TransformError(problem, path=contents.path, topic=topic, remedy=remedy) from error
+
+
+def _check_sampled(log: IndexedLog, error: CalibrationError) -> None:
+    """Makes sure that messages which were not looked at can't change an error.
+
+    Raises:
+        RescanError: They can.
+    """
+    if not log.motions.whole or _is_of_first(log, error):
+        problem = f"not found in a sample: {error.problem}"
+        raise RescanError(problem, path=log.contents.path) from error
 
 
 def _is_of_first(log: IndexedLog, error: JaxdetError) -> bool:

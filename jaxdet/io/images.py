@@ -1,5 +1,7 @@
 """Raw images of ROS and Foxglove messages to RGB and to depth units, in the rows of a batch."""
 
+from typing import NamedTuple
+
 import cv2
 import numpy as np
 
@@ -11,24 +13,52 @@ _ALIASES = {
     "8uc1": "mono8",
     "8uc3": "bgr8",
     "8uc4": "bgra8",
-    "yuyv": "yuyv",
+    "16uc3": "bgr16",
+    "16uc4": "bgra16",
     "yuv422_yuy2": "yuyv",
     "yuyv422": "yuyv",
-    "uyvy": "uyvy",
     "yuv422": "uyvy",
     "uyvy422": "uyvy",
     "mono16": "16uc1",
 }
-_TO_RGB: dict[str, tuple[int, int | None]] = {
-    "rgb8": (3, None),
-    "bgr8": (3, cv2.COLOR_BGR2RGB),
-    "rgba8": (4, cv2.COLOR_RGBA2RGB),
-    "bgra8": (4, cv2.COLOR_BGRA2RGB),
-    "mono8": (1, cv2.COLOR_GRAY2RGB),
-    "yuyv": (2, cv2.COLOR_YUV2RGB_YUY2),
-    "uyvy": (2, cv2.COLOR_YUV2RGB_UYVY),
+
+
+class _Conversion(NamedTuple):
+    """How pixels of an encoding become RGB."""
+
+    channels: int
+    """Samples of a pixel as they lie in the image."""
+    code: int | None
+    """OpenCV's conversion; None: there is nothing to convert."""
+    bits: int = 8
+    """Of a sample; of 16 the higher 8 are taken."""
+    even: tuple[int, int] = (1, 1)
+    """Width and height must be multiples of these."""
+    half_plane: bool = False
+    """Whether half as many rows of chroma follow the rows of brightness."""
+
+
+_LAYOUTS = {
+    "rgb": (3, None),
+    "bgr": (3, cv2.COLOR_BGR2RGB),
+    "rgba": (4, cv2.COLOR_RGBA2RGB),
+    "bgra": (4, cv2.COLOR_BGRA2RGB),
+    "mono": (1, cv2.COLOR_GRAY2RGB),
+    "bayer_rggb": (1, cv2.COLOR_BayerRGGB2RGB),
+    "bayer_bggr": (1, cv2.COLOR_BayerBGGR2RGB),
+    "bayer_gbrg": (1, cv2.COLOR_BayerGBRG2RGB),
+    "bayer_grbg": (1, cv2.COLOR_BayerGRBG2RGB),
 }
-"""Bytes of a pixel, and OpenCV's name of the conversion; None: there is nothing to convert."""
+_TO_RGB = {
+    f"{name}{bits}": _Conversion(channels, code, bits, (2, 2) if "bayer" in name else (1, 1))
+    for name, (channels, code) in _LAYOUTS.items()
+    for bits in (8, 16)
+} | {
+    "yuyv": _Conversion(2, cv2.COLOR_YUV2RGB_YUY2, even=(2, 1)),
+    "uyvy": _Conversion(2, cv2.COLOR_YUV2RGB_UYVY, even=(2, 1)),
+    "nv12": _Conversion(1, cv2.COLOR_YUV2RGB_NV12, even=(2, 2), half_plane=True),
+    "nv21": _Conversion(1, cv2.COLOR_YUV2RGB_NV21, even=(2, 2), half_plane=True),
+}
 _DEPTH_TYPES = {"16uc1": "u2", "32fc1": "f4"}
 
 
@@ -44,8 +74,14 @@ def is_depth_encoding(encoding: str) -> bool:
 
 
 def is_color_encoding(encoding: str) -> bool:
-    """Whether raw images of this encoding can be turned into RGB."""
-    return canonical_encoding(encoding) in _TO_RGB
+    """Whether raw images of this encoding can be turned into RGB; mono16 can, and be depth."""
+    name = encoding.strip().lower()
+    return name == "mono16" or canonical_encoding(name) in _TO_RGB
+
+
+def _color_name(encoding: str) -> str:
+    name = canonical_encoding(encoding)
+    return "mono16" if name == "16uc1" else name
 
 
 def check_size(width: int, height: int, max_pixels: int) -> None:
@@ -88,10 +124,11 @@ def check_row(what: str, width: int, height: int, row: np.ndarray) -> None:
 
 
 def decode_color(image: ImageMessage, row: np.ndarray, max_pixels: int) -> None:
-    """RGB of rgb8, bgr8, rgba8, bgra8, mono8, yuyv or uyvy.
+    """Decode a raw colour or grey image to RGB.
 
-    Grey is repeated in the three channels; 8UC1 is mono8 and 8UC3 is bgr8, as Foxglove has it;
-    YUV 4:2:2 is converted by OpenCV (BT.601).
+    Encodings are ``rgb bgr rgba bgra mono`` and the four Bayer patterns, each of 8 or 16 bits, of
+    which the higher 8 are taken; ``yuyv uyvy nv12 nv21`` are converted by OpenCV (BT.601). Grey is
+    repeated in the three channels; 8UC1 is mono8 and 8UC3 is bgr8, as Foxglove has it.
 
     Args:
         image: The message.
@@ -101,18 +138,24 @@ def decode_color(image: ImageMessage, row: np.ndarray, max_pixels: int) -> None:
     Raises:
         FrameError: Another encoding or size, or data that don't fit the size.
     """
-    name = canonical_encoding(image.encoding)
+    name = _color_name(image.encoding)
     if name not in _TO_RGB:
         raise bad_frame(f"colour encoding {image.encoding!a} is not supported")
-    channels, conversion = _TO_RGB[name]
-    if channels == 2 and image.width % 2:
-        raise bad_frame(f"{name} image of odd width {image.width}")
-    pixels = _pixels(image, np.dtype(np.uint8), channels, max_pixels)
+    how = _TO_RGB[name]
+    if image.width % how.even[0] or image.height % how.even[1]:
+        raise bad_frame(f"{name} image of odd size {image.width}x{image.height}")
+    check_size(image.width, image.height, max_pixels)
     check_row("colour", image.width, image.height, row)
-    if conversion is None:
+    if how.half_plane:
+        max_pixels, image = 2 * max_pixels, image._replace(height=image.height * 3 // 2)
+    kind = np.dtype((">" if image.big_endian else "<") + f"u{how.bits // 8}")
+    pixels = _pixels(image, kind, how.channels, max_pixels)
+    if how.bits == 16:
+        pixels = (pixels >> 8).astype(np.uint8)
+    if how.code is None:
         row[...] = pixels
     else:
-        cv2.cvtColor(pixels, conversion, dst=row)
+        cv2.cvtColor(np.ascontiguousarray(pixels) if how.half_plane else pixels, how.code, dst=row)
 
 
 def decode_depth(image: ImageMessage, row: np.ndarray, unit_m: float, max_pixels: int) -> None:

@@ -1,7 +1,7 @@
 """A log: calibration, stamps, poses, and its frames in batches."""
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import cached_property
 from operator import index as as_index
@@ -12,11 +12,18 @@ import numpy as np
 
 from jaxdet.arguments import of_type, whole_number
 from jaxdet.checks import MAX_FRAMES
-from jaxdet.errors import CalibrationError, FrameStatus, InputError, RescanError, TopicError
+from jaxdet.errors import (
+    CalibrationError,
+    FrameError,
+    FrameStatus,
+    InputError,
+    RescanError,
+    TopicError,
+)
 from jaxdet.io.batch import Batch, LogFrame
 from jaxdet.io.chunks import DamageError
 from jaxdet.io.contents import LogContents
-from jaxdet.io.description import LogDescription, complete, describe
+from jaxdet.io.description import LogDescription, complete, describe, with_bad_color
 from jaxdet.io.files import LogFiles, find_logs
 from jaxdet.io.findings import Findings, find_indexed, find_scanned
 from jaxdet.io.limits import ReadMemory
@@ -24,7 +31,7 @@ from jaxdet.io.notes import Notes, total
 from jaxdet.io.opening import index_files, open_files, scan_files
 from jaxdet.io.options import LogOptions
 from jaxdet.io.part import find_part
-from jaxdet.io.reading import ImageReader
+from jaxdet.io.reading import Failures, ImageReader
 from jaxdet.io.store import ChunkStore
 from jaxdet.io.timeline import ScannedFrames, Window
 from jaxdet.io.windows import IndexedFrames
@@ -42,8 +49,11 @@ _FRAMES_KEPT = 14
 looked at to know which come next."""
 
 
-ImageMemory = Callable[[], tuple[np.ndarray, np.ndarray]]
-"""Gives colour ``(B, H, W, 3)`` uint8 and depth ``(B, Hd, Wd)`` uint16 images to be written to."""
+ImageMemory = Callable[[], np.ndarray | tuple[np.ndarray, np.ndarray | None]]
+"""Returns depth images ``(B, Hd, Wd)`` uint16 to be written to; or these and colour images
+``(B, H, W, 3)`` uint8, where colour is read into memory of the caller as well."""
+WhichColor = bool | Container[int]
+"""Of which frames the nearest colour image is decoded: all, none, or those of some numbers."""
 
 
 class Log:
@@ -60,18 +70,30 @@ class Log:
     core. A log can be pickled: another process opens the files again, but not their indexes, and
     has no threads.
 
+    A frame is a depth image. Colour is read where it is requested: a frame has the colour image
+    that is nearest by stamp, within the tolerance of the options. Colour that is missing or can't
+    be decoded costs no frame.
+
     Attributes:
         name: The log's name.
         camera: Name of the camera that is read.
         label: The log's name, and the camera's where the log has several.
         calibration: Of the chosen topics.
-        T_base_camera: ``(4, 4)`` float64, colour optical frame to the robot's base frame, whose
+        T_base_camera: ``(4, 4)`` float64, depth optical frame to the robot's base frame, whose
             z = 0 is the floor; None when the log's transforms don't hold it.
         base_frame: Name of that frame, or None.
-        camera_frame: Name of the colour camera's optical frame; empty where the log has none.
+        camera_frame: Name of the depth camera's optical frame; empty where the log has none. Of
+            depth that is aligned to colour it is that of the colour camera.
+        color_frame: Name of the colour camera's optical frame; empty where the log has none.
         world_frame: Name of the frame that poses are in; empty where there are none.
-        num_frames: Colour frames, all of them.
+        num_frames: Depth images, all of them.
         frames: Numbers of those in the part of the log that is read; by default all.
+        has_color: Whether the log has colour images that can be decoded and whose pixels are
+            those of the image of ``calibration.image``; grey ones count.
+        has_color_camera: Whether that image is a colour camera's, else it is the depth camera's.
+        color_problem: Why ``has_color`` is False, with what to do; else empty.
+        depth_shape: ``(Hd, Wd)`` of the depth images.
+        color_shape: ``(H, W, 3)`` of the colour images; None where ``has_color`` is False.
         has_poses: Whether the log knows where the camera stands in the world.
         description: What ``jaxdet info`` shows.
     """
@@ -87,11 +109,13 @@ class Log:
         self.name = files.name
         self.calibration = found.calibrated.calibration
         self.T_base_camera, self.base_frame = found.base.T_base_camera, found.base.frame
-        self.camera_frame = found.calibrated.color_frame
+        about = found.calibrated
+        self.camera_frame, self.color_frame = about.camera_frame, about.color_frame
+        self.has_color, self.has_color_camera = about.has_color, about.has_color_camera
+        self.color_problem = about.color_problem
         self.world_frame = found.poses.world_frame
         self.num_frames, self.has_poses = found.frames.num_frames, found.poses.known
         self._tolerance_s, self._path = options.pair_tolerance_s, str(files.paths[0])
-        self._depth_size = found.calibrated.depth_size
         self._frames, self._store = found.frames, store
         self.camera = found.choice.camera
         several = len(found.cameras.names) > 1
@@ -106,10 +130,13 @@ class Log:
             self.description = self.described(found.frames.notes)
         unit, limit = self.calibration.depth_unit, options.max_pixels
         by_index = isinstance(found.frames, IndexedFrames)
-        used = found.calibrated.used
-        self._reader = ImageReader(store, found.color, found.depth, unit, limit, by_index, used)
-        color_shape, depth_shape = self.image_shapes
-        frame_bytes = math.prod(color_shape) + 2 * math.prod(depth_shape)
+        self._reader = ImageReader(
+            store, found.depth, found.color, unit, limit, by_index, about.used
+        )
+        depth, image = self.calibration.depth, self.calibration.image
+        self.depth_shape = depth.height, depth.width
+        self.color_shape = (image.height, image.width, 3) if self.has_color else None
+        frame_bytes = 2 * math.prod(self.depth_shape) + math.prod(self.color_shape or (0,))
         self._at_once = max(1, min(_MAX_AT_ONCE, _BYTES_AT_ONCE // frame_bytes))
         store.keep(_FRAMES_KEPT * frame_bytes)
 
@@ -134,13 +161,14 @@ class Log:
         return len(self.frames)
 
     def __repr__(self) -> str:
-        (height, width, _), (high, wide) = self.image_shapes
-        sizes = f"colour {width}x{height}, depth {wide}x{high}"
+        sizes = "depth {1}x{0}".format(*self.depth_shape)
+        if self.color_shape:
+            sizes += ", colour {1}x{0}".format(*self.color_shape)
         return f"<Log {self.label}: {len(self)} frames, {sizes}>"
 
     def __iter__(self) -> Iterator[LogFrame]:
-        """The frames of the part that is read, one by one; some are read at a time."""
-        for batch in self.batches(self._at_once):
+        """The frames of the part that is read, with colour, one by one; some are read at a time."""
+        for batch in self.batches(self._at_once, color=True):
             yield from batch.one_by_one()
 
     @overload
@@ -148,32 +176,32 @@ class Log:
     @overload
     def __getitem__(self, index: slice) -> list[LogFrame]: ...
     def __getitem__(self, index: Any) -> Any:
-        """A frame of the part that is read, or those of a slice, by their place in it.
+        """A frame of the part that is read, or those of a slice, by their place in it; with colour.
 
         Raises:
             IndexError: There is no such frame.
             RescanError: The log isn't as its index lets expect.
         """
         if isinstance(index, slice):
-            return list(self.read(self.frames[index]).one_by_one())
+            return list(self.read(self.frames[index], color=True).one_by_one())
         place = as_index(index)
         if not -len(self) <= place < len(self):
             raise IndexError(f"frame {place} of {len(self)}")
-        return next(self.read([self.frames[place]]).one_by_one())
+        return next(self.read([self.frames[place]], color=True).one_by_one())
 
     @property
     def stamps_ns(self) -> np.ndarray:
-        """``(F,)`` int64, colour header stamps [ns], in order; looks at every message."""
-        return self._all.color.stamps_ns
-
-    @property
-    def depth_stamp_ns(self) -> np.ndarray:
-        """``(F,)`` int64, stamp of the paired depth frame [ns], -1 = unpaired."""
+        """``(F,)`` int64, depth header stamps [ns], in order; looks at every message."""
         return self._all.depth.stamps_ns
 
     @property
+    def color_stamps_ns(self) -> np.ndarray:
+        """``(F,)`` int64, stamp of the nearest colour image of each frame [ns], -1 = none."""
+        return _colors_of(self._all)
+
+    @property
     def T_world_camera(self) -> np.ndarray | None:
-        """``(F, 4, 4)`` float64, colour optical frame to world at each colour stamp.
+        """``(F, 4, 4)`` float64, depth optical frame to world at each depth stamp.
 
         NaN where unknown; None when the log has no poses.
         """
@@ -215,15 +243,10 @@ class Log:
         Args:
             notes: Of batches that hold each frame once, see :func:`jaxdet.io.notes.total`.
         """
-        if self.description.pairing is not None:
-            return self.description
-        return complete(self.description, notes, self._tolerance_s, has_poses=self.has_poses)
-
-    @property
-    def image_shapes(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
-        """Shapes of a colour image, ``(H, W, 3)``, and of a depth image, ``(Hd, Wd)``."""
-        color, depth = self.calibration.color, self._depth_size
-        return (color.height, color.width, 3), (depth.height, depth.width)
+        about = self.description
+        if about.pairing is None:
+            about = complete(about, notes, self._tolerance_s, has_poses=self.has_poses)
+        return with_bad_color(about, notes)
 
     def batches(
         self,
@@ -231,14 +254,22 @@ class Log:
         start: int = 0,
         stop: int | None = None,
         images: ImageMemory | None = None,
+        *,
+        color: WhichColor = False,
+        need_color: bool = False,
     ) -> Iterator[Batch]:
         """The frames of the part that is read, or of a part of that, in batches, in order.
+
+        Where no frame of a batch has its colour read ``frames.color`` is None.
 
         Args:
             batch_size: Frames of each batch; the last is padded.
             start: Least number of a frame.
             stop: Greater than the numbers of all frames; None: there is no such bound.
             images: Where to decode to; by default new arrays.
+            color: Frames whose nearest colour image is decoded: all, none, or some numbers.
+            need_color: Give frames without a colour image that can be used the status ``no_color``;
+                ``color`` is True then.
 
         Raises:
             ValueError: ``batch_size`` is below 1 or very large, or the range leaves the log.
@@ -259,7 +290,8 @@ class Log:
                 some = numbers[first : first + together]
                 known = _Known(some[0], self._window(some[0], some[-1] + 1))
             memory = images() if images else None
-            yield self._batch(numbers[first : first + batch_size], batch_size, memory, known)
+            some = numbers[first : first + batch_size]
+            yield self._batch(some, batch_size, color, need_color, memory, known)
 
     def _together(self, numbers: range, batch_size: int) -> int:
         """Frames in a row, a multiple of the batch, that are looked at together; 0: each batch."""
@@ -270,8 +302,15 @@ class Log:
                 return max(1, _LOOKED_AT // batch_size) * batch_size
         return 0
 
-    def read(self, indices: Sequence[int]) -> Batch:
+    def read(
+        self, indices: Sequence[int], *, color: WhichColor = False, need_color: bool = False
+    ) -> Batch:
         """The frames of these numbers, in the order given, without padding.
+
+        Args:
+            indices: The numbers.
+            color: As for :meth:`batches`.
+            need_color: Likewise.
 
         Raises:
             IndexError: A number is not of the log.
@@ -283,7 +322,7 @@ class Log:
         indices = [whole_number("indices", index) for index in indices]
         if not all(0 <= index < self.num_frames for index in indices):
             raise IndexError(f"frames {list(indices)[:20]} of {self.num_frames}")
-        return self._batch(indices, len(indices))
+        return self._batch(indices, len(indices), color, need_color)
 
     def without_images(self, indices: Sequence[int], status: FrameStatus, error: str) -> Batch:
         """The frames of these numbers with stamps and poses, but no image is read.
@@ -297,47 +336,66 @@ class Log:
             RescanError: The log isn't as its index lets expect.
         """
         windows = [self._window(start, stop) for _, start, stop in _runs(indices, self._at_once)]
-        count, (color, depth) = len(indices), self.image_shapes
-        none = np.zeros((0, *color), np.uint8), np.zeros((0, *depth), np.uint16)
-        return self._made(indices, windows, none, (status,) * count, (error,) * count)
+        count, none = len(indices), np.zeros((0, *self.depth_shape), np.uint16)
+        return self._made(indices, windows, (none, None), (status,) * count, (error,) * count)
 
     def _batch(
         self,
         indices: Sequence[int],
         size: int,
-        memory: tuple[np.ndarray, np.ndarray] | None = None,
+        color: WhichColor,
+        need_color: bool,
+        memory: np.ndarray | tuple[np.ndarray, np.ndarray | None] | None = None,
         known: "_Known | None" = None,
     ) -> Batch:
         count = len(indices)
-        if memory is None:
-            color, depth = self.image_shapes
-            memory = _aligned((size, *color), np.uint8), _aligned((size, *depth), np.uint16)
-        for images in memory:
-            images[count:] = 0  # all other rows are written, or zeroed where that fails
-        windows, failures = [], []
+        wanted = np.array([color if isinstance(color, bool) else n in color for n in indices], bool)
+        depths, colors = memory if isinstance(memory, tuple) else (memory, None)
+        if depths is None:
+            depths = _aligned((size, *self.depth_shape), np.uint16)
+        if colors is None and self.color_shape and wanted.any():
+            colors = _aligned((size, *self.color_shape), np.uint8)
+        for images in (depths, colors):
+            if images is not None:
+                images[count:] = 0  # all other rows are written, or zeroed where that fails
+        windows, failures = [], Failures([], [])
         for row, start, stop in _runs(indices, self._at_once):
             window = known.window(start, stop) if known else self._window(start, stop)
             rows = slice(row, row + stop - start)
+            part = None if colors is None else colors[rows]
             with self._by_index():
-                failures += self._reader.read(window, memory[0][rows], memory[1][rows])
+                found = self._reader.read(window, depths[rows], part, wanted[rows])
+            failures.depth.extend(found.depth)
+            failures.color.extend(found.color)
             windows.append(window)
         self._store.check_unchanged()
         status, errors = [], []
-        paired = _joined(window.depth.stamps_ns for window in windows) >= 0
-        for failure, has_depth in zip(failures, paired.tolist(), strict=True):
-            before = FrameStatus.OK if has_depth else FrameStatus.UNPAIRED
-            status.append(failure.status if failure else before)
-            alone = f"no depth image of its own within {self._tolerance_s:g} s"
-            text = str(failure) if failure else "" if has_depth else alone
+        bad = np.array([error is not None for error in failures.color], bool)
+        there = _joined(map(_colors_of, windows)) >= 0
+        for i, failure in enumerate(failures.depth):
+            status.append(failure.status if failure else FrameStatus.OK)
+            text = str(failure) if failure else ""
+            if need_color and not failure and not (there[i] and wanted[i] and not bad[i]):
+                status[-1], text = FrameStatus.NO_COLOR, self._why_no_color(failures.color[i])
             errors.append(" ".join(text.split()))
-        made = self._made(indices, windows, memory, tuple(status), tuple(errors))
-        return made._replace(decoding_s=self._reader.decoding_s())
+        made = self._made(indices, windows, (depths, colors), tuple(status), tuple(errors))
+        stamps = made.frames.color_stamp_ns
+        assert stamps is not None
+        stamps[:count][bad] = -1
+        why = next((str(error) for error in failures.color if error), "")
+        notes = made.notes._replace(bad_color=int(bad.sum()), why_bad_color=why)
+        return made._replace(notes=notes, decoding_s=self._reader.decoding_s())
+
+    def _why_no_color(self, failure: FrameError | None) -> str:
+        if failure:
+            return str(failure)
+        return self.color_problem or f"no colour image within {self._tolerance_s:g} s"
 
     def _made(
         self,
         indices: Sequence[int],
         windows: Sequence[Window],
-        images: tuple[np.ndarray, np.ndarray],
+        images: tuple[np.ndarray, np.ndarray | None],
         status: tuple[FrameStatus, ...],
         errors: tuple[str, ...],
     ) -> Batch:
@@ -349,14 +407,15 @@ class Log:
             poses = np.full((size, 4, 4), np.nan)
             known = [T for window in windows if (T := window.T_world_camera) is not None]
             poses[:count] = np.concatenate([poses[:0], *known])
+        colors = _joined(map(_colors_of, windows))
         frames = Frames(
-            color=images[0],
-            depth=images[1],
+            depth=images[0],
             calibration=self.calibration,
             number=_padded(np.array(indices, np.int64), size),
-            stamp_ns=_padded(_joined(window.color.stamps_ns for window in windows), size),
-            depth_stamp_ns=_padded(_joined(window.depth.stamps_ns for window in windows), size),
+            stamp_ns=_padded(_joined(window.depth.stamps_ns for window in windows), size),
             valid=valid,
+            color=images[1],
+            color_stamp_ns=_padded(colors, size),
             T_world_camera=poses,
         )
         return Batch(
@@ -366,7 +425,9 @@ class Log:
             notes=total(window.notes for window in windows),
             camera_frame=self.camera_frame,
             world_frame=self.world_frame,
-            log_time_ns=_joined(window.color.log_ns for window in windows),
+            log_time_ns=_joined(window.depth.log_ns for window in windows),
+            color_frame=self.color_frame,
+            nearest_color_ns=colors,
         )
 
 
@@ -386,7 +447,7 @@ def open_log(
         InputError: No file can be read, there are several logs, no frame is in the part, or a
             chunk or the index takes more memory.
         CamerasError: The log has several cameras, and the options choose none.
-        TopicError: No or several topics can be colour or depth.
+        TopicError: No or several topics can be depth, or one that the options name is not there.
         CalibrationError: A part of the calibration is missing, unknown or contradictory.
     """
     options = of_type("options", LogOptions() if options is None else options, LogOptions)
@@ -451,6 +512,12 @@ def _runs(indices: Sequence[int], most: int) -> Iterator[tuple[int, int, int]]:
             count += 1
         yield row, indices[row], indices[row] + count
         row += count
+
+
+def _colors_of(window: Window) -> np.ndarray:
+    """Stamps of the colour images of a window's frames ``(n,)``, -1 = none."""
+    table = window.color
+    return np.full(len(window.depth.stamps_ns), -1, np.int64) if table is None else table.stamps_ns
 
 
 def _joined(columns: Iterable[np.ndarray]) -> np.ndarray:

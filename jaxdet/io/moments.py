@@ -19,7 +19,7 @@ class Moment(NamedTuple):
 
     ns: int
     is_stamp: bool
-    """A header stamp; else counted from the first colour frame of the log."""
+    """A header stamp; else counted from the log's first depth image."""
 
     def stamp_ns(self, first_ns: int) -> int:
         """As a header stamp [ns], where the log's first is ``first_ns``."""
@@ -30,7 +30,7 @@ def parse_moment(text: str, flag: str) -> Moment:
     """Reads a moment: ``12.5``, ``90s``, ``2024-05-01T10:00:00Z``, or a stamp in nanoseconds.
 
     Args:
-        text: Seconds after the log's first colour frame; or a header stamp, as ISO 8601 (without
+        text: Seconds after the log's first depth image; or a header stamp, as ISO 8601 (without
             a zone UTC) or as an integer of 16 to 19 digits [ns].
         flag: Where it was given, for errors.
 

@@ -1,4 +1,4 @@
-"""What reading a range of frames tells beside the frames; adds up over the ranges of a log."""
+"""What reading a range of frames shows besides the frames; adds up over the ranges of a log."""
 
 from collections.abc import Iterable
 from typing import NamedTuple
@@ -9,7 +9,7 @@ _NONE = np.zeros(0, np.int64)
 
 
 class StreamNotes(NamedTuple):
-    """Odd things in one stream of images."""
+    """Odd things in the depth images."""
 
     backward: int = 0
     """Messages with an earlier stamp than the one before them."""
@@ -22,34 +22,36 @@ class StreamNotes(NamedTuple):
 
 
 class Notes(NamedTuple):
-    """What is known of a range of frames of a log that was opened by its index.
+    """What reading a range of frames of a log shows that was opened by its index.
 
-    Each message of the log is counted in exactly one range of a division of its frames. Of a
-    log that was scanned all of it is known at opening, and the notes are empty.
+    Each depth image of the log is counted in exactly one range of a division of its frames. Of a
+    log that was scanned all but ``bad_color`` is known at opening, and the rest is empty.
     """
 
-    color: StreamNotes = StreamNotes()
     depth: StreamNotes = StreamNotes()
     apart_ns: np.ndarray = _NONE
-    """``(P,)`` int64, ``|colour - depth|`` of the pairs [ns]."""
+    """``(P,)`` int64, ``|colour - depth|`` of the frames that have a colour image [ns]."""
     recorded_apart_ns: np.ndarray = _NONE
     """``(P,)`` int64, the same of their log times [ns]."""
-    unpaired_color: int = 0
-    unpaired_depth_ns: np.ndarray = _NONE
-    """``(U,)`` int64, stamps of the depth frames without a colour frame [ns]."""
+    without_color: int = 0
+    """Frames without a colour image near enough in time."""
     poses: int = 0
     """Frames with a known pose."""
+    bad_color: int = 0
+    """Colour images that were read and can't be decoded."""
+    why_bad_color: str = ""
+    """Why the first of them can't."""
 
 
 def total(notes: Iterable[Notes]) -> Notes:
-    """The notes of several ranges together."""
+    """Return the notes of several ranges together."""
     items = list(notes) or [Notes()]
     return Notes(
-        color=StreamNotes(*map(sum, zip(*(item.color for item in items), strict=True))),
         depth=StreamNotes(*map(sum, zip(*(item.depth for item in items), strict=True))),
         apart_ns=np.concatenate([item.apart_ns for item in items]),
         recorded_apart_ns=np.concatenate([item.recorded_apart_ns for item in items]),
-        unpaired_color=sum(item.unpaired_color for item in items),
-        unpaired_depth_ns=np.concatenate([item.unpaired_depth_ns for item in items]),
+        without_color=sum(item.without_color for item in items),
         poses=sum(item.poses for item in items),
+        bad_color=sum(item.bad_color for item in items),
+        why_bad_color=next((item.why_bad_color for item in items if item.why_bad_color), ""),
     )

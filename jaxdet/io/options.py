@@ -10,6 +10,8 @@ from jaxdet.config import DEPTH_UNITS_M
 from jaxdet.errors import ConfigError
 from jaxdet.io.moments import parse_moment
 
+NO_COLOR = "none"
+"""In place of the colour topic."""
 SHORT = {"short": True}
 """Of fields whose flags have no ``log.`` before them."""
 
@@ -23,7 +25,7 @@ class LogOptions:
     what its topics have before colour and depth; jaxdet info lists the names."""
     start: str | None = field(default=None, metadata=SHORT)
     """Begin 12.5s into the log, at 2024-05-01T10:00:00Z, or at a stamp [ns]. Seconds, with s or
-    without, count from the log's first colour frame. A time without a zone is UTC, and a stamp in
+    without, count from the log's first depth image. A time without a zone is UTC, and a stamp in
     nanoseconds has 16 to 19 digits (1714557600000000000); both are header stamps. Frame numbers
     stay those of the whole log."""
     stop: str | None = field(default=None, metadata=SHORT)
@@ -31,22 +33,23 @@ class LogOptions:
     every: int = field(default=1, metadata=SHORT)
     """Take the frames whose number in the log is a multiple of this."""
     color: str | None = None
-    """Topic of the colour images; unset: found by schema, encoding and name."""
+    """Topic of the colour images, or none: no colour is used; unset: found by schema, encoding and
+    name. Colour is only for pictures, boxes and the preset paper."""
     depth: str | None = None
-    """Topic of the depth images; unset: found likewise, aligned depth preferred."""
+    """Topic of the depth images; unset: found by encoding and name, aligned depth preferred."""
     color_info: str | None = None
-    """Topic of the colour camera's calibration; unset: the one beside the colour images."""
+    """Topic of the colour camera's calibration; unset: the one next to the colour images."""
     depth_info: str | None = None
-    """Topic of the depth camera's calibration; unset: the one beside the depth images."""
+    """Topic of the depth camera's calibration; unset: the one next to the depth images."""
     tf: bool = True
     """Use the log's transforms (extrinsics, floor, poses)."""
     odom: str | None = None
     """Topic with the robot's pose (Odometry, PoseStamped, PoseInFrame); unset: TF, else the
     only Odometry or PoseInFrame topic."""
     pair_tolerance_s: float = 0.15
-    """Greatest difference of the header stamps of a colour and its depth frame [s]. Pairs are
-    mutual nearest neighbours, so a generous tolerance doesn't pair the wrong ones; 0.15 s
-    allows for the long exposures of a dim room (0.10 s on a real D435)."""
+    """Greatest difference of the header stamps of a depth image and the colour image that is shown
+    with it, the nearest one [s]; 0.15 s allows for the long exposures of a dim room (0.10 s on a
+    real D435)."""
     depth_unit_m: float | None = None
     """Metres in one unit of a 16-bit depth image; unset: 0.001. 32FC1 is in metres always and
     is rounded to this unit. From 0.00001 to 0.1."""
@@ -66,7 +69,8 @@ class LogOptions:
     """Whether the depth images are aligned to colour; unset: by topic name, frame and
     calibration."""
     camera_frame: str | None = None
-    """TF frame of the colour camera (optical); unset: the one in the colour image's header."""
+    """TF frame of the depth camera (optical), or of the colour camera where depth is aligned to it;
+    unset: the one in the image's header."""
     base_frame: str | None = None
     """TF frame of the robot, whose z = 0 is the floor; unset: base_footprint, else base_link."""
     world_frame: str | None = None

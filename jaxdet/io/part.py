@@ -46,8 +46,8 @@ def find_part(
         asked = f"--start {start}" * (start is not None), f"--stop {stop}" * (stop is not None)
         each = f"--every {every}" if every > 1 else ""
         asked = " ".join(part for part in (*asked, each) if part)
-        remedy = f"its {count} colour frames are {_span(begin_ns, stamp_ns(count - 1))}"
-        raise InputError(f"no colour frame is in {asked}", path=path, remedy=remedy)
+        remedy = f"its {count} depth images are {_span(begin_ns, stamp_ns(count - 1))}"
+        raise InputError(f"no depth image is in {asked}", path=path, remedy=remedy)
     return found
 
 

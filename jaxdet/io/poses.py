@@ -22,7 +22,7 @@ class Base(NamedTuple):
     """The robot's frame whose z = 0 is the floor."""
 
     T_base_camera: np.ndarray | None
-    """``(4, 4)`` float64, colour optical frame to base; None when TF doesn't hold it."""
+    """``(4, 4)`` float64, depth optical frame to base; None when TF doesn't hold it."""
     frame: str | None
     source: str
     """A sentence."""
@@ -35,7 +35,7 @@ class PoseSource(NamedTuple):
     """A sentence."""
     warnings: tuple[str, ...] = ()
     camera: str = ""
-    """TF frame of the colour camera."""
+    """TF frame of the camera, or one fixed to it."""
     world: str = ""
     """TF frame; empty: not from TF."""
     topic: str = ""
@@ -43,7 +43,9 @@ class PoseSource(NamedTuple):
     parent: str = ""
     """TF frame that the topic's poses are in."""
     T_child_camera: np.ndarray | None = None
-    """``(4, 4)`` float64, from the camera to the frame that the topic's poses are of."""
+    """``(4, 4)`` float64, from that frame to the one that the topic's poses are of."""
+    T_frame_camera: np.ndarray | None = None
+    """``(4, 4)`` float64, from the depth camera to ``camera``; None: they are the same."""
 
     @property
     def known(self) -> bool:
@@ -73,8 +75,10 @@ class PoseSource(NamedTuple):
             CalibrationError: The transforms form a cycle.
         """
         if self.topic:
-            return tracks[self.topic].at(stamps_ns) @ self.T_child_camera
-        return tree.at(self.world, self.camera, stamps_ns) if self.world else None
+            T = tracks[self.topic].at(stamps_ns) @ self.T_child_camera
+        else:
+            T = tree.at(self.world, self.camera, stamps_ns) if self.world else None
+        return T if T is None or self.T_frame_camera is None else T @ self.T_frame_camera
 
 
 def find_base(contents: LogContents, options: LogOptions, camera_frame: str) -> Base:
@@ -114,7 +118,7 @@ def find_poses(
     Args:
         contents: What is in the log.
         options: What the user says.
-        camera_frame: TF frame of the colour camera.
+        camera_frame: TF frame of the camera.
         base_frame: TF frame of the robot.
         share_known: Of how many frames a source knows the pose, 0 to 1.
 

@@ -60,13 +60,21 @@ Failure = tuple[int, bool, FrameError]
 """Row, whether it is the depth image, and what went wrong."""
 
 
+class Failures(NamedTuple):
+    """What went wrong in each row, or None: ``n`` each."""
+
+    depth: list[FrameError | None]
+    color: list[FrameError | None]
+    """Of rows whose colour was to be read."""
+
+
 class ImageReader:
-    """Reads colour and depth images into arrays.
+    """Reads depth images, and colour images where requested, into arrays.
 
     Args:
         store: The log's chunks.
-        color: What decodes the colour topic; a message has the one of its ``decoder``.
-        depth: Likewise the depth topic, which may be the same.
+        depth: Decoders of the depth topic; a message has the one of its ``decoder``.
+        color: Decoders of the colour topic, which may be the same; empty without one.
         depth_unit_m: Metres in one depth unit.
         max_pixels: Largest image decoded.
         strict: Whether damage of the file is raised. If not it costs the frames in it only.
@@ -76,55 +84,72 @@ class ImageReader:
     def __init__(
         self,
         store: ChunkStore,
-        color: Sequence[MessageDecoder],
         depth: Sequence[MessageDecoder],
+        color: Sequence[MessageDecoder],
         depth_unit_m: float,
         max_pixels: int,
         strict: bool,
         used: Mapping[str, CameraInfoMessage],
     ) -> None:
         self._store, self._strict = store, strict
-        self._color, self._depth = color, depth
+        self._depth, self._color = depth, color
         self._used = used
-        self._topic = color[0].channel.topic
-        self._same = self._topic == depth[0].channel.topic
         self._unit_m, self._max_pixels = depth_unit_m, max_pixels
         self._took: list[float] = []
         """Times of threads since :meth:`decoding_s` was called [s]."""
 
-    def read(self, window: Window, color: np.ndarray, depth: np.ndarray) -> list[FrameError | None]:
-        """Decodes the paired frames of a window into the rows of ``color`` and ``depth``.
+    def read(
+        self,
+        window: Window,
+        depth: np.ndarray,
+        color: np.ndarray | None = None,
+        wanted: np.ndarray | None = None,
+    ) -> Failures:
+        """Decodes the frames of a window into the rows of ``depth`` and ``color``.
 
         Args:
             window: ``n`` frames.
-            color: ``(n, H, W, 3)`` uint8, RGB, written to.
-            depth: ``(n, Hd, Wd)`` uint16, depth units, written to.
-
-        Returns:
-            What went wrong in each row, or None. A row with an error, or without a partner, is
-            all zero.
+            depth: ``(n, Hd, Wd)`` uint16, depth units, written to. A row with an error is all zero.
+            color: ``(n, H, W, 3)`` uint8, RGB, written to; None: no colour is read. A row with an
+                error, without a colour image or not wanted is all zero.
+            wanted: ``(n,)`` bool, rows whose colour is read.
 
         Raises:
             DamageError: The reader is strict, and a chunk isn't what it should be.
         """
-        errors: list[FrameError | None] = [None] * len(color)
-        for row in np.flatnonzero(_other(window)).tolist():
-            errors[row] = _other_calibration()
-        rows = [color, depth]
-        requests = self._requests(window)
+        count = len(depth)
+        other = window.other_calibration
+        other = np.zeros(count, bool) if other is None else other
+        errors = Failures([_other_calibration() if bad else None for bad in other], [None] * count)
+        requests = _requests(window.depth, self._depth, ~other, True)
+        same: dict[int, int] = {}
+        """Rows with the colour image of an earlier row, and that row."""
+        if color is not None:
+            there = np.zeros(count, bool) if wanted is None else wanted.copy()
+            if window.color is None:
+                there[:] = False
+            else:
+                there &= window.color.stamps_ns >= 0
+                same = _repeated(window.color, there)
+                first = there & ~np.isin(np.arange(count), list(same))
+                requests += _requests(window.color, self._color, first, False)
+            color[~there] = 0
+        rows = [depth, color]
+        requests.sort(key=lambda request: request[:4])
         parts = {chunk: list(group) for chunk, group in groupby(requests, lambda r: r.chunk)}
         for wave in self._store.waves(parts):
             jobs = [(chunk, parts[chunk], rows) for chunk in wave]
             for failures in self._store.map(self._read_chunk, jobs):
-                for row, _, error in sorted(failures, key=lambda item: item[:2]):
-                    known = errors[row]
-                    errors[row] = error if known is None else known
+                for row, is_depth, error in failures:
+                    errors[0 if is_depth else 1][row] = error
         rows.clear()  # a thread may hold its last job
         for chunk in window.chunks:
             self._store.check(chunk)
-        empty = [row for row, error in enumerate(errors) if error is not None]
-        empty += np.flatnonzero(window.depth.stamps_ns < 0).tolist()
-        color[empty], depth[empty] = 0, 0
+        for images, problems in zip((depth, color), errors, strict=True):
+            if images is not None:
+                images[[row for row, error in enumerate(problems) if error is not None]] = 0
+        for row, first_row in same.items():
+            color[row], errors.color[row] = color[first_row], errors.color[first_row]
         return errors
 
     def decoding_s(self) -> float:
@@ -132,20 +157,14 @@ class ImageReader:
         took, self._took = self._took, []
         return sum(took) / self._store.threads
 
-    def _requests(self, window: Window) -> list[Request]:
-        wanted = (window.depth.stamps_ns >= 0) & ~_other(window)
-        found = _requests(window.color, self._color, wanted, False)
-        if not self._same:
-            found += _requests(window.depth, self._depth, wanted, True)
-        return sorted(found, key=lambda request: request[:4])
-
     def _read_chunk(self, job: tuple[Place, Sequence[Request], list[np.ndarray]]) -> list[Failure]:
-        chunk, requests, (color, depth) = job
+        chunk, requests, rows = job
+        images = rows[0], rows[-1]
         try:
             if chunk.position < 0:
                 payloads = [self._store.peek(chunk, *item.location[1:]) for item in requests]
             elif self._store.head(chunk).is_plain:
-                payloads = self._read_plain(chunk, requests, color, depth)
+                payloads = self._read_plain(chunk, requests, *images)
             else:
                 data = memoryview(self._store.data(chunk))
                 spans = [item.location[1:] for item in requests]
@@ -159,7 +178,7 @@ class ImageReader:
         for request, payload in zip(requests, payloads, strict=True):
             try:
                 if payload is not None:
-                    self._decode(request, payload, color, depth)
+                    self._decode(request, payload, *images)
             except FrameError as error:  # whose traceback would hold the images
                 name = self._store.files[chunk.file].name_of(chunk.position)
                 lost = FrameError(error.problem, status=error.status, path=name)
@@ -168,7 +187,7 @@ class ImageReader:
         return failures
 
     def _read_plain(
-        self, chunk: Place, requests: Sequence[Request], color: np.ndarray, depth: np.ndarray
+        self, chunk: Place, requests: Sequence[Request], depth: np.ndarray, color: np.ndarray
     ) -> list[memoryview | None]:
         """The payloads of messages, None where the pixels are in their row already.
 
@@ -244,7 +263,7 @@ class ImageReader:
         return pixels.offset, row.data.cast("B")
 
     def _decode(
-        self, request: Request, payload: memoryview, color: np.ndarray, depth: np.ndarray
+        self, request: Request, payload: memoryview, depth: np.ndarray, color: np.ndarray
     ) -> None:
         row = (depth if request.depth else color)[request.row]
         if is_standard_image(request.decoder.channel):
@@ -254,17 +273,13 @@ class ImageReader:
                 return
         message = request.decoder.decode(payload)
         if isinstance(message, RgbdMessage):
+            topic = request.decoder.channel.topic
             for name, info in (("rgb", message.color_info), ("depth", message.depth_info)):
-                if self._same and says_other(info, self._used.get(f"{self._topic} ({name})")):
+                if request.depth and says_other(info, self._used.get(f"{topic} ({name})")):
                     raise _other_calibration()
-            if self._same or not request.depth:
-                self._decode_color(message.color, color[request.row])
-            if self._same or request.depth:
-                self._decode_depth(message.depth, depth[request.row])
-        elif request.depth:
-            self._decode_depth(message, row)
-        else:
-            self._decode_color(message, row)
+            message = message.depth if request.depth else message.color
+        decode = self._decode_depth if request.depth else self._decode_color
+        decode(message, row)
 
     def _decode_color(self, message: Message, row: np.ndarray) -> None:
         if isinstance(message, CompressedImageMessage):
@@ -277,11 +292,6 @@ class ImageReader:
             decode_compressed_depth(message, row, self._unit_m, self._max_pixels)
         elif isinstance(message, ImageMessage):
             decode_depth(message, row, self._unit_m, self._max_pixels)
-
-
-def _other(window: Window) -> np.ndarray:
-    other = window.other_calibration
-    return np.zeros(len(window.color.stamps_ns), bool) if other is None else other
 
 
 def _other_calibration() -> FrameError:
@@ -297,3 +307,14 @@ def _requests(
         Request(files[i], Location(*places[i]), i, depth, known[decoders[i]])
         for i in np.flatnonzero(wanted).tolist()
     ]
+
+
+def _repeated(table: FrameTable, wanted: np.ndarray) -> dict[int, int]:
+    """The rows, of those wanted, whose message an earlier one has, with the first such row."""
+    first: dict[tuple[int, ...], int] = {}
+    found = {}
+    for row in np.flatnonzero(wanted).tolist():
+        before = first.setdefault((int(table.file[row]), *table.place[row].tolist()), row)
+        if before != row:
+            found[row] = before
+    return found

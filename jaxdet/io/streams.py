@@ -12,8 +12,9 @@ from jaxdet.io.compressed import compressed_size
 from jaxdet.io.decode_messages import MessageDecoder
 from jaxdet.io.messages import CompressedImageMessage, ImageMessage, Kind, RgbdMessage
 
-COLUMNS = ("stamp", "depth_stamp", "log_time", "file", "decoder", "chunk", "offset", "size")
-"""What is kept of an image message, all int64; stamps and log time in ns."""
+COLUMNS = ("stamp", "color_stamp", "log_time", "file", "decoder", "chunk", "offset", "size")
+"""What is kept of an image message, all int64; stamps and log time in ns. The two stamps differ in
+RGBD messages alone, where ``stamp`` is that of the depth image."""
 NUM_PROBES = 8
 """How many of a stream's first messages are looked at."""
 PROBE_BYTES = 1 << 16

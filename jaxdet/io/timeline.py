@@ -1,4 +1,4 @@
-"""The frames of a log in time: order, pairs, and where each image lies."""
+"""The frames of a log in time: order, nearest colour images, and where each image lies."""
 
 from typing import NamedTuple
 
@@ -7,13 +7,12 @@ import numpy as np
 from jaxdet.errors import printable
 from jaxdet.io.messages import Kind
 from jaxdet.io.notes import Notes, StreamNotes
-from jaxdet.io.pairing import pair
 from jaxdet.io.store import Place
 from jaxdet.io.streams import ImageStream
 
 
 class FrameTable(NamedTuple):
-    """The messages of one stream in the order of their stamps."""
+    """The messages of one stream, for depth in the order of their stamps."""
 
     stamps_ns: np.ndarray
     """``(N,)`` int64, header stamps, or log times where the header stamps are all zero."""
@@ -28,6 +27,9 @@ class FrameTable(NamedTuple):
 
     def rows(self, numbers: np.ndarray) -> "FrameTable":
         """The messages of some numbers; of -1 one with a stamp of -1."""
+        if not len(self.stamps_ns):
+            none = np.full((len(numbers), 3), -1, np.int64)
+            return FrameTable(*(none[:, 0],) * 3, none, none[:, 0])
         rows = FrameTable(*(column[numbers] for column in self))
         return rows._replace(stamps_ns=np.where(numbers < 0, -1, rows.stamps_ns))
 
@@ -35,10 +37,11 @@ class FrameTable(NamedTuple):
 class Window(NamedTuple):
     """Some frames in a row, ``n`` of them."""
 
-    color: FrameTable
-    """``n`` messages."""
     depth: FrameTable
-    """Their partners, ``n`` messages, with a stamp of -1 where there is none."""
+    """``n`` messages."""
+    color: FrameTable | None
+    """Their nearest colour images, ``n`` messages, with a stamp of -1 where there is none near
+    enough; None where the log has no colour."""
     T_world_camera: np.ndarray | None
     """``(n, 4, 4)`` float64, NaN where unknown; None when the log has no poses."""
     notes: Notes = Notes()
@@ -54,13 +57,15 @@ class Window(NamedTuple):
         when most of it has been read.
         """
         rows = slice(first, last)
-        color, depth = (FrameTable(*(a[rows] for a in table)) for table in self[:2])
+        depth, color = (
+            table and FrameTable(*(column[rows] for column in table)) for table in self[:2]
+        )
         poses, other = (
             a if a is None else a[rows] for a in (self.T_world_camera, self.other_calibration)
         )
         notes = Notes() if first else self.notes
-        chunks = self.chunks if last == len(self.color.stamps_ns) else ()
-        return Window(color, depth, poses, notes, other, chunks)
+        chunks = self.chunks if last == len(self.depth.stamps_ns) else ()
+        return Window(depth, color, poses, notes, other, chunks)
 
 
 class ScannedFrames(NamedTuple):
@@ -76,12 +81,12 @@ class ScannedFrames(NamedTuple):
 
     @property
     def num_frames(self) -> int:
-        """Colour frames."""
-        return len(self.whole.color.stamps_ns)
+        """Depth images."""
+        return len(self.whole.depth.stamps_ns)
 
     def about_ns(self) -> np.ndarray:
         """``(F,)`` int64, the stamps, in order [ns]."""
-        return self.whole.color.stamps_ns
+        return self.whole.depth.stamps_ns
 
     def is_plain(self, number: int) -> bool:
         """False: nothing is read to look at a frame, as all messages have been."""
@@ -89,7 +94,7 @@ class ScannedFrames(NamedTuple):
 
     def stamp_ns(self, number: int) -> int:
         """The stamp of a frame [ns]."""
-        return int(self.whole.color.stamps_ns[number])
+        return int(self.whole.depth.stamps_ns[number])
 
     def window(self, start: int, stop: int) -> Window:
         """The frames ``start`` to ``stop``."""
@@ -102,65 +107,93 @@ class ScannedFrames(NamedTuple):
         return self._replace(whole=whole, notes=self.notes._replace(poses=int(poses)))
 
 
-def order_and_pair(color: ImageStream, depth: ImageStream, tolerance_s: float) -> ScannedFrames:
-    """Orders and pairs the messages of a log that was read as a whole.
+def order_frames(
+    depth: ImageStream, color: ImageStream | None, tolerance_s: float
+) -> ScannedFrames:
+    """Order the depth images of a log that was read as a whole, each with its nearest colour image.
 
     The order is by header stamp, then log time, then place in the files. Where all stamps of a
-    stream are zero, log times stand for the stamps of both, with a warning. The two images of
-    an RGBD message are a pair whatever their stamps.
+    stream are zero, log times stand for its stamps, and decide which colour image is nearest. The
+    two images of an RGBD message belong together whatever their stamps.
     """
-    warnings = []
-    zero = [s for s in (color, depth) if len(s) and not s.column("stamp").any()]
-    if zero:
-        text = "header stamps are all zero; log times are used for colour and depth"
-        warnings.append(f"{printable(zero[0].topic)}: {text}")
-    for stream in dict.fromkeys((color, depth)):
+    streams = dict.fromkeys(stream for stream in (depth, color) if stream is not None)
+    warnings: list[str] = []
+    zero = [stream for stream in streams if len(stream) and not stream.column("stamp").any()]
+    for stream in streams:
+        if stream in zero:
+            text = "header stamps are all zero; log times are used"
+            warnings.append(f"{printable(stream.topic)}: {text}")
         backward = int((np.diff(stream.column("log_time")) < 0).sum())
         warnings += log_time_warnings(stream.topic, backward)
-    stamps = "log_time" if zero else "stamp"
-    own, color_notes = _table(color, stamps, stamps)
+    own, stream_notes = _table(depth, "log_time" if depth in zero else "stamp")
+    partners = None
     if color is depth and color.kind is Kind.RGBD:
-        partners, _ = _table(depth, stamps, "log_time" if zero else "depth_stamp")
-        depth_notes, alone_ns = StreamNotes(), np.zeros(0, np.int64)
-    else:
-        every, depth_notes = _table(depth, stamps, stamps)
-        pairing = pair(own.stamps_ns, every.stamps_ns, tolerance_s)
-        partners = every.rows(pairing.depth_of_color)
-        alone_ns = every.stamps_ns[pairing.unpaired_depth]
-    notes = Notes(color_notes, depth_notes, *apart(own, partners), alone_ns)
-    return ScannedFrames(Window(own, partners, None), notes, bool(zero), tuple(warnings))
+        stamps = own.stamps_ns if zero else _table(depth, "stamp", "color_stamp")[0].stamps_ns
+        partners = own._replace(stamps_ns=stamps)
+    elif color is not None:
+        every, _ = _table(color, "log_time" if zero else "stamp")
+        about = own.log_ns if zero else own.stamps_ns
+        partners = every.rows(nearest(about, every.stamps_ns, tolerance_s))
+    notes = Notes(stream_notes, *apart(own, partners))
+    whole = Window(own, partners, None)
+    return ScannedFrames(whole, notes, depth in zero, tuple(warnings))
 
 
-def apart(color: FrameTable, depth: FrameTable) -> tuple[np.ndarray, np.ndarray, int]:
-    """How far apart pairs are by stamp and by log time ``(P,)`` [ns], and how many have no partner.
+def nearest(stamps_ns: np.ndarray, others_ns: np.ndarray, tolerance_s: float) -> np.ndarray:
+    """Return the number of the nearest other stamp for each stamp, ``(n,)`` int64, -1 = none.
+
+    A tie goes to the earlier one, and of equal ones to the first.
 
     Args:
-        color: ``n`` messages.
-        depth: Their partners, with a stamp of -1 where there is none.
+        stamps_ns: ``(n,)`` int64 [ns].
+        others_ns: ``(m,)`` int64, sorted [ns].
+        tolerance_s: Greatest difference [s].
+
+    >>> nearest(np.array([0, 50, 90]), np.array([40, 60]), 3e-8).tolist()
+    [-1, 0, 1]
     """
-    paired = depth.stamps_ns >= 0
-    by_stamp = np.abs(color.stamps_ns - depth.stamps_ns)[paired]
-    by_log_time = np.abs(color.log_ns - depth.log_ns)[paired]
-    return by_stamp, by_log_time, int((~paired).sum())
+    if not len(others_ns):
+        return np.full(len(stamps_ns), -1, np.int64)
+    after = np.minimum(np.searchsorted(others_ns, stamps_ns), len(others_ns) - 1)
+    before = np.maximum(after - 1, 0)
+    closer = np.abs(others_ns[after] - stamps_ns) < np.abs(stamps_ns - others_ns[before])
+    found = others_ns[np.where(closer, after, before)]
+    near = np.abs(found - stamps_ns) <= round(tolerance_s * 1e9)
+    return np.where(near, np.searchsorted(others_ns, found), -1)
+
+
+def apart(depth: FrameTable, color: FrameTable | None) -> tuple[np.ndarray, np.ndarray, int]:
+    """How far apart images are by stamp and by log time ``(P,)`` [ns]; frames without colour.
+
+    Args:
+        depth: ``n`` messages.
+        color: Their colour images, with a stamp of -1 where there is none.
+    """
+    if color is None:
+        return np.zeros(0, np.int64), np.zeros(0, np.int64), len(depth.stamps_ns)
+    there = color.stamps_ns >= 0
+    by_stamp = np.abs(color.stamps_ns - depth.stamps_ns)[there]
+    by_log_time = np.abs(color.log_ns - depth.log_ns)[there]
+    return by_stamp, by_log_time, int((~there).sum())
 
 
 def log_time_warnings(topic: str, backward: int) -> list[str]:
-    """What is said of a stream of which so many messages come after a later one."""
-    text = f"{printable(topic)}: {backward} log times run backward; frames are ordered by stamp"
+    """A line on a stream of which so many messages come after a later one."""
+    text = f"{printable(topic)}: {backward} log times run backward; images are ordered by stamp"
     return [text] if backward else []
 
 
-def _table(stream: ImageStream, ordered_by: str, stamps: str) -> tuple[FrameTable, StreamNotes]:
-    by, place = stream.column(ordered_by), ("chunk", "offset", "size")
+def _table(stream: ImageStream, by: str, stamps: str = "") -> tuple[FrameTable, StreamNotes]:
+    times, place = stream.column(by), ("chunk", "offset", "size")
     in_time = np.argsort(stream.column("log_time"), kind="stable")
-    order = in_time[np.argsort(by[in_time], kind="stable")]
+    order = in_time[np.argsort(times[in_time], kind="stable")]
     notes = StreamNotes(
-        backward=int((np.diff(by[in_time]) < 0).sum()),
-        double=int((np.diff(by[order]) == 0).sum()),
-        zero=int((by == 0).sum()),
+        backward=int((np.diff(times[in_time]) < 0).sum()),
+        double=int((np.diff(times[order]) == 0).sum()),
+        zero=int((times == 0).sum()),
     )
     table = FrameTable(
-        stream.column(stamps)[order],
+        stream.column(stamps or by)[order],
         stream.column("file")[order],
         stream.column("decoder")[order],
         np.stack([stream.column(name)[order] for name in place], axis=1),

@@ -1,4 +1,7 @@
-"""Which topics are colour and depth: by schema, by encoding, then by name.
+"""Which topics are depth and colour: by schema, by encoding, then by name.
+
+A log without depth is refused. Colour is optional: where it is missing, can't be read or isn't
+certain, the log is used without it.
 
 Names are matched by their parts, never as a whole, since drivers put any namespace before
 them (RealSense old and new, OAK-D, ZED, Azure Kinect, Orbbec).
@@ -10,24 +13,32 @@ from functools import partial
 from typing import NamedTuple
 
 from jaxdet.errors import TopicError, printable
-from jaxdet.io.compressed import is_compressed_depth, is_png16
+from jaxdet.io.compressed import is_color_file, is_depth_file
 from jaxdet.io.contents import LogContents
 from jaxdet.io.images import is_color_encoding, is_depth_encoding
-from jaxdet.io.messages import ImageMessage, Kind
-from jaxdet.io.options import LogOptions
+from jaxdet.io.messages import ImageMessage, Kind, plain_schema_name
+from jaxdet.io.options import NO_COLOR, LogOptions
 from jaxdet.io.streams import ImageStream
 
 _ALIGNED = ("aligned_depth", "depth_to_rgb", "depth_to_color", "depth_registered")
 _COLOR_WORDS = {"color", "colour", "rgb"}
 _DEPTH_WORDS = {"depth", "stereo"}
-_NOT_COLOR = {"depth", "disparity", "confidence", "ir", "infra", "infra1", "infra2", "mask"}
-_NOT_DEPTH = {"confidence", "disparity", "ir", "infra", "infra1", "infra2", "amplitude"}
+_INFRARED = {"ir", "infra", "infra1"}
+"""Of the depth camera's own pixels; infra2 is the other eye's."""
+_NOT_COLOR = {"depth", "disparity", "confidence", "infra2", "mask"} | _INFRARED
+_NOT_DEPTH = {"confidence", "disparity", "infra2", "amplitude"} | _INFRARED
+_VIDEOS = {
+    "foxglove.CompressedVideo": "video",
+    "ffmpeg_image_transport_msgs/FFMPEGPacket": "video of FFmpeg",
+    "theora_image_transport/Packet": "video (Theora)",
+}
 _IMAGE_WORDS = (
     _COLOR_WORDS
     | _DEPTH_WORDS
     | {"image", "raw", "rect", "rectified", "mono", "gray", "grey", "rgbd", "data", "sensor"}
     | {"compressed", "compresseddepth", "aligned", "registered", "to", "sw", "hw", "transport"}
-    | {"extrinsics"}
+    | {"extrinsics", "zstd", "infra2"}
+    | _INFRARED
 )
 """Of topics, no part of a camera's name."""
 _MAX_LISTED = 12
@@ -46,37 +57,50 @@ class Choice(NamedTuple):
 
     camera: str
     """Its name."""
-    color: str
     depth: str
+    color: str
+    """Empty where there is none."""
     aligned_by_name: bool
     reasons: tuple[str, ...]
+    why_no_color: str = ""
+    """A clause; empty where there is a colour topic."""
+    remedy: str = ""
+    """What gives the log colour; empty likewise."""
+    infrared: bool = False
+    """Whether the colour topic is the depth camera's own grey."""
 
 
 def choose_topics(contents: LogContents, options: LogOptions) -> dict[str, Choice | TopicError]:
-    """The colour and the depth topic of each camera, by its name, in order.
+    """The depth and the colour topic of each camera, by its name, in order.
 
-    There are several cameras where several names (see :func:`camera_name`) have both a colour and
-    a depth topic, and the user chooses neither. Depth that its name says is aligned to colour goes
-    before other depth, raw images before compressed ones, separate images before RGBD messages.
+    There are several cameras where depth topics have several names (see :func:`camera_name`), and
+    the user chooses neither topic. Depth that its name says is aligned to colour goes before other
+    depth, raw images before compressed ones, separate images before RGBD messages.
 
-    Where there is one camera at most, its name needn't be that of both topics: the one that shares
-    its namespace with the other image is taken; if that leaves several, nothing is guessed.
+    Where there is one camera, its colour topic may have another name: the one that shares its
+    namespace with depth is taken; if that leaves several, none is. Without colour the infrared
+    image of the depth camera serves.
 
     Returns:
-        At least one entry; of a camera with several topics that qualify, among others, the error.
+        At least one entry; of a camera with several depth topics that qualify, among others, the
+        error.
 
     Raises:
-        TopicError: None or, of the only camera, several qualify; the text lists them.
+        TopicError: No depth or, of the only camera, several qualify; the text lists them. A topic
+            of the options can't be used.
     """
     depths = _candidates(contents, options.depth, True)
     prefer_rect = any("depth_registered" in item.topic for item in depths)
-    colors = _candidates(contents, options.color, False, prefer_rect)
-    if not colors or not depths:
-        what = "colour and no depth" if not colors and not depths else "depth"
-        raise _missing(contents, what if not depths else "colour")
-    names = {camera_name(color.topic) for color in colors}
-    names &= {camera_name(depth.topic) for depth in depths}
-    if len(names) < 2 or options.color or options.depth:
+    without = options.color == NO_COLOR
+    given = None if without else options.color
+    colors = [] if without else _candidates(contents, given, False, prefer_rect)
+    if not depths:
+        raise _missing(contents)
+    if any(not item.rank[1] for item in depths):  # mono16 may also be of a thermal camera
+        streams = contents.streams
+        depths = [d for d in depths if not (d.rank[1] and _is_kind(streams[d.topic], False))]
+    names = {camera_name(depth.topic) for depth in depths}
+    if len(names) < 2 or given or options.depth:
         choice = _choose(contents, options, colors, depths)
         return {choice.camera: choice}
     found: dict[str, Choice | TopicError] = {}
@@ -109,29 +133,80 @@ def camera_name(topic: str) -> str:
     return "/".join([part for part in parts if part != "camera"]) or "camera"
 
 
+def is_color_name(topic: str) -> bool:
+    """Whether a topic's name says colour, and not that it is aligned depth."""
+    words = _words(topic)
+    return bool(words & _COLOR_WORDS) and not words & _DEPTH_WORDS
+
+
 def _choose(
     contents: LogContents,
     options: LogOptions,
     colors: Sequence[Candidate],
     depths: Sequence[Candidate],
 ) -> Choice:
-    """The colour and the depth topic among some candidates."""
+    """The depth and the colour topic among some candidates."""
     color_best, depth_best = _best(colors), _best(depths)
-    if len(color_best) > 1 and len(depth_best) == 1:
-        color_best = _nearest(color_best, depth_best[0].topic)
-    elif len(depth_best) > 1 and len(color_best) == 1:
+    if len(depth_best) > 1 and len(color_best) == 1:
         depth_best = _nearest(depth_best, color_best[0].topic)
-    _require_one(contents, color_best, "colour")
-    _require_one(contents, depth_best, "depth")
-    color, depth = color_best[0], depth_best[0]
+    if len(depth_best) > 1:
+        names = listed([item.topic for item in depth_best])
+        problem, remedy = f"several topics can be depth: {names}", "choose one with --log.depth"
+        raise TopicError(problem, path=contents.path, remedy=remedy)
+    depth = depth_best[0]
+    if len(color_best) > 1:
+        color_best = _nearest(color_best, depth.topic)
+    why = remedy = ""
     if contents.streams[depth.topic].kind is Kind.RGBD and not options.color:
-        color = Candidate(depth.topic, depth.rank, "in the same message as depth")
-    reasons = (
-        f"colour: {printable(color.topic)}, {color.why}{_others(colors, color)}",
-        f"depth: {printable(depth.topic)}, {depth.why}{_others(depths, depth)}",
-    )
-    name = camera_name(color.topic)
-    return Choice(name, color.topic, depth.topic, _says_aligned(depth.topic), reasons)
+        color_best = [Candidate(depth.topic, depth.rank, "in the same message as depth")]
+    infrared = not color_best and not options.color
+    if infrared:
+        color_best = _infrared(contents, depth.topic)
+        infrared = bool(color_best)
+    if len(color_best) != 1:
+        why, remedy = _why_no_color(contents, options, color_best)
+    color = color_best[0] if len(color_best) == 1 else None
+    reasons = [f"depth: {printable(depth.topic)}, {depth.why}{_others(depths, depth)}"]
+    if color:
+        reasons.append(f"colour: {printable(color.topic)}, {color.why}{_others(colors, color)}")
+    topic, aligned = color.topic if color else "", _says_aligned(depth.topic)
+    name = camera_name(depth.topic)
+    return Choice(name, depth.topic, topic, aligned, tuple(reasons), why, remedy, infrared)
+
+
+def _why_no_color(
+    contents: LogContents, options: LogOptions, several: Sequence[Candidate]
+) -> tuple[str, str]:
+    """Why a camera has no colour topic, and what would give it one."""
+    remedy = "name a topic with --log.color"
+    if options.color == NO_COLOR:
+        return "--log.color none", "leave --log.color none out"
+    if several:
+        names = listed([item.topic for item in several])
+        return f"several topics can be colour ({names})", "choose one with --log.color"
+    if unread := [*_unread(contents), *_videos(contents)]:
+        return f"not read: {listed(unread)}", "record colour in a form that jaxdet help logs names"
+    return "no colour image topic", remedy
+
+
+def _videos(contents: LogContents) -> list[str]:
+    """Topics with video, each with its kind."""
+    schemas = {name: info.channel.schema_name for name, info in sorted(contents.topics.items())}
+    plain = {name: plain_schema_name(schema) for name, schema in schemas.items()}
+    return [f"{_VIDEOS[kind]} of {name}" for name, kind in plain.items() if kind in _VIDEOS]
+
+
+def _infrared(contents: LogContents, depth_topic: str) -> list[Candidate]:
+    """The infrared image of the depth camera's own pixels."""
+    name = camera_name(depth_topic)
+    found = []
+    for topic, stream in sorted(contents.streams.items()):
+        if not _words(topic) & _INFRARED or camera_name(topic) != name:
+            continue
+        if stream.kind is not Kind.RGBD and (_is_kind(stream, False) or _is_kind(stream, True)):
+            rank = 0, int(stream.kind is Kind.COMPRESSED), 0
+            found.append(Candidate(topic, rank, "infrared, as there is no colour"))
+    return _best(sorted(found, key=lambda item: (item.rank, item.topic)))[:1]
 
 
 def listed(names: Sequence[str]) -> str:
@@ -189,9 +264,12 @@ def _overridden(contents: LogContents, topic: str, depth: bool) -> Candidate:
         names = [name for name, one in streams if not one.probes or _is_kind(one, depth)]
         remedy = f"{flag} can be: {listed(names) or f'nothing, it has no {what} images'}"
         raise TopicError(reason, path=contents.path, topic=topic, remedy=remedy)
-    if stream.probes and not _is_kind(stream, depth):
+    mistaken = not depth and _is_kind(stream, True) and bool(_words(topic) & _DEPTH_WORDS)
+    if stream.probes and stream.kind is not Kind.RGBD and (mistaken or not _is_kind(stream, depth)):
         encoding = printable(stream.encoding(depth))
         problem = f"encoding {encoding!r} is not a {what} image that can be read"
+        if mistaken:
+            problem = f"a topic of depth images ({encoding}), not of colour"
         raise TopicError(problem, path=contents.path, topic=topic, remedy=f"change {flag}")
     return Candidate(topic, (0, 0, 0), f"given by {flag}")
 
@@ -204,13 +282,15 @@ def _is_kind(stream: ImageStream, depth: bool) -> bool:
         return is_depth_encoding(image.encoding) if depth else is_color_encoding(image.encoding)
     if image is None:
         return False
-    return depth == (is_compressed_depth(image.format, stream.topic) or is_png16(image.data))
+    is_depth = is_depth_file(image, stream.topic)
+    return is_depth if depth else not is_depth and is_color_file(image)
 
 
 def _depth_candidate(stream: ImageStream) -> Candidate | None:
     words = _words(stream.topic)
     named = bool(words & _DEPTH_WORDS)
-    if not _is_kind(stream, True) or (words & _NOT_DEPTH and not named) or "confidence" in words:
+    other = bool(words & (_NOT_DEPTH | _COLOR_WORDS)) and not named
+    if not _is_kind(stream, True) or other or "confidence" in words:
         return None
     if stream.kind is Kind.RGBD:
         return Candidate(stream.topic, (2, 0, 0), "an RGBD message")
@@ -229,7 +309,9 @@ def _color_candidate(stream: ImageStream, prefer_rect: bool) -> Candidate | None
         return None
     encoding = stream.encoding(False)
     named = bool(words & _COLOR_WORDS)
-    grey = encoding.lower() in ("mono8", "8uc1")
+    if _is_kind(stream, True) and not named:
+        return None  # 16 bits may be of a thermal camera, a confidence or depth
+    grey = encoding.lower() in ("mono8", "8uc1", "mono16", "16uc1")
     tier = 2 if grey else 0 if named else 1
     rank = (tier, int(stream.kind is Kind.COMPRESSED), int(("rect" in words) != prefer_rect))
     why = "its name says colour" if named else "its encoding is colour's"
@@ -237,6 +319,7 @@ def _color_candidate(stream: ImageStream, prefer_rect: bool) -> Candidate | None
 
 
 def _best(candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Those of the smallest rank, which goes first."""
     return [item for item in candidates if item.rank == candidates[0].rank]
 
 
@@ -245,15 +328,7 @@ def _nearest(candidates: Sequence[Candidate], topic: str) -> list[Candidate]:
     return [item for item in candidates if affinity(item.topic, topic) == best]
 
 
-def _require_one(contents: LogContents, candidates: Sequence[Candidate], what: str) -> None:
-    if len(candidates) > 1:
-        names = listed([item.topic for item in candidates])
-        flag = "--log.color" if what == "colour" else "--log.depth"
-        problem = f"several topics can be {what}: {names}"
-        raise TopicError(problem, path=contents.path, remedy=f"choose one with {flag}")
-
-
-def _missing(contents: LogContents, what: str) -> TopicError:
+def _missing(contents: LogContents) -> TopicError:
     if not contents.streams and any(name.startswith("/jaxdet/") for name in contents.topics):
         problem, remedy = "an export of jaxdet, without images", "name the log that it was made of"
         return TopicError(problem, path=contents.path, remedy=remedy)
@@ -266,24 +341,17 @@ def _missing(contents: LogContents, what: str) -> TopicError:
     known = f"its topics are {listed(names)}" if names else "it has no messages"
     if unread := _unread(contents):
         known = f"encodings not read: {listed(unread)}; {known}"
-    remedy = (
-        "record colour and depth in encodings that jaxdet help logs names, or name their topics "
-        "with --log.color, --log.depth"
-    )
+    remedy = "record depth in an encoding that jaxdet help logs names, or give --log.depth TOPIC"
     remedy = remedy if names else "copy or record it again"
-    return TopicError(f"no {what} image topic; {known}", path=contents.path, remedy=remedy)
+    return TopicError(f"no depth image topic; {known}", path=contents.path, remedy=remedy)
 
 
 def _unread(contents: LogContents) -> list[str]:
-    """Encodings of raw images that are neither colour's nor depth's, each with its topic."""
-    streams = sorted(contents.streams.items())
-    images = {topic: stream.first_image(False) for topic, stream in streams}
+    """Image encodings that are neither colour's nor depth's, each with its topic."""
     return [
-        f"{image.encoding!a} of {topic}"
-        for topic, image in images.items()
-        if isinstance(image, ImageMessage)
-        and not is_color_encoding(image.encoding)
-        and not is_depth_encoding(image.encoding)
+        f"{stream.encoding(False)!a} of {topic}"
+        for topic, stream in sorted(contents.streams.items())
+        if stream.probes and not _is_kind(stream, True) and not _is_kind(stream, False)
     ]
 
 

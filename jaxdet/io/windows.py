@@ -1,12 +1,16 @@
-"""The frames of a log by its index: only the messages about the frames asked for are looked at.
+"""The frames of a log by its index: only messages near the requested frames are looked at.
 
-A frame's number is its rank by header stamp. A stream's messages are nearly in this order
-already: it is checked that no two that are ``REACH`` or more messages apart (by log time) are in
+A frame's number is the rank of its depth image by header stamp. A stream's messages are nearly in
+this order already: it is checked that no two that are ``REACH`` or more messages apart (by log time) are in
 the wrong order, so that ranks follow from messages near by. It is enough to compare messages
 ``REACH`` to ``2 REACH - 1`` apart: of two in the wrong order that are farther apart, one in
 between is in the wrong order with one of them. Both are known to the window that holds the message
 ``REACH`` after the first of them, and each message of a log belongs to one window of any division
 of its frames. So whoever reads all frames either gets the ranks of a whole scan or an error.
+
+The stamps of colour images are read whether colour is decoded or not: of a chunk that isn't packed
+64 bytes of each message (0.02 ms), of a packed one the chunk, which mostly holds depth as well.
+Chunks with colour alone are checked against their CRC only where colour is decoded.
 """
 
 from itertools import groupby
@@ -20,11 +24,10 @@ from jaxdet.io.contents import image_stamps
 from jaxdet.io.messages import Kind
 from jaxdet.io.motion_windows import MotionWindows
 from jaxdet.io.notes import Notes, StreamNotes
-from jaxdet.io.pairing import pair
 from jaxdet.io.poses import PoseSource
 from jaxdet.io.records import TopicMessages, read_message
-from jaxdet.io.store import ChunkStore, Place
-from jaxdet.io.timeline import FrameTable, Window, apart
+from jaxdet.io.store import ChunkStore
+from jaxdet.io.timeline import FrameTable, Window, apart, nearest
 from jaxdet.io.validity import CalibrationWindows
 
 REACH = 4
@@ -32,7 +35,7 @@ REACH = 4
 _LOOKS = 64
 """Messages whose stamps are looked at before a part is taken."""
 _BESIDE = 2
-"""Frames looked at to either side, at first."""
+"""Colour images looked at to either side, at first."""
 _MAX_BESIDE = 4096
 _STAMP_BYTES = 64
 """Of a payload, enough for a stamp that leads."""
@@ -57,7 +60,7 @@ class StreamWindows:
         self.backward = int((np.diff(found.messages.log_ns) < 0).sum())
         self.store, self._path = store, path
         count = found.num_messages
-        self.stamp, self.depth_stamp, self.size = (np.full(count, -1, np.int64) for _ in range(3))
+        self.stamp, self.color_stamp, self.size = (np.full(count, -1, np.int64) for _ in range(3))
         self._undecodable = np.zeros(count, bool)
 
     def __len__(self) -> int:
@@ -114,10 +117,10 @@ class StreamWindows:
             undecodable=int(self._undecodable[first:last].sum()),
         )
 
-    def table(self, numbers: np.ndarray, depth: bool = False) -> FrameTable:
+    def table(self, numbers: np.ndarray, color: bool = False) -> FrameTable:
         """Messages of some numbers; of -1 one with a stamp of -1."""
         messages = self.messages
-        stamps = (self.depth_stamp if depth else self.stamp)[numbers]
+        stamps = (self.color_stamp if color else self.stamp)[numbers]
         columns = messages.position, messages.offset + PAYLOAD_OFFSET, self.size
         place = np.stack([column[numbers] for column in columns], axis=1)
         stamps = np.where(numbers < 0, -1, stamps)
@@ -153,79 +156,22 @@ class StreamWindows:
         except FrameError:
             log_ns = int(self.messages.log_ns[number])
             stamps, self._undecodable[number] = (log_ns, log_ns), True
-        self.stamp[number], self.depth_stamp[number] = stamps
+        self.stamp[number], self.color_stamp[number] = stamps
         self.size[number] = size
-
-
-class _Reach(NamedTuple):
-    """How far frames are known to one side of others."""
-
-    enough: bool
-    nearest: int
-    """The nearest stamp on this side, as far as it matters."""
-
-
-class _Part:
-    """Some frames of a stream, of which the messages are wanted, and those known beside them.
-
-    Args:
-        stream: The stream.
-        first: The first one wanted.
-        last: The one after the last.
-    """
-
-    def __init__(self, stream: StreamWindows, first: int, last: int) -> None:
-        self._stream, self._first, self._last = stream, first, last
-        self._beside = [_BESIDE, _BESIDE]
-        self._look()
-
-    def _look(self) -> None:
-        self._begin = max(0, self._first - self._beside[0])
-        self._end = min(len(self._stream), self._last + self._beside[1])
-        self.ranked = self._stream.ranked(self._begin, self._end)
-        """The messages of all frames that are known."""
-        self.stamps_ns = self._stream.stamp[self.ranked]
-
-    @property
-    def wanted(self) -> slice:
-        """The frames wanted, among those known."""
-        return slice(self._first - self._begin, self._last - self._begin)
-
-    def is_end(self, side: int) -> bool:
-        """Whether the stream ends to a side: 0 at the first frame known, 1 at the last."""
-        return self._end == len(self._stream) if side else self._begin == 0
-
-    def widen(self, side: int) -> bool:
-        """Looks at twice as many to a side; False where that would be too many."""
-        self._beside[side] *= 2
-        if self._beside[side] > _MAX_BESIDE:
-            return False
-        self._look()
-        return True
-
-    def notes(self) -> StreamNotes:
-        """What is odd of those wanted."""
-        before = max(self._first - 1, 0) - self._begin
-        ranked = self.ranked[before : self._last - self._begin]
-        return self._stream.notes(self._first, self._last, ranked)
-
-    def chunks(self) -> set[Place]:
-        """The chunks of as many messages, in the order of log times."""
-        return self._stream.messages.chunks(slice(self._first, self._last))
 
 
 class IndexedFrames(NamedTuple):
     """The frames of a log by its index."""
 
-    color: StreamWindows
     depth: StreamWindows
-    """The same object for RGBD messages."""
+    color: StreamWindows | None
+    """The same object for RGBD messages; None where the log has no colour."""
     motions: MotionWindows
     """Transforms and poses."""
     source: PoseSource
     """Where the poses come from."""
     tolerance_s: float
-    """The pairing's [s]."""
+    """How far colour images may be from their frames [s]."""
     path: str
     """The log's, for errors."""
     calibrations: CalibrationWindows | None = None
@@ -233,19 +179,20 @@ class IndexedFrames(NamedTuple):
 
     @property
     def num_frames(self) -> int:
-        """Colour frames."""
-        return len(self.color)
+        """Depth images."""
+        return len(self.depth)
 
     def about_ns(self) -> np.ndarray:
-        """``(F,)`` int64, log times of the colour messages, in order [ns].
+        """``(F,)`` int64, log times of the depth messages, in order [ns].
 
         Raises:
             RescanError: The stamps of some images are far from the order of these.
             DamageError: The file contradicts its index.
         """
         for stream in (self.depth, self.color):
-            stream.check_clock()
-        return self.color.messages.log_ns
+            if stream is not None:
+                stream.check_clock()
+        return self.depth.messages.log_ns
 
     def is_plain(self, number: int) -> bool:
         """Whether the chunk of a frame isn't packed, so that its messages can be read alone.
@@ -253,104 +200,73 @@ class IndexedFrames(NamedTuple):
         Raises:
             DamageError: There is no such chunk.
         """
-        (place,) = self.color.messages.places(slice(number, number + 1))
-        return place.position < 0 or self.color.store.head(place).is_plain
+        (place,) = self.depth.messages.places(slice(number, number + 1))
+        return place.position < 0 or self.depth.store.head(place).is_plain
 
     def stamp_ns(self, number: int) -> int:
         """The stamp of a frame [ns].
 
         Raises:
-            RescanError: The index doesn't tell.
+            RescanError: The index isn't enough.
             DamageError: The file contradicts its index.
         """
-        return int(self.color.stamp[self.color.ranked(number, number + 1)[0]])
+        return int(self.depth.stamp[self.depth.ranked(number, number + 1)[0]])
 
     def window(self, start: int, stop: int) -> Window:
         """The frames ``start`` to ``stop``.
 
         Raises:
-            RescanError: The index doesn't tell.
+            RescanError: The index isn't enough.
             DamageError: The file contradicts its index.
         """
+        before = max(start - 1, 0)
+        ranked = self.depth.ranked(before, stop)
+        numbers = ranked[start - before :]
+        own = self.depth.table(numbers)
+        color = None
         if self.color is self.depth:
-            return self._pairs_by_message(start, stop)
-        color = _Part(self.color, start, stop)
-        depth = _Part(self.depth, *self._beside(start, stop))
-        while missing := self._missing(color, depth):
-            for part, side in missing:
-                if not part.widen(side):
-                    problem = "colour and depth stamps are too far apart"
-                    raise RescanError(problem, path=self.path)
-        pairing = pair(color.stamps_ns, depth.stamps_ns, self.tolerance_s)
-        partner = pairing.depth_of_color[color.wanted]
-        messages = np.append(depth.ranked, -1)[partner]
-        own, others = self.color.table(color.ranked[color.wanted]), self.depth.table(messages)
-        alone = np.zeros(len(depth.ranked), bool)
-        alone[pairing.unpaired_depth] = True
-        notes = Notes(
-            color.notes(),
-            depth.notes(),
-            *apart(own, others),
-            depth.stamps_ns[depth.wanted][alone[depth.wanted]],
-        )
-        chunks = color.chunks() | depth.chunks()
-        return self._with_poses(Window(own, others, None, notes), chunks, start, stop)
-
-    def _beside(self, start: int, stop: int) -> tuple[int, int]:
-        """The depth messages that the window of some colour frames answers for, by log time."""
-        log_ns, depth_ns = self.color.messages.log_ns, self.depth.messages.log_ns
-        first = int(np.searchsorted(depth_ns, log_ns[start])) if start else 0
-        if stop == len(self.color):
-            return first, len(depth_ns)
-        return first, int(np.searchsorted(depth_ns, log_ns[stop]))
-
-    def _pairs_by_message(self, start: int, stop: int) -> Window:
-        part = _Part(self.color, start, stop)
-        numbers = part.ranked[part.wanted]
-        color, depth = self.color.table(numbers), self.color.table(numbers, True)
-        notes = Notes(part.notes(), StreamNotes(), *apart(color, depth))
-        window = Window(color, depth, None, notes)
-        return self._with_poses(window, part.chunks(), start, stop)
-
-    def _with_poses(self, window: Window, chunks: set[Place], start: int, stop: int) -> Window:
-        log_ns = self.color.messages.log_ns
+            color = self.depth.table(numbers, color=True)
+        elif self.color is not None:
+            color = self._colors(self.color, own.stamps_ns, start, stop)
+        log_ns = self.depth.messages.log_ns
         begin = int(log_ns[start]) if start else None
-        end = int(log_ns[stop]) if stop < len(self.color) else None
-        T, more = self.motions.window(self.source, window.color.stamps_ns, begin, end)
+        end = int(log_ns[stop]) if stop < len(self.depth) else None
+        T, chunks = self.motions.window(self.source, own.stamps_ns, begin, end)
         if self.calibrations:
-            more = more | self.calibrations.check(begin, end)
+            chunks = chunks | self.calibrations.check(begin, end)
+        chunks = chunks | self.depth.messages.chunks(slice(start, stop))
         poses = 0 if T is None else int(np.isfinite(T[:, 0, 0]).sum())
-        return window._replace(
-            T_world_camera=T,
-            notes=window.notes._replace(poses=poses),
-            chunks=tuple(sorted(chunks | more)),
-        )
+        notes = Notes(self.depth.notes(start, stop, ranked), *apart(own, color), poses)
+        return Window(own, color, T, notes, chunks=tuple(sorted(chunks)))
 
-    def _missing(self, color: _Part, depth: _Part) -> list[tuple[_Part, int]]:
-        """What must be looked at further to which side (0, 1), for pairs that are certain.
+    def _colors(
+        self, color: StreamWindows, stamps_ns: np.ndarray, start: int, stop: int
+    ) -> FrameTable:
+        """The nearest colour images of some frames.
 
-        A frame's partner is the nearest of the other stream, and has that frame as its nearest:
-        so the next frames of the other stream must be known, and what is next to those; or
-        anything beyond the tolerance.
+        All messages are looked at that come between the frames by log time, so that those of a log
+        are, and further ones until no other can be nearer.
         """
-        parts, missing = (color, depth), []
-        both = np.concatenate([part.stamps_ns[part.wanted] for part in parts])
-        for side, sign in enumerate((1, -1)):
-            edge = int((sign * both).min())
-            near = [self._reach(part, side, edge) for part in parts]
-            for part, own, other in zip(parts, near, near[::-1], strict=True):
-                again = self._reach(part, side, min(edge, other.nearest))
-                if not (own.enough and again.enough):
-                    missing.append((part, side))
-        return missing
-
-    def _reach(self, part: _Part, side: int, edge: int) -> _Reach:
-        """Whether frames beyond ``edge`` are known as far as it matters; side 1 is negated."""
-        stamps = -part.stamps_ns[::-1] if side else part.stamps_ns
-        limit = edge - round(self.tolerance_s * 1e9)
-        below = stamps[: np.searchsorted(stamps, edge)]
-        if not len(below):
-            return _Reach(part.is_end(side), edge)
-        # Of the outermost stamp there may be more frames.
-        enough = part.is_end(side) or below[0] < below[-1] or below[0] < limit
-        return _Reach(bool(enough), max(int(below[-1]), limit))
+        own_ns, log_ns, count = self.depth.messages.log_ns, color.messages.log_ns, len(color)
+        first = int(np.searchsorted(log_ns, own_ns[start])) if start else 0
+        last = int(np.searchsorted(log_ns, own_ns[stop])) if stop < len(own_ns) else count
+        low = int(stamps_ns[0]) - round(self.tolerance_s * 1e9)
+        beside = [_BESIDE, _BESIDE]
+        while True:
+            begin, end = max(0, first - beside[0]), min(count, last + beside[1])
+            ranked = color.ranked(begin, end)
+            found = color.stamp[ranked]
+            earlier = found[found <= stamps_ns[0]]
+            # Of the outermost stamp there may be more images.
+            enough = (
+                begin == 0 or found[0] < low or bool(len(earlier) and earlier[-1] > found[0]),
+                end == count or found[-1] >= stamps_ns[-1],
+            )
+            if all(enough):
+                break
+            beside = [n if known else 2 * n for n, known in zip(beside, enough, strict=True)]
+            if max(beside) > _MAX_BESIDE:
+                problem = "colour and depth stamps are too far apart"
+                raise RescanError(problem, path=self.path)
+        numbers = np.append(ranked, -1)[nearest(stamps_ns, found, self.tolerance_s)]
+        return color.table(numbers)

@@ -195,6 +195,7 @@ def batch_rows(
         free = free_floor(found.scene.free, found.scene.free_end, unit)
         plane = fit.plane
     frame_columns = _frame_columns(frames, plane, found, good)
+    frame_columns["color_stamp_ns"] = _color_stamps(batch, count)
     frame_columns["log_time_ns"] = _log_times(batch, count)
     frame_columns["status"] = np.array([str(s) for s in status.tolist()], object)
     frame_columns |= _pose_columns(batch, count)
@@ -261,7 +262,6 @@ def _frame_columns(
     return {
         "frame": frames.number[:n],
         "stamp_ns": frames.stamp_ns[:n],
-        "color_stamp_ns": _color_stamps(frames, n),
         "num_obstacles": counted(found.num_obstacles),
         "overflow": found.overflow & good,
         "camera_height_m": known(plane.height),
@@ -270,11 +270,14 @@ def _frame_columns(
     }
 
 
-def _color_stamps(frames: Frames, count: int) -> np.ndarray:
-    """Return the stamps of the frames' colour images, masked where there is none."""
-    if frames.color_stamp_ns is None:
+def _color_stamps(batch: "Batch", count: int) -> np.ndarray:
+    """Return the stamps of the frames' colour images, masked where there is none.
+
+    They are the same whether colour was read or not.
+    """
+    if batch.nearest_color_ns is None:
         return np.ma.masked_all(count, np.int64)
-    return np.ma.masked_less(frames.color_stamp_ns[:count], 0)
+    return np.ma.masked_less(batch.nearest_color_ns[:count], 0)
 
 
 def _log_times(batch: "Batch", count: int) -> np.ndarray:

@@ -37,7 +37,7 @@ FRAMES_SCHEMA = _schema(
     _Column("camera", _STRING, "", "name of the camera"),
     _Column("frame", _I64, "", "number of the depth image in the log, from 0"),
     _Column("stamp_ns", _I64, "ns", "header stamp of the depth image"),
-    _Column("color_stamp_ns", _I64, "ns", "header stamp of the colour image shown with it", True),
+    _Column("color_stamp_ns", _I64, "ns", "header stamp of its colour image", True),
     _Column("log_time_ns", _I64, "ns", "when the log received the depth image", True),
     _Column("status", _STRING, "", "ok, or why the frame has no result"),
     _Column("num_obstacles", _I32, "", "rows of the frame in obstacles.parquet"),

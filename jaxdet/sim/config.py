@@ -130,4 +130,4 @@ def calibration_of(config: SimConfig) -> Calibration:
     Ry = np.array([[np.cos(b), 0, np.sin(b)], [0, 1, 0], [-np.sin(b), 0, np.cos(b)]])
     Rz = np.array([[np.cos(c), -np.sin(c), 0], [np.sin(c), np.cos(c), 0], [0, 0, 1]])
     rotation = tuple((Rz @ Ry @ Rx).ravel().tolist())
-    return Calibration(color, depth, Extrinsics(rotation, DEPTH_TO_COLOR_M))
+    return Calibration(depth, color, Extrinsics(rotation, DEPTH_TO_COLOR_M))

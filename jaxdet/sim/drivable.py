@@ -91,7 +91,7 @@ def floor_edge(
 
 def _seen(frame: SimFrame, points: np.ndarray) -> np.ndarray:
     """Which world points ``(n, 3)`` are in the colour picture and not hidden."""
-    camera, T = calibration_of(frame.config).color, frame.T_world_color
+    camera, T = calibration_of(frame.config).image, frame.T_world_color
     x, y, z = ((points - T[:3, 3]) @ T[:3, :3]).T
     ahead = np.where(z > 0, z, np.inf)
     u = np.rint(x / ahead * camera.fx + camera.cx).astype(int)

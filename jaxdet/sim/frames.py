@@ -95,23 +95,23 @@ def simulate_frame(config: SimConfig, scene: Scene, index: int) -> SimFrame:
     T_world_base = base_pose(scene, time_s)
     mounted = true_mount(config, index)
     T_world_color = T_world_base @ mount(*mounted)
-    truth = look(config, scene, calibration.color, T_world_color, time_s)
+    truth = look(config, scene, calibration.image, T_world_color, time_s)
     light, cos_floor = LIGHTS[config.light], _cos_floor(scene)
     turn = abs(velocity_at(scene.path, time_s)[1]) if scene.path.length > 0 else 0.0
-    smear = turn * calibration.color.fx * config.exposure.max_exposure_s
+    smear = turn * calibration.image.fx * config.exposure.max_exposure_s
     color = expose(
-        (truth.color, truth.light), calibration.color, light, cos_floor, config.exposure,
+        (truth.color, truth.light), calibration.image, light, cos_floor, config.exposure,
         _rng(config, index, 0), smear,
     )  # fmt: skip
     depth = aligned = None
     if config.depth_form != "aligned":
-        assert calibration.depth is not None and calibration.color_from_depth is not None
+        assert calibration.color_from_depth is not None
         later = time_s + config.depth_delay_s
         T = base_pose(scene, later) @ mount(*mounted) @ calibration.color_from_depth.T
         view = look(config, scene, calibration.depth, T, later, shadows=False)
         depth = _measure(view, calibration.depth, config, _rng(config, index, 1))
     if config.depth_form in ("aligned", "both"):
-        aligned = _measure(truth, calibration.color, config, _rng(config, index, 2))
+        aligned = _measure(truth, calibration.image, config, _rng(config, index, 2))
     stamp_ns = config.start_ns + round(time_s * 1e9)
     delay_ns = round(config.depth_delay_s * 1e9)
     return SimFrame(

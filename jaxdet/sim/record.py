@@ -122,12 +122,12 @@ def _write_frame(
         writer.write_camera_info(info, stamp_ns, frame_id, camera)
 
     stamp, delayed = frame.stamp_ns, frame.depth_stamp_ns
-    put("color/image_raw", stamp, COLOR_FRAME, calibration.color, frame.color, "rgb8")
-    if frame.depth is not None and calibration.depth is not None:
+    put("color/image_raw", stamp, COLOR_FRAME, calibration.image, frame.color, "rgb8")
+    if frame.depth is not None:
         metres = config.depth_form == "metres"
         image = frame.depth * np.float32(0.001) if metres else frame.depth
         form = "32FC1" if metres else "16UC1"
         put("depth/image_rect_raw", delayed, DEPTH_FRAME, calibration.depth, image, form)
     if frame.aligned is not None:
         name = "aligned_depth_to_color/image_raw"
-        put(name, delayed, COLOR_FRAME, calibration.color, frame.aligned, "16UC1")
+        put(name, delayed, COLOR_FRAME, calibration.image, frame.aligned, "16UC1")

@@ -38,7 +38,9 @@ class Truth(NamedTuple):
     """
 
     stamp_ns: np.ndarray
-    """``(F,)`` int64, colour stamp."""
+    """``(F,)`` int64, stamp of the colour image, which all but ``depth_stamp_ns`` is of."""
+    depth_stamp_ns: np.ndarray
+    """``(F,)`` int64, stamp of the depth image."""
     T_world_camera: np.ndarray
     """``(F, 4, 4)`` float64, colour optical frame to world, exact."""
     camera_height: np.ndarray
@@ -149,6 +151,7 @@ def frame_truth(frame: SimFrame) -> Truth:
     height, pitch, roll = (np.array([value]) for value in frame.mount)
     return Truth(
         np.array([frame.stamp_ns], np.int64),
+        np.array([frame.depth_stamp_ns], np.int64),
         frame.T_world_color[None],
         height,
         pitch,
@@ -216,6 +219,7 @@ def load_truth(log: str | Path) -> Truth:
 
 _SHAPES: dict[str, tuple] = {
     "stamp_ns": ("F", "i"),
+    "depth_stamp_ns": ("F", "i"),
     "T_world_camera": ("F", 4, 4, "f"),
     "camera_height": ("F", "f"),
     "camera_pitch": ("F", "f"),

@@ -30,12 +30,12 @@ def align(depth: Array, calibration: Calibration) -> AlignedDepth:
     Raises:
         CalibrationError: The images are not of the depth camera's size.
     """
-    check_size("depth", np.shape(depth), calibration.depth or calibration.color)
+    check_size("depth", np.shape(depth), calibration.depth)
     if calibration.is_aligned:
         depth = jnp.asarray(depth)
         return AlignedDepth(depth, depth)
     depth = jax.device_put(depth)
-    size = calibration.color.height, calibration.color.width
+    size = calibration.image.height, calibration.image.width
     return AlignedDepth(*align_arrays(depth, *tables(calibration), size))
 
 
@@ -73,7 +73,6 @@ def align_arrays(
 @lru_cache(maxsize=8)
 def tables(calibration: Calibration) -> tuple[jax.Array, jax.Array, jax.Array, int, int]:
     """The calibration's arrays on the device, and the kernel's static arguments."""
-    assert calibration.depth is not None  # splat_parameters says so with an error
     splat = splat_parameters(calibration)
     parameters = np.concatenate(
         [splat.rotation, splat.translation, splat.pinhole, splat.lens]

@@ -19,7 +19,6 @@ from jaxdet.cores import cores
 from jaxdet_kernels import (
     cells,
     chain,
-    cover,
     features,
     floor,
     free_floor,
@@ -28,7 +27,7 @@ from jaxdet_kernels import (
     surfaces,
 )
 
-_MODULES = obstacles, surfaces, cells, floor, outlines, cover, free_floor, chain, features
+_MODULES = obstacles, surfaces, cells, floor, outlines, free_floor, chain, features
 """Those that take longest first; the last has flags that stay set in the process."""
 
 

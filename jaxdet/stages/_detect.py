@@ -14,7 +14,6 @@ from jaxdet.floor.plane import depth_range
 from jaxdet.floor.units import FloorFit, Scale, floor_fit, prior_units
 from jaxdet.stages import (
     _cells,
-    _features,
     _floor,
     _free,
     _obstacles,
@@ -24,7 +23,6 @@ from jaxdet.stages import (
 )
 from jaxdet.stages._chain import by_device, frame_by_frame
 from jaxdet.stages._compile import compile_method
-from jaxdet.stages._cover import CellFeatures, features_on_cells
 from jaxdet.stages._points import clusters
 from jaxdet.stages._teams import Tables
 from jaxdet.types import (
@@ -35,10 +33,8 @@ from jaxdet.types import (
     CellLabels,
     Cells,
     Detections,
-    Features,
     Frames,
     GroundPlane,
-    Labels,
     Scene,
 )
 
@@ -47,18 +43,15 @@ class _Tables(NamedTuple):
     """What all frames share: arrays, so that no camera and no setting compiles anew."""
 
     cells: Tables
-    rays: _features.Rays
-    corners: Array
     floor: Array
     surfaces: Tables
     obstacles: Tables
     outlines: Tables
     free: Tables
-    depth_range: Array
 
 
 class _Given(NamedTuple):
-    """What is known of each frame's floor."""
+    """Prior of each frame's floor."""
 
     prior: Array  # (B, 4) int32, see jaxdet.floor.units.prior_units
     frame: Array  # (B, 13) int32, see jaxdet.floor.frame.floor_frames
@@ -72,31 +65,30 @@ class _Static(NamedTuple):
     """What a compiled program is for."""
 
     cells: _cells.Static
-    slots: int
+    boxes: _outlines.Static
     floor_words: int  # scratch memory, from jaxdet.stages._floor.scratch_words
-    with_cells: bool  # whether the cells are given back with their obstacles
+    with_cells: bool  # whether the cells are returned with their obstacles
 
 
 def detect(
     frames: Frames, plane: GroundPlane, config: Config, with_cells: bool = False
 ) -> Detections:
-    """Equals :func:`jaxdet.reference.detect`.
+    """Return what :func:`jaxdet.reference.detect` does.
 
     Args:
         frames: ``B`` frames; images on the host, which all devices share, or already on devices.
-            On the CPU, images whose memory starts at a multiple of 64 bytes are read where they
-            are, so leave them alone until the results are ready.
-        plane: What is known of each frame's floor.
-        config: The method.
-        with_cells: Give the cells with their obstacles as well.
+            On the CPU, images whose memory starts at a multiple of 64 bytes are read in place, so
+            leave them alone until the results are ready.
+        plane: Prior of the floor in each frame.
+        config: Configuration of the method.
+        with_cells: Whether to return the cells with their obstacles as well.
 
     Returns:
-        What the reference finds, still being computed perhaps, see :func:`_spread.in_parts`.
+        The obstacles, perhaps still being computed, see :func:`_spread.in_parts`.
 
     Raises:
         ConfigError: The kernels don't take images or grids of this size.
     """
-    _features.check_kernels_size(frames.calibration.color)
     if config.cluster.points:
         return clusters(frames, plane, config)
     tables, static = _tables(frames.calibration, config)
@@ -106,9 +98,9 @@ def detect(
 
     def run(images: tuple[Any, ...], known: GroundPlane) -> Detections:
         given = _Given(prior_units(known, scale), floor_frames(known, unit))
-        return _spread.run(_detect, *images, (tables, given), SPECS, static)
+        return _spread.run(_detect, images, (tables, given), SPECS, static)
 
-    found = _spread.in_parts(run, (frames.color, frames.depth), plane)
+    found = _spread.in_parts(run, (frames.depth,), plane)
     return found._replace(scene=found.scene._replace(prior=plane))
 
 
@@ -135,21 +127,19 @@ def _tables(calibration: Calibration, config: Config) -> tuple[_Tables, _Static]
     cells, static = _cells.tables(calibration, config.surface)
     rows, columns = cells["rays"].shape[1:]
     bounds = depth_range(config.ground.min_depth_m, config.ground.max_depth_m, unit)
+    outline_tables, boxes = _outlines.tables(calibration, config)
     table = affinity(config.obstacle.affinity, unit)
     made = _Tables(
         cells,
-        _features.rays(calibration.color),
-        _features.corner_settings(config.features),
         _floor.floor_settings(rows * columns, config.floor, unit),
         _surfaces.tables(calibration, config),
         _obstacles.tables(bounds[1], unit, config.obstacle, table),
-        _outlines.tables(config.footprint, unit),
+        outline_tables,
         _free.tables(config, unit),
-        np.array(bounds, np.int32),
     )
     made = jax.tree.map(jnp.asarray, made)
     words = _floor.scratch_words(rows, columns, config.floor, unit)
-    return made, _Static(static, config.features.max_corners, words, False)
+    return made, _Static(static, boxes, words, False)
 
 
 @partial(jax.jit, static_argnames="static")
@@ -159,12 +149,12 @@ def _find_floors(depth: jax.Array, tables: _Tables, prior: jax.Array, static: _S
 
 
 class _Steps(NamedTuple):
-    """What the kernels find."""
+    """Results of the kernels."""
 
     floor: jax.Array
     num_surfaces: jax.Array
+    has_depth: jax.Array  # (B,) bool
     num_obstacles: jax.Array  # (B,) int32
-    features: CellFeatures
     outlined: _outlines.Outlined
     free: tuple[jax.Array, jax.Array]
     cells: tuple[jax.Array, jax.Array, Cells] | None
@@ -173,28 +163,21 @@ class _Steps(NamedTuple):
 
 
 @partial(jax.jit, static_argnames="static")
-def _detect(
-    color: jax.Array, depth: jax.Array, tables: tuple[_Tables, _Given], static: _Static
-) -> Detections:
-    steps = partial(_steps, color, depth, *tables, static)
+def _detect(depth: jax.Array, tables: tuple[_Tables, _Given], static: _Static) -> Detections:
+    steps = partial(_steps, depth, *tables, static)
     found = by_device(partial(frame_by_frame, steps), steps)
     overflow = (found.num_obstacles > MAX_OBSTACLES) | (found.num_surfaces > MAX_SURFACES)
-    points = Features._make((*found.features.slots, overflow))
-    labels = Labels(found.features.label, jnp.minimum(found.num_obstacles, MAX_OBSTACLES))
+    count = jnp.minimum(found.num_obstacles, MAX_OBSTACLES)
     lost = cast(GroundPlane, None)  # it stays on the host
     scene = Scene(found.floor, lost, *found.outlined[1:], *found.free)
     cells = None
     if found.cells is not None:
         label, keep, grid = found.cells
         cells = CellLabels(jnp.where(label < MAX_OBSTACLES, label, -1), keep, grid)
-    return Detections(
-        points, labels, found.outlined.obstacles, found.features.has_depth, scene, cells
-    )
+    return Detections(count, overflow, found.has_depth, found.outlined.obstacles, scene, cells)
 
 
-def _steps(
-    color: jax.Array, depth: jax.Array, shared: _Tables, given: _Given, static: _Static
-) -> _Steps:
+def _steps(depth: jax.Array, shared: _Tables, given: _Given, static: _Static) -> _Steps:
     """The method: kernels and nothing else."""
     grid = _cells.cells(depth, shared.cells, static.cells)
     place = grid.x, grid.y, grid.z
@@ -202,13 +185,10 @@ def _steps(
     frame = _floor.found_frames(floor, given.frame)
     surfaces = _surfaces.surfaces(*place, frame, shared.surfaces)
     on_floor = surfaces.right, surfaces.forward, surfaces.height
-    view = *place, *on_floor, grid.in_view
+    view = *place, *on_floor
     label, count = _obstacles.obstacles(surfaces.label, surfaces.free, view, shared.obstacles)
-    features = features_on_cells(
-        color, grid, surfaces.keep, label, shared.rays, shared.corners, shared.depth_range,
-        static.slots,
-    )  # fmt: skip
-    outlined = _outlines.outlines(label, count, grid, on_floor, shared.outlines)
+    outlined = _outlines.outlines(label, count, grid, on_floor, shared.outlines, static.boxes)
     free = _free.free_floor(label, surfaces.low, grid.z, on_floor, frame, shared.free)
     cells = (label, surfaces.keep, grid) if static.with_cells else None
-    return _Steps(floor, surfaces.num_surfaces, count, features, outlined, free, cells)
+    counts = surfaces.num_surfaces, surfaces.has_depth, count
+    return _Steps(floor, *counts, outlined, free, cells)

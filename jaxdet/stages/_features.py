@@ -40,10 +40,10 @@ def features(
         CalibrationError: The images or the mask are not of the colour camera's size.
         ConfigError: That size is not one that the kernels take, see :func:`check_kernels_size`.
     """
-    check_kernels_size(calibration.color)
+    check_kernels_size(calibration.image)
     for what, images in (("colour", color), ("mask", keep.mask)):
-        check_size(what, images.shape, calibration.color)
-    arrays = rays(calibration.color)
+        check_size(what, images.shape, calibration.image)
+    arrays = rays(calibration.image)
     settings = jnp.asarray(corner_settings(config))
     return on_device(jnp.asarray(color), keep.z, keep.mask, arrays, settings, config.max_corners)
 

@@ -33,7 +33,7 @@ def tables(
     rows = np.stack([np.asarray(part, np.float64) for part in plane], axis=1)
     different, which = np.unique(rows, axis=0, return_inverse=True)
     planes = tuple(map(tuple, different.tolist()))
-    limits = _limits(calibration.color, planes, settings, unit)
+    limits = _limits(calibration.image, planes, settings, unit)
     bounds = depth_range(settings.min_depth_m, settings.max_depth_m, unit)
     nearest, farthest = (jnp.asarray(np.int32(bound)) for bound in bounds)
     return limits, jnp.asarray(which.reshape(-1).astype(np.int32)), nearest, farthest

@@ -1,17 +1,21 @@
 """Obstacles made of surfaces, measured and outlined on their cells.
 
-Twin of ``jaxdet/reference/_outlines.py`` and of ``footprint_on_floor`` beside it.
+Twin of ``jaxdet/reference/_outlines.py`` and of ``footprint_on_floor`` in ``_footprint.py``.
 """
 
 from typing import NamedTuple
 
 import jax
+import numpy as np
 
-from jaxdet.config import FootprintConfig
+from jaxdet.camera import cell_side
+from jaxdet.config import Config
 from jaxdet.floor.plane import band_table, direction_table
+from jaxdet.stages import _align
 from jaxdet.stages._teams import Tables, TeamKernel, kernel_tables
-from jaxdet.types import MAX_OBSTACLES, Cells, Obstacles
+from jaxdet.types import MAX_OBSTACLES, Calibration, Cells, Obstacles
 from jaxdet_kernels import outlines as kernels
+from jaxdet_kernels.align import PARAMETERS
 
 _outlines = TeamKernel(kernels.outlines)
 
@@ -36,14 +40,34 @@ class Outlined(NamedTuple):
     bottom_top: jax.Array  # (B, M, 2) int32, lowest and highest cell above the floor [depth units]
 
 
-def tables(config: FootprintConfig, depth_unit: float) -> Tables:
-    """The tables of a configuration, on the host."""
-    vertex, long = (round(m / depth_unit) for m in (config.vertex_threshold_m, config.long_m))
-    return kernel_tables(
-        bands=band_table(config, depth_unit),
+class Static(NamedTuple):
+    """Constants of a compiled program."""
+
+    side: int
+    model: int
+    aligned: int
+
+
+def tables(calibration: Calibration, config: Config) -> tuple[Tables, Static]:
+    """Return the tables and constants of a camera and a configuration, on the host."""
+    unit, footprint = calibration.depth_unit, config.footprint
+    vertex, long = (round(m / unit) for m in (footprint.vertex_threshold_m, footprint.long_m))
+    side = cell_side(calibration.depth, config.surface.cell_rad)
+    found = kernel_tables(
+        bands=band_table(footprint, unit),
         directions=direction_table(),
-        settings=(config.trim, vertex, long),
+        settings=(footprint.trim, vertex, long),
+        last=(calibration.image.width - 1, calibration.image.height - 1),
     )
+    model, x, parameters = 0, np.zeros((1, 1), np.float32), np.zeros(PARAMETERS, np.float32)
+    y = x
+    if not calibration.is_aligned:
+        x, y, parameters, model, _ = _align.tables(calibration)
+        counts = (size // side for size in (calibration.depth.height, calibration.depth.width))
+        corners = tuple(slice(0, count * side + 1, side) for count in counts)
+        x, y = x[corners], y[corners]
+    found |= {"corner_x": x, "corner_y": y, "parameters": parameters}
+    return found, Static(side, model, int(calibration.is_aligned))
 
 
 def outlines(
@@ -52,20 +76,22 @@ def outlines(
     cells: Cells,
     floor: tuple[jax.Array, jax.Array, jax.Array],
     shared: Tables,
+    static: Static,
 ) -> Outlined:
-    """Measures each obstacle on its cells in the colour image, and outlines it on all of them.
+    """Measure and outline each obstacle on its cells.
 
-    Takes what the kernel takes, ``shared`` as of :func:`tables`; ``floor`` is right, forward and
-    height of the cells. Obstacles from MAX_OBSTACLES on get no slot.
+    Takes the kernel's inputs, ``shared`` and ``static`` from :func:`tables`; ``floor`` is right,
+    forward and height of the cells. Obstacles from MAX_OBSTACLES on get no slot.
     """
     batch, rows, columns = label.shape
-    places = cells.x, cells.y, cells.z, *floor, cells.in_view, cells.uv_min, cells.uv_max
-    inputs = label, count, *places
+    inputs = label, count, *cells, *floor
     shapes = {
         f"{name}_out": (batch, MAX_OBSTACLES, *shape)
         for name, shape in {**SHAPES, "contour": (columns, 2)}.items()
     }
     words = kernels.scratch_words(rows, columns, MAX_OBSTACLES)
-    named = _outlines(*inputs, **shared, batch=batch, shapes=shapes, scratch=words)
+    named = _outlines(
+        *inputs, **shared, **static._asdict(), batch=batch, shapes=shapes, scratch=words
+    )
     fields = len(Obstacles._fields)
     return Outlined(Obstacles(*named[:fields]), *named[fields:])

@@ -7,10 +7,10 @@ import jax
 import jax.numpy as jnp
 
 from jaxdet.config import Config
-from jaxdet.floor.plane import ground_axes
+from jaxdet.floor.plane import ground_axes, plane_in_color
 from jaxdet.stages import _align, _cluster, _features, _footprint, _ground, _spread
 from jaxdet.stages._corners import corner_settings
-from jaxdet.types import AlignedDepth, Calibration, Detections, Frames, GroundPlane
+from jaxdet.types import AlignedDepth, Calibration, Detections, Frames, GroundPlane, Points
 
 
 class _Tables(NamedTuple):
@@ -46,22 +46,25 @@ class _Static(NamedTuple):
 
 
 def clusters(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
-    """Aligns, drops the floor, finds corners, clusters them by gaps and outlines the clusters.
+    """Align depth, drop the floor, find corners, cluster them by gaps and outline the clusters.
 
     Args:
-        frames: ``B`` frames; images on the host, which all devices share, or already on devices.
-        plane: The floor of each frame.
-        config: The method; ``cluster.points`` is on.
+        frames: ``B`` frames with colour; images on the host, which all devices share, or already
+            on devices.
+        plane: Floor of each frame.
+        config: Configuration of the method; ``cluster.points`` is True.
 
     Returns:
-        What :func:`jaxdet.pipeline.detect` returns, still being computed perhaps.
+        The obstacles, see :func:`jaxdet.pipeline.detect`, perhaps still being computed.
     """
+    _features.check_kernels_size(frames.calibration.image)
+    plane = plane_in_color(plane, frames.calibration)
     shared, static = _tables(frames.calibration, config)
 
     def run(images: tuple[Any, ...], known: GroundPlane) -> Detections:
         ground = _ground.tables(known, frames.calibration, config)
         given = _Given(ground, jnp.asarray(ground_axes(known)))
-        return _spread.run(_detect, *images, (shared, given), SPECS, static)
+        return _spread.run(_detect, images, (shared, given), SPECS, static)
 
     return _spread.in_parts(run, (frames.color, frames.depth), plane, staged=True)
 
@@ -72,10 +75,10 @@ def _tables(calibration: Calibration, config: Config) -> tuple[_Tables, _Static]
     unit, slots, lens, align = calibration.depth_unit, config.features.max_corners, None, ()
     if not calibration.is_aligned:
         *align, model, fills = _align.tables(calibration)
-        lens = model, fills, (calibration.color.height, calibration.color.width)
+        lens = model, fills, (calibration.image.height, calibration.image.width)
     made = _Tables(
         tuple(align),
-        _features.rays(calibration.color),
+        _features.rays(calibration.image),
         jnp.asarray(corner_settings(config.features)),
         jnp.asarray(_cluster.gap_settings(config.cluster, unit)),
         _footprint.tables(config.footprint, unit),
@@ -92,9 +95,10 @@ def _detect(
     if static.align is not None:
         aligned = AlignedDepth(*_align.align_arrays(depth, *tables.align, *static.align))
     keep = _ground.keep(aligned.z, *floor.ground)
-    features = _features.on_device(
+    corners = _features.on_device(
         color, keep.z, keep.mask, tables.rays, tables.corners, static.slots
     )
-    labels = _cluster.labels(features, tables.gaps, static.most)
-    obstacles = _footprint.obstacles(features, labels, floor.axes, tables.footprint, static.most)
-    return Detections(features, labels, obstacles, keep.has_depth)
+    labels = _cluster.labels(corners, tables.gaps, static.most)
+    obstacles = _footprint.obstacles(corners, labels, floor.axes, tables.footprint, static.most)
+    count, points = labels.num_obstacles, Points(corners, labels)
+    return Detections(count, corners.overflow, keep.has_depth, obstacles, points=points)

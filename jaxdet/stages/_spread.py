@@ -145,14 +145,13 @@ def _padded(rows: np.ndarray, missing: int, mode: Any) -> np.ndarray:
 
 
 def run(
-    program: Callable[..., Any], color: Any, depth: Any, tables: Any, specs: Any, *static: Any
+    program: Callable[..., Any], images: tuple[Any, ...], tables: Any, specs: Any, *static: Any
 ) -> Any:
-    """Calls ``program(color, depth, tables, *static)``, each device with its part of the rows.
+    """Call ``program(*images, tables, *static)``, each device with its part of the rows.
 
     Args:
         program: Jitted; no frame may depend on another.
-        color: ``(B, ...)`` images; ``B`` makes equal parts, see :func:`in_parts`.
-        depth: ``(B, ...)`` images.
+        images: Each ``(B, ...)``; ``B`` makes equal parts, see :func:`in_parts`.
         tables: A tree of further arrays.
         specs: The same tree, or the upper part of it, with ``ROWS`` or ``WHOLE`` at each end.
         static: Further arguments, hashable.
@@ -160,24 +159,26 @@ def run(
     Returns:
         What the program returns, its rows on the devices that computed them.
     """
-    among = devices_for(color)
+    among = devices_for(images[0])
     if len(among) == 1:
-        return program(color, depth, tables, *static)
-    rows = rows_over(among)
-    color, depth = jax.device_put((color, depth), rows)
-    return _spread(program, specs, among, static)(color, depth, _placed(tables, specs, among))
+        return program(*images, tables, *static)
+    images = jax.device_put(images, rows_over(among))
+    spread = _spread(program, specs, among, len(images), static)
+    return spread(*images, _placed(tables, specs, among))
 
 
 @lru_cache(maxsize=16)
-def _spread(program: Callable[..., Any], specs: Any, among: Devices, static: tuple) -> Any:
-    def part(color: jax.Array, depth: jax.Array, tables: Any) -> Any:
-        return program(color, depth, tables, *static)
+def _spread(
+    program: Callable[..., Any], specs: Any, among: Devices, kinds: int, static: tuple
+) -> Any:
+    def part(*inputs: Any) -> Any:
+        return program(*inputs, *static)
 
     return jax.jit(
         jax.shard_map(
             part,
             mesh=_mesh(among),
-            in_specs=(ROWS, ROWS, specs),
+            in_specs=(*[ROWS] * kinds, specs),
             out_specs=ROWS,
             check_vma=False,  # there is no communication to be checked
         )

@@ -28,7 +28,8 @@ class Surfaces(NamedTuple):
     free: jax.Array  # (B, R, C) bool, measured to be free: floor, or beyond the range
     low: jax.Array  # (B, R, C) bool, measured and no higher than the step
     num_surfaces: jax.Array
-    """``(B,)`` int32, how many surfaces there are, those without a label included."""
+    """``(B,)`` int32, number of surfaces, those without a label included."""
+    has_depth: jax.Array  # (B,) bool, some depth is in range
 
 
 def tables(calibration: Calibration, config: Config) -> Tables:
@@ -38,13 +39,13 @@ def tables(calibration: Calibration, config: Config) -> Tables:
     steps = quadratic_table(surface.step_m, surface.step_per_m, unit)
     limits = quadratic_table(surface.crease_m, surface.crease_per_m, unit)
     step = step_height(calibration, config)
-    farthest, bent = round(farthest * surface.beyond), round(surface.bent_m / unit)
+    beyond, bent = round(farthest * surface.beyond), round(surface.bent_m / unit)
     creases = surface.crease_cells, surface.min_cells, surface.crease_margin
     return kernel_tables(
         steps=np.minimum(steps, MOST_STEP),
         limits=np.minimum(limits, MOST_LIMIT),
         rises=step.table,
-        settings=(nearest, farthest, *creases, bent, step.noise, max_height(ground, unit)),
+        settings=(nearest, beyond, *creases, bent, step.noise, max_height(ground, unit), farthest),
     )
 
 
@@ -54,7 +55,11 @@ def surfaces(x: Array, y: Array, z: Array, floor: Array, shared: Tables) -> Surf
     Takes what the kernel takes, ``shared`` as of :func:`tables`.
     """
     batch, rows, columns = shape = z.shape
-    shapes = {**dict.fromkeys(_surfaces.outputs, shape), "count_out": (batch,)}
+    shapes = {
+        **dict.fromkeys(_surfaces.outputs, shape),
+        "count_out": (batch,),
+        "has_depth_out": (batch,),
+    }
     scratch = kernels.surfaces_words(rows, columns)
     out = _surfaces(x, y, z, floor, **shared, batch=batch, shapes=shapes, scratch=scratch)
     return Surfaces(*out)

@@ -131,7 +131,8 @@ def _track_log(
     results: Results, log: ResultLog, config: TrackConfig, rows: TrackRows, links: "_Writer"
 ) -> LogTracks:
     """Finds the tracks of a log, and writes its rows of ``track_links.parquet``."""
-    color = (log.summary["calibration"] or {}).get("color") or {}
+    cameras = log.summary["calibration"] or {}
+    image = cameras.get("color") or cameras.get("depth") or {}
     keys = list(LINKS_SCHEMA.names[:-1])
     tracker, start, linked = Tracker(config), 0, 0
     waiting: deque[pa.Table] = deque()
@@ -154,7 +155,7 @@ def _track_log(
         columns |= {name: _corners(chunk, name) for name in ("corners_ground", "corners_world")}
         nowhere = np.isnan(columns["corners_world"]).any(axis=1)
         blind.update(_blind(chunk.take(np.unique(frame[nowhere]))))
-        width = color.get("width")
+        width = image.get("width")
         seen = obstacles_seen(start + frame, stamps[frame], roll[frame], columns, width)
         waiting.append(chunk.obstacles.select(keys).cast(pa.schema(list(LINKS_SCHEMA)[:-1])))
         size = chunk.obstacles["num_points"].to_numpy()

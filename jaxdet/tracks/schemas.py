@@ -20,7 +20,7 @@ TRACKS_SCHEMA = pa.schema(
         _field("camera", _STRING, "", "name of the camera"),
         _field("track", _I32, "", "number in the log and camera, from 0, by its first obstacle"),
         _field("in_world", pa.bool_(), "", "path in the world, else in the camera's ground frame"),
-        _field("first_frame", _I64, "", "colour frame that shows it first"),
+        _field("first_frame", _I64, "", "frame that shows it first"),
         _field("last_frame", _I64, "", "and last"),
         _field("first_stamp_ns", _I64, "ns", "stamp of its first frame"),
         _field("last_stamp_ns", _I64, "ns", "stamp of its last frame"),
@@ -48,7 +48,7 @@ LINKS_SCHEMA = pa.schema(
     [
         _field("log", _STRING, "", "name of the log"),
         _field("camera", _STRING, "", "name of the camera"),
-        _field("frame", _I64, "", "number of the colour frame in the log"),
+        _field("frame", _I64, "", "number of the depth image in the log"),
         _field("obstacle", _I32, "", "label in the frame"),
         _field("track", _I32, "", "number of its track; null where it is in none", True),
     ]

@@ -29,7 +29,8 @@ def obstacles_seen(
         columns: Of ``obstacles.parquet``: ``corners_ground``, ``corners_world`` (NaN without a
             pose), ``bottom_m``, ``top_m``, ``distance_m``, ``u_min``, ``u_max``,
             ``x_min``, ``x_max``.
-        width: Of the colour image, None where that is not known [pixel].
+        width: Of the image that boxes are in, None where that is not known [pixel]. Of obstacles
+            outside of it ``u_min`` and ``u_max`` are NaN: then no side of theirs is hidden.
     """
     world = columns["corners_world"]
     known = np.asarray(np.isfinite(world).all(axis=1))

@@ -125,10 +125,10 @@ def _joined(seen: Things, thing: np.ndarray, lead: np.ndarray) -> Things:
     weight, distance = np.ones(count), np.full(count, np.inf)
     np.minimum.at(weight, thing, seen.weight)
     np.minimum.at(distance, thing, seen.distance_m)
-    columns, across = np.tile((np.inf, -np.inf), (2, count, 1))
+    columns, across = np.full((2, count, 2), np.nan)
     for joined, own in ((columns, seen.columns), (across, seen.across_m)):
-        np.minimum.at(joined[:, 0], thing, own[:, 0])
-        np.maximum.at(joined[:, 1], thing, own[:, 1])
+        np.fmin.at(joined[:, 0], thing, own[:, 0])
+        np.fmax.at(joined[:, 1], thing, own[:, 1])
     hidden = np.zeros((count, 2), bool)
     np.logical_or.at(hidden, thing, seen.hidden)
     obstacles = np.bincount(thing, seen.obstacles, count).astype(np.int64)

@@ -16,7 +16,7 @@ class Track(NamedTuple):
     in_world: bool
     """Whether its path is in the world, else in the camera's ground frame."""
     first_frame: int
-    """Number of the colour frame that shows it first."""
+    """Number of the frame that shows it first."""
     last_frame: int
     first_stamp_ns: int
     last_stamp_ns: int

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 _OF_LOG = [
     "frame",
     "stamp_ns",
+    "color_stamp_ns",
     "log_time_ns",
     "camera_frame",
     "world_frame",

@@ -48,7 +48,7 @@ def floor_scratch_words(rows: int, columns: int, near_bins: int, wide_bins: int,
     launch_bounds=(WIDTH, _BLOCKS),
 )
 def floor(
-    x: wp.array3d[wp.int32],  # (B, R, C) colour optical frame [depth units]
+    x: wp.array3d[wp.int32],  # (B, R, C) depth optical frame [depth units]
     y: wp.array3d[wp.int32],
     z: wp.array3d[wp.int32],  # 0 = no measurement
     prior: wp.array2d[wp.int32],  # (B, 4) pitch and roll [angle steps], height, valid

@@ -21,7 +21,7 @@ def scratch_words(rows: int, columns: int, surfaces: int, labels: int) -> int:
     pairs, keys = slots * slots, slots * columns
     longs = [max(2 * pairs, keys), keys, slots, 6]
     words = [2 * one for one in longs] + [pairs, pairs // 2, (pairs // 2 + 3) // 4]
-    words += 2 * [cells + slots] + 7 * [cells] + 3 * [19 * labels] + 4 * [labels]
+    words += 2 * [cells + slots] + 7 * [cells] + 3 * [18 * labels] + 4 * [labels]
     words += [labels + 1, 2 * labels + 1, 2 * labels + 1, 6]
     words += [2 * (bit_words(rows, columns) + bit_words(columns, rows))]
     return sum(-(-one // 16) * 16 for one in words)
@@ -39,7 +39,7 @@ def scratch_words(rows: int, columns: int, surfaces: int, labels: int) -> int:
         Obstacles frame{fast, label.shape[1], label.shape[2], label.data + at, x.data + at,
                         y.data + at, z.data + at, right.data + at, forward.data + at,
                         height.data + at, (const unsigned char*)free.data + at,
-                        (const unsigned char*)in_view.data + at, settings.data,
+                        settings.data,
                         {feature.data, threshold.data, value.data, value.shape[0], value.shape[1],
                          settings.data[Obstacles::OFFSET]}, label_out.data + at,
                         count_out.data + b};
@@ -50,13 +50,12 @@ def scratch_words(rows: int, columns: int, surfaces: int, labels: int) -> int:
 def obstacles(
     label: wp.array3d[wp.int32],  # (B, R, C) surfaces 0 .. S - 1, each has a cell, -1 = none
     free: wp.array3d[wp.bool],  # (B, R, C) measured to be free
-    x: wp.array3d[wp.int32],  # (B, R, C) colour optical frame [depth units]
+    x: wp.array3d[wp.int32],  # (B, R, C) depth optical frame [depth units]
     y: wp.array3d[wp.int32],
     z: wp.array3d[wp.int32],  # 0 = no measurement, at most 65535
     right: wp.array3d[wp.int32],  # (B, R, C) on the floor [depth units]
     forward: wp.array3d[wp.int32],
     height: wp.array3d[wp.int32],  # above the floor
-    in_view: wp.array3d[wp.bool],  # (B, R, C) at least partly in the colour image
     feature: wp.array2d[wp.int32],  # (T, 2**D - 1) which of what is seen a node looks at
     threshold: wp.array2d[wp.int32],  # (T, 2**D - 1) what is larger goes to the second child
     value: wp.array2d[wp.int32],  # (T, 2**D) evidence of the leaves

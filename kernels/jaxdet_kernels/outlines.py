@@ -1,16 +1,17 @@
 """Obstacles measured and outlined on all of their cells.
 
-Twin of ``jaxdet/reference/_outlines.py`` and of ``footprint_on_floor`` beside it.
+Twin of ``jaxdet/reference/_outlines.py`` and of ``footprint_on_floor`` in ``_footprint.py``.
+Compiled without fused multiply-add, as boxes are projected in the arithmetic of the alignment.
 """
 
 import warp as wp
 
 from jaxdet_kernels.native_source import CPU_FLAGS, team_kernel
 
-wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": CPU_FLAGS})
+wp.set_module_options({"fuse_fp": False, "enable_backward": False, "cpu_compiler_flags": CPU_FLAGS})
 
 DIRECTIONS = 90
-PARTS = 4
+PARTS = 2
 
 
 def scratch_words(rows: int, columns: int, slots: int) -> int:
@@ -36,12 +37,13 @@ def scratch_words(rows: int, columns: int, slots: int) -> int:
         const int found = count.data[b] < slots ? count.data[b] : slots;
 
         ObstacleCells cells{team, grid, columns, found, Margins(columns), label.data + at,
-                            right.data + at, forward.data + at, in_view.data + at};
+                            right.data + at, forward.data + at};
+        const CellBoxes boxes{columns, side, corner_x.data, corner_y.data, {parameters.data, model},
+                              last.data, aligned != 0};
         const Measures measures{cells, warp, settings.data[Outlines::TRIM],
                                 settings.data[Outlines::VERTEX], bands.data,
                                 {x.data + at, y.data + at, z.data + at}, height.data + at,
-                                (const int*)uv_min.data + at, (const int*)uv_max.data + at,
-                                num_points_out.data + slot, uv_min_out.data + 2 * slot,
+                                boxes, num_points_out.data + slot, uv_min_out.data + 2 * slot,
                                 uv_max_out.data + 2 * slot, xyz_min_out.data + 3 * slot,
                                 xyz_max_out.data + 3 * slot, xyz_sum_out.data + 6 * slot,
                                 a_out.data + 2 * slot, b_out.data + 2 * slot, c_out.data + 2 * slot,
@@ -57,15 +59,19 @@ def scratch_words(rows: int, columns: int, slots: int) -> int:
 def outlines(
     label: wp.array3d[wp.int32],  # (B, R, C) obstacles, -1 = none; C at most 512, R C at most 2^20
     count: wp.array[wp.int32],  # (B,) how many there are; those from M on are left out
-    x: wp.array3d[wp.int32],  # (B, R, C) colour optical frame [depth units]
+    x: wp.array3d[wp.int32],  # (B, R, C) depth optical frame [depth units]
     y: wp.array3d[wp.int32],
     z: wp.array3d[wp.int32],
     right: wp.array3d[wp.int32],  # (B, R, C) on the floor [depth units]
     forward: wp.array3d[wp.int32],
     height: wp.array3d[wp.int32],  # above the floor [depth units]
-    in_view: wp.array3d[wp.bool],  # (B, R, C) at least partly in the colour image
-    uv_min: wp.array4d[wp.int16],  # (B, R, C, 2) first colour column and row of a cell [pixel]
-    uv_max: wp.array4d[wp.int16],  # last
+    corner_x: wp.array2d[wp.float32],  # (R + 1, C + 1) rays of the cells' corners; not if aligned
+    corner_y: wp.array2d[wp.float32],
+    parameters: wp.array[wp.float32],  # of the projection into the colour image; not if aligned
+    last: wp.array[wp.int32],  # (2,) last column and row of the image of boxes
+    side: int,  # of a cell [depth pixel]
+    model: int,  # the colour camera's lens
+    aligned: int,  # 1 where boxes are in the depth image
     bands: wp.array2d[wp.int32],  # (65536, 2) see jaxdet.floor.plane.band_table
     directions: wp.array2d[wp.int32],  # (90, 2) see jaxdet.floor.plane.direction_table
     settings: wp.array[wp.int32],  # (3,) see native/outlines.h

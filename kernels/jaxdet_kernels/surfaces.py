@@ -22,18 +22,18 @@ def surfaces_words(rows: int, columns: int) -> int:
                  settings.data, right_out.data + at, forward_out.data + at, height_out.data + at,
                  label_out.data + at, (unsigned char*)keep_out.data + at,
                  (unsigned char*)free_out.data + at, (unsigned char*)low_out.data + at,
-                 count_out.data + b, scratch}.run(team);
+                 count_out.data + b, has_depth_out.data + b, scratch}.run(team);
 """,
 )
 def surfaces(
-    x: wp.array3d[wp.int32],  # (B, R, C) colour optical frame [depth units]; R, C at most 512
+    x: wp.array3d[wp.int32],  # (B, R, C) depth optical frame [depth units]; R, C at most 512
     y: wp.array3d[wp.int32],
     z: wp.array3d[wp.int32],  # 0 .. 65535, 0 = no measurement
     floor: wp.array2d[wp.int32],  # (B, 13) see native/floor_frame.h
     steps: wp.array[wp.int32],  # (65536,) by z, largest step between neighbours, at most 2^16
     limits: wp.array[wp.int32],  # (65536,) by z, deeper bends are creases, at most 2^17
     rises: wp.array[wp.int32],  # (65536,) by z, what is no higher above the floor is floor
-    settings: wp.array[wp.int32],  # (8,) see native/surfaces.h
+    settings: wp.array[wp.int32],  # (9,) see native/surfaces.h
     right_out: wp.array3d[wp.int32],  # (B, R, C) on the floor [depth units]
     forward_out: wp.array3d[wp.int32],
     height_out: wp.array3d[wp.int32],  # above the floor, ramps included
@@ -42,5 +42,6 @@ def surfaces(
     free_out: wp.array3d[wp.bool],  # measured to be free: floor, or beyond the range
     low_out: wp.array3d[wp.bool],  # measured and no higher than the step
     count_out: wp.array[wp.int32],  # (B,) how many surfaces, those without a label included
+    has_depth_out: wp.array[wp.bool],  # (B,) some depth is in range
 ):
     """``surfaces_words`` of scratch memory."""

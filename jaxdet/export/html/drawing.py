@@ -7,8 +7,9 @@ import numpy as np
 from jaxdet.export.recordings import look_again
 from jaxdet.io import LogFiles
 from jaxdet.render import draw_frame
-from jaxdet.results.metric import floors, rectangles
+from jaxdet.results.metric import rectangles
 from jaxdet.results.reading import ResultLog, Results
+from jaxdet.results.rows import row_inputs, shown_planes
 
 
 def draw_again(
@@ -26,12 +27,13 @@ def draw_again(
         Of each its number and its picture, ``(h, w, 3)`` uint8, BGR.
     """
     config = results.method
-    for seen in look_again(results, log, files, np.array(wanted)):
+    for seen in look_again(results, log, files, np.array(wanted), with_cells=True, color=True):
         frames, found = seen.batch.frames, seen.found
         unit = frames.calibration.depth_unit
         corners = rectangles(found.obstacles, unit, config.footprint)
-        if found.scene is not None:
-            frames = frames._replace(plane=floors(found.scene, unit).plane)
+        assert frames.plane is not None
+        plane = shown_planes(row_inputs(found), frames.plane, frames.calibration)
+        frames = frames._replace(plane=plane)
         for row, number in enumerate(seen.chunk.frames["frame"].to_pylist()):
             title = f"{log.label}   frame {number}"
             yield number, draw_frame(frames, found, corners, row, config, title)[..., ::-1]

@@ -15,8 +15,8 @@ from jaxdet.results.summary import plain
 
 REASONS = {
     "no_depth": "The depth image has no measurement in range.",
-    "unpaired": "No depth image is near enough in time.",
-    "decode_error": "The colour or the depth image could not be decoded.",
+    "no_color": "The preset paper has no colour image near enough in time that can be decoded.",
+    "decode_error": "The depth image could not be decoded.",
     "bad_calibration": "The images contradict the calibration of the log.",
     "worker_crashed": "The processes that worked on it died.",
     "timeout": "The processes that worked on it made no progress.",

@@ -6,21 +6,21 @@
 #include "ranks.h"
 
 struct Extents {
-    enum { TRIM = 20, SUMS = 2, LEAST = 10, FIELDS = 19, KNOWN = 15, NONE = 1 << 30 };
+    enum { TRIM = 20, SUMS = 1, LEAST = 9, FIELDS = 18, KNOWN = 14, NONE = 1 << 30 };
     int slots, *words;
     // Each of `slots` labels. `first` is the first cell in row-major order; `low` and `high` are the
     // extremes, `left`, `right`, `near` and `far` those of `right` and `forward` but for a
-    // twentieth of the cells; `shown` counts the cells in the colour image.
+    // twentieth of the cells.
     int *cells, *first, *row_low, *row_high, *column_low, *column_high;
     int *right_low, *right_high, *forward_low, *forward_high, *bottom, *top, *nearest, *leftmost;
-    int *shown, *left, *right, *near, *far;
+    int *left, *right, *near, *far;
 
     // `place`: room for FIELDS arrays.
     void allocate(int* place, int labels) {
         slots = labels;
         words = place;
         // Sums, then the least, then the most of all cells, then what is trimmed.
-        int** each[] = {&cells, &shown, &first, &row_low, &column_low, &right_low, &forward_low,
+        int** each[] = {&cells, &first, &row_low, &column_low, &right_low, &forward_low,
                         &bottom, &nearest, &leftmost, &row_high, &column_high, &right_high,
                         &forward_high, &top, &left, &right, &near, &far};
         for (int k = 0; k < FIELDS; ++k) *each[k] = place + k * slots;
@@ -44,7 +44,7 @@ struct Extents {
     // Everything but the trimmed extremes, from the listed cells. Ends in a sync.
     void measure(
         const Team& team, int count, const CellList& listed, int wide, const int* x, const int* z,
-        const int* height, const unsigned char* in_view
+        const int* height
     ) const {
         clear(team, count);
         const int all = *listed.count;
@@ -54,7 +54,6 @@ struct Extents {
             const int i = first + warp.lane < all ? first + warp.lane : all - 1;
             const int label = listed.label[i], k = listed.cell[i], r = listed.right[i];
             const int f = listed.forward[i], h = height[k], x_here = x[k], z_here = z[k];
-            const bool seen = in_view[k];
             const int row = k / wide, column = k % wide;
             // One label after the other; lane n adds what is known by the name n.
             for (unsigned rest = warp.ballot(first + warp.lane < all); rest;) {
@@ -65,7 +64,7 @@ struct Extents {
                 const auto least = [&](int value) { return warp.min(own ? value : (int)NONE); };
                 const auto most = [&](int value) { return warp.max(own ? value : -(int)NONE); };
                 const int found[KNOWN] = {
-                    BitRows::popcount(those), BitRows::popcount(warp.ballot(own && seen)),
+                    BitRows::popcount(those),
                     least(k), least(row), least(column), least(r), least(f), least(h),
                     least(z_here), least(x_here), most(row), most(column), most(r), most(f), most(h),
                 };
@@ -81,16 +80,14 @@ struct Extents {
             const int *own = listed.label + i, *cell = listed.cell + i, *at = z + from;
             const int *right = listed.right + i, *forward = listed.forward + i;
             const int *high = height + from, *across = x + from;
-            const unsigned char* seen = in_view + from;
-            int n = 0, shown_here = 0;
+            int n = 0;
             Extremes r, f, h, d, w;
             // Cells of a row that follow each other.
             for (; n < left && own[n] == l && cell[n] == from + n; ++n) {
-                shown_here += seen[n];
                 r.add(right[n]), f.add(forward[n]), h.add(high[n]), d.add(at[n]), w.add(across[n]);
             }
             const int column = from - row * wide;
-            const int found[KNOWN] = {n, shown_here, from, row, column, r.low, f.low, h.low, d.low,
+            const int found[KNOWN] = {n, from, row, column, r.low, f.low, h.low, d.low,
                                       w.low, row, column + n - 1, r.high, f.high, h.high};
             for (int k = 0; k < KNOWN; ++k) add(team, l, k, found[k]);
             i += n;

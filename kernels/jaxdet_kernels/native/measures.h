@@ -1,8 +1,8 @@
-// How large obstacles are: extents of their cells in the colour image, and the points A, B and C on
-// the floor. Twin of jaxdet/reference/_footprint.py.
+// How large obstacles are: extents of their cells in space and in the image of boxes, and the points
+// A, B and C on the floor. Twin of jaxdet/reference/_footprint.py.
 #pragma once
+#include "cell_box.h"
 #include "obstacle_cells.h"
-#include "pixel_pair.h"
 #include "ranks.h"
 
 struct Measures {
@@ -15,7 +15,7 @@ struct Measures {
     int trim, threshold;
     const int* bands;  // (DEPTHS, 2), by the nearest distance: to the side, behind the nearest
     const int *xyz[3], *height;
-    const int *uv_min, *uv_max;  // each a `PixelPair`
+    CellBoxes boxes;
     // By slot.
     int *count_out, *uv_min_out, *uv_max_out, *xyz_min_out, *xyz_max_out, *xyz_sum_out;
     int *a_out, *b_out, *c_out, *bottom_top_out;
@@ -43,24 +43,24 @@ struct Measures {
     void find_vertices() const {
         for (int i = cells.team.rank; i < cells.count; i += cells.team.size) {
             const int a = a_out[2 * i + 1], b = b_out[2 * i + 1];
-            const bool some = cells.shown(i).size() > 0;
+            const bool some = cells.all(i).size() > 0;
             vertex_out[i] = some && (a < b ? a : b) - c_out[2 * i + 1] >= threshold;
         }
     }
 
     // All but the vertex, when the cells are sorted.
     void measure(int number, int kind) const {
-        const ObstacleCells::Range shown = cells.shown(number);
-        if (kind == HEIGHT)
-            put_height(number, cells.all(number));
-        else if (shown.size() == 0)
+        const ObstacleCells::Range all = cells.all(number);
+        if (all.size() == 0)
             return;
+        else if (kind == HEIGHT)
+            put_height(number, all);
         else if (kind == PLACE)
-            put_place(number, shown);
+            put_place(number, all);
         else if (kind == BOX)
-            put_box(number, shown);
+            put_box(number, all);
         else
-            put_corner(number, kind, shown);
+            put_corner(number, kind, all);
     }
 
     // How many cells there are, and where they are in the camera.
@@ -90,20 +90,21 @@ struct Measures {
         *high = found.high;
     }
 
-    // Where they are in the colour image.
+    // Where they are in the image of boxes.
     void put_box(int number, ObstacleCells::Range range) const {
-        Extremes columns, rows;
+        Extremes sides[2];
         for (int i = range.first + warp.lane; i < range.end; i += warp.size) {
-            const PixelPair first(uv_min[cells.cell[i]]), last(uv_max[cells.cell[i]]);
-            columns.add(first.column(), last.column());
-            rows.add(first.row(), last.row());
+            const int k = cells.cell[i];
+            boxes.add(k, xyz[2][k], sides, sides + 1);
         }
-        put(columns, uv_min_out + 2 * number, uv_max_out + 2 * number);
-        put(rows, uv_min_out + 2 * number + 1, uv_max_out + 2 * number + 1);
+        for (int j = 0; j < 2; ++j) {
+            sides[j].join(warp);
+            CellBoxes::put(sides[j], boxes.last[j], uv_min_out + 2 * number + j,
+                           uv_max_out + 2 * number + j);
+        }
     }
 
     void put_height(int number, ObstacleCells::Range range) const {
-        if (range.size() == 0) return;
         Extremes found;
         for (int i = range.first + warp.lane; i < range.end; i += warp.size)
             found.add(height[cells.cell[i]]);

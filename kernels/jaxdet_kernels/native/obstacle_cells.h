@@ -1,15 +1,15 @@
 // The cells of a frame sorted by obstacle (a counting sort).
 //
-// An obstacle's cells lie in four parts one after the other, so that those in the colour image are
-// the first two and those inside of the image's margins the middle two. Within a part they lie in
-// any order: what is made of them is a sum, a minimum, a maximum or a median.
+// An obstacle's cells lie in two parts one after the other, those inside of the image's margins
+// first. Within a part they lie in any order: what is made of them is a sum, a minimum, a maximum or
+// a median.
 #pragma once
 #include "warp.h"
 #include "cell_list.h"
 #include "margins.h"
 
 struct ObstacleCells {
-    enum { SHOWN_AT_MARGIN, SHOWN_INSIDE, HIDDEN_INSIDE, HIDDEN_AT_MARGIN, PARTS };
+    enum { INSIDE, AT_MARGIN, PARTS };
 
     // Cells from the first to before the last in the order below.
     struct Range {
@@ -21,7 +21,6 @@ struct ObstacleCells {
     int cells, columns, count;  // of the grid; and how many obstacles
     Margins margins;
     const int *label, *right, *forward;
-    const bool* in_view;
     CellList listed;  // those of obstacles; their label becomes their place
     // By obstacle and part, and one more.
     int* starts;
@@ -40,11 +39,8 @@ struct ObstacleCells {
         listed = {more, more + 1, more + 1 + cells, more + 1 + 2 * cells, more + 1 + 3 * cells};
     }
 
-    int place(int number, bool shown, int column) const {
-        const bool outside = margins.has(column);
-        const int part = shown ? (outside ? SHOWN_AT_MARGIN : SHOWN_INSIDE)
-                               : (outside ? HIDDEN_AT_MARGIN : HIDDEN_INSIDE);
-        return PARTS * number + part;
+    int place(int number, int column) const {
+        return PARTS * number + (margins.has(column) ? AT_MARGIN : INSIDE);
     }
 
     // Before the cells are counted; then all threads wait.
@@ -71,12 +67,11 @@ struct ObstacleCells {
         }
     }
 
-    Range all(int number) const { return parts(number, SHOWN_AT_MARGIN, PARTS); }
-    Range shown(int number) const { return parts(number, SHOWN_AT_MARGIN, HIDDEN_INSIDE); }
+    Range all(int number) const { return parts(number, INSIDE, PARTS); }
 
     // Those inside of the margins, or all where more than half are there.
     Range relied(int number) const {
-        const Range every = all(number), inside = parts(number, SHOWN_INSIDE, HIDDEN_AT_MARGIN);
+        const Range every = all(number), inside = parts(number, INSIDE, AT_MARGIN);
         return 2 * (every.size() - inside.size()) > every.size() ? every : inside;
     }
 

@@ -42,7 +42,7 @@ struct Obstacles {
     int rows, columns;
     // Of each cell.
     const int *surface, *x, *y, *z, *right, *forward, *height;
-    const unsigned char *free, *in_view;
+    const unsigned char* free;
     const int* settings;
     Trees trees;
     int* label;  // result, of each cell
@@ -121,7 +121,7 @@ struct Obstacles {
     }
 
     void measure(const Team& team, const Extents& known, int count) const {
-        known.measure(team, count, listed, columns, x, z, height, in_view);
+        known.measure(team, count, listed, columns, x, z, height);
     }
 
     // The trimmed extremes of a value, of labels with `over` set.
@@ -301,7 +301,7 @@ struct Obstacles {
         }
         if (named) measure_width(team, last, count);
         for (int l = team.rank; l < count; l += team.size) {
-            small[l] = !(is_large(last, l) && last.shown[l] >= settings[MIN_CELLS] &&
+            small[l] = !(is_large(last, l) && last.cells[l] >= settings[MIN_CELLS] &&
                          last.nearest[l] <= settings[FARTHEST]);
         }
         team.sync();

@@ -95,7 +95,7 @@ struct Outlines {
         const CellList& listed = cells.listed;
         for (int i = team.rank; i < *listed.count; i += team.size) {
             const int k = listed.cell[i], column = k % cells.columns, number = listed.label[i];
-            const int place = cells.place(number, cells.in_view[k], column);
+            const int place = cells.place(number, column);
             listed.label[i] = place;
             team.atomic_count(cells.filled + place);
             team.atomic_min(nearest + number * cells.columns + column,

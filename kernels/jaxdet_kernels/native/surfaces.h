@@ -19,8 +19,12 @@ struct Surfaces {
     };
     // Where each setting is: depths up to which surfaces are followed; the height up to which those
     // without a steep side are floor; how much noise of depth lifts floor, by its depth and by the
-    // camera's height, with NOISE_BITS fraction bits; and what hangs higher is no obstacle.
-    enum { NEAREST, FARTHEST, CREASE_CELLS, MIN_CELLS, CREASE_MARGIN, BENT, NOISE, HIGHEST, SETTINGS };
+    // camera's height, with NOISE_BITS fraction bits; the height from which things are passed below; and
+    // the end of the depth range.
+    enum {
+        NEAREST, FARTHEST, CREASE_CELLS, MIN_CELLS, CREASE_MARGIN, BENT, NOISE, HIGHEST, IN_RANGE,
+        SETTINGS
+    };
     enum { NOISE_BITS = 34, SLOPE_BITS = 14, STEEPEST_NOISE = 32767 };
     int rows, columns;
     const int *x, *y, *z;  // (R, C): the frame's cells, z = 0: none
@@ -31,7 +35,9 @@ struct Surfaces {
     const int* settings;
     int *right, *forward, *height, *label_out;  // (R, C)
     unsigned char *keep, *free, *low;           // (R, C)
-    int *count_out, *scratch;
+    int* count_out;
+    bool* has_depth_out;  // whether some depth is in range
+    int* scratch;
 
     // The words of scratch memory of a team: `surfaces_words` in surfaces.py.
     struct Parts {
@@ -102,8 +108,11 @@ struct Surfaces {
 
     static int higher(int a, int b) { return a > b ? a : b; }
 
-    // Everything that is known of single cells.
-    void start(const Team& team, const Parts& in) const {
+    bool in_range(int d) const { return (d >= settings[NEAREST]) & (d <= settings[IN_RANGE]); }
+
+    // Places single cells on the floor; returns whether one of this thread's is in range.
+    bool start(const Team& team, const Parts& in) const {
+        int some = 0;
         const FloorFrame frame(floor);
         const int slope = noise(frame);
         in.grid.frame(team, in.depth, Creases::NONE);
@@ -122,6 +131,7 @@ struct Surfaces {
             for (int k = 0; k < AHEAD; ++k) rise[k] = higher(rises[d[k]], d[k] * slope >> SLOPE_BITS);
             for (int k = 0; k < AHEAD; ++k) {
                 const bool on = at[k] >= 0 && place(frame, at[k], a[k], b[k], d[k], rise[k]);
+                some |= (at[k] >= 0) & in_range(d[k]);
                 const unsigned those = warp.ballot(on);
                 const int i = first + k;
                 if (warp.lane == 0 && i < all) in.kept[in.kept.at(i / words, i % words)] = those;
@@ -140,6 +150,7 @@ struct Surfaces {
                 const int k = first + c, d = z[k];
                 place(frame, k, x[k], y[k], d, higher(rises[d], d * slope >> SLOPE_BITS));
                 depth[c] = d > 0 ? d << Creases::BITS : (int)Creases::NONE;
+                some |= in_range(d);
             }
             for (int i = in.kept.at(r, 0); i < in.kept.at(r + 1, 0); ++i) {
                 const int c = in.kept.column(i);
@@ -147,6 +158,7 @@ struct Surfaces {
             }
         }
 #endif
+        return some;
     }
 
     static bool is_near(int z_one, int z_other, int step_one, int step_other) {
@@ -529,7 +541,8 @@ struct Surfaces {
     void run(const Team& team) const {
         const Parts in(rows, columns, scratch);
         const BitRows &kept = in.kept, &on = in.on, &starts = in.starts, &up = in.up;
-        start(team, in);
+        const bool some = team.any(start(team, in));
+        if (team.rank == 0) *has_depth_out = some;
         Creases creases = {
             in.grid, settings[CREASE_CELLS], settings[MIN_CELLS], settings[CREASE_MARGIN],
             steps, limits, z, in.depth, in.other, in.step, kept, starts, up,
