@@ -1,13 +1,15 @@
 """Logs at a place, as plain values: a dict per log that any engine can carry to another machine.
 
-``{"name": "monday--drive_1", "url": "s3://bucket/logs", "files": [{"key", "size", "tag"}, ...]}``,
-where ``name`` is that of the log's results, ``url`` is empty for local logs, whose keys are paths,
-and ``tag`` is the identity of the version that was listed.
+``{"log": "monday/drive_1", "name": "monday--drive_1", "url": "s3://bucket/logs", "files": [{"key":
+..., "size": ..., "tag": ...}, ...]}``: ``log`` is the name in tables, ``name`` that of the folder of
+results; ``url`` is empty for local logs, whose keys are paths; ``tag`` is the identity of the
+version that was listed.
 """
 
 import hashlib
 import re
 from collections.abc import Iterable, Sequence
+from itertools import pairwise
 from os import PathLike
 from pathlib import PurePosixPath
 from typing import Any
@@ -39,7 +41,7 @@ def list_logs(inputs: Iterable[str | PathLike[str]] | str | PathLike[str]) -> li
     if local := [item for item in items if not is_url(item)]:
         logs += _local([address(item) for item in local])
     logs.sort(key=lambda log: log["name"])
-    for one, other in zip(logs, logs[1:], strict=False):
+    for one, other in pairwise(logs):
         if one["name"] == other["name"]:
             remedy = "name a folder that holds both, or give each its own --output"
             raise ConfigError(f"two logs have the name {one['name']}", remedy=remedy)
@@ -137,7 +139,8 @@ def _stem(key: str, number: re.Pattern[str] | None = None) -> str:
 def _log(stem: str, url: str, entries: Iterable[Entry]) -> Log:
     from jaxdet.engine import log_name
 
-    return {"name": log_name(stem), "url": url, "files": [entry._asdict() for entry in entries]}
+    files = [entry._asdict() for entry in entries]
+    return {"log": stem, "name": log_name(stem), "url": url, "files": files}
 
 
 def _local(paths: Sequence[str]) -> list[Log]:

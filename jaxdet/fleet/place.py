@@ -10,11 +10,13 @@ import os
 import re
 import secrets
 from abc import ABC, abstractmethod
+from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
+from threading import Event
 from typing import Any, NamedTuple
 
 from jaxdet.errors import ConfigError, InputError, OutputError
@@ -72,8 +74,8 @@ class Place(ABC):
         """Replace a file if it still has this tag; return whether it was replaced."""
 
     @abstractmethod
-    def fetch(self, entry: Entry, path: Path) -> None:
-        """Copy a file to local disk.
+    def fetch(self, entry: Entry, path: Path, stop: Event) -> None:
+        """Copy a file to local disk, until ``stop`` is set.
 
         Raises:
             InputError: It is gone or was replaced since it was listed.
@@ -162,8 +164,7 @@ class Folder(Place):
 
     def list(self, under: str = "") -> Iterator[Entry]:
         for folder, _, names in os.walk(self.root / under):
-            for name in names:
-                path = Path(folder, name)
+            for path in (Path(folder, name) for name in names if not name.startswith(".")):
                 with suppress(FileNotFoundError):
                     about = path.stat()
                     yield Entry(path.relative_to(self.root).as_posix(), about.st_size, _tag(about))
@@ -198,7 +199,7 @@ class Folder(Place):
             new.replace(self.root / key)
         return True
 
-    def fetch(self, entry: Entry, path: Path) -> None:
+    def fetch(self, entry: Entry, path: Path, stop: Event) -> None:
         raise NotImplementedError("files of a folder are read where they are")
 
     def delete(self, keys: Iterable[str]) -> None:
@@ -281,19 +282,22 @@ class Bucket(Place):
                 return found is not None and found[0] == content
         return True
 
-    def fetch(self, entry: Entry, path: Path) -> None:
+    def fetch(self, entry: Entry, path: Path, stop: Event) -> None:
+        def copy(start: int) -> None:
+            if not stop.is_set():
+                self._range(entry, start, file.fileno(), stop)
+
         starts = range(0, entry.size, RANGE_BYTES)
         with path.open("wb") as file, ThreadPoolExecutor(CONNECTIONS) as pool:
             with writing(path):
                 os.truncate(file.fileno(), entry.size)
             try:
-                for _ in pool.map(lambda start: self._range(entry, start, file.fileno()), starts):
-                    pass
+                deque(pool.map(copy, starts), 0)
             except BaseException:
                 pool.shutdown(cancel_futures=True)
                 raise
 
-    def _range(self, entry: Entry, start: int, file: int) -> None:
+    def _range(self, entry: Entry, start: int, file: int, stop: Event) -> None:
         """Copy one range into an open file at its place."""
         import obstore
         from obstore.exceptions import PreconditionError
@@ -304,6 +308,8 @@ class Bucket(Place):
             try:
                 found = obstore.get(self.store, entry.key, options=options)
                 for piece in found.stream(min_chunk_size=_PIECE_BYTES):
+                    if stop.is_set():
+                        return
                     with writing(Path("the spool")):
                         start += os.pwrite(file, piece, start)
             except (FileNotFoundError, PreconditionError):

@@ -44,13 +44,28 @@ _NOTES = ".jaxdet/fleet/"
 _UPLOADS = 8
 
 
+class Target(NamedTuple):
+    """One version of the results of a log."""
+
+    name: str
+    """Of the log's results."""
+    version: str
+    record: str
+    """Checksum of configuration, versions and the last ``--overwrite``."""
+
+    @property
+    def base(self) -> str:
+        """Where its objects lie."""
+        return f"{self.name}/{self.version}"
+
+
 class Standing(NamedTuple):
     """What a place holds of a log."""
 
     state: str
     """``new``; of this version ``whole`` or ``failed``; ``other``: results of another one."""
     current: Mapping[str, Any] | None = None
-    """Content of ``current.json``."""
+    """Content of ``current.json``, or the part of it that a folder has."""
     failure: Mapping[str, Any] = {}
     """Content of ``failed.json``."""
 
@@ -76,7 +91,7 @@ class Results(ABC):
         self.place = place
 
     @abstractmethod
-    def standing(self, name: str, version: str) -> Standing:
+    def standing(self, target: Target) -> Standing:
         """Return what there is of a log."""
 
     @abstractmethod
@@ -84,14 +99,11 @@ class Results(ABC):
         """Return where an attempt makes its results folder."""
 
     @abstractmethod
-    def publish(
-        self, name: str, version: str, attempt: str, staged: Path, seen: Standing
-    ) -> str:
+    def publish(self, target: Target, attempt: str, staged: Path, seen: Standing) -> str:
         """Make a complete folder that of a log.
 
         Args:
-            name: Name of the log.
-            version: Its version.
+            target: Log and version.
             attempt: Name of the attempt.
             staged: Folder with ``manifest.json``.
             seen: What there was when the attempt began.
@@ -102,16 +114,16 @@ class Results(ABC):
         """
 
     @abstractmethod
-    def fail(self, name: str, version: str, failure: Mapping[str, Any], seen: Standing) -> None:
+    def fail(self, target: Target, failure: Mapping[str, Any], seen: Standing) -> None:
         """Note why a log has no results, unless it has some."""
 
     @abstractmethod
-    def reopen(self, name: str, version: str) -> None:
+    def reopen(self, target: Target) -> None:
         """Forget that a log failed, and its attempts."""
 
-    def begin(self, name: str, version: str, attempt: str) -> str:
+    def begin(self, target: Target, attempt: str) -> str:
         """Note an attempt; return the key of the note."""
-        key = f"{self.notes}{name}/{version}/attempts/{attempt}"
+        key = f"{self.notes}{target.base}/attempts/{attempt}"
         self.place.put(key, json.dumps({"process": process(), "time": time.time()}).encode())
         return key
 
@@ -119,10 +131,10 @@ class Results(ABC):
         """Forget an attempt that ended, with results or without."""
         self.place.delete([key])
 
-    def deaths(self, name: str, version: str) -> tuple[int, int]:
+    def deaths(self, target: Target) -> tuple[int, int]:
         """Count the processes that a log killed, and attempts that were lost with a machine."""
         killed = lost = 0
-        for entry in self.place.list(f"{self.notes}{name}/{version}/attempts/"):
+        for entry in self.place.list(f"{self.notes}{target.base}/attempts/"):
             found = self.place.get(entry.key)
             record = json.loads(found[0]) if found else {"time": 0}
             dead = record.get("killed") or (found and is_dead(record["process"]))
@@ -136,54 +148,49 @@ class Results(ABC):
 class BucketResults(Results):
     """Results in a bucket."""
 
-    def standing(self, name: str, version: str) -> Standing:
-        current = self._json(f"{name}/{CURRENT}")
-        base = f"{name}/{version}"
-        if current and current["version"] == version and current["state"] == "whole":
+    def standing(self, target: Target) -> Standing:
+        current = self._json(f"{target.name}/{CURRENT}")
+        same = current is not None and current["version"] == target.version
+        if same and current["state"] == "whole":
             return Standing("whole", current)
-        if self._json(f"{base}/{MANIFEST}"):  # an attempt died before it wrote current.json
-            state = "whole" if self._point(name, version, current) else "other"
-            return Standing(state, self._json(f"{name}/{CURRENT}"))
-        if failure := self._json(f"{base}/{FAILED}"):
+        if self._json(f"{target.base}/{MANIFEST}"):  # an attempt died before it wrote current.json
+            state = "whole" if self._point(target, current) else "other"
+            return Standing(state, self._json(f"{target.name}/{CURRENT}"))
+        if failure := self._json(f"{target.base}/{FAILED}"):
             return Standing("failed", current, failure)
-        other = current and current["version"] != version
-        return Standing("other" if other else "new", current)
+        return Standing("other" if current and not same else "new", current)
 
     def stage(self, attempt: str, spool: Path) -> Path:
         return spool / "results"
 
-    def publish(
-        self, name: str, version: str, attempt: str, staged: Path, seen: Standing
-    ) -> str:
-        base = f"{name}/{version}"
-        first = self._upload(base, attempt, staged, None, MANIFEST)
-        if not self._point(name, version, seen.current):
-            self._clear(f"{base}/{attempt}/")
+    def publish(self, target: Target, attempt: str, staged: Path, seen: Standing) -> str:
+        first = self._upload(target.base, attempt, staged, None, MANIFEST)
+        if not self._point(target, seen.current):
+            self._clear(f"{target.base}/")
             return "replaced"
         if first:
-            self._clear(f"{base}/", keep=(f"{attempt}/", "tracks", MANIFEST))
-            if seen.current and seen.current["version"] != version:
-                self._clear(f"{name}/{seen.current['version']}/")
+            self._clear(f"{target.base}/", keep=(f"{attempt}/", "tracks", MANIFEST))
+            if seen.current and seen.current["version"] != target.version:
+                self._clear(f"{target.name}/{seen.current['version']}/")
         return "done" if first else "there"
 
-    def publish_tracks(self, name: str, version: str, attempt: str, staged: Path) -> None:
+    def publish_tracks(self, target: Target, attempt: str, staged: Path) -> None:
         """Add the tracks of a log, which are whatever its manifest doesn't list."""
         known = json.loads((staged / MANIFEST).read_text(encoding="utf-8"))["files"]
         paths = [path for path in _files(staged) if path not in {*known, MANIFEST}]
-        self._upload(f"{name}/{version}", f"tracks-{attempt}", staged, paths, TRACKS)
+        self._upload(target.base, f"tracks-{attempt}", staged, paths, TRACKS)
 
-    def has_tracks(self, name: str, version: str) -> bool:
+    def has_tracks(self, target: Target) -> bool:
         """Whether a log has tracks."""
-        return self._json(f"{name}/{version}/{TRACKS}") is not None
+        return self._json(f"{target.base}/{TRACKS}") is not None
 
-    def fail(self, name: str, version: str, failure: Mapping[str, Any], seen: Standing) -> None:
-        self.place.put(f"{name}/{version}/{FAILED}", _bytes(failure))
-        self._point(name, version, seen.current)
+    def fail(self, target: Target, failure: Mapping[str, Any], seen: Standing) -> None:
+        self.place.put(f"{target.base}/{FAILED}", _bytes(failure))
+        self._point(target, seen.current)
 
-    def reopen(self, name: str, version: str) -> None:
-        base = f"{name}/{version}"
-        noted = self.place.list(f"{base}/attempts/")
-        self.place.delete([*(entry.key for entry in noted), f"{base}/{FAILED}"])
+    def reopen(self, target: Target) -> None:
+        noted = [entry.key for entry in self.place.list(f"{target.base}/attempts/")]
+        self.place.delete([*noted, f"{target.base}/{FAILED}"])
 
     def files(self, name: str) -> dict[str, str]:
         """Return the keys of a log's files by their names in its folder; empty: it has none."""
@@ -219,23 +226,23 @@ class BucketResults(Results):
         self._clear(f"{base}/{attempt}/")
         return False
 
-    def _point(self, name: str, version: str, seen: Mapping[str, Any] | None) -> bool:
+    def _point(self, target: Target, seen: Mapping[str, Any] | None) -> bool:
         """Swap ``current.json`` to a version; False: it is of neither this one nor ``seen``."""
-        key = f"{name}/{CURRENT}"
+        key = f"{target.name}/{CURRENT}"
         while True:
             found = self.place.get(key)
             before = json.loads(found[0]) if found else None
-            if before and before["version"] != version and before != seen:
+            if before and before["version"] != target.version and before != seen:
                 return False
-            manifest = self._json(f"{name}/{version}/{MANIFEST}")
+            manifest = self._json(f"{target.base}/{MANIFEST}")
             state = {"state": "failed"}
             if manifest:
                 state = {"state": "whole", "attempt": manifest["attempt"]}
-            now = {"version": version, **state}
+            now = {"version": target.version, "record": target.record, **state}
             if before == now:
                 return True
-            content = _bytes(now)
-            if self.place.swap(key, content, found[1]) if found else self.place.create(key, content):
+            text = _bytes(now)
+            if self.place.swap(key, text, found[1]) if found else self.place.create(key, text):
                 return True
 
     def _json(self, key: str) -> dict[str, Any] | None:
@@ -254,14 +261,18 @@ class FolderResults(Results):
     notes = _NOTES
     place: Folder
 
-    def standing(self, name: str, version: str) -> Standing:
+    def standing(self, target: Target) -> Standing:
         for file, state in ((MANIFEST, "whole"), (FAILED, "failed")):
-            found = self.place.get(f"{name}/{file}")
+            found = self.place.get(f"{target.name}/{file}")
             if found is None:
                 continue
-            if self.place.get(self._note(name, version, found[0])) is None:
-                return Standing("other")
-            return Standing(state, None, json.loads(found[0]) if file == FAILED else {})
+            if self.place.get(self._note(target, found[0])):
+                return Standing(state, None, json.loads(found[0]) if file == FAILED else {})
+            digest = self._note(target, found[0]).rpartition("/")[2]
+            noted = self.place.list(f"{_NOTES}{target.name}/")
+            key = next((entry.key for entry in noted if entry.key.endswith(digest)), "")
+            before = self.place.get(key) if key else None
+            return Standing("other", json.loads(before[0]) if before else None)
         return Standing("new")
 
     def stage(self, attempt: str, spool: Path) -> Path:
@@ -273,38 +284,36 @@ class FolderResults(Results):
                     shutil.rmtree(left, ignore_errors=True)
         return parent / f"{process()}-{attempt}"
 
-    def publish(
-        self, name: str, version: str, attempt: str, staged: Path, seen: Standing
-    ) -> str:
-        return self._place(name, version, staged, MANIFEST)
+    def publish(self, target: Target, attempt: str, staged: Path, seen: Standing) -> str:
+        return self._place(target, staged, MANIFEST)
 
-    def fail(self, name: str, version: str, failure: Mapping[str, Any], seen: Standing) -> None:
+    def fail(self, target: Target, failure: Mapping[str, Any], seen: Standing) -> None:
         staged = self.stage("failed", Path())
         with writing(staged):
             staged.mkdir()
             (staged / FAILED).write_bytes(_bytes(failure))
-        self._place(name, version, staged, FAILED)
+        self._place(target, staged, FAILED)
 
-    def reopen(self, name: str, version: str) -> None:
-        noted = self.place.list(f"{_NOTES}{name}/{version}/")
-        self.place.delete([entry.key for entry in noted])
+    def reopen(self, target: Target) -> None:
+        self.place.delete([entry.key for entry in self.place.list(f"{_NOTES}{target.base}/")])
 
-    def _place(self, name: str, version: str, staged: Path, file: str) -> str:
-        self.place.put(self._note(name, version, (staged / file).read_bytes()), b"")
-        target = self.place.root / name
+    def _place(self, target: Target, staged: Path, file: str) -> str:
+        note = _bytes({"version": target.version, "record": target.record})
+        self.place.put(self._note(target, (staged / file).read_bytes()), note)
+        folder = self.place.root / target.name
         try:
-            while True:
-                with writing(target):
-                    if rename_if_absent(staged, target):
-                        return "done"
-                    if self.standing(name, version).state in ("whole", file == FAILED and "failed"):
+            with writing(folder):
+                while not rename_if_absent(staged, folder):
+                    if self.standing(target).state in ("whole", file == FAILED and "failed"):
                         return "there"
-                    exchange(staged, target)
+                    exchange(staged, folder)
+                    break
+                return "done"
         finally:
             shutil.rmtree(staged, ignore_errors=True)
 
-    def _note(self, name: str, version: str, content: bytes) -> str:
-        return f"{_NOTES}{name}/{version}/{hashlib.sha256(content).hexdigest()[:16]}"
+    def _note(self, target: Target, content: bytes) -> str:
+        return f"{_NOTES}{target.base}/{hashlib.sha256(content).hexdigest()[:16]}"
 
 
 def rename_if_absent(staged: Path, target: Path) -> bool:
@@ -316,6 +325,14 @@ def rename_if_absent(staged: Path, target: Path) -> bool:
             return False
         raise
     return True
+
+
+def exchange(staged: Path, folder: Path) -> None:
+    """Put a folder in the place of another one, which gets its name."""
+    old = staged.with_name(f"{staged.name}-old")
+    os.rename(folder, old)
+    os.rename(staged, folder)
+    os.rename(old, staged)
 
 
 def result_files(url: str, name: str = "obstacles.parquet") -> list[str]:
