@@ -6,6 +6,7 @@ bucket are read from the environment, by the names that the services' own progra
 that holds one is refused, so that none can get into a file, a log line or an error.
 """
 
+import fcntl
 import os
 import re
 import secrets
@@ -189,10 +190,7 @@ class Folder(Place):
         return True
 
     def swap(self, key: str, content: bytes, tag: Tag) -> bool:
-        import fcntl
-
-        with self._written(key, content) as new, new.with_name(".swap").open("a") as lock:
-            fcntl.flock(lock, fcntl.LOCK_EX)  # released when the file is closed
+        with self._written(key, content) as new, _locked(new.parent):
             found = self.get(key)
             if found is None or found[1] != tag:
                 return False
@@ -221,6 +219,16 @@ class Folder(Place):
                 yield new
             finally:
                 new.unlink(missing_ok=True)
+
+
+@contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(handle)
 
 
 def _tag(about: os.stat_result) -> Tag:

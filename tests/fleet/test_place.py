@@ -11,8 +11,10 @@ from jaxdet.fleet.logs import size_of
 from jaxdet.fleet.place import Bucket, Folder, address, is_url, open_place, scrub
 
 
-@pytest.fixture(params=["folder", "bucket"])
+@pytest.fixture(params=["folder", "bucket", pytest.param("s3", marks=pytest.mark.fleet)])
 def place(request, tmp_path):
+    if request.param == "s3":
+        return open_place(request.getfixturevalue("bucket") + "/place")
     if request.param == "folder":
         return Folder(str(tmp_path / "place"))
     request.getfixturevalue("stores")
@@ -94,21 +96,27 @@ def test_addresses_have_one_form(tmp_path, monkeypatch):
     assert scrub("plain text") == "plain text"
 
 
-@pytest.mark.parametrize("size", [0, 1, 1000, 4096])
-def test_a_file_is_fetched_in_ranges(stores, monkeypatch, tmp_path, size):
+@pytest.fixture(params=["bucket", pytest.param("s3", marks=pytest.mark.fleet)])
+def logs(request, monkeypatch):
     monkeypatch.setattr(places, "RANGE_BYTES", 100)
-    place = open_place("s3://bucket/logs")
+    if request.param == "s3":
+        return open_place(request.getfixturevalue("bucket") + "/logs")
+    request.getfixturevalue("stores")
+    return open_place("s3://bucket/logs")
+
+
+@pytest.mark.parametrize("size", [0, 1, 1000, 4096])
+def test_a_file_is_fetched_in_ranges(logs, tmp_path, size):
     content = bytes(i * 7 % 251 for i in range(size))
-    place.put("a.mcap", content)
-    (entry,) = place.list()
-    place.fetch(entry, tmp_path / "a", Event())
+    logs.put("a.mcap", content)
+    (entry,) = logs.list()
+    logs.fetch(entry, tmp_path / "a", Event())
     assert (tmp_path / "a").read_bytes() == content
 
 
-def test_a_file_replaced_while_it_is_fetched_is_an_error(stores, monkeypatch, tmp_path):
-    monkeypatch.setattr(places, "RANGE_BYTES", 100)
+def test_a_file_replaced_while_it_is_fetched_is_an_error(logs, monkeypatch, tmp_path):
     monkeypatch.setattr(places, "CONNECTIONS", 1)
-    place = open_place("s3://bucket/logs")
+    place = logs
     place.put("a.mcap", bytes(1000))
     (entry,) = place.list()
     reached, seen = Bucket._range, []
@@ -116,7 +124,7 @@ def test_a_file_replaced_while_it_is_fetched_is_an_error(stores, monkeypatch, tm
     def late(self, entry, start, file, stop):
         seen.append(start)
         if len(seen) == 3:
-            place.put("a.mcap", bytes(1000))
+            place.put("a.mcap", bytes(range(200)) * 5)
         reached(self, entry, start, file, stop)
 
     monkeypatch.setattr(Bucket, "_range", late)

@@ -134,7 +134,7 @@ def test_splits_of_a_recording_are_fetched_together(stores, engine, how, tmp_pat
 
 
 def test_the_next_log_is_fetched_meanwhile_within_the_bound(stores, engine, how, put, monkeypatch):
-    put(LOGS, a="a" * 1000, b="sleep=0.5 " * 90, c="c" * 100, d="d" * 5000)
+    put(LOGS, a="a" * 1000, b="sleep=0.5 " + "x" * 890, c="c" * 100, d="d" * 5000)
     held = []
     real = Bucket.fetch
 
