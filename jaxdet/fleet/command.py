@@ -1,11 +1,13 @@
 """What ``jaxdet run`` does with addresses of buckets, ``--on`` and ``--share``."""
 
-from collections.abc import Callable, Mapping, Sequence
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import redirect_stdout
 from os import PathLike
 from typing import Any
 
 from jaxdet.errors import ConfigError
-from jaxdet.fleet.logs import list_logs, share_of, size_of
+from jaxdet.fleet.logs import Log, list_logs, share_of, size_of
 from jaxdet.fleet.place import address
 from jaxdet.fleet.run_log import prepare, run_logs
 
@@ -46,16 +48,20 @@ def run_fleet(
     place = address(output)
     logs = list_logs(inputs)
     logs = share_of(logs, share) if share else logs
-    how = prepare(place, how)
-    if on:
-        from jaxdet.fleet.ray import run_on_ray
-
-        outcomes = run_on_ray(logs, place, how, on)
-    else:
-        outcomes = run_logs(sorted(logs, key=size_of, reverse=True), place, how)
     found = []
-    for outcome in outcomes:
-        found.append(outcome)
-        if report:
-            report(len(found), len(logs), outcome)
+    with redirect_stdout(sys.stderr):  # Ray's messages about workers
+        for outcome in _outcomes(logs, place, prepare(place, how), on):
+            found.append(outcome)
+            if report:
+                report(len(found), len(logs), outcome)
     return sorted(found, key=lambda outcome: outcome["name"])
+
+
+def _outcomes(
+    logs: list[Log], place: str, how: Mapping[str, Any], on: str | None
+) -> Iterator[dict[str, Any]]:
+    if not on:
+        return run_logs(sorted(logs, key=size_of, reverse=True), place, how)
+    from jaxdet.fleet.ray import run_on_ray
+
+    return run_on_ray(logs, place, how, on)
