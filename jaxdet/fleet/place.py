@@ -1,16 +1,15 @@
 """Places for logs and results: a folder, or a prefix of a bucket in S3, Google Cloud or Azure.
 
-Both have the same few operations, and two of them decide races: :meth:`Place.create` writes a file
-only if there is none, :meth:`Place.swap` only if the file is still the one that was read. Keys of a
-bucket are read from the environment, by the names that the services' own programs use; an address
-that holds one is refused, so that none can get into a file, a log line or an error.
+A :class:`Folder` and a :class:`Bucket` have the same methods. Two of them decide races: ``create``
+writes a file only if there is none, ``swap`` only if it is still the one that was read. Keys of a
+bucket come from the environment, by the names that the services' own programs use; an address that
+holds some is refused, so that none can get into a file, a log line or an error.
 """
 
 import fcntl
 import os
 import re
 import secrets
-from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -21,7 +20,7 @@ from threading import Event
 from typing import Any, NamedTuple
 
 from jaxdet.errors import ConfigError, InputError, OutputError
-from jaxdet.results.durable import writing
+from jaxdet.results.durable import write_whole, writing
 
 RANGE_BYTES = 64 << 20
 """Bytes per request of a fetch."""
@@ -41,73 +40,11 @@ Tag = Mapping[str, str]
 
 
 class Entry(NamedTuple):
-    """A file in a listing."""
+    """A file in a listing; ``key`` is its path under the place."""
 
     key: str
-    """Path under the place."""
     size: int
     tag: Tag
-
-
-class Place(ABC):
-    """A folder or a prefix of a bucket; ``url`` holds no credentials."""
-
-    url: str
-
-    @abstractmethod
-    def list(self, under: str = "") -> Iterator[Entry]:
-        """Yield the files below a folder, in no order."""
-
-    @abstractmethod
-    def get(self, key: str) -> tuple[bytes, Tag] | None:
-        """Return a small file and its tag; None: there is none."""
-
-    @abstractmethod
-    def put(self, key: str, content: bytes | Path) -> None:
-        """Write a file, complete or not at all."""
-
-    @abstractmethod
-    def create(self, key: str, content: bytes) -> bool:
-        """Write a file if there is none; return whether it was written."""
-
-    @abstractmethod
-    def swap(self, key: str, content: bytes, tag: Tag) -> bool:
-        """Replace a file if it still has this tag; return whether it was replaced."""
-
-    @abstractmethod
-    def fetch(self, entry: Entry, path: Path, stop: Event) -> None:
-        """Copy a file to local disk, until ``stop`` is set.
-
-        Raises:
-            InputError: It is gone or was replaced since it was listed.
-        """
-
-    @abstractmethod
-    def delete(self, keys: Iterable[str]) -> None:
-        """Remove files; those that are gone already are no error."""
-
-    def probe(self) -> None:
-        """Check that the place honours conditions.
-
-        Raises:
-            ConfigError: It ignores them, so two machines could both believe they were first.
-        """
-        key = f".probe-{secrets.token_hex(8)}"
-        try:
-            first, second = self.create(key, b"1"), self.create(key, b"2")
-            found = self.get(key)
-            late = found is not None and self.put(key, b"3") is None
-            stale = found is not None and self.swap(key, b"4", found[1])
-        finally:
-            self.delete([key])
-        if not (first and late) or second or stale:
-            problem = "this store ignores conditional writes (If-None-Match, If-Match)"
-            remedy = "results of several machines could mix there: use another store"
-            raise ConfigError(problem, path=self.url, remedy=remedy)
-
-    def replaced(self, key: str) -> InputError:
-        """Return the error of a file that is not the one that was listed."""
-        return InputError("was removed or replaced while it was fetched", path=f"{self.url}/{key}")
 
 
 def scrub(text: str) -> str:
@@ -147,7 +84,7 @@ def address(text: str | os.PathLike[str]) -> str:
 
 
 @cache
-def open_place(url: str) -> Place:
+def open_place(url: str) -> "Place":
     """Open a place by its address; it need not exist yet.
 
     Raises:
@@ -157,97 +94,34 @@ def open_place(url: str) -> Place:
     return Bucket(url) if is_url(url) else Folder(url)
 
 
-class Folder(Place):
-    """A folder of a local or shared file system."""
+def probe(place: "Place") -> None:
+    """Check that a place honours conditions.
+
+    Raises:
+        ConfigError: It ignores them, so two machines could both believe they were first.
+    """
+    key = f".probe-{secrets.token_hex(8)}"
+    try:
+        first, second, stale = place.create(key, b"1"), place.create(key, b"2"), True
+        if found := place.get(key):
+            place.put(key, b"3")
+            stale = place.swap(key, b"4", found[1])
+    finally:
+        place.delete([key])
+    if not first or second or stale:
+        problem = "this store ignores conditional writes (If-None-Match, If-Match)"
+        remedy = "results of several machines could mix there: use another store"
+        raise ConfigError(problem, path=place.url, remedy=remedy)
+
+
+class Bucket:
+    """A prefix of a bucket, by obstore."""
 
     def __init__(self, url: str) -> None:
-        self.url, self.root = url, Path(url)
+        self.url, self.store = url, _store(url)
 
     def list(self, under: str = "") -> Iterator[Entry]:
-        for folder, _, names in os.walk(self.root / under):
-            for path in (Path(folder, name) for name in names if not name.startswith(".")):
-                with suppress(FileNotFoundError):
-                    about = path.stat()
-                    yield Entry(path.relative_to(self.root).as_posix(), about.st_size, _tag(about))
-
-    def get(self, key: str) -> tuple[bytes, Tag] | None:
-        try:
-            with (self.root / key).open("rb") as file:
-                return file.read(), _tag(os.fstat(file.fileno()))
-        except (FileNotFoundError, NotADirectoryError):
-            return None
-
-    def put(self, key: str, content: bytes | Path) -> None:
-        with self._written(key, content) as new:
-            new.replace(self.root / key)
-
-    def create(self, key: str, content: bytes) -> bool:
-        with self._written(key, content) as new:
-            try:
-                (self.root / key).hardlink_to(new)
-            except FileExistsError:
-                return False
-        return True
-
-    def swap(self, key: str, content: bytes, tag: Tag) -> bool:
-        with self._written(key, content) as new, _locked(new.parent):
-            found = self.get(key)
-            if found is None or found[1] != tag:
-                return False
-            new.replace(self.root / key)
-        return True
-
-    def fetch(self, entry: Entry, path: Path, stop: Event) -> None:
-        raise NotImplementedError("files of a folder are read where they are")
-
-    def delete(self, keys: Iterable[str]) -> None:
-        for key in keys:
-            with writing(self.root / key):
-                (self.root / key).unlink(missing_ok=True)
-
-    @contextmanager
-    def _written(self, key: str, content: bytes | Path) -> Iterator[Path]:
-        """Write a file next to its place; what is left of it afterwards is removed."""
-        path = self.root / key
-        new = path.with_name(f".{path.name}.{secrets.token_hex(8)}")
-        with writing(path):
-            path.parent.mkdir(parents=True, exist_ok=True)
-            try:
-                new.write_bytes(content if isinstance(content, bytes) else content.read_bytes())
-                with new.open("rb") as file:
-                    os.fsync(file.fileno())
-                yield new
-            finally:
-                new.unlink(missing_ok=True)
-
-
-@contextmanager
-def _locked(folder: Path) -> Iterator[None]:
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX)
-        yield
-    finally:
-        os.close(handle)
-
-
-def _tag(about: os.stat_result) -> Tag:
-    return {"e_tag": f"{about.st_size}-{about.st_mtime_ns}-{about.st_ino}"}
-
-
-class Bucket(Place):
-    """A prefix of a bucket, by obstore.
-
-    Args:
-        url: Its address.
-        store: An obstore store that is rooted there; by default made from ``url``.
-    """
-
-    def __init__(self, url: str, store: Any = None) -> None:
-        self.url = url
-        self.store = _store(url) if store is None else store
-
-    def list(self, under: str = "") -> Iterator[Entry]:
+        """Yield the files below a folder, in no order."""
         import obstore
 
         with self._reached(under):
@@ -255,6 +129,7 @@ class Bucket(Place):
                 yield from (Entry(one["path"], one["size"], _tag_of(one)) for one in page)
 
     def get(self, key: str) -> tuple[bytes, Tag] | None:
+        """Return a small file and its tag; None: there is none."""
         import obstore
 
         with self._reached(key):
@@ -265,6 +140,7 @@ class Bucket(Place):
                 return None
 
     def put(self, key: str, content: bytes | Path) -> None:
+        """Write a file, complete or not at all."""
         import obstore
 
         large = isinstance(content, Path) and content.stat().st_size > _MULTIPART_BYTES
@@ -272,9 +148,11 @@ class Bucket(Place):
             obstore.put(self.store, key, content, use_multipart=large)
 
     def create(self, key: str, content: bytes) -> bool:
+        """Write a file if there is none; return whether it was written."""
         return self._put_if(key, content, "create")
 
     def swap(self, key: str, content: bytes, tag: Tag) -> bool:
+        """Replace a file if it still has this tag; return whether it was replaced."""
         return self._put_if(key, content, dict(tag))
 
     def _put_if(self, key: str, content: bytes, mode: Any) -> bool:
@@ -291,16 +169,21 @@ class Bucket(Place):
         return True
 
     def fetch(self, entry: Entry, path: Path, stop: Event) -> None:
-        def copy(start: int) -> None:
-            if not stop.is_set():
-                self._range(entry, start, file.fileno(), stop)
+        """Copy a file to local disk, until ``stop`` is set.
 
-        starts = range(0, entry.size, RANGE_BYTES)
+        Raises:
+            InputError: It is gone or was replaced since it was listed.
+        """
         with path.open("wb") as file, ThreadPoolExecutor(CONNECTIONS) as pool:
             with writing(path):
                 os.truncate(file.fileno(), entry.size)
+
+            def copy(start: int) -> None:
+                if not stop.is_set():
+                    self._range(entry, start, file.fileno(), stop)
+
             try:
-                deque(pool.map(copy, starts), 0)
+                deque(pool.map(copy, range(0, entry.size, RANGE_BYTES)), 0)
             except BaseException:
                 pool.shutdown(cancel_futures=True)
                 raise
@@ -318,14 +201,16 @@ class Bucket(Place):
                 for piece in found.stream(min_chunk_size=_PIECE_BYTES):
                     if stop.is_set():
                         return
-                    with writing(Path("the spool")):
+                    with writing(Path("local disk")):
                         start += os.pwrite(file, piece, start)
             except (FileNotFoundError, PreconditionError):
-                raise self.replaced(entry.key) from None
-        if start != end or found.meta["size"] != entry.size:
-            raise self.replaced(entry.key)
+                found = None
+        if not found or start != end or found.meta["size"] != entry.size:
+            problem = "was removed or replaced while it was fetched"
+            raise InputError(problem, path=f"{self.url}/{entry.key}")
 
     def delete(self, keys: Iterable[str]) -> None:
+        """Remove files; those that are gone already are no error."""
         import obstore
 
         with self._reached():
@@ -362,3 +247,72 @@ def _store(url: str) -> Any:
     except (BaseError, ValueError) as error:
         text = scrub(str(error).partition("\n")[0])
         raise ConfigError(f"no place that can be used ({text})", path=url, remedy=_REMEDY) from None
+
+
+class Folder:
+    """A folder of a local or shared file system; its files are read where they are."""
+
+    def __init__(self, url: str) -> None:
+        self.url, self.root = url, Path(url)
+
+    def list(self, under: str = "") -> Iterator[Entry]:
+        for folder, _, names in os.walk(self.root / under):
+            for path in (Path(folder, name) for name in names if not name.startswith(".")):
+                with suppress(FileNotFoundError):
+                    about = path.stat()
+                    yield Entry(path.relative_to(self.root).as_posix(), about.st_size, _tag(about))
+
+    def get(self, key: str) -> tuple[bytes, Tag] | None:
+        try:
+            with (self.root / key).open("rb") as file:
+                return file.read(), _tag(os.fstat(file.fileno()))
+        except (FileNotFoundError, NotADirectoryError):
+            return None
+
+    def put(self, key: str, content: bytes) -> None:
+        with self._made(key) as path:
+            write_whole(path, content)
+
+    def create(self, key: str, content: bytes) -> bool:
+        with self._made(key) as path:
+            new = path.with_name(f".{secrets.token_hex(8)}")
+            write_whole(new, content)
+            try:
+                path.hardlink_to(new)
+            except FileExistsError:
+                return False
+            finally:
+                new.unlink()
+        return True
+
+    def swap(self, key: str, content: bytes, tag: Tag) -> bool:
+        with self._made(key) as path:
+            handle = os.open(path.parent, os.O_RDONLY)
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX)
+                found = self.get(key)
+                if found is None or found[1] != tag:
+                    return False
+                write_whole(path, content)
+            finally:
+                os.close(handle)
+        return True
+
+    def delete(self, keys: Iterable[str]) -> None:
+        for path in (self.root / key for key in keys):
+            with writing(path):
+                path.unlink(missing_ok=True)
+
+    @contextmanager
+    def _made(self, key: str) -> Iterator[Path]:
+        path = self.root / key
+        with writing(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            yield path
+
+
+def _tag(about: os.stat_result) -> Tag:
+    return {"e_tag": f"{about.st_size}-{about.st_mtime_ns}-{about.st_ino}"}
+
+
+Place = Bucket | Folder

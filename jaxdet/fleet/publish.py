@@ -23,14 +23,13 @@ import json
 import os
 import shutil
 import time
-from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from jaxdet.errors import InputError
-from jaxdet.fleet.place import Folder, Place, is_url, open_place
+from jaxdet.fleet.place import Bucket, Folder, Place, open_place
 from jaxdet.fleet.spool import is_dead, process, testify
 from jaxdet.results.durable import sha256, writing
 
@@ -72,7 +71,8 @@ class Standing(NamedTuple):
 
 def open_results(url: str) -> "Results":
     """Open a place for results."""
-    return BucketResults(open_place(url)) if is_url(url) else FolderResults(open_place(url))
+    place = open_place(url)
+    return BucketResults(place) if isinstance(place, Bucket) else FolderResults(place)
 
 
 def version_of(record: str, files: Iterable[Any]) -> str:
@@ -81,45 +81,12 @@ def version_of(record: str, files: Iterable[Any]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-class Results(ABC):
-    """Results of logs at a place."""
+class _Attempts:
+    """What results at any place have: attempts that are noted while they go on."""
 
     notes = ""
-    """Where attempts are noted."""
-
-    def __init__(self, place: Place) -> None:
-        self.place = place
-
-    @abstractmethod
-    def standing(self, target: Target) -> Standing:
-        """Return what there is of a log."""
-
-    @abstractmethod
-    def stage(self, attempt: str, spool: Path) -> Path:
-        """Return where an attempt makes its results folder."""
-
-    @abstractmethod
-    def publish(self, target: Target, attempt: str, staged: Path, seen: Standing) -> str:
-        """Make a complete folder that of a log.
-
-        Args:
-            target: Log and version.
-            attempt: Name of the attempt.
-            staged: Folder with ``manifest.json``.
-            seen: What there was when the attempt began.
-
-        Returns:
-            ``done``; ``there``: another attempt was first; ``replaced``: a run of another version
-            was.
-        """
-
-    @abstractmethod
-    def fail(self, target: Target, failure: Mapping[str, Any], seen: Standing) -> None:
-        """Note why a log has no results, unless it has some."""
-
-    @abstractmethod
-    def reopen(self, target: Target) -> None:
-        """Forget that a log failed, and its attempts."""
+    """Where."""
+    place: Place
 
     def begin(self, target: Target, attempt: str) -> str:
         """Note an attempt; return the key of the note."""
@@ -145,10 +112,14 @@ class Results(ABC):
         return killed, lost
 
 
-class BucketResults(Results):
-    """Results in a bucket."""
+class BucketResults(_Attempts):
+    """Results of logs in a bucket."""
+
+    def __init__(self, place: Bucket) -> None:
+        self.place = place
 
     def standing(self, target: Target) -> Standing:
+        """Return what there is of a log."""
         current = self._json(f"{target.name}/{CURRENT}")
         same = current is not None and current["version"] == target.version
         if same and current["state"] == "whole":
@@ -161,9 +132,22 @@ class BucketResults(Results):
         return Standing("other" if current and not same else "new", current)
 
     def stage(self, attempt: str, spool: Path) -> Path:
+        """Return where an attempt makes its results folder."""
         return spool / "results"
 
     def publish(self, target: Target, attempt: str, staged: Path, seen: Standing) -> str:
+        """Make a complete folder that of a log.
+
+        Args:
+            target: Log and version.
+            attempt: Name of the attempt.
+            staged: Folder with ``manifest.json``.
+            seen: What there was when the attempt began.
+
+        Returns:
+            ``done``; ``there``: another attempt was first; ``replaced``: a run of another version
+            was.
+        """
         first = self._upload(target.base, attempt, staged, None, MANIFEST)
         if not self._point(target, seen.current):
             self._clear(f"{target.base}/")
@@ -185,10 +169,12 @@ class BucketResults(Results):
         return self._json(f"{target.base}/{TRACKS}") is not None
 
     def fail(self, target: Target, failure: Mapping[str, Any], seen: Standing) -> None:
+        """Note why a log has no results, unless it has some."""
         self.place.put(f"{target.base}/{FAILED}", _bytes(failure))
         self._point(target, seen.current)
 
     def reopen(self, target: Target) -> None:
+        """Forget that a log failed, and its attempts."""
         noted = [entry.key for entry in self.place.list(f"{target.base}/attempts/")]
         self.place.delete([*noted, f"{target.base}/{FAILED}"])
 
@@ -255,11 +241,13 @@ class BucketResults(Results):
         self.place.delete([key for key in keys if not (kept and key.startswith(kept))])
 
 
-class FolderResults(Results):
-    """Results in a folder that several processes or machines share."""
+class FolderResults(_Attempts):
+    """The same in a folder that several processes or machines share."""
 
     notes = _NOTES
-    place: Folder
+
+    def __init__(self, place: Folder) -> None:
+        self.place = place
 
     def standing(self, target: Target) -> Standing:
         for file, state in ((MANIFEST, "whole"), (FAILED, "failed")):
@@ -335,6 +323,9 @@ def exchange(staged: Path, folder: Path) -> None:
     os.rename(old, staged)
 
 
+Results = BucketResults | FolderResults
+
+
 def result_files(url: str, name: str = "obstacles.parquet") -> list[str]:
     """Return the addresses of one file of every log with results, for readers of tables.
 
@@ -343,8 +334,8 @@ def result_files(url: str, name: str = "obstacles.parquet") -> list[str]:
         name: Name of the file in a log's folder.
     """
     results = open_results(url)
-    if not isinstance(results, BucketResults):
-        return sorted(str(path) for path in Path(results.place.url).glob(f"*/{name}"))
+    if isinstance(results, FolderResults):
+        return sorted(str(path) for path in results.place.root.glob(f"*/{name}"))
     with ThreadPoolExecutor(32) as pool:
         found = pool.map(results.files, _names(results.place))
         return [f"{results.place.url}/{files[name]}" for files in found if name in files]
@@ -359,15 +350,14 @@ def download(url: str, name: str, folder: Path) -> Path:
     results = open_results(url)
     assert isinstance(results, BucketResults)
     files = results.files(name)
-    if not files:
-        raise InputError("has no results", path=f"{url}/{name}")
     for file, key in sorted(files.items(), key=lambda item: item[0] == MANIFEST):
-        found = results.place.get(key)
-        if found is None:
-            raise results.place.replaced(key)
+        if not (found := results.place.get(key)):
+            raise InputError("was replaced while it was read", path=f"{url}/{name}")
         with writing(folder / file):
             (folder / file).parent.mkdir(parents=True, exist_ok=True)
             (folder / file).write_bytes(found[0])
+    if not files:
+        raise InputError("has no results", path=f"{url}/{name}")
     return folder
 
 

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import jaxdet
 from jaxdet.errors import ConfigError, InputError, JaxdetError, OutputError
 from jaxdet.fleet.logs import Log, entries_of, size_of
-from jaxdet.fleet.place import Folder, address, open_place
+from jaxdet.fleet.place import Bucket, address, open_place, probe
 from jaxdet.fleet.publish import (
     MOST_KILLED,
     MOST_LOST,
@@ -254,10 +254,10 @@ def _fetch(log: Log, folder: Path, stop: Event) -> Path:
     place = open_place(log["url"]) if log["url"] else None
     for entry in entries:
         path = folder / Path(entry.key).name
-        if place is None or isinstance(place, Folder):
-            path.symlink_to(entry.key)
-        else:
+        if isinstance(place, Bucket):
             place.fetch(entry, path, stop)
+        else:
+            path.symlink_to(entry.key)
     return folder if len(entries) > 1 else path
 
 
@@ -310,7 +310,8 @@ def _opened(url: str, own: Mapping[str, Any], overwrite: bool) -> dict[str, Any]
     from jaxdet.engine.record import difference
 
     place = open_place(url)
-    place.probe()
+    if isinstance(place, Bucket):
+        probe(place)
     while True:
         found = place.get(RUN)
         before = json.loads(found[0]) if found else None

@@ -1,9 +1,8 @@
 """Local disk for logs that are fetched: bounded, and empty again whatever ended a process.
 
 A process has a folder per log, whose name holds machine, process and the process's start. What a
-killed process leaves is removed by the next one on that machine (:func:`sweep`), which also
-testifies in the store that the log it was computing killed it: from elsewhere a killed process
-can't be told from a lost node.
+killed process leaves is removed by the next one on that machine, which also testifies in the store
+that a log killed it: seen from elsewhere it could be a lost machine.
 """
 
 import hashlib
@@ -15,7 +14,6 @@ import tempfile
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 from jaxdet.errors import InputError, JaxdetError
 from jaxdet.fleet.place import open_place
@@ -28,9 +26,7 @@ _BOOT = Path("/proc/sys/kernel/random/boot_id")
 @cache
 def machine() -> str:
     """Return the name of this machine since it was started."""
-    boot = ""
-    with suppress(OSError):
-        boot = _BOOT.read_text(encoding="ascii").strip()
+    boot = _BOOT.read_text(encoding="ascii").strip() if _BOOT.exists() else ""
     return hashlib.sha256(f"{os.uname().nodename} {boot}".encode()).hexdigest()[:12]
 
 
@@ -46,33 +42,27 @@ def is_dead(name: str) -> bool | None:
 
 
 def _start(pid: int) -> str:
-    """Return the time of a process's start, in its machine's clock; empty: there is none."""
+    """Return the time of a process's start, where the system tells it; empty: it has ended."""
     try:
         text = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace")
         state, *fields = text.rpartition(")")[2].split()
         return "" if state in "ZX" else fields[18]
-    except FileNotFoundError:
-        if Path("/proc/self/stat").exists():
-            return ""
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
+    except OSError:
+        with suppress(OSError):
+            os.kill(pid, 0)
+            return "0"
         return ""
-    except PermissionError:
-        pass
-    return "0"
 
 
 class Spool:
-    """A folder on local disk for one log, removed by :meth:`close`.
+    """A folder on local disk for one log.
 
     Args:
         base: Where; by default the folder for temporary files.
     """
 
     def __init__(self, base: str | None = None) -> None:
-        parent = base_folder(base)
-        self.path = parent / f"{process()}-{secrets.token_hex(4)}"
+        self.path = base_folder(base) / f"{process()}-{secrets.token_hex(4)}"
         with writing(self.path):
             self.path.mkdir(parents=True)
 
@@ -98,9 +88,8 @@ def check_room(base: str | None, size: int, bound: int | None, held: int) -> Non
     Args:
         base: As of :class:`Spool`.
         size: Bytes of the log.
-        bound: Most bytes of logs per process; by default three quarters of what is free without
-            them.
-        held: Bytes of the logs that this process has there.
+        bound: Most bytes of logs per process; by default three quarters of the disk's free space.
+        held: Bytes of logs that this process has there already.
 
     Raises:
         InputError: It doesn't.
@@ -110,29 +99,25 @@ def check_room(base: str | None, size: int, bound: int | None, held: int) -> Non
         folder.mkdir(parents=True, exist_ok=True)
         free = shutil.disk_usage(folder).free
     most = (free + held) * 3 // 4 if bound is None else bound
-    if held + size > most or size > free:
+    if size > min(most - held, free):
         problem = f"has {size} bytes; local disk may hold {max(0, min(most - held, free))} more"
         raise InputError(problem, remedy="give --spool a larger disk, or a larger --spool-size")
 
 
 def sweep(base: str | None = None) -> int:
     """Remove what killed processes of this machine left; return how many folders those were."""
-    swept = 0
-    for folder in base_folder(base).glob("*-*-*-*"):
-        if not is_dead(folder.name):
-            continue
+    dead = [path for path in base_folder(base).glob("*-*-*-*") if is_dead(path.name)]
+    for folder in dead:
         with suppress(OSError, ValueError, KeyError, JaxdetError):
             noted = json.loads((folder / _WITNESS).read_text(encoding="utf-8"))
             testify(noted["url"], noted["key"])
         shutil.rmtree(folder, ignore_errors=True)
-        swept += 1
-    return swept
+    return len(dead)
 
 
 def testify(url: str, key: str) -> None:
     """Mark an attempt as one whose process died while its machine went on."""
     place = open_place(url)
-    found: Any = place.get(key)
-    if found is not None:
+    if found := place.get(key):
         record = {**json.loads(found[0]), "killed": True}
         place.swap(key, json.dumps(record).encode(), found[1])
