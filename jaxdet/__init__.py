@@ -1,4 +1,4 @@
-"""Obstacles from RGB-D cameras: ``Detector`` takes frames, ``open_log`` reads logs of them.
+"""Obstacles from RGB-D cameras: ``Detector`` takes frames, ``run`` takes logs.
 
 Names are loaded when they are first used, so ``import jaxdet`` alone loads no heavy package.
 """
@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from jaxdet.config import Config
     from jaxdet.detector import BatchResult, Detector, FrameResult, Obstacle
+    from jaxdet.engine import LogSummary, Runner, Summary, run
     from jaxdet.errors import FrameStatus, JaxdetError
     from jaxdet.floor.mount import Mount
     from jaxdet.floor.plane import flat_plane
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from jaxdet.pipeline import detect, estimate_plane, find_floors
     from jaxdet.presets import PRESETS, preset
     from jaxdet.results.metric import extents, rectangles, to_world
+    from jaxdet.results.reading import Results, open_results
     from jaxdet.types import (
         Calibration,
         Detections,
@@ -34,11 +36,13 @@ __version__ = "0.1.0"
 _HOMES = {
     "jaxdet.config": ("Config",),
     "jaxdet.presets": ("PRESETS", "preset"),
+    "jaxdet.engine": ("LogSummary", "Runner", "Summary", "run"),
     "jaxdet.errors": ("FrameStatus", "JaxdetError"),
     "jaxdet.detector": ("BatchResult", "Detector", "FrameResult", "Obstacle"),
     "jaxdet.floor.mount": ("Mount",),
     "jaxdet.io": ("LogOptions", "find_logs", "open_log"),
     "jaxdet.results.metric": ("extents", "rectangles", "to_world"),
+    "jaxdet.results.reading": ("Results", "open_results"),
     "jaxdet.pipeline": ("detect", "estimate_plane", "find_floors"),
     "jaxdet.floor.plane": ("flat_plane",),
     "jaxdet.types": (
@@ -74,9 +78,13 @@ __all__ = [
     "JaxdetError",
     "Labels",
     "LogOptions",
+    "LogSummary",
     "Mount",
     "Obstacle",
     "Obstacles",
+    "Results",
+    "Runner",
+    "Summary",
     "__version__",
     "detect",
     "estimate_plane",
@@ -85,8 +93,10 @@ __all__ = [
     "find_logs",
     "flat_plane",
     "open_log",
+    "open_results",
     "preset",
     "rectangles",
+    "run",
     "to_world",
 ]
 

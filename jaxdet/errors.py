@@ -103,20 +103,17 @@ class ConfigError(JaxdetError):
 
 
 class ResultsError(ConfigError):
-    """The output folder holds results already.
+    """The output folder holds results that the run would not make.
 
     Args:
         path: The folder.
-        file: One of them.
-        same: Whether they are what the run would make.
-        reason: Why not, where that is known.
+        log: Folder of a log in it.
+        reason: Why not.
     """
 
-    def __init__(self, path: str, file: str, *, same: bool, reason: str = "") -> None:
+    def __init__(self, path: str, log: str, *, reason: str) -> None:
         remedy = "give another --output, or --overwrite to replace them"
-        problem = f"holds results already ({file})" + (f", but {reason}" if reason else "")
-        super().__init__(problem, path=path, remedy=remedy)
-        self.same = same
+        super().__init__(f"holds results of {log}, but {reason}", path=path, remedy=remedy)
 
 
 class RescanError(JaxdetError):

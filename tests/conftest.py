@@ -81,11 +81,8 @@ def shared_data() -> Path:
 def _results_beside(log: Path, folder: Path, pictures: int) -> Path:
     """Finds the obstacles of a log, with what the command has as defaults."""
     from jaxdet import engine
-    from jaxdet.config import Config
-    from jaxdet.io import LogOptions, find_logs
 
-    run = engine.RunOptions(folder, pictures=pictures)
-    engine.run(find_logs([str(log)]), Config(), LogOptions(), run, preset="wheeled")
+    engine.run(log, folder, "wheeled", pictures=pictures)
     return folder
 
 
@@ -120,13 +117,9 @@ def both_ways(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -
 def aims_results(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The results of a recording of a hand-held camera, which has no poses and no transforms."""
     from jaxdet import engine
-    from jaxdet.config import Config
-    from jaxdet.engine import RunOptions
-    from jaxdet.io import LogOptions, find_logs
 
     folder = tmp_path_factory.mktemp("aims") / "results"
-    found = find_logs([str(shared_data / "aims_slam")])
-    engine.run(found, Config(), LogOptions(), RunOptions(folder, pictures=2), preset="wheeled")
+    engine.run(shared_data / "aims_slam", folder, "wheeled", pictures=2)
     return folder
 
 

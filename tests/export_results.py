@@ -5,16 +5,14 @@ from typing import Any
 
 import numpy as np
 
-from jaxdet import engine
-from jaxdet.config import Config
-from jaxdet.engine import RunOptions
-from jaxdet.io import LogOptions, find_logs
+from jaxdet.io import LogOptions
 from jaxdet.presets import preset
 from jaxdet.results.lists import Lists
-from jaxdet.results.manifest import MANIFEST, make_manifest
+from jaxdet.results.manifest import write_manifest
 from jaxdet.results.occupancy import MapImage, save_map
-from jaxdet.results.writer import ResultWriter, Tables, write_json
+from jaxdet.results.writer import Tables, TableWriter, write_json
 from jaxdet.sim import SimConfig, write_log
+from tests.runs import run_logs
 
 START_NS = 1_700_000_000_000_000_000
 
@@ -28,9 +26,8 @@ def sim_log(path: Path, **options: Any) -> Path:
 
 def run(log: Path, output: Path, name: str = "wheeled", options: LogOptions | None = None) -> Path:
     """The results of a log."""
-    how = RunOptions(output, backend="reference", pictures=1)
-    config: Config = preset(name)
-    engine.run(find_logs([str(log)]), config, options or LogOptions(), how, preset=name)
+    how = {"backend": "reference", "pictures": 1, "preset": name}
+    run_logs(log, output, preset(name), log=options, **how)
     return output
 
 
@@ -43,22 +40,22 @@ def by_hand(folder: Path, frames: list[tuple[list[tuple[float, float]], float]])
             and how far the floor is free ahead, 0.5 m to each side at 1 m.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    with ResultWriter(folder) as writer:
+    with TableWriter(folder) as writer:
         for number, (places, free_m) in enumerate(frames):
             writer.add(Tables.of(*_rows(number, places, free_m)))
         ones = np.ones((80, 80), np.int32)
         image = MapImage(ones, ones, (-1.0, -2.0), 0.05, np.zeros((len(frames), 2)))
-        save_map(folder / "map_hand.npz", image)
+        save_map(folder / "map.npz", image)
         total = sum(len(places) for places, _ in frames)
         log = {"log": "hand", "paths": ["hand.mcap"], "frames": len(frames), "obstacles": total}
-        log |= {"error": None, "map": "map_hand", "pictures": [], "calibration": None}
+        log |= {"error": None, "lost": [], "map": "map", "pictures": [], "calibration": None}
         log |= {"description": None, "camera": "camera", "file_name": "hand"}
         config = {"surface": {"cell_rad": 0.1}, "log": {}}
         summary = {"frames": len(frames), "obstacles": total, "logs": [log]}
         writer.close(config, summary)
     write_json(folder / "config.json", config)
     write_json(folder / "summary.json", summary)
-    write_json(folder / MANIFEST, make_manifest({}, {}))
+    write_manifest(folder, {"log": "hand", "inputs": []})
     return folder
 
 

@@ -8,13 +8,15 @@ import numpy as np
 import pyarrow as pa
 
 from jaxdet.config import Config
+from jaxdet.engine.log_job import write_failure
 from jaxdet.errors import printable
 from jaxdet.io import LogOptions
-from jaxdet.results.manifest import MANIFEST, make_manifest
-from jaxdet.results.names import file_names
+from jaxdet.results.manifest import write_manifest
+from jaxdet.results.names import log_name
+from jaxdet.results.record import digest, make_record
 from jaxdet.results.schemas import FRAMES_SCHEMA, OBSTACLES_SCHEMA
-from jaxdet.results.summary import LogSummary, Summary, plain
-from jaxdet.results.writer import ResultWriter, Tables, write_json
+from jaxdet.results.summary import LogSummary, Summary
+from jaxdet.results.writer import Tables, TableWriter, write_json
 from jaxdet.types import Calibration, Intrinsics
 
 LOST = ("unpaired", "decode_error")
@@ -26,35 +28,42 @@ DELAY_NS = 5_000_000
 def make_results(folder: Path, logs: Mapping[str, int], config: Config | None = None) -> Path:
     """Results of logs with so many frames; about one in 50 is lost, one in 200 overflows.
 
-    A frame has up to 4 obstacles, whose distances are anything up to 6 m.
+    A frame has up to 4 obstacles, whose distances are anything up to 6 m. One more log has failed.
     """
-    summary = Summary("jax", 16, seconds=12.5)
     folder.mkdir(parents=True, exist_ok=True)
-    with ResultWriter(folder) as writer:
-        for seed, (given, file_name) in enumerate(file_names(logs).items()):
-            name, count = printable(given), logs[given]  # as find_logs does
-            about = LogSummary(name, (f"/nowhere/{name}.mcap",), camera="front")
-            about.file_name = file_name
-            about.calibration = Calibration(Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0))
-            about.frame_errors.append(f"frame 7: {name} isn't what it was")
-            for start in range(0, count, 1 << 15):
-                stop = min(count, start + (1 << 15))
-                frames, obstacles = _rows(name, start, stop, np.random.default_rng([seed, start]))
-                about.count(frames)
-                writer.add(
-                    Tables(_table(frames, FRAMES_SCHEMA), _table(obstacles, OBSTACLES_SCHEMA))
-                )
-            summary.logs.append(about)
-        failed = LogSummary("torn", ("/nowhere/torn.mcap",), error="torn: no <b>images</b> in it")
-        summary.logs.append(failed)
-        how = {"preset": "wheeled", "backend": "jax", "batch_size": 16}
-        method = plain(config or Config())
-        resolved = {**how, **method, "log": plain(LogOptions())}
-        writer.close(resolved, summary.to_dict())
-    write_json(folder / "config.json", resolved)
-    write_json(folder / "summary.json", summary.to_dict())
-    write_json(folder / MANIFEST, make_manifest({}, {}))
+    method = config or Config()
+    how = {"backend": "jax", "pictures": 8, "map": True, "observers": {}}
+    record = make_record(method, LogOptions(), "wheeled", **how)
+    about = {name: record["about"][name] for name in ("jaxdet", "source", "versions")}
+    about |= {"run": digest(record), "inputs": []}
+    write_json(folder / "run.json", record)
+    for seed, (given, count) in enumerate(logs.items()):
+        name = printable(given)  # as find_logs does
+        _make_log(folder / log_name(name), name, count, seed, record["config"], about)
+    failed = LogSummary("torn", ("/nowhere/torn.mcap",), error="torn: no <b>images</b> in it")
+    (folder / "torn").mkdir()
+    write_failure(folder / "torn", about, [failed])
     return folder
+
+
+def _make_log(folder: Path, name: str, count: int, seed: int, config: Any, about: Any) -> None:
+    folder.mkdir()
+    summary = Summary("jax", 16, seconds=12.5)
+    one = LogSummary(name, (f"/nowhere/{name}.mcap",), camera="front")
+    one.file_name = log_name(name)
+    one.calibration = Calibration(Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0))
+    one.frame_errors.append(f"frame 7: {name} isn't what it was")
+    summary.logs.append(one)
+    with TableWriter(folder) as writer:
+        for start in range(0, count, 1 << 15):
+            stop = min(count, start + (1 << 15))
+            frames, obstacles = _rows(name, start, stop, np.random.default_rng([seed, start]))
+            one.count(frames)
+            writer.add(Tables(_table(frames, FRAMES_SCHEMA), _table(obstacles, OBSTACLES_SCHEMA)))
+        writer.close(config, summary.to_dict())
+    write_json(folder / "config.json", {**config, "batch_size": 16})
+    write_json(folder / "summary.json", summary.to_dict())
+    write_manifest(folder, {**about, "log": name})
 
 
 def _rows(name: str, start: int, stop: int, rng: np.random.Generator) -> tuple[Any, Any]:

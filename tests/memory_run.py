@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from jaxdet import engine
 from jaxdet.config import Config, GroundConfig
-from jaxdet.engine import device, log_run
-from jaxdet.io import Batch, LogFiles, LogOptions
+from jaxdet.engine import device
+from jaxdet.io import Batch, LogFiles
 from jaxdet.pipeline import detect
+from tests.runs import only_log, run_logs
 from tests.test_engine import FakeLog
 
 SHAPES = (2048, 3072, 3), (2048, 3072)
@@ -52,15 +52,15 @@ def slow(frames: Any, config: Config, backend: str) -> Any:
 
 
 def main(output: Path, memory: str | None) -> None:
-    log_run.open_log = lambda files, options, memory: LargeLog()
+    log_job.open_log = lambda files, options, memory: LargeLog()
     device.detect = slow
-    how = engine.RunOptions(output, "reference", memory=memory, pictures=0, workers=1)
+    how = {"backend": "reference", "memory": memory, "pictures": 0, "workers": 1}
     logs = [LogFiles("a", (Path("a.mcap"),))]
-    summary = engine.run(logs, Config(GroundConfig(source="none")), LogOptions(), how)
+    summary = run_logs(logs, output, Config(GroundConfig(source="none")), **how)
     assert not summary.failed, summary.failed[0].error
     lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
     peak = next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) << 10
-    rows = (output / "frames.parquet").read_bytes()
+    rows = (only_log(output) / "frames.parquet").read_bytes()
     print(json.dumps({"peak": peak, "batch": summary.batch_size, "rows": rows.hex()}))
 
 

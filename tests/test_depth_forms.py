@@ -3,10 +3,8 @@
 import pyarrow.parquet as pq
 import pytest
 
-from jaxdet.config import Config
-from jaxdet.engine import RunOptions, run
-from jaxdet.io import LogOptions, find_logs
 from jaxdet.sim import SimConfig, write_log
+from tests.runs import only_log, run_logs
 
 
 @pytest.fixture(scope="module")
@@ -17,11 +15,12 @@ def tables(tmp_path_factory):
         log = folder / form / "sim.mcap"
         log.parent.mkdir()
         write_log(log, SimConfig(scene="row", frames=4, width=320, height=240, depth_form=form))
-        options = RunOptions(output=folder / f"{form}_out", pictures=0)
-        summary = run(find_logs([str(log)]), Config(), LogOptions(), options)
+        summary = run_logs(log, folder / f"{form}_out", pictures=0)
         assert [log.error for log in summary.logs] == [None]
         names = ("frames", "obstacles")
-        found[form] = [pq.read_table(folder / f"{form}_out/{n}.parquet") for n in names]
+        found[form] = [
+            pq.read_table(only_log(folder / f"{form}_out") / f"{n}.parquet") for n in names
+        ]
     return found
 
 

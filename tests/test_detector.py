@@ -15,12 +15,12 @@ import pyarrow.parquet as pq
 import pytest
 
 import jaxdet
-from jaxdet import Config, Detector, Extrinsics, FrameResult, Intrinsics, Mount, engine
+from jaxdet import Config, Detector, Extrinsics, FrameResult, Intrinsics, Mount
 from jaxdet.config import FloorConfig, GroundConfig
-from jaxdet.engine import RunOptions
 from jaxdet.errors import CalibrationError, ConfigError, FrameStatus, InputError, JaxdetError
-from jaxdet.io import LogOptions, find_logs
+from jaxdet.io import LogOptions
 from jaxdet.sim import SimConfig, write_log
+from tests.runs import only_log, run_logs
 from tests.scenes import assert_equal, blocks, frames, level, small, smooth_depth
 
 BATCH = 5
@@ -35,9 +35,10 @@ def sim_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def run(path: Path, output: Path, config: Config) -> list[list[dict[str, Any]]]:
-    options = RunOptions(output, pictures=0, batch_size=BATCH)
-    engine.run(find_logs(path), config, LogOptions(), options)
-    tables = (pq.read_table(output / f"{name}.parquet") for name in ("frames", "obstacles"))
+    run_logs(path, output, config, pictures=0, batch_size=BATCH)
+    tables = (
+        pq.read_table(only_log(output) / f"{name}.parquet") for name in ("frames", "obstacles")
+    )
     return [table.to_pylist() for table in tables]
 
 
@@ -610,6 +611,7 @@ def test_a_forked_process_says_that_it_can_not_compute():
     """It would wait for threads that it lacks, for ever."""
     code = """
 import os, numpy as np, jaxdet
+from tests.runs import only_log, run_logs
 images = np.zeros((120, 160), "u1"), np.full((120, 160), 2.0)
 used = {name: jaxdet.Detector([120, 120, 80, 60], backend=name) for name in ("jax", "reference")}
 for number in (1, 2):

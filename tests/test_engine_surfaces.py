@@ -12,11 +12,11 @@ import pytest
 
 from jaxdet import detect, engine
 from jaxdet.config import Config
-from jaxdet.engine import RunOptions
-from jaxdet.io import LogOptions, find_logs, open_log
+from jaxdet.io import find_logs, open_log
 from jaxdet.presets import preset
 from jaxdet.results.summary import LogSummary
 from jaxdet.sim import SimConfig, write_log
+from tests.runs import only_log, run_logs
 
 FRAMES = 6
 TABLES = ("frames.parquet", "obstacles.parquet")
@@ -51,12 +51,12 @@ def results(sim_log: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Pa
 
 def run(log: Path, output: Path, config: Config | None = None, **options: Any) -> LogSummary:
     config = config or Config()
-    given = RunOptions(output, "reference", **{"pictures": 0, **options})
-    return engine.run(find_logs([str(log)]), config, LogOptions(), given).logs[0]
+    how = {"backend": "reference", "pictures": 0, **options}
+    return run_logs(log, output, config, **how).logs[0]
 
 
 def tables(folder: Path) -> tuple[list[dict], list[dict]]:
-    frames, obstacles = (pq.read_table(folder / f).to_pylist() for f in TABLES)
+    frames, obstacles = (pq.read_table(only_log(folder) / f).to_pylist() for f in TABLES)
     return frames, obstacles
 
 

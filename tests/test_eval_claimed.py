@@ -109,16 +109,14 @@ def test_places_are_those_of_the_simulator() -> None:
 
 def test_a_run_counts_it(tmp_path) -> None:
     from jaxdet.cli.truth import TruthScore
-    from jaxdet.engine import RunOptions, run
-    from jaxdet.io import LogOptions, find_logs
     from jaxdet.sim import SimConfig, write_log
+    from tests.runs import run_logs
 
     path = tmp_path / "sim.mcap"
     write_log(path, SimConfig(frames=2, width=320, height=240))
-    options = RunOptions(tmp_path / "out", "reference", 2, pictures=0)
     observers = {"score": TruthScore(path, Config())}
-    logs = find_logs([str(path)])
-    summary = run(logs, Config(), LogOptions(), options, observers=observers)
+    how = {"backend": "reference", "batch_size": 2, "pictures": 0, "observers": observers}
+    summary = run_logs(path, tmp_path / "out", **how)
     figures = summary.logs[0].observed["score"]
     assert figures is not None and figures["drivable_pixels"] > 10000
     assert 0 < figures["free_claimed"] <= figures["free_claimed_worst"] < 0.2

@@ -10,15 +10,13 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from jaxdet import engine, preset
+from jaxdet import preset
 from jaxdet.cli import main
-from jaxdet.config import Config
-from jaxdet.engine import RunOptions
 from jaxdet.errors import ConfigError, InputError
 from jaxdet.export import export
 from jaxdet.export.coco import run_lengths
 from jaxdet.export.recordings import Seen, find, look_again
-from jaxdet.io import LogOptions, find_logs, open_log
+from jaxdet.io import open_log
 from jaxdet.results.masks import label_image
 from jaxdet.results.reading import ResultLog, Results
 from jaxdet.sim import SimConfig, write_log
@@ -26,6 +24,7 @@ from jaxdet.types import CellLabels, Cells, Intrinsics
 from tests.camera_logs import join_cameras
 from tests.export_results import sim_log
 from tests.made_results import make_results
+from tests.runs import run_logs
 
 # pycocotools' own arrays don't know NumPy 2's copy.
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
@@ -101,7 +100,7 @@ def test_two_cameras(drive: Path, tmp_path: Path) -> None:
     write_log(tmp_path / "rear.mcap", SimConfig(frames=2, width=320, height=240, seed=5))
     both = {"front": drive / "drive.mcap", "rear": tmp_path / "rear.mcap"}
     log, folder = join_cameras(both, tmp_path / "two.mcap"), tmp_path / "out"
-    engine.run(find_logs([str(log)]), Config(), LogOptions(), RunOptions(folder, pictures=0))
+    run_logs(log, folder, pictures=0)
     coco = coco_of(folder, tmp_path / "set", str(log))
     assert len(check(coco, folder, tmp_path / "set")) > 20
     cameras = [image["camera"] for image in coco.loadImgs(coco.getImgIds())]
@@ -136,8 +135,7 @@ def test_a_log_that_is_gone_or_torn_is_left_out(
     """The others are written, and what is missing is said; logs that are given must be right."""
     logs = [sim_log(tmp_path / f"{name}.mcap", frames=2, seed=3) for name in "abc"]
     folder, output = tmp_path / "out", tmp_path / "set"
-    how = RunOptions(folder, pictures=0)
-    engine.run(find_logs([str(log) for log in logs]), Config(), LogOptions(), how)
+    run_logs(logs, folder, pictures=0)
     logs[0].rename(tmp_path / "moved.mcap")
 
     def torn(results: Results, log: ResultLog, *given: Any, **how: Any) -> Iterator[Seen]:

@@ -14,15 +14,13 @@ from mcap_protobuf.decoder import DecoderFactory
 from mcap_ros2.decoder import DecoderFactory as Ros2DecoderFactory
 from scipy.spatial.transform import Rotation, Slerp
 
-from jaxdet import engine
-from jaxdet.config import Config
-from jaxdet.engine import RunOptions
 from jaxdet.export import export
 from jaxdet.export.grid import FREE, OCCUPIED, last_grid
-from jaxdet.io import LogOptions, find_logs
+from jaxdet.io import LogOptions
 from jaxdet.results.reading import Frame, Results
 from tests.camera_logs import join_cameras
 from tests.export_results import run
+from tests.runs import run_logs
 from tests.test_io_image_folder import GIVEN, STAMPS, write_tum
 
 SCENE, BOXES, MAP, TF = (f"/jaxdet/{name}" for name in ("obstacles", "boxes", "map", "tf"))
@@ -283,8 +281,7 @@ def test_logs_with_other_topics_have_layouts_of_their_own(driven_log: Path, tmp_
     for log in logs[:2]:
         shutil.copy(driven_log, log)
     join_cameras({"rear": driven_log}, logs[2])
-    how = RunOptions(tmp_path / "results", backend="reference", pictures=0)
-    engine.run(find_logs([str(log) for log in logs]), Config(), LogOptions(), how)
+    run_logs(logs, tmp_path / "results", backend="reference", pictures=0)
     with Results(tmp_path / "results") as results:
         export(results, "foxglove", tmp_path / "out", {})
     names = {path.name for path in (tmp_path / "out").glob("*.json")}

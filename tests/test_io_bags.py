@@ -12,9 +12,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from jaxdet import engine
-from jaxdet.config import Config
-from jaxdet.engine import RunOptions
 from jaxdet.errors import FrameStatus, InputError
 from jaxdet.io import Log, LogOptions, find_logs, open_log, sqlite_index
 from jaxdet.io.bag import BagFile, records
@@ -23,6 +20,7 @@ from jaxdet.io.sqlite import SqliteFile
 from jaxdet.sim import SimConfig, write_log
 from tests.io_helpers import convert_log
 from tests.io_helpers import write_log as write_made
+from tests.runs import only_log, run_logs
 
 TABLES = ("frames.parquet", "obstacles.parquet")
 
@@ -51,9 +49,8 @@ def copy(path: Path, folder: Path) -> Path:
 
 
 def run(log: Path, output: Path) -> list[bytes]:
-    given = RunOptions(output, backend="reference", pictures=0, workers=1)
-    engine.run(find_logs([str(log)]), Config(), LogOptions(), given)
-    return [(output / name).read_bytes() for name in TABLES]
+    run_logs(log, output, backend="reference", pictures=0, workers=1)
+    return [(only_log(output) / name).read_bytes() for name in TABLES]
 
 
 def assert_same(found: Log, expected: Log) -> None:

@@ -10,12 +10,11 @@ import cv2
 import numpy as np
 import pytest
 
-from jaxdet.config import Config
-from jaxdet.engine import RunOptions, run
 from jaxdet.errors import CalibrationError, ConfigError, FrameStatus, InputError
 from jaxdet.io import LogOptions, find_logs, open_log
 from jaxdet.results.manifest import fingerprint
 from jaxdet.verify import verify
+from tests.runs import run_logs
 
 SIZE = (40, 30)
 K = (50.0, 51.0, 20.5, 14.5)
@@ -204,8 +203,7 @@ def test_results_of_a_folder(tmp_path):
     folder = write_tum(tmp_path / "room")
 
     def results(output: Path) -> Path:
-        how = RunOptions(output, backend="reference", pictures=0)
-        run(find_logs([str(folder)]), Config(), GIVEN, how)
+        run_logs(folder, output, log=GIVEN, backend="reference", pictures=0)
         return output
 
     found = verify(results(tmp_path / "out"))

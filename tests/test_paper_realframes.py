@@ -19,10 +19,10 @@ from benchmarks.paper.labelled import BOXES, RECORDINGS, Recording, find_recordi
 from benchmarks.paper.plan import Counts
 from jaxdet import reference
 from jaxdet.config import Config
-from jaxdet.engine import RunOptions, run
 from jaxdet.errors import InputError
-from jaxdet.io import LogOptions, find_logs, open_log
+from jaxdet.io import open_log
 from jaxdet.sim import SimConfig, load_obstacle_ids, write_log
+from tests.runs import only_log, run_logs
 
 FRAMES = {"aims_slam": 18, "d435_boxes_felixchenfy": 10}
 
@@ -131,10 +131,9 @@ def test_distances_are_in_the_depth_images(shared_data, name):
 def test_the_figures_are_those_of_a_run(shared_data, tmp_path):
     recording = next(one for one in RECORDINGS if one.name == "wheelchair")
     path, config = shared_data / recording.place, Config()
-    options = RunOptions(tmp_path, "reference", pictures=0)
-    run(find_logs([str(path)]), config, LogOptions(), options)
+    run_logs(path, tmp_path, config, backend="reference", pictures=0)
     script = str(shared_data / "labelled" / "score.py")
-    command = [sys.executable, script, str(tmp_path), "wheelchair", "--json"]
+    command = [sys.executable, script, str(only_log(tmp_path)), "wheelchair", "--json"]
     theirs = json.loads(subprocess.run(command, check=True, capture_output=True).stdout)
     judged = realframes.judge(realframes.Task(recording, shared_data, config, 0))
     for key in ("objects", "detections", "matched"):

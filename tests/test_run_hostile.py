@@ -151,6 +151,7 @@ import os, sys, time
 from pathlib import Path
 from jaxdet.errors import ConfigError
 from jaxdet.results.lock import Lock
+from tests.runs import run_logs
 
 folder, end, had = Path(sys.argv[1]), float(sys.argv[2]), 0
 while time.monotonic() < end:

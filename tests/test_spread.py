@@ -9,15 +9,14 @@ import numpy as np
 import pytest
 
 from benchmarks.scene import pin
-from jaxdet import detect, engine
-from jaxdet.config import Config
-from jaxdet.io import LogOptions, find_logs
+from jaxdet import detect
 from jaxdet.pipeline import find_floors
 from jaxdet.presets import PRESETS
 from jaxdet.sim import SimConfig, write_log
 from jaxdet.stages import _detect, _points, _spread, _upload
 from jaxdet.stages._spread import rows_over
 from jaxdet.types import Frames, GroundPlane
+from tests.runs import only_log, run_logs
 from tests.scenes import assert_equal, blocks, frames, level, small, smooth_depth, with_lens
 
 
@@ -101,10 +100,10 @@ def first(given: Frames, count: int) -> Frames:
 def runs(path: Path, output: Path, ways: list[tuple[Any, int]]) -> None:
     """Runs of each backend and batch size give the same bytes."""
     for backend, size in ways:
-        options = engine.RunOptions(output / f"{backend}{size}", backend, size, workers=1)
-        engine.run(find_logs([str(path)]), Config(), LogOptions(), options)
-    for name in ("frames.parquet", "obstacles.parquet", "map_sim.npz", "pictures/sim_000000.png"):
-        found = {(output / f"{b}{size}" / name).read_bytes() for b, size in ways}
+        how = {"backend": backend, "batch_size": size, "workers": 1}
+        run_logs(path, output / f"{backend}{size}", **how)
+    for name in ("frames.parquet", "obstacles.parquet", "map.npz", "pictures/000000.png"):
+        found = {(only_log(output / f"{b}{size}") / name).read_bytes() for b, size in ways}
         assert len(found) == 1, name
 
 

@@ -16,12 +16,10 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
-from jaxdet import engine
 from jaxdet.cli import main
 from jaxdet.config import Config, GroundConfig
-from jaxdet.engine import RunOptions
 from jaxdet.errors import ConfigError, InputError
-from jaxdet.io import LogOptions, find_logs
+from jaxdet.io import find_logs
 from jaxdet.sim import SimConfig, write_log
 from jaxdet.tracks import Track, TrackConfig, Tracker, track_results
 from jaxdet.tracks import folder as tracks_folder
@@ -30,6 +28,7 @@ from jaxdet.tracks.outlines import Outlines
 from jaxdet.tracks.seen import obstacles_seen
 from jaxdet.tracks.things import Things
 from jaxdet.tracks.tracker import PIECE_FRAMES
+from tests.runs import only_log, run_logs
 
 RATE_HZ = 15.0
 PERSON = (0.5, 0.4)
@@ -477,14 +476,10 @@ def results(folder: Path, name: str, sim: SimConfig, far_m: float = 4.0, **run: 
     """The results of simulated logs."""
     write_log(folder / f"{name}.mcap", sim)
     out = folder / name
-    engine.run(
-        find_logs([str(folder / f"{name}.mcap")]),
-        Config(ground=GroundConfig(max_depth_m=far_m)),
-        LogOptions(),
-        RunOptions(out, backend="reference", pictures=0, **run),
-        preset="wheeled",
-    )
-    return out
+    config = Config(ground=GroundConfig(max_depth_m=far_m))
+    how = {"backend": "reference", "pictures": 0, "preset": "wheeled", **run}
+    run_logs(folder / f"{name}.mcap", out, config, **how)
+    return only_log(out)
 
 
 SIM = SimConfig("moving", 12, 3, 8.0, 160, 120, camera_height_m=0.5)
@@ -504,8 +499,7 @@ def test_why_tracks_are_in_the_cameras_frame(
     sim = dataclasses.replace(SIM, odometry_hz=odometry_hz, frames=4)
     write_log(tmp_path / "log.mcap", sim)
     config = Config(ground=GroundConfig(source=source))
-    options = RunOptions(tmp_path / "out", backend="reference", pictures=0)
-    engine.run(find_logs([str(tmp_path / "log.mcap")]), config, LogOptions(), options)
+    run_logs(tmp_path / "log.mcap", tmp_path / "out", config, backend="reference", pictures=0)
     assert main(["track", str(tmp_path / "out")]) == 0
     assert f"in the camera's frame ({why});" in capsys.readouterr().out
 
@@ -531,7 +525,7 @@ def test_tables_of_a_folder(folder: Path, capsys: pytest.CaptureFixture):
         assert len(row["path"]) == 2 * len(row["speed_mps"]) == 2 * (frames if row["moving"] else 1)
         assert row["num_frames"] <= frames and row["in_world"]
     assert all(f.metadata[b"description"] for f in tracks.schema)
-    assert (folder / "tracks_log.png").exists() and not list(folder.glob(".jaxdet*"))
+    assert (folder / "tracks.png").exists() and not list(folder.glob(".jaxdet*"))
 
 
 def test_the_same_bytes(folder: Path, tmp_path: Path):
@@ -539,7 +533,7 @@ def test_the_same_bytes(folder: Path, tmp_path: Path):
     track_results(folder)
     other = results(tmp_path, "log", SIM, batch_size=5)
     track_results(other)
-    for name in ("tracks.parquet", "track_links.parquet", "tracks_log.png"):
+    for name in ("tracks.parquet", "track_links.parquet", "tracks.png"):
         before = (folder / name).read_bytes()
         assert (other / name).read_bytes() == before
         track_results(folder)
@@ -570,11 +564,11 @@ def split(log: Path, count: int, to: Path) -> None:
 def test_the_same_bytes_however_the_log_was_split(folder: Path, tmp_path: Path):
     split(folder.parent / "log.mcap", 5, tmp_path / "log")
     out = tmp_path / "out"
-    options = RunOptions(out, backend="reference", pictures=0)
     config = Config(ground=GroundConfig(max_depth_m=4.0))
     [log] = find_logs([str(tmp_path / "log")])
     assert len(log.paths) == 5
-    engine.run([log], config, LogOptions(), options, preset="wheeled")
+    run_logs([log], out, config, backend="reference", pictures=0, preset="wheeled")
+    out = only_log(out)
     track_results(out)
     track_results(folder)
     for name in ("tracks.parquet", "track_links.parquet"):
@@ -597,7 +591,7 @@ def test_logs_without_obstacles_or_poses(tmp_path: Path):
     assert pq.read_table(empty / "tracks.parquet").num_rows == 0
     blind = results(tmp_path, "blind", dataclasses.replace(SIM, frames=6, odometry_hz=0))
     (found,) = track_results(blind)
-    assert found.tracks and not found.in_world and not (blind / "tracks_blind.png").exists()
+    assert found.tracks and not found.in_world and not (blind / "tracks.png").exists()
 
 
 def edited(path: Path, column: str, values: list) -> None:
@@ -627,8 +621,7 @@ def test_what_is_told_of_each_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         sim = dataclasses.replace(SIM, frames=12, odometry_hz=hz)
         write_log(tmp_path / f"{name}.mcap", sim)
     out = tmp_path / "out"
-    options = RunOptions(out, backend="reference", pictures=0)
-    engine.run(find_logs([str(tmp_path)]), Config(), LogOptions(), options)
+    run_logs(tmp_path, out, backend="reference", pictures=0)
     frames = pq.read_table(out / "frames.parquet").to_pylist()
     places = [r["camera_position_world"] if r["frame"] > 1 else None for r in frames]
     edited(out / "frames.parquet", "camera_position_world", places)

@@ -31,7 +31,7 @@ class ExportCommand:
     """What ``jaxdet export`` takes."""
 
     results: Path = field(metadata={"positional": True, "takes": "RESULTS"})
-    """Folder that jaxdet run wrote."""
+    """Folder that jaxdet run wrote, or that of one log in it."""
     to: Literal["foxglove", "ros2", "nav2", "html", "rerun", "coco"]
     """The format, see above."""
     output: Path = field(metadata={"takes": "PATH"})
@@ -59,6 +59,7 @@ def main(args: list[str]) -> int:
         with Results(command.results) as results:
             recordings = find(results, command.log)
             left_out = export(results, command.to, command.output, recordings)
+            left_out += [f"{name} is of another configuration" for name in results.stale]
     more = len(left_out) - MOST_LINES
     for line in left_out[:MOST_LINES] + ([f"and {more} more logs"] if more > 0 else []):
         tell(f"jaxdet: warning: {line}")

@@ -17,7 +17,7 @@ from functools import cache
 from itertools import pairwise
 from typing import Any, NamedTuple
 
-LETTERS = {"--output": "-o", "--quiet": "-q", "--overwrite": "-y"}
+LETTERS = {"--verbose": "-v", "--output": "-o", "--quiet": "-q", "--overwrite": "-y"}
 """Short forms, in every command that has the flag: as in ffmpeg, ``rosbag`` and ``mcap``."""
 
 

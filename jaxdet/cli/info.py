@@ -57,6 +57,8 @@ class InfoCommand:
     """Print JSON."""
     check: bool = False
     """Read the logs as a whole: check every CRC, pair all frames, count all poses."""
+    join: bool = True
+    """Make one log of the split files of a recording."""
     ground: GroundConfig = field(default_factory=GroundConfig)
     log: LogOptions = field(default_factory=LogOptions)
 
@@ -72,7 +74,9 @@ def main(args: list[str]) -> int:
     failed, found = 0, []
     options = replace(command.log, scan=command.log.scan or command.check)
     method = replace(config, ground=command.ground)
-    todo = [(files, options) for files in reversed(find_logs(given(command.logs)))]
+    todo = [
+        (files, options) for files in reversed(find_logs(given(command.logs), join=command.join))
+    ]
     while todo:
         files, options = todo.pop()
         try:

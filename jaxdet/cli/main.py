@@ -12,7 +12,7 @@ from jaxdet.cli.spinner import SPINNER
 from jaxdet.cli.tell import tell
 from jaxdet.engine.signals import stops_raised
 from jaxdet.errors import ConfigError, Interrupted, JaxdetError, meant, printable
-from jaxdet.results.fault import fault_text
+from jaxdet.results.crash_report import crash_report
 
 COMMANDS = {
     "run": "find the obstacles in every frame of logs, and write tables and pictures",
@@ -122,7 +122,7 @@ def _reported(error: Exception) -> str:
         with NamedTemporaryFile(
             "w", prefix="jaxdet-", suffix=".txt", delete=False, encoding="utf-8"
         ) as file:
-            file.write(fault_text(error))
+            file.write(crash_report(error))
     except OSError:
         return f"an error in jaxdet itself ({kind}: {error})"
     return f"an error in jaxdet itself ({kind}); please report it with the file {file.name}"

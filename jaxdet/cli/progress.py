@@ -12,8 +12,8 @@ if TYPE_CHECKING:
     from jaxdet.engine import Progress, ProgressCallback
 
 LINE_EVERY_S = 10.0
-MAX_BARS = 6
-"""Logs shown at a time."""
+FEW_LOGS = 12
+"""Of so many logs each has a line of its own, where lines are written."""
 MAX_NAME = 20
 """Columns for a log's name, so that all fits in 80."""
 
@@ -44,29 +44,18 @@ def _bars() -> Iterator["ProgressCallback"]:
         TimeRemainingColumn(compact=True),
     )
     bars = Progress(*columns, console=Console(stderr=True), expand=True)
-    known: list[tuple[int, str]] = []
-    """Number and name of the log of each bar; the last one is moving."""
+    task = bars.add_task("", total=None, text="")
 
     def show(now: "Progress") -> None:
         with suppress(OSError):  # the terminal is gone
             SPINNER.stop()
             bars.start()
-            which = now.log_number, now.log
-            if not known or known[-1] != which:
-                # A log that has not been opened yet turns out to have several cameras.
-                if known and known[-1][0] == now.log_number and bars.tasks[-1].total is None:
-                    known[-1] = which
-                else:
-                    for task in bars.tasks[: len(known) + 1 - MAX_BARS]:
-                        bars.update(task.id, visible=False)
-                    bars.add_task("", total=None, text="")
-                    known.append(which)
-            state = {
-                "total": now.total or None,
-                "completed": now.done,
-                "text": _text(now, _slowest),
-            }
-            bars.update(bars.tasks[-1].id, description=f"{_which(now)}{now.log}", **state)
+            if now.num_logs > 1:
+                state = {"total": now.num_logs, "completed": now.logs_done}
+                bars.update(task, description="logs", text=_logs_text(now), **state)
+            else:
+                state = {"total": now.total or None, "completed": now.done}
+                bars.update(task, description=now.log, text=_text(now, _slowest), **state)
 
     try:
         yield show
@@ -76,21 +65,32 @@ def _bars() -> Iterator["ProgressCallback"]:
 
 
 class _Lines:
-    """A line at most every few seconds, and one at the end of each log."""
+    """A line at most every few seconds, and one at the end of each of a few logs."""
 
     def __init__(self) -> None:
         self.last = time.monotonic()
 
     def __call__(self, now: "Progress") -> None:
         unfinished = now.doing or now.done < now.total
+        if now.num_logs > FEW_LOGS:
+            unfinished = now.logs_done < now.num_logs
         if unfinished and time.monotonic() - self.last < LINE_EVERY_S:
             return
         self.last = time.monotonic()
-        tell(f"{_which(now)}{now.log}: {_text(now, _steps)}")
+        if now.num_logs > FEW_LOGS:
+            tell(_logs_text(now))
+        else:
+            tell(f"{_which(now)}{now.log}: {_text(now, _steps)}")
 
 
 def _which(now: "Progress") -> str:
     return f"[{now.log_number + 1}/{now.num_logs}] " if now.num_logs > 1 else ""
+
+
+def _logs_text(now: "Progress") -> str:
+    """Return how many logs are done and failed, and where the log stands that is worked on."""
+    failed = f", {now.logs_failed} failed" if now.logs_failed else ""
+    return f"{now.logs_done}/{now.num_logs} logs{failed}; {now.log}: {_text(now, _slowest)}"
 
 
 def _text(now: "Progress", steps: Callable[["Progress"], str]) -> str:

@@ -10,18 +10,28 @@ if TYPE_CHECKING:
 
 
 MANY_LOGS = 12
-"""With more logs than this each has one line."""
+"""Of more logs only the worst are listed."""
+MOST_WORST = 12
+"""Logs that are listed of many."""
 MOST_REMARKS = 12
 """Warnings, and notes, that are listed of many logs."""
 MOST_NAMED = 3
 """Logs named of those that have one."""
 
 
-def summary_lines(summary: "Summary", output: Path) -> list[str]:
-    """What a person wants to read after a run."""
+def summary_lines(summary: "Summary", output: Path, *, every: bool = False) -> list[str]:
+    """Return what a person wants to read after a run.
+
+    Args:
+        summary: The run.
+        output: Where the results are.
+        every: Say something of each of many logs, too.
+    """
     done = [log for log in summary.logs if log.log not in summary.kept]
     brief, text = len(done) > MANY_LOGS, []
-    for log in done:
+    if brief and not every:
+        text += _worst(done)
+    for log in done if every or not brief else ():
         if log.error:
             if log.frames or len(summary.logs) > 1:  # else there is no more than the error
                 text.append(f"{_label(log)}: failed after {many(log.frames, 'frame')}")
@@ -33,24 +43,40 @@ def summary_lines(summary: "Summary", output: Path) -> list[str]:
     if brief:
         whole = [log for log in done if not log.error]
         text += _remarks("warning", [(log, log.warnings) for log in whole])
-        text += _remarks("note", [(log, log.notes) for log in whole])
+        text += _remarks("note", [(log, log.notes) for log in whole]) if every else []
     failed = len(summary.failed)
     some = f"{failed} of {many(len(summary.logs), 'log')} failed"
     if failed == len(summary.logs) and not summary.frames:
-        return [*text, f"{some}; nothing was written" if failed > 1 else "nothing was written"]
+        return [*text, f"{some}; no results" if failed > 1 else "no results"]
     if summary.kept:
         stay = [log for log in summary.whole if log.log in summary.kept]
-        text.append(f"{many(len(summary.kept), 'log')} as before: {_counts(stay)}")
+        count = len({log.log for log in stay})
+        text.append(f"{many(count, 'log')} done before: {_counts(stay)}")
     done = [log for log in done if not log.error]
     frames, found = sum(log.frames for log in done), _counts(done)
     timed = frames and summary.seconds
     rate = f"{frames / summary.seconds:.1f} frames/s with start-up" if timed else ""
-    nothing_new = summary.kept and not done and not failed
+    nothing_new = summary.kept and not done
     text.append(f"{'nothing new' if nothing_new else found} in {summary.seconds:.1f} s")
     text[-1] += f" ({rate})" if rate else ""
     text[-1] += f"; {some}" if failed else ""
-    nothing = failed == len(summary.logs)
-    return [*text, "nothing was written" if nothing else _results_line(summary, output)]
+    return [*text, _results_line(summary, output)]
+
+
+def _worst(logs: Sequence["LogSummary"]) -> list[str]:
+    """Return a table of the logs that failed, lost frames or have most frames that are not ok."""
+    bad = [log for log in logs if log.error or log.lost or log.num_bad]
+    bad.sort(key=lambda log: (not log.error, not log.lost, -log.num_bad / max(1, log.frames)))
+    if not bad:
+        return []
+    shown = bad[:MOST_WORST]
+    width = max(len(_label(log)) for log in shown)
+    lines = [f"{'log':<{width}}  {'frames':>7}  {'not ok':>7}  status"]
+    for log in shown:
+        states = "failed" if log.error else _states(log)
+        lines.append(f"{_label(log):<{width}}  {log.frames:>7}  {log.num_bad:>7}  {states}")
+    left = len(bad) - len(shown)
+    return [*lines, f"and {left} more, see summary.json of each log"] if left else lines
 
 
 def _counts(logs: Sequence["LogSummary"]) -> str:
@@ -77,7 +103,7 @@ def _remarks(kind: str, each: Sequence[tuple["LogSummary", Sequence[str]]]) -> l
     common = sorted(found.items(), key=lambda item: -len(item[1]))[:MOST_REMARKS]
     lines = [f"{kind:<10} {_named(labels)}: {remark}" for remark, labels in common]
     left = len(found) - len(lines)
-    return [*lines, f"{kind:<10} {left} more in summary.json"] if left else lines
+    return [*lines, f"{kind:<10} {left} more, see summary.json of each log"] if left else lines
 
 
 def _named(labels: Sequence[str]) -> str:

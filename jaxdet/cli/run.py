@@ -1,8 +1,6 @@
 """``jaxdet run``: logs in, a results folder out."""
 
-import json
 import signal
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,16 +12,18 @@ from jaxdet.cli.spinner import SPINNER
 from jaxdet.cli.tell import tell
 from jaxdet.config import Config
 from jaxdet.engine.options import RunOptions
-from jaxdet.errors import Interrupted, ResultsError
+from jaxdet.errors import Interrupted
 from jaxdet.io.options import LogOptions
 from jaxdet.presets import DEFAULT_PRESET
 
 if TYPE_CHECKING:
+    from jaxdet.engine import Summary
     from jaxdet.engine.startup import Caches
 
 DESCRIPTION = """\
-Finds the obstacles in every frame of logs and writes frames.parquet, obstacles.parquet,
-config.json, summary.json, pictures and, where a log has poses, a map of it.
+Finds the obstacles in every frame of logs and writes for each log a folder with frames.parquet,
+obstacles.parquet, summary.json, pictures and, where it has poses, a map. Logs that are done are
+left as they are: the same command continues a run that was stopped.
 
 Examples:
   jaxdet run drive.mcap --output results
@@ -55,8 +55,7 @@ class RunCommand:
     """What ``jaxdet run`` takes."""
 
     logs: tuple[str, ...] = field(metadata={"positional": True, "takes": "LOG..."})
-    """MCAP, .bag or .db3 files, folders of them or of images, or globs; the split files of one
-    recording are one log."""
+    """MCAP, .bag or .db3 files, folders of them or of images, or globs."""
     run: RunOptions = field(metadata={"short": True})
     preset: str = DEFAULT_PRESET
     """Configuration to start from: wheeled, tabletop, paper, d435, d455, oak-d, zed, azure-kinect,
@@ -66,8 +65,12 @@ class RunCommand:
     """TOML file with sections as below, or the config.json of results."""
     truth: Path | None = field(default=None, metadata={"takes": "LOG"})
     """A simulated log whose truth the results are compared with."""
+    join: bool = True
+    """Make one log of the split files of a recording."""
     tracks: bool = False
     """Link the obstacles over time, as jaxdet track does."""
+    verbose: bool = False
+    """Say something of each log, of many too."""
     quiet: bool = False
     """Say nothing but errors."""
     json: bool = False
@@ -89,26 +92,22 @@ def main(args: list[str]) -> int:
     command = parse(args)
     if not (command.quiet or command.json):
         SPINNER.start("loading")
-    try:
-        return _run(command)
-    except ResultsError as error:
-        if not error.same:
-            raise
-        return _there(command)
+    return _run(command)
 
 
 def _run(command: RunCommand) -> int:
-    """Makes the results."""
+    """Make the results; return the exit code."""
     from jaxdet.engine.startup import cache_folders, start_cuda
 
-    if command.run.backend == "jax":
+    options = command.run
+    if options.backend == "jax":
         start_cuda()
     from jaxdet.cli.progress import reporting
-    from jaxdet.engine import run
+    from jaxdet.engine import Runner
     from jaxdet.io import find_logs
     from jaxdet.results.summary import to_json
 
-    logs = find_logs(given(command.logs))
+    logs = find_logs(given(command.logs), join=command.join)
     observers = {}
     if command.truth:
         from jaxdet.cli.truth import TruthScore  # which loads the simulator
@@ -116,23 +115,31 @@ def _run(command: RunCommand) -> int:
         observers["score"] = TruthScore(command.truth, command.method)
         observers["score"].check()
     silent = command.quiet or command.json
-    if command.run.backend == "jax" and not silent and (text := first_time(cache_folders())):
+    if options.backend == "jax" and not silent and (text := first_time(cache_folders())):
         _say(text)
         SPINNER.start("loading")
-    tracks = command.run.output / "tracks.parquet"
-    had_tracks = tracks.exists()
-    with reporting(silent) as progress:
-        how = command.log, command.run, progress, observers, command.preset
-        summary = run(logs, command.method, *how, say=(lambda text: None) if silent else _say)
+    own = ("batch_size", "pictures", "map", "overwrite", "update")
+    how: dict[str, Any] = {name: getattr(options, name) for name in own}
+    resources = options.backend, options.workers, options.memory
+    with reporting(silent) as progress, Runner(*resources) as runner:
+        summary = runner.run(
+            logs,
+            options.output,
+            command.method,
+            log=command.log,
+            **how,
+            progress=progress,
+            observers=observers,
+            preset=command.preset,
+            say=(lambda text: None) if silent else _say,
+        )
     if command.json:
         print(to_json(summary.to_dict()), end="")
-    elif not (command.quiet or command.run.share):
-        print("\n".join(summary_lines(summary, command.run.output)))
-    code = _exit_code(summary.to_dict())
-    if command.tracks and summary.whole and not command.run.share:
+    elif not command.quiet:
+        print("\n".join(summary_lines(summary, options.output, every=command.verbose)))
+    code = _exit_code(summary, updated=options.update)
+    if command.tracks and summary.whole:
         _link(command)
-    elif had_tracks and not (tracks.exists() or silent):
-        _say("tracks were of the old tables and are gone: jaxdet track makes them again")
     return code
 
 
@@ -150,29 +157,16 @@ def first_time(caches: "Caches") -> str:
     return f"the first run compiles for this machine, up to half a minute; kept in {folder}"
 
 
-def _there(command: RunCommand) -> int:
-    """The results that the command makes are there; whoever repeats it wants to know no more."""
-    text = (command.run.output / "summary.json").read_text(encoding="utf-8")
-    if command.json:
-        print(text, end="")
-    elif not command.quiet:
-        _say(f"{command.run.output} holds the results of this command already")
-    code = _exit_code(json.loads(text))
-    again = any(log["error"] or log["lost"] for log in json.loads(text)["logs"])
-    if again and not (command.run.update or command.run.parts):
-        tell("jaxdet: --update does again what failed or was lost")
-    if command.tracks:
-        _link(command)
-    return code
-
-
-def _exit_code(told: Mapping[str, Any]) -> int:
-    """Says what went wrong in a run, whose summary this is."""
+def _exit_code(summary: "Summary", *, updated: bool) -> int:
+    """Report what went wrong in a run; return the exit code."""
     from jaxdet.results.summary import problems
 
-    errors = problems(told)
+    errors = problems(summary.to_dict())
     for error in errors:
         tell(f"jaxdet: error: {error}")
+    again = any(log.error or log.lost for log in summary.logs if log.log in summary.kept)
+    if again and not updated:
+        tell("jaxdet: --update does again what failed or was lost")
     return 1 if errors else 0
 
 
@@ -181,12 +175,10 @@ def _link(command: RunCommand) -> None:
     from jaxdet.cli.track import track_lines
     from jaxdet.tracks import track_results
 
-    if (command.run.output / "tracks.parquet").exists():
-        return
     try:
-        found = track_results(command.run.output)
+        found = track_results(command.run.output, missing=True)
     except KeyboardInterrupt as stop:
-        text = "interrupted while linking; the results are whole, and the same command goes on"
+        text = "interrupted while linking; the same command goes on"
         raise Interrupted(getattr(stop, "signal", signal.SIGINT), text) from None
     if not (command.quiet or command.json):
         print("\n".join(track_lines(found)))

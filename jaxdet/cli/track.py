@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from jaxdet.cli.flags import parse_flags
+from jaxdet.cli.report import MANY_LOGS
 from jaxdet.cli.spinner import SPINNER
 from jaxdet.tracks.config import TrackConfig
 
@@ -16,7 +17,7 @@ DESCRIPTION = """\
 Links the obstacles of each log over time: in the world where the log has poses, else in the
 camera's floor frame. Writes tracks.parquet (one row a track: path, speed, whether it moves),
 track_links.parquet (the track of each row of obstacles.parquet, in its order) and a picture of
-each map with the paths, into the results folder; tracks that are there are replaced.
+the map with the paths, into the folder of each log; tracks that are there are replaced.
 
 Example:
   jaxdet track results
@@ -32,7 +33,7 @@ class TrackCommand:
     """What ``jaxdet track`` takes."""
 
     results: Path = field(metadata={"positional": True, "takes": "RESULTS"})
-    """Folder that jaxdet run wrote."""
+    """Folder that jaxdet run wrote, or that of one log in it."""
     track: TrackConfig = field(default_factory=TrackConfig, metadata={"short": True})
     quiet: bool = False
     """Say nothing but errors."""
@@ -51,7 +52,12 @@ def main(args: list[str]) -> int:
 
 
 def track_lines(found: Sequence["LogTracks"]) -> list[str]:
-    """What is said of the tracks, a line a log."""
+    """Return what is said of the tracks: a line for each log, or one for many."""
+    if len(found) > MANY_LOGS:
+        tracks, moving = sum(log.tracks for log in found), sum(log.moving for log in found)
+        linked, obstacles = sum(log.linked for log in found), sum(log.obstacles for log in found)
+        text = f"{len(found)} logs: {tracks} tracks, {moving} moving"
+        return [f"{text}; {linked} of {obstacles} obstacles are in one"]
     lines = []
     for log in found:
         blind = log.tracks - log.in_world

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from jaxdet.verify import Report
 
 DESCRIPTION = """\
-Checks results: every file against its checksum in manifest.json; the tables, which must be in
+Checks results: every file against its checksum in the manifest.json of its log; the tables, which must be in
 order, belong together and have a row for every frame; tracks, which linking the obstacles once
 more must give again; stamps and poses of all frames against the logs; and of each log some frames,
 whose rows the NumPy reference must find again, byte for byte. The logs are looked for where the
@@ -32,7 +32,7 @@ class VerifyCommand:
     """What ``jaxdet verify`` takes."""
 
     results: Path = field(metadata={"positional": True, "takes": "RESULTS"})
-    """Folder that jaxdet run wrote."""
+    """Folder that jaxdet run wrote, or that of one log in it."""
     against: tuple[str, ...] = field(default=(), metadata={"takes": "LOG..."})
     """Where the logs are now: MCAP files, folders or globs."""
     sample: int = 8

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from jaxdet.engine.floors import GroundRecord, Planes, decide_planes
-    from jaxdet.engine.local import run
+    from jaxdet.engine.one_log import run_one
     from jaxdet.engine.options import RunOptions
     from jaxdet.engine.plan import Observer, Unit
     from jaxdet.engine.progress import Progress, ProgressCallback
-    from jaxdet.engine.one_log import run_one
+    from jaxdet.engine.runner import Runner, run
     from jaxdet.engine.startup import start_up, use_caches
     from jaxdet.results.names import log_name
     from jaxdet.results.summary import LogSummary, Summary, plain
@@ -26,12 +26,13 @@ _MODULES = {
     "Progress": "engine.progress",
     "ProgressCallback": "engine.progress",
     "RunOptions": "engine.options",
+    "Runner": "engine.runner",
     "Summary": "results.summary",
     "Unit": "engine.plan",
     "decide_planes": "engine.floors",
     "log_name": "results.names",
     "plain": "results.summary",
-    "run": "engine.local",
+    "run": "engine.runner",
     "run_one": "engine.one_log",
     "start_up": "engine.startup",
     "use_caches": "engine.startup",
@@ -45,6 +46,7 @@ __all__ = [
     "Progress",
     "ProgressCallback",
     "RunOptions",
+    "Runner",
     "Summary",
     "Unit",
     "decide_planes",

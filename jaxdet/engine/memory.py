@@ -40,7 +40,7 @@ BATCH = 16
 """Frames computed together by a process of the CPU, unless the user says."""
 READ_AHEAD = 2
 """Batches that wait, read, where one process has all cores."""
-_IN_HAND = 5
+_BATCHES_IN_FLIGHT = 5
 """Batches in a process beside those: filled, started, finished, and as much for temporaries."""
 
 
@@ -55,7 +55,7 @@ class Needs(NamedTuple):
     """Rows of the tables that wait in this process."""
 
 
-class Allotment(NamedTuple):
+class MemoryPlan(NamedTuple):
     """How a log is worked on, so that the memory is enough."""
 
     workers: int
@@ -123,7 +123,7 @@ class Memory:
         given = self._asked, self.workers // 2, self._devices
         return Memory(*given, apart=self.apart, largest=self._largest)
 
-    def allot(self, needs: Needs, batch: int, workers: int, where: str) -> Allotment:
+    def allot(self, needs: Needs, batch: int, workers: int, where: str) -> MemoryPlan:
         """How a log is worked on, with the most of everything that there is room for.
 
         Args:
@@ -137,15 +137,16 @@ class Memory:
         """
         for count in range(min(workers, self.workers), 0, -1):
             left = self._left(count) - self.chunks
-            left -= (needs.known * (count + 1) + needs.rows) // count
+            # With workers the index is on its way to them once more.
+            left -= (needs.known * (count + 1 + (count > 1)) + needs.rows) // count
             ahead = READ_AHEAD if count == 1 and not self._devices else 0
             size = batch
             while size:
                 for waiting in range(ahead, -1, -1):
-                    if (_IN_HAND + waiting) * size * needs.frame <= left:
-                        return Allotment(count, size, waiting)
+                    if (_BATCHES_IN_FLIGHT + waiting) * size * needs.frame <= left:
+                        return MemoryPlan(count, size, waiting)
                 size //= 2
-        rest = _IN_HAND * needs.frame + 2 * needs.known + needs.rows
+        rest = _BATCHES_IN_FLIGHT * needs.frame + 2 * needs.known + needs.rows
         chunks = max(LEAST_CHUNKS, min(2 * self._largest, rest))  # which get half of what is left
         least = size_text(self._fixed(1) + chunks + rest)
         problem = f"its images, index and rows need more memory than {size_text(self.total)}"

@@ -1,36 +1,41 @@
 """One log into one folder: what other engines than this machine's call."""
 
+import atexit
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 from jaxdet.config import Config
 from jaxdet.config_file import changed
-from jaxdet.engine.local import run
-from jaxdet.engine.options import RunOptions
+from jaxdet.engine.runner import Runner
 from jaxdet.errors import InputError
 from jaxdet.io import LogOptions, find_logs
 from jaxdet.presets import DEFAULT_PRESET, preset
 
-OPTIONS = ("backend", "workers", "memory", "batch_size", "pictures")
-"""Keys of ``how`` that are fields of :class:`RunOptions`."""
+RUNNER = ("backend", "workers", "memory")
+"""Keys of ``how`` that are arguments of :class:`jaxdet.Runner`."""
+OPTIONS = ("batch_size", "pictures", "map")
+"""Keys of ``how`` that are arguments of :meth:`jaxdet.Runner.run`."""
 
 
 def run_one(log_path: str, folder: str | Path, how: Mapping[str, Any]) -> dict[str, Any]:
     """Find the obstacles of one log and write its results into a new folder.
 
+    Worker processes and compiled programs stay for the next call in this process.
+
     Args:
         log_path: File of the log, or folder of the files of one recording.
-        folder: New folder for the results; its parent exists. ``manifest.json`` arrives last.
+        folder: New folder for the results; its parent exists. ``manifest.json`` is written last.
         how: Plain values, all optional: ``name`` (of the log; by default from its path),
             ``preset``, ``config`` (sections of the configuration as in ``config.json``), ``log``
-            (:class:`jaxdet.LogOptions`), ``backend``, ``workers``, ``memory``, ``batch_size`` and
-            ``pictures`` (:class:`RunOptions`).
+            (fields of :class:`jaxdet.LogOptions`), ``backend``, ``workers``, ``memory``,
+            ``batch_size``, ``pictures`` and ``map`` (see :func:`jaxdet.run`).
 
     Returns:
         ``status`` (``done`` or ``failed``), ``name``, ``frames``, ``obstacles``, ``seconds``,
-        ``warnings``, ``lost`` (ranges of frames without results) and ``error``. A log that failed
-        leaves no folder.
+        ``warnings``, ``lost`` (ranges of frames without results) and ``error``. The folder of a
+        log that failed holds ``failed.json`` in place of results.
 
     Raises:
         ConfigError: Something in ``how`` is wrong.
@@ -45,28 +50,33 @@ def run_one(log_path: str, folder: str | Path, how: Mapping[str, Any]) -> dict[s
     }
     config = Config(**{**vars(config), **sections})
     log_options = changed(LogOptions(), how.get("log") or {}, "log", "how")
-    options = RunOptions(Path(folder), **{key: how[key] for key in OPTIONS if key in how})
+    runner = _runner(*(how.get(key) for key in RUNNER))
+    options = {key: how[key] for key in OPTIONS if key in how}
     try:
         logs = find_logs([log_path])
         if len(logs) != 1:
             raise InputError(f"holds {len(logs)} logs, not one", path=log_path)
-        given = logs[0]._replace(name=how.get("name") or logs[0].name)
-        summary = run([given], config, log_options, options, preset=name)
     except InputError as error:
-        return _outcome(how.get("name") or Path(log_path).stem, error=str(error))
+        found = {"name": how.get("name") or log_path, "frames": 0, "obstacles": 0, "seconds": 0.0}
+        return {"status": "failed", **found, "warnings": [], "lost": [], "error": str(error)}
+    given = logs[0]._replace(name=how.get("name") or logs[0].name)
+    summary = runner.run_alone(given, Path(folder), config, log=log_options, preset=name, **options)
     errors = "; ".join(log.error for log in summary.failed if log.error)
-    return _outcome(
-        given.name,
-        frames=summary.frames,
-        obstacles=summary.obstacles,
-        seconds=round(summary.seconds, 3),
-        warnings=[warning for log in summary.logs for warning in log.warnings],
-        lost=[lost for log in summary.logs for lost in log.lost],
-        error=errors or None,
-    )
+    return {
+        "status": "done" if summary.whole else "failed",
+        "name": given.name,
+        "frames": summary.frames,
+        "obstacles": summary.obstacles,
+        "seconds": round(summary.seconds, 3),
+        "warnings": [warning for log in summary.logs for warning in log.warnings],
+        "lost": [lost for log in summary.logs for lost in log.lost],
+        "error": errors or None,
+    }
 
 
-def _outcome(name: str, **values: Any) -> dict[str, Any]:
-    nothing = {"frames": 0, "obstacles": 0, "seconds": 0.0, "warnings": [], "lost": []}
-    found = {"name": name, **nothing, "error": None, **values}
-    return {"status": "failed" if found["error"] else "done", **found}
+@cache
+def _runner(backend: Any, workers: Any, memory: Any) -> Runner:
+    """Return the runner of this process for these arguments."""
+    runner = Runner(backend=backend or "jax", workers=workers, memory=memory)
+    atexit.register(runner.close)
+    return runner

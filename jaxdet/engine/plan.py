@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from jaxdet.config import Config
 from jaxdet.engine.floors import Planes
-from jaxdet.engine.part_store import PartStore
 from jaxdet.pipeline import BackendName
 from jaxdet.types import Detections
 
@@ -82,14 +81,14 @@ class LogPlan(NamedTuple):
     drawn: frozenset[int]
     """Frames to draw."""
     folder: Path
-    """Where parts and pictures go."""
-    file_name: str
-    """What the names of pictures begin with."""
+    """Folder of the log's results, in which pictures are drawn."""
+    scratch: Path
+    """Folder for temporary files."""
+    picture: str
+    """What names of pictures begin with."""
+    maps: bool
+    """Whether there is to be a map."""
     observers: Mapping[str, Observer]
-    scan: bool = False
-    """The log is read as a whole, as its index isn't enough."""
-    store: PartStore | None = None
-    """Where parts go besides, for other machines."""
 
     def units(self) -> Iterator[Unit]:
         """The units, in the order of their frames."""

@@ -5,29 +5,36 @@ import signal
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from functools import partial
 from multiprocessing import forkserver, resource_tracker
 from multiprocessing.connection import wait
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from jaxdet.config import Config
+from jaxdet.engine.part import Part
 from jaxdet.engine.plan import LogPlan, Unit
 from jaxdet.engine.signals import STOPS, stops_held_back
 from jaxdet.engine.slots import Slots
 from jaxdet.engine.startup import may_use_gpus, start_cuda, start_up
 from jaxdet.engine.station import Station
 from jaxdet.engine.unit_queue import UnitQueue
-from jaxdet.engine.worker import Failure, Worker, lose_unit, run_unit
+from jaxdet.engine.worker import (
+    Context,
+    Failure,
+    PackedContext,
+    UnitContext,
+    Worker,
+    mark_unit_failed,
+    run_unit,
+)
 from jaxdet.errors import FrameStatus, WorkerError
 from jaxdet.pipeline import BackendName
-from jaxdet.results.summary import Counts
 
 if TYPE_CHECKING:
+    from jaxdet.engine.lane import Served
     from jaxdet.io import Log
-    from jaxdet.types import Calibration
 
 Value = TypeVar("Value")
 Label = TypeVar("Label")
@@ -81,9 +88,8 @@ def _start_server(loaded: list[str]) -> None:
                 raise WorkerError(problem, remedy=_SHORT_TMPDIR) from error
 
 
-SaveWork = Callable[[LogPlan], Path]
-"""Writes what workers need for a plan as things are now (:func:`jaxdet.engine.worker.save_work`),
-and returns the new file."""
+MakeContext = Callable[[], UnitContext]
+"""Makes what workers need for a log, as things are now."""
 
 
 class Pool:
@@ -95,8 +101,8 @@ class Pool:
     They start when they are first needed and stay for the next log. On Linux and macOS they are
     forked from a server that has loaded JAX and Warp once, elsewhere each loads them itself.
 
-    When one dies or hangs, all are ended and started anew: what was whole is on the disk, and each
-    loses at most the unit that it worked on.
+    When one dies or hangs, all are ended and started again; each loses at most the units that it
+    was given.
 
     Args:
         count: Number of processes.
@@ -112,14 +118,14 @@ class Pool:
         self._workers: list[Worker] = []
         self._early = 0
         """Workers that died before they had begun, since one has answered."""
-        self._ended, self._awake = threading.Event(), threading.Event()
+        self._ended, self._started = threading.Event(), threading.Event()
 
     def __enter__(self) -> "Pool":
         """The pool itself."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Ends the processes at once: what is whole is on the disk."""
+        """End the processes at once."""
         self.close()
 
     @property
@@ -137,11 +143,11 @@ class Pool:
             self._station = Station(self.count, self.devices) if self.devices else None
             ends = self._station.ends if self._station else [None] * self.count
             self._workers = [Worker(self._context, self._backend, end) for end in ends]
-            self._ended, self._awake = threading.Event(), threading.Event()
+            self._ended, self._started = threading.Event(), threading.Event()
             # In a thread, as the fork server takes a while to load what it loads, and so that a
             # signal never leaves a process half started; not to be joined: a Ctrl-C while Python
             # joins one marks it as ended.
-            given = self._workers, self._ended, self._awake
+            given = self._workers, self._ended, self._started
             threading.Thread(target=_wake, args=given, name="jaxdet-pool", daemon=True).start()
 
     def resize(self, count: int) -> None:
@@ -159,16 +165,16 @@ class Pool:
         return self._station.enter(log, config, batch_size, piece_frames)
 
     @property
-    def entered(self) -> "tuple[Slots, Calibration] | None":
-        """What workers are served in, see :attr:`Station.entered`."""
-        return self._station and self._station.entered
+    def serving(self) -> "Served | None":
+        """What workers are served in, see :attr:`Station.serving`."""
+        return self._station and self._station.serving
 
     def close(self) -> None:
         """Ends the processes."""
         with stops_held_back():
             if self._workers:
                 self._ended.set()
-                self._awake.wait()
+                self._started.wait()
             for worker in self._workers:
                 worker.end()
             if self._station is not None:
@@ -176,7 +182,7 @@ class Pool:
             self._workers, self._station = [], None
 
     def call(self, function: Callable[..., Value], *args: Any) -> Value:
-        """What a worker's call of a function returns.
+        """Return what a worker's call of a function returns; it is tried twice.
 
         Raises:
             WorkerError: The worker died or hangs.
@@ -184,33 +190,40 @@ class Pool:
         """
         where = "before the first frame"
         try:
-            return self._call(where, function, *args)
+            return self._call(where, None, function, *args)
         except _WorkerLostError:
-            return self._call(where, function, *args)
+            return self._call(where, None, function, *args)
 
     def each(
-        self, function: Callable[..., Any], tasks: Mapping[Label, tuple]
+        self, context: Context, function: Callable[..., Any], tasks: Mapping[Label, tuple]
     ) -> Generator[tuple[Label, Any], None, None]:
         """What workers' calls of a function return, as they come.
 
         When a worker dies, hangs or runs out of memory all have ended, and nothing comes after.
 
         Args:
+            context: What the calls have in common.
             function: Of the module level.
-            tasks: Its arguments, in the order in which they are given out.
+            tasks: Its other arguments, in the order in which they are given out.
 
         Returns:
             The task's key, and what was returned; :data:`LOST` for what the lost worker was at.
         """
         todo = deque(tasks.items())
-        with closing(self._answers(partial(self._give_each, function, todo))) as answers:
+        give = partial(self._give_each, PackedContext(context), function, todo)
+        with closing(self._answers(give)) as answers:
             for worker, told in answers:
                 if isinstance(told, _Problem):
                     yield worker.given[0], LOST
                     return
                 yield from told
 
-    def _give_each(self, function: Callable[..., Any], todo: deque[tuple[Any, tuple]]) -> None:
+    def _give_each(
+        self,
+        context: PackedContext,
+        function: Callable[..., Any],
+        todo: deque[tuple[Any, tuple]],
+    ) -> None:
         """Gives workers calls to do, one ahead while there are more than workers.
 
         The last ones wait here for whoever is done first.
@@ -220,100 +233,109 @@ class Pool:
                 spare = len(todo) > len(self._workers) * (most > 1)
                 if len(worker.given) < most and spare:
                     label, args = todo.popleft()
-                    worker.give(label, function, *args)
+                    worker.give(label, function, *args, context=context)
 
     def _answers(
         self, give: Callable[[], None]
     ) -> "Generator[tuple[Worker, list[tuple[Any, Any]] | _Problem], None, None]":
-        """What :meth:`_look` yields until workers have nothing to do; ends those that still have.
+        """What :meth:`_poll` yields until workers have nothing to do; ends those that still have.
 
         Args:
             give: Gives them more, if there is more.
         """
         self.start()
-        self._awake.wait()
+        self._started.wait()
         try:
             while True:
                 give()
                 if not any(worker.given for worker in self._workers):
                     return
-                yield from self._look()
+                yield from self._poll()
         finally:
             if any(worker.given for worker in self._workers):
                 self.close()
 
     def work_through(
-        self, plan: LogPlan, units: Iterable[Unit], save: SaveWork
-    ) -> Generator[Counts, None, None]:
-        """The counts of units of a log, each as its part is there.
+        self, plan: LogPlan, make_context: MakeContext
+    ) -> Generator[tuple[Unit, Part], None, None]:
+        """Yield the units of a log with their parts, as they come.
 
         A unit whose worker dies, hangs or runs out of memory is tried once more, alone and, where
         workers compute, in smaller batches. If that fails too its part says that it is lost.
 
         Args:
             plan: The log's.
-            units: Which.
-            save: Called now and after each new start.
+            make_context: Called now and after each new start.
 
         Raises:
-            WorkerError: A worker failed in a way that nobody foresaw.
+            WorkerError: A worker failed in an unforeseen way.
             JaxdetError: As :func:`jaxdet.engine.worker.run_unit` raises it.
         """
-        todo = UnitQueue(units, self.count)
+        todo = UnitQueue(plan.units(), self.count)
         while todo:
-            lost = yield from self._until_one_is_lost(plan, todo, save(plan))
+            lost = yield from self._until_one_is_lost(plan, todo, PackedContext(make_context()))
             if lost:
-                yield self._once_more(plan, *lost, save)
+                yield lost[0], self._retry(plan, *lost, make_context)
 
     def _until_one_is_lost(
-        self, plan: LogPlan, todo: UnitQueue, path: Path
-    ) -> "Generator[Counts, None, tuple[Unit, _Problem] | None]":
-        """Takes units from ``todo`` until none is left, or a worker failed; then all have ended."""
-        with closing(self._answers(partial(self._give, todo, path))) as answers:
+        self, plan: LogPlan, todo: UnitQueue, context: PackedContext
+    ) -> "Generator[tuple[Unit, Part], None, tuple[Unit, _Problem] | None]":
+        """Take units from ``todo`` until none is left, or a worker failed; then all have ended."""
+        give = partial(self._give, todo, context, plan.batch_size)
+        with closing(self._answers(give)) as answers:
             for worker, told in answers:
                 if isinstance(told, _Problem):
                     lost = worker.given[0]
                     given = {unit for one in self._workers for unit in one.given}
                     todo.put_back(given - {lost})
                     return lost, told
-                for unit, counts in told:
-                    if isinstance(counts, Failure):
+                for unit, part in told:
+                    if isinstance(part, Failure):
                         self._drain()
-                        raise counts.as_raised(plan.where(unit))
-                    yield counts
+                        raise part.as_raised(plan.where(unit))
+                    yield unit, part
         return None
 
-    def _give(self, todo: UnitQueue, path: Path) -> None:
-        """Gives workers units to do."""
+    def _give(self, todo: UnitQueue, context: PackedContext, batch_size: int) -> None:
+        """Give workers units to do."""
         for most in range(1, WAITING + 1):
             for number, worker in enumerate(self._workers):
                 if len(worker.given) < most and (unit := todo.take(number)):
-                    worker.give(unit, run_unit, path, unit)
+                    worker.give(unit, run_unit, batch_size, unit, context=context)
 
     def _drain(self) -> None:
         """Waits for what has been given out, which is not wanted any more."""
         while any(worker.given for worker in self._workers):
-            if any(isinstance(told, _Problem) for _, told in self._look()):
+            if any(isinstance(told, _Problem) for _, told in self._poll()):
                 return
 
-    def _once_more(self, plan: LogPlan, unit: Unit, problem: "_Problem", save: SaveWork) -> Counts:
-        """A lost unit, alone; its frames get a status where that fails too."""
-        smaller = plan if self.devices else plan._replace(batch_size=max(1, plan.batch_size // 2))
+    def _retry(
+        self, plan: LogPlan, unit: Unit, problem: "_Problem", make_context: MakeContext
+    ) -> Part:
+        """Return the part of a lost unit, which is done alone; its frames get a status if not."""
+        batch = plan.batch_size if self.devices else max(1, plan.batch_size // 2)
+        where = plan.where(unit)
         try:
-            return self._call(plan.where(unit), run_unit, save(smaller), unit)
+            return self._call(where, make_context, run_unit, batch, unit)
         except _WorkerLostError as again:
             self.close()
             status, reason = again.problem
             reason += ", twice" * (reason == problem.reason)
-            given = save(plan), unit, status, reason
-            return self._call(plan.where(unit), lose_unit, *given)
+            return self._call(where, make_context, mark_unit_failed, unit, status, reason)
 
-    def _call(self, where: str, function: Callable[..., Value], *args: Any) -> Value:
+    def _call(
+        self,
+        where: str,
+        make_context: MakeContext | None,
+        function: Callable[..., Value],
+        *args: Any,
+    ) -> Value:
         self.start()
-        self._awake.wait()
-        self._workers[0].give(where, function, *args)
+        self._started.wait()
+        context = PackedContext(make_context()) if make_context else None
+        self._workers[0].give(where, function, *args, context=context)
         while True:
-            for _, told in self._look():
+            for _, told in self._poll():
                 if isinstance(told, _Problem):
                     self.close()
                     raise _WorkerLostError(where, told)
@@ -322,7 +344,7 @@ class Pool:
                         raise found.as_raised(where)
                     return found
 
-    def _look(self) -> "Iterator[tuple[Worker, list[tuple[Any, Any]] | _Problem]]":
+    def _poll(self) -> "Iterator[tuple[Worker, list[tuple[Any, Any]] | _Problem]]":
         """Waits a little; what workers answered, or what is the matter with one.
 
         Raises:
@@ -335,8 +357,8 @@ class Pool:
         passed = min(time.monotonic() - before, 2 * _LOOK_S)
         for worker in list(self._workers):
             if worker.pipe not in told:
-                worker.still += passed if worker.given else 0.0
-                if worker.still > NO_PROGRESS_S:
+                worker.idle_s += passed if worker.given else 0.0
+                if worker.idle_s > NO_PROGRESS_S:
                     text = f"a worker process made no progress for {NO_PROGRESS_S:g} s"
                     yield worker, _Problem(FrameStatus.TIMEOUT, text)
                     return

@@ -29,6 +29,10 @@ class Progress(NamedTuple):
     """Frames a second of each step alone."""
     doing: str = ""
     """What goes on before the first unit is through."""
+    logs_done: int = 0
+    """Logs whose results are there."""
+    logs_failed: int = 0
+    """Logs that failed, of these."""
 
 
 ProgressCallback = Callable[[Progress], None]
@@ -36,17 +40,6 @@ ProgressCallback = Callable[[Progress], None]
 
 Report = Callable[[LogSummary, str, int, str], None]
 """Gets where a log stands: summary, label, frames, and what goes on."""
-
-
-def reporter(progress: ProgressCallback | None, number: int, count: int) -> Report:
-    """Tells a callback where the log of a number, of so many, stands."""
-
-    def report(part: LogSummary, label: str, total: int, doing: str) -> None:
-        if progress:
-            state = part.frames, total, part.num_bad, part.frames_per_s, part.bottleneck
-            progress(Progress(label, number, count, *state, part.rates, doing))
-
-    return report
 
 
 @dataclass

@@ -20,7 +20,6 @@ from jaxdet.engine.slots import Piece, Piped, Reply, Sample, Slots
 
 if TYPE_CHECKING:
     from jaxdet.io import Log
-    from jaxdet.types import Calibration
 
 PIECE_FRAMES, PIECE_BYTES = 16, 24 << 20
 """Frames of a slot: so many, or as many as take so much memory, but one."""
@@ -59,10 +58,10 @@ class Station:
         self._log = None
 
     @property
-    def entered(self) -> "tuple[Slots, Calibration] | None":
-        """The slots that workers are served in, and of what camera."""
+    def serving(self) -> "Served | None":
+        """What workers are served in: slots, camera and configuration."""
         log = self._log
-        return log and (log.memory.slots, log.served.calibration)
+        return log and log.served._replace(slots=log.memory.slots)
 
     def enter(
         self, log: "Log", config: Config, batch_size: int | None, piece_frames: int

@@ -1,4 +1,4 @@
-"""A unit of work: a range of a log's frames in, a part of the results out."""
+"""A unit of work: a range of a log's frames in, its part of the results out."""
 
 import time
 from collections import Counter, deque
@@ -12,11 +12,10 @@ from jaxdet.engine.color import shown_color
 from jaxdet.engine.device import Device, Found
 from jaxdet.engine.part import Part
 from jaxdet.engine.plan import LogPlan, Unit
-from jaxdet.engine.sharing import send
 from jaxdet.errors import FrameStatus
 from jaxdet.floor.plane import join_planes
 from jaxdet.render import draw_frame, write_png
-from jaxdet.results.durable import sha256, writing
+from jaxdet.results.durable import writing
 from jaxdet.results.metric import rectangles
 from jaxdet.results.occupancy import OccupancyMap
 from jaxdet.results.rows import (
@@ -53,20 +52,21 @@ class LogWork:
         """Called after each batch."""
         self._busy: Counter[str] = Counter()
 
+    def close(self) -> None:
+        """Close the log."""
+        self.log.close()
+
     def work_through(
         self, units: Iterable[Unit], read_ahead: int = 0
-    ) -> Generator[Counts, None, None]:
-        """Leaves the part of each unit in the log's folder, in order.
+    ) -> Generator[tuple[Unit, Part], None, None]:
+        """Yield each unit with its part, in order.
 
         Args:
             units: Which.
             read_ahead: Batches that are read ahead in a thread; changes no result.
-
-        Returns:
-            The counts of each part.
         """
         in_flight: deque[_InFlight] = deque()
-        building: list[_NewPart] = []
+        building: list[_PartBuilder] = []
         try:
             with closing(_ahead(self._batches(units), read_ahead)) as batches:
                 for unit, batch in batches:
@@ -80,20 +80,17 @@ class LogWork:
                 with suppress(Exception):
                     self.device.finish(one.started)
 
-    def lose(self, unit: Unit, status: FrameStatus, reason: str) -> Counts:
-        """Leaves a part for a unit that can't be worked on: rows with a status and no results.
+    def mark_failed(self, unit: Unit, status: FrameStatus, reason: str) -> Part:
+        """Return the part of a unit that can't be worked on: rows with a status, no results.
 
         No image is read.
 
         Args:
             unit: Which.
-            status: Of its frames.
+            status: Status of its frames.
             reason: Why, for people.
-
-        Returns:
-            Its counts.
         """
-        plan, building = self.plan, _NewPart(self.plan)
+        plan, building = self.plan, _PartBuilder(self.plan)
         numbers = [number for number in plan.frames if unit.start <= number < unit.stop]
         for first in range(0, len(numbers), plan.batch_size):
             some = numbers[first : first + plan.batch_size]
@@ -102,9 +99,7 @@ class LogWork:
             nothing = Found(no_inputs(len(some)), None)
             building.add(_InFlight(unit, some, batch, plane, None), nothing)
         lost = f"{plan.where(unit)}: {status} ({reason})"
-        part = building.whole()._replace(errors=[], lost=lost)
-        part.save(plan.folder, unit)
-        return part.counts
+        return building.complete()._replace(errors=[], lost=lost)
 
     def _batches(self, units: Iterable[Unit]) -> Iterator[tuple[Unit, "Batch"]]:
         plan = self.plan
@@ -127,24 +122,21 @@ class LogWork:
         )
         return _InFlight(unit, numbers, batch, plane, started)
 
-    def _finish(self, one: "_InFlight", building: list["_NewPart"]) -> Iterator[Counts]:
-        """Waits for a batch; with the last one of a unit its part is whole."""
+    def _finish(
+        self, one: "_InFlight", building: list["_PartBuilder"]
+    ) -> Iterator[tuple[Unit, Part]]:
+        """Wait for a batch; yield the part of its unit with the last one of it."""
         if not building:
-            building.append(_NewPart(self.plan))
+            building.append(_PartBuilder(self.plan))
         found = self._timed(self.device.doing, self.device.finish, one.started)
         self._busy.update(found.busy_s)
         self._timed("write", building[0].add, one, found)
         self.batch_done()
         if one.numbers[-1] + 1 == one.unit.stop:
-            part: Part = self._timed("write", building.pop().whole)
-            # With the file, as who goes on with the run counts its frames; the time that it takes
-            # to write it is the next one's.
+            part: Part = self._timed("write", building.pop().complete)
             busy, self._busy = self._busy, Counter()
             part.counts.busy_s.update(busy)
-            self._timed("write", part.save, self.plan.folder, one.unit)
-            if self.plan.store:
-                self._timed("write", send, self.plan.store, self.plan, one.unit)
-            yield part.counts
+            yield one.unit, part
 
     def _timed(self, what: str, function: Callable[..., Any], *args: Any) -> Any:
         start = time.perf_counter()
@@ -167,7 +159,7 @@ class _InFlight(NamedTuple):
     """What the device knows it by."""
 
 
-class _NewPart:
+class _PartBuilder:
     """The part of a unit, batch by batch; its rows are made at once, as arrays of all frames."""
 
     def __init__(self, plan: LogPlan) -> None:
@@ -176,7 +168,7 @@ class _NewPart:
         """What rows need of each batch."""
         seen = {name: [] for name in plan.observers}
         none = Tables.joined(())
-        self.part = Part(Counts(), none, OccupancyMap(), [], {}, seen, [])
+        self.part = Part(Counts(), none, OccupancyMap(), [], [], seen, [])
 
     def add(self, one: _InFlight, found: Found) -> None:
         """Uses what was found in a batch."""
@@ -188,12 +180,12 @@ class _NewPart:
         part.errors.extend(f"frame {number}: {error}" for number, error in errors if error)
         if found.whole is not None:
             shown = shown_planes(found.inputs, one.plane, batch.frames.calibration)
-            part.pictures.update(self._draw(one, found.whole, shown))
+            part.pictures.extend(self._draw(one, found.whole, shown))
             for name, observer in plan.observers.items():
                 part.seen[name].append(observer(batch, found.whole))
 
-    def whole(self) -> Part:
-        """The part, when all batches are in it."""
+    def complete(self) -> Part:
+        """Return the part, when all batches are in it."""
         plan, part = self.plan, self.part
         batches, planes, inputs = zip(*self.held, strict=True)
         batch = batches[0].joined(batches)
@@ -201,26 +193,25 @@ class _NewPart:
         given = batch, join_planes(planes), sources, joined_inputs(inputs), plan.config
         rows = batch_rows(plan.log, plan.camera, *given)
         part.counts.count(rows.frames)
-        part.map.add_path(rows.T_world_camera)
-        part.map.add(rows.obstacles["corners_world"])
-        part.map.add_free(rows.free_world)
+        if plan.maps:
+            part.map.add_path(rows.T_world_camera)
+            part.map.add(rows.obstacles["corners_world"])
+            part.map.add_free(rows.free_world)
         return part._replace(rows=Tables.of(rows.frames, rows.obstacles), notes=[batch.notes])
 
-    def _draw(
-        self, one: _InFlight, found: Detections, plane: GroundPlane
-    ) -> Iterator[tuple[str, str]]:
+    def _draw(self, one: _InFlight, found: Detections, plane: GroundPlane) -> Iterator[str]:
         plan, frames = self.plan, one.batch.frames._replace(plane=plane)
         corners = rectangles(found.obstacles, frames.calibration.depth_unit, plan.config.footprint)
         for row, number in enumerate(one.numbers):
             if number in plan.drawn and frames.valid[row]:
-                name = f"pictures/{plan.file_name}_{number:06d}.png"
+                name = f"pictures/{plan.picture}{number:06d}.png"
                 title = f"{plan.label}   frame {number}"
                 picture = draw_frame(frames, found, corners, row, plan.config, title)
                 path = plan.folder / name
                 with writing(path):
-                    path.parent.mkdir(exist_ok=True)
+                    path.parent.mkdir(parents=True, exist_ok=True)
                     write_png(path, picture)
-                    yield name, sha256(path)
+                yield name
 
 
 def _ahead(items: Iterator[Item], depth: int) -> Generator[Item, None, None]:

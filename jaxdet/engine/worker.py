@@ -13,11 +13,11 @@ from collections.abc import Callable
 from contextlib import suppress
 from functools import lru_cache
 from multiprocessing.connection import wait
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from jaxdet.engine.device import OwnDevice, SharedDevice, out_of_memory
 from jaxdet.engine.floors import Planes, decide_planes
+from jaxdet.engine.part import Part, rows_path
 from jaxdet.engine.plan import LogPlan, Unit
 from jaxdet.engine.signals import ignore_stops
 from jaxdet.engine.slots import Piped, Slots
@@ -25,14 +25,14 @@ from jaxdet.engine.startup import start_reading, start_up
 from jaxdet.engine.unit import LogWork
 from jaxdet.errors import FrameStatus, JaxdetError, WorkerError
 from jaxdet.pipeline import BackendName
-from jaxdet.results.durable import writing
-from jaxdet.results.summary import Counts
 
 if TYPE_CHECKING:
     from jaxdet.io import Log
 
 _ALIVE, _ALIVE_S = "alive", 1.0
 """What a worker says, and how often at most."""
+_NEW_CONTEXT = "context"
+"""Sent to a worker before a context."""
 
 
 class Failure(NamedTuple):
@@ -50,6 +50,31 @@ class Failure(NamedTuple):
         error = WorkerError(f"{where}: {self.error}")
         error.add_note(f"{where}, in a worker process:\n{self.trace}")
         return error
+
+
+class Context(Protocol):
+    """What several calls in a worker need; it is sent to each worker once."""
+
+    def open(self) -> Any:
+        """Return the first argument of the calls, in the worker.
+
+        Its ``close`` is called when the next context arrives.
+        """
+        ...
+
+
+_numbers = itertools.count(1)
+
+
+class PackedContext:
+    """A context on its way to workers.
+
+    Args:
+        context: It, as it is now.
+    """
+
+    def __init__(self, context: Context) -> None:
+        self.number, self.data = next(_numbers), pickle.dumps(context, 5)
 
 
 class Worker:
@@ -70,8 +95,10 @@ class Worker:
         """What it has been given and has not answered, the oldest first."""
         self.ready = False
         """It has begun."""
-        self.still = 0.0
-        """Seconds without a sign of progress, while it has something to do."""
+        self.idle_s = 0.0
+        """Time without a sign of progress, while it has something to do [s]."""
+        self._context = 0
+        """Number of the context that it has."""
 
     def start(self) -> None:
         """Starts the process; takes a while."""
@@ -82,11 +109,27 @@ class Worker:
             if self._piped:
                 self._piped.pipe.close()  # so that the station sees when the worker is gone
 
-    def give(self, label: Any, function: Callable[..., Any], *args: Any) -> None:
-        """Gives it a function; ``label`` says what it is."""
+    def give(
+        self, label: Any, function: Callable[..., Any], *args: Any, context: PackedContext | None
+    ) -> None:
+        """Give it a function to call.
+
+        Args:
+            label: Returned with the answer.
+            function: Of the module level.
+            args: Its arguments, small ones where the worker has something to do.
+            context: Makes its first argument; None: it has none. A new one is sent only to a
+                worker that has nothing to do, which therefore reads it.
+        """
+        new = context is not None and context.number != self._context
+        assert not (new and self.given)
         self.given.append(label)
         with suppress(OSError):  # it has died, which receive() says
-            self.pipe.send_bytes(pickle.dumps((function, args), 5))
+            if context is not None and new:
+                self._context = context.number
+                self.pipe.send_bytes(pickle.dumps(_NEW_CONTEXT, 5))
+                self.pipe.send_bytes(context.data)
+            self.pipe.send_bytes(pickle.dumps((function, args, context is not None), 5))
 
     def receive(self) -> list[tuple[Any, Any]]:
         """What it has answered since, with the labels.
@@ -98,7 +141,7 @@ class Worker:
         try:
             while self.pipe.poll():
                 told = self.pipe.recv()
-                self.still = 0.0
+                self.idle_s = 0.0
                 if isinstance(told, _Answer):
                     answers.append((self.given.popleft(), told.value))
                 else:
@@ -109,7 +152,7 @@ class Worker:
         return answers
 
     def end(self) -> None:
-        """Kills it; what is whole is on the disk."""
+        """Kill it."""
         if self.process.pid is not None:
             self.process.kill()
             self.process.join()
@@ -163,66 +206,45 @@ def shared_device(slots: Slots) -> SharedDevice:
     return SharedDevice(slots, _piped)
 
 
-_open: dict[Path, LogWork] = {}
-"""Likewise: the log of the last unit, by the file of :func:`save_work`."""
-
-
-_numbers = itertools.count()
-"""Of the files that workers are given."""
-
-
-def save_work(folder: Path, given: Any) -> Path:
-    """Writes what workers need of several tasks, in a new file of a folder."""
-    path = folder / f"{os.getpid()}-{next(_numbers)}.work"
-    with writing(path):
-        path.write_bytes(pickle.dumps(given, 5))
-    return path
-
-
-class UnitWork(NamedTuple):
+class UnitContext(NamedTuple):
     """What :func:`run_unit` needs in another process."""
 
     log: "Log"
-    """Open; what is in its files does not go with it."""
+    """Open log; the content of its files does not go with it."""
     plan: LogPlan
     slots: Slots | None
     """With GPUs: where images go."""
 
+    def open(self) -> LogWork:
+        """Return the work on the log."""
+        own = OwnDevice(self.plan.config, self.plan.backend, ahead=0)
+        device = shared_device(self.slots) if self.slots else own
+        work = LogWork(self.log, self.plan, device)
+        work.batch_done = tell_alive
+        return work
 
-def run_unit(path: Path, unit: Unit) -> Counts:
-    """In a worker: leaves the part of a unit, which depends on nothing but the arguments.
+
+def run_unit(work: LogWork, batch_size: int, unit: Unit) -> Part:
+    """In a worker: return the part of a unit, with its rows in a temporary file.
 
     Args:
-        path: Holds :class:`UnitWork`.
+        work: See :class:`UnitContext`.
+        batch_size: Frames computed together, where not as many as planned.
         unit: One of the plan's.
-
-    Returns:
-        Its counts.
 
     Raises:
         JaxdetError: The log can't be read any more, or needs to be scanned as a whole.
-        OutputError: The disk is full or broken, or the plan's store can't be reached.
+        OutputError: The disk is full or broken.
     """
-    (counts,) = _opened(path).work_through([unit])
-    return counts
+    work.plan = work.plan._replace(batch_size=batch_size)
+    ((_, part),) = work.work_through([unit])
+    return part.saved(rows_path(work.plan.scratch, unit))
 
 
-def lose_unit(path: Path, unit: Unit, status: FrameStatus, reason: str) -> Counts:
-    """In a worker: leaves a part of rows without results, see :meth:`LogWork.lose`."""
-    return _opened(path).lose(unit, status, reason)
-
-
-def _opened(path: Path) -> LogWork:
-    if path not in _open:
-        for work in _open.values():
-            work.log.close()
-        _open.clear()
-        given: UnitWork = pickle.loads(path.read_bytes())
-        log, plan, slots = given
-        own = OwnDevice(plan.config, plan.backend, ahead=0)
-        _open[path] = work = LogWork(log, plan, shared_device(slots) if slots else own)
-        work.batch_done = tell_alive
-    return _open[path]
+def mark_unit_failed(work: LogWork, unit: Unit, status: FrameStatus, reason: str) -> Part:
+    """In a worker: return a part of rows without results, see :meth:`LogWork.mark_failed`."""
+    part = work.mark_failed(unit, status, reason)
+    return part.saved(rows_path(work.plan.scratch, unit))
 
 
 def decide_floors(*args: Any) -> Planes:
@@ -237,11 +259,35 @@ def _work(backend: BackendName, pipe: Any, piped: Piped | None) -> None:
     threading.Thread(target=_end_with_parent, daemon=True).start()
     _begin(backend, reads_only=piped is not None)
     _piped, _progress = piped, _Alive(pipe)
+    context: Any = None
     with suppress(EOFError, OSError):
         pipe.send(_ALIVE)
         while True:
-            function, args = pickle.loads(pipe.recv_bytes())
-            pipe.send(_Answer(_guarded(function, args)))
+            message = pickle.loads(pipe.recv_bytes())
+            if message == _NEW_CONTEXT:
+                if hasattr(context, "close"):
+                    context.close()
+                context = _Lazy(pipe.recv_bytes())
+                continue
+            function, args, with_context = message
+            if with_context and isinstance(context, _Lazy):
+                opened = _guarded(context.open, ())
+                if isinstance(opened, Failure):
+                    pipe.send(_Answer(opened))
+                    continue
+                context = opened
+            pipe.send(_Answer(_guarded(function, (context, *args) if with_context else args)))
+
+
+class _Lazy(NamedTuple):
+    """A context that is not open yet."""
+
+    data: bytes
+
+    def open(self) -> Any:
+        """Return what calls need of it."""
+        context: Context = pickle.loads(self.data)
+        return context.open()
 
 
 class _Alive:

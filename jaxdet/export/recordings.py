@@ -1,19 +1,18 @@
 """The logs that results are of, read and looked at again where a format shows images or points."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from jaxdet.engine import Planes, decide_planes, start_up
-from jaxdet.engine.known import LogIdentity, by_content
 from jaxdet.errors import CalibrationError, FrameStatus, InputError, RescanError, TopicError
 from jaxdet.io import Batch, Log, LogFiles, LogOptions, find_logs, open_log
 from jaxdet.pipeline import detect
-from jaxdet.results.manifest import fingerprint, read_manifest
-from jaxdet.results.reading import Chunk, ResultLog, Results
+from jaxdet.results.manifest import fingerprint
+from jaxdet.results.reading import MOST_NAMED, Chunk, ResultLog, Results
 from jaxdet.results.rows import to_host
 from jaxdet.types import Detections
 
@@ -45,27 +44,49 @@ def find(results: Results, given: Sequence[str]) -> dict[str, LogFiles]:
     Raises:
         InputError: One of them is no log of the results.
     """
-    logs = find_logs(given) if given else []
     names = {log.name for log in results.logs}
+    logs = _best(given, names)
     if len(logs) == len(names) == 1:
         return dict(zip(names, logs, strict=True))
-    failed = {entry["log"] for entry in results.summary["logs"] if entry["error"]} - names
+    failed = {failure.log for failure in results.failed} - names
     logs = [log for log in logs if log.name not in failed]
     found = {log.name: log for log in logs if log.name in names}
-    unknown = [log for log in logs if log.name not in names]
-    inputs = read_manifest(results.folder)["inputs"] if unknown else {}
-    left = names - found.keys()
-    same = by_content(
-        [LogIdentity(log.name, (), [*map(fingerprint, log.paths)]) for log in unknown],
-        [LogIdentity(name, (), inputs[name]) for name in inputs if name in left],
-    )
-    for log in unknown:
-        if log.name not in same:
-            problem = f"no log {log.name!r}; it holds {', '.join(sorted(names)) or 'none'}"
+    for log in logs:
+        if log.name in names:
+            continue
+        name = _by_content(results, log)
+        if name is None or name in found:
+            some = ", ".join(sorted(names)[:MOST_NAMED]) or "none"
+            problem = f"no log {log.name!r}; it holds {some}"
             remedy = "logs are known by their names, else by what is in them"
             raise InputError(problem, path=str(results.folder), remedy=remedy)
-        found[same[log.name]] = log
+        found[name] = log
     return found
+
+
+def _best(given: Sequence[str], names: Collection[str]) -> list[LogFiles]:
+    """Return the logs that are named, with splits joined or not, as the results have them."""
+    if not given:
+        return []
+    logs = find_logs(given)
+    if any(log.about and log.name not in names for log in logs):
+        apart = find_logs(given, join=False)
+        if all(log.name in names for log in apart):
+            return apart
+    return logs
+
+
+def _by_content(results: Results, log: LogFiles) -> str | None:
+    """Return the log of the results that has the content of another one's files; None: none."""
+
+    def contents(inputs: Iterable[Mapping[str, Any]]) -> list[tuple[Any, Any]]:
+        return [(file.get("size"), file.get("fingerprint")) for file in inputs]
+
+    own = contents(map(fingerprint, log.paths))
+    for manifest in results.manifests.values():
+        if contents(manifest.get("inputs", ())) == own:
+            return manifest["log"]
+    return None
 
 
 def recorded(log: ResultLog, flag: str = "--log") -> LogFiles:

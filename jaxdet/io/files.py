@@ -3,8 +3,7 @@
 import glob
 import os
 import re
-from collections import Counter
-from collections.abc import Container, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain, islice, pairwise
 from os import PathLike
 from pathlib import Path
@@ -40,8 +39,6 @@ version, and nowhere has it the camera's calibration."""
 EXPORTED = ".jaxdet.mcap"
 """How files for Foxglove and ROS 2 are named that jaxdet exports, for beside the log. The name says
 so, as their headers are those of any writer."""
-VAGUE = ("data", "dataset", "frames", "images", "recording", "rgbd")
-"""What folders of images are called that are told apart by the folders they are in."""
 _MAX_LISTED, _MAX_MISSING = 4, 1000
 
 
@@ -49,26 +46,35 @@ class LogFiles(NamedTuple):
     """One log: a file, or the split files of one recording in order."""
 
     name: str
-    """Unique among the logs found together; may hold ``/`` (parent folders)."""
+    """Its path under the folder that was named, without the suffix; printable."""
     paths: tuple[Path, ...]
     note: str = ""
-    """What is to be said of their choice."""
+    """Warning about their choice."""
+    about: str = ""
+    """Note about their choice: what was joined."""
 
 
-def find_logs(inputs: Sequence[str | PathLike[str]] | str | PathLike[str]) -> list[LogFiles]:
-    """The logs in files, folders (searched with their subfolders) and globs.
+def find_logs(
+    inputs: Sequence[str | PathLike[str]] | str | PathLike[str], *, join: bool = True
+) -> list[LogFiles]:
+    """Find the logs in files, folders (searched with their subfolders) and globs.
 
-    Files ``NAME_0.mcap``, ``NAME_1.mcap``, ... of one folder are the splits of one log called
-    ``NAME``, in the order of their numbers, with or without a ``metadata.yaml``, unless what is in
-    them speaks against it (:mod:`jaxdet.io.splits`); every other ``.mcap`` file is a log called by
-    its stem. So are ``.db3`` and ``.bag`` files; of a recording that a folder holds in several of
-    these formats one is taken, MCAP first. A folder of colour and depth images
-    (:mod:`jaxdet.io.image_folder`) is a log called by its name, but where a recording lies in it or
-    beside it, whose images they are. So is a folder that can't be listed, which fails when it is
-    opened. Exports of jaxdet are left out, unless they are named themselves. Names are made
-    printable. Equal names get as many parent folders put before them as it takes, and :data:`VAGUE`
-    ones of folders of images one. A file named twice counts once; the order is by path and does not
-    depend on the order of ``inputs``.
+    Files ``NAME_0.mcap``, ``NAME_1.mcap``, ... of one folder are one log called ``NAME``, in the
+    order of their numbers, where ``metadata.yaml`` lists them or their numbers, topics,
+    calibration and times follow on (:mod:`jaxdet.io.splits`); every other ``.mcap`` file is a log.
+    So are ``.db3`` and ``.bag`` files; of a recording that a folder holds in several of these
+    formats one is taken, MCAP first. A folder of colour and depth images
+    (:mod:`jaxdet.io.image_folder`) is a log, but where a recording lies in it or beside it, whose
+    images they are. So is a folder that can't be listed, which fails when it is opened. Exports of
+    jaxdet are left out, unless they are named themselves.
+
+    A log is called by its path under the folder that was named (of a glob: under the folder before
+    the first ``*``), so its name does not depend on other logs. A file named twice counts once, by
+    its longest name; the order is by path and does not depend on the order of ``inputs``.
+
+    Args:
+        inputs: What is looked through.
+        join: Join the splits of a recording; else every file is a log.
 
     Raises:
         InputError: An input doesn't exist or holds nothing that is read.
@@ -81,43 +87,54 @@ def find_logs(inputs: Sequence[str | PathLike[str]] | str | PathLike[str]) -> li
         if not isinstance(item, str | PathLike):
             problem = f"{type(item).__name__} is no path"
             raise InputError(problem, topic="inputs", remedy="give texts or paths")
-    chosen: list[Path] = []
+    chosen: dict[Path, Path] = {}
     said: dict[Path, str] = {}
     for item in named:
-        found, notes = _files(os.fspath(item))
-        chosen += found
+        text = os.fspath(item)
+        found, notes = _files(text)
+        root = _root(text)
+        for path in found:
+            chosen[path] = min(root, chosen.get(path, root), key=lambda root: len(root.parts))
         said |= {path.resolve(): note for path, note in notes.items()}
     paths = _once(chosen)
-
-    def note_of(place: Path) -> str:
-        return said.get(paths[place].target, "")
-
     groups: dict[tuple[Path, str, str], list[Path]] = {}
     for (_, stem, number, _), path in sorted((_order(path), path) for path in paths):
-        key = path.parent, path.name if number < 0 else stem, path.suffix
+        key = path.parent, path.name if number < 0 or not join else stem, path.suffix
         groups.setdefault(key, []).append(path)
-    stems, members, vague = [], [], set()
-    for (_, stem, _), group in groups.items():
+    logs = []
+    for group in groups.values():
         parts = [Recording(tuple(group), "")]
         if len(group) > 1:
-            parts = recordings((_split(path)[1], path) for path in group)
+            parts = recordings([(_split(path)[1], path) for path in group])
         for part in parts:
-            alone = len(part.paths) == 1 or len(parts) > 1
-            first = part.paths[0]
-            alone_name = first if first.is_dir() else first.with_suffix("")
-            if first.is_dir() and first.name.lower() in VAGUE and first.parent.name:
-                vague.add(len(stems))
-            stems.append(alone_name if alone else first.with_name(stem))
-        members += parts
-    names = _unique_names(stems, vague)
-    return [
-        LogFiles(
-            name,
-            tuple(paths[path].path for path in part.paths),
-            "; ".join(filter(None, [part.note, *map(note_of, part.paths)])),
-        )
-        for name, part in zip(names, members, strict=True)
-    ]
+            files = [paths[path] for path in part.paths]
+            notes = "; ".join(filter(None, (said.get(file.target, "") for file in files)))
+            name = _name(files[0], chosen[files[0].path], joined=len(files) > 1)
+            logs.append(LogFiles(name, tuple(file.path for file in files), notes, part.note))
+    return logs
+
+
+def _root(text: str) -> Path:
+    """Return the folder under which the logs of an input have their names."""
+    path = Path(text)
+    if path.is_dir():
+        return path
+    if path.exists() or not glob.has_magic(text):
+        return path.parent
+    first = next(number for number, part in enumerate(path.parts) if glob.has_magic(part))
+    return Path(*path.parts[:first])
+
+
+def _name(file: "_Named", root: Path, *, joined: bool) -> str:
+    """Return the name of a log by its first file and the folder that was named."""
+    path = file.path
+    if path == root:  # a folder that is a log, named itself
+        return printable(path.resolve().name or "log")
+    own = path.name if path.is_dir() else path.stem
+    if joined and (split := _split(path))[1] >= 0:
+        own = split[0]
+    folders = path.parent.parts[len(root.parts) :] if path.is_relative_to(root) else ()
+    return printable("/".join((*folders, own)))
 
 
 class _Named(NamedTuple):
@@ -413,25 +430,3 @@ def _late_split(path: Path) -> re.Match[str] | None:
 
 def _order(path: Path) -> tuple[str, str, int, str]:
     return (str(path.parent), *_split(path), path.name)
-
-
-def _unique_names(stems: Sequence[Path], vague: Container[int] = ()) -> list[str]:
-    """Each log's name; ``vague`` has the places of those that say nothing without a folder's."""
-    names = [
-        printable("/".join(stem.parts[-2:]) if number in vague else stem.name)
-        for number, stem in enumerate(stems)
-    ]
-    for depth in range(2, 1 + max((len(stem.parts) for stem in stems), default=0)):
-        counts = Counter(names)
-        if len(counts) == len(names):
-            break
-        names = [
-            printable("/".join(stem.parts[-depth:])) if counts[name] > 1 else name
-            for name, stem in zip(names, stems, strict=True)
-        ]
-    found: dict[str, None] = {}
-    for number, name in enumerate(names):  # what is printable may be equal
-        while name in found:
-            name = f"{name} ({number})"
-        found[name] = None
-    return list(found)

@@ -121,6 +121,8 @@ def _search_siblings(
 def _note(contents: LogContents, log: LogFiles) -> None:
     if log.note:
         contents.warnings.append(log.note)
+    if log.about:
+        contents.notes.append(log.about)
     gaps = missing_splits(log)
     if gaps:
         numbers = ", ".join(map(str, gaps[:10]))

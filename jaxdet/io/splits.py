@@ -1,13 +1,16 @@
 """Which files numbered one after the other are splits of one recording.
 
 rosbag2 calls the files of a recording ``NAME_0.mcap``, ``NAME_1.mcap``, ...; so do people who
-number their recordings. Splits have the same topics with the same schemas and the same calibration,
-and each goes on where the one before ends. Where a file has no index nothing speaks against it.
+number their recordings. Files that ``metadata.yaml`` beside them lists are one recording. Others
+are only where one can be sure of it: their numbers follow on, they have the same topics with the
+same schemas and the same calibration, and the images of each begin within about a second of the
+end of those before, without an overlap.
 """
 
-from collections.abc import Iterable
+import re
+from collections.abc import Sequence
 from contextlib import suppress
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
 from jaxdet.errors import InputError, RescanError
@@ -20,12 +23,16 @@ from jaxdet.io.messages import IMAGE_KINDS, kind_of
 from jaxdet.io.options import LogOptions
 from jaxdet.io.validity import values_of
 
-_MAX_OVERLAP_NS = 1_000_000_000
+_MAX_OVERLAP_NS = 100_000_000
 """Images of two splits may overlap by this: a recorder has several queues."""
-_MAX_GAP_NS = 60_000_000_000
-"""Longest pause between the images of a split and of the next."""
+_MAX_GAP_NS = 1_000_000_000
+"""Longest pause between the images of a split and of the next, or two periods of the images."""
 _MOST_STEPS = 10
 """Where more splits lack, the pause may be no longer: their numbers may be times."""
+METADATA = "metadata.yaml"
+"""File in which rosbag2 lists the files of a recording."""
+_LISTED = re.compile(r"^[ \t]*relative_file_paths:[ \t]*\n((?:[ \t]*-[^\n]*\n?)+)", re.MULTILINE)
+_MOST_BYTES = 1 << 20
 
 
 class Sketch(NamedTuple):
@@ -39,6 +46,8 @@ class Sketch(NamedTuple):
     """Log times of the first and the last image; None without."""
     calibrations: dict[str, tuple[object, ...] | None]
     """By topic, see :func:`jaxdet.io.validity.values_of`."""
+    period_ns: int = 0
+    """Mean time between images of the topic that has fewest; 0 where there are too few."""
 
 
 def sketch(path: Path) -> Sketch | None:
@@ -59,6 +68,8 @@ def _sketch(file: LogFile) -> Sketch:
     images = [key for key, info in useful.items() if kind_of(info.schema_name) in IMAGE_KINDS]
     seen = [key for key in images if key in counts]
     spans = [(counts[key].first_ns, counts[key].last_ns) for key in seen]
+    several = [counts[key] for key in seen if counts[key].messages > 1]
+    periods = [(one.last_ns - one.first_ns) // (one.messages - 1) for one in several]
     builder = ContentsBuilder(LogContents(str(file.path)), use_tf=False, images=False)
     search_index(file, builder)
     known = builder.contents.calibrations.items()
@@ -67,6 +78,7 @@ def _sketch(file: LogFile) -> Sketch:
         frozenset(useful[key].topic for key in seen),
         (min(first for first, _ in spans), max(last for _, last in spans)) if spans else None,
         {topic: values_of(item.first) for topic, item in known if item.first},
+        max(periods, default=0),
     )
 
 
@@ -108,8 +120,9 @@ def gap(first: Sketch | None, second: Sketch | None, steps: int) -> str:
     if first and second and first.span_ns and second.span_ns:
         pause, steps = second.span_ns[0] - first.span_ns[1], min(steps, _MOST_STEPS)
         longest = max(last - begin for begin, last in (first.span_ns, second.span_ns))
-        if pause > steps * _MAX_GAP_NS + 4 * (steps - 1) * longest:
-            return f"there are {pause / 1e9:.0f} s between them"
+        short = max(_MAX_GAP_NS, 2 * max(first.period_ns, second.period_ns))
+        if pause > steps * short + 4 * (steps - 1) * longest:
+            return f"there are {pause / 1e9:.1f} s between them"
     return ""
 
 
@@ -118,7 +131,8 @@ def joined(first: Sketch | None, second: Sketch | None) -> Sketch | None:
     if first is None or second is None:
         return second or first
     schemas, calibrations = first.schemas | second.schemas, first.calibrations | second.calibrations
-    return Sketch(schemas, second.images, second.span_ns or first.span_ns, calibrations)
+    span, period = second.span_ns or first.span_ns, max(first.period_ns, second.period_ns)
+    return Sketch(schemas, second.images, span, calibrations, period)
 
 
 class Recording(NamedTuple):
@@ -126,17 +140,27 @@ class Recording(NamedTuple):
 
     paths: tuple[Path, ...]
     note: str
-    """Why the numbered files before or after are not of it; empty where there are none."""
+    """What was joined and why, or why the numbered files before or after are not of it."""
 
 
-def recordings(files: Iterable[tuple[int, Path]]) -> list[Recording]:
-    """Numbered files of one name, in order, as the recordings that they are of."""
+def recordings(files: Sequence[tuple[int, Path]]) -> list[Recording]:
+    """Return numbered files of one name and folder, in order, as the recordings that they are of.
+
+    Args:
+        files: Each with its number; at least one.
+    """
+    names = listed_files(files[0][1].parent)
+    listed = [path for _, path in files if path.name in names]
+    if len(listed) > 1:
+        note = f"joined {len(listed)} files that {METADATA} lists"
+        rest = [one for one in files if one[1] not in listed]
+        return [Recording(tuple(listed), note), *(recordings(rest) if rest else ())]
     found: list[list[Path]] = []
     notes: list[list[str]] = []
     before: tuple[int, Sketch | None] = (0, None)
     for number, path in files:
         now = sketch(path)
-        why = difference(before[1], now, max(1, number - before[0])) if found else ""
+        why = _why_apart(*before, number, now) if found else ""
         if why or not found:
             found.append([])
             notes.append([])
@@ -145,7 +169,33 @@ def recordings(files: Iterable[tuple[int, Path]]) -> list[Recording]:
             for about in notes[-2:]:
                 about.append(f"{names} are different recordings: {why}")
         found[-1].append(path)
-        if now:
-            before = number, joined(None if why else before[1], now)
-    both = zip(found, notes, strict=True)
-    return [Recording(tuple(paths), "; ".join(about)) for paths, about in both]
+        before = number, joined(None if why else before[1], now)
+    for paths, about in zip(found, notes, strict=True):
+        if len(paths) > 1:
+            text = f"joined {len(paths)} files, {paths[0].name} to {paths[-1].name}"
+            about.insert(0, f"{text}, whose topics and times follow on; --no-join keeps them apart")
+    return [
+        Recording(tuple(one), "; ".join(about)) for one, about in zip(found, notes, strict=True)
+    ]
+
+
+def _why_apart(first: int, before: Sketch | None, second: int, now: Sketch | None) -> str:
+    """Return why a file does not go on with the recording before it; empty where it does."""
+    if second != first + 1:
+        return "their numbers do not follow on"
+    if before is None or now is None or not (before.span_ns and now.span_ns):
+        return "the times of their images can't be told by their indexes"
+    return difference(before, now, 1)
+
+
+def listed_files(folder: Path) -> frozenset[str]:
+    """Return the names of the files that ``metadata.yaml`` in a folder lists as one recording."""
+    try:
+        with (folder / METADATA).open("rb") as file:
+            text = file.read(_MOST_BYTES).decode(errors="replace")
+    except OSError:
+        return frozenset()
+    match = _LISTED.search(text)
+    lines = match[1].splitlines() if match else ()
+    names = (line.strip().removeprefix("-").strip().strip("'\"") for line in lines)
+    return frozenset(PurePosixPath(name).name for name in names if name)

@@ -1,4 +1,4 @@
-"""Files that are whole or absent, whatever ends the process, and that say when they are damaged."""
+"""Files that are complete or absent, whatever ends the process."""
 
 import hashlib
 import os
@@ -12,7 +12,6 @@ from pathlib import Path
 from jaxdet.errors import OutputError
 
 MAKE_ROOM = "make room or give another --output"
-_DIGEST_BYTES = hashlib.sha256().digest_size
 
 
 @contextmanager
@@ -56,30 +55,6 @@ def write_whole(path: Path, *content: bytes, wait: bool = True, remedy: str = MA
             with suppress(OSError):
                 new.unlink()
             raise
-
-
-def write_checked(path: Path, content: bytes, *, wait: bool = True) -> None:
-    """:func:`write_whole` with a checksum before the content, for :func:`read_checked`."""
-    write_whole(path, checksum(content), content, wait=wait)
-
-
-def read_checked(path: Path) -> memoryview | None:
-    """What :func:`write_checked` wrote; None: it isn't there, or isn't as its checksum says."""
-    try:
-        return checked(path.read_bytes())
-    except OSError:
-        return None
-
-
-def checksum(content: bytes | memoryview) -> bytes:
-    """What comes before a content, for :func:`checked`."""
-    return hashlib.sha256(content).digest()
-
-
-def checked(data: bytes) -> memoryview | None:
-    """The content after its checksum; None: it isn't as that says."""
-    told, content = data[:_DIGEST_BYTES], memoryview(data)[_DIGEST_BYTES:]
-    return content if checksum(content) == told else None
 
 
 def sha256(path: Path) -> str:

@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from jaxdet.errors import ConfigError, InputError
+from jaxdet.errors import ConfigError, InputError, printable
 
 _TRIES = 100
 """To make the folder and the file; some file systems never let one."""
@@ -123,6 +123,7 @@ def _owner(text: bytes) -> str | None:
         found: dict[str, Any] = json.loads(text)
         since = datetime.fromtimestamp(found["since"], UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
         minutes = max(0, round((time.time() - found["since"]) / 60))
-        return f"process {found['pid']} on {found['host']} since {since}, {minutes} min"
+        owner = f"process {found['pid']} on {found['host']}"
+        return f"{printable(owner)} since {since}, {minutes} min"
     except (ValueError, KeyError, TypeError, OverflowError, OSError):
         return None

@@ -3,7 +3,6 @@
 import hashlib
 import re
 import zlib
-from collections.abc import Iterable
 
 MOST_BYTES = 80
 """Longest name of a log or a camera in the name of a file [bytes]; file systems take 255 in all."""
@@ -39,36 +38,25 @@ def log_name(path_under_root: str) -> str:
     return f"{name.lstrip('.')}{_MARK}{digest[:8]}"
 
 
-def file_names(logs: Iterable[str]) -> dict[str, str]:
-    """What the files of each log are called: nothing that they shouldn't be, each different.
+def camera_name(camera: str) -> str:
+    """Return the name of one of several cameras of a log in the names of its files.
 
-    Also where the case of letters makes no difference, as on disks of macOS and Windows.
-    """
-    names, used = dict[str, str](), set[str]()
-    for log in logs:
-        name = stem = _plain(log).strip(".") or "log"
-        number = 2
-        while name.casefold() in used:
-            name, number = f"{stem}_{number}", number + 1
-        used.add(name.casefold())
-        names[log] = name
-    return names
-
-
-def camera_file_name(log: str, camera: str) -> str:
-    """For one of several cameras of a log, from the name of the log's files.
-
-    Different cameras have different names: what can't be told from the name has a checksum.
+    Different cameras have different names: what can't be read back from the name has a checksum.
     """
     name = _plain(camera.replace("/", "-"))
     if name.replace("-", "/") != camera:
         name += f"_{zlib.crc32(camera.encode(errors='backslashreplace')):08x}"
-    return f"{log}@{name}"  # no log's name has an @
+    return name
 
 
-def is_of_one_camera(file_name: str) -> bool:
-    """Whether files called so are of one of several cameras of a log."""
-    return "@" in file_name
+def export_name(log: str, camera: str = "") -> str:
+    """Return what the names of a log's files in an export begin with.
+
+    Args:
+        log: Name of the log.
+        camera: Camera, where the log has several.
+    """
+    return f"{log_name(log)}@{camera_name(camera)}" if camera else log_name(log)
 
 
 def _plain(name: str) -> str:

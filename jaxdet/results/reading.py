@@ -1,13 +1,12 @@
-"""A results folder read back: what ``jaxdet run`` wrote, in order and without holding all of it."""
+"""Results read back: what ``jaxdet run`` wrote, log by log and without holding all of it."""
 
 import dataclasses
-import json
-import os
 import typing
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from functools import cached_property
 from itertools import pairwise
+from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,19 +19,37 @@ from jaxdet.errors import InputError
 from jaxdet.io.files import SUFFIXES
 from jaxdet.io.options import LogOptions
 from jaxdet.results.arrow import open_file
-from jaxdet.results.manifest import MANIFEST
-from jaxdet.results.metadata import FORMAT, FORMAT_KEY, VERSION_KEY
-from jaxdet.results.names import is_of_one_camera
+from jaxdet.results.layout import (
+    AGAIN,
+    CONFIG,
+    FAILED,
+    FRAMES,
+    MANIFEST,
+    OBSTACLES,
+    RUN,
+    SUMMARY,
+    check_folder,
+    entries_of,
+    is_complete,
+    is_run,
+    leads_out,
+    log_folders,
+    read_json,
+    unread,
+)
+from jaxdet.results.manifest import read_manifest
+from jaxdet.results.metadata import FORMAT, FORMAT_KEY
+from jaxdet.results.names import camera_name, export_name
 from jaxdet.results.occupancy import MapImage, load_map
 from jaxdet.results.tracked import Mover, TracksInFrames
 
 CHUNK_FRAMES = 1024
-"""Frames of a chunk, unless it is asked for otherwise."""
+"""Frames of a chunk, unless another number is requested."""
 
-TRACKS, LINKS = "tracks", "track_links"
-"""Tables that ``jaxdet track`` adds."""
-
-_AGAIN = "run jaxdet run again, or name another folder"
+TRACKS, LINKS = "tracks.parquet", "track_links.parquet"
+"""Tables that ``jaxdet track`` adds to a log's folder."""
+MOST_NAMED = 6
+"""Logs that an error names."""
 
 
 class ResultLog(NamedTuple):
@@ -42,14 +59,26 @@ class ResultLog(NamedTuple):
     camera: str
     label: str
     """The name, and the camera's where the log has several."""
-    file_name: str
-    """What the names of its files begin with, different for each log of a run."""
+    folder: Path
+    """Folder of its results."""
+    several: bool
+    """Whether the log has several cameras in the tables."""
     summary: Mapping[str, Any]
     """Its entry in ``summary.json``."""
     first_frame: int
     """Row of its first frame in ``frames.parquet``."""
     first_obstacle: int
     """Row of its first obstacle in ``obstacles.parquet``."""
+
+    @property
+    def file_name(self) -> str:
+        """What names of its files in an export begin with, different for each log of a run."""
+        return export_name(self.name, self.camera if self.several else "")
+
+    @property
+    def suffix(self) -> str:
+        """End of the names of its map and picture of tracks."""
+        return f"_{camera_name(self.camera)}" if self.several else ""
 
     @property
     def num_frames(self) -> int:
@@ -120,58 +149,70 @@ class Frame(NamedTuple):
         return self.row.get("tracks", ())
 
 
-def check_folder(folder: Path) -> None:
-    """Raises an error where there is no folder that could hold results.
+class Tables(NamedTuple):
+    """Rows of both tables; of tracked logs obstacles have a column ``track``."""
+
+    frames: pa.Table
+    obstacles: pa.Table
+
+
+class LogFailure(NamedTuple):
+    """A log without results."""
+
+    log: str
+    """Its name."""
+    reason: str
+    summary: Mapping[str, Any]
+    """Its entry, as of logs with results."""
+
+
+def open_results(folder: str | PathLike[str]) -> "Results":
+    """Open results of ``jaxdet run``: all logs of a run, or one log.
+
+    Logs are taken by their manifests, so what a run has not completed is not among them. Opening
+    reads no rows.
+
+    >>> with jaxdet.open_results("results") as results:           # doctest: +SKIP
+    ...     frames, obstacles = results.tables()
+
+    Args:
+        folder: Folder that ``jaxdet run --output`` was given, or the folder of a log in it.
 
     Raises:
-        InputError: There is none, or a file.
+        InputError: It holds no complete results, or those of another format.
     """
-    if not folder.is_dir():
-        problem = "a file, not a folder of results" if folder.exists() else "no such folder"
-        remedy = "name the folder that jaxdet run --output wrote"
-        raise InputError(problem, path=str(folder), remedy=remedy)
+    return Results(folder)
 
 
 class Results:
-    """What a run wrote; opening it reads no rows.
+    """Results of logs, see :func:`open_results`.
 
     Args:
-        folder: The folder that ``jaxdet run --output`` was given.
+        folder: Folder of a run or of one log.
 
     Attributes:
         folder: The same, as a path.
-        config: What ``config.json`` holds.
-        summary: What ``summary.json`` holds.
-        metadata: What ``obstacles.parquet`` says of itself, see :mod:`jaxdet.results.metadata`.
-        frames_metadata: Likewise ``frames.parquet``; the same, where they belong together.
-        version: The jaxdet that wrote it.
-        logs: The logs that are in the tables, in their order there.
-
-    Raises:
-        InputError: It is no whole results folder, or of a format that this version doesn't read.
+        config: Content of ``config.json``, which holds for all logs.
+        logs: Logs with results, by name; of a log with several cameras one for each.
+        failed: Logs that failed as a whole.
+        stale: Folders of logs of another configuration or version than ``run.json``, which are
+            left out: an --overwrite is not complete.
     """
 
-    def __init__(self, folder: str | Path) -> None:
+    def __init__(self, folder: str | PathLike[str]) -> None:
         self.folder = folder = Path(folder)
         check_folder(folder)
-        manifest = self._json(MANIFEST)  # the last file to arrive, and the first to leave
-        self.summary = self._json("summary.json")
-        self.config = self._json("config.json")
-        self._frames, self._obstacles = self._table("frames"), self._table("obstacles")
-        if self._json(MANIFEST) != manifest:
-            problem = "the results were replaced while they were opened"
-            raise InputError(problem, path=str(folder), remedy="read them again")
-        self._read_on: list[_Rows] = []
-        """Tables read up to the end of a log, from where others are read on."""
-        self.metadata = _metadata(self._obstacles)
-        self.frames_metadata = _metadata(self._frames)
-        self.version = self.metadata.get(VERSION_KEY, "")
-        self.logs = tuple(self._logs())
-        for table, name in ((self._frames, "frames"), (self._obstacles, "obstacles")):
-            expected, found = self.summary[name], table.metadata.num_rows
-            if found != expected:
-                problem = f"{found} rows, but summary.json says {expected}"
-                raise InputError(problem, path=str(self._path(name)), remedy=_AGAIN)
+        self.stale: list[str] = []
+        self.manifests: dict[Path, dict[str, Any]] = {}
+        """By the folder of each log with results."""
+        self.summaries: dict[Path, dict[str, Any]] = {}
+        """Content of ``summary.json``, likewise."""
+        self.failed: list[LogFailure] = []
+        self.logs = tuple(self._find())
+        self.config = self._read_config()
+        self.version = str(self.config_source.get("jaxdet", ""))
+        """The jaxdet that made them."""
+        self._open: list[pq.ParquetFile] = []
 
     def __enter__(self) -> "Results":
         return self
@@ -180,43 +221,120 @@ class Results:
         self.close()
 
     def close(self) -> None:
-        """Closes the tables."""
-        self._frames.close(force=True)
-        self._obstacles.close(force=True)
-        for name in {"_tracks", "_links"} & vars(self).keys():
-            getattr(self, name).close(force=True)
+        """Close the tables."""
+        while self._open:
+            self._open.pop().close(force=True)
 
-    @cached_property
-    def tracked(self) -> bool:
-        """Whether ``jaxdet track`` linked the obstacles, which then have a column ``track``."""
-        return self._path(TRACKS).is_file() and self._path(LINKS).is_file()
+    def _find(self) -> Iterator[ResultLog]:
+        """Yield the logs with results and note the others."""
+        if is_complete(self.folder):
+            yield from self._logs_of(self.folder)
+            return
+        if not is_run(self.folder):
+            problem = f"holds no results ({MANIFEST} and {RUN} are missing)"
+            raise InputError(problem, path=str(self.folder), remedy=AGAIN)
+        from jaxdet.results.record import digest
+
+        run = digest(read_json(self.folder / RUN))
+        found: list[ResultLog] = []
+        for name, folder in log_folders(self.folder).items():
+            if not is_complete(folder):
+                self._note_failure(folder)
+            elif self._manifest(folder).get("run") != run:
+                self.stale.append(name)
+            else:
+                found += self._logs_of(folder)
+        yield from sorted(found, key=lambda log: (log.name, log.camera))
+
+    def _manifest(self, folder: Path) -> dict[str, Any]:
+        if folder not in self.manifests:
+            self.manifests[folder] = read_manifest(folder)
+        return self.manifests[folder]
+
+    def _logs_of(self, folder: Path) -> Iterator[ResultLog]:
+        """Yield the cameras of a log with results."""
+        manifest, summary = self._manifest(folder), read_json(folder / SUMMARY)
+        if read_manifest(folder) != manifest:
+            problem = "the results were replaced while they were opened"
+            raise InputError(problem, path=str(folder), remedy="read them again")
+        self.summaries[folder] = summary
+        entries = entries_of(summary, folder / SUMMARY)
+        frame = obstacle = 0
+        for entry in entries:
+            name, camera = str(entry["log"]), entry["camera"]
+            if entry["error"]:
+                self.failed.append(LogFailure(name, str(entry["error"]), entry))
+                continue
+            several = "@" in str(entry.get("file_name"))
+            label = f"{name}, {camera}" if several else name
+            yield ResultLog(name, str(camera), label, folder, several, entry, frame, obstacle)
+            frame, obstacle = frame + entry["frames"], obstacle + entry["obstacles"]
+
+    def _note_failure(self, folder: Path) -> None:
+        told = read_json(folder / FAILED)
+        for entry in entries_of(told, folder / FAILED):
+            self.failed.append(LogFailure(str(entry["log"]), str(entry["error"]), entry))
+
+    def _read_config(self) -> dict[str, Any]:
+        """Return the configuration of the logs, and note where it is from."""
+        one = next(iter(self.manifests), None)
+        if one is not None:
+            self.config_source = self.manifests[one]
+            return read_json(one / CONFIG)
+        record = read_json(self.folder / RUN)
+        self.config_source = record.get("about", {})
+        return record.get("config", {})
+
+    def tables(self, log: ResultLog | None = None) -> Tables:
+        """Return the rows of a log, or of all logs one after the other, in memory.
+
+        Raises:
+            InputError: They can't be read.
+        """
+        frames, obstacles = [], []
+        for chunk in self.chunks(log, size=1 << 16):
+            frames.append(chunk.frames)
+            obstacles.append(chunk.obstacles)
+        if not frames:
+            from jaxdet.results.schemas import FRAMES_SCHEMA, OBSTACLES_SCHEMA
+
+            return Tables(FRAMES_SCHEMA.empty_table(), OBSTACLES_SCHEMA.empty_table())
+        # Logs without tracks have null there, where others have some.
+        return Tables(
+            pa.concat_tables(frames), pa.concat_tables(obstacles, promote_options="default")
+        )
+
+    def metadata(self, log: ResultLog, table: str = OBSTACLES) -> dict[str, str]:
+        """Return what a table of a log says of itself, see :mod:`jaxdet.results.metadata`."""
+        with self._table(log, table) as file:
+            return _metadata(file)
+
+    def tracked(self, log: ResultLog) -> bool:
+        """Whether ``jaxdet track`` linked the obstacles of a log."""
+        files = self.manifests[log.folder]["files"]
+        return TRACKS in files and LINKS in files
 
     def tracks(self, log: ResultLog) -> Iterator[dict[str, Any]]:
-        """The rows of ``tracks.parquet`` of a log; none where there are no tracks.
+        """Yield the rows of ``tracks.parquet`` of a log; none where there are no tracks.
 
         Raises:
             InputError: They can't be read, or are those of other results.
         """
-        if not self.tracked:
+        if not self.tracked(log):
             return
-        with self._reading():
-            own = self._track_rows.get((log.name, log.camera))
-            if own is None:
-                return
-            rows = self._rows(self._tracks, own.start, None, ())
-            for first in range(own.start, own.stop, CHUNK_FRAMES):
-                yield from rows.take(min(CHUNK_FRAMES, own.stop - first)).to_pylist()
-        self._read_on.append(rows)
+        with self._table_of_tracks(log, TRACKS) as file, self._reading(log):
+            for batch in file.iter_batches(CHUNK_FRAMES):
+                yield from (row for row in batch.to_pylist() if row["camera"] == log.camera)
 
     @cached_property
     def method(self) -> Config:
         """The configuration that the obstacles were found with."""
-        return _restored(Config, self.config)
+        return restored(Config, self.config)
 
     @cached_property
     def log_options(self) -> LogOptions:
         """How the logs were read."""
-        return _restored(LogOptions, self.config["log"])
+        return restored(LogOptions, self.config["log"])
 
     def options_of(self, log: ResultLog) -> LogOptions:
         """How to open the log, or the camera of a log, that some rows are of."""
@@ -230,7 +348,8 @@ class Results:
         """
         found = [log for log in self.logs if name in (log.label, log.name)]
         if len(found) != 1:
-            names = ", ".join(log.label for log in self.logs) or "no log"
+            names = ", ".join(log.label for log in self.logs[:MOST_NAMED]) or "no log"
+            names += ", ..." if len(self.logs) > MOST_NAMED else ""
             raise InputError(f"no log {name!r}; it holds {names}", path=str(self.folder))
         return found[0]
 
@@ -250,34 +369,45 @@ class Results:
             frames: Columns of the frames; None: all. ``log``, ``camera``, ``frame`` and
                 ``num_obstacles`` come always.
             obstacles: Columns of the obstacles; None: all, with ``track`` where they are
-                :attr:`tracked`. ``log``, ``camera`` and ``frame`` come always.
+                :meth:`tracked`. ``log``, ``camera`` and ``frame`` come always.
             size: Most frames of a chunk.
 
         Raises:
             InputError: The tables can't be read, or don't belong together.
         """
         for one in self.logs if log is None else (log,):
-            start = one.first_frame, one.first_obstacle
-            own = obstacles and [name for name in obstacles if name != "track"]
-            linked = self.tracked and (obstacles is None or "track" in obstacles)
-            rows = self._rows(
-                self._frames, start[0], frames, ("log", "camera", "frame", "num_obstacles")
-            )
-            parts = self._rows(self._obstacles, start[1], own, ("log", "camera", "frame"))
-            links = self._rows(self._links, start[1], ("track",), ("frame",)) if linked else None
-            left = one.num_frames
-            with self._reading():
-                while left:
-                    taken = rows.take(min(size, left))
-                    if not taken.num_rows:
-                        problem = f"summary.json says more frames of {one.label} than there are"
-                        raise InputError(problem, path=str(self.folder), remedy=_AGAIN)
-                    left -= taken.num_rows
-                    count = taken["num_obstacles"].to_numpy()
-                    chunk = Chunk(taken, parts.take(int(count.sum(dtype=np.int64))))
-                    self._check(one, chunk, count)
-                    yield chunk if links is None else self._linked(chunk, links)
-            self._read_on += [table for table in (rows, parts, links) if table is not None]
+            yield from self._chunks(one, frames, obstacles, size)
+
+    def _chunks(
+        self,
+        log: ResultLog,
+        frames: Sequence[str] | None,
+        obstacles: Sequence[str] | None,
+        size: int,
+    ) -> Iterator[Chunk]:
+        own = obstacles and [name for name in obstacles if name != "track"]
+        linked = self.tracked(log) and (obstacles is None or "track" in obstacles)
+        with (
+            self._table(log, FRAMES) as frame_file,
+            self._table(log, OBSTACLES) as obstacle_file,
+            self._table_of_tracks(log, LINKS) if linked else nullcontext() as link_file,
+            self._reading(log),
+        ):
+            always = ("log", "camera", "frame")
+            rows = _Rows(frame_file, log.first_frame, frames, (*always, "num_obstacles"))
+            parts = _Rows(obstacle_file, log.first_obstacle, own, always)
+            links = link_file and _Rows(link_file, log.first_obstacle, ("track",), ("frame",))
+            left = log.num_frames
+            while left:
+                taken = rows.take(min(size, left))
+                if not taken.num_rows:
+                    problem = f"summary.json says more frames of {log.label} than there are"
+                    raise InputError(problem, path=str(log.folder), remedy=AGAIN)
+                left -= taken.num_rows
+                count = taken["num_obstacles"].to_numpy()
+                chunk = Chunk(taken, parts.take(int(count.sum(dtype=np.int64))))
+                _check(log, chunk, count)
+                yield chunk if links is None else _linked(log, chunk, links)
 
     def frames(
         self,
@@ -290,7 +420,7 @@ class Results:
             tracks = TracksInFrames(self.tracks(one))
             for chunk in self.chunks(one, frames, obstacles):
                 for frame in chunk.each():
-                    if self.tracked:
+                    if self.tracked(one):
                         frame.row["tracks"] = tracks.at(frame.row["frame"])
                     yield frame
 
@@ -300,126 +430,100 @@ class Results:
         return (first.frames["world_frame"][0].as_py() or "") if first else ""
 
     def map(self, log: ResultLog) -> MapImage | None:
-        """The map of a log; None where it has none."""
-        name = log.summary["map"]
-        return load_map(self.folder / f"{name}.npz") if name else None
+        """Return the map of a log; None where it has none."""
+        return load_map(log.folder / f"map{log.suffix}.npz") if log.summary["map"] else None
 
     def pictures(self, log: ResultLog) -> dict[int, Path]:
-        """The pictures that were drawn, by frame."""
-        paths = (self.folder / name for name in log.summary["pictures"])
+        """Return the pictures that were drawn, by frame."""
+        names = [name for name in log.summary["pictures"] if not leads_out(name)]
+        paths = (log.folder / name for name in names)
         return {int(path.stem.rpartition("_")[2]): path for path in paths if path.is_file()}
 
-    def _path(self, name: str) -> Path:
-        return self.folder / f"{name}.parquet"
-
-    def _json(self, name: str) -> dict[str, Any]:
-        path = self.folder / name
+    @contextmanager
+    def _table(self, log: ResultLog, name: str) -> Iterator[pq.ParquetFile]:
+        """Open a table of a log, whose rows must be as many as its summary says."""
+        table = open_table(log.folder / name)
+        self._open.append(table)
         try:
-            found = json.loads(path.read_text(encoding="utf-8"))
-        except FileNotFoundError as error:
-            problem = f"is no whole results folder ({name} is missing)"
-            raise InputError(problem, path=str(self.folder), remedy=_AGAIN) from error
-        except OSError as error:
-            raise _unread(path, error) from error
-        except ValueError as error:
-            raise InputError("is not JSON", path=str(path), remedy=_AGAIN) from error
-        if not isinstance(found, dict):
-            raise InputError("is not a JSON object", path=str(path), remedy=_AGAIN)
-        return found
-
-    def _table(self, name: str) -> pq.ParquetFile:
-        path = self._path(name)
-        try:
-            table = pq.ParquetFile(open_file(path, "rb"), page_checksum_verification=True)
-        except FileNotFoundError as error:
-            problem = f"is no whole results folder ({path.name} is missing)"
-            raise InputError(problem, path=str(self.folder), remedy=_AGAIN) from error
-        except (pa.ArrowException, OSError) as error:
-            if getattr(error, "errno", None):  # else it is Parquet's own
-                raise _unread(path, error) from error
-            raise InputError("is not a Parquet file", path=str(path), remedy=_AGAIN) from error
-        if (found := _metadata(table).get(FORMAT_KEY, "none")) != str(FORMAT):
-            problem = f"has format {found} of the tables, not {FORMAT}"
-            raise InputError(problem, path=str(path), remedy="run jaxdet run again")
-        return table
-
-    def _logs(self) -> Iterator[ResultLog]:
-        frame = obstacle = 0
-        for entry in self.summary["logs"]:
-            if not entry["error"]:
-                name, camera = entry["log"], entry["camera"]
-                several = is_of_one_camera(entry["file_name"])
-                label = f"{name}, {camera}" if several else name
-                yield ResultLog(name, camera, label, entry["file_name"], entry, frame, obstacle)
-                frame, obstacle = frame + entry["frames"], obstacle + entry["obstacles"]
-
-    def _table_of_tracks(self, name: str) -> pq.ParquetFile:
-        """A table that ``jaxdet track`` wrote of these results."""
-        table = self._table(name)
-        about = _metadata(table)
-        if {key: about.get(key) for key in self.metadata} != self.metadata:
-            problem = "is not of the results that it lies beside"
-            raise InputError(problem, path=str(self._path(name)), remedy="run jaxdet track again")
-        return table
-
-    @cached_property
-    def _tracks(self) -> pq.ParquetFile:
-        return self._table_of_tracks(TRACKS)
-
-    @cached_property
-    def _track_rows(self) -> dict[tuple[str, str], range]:
-        """The rows of each log and camera, one after the other as in the other tables."""
-        found: dict[tuple[str, str], range] = {}
-        row = 0
-        for group in range(self._tracks.num_row_groups):
-            names = self._tracks.read_row_group(group, ["log", "camera"]).to_pydict()
-            for of in zip(names["log"], names["camera"], strict=True):
-                first = found[of].start if of in found else row
-                found[of], row = range(first, row + 1), row + 1
-        return found
-
-    @cached_property
-    def _links(self) -> pq.ParquetFile:
-        return self._table_of_tracks(LINKS)
-
-    def _linked(self, chunk: Chunk, links: "_Rows") -> Chunk:
-        """A chunk whose obstacles have their tracks."""
-        taken = links.take(chunk.obstacles.num_rows)
-        if not taken["frame"].equals(chunk.obstacles["frame"]):
-            problem = f"{LINKS}.parquet and obstacles.parquet don't belong together"
-            raise InputError(problem, path=str(self.folder), remedy="run jaxdet track again")
-        return chunk._replace(obstacles=chunk.obstacles.append_column("track", taken["track"]))
-
-    def _rows(self, file: pq.ParquetFile, start: int, *columns: Any) -> "_Rows":
-        """Rows of a table from one on, with these columns of :class:`_Rows`.
-
-        Of small logs one row group holds many, which it would take to read for each of them.
-        """
-        wanted = file, start, columns
-        found = next((rows for rows in self._read_on if rows.at == wanted), None)
-        self._read_on = [r for r in self._read_on if (r.at[0], r.at[2]) != (file, columns)]
-        return found or _Rows(file, start, *columns)
+            if name in (FRAMES, OBSTACLES):
+                kind = name.partition(".")[0]
+                expected = self.summaries[log.folder][kind]
+                if (found := table.metadata.num_rows) != expected:
+                    problem = f"{found} rows, but summary.json says {expected}"
+                    raise InputError(problem, path=str(log.folder / name), remedy=AGAIN)
+            yield table
+        finally:
+            if table in self._open:
+                self._open.remove(table)
+            table.close(force=True)
 
     @contextmanager
-    def _reading(self) -> Iterator[None]:
+    def _table_of_tracks(self, log: ResultLog, name: str) -> Iterator[pq.ParquetFile]:
+        """Open a table that ``jaxdet track`` wrote of these results."""
+        expected = self.metadata(log)
+        with self._table(log, name) as table:
+            about = _metadata(table)
+            if {key: about.get(key) for key in expected} != expected:
+                problem = "is not of the results that it lies beside"
+                raise InputError(problem, path=str(log.folder / name), remedy=_TRACK_AGAIN)
+            yield table
+
+    @contextmanager
+    def _reading(self, log: ResultLog) -> Iterator[None]:
         """Tables that are damaged are errors of the input."""
         try:
             yield
         except (pa.ArrowException, OSError) as error:
             problem = f"the tables can't be read ({' '.join(str(error).split())})"
-            raise InputError(problem, path=str(self.folder), remedy=_AGAIN) from error
+            raise InputError(problem, path=str(log.folder), remedy=AGAIN) from error
 
-    def _check(self, log: ResultLog, chunk: Chunk, count: np.ndarray) -> None:
-        """The chunk is of this log, and its obstacles are of its frames."""
-        frame, of = chunk.frames["frame"].to_numpy(), chunk.obstacles["frame"].to_numpy()
-        named = all(
-            {*table[column].unique().to_pylist()} <= {expected}
-            for table in chunk
-            for column, expected in (("log", log.name), ("camera", log.camera))
-        )
-        if not named or not np.array_equal(np.repeat(frame, count), of):
-            problem = "frames.parquet and obstacles.parquet don't belong together"
-            raise InputError(problem, path=str(self.folder), remedy=_AGAIN)
+
+_TRACK_AGAIN = "run jaxdet track again"
+
+
+def open_table(path: Path) -> pq.ParquetFile:
+    """Open a table of results.
+
+    Raises:
+        InputError: It is missing, can't be read, or is of another format.
+    """
+    try:
+        if path.exists() and not path.is_file():  # a pipe would be waited for
+            raise InputError("is not a file", path=str(path), remedy=AGAIN)
+        table = pq.ParquetFile(open_file(path, "rb"), page_checksum_verification=True)
+    except FileNotFoundError as error:
+        problem = f"has no complete results ({path.name} is missing)"
+        raise InputError(problem, path=str(path.parent), remedy=AGAIN) from error
+    except (pa.ArrowException, OSError) as error:
+        if getattr(error, "errno", None):  # else it is Parquet's own
+            raise unread(path, error) from error  # pyright: ignore[reportArgumentType]
+        raise InputError("is not a Parquet file", path=str(path), remedy=AGAIN) from error
+    if (found := _metadata(table).get(FORMAT_KEY, "none")) != str(FORMAT):
+        problem = f"has format {found} of the tables, not {FORMAT}"
+        raise InputError(problem, path=str(path), remedy="run jaxdet run again")
+    return table
+
+
+def _linked(log: ResultLog, chunk: Chunk, links: "_Rows") -> Chunk:
+    """Return a chunk whose obstacles have their tracks."""
+    taken = links.take(chunk.obstacles.num_rows)
+    if not taken["frame"].equals(chunk.obstacles["frame"]):
+        problem = f"{LINKS} and {OBSTACLES} don't belong together"
+        raise InputError(problem, path=str(log.folder), remedy=_TRACK_AGAIN)
+    return chunk._replace(obstacles=chunk.obstacles.append_column("track", taken["track"]))
+
+
+def _check(log: ResultLog, chunk: Chunk, count: np.ndarray) -> None:
+    """Make sure that a chunk is of a log, and its obstacles are of its frames."""
+    frame, of = chunk.frames["frame"].to_numpy(), chunk.obstacles["frame"].to_numpy()
+    named = all(
+        {*table[column].unique().to_pylist()} <= {expected}
+        for table in chunk
+        for column, expected in (("log", log.name), ("camera", log.camera))
+    )
+    if not named or not np.array_equal(np.repeat(frame, count), of):
+        problem = f"{FRAMES} and {OBSTACLES} don't belong together"
+        raise InputError(problem, path=str(log.folder), remedy=AGAIN)
 
 
 class _Rows:
@@ -432,8 +536,6 @@ class _Rows:
         columns: Sequence[str] | None,
         always: tuple[str, ...],
     ) -> None:
-        self.at = file, start, (columns, always)
-        """The table, the next row, and the columns asked for."""
         named = None if columns is None else [*always, *(c for c in columns if c not in always)]
         sizes = [file.metadata.row_group(i).num_rows for i in range(file.num_row_groups)]
         ends = np.cumsum(sizes, dtype=np.int64)
@@ -460,8 +562,6 @@ class _Rows:
             if part.num_rows:
                 found.append(part.select(self.schema.names))
             count -= part.num_rows
-        taken, (file, row, columns) = sum(part.num_rows for part in found), self.at
-        self.at = file, row + taken, columns
         return pa.Table.from_batches(found, schema=self.schema).combine_chunks()
 
 
@@ -479,24 +579,18 @@ def _batches(
         yield from file.iter_batches(size, [group], columns)
 
 
-def _unread(path: Path, error: OSError) -> InputError:
-    """The error of a file that the system doesn't give, whatever is in it."""
-    problem = f"can't be read ({os.strerror(error.errno or 0)})"
-    return InputError(problem, path=str(path), remedy="check its permissions and its disk")
-
-
 def _metadata(table: pq.ParquetFile) -> dict[str, str]:
     own = (table.metadata.metadata or {}).items()
     return {k.decode(): v.decode("utf-8", "replace") for k, v in own if k.startswith(b"jaxdet.")}
 
 
-def _restored(kind: type, values: Mapping[str, Any]) -> Any:
+def restored(kind: type, values: Mapping[str, Any]) -> Any:
     """A dataclass from what JSON holds of it."""
     hints, found = typing.get_type_hints(kind), {}
     for field in dataclasses.fields(kind):
         if field.name in values:
             value, hint = values[field.name], hints[field.name]
             if dataclasses.is_dataclass(hint) and isinstance(hint, type):
-                value = _restored(hint, value)
+                value = restored(hint, value)
             found[field.name] = tuple(value) if isinstance(value, list) else value
     return kind(**found)

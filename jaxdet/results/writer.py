@@ -1,4 +1,4 @@
-"""The results folder: two Parquet tables, the configuration and a summary.
+"""The tables of a log as Parquet files, and its JSON files.
 
 The bytes of the tables are a function of their rows alone: rows are buffered into row groups
 of a fixed size whatever the batch, and the writer's settings are fixed here.
@@ -15,8 +15,9 @@ from typing import Any, NamedTuple
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from jaxdet.results.arrow import open_file, to_array
+from jaxdet.results.arrow import map_file, open_file, to_array
 from jaxdet.results.durable import writing
+from jaxdet.results.layout import FRAMES, OBSTACLES
 from jaxdet.results.metadata import Inputs, table_metadata
 from jaxdet.results.schemas import DICTIONARIES, FRAMES_SCHEMA, OBSTACLES_SCHEMA
 from jaxdet.results.summary import to_json
@@ -56,20 +57,22 @@ class Tables(NamedTuple):
         tables = zip(none, *parts, strict=True)
         return cls(*map(pa.concat_tables, tables))
 
-    def __reduce__(self) -> tuple:
-        """Pickled in Arrow's own format."""
-        return _unpacked, tuple(_packed(table) for table in self)
+    def save(self, path: Path) -> None:
+        """Write the rows to a temporary file, which needs not survive this run.
 
+        Raises:
+            OutputError: The disk is full or broken.
+        """
+        with writing(path), open_file(path, "wb") as file:
+            for table in self:
+                with pa.ipc.new_stream(file, table.schema) as stream:
+                    stream.write_table(table)
 
-def _packed(table: pa.Table) -> pa.Buffer:
-    sink = pa.BufferOutputStream()
-    with pa.ipc.new_stream(sink, table.schema) as stream:
-        stream.write_table(table)
-    return sink.getvalue()
-
-
-def _unpacked(*tables: pa.Buffer) -> Tables:
-    return Tables(*(pa.ipc.open_stream(table).read_all() for table in tables))
+    @classmethod
+    def load(cls, path: Path) -> "Tables":
+        """Map the rows that :meth:`save` wrote into memory."""
+        file = map_file(path)
+        return cls(*(pa.ipc.open_stream(file).read_all() for _ in cls._fields))
 
 
 class _Table:
@@ -131,11 +134,11 @@ def table_bytes(table: pa.Table) -> bytes:
     return file.getvalue()
 
 
-class ResultWriter:
-    """Writes the two tables; a context manager that closes them.
+class TableWriter:
+    """Writes the two tables of a log; a context manager that closes them.
 
     Args:
-        folder: Where; a working folder, as the files are whole only when they are closed.
+        folder: Where; the files are complete when :meth:`close` returns.
 
     Raises:
         OutputError: The disk is full, or the folder can't be written to; so do all methods.
@@ -144,12 +147,12 @@ class ResultWriter:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         with writing(folder):
-            self._frames = _Table(folder / "frames.parquet", FRAMES_SCHEMA)
-            self._obstacles = _Table(folder / "obstacles.parquet", OBSTACLES_SCHEMA)
+            self._frames = _Table(folder / FRAMES, FRAMES_SCHEMA)
+            self._obstacles = _Table(folder / OBSTACLES, OBSTACLES_SCHEMA)
         self._tables = self._frames, self._obstacles
         self._inputs = Inputs()
 
-    def __enter__(self) -> "ResultWriter":
+    def __enter__(self) -> "TableWriter":
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -157,37 +160,29 @@ class ResultWriter:
             table.drop()
 
     def add(self, rows: Tables) -> None:
-        """Appends rows, in order."""
+        """Append rows, in order."""
         self._inputs.add(rows.frames)
         with writing(self.folder):
             self._frames.add(rows.frames)
             self._obstacles.add(rows.obstacles)
 
-    def close(self, config: Mapping[str, Any], summary: Mapping[str, Any]) -> dict[str, Path]:
-        """Writes what is left, and in each table's metadata what it was made of.
+    def close(self, config: Mapping[str, Any], summary: Mapping[str, Any]) -> None:
+        """Write the remaining rows, and in each table's metadata what it was made of.
 
         Args:
-            config: What ``config.json`` holds.
-            summary: What ``summary.json`` holds.
-
-        Returns:
-            The files by their names.
+            config: Content of ``config.json``.
+            summary: Content of ``summary.json``.
         """
         metadata = table_metadata(config, summary, self._inputs)
         with writing(self.folder), ThreadPoolExecutor(2) as threads:  # Arrow compresses on one
             deque(threads.map(lambda table: table.close(metadata), self._tables), 0)
-        return {table.path.name: table.path for table in self._tables}
 
 
-def write_json(path: Path, value: Mapping[str, Any]) -> dict[str, Path]:
-    """Writes a mapping as JSON.
-
-    Returns:
-        The file by its name.
+def write_json(path: Path, value: Mapping[str, Any]) -> None:
+    """Write a mapping as JSON.
 
     Raises:
         OutputError: The disk is full, or the folder can't be written to.
     """
     with writing(path):
         path.write_text(to_json(value), encoding="utf-8")
-    return {path.name: path}

@@ -1,4 +1,4 @@
-"""A results folder gets its tracks: tables beside its own, which stay as they are.
+"""The folder of a log gets its tracks: tables beside its own, which stay as they are.
 
 The track of each obstacle is a table of its own, ``track_links.parquet``, whose rows are those of
 ``obstacles.parquet`` in the same order: so the tables of a run stay the bytes that it wrote, and
@@ -7,7 +7,6 @@ tracking again with other settings replaces two small files.
 
 import dataclasses
 import json
-import shutil
 from collections import Counter, deque
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -22,12 +21,13 @@ import pyarrow.parquet as pq
 from jaxdet.errors import ConfigError, InputError
 from jaxdet.render import draw_map, write_png
 from jaxdet.results.arrow import open_file
-from jaxdet.results.commit import JOURNAL, commit, settle
 from jaxdet.results.durable import writing
+from jaxdet.results.layout import MANIFEST, WORKING, check_folder, is_complete
 from jaxdet.results.lock import Lock
-from jaxdet.results.manifest import MANIFEST, WORKING, changed_manifest, read_manifest
-from jaxdet.results.reading import Chunk, ResultLog, Results, check_folder
-from jaxdet.results.writer import parquet_writer, write_json
+from jaxdet.results.manifest import read_manifest, write_manifest
+from jaxdet.results.publish import finish, flush_folder, link_folder, publish, remove
+from jaxdet.results.reading import LINKS, TRACKS, Chunk, ResultLog, Results
+from jaxdet.results.writer import parquet_writer
 from jaxdet.tracks.config import TrackConfig
 from jaxdet.tracks.rows import TrackRows
 from jaxdet.tracks.schemas import LINKS_SCHEMA, TRACKS_SCHEMA
@@ -38,7 +38,8 @@ WINDOW_FRAMES = 1024
 """Frames that are linked together; part of the method, as it may decide a link. Memory grows with
 it and with the square of the obstacles in a frame: 0.2 GB with 30 of them, 1.6 with 100."""
 TRACKING_KEY = "jaxdet.tracking"
-TRACKS, LINKS = "tracks.parquet", "track_links.parquet"
+_STAGING = "tracks"
+"""Folder in the working folder, for folders of logs with their new tracks."""
 
 _COLUMNS = ("bottom_m", "top_m", "distance_m", "u_min", "u_max", "x_min", "x_max")
 _PLACE = ("floor_source", "camera_position_world")
@@ -61,33 +62,73 @@ class LogTracks(NamedTuple):
     """Why obstacles have no place in the world, the commonest first; empty: all have one."""
 
 
-def track_results(folder: Path, config: TrackConfig | None = None) -> list[LogTracks]:
-    """Links the obstacles of each log of a results folder over time.
+def track_results(
+    folder: Path, config: TrackConfig | None = None, *, missing: bool = False
+) -> list[LogTracks]:
+    """Link the obstacles of each log of results over time.
 
     Writes ``tracks.parquet`` and ``track_links.parquet`` (:mod:`jaxdet.tracks.schemas`) and, where
-    there are maps, ``tracks_LOG.png``: all of them or none, whatever ends the process.
+    there is a map, ``tracks.png`` into the folder of each log: all of them or none, whatever ends
+    the process. Logs are done one after the other, so some may have new tracks after a stop.
 
     Args:
-        folder: What ``jaxdet run`` wrote; tracks that are there are replaced.
+        folder: What ``jaxdet run`` wrote, or the folder of one log in it; tracks that are there
+            are replaced.
         config: What links obstacles.
+        missing: Leave logs as they are that have tracks.
 
     Returns:
         What was found, by log.
 
     Raises:
-        InputError: It is no whole results folder, or can't be written to.
+        InputError: It holds no complete results, or can't be written to.
         ConfigError: A run or another tracking works there.
         OutputError: The disk is full or broken.
     """
-    with _staging(folder) as staging, Results(folder) as results:
-        with writing(folder, "make room"):
-            found = write_tracks(results, config or TrackConfig(), staging)
-        _commit(staging, folder)
+    check_folder(folder)
+    place = folder.absolute()
+    found = []
+    with _locked(place.parent if is_complete(folder) else place) as root:
+        with Results(folder) as results:
+            folders = list(results.manifests)
+        for one in folders:
+            if missing and TRACKS in read_manifest(one)["files"]:
+                continue
+            staged = root / WORKING / _STAGING
+            remove(staged)
+            with writing(staged, "make room"):
+                link_folder(one, staged)
+                found += add_tracks(staged, config or TrackConfig())
+                flush_folder(staged)
+            publish(staged, root, one.absolute().name)
+    return found
+
+
+def add_tracks(folder: Path, config: TrackConfig) -> list[LogTracks]:
+    """Write the tracks of a log into its folder, in which nobody else works, and its manifest.
+
+    Args:
+        folder: Complete folder of a log.
+        config: What links obstacles.
+    """
+    about = {k: v for k, v in read_manifest(folder).items() if k not in ("files", "sha256")}
+    for path in filter(lambda path: is_track_file(path.name), folder.iterdir()):
+        path.unlink()  # a link, perhaps
+    with Results(folder) as results:
+        found = write_tracks(results, config, folder)
+    (folder / MANIFEST).unlink()
+    write_manifest(folder, about)
     return found
 
 
 def write_tracks(results: Results, config: TrackConfig, folder: Path) -> list[LogTracks]:
-    """Writes the files of :func:`track_results` into a folder, and nothing else there."""
+    """Write the files of :func:`track_results` into a folder, and nothing else there.
+
+    Args:
+        results: Those of one log.
+        config: What links obstacles.
+        folder: Gets the files.
+    """
     metadata, found = _metadata(results, config), []
     with (
         _Writer(folder / TRACKS, TRACKS_SCHEMA, metadata) as table,
@@ -102,7 +143,7 @@ def write_tracks(results: Results, config: TrackConfig, folder: Path) -> list[Lo
                     paths += _paths(part) if image is not None else ()
             if image is not None:
                 picture = draw_map(image, log.label, paths)
-                write_png(folder / f"tracks_{log.file_name}.png", picture)
+                write_png(folder / f"tracks{log.suffix}.png", picture)
     return found
 
 
@@ -124,7 +165,7 @@ def tracking(folder: Path) -> TrackConfig:
 
 def is_track_file(name: str) -> bool:
     """Whether a result of this name is of ``jaxdet track``."""
-    return name in (TRACKS, LINKS) or fnmatch(name, "tracks_*.png")
+    return name in (TRACKS, LINKS, "tracks.png") or fnmatch(name, "tracks_*.png")
 
 
 def _track_log(
@@ -216,37 +257,23 @@ class _Writer:
 def _metadata(results: Results, config: TrackConfig) -> dict[str, str]:
     """What the tables are made of: the obstacles' own metadata, and how they were linked."""
     tracking = json.dumps(dataclasses.asdict(config), sort_keys=True, separators=(",", ":"))
-    return results.metadata | {TRACKING_KEY: tracking}
+    about = results.metadata(results.logs[0]) if results.logs else {}
+    return about | {TRACKING_KEY: tracking}
 
 
 @contextmanager
-def _staging(folder: Path) -> Iterator[Path]:
-    """Locks a results folder; gives one for new files, in the working folder.
+def _locked(root: Path) -> Iterator[Path]:
+    """Lock a results folder; what another process left half moved is in its place then.
 
-    What another process left half moved is in its place then. An unfinished run stays.
+    An unfinished run may be continued afterwards.
     """
-    check_folder(folder)
-    working = folder.absolute() / WORKING
-    staging, lock = working / "tracks", Lock(working / "lock")
+    lock = Lock(root / WORKING / "lock")
     try:
-        settle(working)
-        shutil.rmtree(staging, ignore_errors=True)
-        with writing(staging):
-            staging.mkdir()
-        yield staging
+        finish(root)
+        yield root
     finally:
-        if not (working / JOURNAL).exists():
-            shutil.rmtree(staging, ignore_errors=True)
-        others = any(path != lock.path for path in working.iterdir())
+        remove(root / WORKING / _STAGING)
+        others = any(path != lock.path for path in (root / WORKING).iterdir())
         lock.release(unsaid=others)  # a run that goes on there wants to know of one that died
         with suppress(OSError):
-            working.rmdir()  # where nothing is in it
-
-
-def _commit(staging: Path, folder: Path) -> None:
-    """Makes the new files those of the folder."""
-    known = read_manifest(folder)["files"]
-    old = list(filter(is_track_file, known))
-    new = {path.name: path for path in staging.iterdir()}
-    new |= write_json(staging / MANIFEST, changed_manifest(folder, old, new))
-    commit(staging.parent, new, (*old, MANIFEST), [staging.name])
+            (root / WORKING).rmdir()  # where nothing is in it

@@ -1,4 +1,4 @@
-"""The files of a results folder against its manifest."""
+"""The files of a log's results against its manifest."""
 
 from collections.abc import Iterator
 from itertools import groupby
@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from jaxdet.errors import InputError, printable
-from jaxdet.results.commit import JOURNAL
 from jaxdet.results.durable import sha256
-from jaxdet.results.manifest import MANIFEST, WORKING, is_like_result, read_manifest
+from jaxdet.results.layout import MANIFEST
+from jaxdet.results.manifest import read_manifest
 from jaxdet.verify.report import Report
 
 MOST_NAMED = 3
@@ -19,17 +19,12 @@ def check_files(folder: Path, report: Report) -> dict[str, Any]:
     """Finds files that are missing, changed, or among the results and not of them.
 
     Args:
-        folder: The results folder.
+        folder: Folder of a log.
         report: Gets what is found.
 
     Returns:
         The manifest; empty where it can't be trusted.
     """
-    if (folder / WORKING / JOURNAL).is_file():
-        problem = "a command was stopped while its files moved here; repeat it"
-        report.add("files", WORKING, problem)
-    elif (folder / WORKING).is_dir():
-        report.notes.append("a run that will replace these results goes on here, or was stopped")
     try:
         manifest = read_manifest(folder)
     except InputError as error:
@@ -39,7 +34,7 @@ def check_files(folder: Path, report: Report) -> dict[str, Any]:
         _check_file(folder, name, about, report)
     others = []
     for name in sorted(_files(folder) - manifest["files"].keys() - {MANIFEST}):
-        if name.endswith(".parquet") or is_like_result(name):
+        if name.endswith(".parquet") or name.startswith(("map", "pictures/", "tracks")):
             report.add("files", printable(name), "is not in the manifest")
         else:
             others.append(printable(name))
@@ -74,6 +69,6 @@ def _check_file(folder: Path, name: str, about: dict[str, Any], report: Report) 
 
 
 def _files(folder: Path) -> set[str]:
-    """Names of all files in a folder but those of an unfinished run."""
+    """Return the names of all files in a folder."""
     found = (p.relative_to(folder) for p in folder.rglob("*") if p.is_file() or p.is_symlink())
-    return {path.as_posix() for path in found if path.parts[0] != WORKING}
+    return {path.as_posix() for path in found}

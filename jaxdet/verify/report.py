@@ -37,6 +37,16 @@ class Report:
     frames_again: int = 0
     """Frames whose rows were computed again."""
 
+    prefix: str = ""
+    """What names of files begin with: the folder of a log."""
+
     def add(self, check: str, where: str, problem: str) -> None:
-        """Something was found."""
-        self.findings.append(Finding(check, where, problem))
+        """Note something that is not as it should be."""
+        named = check in ("files", "tracks") or where.endswith(".parquet")
+        inside = named and self.prefix and not where.startswith("/")
+        self.findings.append(Finding(check, f"{self.prefix}/{where}" if inside else where, problem))
+
+    def of(self, log: str) -> "Report":
+        """Return the report itself, from now on of the folder of a log."""
+        self.prefix = log
+        return self

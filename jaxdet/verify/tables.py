@@ -1,45 +1,39 @@
 """The tables by themselves: readable, in order, belonging together, every frame accounted for."""
 
 from collections import Counter
-from collections.abc import Mapping
 from dataclasses import fields
-from typing import Any
 
 import numpy as np
 
 from jaxdet.errors import InputError
+from jaxdet.results.layout import FRAMES, OBSTACLES
 from jaxdet.results.metadata import INPUTS_KEY, VERSION_KEY, Inputs, table_metadata
 from jaxdet.results.reading import Chunk, ResultLog, Results
 from jaxdet.results.schemas import OBSTACLES_SCHEMA
 from jaxdet.results.summary import Counts
 from jaxdet.verify.report import Report
 
-_TABLES = ("frames.parquet", "obstacles.parquet")
 
-
-def check_tables(results: Results, inputs: Mapping[str, Any] | None, report: Report) -> None:
-    """Reads all rows.
+def check_tables(results: Results, report: Report) -> None:
+    """Read all rows.
 
     Args:
-        results: The results.
-        inputs: The manifest's, by log; None: they aren't known.
+        results: Results of one log.
         report: Gets what is found.
     """
-    read, whole = Inputs(), True
+    read, complete = Inputs(), True
     for log in results.logs:
         try:
             _check_log(results, log, read, report)
         except InputError as error:
-            whole = False
+            complete = False
             report.add("tables", log.label, error.problem)
-    named = {log["log"] for log in results.summary["logs"]}
-    for name in sorted((inputs or {}).keys() ^ named if inputs is not None else ()):
-        report.add("tables", name, "is in only one of manifest.json and summary.json")
-    for log in results.summary["logs"]:
-        if log["error"]:
-            report.notes.append(f"{log['log']} failed in the run and has no rows: {log['error']}")
-        report.notes += [f"lost in the run: {lost}" for lost in log["lost"]]
-    if whole:
+        report.notes += [f"lost in the run: {lost}" for lost in log.summary["lost"]]
+    report.notes += [
+        f"{failure.log} failed in the run and has no rows: {failure.reason}"
+        for failure in results.failed
+    ]
+    if complete and results.logs:
         _check_metadata(results, read, report)
 
 
@@ -115,10 +109,13 @@ def _gap(results: Results, numbers: np.ndarray) -> str:
 
 
 def _check_metadata(results: Results, read: Inputs, report: Report) -> None:
-    """What both tables say of their configuration and inputs is so."""
-    expected = table_metadata(results.config, results.summary, read)
-    expected[VERSION_KEY] = results.summary["jaxdet"]
-    for name, told in zip(_TABLES, (results.frames_metadata, results.metadata), strict=True):
+    """Check what both tables say of their configuration and inputs."""
+    log = results.logs[0]
+    summary = results.summaries[log.folder]
+    expected = table_metadata(results.config, summary, read)
+    expected[VERSION_KEY] = summary["jaxdet"]
+    for name in (FRAMES, OBSTACLES):
+        told = results.metadata(log, name)
         for key, value in expected.items():
             if told.get(key) != value:
                 what = (

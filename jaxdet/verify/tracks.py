@@ -6,8 +6,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from jaxdet.errors import InputError
-from jaxdet.results.reading import Results
-from jaxdet.tracks.folder import TRACKS, is_track_file, tracking, write_tracks
+from jaxdet.results.reading import TRACKS, Results
+from jaxdet.tracks.folder import is_track_file, tracking, write_tracks
 from jaxdet.verify.report import Report
 
 
@@ -19,7 +19,8 @@ def check_tracks(results: Results, names: Collection[str], report: Report) -> No
         names: Their files; those with a finding are not looked at again.
         report: Gets what is found.
     """
-    folder, known = results.folder, {finding.where for finding in report.findings}
+    folder = results.folder
+    known = {finding.where.rpartition("/")[2] for finding in report.findings}
     told = {name for name in names if is_track_file(name)}
     if not told or TRACKS in known:
         return

@@ -10,9 +10,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxdet import engine, preset
-from jaxdet.engine import RunOptions
-from jaxdet.io import LogOptions, find_logs
+from jaxdet import preset
+from jaxdet.io import LogOptions
 from jaxdet.pipeline import BackendName
 from jaxdet.types import Distortion
 from tests.fuzz.case import Case, Verdict, ended
@@ -32,6 +31,7 @@ from tests.io_helpers import (
     ros_tf,
     ros_type,
 )
+from tests.runs import run_logs
 from tests.scenes import blocks, small, smooth_depth
 
 FRAMES = 2
@@ -308,12 +308,12 @@ class Calibrations:
     ) -> tuple[Verdict, list[bytes]]:
         output = self._folder / "out"
         try:
-            given = RunOptions(output, backend, FRAMES, pictures=pictures, workers=1)
-            summary = engine.run(find_logs([str(path)]), preset(name), options, given)
+            how = {"backend": backend, "batch_size": FRAMES, "pictures": pictures, "workers": 1}
+            summary = run_logs(path, output, preset(name), log=options, **how)
             [log] = summary.logs
             if log.error:
                 ours = "a fault of jaxdet" in log.error or not log.error.isprintable()
-                reports = [file.read_text("utf-8") for file in output.glob("report_*")]
+                reports = [file.read_text("utf-8") for file in output.glob("*/report*")]
                 kind = "crash" if ours else "error"
                 return Verdict(kind, "\n".join([log.error, *reports])), []
             if sum(log.status.values()) != FRAMES:

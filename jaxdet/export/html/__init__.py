@@ -82,7 +82,7 @@ def export(results: "Results", output: Path, recordings: Mapping[str, "LogFiles"
         if log.label in mapped:
             image = results.map(log)
             entry["map"] = map_figure(image) if image else None
-    entries += [_failed(entry) for entry in results.summary["logs"] if entry["error"]]
+    entries += [_failed(failure.summary) for failure in results.failed]
     frames = sum(log.num_frames for log in results.logs)
     settings = changed_settings(results.config, results.method)
     data = {
@@ -98,7 +98,7 @@ def export(results: "Results", output: Path, recordings: Mapping[str, "LogFiles"
         "undrawn": undrawn,
         "preset": results.config.get("preset") or "wheeled",
         "settings": settings + given_options(results.log_options, LogOptions()),
-        "run": run_lines(results.summary),
+        "run": run_lines(results),
     }
     title = f"Obstacles in {results.logs[0].name}" if len(entries) == 1 and results.logs else ""
     title = title or f"Obstacles in {len(entries)} logs"

@@ -7,11 +7,14 @@ from datetime import UTC, datetime
 from hashlib import sha256
 from html import escape
 from importlib.resources import files
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from jaxdet.config import Config
 from jaxdet.presets import preset
 from jaxdet.results.summary import plain
+
+if TYPE_CHECKING:
+    from jaxdet.results.reading import Results
 
 REASONS = {
     "no_depth": "The depth image has no measurement in range.",
@@ -93,12 +96,17 @@ def given_options(options: Any, standard: Any) -> list[list[str]]:
     return [[f"log.{n}", _said(v), _said(d)] for (n, v), d in pairs if v != d]
 
 
-def run_lines(summary: Mapping[str, Any]) -> list[list[str]]:
-    """How the results were made: what and its value."""
-    lines = [["jaxdet", summary["jaxdet"] or ""], ["backend", summary["backend"]]]
-    lines += [[k.replace("_", " "), str(summary[k])] for k in ("workers", "batch_size")]
-    lines += [["took", f"{summary['seconds']:.1f} s"]]
-    return lines + [[k, v] for k, v in summary["versions"].items() if v]
+def run_lines(results: "Results") -> list[list[str]]:
+    """Return how the results were made: what and its value."""
+    told = list(results.summaries.values())
+    lines = [["jaxdet", results.version], ["backend", str(results.config.get("backend", ""))]]
+    if told:
+        for key in ("workers", "batch_size"):
+            values = sorted({summary.get(key) for summary in told} - {None})
+            lines.append([key.replace("_", " "), ", ".join(map(str, values))])
+        lines.append(["took", f"{sum(summary.get('seconds', 0.0) for summary in told):.1f} s"])
+    versions = results.config_source.get("versions") or {}
+    return lines + [[k, v] for k, v in versions.items() if v]
 
 
 def about(version: str, frames: int, begins_s: Sequence[float]) -> str:

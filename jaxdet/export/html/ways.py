@@ -27,7 +27,7 @@ def track_rows(results: "Results", log: "ResultLog", begin_ns: int) -> dict[str,
         begin and length of sight [s], mean and greatest speed [m/s], length and width [m], and the
         way in the world, x and y in turn [m], null where there are no poses. None without tracks.
     """
-    if not results.tracked:
+    if not results.tracked(log):
         return None
     most: dict[bool, list[tuple[int, int, dict[str, Any]]]] = {True: [], False: []}
     count = {True: 0, False: 0}

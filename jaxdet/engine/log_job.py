@@ -1,0 +1,369 @@
+"""One log, from its files to the folder of its results."""
+
+from collections.abc import Iterator
+from contextlib import ExitStack, closing
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from jaxdet.engine.color import check_color
+from jaxdet.engine.crew import Choose, Crew, Job
+from jaxdet.engine.floors import Planes, evenly
+from jaxdet.engine.memory import Memory
+from jaxdet.engine.part import Assembly
+from jaxdet.engine.plan import LogPlan, UnitSizes
+from jaxdet.engine.progress import Clock, Report
+from jaxdet.errors import CamerasError, ChunkMemoryError, InputError, JaxdetError, OutputError
+from jaxdet.io import RescanError, open_log
+from jaxdet.io.notes import total
+from jaxdet.memory import size_text
+from jaxdet.pipeline import BackendName
+from jaxdet.render import draw_map, write_png
+from jaxdet.results.crash_report import crash_report
+from jaxdet.results.durable import writing
+from jaxdet.results.layout import CONFIG, FAILED, SUMMARY
+from jaxdet.results.manifest import fingerprint, write_manifest
+from jaxdet.results.names import camera_name, export_name
+from jaxdet.results.occupancy import MAX_CELLS, OccupancyMap, save_map
+from jaxdet.results.publish import flush_folder
+from jaxdet.results.summary import LogSummary, Summary
+from jaxdet.results.writer import TableWriter, write_json
+
+if TYPE_CHECKING:
+    from jaxdet.io import Log, LogFiles, LogOptions
+
+UNIT_FRAMES = 256
+"""Most frames of a unit; neighbouring frames share chunks of the log."""
+_CELL_BYTES = 28
+"""Of a map that is made and drawn: four numbers of 4 bytes, cut out once more, and a pixel."""
+REPORT = "report.txt"
+"""Crash report in the folder of a log that failed for a fault of jaxdet."""
+
+Inputs = list[dict[str, Any]]
+
+
+def make_log(
+    job: Job,
+    files: "LogFiles",
+    folder: Path,
+    memory: Memory,
+    choose: Choose,
+    report: Report,
+    *,
+    keep_memory: bool = False,
+) -> list[LogSummary]:
+    """Write the results of a log into a new folder.
+
+    The folder is on the disk when this returns: with ``manifest.json``, or with ``failed.json``
+    where every camera of the log failed.
+
+    Args:
+        job: What it has in common with other logs.
+        files: The log.
+        folder: New folder; a folder of the same name and ``.rows`` holds temporary files.
+        memory: The memory of the run; a log with large chunks is shared by fewer processes.
+        choose: Chooses who works on it.
+        report: Gets where it stands.
+        keep_memory: Raise :class:`ChunkMemoryError` rather than take fewer processes.
+
+    Returns:
+        Summaries of its cameras.
+
+    Raises:
+        OutputError: The disk is full or broken, or there is no memory for the rows.
+    """
+    with writing(folder):
+        folder.mkdir()
+    inputs = [fingerprint(path) for path in files.paths]
+    given = job, files, inputs, folder, memory, choose, report
+    with ExitStack() as stack:
+
+        def run(options: "LogOptions", camera: str = "") -> CameraRun:
+            one = CameraRun(*given, camera)
+            stack.callback(one.close)
+            one.run(options, keep_memory=keep_memory)
+            return one
+
+        options = job.log_options
+        try:
+            cameras = [run(options)]
+        except CamerasError as error:
+            cameras = [run(replace(options, camera=name), name) for name in error.cameras]
+        done = [one for one in cameras if not one.about.error]
+        if options.camera is None:
+            for about in (one.about for one in done if one.about.description):
+                about.cameras_left_out = list(about.description.cameras_left_out)
+        abouts = [one.about for one in cameras]
+        summary = Summary(job.options.backend, max(one.batch for one in cameras), abouts)
+        summary.seconds = sum(about.seconds for about in abouts)
+        summary.workers = max(about.workers for about in abouts)
+        about = {**job.about, "log": files.name, "inputs": inputs}
+        if done:
+            _write_results(folder, job, summary, done, about)
+        else:
+            write_failure(folder, about, abouts)
+    with writing(folder):
+        flush_folder(folder)
+    return abouts
+
+
+def write_failure(folder: Path, about: dict[str, Any], logs: list[LogSummary]) -> None:
+    """Write ``failed.json``.
+
+    Args:
+        folder: Folder of the log.
+        about: Versions, digest of the configuration, name and inputs.
+        logs: Summaries of its cameras.
+    """
+    reason = "; ".join(log.error for log in logs if log.error)
+    told = {"reason": reason, "attempts": 1, **about, "logs": [log.to_dict() for log in logs]}
+    write_json(folder / FAILED, told)
+
+
+def _write_results(
+    folder: Path, job: Job, summary: Summary, cameras: list["CameraRun"], about: dict[str, Any]
+) -> None:
+    """Write tables, JSON files and the manifest."""
+    told, config = summary.to_dict(), {**job.described, "batch_size": summary.batch_size}
+    with TableWriter(folder) as writer:
+        for one in cameras:
+            with closing(one.rows()) as rows:
+                for some in rows:
+                    writer.add(some)
+        writer.close(config, told)
+    write_json(folder / CONFIG, config)
+    write_json(folder / SUMMARY, told)
+    with writing(folder):
+        write_manifest(folder, about)
+
+
+class CameraRun:
+    """One camera of a log, worked through.
+
+    Args:
+        job: What it has in common with others.
+        files: The log.
+        inputs: Fingerprints of its files.
+        folder: Folder of the log's results.
+        memory: The memory of the run.
+        choose: Chooses who works on it.
+        report: Gets where it stands.
+        camera: The camera, where the log has several.
+
+    Attributes:
+        about: The summary.
+        batch: Frames computed together.
+    """
+
+    def __init__(
+        self,
+        job: Job,
+        files: "LogFiles",
+        inputs: Inputs,
+        folder: Path,
+        memory: Memory,
+        choose: Choose,
+        report: Report,
+        camera: str,
+    ) -> None:
+        self.job, self.files, self.inputs, self.folder = job, files, inputs, folder
+        self.memory, self.choose, self.report, self.camera = memory, choose, report, camera
+        self.part = camera_name(camera) if camera else ""
+        """Part of the names of its files, where the log has several cameras."""
+        self.scratch = folder.with_name(f"{folder.name}_{self.part}.rows")
+        self.batch, self.about = 0, self._new()
+        self._assembly = Assembly(self.scratch, self.about)
+
+    def run(self, options: "LogOptions", *, keep_memory: bool) -> None:
+        """Work through the log; what is wrong with it is an error in the summary.
+
+        Raises:
+            CamerasError: There are several cameras, and the options choose none.
+            OutputError: The disk is full or broken.
+        """
+        try:
+            self._run_with_retries(options, keep_memory=keep_memory)
+        except (OutputError, CamerasError):
+            raise
+        except Exception as error:
+            if keep_memory:
+                raise
+            self._fail(error)
+
+    def rows(self) -> Iterator[Any]:
+        """Yield the rows in the order of the frames."""
+        return self._assembly.rows()
+
+    def close(self) -> None:
+        """Remove temporary files."""
+        self._assembly.close()
+
+    def _new(self) -> LogSummary:
+        paths = (str(path.absolute()) for path in self.files.paths)  # export and verify find them
+        about = LogSummary(self.files.name, tuple(paths))
+        about.file_name = export_name(self.files.name, self.camera)
+        return about
+
+    @property
+    def _prefix(self) -> str:
+        return self.part and f"{self.part}_"
+
+    def _fail(self, error: Exception) -> None:
+        """Note why the log failed; a fault of jaxdet leaves a report."""
+        text = str(error)
+        if not isinstance(error, JaxdetError):
+            text = f"{self.files.name}: {type(error).__name__}: {error}"
+        if not isinstance(error, JaxdetError) or hasattr(error, "__notes__"):
+            path = self.folder / f"{self._prefix}{REPORT}"
+            with writing(path):
+                path.write_text(crash_report(error, self.files.paths), encoding="utf-8")
+            where = f"{self.folder.name}/{path.name}"
+            text += f"; a fault of jaxdet: please send its developers {where}"
+        self.about.error = text
+
+    def _run_with_retries(self, options: "LogOptions", *, keep_memory: bool) -> None:
+        """Scan a log whose index is wrong, and take fewer workers where its chunks are large."""
+        while True:
+            self._assembly.close()
+            self.about = self._new()
+            self._assembly = Assembly(self.scratch, self.about)
+            try:
+                self._open_and_run(options)
+                return
+            except RescanError:
+                if options.scan:
+                    raise
+                options = replace(options, scan=True)
+            except ChunkMemoryError:
+                fewer = None if keep_memory else self.memory.with_fewer_workers()
+                if fewer is None:
+                    raise
+                self.memory = fewer
+
+    def _open_and_run(self, options: "LogOptions") -> None:
+        camera = f", {self.camera}" if self.camera else ""
+        self.report(self.about, f"{self.files.name}{camera}", 0, "opening")
+        with open_log(self.files, options, self.memory.reading) as log:
+            self._check_unchanged()  # from now on the open log sees a change itself
+            self._run(log)
+
+    def _check_unchanged(self) -> None:
+        """Make sure that the files are those that the manifest names.
+
+        Raises:
+            InputError: One is not.
+        """
+        for path, was in zip(self.files.paths, self.inputs, strict=True):
+            if fingerprint(path) != was:
+                problem = "was changed since the run began"
+                remedy = "read it again when nothing writes to it"
+                raise InputError(problem, path=str(path), remedy=remedy)
+
+    def _run(self, log: "Log") -> None:
+        about = self.about
+        about.camera = log.camera
+        if log.label != log.name:
+            self.part = camera_name(log.camera)
+            about.file_name = export_name(log.name, log.camera)
+        check_color(log, self.job.config)
+        about.description, about.calibration = log.description, log.calibration
+        about.warnings += log.description.warnings
+        about.notes += log.description.notes
+        crew = self.choose(log, self.memory)
+        about.workers, about.devices = crew.workers, crew.devices
+        self.report(about, log.label, len(log.frames), "looking for the floor")
+        together = crew.start(log)
+        self.batch = crew.memory.batch
+        plan = self._plan(log, together, crew.find_planes(log, together))
+        about.ground = plan.planes.records
+        about.warnings += plan.planes.warnings
+        self._work(log, plan, crew)
+        notes = self._assembly.finish(plan.observers)
+        if plan.maps:
+            self._write_map(self._assembly.map, log, crew.others)
+        before = len(log.description.warnings)
+        about.description = log.described(total(notes))
+        about.warnings += about.description.warnings[before:]
+        own = about.color_warning, about.depth_warning, about.floor_warning, about.tilt_warning
+        about.warnings += filter(None, own)
+
+    def _work(self, log: "Log", plan: LogPlan, crew: Crew) -> None:
+        about, clock = self.about, Clock(self.about, crew.workers)
+        count = len(log.frames)
+        self.report(about, log.label, count, "starting")
+        with closing(crew.work(log, plan)) as parts:  # pyright: ignore[reportArgumentType]
+            for unit, part in parts:
+                self._assembly.add(unit, part)
+                clock.tick()
+                self.report(about, log.label, count, "")
+        about.seconds = clock.seconds
+
+    def _plan(self, log: "Log", batch: int, planes: Planes) -> LogPlan:
+        """Return how the log is worked through, ``batch`` frames at a time."""
+        job, count = self.job, self.job.options.pictures
+        drawn = evenly(np.array(log.frames), count) if count else np.zeros(0, int)
+        return LogPlan(
+            self.files.name,
+            log.camera,
+            log.label,
+            log.frames,
+            job.config,
+            job.options.backend,
+            batch,
+            _unit_sizes(len(log.frames), batch, self.about.workers, job.options.backend),
+            planes,
+            frozenset(drawn.tolist()),
+            self.folder,
+            self.scratch,
+            self._prefix,
+            job.options.map,
+            job.observers,
+        )
+
+    def _write_map(self, occupancy: OccupancyMap, log: "Log", others: int) -> None:
+        """Write the map, or note why there is none."""
+        about, room = self.about, self.memory.room
+        if not any(path.size for path in occupancy.path):
+            about.notes.append("no map: no frame has a pose")
+            return
+        if occupancy.skipped:
+            about.warnings.append(f"{occupancy.skipped} outlines or views have no place on the map")
+        if others and room // (others + 1) // _CELL_BYTES < occupancy.cells <= MAX_CELLS:
+            raise MemoryError("not enough for as many maps at a time")
+        if (size := _CELL_BYTES * occupancy.cells) > room and occupancy.cells <= MAX_CELLS:
+            about.warnings.append(f"no map: it takes {size_text(size)}; give --memory more")
+            return
+        image = occupancy.image()
+        if image is None:
+            self._say_why(occupancy)
+            return
+        about.map = f"map_{self.part}" if self.part else "map"
+        with writing(self.folder):
+            save_map(self.folder / f"{about.map}.npz", image)
+            write_png(self.folder / f"{about.map}.png", draw_map(image, log.label))
+
+    def _say_why(self, occupancy: OccupancyMap) -> None:
+        """Note why there is no map, though frames have poses."""
+        about, floors = self.about, self.about.floor_sources
+        if occupancy.cells:
+            about.warnings.append("no map: what was seen is too far apart for one")
+        elif self.job.config.ground.source == "none":
+            about.notes.append("no map: no floor was looked for (--ground.source none)")
+        elif floors and floors.total() == floors["none"]:
+            about.warnings.append("no map: no frame's floor is known")
+        else:
+            about.warnings.append("no map: nothing was seen in the world")
+
+
+def _unit_sizes(frames: int, batch: int, workers: int, backend: BackendName) -> UnitSizes:
+    """Return sizes of whole batches, with enough units to keep all workers busy to the end."""
+    most = UNIT_FRAMES if backend == "jax" else batch
+    batches = max(1, min(most, frames // (4 * workers)) // batch)
+    end_frames = workers * batches * batch if workers > 1 else 0
+    return UnitSizes(batches * batch, end_frames, max(1, batches // 4) * batch)
+
+
+def no_report(*_: object) -> None:
+    """Report nothing of where a log stands."""

@@ -1,0 +1,118 @@
+"""Where results lie: a folder for each log, and what of them is complete.
+
+::
+
+    RESULTS/
+      run.json            configuration and versions of all logs, written once
+      drive_1/            a log, see jaxdet.results.names.log_name
+        frames.parquet obstacles.parquet summary.json config.json
+        map.npz map.png pictures/000012.png
+        tracks.parquet track_links.parquet tracks.png
+        manifest.json     size and SHA-256 of the others: without it the folder is no result
+      drive_2/
+        failed.json       why the log has no results, and how often it was tried
+      .jaxdet/            what a command that writes here needs while it runs
+        lock
+        ready/drive_1/    complete, and in the place of RESULTS/drive_1 from now on
+        overwrite         begin of an unfinished --overwrite
+
+A reader takes a log's folder from ``ready`` where it is there (:mod:`jaxdet.results.publish`).
+"""
+
+import json
+import os
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from jaxdet.errors import InputError
+
+RUN, MANIFEST, FAILED = "run.json", "manifest.json", "failed.json"
+SUMMARY, CONFIG = "summary.json", "config.json"
+FRAMES, OBSTACLES = "frames.parquet", "obstacles.parquet"
+WORKING, READY = ".jaxdet", "ready"
+
+AGAIN = "run jaxdet run again, or name another folder"
+
+
+def log_folders(results: Path) -> dict[str, Path]:
+    """Return the folders of logs by their names, complete and failed ones, in order."""
+    found = {path.name: path for path in _with_results(results)}
+    found |= {path.name: path for path in _with_results(results / WORKING / READY)}
+    return dict(sorted(found.items()))
+
+
+def _with_results(folder: Path) -> Iterator[Path]:
+    try:
+        names = [entry.name for entry in os.scandir(folder) if entry.name != WORKING]
+    except (FileNotFoundError, NotADirectoryError):
+        return
+    for path in (folder / name for name in names):
+        if is_complete(path) or (path / FAILED).is_file():
+            yield path
+
+
+def is_complete(folder: Path) -> bool:
+    """Whether a folder holds the complete results of a log."""
+    return (folder / MANIFEST).is_file()
+
+
+def is_run(folder: Path) -> bool:
+    """Whether a folder is that of a run, with a folder for each log."""
+    return (folder / RUN).is_file()
+
+
+def check_folder(folder: Path) -> None:
+    """Raise an error where there is no folder that could hold results.
+
+    Raises:
+        InputError: There is none, or a file.
+    """
+    if not folder.is_dir():
+        problem = "a file, not a folder of results" if folder.exists() else "no such folder"
+        remedy = "name the folder that jaxdet run --output wrote"
+        raise InputError(problem, path=str(folder), remedy=remedy)
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """Read a JSON file of results.
+
+    Raises:
+        InputError: It is missing, can't be read, or holds no JSON object.
+    """
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        problem = f"has no complete results ({path.name} is missing)"
+        raise InputError(problem, path=str(path.parent), remedy=AGAIN) from error
+    except OSError as error:
+        raise unread(path, error) from error
+    except (ValueError, RecursionError) as error:
+        raise InputError("is not JSON", path=str(path), remedy=AGAIN) from error
+    if not isinstance(found, dict):
+        raise InputError("is not a JSON object", path=str(path), remedy=AGAIN)
+    return found
+
+
+def unread(path: Path, error: OSError) -> InputError:
+    """Return the error of a file that the system doesn't give, whatever is in it."""
+    problem = f"can't be read ({os.strerror(error.errno or 0)})"
+    return InputError(problem, path=str(path), remedy="check its permissions and its disk")
+
+
+def leads_out(name: str) -> bool:
+    """Whether the name of a file of results leads out of its folder."""
+    return Path(name).is_absolute() or ".." in Path(name).parts or "\0" in name
+
+
+def entries_of(told: Mapping[str, Any], where: Path) -> list[dict[str, Any]]:
+    """Return the entries of a log's cameras in ``summary.json`` or ``failed.json``.
+
+    Raises:
+        InputError: There are none, or they lack what every version wrote.
+    """
+    logs = told.get("logs")
+    needed = {"log", "camera", "paths", "error", "lost", "frames", "obstacles"}
+    if not isinstance(logs, list) or not all(isinstance(e, dict) and needed <= {*e} for e in logs):
+        raise InputError("is not as jaxdet writes it", path=str(where), remedy=AGAIN)
+    return logs

@@ -1,0 +1,126 @@
+"""How a log's folder gets to its place: the old one or the new one is there, complete.
+
+A folder is made in the working folder and renamed when it is complete. Where there is one already
+the two are exchanged in one step, where the system can do that. Where it can't, the new folder is
+renamed into ``ready``, from which moment it is the log's: readers take it from there, and whichever
+command works here next moves it to its place (:func:`finish`).
+"""
+
+import ctypes
+import errno
+import os
+import secrets
+import shutil
+from contextlib import suppress
+from pathlib import Path
+
+from jaxdet.results.durable import flush, writing
+from jaxdet.results.layout import READY, WORKING
+
+_AT_FDCWD, _RENAME_EXCHANGE = -100, 2
+_CANT = (errno.ENOSYS, errno.EINVAL, errno.ENOTSUP, errno.EOPNOTSUPP)
+
+
+def publish(staged: Path, results: Path, name: str) -> None:
+    """Make a folder that of a log; an older one is removed.
+
+    Args:
+        staged: Complete folder, in the working folder; its files are on the disk
+            (:func:`flush_folder`).
+        results: Results folder, whose working folder this process has locked.
+        name: Name of the log's folder.
+
+    Raises:
+        OutputError: The disk is full or broken. The old folder or the new one is there.
+    """
+    place = results / name
+    with writing(place):
+        if not os.path.lexists(place):
+            os.rename(staged, place)
+        elif exchange(staged, place):
+            remove(staged)
+        else:
+            ready = results / WORKING / READY / name
+            ready.parent.mkdir(exist_ok=True)
+            os.rename(staged, ready)
+            flush(ready.parent)
+            _move(ready, place)
+        flush(results)
+
+
+def finish(results: Path) -> int:
+    """Complete what :func:`publish` began in a process that has ended.
+
+    Args:
+        results: Results folder, whose working folder this process has locked.
+
+    Returns:
+        Number of folders that were moved to their place.
+
+    Raises:
+        OutputError: The folder can't be written to; to be called again.
+    """
+    waiting = sorted((results / WORKING / READY).glob("*"))
+    with writing(results):
+        for ready in waiting:
+            _move(ready, results / ready.name)
+        if waiting:
+            flush(results)
+        with suppress(OSError):
+            (results / WORKING / READY).rmdir()
+    return len(waiting)
+
+
+def _move(ready: Path, place: Path) -> None:
+    """Move a folder to its place; what is there is removed."""
+    if os.path.lexists(place):
+        old = ready.parents[1] / f"old-{secrets.token_hex(4)}"
+        os.rename(place, old)
+        os.rename(ready, place)
+        remove(old)
+    else:
+        os.rename(ready, place)
+
+
+def exchange(one: Path, other: Path) -> bool:
+    """Exchange two folders in one step; False: the system can't, and nothing has changed."""
+    try:
+        rename = ctypes.CDLL(None, use_errno=True).renameat2
+    except (AttributeError, OSError, TypeError):  # no such function in this C library
+        return False
+    paths = (os.fsencode(one), os.fsencode(other))
+    if rename(_AT_FDCWD, paths[0], _AT_FDCWD, paths[1], _RENAME_EXCHANGE) == 0:
+        return True
+    number = ctypes.get_errno()
+    if number in _CANT:
+        return False
+    raise OSError(number, os.strerror(number), str(other))
+
+
+def remove(path: Path) -> None:
+    """Remove a folder or a link, as far as that can be done."""
+    if path.is_symlink() or not path.is_dir():
+        with suppress(OSError):
+            path.unlink()
+    else:
+        shutil.rmtree(path, ignore_errors=True)
+
+
+def flush_folder(folder: Path) -> None:
+    """Wait until all files of a folder are on the disk."""
+    paths = [*folder.rglob("*")]
+    flush(*(path for path in paths if not path.is_symlink()), folder)
+
+
+def link_folder(folder: Path, copy: Path) -> None:
+    """Make a new folder with links to the files of another; copies where there are no links."""
+    copy.mkdir(parents=True)
+    for path in sorted(folder.rglob("*")):
+        to = copy / path.relative_to(folder)
+        if path.is_dir() and not path.is_symlink():
+            to.mkdir()
+            continue
+        try:
+            to.hardlink_to(path)
+        except OSError:
+            shutil.copy2(path, to, follow_symlinks=False)

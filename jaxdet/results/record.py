@@ -1,0 +1,80 @@
+"""What decides the results of all logs of a run: configuration and versions, in ``run.json``."""
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any
+
+import jaxdet
+from jaxdet.config import Config
+from jaxdet.results.summary import plain
+from jaxdet.results.versions import source_digest, versions
+
+if TYPE_CHECKING:
+    from jaxdet.io import LogOptions
+
+
+def make_record(
+    config: Config,
+    log_options: "LogOptions",
+    preset: str | None,
+    *,
+    backend: str,
+    pictures: int,
+    map: bool,
+    observers: Mapping[str, object],
+) -> dict[str, Any]:
+    """Return the content of ``run.json``; arguments as of :meth:`jaxdet.Runner.run`.
+
+    Workers and batches are not in it, as they change no result.
+
+    Returns:
+        What JSON can hold: ``about`` with versions, pictures, map and what results are compared
+        with, and ``config``, the content of ``config.json`` but for the batch size.
+    """
+    which = {"jaxdet": jaxdet.__version__, "source": source_digest(), "versions": versions()}
+    chosen = {"preset": preset, "backend": backend, **plain(config)}
+    chosen["log"] = plain(log_options)
+    observed = {name: {type(one).__name__: plain(_public(one))} for name, one in observers.items()}
+    drawn = {"pictures": pictures, "map": map}
+    record = {"about": {**which, **drawn, "observed": observed}, "config": chosen}
+    return json.loads(json.dumps(record, default=lambda value: type(value).__name__))
+
+
+def _public(observer: object) -> dict[str, Any]:
+    """Return the attributes of an observer that decide what it says."""
+    return {name: value for name, value in vars(observer).items() if not name.startswith("_")}
+
+
+def digest(record: Mapping[str, Any]) -> str:
+    """Return a checksum of a record: of the same logs two runs with it make the same results."""
+    return hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()
+
+
+def difference(before: Mapping[str, Any], now: Mapping[str, Any]) -> str | None:
+    """Return the first thing in which two records differ, for people; None: in nothing."""
+    old, new = dict(_flat(before)), dict(_flat(now))
+    keys = [key for key in {**old, **new} if old.get(key, _NOT) != new.get(key, _NOT)]
+    if not keys:
+        return None
+    key = keys[0]
+    was, is_now = (_text(values.get(key, _NOT)) for values in (old, new))
+    name = ".".join(part for part in key if part not in ("about", "config"))
+    name = "jaxdet's own code" if key == ("about", "source") else name
+    return f"{name} was {was} and is {is_now} now"
+
+
+_NOT = object()
+
+
+def _flat(value: Any, *key: str) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """Yield the values of nested mappings with their keys."""
+    if isinstance(value, Mapping):
+        for name, part in value.items():
+            yield from _flat(part, *key, name)
+    else:
+        yield key, value
+
+
+def _text(value: Any) -> str:
+    return "not set" if value is _NOT or value is None else json.dumps(value, ensure_ascii=False)

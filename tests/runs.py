@@ -1,0 +1,21 @@
+"""Runs as tests make them."""
+
+from pathlib import Path
+from typing import Any
+
+from jaxdet import engine
+from jaxdet.config import Config
+
+
+def run_logs(logs: Any, output: Path, config: Config | None = None, **options: Any) -> Any:
+    """Run logs with arguments of :class:`jaxdet.Runner` and of its ``run``; return the summary."""
+    own = ("backend", "workers", "memory")
+    resources = {name: options.pop(name) for name in own if name in options}
+    with engine.Runner(**resources) as runner:
+        return runner.run(logs, output, config or Config(), **options)
+
+
+def only_log(results: Path) -> Path:
+    """Return the folder of the only log of results."""
+    (folder,) = (path for path in results.iterdir() if path.is_dir() and path.name != ".jaxdet")
+    return folder
