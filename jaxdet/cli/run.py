@@ -13,6 +13,7 @@ from jaxdet.cli.tell import tell
 from jaxdet.config import Config
 from jaxdet.engine.options import RunOptions
 from jaxdet.errors import Interrupted
+from jaxdet.fleet.place import is_url
 from jaxdet.io.options import LogOptions
 from jaxdet.presets import DEFAULT_PRESET
 
@@ -100,6 +101,10 @@ def _run(command: RunCommand) -> int:
     from jaxdet.engine.startup import cache_folders, start_cuda
 
     options = command.run
+    if options.on or options.share or any(map(is_url, [*command.logs, options.output])):
+        from jaxdet.cli.fleet import run_on_machines
+
+        return run_on_machines(command)
     if options.backend == "jax":
         start_cuda()
     from jaxdet.cli.progress import reporting

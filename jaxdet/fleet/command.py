@@ -22,6 +22,7 @@ def run_fleet(
     *,
     on: str | None = None,
     share: str | None = None,
+    join: bool = True,
     report: Report | None = None,
 ) -> list[dict[str, Any]]:
     """Run logs at places into a place; what is done there already is skipped.
@@ -32,6 +33,7 @@ def run_fleet(
         how: As of :func:`jaxdet.fleet.run_log`.
         on: ``ray``: on a Ray cluster; by default on this machine.
         share: ``K/N``: only the logs of the K-th of N shares.
+        join: As of :func:`jaxdet.find_logs`.
         report: Called after each log.
 
     Returns:
@@ -46,7 +48,7 @@ def run_fleet(
         remedy = "name another --output, or run one log with --overwrite before the shares start"
         raise ConfigError("--overwrite with --share would replace other shares", remedy=remedy)
     place = address(output)
-    logs = list_logs(inputs)
+    logs = list_logs(inputs, join=join)
     logs = share_of(logs, share) if share else logs
     found = []
     with redirect_stdout(sys.stderr):  # Ray's messages about workers

@@ -1,9 +1,9 @@
 """Logs at a place, as plain values: a dict per log that any engine can carry to another machine.
 
-``{"log": "monday/drive_1", "name": "monday--drive_1", "url": "s3://bucket/logs", "files": [{"key":
-..., "size": ..., "tag": ...}, ...]}``: ``log`` is the name in tables, ``name`` that of the folder of
-results; ``url`` is empty for local logs, whose keys are paths; ``tag`` is the identity of the
-version that was listed.
+``{"log": "monday/drive_1", "name": "monday--drive_1", "url": "s3://bucket/logs", "files": [...]}``:
+``log`` is the name in tables, ``name`` that of the folder of results; ``url`` is empty for local
+logs; ``files`` have ``key`` (a path, of local logs), ``size``, and ``tag``, which is the identity
+of the version that was listed.
 """
 
 import hashlib
@@ -15,7 +15,7 @@ from pathlib import PurePosixPath
 from typing import Any
 
 from jaxdet.errors import ConfigError, InputError
-from jaxdet.fleet.place import Entry, Place, address, is_url, open_place
+from jaxdet.fleet.place import Entry, Place, address, is_url, local_entry, open_place
 
 Log = dict[str, Any]
 METADATA = "metadata.yaml"
@@ -25,21 +25,24 @@ _MEMBER = re.compile(r"^\s*-\s*[\"']?([^\"'\s#:]+\.(?:mcap|db3))[\"']?\s*$", re.
 _NUMBER = re.compile(r"_\d+$")
 
 
-def list_logs(inputs: Iterable[str | PathLike[str]] | str | PathLike[str]) -> list[Log]:
+def list_logs(
+    inputs: Iterable[str | PathLike[str]] | str | PathLike[str], *, join: bool = True
+) -> list[Log]:
     """List the logs at addresses, folders and files, ordered by name.
 
     In a bucket the files that one ``metadata.yaml`` of rosbag2 lists are one log; every other
     ``.mcap``, ``.db3`` or ``.bag`` file is a log of its own. Of a recording that a folder holds in
-    several formats one is taken, MCAP first. Folders of images are not read from buckets.
+    several formats one is taken, MCAP first. Folders of images are not read from buckets. ``join``:
+    as of :func:`jaxdet.find_logs`.
 
     Raises:
         InputError: An input holds no log.
         ConfigError: Two logs have one name, or an address is wrong.
     """
     items = [inputs] if isinstance(inputs, str | PathLike) else [*inputs]
-    logs = [log for item in items if is_url(item) for log in _in_bucket(address(item))]
+    logs = [log for item in items if is_url(item) for log in _in_bucket(address(item), join)]
     if local := [item for item in items if not is_url(item)]:
-        logs += _local([address(item) for item in local])
+        logs += _local([address(item) for item in local], join)
     logs.sort(key=lambda log: log["name"])
     for one, other in pairwise(logs):
         if one["name"] == other["name"]:
@@ -81,7 +84,7 @@ def _digest(name: str) -> int:
     return int.from_bytes(hashlib.sha256(name.encode()).digest()[:8])
 
 
-def _in_bucket(url: str) -> list[Log]:
+def _in_bucket(url: str, join: bool) -> list[Log]:
     from jaxdet.io.files import EXPORTED, SUFFIXES
 
     place = open_place(url)
@@ -100,7 +103,7 @@ def _in_bucket(url: str) -> list[Log]:
         raise InputError("no logs found", path=url, remedy=remedy)
     logs, seen = {}, set[str]()
     for key in entries:
-        if PurePosixPath(key).name == METADATA:
+        if join and PurePosixPath(key).name == METADATA:
             members = _members(place, key, entries)
             logs |= {_stem(members[0], _NUMBER): [*members, key]} if members else {}
             seen |= {*members}
@@ -143,16 +146,11 @@ def _log(stem: str, url: str, entries: Iterable[Entry]) -> Log:
     return {"log": stem, "name": log_name(stem), "url": url, "files": files}
 
 
-def _local(paths: Sequence[str]) -> list[Log]:
+def _local(paths: Sequence[str], join: bool) -> list[Log]:
     from jaxdet.io import find_logs
     from jaxdet.results.manifest import fingerprint
 
-    logs = []
-    for found in find_logs(paths):
-        files = []
-        for path in found.paths:
-            about = fingerprint(path.absolute())
-            tag = {"e_tag": f"{about.get('mtime_ns')}-{about.get('fingerprint')}"}
-            files.append(Entry(str(path.absolute()), about.get("size", 0), tag))
-        logs.append(_log(found.name, "", files))
-    return logs
+    return [
+        _log(log.name, "", [local_entry(fingerprint(path.absolute())) for path in log.paths])
+        for log in find_logs(paths, join=join)
+    ]

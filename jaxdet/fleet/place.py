@@ -47,6 +47,12 @@ class Entry(NamedTuple):
     tag: Tag
 
 
+def local_entry(about: Mapping[str, Any]) -> Entry:
+    """Return the entry of a file by its :func:`jaxdet.results.manifest.fingerprint`."""
+    tag = {"e_tag": f"{about.get('mtime_ns')}-{about.get('fingerprint')}"}
+    return Entry(about["path"], about.get("size", 0), tag)
+
+
 def scrub(text: str) -> str:
     """Remove what may be credentials from an address or an error: user parts and queries.
 

@@ -14,14 +14,13 @@ In a bucket::
 Each attempt writes under its own name, so two can't mix even where their files differ, and one that
 finds the manifest or another ``current.json`` than at its begin removes its own files.
 
-In a folder a log has the one layout of local runs, renamed into place; ``.jaxdet/fleet`` notes
+In a folder a log has the one layout of local runs, renamed into place; ``.fleet`` notes
 which folder is of which version, before the rename.
 """
 
 import hashlib
 import json
 import os
-import shutil
 import time
 from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -29,17 +28,19 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from jaxdet.errors import InputError
-from jaxdet.fleet.place import Bucket, Folder, Place, open_place
+from jaxdet.fleet.place import Bucket, Entry, Folder, Place, local_entry, open_place
 from jaxdet.fleet.spool import is_dead, process, testify
 from jaxdet.results.durable import sha256, writing
+from jaxdet.results.layout import FAILED, MANIFEST
+from jaxdet.results.publish import exchange, remove
 
-MANIFEST, FAILED, TRACKS, CURRENT = "manifest.json", "failed.json", "tracks.json", "current.json"
+TRACKS, CURRENT = "tracks.json", "current.json"
 MOST_KILLED = 3
 """Processes that a log may kill."""
 MOST_LOST = 9
 """Attempts without an end that nobody saw die, as their machine was lost with them, in a day."""
 _DAY_S = 86400.0
-_NOTES = ".jaxdet/fleet/"
+_NOTES = ".fleet/"
 _UPLOADS = 8
 
 
@@ -75,9 +76,9 @@ def open_results(url: str) -> "Results":
     return BucketResults(place) if isinstance(place, Bucket) else FolderResults(place)
 
 
-def version_of(record: str, files: Iterable[Any]) -> str:
-    """Return the name of a version: of a record's checksum and the files of a log."""
-    text = json.dumps([record, [list(file) for file in files]], sort_keys=True)
+def version_of(record: str, files: Iterable[Entry]) -> str:
+    """Return the name of a version: of a record's checksum and the files of a log, by any name."""
+    text = json.dumps([record, [(file.size, file.tag) for file in files]], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
@@ -159,10 +160,10 @@ class BucketResults(_Attempts):
         return "done" if first else "there"
 
     def publish_tracks(self, target: Target, attempt: str, staged: Path) -> None:
-        """Add the tracks of a log, which are whatever its manifest doesn't list."""
-        known = json.loads((staged / MANIFEST).read_text(encoding="utf-8"))["files"]
-        paths = [path for path in _files(staged) if path not in {*known, MANIFEST}]
-        self._upload(target.base, f"tracks-{attempt}", staged, paths, TRACKS)
+        """Add the tracks of a log, with the ``manifest.json`` that lists them too."""
+        known = (self._json(f"{target.base}/{MANIFEST}") or {"files": {}})["files"]
+        names = [name for name in _files(staged) if name not in known or name == MANIFEST]
+        self._upload(target.base, f"tracks-{attempt}", staged, names, TRACKS)
 
     def has_tracks(self, target: Target) -> bool:
         """Whether a log has tracks."""
@@ -254,8 +255,11 @@ class FolderResults(_Attempts):
             found = self.place.get(f"{target.name}/{file}")
             if found is None:
                 continue
-            if self.place.get(self._note(target, found[0])):
-                return Standing(state, None, json.loads(found[0]) if file == FAILED else {})
+            told = json.loads(found[0])
+            inputs = map(local_entry, told.get("inputs") or ())
+            same = version_of(told.get("run", ""), inputs) == target.version  # of a local run
+            if same or self.place.get(self._note(target, found[0])):
+                return Standing(state, None, told if file == FAILED else {})
             digest = self._note(target, found[0]).rpartition("/")[2]
             noted = self.place.list(f"{_NOTES}{target.name}/")
             key = next((entry.key for entry in noted if entry.key.endswith(digest)), "")
@@ -269,7 +273,7 @@ class FolderResults(_Attempts):
             parent.mkdir(parents=True, exist_ok=True)
             for left in parent.iterdir():
                 if is_dead(left.name):
-                    shutil.rmtree(left, ignore_errors=True)
+                    remove(left)
         return parent / f"{process()}-{attempt}"
 
     def publish(self, target: Target, attempt: str, staged: Path, seen: Standing) -> str:
@@ -294,11 +298,12 @@ class FolderResults(_Attempts):
                 while not rename_if_absent(staged, folder):
                     if self.standing(target).state in ("whole", file == FAILED and "failed"):
                         return "there"
-                    exchange(staged, folder)
-                    break
+                    if exchange(staged, folder):
+                        break
+                    remove(folder)  # where folders can't be exchanged
                 return "done"
         finally:
-            shutil.rmtree(staged, ignore_errors=True)
+            remove(staged)
 
     def _note(self, target: Target, content: bytes) -> str:
         return f"{_NOTES}{target.base}/{hashlib.sha256(content).hexdigest()[:16]}"
@@ -313,14 +318,6 @@ def rename_if_absent(staged: Path, target: Path) -> bool:
             return False
         raise
     return True
-
-
-def exchange(staged: Path, folder: Path) -> None:
-    """Put a folder in the place of another one, which gets its name."""
-    old = staged.with_name(f"{staged.name}-old")
-    os.rename(folder, old)
-    os.rename(staged, folder)
-    os.rename(old, staged)
 
 
 Results = BucketResults | FolderResults

@@ -1,6 +1,5 @@
 """One log from a place to a place: fetch, run, publish; what every engine calls."""
 
-import hashlib
 import json
 import secrets
 import time
@@ -12,7 +11,6 @@ from pathlib import Path
 from threading import Event
 from typing import Any, NamedTuple
 
-import jaxdet
 from jaxdet.errors import ConfigError, InputError, JaxdetError, OutputError
 from jaxdet.fleet.logs import Log, entries_of, size_of
 from jaxdet.fleet.place import Bucket, address, open_place, probe
@@ -28,11 +26,11 @@ from jaxdet.fleet.publish import (
     version_of,
 )
 from jaxdet.fleet.spool import Spool, check_room, sweep
+from jaxdet.results.layout import FAILED, RUN
+from jaxdet.results.publish import remove
 
-RUN = "run.json"
-RESULT_KEYS = ("preset", "config", "log", "backend", "pictures")
-"""Keys of ``how`` that decide results."""
-ENGINE_KEYS = (*RESULT_KEYS, "workers", "memory", "batch_size")
+ENGINE_KEYS = ("preset", "config", "log", "backend", "workers", "memory", "batch_size")
+ENGINE_KEYS += ("pictures", "map")
 """Keys of ``how`` that :func:`jaxdet.engine.run_one` takes."""
 
 
@@ -67,32 +65,30 @@ def run_logs(logs: Sequence[Log], place: str, how: Mapping[str, Any]) -> Iterato
     how = prepare(place, how) if "record" in how else _prepared(place, json.dumps(how))
     work = _Work(open_results(address(place)), how, Event())
     sweep(how.get("spool"))
-    following, waiting = None, []
+    one, following = None, None
     with ThreadPoolExecutor(1) as ahead:
         try:
             for number, log in enumerate(logs):
-                one = following.result() if following else None
-                if one is None:  # none was fetched ahead, or there was no room
-                    one = work.fetched(log)
-                waiting = [one]
+                # None was fetched ahead if there was no room.
+                one = (following.result() if following else None) or work.fetched(log)
+                assert one
                 following = None
                 if number + 1 < len(logs):
-                    later, held = logs[number + 1], one.held
-                    following = ahead.submit(work.fetched_ahead, later, held)
+                    following = ahead.submit(work.fetched, logs[number + 1], one.held)
                 outcome = one.outcome or work.computed(one)
                 one.close()
-                yield {**_NOTHING, **outcome}
+                yield _OUTCOME | outcome
         finally:
             work.stop.set()
-            if following:
-                with suppress(BaseException):
-                    waiting += filter(None, [following.result()])
-            for one in waiting:
+            with suppress(BaseException):
+                if following and (fetched := following.result()):
+                    fetched.close()
+            if one:
                 one.close()
 
 
-_NOTHING = {"error": None, "frames": 0, "obstacles": 0, "lost": [], "warnings": []}
-_NOTHING |= {"fetch_s": 0.0, "run_s": 0.0, "publish_s": 0.0}
+_OUTCOME = {"error": None, "frames": 0, "obstacles": 0, "lost": [], "warnings": []}
+_OUTCOME |= {"fetch_s": 0.0, "run_s": 0.0, "publish_s": 0.0}
 
 
 class _Fetched(NamedTuple):
@@ -112,6 +108,10 @@ class _Fetched(NamedTuple):
         if self.spool:
             self.spool.close()
 
+    def told(self, state: str, **values: Any) -> dict[str, Any]:
+        about = {"log": self.log["log"], "name": self.log["name"], "bytes": size_of(self.log)}
+        return {**about, "state": state, "fetch_s": round(self.seconds, 3), **values}
+
 
 class _Work(NamedTuple):
     """What the logs of a run share."""
@@ -120,128 +120,125 @@ class _Work(NamedTuple):
     how: Mapping[str, Any]
     stop: Event
 
-    def fetched_ahead(self, log: Log, held: int) -> _Fetched | None:
-        """Fetch a log; None: there is no room next to the one that is computed."""
-        try:
-            check_room(self.how.get("spool"), _held(log), self.how.get("spool_size"), held)
-        except InputError:
-            return None
-        return self.fetched(log)
+    def fetched(self, log: Log, held: int = 0) -> _Fetched | None:
+        """Fetch a log, unless that is not needed.
 
-    def fetched(self, log: Log) -> _Fetched:
-        """Fetch a log, unless that is not needed."""
-        target = Target(
-            log["name"], version_of(self.how["record"], entries_of(log)), self.how["record"]
-        )
-        seen = self.results.standing(target)
-        one = _Fetched(log, target, seen)
+        Args:
+            log: The log.
+            held: Bytes of another one on local disk; None is returned if there is no room besides.
+        """
+        record, where = self.how["record"], self.how.get("spool")
+        target = Target(log["name"], version_of(record, entries_of(log)), record)
+        one = _Fetched(log, target, self.results.standing(target))
         if outcome := self._standing(one):
             return one._replace(outcome=outcome)
-        begin, spool = time.monotonic(), None
+        size, begin, spool = size_of(log) if log["url"] else 0, time.monotonic(), None
         try:
-            check_room(self.how.get("spool"), _held(log), self.how.get("spool_size"), 0)
-            spool = Spool(self.how.get("spool"))
+            check_room(where, size, self.how.get("spool_size"), held)
+            spool = Spool(where)
             path = _fetch(log, spool.path, self.stop)
-        except InputError as error:  # of this moment or machine, so nothing is noted
+        except BaseException as error:
             if spool:
                 spool.close()
-            return one._replace(outcome=self._outcome(one, "failed", error=str(error)))
-        except BaseException:
-            if spool:
-                spool.close()
-            raise
-        taken = time.monotonic() - begin
-        return one._replace(spool=spool, path=path, held=_held(log), seconds=taken)
+            elif held and isinstance(error, InputError):
+                return None
+            if not isinstance(error, InputError):
+                raise
+            return one._replace(outcome=one.told("failed", error=str(error)))  # for the moment
+        return one._replace(spool=spool, path=path, held=size, seconds=time.monotonic() - begin)
 
     def _standing(self, one: _Fetched) -> dict[str, Any] | None:
         """Return the outcome of a log that has one already."""
         target, seen, how = one.target, one.seen, self.how
         if seen.state == "whole":
-            return self._outcome(one, "there", **self._tracked(target))
+            return one.told("there", error=self._add_tracks(target))
         if seen.state == "failed":
-            if not how.get("update") or seen.failure.get("run") == how["run"]:
-                return self._outcome(one, "failed", error=seen.failure["reason"])
+            if not how.get("update") or seen.failure.get("command") == how["command"]:
+                return one.told("failed", error=seen.failure["reason"])
             self.results.reopen(target)
         replace = how.get("update") or how.get("overwrite") or seen.state != "other"
         if not replace and (seen.current is None or seen.current["record"] == how["record"]):
             error = "there are results of another input; --update replaces them"
-            return self._outcome(one, "failed", error=error)
+            return one.told("failed", error=error)
         killed, lost = self.results.deaths(target)
         if killed < MOST_KILLED and killed + lost < MOST_LOST:
             return None
         error = f"{killed + lost} processes that worked on it died"
-        self._fail(one, error)
-        return self._outcome(one, "failed", error=error)
+        self._fail(one, error, None)
+        return one.told("failed", error=error)
 
     def computed(self, one: _Fetched) -> dict[str, Any]:
         """Run a log and publish its results."""
         assert one.spool
-        attempt = secrets.token_hex(6)
+        attempt, begin = secrets.token_hex(6), time.monotonic()
         key = self.results.begin(one.target, attempt)
+        staged = self.results.stage(attempt, one.spool.path)
         try:
             one.spool.witness(self.results.place.url, key)
-            begin = time.monotonic()
-            staged = self.results.stage(attempt, one.spool.path)
             found = _run_one(one, staged, self.how)
-            run_s = time.monotonic() - begin
-            error, state = found.pop("error"), "failed"
-            if error:
-                self._fail(one, error)
-            else:
-                extra = self._link(staged) if self.how.get("tracks") else ""
-                state = self.results.publish(one.target, attempt, staged, one.seen)
-                if extra is None and state == "done" and isinstance(self.results, BucketResults):
-                    self.results.publish_tracks(one.target, attempt, staged)
-                error = extra or _REPLACED.get(state)
-            spent = time.monotonic() - begin - run_s
-            return self._outcome(one, state, **found, error=error, run_s=run_s, publish_s=spent)
+            found["run_s"] = round(time.monotonic() - begin, 3)
+            if found["error"]:
+                self._fail(one, found["error"], staged)
+                return one.told("failed", **found)
+            linked, tracks = isinstance(self.results, BucketResults), self.how.get("tracks")
+            if tracks and not linked:
+                found["error"] = _link(staged)
+            state = self.results.publish(one.target, attempt, staged, one.seen)
+            if tracks and isinstance(self.results, BucketResults) and state == "done":
+                found["error"] = self._publish_tracks(self.results, one.target, staged)
+            if state == "replaced":
+                found["error"] = "another run published results of another input meanwhile"
+            found["publish_s"] = round(time.monotonic() - begin - found["run_s"], 3)
+            return one.told(state, **found)
         finally:
+            remove(staged)
             with suppress(JaxdetError):
                 self.results.end(key)
 
-    def _fail(self, one: _Fetched, error: str) -> None:
-        failure = {"log": one.log["log"], "reason": error, "run": self.how["run"]}
+    def _fail(self, one: _Fetched, error: str, staged: Path | None) -> None:
+        """Note why a log has no results, as the engine does in ``staged`` if it got so far."""
         killed, lost = self.results.deaths(one.target)
-        failure["attempts"] = max(1, killed + lost)
-        self.results.fail(one.target, failure, one.seen)
+        noted = {"attempts": max(1, killed + lost), "command": self.how["command"]}
+        path = staged / FAILED if staged else None
+        if path and path.exists():
+            told = json.loads(path.read_text(encoding="utf-8"))
+        else:
+            from jaxdet.results.summary import LogSummary
 
-    def _link(self, folder: Path) -> str | None:
-        """Add tracks to results; return why not."""
-        from jaxdet.tracks import track_results
+            about = LogSummary(one.log["log"], ()).to_dict()
+            told = {"reason": error, "log": one.log["log"], "logs": [{**about, "error": error}]}
+        self.results.fail(one.target, {**told, **noted}, one.seen)
 
-        try:
-            track_results(folder)
-        except InputError as error:
-            return f"has no tracks: {error}"
-        return None
-
-    def _tracked(self, target: Target) -> dict[str, Any]:
-        """Add tracks to results in a bucket that lack them; return what went wrong."""
+    def _add_tracks(self, target: Target) -> str | None:
+        """Add tracks to results in a bucket that lack them; return why there are none."""
         results = self.results
-        if not (self.how.get("tracks") and isinstance(results, BucketResults)):
-            return {}
-        if results.has_tracks(target):
-            return {}
+        wanted = self.how.get("tracks") and isinstance(results, BucketResults)
+        if not wanted or results.has_tracks(target):
+            return None
         spool = Spool(self.how.get("spool"))
         try:
             folder = download(results.place.url, target.name, spool.path / "results")
-            error = self._link(folder)
-            if error is None:
-                results.publish_tracks(target, secrets.token_hex(6), folder)
-            return {"error": error}
+            return self._publish_tracks(results, target, folder)
         finally:
             spool.close()
 
-    def _outcome(self, one: _Fetched, state: str, **values: Any) -> dict[str, Any]:
-        about = {"log": one.log["log"], "name": one.log["name"], "bytes": size_of(one.log)}
-        return {**about, "state": state, "fetch_s": round(one.seconds, 3), **values}
+    def _publish_tracks(self, results: BucketResults, target: Target, folder: Path) -> str | None:
+        error = _link(folder)
+        if error is None:
+            results.publish_tracks(target, secrets.token_hex(6), folder)
+        return error
 
 
-_REPLACED = {"replaced": "another run published results of another version meanwhile"}
+def _link(folder: Path) -> str | None:
+    """Add tracks to results on local disk; return why there are none."""
+    from jaxdet.tracks import TrackConfig
+    from jaxdet.tracks.folder import add_tracks
 
-
-def _held(log: Log) -> int:
-    return size_of(log) if log["url"] else 0
+    try:
+        add_tracks(folder, TrackConfig())
+    except InputError as error:
+        return f"has no tracks: {error}"
+    return None
 
 
 def _fetch(log: Log, folder: Path, stop: Event) -> Path:
@@ -281,60 +278,41 @@ def prepare(place: str, how: Mapping[str, Any]) -> dict[str, Any]:
     """Compare a run with the ``run.json`` of its place, or create that; once per run.
 
     Returns:
-        ``how`` with ``record``, ``overwrites`` and ``run``, which all machines of a run share.
+        ``how`` with ``record``, ``overwrites`` and ``command``, which all machines of a run share.
 
     Raises:
         ConfigError: The place has results of another configuration or version, the store ignores
             conditional writes, or this machine's versions are not those of the run.
     """
-    url, how = address(place), dict(how)
-    own = _record(how)
+    from jaxdet.engine.one_log import record_of
+    from jaxdet.results.record import difference, digest
+
+    url, how, own = address(place), dict(how), record_of(how)
     if "record" in how:
-        if _digest({**own, "overwrites": how["overwrites"]}) != how["record"]:
+        if digest({**own, **how["overwrites"]}) != how["record"]:
             problem = "this machine's jaxdet, or a package that results depend on, is another one"
             raise ConfigError(problem, path=url, remedy="install the same versions everywhere")
         return how
-    now = _opened(url, own, bool(how.get("overwrite")))
-    run = secrets.token_hex(6)
-    return {**how, "record": _digest(now), "overwrites": now["overwrites"], "run": run}
+    at = open_place(url)
+    if isinstance(at, Bucket):
+        probe(at)
+    while True:
+        found = at.get(RUN)
+        before = json.loads(found[0]) if found else {}
+        overwrites = {key: before[key] for key in ("overwrites",) if key in before}
+        if found and how.get("overwrite"):
+            overwrites = {"overwrites": secrets.token_hex(6)}
+        elif found and (reason := difference(before, {**own, **overwrites})):
+            remedy = "name another --output, or --overwrite to replace the results"
+            raise ConfigError(f"holds results, but {reason}", path=url, remedy=remedy)
+        now = {**own, **overwrites}
+        text = (json.dumps(now, indent=1) + "\n").encode()
+        if (at.swap(RUN, text, found[1]) if found else at.create(RUN, text)) or now == before:
+            about = {"record": digest(now), "overwrites": overwrites}
+            return {**how, **about, "command": secrets.token_hex(6)}
 
 
 @cache
 def _prepared(place: str, how: str) -> dict[str, Any]:
     """Prepare a run that is a process."""
     return prepare(place, json.loads(how))
-
-
-def _opened(url: str, own: Mapping[str, Any], overwrite: bool) -> dict[str, Any]:
-    """Return the ``run.json`` of a place."""
-    from jaxdet.engine.record import difference
-
-    place = open_place(url)
-    if isinstance(place, Bucket):
-        probe(place)
-    while True:
-        found = place.get(RUN)
-        before = json.loads(found[0]) if found else None
-        if before is not None and not overwrite:
-            reason = difference(before, {**own, "overwrites": before.get("overwrites")})
-            if reason is None:
-                return before
-            remedy = "name another --output, or --overwrite to replace the results"
-            raise ConfigError(f"holds results, but {reason}", path=url, remedy=remedy)
-        now = {**own, "overwrites": secrets.token_hex(6) if before else ""}
-        text = (json.dumps(now, indent=1) + "\n").encode()
-        if place.swap(RUN, text, found[1]) if found else place.create(RUN, text):
-            return now
-
-
-def _record(how: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what decides results but their input."""
-    from jaxdet.results.versions import source_digest, versions
-
-    about = {"jaxdet": jaxdet.__version__, "source": source_digest(), "versions": versions()}
-    chosen = {key: how[key] for key in RESULT_KEYS if how.get(key) is not None}
-    return json.loads(json.dumps({"about": about, "config": chosen}))
-
-
-def _digest(record: Mapping[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()[:16]

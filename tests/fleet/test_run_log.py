@@ -80,7 +80,7 @@ def test_another_configuration_is_refused_unless_it_overwrites(stores, engine, h
     again = run_fleet([LOGS], RESULTS, {**other, "overwrite": True})
     assert states(again) == {"a": "done", "b": "done"}
     with pytest.raises(ConfigError, match="this machine"):
-        run_log(rest, RESULTS, {**late, "overwrites": "else"})
+        run_log(rest, RESULTS, {**late, "overwrites": {"overwrites": "else"}})
 
 
 def test_a_log_replaced_while_it_is_fetched_fails_and_is_not_noted(
@@ -188,7 +188,7 @@ def test_logs_and_results_in_folders(engine, how, tmp_path):
     with pytest.raises(ConfigError, match="--share"):
         run_fleet([logs], results, {**how, "overwrite": True}, share="1/3")
     assert states(run_fleet([logs], results, {**how, "overwrite": True}))["b"] == "done"
-    assert {path.name for path in results.iterdir()} == {"a", "b", "c", "run.json", ".jaxdet"}
+    assert {path.name for path in results.iterdir()} == {"a", "b", "c", "run.json", ".fleet"}
 
 
 KILLED = """
@@ -214,7 +214,7 @@ def test_a_log_that_kills_its_process_three_times_has_failed(engine, how, tmp_pa
     failure = json.loads((results / "a/failed.json").read_text())
     assert failure["attempts"] == 3
     assert computed(engine, "a") == ["a"] * 3 and left(how) == []
-    assert os.listdir(results / ".jaxdet/fleet/staged") == []
+    assert os.listdir(results / ".fleet/staged") == []
 
 
 def test_credentials_reach_no_file_and_no_line(stores, engine, how, put, monkeypatch, capfd):
