@@ -31,7 +31,7 @@ from jaxdet.errors import InputError
 from jaxdet.fleet.place import Bucket, Entry, Folder, Place, local_entry, open_place
 from jaxdet.fleet.spool import is_dead, process, testify
 from jaxdet.results.durable import sha256, writing
-from jaxdet.results.layout import FAILED, MANIFEST
+from jaxdet.results.layout import FAILED, FLEET, MANIFEST
 from jaxdet.results.publish import exchange, remove
 
 TRACKS, CURRENT = "tracks.json", "current.json"
@@ -40,7 +40,7 @@ MOST_KILLED = 3
 MOST_LOST = 9
 """Attempts without an end that nobody saw die, as their machine was lost with them, in a day."""
 _DAY_S = 86400.0
-_NOTES = ".fleet/"
+_NOTES = f"{FLEET}/"
 _UPLOADS = 8
 
 

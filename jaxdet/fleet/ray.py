@@ -50,7 +50,12 @@ def run_on_ray(
         address = os.environ.get("RAY_ADDRESS") or "local"
         quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
         quiet |= {"include_dashboard": False} if address == "local" else {}
-        ray.init(address, **quiet)
+        try:
+            ray.init(address, **quiet)
+        except Exception as error:
+            remedy = "check RAY_ADDRESS and the cluster; on a busy machine, try again"
+            text = str(error).partition("\n")[0]
+            raise WorkerError(f"Ray can't be used ({text})", remedy=remedy) from None
     try:
         yield from _results(ray, logs, place, how, wanted)
     finally:
