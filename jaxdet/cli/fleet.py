@@ -2,52 +2,61 @@
 
 import json
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from jaxdet.cli.settings import given
 from jaxdet.cli.spinner import SPINNER
 from jaxdet.cli.tell import on_terminal, tell
-from jaxdet.errors import ConfigError
+from jaxdet.engine.options import RunOptions
 from jaxdet.memory import parse_size, size_text
-
-if TYPE_CHECKING:
-    from jaxdet.cli.run import RunCommand
 
 LINE_EVERY_S = 10.0
 ALIKE = ("backend", "batch_size", "workers", "memory", "pictures", "map", "overwrite", "update")
 """Options that are passed on as they are."""
 
 
-def run_on_machines(command: "RunCommand") -> int:
-    """Run the command; return the exit code."""
-    from jaxdet.fleet import run_fleet
-    from jaxdet.results.summary import plain
+def run_on_machines(
+    logs: Sequence[str],
+    options: RunOptions,
+    how: Mapping[str, Any],
+    *,
+    join: bool,
+    quiet: bool,
+    as_json: bool,
+) -> int:
+    """Run the command; return the exit code.
 
-    options = command.run
-    if command.truth:
-        raise ConfigError("--truth is for one machine", remedy="give local logs and --output")
-    how = {name: getattr(options, name) for name in ALIKE}
-    how |= {"preset": command.preset, "config": plain(command.method), "log": plain(command.log)}
-    how |= {"tracks": command.tracks, "spool": str(options.spool) if options.spool else None}
+    Args:
+        logs: Addresses, folders or files.
+        options: How to run.
+        how: ``preset``, ``config``, ``log`` and ``tracks``, see :func:`jaxdet.fleet.run_log`.
+        join: See :func:`jaxdet.find_logs`.
+        quiet: Report errors only.
+        as_json: Print the outcomes as JSON.
+    """
+    from jaxdet.fleet import run_fleet
+
+    how = {**how, **{name: getattr(options, name) for name in ALIKE}}
+    how["spool"] = str(options.spool) if options.spool else None
     how["spool_size"] = options.spool_size and parse_size(options.spool_size, "--spool-size")
-    with _reporting(command.quiet or command.json) as report:
+    with _reporting(quiet or as_json) as report:
         outcomes = run_fleet(
-            given(command.logs),
+            given(logs),
             options.output,
             {key: value for key, value in how.items() if value is not None},
             on=options.on,
             share=options.share,
-            join=command.join,
+            join=join,
             report=report,
         )
     wrong = [one for one in outcomes if one["error"] or one["lost"]]
     for one in wrong:
         tell(f"jaxdet: error: {one['log']}: {one['error'] or '; '.join(map(str, one['lost']))}")
-    if command.json:
+    if as_json:
         print(json.dumps({"logs": outcomes}, indent=2))
-    elif not command.quiet:
+    elif not quiet:
         print(_closing(outcomes))
     if any(one["state"] == "failed" for one in wrong) and not options.update:
         tell("jaxdet: --update does again what failed or was lost")
@@ -56,7 +65,7 @@ def run_on_machines(command: "RunCommand") -> int:
 
 def _closing(outcomes: list[dict[str, Any]]) -> str:
     """Return a line about a run."""
-    counts = {name: 0 for name in ("done", "there", "failed", "replaced")}
+    counts = dict.fromkeys(("done", "there", "failed", "replaced"), 0)
     for one in outcomes:
         counts[one["state"]] += 1
     frames, found = (sum(one[name] for one in outcomes) for name in ("frames", "obstacles"))

@@ -275,9 +275,9 @@ class Folder:
         except (FileNotFoundError, NotADirectoryError):
             return None
 
-    def put(self, key: str, content: bytes) -> None:
+    def put(self, key: str, content: bytes | Path) -> None:
         with self._made(key) as path:
-            write_whole(path, content)
+            write_whole(path, content if isinstance(content, bytes) else content.read_bytes())
 
     def create(self, key: str, content: bytes) -> bool:
         with self._made(key) as path:

@@ -103,9 +103,10 @@ class _Attempts:
         """Count the processes that a log killed, and attempts that were lost with a machine."""
         killed = lost = 0
         for entry in self.place.list(f"{self.notes}{target.base}/attempts/"):
-            found = self.place.get(entry.key)
-            record = json.loads(found[0]) if found else {"time": 0}
-            dead = record.get("killed") or (found and is_dead(record["process"]))
+            if not (found := self.place.get(entry.key)):
+                continue
+            record = json.loads(found[0])
+            dead = record.get("killed") or is_dead(record["process"])
             if dead and not record.get("killed"):
                 testify(self.place.url, entry.key)
             killed += bool(dead)
@@ -122,8 +123,8 @@ class BucketResults(_Attempts):
     def standing(self, target: Target) -> Standing:
         """Return what there is of a log."""
         current = self._json(f"{target.name}/{CURRENT}")
-        same = current is not None and current["version"] == target.version
-        if same and current["state"] == "whole":
+        same = bool(current and current["version"] == target.version)
+        if current and same and current["state"] == "whole":
             return Standing("whole", current)
         if self._json(f"{target.base}/{MANIFEST}"):  # an attempt died before it wrote current.json
             state = "whole" if self._point(target, current) else "other"
@@ -248,7 +249,7 @@ class FolderResults(_Attempts):
     notes = _NOTES
 
     def __init__(self, place: Folder) -> None:
-        self.place = place
+        self.place, self.root = place, place.root
 
     def standing(self, target: Target) -> Standing:
         for file, state in ((MANIFEST, "whole"), (FAILED, "failed")):
@@ -268,7 +269,7 @@ class FolderResults(_Attempts):
         return Standing("new")
 
     def stage(self, attempt: str, spool: Path) -> Path:
-        parent = self.place.root / _NOTES / "staged"
+        parent = self.root / _NOTES / "staged"
         with writing(parent):
             parent.mkdir(parents=True, exist_ok=True)
             for left in parent.iterdir():
@@ -292,7 +293,7 @@ class FolderResults(_Attempts):
     def _place(self, target: Target, staged: Path, file: str) -> str:
         note = _bytes({"version": target.version, "record": target.record})
         self.place.put(self._note(target, (staged / file).read_bytes()), note)
-        folder = self.place.root / target.name
+        folder = self.root / target.name
         try:
             with writing(folder):
                 while not rename_if_absent(staged, folder):
@@ -332,7 +333,7 @@ def result_files(url: str, name: str = "obstacles.parquet") -> list[str]:
     """
     results = open_results(url)
     if isinstance(results, FolderResults):
-        return sorted(str(path) for path in results.place.root.glob(f"*/{name}"))
+        return sorted(str(path) for path in results.root.glob(f"*/{name}"))
     with ThreadPoolExecutor(32) as pool:
         found = pool.map(results.files, _names(results.place))
         return [f"{results.place.url}/{files[name]}" for files in found if name in files]

@@ -108,6 +108,12 @@ class _Fetched(NamedTuple):
         if self.spool:
             self.spool.close()
 
+    def renamed(self, text: str) -> str:
+        """Replace the path on local disk in a text by the log's address."""
+        log = self.log
+        first = log["files"][0]["key"]
+        return text.replace(str(self.path), f"{log['url']}/{first}") if log["url"] else text
+
     def told(self, state: str, **values: Any) -> dict[str, Any]:
         about = {"log": self.log["log"], "name": self.log["name"], "bytes": size_of(self.log)}
         return {**about, "state": state, "fetch_s": round(self.seconds, 3), **values}
@@ -180,12 +186,12 @@ class _Work(NamedTuple):
             if found["error"]:
                 self._fail(one, found["error"], staged)
                 return one.told("failed", **found)
-            linked, tracks = isinstance(self.results, BucketResults), self.how.get("tracks")
-            if tracks and not linked:
+            results, tracks = self.results, self.how.get("tracks")
+            if tracks and not isinstance(results, BucketResults):
                 found["error"] = _link(staged)
-            state = self.results.publish(one.target, attempt, staged, one.seen)
-            if tracks and isinstance(self.results, BucketResults) and state == "done":
-                found["error"] = self._publish_tracks(self.results, one.target, staged)
+            state = results.publish(one.target, attempt, staged, one.seen)
+            if tracks and isinstance(results, BucketResults) and state == "done":
+                found["error"] = self._publish_tracks(results, one.target, staged)
             if state == "replaced":
                 found["error"] = "another run published results of another input meanwhile"
             found["publish_s"] = round(time.monotonic() - begin - found["run_s"], 3)
@@ -201,7 +207,7 @@ class _Work(NamedTuple):
         noted = {"attempts": max(1, killed + lost), "command": self.how["command"]}
         path = staged / FAILED if staged else None
         if path and path.exists():
-            told = json.loads(path.read_text(encoding="utf-8"))
+            told = json.loads(one.renamed(path.read_text(encoding="utf-8")))
         else:
             from jaxdet.results.summary import LogSummary
 
@@ -212,8 +218,9 @@ class _Work(NamedTuple):
     def _add_tracks(self, target: Target) -> str | None:
         """Add tracks to results in a bucket that lack them; return why there are none."""
         results = self.results
-        wanted = self.how.get("tracks") and isinstance(results, BucketResults)
-        if not wanted or results.has_tracks(target):
+        if not (self.how.get("tracks") and isinstance(results, BucketResults)):
+            return None
+        if results.has_tracks(target):
             return None
         spool = Spool(self.how.get("spool"))
         try:
@@ -249,13 +256,13 @@ def _fetch(log: Log, folder: Path, stop: Event) -> Path:
     folder = folder / "log"
     folder.mkdir()
     place = open_place(log["url"]) if log["url"] else None
-    for entry in entries:
-        path = folder / Path(entry.key).name
+    paths = [folder / Path(entry.key).name for entry in entries]
+    for entry, path in zip(entries, paths, strict=True):
         if isinstance(place, Bucket):
             place.fetch(entry, path, stop)
         else:
             path.symlink_to(entry.key)
-    return folder if len(entries) > 1 else path
+    return folder if len(paths) > 1 else paths[0]
 
 
 def _run_one(one: _Fetched, staged: Path, how: Mapping[str, Any]) -> dict[str, Any]:
@@ -268,10 +275,12 @@ def _run_one(one: _Fetched, staged: Path, how: Mapping[str, Any]) -> dict[str, A
     except (ConfigError, OutputError):
         raise
     except JaxdetError as error:
-        return {"error": str(error)}
+        return {"error": one.renamed(str(error))}
     except Exception as error:
         return {"error": f"an error in jaxdet itself ({type(error).__name__}: {error})"}
-    return {key: found[key] for key in ("frames", "obstacles", "lost", "warnings", "error")}
+    error = one.renamed(found["error"]) if found["error"] else None
+    kept = {key: found[key] for key in ("frames", "obstacles", "lost", "warnings")}
+    return {**kept, "error": error}
 
 
 def prepare(place: str, how: Mapping[str, Any]) -> dict[str, Any]:

@@ -71,16 +71,18 @@ def _start_moto() -> tuple[subprocess.Popen, str]:
     raise RuntimeError("the S3 server does not start")
 
 
+def started(start):
+    """What ``start`` returns, which may raise twice."""
+    for _ in range(2):
+        with suppress(Exception):
+            return start()
+    return start()
+
+
 @pytest.fixture(scope="session")
 def moto():
     """The address of an S3 server on loopback, which is started up to three times."""
-    for attempt in range(3):
-        try:
-            server, url = _start_moto()
-            break
-        except RuntimeError:
-            if attempt == 2:
-                raise
+    server, url = started(_start_moto)
     yield url
     server.kill()
     server.wait()

@@ -15,7 +15,7 @@ JOURNAL = "JAXDET_TEST_JOURNAL"
 def install() -> None:
     from jaxdet import engine
 
-    vars(engine)["run_one"] = run_one
+    engine.__dict__["run_one"] = run_one
 
 
 def computed(journal: Path, name: str = "") -> list[str]:

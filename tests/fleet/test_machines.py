@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from jaxdet.fleet import result_files, spool
-from tests.fleet.conftest import ROOT
+from tests.fleet.conftest import ROOT, started
 from tests.fleet.stub import JOURNAL, check_results, computed
 
 pytestmark = pytest.mark.fleet
@@ -122,24 +122,24 @@ def cluster_environment(moto, tmp_path_factory):
 def cluster(cluster_environment):
     """A head that computes nothing and two nodes of one core, started up to three times."""
     pytest.importorskip("ray")
-    from ray.cluster_utils import Cluster
-
-    for attempt in range(3):
-        made = None
-        try:
-            head = {"num_cpus": 0, "include_dashboard": False}
-            made = Cluster(initialize_head=True, head_node_args=head)
-            for _ in range(2):
-                made.add_node(num_cpus=1)
-            break
-        except Exception:
-            if made:
-                with suppress(Exception):
-                    made.shutdown()
-            if attempt == 2:
-                raise
+    made = started(_start_cluster)
     yield made
     made.shutdown()
+
+
+def _start_cluster():
+    from ray.cluster_utils import Cluster
+
+    made = Cluster()
+    try:
+        made.add_node(num_cpus=0, include_dashboard=False)
+        for _ in range(2):
+            made.add_node(num_cpus=1)
+    except BaseException:
+        with suppress(Exception):
+            made.shutdown()
+        raise
+    return made
 
 
 @pytest.fixture

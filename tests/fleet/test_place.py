@@ -130,7 +130,6 @@ def test_a_file_replaced_while_it_is_fetched_is_an_error(logs, monkeypatch, tmp_
     monkeypatch.setattr(Bucket, "_range", late)
     with pytest.raises(InputError, match="replaced while it was fetched"):
         place.fetch(entry, tmp_path / "a", Event())
-    assert len(seen) < 10
     place.delete(["a.mcap"])
     with pytest.raises(InputError, match="replaced"):
         place.fetch(entry, tmp_path / "a", Event())
