@@ -168,7 +168,9 @@ class Bucket:
         with self._reached(key):
             try:
                 obstore.put(self.store, key, content, mode=mode, use_multipart=False)
-            except (AlreadyExistsError, PreconditionError, FileNotFoundError):
+            except (AlreadyExistsError, PreconditionError, FileNotFoundError) as error:
+                if mode == "create" and isinstance(error, FileNotFoundError):
+                    raise  # there is no such bucket
                 # A request whose answer was lost is sent again, and meets its own object.
                 found = self.get(key)
                 return found is not None and found[0] == content

@@ -89,23 +89,30 @@ class _Attempts:
     """Where."""
     place: Place
 
-    def begin(self, target: Target, attempt: str) -> str:
+    def begin(self, target: Target, attempt: str, command: str) -> str:
         """Note an attempt; return the key of the note."""
         key = f"{self.notes}{target.base}/attempts/{attempt}"
-        self.place.put(key, json.dumps({"process": process(), "time": time.time()}).encode())
+        note = {"process": process(), "time": time.time(), "command": command}
+        self.place.put(key, json.dumps(note).encode())
         return key
 
     def end(self, key: str) -> None:
         """Forget an attempt that ended, with results or without."""
         self.place.delete([key])
 
-    def deaths(self, target: Target) -> tuple[int, int]:
-        """Count the processes that a log killed, and attempts that were lost with a machine."""
+    def deaths(self, target: Target, command: str | None = None) -> tuple[int, int]:
+        """Count the processes that a log killed, and attempts that were lost with a machine.
+
+        Args:
+            target: Log and version.
+            command: Count only attempts of this command.
+        """
         killed = lost = 0
         for entry in self.place.list(f"{self.notes}{target.base}/attempts/"):
-            if not (found := self.place.get(entry.key)):
+            found = self.place.get(entry.key)
+            record = json.loads(found[0]) if found else {}
+            if not record or command not in (None, record["command"]):
                 continue
-            record = json.loads(found[0])
             dead = record.get("killed") or is_dead(record["process"])
             if dead and not record.get("killed"):
                 testify(self.place.url, entry.key)
@@ -222,11 +229,8 @@ class BucketResults(_Attempts):
             before = json.loads(found[0]) if found else None
             if before and before["version"] != target.version and before != seen:
                 return False
-            manifest = self._json(f"{target.base}/{MANIFEST}")
-            state = {"state": "failed"}
-            if manifest:
-                state = {"state": "whole", "attempt": manifest["attempt"]}
-            now = {"version": target.version, "record": target.record, **state}
+            state = "whole" if self._json(f"{target.base}/{MANIFEST}") else "failed"
+            now = {"version": target.version, "record": target.record, "state": state}
             if before == now:
                 return True
             text = _bytes(now)

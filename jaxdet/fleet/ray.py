@@ -67,7 +67,7 @@ def _results(
     ray: Any, logs: Sequence[Log], place: str, how: Mapping[str, Any], wanted: dict[str, float]
 ) -> Iterator[dict[str, Any]]:
     resources = wanted or _of_a_node(ray.nodes())
-    how = {"workers": max(1, int(resources["num_cpus"])), **how}
+    how = {"workers": max(1, int(resources["num_cpus"])), **how, "driven": True}
     remote = ray.remote(max_calls=0, max_retries=-1, **resources)(_task)
     slots = _slots(ray, resources)
     waiting, running = deque(chunks(logs, slots)), []

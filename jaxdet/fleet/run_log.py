@@ -166,7 +166,7 @@ class _Work(NamedTuple):
         if not replace and (seen.current is None or seen.current["record"] == how["record"]):
             error = "there are results of another input; --update replaces them"
             return one.told("failed", error=error)
-        killed, lost = self.results.deaths(target)
+        killed, lost = self._deaths(target)
         if killed < MOST_KILLED and killed + lost < MOST_LOST:
             return None
         error = f"{killed + lost} processes that worked on it died"
@@ -177,7 +177,7 @@ class _Work(NamedTuple):
         """Run a log and publish its results."""
         assert one.spool
         attempt, begin = secrets.token_hex(6), time.monotonic()
-        key = self.results.begin(one.target, attempt)
+        key = self.results.begin(one.target, attempt, self.how["command"])
         staged = self.results.stage(attempt, one.spool.path)
         try:
             one.spool.witness(self.results.place.url, key)
@@ -201,9 +201,13 @@ class _Work(NamedTuple):
             with suppress(JaxdetError):
                 self.results.end(key)
 
+    def _deaths(self, target: Target) -> tuple[int, int]:
+        """Count deaths; an engine that repeats tasks ends them all when its driver dies."""
+        return self.results.deaths(target, self.how["command"] if self.how.get("driven") else None)
+
     def _fail(self, one: _Fetched, error: str, staged: Path | None) -> None:
         """Note why a log has no results, as the engine does in ``staged`` if it got so far."""
-        killed, lost = self.results.deaths(one.target)
+        killed, lost = self._deaths(one.target)
         noted = {"attempts": max(1, killed + lost), "command": self.how["command"]}
         path = staged / FAILED if staged else None
         if path and path.exists():
@@ -251,6 +255,8 @@ def _link(folder: Path) -> str | None:
 def _fetch(log: Log, folder: Path, stop: Event) -> Path:
     """Copy a log to local disk; local ones are read where they are."""
     entries = entries_of(log)
+    if not log["url"] and not all(Path(entry.key).exists() for entry in entries):
+        raise InputError("is not on this machine", path=entries[0].key)
     if not log["url"] and len(entries) == 1:
         return Path(entries[0].key)
     folder = folder / "log"

@@ -170,13 +170,14 @@ def test_results_take_the_place_of_a_failure(url, tmp_path):
 def test_deaths_are_counted_where_they_can_be_told_from_lost_machines(url, monkeypatch):
     results = open_results(url)
     target = Target("log", "v1", "r1")
-    running = results.begin(target, "a0")
+    running = results.begin(target, "a0", "c0")
     assert results.deaths(target) == (0, 0)
     names = {"a1": f"{spool.machine()}-1-0", "a2": "elsewhere-7-7"}
     for attempt, name in names.items():
         monkeypatch.setattr(publish, "process", lambda name=name: name)
-        results.begin(target, attempt)
+        results.begin(target, attempt, attempt)
     assert results.deaths(target) == (1, 1)
+    assert results.deaths(target, "a1") == (1, 0) and results.deaths(target, "c0") == (0, 0)
     monkeypatch.setattr(publish, "_DAY_S", -1.0)
     assert results.deaths(target) == (1, 0)  # no lost attempt counts for ever
     monkeypatch.setattr(spool, "machine", lambda: "elsewhere")

@@ -254,6 +254,17 @@ def test_a_task_takes_the_smallest_node_that_computes():
             _resources(wrong)
 
 
+def test_a_log_that_this_machine_does_not_have_is_not_noted_as_failed(engine, how, tmp_path):
+    log = tmp_path / "a.mcap"
+    log.write_text("a")
+    logs = list_logs(log)
+    log.rename(tmp_path / "b.mcap")
+    outcome = run_log(logs[0], str(tmp_path / "results"), how)
+    assert outcome["state"] == "failed" and "not on this machine" in outcome["error"]
+    (tmp_path / "b.mcap").rename(log)
+    assert run_log(logs[0], str(tmp_path / "results"), how)["state"] == "done"
+
+
 def test_other_paths_have_no_spool(engine, how, tmp_path):
     log = Path(tmp_path / "a.mcap")
     log.write_text("a")
