@@ -1,7 +1,9 @@
 """``python -m benchmarks cpu --json FILE``: time the stages on a device, write the metrics.
 
 ``python -m benchmarks feed --json FILE`` times whole logs, see :mod:`benchmarks.feed`;
-``python -m benchmarks tracks`` scores tracks, see :mod:`benchmarks.tracks`.
+``python -m benchmarks tracks`` scores tracks, see :mod:`benchmarks.tracks`;
+``python -m benchmarks same`` compares the obstacles of two commits, see
+:mod:`benchmarks.same_obstacles`.
 """
 
 import sys
@@ -91,6 +93,11 @@ if __name__ == "__main__":
 
         feed_options = tyro.cli(feed.Options, args=sys.argv[2:], prog="python -m benchmarks feed")
         sys.exit(feed.main(feed_options))
+    if sys.argv[1:2] == ["same"]:
+        from benchmarks import same_obstacles
+
+        same = tyro.cli(same_obstacles.Options, args=sys.argv[2:], prog="python -m benchmarks same")
+        sys.exit(same_obstacles.main(same))
     if sys.argv[1:2] == ["tracks"]:
         from benchmarks import tracks  # needs motmetrics
 

@@ -41,16 +41,18 @@ from benchmarks.paper.shots import Shot, Spec, drawn, frames_of
 from benchmarks.paper.systems import eval_config
 from benchmarks.scores.boxes import FLOOR
 from jaxdet.affinity import BEYOND, FRACTION_BITS, GROWS, SEEN
+from jaxdet.camera import cell_side
 from jaxdet.config import Config
 from jaxdet.cores import cores
 from jaxdet.engine import decide_planes
 from jaxdet.errors import InputError
-from jaxdet.eval.frame import objects_of
+from jaxdet.eval.frame import cell_points, objects_of
 from jaxdet.io import open_log
-from jaxdet.pipeline import floor_of
+from jaxdet.pipeline import floor_prior
 from jaxdet.presets import preset
 from jaxdet.reference import surface_pairs
-from jaxdet.types import Cells, Features, Frames
+from jaxdet.reference._cells import cell_boxes
+from jaxdet.types import Calibration, CellLabels, Cells, Features, Frames
 
 Labels = dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]]
 """Of :func:`benchmarks.paper.labelled.read_boxes`."""
@@ -121,7 +123,7 @@ def examples(
     """
     parts = []
     for b, (grid, label, pairs) in enumerate(
-        surface_pairs(frames, floor_of(frames, config), config)
+        surface_pairs(frames, floor_prior(frames, config), config)
     ):
         known, count = objects(grid, b), int(label.max(initial=-1)) + 1
         on = (label >= 0) & (known >= 0)
@@ -206,12 +208,13 @@ def learnt_frames() -> Examples:
             raise InputError("the labels of a frame are missing", path=str(path))
         image = labels.astype(np.int64) - FLOOR
         unit, depth = frames.calibration.depth_unit, frames.depth
+        side = cell_side(frames.calibration.depth, tabletop.surface.cell_rad)
         z = depth * unit
         noise = rng.normal(size=z.shape) * NOISE_PER_M * z * z / unit
         noisy = np.where(depth > 0, np.rint(depth + noise), 0).astype(np.uint16)
         none = np.zeros(int(image.max()) + 1, bool)
         for variant in (depth, noisy):
-            seen_by = functools.partial(in_image, image)
+            seen_by = functools.partial(in_image, image, frames.calibration, side)
             parts.append(examples(tabletop, frames._replace(depth=variant), seen_by, none))
     return joined(parts)
 
@@ -238,47 +241,63 @@ def in_recording(recording: Recording, path: Path, boxes: Labels) -> Iterator[Ex
                 continue
             frames = batch.frames._replace(plane=planes.of(batch.frames.stamp_ns))
             outlined, distance, _ = boxes[number]
-            unit = frames.calibration.depth_unit
-            seen_by = functools.partial(in_boxes, outlined, distance, unit)
+            side = cell_side(frames.calibration.depth, wheeled.surface.cell_rad)
+            camera = frames.calibration, side
+            seen_by = functools.partial(in_boxes, outlined, distance, *camera)
             yield examples(wheeled, frames, seen_by, np.zeros(len(outlined) + 1, bool))
 
 
 def in_boxes(
-    boxes: np.ndarray, distance: np.ndarray, unit: float, grid: Cells, b: int
+    boxes: np.ndarray,
+    distance: np.ndarray,
+    calibration: Calibration,
+    side: int,
+    grid: Cells,
+    b: int,
 ) -> np.ndarray:
     """The object, from 1, whose box shows each cell at about its distance, 0 = none, -1 = unknown.
 
     Of several it is that of the smallest box. Not known is what is not in view, or lies in a box
     before or behind its object.
     """
-    z = grid.z[b] * unit
-    u, v = np.moveaxis((grid.uv_min[b] + grid.uv_max[b]) // 2, -1, 0)
-    out = np.where(grid.in_view[b], 0, -1)
+    z = grid.z[b] * calibration.depth_unit
+    u, v, in_view = middles(grid, b, calibration, side)
+    out = np.where(in_view, 0, -1)
     sides = boxes[:, 2:] - boxes[:, :2]
     for k in np.argsort(-sides.prod(axis=1), kind="stable"):
         left, top, right, bottom = boxes[k]
-        inside = grid.in_view[b] & (u >= left) & (u <= right) & (v >= top) & (v <= bottom)
+        inside = in_view & (u >= left) & (u <= right) & (v >= top) & (v <= bottom)
         own = (z >= distance[k] - IN_FRONT_M) & (z <= distance[k] + BEHIND_M)
         out = np.where(inside & own, k + 1, np.where(inside & (out == 0), -1, out))
     return out
 
 
-def in_image(image: np.ndarray, grid: Cells, b: int) -> np.ndarray:
+def in_image(
+    image: np.ndarray, calibration: Calibration, side: int, grid: Cells, b: int
+) -> np.ndarray:
     """What an image of objects shows at the middle of each cell, -1 = not known."""
-    middle = (grid.uv_min[b] + grid.uv_max[b]) // 2
-    return np.where(grid.in_view[b], image[middle[..., 1], middle[..., 0]], -1)
+    u, v, in_view = middles(grid, b, calibration, side)
+    return np.where(in_view, image[v, u], -1)
+
+
+def middles(
+    grid: Cells, b: int, calibration: Calibration, side: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Column and row of the cells' middles in the colour image, and whether they are in it."""
+    low, high, in_view = (part[0] for part in cell_boxes(grid.z[b : b + 1], calibration, side))
+    u, v = np.moveaxis((low + high) // 2, -1, 0)
+    return u, v, in_view
 
 
 def in_truth(shot: Shot, grid: Cells, b: int) -> np.ndarray:
     """The object that each cell of a simulated frame was measured on, -1 = not known."""
-    middle = (grid.uv_min[b] + grid.uv_max[b]) // 2
-    columns = (middle[..., 0], middle[..., 1], grid.x[b], grid.y[b], grid.z[b])
-    u, v, x, y, z = (a.ravel() for a in columns)
-    seen, none = grid.in_view[b].ravel(), np.zeros(1, bool)
-    points = Features(u, v, x, y, z, seen, seen, none)
-    unit = shot.calibration.depth_unit
-    found = objects_of(points, shot.truth, 0, unit, eval_config(Config()))
-    return np.where(grid.in_view[b], found.reshape(grid.z[b].shape), -1)
+    calibration, none = shot.calibration, np.zeros(grid.z.shape, np.int32)
+    side = cell_side(calibration.depth, Config().surface.cell_rad)
+    points = cell_points(CellLabels(none, none > 0, grid), b, calibration, side)
+    flat = Features(*(part.ravel() for part in points[:-1]), overflow=points.overflow)
+    unit = calibration.depth_unit
+    found = objects_of(flat, shot.truth, 0, unit, eval_config(Config()))
+    return np.where(points.valid, found.reshape(points.z.shape), -1)
 
 
 def learn(found: Examples, how: Learning) -> dict[str, Any]:

@@ -61,7 +61,7 @@ def _straightened(size: str, batch: int) -> Callable[[], AlignedDepth]:
     given = inputs(size)
     depth = jax.device_put(repeated(given.depth, batch))
     calibration = given.calibration
-    assert calibration.depth is not None
+    assert calibration.color is not None
     straight = calibration._replace(
         color=calibration.color._replace(distortion=Distortion.NONE, coefficients=()),
         depth=calibration.depth._replace(distortion=Distortion.NONE, coefficients=()),
@@ -72,8 +72,8 @@ def _straightened(size: str, batch: int) -> Callable[[], AlignedDepth]:
 def register_depth(size: str) -> list[np.ndarray]:
     """OpenCV's alignment: a point a depth pixel, so it leaves holes that librealsense fills."""
     calibration = CALIBRATIONS[size]
-    assert calibration.depth is not None and calibration.color_from_depth is not None
     color = calibration.color
+    assert color is not None and calibration.color_from_depth is not None
     return [
         cv2.registerDepth(
             calibration.depth.K,

@@ -1,4 +1,4 @@
-"""Features, against OpenCV one frame at a time, and with kornia-rs's Canny."""
+"""Features of the preset ``paper``, against OpenCV frame by frame, and kornia-rs's Canny."""
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -11,25 +11,17 @@ import jax
 import numpy as np
 
 from benchmarks.run import Case, Missing, with_peer
-from benchmarks.scene import BATCH, CONFIG, Inputs, inputs, on_cells, repeated
+from benchmarks.scene import BATCH, CONFIG, Inputs, inputs, repeated
 from benchmarks.sweep import DEFAULT_BATCH, Point, kind
-from jaxdet import reference, stages
-from jaxdet.floor.plane import depth_range
-from jaxdet.reference._cells import cover
-from jaxdet.stages._corners import corner_settings
-from jaxdet.stages._cover import CellFeatures, features_on_cells
-from jaxdet.stages._features import rays
-from jaxdet.types import Features, Keep
+from jaxdet import stages
+from jaxdet.types import Features
 
 CORNERS = CONFIG.features
 Canny = Callable[[np.ndarray], np.ndarray]
 
 
 def cases() -> list[Case | Missing]:
-    """Colour images from the host; every peer's corners are equal to ours, in order.
-
-    The default finds its corners on kept cells: ``on_cells``.
-    """
+    """Colour images from the host; every peer's corners are equal to ours, in order."""
     found: list[Case | Missing] = []
     for size in ("640x480", "1280x720"):
         given, case = inputs(size), _case(size)
@@ -41,7 +33,7 @@ def cases() -> list[Case | Missing]:
     found.append(
         with_peer("vs_kornia", "kornia_rs.imgproc", remedy, lambda module: _kornia(case, module))
     )
-    return [*found, _on_cells()]
+    return found
 
 
 def at(point: Point) -> Case:
@@ -105,42 +97,6 @@ def _case(size: str) -> Case:
         equal=True,
         peer_frames=BATCH,
         compared=lambda result: corners_of(jax.tree.map(lambda a: a[:BATCH], result)),
-    )
-
-
-def _on_cells() -> Case:
-    """Corners on the kept cells, beside the reference."""
-    given, seen = inputs("640x480"), on_cells("640x480")
-    camera, config = given.calibration, CONFIG.ground
-    bounds = depth_range(config.min_depth_m, config.max_depth_m, camera.depth_unit)
-    above = seen.of("keep", seen.surfaces)
-    keep = above & seen.cells.in_view & (seen.cells.z <= bounds[1])
-    label = np.zeros(keep.shape, np.int32)
-    settings = corner_settings(CORNERS), np.array(bounds, np.int32)
-    arguments = jax.device_put(
-        (given.color, seen.cells, above, label, rays(camera.color), *settings)
-    )
-    program = jax.jit(features_on_cells, static_argnames="slots")
-
-    def peer() -> Features:
-        over = cover(seen.cells, keep, camera.color)
-        frame, there = np.arange(BATCH)[:, None, None], over >= 0
-        z = np.where(there, seen.cells.z.reshape(BATCH, -1)[frame, over], 0).astype(np.uint16)
-        kept = Keep(there, z, there.any((1, 2)))
-        found = reference.features(given.color, kept, camera, CORNERS)
-        return found._replace(overflow=np.zeros(BATCH, bool))
-
-    def corners(found: CellFeatures) -> Features:
-        columns = (a[:, : CORNERS.max_corners] for a in found.slots)
-        return Features(*columns, overflow=np.zeros(BATCH, bool))  # it is not told of them
-
-    return Case(
-        name="on_cells.vs_reference",
-        run=lambda: program(*arguments, slots=CORNERS.max_corners),
-        frames=BATCH,
-        peer=peer,
-        equal=True,
-        compared=corners,
     )
 
 

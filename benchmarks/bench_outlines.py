@@ -1,40 +1,31 @@
 """Outlines of obstacles made of surfaces, against the reference."""
 
-import jax
+import numpy as np
 
+from benchmarks.program_steps import against_reference, step_at
 from benchmarks.run import Case
-from benchmarks.scene import BATCH, CONFIG, inputs, on_cells, repeated
+from benchmarks.scene import CONFIG, inputs, on_cells
 from benchmarks.sweep import SIZES, Point
 from jaxdet.reference._detect import _outlines
-from jaxdet.stages._outlines import outlines, tables
+from jaxdet.types import Obstacles
 
-program = jax.jit(outlines)
+STEP = "find_outlines"
+READ = ("x", "y", "z", "right", "forward", "height", "label", "num_obstacles")
+MADE = (*Obstacles._fields, "contour", "contour_points", "bottom_top")
 
 
 def cases() -> list[Case]:
     """Obstacles on the device; no other library has this step."""
-    seen, unit = on_cells(SIZES[0]), inputs(SIZES[0]).calibration.depth_unit
-    return [
-        at(Point(SIZES[0], 0, BATCH))._replace(
-            name="vs_reference",
-            peer=lambda: _outlines(seen.cells, seen.obstacles, unit, CONFIG),
-            equal=True,
-            bytes_read=0,
-        )
-    ]
+    seen, calibration = on_cells(SIZES[0]), inputs(SIZES[0]).calibration
+    count = seen.of("label", seen.obstacles).max(axis=(1, 2)) + 1
+
+    def peer() -> list[np.ndarray]:
+        found, shapes = _outlines(seen.cells, seen.obstacles, count, calibration, CONFIG)
+        return [*found, *shapes]
+
+    return [against_reference(STEP, peer, MADE)]
 
 
 def at(point: Point) -> Case:
     """Obstacles on the device."""
-    seen, unit = on_cells(point.size), inputs(point.size).calibration.depth_unit
-    label = seen.of("label", seen.obstacles)
-    given = jax.device_put(
-        repeated((label, label.max(axis=(1, 2)) + 1, seen.cells, seen.places), point.batch)
-    )
-    shared = jax.device_put(tables(CONFIG.footprint, unit))
-    return Case(
-        name=point.name,
-        run=lambda: program(*given, shared),
-        frames=point.batch,
-        bytes_read=sum(a.nbytes for a in jax.tree.leaves(given)),
-    )
+    return step_at(point, STEP, (*READ, *MADE))

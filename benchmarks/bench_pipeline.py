@@ -1,22 +1,25 @@
-"""The whole pipeline: against the NumPy reference and a hand-written one, and its throughput."""
+"""The whole pipeline: against the NumPy reference and two others, and its throughput."""
 
+import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import replace
 from functools import cache, partial
+from importlib import import_module
 from multiprocessing import get_context
 from typing import Any
+from unittest import mock
 
 import cv2
 import jax
 import numpy as np
 from sklearn.cluster import DBSCAN
 
-from benchmarks.run import Case, Metric, check_equal
+from benchmarks.run import Case, Metric, Missing, check_equal, with_peer
 from benchmarks.scene import BATCH, CALIBRATIONS, CONFIG, frames_of, pin
 from benchmarks.sweep import Point
 from jaxdet.config import Config
+from jaxdet.cores import cores
 from jaxdet.floor.plane import flat_plane, floor_limits
 from jaxdet.pipeline import detect
 from jaxdet.presets import preset
@@ -27,39 +30,45 @@ from jaxdet.types import Detections, Frames
 SIZE = "640x480"
 BATCHES = {SIZE: 1024, "1080p": 256, "lens": 512}
 """Frames of a batch on each GPU."""
+VOXEL_M = 0.05
+"""Voxels of Open3D: as wide as the step height [m]."""
 
 
-def cases() -> list[Case]:
-    """Frames in memory: the default and the paper's setting, beside both peers."""
-    frames = frames_of(SIZE, 4 * BATCH)
-    found = []
+def cases() -> list[Case | Missing]:
+    """Frames in memory: the default and the paper's setting, next to their peers.
+
+    Only the preset ``paper`` and the hand-written pipeline get colour images.
+    """
+    found: list[Case | Missing] = []
     for name, config in (("default", CONFIG), ("paper", preset("paper"))):
+        frames = frames_of(SIZE, 4 * BATCH, color=config.cluster.points)
         case = Case(
             name=f"{name}.reference",
-            run=lambda config=config: detect(frames, config),
+            run=partial(detect, frames, config),
             frames=4 * BATCH,
-            peer=lambda config=config: detect(frames, config, backend="reference"),
+            peer=partial(detect, frames, config, backend="reference"),
             equal=True,
         )
         found.append(case)
     found += [_at_size(size) for size in ("1080p", "lens")]
-    many = frames_of(SIZE, 16 * BATCH)
-    peer = partial(handwritten, many)
-    found.append(Case("vs_handwritten", lambda: detect(many, CONFIG), 16 * BATCH, peer))
+    ours, colored = frames_of(SIZE, 16 * BATCH), frames_of(SIZE, 16 * BATCH, color=True)
+    case = Case("vs_handwritten", partial(detect, ours, CONFIG), 16 * BATCH)
+    found.append(case._replace(peer=partial(handwritten, colored)))
+    remedy = "install the extra bench; the system needs libgomp1 and libx11-6"
+    from_depth = case._replace(name="vs_open3d", peer=partial(open3d, ours))
+    found.append(with_peer("vs_open3d", "open3d", remedy, lambda _: from_depth))
     return found
 
 
 def at(point: Point) -> Case:
-    """Images on the device."""
+    """Depth images on the device."""
     frames = frames_of(point.size, point.batch)
-    color, depth = jax.device_put((frames.color, frames.depth))
-    frames = frames._replace(color=color, depth=depth)
-    config = replace(CONFIG, features=replace(CONFIG.features, max_corners=point.slots))
+    frames = frames._replace(depth=jax.device_put(frames.depth))
     return Case(
         name=point.name,
-        run=lambda: detect(frames, config),
+        run=lambda: detect(frames, CONFIG),
         frames=point.batch,
-        bytes_read=color.nbytes + depth.nbytes,
+        bytes_read=frames.depth.nbytes,
     )
 
 
@@ -80,8 +89,18 @@ def _at_size(size: str) -> Case:
 
 def handwritten(frames: Frames) -> list[np.ndarray]:
     """What a good engineer would write: OpenCV and scikit-learn, frame by frame, on all cores."""
+    assert frames.color is not None
     work = list(zip(frames.color, frames.depth, strict=True))
     return list(_pool().map(_one_frame, work, chunksize=2))
+
+
+def open3d(frames: Frames) -> list[np.ndarray]:
+    """The same task from depth alone by Open3D, frame by frame, on all cores.
+
+    Returns:
+        For each frame the cluster of each voxel above the floor, -1 = none.
+    """
+    return list(_open3d_pool().map(_one_cloud, frames.depth, chunksize=2))
 
 
 @cache
@@ -92,17 +111,50 @@ def _pool() -> ProcessPoolExecutor:
 
 
 @cache
+def _open3d_pool() -> ProcessPoolExecutor:
+    """Processes with a thread of OpenMP each, which reads its setting when they start."""
+    with mock.patch.dict(os.environ, {"OMP_NUM_THREADS": "1"}):
+        pool = ProcessPoolExecutor(cores(), get_context("spawn"))
+        list(pool.map(_import_open3d, range(4 * cores())))
+    return pool
+
+
+def _import_open3d(_: int) -> None:
+    """Imports Open3D in this process."""
+    import_module("open3d")
+
+
+def _one_cloud(depth: np.ndarray) -> np.ndarray:
+    """Voxels of 5 cm within the default's range, the floor by RANSAC, clusters by DBSCAN.
+
+    Every second pixel of every second row is enough: within the range they are 2 cm apart.
+    """
+    o3d: Any = import_module("open3d")
+    camera, ground = CALIBRATIONS[SIZE].depth, CONFIG.ground
+    lens = o3d.camera.PinholeCameraIntrinsic(camera.width, camera.height, camera.K)
+    image = o3d.geometry.Image(np.ascontiguousarray(depth))
+    reach = {"depth_scale": 1000.0, "depth_trunc": ground.max_depth_m}
+    cloud = o3d.geometry.PointCloud.create_from_depth_image(image, lens, **reach, stride=2)
+    cloud = cloud.voxel_down_sample(VOXEL_M)
+    if len(cloud.points) < 3:
+        return np.zeros(0, int)
+    _, floor = cloud.segment_plane(ground.step_height_m, ransac_n=3, num_iterations=100)
+    rest = cloud.select_by_index(floor, invert=True)
+    return np.asarray(rest.cluster_dbscan(eps=2 * VOXEL_M, min_points=5))
+
+
+@cache
 def _limit() -> np.ndarray:
     calibration = CALIBRATIONS[SIZE]
     plane = flat_plane(*(np.array([a]) for a in (0.35, 0.15, 0.0)))
-    return floor_limits(calibration.color, plane, CONFIG.ground, 0.001)[0][0]
+    return floor_limits(calibration.image, plane, CONFIG.ground, 0.001)[0][0]
 
 
 def _one_frame(images: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
     color, depth = images
     calibration = CALIBRATIONS[SIZE]
-    assert calibration.depth is not None and calibration.color_from_depth is not None
-    camera = calibration.color
+    assert calibration.color_from_depth is not None
+    camera = calibration.image
     motion = calibration.color_from_depth.T
     size, none = (camera.width, camera.height), np.zeros(4)
     aligned = cv2.registerDepth(
@@ -139,49 +191,44 @@ def throughput(seconds: float) -> list[Metric]:
 
 
 def _on_cpu(size: str, config: Config, seconds: float) -> Iterator[tuple[str, float]]:
-    frames = frames_of(size, BATCH)
+    frames = frames_of(size, BATCH, color=config.cluster.points)
     yield "fps", _frames_per_s(partial(detect, frames, config), BATCH, seconds)
 
 
 def _on_gpus(size: str, config: Config, seconds: float) -> Iterator[tuple[str, float]]:
+    """With images on the devices and in pinned memory: depth, and colour for ``paper`` alone."""
     among = jax.local_devices()
-    frames = frames_of(size, BATCHES[size] * len(among))
-    on_device = jax.device_put((frames.color, frames.depth), rows_over(tuple(among)))
-    pinned = pin(frames.color, frames.depth)
-    upload = _uploader(pinned, among)
+    frames = frames_of(size, BATCHES[size] * len(among), color=config.cluster.points)
+    images = [frames.depth] if frames.color is None else [frames.depth, frames.color]
+    on_device = jax.device_put(images, rows_over(tuple(among)))
 
-    def step(source: Callable[[], tuple[jax.Array, jax.Array]]) -> Detections:
-        color, depth = source()
-        return detect(frames._replace(color=color, depth=depth), config)
+    def step(source: Callable[[], list[jax.Array]]) -> Detections:
+        depth, *color = source()
+        return detect(frames._replace(depth=depth, color=color[0] if color else None), config)
 
-    sources = {"resident": lambda: on_device, "pinned": upload}
+    sources = {"resident": lambda: on_device, "pinned": _uploader(list(map(pin, images)), among)}
     for key, source in sources.items():
         check_equal(key, step(source), step(sources["resident"]))
-        yield f"{key}.fps", _frames_per_s(partial(step, source), len(frames.color), seconds)
+        yield f"{key}.fps", _frames_per_s(partial(step, source), len(frames.depth), seconds)
 
 
-def _uploader(
-    pinned: tuple[np.ndarray, np.ndarray], among: Sequence[Any]
-) -> Callable[[], tuple[jax.Array, jax.Array]]:
+def _uploader(pinned: Sequence[np.ndarray], among: Sequence[Any]) -> Callable[[], list[jax.Array]]:
     """Copies page-locked images to all GPUs in equal parts."""
     size = len(pinned[0]) // len(among)
-    shapes = [(size, *images.shape[1:]) for images in pinned]
-    ways = [Uploader(shapes[0], shapes[1], device) for device in among]
+    kinds = [((size, *images.shape[1:]), images.dtype.type) for images in pinned]
+    ways = [Uploader(kinds, device) for device in among]
     rows = rows_over(tuple(among))
 
-    def upload() -> tuple[jax.Array, jax.Array]:
+    def upload() -> list[jax.Array]:
         parts = [
-            way.upload([(pinned[0][i * size :][:size], pinned[1][i * size :][:size])])
+            way.upload([[images[i * size :][:size] for images in pinned]])
             for i, way in enumerate(ways)
         ]
         if len(parts) == 1:
             return parts[0]
         join = jax.make_array_from_single_device_arrays
-        color, depth = (
-            join(images.shape, rows, list(part))
-            for images, part in zip(pinned, zip(*parts, strict=True), strict=True)
-        )
-        return color, depth
+        every = zip(pinned, zip(*parts, strict=True), strict=True)
+        return [join(images.shape, rows, list(part)) for images, part in every]
 
     return upload
 

@@ -1,7 +1,8 @@
 """``python -m benchmarks feed --json FILE``: logs at the machine's speed, by form and by part.
 
-``jaxdet run`` as a command, each part of it alone, and what others need to read the same images
-and do nothing with them, in turns. A log is made on the spot and lies in the page cache.
+``jaxdet run`` as a command, each part of it alone, and what others need to read the same depth
+images, or colour and depth, and do nothing with them, in turns. A log is made on the spot and lies
+in the page cache.
 """
 
 import json
@@ -11,9 +12,10 @@ import sys
 import tempfile
 import time
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from threading import Event, Thread
 from typing import Annotated, NamedTuple
@@ -27,18 +29,19 @@ from mcap.reader import make_reader
 
 from benchmarks import gate
 from benchmarks.feed_logs import CONFIG, FORMS, Form, Topics, drive, topics_of, write
-from benchmarks.feed_peers import PEERS
+from benchmarks.feed_peers import PEERS, Read
+from benchmarks.mounts import depth_plane
 from benchmarks.run import Metric
 from jaxdet import detect
 from jaxdet.config import Config
 from jaxdet.cores import cores
-from jaxdet.floor.plane import flat_plane, repeat_plane
+from jaxdet.floor.plane import repeat_plane
 from jaxdet.io import Log, open_log
-from jaxdet.io.compressed import decode_compressed_color, decode_compressed_depth
+from jaxdet.io.compressed import decode_compressed_depth
 from jaxdet.io.container import McapFile
 from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.decode_messages import MessageDecoder
-from jaxdet.io.images import decode_color, decode_depth
+from jaxdet.io.images import decode_depth
 from jaxdet.io.messages import CompressedImageMessage, ImageMessage
 from jaxdet.results.rows import batch_rows, row_inputs
 from jaxdet.results.schemas import FRAMES_SCHEMA, OBSTACLES_SCHEMA
@@ -107,7 +110,7 @@ def form_metrics(name: str, log: Path, results: Path, rounds: int) -> list[Metri
     runs, rates = [], defaultdict(list)
     with open_log(str(log)) as opened:
         detecting = Detecting(opened, BATCHES[jax.default_backend()])
-        batch = len(detecting.frames.color)
+        batch = len(detecting.frames.depth)
         timed = {
             "read": Reading(log).run,
             "decode": Decoding(log, FORMS[name], opened).run,
@@ -115,8 +118,9 @@ def form_metrics(name: str, log: Path, results: Path, rounds: int) -> list[Metri
             "detect": detecting.run,
             "rows_write": Writing(opened, detecting, log.parent).run,
         }
-        for peer, images in PEERS.items():
-            timed[peer] = lambda images=images: sum(1 for _ in images(log, topics)) // 2
+        for peer, read in PEERS.items():
+            timed[peer] = partial(_frames_read, read, log, topics)
+            timed[f"{peer}_depth"] = partial(_frames_read, read, log, (topics.depth,))
         run_command(log, results)  # fills the caches
         for function in timed.values():
             function()
@@ -128,11 +132,17 @@ def form_metrics(name: str, log: Path, results: Path, rounds: int) -> list[Metri
     return _metrics(f"feed.{name}", runs, {key: statistics.median(r) for key, r in rates.items()})
 
 
+def _frames_read(read: Read, log: Path, topics: Sequence[str]) -> int:
+    """Reads all images of some topics with a peer; returns the number of frames."""
+    return sum(1 for _ in read(log, topics)) // len(topics)
+
+
 def _metrics(key: str, runs: list[Run], rates: dict[str, float]) -> list[Metric]:
     fps = statistics.median(run.fps for run in runs)
-    parts = {part: rate for part, rate in rates.items() if part not in PEERS}
+    peers = [name for peer in PEERS for name in (f"{peer}_depth", peer)]
+    parts = {part: rate for part, rate in rates.items() if part not in peers}
     metrics = [Metric(f"{key}.fps", fps, "frames/s", "higher", 0.3)]
-    metrics += [Metric(f"{key}.vs_{peer}", fps / rates[peer], "x", "higher", 0.3) for peer in PEERS]
+    metrics += [Metric(f"{key}.vs_{peer}", fps / rates[peer], "x", "higher", 0.3) for peer in peers]
     share = fps / min(parts.values())
     metrics.append(Metric(f"{key}.share_of_slowest_part", share, "", "higher", 0.3))
     metrics += [
@@ -156,7 +166,7 @@ def run_command(log: Path, results: Path) -> Run:
     wall = time.perf_counter() - start
     if code:
         raise RuntimeError(f"jaxdet run {log} ended with exit code {code}")
-    about = json.loads((results / "summary.json").read_text("utf-8"))["logs"][0]
+    about = json.loads(next(results.glob("*/summary.json")).read_text("utf-8"))["logs"][0]
     if about["frames_per_s"] is None:
         raise RuntimeError(f"{log} has too few frames for a steady rate: use --frames")
     steady = about["seconds"] - about["first_batch_s"]
@@ -214,8 +224,8 @@ class Reading:
         assert summary is not None and summary.statistics is not None
         self._chunks = [index.chunk_start_offset + _RECORD_HEAD for index in summary.chunk_indexes]
         counts = summary.statistics.channel_message_counts
-        color = [c.id for c in summary.channels.values() if "color/image_raw" in c.topic]
-        self._frames = sum(counts[number] for number in color)
+        depth = [c.id for c in summary.channels.values() if "depth/image_rect_raw" in c.topic]
+        self._frames = sum(counts[number] for number in depth)
 
     def run(self) -> int:
         """Returns the number of frames."""
@@ -226,53 +236,38 @@ class Reading:
 
 
 class Decoding:
-    """Messages in memory decoded into the rows of a batch, on a thread a core."""
+    """Depth messages in memory decoded into the rows of a batch, on a thread a core."""
 
     def __init__(self, log: Path, form: Form, opened: Log) -> None:
         self._pool = ThreadPoolExecutor(cores())
-        topics, channels = topics_of(form), {}
-        color, depth = opened.image_shapes
-        self._color = np.zeros((CONFIG.frames, *color), np.uint8)
-        self._depth = np.zeros((CONFIG.frames, *depth), np.uint16)
+        self._depth = np.zeros((CONFIG.frames, *opened.depth_shape), np.uint16)
         self._unit_m = opened.calibration.depth_unit
-        self._work: list[tuple[MessageDecoder, bytes, int]] = []
-        counts = dict.fromkeys(topics, 0)
+        self._messages: list[tuple[int, bytes]] = []
+        topic = topics_of(form).depth
         with log.open("rb") as file:
-            for schema, channel, message in make_reader(file).iter_messages(topics=list(topics)):
+            for schema, _, message in make_reader(file).iter_messages(topics=[topic]):
                 assert schema is not None
-                if channel.topic not in channels:
-                    info = ChannelInfo(
-                        channel.topic, "cdr", schema.name, schema.encoding, schema.data
-                    )
-                    channels[channel.topic] = MessageDecoder(info)
-                if counts[channel.topic] < CONFIG.frames:
-                    item = channels[channel.topic], message.data, counts[channel.topic]
-                    self._work.append(item)
-                counts[channel.topic] += 1
-                if min(counts.values()) >= CONFIG.frames:
+                if not self._messages:
+                    about = schema.name, schema.encoding, schema.data
+                    self._decoder = MessageDecoder(ChannelInfo(topic, "cdr", *about))
+                self._messages.append((len(self._messages), message.data))
+                if len(self._messages) == CONFIG.frames:
                     break
         self._turns = max(1, opened.num_frames // CONFIG.frames)
 
     def run(self) -> int:
         """Returns the number of frames."""
         for _ in range(self._turns):
-            list(self._pool.map(self._one, self._work))
+            list(self._pool.map(self._one, self._messages))
         return self._turns * CONFIG.frames
 
-    def _one(self, item: tuple[MessageDecoder, bytes, int]) -> None:
-        decoder, payload, row = item
-        message, limit = decoder.decode(payload), self._color[0].size
-        depth = "/depth/" in decoder.channel.topic
+    def _one(self, item: tuple[int, bytes]) -> None:
+        row, payload = item
+        message, limit = self._decoder.decode(payload), self._depth[0].size
         if isinstance(message, CompressedImageMessage):
-            if depth:
-                decode_compressed_depth(message, self._depth[row], self._unit_m, limit)
-            else:
-                decode_compressed_color(message, self._color[row], limit)
+            decode_compressed_depth(message, self._depth[row], self._unit_m, limit)
         elif isinstance(message, ImageMessage):
-            if depth:
-                decode_depth(message, self._depth[row], self._unit_m, limit)
-            else:
-                decode_color(message, self._color[row], limit)
+            decode_depth(message, self._depth[row], self._unit_m, limit)
 
 
 class Detecting:
@@ -280,9 +275,7 @@ class Detecting:
 
     def __init__(self, opened: Log, batch: int) -> None:
         frames = next(opened.batches(batch)).frames
-        angles = CONFIG.camera_height_m, CONFIG.camera_pitch_rad, CONFIG.camera_roll_rad
-        plane = flat_plane(*(np.array([value]) for value in angles))
-        self.frames = frames._replace(plane=repeat_plane(plane, batch))
+        self.frames = frames._replace(plane=repeat_plane(depth_plane(CONFIG), batch))
         self._batch, self._turns = batch, max(1, opened.num_frames // batch)
 
     def run(self) -> int:
@@ -296,7 +289,7 @@ class Writing:
     """The rows of a batch that was detected, and these as Parquet, on one thread."""
 
     def __init__(self, opened: Log, detecting: Detecting, folder: Path) -> None:
-        size = len(detecting.frames.color)
+        size = len(detecting.frames.depth)
         assert detecting.frames.plane is not None
         self._batch, self._plane = next(opened.batches(size)), detecting.frames.plane
         self._found = row_inputs(jax.device_get(detect(detecting.frames)))
@@ -324,7 +317,8 @@ def check(log: Path, topics: Topics, count: int) -> None:
         AssertionError: They are not.
     """
     with open_log(str(log)) as opened:
-        frames = opened.read(range(count)).frames
+        frames = opened.read(range(count), color=True).frames
+    assert frames.color is not None
     for name, images in PEERS.items():
         seen: dict[str, int] = dict.fromkeys(topics, 0)
         for topic, image in images(log, topics):

@@ -41,7 +41,7 @@ FORMS = {
 
 
 class Topics(NamedTuple):
-    """Where the images of a form are."""
+    """Topics of the images of a form."""
 
     color: str
     depth: str
@@ -63,7 +63,7 @@ def drive() -> list[SimFrame]:
 def write(path: Path, form: Form, frames: list[SimFrame], count: int) -> None:
     """Writes ``count`` frames, 30 a second; depth is a millisecond early."""
     calibration, topics = calibration_of(CONFIG), topics_of(form)
-    assert calibration.depth is not None
+    assert calibration.color is not None
     payloads = [tuple(_payloads(form, frame)) for frame in frames]
     with Ros2LogWriter(path, form.compression) as log:
         log.write_transforms(CONFIG.start_ns, static_transforms(CONFIG, calibration), static=True)

@@ -1,7 +1,10 @@
-"""What others would read images with: they decode each, and do nothing with it."""
+"""What others would read images with: they decode each, and do nothing with it.
+
+Each takes the topics to read: depth alone, as the default reads, or colour and depth.
+"""
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -13,14 +16,13 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
-from benchmarks.feed_logs import Topics
 from jaxdet.cores import cores
 
 Images = Iterator[tuple[str, np.ndarray]]
 """Topic and image of each message."""
 
 
-def mcap_ros2(log: Path, topics: Topics) -> Images:
+def mcap_ros2(log: Path, topics: Sequence[str]) -> Images:
     """A loop over ``mcap-ros2-support``."""
     with log.open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
@@ -28,7 +30,7 @@ def mcap_ros2(log: Path, topics: Topics) -> Images:
             yield channel.topic, image(message)
 
 
-def rosbags(log: Path, topics: Topics) -> Images:
+def rosbags(log: Path, topics: Sequence[str]) -> Images:
     """A loop over ``rosbags``."""
     with AnyReader([log], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
         wanted = [item for item in reader.connections if item.topic in topics]
@@ -36,7 +38,7 @@ def rosbags(log: Path, topics: Topics) -> Images:
             yield connection.topic, image(reader.deserialize(data, connection.msgtype))
 
 
-def threads(log: Path, topics: Topics) -> Images:
+def threads(log: Path, topics: Sequence[str]) -> Images:
     """``mcap`` reads, a pool with a thread a core decodes: a few messages are on their way."""
     factory = DecoderFactory()
     waiting: deque[tuple[str, Future[np.ndarray]]] = deque()
@@ -52,7 +54,9 @@ def threads(log: Path, topics: Topics) -> Images:
             yield topic, future.result()
 
 
-PEERS: dict[str, Callable[[Path, Topics], Iterable[tuple[str, np.ndarray]]]] = {
+Read = Callable[[Path, Sequence[str]], Images]
+
+PEERS: dict[str, Read] = {
     "mcap_ros2": mcap_ros2,
     "rosbags": rosbags,
     "threads": threads,

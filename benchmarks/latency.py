@@ -1,8 +1,8 @@
 """How long one frame takes: ``python -m benchmarks.latency [LOG]``.
 
-``jaxdet.Detector`` on frames one by one, from NumPy images to objects, beside OpenCV's features of
-the same frames (grey, Canny, Shi-Tomasi): both take turns, so that a busy machine treats them
-alike, and what counts is their ratio.
+``jaxdet.Detector`` on depth images one by one, from NumPy arrays to objects, next to OpenCV's
+features of the same frames (grey, Canny, Shi-Tomasi): both take turns, so that a busy machine
+treats them alike, and what counts is their ratio.
 """
 
 import sys
@@ -42,15 +42,15 @@ def measure(path: Path) -> None:
     for call in range(WARM + CALLS):
         color, depth = frames[call % len(frames)].color, frames[call % len(frames)].depth
 
-        def ours(color: np.ndarray = color, depth: np.ndarray = depth) -> None:
-            detector(color, depth).nearest_m  # noqa: B018  (which makes the objects)
+        def ours(depth: np.ndarray = depth) -> None:
+            detector(depth).nearest_m  # noqa: B018  (which makes the objects)
 
         def theirs(color: np.ndarray = color) -> None:
             features(color)
 
         times.append((timed(ours), timed(theirs)))
     first, rows = times[0][0], np.array(times[WARM:])
-    shape = frames[0].color.shape
+    shape = frames[0].depth.shape
     print(f"{len(rows)} calls, {shape[1]}x{shape[0]}, first call {first:.0f} ms")
     both = np.percentile(rows, [0, 50, 95], axis=0).T
     for name, values in zip(

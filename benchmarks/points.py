@@ -39,7 +39,7 @@ def points(batch: int, n: int, seed: int = 0) -> Features:
         n: ``N``.
         seed: Equal seeds give equal points.
     """
-    rng, color, shape = np.random.default_rng(seed), camera().color, (batch, n)
+    rng, color, shape = np.random.default_rng(seed), camera().image, (batch, n)
     near, far = 300, round(CONFIG.ground.max_depth_m * 1000)
     board = np.arange(batch)[:, None], rng.integers(0, OBSTACLES, shape)
     boards = batch, OBSTACLES

@@ -80,7 +80,7 @@ def simulated(depth_error: float, seeds: Sequence[int], width: int = 640) -> Ite
             # The labels of things are 4 pixels of 1280 too large.
             drivable = floor_truth(frame).drivable.astype(np.uint8)
             floor = cv2.erode(drivable, np.ones((7, 7), np.uint8), borderValue=1) > 0
-            camera = calibration_of(frame.config).color
+            camera = calibration_of(frame.config).image
             yield _both(frame.aligned * 0.001, floor, camera)
 
 
@@ -88,7 +88,7 @@ def recorded(log: str, labels: str) -> Iterator[list[Spread]]:
     """Floors of a recording whose depth is aligned to colour, with and without margins."""
     files = sorted(Path(labels).glob("*.png"))
     with jaxdet.open_log(log) as source:
-        camera, unit = source.calibration.color, source.calibration.depth_unit
+        camera, unit = source.calibration.depth, source.calibration.depth_unit
         for batch in source.batches(1):
             file = files[int(batch.frames.number[0])]
             label = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)

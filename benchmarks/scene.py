@@ -10,14 +10,13 @@ import warp as wp
 from jaxdet import reference
 from jaxdet.config import Config
 from jaxdet.floor.frame import floor_frames
-from jaxdet.floor.plane import flat_plane, repeat_plane, step_height
+from jaxdet.floor.plane import flat_plane, plane_in_color, repeat_plane, step_height
 from jaxdet.reference import FloorFit
 from jaxdet.reference._detect import Found, _group, _surfaces
 from jaxdet.sim.exposure import LIGHTS, ColorSensor, expose
 from jaxdet.sim.render import render
 from jaxdet.sim.scenes import load_scene
 from jaxdet.sim.sensor import DepthSensor, measure_depth
-from jaxdet.stages._upload import UINT8, UINT16, Images
 from jaxdet.types import (
     AlignedDepth,
     Calibration,
@@ -43,28 +42,28 @@ KINECT = (0.51, -2.69, 0.0007, 0.0001, 1.55, 0.39, -2.50, 1.47)
 """Coefficients of a rational lens, near an Azure Kinect's."""
 CALIBRATIONS = {
     "640x480": Calibration(
-        Intrinsics(640, 480, 610.0, 610.0, 319.5, 239.5),
         Intrinsics(640, 480, 380.0, 380.0, 319.5, 239.5),
+        Intrinsics(640, 480, 610.0, 610.0, 319.5, 239.5),
         Extrinsics((1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), (BASELINE_M, 0.0, 0.0)),
     ),
     "848x480-1280x720": Calibration(
-        Intrinsics(1280, 720, 915.0, 915.0, 639.5, 359.5),
         Intrinsics(848, 480, 422.0, 422.0, 423.5, 239.5),
+        Intrinsics(1280, 720, 915.0, 915.0, 639.5, 359.5),
         Extrinsics((1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), (BASELINE_M, 0.0, 0.0)),
     ),
     "1280x720": Calibration(
-        Intrinsics(1280, 720, 915.0, 915.0, 639.5, 359.5),
         Intrinsics(1280, 720, 640.0, 640.0, 639.5, 359.5),
+        Intrinsics(1280, 720, 915.0, 915.0, 639.5, 359.5),
         Extrinsics((1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), (BASELINE_M, 0.0, 0.0)),
     ),
     "1080p": Calibration(
-        Intrinsics(1920, 1080, 1372.0, 1372.0, 959.5, 539.5),
         Intrinsics(1280, 720, 640.0, 640.0, 639.5, 359.5),
+        Intrinsics(1920, 1080, 1372.0, 1372.0, 959.5, 539.5),
         Extrinsics((1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), (BASELINE_M, 0.0, 0.0)),
     ),
     "lens": Calibration(
-        Intrinsics(1280, 720, 608.0, 608.0, 639.5, 364.5, Distortion.RATIONAL, KINECT),
         Intrinsics(640, 576, 504.0, 504.0, 319.5, 287.5, Distortion.RATIONAL, KINECT),
+        Intrinsics(1280, 720, 608.0, 608.0, 639.5, 364.5, Distortion.RATIONAL, KINECT),
         Extrinsics((1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), (BASELINE_M, 0.0, 0.0)),
     ),
 }
@@ -129,7 +128,7 @@ def inputs(size: str) -> Inputs:
         NumPy arrays; the same on every machine and at every call.
     """
     calibration = CALIBRATIONS[size]
-    assert calibration.depth is not None
+    assert calibration.color is not None
     room, rng = load_scene("demo"), np.random.default_rng(0)
     color, depth = [], []
     for frame in range(BATCH):
@@ -145,7 +144,7 @@ def inputs(size: str) -> Inputs:
     plane = repeat_plane(one, BATCH)
     colors, depths = np.stack(color), np.stack(depth)
     aligned = reference.align(depths, calibration)
-    keep = reference.ground(aligned, plane, calibration, CONFIG)
+    keep = reference.ground(aligned, plane_in_color(plane, calibration), calibration, CONFIG)
     return Inputs(calibration, colors, depths, plane, aligned, keep)
 
 
@@ -172,16 +171,24 @@ def repeated(tree: Any, batch: int) -> Any:
     return jax.tree.map(lambda a: a[turns], tree)
 
 
-def frames_of(size: str, batch: int) -> Frames:
+def frames_of(size: str, batch: int, *, color: bool = False) -> Frames:
     """``batch`` frames in host memory, those of the scene in turns, with their floor.
 
     Images begin with a cache line, as those read from a log do.
+
+    Args:
+        size: A key of ``CALIBRATIONS``.
+        batch: Number of frames.
+        color: Whether the frames have colour images, which the preset ``paper`` reads.
     """
     given = inputs(size)
     number, valid = np.arange(batch, dtype=np.int64), np.ones(batch, bool)
-    color, depth, plane = repeated((given.color, given.depth, given.plane), batch)
-    color, depth = map(_on_lines, (color, depth))
-    return Frames(color, depth, given.calibration, number, number, number, valid, None, plane)
+    depth, plane = repeated((given.depth, given.plane), batch)
+    frames = Frames(_on_lines(depth), given.calibration, number, number, valid, plane=plane)
+    if not color:
+        return frames
+    colors = _on_lines(repeated(given.color, batch))
+    return frames._replace(color=colors, color_stamp_ns=number)
 
 
 def _on_lines(images: np.ndarray) -> np.ndarray:
@@ -193,17 +200,13 @@ def _on_lines(images: np.ndarray) -> np.ndarray:
     return copy
 
 
-def pin(color: np.ndarray, depth: np.ndarray) -> Images:
+def pin(images: np.ndarray) -> np.ndarray:
     """Copies a batch's images into page-locked memory, which the bus reads at its full rate.
 
     Args:
-        color: ``(B, H, W, 3)`` uint8.
-        depth: ``(B, Hd, Wd)`` uint16.
+        images: uint8 or uint16.
     """
-    kinds = UINT8, UINT16
-    shapes = zip((color, depth), kinds, strict=True)
-    images = [
-        wp.empty(a.shape, dtype=kind, device="cpu", pinned=True).numpy() for a, kind in shapes
-    ]
-    images[0][...], images[1][...] = color, depth
-    return images[0], images[1]
+    kind: Any = {np.uint8: wp.uint8, np.uint16: wp.uint16}[images.dtype.type]
+    copy = wp.empty(images.shape, dtype=kind, device="cpu", pinned=True).numpy()
+    copy[...] = images
+    return copy

@@ -14,17 +14,17 @@ AXES = {
     "cells": ("batch", "size"),
     "floor": ("batch", "size"),
     "surfaces": ("batch", "size"),
-    "features": ("batch", "size", "slots"),
     "obstacles": ("batch", "size"),
     "outlines": ("batch", "size"),
     "free": ("batch", "size"),
+    "features": ("batch", "size", "slots"),
     "cluster": ("batch", "slots"),
     "footprint": ("batch", "slots"),
-    "pipeline": ("batch", "size", "slots"),
+    "pipeline": ("batch", "size"),
 }
 """The stages, and what the cost of each can depend on. Only the preset ``paper`` has ``align``,
-``cluster`` and ``footprint``, only the default what is on cells: ``cells``, ``floor``,
-``surfaces``, ``obstacles``, ``outlines`` and ``free``."""
+``features``, ``cluster`` and ``footprint``, only the default what is on cells: ``cells``,
+``floor``, ``surfaces``, ``obstacles``, ``outlines`` and ``free``."""
 
 
 class Point(NamedTuple):

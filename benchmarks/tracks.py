@@ -17,13 +17,12 @@ from typing import Any, NamedTuple
 import cv2
 import motmetrics
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 
-from jaxdet.engine import RunOptions, run
-from jaxdet.io import LogOptions, find_logs
-from jaxdet.presets import preset
-from jaxdet.results.manifest import MANIFEST, make_manifest
-from jaxdet.results.summary import to_json
+from jaxdet.engine import run
+from jaxdet.io import find_logs
+from jaxdet.results.manifest import write_manifest
 from jaxdet.sim import SimConfig, Truth, load_scene, load_truth, write_log
 from jaxdet.sim.robot import pose_at, velocity_at
 from jaxdet.sim.scene import Model
@@ -78,9 +77,9 @@ def main(options: Options) -> int:
     """Returns the exit code."""
     names = _simulate(options)
     results = options.folder / "results"
-    if not (results / "summary.json").exists():
+    if not (results / "run.json").exists():
         logs = find_logs([str(options.folder / f"{name}.mcap") for name in names])
-        run(logs, preset("wheeled"), LogOptions(), RunOptions(results, pictures=0))
+        run(logs, results, "wheeled", pictures=0)
     track_results(results)
     scores = {name: _score(_Log(options, results, name)) for name in names}
     print(_table(scores))
@@ -131,13 +130,13 @@ def _rate(options: Options, results: Path) -> float:
     folder, repeats = options.folder / "long", 20_000 // max(1, _rows(results, "frames")) + 1
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
-    shutil.copy(results / "config.json", folder)
+    first = next(results.glob("*/manifest.json")).parent
+    shutil.copy(first / "config.json", folder)
     count = {name: _write_long(results, folder, name, repeats) for name in ("frames", "obstacles")}
-    summary = json.loads((results / "summary.json").read_text())
+    summary = json.loads((first / "summary.json").read_text())
     one = {**summary["logs"][0], **count, "map": None, "pictures": []}
     (folder / "summary.json").write_text(json.dumps({**summary, **count, "logs": [one]}))
-    files = {path.name: path for path in folder.iterdir()}
-    (folder / MANIFEST).write_text(to_json(make_manifest({}, files)))
+    write_manifest(folder, {"log": summary["logs"][0]["log"], "inputs": []})
     times = []
     for _ in range(5):
         start = time.perf_counter()
@@ -147,13 +146,19 @@ def _rate(options: Options, results: Path) -> float:
 
 
 def _rows(results: Path, name: str) -> int:
-    return pq.read_metadata(results / f"{name}.parquet").num_rows
+    return sum(pq.read_metadata(path).num_rows for path in results.glob(f"*/{name}.parquet"))
+
+
+def _read(results: Path, name: str, **how: Any) -> pa.Table:
+    """Returns a table of all logs."""
+    paths = sorted(results.glob(f"*/{name}"))
+    return pa.concat_tables([pq.read_table(path, **how) for path in paths])
 
 
 def _write_long(results: Path, folder: Path, name: str, repeats: int) -> int:
     """All logs one after the other, again and again, as one; returns the rows."""
-    table = pq.read_table(results / f"{name}.parquet")
-    frames = pq.read_table(results / "frames.parquet", columns=["log", "frame", "stamp_ns"])
+    table = _read(results, f"{name}.parquet")
+    frames = _read(results, "frames.parquet", columns=["log", "frame", "stamp_ns"])
     logs = frames["log"].unique().to_pylist()
     length = int(frames["frame"].to_numpy().max()) + 1
     step = int(np.diff(frames["stamp_ns"].to_numpy()[:2])[0])
@@ -170,7 +175,7 @@ def _write_long(results: Path, folder: Path, name: str, repeats: int) -> int:
             stamp = 10**18 + number * step
             part = part.set_column(first("stamp_ns"), table.schema.field("stamp_ns"), [stamp])
             file.write_table(part)
-        about = pq.read_metadata(results / f"{name}.parquet").metadata
+        about = pq.read_metadata(next(results.glob(f"*/{name}.parquet"))).metadata
         file.add_key_value_metadata({k: v for k, v in about.items() if k.startswith(b"jaxdet")})
     return repeats * table.num_rows
 
@@ -185,10 +190,10 @@ class _Log:
         self.rate_hz = options.rate_hz
         self.pixels = MIN_PIXELS * (options.width / 640) ** 2
         here: Any = [("log", "=", name)]
-        self.tracks = pq.read_table(results / TRACKS, filters=here).to_pylist()
+        self.tracks = _read(results, TRACKS, filters=here).to_pylist()
         columns = ["frame", "corners_world"]
-        rows = pq.read_table(results / "obstacles.parquet", columns=columns, filters=here)
-        links = pq.read_table(results / LINKS, columns=["track"], filters=here)
+        rows = _read(results, "obstacles.parquet", columns=columns, filters=here)
+        links = _read(results, LINKS, columns=["track"], filters=here)
         self.outlines: dict[int, list[np.ndarray]] = {}
         self.outlines_of: dict[tuple[int, int | None], list[np.ndarray]] = {}
         """Those of a frame and a track."""

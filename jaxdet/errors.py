@@ -131,6 +131,10 @@ class WorkerError(JaxdetError):
     """A worker process ended, or failed in a way that nobody foresaw."""
 
 
+class WorkerStartError(WorkerError):
+    """Worker processes can't be started. It ends the run, as it is no log's fault."""
+
+
 class Interrupted(KeyboardInterrupt):
     """A signal ended the run; its text is one line that says how to go on.
 

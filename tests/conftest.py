@@ -80,9 +80,9 @@ def shared_data() -> Path:
 
 def _results_beside(log: Path, folder: Path, pictures: int) -> Path:
     """Finds the obstacles of a log, with what the command has as defaults."""
-    from jaxdet import engine
+    from tests.runs import run_log
 
-    engine.run(log, folder, "wheeled", pictures=pictures)
+    run_log(log, folder, pictures=pictures, preset="wheeled")
     return folder
 
 
@@ -116,10 +116,10 @@ def both_ways(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -
 @pytest.fixture(scope="session")
 def aims_results(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The results of a recording of a hand-held camera, which has no poses and no transforms."""
-    from jaxdet import engine
+    from tests.runs import run_log
 
     folder = tmp_path_factory.mktemp("aims") / "results"
-    engine.run(shared_data / "aims_slam", folder, "wheeled", pictures=2)
+    run_log(shared_data / "aims_slam", folder, pictures=2, preset="wheeled")
     return folder
 
 

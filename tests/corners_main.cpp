@@ -8,11 +8,13 @@
 #include <cstdio>
 #include <vector>
 
-#include "canny.h"
-#include "corner_maxima.h"
-#include "corner_selection.h"
-#include "corner_settings.h"
-#include "hysteresis.h"
+#include "jaxdet/canny.h"
+#include "jaxdet/corner_maxima.h"
+#include "jaxdet/corner_selection.h"
+#include "jaxdet/corner_settings.h"
+#include "jaxdet/hysteresis.h"
+
+using namespace jaxdet;
 
 struct Image {
     int height, width, slots;

@@ -12,7 +12,7 @@ from jaxdet.results.manifest import write_manifest
 from jaxdet.results.occupancy import MapImage, save_map
 from jaxdet.results.writer import Tables, TableWriter, write_json
 from jaxdet.sim import SimConfig, write_log
-from tests.runs import run_logs
+from tests.runs import run_log
 
 START_NS = 1_700_000_000_000_000_000
 
@@ -27,7 +27,7 @@ def sim_log(path: Path, **options: Any) -> Path:
 def run(log: Path, output: Path, name: str = "wheeled", options: LogOptions | None = None) -> Path:
     """The results of a log."""
     how = {"backend": "reference", "pictures": 1, "preset": name}
-    run_logs(log, output, preset(name), log=options, **how)
+    run_log(log, output, preset(name), log=options, **how)
     return output
 
 
@@ -74,10 +74,9 @@ def _rows(number: int, places: list, free_m: float) -> tuple[dict, dict]:
         "camera": np.array(["camera"], object),
         "frame": np.array([number]),
         "stamp_ns": np.array([START_NS + number * 10**8]),
-        "depth_stamp_ns": np.array([START_NS + number * 10**8]),
+        "color_stamp_ns": np.array([START_NS + number * 10**8]),
         "log_time_ns": np.array([START_NS + number * 10**8]),
         "status": np.array(["ok"], object),
-        "num_features": np.array([100]),
         "num_obstacles": np.array([count]),
         "overflow": np.array([False]),
         "camera_height_m": np.array([1.0]),
@@ -107,6 +106,7 @@ def _rows(number: int, places: list, free_m: float) -> tuple[dict, dict]:
         "frame": np.full(count, number),
         "stamp_ns": np.full(count, START_NS + number * 10**8),
         "obstacle": np.arange(count, dtype=np.int32),
+        "box_image": np.full(count, "depth", object),
         "vertices": zeros.astype(np.int8),
         "corners_ground": ground.reshape(-1, 8).astype(np.float32),
         "corners_world": world.reshape(-1, 8).astype(np.float32),

@@ -260,17 +260,19 @@ def convert_log(source: Path, target: Path, compress: str | None = None) -> Path
 
 
 def assert_holds(log: Log, scene: Scene, batch_size: int = 2) -> None:
-    """The log gives the scene's frames, whatever the batch size."""
-    count = len(scene.color)
+    """The log gives the scene's frames, each with its colour, whatever the batch size."""
+    count = len(scene.depth)
     assert log.num_frames == count
-    np.testing.assert_array_equal(log.stamps_ns, scene.color_ns)
-    np.testing.assert_array_equal(log.depth_stamp_ns, scene.depth_ns)
+    np.testing.assert_array_equal(log.stamps_ns, scene.depth_ns)
+    np.testing.assert_array_equal(log.color_stamps_ns, scene.color_ns)
     seen = 0
-    for batch in log.batches(batch_size):
+    for batch in log.batches(batch_size, color=True):
         n = len(batch.status)
         frames = batch.frames
         assert batch.status == (FrameStatus.OK,) * n and batch.errors == ("",) * n
-        assert frames.color.shape[0] == batch_size
+        assert frames.color is not None and frames.color.shape[0] == batch_size
+        np.testing.assert_array_equal(frames.stamp_ns[:n], scene.depth_ns[seen : seen + n])
+        np.testing.assert_array_equal(frames.color_stamp_ns[:n], scene.color_ns[seen : seen + n])
         np.testing.assert_array_equal(frames.color[:n], scene.color[seen : seen + n])
         np.testing.assert_array_equal(frames.depth[:n], scene.depth[seen : seen + n])
         np.testing.assert_array_equal(frames.number[:n], np.arange(seen, seen + n))

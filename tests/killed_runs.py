@@ -1,119 +1,116 @@
-"""Ends whole runs at their system calls; started by ``tests/test_resume.py``.
+"""Ends runs at their system calls, one after the other; started by ``tests/test_killed.py``.
 
-Each is asked for again until it ends by itself, and then has written what an unbroken run writes.
+After each a reader finds complete results or none of a log, old or new ones; the same command then
+makes what an unbroken run makes.
 """
 
 import os
 import sys
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from shutil import copytree
+from shutil import copytree, rmtree
 from typing import Any
 
-from jaxdet import engine
 from jaxdet.config import Config, GroundConfig
-from jaxdet.engine import device, log_run, sharing
-from jaxdet.engine.plan import UnitSizes
-from jaxdet.errors import CamerasError, ResultsError
-from jaxdet.io import LogFiles, LogOptions
+from jaxdet.engine import device
+from jaxdet.results import publish
+from jaxdet.results.durable import sha256
+from jaxdet.results.layout import RUN, is_run
+from jaxdet.results.manifest import read_manifest
+from jaxdet.results.reading import open_results
+from jaxdet.sim import SimConfig, write_log
+from jaxdet.tracks import TrackConfig, track_results
 from tests.killed import killed_at
-from tests.test_engine import FakeLog
+from tests.runs import run_logs
 
-SIZES = UnitSizes(4, 0, 4)
-
-
-LOGS = [LogFiles(name, (Path(f"{name}.mcap"),)) for name in "ab"]
+TIMES = ("summary.json", "manifest.json")
 
 
-def run(output: Path, logs: Sequence[LogFiles] = LOGS, **more: Any) -> engine.Summary:
-    """Two logs of ten frames in units of four, one of two cameras; nothing is compiled."""
+def run(logs: Path, output: Path, **more: Any) -> None:
+    """Runs logs in this process."""
     config = Config(GroundConfig(source="none"))
-    options = engine.RunOptions(output, "reference", batch_size=4, pictures=1, workers=1, **more)
-    return engine.run(logs, config, LogOptions(), options)
-
-
-def run_shared(output: Path) -> None:
-    """By two machines that share it, one after the other, and a third."""
-    place = f"{output}.parts"
-    for number in (1, 2):
-        run(Path(f"{output}.{number}"), parts=place, share=f"{number}/2")
-    run(output, parts=place)
-
-
-def run_updated(output: Path) -> None:
-    """Brings results of the first log up to date."""
-    with suppress(ResultsError):  # of a run that had ended, and only cleaned up
-        run(output, update=True)
+    how = {"backend": "reference", "batch_size": 4, "workers": 1, "pictures": 1, **more}
+    assert not run_logs(logs, output, config, **how).failed
 
 
 def files(output: Path) -> dict[str, bytes]:
     """What a run writes, but its times."""
     found = {str(p.relative_to(output)): p for p in output.rglob("*") if p.is_file()}
-    found.pop(".jaxdet/lock", None)  # of a run that had ended, and only cleaned up
-    assert {"summary.json", "manifest.json", "pictures/a_000000.png"} <= set(found)
-    times = ("summary.json", "manifest.json")
-    return {name: b"" if name in times else p.read_bytes() for name, p in found.items()}
+    return {n: b"" if p.name in TIMES else p.read_bytes() for n, p in found.items()}
 
 
-def main(folder: Path, every: int, function: Callable[[Path], Any]) -> None:
-    """Ends runs at every so many-th call, and what goes on with them at the same."""
-    log_run.open_log, log_run.SIZES, sharing.SIZES = opened, SIZES, SIZES
+def check(output: Path, wanted: set[tuple[str, ...]]) -> None:
+    """Each log that a reader finds is complete, and one of those that are wanted."""
+    if not is_run(output):
+        assert not [*output.glob("*/manifest.json")]
+        return
+    with open_results(output) as results:
+        for folder, manifest in results.manifests.items():
+            assert read_manifest(folder) == manifest
+            told = manifest["files"]
+            assert all(sha256(folder / name) == about["sha256"] for name, about in told.items())
+            own = tuple(about["sha256"] for n, about in told.items() if n not in TIMES)
+            assert own in wanted, folder
+
+
+def kinds(output: Path) -> set[tuple[str, ...]]:
+    """The logs of results, by the checksums of their files."""
+    with open_results(output) as results:
+        told = [manifest["files"] for manifest in results.manifests.values()]
+    return {tuple(a["sha256"] for n, a in t.items() if n not in TIMES) for t in told}
+
+
+def main(folder: Path, every: int, way: str) -> None:
+    """Ends a command at every so many-th call, and the same one after it at others."""
     device.detect = remembered(device.detect)
-    os.chdir(folder)
-    for log in LOGS:
-        log.paths[0].write_text(log.name, encoding="utf-8")
-    run(folder / "whole")
-    want = files(folder / "whole")
-    updates = function is run_updated
-    if updates:
-        run(folder / "first", LOGS[:1])
-    call, ended = 1, True
+    if way.endswith("-slow"):
+        publish.exchange = lambda one, other: False
+    (logs := folder / "logs").mkdir()
+    for seed, name in enumerate("ab"):
+        write_log(logs / f"{name}.mcap", SimConfig(frames=4, width=96, height=72, seed=seed))
+    run(logs, folder / "old")
+    before = folder / "old"
+    if way.startswith("track"):
+        track_results(before, TrackConfig(min_frames=1))
+        rewrite: Callable[[Path], Any] = partial(track_results, config=TrackConfig(min_frames=3))
+    elif way.startswith("overwrite"):
+        rewrite = partial(run, logs, overwrite=True, pictures=2)
+    else:
+        before, rewrite = folder / "none", partial(run, logs)
+        before.mkdir()
+    rewrite(copytree(before, folder / "new"))
+    want, wanted = files(folder / "new"), kinds(folder / "new")
+    wanted |= kinds(before) if is_run(before) else set()
+    call, ended = 0, True
     while ended:
-        output, tries = folder / f"{call}", 0
-        if updates:
-            copytree(folder / "first", output)
-        while killed_at(call + 3 * tries, partial(function, output)):
+        output, tries = copytree(before, folder / f"{call}"), 0
+        while killed_at(call + 3 * tries, partial(rewrite, output)):
             tries += 1
-            there = (output / "manifest.json").exists()
-            if there and not (updates or (output / ".jaxdet/commit").exists()):
-                break  # it had ended, and only cleaned up
-        assert files(output) == want, call
+            check(output, wanted)
+        if tries and way == "run":
+            rewrite(output)  # a run that had ended, and only cleaned up
+        found = files(output)
+        assert found == want, (call, [n for n in {*found, *want} if found.get(n) != want.get(n)])
+        rmtree(output)
         ended, call = tries > 0, call + every
     print(f"ends at {call - every} calls")
-
-
-def opened(files: LogFiles, options: LogOptions, memory: Any) -> Any:
-    """The second log has two cameras."""
-    if files.name == "b" and not options.camera:
-        raise CamerasError(("front", "rear"))
-    log = named(files.name)
-    if options.camera:
-        log.camera, log.label = options.camera, f"{log.name}, {options.camera}"
-    return log
+    assert RUN in want
 
 
 def remembered(detect: Callable[..., Any]) -> Callable[..., Any]:
     """Computes a batch once: the first run does, and what is forked from here has all of them."""
-    known: dict[tuple[Any, ...], Any] = {}
+    known: dict[Any, Any] = {}
 
-    def found(frames: Any, config: Config, *, backend: str) -> Any:
-        key = *frames.number.tolist(), config
+    def found(frames: Any, config: Config, **how: Any) -> Any:
+        key = frames.stamp_ns.tobytes() + frames.depth.tobytes(), config, tuple(how.items())
         if key not in known:
-            known[key] = detect(frames, config, backend=backend)
+            known[key] = detect(frames, config, **how)
         return known[key]
 
     return found
 
 
-def named(name: str) -> Any:
-    """A log of that name."""
-    log = FakeLog()
-    log.name = log.label = name
-    return log
-
-
 if __name__ == "__main__":
-    ways = {"alone": run, "shared": run_shared, "updated": run_updated}
-    main(Path(sys.argv[1]), int(sys.argv[2]), ways[sys.argv[3]])
+    main(Path(sys.argv[1]), int(sys.argv[2]), sys.argv[3])
+    os._exit(0)

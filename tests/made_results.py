@@ -19,7 +19,7 @@ from jaxdet.results.summary import LogSummary, Summary
 from jaxdet.results.writer import Tables, TableWriter, write_json
 from jaxdet.types import Calibration, Intrinsics
 
-LOST = ("unpaired", "decode_error")
+LOST = ("no_color", "decode_error")
 START_NS = 1_700_000_000_000_000_000
 STEP_NS = 33_000_000
 DELAY_NS = 5_000_000
@@ -79,7 +79,6 @@ def _rows(name: str, start: int, stop: int, rng: np.random.Generator) -> tuple[A
         "stamp_ns": START_NS + n * STEP_NS,
         "log_time_ns": START_NS + n * STEP_NS + DELAY_NS,
         "status": np.where(good, "ok", np.array(LOST, object)[n % 2]),
-        "num_features": count * 10,
         "num_obstacles": count,
         "overflow": good & (rng.random(n.size) < 0.005),
         "camera_height_m": np.where(good, 0.5, np.nan),

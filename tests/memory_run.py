@@ -14,28 +14,29 @@ from typing import Any
 import numpy as np
 
 from jaxdet.config import Config, GroundConfig
-from jaxdet.engine import device
+from jaxdet.engine import device, log_job
 from jaxdet.io import Batch, LogFiles
 from jaxdet.pipeline import detect
 from tests.runs import only_log, run_logs
 from tests.test_engine import FakeLog
 
-SHAPES = (2048, 3072, 3), (2048, 3072)
+SHAPE = 3072, 5120
 
 
 class LargeLog(FakeLog):
-    """Frames of 6 megapixels."""
+    """Depth images of 16 megapixels."""
 
-    image_shapes, num_frames, frames = SHAPES, 48, range(48)
+    depth_shape, num_frames, frames = SHAPE, 48, range(48)
 
-    def batches(self, size: int, start: int = 0, stop: int | None = None) -> Iterator[Batch]:
+    def batches(
+        self, size: int, start: int = 0, stop: int | None = None, **how: Any
+    ) -> Iterator[Batch]:
         for first in range(start, stop or 48, size):
             numbers = np.arange(first, min(first + size, stop or 48))
             batch = self._batch(numbers % 10, size)
-            images = (np.ones((size, *shape), np.uint8) for shape in SHAPES)
-            color, depth = next(images), next(images).astype(np.uint16)
+            depth = np.ones((size, *SHAPE), np.uint16)
             padded = np.pad(numbers, (0, size - len(numbers)))
-            frames = batch.frames._replace(color=color, depth=depth, number=padded)
+            frames = batch.frames._replace(depth=depth, number=padded)
             yield batch._replace(frames=frames)
 
 
@@ -45,7 +46,7 @@ def nothing(count: int) -> Any:
     return detect(frames, Config(GroundConfig(source="none")), backend="reference")
 
 
-def slow(frames: Any, config: Config, backend: str) -> Any:
+def slow(frames: Any, config: Config, backend: str, with_cells: bool) -> Any:
     """Takes longer than reading, so that as much waits as may."""
     time.sleep(0.03 * len(frames.valid))
     return nothing(len(frames.valid))

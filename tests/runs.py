@@ -19,3 +19,12 @@ def only_log(results: Path) -> Path:
     """Return the folder of the only log of results."""
     (folder,) = (path for path in results.iterdir() if path.is_dir() and path.name != ".jaxdet")
     return folder
+
+
+def run_log(path: Any, output: Path, config: Config | None = None, **options: Any) -> Any:
+    """Run one log; its own folder of results becomes ``output``."""
+    output.parent.mkdir(parents=True, exist_ok=True)
+    around = output.with_name(f"{output.name}.run")
+    summary = run_logs(path, around, config, **options)
+    only_log(around).rename(output)
+    return summary

@@ -19,6 +19,8 @@
 #define __CUDA_ARCH__ 900
 #define __shared__ static
 #define __noinline__
+#define __forceinline__ inline
+#define __align__(bytes) __attribute__((aligned(bytes)))
 
 struct Place {
     int x;

@@ -21,14 +21,14 @@ from benchmarks.baselines import (
     tune,
 )
 from benchmarks.baselines.dense import range_image
-from benchmarks.baselines.frames import labels_at, ordered
+from benchmarks.baselines.frames import color_plane, labels_at, ordered
 from benchmarks.paper.shots import Spec, frames_of, shot_of
 from jaxdet import reference
 from jaxdet.config import MAX_POINTS, ClusterConfig
 from jaxdet.eval import EvalConfig, score
 from jaxdet.presets import preset
 from jaxdet.sim import sample_frames
-from jaxdet.types import Frames, GroundPlane
+from jaxdet.types import Calibration, Extrinsics, Frames, GroundPlane
 from tests.boards import (
     BOXES,
     CALIBRATION,
@@ -79,10 +79,10 @@ def test_every_baseline_finds_the_boards(name, frame, truth):
     assert figures.recall == 1 and figures.precision == 1
     assert figures.position_error_m < 0.01
     found = detect_with(baseline, frame, CONFIG, params)
-    assert found.labels.labels.dtype == np.int32 and found.labels.num_obstacles.tolist() == [3]
-    assert found.labels.labels[0, 0] in (0, 1, 2)
+    assert found.points.labels.labels.dtype == np.int32 and found.num_obstacles.tolist() == [3]
+    assert found.points.labels.labels[0, 0] in (0, 1, 2)
     few = replace(CONFIG, cluster=replace(CONFIG.cluster, min_points=MAX_POINTS))
-    assert detect_with(baseline, frame, few, params).labels.num_obstacles.tolist() == [0]
+    assert detect_with(baseline, frame, few, params).num_obstacles.tolist() == [0]
 
 
 @pytest.mark.parametrize("name", BASELINES)
@@ -92,7 +92,7 @@ def test_every_baseline_bears_little(name, frame):
         kept = frame.features.kept & (np.arange(frame.features.kept.shape[1]) < count)
         few = frame._replace(features=frame.features._replace(kept=kept))
         found = detect_with(baseline, few, CONFIG)
-        assert (found.labels.labels[~kept] == -1).all()
+        assert (found.points.labels.labels[~kept] == -1).all()
 
 
 def test_the_registry():
@@ -107,7 +107,7 @@ def test_the_paper_s_rule_is_the_reference(frame):
     rule = preset("paper")
     found = detect_with(BASELINES["paper"], frame, rule)
     expected = reference.cluster(frame.features, 0.001, rule)
-    np.testing.assert_array_equal(found.labels.labels, expected.labels)
+    np.testing.assert_array_equal(found.points.labels.labels, expected.labels)
     outlines = reference.footprint(frame.features, expected, LEVEL, 0.001, rule)
     for ours, theirs in zip(found.obstacles, outlines, strict=True):
         np.testing.assert_array_equal(ours[:, :3], theirs[:, :3])
@@ -117,7 +117,7 @@ def test_the_paper_s_rule_is_the_reference(frame):
 def test_single_linkages_agree(frame):
     gap = {"distance_m": 0.07}
     one, two = (detect_with(BASELINES[k], frame, CONFIG, gap) for k in LINKAGES)
-    np.testing.assert_array_equal(one.labels.labels, two.labels.labels)
+    np.testing.assert_array_equal(one.points.labels.labels, two.points.labels.labels)
     scaled = labels_of(BASELINES["scipy_single"], frame, CONFIG, {**gap, "depth_scale": 2.0})
     stretched = BASELINES["scipy_single"].run(points_of(frame) * [1, 2], **gap)
     np.testing.assert_array_equal(scaled, stretched)
@@ -191,10 +191,10 @@ def test_prepare_is_the_pipeline():
     color = rng.integers(0, 255, (2, 120, 160, 3), np.uint8)
     zeros = np.zeros(2, np.int64)
     plane = GroundPlane(*(np.repeat(a, 2) for a in LEVEL))
+    valid = np.array([True, False])
     frames = Frames(
-        color, np.stack([depth, depth]), CALIBRATION, zeros, zeros, zeros,
-        np.array([True, False]), plane=plane,
-    )  # fmt: skip
+        np.stack([depth, depth]), CALIBRATION, zeros, zeros, valid, color=color, plane=plane
+    )
     prepared = prepare(frames)
     assert len(prepared) == 1
     aligned = reference.align(frames.depth, CALIBRATION)
@@ -228,14 +228,28 @@ def test_each_frame_corrects_its_floor():
     (frame,) = sample_frames("mixed", 3, 1, width=320, height=240)
     shot = shot_of(Spec("mixed", 3, 1), frame)
     height, pitch, roll = shot.mount
-    told = frames_of([shot._replace(mount=(height, pitch + np.radians(2), roll))])
-    (prepared,) = prepare(told)
-    want = reference.find_floors(told, told.plane, CONFIG)
-    assert want.own[0] and prepared.plane == want.plane
-    assert abs(prepared.plane.pitch[0] - pitch) < np.radians(1)
-    aligned = reference.align(told.depth, told.calibration)
-    keep = reference.ground(aligned, want.plane, told.calibration, CONFIG)
+    frames = frames_of([shot._replace(mount=(height, pitch + np.radians(2), roll))])
+    (prepared,) = prepare(frames)
+    want = reference.find_floors(frames, frames.plane, CONFIG)
+    plane = color_plane(want.plane, frames.calibration)
+    assert want.own[0] and prepared.plane == plane
+    assert abs(want.plane.pitch[0] - pitch) < np.radians(1)
+    aligned = reference.align(frames.depth, frames.calibration)
+    keep = reference.ground(aligned, plane, frames.calibration, CONFIG)
     np.testing.assert_array_equal(prepared.keep, keep.mask[0])
+
+
+def test_ramps_begin_at_the_same_place_for_both_cameras():
+    """A colour camera 0.2 m ahead of a level depth camera, and 0.1 m above it."""
+    color_from_depth = Extrinsics((1, 0, 0, 0, 1, 0, 0, 0, 1), (0.0, 0.1, -0.2))
+    camera = CALIBRATION.depth
+    calibration = Calibration(camera, camera, color_from_depth)
+    ramp = LEVEL._replace(ramp_start=np.array([1.5]), ramp_slope=np.array([0.1]))
+    moved = color_plane(ramp, calibration)
+    np.testing.assert_allclose(moved.height, 1.1)
+    np.testing.assert_allclose(moved.ramp_start, 1.3)
+    assert moved.ramp_slope == ramp.ramp_slope
+    assert color_plane(ramp, CALIBRATION) == ramp
 
 
 def test_a_missing_module_is_named():

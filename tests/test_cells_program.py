@@ -3,13 +3,13 @@
 from dataclasses import replace
 from typing import Any
 
-import jax
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jaxdet import reference
+from jaxdet.camera import cell_side
 from jaxdet.config import SurfaceConfig
 from jaxdet.stages import _cells
 from jaxdet.types import Calibration, Cells, Intrinsics
@@ -21,14 +21,14 @@ from tests.scenes import (
     smooth_depth,
     with_lens,
 )
+from tests.steps import cells
 
 THREE = SurfaceConfig(cell_rad=0.0078)
 
 
 def program(depth: np.ndarray, calibration: Calibration, config: SurfaceConfig) -> Cells:
-    arrays, static = _cells.tables(calibration, config)
-    run = jax.jit(_cells.cells, static_argnames="static")
-    return Cells(*(np.asarray(a) for a in run(depth, arrays, static=static)))
+    side = cell_side(calibration.depth, config.cell_rad)
+    return cells(depth, _cells.tables(calibration, config), side)
 
 
 def assert_same(depth: np.ndarray, calibration: Calibration, config: SurfaceConfig) -> None:

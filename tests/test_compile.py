@@ -1,4 +1,4 @@
-"""Kernels that are compiled by several processes."""
+"""Kernels compiled for the CPU: once, complete, and for all processes that start together."""
 
 import os
 import subprocess
@@ -7,106 +7,83 @@ from pathlib import Path
 
 import pytest
 
-_MODULES = """
-import sys, time
-import warp as wp
-from jaxdet.quiet import quiet_warp
-quiet_warp()
-wp.config.kernel_cache_dir = sys.argv[1]
-from jaxdet.stages import _compile
-from jaxdet_kernels import cover, free_floor
-_compile._MODULES = cover, free_floor
-_compile.cores = lambda: 2
+LOAD = """
+import sys
+from jaxdet.runtime.compiled import load_for_cpu
+from jaxdet_kernels import decode
+load_for_cpu(decode)
 """
-_HELPED = '''
-def load_module(module, device):
-    """This process compiles nothing, and is as long at it as the other."""
-    until = time.monotonic() + 60
-    while time.monotonic() < until and not any(map(_compile._is_kept, _compile._MODULES)):
-        time.sleep(0.05)
+LAUNCH = """
+import numpy as np, warp as wp
+found = wp.zeros((1, 1), dtype=wp.uint16, device="cpu")
+metres = wp.array(np.float32([[1.5]]), device="cpu")
+wp.launch(decode.depth_units, 1, [metres, 0.001, found], device="cpu")
+print(found.numpy()[0, 0])
+"""
+STOPPED = """
+import warp as wp
+from jaxdet.runtime import compiled
+plain = wp.compile_aot_module
 
 
-wp.load_module = load_module
-_compile.compile_method()
-'''
-_STOPPED = """
-from pathlib import Path
-
-
-def load_module(module, device):
-    # Stopped when the other process has begun to compile.
-    while not list(Path(sys.argv[1]).glob("*_p*_t*/*.cpp")):
-        time.sleep(0.01)
+def stopped(*arguments, **options):
+    plain(*arguments, **options)
     raise KeyboardInterrupt
 
 
-wp.load_module = load_module
-try:
-    _compile.compile_method()
-except KeyboardInterrupt:
-    pass
-"""
-_WAITS = """
-import fcntl, threading
-from pathlib import Path
-
-seen = []
-
-
-def load_module(module, device):
-    seen.append(module.__name__)
-    Path(sys.argv[1], wp.get_module(module.__name__).get_module_identifier(1)).mkdir(parents=True)
-    Path(sys.argv[1], wp.get_module(module.__name__).get_module_identifier(1), "x.o").touch()
-
-
-wp.load_module = load_module
-_compile.cores = lambda: 1
-with open(Path(sys.argv[1], ".compiling"), "w") as other:
-    fcntl.flock(other, fcntl.LOCK_EX)
-    waiting = threading.Thread(target=_compile.compile_method)
-    waiting.start()
-    time.sleep(0.3)
-    assert waiting.is_alive() and not seen
-    load_module(_compile._MODULES[0], "cpu")
-waiting.join()
-assert seen == [module.__name__ for module in _compile._MODULES], seen  # each of them once
-"""
-_UNSET = """
-from jaxdet.stages import _compile
-from jaxdet_kernels import cover
-_compile._MODULES = (cover,)
-_compile.compile_method()
-"""
-_KEPT = """
-print(*(module.__name__ for module in _compile._MODULES if _compile._is_kept(module)))
+wp.compile_aot_module = stopped
 """
 
 
-def kept(code: str, cache: Path) -> list[str]:
-    """The modules in a cache after some code."""
-    command = [sys.executable, "-c", _MODULES + code + _KEPT, str(cache)]
-    return subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
+def start(cache: Path, code: str = LOAD + LAUNCH, cwd: Path | None = None) -> subprocess.Popen[str]:
+    """A process with a cache of its own."""
+    named = {"WARP_CACHE_PATH": str(cache), "PYTHONPATH": os.pathsep.join(sys.path)}
+    command, env = [sys.executable, "-P", "-c", code], {**os.environ, **named}
+    pipe = subprocess.PIPE
+    return subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True, env=env, cwd=cwd)
 
 
-def test_another_process_compiles_what_this_one_looks_for(tmp_path: Path) -> None:
-    """Both see the same name for the same code; the rest is compiled when it is called."""
-    (module,) = kept(_HELPED, tmp_path)
-    assert module.startswith("jaxdet_kernels.") and len(list(tmp_path.glob("*/*.o"))) == 1
+def ended(process: subprocess.Popen[str]) -> str:
+    output, errors = process.communicate()
+    assert process.returncode == 0, errors
+    return output
 
 
-def test_a_compilation_that_is_stopped_waits_for_nobody(tmp_path: Path) -> None:
-    assert not kept(_STOPPED, tmp_path) and not list(tmp_path.glob("*/*.o"))
+def code_in(cache: Path) -> dict[Path, int]:
+    """Compiled files, with the times when they were written."""
+    return {path: path.stat().st_mtime_ns for path in cache.rglob("*.o")}
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="needs fcntl")
+def test_a_second_process_compiles_nothing(tmp_path: Path) -> None:
+    assert ended(start(tmp_path)) == "1500\n"
+    first = code_in(tmp_path)
+    assert len(first) == 1
+    assert ended(start(tmp_path)) == "1500\n"
+    assert code_in(tmp_path) == first
+
+
 def test_of_processes_that_start_together_one_compiles(tmp_path: Path) -> None:
-    assert len(kept(_WAITS, tmp_path)) == 2
+    both = [start(tmp_path) for _ in range(2)]
+    assert [ended(process) for process in both] == ["1500\n"] * 2
+    assert len(code_in(tmp_path)) == 1
 
 
-def test_where_no_cache_is_named_it_is_warps(tmp_path: Path) -> None:
-    (tmp_path / "here").mkdir()
-    named = {"WARP_CACHE_PATH": str(tmp_path / "warp"), "PYTHONPATH": os.pathsep.join(sys.path)}
-    command, env = [sys.executable, "-c", _UNSET], {**os.environ, **named}
-    subprocess.run(command, capture_output=True, check=True, cwd=tmp_path / "here", env=env)
-    assert not list((tmp_path / "here").iterdir())
-    assert list((tmp_path / "warp").rglob("*.o"))
+def test_a_compilation_that_is_stopped_leaves_nothing(tmp_path: Path) -> None:
+    process = start(tmp_path, STOPPED + LOAD)
+    _, errors = process.communicate()
+    assert process.returncode and "KeyboardInterrupt" in errors
+    assert not code_in(tmp_path)
+
+
+@pytest.mark.parametrize("damage", ["torn", "gone"])
+def test_damaged_code_is_made_again(tmp_path: Path, damage: str) -> None:
+    ended(start(tmp_path))
+    (file,) = code_in(tmp_path)
+    whole = file.read_bytes()
+    if damage == "gone":
+        file.unlink()
+    else:
+        file.write_bytes(whole[: len(whole) // 2])
+    assert ended(start(tmp_path)) == "1500\n"
+    (made,) = code_in(tmp_path)
+    assert made.stat().st_size == len(whole)

@@ -70,8 +70,9 @@ def as_attributes(row: dict[str, Any]) -> dict[str, Any]:
     names = ("frame", "stamp_ns", "obstacle", "distance_m", "bottom_m", "top_m", "num_points")
     names += ("contour", "corners_ground", "corners_world")
     same = {name: row[name] for name in names}
+    box = tuple(row[name] for name in ("u_min", "v_min", "u_max", "v_max"))
     return same | {
-        "box": tuple(row[name] for name in ("u_min", "v_min", "u_max", "v_max")),
+        "box": None if None in box else box,
         "xyz_min": [row[f"{axis}_min"] for axis in "xyz"],
         "xyz_max": [row[f"{axis}_max"] for axis in "xyz"],
         "centroid": [row[axis] for axis in "xyz"],
@@ -140,20 +141,20 @@ def test_frames_one_by_one_are_those_of_a_run(sim_log):
         together = list(detector.run(log, BATCH))
         for frame, want in zip(log, together, strict=True):
             found = detector(
-                frame.color,
                 frame.depth,
+                frame.color,
                 stamp_ns=frame.stamp_ns,
                 T_world_camera=frame.T_world_camera,
             )
             assert [row | {"frame": want.number} for row in rows_of(found)] == rows_of(want)
         frame, want, calibration = log[-1], together[-1], log.calibration
     own = Detector(
-        calibration.color,
-        depth_K=calibration.depth,
+        calibration.depth,
+        color_K=calibration.color,
         T_color_depth=calibration.color_from_depth.T,
         mount=Mount(0.3, 0.17, 0.0),
     )
-    found = own(frame.color, frame.depth)
+    found = own(frame.depth)
     assert len(found) == len(want) and found.floor_source == "frame"
     assert found.floor_refused is None
     assert found.nearest_m == min(obstacle.distance_m for obstacle in found)
@@ -164,7 +165,7 @@ def test_a_log_is_a_sequence_of_frames(sim_log):
     with jaxdet.open_log(sim_log) as log:
         numbers = [frame.number for frame in log]
         assert numbers == list(range(7)) == list(range(len(log)))
-        assert log[-1].number == 6 and np.array_equal(log[2].color, log.read([2]).frames.color[0])
+        assert log[-1].number == 6 and np.array_equal(log[2].depth, log.read([2]).frames.depth[0])
         assert [frame.number for frame in log[1:6:2]] == [1, 3, 5]
         assert {frame.status for frame in log} == {FrameStatus.OK}
         with pytest.raises(IndexError, match="frame 7 of 7"):
@@ -200,10 +201,9 @@ COLOR, DEPTH = blocks(3, 120, 160), smooth_depth(3, CALIBRATION.depth)
 
 
 def detector(**options: Any) -> Detector:
-    camera = CALIBRATION.color
     given = {
-        "K": camera.K,
-        "depth_K": CALIBRATION.depth,
+        "K": CALIBRATION.depth.K,
+        "color_K": CALIBRATION.color,
         "T_color_depth": CALIBRATION.color_from_depth.T,
         "mount": Mount(0.4),
     }
@@ -237,24 +237,25 @@ class OnGpu:
 
 def test_frames_come_as_people_have_them():
     plain = detector()
-    want = [told(found) for found in plain.batch(COLOR, DEPTH)]
-    assert [told(plain(*pair)) for pair in zip(COLOR, DEPTH, strict=True)] == [
+    want = [told(found) for found in plain.batch(DEPTH, COLOR)]
+    assert [told(plain(*pair)) for pair in zip(DEPTH, COLOR, strict=True)] == [
         [row | {"frame": 0} for row in rows] for rows in want
     ]
     forms = {
-        "lists of frames": plain.batch(list(COLOR), list(DEPTH)),
-        "arrays of JAX": plain.batch(jnp.asarray(COLOR), jnp.asarray(DEPTH)),
-        "metres": plain.batch(COLOR, np.where(DEPTH, DEPTH / 1000.0, np.nan)),
-        "metres in float32": plain.batch(COLOR, DEPTH * np.float32(0.001)),
-        "BGR": detector(color_order="bgr").batch(COLOR[..., ::-1], DEPTH),
+        "lists of frames": plain.batch(list(DEPTH), list(COLOR)),
+        "arrays of JAX": plain.batch(jnp.asarray(DEPTH), jnp.asarray(COLOR)),
+        "metres": plain.batch(np.where(DEPTH, DEPTH / 1000.0, np.nan), COLOR),
+        "metres in float32": plain.batch(DEPTH * np.float32(0.001)),
+        "BGR": detector(color_order="bgr").batch(DEPTH, COLOR[..., ::-1]),
         "every second row": plain.batch(
-            np.repeat(COLOR, 2, axis=1)[:, ::2], np.repeat(DEPTH, 2, axis=2)[..., ::2]
+            np.repeat(DEPTH, 2, axis=2)[..., ::2], np.repeat(COLOR, 2, axis=1)[:, ::2]
         ),
-        "fx fy cx cy": detector(K=CALIBRATION.color[2:6]).batch(COLOR, DEPTH),
-        "high byte first": plain.batch(COLOR, DEPTH.astype(">u2")),
-        "DLPack alone": plain.batch(Exchanged(COLOR), Exchanged(DEPTH)),
-        "masked": plain.batch(COLOR, np.ma.masked_array(np.maximum(DEPTH, 7), DEPTH == 0)),
-        "another unit": detector(depth_unit_m=0.0005).batch(COLOR, DEPTH / 1000.0),
+        "without colour": plain.batch(DEPTH),
+        "fx fy cx cy": detector(K=CALIBRATION.depth[2:6]).batch(DEPTH, COLOR),
+        "high byte first": plain.batch(DEPTH.astype(">u2"), COLOR),
+        "DLPack alone": plain.batch(Exchanged(DEPTH), Exchanged(COLOR)),
+        "masked": plain.batch(np.ma.masked_array(np.maximum(DEPTH, 7), DEPTH == 0)),
+        "another unit": detector(depth_unit_m=0.0005).batch(DEPTH / 1000.0),
     }
     for name, found in forms.items():
         if name != "another unit":
@@ -264,10 +265,11 @@ def test_frames_come_as_people_have_them():
     )
     sky, hole = DEPTH[0] / 1000.0, DEPTH[0].copy()
     sky[:20], hole[:20] = 1000.0, 0  # farther than 16 bits reach
-    assert rows_of(plain(COLOR[0], sky)) == rows_of(plain(COLOR[0], hole))
+    assert rows_of(plain(sky)) == rows_of(plain(hole))
     grey = np.asarray(COLOR[..., 1])
-    of_grey = rows_of(plain(grey[0], DEPTH[0]))
-    assert of_grey == rows_of(plain(np.repeat(grey[0, ..., None], 3, axis=2), DEPTH[0]))
+    of_grey = plain(DEPTH[0], grey[0])
+    three = plain(DEPTH[0], np.repeat(grey[0, ..., None], 3, axis=2))
+    assert np.array_equal(of_grey.draw(), three.draw())
 
 
 class Tensor:
@@ -303,16 +305,16 @@ def test_aligned_depth_and_lenses():
     aligned = Detector(camera.K, mount=Mount(0.4))
     lens = Intrinsics.from_matrix(camera.K, 160, 120, [0.1, -0.2, 0.001, 0.002, 0.05])
     bent = Detector(lens, mount=Mount(0.4))
-    flat, curved = told(aligned(COLOR[0], depth)), told(bent(COLOR[0], depth))
-    assert flat != curved
+    flat, curved = told(aligned(depth, COLOR[0])), told(bent(depth))
+    assert flat != curved and flat == told(aligned(depth))
 
 
 def test_points_and_masks_are_those_of_the_obstacles():
-    found = detector()(COLOR[0], DEPTH[0])
+    found = detector()(DEPTH[0], COLOR[0])
     covered = np.zeros((120, 160), bool)
     for obstacle in found:
         points, mask = obstacle.points, obstacle.mask()
-        assert len(points) == obstacle.num_points
+        assert len(points) == obstacle.num_points and obstacle.box is not None
         assert np.array_equal(points.min(axis=0), obstacle.xyz_min)
         assert np.array_equal(points.max(axis=0), obstacle.xyz_max)
         v, u = np.nonzero(mask)
@@ -322,10 +324,10 @@ def test_points_and_masks_are_those_of_the_obstacles():
         covered |= mask
         assert obstacle.bottom_m is not None and obstacle.bottom_m < (obstacle.top_m or 0)
     assert np.array_equal(covered, found.labels >= 0)
-    nothing = detector()(COLOR[0], np.zeros_like(DEPTH[0]))
+    nothing = detector()(np.zeros_like(DEPTH[0]), COLOR[0])
     assert (nothing.status, len(nothing), nothing.nearest_m) == ("no_depth", 0, None)
     assert not (nothing.labels >= 0).any() and nothing.points.shape == (0, 3)
-    paper = detector(config="paper", backend="reference")(COLOR[0], DEPTH[0])
+    paper = detector(config="paper", backend="reference")(DEPTH[0], COLOR[0])
     assert [len(one.points) for one in paper] == [one.num_points for one in paper] != []
     with pytest.raises(ConfigError, match="another preset"):
         paper[0].mask()
@@ -335,7 +337,7 @@ def test_a_mask_shows_the_nearer_of_two_things():
     """A pillar before a wall: its pixels are the pillar's, those around it the wall's."""
     depth = np.full((120, 160), 3000, np.uint16)
     depth[:, 60:100] = 1000
-    found = Detector([120, 120, 80, 60])(COLOR[0], depth)
+    found = Detector([120, 120, 80, 60])(depth, COLOR[0])
     pillar, *walls = found
     assert pillar.distance_m < 1.1 and walls and min(wall.distance_m for wall in walls) > 2.5
     assert (found.labels[:, 62:98] == 0).all()
@@ -357,16 +359,21 @@ def test_images_may_be_written_to_again():
     start = -memory.ctypes.data % 64
     depth = memory[start : start + DEPTH[0].nbytes].view(np.uint16).reshape(DEPTH[0].shape)
     depth[:] = DEPTH[0]
-    found = compiled(COLOR[0], depth)
+    found = compiled(depth, COLOR[0])
     depth[:] = 0
-    assert told(found) == told(detector(backend="reference")(COLOR[0], DEPTH[0]))
+    assert told(found) == told(detector(backend="reference")(DEPTH[0], COLOR[0]))
 
 
 def test_pictures_are_those_of_the_run():
-    found = detector()(COLOR[0], DEPTH[0])
-    picture = found.draw(COLOR[0])
+    found = detector()(DEPTH[0], COLOR[0])
+    picture = found.draw()
     assert picture.dtype == np.uint8 and picture.shape[2] == 3 and picture.std() > 10
-    bgr = detector(color_order="bgr")(COLOR[0][..., ::-1], DEPTH[0])
+    assert np.array_equal(found.draw(COLOR[0]), picture)
+    without = detector()(DEPTH[0])
+    assert np.array_equal(without.draw(COLOR[0]), picture)
+    assert without.draw().shape == picture.shape and not np.array_equal(without.draw(), picture)
+    bgr = detector(color_order="bgr")(DEPTH[0], COLOR[0][..., ::-1])
+    assert np.array_equal(bgr.draw(), picture)
     assert np.array_equal(bgr.draw(COLOR[0][..., ::-1]), picture)
 
 
@@ -378,12 +385,12 @@ def test_mounts():
     T[2, 3] = 0.7
     assert Mount.from_transform(T) == Mount(0.7, 0.0, 0.0)
     one, two = detector(mount=Mount(0.4)), detector(mount=None)
-    assert rows_of(one(COLOR[0], DEPTH[0])) == rows_of(two(COLOR[0], DEPTH[0], mount=Mount(0.4)))
+    assert rows_of(one(DEPTH[0], COLOR[0])) == rows_of(two(DEPTH[0], COLOR[0], mount=Mount(0.4)))
     ground = GroundConfig(camera_height_m=0.4, camera_pitch_rad=0.0)
     told_by_config = detector(mount=None, config=replace(Config(), ground=ground))
-    assert rows_of(told_by_config(COLOR[0], DEPTH[0])) == rows_of(one(COLOR[0], DEPTH[0]))
+    assert rows_of(told_by_config(DEPTH[0], COLOR[0])) == rows_of(one(DEPTH[0], COLOR[0]))
     unasked = detector(config=replace(Config(), ground=GroundConfig(source="none")))
-    assert unasked(COLOR[0], DEPTH[0]).floor is None
+    assert unasked(DEPTH[0], COLOR[0]).floor is None
 
 
 def test_configurations_come_by_name_and_file(tmp_path):
@@ -399,7 +406,7 @@ def test_configurations_come_by_name_and_file(tmp_path):
         detector(config="none.toml")
 
 
-K, T = CALIBRATION.color.K, CALIBRATION.color_from_depth.T
+K, T = CALIBRATION.depth.K, CALIBRATION.color_from_depth.T
 MM, TURNED = T.copy(), T.copy()
 MM[:3, 3] *= 1000
 TURNED[:3, :3] *= 2
@@ -409,24 +416,24 @@ REFUSED_ARGUMENTS = {
     "three by four": ({"T_color_depth": T[:3]}, r"T_color_depth: a transform of shape \(3, 4\)"),
     "NaN": ({"T_color_depth": np.full((4, 4), np.nan)}, "T_color_depth: "),
     "T of text": ({"T_color_depth": "T"}, "T_color_depth: "),
-    "T alone": ({"depth_K": None}, "depth_K is missing beside T_color_depth"),
-    "depth_K alone": ({"T_color_depth": None}, "T_color_depth is missing beside depth_K"),
+    "T alone": ({"color_K": None}, "color_K is missing next to T_color_depth"),
+    "color_K alone": ({"T_color_depth": None}, "T_color_depth is missing next to color_K"),
     "transposed": ({"K": K.T}, "K: .* is no camera matrix"),
     "scaled": ({"K": 2 * K}, "K: .* is no camera matrix"),
     "fx NaN": ({"K": [np.nan, 1, 2, 3]}, "K: .* not calibrated .* pixels$"),
     "fx negative": ({"K": [-600, 600, 80, 60]}, "K: .* not calibrated"),
-    "fx zero": ({"depth_K": [0, 0, 80, 60]}, "depth_K: .* not calibrated"),
+    "fx zero": ({"color_K": [0, 0, 80, 60]}, "color_K: .* not calibrated"),
     "fx alone scaled": ({"K": [6e5, 600, 80, 60]}, "K: fx 600000 and fy 600 .* factor of 4"),
     "three numbers": ({"K": [600, 80, 60]}, r"K: a camera matrix of shape \(3,\)"),
     "a file name": ({"K": "camera.json"}, "K: str is no matrix; give a"),
     "K of text": ({"K": "600"}, "K: "),
     "size in floats": (
-        {"K": CALIBRATION.color._replace(width=160.0)},
-        "K: width of the colour camera: float is no whole number",
+        {"K": CALIBRATION.depth._replace(width=160.0)},
+        "K: width of the depth camera: float is no whole number",
     ),
     "another lens": (
-        {"K": CALIBRATION.color._replace(distortion="fisheye")},
-        "K: the colour camera's lens model 'fisheye' is unknown; it can be: none",
+        {"K": CALIBRATION.depth._replace(distortion="fisheye")},
+        "K: the depth camera's lens model 'fisheye' is unknown; it can be: none",
     ),
     "unit of text": ({"depth_unit_m": "mm"}, "depth_unit_m: str is no array of numbers"),
     "unit 0": ({"depth_unit_m": 0.0}, "depth_unit_m: .* 0.001 for millimetres"),
@@ -446,30 +453,38 @@ def test_what_no_camera_has_names_its_argument(name):
 
 
 REFUSED_IMAGES = {
-    "no batch axis": ("batch", COLOR[0], DEPTH[0], r"color: .*shape .*|depth: .*"),
-    "a batch": ("call", COLOR, DEPTH, "color: one frame has shape .* Detector.batch"),
-    "a batch of depth": ("call", COLOR[0], DEPTH, r"depth: one frame has shape \(Hd, Wd\)"),
-    "RGBA": ("call", np.zeros((120, 160, 4), np.uint8), DEPTH[0], r"color: .*\[..., :3\]"),
-    "float colour": ("call", COLOR[0] / 255.0, DEPTH[0], "color: images are float64; give uint8"),
-    "depth in bytes": ("call", COLOR[0], DEPTH[0].astype(np.uint8), "depth: images are uint8"),
-    "depth in int32": ("call", COLOR[0], DEPTH[0].astype(np.int32), "depth: images are int32"),
-    "millimetres in floats": ("call", COLOR[0], DEPTH[0] * 1.0, "depth: the nearest .* metres"),
-    "other depth": ("call", COLOR[0], DEPTH[0][:60], "depth: images of 160x60 .* 160x120"),
-    "fewer depths": ("batch", COLOR, DEPTH[:2], "depth: 2 for 3 colour images"),
+    "no batch axis": ("batch", DEPTH[0], COLOR[0], r"color: .*shape .*|depth: .*"),
+    "a batch": ("call", DEPTH[0], COLOR, "color: one frame has shape .* Detector.batch"),
+    "a batch of depth": ("call", DEPTH, None, r"depth: one frame has shape \(Hd, Wd\)"),
+    "RGBA": ("call", DEPTH[0], np.zeros((120, 160, 4), np.uint8), r"color: .*\[..., :3\]"),
+    "float colour": ("call", DEPTH[0], COLOR[0] / 255.0, "color: images are float64; give uint8"),
+    "depth in bytes": ("call", DEPTH[0].astype(np.uint8), None, "depth: it is uint8, .* first"),
+    "depths in bytes": ("batch", DEPTH.astype(np.uint8), None, "depth: images are uint8, .* first"),
+    "depth in int32": ("call", DEPTH[0].astype(np.int32), None, "depth: images are int32"),
+    "millimetres in floats": ("call", DEPTH[0] * 1.0, None, "depth: the nearest .* metres"),
+    "other colour": ("call", DEPTH[0], COLOR[0][:60], "color: images of 160x60 .* 160x120"),
+    "fewer colours": ("batch", DEPTH, COLOR[:2], "color: 2 for 3 depth images"),
     "too large": (
         "call",
-        np.broadcast_to(np.uint8(0), (1 << 13, (1 << 12) + 1, 3)),
         DEPTH[0],
+        np.broadcast_to(np.uint8(0), (1 << 13, (1 << 12) + 1, 3)),
         "color: an image of shape .* at most 33554432 pixels are taken; scale it",
     ),
-    "no frames": ("batch", COLOR[:0], DEPTH[:0], "color: there are no frames"),
-    "an empty list": ("batch", [], [], "color: there are no frames"),
-    "frames of two sizes": ("batch", [COLOR[0], COLOR[0][:60]], DEPTH[:2], "color: frames of sev"),
-    "a generator": ("batch", (c for c in COLOR), DEPTH, "color: generator is no array; .* a list"),
-    "a tensor on a GPU": ("call", OnGpu(), DEPTH[0], "color: OnGpu is no array; .*Tensor.cpu"),
-    "swapped": ("call", DEPTH[0], COLOR[0], r"depth: one frame .* not \(120, 160, 3\); give an im"),
-    "None": ("call", None, DEPTH[0], "color: one frame"),
-    "text": ("call", "image.png", DEPTH[0], "color: one frame"),
+    "no frames": ("batch", DEPTH[:0], None, "depth: there are no frames"),
+    "an empty list": ("batch", [], [], "depth: there are no frames"),
+    "frames of two sizes": ("batch", DEPTH[:2], [COLOR[0], COLOR[0][:60]], "color: frames of sev"),
+    "a generator": ("batch", (d for d in DEPTH), None, "depth: generator is no array; .* a list"),
+    "a tensor on a GPU": ("call", OnGpu(), None, "depth: OnGpu is no array; .*Tensor.cpu"),
+    "colour first": (
+        "call",
+        COLOR[0],
+        DEPTH[0],
+        r"depth: it is uint8, as colour images are; depth comes first: detector\(depth, color\)",
+    ),
+    "colour first, a batch": ("batch", COLOR, DEPTH, "depth: images are uint8, .* depth comes fir"),
+    "depth twice": ("call", DEPTH[0], DEPTH[0], "color: images are uint16; depth comes first"),
+    "None": ("call", None, DEPTH[0], "depth: one frame"),
+    "text": ("call", "image.png", DEPTH[0], "depth: one frame"),
 }
 
 
@@ -493,43 +508,49 @@ REFUSED_IMAGES = {
 )
 def test_what_comes_with_a_frame_names_its_argument(given, said):
     with pytest.raises(JaxdetError, match=said):
-        detector()(COLOR[0], DEPTH[0], **given)
+        detector()(DEPTH[0], COLOR[0], **given)
 
 
 @pytest.mark.parametrize("name", REFUSED_IMAGES)
 def test_images_that_are_none_name_their_argument(name):
-    how, color, depth, said = REFUSED_IMAGES[name]
+    how, depth, color, said = REFUSED_IMAGES[name]
     given = detector()
     with pytest.raises(JaxdetError, match=said):
-        (given if how == "call" else given.batch)(color, depth)
+        (given if how == "call" else given.batch)(depth, color)
 
 
 def test_the_calibration_is_of_the_first_images():
     given = Detector([600.0, 600.0, 320.0, 240.0], backend="reference")
     with pytest.raises(CalibrationError, match=r"K: the optical centre \(320, 240\) lies outside"):
-        given(COLOR[0], smooth_depth(1, CALIBRATION.color)[0])
+        given(smooth_depth(1, CALIBRATION.color)[0], COLOR[0])
     given = Detector([6e4, 6e4, 80.0, 60.0], backend="reference")
-    with pytest.raises(CalibrationError, match=r"K: the colour camera sees 0.153° .* in pixels$"):
-        given(COLOR[0], smooth_depth(1, CALIBRATION.color)[0])
-    with pytest.raises(CalibrationError, match=r"not aligned to colour .* give depth_K"):
-        Detector(K, backend="reference")(COLOR[0], DEPTH[0][:60])
+    with pytest.raises(CalibrationError, match=r"K: the depth camera sees 0.153° .* in pixels$"):
+        given(smooth_depth(1, CALIBRATION.color)[0], COLOR[0])
+    with pytest.raises(CalibrationError, match=r"color: .* not have the pixels .* give color_K"):
+        Detector(K, backend="reference")(DEPTH[0][:60], COLOR[0])
+    with pytest.raises(CalibrationError, match=r"color_K: the size .*Intrinsics.from_matrix"):
+        detector(color_K=K, backend="reference")(DEPTH[0])
+    sized = detector(color_K=K, backend="reference")
+    assert len(sized(DEPTH[0], COLOR[0])) == len(sized(DEPTH[0]))
+    with pytest.raises(InputError, match="preset paper finds corners"):
+        Detector(K, config="paper", backend="reference")(DEPTH[0])
     given = Detector(K, backend="reference")
-    given(COLOR[0], smooth_depth(1, CALIBRATION.color)[0])
-    with pytest.raises(CalibrationError, match=r"color: images of 80x60 .* each size"):
-        given(COLOR[0][::2, ::2], DEPTH[0][::2, ::2])
+    given(smooth_depth(1, CALIBRATION.color)[0], COLOR[0])
+    with pytest.raises(CalibrationError, match=r"depth: images of 80x60 .* each size"):
+        given(DEPTH[0][::2, ::2], COLOR[0][::2, ::2])
     with pytest.raises(InputError, match="not made from a log"):
         next(given.run([]))
 
 
-@pytest.mark.parametrize("name", ["K", "depth_K"])
+@pytest.mark.parametrize("name", ["K", "color_K"])
 def test_a_lens_that_can_not_be_inverted_names_its_argument(name):
     lens = Intrinsics.from_matrix(CALIBRATION.color.K, 160, 120, [50.0, 0, 0, 0])
     wide = Intrinsics(160, 120, 19.0, 19.0, 80.0, 60.0)
     for camera, said in ((lens, "can't be inverted"), (wide, "too wide")):
-        given = detector(**{"backend": "reference", "depth_K": CALIBRATION.color, name: camera})
+        given = detector(**{"backend": "reference", name: camera})
         depth = smooth_depth(1, CALIBRATION.color)[0]
         with pytest.raises(CalibrationError, match=f"^{name}: .*{said}") as caught:
-            given(COLOR[0], depth)
+            given(depth, COLOR[0])
         assert "--" not in str(caught.value)
 
 
@@ -557,14 +578,14 @@ def test_a_mount_may_be_known_of_some_frames():
     both = [Mount(0.4), Mount(0.9, 0.3)]
     for own in (None, Mount(0.4)):
         given = detector(mount=own)
-        want = [given(COLOR[0], DEPTH[0], mount=mount) for mount in (both[1], None)]
-        found = given.batch(COLOR[[0, 0]], DEPTH[[0, 0]], mounts=[both[1], None])
+        want = [given(DEPTH[0], COLOR[0], mount=mount) for mount in (both[1], None)]
+        found = given.batch(DEPTH[[0, 0]], COLOR[[0, 0]], mounts=[both[1], None])
         assert [one.floor for one in found] == [one.floor for one in want]
         assert [one.floor_source for one in found] == [one.floor_source for one in want]
         assert [len(one) for one in found] == [len(one) for one in want]
         assert [one.floor_refused for one in found] == [one.floor_refused for one in want]
     with pytest.raises(ConfigError, match=r"mount: 0\.3 is none"):
-        detector().batch(COLOR[:2], DEPTH[:2], mounts=[Mount(0.4), 0.3])
+        detector().batch(DEPTH[:2], COLOR[:2], mounts=[Mount(0.4), 0.3])
 
 
 @pytest.mark.parametrize("transform", [jax.jit, jax.vmap])
@@ -572,7 +593,7 @@ def test_transformations_of_jax_are_refused(transform):
     given = detector()
     depth = jnp.asarray(DEPTH if transform is jax.vmap else DEPTH[0])
     with pytest.raises(InputError, match=r"can't be called under jax\.jit"):
-        transform(lambda one: given(COLOR[0], one)[0].distance_m)(depth)
+        transform(lambda one: given(one)[0].distance_m)(depth)
 
 
 @pytest.mark.parametrize(("config", "frames"), [("wheeled", 1), ("wheeled", 3), ("paper", 1)])
@@ -581,7 +602,7 @@ def test_a_caller_that_jax_traces_is_refused(config, frames):
     given = detector(mount=None, config=config)
 
     def scaled(scale: jax.Array) -> jax.Array:
-        return scale * len(given.batch(COLOR[:frames], DEPTH[:frames])[0])
+        return scale * len(given.batch(DEPTH[:frames], COLOR[:frames])[0])
 
     with pytest.raises(InputError, match=r"under jax\.jit, .*; call it outside") as caught:
         jax.jit(scaled)(2)
@@ -611,8 +632,7 @@ def test_a_forked_process_says_that_it_can_not_compute():
     """It would wait for threads that it lacks, for ever."""
     code = """
 import os, numpy as np, jaxdet
-from tests.runs import only_log, run_logs
-images = np.zeros((120, 160), "u1"), np.full((120, 160), 2.0)
+images = (np.full((120, 160), 2.0),)
 used = {name: jaxdet.Detector([120, 120, 80, 60], backend=name) for name in ("jax", "reference")}
 for number in (1, 2):
     if not (child := os.fork()):
@@ -637,8 +657,7 @@ for number in (1, 2):
 def test_nothing_is_written_to_standard_output(tmp_path):
     code = (
         "import numpy as np, jaxdet\n"
-        "found = jaxdet.Detector([120, 120, 80, 60])(np.zeros((120, 160), 'u1'), "
-        "np.full((120, 160), 2.0))\n"
+        "found = jaxdet.Detector([120, 120, 80, 60])(np.full((120, 160), 2.0))\n"
         "assert len(found) == 1, found\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)

@@ -14,15 +14,16 @@ import pytest
 from jaxdet import engine
 from jaxdet.cli.truth import TruthScore
 from jaxdet.config import ClusterConfig, Config, GroundConfig
-from jaxdet.engine import RunOptions, decide_planes, log_run
+from jaxdet.engine import decide_planes, log_job
 from jaxdet.engine.floors import evenly
 from jaxdet.engine.unit import _ahead
-from jaxdet.errors import ConfigError, FrameStatus, InputError, Interrupted
+from jaxdet.errors import FrameStatus, InputError, Interrupted
 from jaxdet.floor.plane import flat_plane
 from jaxdet.io import Batch, LogFiles, LogOptions, Notes, find_logs, open_log
 from jaxdet.io.limits import ReadMemory
 from jaxdet.sim import SimConfig, write_log
 from jaxdet.types import Calibration, Frames, Intrinsics
+from tests.runs import run_log, run_logs
 
 TABLES = ("frames.parquet", "obstacles.parquet")
 
@@ -37,21 +38,23 @@ def sim_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def run(log: Path | str, output: Path, **options: Any) -> engine.Summary:
     config, truth = options.pop("config", Config()), options.pop("truth", None)
     observers = {"score": TruthScore(truth, config)} if truth else {}
-    given = RunOptions(output, **options)
-    return engine.run(find_logs([str(log)]), config, LogOptions(), given, observers=observers)
+    return run_log(log, output / "log", config, observers=observers, **options)
 
 
 def test_bytes_depend_on_neither_backend_nor_batch(sim_log: Path, tmp_path: Path) -> None:
     ways = [("reference", 1), ("reference", 5), ("jax", 3), ("jax", 16)]
     for backend, batch in ways:
         run(sim_log, tmp_path / f"{backend}{batch}", backend=backend, batch_size=batch, pictures=0)
-    for name in (*TABLES, "map_sim.npz", "map_sim.png"):
-        found = {(tmp_path / f"{backend}{batch}" / name).read_bytes() for backend, batch in ways}
+    for name in (*TABLES, "map.npz", "map.png"):
+        found = {
+            (tmp_path / f"{backend}{batch}" / "log" / name).read_bytes() for backend, batch in ways
+        }
         assert len(found) == 1, name
 
 
 def test_rows_pictures_map_and_scores(sim_log: Path, tmp_path: Path) -> None:
     summary = run(sim_log, tmp_path, backend="reference", pictures=3, truth=sim_log)
+    tmp_path = tmp_path / "log"
     frames = pq.read_table(tmp_path / "frames.parquet").to_pylist()
     obstacles = pq.read_table(tmp_path / "obstacles.parquet").to_pylist()
     assert [row["frame"] for row in frames] == list(range(7))
@@ -63,7 +66,7 @@ def test_rows_pictures_map_and_scores(sim_log: Path, tmp_path: Path) -> None:
     assert all(row["corners_world"] is not None for row in obstacles)
     assert frames[0]["camera_height_m"] == pytest.approx(0.30, abs=0.01)
     pictures = sorted(p.name for p in (tmp_path / "pictures").iterdir())
-    assert pictures == [f"sim_{i:06d}.png" for i in (0, 3, 6)]
+    assert pictures == [f"{i:06d}.png" for i in (0, 3, 6)]
     read = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))
     assert read["status"]["ok"] == 7
     assert read["logs"][0]["ground"][0]["source"] == "estimate"
@@ -79,7 +82,7 @@ def test_rows_pictures_map_and_scores(sim_log: Path, tmp_path: Path) -> None:
 
 def test_world_corners_are_where_the_truth_is(sim_log: Path, tmp_path: Path) -> None:
     summary = run(sim_log, tmp_path, backend="reference", pictures=0)
-    grid = np.load(tmp_path / "map_sim.npz")
+    grid = np.load(tmp_path / "log" / "map.npz")
     with open_log(find_logs([str(sim_log)])[0]) as log:
         poses = log.read(range(7)).frames.T_world_camera
     assert poses is not None
@@ -94,15 +97,15 @@ class FakeLog:
     name, base_frame, T_base_camera = "fake", "base_link", None
     description = SimpleNamespace(warnings=("odd",), notes=(), cameras_left_out=())
     num_frames, frames, camera, label = 10, range(10), "cam", "fake"
-    image_shapes, index_bytes = ((48, 64, 3), (48, 64)), 2000
-    status = (FrameStatus.OK,) * 6 + (FrameStatus.UNPAIRED, FrameStatus.DECODE_ERROR) * 2
+    depth_shape, color_shape, index_bytes = (48, 64), None, 2000
+    has_color, color_problem = False, ""
+    status = (FrameStatus.OK,) * 6 + (FrameStatus.BAD_CALIBRATION, FrameStatus.DECODE_ERROR) * 2
 
     def __init__(self) -> None:
         camera = Intrinsics(64, 48, 60.0, 60.0, 32.0, 24.0)
         self.calibration = Calibration(camera)
         self.stamps_ns = np.arange(10) * 100_000_000 + 950_000_000
-        unpaired = [s is FrameStatus.UNPAIRED for s in self.status]
-        self.depth_stamp_ns = np.where(unpaired, -1, self.stamps_ns)
+        self.color_stamps_ns = np.where(np.arange(10) == 6, -1, self.stamps_ns + 1)
 
     def __enter__(self) -> "FakeLog":
         return self
@@ -116,10 +119,13 @@ class FakeLog:
     def described(self, notes: Notes) -> SimpleNamespace:
         return self.description
 
-    def read(self, indices: Any) -> Batch:
+    def read(self, indices: Any, **color: Any) -> Batch:
         return self._batch(np.array(indices), len(indices))
 
-    def batches(self, size: int, start: int = 0, stop: int | None = None) -> Iterator[Batch]:
+    def batches(
+        self, size: int, start: int = 0, stop: int | None = None, **how: Any
+    ) -> Iterator[Batch]:
+        assert how["need_color"] is False and isinstance(how["color"], frozenset)
         for first in range(start, stop or 10, size):
             yield self._batch(np.arange(first, min(first + size, 10)), size)
 
@@ -134,43 +140,41 @@ class FakeLog:
         def padded(values: np.ndarray) -> np.ndarray:
             return np.pad(values[numbers], (0, pad))
 
-        frames = Frames(
-            np.zeros((size, 48, 64, 3), np.uint8),
-            depth,
-            self.calibration,
-            padded(np.arange(10)),
-            padded(self.stamps_ns),
-            padded(self.depth_stamp_ns),
-            valid,
-        )
-        return Batch(frames, status, tuple("" if s is FrameStatus.OK else "bad" for s in status))
+        stamps = padded(self.stamps_ns)
+        frames = Frames(depth, self.calibration, padded(np.arange(10)), stamps, valid)
+        errors = tuple("" if s is FrameStatus.OK else "bad" for s in status)
+        return Batch(frames, status, errors, nearest_color_ns=self.color_stamps_ns[numbers])
 
 
 @pytest.fixture
-def fake_logs(monkeypatch: pytest.MonkeyPatch) -> list[LogFiles]:
+def fake_logs(
+    monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory
+) -> list[LogFiles]:
     def fake_open(files: LogFiles, options: LogOptions, memory: ReadMemory) -> FakeLog:
         if files.name == "broken":
             raise InputError("not an MCAP file", path="broken.mcap")
         return FakeLog()
 
-    monkeypatch.setattr(log_run, "open_log", fake_open)
-    return [LogFiles(name, (Path(f"{name}.mcap"),)) for name in ("fake", "broken", "a/b")]
+    monkeypatch.setattr(log_job, "open_log", fake_open)
+    folder, names = tmp_path_factory.mktemp("fake"), ("fake", "broken", "a/b")
+    paths = [folder / f"{name.replace('/', '_')}.mcap" for name in names]
+    for path in paths:
+        path.touch()
+    return [LogFiles(name, (path,)) for name, path in zip(names, paths, strict=True)]
 
 
 def run_fake(logs: list[LogFiles], output: Path, size: int = 4, **kwargs: Any) -> engine.Summary:
-    options = RunOptions(output, backend="reference", batch_size=size)
-    config = kwargs.pop("config", Config())
-    return engine.run(logs, config, LogOptions(), options, **kwargs)
+    return run_logs(logs, output, backend="reference", batch_size=size, **kwargs)
 
 
 def test_every_frame_has_a_row_and_its_status(fake_logs: list, tmp_path: Path) -> None:
     summary = run_fake(fake_logs[:1], tmp_path)
-    rows = pq.read_table(tmp_path / "frames.parquet").to_pylist()
+    rows = pq.read_table(tmp_path / "fake" / "frames.parquet").to_pylist()
     expected = [str(s) for s in FakeLog.status]
     expected[2] = "no_depth"
     assert [row["status"] for row in rows] == expected
-    assert rows[6]["depth_stamp_ns"] is None
-    assert rows[7]["depth_stamp_ns"] == rows[7]["stamp_ns"]
+    assert rows[6]["color_stamp_ns"] is None
+    assert rows[7]["color_stamp_ns"] == rows[7]["stamp_ns"] + 1
     assert rows[0]["camera_height_m"] is None
     assert summary.logs[0].num_bad == 5
     assert summary.logs[0].frame_errors[0] == "frame 6: bad"
@@ -181,19 +185,22 @@ def test_every_frame_has_a_row_and_its_status(fake_logs: list, tmp_path: Path) -
 def test_a_failed_log_does_not_stop_the_others(fake_logs: list, tmp_path: Path) -> None:
     summary = run_fake(fake_logs, tmp_path)
     assert [log.log for log in summary.failed] == ["broken"]
-    logs = pq.read_table(tmp_path / "frames.parquet")["log"].to_pylist()
-    assert logs == ["a/b"] * 10 + ["fake"] * 10
-    assert (tmp_path / "pictures" / "a_b_000000.png").is_file()
-    assert json.loads((tmp_path / "summary.json").read_text())["failed_logs"] == 1
+    for folder, name in (("a--b", "a/b"), ("fake", "fake")):
+        assert pq.read_table(tmp_path / folder / "frames.parquet")["log"].to_pylist() == [name] * 10
+    assert (tmp_path / "a--b" / "pictures" / "000000.png").is_file()
+    assert summary.to_dict()["failed_logs"] == 1
 
 
-def test_nothing_is_written_when_all_fail(fake_logs: list, tmp_path: Path) -> None:
+def test_a_log_that_fails_has_its_reason_in_its_place(fake_logs: list, tmp_path: Path) -> None:
     summary = run_fake(fake_logs[1:2], tmp_path / "new")
     assert len(summary.failed) == 1
-    assert list(tmp_path.iterdir()) == []
+    assert sorted(path.name for path in (tmp_path / "new").iterdir()) == ["broken", "run.json"]
+    assert [path.name for path in (tmp_path / "new" / "broken").iterdir()] == ["failed.json"]
 
 
-def test_an_interrupt_keeps_what_is_done(fake_logs: list, tmp_path: Path) -> None:
+def test_an_interrupt_leaves_nothing_of_the_log_that_is_worked_on(
+    fake_logs: list, tmp_path: Path
+) -> None:
     def interrupt(now: engine.Progress) -> None:
         seen.append(now.doing)
         if not now.doing:
@@ -204,27 +211,10 @@ def test_an_interrupt_keeps_what_is_done(fake_logs: list, tmp_path: Path) -> Non
 
     seen: list[str] = []
 
-    with pytest.raises(Interrupted, match="interrupted; 0 of 1 logs and 1 of 3 units of fake are"):
+    with pytest.raises(Interrupted, match="interrupted; no log is done; the same command goes on"):
         run_fake(fake_logs[:1], tmp_path / "new", progress=interrupt)
-    assert [path.name for path in (tmp_path / "new").iterdir()] == [".jaxdet"]
+    assert [path.name for path in (tmp_path / "new").iterdir()] == ["run.json"]
     assert seen == ["opening", "looking for the floor", "starting", ""]
-
-
-def test_an_interrupt_before_anything_is_done_leaves_nothing(
-    fake_logs: list, tmp_path: Path
-) -> None:
-    def interrupt(now: engine.Progress) -> None:
-        raise KeyboardInterrupt
-
-    with pytest.raises(Interrupted, match="interrupted; nothing is done yet"):
-        run_fake(fake_logs[:1], tmp_path / "new", progress=interrupt)
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_results_are_not_overwritten_by_chance(fake_logs: list, tmp_path: Path) -> None:
-    run_fake(fake_logs[:1], tmp_path)
-    with pytest.raises(ConfigError, match="holds results already"):
-        run_fake(fake_logs[:1], tmp_path)
 
 
 def test_sources_of_the_ground() -> None:

@@ -13,13 +13,12 @@ import pytest
 from jaxdet import engine
 from jaxdet.cli import info, progress
 from jaxdet.cli.main import main
-from jaxdet.config import Config
-from jaxdet.engine import RunOptions
 from jaxdet.export.shapes import topic
 from jaxdet.io import LogOptions, find_logs, open_log
 from jaxdet.results.reading import Results
 from jaxdet.sim import SimConfig, write_log
 from tests.camera_logs import join_cameras
+from tests.runs import run_log
 
 TABLES = ("frames.parquet", "obstacles.parquet")
 SIM = SimConfig(frames=12, width=160, height=120, rate_hz=5)
@@ -41,12 +40,12 @@ def two_cameras(sim_log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path
 
 
 def run(log: Path, output: Path, options: LogOptions | None = None, **run: Any) -> engine.Summary:
-    given = RunOptions(output, **{"backend": "reference", "pictures": 0, **run})
-    return engine.run(find_logs([str(log)]), Config(), options or LogOptions(), given)
+    how = {"backend": "reference", "pictures": 0, **run}
+    return run_log(log, output / "log", log=options, **how)
 
 
 def tables(folder: Path) -> list[pa.Table]:
-    return [pq.read_table(folder / name) for name in TABLES]
+    return [pq.read_table(folder / "log" / name) for name in TABLES]
 
 
 def rows_of(table: pa.Table, column: str, values: Collection) -> pa.Table:
@@ -59,7 +58,7 @@ def both(two_cameras: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("both")
     summary = run(two_cameras, folder, pictures=1)
     assert [(log.log, log.camera) for log in summary.logs] == [("two", "front"), ("two", "rear")]
-    return folder
+    return folder / "log"
 
 
 @pytest.fixture(scope="module")
@@ -83,9 +82,9 @@ def test_rows_of_a_part_are_those_of_the_whole(sim_log, whole, tmp_path, part, n
     for found, all_rows in zip(tables(tmp_path), whole, strict=True):
         assert found.equals(rows_of(all_rows, "frame", numbers))
         assert found.num_rows >= len(numbers)
-    ends = {f"sim_{number:06d}.png" for number in (numbers[0], numbers[-1])}
-    assert {path.name for path in (tmp_path / "pictures").iterdir()} == ends
-    written = json.loads((tmp_path / "config.json").read_text(encoding="utf-8"))
+    ends = {f"{number:06d}.png" for number in (numbers[0], numbers[-1])}
+    assert {path.name for path in (tmp_path / "log" / "pictures").iterdir()} == ends
+    written = json.loads((tmp_path / "log" / "config.json").read_text(encoding="utf-8"))
     assert {name: written["log"][name] for name in part} == part
 
 
@@ -107,7 +106,7 @@ def test_a_camera_that_can_not_be_used_is_said(sim_log, tmp_path, capsys):
     assert main([*command, "--output", str(tmp_path / "out")]) == 1
     said = "jaxdet: error: log: left out: camera side, see the warning; --camera takes others alone"
     assert capsys.readouterr().err == f"{said}\n"
-    summary = json.loads((tmp_path / "out" / "summary.json").read_text("utf-8"))
+    summary = json.loads((tmp_path / "out" / "log" / "summary.json").read_text("utf-8"))
     assert [log["cameras_left_out"] for log in summary["logs"]] == [["side"], ["side"]]
     assert main([*command, "--output", str(tmp_path / "one"), "--camera", "front"]) == 0
 
@@ -121,17 +120,17 @@ def test_cameras_are_run_one_after_the_other(both, two_cameras, whole, tmp_path)
         cameras = found["camera"].to_pylist()
         assert cameras == sorted(cameras) and set(cameras) == {"front", "rear"}
         for camera in ("front", "rear"):
-            alone = pq.read_table(tmp_path / camera / name)
+            alone = pq.read_table(tmp_path / camera / "log" / name)
             assert rows_of(found, "camera", (camera,)).equals(alone)
         drop = ["log", "camera"]
         assert alone.drop(drop).equals(whole[number].drop(drop))
     assert {path.name for path in (both / "pictures").iterdir()} == {
-        "two@front_000000.png",
-        "two@rear_000000.png",
+        "front_000000.png",
+        "rear_000000.png",
     }
     assert {path.name for path in both.glob("map_*.npz")} == {
-        "map_two@front.npz",
-        "map_two@rear.npz",
+        "map_front.npz",
+        "map_rear.npz",
     }
 
 
@@ -140,7 +139,7 @@ def test_results_of_several_cameras_are_read_back(both, two_cameras):
         assert [log.label for log in results.logs] == ["two, front", "two, rear"]
         assert [log.file_name for log in results.logs] == ["two@front", "two@rear"]
         log = results.log("two, rear")
-        assert [path.stem for path in results.pictures(log).values()] == ["two@rear_000000"]
+        assert [path.stem for path in results.pictures(log).values()] == ["rear_000000"]
         assert results.map(log) is not None
         rows = [frame.row for frame in results.frames(log)]
         assert [(row["camera"], row["frame"]) for row in rows] == [("rear", n) for n in range(12)]
@@ -152,7 +151,7 @@ def test_results_of_several_cameras_are_read_back(both, two_cameras):
 def test_results_of_one_of_several_cameras_tell_it_apart(two_cameras, tmp_path):
     """So the exports of another one can lie beside these."""
     run(two_cameras, tmp_path, LogOptions(camera="rear"))
-    with Results(tmp_path) as results:
+    with Results(tmp_path / "log") as results:
         (log,) = results.logs
         assert (log.label, log.file_name) == ("two, rear", "two@rear")
         assert results.log("two") == results.log("two, rear") == log
@@ -175,7 +174,7 @@ def test_info_and_lines_name_the_cameras(two_cameras, sim_log, tmp_path, capsys)
     assert "two, front\n  frames     3" in said.out and "two, rear\n" in said.out
     assert "two, front: 3/3 frames" in said.err
     assert main(["run", str(sim_log), *given, "--overwrite", "--start", "100"]) == 1
-    assert "no colour frame is in --start 100; its 12 colour frames are" in capsys.readouterr().err
+    assert "no depth image is in --start 100; its 12 depth images are" in capsys.readouterr().err
 
 
 def test_info_goes_on_after_a_camera_that_fails(two_cameras, capsys):
@@ -183,27 +182,26 @@ def test_info_goes_on_after_a_camera_that_fails(two_cameras, capsys):
     assert info.main([str(two_cameras), "--json", "--start", "1.9"]) == 1
     said = capsys.readouterr()
     front, rear = json.loads(said.out)["logs"]
-    assert front["camera"] == "front" and "no colour frame is in" in front["error"]
+    assert front["camera"] == "front" and "no depth image is in" in front["error"]
     assert rear["camera"] == "rear" and rear["frames"] == 12
     assert said.err.count("\n") == 1
 
 
-def test_a_bar_for_each_camera(monkeypatch):
+@pytest.mark.parametrize("logs", [1, 3])
+def test_one_bar_for_all(monkeypatch, logs):
     monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
     seen = []
     with progress.reporting(False) as show:
         assert show is not None
-        for label, total, done in (
-            ("two", 0, 0),
-            ("two, front", 0, 0),
-            ("two, front", 9, 9),
-            ("two, rear", 0, 0),
-            ("two, rear", 12, 5),
+        for label, total, done, ended in (
+            ("two", 0, 0, 0),
+            ("two, front", 9, 9, 0),
+            ("two, rear", 12, 5, 1),
         ):
             doing = "" if done else "opening"
-            show(engine.Progress(label, 0, 1, done, total, 0, None, "", {}, doing))
-            bars = show.__closure__  # the bars are in the callback
-            cells = [cell.cell_contents for cell in bars or ()]
+            given = label, 0, logs, done, total, 0, None, "", {}, doing, ended, 0
+            show(engine.Progress(*given))
+            cells = [cell.cell_contents for cell in show.__closure__ or ()]  # the bars are in it
             tasks = next(cell.tasks for cell in cells if hasattr(cell, "tasks"))
             seen = [(task.description, task.completed, task.total) for task in tasks]
-    assert seen == [("two, front", 9, 9), ("two, rear", 5, 12)]
+    assert seen == ([("two, rear", 5, 12)] if logs == 1 else [("logs", 1, 3)])

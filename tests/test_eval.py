@@ -10,8 +10,20 @@ from hypothesis import strategies as st
 from jaxdet.config import FootprintConfig
 from jaxdet.eval import EvalConfig, FrameTruth, Tally, evaluate, evaluate_frames, score
 from jaxdet.eval.frame import objects_of
-from jaxdet.types import Detections, Features, Labels, Obstacles
+from jaxdet.types import (
+    Calibration,
+    CellLabels,
+    Cells,
+    Detections,
+    Extrinsics,
+    Features,
+    Intrinsics,
+    Labels,
+    Obstacles,
+    Points,
+)
 
+CAMERA = Intrinsics(60, 40, 50.0, 50.0, 30.0, 20.0)
 PIXELS = [(5, 15), (25, 35), (45, 55)]
 """Columns of the three objects, rows 10-30; the wall is rows 0-3."""
 
@@ -43,8 +55,9 @@ def detections(points, forward_mm, **outline):
     c = np.zeros((1, len(forward_mm) + 3, 2), np.int32)
     c[0, : len(forward_mm), 1] = forward_mm
     obstacles = Obstacles(*[None] * 8, c, *[None] * 3)._replace(**outline)
-    count = np.array([len(forward_mm)], np.int32)
-    return Detections(features, Labels(labels, count), obstacles, np.ones(1, bool))
+    count, no = np.array([len(forward_mm)], np.int32), np.zeros(1, bool)
+    corners = Points(features, Labels(labels, count))
+    return Detections(count, no, ~no, obstacles, points=corners)
 
 
 def on(number, label, count=3):
@@ -90,6 +103,37 @@ def test_a_feature_is_of_the_object_whose_depth_it_has():
     features = Features(u, v, u, v, z, used, used, np.zeros(1, bool))
     assert objects_of(features, known, 0, 0.001, EvalConfig()).tolist() == [1, 1, 0, 0, 1, 0]
     assert objects_of(features, truth(), 0, 0.001, EvalConfig()).tolist() == [1, 0, 0, 0, 1, 0]
+
+
+def cells(label, z, count):
+    """Detections of one frame whose cells have these labels and depths ``(R, C)`` [mm]."""
+    label, z = (np.array(a, np.int32)[None] for a in (label, z))
+    forward = [1000] * count
+    grid = Cells(np.zeros_like(z), np.zeros_like(z), z)
+    found = detections(on(1, 0), forward)._replace(points=None)
+    return found._replace(cells=CellLabels(label, z > 0, grid))
+
+
+def test_cells_vote_for_what_the_colour_image_shows_in_their_box():
+    """Cells of 10 pixels: the first object is in the first column and half of the second."""
+    label = np.full((4, 6), -1)
+    label[1:3, 0], label[1:3, 4] = 0, 1
+    found = cells(label, np.full((4, 6), 1000), 2)
+    got = evaluate(found, truth(), Calibration(CAMERA), side=10)
+    assert counted(got) == (3, 2, 2, 2, 0, 0)
+    with pytest.raises(ValueError, match="side"):
+        evaluate(found, truth(), Calibration(CAMERA))
+
+
+def test_cells_are_moved_into_the_colour_camera():
+    """Its image is one object's width, 20 pixels, to the right at 1 m."""
+    label = np.full((4, 6), -1)
+    label[1:3, 0], label[1:3, 5] = 0, 1
+    motion = Extrinsics((1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0), (0.4, 0.0, 0.0))
+    calibration = Calibration(CAMERA, CAMERA, motion)
+    got = evaluate(cells(label, np.full((4, 6), 1000), 2), truth(), calibration, side=10)
+    # The second is outside of the colour image, so that nobody can say whether it is right.
+    assert counted(got) == (3, 1, 2, 1, 0, 1)
 
 
 def test_floor_wall_split_merge():
@@ -175,7 +219,7 @@ def test_nothing():
 
 
 def test_units():
-    tally = evaluate(detections(on(1, 0), [11000]), truth(), depth_unit=0.0001)
+    tally = evaluate(detections(on(1, 0), [11000]), truth(), Calibration(CAMERA, depth_unit=0.0001))
     assert position_errors(tally)[0] == pytest.approx(0)
 
 

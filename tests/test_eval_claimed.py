@@ -15,11 +15,13 @@ from jaxdet.eval import (
     score,
     total,
 )
+from jaxdet.eval.truth import depth_poses, to_ground_frame
 from jaxdet.floor.plane import flat_plane, unknown_plane
 from jaxdet.pipeline import detect
+from jaxdet.results.metric import to_world
 from jaxdet.sim import floor_truth, sample_frames
 from jaxdet.sim.config import calibration_of
-from jaxdet.types import Detections, Frames, Refusal, Scene
+from jaxdet.types import Calibration, Detections, Frames, Refusal, Scene
 from tests.scenes import frames, small, smooth_depth
 
 CONFIG = EvalConfig(footprint=Config().footprint, min_visible_pixels=3)
@@ -30,7 +32,7 @@ def found() -> Detections:
     calibration = small()
     color = np.zeros((2, 60, 80, 3), np.uint8)
     plane = flat_plane(*np.full((3, 2), [[0.4], [0.0], [0.0]]))
-    given: Frames = frames(calibration, color, smooth_depth(2, calibration.color), plane=plane)
+    given: Frames = frames(calibration, color, smooth_depth(2, calibration.depth), plane=plane)
     empty = detect(given, backend="reference")
     obstacles, scene = empty.obstacles, empty.scene
     assert scene is not None
@@ -40,9 +42,8 @@ def found() -> Detections:
     for slot, left in enumerate((0, 1000)):
         edges = left, left + 1000, 1000, 2000
         span[0, slot] = np.array(edges) + np.array([margin, -margin, margin, -margin])
-    labels = empty.labels._replace(num_obstacles=np.array([2, 0], np.int32))
     obstacles = obstacles._replace(direction=direction, span=span)
-    return empty._replace(labels=labels, obstacles=obstacles)
+    return empty._replace(num_obstacles=np.array([2, 0], np.int32), obstacles=obstacles)
 
 
 def with_scene(detections: Detections, **parts: object) -> Detections:
@@ -97,14 +98,18 @@ def test_what_was_measured_as_floor() -> None:
 def test_places_are_those_of_the_simulator() -> None:
     (frame,) = sample_frames("corridor", 0, 1, width=160, height=120)
     truth = floor_truth(frame)
-    camera = calibration_of(frame.config).color
-    got = floor_positions(
-        frame.truth.depth[None], truth.drivable[None], camera, frame.T_world_color[None]
-    )
+    calibration = calibration_of(frame.config)
+    given = frame.truth.depth[None], truth.drivable[None]
+    got = floor_positions(*given, Calibration(calibration.image), frame.T_world_color[None])
     want = np.where(truth.drivable[..., None], truth.points_m, np.nan)
     assert truth.drivable.sum() > 1000
     np.testing.assert_allclose(got[0], want, atol=2e-3)
     assert math.isnan(got[0, 0, 0, 0]) or truth.drivable[0, 0]
+    moved = floor_positions(*given, calibration, frame.T_world_color[None])
+    world = to_world(got, frame.T_world_color[None])
+    poses = depth_poses(frame.T_world_color[None], calibration)
+    np.testing.assert_allclose(moved, to_ground_frame(world, poses), atol=1e-9)
+    assert np.nanmedian(np.abs(moved - got)[..., 0]) > 0.005
 
 
 def test_a_run_counts_it(tmp_path) -> None:

@@ -24,7 +24,7 @@ from jaxdet.eval import (
 from jaxdet.eval.score import errors
 from jaxdet.eval.tally import COUNTS
 from jaxdet.results.metric import to_world
-from jaxdet.types import Intrinsics
+from jaxdet.types import Calibration, Extrinsics, Intrinsics
 
 NAN = math.nan
 counts = st.lists(
@@ -127,7 +127,7 @@ def test_nearest_on_floor():
     ids[0, 1] = [4, 1, 1, 2, 0, 3, 0]
     depth[0, 1] = [0.5, 0.9, 0.96, 0.97, 1.0, 0.8, 1.0]
     truth = frame_truth()._replace(obstacle_id=ids, depth_m=depth)
-    camera = Intrinsics(7, 3, 10.0, 10.0, 6.0, 1.0)
+    camera = Calibration(Intrinsics(7, 3, 10.0, 10.0, 6.0, 1.0))
     down = np.full(1, math.pi / 2)
     got = nearest_on_floor(truth, camera, np.ones(1), down, np.zeros(1), 0.05)
     # Of the first the nearer pixel is low, of the second nothing is higher than the step, and the
@@ -135,6 +135,11 @@ def test_nearest_on_floor():
     np.testing.assert_allclose(got, [[0.45, 0.291, 0.08, NAN]], atol=1e-3)
     level = nearest_on_floor(truth, camera, np.ones(1), np.zeros(1), np.zeros(1), 0.05)
     np.testing.assert_allclose(level[0, 0], math.hypot(0.9, 0.45), atol=1e-3)
+    # The depth camera is 0.1 m to the left of the colour camera and 0.2 m above it.
+    turn = (1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0)
+    beside = Calibration(camera.depth, camera.depth, Extrinsics(turn, (-0.1, 0.0, -0.2)))
+    moved = nearest_on_floor(truth, beside, np.ones(1), down, np.zeros(1), 0.05)
+    np.testing.assert_allclose(moved, [[0.35, 0.191, 0.02, NAN]], atol=1e-3)
     with pytest.raises(ValueError, match="depth_m"):
         nearest_on_floor(frame_truth(), camera, np.ones(1), down, down, 0.05)
     known = truth._replace(nearest_floor_m=got)
@@ -179,6 +184,15 @@ def test_truth_of_a_log():
     np.testing.assert_allclose(got.footprint, [[local]] * 2)
     assert got.height_m.tolist() == [[0.2], [0.1]]
     assert got.nearest_forward_m[0, 0] == 2.1 and got.visible_pixels[0, 0] == 6
+    camera = Intrinsics(7, 3, 10.0, 10.0, 6.0, 1.0)
+    turn = (1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0)
+    beside = Calibration(camera, camera, Extrinsics(turn, (0.1, 0.0, -0.3)))
+    moved = truth_of(log, [1, 0], np.zeros((2, 2, 2), int), calibration=beside)
+    shift = np.array([-0.1, 0.3])  # the depth camera is to the right and behind
+    np.testing.assert_allclose(moved.footprint, [[local + shift]] * 2)
+    np.testing.assert_allclose(moved.ground_min, [[[0.5, 2.4]], [[0.4, 2.3]]])
+    np.testing.assert_allclose(moved.ground_max, [[[1.0, 3.4]], [[0.9, 3.3]]])
+    np.testing.assert_allclose(moved.nearest_forward_m, [[2.4], [2.3]])
 
 
 def test_quantiles_of_errors():

@@ -28,8 +28,8 @@ def aligned_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_live_camera(aligned_log, capsys):
     example = runpy.run_path(str(EXAMPLES / "live_camera.py"))
     with jaxdet.open_log(aligned_log) as log:
-        source = [(frame.color[..., ::-1], frame.depth) for frame in log]
-        detector = jaxdet.Detector(log.calibration.color.K, color_order="bgr")
+        source = [frame.depth for frame in log]
+        detector = jaxdet.Detector(log.calibration.depth.K)
         example["watch"](source, detector, stop_at_m=5.0)
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 3
@@ -78,38 +78,36 @@ def ros_modules() -> dict[str, ModuleType]:
     return modules
 
 
-def image(pixels: np.ndarray, encoding: str, padding: int) -> Any:
+def image(pixels: np.ndarray, padding: int) -> Any:
     """A sensor_msgs/Image whose rows end with some bytes that are no pixels."""
     height, width = pixels.shape[:2]
     rows = pixels.reshape(height, -1).view(np.uint8)
     data = np.pad(rows, ((0, 0), (0, padding)), constant_values=77).tobytes()
     step = rows.shape[1] + padding
-    return SimpleNamespace(height=height, width=width, encoding=encoding, step=step, data=data)
+    return SimpleNamespace(height=height, width=width, encoding="16UC1", step=step, data=data)
 
 
-@pytest.mark.parametrize("encoding", ["rgb8", "bgr8"])
-def test_a_ros2_node(encoding, aligned_log, monkeypatch):
+def test_a_ros2_node(aligned_log, monkeypatch):
     for name, module in ros_modules().items():
         monkeypatch.setitem(sys.modules, name, module)
     node = runpy.run_path(str(EXAMPLES / "ros2_node.py"))["Obstacles"]()
-    assert node.frames.topics == ["color", "depth", "camera_info"]
+    assert node.frames.topics == ["depth", "camera_info"]
     with jaxdet.open_log(aligned_log) as log:
-        frame, K = log[0], log.calibration.color.K
-    color = frame.color if encoding == "rgb8" else np.ascontiguousarray(frame.color[..., ::-1])
+        frame, K = log[0], log.calibration.depth.K
     info = SimpleNamespace(
         k=K.ravel(), width=320, height=240, d=[0.0] * 5, distortion_model="plumb_bob"
     )
-    node.frames.callback(image(color, encoding, 8), image(frame.depth, "16UC1", 4), info)
-    want = jaxdet.Detector(K)(frame.color, frame.depth)
+    node.frames.callback(image(frame.depth, 4), info)
+    want = jaxdet.Detector(K)(frame.depth)
     assert node.published == [want.nearest_m]
     assert node.said == [f"{len(want)} obstacles, nearest {want.nearest_m:.2f} m"]
-    node.on_frame(image(color, encoding, 0), image(0 * frame.depth, "16UC1", 0), info)
+    node.on_frame(image(0 * frame.depth, 0), info)
     assert node.published[-1] == float("inf")
     node.detector, info.d = None, [0.1, -0.05, 0.0, 0.0, 0.0]
-    node.on_frame(image(color, encoding, 0), image(frame.depth, "16UC1", 0), info)
+    node.on_frame(image(frame.depth, 0), info)
     lens = jaxdet.Intrinsics.from_matrix(K, 320, 240, info.d, "plumb_bob")
     assert str(node.detector) == str(jaxdet.Detector(lens)) and "plumb_bob" in str(node.detector)
-    assert node.published[-1] == jaxdet.Detector(lens)(frame.color, frame.depth).nearest_m
+    assert node.published[-1] == jaxdet.Detector(lens)(frame.depth).nearest_m
 
 
 def test_the_demo_replaces_what_an_earlier_one_left(tmp_path):

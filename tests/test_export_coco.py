@@ -17,10 +17,11 @@ from jaxdet.export import export
 from jaxdet.export.coco import run_lengths
 from jaxdet.export.recordings import Seen, find, look_again
 from jaxdet.io import open_log
+from jaxdet.reference._cells import cell_boxes
 from jaxdet.results.masks import label_image
 from jaxdet.results.reading import ResultLog, Results
 from jaxdet.sim import SimConfig, write_log
-from jaxdet.types import CellLabels, Cells, Intrinsics
+from jaxdet.types import Calibration, CellLabels, Cells, Extrinsics, Intrinsics
 from tests.camera_logs import join_cameras
 from tests.export_results import sim_log
 from tests.made_results import make_results
@@ -49,7 +50,7 @@ def check(coco: Any, folder: Path, output: Path) -> list[tuple[dict, dict, np.nd
     for image in images:
         picture = cv2.imread(str(output / image["file_name"]))
         assert picture.shape[:2] == (image["height"], image["width"])
-    found = []
+    found, rows = [], [row for row in rows if row["u_min"] is not None]
     for row, one in zip(rows, coco.loadAnns(coco.getAnnIds()), strict=True):
         (image,) = coco.loadImgs(one["image_id"])
         assert (image["frame"], one["obstacle"]) == (row["frame"], row["obstacle"])
@@ -166,19 +167,38 @@ def test_clusters_of_points_have_no_masks(tmp_path: Path) -> None:
 
 
 def test_nearest_cell_has_the_pixel() -> None:
-    """Three cells in a row of four pixels; the middle one is nearer and lies over both others."""
-    low = np.array([[[[0, 0], [1, 0], [2, 0]]]], np.int32)
-    high = np.array([[[[1, 1], [2, 0], [3, 1]]]], np.int32)
-    z = np.array([[[9, 4, 9]]], np.int32)
-    seen = np.ones((1, 1, 3), bool)
-    grid = Cells(z, z, z, low, high, seen)
-    camera = Intrinsics(5, 3, 1.0, 1.0, 0.0, 0.0)
-    label = np.array([[[0, -1, 2]]], np.int32)
-    image = label_image(CellLabels(label, grid), 0, camera)
-    expected = [[0, -1, -1, 2, -1], [0, 0, 2, 2, -1], [-1] * 5]
-    assert image.tolist() == expected
-    hidden = CellLabels(label, grid._replace(in_view=seen & [[[True, False, True]]]))
-    assert label_image(hidden, 0, camera)[:2].tolist() == [[0, 0, 2, 2, -1]] * 2
+    """Three cells of two pixels; the nearer one in the middle is shown farther to the right."""
+    depth = Intrinsics(6, 2, 10.0, 10.0, 3.0, 1.0)
+    color = Intrinsics(9, 2, 10.0, 10.0, 3.0, 1.0)
+    beside = Extrinsics((1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0), (0.1, 0.0, 0.0))
+    calibration = Calibration(depth, color, beside)
+    z, label = np.array([[[1000, 500, 1000]]], np.int32), np.array([[[0, -1, 2]]], np.int32)
+    found = CellLabels(label, label >= 0, Cells(0 * z, 0 * z, z))
+    first, last, _ = cell_boxes(z, calibration, 2)
+    assert (first[0, 0, 1:, 0].tolist(), last[0, 0, 1:, 0].tolist()) == ([4, 5], [6, 7])
+    left = int(first[0, 0, 0, 0])
+    expected = [0 if left <= u < 4 else 2 if u == 7 else -1 for u in range(9)]
+    assert label_image(found, 0, calibration, 2).tolist() == [expected] * 2
+    hidden = found._replace(cells=found.cells._replace(z=z * [[[1, 0, 1]]]))
+    assert label_image(hidden, 0, calibration, 2)[0, 5:8].tolist() == [2] * 3
+    aligned = label_image(found, 0, Calibration(depth), 2)
+    assert aligned.tolist() == [[0, 0, -1, -1, 2, 2]] * 2
+
+
+def test_a_log_without_colour_has_pictures_of_depth(tmp_path: Path) -> None:
+    log, folder = sim_log(tmp_path / "a.mcap", frames=2, seed=3), tmp_path / "out"
+    depth = join_cameras({"front": log}, tmp_path / "depth.mcap", without=lambda t: "/color/" in t)
+    run_logs(depth, folder, pictures=0)
+    coco = coco_of(folder, tmp_path / "set")
+    assert len(check(coco, folder, tmp_path / "set")) > 2
+    told = json.loads((tmp_path / "set" / "annotations.json").read_text("utf-8"))
+    assert told["info"]["images_of_depth"] == len(told["images"]) == 2
+    rows = pq.read_table(folder / "obstacles.parquet").to_pylist()
+    assert {row["box_image"] for row in rows} == {"depth"}
+    with Results(folder) as results:
+        export(results, "rerun", tmp_path / "recordings", find(results, [str(depth)]))
+        export(results, "html", tmp_path / "page.html", {})
+    assert list((tmp_path / "recordings").iterdir())
 
 
 @pytest.mark.parametrize("first", [0, 1])

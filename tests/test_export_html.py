@@ -132,7 +132,7 @@ def test_timeline_is_the_same_however_it_is_fed() -> None:
     rng = np.random.default_rng(3)
     n = 5 * MOST_BINS + 17
     count = rng.integers(0, 4, n)
-    status = np.where(rng.random(n) < 0.1, "unpaired", "ok").astype(object)
+    status = np.where(rng.random(n) < 0.1, "no_color", "ok").astype(object)
     stamps, distance = np.arange(n) * 10, rng.random(count.sum()).astype(np.float32)
     rows = Columns(np.arange(n), stamps, status, np.zeros(n, bool), count, distance)
     whole = Timeline(n)

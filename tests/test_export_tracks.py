@@ -110,7 +110,11 @@ def test_ros2_and_coco_have_the_tracks(walkers: Path, tmp_path: Path) -> None:
         assert ids == ["" if t is None else str(t) for t in of[frame.row["frame"]]]
     coco = coco_of(folder, tmp_path / "coco", str(log))
     found = [one["track_id"] for one in coco.loadAnns(coco.getAnnIds())]
-    assert found == [t for number in sorted(of) for t in of[number]]
+    inside = [  # of the colour image
+        [o["u_min"] is not None for o in frame.obstacles] for frame in frames
+    ]
+    tracks = [zip(of[number], inside[at], strict=True) for at, number in enumerate(sorted(of))]
+    assert found == [track for own in tracks for track, shown in own if shown]
 
 
 def test_rerun_has_an_entity_for_each_thing_that_moves(
@@ -174,7 +178,7 @@ def test_results_without_tracks_and_with_those_of_others(
     walkers: Path, driven_results: Path, tmp_path: Path
 ) -> None:
     with Results(driven_results) as results:
-        assert not results.tracked and not [*results.tracks(results.logs[0])]
+        assert not results.tracked(results.logs[0]) and not [*results.tracks(results.logs[0])]
         frame = next(results.frames())
         assert not frame.tracks and "track" not in frame.obstacles[0]
     copy = tmp_path / "copy"
@@ -193,29 +197,11 @@ def test_results_without_tracks_and_with_those_of_others(
         list(results.frames())
 
 
-def test_tracks_of_many_logs_are_read_by_log(tmp_path: Path, monkeypatch: Any) -> None:
-    """Each is read once for all logs, not once for each."""
-    folder = make_results(tmp_path / "many", dict.fromkeys(map(str, range(12)), 40))
-    track_results(folder, TrackConfig(min_frames=1))
-    rows = pq.read_table(folder / "tracks.parquet").to_pylist()
-    read, plain = [0], pq.ParquetFile.iter_batches
-
-    def iter_batches(*given: Any, **how: Any) -> Any:
-        for batch in plain(*given, **how):
-            read[0] += batch.num_rows
-            yield batch
-
-    monkeypatch.setattr(pq.ParquetFile, "iter_batches", iter_batches)
-    with Results(folder) as results:
-        found = [row for log in results.logs for row in results.tracks(log)]
-    assert found == rows and read[0] == len(rows) > 100
-
-
 def test_obstacles_of_each_log_have_its_tracks(tmp_path: Path) -> None:
     folder = make_results(tmp_path / "many", {"a": 30, "b": 50, "c": 20})
     track_results(folder, TrackConfig(min_frames=1))
-    links = pq.read_table(folder / "track_links.parquet").to_pylist()
-    wanted = {name: [row["track"] for row in links if row["log"] == name] for name in "abc"}
+    links = {n: pq.read_table(folder / n / "track_links.parquet").to_pylist() for n in "abc"}
+    wanted = {name: [row["track"] for row in links[name]] for name in "abc"}
     with Results(folder) as results:
         for log in reversed(results.logs):  # so that none is read on from the one before
             (chunk,) = results.chunks(log)
@@ -228,24 +214,22 @@ def test_obstacles_of_each_log_have_its_tracks(tmp_path: Path) -> None:
     assert len({*map(tuple, wanted.values())}) == 3
 
 
-def test_one_table_of_tracks_alone_is_none(tmp_path: Path) -> None:
+def test_a_table_of_tracks_that_is_missing_is_named(tmp_path: Path) -> None:
     folder = make_results(tmp_path / "out", {"a": 10})
     track_results(folder, TrackConfig(min_frames=1))
-    (folder / "track_links.parquet").unlink()
-    with Results(folder) as results:
-        assert not results.tracked and not [*results.tracks(results.logs[0])]
-        assert "track" not in next(results.chunks()).obstacles.column_names
+    (folder / "a" / "track_links.parquet").unlink()
+    with Results(folder) as results, pytest.raises(InputError, match=r"track_links.parquet is mis"):
+        next(results.chunks())
 
 
 def test_tracks_of_other_results_are_refused(tmp_path: Path) -> None:
-    """Of the same version and configuration, but other logs."""
-    one = make_results(tmp_path / "one", {"a": 10})
-    track_results(one, TrackConfig(min_frames=1))
-    other = make_results(tmp_path / "other", {"a": 10, "b": 10})
+    """Of the same version and configuration, but another log."""
+    folder = make_results(tmp_path / "one", {"a": 10, "b": 12})
+    track_results(folder, TrackConfig(min_frames=1))
     for name in ("tracks", "track_links"):
-        shutil.copy2(one / f"{name}.parquet", other)
-    with Results(other) as results:
+        shutil.copy2(folder / "a" / f"{name}.parquet", folder / "b")
+    with Results(folder) as results:
         with pytest.raises(InputError, match="is not of the results that it lies beside"):
-            list(results.tracks(results.logs[0]))
+            list(results.tracks(results.logs[1]))
         with pytest.raises(InputError, match="is not of the results that it lies beside"):
-            list(results.chunks())
+            list(results.chunks(results.logs[1]))

@@ -81,7 +81,7 @@ def compare(grey: np.ndarray, mask: np.ndarray, config: FeaturesConfig) -> None:
 
 
 def test_sums_of_products_are_whole_numbers_but_for_residues():
-    """Why strengths can be told from the pixels around, see ``native/corner_strength.h``.
+    """Why strengths can be told from the pixels around, see ``corner_strength.h``.
 
     The products of gradients of all 512 windows are either multiples of 2^-31, whose sums are exact
     in float64 and in integers, or residues. Those of squares are so small that adding them to such

@@ -36,7 +36,7 @@ def test_each_form_is_a_log_that_all_read_alike(name, tmp_path):
     check(log, topics_of(form), 5)
     with open_log(str(log)) as opened:
         assert opened.num_frames == 5
-        batch = opened.read(range(5)).frames
+        batch = opened.read(range(5), color=True).frames
     for number in range(5):
         np.testing.assert_array_equal(batch.depth[number], written[number % 3].depth)
         if form.color != "jpeg":

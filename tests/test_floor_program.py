@@ -3,7 +3,6 @@
 from dataclasses import replace
 from pathlib import Path
 
-import jax
 import numpy as np
 import pytest
 
@@ -17,8 +16,7 @@ from jaxdet.reference import cells
 from jaxdet.reference._floor import find_floor
 from jaxdet.sim import sample_frames
 from jaxdet.sim.config import calibration_of
-from jaxdet.stages._floor import find_floor as floor_program
-from jaxdet.stages._floor import floor_settings, scratch_words
+from jaxdet.stages._floor import tables
 from jaxdet.types import GroundPlane
 from tests.floor_cells import (
     BOXES,
@@ -33,12 +31,10 @@ from tests.floor_cells import (
     positions,
 )
 from tests.scenes import assert_equal
+from tests.steps import find_floor as floor_program
 
 SURFACE = Config().surface
 Cells = list[np.ndarray]
-
-
-_program = jax.jit(floor_program, static_argnums=5)
 
 
 def assert_same(
@@ -49,10 +45,9 @@ def assert_same(
     Returns:
         ``(B, 8)`` int32, as the program found it.
     """
-    settings = floor_settings(grid[2][0].size, config, unit)
+    shared = tables(grid[2][0].size, config, unit)
     known = prior_units(prior, Scale(unit, config.noise_per_m))
-    words = scratch_words(*grid[2][0].shape, config, unit)
-    found = np.asarray(_program(*grid, known, settings, words))
+    found = floor_program(*grid, known, shared)
     assert_equal(floor_fit(found, prior, unit), find_floor(*grid, prior, config, unit))
     return found
 

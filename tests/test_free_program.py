@@ -2,9 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-import jax
 import numpy as np
 import pytest
 
@@ -12,9 +10,10 @@ from jaxdet.config import Config
 from jaxdet.floor.frame import floor_frames
 from jaxdet.floor.plane import flat_plane, unknown_plane
 from jaxdet.reference._detect import _free
-from jaxdet.stages._free import free_floor, tables
+from jaxdet.stages._free import tables
 from jaxdet.types import FreeEnd
 from tests.scenes import small
+from tests.steps import free_floor
 from tests.surface_frames import (
     SURFACES,
     Batch,
@@ -26,15 +25,6 @@ from tests.surface_frames import (
     with_floor,
 )
 
-_traced: list[int] = []
-"""One for each time that the program is traced."""
-
-
-@jax.jit
-def _program(*arguments: Any) -> Any:
-    _traced.append(1)
-    return free_floor(*arguments)
-
 
 def assert_twins(batch: Batch, config: Config = SURFACES) -> set[int]:
     """Holds the kernel to the reference, for cameras of any roll; the ends that there are."""
@@ -43,7 +33,7 @@ def assert_twins(batch: Batch, config: Config = SURFACES) -> set[int]:
         plane = flat_plane(np.array([0.5]), np.array([0.2]), np.radians([roll_deg]))
         frame = np.repeat(floor_frames(plane, batch.unit), len(batch.found), axis=0)
         want = _free(batch.found, frame, batch.unit, config)
-        twin = _program(batch.label, batch.low, batch.grid.z, batch.floor, frame, shared)
+        twin = free_floor(batch.label, batch.low, batch.grid.z, batch.floor, frame, shared)
         for got, expected in zip(twin, want, strict=True):
             np.testing.assert_array_equal(np.asarray(got), expected, strict=True)
         ends |= set(want[1].ravel().tolist())
@@ -96,14 +86,12 @@ def test_floors_with_obstacles(seed: int) -> None:
 
 def test_settings() -> None:
     batch = with_floor(drawn((2, 50, 60), 3, 9, block=12), 9, far=4500, step=60)
-    before = len(_traced)
     floors = ({"gap_m": 0.0}, {"gap_m": 10.0}, {"drop_m": 0.0}, {"drop_m": 5.0},
               {"noise_per_m": 1.0, "bow_per_m": 1.0}, {"bow_per_m": 0.0})  # fmt: skip
     for floor in floors:
         assert_twins(batch, replace(SURFACES, floor=replace(SURFACES.floor, **floor)))
     near = replace(SURFACES.ground, max_depth_m=2.0)
     assert_twins(batch, replace(SURFACES, ground=near))
-    assert len(_traced) <= before + 1
 
 
 def test_nothing_is_measured() -> None:

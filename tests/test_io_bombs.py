@@ -32,7 +32,7 @@ SAID = {
     "image_pixels": "Error",
     "deep_json": "messages can't be decoded",
     "wide_json": "messages can't be decoded",
-    "jpeg_scans": "decode_error",
+    "jpeg_scans": "no_color",
 }
 """What a user reads."""
 
@@ -49,7 +49,7 @@ def read(path):
     with open_log(path) as log:
         said = [*log.description.warnings, *(f.text for f in log.description.integrity)]
         said += [topic.problem for topic in log.description.topics]
-        for batch in log.batches(8):
+        for batch in log.batches(8, color=True, need_color=True):
             said += [f"{status} {text}" for status, text in zip(batch.status, batch.errors)]
     return " | ".join(dict.fromkeys(said))
 

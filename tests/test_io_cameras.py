@@ -74,7 +74,7 @@ def test_one_is_to_be_chosen(path):
     for name, frames in (("front", 4), ("rear", 3)):
         with open_log(path, LogOptions(camera=name)) as log:
             assert (log.camera, log.label, log.num_frames) == (name, f"log, {name}", frames)
-            assert f"/{name}/color/image_raw" in log.description.choices[0]
+            assert f"/{name}/color/image_raw" in log.description.choices[1]
             assert [line.split(":")[0] for line in log.description.cameras] == [
                 "front",
                 "rear",
@@ -82,7 +82,7 @@ def test_one_is_to_be_chosen(path):
             ]
             assert any("camera side is left out: " in text for text in log.description.warnings)
             image = make_scene(frames, frames - 3, COLOR_SIZE).color[1]
-            assert (log.read([1]).frames.color[0] == image).all()
+            assert (log.read([1], color=True).frames.color[0] == image).all()
 
 
 def test_a_camera_that_is_asked_for_gives_its_own_error(path):
@@ -95,7 +95,7 @@ def test_a_camera_that_is_asked_for_gives_its_own_error(path):
 def test_topics_choose_a_camera_as_well(path):
     with open_log(path, LogOptions(color="/rear/color/image_raw")) as log:
         assert (log.camera, log.label) == ("rear", "log")
-        assert "/rear/aligned" in log.description.choices[1]
+        assert "/rear/aligned" in log.description.choices[0]
 
 
 def test_what_is_of_one_camera_asks_for_it(path):
@@ -141,6 +141,12 @@ def test_a_camera_without_calibration_asks_for_no_scan(tmp_path, monkeypatch):
                 ros_image(scene.color[0], "rgb8", START, "rear_color"),
                 START,
             )
-        with open_log(str(path)) as log:
-            assert log.camera == "front" and is_indexed(log) is by_index
-            assert any(f"camera {name} is left out" in text for text in log.description.warnings)
+        if by_index:
+            with open_log(str(path)) as log:
+                assert log.camera == "front" and is_indexed(log)
+                left_out = f"camera {name} is left out"
+                assert any(left_out in text for text in log.description.warnings)
+            continue
+        for camera, placed in (("front", True), (name, False)):
+            with open_log(str(path), LogOptions(camera=camera)) as log:
+                assert log.has_color is placed and is_indexed(log) is placed

@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from jaxdet.errors import CalibrationError, CamerasError, ConfigError, FrameStatus, TopicError
 from jaxdet.io import LogOptions, open_log
@@ -80,8 +81,9 @@ def test_no_camera_takes_the_extrinsics_of_another(tmp_path, with_tf):
         assert log.calibration.color_from_depth is not None
         assert log.calibration.color_from_depth.translation == (0.015, 0.0, 0.0)
     if not with_tf:
-        with pytest.raises(CalibrationError, match="no transform from depth to colour"):
-            open_log(str(path), LogOptions(camera="rear"))
+        with open_log(str(path), LogOptions(camera="rear")) as log:
+            assert log.calibration.color is None and not log.has_color
+            assert "no transform from depth to colour" in log.color_problem
         return
     with open_log(str(path), LogOptions(camera="rear")) as log:
         assert log.calibration.color_from_depth is not None
@@ -93,8 +95,16 @@ def test_missing_extrinsics_name_the_flag_which_supplies_them(tmp_path):
     with LogFile(tmp_path / "log.mcap") as log:
         write_calibration(log, tf=False)
         write_images(log, make_scene())
-    with pytest.raises(CalibrationError, match=r"--log\.color-from-depth"):
-        open_log(path)
+    with open_log(path) as log:
+        assert log.calibration.color is None and log.calibration.depth[2:6] == DEPTH_K
+        assert not log.has_color and not log.has_color_camera and log.color_shape is None
+        assert "--log.color-from-depth" in log.color_problem
+        note = "the colour camera's place relative to the depth camera is not known: pictures show "
+        assert any(text.startswith(f"{note}depth") for text in log.description.notes)
+        assert log.read([0, 1, 2], color=True).status == (FrameStatus.OK,) * 3
+        batch = log.read([0, 1, 2], color=True, need_color=True)
+        assert batch.status == (FrameStatus.NO_COLOR,) * 3
+        assert "--log.color-from-depth" in batch.errors[0]
     given = LogOptions(color_from_depth=(0.015, 0, 0, 0, 0, 0, 1))
     with open_log(path, given) as log:
         assert log.calibration.color_from_depth is not None
@@ -118,14 +128,12 @@ def test_images_of_one_frame_are_of_one_place_where_they_are_of_one_lens(tmp_pat
         with open_log(str(path)) as log:
             assert "frame" in log.description.extrinsics_source
         return
-    text = (
-        r"both images are in frame .*, but their camera matrices differ; give --log\.color-from-d"
-    )
-    with pytest.raises(CalibrationError, match=text):
-        open_log(str(path))
+    with open_log(str(path)) as log:
+        text = f"both images are in frame {COLOR_FRAME!r}, but their camera matrices differ; give "
+        assert not log.has_color and f"{text}--log.color-from-d" in log.color_problem
     for given in ({"camera_frame": COLOR_FRAME}, {"depth_aligned": True}):
-        with open_log(str(path), LogOptions(**given)):
-            pass
+        with open_log(str(path), LogOptions(**given)) as log:
+            assert log.has_color
 
 
 def test_calibrations_with_the_names_of_ros1(tmp_path):
@@ -148,7 +156,7 @@ def test_calibrations_with_the_names_of_ros1(tmp_path):
         write_calibration(log)
         write_images(log, make_scene())
     with open_log(str(path)) as log:
-        color = log.calibration.color
+        color = log.calibration.image
         assert (color.fx, color.fy, color.cx, color.cy) == COLOR_K
         assert not log.description.warnings
 
@@ -179,23 +187,23 @@ def test_floor_and_poses_from_transforms_and_odometry(tmp_path):
                 edge = "odom", "base_footprint", *pose
                 message = ros_tf(edge, stamp_ns=at) if form == "tf" else ros_odometry(*edge, at)
                 log.ros(f"/{form}", message, at)
-            write_images(log, make_scene(4))
+            write_images(log, scene := make_scene(4))
         with open_log(str(tmp_path / "log.mcap")) as log:
             assert log.base_frame == "base_footprint" and log.T_base_camera is not None
-            np.testing.assert_allclose(log.T_base_camera[:3, 3], [0.1, 0, 0.5])
+            np.testing.assert_allclose(log.T_base_camera[:3, 3], [0.1, -0.015, 0.5])
             np.testing.assert_allclose(log.T_base_camera[:3, 2], [1, 0, 0], atol=1e-12)
             poses = next(log.batches(5)).frames.T_world_camera
             assert poses is not None and np.isnan(poses[4]).all()
-            np.testing.assert_allclose(poses[0, :3, 3], [1.1, 0, 0.5])
-            np.testing.assert_allclose(
-                poses[3, :3, 3], [2 + 0.1 * np.cos(0.4), 0.1 * np.sin(0.4), 0.5], atol=1e-6
-            )
+            np.testing.assert_allclose(poses[0, :3, 3], [1.1, -0.015, 0.5])
+            part = (scene.depth_ns[3] - START) * 1e-8  # of the way from the first pose to the last
+            turned = Rotation.from_rotvec([0, 0, 0.4 * part]).apply([0.1, -0.015, 0.5])
+            np.testing.assert_allclose(poses[3, :3, 3], turned + [1 + part, 0, 0], atol=1e-6)
             assert form in log.description.pose_source.lower()
             read, lost = log.read([1, 3]), log.without_images([1, 3], FrameStatus.TIMEOUT, "why")
             assert (lost.camera_frame, lost.world_frame) == (read.camera_frame, read.world_frame)
-            assert (read.camera_frame, read.world_frame) == (COLOR_FRAME, "odom")
+            assert (read.camera_frame, read.world_frame) == (DEPTH_FRAME, "odom")
             assert lost.status == (FrameStatus.TIMEOUT,) * 2 and lost.errors == ("why",) * 2
-            for name in ("number", "stamp_ns", "depth_stamp_ns", "T_world_camera"):
+            for name in ("number", "stamp_ns", "color_stamp_ns", "T_world_camera"):
                 one, other = getattr(read.frames, name), getattr(lost.frames, name)
                 np.testing.assert_array_equal(one, other)
         with pytest.raises(CalibrationError, match=r"'nope' and .*change --log\.world-frame"):
@@ -216,7 +224,7 @@ def test_topics_that_several_cameras_have_are_not_guessed(tmp_path):
     with pytest.raises(CamerasError, match=r"several cameras: a, b; choose one with --camera"):
         open_log(str(tmp_path / "log.mcap"))
     with open_log(str(tmp_path / "log.mcap"), LogOptions(color="/b/color/image_raw")) as log:
-        assert log.description.choices[1].startswith("depth: /b/depth/image_raw")
+        assert log.description.choices[0].startswith("depth: /b/depth/image_raw")
     for kind, images in (("color", "color/image_raw"), ("depth", "depth/image_raw")):
         known = rf"--log\.{kind} can be: /a/{images}, /b/{images}$"
         with pytest.raises(TopicError, match=known):

@@ -40,60 +40,106 @@ from tests.io_helpers import (
     write_log,
 )
 
+BAD = ["ok"] * 4 + ["decode_error", "bad_calibration", "ok"]
 
-def test_bad_frames_get_their_status_and_the_rest_goes_on(tmp_path):
-    scene = make_scene(6)
+
+@pytest.fixture(params=[False, True], ids=["index", "scan"])
+def bad_log(tmp_path, request):
+    """Colour of frames 1 and 2 is bad, of 3 missing; depth of 4 and 5 is bad."""
+    scene = make_scene(7)
     with LogFile(tmp_path / "log.mcap") as log:
         write_calibration(log)
         for i, (color, depth, at, depth_at) in enumerate(zip(*scene, strict=True)):
-            image = ros_image(color, "rgb8", int(at), COLOR_FRAME)
-            if i == 1:
-                image = ros_image(color[:-1], "rgb8", int(at), COLOR_FRAME)
-            if i == 2:
-                image = ros_image(color, "bayer_rggb8", int(at), COLOR_FRAME)
-            log.ros(COLOR, image, int(at))
+            pixels, encoding = (color[:-1] if i == 1 else color), "of_mars" if i == 2 else "rgb8"
             if i != 3:
-                image = ros_image(depth, "16UC1", int(depth_at), DEPTH_FRAME)
-                image.data = image.data[: -9 if i == 4 else None]
-                log.ros(DEPTH, image, int(depth_at))
-    wanted = ["ok", "bad_calibration", "decode_error", "unpaired", "decode_error", "ok"]
-    options = LogOptions(pair_tolerance_s=0.01)
+                log.ros(COLOR, ros_image(pixels, encoding, int(at), COLOR_FRAME), int(at))
+            pixels = depth[:-1] if i == 5 else depth
+            image = ros_image(pixels, "16UC1", int(depth_at), DEPTH_FRAME)
+            image.data = image.data[: -9 if i == 4 else None]
+            log.ros(DEPTH, image, int(depth_at))
+    options = LogOptions(pair_tolerance_s=0.01, scan=request.param)
     with open_log(str(tmp_path / "log.mcap"), options) as log:
-        [batch] = log.batches(8)
-        assert [str(status) for status in batch.status] == wanted
-        assert [bool(error) for error in batch.errors] == [status != "ok" for status in wanted]
-        assert not any("\n" in error for error in batch.errors)
-        np.testing.assert_array_equal(batch.frames.valid[:6], [s == "ok" for s in wanted])
-        assert not batch.frames.color[1:5].any() and not batch.frames.depth[1:5].any()
-        np.testing.assert_array_equal(batch.frames.color[5], scene.color[5])
-        pairing = log.described(batch.notes).pairing
-        assert pairing is not None and pairing.num_unpaired_color == 1
+        yield log, scene
+
+
+def statuses(batch):
+    assert [bool(error) for error in batch.errors] == [status != "ok" for status in batch.status]
+    assert not any("\n" in error for error in batch.errors)
+    assert batch.frames.valid.tolist()[: len(batch.status)] == [s == "ok" for s in batch.status]
+    return [str(status) for status in batch.status]
+
+
+def test_bad_frames_get_their_status_and_the_rest_goes_on(bad_log):
+    log, scene = bad_log
+    [batch] = log.batches(8)
+    assert statuses(batch) == BAD and batch.frames.color is None
+    stamps = np.where(np.arange(8) == 3, -1, np.append(scene.color_ns, -1))
+    np.testing.assert_array_equal(batch.frames.color_stamp_ns, stamps)
+    np.testing.assert_array_equal(batch.nearest_color_ns, stamps[:7])
+    assert not batch.notes.bad_color and not batch.frames.depth[4:6].any()
+
+
+def test_bad_colour_is_a_note(bad_log):
+    log, scene = bad_log
+    [batch] = log.batches(8, color=True)
+    assert statuses(batch) == BAD and not batch.frames.color[1:4].any()
+    good = [0, 1, 2, 3, 6]
+    np.testing.assert_array_equal(batch.frames.depth[good], scene.depth[good])
+    np.testing.assert_array_equal(batch.frames.color[[0, 6]], scene.color[[0, 6]])
+    stamps = np.where(np.isin(np.arange(8), [1, 2, 3]), -1, np.append(scene.color_ns, -1))
+    np.testing.assert_array_equal(batch.frames.color_stamp_ns, stamps)
+    about = log.described(batch.notes)
+    assert batch.notes.bad_color == 2 and about.pairing.num_with_color == 6
+    assert any(text.startswith("2 colour images can't be decoded: ") for text in about.notes)
+    assert "colour missing for 1 of 7 frames" in " ".join(about.notes)
+
+
+def test_bad_colour_costs_frames_where_it_is_needed(bad_log):
+    log, scene = bad_log
+    [batch] = log.batches(8, color=True, need_color=True)
+    assert statuses(batch) == ["ok", *["no_color"] * 3, *BAD[4:]]
+    np.testing.assert_array_equal(batch.frames.depth[:4], scene.depth[:4])
+    assert "no colour image within 0.01 s" in batch.errors[3]
+
+
+def repeated(image, scale):
+    return image.repeat(scale, 0).repeat(scale, 1)
 
 
 @pytest.mark.parametrize("infos", [1, 9])
 @pytest.mark.parametrize("odd", [1, 3])
-def test_first_frames_of_another_size_cost_no_others(tmp_path, odd, infos):
+@pytest.mark.parametrize("of_depth", [False, True])
+def test_first_frames_of_another_size_cost_no_others(tmp_path, odd, infos, of_depth):
     scene = make_scene(12)
     with LogFile(tmp_path / "log.mcap") as log:
-        log.ros(DEPTH_INFO, ros_info(DEPTH_SIZE, DEPTH_K, START, DEPTH_FRAME), START)
         log.ros("/tf_static", ros_tf((DEPTH_FRAME, COLOR_FRAME, *T_DEPTH_COLOR)), START)
         for i, (color, depth, at, depth_at) in enumerate(zip(*scene, strict=True)):
             scale = 2 if i < odd else 1
-            size, K = (
-                (COLOR_SIZE[0] * scale, COLOR_SIZE[1] * scale),
-                tuple(np.multiply(COLOR_K, scale)),
-            )
-            for _ in range(infos):
-                log.ros(COLOR_INFO, ros_info(size, K, int(at), COLOR_FRAME), int(at))
-            image = color.repeat(scale, 0).repeat(scale, 1)
-            log.ros(COLOR, ros_image(image, "rgb8", int(at), COLOR_FRAME), int(at))
-            log.ros(DEPTH, ros_image(depth, "16UC1", int(depth_at), DEPTH_FRAME), int(at))
+            scales = (1, scale) if of_depth else (scale, 1)
+            for topic, size, K, frame, n in (
+                (COLOR_INFO, COLOR_SIZE, COLOR_K, COLOR_FRAME, scales[0]),
+                (DEPTH_INFO, DEPTH_SIZE, DEPTH_K, DEPTH_FRAME, scales[1]),
+            ):
+                values = tuple(np.multiply(size, n).tolist()), tuple(np.multiply(K, n).tolist())
+                for _ in range(infos):
+                    log.ros(topic, ros_info(*values, int(depth_at), frame), int(depth_at))
+            image = ros_image(repeated(color, scales[0]), "rgb8", int(at), COLOR_FRAME)
+            log.ros(COLOR, image, int(at))
+            image = ros_image(repeated(depth, scales[1]), "16UC1", int(depth_at), DEPTH_FRAME)
+            log.ros(DEPTH, image, int(at))
     with open_log(str(tmp_path / "log.mcap"), LogOptions(scan=True)) as log:
-        (batch,) = log.batches(12)
-        assert batch.status == ("bad_calibration",) * odd + ("ok",) * (12 - odd)
+        (batch,) = log.batches(12, color=True)
+        bad = "bad_calibration" if of_depth else "ok"
+        assert batch.status == (bad,) * odd + ("ok",) * (12 - odd)
+        assert batch.frames.color is not None
         np.testing.assert_array_equal(batch.frames.color[odd:], scene.color[odd:])
+        np.testing.assert_array_equal(batch.frames.depth[odd:], scene.depth[odd:])
         (text,) = (text for text in log.description.warnings if "changes" in text)
-        assert "frames with another calibration than the one used are left out" in text
+        if of_depth:
+            assert "frames with another calibration than the one used are left out" in text
+        else:
+            assert "boxes and pictures of later frames may be off" in text
+            assert not batch.frames.color[:odd].any() and batch.notes.bad_color == odd
         calibration = log.calibration
     with open_log(str(tmp_path / "log.mcap")) as log:
         assert log.calibration == calibration
@@ -110,7 +156,7 @@ def test_errors_say_what_could_not_be_decoded(tmp_path):
         open_log(str(tmp_path / "log.mcap"))
 
 
-@pytest.mark.parametrize("encoding", ["bayer_rggb8", "rgb16", "nv12"])
+@pytest.mark.parametrize("encoding", ["of_mars", "8UC2", "32FC3"])
 def test_an_encoding_that_is_not_read_is_named(tmp_path, encoding):
     scene = make_scene(2)
     with LogFile(tmp_path / "log.mcap") as log:
@@ -118,24 +164,27 @@ def test_an_encoding_that_is_not_read_is_named(tmp_path, encoding):
         for color, depth, at in zip(scene.color, scene.depth, scene.color_ns.tolist(), strict=True):
             log.ros(COLOR, ros_image(color[..., 0], encoding, at, COLOR_FRAME), at)
             log.ros(DEPTH, ros_image(depth, "16UC1", at, DEPTH_FRAME), at)
-    said = rf"no colour image topic; encodings not read: '{encoding}' of {COLOR}; its topics are "
-    said += rf"{COLOR} \(.*Image, {encoding}\), .*encodings"
-    with pytest.raises(TopicError, match=said):
-        open_log(str(tmp_path / "log.mcap"))
+    with open_log(str(tmp_path / "log.mcap")) as log:
+        assert not log.has_color and f"not read: '{encoding}' of {COLOR}; " in log.color_problem
+        assert any(f"'{encoding}' of {COLOR}" in text for text in log.description.notes)
+        np.testing.assert_array_equal(log.read([0, 1], color=True).frames.depth, scene.depth)
+    with pytest.raises(TopicError, match=f"encoding '{encoding}' is not a colour image that can"):
+        open_log(str(tmp_path / "log.mcap"), LogOptions(color=COLOR))
+    with pytest.raises(TopicError, match=rf"{DEPTH}: a topic of depth images .*change --log.color"):
+        open_log(str(tmp_path / "log.mcap"), LogOptions(color=DEPTH))
 
 
 def test_zero_stamps_fall_back_to_log_time_and_backward_stamps_are_ordered(tmp_path):
     scene = make_scene(3)
-    zero = scene._replace(color_ns=scene.color_ns * 0)
     with LogFile(tmp_path / "zero.mcap") as log:
         write_calibration(log)
         for i in range(3):
             at = int(scene.color_ns[i])
-            log.ros(COLOR, ros_image(scene.color[i], "rgb8", 0, COLOR_FRAME), at)
-            log.ros(DEPTH, ros_image(scene.depth[i], "16UC1", 5, DEPTH_FRAME), at + 1)
+            log.ros(COLOR, ros_image(scene.color[i], "rgb8", 5, COLOR_FRAME), at)
+            log.ros(DEPTH, ros_image(scene.depth[i], "16UC1", 0, DEPTH_FRAME), at + 1)
     with open_log(str(tmp_path / "zero.mcap")) as log:
         assert any("log times" in text for text in log.description.warnings)
-        assert_holds(log, zero._replace(color_ns=scene.color_ns, depth_ns=scene.color_ns + 1))
+        assert_holds(log, scene._replace(depth_ns=scene.color_ns + 1))
     backward = Scene(*(part[::-1] for part in scene))
     write_log(tmp_path / "back.mcap", backward)
     with open_log(str(tmp_path / "back.mcap")) as log:
@@ -194,7 +243,7 @@ def test_chunks_in_memory_are_bounded_whatever_is_read(tmp_path, monkeypatch):
         most = 0
         assert_holds(log, scene, 5)
         order = [11, 0, 7, 7, 3]
-        np.testing.assert_array_equal(log.read(order).frames.color, scene.color[order])
+        np.testing.assert_array_equal(log.read(order, color=True).frames.color, scene.color[order])
     assert most == 1
 
 
@@ -210,7 +259,7 @@ def test_a_failed_frame_does_not_hold_its_batch(tmp_path):
     with open_log(str(tmp_path / "log.mcap")) as log:
         batch = log.read([0, 1, 2, 3])
         assert not batch.frames.valid.any()
-        held = weakref.ref(batch.frames.color)
+        held = weakref.ref(batch.frames.depth)
         del batch
         gc.collect()
         assert held() is None

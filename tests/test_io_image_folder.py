@@ -66,11 +66,11 @@ def write_open3d(folder: Path, **camera: object) -> Path:
 
 def assert_frames(log, stamps_ns: list[int]) -> None:
     color, depth = images()
-    [batch] = log.batches(3)
+    [batch] = log.batches(3, color=True)
     assert set(batch.status) == {FrameStatus.OK}
     assert np.array_equal(batch.frames.color, color)
     assert np.array_equal(batch.frames.depth, depth)
-    assert batch.frames.stamp_ns.tolist() == batch.frames.depth_stamp_ns.tolist() == stamps_ns
+    assert batch.frames.stamp_ns.tolist() == batch.frames.color_stamp_ns.tolist() == stamps_ns
 
 
 @pytest.mark.parametrize("scan", [False, True])
@@ -109,7 +109,7 @@ def test_open3d_has_a_camera_and_numbers(tmp_path, scan):
     [files] = find_logs([str(folder)])
     with open_log(files, LogOptions(scan=scan)) as log:
         assert_frames(log, [10**9 + number * 10**9 // 30 for number in (8, 9, 10)])
-        assert log.calibration.color[:6] == (*SIZE, *K)
+        assert log.calibration.depth[:6] == (*SIZE, *K)
         assert log.calibration.depth_unit == 0.0002
         assert files.note in log.description.warnings and "30 frames a second" in files.note
 
@@ -119,13 +119,16 @@ def test_images_that_are_missing_or_torn_are_frames_with_an_error(tmp_path):
     (folder / "rgb" / f"{STAMPS[1]}.png").unlink()
     (folder / "depth" / f"{STAMPS[2]}.png").write_bytes(b"\x89PNG\r\n\x1a\n")
     with open_log(str(folder), GIVEN) as log:
-        [batch] = log.batches(3)
-        assert batch.status == (FrameStatus.OK, *[FrameStatus.DECODE_ERROR] * 2)
+        [batch] = log.batches(3, color=True)
+        assert batch.status == (*[FrameStatus.OK] * 2, FrameStatus.DECODE_ERROR)
         missing, torn = f"rgb/{STAMPS[1]}.png", f"depth/{STAMPS[2]}.png"
-        assert batch.errors[0] == "" and batch.errors[1] == f"{missing}: the image has no data"
-        assert batch.errors[2].startswith(f"{torn}: compressed image")
-    with (folder / "rgb.txt").open("a") as file:
-        file.write("1305031110.5 rgb/none.png\n")
+        assert batch.errors[:2] == ("", "") and batch.errors[2].startswith(f"{torn}: compressed im")
+        assert batch.notes.why_bad_color == f"{missing}: the image has no data"
+        batch = log.read([1], color=True, need_color=True)
+        assert batch.status == (FrameStatus.NO_COLOR,)
+        assert batch.errors == (f"{missing}: the image has no data",)
+    with (folder / "depth.txt").open("a") as file:
+        file.write("1305031110.5 depth/none.png\n")
     with open_log(str(folder), GIVEN) as log:
         assert log.num_frames == 4
 
@@ -136,7 +139,7 @@ def test_an_image_that_cant_be_read_is_a_frame_with_an_error(tmp_path, monkeypat
     opened = Path.open
 
     def refusing(path, *args, **options):
-        if path.name == bad and path.parent.name == "rgb":
+        if path.name == bad and path.parent.name == "depth":
             raise PermissionError(errno.EACCES, "Permission denied")
         return opened(path, *args, **options)
 
@@ -261,7 +264,7 @@ def test_real_folder_of_open3d(shared_data):
     folder = shared_data / "d435_boxes_felixchenfy" / "data"
     with open_log(str(folder)) as log:
         assert log.num_frames == 10 and log.calibration.is_aligned
-        batch = log.read([7])
+        batch = log.read([7], color=True)
         assert batch.status == (FrameStatus.OK,)
         depth = cv2.imread(str(folder / "depth" / "000007.png"), cv2.IMREAD_UNCHANGED)
         color = cv2.imread(str(folder / "color" / "000007.png"))

@@ -129,7 +129,9 @@ def test_metres_are_rounded_and_what_is_no_depth_is_zero():
 @pytest.mark.parametrize(
     "message",
     [
-        image(RGB, "bayer_rggb8"),
+        image(RGB, "of_mars"),
+        image(RGB[:5, :, 0], "bayer_rggb8"),
+        image(RGB[..., 0], "nv12"),
         image(RGB, "rgb8")._replace(width=9),
         image(RGB, "rgb8")._replace(height=7),
         image(RGB, "rgb8")._replace(width=0),

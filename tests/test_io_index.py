@@ -170,7 +170,7 @@ def flip(path: Path, place: int) -> None:
 
 
 def read_all(log) -> list:
-    return list(log.batches(7))
+    return list(log.batches(7, color=True))
 
 
 @pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
@@ -222,10 +222,13 @@ def test_how_many_frames_are_looked_at_together_changes_nothing(tmp_path, monkey
         monkeypatch.setattr(log_module, "_LOOKED_AT", together)
         looked_at.clear()
         with open_only(path) as log:
-            batches = list(log.batches(size, 3, 88))
+            batches = list(log.batches(size, 3, 88, color=True))
         assert max(looked_at) == min(85, max(1, together // size) * size)
         parts = [batch.without_images() for batch in batches]
-        images = [np.concatenate([b.frames[i][: len(b.status)] for b in batches]) for i in (0, 1)]
+        images = [
+            np.concatenate([getattr(b.frames, name)[: len(b.status)] for b in batches])
+            for name in ("depth", "color")
+        ]
         found.append((Batch.joined(parts), images))
     for batch, images in found[1:]:
         np.testing.assert_equal(batch._replace(decoding_s=0), found[0][0]._replace(decoding_s=0))
@@ -270,7 +273,7 @@ def test_clocks_that_differ_are_said(tmp_path, ahead_s):
         assert_same_log(log, scanned)
         said = [text for text in scanned.description.warnings if "two clocks" in text]
     assert [text.split(":")[0] for text in said] == [
-        f"the images of a pair were recorded {abs(ahead_s)} s apart (median)"
+        f"colour and depth images of one stamp were recorded {abs(ahead_s)} s apart (median)"
         for _ in range(abs(ahead_s) > 0.5)
     ]
 
@@ -296,29 +299,35 @@ def test_an_index_that_lies_is_not_believed(tmp_path, field):
         assert scanned.num_frames == 60
 
 
-def test_damage_where_no_pair_is_asks_for_the_scan(tmp_path):
-    """Only a whole reading drops what is damaged, so it must be found in what isn't decoded."""
-    for damaged in (COLOR, "/tf", DEPTH):
-        path = tmp_path / "x.mcap"
-        with LogFile(path, compression="none", chunk_size=1) as log:
-            write_calibration(log)
-            sender = Sender(log)
-            for i in range(60):
-                at = START + i * SECOND
-                sender.image(COLOR, i, at, at)
-                if i < 40:
-                    sender.image(DEPTH, i, at, at)
-                log.ros("/tf", ros_tf(("odom", DEPTH_FRAME, (i, 0, 0), NO_TURN), stamp_ns=at), at)
-        with path.open("rb") as stream:
-            summary = make_reader(stream).get_summary()
-            assert summary is not None
-        [channel] = [key for key, item in summary.channels.items() if item.topic == damaged]
-        chunk = [item for item in chunks_of(path) if channel in item.message_index_offsets][-1]
-        with open_only(str(path)) as log:
-            assert is_indexed(log)
-            read_all(log)
-        flip(path, chunk.chunk_start_offset + chunk.chunk_length - 8)
-        with open_only(str(path)) as log, pytest.raises(RescanError, match="CRC"):
+@pytest.mark.parametrize("damaged", [COLOR, "/tf", DEPTH])
+def test_damage_of_what_is_not_decoded_asks_for_the_scan(tmp_path, damaged):
+    """Only a whole reading drops what is damaged; chunks of colour alone need not be whole."""
+    path = tmp_path / "x.mcap"
+    with LogFile(path, compression="none", chunk_size=1) as log:
+        write_calibration(log)
+        sender = Sender(log)
+        for i in range(60):
+            at = START + i * SECOND
+            sender.image(COLOR, i, at, at)
+            if i < 40:
+                sender.image(DEPTH, i, at, at)
+            log.ros("/tf", ros_tf(("odom", DEPTH_FRAME, (i, 0, 0), NO_TURN), stamp_ns=at), at)
+    with path.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+        assert summary is not None
+    [channel] = [key for key, item in summary.channels.items() if item.topic == damaged]
+    mine = [item for item in chunks_of(path) if channel in item.message_index_offsets]
+    with open_only(str(path)) as log:
+        assert is_indexed(log)
+        whole = read_all(log)
+    chunk = mine[30 if damaged == COLOR else -1]
+    flip(path, chunk.chunk_start_offset + chunk.chunk_length - 8)
+    with open_only(str(path)) as log:
+        if damaged == COLOR:
+            for one, other in zip(log.batches(7), whole, strict=True):
+                np.testing.assert_array_equal(one.frames.depth, other.frames.depth)
+                np.testing.assert_array_equal(one.nearest_color_ns, other.nearest_color_ns)
+        with pytest.raises(RescanError, match="CRC"):
             read_all(log)
 
 
@@ -399,7 +408,8 @@ def test_info_counts_pairs_where_it_is_told_to_check(tmp_path, capsys):
     path = str(write_log(tmp_path / "x.mcap", make_scene(20), chunk_size=6000))
     assert info.main([path]) == 0
     text = capsys.readouterr().out
-    assert "20 colour frames" in text and "not counted; see --check" in text
+    assert "20 frames" in text and "not counted; see --check" in text
     assert info.main([path, "--check"]) == 0
     text = capsys.readouterr().out
-    assert "20 within 0.15 s" in text and "CRC checked in" in text
+    assert "colour for all 20 frames, the nearest up to 4.0 ms away" in text
+    assert "CRC checked in" in text

@@ -51,7 +51,7 @@ def test_the_same_scene_in_each_serialisation(tmp_path, form):
         assert depth is not None and (depth.width, depth.height) == DEPTH_SIZE
         assert depth[2:6] == DEPTH_K and log.calibration.color_from_depth is not None
         np.testing.assert_allclose(log.calibration.color_from_depth.T, T_COLOR_DEPTH, atol=1e-12)
-        back = log.read([2, 0])
+        back = log.read([2, 0], color=True)
         np.testing.assert_array_equal(back.frames.color, scene.color[[2, 0]])
         with pytest.raises(IndexError):
             log.read([3])
@@ -75,7 +75,7 @@ def test_aligned_depth_goes_before_raw_depth(tmp_path):
         for depth, at in zip(aligned.depth, aligned.depth_ns, strict=True):
             log.ros(topic, ros_image(depth, "16UC1", int(at), COLOR_FRAME), int(at))
     with open_log(str(tmp_path / "log.mcap")) as log:
-        assert log.calibration.is_aligned and "aligned" in log.description.choices[1]
+        assert log.calibration.is_aligned and "aligned" in log.description.choices[0]
         assert_holds(log, aligned)
     with open_log(str(tmp_path / "log.mcap"), LogOptions(depth=DEPTH)) as log:
         assert not log.calibration.is_aligned
@@ -135,12 +135,22 @@ def test_images_are_decoded_where_the_caller_says(tmp_path):
     scene = make_scene(5)
     path = write_log(tmp_path / "log.mcap", scene)
     with open_log(str(path)) as log:
-        shapes = log.image_shapes
-        memory = [np.full((4, *s), 7, t) for s, t in zip(shapes, ("u1", "u2"), strict=True)]
-        batches = log.batches(4, images=lambda: (memory[0], memory[1]))
+        depth, color = (
+            np.full((4, *log.depth_shape), 7, "u2"),
+            np.full((4, *log.color_shape), 7, "u1"),
+        )
+        batches = log.batches(4, images=lambda: (depth, color), color=True)
         for start, batch in zip((0, 4), batches, strict=True):
-            assert batch.frames.color is memory[0] and batch.frames.depth is memory[1]
+            assert batch.frames.color is color and batch.frames.depth is depth
             count = len(batch.status)
-            np.testing.assert_array_equal(memory[0][:count], scene.color[start : start + 4])
-            np.testing.assert_array_equal(memory[1][:count], scene.depth[start : start + 4])
-            assert not any(images[count:].any() for images in memory)
+            np.testing.assert_array_equal(color[:count], scene.color[start : start + 4])
+            np.testing.assert_array_equal(depth[:count], scene.depth[start : start + 4])
+            assert not color[count:].any() and not depth[count:].any()
+        depth[:], color[:] = 7, 7
+        for batch in log.batches(4, images=lambda: (depth, color), color={1}):
+            count, first = len(batch.status), int(batch.frames.number[0])
+            np.testing.assert_array_equal(depth[:count], scene.depth[first : first + 4])
+            np.testing.assert_array_equal(color[1], scene.color[1] if first == 0 else 0 * color[1])
+            assert not np.delete(color, 1, 0).any()
+        for batch in log.batches(4, images=lambda: depth):
+            assert batch.frames.depth is depth and batch.frames.color is None

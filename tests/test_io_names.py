@@ -3,7 +3,6 @@
 import errno
 import os
 import struct
-import time
 from pathlib import Path
 
 import cv2
@@ -12,7 +11,7 @@ import pytest
 
 from jaxdet.errors import InputError, TopicError
 from jaxdet.io import LogFiles, LogOptions, files, find_logs, open_log
-from jaxdet.io.files import _unique_names, missing_splits, siblings
+from jaxdet.io.files import missing_splits, siblings
 from jaxdet.io.splits import Sketch, sketch
 from tests.io_helpers import (
     COLOR_FRAME,
@@ -48,39 +47,86 @@ def moved(scene: Scene, later_ns: int) -> Scene:
     return scene._replace(color_ns=scene.color_ns + later_ns, depth_ns=scene.depth_ns + later_ns)
 
 
-def test_splits_are_ordered_by_number_and_names_are_unique(tmp_path):
-    touch(tmp_path, "a/run_0.mcap", "a/run_10.mcap", "a/run_9.mcap", "a/one.mcap")
-    touch(tmp_path, "b/run_0.mcap", "b/run_1.mcap", "b/solo_3.mcap", "b/readme.txt")
+def splits(folder: Path, *later_s: float, name: str = "run") -> None:
+    """Writes numbered files of two frames, 0.1 s apart, each so much later."""
+    folder.mkdir(exist_ok=True)
+    for number, later in enumerate(later_s):
+        write_log(folder / f"{name}_{number}.mcap", moved(make_scene(2), int(later * 10**9)))
+
+
+def list_files(folder: Path, *names: str) -> None:
+    """Writes what rosbag2 says of a recording."""
+    files = "".join(f"    - {name}\n" for name in names)
+    text = f"rosbag2_bagfile_information:\n  version: 9\n  relative_file_paths:\n{files}"
+    (folder / "metadata.yaml").write_text(f"{text}  message_count: 4\n")
+
+
+def test_names_are_paths_under_the_folder_that_was_named(tmp_path):
+    touch(tmp_path, "a/run_0.mcap", "a/one.mcap", "b/run_0.mcap", "b/solo_3.mcap", "b/readme.txt")
+    list_files(tmp_path / "a", "run_0.mcap", "run_9.mcap", "run_10.mcap")
+    touch(tmp_path, "a/run_10.mcap", "a/run_9.mcap")
     logs = find_logs([str(tmp_path)])
-    assert [log.name for log in logs] == ["one", "a/run", "b/run", "solo_3"]
+    assert [log.name for log in logs] == ["a/one", "a/run", "b/run_0", "b/solo_3"]
     assert [path.name for path in logs[1].paths] == ["run_0.mcap", "run_9.mcap", "run_10.mcap"]
     again = find_logs([str(tmp_path / "b"), str(tmp_path / "a" / "*.mcap"), str(tmp_path)])
-    assert again == logs
+    assert again == logs, "a file that is named twice has its longest name"
+    for named, names in (
+        ("b", ["run_0", "solo_3"]),
+        ("b/solo_3.mcap", ["solo_3"]),
+        ("*/solo_3.mcap", ["b/solo_3"]),
+        ("b/*", ["run_0", "solo_3"]),
+    ):
+        assert [log.name for log in find_logs([str(tmp_path / named)])] == names
 
 
-def test_folders_whose_names_say_nothing_are_called_by_the_folders_they_are_in(tmp_path):
-    for name in ("attic/data", "hall/run7/data", "hall/run8", "loft/Frames"):
+def test_folders_of_images_are_called_as_they_are(tmp_path, monkeypatch):
+    for name in ("attic/data", "hall/run7/data", "hall/run8"):
         touch(tmp_path, *(f"{name}/{kind}/000001.png" for kind in ("rgb", "depth")))
-    touch(tmp_path, "data.mcap")
-    names = [log.name for log in find_logs([str(tmp_path)])]
-    assert names == ["data", "attic/data", "run8", "run7/data", "loft/Frames"]
-    assert [log.name for log in find_logs([str(tmp_path / "attic" / "data")])] == ["attic/data"]
+    names = {log.name for log in find_logs([str(tmp_path)])}
+    assert names == {"attic/data", "hall/run7/data", "hall/run8"}
+    assert [log.name for log in find_logs([str(tmp_path / "attic" / "data")])] == ["data"]
+    monkeypatch.chdir(tmp_path / "hall" / "run8")
+    assert [log.name for log in find_logs(["."])] == ["run8"]
 
 
-def test_a_folder_called_as_a_file_beside_it_does_not_change_its_name(tmp_path):
-    touch(tmp_path, "a/data.mcap", "a/data/note.txt", "b/images_0.bag", "b/images_1.bag")
-    (tmp_path / "b" / "images").mkdir()
-    assert [log.name for log in find_logs([str(tmp_path)])] == ["data", "images"]
+def test_numbered_recordings_stay_apart(tmp_path):
+    """As those of trials: 45 s, 5 s or 1.5 s apart, or with a number that is missing."""
+    splits(tmp_path / "far", 0, 45, 90)
+    splits(tmp_path / "near", 0, 1.6, 3.2)
+    splits(tmp_path / "gap", 0, 0.2, 0.4)
+    (tmp_path / "gap" / "run_1.mcap").unlink()
+    for name, count in (("far", 3), ("near", 3), ("gap", 2)):
+        logs = find_logs([str(tmp_path / name)])
+        assert [len(log.paths) for log in logs] == [1] * count, name
+        assert all("different recordings" in log.about and not log.note for log in logs)
 
 
-def test_many_logs_get_their_names_at_once(tmp_path):
-    """Whoever counts each name in all of them takes minutes."""
-    stems = [tmp_path / f"drive_{number // 4}" / f"run_{number % 4}" for number in range(60_000)]
-    start = time.perf_counter()
-    assert _unique_names(stems)[5] == "drive_1/run_1"
-    assert time.perf_counter() - start < 10
-    equal = [Path("a (2)"), Path("\n"), Path(r"\n"), Path("a"), Path("a")]
-    assert len(set(_unique_names(equal))) == len(equal)
+def test_splits_that_follow_on_are_one_recording_and_said_to_be(tmp_path):
+    splits(tmp_path, 0, 0.2, 0.4)
+    [log] = find_logs([str(tmp_path)])
+    assert log.name == "run" and len(log.paths) == 3
+    assert log.about.startswith("joined 3 files, run_0.mcap to run_2.mcap, whose topics and times")
+    with open_log(log) as opened:
+        assert log.about in opened.description.notes
+    apart = find_logs([str(tmp_path)], join=False)
+    assert [one.name for one in apart] == ["run_0", "run_1", "run_2"]
+
+
+def test_metadata_says_what_is_one_recording(tmp_path):
+    """Whatever is between the files; one that it does not list is another."""
+    splits(tmp_path, 0, 45, 90, 90.2)
+    list_files(tmp_path, "run_0.mcap", "bag/run_1.mcap", "'run_2.mcap'")
+    logs = find_logs([str(tmp_path)])
+    assert [len(log.paths) for log in logs] == [3, 1]
+    assert logs[0].about == "joined 3 files that metadata.yaml lists"
+
+
+def test_files_whose_times_cant_be_told_stay_apart(tmp_path):
+    splits(tmp_path, 0, 0.2)
+    (tmp_path / "run_1.mcap").write_bytes((tmp_path / "run_1.mcap").read_bytes()[:2000])
+    logs = find_logs([str(tmp_path)])
+    assert [len(log.paths) for log in logs] == [1, 1]
+    assert "can't be told by their indexes" in logs[0].about
 
 
 def test_links_are_called_by_their_own_names(tmp_path):
@@ -89,7 +135,9 @@ def test_links_are_called_by_their_own_names(tmp_path):
         (tmp_path / f"drives/run_{number}.mcap").symlink_to(tmp_path / "blobs" / blob)
     (tmp_path / "drives/latest.mcap").symlink_to("one.mcap")
     logs = find_logs([str(tmp_path / "drives")])
-    assert [(log.name, len(log.paths)) for log in logs] == [("one", 1), ("run", 2)]
+    assert [(log.name, len(log.paths)) for log in logs] == [
+        *(("one", 1), ("run_0", 1), ("run_1", 1))
+    ]
     one = str(tmp_path / "drives/one.mcap")
     latest = find_logs([str(tmp_path / "drives/latest.mcap")])
     assert [log.name for log in latest] == ["latest"]
@@ -123,7 +171,7 @@ def test_a_folder_that_cant_be_listed_is_a_log_that_fails(tmp_path, monkeypatch)
 def test_what_a_glob_names_twice_is_said_once(tmp_path, pattern):
     touch(tmp_path, "x/a.mcap", "x/a.db3", "x/b.svo", "x/y/c.mcap")
     logs = find_logs([str(tmp_path / pattern)])
-    assert [log.name for log in logs] == ["a", "c"]
+    assert [log.name.rpartition("/")[2] for log in logs] == ["a", "c"]
     assert logs[0].note.count("a.db3 is left out") == logs[0].note.count("b.svo is left out") == 1
 
 
@@ -188,6 +236,7 @@ def test_times_and_dates_in_names_are_no_numbers_of_splits(tmp_path):
 
 def test_numbers_of_splits_may_begin_with_zeros(tmp_path):
     touch(tmp_path, "run_000000.mcap", "run_000002.mcap", "run_000001.mcap")
+    list_files(tmp_path, *(f"run_00000{number}.mcap" for number in range(3)))
     [log] = find_logs([str(tmp_path)])
     assert [path.stem for path in log.paths] == [f"run_00000{number}" for number in range(3)]
 
@@ -196,6 +245,7 @@ def test_numbers_of_splits_with_zeros_go_on_beyond_them(tmp_path):
     """There is no minute 99: what follows is no time of day. Without it 01:00 may be one."""
     touch(tmp_path, *(f"x_{number:06d}.mcap" for number in (9998, 9999, 10000, 10001)))
     touch(tmp_path, "y_005959.mcap", "y_010000.mcap", "run_100000.mcap", "run_100500.mcap")
+    list_files(tmp_path, *(f"x_{number:06d}.mcap" for number in (9998, 9999, 10000, 10001)))
     logs = find_logs([str(tmp_path)])
     assert [(log.name, len(log.paths)) for log in logs] == [
         *(("run_100000", 1), ("run_100500", 1), ("x", 4), ("y_005959", 1), ("y_010000", 1))
@@ -220,7 +270,7 @@ def test_splits_beside_are_those_that_go_on_where_the_log_ends(tmp_path):
     [
         ([2], [(0, 1), None, (86400, 86401)], "KKK", [1]),
         ([2], [(0, 1), (1, 2), (2, 3)], "K-L", [1]),
-        ([2, 3], [(0, 1), (10, 11), (8, 9), (12, 13)], "KKKK", [0]),
+        ([2, 3], [(3, 4), (10, 11), (8, 9), (12, 13)], "KKKK", [0]),
         ([0], [(0, 1), (1, 2), (2000, 2001), (2001, 2002)], "KKKK", [1]),
     ],
 )
@@ -309,7 +359,7 @@ def test_compressed_topics(tmp_path):
             message = ros_compressed(body, "16UC1; compressedDepth png", at, DEPTH_FRAME)
             log.ros("/cam/depth/image_rect_raw/compressedDepth", message, at)
     with open_log(str(tmp_path / "x.mcap")) as log:
-        frames = log.read([0, 1]).frames
+        frames = log.read([0, 1], color=True).frames
         np.testing.assert_array_equal(frames.color, scene.color)
         np.testing.assert_array_equal(frames.depth, scene.depth)
 

@@ -26,10 +26,10 @@ def test_real_unaligned_log(shared_data):
 def test_real_pair_with_factory_calibration(shared_data):
     path = shared_data / "realsense_d435_bag" / "realsense_d435_1pair.mcap"
     with open_log(str(path)) as log:
-        pairing = log.described(next(log.batches(1)).notes).pairing
+        pairing = log.described(next(log.batches(2)).notes).pairing
         assert pairing is not None
-        assert (pairing.num_paired, pairing.num_unpaired_depth) == (1, 1)
-        assert pairing.unpaired_depth_stamps_ns.tolist() == [1600000360981765000]
+        assert (pairing.num_frames, pairing.num_with_color) == (2, 1)
+        assert log.stamps_ns[1] == 1600000360981765000
         t = np.array([0.01431131, 0.00060231, 0.00061080])
         q = np.array([-5.3199e-05, 0.00646343, 0.00515485, 0.99996585])
         assert log.calibration.color_from_depth is not None

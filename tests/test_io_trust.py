@@ -34,6 +34,11 @@ from tests.io_helpers import (
     COLOR_INFO,
     COLOR_K,
     COLOR_SIZE,
+    DEPTH,
+    DEPTH_FRAME,
+    DEPTH_INFO,
+    DEPTH_K,
+    DEPTH_SIZE,
     SECOND,
     START,
     STORE,
@@ -65,7 +70,7 @@ def test_a_chunk_that_the_index_counts_is_missed(tmp_path, name):
         [file] = log.description.integrity
         assert log.num_frames < 8 and file.recovered
         assert file.lost["chunk of the index isn't there"] == 1 and file.lost_bytes > 0
-        assert file.missing[COLOR] == 8 - log.num_frames and len(file.lost_spans_ns) == 1
+        assert file.missing[DEPTH] == 8 - log.num_frames and len(file.lost_spans_ns) == 1
         assert f"messages of {COLOR} missing" in " ".join(log.description.warnings)
         assert "nothing tells" not in file.text
 
@@ -157,20 +162,20 @@ def test_a_file_that_is_cut_while_it_is_scanned(tmp_path):
 
 
 def other_calibration(path: Path, changed: range, K: tuple[float, ...]) -> Path:
-    """A log with a CameraInfo beside each colour image, in a range another one."""
+    """A log with a CameraInfo next to each depth image, in a range another one."""
     with LogFile(path, chunk_size=9000) as log:
         write_calibration(log)
         for number in range(8):
-            at = int(SCENE.color_ns[number])
+            at = int(SCENE.depth_ns[number])
             part = SCENE._replace(**{k: v[number : number + 1] for k, v in SCENE._asdict().items()})
-            used = K if number in changed else COLOR_K
-            log.ros(COLOR_INFO, ros_info(COLOR_SIZE, used, at, COLOR_FRAME), at)
+            used = K if number in changed else DEPTH_K
+            log.ros(DEPTH_INFO, ros_info(DEPTH_SIZE, used, at, DEPTH_FRAME), at)
             write_images(log, part)
     return path
 
 
 def test_frames_of_another_calibration_are_not_used(tmp_path):
-    path = other_calibration(tmp_path / "x.mcap", range(4, 6), (60.0, 51.0, 20.5, 14.5))
+    path = other_calibration(tmp_path / "x.mcap", range(4, 6), (60.0, 51.0, 15.5, 11.5))
     with open_log(str(path)) as log, pytest.raises(RescanError, match="the calibration changes"):
         list(log.batches(3))
     with open_log(str(path), LogOptions(scan=True)) as log:
@@ -178,7 +183,7 @@ def test_frames_of_another_calibration_are_not_used(tmp_path):
         good, bad = FrameStatus.OK, FrameStatus.BAD_CALIBRATION
         assert batch.status == (good,) * 4 + (bad,) * 2 + (good,) * 2
         assert "calibration is another one" in batch.errors[4]
-        assert not batch.frames.color[4:6].any() and not batch.frames.depth[4:6].any()
+        assert not batch.frames.depth[4:6].any()
         assert any("frames with another calibration" in t for t in log.description.warnings)
 
 
@@ -191,8 +196,8 @@ def test_a_calibration_that_changes_before_the_part_that_is_read(tmp_path, part)
         write_calibration(log)
         write_images(log, scene)
         at = int(scene.color_ns[20])
-        message = ros_info(COLOR_SIZE, (60.0, 51.0, 20.5, 14.5), at, COLOR_FRAME)
-        log.ros(COLOR_INFO, message, at)
+        message = ros_info(DEPTH_SIZE, (60.0, 51.0, 15.5, 11.5), at, DEPTH_FRAME)
+        log.ros(DEPTH_INFO, message, at)
     options = LogOptions(**part)
     with open_log(str(path), options) as log, pytest.raises(RescanError, match="calibration chan"):
         list(log.batches(3))
@@ -205,8 +210,8 @@ def test_a_camera_that_is_not_calibrated_for_a_while_says_nothing(tmp_path):
 
 
 def test_given_intrinsics_go_before_calibrations_that_change(tmp_path):
-    path = other_calibration(tmp_path / "x.mcap", range(4, 8), (60.0, 51.0, 20.5, 14.5))
-    with open_log(str(path), LogOptions(color_intrinsics=COLOR_K)) as log:
+    path = other_calibration(tmp_path / "x.mcap", range(4, 8), (60.0, 51.0, 15.5, 11.5))
+    with open_log(str(path), LogOptions(depth_intrinsics=DEPTH_K)) as log:
         assert all(status is FrameStatus.OK for b in log.batches(3) for status in b.status)
 
 
@@ -228,12 +233,12 @@ def test_numbered_files_are_one_log_only_if_they_belong_together(tmp_path):
     for number in range(3):
         drive(tmp_path / f"x_{number}.mcap", START + number * SECOND)
     assert names_of(tmp_path) == [("x", 3)]
-    drive(tmp_path / "x_3.mcap", START + 3 * SECOND, (60.0, 51.0, 20.5, 14.5))
-    drive(tmp_path / "x_4.mcap", START + 4 * SECOND, (60.0, 51.0, 20.5, 14.5))
+    drive(tmp_path / "x_3.mcap", START + 3 * SECOND, (60.0, 51.0, 15.5, 11.5))
+    drive(tmp_path / "x_4.mcap", START + 4 * SECOND, (60.0, 51.0, 15.5, 11.5))
     assert names_of(tmp_path) == [("x_0", 3), ("x_3", 2)]
     [first, second] = find_logs([str(tmp_path)])
     assert first.note == second.note and "another calibration" in first.note
-    drive(tmp_path / "x_5.mcap", START + 9000 * SECOND, (60.0, 51.0, 20.5, 14.5))
+    drive(tmp_path / "x_5.mcap", START + 9000 * SECOND, (60.0, 51.0, 15.5, 11.5))
     notes = [log.note for log in find_logs([str(tmp_path)])]
     assert notes[0] == first.note and notes[1] == f"{notes[0]}; {notes[2]}"
     assert "x_4.mcap and x_5.mcap are different recordings: there are" in notes[2]
@@ -256,7 +261,7 @@ def test_a_drive_does_not_take_the_calibration_of_another(tmp_path):
     with LogFile(tmp_path / "drive_1.mcap") as log:
         write_images(log, make_scene(3))
     drive(tmp_path / "drive_2.mcap", START + 100_000 * SECOND)
-    with pytest.raises(JaxdetError, match="no calibration of the colour camera"):
+    with pytest.raises(JaxdetError, match="no calibration of the depth camera"):
         open_log(str(tmp_path / "drive_1.mcap"))
 
 
@@ -422,7 +427,7 @@ def test_errors_that_pass_cost_nothing(tmp_path, fail):
     assert waited[:3] == [0.1, 0.5, 2.0] and len(waited) >= 6
     for one, other in zip(found, want, strict=True):
         assert one.status == other.status == (FrameStatus.OK,) * len(one.status)
-        assert (one.frames.color == other.frames.color).all()
+        assert (one.frames.color_stamp_ns == other.frames.color_stamp_ns).all()
         assert (one.frames.depth == other.frames.depth).all()
 
 

@@ -13,13 +13,22 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import jaxdet.memory
-from jaxdet import engine
 from jaxdet.cli.main import main
 from jaxdet.config import Config, GroundConfig
 from jaxdet.engine import RunOptions
-from jaxdet.engine.memory import ALONE, BATCH, MIB, PARENT, TABLES, WORKER, Allotment, Memory, Needs
+from jaxdet.engine.memory import (
+    ALONE,
+    BATCH,
+    MIB,
+    PARENT,
+    TABLES,
+    WORKER,
+    Memory,
+    MemoryPlan,
+    Needs,
+)
 from jaxdet.errors import CalibrationError, ConfigError, InputError
-from jaxdet.io import LogOptions, find_logs, open_log
+from jaxdet.io import LogOptions, open_log
 from jaxdet.io.limits import ReadMemory
 from jaxdet.memory import machine_memory, parse_size, size_text
 from tests.io_helpers import (
@@ -31,7 +40,8 @@ from tests.io_helpers import (
     write_images,
     write_log,
 )
-from tests.test_workers import same_results
+from tests.pools import same_results
+from tests.runs import run_logs
 
 ROOT = Path(__file__).resolve().parents[1]
 GIB = 1 << 30
@@ -85,12 +95,13 @@ def test_control_groups_count(tmp_path, monkeypatch, groups, files, expected):
     assert machine_memory() == min(expected or 1 << 60, int(without) << 10)
 
 
-def used(memory: Memory, allotted: Allotment, needs: Needs) -> int:
+def used(memory: Memory, allotted: MemoryPlan, needs: Needs) -> int:
     """By the figures that the module gives, but in its own words."""
     processes = ALONE if allotted.workers == 1 else PARENT + allotted.workers * WORKER
     images = (5 + allotted.read_ahead) * allotted.batch * needs.frame
     all_images = allotted.workers * (images + memory.chunks)
-    return processes + all_images + needs.known * (1 + allotted.workers) + needs.rows
+    copies = 1 + allotted.workers + (allotted.workers > 1)
+    return processes + all_images + needs.known * copies + needs.rows
 
 
 @given(
@@ -178,8 +189,8 @@ def test_a_log_of_large_chunks_is_read_by_fewer_workers(tmp_path, monkeypatch, e
     config = Config(GroundConfig(source="none"))
 
     def run(name: str, **options: Any) -> Any:
-        how = RunOptions(tmp_path / name, "reference", 5, pictures=0, **options)
-        return engine.run(find_logs([str(tmp_path / "a.mcap")]), config, LogOptions(), how)
+        how = {"backend": "reference", "batch_size": 5, "pictures": 0, **options}
+        return run_logs(tmp_path / "a.mcap", tmp_path / name, config, **how)
 
     many = run("a", workers=5, memory="2GiB")
     assert not many.failed and many.workers == 2
@@ -255,15 +266,3 @@ def test_a_run_stays_below_what_it_was_given(tmp_path):
     assert small["peak"] < GIB < large["peak"]
     assert small["batch"] < large["batch"]
     assert small["rows"] == large["rows"]
-
-
-def test_memory_is_no_part_of_the_configuration(tmp_path):
-    from jaxdet.config import Config
-    from jaxdet.engine.record import make_record
-
-    log = find_logs([str(write_log(tmp_path / "a.mcap", make_scene(2)))])
-    records = [
-        make_record(log, Config(), LogOptions(), RunOptions(tmp_path, memory=memory), {}, None)
-        for memory in (None, "2GiB")
-    ]
-    assert records[0] == records[1]

@@ -15,7 +15,6 @@ import pytest
 
 from jaxdet.cli import main
 from jaxdet.errors import InputError
-from jaxdet.quiet import remove_torn
 from jaxdet.render import draw_map
 from jaxdet.results.occupancy import MapImage
 from jaxdet.sim import SimConfig, load_depths, load_truth, truth, write_log
@@ -224,29 +223,6 @@ def test_an_error_of_our_own_is_one_line_and_a_file(capsys, monkeypatch, tmp_pat
     [report] = tmp_path.glob("jaxdet-*.txt")
     assert str(report) in text and "not foreseen" in report.read_text()
     assert "\x1b" not in report.read_text()
-
-
-def test_torn_kernels_are_removed_from_the_cache(tmp_path):
-    def module(name: str, object_bytes: bytes, meta: bytes = b"{}") -> Path:
-        folder = tmp_path / f"wp_{name}"
-        folder.mkdir()
-        (folder / f"{name}.o").write_bytes(object_bytes)
-        (folder / f"{name}.meta").write_bytes(meta)
-        return folder
-
-    head = bytes(40) + struct.pack("<Q10xHH", 100, 64, 2)
-    whole = module("jaxdet_kernels.a_1", head.ljust(228, b"\0"))
-    torn = [
-        module("jaxdet_kernels.b_1", head.ljust(227, b"\0")),
-        module("jaxdet_kernels.c_1", b""),
-        module("jaxdet_kernels.d_1", head.ljust(228, b"\0"), b"{"),
-    ]
-    others = module("of_somebody_else", b"")
-    written = module("jaxdet_kernels.e_1_p4147_t140302211824512", b"")  # by another process now
-    left = module("jaxdet_kernels.f_1_p4148_t140302211824512", b"")  # by one that was killed
-    os.utime(left, (0, 0))
-    assert sorted(remove_torn(tmp_path)) == [*torn, left]
-    assert sorted(tmp_path.iterdir()) == sorted([whole, others, written])
 
 
 @pytest.mark.parametrize("far_m", [1e-3, 3.0, 1e8, 1e14])

@@ -4,7 +4,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
-import jax
 import numpy as np
 import pytest
 
@@ -26,10 +25,10 @@ from jaxdet.sim.config import calibration_of
 from jaxdet.stages import _obstacles
 from jaxdet.types import Frames, GroundPlane
 from tests.scenes import frames
+from tests.steps import obstacles
 
 UNIT = 0.001
 CONFIG = Config().obstacle
-program = jax.jit(_obstacles.obstacles)
 
 
 class Given(NamedTuple):
@@ -51,7 +50,7 @@ def assert_twin(
     view = tuple(a if a.dtype == bool else a.astype(np.int32) for a in arrays)
     label = np.stack([one.label for one in given]).astype(np.int32)
     free = np.stack([one.free for one in given])
-    found, count = program(label, free, view, shared)
+    found, count = obstacles(label, free, view, shared)
     true = [reference(*one, farthest, unit, config) for one in given]
     np.testing.assert_array_equal(np.asarray(found), np.stack(true))
     counts = [int(one.max(initial=-1)) + 1 for one in true]
@@ -160,10 +159,10 @@ def test_a_table_that_could_overflow() -> None:
 
 def test_too_large_a_grid() -> None:
     none = np.zeros((1, 2, 513), np.int32)
-    view = (*(6 * [none]), none > 0)
+    view = 6 * [none]
     shared = _obstacles.tables(4000, UNIT, CONFIG, affinity("surfaces", UNIT))
     with pytest.raises(ValueError, match="513 x 2 cells"):
-        program(none, none > 0, view, shared)
+        obstacles(none, none > 0, view, shared)
 
 
 # twin

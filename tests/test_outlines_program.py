@@ -1,20 +1,19 @@
 """The kernel of outlines: equal to the reference, field by field."""
 
-from functools import partial
 from pathlib import Path
-from typing import Any
 
-import jax
 import numpy as np
 import pytest
 
+from jaxdet.camera import cell_side
 from jaxdet.config import Config
 from jaxdet.floor.plane import unknown_plane
 from jaxdet.reference._detect import _outlines
 from jaxdet.results.metric import extents
-from jaxdet.stages._outlines import outlines, tables
+from jaxdet.stages._outlines import tables
 from jaxdet.types import MAX_OBSTACLES
 from tests.scenes import assert_equal, small
+from tests.steps import outlines
 from tests.surface_frames import (
     SURFACES,
     Batch,
@@ -26,15 +25,6 @@ from tests.surface_frames import (
     simulated,
 )
 
-_traced: list[int] = []
-"""One for each time that the program is traced."""
-
-
-@partial(jax.jit, static_argnums=5)
-def _program(*arguments: Any) -> Any:
-    _traced.append(1)
-    return outlines(*arguments)
-
 
 def assert_twins(batch: Batch, config: Config = SURFACES) -> int:
     """Holds the kernel to the reference; how many obstacles there are."""
@@ -42,8 +32,9 @@ def assert_twins(batch: Batch, config: Config = SURFACES) -> int:
     count = (label.max(axis=(1, 2)) + 1).astype(np.int32)
     kept = np.minimum(count, MAX_OBSTACLES)
     measured, shapes = _outlines(batch.grid, batch.found, kept, batch.calibration, config)
-    shared, static = tables(batch.calibration, config)
-    twin = _program(label, count, batch.grid, batch.floor, shared, static)
+    side = cell_side(batch.calibration.depth, config.surface.cell_rad)
+    shared = tables(batch.calibration, config)
+    twin = outlines(label, count, batch.grid, batch.floor, shared, side)
     assert_equal(twin.obstacles, measured)
     for got, want in zip(twin[1:], shapes, strict=True):
         np.testing.assert_array_equal(np.asarray(got), want, strict=True)
@@ -75,14 +66,6 @@ def test_random_frames(shape: tuple[int, int, int], obstacles: int, reach: int) 
 def test_settings(footprint: dict[str, float]) -> None:
     batch = drawn((2, 30, 50), 6, seed=2, reach=2500, block=7)
     assert assert_twins(batch, changed(**footprint)) == 12
-
-
-def test_a_setting_compiles_nothing_anew() -> None:
-    batch = drawn((2, 30, 50), 6, seed=2)
-    assert_twins(batch)
-    before = len(_traced)
-    assert_twins(batch, changed(trim=1, long_m=1.0, vertex_threshold_m=0.2))
-    assert len(_traced) == before
 
 
 def test_more_obstacles_than_there_are_slots() -> None:

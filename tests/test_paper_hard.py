@@ -41,9 +41,9 @@ def with_outline(found, left, right, near, far):
     obstacles = found.obstacles
     direction, span = obstacles.direction.copy(), obstacles.span.copy()
     direction[0, 0], span[0, 0] = (1, 0), (left, right, near, far)
-    labels = found.labels._replace(num_obstacles=np.array([1], np.int32))
+    one = np.array([1], np.int32)
     return found._replace(
-        obstacles=obstacles._replace(direction=direction, span=span), labels=labels
+        obstacles=obstacles._replace(direction=direction, span=span), num_obstacles=one
     )
 
 
@@ -53,7 +53,7 @@ def test_the_floor_that_outlines_claim(box):
     points = truth.points_m[truth.drivable]
     near = points[np.hypot(*points.T) <= 4.0]
 
-    nothing = found._replace(labels=found.labels._replace(num_obstacles=np.zeros(1, np.int32)))
+    nothing = found._replace(num_obstacles=np.zeros(1, np.int32))
     drivable, claimed = claim_of(shot, nothing, CONFIG)
     assert claimed == 0
     # Not all of it is measured.

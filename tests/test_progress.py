@@ -93,13 +93,13 @@ def test_a_terminal_that_goes_away_ends_nothing(monkeypatch) -> None:
 def test_many_logs_have_a_line_each_and_their_warnings_once() -> None:
     logs = [LogSummary(f"drive_{number:03}", ()) for number in range(300)]
     for number, log in enumerate(logs):
-        log.frames, log.obstacles, log.status = 10, number, Counter(ok=9, unpaired=1)
+        log.frames, log.obstacles, log.status = 10, number, Counter(ok=9, no_color=1)
         log.warnings = [*[f"of {number} alone"] * (number < 40), "no frame has depth"]
         log.notes = ["no map: no frame has a pose"]
     logs[7].error = "drive_007: torn"
     lines = summary_lines(Summary("jax", 16, logs, 20.0), Path("out"))
     assert len(lines) == 300 + 12 + 1 + 1 + 2
-    assert lines[3] == "drive_003: 10 frames (9 ok, 1 unpaired), 3 obstacles"
+    assert lines[3] == "drive_003: 10 frames (9 ok, 1 no_color), 3 obstacles"
     assert lines[7] == "drive_007: failed after 10 frames"
     first = "drive_000, drive_001, drive_002 and 296 more"
     assert lines[300] == f"warning    {first}: no frame has depth"
@@ -107,7 +107,7 @@ def test_many_logs_have_a_line_each_and_their_warnings_once() -> None:
     assert lines[312] == "warning    28 more in summary.json"
     assert lines[313] == f"note       {first}: no map: no frame has a pose"
     assert lines[-2].endswith("; 1 of 300 logs failed") and lines[-1] == "results: out (tables)"
-    assert "  frames     10 (9 ok, 1 unpaired)" in summary_lines(
+    assert "  frames     10 (9 ok, 1 no_color)" in summary_lines(
         Summary("jax", 16, logs[:MANY_LOGS], 20.0), Path("out")
     )
 

@@ -16,7 +16,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from jaxdet.results.schemas import FRAMES_SCHEMA, OBSTACLES_SCHEMA
-from tests.export_results import run, sim_log
+from tests.export_results import sim_log
+from tests.runs import run_logs
 
 PAGE = Path(__file__).resolve().parents[1] / "jaxdet" / "help" / "queries.md"
 TEXT = PAGE.read_text(encoding="utf-8")
@@ -35,25 +36,35 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "logs").mkdir()
     for name in ("a", "b"):
         sim_log(folder / "logs" / f"{name}.mcap", seed=ord(name))
-    run(folder / "logs", folder / "results")
-    path = folder / "results" / "frames.parquet"
-    rows = pq.read_table(path).to_pylist()
+    run_logs(folder / "logs", folder / "results", backend="reference", pictures=1)
+    rows = _rows(folder, "frames")
     for row in rows:
-        row["depth_stamp_ns"] += 85  # which float64 can't tell from 0
-    for i, status in ((2, "unpaired"), (5, "no_depth"), (9, "unpaired"), (10, "unpaired")):
+        row["color_stamp_ns"] += 85  # which float64 can't tell from 0
+    for i, status in ((2, "timeout"), (5, "no_depth"), (9, "timeout"), (10, "timeout")):
         rows[i] |= {"status": status, "free_bearing_rad": None, "free_to_m": None}
-        rows[i]["depth_stamp_ns"] = None
+        rows[i]["color_stamp_ns"] = None
     for i, drop in ((1, 1.25), (7, 1.5), (8, 3.0)):
         rows[i]["drop_m"] = drop
     rows[7]["camera_position_world"] = None
-    pq.write_table(pa.Table.from_pylist(rows, schema=FRAMES_SCHEMA), path)
-    path = folder / "results" / "obstacles.parquet"
-    table = pq.read_table(path)
-    rows = table.to_pylist()
+    _write(folder, "frames", rows, FRAMES_SCHEMA)
+    rows = _rows(folder, "obstacles")
     rows[1]["bottom_m"], rows[3]["bottom_m"] = 0.5, 0.45
     rows[4] |= {"bottom_m": None, "top_m": None, "corners_world": None}
-    pq.write_table(pa.Table.from_pylist(rows, schema=table.schema), path)
+    _write(folder, "obstacles", rows, OBSTACLES_SCHEMA)
     return folder
+
+
+def _rows(folder: Path, name: str) -> list[dict[str, Any]]:
+    """The rows of a table of both logs."""
+    paths = (folder / "results" / log / f"{name}.parquet" for log in "ab")
+    return [row for path in paths for row in pq.read_table(path).to_pylist()]
+
+
+def _write(folder: Path, name: str, rows: list[dict[str, Any]], schema: pa.Schema) -> None:
+    for log in "ab":
+        own = [row for row in rows if row["log"] == log]
+        path = folder / "results" / log / f"{name}.parquet"
+        pq.write_table(pa.Table.from_pylist(own, schema=schema), path)
 
 
 def last_value(text: str, names: dict[str, Any]) -> Any:
@@ -116,12 +127,12 @@ def test_stamps_are_exact_where_some_are_missing(
     engine: str, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(folder)
-    stamps = pq.read_table("results/frames.parquet")["depth_stamp_ns"]
+    stamps = pq.read_table("results/frames.parquet")["color_stamp_ns"]
     assert stamps.null_count and any(int(float(one)) != one for one in stamps.to_pylist() if one)
     text = {
-        "python pandas": 'frames[["depth_stamp_ns"]].dropna()',
-        "python polars": 'frames.select("depth_stamp_ns").drop_nulls()',
-        "sql": "SELECT depth_stamp_ns FROM frames WHERE depth_stamp_ns IS NOT NULL",
+        "python pandas": 'frames[["color_stamp_ns"]].dropna()',
+        "python polars": 'frames.select("color_stamp_ns").drop_nulls()',
+        "sql": "SELECT color_stamp_ns FROM frames WHERE color_stamp_ns IS NOT NULL",
     }[engine]
     _, rows = answer(engine, START[engine], text)
     assert [int(one) for (one,) in rows] == stamps.drop_null().to_pylist()
@@ -161,7 +172,7 @@ def test_answers_are_those_of_the_tables(folder: Path, monkeypatch: pytest.Monke
         name: f"pictures/{name}_000000.png" for name in "ab"
     }
     lost = [(log, status, count) for log, _, status, count in sql(5)]
-    assert lost == [("a", "no_depth", 1), ("a", "unpaired", 1), ("b", "unpaired", 2)]
+    assert lost == [("a", "no_depth", 1), ("a", "timeout", 1), ("b", "timeout", 2)]
     assert [bottom for *_, bottom, _ in sql(6)][:2] == [0.5, pytest.approx(0.45)]
     assert len(sql(7)) == 8 and [frames for *_, frames, _ in sql(8)] == [6, 6]
     assert [seconds for *_, seconds in sql(8)] == [2.5, 2.5]

@@ -12,6 +12,7 @@ import pytest
 from jaxdet.config import Config
 from jaxdet.floor.plane import flat_plane, unknown_plane
 from jaxdet.pipeline import detect
+from jaxdet.presets import preset
 from jaxdet.render import camera, canvas, draw_frame, draw_map, topview, write_png
 from jaxdet.render.topview import View, ground_points
 from jaxdet.results.metric import floors, rectangles
@@ -35,12 +36,13 @@ def scene(width: int = 160, height: int = 120) -> Frames:
     color = np.repeat(grey[None, ..., None], 3, axis=3)
     calibration = Calibration(camera, camera, STILL)
     valid = np.ones(1, bool)
-    return Frames(color, depth[None], calibration, stamps, stamps, stamps, valid, None, plane)
+    return Frames(depth[None], calibration, stamps, stamps, valid, color, plane=plane)
 
 
 def picture(frames: Frames) -> np.ndarray:
     config = Config()
-    found = to_host(detect(frames, config, backend="reference"))
+    read = frames._replace(color=None)
+    found = to_host(detect(read, config, backend="reference", with_cells=True))
     corners = rectangles(found.obstacles, 0.001, config.footprint)
     return draw_frame(frames, found, corners, 0, config, "name   frame 0")
 
@@ -66,6 +68,68 @@ def test_a_frame_without_obstacles_and_floor() -> None:
     assert not has_color(image[40:-40], canvas.color_of(0))
 
 
+def test_cells_of_an_obstacle_are_tinted_in_its_colour() -> None:
+    frames = scene()
+    image = picture(frames)[46:586, 10:730]
+    assert frames.color is not None
+    plain = cv2.resize(frames.color[0], (720, 540), interpolation=cv2.INTER_CUBIC)
+    inside = image[200:300, 450:600].astype(int).mean(axis=(0, 1))
+    was = 0.82 * plain[200:300, 450:600].astype(int).mean(axis=(0, 1))
+    np.testing.assert_allclose(inside, was + 0.42 * (np.array(canvas.color_of(0)) - was), atol=3)
+    outside = image[400:500, 50:300].astype(int).mean(axis=(0, 1))
+    np.testing.assert_allclose(outside, 0.82 * plain[400:500, 50:300].mean(axis=(0, 1)), atol=2)
+
+
+@pytest.mark.parametrize("why", ["none", "not read", "other size"])
+def test_without_colour_the_picture_is_of_depth(why: str) -> None:
+    frames = scene()
+    assert frames.color is not None
+    shown = {
+        "none": {"color": None},
+        "not read": {"color": np.zeros_like(frames.color), "color_stamp_ns": np.array([-1])},
+        "other size": {"color": frames.color[:, ::2, ::2]},
+    }[why]
+    calibration = frames.calibration
+    if why == "other size":  # whose relation to depth is not known
+        calibration = Calibration(calibration.depth)
+    given = frames._replace(**shown, calibration=calibration)
+    assert not camera.has_color(given, 0) and camera.has_color(frames, 0)
+    view = camera.shown_image(given, 0, Config())
+    assert view.image.shape == (120, 160, 3) and view.calibration.color is None
+    assert not view.image[frames.depth[0] == 0].any()
+    image = picture(given)[46:586, 10:730]
+    assert has_color(image, canvas.color_of(0)) and not has_color(image, canvas.color_of(1))
+
+
+def test_near_is_warm_and_far_is_cold() -> None:
+    depth = np.array([[0, 200, 1000, 3900, 60000]], np.uint16)
+    none, near, middle, far, beyond = camera.depth_picture(depth, 0.001, 0.15, 4.0)[0].astype(int)
+    assert not none.any() and near[0] > 150 > near[2] and far[2] > far[0]
+    assert middle.tolist() not in (near.tolist(), far.tolist())
+    assert np.abs(far - beyond).max() < 30
+
+
+def test_a_box_outside_of_the_colour_image_is_not_drawn() -> None:
+    frames = scene()
+    calibration = frames.calibration
+    aside = Extrinsics((1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0), (-2.0, 0.0, 0.0))
+    moved = frames._replace(calibration=calibration._replace(color_from_depth=aside))
+    image = picture(moved)
+    assert not has_color(image[46:586, 10:730], canvas.color_of(0))
+    assert has_color(image[46:586, 740:], canvas.color_of(0))
+    of_depth = picture(moved._replace(color=None))
+    assert has_color(of_depth[46:586, 10:730], canvas.color_of(0))
+
+
+def test_the_preset_paper_shows_its_corners() -> None:
+    frames, config = scene(), preset("paper")
+    found = to_host(detect(frames, config, backend="reference"))
+    corners = rectangles(found.obstacles, 0.001, config.footprint)
+    image = draw_frame(frames, found, corners, 0, config, "")
+    assert found.points is not None and found.num_obstacles[0]
+    assert has_color(image[46:586, 10:730], canvas.color_of(0))
+
+
 def test_a_wide_image_keeps_its_shape() -> None:
     image = picture(scene(width=400, height=120))
     assert image.shape[1] < 1550
@@ -75,10 +139,11 @@ def test_top_view_puts_right_to_the_right() -> None:
     view = View(center=100, bottom=200, scale=50)
     np.testing.assert_allclose(view.pixels(np.array([1.0, 2.0])), [150, 100])
     frames = scene()
-    found = to_host(detect(frames, Config(), backend="reference"))
-    assert frames.plane is not None
-    points = ground_points(found.features, 0, frames.plane, 0.001)[found.features.valid[0]]
-    assert (points[:, 0] > 0).all()
+    found = to_host(detect(frames, Config(), backend="reference", with_cells=True))
+    assert frames.plane is not None and found.cells is not None
+    own = found.cells.label[0].ravel() == 0
+    points = ground_points(found.cells.cells, 0, frames.plane, 0.001)[own]
+    assert len(points) and (points[:, 0] > 0).all()
     np.testing.assert_allclose(points[:, 1], 1.2, atol=2e-3)
 
 
@@ -91,11 +156,11 @@ def test_a_scene_shows_free_floor_and_drops() -> None:
     depth[30:80, 90:140] = 1200
     frames = frames._replace(depth=depth[None].astype(np.uint16))
     config = Config()
-    found = to_host(detect(frames, config, backend="reference"))
+    found = to_host(detect(frames, config, backend="reference", with_cells=True))
     assert found.scene is not None and floors(found.scene, 0.001).own[0]
     corners = rectangles(found.obstacles, 0.001, config.footprint)
     image = draw_frame(frames, found, corners, 0, config, "")[46:-40]
-    assert found.labels.num_obstacles[0] == 1 and has_color(image, canvas.color_of(0))
+    assert found.num_obstacles[0] == 1 and has_color(image, canvas.color_of(0))
     assert has_color(image[:, -540:], canvas.DROP)
     assert not has_color(image[:, :-550], canvas.DROP)
     above = image[:, -550:-10]
@@ -118,7 +183,8 @@ def test_free_floor_is_drawn_between_neighbours_alone() -> None:
 
 def test_labels_of_boxes_stay_in_the_picture() -> None:
     boxes = [(590.0, 5.0, 638.0, 90.0), (-3.0, -3.0, 20.0, 20.0), (592.0, 6.0, 636.0, 80.0)]
-    chips = camera._chips(boxes, ["0   1.00 m", "1   2.00 m", "2   3.00 m"], 640, 480)
+    texts = {0: "0   1.00 m", 1: "1   2.00 m", 2: "2   3.00 m"}
+    chips = camera._chips(dict(enumerate(boxes)), texts, 640, 480)
     for chip in chips:
         left, top, right, bottom = chip.box
         assert 0 <= left < right <= 640 and 0 <= top < bottom <= 480

@@ -26,10 +26,9 @@ def frame_rows(start: int, stop: int) -> dict:
         **{name: np.full(n.size, "a", object) for name in ("log", "camera")},
         "frame": n,
         "stamp_ns": n * 10,
-        "depth_stamp_ns": np.ma.masked_equal(np.where(n % 2, n * 10, -1), -1),
+        "color_stamp_ns": np.ma.masked_equal(np.where(n % 2, n * 10, -1), -1),
         "log_time_ns": np.ma.masked_equal(n * 10 + 3, 13),
-        "status": np.where(n % 2, "ok", "unpaired").astype(object),
-        "num_features": count,
+        "status": np.where(n % 2, "ok", "no_color").astype(object),
         "num_obstacles": count,
         "overflow": n % 3 == 0,
         "camera_height_m": np.where(n % 5, 0.6, np.nan),
@@ -62,7 +61,7 @@ def obstacle_rows(start: int, stop: int) -> dict:
     corners = np.repeat(n[:, None], 8, axis=1).astype(np.float32)
     world = np.where(n[:, None] % 2, corners, np.nan)
     rows |= {"log": np.full(n.size, "a", object), "camera": np.full(n.size, "c", object)}
-    rows |= {"frame": n, "stamp_ns": n}
+    rows |= {"frame": n, "stamp_ns": n, "box_image": np.full(n.size, "depth", object)}
     return rows | {
         "vertices": (n % 2).astype(np.int8),
         "corners_ground": corners,
@@ -88,7 +87,7 @@ def test_round_trip_with_nulls(tmp_path: Path) -> None:
     obstacles = pq.read_table(tmp_path / "obstacles.parquet", page_checksum_verification=True)
     assert frames.schema.equals(FRAMES_SCHEMA)
     assert obstacles.schema.equals(OBSTACLES_SCHEMA)
-    assert frames["depth_stamp_ns"].to_pylist()[:4] == [None, 10, None, 30]
+    assert frames["color_stamp_ns"].to_pylist()[:4] == [None, 10, None, 30]
     assert frames["camera_height_m"].to_pylist()[:2] == [None, pytest.approx(0.6)]
     assert obstacles["corners_world"].to_pylist()[:2] == [None, [1.0] * 8]
     assert obstacles["corners_ground"].to_pylist()[2] == [2.0] * 8

@@ -26,7 +26,7 @@ SCHEMAS = {"frames": FRAMES_SCHEMA, "obstacles": OBSTACLES_SCHEMA}
 FREE = ("free_bearing_rad", "free_from_m", "free_to_m", "free_end")
 POINT_COLUMNS = {
     "frames": (
-        *("log", "frame", "stamp_ns", "depth_stamp_ns", "status", "num_features"),
+        *("log", "frame", "stamp_ns", "status"),
         *("num_obstacles", "overflow", "camera_height_m", "camera_pitch_rad", "camera_roll_rad"),
     ),
     "obstacles": (
@@ -75,7 +75,7 @@ def digest(rows: dict[str, dict]) -> str:
 
 
 def test_columns_of_points_keep_their_values() -> None:
-    assert digest(columns("paper")) == "dae513aa8e14619a"
+    assert digest(columns("paper")) == "19cd67a75f51c790"
 
 
 def test_points_have_no_contour_and_no_free_floor() -> None:
@@ -180,7 +180,7 @@ def test_a_batch_is_its_frames(name: str) -> None:
     for whole, parts in zip(together, zip(*singles, strict=True), strict=True):
         assert whole.equals(pa.concat_tables(parts).combine_chunks()) and whole.num_rows >= 2
     joined = Batch.joined(frames)
-    assert not joined.frames.color.size
+    assert joined.frames.color is None and not joined.frames.depth.size
     joined = joined._replace(frames=joined.frames._replace(plane=batch.frames.plane))
     assert tables(joined, joined_inputs(held), config) == together
 
@@ -189,9 +189,9 @@ def test_a_batch_is_its_frames(name: str) -> None:
 def test_inputs_can_be_made_on_the_device_and_cut_to_a_few_slots(name: str) -> None:
     batch, config = boxes(), preset(name)
     found = detect(batch.frames, config, backend="reference")
-    whole, most = row_inputs(found), int(found.labels.num_obstacles.max())
+    whole, most = row_inputs(found), int(found.num_obstacles.max())
     few = used_slots(jax.jit(row_inputs)(found), 3)
-    assert few.obstacles.num_points.shape == (3, most) and few.num_features.dtype == np.int32
+    assert few.obstacles.num_points.shape == (3, most) and few.num_obstacles.dtype == np.int32
     for one, other in zip(tables(batch, whole, config), tables(batch, few, config), strict=True):
         assert one.equals(other) and one.num_rows
     short = few._replace(obstacles=Obstacles(*(a[:, : most - 1] for a in few.obstacles)))
@@ -245,3 +245,49 @@ def test_contours_of_a_camera_upside_down_go_from_left_to_right():
     assert table
     for row in table:
         assert (np.diff(np.array(row["contour"])[::2]) > 0).all()
+
+
+def test_a_box_outside_of_the_colour_image_is_null_and_says_which_image() -> None:
+    batch, config = boxes(), preset("wheeled")
+    found = row_inputs(detect(batch.frames, config, backend="reference"))
+    first = np.array(found.obstacles.uv_max)
+    first[0, 0] = -1
+    low = np.array(found.obstacles.uv_min)
+    low[0, 0] = 0
+    found = found._replace(obstacles=found.obstacles._replace(uv_min=low, uv_max=first))
+    _, obstacle = tables(batch, found, config)
+    names = ("u_min", "u_max", "v_min", "v_max")
+    assert [obstacle[name][0].as_py() for name in names] == [None] * 4
+    assert all(obstacle[name].null_count == 1 < obstacle.num_rows for name in names)
+    assert set(obstacle["box_image"].to_pylist()) == {"color"}
+    alone = Calibration(batch.frames.calibration.depth)
+    aligned = batch._replace(frames=batch.frames._replace(calibration=alone, color=None))
+    found = row_inputs(detect(aligned.frames, config, backend="reference"))
+    _, obstacle = tables(aligned, found, config)
+    assert set(obstacle["box_image"].to_pylist()) == {"depth"}
+
+
+def test_lengths_of_the_preset_paper_refer_to_the_colour_camera() -> None:
+    batch, config = boxes(), preset("paper")
+    motion = batch.frames.calibration.color_from_depth
+    assert motion is not None and batch.frames.T_world_camera is not None
+    batch = batch._replace(camera_frame="depth", color_frame="color")
+    found = row_inputs(detect(batch.frames, config, backend="reference"))
+    frame, _ = tables(batch, found, config)
+    assert frame["camera_frame"].to_pylist() == ["color"] * 3
+    depth = batch.frames.T_world_camera[0]
+    color = depth[:3, :3] @ np.linalg.inv(motion.T)[:3, 3] + depth[:3, 3]
+    np.testing.assert_allclose(frame["camera_position_world"][0].as_py(), color)
+    found = row_inputs(detect(batch.frames, Config(), backend="reference"))
+    frame, _ = tables(batch, found, Config())
+    assert frame["camera_frame"].to_pylist() == ["depth"] * 3
+    np.testing.assert_allclose(frame["camera_position_world"][0].as_py(), depth[:3, 3])
+
+
+def test_the_stamp_of_the_colour_image_does_not_depend_on_reading_it() -> None:
+    batch = boxes()._replace(nearest_color_ns=np.array([7, -1, 9]))
+    found = row_inputs(detect(batch.frames, Config(), backend="reference"))
+    want = [7, None, 9]
+    assert tables(batch, found, Config())[0]["color_stamp_ns"].to_pylist() == want
+    without = batch._replace(frames=batch.frames._replace(color=None))
+    assert tables(without, found, Config())[0]["color_stamp_ns"].to_pylist() == want

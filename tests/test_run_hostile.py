@@ -12,46 +12,33 @@ from typing import Any
 import pytest
 
 from jaxdet import engine
-from jaxdet.engine import log_run
-from jaxdet.engine.part import Part
-from jaxdet.errors import ConfigError, InputError, Interrupted, OutputError
-from jaxdet.io import LogFiles
-from jaxdet.results import versions
+from jaxdet.config import Config, GroundConfig
+from jaxdet.errors import ConfigError, InputError, OutputError
+from jaxdet.results import reading, versions
 from jaxdet.results.lock import Lock
 from jaxdet.results.reading import Results
+from jaxdet.sim import SimConfig, write_log
 from jaxdet.verify import verify
-from tests.killed_runs import named
-from tests.test_resume import interrupt, part_of, stop_at
-from tests.test_resume import run as run_logs
-from tests.test_workers import same_results
+from tests.pools import same_results
+from tests.runs import run_logs
 
 ROOT = Path(__file__).resolve().parents[1]
 
 
-@pytest.fixture
-def two(monkeypatch: pytest.MonkeyPatch) -> list[LogFiles]:
-    """Two logs of ten frames."""
-    fake = lambda files, options, memory: named(files.name)  # noqa: E731
-    monkeypatch.setattr(log_run, "open_log", fake)
-    return [LogFiles(name, (Path(f"{name}.mcap"),)) for name in "ab"]
+@pytest.fixture(scope="module")
+def two(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two logs of three frames."""
+    folder = tmp_path_factory.mktemp("two")
+    for seed, name in enumerate("ab"):
+        write_log(folder / f"{name}.mcap", SimConfig(frames=3, width=96, height=72, seed=seed))
+    return folder
 
 
-def run(output: Path, logs: list[LogFiles], **more: Any) -> engine.Summary:
-    return run_logs(logs, output, **more)
-
-
-def test_a_process_that_outlives_its_run_finds_no_place_to_write_to(two, tmp_path):
-    """A worker that was stopped by SIGSTOP, or hung in a file system, wakes up in the next run."""
-    with pytest.raises(Interrupted):
-        run(tmp_path, two, progress=stop_at("b", interrupt))
-    path = part_of(tmp_path, "a-*/0/00000001")
-    late, unit = Part.load(path.parent, engine.Unit(1, 5, 10)), engine.Unit(1, 5, 10)
-    assert late is not None
-    with pytest.raises(Interrupted):
-        run(tmp_path, two, overwrite=True, height=0.5, progress=stop_at("b", interrupt))
-    with pytest.raises(OutputError, match="No such file or directory"):
-        late.save(path.parent, unit)
-    assert part_of(tmp_path, "a-*/0/00000001") != path
+def run(output: Path, logs: Path, **more: Any) -> engine.Summary:
+    height = more.pop("height", None)
+    pitch = None if height is None else 0.0
+    config = Config(GroundConfig(camera_height_m=height, camera_pitch_rad=pitch))
+    return run_logs(logs, output, config, backend="reference", workers=1, **more)
 
 
 def test_a_working_folder_that_is_a_link_is_left_alone(two, tmp_path):
@@ -70,79 +57,43 @@ def test_a_working_folder_that_is_a_link_is_left_alone(two, tmp_path):
     assert (tmp_path / "mine" / "letters.txt").read_text(encoding="utf-8") == "mine"
 
 
-def block(place: Path, way: str) -> None:
-    """Puts something where results would be."""
-    place.parent.mkdir()
-    if way == "folder":
-        place.mkdir()
-    elif way == "file":
-        place.write_text("mine", encoding="utf-8")
-    else:
-        place.symlink_to(way)
-
-
-@pytest.mark.parametrize(
-    ("name", "way", "said"),
-    [
-        ("frames.parquet", "folder", "is a folder, where a file of the results would be"),
-        ("manifest.json", "folder", "is a folder, where a file of the results would be"),
-        ("pictures", "file", "is no folder, where one of the results would be"),
-        ("pictures", "nowhere", "is no folder, where one of the results would be"),
-        ("pictures", "/dev/shm", "is on another disk than the folder that it is in"),
-    ],
-)
-def test_what_results_can_not_replace_is_found_at_the_start(two, tmp_path, name, way, said):
-    if way == "/dev/shm" and (
-        not Path(way).is_dir() or Path(way).stat().st_dev == tmp_path.stat().st_dev
-    ):
-        pytest.skip("no other file system here")
-    place, seen = tmp_path / "out" / name, []
-    block(place, way)
-    with pytest.raises(ConfigError, match=f"out/{name}: {said}; move it or give another --output"):
-        run(tmp_path / "out", two, pictures=2, overwrite=True, progress=seen.append)
-    assert not seen and [path.name for path in place.parent.iterdir()] == [name]
-    if way in ("file", "nowhere"):
-        run(tmp_path / "out", two, pictures=0)  # which has no need of the place
-
-
 def test_results_that_are_replaced_while_they_are_opened(two, tmp_path, monkeypatch):
     """Of as many rows, so that nothing else tells."""
     run(tmp_path, two)
-    real, opened = Results._table, []
+    real, opened = reading.entries_of, []
 
-    def table(results: Results, name: str) -> Any:
-        found = real(results, name)
+    def entries(told: Any, where: Path) -> Any:
         if not opened:
-            opened.append(name)
+            opened.append(where)
             run(tmp_path, two, overwrite=True, height=0.5)
-        return found
+        return real(told, where)
 
-    monkeypatch.setattr(Results, "_table", table)
-    with pytest.raises(InputError, match="were replaced while they were opened; read them again"):
-        Results(tmp_path)
+    monkeypatch.setattr(reading, "entries_of", entries)
     with Results(tmp_path) as results:
-        assert results.summary["frames"] == 20
+        assert results.stale or [log.name for log in results.logs] == ["a"]
+    with Results(tmp_path) as results:
+        assert results.tables().frames.num_rows == 6
 
 
-def test_a_disk_that_fills_up_while_tables_are_written(two, tmp_path):
-    """When all parts are there."""
+def test_a_disk_that_fills_up_while_a_log_is_written(two, tmp_path):
+    """The log before it is done; results that were there stay."""
 
     def fill(now: engine.Progress) -> None:
-        if now.log == "b" and now.done == 10:
+        if now.log == "b" and now.done == 3 and now.logs_done == 1:
             resource.setrlimit(resource.RLIMIT_FSIZE, (64, limits[1]))
 
-    run(tmp_path / "a", two[:1])
-    old = (tmp_path / "a" / "manifest.json").read_bytes()
+    run(tmp_path / "a", two / "b.mcap", pictures=0)
+    old = (tmp_path / "a" / "b" / "manifest.json").read_bytes()
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     try:
-        with pytest.raises(OutputError, match="make room or give another --output; the same comm"):
-            run(tmp_path / "a", two, overwrite=True, progress=fill)
+        with pytest.raises(OutputError, match="make room or give another --output; 1 of 2 logs"):
+            run(tmp_path / "a", two, overwrite=True, pictures=0, progress=fill)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-    assert (tmp_path / "a" / "manifest.json").read_bytes() == old
+    assert (tmp_path / "a" / "b" / "manifest.json").read_bytes() == old
     assert not verify(tmp_path / "a", sample=0).findings
-    run(tmp_path / "a", two, overwrite=True)
-    run(tmp_path / "b", two)
+    assert run(tmp_path / "a", two, overwrite=True, pictures=0).kept == {"a"}
+    run(tmp_path / "b", two, pictures=0)
     same_results(tmp_path / "a", tmp_path / "b")
 
 
@@ -151,7 +102,6 @@ import os, sys, time
 from pathlib import Path
 from jaxdet.errors import ConfigError
 from jaxdet.results.lock import Lock
-from tests.runs import run_logs
 
 folder, end, had = Path(sys.argv[1]), float(sys.argv[2]), 0
 while time.monotonic() < end:
@@ -197,10 +147,19 @@ def test_a_clock_that_jumped(tmp_path, since):
     lock.release()
 
 
+def test_a_lock_says_nothing_that_a_terminal_obeys(tmp_path):
+    path = tmp_path / ".jaxdet" / "lock"
+    path.parent.mkdir()
+    owner = {"pid": "\x1b[31m", "host": "here", "since": 1.0}
+    path.write_text(json.dumps(owner), encoding="utf-8")
+    lock = Lock(path)
+    assert lock.before and lock.before.isprintable()
+    lock.release()
+
+
 def test_another_build_of_the_same_version_is_refused(two, tmp_path, monkeypatch):
-    with pytest.raises(Interrupted):
-        run(tmp_path, two, progress=stop_at("b", interrupt))
-    monkeypatch.setattr("jaxdet.engine.record.source_digest", lambda: "f" * 16)
+    run(tmp_path, two / "a.mcap")
+    monkeypatch.setattr("jaxdet.results.record.source_digest", lambda: "f" * 16)
     with pytest.raises(ConfigError, match=r"but jaxdet's own code was .* and is .ffff"):
         run(tmp_path, two)
 

@@ -140,7 +140,8 @@ def test_frames_on_page_locked_memory_equal_the_reference(gpus, name, batch, len
     color, depth = given.color[rows], given.depth[rows]
     plane = jax.tree.map(lambda values: values[rows], given.plane)
     want = jax.tree.map(lambda values: np.asarray(values)[rows], want)
-    uploader = _upload.Uploader(color.shape, depth.shape, gpus[0])
+    arrays = [(color.shape, np.uint8), (depth.shape, np.uint16)]
+    uploader = _upload.Uploader(arrays, gpus[0])
     pinned = pin(color, depth)
     for _ in range(2):
         on_device = uploader.upload([pinned])

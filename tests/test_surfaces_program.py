@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import jax
 import numpy as np
 import pytest
 
@@ -16,12 +15,12 @@ from jaxdet.reference._detect import _surfaces
 from jaxdet.reference._floor import find_floor
 from jaxdet.sim import sample_frames
 from jaxdet.sim.config import calibration_of
-from jaxdet.stages._surfaces import Surfaces, surfaces, tables
+from jaxdet.stages._surfaces import tables
 from jaxdet.types import MAX_SURFACES, Calibration, Cells, GroundPlane, Intrinsics
+from tests.steps import Surfaces, surfaces
 
 SURFACES, TABLETOP = Config(), preset("tabletop")
 UNIT = 0.001
-program = jax.jit(surfaces)
 
 
 def with_surface(**changes: float) -> Config:
@@ -43,8 +42,7 @@ def assert_twin(
 ) -> Surfaces:
     """All that the program says of these cells is what the reference does."""
     floors, step = floor_frames(plane, unit), step_height(camera(unit), config)
-    out = program(x, y, z, floors, tables(camera(unit), config))
-    got = Surfaces(*map(np.asarray, out))
+    got = surfaces(x, y, z, floors, tables(camera(unit), config))
     grid = Cells(x, y, z)
     for b in range(len(z)):
         want = _surfaces(grid, b, floors[b], step, unit, config)
@@ -175,24 +173,6 @@ def test_bent_floor_is_not_kept():
     got = assert_twin(0 * z, (500 - height).astype(np.int32)[None], z, level)
     assert got.num_surfaces.tolist() == [1]
     np.testing.assert_array_equal(got.keep[0], height == 400)
-
-
-def test_settings_compile_nothing_anew():
-    traced = []
-
-    @jax.jit
-    def made(*arguments):
-        traced.append(arguments)
-        return surfaces(*arguments)
-
-    rng = np.random.default_rng(3)
-    grid, floor = sideways(slanted(rng, (1, 20, 30))), floor_frames(unknown_plane(1), UNIT)
-    labels = [
-        np.asarray(made(*grid, floor, tables(camera(UNIT), c)).label)
-        for c in (with_surface(min_cells=1), with_surface(min_cells=100))
-    ]
-    assert labels[0].max() > labels[1].max()
-    assert len(traced) == 1
 
 
 # simulated and recorded

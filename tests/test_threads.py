@@ -13,8 +13,9 @@ import pytest
 import jaxdet.cores
 from jaxdet import detect, reference, stages
 from jaxdet.cores import cores
-from jaxdet.engine.signals import stops_held_back
-from jaxdet.stages import _chain, _threads
+from jaxdet.runtime import launch
+from jaxdet.runtime import threads as pool
+from jaxdet.signals import stops_held_back
 from tests.scenes import (
     D435,
     assert_equal,
@@ -33,11 +34,11 @@ BATCHES = pytest.mark.parametrize("batch", [1, 2, 3, 7])
 def threads(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
     """A number of threads; programs that were traced for another number are forgotten."""
     monkeypatch.setenv("PJRT_NPROC", str(request.param))
-    _threads._pool.cache_clear()
+    pool._pool.cache_clear()
     jax.clear_caches()
     yield request.param
     monkeypatch.undo()
-    _threads._pool.cache_clear()
+    pool._pool.cache_clear()
     jax.clear_caches()
 
 
@@ -55,8 +56,8 @@ def test_a_thread_does_not_see_the_frames_of_others_or_of_earlier_batches(thread
         depth = np.roll(noise_depth(2 * batch, calibration.depth), start, axis=0)[:batch]
         images = blocks(2 * batch, 48, 64)[start : start + batch]
         given = frames(calibration, images, depth, plane=level(batch, 0.3))
-        for memory in _chain._kept.values():
-            memory[:] = 0xA5
+        for memory in launch._kept.values():
+            memory.fill_(0x5A5A5A5A)
         assert_equal(detect(given), detect(given, backend="reference"))
 
 
@@ -68,36 +69,31 @@ def test_the_pipeline_does_not_depend_on_the_threads(threads, batch):
     assert_equal(detect(given), detect(given, backend="reference"))
 
 
-def test_each_core_has_a_thread_of_its_own(threads, monkeypatch):
+def test_each_core_has_a_thread_of_its_own(threads):
     """They are under way at the same time: each waits for all the others."""
     together, names = threading.Barrier(threads, timeout=30.0), set()
-    run = _chain._Worker.run
 
-    def waits(self: Any) -> None:
+    def waits() -> None:
         names.add(threading.get_ident())
         together.wait()
-        run(self)
 
-    monkeypatch.setattr(_chain._Worker, "run", waits)
-    depth = noise_depth(5, small().depth)
-    assert_equal(stages.align(depth, small()), reference.align(depth, small()))
+    pool.on_all_cores([waits] * threads)
     assert len(names) == threads
 
 
-def test_an_error_in_a_thread_reaches_the_caller(monkeypatch, capfd):
+def test_an_error_in_a_thread_reaches_the_caller(monkeypatch):
     monkeypatch.setenv("PJRT_NPROC", "2")
-    _threads._pool.cache_clear()
-    jax.clear_caches()
+    pool._pool.cache_clear()
     depth = noise_depth(4, small().depth)
-    run = _chain._Worker.run
 
-    def fails(self: Any) -> None:
-        if threading.current_thread().name.startswith("jaxdet-kernel"):
-            raise ArithmeticError("in a thread")
-        run(self)
+    def fails() -> None:
+        raise ArithmeticError("in a thread")
 
+    with pytest.raises(ArithmeticError, match="in a thread"):
+        pool.on_all_cores([lambda: None, fails])
+    plain = pool.on_all_cores
     with monkeypatch.context() as patch:
-        patch.setattr(_chain._Worker, "run", fails)
+        patch.setattr(pool, "on_all_cores", lambda work: plain([work[0], fails]))
         with pytest.raises(jax.errors.JaxRuntimeError, match="in a thread"):
             jax.block_until_ready(stages.align(depth, small()))
     assert_equal(stages.align(depth, small()), reference.align(depth, small()))
@@ -105,9 +101,9 @@ def test_an_error_in_a_thread_reaches_the_caller(monkeypatch, capfd):
 
 def test_threads_of_a_process_are_its_cores_or_as_many_as_xla_has(monkeypatch):
     monkeypatch.delenv("PJRT_NPROC", raising=False)
-    assert _threads.threads() == cores()
+    assert pool.threads() == cores()
     monkeypatch.setenv("PJRT_NPROC", "3")
-    assert _threads.threads() == 3
+    assert pool.threads() == 3
 
 
 @pytest.mark.parametrize(
@@ -127,35 +123,38 @@ def test_a_control_group_leaves_whole_cores(tmp_path, monkeypatch, text, most):
 def test_the_caller_keeps_an_affinity_that_it_chose_later(monkeypatch):
     allowed = os.sched_getaffinity(0)
     monkeypatch.setenv("PJRT_NPROC", str(len(allowed)))
-    _threads._pool.cache_clear()
+    pool._pool.cache_clear()
     depth = noise_depth(4, small().depth)
     jax.block_until_ready(stages.align(depth, small()))
     chosen = {min(allowed)}
     try:
         os.sched_setaffinity(0, chosen)
-        _threads.on_all_cores([lambda: None] * 2)
+        pool.on_all_cores([lambda: None] * 2)
         assert os.sched_getaffinity(0) == chosen
     finally:
         os.sched_setaffinity(0, allowed)
-        _threads._pool.cache_clear()
+        pool._pool.cache_clear()
 
 
-def test_a_ctrl_c_in_a_kernel_is_not_taken_for_its_results(monkeypatch):
-    """XLA calls kernels back in the caller's thread, where Python raises KeyboardInterrupt.
-
-    It arrives as the error of one device or of several.
-    """
+def test_a_ctrl_c_waits_for_a_program(monkeypatch):
+    """XLA calls kernels back in the caller's thread, where Python raises KeyboardInterrupt."""
     calibration = small(48, 36)
     depth = smooth_depth(2, calibration.depth)
     images = frames(calibration, blocks(2, 36, 48), depth, plane=level(2))
-    jax.block_until_ready(detect(images))
+    want, done, plain = detect(images, backend="reference"), [], pool.on_all_cores
 
     def interrupted(work: Any) -> None:
-        raise KeyboardInterrupt
+        signal.raise_signal(signal.SIGINT)
+        plain(work)
+        done.append(True)
 
-    monkeypatch.setattr(_threads, "on_all_cores", interrupted)
-    with pytest.raises((ValueError, jax.errors.JaxRuntimeError), match="KeyboardInterrupt"):
-        jax.block_until_ready(detect(images))
+    assert_equal(detect(images), want)
+    with monkeypatch.context() as patch:
+        patch.setattr(pool, "on_all_cores", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            detect(images)
+    assert done
+    assert_equal(detect(images), want)
 
 
 def test_the_engine_finishes_a_batch_before_a_ctrl_c():

@@ -1,8 +1,6 @@
 """How tracks get into a results folder: one command at a time, all files or none."""
 
 import json
-import os
-import re
 import shutil
 import signal
 import subprocess
@@ -12,22 +10,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 
-from jaxdet import engine
 from jaxdet.cli import main
-from jaxdet.config import Config
-from jaxdet.engine import RunOptions
-from jaxdet.errors import ConfigError, OutputError
-from jaxdet.io import LogOptions, find_logs
+from jaxdet.errors import ConfigError
 from jaxdet.results.lock import Lock
 from jaxdet.sim import SimConfig, write_log
-from jaxdet.tracks import TrackConfig, track_results
 from jaxdet.tracks import folder as tracks_folder
+from jaxdet.tracks import track_results
 from jaxdet.verify import verify
+from tests.pools import same_results
+from tests.runs import run_logs
 from tests.test_tracks import results
-from tests.test_workers import same_results
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -38,26 +32,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return results(tmp_path_factory.mktemp("tracks"), "log", sim)
 
 
-def test_whatever_system_call_is_the_last(folder: Path, tmp_path: Path):
-    copy = shutil.copytree(folder, tmp_path / "copy")
-    new = shutil.copytree(folder, tmp_path / "new")
-    track_results(copy, TrackConfig(min_frames=3))
-    track_results(new, TrackConfig(min_frames=4))
-    command = [sys.executable, "-m", "tests.killed_tracks", str(copy), str(new)]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
-    assert not done.returncode, done.stderr
-    assert int(re.findall(r"(\d+) calls", done.stdout)[0]) > 15
-
-
 def test_one_at_a_time_works_in_a_folder(folder: Path, tmp_path: Path, monkeypatch):
     """Neither another ``jaxdet track`` nor a run."""
-    copy, refused = shutil.copytree(folder, tmp_path / "copy"), []
-    again = RunOptions(copy, backend="reference", pictures=0, overwrite=True)
-    logs = find_logs([str(folder.parent / "log.mcap")])
-    others = {
-        "track": lambda: track_results(copy),
-        "run": lambda: engine.run(logs, Config(), LogOptions(), again),
-    }
+    copy, refused = shutil.copytree(folder.parent, tmp_path / "copy"), []
+    log, how = folder.parents[1] / "log.mcap", {"backend": "reference", "overwrite": True}
+    others = {"track": lambda: track_results(copy), "run": lambda: run_logs(log, copy, **how)}
     plain = tracks_folder.draw_map
 
     def draw_map(*given: Any) -> np.ndarray:
@@ -79,50 +58,13 @@ def test_one_at_a_time_works_in_a_folder(folder: Path, tmp_path: Path, monkeypat
 
 
 def test_two_commands_at_once(folder: Path, tmp_path: Path):
-    copy = shutil.copytree(folder, tmp_path / "copy")
+    copy = shutil.copytree(folder.parent, tmp_path / "copy")
     command = [sys.executable, "-m", "jaxdet", "track", str(copy)]
     both = [subprocess.Popen(command, stderr=subprocess.PIPE, text=True) for _ in range(2)]
     said = [process.communicate()[1] for process in both]
     ends = sorted((process.returncode, text) for process, text in zip(both, said, strict=True))
     assert ends[0] == (0, "")
     assert ends[1] == (0, "") or (ends[1][0] == 2 and "another run works here" in ends[1][1])
-    assert not verify(copy, sample=0).findings
-
-
-@pytest.mark.parametrize("command", ["track", "run"])
-def test_tracks_that_were_half_moved(folder: Path, tmp_path: Path, monkeypatch, command: str):
-    """The next command moves the rest; an unfinished run beside them stays."""
-    copy = shutil.copytree(folder, tmp_path / "copy")
-    part = copy / ".jaxdet" / "logs-1" / "00000" / "0" / "00000000.part"
-    part.parent.mkdir(parents=True)
-    part.write_bytes(b"of a run")
-    replace, moved = os.replace, []
-
-    def broken(one: Path, other: Path) -> None:
-        if Path(other).name == "track_links.parquet":
-            raise OSError(5, "Input/output error")
-        moved.append(Path(other).name)
-        replace(one, other)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(os, "replace", broken)
-        with pytest.raises(OutputError, match="Input/output error"):
-            track_results(copy, TrackConfig(min_frames=1000))
-    assert not (copy / "manifest.json").exists()
-    assert str(verify(copy).findings[0]).endswith("files moved here; repeat it")
-    if command == "track":
-        track_results(copy, TrackConfig(min_frames=999))
-    else:
-        said: list[str] = []
-        logs = find_logs([str(folder.parent / "log.mcap")])
-        again = RunOptions(copy, backend="reference", pictures=0)
-        with pytest.raises(ConfigError, match="holds results already"):
-            engine.run(logs, Config(), LogOptions(), again, say=said.append)
-        whole = "the tracks of the last jaxdet track were whole and are in their place now"
-        assert said[-1:] == [whole]
-    assert pq.read_table(copy / "tracks.parquet").num_rows == 0
-    assert part.read_bytes() == b"of a run" and not (copy / ".jaxdet" / "commit").exists()
-    shutil.rmtree(copy / ".jaxdet")
     assert not verify(copy, sample=0).findings
 
 
@@ -143,27 +85,23 @@ def test_a_run_that_is_stopped_while_it_links_goes_on(tmp_path: Path, monkeypatc
             code, _, said = run("a", *["--quiet"] * (number == signal.SIGINT))
         assert code == 128 + number
         assert said.splitlines()[-1] == (
-            "jaxdet: error: interrupted while linking; the results are whole, "
-            "and the same command goes on"
+            "jaxdet: error: interrupted while linking; the same command goes on"
         )
-    there = f"jaxdet: {tmp_path / 'a'} holds the results of this command already\n"
     code, out, said = run("a")
-    assert (code, said) == (0, there) and "obstacles are in one" in out
+    assert (code, said) == (0, "") and "1 log done before" in out and "are in one" in out
     same_results(tmp_path / "a", tmp_path / "whole")
-    assert run("a") == (0, "", there)
+    code, out, said = run("a")
+    assert (code, said) == (0, "") and "nothing new" in out and "are in one" not in out
     assert run("a", "--quiet") == (0, "", "")
     assert json.loads(run("a", "--json")[1])["frames"] == 6
     code, _, said = run("a", "--quiet", "--ground.max-depth-m", "3")
-    assert code == 2 and "holds results already" in said
+    assert code == 2 and "ground.max_depth_m was 4.0 and is 3.0 now" in said
     assert not verify(tmp_path / "a", sample=0).findings
-    (tmp_path / "a" / "frames.parquet").unlink()
-    code, _, said = run("a", "--quiet")
-    assert code == 2 and "holds results already" in said
 
 
 def test_the_lock_of_a_run_that_died_stays(folder: Path, tmp_path: Path):
     """What it was killed by may be in its logs: for ``jaxdet run`` to know, not for track."""
-    copy = shutil.copytree(folder, tmp_path / "copy")
+    copy = shutil.copytree(folder.parent, tmp_path / "copy")
     lock = copy / ".jaxdet" / "lock"
     code = "import os, sys; from pathlib import Path; from jaxdet.results.lock import Lock\n"
     code += "lock = Lock(Path(sys.argv[1])); os._exit(9)"
@@ -175,7 +113,7 @@ def test_the_lock_of_a_run_that_died_stays(folder: Path, tmp_path: Path):
     killed()
     track_results(copy)  # of itself, as there is no run
     assert not lock.parent.exists()
-    said, part = killed(), copy / ".jaxdet" / "logs-1" / "00000" / "0" / "00000000.part"
+    said, part = killed(), copy / ".jaxdet" / "logs-1" / "a" / "00000000.arrow"
     part.parent.mkdir(parents=True)
     part.write_bytes(b"of a run")
     track_results(copy)
@@ -185,30 +123,9 @@ def test_the_lock_of_a_run_that_died_stays(folder: Path, tmp_path: Path):
 
 def test_other_files_stay(folder: Path, tmp_path: Path):
     """Whatever they are called."""
-    copy = shutil.copytree(folder, tmp_path / "copy")
-    own = copy / "tracks_of_my_own.png"
+    copy = shutil.copytree(folder.parent, tmp_path / "copy")
+    own = copy / folder.name / "mine.png"
     own.write_bytes(b"mine")
     track_results(copy)
     track_results(copy)
     assert own.read_bytes() == b"mine"
-
-
-def test_results_that_were_half_moved(folder: Path, tmp_path: Path, monkeypatch):
-    """``jaxdet track`` brings those of a run to their place, and leaves nothing of the run."""
-    copy = shutil.copytree(folder, tmp_path / "copy")
-    logs = find_logs([str(folder.parent / "log.mcap")])
-    again = RunOptions(copy, backend="reference", pictures=0, overwrite=True)
-    replace = os.replace
-
-    def broken(old: Any, new: Any) -> None:
-        if Path(new).name == "manifest.json":
-            raise OSError(5, "Input/output error")
-        replace(old, new)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(os, "replace", broken)
-        with pytest.raises(OutputError, match="Input/output error"):
-            engine.run(logs, Config(), LogOptions(), again)
-    assert (copy / ".jaxdet" / "commit").exists()
-    track_results(copy)
-    assert not (copy / ".jaxdet").exists() and not verify(copy, sample=0).findings

@@ -3,7 +3,6 @@
 import os
 import shutil
 import signal
-from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -12,15 +11,14 @@ import jax
 import pytest
 
 from jaxdet import engine
-from jaxdet.config import Config
-from jaxdet.engine import local, pooled_run, whole_logs
-from jaxdet.engine.memory import Memory
+from jaxdet.engine import runner
 from jaxdet.engine.whole_logs import OPENING_BYTES, choose_whole
-from jaxdet.errors import ConfigError, InputError, Interrupted
-from jaxdet.io import Batch, LogFiles, LogOptions, find_logs
+from jaxdet.errors import ConfigError, Interrupted
+from jaxdet.io import Batch, LogFiles
 from jaxdet.sim import SimConfig, write_log
 from tests.camera_logs import join_cameras
 from tests.pools import on_this_machine, same_results
+from tests.runs import run_logs
 
 FRAMES = 11
 
@@ -51,10 +49,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def run(folder: Path, output: Path, **options: Any) -> engine.Summary:
-    observers = options.pop("observers", None)
-    how = engine.RunOptions(output, **{"pictures": 2, "batch_size": 4, **options})
-    config = options.pop("config", Config())
-    return engine.run(find_logs([str(folder)]), config, LogOptions(), how, observers=observers)
+    return run_logs(folder, output, **{"pictures": 2, "batch_size": 4, **options})
 
 
 @pytest.fixture
@@ -62,12 +57,12 @@ def shared(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """The logs that are shared out, in order."""
     names = []
 
-    def decide(one: pooled_run.PooledLogRun, log: Any) -> None:
-        names.append(one.files.name)
-        real(one, log)
+    def choose(one: Any, log: Any, memory: Any) -> Any:
+        names.append(log.name)
+        return real(one, log, memory)
 
-    real = pooled_run.PooledLogRun._decide_how
-    monkeypatch.setattr(pooled_run.PooledLogRun, "_decide_how", decide)
+    real = runner._Run._choose
+    monkeypatch.setattr(runner._Run, "_choose", choose)
     return names
 
 
@@ -90,7 +85,7 @@ def test_a_gpu_computes_for_workers_that_do_logs_whole(
 ):
     with jax.default_device(jax.devices("cpu")[0]):
         on_this_machine(monkeypatch)
-        monkeypatch.setattr(local, "choose_whole", lambda sizes, _: set(sizes))
+        monkeypatch.setattr(runner, "choose_whole", lambda sizes, _: set(sizes))
         summary = run(folder, tmp_path / "a", workers=2)
     assert not summary.failed and summary.workers == 2
     assert shared == ["log_a", "log_c"]  # the first of each camera: the station begins to serve it
@@ -100,7 +95,7 @@ def test_a_gpu_computes_for_workers_that_do_logs_whole(
 def test_a_worker_that_dies_costs_no_log(folder, alone, shared, tmp_path):
     observers = {"odd": Killer(tmp_path / "once")}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(local, "choose_whole", lambda sizes, _: set(sizes))
+        patch.setattr(runner, "choose_whole", lambda sizes, _: set(sizes))
         summary = run(folder, tmp_path / "a", workers=2, observers=observers)
     assert (tmp_path / "once").exists()
     assert not summary.failed and not any(log.lost for log in summary.logs)
@@ -112,7 +107,7 @@ def test_what_workers_cannot_do_is_said_by_this_process(folder, shared, tmp_path
     broken = shutil.copytree(folder, tmp_path / "logs")
     (broken / "log_b.mcap").write_bytes(b"not a log")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(local, "choose_whole", lambda sizes, _: set(sizes))
+        patch.setattr(runner, "choose_whole", lambda sizes, _: set(sizes))
         summary = run(broken, tmp_path / "a", workers=2)
     assert [log.log for log in summary.failed] == ["log_b"] and shared == []
     plain = run(broken, tmp_path / "b", workers=1)
@@ -122,17 +117,17 @@ def test_what_workers_cannot_do_is_said_by_this_process(folder, shared, tmp_path
 
 def test_a_stopped_run_goes_on_with_what_workers_did(folder, alone, shared, tmp_path):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(local, "choose_whole", lambda sizes, _: set(sizes))
+        patch.setattr(runner, "choose_whole", lambda sizes, _: set(sizes))
         done = []
 
-        def take(whole: Any, name: str, answer: Any) -> None:
-            real(whole, name, answer)
-            done.append(name)
+        def take(one: Any, log: LogFiles, found: Any) -> None:
+            real(one, log, found)
+            done.append(log.name)
             if len(done) == 2:
                 os.kill(os.getpid(), signal.SIGINT)
 
-        real = whole_logs.WholeLogs._take
-        patch.setattr(whole_logs.WholeLogs, "_take", take)
+        real = runner._Run._take
+        patch.setattr(runner._Run, "_take", take)
         with pytest.raises(Interrupted):
             run(folder, tmp_path / "a", workers=2)
     assert not shared
@@ -173,7 +168,7 @@ def test_each_camera_of_a_gpu_has_images_of_its_own(tmp_path, monkeypatch):
     run(folder, tmp_path / "a", workers=1)
     with jax.default_device(jax.devices("cpu")[0]):
         on_this_machine(monkeypatch)
-        monkeypatch.setattr(local, "choose_whole", lambda sizes, _: set(sizes))
+        monkeypatch.setattr(runner, "choose_whole", lambda sizes, _: set(sizes))
         assert not run(folder, tmp_path / "b", workers=2).failed
     same_results(tmp_path / "a", tmp_path / "b")
 
@@ -181,15 +176,15 @@ def test_each_camera_of_a_gpu_has_images_of_its_own(tmp_path, monkeypatch):
 def test_a_gpu_computes_after_a_log_that_fewer_workers_share(
     folder, alone, shared, tmp_path, monkeypatch
 ):
-    def allot(one: pooled_run.PooledLogRun, log: Any, workers: int) -> Any:
-        found = real(one, log, workers)
+    def plan(job: Any, log: Any, *given: Any) -> Any:
+        found = real(job, log, *given)
         return found._replace(workers=1) if log.name == "log_a" else found
 
-    real = pooled_run.PooledLogRun._allot
-    monkeypatch.setattr(pooled_run.PooledLogRun, "_allot", allot)
+    real = runner.memory_plan
+    monkeypatch.setattr(runner, "memory_plan", plan)
     with jax.default_device(jax.devices("cpu")[0]):
         on_this_machine(monkeypatch)
-        monkeypatch.setattr(local, "choose_whole", lambda sizes, _: set(sizes))
+        monkeypatch.setattr(runner, "choose_whole", lambda sizes, _: set(sizes))
         summary = run(folder, tmp_path / "a", workers=2)
     assert not summary.failed and [log.workers for log in summary.logs] == [1, 2, 2, 1, 1]
     assert shared == ["log_a", "log_b", "log_c"]  # the pool that served the first has ended
@@ -202,7 +197,7 @@ def test_logs_of_several_cameras_are_among_others(folder, shared, tmp_path, monk
     join_cameras(cameras, logs / "log_bb.mcap")
     run(logs, tmp_path / "alone", workers=1)
     shared.clear()
-    monkeypatch.setattr(local, "choose_whole", lambda sizes, _: set(sizes))
+    monkeypatch.setattr(runner, "choose_whole", lambda sizes, _: set(sizes))
     summary = run(logs, tmp_path / "a", workers=2)
     assert not summary.failed and len(summary.logs) == 7
     assert shared == ["log_bb", "log_bb"]
@@ -213,29 +208,13 @@ def test_whole_logs_are_brought_up_to_date(folder, alone, shared, tmp_path, monk
     logs = shutil.copytree(folder, tmp_path / "logs")
     (logs / "log_b.mcap").write_bytes(b"not a log")
     (logs / "log_d.mcap").unlink()
-    monkeypatch.setattr(local, "choose_whole", lambda sizes, _: set(sizes))
+    monkeypatch.setattr(runner, "choose_whole", lambda sizes, _: set(sizes))
     assert len(run(logs, tmp_path / "a", workers=2).failed) == 1
     for name in "bd":
         shutil.copy2(folder / f"log_{name}.mcap", logs)
     summary = run(logs, tmp_path / "a", workers=2, update=True)
     assert not summary.failed and summary.kept == {"log_a", "log_c", "log_e"} and not shared
     same_results(alone, tmp_path / "a")
-
-
-@pytest.mark.parametrize(("logs", "fits"), [(1, True), (100, False)])
-def test_rows_of_all_logs_wait_in_the_same_memory(tmp_path, logs, fits):
-    """Of 640x480 a thousand frames have rows of 10 MB, and a batch of a worker takes 120."""
-    how = engine.RunOptions(tmp_path)
-    context: Any = SimpleNamespace(config=Config(), options=how, memory=Memory("1200M", 2))
-    given: Any = SimpleNamespace(run=context, devices=0, entered=None, batch=0, logs=logs)
-    task: Any = SimpleNamespace(files=LogFiles("a", ()), file_name="a", number=0)
-    log: Any = SimpleNamespace(
-        name="a", frames=range(1000), image_shapes=((480, 640, 3), (480, 640)), index_bytes=0
-    )
-    one = whole_logs._WholeLogRun(given, task)
-    one.about = one._new()
-    with nullcontext() if fits else pytest.raises((MemoryError, InputError)):
-        one._decide_how(log)
 
 
 @pytest.mark.parametrize("workers", [1, 2])

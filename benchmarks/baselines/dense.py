@@ -29,7 +29,7 @@ def range_image(frame: Frame, angle_deg: float, stride: int = 1) -> np.ndarray:
         ``(H, W)`` int32, -1 = none.
     """
     keep = frame.keep[::stride, ::stride]
-    rays = np.stack([*pixel_rays(frame.calibration.color), np.ones(frame.z.shape)], axis=-1)
+    rays = np.stack([*pixel_rays(frame.calibration.image), np.ones(frame.z.shape)], axis=-1)
     rays = rays[::stride, ::stride]
     length = np.linalg.norm(rays, axis=-1)
     distance = frame.z[::stride, ::stride] * frame.calibration.depth_unit * length

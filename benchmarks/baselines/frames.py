@@ -8,12 +8,22 @@ import numpy as np
 from jaxdet import reference
 from jaxdet.camera import fixed_rays
 from jaxdet.config import MAX_POINTS, Config
+from jaxdet.floor.plane import down_vector, forward_vector, plane_in_color
 from jaxdet.pipeline import find_floors
 from jaxdet.reference._features import lateral
-from jaxdet.types import Calibration, Detections, Features, Frames, GroundPlane, Keep, Labels
+from jaxdet.types import (
+    Calibration,
+    Detections,
+    Features,
+    Frames,
+    GroundPlane,
+    Keep,
+    Labels,
+    Points,
+)
 
 GRID_COLUMNS = 80
-"""Columns of the grid of pixels that are points beside the corners."""
+"""Columns of the grid of pixels that are points besides the corners."""
 Space = Literal["xz", "xyz", "frame", "image"]
 
 
@@ -29,7 +39,7 @@ class Frame(NamedTuple):
     features: Features
     """``B = 1``."""
     plane: GroundPlane
-    """``B = 1``."""
+    """Floor seen from the colour camera, ``B = 1``."""
     calibration: Calibration
 
 
@@ -41,12 +51,14 @@ def prepare(frames: Frames, config: Config | None = None) -> list[Frame]:
     that surfaces without corners are seen by their depth.
 
     Args:
-        frames: ``B`` frames; ``plane`` is what is known of each frame's floor, where that is None
-            the configuration's.
+        frames: ``B`` frames with colour; ``plane`` is the prior of each frame's floor, where that
+            is None the configuration's.
         config: Range, floor and feature parameters.
     """
     config, calibration = config or Config(), frames.calibration
-    plane = find_floors(frames, config, backend="reference").plane
+    assert frames.color is not None
+    found = find_floors(frames, config, backend="reference").plane
+    plane = color_plane(found, calibration)
     keep = reference.ground(reference.align(frames.depth, calibration), plane, calibration, config)
     corners = reference.features(frames.color, keep, calibration, config.features)
     features = _with_grid(corners, keep, calibration)
@@ -63,6 +75,17 @@ def prepare(frames: Frames, config: Config | None = None) -> list[Frame]:
     ]
 
 
+def color_plane(plane: GroundPlane, calibration: Calibration) -> GroundPlane:
+    """Floors seen from the depth camera as the colour camera sees them, with their ramps."""
+    motion = calibration.color_from_depth
+    if motion is None:
+        return plane
+    center = -motion.T[:3, :3].T @ motion.T[:3, 3]  # of the colour camera, in the depth camera
+    ahead = forward_vector(down_vector(plane.pitch, plane.roll)) @ center
+    start, slope = plane.ramp_start - ahead, plane.ramp_slope
+    return plane_in_color(plane, calibration)._replace(ramp_start=start, ramp_slope=slope)
+
+
 def _with_grid(corners: Features, keep: Keep, calibration: Calibration) -> Features:
     """Corners, then the kept pixels of a grid with square meshes, row by row."""
     batch, height, width = keep.mask.shape
@@ -71,7 +94,7 @@ def _with_grid(corners: Features, keep: Keep, calibration: Calibration) -> Featu
     u, v = (np.broadcast_to(a.ravel(), (batch, a.size)) for a in (u, v))
     frame = np.arange(batch)[:, None]
     z, kept = keep.z[frame, v, u].astype(np.int32), keep.mask[frame, v, u]
-    x, y = (lateral(ray[v, u], z) for ray in fixed_rays(calibration.color))
+    x, y = (lateral(ray[v, u], z) for ray in fixed_rays(calibration.image))
     grid = Features(u, v, x, y, z, kept, kept, corners.overflow)
     parts = zip(corners[:-1], grid[:-1], strict=True)
     return Features(*[np.concatenate(part, axis=1) for part in parts], overflow=corners.overflow)
@@ -143,4 +166,10 @@ def detections_of(frame: Frame, labels: np.ndarray, config: Config) -> Detection
     roomy = replace(config, features=replace(config.features, max_corners=MAX_POINTS))
     unit, marked = frame.calibration.depth_unit, Labels(full, number)
     obstacles = reference.footprint(features, marked, frame.plane, unit, roomy)
-    return Detections(features, marked, obstacles, np.array([frame.keep.any()]))
+    return Detections(
+        number,
+        features.overflow,
+        np.array([frame.keep.any()]),
+        obstacles,
+        points=Points(features, marked),
+    )

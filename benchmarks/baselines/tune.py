@@ -98,5 +98,5 @@ def run_frames(
     tallies: list[Tally] = []
     for frame, truth in zip(frames, truths, strict=True):
         found = detect_with(baseline, frame, config, params)
-        tallies += evaluate_frames(found, truth, frame.calibration.depth_unit, eval_config)
+        tallies += evaluate_frames(found, truth, frame.calibration, eval_config)
     return tallies

@@ -11,8 +11,8 @@ from benchmarks.paper.free import claim_of
 from benchmarks.paper.lab import Lab
 from benchmarks.paper.section import Section, percent, wilson
 from benchmarks.paper.shots import Shot, Spec, shot_of
-from benchmarks.paper.systems import OURS, Prepared, System, eval_config, found_by, ours
-from jaxdet.eval import Tally, evaluate_frames, score
+from benchmarks.paper.systems import OURS, Prepared, System, eval_config, found_by, ours, tally_of
+from jaxdet.eval import Tally, score
 from jaxdet.sim import SimConfig
 from jaxdet.sim.draft import Draft
 from jaxdet.sim.frames import simulate_frame
@@ -72,7 +72,7 @@ def _tally(case: Case, shot: Shot, found: Detections, system: System) -> Tally:
     counted = eval_config(system.config)
     step = counted.step_height_m if case.least_pixels > 1 else 0.0
     counted = replace(counted, min_visible_pixels=case.least_pixels, step_height_m=step)
-    tally = evaluate_frames(found, shot.truth, shot.calibration.depth_unit, counted)[0]
+    tally = tally_of(shot, found, system.config, counted)
     mine = tuple(
         one._replace(found=one.found and abs(one.position_error_m) <= case.within_m)
         for one in tally.cases

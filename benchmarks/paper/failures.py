@@ -10,9 +10,11 @@ from benchmarks.paper.pictures import encode, grid, shot_picture, titled
 from benchmarks.paper.plan import DISTANCES_M, LIGHTS, SCENES
 from benchmarks.paper.section import Section, percent
 from benchmarks.paper.shots import Shot, Spec
-from benchmarks.paper.systems import OURS, Prepared, System, eval_config, found_by
+from benchmarks.paper.systems import OURS, Prepared, System, eval_config, found_by, tally_of
 from benchmarks.paper.table4_distance import specs_of
-from jaxdet.eval import EvalConfig, FrameTruth, Tally, evaluate_frames
+from jaxdet.camera import cell_side
+from jaxdet.config import Config
+from jaxdet.eval import Tally
 from jaxdet.eval.frame import objects_of, points_of
 from jaxdet.types import Detections
 
@@ -91,20 +93,14 @@ def reasons(shot: Shot, system: System, tally: Tally) -> list[tuple[int, str]]:
     if not missed:
         return []
     found = found_by(system, Prepared([shot]))[0]
-    counted = eval_config(system.config)
-    unit = shot.calibration.depth_unit
-    return [(number, _reason(found, shot.truth, number, unit, counted)) for number in missed]
+    return [(number, _reason(found, shot, number, system.config)) for number in missed]
 
 
-def _reason(
-    found: Detections,
-    truth: FrameTruth,
-    number: int,
-    unit: float,
-    counted: EvalConfig,
-) -> str:
-    points, labels = points_of(found, 0)
-    objects = objects_of(points, truth, 0, unit, counted)
+def _reason(found: Detections, shot: Shot, number: int, config: Config) -> str:
+    calibration, truth = shot.calibration, shot.truth
+    side = cell_side(calibration.depth, config.surface.cell_rad)
+    points, labels = points_of(found, 0, calibration, side)
+    objects = objects_of(points, truth, 0, calibration.depth_unit, eval_config(config))
     mine = labels[objects == number]
     if len(mine) <= FEW_POINTS:
         return "missed: too little of it was measured above the floor"
@@ -166,8 +162,7 @@ def _near(section: Section, lab: Lab, system: System) -> None:
     for distance, light in cells:
         for shot in lab.load(specs_of(lab, distance, light)):
             found = found_by(system, Prepared([shot]))[0]
-            counted = eval_config(system.config)
-            tally = evaluate_frames(found, shot.truth, config=counted)[0]
+            tally = tally_of(shot, found, system.config)
             if tally.found == tally.visible:
                 continue
             count += 1

@@ -8,8 +8,8 @@ from benchmarks.paper.lab import Lab
 from benchmarks.paper.pictures import encode, frame_picture, grid, scaled
 from benchmarks.paper.section import Section, bootstrap, percent, wilson
 from benchmarks.paper.shots import Shot, frames_of
-from benchmarks.paper.systems import Prepared, eval_config, found_by, ours
-from jaxdet.eval import evaluate_frames, total
+from benchmarks.paper.systems import Prepared, found_by, ours, tally_of
+from jaxdet.eval import total
 from jaxdet.render import draw_map
 from jaxdet.results.metric import rectangles, to_world
 from jaxdet.results.occupancy import OccupancyMap
@@ -31,13 +31,12 @@ def run(lab: Lab) -> Section:
     tallies = []
     for shot, found in zip(shots, results, strict=True):
         outline = rectangles(found.obstacles, shot.calibration.depth_unit, lab.config.footprint)
-        count = int(found.labels.num_obstacles[0])
+        count = int(found.num_obstacles[0])
         world = to_world(outline, shot.T_world_camera[None])[0, :count]
         corners.append(world)
         occupancy.add(world.reshape(-1, 8).astype(np.float32))
         occupancy.add_path(shot.T_world_camera[None])
-        counted = eval_config(lab.config)
-        tallies += evaluate_frames(found, shot.truth, config=counted)
+        tallies.append(tally_of(shot, found, lab.config))
     _figures(section, shots, tallies)
     pictures = []
     for index in np.linspace(0, len(shots) - 1, 4).round().astype(int).tolist():

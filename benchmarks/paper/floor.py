@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from benchmarks.baselines.frames import color_plane
 from benchmarks.paper.lab import Lab
 from benchmarks.paper.measure import measured
 from benchmarks.paper.plan import PITCHES_DEG, ROLLS_DEG, SLOPES_DEG
@@ -64,9 +65,9 @@ def judge_floor(task: Task) -> dict[str, list[Tally]]:
 def _ground(shot: Shot, source: str, config: Config) -> tuple[np.ndarray, np.ndarray]:
     """Pixels that lie higher than the step of cells, ``(H, W)`` bool, and depths ``(H, W)``."""
     frames = frames_of([shot], plane=source == "tf")
-    plane = find_floors(frames, config, backend="reference").plane
     calibration, ground = frames.calibration, config.ground
-    side = cell_side(calibration.depth or calibration.color, config.surface.cell_rad)
+    plane = color_plane(find_floors(frames, config, backend="reference").plane, calibration)
+    side = cell_side(calibration.depth, config.surface.cell_rad)
     step = ground.step_height_per_m / side
     config = replace(config, ground=replace(ground, step_height_per_m=step))
     aligned = reference.align(frames.depth, frames.calibration)

@@ -7,7 +7,7 @@ from benchmarks.paper.systems import eval_config
 from jaxdet import reference
 from jaxdet.config import Config
 from jaxdet.eval import claimed_floor, floor_positions, measured_floor
-from jaxdet.types import Detections
+from jaxdet.types import Calibration, Detections
 
 
 class Claim(NamedTuple):
@@ -37,10 +37,10 @@ def claim_of(shot: Shot, found: Detections, config: Config) -> Claim:
     """
     truth, calibration, counted = shot.truth, shot.calibration, eval_config(config)
     assert truth.drivable is not None and truth.depth_m is not None
+    # Lengths of clustered points refer to the colour camera.
+    lengths = Calibration(calibration.image) if config.cluster.points else calibration
     z_m = reference.align(shot.depth[None], calibration).z * calibration.depth_unit
-    place = floor_positions(
-        truth.depth_m, truth.drivable, calibration.color, shot.T_world_camera[None]
-    )
+    place = floor_positions(truth.depth_m, truth.drivable, lengths, shot.T_world_color[None])
     floor = measured_floor(place, truth.depth_m, z_m, counted)
     tally = claimed_floor(found, floor, calibration.depth_unit, counted)[0]
     return Claim(int(tally.drivable_pixels), int(tally.drivable_claimed))

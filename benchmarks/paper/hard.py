@@ -12,8 +12,8 @@ from benchmarks.paper.measure import measured
 from benchmarks.paper.pictures import encode, grid, shot_picture, titled
 from benchmarks.paper.section import Direction, Section, percent
 from benchmarks.paper.shots import Spec, load_shots
-from benchmarks.paper.systems import OURS, Prepared, System, eval_config, found_by, ours
-from jaxdet.eval import Tally, evaluate_frames
+from benchmarks.paper.systems import OURS, Prepared, System, found_by, ours, tally_of
+from jaxdet.eval import Tally
 from jaxdet.sim import HARD_FAMILIES
 
 FAMILIES = (*HARD_FAMILIES, "mixed")
@@ -58,10 +58,10 @@ Cells = dict[tuple[str, float], list[Judged]]
 def judge_hard(task: tuple[Path, System]) -> list[Judged]:
     """A worker's task: a system on all frames of a file."""
     path, system = task
-    shots, counted = load_shots(path), eval_config(system.config)
+    shots = load_shots(path)
     return [
         Judged(
-            evaluate_frames(found, shot.truth, shot.calibration.depth_unit, counted)[0],
+            tally_of(shot, found, system.config),
             claim_of(shot, found, system.config),
             shot.depth.size,
         )

@@ -105,7 +105,7 @@ def labels_of(
         z_m: ``(H, W)`` float, its forward depth at the colour pixels [m], 0 = none.
         calibration: Of the log.
     """
-    camera = calibration.color
+    camera = calibration.image
     if recording.images:
         path = folder / recording.images / f"{frame:03d}.png"
         image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED) if path.is_file() else None

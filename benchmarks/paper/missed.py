@@ -11,9 +11,9 @@ from benchmarks.paper.lab import Lab
 from benchmarks.paper.plan import SCENES
 from benchmarks.paper.section import Section, percent
 from benchmarks.paper.shots import Shot, load_shots
-from benchmarks.paper.systems import OURS, Prepared, System, eval_config, found_by, ours
+from benchmarks.paper.systems import OURS, Prepared, System, eval_config, found_by, ours, tally_of
 from jaxdet import reference
-from jaxdet.eval import EvalConfig, evaluate_frames
+from jaxdet.eval import EvalConfig
 from jaxdet.eval.polygon import overlap
 
 CLASSES = ("apart", "under or over another", "hardly measured")
@@ -53,8 +53,8 @@ def judge_missed(task: tuple[Path, System]) -> Asked:
     shots, config = load_shots(path), eval_config(system.config)
     total = Asked(np.zeros(3, np.int64), np.zeros(3, np.int64))
     for shot, found in zip(shots, found_by(system, Prepared(shots)), strict=True):
-        unit, kinds = shot.calibration.depth_unit, kinds_of(shot, config)
-        for case in evaluate_frames(found, shot.truth, unit, config)[0].cases:
+        kinds = kinds_of(shot, config)
+        for case in tally_of(shot, found, system.config).cases:
             total.asked[kinds[case.number - 1]] += 1
             total.found[kinds[case.number - 1]] += case.found
     return total

@@ -11,8 +11,8 @@ from benchmarks.paper.measure import measured
 from benchmarks.paper.plan import SCENES
 from benchmarks.paper.section import Section, percent
 from benchmarks.paper.shots import Shot, load_shots
-from benchmarks.paper.systems import OURS, Prepared, System, eval_config, found_by, ours
-from jaxdet.eval import Tally, evaluate_frames
+from benchmarks.paper.systems import OURS, Prepared, System, found_by, ours, tally_of
+from jaxdet.eval import Tally
 
 WRONG_DEG = (-2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0)
 
@@ -58,12 +58,12 @@ MOUNTS = (
 def judge_mounts(task: tuple[Path, System]) -> dict[str, list[Tally]]:
     """A worker's task: a system on all frames of a file, under each mount."""
     path, system = task
-    shots, counted = load_shots(path), eval_config(system.config)
+    shots = load_shots(path)
     out: dict[str, list[Tally]] = {}
     for mount in MOUNTS:
         prepared = Prepared([mount.told(shot) for shot in shots])
         out[mount.name] = [
-            evaluate_frames(found, shot.truth, shot.calibration.depth_unit, counted)[0]
+            tally_of(shot, found, system.config)
             for shot, found in zip(shots, found_by(system, prepared), strict=True)
         ]
     return out

@@ -8,8 +8,9 @@ import numpy as np
 from benchmarks.paper.shots import Shot, frames_of
 from benchmarks.paper.systems import Prepared, System, found_by
 from jaxdet.config import Config
+from jaxdet.floor.plane import plane_in_color
 from jaxdet.render import canvas, draw_frame
-from jaxdet.render.camera import camera_view
+from jaxdet.render.camera import camera_view, shown_image
 from jaxdet.results.metric import rectangles
 from jaxdet.types import Detections, Frames
 
@@ -56,7 +57,10 @@ def grid(images: Sequence[np.ndarray], columns: int, gap: int = 6) -> np.ndarray
 
 def frame_picture(frames: Frames, found: Detections, config: Config, title: str) -> np.ndarray:
     """A batch of one frame as :func:`jaxdet.render.draw_frame` shows it."""
-    unit = frames.calibration.depth_unit
+    calibration, plane = frames.calibration, frames.plane
+    if config.cluster.points and plane is not None:  # whose lengths refer to the colour camera
+        frames = frames._replace(plane=plane_in_color(plane, calibration))
+    unit = calibration.depth_unit
     corners = rectangles(found.obstacles, unit, config.footprint)
     return draw_frame(frames, found, corners, 0, config, title)
 
@@ -72,6 +76,7 @@ def side_by_side(shot: Shot, systems: Sequence[System], titles: Sequence[str]) -
     views, prepared = [], Prepared([shot])
     for system, title in zip(systems, titles, strict=True):
         found = found_by(system, prepared)[0]
-        view = camera_view(shot.color, found, 0, shot.calibration.depth_unit, 1.0)
+        shown = shown_image(frames_of([shot]), 0, system.config)
+        view = camera_view(shown, found, 0, system.config, 1.0)
         views.append(titled(view, title, 420))
     return encode(grid(views, len(views)))

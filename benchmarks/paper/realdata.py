@@ -11,6 +11,7 @@ import numpy as np
 from benchmarks.paper.lab import Lab
 from benchmarks.paper.pictures import encode, frame_picture, grid, scaled
 from benchmarks.paper.section import Section
+from benchmarks.paper.timing import split_batch
 from jaxdet.config import Config
 from jaxdet.engine import decide_planes
 from jaxdet.errors import InputError, JaxdetError
@@ -18,7 +19,7 @@ from jaxdet.floor.plane import repeat_plane
 from jaxdet.io import open_log
 from jaxdet.pipeline import detect, estimate_plane
 from jaxdet.results.rows import to_host
-from jaxdet.types import Calibration, Frames, GroundPlane, Intrinsics
+from jaxdet.types import Calibration, Frames, Intrinsics
 
 SHEET = (3, 5)
 """Columns and rows of a sheet."""
@@ -68,7 +69,7 @@ def find(place: Path, config: Config) -> Iterator[Recording]:
         raise InputError("no log and no camera file", path=str(place), remedy="name its folder")
     for path in logs:
         with open_log(str(path)) as log:
-            frames = log.read(range(log.num_frames)).frames
+            frames = log.read(range(log.num_frames), color=True).frames
             planes = decide_planes(log, config, "reference").of(frames.stamp_ns)
             numbers = tuple(map(str, range(log.num_frames)))
             yield Recording(path.stem, frames._replace(plane=planes), numbers)
@@ -103,29 +104,19 @@ def _read(color: Path, depth: Path, calibration: Calibration) -> tuple[Frames, t
     count, zero = len(paths), np.zeros(len(paths), np.int64)
     colors = np.stack([np.asarray(image)[..., ::-1] for image in images])
     frames = Frames(
-        np.ascontiguousarray(colors),
         np.stack([np.asarray(image).astype(np.uint16) for image in depths]),
         calibration,
         np.arange(count),
         zero,
-        zero,
         np.ones(count, bool),
+        np.ascontiguousarray(colors),
+        zero,
     )
     return frames, tuple(path.stem for path in paths)
 
 
 def _one(frames: Frames, b: int) -> Frames:
-    plane = frames.plane
-    return frames._replace(
-        color=frames.color[b : b + 1],
-        depth=frames.depth[b : b + 1],
-        number=frames.number[b : b + 1],
-        stamp_ns=frames.stamp_ns[b : b + 1],
-        depth_stamp_ns=frames.depth_stamp_ns[b : b + 1],
-        valid=frames.valid[b : b + 1],
-        T_world_camera=None,
-        plane=None if plane is None else GroundPlane(*(a[b : b + 1] for a in plane)),
-    )
+    return split_batch(frames)[b]._replace(T_world_camera=None)
 
 
 def add(section: Section, recording: Recording, config: Config) -> None:
@@ -136,8 +127,8 @@ def add(section: Section, recording: Recording, config: Config) -> None:
         if not recording.frames.valid[b]:
             continue
         one = _one(recording.frames, b)
-        found = to_host(detect(one, config, backend="reference"))
-        counts.append(int(found.labels.num_obstacles[0]))
+        found = to_host(detect(one, config, backend="reference", with_cells=True))
+        counts.append(int(found.num_obstacles[0]))
         title = f"{recording.name} {number}"
         pictures.append(scaled(frame_picture(one, found, config, title), WIDTH))
     columns, rows = SHEET

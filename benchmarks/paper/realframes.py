@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from benchmarks.baselines.frames import color_plane
 from benchmarks.paper.lab import Lab
 from benchmarks.paper.labelled import Recording, find_recordings, labels_of
 from benchmarks.paper.pictures import encode, grid, titled
@@ -19,13 +20,16 @@ from benchmarks.scores.boxes import (
     tally_boxes,
 )
 from jaxdet import reference
+from jaxdet.camera import cell_side
 from jaxdet.config import Config
 from jaxdet.engine import decide_planes
+from jaxdet.engine.color import method_frames
+from jaxdet.eval.frame import cell_points
 from jaxdet.io import Log, open_log
-from jaxdet.pipeline import detect, floor_of
+from jaxdet.pipeline import detect, floor_prior
 from jaxdet.presets import PRESETS
 from jaxdet.render import canvas
-from jaxdet.render.camera import camera_view
+from jaxdet.render.camera import camera_view, shown_image
 from jaxdet.results.metric import extents, floors
 from jaxdet.results.rows import to_host
 from jaxdet.types import Detections, Frames
@@ -56,18 +60,34 @@ class Found(NamedTuple):
     frames: Frames
     """With the floor that was used."""
     detections: Detections
+    config: Config
+
+    @property
+    def shown(self) -> np.ndarray:
+        """``(n,)`` bool, obstacles that the colour image shows a part of: others have no label."""
+        return self.detections.obstacles.uv_max[0, : self.detections.num_obstacles[0], 0] >= 0
 
     @property
     def boxes(self) -> np.ndarray:
-        """``(n, 4)`` int32, image boxes of the obstacles [pixel]."""
-        count, obstacles = self.detections.labels.num_obstacles[0], self.detections.obstacles
-        return np.concatenate([obstacles.uv_min[0], obstacles.uv_max[0]], axis=1)[:count]
+        """``(k, 4)`` int32, image boxes of the obstacles that are shown [pixel]."""
+        count, obstacles = self.detections.num_obstacles[0], self.detections.obstacles
+        boxes = np.concatenate([obstacles.uv_min[0], obstacles.uv_max[0]], axis=1)[:count]
+        return boxes[self.shown]
 
     @property
     def nearest_m(self) -> np.ndarray:
-        """``(n,)`` float, least forward depth of each [m]."""
-        box = extents(self.detections.obstacles, self.frames.calibration.depth_unit)
-        return box.minimum[0, : self.detections.labels.num_obstacles[0], 2]
+        """``(k,)`` float, least forward depth of what is shown of each in the colour camera [m]."""
+        calibration, count = self.frames.calibration, int(self.detections.num_obstacles[0])
+        cells = self.detections.cells
+        if cells is None:
+            box = extents(self.detections.obstacles, calibration.depth_unit)
+            return box.minimum[0, :count, 2]
+        side = cell_side(calibration.depth, self.config.surface.cell_rad)
+        points, label = cell_points(cells, 0, calibration, side), cells.label[0]
+        seen = points.valid & (label >= 0)
+        least = np.full(count, np.inf)
+        np.minimum.at(least, label[seen], points.z[seen] * calibration.depth_unit)
+        return least[self.shown]
 
 
 class Task(NamedTuple):
@@ -92,9 +112,12 @@ class Judgement(NamedTuple):
 def find_obstacles(log: Log, config: Config) -> Iterator[Found]:
     """Every frame of a log as ``jaxdet run --backend reference`` finds its obstacles."""
     planes = decide_planes(log, config, "reference")
-    for batch in log.batches(1):
+    for batch in log.batches(1, color=True, need_color=config.cluster.points):
         frames = batch.frames._replace(plane=planes.of(batch.frames.stamp_ns))
-        yield Found(frames, to_host(detect(frames, config, backend="reference")))
+        read = method_frames(frames, config)
+        yield Found(
+            frames, to_host(detect(read, config, backend="reference", with_cells=True)), config
+        )
 
 
 def judge(task: Task) -> Judgement:
@@ -119,8 +142,9 @@ def _held(task: Task, found: Found) -> tuple[FrameLabels | None, BoxTally]:
     if labels is None:
         return None, BoxTally()
     scene = found.detections.scene
-    known = floor_of(frames, task.config, backend="reference")
-    plane = floors(scene, calibration.depth_unit).plane if scene else known
+    prior = floor_prior(frames, task.config, backend="reference")
+    plane = floors(scene, calibration.depth_unit).plane if scene else prior
+    plane = color_plane(plane, calibration)
     kept = np.asarray(reference.ground(aligned, plane, calibration, task.config).mask[0])
     boxes, nearest, least = found.boxes, found.nearest_m, task.recording.least_iou
     return labels, tally_boxes(labels, boxes, nearest, kept, z_m > 0, least)
@@ -221,8 +245,7 @@ def _picture(
 ) -> np.ndarray:
     """The camera's view with the labelled boxes over it."""
     frames = found.frames
-    unit = frames.calibration.depth_unit
-    view = camera_view(frames.color[0], found.detections, 0, unit, 1.0)
+    view = camera_view(shown_image(frames, 0, found.config), found.detections, 0, found.config, 1.0)
     counted = found.boxes[on_known_ground(labels, found.boxes)]
     pairs = match_boxes(labels.boxes, counted, recording.least_iou)
     for box, pair in zip(labels.boxes, pairs.tolist(), strict=True):

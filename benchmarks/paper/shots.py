@@ -9,7 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import zstandard
 
+from benchmarks.mounts import depth_plane
 from jaxdet.eval import FrameTruth, truth_of
+from jaxdet.eval.truth import depth_poses
 from jaxdet.floor.plane import flat_plane
 from jaxdet.sim import SimConfig, SimFrame, floor_truth, frame_truth, sample_frames, simulate
 from jaxdet.sim.config import calibration_of
@@ -48,15 +50,19 @@ class Shot(NamedTuple):
     color: np.ndarray
     """``(H, W, 3)`` uint8, RGB."""
     depth: np.ndarray
-    """``(H, W)`` uint16 on the depth camera's rays."""
+    """``(Hd, Wd)`` uint16 on the depth camera's rays."""
     calibration: Calibration
     mount: tuple[float, float, float]
-    """Height [m], pitch and roll [rad] of the colour camera, as a log's TF has them: without the
-    mount's errors, which ``T_world_camera`` has."""
+    """Height [m], pitch and roll [rad] of the depth camera, as a log's TF has them: without the
+    mount's errors, which the poses have."""
     T_world_camera: np.ndarray
-    """``(4, 4)`` float64."""
+    """Pose of the depth camera, ``(4, 4)`` float64."""
+    T_world_color: np.ndarray
+    """Pose of the colour camera, ``(4, 4)`` float64."""
     truth: FrameTruth
-    """``B = 1``."""
+    """``B = 1``; lengths refer to the depth camera."""
+    color_truth: FrameTruth
+    """The same with lengths that refer to the colour camera, as those of clustered points do."""
     names: tuple[str, ...]
     """Of the objects."""
     height: np.ndarray | None
@@ -119,7 +125,7 @@ def draw(task: tuple[Path, tuple[Spec, ...]]) -> None:
 
 
 def drawn(spec: Spec) -> list[Shot]:
-    """Its frames, drawn anew."""
+    """Its frames, drawn again."""
     return [shot_of(spec, frame) for frame in _frames(spec)]
 
 
@@ -138,21 +144,23 @@ def shot_of(spec: Spec, frame: SimFrame) -> Shot:
     """A simulated frame with its truth."""
     truth, config = frame_truth(frame), frame.config
     assert frame.depth is not None
+    calibration, floor = calibration_of(config), depth_plane(config)
+    images = (
+        frame.truth.obstacle_id[None],
+        frame.truth.depth[None].astype(np.float16),
+        floor_truth(frame).drivable[None],
+    )
     return Shot(
         spec,
         frame.number,
         frame.color,
         frame.depth,
-        calibration_of(config),
-        (config.camera_height_m, config.camera_pitch_rad, config.camera_roll_rad),
+        calibration,
+        (float(floor.height[0]), float(floor.pitch[0]), float(floor.roll[0])),
+        depth_poses(frame.T_world_color[None], calibration)[0],
         frame.T_world_color,
-        truth_of(
-            truth,
-            [0],
-            frame.truth.obstacle_id[None],
-            frame.truth.depth[None].astype(np.float16),
-            floor_truth(frame).drivable[None],
-        ),
+        truth_of(truth, [0], *images, calibration),
+        truth_of(truth, [0], *images),
         tuple(truth.names.tolist()),
         frame.truth.height.astype(np.float16) if spec.heights else None,
     )
@@ -170,13 +178,13 @@ def frames_of(shots: Sequence[Shot], *, plane: bool = True) -> Frames:
     height, pitch, roll = np.array([shot.mount for shot in shots], np.float64).T
     floor = flat_plane(height, pitch, roll) if plane else None
     return Frames(
-        np.stack([shot.color for shot in shots]),
         np.stack([shot.depth for shot in shots]),
         shots[0].calibration,
         np.arange(count),
         np.zeros(count, np.int64),
-        np.zeros(count, np.int64),
         np.ones(count, bool),
+        np.stack([shot.color for shot in shots]),
+        np.zeros(count, np.int64),
         np.stack([shot.T_world_camera for shot in shots]),
         floor,
     )

@@ -10,6 +10,7 @@ from benchmarks.baselines import BASELINES, Baseline, Frame, detect_with, prepar
 from benchmarks.paper.shots import Shot, frames_of, load_shots
 from benchmarks.scores.group import group_objects
 from jaxdet import detect
+from jaxdet.camera import cell_side
 from jaxdet.config import ClusterConfig, Config
 from jaxdet.eval import EvalConfig, FrameTruth, Score, Tally, evaluate_frames
 from jaxdet.presets import preset
@@ -112,6 +113,32 @@ class Prepared:
         return self._frames[config]
 
 
+def truth_for(config: Config, shot: Shot) -> FrameTruth:
+    """The truth of a frame from the camera that a method's lengths refer to."""
+    return shot.color_truth if config.cluster.points else shot.truth
+
+
+def tally_of(
+    shot: Shot,
+    found: Detections,
+    config: Config,
+    counted: EvalConfig | None = None,
+    truth: FrameTruth | None = None,
+) -> Tally:
+    """A frame's detections compared with the truth.
+
+    Args:
+        shot: The frame.
+        found: ``B = 1``.
+        config: Configuration of the method.
+        counted: What counts; by default :func:`eval_config`.
+        truth: By default that of :func:`truth_for`.
+    """
+    counted, truth = counted or eval_config(config), truth or truth_for(config, shot)
+    side = cell_side(shot.calibration.depth, config.surface.cell_rad)
+    return evaluate_frames(found, truth, shot.calibration, counted, side=side)[0]
+
+
 def found_by(system: System, prepared: Prepared) -> list[Detections]:
     """The obstacles of each frame, batches of one.
 
@@ -139,7 +166,6 @@ def judge(task: tuple[Path, tuple[System, ...]]) -> dict[str, list[Tally]]:
     """
     path, chosen = task
     shots = load_shots(path)
-    truths = [(shot.truth, joined(shot.truth)) for shot in shots]
     indexed = INDEXED if shots[0].spec.light == INDEXED_LIGHT else ()
     prepared = Prepared(shots)
     out: dict[str, list[Tally]] = {}
@@ -147,10 +173,10 @@ def judge(task: tuple[Path, tuple[System, ...]]) -> dict[str, list[Tally]]:
         config = system.config
         mine, together = [], []
         counted, plainly = eval_config(config, indices=system.name in indexed), eval_config(config)
-        unit = shots[0].calibration.depth_unit
-        for found, (plain, whole) in zip(found_by(system, prepared), truths, strict=True):
-            mine += evaluate_frames(found, plain, unit, counted)
-            together += evaluate_frames(found, whole, unit, plainly)
+        for found, shot in zip(found_by(system, prepared), shots, strict=True):
+            whole = joined(truth_for(config, shot))
+            mine.append(tally_of(shot, found, config, counted))
+            together.append(tally_of(shot, found, config, plainly, whole))
         out[system.name], out[JOINED + system.name] = mine, together
     return out
 
@@ -180,4 +206,4 @@ def tune_one(task: TuningTask) -> tuple[dict[str, Any], float]:
 def _tuning_frames(paths: tuple[Path, ...], config: Config) -> tuple[list[Frame], list[FrameTruth]]:
     shots = [shot for path in paths for shot in load_shots(path)]
     frames = [frame for shot in shots for frame in prepare(frames_of([shot]), config)]
-    return frames, [shot.truth for shot in shots]
+    return frames, [truth_for(config, shot) for shot in shots]

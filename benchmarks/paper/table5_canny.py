@@ -15,6 +15,7 @@ from benchmarks.paper.timing import in_turns, split_batch
 from jaxdet import reference, stages
 from jaxdet.config import Config
 from jaxdet.eval import score
+from jaxdet.floor.plane import plane_in_color
 from jaxdet.presets import preset
 
 
@@ -36,7 +37,8 @@ def run(lab: Lab) -> Section:
     for frame in frames:
         aligned = reference.align(frame.depth, frame.calibration)
         assert frame.plane is not None
-        keeps.append(reference.ground(aligned, frame.plane, frame.calibration, paper))
+        plane = plane_in_color(frame.plane, frame.calibration)
+        keeps.append(reference.ground(aligned, plane, frame.calibration, paper))
 
     def extract(backend: str, bounds: tuple[int, int], index: int) -> object:
         module = stages if backend == "jax" else reference

@@ -39,7 +39,7 @@ def split_batch(frames: Frames) -> list[Frames]:
     """Batches of one frame each."""
     plane = frames.plane
     out: list[Frames] = []
-    for b in range(len(frames.color)):
+    for b in range(len(frames.depth)):
         one = slice(b, b + 1)
         parts: dict[str, Any] = {
             name: value[one] for name, value in frames._asdict().items() if _is_array(value)

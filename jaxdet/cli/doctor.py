@@ -99,6 +99,14 @@ def backends_agree() -> tuple[bool, str]:
     return count > 0, f"equal arrays, {count} obstacles"
 
 
+def kernels_answer() -> tuple[bool, str]:
+    """The kernels alone, on images whose result is stored."""
+    from jaxdet.stages import check_kernels
+
+    check_kernels()
+    return True, "as stored"
+
+
 def small_case() -> "jaxdet.Frames":
     """Two depth images of 160 x 120 pixels: a box before a wall, camera level."""
     v, u = np.mgrid[0:120, 0:160]
@@ -133,5 +141,6 @@ CHECKS = {
     "jax devices": jax_devices,
     "warp devices": warp_devices,
     "caches": caches,
+    "kernels": kernels_answer,
     "backends agree": backends_agree,
 }

@@ -17,8 +17,8 @@ from jaxdet.presets import DEFAULT_PRESET
 
 if TYPE_CHECKING:
     from jaxdet.engine import Planes
-    from jaxdet.io import LogFiles
-    from jaxdet.io.description import LogDescription, PairingDescription, TopicDescription
+    from jaxdet.io import Log, LogFiles
+    from jaxdet.io.description import LogDescription, TopicDescription
 
 _UNCOUNTED = "not counted; see --check"
 
@@ -122,18 +122,26 @@ def describe(
             "ground": planes.records,
             "warnings": planes.warnings,
         }
-        return plain(about), list(_lines(log.label, log.description, planes))
+        return plain(about), list(_lines(log.label, log.description, planes, _color(log)))
 
 
-def _lines(label: str, about: "LogDescription", planes: "Planes") -> Iterator[str]:
-    yield f"{label}: {many(about.num_frames, 'colour frame')} in {about.duration_s:.2f} s"
+def _color(log: "Log") -> str:
+    """Which frames have colour, or why none has."""
+    if log.color_problem:
+        return f"{log.color_problem}; pictures show depth"
+    pairing = log.description.pairing
+    return pairing.text if pairing else _UNCOUNTED
+
+
+def _lines(label: str, about: "LogDescription", planes: "Planes", color: str) -> Iterator[str]:
+    yield f"{label}: {many(about.num_frames, 'frame')} in {about.duration_s:.2f} s"
     files = [f"{printable(str(file.path))}: {file.text}" for file in about.integrity]
     yield from _section("files", files)
     yield from _section("topics", _topics(about.topics))
     yield from _section("cameras", about.cameras)
     yield from _section("used", about.choices)
     yield from _section("part", [about.part])
-    yield from _section("pairs", [_pairing(about.pairing)] if about.pairing else [_UNCOUNTED])
+    yield from _section("colour", [color])
     extrinsics = f"depth to colour: {about.extrinsics_source}" if about.extrinsics_source else ""
     yield from _section("calibration", [*about.calibration, extrinsics])
     messages = [record.message for record in planes.records[:1] if record.source == "estimate"]
@@ -172,14 +180,3 @@ def _topics(topics: Sequence["TopicDescription"]) -> list[str]:
         ).rstrip()
         for row in rows
     ]
-
-
-def _pairing(pairing: "PairingDescription") -> str:
-    apart = (
-        f" (median {pairing.median_dt_s * 1000:.1f} ms, at most {pairing.max_dt_s * 1000:.1f} ms)"
-    )
-    return (
-        f"{pairing.num_paired} within {pairing.tolerance_s:g} s"
-        f"{apart if pairing.num_paired else ''}, "
-        f"{pairing.num_unpaired_color} colour and {pairing.num_unpaired_depth} depth frames alone"
-    )

@@ -10,9 +10,9 @@ from tempfile import NamedTemporaryFile
 import jaxdet
 from jaxdet.cli.spinner import SPINNER
 from jaxdet.cli.tell import tell
-from jaxdet.engine.signals import stops_raised
 from jaxdet.errors import ConfigError, Interrupted, JaxdetError, meant, printable
 from jaxdet.results.crash_report import crash_report
+from jaxdet.signals import stops_raised
 
 COMMANDS = {
     "run": "find the obstacles in every frame of logs, and write tables and pictures",

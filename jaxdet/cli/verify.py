@@ -14,12 +14,12 @@ if TYPE_CHECKING:
     from jaxdet.verify import Report
 
 DESCRIPTION = """\
-Checks results: every file against its checksum in the manifest.json of its log; the tables, which must be in
-order, belong together and have a row for every frame; tracks, which linking the obstacles once
-more must give again; stamps and poses of all frames against the logs; and of each log some frames,
-whose rows the NumPy reference must find again, byte for byte. The logs are looked for where the
-run found them. Says a line for each thing that is not as it should be, and ends with exit code 1
-where there is one.
+Checks results: every file against its checksum in the manifest.json of its log; the tables, which
+must be in order, belong together and have a row for every frame; tracks, which linking the
+obstacles once more must give again; stamps and poses of all frames against the logs; and of each
+log some frames, whose rows the NumPy reference must find again, byte for byte. The logs are looked
+for where the run found them. Says a line for each thing that is not as it should be, and ends with
+exit code 1 where there is one.
 
 Examples:
   jaxdet verify results

@@ -130,15 +130,12 @@ class Detector:
 
         Raises:
             InputError: ``ground.source`` is tf and the log has no usable transform.
-            CalibrationError: The preset ``paper`` can't use the log's colour.
         """
         from jaxdet.engine import decide_planes
-        from jaxdet.engine.color import check_color
         from jaxdet.io import Log
 
         of_type("log", log, Log)
         detector = cls(log.calibration.depth, config=config, backend=backend)
-        check_color(log, detector.config)
         detector._cameras = Cameras.of(log.calibration)
         detector._log = log.label, log.calibration
         detector._planes = decide_planes(log, detector.config, backend)
@@ -255,6 +252,7 @@ class Detector:
             RescanError: The log isn't as its index lets expect.
         """
         remedy = "make it with Detector.from_log"
+        from jaxdet.engine.color import method_frames
         from jaxdet.io import Log
 
         if self._log is None:
@@ -270,6 +268,8 @@ class Detector:
         paper = self.config.cluster.points
         together = min(size, max(len(log.frames), 1), MAX_FRAMES)
         for batch in log.batches(together, color=color or paper, need_color=paper):
+            if paper:
+                batch = batch._replace(frames=method_frames(batch.frames, self.config))
             yield from self._found(batch, *self._known(batch.frames, None))
 
     def _known(
@@ -300,7 +300,7 @@ class Detector:
         return plane, ["mount" if known else "none" for known in plane.valid.tolist()]
 
     def _found(self, batch: Batch, plane: GroundPlane, sources: list[str]) -> BatchResult:
-        from jaxdet.engine.signals import stops_held_back
+        from jaxdet.signals import stops_held_back
 
         frames = batch.frames._replace(plane=plane)
         with stops_held_back():

@@ -3,23 +3,28 @@
 from collections.abc import Collection, Iterable
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from jaxdet.config import Config
-from jaxdet.errors import CalibrationError
+from jaxdet.types import Frames
 
 if TYPE_CHECKING:
     from jaxdet.engine.plan import Observer
-    from jaxdet.io import Log
 
 
-def check_color(log: "Log", config: Config) -> None:
-    """Refuse a log whose colour the preset ``paper`` can't use.
+def method_frames(frames: Frames, config: Config) -> Frames:
+    """Return frames with what the method reads.
 
-    Raises:
-        CalibrationError: It is the preset ``paper``, and the colour camera is not calibrated.
+    The default reads depth alone. The preset ``paper`` reads colour, which is black in a log that
+    has none: its frames have the status ``no_color``.
     """
-    if config.cluster.points and log.color_problem:
-        remedy = "another preset reads depth alone"
-        raise CalibrationError(log.color_problem, path=log.name, remedy=remedy)
+    if not config.cluster.points:
+        return frames._replace(color=None)
+    if frames.color is not None:
+        return frames
+    camera = frames.calibration.image
+    black = np.zeros((len(frames.depth), camera.height, camera.width, 3), np.uint8)
+    return frames._replace(color=black)
 
 
 def shown_color(

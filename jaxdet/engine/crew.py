@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 from jaxdet.config import Config
 from jaxdet.engine.device import Device, OwnDevice
 from jaxdet.engine.floors import Planes, decide_planes
-from jaxdet.engine.memory import BATCH, Memory, MemoryPlan, Needs
+from jaxdet.engine.memory import BATCH, BATCHES_IN_FLIGHT, READ_AHEAD, Memory, MemoryPlan, Needs
 from jaxdet.engine.options import RunOptions
 from jaxdet.engine.part import Part
 from jaxdet.engine.plan import LogPlan, Observer, Unit
@@ -93,17 +93,18 @@ def memory_plan(job: Job, log: "Log", memory: Memory, workers: int, packing: int
 
 
 def _color_bytes(job: Job, log: "Log", batch: int) -> int:
-    """Return the mean size of the colour images in the fullest batch, per frame [bytes].
+    """Return how much memory colour images take, per frame that is in memory [bytes].
 
-    All frames of the preset ``paper`` have one, of others those that are drawn.
+    All frames of the preset ``paper`` have one, else all of a batch in which one is drawn.
     """
     if job.config.cluster.points:
         camera = log.calibration.image
         return 3 * camera.height * camera.width
     if not log.has_color or log.color_shape is None:
         return 0
-    drawn = -(-job.options.pictures * batch // max(1, len(log.frames)))
-    return -(-prod(log.color_shape) * min(drawn, batch) // batch)
+    batches = BATCHES_IN_FLIGHT + READ_AHEAD
+    drawn = -(-job.options.pictures * batches * batch // max(1, len(log.frames)))
+    return -(-prod(log.color_shape) * min(drawn, batches) // batches)
 
 
 class OneProcess:

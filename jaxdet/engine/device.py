@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 import numpy as np
 
 from jaxdet.config import Config
+from jaxdet.engine.color import method_frames
 from jaxdet.engine.floors import find_here
 from jaxdet.engine.slots import SLOTS, Packing, Piece, Piped, Reply, Sample, Slots, attached
 from jaxdet.engine.startup import computing
@@ -85,7 +86,7 @@ class OwnDevice:
 
     def start(self, batch: "Batch", plane: GroundPlane, *, whole: bool) -> "_Started":
         """Starts a batch."""
-        frames = batch.frames._replace(plane=plane)
+        frames = method_frames(batch.frames._replace(plane=plane), self._config)
         return _Started(frames, _if_it_fits(self._detect, frames, whole), whole)
 
     def finish(self, started: "_Started") -> Found:

@@ -8,14 +8,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxdet.engine.color import check_color
 from jaxdet.engine.crew import Choose, Crew, Job
 from jaxdet.engine.floors import Planes, evenly
 from jaxdet.engine.memory import Memory
 from jaxdet.engine.part import Assembly
 from jaxdet.engine.plan import LogPlan, UnitSizes
 from jaxdet.engine.progress import Clock, Report
-from jaxdet.errors import CamerasError, ChunkMemoryError, InputError, JaxdetError, OutputError
+from jaxdet.errors import (
+    CamerasError,
+    ChunkMemoryError,
+    InputError,
+    JaxdetError,
+    OutputError,
+    WorkerStartError,
+)
 from jaxdet.io import RescanError, open_log
 from jaxdet.io.notes import total
 from jaxdet.memory import size_text
@@ -182,10 +188,11 @@ class CameraRun:
         Raises:
             CamerasError: There are several cameras, and the options choose none.
             OutputError: The disk is full or broken.
+            WorkerStartError: There are no workers.
         """
         try:
             self._run_with_retries(options, keep_memory=keep_memory)
-        except (OutputError, CamerasError):
+        except (OutputError, CamerasError, WorkerStartError):
             raise
         except Exception as error:
             if keep_memory:
@@ -267,7 +274,6 @@ class CameraRun:
         if log.label != log.name:
             self.part = camera_name(log.camera)
             about.file_name = export_name(log.name, log.camera)
-        check_color(log, self.job.config)
         about.description, about.calibration = log.description, log.calibration
         about.warnings += log.description.warnings
         about.notes += log.description.notes

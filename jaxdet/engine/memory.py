@@ -40,7 +40,7 @@ BATCH = 16
 """Frames computed together by a process of the CPU, unless the user says."""
 READ_AHEAD = 2
 """Batches that wait, read, where one process has all cores."""
-_BATCHES_IN_FLIGHT = 5
+BATCHES_IN_FLIGHT = 5
 """Batches in a process beside those: filled, started, finished, and as much for temporaries."""
 
 
@@ -143,10 +143,10 @@ class Memory:
             size = batch
             while size:
                 for waiting in range(ahead, -1, -1):
-                    if (_BATCHES_IN_FLIGHT + waiting) * size * needs.frame <= left:
+                    if (BATCHES_IN_FLIGHT + waiting) * size * needs.frame <= left:
                         return MemoryPlan(count, size, waiting)
                 size //= 2
-        rest = _BATCHES_IN_FLIGHT * needs.frame + 2 * needs.known + needs.rows
+        rest = BATCHES_IN_FLIGHT * needs.frame + 2 * needs.known + needs.rows
         chunks = max(LEAST_CHUNKS, min(2 * self._largest, rest))  # which get half of what is left
         least = size_text(self._fixed(1) + chunks + rest)
         problem = f"its images, index and rows need more memory than {size_text(self.total)}"

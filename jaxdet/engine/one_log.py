@@ -54,7 +54,8 @@ def run_one(log_path: str, folder: str | Path, how: Mapping[str, Any]) -> dict[s
         found = {"name": how.get("name") or log_path, "frames": 0, "obstacles": 0, "seconds": 0.0}
         return {"status": "failed", **found, "warnings": [], "lost": [], "error": str(error)}
     given = logs[0]._replace(name=how.get("name") or logs[0].name)
-    summary = runner.run_alone(given, Path(folder), config, log=log_options, preset=name, **options)
+    folder = Path(folder)
+    summary = runner.run_alone(given, folder, config, log_options, preset=name, **options)
     errors = "; ".join(log.error for log in summary.failed if log.error)
     return {
         "status": "done" if summary.whole else "failed",

@@ -1,12 +1,12 @@
 """The output folder of a run: which logs are done, and where others are made."""
 
+import os
 import secrets
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from jaxdet.engine.signals import stops_held_back
 from jaxdet.errors import ConfigError, InputError, ResultsError
 from jaxdet.results.durable import write_whole, writing
 from jaxdet.results.layout import (
@@ -27,6 +27,7 @@ from jaxdet.results.names import log_name
 from jaxdet.results.publish import finish, publish, remove
 from jaxdet.results.record import difference, digest
 from jaxdet.results.summary import LogSummary, to_json
+from jaxdet.signals import stops_held_back
 
 if TYPE_CHECKING:
     from jaxdet.engine.options import RunOptions
@@ -110,8 +111,15 @@ class OutputFolder:
             self.staging.mkdir()
             if self.options.overwrite and unfinished is None:
                 write_whole(self._overwrite, self.run.encode())
-        write_whole(self.output / RUN, to_json(dict(self.record)).encode())
+            self._write_record()
         return found
+
+    def _write_record(self) -> None:
+        """Write ``run.json``, where it is not there."""
+        content, place = to_json(dict(self.record)).encode(), self.output / RUN
+        if not place.exists() or place.read_bytes() != content:
+            write_whole(self.staging / RUN, content)
+            os.replace(self.staging / RUN, place)
 
     def staged(self, log: str) -> Path:
         """Return the new folder in which the results of a log are made."""
@@ -191,36 +199,36 @@ class OutputFolder:
             return None
         if not folder.is_dir():
             self._refuse(folder, "is no folder, where a log's results would be")
-        update, overwrite = self.options.update, self.options.overwrite
         if is_complete(folder):
-            manifest = None if overwrite else read_manifest(folder)
-            if overwrite:
-                self._check_own(folder)
-                done = unfinished and (folder / MANIFEST).stat().st_mtime_ns >= unfinished
-                if not done:
-                    return None
-                manifest = read_manifest(folder)
-            same = manifest is not None and manifest.get("run") == self.run
-            if not same:
-                reason = "it is of another configuration or version"
-                raise ResultsError(str(self.output), folder.name, reason=reason)
-            if manifest is None or not same_inputs(manifest.get("inputs"), _fingerprints(log)):
-                if update or overwrite:
-                    return None
-                error = ResultsError(str(self.output), folder.name, reason="the log has changed")
-                error.add_remedy("or --update to do what has changed or failed again")
-                raise error
-            about = _summaries(folder / SUMMARY)
-            again = update and any(one.lost or one.error for one in about)
-            return None if again else about
-        if not (folder / FAILED).is_file():
-            if any(folder.iterdir()):
-                self._refuse(folder, "is there, and no run wrote it")
+            return self._complete(log, folder, unfinished)
+        if (folder / FAILED).is_file():
+            told = read_json(folder / FAILED)
+            again = self.options.update or self.options.overwrite or told.get("run") != self.run
+            return None if again else _summaries(folder / FAILED)
+        if any(folder.iterdir()):
+            self._refuse(folder, "is there, and no run wrote it")
+        return None
+
+    def _complete(
+        self, log: "LogFiles", folder: Path, unfinished: int | None
+    ) -> list[LogSummary] | None:
+        """Return the same of a log that has results."""
+        update, overwrite = self.options.update, self.options.overwrite
+        if overwrite and (unfinished is None or _made_ns(folder) < unfinished):
+            self._check_own(folder)
             return None
-        told = read_json(folder / FAILED)
-        if update or overwrite or told.get("run") != self.run:
-            return None
-        return _summaries(folder / FAILED)
+        manifest = read_manifest(folder)
+        if manifest.get("run") != self.run:
+            reason = "it is of another configuration or version"
+            raise ResultsError(str(self.output), folder.name, reason=reason)
+        if not same_inputs(manifest.get("inputs"), [fingerprint(path) for path in log.paths]):
+            if update or overwrite:
+                return None
+            error = ResultsError(str(self.output), folder.name, reason="the log has changed")
+            error.add_remedy("or --update to do what has changed or failed again")
+            raise error
+        about = _summaries(folder / SUMMARY)
+        return None if update and any(one.lost or one.error for one in about) else about
 
     def _check_own(self, folder: Path) -> None:
         """Make sure that nothing of the user's goes with a folder that is replaced."""
@@ -260,8 +268,9 @@ class OutputFolder:
                     folder.rmdir()  # where nothing is in it
 
 
-def _fingerprints(log: "LogFiles") -> list[dict[str, Any]]:
-    return [fingerprint(path) for path in log.paths]
+def _made_ns(folder: Path) -> int:
+    """Return when a log's folder was completed [ns]."""
+    return (folder / MANIFEST).stat().st_mtime_ns
 
 
 def _summaries(path: Path) -> list[LogSummary]:

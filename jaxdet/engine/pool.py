@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 from jaxdet.config import Config
 from jaxdet.engine.part import Part
 from jaxdet.engine.plan import LogPlan, Unit
-from jaxdet.engine.signals import STOPS, stops_held_back
 from jaxdet.engine.slots import Slots
 from jaxdet.engine.startup import may_use_gpus, start_cuda, start_up
 from jaxdet.engine.station import Station
@@ -29,8 +28,9 @@ from jaxdet.engine.worker import (
     mark_unit_failed,
     run_unit,
 )
-from jaxdet.errors import FrameStatus, WorkerError
+from jaxdet.errors import FrameStatus, WorkerError, WorkerStartError
 from jaxdet.pipeline import BackendName
+from jaxdet.signals import STOPS, stops_held_back
 
 if TYPE_CHECKING:
     from jaxdet.engine.lane import Served
@@ -85,7 +85,7 @@ def _start_server(loaded: list[str]) -> None:
                 forkserver.ensure_running()
             except OSError as error:
                 problem = f"workers can't be started ({error.strerror or error})"
-                raise WorkerError(problem, remedy=_SHORT_TMPDIR) from error
+                raise WorkerStartError(problem, remedy=_SHORT_TMPDIR) from error
 
 
 MakeContext = Callable[[], UnitContext]
@@ -370,7 +370,7 @@ class Pool:
                 if not worker.ready and (self._early > 1 or not worker.by_signal):
                     died = worker.death
                     self.close()
-                    raise WorkerError(died, remedy=_ENDED_EARLY) from None
+                    raise WorkerStartError(died, remedy=_ENDED_EARLY) from None
                 if worker.given:
                     yield worker, _Problem(FrameStatus.WORKER_CRASHED, worker.death)
                     return

@@ -6,10 +6,11 @@ import signal
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack
 
 from jaxdet.config import Config
 from jaxdet.config_file import find_config
@@ -24,17 +25,16 @@ from jaxdet.engine.output import OutputFolder, Say
 from jaxdet.engine.plan import Observer
 from jaxdet.engine.pool import LOST, Pool, gpus
 from jaxdet.engine.progress import Progress, ProgressCallback
-from jaxdet.engine.signals import stops_held_back, stops_raised
 from jaxdet.engine.whole_logs import FEW_BYTES, OtherCamera, WorkerJob, choose_whole, do_log
 from jaxdet.errors import ConfigError, InputError, Interrupted, OutputError
 from jaxdet.io import LogFiles, LogOptions, find_logs
 from jaxdet.memory import size_text
-from jaxdet.pipeline import BackendName
 from jaxdet.presets import DEFAULT_PRESET, PRESETS
 from jaxdet.results.manifest import fingerprint
 from jaxdet.results.publish import remove
 from jaxdet.results.record import digest, make_record
 from jaxdet.results.summary import LogSummary, Summary
+from jaxdet.signals import stops_held_back, stops_raised
 
 if TYPE_CHECKING:
     from jaxdet.io import Log
@@ -45,21 +45,44 @@ FRAMES_WORTH_WORKERS = 500
 Logs = str | PathLike[str] | Sequence[str | PathLike[str]] | Sequence[LogFiles]
 
 
+class Resources(TypedDict, total=False):
+    """Arguments of :class:`Runner`."""
+
+    backend: Literal["jax", "reference"]
+    workers: int | None
+    memory: str | None
+
+
+class How(TypedDict, total=False):
+    """Arguments of a run, see :func:`run`."""
+
+    batch_size: int | None
+    pictures: int
+    map: bool
+    overwrite: bool
+    update: bool
+
+
+class Options(Resources, How, total=False):
+    """Both."""
+
+
+class Hooks(How, total=False):
+    """Arguments of :meth:`Runner.run`."""
+
+    observers: Mapping[str, Observer]
+    preset: str | None
+    say: Say
+
+
 def run(
     logs: Logs,
     output: str | PathLike[str],
     config: Config | str | PathLike[str] = DEFAULT_PRESET,
     *,
     log: LogOptions | None = None,
-    backend: Literal["jax", "reference"] = "jax",
-    batch_size: int | None = None,
-    workers: int | None = None,
-    memory: str | None = None,
-    pictures: int = 8,
-    map: bool = True,
-    overwrite: bool = False,
-    update: bool = False,
     progress: ProgressCallback | None = None,
+    **options: Unpack[Options],
 ) -> Summary:
     """Find the obstacles in every frame of logs and write a folder of results for each.
 
@@ -76,15 +99,10 @@ def run(
         output: Folder for the results: ``output/<log>/``, see ``jaxdet help runs``.
         config: Configuration, name of a preset, or file.
         log: How to read the logs; by default as the command does.
-        backend: ``jax``, on the GPU when there is one, or ``reference`` (NumPy); equal results.
-        batch_size: Frames computed together; changes no result.
-        workers: Number of processes; changes no result.
-        memory: Most memory of all processes, ``"4GiB"`` for instance.
-        pictures: Frames of each log to draw.
-        map: Make a map of each log that has poses.
-        overwrite: Replace the results of the logs, also of another configuration or version.
-        update: Also do logs again that failed, lost frames or have changed since.
         progress: Called after each unit of frames and each log.
+        options: Flags of ``jaxdet run`` (:class:`jaxdet.engine.RunOptions`): ``backend``,
+            ``batch_size``, ``workers`` and ``memory``, which change no result, ``pictures``,
+            ``map``, ``overwrite`` and ``update``.
 
     Returns:
         Counts and the summary of every log.
@@ -94,21 +112,13 @@ def run(
             log that has changed; another run works there; or an argument is wrong.
         InputError: There are no logs, or the output folder can't be written to.
         OutputError: The disk is full or broken; logs that are done are kept.
+        WorkerStartError: Worker processes can't be started.
         Interrupted: A signal (Ctrl-C) ended it; logs that are done are kept.
     """
-    with Runner(backend=backend, workers=workers, memory=memory) as runner:
-        return runner.run(
-            logs,
-            output,
-            config,
-            log=log,
-            batch_size=batch_size,
-            pictures=pictures,
-            map=map,
-            overwrite=overwrite,
-            update=update,
-            progress=progress,
-        )
+    own: Any = {name: options.pop(name) for name in Resources.__annotations__ if name in options}
+    how: Any = options
+    with Runner(**own) as runner:
+        return runner.run(logs, output, config, log=log, progress=progress, **how)
 
 
 class Runner:
@@ -119,9 +129,9 @@ class Runner:
     ...         runner.run(name, "results")
 
     Args:
-        backend: See :func:`jaxdet.run`.
-        workers: See :func:`jaxdet.run`.
-        memory: See :func:`jaxdet.run`.
+        backend: See :class:`jaxdet.engine.RunOptions`, as for the others.
+        workers: Number of processes.
+        memory: Most memory of all processes.
 
     Raises:
         ConfigError: There is too little memory for any log, or an argument is wrong.
@@ -133,9 +143,7 @@ class Runner:
         workers: int | None = None,
         memory: str | None = None,
     ) -> None:
-        self._backend: BackendName = backend
-        self._workers, self._memory = workers, memory
-        RunOptions(Path(), backend=backend, workers=workers, memory=memory)
+        self._options = RunOptions(Path(), backend=backend, workers=workers, memory=memory)
         Memory(memory, 1)  # too little is refused before anything is touched
         self._pool: Pool | None = None
 
@@ -158,94 +166,65 @@ class Runner:
         config: Config | str | PathLike[str] = DEFAULT_PRESET,
         *,
         log: LogOptions | None = None,
-        batch_size: int | None = None,
-        pictures: int = 8,
-        map: bool = True,
-        overwrite: bool = False,
-        update: bool = False,
         progress: ProgressCallback | None = None,
-        observers: Mapping[str, Observer] | None = None,
-        preset: str | None = None,
-        say: Say = lambda text: None,
+        **options: Unpack[Hooks],
     ) -> Summary:
         """Do what :func:`jaxdet.run` does.
 
         Args:
-            logs: See there, as the others up to ``progress``.
+            logs: See there, as the others.
             output: Folder for the results.
             config: Configuration.
             log: How to read the logs.
-            batch_size: Frames computed together.
-            pictures: Frames of each log to draw.
-            map: Make maps.
-            overwrite: Replace results.
-            update: Do again what failed or has changed.
             progress: Called after each unit and each log.
-            observers: See each batch of every log; what they say is in the summary of the log.
-            preset: Name of the preset that the configuration started from, for ``config.json``.
-            say: Gets a line for each thing worth knowing at the start.
+            options: As there, and ``observers`` (which see each batch of every log, and whose
+                answers are in its summary), ``preset`` (name of the preset that the configuration
+                started from, for ``config.json``) and ``say`` (gets a line for each thing worth
+                knowing).
         """
-        chosen = _options(self, output, batch_size, pictures, map, overwrite, update)
-        settings = config if isinstance(config, Config) else find_config(config)
-        if preset is None and isinstance(config, str) and config in PRESETS:
-            preset = config
-        found = _find(logs)
-        one = _Run(self, found, settings, log or LogOptions(), chosen, observers or {}, preset)
-        one.progress, one.say = progress, say
+        one = self._prepared(_find(logs), Path(output), config, log, options)
+        one.progress = progress
         return one.run()
 
     def run_alone(
-        self,
-        log_files: LogFiles,
-        folder: Path,
-        config: Config,
-        *,
-        log: LogOptions,
-        preset: str,
-        **options: Any,
+        self, files: LogFiles, folder: Path, config: Config, log: LogOptions, **options: Any
     ) -> Summary:
-        """Write the results of one log into a new folder, which no run need know of.
+        """Write the results of one log into a new folder, which is no part of a run's.
 
         Args:
-            log_files: The log.
+            files: The log.
             folder: New folder for the results.
             config: Configuration.
             log: How to read it.
-            preset: Name of the preset that the configuration started from.
-            options: ``batch_size``, ``pictures`` and ``map``, see :meth:`run`.
+            options: As of :meth:`run`.
         """
-        given = {"batch_size": None, "pictures": 8, "map": True, **options}
-        chosen = _options(self, folder, **given, overwrite=False, update=False)
-        return _Run(self, [log_files], config, log, chosen, {}, preset).run_alone(folder)
+        return self._prepared([files], folder, config, log, options).run_alone(folder)
+
+    def _prepared(
+        self,
+        logs: Sequence[LogFiles],
+        output: Path,
+        config: Config | str | PathLike[str],
+        log: LogOptions | None,
+        options: Mapping[str, Any],
+    ) -> "_Run":
+        preset = options.get("preset")
+        if preset is None and isinstance(config, str) and config in PRESETS:
+            preset = config
+        how = {name: options[name] for name in How.__annotations__ if name in options}
+        chosen = replace(self._options, output=output, **how)
+        settings = config if isinstance(config, Config) else find_config(config)
+        observers = options.get("observers") or {}
+        one = _Run(self, logs, settings, log or LogOptions(), chosen, observers, preset)
+        one.say = options.get("say") or one.say
+        return one
 
     def pool(self, memory: Memory, devices: tuple[object, ...]) -> Pool:
         """Return the worker processes, which need not be there yet."""
         if self._pool is None:
-            self._pool = Pool(memory.workers, self._backend, devices)
+            self._pool = Pool(memory.workers, self._options.backend, devices)
         self._pool.resize(memory.workers)
         return self._pool
-
-
-def _options(
-    runner: Runner,
-    output: str | PathLike[str],
-    batch_size: int | None,
-    pictures: int,
-    map: bool,
-    overwrite: bool,
-    update: bool,
-) -> RunOptions:
-    return RunOptions(
-        Path(output),
-        runner._backend,
-        batch_size,
-        runner._workers,
-        runner._memory,
-        pictures,
-        map,
-        overwrite,
-        update,
-    )
 
 
 def _find(logs: Logs) -> list[LogFiles]:
@@ -290,7 +269,8 @@ class _Run:
         """Summaries of the cameras of logs, by the logs' names."""
         self.kept: frozenset[str] = frozenset()
         self.numbers = {log.name: number for number, log in enumerate(logs)}
-        self.batch = options.batch_size or 0
+        self.batch, self.workers = options.batch_size or 0, 1
+        """Frames computed together and processes that shared the work, at most."""
 
     def run(self) -> Summary:
         """Do all logs that are not done."""
@@ -334,7 +314,7 @@ class _Run:
     def _summary(self, seconds: float) -> Summary:
         found = [about for log in self.logs for about in self.done[log.name]]
         summary = Summary(self.options.backend, self.batch, found, seconds, kept=self.kept)
-        summary.workers = max((about.workers for about in found), default=1)
+        summary.workers = max([self.workers, *(about.workers for about in found)])
         return summary
 
     def _standing(self) -> str:
@@ -398,11 +378,14 @@ class _Run:
     def _by_workers(self, logs: Mapping[str, LogFiles]):  # noqa: ANN202 (a generator)
         """Yield logs that workers did alone, as they are done, each with the answer."""
         self.pool.resize(self.memory.workers)
+        self.workers = self.pool.count
         served = self.pool.serving
         slots = served and (served.slots, served.calibration)
         batch = served.pieces * served.slots.frames if served else 0
         context = WorkerJob(self.job, self.memory, len(self.pool.devices), slots, batch)
         tasks = {name: (log, self.output.staged(name)) for name, log in logs.items()}
+        for _, staged in tasks.values():
+            remove(staged)  # of a worker that was ended
         first = next(iter(logs))
         self._report(LogSummary(first, ()), first, 0, "opening")
         for name, answer in self.pool.each(context, do_log, tasks):
@@ -424,7 +407,6 @@ class _Run:
         with stops_held_back():
             self.output.publish(log.name)
             self.done[log.name] = done
-        self.batch = max(self.batch, self.options.batch_size or 0)
         for about in done:
             self._report(about, about.log, about.frames, "")
 

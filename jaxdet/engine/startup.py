@@ -13,9 +13,9 @@ from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
-from jaxdet.engine.signals import stops_held_back
 from jaxdet.errors import ConfigError, OutputError
 from jaxdet.quiet import quiet_warp
+from jaxdet.signals import stops_held_back
 
 ENVIRONMENT = "JAXDET_CACHE"
 """Environment variable: the folder, or ``off``."""

@@ -19,12 +19,12 @@ from jaxdet.engine.device import OwnDevice, SharedDevice, out_of_memory
 from jaxdet.engine.floors import Planes, decide_planes
 from jaxdet.engine.part import Part, rows_path
 from jaxdet.engine.plan import LogPlan, Unit
-from jaxdet.engine.signals import ignore_stops
 from jaxdet.engine.slots import Piped, Slots
 from jaxdet.engine.startup import start_reading, start_up
 from jaxdet.engine.unit import LogWork
 from jaxdet.errors import FrameStatus, JaxdetError, WorkerError
 from jaxdet.pipeline import BackendName
+from jaxdet.signals import ignore_stops
 
 if TYPE_CHECKING:
     from jaxdet.io import Log

@@ -14,7 +14,14 @@ from jaxdet.eval.match import match
 from jaxdet.eval.partition import PairCounts, fowlkes_mallows, pair_counts
 from jaxdet.eval.score import Score, score
 from jaxdet.eval.tally import Case, Tally, keep_shares, total
-from jaxdet.eval.truth import EvalConfig, FrameTruth, LogTruth, nearest_on_floor, truth_of
+from jaxdet.eval.truth import (
+    EvalConfig,
+    FrameTruth,
+    LogTruth,
+    in_depth_camera,
+    nearest_on_floor,
+    truth_of,
+)
 
 __all__ = [
     "Case",
@@ -30,6 +37,7 @@ __all__ = [
     "evaluate_frames",
     "floor_positions",
     "fowlkes_mallows",
+    "in_depth_camera",
     "keep_shares",
     "match",
     "measured_floor",

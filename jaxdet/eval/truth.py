@@ -9,7 +9,7 @@ import numpy as np
 from jaxdet.camera import pixel_rays
 from jaxdet.config import FootprintConfig
 from jaxdet.floor.plane import down_vector
-from jaxdet.results.metric import world_angle
+from jaxdet.results.metric import to_world, world_angle
 from jaxdet.types import Calibration
 
 
@@ -176,21 +176,42 @@ def truth_of(
         All other parts filled.
     """
     which = np.asarray(frames, np.int64)
-    colors = log.T_world_camera[which]
-    poses = colors if calibration is None else depth_poses(colors, calibration)
-    low, high = _moved(log.ground_min[which], log.ground_max[which], colors, poses)
-    return FrameTruth(
+    poses = log.T_world_camera[which]
+    truth = FrameTruth(
         obstacle_id,
         log.visible_pixels[which],
         log.nearest_m[which],
-        low[..., 1],
+        log.ground_min[which, :, 1],
         log.is_wall,
-        low,
-        high,
+        log.ground_min[which],
+        log.ground_max[which],
         to_ground_frame(log.footprint_world[which], poses),
         log.height_m[which],
         depth_m,
         drivable,
+    )
+    return truth if calibration is None else in_depth_camera(truth, poses, calibration)
+
+
+def in_depth_camera(
+    truth: FrameTruth, T_world_color: np.ndarray, calibration: Calibration
+) -> FrameTruth:
+    """Return a truth whose lengths refer to the colour camera with those of the depth camera.
+
+    Args:
+        truth: Of ``B`` frames, with outlines.
+        T_world_color: ``(B, 4, 4)`` float64, exact.
+        calibration: Of the log; the truth stays as it is without a colour camera.
+    """
+    if calibration.color_from_depth is None:
+        return truth
+    assert truth.ground_min is not None and truth.ground_max is not None
+    assert truth.footprint is not None
+    poses = depth_poses(T_world_color, calibration)
+    low, high = _moved(truth.ground_min, truth.ground_max, T_world_color, poses)
+    outlines = to_ground_frame(to_world(truth.footprint, T_world_color), poses)
+    return truth._replace(
+        nearest_forward_m=low[..., 1], ground_min=low, ground_max=high, footprint=outlines
     )
 
 
@@ -204,14 +225,8 @@ def _moved(
     low: np.ndarray, high: np.ndarray, source: np.ndarray, target: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return extents ``(B, J, 2)`` of one camera's ground frame in that of another."""
-    if source is target:
-        return low, high
-    (sin, cos), (x, y) = world_angle(source), np.moveaxis(source[:, :2, 3], -1, 0)
     corners = [np.stack([a[..., 0], b[..., 1]], axis=-1) for a in (low, high) for b in (low, high)]
-    right, forward = np.moveaxis(np.stack(corners, axis=2), -1, 0)  # (B, J, 4)
-    sin, cos, x, y = (a[:, None, None] for a in (sin, cos, x, y))
-    world = [forward * sin + right * cos + x, forward * cos - right * sin + y]
-    ground = to_ground_frame(np.stack(world, axis=-1), target)
+    ground = to_ground_frame(to_world(np.stack(corners, axis=2), source), target)
     return ground.min(axis=2), ground.max(axis=2)
 
 

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxdet.engine import Planes, decide_planes, start_up
+from jaxdet.engine.color import method_frames
 from jaxdet.errors import CalibrationError, FrameStatus, InputError, RescanError, TopicError
 from jaxdet.io import Batch, Log, LogFiles, LogOptions, find_logs, open_log
 from jaxdet.pipeline import detect
@@ -177,7 +178,8 @@ def look_again(
     planes = _planes(results, log, files)
     for batch, chunk in images(results, log, files, wanted, color=color):
         frames = batch.frames._replace(plane=planes.of(batch.frames.stamp_ns))
-        found = to_host(detect(frames, config, with_cells=with_cells))
+        found = detect(method_frames(frames, config), config, with_cells=with_cells)
+        found = to_host(found)
         good = frames.valid & found.has_depth
         counts = np.where(good, found.num_obstacles, 0)[: chunk.frames.num_rows]
         ok = chunk.frames["status"].to_numpy() == FrameStatus.OK

@@ -62,8 +62,8 @@ class Mount:
 
         Args:
             height_m: As above.
-            gravity: ``(3,)``, which way things fall, in the depth camera's optical frame (x right, y down,
-                z forward), of any length. An accelerometer at rest measures the opposite.
+            gravity: ``(3,)``, which way things fall, in the depth camera's optical frame (x right,
+                y down, z forward), of any length. An accelerometer at rest measures the opposite.
 
         Raises:
             ConfigError: It is no direction.

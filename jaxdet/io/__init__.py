@@ -16,19 +16,19 @@ From the bytes of files to frames, by module::
           mcap_summary, mcap_index    MCAP; bag_index, sqlite_index, image_folder
           file_index, records         the same for all formats: messages by topic
           indexed, contents           the first messages of each topic, decoded
-          windows                     any range of frames: order, pairs (pairing), poses
+          windows                     any range of frames: order, nearest colour, poses
                                       (motion_windows), calibration (validity)
         by a scan                   where there is no index, or it isn't enough
           walk, mcap_scan             all that is whole; bag_index, sqlite_index, ...
           contents                    every message, decoded but for its pixels
-          timeline                    all frames: order, pairs
+          timeline                    all frames: order, nearest colour
       findings                      cameras, topics, calibration (intrinsics, extrinsics), poses,
                                       transforms, motion
     timeline.Window                 where the images of some frames lie
       reading, store                  chunks, each read and checked once, by threads
         raw_images                    pixels that go straight into their arrays
         decode_messages               CDR, ROS 1, protobuf and JSON -> messages
-        images, compressed            their pixels: raw, jpeg, png, rvl
+        images, compressed            their pixels: raw, jpeg, png, rvl, zstd_images
     batch                           arrays of images, stamps and poses, and what became of each
 """
 

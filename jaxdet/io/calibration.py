@@ -102,6 +102,8 @@ def calibrate(contents: LogContents, choice: Choice, options: LogOptions) -> Cal
     sources = _sources(contents, choice, options)
     unit, unit_source = _depth_unit(contents, options, choice.depth)
     aligned, why = _aligned(sources, choice, options)
+    if aligned and choice.infrared:  # which has other pixels
+        sources = sources._replace(color=None, color_frame="")
     source = _of_depth(contents, sources, options) if aligned else sources.depth
     found = find_intrinsics(source)
     warnings = [*found.warnings, *_unit_doubts(unit_source, contents.path)]
@@ -180,12 +182,15 @@ def _without_images(
         for topic in contents.calibrations
         if is_color_name(topic) and camera_name(topic) == camera_name(depth.topic)
     ]
-    topic = options.color_info or (known[0] if len(known) == 1 and not depth.info else "")
+    topic = options.color_info or (known[0] if len(known) == 1 else "")
     calibrations = contents.calibrations.get(topic)
+    info = calibrations.of(depth.size) if calibrations else None
+    if info and not options.color_info and depth.size not in (None, (info.width, info.height)):
+        topic, info = "", None
     return depth._replace(
         name="color",
         topic=topic,
-        info=calibrations.of(depth.size) if calibrations else None,
+        info=info,
         matrix=options.color_intrinsics,
         model=options.color_distortion,
     )

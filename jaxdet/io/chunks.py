@@ -6,10 +6,12 @@ overruns its chunk; here every length is checked before it is used.
 
 import struct
 from collections.abc import Iterator
+from contextlib import suppress
 from typing import NamedTuple
 
 import deflate
 import lz4.frame
+import zstandard
 from mcap.opcode import Opcode
 
 from jaxdet.io.limits import MAX_ODD_RECORDS
@@ -104,6 +106,16 @@ def decompress(head: ChunkHead, data: bytes | memoryview) -> bytes | memoryview:
     if head.crc and deflate.crc32(records) != head.crc:
         raise DamageError("chunk has a wrong CRC")
     return records
+
+
+def decompress_begin(head: ChunkHead, data: bytes, size: int) -> bytes:
+    """At most ``size`` bytes of a packed chunk's records, not checked; its data may be cut off."""
+    with suppress(zstandard.ZstdError, RuntimeError, EOFError):
+        if head.compression == "zstd":
+            return zstandard.ZstdDecompressor().stream_reader(data).read(size)
+        if head.compression == "lz4":
+            return lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size)
+    return b""
 
 
 def _unpacked(compression: str, data: bytes | memoryview, size: int) -> memoryview:

@@ -17,13 +17,22 @@ from typing import Any, NamedTuple
 from mcap.opcode import Opcode
 
 from jaxdet.errors import InputError
-from jaxdet.io.chunks import RECORD_HEAD, ChunkHead, DamageError, decompress, read_chunk_head
+from jaxdet.io.chunks import (
+    RECORD_HEAD,
+    ChunkHead,
+    DamageError,
+    decompress,
+    decompress_begin,
+    read_chunk_head,
+)
 from jaxdet.io.limits import ReadMemory, check_chunk, check_messages
 
 MAGIC = b"\x89MCAP0\r\n"
 _HEAD_BYTES = 128
 _MAX_PARTS = 512
 """Buffers filled by one call, fewer than any system's limit."""
+_BEGIN_BYTES = 192 << 10
+"""Of a packed chunk, enough for the first block of zstd."""
 _PACKED_BYTES = 16 << 20
 """Of a packed chunk that is read into memory which its thread keeps."""
 
@@ -171,6 +180,10 @@ class LogFile(ABC):
             DamageError: It can't be read any more.
         """
 
+    def chunk_begin(self, position: int, size: int) -> bytes:
+        """At most ``size`` bytes of a packed chunk's records, not checked; fewer: read it whole."""
+        return b""
+
     def chunk_bytes(self, position: int) -> int:
         """How much memory :meth:`chunk` may take there; 0 where no chunk can be."""
         try:
@@ -264,6 +277,12 @@ class McapFile(LogFile):
         if opcode != Opcode.CHUNK:
             raise DamageError("no chunk where one should be")
         return read_chunk_head(known[RECORD_HEAD.size :][:length], length)
+
+    def chunk_begin(self, position: int, size: int) -> bytes:
+        """See :meth:`LogFile.chunk_begin`."""
+        head = self.chunk_head(position)
+        data = self.read(position + head.data_offset, min(head.data_size, _BEGIN_BYTES))
+        return decompress_begin(head, data, size)
 
     def chunk(self, position: int) -> bytes | memoryview:
         """The decompressed chunk whose record's content begins at ``position``.

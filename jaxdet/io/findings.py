@@ -112,6 +112,8 @@ def find_indexed(log: IndexedLog, options: LogOptions) -> Findings:
         if not contents.streams[topic].column("stamp").any():
             raise RescanError("the first header stamps are zero", path=path, topic=topic)
     depth, color = log.streams[topics[0]], log.streams[topics[-1]] if topics[1:] else None
+    if color is not None and color is not depth:
+        color.whole = False
     tolerance = options.pair_tolerance_s
     frames = IndexedFrames(depth, color, log.motions, PoseSource(""), tolerance, path)
 

@@ -42,9 +42,8 @@ def launch(name: str, *arguments: Any) -> None:
 @cache
 def _kernels() -> Any:
     quiet_warp()  # standard output may be a table's
-    import warp as wp
-
+    from jaxdet.runtime.compiled import load_for_cpu
     from jaxdet_kernels import decode
 
-    wp.load_module(decode, device="cpu")
+    load_for_cpu(decode)
     return decode

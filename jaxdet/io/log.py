@@ -131,7 +131,7 @@ class Log:
         unit, limit = self.calibration.depth_unit, options.max_pixels
         by_index = isinstance(found.frames, IndexedFrames)
         self._reader = ImageReader(
-            store, found.depth, found.color, unit, limit, by_index, about.used
+            store, found.depth, found.color, unit, limit, by_index, about.used_for_depth
         )
         depth, image = self.calibration.depth, self.calibration.image
         self.depth_shape = depth.height, depth.width

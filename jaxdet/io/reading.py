@@ -124,15 +124,15 @@ class ImageReader:
         requests = _requests(window.depth, self._depth, ~other, True)
         same: dict[int, int] = {}
         """Rows with the colour image of an earlier row, and that row."""
+        there = np.zeros(count, bool) if wanted is None else wanted.copy()
         if color is not None:
-            there = np.zeros(count, bool) if wanted is None else wanted.copy()
             if window.color is None:
                 there[:] = False
             else:
                 there &= window.color.stamps_ns >= 0
                 same = _repeated(window.color, there)
-                first = there & ~np.isin(np.arange(count), list(same))
-                requests += _requests(window.color, self._color, first, False)
+                once = there & ~np.isin(np.arange(count), list(same))
+                requests += _requests(window.color, self._color, once, False)
             color[~there] = 0
         rows = [depth, color]
         requests.sort(key=lambda request: request[:4])
@@ -143,13 +143,16 @@ class ImageReader:
                 for row, is_depth, error in failures:
                     errors[0 if is_depth else 1][row] = error
         rows.clear()  # a thread may hold its last job
-        for chunk in window.chunks:
+        of_color = window.color_chunks if wanted is not None and wanted.any() else ()
+        for chunk in (*window.chunks, *of_color):
             self._store.check(chunk)
         for images, problems in zip((depth, color), errors, strict=True):
-            if images is not None:
-                images[[row for row, error in enumerate(problems) if error is not None]] = 0
-        for row, first_row in same.items():
-            color[row], errors.color[row] = color[first_row], errors.color[first_row]
+            bad = [row for row, error in enumerate(problems) if error is not None]
+            if images is not None and bad:
+                images[bad] = 0
+        if color is not None:
+            for row, first in same.items():
+                color[row], errors.color[row] = color[first], errors.color[first]
         return errors
 
     def decoding_s(self) -> float:

@@ -92,16 +92,22 @@ class TopicMessages(NamedTuple):
 
 
 def read_message(
-    store: ChunkStore, messages: IndexedMessages, number: int, most: int | None = None
+    store: ChunkStore,
+    messages: IndexedMessages,
+    number: int,
+    most: int | None = None,
+    *,
+    whole: bool = True,
 ) -> tuple[int, memoryview]:
-    """Size and payload of a message, or the first ``most`` bytes of it.
+    """Size and payload of a message, or its first ``most`` bytes; see :meth:`ChunkStore.peek`.
 
     Raises:
         DamageError: It isn't there.
     """
     place = Place(int(messages.file[number]), int(messages.position[number]))
     offset = int(messages.offset[number])
-    known = store.peek(place, offset, PAYLOAD_OFFSET + (_FIRST_BYTES if most is None else most))
+    first = PAYLOAD_OFFSET + (_FIRST_BYTES if most is None else most)
+    known = store.peek(place, offset, first, whole=whole)
     if len(known) < PAYLOAD_OFFSET:
         raise DamageError("message record is too short")
     opcode, length = RECORD_HEAD.unpack_from(known)

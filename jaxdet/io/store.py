@@ -17,6 +17,9 @@ R = TypeVar("R")
 
 CACHE_BYTES = 64 << 20
 """Of decompressed chunks that are kept, or one if it is larger."""
+BEGIN_BYTES = 4096
+"""Of a large packed chunk's records, which may be read alone."""
+LARGE_BYTES = 1 << 18
 _MAX_HEADS = 4096
 
 
@@ -184,8 +187,15 @@ class ChunkStore:
             self.files[place.file].chunk(place.position)
             self.checked.add(place)
 
-    def peek(self, place: Place, offset: int, size: int) -> memoryview:
+    def peek(self, place: Place, offset: int, size: int, *, whole: bool = True) -> memoryview:
         """At most ``size`` bytes of a chunk's records, without its CRC where it isn't packed.
+
+        Args:
+            place: The chunk.
+            offset: In its records.
+            size: Of what is read.
+            whole: Whether a packed chunk is read whole. If not, bytes near its begin are read
+                without its CRC, where it isn't in memory.
 
         Raises:
             DamageError: The chunk can't be read.
@@ -196,6 +206,11 @@ class ChunkStore:
             return memoryview(file.read(offset, min(size, file.size - offset)))
         head = self.head(place)
         if not head.is_plain:
+            near = head.uncompressed_size >= LARGE_BYTES and offset + size <= BEGIN_BYTES
+            if not whole and near and place not in self._chunks:
+                known = self.files[place.file].chunk_begin(place.position, offset + size)
+                if len(known) == offset + size:
+                    return memoryview(known)[offset:]
             return memoryview(self.data(place, ahead=True))[offset : offset + size]
         size = min(size, head.uncompressed_size - offset)
         start = place.position + head.data_offset

@@ -27,9 +27,6 @@ class FrameTable(NamedTuple):
 
     def rows(self, numbers: np.ndarray) -> "FrameTable":
         """The messages of some numbers; of -1 one with a stamp of -1."""
-        if not len(self.stamps_ns):
-            none = np.full((len(numbers), 3), -1, np.int64)
-            return FrameTable(*(none[:, 0],) * 3, none, none[:, 0])
         rows = FrameTable(*(column[numbers] for column in self))
         return rows._replace(stamps_ns=np.where(numbers < 0, -1, rows.stamps_ns))
 
@@ -49,6 +46,8 @@ class Window(NamedTuple):
     """``(n,)`` bool, frames to which another calibration belongs than the one used; None: none."""
     chunks: tuple[Place, ...] = ()
     """What this window answers for: chunks that must be as their CRC says."""
+    color_chunks: tuple[Place, ...] = ()
+    """The same, where colour is decoded."""
 
     def part(self, first: int, last: int) -> "Window":
         """The frames ``first`` to ``last`` of these.
@@ -57,15 +56,15 @@ class Window(NamedTuple):
         when most of it has been read.
         """
         rows = slice(first, last)
-        depth, color = (
-            table and FrameTable(*(column[rows] for column in table)) for table in self[:2]
-        )
+        depth = FrameTable(*(column[rows] for column in self.depth))
+        color = self.color and FrameTable(*(column[rows] for column in self.color))
         poses, other = (
             a if a is None else a[rows] for a in (self.T_world_camera, self.other_calibration)
         )
         notes = Notes() if first else self.notes
-        chunks = self.chunks if last == len(self.depth.stamps_ns) else ()
-        return Window(depth, color, poses, notes, other, chunks)
+        is_last = last == len(self.depth.stamps_ns)
+        chunks = (self.chunks, self.color_chunks) if is_last else ()
+        return Window(depth, color, poses, notes, other, *chunks)
 
 
 class ScannedFrames(NamedTuple):
@@ -127,7 +126,7 @@ def order_frames(
         warnings += log_time_warnings(stream.topic, backward)
     own, stream_notes = _table(depth, "log_time" if depth in zero else "stamp")
     partners = None
-    if color is depth and color.kind is Kind.RGBD:
+    if color is depth and depth.kind is Kind.RGBD:
         stamps = own.stamps_ns if zero else _table(depth, "stamp", "color_stamp")[0].stamps_ns
         partners = own._replace(stamps_ns=stamps)
     elif color is not None:

@@ -1,16 +1,18 @@
 """The frames of a log by its index: only messages near the requested frames are looked at.
 
 A frame's number is the rank of its depth image by header stamp. A stream's messages are nearly in
-this order already: it is checked that no two that are ``REACH`` or more messages apart (by log time) are in
-the wrong order, so that ranks follow from messages near by. It is enough to compare messages
-``REACH`` to ``2 REACH - 1`` apart: of two in the wrong order that are farther apart, one in
-between is in the wrong order with one of them. Both are known to the window that holds the message
-``REACH`` after the first of them, and each message of a log belongs to one window of any division
-of its frames. So whoever reads all frames either gets the ranks of a whole scan or an error.
+this order already: it is checked that no two that are ``REACH`` or more messages apart (by log
+time) are in the wrong order, so that ranks follow from messages near by. It is enough to compare
+messages ``REACH`` to ``2 REACH - 1`` apart: of two in the wrong order that are farther apart, one
+in between is in the wrong order with one of them. Both are known to the window that holds the
+message ``REACH`` after the first of them, and each message of a log belongs to one window of any
+division of its frames. So whoever reads all frames either gets the ranks of a whole scan or an
+error.
 
 The stamps of colour images are read whether colour is decoded or not: of a chunk that isn't packed
-64 bytes of each message (0.02 ms), of a packed one the chunk, which mostly holds depth as well.
-Chunks with colour alone are checked against their CRC only where colour is decoded.
+64 bytes of each message (0.02 ms); of a large packed one its begin where the message is there
+(0.1 ms, where all of it is 1 ms), else all of it, which is to be read for depth anyway. Chunks with
+colour alone are checked against their CRC only with frames whose colour is decoded.
 """
 
 from itertools import groupby
@@ -26,7 +28,7 @@ from jaxdet.io.motion_windows import MotionWindows
 from jaxdet.io.notes import Notes, StreamNotes
 from jaxdet.io.poses import PoseSource
 from jaxdet.io.records import TopicMessages, read_message
-from jaxdet.io.store import ChunkStore
+from jaxdet.io.store import BEGIN_BYTES, ChunkStore, Place
 from jaxdet.io.timeline import FrameTable, Window, apart, nearest
 from jaxdet.io.validity import CalibrationWindows
 
@@ -52,13 +54,14 @@ class StreamWindows:
     Attributes:
         messages: The messages in the order of log time, then of arrival.
         backward: How many come after one with a later log time in the files.
+        whole: Whether chunks are read whole for stamps; else, of packed ones, perhaps the begin.
     """
 
     def __init__(self, found: TopicMessages, store: ChunkStore, path: str) -> None:
         self.topic, self.decoders = found.topic, found.decoders
         self.messages = found.in_time().messages
         self.backward = int((np.diff(found.messages.log_ns) < 0).sum())
-        self.store, self._path = store, path
+        self.store, self._path, self.whole = store, path, True
         count = found.num_messages
         self.stamp, self.color_stamp, self.size = (np.full(count, -1, np.int64) for _ in range(3))
         self._undecodable = np.zeros(count, bool)
@@ -132,6 +135,11 @@ class StreamWindows:
         missing = numbers[self.size[numbers] < 0]
         if not len(missing):
             return
+        if not self.whole:  # they are read one by one
+            near = self.messages.offset[missing] < BEGIN_BYTES - PAYLOAD_OFFSET - _STAMP_BYTES
+            for number in missing[near].tolist():
+                self._read(number)
+            missing = missing[~near]
         places = self.messages.places(missing)
         parts = {
             place: [number for _, number in group]
@@ -147,7 +155,11 @@ class StreamWindows:
         decoder = self.decoders[self.messages.decoder[number]]
         leads = decoder.stamp_leads and decoder.kind is not Kind.RGBD
         size, payload = read_message(
-            self.store, self.messages, number, _STAMP_BYTES if leads else None
+            self.store,
+            self.messages,
+            number,
+            _STAMP_BYTES if leads else None,
+            whole=self.whole,
         )
         if leads and not decoder.reads_stamp(payload):
             size, payload = read_message(self.store, self.messages, number)
@@ -223,11 +235,11 @@ class IndexedFrames(NamedTuple):
         ranked = self.depth.ranked(before, stop)
         numbers = ranked[start - before :]
         own = self.depth.table(numbers)
-        color = None
+        color, of_color = None, set()
         if self.color is self.depth:
             color = self.depth.table(numbers, color=True)
         elif self.color is not None:
-            color = self._colors(self.color, own.stamps_ns, start, stop)
+            color, of_color = self._colors(self.color, own.stamps_ns, start, stop)
         log_ns = self.depth.messages.log_ns
         begin = int(log_ns[start]) if start else None
         end = int(log_ns[stop]) if stop < len(self.depth) else None
@@ -237,12 +249,13 @@ class IndexedFrames(NamedTuple):
         chunks = chunks | self.depth.messages.chunks(slice(start, stop))
         poses = 0 if T is None else int(np.isfinite(T[:, 0, 0]).sum())
         notes = Notes(self.depth.notes(start, stop, ranked), *apart(own, color), poses)
-        return Window(own, color, T, notes, chunks=tuple(sorted(chunks)))
+        of_all, of_color = tuple(sorted(chunks)), tuple(sorted(of_color - chunks))
+        return Window(own, color, T, notes, chunks=of_all, color_chunks=of_color)
 
     def _colors(
         self, color: StreamWindows, stamps_ns: np.ndarray, start: int, stop: int
-    ) -> FrameTable:
-        """The nearest colour images of some frames.
+    ) -> tuple[FrameTable, set[Place]]:
+        """The nearest colour images of some frames, and the chunks that this window answers for.
 
         All messages are looked at that come between the frames by log time, so that those of a log
         are, and further ones until no other can be nearer.
@@ -269,4 +282,4 @@ class IndexedFrames(NamedTuple):
                 problem = "colour and depth stamps are too far apart"
                 raise RescanError(problem, path=self.path)
         numbers = np.append(ranked, -1)[nearest(stamps_ns, found, self.tolerance_s)]
-        return color.table(numbers)
+        return color.table(numbers), color.messages.chunks(slice(first, last))

@@ -5,7 +5,7 @@ It is written last, so a folder without it holds no complete results.
 
 import hashlib
 import os
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -85,13 +85,14 @@ def _contents(inputs: object) -> list[tuple[Any, ...]] | None:
         return None
 
 
-def write_manifest(folder: Path, about: Mapping[str, Any]) -> None:
-    """Write the manifest of all files that are in a folder.
+def write_manifest(folder: Path, about: Mapping[str, Any], leave_out: Collection[str] = ()) -> None:
+    """Write the manifest of the files that are in a folder.
 
     Args:
         folder: Folder of a log's results, not yet in its place.
         about: What the results were made of: versions, ``log``, ``inputs`` and ``run``, the digest
             of the configuration.
+        leave_out: Names of files that are no results.
 
     Raises:
         OutputError: The disk is full or broken.
@@ -100,7 +101,7 @@ def write_manifest(folder: Path, about: Mapping[str, Any]) -> None:
     files = {
         name: {"size": path.stat().st_size, "sha256": sha256(path)}
         for name, path in sorted(found.items())
-        if name != MANIFEST
+        if name != MANIFEST and name not in leave_out
     }
     manifest = _sealed({"format": FORMAT, **about, "files": files})
     write_whole(folder / MANIFEST, to_json(manifest).encode())

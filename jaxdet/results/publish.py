@@ -45,6 +45,8 @@ def publish(staged: Path, results: Path, name: str) -> None:
             os.rename(staged, ready)
             flush(ready.parent)
             _move(ready, place)
+            with suppress(OSError):
+                ready.parent.rmdir()
         flush(results)
 
 

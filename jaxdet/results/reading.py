@@ -41,6 +41,8 @@ from jaxdet.results.manifest import read_manifest
 from jaxdet.results.metadata import FORMAT, FORMAT_KEY
 from jaxdet.results.names import camera_name, export_name
 from jaxdet.results.occupancy import MapImage, load_map
+from jaxdet.results.record import digest
+from jaxdet.results.schemas import FRAMES_SCHEMA, OBSTACLES_SCHEMA
 from jaxdet.results.tracked import Mover, TracksInFrames
 
 CHUNK_FRAMES = 1024
@@ -233,8 +235,6 @@ class Results:
         if not is_run(self.folder):
             problem = f"holds no results ({MANIFEST} and {RUN} are missing)"
             raise InputError(problem, path=str(self.folder), remedy=AGAIN)
-        from jaxdet.results.record import digest
-
         run = digest(read_json(self.folder / RUN))
         found: list[ResultLog] = []
         for name, folder in log_folders(self.folder).items():
@@ -296,8 +296,6 @@ class Results:
             frames.append(chunk.frames)
             obstacles.append(chunk.obstacles)
         if not frames:
-            from jaxdet.results.schemas import FRAMES_SCHEMA, OBSTACLES_SCHEMA
-
             return Tables(FRAMES_SCHEMA.empty_table(), OBSTACLES_SCHEMA.empty_table())
         # Logs without tracks have null there, where others have some.
         return Tables(

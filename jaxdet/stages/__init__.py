@@ -1,10 +1,20 @@
 """The fast programs: the functions of :mod:`jaxdet.reference` over batches, in JAX and Warp."""
 
 from jaxdet.stages._align import align
+from jaxdet.stages._check import check_kernels
 from jaxdet.stages._cluster import cluster
 from jaxdet.stages._detect import detect, find_floors
 from jaxdet.stages._features import features
 from jaxdet.stages._footprint import footprint
 from jaxdet.stages._ground import ground
 
-__all__ = ["align", "cluster", "detect", "features", "find_floors", "footprint", "ground"]
+__all__ = [
+    "align",
+    "check_kernels",
+    "cluster",
+    "detect",
+    "features",
+    "find_floors",
+    "footprint",
+    "ground",
+]

@@ -1,24 +1,22 @@
 """Stage 1, align: a Warp kernel under ``jax.jit``."""
 
 from functools import lru_cache, partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import warp as wp
 
 from jaxdet.camera import corner_rays, splat_parameters
 from jaxdet.checks import check_size
-from jaxdet.stages._chain import FrameKernel, by_device
-from jaxdet.stages._launch import BatchKernel
+from jaxdet.runtime.calls import by_device, jax_callable, uninterrupted
+from jaxdet.runtime.launch import on_cores
 from jaxdet.types import AlignedDepth, Array, Calibration, Distortion
 from jaxdet_kernels import align as kernels
 
-_NOTHING = np.uint32(0xFFFFFFFF)
 _MODELS = Distortion.NONE, Distortion.PLUMB_BOB, Distortion.RATIONAL, Distortion.EQUIDISTANT
-"""In the order of ``native/projection.h``."""
-
-_lines = FrameKernel(kernels.align_lines)
-_tiles = BatchKernel(kernels.align_tiles, kernels.TILE_BLOCK)
+"""In the order of ``projection.h``."""
 
 
 def align(depth: Array, calibration: Calibration) -> AlignedDepth:
@@ -36,53 +34,53 @@ def align(depth: Array, calibration: Calibration) -> AlignedDepth:
         return AlignedDepth(depth, depth)
     depth = jax.device_put(depth)
     size = calibration.image.height, calibration.image.width
-    return AlignedDepth(*align_arrays(depth, *tables(calibration), size))
+    return AlignedDepth(*uninterrupted(align_arrays, depth, *tables(calibration), size))
 
 
-@partial(jax.jit, static_argnames=("model", "fills", "size"))
+@partial(jax.jit, static_argnames="size")
 def align_arrays(
-    depth: jax.Array,
-    x: jax.Array,
-    y: jax.Array,
-    parameters: jax.Array,
-    model: int,
-    fills: int,
-    size: tuple[int, int],
+    depth: jax.Array, x: jax.Array, y: jax.Array, parameters: jax.Array, size: tuple[int, int]
 ) -> tuple[jax.Array, jax.Array]:
     """Depth and z at the colour pixels, from :func:`tables` and the colour image's size."""
     with jax.named_scope("align"):
-        frames, rows, columns = depth.shape
-        by_lines = partial(
-            _lines, depth, x, y, parameters, model, fills,
-            batch=frames,
-            shapes=dict.fromkeys(_lines.outputs, (frames, *size)),
-            scratch=kernels.lines_words(*size),
-        )  # fmt: skip
+        images = len(depth), *size
 
-        def by_tiles() -> tuple[jax.Array, jax.Array]:
-            tiles = -(-rows // kernels.TILE_ROWS) * -(-columns // kernels.TILE_COLUMNS)
-            keys = jnp.full((frames, *size), _NOTHING)
-            arguments = depth, x, y, parameters, model, fills, keys
-            (keys,) = _tiles(*arguments, launch_dims=(frames * tiles, kernels.TILE_BLOCK))
-            keys = jnp.where(keys == _NOTHING, jnp.uint32(0), keys)
-            return (keys >> 16).astype(jnp.uint16), (keys & 0xFFFF).astype(jnp.uint16)
+        def aligned(keys: tuple[int, int, int]) -> tuple[jax.Array, jax.Array]:
+            dims = {"depth_out": images, "z_out": images, "keys_out": keys}
+            return _align(depth, x, y, parameters, output_dims=dims)[:2]
 
-        return by_device(by_lines, by_tiles)
+        return by_device(lambda: aligned((1, 1, 1)), lambda: aligned(images))
+
+
+@jax_callable(kernels, kernels.TYPES, outputs=3)
+def _align(
+    depth: Any, x: Any, y: Any, parameters: Any, depth_out: Any, z_out: Any, keys_out: Any
+) -> None:
+    """Launches the kernels; the keys are images on CUDA and not used on the CPU."""
+    given, found, (frames, *size) = [depth, x, y, parameters], [depth_out, z_out], depth_out.shape
+    if depth.device.is_cpu:
+        on_cores(kernels.align_lines, [*given, *found], frames, kernels.lines_words(*size))
+        return
+    rows, columns = depth.shape[1:]
+    tiles = -(-rows // kernels.TILE_ROWS) * -(-columns // kernels.TILE_COLUMNS)
+    block = kernels.TILE_BLOCK
+    keys_out.fill_(kernels.NOTHING)
+    device, size = depth.device, (frames * tiles, block)
+    wp.launch(kernels.align_tiles, size, [*given, keys_out], device=device, block_dim=block)
+    wp.launch(kernels.align_split, keys_out.shape, [keys_out, *found], device=device)
 
 
 @lru_cache(maxsize=8)
-def tables(calibration: Calibration) -> tuple[jax.Array, jax.Array, jax.Array, int, int]:
-    """The calibration's arrays on the device, and the kernel's static arguments."""
-    splat = splat_parameters(calibration)
-    parameters = np.concatenate(
-        [splat.rotation, splat.translation, splat.pinhole, splat.lens]
-        + [np.array([splat.max_r2, splat.depth_unit], np.float32)]
-    )
+def tables(calibration: Calibration) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """The rays of the depth pixels' corners, and the parameters, on the device."""
     x, y = corner_rays(calibration.depth)
-    return (
-        jnp.asarray(x),
-        jnp.asarray(y),
-        jnp.asarray(parameters),
-        _MODELS.index(splat.model),
-        int(splat.fills_corners),
+    return jnp.asarray(x), jnp.asarray(y), jnp.asarray(parameters(calibration))
+
+
+def parameters(calibration: Calibration) -> np.ndarray:
+    """The projection into the colour image, as the kernels take it, ``(PARAMETERS + 2,)``."""
+    splat = splat_parameters(calibration)
+    more = splat.max_r2, splat.depth_unit, _MODELS.index(splat.model), splat.fills_corners
+    return np.concatenate(
+        [splat.rotation, splat.translation, splat.pinhole, splat.lens, np.array(more, np.float32)]
     )

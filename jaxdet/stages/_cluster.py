@@ -10,7 +10,7 @@ from jax import lax
 from jaxdet.checks import check_points
 from jaxdet.config import ClusterConfig, Config
 from jaxdet.floor.plane import depth_gap_units
-from jaxdet.stages._teams import kernel_table
+from jaxdet.stages._tables import kernel_table
 from jaxdet.types import MAX_LATERAL, Features, Labels
 
 PLACE_BITS, VALUE_BITS = 13, 19  # a frame has at most 2^13 points, and so many parts

@@ -2,23 +2,20 @@
 
 import math
 import struct
-from functools import partial
+from collections.abc import Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import warp as wp
 from jax import lax
 
 from jaxdet.config import FeaturesConfig
-from jaxdet.stages._chain import FrameKernel, by_device
-from jaxdet.stages._launch import BatchKernel
+from jaxdet.runtime.calls import by_device, jax_callable
+from jaxdet.runtime.launch import on_cores
+from jaxdet.runtime.layout import Layout
 from jaxdet_kernels import features as kernels
-
-_frames = FrameKernel(kernels.features_frames)
-_suppress = BatchKernel(kernels.canny_suppress, kernels.SUPPRESS_THREADS)
-_hysteresis = BatchKernel(kernels.canny_hysteresis, kernels.HYSTERESIS_THREADS)
-_maxima = BatchKernel(kernels.corners_maxima, kernels.MAXIMA_THREADS)
-_select = BatchKernel(kernels.corners_select, kernels.SELECT_THREADS)
 
 
 def corner_settings(config: FeaturesConfig) -> np.ndarray:
@@ -35,7 +32,7 @@ def corner_settings(config: FeaturesConfig) -> np.ndarray:
 
 
 def mask_bits(mask: jax.Array) -> jax.Array:
-    """A mask ``(B, H, W)`` bool as bits ``(B, H, words)`` uint32; see ``native/pixel_bits.h``."""
+    """A mask ``(B, H, W)`` bool as bits ``(B, H, words)`` uint32; see ``pixel_bits.h``."""
     batch, height, width = mask.shape
     whole = jnp.pad(mask, ((0, 0), (0, 0), (0, -width % 64)))
     octets = jnp.packbits(whole, axis=-1, bitorder="little")
@@ -58,59 +55,69 @@ def strongest_corners(
         corners qualify ``(B,)`` int32, where they are more than N perhaps too few.
     """
     batch, height, width, _ = color.shape
-    found = {"u_out": (batch, slots), "v_out": (batch, slots), "found_out": (batch,)}
 
-    def by_steps() -> tuple[jax.Array, jax.Array, jax.Array]:
-        tiles = -(-height // kernels.MAXIMA_ROWS) * -(-width // kernels.MAXIMA_COLUMNS)
-        strongest, maxima, strength = _maxima(
-            _edges(color, settings),
-            mask,
-            settings,
-            jnp.zeros(batch, jnp.int32),
-            jnp.zeros(mask.shape, jnp.uint32),
-            launch_dims=(batch * tiles * kernels.MAXIMA_THREADS,),
-            output_dims={
-                "strongest_out": (batch,),
-                "maxima_out": mask.shape,
-                "strength_out": (batch, height, width),
-            },
-        )
-        keys = batch, 2 << (slots - 1).bit_length()
-        _, u, v, count, *_ = _select(
-            strongest,
-            strength,
-            settings,
-            maxima,
-            launch_dims=(batch * kernels.SELECT_THREADS,),
-            output_dims={
-                **dict.fromkeys(("maxima_out", "open_out", "taken_out"), mask.shape),
-                **found,
-                "keys_out": keys,
-            },
-        )
-        return u, v, count
+    def corners(words: int) -> tuple[jax.Array, jax.Array, jax.Array]:
+        found = dict.fromkeys(("u_out", "v_out"), (batch, slots))
+        dims = {**found, "found_out": (batch,), "scratch_out": (words,)}
+        return _corners(color, mask, settings, output_dims=dims)[:3]
 
-    scratch = kernels.features_scratch(height, width)
-    by_frames = partial(_frames, color, mask, settings, batch=batch, shapes=found, scratch=scratch)
-    return by_device(by_frames, by_steps)
+    words = _scratch(batch, height, width, slots).words
+    return by_device(lambda: corners(1), lambda: corners(words))
 
 
-def _edges(color: jax.Array, settings: jax.Array) -> jax.Array:
-    """Canny's edges on CUDA, ``(B, H, words)`` uint32."""
+def _scratch(batch: int, height: int, width: int, slots: int) -> Layout:
+    """What the kernels on CUDA hand on."""
+    bits = batch, height, kernels.row_words(width)
+    names = "weak", "strong", "edges", "maxima", "open", "taken"
+    keys = batch, 2 << (slots - 1).bit_length()
+    images = {"strength": (batch, height, width), "strongest": (batch,), "keys": keys}
+    return Layout({**dict.fromkeys(names, bits), **images})
+
+
+@jax_callable(kernels, kernels.TYPES, outputs=4)
+def _corners(
+    color: Any,
+    mask: Any,
+    settings: Any,
+    u_out: Any,
+    v_out: Any,
+    found_out: Any,
+    scratch_out: Any,
+) -> None:
+    """Launches the kernels; the scratch memory is not used on the CPU."""
     batch, height, width, _ = color.shape
-    rows = batch, height, kernels.row_words(width)
-    tiles = -(-height // kernels.SUPPRESS_ROWS) * -(-width // kernels.SUPPRESS_COLUMNS)
-    weak, strong = _suppress(
-        color,
-        settings,
-        launch_dims=(batch * tiles * kernels.SUPPRESS_THREADS,),
-        output_dims={"weak_out": rows, "strong_out": rows},
+    if color.device.is_cpu:
+        arrays = [color, mask, settings, u_out, v_out, found_out]
+        words = kernels.features_scratch(height, width)
+        on_cores(kernels.features_frames, arrays, batch, words)
+        return
+    layout = _scratch(batch, height, width, u_out.shape[1])
+
+    def of(name: str, dtype: Any = wp.uint32) -> Any:
+        shape, first = layout.shapes[name], layout.begin[name]
+        return scratch_out[first : first + math.prod(shape)].reshape(shape).view(dtype)
+
+    def launch(kernel: Any, blocks: int, width: int, arrays: Sequence[Any]) -> None:
+        size = batch * blocks * width
+        wp.launch(kernel, size, arrays, device=color.device, block_dim=width)
+
+    def tiles(rows: int, columns: int) -> int:
+        return -(-height // rows) * -(-width // columns)
+
+    weak, strong, edges, maxima = map(of, ("weak", "strong", "edges", "maxima"))
+    strength, strongest = of("strength", wp.float32), of("strongest", wp.int32)
+    maxima.zero_()
+    strongest.zero_()
+    number = tiles(kernels.SUPPRESS_ROWS, kernels.SUPPRESS_COLUMNS)
+    launch(
+        kernels.canny_suppress, number, kernels.SUPPRESS_THREADS, [color, settings, weak, strong]
     )
-    (edges,) = _hysteresis(
-        width,
-        weak,
-        strong,
-        launch_dims=(batch * kernels.HYSTERESIS_THREADS,),
-        output_dims={"edges_out": rows},
+    launch(kernels.canny_hysteresis, 1, kernels.HYSTERESIS_THREADS, [width, weak, strong, edges])
+    number = tiles(kernels.MAXIMA_ROWS, kernels.MAXIMA_COLUMNS)
+    found = [strongest, maxima, strength]
+    launch(kernels.corners_maxima, number, kernels.MAXIMA_THREADS, [edges, mask, settings, *found])
+    more = [of(name) for name in ("open", "taken", "keys")]
+    given = [strongest, strength, settings, maxima]
+    launch(
+        kernels.corners_select, 1, kernels.SELECT_THREADS, [*given, u_out, v_out, found_out, *more]
     )
-    return edges

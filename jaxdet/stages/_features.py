@@ -10,6 +10,7 @@ from jaxdet.camera import fixed_rays
 from jaxdet.checks import check_size
 from jaxdet.config import FeaturesConfig
 from jaxdet.errors import ConfigError
+from jaxdet.runtime.calls import uninterrupted
 from jaxdet.stages._corners import corner_settings, mask_bits, strongest_corners
 from jaxdet.types import Array, Calibration, Features, Intrinsics, Keep
 from jaxdet_kernels.features import MAX_SIZE
@@ -45,7 +46,8 @@ def features(
         check_size(what, images.shape, calibration.image)
     arrays = rays(calibration.image)
     settings = jnp.asarray(corner_settings(config))
-    return on_device(jnp.asarray(color), keep.z, keep.mask, arrays, settings, config.max_corners)
+    given = jnp.asarray(color), keep.z, keep.mask, arrays, settings
+    return uninterrupted(on_device, *given, config.max_corners)
 
 
 def check_kernels_size(camera: Intrinsics) -> None:

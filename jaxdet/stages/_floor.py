@@ -6,27 +6,24 @@ Twin of ``jaxdet/reference/_floor.py``. What is known and found has other units 
 
 from typing import Any
 
-import jax
 import numpy as np
 
 from jaxdet.config import FloorConfig
 from jaxdet.floor import units
 from jaxdet.floor.units import Scale, stride
-from jaxdet.stages._teams import TeamKernel
-from jaxdet_kernels import floor as kernels
+from jaxdet.stages._tables import Tables, kernel_tables
 
-_floor = TeamKernel(kernels.floor)
-_frames = TeamKernel(kernels.found_frame)
 _SINES = units.SINES.astype(np.int32)
 
 
-def floor_settings(cells: int, config: FloorConfig, unit: float) -> np.ndarray:
-    """The kernel's settings, ``(N,)`` int32, see :func:`_settings`."""
-    return np.hstack(list(_settings(cells, config, unit).values())).astype(np.int32)
+def tables(cells: int, config: FloorConfig, unit: float) -> Tables:
+    """The tables of a grid of so many cells and a configuration, on the host."""
+    settings = np.hstack(list(_settings(cells, config, unit).values()))
+    return kernel_tables(floor_settings=settings, sines=_SINES)
 
 
 def _settings(cells: int, config: FloorConfig, unit: float) -> dict[str, Any]:
-    """The settings [depth units], in the order of ``native/floor_planes.h``.
+    """The settings [depth units], in the order of ``floor_planes.h``.
 
     Args:
         cells: Rows times columns.
@@ -74,40 +71,3 @@ def _settings(cells: int, config: FloorConfig, unit: float) -> dict[str, Any]:
         "alike": scale.length(units.ALIKE_M),
         "starts": tuple(np.rint(units.STARTS_M / unit).astype(np.int64).tolist()),
     }
-
-
-def scratch_words(rows: int, columns: int, config: FloorConfig, unit: float) -> int:
-    """Words of scratch memory that a team needs for grids of so many cells."""
-    sizes = _settings(rows * columns, config, unit)
-    rows, columns = (len(range(sizes["stride"] // 2, n, sizes["stride"])) for n in (rows, columns))
-    heights = 2 * sizes["span"], sizes["highest"] - sizes["lowest"]
-    near, wide = ((height >> sizes["bin_bits"]) + 1 for height in heights)
-    return kernels.floor_scratch_words(rows, columns, near, wide, sizes["runs"])
-
-
-def find_floor(
-    x: jax.Array, y: jax.Array, z: jax.Array, prior: jax.Array, settings: jax.Array, words: int
-) -> jax.Array:
-    """Finds the floor of each frame, inside ``jax.jit``.
-
-    Takes what the kernel takes, ``prior`` as :func:`jaxdet.floor.units.prior_units` makes it, and
-    :func:`scratch_words`.
-
-    Returns:
-        ``(B, 8)`` int32, see :func:`jaxdet.floor.units.floor_fit`.
-    """
-    inputs, batch = (x, y, z, prior, settings, _SINES), z.shape[0]
-    [found] = _floor(*inputs, batch=batch, shapes={"found_out": (batch, 8)}, scratch=words)
-    return found
-
-
-def found_frames(found: jax.Array, given: jax.Array) -> jax.Array:
-    """The floor frames of frames: of their own floor, or where that was refused the one given.
-
-    Args:
-        found: From :func:`find_floor`.
-        given: ``(B, 13)`` int32, see :func:`jaxdet.floor.frame.floor_frames`.
-    """
-    shapes = {"frame_out": given.shape}
-    (frame,) = _frames(found, given, _SINES, batch=given.shape[0], shapes=shapes, scratch=1)
-    return frame

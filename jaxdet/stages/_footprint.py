@@ -10,7 +10,7 @@ from jaxdet.checks import check_points
 from jaxdet.config import TRIM_SHARE, Config, FootprintConfig
 from jaxdet.floor.plane import band_table, ground_axes
 from jaxdet.stages._cluster import most_obstacles
-from jaxdet.stages._teams import kernel_table
+from jaxdet.stages._tables import kernel_table
 from jaxdet.types import MAX_LATERAL, Features, GroundPlane, Labels, Obstacles
 
 VALUE_BITS = 19

@@ -38,9 +38,7 @@ SPECS = _spread.WHOLE, cast(Any, _Given)(ground=_PLANES, axes=_spread.ROWS)
 class _Static(NamedTuple):
     """What a compiled program is for."""
 
-    align: tuple[int, int, tuple[int, int]] | None
-    """The lens, whether depth pixels fill corners, and the colour image's size; None: depth is
-    aligned already."""
+    align: tuple[int, int] | None  # the colour image's size; None: depth is aligned already
     slots: int  # of corners
     most: int  # obstacles that there is room for
 
@@ -72,10 +70,10 @@ def clusters(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
 @lru_cache(maxsize=8)
 def _tables(calibration: Calibration, config: Config) -> tuple[_Tables, _Static]:
     """The arrays on the device, and what is compiled for; no alignment of what is aligned."""
-    unit, slots, lens, align = calibration.depth_unit, config.features.max_corners, None, ()
+    unit, slots, size, align = calibration.depth_unit, config.features.max_corners, None, ()
     if not calibration.is_aligned:
-        *align, model, fills = _align.tables(calibration)
-        lens = model, fills, (calibration.image.height, calibration.image.width)
+        align = _align.tables(calibration)
+        size = calibration.image.height, calibration.image.width
     made = _Tables(
         tuple(align),
         _features.rays(calibration.image),
@@ -83,7 +81,7 @@ def _tables(calibration: Calibration, config: Config) -> tuple[_Tables, _Static]
         jnp.asarray(_cluster.gap_settings(config.cluster, unit)),
         _footprint.tables(config.footprint, unit),
     )
-    return made, _Static(lens, slots, _cluster.most_obstacles(slots, config.cluster))
+    return made, _Static(size, slots, _cluster.most_obstacles(slots, config.cluster))
 
 
 @partial(jax.jit, static_argnames="static")
@@ -93,7 +91,7 @@ def _detect(
     tables, floor = given
     aligned = AlignedDepth(depth, depth)
     if static.align is not None:
-        aligned = AlignedDepth(*_align.align_arrays(depth, *tables.align, *static.align))
+        aligned = AlignedDepth(*_align.align_arrays(depth, *tables.align, static.align))
     keep = _ground.keep(aligned.z, *floor.ground)
     corners = _features.on_device(
         color, keep.z, keep.mask, tables.rays, tables.corners, static.slots

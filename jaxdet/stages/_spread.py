@@ -10,6 +10,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from jaxdet.errors import ConfigError
+from jaxdet.runtime.calls import uninterrupted
 from jaxdet.types import GroundPlane
 
 ROWS = PartitionSpec("frames")  # an array with a row for each frame
@@ -161,10 +162,10 @@ def run(
     """
     among = devices_for(images[0])
     if len(among) == 1:
-        return program(*images, tables, *static)
+        return uninterrupted(program, *images, tables, *static)
     images = jax.device_put(images, rows_over(among))
     spread = _spread(program, specs, among, len(images), static)
-    return spread(*images, _placed(tables, specs, among))
+    return uninterrupted(spread, *images, _placed(tables, specs, among))
 
 
 @lru_cache(maxsize=16)

@@ -10,7 +10,7 @@ import jax
 import numpy as np
 import warp as wp
 
-from jaxdet.stages._launch import registering
+from jaxdet.runtime.launch import registering
 
 INT32: Any = wp.int32
 _KINDS: dict[Any, Any] = {np.uint8: wp.uint8, np.uint16: wp.uint16}

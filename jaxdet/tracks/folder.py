@@ -111,13 +111,16 @@ def add_tracks(folder: Path, config: TrackConfig) -> list[LogTracks]:
         folder: Complete folder of a log.
         config: What links obstacles.
     """
-    about = {k: v for k, v in read_manifest(folder).items() if k not in ("files", "sha256")}
-    for path in filter(lambda path: is_track_file(path.name), folder.iterdir()):
-        path.unlink()  # a link, perhaps
+    manifest = read_manifest(folder)
+    about = {key: value for key, value in manifest.items() if key not in ("files", "sha256")}
+    paths = [path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()]
+    others = [name for name in paths if name not in manifest["files"]]
+    for name in filter(is_track_file, manifest["files"]):
+        (folder / name).unlink(missing_ok=True)  # a link, perhaps
     with Results(folder) as results:
         found = write_tracks(results, config, folder)
     (folder / MANIFEST).unlink()
-    write_manifest(folder, about)
+    write_manifest(folder, about, others)
     return found
 
 

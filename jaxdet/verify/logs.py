@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxdet.engine import decide_planes
+from jaxdet.engine.color import method_frames
 from jaxdet.engine.floors import evenly
 from jaxdet.errors import FrameStatus, JaxdetError
 from jaxdet.export.recordings import some, ways
@@ -126,10 +127,11 @@ def _check_sample(
     planes = decide_planes(opened, config, "reference", wanted)
     for chunk in some(results, log, wanted, OBSTACLES_SCHEMA.names):  # without tracks
         again = chunk.frames["frame"].to_pylist()
-        batch = opened.read(again, color=config.cluster.points)
+        batch = opened.read(again, color=config.cluster.points, need_color=config.cluster.points)
         stamps = batch.frames.stamp_ns
         plane = planes.of(stamps)
-        found = row_inputs(detect(batch.frames._replace(plane=plane), config, backend="reference"))
+        frames = method_frames(batch.frames._replace(plane=plane), config)
+        found = row_inputs(detect(frames, config, backend="reference"))
         given = plane, planes.sources(stamps), found, config
         rows = batch_rows(log.name, log.camera, batch, *given)
         want = Tables.of(rows.frames, rows.obstacles)

@@ -6,28 +6,36 @@ decoded side by side because a launch does not hold Python's lock. Arrays are co
 
 import warp as wp
 
-from jaxdet_kernels.native_source import CPU_FLAGS, native_kernel
+from jaxdet_kernels.build import options
 
-wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": CPU_FLAGS})
+wp.set_module_options(options("png_depth.h", "png_lines.h", "rvl.h"))
 
 
-@native_kernel(
-    "png_depth.h",
-    body="PngDepth{lines.data, lines.shape[0], lines.shape[1] / 2, depth_out.data}.run();",
-)
+@wp.func_native("""
+    jaxdet::PngDepth{lines.data, lines.shape[0], lines.shape[1] / 2, depth_out.data}.run();
+""")
+def _png_depth(lines: wp.array2d[wp.uint8], depth_out: wp.array2d[wp.uint16]): ...
+
+
+@wp.kernel
 def png_depth(
     lines: wp.array2d[wp.uint8],  # (H, 1 + 2 W) each begins with its filter
     depth_out: wp.array2d[wp.uint16],  # (H, W)
 ):
     """The lines of a 16-bit grey PNG to depth; filters are 0 to 4."""
+    _png_depth(lines, depth_out)
 
 
-@native_kernel(
-    "png_lines.h",
-    body="""
-    PngLines{lines.data, lines.shape[0], lines.shape[1] - 1, step}.color(spread, rgb_out.data);
-""",
-)
+@wp.func_native("""
+    jaxdet::PngLines{lines.data, lines.shape[0], lines.shape[1] - 1, step}
+        .color(spread, rgb_out.data);
+""")
+def _png_color(
+    lines: wp.array2d[wp.uint8], step: int, spread: int, rgb_out: wp.array3d[wp.uint8]
+): ...
+
+
+@wp.kernel
 def png_color(
     lines: wp.array2d[wp.uint8],  # (H, 1 + step W) likewise; un-filtered in place
     step: int,  # bytes of a pixel, 1, 2, 3, 4, 6 or 8
@@ -35,38 +43,46 @@ def png_color(
     rgb_out: wp.array3d[wp.uint8],  # (H, W, 3)
 ):
     """The lines of a PNG with 8 or 16 bits a sample to RGB; of 16 bits the higher 8 are taken."""
+    _png_color(lines, step, spread, rgb_out)
 
 
-@native_kernel(
-    "rvl.h",
-    body="""
-    RvlDecoder decoder{{stream.data, stream.shape[0] / 4},
-                       pixels_out.data,
-                       (long long)pixels_out.shape[0] * pixels_out.shape[1],
-                       {}};
+@wp.func_native("""
+    const long long pixels = (long long)pixels_out.shape[0] * pixels_out.shape[1];
+    jaxdet::RvlDecoder decoder{{stream.data, stream.shape[0] / 4}, pixels_out.data, pixels, {}};
     status_out.data[0] = decoder.run();
-""",
-)
+""")
+def _rvl(
+    stream: wp.array[wp.uint8], pixels_out: wp.array2d[wp.uint16], status_out: wp.array[wp.int32]
+): ...
+
+
+@wp.kernel
 def rvl(
     stream: wp.array[wp.uint8],  # (N,) what follows the last pixel is not read
     pixels_out: wp.array2d[wp.uint16],  # (H, W) partly written where the status is not 0
     status_out: wp.array[wp.int32],  # (1,) 0 where all is well, else see RvlDecoder
 ):
     """An RVL stream to its pixels."""
+    _rvl(stream, pixels_out, status_out)
 
 
-@native_kernel(
-    body="""
+@wp.func_native("""
     const size_t size = (size_t)metres.shape[0] * metres.shape[1];
     for (size_t i = 0; i < size; ++i) {
         const double units = __builtin_rint(metres.data[i] / unit_m);
         units_out.data[i] = (unsigned short)(units > 0 && units <= 65535 ? (int)units : 0);
     }
-""",
-)
+""")
+def _depth_units(
+    metres: wp.array2d[wp.float32], unit_m: wp.float64, units_out: wp.array2d[wp.uint16]
+): ...
+
+
+@wp.kernel
 def depth_units(
     metres: wp.array2d[wp.float32],  # (H, W)
     unit_m: wp.float64,  # metres in a unit
     units_out: wp.array2d[wp.uint16],  # (H, W)
 ):
     """Metres to the nearest depth unit, halves to even; 0 where that is not of 1 to 65535."""
+    _depth_units(metres, unit_m, units_out)

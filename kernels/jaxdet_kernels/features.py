@@ -2,15 +2,32 @@
 
 On the CPU a frame is a thread's, from its colours to its corners. On CUDA the steps are kernels of
 their own: weak and strong edges by tiles, hysteresis by frames, local maxima of the corner strength
-by tiles, and the selection by frames. Images of bits are laid out as ``native/pixel_bits.h`` says.
+by tiles, and the selection by frames. Images of bits are laid out as ``pixel_bits.h`` says.
 """
 
 import warp as wp
 
-from jaxdet_kernels.native_source import native_kernel, team_kernel
+from jaxdet_kernels.build import options
 
 # With Warp's own flags for the CPU, which inline more: corners are 7 % faster.
-wp.set_module_options({"fuse_fp": False, "enable_backward": False})
+wp.set_module_options(
+    options(
+        "corners.h",
+        "image_tile.h",
+        "canny.h",
+        "corner_settings.h",
+        "hysteresis.h",
+        "corner_maxima.h",
+        "corner_selection.h",
+        "frames.h",
+        cpu_flags=None,
+    )
+)
+
+Color, Bits = wp.array4d[wp.uint8], wp.array3d[wp.uint32]
+Ints, Ints2d = wp.array[wp.int32], wp.array2d[wp.int32]
+TYPES = Color, Bits, Ints, Ints2d, Ints2d, Ints, Ints
+"""Of the arrays of a call, those of :func:`features_frames` but the last."""
 
 MAX_SIZE = 4096  # most columns and rows of a colour image
 
@@ -31,42 +48,53 @@ def row_words(width: int) -> int:
 
 
 def features_scratch(height: int, width: int) -> int:
-    """32-bit words of scratch memory of :func:`features_frames`, see ``native/corners.h``."""
+    """32-bit words of scratch memory of :func:`features_frames`, see ``corners.h``."""
     spaced = 2 * (height * (row_words(width) // 16 * 8 + 8) + 16)
     return 4 * height * width + 2 * spaced + 2 * height * row_words(width)
 
 
-@team_kernel(
-    "corners.h",
-    body="""
+@wp.func_native("""
 #if !defined(__CUDA_ARCH__)
-        const int height = color.shape[1], width = color.shape[2];
-        const size_t at = (size_t)b * u_out.shape[1];
+    using namespace jaxdet;
+    const int height = color.shape[1], width = color.shape[2], slots = u_out.shape[1];
+    each_frame(next.data, color.shape[0], [&](size_t b) {
         found_out.data[b] = Corners{
-            color.data + 3 * (size_t)b * height * width,
-            mask.data + (size_t)b * height * PixelBits::words(width), height, width,
-            {settings.data}, u_out.shape[1], u_out.data + at, v_out.data + at,
-            (unsigned*)scratch}.run();
+            color.data + 3 * b * height * width, mask.data + b * height * PixelBits::words(width),
+            height, width, {settings.data}, slots, u_out.data + b * slots, v_out.data + b * slots,
+            (unsigned*)scratch.data}.run();
+    });
 #endif
-""",
-)
+""")
+def _features_frames(
+    color: Color,
+    mask: Bits,
+    settings: Ints,
+    u_out: Ints2d,
+    v_out: Ints2d,
+    found_out: Ints,
+    scratch: Ints,
+    next: Ints,
+): ...
+
+
+@wp.kernel
 def features_frames(
-    color: wp.array4d[wp.uint8],  # (B, H, W, 3) RGB
-    mask: wp.array3d[wp.uint32],  # (B, H, words) where corners may be, a bit a pixel
-    settings: wp.array[wp.int32],  # (6,) see native/corner_settings.h
-    u_out: wp.array2d[wp.int32],  # (B, N) columns, strongest corner first; 0 where there is none
-    v_out: wp.array2d[wp.int32],  # rows
-    found_out: wp.array[wp.int32],  # (B,) how many corners there are, at most N + 1
+    color: Color,  # (B, H, W, 3) RGB
+    mask: Bits,  # (B, H, words) where corners may be, a bit a pixel
+    settings: Ints,  # (6,) see corner_settings.h
+    u_out: Ints2d,  # (B, N) columns, strongest corner first; 0 where there is none
+    v_out: Ints2d,  # rows
+    found_out: Ints,  # (B,) how many corners there are, at most N + 1
+    scratch: Ints,  # (features_scratch,)
+    next: Ints,
 ):
-    """The strongest corners, on the CPU; ``features_scratch`` of scratch memory."""
+    """The strongest corners of frames until none is left, on the CPU."""
+    _features_frames(color, mask, settings, u_out, v_out, found_out, scratch, next)
 
 
-@native_kernel(
-    "image_tile.h",
-    "canny.h",
-    "corner_settings.h",
-    body="""
+@wp.func_native("""
 #if defined(__CUDA_ARCH__)
+    using namespace jaxdet;
     typedef CannySuppressTile Tile;
     const Team team(tid, 0);
     const int height = color.shape[1], width = color.shape[2];
@@ -76,46 +104,60 @@ def features_frames(
     Tile{team.rank, color.data + 3 * pixels * width, height, width, at.top, at.left, given.low(),
          given.high(), weak_out.data + bits, strong_out.data + bits}.run();
 #endif
-""",
-    launch_bounds=(SUPPRESS_THREADS, 4),
-)
+""")
+def _canny_suppress(
+    tid: int,
+    color: Color,
+    settings: Ints,
+    weak_out: Bits,
+    strong_out: Bits,
+): ...
+
+
+@wp.kernel(launch_bounds=(SUPPRESS_THREADS, 4))
 def canny_suppress(
-    color: wp.array4d[wp.uint8],  # (B, H, W, 3) RGB
-    settings: wp.array[wp.int32],  # (6,)
-    weak_out: wp.array3d[wp.uint32],  # (B, H, words) edges above the lower threshold
-    strong_out: wp.array3d[wp.uint32],  # (B, H, words) those above the higher one
+    color: Color,  # (B, H, W, 3) RGB
+    settings: Ints,  # (6,)
+    weak_out: Bits,  # (B, H, words) edges above the lower threshold
+    strong_out: Bits,  # (B, H, words) those above the higher one
 ):
     """Grey, 3x3 Sobel and non-maximum suppression, a block a tile; for CUDA."""
+    _canny_suppress(wp.tid(), color, settings, weak_out, strong_out)
 
 
-@native_kernel(
-    "hysteresis.h",
-    body="""
+@wp.func_native("""
 #if defined(__CUDA_ARCH__)
+    using namespace jaxdet;
     const Team team(tid, 0);
     const int height = weak.shape[1];
     const size_t bits = (size_t)team.index * height * weak.shape[2];
     Hysteresis{team, height, width, weak.data + bits, strong.data + bits,
                edges_out.data + bits}.run();
 #endif
-""",
-    launch_bounds=(HYSTERESIS_THREADS, 3),
-)
+""")
+def _canny_hysteresis(
+    tid: int,
+    width: int,
+    weak: Bits,
+    strong: Bits,
+    edges_out: Bits,
+): ...
+
+
+@wp.kernel(launch_bounds=(HYSTERESIS_THREADS, 3))
 def canny_hysteresis(
     width: int,  # of the images
-    weak: wp.array3d[wp.uint32],  # (B, H, words)
-    strong: wp.array3d[wp.uint32],  # (B, H, words) some of these
-    edges_out: wp.array3d[wp.uint32],  # (B, H, words)
+    weak: Bits,  # (B, H, words)
+    strong: Bits,  # (B, H, words) some of these
+    edges_out: Bits,  # (B, H, words)
 ):
     """Weak edges that are connected to strong ones, a block a frame; for CUDA."""
+    _canny_hysteresis(wp.tid(), width, weak, strong, edges_out)
 
 
-@native_kernel(
-    "image_tile.h",
-    "corner_settings.h",
-    "corner_maxima.h",
-    body="""
+@wp.func_native("""
 #if defined(__CUDA_ARCH__)
+    using namespace jaxdet;
     typedef CornerTile Tile;
     const Team team(tid, 0);
     const int height = strength_out.shape[1], width = strength_out.shape[2];
@@ -125,25 +167,34 @@ def canny_hysteresis(
          height, width, at.top, at.left, strength_out.data + pixels * width, maxima_out.data + bits,
          strongest_out.data + at.image}.run();
 #endif
-""",
-    launch_bounds=(MAXIMA_THREADS, 6),
-)
+""")
+def _corners_maxima(
+    tid: int,
+    edges: Bits,
+    mask: Bits,
+    settings: Ints,
+    strongest_out: Ints,
+    maxima_out: Bits,
+    strength_out: wp.array3d[wp.float32],
+): ...
+
+
+@wp.kernel(launch_bounds=(MAXIMA_THREADS, 6))
 def corners_maxima(
-    edges: wp.array3d[wp.uint32],  # (B, H, words)
-    mask: wp.array3d[wp.uint32],  # (B, H, words) where corners may be
-    settings: wp.array[wp.int32],  # (6,)
-    strongest_out: wp.array[wp.int32],  # (B,) 0 before: the strongest allowed pixel's float32 bits
-    maxima_out: wp.array3d[wp.uint32],  # (B, H, words) 0 before: maxima above 0
+    edges: Bits,  # (B, H, words)
+    mask: Bits,  # (B, H, words) where corners may be
+    settings: Ints,  # (6,)
+    strongest_out: Ints,  # (B,) 0 before: the strongest allowed pixel's float32 bits
+    maxima_out: Bits,  # (B, H, words) 0 before: maxima above 0
     strength_out: wp.array3d[wp.float32],  # (B, H, W) written at maxima alone
 ):
     """Allowed local maxima of the corner strength, a block a tile; for CUDA."""
+    _corners_maxima(wp.tid(), edges, mask, settings, strongest_out, maxima_out, strength_out)
 
 
-@native_kernel(
-    "corner_settings.h",
-    "corner_selection.h",
-    body="""
+@wp.func_native("""
 #if defined(__CUDA_ARCH__)
+    using namespace jaxdet;
     const Team team(tid, 0);
     const int height = strength.shape[1], width = strength.shape[2], slots = u_out.shape[1];
     const size_t b = team.index, bits = b * height * PixelBits::words(width), out = b * slots;
@@ -154,19 +205,46 @@ def corners_maxima(
                     (unsigned long long*)(keys_out.data + b * keys_out.shape[1]), slots,
                     u_out.data + out, v_out.data + out, found_out.data + b}.run();
 #endif
-""",
-    launch_bounds=(SELECT_THREADS, 1),
-)
+""")
+def _corners_select(
+    tid: int,
+    strongest: Ints,
+    strength: wp.array3d[wp.float32],
+    settings: Ints,
+    maxima_out: Bits,
+    u_out: Ints2d,
+    v_out: Ints2d,
+    found_out: Ints,
+    open_out: Bits,
+    taken_out: Bits,
+    keys_out: wp.array2d[wp.uint32],
+): ...
+
+
+@wp.kernel(launch_bounds=(SELECT_THREADS, 1))
 def corners_select(
-    strongest: wp.array[wp.int32],  # (B,) from corners_maxima
+    strongest: Ints,  # (B,) from corners_maxima
     strength: wp.array3d[wp.float32],  # (B, H, W) likewise
-    settings: wp.array[wp.int32],  # (6,)
-    maxima_out: wp.array3d[wp.uint32],  # (B, H, words) likewise; those too weak are taken out
-    u_out: wp.array2d[wp.int32],  # (B, N) columns, strongest corner first; 0 where there is none
-    v_out: wp.array2d[wp.int32],  # rows
-    found_out: wp.array[wp.int32],  # (B,) how many corners there are, maybe more than N
-    open_out: wp.array3d[wp.uint32],  # (B, H, words) scratch
-    taken_out: wp.array3d[wp.uint32],  # (B, H, words) scratch
+    settings: Ints,  # (6,)
+    maxima_out: Bits,  # (B, H, words) likewise; those too weak are taken out
+    u_out: Ints2d,  # (B, N) columns, strongest corner first; 0 where there is none
+    v_out: Ints2d,  # rows
+    found_out: Ints,  # (B,) how many corners there are, maybe more than N
+    open_out: Bits,  # (B, H, words) scratch
+    taken_out: Bits,  # (B, H, words) scratch
     keys_out: wp.array2d[wp.uint32],  # (B, 2 P) scratch; P is a power of two and at least N
 ):
     """The strongest N corners that keep the minimum distance, a block a frame; for CUDA."""
+    _corners_select(
+        wp.tid(),
+        strongest,
+        strength,
+        settings,
+        maxima_out,
+        u_out,
+        v_out,
+        found_out,
+        open_out,
+        taken_out,
+        keys_out,
+    )

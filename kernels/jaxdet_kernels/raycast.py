@@ -11,7 +11,7 @@ A row of ``lamps`` is: direction to the lamp 0-2, radius of its disc at distance
 
 import warp as wp
 
-from jaxdet_kernels.native_source import CPU_FLAGS
+from jaxdet_kernels.build import CPU_FLAGS
 
 wp.set_module_options({"fuse_fp": False, "enable_backward": False, "cpu_compiler_flags": CPU_FLAGS})
 

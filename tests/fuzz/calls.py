@@ -33,8 +33,8 @@ GOOD = frames(CALIBRATION, COLOR, DEPTH, plane=level(FRAMES))._replace(
     T_world_camera=np.tile(np.eye(4), (FRAMES, 1, 1))
 )
 MOTION = CALIBRATION.color_from_depth.T
-CAMERA = CALIBRATION.color
-DETECTOR = {"K": CAMERA.K, "depth_K": CALIBRATION.depth, "T_color_depth": MOTION}
+CAMERA = CALIBRATION.depth
+DETECTOR = {"K": CAMERA.K, "color_K": CALIBRATION.color, "T_color_depth": MOTION}
 SETTINGS = {"depth_unit_m": 0.001, "color_order": "rgb", "mount": jaxdet.Mount(0.4)}
 BACKENDS = "jax", "jax", "reference"
 MOST_BYTES = 1 << 30
@@ -194,8 +194,8 @@ class Calls:
         own = jaxdet.Detector.from_log(self._log, backend="reference")
         corners = metric.rectangles(obstacles, 0.001, config.footprint)
         options = {"config": config, "backend": "jax"}
-        result = _detector(Random(0), backend="reference")(COLOR[0], DEPTH[0])
-        batch = _detector(Random(0), backend="reference").batch(COLOR, DEPTH)
+        result = _detector(Random(0), backend="reference")(DEPTH[0], COLOR[0])
+        batch = _detector(Random(0), backend="reference").batch(DEPTH, COLOR)
         dataclass_calls = {
             kind.__name__: (kind, {f.name: getattr(good, f.name) for f in dataclasses.fields(good)})
             for good in (
@@ -215,14 +215,14 @@ class Calls:
         }
         plain = dict(
             zip(
-                ("color", "depth", "stamp_ns", "T_world_camera"),
-                (COLOR[0], DEPTH[0], 5, np.eye(4)),
+                ("depth", "color", "stamp_ns", "T_world_camera"),
+                (DEPTH[0], COLOR[0], 5, np.eye(4)),
                 strict=True,
             )
         )
         many = {
-            "color": COLOR,
             "depth": DEPTH,
+            "color": COLOR,
             "stamps_ns": np.arange(2),
             "T_world_camera": GOOD.T_world_camera,
         }
@@ -249,7 +249,7 @@ class Calls:
             "Detector.from_log": (jaxdet.Detector.from_log, {"log": self._log, **options}),
             "Detector.run": (
                 lambda **more: list(own.run(**more)),
-                {"log": self._log, "batch_size": 2},
+                {"log": self._log, "batch_size": 2, "color": True},
             ),
             "FrameResult.draw": (result.draw, {"color": COLOR[0]}),
             "FrameResult[]": (lambda index: result[index], {"index": 0}),
@@ -272,7 +272,7 @@ class Calls:
             ),
             "Log.batches": (
                 lambda **more: list(self._log.batches(**more)),
-                {"batch_size": 2, "start": 0, "stop": 3},
+                {"batch_size": 2, "start": 0, "stop": 3, "color": True},
             ),
             "Log.read": (self._log.read, {"indices": [0, 1]}),
             "Log[]": (lambda index: self._log[index], {"index": 1}),
@@ -336,7 +336,7 @@ def _put(part: Any, more: dict[str, Any]) -> Any:
         return GOOD._replace(plane=made)
     whole = CALIBRATION
     if isinstance(part, jaxdet.Intrinsics):
-        whole = whole._replace(color=made)
+        whole = whole._replace(depth=made)
     elif isinstance(part, jaxdet.Extrinsics):
         whole = whole._replace(color_from_depth=made)
     else:

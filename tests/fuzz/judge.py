@@ -3,10 +3,8 @@
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
-
 from jaxdet.errors import FrameStatus, RescanError
-from jaxdet.io import Log, LogOptions, open_log
+from jaxdet.io import Log, LogFrame, LogOptions, open_log
 from jaxdet.io.notes import total
 from tests.fuzz.case import Verdict, ended
 from tests.fuzz.formats import FORMATS, FRAMES
@@ -14,7 +12,7 @@ from tests.fuzz.mutations import WRITER_IS_WRONG
 
 
 class Truth(NamedTuple):
-    """The frames of a log before it is mutated, by colour stamp."""
+    """The images of a log before it is mutated, each by its stamp."""
 
     color: dict[int, bytes]
     depth: dict[int, bytes]
@@ -25,12 +23,11 @@ def truth_of(path: Path) -> Truth:
     """The frames of an unbroken log."""
     color, depth = {}, {}
     with open_log(str(path)) as log:
-        for batch in log.batches(FRAMES):
-            for row, stamp in enumerate(batch.frames.stamp_ns[: len(batch.status)].tolist()):
-                assert batch.status[row] is FrameStatus.OK
-                color[stamp] = batch.frames.color[row].tobytes()
-                depth[stamp] = batch.frames.depth[row].tobytes()
-        assert len(color) == FRAMES
+        for frame in log:
+            assert frame.status is FrameStatus.OK and frame.color is not None
+            color[frame.color_stamp_ns] = frame.color.tobytes()
+            depth[frame.stamp_ns] = frame.depth.tobytes()
+        assert len(color) == len(depth) == FRAMES
         return Truth(color, depth, log.calibration)
 
 
@@ -51,29 +48,27 @@ def _read(
 ) -> Verdict:
     seen, bad, wrong = 0, 0, []
     with open_log(str(path), options) as log:
-        batches = list(log.batches(3))
+        batches = list(log.batches(3, color=log.has_color))
         about = log.described(total(batch.notes for batch in batches))
         said = [*about.warnings, *(file.text for file in about.integrity)]
         same = log.calibration == truth.calibration
         recovered = any(file.recovered for file in log.description.integrity)
         for batch in batches:
-            for row, status in enumerate(batch.status):
+            for frame in batch.one_by_one():
                 seen += 1
-                if status is not FrameStatus.OK:
+                if frame.status is not FrameStatus.OK:
                     bad += 1
-                    if not batch.errors[row]:
+                    if not frame.error:
                         return Verdict("silently lost", "a frame that is not ok has no reason")
-                    continue
-                stamp = int(batch.frames.stamp_ns[row])
-                color, depth = batch.frames.color[row], batch.frames.depth[row]
-                if not _is_of(color, depth, stamp, truth):
-                    wrong.append(stamp)
+                elif not _is_of(frame, truth):
+                    wrong.append(frame.stamp_ns)
         counts = seen, bad, wrong, same, recovered
         return _verdict(log, (format_name, mutation), counts, said)
 
 
-def _is_of(color: np.ndarray, depth: np.ndarray, stamp: int, truth: Truth) -> bool:
-    return color.tobytes() == truth.color.get(stamp) and depth.tobytes() == truth.depth.get(stamp)
+def _is_of(frame: LogFrame, truth: Truth) -> bool:
+    color = frame.color is None or frame.color.tobytes() == truth.color.get(frame.color_stamp_ns)
+    return color and frame.depth.tobytes() == truth.depth.get(frame.stamp_ns)
 
 
 def _verdict(

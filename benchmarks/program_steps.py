@@ -1,0 +1,98 @@
+"""The steps of the default one at a time, on the arrays that the steps before them leave."""
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+import warp as wp
+
+from benchmarks.run import Case
+from benchmarks.scene import BATCH, CONFIG, frames_of
+from benchmarks.sweep import SIZES, Point
+from jaxdet.runtime.launch import most_teams
+from jaxdet.stages._program import (
+    STEPS,
+    Static,
+    floors,
+    host_tables,
+    launch,
+    packed,
+    record_layout,
+    work_layout,
+)
+from jaxdet_kernels import program as kernels
+
+
+class Program(NamedTuple):
+    """Arrays of the program on the default device, all steps done once."""
+
+    arrays: list[wp.array]
+    """Depth, floors, tables, record, contour and work."""
+    scratch: wp.array
+    static: Static
+
+    def run(self, step: str) -> None:
+        """Does a step again and waits for it."""
+        number = STEPS.index(step)
+        launch(self.arrays, self.scratch, number, number + 1)
+        wp.synchronize_device(self.arrays[0].device)
+
+    def take(self, name: str) -> np.ndarray:
+        """An array of all frames by its name, on the host."""
+        static, (depth, *_, record, contour, work) = self.static, self.arrays
+        if name == "contour":
+            return contour.numpy().reshape(len(depth), -1, static.columns, 2)
+        layouts = (record_layout(static.columns), record), (work_layout(*static[:2]), work)
+        return next(lay.take(rows.numpy(), name) for lay, rows in layouts if name in lay.shapes)
+
+
+def program(point: Point) -> Program:
+    """The program on depth images of the scene, on the device."""
+    frames = frames_of(point.size, point.batch)
+    unit, plane = frames.calibration.depth_unit, frames.plane
+    assert plane is not None
+    tables = packed(*host_tables(frames.calibration, CONFIG))
+    static, device = Static.of(tables), wp.device_from_jax(_device())
+    given = frames.depth, floors(plane, CONFIG, unit), tables
+    arrays = [wp.array(a, dtype=wp.dtype_from_numpy(a.dtype), device=device) for a in given]
+    rows = [(point.batch, words) for words in static.words()]
+    arrays += [wp.zeros(shape, dtype=wp.int32, device=device) for shape in rows]
+    teams = 1 if device.is_cpu else most_teams(point.batch, static.own_words, kernels.BLOCKS)
+    scratch = wp.zeros((teams, static.own_words), dtype=wp.int32, device=device)
+    launch(arrays, scratch, 0, len(STEPS))
+    return Program(arrays, scratch, static)
+
+
+def _device() -> Any:
+    chosen = jax.config.jax_default_device
+    return chosen if isinstance(chosen, jax.Device) else jax.local_devices()[0]
+
+
+def step_at(point: Point, step: str, names: tuple[str, ...], images: bool = False) -> Case:
+    """A step on the device.
+
+    Args:
+        point: Where it is timed.
+        step: Of :data:`jaxdet.stages._program.STEPS`.
+        names: Arrays that it reads and writes; their bytes are counted.
+        images: Whether it reads the depth images too.
+    """
+    own = program(point)
+    moved = sum(own.take(name).nbytes for name in names)
+    moved += point.batch * np.prod(own.arrays[0].shape[1:]) * 2 if images else 0
+    run = partial(own.run, step)
+    return Case(name=point.name, run=run, frames=point.batch, bytes_read=int(moved))
+
+
+def against_reference(step: str, peer: Any, names: tuple[str, ...]) -> Case:
+    """A step whose arrays of these names equal the reference's, in order."""
+    point = Point(SIZES[0], 0, BATCH)
+    own = program(point)
+
+    def run() -> list[np.ndarray]:
+        own.run(step)
+        return [own.take(name) for name in names]
+
+    case = Case("vs_reference", partial(own.run, step), BATCH, peer, equal=True)
+    return case._replace(compared=lambda _: run())

@@ -1,0 +1,114 @@
+"""Kernels compiled for the CPU ahead of time, once for a version of their sources and a machine."""
+
+import os
+import platform
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from functools import cache
+from hashlib import blake2b
+from pathlib import Path
+from threading import Lock
+from types import ModuleType
+
+import warp as wp
+
+import jaxdet_kernels
+from jaxdet.errors import JaxdetError
+from jaxdet.quiet import quiet_warp
+
+_lock = Lock()
+_loaded: set[str] = set()
+
+
+def load_for_cpu(module: ModuleType) -> None:
+    """Loads the kernels of a module for the CPU; compiles them if no process has done so yet.
+
+    They lie in a folder of our own in Warp's cache, which gets its name once it is complete and
+    its code was loaded: a crash or a full disk leaves nothing that a later start would use. Of
+    processes that start together one compiles, and the others wait for it.
+    """
+    with _lock:
+        if module.__name__ in _loaded:
+            return
+        quiet_warp()  # which decides where its cache is
+        cache_folder = Path(str(wp.config.kernel_cache_dir))
+        folder = cache_folder / f"{module.__name__}-{_version()}"
+        if not _load(module, folder):
+            with _alone(cache_folder):
+                if not _load(module, folder):
+                    _compile(module, folder)
+        _loaded.add(module.__name__)
+
+
+def _load(module: ModuleType, folder: Path) -> bool:
+    """Whether the folder is there and could be loaded."""
+    if not folder.is_dir():
+        return False
+    try:
+        wp.load_aot_module(module, device="cpu", module_dir=folder)
+    except Exception:  # whatever Warp says of a file that is missing, torn or of another machine
+        return False
+    return True
+
+
+def _compile(module: ModuleType, folder: Path) -> None:
+    """Compiles and loads a module; it is kept where the cache can be written to.
+
+    Raises:
+        JaxdetError: The compiler fails, or its code can't be loaded.
+    """
+    made = _new_folder(folder.parent)
+    try:
+        try:
+            wp.compile_aot_module(module, device="cpu", module_dir=made)
+            wp.load_aot_module(module, device="cpu", module_dir=made)
+        except Exception as error:
+            problem = f"the kernels {module.__name__} can't be compiled: {error}"
+            raise JaxdetError(problem, remedy=f"is there space left in {made.parent}?") from error
+        shutil.rmtree(folder, ignore_errors=True)
+        with suppress(OSError):
+            made.rename(folder)
+    finally:
+        shutil.rmtree(made, ignore_errors=True)
+
+
+def _new_folder(beside: Path) -> Path:
+    try:
+        beside.mkdir(parents=True, exist_ok=True)
+        return Path(tempfile.mkdtemp(prefix=".compiling-", dir=beside))
+    except OSError:  # code that is loaded needs no file any more
+        return Path(tempfile.mkdtemp())
+
+
+@cache
+def _version() -> str:
+    """Names the sources of the kernels, Warp and the processor, whose instructions are used."""
+    found = blake2b(f"{wp.__version__} {platform.machine()}".encode(), digest_size=8)
+    with suppress(OSError):
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+        found.update("\n".join(s for s in lines[:40] if s.startswith(("flags", "model"))).encode())
+    sources = Path(jaxdet_kernels.__file__ or "").parent
+    for file in sorted(path for path in sources.rglob("*") if path.suffix in (".h", ".py")):
+        found.update(file.read_bytes())
+    return found.hexdigest()
+
+
+@contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """Waits until no other process compiles into a cache, where the system has locks."""
+    try:
+        import fcntl
+
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = os.open(folder / ".compiling", os.O_RDWR | os.O_CREAT)
+    except (ImportError, OSError):
+        yield
+        return
+    try:
+        with suppress(OSError):  # a file system without locks
+            fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(lock)

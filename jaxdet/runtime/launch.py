@@ -1,0 +1,102 @@
+"""Launches of kernels: on the CPU's cores, each takes frames; on CUDA, a team of threads does."""
+
+from collections.abc import Sequence
+from functools import lru_cache, partial
+from threading import Lock
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+import warp as wp
+
+from jaxdet.runtime import threads
+from jaxdet.runtime.compiled import load_for_cpu
+from jaxdet.runtime.layout import LINE
+
+INT32: Any = wp.int32
+
+MULTIPROCESSORS = 132
+"""Of an H100 or H200; a launch has as many blocks as fit on so many at once."""
+
+SCRATCH_SHARE = 8
+"""Of a CUDA device's memory, the scratch memory of all teams is at most one of so many parts; fewer
+teams work where theirs is larger."""
+
+registering = Lock()
+"""Warp keeps contexts, streams and kernels of all devices in tables without a lock, and loads a
+module twice that two threads ask for, and drops the first."""
+
+_lock = Lock()
+"""One kernel at a time runs on all cores, with the memory below."""
+
+
+def on_cores(kernel: Any, arrays: Sequence[Any], frames: int, scratch: int) -> None:
+    """Runs a kernel on the CPU, once per thread: each thread takes frames until none is left.
+
+    Args:
+        kernel: A kernel whose arguments are ``arrays``, then ``scratch (words,)`` int32, which the
+            process keeps, and ``next (1,)`` int32, the first frame that no thread has taken.
+        arrays: Arrays of Warp's.
+        frames: ``B``.
+        scratch: Words of scratch memory of a thread.
+    """
+    count = min(threads.threads(), frames)
+    with _lock:
+        following, value = _next()
+        value[0] = 0
+        given = ([*arrays, _memory(thread, scratch), following] for thread in range(count))
+        threads.on_all_cores([partial(_launch, kernel, values) for values in given])
+
+
+def _launch(kernel: Any, arguments: list[Any]) -> None:
+    wp.launch(kernel, 1, arguments, device="cpu")
+
+
+@lru_cache(maxsize=1)
+def _next() -> tuple[Any, np.ndarray]:
+    value = np.zeros(1, np.int32)
+    return wp.array(value, dtype=INT32, device="cpu", copy=False), value
+
+
+_kept: dict[int, Any] = {}  # of each thread
+
+
+def _memory(thread: int, words: int) -> Any:
+    """The memory of a thread, as large as the largest that was requested, at a cache line."""
+    if thread not in _kept or _kept[thread].size < words:
+        room = np.empty(words + LINE, np.int32)
+        first = -room.ctypes.data % (4 * LINE) // 4
+        _kept[thread] = wp.array(room[first : first + words], dtype=INT32, device="cpu", copy=False)
+    return _kept[thread]
+
+
+class TeamKernel(NamedTuple):
+    """A kernel for CUDA whose blocks take the frames of a batch in turn, see ``team.h``.
+
+    Its arguments are arrays and then ``teams``, how many blocks there are.
+    """
+
+    kernel: Any
+    width: int
+    """Threads of a block."""
+    blocks: int
+    """How many blocks are on a multiprocessor at once."""
+
+    def launch(self, arrays: Sequence[Any], frames: int, most: int) -> None:
+        """Launches it on the device of the first array, by at most so many teams."""
+        teams = min(frames, most, self.blocks * MULTIPROCESSORS)
+        size, device = teams * self.width, arrays[0].device
+        wp.launch(self.kernel, size, [*arrays, teams], device=device, block_dim=self.width)
+
+
+def most_teams(frames: int, words: int, blocks: int) -> int:
+    """How many teams of a launch get so many words of scratch memory on the default device."""
+    stats = jax.local_devices()[0].memory_stats() or {}
+    room = stats.get("bytes_limit", SCRATCH_SHARE << 30) // SCRATCH_SHARE
+    return min(frames, blocks * MULTIPROCESSORS, max(room // (4 * max(words, 1)), 1))
+
+
+def prepare(module: Any) -> None:
+    """Loads a module's kernels for the device that JAX computes on."""
+    if jax.default_backend() == "cpu":
+        load_for_cpu(module)

@@ -1,0 +1,67 @@
+"""Named arrays one after the other in rows of 32-bit words, one row per frame or one for all."""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxdet.types import Array
+
+Shapes = Mapping[str, tuple[int, ...]]
+LINE = 16
+"""Words of a cache line, at which each array begins."""
+
+
+class Layout:
+    """Where each of some named arrays begins in a row.
+
+    An array of bool takes a byte for each entry, others take a word.
+
+    Args:
+        shapes: The arrays in the order in which C++ reads their places, without the axis of rows.
+        bools: Those of them that are bool; the others are int32.
+    """
+
+    def __init__(self, shapes: Shapes, bools: frozenset[str] = frozenset()) -> None:
+        self.shapes, self.bools = dict(shapes), bools
+        self.begin: dict[str, int] = {}
+        self.words = 0
+        """Length of a row, at least one line."""
+        for name, shape in self.shapes.items():
+            self.begin[name] = self.words
+            self.words += -(-self._length(name, shape) // LINE) * LINE
+        self.words = max(self.words, LINE)
+
+    def _length(self, name: str, shape: tuple[int, ...]) -> int:
+        return -(-math.prod(shape) // 4) if name in self.bools else math.prod(shape)
+
+    @property
+    def places(self) -> list[int]:
+        """Where each array begins, for C++."""
+        return list(self.begin.values())
+
+    def take(self, rows: Any, name: str) -> Any:
+        """An array ``(B, ...)`` of rows ``(B, words)`` int32, of NumPy or under ``jax.jit``."""
+        shape, first = self.shapes[name], self.begin[name]
+        words = rows[:, first : first + self._length(name, shape)]
+        if name in self.bools:
+            octets = (
+                jax.lax.bitcast_convert_type(words, jnp.uint8)
+                if isinstance(rows, jax.Array)
+                else np.ascontiguousarray(words).view(np.uint8)
+            )
+            words = octets.reshape(len(rows), -1)[:, : math.prod(shape)] != 0
+        return words.reshape(len(rows), *shape)
+
+    def pack(self, batch: int, arrays: Mapping[str, Array], fill: int = 0) -> np.ndarray:
+        """Rows ``(B, words)`` int32 that have these arrays ``(B, ...)``, and ``fill`` elsewhere."""
+        rows = np.full((batch, self.words), fill, np.int32)
+        for name, array in arrays.items():
+            flat = np.ascontiguousarray(array).reshape(batch, -1)
+            octets = flat.astype(np.uint8) if name in self.bools else flat.view(np.uint8)
+            first = 4 * self.begin[name]
+            rows.view(np.uint8)[:, first : first + octets.shape[1]] = octets
+        return rows

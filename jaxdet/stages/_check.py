@@ -1,0 +1,91 @@
+"""The kernels held to a stored answer, once in a process."""
+
+from collections.abc import Mapping
+from functools import cache
+from hashlib import blake2b
+
+import jax
+import numpy as np
+import warp as wp
+
+from jaxdet.config import Config
+from jaxdet.errors import JaxdetError
+from jaxdet.floor.plane import flat_plane, unknown_plane
+from jaxdet.runtime.launch import INT32
+from jaxdet.stages import _program
+from jaxdet.types import (
+    MAX_OBSTACLES,
+    Calibration,
+    Detections,
+    GroundPlane,
+    Intrinsics,
+    Obstacles,
+    Scene,
+)
+
+CALIBRATION = Calibration(Intrinsics(96, 72, 80.0, 80.0, 47.5, 35.5))
+ANSWER = "3ea51f961fe3aa59451e27953ae67aa5"
+"""Digest of what the reference finds in :func:`check_frames`, see :func:`digest`."""
+
+
+def check_frames() -> tuple[np.ndarray, GroundPlane]:
+    """Depth images ``(2, Hd, Wd)`` of a floor, a box and a wall, and the prior of each floor."""
+    camera = CALIBRATION.depth
+    v, u = np.mgrid[: camera.height, : camera.width]
+    below = v - camera.height // 2
+    depth = np.where(below > 0, 400 * 80 // np.maximum(below, 1), 65535)
+    depth = np.minimum(depth, 3000 + 2 * (u % 7))
+    depth[20:60, 50:70] = np.minimum(depth[20:60, 50:70], 1200)
+    both = np.stack([depth, depth[:, ::-1]])
+    both[1, ::5, ::3] = 0
+    planes = zip(flat_plane(0.4, 0.0, 0.0), unknown_plane(1), strict=True)
+    return both.astype(np.uint16), GroundPlane(*map(np.concatenate, planes))
+
+
+def digest(found: Mapping[str, np.ndarray]) -> str:
+    """Of the arrays of detections by name, as int32."""
+    names = "num_obstacles", "has_depth", *Obstacles._fields, *Scene._fields
+    total = blake2b(digest_size=16)
+    for name in names:
+        if name != "prior":
+            total.update(np.ascontiguousarray(found[name], np.int32).tobytes())
+    return total.hexdigest()
+
+
+def digest_of(found: Detections) -> str:
+    """:func:`digest` of detections."""
+    assert found.scene is not None
+    counts = {"num_obstacles": found.num_obstacles, "has_depth": found.has_depth}
+    return digest({**counts, **found.obstacles._asdict(), **found.scene._asdict()})
+
+
+@cache
+def check_kernels() -> None:
+    """Runs the kernels alone on two small images, on the device that JAX computes on.
+
+    Raises:
+        JaxdetError: They don't find what the reference found there.
+    """
+    depth, planes = check_frames()
+    config, device = Config(), wp.device_from_jax(jax.local_devices()[0])
+    tables = _program.packed(*_program.host_tables(CALIBRATION, config))
+    floors = _program.floors(planes, config, CALIBRATION.depth_unit)
+    static, batch = _program.Static.of(tables), len(depth)
+    inputs = [
+        wp.array(a, dtype=wp.dtype_from_numpy(a.dtype), device=device)
+        for a in (depth, floors, tables)
+    ]
+    record, contour, work = (
+        wp.zeros((batch, words), dtype=INT32, device=device) for words in static.words()
+    )
+    scratch = wp.empty((batch, static.own_words), dtype=INT32, device=device)
+    _program.launch([*inputs, record, contour, work], scratch, 0, len(_program.STEPS))
+    layout = _program.record_layout(static.columns)
+    found = {name: layout.take(record.numpy(), name) for name in layout.shapes}
+    found["contour"] = contour.numpy().reshape(batch, MAX_OBSTACLES, static.columns, 2)
+    if digest(found) != ANSWER:
+        versions = f"Warp {wp.__version__}, JAX {jax.__version__}"
+        raise JaxdetError(
+            f"the kernels don't find what they should with {versions} on {device}",
+            remedy="use the versions that pyproject.toml names, or --backend reference",
+        )

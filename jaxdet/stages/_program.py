@@ -1,0 +1,258 @@
+"""The steps on depth images as one call: its arrays, and what launches the kernels.
+
+All tables of a camera and a configuration are one buffer, which begins with a header: sizes, then
+where each array begins. ``program.h`` reads it in the same order. All results of a frame but the
+contours are one row of words.
+"""
+
+from collections.abc import Mapping
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+import warp as wp
+
+from jaxdet.affinity import affinity
+from jaxdet.camera import cell_side
+from jaxdet.config import Config
+from jaxdet.floor.frame import floor_frames
+from jaxdet.floor.plane import depth_range
+from jaxdet.floor.units import Scale, prior_units
+from jaxdet.runtime.calls import by_device, jax_callable
+from jaxdet.runtime.launch import INT32, TeamKernel, most_teams, on_cores, prepare
+from jaxdet.runtime.layout import Layout
+from jaxdet.stages import _cells, _floor, _free, _obstacles, _outlines, _surfaces
+from jaxdet.stages._tables import Tables
+from jaxdet.types import MAX_CONTOUR, MAX_OBSTACLES, Array, Calibration, GroundPlane
+from jaxdet_kernels import program as kernels
+
+STEPS = tuple(kernels.STEPS)
+_TEAMS = [TeamKernel(kernel, kernels.WIDTH, kernels.BLOCKS) for kernel in kernels.STEPS.values()]
+_TABLES = (
+    "near", "rays", "floor_settings", "sines", "steps", "limits", "rises", "surface_settings",
+    "feature", "threshold", "value", "obstacle_settings", "corner_x", "corner_y", "parameters",
+    "last", "bands", "directions", "outline_settings", "bows", "drops", "free_settings",
+)  # fmt: skip
+_HEADER = 80
+"""Words of the header, with room: whole cache lines."""
+_WORK_WORDS, _OWN_WORDS = 9, 10
+"""Places in the header."""
+
+
+class Sizes(NamedTuple):
+    """What the arrays of a program are as large as; the first sizes in the header."""
+
+    height: int
+    width: int
+    side: int  # of a cell [pixel]
+    rows: int
+    columns: int
+
+
+@lru_cache(maxsize=64)
+def work_layout(rows: int, columns: int) -> Layout:
+    """What steps hand on: the grid of cells on the floor, and the floor's frame."""
+    cells = rows, columns
+    before, after = ("x", "y", "z"), ("right", "forward", "height", "surface")
+    bools = "keep", "free_cell", "low"
+    shapes = {**dict.fromkeys(before, cells), "frame": (13,)}
+    shapes |= dict.fromkeys((*after, *bools, "label"), cells)
+    return Layout(shapes, frozenset(bools))
+
+
+@lru_cache(maxsize=64)
+def record_layout(columns: int) -> Layout:
+    """Results of a frame, see :class:`jaxdet.types.Obstacles` and :class:`jaxdet.types.Scene`."""
+    one, two, three = (MAX_OBSTACLES,), (MAX_OBSTACLES, 2), (MAX_OBSTACLES, 3)
+    return Layout(
+        {
+            "floor": (8,),
+            **dict.fromkeys(("num_surfaces", "has_depth", "num_obstacles"), ()),
+            "num_points": one,
+            **dict.fromkeys(("uv_min", "uv_max"), two),
+            **dict.fromkeys(("xyz_min", "xyz_max"), three),
+            "xyz_sum": (*three, 2),
+            **dict.fromkeys(("a", "b", "c"), two),
+            "has_vertex": one,
+            "direction": two,
+            "span": (MAX_OBSTACLES, 4),
+            "contour_points": one,
+            "bottom_top": two,
+            "free": (columns, 2, 2),
+            "free_end": (columns,),
+        }
+    )
+
+
+def host_tables(calibration: Calibration, config: Config) -> tuple[Sizes, Tables]:
+    """The sizes and tables of all steps, on the host."""
+    unit, camera = calibration.depth_unit, calibration.depth
+    cells = _cells.tables(calibration, config.surface)
+    rows, columns = cells["rays"].shape[1:]
+    bounds = depth_range(config.ground.min_depth_m, config.ground.max_depth_m, unit)
+    table = affinity(config.obstacle.affinity, unit)
+    side = cell_side(camera, config.surface.cell_rad)
+    return Sizes(camera.height, camera.width, side, rows, columns), {
+        **cells,
+        **_floor.tables(rows * columns, config.floor, unit),
+        **_surfaces.tables(calibration, config),
+        **_obstacles.tables(bounds[1], unit, config.obstacle, table),
+        **_outlines.tables(calibration, config),
+        **_free.tables(config, unit),
+    }
+
+
+def floors(known: GroundPlane, config: Config, unit: float) -> np.ndarray:
+    """The prior of each frame's floor as the program takes it, ``(B, 17)`` int32."""
+    prior = prior_units(known, Scale(unit, config.floor.noise_per_m))
+    return np.hstack([prior, floor_frames(known, unit)])
+
+
+def packed(sizes: Sizes, tables: Mapping[str, Array]) -> np.ndarray:
+    """The header and all tables of a program, int32; tables of floats bit by bit.
+
+    Args:
+        sizes: Of the images and the grid.
+        tables: By name; those that no step to be run reads may be missing.
+
+    Raises:
+        ValueError: The grid has more than ``MAX_CONTOUR`` rows or columns.
+    """
+    rows, columns = sizes.rows, sizes.columns
+    if max(rows, columns) > MAX_CONTOUR:
+        raise ValueError(f"{columns} x {rows} cells, at most {MAX_CONTOUR} x {MAX_CONTOUR} fit")
+    made = {name: np.asarray(tables.get(name, np.zeros(0, np.int32))) for name in _TABLES}
+    layout = Layout({name: table.shape for name, table in made.items()})
+    work, record = work_layout(rows, columns), record_layout(columns)
+    trees, leaves = made["value"].shape if made["value"].ndim == 2 else (0, 0)
+    more = MAX_OBSTACLES, trees, leaves, int(not made["corner_x"].size), work.words, 0
+    places = [_HEADER + place for place in layout.places]
+    header = np.array([*sizes, *more, *places, *work.places, *record.places], np.int32)
+    found = np.zeros(_HEADER + layout.words, np.int32)
+    found[: len(header)] = header
+    found[_HEADER:] = layout.pack(1, made)[0]
+    found[_OWN_WORDS] = _scratch_words(found)
+    return found
+
+
+def _scratch_words(tables: np.ndarray) -> int:
+    """Words of scratch memory of a thread or a team, which the kernels know."""
+    prepare(kernels)
+    device = wp.device_from_jax(jax.local_devices()[0])
+    words = wp.zeros(1, dtype=INT32, device=device)
+    given = wp.array(tables, dtype=INT32, device=device)
+    wp.launch(kernels.scratch_words, 1, [given, words], device=device, block_dim=kernels.WIDTH)
+    return int(words.numpy()[0])
+
+
+class Rows(NamedTuple):
+    """What the steps write, a row of words for each frame."""
+
+    record: Any
+    contour: Any
+    work: Any
+    """Empty on the CPU, unless it is requested."""
+
+
+def detect(
+    depth: jax.Array, floors: jax.Array, tables: jax.Array, static: "Static", keep_work: bool
+) -> Rows:
+    """All steps on a batch, under ``jax.jit``.
+
+    Args:
+        depth: ``(B, Hd, Wd)`` uint16 [depth units], 0 = no measurement.
+        floors: ``(B, 17)`` int32, :func:`jaxdet.floor.units.prior_units`, then
+            :func:`jaxdet.floor.frame.floor_frames`.
+        tables: From :func:`packed`.
+        static: Its sizes.
+        keep_work: Whether to return what steps hand on.
+    """
+    return _called(_detect, depth, floors, tables, static, keep_work)
+
+
+def find_floors(
+    depth: jax.Array, floors: jax.Array, tables: jax.Array, static: "Static"
+) -> jax.Array:
+    """The floor alone ``(B, 8)`` int32, takes what :func:`detect` takes."""
+    found = _called(_find_floors, depth, floors, tables, static, keep_work=False)
+    return record_layout(static.columns).take(found.record, "floor")
+
+
+class Static(NamedTuple):
+    """Sizes that a compiled program is for."""
+
+    rows: int
+    columns: int
+    own_words: int
+
+    @classmethod
+    def of(cls, tables: np.ndarray) -> "Static":
+        """Reads the header."""
+        _, _, _, rows, columns, *_ = map(int, tables[: _OWN_WORDS + 1])
+        return cls(rows, columns, int(tables[_OWN_WORDS]))
+
+    def words(self, keep_work: bool = True) -> tuple[int, int, int]:
+        """Words of a frame's record, contours and work."""
+        work = work_layout(self.rows, self.columns).words if keep_work else 1
+        return record_layout(self.columns).words, MAX_OBSTACLES * self.columns * 2, work
+
+
+def _called(
+    program: Any,
+    depth: jax.Array,
+    floors: jax.Array,
+    tables: jax.Array,
+    static: Static,
+    keep_work: bool,
+) -> Rows:
+    batch = len(depth)
+
+    def call(work: bool, scratch: tuple[int, int]) -> Rows:
+        record, contour, words = static.words(work)
+        dims = {"record": (batch, record), "contour": (batch, contour), "scratch": scratch}
+        dims["work"] = (batch, words) if work else (1, 1)
+        return Rows(*program(depth, floors, tables, output_dims=dims)[:3])
+
+    def on_cuda() -> Rows:
+        teams = most_teams(batch, static.own_words, kernels.BLOCKS)
+        found = call(True, (teams, static.own_words))
+        return found if keep_work else found._replace(work=found.work[:1, :1])
+
+    return by_device(lambda: call(keep_work, (1, 1)), on_cuda)
+
+
+_callable = jax_callable(kernels, kernels.TYPES, outputs=4)
+
+
+@_callable
+def _detect(
+    depth: Any, floors: Any, tables: Any, record: Any, contour: Any, work: Any, scratch: Any
+) -> None:
+    launch([depth, floors, tables, record, contour, work], scratch, 0, len(STEPS))
+
+
+@_callable
+def _find_floors(
+    depth: Any, floors: Any, tables: Any, record: Any, contour: Any, work: Any, scratch: Any
+) -> None:
+    launch([depth, floors, tables, record, contour, work], scratch, 0, 2)
+
+
+def launch(arrays: list[Any], scratch: Any, first: int, end: int) -> None:
+    """Launches the steps ``STEPS[first:end]`` on Warp's arrays, on their device.
+
+    Args:
+        arrays: Depth, floors, tables, record, contour and work, see :mod:`jaxdet_kernels.program`.
+        scratch: ``(teams, words)`` int32 on CUDA; not used on the CPU.
+        first: Number of the first step.
+        end: Number of the one after the last.
+    """
+    depth, _, tables, *_ = arrays
+    if depth.device.is_cpu:
+        sizes = tables.numpy()[: _OWN_WORDS + 1]
+        words = int(sizes[_WORK_WORDS] + sizes[_OWN_WORDS])
+        on_cores(kernels.frames, [*arrays, first, end - 1], len(depth), words)
+        return
+    for step in _TEAMS[first:end]:
+        step.launch([*arrays, scratch], len(depth), len(scratch))

@@ -1,0 +1,88 @@
+// What is said of each cell of a frame with yes or no: rows of words, a bit a cell.
+#pragma once
+#include "team.h"
+
+namespace jaxdet { namespace {
+
+struct BitRows {
+    enum { WIDTH = 32 };
+    // Words of each row that are used, and the binary logarithm of how many there are; bits beyond a
+    // row's last cell are 0.
+    int rows, words, shift;
+    unsigned* bits;
+
+    BitRows(int rows, int columns, int* place)
+        : rows(rows), words((columns + WIDTH - 1) / WIDTH), shift(0), bits((unsigned*)place) {
+        while (1 << shift < words) ++shift;
+    }
+
+    int count() const { return rows << shift; }
+    unsigned& operator[](int i) const { return bits[i]; }
+    // Where word w of row r is; the row of word i, and its first cell's column.
+    int at(int r, int w) const { return r << shift | w; }
+    int row(int i) const { return i >> shift; }
+    int column(int i) const { return (i & ((1 << shift) - 1)) * WIDTH; }
+
+    // What word i says of the cells before and after its own, and above and below.
+    unsigned before(int i) const {
+        return bits[i] << 1 | (column(i) ? bits[i - 1] >> (WIDTH - 1) : 0);
+    }
+    unsigned after(int i) const {
+        return bits[i] >> 1 | (column(i + 1) ? bits[i + 1] << (WIDTH - 1) : 0);
+    }
+    unsigned above(int i) const { return row(i) ? bits[i - (1 << shift)] : 0; }
+    unsigned below(int i) const { return row(i) + 1 < rows ? bits[i + (1 << shift)] : 0; }
+
+    // How many bits are set, and which is the lowest of some.
+    static int popcount(unsigned word) {
+#if defined(__CUDA_ARCH__)
+        return __popc(word);
+#else
+        return __builtin_popcount(word);
+#endif
+    }
+    static int lowest(unsigned word) {
+#if defined(__CUDA_ARCH__)
+        return __ffs(word) - 1;
+#else
+        return __builtin_ctz(word);
+#endif
+    }
+
+    // Bit `shift` of each of n bytes, at most WIDTH.
+    static unsigned packed(const unsigned char* bytes, int shift, int n) {
+        unsigned word = 0;
+        if (n >= WIDTH)
+            for (int k = 0; k < WIDTH; ++k) word |= (unsigned)(bytes[k] >> shift & 1) << k;
+        else
+            for (int k = 0; k < n; ++k) word |= (unsigned)(bytes[k] >> shift & 1) << k;
+        return word;
+    }
+
+    // The transpose: bit r of word w of row c of `out` is that of column c in row 32 w + r.
+    void transpose(const Team& team, const BitRows& out) const {
+        for (int block = team.rank; block < words * out.words; block += team.size) {
+            const int w = block % words, top = block / words * WIDTH;
+            unsigned a[WIDTH];
+            for (int k = 0; k < WIDTH; ++k) a[k] = top + k < rows ? bits[at(top + k, w)] : 0;
+            // Hacker's Delight, 2nd edition, 7-3, with the lowest bit first.
+            unsigned mask = 0x0000ffff;
+            for (int half = WIDTH / 2; half; half >>= 1, mask ^= mask << half)
+                for (int k = 0; k < WIDTH; k = (k + half + 1) & ~half) {
+                    const unsigned swapped = (a[k] >> half ^ a[k + half]) & mask;
+                    a[k] ^= swapped << half;
+                    a[k + half] ^= swapped;
+                }
+            for (int k = 0; k < WIDTH && w * WIDTH + k < out.rows; ++k)
+                out.bits[out.at(w * WIDTH + k, top / WIDTH)] = a[k];
+        }
+    }
+
+    // Words that no cell belongs to become 0.
+    void clear_padding(const Team& team) const {
+        for (int i = team.rank; i < count(); i += team.size)
+            if (column(i) >= words * WIDTH) bits[i] = 0;
+    }
+};
+
+} }  // namespace jaxdet

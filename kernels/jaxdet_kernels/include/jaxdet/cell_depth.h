@@ -1,0 +1,249 @@
+// The depth of a cell: of the measured depths of its pixels, the mean of those near their median.
+// Twin of `_block_depth` in jaxdet/reference/_cells.py.
+#pragma once
+#include "vectors.h"
+
+namespace jaxdet { namespace {
+
+struct CellDepth {
+    const unsigned short* first;  // The cell's upper left pixel.
+    int stride;                   // From row to row [pixel].
+    int side;                     // Of the cell [pixel], at most 128: sums have 31 bits.
+    const int* near;              // By the median: how far from it depths count; never falling.
+
+    // What is known of the measured depths of its pixels.
+    struct Pixels {
+        int count, sum, low, high;
+    };
+
+    Pixels pixels() const {
+        Pixels all{0, 0, 65536, 0};
+        for (int v = 0; v < side; ++v)
+            for (int u = 0; u < side; ++u) {
+                const int value = first[v * stride + u], measured = value ? value : 65536;
+                all.count += value != 0;
+                all.sum += value;
+                all.low = measured < all.low ? measured : all.low;
+                all.high = value > all.high ? value : all.high;
+            }
+        return all;
+    }
+
+    // The k-th smallest of the measured depths, k from 0, between `low` and `high`.
+    int smallest(int k, int low, int high) const {
+        // Bisection.
+        while (low < high) {
+            const int middle = (low + high) >> 1;
+            int at_most = 0;
+            for (int v = 0; v < side; ++v)
+                for (int u = 0; u < side; ++u) {
+                    const int value = first[v * stride + u];
+                    at_most += value && value <= middle;
+                }
+            if (at_most > k)
+                high = middle;
+            else
+                low = middle + 1;
+        }
+        return low;
+    }
+
+    // Leaves what is near the median; a count of 0 where too few are measured.
+    void keep_near(Pixels& all) const {
+        if (2 * all.count < side * side || !all.count) {
+            all.count = all.sum = 0;
+            return;
+        }
+        // What is near grows with depth: if the farthest is near the nearest, all are near the
+        // median.
+        if (all.high - all.low <= near[all.low]) return;
+        const int median = smallest((all.count - 1) / 2, all.low, all.high), reach = near[median];
+        all.count = all.sum = 0;
+        for (int v = 0; v < side; ++v)
+            for (int u = 0; u < side; ++u) {
+                const int value = first[v * stride + u];
+                const int apart = value < median ? median - value : value - median;
+                const int counts = -(int)(value && apart <= reach);
+                all.count -= counts;
+                all.sum += value & counts;
+            }
+    }
+
+    // Rounded, halves up; 0 of nothing. Quotients of such integers are exact to 2^-9, so float64
+    // tells those below a whole number from it.
+    static int mean(int sum, int count) {
+        return count ? (int)((2.0 * sum + count) / (2.0 * count)) : 0;
+    }
+
+#if defined(__CUDA_ARCH__)
+    enum { SMALL = 4 };
+
+    // For a side known when this is compiled, at most SMALL: the values stay in registers.
+    __forceinline__ int depth_of_small(int known) const {
+        const int all = known * known;
+        int value[SMALL * SMALL], sorted[SMALL * SMALL];
+#pragma unroll
+        for (int v = 0; v < known; ++v)
+#pragma unroll
+            for (int u = 0; u < known; ++u) value[v * known + u] = first[v * stride + u];
+        int count = 0, sum = 0, high = 0;
+#pragma unroll
+        for (int i = 0; i < all; ++i) {
+            count += value[i] != 0;
+            sum += value[i];
+            high = value[i] > high ? value[i] : high;
+            sorted[i] = value[i] ? value[i] : 65536;
+        }
+        if (2 * count < all || !count) return 0;
+        sort(sorted, all);
+        if (high - sorted[0] > near[sorted[0]]) {
+            const int place = (count - 1) / 2;
+            int median = 0;
+#pragma unroll
+            for (int i = 0; i < all; ++i) median = i == place ? sorted[i] : median;
+            const int reach = near[median];
+            count = sum = 0;
+#pragma unroll
+            for (int i = 0; i < all; ++i) {
+                const int apart = value[i] < median ? median - value[i] : value[i] - median;
+                const bool counts = value[i] && apart <= reach;
+                count += counts;
+                sum += counts ? value[i] : 0;
+            }
+        }
+        return (2 * sum + count) / (2 * count);
+    }
+
+    // Batcher's odd-even merge sort; all its loops have a fixed length.
+    __forceinline__ void sort(int* values, int all) const {
+#pragma unroll
+        for (int m = 0; m < 4; ++m)
+#pragma unroll
+            for (int n = 0; n < 4; ++n)
+#pragma unroll
+                for (int i = 0; i < SMALL * SMALL; ++i) {
+                    if (n > m) continue;
+                    const int part = 1 << m, apart = 1 << (m - n), k = i - (n ? apart : 0);
+                    if (i + apart >= all || k < 0 || (k & apart)) continue;
+                    if (i / (2 * part) != (i + apart) / (2 * part)) continue;
+                    const int one = values[i], other = values[i + apart];
+                    values[i] = min(one, other);
+                    values[i + apart] = max(one, other);
+                }
+    }
+#endif
+
+    int depth() const {
+#if defined(__CUDA_ARCH__)
+        if (side == 3) return depth_of_small(3);
+        if (side == 4) return depth_of_small(4);
+#endif
+        Pixels all = pixels();
+        keep_near(all);
+        return mean(all.sum, all.count);
+    }
+};
+
+#if !defined(__CUDA_ARCH__)
+// The same for LANES cells side by side, in vectors.
+struct CellRow {
+    typedef Vectors::Words Words;  // One of each cell.
+    typedef Vectors::Wide Wide;
+    enum { LANES = Vectors::SHORTS, MOST_SIDE = 8, NONE = 65535 };
+    const int* near;  // As in CellDepth.
+    // By place in the cell: depth less one, so that no measurement is more than any depth.
+    unsigned short pixel[MOST_SIDE * MOST_SIDE][LANES];
+
+    explicit CellRow(const int* near) : near(near) {}
+
+    Words& at(int p) { return *(Words*)pixel[p]; }
+
+    // Of a depth less one.
+    int reach(unsigned short one) const {
+        const int reach = near[(one + 1) & 65535];
+        return reach < NONE ? reach : (int)NONE;
+    }
+
+    // The depths of the cells whose first pixel is `first`; a side is at most MOST_SIDE. Called with
+    // a constant, so that the pixels of a row are dealt out by shuffles.
+    __attribute__((always_inline)) inline void run(const unsigned short* first, int stride,
+                                                   int side, int* out) {
+        const int all = side * side;
+        for (int v = 0; v < side; ++v)
+            for (int k = 0; k < LANES; ++k)
+                for (int u = 0; u < side; ++u)
+                    pixel[v * side + u][k] = (unsigned short)(first[v * stride + k * side + u] - 1);
+        Words low = (Words){} - 1, high = {}, count = {};
+        Wide sum = {};
+        for (int p = 0; p < all; ++p) {
+            const Words depth = at(p) + 1;
+            low = low < at(p) ? low : at(p);
+            high = high > depth ? high : depth;
+            add(depth, &count, &sum);
+        }
+        const Words enough = (Words)(count * 2 >= (unsigned short)all);
+        if (are_uneven(low, high)) {
+            sort(all);
+            Words median = at(0);
+            for (int p = 1; p <= (all - 1) / 2; ++p)
+                median = (count - 1) / 2 == (unsigned short)p ? at(p) : median;
+            Words most_apart;
+            for (int k = 0; k < LANES; ++k) most_apart[k] = (unsigned short)reach(median[k]);
+            count = (Words){};
+            sum = (Wide){};
+            for (int p = 0; p < all; ++p) {
+                const Words apart = at(p) > median ? at(p) - median : median - at(p);
+                add(apart <= most_apart ? at(p) + 1 : (Words){}, &count, &sum);
+            }
+        }
+        // Rounded, halves up. Quotients of such integers are exact to 2^-7, and float32 tells those
+        // below a whole number from it.
+        const Wide parts = __builtin_convertvector(count, Wide);
+        const Vectors::WideFloats mean =
+            __builtin_convertvector(sum * 2 + parts, Vectors::WideFloats)
+            / __builtin_convertvector(parts ? parts * 2 : 1, Vectors::WideFloats);
+        const Wide depth = __builtin_convertvector(mean, Wide);
+        *(Wide*)out = __builtin_convertvector(enough, Wide) ? depth : (Wide){};
+    }
+
+    // Depths, 0 = none.
+    static void add(const Words& depth, Words* count, Wide* sum) {
+        *count -= (Words)(depth != 0);
+        *sum += __builtin_convertvector(depth, Wide);
+    }
+
+    // Whether the farthest depth of a cell may not be near its nearest; else all are near its
+    // median, whatever that is, as what is near grows with depth.
+    bool are_uneven(const Words& low, const Words& high) const {
+        const Words spread = high > low ? high - low : (Words){};
+        const int widest = NONE - Vectors::least(~spread);
+        return widest - 1 > reach(Vectors::least(low));
+    }
+
+    // Each cell's pixels by rising depth: Batcher's odd-even merge sort. Loops over many pixels stay
+    // loops, which is no news for whoever compiles this.
+    __attribute__((always_inline)) inline void sort(int all) {
+#if defined(__clang__)
+#pragma clang diagnostic ignored "-Wpass-failed"
+#pragma clang loop unroll(full)
+#endif
+        for (int part = 1; part < all; part *= 2)
+#if defined(__clang__)
+#pragma clang loop unroll(full)
+#endif
+            for (int apart = part; apart; apart /= 2)
+#if defined(__clang__)
+#pragma clang loop unroll(full)
+#endif
+                for (int k = apart % part; k + apart < all; ++k) {
+                    // Runs of `apart` places, every second one, and within two parts.
+                    if ((k - apart % part) & apart || (k ^ (k + apart)) >= 2 * part) continue;
+                    const Words one = at(k), other = at(k + apart);
+                    at(k) = one < other ? one : other;
+                    at(k + apart) = one < other ? other : one;
+                }
+    }
+};
+#endif
+
+} }  // namespace jaxdet

@@ -1,0 +1,93 @@
+// The visible edge of each label on the floor: in each column of cells, its nearest cell.
+// Twin of `contours` in jaxdet/reference/_outlines.py.
+#pragma once
+#include "warp.h"
+#include "cell_list.h"
+
+namespace jaxdet { namespace {
+
+struct Contours {
+    typedef unsigned long long Key;
+    enum { ROW_BITS = 9 };
+    int count, rows, columns;
+    const int *right, *forward;            // of each cell
+    const int *column_low, *column_high;   // of each label
+    // Of each label and column, the smallest squared distance, then the uppermost row; all ones
+    // where there is none. Only a label's own columns are kept.
+    Key* nearest;
+    // Points of label `l` are `start[l]` to `start[l + 1]`, from left to right.
+    int *start, *x, *y, *column;
+
+    Key& at(int l, int c) const { return nearest[(size_t)l * columns + c]; }
+
+    void clear(const Team& team) const {
+        const Warp warp(team);
+        for (int l = warp.index; l < count; l += warp.count) {
+            const int last = column_high[l];
+            for (int c = column_low[l] + warp.lane; c <= last; c += warp.size) at(l, c) = ~0ull;
+        }
+        team.sync();
+    }
+
+    Key key(int row, long long r, long long f) const {
+        return (Key)(r * r + f * f) << ROW_BITS | row;
+    }
+
+    // From the listed cells. Ends in a sync.
+    void find(const Team& team, const CellList& listed) const {
+        clear(team);
+        const int all = *listed.count;
+        for (int i = team.rank; i < all; i += team.size) {
+            const int row = listed.cell[i] / columns, c = listed.cell[i] - row * columns;
+            team.atomic_min(&at(listed.label[i], c), key(row, listed.right[i], listed.forward[i]));
+        }
+        team.sync();
+    }
+
+    // From those of parts: part `l` belongs to `whole[l]`. Ends in a sync.
+    void join(const Team& team, const Contours& parts, const int* whole) const {
+        clear(team);
+        const Warp warp(team);
+        for (int l = warp.index; l < parts.count; l += warp.count) {
+            const int last = parts.column_high[l];
+            for (int c = parts.column_low[l] + warp.lane; c <= last; c += warp.size) {
+                team.atomic_min(&at(whole[l], c), parts.at(l, c));
+            }
+        }
+        team.sync();
+    }
+
+    // The points. Ends in a sync.
+    void list(const Team& team) const {
+        const Warp warp(team);
+        for (int l = warp.index; l < count; l += warp.count) {
+            const int last = column_high[l];
+            int points = 0;
+            for (int c = column_low[l] + warp.lane; c <= last; c += warp.size) {
+                points += at(l, c) != ~0ull;
+            }
+            points = warp.sum(points);
+            if (warp.lane == 0) start[l] = points;
+        }
+        team.sync();
+        if (warp.index == 0) warp.exclusive_sum(start, count);
+        team.sync();
+        for (int l = warp.index; l < count; l += warp.count) {
+            const int last = column_high[l];
+            int point = start[l], found;
+            for (int first = column_low[l]; first <= last; first += warp.size, point += found) {
+                const int c = first + warp.lane;
+                const Key own = c <= last ? at(l, c) : ~0ull;
+                const int place = point + warp.ballot_rank(own != ~0ull, &found);
+                if (own == ~0ull) continue;
+                const int i = (int)(own & ((1 << ROW_BITS) - 1)) * columns + c;
+                x[place] = right[i];
+                y[place] = forward[i];
+                column[place] = c;
+            }
+        }
+        team.sync();
+    }
+};
+
+} }  // namespace jaxdet

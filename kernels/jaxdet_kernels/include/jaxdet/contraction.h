@@ -1,0 +1,107 @@
+// Correlation clustering by greedy additive edge contraction.
+// Twin of `contracted` in jaxdet/reference/_obstacles.py.
+#pragma once
+#include "team.h"
+
+namespace jaxdet { namespace {
+
+struct Contraction {
+    typedef unsigned long long Key;
+    enum { NODE_BITS = 10, NODE = (1 << NODE_BITS) - 1, TURNS = 3 };
+    int count;
+    int* between;    // (count, count) weights, symmetric, 0 on the diagonal; changed
+    Key* best;       // scratch, of each node
+    Key* turns;      // scratch, 2 * TURNS
+    int* group;      // result: the smallest node of each one's group
+
+    // The larger a weight, the smaller its key; of equal ones, that of the smaller nodes.
+    Key key(int weight, int one, int other) const {
+        if (weight <= 0) return ~0ull;
+        return ((Key)(0x7fffffff - weight) << NODE_BITS | one) << NODE_BITS | other;
+    }
+
+    // That of a node with the later ones.
+    Key best_of(int one) const {
+        int largest = 0, with = 0;
+        for (int other = one + 1; other < count; ++other) {
+            const int weight = between[one * count + other];
+            if (weight > largest) largest = weight, with = other;
+        }
+        return key(largest, one, with);
+    }
+
+    // Words of fast memory, at 16 bytes, that all but the result fits in.
+    int words() const { return 2 * (2 * TURNS + count) + count * count + count; }
+
+    // `fast`: `room` words of it, which is used if it is enough. Ends in a sync.
+    void run(const Team& team, int* fast, int room) const {
+        Contraction own = *this;
+        const bool fits = words() <= room;
+        if (fits) {
+            own.turns = (Key*)fast;
+            own.best = own.turns + 2 * TURNS;
+            own.group = (int*)(own.best + count);
+            own.between = own.group + count;
+            for (int i = team.rank; i < count * count; i += team.size) own.between[i] = between[i];
+        }
+        own.contract(team);
+        if (!fits) return;
+        for (int node = team.rank; node < count; node += team.size) group[node] = own.group[node];
+        team.sync();
+    }
+
+    // In each turn two nodes become one, and the best key of the next turn is found; `turns` has
+    // it for this turn, the next and the one after, of all nodes and of the last that has grown.
+    // Ends in a sync.
+    void contract(const Team& team) const {
+        if (team.rank == 0) {
+            for (int k = 0; k < 2 * TURNS; ++k) turns[k] = ~0ull;
+        }
+        team.sync();
+        for (int node = team.rank; node < count; node += team.size) {
+            group[node] = node;
+            best[node] = best_of(node);
+            team.atomic_min(turns, best[node]);
+        }
+        team.sync();
+        int grown = -1;
+        for (int turn = 0; turns[turn] != ~0ull;) {
+            const Key chosen = turns[turn];
+            const int kept = (int)(chosen >> NODE_BITS & NODE), gone = (int)(chosen & NODE);
+            const int next = (turn + 1) % TURNS, after = (turn + 2) % TURNS;
+            if (team.rank == 0) turns[after] = turns[TURNS + after] = ~0ull;
+            for (int node = team.rank; node < count; node += team.size) {
+                if (node == grown) best[node] = turns[TURNS + turn];
+                if (group[node] == gone) group[node] = kept, best[node] = ~0ull;
+                if (group[node] != node) continue;
+                if (node == kept) {
+                    between[kept * count + gone] = between[gone * count + kept] = 0;
+                    continue;
+                }
+                int* own = between + node * count;
+                const int moved = own[gone], sum = own[kept] + moved;
+                if (moved) {
+                    own[kept] = between[kept * count + node] = sum;
+                    own[gone] = between[gone * count + node] = 0;
+                    const int with = (int)(best[node] & NODE);
+                    if (best[node] != ~0ull && (with == gone || with == kept)) {
+                        best[node] = best_of(node);
+                    } else if (kept > node && key(sum, node, kept) < best[node]) {
+                        best[node] = key(sum, node, kept);
+                    }
+                }
+                if (node > kept) {
+                    team.atomic_min(turns + next, key(sum, kept, node));
+                    team.atomic_min(turns + TURNS + next, key(sum, kept, node));
+                }
+                team.atomic_min(turns + next, best[node]);
+            }
+            grown = kept;
+            turn = next;
+            team.sync();
+        }
+        team.sync();
+    }
+};
+
+} }  // namespace jaxdet

@@ -1,0 +1,306 @@
+// Creases: concave edges, where depth goes on but bends, for two things touch there.
+// Twin of `creases` in jaxdet/reference/_surfaces.py.
+#pragma once
+#include "bits.h"
+#include "grid.h"
+#include "warp.h"
+#include "runs.h"
+#include "team.h"
+
+namespace jaxdet { namespace {
+
+struct Creases {
+    enum {
+        BITS = 4,           // fraction bits of smoothed depths
+        NONE = -(1 << 26),  // in place of one where nothing is measured: far from all of them
+        // On CUDA a warp smooths a strip of columns, of which HALO at both sides are its
+        // neighbours', down SEGMENT rows; loads of AHEAD rows or words wait together.
+        HALO = 2,
+        SEGMENT = 24,
+        AHEAD = 4
+    };
+    Grid grid;
+    // How many cells away the bend is measured, least cells of a crease, cells it is made wider.
+    int reach, least, margin;
+    // By depth: the surface step, at most 2^16, and the limit of bends, at most 2^17.
+    const int *steps, *limits;
+    const int* z;  // (R, C): depth, 0 = none
+    // (grid), with margins of NONE: smoothed depths, at first on the CPU depths with BITS fraction
+    // bits; on the CPU the same as scratch memory, and what is found of each depth in `steps`.
+    int *smooth, *other, *step;
+    // Which cells are kept. Scratch memory: what is found, and where runs start.
+    BitRows kept, found, wide;
+    Runs runs;
+    int* near;
+    int most_near;
+
+    static int apart(int a, int b) { return a < b ? b - a : a - b; }
+
+    // The rounded mean of the 3 x 3 neighbours that are at most two steps away. At most nine depths
+    // below 2^20 are added up, so floats have them exactly, and their quotient, below 2^20 and a
+    // ninth away from the next integer or more, is rounded by less than that.
+    static int mean(int own, int step, int a, int b, int c, int d, int e, int f, int g, int h) {
+        const int near = step << (BITS + 1), shift = near - own;
+        int total = own, count = 1;
+        const auto add = [&](int there) {
+            const bool close = (unsigned)(there + shift) <= 2u * (unsigned)near;
+            total += close ? there : 0;
+            count += close ? 1 : 0;
+        };
+        add(a), add(b), add(c), add(d), add(e), add(f), add(g), add(h);
+        const int mean = (int)((float)(total + (count >> 1)) / (float)count);
+        return own < 0 ? (int)NONE : mean;
+    }
+
+    static bool bends(int own, int before, int after, int most, int deep) {
+        const int b = apart(before, own), a = apart(after, own);
+        return ((a > b ? a : b) < most) & (2 * own - before - after > deep);
+    }
+
+#if defined(__CUDA_ARCH__)
+    // Three rows of three cells, the last row the newest; each lane has its own column's.
+    struct Window {
+        int left[3], own[3], right[3];
+
+        void push(int value) {
+            for (int k = 0; k < 2; ++k) {
+                left[k] = left[k + 1];
+                own[k] = own[k + 1];
+                right[k] = right[k + 1];
+            }
+            left[2] = __shfl_up_sync(0xffffffff, value, 1);
+            own[2] = value;
+            right[2] = __shfl_down_sync(0xffffffff, value, 1);
+        }
+
+        int mean(int step) const {
+            return Creases::mean(own[1], step, left[0], own[0], right[0], left[1], right[1],
+                                 left[2], own[2], right[2]);
+        }
+    };
+
+    // Whether a cell is kept at most `reach` cells away from some; all lanes ask.
+    bool is_used(const Warp& warp, int top, int bottom, int left, int right) const {
+        const int from = left - reach < 0 ? 0 : (left - reach) / BitRows::WIDTH;
+        const int to = (right + reach) / BitRows::WIDTH;
+        const int last = bottom + reach < grid.rows ? bottom + reach : grid.rows;
+        unsigned some = 0;
+        for (int r = (top < reach ? 0 : top - reach) + warp.lane; r < last; r += Warp::size)
+            for (int w = from; w <= to && w < kept.words; ++w) some |= kept[kept.at(r, w)];
+        return warp.ballot(some != 0);
+    }
+
+    // Both smoothings at once, down strips of columns, where they are used.
+    void smoothed(const Team& team) const {
+        enum { INNER = Warp::size - 2 * HALO };
+        const Warp warp(team);
+        const int strips = (grid.columns + INNER - 1) / INNER;
+        const int pieces = strips * ((grid.rows + SEGMENT - 1) / SEGMENT);
+        for (int piece = warp.index; piece < pieces; piece += warp.count) {
+            const int c = piece % strips * INNER + warp.lane - HALO;
+            const bool inside = c >= 0 && c < grid.columns;
+            const bool own = inside && warp.lane >= HALO && warp.lane < Warp::size - HALO;
+            const int begin = piece / strips * SEGMENT, stop = begin + SEGMENT;
+            const int end = stop < grid.rows ? stop : grid.rows, left = piece % strips * INNER;
+            if (!is_used(warp, begin, end, left, left + INNER - 1)) continue;
+            Window measured, once;
+            for (int k = 0; k < 3; ++k) {
+                measured.left[k] = measured.own[k] = measured.right[k] = NONE;
+                once.left[k] = once.own[k] = once.right[k] = NONE;
+            }
+            int near_last = 0, near_before = 0;
+            for (int first = begin - HALO; first < end + HALO; first += AHEAD) {
+                int depth[AHEAD], near[AHEAD];
+                for (int k = 0; k < AHEAD; ++k) {
+                    const int r = first + k;
+                    const bool there = inside && r >= 0 && r < grid.rows;
+                    depth[k] = there ? z[r * grid.columns + c] : 0;
+                }
+                for (int k = 0; k < AHEAD; ++k) near[k] = steps[depth[k]];
+                for (int k = 0; k < AHEAD; ++k) {
+                    measured.push(depth[k] > 0 ? depth[k] << BITS : (int)NONE);
+                    once.push(measured.mean(near_last));
+                    const int r = first + k - HALO, twice = once.mean(near_before);
+                    if (own && r >= begin && r < end) smooth[grid.row(r) + c] = twice;
+                    near_before = near_last;
+                    near_last = near[k];
+                }
+            }
+        }
+        team.sync();
+    }
+
+    // What bends, a word a warp.
+    void find(const Team& team) const {
+        const Warp warp(team);
+        const int words = found.words, count = grid.rows * words;
+        found.clear_padding(team);
+        for (int first = warp.index; first < count; first += AHEAD * warp.count) {
+            int here[AHEAD], before[AHEAD], after[AHEAD], up[AHEAD], down[AHEAD], d[AHEAD];
+            bool on[AHEAD];
+            for (int k = 0; k < AHEAD; ++k) {
+                const int i = first + k * warp.count < count ? first + k * warp.count : first;
+                const int r = i / words, c = i % words * BitRows::WIDTH + warp.lane;
+                on[k] = kept[kept.at(r, i % words)] >> warp.lane & 1;
+                const int row = on[k] ? r : 0, column = on[k] ? c : 0;
+                const int at = grid.row(row) + column, none = grid.row(-1);
+                const bool inside = row >= reach && row + reach < grid.rows;
+                here[k] = smooth[at];
+                before[k] = smooth[at - reach];
+                after[k] = smooth[at + reach];
+                up[k] = smooth[inside ? at - reach * grid.stride : none];
+                down[k] = smooth[inside ? at + reach * grid.stride : none];
+                d[k] = z[row * grid.columns + column];
+            }
+            int near[AHEAD], limit[AHEAD];
+            for (int k = 0; k < AHEAD; ++k) {
+                near[k] = steps[d[k]];
+                limit[k] = limits[d[k]];
+            }
+            for (int k = 0; k < AHEAD; ++k) {
+                const int i = first + k * warp.count;
+                const int most = reach * near[k] << BITS;
+                const int deep = limit[k] << (BITS + 1);
+                const bool bent = bends(here[k], before[k], after[k], most, deep) |
+                                  bends(here[k], up[k], down[k], most, deep);
+                const unsigned crease = warp.ballot(on[k] & bent);
+                if (i < count && warp.lane == 0) found[found.at(i / words, i % words)] = crease;
+            }
+        }
+        team.sync();
+    }
+#else
+    static void smooth_row(
+        const int* __restrict__ up, const int* __restrict__ here, const int* __restrict__ down,
+        const int* __restrict__ step, int* __restrict__ out, int n
+    ) {
+        for (int c = 0; c < n; ++c)
+            out[c] = mean(here[c], step[c], up[c - 1], up[c], up[c + 1], here[c - 1], here[c + 1],
+                          down[c - 1], down[c], down[c + 1]);
+    }
+
+    // Rows near kept cells; `other` has those of the first smoothing.
+    void smoothed(const Team&) const {
+        const int wide = grid.stride, n = grid.columns;
+        int used[Grid::MOST_COLUMNS];
+        for (int r = 0; r < grid.rows; ++r) {
+            used[r] = 0;
+            for (int w = 0; w < kept.words; ++w) used[r] |= kept[kept.at(r, w)] != 0;
+        }
+        const auto is_used = [&](int r, int around) {
+            int some = 0;
+            for (int k = r - around; k <= r + around; ++k)
+                some |= k >= 0 && k < grid.rows ? used[k] : 0;
+            return some;
+        };
+        for (int r = 0; r < grid.rows; ++r) {
+            if (!is_used(r, reach + 1)) continue;
+            const int at = grid.row(r);
+            for (int c = 0; c < n; ++c) step[at + c] = steps[z[r * n + c]];
+            const int* here = smooth + at;
+            smooth_row(here - wide, here, here + wide, step + at, other + at, n);
+        }
+        for (int r = 0; r < grid.rows; ++r) {
+            if (!is_used(r, reach)) continue;
+            const int* here = other + grid.row(r);
+            smooth_row(here - wide, here, here + wide, step + grid.row(r), smooth + grid.row(r), n);
+        }
+    }
+
+    void find(const Team&) const {
+        unsigned char bent[BitRows::WIDTH];
+        for (int i = 0; i < found.count(); ++i) {
+            found[i] = 0;
+            if (!kept[i]) continue;
+            const int r = found.row(i), c = found.column(i), left = grid.columns - c;
+            const int n = left < BitRows::WIDTH ? left : (int)BitRows::WIDTH;
+            const int at = grid.row(r) + c, none = grid.row(-1) + c;
+            // Without a row so far above or below there is no bend.
+            const bool inside = r >= reach && r + reach < grid.rows;
+            const int up = inside ? at - reach * grid.stride : none;
+            const int down = inside ? at + reach * grid.stride : none;
+            const int* depths = z + r * grid.columns + c;
+            const int *here = smooth + at, *above = smooth + up, *below = smooth + down;
+#if defined(__clang__)
+#pragma clang loop vectorize(assume_safety)
+#endif
+            for (int k = 0; k < n; ++k) {
+                const int most = reach * step[at + k] << BITS, deep = limits[depths[k]] << (BITS + 1);
+                bent[k] = bends(here[k], here[k - reach], here[k + reach], most, deep) |
+                          bends(here[k], above[k], below[k], most, deep);
+            }
+            found[i] = BitRows::packed(bent, 0, n) & kept[i];
+        }
+    }
+#endif
+
+    // Takes away 8-connected components of fewer than `least` cells. Ends in a sync.
+    void without_small(const Team& team) {
+        const int count = found.count(), words = found.at(1, 0);
+        for (int i = team.rank; i < count; i += team.size) wide[i] = found[i] & ~found.before(i);
+        team.sync();
+        runs.number(team, near, most_near);
+        for (int i = words + team.rank; i < count; i += team.size) {
+            const int j = i - words;
+            const unsigned here = found[i], above = found[j];
+            const unsigned before = found.before(i), over = found.before(j);
+            // Where two runs meet first, and where they meet at a corner alone.
+            unsigned straight = here & above & ~(before & over);
+            unsigned left = here & ~above & over & ~before;
+            unsigned right = here & ~above & found.after(j) & ~found.after(i);
+            for (; straight; straight &= straight - 1) {
+                const int k = BitRows::lowest(straight);
+                runs.link(team, i, k, j, k);
+            }
+            for (; left; left &= left - 1) {
+                const int k = BitRows::lowest(left);
+                runs.link(team, i, k, k ? j : j - 1, (k + BitRows::WIDTH - 1) % BitRows::WIDTH);
+            }
+            for (; right; right &= right - 1) {
+                const int k = BitRows::lowest(right), last = BitRows::WIDTH - 1;
+                runs.link(team, i, k, k < last ? j : j + 1, (k + 1) % BitRows::WIDTH);
+            }
+        }
+        team.sync();
+        runs.measure(team);
+        for (int i = team.rank; i < count; i += team.size) {
+            unsigned large = 0;
+            for (unsigned rest = found[i]; rest;) {
+                const unsigned cells = runs.next(i, &rest);
+                const int root = runs.sets.find(runs.at(i, BitRows::lowest(cells)));
+                if (runs.sizes[root] >= least) large |= cells;
+            }
+            found[i] = large;
+        }
+        team.sync();
+    }
+
+    // One cell wider in all directions, into `to`. Ends in a sync.
+    void dilate(const Team& team, const BitRows& from, const BitRows& to) const {
+        const int count = from.count(), words = from.at(1, 0);
+        const auto wider = [&](int i) { return from[i] | from.before(i) | from.after(i); };
+        for (int i = team.rank; i < count; i += team.size) {
+            unsigned all = wider(i);
+            if (i >= words) all |= wider(i - words);
+            if (i + words < count) all |= wider(i + words);
+            to[i] = all;
+        }
+        team.sync();
+    }
+
+    // Creases, kept or not. All threads must call it, after a sync; ends in one.
+    BitRows run(const Team& team) {
+        smoothed(team);
+        find(team);
+        without_small(team);
+        for (int k = 0; k < margin; ++k) {
+            dilate(team, found, wide);
+            const BitRows other = found;
+            found = wide;
+            wide = other;
+        }
+        return found;
+    }
+};
+
+} }  // namespace jaxdet

@@ -1,0 +1,335 @@
+// The best floor of a frame, in its own cells. Twin of `_find` in jaxdet/reference/_floor.py; the
+// constants are its.
+#pragma once
+#include "arena.h"
+#include "floor_ahead.h"
+#include "floor_search.h"
+#include "margins.h"
+
+namespace jaxdet { namespace {
+
+struct Floor {
+    enum {
+        MIN_CELLS = 50,
+        FAR_GAIN = 5,
+        OBSTACLE = 95,
+        UNDER = 10,
+        UNDER_PART = 2,
+        UNDER_ALONE = 3,
+        UNDER_PART_ALONE = 8,
+        // Looked at together: near a guess there are fewer.
+        PLANES = FloorSearch::ANY_PLANES,
+        RESULTS = 8,
+        PRIOR = 4,
+        NONE = 0,
+        TOO_LITTLE = 1,
+        MOSTLY_OBSTACLE = 2,
+        FAR = 3,
+        TABLE = 4,
+        // 0 to 3: counts; from 4 on: ends of rings, then where the next cell of each goes.
+        ALL = 0, INNER = 1, BEFORE = 2, BEYOND = 3, ENDS = 4, NEXT = ENDS + FloorSearch::RINGS,
+        COUNTS = NEXT + FloorSearch::RINGS,
+        MOST_THREADS = 256,
+        // Words of shared memory on CUDA: five blocks have room on a multiprocessor of 228 KB.
+        SHARED = 11264
+    };
+    const Team& team;
+    const int* settings;
+    FloorAngles angles;
+    FloorPlane prior;
+    bool known;
+    // Scratch.
+    unsigned long long *sums, *keys;
+    int *counts, *planes, *votes, *most_ramp, *cells, *parts, *few, *inner, *slack, *weights;
+    int *rows, *places, *lattice, *ends;
+    int most, most_few, room;
+
+    // Takes the arrays from scratch memory. On CUDA `fast` has SHARED words, used first: what is
+    // needed always, then what one part of the search needs after the other.
+    Floor(const Team& team, const int* settings, const int* sines, const int* given, int rows_in,
+          int columns_in, Arena& arena, int* fast)
+        : team(team), settings(settings), angles{sines}, prior{given[0], given[1], given[2]},
+          known(given[3] != 0) {
+        const int stride = settings[FloorSetting::STRIDE];
+        const int r = part(rows_in, stride), c = part(columns_in, stride);
+        most = r * c;
+        most_few = ((r + 1) / 2) * ((c + 1) / 2);
+        int* quick = fast;
+        room = fast ? SHARED : 0;
+        const auto always = [&](int words) {
+            if (words > room) return arena.words(words);
+            int* const place = quick;
+            quick += words;
+            room -= words;
+            return place;
+        };
+        sums = (unsigned long long*)always(ThreadGroup::words(team));
+        keys = (unsigned long long*)always(FloorSearch::KEY_WORDS);
+        counts = always(COUNTS);
+        planes = always(2 * 3 * PLANES);
+        votes = always(PLANES);
+        most_ramp = always(PLANES);
+        rows = always(FloorProfile::ROW_ARRAYS * (settings[FloorSetting::RUNS] + 1));
+        const auto now = [&](int words) { return words <= room ? quick : arena.words(words); };
+        cells = arena.words(3 * most);
+        parts = arena.words(3 * most);
+        few = arena.words(3 * most_few);
+        inner = arena.words(3 * most_few);
+        slack = arena.words(most_few);
+        places = now(4 * most_few);
+        const int groups = MOST_THREADS / 32 * most_few;  // warps on CUDA
+        weights = now(groups > most ? groups : most);
+        const int bins = FloorSearch::most_bins(settings);
+        ends = room ? quick : arena.words(FloorVotes::LANES * bins);
+        lattice = arena.words(FloorSearch::lattice_words(settings));
+    }
+
+    // Cells of a side that are used: from the middle of the first step on.
+    int part(int size, int stride) const {
+        return size > stride / 2 ? (size - stride / 2 + stride - 1) / stride : 0;
+    }
+
+    FloorCells of(const int* xyz, int room, int from, int count) const {
+        return {xyz + from, xyz + room + from, xyz + 2 * room + from, count};
+    }
+
+    // The cells used, and every second of them in rows and columns, by rings.
+    void take(const int* x, const int* y, const int* z, int rows, int columns) const {
+        const int stride = settings[FloorSetting::STRIDE], half = stride / 2;
+        const int r = part(rows, stride), c = part(columns, stride);
+        const Margins margins(c);
+        const int deepest = settings[FloorSetting::MAX_DEPTH];
+        const int* rings = settings + FloorSetting::RINGS;
+        for (int k = team.rank; k < COUNTS; k += team.size) counts[k] = 0;
+        team.sync();
+        const auto ring_of = [&](int depth) {
+            int ring = 0;
+            for (int n = 0; n < FloorSearch::RINGS - 1; n++) ring += rings[n] < depth;
+            return ring;
+        };
+        const auto is_used = [&](int depth) { return (depth > 0) & (depth <= deepest); };
+        for (int i = team.rank; i < r * c; i += team.size) {
+            const int row = i / c, column = i % c;
+            const int p = (half + row * stride) * columns + half + column * stride, depth = z[p];
+            if (!is_used(depth)) continue;
+            const int k = team.atomic_count(counts + ALL);
+            cells[k] = x[p];
+            cells[most + k] = y[p];
+            cells[2 * most + k] = depth;
+            if (((row | column) & 1) == 0) team.atomic_count(counts + ENDS + ring_of(depth));
+        }
+        team.sync();
+        if (team.rank == 0) {
+            int sum = 0;
+            for (int n = 0; n < FloorSearch::RINGS; n++) {
+                counts[NEXT + n] = sum;
+                counts[ENDS + n] = sum += counts[ENDS + n];
+            }
+        }
+        team.sync();
+        const int across = (c + 1) / 2, down = (r + 1) / 2;
+        for (int i = team.rank; i < down * across; i += team.size) {
+            const int row = i / across * 2, column = i % across * 2;
+            const int p = (half + row * stride) * columns + half + column * stride, depth = z[p];
+            if (!is_used(depth)) continue;
+            const int k = team.atomic_count(counts + NEXT + ring_of(depth));
+            few[k] = x[p];
+            few[most_few + k] = y[p];
+            few[2 * most_few + k] = depth;
+            if (margins.has(column)) continue;
+            const int n = team.atomic_count(counts + INNER);
+            inner[n] = x[p];
+            inner[most_few + n] = y[p];
+            inner[2 * most_few + n] = depth;
+        }
+        team.sync();
+    }
+
+    // The best floor of a frame: the values of `_Found`, RESULTS integers.
+    void run(const int* x, const int* y, const int* z, int rows, int columns, int* out) const {
+        take(x, y, z, rows, columns);
+        const int number = counts[ENDS + FloorSearch::RINGS - 1];
+        if (number < MIN_CELLS) {
+            const FloorPlane plane = known ? prior : FloorPlane{0, 0, 0};
+            write(out, plane, {}, 0, 0, TOO_LITTLE);
+        } else {
+            find(number, out);
+        }
+        team.sync();
+    }
+
+    void write(int* out, FloorPlane plane, FloorAhead ahead, int on, int total, int refused) const {
+        if (team.rank) return;
+        const int start = ahead.turn ? ahead.start : 0;
+        const int values[RESULTS] = {plane.pitch, plane.roll, plane.height, start,
+                                     ahead.turn,  on,         total,        refused};
+        for (int k = 0; k < RESULTS; k++) out[k] = values[k];
+    }
+
+    FloorProfile profile() const {
+        return {angles, settings, of(inner, most_few, 0, counts[INNER]), keys, rows, places};
+    }
+
+    FloorRamps ramps() const { return {profile()}; }
+
+    void find(int number, int* out) const {
+        const FloorCells sample = of(few, most_few, 0, number);
+        const FloorSearch search = {angles, settings, sample, counts + ENDS,
+                                    slack,  weights,  keys,   lattice, ends, room};
+        FloorPlane* all = (FloorPlane*)planes;
+        FloorPlane* different = all + PLANES;
+        const FloorPlane guess = known ? prior : search.any_plane(team, different, votes);
+        team.sync();
+        if (team.rank == 0) all[0] = guess;
+        const int count = 1 + search.near_planes(team, guess, known, all + 1);
+        search.score(team, all, count, votes);
+        int best = 0, first = -1;
+        for (int n = 0; n < count; n++) {
+            if (votes[n] > votes[best]) best = n;
+            if (is_near(all[n]) && (first < 0 || votes[n] > votes[first])) first = n;
+        }
+        if (first < 0) first = 0;
+        FloorPlane plane = all[first];
+        FloorAhead ahead;
+        if (settings[FloorSetting::RAMPS]) {
+            int others = 0;
+            for (int n = -1; n < count; n++) {
+                const FloorPlane one = all[n < 0 ? first : n];
+                bool is_new = n < 0 || is_near(one);
+                for (int k = 0; k < others; k++) is_new = is_new && !(different[k] == one);
+                // All threads count, and read only what the first has written already itself.
+                if (is_new && team.rank == 0) different[others] = one;
+                team.sync();
+                others += is_new;
+            }
+            const int farthest = prior.height + settings[FloorSetting::MAX_SHIFT];
+            const FloorOutlook outlook = {ramps(), {profile()}, known, farthest, most_ramp};
+            plane = outlook.run(team, different, others, ahead);
+        }
+        ThreadGroup everyone(team, sums);
+        refine(everyone, plane, ahead);
+        int found[3];
+        judge(everyone, plane, ahead, found);
+        const long long least = (100LL * found[0] + (long long)FAR_GAIN * found[1]) * number;
+        FloorPlane steep = plane;
+        bool far = found[2] == FAR;
+        if (known && !is_near(all[best]) && 100LL * votes[best] * found[1] > least) {
+            steep = all[best];
+            far = true;
+        }
+        if (far) {
+            found[2] = FAR;
+            FloorAhead ramp;
+            const FloorPlane level = {prior.pitch, steep.roll, prior.height};
+            if (known && settings[FloorSetting::RAMPS] && is_near(level))
+                ramp = ramps().crossing(level, steep);
+            if (is_ahead(ramp)) {
+                plane = level;
+                ahead = ramp;
+                judge(everyone, plane, ahead, found);
+            }
+        }
+        write(out, plane, ahead, found[0], found[1], found[2]);
+    }
+
+    bool is_ahead(FloorAhead ramp) const {
+        return ramp.turn && ramp.start > 0 && ramp.start <= settings[FloorSetting::FARTHEST_RAMP];
+    }
+
+    // Whether a plane is below the camera and near the prior, or usual where there is none.
+    bool is_near(FloorPlane plane) const {
+        if (!known) return FloorSearch::is_usual(plane);
+        const auto apart = [](long long a, long long b) { return a > b ? a - b : b - a; };
+        const int turn = settings[FloorSetting::MAX_TURN];
+        return plane.height > 0 && apart(plane.pitch, prior.pitch) <= turn &&
+               apart(plane.roll, prior.roll) <= turn &&
+               apart(plane.height, prior.height) <= settings[FloorSetting::MAX_SHIFT];
+    }
+
+    // A plane refined on all cells, or on those before its ramp or step; and the ramp beyond.
+    void refine(ThreadGroup& group, FloorPlane& plane, FloorAhead& ahead) const {
+        const FloorCells all = of(cells, most, 0, counts[ALL]);
+        const FloorRamps ramp = ramps();
+        FloorPlane steep = plane;
+        int before = all.count, beyond = 0;
+        const bool is_split = ahead.turn || ahead.drop;
+        if (ahead.turn) steep = ramp.steeper(plane, ahead);
+        if (is_split) {
+            const FloorDirection forward = angles.forward(plane);
+            for (int i = team.rank; i < all.count; i += team.size) {
+                const int x = all.x[i], y = all.y[i], z = all.z[i];
+                const bool is_beyond = forward.along(x, y, z) >= ahead.start;
+                const int n = team.atomic_count(counts + (is_beyond ? BEYOND : BEFORE));
+                const int k = is_beyond ? most - 1 - n : n;
+                parts[k] = x;
+                parts[most + k] = y;
+                parts[2 * most + k] = z;
+            }
+            team.sync();
+            before = counts[BEFORE];
+            beyond = counts[BEYOND];
+        }
+        // One call, so that it is compiled once.
+        for (int n = 0; n <= (ahead.turn != 0); n++) {
+            const FloorPlane start = n ? steep : plane;
+            const FloorRefine refined = {angles, settings, n ? steep : prior, n || known, weights};
+            const FloorPlane found = refined.run(
+                group, start,
+                of(is_split ? parts : cells, most, n ? most - beyond : 0, n ? beyond : before), 0, 1,
+                5);
+            if (n)
+                steep = found;
+            else
+                plane = found;
+        }
+        if (!ahead.turn) return;
+        const FloorAhead between = ramp.crossing(plane, steep);
+        if (is_ahead(between)) ahead = between;
+    }
+
+    // Says whether a floor is to be believed: cells on it, all cells, and a refusal.
+    void judge(ThreadGroup& group, FloorPlane plane, FloorAhead ahead, int* found) const {
+        const FloorCells all = of(cells, most, 0, counts[ALL]);
+        const FloorDirection down = angles.down(plane), forward = angles.forward(plane);
+        const FloorSlack fine(settings[FloorSetting::FINE_BASE], settings[FloorSetting::FINE_PER_Z],
+                              settings[FloorSetting::NOISE], plane.height);
+        const FloorRamps ramp = ramps();
+        const int slope = ahead.turn ? angles.slope(ahead.turn) : 0;
+        const bool is_flat = !ahead.turn && !ahead.drop;
+        const int table_depth = settings[FloorSetting::TABLE], step = settings[FloorSetting::STEP];
+        int on = 0, low = 0, high = 0, dents = 0;
+        for (int i = group.rank(); i < all.count; i += group.size()) {
+            const int x = all.x[i], y = all.y[i], z = all.z[i];
+            const int run = is_flat ? 0 : forward.along(x, y, z);
+            const int up = ramp.rise(ahead.start, slope, run) - (run >= ahead.start ? ahead.drop : 0);
+            const int deep = down.along(x, y, z) - plane.height + up, s = fine.at(z);
+            on += (deep <= s) & (-deep <= s);
+            low += deep > FloorScore::BELOW * s + table_depth;
+            high += -deep > s + step;
+            dents += 2 * deep > 3 * s;
+        }
+        long long sums[4] = {on, low, high, dents};
+        group.sum(sums, 4);
+        const long long total = all.count;
+        // A plane through a table has more of it just below than a floor has dents.
+        const long long enough = sums[0] - (known ? 0 : FloorScore::BELOW_COST * sums[3]);
+        const int least =
+            known ? settings[FloorSetting::MIN_SHARE]
+                  : FloorSearch::least_share(plane, settings[FloorSetting::MIN_SHARE_ALONE]);
+        const int share = known ? UNDER : UNDER_ALONE, portion = known ? UNDER_PART : UNDER_PART_ALONE;
+        int refused = NONE;
+        if (!is_near(plane))
+            refused = FAR;
+        else if (100 * sums[1] > share * total && portion * sums[1] > sums[0])
+            refused = TABLE;
+        else if (100 * sums[2] > OBSTACLE * total)
+            refused = MOSTLY_OBSTACLE;
+        else if (1000 * enough < least * total)
+            refused = TOO_LITTLE;
+        found[0] = (int)sums[0];
+        found[1] = (int)total;
+        found[2] = refused;
+    }
+};
+
+} }  // namespace jaxdet

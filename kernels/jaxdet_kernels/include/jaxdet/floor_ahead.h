@@ -1,0 +1,84 @@
+// How a floor goes on ahead: flat, as a ramp, or after a step.
+// Twin of jaxdet/reference/_floor_ahead.py; the constants are its.
+#pragma once
+#include "floor_ramp.h"
+#include "floor_step.h"
+
+namespace jaxdet { namespace {
+
+struct FloorOutlook {
+    enum { MIN_GAIN = 5, OVER_RAMP = 2, ALIKE = 3 };
+    FloorRamps ramps;
+    FloorSteps steps;
+    // Whether steps are tried, and how far below the camera its floor may be.
+    bool may_step;
+    int farthest;
+    // Scratch: a word a plane.
+    int* most_ramp;
+
+    // The plane, with a ramp or a step where clearly more cells speak for that than for any plane.
+    // Planes are different ones; the first is taken where there is neither.
+    FloorPlane run(const Team& team, const FloorPlane* planes, int count, FloorAhead& out) const {
+        const int none = -0x7fffffff;
+        int most_alone = none, best_plane = 0, best_votes = none;
+        unsigned tried = 0;
+        out = {};
+        for (int n = 0; n < count; n++) {
+            if (team.rank == 0) most_ramp[n] = none;
+            ramps.sort(team, planes[n]);
+            ramps.limits(team, ramps.fine());
+            const int alone = ramps.flat()[ramps.runs()];
+            most_alone = alone > most_alone ? alone : most_alone;
+            ramps.limit(team, ramps.fine(), most_ramp + n);
+            team.sync();
+            bool is_new = may_step;
+            for (int k = 0; k < n; k++)
+                if (tried >> k & 1) is_new = is_new && !are_alike(planes[n], planes[k]);
+            if (!is_new) continue;
+            tried |= 1u << n;
+            FloorAhead found;
+            int votes;
+            if (!steps.step(team, best_votes + 1, farthest - planes[n].height, found, votes)) continue;
+            best_votes = votes;
+            best_plane = n;
+            out = found;
+        }
+        const int gain = most_alone > 0 ? MIN_GAIN : 0;
+        const long long least = (100LL + gain) * most_alone;
+        const int needed = (int)ramps.angles.quotient(least, 100) + 1;
+        if (best_votes < needed) {
+            best_votes = needed - 1;
+            best_plane = 0;
+            out = {};
+        } else {
+            // So many are enough for a ramp to be taken instead.
+            const int percent = 100 + OVER_RAMP, votes = best_votes;
+            const int enough = votes > 0 ? (100 * votes + percent - 1) / percent : votes;
+            best_votes = (enough > needed ? enough : needed) - 1;
+        }
+        int sorted = count - 1;
+        for (int n = 0; n < count; n++) {
+            if (most_ramp[n] <= best_votes) continue;
+            if (n != sorted) ramps.sort(team, planes[n]);
+            sorted = n;
+            FloorAhead found;
+            int votes;
+            if (ramps.ramp(team, best_votes + 1, found, votes)) {
+                best_votes = votes;
+                best_plane = n;
+                out = found;
+            }
+            team.sync();
+        }
+        return planes[best_plane];
+    }
+
+    // Whether two planes are too much alike to be both tried with steps.
+    bool are_alike(FloorPlane a, FloorPlane b) const {
+        const auto differ = [](int a, int b, int most) { return a - b > most || b - a > most; };
+        return !differ(a.pitch, b.pitch, ALIKE) && !differ(a.roll, b.roll, ALIKE) &&
+               !differ(a.height, b.height, ramps.settings[FloorSetting::ALIKE]);
+    }
+};
+
+} }  // namespace jaxdet

@@ -1,0 +1,269 @@
+// Planes, and their refinement by least squares, all on integers.
+// Twin of jaxdet/reference/_floor_planes.py, which says why; the constants are its.
+#pragma once
+#include "thread_group.h"
+
+namespace jaxdet { namespace {
+
+// Where each setting is, in the order of jaxdet/stages/_floor.py; lengths are whole depth units.
+struct FloorSetting {
+    enum {
+        STRIDE, MAX_DEPTH, NOISE,
+        ROUGH_BASE, ROUGH_PER_Z, FINE_BASE, FINE_PER_Z, SHARP_BASE, SHARP_PER_Z, WIDE_PER_Z,
+        LEVER_BITS, BIN_BITS, SPAN, EDGE, LOWEST, HIGHEST,
+        RINGS,
+        MAX_TURN = RINGS + 6, MAX_SHIFT, MIN_SHARE, MIN_SHARE_ALONE, TABLE, STEP,
+        RAMPS, FARTHEST_RAMP, RUN_BITS, RISE_BITS, RUNS, HALF, PROFILE_BASE, RAMP_NEAR, SPREAD,
+        START_STEP, DROP_SPACING, ALIKE, STARTS,
+        COUNT = STARTS + 16
+    };
+};
+
+struct FloorPlane {
+    int pitch, roll, height;
+
+    bool operator==(const FloorPlane& other) const {
+        return pitch == other.pitch && roll == other.roll && height == other.height;
+    }
+};
+
+// Cells with depth: positions in the camera optical frame.
+struct FloorCells {
+    const int *x, *y, *z;
+    int count;
+};
+
+// A direction with DOWN_BITS fraction bits; with positions up to 2^18 its product has 32 bits.
+struct FloorDirection {
+    enum { DOWN_BITS = 12 };
+    int x, y, z;
+
+    int along(int px, int py, int pz) const {
+        return (x * px + y * py + z * pz + (1 << (DOWN_BITS - 1))) >> DOWN_BITS;
+    }
+};
+
+// How far from a plane of some height its cells may lie: below 2^20, for the squares.
+struct FloorSlack {
+    enum { BITS = 26 };
+    int base;
+    long long rate;
+
+    FloorSlack(int base, int per_z, int noise, int height)
+        : base(base), rate(per_z + (long long)noise * (height > 0 ? height : 0)) {}
+
+    int at(int z) const { return base + (int)((z * rate) >> BITS); }
+};
+
+struct FloorAngles {
+    enum {
+        ANGLES = 32,
+        SINE_BITS = 15,
+        STEEPEST = 85 * ANGLES,
+        RADIAN = 1833,
+        SLOPE_BITS = 14
+    };
+    // From -360 degrees on.
+    const int* sines;
+
+    int sine(int angle) const { return sines[angle + 360 * ANGLES]; }
+    int cosine(int angle) const { return sines[angle + 450 * ANGLES]; }
+
+    int product(int a, int b) const {
+        const int bits = 2 * SINE_BITS - FloorDirection::DOWN_BITS;
+        return (a * b + (1 << (bits - 1))) >> bits;
+    }
+
+    FloorDirection down(int pitch, int roll) const {
+        const int level = cosine(pitch);
+        return {product(sine(roll), level), product(cosine(roll), level),
+                product(1 << SINE_BITS, sine(pitch))};
+    }
+    FloorDirection right(FloorPlane p) const { return down(0, p.roll + 90 * ANGLES); }
+    FloorDirection down(FloorPlane p) const { return down(p.pitch, p.roll); }
+    FloorDirection forward(FloorPlane p) const { return down(p.pitch + 90 * ANGLES, p.roll); }
+
+    // a / b rounded down, b positive.
+    long long quotient(long long a, long long b) const {
+        const long long whole = a / b;
+        return whole - (a < 0 && whole * b != a);
+    }
+
+    // a / b to the nearest, halves up.
+    long long rounded(long long a, long long b) const { return quotient(2 * a + b, 2 * b); }
+
+    // The tangent of an angle, SLOPE_BITS fraction bits.
+    int slope(int angle) const {
+        return (int)quotient((long long)sine(angle) * (1 << SLOPE_BITS), cosine(angle));
+    }
+
+    int clipped(long long value, int most) const {
+        return (int)(value > most ? most : value < -most ? -most : value);
+    }
+};
+
+// Cells on a floor, less BELOW_COST times those clearly below it.
+struct FloorScore {
+    enum { BELOW = 4, BELOW_COST = 2 };
+
+    int of(int below, int slack) const {
+        const int on = (below <= slack) & (-below <= slack);
+        return on - BELOW_COST * (below > BELOW * slack);
+    }
+};
+
+// One of many and its votes as a key: smaller where there are more votes, or as many for one that
+// comes first.
+struct FloorKey {
+    typedef unsigned long long Word;
+
+    static Word of(int votes, int number) {
+        return (Word)(0x7fffffffu - (unsigned)votes) << 32 | (unsigned)number;
+    }
+    static int votes(Word key) { return (int)(0x7fffffffu - (unsigned)(key >> 32)); }
+    static int number(Word key) { return (int)(unsigned)key; }
+};
+
+struct FloorRefine {
+    enum { LARGEST_TURN = 8 * FloorAngles::ANGLES, TURN_BITS = 24, RIDGE = 14, FEWEST = 20 };
+    FloorAngles angles;
+    const int* settings;
+    // What is known of the angles, if anything. By value: what has an address stays in memory.
+    FloorPlane prior;
+    bool is_given;
+    // A word for each cell, the group's own.
+    int* weights;
+
+    // Some rounds with a rough tolerance, a fine and a sharp one.
+    FloorPlane run(ThreadGroup& group, FloorPlane plane, const FloorCells& cells, int rough, int fine,
+                   int sharp) const {
+        // One loop, so that a round is compiled once.
+        for (int k = 0, n = 0; k < 3;) {
+            const int* slack = settings + FloorSetting::ROUGH_BASE + 2 * k;
+            const int rounds = k == 0 ? rough : k == 1 ? fine : sharp;
+            const FloorPlane before = plane;
+            // A round that changes nothing would do so again.
+            const bool more = n < rounds && round(group, plane, cells, slack[0], slack[1]) &&
+                              !(plane == before);
+            n = more ? n + 1 : 0;
+            k += !more;
+        }
+        return plane;
+    }
+
+    // n / d rounded down; at most 64 times the square of two tolerances, and d below 2^46. So
+    // both are exact as doubles, and no quotient is rounded up to a whole number: it is at least
+    // 1 / d below it.
+    int ratio(long long n, long long d) const {
+#if defined(__CUDA_ARCH__)
+        if ((n | d) >> 32 == 0) return (int)((unsigned)n / (unsigned)d);
+        return (int)(n / d);
+#else
+        return (int)((double)n / (double)d);
+#endif
+    }
+
+    // A step of weighted least squares; false where too few cells are near.
+    bool round(ThreadGroup& group, FloorPlane& plane, const FloorCells& cells, int base,
+               int per_z) const {
+        const FloorDirection down = angles.down(plane);
+        const FloorDirection right = angles.right(plane), forward = angles.forward(plane);
+        const FloorSlack slack(base, per_z, settings[FloorSetting::NOISE], plane.height);
+        const int height = plane.height, lever = settings[FloorSetting::LEVER_BITS];
+        const long long squares = 64 * 9 * (long long)base * base;
+        const int *__restrict__ xs = cells.x, *__restrict__ ys = cells.y, *__restrict__ zs = cells.z;
+        int* __restrict__ out = weights;
+        const int first = group.rank(), step = group.size(), last = cells.count;
+        long long count = 0, w0 = 0, we = 0, wt = 0, ws = 0, tt = 0, ts = 0, ss = 0, te = 0, se = 0;
+        for (int i = first; i < last; i += step) {
+            const int x = xs[i], y = ys[i], z = zs[i];
+            const int off = down.along(x, y, z) - height, allowed = slack.at(z);
+            const bool near = 2 * off <= 3 * allowed && -2 * off <= 3 * allowed;
+            const int e = near ? off : 0;
+            const long long gate = 9 * (long long)allowed * allowed;
+            const int taper = 64 - ratio(256 * (long long)e * e, gate);
+            const int part = ratio(squares, gate) + 1;
+            const int w = near ? (int)((long long)(taper * taper) * part >> 6) : 0;
+            const int t = forward.along(x, y, z) >> lever, s = right.along(x, y, z) >> lever;
+            out[i] = w;
+            const long long at = (long long)w * t, as = (long long)w * s;
+            count += near;
+            w0 += w;
+            we += (long long)w * e;
+            wt += at;
+            ws += as;
+            tt += at * t;
+            ts += at * s;
+            ss += as * s;
+            te += at * e;
+            se += as * e;
+        }
+        long long sums[10] = {count, w0, we, wt, ws, tt, ts, ss, te, se};
+        group.sum(sums, 10);
+        if (sums[0] < FEWEST || !sums[1]) return false;
+        int turned_to[2] = {0, 0};
+        if (group.leads()) turn(sums, plane, turned_to);
+        group.broadcast(turned_to, 2);
+        plane.pitch = turned_to[0];
+        plane.roll = turned_to[1];
+        const FloorDirection turned = angles.down(plane);
+        long long total[1] = {0}, high = 0;
+        for (int i = first; i < last; i += step)
+            high += (long long)out[i] * turned.along(xs[i], ys[i], zs[i]);
+        total[0] = high;
+        group.sum(total, 1);
+        plane.height = (int)angles.rounded(total[0], sums[1]);
+        return true;
+    }
+
+    // Pitch and roll of a plane after a step.
+    void turn(const long long* sums, FloorPlane plane, int* out) const {
+        int pitch, side;
+        turns(sums, plane, pitch, side);
+        const int wide = 180 * FloorAngles::ANGLES;
+        const long long across = side * (1LL << FloorAngles::SINE_BITS);
+        const int roll = plane.roll + (int)angles.rounded(across, angles.cosine(plane.pitch));
+        out[0] = angles.clipped(plane.pitch + pitch, FloorAngles::STEEPEST);
+        out[1] = roll + wide - (int)angles.quotient(roll + wide, 2 * wide) * 2 * wide - wide;
+    }
+
+    // The turns about right and forward by Cramer's rule. What is summed about the means is
+    // sum w a b - m_a sum w b - m_b sum w a + m_a m_b sum w, exactly, whatever whole numbers m are.
+    void turns(const long long* sums, FloorPlane plane, int& pitch, int& side) const {
+        const long long total = sums[1], we = sums[2], wt = sums[3], ws = sums[4];
+        const long long e = angles.rounded(we, total), t = angles.rounded(wt, total);
+        const long long s = angles.rounded(ws, total);
+        const int lever = settings[FloorSetting::LEVER_BITS];
+        const long long ridge = total * RIDGE;
+        long long tt = sums[5] - 2 * t * wt + t * t * total + ridge;
+        long long ts = sums[6] - t * ws - s * wt + t * s * total;
+        long long ss = sums[7] - 2 * s * ws + s * s * total + ridge;
+        long long te = sums[8] - t * we - e * wt + t * e * total;
+        long long se = sums[9] - s * we - e * ws + s * e * total;
+        long long ahead = 0, aside = 0;
+        if (is_given) {
+            const long long across = (long long)(prior.roll - plane.roll) * angles.cosine(plane.pitch);
+            ahead = prior.pitch - plane.pitch;
+            aside = angles.rounded(across, 1 << FloorAngles::SINE_BITS);
+        }
+        te -= angles.rounded(ridge * (ahead * (1 << lever)), FloorAngles::RADIAN);
+        se -= angles.rounded(ridge * (aside * (1 << lever)), FloorAngles::RADIAN);
+        long long largest = tt > ss ? tt : ss;
+        largest = te > largest ? te : -te > largest ? -te : largest;
+        largest = se > largest ? se : -se > largest ? -se : largest;
+        int shift = 0;
+        while (largest >> shift >= 1 << TURN_BITS) shift++;
+        tt >>= shift;
+        ts >>= shift;
+        ss >>= shift;
+        te >>= shift;
+        se >>= shift;
+        long long det = tt * ss - ts * ts;
+        det = (det > 1 ? det : 1) << lever;
+        const int r = FloorAngles::RADIAN;
+        pitch = angles.clipped(angles.rounded((se * ts - te * ss) * r, det), LARGEST_TURN);
+        side = angles.clipped(angles.rounded((te * ts - se * tt) * r, det), LARGEST_TURN);
+    }
+};
+
+} }  // namespace jaxdet

@@ -1,0 +1,164 @@
+// The floor's profile over a plane: cells by distance and height.
+// Twin of jaxdet/reference/_floor_profile.py; the constants are its.
+#pragma once
+#include "floor_planes.h"
+#include "warp.h"
+
+namespace jaxdet { namespace {
+
+// How a floor goes on ahead of its plane: as a ramp, or lower or higher after a step.
+struct FloorAhead {
+    // Where it begins; the ramp's pitch against the plane, uphill positive, and the step, down
+    // positive. 0: none.
+    int start = 0, turn = 0, drop = 0;
+};
+
+struct FloorProfile {
+    enum {
+        // Of each distance: where its cells begin, flat votes, upper bounds, tolerances (2), counts
+        // of a ramp's or a step's cells (2), where the next cell goes.
+        ROW_ARRAYS = 8
+    };
+    FloorAngles angles;
+    const int* settings;
+    // The inner cells.
+    FloorCells cells;
+    // Scratch: a `FloorKey`; ROW_ARRAYS (runs + 1) words; 4 words a cell.
+    unsigned long long* key;
+    int *rows, *places;
+
+    int runs() const { return settings[FloorSetting::RUNS]; }
+    int half() const { return settings[FloorSetting::HALF]; }
+    int* row(int k) const { return rows + k * (runs() + 1); }
+    // Where the cells of each distance begin in `sorted`.
+    int* begin() const { return row(0); }
+    // Votes of the cells nearer than each distance for a floor that goes on flat.
+    int* flat() const { return row(1); }
+    int* coarse() const { return row(3); }
+    int* fine() const { return row(4); }
+    int* cursor() const { return row(7); }
+
+    // The middle of a distance.
+    int middle(int k) const {
+        const int bits = settings[FloorSetting::RUN_BITS];
+        return (k << bits) + (1 << bits >> 1);
+    }
+
+    int index(int height) const {
+        const int place = (height >> settings[FloorSetting::RISE_BITS]) + half();
+        return place < 0 ? 0 : place > 2 * half() ? 2 * half() : place;
+    }
+
+    // Tolerances at each distance, and the cells of a plane by distance, with their heights.
+    void sort(const Team& team, FloorPlane plane) const {
+        const int n = runs(), run_bits = settings[FloorSetting::RUN_BITS];
+        const int rise_bits = settings[FloorSetting::RISE_BITS], middle_rise = half();
+        const int noise = settings[FloorSetting::NOISE], per_z = settings[FloorSetting::FINE_PER_Z];
+        const FloorSlack wide(settings[FloorSetting::PROFILE_BASE], per_z, noise, plane.height);
+        const FloorSlack tight(settings[FloorSetting::ROUGH_BASE], per_z, noise, plane.height);
+        for (int k = team.rank; k <= n; k += team.size) {
+            coarse()[k] = wide.at(middle(k));
+            fine()[k] = tight.at(middle(k));
+            begin()[k] = 0;
+        }
+        team.sync();
+        const FloorDirection down = angles.down(plane), forward = angles.forward(plane);
+        int* run = places;
+        int *high = run + cells.count, *sorted = high + cells.count, *at = sorted + cells.count;
+        for (int i = team.rank; i < cells.count; i += team.size) {
+            const int x = cells.x[i], y = cells.y[i], z = cells.z[i];
+            const int ahead = forward.along(x, y, z) >> run_bits;
+            const int up = ((plane.height - down.along(x, y, z)) >> rise_bits) + middle_rise;
+            run[i] = ahead >= 0 && ahead < n && up < 2 * middle_rise ? ahead : -1;
+            high[i] = up > 0 ? up : 0;
+        }
+        for (int i = team.rank; i < cells.count; i += team.size)
+            if (run[i] >= 0) team.atomic_add(begin() + run[i], 1);
+        team.sync();
+        const Warp warp(team);
+        if (warp.index == 0) {
+            warp.exclusive_sum(begin(), n);
+            for (int k = warp.lane; k <= n; k += warp.size) cursor()[k] = begin()[k];
+        }
+        team.sync();
+        for (int i = team.rank; i < cells.count; i += team.size)
+            if (run[i] >= 0) {
+                const int place = team.atomic_add(cursor() + run[i], 1);
+                sorted[place] = high[i];
+                at[place] = run[i];
+            }
+        team.sync();
+        // Heights of a distance in order.
+        for (int i = team.rank; i < begin()[n]; i += team.size) {
+            const int k = at[i], h = sorted[i], from = begin()[k], to = begin()[k + 1];
+            int place = from;
+            for (int j = from; j < to; j++) place += sorted[j] < h + (j < i);
+            high[place] = h;
+        }
+        team.sync();
+    }
+
+    // Heights of the cells by distance, those of a distance in order.
+    const int* sorted() const { return places + cells.count; }
+
+    // Of heights of the profile, how many cells at a distance are lower than each.
+    void lower(int k, const int* heights, int* counts, int number) const {
+        const int* in_order = sorted();
+        const int from = begin()[k], to = begin()[k + 1];
+#if defined(__CUDA_ARCH__)
+        for (int m = 0; m < number; m++) counts[m] = from;
+        if (from == to) return;
+        // Few are clearly below: the last height asked for is often lower than all.
+        const int asked = number > 1 && in_order[from] >= heights[number - 1] ? number - 1 : number;
+        for (int part = 1 << (31 - __clz(to - from)); part; part >>= 1)
+            for (int m = 0; m < asked; m++) {
+                const int next = counts[m] + part;
+                if (next <= to && in_order[next - 1] < heights[m]) counts[m] = next;
+            }
+        for (int m = 0; m < number; m++) counts[m] -= from;
+#else
+        // In vectors, which for so few is faster than a search by halves.
+        for (int m = 0; m < number; m++) {
+            const int height = heights[m];
+            int count = 0;
+            for (int i = from; i < to; i++) count += in_order[i] < height;
+            counts[m] = count;
+        }
+#endif
+    }
+
+    // Cells at a distance on a floor so much above the plane; and those clearly below it.
+    int on(int k, int height, int slack, int& low) const {
+        low = 0;
+        if (begin()[k] == begin()[k + 1]) return 0;
+        const int ends[3] = {index(height + slack), index(height - slack),
+                             index(height - FloorScore::BELOW * slack)};
+        int under[3];
+        lower(k, ends, under, 3);
+        low = under[2];
+        return under[0] - under[1];
+    }
+
+    // Between which distances all but a tenth of the cells at each end lie, by how many each has.
+    void spread(const int* counts, int& first, int& last) const {
+        long long total = 0, running = 0;
+        for (int k = 0; k < runs(); k++) total += counts[k];
+        first = last = -1;
+        for (int k = 0; k < runs(); k++) {
+            running += counts[k];
+            if (first < 0 && 10 * running >= total) first = k;
+            if (last < 0 && 10 * running >= 9 * total) last = k;
+        }
+    }
+
+    // Cells under a height over the plane at a distance.
+    int under(int k, int height) const {
+        if (begin()[k] == begin()[k + 1]) return 0;
+        const int end = index(height);
+        int count;
+        lower(k, &end, &count, 1);
+        return count;
+    }
+};
+
+} }  // namespace jaxdet

@@ -1,0 +1,263 @@
+// A ramp ahead of a plane, by votes on the floor's profile.
+// Twin of jaxdet/reference/_floor_ramp.py; the constants are its.
+#pragma once
+#include "floor_profile.h"
+
+namespace jaxdet { namespace {
+
+struct FloorRamps : FloorProfile {
+    enum {
+        LEAST_TURN = 3 * FloorAngles::ANGLES,
+        MOST_TURN = 12 * FloorAngles::ANGLES,
+        TURN_STEP = FloorAngles::ANGLES / 2,
+        TURNS = (MOST_TURN - LEAST_TURN) / TURN_STEP + 1,
+        STARTS = 16,
+        AROUND = 4,
+        FINE = 2 * AROUND + 1,
+        FINE_TURN = FloorAngles::ANGLES / 4,
+        MIN_SHARE = 40,
+        // Ramps taken together: three degrees of turns, and so many starts side by side.
+        SECTOR = 3 * FloorAngles::ANGLES,
+        SECTORS = 2 * (MOST_TURN - LEAST_TURN) / SECTOR,
+        ABREAST = Warp::size > 1 ? 1 : STARTS
+    };
+
+    // Ramps that are tried: so many starts and turns, all that there are (sign 0) or around a ramp.
+    struct Lattice {
+        int starts, turns, start, turn, sign;
+    };
+
+    // At most how many votes each distance and those beyond give any ramp, once there are limits.
+    int* most() const { return row(2); }
+    int* anew() const { return row(5); }
+    int* there() const { return row(6); }
+    // Of each cell in `sorted`.
+    int* worth() const { return places; }
+
+    int rise(int start, int slope, int run) const {
+        const int beyond = run > start ? run - start : 0;
+        return (int)(((long long)slope * beyond + (1 << (FloorAngles::SLOPE_BITS - 1))) >>
+                     FloorAngles::SLOPE_BITS);
+    }
+
+    // What has SLOPE_BITS fraction bits. Distances of cells have 19 bits, slopes 12.
+    static int rounded(int product) {
+        return (product + (1 << (FloorAngles::SLOPE_BITS - 1))) >> FloorAngles::SLOPE_BITS;
+    }
+
+    // Of each distance: votes for a floor that goes on flat, and at most how many any ramp gets. Of
+    // each cell, how many at most where it is the highest that counts: with s the tolerance, a ramp
+    // that passes at height p counts the cells from p - s to p + s, less those below p - 4 s. If
+    // the highest is at h, none of them is below h - 2 s, and all below h - 5 s are taken off.
+    void limits(const Team& team, const int* slack) const {
+        const int bits = settings[FloorSetting::RISE_BITS], each = FloorScore::BELOW_COST;
+        const int *heights = sorted(), *at = places + 3 * cells.count;
+        for (int k = team.rank; k <= runs(); k += team.size) most()[k] = flat()[k] = 0;
+        team.sync();
+        for (int k = team.rank; k < runs(); k += team.size) {
+            int low;
+            const int here = on(k, 0, slack[k], low);
+            flat()[k] = here - each * low;
+        }
+        for (int i = team.rank; i < begin()[runs()]; i += team.size) {
+            const int k = at[i], s = slack[k], from = begin()[k], h = heights[i];
+            const int width = 2 * s >> bits, deep = (FloorScore::BELOW + 1) * s >> bits;
+            const int ends[2] = {h - width, h - deep};
+            int under[2];
+            lower(k, ends, under, 2);
+            worth()[i] = i + 1 - from - under[0] - each * under[1];
+            team.atomic_max(most() + k, worth()[i]);
+        }
+        team.sync();
+        // Prefix sums of the first, suffix sums of the second.
+        const Warp warp(team);
+        if (warp.index == 0) warp.exclusive_sum(flat(), runs());
+        if (warp.index == 1 % warp.count) {
+            const int all = warp.exclusive_sum(most(), runs());
+            for (int k = warp.lane; k <= runs(); k += warp.size) most()[k] = all - most()[k];
+        }
+        team.sync();
+    }
+
+    // At most how many votes any ramp gets, once there are limits: ramps are taken together by
+    // where they begin and by their turn.
+    void limit(const Team& team, const int* slack, int* found) const {
+        const int *heights = sorted(), bits = settings[FloorSetting::RISE_BITS], middle_rise = half();
+        for (int first = team.rank * ABREAST; first < STARTS * SECTORS; first += team.size * ABREAST) {
+            const int sector = first / STARTS;
+            const int turn = sector < SECTORS / 2 ? -MOST_TURN + sector * SECTOR
+                                                  : LEAST_TURN + (sector - SECTORS / 2) * SECTOR;
+            const int low_slope = angles.slope(turn), high_slope = angles.slope(turn + SECTOR);
+            const bool uphill = turn > 0;
+            int nearest[ABREAST], farthest[ABREAST], votes[ABREAST];
+            for (int w = 0; w < ABREAST; w++) {
+                nearest[w] = begins(first % STARTS + w);
+                farthest[w] = begins(first % STARTS + w + 1);
+                votes[w] = 0;
+            }
+            for (int k = 0; k < runs(); k++) {
+                const int from = begin()[k], to = begin()[k + 1], run = middle(k), s = slack[k];
+                if (from == to) continue;
+                const int level = flat()[k + 1] - flat()[k];
+                int lowest[ABREAST], highest[ABREAST], most[ABREAST];
+                for (int w = 0; w < ABREAST; w++) {
+                    const int far = run > nearest[w] ? run - nearest[w] : 0;
+                    const int near = run > farthest[w] ? run - farthest[w] : 0;
+                    const int low = low_slope * (uphill ? near : far);
+                    const int high = high_slope * (uphill ? far : near);
+                    lowest[w] = ((rounded(low) - s) >> bits) + middle_rise;
+                    highest[w] = ((rounded(high) + s) >> bits) + middle_rise;
+                    most[w] = 0;
+                }
+                for (int i = from; i < to; i++) {
+                    const int h = heights[i], own = worth()[i];
+                    for (int w = 0; w < ABREAST; w++) {
+                        const bool counts = (h >= lowest[w]) & (h < highest[w]) & (own > most[w]);
+                        most[w] = counts ? own : most[w];
+                    }
+                }
+                for (int w = 0; w < ABREAST; w++) votes[w] += run > nearest[w] ? most[w] : level;
+            }
+            for (int w = 0; w < ABREAST; w++) team.atomic_max(found, votes[w]);
+        }
+    }
+
+    // Where the ramps begin that belong to a start of the rough lattice; with the finer one.
+    int begins(int i) const {
+        const int around = AROUND * settings[FloorSetting::START_STEP];
+        const int* starts = settings + FloorSetting::STARTS;
+        return i < STARTS ? starts[i] - around : starts[STARTS - 1] + around;
+    }
+
+    // The first ramp with most votes of a lattice and at least so many, as a key; `flat` and `most`
+    // are of this tolerance. A thread takes its ramps from the last on, so one that can have as
+    // many votes as the best so far counts, and others are passed over.
+    void best(const Team& team, const Lattice& tried, const int* slack, int least) const {
+        const int turns = tried.turns, number = tried.starts * turns;
+        const int n = runs(), last = 2 * half(), center = half();
+        const int bits = settings[FloorSetting::RISE_BITS];
+        const int *first = begin(), *level = flat(), *rest = most();
+        int known = least;
+        for (int m = number - 1 - team.rank; m >= 0; m -= team.size) {
+            const int i = m / turns, start = start_of(tried, i);
+            int k = first_beyond(start), votes = level[k];
+#if defined(__CUDA_ARCH__)
+            const int others = FloorKey::votes(*(volatile unsigned long long*)key);
+            if (others > known) known = others;
+#endif
+            if (votes + rest[k] < known) continue;
+            const int slope = angles.slope(turn_of(tried, m - i * turns));
+            for (; k < n && votes + rest[k] >= known; k++) {
+                if (first[k] == first[k + 1]) continue;
+                const int up = rise(start, slope, middle(k)), s = slack[k];
+                const auto place = [&](int height) {
+                    const int at = (height >> bits) + center;
+                    return at < 0 ? 0 : at > last ? last : at;
+                };
+                const int ends[3] = {place(up + s), place(up - s), place(up - FloorScore::BELOW * s)};
+                int under[3];
+                lower(k, ends, under, 3);
+                votes += under[0] - under[1] - FloorScore::BELOW_COST * under[2];
+            }
+            if (votes < known || k < n) continue;
+            known = votes;
+            team.atomic_min(key, FloorKey::of(votes, m));
+        }
+        team.sync();
+    }
+
+    // The first distance whose middle lies beyond a start.
+    int first_beyond(int start) const {
+        const int bits = settings[FloorSetting::RUN_BITS];
+        const int k = start < 0 ? 0 : start >> bits;
+        const int found = k < runs() ? k + (middle(k) <= start) : runs();
+        return found;
+    }
+
+    int start_of(const Lattice& tried, int i) const {
+        if (!tried.sign) return settings[FloorSetting::STARTS + i];
+        return tried.start + (i - AROUND) * settings[FloorSetting::START_STEP];
+    }
+    int turn_of(const Lattice& tried, int j) const {
+        if (!tried.sign) {
+            const int k = j < TURNS ? TURNS - 1 - j : j - TURNS;
+            const int turn = LEAST_TURN + k * TURN_STEP;
+            return j < TURNS ? -turn : turn;
+        }
+        const int turn = tried.turn + (j - AROUND) * FINE_TURN;
+        return tried.sign * (turn < LEAST_TURN ? LEAST_TURN : turn > MOST_TURN ? MOST_TURN : turn);
+    }
+
+    // The best ramp of a plane whose cells are sorted, and its votes; false where these are fewer
+    // than `least` or the ramp is not seen.
+    bool ramp(const Team& team, int least, FloorAhead& found, int& votes) const {
+        Lattice tried = {STARTS, 2 * TURNS, 0, 0, 0};
+        for (int pass = 0; pass < 2; pass++) {
+            const int* slack = pass ? fine() : coarse();
+            limits(team, slack);
+            if (team.rank == 0) *key = ~0ull;
+            team.sync();
+            best(team, tried, slack, pass ? least : -0x7fffffff);
+            if (*key == ~0ull) return false;
+            const int m = FloorKey::number(*key);
+            votes = FloorKey::votes(*key);
+            found.start = start_of(tried, m / tried.turns);
+            found.turn = turn_of(tried, m % tried.turns);
+            const int sign = found.turn < 0 ? -1 : 1;
+            tried = {FINE, FINE, found.start, sign * found.turn, sign};
+        }
+        return is_seen(team, found, fine());
+    }
+
+    // Whether the ramp shows itself from near its start on, over some distance.
+    bool is_seen(const Team& team, FloorAhead ramp, const int* slack) const {
+        const int slope = angles.slope(ramp.turn);
+        const bool uphill = ramp.turn > 0;
+        for (int k = team.rank; k < runs(); k += team.size) {
+            const int up = rise(ramp.start, slope, middle(k)), s = slack[k];
+            const bool telling = up > s || -up > s;
+            // Where the tolerances of ramp and plane overlap, a cell is the plane's.
+            int low = up - s, high = up + s;
+            if (uphill && low < s) low = s;
+            if (!uphill && high > -s) high = -s;
+            anew()[k] = telling ? under(k, high) - under(k, low) : 0;
+            there()[k] = telling ? under(k, (up > 0 ? up : 0) + FloorScore::BELOW * s) : -1;
+        }
+        team.sync();
+        int total = 0, all = 0, begins = -1;
+        for (int k = 0; k < runs(); k++) {
+            total += anew()[k];
+            if (there()[k] < 0) continue;
+            all += there()[k];
+            if (begins < 0) begins = k;
+        }
+        if (100LL * total < (long long)MIN_SHARE * all || !total) return false;
+        int first, last;
+        spread(anew(), first, last);
+        return middle(first) < middle(begins) + settings[FloorSetting::RAMP_NEAR] &&
+               middle(last) - middle(first) > settings[FloorSetting::SPREAD];
+    }
+
+    // The ramp that a steeper plane is, ahead of a level one.
+    FloorAhead crossing(FloorPlane level, FloorPlane steep) const {
+        const int turn = steep.pitch - level.pitch, size = turn < 0 ? -turn : turn;
+        if (size < LEAST_TURN || size > MOST_TURN) return {};
+        const long long one = 1 << FloorAngles::SINE_BITS;
+        const long long over = angles.quotient(steep.height * one, angles.cosine(turn)) - level.height;
+        const long long rise = over * (1 << FloorAngles::SLOPE_BITS);
+        const int slope = angles.slope(turn);
+        const long long start =
+            slope > 0 ? angles.quotient(rise, slope) : angles.quotient(-rise, -slope);
+        return {angles.clipped(start, 1 << 30), turn};
+    }
+
+    // The plane of a ramp, no steeper than planes are; `crossing` gives the ramp back.
+    FloorPlane steeper(FloorPlane level, FloorAhead ramp) const {
+        const long long up = (long long)ramp.start * angles.slope(ramp.turn);
+        const long long height = level.height + (up >> FloorAngles::SLOPE_BITS);
+        return {angles.clipped(level.pitch + ramp.turn, FloorAngles::STEEPEST), level.roll,
+                (int)(height * angles.cosine(ramp.turn) >> FloorAngles::SINE_BITS)};
+    }
+};
+
+} }  // namespace jaxdet

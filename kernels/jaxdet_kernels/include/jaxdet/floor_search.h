@@ -1,0 +1,496 @@
+// Where planes are looked for: near a guess, or in all directions that cameras have.
+// Twin of jaxdet/reference/_floor_search.py; the constants are its.
+#pragma once
+#include "floor_planes.h"
+#include "vectors.h"
+#include "warp.h"
+
+namespace jaxdet { namespace {
+
+// Votes for planes on a lattice of pitch, roll and height (a Hough transform), by the cells up to
+// each ring. For a direction a cell votes for a range of heights: the ends of the ranges are
+// counted, and the votes are their prefix sums. On the CPU the directions of a vector go through all
+// cells together. On CUDA each lane of a warp has a direction, the warps share the cells, and as many
+// directions are counted at once as there is shared memory for.
+struct FloorVotes {
+    // Directions that a thread sums up together.
+#if defined(__CUDA_ARCH__)
+    enum { LANES = 1 };
+    typedef int Lanes;
+#else
+    enum { LANES = 16 };
+    typedef Vectors::Ints Lanes;
+#endif
+    // A lattice has fewer than 2^BIN_BITS heights.
+    enum { APART = 12, BIN_BITS = 10, NOTHING = -0x7fffffff };
+    FloorAngles angles;
+    FloorCells cells;
+    // Tolerance of each cell.
+    const int* slack;
+    // The cells up to each ring come first; a ring of fewer than `fewest` cells is passed over.
+    const int* ring_ends;
+    int rings, fewest;
+    // The lattice in angle steps and depth units.
+    int pitch0, roll0, step, pitches, rolls, lowest, bins, bits;
+    // What is left out of the nearer part: pitches and heights at each end.
+    int edge_pitches, edge_bins;
+    // Votes of all cells, bins + 1 words a direction; and LANES as many words, or on CUDA `room`
+    // words of shared memory.
+    int *votes, *counts;
+    int room;
+    // The best of each ring in the nearer part, of all of the lattice, and of each direction.
+    unsigned long long *best, *whole, *of_direction;
+
+    int directions() const { return pitches * rolls; }
+
+    FloorDirection direction(int d) const {
+        const int pitch = pitch0 + d / rolls * step;
+        return angles.down(angles.clipped(pitch, FloorAngles::STEEPEST), roll0 + d % rolls * step);
+    }
+
+    FloorPlane plane(unsigned long long key) const {
+        const int index = FloorKey::number(key), d = index / bins;
+        const int pitch = angles.clipped(pitch0 + d / rolls * step, FloorAngles::STEEPEST);
+        return {pitch, roll0 + d % rolls * step, lowest + ((index - d * bins) << bits)};
+    }
+
+    // A `FloorKey` of a direction and a bin.
+    unsigned long long key(int votes, int d, int bin) const {
+        return FloorKey::of(votes, d * bins + bin);
+    }
+
+    // The same of votes with their bin, larger where there are more votes or the bin comes first.
+    unsigned long long key(int most, int d) const {
+        const int bin = -most & ((1 << BIN_BITS) - 1);
+        return key((most + bin) >> BIN_BITS, d, bin);
+    }
+
+    // The directions of the nearer part.
+    int first_near() const { return edge_pitches * rolls; }
+    int end_near() const { return (pitches - edge_pitches) * rolls; }
+    bool is_near(int d) const { return d >= first_near() && d < end_near(); }
+
+    // How counts lie in memory: those of direction k and bin b at `words[b * span + k]`, or where
+    // they are packed those of bins 2 n and 2 n + 1 in the halves of `words[n * span + k]`.
+    struct Table {
+        enum { MOST_PACKED = 10000 };  // Cells: all counts of a bin stay below 2^15.
+        int* words;
+        int span;
+        bool is_shared, is_packed;
+
+        void add(int k, int b, Lanes* sum) const {
+            const Lanes word = *(const Lanes*)(words + (is_packed ? b >> 1 : b) * span + k);
+            const Lanes high = (word + (1 << 15)) >> 16;
+            *sum += !is_packed ? word : b & 1 ? high : word - high * (1 << 16);
+        }
+    };
+
+#if defined(__CUDA_ARCH__)
+    // Directions with those that fill up the last warp.
+    int padded() const { return (directions() + Warp::size - 1) / Warp::size * Warp::size; }
+    bool are_fast() const { return padded() * (bins + 1) <= room; }
+    // Votes of a direction, and how far those of its bins are apart.
+    int* row_of(int d) const { return (are_fast() ? counts : votes) + d; }
+    int bin_step() const { return padded(); }
+
+    // Adds the ends of the ranges of some cells: each lane for direction k of the table.
+    void count(const Warp& warp, const FloorDirection& down, int from, int to, const Table& table,
+               int k_of_lane) const {
+        int* const ends = table.words + k_of_lane;
+        const int step = table.span, low = lowest, shift = bits, last = bins;
+        const bool is_packed = table.is_packed, is_shared = table.is_shared;
+        for (int start = from; start < to; start += Warp::size) {
+            const int i = start + warp.lane < to ? start + warp.lane : to - 1;
+            const int x = cells.x[i], y = cells.y[i], z = cells.z[i], width = slack[i];
+            const int n = to - start < Warp::size ? to - start : Warp::size;
+#pragma unroll 4
+            for (int k = 0; k < n; k++) {
+                const int s = warp.broadcast(width, k);
+                const int height = down.along(warp.broadcast(x, k), warp.broadcast(y, k),
+                                              warp.broadcast(z, k)) - low;
+                const int begin = -((s - height) >> shift), end = ((height + s) >> shift) + 1;
+                const int bin[2] = {min(max(begin, 0), last), min(max(end, 0), last)};
+                const int worth[2] = {1 + FloorScore::BELOW_COST, -1};
+#pragma unroll
+                for (int m = 0; m < 2; m++)
+                    if (is_packed)
+                        warp.add_shared(ends + (bin[m] >> 1) * step, worth[m] << (bin[m] % 2 * 16));
+                    else if (is_shared)
+                        warp.add_shared(ends + bin[m] * step, worth[m]);
+                    else
+                        atomicAdd(ends + bin[m] * step, worth[m]);
+            }
+        }
+    }
+
+    void count(const Team& team, int first, int from, int to, const Table& table) const {
+        const Warp warp(team);
+        const int groups = table.span / Warp::size, share = to - from;
+        for (int unit = warp.index; unit < groups * warp.count; unit += warp.count) {
+            // Each warp takes another part of the cells for each group, so none waits long.
+            const int group = unit / warp.count, part = (warp.index + group) % warp.count;
+            const int k = group * Warp::size + warp.lane;
+            count(warp, direction(first + k), from + share * part / warp.count,
+                  from + share * (part + 1) / warp.count, table, k);
+        }
+        team.sync();
+    }
+#else
+    int padded() const { return (directions() + LANES - 1) / LANES * LANES; }
+    int* row_of(int d) const { return votes + d / LANES * LANES * (bins + 1) + d % LANES; }
+    int bin_step() const { return LANES; }
+
+    // The place of a bin in each lane's counts.
+    void place(const Lanes& bin, int* out) const {
+        const Lanes none = {}, last = none + bins;
+        const Lanes at = (bin < none ? none : bin > last ? last : bin) * (int)LANES;
+        __builtin_memcpy(out, &at, sizeof at);
+    }
+
+    // Adds the ends of the ranges of some cells.
+    void count(const Team&, int first, int from, int to, const Table& table) const {
+        Lanes dx, dy, dz;
+        for (int k = 0; k < LANES; k++) {
+            const FloorDirection down = direction(first + k);
+            dx[k] = down.x;
+            dy[k] = down.y;
+            dz[k] = down.z;
+        }
+        const int half = 1 << (FloorDirection::DOWN_BITS - 1), shift = bits;
+        int* const ends = table.words;
+        const int left = directions() - first, used = left < LANES ? left : (int)LANES;
+        int begin[LANES], end[LANES];
+        for (int i = from; i < to; i++) {
+            const int s = slack[i];
+            const Lanes sum = dx * cells.x[i] + dy * cells.y[i] + dz * cells.z[i] + half;
+            const Lanes height = (sum >> (int)FloorDirection::DOWN_BITS) - lowest;
+            place(-((s - height) >> shift), begin);
+            place(((height + s) >> shift) + 1, end);
+            for (int k = 0; k < used; k++) {
+                ends[begin[k] + k] += 1 + FloorScore::BELOW_COST;
+                ends[end[k] + k]--;
+            }
+        }
+    }
+#endif
+
+    // The best of each of some directions, from counts of so many cells: of nearer planes and, from
+    // all cells, of all planes; then votes are written, too.
+    void sum_up(const Table& table, int k, int cells, int* out, Lanes& nearer, Lanes& all) const {
+        const int step = bin_step(), from = edge_bins, to = bins - edge_bins;
+        Lanes sum = Lanes{} - FloorScore::BELOW_COST * cells;
+        Lanes most = Lanes{} + (int)NOTHING, highest = most;
+        for (int b = 0; b < bins; b++) {
+            table.add(k, b, &sum);
+            if (out) *(Lanes*)(out + b * step) = sum;
+            const Lanes here = sum * (1 << BIN_BITS) - b;
+            if (b >= from && b < to) most = here > most ? here : most;
+            highest = here > highest ? here : highest;
+        }
+        nearer = most;
+        all = highest;
+    }
+
+    // All votes of the directions of a table, from `first` on.
+    void run(const Team& team, int first, const Table& table) const {
+        const Warp warp(team);
+        const int span = table.span, end_of_all = directions();
+        const int size = span * (table.is_packed ? bins / 2 + 1 : bins + 1);
+        for (int k = team.rank; k < size; k += team.size) table.words[k] = 0;
+        team.sync();
+        int done = 0;
+        for (int n = 0; n < rings; n++) {
+            const bool is_last = n == rings - 1;
+            const bool some_near = first < end_near() && first + span > first_near();
+            if (!is_last && (ring_ends[n] < fewest || !some_near)) continue;
+            const int end = is_last ? cells.count : ring_ends[n];
+            count(team, first, done, end, table);
+            for (int k = team.rank * LANES; k < span; k += team.size * LANES) {
+                Lanes most, highest;
+                sum_up(table, k, end, is_last ? row_of(first + k) : nullptr, most, highest);
+                unsigned long long nearer = ~0ull, all = ~0ull;
+                for (int lane = 0; lane < LANES; lane++) {
+                    const int d = first + k + lane;
+                    if (d >= end_of_all) break;
+                    const unsigned long long own =
+                        is_near(d) ? key(((const int*)&most)[lane], d) : ~0ull;
+                    const unsigned long long any = key(((const int*)&highest)[lane], d);
+                    nearer = own < nearer ? own : nearer;
+                    all = any < all ? any : all;
+                    if (is_last) of_direction[d] = own;
+                }
+                nearer = warp.min(nearer);
+                if (warp.lane == 0) team.atomic_min(best + n, nearer);
+                if (!is_last) continue;
+                all = warp.min(all);
+                if (warp.lane == 0) team.atomic_min(whole, all);
+            }
+            team.sync();
+            done = end;
+        }
+    }
+
+    // All votes. `best` and `whole` are set before the sync.
+    void run(const Team& team) const {
+        for (int n = team.rank; n < rings; n += team.size) best[n] = ~0ull;
+        if (team.rank == 0) *whole = ~0ull;
+        team.sync();
+        const int all = padded();
+#if defined(__CUDA_ARCH__)
+        const bool is_packed = !are_fast() && cells.count <= Table::MOST_PACKED;
+        const int most = room / (is_packed ? bins / 2 + 1 : bins + 1) / Warp::size * Warp::size;
+        const int span = most && most < all ? most : all;
+        for (int first = 0; first < all; first += span)
+            run(team, first, {most ? counts : votes, all - first < span ? all - first : span,
+                              most > 0, is_packed && most});
+#else
+        for (int first = 0; first < all; first += LANES)
+            run(team, first, {counts, LANES, false, false});
+#endif
+        team.sync();
+    }
+
+    // The best plane of all cells in the nearer part that is apart from the one found last.
+    void next(const Team& team) const {
+        const unsigned long long last = best[rings - 1];
+        const int index = FloorKey::number(last), d = index / bins, h = index - d * bins;
+        const int p = d / rolls, r = d % rolls;
+        const Warp warp(team);
+        team.sync();
+        if (team.rank == 0) best[rings - 1] = ~0ull;
+        for (int k = warp.index; k < 9; k += warp.count) {
+            const int pitch = p + k / 3 - 1, roll = r + k % 3 - 1, other = pitch * rolls + roll;
+            if (pitch < 0 || pitch >= pitches || roll < 0 || roll >= rolls) continue;
+            int* row = row_of(other);
+            const int from = h - APART > 0 ? h - APART : 0, step = bin_step();
+            const int to = h + APART + 1 < bins ? h + APART + 1 : bins;
+            int most = -0x7fffffff - 1, bin = bins;
+            for (int b = warp.lane; b < bins; b += warp.size) {
+                if (b >= from && b < to) row[b * step] = -0x7fffffff - 1;
+                const int here = row[b * step];
+                if (b < edge_bins || b >= bins - edge_bins || (here <= most && bin < bins)) continue;
+                most = here;
+                bin = b;
+            }
+            const unsigned long long found =
+                warp.min(bin < bins ? key(most, other, bin) : ~0ull);
+            if (is_near(other) && warp.lane == 0) of_direction[other] = found;
+        }
+        team.sync();
+        unsigned long long left = ~0ull;
+        for (int k = team.rank; k < directions(); k += team.size)
+            left = of_direction[k] < left ? of_direction[k] : left;
+        left = warp.min(left);
+        if (warp.lane == 0) team.atomic_min(best + rings - 1, left);
+        team.sync();
+    }
+};
+
+struct FloorSearch {
+    enum {
+        RINGS = 7,
+        MIN_SHARE = 3,
+        NEAR_DEG = 4,
+        STEEP_DEG = 8,
+        PITCH_LEAST = -15,
+        PITCH_MOST = 72,
+        ROLL_MOST = 30,
+        ROLLED_DEG = 40,
+        FILLS_DEG = 35,
+        FILLS = 12,
+        STEP_DEG = 3,
+        WINNERS = 6,
+        NEAR_PLANES = 9,
+        ANY_PLANES = RINGS - 1 + WINNERS,
+        MOST_DIRECTIONS = 30 * 21,
+        KEY_WORDS = 2 * (RINGS + 1 + MOST_DIRECTIONS)
+    };
+    FloorAngles angles;
+    const int* settings;
+    // The cells voted by, by rings, and where each ring ends.
+    FloorCells cells;
+    const int* ring_ends;
+    // Scratch: a word a cell; the weights of all groups; KEY_WORDS; votes of all directions and
+    // of FloorVotes::LANES of them, or on CUDA `room` words of shared memory.
+    int *slack, *weights;
+    unsigned long long* keys;
+    int *votes, *counts;
+    int room;
+
+    // Whether a camera on a robot or in a hand can be so tilted.
+    static bool is_usual(FloorPlane plane) {
+        const int one = FloorAngles::ANGLES, roll = ROLLED_DEG * one;
+        return plane.pitch >= PITCH_LEAST * one && plane.pitch <= PITCH_MOST * one &&
+               plane.roll <= roll && -plane.roll <= roll && plane.height > 0;
+    }
+
+    // The share of the cells that a plane must show [per mille], `least` of a level camera: the
+    // more a camera is pitched, the more floor it sees.
+    static int least_share(FloorPlane plane, int least) {
+        const int beyond = plane.pitch - FILLS_DEG * FloorAngles::ANGLES;
+        return least + (beyond > 0 ? FILLS * beyond / FloorAngles::ANGLES : 0);
+    }
+
+    // Bins of the largest lattice, and one more.
+    static int most_bins(const int* settings) {
+        const int span = 2 * settings[FloorSetting::SPAN];
+        const int range = settings[FloorSetting::HIGHEST] - settings[FloorSetting::LOWEST];
+        return ((span > range ? span : range) >> settings[FloorSetting::BIN_BITS]) + 2;
+    }
+
+    // Words of the largest lattice: the directions of whole warps, with a bin more.
+    static size_t lattice_words(const int* settings) {
+        const auto words = [&](size_t directions, int span) {
+            return (directions + 31) / 32 * 32 * ((span >> settings[FloorSetting::BIN_BITS]) + 2);
+        };
+        const size_t near = words((2 * STEEP_DEG + 1) * (2 * NEAR_DEG + 1),
+                                  2 * settings[FloorSetting::SPAN]);
+        const size_t wide = words(
+            MOST_DIRECTIONS, settings[FloorSetting::HIGHEST] - settings[FloorSetting::LOWEST]);
+        return near > wide ? near : wide;
+    }
+
+    // The tolerance of votes for directions so far apart, whatever the height.
+    void coarse(const Team& team, int per_z) const {
+        const int noise = settings[FloorSetting::NOISE];
+        const FloorSlack rough(settings[FloorSetting::ROUGH_BASE], per_z, noise, 0);
+        for (int i = team.rank; i < cells.count; i += team.size) {
+            const long long z = cells.z[i];
+            slack[i] = rough.at(cells.z[i]) + (int)((z * z * noise) >> FloorSlack::BITS);
+        }
+        team.sync();
+    }
+
+    // A lattice of planes around one.
+    FloorVotes around(FloorPlane middle, int turn, int roll) const {
+        const int one = FloorAngles::ANGLES, span = settings[FloorSetting::SPAN];
+        return lattice(middle.pitch - turn * one, middle.roll - roll * one, one, 2 * turn + 1,
+                       2 * roll + 1, middle.height - span, 2 * span);
+    }
+
+    FloorVotes lattice(int pitch0, int roll0, int step, int pitches, int rolls, int lowest,
+                       int span) const {
+        const int rings = 1, fewest = 0, edges = 0, bits = settings[FloorSetting::BIN_BITS];
+        return {angles, cells, slack, ring_ends, rings, fewest, pitch0, roll0, step, pitches, rolls,
+                lowest, (span >> bits) + 1, bits, edges, edges, votes, counts, room, keys,
+                keys + RINGS, keys + RINGS + 1};
+    }
+
+    // The votes for each of some planes. Groups take parts of the cells, so that none waits for one
+    // that has a plane more.
+    void score(const Team& team, const FloorPlane* planes, int count, int* votes) const {
+        for (int n = team.rank; n < count; n += team.size) votes[n] = 0;
+        team.sync();
+        const Warp warp(team);
+        const int *xs = cells.x, *ys = cells.y, *zs = cells.z, parts = warp.count;
+        for (int unit = warp.index; unit < count * parts; unit += warp.count) {
+            const int n = unit / parts, part = unit - n * parts;
+            const FloorPlane plane = planes[n];
+            const FloorDirection down = angles.down(plane);
+            const FloorSlack fine(settings[FloorSetting::FINE_BASE],
+                                  settings[FloorSetting::FINE_PER_Z],
+                                  settings[FloorSetting::NOISE], plane.height);
+            const FloorScore each{};
+            const int height = plane.height, to = cells.count * (part + 1) / parts;
+            int sum = 0;
+            for (int i = cells.count * part / parts + warp.lane; i < to; i += Warp::size)
+                sum += each.of(down.along(xs[i], ys[i], zs[i]) - height, fine.at(zs[i]));
+            sum = warp.sum(sum);
+            if (warp.lane == 0) team.atomic_add(votes + n, sum);
+        }
+        team.sync();
+    }
+
+    // Votes by rings; the best plane of the cells up to each, and how many cells these are.
+    int best_of_rings(const Team& team, FloorVotes& lattice, FloorPlane* planes, int* ends) const {
+        lattice.rings = RINGS;
+        lattice.fewest = (MIN_SHARE * cells.count + 99) / 100;
+        lattice.run(team);
+        int count = 0;
+        for (int n = 0; n < RINGS; n++) {
+            if (ring_ends[n] < lattice.fewest) continue;
+            ends[count] = ring_ends[n];
+            if (team.rank == 0) planes[count] = lattice.plane(lattice.best[n]);
+            count++;
+        }
+        return count;
+    }
+
+    // Up to NEAR_PLANES planes near a guess, which is the prior or not, and how many.
+    int near_planes(const Team& team, FloorPlane guess, bool is_prior, FloorPlane* planes) const {
+        coarse(team, settings[FloorSetting::ROUGH_PER_Z]);
+        FloorVotes lattice = around(guess, STEEP_DEG, NEAR_DEG);
+        lattice.edge_pitches = STEEP_DEG - NEAR_DEG;
+        lattice.edge_bins = settings[FloorSetting::EDGE];
+        int ends[NEAR_PLANES];
+        int count = best_of_rings(team, lattice, planes, ends);
+        lattice.next(team);
+        if (team.rank == 0) {
+            planes[count] = lattice.plane(lattice.best[RINGS - 1]);
+            planes[count + 1] = lattice.plane(*lattice.whole);
+        }
+        ends[count] = ends[count + 1] = cells.count;
+        count += 2;
+        team.sync();
+        ThreadGroup group(team);
+        const FloorRefine refine = {angles, settings, guess, is_prior,
+                                    weights + group.index() * cells.count};
+        for (int n = group.index(); n < count; n += group.count()) {
+            const FloorCells some = {cells.x, cells.y, cells.z, ends[n]};
+            const FloorPlane plane = refine.run(group, planes[n], some, 2, 2, 1);
+            if (group.rank() == 0) planes[n] = plane;
+        }
+        team.sync();
+        return count;
+    }
+
+    // The best floor of any camera that a robot or a hand holds; `planes` and `scores` have
+    // ANY_PLANES places each.
+    FloorPlane any_plane(const Team& team, FloorPlane* planes, int* scores) const {
+        const int lowest = settings[FloorSetting::LOWEST];
+        const int one = FloorAngles::ANGLES, range = settings[FloorSetting::HIGHEST] - lowest;
+        FloorVotes wide = lattice(
+            PITCH_LEAST * one, -ROLL_MOST * one, STEP_DEG * one,
+            (PITCH_MOST - PITCH_LEAST) / STEP_DEG + 1, 2 * ROLL_MOST / STEP_DEG + 1, lowest, range);
+        coarse(team, settings[FloorSetting::WIDE_PER_Z]);
+        int ends[ANY_PLANES];
+        int count = best_of_rings(team, wide, planes, ends);
+        for (int n = 1; n < WINNERS; n++) {
+            wide.next(team);
+            if (team.rank == 0) planes[count] = wide.plane(wide.best[RINGS - 1]);
+            count++;
+        }
+        team.sync();
+        coarse(team, settings[FloorSetting::ROUGH_PER_Z]);
+        for (int n = 0; n < count; n++) {
+            const FloorVotes close = around(planes[n], 1, 1);
+            close.run(team);
+            if (team.rank == 0) planes[n] = close.plane(close.best[0]);
+            team.sync();
+        }
+        ThreadGroup group(team);
+        const FloorRefine refine = {angles, settings, {0, 0, 0}, false,
+                                    weights + group.index() * cells.count};
+        for (int n = group.index(); n < count; n += group.count()) {
+            const FloorPlane plane = refine.run(group, planes[n], cells, 2, 2, 0);
+            if (group.rank() == 0) planes[n] = plane;
+        }
+        team.sync();
+        score(team, planes, count, scores);
+        const int least = settings[FloorSetting::MIN_SHARE_ALONE];
+        int best = 0;
+        long long most = 0;
+        for (int n = 0; n < count; n++) {
+            const long long share = least_share(planes[n], least);
+            const long long more = 1000LL * scores[n] - share * cells.count;
+            const bool usual = is_usual(planes[n]), best_is = is_usual(planes[best]);
+            if (!n || (usual == best_is ? more > most : usual)) {
+                best = n;
+                most = more;
+            }
+        }
+        return planes[best];
+    }
+};
+
+} }  // namespace jaxdet

@@ -1,0 +1,80 @@
+// A step ahead of a plane, down or up, by votes on the floor's profile.
+// Twin of jaxdet/reference/_floor_step.py; the constants are its.
+#pragma once
+#include "floor_profile.h"
+
+namespace jaxdet { namespace {
+
+struct FloorSteps : FloorProfile {
+    enum { DROPS = 28, RISES = 10, OWN = 4 };
+
+    // Cells on the plane nearer than each distance, and those on the other floor at each.
+    int* own() const { return row(5); }
+    int* others() const { return row(6); }
+
+    // The steps tried, down first.
+    int drop(int i) const {
+        const int each = settings[FloorSetting::DROP_SPACING];
+        return i < DROPS ? (i + 1) * each : -(i - DROPS + 1) * each;
+    }
+
+    // The first step with most votes of a plane whose cells are sorted, once there are flat votes
+    // of the fine tolerance, and its votes; false where these are fewer than `least` or the other
+    // floor is not seen over some distance. A step down is deeper than `deeper`.
+    bool step(const Team& team, int least, int deeper, FloorAhead& found, int& votes) const {
+        const int n = runs(), each = FloorScore::BELOW_COST;
+        const Warp warp(team);
+        if (team.rank == 0) *key = ~0ull;
+        for (int k = team.rank; k < n; k += team.size) {
+            int low;
+            own()[k] = on(k, 0, fine()[k], low);
+        }
+        team.sync();
+        if (warp.index == 0) warp.exclusive_sum(own(), n);
+        team.sync();
+        for (int i = warp.index; i < DROPS + RISES; i += warp.count) {
+            const int deep = drop(i), size = deep < 0 ? -deep : deep;
+            if (deep > 0 && deep <= deeper) continue;
+            // Of the other floor, beyond the distances that the lanes are at.
+            int beyond = 0, other = 0;
+            for (int done = 0; done < n; done += warp.size) {
+                const int k = n - 1 - done - warp.lane;
+                int here = 0, low = 0;
+                if (k >= 0) here = on(k, -deep, coarse()[k], low);
+                const int votes_up_to = warp.inclusive_sum(here - each * low);
+                const int cells_up_to = warp.inclusive_sum(here);
+                if (k >= 0 && size > 2 * coarse()[k]) {
+                    const int all = flat()[k] + beyond + votes_up_to, mine = own()[k];
+                    if (OWN * mine >= mine + other + cells_up_to)
+                        team.atomic_min(key, FloorKey::of(all, i * n + k));
+                }
+                beyond += warp.broadcast(votes_up_to, warp.size - 1);
+                other += warp.broadcast(cells_up_to, warp.size - 1);
+            }
+        }
+        team.sync();
+        const unsigned long long best = *key;
+        team.sync();
+        votes = FloorKey::votes(best);
+        if (best == ~0ull || votes < least) return false;
+        const int m = FloorKey::number(best);
+        found = {(m % n) << settings[FloorSetting::RUN_BITS], 0, drop(m / n)};
+        return is_seen(team, m % n, found.drop);
+    }
+
+    // Whether the other floor, from a distance on, is seen over some distance, which a wall is not.
+    bool is_seen(const Team& team, int from, int deep) const {
+        const int n = runs();
+        for (int k = team.rank; k < n; k += team.size) {
+            int low;
+            others()[k] = k < from ? 0 : on(k, -deep, coarse()[k], low);
+        }
+        team.sync();
+        int first, last;
+        spread(others(), first, last);
+        team.sync();
+        return middle(last) - middle(first) > settings[FloorSetting::SPREAD];
+    }
+};
+
+} }  // namespace jaxdet

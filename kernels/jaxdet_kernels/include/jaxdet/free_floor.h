@@ -1,0 +1,240 @@
+// How far the floor is seen in each column of cells, and what ends it. Twin of
+// jaxdet/reference/_free.py.
+#pragma once
+#include "floor_frame.h"
+#include "warp.h"
+
+namespace jaxdet { namespace {
+
+struct FreeFloor {
+    // End of the range; the floor ends where so much of it shows no measurement.
+    enum { FAR, GAP, SETTINGS };
+    enum { UNKNOWN, OBSTACLE, DROP, RANGE };
+    enum {
+        // So many measured cells one after the other are a drop lower than the last floor.
+        RUN = 3,
+        // Columns on both sides of one that drops, more than half of which must drop too.
+        BESIDE = 14,
+        // No floor farther up may be nearer than what lies lower by more than this part of it.
+        SHARE = 5,
+        LARGEST = 0x7fffffff,
+        DEPTHS = 65536,
+        // On CUDA a thread follows one column, and the loads of so many cells wait together: up to
+        // the nearest obstacle, on the way up the floor, and behind its end. On the CPU so many
+        // columns are followed side by side, in loops that become vectors.
+        SEEK = Warp::size > 1 ? 8 : 1,
+        AHEAD = Warp::size > 1 ? 4 : 1,
+        BEHIND = Warp::size > 1 ? 4 : 1,
+        ABREAST = Warp::size > 1 ? 1 : 256
+    };
+
+    // What is known of columns that are followed side by side.
+    struct Columns {
+        // The nearest obstacle's distance and row, or the range and -1.
+        int limit[ABREAST], nearest[ABREAST];
+        // Rows where the floor begins and where it has come to, -1 = none yet; its last cell's place.
+        int first[ABREAST], last[ABREAST], forward[ABREAST], height[ABREAST];
+        // Whether the floor has ended, and whether it drops there, -1 = not looked at yet.
+        int ended[ABREAST], falls[ABREAST];
+    };
+
+    const Team& team;
+    int rows, columns, far, gap;
+    const int *label, *z, *right, *forward, *height;
+    const bool* low;
+    const int *bows, *drops;  // (DEPTHS,), by z
+    int *line_out, *end_out;
+    int* falls;  // scratch, by column: whether the floor drops
+    bool turned;  // by half: the camera is upside down
+
+    int at(int row, int column) const {
+        const int k = row * columns + column;
+        return turned ? rows * columns - 1 - k : k;
+    }
+
+    // The cells of a row from a column on, the others to its left where the cells are turned.
+    void take(const int* from, int row, int left, int n, int* __restrict__ out) const {
+        const int* const cell = from + at(row, left);
+        if (turned)
+            for (int c = 0; c < n; ++c) out[c] = cell[-c];
+        else
+            for (int c = 0; c < n; ++c) out[c] = cell[c];
+    }
+
+    // Of a camera mounted in any way; of one on its side nothing is said.
+    void run(const FloorFrame& frame) {
+        const int aside = frame.axes[6], upright = frame.axes[7];  // of down
+        turned = upright < 0;
+        if ((aside < 0 ? -aside : aside) <= (upright < 0 ? -upright : upright)) {
+            run();
+            return;
+        }
+        for (int k = team.rank; k < 4 * columns; k += team.size) line_out[k] = 0;
+        for (int c = team.rank; c < columns; c += team.size) end_out[c] = UNKNOWN;
+        team.sync();
+    }
+
+    void run() const {
+        for (int left = team.rank * ABREAST; left < columns; left += team.size * ABREAST) {
+            const bool fits = ABREAST == 1 || columns - left >= ABREAST;
+            const int n = fits ? (int)ABREAST : columns - left;
+            Columns of;
+            find_obstacles(of, left, n);
+            int open = n;
+            for (int bottom = rows - 1; bottom >= 0 && open; bottom -= AHEAD) {
+                follow(of, bottom, left, n);
+                open = 0;
+                for (int c = 0; c < n; ++c) open += !of.ended[c];
+            }
+            for (int c = 0; c < n; ++c) put(of, c, left + c);
+        }
+        team.sync();
+        for (int c = team.rank; c < columns; c += team.size) {
+            int beside = 0;
+            for (int other = c - BESIDE; other <= c + BESIDE; ++other)
+                beside += other >= 0 && other < columns ? falls[other] : 0;
+            if (falls[c] && beside <= BESIDE) end_out[c] = UNKNOWN;
+        }
+        team.sync();
+    }
+
+    // The nearest obstacle of each column, of equal ones the uppermost; no floor is known yet.
+    void find_obstacles(Columns& __restrict__ of, int left, int n) const {
+        for (int c = 0; c < n; ++c) {
+            of.limit[c] = LARGEST;
+            of.nearest[c] = of.first[c] = of.last[c] = of.falls[c] = -1;
+            of.forward[c] = of.height[c] = of.ended[c] = 0;
+        }
+        for (int top = 0; top < rows; top += SEEK) {
+            int own[SEEK][ABREAST], ahead[SEEK][ABREAST];
+            for (int i = 0; i < SEEK; ++i)
+                if (top + i < rows)
+                    take(label, top + i, left, n, own[i]);
+                else
+                    for (int c = 0; c < n; ++c) own[i][c] = -1;
+            for (int i = 0; i < SEEK; ++i) {
+                const int* const cell = forward + at(top + i, left);
+                if (turned)
+                    for (int c = 0; c < n; ++c)
+                        ahead[i][c] = own[i][c] >= 0 ? cell[-c] : (int)LARGEST;
+                else
+                    for (int c = 0; c < n; ++c)
+                        ahead[i][c] = own[i][c] >= 0 ? cell[c] : (int)LARGEST;
+            }
+            for (int i = 0; i < SEEK; ++i)
+                for (int c = 0; c < n; ++c) {
+                    const bool nearer = ahead[i][c] < of.limit[c];
+                    of.limit[c] = nearer ? ahead[i][c] : of.limit[c];
+                    of.nearest[c] = nearer ? top + i : of.nearest[c];
+                }
+        }
+        for (int c = 0; c < n; ++c) of.limit[c] = of.nearest[c] >= 0 ? of.limit[c] : far;
+    }
+
+    // Goes on with AHEAD cells of each column, from row `bottom` up.
+    void follow(Columns& __restrict__ of, int bottom, int left, int n) const {
+        int on[AHEAD][ABREAST], ahead[AHEAD][ABREAST], high[AHEAD][ABREAST], depth[AHEAD][ABREAST];
+        int bow[AHEAD][ABREAST], drop[AHEAD][ABREAST], jumps[ABREAST], some = 0;
+        for (int i = 0; i < AHEAD; ++i) {
+            const int row = bottom > i ? bottom - i : 0;
+            const bool* const cell = low + at(row, left);
+            take(forward, row, left, n, ahead[i]);
+            take(height, row, left, n, high[i]);
+            take(z, row, left, n, depth[i]);
+            if (turned)
+                for (int c = 0; c < n; ++c) on[i][c] = cell[-c];
+            else
+                for (int c = 0; c < n; ++c) on[i][c] = cell[c];
+            for (int c = 0; c < n; ++c) {
+                on[i][c] &= (bottom >= i) & !of.ended[c] & (ahead[i][c] < of.limit[c]) &
+                            (depth[i][c] <= far);
+                some |= on[i][c];
+            }
+        }
+        if (!some) return;
+        for (int i = 0; i < AHEAD; ++i)
+            for (int c = 0; c < n; ++c) {
+                bow[i][c] = bows[depth[i][c]];
+                drop[i][c] = drops[depth[i][c]];
+            }
+        for (int i = 0; i < AHEAD; ++i) {
+            int any = 0;
+            for (int c = 0; c < n; ++c) {
+                const int floor = on[i][c] & !of.ended[c] & (high[i][c] >= -bow[i][c]);
+                const int goes_on = floor & (of.first[c] >= 0);
+                const int is_gap = goes_on & (ahead[i][c] - of.forward[c] > gap);
+                const int jump = goes_on & ~is_gap & (of.height[c] - high[i][c] > drop[i][c]);
+                const int next = floor & ~is_gap & ~jump;
+                of.ended[c] |= is_gap;
+                of.first[c] = floor & ~goes_on ? bottom - i : of.first[c];
+                of.last[c] = next ? bottom - i : of.last[c];
+                of.forward[c] = next ? ahead[i][c] : of.forward[c];
+                of.height[c] = next ? high[i][c] : of.height[c];
+                of.falls[c] = next ? -1 : of.falls[c];
+                jumps[c] = jump;
+                any |= jump;
+            }
+            for (int c = 0; any && c < n; ++c)
+                if (jumps[c]) of.ended[c] = falls_after(of, c, left + c);
+        }
+    }
+
+    // Whether the next RUN measured cells up a column are a drop lower than its last floor, and lie
+    // flat, and no floor farther up is clearly nearer than they are.
+    int falls_after(Columns& of, int i, int c) const {
+        if (of.falls[i] < 0) of.falls[i] = look_behind(of.last[i], of.height[i], c);
+        return of.falls[i];
+    }
+
+    int look_behind(int last, int floor, int c) const {
+        int found = 0, before_height = 0, before_forward = 0, nearest = LARGEST;
+        for (int first = last - 1; first >= 0; first -= BEHIND) {
+            int own[BEHIND];
+            bool on[BEHIND];
+            for (int n = 0; n < BEHIND; ++n) {
+                const int k = at(first > n ? first - n : 0, c);
+                own[n] = first >= n ? label[k] : -1;
+                on[n] = first >= n && low[k];
+            }
+            for (int n = 0; n < BEHIND; ++n) {
+                if (own[n] >= 0 && found < RUN) return 0;
+                if (!on[n]) continue;
+                const int k = at(first - n, c);
+                const bool level = floor - height[k] <= drops[z[k]];
+                if (found == RUN) {
+                    if (level && SHARE * forward[k] < (SHARE - 1) * nearest) return 0;
+                    continue;
+                }
+                const int rise = height[k] - before_height, run = forward[k] - before_forward;
+                const bool upright = (rise < 0 ? -rise : rise) >= (run < 0 ? -run : run);
+                if (level || (found > 0 && upright)) return 0;
+                ++found;
+                before_height = height[k];
+                before_forward = forward[k];
+                nearest = forward[k] < nearest ? forward[k] : nearest;
+            }
+        }
+        return found == RUN;
+    }
+
+    // Where the free floor of a column begins and ends, but for drops that are too narrow.
+    void put(Columns& of, int i, int c) const {
+        const int obstacle = of.nearest[i];
+        const bool blocked = obstacle >= 0, seen = of.first[i] >= 0;
+        const bool falls_off = seen && falls_after(of, i, c);
+        const bool close = seen && of.limit[i] - of.forward[i] <= gap;
+        const bool up_to = blocked && (!seen || (close && !falls_off));
+        put_place(0, seen ? of.first[i] : obstacle, c);
+        put_place(1, up_to ? obstacle : of.last[i], c);
+        falls[c] = falls_off;
+        end_out[c] = falls_off ? DROP : up_to ? OBSTACLE : close ? RANGE : UNKNOWN;
+    }
+
+    void put_place(int end, int row, int c) const {
+        int* place = line_out + 4 * c + 2 * end;
+        place[0] = row < 0 ? 0 : right[at(row, c)];
+        place[1] = row < 0 ? 0 : forward[at(row, c)];
+    }
+};
+
+} }  // namespace jaxdet

@@ -1,0 +1,165 @@
+// How large obstacles are: extents of their cells in space and in the image of boxes, and the points
+// A, B and C on the floor. Twin of jaxdet/reference/_footprint.py.
+#pragma once
+#include "cell_box.h"
+#include "obstacle_cells.h"
+#include "ranks.h"
+
+namespace jaxdet { namespace {
+
+struct Measures {
+    enum { MOST_LATERAL = (1 << 18) - 1, DEPTHS = 65536, TRIM_SHARE = 16 };
+    // What is measured of an obstacle at a time.
+    enum { PLACE, BOX, HEIGHT, LEFT, RIGHT, NEAR, KINDS };
+
+    const ObstacleCells& cells;
+    const Warp& warp;
+    int trim, threshold;
+    const int* bands;  // (DEPTHS, 2), by the nearest distance: to the side, behind the nearest
+    const int *xyz[3], *height;
+    CellBoxes boxes;
+    // By slot.
+    int *count_out, *uv_min_out, *uv_max_out, *xyz_min_out, *xyz_max_out, *xyz_sum_out;
+    int *a_out, *b_out, *c_out, *bottom_top_out;
+    int* vertex_out;
+
+    static int clipped(int value) {
+        return value < -MOST_LATERAL ? -MOST_LATERAL : value > MOST_LATERAL ? MOST_LATERAL : value;
+    }
+
+    void clear(int slots) const {
+        const Team& team = cells.team;
+        for (int i = team.rank; i < slots; i += team.size) {
+            count_out[i] = 0;
+            vertex_out[i] = false;
+        }
+        for (int i = team.rank; i < 2 * slots; i += team.size) {
+            uv_min_out[i] = uv_max_out[i] = a_out[i] = b_out[i] = c_out[i] = 0;
+            bottom_top_out[i] = 0;
+        }
+        for (int i = team.rank; i < 3 * slots; i += team.size)
+            xyz_min_out[i] = xyz_max_out[i] = xyz_sum_out[2 * i] = xyz_sum_out[2 * i + 1] = 0;
+    }
+
+    // Whether C stands out: when A, B and C are there.
+    void find_vertices() const {
+        for (int i = cells.team.rank; i < cells.count; i += cells.team.size) {
+            const int a = a_out[2 * i + 1], b = b_out[2 * i + 1];
+            const bool some = cells.all(i).size() > 0;
+            vertex_out[i] = some && (a < b ? a : b) - c_out[2 * i + 1] >= threshold;
+        }
+    }
+
+    // All but the vertex, when the cells are sorted.
+    void measure(int number, int kind) const {
+        const ObstacleCells::Range all = cells.all(number);
+        if (all.size() == 0)
+            return;
+        else if (kind == HEIGHT)
+            put_height(number, all);
+        else if (kind == PLACE)
+            put_place(number, all);
+        else if (kind == BOX)
+            put_box(number, all);
+        else
+            put_corner(number, kind, all);
+    }
+
+    // How many cells there are, and where they are in the camera.
+    void put_place(int number, ObstacleCells::Range range) const {
+        Extremes found[3];
+        long long sum[3] = {0, 0, 0};
+        for (int i = range.first + warp.lane; i < range.end; i += warp.size) {
+            const int k = cells.cell[i];
+            for (int j = 0; j < 3; ++j) {
+                found[j].add(xyz[j][k]);
+                sum[j] += xyz[j][k];
+            }
+        }
+        for (int j = 0; j < 3; ++j) {
+            put(found[j], xyz_min_out + 3 * number + j, xyz_max_out + 3 * number + j);
+            const long long total = warp.sum(sum[j]);
+            int* out = xyz_sum_out + 2 * (3 * number + j);
+            out[0] = (int)(total >> 16);
+            out[1] = (int)(total & 0xffff);
+        }
+        count_out[number] = range.size();
+    }
+
+    void put(Extremes found, int* low, int* high) const {
+        found.join(warp);
+        *low = found.low;
+        *high = found.high;
+    }
+
+    // Where they are in the image of boxes.
+    void put_box(int number, ObstacleCells::Range range) const {
+        Extremes sides[2];
+        for (int i = range.first + warp.lane; i < range.end; i += warp.size) {
+            const int k = cells.cell[i];
+            boxes.add(k, xyz[2][k], sides, sides + 1);
+        }
+        for (int j = 0; j < 2; ++j) {
+            sides[j].join(warp);
+            CellBoxes::put(sides[j], boxes.last[j], uv_min_out + 2 * number + j,
+                           uv_max_out + 2 * number + j);
+        }
+    }
+
+    void put_height(int number, ObstacleCells::Range range) const {
+        Extremes found;
+        for (int i = range.first + warp.lane; i < range.end; i += warp.size)
+            found.add(height[cells.cell[i]]);
+        put(found, bottom_top_out + 2 * number, bottom_top_out + 2 * number + 1);
+    }
+
+    // Of numbers by place in the order.
+    Extremes extremes(const int* values, ObstacleCells::Range range) const {
+        Extremes found;
+        for (int i = range.first + warp.lane; i < range.end; i += warp.size) found.add(values[i]);
+        found.join(warp);
+        return found;
+    }
+
+    // A, B or C: on one axis the outermost, on the other the least of those as far out.
+    void put_corner(int number, int kind, ObstacleCells::Range range) const {
+        const bool near = kind == NEAR;
+        const int* values = near ? cells.forward_of : cells.right_of;
+        const int* others = near ? cells.right_of : cells.forward_of;
+        const Extremes ahead = extremes(cells.forward_of, range);
+        const Extremes own = near ? ahead : extremes(values, range);
+        const int nearest = clipped(ahead.low);
+        const int row = nearest < 0 ? 0 : nearest < DEPTHS ? nearest : DEPTHS - 1;
+        const int best = outermost(values, kind == RIGHT ? -1 : 0, own, bands[2 * row + near], range);
+        int least = MOST_LATERAL;
+        for (int i = range.first + warp.lane; i < range.end; i += warp.size) {
+            const int other = clipped(others[i]);
+            least = clipped(values[i]) == best && other < least ? other : least;
+        }
+        least = warp.min(least);
+        if (warp.lane) return;
+        int* out = (kind == LEFT ? a_out : kind == RIGHT ? b_out : c_out) + 2 * number;
+        out[near] = best;
+        out[!near] = least;
+    }
+
+    // The median of the values at most `band` from the outermost that is not passed over.
+    int outermost(const int* values, int flip, Extremes all, int band,
+                  ObstacleCells::Range range) const {
+        const Ranks ranks(warp);
+        const int share = range.size() / TRIM_SHARE, passed = trim < share ? trim : share;
+        const int first = clipped(flip ? all.high : all.low) ^ flip;
+        const int last = clipped(flip ? all.low : all.high) ^ flip;
+        const int start = ranks.at(values, flip, range.first, range.end, passed, first, last);
+        if (last - start <= band) {
+            const int place = (passed + range.size() - 1) / 2;
+            return ranks.at(values, flip, range.first, range.end, place, start, last) ^ flip;
+        }
+        const int limit = start + band;
+        const int inside = ranks.up_to(values, flip, range.first, range.end, limit);
+        const int place = (passed + inside - 1) / 2;
+        return ranks.at(values, flip, range.first, range.end, place, start, limit) ^ flip;
+    }
+};
+
+} }  // namespace jaxdet

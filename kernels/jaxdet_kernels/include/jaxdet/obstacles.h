@@ -1,0 +1,319 @@
+// Obstacles from surfaces. Twin of `obstacles` in jaxdet/reference/_obstacles.py.
+#pragma once
+#include "arena.h"
+#include "bits.h"
+#include "contraction.h"
+#include "evidence.h"
+#include "cell_list.h"
+#include "numbering.h"
+#include "small_surfaces.h"
+#include "straight_parts.h"
+
+namespace jaxdet { namespace {
+
+struct Obstacles {
+    typedef unsigned long long Key;
+    enum { MAX_SURFACES = 512, MAX_LABELS = 1024, THINNEST = 3 };
+    // Places of `counts`.
+    enum { SURFACES, WHOLE, GROUPS, NEAR, PARTS, LISTED, COUNTS };
+    // The order of `settings`, as in jaxdet/stages/_obstacles.py. NO_STEP: the step in depth of surfaces
+    // that do not face each other; OFFSET: evidence to begin with.
+    enum {
+        FARTHEST, LATERAL, FORWARD, GAP, CONTACT, BEND, SIDE, MIN_SIZE, MIN_CELLS, NO_STEP, OFFSET
+    };
+    // Words of fast memory: on CUDA, what the threads of a block share.
+    enum { FAST = Warp::size > 1 ? 4096 : 0 };
+    static_assert((int)FAST == 0 || (int)FAST >= (int)Evidence::FAST, "room for a batch of pairs");
+    int* fast;  // for one use after the other, at 16 bytes
+    int rows, columns;
+    // Of each cell.
+    const int *surface, *x, *y, *z, *right, *forward, *height;
+    const unsigned char* free;
+    const int* settings;
+    Trees trees;
+    int* label;  // result, of each cell
+    int* total;  // result: how many obstacles there are
+
+    // Scratch. `pairs` holds one thing after the other: how often surfaces touch, values of
+    // surfaces, sums of pairs, and the nearest cells of obstacles' contours.
+    int slots;
+    Key *pairs, *of_surfaces, *best, *turns;
+    int *between, *list, *packed, *stack, *line_x, *line_y, *line_column, *start;
+    unsigned char* near_pairs;
+    int* bits;
+    CellList listed;  // with their label as it changes: surface, whole surface, part of an obstacle
+    Extents first, whole, last;
+    int *group, *number, *small, *spare, *over, *counts, *parts, *part_of;
+
+    // Takes the arrays from scratch memory.
+    void allocate(Arena& arena) {
+        const size_t cells = (size_t)rows * columns;
+        slots = cells < MAX_SURFACES ? (int)cells : MAX_SURFACES;
+        const size_t all = (size_t)slots * slots;
+        const size_t labels = cells < MAX_LABELS ? cells : (size_t)MAX_LABELS;
+        const size_t sums = Facing::SUMS * all / 2, keys = (size_t)slots * columns;
+        pairs = arena.longs(sums > keys ? sums : keys);
+        of_surfaces = arena.longs(keys);
+        best = arena.longs(slots);
+        turns = arena.longs(2 * Contraction::TURNS);
+        between = arena.words(all);
+        list = arena.words(all / 2);
+        near_pairs = (unsigned char*)arena.words((all / 2 + 3) / 4);
+        packed = arena.words(cells + slots);
+        stack = arena.words(cells + slots);
+        start = arena.words(labels + 1);
+        Extents* const known[] = {&first, &whole, &last};
+        for (Extents* of : known) of->allocate(arena.words(Extents::FIELDS * labels), (int)labels);
+        int** const by_label[] = {&group, &number, &small, &over};
+        for (int** array : by_label) *array = arena.words(labels);
+        spare = arena.words(2 * labels + 1);
+        parts = arena.words(2 * labels + 1);
+        counts = arena.words(COUNTS);
+        listed.count = counts + LISTED;
+        int** const by_cell[] = {&line_x, &line_y, &line_column, &listed.cell, &listed.label,
+                                 &listed.right, &listed.forward};
+        for (int** array : by_cell) *array = arena.words(cells);
+        bits = arena.words(2 * (rows_bits().count() + columns_bits().count()));
+        part_of = (int*)of_surfaces;
+    }
+
+    // Ends in a sync.
+    void run(const Team& team) const {
+        if (team.rank == 0) {
+            for (int k = 0; k < COUNTS; ++k) counts[k] = 0;
+            *total = 0;
+        }
+        team.sync();
+        listed.take(team, surface, free, right, forward, columns, bits_of(0), bits_of(1), label,
+                    counts + SURFACES);
+        join_small(team);
+        pack(team);
+        const Contours contours = contours_of(counts[WHOLE], whole, of_surfaces);
+        contours.find(team, listed);
+        contours.list(team);
+        find_evidence(team, contours);
+        const Contraction contraction = {counts[WHOLE], between, best, turns, group};
+        contraction.run(team, fast, FAST);
+        number_groups(team, counts[WHOLE], whole, counts + GROUPS);
+        last.join(team, counts[GROUPS], whole, counts[WHOLE], number);
+        straighten(team, contours);
+        order(team);
+    }
+
+    Contours contours_of(int count, const Extents& known, Key* nearest) const {
+        return {count, rows, columns, right, forward, known.column_low, known.column_high, nearest,
+                start, line_x, line_y, line_column};
+    }
+
+    void measure(const Team& team, const Extents& known, int count) const {
+        known.measure(team, count, listed, columns, x, z, height);
+    }
+
+    // The trimmed extremes of a value, of labels with `over` set.
+    void trim(
+        const Team& team, const Extents& known, int count, const int* value, const int* low,
+        const int* high, int* least, int* most
+    ) const {
+        int* const start = 2 * count < FAST ? fast : spare;
+        const Trimmed trimmed = {count, *listed.count, listed.label, value, known.cells, low, high,
+                                 over, least, most, start, start + count + 1, (int*)pairs};
+        trimmed.run(team);
+    }
+
+    // Sets `over` of this thread's labels to pass cells over where the trimmed width decides
+    // whether a label is large enough; whether it does for any. Elsewhere the whole width will do.
+    bool width_decides(const Team& team, const Extents& known, int count) const {
+        bool some = false;
+        for (int l = team.rank; l < count; l += team.size) {
+            const int size = settings[MIN_SIZE];
+            known.left[l] = known.right_low[l];
+            known.right[l] = known.right_high[l];
+            const bool decides = known.height(l) < size && known.width(l) >= size;
+            over[l] = decides ? known.cells[l] / Extents::TRIM : 0;
+            some |= over[l] > 0;
+        }
+        return some;
+    }
+
+    // The width, once `over` is set.
+    void measure_width(const Team& team, const Extents& known, int count) const {
+        trim(team, known, count, listed.right, known.right_low, known.right_high, known.left,
+             known.right);
+    }
+
+    bool is_large(const Extents& known, int l) const {
+        return known.width(l) >= settings[MIN_SIZE] || known.height(l) >= settings[MIN_SIZE];
+    }
+
+    void number_groups(const Team& team, int count, const Extents& known, int* groups) const {
+        int* const lowest = 2 * count <= FAST ? fast : spare;
+        const Numbering numbering = {count, group, known.first, lowest, lowest + count, number, groups};
+        numbering.run(team);
+    }
+
+    // The surfaces without the small ones: `number` of each, and `whole`.
+    void join_small(const Team& team) const {
+        const int count = counts[SURFACES];
+        measure(team, first, count);
+        if (team.any(width_decides(team, first, count))) measure_width(team, first, count);
+        bool some = false;
+        for (int l = team.rank; l < count; l += team.size) {
+            small[l] = !is_large(first, l) || first.rows_of(l) < THINNEST ||
+                       first.columns_of(l) < THINNEST;
+            group[l] = l;
+            some |= small[l];
+        }
+        if (team.any(some)) {
+            const SmallSurfaces joining = {count, rows, columns, settings[CONTACT], listed, surface,
+                                           z, small, (int*)pairs, {group}};
+            joining.run(team);
+        }
+        number_groups(team, count, first, counts + WHOLE);
+        whole.join(team, counts[WHOLE], first, count, number);
+    }
+
+    // Which cells have a surface (0) and which are free (1), by rows and by columns.
+    BitRows rows_bits() const { return BitRows(rows, columns, nullptr); }
+    BitRows columns_bits() const { return BitRows(columns, rows, nullptr); }
+    BitRows bits_of(int k) const {
+        return BitRows(rows, columns, bits + k * rows_bits().count());
+    }
+    BitRows transposed(int k) const {
+        const int* after = bits + 2 * rows_bits().count();
+        return BitRows(columns, rows, (int*)after + k * columns_bits().count());
+    }
+
+    // The listed cells' whole surfaces, and with their depths, packed, where they are.
+    void pack(const Team& team) const {
+        for (int i = team.rank; i < *listed.count; i += team.size) {
+            const int own = number[listed.label[i]], k = listed.cell[i];
+            listed.label[i] = own;
+            packed[k] = Packed(own, z[k]).word;
+        }
+        for (int k = 0; k < 2; ++k) {
+            transposed(k).clear_padding(team);
+            bits_of(k).transpose(team, transposed(k));
+        }
+        team.sync();
+    }
+
+    // The evidence between all pairs of surfaces.
+    void find_evidence(const Team& team, const Contours& contours) const {
+        const int count = counts[WHOLE], gap = settings[GAP];
+        for (int l = team.rank; l < count; l += team.size) over[l] = whole.cells[l] / Extents::TRIM;
+        for (int ahead = 0; ahead < 2; ++ahead)
+            trim(team, whole, count, ahead ? listed.forward : listed.right,
+                 ahead ? whole.forward_low : whole.right_low,
+                 ahead ? whole.forward_high : whole.right_high, ahead ? whole.near : whole.left,
+                 ahead ? whole.far : whole.right);
+        team.sync();
+        const bool fits = (size_t)count * count / 2 <= FAST * sizeof(int);
+        unsigned char* const near = fits ? (unsigned char*)fast : near_pairs;
+        const Evidence evidence = {count, settings[LATERAL], settings[FORWARD], gap, settings[NO_STEP],
+                                   whole, contours, trees, near, pairs, list, counts + NEAR, between,
+                                   fast};
+        evidence.find_near(team);
+        const Facing in_rows = {bits_of(0), bits_of(1), packed, x, columns, 1, true, gap, near, pairs};
+        const Facing in_columns = {transposed(0), transposed(1), packed, y, 1, columns, false, gap,
+                                   near, pairs};
+        Facing::run(team, in_rows, in_columns);
+        team.sync();
+        evidence.run(team);
+    }
+
+    // Splits what bends around free floor; `last` of the parts.
+    void straighten(const Team& team, const Contours& of_whole) const {
+        const int groups = counts[GROUPS];
+        int* before = parts + groups;  // how many parts the groups before one have beside the first
+        const Warp warp(team);
+        for (int g = team.rank; g < groups; g += team.size) before[g] = 0;
+        if (settings[BEND] > 0) {
+            const Contours contours = contours_of(groups, last, pairs);
+            contours.join(team, of_whole, number);
+            contours.list(team);
+            for (int g = warp.index; g < groups; g += warp.count) {
+                const int found = straight_parts(warp, g).run() - 1;
+                if (warp.lane == 0) before[g] = found;
+            }
+        }
+        team.sync();
+        if (warp.index == 0) warp.exclusive_sum(before, groups);
+        team.sync();
+        const auto name_at = [&](int g) {
+            return groups + before[g] < MAX_LABELS ? groups + before[g] : (int)MAX_LABELS;
+        };
+        if (team.rank == 0) counts[PARTS] = name_at(groups);
+        for (int g = warp.index; g < groups; g += warp.count) {
+            const int next = name_at(g), found = name_at(g + 1) - next;
+            if (warp.lane == 0) parts[g] = found;
+            if (!found) continue;
+            const int *begin = straight_parts(warp, g).parts, end = last.column_high[g];
+            int part = 0;
+            for (int c = last.column_low[g] + warp.lane; c <= end; c += warp.size) {
+                while (part < found && line_column[start[g] + begin[part + 1]] <= c) ++part;
+                part_of[g * columns + c] = part ? next + part - 1 : g;
+            }
+        }
+        team.sync();
+        if (counts[PARTS] == groups) return;
+        name(team);
+        measure(team, last, counts[PARTS]);
+    }
+
+    // From the whole surface of each listed cell to the part of an obstacle. Ends in a sync.
+    void name(const Team& team) const {
+        for (int i = team.rank; i < *listed.count; i += team.size) {
+            const int g = number[listed.label[i]];
+            listed.label[i] = parts[g] ? part_of[g * columns + listed.cell[i] % columns] : g;
+        }
+        team.sync();
+    }
+
+    StraightParts straight_parts(const Warp& warp, int g) const {
+        const int begin = start[g];
+        return {warp, line_x + begin, line_y + begin, start[g + 1] - begin, settings[BEND],
+                settings[SIDE], settings[SIDE], stack + begin + g, packed + begin + g};
+    }
+
+    // Obstacles by distance; what is too small or too far is none.
+    void order(const Team& team) const {
+        const int count = counts[PARTS], wholes = counts[WHOLE];
+        // Where nothing is split and no width matters, cells still have their surface.
+        bool named = count > counts[GROUPS];
+        if (team.any(width_decides(team, last, count)) && !named) {
+            name(team);
+            named = true;
+        }
+        if (named) measure_width(team, last, count);
+        for (int l = team.rank; l < count; l += team.size) {
+            small[l] = !(is_large(last, l) && last.cells[l] >= settings[MIN_CELLS] &&
+                         last.nearest[l] <= settings[FARTHEST]);
+        }
+        team.sync();
+        for (int l = team.rank; l < count; l += team.size) {
+            int before = 0;
+            for (int other = 0; other < count; ++other) {
+                before += !small[other] && is_before(other, l);
+            }
+            spare[l] = small[l] ? -1 : before;
+            if (!small[l]) team.atomic_add(total, 1);
+        }
+        team.sync();
+        for (int l = team.rank; l < wholes; l += team.size) group[l] = spare[number[l]];
+        team.sync();
+        const int* to = named ? spare : group;
+        for (int i = team.rank; i < *listed.count; i += team.size)
+            label[listed.cell[i]] = to[listed.label[i]];
+        team.sync();
+    }
+
+    bool is_before(int one, int other) const {
+        const int z_one = last.nearest[one], z_other = last.nearest[other];
+        if (z_one != z_other) return z_one < z_other;
+        const int x_one = last.leftmost[one], x_other = last.leftmost[other];
+        if (x_one != x_other) return x_one < x_other;
+        return last.first[one] < last.first[other];
+    }
+};
+
+} }  // namespace jaxdet

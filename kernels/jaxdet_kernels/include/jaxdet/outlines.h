@@ -1,0 +1,242 @@
+// The outline of each obstacle on the floor: its contour, and the rectangle that fits it. Twin of
+// jaxdet/reference/_outlines.py.
+#pragma once
+#include "arena.h"
+#include "measures.h"
+#include "obstacle_cells.h"
+#include "ranks.h"
+
+namespace jaxdet { namespace {
+
+struct Outlines {
+    // Cells passed over before A, B and C; how much nearer a vertex is than A and B; longer rectangles
+    // pass over a part of their cells at their long sides.
+    enum { TRIM, VERTEX, LONG, SETTINGS };
+    enum {
+        DIRECTIONS = 90,
+        DIRECTION_BITS = 9,
+        LONG_TRIM = 20,
+        // Cells of a frame are counted in so many bits.
+        CELL_BITS = 20,
+        // Larger than any sum of distances to edges, without its fraction.
+        NO_EDGE = 1 << 30
+    };
+
+    const ObstacleCells& cells;
+    const Warp& warp;
+    const Measures& measures;
+    int slots, longest;
+    const int* directions;  // (DIRECTIONS, 2)
+    // By slot; a contour has room for a point in each column.
+    int *contour_out, *points_out, *direction_out, *span_out;
+    // By obstacle and column: the nearest cell's squared distance, then its number.
+    unsigned long long* nearest;
+    // By obstacle and direction: what is compared.
+    long long* area;
+    int* cost;
+    // By obstacle: points of the contour in the margins to the left and to the right.
+    int* margins;
+    // By place in the order of the cells: along or across the direction.
+    int* projected;
+
+    // Takes the arrays from scratch memory; those of `grid`, which `cells` is, after them.
+    void allocate(Arena& arena, ObstacleCells& grid) {
+        nearest = arena.longs((size_t)slots * cells.columns);
+        area = (long long*)arena.longs(slots * DIRECTIONS);
+        cost = arena.words(slots * DIRECTIONS);
+        margins = arena.words(2 * slots);
+        projected = arena.words(cells.cells);
+        grid.allocate(arena, slots);
+    }
+
+    // All of it, `measures` included.
+    void run() const {
+        const Team& team = cells.team;
+        clear();
+        measures.clear(slots);
+        cells.clear();
+        team.sync();
+        cells.listed.take(team, cells.cells, cells.label, cells.count, cells.right, cells.forward);
+        look();
+        team.sync();
+        if (warp.index == 0) cells.order(warp);
+        for (int number = warp.index; number < cells.count; number += warp.count)
+            put_contour(number);
+        team.sync();
+        cells.sort();
+        compare_directions();
+        team.sync();
+        // The rectangle of an obstacle is one piece of work, and so is each of its measures.
+        enum { PIECES = Measures::KINDS + 1 };
+        for (int piece = warp.index; piece < PIECES * cells.count; piece += warp.count) {
+            const int number = piece / PIECES, kind = piece % PIECES;
+            if (kind == Measures::KINDS)
+                put_rectangle(number);
+            else
+                measures.measure(number, kind);
+        }
+        team.sync();
+        measures.find_vertices();
+        team.sync();
+    }
+
+    void clear() const {
+        const Team& team = cells.team;
+        const int used = cells.count * cells.columns, points = slots * cells.columns;
+        const unsigned long long none = ~0ull;
+        unsigned long long* const pairs = (unsigned long long*)contour_out;
+        for (int i = team.rank; i < used; i += team.size) nearest[i] = none;
+        for (int i = team.rank; i < points; i += team.size) pairs[i] = 0;
+        for (int i = team.rank; i < slots; i += team.size) points_out[i] = 0;
+        for (int i = team.rank; i < 2 * slots; i += team.size) direction_out[i] = 0;
+        for (int i = team.rank; i < 4 * slots; i += team.size) span_out[i] = 0;
+    }
+
+    // Counts the cells of each obstacle's parts and finds the nearest in each column.
+    void look() const {
+        const Team& team = cells.team;
+        const CellList& listed = cells.listed;
+        for (int i = team.rank; i < *listed.count; i += team.size) {
+            const int k = listed.cell[i], column = k % cells.columns, number = listed.label[i];
+            const int place = cells.place(number, column);
+            listed.label[i] = place;
+            team.atomic_count(cells.filled + place);
+            team.atomic_min(nearest + number * cells.columns + column,
+                       key(k, listed.right[i], listed.forward[i]));
+        }
+    }
+
+    // What the cells of a column are compared by: the squared distance, then the number.
+    unsigned long long key(int k, long long x, long long y) const {
+        return (unsigned long long)(x * x + y * y) << CELL_BITS | (unsigned)k;
+    }
+
+    // The nearest cells of an obstacle from left to right, and how many lie in either margin.
+    void put_contour(int number) const {
+        const unsigned long long* own = nearest + number * cells.columns;
+        int* out = contour_out + 2 * number * cells.columns;
+        int points = 0, sides[2] = {0, 0}, found;
+        for (int first = 0; first < cells.columns; first += warp.size, points += found) {
+            const int c = first + warp.lane;
+            const unsigned long long key = c < cells.columns ? own[c] : ~0ull;
+            const int at = points + warp.ballot_rank(key != ~0ull, &found);
+            if (key == ~0ull) continue;
+            const int k = (int)(key & ((1 << CELL_BITS) - 1));
+            out[2 * at] = cells.right[k];
+            out[2 * at + 1] = cells.forward[k];
+            if (cells.margins.has(c)) ++sides[2 * c >= cells.columns];
+        }
+        for (int side = 0; side < 2; ++side) sides[side] = warp.sum(sides[side]);
+        if (warp.lane) return;
+        points_out[number] = points;
+        for (int side = 0; side < 2; ++side) margins[2 * number + side] = sides[side];
+    }
+
+    // How well each direction fits each contour, without its points in the margins unless more
+    // than half of them are there.
+    void compare_directions() const {
+        const Team& team = cells.team;
+        for (int i = team.rank; i < cells.count * DIRECTIONS; i += team.size) {
+            const int number = i / DIRECTIONS, points = points_out[number];
+            const int left = margins[2 * number], right = margins[2 * number + 1];
+            const bool every = 2 * (left + right) > points;
+            const int* line = contour_out + 2 * (number * cells.columns + (every ? 0 : left));
+            compare(i, line, every ? points : points - left - right, directions + 2 * (i % DIRECTIONS));
+        }
+    }
+
+    // The sum of the distances from `n` points to the nearer of the edges that face the camera.
+    void compare(int i, const int* line, int n, const int* direction) const {
+        const int dx = direction[0], dy = direction[1];
+        Extremes along, across;
+        for (int j = 0; j < n; ++j) {
+            const int x = line[2 * j], y = line[2 * j + 1];
+            along.add(dx * x + dy * y);
+            across.add(dx * y - dy * x);
+        }
+        if (n == 0) along = across = {0, 0};
+        const int low = along.low, high = along.high, first = across.low, last = across.high;
+        const int wide = high - low, deep = last - first;
+        area[i] = (long long)(wide >> DIRECTION_BITS) * (deep >> DIRECTION_BITS);
+        // Distances are `turn * place + shift`.
+        const int turn = low > 0 ? 1 : high < 0 ? -1 : 0, other = first > 0 ? 1 : last < 0 ? -1 : 0;
+        const int shift = low > 0 ? -low : high, away = first > 0 ? -first : last;
+        const int ax = turn * dx, ay = turn * dy, bx = -other * dy, by = other * dx;
+        auto sum = [&](auto distance) {
+            long long total = 0;
+            for (int j = 0; j < n; ++j) total += distance(line[2 * j], line[2 * j + 1]);
+            return (int)(total >> DIRECTION_BITS);
+        };
+        auto to_side = [&](int x, int y) { return ax * x + ay * y + shift; };
+        auto to_front = [&](int x, int y) { return bx * x + by * y + away; };
+        auto to_nearer = [&](int x, int y) {
+            const int one = to_side(x, y), two = to_front(x, y);
+            return one < two ? one : two;
+        };
+        cost[i] = turn && other ? sum(to_nearer)
+                  : turn        ? sum(to_side)
+                  : other       ? sum(to_front)
+                                : NO_EDGE;
+    }
+
+    // The best direction of an obstacle and the extremes of its cells along and across.
+    void put_rectangle(int number) const {
+        const ObstacleCells::Range every = cells.all(number), relied = cells.relied(number);
+        if (every.size() == 0) return;
+        const int* direction = directions + 2 * best_direction(number);
+        const int dx = direction[0], dy = direction[1];
+        int span[4];
+        extremes(every, dx, dy, span);
+        extremes(every, -dy, dx, span + 2);
+        const int along = (span[1] - span[0]) >> DIRECTION_BITS;
+        const int across = (span[3] - span[2]) >> DIRECTION_BITS;
+        const bool turned = across < along;
+        const int ax = turned ? -dy : dx, ay = turned ? dx : dy;
+        int* side = span + 2 * turned;
+        extremes(relied, ax, ay, side);
+        if ((turned ? along : across) > longest) trim(relied, ax, ay, side);
+        if (warp.lane) return;
+        for (int j = 0; j < 2; ++j) direction_out[2 * number + j] = direction[j];
+        for (int j = 0; j < 4; ++j) span_out[4 * number + j] = span[j];
+    }
+
+    int best_direction(int number) const {
+        const int first = number * DIRECTIONS;
+        int best = first + warp.lane;
+        for (int i = best + warp.size; i < first + DIRECTIONS; i += warp.size)
+            if (fits_better(i, best)) best = i;
+#if defined(__CUDA_ARCH__)
+        for (int away = Warp::size / 2; away; away /= 2) {
+            const int other = __shfl_xor_sync(0xffffffff, best, away);
+            if (fits_better(other, best)) best = other;
+        }
+#endif
+        return best - first;
+    }
+
+    // Of equal directions the first is better.
+    bool fits_better(int one, int other) const {
+        if (cost[one] != cost[other]) return cost[one] < cost[other];
+        return area[one] != area[other] ? area[one] < area[other] : one < other;
+    }
+
+    void extremes(ObstacleCells::Range range, int ax, int ay, int* found) const {
+        Extremes all;
+        for (int i = range.first + warp.lane; i < range.end; i += warp.size)
+            all.add(ax * cells.right_of[i] + ay * cells.forward_of[i]);
+        measures.put(all, found, found + 1);
+    }
+
+    // Passes over one of LONG_TRIM cells at each end.
+    void trim(ObstacleCells::Range range, int ax, int ay, int* side) const {
+        const Ranks ranks(warp);
+        const int passed = range.size() / LONG_TRIM, first = range.first, end = range.end;
+        for (int i = first + warp.lane; i < end; i += warp.size)
+            projected[i] = ax * cells.right_of[i] + ay * cells.forward_of[i];
+        const int low = side[0], high = side[1];
+        side[0] = ranks.at(projected, 0, first, end, passed, low, high);
+        side[1] = ~ranks.at(projected, -1, first, end, passed, ~high, ~low);
+    }
+};
+
+} }  // namespace jaxdet

@@ -1,0 +1,32 @@
+// Images of bits: rows of 32-bit words, bit i of word w being column 32 w + i. Rows have an even
+// number of words, so that they can be read as 64-bit words; bits beyond the image are 0.
+#pragma once
+#include "team.h"
+
+namespace jaxdet { namespace {
+
+struct PixelBits {
+    // Words of a row of so many columns.
+    static int words(int width) { return (width + 63) / 64 * 2; }
+
+    // The bits of word `w` that are columns `from` .. `to`; the word has some of them.
+    static unsigned part(int w, int from, int to) {
+        unsigned in = 0xffffffffu;
+        if (w == from >> 5) in &= 0xffffffffu << (from & 31);
+        if (w == to >> 5) in &= 0xffffffffu >> (31 - (to & 31));
+        return in;
+    }
+
+    // Eight bytes, each 0 or 1, as bits: the product moves all of them into the highest byte.
+    static unsigned packed(unsigned long long bytes) {
+        return (unsigned)(bytes * 0x0102040810204080ull >> 56);
+    }
+
+    // An index mirrored at the first and last of `n` rows or columns, which are not repeated.
+    static int mirrored(int i, int n) {
+        i = i < 0 ? -i : i;
+        return i < n ? i : 2 * n - 2 - i;
+    }
+};
+
+} }  // namespace jaxdet

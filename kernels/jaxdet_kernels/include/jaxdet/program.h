@@ -1,0 +1,204 @@
+// The method on the frames of a batch: from a depth image to the record of what is found in it.
+#pragma once
+#include "cells.h"
+#include "floor.h"
+#include "found_frame.h"
+#include "frames.h"
+#include "free_floor.h"
+#include "obstacles.h"
+#include "outlines.h"
+#include "surfaces.h"
+
+#if defined(__CUDA_ARCH__)
+#define JAXDET_STEP __forceinline__
+#else
+#define JAXDET_STEP __attribute__((noinline))  // each on its own compiles faster
+#endif
+
+namespace jaxdet { namespace {
+
+// Reads where the arrays of a buffer begin, one after the other.
+struct Header {
+    const int* at;
+
+    template <class... Sizes> void sizes(Sizes&... all) { ((all = Team::input(at++)), ...); }
+    template <class Base, class... Arrays> void places(Base* base, Arrays*&... all) {
+        ((all = (Arrays*)(base + Team::input(at++))), ...);
+    }
+};
+
+// A frame: its arrays by name. The order in which the constructor reads the header is that of
+// jaxdet/stages/_program.py.
+struct Frame {
+    const unsigned short* depth;  // (height, width)
+    const int* floors;            // Floor::PRIOR values, then FloorFrame::VALUES
+    int* contour;                 // (slots, columns, 2)
+
+    int height, width, side, rows, columns, slots, trees, leaves, aligned;
+    int work_words, own_words;  // of a frame: what steps hand on, and scratch memory
+    // Tables.
+    const int *near, *rays, *floor_settings, *sines, *steps, *limits, *rises, *surface_settings;
+    const int *feature, *threshold, *value, *obstacle_settings;
+    const float *corner_x, *corner_y, *parameters;
+    const int *last, *bands, *directions, *outline_settings, *bows, *drops, *free_settings;
+    // What steps hand on: of each cell, but for `frame`.
+    int *x, *y, *z, *frame, *right, *forward, *above, *surface;
+    unsigned char *keep, *free, *low;
+    int* label;
+    // The record.
+    int *floor, *num_surfaces, *has_depth, *num_obstacles;
+    int *num_points, *uv_min, *uv_max, *xyz_min, *xyz_max, *xyz_sum, *a, *b, *c, *has_vertex;
+    int *direction, *span, *contour_points, *bottom_top, *free_line, *free_end;
+
+    Frame(const int* tables, const unsigned short* depth, const int* floors, int* record,
+          int* contour, int* work)
+        : depth(depth), floors(floors), contour(contour) {
+        Header header{tables};
+        header.sizes(height, width, side, rows, columns, slots, trees, leaves, aligned, work_words,
+                     own_words);
+        header.places(tables, near, rays, floor_settings, sines, steps, limits, rises,
+                      surface_settings, feature, threshold, value, obstacle_settings, corner_x,
+                      corner_y, parameters, last, bands, directions, outline_settings, bows, drops,
+                      free_settings);
+        header.places(work, x, y, z, frame, right, forward, above, surface, keep, free, low, label);
+        header.places(record, floor, num_surfaces, has_depth, num_obstacles, num_points, uv_min,
+                      uv_max, xyz_min, xyz_max, xyz_sum, a, b, c, has_vertex, direction, span,
+                      contour_points, bottom_top, free_line, free_end);
+    }
+
+    JAXDET_STEP void find_cells(const Team& team, int*) const {
+        CellGrid{depth, width, rows, columns, side, near, rays, x, y, z}.run(team);
+    }
+
+    Floor floor_near(const int* prior, const Team& team, Arena& arena, int* fast) const {
+        return {team, floor_settings, sines, prior, rows, columns, arena, fast};
+    }
+    JAXDET_STEP void find_floor(const Team& team, int* scratch) const {
+#if defined(__CUDA_ARCH__)
+        __shared__ __align__(16) int fast[Floor::SHARED];
+#else
+        int* const fast = nullptr;
+#endif
+        Arena arena{scratch};
+        floor_near(floors, team, arena, fast).run(x, y, z, rows, columns, floor);
+    }
+
+    JAXDET_STEP void find_frame(const Team& team, int*) const {
+        if (team.rank == 0) FoundFrame{{sines}}.run(floor, floors + Floor::PRIOR, frame);
+        team.sync();
+    }
+
+    JAXDET_STEP void find_surfaces(const Team& team, int* scratch) const {
+        Surfaces{rows, columns, x, y, z, frame, steps, limits, rises, surface_settings, right,
+                 forward, above, surface, keep, free, low, num_surfaces, has_depth, scratch}
+            .run(team);
+    }
+
+    Obstacles obstacles(int* fast) const {
+        const Trees every{feature, threshold, value, trees, leaves,
+                          obstacle_settings[Obstacles::OFFSET]};
+        return {fast, rows, columns, surface, x, y, z, right, forward, above, free,
+                obstacle_settings, every, label, num_obstacles};
+    }
+    JAXDET_STEP void find_obstacles(const Team& team, int* scratch) const {
+#if defined(__CUDA_ARCH__)
+        __shared__ __align__(16) int fast[Obstacles::FAST];
+#else
+        int* const fast = nullptr;
+#endif
+        Arena arena{scratch};
+        Obstacles found = obstacles(fast);
+        found.allocate(arena);
+        found.run(team);
+    }
+
+    // Calls `use` with the outlines of so many obstacles, once they have taken their memory.
+    template <class Use>
+    void with_outlines(const Team& team, int number, Arena& arena, Use use) const {
+        const Warp warp(team);
+        ObstacleCells cells{team, rows * columns, columns, number, Margins(columns), label, right,
+                            forward};
+        const CellBoxes boxes{columns, side, corner_x, corner_y, Projection::of(parameters), last,
+                              aligned != 0};
+        const Measures measures{cells, warp, outline_settings[Outlines::TRIM],
+                                outline_settings[Outlines::VERTEX], bands, {x, y, z}, above, boxes,
+                                num_points, uv_min, uv_max, xyz_min, xyz_max, xyz_sum, a, b, c,
+                                bottom_top, has_vertex};
+        Outlines outlines{cells, warp, measures, slots, outline_settings[Outlines::LONG],
+                          directions, contour, contour_points, direction, span};
+        outlines.allocate(arena, cells);
+        use(outlines);
+    }
+    JAXDET_STEP void find_outlines(const Team& team, int* scratch) const {
+        Arena arena{scratch};
+        const int number = *num_obstacles < slots ? *num_obstacles : slots;
+        with_outlines(team, number, arena, [](const Outlines& outlines) { outlines.run(); });
+    }
+
+    JAXDET_STEP void find_free_floor(const Team& team, int* scratch) const {
+        FreeFloor{team, rows, columns, free_settings[FreeFloor::FAR], free_settings[FreeFloor::GAP],
+                  label, z, right, forward, above, (const bool*)low, bows, drops, free_line,
+                  free_end, scratch, false}
+            .run(FloorFrame(frame));
+    }
+
+    // The most words of scratch memory that a step takes; also for CUDA, where it is less.
+    size_t scratch_words(const Team& team) const {
+        enum { FLOOR, SURFACES, OBSTACLES, OUTLINES, FREE_FLOOR, ALL };
+        Arena of[ALL];
+        for (Arena& arena : of) arena = Arena::counting();
+        const int prior[Floor::PRIOR] = {};
+        floor_near(prior, team, of[FLOOR], nullptr);
+        Surfaces::Parts(rows, columns, of[SURFACES]);
+        obstacles(nullptr).allocate(of[OBSTACLES]);
+        with_outlines(team, 0, of[OUTLINES], [](const Outlines&) {});
+        of[FREE_FLOOR].words(columns);
+        size_t most = 0;
+        for (const Arena& arena : of) most = arena.used > most ? arena.used : most;
+        return most;
+    }
+};
+
+// A batch: rows of words, one row for each frame.
+struct Batch {
+    const unsigned short* depth;
+    const int *floors, *tables;
+    int *record, *contour, *work;
+    int frames, pixels, record_words, contour_words, work_words;
+
+    enum { FLOOR_WORDS = Floor::PRIOR + FloorFrame::VALUES };
+
+    Frame frame(size_t b, int* own_work) const {
+        return {tables, depth + b * pixels, floors + b * FLOOR_WORDS, record + b * record_words,
+                contour + b * contour_words, own_work};
+    }
+
+    // On CUDA: calls `step` with each frame of a team.
+    template <class Step>
+    void by_teams(int tid, int teams, int* scratch, size_t words, Step step) const {
+        const Team team(tid, 0);
+        int* const own = scratch + team.index * words;
+        for (int b = team.index; b < frames; b += teams)
+            step(frame(b, work + (size_t)b * work_words), team, own);
+    }
+
+#if !defined(__CUDA_ARCH__)
+    // On the CPU, in a thread: takes frames and does the steps from `first` to `last`. What they hand
+    // on is in `work` where that has a row for each frame, else in `own`, before the scratch memory.
+    void by_threads(int* next, int first, int last, int* own) const {
+        const Team team(0, 0);
+        typedef void (Frame::*Step)(const Team&, int*) const;
+        const Step steps[] = {&Frame::find_cells, &Frame::find_floor, &Frame::find_frame,
+                              &Frame::find_surfaces, &Frame::find_obstacles,
+                              &Frame::find_outlines, &Frame::find_free_floor};
+        each_frame(next, frames, [&](size_t b) {
+            const bool kept = work_words > 1;
+            const Frame one = frame(b, kept ? work + b * work_words : own);
+            for (int k = first; k <= last; ++k)
+                (one.*steps[k])(team, kept ? own : own + one.work_words);
+        });
+    }
+#endif
+};
+
+} }  // namespace jaxdet

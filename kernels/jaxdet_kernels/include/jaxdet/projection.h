@@ -1,0 +1,101 @@
+// Projection of points on depth rays into the colour image (Eq. 1-4), as librealsense computes it.
+// Twin of `project_corners` in jaxdet/reference/_align.py and of jaxdet/reference/_lens.py, operation
+// by operation: compile without fused multiply-add, so that every operation is rounded on its own.
+#pragma once
+#include "square_root.h"
+
+namespace jaxdet { namespace {
+
+struct Projection {
+    enum { PINHOLE, PLUMB_BOB, RATIONAL, EQUIDISTANT, PARAMETERS = 26 };
+    // Rotation 0-8, translation 9-11, fx fy cx cy 12-15, lens 16-23, largest squared slope 24,
+    // metres in a depth unit 25.
+    const float* p;
+    int model;
+
+    // Behind the parameters is the lens.
+    static Projection of(const float* parameters) {
+        return {parameters, static_cast<int>(parameters[PARAMETERS])};
+    }
+
+    struct Point {
+        int u, v, z;
+        bool seen;
+    };
+
+    // Cephes `atan` for x >= 0 from the four operations alone, without a branch.
+    __attribute__((always_inline)) static double arctangent(double x) {
+        const bool large = x > 2.414213562373095, middle = !large & (x > 0.66);
+        const double offset = large ? 1.5707963267948966 : middle ? 0.7853981633974483 : 0.0;
+        const double over = large ? -1.0 : middle ? x - 1.0 : x;
+        const double t = over / (large ? x : middle ? x + 1.0 : 1.0);
+        const double z = t * t;
+        double above = -8.750608600031904122785e-1;
+        above = above * z + -1.615753718733365076637e1;
+        above = above * z + -7.500855792314704667340e1;
+        above = above * z + -1.228866684490136173410e2;
+        above = above * z + -6.485021904942025371773e1;
+        double below = z + 2.485846490142306297962e1;
+        below = below * z + 1.650270098316988542046e2;
+        below = below * z + 4.328810604912902668951e2;
+        below = below * z + 4.853903996359136964868e2;
+        below = below * z + 1.945506571482613964425e2;
+        return offset + (t * (z * above / below) + t);
+    }
+
+    // Kannala-Brandt, in float64.
+    __attribute__((always_inline)) void equidistant(float& x, float& y) const {
+        const double wx = x, wy = y, r = SquareRoot::rounded(wx * wx + wy * wy);
+        const double theta = arctangent(r), t2 = theta * theta;
+        double series = (double)p[18] + t2 * (double)p[19];
+        series = 1.0 + t2 * ((double)p[16] + t2 * ((double)p[17] + t2 * series));
+        const double scale = r > 1.0e-9 ? (theta * series) / r : 1.0;
+        x = (float)(wx * scale);
+        y = (float)(wy * scale);
+    }
+
+    // OpenCV's radial and tangential model.
+    __attribute__((always_inline)) void brown_conrady(float& x, float& y, float r2) const {
+        float radial = 1.0f + r2 * (p[16] + r2 * (p[17] + r2 * p[20]));
+        if (model == RATIONAL)
+            radial = radial / (1.0f + r2 * (p[21] + r2 * (p[22] + r2 * p[23])));
+        const float xy = 2.0f * (x * y);
+        const float dx = x * radial + (p[18] * xy + p[19] * (r2 + 2.0f * (x * x)));
+        const float dy = y * radial + (p[19] * xy + p[18] * (r2 + 2.0f * (y * y)));
+        x = dx;
+        y = dy;
+    }
+
+    // The pixel of the point at `units` on the ray (x, y) of the depth camera; `bends` where the
+    // lens does. There is no branch but for the model, and functions are inlined, so that loops
+    // over points become vector instructions; a struct that is returned would be packed into words.
+    // Points that are not seen go the same way.
+    __attribute__((always_inline)) void through(
+        int units, float x, float y, bool bends, Point* at) const {
+        const float depth = (float)units * p[25];
+        const float px = depth * x, py = depth * y;
+        const float cx = p[0] * px + (p[1] * py + (p[2] * depth + p[9]));
+        const float cy = p[3] * px + (p[4] * py + (p[5] * depth + p[10]));
+        const float cz = p[6] * px + (p[7] * py + (p[8] * depth + p[11]));
+        const bool ahead = cz > 0.0f;
+        const float over = ahead ? cz : 1.0f;
+        float bx = cx / over, by = cy / over;
+        const float r2 = bx * bx + by * by;
+        bool seen = ahead & (r2 <= p[24]);
+        if (bends && model == EQUIDISTANT) {
+            equidistant(bx, by);
+        } else if (bends) {
+            brown_conrady(bx, by, r2);
+        }
+        const float column = bx * p[12] + p[14] + 0.5f, row = by * p[13] + p[15] + 0.5f;
+        const float limit = 1048576.0f;
+        seen = seen & (column < limit) & (column > -limit) & (row < limit) & (row > -limit);
+        const float z = over / p[25] + 0.5f;
+        at->u = (int)(seen ? column : 0.0f);
+        at->v = (int)(seen ? row : 0.0f);
+        at->z = (int)(z < 65534.0f ? z : 65534.0f);
+        at->seen = seen;
+    }
+};
+
+} }  // namespace jaxdet

@@ -1,0 +1,569 @@
+// The cells of a frame on the floor, and the surfaces that they make.
+// Twin of `_surfaces` in jaxdet/reference/_detect.py and of jaxdet/reference/_surfaces.py.
+#pragma once
+#include "arena.h"
+#include "bits.h"
+#include "creases.h"
+#include "floor_frame.h"
+#include "grid.h"
+#include "margins.h"
+#include "warp.h"
+#include "runs.h"
+#include "team.h"
+
+namespace jaxdet { namespace {
+
+struct Surfaces {
+    enum {
+        MOST = 512,  // labels from here on become -1
+        UNSEEN = 0x7fffffff,
+        AHEAD = 4,  // on CUDA loads of so many cells wait together
+        FEW = 2,    // where there are more of each cell
+    };
+    // Where each setting is: depths up to which surfaces are followed; the height up to which those
+    // without a steep side are floor; how much noise of depth lifts floor, by its depth and by the
+    // camera's height, with NOISE_BITS fraction bits; the height from which things are passed below; and
+    // the end of the depth range.
+    enum {
+        NEAREST, FARTHEST, CREASE_CELLS, MIN_CELLS, CREASE_MARGIN, BENT, NOISE, HIGHEST, IN_RANGE,
+        SETTINGS
+    };
+    enum { NOISE_BITS = 34, SLOPE_BITS = 14, STEEPEST_NOISE = 32767 };
+    int rows, columns;
+    const int *x, *y, *z;  // (R, C): the frame's cells, z = 0: none
+    const int* floor;
+    // By depth: steps of a surface, at most 2^16; limits of bends, at most 2^17; heights that are
+    // floor.
+    const int *steps, *limits, *rises;
+    const int* settings;
+    int *right, *forward, *height, *label_out;  // (R, C)
+    unsigned char *keep, *free, *low;           // (R, C)
+    int* count_out;
+    int* has_depth_out;  // whether some depth is in range
+    int* scratch;
+
+    // A team's scratch memory.
+    struct Parts {
+        Grid grid;
+        // (grid) each: smoothed depths; on the CPU what more there is of single cells.
+        int *depth, *other, *step;
+        // By run; of surfaces, by the run that is their root: the cells, the first one, the top, and
+        // 2 for each of its lowest cells that have floor below them, less 3 for each steep one.
+        int *parent, *label, *sizes, *first, *top, *level;
+        // Planes of bits, how many runs begin before each word of one, and room for sets; in
+        // shared memory if they fit.
+        BitRows kept, on, starts, up;
+        int *before, *near;
+        int most_near;
+
+        Parts(int rows, int columns, Arena& arena)
+            : grid(rows, columns), kept(rows, columns, nullptr), on(kept), starts(kept), up(kept) {
+            const int cells = rows * columns;
+            int** const planes[] = {&depth, &other, &step};
+            for (int** plane : planes) *plane = arena.words(grid.size);
+            int** const arrays[] = {&parent, &label, &sizes, &first, &top, &level};
+            for (int** array : arrays) *array = arena.words(cells);
+            before = arena.words(5 * kept.count() + 1);
+            near = parent;
+            most_near = 0;
+            const int count = kept.count();
+#if defined(__CUDA_ARCH__)
+            enum { SHARED = 8192 };
+            __shared__ int shared[SHARED];
+            if (5 * count < SHARED) {
+                before = shared;
+                near = before + 5 * count + 1;
+                most_near = SHARED - 5 * count - 1;
+            }
+#endif
+            kept.bits = (unsigned*)(before + count + 1);
+            on.bits = kept.bits + count;
+            starts.bits = on.bits + count;
+            up.bits = starts.bits + count;
+        }
+    };
+
+    // What is known of a cell at (a, b, d); whether it is kept. What is no higher than `rise` is floor.
+    __attribute__((always_inline)) bool place(
+        const FloorFrame& frame, int k, int a, int b, int d, int rise
+    ) const {
+        const int ahead = frame.forward(a, b, d);
+        int high = frame.level(a, b, d);
+        if (frame.has_ramp()) high -= frame.rise(ahead);
+        const bool above = high > rise;
+        const bool below = (high <= settings[HIGHEST]) | !frame.valid;
+        const bool on = (d >= settings[NEAREST]) & (d <= settings[FARTHEST]) & above & below;
+        right[k] = frame.right(a, b, d);
+        forward[k] = ahead;
+        height[k] = high;
+        keep[k] = on;
+        free[k] = (d >= settings[NEAREST]) & !on;
+        low[k] = (d > 0) & !above;
+        return on;
+    }
+
+    // How fast the height that noise gives to floor grows with depth, with SLOPE_BITS.
+    int noise(const FloorFrame& frame) const {
+        const long long high = frame.height > 0 ? frame.height : 0;
+        const long long slope = high * settings[NOISE] >> (NOISE_BITS - SLOPE_BITS);
+        return slope < STEEPEST_NOISE ? (int)slope : (int)STEEPEST_NOISE;
+    }
+
+    static int higher(int a, int b) { return a > b ? a : b; }
+
+    bool in_range(int d) const { return (d >= settings[NEAREST]) & (d <= settings[IN_RANGE]); }
+
+    // Places single cells on the floor; returns whether one of this thread's is in range.
+    bool start(const Team& team, const Parts& in) const {
+        int some = 0;
+        const FloorFrame frame(floor);
+        const int slope = noise(frame);
+        in.grid.frame(team, in.depth, Creases::NONE);
+#if defined(__CUDA_ARCH__)
+        const Warp warp(team);
+        const int words = in.kept.words, all = rows * words;
+        in.kept.clear_padding(team);
+        for (int first = warp.index * AHEAD; first < all; first += warp.count * AHEAD) {
+            int at[AHEAD], a[AHEAD], b[AHEAD], d[AHEAD], rise[AHEAD];
+            for (int k = 0; k < AHEAD; ++k) {
+                const int i = first + k, c = i % words * BitRows::WIDTH + warp.lane;
+                at[k] = i < all && c < columns ? i / words * columns + c : -1;
+                const int there = at[k] < 0 ? 0 : at[k];
+                a[k] = x[there], b[k] = y[there], d[k] = z[there];
+            }
+            for (int k = 0; k < AHEAD; ++k) rise[k] = higher(rises[d[k]], d[k] * slope >> SLOPE_BITS);
+            for (int k = 0; k < AHEAD; ++k) {
+                const bool on = at[k] >= 0 && place(frame, at[k], a[k], b[k], d[k], rise[k]);
+                some |= (at[k] >= 0) & in_range(d[k]);
+                const unsigned those = warp.ballot(on);
+                const int i = first + k;
+                if (warp.lane == 0 && i < all) in.kept[in.kept.at(i / words, i % words)] = those;
+            }
+        }
+        team.sync();
+#else
+        in.grid.frame(team, in.other, Creases::NONE);
+        for (int r = 0; r < rows; ++r) {
+            const int first = r * columns;
+            int* const depth = in.depth + in.grid.row(r);
+#if defined(__clang__)
+#pragma clang loop vectorize(assume_safety)
+#endif
+            for (int c = 0; c < columns; ++c) {
+                const int k = first + c, d = z[k];
+                place(frame, k, x[k], y[k], d, higher(rises[d], d * slope >> SLOPE_BITS));
+                depth[c] = d > 0 ? d << Creases::BITS : (int)Creases::NONE;
+                some |= in_range(d);
+            }
+            for (int i = in.kept.at(r, 0); i < in.kept.at(r + 1, 0); ++i) {
+                const int c = in.kept.column(i);
+                in.kept[i] = BitRows::packed(keep + first + c, 0, columns - c);
+            }
+        }
+#endif
+        return some;
+    }
+
+    static bool is_near(int z_one, int z_other, int step_one, int step_other) {
+        return Creases::apart(z_one, z_other) <= (step_one < step_other ? step_one : step_other);
+    }
+
+    // Where runs of linked cells start, and which cells are linked with the one above.
+#if defined(__CUDA_ARCH__)
+    void find_links(const Team& team, const BitRows& on, const BitRows& starts, const BitRows& up,
+                    const Parts&) const {
+        // A lane looks whether a word has cells; then all lanes see FEW such words at a time.
+        const Warp warp(team);
+        for (int first = warp.index * Warp::size; first < on.count();
+             first += warp.count * Warp::size) {
+            const int own = first + warp.lane;
+            unsigned goes_on = 0, linked = 0;
+            for (unsigned rest = warp.ballot(own < on.count() && on[own]); rest;) {
+                int word[FEW], here[FEW], before[FEW], above[FEW];
+                for (int k = 0; k < FEW; ++k, rest &= rest - 1) {
+                    word[k] = rest ? first + BitRows::lowest(rest) : -1;
+                    const int c = on.column(word[k]) + warp.lane;
+                    const bool there = word[k] >= 0 && c < columns;
+                    const int at = there ? on.row(word[k]) * columns + c : 0;
+                    here[k] = z[at];
+                    before[k] = z[at > 0 ? at - 1 : 0];
+                    above[k] = z[at < columns ? 0 : at - columns];
+                }
+                int step[FEW], step_before[FEW], step_above[FEW];
+                for (int k = 0; k < FEW; ++k) {
+                    step[k] = steps[here[k]];
+                    step_before[k] = steps[before[k]];
+                    step_above[k] = steps[above[k]];
+                }
+                for (int k = 0; k < FEW; ++k) {
+                    const bool beside = is_near(here[k], before[k], step[k], step_before[k]);
+                    const bool below = is_near(here[k], above[k], step[k], step_above[k]);
+                    const unsigned those_beside = warp.ballot(beside), those = warp.ballot(below);
+                    if (word[k] == own) goes_on = those_beside, linked = those;
+                }
+            }
+            if (own >= on.count()) continue;
+            starts[own] = on[own] & ~(on.before(own) & goes_on);
+            up[own] = on[own] & on.above(own) & linked;
+        }
+        team.sync();
+    }
+#else
+    void find_links(const Team&, const BitRows& on, const BitRows& starts, const BitRows& up,
+                    const Parts& in) const {
+        unsigned char row[Grid::MOST_COLUMNS];
+        for (int r = 0; r < rows; ++r) {
+            const int at = in.grid.row(r), over = r ? r - 1 : 0, at_over = in.grid.row(over);
+            const int *own = z + r * columns, *above = z + over * columns;
+            row[0] = is_near(own[0], above[0], in.step[at], in.step[at_over]) << 1;
+            const int *step = in.step + at, *step_above = in.step + at_over;
+#if defined(__clang__)
+#pragma clang loop vectorize(assume_safety)
+#endif
+            for (int c = 1; c < columns; ++c)
+                row[c] = is_near(own[c], own[c - 1], step[c], step[c - 1]) |
+                         is_near(own[c], above[c], step[c], step_above[c]) << 1;
+            for (int i = on.at(r, 0); i < on.at(r + 1, 0); ++i) {
+                const int c = on.column(i);
+                const unsigned goes_on = BitRows::packed(row + c, 0, columns - c);
+                const unsigned linked = BitRows::packed(row + c, 1, columns - c);
+                starts[i] = on[i] & ~(on.before(i) & goes_on);
+                up[i] = on[i] & on.above(i) & linked;
+            }
+        }
+    }
+#endif
+
+    // Labels of the linked cells: the root of their component, -1 where that is small. Returns how
+    // many runs there are; `has` becomes which cells have a label. Ends in a sync.
+    int label(const Team& team, const Parts& in, Runs& runs, const BitRows& up, const BitRows& has) const {
+        const BitRows &on = runs.on, &starts = runs.starts;
+        const int count = on.count(), words = on.at(1, 0), least = settings[MIN_CELLS];
+        const int all = runs.number(team, in.near, in.most_near);
+        for (int i = words + team.rank; i < count; i += team.size) {
+            const int j = i - words;
+            // Where two runs meet first.
+            unsigned meet = up[i] & ~(up.before(i) & ~starts[i] & ~starts[j]);
+            for (; meet; meet &= meet - 1) {
+                const int k = BitRows::lowest(meet);
+                runs.link(team, i, k, j, k);
+            }
+        }
+        team.sync();
+        runs.measure(team);
+        for (int run = team.rank; run < all; run += team.size) {
+            const int root = runs.sets.find(run);
+            in.label[run] = runs.sizes[root] < least ? -1 : root;
+            in.first[run] = UNSEEN;
+            in.top[run] = -1;
+            in.level[run] = 0;
+        }
+        team.sync();
+#if defined(__CUDA_ARCH__)
+        const Warp warp(team);
+        const int used = on.words, cells = rows * used;
+        for (int first = warp.index; first < cells; first += AHEAD * warp.count) {
+            int own[AHEAD];
+            for (int k = 0; k < AHEAD; ++k) {
+                const int i = first + k * warp.count, j = on.at(i / used, i % used);
+                const bool there = i < cells && on[j] >> warp.lane & 1;
+                own[k] = there ? in.label[runs.at(j, warp.lane)] : -1;
+            }
+            for (int k = 0; k < AHEAD; ++k) {
+                const int i = first + k * warp.count;
+                if (i >= cells) break;
+                const int c = i % used * BitRows::WIDTH + warp.lane;
+                if (c < columns) label_out[i / used * columns + c] = own[k];
+                const unsigned those = warp.ballot(own[k] >= 0);
+                if (warp.lane == 0) has[on.at(i / used, i % used)] = those;
+            }
+        }
+#else
+        for (int i = 0; i < count; ++i) {
+            const int first = on.column(i);
+            const int n = columns - first < BitRows::WIDTH ? columns - first : (int)BitRows::WIDTH;
+            int* out = label_out + on.row(i) * columns + first;
+            for (int c = 0; c < n; ++c) out[c] = -1;
+            unsigned those = 0;
+            for (unsigned rest = on[i]; rest;) {
+                const unsigned part = runs.next(i, &rest);
+                const int begin = BitRows::lowest(part), own = in.label[runs.at(i, begin)];
+                if (own < 0) continue;
+                those |= part;
+                const int end = begin + BitRows::popcount(part);
+                for (int c = begin; c < end; ++c) out[c] = own;
+            }
+            has[i] = those;
+        }
+#endif
+        team.sync();
+        return all;
+    }
+
+    // Region growing, breadth first: kept cells without a label take that of the neighbour nearest
+    // in depth. Labels of a round are looked at in the next: `has` says which are there. Returns
+    // which cells have one in the end; ends in a sync.
+    BitRows grow(const Team& team, const BitRows& kept, BitRows has, BitRows next) const {
+        const Warp warp(team);
+        const int rounds = settings[CREASE_CELLS] + settings[CREASE_MARGIN] + 1;
+        for (int round = 0; round < rounds; ++round) {
+            bool some = false;
+            // A lane looks whether a word has such cells; then all lanes take them, word after word.
+            for (int first = warp.index * Warp::size; first < has.count();
+                 first += warp.count * Warp::size) {
+                const int own = first + warp.lane;
+                const bool open = own < has.count() && (kept[own] & ~has[own]) &&
+                                  Beside(has, own).free(kept, has, own);
+                unsigned taken = 0;
+                for (unsigned rest = warp.ballot(open); rest; rest &= rest - 1) {
+                    const int lane = BitRows::lowest(rest);
+                    const unsigned those = take_all(warp, kept, has, first + lane);
+                    if (warp.lane == lane) taken = those;
+                }
+                if (own < has.count()) next[own] = has[own] | taken;
+                some |= taken != 0;
+            }
+            if (!team.any(some)) break;
+            const BitRows other = has;
+            has = next;
+            next = other;
+        }
+        return has;
+    }
+
+    // Which cells of a word have a neighbour at the left, right, upper and lower side.
+    struct Beside {
+        unsigned left, right, upper, lower;
+
+        Beside(const BitRows& has, int i)
+            : left(has.before(i)), right(has.after(i)), upper(has.above(i)), lower(has.below(i)) {}
+        // Those without a label that may take one.
+        unsigned free(const BitRows& kept, const BitRows& has, int i) const {
+            return kept[i] & ~has[i] & (left | right | upper | lower);
+        }
+    };
+
+    // Labels of the cells of a word: which of them got one. All lanes ask for the same word.
+    unsigned take_all(
+        [[maybe_unused]] const Warp& warp, const BitRows& kept, const BitRows& has, int i
+    ) const {
+        const Beside beside(has, i);
+        unsigned free = beside.free(kept, has, i), taken = 0;
+        const int at = has.row(i) * columns + has.column(i);
+        const auto takes = [&](int k) {
+            return take(at + k, beside.left >> k & 1, beside.right >> k & 1, beside.upper >> k & 1,
+                        beside.lower >> k & 1);
+        };
+#if defined(__CUDA_ARCH__)
+        taken = warp.ballot(free >> warp.lane & 1 && takes(warp.lane));
+#else
+        for (; free; free &= free - 1)
+            taken |= (unsigned)takes(BitRows::lowest(free)) << BitRows::lowest(free);
+#endif
+        return taken;
+    }
+
+    // Gives a cell the label of the neighbour that is nearest in depth within the step, of as near
+    // ones the left, right, upper, lower one; whether there is one.
+    bool take(int cell, bool left, bool right, bool upper, bool lower) const {
+        const int depth = z[cell];
+        int best = steps[depth] + 1, from = -1;
+        const auto look = [&](bool has, int there) {
+            if (!has) return;
+            const int apart = Creases::apart(z[there], depth);
+            if (apart >= best) return;
+            best = apart;
+            from = there;
+        };
+        look(left, cell - 1);
+        look(right, cell + 1);
+        look(upper, cell - columns);
+        look(lower, cell + columns);
+        if (from >= 0) label_out[cell] = label_out[from];
+        return from >= 0;
+    }
+
+    // What is known of each surface by its root; `certain` has one for those with a lowest cell that
+    // has floor below it, a cell inside of the margins or one at the image's lower edge.
+    void look_at(
+        const Team& team, const Parts& in, int label, int first, int top, int level, bool sure
+    ) const {
+        team.atomic_min(in.first + label, first);
+        team.atomic_max(in.top + label, top);
+        if (level) team.atomic_add(in.level + label, level);
+        if (sure) in.sizes[label] = 1;
+    }
+
+    // Whether what rises from the floor below it is a front; `outer`: at the image's margins.
+    bool is_steep(int rises, int goes, bool outer) const {
+        const int away = goes < 0 ? -goes : goes;
+        return outer ? rises > away : 3 * rises > goes;
+    }
+
+#if defined(__CUDA_ARCH__)
+    // -1: no word.
+    void look_at_words(
+        const Team& team, const Warp& warp, const Parts& in, const BitRows& has, const int* words
+    ) const {
+        const Margins margins(columns);
+        int l[FEW], h[FEW], f[FEW], h_below[FEW], f_below[FEW];
+        bool lowest[FEW];
+        for (int k = 0; k < FEW; ++k) {
+            const int r = has.row(words[k]), c = has.column(words[k]) + warp.lane;
+            const bool there = words[k] >= 0 && c < columns, over = there && r + 1 < rows;
+            const int here = there ? r * columns + c : 0, below = over ? here + columns : 0;
+            l[k] = there ? label_out[here] : -1;
+            h[k] = height[here], f[k] = forward[here];
+            h_below[k] = height[below], f_below[k] = forward[below];
+            lowest[k] = over && low[below];
+        }
+        for (int k = 0; k < FEW; ++k) {
+            const int r = has.row(words[k]), c = has.column(words[k]) + warp.lane;
+            const bool outer = margins.has(c);
+            const int rises = h[k] - h_below[k];
+            const bool steep = is_steep(rises, f[k] - f_below[k], outer);
+            const int level = lowest[k] ? steep ? -1 : 2 : 0;
+            const bool sure = lowest[k] || r + 1 == rows || !outer;
+            // One label after the other.
+            for (unsigned rest = warp.ballot(l[k] >= 0); rest;) {
+                const int leader = BitRows::lowest(rest);
+                const int label = warp.broadcast(l[k], leader);
+                const bool own = l[k] == label;
+                const unsigned those = warp.ballot(own);
+                const int top = warp.max(own && h[k] > -1 ? h[k] : -1);
+                const int sum = warp.sum(own ? level : 0);
+                const bool certain_here = warp.ballot(own && sure);
+                if (warp.lane == leader)
+                    look_at(team, in, label, r * columns + c, top, sum, certain_here);
+                rest &= ~those;
+            }
+        }
+    }
+#endif
+
+    // Ends in a sync.
+    void look(const Team& team, const Parts& in, int runs, const BitRows& has) const {
+        int* const certain = in.sizes;
+        for (int run = team.rank; run < runs; run += team.size) certain[run] = 0;
+        team.sync();
+#if defined(__CUDA_ARCH__)
+        // A lane looks whether a word has cells; then all lanes see FEW such words at a time.
+        const Warp warp(team);
+        for (int first = warp.index * Warp::size; first < has.count();
+             first += warp.count * Warp::size) {
+            const int own = first + warp.lane;
+            for (unsigned rest = warp.ballot(own < has.count() && has[own]); rest;) {
+                int words[FEW];
+                for (int k = 0; k < FEW; ++k, rest &= rest - 1)
+                    words[k] = rest ? first + BitRows::lowest(rest) : -1;
+                look_at_words(team, warp, in, has, words);
+            }
+        }
+#else
+        const Margins margins(columns);
+        for (int i = 0; i < has.count(); ++i) {
+            const int r = has.row(i), k = r * columns;
+            const int* label = label_out + k + has.column(i);
+            for (unsigned rest = has[i]; rest;) {
+                // Cells of one label that follow each other.
+                const int first = BitRows::lowest(rest), own = label[first];
+                int next = first;
+                for (; next < BitRows::WIDTH && rest >> next & 1 && label[next] == own; ++next)
+                    rest &= ~(1u << next);
+                const int begin = has.column(i) + first, end = has.column(i) + next;
+                int top = -1, pairs = 0, steep = 0;
+                for (int c = begin; c < end; ++c) top = height[k + c] > top ? height[k + c] : top;
+                if (r + 1 < rows)
+                    for (int c = begin; c < end; ++c) {
+                        const int rises = height[k + c] - height[k + c + columns];
+                        const int goes = forward[k + c] - forward[k + c + columns];
+                        const int lowest = low[k + c + columns];
+                        pairs += lowest;
+                        steep += lowest & (int)is_steep(rises, goes, margins.has(c));
+                    }
+                const bool inner = begin < columns - margins.width && end > margins.width;
+                look_at(team, in, own, k + begin, top, 2 * pairs - 3 * steep,
+                        pairs || r + 1 == rows || inner);
+            }
+        }
+#endif
+        team.sync();
+    }
+
+    // Whether a surface is floor that the sensor bends up.
+    bool is_bent(const Parts& in, int label) const {
+        const bool flat = in.level[label] > 0 || !in.sizes[label];
+        return flat && in.top[label] <= settings[BENT];
+    }
+
+    // Numbers the surfaces in the order of their first cells, but for bent floor.
+    void number(
+        const Team& team, const Parts& in, const Runs& runs, int all, const BitRows& has
+    ) const {
+        const BitRows& firsts = runs.starts;
+        const auto is_surface = [&](int run) { return in.label[run] == run; };
+        const auto word_of = [&](int cell) {
+            return firsts.at(cell / columns, cell % columns / BitRows::WIDTH);
+        };
+        const auto bit_of = [&](int cell) { return 1u << cell % columns % BitRows::WIDTH; };
+        for (int i = team.rank; i < firsts.count(); i += team.size) firsts[i] = 0;
+        team.sync();
+        for (int run = team.rank; run < all; run += team.size)
+            if (is_surface(run) && !is_bent(in, run))
+                team.atomic_or((int*)firsts.bits + word_of(in.first[run]),
+                               (int)bit_of(in.first[run]));
+        team.sync();
+        const int count = runs.count(team);
+        if (team.rank == 0) *count_out = count;
+        int* const numbers = in.level;
+        for (int run = team.rank; run < all; run += team.size) {
+            if (!is_surface(run)) continue;
+            const int i = word_of(in.first[run]);
+            const unsigned bit = bit_of(in.first[run]);
+            const bool bent = is_bent(in, run);
+            numbers[run] = bent ? -1 : runs.before[i] + BitRows::popcount(firsts[i] & (bit - 1));
+        }
+        team.sync();
+        const Warp warp(team);
+        for (int i = warp.index; i < has.count(); i += warp.count) {
+            if (!has[i]) continue;
+            const int first = has.row(i) * columns + has.column(i);
+            for (int k = warp.lane; k < BitRows::WIDTH; k += Warp::size) {
+                if (!(has[i] >> k & 1)) continue;
+                const int number = numbers[label_out[first + k]];
+                label_out[first + k] = number < MOST ? number : -1;
+                if (number >= 0) continue;
+                keep[first + k] = 0;
+                free[first + k] = 1;
+            }
+        }
+        team.sync();
+    }
+
+    // All threads of the team must call it.
+    void run(const Team& team) const {
+        Arena arena{scratch};
+        const Parts in(rows, columns, arena);
+        const BitRows &kept = in.kept, &on = in.on, &starts = in.starts, &up = in.up;
+        const bool some = team.any(start(team, in));
+        if (team.rank == 0) *has_depth_out = some;
+        Creases creases = {
+            in.grid, settings[CREASE_CELLS], settings[MIN_CELLS], settings[CREASE_MARGIN],
+            steps, limits, z, in.depth, in.other, in.step, kept, starts, up,
+            {starts, up, in.before, {in.parent}, in.sizes}, in.near, in.most_near,
+        };
+        const BitRows crease = creases.run(team);
+        for (int i = team.rank; i < on.count(); i += team.size) on[i] = kept[i] & ~crease[i];
+        team.sync();
+        starts.clear_padding(team);
+        up.clear_padding(team);
+        find_links(team, on, starts, up, in);
+        Runs runs = {on, starts, in.before, {in.parent}, in.sizes};
+        const int all = label(team, in, runs, up, up);
+        const BitRows has = grow(team, kept, up, on);
+        look(team, in, all, has);
+        number(team, in, runs, all, has);
+    }
+};
+
+} }  // namespace jaxdet

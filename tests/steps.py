@@ -1,0 +1,174 @@
+"""The program's steps one at a time, on given arrays, for tests against the reference."""
+
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+import warp as wp
+
+from jaxdet.config import Config
+from jaxdet.stages._program import (
+    STEPS,
+    Sizes,
+    Static,
+    host_tables,
+    launch,
+    packed,
+    record_layout,
+    work_layout,
+)
+from jaxdet.stages._tables import Tables
+from jaxdet.types import MAX_OBSTACLES, Calibration, Cells, Intrinsics, Obstacles
+
+POISON = 0x55555555
+Arrays = Mapping[str, np.ndarray]
+
+
+@lru_cache(maxsize=1)
+def _other_tables() -> Tables:
+    """Those of the steps that a test does not look at."""
+    return host_tables(Calibration(Intrinsics(64, 48, 60.0, 60.0, 31.5, 23.5)), Config())[1]
+
+
+def step(
+    name: str, tables: Tables, given: Arrays, sizes: Sizes, depth: np.ndarray | None = None
+) -> dict[str, np.ndarray]:
+    """What a step makes of given arrays: all arrays of the program by name.
+
+    Args:
+        name: The step, see :data:`STEPS`.
+        tables: Those that it reads.
+        given: What earlier steps hand on, and ``prior`` and ``floor_frame``; the rest is poison.
+        sizes: Of the arrays.
+        depth: Images, for the first step.
+    """
+    buffer = packed(sizes, {**_other_tables(), **tables})
+    static = Static.of(buffer)
+    work, record = work_layout(static.rows, static.columns), record_layout(static.columns)
+    batch = len(next(iter(given.values())) if depth is None else depth)
+    if depth is None:
+        depth = np.zeros((batch, sizes.height, sizes.width), np.uint16)
+    prior = given.get("prior", np.zeros((batch, 4), np.int32))
+    floors = np.hstack([prior, given.get("floor_frame", np.zeros((batch, 13), np.int32))])
+    rows = [
+        layout.pack(batch, {k: v for k, v in given.items() if k in layout.shapes}, POISON)
+        for layout in (record, work)
+    ]
+    contour = np.full((batch, static.words()[1]), POISON, np.int32)
+    device = wp.device_from_jax(jax.local_devices()[0])
+    arrays = [
+        wp.array(np.ascontiguousarray(a), dtype=wp.dtype_from_numpy(a.dtype), device=device)
+        for a in (depth, floors, buffer, rows[0], contour, rows[1])
+    ]
+    scratch = wp.full((min(batch, 2), static.own_words), POISON, dtype=wp.int32, device=device)
+    number = STEPS.index(name)
+    launch(arrays, scratch, number, number + 1)
+    found, line, kept = (arrays[i].numpy() for i in (3, 4, 5))
+    made = {k: record.take(found, k) for k in record.shapes}
+    made |= {k: work.take(kept, k) for k in work.shapes}
+    return made | {"contour": line.reshape(batch, MAX_OBSTACLES, static.columns, 2)}
+
+
+def _grid(z: np.ndarray, side: int = 1) -> Sizes:
+    rows, columns = z.shape[1:]
+    return Sizes(rows * side, columns * side, side, rows, columns)
+
+
+def cells(depth: np.ndarray, tables: Tables, side: int) -> Cells:
+    """``find_cells``."""
+    rows, columns = tables["rays"].shape[1:]
+    sizes = Sizes(*depth.shape[1:], side, rows, columns)
+    found = step("find_cells", tables, {}, sizes, depth)
+    return Cells(found["x"], found["y"], found["z"])
+
+
+def find_floor(
+    x: np.ndarray, y: np.ndarray, z: np.ndarray, prior: np.ndarray, tables: Tables
+) -> np.ndarray:
+    """``find_floor``: ``(B, 8)``."""
+    given = {"x": x, "y": y, "z": z, "prior": prior}
+    return step("find_floor", tables, given, _grid(z))["floor"]
+
+
+def found_frames(found: np.ndarray, frame: np.ndarray, tables: Tables) -> np.ndarray:
+    """``find_frame``: ``(B, 13)``."""
+    given = {"floor": found, "floor_frame": frame}
+    return step("find_frame", tables, given, Sizes(1, 1, 1, 1, 1))["frame"]
+
+
+class Surfaces(NamedTuple):
+    """What ``find_surfaces`` makes."""
+
+    right: np.ndarray
+    forward: np.ndarray
+    height: np.ndarray
+    label: np.ndarray
+    keep: np.ndarray
+    free: np.ndarray
+    low: np.ndarray
+    num_surfaces: np.ndarray
+    has_depth: np.ndarray
+
+
+def surfaces(
+    x: np.ndarray, y: np.ndarray, z: np.ndarray, frame: np.ndarray, tables: Tables
+) -> Surfaces:
+    """``find_surfaces``."""
+    found = step("find_surfaces", tables, {"x": x, "y": y, "z": z, "frame": frame}, _grid(z))
+    found |= {"label": found["surface"], "free": found["free_cell"]}
+    found["has_depth"] = found["has_depth"] != 0
+    return Surfaces(*(found[name] for name in Surfaces._fields))
+
+
+def obstacles(
+    label: np.ndarray, free: np.ndarray, view: Sequence[np.ndarray], tables: Tables
+) -> tuple[np.ndarray, np.ndarray]:
+    """``find_obstacles``: the obstacle of each cell, and how many there are."""
+    names = "x", "y", "z", "right", "forward", "height"
+    given = {"surface": label, "free_cell": free, **dict(zip(names, view, strict=True))}
+    found = step("find_obstacles", tables, given, _grid(label))
+    return found["label"], found["num_obstacles"]
+
+
+class Outlined(NamedTuple):
+    """What ``find_outlines`` makes."""
+
+    obstacles: Obstacles
+    contour: np.ndarray
+    contour_points: np.ndarray
+    bottom_top: np.ndarray
+
+
+def outlines(
+    label: np.ndarray,
+    count: np.ndarray,
+    grid: Cells,
+    floor: Sequence[np.ndarray],
+    tables: Tables,
+    side: int,
+) -> Outlined:
+    """``find_outlines``; ``floor`` is right, forward and height of the cells."""
+    names = "right", "forward", "height"
+    given = {**grid._asdict(), **dict(zip(names, floor, strict=True))}
+    given |= {"label": label, "num_obstacles": count}
+    found = step("find_outlines", tables, given, _grid(label, side))
+    found["has_vertex"] = found["has_vertex"] != 0
+    measured: Any = Obstacles(*(found[name] for name in Obstacles._fields))
+    return Outlined(measured, found["contour"], found["contour_points"], found["bottom_top"])
+
+
+def free_floor(
+    label: np.ndarray,
+    low: np.ndarray,
+    z: np.ndarray,
+    floor: Sequence[np.ndarray],
+    frame: np.ndarray,
+    tables: Tables,
+) -> tuple[np.ndarray, np.ndarray]:
+    """``find_free_floor``: where it begins and ends, and what ends it."""
+    given = {"label": label, "low": low, "z": z, "frame": frame}
+    given |= dict(zip(("right", "forward", "height"), floor, strict=True))
+    found = step("find_free_floor", tables, given, _grid(label))
+    return found["free"], found["free_end"]

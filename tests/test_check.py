@@ -1,0 +1,27 @@
+"""The stored answer is the reference's, and kernels that find something else are refused."""
+
+import numpy as np
+import pytest
+
+from jaxdet import detect
+from jaxdet.errors import JaxdetError
+from jaxdet.stages import _check
+from jaxdet.types import Frames
+
+
+def test_the_stored_answer_is_what_the_reference_finds() -> None:
+    depth, planes = _check.check_frames()
+    number, valid = np.arange(len(depth)), np.ones(len(depth), bool)
+    given = Frames(depth, _check.CALIBRATION, number, number, valid, plane=planes)
+    found = detect(given, backend="reference")
+    assert found.num_obstacles.tolist() == [2, 2]
+    assert _check.digest_of(found) == _check.ANSWER
+
+
+def test_kernels_that_find_something_else_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    _check.check_kernels.cache_clear()
+    _check.check_kernels()
+    _check.check_kernels.cache_clear()
+    monkeypatch.setattr(_check, "ANSWER", "0" * 32)
+    with pytest.raises(JaxdetError, match=r"should with Warp \S+, JAX \S+ on cpu"):
+        _check.check_kernels()

@@ -1,0 +1,60 @@
+"""Commands that are killed: whole results or none, old or new ones, whatever call was the last."""
+
+import os
+import random
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from jaxdet.results.reading import open_results
+from jaxdet.sim import SimConfig, write_log
+from jaxdet.verify import verify
+from tests.pools import same_results
+from tests.runs import run_logs
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@pytest.mark.parametrize(
+    ("way", "every"),
+    [
+        *(("run", 7), ("overwrite", 9), ("overwrite-slow", 9)),
+        *(("track", 3), ("track-slow", 3)),
+    ],
+)
+def test_whatever_system_call_is_the_last(tmp_path: Path, way: str, every: int) -> None:
+    command = [sys.executable, "-m", "tests.killed_runs", str(tmp_path), str(every), way]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert not done.returncode, done.stderr
+    assert int(re.findall(r"ends at (\d+) calls", done.stdout)[0]) > 15
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT, signal.SIGTERM])
+def test_a_command_that_is_killed_goes_on(tmp_path: Path, number: signal.Signals) -> None:
+    """At some moment, with its workers; nothing is left of it after the next one."""
+    (logs := tmp_path / "logs").mkdir()
+    for seed in range(4):
+        write_log(logs / f"{seed}.mcap", SimConfig(frames=8, width=96, height=72, seed=seed))
+    how = {"backend": "reference", "pictures": 0, "preset": "wheeled"}
+    run_logs(logs, tmp_path / "plain", workers=1, **how)
+    command = [sys.executable, "-m", "jaxdet", "run", str(logs), "-o", str(tmp_path / "out")]
+    command += ["--backend", "reference", "--pictures", "0", "--workers", "2"]
+    draw = random.Random(int(number))
+    for _ in range(7 if number == signal.SIGKILL else 3):
+        process = subprocess.Popen(command, start_new_session=True, stderr=subprocess.DEVNULL)
+        time.sleep(draw.uniform(1.0, 8.0))
+        os.killpg(process.pid, number)
+        assert process.wait() in (-number, 128 + number, 0)
+        if (tmp_path / "out" / "run.json").exists():
+            with open_results(tmp_path / "out") as results:
+                results.tables()
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert not done.returncode, done.stderr
+    assert not (tmp_path / "out" / ".jaxdet").exists()
+    same_results(tmp_path / "plain", tmp_path / "out")
+    assert not verify(tmp_path / "out", sample=0).findings
