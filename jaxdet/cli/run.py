@@ -56,7 +56,7 @@ class RunCommand:
     """What ``jaxdet run`` takes."""
 
     logs: tuple[str, ...] = field(metadata={"positional": True, "takes": "LOG..."})
-    """MCAP, .bag or .db3 files, folders of them or of images, or globs."""
+    """MCAP, .bag or .db3 files, folders of them or of images, globs, or s3://BUCKET/PATH."""
     run: RunOptions = field(metadata={"short": True})
     preset: str = DEFAULT_PRESET
     """Configuration to start from: wheeled, tabletop, paper, d435, d455, oak-d, zed, azure-kinect,

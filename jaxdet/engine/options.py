@@ -16,7 +16,7 @@ class RunOptions:
     """How to run; nothing here changes a byte of the two tables."""
 
     output: Path = field(metadata={"takes": "DIR"})
-    """Folder for the results: one folder in it for each log."""
+    """Folder or address (s3://BUCKET/PATH) for the results: one folder in it for each log."""
     backend: Literal["jax", "reference"] = "jax"
     """jax: compiled, on the GPU when there is one; reference: plain NumPy. Equal results."""
     batch_size: int | None = None

@@ -260,11 +260,11 @@ class FolderResults(_Attempts):
             found = self.place.get(f"{target.name}/{file}")
             if found is None:
                 continue
-            told = json.loads(found[0])
-            inputs = map(local_entry, told.get("inputs") or ())
-            same = version_of(told.get("run", ""), inputs) == target.version  # of a local run
+            content = json.loads(found[0])
+            inputs = map(local_entry, content.get("inputs") or ())
+            same = version_of(content.get("run", ""), inputs) == target.version  # of a local run
             if same or self.place.get(self._note(target, found[0])):
-                return Standing(state, None, told if file == FAILED else {})
+                return Standing(state, None, content if file == FAILED else {})
             digest = self._note(target, found[0]).rpartition("/")[2]
             noted = self.place.list(f"{_NOTES}{target.name}/")
             key = next((entry.key for entry in noted if entry.key.endswith(digest)), "")

@@ -114,7 +114,7 @@ class _Fetched(NamedTuple):
         first = log["files"][0]["key"]
         return text.replace(str(self.path), f"{log['url']}/{first}") if log["url"] else text
 
-    def told(self, state: str, **values: Any) -> dict[str, Any]:
+    def as_outcome(self, state: str, **values: Any) -> dict[str, Any]:
         about = {"log": self.log["log"], "name": self.log["name"], "bytes": size_of(self.log)}
         return {**about, "state": state, "fetch_s": round(self.seconds, 3), **values}
 
@@ -150,28 +150,30 @@ class _Work(NamedTuple):
                 return None
             if not isinstance(error, InputError):
                 raise
-            return one._replace(outcome=one.told("failed", error=str(error)))  # for the moment
+            return one._replace(
+                outcome=one.as_outcome("failed", error=str(error))
+            )  # for the moment
         return one._replace(spool=spool, path=path, held=size, seconds=time.monotonic() - begin)
 
     def _standing(self, one: _Fetched) -> dict[str, Any] | None:
         """Return the outcome of a log that has one already."""
         target, seen, how = one.target, one.seen, self.how
         if seen.state == "whole":
-            return one.told("there", error=self._add_tracks(target))
+            return one.as_outcome("there", error=self._add_tracks(target))
         if seen.state == "failed":
             if not how.get("update") or seen.failure.get("command") == how["command"]:
-                return one.told("failed", error=seen.failure["reason"])
+                return one.as_outcome("failed", error=seen.failure["reason"])
             self.results.reopen(target)
         replace = how.get("update") or how.get("overwrite") or seen.state != "other"
         if not replace and (seen.current is None or seen.current["record"] == how["record"]):
             error = "there are results of another input; --update replaces them"
-            return one.told("failed", error=error)
+            return one.as_outcome("failed", error=error)
         killed, lost = self._deaths(target)
         if killed < MOST_KILLED and killed + lost < MOST_LOST:
             return None
         error = f"{killed + lost} processes that worked on it died"
         self._fail(one, error, None)
-        return one.told("failed", error=error)
+        return one.as_outcome("failed", error=error)
 
     def computed(self, one: _Fetched) -> dict[str, Any]:
         """Run a log and publish its results."""
@@ -185,7 +187,7 @@ class _Work(NamedTuple):
             found["run_s"] = round(time.monotonic() - begin, 3)
             if found["error"]:
                 self._fail(one, found["error"], staged)
-                return one.told("failed", **found)
+                return one.as_outcome("failed", **found)
             results, tracks = self.results, self.how.get("tracks")
             if tracks and not isinstance(results, BucketResults):
                 found["error"] = _link(staged)
@@ -195,7 +197,7 @@ class _Work(NamedTuple):
             if state == "replaced":
                 found["error"] = "another run published results of another input meanwhile"
             found["publish_s"] = round(time.monotonic() - begin - found["run_s"], 3)
-            return one.told(state, **found)
+            return one.as_outcome(state, **found)
         finally:
             remove(staged)
             with suppress(JaxdetError):
@@ -211,13 +213,13 @@ class _Work(NamedTuple):
         noted = {"attempts": max(1, killed + lost), "command": self.how["command"]}
         path = staged / FAILED if staged else None
         if path and path.exists():
-            told = json.loads(one.renamed(path.read_text(encoding="utf-8")))
+            content = json.loads(one.renamed(path.read_text(encoding="utf-8")))
         else:
             from jaxdet.results.summary import LogSummary
 
             about = LogSummary(one.log["log"], ()).to_dict()
-            told = {"reason": error, "log": one.log["log"], "logs": [{**about, "error": error}]}
-        self.results.fail(one.target, {**told, **noted}, one.seen)
+            content = {"reason": error, "log": one.log["log"], "logs": [{**about, "error": error}]}
+        self.results.fail(one.target, {**content, **noted}, one.seen)
 
     def _add_tracks(self, target: Target) -> str | None:
         """Add tracks to results in a bucket that lack them; return why there are none."""
