@@ -38,7 +38,7 @@ class RunOptions:
     update: bool = False
     """Also do logs again that failed, lost frames or have changed since."""
     on: str | None = field(default=None, metadata={"takes": "ENGINE"})
-    """ray: do the logs on the Ray cluster of RAY_ADDRESS, or a local one. See jaxdet help fleets."""
+    """ray: run on the Ray cluster of RAY_ADDRESS, or a local one. See jaxdet help fleets."""
     share: str | None = field(default=None, metadata={"takes": "K/N"})
     """Do the K-th of N shares of the logs, in job arrays; all have the same --output."""
     spool: Path | None = field(default=None, metadata={"takes": "DIR"})
