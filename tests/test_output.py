@@ -185,7 +185,9 @@ def test_a_changed_log_is_refused_and_done_again_by_an_update(
     output = tmp_path / "out"
     run_logs(own, output, **HOW)
     write_log(own / "a.mcap", SimConfig(frames=2, width=96, height=72, seed=7))
-    with pytest.raises(ResultsError, match=r"holds results of a, but the log has changed.*--update"):
+    with pytest.raises(
+        ResultsError, match=r"holds results of a, but the log has changed.*--update"
+    ):
         run_logs(own, output, **HOW)
     names = made(monkeypatch)
     assert run_logs(own, output, update=True, **HOW).frames == 8

@@ -594,8 +594,8 @@ def test_control_c_ends_everything(sim_logs, tmp_path, later):
     wanted = 4 if later else 2  # the resource tracker, the fork server, the workers
     while len(children) < wanted and process.poll() is None:
         children = descendants(process.pid)
-    while later and not list(output.glob(".jaxdet/logs-*/*/*.arrow")) and process.poll() is None:
-        time.sleep(0.01)  # until the first result is there
+    while later and not list(output.glob(".jaxdet/logs-*/*/*")) and process.poll() is None:
+        time.sleep(0.01)  # until the first picture is there
     os.killpg(process.pid, signal.SIGINT)
     _, errors = process.communicate(timeout=30)
     assert process.returncode == 130

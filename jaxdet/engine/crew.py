@@ -1,6 +1,6 @@
-"""Who works on a log: this process, the pool's workers together, or a worker alone."""
+"""Who works on a log: one process, or the workers of a pool together."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from contextlib import closing
 from functools import partial
 from math import prod
@@ -60,10 +60,10 @@ class Crew(Protocol):
         ...
 
     def find_planes(self, log: "Log", at_once: int) -> Planes:
-        """Return what is known of the floor of the frames before they are looked at."""
+        """Return the priors of the floors, before the frames are worked on."""
         ...
 
-    def work(self, log: "Log", plan: LogPlan) -> Iterator[tuple[Unit, Part]]:
+    def work(self, log: "Log", plan: LogPlan) -> Generator[tuple[Unit, Part], None, None]:
         """Yield all units of the plan with their parts, in any order."""
         ...
 
@@ -124,7 +124,7 @@ class OneProcess:
         memory: MemoryPlan,
         device: Device,
         alive: Callable[[], object] | None = None,
-        late: Callable[[], object] = lambda: None,
+        late: Callable[[], None] = lambda: None,
     ) -> None:
         self.job, self.memory, self.device = job, memory, device
         self.workers, self.devices, self.others = 1, 0, 0
@@ -144,7 +144,7 @@ class OneProcess:
         alive = self._alive or (lambda: None)
         return decide_planes(*given, alive=alive, find=self.device.find_floors)
 
-    def work(self, log: "Log", plan: LogPlan) -> Iterator[tuple[Unit, Part]]:
+    def work(self, log: "Log", plan: LogPlan) -> Generator[tuple[Unit, Part], None, None]:
         """Work through all units in order."""
         work = LogWork(log, plan, self.device)
         if self._alive:
@@ -188,7 +188,7 @@ class PoolCrew:
             return decide_planes(*given, find=device.find_floors)
         return self.pool.call(decide_floors, *given)
 
-    def work(self, log: "Log", plan: LogPlan) -> Iterator[tuple[Unit, Part]]:
+    def work(self, log: "Log", plan: LogPlan) -> Generator[tuple[Unit, Part], None, None]:
         """Share out all units."""
         return self.pool.work_through(plan, partial(self._context, log, plan))
 

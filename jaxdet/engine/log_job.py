@@ -33,7 +33,7 @@ from jaxdet.results.layout import CONFIG, FAILED, SUMMARY
 from jaxdet.results.manifest import fingerprint, write_manifest
 from jaxdet.results.names import camera_name, export_name
 from jaxdet.results.occupancy import MAX_CELLS, OccupancyMap, save_map
-from jaxdet.results.publish import flush_folder
+from jaxdet.results.publish import flush_folder, remove
 from jaxdet.results.summary import LogSummary, Summary
 from jaxdet.results.writer import TableWriter, write_json
 
@@ -68,7 +68,7 @@ def make_log(
     Args:
         job: What it has in common with other logs.
         files: The log.
-        folder: New folder; a folder of the same name and ``.rows`` holds temporary files.
+        folder: New folder; ``NAME~CAMERA.rows`` next to it hold temporary files.
         memory: The memory of the run; a log with large chunks is shared by fewer processes.
         choose: Chooses who works on it.
         report: Gets where it stands.
@@ -109,6 +109,7 @@ def make_log(
         if done:
             _write_results(folder, job, summary, done, about)
         else:
+            remove(folder / "pictures")
             write_failure(folder, about, abouts)
     with writing(folder):
         flush_folder(folder)
@@ -135,9 +136,8 @@ def _write_results(
     told, config = summary.to_dict(), {**job.described, "batch_size": summary.batch_size}
     with TableWriter(folder) as writer:
         for one in cameras:
-            with closing(one.rows()) as rows:
-                for some in rows:
-                    writer.add(some)
+            for rows in one.rows():
+                writer.add(rows)
         writer.close(config, told)
     write_json(folder / CONFIG, config)
     write_json(folder / SUMMARY, told)
@@ -178,7 +178,7 @@ class CameraRun:
         self.memory, self.choose, self.report, self.camera = memory, choose, report, camera
         self.part = camera_name(camera) if camera else ""
         """Part of the names of its files, where the log has several cameras."""
-        self.scratch = folder.with_name(f"{folder.name}_{self.part}.rows")
+        self.scratch = folder.with_name(f"{folder.name}~{self.part}.rows")
         self.batch, self.about = 0, self._new()
         self._assembly = Assembly(self.scratch, self.about)
 
@@ -299,7 +299,7 @@ class CameraRun:
         about, clock = self.about, Clock(self.about, crew.workers)
         count = len(log.frames)
         self.report(about, log.label, count, "starting")
-        with closing(crew.work(log, plan)) as parts:  # pyright: ignore[reportArgumentType]
+        with closing(crew.work(log, plan)) as parts:
             for unit, part in parts:
                 self._assembly.add(unit, part)
                 clock.tick()

@@ -235,7 +235,7 @@ class OutputFolder:
         try:
             files = read_manifest(folder)["files"]
         except InputError:
-            return  # of another version, or changed: what is whose can't be told
+            return  # of another version, or changed: it doesn't say which files are its own
         found = (p.relative_to(folder).as_posix() for p in folder.rglob("*") if not p.is_dir())
         if other := next((name for name in sorted(found) if name not in {*files, MANIFEST}), None):
             self._refuse(folder / other, "is no file of the results that are replaced")
@@ -262,6 +262,8 @@ class OutputFolder:
         with stops_held_back():
             with suppress(OSError):
                 remove(self.staging)
+                if not log_folders(self.output):
+                    (self.output / RUN).unlink(missing_ok=True)
             self._lock.release()
             for folder in (self._working, self.output):
                 with suppress(OSError):

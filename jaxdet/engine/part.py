@@ -34,7 +34,7 @@ class Part(NamedTuple):
     seen: dict[str, list[Any]]
     """What each observer made of the batches."""
     notes: list["Notes"]
-    """What reading told beside the frames."""
+    """Notes of the reader, besides the frames."""
     lost: str = ""
     """Why its frames have no results, where the processes that worked on it failed."""
 

@@ -323,7 +323,7 @@ class _Run:
         return f"{some}; the same command goes on"
 
     def _run_logs(self, left: dict[str, LogFiles]) -> None:
-        """Do logs: those that pay by workers alone, the others one by one by all together."""
+        """Do logs: small ones one per worker, the others shared by all workers, one by one."""
         if not left:
             return
         self.memory, self.pool = self._resources(apart=self.output.taken_over)
@@ -357,7 +357,7 @@ class _Run:
         return memory, self.runner.pool(memory, devices)
 
     def _for_workers(self, left: Mapping[str, LogFiles]) -> list[str]:
-        """Return the logs that workers should do alone, the largest first."""
+        """Return the logs that are done one per worker, the largest first."""
         if self.memory.workers == 1 or len(left) == 1:
             return []
         sizes = {name: sum(map(_size, log.paths)) for name, log in left.items()}
@@ -367,7 +367,7 @@ class _Run:
         return sorted(choose_whole(sizes, self.memory.workers), key=lambda name: -sizes[name])
 
     def _ready(self, camera: "Calibration | None") -> bool:
-        """Whether workers can do a log of a camera alone, as things are."""
+        """Whether a worker can do a log of a camera by itself, as the pool is now."""
         if not self.pool.devices:
             return True
         served = self.pool.serving
@@ -376,7 +376,7 @@ class _Run:
         return served.config == self.config and camera in (None, served.calibration)
 
     def _by_workers(self, logs: Mapping[str, LogFiles]):  # noqa: ANN202 (a generator)
-        """Yield logs that workers did alone, as they are done, each with the answer."""
+        """Yield logs as workers have done them, one per worker, each with the answer."""
         self.pool.resize(self.memory.workers)
         self.workers = self.pool.count
         served = self.pool.serving
@@ -447,8 +447,8 @@ class _Run:
     def _check_there(self, failed: LogFiles) -> None:
         """Make sure that the disk of a log that failed is still there.
 
-        It is gone where others that are to be done are gone with the log. One that is gone alone
-        was removed, and costs no other.
+        It is gone where other logs are gone with it. A single log that is gone was removed, and
+        costs no other.
 
         Raises:
             InputError: It is gone; nothing that is done is lost.

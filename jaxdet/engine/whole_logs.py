@@ -1,4 +1,4 @@
-"""Logs that a worker does alone, while other workers do others.
+"""Logs that are done one per worker.
 
 A log that all workers share keeps most of them waiting while it is opened, while its floor is
 looked for and while its tables are written: half a second, in which sixteen cores do a thousand
@@ -25,8 +25,7 @@ if TYPE_CHECKING:
     from jaxdet.io import Log, LogFiles
 
 OPENING_BYTES = 128 << 20
-"""Cost of a log beside its frames, as bytes of a log that a worker reads and works on in that
-time."""
+"""Fixed cost of a log, as bytes that a worker reads and works on in the same time."""
 FEW_BYTES = 256 << 20
 """Less is done sooner by one process than workers have started."""
 
@@ -100,7 +99,7 @@ def do_log(
 
 
 def choose_whole(sizes: Mapping[str, int], workers: int) -> set[str]:
-    """Return the logs that workers should do alone, so that all are done soonest.
+    """Return the logs to be done one per worker, so that all are done soonest.
 
     These are the smallest: as many as it pays to do before the others are shared out one by one.
 

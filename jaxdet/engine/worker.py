@@ -56,10 +56,7 @@ class Context(Protocol):
     """What several calls in a worker need; it is sent to each worker once."""
 
     def open(self) -> Any:
-        """Return the first argument of the calls, in the worker.
-
-        Its ``close`` is called when the next context arrives.
-        """
+        """Return the first argument of the calls, in the worker."""
         ...
 
 
@@ -265,7 +262,7 @@ def _work(backend: BackendName, pipe: Any, piped: Piped | None) -> None:
         while True:
             message = pickle.loads(pipe.recv_bytes())
             if message == _NEW_CONTEXT:
-                if hasattr(context, "close"):
+                if isinstance(context, LogWork):
                     context.close()
                 context = _Lazy(pipe.recv_bytes())
                 continue

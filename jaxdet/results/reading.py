@@ -208,7 +208,7 @@ class Results:
         self.manifests: dict[Path, dict[str, Any]] = {}
         """By the folder of each log with results."""
         self.summaries: dict[Path, dict[str, Any]] = {}
-        """Content of ``summary.json``, likewise."""
+        """Content of ``summary.json``, by the same folders."""
         self.failed: list[LogFailure] = []
         self.logs = tuple(self._find())
         self.config = self._read_config()
@@ -494,7 +494,7 @@ def open_table(path: Path) -> pq.ParquetFile:
         raise InputError(problem, path=str(path.parent), remedy=AGAIN) from error
     except (pa.ArrowException, OSError) as error:
         if getattr(error, "errno", None):  # else it is Parquet's own
-            raise unread(path, error) from error  # pyright: ignore[reportArgumentType]
+            raise unread(path, error) from error
         raise InputError("is not a Parquet file", path=str(path), remedy=AGAIN) from error
     if (found := _metadata(table).get(FORMAT_KEY, "none")) != str(FORMAT):
         problem = f"has format {found} of the tables, not {FORMAT}"
