@@ -35,6 +35,9 @@ DOCUMENTS["README"] = ROOT / "README.md"
 CONSOLE = ("pip ", "complete ", "python", "rosbags-convert ", "scripts/", ".venv/bin/")
 """What a block that is not run may hold: installing, and other programs."""
 OTHERS = ("--dst", "--dst-storage", "--src", "--system-site-packages", "--only", "--seeds")
+OTHERS += ("--array", "--array-properties", "--container-properties", "--cpus-per-task", "--gres")
+OTHERS += ("--job-definition", "--job-definition-name", "--job-name", "--job-queue", "--requeue")
+OTHERS += ("--retry-strategy", "--type")
 """Flags of other programs."""
 
 

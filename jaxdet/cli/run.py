@@ -12,7 +12,8 @@ from jaxdet.cli.spinner import SPINNER
 from jaxdet.cli.tell import tell
 from jaxdet.config import Config
 from jaxdet.engine.options import RunOptions
-from jaxdet.errors import Interrupted
+from jaxdet.errors import ConfigError, Interrupted
+from jaxdet.fleet.place import is_url
 from jaxdet.io.options import LogOptions
 from jaxdet.presets import DEFAULT_PRESET
 
@@ -54,7 +55,7 @@ class RunCommand:
     """What ``jaxdet run`` takes."""
 
     logs: tuple[str, ...] = field(metadata={"positional": True, "takes": "LOG..."})
-    """MCAP, .bag or .db3 files, folders of them or of images, or globs."""
+    """MCAP, .bag or .db3 files, folders of them or of images, globs, or s3://BUCKET/PATH."""
     run: RunOptions = field(metadata={"short": True})
     preset: str = DEFAULT_PRESET
     """Configuration to start from: wheeled, tabletop, paper, d435, d455, oak-d, zed, azure-kinect,
@@ -99,6 +100,8 @@ def _run(command: RunCommand) -> int:
     from jaxdet.engine.startup import cache_folders, start_cuda
 
     options = command.run
+    if options.on or options.share or any(map(is_url, [*command.logs, options.output])):
+        return _run_on_machines(command)
     if options.backend == "jax":
         start_cuda()
     from jaxdet.cli.progress import reporting
@@ -140,6 +143,19 @@ def _run(command: RunCommand) -> int:
     if command.tracks and summary.whole:
         _link(command)
     return code
+
+
+def _run_on_machines(command: RunCommand) -> int:
+    """Do the same with buckets, on other machines, or with a share of the logs."""
+    from jaxdet.cli.fleet import run_on_machines
+    from jaxdet.results.summary import plain
+
+    if command.truth:
+        raise ConfigError("--truth needs local logs", remedy="run it on one machine")
+    how = {"config": plain(command.method), "log": plain(command.log)}
+    how |= {"preset": command.preset, "tracks": command.tracks}
+    shown = {"quiet": command.quiet, "as_json": command.json}
+    return run_on_machines(command.logs, command.run, how, join=command.join, **shown)
 
 
 def first_time(caches: "Caches") -> str:

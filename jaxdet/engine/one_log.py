@@ -12,6 +12,7 @@ from jaxdet.engine.runner import Runner
 from jaxdet.errors import InputError
 from jaxdet.io import LogOptions, find_logs
 from jaxdet.presets import DEFAULT_PRESET, preset
+from jaxdet.results.record import make_record
 
 RUNNER = ("backend", "workers", "memory")
 """Keys of ``how`` that are arguments of :class:`jaxdet.Runner`."""
@@ -42,14 +43,7 @@ def run_one(log_path: str, folder: str | Path, how: Mapping[str, Any]) -> dict[s
         OutputError: The disk is full or broken.
         Interrupted: A signal ended it.
     """
-    name = how.get("preset") or DEFAULT_PRESET
-    config = preset(name)
-    sections = {
-        key: changed(getattr(config, key), values, key, "how")
-        for key, values in (how.get("config") or {}).items()
-    }
-    config = Config(**{**vars(config), **sections})
-    log_options = changed(LogOptions(), how.get("log") or {}, "log", "how")
+    config, log_options, name = _settings(how)
     runner = _runner(*(how.get(key) for key in RUNNER))
     options = {key: how[key] for key in OPTIONS if key in how}
     try:
@@ -73,6 +67,24 @@ def run_one(log_path: str, folder: str | Path, how: Mapping[str, Any]) -> dict[s
         "lost": [lost for log in summary.logs for lost in log.lost],
         "error": errors or None,
     }
+
+
+def record_of(how: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the content of the ``run.json`` of logs that :func:`run_one` runs like this."""
+    drawn = {"pictures": how.get("pictures", 8), "map": how.get("map", True)}
+    return make_record(*_settings(how), backend=how.get("backend") or "jax", **drawn, observers={})
+
+
+def _settings(how: Mapping[str, Any]) -> tuple[Config, LogOptions, str]:
+    """Return the configuration, how to read logs, and the name of the preset."""
+    name = how.get("preset") or DEFAULT_PRESET
+    config = preset(name)
+    sections = {
+        key: changed(getattr(config, key), values, key, "how")
+        for key, values in (how.get("config") or {}).items()
+    }
+    log_options = changed(LogOptions(), how.get("log") or {}, "log", "how")
+    return Config(**{**vars(config), **sections}), log_options, name
 
 
 @cache

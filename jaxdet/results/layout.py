@@ -31,6 +31,8 @@ RUN, MANIFEST, FAILED = "run.json", "manifest.json", "failed.json"
 SUMMARY, CONFIG = "summary.json", "config.json"
 FRAMES, OBSTACLES = "frames.parquet", "obstacles.parquet"
 WORKING, READY = ".jaxdet", "ready"
+FLEET = ".fleet"
+"""Folder in results for what machines that share a run note, see jaxdet.fleet.publish."""
 
 AGAIN = "run jaxdet run again, or name another folder"
 

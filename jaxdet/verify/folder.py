@@ -6,7 +6,7 @@ from pathlib import Path
 from jaxdet.errors import InputError
 from jaxdet.export.recordings import find, recorded
 from jaxdet.io import LogFiles
-from jaxdet.results.layout import FAILED, RUN, WORKING, check_folder, is_complete, is_run
+from jaxdet.results.layout import FAILED, FLEET, RUN, WORKING, check_folder, is_complete, is_run
 from jaxdet.results.reading import Results
 from jaxdet.verify.files import check_files
 from jaxdet.verify.logs import check_inputs, check_log
@@ -46,7 +46,7 @@ def verify(folder: Path, against: Sequence[str] = (), sample: int = SAMPLE) -> R
         return report
     given = _given(folder, against)
     for path in sorted(folder.iterdir()):
-        if path.name in (RUN, WORKING):
+        if path.name in (RUN, WORKING, FLEET):
             continue
         if is_complete(path):
             _verify_log(path, given, sample, report.of(path.name))

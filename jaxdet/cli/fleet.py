@@ -1,0 +1,101 @@
+"""``jaxdet run`` with buckets, on other machines, or a share of the logs."""
+
+import json
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+from jaxdet.cli.settings import given
+from jaxdet.cli.spinner import SPINNER
+from jaxdet.cli.tell import on_terminal, tell
+from jaxdet.engine.options import RunOptions
+from jaxdet.memory import parse_size, size_text
+
+LINE_EVERY_S = 10.0
+ALIKE = ("backend", "batch_size", "workers", "memory", "pictures", "map", "overwrite", "update")
+"""Options that are passed on as they are."""
+
+
+def run_on_machines(
+    logs: Sequence[str],
+    options: RunOptions,
+    how: Mapping[str, Any],
+    *,
+    join: bool,
+    quiet: bool,
+    as_json: bool,
+) -> int:
+    """Run the command; return the exit code.
+
+    Args:
+        logs: Addresses, folders or files.
+        options: How to run.
+        how: ``preset``, ``config``, ``log`` and ``tracks``, see :func:`jaxdet.fleet.run_log`.
+        join: See :func:`jaxdet.find_logs`.
+        quiet: Report errors only.
+        as_json: Print the outcomes as JSON.
+    """
+    from jaxdet.fleet import run_fleet
+
+    how = {**how, **{name: getattr(options, name) for name in ALIKE}}
+    how["spool"] = str(options.spool) if options.spool else None
+    how["spool_size"] = options.spool_size and parse_size(options.spool_size, "--spool-size")
+    with _reporting(quiet or as_json) as report:
+        outcomes = run_fleet(
+            given(logs),
+            options.output,
+            {key: value for key, value in how.items() if value is not None},
+            on=options.on,
+            share=options.share,
+            join=join,
+            report=report,
+        )
+    wrong = [one for one in outcomes if one["error"] or one["lost"]]
+    for one in wrong:
+        tell(f"jaxdet: error: {one['log']}: {one['error'] or '; '.join(map(str, one['lost']))}")
+    if as_json:
+        print(json.dumps({"logs": outcomes}, indent=2))
+    elif not quiet:
+        print(_closing(outcomes))
+    if any(one["state"] == "failed" for one in wrong) and not options.update:
+        tell("jaxdet: --update does again what failed or was lost")
+    return 1 if wrong else 0
+
+
+def _closing(outcomes: list[dict[str, Any]]) -> str:
+    """Return a line about a run."""
+    counts = dict.fromkeys(("done", "there", "failed", "replaced"), 0)
+    for one in outcomes:
+        counts[one["state"]] += 1
+    frames, found = (sum(one[name] for one in outcomes) for name in ("frames", "obstacles"))
+    states = ", ".join(f"{count} {state}" for state, count in counts.items() if count)
+    return f"{len(outcomes)} logs: {states or 'none'}; {frames} frames, {found} obstacles"
+
+
+@contextmanager
+def _reporting(silent: bool):  # noqa: ANN202 (a generator)
+    """One line that shows how far the run is: rewritten on a terminal, else every few seconds."""
+    began = last = time.monotonic()
+    failed = size = 0
+
+    def show(done: int, total: int, outcome: Mapping[str, Any]) -> None:
+        nonlocal last, failed, size
+        failed += outcome["state"] == "failed"
+        size += outcome["bytes"] if outcome["state"] == "done" else 0
+        now = time.monotonic()
+        if not on_terminal() and done < total and now - last < LINE_EVERY_S:
+            return
+        last = now
+        rate = size_text(int(size / max(now - began, 1e-3)))
+        text = f"{done}/{total} logs, {rate}/s" + (f", {failed} failed" if failed else "")
+        if on_terminal() and done < total:
+            SPINNER.start(text)
+        else:
+            SPINNER.stop()
+            tell(f"jaxdet: {text}")
+
+    try:
+        yield None if silent else show
+    finally:
+        SPINNER.stop()

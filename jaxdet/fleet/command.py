@@ -1,0 +1,69 @@
+"""What ``jaxdet run`` does with addresses of buckets, ``--on`` and ``--share``."""
+
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import redirect_stdout
+from os import PathLike
+from typing import Any
+
+from jaxdet.errors import ConfigError
+from jaxdet.fleet.logs import Log, list_logs, share_of, size_of
+from jaxdet.fleet.place import address
+from jaxdet.fleet.run_log import prepare, run_logs
+
+Report = Callable[[int, int, Mapping[str, Any]], None]
+"""Receives the number of logs done, of all logs, and the last outcome."""
+
+
+def run_fleet(
+    inputs: Sequence[str | PathLike[str]],
+    output: str | PathLike[str],
+    how: Mapping[str, Any],
+    *,
+    on: str | None = None,
+    share: str | None = None,
+    join: bool = True,
+    report: Report | None = None,
+) -> list[dict[str, Any]]:
+    """Run logs at places into a place; what is done there already is skipped.
+
+    Args:
+        inputs: Addresses, folders or files.
+        output: Address of the results.
+        how: As of :func:`jaxdet.fleet.run_log`.
+        on: ``ray``: on a Ray cluster; by default on this machine.
+        share: ``K/N``: only the logs of the K-th of N shares.
+        join: As of :func:`jaxdet.find_logs`.
+        report: Called after each log.
+
+    Returns:
+        The outcomes of :func:`jaxdet.fleet.run_log`, by name.
+
+    Raises:
+        ConfigError: An argument is wrong.
+        InputError: There are no logs.
+        OutputError: A disk or a bucket can't be used.
+    """
+    if share and how.get("overwrite"):
+        remedy = "name another --output, or run one log with --overwrite before the shares start"
+        raise ConfigError("--overwrite with --share would replace other shares", remedy=remedy)
+    place = address(output)
+    logs = list_logs(inputs, join=join)
+    logs = share_of(logs, share) if share else logs
+    found = []
+    with redirect_stdout(sys.stderr):  # Ray's messages about workers
+        for outcome in _outcomes(logs, place, prepare(place, how), on):
+            found.append(outcome)
+            if report:
+                report(len(found), len(logs), outcome)
+    return sorted(found, key=lambda outcome: outcome["name"])
+
+
+def _outcomes(
+    logs: list[Log], place: str, how: Mapping[str, Any], on: str | None
+) -> Iterator[dict[str, Any]]:
+    if not on:
+        return run_logs(sorted(logs, key=size_of, reverse=True), place, how)
+    from jaxdet.fleet.ray import run_on_ray
+
+    return run_on_ray(logs, place, how, on)

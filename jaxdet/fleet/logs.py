@@ -1,0 +1,156 @@
+"""Logs at a place, as plain values: a dict per log that any engine can carry to another machine.
+
+``{"log": "monday/drive_1", "name": "monday--drive_1", "url": "s3://bucket/logs", "files": [...]}``:
+``log`` is the name in tables, ``name`` that of the folder of results; ``url`` is empty for local
+logs; ``files`` have ``key`` (a path, of local logs), ``size``, and ``tag``, which is the identity
+of the version that was listed.
+"""
+
+import hashlib
+import re
+from collections.abc import Iterable, Sequence
+from itertools import pairwise
+from os import PathLike
+from pathlib import PurePosixPath
+from typing import Any
+
+from jaxdet.errors import ConfigError, InputError
+from jaxdet.fleet.place import Entry, Place, address, is_url, local_entry, open_place
+
+Log = dict[str, Any]
+METADATA = "metadata.yaml"
+_SHARE = re.compile(r"(\d{1,6})/(\d{1,6})", re.ASCII)
+_MEMBER = re.compile(r"^\s*-\s*[\"']?([^\"'\s#:]+\.(?:mcap|db3))[\"']?\s*$", re.MULTILINE)
+"""A file in ``relative_file_paths`` of rosbag2's ``metadata.yaml``."""
+_NUMBER = re.compile(r"_\d+$")
+
+
+def list_logs(
+    inputs: Iterable[str | PathLike[str]] | str | PathLike[str], *, join: bool = True
+) -> list[Log]:
+    """List the logs at addresses, folders and files, ordered by name.
+
+    In a bucket the files that one ``metadata.yaml`` of rosbag2 lists are one log; every other
+    ``.mcap``, ``.db3`` or ``.bag`` file is a log of its own. Of a recording that a folder holds in
+    several formats one is taken, MCAP first. Folders of images are not read from buckets. ``join``:
+    as of :func:`jaxdet.find_logs`.
+
+    Raises:
+        InputError: An input holds no log.
+        ConfigError: Two logs have one name, or an address is wrong.
+    """
+    items = [inputs] if isinstance(inputs, str | PathLike) else [*inputs]
+    logs = [log for item in items if is_url(item) for log in _in_bucket(address(item), join)]
+    if local := [item for item in items if not is_url(item)]:
+        logs += _local([address(item) for item in local], join)
+    logs.sort(key=lambda log: log["name"])
+    for one, other in pairwise(logs):
+        if one["name"] == other["name"]:
+            remedy = "name a folder that holds both, or give each its own --output"
+            raise ConfigError(f"two logs have the name {one['name']}", remedy=remedy)
+    return logs
+
+
+def size_of(log: Log) -> int:
+    """Return the bytes of a log."""
+    return sum(int(file["size"]) for file in log["files"])
+
+
+def entries_of(log: Log) -> list[Entry]:
+    """Return the files of a log; engines that keep tables may have added empty fields."""
+    return [
+        Entry(file["key"], int(file["size"]), {k: v for k, v in file["tag"].items() if v})
+        for file in log["files"]
+    ]
+
+
+def share_of(logs: Sequence[Log], share: str) -> list[Log]:
+    """Return the logs of the K-th of N shares, by SHA-256 of their names.
+
+    A log stays in its share whichever other logs there are.
+
+    Raises:
+        ConfigError: ``share`` is not K/N with K from 1 to N.
+    """
+    found = _SHARE.fullmatch(share)
+    number, of = (int(found[1]), int(found[2])) if found else (0, 0)
+    if not 1 <= number <= of:
+        remedy = "give one from 1/4 to 4/4 to each of four machines, for instance"
+        raise ConfigError(f"--share {share} is no share", remedy=remedy)
+    return [log for log in logs if _digest(log["name"]) % of == number - 1]
+
+
+def _digest(name: str) -> int:
+    return int.from_bytes(hashlib.sha256(name.encode()).digest()[:8])
+
+
+def _in_bucket(url: str, join: bool) -> list[Log]:
+    from jaxdet.io.files import EXPORTED, SUFFIXES
+
+    place = open_place(url)
+    entries = {entry.key: entry for entry in place.list()}
+    if not entries and (found := _one_object(url)):
+        return [found]
+    read = [
+        key
+        for key in sorted(entries)
+        if key.lower().endswith(SUFFIXES)
+        and not key.lower().endswith(EXPORTED)
+        and not any(part.startswith(".") for part in key.split("/"))
+    ]
+    if not read:
+        remedy = "name a prefix of MCAP, .db3 or .bag files; folders of images must be local"
+        raise InputError("no logs found", path=url, remedy=remedy)
+    logs, seen = {}, set[str]()
+    for key in entries:
+        if join and PurePosixPath(key).name == METADATA:
+            members = _members(place, key, entries)
+            logs |= {_stem(members[0], _NUMBER): [*members, key]} if members else {}
+            seen |= {*members}
+    for suffix in SUFFIXES:
+        for key in read:
+            if key not in seen and key.lower().endswith(suffix):
+                logs.setdefault(_stem(key), [key])
+    return [_log(stem, url, [entries[key] for key in keys]) for stem, keys in logs.items()]
+
+
+def _one_object(url: str) -> Log | None:
+    """Return the log of an address that is an object, not a prefix."""
+    from jaxdet.io.files import SUFFIXES
+
+    folder, _, name = url.rpartition("/")
+    if not name.lower().endswith(SUFFIXES) or folder.endswith(":/"):
+        return None
+    found = [entry for entry in open_place(folder).list() if entry.key == name]
+    return _log(_stem(name), folder, found) if found else None
+
+
+def _members(place: Place, key: str, entries: dict[str, Entry]) -> list[str]:
+    """Return the files that a ``metadata.yaml`` lists, if all of them are there."""
+    found = place.get(key)
+    folder = PurePosixPath(key).parent
+    names = _MEMBER.findall(found[0].decode(errors="replace")) if found else []
+    members = [str(folder / name) for name in dict.fromkeys(names)]
+    return members if all(member in entries for member in members) else []
+
+
+def _stem(key: str, number: re.Pattern[str] | None = None) -> str:
+    stem = str(PurePosixPath(key).with_suffix(""))
+    return number.sub("", stem) if number else stem
+
+
+def _log(stem: str, url: str, entries: Iterable[Entry]) -> Log:
+    from jaxdet.engine import log_name
+
+    files = [entry._asdict() for entry in entries]
+    return {"log": stem, "name": log_name(stem), "url": url, "files": files}
+
+
+def _local(paths: Sequence[str], join: bool) -> list[Log]:
+    from jaxdet.io import find_logs
+    from jaxdet.results.manifest import fingerprint
+
+    return [
+        _log(log.name, "", [local_entry(fingerprint(path.absolute())) for path in log.paths])
+        for log in find_logs(paths, join=join)
+    ]

@@ -1,0 +1,326 @@
+"""Places for logs and results: a folder, or a prefix of a bucket in S3, Google Cloud or Azure.
+
+A :class:`Folder` and a :class:`Bucket` have the same methods. Two of them decide races: ``create``
+writes a file only if there is none, ``swap`` only if it is still the one that was read. Keys of a
+bucket come from the environment, by the names that the services' own programs use; an address that
+holds some is refused, so that none can get into a file, a log line or an error.
+"""
+
+import fcntl
+import os
+import re
+import secrets
+from collections import deque
+from collections.abc import Iterable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, suppress
+from functools import cache
+from pathlib import Path
+from threading import Event
+from typing import Any, NamedTuple
+
+from jaxdet.errors import ConfigError, InputError, OutputError
+from jaxdet.results.durable import write_whole, writing
+
+RANGE_BYTES = 64 << 20
+"""Bytes per request of a fetch."""
+CONNECTIONS = 16
+"""Requests of a fetch at a time."""
+_PIECE_BYTES = 4 << 20
+"""Bytes of a response held in memory."""
+_MULTIPART_BYTES = 1 << 30
+"""Files above it are uploaded in parts, which stay invisible until the last one is there."""
+_URL = re.compile(r"(s3|gs|az):/+(.*)", re.DOTALL | re.IGNORECASE)
+_SECRET = re.compile(r"(?<=:/)(/*)(?:[^/\s@]*@|[^/\s]*:\S*@)|[?#][^\s\"')]*")
+"""User parts, whose secrets may hold slashes, and queries."""
+_REMEDY = "check the address, the keys in the environment, and who may read and write there"
+
+Tag = Mapping[str, str]
+"""Identity of one version of a file, as its place reports it."""
+
+
+class Entry(NamedTuple):
+    """A file in a listing; ``key`` is its path under the place."""
+
+    key: str
+    size: int
+    tag: Tag
+
+
+def local_entry(about: Mapping[str, Any]) -> Entry:
+    """Return the entry of a file by its :func:`jaxdet.results.manifest.fingerprint`."""
+    tag = {"e_tag": f"{about.get('mtime_ns')}-{about.get('fingerprint')}"}
+    return Entry(about["path"], about.get("size", 0), tag)
+
+
+def scrub(text: str) -> str:
+    """Remove what may be credentials from an address or an error: user parts and queries.
+
+    >>> scrub("GET s3://key:secret@bucket/logs?sig=123 failed")
+    'GET s3://bucket/logs failed'
+    """
+    return _SECRET.sub(r"\1", text)
+
+
+def is_url(text: str | os.PathLike[str]) -> bool:
+    """Whether an address names a bucket; a :class:`~pathlib.Path` has lost one of its slashes."""
+    return bool(_URL.match(os.fspath(text)))
+
+
+def address(text: str | os.PathLike[str]) -> str:
+    """Return an address in its one form.
+
+    Raises:
+        ConfigError: It holds credentials or names no bucket.
+    """
+    text = os.fspath(text)
+    if not (found := _URL.fullmatch(text)):
+        if re.match(r"[a-z][a-z0-9+]*:/", text, re.IGNORECASE):
+            remedy = "give a folder, s3://BUCKET/PATH, gs://BUCKET/PATH or az://ACCOUNT/CONTAINER"
+            raise ConfigError("no kind of place that is supported", path=scrub(text), remedy=remedy)
+        return str(Path(text).absolute())
+    url = f"{found[1].lower()}://{found[2].rstrip('/')}"
+    if scrub(url) != url:
+        problem = "an address with credentials or a query is refused"
+        remedy = "give keys in the environment, for instance AWS_ACCESS_KEY_ID"
+        raise ConfigError(problem, path=scrub(url), remedy=remedy)
+    if not found[2].strip("/"):
+        raise ConfigError("names no bucket", path=url, remedy="give s3://BUCKET/PATH, for instance")
+    return url
+
+
+@cache
+def open_place(url: str) -> "Place":
+    """Open a place by its address; it need not exist yet.
+
+    Raises:
+        ConfigError: The address is wrong, or obstore is not installed.
+    """
+    url = address(url)
+    return Bucket(url) if is_url(url) else Folder(url)
+
+
+def probe(place: "Place") -> None:
+    """Check that a place honours conditions.
+
+    Raises:
+        ConfigError: It ignores them, so two machines could both believe they were first.
+    """
+    key = f".probe-{secrets.token_hex(8)}"
+    try:
+        first, second, stale = place.create(key, b"1"), place.create(key, b"2"), True
+        if found := place.get(key):
+            place.put(key, b"3")
+            stale = place.swap(key, b"4", found[1])
+    finally:
+        place.delete([key])
+    if not first or second or stale:
+        problem = "this store ignores conditional writes (If-None-Match, If-Match)"
+        remedy = "results of several machines could mix there: use another store"
+        raise ConfigError(problem, path=place.url, remedy=remedy)
+
+
+class Bucket:
+    """A prefix of a bucket, by obstore."""
+
+    def __init__(self, url: str) -> None:
+        self.url, self.store = url, _store(url)
+
+    def list(self, under: str = "") -> Iterator[Entry]:
+        """Yield the files below a folder, in no order."""
+        import obstore
+
+        with self._reached(under):
+            for page in obstore.list(self.store, under or None, chunk_size=1000):
+                yield from (Entry(one["path"], one["size"], _tag_of(one)) for one in page)
+
+    def get(self, key: str) -> tuple[bytes, Tag] | None:
+        """Return a small file and its tag; None: there is none."""
+        import obstore
+
+        with self._reached(key):
+            try:
+                found = obstore.get(self.store, key)
+                return bytes(found.bytes()), _tag_of(found.meta)
+            except FileNotFoundError:
+                return None
+
+    def put(self, key: str, content: bytes | Path) -> None:
+        """Write a file, complete or not at all."""
+        import obstore
+
+        large = isinstance(content, Path) and content.stat().st_size > _MULTIPART_BYTES
+        with self._reached(key):
+            obstore.put(self.store, key, content, use_multipart=large)
+
+    def create(self, key: str, content: bytes) -> bool:
+        """Write a file if there is none; return whether it was written."""
+        return self._put_if(key, content, "create")
+
+    def swap(self, key: str, content: bytes, tag: Tag) -> bool:
+        """Replace a file if it still has this tag; return whether it was replaced."""
+        return self._put_if(key, content, dict(tag))
+
+    def _put_if(self, key: str, content: bytes, mode: Any) -> bool:
+        import obstore
+        from obstore.exceptions import AlreadyExistsError, PreconditionError
+
+        with self._reached(key):
+            try:
+                obstore.put(self.store, key, content, mode=mode, use_multipart=False)
+            except (AlreadyExistsError, PreconditionError, FileNotFoundError) as error:
+                if mode == "create" and isinstance(error, FileNotFoundError):
+                    raise  # there is no such bucket
+                # A request whose answer was lost is sent again, and meets its own object.
+                found = self.get(key)
+                return found is not None and found[0] == content
+        return True
+
+    def fetch(self, entry: Entry, path: Path, stop: Event) -> None:
+        """Copy a file to local disk, until ``stop`` is set.
+
+        Raises:
+            InputError: It is gone or was replaced since it was listed.
+        """
+        with path.open("wb") as file, ThreadPoolExecutor(CONNECTIONS) as pool:
+            with writing(path):
+                os.truncate(file.fileno(), entry.size)
+
+            def copy(start: int) -> None:
+                if not stop.is_set():
+                    self._range(entry, start, file.fileno(), stop)
+
+            try:
+                deque(pool.map(copy, range(0, entry.size, RANGE_BYTES)), 0)
+            except BaseException:
+                pool.shutdown(cancel_futures=True)
+                raise
+
+    def _range(self, entry: Entry, start: int, file: int, stop: Event) -> None:
+        """Copy one range into an open file at its place."""
+        import obstore
+        from obstore.exceptions import PreconditionError
+
+        end = min(start + RANGE_BYTES, entry.size)
+        options: Any = {"range": (start, end), "if_match": entry.tag.get("e_tag")}
+        with self._reached(entry.key):
+            try:
+                found = obstore.get(self.store, entry.key, options=options)
+                for piece in found.stream(min_chunk_size=_PIECE_BYTES):
+                    if stop.is_set():
+                        return
+                    with writing(Path("local disk")):
+                        start += os.pwrite(file, piece, start)
+            except (FileNotFoundError, PreconditionError):
+                found = None
+        if not found or start != end or found.meta["size"] != entry.size:
+            problem = "was removed or replaced while it was fetched"
+            raise InputError(problem, path=f"{self.url}/{entry.key}")
+
+    def delete(self, keys: Iterable[str]) -> None:
+        """Remove files; those that are gone already are no error."""
+        import obstore
+
+        with self._reached():
+            for key in keys:
+                with suppress(FileNotFoundError):
+                    obstore.delete(self.store, key)
+
+    @contextmanager
+    def _reached(self, key: str = "") -> Iterator[None]:
+        """Turn errors of the store into ours, without credentials."""
+        from obstore.exceptions import BaseError
+
+        try:
+            yield
+        except (BaseError, OSError, ValueError) as error:
+            text = scrub(str(error).partition("\n")[0])
+            path = f"{self.url}/{key}" if key else self.url
+            raise OutputError(f"can't be used ({text})", path=path, remedy=_REMEDY) from None
+
+
+def _tag_of(about: Mapping[str, Any]) -> Tag:
+    return {name: about[name] for name in ("e_tag", "version") if about.get(name)}
+
+
+def _store(url: str) -> Any:
+    try:
+        from obstore.exceptions import BaseError
+        from obstore.store import from_url
+    except ImportError:
+        remedy = "install it with: pip install 'jaxdet[cloud]'"
+        raise ConfigError("buckets need obstore", path=url, remedy=remedy) from None
+    try:
+        return from_url(url)
+    except (BaseError, ValueError) as error:
+        text = scrub(str(error).partition("\n")[0])
+        raise ConfigError(f"no place that can be used ({text})", path=url, remedy=_REMEDY) from None
+
+
+class Folder:
+    """A folder of a local or shared file system; its files are read where they are."""
+
+    def __init__(self, url: str) -> None:
+        self.url, self.root = url, Path(url)
+
+    def list(self, under: str = "") -> Iterator[Entry]:
+        for folder, _, names in os.walk(self.root / under):
+            for path in (Path(folder, name) for name in names if not name.startswith(".")):
+                with suppress(FileNotFoundError):
+                    about = path.stat()
+                    yield Entry(path.relative_to(self.root).as_posix(), about.st_size, _tag(about))
+
+    def get(self, key: str) -> tuple[bytes, Tag] | None:
+        try:
+            with (self.root / key).open("rb") as file:
+                return file.read(), _tag(os.fstat(file.fileno()))
+        except (FileNotFoundError, NotADirectoryError):
+            return None
+
+    def put(self, key: str, content: bytes | Path) -> None:
+        with self._made(key) as path:
+            write_whole(path, content if isinstance(content, bytes) else content.read_bytes())
+
+    def create(self, key: str, content: bytes) -> bool:
+        with self._made(key) as path:
+            new = path.with_name(f".{secrets.token_hex(8)}")
+            write_whole(new, content)
+            try:
+                path.hardlink_to(new)
+            except FileExistsError:
+                return False
+            finally:
+                new.unlink()
+        return True
+
+    def swap(self, key: str, content: bytes, tag: Tag) -> bool:
+        with self._made(key) as path:
+            handle = os.open(path.parent, os.O_RDONLY)
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX)
+                found = self.get(key)
+                if found is None or found[1] != tag:
+                    return False
+                write_whole(path, content)
+            finally:
+                os.close(handle)
+        return True
+
+    def delete(self, keys: Iterable[str]) -> None:
+        for path in (self.root / key for key in keys):
+            with writing(path):
+                path.unlink(missing_ok=True)
+
+    @contextmanager
+    def _made(self, key: str) -> Iterator[Path]:
+        path = self.root / key
+        with writing(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            yield path
+
+
+def _tag(about: os.stat_result) -> Tag:
+    return {"e_tag": f"{about.st_size}-{about.st_mtime_ns}-{about.st_ino}"}
+
+
+Place = Bucket | Folder

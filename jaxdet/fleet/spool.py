@@ -1,0 +1,123 @@
+"""Local disk for logs that are fetched: bounded, and empty again whatever ended a process.
+
+A process has a folder per log, whose name holds machine, process and the process's start. What a
+killed process leaves is removed by the next one on that machine, which also testifies in the store
+that a log killed it: seen from elsewhere it could be a lost machine.
+"""
+
+import hashlib
+import json
+import os
+import secrets
+import shutil
+import tempfile
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+
+from jaxdet.errors import InputError, JaxdetError
+from jaxdet.fleet.place import open_place
+from jaxdet.results.durable import writing
+
+_WITNESS = "attempt.json"
+_BOOT = Path("/proc/sys/kernel/random/boot_id")
+
+
+@cache
+def machine() -> str:
+    """Return the name of this machine since it was started."""
+    boot = _BOOT.read_text(encoding="ascii").strip() if _BOOT.exists() else ""
+    return hashlib.sha256(f"{os.uname().nodename} {boot}".encode()).hexdigest()[:12]
+
+
+def process() -> str:
+    """Return the name of this process: machine, number, start."""
+    return f"{machine()}-{os.getpid()}-{_start(os.getpid())}"
+
+
+def is_dead(name: str) -> bool | None:
+    """Whether a process has ended; None: it ran on another machine."""
+    on, pid, start = name.split("-")[:3]
+    return None if on != machine() else _start(int(pid)) != start
+
+
+def _start(pid: int) -> str:
+    """Return the time of a process's start, where the system tells it; empty: it has ended."""
+    try:
+        text = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace")
+        state, *fields = text.rpartition(")")[2].split()
+        return "" if state in "ZX" else fields[18]
+    except OSError:
+        with suppress(OSError):
+            os.kill(pid, 0)
+            return "0"
+        return ""
+
+
+class Spool:
+    """A folder on local disk for one log.
+
+    Args:
+        base: Where; by default the folder for temporary files.
+    """
+
+    def __init__(self, base: str | None = None) -> None:
+        self.path = base_folder(base) / f"{process()}-{secrets.token_hex(4)}"
+        with writing(self.path):
+            self.path.mkdir(parents=True)
+
+    def witness(self, url: str, key: str) -> None:
+        """Note which attempt is being computed, for :func:`sweep`."""
+        with writing(self.path):
+            text = json.dumps({"url": url, "key": key})
+            (self.path / _WITNESS).write_text(text, encoding="utf-8")
+
+    def close(self) -> None:
+        """Remove the folder."""
+        shutil.rmtree(self.path, ignore_errors=True)
+
+
+def base_folder(base: str | None) -> Path:
+    """Return the folder of all spools of this user on this machine."""
+    return Path(base or tempfile.gettempdir()) / f"jaxdet-spool-{os.getuid()}"
+
+
+def check_room(base: str | None, size: int, bound: int | None, held: int) -> None:
+    """Check that a log fits on the disk.
+
+    Args:
+        base: As of :class:`Spool`.
+        size: Bytes of the log.
+        bound: Most bytes of logs per process; by default three quarters of the disk's free space.
+        held: Bytes of logs that this process has there already.
+
+    Raises:
+        InputError: It doesn't.
+    """
+    folder = base_folder(base)
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        free = shutil.disk_usage(folder).free
+    most = (free + held) * 3 // 4 if bound is None else bound
+    if size > min(most - held, free):
+        problem = f"has {size} bytes; local disk may hold {max(0, min(most - held, free))} more"
+        raise InputError(problem, remedy="give --spool a larger disk, or a larger --spool-size")
+
+
+def sweep(base: str | None = None) -> int:
+    """Remove what killed processes of this machine left; return how many folders those were."""
+    dead = [path for path in base_folder(base).glob("*-*-*-*") if is_dead(path.name)]
+    for folder in dead:
+        with suppress(OSError, ValueError, KeyError, JaxdetError):
+            noted = json.loads((folder / _WITNESS).read_text(encoding="utf-8"))
+            testify(noted["url"], noted["key"])
+        shutil.rmtree(folder, ignore_errors=True)
+    return len(dead)
+
+
+def testify(url: str, key: str) -> None:
+    """Mark an attempt as one whose process died while its machine went on."""
+    place = open_place(url)
+    if found := place.get(key):
+        record = {**json.loads(found[0]), "killed": True}
+        place.swap(key, json.dumps(record).encode(), found[1])

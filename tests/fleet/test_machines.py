@@ -1,0 +1,188 @@
+"""Several processes and machines: shares and races on S3, and a Ray cluster of two nodes."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+from jaxdet.fleet import result_files, spool
+from tests.fleet.conftest import ROOT, started
+from tests.fleet.stub import JOURNAL, check_results, computed
+
+pytestmark = pytest.mark.fleet
+
+
+class Machines:
+    """Drivers in processes of their own, on the logs of a bucket."""
+
+    def __init__(self, url: str, journal: Path, scratch: Path) -> None:
+        self.logs, self.results = f"{url}/logs", f"{url}/results"
+        self.journal, self.scratch = journal, scratch
+        self.spool = str(scratch / "spool")
+
+    def start(self, on: str = "", share: str = "", results: str = "") -> subprocess.Popen:
+        args = [self.logs, results or self.results, self.spool, on, share]
+        command = [sys.executable, "-m", "tests.fleet.drive", *args]
+        return subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT)
+
+    def end(self, driver: subprocess.Popen) -> dict[str, str]:
+        out, _ = driver.communicate(timeout=240)
+        assert driver.returncode == 0
+        return json.loads(out)
+
+    def run(self, *args, **kwargs) -> dict[str, str]:
+        return self.end(self.start(*args, **kwargs))
+
+    def wait_for(self, logs: int) -> None:
+        """Waits until so many computations have begun."""
+        until = time.monotonic() + 120
+        while len(computed(self.journal)) < logs:
+            assert time.monotonic() < until
+            time.sleep(0.05)
+
+    def check(self, results: str = "") -> dict[str, str]:
+        """All results are complete; the tables."""
+        found = [url.split("/")[4] for url in result_files(results or self.results)]
+        return {name: check_results(results or self.results, name, self.scratch) for name in found}
+
+    def most(self) -> int:
+        """How often a log was computed at most."""
+        return max(Counter(computed(self.journal)).values())
+
+    def left(self) -> list[str]:
+        base = spool.base_folder(self.spool)
+        return os.listdir(base) if base.exists() else []
+
+
+def names(count: int, prefix: str = "log") -> list[str]:
+    return [f"{prefix}{i}" for i in range(count)]
+
+
+@pytest.fixture
+def machines(bucket, tmp_path, monkeypatch):
+    journal = tmp_path / "journal"
+    journal.mkdir()
+    monkeypatch.setenv(JOURNAL, str(journal))
+    return Machines(bucket, journal, tmp_path)
+
+
+def test_four_attempts_at_one_log_at_once(machines, put):
+    put(machines.logs, a="sleep=1")
+    drivers = [machines.start() for _ in range(4)]
+    states = Counter(machines.end(driver)["a"] for driver in drivers)
+    assert states["done"] == 1 and states["there"] == 3
+    assert {*machines.check()} == {"a"} and machines.left() == []
+
+
+def test_shares_at_once_of_which_one_is_killed_and_repeated(machines, put):
+    put(machines.logs, **dict.fromkeys(names(9), "sleep=0.3"))
+    drivers = [machines.start(share=f"{k}/3") for k in (1, 2, 3)]
+    machines.wait_for(3)
+    drivers[1].kill()
+    drivers[1].communicate()
+    found = machines.end(drivers[0]) | machines.end(drivers[2]) | machines.run(share="2/3")
+    assert {*found} == {*names(9)} and {*found.values()} <= {"done", "there"}
+    tables = machines.check()
+    assert machines.most() <= 2
+    assert {*tables} == {*names(9)} and machines.left() == []
+    assert machines.run(results=machines.results + "-alone") == dict.fromkeys(names(9), "done")
+    assert machines.check(machines.results + "-alone") == tables
+
+
+@pytest.fixture(scope="module")
+def cluster_environment(moto, tmp_path_factory):
+    """What every process of the cluster sees: the stub, its journal, the S3 server."""
+    journals = tmp_path_factory.mktemp("journals")
+    settings = {
+        "PYTHONPATH": f"{ROOT / 'tests/fleet/site'}:{os.environ.get('PYTHONPATH', ROOT)}",
+        "AWS_ENDPOINT_URL": moto,
+        "AWS_ALLOW_HTTP": "true",
+        "AWS_ACCESS_KEY_ID": "AKIDEXAMPLE",
+        "AWS_SECRET_ACCESS_KEY": "topsecretvalue",
+        "AWS_REGION": "us-east-1",
+        "NO_PROXY": "127.0.0.1,localhost",
+        "RAY_DISABLE_IMPORT_WARNING": "1",
+        "RAY_USAGE_STATS_ENABLED": "0",
+        JOURNAL: str(journals),
+    }
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in settings.items():
+            patch.setenv(name, value)
+        yield journals
+
+
+@pytest.fixture(scope="module")
+def cluster(cluster_environment):
+    """A head that computes nothing and two nodes of one core, started up to three times."""
+    pytest.importorskip("ray")
+    made = started(_start_cluster)
+    yield made
+    made.shutdown()
+
+
+def _start_cluster():
+    from ray.cluster_utils import Cluster
+
+    made = Cluster()
+    try:
+        made.add_node(num_cpus=0, include_dashboard=False)
+        for _ in range(2):
+            made.add_node(num_cpus=1)
+    except BaseException:
+        with suppress(Exception):
+            made.shutdown()
+        raise
+    return made
+
+
+@pytest.fixture
+def fleet(cluster, bucket, cluster_environment, monkeypatch, tmp_path):
+    monkeypatch.setenv("RAY_ADDRESS", cluster.address)
+    for path in cluster_environment.iterdir():
+        path.unlink()
+    return Machines(bucket, cluster_environment, tmp_path)
+
+
+@pytest.mark.filterwarnings("default")
+def test_ray_with_a_killed_worker_and_a_log_that_kills_all(fleet, put):
+    logs = dict.fromkeys(names(6), "sleep=0.2")
+    put(fleet.logs, **logs, once="kill=1", always="kill=99")
+    found = fleet.run(on="ray")
+    assert found == {**dict.fromkeys([*names(6), "once"], "done"), "always": "failed"}
+    counts = Counter(computed(fleet.journal))
+    assert counts.pop("always") == 3 and counts["once"] == 2 and max(counts.values()) <= 2
+    tables = fleet.check()
+    again = {**dict.fromkeys([*names(6), "once"], "there"), "always": "failed"}
+    assert fleet.run(on="ray") == again and len(computed(fleet.journal)) == 3 + 2 + 6
+    assert {*tables} == {*again} - {"always"}
+
+
+@pytest.mark.filterwarnings("default")
+def test_ray_with_a_node_removed(fleet, cluster, put):
+    put(fleet.logs, **dict.fromkeys(names(6), "sleep=2"))
+    driver = fleet.start(on="ray")
+    fleet.wait_for(2)
+    cluster.remove_node(sorted(cluster.worker_nodes, key=str)[0], allow_graceful=False)
+    assert fleet.end(driver) == dict.fromkeys(names(6), "done")
+    assert {*fleet.check()} == {*names(6)} and fleet.most() <= 2
+    cluster.add_node(num_cpus=1)
+
+
+@pytest.mark.filterwarnings("default")
+def test_ray_with_the_driver_killed_and_the_command_repeated(fleet, put):
+    put(fleet.logs, **dict.fromkeys(names(6), "sleep=1"))
+    driver = fleet.start(on="ray")
+    fleet.wait_for(3)
+    driver.send_signal(signal.SIGKILL)
+    driver.communicate()
+    fleet.check()
+    found = fleet.run(on="ray")
+    assert {*found} == {*names(6)} and {*found.values()} <= {"done", "there"}
+    assert {*fleet.check()} == {*names(6)} and fleet.most() <= 2

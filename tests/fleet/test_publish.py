@@ -1,0 +1,185 @@
+"""The protocol of publishing: deaths at every step, races, replaced versions."""
+
+import threading
+from pathlib import Path
+
+import pytest
+
+from jaxdet.fleet import publish, result_files, spool
+from jaxdet.fleet.place import Bucket, Folder
+from jaxdet.fleet.publish import Target, open_results
+from tests.fleet.stub import check_complete, check_results, run_one
+
+WRITES = ("put", "create", "swap", "delete")
+
+
+@pytest.fixture(params=["bucket", "folder", pytest.param("s3", marks=pytest.mark.fleet)])
+def url(request, tmp_path):
+    if request.param == "folder":
+        return str(tmp_path / "results")
+    if request.param == "s3":
+        return request.getfixturevalue("bucket") + "/results"
+    request.getfixturevalue("stores")
+    return "s3://bucket/results"
+
+
+def stage(results, tmp_path: Path, attempt: str, text: str = "log") -> Path:
+    """A folder with results that an attempt made."""
+    log = tmp_path / f"{attempt}.mcap"
+    log.write_text(text)
+    staged = results.stage(attempt, tmp_path / attempt)
+    run_one(log, staged, {"name": "log"})
+    return staged
+
+
+def table(url: str, tmp_path: Path) -> str:
+    """The table of the log, which agrees with its manifest."""
+    if url.startswith("s3:"):
+        return check_results(url, "log", tmp_path)
+    return check_complete(Path(url) / "log")
+
+
+class Death(BaseException):
+    pass
+
+
+def die_at(monkeypatch, step: int, before: bool) -> list[str]:
+    """The process dies before or after its ``step``-th write; lists the writes."""
+    seen: list[str] = []
+    for kind in (Bucket, Folder):
+        for name in WRITES:
+            real = getattr(kind, name)
+
+            def write(self, *args, real=real, name=name):
+                seen.append(name)
+                if len(seen) >= step and before:
+                    raise Death
+                result = real(self, *args)
+                if len(seen) >= step:
+                    raise Death
+                return result
+
+            monkeypatch.setattr(kind, name, write)
+    return seen
+
+
+@pytest.mark.parametrize("before", [True, False])
+@pytest.mark.parametrize("old", [False, True])
+def test_a_death_at_any_step_leaves_old_results_or_new_ones(
+    url, tmp_path, monkeypatch, old, before
+):
+    steps = 0
+    while _dies(f"{url}/{steps}", tmp_path / f"{steps}", monkeypatch, steps + 1, old, before):
+        steps += 1
+    assert steps >= (7 if url.startswith("s3:") else 1)
+
+
+def _dies(url, tmp_path, monkeypatch, step, old, before) -> bool:
+    """Whether publishing has this step; the process dies there, and the next one goes on."""
+    tmp_path.mkdir()
+    results = open_results(url)
+    target = Target("log", "v2", "r2")
+    tables = []
+    if old:
+        first = Target("log", "v1", "r1")
+        staged = stage(results, tmp_path, "a0", "old")
+        assert results.publish(first, "a0", staged, results.standing(first)) == "done"
+        tables.append(table(url, tmp_path))
+    seen = results.standing(target)
+    assert seen.state == ("other" if old else "new")
+    staged = stage(results, tmp_path, "a1")
+    with monkeypatch.context() as patched:
+        die_at(patched, step, before)
+        try:
+            results.publish(target, "a1", staged, seen)
+            return False
+        except Death:
+            pass
+    if old or result_files(url):
+        assert table(url, tmp_path)
+    seen = results.standing(target)
+    if seen.state != "whole":
+        staged = stage(results, tmp_path, "a2")
+        assert results.publish(target, "a2", staged, seen) in ("done", "there")
+    assert results.standing(target).state == "whole"
+    assert table(url, tmp_path) not in tables and len(result_files(url)) == 1
+    return True
+
+
+def test_of_four_attempts_at_once_one_holds(url, tmp_path):
+    results = open_results(url)
+    target = Target("log", "v1", "r1")
+    staged = [stage(results, tmp_path, f"a{i}") for i in range(4)]
+    seen = results.standing(target)
+    gate, found = threading.Barrier(4), []
+
+    def attempt(number: int) -> None:
+        gate.wait()
+        found.append(results.publish(target, f"a{number}", staged[number], seen))
+
+    threads = [threading.Thread(target=attempt, args=(i,)) for i in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert sorted(found) == ["done", "there", "there", "there"]
+    assert table(url, tmp_path)
+    assert not any(path.exists() for path in staged if not url.startswith("s3:"))
+    if isinstance(results, publish.BucketResults):
+        kept = {entry.key.split("/")[2] for entry in results.place.list("log/v1")}
+        assert len(kept) == 2  # the manifest and one attempt
+
+
+def test_an_attempt_that_is_late_does_not_replace_a_newer_version(stores, tmp_path):
+    results = open_results("s3://bucket/results")
+    old, new = Target("log", "v1", "r"), Target("log", "v2", "r")
+    late = results.standing(old)
+    staged = stage(results, tmp_path, "a0", "old")
+    fresh = stage(results, tmp_path, "a1", "new")
+    assert results.publish(new, "a1", fresh, results.standing(new)) == "done"
+    before = table("s3://bucket/results", tmp_path)
+    assert results.publish(old, "a0", staged, late) == "replaced"
+    assert table("s3://bucket/results", tmp_path) == before
+    assert not [*results.place.list("log/v1")]
+
+
+def test_a_failure_does_not_hide_results(url, tmp_path):
+    results = open_results(url)
+    target = Target("log", "v1", "r1")
+    seen = results.standing(target)
+    staged = stage(results, tmp_path, "a0")
+    assert results.publish(target, "a0", staged, seen) == "done"
+    results.fail(target, {"reason": "late"}, seen)
+    assert results.standing(target).state == "whole" and table(url, tmp_path)
+
+
+def test_results_take_the_place_of_a_failure(url, tmp_path):
+    results = open_results(url)
+    target = Target("log", "v1", "r1")
+    results.fail(target, {"reason": "no depth"}, results.standing(target))
+    seen = results.standing(target)
+    assert seen.state == "failed" and seen.failure == {"reason": "no depth"}
+    assert result_files(url) == []
+    results.reopen(target)
+    assert results.standing(target).state in ("new", "other")
+    staged = stage(results, tmp_path, "a0")
+    assert results.publish(target, "a0", staged, results.standing(target)) == "done"
+    assert results.standing(target).state == "whole" and table(url, tmp_path)
+
+
+def test_deaths_are_counted_where_they_can_be_told_from_lost_machines(url, monkeypatch):
+    results = open_results(url)
+    target = Target("log", "v1", "r1")
+    running = results.begin(target, "a0", "c0")
+    assert results.deaths(target) == (0, 0)
+    names = {"a1": f"{spool.machine()}-1-0", "a2": "elsewhere-7-7"}
+    for attempt, name in names.items():
+        monkeypatch.setattr(publish, "process", lambda name=name: name)
+        results.begin(target, attempt, attempt)
+    assert results.deaths(target) == (1, 1)
+    assert results.deaths(target, "a1") == (1, 0) and results.deaths(target, "c0") == (0, 0)
+    monkeypatch.setattr(publish, "_DAY_S", -1.0)
+    assert results.deaths(target) == (1, 0)  # no lost attempt counts for ever
+    monkeypatch.setattr(spool, "machine", lambda: "elsewhere")
+    assert results.deaths(target)[0] == 2  # its witness has said so, and a1's stays
+    results.end(running)

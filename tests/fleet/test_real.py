@@ -1,0 +1,81 @@
+"""The command and the engine itself, through S3: the bytes of a run on one machine."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from jaxdet.cli import main
+from jaxdet.fleet import download, result_files
+from jaxdet.fleet.place import open_place
+from jaxdet.sim import SimConfig, write_log
+
+SAME = ("frames.parquet", "obstacles.parquet", "tracks.parquet", "track_links.parquet")
+SAME += ("map.npz", "map.png", "tracks.png", "pictures/")
+
+
+@pytest.mark.fleet
+def test_results_are_those_of_one_machine(bucket, tmp_path, capsys):
+    logs, how = tmp_path / "logs", ["--pictures", "1", "--tracks"]
+    for seed in (1, 2):
+        path = logs / f"day/run_{'ab'[seed - 1]}.mcap"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_log(path, SimConfig(frames=4, width=160, height=120, seed=seed))
+        open_place(f"{bucket}/logs").put(f"day/{path.name}", path)
+    bad = logs / "day/bad.mcap"
+    bad.write_bytes(b"no log")
+    open_place(f"{bucket}/logs").put("day/bad.mcap", bad)
+    alone = main(["run", str(logs), "-o", str(tmp_path / "alone"), *how])
+    command = ["run", f"{bucket}/logs", "-o", f"{bucket}/results", *how]
+    command += ["--spool", str(tmp_path / "spool")]
+    assert main(command) == alone == 1
+    assert re.search("error: day/bad: .*bad.mcap", capsys.readouterr().err)
+    names = ["day--run_a", "day--run_b"]
+    assert [url.split("/")[4] for url in result_files(f"{bucket}/results")] == names
+    for name in names:
+        ours = download(f"{bucket}/results", name, tmp_path / "ours" / name)
+        theirs, log = tmp_path / "alone" / name, logs / f"{name.replace('--', '/')}.mcap"
+        for folder in (ours, theirs):
+            assert main(["verify", str(folder), "--against", str(log)]) == 0
+        files = {path.relative_to(ours).as_posix() for path in ours.rglob("*") if path.is_file()}
+        assert files == {p.relative_to(theirs).as_posix() for p in theirs.rglob("*") if p.is_file()}
+        same = [file for file in files if file.startswith(SAME)]
+        assert len(same) == len(SAME)
+        assert not [
+            file for file in same if (ours / file).read_bytes() != (theirs / file).read_bytes()
+        ]
+    capsys.readouterr()
+    assert main([*command, "--json"]) == 1
+    told = json.loads(capsys.readouterr().out)["logs"]
+    assert {log["log"]: log["state"] for log in told} == {
+        "day/bad": "failed",
+        "day/run_a": "there",
+        "day/run_b": "there",
+    }
+    assert not [*(tmp_path / "spool").rglob("*.mcap")]
+
+
+def test_shares_of_one_folder_are_a_run_of_one_machine(tmp_path, capsys):
+    """A run on one machine finds what shares did, and the other way round."""
+    logs, out = tmp_path / "logs", str(tmp_path / "out")
+    for seed in range(3):
+        logs.mkdir(exist_ok=True)
+        write_log(logs / f"{seed}.mcap", SimConfig(frames=2, width=160, height=120, seed=seed))
+    command = ["run", str(logs), "-o", out, "--pictures", "0"]
+    for share in ("1/2", "2/2"):
+        assert main([*command, "--share", share]) == 0
+    capsys.readouterr()
+    assert main(command) == 0
+    assert "3 logs done before" in capsys.readouterr().out
+    assert main([*command, "--share", "1/1"]) == 0
+    assert "3 logs: 3 there" in capsys.readouterr().out
+    assert main([*command, "--ground.max-depth-m", "3", "--share", "1/1"]) == 2
+    assert main(["verify", out]) == 0
+
+
+def test_recipes_are_yaml_where_they_should_be():
+    yaml = pytest.importorskip("yaml")
+    page = Path(__file__).parents[2] / "jaxdet/help/fleets.md"
+    blocks = re.findall(r"```text\n(apiVersion.*?)```", page.read_text(encoding="utf-8"), re.S)
+    assert [yaml.safe_load(block)["kind"] for block in blocks] == ["Job", "RayJob"]

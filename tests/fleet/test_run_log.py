@@ -1,0 +1,272 @@
+"""One log from a place to a place, with the stub of the engine."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from jaxdet.errors import ConfigError, OutputError
+from jaxdet.fleet import list_logs, prepare, result_files, run_fleet, run_log, run_logs, spool
+from jaxdet.fleet import place as places
+from jaxdet.fleet.place import Bucket, open_place
+from jaxdet.fleet.ray import _of_a_node, _resources, chunks
+from tests.fleet.stub import check_complete, check_results, computed
+
+LOGS, RESULTS = "s3://bucket/logs", "s3://bucket/results"
+
+
+def states(outcomes):
+    return {outcome["name"]: outcome["state"] for outcome in outcomes}
+
+
+def left(how) -> list[str]:
+    """What is left on local disk."""
+    base = spool.base_folder(how["spool"])
+    return sorted(path.name for path in base.iterdir()) if base.exists() else []
+
+
+def test_a_run_is_done_once(stores, engine, how, put, tmp_path):
+    put(LOGS, a="a", b="b", c="fail", d="bug")
+    outcomes = run_fleet([LOGS], RESULTS, how)
+    assert states(outcomes) == {"a": "done", "b": "done", "c": "failed", "d": "failed"}
+    assert json.loads(json.dumps(outcomes)) == outcomes
+    assert [o["error"] for o in outcomes[2:]] == [
+        "no depth",
+        "an error in jaxdet itself (KeyError: 'bug')",
+    ]
+    tables = {name: check_results(RESULTS, name, tmp_path) for name in "ab"}
+    assert len({*tables.values()}) == 2
+    again = run_fleet([LOGS], RESULTS, how)
+    assert states(again) == {"a": "there", "b": "there", "c": "failed", "d": "failed"}
+    assert computed(engine) == ["a", "b", "c", "d"]
+    assert [url.split("/")[4] for url in result_files(RESULTS)] == ["a", "b"]
+    assert left(how) == []
+    assert not [e.key for e in open_place(RESULTS).list() if "attempts" in e.key]
+
+
+def test_update_tries_failed_logs_again_and_takes_changed_ones(stores, engine, how, put, tmp_path):
+    put(LOGS, a="a", b="b", c="fail")
+    run_fleet([LOGS], RESULTS, how)
+    put(LOGS, b="other")
+    first = states(run_fleet([LOGS], RESULTS, how))
+    assert first == {"a": "there", "b": "failed", "c": "failed"}
+    old = check_results(RESULTS, "b", tmp_path)
+    second = states(run_fleet([LOGS], RESULTS, {**how, "update": True}))
+    assert second == {"a": "there", "b": "done", "c": "failed"}
+    assert check_results(RESULTS, "b", tmp_path) != old
+    assert computed(engine) == ["a", "b", "b", "c", "c"]
+    versions = {e.key.split("/")[1] for e in open_place(RESULTS).list("b")}
+    assert len(versions) == 2  # current.json and one version
+
+
+def test_another_configuration_is_refused_unless_it_overwrites(stores, engine, how, put, tmp_path):
+    put(LOGS, a="a", b="b")
+    run_fleet([LOGS], RESULTS, how)
+    other = {**how, "config": {"ground": {"step_height_m": 0.05}}}
+    with pytest.raises(ConfigError, match=r"ground\.step_height_m was 0\.03 and is 0\.05 now"):
+        run_fleet([LOGS], RESULTS, other)
+    old = check_results(RESULTS, "a", tmp_path)
+    begun = prepare(RESULTS, {**other, "overwrite": True})
+    (log, rest) = list_logs(LOGS)
+    assert run_log(log, RESULTS, begun)["state"] == "done"  # and here the run is killed
+    assert check_results(RESULTS, "a", tmp_path) != old
+    with pytest.raises(ConfigError):
+        run_fleet([LOGS], RESULTS, how)
+    assert states(run_fleet([LOGS], RESULTS, other)) == {"a": "there", "b": "done"}
+    late = prepare(RESULTS, other)
+    again = run_fleet([LOGS], RESULTS, {**other, "overwrite": True})
+    assert states(again) == {"a": "done", "b": "done"}
+    with pytest.raises(ConfigError, match="this machine"):
+        run_log(rest, RESULTS, {**late, "overwrites": {"overwrites": "else"}})
+
+
+def test_a_log_replaced_while_it_is_fetched_fails_and_is_not_noted(
+    stores, engine, how, put, monkeypatch
+):
+    put(LOGS, a="a" * 1000)
+    monkeypatch.setattr(places, "RANGE_BYTES", 100)
+    monkeypatch.setattr(places, "CONNECTIONS", 1)
+    reached = Bucket._range
+
+    def late(self, entry, start, file, stop):
+        if start == 500:
+            put(LOGS, a="b" * 1000)
+        reached(self, entry, start, file, stop)
+
+    monkeypatch.setattr(Bucket, "_range", late)
+    (outcome,) = run_fleet([LOGS], RESULTS, how)
+    assert outcome["state"] == "failed" and "replaced while" in outcome["error"]
+    assert computed(engine) == [] and left(how) == []
+    monkeypatch.setattr(Bucket, "_range", reached)
+    assert states(run_fleet([LOGS], RESULTS, how)) == {"a": "done"}
+
+
+def test_an_upload_that_is_cut_leaves_nothing_that_counts(
+    stores, engine, how, put, monkeypatch, tmp_path
+):
+    put(LOGS, a="a")
+    real = Bucket.put
+
+    def cut(self, key, content):
+        if "summary" in key:
+            raise OutputError("can't be used (connection reset)", path=key)
+        real(self, key, content)
+
+    monkeypatch.setattr(Bucket, "put", cut)
+    with pytest.raises(OutputError):
+        run_fleet([LOGS], RESULTS, how)
+    assert result_files(RESULTS) == [] and left(how) == []
+    monkeypatch.setattr(Bucket, "put", real)
+    assert states(run_fleet([LOGS], RESULTS, how)) == {"a": "done"}
+    check_results(RESULTS, "a", tmp_path)
+
+
+def test_splits_of_a_recording_are_fetched_together(stores, engine, how, tmp_path):
+    place = open_place(LOGS)
+    place.put("r/r_0.mcap", b"0")
+    place.put("r/r_1.mcap", b"1")
+    place.put("r/metadata.yaml", b"  relative_file_paths:\n  - r_0.mcap\n  - r_1.mcap\n")
+    assert states(run_fleet([LOGS], RESULTS, how)) == {"r--r": "done"}
+    check_results(RESULTS, "r--r", tmp_path)
+
+
+def test_the_next_log_is_fetched_meanwhile_within_the_bound(stores, engine, how, put, monkeypatch):
+    put(LOGS, a="a" * 1000, b="sleep=0.5 " + "x" * 890, c="c" * 100, d="d" * 5000)
+    held = []
+    real = Bucket.fetch
+
+    def fetch(self, entry, path, stop):
+        real(self, entry, path, stop)
+        files = spool.base_folder(how["spool"]).rglob("*.mcap")
+        held.append(sum(path.stat().st_size for path in files))
+
+    monkeypatch.setattr(Bucket, "fetch", fetch)
+    outcomes = [*run_logs(list_logs(LOGS), RESULTS, {**how, "spool_size": 1500})]
+    assert states(outcomes) == {"a": "done", "b": "done", "c": "done", "d": "failed"}
+    assert "5000 bytes" in outcomes[3]["error"] and "--spool-size" in outcomes[3]["error"]
+    assert max(held) <= 1500 and held == [1000, 900, 1000]
+
+
+def test_what_a_killed_process_left_is_removed_and_counted(stores, engine, how, put):
+    put(LOGS, a="a")
+    (log,) = list_logs(LOGS)
+    ready = prepare(RESULTS, how)
+    run_log(log, RESULTS, ready)
+    base = spool.base_folder(how["spool"])
+    dead, far = base / f"{spool.machine()}-1-0-aaaa", base / "elsewhere-1-0-aaaa"
+    for folder in (dead, far, base / f"{spool.process()}-aaaa"):
+        folder.mkdir(parents=True)
+    key = "b/v/attempts/x"
+    open_place(RESULTS).put(key, b'{"process": "elsewhere-1-0", "time": 0}')
+    (dead / "attempt.json").write_text(json.dumps({"url": RESULTS, "key": key}))
+    assert spool.sweep(how["spool"]) == 1
+    assert len(left(how)) == 2
+    assert json.loads(open_place(RESULTS).get(key)[0])["killed"]
+
+
+def test_logs_and_results_in_folders(engine, how, tmp_path):
+    logs, results = tmp_path / "logs", tmp_path / "results"
+    logs.mkdir()
+    for name, text in {"a": "a", "b": "b", "c": "fail"}.items():
+        (logs / f"{name}.mcap").write_text(text)
+    shares = [run_fleet([logs], results, how, share=f"{k}/3") for k in (1, 2, 3)]
+    found = {name: state for share in shares for name, state in states(share).items()}
+    assert found == {"a": "done", "b": "done", "c": "failed"}
+    assert sum(map(len, shares)) == 3
+    for name in "ab":
+        assert check_complete(results / name)
+    assert json.loads((results / "c/failed.json").read_text())["reason"] == "no depth"
+    assert states(run_fleet([logs], results, how))["a"] == "there"
+    (logs / "a.mcap").write_text("changed")
+    assert states(run_fleet([logs], results, how))["a"] == "failed"
+    updated = states(run_fleet([logs], results, {**how, "update": True}))
+    assert updated == {"a": "done", "b": "there", "c": "failed"}
+    assert computed(engine) == ["a", "a", "b", "c", "c"]
+    with pytest.raises(ConfigError, match="--share"):
+        run_fleet([logs], results, {**how, "overwrite": True}, share="1/3")
+    assert states(run_fleet([logs], results, {**how, "overwrite": True}))["b"] == "done"
+    assert {path.name for path in results.iterdir()} == {"a", "b", "c", "run.json", ".fleet"}
+
+
+KILLED = """
+import sys
+from tests.fleet.stub import install
+install()
+from jaxdet.fleet import run_fleet
+for outcome in run_fleet([sys.argv[1]], sys.argv[2], {"spool": sys.argv[3]}):
+    print(outcome["name"], outcome["state"], outcome["error"])
+"""
+
+
+def test_a_log_that_kills_its_process_three_times_has_failed(engine, how, tmp_path):
+    logs, results = tmp_path / "logs", tmp_path / "results"
+    logs.mkdir()
+    (logs / "a.mcap").write_text("kill=9 " + "x" * 100)
+    (logs / "b.mcap").write_text("b")
+    command = [sys.executable, "-c", KILLED, str(logs), str(results), how["spool"]]
+    codes = [subprocess.run(command, check=False).returncode for _ in range(3)]
+    assert codes == [-9, -9, -9]
+    run = subprocess.run(command, check=True, capture_output=True, text=True)
+    assert run.stdout == "a failed 3 processes that worked on it died\nb done None\n"
+    failure = json.loads((results / "a/failed.json").read_text())
+    assert failure["attempts"] == 3
+    assert computed(engine, "a") == ["a"] * 3 and left(how) == []
+    assert os.listdir(results / ".fleet/staged") == []
+
+
+def test_credentials_reach_no_file_and_no_line(stores, engine, how, put, monkeypatch, capfd):
+    monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "topsecretvalue")
+    put(LOGS, a="a", b="fail")
+    with pytest.raises(ConfigError) as raised:
+        run_fleet(["s3://AKID:topsecretvalue@bucket/logs"], RESULTS, how)
+    outcomes = run_fleet([LOGS], RESULTS, how)
+    place = open_place(RESULTS)
+    texts = [place.get(entry.key)[0].decode(errors="replace") for entry in place.list()]
+    texts += [str(raised.value), json.dumps(outcomes), *capfd.readouterr()]
+    assert not [text for text in texts if "topsecretvalue" in text]
+
+
+def test_tasks_are_largest_first_and_bounded():
+    logs = [{"name": f"{i:03}", "files": [{"size": i}]} for i in range(100)]
+    found = chunks(logs, 2)
+    assert sorted(log["name"] for chunk in found for log in chunk) == [log["name"] for log in logs]
+    assert found[0] == [logs[99]] and max(map(len, found)) <= 8
+    assert sum(map(len, chunks(logs[:1], 0))) == 1 and chunks([], 2) == []
+
+
+def test_a_task_takes_the_smallest_node_that_computes():
+    nodes = [
+        {"Alive": True, "Resources": {}},
+        {"Alive": True, "Resources": {"CPU": 8.0}},
+        {"Alive": False, "Resources": {"CPU": 2.0}},
+        {"Alive": True, "Resources": {"CPU": 4.0}},
+    ]
+    assert _of_a_node(nodes) == {"num_cpus": 4.0, "num_gpus": 0.0}
+    nodes.append({"Alive": True, "Resources": {"CPU": 16.0, "GPU": 2.0}})
+    assert _of_a_node(nodes) == {"num_cpus": 16.0, "num_gpus": 2.0}
+    assert _resources("ray") == {}
+    assert _resources("ray:num_cpus=16,num_gpus=1") == {"num_cpus": 16.0, "num_gpus": 1.0}
+    for wrong in ("dask", "ray:x=1", "ray:num_cpus", "ray:num_cpus=a"):
+        with pytest.raises(ConfigError):
+            _resources(wrong)
+
+
+def test_a_log_that_this_machine_does_not_have_is_not_noted_as_failed(engine, how, tmp_path):
+    log = tmp_path / "a.mcap"
+    log.write_text("a")
+    logs = list_logs(log)
+    log.rename(tmp_path / "b.mcap")
+    outcome = run_log(logs[0], str(tmp_path / "results"), how)
+    assert outcome["state"] == "failed" and "not on this machine" in outcome["error"]
+    (tmp_path / "b.mcap").rename(log)
+    assert run_log(logs[0], str(tmp_path / "results"), how)["state"] == "done"
+
+
+def test_other_paths_have_no_spool(engine, how, tmp_path):
+    log = Path(tmp_path / "a.mcap")
+    log.write_text("a")
+    (outcome,) = run_fleet([log], tmp_path / "results", how)
+    assert outcome["state"] == "done" and left(how) == []
