@@ -35,7 +35,7 @@ class Program(NamedTuple):
     def run(self, step: str) -> None:
         """Does a step again and waits for it."""
         number = STEPS.index(step)
-        launch(self.arrays, self.scratch, number, number + 1)
+        launch(self.arrays, self.scratch, number, number + 1, self.static)
         wp.synchronize_device(self.arrays[0].device)
 
     def take(self, name: str) -> np.ndarray:
@@ -60,7 +60,7 @@ def program(point: Point) -> Program:
     arrays += [wp.zeros(shape, dtype=wp.int32, device=device) for shape in rows]
     teams = 1 if device.is_cpu else most_teams(point.batch, static.own_words, kernels.BLOCKS)
     scratch = wp.zeros((teams, static.own_words), dtype=wp.int32, device=device)
-    launch(arrays, scratch, 0, len(STEPS))
+    launch(arrays, scratch, 0, len(STEPS), static)
     return Program(arrays, scratch, static)
 
 

@@ -64,7 +64,7 @@ def step(
     ]
     scratch = wp.full((min(batch, 2), static.own_words), POISON, dtype=wp.int32, device=device)
     number = STEPS.index(name)
-    launch(arrays, scratch, number, number + 1)
+    launch(arrays, scratch, number, number + 1, static)
     found, line, kept = (arrays[i].numpy() for i in (3, 4, 5))
     made = {k: record.take(found, k) for k in record.shapes}
     made |= {k: work.take(kept, k) for k in work.shapes}

@@ -34,10 +34,11 @@ using namespace jaxdet;
 
 int main(int, char** argv) {
     enum { DEPTH, FLOORS, TABLES, RECORD, CONTOUR, WORK, ARRAYS, TEAMS = 2 };
-    int head[4], sizes[ARRAYS];
+    int head[6], sizes[ARRAYS];
     FILE* file = fopen(argv[1], "rb");
     if (fread(head, sizeof head, 1, file) != 1 || fread(sizes, sizeof sizes, 1, file) != 1) abort();
-    const int step = head[0], frames = head[1], pixels = head[2], words = head[3];
+    const int step = head[0], frames = head[1], pixels = head[2];
+    const int rows = head[3], columns = head[4], words = head[5];
     // Each on its own, so that what lies outside of it is nobody's.
     std::vector<unsigned char> arrays[ARRAYS];
     std::vector<int> scratch((size_t)TEAMS * words);
@@ -49,7 +50,8 @@ int main(int, char** argv) {
     const auto of = [&](int i) { return (int*)arrays[i].data(); };
     const auto row = [&](int i) { return sizes[i] / (int)sizeof(int) / frames; };
     const Batch batch{(const unsigned short*)of(DEPTH), of(FLOORS), of(TABLES), of(RECORD),
-                      of(CONTOUR), of(WORK), frames, pixels, row(RECORD), row(CONTOUR), row(WORK)};
+                      of(CONTOUR), of(WORK), frames, pixels, row(RECORD), row(CONTOUR), row(WORK),
+                      rows, columns};
 #if defined(SIMT)
     typedef void (Frame::*Step)(const Team&, int*) const;
     const Step steps[] = {&Frame::find_cells, &Frame::find_floor, &Frame::find_frame,

@@ -95,24 +95,26 @@ def check(program: Path, cases: Iterator[Case] | list[Case]) -> None:
         poison = [np.full((len(case.depth), count), POISON, np.int32) for count in words]
         arrays = [case.depth, floors, tables, *poison]
         for step, name in enumerate(_program.STEPS):
-            expected = compiled(arrays, step)
-            found = by_itself(program, arrays, step, static.own_words)
+            expected = compiled(arrays, step, static)
+            found = by_itself(program, arrays, step, static)
             for kind, got, want in zip(("record", "contour", "work"), found, expected, strict=True):
                 np.testing.assert_array_equal(got, want, err_msg=f"{name}: {kind}")
             arrays[3:] = expected
 
 
-def compiled(arrays: list[np.ndarray], step: int) -> list[np.ndarray]:
+def compiled(arrays: list[np.ndarray], step: int, static: _program.Static) -> list[np.ndarray]:
     """Record, contours and work after a step."""
     given = [wp.array(a, dtype=wp.dtype_from_numpy(a.dtype), device="cpu") for a in arrays]
-    _program.launch(given, None, step, step + 1)
+    _program.launch(given, None, step, step + 1, static)
     return [array.numpy() for array in given[3:]]
 
 
-def by_itself(program: Path, arrays: list[np.ndarray], step: int, words: int) -> list[np.ndarray]:
+def by_itself(
+    program: Path, arrays: list[np.ndarray], step: int, static: _program.Static
+) -> list[np.ndarray]:
     """The same by the program."""
     depth, case = arrays[0], program.with_name("case")
-    head = [step, len(depth), depth[0].size, words, *(a.nbytes for a in arrays)]
+    head = [step, len(depth), depth[0].size, *static, *(a.nbytes for a in arrays)]
     case.write_bytes(np.array(head, np.int32).tobytes() + b"".join(a.tobytes() for a in arrays))
     done = subprocess.run([str(program), str(case)], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

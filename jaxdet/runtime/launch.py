@@ -30,13 +30,13 @@ _lock = Lock()
 """One kernel at a time runs on all cores, with the memory below."""
 
 
-def on_cores(kernel: Any, arrays: Sequence[Any], frames: int, scratch: int) -> None:
+def on_cores(kernel: Any, arguments: Sequence[Any], frames: int, scratch: int) -> None:
     """Runs a kernel on the CPU, once per thread: each thread takes frames until none is left.
 
     Args:
-        kernel: A kernel whose arguments are ``arrays``, then ``scratch (words,)`` int32, which the
-            process keeps, and ``next (1,)`` int32, the first frame that no thread has taken.
-        arrays: Arrays of Warp's.
+        kernel: Takes ``arguments``, then ``scratch (words,)`` int32, which the process keeps, and
+            ``next (1,)`` int32, the first frame that no thread has taken.
+        arguments: Arrays of Warp's, numbers.
         frames: ``B``.
         scratch: Words of scratch memory of a thread.
     """
@@ -44,7 +44,7 @@ def on_cores(kernel: Any, arrays: Sequence[Any], frames: int, scratch: int) -> N
     with _lock:
         following, value = _next()
         value[0] = 0
-        given = ([*arrays, _memory(thread, scratch), following] for thread in range(count))
+        given = ([*arguments, _memory(thread, scratch), following] for thread in range(count))
         threads.on_all_cores([partial(_launch, kernel, values) for values in given])
 
 
@@ -73,7 +73,7 @@ def _memory(thread: int, words: int) -> Any:
 class TeamKernel(NamedTuple):
     """A kernel for CUDA whose blocks take the frames of a batch in turn, see ``team.h``.
 
-    Its arguments are arrays and then ``teams``, how many blocks there are.
+    Its arguments are arrays, numbers and then ``teams``, how many blocks there are.
     """
 
     kernel: Any
@@ -82,11 +82,11 @@ class TeamKernel(NamedTuple):
     blocks: int
     """How many blocks are on a multiprocessor at once."""
 
-    def launch(self, arrays: Sequence[Any], frames: int, most: int) -> None:
+    def launch(self, given: Sequence[Any], frames: int, most: int) -> None:
         """Launches it on the device of the first array, by at most so many teams."""
         teams = min(frames, most, self.blocks * MULTIPROCESSORS)
-        size, device = teams * self.width, arrays[0].device
-        wp.launch(self.kernel, size, [*arrays, teams], device=device, block_dim=self.width)
+        size, device = teams * self.width, given[0].device
+        wp.launch(self.kernel, size, [*given, teams], device=device, block_dim=self.width)
 
 
 def most_teams(frames: int, words: int, blocks: int) -> int:

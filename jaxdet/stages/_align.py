@@ -43,31 +43,36 @@ def align_arrays(
 ) -> tuple[jax.Array, jax.Array]:
     """Depth and z at the colour pixels, from :func:`tables` and the colour image's size."""
     with jax.named_scope("align"):
-        images = len(depth), *size
+        images, unused = (len(depth), *size), (1, 1, 1)
 
-        def aligned(keys: tuple[int, int, int]) -> tuple[jax.Array, jax.Array]:
-            dims = {"depth_out": images, "z_out": images, "keys_out": keys}
-            return _align(depth, x, y, parameters, output_dims=dims)[:2]
+        def call(found: tuple[int, ...], keys: tuple[int, ...]) -> Any:
+            dims = {"depth_out": found, "z_out": found, "keys_out": keys}
+            return _align(depth, x, y, parameters, output_dims=dims)
 
-        return by_device(lambda: aligned((1, 1, 1)), lambda: aligned(images))
+        def on_cuda() -> tuple[jax.Array, jax.Array]:
+            keys = call(unused, images)[2]
+            keys = jnp.where(keys == jnp.uint32(kernels.NOTHING), jnp.uint32(0), keys)
+            return (keys >> 16).astype(jnp.uint16), (keys & 0xFFFF).astype(jnp.uint16)
+
+        return by_device(lambda: tuple(call(images, unused)[:2]), on_cuda)
 
 
 @jax_callable(kernels, kernels.TYPES, outputs=3)
 def _align(
     depth: Any, x: Any, y: Any, parameters: Any, depth_out: Any, z_out: Any, keys_out: Any
 ) -> None:
-    """Launches the kernels; the keys are images on CUDA and not used on the CPU."""
-    given, found, (frames, *size) = [depth, x, y, parameters], [depth_out, z_out], depth_out.shape
+    """Launches a kernel: on CUDA it makes the keys alone, on the CPU all but these."""
+    given = [depth, x, y, parameters]
     if depth.device.is_cpu:
-        on_cores(kernels.align_lines, [*given, *found], frames, kernels.lines_words(*size))
+        frames, *size = depth_out.shape
+        words = kernels.lines_words(*size)
+        on_cores(kernels.align_lines, [*given, depth_out, z_out], frames, words)
         return
-    rows, columns = depth.shape[1:]
+    frames, rows, columns = depth.shape
     tiles = -(-rows // kernels.TILE_ROWS) * -(-columns // kernels.TILE_COLUMNS)
-    block = kernels.TILE_BLOCK
     keys_out.fill_(kernels.NOTHING)
-    device, size = depth.device, (frames * tiles, block)
-    wp.launch(kernels.align_tiles, size, [*given, keys_out], device=device, block_dim=block)
-    wp.launch(kernels.align_split, keys_out.shape, [keys_out, *found], device=device)
+    dims, block = (frames * tiles, kernels.TILE_BLOCK), kernels.TILE_BLOCK
+    wp.launch(kernels.align_tiles, dims, [*given, keys_out], device=depth.device, block_dim=block)
 
 
 @lru_cache(maxsize=8)

@@ -79,7 +79,7 @@ def check_kernels() -> None:
         wp.zeros((batch, words), dtype=INT32, device=device) for words in static.words()
     )
     scratch = wp.empty((batch, static.own_words), dtype=INT32, device=device)
-    _program.launch([*inputs, record, contour, work], scratch, 0, len(_program.STEPS))
+    _program.launch([*inputs, record, contour, work], scratch, 0, len(_program.STEPS), static)
     layout = _program.record_layout(static.columns)
     found = {name: layout.take(record.numpy(), name) for name in layout.shapes}
     found["contour"] = contour.numpy().reshape(batch, MAX_OBSTACLES, static.columns, 2)

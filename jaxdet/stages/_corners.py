@@ -94,8 +94,8 @@ def _corners(
     layout = _scratch(batch, height, width, u_out.shape[1])
 
     def of(name: str, dtype: Any = wp.uint32) -> Any:
-        shape, first = layout.shapes[name], layout.begin[name]
-        return scratch_out[first : first + math.prod(shape)].reshape(shape).view(dtype)
+        place, shape = scratch_out.ptr + 4 * layout.begin[name], layout.shapes[name]
+        return wp.array(ptr=place, shape=shape, dtype=dtype, device=color.device)
 
     def launch(kernel: Any, blocks: int, width: int, arrays: Sequence[Any]) -> None:
         size = batch * blocks * width

@@ -29,19 +29,21 @@ from jaxdet_kernels import program as kernels
 
 STEPS = tuple(kernels.STEPS)
 _TEAMS = [TeamKernel(kernel, kernels.WIDTH, kernels.BLOCKS) for kernel in kernels.STEPS.values()]
-_TABLES = (
-    "near", "rays", "floor_settings", "sines", "steps", "limits", "rises", "surface_settings",
-    "feature", "threshold", "value", "obstacle_settings", "corner_x", "corner_y", "parameters",
-    "last", "bands", "directions", "outline_settings", "bows", "drops", "free_settings",
+_FIXED = (
+    "near", "steps", "limits", "rises", "bows", "drops", "bands",
+    "surface_settings", "outline_settings", "free_settings", "last", "directions", "parameters",
 )  # fmt: skip
-_HEADER = 80
+"""Tables that are as long for each camera: the header doesn't say where they begin."""
+_TABLES = (
+    *_FIXED, "corner_x", "corner_y", "rays", "floor_settings", "sines",
+    "feature", "threshold", "value", "obstacle_settings",
+)  # fmt: skip
+_HEADER = 32
 """Words of the header, with room: whole cache lines."""
-_WORK_WORDS, _OWN_WORDS = 9, 10
-"""Places in the header."""
 
 
 class Sizes(NamedTuple):
-    """What the arrays of a program are as large as; the first sizes in the header."""
+    """What the arrays of a program are as large as."""
 
     height: int
     width: int
@@ -53,11 +55,9 @@ class Sizes(NamedTuple):
 @lru_cache(maxsize=64)
 def work_layout(rows: int, columns: int) -> Layout:
     """What steps hand on: the grid of cells on the floor, and the floor's frame."""
-    cells = rows, columns
-    before, after = ("x", "y", "z"), ("right", "forward", "height", "surface")
+    by_cell = "x", "y", "z", "right", "forward", "height", "surface", "label"
     bools = "keep", "free_cell", "low"
-    shapes = {**dict.fromkeys(before, cells), "frame": (13,)}
-    shapes |= dict.fromkeys((*after, *bools, "label"), cells)
+    shapes = {"frame": (13,), **dict.fromkeys((*by_cell, *bools), (rows, columns))}
     return Layout(shapes, frozenset(bools))
 
 
@@ -69,16 +69,11 @@ def record_layout(columns: int) -> Layout:
         {
             "floor": (8,),
             **dict.fromkeys(("num_surfaces", "has_depth", "num_obstacles"), ()),
-            "num_points": one,
-            **dict.fromkeys(("uv_min", "uv_max"), two),
+            **dict.fromkeys(("num_points", "has_vertex", "contour_points"), one),
+            **dict.fromkeys(("uv_min", "uv_max", "a", "b", "c", "direction", "bottom_top"), two),
             **dict.fromkeys(("xyz_min", "xyz_max"), three),
             "xyz_sum": (*three, 2),
-            **dict.fromkeys(("a", "b", "c"), two),
-            "has_vertex": one,
-            "direction": two,
             "span": (MAX_OBSTACLES, 4),
-            "contour_points": one,
-            "bottom_top": two,
             "free": (columns, 2, 2),
             "free_end": (columns,),
         }
@@ -124,25 +119,24 @@ def packed(sizes: Sizes, tables: Mapping[str, Array]) -> np.ndarray:
         raise ValueError(f"{columns} x {rows} cells, at most {MAX_CONTOUR} x {MAX_CONTOUR} fit")
     made = {name: np.asarray(tables.get(name, np.zeros(0, np.int32))) for name in _TABLES}
     layout = Layout({name: table.shape for name, table in made.items()})
-    work, record = work_layout(rows, columns), record_layout(columns)
     trees, leaves = made["value"].shape if made["value"].ndim == 2 else (0, 0)
-    more = MAX_OBSTACLES, trees, leaves, int(not made["corner_x"].size), work.words, 0
-    places = [_HEADER + place for place in layout.places]
-    header = np.array([*sizes, *more, *places, *work.places, *record.places], np.int32)
-    found = np.zeros(_HEADER + layout.words, np.int32)
-    found[: len(header)] = header
-    found[_HEADER:] = layout.pack(1, made)[0]
-    found[_OWN_WORDS] = _scratch_words(found)
+    more = sizes.width, sizes.side, trees, leaves, int(not made["corner_x"].size)
+    places = [_HEADER + place for place in layout.places[len(_FIXED) :]]
+    found = np.concatenate([np.zeros(_HEADER, np.int32), layout.pack(1, made)[0]])
+    header = Static(rows, columns, 0)
+    found[: len(header) + len(more) + len(places)] = *header, *more, *places
+    found[: len(header)] = header._replace(own_words=_scratch_words(found, rows, columns))
     return found
 
 
-def _scratch_words(tables: np.ndarray) -> int:
+def _scratch_words(tables: np.ndarray, rows: int, columns: int) -> int:
     """Words of scratch memory of a thread or a team, which the kernels know."""
     prepare(kernels)
     device = wp.device_from_jax(jax.local_devices()[0])
     words = wp.zeros(1, dtype=INT32, device=device)
     given = wp.array(tables, dtype=INT32, device=device)
-    wp.launch(kernels.scratch_words, 1, [given, words], device=device, block_dim=kernels.WIDTH)
+    inputs, width = [given, rows, columns, words], kernels.WIDTH
+    wp.launch(kernels.scratch_words, 1, inputs, device=device, block_dim=width)
     return int(words.numpy()[0])
 
 
@@ -168,19 +162,19 @@ def detect(
         static: Its sizes.
         keep_work: Whether to return what steps hand on.
     """
-    return _called(_detect, depth, floors, tables, static, keep_work)
+    return _called(len(STEPS), depth, floors, tables, static, keep_work)
 
 
 def find_floors(
     depth: jax.Array, floors: jax.Array, tables: jax.Array, static: "Static"
 ) -> jax.Array:
     """The floor alone ``(B, 8)`` int32, takes what :func:`detect` takes."""
-    found = _called(_find_floors, depth, floors, tables, static, keep_work=False)
+    found = _called(2, depth, floors, tables, static, keep_work=False)
     return record_layout(static.columns).take(found.record, "floor")
 
 
 class Static(NamedTuple):
-    """Sizes that a compiled program is for."""
+    """Sizes that a compiled program is for; the header begins with them."""
 
     rows: int
     columns: int
@@ -189,8 +183,7 @@ class Static(NamedTuple):
     @classmethod
     def of(cls, tables: np.ndarray) -> "Static":
         """Reads the header."""
-        _, _, _, rows, columns, *_ = map(int, tables[: _OWN_WORDS + 1])
-        return cls(rows, columns, int(tables[_OWN_WORDS]))
+        return cls(*map(int, tables[:3]))
 
     def words(self, keep_work: bool = True) -> tuple[int, int, int]:
         """Words of a frame's record, contours and work."""
@@ -199,14 +192,14 @@ class Static(NamedTuple):
 
 
 def _called(
-    program: Any,
+    steps: int,
     depth: jax.Array,
     floors: jax.Array,
     tables: jax.Array,
     static: Static,
     keep_work: bool,
 ) -> Rows:
-    batch = len(depth)
+    batch, program = len(depth), _program(steps, static)
 
     def call(work: bool, scratch: tuple[int, int]) -> Rows:
         record, contour, words = static.words(work)
@@ -222,24 +215,20 @@ def _called(
     return by_device(lambda: call(keep_work, (1, 1)), on_cuda)
 
 
-_callable = jax_callable(kernels, kernels.TYPES, outputs=4)
+@lru_cache(maxsize=64)
+def _program(steps: int, static: Static) -> Any:
+    """Does the first so many steps, with what does not change as numbers."""
+
+    def program(
+        depth: Any, floors: Any, tables: Any, record: Any, contour: Any, work: Any, scratch: Any
+    ) -> None:
+        launch([depth, floors, tables, record, contour, work], scratch, 0, steps, static)
+
+    program.__qualname__ = f"{steps}_steps_{static.rows}_{static.columns}"
+    return jax_callable(kernels, kernels.TYPES, outputs=4)(program)
 
 
-@_callable
-def _detect(
-    depth: Any, floors: Any, tables: Any, record: Any, contour: Any, work: Any, scratch: Any
-) -> None:
-    launch([depth, floors, tables, record, contour, work], scratch, 0, len(STEPS))
-
-
-@_callable
-def _find_floors(
-    depth: Any, floors: Any, tables: Any, record: Any, contour: Any, work: Any, scratch: Any
-) -> None:
-    launch([depth, floors, tables, record, contour, work], scratch, 0, 2)
-
-
-def launch(arrays: list[Any], scratch: Any, first: int, end: int) -> None:
+def launch(arrays: list[Any], scratch: Any, first: int, end: int, static: Static) -> None:
     """Launches the steps ``STEPS[first:end]`` on Warp's arrays, on their device.
 
     Args:
@@ -247,12 +236,13 @@ def launch(arrays: list[Any], scratch: Any, first: int, end: int) -> None:
         scratch: ``(teams, words)`` int32 on CUDA; not used on the CPU.
         first: Number of the first step.
         end: Number of the one after the last.
+        static: Sizes of the program.
     """
-    depth, _, tables, *_ = arrays
+    depth, rows, columns = arrays[0], static.rows, static.columns
     if depth.device.is_cpu:
-        sizes = tables.numpy()[: _OWN_WORDS + 1]
-        words = int(sizes[_WORK_WORDS] + sizes[_OWN_WORDS])
-        on_cores(kernels.frames, [*arrays, first, end - 1], len(depth), words)
+        given = [*arrays, rows, columns, first, end - 1]
+        words = work_layout(rows, columns).words + static.own_words
+        on_cores(kernels.frames, given, len(depth), words)
         return
     for step in _TEAMS[first:end]:
-        step.launch([*arrays, scratch], len(depth), len(scratch))
+        step.launch([*arrays, scratch, rows, columns], len(depth), len(scratch))

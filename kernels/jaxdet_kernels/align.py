@@ -103,14 +103,3 @@ def align_tiles(
 ):
     """A block a tile of a depth image, on CUDA; the arguments are those of :func:`align_lines`."""
     _align_tiles(depth, corner_x, corner_y, parameters, keys_out)
-
-
-@wp.kernel
-def align_split(keys: Keys, depth_out: Depth, z_out: Depth):
-    """Depth and z of the keys, a thread a pixel, on CUDA."""
-    b, v, u = wp.tid()
-    key = keys[b, v, u]
-    if key == ~wp.uint32(0):
-        key = wp.uint32(0)
-    depth_out[b, v, u] = wp.uint16(key >> wp.uint32(16))
-    z_out[b, v, u] = wp.uint16(key & wp.uint32(0xFFFF))

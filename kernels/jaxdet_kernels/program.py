@@ -22,7 +22,7 @@ _BATCH = """
     const jaxdet::Batch batch{
         depth.data, floors.data, tables.data, record.data, contour.data, work.data,
         depth.shape[0], depth.shape[1] * depth.shape[2],
-        record.shape[1], contour.shape[1], work.shape[1]};
+        record.shape[1], contour.shape[1], work.shape[1], rows, columns};
 """
 
 
@@ -39,6 +39,8 @@ def _frames(
     record: Rows,
     contour: Rows,
     work: Rows,
+    rows: int,
+    columns: int,
     first: int,
     last: int,
     scratch: Words,
@@ -54,26 +56,29 @@ def frames(
     record: Rows,  # (B, words) results
     contour: Rows,  # (B, M C 2) results, from left to right, right and forward
     work: Rows,  # (B, work_words) what steps hand on, or (1, 1): not kept
+    rows: int,  # of the grid of cells
+    columns: int,
     first: int,  # step, see STEPS
     last: int,
     scratch: Words,  # what steps hand on, then their scratch memory
     next: Words,
 ):
     """Takes frames until none is left, on the CPU."""
-    _frames(depth, floors, tables, record, contour, work, first, last, scratch, next)
+    _frames(depth, floors, tables, record, contour, work, rows, columns, first, last, scratch, next)
 
 
 @wp.func_native("""
-    const jaxdet::Frame frame(tables.data, nullptr, nullptr, nullptr, nullptr, nullptr);
+    int* const none = nullptr;
+    const jaxdet::Frame frame(rows, columns, tables.data, nullptr, none, none, none, none);
     words.data[0] = (int)frame.scratch_words(jaxdet::Team(0, 0));
 """)
-def _scratch_words(tables: Words, words: Words): ...
+def _scratch_words(tables: Words, rows: int, columns: int, words: Words): ...
 
 
 @wp.kernel
-def scratch_words(tables: Words, words: Words):
+def scratch_words(tables: Words, rows: int, columns: int, words: Words):
     """Words of scratch memory of a thread or a team; launched by one thread."""
-    _scratch_words(tables, words)
+    _scratch_words(tables, rows, columns, words)
 
 
 def _step(name: str, blocks: int) -> Any:
@@ -88,6 +93,8 @@ def _step(name: str, blocks: int) -> Any:
         contour: Rows,
         work: Rows,
         scratch: Rows,
+        rows: int,
+        columns: int,
         teams: int,
     ): ...
 
@@ -111,9 +118,13 @@ def _step(name: str, blocks: int) -> Any:
         contour: Rows,
         work: Rows,
         scratch: Rows,
+        rows: int,
+        columns: int,
         teams: int,
     ):
-        function(wp.tid(), depth, floors, tables, record, contour, work, scratch, teams)
+        function(
+            wp.tid(), depth, floors, tables, record, contour, work, scratch, rows, columns, teams
+        )
 
     return wp.kernel(kernel, name=name, launch_bounds=(WIDTH, blocks))
 

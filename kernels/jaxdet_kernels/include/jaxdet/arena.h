@@ -7,12 +7,12 @@ namespace jaxdet { namespace {
 struct Arena {
     enum { LINE = 16 };
     int* base;        // where it begins
-    size_t used = 0;  // words
+    int used = 0;     // words
 
     // One that only counts: nothing is read or written there.
     static Arena counting() { return {(int*)(LINE * sizeof(int))}; }
 
-    int* words(size_t count) {
+    int* words(int count) {
         int* place = base + used;
         used += (count + LINE - 1) / LINE * LINE;
 #if !defined(__CUDA_ARCH__)
@@ -22,7 +22,7 @@ struct Arena {
 #endif
         return place;
     }
-    unsigned long long* longs(size_t count) { return (unsigned long long*)words(2 * count); }
+    unsigned long long* longs(int count) { return (unsigned long long*)words(2 * count); }
 };
 
 } }  // namespace jaxdet

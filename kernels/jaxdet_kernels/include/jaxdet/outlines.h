@@ -41,7 +41,7 @@ struct Outlines {
 
     // Takes the arrays from scratch memory; those of `grid`, which `cells` is, after them.
     void allocate(Arena& arena, ObstacleCells& grid) {
-        nearest = arena.longs((size_t)slots * cells.columns);
+        nearest = arena.longs(slots * cells.columns);
         area = (long long*)arena.longs(slots * DIRECTIONS);
         cost = arena.words(slots * DIRECTIONS);
         margins = arena.words(2 * slots);

@@ -1,5 +1,6 @@
 // The method on the frames of a batch: from a depth image to the record of what is found in it.
 #pragma once
+#include "arena.h"
 #include "cells.h"
 #include "floor.h"
 #include "found_frame.h"
@@ -17,7 +18,7 @@
 
 namespace jaxdet { namespace {
 
-// Reads where the arrays of a buffer begin, one after the other.
+// Reads sizes, and where arrays of a buffer begin, one after the other.
 struct Header {
     const int* at;
 
@@ -27,43 +28,73 @@ struct Header {
     }
 };
 
-// A frame: its arrays by name. The order in which the constructor reads the header is that of
-// jaxdet/stages/_program.py.
+// Takes arrays of so many words each from a row.
+template <class... Arrays> void take(Arena& row, int words, Arrays*&... all) {
+    ((all = (Arrays*)row.words(words)), ...);
+}
+
+// A frame: its arrays by name, in the order of jaxdet/stages/_program.py. Where most begin follows from
+// the size of the grid, which is an argument of the kernels: CUDA computes it anew at each use, while
+// what is read from memory would take registers.
 struct Frame {
+    enum {
+        STATIC = 3,   // words that only Python reads, at the begin of the header
+        HEADER = 32,  // all of them
+        DEPTHS = 65536,
+        SLOTS = 128  // MAX_OBSTACLES
+    };
     const unsigned short* depth;  // (height, width)
     const int* floors;            // Floor::PRIOR values, then FloorFrame::VALUES
-    int* contour;                 // (slots, columns, 2)
+    int* contour;                 // (SLOTS, columns, 2)
 
-    int height, width, side, rows, columns, slots, trees, leaves, aligned;
-    int work_words, own_words;  // of a frame: what steps hand on, and scratch memory
+    int rows, columns;  // of the grid of cells
+    int width, side, trees, leaves, aligned;
+    int work_words;  // of what steps hand on
     // Tables.
-    const int *near, *rays, *floor_settings, *sines, *steps, *limits, *rises, *surface_settings;
-    const int *feature, *threshold, *value, *obstacle_settings;
-    const float *corner_x, *corner_y, *parameters;
-    const int *last, *bands, *directions, *outline_settings, *bows, *drops, *free_settings;
+    const int *near, *steps, *limits, *rises, *bows, *drops, *bands;  // by depth
+    const int *surface_settings, *outline_settings, *free_settings, *last, *directions;
+    const float *parameters, *corner_x, *corner_y;
+    const int *rays, *floor_settings, *sines, *feature, *threshold, *value, *obstacle_settings;
     // What steps hand on: of each cell, but for `frame`.
-    int *x, *y, *z, *frame, *right, *forward, *above, *surface;
+    int *frame, *x, *y, *z, *right, *forward, *above, *surface, *label;
     unsigned char *keep, *free, *low;
-    int* label;
     // The record.
     int *floor, *num_surfaces, *has_depth, *num_obstacles;
-    int *num_points, *uv_min, *uv_max, *xyz_min, *xyz_max, *xyz_sum, *a, *b, *c, *has_vertex;
-    int *direction, *span, *contour_points, *bottom_top, *free_line, *free_end;
+    int *num_points, *has_vertex, *contour_points;
+    int *uv_min, *uv_max, *a, *b, *c, *direction, *bottom_top;
+    int *xyz_min, *xyz_max, *xyz_sum, *span, *free_line, *free_end;
 
-    Frame(const int* tables, const unsigned short* depth, const int* floors, int* record,
-          int* contour, int* work)
-        : depth(depth), floors(floors), contour(contour) {
-        Header header{tables};
-        header.sizes(height, width, side, rows, columns, slots, trees, leaves, aligned, work_words,
-                     own_words);
-        header.places(tables, near, rays, floor_settings, sines, steps, limits, rises,
-                      surface_settings, feature, threshold, value, obstacle_settings, corner_x,
-                      corner_y, parameters, last, bands, directions, outline_settings, bows, drops,
-                      free_settings);
-        header.places(work, x, y, z, frame, right, forward, above, surface, keep, free, low, label);
-        header.places(record, floor, num_surfaces, has_depth, num_obstacles, num_points, uv_min,
-                      uv_max, xyz_min, xyz_max, xyz_sum, a, b, c, has_vertex, direction, span,
-                      contour_points, bottom_top, free_line, free_end);
+    Frame(int rows, int columns, const int* tables, const unsigned short* depth, const int* floors,
+          int* record, int* contour, int* work)
+        : depth(depth), floors(floors), contour(contour), rows(rows), columns(columns) {
+        Header header{tables + STATIC};
+        header.sizes(width, side, trees, leaves, aligned);
+        header.places(tables, corner_x, corner_y, rays, floor_settings, sines, feature, threshold,
+                      value, obstacle_settings);
+        Arena fixed{(int*)tables + HEADER};
+        take(fixed, DEPTHS, near, steps, limits, rises, bows, drops);
+        take(fixed, 2 * DEPTHS, bands);
+        take(fixed, Surfaces::SETTINGS, surface_settings);
+        take(fixed, Outlines::SETTINGS, outline_settings);
+        take(fixed, FreeFloor::SETTINGS, free_settings);
+        take(fixed, 2, last);
+        take(fixed, 2 * Outlines::DIRECTIONS, directions);
+        take(fixed, Projection::PARAMETERS + 2, parameters);
+        const int cells = rows * columns;
+        Arena handed{work}, found{record};
+        take(handed, FloorFrame::VALUES, frame);
+        take(handed, cells, x, y, z, right, forward, above, surface, label);
+        take(handed, (cells + 3) / 4, keep, free, low);
+        work_words = handed.used;
+        take(found, FoundFrame::RESULTS, floor);
+        take(found, 1, num_surfaces, has_depth, num_obstacles);
+        take(found, SLOTS, num_points, has_vertex, contour_points);
+        take(found, 2 * SLOTS, uv_min, uv_max, a, b, c, direction, bottom_top);
+        take(found, 3 * SLOTS, xyz_min, xyz_max);
+        take(found, 6 * SLOTS, xyz_sum);
+        take(found, 4 * SLOTS, span);
+        take(found, 4 * columns, free_line);
+        take(found, columns, free_end);
     }
 
     JAXDET_STEP void find_cells(const Team& team, int*) const {
@@ -124,14 +155,14 @@ struct Frame {
                                 outline_settings[Outlines::VERTEX], bands, {x, y, z}, above, boxes,
                                 num_points, uv_min, uv_max, xyz_min, xyz_max, xyz_sum, a, b, c,
                                 bottom_top, has_vertex};
-        Outlines outlines{cells, warp, measures, slots, outline_settings[Outlines::LONG],
+        Outlines outlines{cells, warp, measures, SLOTS, outline_settings[Outlines::LONG],
                           directions, contour, contour_points, direction, span};
         outlines.allocate(arena, cells);
         use(outlines);
     }
     JAXDET_STEP void find_outlines(const Team& team, int* scratch) const {
         Arena arena{scratch};
-        const int number = *num_obstacles < slots ? *num_obstacles : slots;
+        const int number = *num_obstacles < SLOTS ? *num_obstacles : (int)SLOTS;
         with_outlines(team, number, arena, [](const Outlines& outlines) { outlines.run(); });
     }
 
@@ -164,13 +195,13 @@ struct Batch {
     const unsigned short* depth;
     const int *floors, *tables;
     int *record, *contour, *work;
-    int frames, pixels, record_words, contour_words, work_words;
+    int frames, pixels, record_words, contour_words, work_words, rows, columns;
 
     enum { FLOOR_WORDS = Floor::PRIOR + FloorFrame::VALUES };
 
     Frame frame(size_t b, int* own_work) const {
-        return {tables, depth + b * pixels, floors + b * FLOOR_WORDS, record + b * record_words,
-                contour + b * contour_words, own_work};
+        return {rows, columns, tables, depth + b * pixels, floors + b * FLOOR_WORDS,
+                record + b * record_words, contour + b * contour_words, own_work};
     }
 
     // On CUDA: calls `step` with each frame of a team.
