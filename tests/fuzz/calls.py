@@ -184,7 +184,7 @@ class Calls:
         self._found = jaxdet.detect(GOOD, backend="reference", with_cells=True)
         self._calls = self._table()
         for backend in ("jax", "reference"):
-            _detector(Random(0), backend=backend)(COLOR[0], DEPTH[0])
+            _detector(Random(0), backend=backend)(DEPTH[0], COLOR[0])
             list(jaxdet.Detector.from_log(self._log, backend=backend).run(self._log, 2))
             jaxdet.estimate_plane(GOOD, backend=backend)
 
