@@ -41,6 +41,7 @@ def measure(path: Path) -> None:
     times = []
     for call in range(WARM + CALLS):
         color, depth = frames[call % len(frames)].color, frames[call % len(frames)].depth
+        assert color is not None
 
         def ours(depth: np.ndarray = depth) -> None:
             detector(depth).nearest_m  # noqa: B018  (which makes the objects)

@@ -3,7 +3,6 @@
 from functools import partial
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 import warp as wp
 
@@ -11,6 +10,7 @@ from benchmarks.run import Case
 from benchmarks.scene import BATCH, CONFIG, frames_of
 from benchmarks.sweep import SIZES, Point
 from jaxdet.runtime.launch import most_teams
+from jaxdet.stages._batches import default_device
 from jaxdet.stages._program import (
     STEPS,
     Static,
@@ -53,7 +53,7 @@ def program(point: Point) -> Program:
     unit, plane = frames.calibration.depth_unit, frames.plane
     assert plane is not None
     tables = packed(*host_tables(frames.calibration, CONFIG))
-    static, device = Static.of(tables), wp.device_from_jax(_device())
+    static, device = Static.of(tables), wp.device_from_jax(default_device())
     given = frames.depth, floors(plane, CONFIG, unit), tables
     arrays = [wp.array(a, dtype=wp.dtype_from_numpy(a.dtype), device=device) for a in given]
     rows = [(point.batch, words) for words in static.words()]
@@ -62,11 +62,6 @@ def program(point: Point) -> Program:
     scratch = wp.zeros((teams, static.own_words), dtype=wp.int32, device=device)
     launch(arrays, scratch, 0, len(STEPS), static)
     return Program(arrays, scratch, static)
-
-
-def _device() -> Any:
-    chosen = jax.config.jax_default_device
-    return chosen if isinstance(chosen, jax.Device) else jax.local_devices()[0]
 
 
 def step_at(point: Point, step: str, names: tuple[str, ...], images: bool = False) -> Case:

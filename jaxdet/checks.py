@@ -225,7 +225,7 @@ def check_frames(frames: Frames, config: Config, *, floor_only: bool = False) ->
     Args:
         frames: The frames.
         config: The preset ``paper`` needs colour images, others need depth cells of a fitting size.
-        floor_only: Whether only the floor is searched, which needs cells and no colour.
+        floor_only: Whether only the floor is searched, which needs cells and reads no colour.
 
     Raises:
         CalibrationError: See :func:`check_calibration`; or a camera of the calibration has another
@@ -239,7 +239,7 @@ def check_frames(frames: Frames, config: Config, *, floor_only: bool = False) ->
     _check_camera_once(frames.calibration)
     check_size("depth", frames.depth.shape, frames.calibration.depth)
     rows = {"depth images": len(frames.depth)}
-    if frames.color is not None:
+    if frames.color is not None and not floor_only:
         _check_images("colour", frames.color, "uint8", 4)
         check_size("colour", frames.color.shape, frames.calibration.image)
         rows["colour images"] = len(frames.color)
@@ -311,7 +311,7 @@ def _column(name: str, values: Any, kinds: str) -> np.ndarray:
 
 
 def _check_images(what: str, images: Any, kind: str, axes: int) -> None:
-    """Arrays of NumPy or JAX: no lists, and not what JAX's transformations trace."""
+    """Refuse what is not an array of NumPy or JAX with values: lists, masked and traced arrays."""
     jax = sys.modules.get("jax")
     is_array = isinstance(images, np.ndarray) or (jax is not None and isinstance(images, jax.Array))
     given = str(images.dtype) if is_array else type(images).__name__
@@ -321,6 +321,9 @@ def _check_images(what: str, images: Any, kind: str, axes: int) -> None:
         raise InputError(
             f"{what} images are {given} of shape {shape}", remedy=f"give {wanted} {kind}"
         )
+    if isinstance(images, np.ma.MaskedArray):
+        remedy = "give images.filled(0): a pixel of 0 has no depth"
+        raise InputError(f"{what} images are a masked array", remedy=remedy)
     if jax is not None and isinstance(images, jax.core.Tracer):
         raise InputError(
             f"{what} images are no arrays but traced",

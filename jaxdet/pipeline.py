@@ -123,7 +123,7 @@ def find_floors(
         InputError: Numbers of images and planes differ.
     """
     config = _checked(config)
-    check_frames(frames._replace(color=None), config, floor_only=True)
+    check_frames(frames, config, floor_only=True)
     prior = floor_prior(frames, config)
     return load_backend(backend).find_floors(frames, prior, config)
 
@@ -157,7 +157,7 @@ def estimate_plane(
         The median of the floors that the frames show, see
         :class:`jaxdet.floor.sampled.SampledFloor`; not valid where too few do.
     """
-    of_type("frames", frames, Frames)
+    check_frames(frames, _checked(config), floor_only=True)
     unknown = unknown_plane(len(frames.depth))
     fit = find_floors(frames._replace(plane=unknown), config, backend=backend)
     shown = GroundPlane(*(np.asarray(a)[frames.valid] for a in fit.plane))

@@ -417,9 +417,27 @@ def test_images_are_arrays_of_their_kind(backend):
         ("color", given.color[..., 0], "give"),
         ("depth", given.depth.astype(np.int32), r"int32 .*give \(B, H, W\) uint16"),
         ("depth", given.depth.tolist(), "list"),
+        ("depth", np.ma.masked_equal(given.depth, 0), r"masked.*give images\.filled\(0\)"),
     ):
+        wrong = given._replace(**{part: value})
         with pytest.raises(InputError, match=said):
-            detect(given._replace(**{part: value}), backend=backend)
+            detect(wrong, backend=backend)
+        if part == "depth":
+            with pytest.raises(InputError, match=said):
+                find_floors(wrong, backend=backend)
+            with pytest.raises(InputError, match=said):
+                estimate_plane(wrong, backend=backend)
+
+
+def test_frames_are_frames():
+    for function in (detect, find_floors, estimate_plane):
+        with pytest.raises(InputError, match="is no Frames"):
+            function("frames")
+
+
+def test_rectangles_take_any_depth_unit():
+    obstacles = detect(made(1)).obstacles
+    assert np.isfinite(metric.rectangles(obstacles, 2**40, preset("wheeled").footprint)).all()
 
 
 @BACKENDS

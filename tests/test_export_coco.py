@@ -71,7 +71,9 @@ def test_simulated_log(drive: Path, tmp_path: Path) -> None:
     folder, truth = drive / "out", np.load(drive / "drive.mcap.truth.npz")
     found = check(coco_of(folder, tmp_path / "set"), folder, tmp_path / "set")
     with open_log(str(drive / "drive.mcap")) as log:
-        color = log.read([0]).frames.color[0].astype(int)
+        colors = log.read([0], color=True).frames.color
+    assert colors is not None
+    color = colors[0].astype(int)
     picture = cv2.imread(str(tmp_path / "set" / found[0][0]["file_name"]), cv2.IMREAD_COLOR_RGB)
     assert np.abs(picture - color).mean() < 3 < np.abs(picture[..., ::-1] - color).mean()
     assert len(found) > 20

@@ -24,8 +24,8 @@ def grids(path: Path) -> tuple[list[list[np.ndarray]], list[np.ndarray], Calibra
             frames, calibration = batch.frames, batch.frames.calibration
             z = frames.depth if calibration.is_aligned else align(frames.depth, calibration).z
             z = z[frames.valid]
-            step = round(calibration.color.width / 160)
-            cells += [positions(one[None], calibration.color, step) for one in z]
+            step = round(calibration.image.width / 160)
+            cells += [positions(one[None], calibration.image, step) for one in z]
             depths += list(z)
         return cells, depths, log.calibration
 
@@ -51,7 +51,7 @@ def test_a_recorded_cart(shared_data):
 )
 def test_labelled_support_is_not_kept(shared_data, name, step, most):
     cells, depths, calibration = grids(shared_data / f"labelled/{name}.mcap")
-    x, y = pixel_rays(calibration.color)
+    x, y = pixel_rays(calibration.image)
     things = []
     for n, (one, z) in enumerate(zip(cells, depths, strict=True)):
         path = shared_data / f"labelled/{name}_labels/{n:03d}.png"

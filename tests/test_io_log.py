@@ -5,6 +5,7 @@ import pickle
 import numpy as np
 import pytest
 
+from jaxdet.errors import InputError
 from jaxdet.io import LogOptions, find_logs, open_log
 from tests.io_foxglove import write_foxglove
 from tests.io_helpers import (
@@ -55,6 +56,11 @@ def test_the_same_scene_in_each_serialisation(tmp_path, form):
         np.testing.assert_array_equal(back.frames.color, scene.color[[2, 0]])
         with pytest.raises(IndexError):
             log.read([3])
+        for wrong in ("all", 1.5, None):
+            with pytest.raises(InputError, match="neither a bool nor a collection"):
+                log.read([0], color=wrong)
+            with pytest.raises(InputError, match="neither a bool nor a collection"):
+                next(log.batches(1, color=wrong))
 
 
 @pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])

@@ -203,7 +203,10 @@ def test_a_wrong_mount_is_in_the_log_and_not_in_the_truth(tmp_path):
     path = tmp_path / "wrong.mcap"
     write_log(path, SimConfig(scene="corridor", frames=1, **wrong, **SMALL))
     with jaxdet.open_log(str(path)) as log:
-        np.testing.assert_allclose(log.T_base_camera, mount(0.30, 0.1745, 0.0175), atol=1e-9)
+        motion = log.calibration.color_from_depth
+        assert motion is not None
+        T_base_depth = mount(0.30, 0.1745, 0.0175) @ motion.T
+        np.testing.assert_allclose(log.T_base_camera, T_base_depth, atol=1e-9)
     assert load_truth(path).camera_pitch[0] == pytest.approx(0.2045)
 
 

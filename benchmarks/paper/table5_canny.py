@@ -43,6 +43,7 @@ def run(lab: Lab) -> Section:
     def extract(backend: str, bounds: tuple[int, int], index: int) -> object:
         module = stages if backend == "jax" else reference
         frame, config = frames[index], configs[bounds].features
+        assert frame.color is not None
         return module.features(frame.color, keeps[index], frame.calibration, config)
 
     functions = {

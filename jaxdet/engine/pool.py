@@ -65,13 +65,14 @@ def gpus() -> tuple[Any, ...]:
     start_up()
     import jax
 
-    from jaxdet.stages._batches import check_device, default_device, on_cuda
+    from jaxdet.stages._batches import check_capability, default_device, on_cuda
 
     if not on_cuda():
         return ()
-    check_device(None)
-    chosen = jax.config.jax_default_device  # pyright: ignore[reportAttributeAccessIssue]
-    return tuple(jax.local_devices()) if chosen is None else (default_device(),)
+    chosen = getattr(jax.config, "jax_default_device", None)
+    devices = tuple(jax.local_devices()) if chosen is None else (default_device(),)
+    check_capability(devices)
+    return devices
 
 
 def _start_method() -> str:

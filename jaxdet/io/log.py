@@ -273,6 +273,7 @@ class Log:
 
         Raises:
             ValueError: ``batch_size`` is below 1 or very large, or the range leaves the log.
+            InputError: ``color`` is neither a bool nor a collection of frame numbers.
             RescanError: The log isn't as its index lets expect.
         """
         start, size = whole_number("start", start), whole_number("batch_size", batch_size)
@@ -280,6 +281,7 @@ class Log:
         if not 1 <= size <= MAX_FRAMES or not 0 <= start <= stop <= self.num_frames:
             problem = f"batches of {size}, frames {start} to {stop} of {self.num_frames}"
             raise ValueError(f"batch_size, start, stop: {problem}")
+        color = _which_color(color)
         numbers = self.frames
         ends = [max(0, -(-(end - numbers.start) // numbers.step)) for end in (start, stop)]
         numbers = numbers[ends[0] : ends[1]]
@@ -322,7 +324,7 @@ class Log:
         indices = [whole_number("indices", index) for index in indices]
         if not all(0 <= index < self.num_frames for index in indices):
             raise IndexError(f"frames {list(indices)[:20]} of {self.num_frames}")
-        return self._batch(indices, len(indices), color, need_color)
+        return self._batch(indices, len(indices), _which_color(color), need_color)
 
     def without_images(self, indices: Sequence[int], status: FrameStatus, error: str) -> Batch:
         """The frames of these numbers with stamps and poses, but no image is read.
@@ -497,6 +499,16 @@ class _Known(NamedTuple):
     def window(self, start: int, stop: int) -> Window:
         """Those of some numbers."""
         return self.whole.part(start - self.first, stop - self.first)
+
+
+def _which_color(color: WhichColor) -> WhichColor:
+    """Return ``color`` if it is a bool or a collection of frame numbers, else raise InputError."""
+    if isinstance(color, Container) and not isinstance(color, str | bytes):
+        return color
+    if isinstance(color, bool):
+        return color
+    problem = f"{type(color).__name__} is neither a bool nor a collection of frame numbers"
+    raise InputError(problem, topic="color", remedy="give True, False or a set of numbers")
 
 
 def _runs(indices: Sequence[int], most: int) -> Iterator[tuple[int, int, int]]:

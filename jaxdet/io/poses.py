@@ -76,6 +76,7 @@ class PoseSource(NamedTuple):
             CalibrationError: The transforms form a cycle.
         """
         if self.topic:
+            assert self.T_child_camera is not None
             T = matmul(tracks[self.topic].at(stamps_ns), self.T_child_camera)
         else:
             T = tree.at(self.world, self.camera, stamps_ns) if self.world else None

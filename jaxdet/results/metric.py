@@ -254,7 +254,7 @@ def _margin(obstacles: Obstacles, depth_unit: float, config: FootprintConfig) ->
     """What is added on all sides of rectangles [depth units]: float64, ``(...)`` or for all."""
     margin = np.asarray(config.margin_m)
     if config.margin_per_m2:
-        z = np.asarray(obstacles.xyz_min)[..., 2] * depth_unit
+        z = np.asarray(obstacles.xyz_min, np.float64)[..., 2] * depth_unit
         margin = margin + config.margin_per_m2 * z * z
     return margin / depth_unit
 

@@ -1,6 +1,6 @@
 """Batches of any size by programs that are compiled for few sizes."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import partial
 from typing import Any
 
@@ -36,6 +36,15 @@ def check_device(images: Any) -> None:
     if len(devices) > 1:
         problem = f"images are spread over {len(devices)} devices, but one computes a batch"
         raise ConfigError(problem, remedy="call detect for each device's images")
+    check_capability(devices)
+
+
+def check_capability(devices: Iterable[Any]) -> None:
+    """Refuse GPUs that are older than kernels are compiled for.
+
+    Raises:
+        ConfigError: One of the devices is.
+    """
     for device in devices:
         capability = getattr(device, "compute_capability", None)
         if capability and float(capability) < LEAST_CAPABILITY:

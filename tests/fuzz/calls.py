@@ -184,7 +184,7 @@ class Calls:
         self._found = jaxdet.detect(GOOD, backend="reference", with_cells=True)
         self._calls = self._table()
         for backend in ("jax", "reference"):
-            _detector(Random(0), backend=backend)(COLOR[0], DEPTH[0])
+            _detector(Random(0), backend=backend)(DEPTH[0], COLOR[0])
             list(jaxdet.Detector.from_log(self._log, backend=backend).run(self._log, 2))
             jaxdet.estimate_plane(GOOD, backend=backend)
 
@@ -322,9 +322,11 @@ def _base() -> np.ndarray:
 
 def _transformed(how: Callable[..., Any], frames: Any) -> Any:
     """``detect`` under a transformation of JAX's."""
-    if not isinstance(getattr(frames, "depth", None), np.ndarray | jax.Array):
-        return jaxdet.detect(frames)
-    return how(lambda depth: jaxdet.detect(frames._replace(depth=depth)))(frames.depth)
+    depth = getattr(frames, "depth", None)
+    plain = isinstance(depth, np.ndarray | jax.Array) and depth.dtype.kind in "biuf"
+    if not plain or isinstance(depth, np.ma.MaskedArray):
+        return jaxdet.detect(frames)  # JAX itself refuses to trace others
+    return how(lambda depth: jaxdet.detect(frames._replace(depth=depth)))(depth)
 
 
 def _put(part: Any, more: dict[str, Any]) -> Any:

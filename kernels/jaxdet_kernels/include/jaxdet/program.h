@@ -184,9 +184,9 @@ struct Frame {
         obstacles(nullptr).allocate(of[OBSTACLES]);
         with_outlines(team, 0, of[OUTLINES], [](const Outlines&) {});
         of[FREE_FLOOR].words(columns);
-        size_t most = 0;
+        int most = 0;
         for (const Arena& arena : of) most = arena.used > most ? arena.used : most;
-        return most;
+        return (size_t)most;
     }
 };
 
