@@ -63,14 +63,15 @@ def tables(folder: Path) -> tuple[list[dict], list[dict]]:
 def test_bytes_depend_on_neither_batch_nor_workers(
     sim_log: Path, results: tuple[Path, LogSummary], tmp_path: Path
 ) -> None:
-    files = [path for path in results[0].rglob("*") if path.suffix not in ("", ".json")]
-    names = [str(path.relative_to(results[0])) for path in files]
-    assert {*TABLES, "pictures/sim_000000.png"} <= {*names}
+    folder = only_log(results[0])
+    files = [path for path in folder.rglob("*") if path.suffix not in ("", ".json")]
+    names = [str(path.relative_to(folder)) for path in files]
+    assert {*TABLES, "pictures/000000.png"} <= {*names}
     for workers in (1, 2):
         output = tmp_path / f"{workers}"
         run(sim_log, output, batch_size=4, workers=workers, pictures=1)
         for name in names:
-            assert (output / name).read_bytes() == (results[0] / name).read_bytes(), name
+            assert (only_log(output) / name).read_bytes() == (folder / name).read_bytes(), name
 
 
 def test_rows_and_summary(results: tuple[Path, LogSummary]) -> None:
@@ -87,14 +88,14 @@ def test_rows_and_summary(results: tuple[Path, LogSummary]) -> None:
     assert all(0 < row["distance_m"] < 6 for row in obstacles)
     assert all(row["bottom_m"] < row["top_m"] for row in obstacles)
     assert dict(about.floor_sources) == {"frame": FRAMES} and about.floor_warning is None
-    read = json.loads((folder / "summary.json").read_text(encoding="utf-8"))["logs"][0]
+    read = json.loads((only_log(folder) / "summary.json").read_text(encoding="utf-8"))["logs"][0]
     assert read["floor_sources"] == {"frame": FRAMES} and read["floor_refused"] == {}
     assert read["ground"][0]["source"] == "estimate"
 
 
 @pytest.mark.parametrize("sim_log", ["tf"], indirect=True)
 def test_the_map_knows_what_is_free(results: tuple[Path, LogSummary]) -> None:
-    grid = np.load(results[0] / "map_sim.npz")
+    grid = np.load(only_log(results[0]) / "map.npz")
     assert grid["free"].shape == grid["counts"].shape and 0 < grid["free"].max() <= FRAMES
     assert (grid["free"] > 0).sum() > 500
 
@@ -153,7 +154,7 @@ def test_source_none_drops_nothing_as_floor(tf_log: Path, tmp_path: Path) -> Non
     for name in ("camera_height_m", "floor_refused", "free_to_m", "drop_m"):
         assert [row[name] for row in frames] == [None] * FRAMES
     assert obstacles and all(row["corners_world"] is None for row in obstacles)
-    assert not list(tmp_path.glob("map_*"))
+    assert not list(only_log(tmp_path).glob("map*"))
     assert obstacles and all(row["bottom_m"] is None for row in obstacles)
     assert about.floor_warning is None
 

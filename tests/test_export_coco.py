@@ -25,7 +25,7 @@ from jaxdet.types import Calibration, CellLabels, Cells, Extrinsics, Intrinsics
 from tests.camera_logs import join_cameras
 from tests.export_results import sim_log
 from tests.made_results import make_results
-from tests.runs import run_logs
+from tests.runs import run_log, run_logs
 
 # pycocotools' own arrays don't know NumPy 2's copy.
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
@@ -103,7 +103,7 @@ def test_two_cameras(drive: Path, tmp_path: Path) -> None:
     write_log(tmp_path / "rear.mcap", SimConfig(frames=2, width=320, height=240, seed=5))
     both = {"front": drive / "drive.mcap", "rear": tmp_path / "rear.mcap"}
     log, folder = join_cameras(both, tmp_path / "two.mcap"), tmp_path / "out"
-    run_logs(log, folder, pictures=0)
+    run_log(log, folder, pictures=0)
     coco = coco_of(folder, tmp_path / "set", str(log))
     assert len(check(coco, folder, tmp_path / "set")) > 20
     cameras = [image["camera"] for image in coco.loadImgs(coco.getImgIds())]
@@ -190,7 +190,7 @@ def test_nearest_cell_has_the_pixel() -> None:
 def test_a_log_without_colour_has_pictures_of_depth(tmp_path: Path) -> None:
     log, folder = sim_log(tmp_path / "a.mcap", frames=2, seed=3), tmp_path / "out"
     depth = join_cameras({"front": log}, tmp_path / "depth.mcap", without=lambda t: "/color/" in t)
-    run_logs(depth, folder, pictures=0)
+    run_log(depth, folder, pictures=0)
     coco = coco_of(folder, tmp_path / "set")
     assert len(check(coco, folder, tmp_path / "set")) > 2
     told = json.loads((tmp_path / "set" / "annotations.json").read_text("utf-8"))

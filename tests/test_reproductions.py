@@ -82,7 +82,7 @@ def test_how_many_logs_failed_is_said(log: Path, tmp_path: Path, capsys: Capture
     assert "; 1 of 2 logs failed" in capsys.readouterr().out
     assert main(["run", str(bad), "--output", str(tmp_path / "none")]) == 1
     said = capsys.readouterr()  # a single log's error is all there is to say
-    assert said.out == "nothing was written\n" and said.err.count("\n") == 1
+    assert said.out == "no results\n" and said.err.count("\n") == 1
 
 
 @pytest.mark.parametrize("name, value", [("z", -5), ("x", 400_000)])

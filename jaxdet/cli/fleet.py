@@ -4,6 +4,8 @@ import json
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from jaxdet.cli.settings import given
@@ -17,9 +19,28 @@ ALIKE = ("backend", "batch_size", "workers", "memory", "pictures", "map", "overw
 """Options that are passed on as they are."""
 
 
+@dataclass(frozen=True)
+class FleetOptions:
+    """Where logs of a bucket are run, see jaxdet help fleets."""
+
+    on: str | None = field(default=None, metadata={"takes": "ENGINE"})
+    """ray: run on the Ray cluster of RAY_ADDRESS, or a local one."""
+    share: str | None = field(default=None, metadata={"takes": "K/N"})
+    """Do the K-th of N shares of the logs, in job arrays; all have the same --output."""
+    spool: Path | None = field(default=None, metadata={"takes": "DIR"})
+    """Local disk for logs of a bucket; by default the folder for temporary files."""
+    spool_size: str | None = field(default=None, metadata={"takes": "SIZE"})
+    """Most bytes of them there per process; by default three quarters of what is free."""
+
+    def __post_init__(self) -> None:
+        if self.spool_size is not None:
+            parse_size(self.spool_size, "--spool-size")
+
+
 def run_on_machines(
     logs: Sequence[str],
     options: RunOptions,
+    fleet: FleetOptions,
     how: Mapping[str, Any],
     *,
     join: bool,
@@ -31,6 +52,7 @@ def run_on_machines(
     Args:
         logs: Addresses, folders or files.
         options: How to run.
+        fleet: Where to run.
         how: ``preset``, ``config``, ``log`` and ``tracks``, see :func:`jaxdet.fleet.run_log`.
         join: See :func:`jaxdet.find_logs`.
         quiet: Report errors only.
@@ -39,15 +61,15 @@ def run_on_machines(
     from jaxdet.fleet import run_fleet
 
     how = {**how, **{name: getattr(options, name) for name in ALIKE}}
-    how["spool"] = str(options.spool) if options.spool else None
-    how["spool_size"] = options.spool_size and parse_size(options.spool_size, "--spool-size")
+    how["spool"] = str(fleet.spool) if fleet.spool else None
+    how["spool_size"] = fleet.spool_size and parse_size(fleet.spool_size, "--spool-size")
     with _reporting(quiet or as_json) as report:
         outcomes = run_fleet(
             given(logs),
             options.output,
             {key: value for key, value in how.items() if value is not None},
-            on=options.on,
-            share=options.share,
+            on=fleet.on,
+            share=fleet.share,
             join=join,
             report=report,
         )

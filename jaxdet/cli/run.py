@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from jaxdet.cli.flags import parse_flags
+from jaxdet.cli.fleet import FleetOptions, run_on_machines
 from jaxdet.cli.report import summary_lines
 from jaxdet.cli.settings import defaults, given
 from jaxdet.cli.spinner import SPINNER
@@ -36,6 +37,8 @@ else from the preset. M are metres, S seconds, ANGLE is a number with its unit: 
 
 COMMON = (
     "run",
+    "fleet.on",
+    "fleet.share",
     "ground.camera_height_m",
     "ground.camera_pitch_rad",
     "ground.camera_roll_rad",
@@ -45,7 +48,6 @@ COMMON = (
     "obstacle.min_size_m",
     "log.color",
     "log.depth",
-    "log.color_from_depth",
 )
 """What ``--help`` shows of the settings."""
 
@@ -57,6 +59,7 @@ class RunCommand:
     logs: tuple[str, ...] = field(metadata={"positional": True, "takes": "LOG..."})
     """MCAP, .bag or .db3 files, folders of them or of images, globs, or s3://BUCKET/PATH."""
     run: RunOptions = field(metadata={"short": True})
+    fleet: FleetOptions = field(default_factory=FleetOptions, metadata={"short": True})
     preset: str = DEFAULT_PRESET
     """Configuration to start from: wheeled, tabletop, paper, d435, d455, oak-d, zed, azure-kinect,
     orbbec. wheeled is for robots on wheels, tabletop for a camera over a table; paper has clusters
@@ -99,8 +102,8 @@ def _run(command: RunCommand) -> int:
     """Make the results; return the exit code."""
     from jaxdet.engine.startup import cache_folders, start_cuda
 
-    options = command.run
-    if options.on or options.share or any(map(is_url, [*command.logs, options.output])):
+    options, fleet = command.run, command.fleet
+    if fleet.on or fleet.share or any(map(is_url, [*command.logs, options.output])):
         return _run_on_machines(command)
     if options.backend == "jax":
         start_cuda()
@@ -147,7 +150,6 @@ def _run(command: RunCommand) -> int:
 
 def _run_on_machines(command: RunCommand) -> int:
     """Do the same with buckets, on other machines, or with a share of the logs."""
-    from jaxdet.cli.fleet import run_on_machines
     from jaxdet.results.summary import plain
 
     if command.truth:
@@ -155,7 +157,8 @@ def _run_on_machines(command: RunCommand) -> int:
     how = {"config": plain(command.method), "log": plain(command.log)}
     how |= {"preset": command.preset, "tracks": command.tracks}
     shown = {"quiet": command.quiet, "as_json": command.json}
-    return run_on_machines(command.logs, command.run, how, join=command.join, **shown)
+    where = command.run, command.fleet
+    return run_on_machines(command.logs, *where, how, join=command.join, **shown)
 
 
 def first_time(caches: "Caches") -> str:

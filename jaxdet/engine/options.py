@@ -16,7 +16,7 @@ class RunOptions:
     """How to run; nothing here changes a byte of the two tables."""
 
     output: Path = field(metadata={"takes": "DIR"})
-    """Folder or address (s3://BUCKET/PATH) for the results: one folder in it for each log."""
+    """Folder or s3://BUCKET/PATH for the results, a folder for each log."""
     backend: Literal["jax", "reference"] = "jax"
     """jax: compiled, on the GPU when there is one; reference: plain NumPy. Equal results."""
     batch_size: int | None = None
@@ -37,22 +37,12 @@ class RunOptions:
     """Replace the results of the logs; also those of another configuration or version."""
     update: bool = False
     """Also do logs again that failed, lost frames or have changed since."""
-    on: str | None = field(default=None, metadata={"takes": "ENGINE"})
-    """ray: run on the Ray cluster of RAY_ADDRESS, or a local one. See jaxdet help fleets."""
-    share: str | None = field(default=None, metadata={"takes": "K/N"})
-    """Do the K-th of N shares of the logs, in job arrays; all have the same --output."""
-    spool: Path | None = field(default=None, metadata={"takes": "DIR"})
-    """Local disk for logs of a bucket; by default the folder for temporary files."""
-    spool_size: str | None = field(default=None, metadata={"takes": "SIZE"})
-    """Most bytes of them there per process; by default three quarters of what is free."""
 
     def __post_init__(self) -> None:
         if self.batch_size is not None and self.batch_size < 1:
             raise ConfigError(f"batches of {self.batch_size}", remedy="give --batch-size 1 or more")
         if self.memory is not None:
             parse_size(self.memory, "--memory")
-        if self.spool_size is not None:
-            parse_size(self.spool_size, "--spool-size")
         if self.update and self.overwrite:
             raise ConfigError("--update with --overwrite", remedy="give one of them")
         if self.pictures < 0:

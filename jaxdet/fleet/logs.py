@@ -22,7 +22,8 @@ METADATA = "metadata.yaml"
 _SHARE = re.compile(r"(\d{1,6})/(\d{1,6})", re.ASCII)
 _MEMBER = re.compile(r"^\s*-\s*[\"']?([^\"'\s#:]+\.(?:mcap|db3))[\"']?\s*$", re.MULTILINE)
 """A file in ``relative_file_paths`` of rosbag2's ``metadata.yaml``."""
-_NUMBER = re.compile(r"_\d+$")
+_NUMBER = re.compile(r"_0*[01]$")
+"""End of the name of a recording's first file; see :func:`jaxdet.find_logs`."""
 
 
 def list_logs(

@@ -61,7 +61,8 @@ def find_logs(
 
     Files ``NAME_0.mcap``, ``NAME_1.mcap``, ... of one folder are one log called ``NAME``, in the
     order of their numbers, where ``metadata.yaml`` lists them or their numbers, topics,
-    calibration and times follow on (:mod:`jaxdet.io.splits`); every other ``.mcap`` file is a log.
+    calibration and times follow on (:mod:`jaxdet.io.splits`); one that begins with a later number
+    than 1 is called by its first file. Every other ``.mcap`` file is a log.
     So are ``.db3`` and ``.bag`` files; of a recording that a folder holds in several of these
     formats one is taken, MCAP first. A folder of colour and depth images
     (:mod:`jaxdet.io.image_folder`) is a log, but where a recording lies in it or beside it, whose
@@ -131,7 +132,7 @@ def _name(file: "_Named", root: Path, *, joined: bool) -> str:
     if path == root:  # a folder that is a log, named itself
         return printable(path.resolve().name or "log")
     own = path.name if path.is_dir() else path.stem
-    if joined and (split := _split(path))[1] >= 0:
+    if joined and 0 <= (split := _split(path))[1] <= 1:
         own = split[0]
     folders = path.parent.parts[len(root.parts) :] if path.is_relative_to(root) else ()
     return printable("/".join((*folders, own)))
