@@ -166,14 +166,14 @@ def test_an_overwriting_run_that_was_stopped_goes_on(
             os.kill(os.getpid(), signal.SIGINT)
 
     other = HOW | {"pictures": 0}
-    with pytest.raises(Interrupted):
+    with pytest.raises(Interrupted, match="the same command without --overwrite goes on"):
         run_logs(logs, copy, overwrite=True, progress=stop, **other)
     with open_results(copy) as results:
         assert [log.name for log in results.logs] == ["Day 2/c"] and results.stale == ["a", "b"]
-    with pytest.raises(ResultsError, match="of another configuration or version"):
-        run_logs(logs, copy, **other)
+    with pytest.raises(ResultsError, match="but pictures was 0 and is 1 now"):
+        run_logs(logs, copy, **HOW)
     names = made(monkeypatch)
-    run_logs(logs, copy, overwrite=True, **other)
+    run_logs(logs, copy, **other)
     assert names == ["a", "b"] and not (copy / ".jaxdet").exists()
     run_logs(logs, copy, overwrite=True, **other)
     assert names[2:] == ["Day 2/c", "a", "b"]

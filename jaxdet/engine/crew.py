@@ -1,7 +1,6 @@
 """Who works on a log: one process, or the workers of a pool together."""
 
 from collections.abc import Callable, Generator
-from contextlib import closing
 from functools import partial
 from math import prod
 from typing import TYPE_CHECKING, NamedTuple, Protocol
@@ -13,10 +12,9 @@ from jaxdet.engine.memory import BATCH, BATCHES_IN_FLIGHT, READ_AHEAD, Memory, M
 from jaxdet.engine.options import RunOptions
 from jaxdet.engine.part import Part
 from jaxdet.engine.plan import LogPlan, Observer, Unit
-from jaxdet.engine.pool import NO_PROGRESS_S, Pool
+from jaxdet.engine.pool import Pool
 from jaxdet.engine.startup import start_up
 from jaxdet.engine.unit import LogWork
-from jaxdet.engine.watch import watched
 from jaxdet.engine.worker import UnitContext, decide_floors
 from jaxdet.results.writer import ROWS_PER_GROUP
 
@@ -114,8 +112,7 @@ class OneProcess:
         job: The run.
         memory: What it may take.
         device: What computes.
-        alive: Called after each batch; None: in the first process, which watches itself.
-        late: Called where nothing was finished for long.
+        alive: Called after each batch; None: in the first process.
     """
 
     def __init__(
@@ -124,13 +121,12 @@ class OneProcess:
         memory: MemoryPlan,
         device: Device,
         alive: Callable[[], object] | None = None,
-        late: Callable[[], None] = lambda: None,
     ) -> None:
         self.job, self.memory, self.device = job, memory, device
         self.workers, self.devices, self.others = 1, 0, 0
         self.together = memory.batch
         """Frames that are read together."""
-        self._alive, self._late = alive, late
+        self._alive = alive
 
     def start(self, log: "Log") -> int:
         """Load what computes."""
@@ -147,14 +143,8 @@ class OneProcess:
     def work(self, log: "Log", plan: LogPlan) -> Generator[tuple[Unit, Part], None, None]:
         """Work through all units in order."""
         work = LogWork(log, plan, self.device)
-        if self._alive:
-            work.batch_done = self._alive
-            yield from work.work_through(plan.units(), self.memory.read_ahead)
-            return
-        with watched(NO_PROGRESS_S, self._late) as heard:
-            work.batch_done = heard
-            with closing(work.work_through(plan.units(), self.memory.read_ahead)) as parts:
-                yield from parts
+        work.batch_done = self._alive or work.batch_done
+        return work.work_through(plan.units(), self.memory.read_ahead)
 
 
 class PoolCrew:

@@ -34,8 +34,6 @@ if TYPE_CHECKING:
     from jaxdet.io import LogFiles
 
 Say = Callable[[str], None]
-OVERWRITE = "overwrite"
-"""File in the working folder: an --overwrite has begun and is not complete."""
 
 
 class OutputFolder:
@@ -63,7 +61,6 @@ class OutputFolder:
         self.run = digest(record)
         self._working = output.absolute() / WORKING
         self.staging = self._working / f"logs-{secrets.token_hex(4)}"
-        self._overwrite = self._working / OVERWRITE
         if output.exists() and not output.is_dir():
             raise ConfigError("is a file", path=str(output), remedy="give --output a folder")
         self._lock = Lock(self._working / "lock")
@@ -101,16 +98,13 @@ class OutputFolder:
         """
         names = self._names(logs)
         self._check_run(set(names.values()))
-        unfinished = self._unfinished_since()
         found = {}
         for log in logs:
-            about = self._standing(log, self.output / names[log.name], unfinished)
+            about = self._standing(log, self.output / names[log.name])
             if about is not None:
                 found[log.name] = about
         with writing(self.output):
             self.staging.mkdir()
-            if self.options.overwrite and unfinished is None:
-                write_whole(self._overwrite, self.run.encode())
             self._write_record()
         return found
 
@@ -139,10 +133,6 @@ class OutputFolder:
             publish(staged, self.output, name)
         else:
             remove(staged)
-
-    def complete(self) -> None:
-        """All logs are done: an --overwrite has ended."""
-        self._overwrite.unlink(missing_ok=True)
 
     def _names(self, logs: Sequence["LogFiles"]) -> dict[str, str]:
         """Return the names of the logs' folders."""
@@ -183,24 +173,14 @@ class OutputFolder:
         except InputError as error:
             return f"{RUN} {error.problem}"
 
-    def _unfinished_since(self) -> int | None:
-        """Return when an unfinished --overwrite of this configuration began [ns]; None: none."""
-        try:
-            same = self._overwrite.read_bytes() == self.run.encode()
-            return self._overwrite.stat().st_mtime_ns if same else None
-        except OSError:
-            return None
-
-    def _standing(
-        self, log: "LogFiles", folder: Path, unfinished: int | None
-    ) -> list[LogSummary] | None:
+    def _standing(self, log: "LogFiles", folder: Path) -> list[LogSummary] | None:
         """Return the summaries of a log that need not be done; None: it is to be done."""
         if not folder.exists():
             return None
         if not folder.is_dir():
             self._refuse(folder, "is no folder, where a log's results would be")
         if is_complete(folder):
-            return self._complete(log, folder, unfinished)
+            return self._complete(log, folder)
         if (folder / FAILED).is_file():
             told = read_json(folder / FAILED)
             again = self.options.update or self.options.overwrite or told.get("run") != self.run
@@ -209,20 +189,17 @@ class OutputFolder:
             self._refuse(folder, "is there, and no run wrote it")
         return None
 
-    def _complete(
-        self, log: "LogFiles", folder: Path, unfinished: int | None
-    ) -> list[LogSummary] | None:
+    def _complete(self, log: "LogFiles", folder: Path) -> list[LogSummary] | None:
         """Return the same of a log that has results."""
-        update, overwrite = self.options.update, self.options.overwrite
-        if overwrite and (unfinished is None or _made_ns(folder) < unfinished):
+        update = self.options.update
+        manifest = {} if self.options.overwrite else read_manifest(folder)
+        if manifest.get("run") != self.run:  # else of before an --overwrite that was stopped
+            if not (self.options.overwrite or (self.output / RUN).exists()):
+                raise ResultsError(str(self.output), folder.name, reason=f"{RUN} is missing")
             self._check_own(folder)
             return None
-        manifest = read_manifest(folder)
-        if manifest.get("run") != self.run:
-            reason = "it is of another configuration or version"
-            raise ResultsError(str(self.output), folder.name, reason=reason)
         if not same_inputs(manifest.get("inputs"), [fingerprint(path) for path in log.paths]):
-            if update or overwrite:
+            if update:
                 return None
             error = ResultsError(str(self.output), folder.name, reason="the log has changed")
             error.add_remedy("or --update to do what has changed or failed again")
@@ -255,7 +232,7 @@ class OutputFolder:
     def _clear(self) -> None:
         """Remove what runs that ended without a word have left."""
         for path in self._working.iterdir():
-            if path.name not in ("lock", OVERWRITE):
+            if path.name != "lock":
                 remove(path)
 
     def _leave(self) -> None:
@@ -265,14 +242,8 @@ class OutputFolder:
                 if not log_folders(self.output):
                     (self.output / RUN).unlink(missing_ok=True)
             self._lock.release()
-            for folder in (self._working, self.output):
-                with suppress(OSError):
-                    folder.rmdir()  # where nothing is in it
-
-
-def _made_ns(folder: Path) -> int:
-    """Return when a log's folder was completed [ns]."""
-    return (folder / MANIFEST).stat().st_mtime_ns
+            with suppress(OSError):
+                self.output.rmdir()  # where nothing is in it
 
 
 def _summaries(path: Path) -> list[LogSummary]:

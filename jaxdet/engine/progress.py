@@ -49,8 +49,6 @@ class Clock:
     about: LogSummary
     workers: int
     start: float = field(default_factory=time.perf_counter)
-    before: int = 0
-    """Frames that were there at the start."""
     units: int = 0
     first: int = 0
     """Frames of the first unit of each worker."""
@@ -63,9 +61,8 @@ class Clock:
     def tick(self) -> None:
         """A unit has been counted."""
         about, seconds = self.about, self.seconds
-        done = about.frames - self.before
-        rest, self.units = done - self.first, self.units + 1
+        rest, self.units = about.frames - self.first, self.units + 1
         if self.units <= self.workers:
-            self.first, about.first_batch_s = done, seconds
+            self.first, about.first_batch_s = about.frames, seconds
         elif rest >= 2 * self.first and seconds > about.first_batch_s:
             about.frames_per_s = round(rest / (seconds - about.first_batch_s), 2)

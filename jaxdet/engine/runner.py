@@ -7,7 +7,6 @@ import time
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from functools import partial
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack
@@ -15,7 +14,6 @@ from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack
 from jaxdet.config import Config
 from jaxdet.config_file import find_config
 from jaxdet.cores import cores
-from jaxdet.engine import pool as pools
 from jaxdet.engine.crew import Crew, Job, OneProcess, PoolCrew, memory_plan
 from jaxdet.engine.device import OwnDevice
 from jaxdet.engine.log_job import make_log
@@ -45,26 +43,14 @@ FRAMES_WORTH_WORKERS = 500
 Logs = str | PathLike[str] | Sequence[str | PathLike[str]] | Sequence[LogFiles]
 
 
-class Resources(TypedDict, total=False):
-    """Arguments of :class:`Runner`."""
-
-    backend: Literal["jax", "reference"]
-    workers: int | None
-    memory: str | None
-
-
 class How(TypedDict, total=False):
-    """Arguments of a run, see :func:`run`."""
+    """Arguments of a run, fields of :class:`jaxdet.engine.RunOptions`."""
 
     batch_size: int | None
     pictures: int
     map: bool
     overwrite: bool
     update: bool
-
-
-class Options(Resources, How, total=False):
-    """Both."""
 
 
 class Hooks(How, total=False):
@@ -82,7 +68,10 @@ def run(
     *,
     log: LogOptions | None = None,
     progress: ProgressCallback | None = None,
-    **options: Unpack[Options],
+    backend: Literal["jax", "reference"] = "jax",
+    workers: int | None = None,
+    memory: str | None = None,
+    **options: Unpack[How],
 ) -> Summary:
     """Find the obstacles in every frame of logs and write a folder of results for each.
 
@@ -100,9 +89,10 @@ def run(
         config: Configuration, name of a preset, or file.
         log: How to read the logs; by default as the command does.
         progress: Called after each unit of frames and each log.
-        options: Flags of ``jaxdet run`` (:class:`jaxdet.engine.RunOptions`): ``backend``,
-            ``batch_size``, ``workers`` and ``memory``, which change no result, ``pictures``,
-            ``map``, ``overwrite`` and ``update``.
+        backend: Flag of ``jaxdet run`` (:class:`jaxdet.engine.RunOptions`), as those below.
+        workers: Number of processes.
+        memory: Most memory of all processes.
+        options: ``batch_size``, ``pictures``, ``map``, ``overwrite`` and ``update``.
 
     Returns:
         Counts and the summary of every log.
@@ -115,10 +105,8 @@ def run(
         WorkerStartError: Worker processes can't be started.
         Interrupted: A signal (Ctrl-C) ended it; logs that are done are kept.
     """
-    own: Any = {name: options.pop(name) for name in Resources.__annotations__ if name in options}
-    how: Any = options
-    with Runner(**own) as runner:
-        return runner.run(logs, output, config, log=log, progress=progress, **how)
+    with Runner(backend, workers, memory) as runner:
+        return runner.run(logs, output, config, log=log, progress=progress, **options)
 
 
 class Runner:
@@ -285,7 +273,6 @@ class _Run:
             try:
                 with stops_raised():
                     self._run_logs({f.name: f for f in self.logs if f.name not in self.done})
-                output.complete()
             except KeyboardInterrupt as stop:
                 self.runner.close()
                 number = getattr(stop, "signal", signal.SIGINT)
@@ -320,7 +307,8 @@ class _Run:
     def _standing(self) -> str:
         done, total = len(self.done), len(self.logs)
         some = "no log is done" if not done else f"{done} of {total} logs are done"
-        return f"{some}; the same command goes on"
+        but = " without --overwrite" if self.options.overwrite else ""
+        return f"{some}; the same command{but} goes on"
 
     def _run_logs(self, left: dict[str, LogFiles]) -> None:
         """Do logs: small ones one per worker, the others shared by all workers, one by one."""
@@ -424,16 +412,8 @@ class _Run:
             if not few:
                 self.pool.resize(1)  # there is no memory for others
             device = OwnDevice(self.config, self.options.backend, ahead=1)
-            return OneProcess(self.job, plan, device, late=partial(self._say_late, log.label))
+            return OneProcess(self.job, plan, device)
         return PoolCrew(self.job, self.pool, plan)
-
-    def _say_late(self, label: str) -> None:
-        """Tell a user whose run hangs what can be done but wait."""
-        self.say(
-            f"{label}: no frame was finished for {pools.NO_PROGRESS_S:g} s; if that is not the "
-            f"disk, kill this process (kill -9 {os.getpid()}) and repeat the command: workers, "
-            "which have a time limit, do the log then"
-        )
 
     def _report(self, about: LogSummary, label: str, total: int, doing: str) -> None:
         """Tell the callback where the run stands."""

@@ -40,21 +40,6 @@ def map_file(path: Path) -> pa.NativeFile:
     return pa.memory_map(os.fsencode(path))
 
 
-def with_schema(table: pa.Table, schema: pa.Schema) -> pa.Table:
-    """Rows that were read, of the schema that they were written with.
-
-    Parquet names the elements of lists otherwise, and Arrow casts no null list to one of elements
-    that are never null.
-
-    Args:
-        table: Its columns hold what those of the schema do, in any order.
-        schema: The schema.
-    """
-    batches = table.select(schema.names).to_batches()
-    read = (pa.ipc.read_record_batch(batch.serialize(), schema) for batch in batches)
-    return pa.Table.from_batches(read, schema)
-
-
 def to_array(values: Any, field: pa.Field) -> pa.Array:
     """A column.
 

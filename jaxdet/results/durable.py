@@ -32,24 +32,15 @@ def writing(path: Path, remedy: str = MAKE_ROOM) -> Iterator[None]:
         raise OutputError(problem, path=str(error.filename or path), remedy=remedy) from error
 
 
-def write_whole(path: Path, *content: bytes, wait: bool = True, remedy: str = MAKE_ROOM) -> None:
-    """Writes a file beside its place and renames it there.
-
-    Args:
-        path: The file.
-        content: What comes into it, one after the other.
-        wait: Until it is on the disk. Else only the system's failure, not this process's, can
-            leave a file that is not whole.
-        remedy: As of :func:`writing`.
-    """
+def write_whole(path: Path, content: bytes) -> None:
+    """Write a file next to its place, wait until it is on the disk, and rename it to its place."""
     new = path.with_name(f"{path.name}.{secrets.token_hex(8)}")  # containers have equal numbers
-    with writing(path, remedy):
+    with writing(path):
         try:
             with new.open("wb") as file:
-                file.writelines(content)
+                file.write(content)
                 file.flush()
-                if wait:
-                    os.fsync(file.fileno())
+                os.fsync(file.fileno())
             new.replace(path)
         except BaseException:
             with suppress(OSError):

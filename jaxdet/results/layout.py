@@ -14,7 +14,6 @@
       .jaxdet/            what a command that writes here needs while it runs
         lock
         ready/drive_1/    complete, and in the place of RESULTS/drive_1 from now on
-        overwrite         begin of an unfinished --overwrite
 
 A reader takes a log's folder from ``ready`` where it is there (:mod:`jaxdet.results.publish`).
 """

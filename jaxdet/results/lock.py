@@ -37,47 +37,32 @@ class Lock:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._file = _locked(path)
-        self._before = os.pread(self._file, _MOST_BYTES, 0)
-        self.before = _owner(self._before)
+        self.before = _owner(os.pread(self._file, _MOST_BYTES, 0))
         """The owner that ended without a word; None: nobody did."""
         owner = path.parent.stat().st_uid
         if owner != os.geteuid():  # what is in the folder is trusted
-            self.release(unsaid=True)
+            os.close(self._file)
             raise InputError(
                 f"holds an unfinished run of another user (number {owner})",
                 path=str(path.parent.parent),
                 remedy="work in another folder",
             )
         now = {"pid": os.getpid(), "host": socket.gethostname(), "since": time.time()}
+        content = json.dumps(now).encode()
         try:
-            self._tell(json.dumps(now).encode())
+            os.pwrite(self._file, content, 0)
+            os.ftruncate(self._file, len(content))
         except OSError as error:
-            self.release(unsaid=True)
-            with suppress(OSError):
-                path.parent.rmdir()  # where nothing else is in it
+            self.release()
             problem = f"can't be written to ({error.strerror})"
             raise InputError(problem, path=str(path.parent.parent), remedy="make room") from error
 
-    def release(self, *, unsaid: bool = False) -> None:
-        """Lets others in.
-
-        Args:
-            unsaid: The file stays, and says of the owner before what it said: that this one ended
-                without a word is for another to hear.
-        """
-        try:
-            if unsaid and self.before:
-                with suppress(OSError):  # then it says that this one ended so
-                    self._tell(self._before)
-            else:
-                self.path.unlink(missing_ok=True)
-        finally:
-            os.close(self._file)
-
-    def _tell(self, content: bytes) -> None:
-        """Makes the file say something else; where the disk is full it says what it said."""
-        os.pwrite(self._file, content, 0)
-        os.ftruncate(self._file, len(content))
+    def release(self) -> None:
+        """Let others in."""
+        with suppress(OSError):
+            self.path.unlink(missing_ok=True)
+            self.path.parent.rmdir()  # where nothing else is in it
+        os.close(self._file)
 
 
 def _locked(path: Path) -> int:

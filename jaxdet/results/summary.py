@@ -58,11 +58,6 @@ class Counts:
         self.floor_refused.update(rows["floor_refused"][good].compressed().tolist())
         self.tilted_frames += int(tilted(*(rows[name][good] for name in TILT)).sum())
 
-    def clear(self) -> None:
-        """Makes them those of no frames."""
-        for part in dataclasses.fields(Counts):
-            setattr(self, part.name, type(getattr(self, part.name))())
-
     def add(self, other: "Counts") -> None:
         """Adds those of other frames."""
         for part in dataclasses.fields(Counts):

@@ -9,7 +9,7 @@ import dataclasses
 import json
 from collections import Counter, deque
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from fnmatch import fnmatch
 from pathlib import Path
 from typing import NamedTuple
@@ -266,17 +266,11 @@ def _metadata(results: Results, config: TrackConfig) -> dict[str, str]:
 
 @contextmanager
 def _locked(root: Path) -> Iterator[Path]:
-    """Lock a results folder; what another process left half moved is in its place then.
-
-    An unfinished run may be continued afterwards.
-    """
+    """Lock a results folder; what another process left half moved is in its place then."""
     lock = Lock(root / WORKING / "lock")
     try:
         finish(root)
         yield root
     finally:
         remove(root / WORKING / _STAGING)
-        others = any(path != lock.path for path in (root / WORKING).iterdir())
-        lock.release(unsaid=others)  # a run that goes on there wants to know of one that died
-        with suppress(OSError):
-            (root / WORKING).rmdir()  # where nothing is in it
+        lock.release()
