@@ -229,7 +229,6 @@ def test_the_command_says_what_is_wrong(
     assert "no such folder" in said(str(tmp_path / "x"), "--to", "nav2", "--output", out)
     message = said(str(tmp_path), "--to", "nav2", "--output", out)
     assert "manifest.json and run.json are missing" in message
-    assert "manifest.json and run.json are missing" in message
     with pytest.MonkeyPatch.context() as patch:
         patch.delitem(sys.modules, "jaxdet.export.foxglove", raising=False)
         patch.setitem(sys.modules, "mcap_protobuf.writer", None)

@@ -110,9 +110,9 @@ class OutputFolder:
 
     def _write_record(self) -> None:
         """Write ``run.json``, where it is not there."""
-        content, place = to_json(dict(self.record)).encode(), self.output / RUN
-        if not place.exists() or place.read_bytes() != content:
-            write_whole(self.staging / RUN, content)
+        place = self.output / RUN
+        if not place.exists() or self._reason(place):
+            write_whole(self.staging / RUN, to_json(dict(self.record)).encode())
             os.replace(self.staging / RUN, place)
 
     def staged(self, log: str) -> Path:

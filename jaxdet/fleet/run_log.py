@@ -306,7 +306,7 @@ def prepare(place: str, how: Mapping[str, Any]) -> dict[str, Any]:
 
     url, how, own = address(place), dict(how), record_of(how)
     if "record" in how:
-        if digest({**own, **how["overwrites"]}) != how["record"]:
+        if digest(own) + how["overwrites"] != how["record"]:
             problem = "this machine's jaxdet, or a package that results depend on, is another one"
             raise ConfigError(problem, path=url, remedy="install the same versions everywhere")
         return how
@@ -316,16 +316,16 @@ def prepare(place: str, how: Mapping[str, Any]) -> dict[str, Any]:
     while True:
         found = at.get(RUN)
         before = json.loads(found[0]) if found else {}
-        overwrites = {key: before[key] for key in ("overwrites",) if key in before}
+        overwrites = before.get("overwrites", "")
         if found and how.get("overwrite"):
-            overwrites = {"overwrites": secrets.token_hex(6)}
-        elif found and (reason := difference(before, {**own, **overwrites})):
+            overwrites = secrets.token_hex(6)
+        elif found and (reason := difference(before, own)):
             remedy = "name another --output, or --overwrite to replace the results"
             raise ConfigError(f"holds results, but {reason}", path=url, remedy=remedy)
-        now = {**own, **overwrites}
+        now = {**own, "overwrites": overwrites} if overwrites else own
         text = (json.dumps(now, indent=1) + "\n").encode()
-        if (at.swap(RUN, text, found[1]) if found else at.create(RUN, text)) or now == before:
-            about = {"record": digest(now), "overwrites": overwrites}
+        if now == before or (at.swap(RUN, text, found[1]) if found else at.create(RUN, text)):
+            about = {"record": digest(own) + overwrites, "overwrites": overwrites}
             return {**how, **about, "command": secrets.token_hex(6)}
 
 

@@ -48,12 +48,12 @@ def _public(observer: object) -> dict[str, Any]:
 
 def digest(record: Mapping[str, Any]) -> str:
     """Return a checksum of a record: of the same logs two runs with it make the same results."""
-    return hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()
+    return hashlib.sha256(json.dumps(_own(record), sort_keys=True).encode()).hexdigest()
 
 
 def difference(before: Mapping[str, Any], now: Mapping[str, Any]) -> str | None:
     """Return the first thing in which two records differ, for people; None: in nothing."""
-    old, new = dict(_flat(before)), dict(_flat(now))
+    old, new = dict(_flat(_own(before))), dict(_flat(_own(now)))
     keys = [key for key in {**old, **new} if old.get(key, _NOT) != new.get(key, _NOT)]
     if not keys:
         return None
@@ -65,6 +65,11 @@ def difference(before: Mapping[str, Any], now: Mapping[str, Any]) -> str | None:
 
 
 _NOT = object()
+
+
+def _own(record: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what decides results; a fleet notes more in its ``run.json``."""
+    return {name: record.get(name) for name in ("about", "config")}
 
 
 def _flat(value: Any, *key: str) -> Iterator[tuple[tuple[str, ...], Any]]:

@@ -80,7 +80,7 @@ def test_another_configuration_is_refused_unless_it_overwrites(stores, engine, h
     again = run_fleet([LOGS], RESULTS, {**other, "overwrite": True})
     assert states(again) == {"a": "done", "b": "done"}
     with pytest.raises(ConfigError, match="this machine"):
-        run_log(rest, RESULTS, {**late, "overwrites": {"overwrites": "else"}})
+        run_log(rest, RESULTS, {**late, "overwrites": "else"})
 
 
 def test_a_log_replaced_while_it_is_fetched_fails_and_is_not_noted(
