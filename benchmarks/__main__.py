@@ -2,6 +2,7 @@
 
 ``python -m benchmarks feed --json FILE`` times whole logs, see :mod:`benchmarks.feed`;
 ``python -m benchmarks tracks`` scores tracks, see :mod:`benchmarks.tracks`;
+``python -m benchmarks scale`` simulates runs on many nodes, see :mod:`benchmarks.scale`;
 ``python -m benchmarks same`` compares the obstacles of two commits, see
 :mod:`benchmarks.same_obstacles`.
 """
@@ -98,6 +99,11 @@ if __name__ == "__main__":
 
         same = tyro.cli(same_obstacles.Options, args=sys.argv[2:], prog="python -m benchmarks same")
         sys.exit(same_obstacles.main(same))
+    if sys.argv[1:2] == ["scale"]:
+        from benchmarks import scale
+
+        simulated = tyro.cli(scale.Options, args=sys.argv[2:], prog="python -m benchmarks scale")
+        sys.exit(scale.main(simulated))
     if sys.argv[1:2] == ["tracks"]:
         from benchmarks import tracks  # needs motmetrics
 

@@ -2,13 +2,14 @@
 
 import doctest
 import json
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from benchmarks import gate, report
+from benchmarks import gate, report, scale
 from benchmarks.baselines.sortgap import sort_and_gap
 from benchmarks.points import points, settings
 from benchmarks.run import Case, Metric, Missing, check_equal, metrics_of, with_peer
@@ -151,3 +152,22 @@ def test_the_scene_has_obstacles() -> None:
 
 def test_examples() -> None:
     assert doctest.testmod(report).failed == 0
+
+
+def test_a_simulated_run_is_that_by_hand() -> None:
+    """Two logs of 10 GB at 10 GB/s, 1 GB/s computed, and 1 s each besides."""
+    options = scale.Options(frame_mb=1.0, frames_per_s=1000.0)
+    sizes = np.array([10.0, 10.0])
+    assert scale.simulate(sizes, 1, 10.0, options).hours * 3600 == pytest.approx(1 + 11 + 11)
+    alone = replace(options, prefetch=False)
+    assert scale.simulate(sizes, 1, 10.0, alone).hours * 3600 == pytest.approx(2 * (1 + 11))
+    both = scale.simulate(sizes, 2, 10.0, replace(options, bucket_gb=1.0))
+    assert both.hours * 3600 == pytest.approx(20 + 11) and both.busy == pytest.approx(11 / 31)
+    spot = scale.simulate(sizes, 2, 10.0, replace(options, life_h=10 / 3600))
+    assert spot.lost > 0 and spot.hours * 3600 > 180
+
+
+def test_simulated_logs_are_as_large_as_they_should_be() -> None:
+    sizes = scale.log_sizes(scale.Options())
+    assert sizes.sum() == pytest.approx(1e6, rel=0.1) and list(sizes) == sorted(sizes)[::-1]
+    assert sizes.min() >= 1 and sizes.max() <= 100
