@@ -174,7 +174,8 @@ def test_info_and_lines_name_the_cameras(two_cameras, sim_log, tmp_path, capsys)
     said = capsys.readouterr()
     assert "two, front\n  frames     3" in said.out and "two, rear\n" in said.out
     assert "two, front: 3/3 frames" in said.err
-    assert main(["run", str(sim_log), *given, "--overwrite", "--start", "100"]) == 1
+    given[1] = str(tmp_path / "none")
+    assert main(["run", str(sim_log), *given, "--start", "100"]) == 1
     assert "no depth image is in --start 100; its 12 depth images are" in capsys.readouterr().err
 
 

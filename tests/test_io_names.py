@@ -248,7 +248,8 @@ def test_numbers_of_splits_with_zeros_go_on_beyond_them(tmp_path):
     list_files(tmp_path, *(f"x_{number:06d}.mcap" for number in (9998, 9999, 10000, 10001)))
     logs = find_logs([str(tmp_path)])
     assert [(log.name, len(log.paths)) for log in logs] == [
-        *(("run_100000", 1), ("run_100500", 1), ("x", 4), ("y_005959", 1), ("y_010000", 1))
+        *(("run_100000", 1), ("run_100500", 1), ("x_009998", 4)),
+        *(("y_005959", 1), ("y_010000", 1)),
     ]
     assert [path.name for path in logs[2].paths][1:3] == ["x_009999.mcap", "x_010000.mcap"]
     [one] = find_logs([str(tmp_path / "x_010000.mcap")])

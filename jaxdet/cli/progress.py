@@ -79,7 +79,7 @@ class _Lines:
         self.last = time.monotonic()
         if now.num_logs > FEW_LOGS:
             tell(_logs_text(now))
-        else:
+        elif now.doing or now.total:  # else it failed, which an error says
             tell(f"{_which(now)}{now.log}: {_text(now, _steps)}")
 
 
