@@ -1,7 +1,6 @@
 """The results folder: schema, nulls, bytes that do not depend on the batch, nothing half."""
 
 import json
-import pickle
 import subprocess
 import sys
 from pathlib import Path
@@ -15,7 +14,7 @@ from jaxdet.results import writer
 from jaxdet.results.lists import Lists
 from jaxdet.results.schemas import FRAMES_SCHEMA, OBSTACLES_SCHEMA
 from jaxdet.results.summary import problems
-from jaxdet.results.writer import ResultWriter, Tables, write_json
+from jaxdet.results.writer import Tables, TableWriter, write_json
 from tests.conftest import ROOT
 
 
@@ -73,7 +72,7 @@ def obstacle_rows(start: int, stop: int) -> dict:
 
 def write(folder: Path, batch: int, rows: int = 50) -> None:
     folder.mkdir(exist_ok=True)
-    with ResultWriter(folder) as writer:
+    with TableWriter(folder) as writer:
         for start in range(0, rows, batch):
             stop = min(start + batch, rows)
             writer.add(Tables.of(frame_rows(start, stop), obstacle_rows(start, stop)))
@@ -116,36 +115,38 @@ def test_no_rows_still_give_tables(tmp_path: Path) -> None:
     assert pq.read_table(tmp_path / "obstacles.parquet").num_rows == 0
 
 
-def test_rows_are_the_same_after_pickling(tmp_path: Path) -> None:
-    parts = [Tables.of(frame_rows(i, i + 5), obstacle_rows(i, i + 5)) for i in (0, 5)]
-    joined = Tables.joined(pickle.loads(pickle.dumps(parts, 5)))
+def test_rows_are_the_same_after_a_file(tmp_path: Path) -> None:
+    for i in (0, 5):
+        Tables.of(frame_rows(i, i + 5), obstacle_rows(i, i + 5)).save(tmp_path / f"{i}")
+    joined = Tables.joined(Tables.load(tmp_path / f"{i}") for i in (0, 5))
     whole = Tables.of(frame_rows(0, 10), obstacle_rows(0, 10))
     for mine, want in zip(joined, whole, strict=True):
         assert mine.equals(want) and mine.schema.equals(want.schema)
     assert Tables.joined(()).frames.schema.equals(FRAMES_SCHEMA)
 
 
-def test_rows_are_written_without_pandas() -> None:
+def test_rows_are_written_without_pandas(tmp_path: Path) -> None:
     code = """
-import pickle
 import sys
+from pathlib import Path
 from tests.test_results import frame_rows, obstacle_rows
 from jaxdet.results.metadata import Inputs
 from jaxdet.results.writer import Tables
-tables = Tables.of(frame_rows(0, 9), obstacle_rows(0, 9))
-joined = Tables.joined(pickle.loads(pickle.dumps([tables, tables], 5)))
+tables, path = Tables.of(frame_rows(0, 9), obstacle_rows(0, 9)), Path(sys.argv[1])
+tables.save(path)
+joined = Tables.joined([tables, Tables.load(path)])
 assert joined.frames.num_rows == 18
 rows = Inputs()
 rows.add(tables.frames)
 assert "pandas" not in sys.modules
 """
-    found = subprocess.run([sys.executable, "-c", code], cwd=ROOT)
+    found = subprocess.run([sys.executable, "-c", code, str(tmp_path / "rows")], cwd=ROOT)
     assert found.returncode == 0
 
 
 def test_a_folder_that_is_not_there_is_an_error_of_the_output(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="can't be written"):
-        ResultWriter(tmp_path / "missing")
+        TableWriter(tmp_path / "missing")
 
 
 def test_lost_frames_are_a_problem_of_the_run():

@@ -565,6 +565,9 @@ def test_the_same_bytes_however_the_log_was_split(folder: Path, tmp_path: Path):
     split(folder.parent / "log.mcap", 5, tmp_path / "log")
     out = tmp_path / "out"
     config = Config(ground=GroundConfig(max_depth_m=4.0))
+    (tmp_path / "log" / "metadata.yaml").write_text(
+        "  relative_file_paths:\n" + "".join(f"  - log_{number}.mcap\n" for number in range(5))
+    )
     [log] = find_logs([str(tmp_path / "log")])
     assert len(log.paths) == 5
     run_logs([log], out, config, backend="reference", pictures=0, preset="wheeled")
@@ -622,12 +625,17 @@ def test_what_is_told_of_each_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         write_log(tmp_path / f"{name}.mcap", sim)
     out = tmp_path / "out"
     run_logs(tmp_path, out, backend="reference", pictures=0)
-    frames = pq.read_table(out / "frames.parquet").to_pylist()
+
+    def table(name: str) -> list[dict]:
+        return [row for log in "ab" for row in pq.read_table(out / log / name).to_pylist()]
+
+    frames = pq.read_table(out / "a" / "frames.parquet").to_pylist()
     places = [r["camera_position_world"] if r["frame"] > 1 else None for r in frames]
-    edited(out / "frames.parquet", "camera_position_world", places)
-    rows = pq.read_table(out / "obstacles.parquet").to_pylist()
+    edited(out / "a" / "frames.parquet", "camera_position_world", places)
+    rows = pq.read_table(out / "a" / "obstacles.parquet").to_pylist()
     corners = [row["corners_world"] if 4 < row["frame"] < 11 else None for row in rows]
-    edited(out / "obstacles.parquet", "corners_world", corners)
+    edited(out / "a" / "obstacles.parquet", "corners_world", corners)
+    rows = table("obstacles.parquet")
     drawn = []
     plain = tracks_folder.draw_map
 
@@ -638,8 +646,8 @@ def test_what_is_told_of_each_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(tracks_folder, "draw_map", draw_map)
     monkeypatch.setattr(tracks_rows, "PART_ROWS", 2)
     found = track_results(out, TrackConfig(min_frames=2, moving_m=0.02))
-    all_tracks = pq.read_table(out / "tracks.parquet").to_pylist()
-    links = pq.read_table(out / "track_links.parquet")["track"].to_pylist()
+    all_tracks = table("tracks.parquet")
+    links = [link["track"] for link in table("track_links.parquet")]
     assert [log.log for log in found] == ["a", "b"]
     for log in found:
         tracks = [track for track in all_tracks if track["log"] == log.log]
@@ -657,7 +665,7 @@ def test_what_is_told_of_each_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert 0 < a.moving < a.tracks and 2 < a.in_world < a.tracks and not b.in_world
     assert (a.blind, b.blind) == (("the world's z is not up", "no poses"), ("no poses",))
     ways = [(t["path"], t["moving"]) for t in all_tracks if t["in_world"]]
-    assert drawn == [("a", ways)] and not list(out.glob("*.arrow"))
+    assert drawn == [("a", ways)] and not list(out.rglob("*.arrow"))
 
 
 def test_what_is_linked_is_the_tables(folder: Path, tmp_path: Path, monkeypatch):
@@ -716,8 +724,8 @@ def test_what_tracks_say_of_themselves(folder: Path, tmp_path: Path):
     (copy / "tracks.parquet").unlink()
     with pytest.raises(InputError, match="doesn't say what linked the obstacles"):
         tracks_folder.tracking(copy)
-    theirs = ["tracks.parquet", "track_links.parquet", "tracks_a.png"]
-    others = ["tracks.png", "tracks_a.npz", "track_a.png", "map_a.png", "frames.parquet"]
+    theirs = ["tracks.parquet", "track_links.parquet", "tracks.png", "tracks_a.png"]
+    others = ["tracks_a.npz", "track_a.png", "map_a.png", "frames.parquet"]
     assert list(filter(tracks_folder.is_track_file, theirs + others)) == theirs
 
 

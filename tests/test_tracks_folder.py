@@ -99,28 +99,6 @@ def test_a_run_that_is_stopped_while_it_links_goes_on(tmp_path: Path, monkeypatc
     assert not verify(tmp_path / "a", sample=0).findings
 
 
-def test_the_lock_of_a_run_that_died_stays(folder: Path, tmp_path: Path):
-    """What it was killed by may be in its logs: for ``jaxdet run`` to know, not for track."""
-    copy = shutil.copytree(folder.parent, tmp_path / "copy")
-    lock = copy / ".jaxdet" / "lock"
-    code = "import os, sys; from pathlib import Path; from jaxdet.results.lock import Lock\n"
-    code += "lock = Lock(Path(sys.argv[1])); os._exit(9)"
-
-    def killed() -> bytes:
-        assert subprocess.run([sys.executable, "-c", code, str(lock)]).returncode == 9
-        return lock.read_bytes()
-
-    killed()
-    track_results(copy)  # of itself, as there is no run
-    assert not lock.parent.exists()
-    said, part = killed(), copy / ".jaxdet" / "logs-1" / "a" / "00000000.arrow"
-    part.parent.mkdir(parents=True)
-    part.write_bytes(b"of a run")
-    track_results(copy)
-    assert lock.read_bytes() == said
-    assert Lock(lock).before
-
-
 def test_other_files_stay(folder: Path, tmp_path: Path):
     """Whatever they are called."""
     copy = shutil.copytree(folder.parent, tmp_path / "copy")
