@@ -67,8 +67,8 @@ class GroundConfig:
     """Depth noise on the floor [1/m]: the step height is at least this times the camera's height
     times the depth, 1/s of it with cells of s x s pixels. 0 disables it."""
     max_height_m: float = 2.0
-    """Maximum obstacle height [m], the robot's clearance: what hangs higher is ignored, taller
-    objects are cut off there. 0: no limit. Not used by paper."""
+    """Maximum obstacle height, the robot's clearance [m]. Objects that hang higher are ignored,
+    taller ones are cut off there. 0: no limit. Not used by paper."""
     camera_height_m: float | None = None
     """Camera mounting height above the floor [m]. Unset: from the log's TF, else estimated from a
     sample of its frames. The depth of each frame corrects it."""
