@@ -27,7 +27,7 @@ from jaxdet.errors import FrameStatus
 from jaxdet.results.schemas import FRAMES_SCHEMA, OBSTACLES_SCHEMA
 from jaxdet.results.summary import LogSummary, Summary
 from jaxdet.sim import SimConfig, write_log
-from jaxdet.tracks.schemas import LINKS_SCHEMA, TRACKS_SCHEMA
+from jaxdet.results.track_schemas import LINKS_SCHEMA, TRACKS_SCHEMA
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCUMENTS = {path.stem: path for path in sorted((ROOT / "jaxdet/help").glob("*.md"))}

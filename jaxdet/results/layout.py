@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxdet.errors import InputError
+from jaxdet.results.shapes import LOGS, check_shape
 
 RUN, MANIFEST, FAILED = "run.json", "manifest.json", "failed.json"
 SUMMARY, CONFIG = "summary.json", "config.json"
@@ -110,10 +111,23 @@ def entries_of(told: Mapping[str, Any], where: Path) -> list[dict[str, Any]]:
     """Return the entries of a log's cameras in ``summary.json`` or ``failed.json``.
 
     Raises:
-        InputError: There are none, or they lack what every version wrote.
+        InputError: They have another shape than jaxdet writes.
     """
-    logs = told.get("logs")
-    needed = {"log", "camera", "paths", "error", "lost", "frames", "obstacles"}
-    if not isinstance(logs, list) or not all(isinstance(e, dict) and needed <= {*e} for e in logs):
-        raise InputError("is not as jaxdet writes it", path=str(where), remedy=AGAIN)
+    check_shape(told, LOGS, where)
+    logs: list[dict[str, Any]] = told["logs"]
+    for entry in logs:
+        names = [entry["file_name"] or "", entry["map"] or "", *entry["pictures"]]
+        if not (entry["error"] or entry["camera"]) or any(map(leads_out, names)):
+            raise InputError("is not as jaxdet writes it", path=str(where), remedy=AGAIN)
     return logs
+
+
+def check_regular(folder: Path) -> None:
+    """Raise an error where a folder of results holds what can't be read like a file.
+
+    Raises:
+        InputError: It is a pipe, a device or a socket, or leads to one.
+    """
+    for path in folder.rglob("*"):
+        if path.exists() and not (path.is_file() or path.is_dir()):
+            raise InputError("is not a regular file", path=str(path), remedy="remove it")

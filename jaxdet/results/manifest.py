@@ -9,9 +9,11 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
-from jaxdet.errors import InputError
+from jaxdet.errors import InputError, printable
+from jaxdet.results import shapes
 from jaxdet.results.durable import sha256, write_whole
-from jaxdet.results.layout import AGAIN, MANIFEST, leads_out, read_json
+from jaxdet.results.layout import AGAIN, MANIFEST, check_regular, leads_out, read_json
+from jaxdet.results.shapes import check_shape
 from jaxdet.results.summary import to_json
 
 FORMAT = 2
@@ -111,19 +113,22 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     """Read the manifest of a log's folder.
 
     Raises:
-        InputError: It is missing, or not as it was written, to the byte.
+        InputError: It is missing, or not as it was written, to the byte; or the folder holds what
+            is not a regular file.
     """
+    check_regular(folder)
     found = read_json(folder / MANIFEST)
     files, path = found.get("files"), folder / MANIFEST
     if found.get("format") != FORMAT:
-        problem = f"has format {found.get('format')} of results, not {FORMAT}"
+        problem = f"has format {printable(str(found.get('format')))[:40]} of results, not {FORMAT}"
         raise InputError(problem, path=str(path), remedy="run jaxdet run again")
     try:
         as_written = to_json(_sealed(found)).encode() == path.read_bytes()
-    except (OSError, ValueError):  # gone meanwhile, or a number that JSON does not have
+    except (OSError, ValueError, RecursionError):  # gone meanwhile, or no JSON of ours
         as_written = False
     if not as_written or not isinstance(files, dict) or any(map(leads_out, files)):
         raise InputError("was changed", path=str(path), remedy=AGAIN)
+    check_shape(found, shapes.MANIFEST, path)
     return found
 
 

@@ -233,9 +233,22 @@ def load_map(path: Path) -> MapImage:
         with path.open("rb") as file, np.load(file) as parts:  # NumPy leaves a damaged one open
             x, y = parts["origin"].tolist()
             cell = float(parts["cell_m"])
-            return MapImage(parts["counts"], parts["free"], (x, y), cell, parts["path"])
+            image = MapImage(parts["counts"], parts["free"], (x, y), cell, parts["path"])
+            _check_map(image)
+            return image
     except Exception as error:  # zip, zlib and NumPy raise what they like of a damaged file
         raise InputError("is not a map", path=str(path), remedy="run jaxdet run again") from error
+
+
+def _check_map(image: MapImage) -> None:
+    """Raise ValueError where arrays of a map have other shapes, types or values than they may."""
+    shape = image.counts.shape
+    good = len(shape) == 2 and min(shape) > 0 and image.free.shape == shape
+    good = good and image.counts.dtype.kind == image.free.dtype.kind == "i"
+    good = good and image.path.dtype.kind == "f" and image.path.shape[1:] == (2,)
+    good = good and 1e-3 <= image.cell_m <= 10 and bool(np.isfinite(image.path).all())
+    if not good or not all(abs(value) < 1e9 for value in image.origin):
+        raise ValueError(image)
 
 
 def _cropped(image: MapImage) -> MapImage:

@@ -15,9 +15,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from jaxdet.config import Config
-from jaxdet.errors import InputError
+from jaxdet.errors import InputError, JaxdetError, printable
 from jaxdet.io.files import SUFFIXES
 from jaxdet.io.options import LogOptions
+from jaxdet.results import shapes
 from jaxdet.results.arrow import open_file
 from jaxdet.results.layout import (
     AGAIN,
@@ -43,6 +44,8 @@ from jaxdet.results.names import camera_name, export_name
 from jaxdet.results.occupancy import MapImage, load_map
 from jaxdet.results.record import digest
 from jaxdet.results.schemas import FRAMES_SCHEMA, OBSTACLES_SCHEMA
+from jaxdet.results.shapes import check_shape
+from jaxdet.results.track_schemas import LINKS_SCHEMA, TRACKS_SCHEMA
 from jaxdet.results.tracked import Mover, TracksInFrames
 
 CHUNK_FRAMES = 1024
@@ -50,6 +53,10 @@ CHUNK_FRAMES = 1024
 
 TRACKS, LINKS = "tracks.parquet", "track_links.parquet"
 """Tables that ``jaxdet track`` adds to a log's folder."""
+TABLES = {
+    FRAMES: FRAMES_SCHEMA, OBSTACLES: OBSTACLES_SCHEMA, TRACKS: TRACKS_SCHEMA, LINKS: LINKS_SCHEMA
+}  # fmt: skip
+"""Columns of each table."""
 MOST_NAMED = 6
 """Logs that an error names."""
 
@@ -259,6 +266,7 @@ class Results:
             raise InputError(problem, path=str(folder), remedy="read them again")
         self.summaries[folder] = summary
         entries = entries_of(summary, folder / SUMMARY)
+        check_shape(summary, shapes.SUMMARY, folder / SUMMARY)
         frame = obstacle = 0
         for entry in entries:
             name, camera = str(entry["log"]), entry["camera"]
@@ -327,12 +335,20 @@ class Results:
     @cached_property
     def method(self) -> Config:
         """The configuration that the obstacles were found with."""
-        return restored(Config, self.config)
+        return self._restored(Config, self.config)
 
     @cached_property
     def log_options(self) -> LogOptions:
         """How the logs were read."""
-        return restored(LogOptions, self.config["log"])
+        return self._restored(LogOptions, self.config.get("log"))
+
+    def _restored(self, kind: type, values: Any) -> Any:
+        try:
+            return restored(kind, values)
+        except (JaxdetError, TypeError, ValueError, KeyError, OverflowError) as error:
+            path = str(next(iter(self.manifests), self.folder) / CONFIG)
+            problem = f"is not a configuration ({printable(str(error))[:200]})"
+            raise InputError(problem, path=path, remedy=AGAIN) from error
 
     def options_of(self, log: ResultLog) -> LogOptions:
         """How to open the log, or the camera of a log, that some rows are of."""
@@ -435,7 +451,8 @@ class Results:
         """Return the pictures that were drawn, by frame."""
         names = [name for name in log.summary["pictures"] if not leads_out(name)]
         paths = (log.folder / name for name in names)
-        return {int(path.stem.rpartition("_")[2]): path for path in paths if path.is_file()}
+        numbers = [(path.stem.rpartition("_")[2], path) for path in paths if path.is_file()]
+        return {int(number): path for number, path in numbers if number.isdecimal()}
 
     @contextmanager
     def _table(self, log: ResultLog, name: str) -> Iterator[pq.ParquetFile]:
@@ -499,6 +516,13 @@ def open_table(path: Path) -> pq.ParquetFile:
     if (found := _metadata(table).get(FORMAT_KEY, "none")) != str(FORMAT):
         problem = f"has format {found} of the tables, not {FORMAT}"
         raise InputError(problem, path=str(path), remedy="run jaxdet run again")
+    found = {field.name: field.type for field in table.schema_arrow}
+    for field in TABLES.get(path.name, ()):
+        kind = found.get(field.name)
+        dense = kind.value_type if kind and pa.types.is_dictionary(kind) else kind
+        if dense != field.type:
+            problem = f"column {field.name} is {'missing' if kind is None else 'of another type'}"
+            raise InputError(problem, path=str(path), remedy=AGAIN)
     return table
 
 

@@ -19,7 +19,12 @@ from typing import Any
 
 from tests.fuzz.case import FAILURES, Case, Subject
 
-SUBJECTS = {"logs": "Logs", "calibrations": "Calibrations", "calls": "Calls"}
+SUBJECTS = {
+    "logs": "Logs",
+    "calibrations": "Calibrations",
+    "calls": "Calls",
+    "results": "HostileResults",
+}
 """Modules beside this one, and the class in each."""
 MOST_BYTES = 6 << 30
 """Of addresses above the memory that a process takes at first; threads reserve many."""
