@@ -75,15 +75,18 @@ def test_a_compilation_that_is_stopped_leaves_nothing(tmp_path: Path) -> None:
     assert not code_in(tmp_path)
 
 
-@pytest.mark.parametrize("damage", ["torn", "gone"])
+@pytest.mark.parametrize("damage", ["torn", "gone", "flipped"])
 def test_damaged_code_is_made_again(tmp_path: Path, damage: str) -> None:
     ended(start(tmp_path))
     (file,) = code_in(tmp_path)
     whole = file.read_bytes()
     if damage == "gone":
         file.unlink()
+    elif damage == "flipped":
+        middle = len(whole) // 2
+        file.write_bytes(whole[:middle] + bytes([whole[middle] ^ 1]) + whole[middle + 1 :])
     else:
         file.write_bytes(whole[: len(whole) // 2])
     assert ended(start(tmp_path)) == "1500\n"
     (made,) = code_in(tmp_path)
-    assert made.stat().st_size == len(whole)
+    assert made.read_bytes() == whole

@@ -9,7 +9,16 @@ from typing import Any
 import jax
 import pytest
 
-from jaxdet.engine.startup import Caches, cache_folders, use_caches
+from jaxdet.cli import doctor
+from jaxdet.cli.run import first_time
+from jaxdet.engine.startup import (
+    UNSAFE,
+    Caches,
+    cache_folders,
+    is_writable,
+    unsafe_caches,
+    use_caches,
+)
 
 CODE = """
 from jaxdet.engine import start_up
@@ -59,22 +68,75 @@ def test_a_folder_that_cannot_be_made_is_not_used(no_caches, monkeypatch, tmp_pa
     assert config.jax_compilation_cache_dir == before
 
 
-def test_a_second_start_compiles_nothing(no_caches, tmp_path):
-    def start() -> dict[Path, int]:
-        done = subprocess.run(
-            [sys.executable, str(script)],
-            env={**os.environ, "JAXDET_CACHE": str(tmp_path / "cache")},
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-        assert (done.stdout, done.stderr) == ("[1, 4, 7, 10]\n", "")
-        files = [path for path in (tmp_path / "cache").rglob("*") if path.is_file()]
-        return {path: path.stat().st_mtime_ns for path in files}
+@pytest.mark.parametrize("mode", [0o777, 0o702])
+def test_a_folder_that_others_can_write_to_is_not_used(no_caches, monkeypatch, tmp_path, mode):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "xdg"))
+    monkeypatch.setenv("JAXDET_CACHE", str(tmp_path / "shared"))
+    private = cache_folders()
+    assert private.jax and private.warp and unsafe_caches() == []
+    private.jax.mkdir(parents=True)
+    private.jax.chmod(mode)
+    found = cache_folders()
+    assert found.warp == private.warp
+    assert found.jax and found.jax.is_relative_to(tmp_path / "xdg" / "jaxdet")
+    assert unsafe_caches() == [private.jax]
+    said = f"{private.jax} can be written to by other users"
+    assert first_time(found).startswith(said) and str(found.jax) in first_time(found)
+    assert doctor.caches() == (False, f"{private.jax} {UNSAFE}")
+    found.jax.mkdir(parents=True, exist_ok=True)
+    found.jax.chmod(mode)
+    assert cache_folders() == Caches(None, private.warp)
 
-    script = tmp_path / "script.py"
+
+def test_a_folder_of_another_user_is_not_used(no_caches, monkeypatch, tmp_path):
+    monkeypatch.setenv("WARP_CACHE_PATH", str(tmp_path))
+    assert cache_folders().warp == tmp_path
+    monkeypatch.setenv("JAXDET_CACHE", str(tmp_path / "none"))
+    user = os.geteuid()
+    monkeypatch.setattr(os, "geteuid", lambda: user + 1)
+    assert unsafe_caches() == [tmp_path]
+    assert cache_folders().warp != tmp_path
+
+
+def test_made_folders_are_private(no_caches, monkeypatch, tmp_path):
+    monkeypatch.setenv("JAXDET_CACHE", str(tmp_path / "cache"))
+    before = os.umask(0)
+    try:
+        assert is_writable(cache_folders().jax)
+    finally:
+        os.umask(before)
+    assert unsafe_caches() == []
+
+
+def start(cache: Path, script: Path) -> dict[Path, int]:
+    """Start a process that compiles; return what is kept and when it was written."""
     script.write_text(CODE, encoding="utf-8")
-    first = start()
+    done = subprocess.run(
+        [sys.executable, str(script)],
+        env={**os.environ, "JAXDET_CACHE": str(cache)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert (done.stdout, done.stderr) == ("[1, 4, 7, 10]\n", "")
+    files = [path for path in cache.rglob("*") if path.is_file()]
+    return {path: path.stat().st_mtime_ns for path in files if "jax-checksums" not in path.parts}
+
+
+def test_a_second_start_compiles_nothing(no_caches, tmp_path):
+    first = start(tmp_path / "cache", tmp_path / "script.py")
     assert any("jax" in path.parts for path in first)
     assert any("kernel_of_this_test" in path.read_text() for path in first if path.suffix == ".cpp")
-    assert start() == first
+    assert start(tmp_path / "cache", tmp_path / "script.py") == first
+
+
+def test_a_damaged_program_is_compiled_again(no_caches, tmp_path):
+    given = tmp_path / "cache", tmp_path / "script.py"
+    start(*given)
+    kept = start(*given)
+    program = next(path for path in kept if path.name.startswith("jit__lambda"))
+    damaged = bytearray(program.read_bytes())
+    damaged[len(damaged) // 2] ^= 1
+    program.write_bytes(damaged)
+    start(*given)
+    assert program.read_bytes() != bytes(damaged)

@@ -128,9 +128,11 @@ def small_case() -> "jaxdet.Frames":
 
 def caches() -> tuple[bool, str]:
     """Where compiled programs stay between runs."""
-    from jaxdet.engine.startup import NOT_KEPT, cache_folders, use_caches
+    from jaxdet.engine.startup import NOT_KEPT, UNSAFE, cache_folders, unsafe_caches, use_caches
 
     found, used = cache_folders(), use_caches()
+    for folder in unsafe_caches():
+        return False, f"{folder} {UNSAFE}"
     lost = next((folder for folder in found if folder and folder not in used), None)
     if lost:
         return False, f"{lost} {NOT_KEPT}"

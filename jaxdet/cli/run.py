@@ -162,10 +162,13 @@ def _run_on_machines(command: RunCommand) -> int:
 
 
 def first_time(caches: "Caches") -> str:
-    """What is said where nothing that was compiled is kept yet, or can be; empty elsewhere."""
-    from jaxdet.engine.startup import NOT_KEPT, is_writable
+    """Return what to say where no compiled programs are kept yet, or can't be; else nothing."""
+    from jaxdet.engine.startup import NOT_KEPT, UNSAFE, is_writable, unsafe_caches
 
     folder = caches.jax
+    if unsafe := unsafe_caches():
+        place = f"; {folder} is used instead" if folder else ""
+        return f"{unsafe[0]} {UNSAFE}{place}"
     if folder is None:
         return ""
     if not is_writable(folder):

@@ -4,12 +4,14 @@ import ctypes
 import importlib.util
 import os
 import platform
+import stat
 import threading
 import warnings
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
+from hashlib import blake2b
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,7 +22,9 @@ from jaxdet.signals import stops_held_back
 ENVIRONMENT = "JAXDET_CACHE"
 """Environment variable: the folder, or ``off``."""
 NOT_KEPT = "can't be written to; set JAXDET_CACHE to a folder that can be, or to off"
-"""Said of a folder."""
+"""What is wrong with a folder, and the remedy."""
+UNSAFE = "can be written to by other users, so its compiled programs are not used"
+"""Likewise."""
 
 
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
@@ -37,23 +41,58 @@ class Caches(NamedTuple):
 
 
 def cache_folders() -> Caches:
-    """The folders by the environment, none of them made yet.
+    """Return the folders that the environment selects, without making them.
 
     ``JAXDET_CACHE`` names another folder than ``jaxdet`` in the user's cache folder, or is
     ``off``. ``JAX_COMPILATION_CACHE_DIR`` and ``WARP_CACHE_PATH`` go before it. As both caches
     hold machine code, each kind of processor has a folder of its own, so that a home folder may
-    be shared.
+    be shared; and a folder that other users can write to is replaced by the one in the user's
+    cache folder, see :func:`unsafe_caches`.
     """
+    chosen, own = _chosen_folders(), _folders_in(_user_cache())
+    return Caches(
+        *(
+            folder if not _is_unsafe(folder) else own[i] if not _is_unsafe(own[i]) else None
+            for i, folder in enumerate(chosen)
+        )
+    )
+
+
+def unsafe_caches() -> list[Path]:
+    """Return the folders of the environment that are not used: other users can write to them."""
+    return [folder for folder in _chosen_folders() if folder and _is_unsafe(folder)]
+
+
+def _chosen_folders() -> Caches:
     base = None
     chosen = os.environ.get(ENVIRONMENT, "")
     if chosen.lower() != "off":
         base = Path(chosen).expanduser().absolute() if chosen else _user_cache()
     own_jax = os.environ.get("JAX_COMPILATION_CACHE_DIR")
     own_warp = os.environ.get("WARP_CACHE_PATH")
+    found = _folders_in(base)
     return Caches(
-        Path(own_jax) if own_jax else base and base / _processor() / "jax",
-        Path(own_warp) if own_warp else base and base / _processor() / "warp",
+        Path(own_jax) if own_jax else found.jax, Path(own_warp) if own_warp else found.warp
     )
+
+
+def _folders_in(base: Path | None) -> Caches:
+    return Caches(*(base and base / _processor() / name for name in Caches._fields))
+
+
+def _is_unsafe(folder: Path | None) -> bool:
+    """Return whether another user could have put code into a folder.
+
+    It belongs to another user, or others than the user's own group can write to it.
+    """
+    try:
+        status = folder.stat() if folder and hasattr(os, "geteuid") else None
+    except OSError:  # not there yet, or not to be had
+        return False
+    if status is None:
+        return False
+    by_group = bool(status.st_mode & stat.S_IWGRP) and status.st_gid != os.getegid()
+    return status.st_uid != os.geteuid() or by_group or bool(status.st_mode & stat.S_IWOTH)
 
 
 def use_caches() -> Caches:
@@ -66,6 +105,8 @@ def use_caches() -> Caches:
 
     folders = Caches(*(folder if is_writable(folder) else None for folder in cache_folders()))
     if folders.jax:
+        if not os.environ.get("JAX_COMPILATION_CACHE_DIR"):
+            _remove_damaged(folders.jax)
         jax.config.update("jax_compilation_cache_dir", str(folders.jax))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
         jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
@@ -74,6 +115,24 @@ def use_caches() -> Caches:
     if folders.warp:
         os.environ["WARP_CACHE_PATH"] = str(folders.warp)  # read when Warp starts
     return folders
+
+
+def _remove_damaged(folder: Path) -> None:
+    """Remove programs that have changed since they were first found; JAX would run them.
+
+    JAX keeps no checksums, so a file next to the folder holds one of each program.
+    """
+    sums = folder.with_name(f"{folder.name}-checksums")
+    with suppress(OSError):
+        sums.mkdir(mode=0o700, exist_ok=True)
+        for program in folder.glob("*-cache"):
+            found = blake2b(program.read_bytes(), digest_size=16).hexdigest()
+            known = sums / program.name
+            if not known.exists():
+                known.write_text(found, encoding="ascii")
+            elif known.read_text(encoding="ascii", errors="replace") != found:
+                program.unlink()
+                known.unlink()
 
 
 def start_up() -> None:
@@ -206,7 +265,7 @@ def is_writable(folder: Path | None) -> bool:
     if folder is None:
         return False
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     except OSError:
         return False
     return os.access(folder, os.W_OK)

@@ -18,6 +18,7 @@ import jaxdet_kernels
 from jaxdet.errors import JaxdetError
 from jaxdet.quiet import quiet_warp
 
+_CHECKSUMS = "checksums"
 _lock = Lock()
 _loaded: set[str] = set()
 
@@ -26,8 +27,9 @@ def load_for_cpu(module: ModuleType) -> None:
     """Loads the kernels of a module for the CPU; compiles them if no process has done so yet.
 
     They lie in a folder of our own in Warp's cache, which gets its name once it is complete and
-    its code was loaded: a crash or a full disk leaves nothing that a later start would use. Of
-    processes that start together one compiles, and the others wait for it.
+    its code was loaded: a crash or a full disk leaves nothing that a later start would use. A file
+    whose checksum has changed is compiled again. Of processes that start together one compiles,
+    and the others wait for it.
     """
     with _lock:
         if module.__name__ in _loaded:
@@ -43,12 +45,12 @@ def load_for_cpu(module: ModuleType) -> None:
 
 
 def _load(module: ModuleType, folder: Path) -> bool:
-    """Whether the folder is there and could be loaded."""
-    if not folder.is_dir():
-        return False
+    """Return whether the folder is there, undamaged, and could be loaded."""
     try:
+        if (folder / _CHECKSUMS).read_text(encoding="utf-8") != _checksums(folder):
+            return False
         wp.load_aot_module(module, device="cpu", module_dir=folder)
-    except Exception:  # whatever Warp says of a file that is missing, torn or of another machine
+    except Exception:  # a missing file, or whatever Warp says of one of another machine
         return False
     return True
 
@@ -64,6 +66,7 @@ def _compile(module: ModuleType, folder: Path) -> None:
         try:
             wp.compile_aot_module(module, device="cpu", module_dir=made)
             wp.load_aot_module(module, device="cpu", module_dir=made)
+            (made / _CHECKSUMS).write_text(_checksums(made), encoding="utf-8")
         except Exception as error:
             problem = f"the kernels {module.__name__} can't be compiled: {error}"
             raise JaxdetError(problem, remedy=f"is there space left in {made.parent}?") from error
@@ -72,6 +75,13 @@ def _compile(module: ModuleType, folder: Path) -> None:
             made.rename(folder)
     finally:
         shutil.rmtree(made, ignore_errors=True)
+
+
+def _checksums(folder: Path) -> str:
+    """Return a line of name and checksum for each compiled file of a folder."""
+    files = sorted(path for path in folder.iterdir() if path.name != _CHECKSUMS)
+    sums = (blake2b(path.read_bytes(), digest_size=16).hexdigest() for path in files)
+    return "".join(f"{sum_} {path.name}\n" for sum_, path in zip(sums, files, strict=True))
 
 
 def _new_folder(beside: Path) -> Path:
