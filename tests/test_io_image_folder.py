@@ -241,7 +241,7 @@ def test_images_elsewhere_are_logs_of_their_own(tmp_path):
     write_open3d(tmp_path / "a" / "two")
     (tmp_path / "a" / "drive.mcap").write_bytes(b"x")
     logs = find_logs([str(tmp_path)])
-    assert [log.name for log in logs] == ["drive", "one"]
+    assert [log.name for log in logs] == ["a/drive", "b/one"]
     assert "a/two is left out: images beside a recording" in logs[0].note
     assert "one has no stamps" in logs[1].note
 

@@ -126,9 +126,10 @@ def test_splits_are_one_log_and_share_static_transforms(tmp_path):
         with LogFile(tmp_path / name) as log:
             write_calibration(log, tf=name == names[0])
             write_images(log, half)
-    (tmp_path / "metadata.yaml").write_text("stale: true\n")
+    listed = "".join(f"  - {name}\n" for name in names)
+    (tmp_path / "metadata.yaml").write_text(f"relative_file_paths:\n{listed}")
     [files] = find_logs([str(tmp_path)])
-    assert files.name == "bag" and [path.name for path in files.paths] == names
+    assert files.name == "bag_2" and [path.name for path in files.paths] == names
     with open_log(files) as log:
         assert_holds(log, scene, batch_size=7)
         assert any("missing" in text for text in log.description.warnings)

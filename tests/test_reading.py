@@ -78,11 +78,13 @@ def test_chunks_are_the_tables(folder: Path, size: int) -> None:
         parts = [chunk for log in results.logs for chunk in results.chunks(log, size=size)]
     for number, name in enumerate(("frames", "obstacles")):
         each = [pq.read_table(folder / log / f"{name}.parquet") for log in "ab"]
-        table = pa.concat_tables(each)
         for chunks in (whole, parts):
-            assert pa.concat_tables([chunk[number] for chunk in chunks]).equals(table)
-    tables = parts and Results(folder).tables()
-    assert tables.frames.num_rows == 13 and len(tables.obstacles) == table.num_rows
+            found = pa.concat_tables([chunk[number] for chunk in chunks])
+            assert found.equals(pa.concat_tables(each))
+    with Results(folder) as results:
+        frames, obstacles = results.tables()
+    assert frames.num_rows == 13
+    assert len(obstacles) == sum(chunk.obstacles.num_rows for chunk in whole)
     assert whole[0].obstacles.num_rows == whole[0].first[-1]
 
 

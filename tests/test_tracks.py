@@ -562,7 +562,7 @@ def split(log: Path, count: int, to: Path) -> None:
 
 
 def test_the_same_bytes_however_the_log_was_split(folder: Path, tmp_path: Path):
-    split(folder.parent / "log.mcap", 5, tmp_path / "log")
+    split(folder.parents[1] / "log.mcap", 5, tmp_path / "log")
     out = tmp_path / "out"
     config = Config(ground=GroundConfig(max_depth_m=4.0))
     (tmp_path / "log" / "metadata.yaml").write_text(

@@ -26,6 +26,7 @@ from tests.io_helpers import (
     write_images,
 )
 from tests.mcap_bytes import MAGIC
+from tests.runs import only_log
 
 IMAGE = "sensor_msgs/msg/Image"
 
@@ -119,7 +120,7 @@ def test_depth_of_another_rate_or_clock_is_used_without_colour(tmp_path, capsys)
         run = ["run", str(path), "--output", str(out), "--backend", "reference"]
         assert main([*run, "--pictures", "0"]) == 0
         capsys.readouterr()
-        rows = pq.read_table(out / "frames.parquet").to_pylist()
+        rows = pq.read_table(only_log(out) / "frames.parquet").to_pylist()
         assert [row["status"] for row in rows] == frames * ["ok"]
         assert [row["color_stamp_ns"] is None for row in rows] == frames * [late_s > 0]
 

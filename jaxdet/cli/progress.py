@@ -51,11 +51,10 @@ def _bars() -> Iterator["ProgressCallback"]:
             SPINNER.stop()
             bars.start()
             if now.num_logs > 1:
-                state = {"total": now.num_logs, "completed": now.logs_done}
-                bars.update(task, description="logs", text=_logs_text(now), **state)
+                total, done, name, text = now.num_logs, now.logs_done, "logs", _logs_text(now)
             else:
-                state = {"total": now.total or None, "completed": now.done}
-                bars.update(task, description=now.log, text=_text(now, _slowest), **state)
+                total, done, name, text = now.total, now.done, now.log, _text(now, _slowest)
+            bars.update(task, description=name, text=text, total=total or None, completed=done)
 
     try:
         yield show

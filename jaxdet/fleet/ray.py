@@ -3,6 +3,7 @@
 import os
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
+from importlib import import_module
 from typing import Any
 
 from jaxdet.errors import ConfigError, JaxdetError, WorkerError
@@ -40,7 +41,7 @@ def run_on_ray(
         WorkerError: The cluster is lost.
     """
     try:
-        import ray
+        ray: Any = import_module("ray")  # this module has the same name
     except ImportError:
         remedy = "install it with: pip install 'jaxdet[ray]'"
         raise ConfigError("--on ray needs Ray", remedy=remedy) from None

@@ -102,7 +102,7 @@ def run_lines(results: "Results") -> list[list[str]]:
     lines = [["jaxdet", results.version], ["backend", str(results.config.get("backend", ""))]]
     if told:
         for key in ("workers", "batch_size"):
-            values = sorted({summary.get(key) for summary in told} - {None})
+            values = sorted({summary[key] for summary in told if key in summary})
             lines.append([key.replace("_", " "), ", ".join(map(str, values))])
         lines.append(["took", f"{sum(summary.get('seconds', 0.0) for summary in told):.1f} s"])
     versions = results.config_source.get("versions") or {}
