@@ -140,7 +140,7 @@ def test_the_nearest_of_a_b_and_c_is_the_distance():
     near = [(300, 400), (0, 1000), (0, 900)]
     for turn in range(3):
         points = near[turn:] + near[:turn]
-        assert metric.corner_distances(outline(*points)).tolist() == [[500.0]]
+        assert metric.point_distances(outline(*points)).tolist() == [[500.0]]
 
 
 def test_the_margin_goes_outward_where_the_vertex_is_nearer_than_ab():

@@ -16,10 +16,10 @@ from jaxdet.io import Batch
 from jaxdet.pipeline import detect
 from jaxdet.presets import preset
 from jaxdet.results.free_floor import FreeFloor
-from jaxdet.results.rows import batch_rows, joined_inputs, row_inputs, used_slots
+from jaxdet.results.rows import batch_rows, joined_inputs, map_leaves, row_inputs, used_slots
 from jaxdet.results.schemas import FRAMES_SCHEMA, OBSTACLES_SCHEMA
 from jaxdet.results.writer import to_table
-from jaxdet.types import Calibration, Obstacles, Refusal
+from jaxdet.types import Calibration, Refusal
 from tests.scenes import frames, level, small
 
 SCHEMAS = {"frames": FRAMES_SCHEMA, "obstacles": OBSTACLES_SCHEMA}
@@ -194,7 +194,8 @@ def test_inputs_can_be_made_on_the_device_and_cut_to_a_few_slots(name: str) -> N
     assert few.obstacles.num_points.shape == (3, most) and few.num_obstacles.dtype == np.int32
     for one, other in zip(tables(batch, whole, config), tables(batch, few, config), strict=True):
         assert one.equals(other) and one.num_rows
-    short = few._replace(obstacles=Obstacles(*(a[:, : most - 1] for a in few.obstacles)))
+    obstacles = map_leaves(lambda a: a[:, : most - 1], few.obstacles)
+    short = few._replace(obstacles=obstacles)
     with pytest.raises(ValueError, match=f"{most} obstacles in {most - 1} slots"):
         tables(batch, short, config)
 

@@ -106,19 +106,25 @@ def distances(detections: Detections) -> np.ndarray:
 
     Returns:
         ``(B, M)`` float64 [depth units], to the nearest point of the contour, or without one to
-        the nearest of the points A, B and C; 0 in empty slots.
+        the nearest of all points; 0 in empty slots.
     """
     scene = detections.scene
     if scene is None:
-        return corner_distances(detections.obstacles)
+        return point_distances(detections.obstacles)
     found = np.zeros(np.shape(scene.contour_points))
     used = np.nonzero(np.asarray(scene.contour_points))
     found[used] = nearest(*contour_lines(scene.contour, scene.contour_points, *used))
     return found
 
 
-def corner_distances(obstacles: Obstacles) -> np.ndarray:
-    """How far the nearest of A, B and C is, ``(...)`` float64 [depth units]."""
+def point_distances(obstacles: Obstacles) -> np.ndarray:
+    """Distance of the nearest point of clusters of points, ``(...)`` float64 [depth units].
+
+    Of obstacles by other methods, which lack ``nearest``, the nearest of A, B and C, which are
+    often not the nearest points.
+    """
+    if obstacles.nearest is not None:
+        return np.sqrt(dot(obstacles.nearest, np.array([262144.0, 1.0])))
     squared = [_squared(np.asarray(point)) for point in (obstacles.a, obstacles.b, obstacles.c)]
     return np.sqrt(np.minimum(np.minimum(*squared[:2]), squared[2]))
 
