@@ -129,6 +129,29 @@ def point_distances(obstacles: Obstacles) -> np.ndarray:
     return np.sqrt(np.minimum(np.minimum(*squared[:2]), squared[2]))
 
 
+def rectangle_distances(corners: np.ndarray) -> np.ndarray:
+    """Distance from the camera's foot to the nearest point of rectangles.
+
+    Args:
+        corners: ``(..., 4, 2)``, in order around the rectangle, ground frame [m].
+
+    Returns:
+        ``(...)`` float64 [m]; 0 where the camera stands on it.
+
+    Example:
+        >>> float(rectangle_distances(np.array([[-1, 2], [1, 2], [1, 3], [-1, 3]])))
+        2.0
+    """
+    start = np.asarray(corners).astype(np.float64)
+    edge = np.roll(start, -1, axis=-2) - start
+    length = dot(edge, edge)
+    share = np.divide(-dot(start, edge), length, out=np.zeros_like(length), where=length > 0)
+    foot = start + np.clip(share, 0, 1)[..., None] * edge
+    side = edge[..., 0] * start[..., 1] - edge[..., 1] * start[..., 0]
+    inside = (side > 0).all(axis=-1) | (side < 0).all(axis=-1)
+    return np.where(inside, 0.0, norm(foot).min(axis=-1))
+
+
 def contour_lines(
     contour: Array,
     contour_points: Array,
