@@ -14,6 +14,7 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import tyro
 
@@ -26,10 +27,11 @@ from benchmarks.paper.section import percent
 from benchmarks.paper.shots import Shot, Spec, Store, frames_of
 from benchmarks.paper.systems import eval_config, tuning_objective
 from jaxdet import reference, stages
-from jaxdet.config import Config
+from jaxdet.config import Config, FeaturesConfig
 from jaxdet.eval import FrameTruth, Score, Tally, evaluate_frames, score, total
 from jaxdet.floor.plane import plane_in_color
 from jaxdet.presets import preset
+from jaxdet.reference._canny import grey
 from jaxdet.types import Calibration, Detections, Features, GroundPlane, Keep, Labels, Points
 
 FIRST = {
@@ -40,6 +42,15 @@ FIRST = {
     "lateral_gap_m": 0.4,
 }
 """What the preset had before (297f469), by guess."""
+JUDGED: dict[str, dict[str, Any]] = {
+    "first values": FIRST,
+    "first values, N = 3": FIRST | {"min_points": 3},
+    "first values, N = 3, Canny at 50 and 100": FIRST | {"min_points": 3, "canny_high": 100.0},
+    "preset paper with d_z 0.10, d_x 0.40": {"depth_gap_m": 0.1, "lateral_gap_m": 0.4},
+    "preset paper": {},
+    "preset paper, corners only above the floor": {"use_mask": True},
+}
+"""What is judged on the seeds that are used for nothing else; nothing is chosen by it."""
 GRID: dict[str, tuple[Any, ...]] = {
     "canny_high": (100.0, 150.0, 200.0, 300.0),
     "min_distance": (2.0, 3.0, 5.0, 7.0),
@@ -49,6 +60,8 @@ GRID: dict[str, tuple[Any, ...]] = {
 }
 """Values that the search begins with. Canny's lower bound is half of the upper one, as in all
 bounds that the paper prints."""
+QUANTILES = (0.80, 0.85, 0.90, 0.95)
+"""Of a frame's gradients: laws for Canny's upper bound, tried on the tuning seeds."""
 BATCH = 16
 
 
@@ -76,21 +89,31 @@ class Frames:
         keep = stages.ground(aligned, plane, self.calibration, self.config)
         return frames.color, Keep(*(np.asarray(a) for a in keep)), plane
 
-    def _features(self, low: float, high: float, distance: float) -> list[Features]:
-        settings = replace(
-            self.config.features, canny_low=low, canny_high=high, min_distance=distance
-        )
+    def _features(self, settings: FeaturesConfig) -> list[Features]:
         each: list[Features] = []
         for color, keep, _ in self.parts:
             found = stages.features(color, keep, self.calibration, settings)
             each.append(Features(*(np.asarray(a) for a in found)))
         return each
 
-    def tallies(self, params: dict[str, Any]) -> list[Tally]:
-        """A tally of each frame for the preset with other settings."""
+    def with_bounds(self, share: float) -> list[Features]:
+        """Corners with the upper bound at a quantile of each frame's own gradients."""
+        each: list[Features] = []
+        for color, keep, _ in self.parts:
+            found = []
+            for b in range(len(color)):
+                bound = float(np.quantile(gradient(grey(color[b])), share))
+                settings = replace(self.config.features, canny_low=bound / 2, canny_high=bound)
+                one = Keep(*(a[b : b + 1] for a in keep))
+                found.append(stages.features(color[b : b + 1], one, self.calibration, settings))
+            each.append(Features(*(np.concatenate(a) for a in zip(*found, strict=True))))
+        return each
+
+    def tallies(self, params: dict[str, Any], corners: list[Features] | None = None) -> list[Tally]:
+        """A tally of each frame for the preset with other settings, or with other corners."""
         config = with_settings(self.config, params)
-        chosen, unit = config.features, self.calibration.depth_unit
-        parts = self.features(chosen.canny_low, chosen.canny_high, chosen.min_distance)
+        unit = self.calibration.depth_unit
+        parts = self.features(config.features) if corners is None else corners
         tallies: list[Tally] = []
         for number, (features, (_, keep, plane)) in enumerate(zip(parts, self.parts, strict=True)):
             labels = sort_and_gap(features, unit, config)
@@ -141,6 +164,8 @@ class Options:
     """Tuning seeds used; the full report tunes the baselines on as many."""
     judge: bool = False
     """Choose nothing; compare the preset with its first values on seeds used for nothing else."""
+    laws: bool = False
+    """Choose nothing; compare bounds that follow each frame's gradients, on the tuning seeds."""
 
 
 def main(options: Options) -> None:
@@ -148,10 +173,18 @@ def main(options: Options) -> None:
     start_worker()
     start, store = time.perf_counter(), Store(options.frames)
     if options.judge:
-        _judge(store)
+        specs = _specs(PRESET_SEEDS)
+        frames = Frames(store.load(specs), preset("paper"))
+        for name, params in JUDGED.items():
+            _print(name, specs, frames.tallies(params))
         return
     specs = _specs(TUNING_SEEDS[: options.seeds])
     frames = Frames(store.load(specs), preset("paper"))
+    if options.laws:
+        _print("preset paper", specs, frames.tallies({}))
+        for share in QUANTILES:
+            _print(f"quantile {share:g}", specs, frames.tallies({}, frames.with_bounds(share)))
+        return
     best, tried = -math.inf, 0
 
     def value(params: dict[str, Any]) -> float:
@@ -173,21 +206,23 @@ def _specs(seeds: Sequence[int]) -> list[Spec]:
     return [Spec(scene, seed, 1, light) for scene, seed, light in product(SCENES, seeds, LIGHTS)]
 
 
-def _judge(store: Store) -> None:
-    """Prints the figures of the preset and of its first values, a scene in four lights a unit."""
-    specs = _specs(PRESET_SEEDS)
-    frames = Frames(store.load(specs), preset("paper"))
-    for name, params in (("first values", FIRST), ("preset paper", {})):
-        tallies = frames.tallies(params)
-        for light in (None, *LIGHTS):
-            units: dict[tuple[str, int], list[Tally]] = {}
-            for spec, tally in zip(specs, tallies, strict=True):
-                if light in (None, spec.light):
-                    units.setdefault((spec.family, spec.seed), []).append(tally)
-            one = measured([total(unit) for unit in units.values()])
-            figures = [percent(one.value(k), one.intervals[k]) for k in ("accuracy", "fmi")]
-            shares = f"precision {percent(one.score.precision)} recall {percent(one.score.recall)}"
-            print(f"{name}, {light or 'all lights'}: ACC {figures[0]} FMI {figures[1]} {shares}")
+def gradient(image: np.ndarray) -> np.ndarray:
+    """Canny's gradient of a grey image ``(H, W)``, by L1 of 3x3 Sobel filters, int16."""
+    sides = (cv2.Sobel(image, cv2.CV_16S, *order, ksize=3) for order in ((1, 0), (0, 1)))
+    return sum(np.abs(side) for side in sides)
+
+
+def _print(name: str, specs: Sequence[Spec], tallies: Sequence[Tally]) -> None:
+    """Prints figures with intervals, in all lights and in each; a scene is a unit."""
+    for light in (None, *LIGHTS):
+        units: dict[tuple[str, int], list[Tally]] = {}
+        for spec, tally in zip(specs, tallies, strict=True):
+            if light in (None, spec.light):
+                units.setdefault((spec.family, spec.seed), []).append(tally)
+        one = measured([total(unit) for unit in units.values()])
+        figures = [percent(one.value(k), one.intervals[k]) for k in ("accuracy", "fmi")]
+        shares = f"precision {percent(one.score.precision)} recall {percent(one.score.recall)}"
+        print(f"{name}, {light or 'all lights'}: ACC {figures[0]} FMI {figures[1]} {shares}")
 
 
 def _report(seconds: float, tried: int, params: dict[str, Any], found: Score) -> None:
