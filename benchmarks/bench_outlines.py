@@ -11,7 +11,12 @@ from jaxdet.types import Obstacles
 
 STEP = "find_outlines"
 READ = ("x", "y", "z", "right", "forward", "height", "label", "num_obstacles")
-MADE = (*Obstacles._fields, "contour", "contour_points", "bottom_top")
+MADE = (
+    *(name for name in Obstacles._fields if name != "nearest"),
+    "contour",
+    "contour_points",
+    "bottom_top",
+)
 
 
 def cases() -> list[Case]:

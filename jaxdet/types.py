@@ -391,6 +391,10 @@ class Obstacles(NamedTuple):
     span: Array
     """``(B, M, 4)`` int32, the rectangle's extent along ``direction`` (dot product) and across
     (cross product): least and largest along, least and largest across."""
+    nearest: Array | None = None
+    """``(B, M, 2)`` int32, the squared distance on the floor from the camera's foot to the nearest
+    of all points [depth units squared]: over 2^18, rounded down, and what is left of it. None where
+    obstacles are made of surfaces, whose contours have it."""
 
 
 class FreeEnd(IntEnum):

@@ -155,7 +155,7 @@ def outlines(
     given |= {"label": label, "num_obstacles": count}
     found = step("find_outlines", tables, given, _grid(label, side))
     found["has_vertex"] = found["has_vertex"] != 0
-    measured: Any = Obstacles(*(found[name] for name in Obstacles._fields))
+    measured: Any = Obstacles(**{k: found[k] for k in Obstacles._fields if k in found})
     return Outlined(measured, found["contour"], found["contour_points"], found["bottom_top"])
 
 

@@ -41,6 +41,7 @@ from tests.boards import (
 
 PARAMS = {
     "hierarchical_ward": {"distance_m": 3.0},
+    "hierarchical_default": {"clusters": 3},
     "rsc": {"tau": 0.4},
     "rsc_member": {"tau": 0.4},
     "rsc_mean": {"tau": 0.4},
@@ -100,7 +101,7 @@ def test_the_registry():
         assert baseline.name == name and baseline.citation and baseline.title
         known = {"depth_scale", *baseline.defaults, *(f.name for f in fields(ClusterConfig))}
         assert set(baseline.grid) <= known
-        assert 5 <= len(baseline.trials()) <= 60 or name == "paper"
+        assert 5 <= len(baseline.trials()) <= 60 or name == "hierarchical_default"
 
 
 def test_the_paper_s_rule_is_the_reference(frame):

@@ -13,9 +13,9 @@ from jaxdet.errors import ConfigError
 from jaxdet.floor.plane import ground_axes
 from jaxdet.presets import PRESETS
 from jaxdet.reference._footprint import to_ground
-from jaxdet.results.metric import rectangles
+from jaxdet.results.metric import point_distances, rectangles
 from jaxdet.stages._footprint import to_ground as to_ground_twin
-from jaxdet.types import Features, Labels
+from jaxdet.types import MAX_LATERAL, Features, Labels
 from tests.scenes import assert_equal, level, points
 
 BACKENDS = pytest.mark.parametrize("backend", [reference, stages], ids=["reference", "stages"])
@@ -67,6 +67,23 @@ def test_ties_go_to_the_nearer_and_the_left(backend):
     assert np.asarray(found.a)[0, 0].tolist() == [-100, 800]
     assert np.asarray(found.b)[0, 0].tolist() == [100, 700]
     assert np.asarray(found.c)[0, 0].tolist() == [-50, 600]
+
+
+@BACKENDS
+def test_the_nearest_point_need_not_be_a_b_or_c(backend):
+    x, z = [-300, 300, 290, 0], [1500, 1400, 1000, 1010]
+    found = measure(backend, x, z, [0] * 4)
+    assert np.asarray(found.c)[0, 0].tolist() == [290, 1000]
+    assert np.asarray(found.nearest)[0, 0].tolist() == [*divmod(1010**2, 1 << 18)]
+    assert point_distances(found)[0].tolist() == [1010.0, *[0.0] * (SLOTS - 1)]
+
+
+@BACKENDS
+def test_the_nearest_point_is_exact_as_far_away_as_a_point_can_be(backend):
+    x, z = [MAX_LATERAL, MAX_LATERAL - 1], [65535, 65535]
+    found = measure(backend, x, z, [0, 0])
+    high, low = np.asarray(found.nearest)[0, 0].tolist()
+    assert (high << 18) + low == (MAX_LATERAL - 1) ** 2 + 65535**2
 
 
 def test_a_tilted_camera_lays_points_on_the_floor():

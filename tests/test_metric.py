@@ -140,7 +140,23 @@ def test_the_nearest_of_a_b_and_c_is_the_distance():
     near = [(300, 400), (0, 1000), (0, 900)]
     for turn in range(3):
         points = near[turn:] + near[:turn]
-        assert metric.corner_distances(outline(*points)).tolist() == [[500.0]]
+        assert metric.point_distances(outline(*points)).tolist() == [[500.0]]
+
+
+@pytest.mark.parametrize(
+    ("corners", "distance"),
+    [
+        ([(-1, 2), (1, 2), (1, 3), (-1, 3)], 2.0),
+        ([(1, 3), (1, 2), (-1, 2), (-1, 3)], 2.0),  # the other way round
+        ([(3, 4), (5, 4), (5, 6), (3, 6)], 5.0),  # a corner
+        ([(-1, -1), (1, -1), (1, 1), (-1, 1)], 0.0),  # the camera stands on it
+        ([(3, 4)] * 4, 5.0),  # a point
+        ([(-2, 0), (2, 4), (0, 6), (-4, 2)], 2**0.5),
+    ],
+)
+def test_a_rectangle_is_as_near_as_its_nearest_point(corners, distance):
+    found = metric.rectangle_distances(np.array([corners], np.float32))
+    np.testing.assert_allclose(found, [distance])
 
 
 def test_the_margin_goes_outward_where_the_vertex_is_nearer_than_ab():

@@ -60,8 +60,8 @@ SMALLER = {
     "WRONG_DEG": (-2.0, -1.0),
     "CASES": {key: case_list.CASES[key] for key in CHOSEN},
     "MOUNTS": mounts.MOUNTS[:2],
-    "RIVALS": ("hierarchical_ward", "rsc", "cure", "dbscan", "range_image"),
 }
+RIVALS = ("hierarchical_ward", "rsc", "cure", "dbscan", "range_image")
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +80,7 @@ def smaller():
 
 @pytest.fixture(scope="module")
 def lab(smaller, tmp_path_factory):
-    made = Lab(TINY, tmp_path_factory.mktemp("frames"))
+    made = Lab(TINY, tmp_path_factory.mktemp("frames"), rivals=RIVALS)
     made.quiet = True
     return made
 

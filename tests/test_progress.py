@@ -100,6 +100,7 @@ def test_many_logs_have_a_line_each_and_their_warnings_once() -> None:
         log.warnings = [*[f"of {number} alone"] * (number < 40), "no frame has depth"]
         log.notes = ["no map: no frame has a pose"]
     logs[7].error = "drive_007: torn"
+    logs[8].short_rectangles = 3
     lines = summary_lines(Summary("jax", 16, logs, 20.0), Path("out"))
     assert lines[0].split() == ["log", "frames", "not", "ok", "status"]
     assert lines[1].split() == ["drive_007", "10", "1", "failed"]
@@ -115,9 +116,10 @@ def test_many_logs_have_a_line_each_and_their_warnings_once() -> None:
     assert lines[312] == "warning    28 more, see summary.json of each log"
     assert lines[313] == f"note       {first}: no map: no frame has a pose"
     assert lines[-2].endswith("; 1 of 300 logs failed") and lines[-1] == "results: out (tables)"
-    assert "  frames     10 (9 ok, 1 no_color)" in summary_lines(
-        Summary("jax", 16, logs[:MANY_LOGS], 20.0), Path("out")
-    )
+    few = Summary("jax", 16, logs[:MANY_LOGS], 20.0)
+    assert "  frames     10 (9 ok, 1 no_color)" in summary_lines(few, Path("out"))
+    (line,) = [line for line in summary_lines(few, Path("out")) if "rectangles" in line]
+    assert line.startswith("  rectangles 3 of 8 with their obstacle more than 2 cm in front")
 
 
 def test_a_floor_that_frames_show_but_the_log_has_not_is_not_unknown() -> None:

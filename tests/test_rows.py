@@ -16,10 +16,12 @@ from jaxdet.io import Batch
 from jaxdet.pipeline import detect
 from jaxdet.presets import preset
 from jaxdet.results.free_floor import FreeFloor
-from jaxdet.results.rows import batch_rows, joined_inputs, row_inputs, used_slots
+from jaxdet.results.metric import rectangle_distances
+from jaxdet.results.rows import batch_rows, joined_inputs, map_leaves, row_inputs, used_slots
 from jaxdet.results.schemas import FRAMES_SCHEMA, OBSTACLES_SCHEMA
+from jaxdet.results.summary import Counts
 from jaxdet.results.writer import to_table
-from jaxdet.types import Calibration, Obstacles, Refusal
+from jaxdet.types import Calibration, Refusal
 from tests.scenes import frames, level, small
 
 SCHEMAS = {"frames": FRAMES_SCHEMA, "obstacles": OBSTACLES_SCHEMA}
@@ -75,7 +77,7 @@ def digest(rows: dict[str, dict]) -> str:
 
 
 def test_columns_of_points_keep_their_values() -> None:
-    assert digest(columns("paper")) == "19cd67a75f51c790"
+    assert digest(columns("paper")) == "6dc978f12fdb04e7"
 
 
 def test_points_have_no_contour_and_no_free_floor() -> None:
@@ -89,6 +91,15 @@ def test_points_have_no_contour_and_no_free_floor() -> None:
     outline = np.array(obstacle["corners_ground"].to_pylist()).reshape(-1, 4, 2)
     near = np.linalg.norm(outline[:, :2], axis=-1).min(axis=1)
     np.testing.assert_allclose(obstacle["distance_m"].to_numpy(), near, atol=0.1)
+
+
+def test_rectangles_behind_their_obstacle_are_counted() -> None:
+    rows = columns("paper")
+    begins = rectangle_distances(rows["obstacles"]["corners_ground"].reshape(-1, 4, 2))
+    for nearer, short in ((0.0, 0), (0.019, 0), (0.021, len(begins))):
+        counts = Counts()
+        counts.count(rows["frames"], rows["obstacles"] | {"distance_m": begins - nearer})
+        assert counts.short_rectangles == short
 
 
 def test_surfaces_have_contours_heights_and_free_floor() -> None:
@@ -194,7 +205,8 @@ def test_inputs_can_be_made_on_the_device_and_cut_to_a_few_slots(name: str) -> N
     assert few.obstacles.num_points.shape == (3, most) and few.num_obstacles.dtype == np.int32
     for one, other in zip(tables(batch, whole, config), tables(batch, few, config), strict=True):
         assert one.equals(other) and one.num_rows
-    short = few._replace(obstacles=Obstacles(*(a[:, : most - 1] for a in few.obstacles)))
+    obstacles = map_leaves(lambda a: a[:, : most - 1], few.obstacles)
+    short = few._replace(obstacles=obstacles)
     with pytest.raises(ValueError, match=f"{most} obstacles in {most - 1} slots"):
         tables(batch, short, config)
 

@@ -45,6 +45,19 @@ _ALL = (
         space="frame",
         citation="Liu et al., Electronics 12 (2023), 2316, Section 3.4",
         defaults=asdict(preset("paper").cluster),
+        grid={
+            "depth_gap_m": (0.05, 0.1, 0.2, 0.4),
+            "lateral_gap_m": (0.2, 0.4, 0.6),
+        },
+    ),
+    Baseline(
+        name="hierarchical_default",
+        title="Hierarchical (scikit-learn's defaults)",
+        run=clustering.hierarchical_count,
+        space="xz",
+        citation=f"AgglomerativeClustering of {SKLEARN}; the paper's traditional method is from "
+        "that library, without a word on its parameters",
+        defaults={"clusters": 2},
     ),
     _hierarchical("ward", 1.0, (0.3, 0.6, 1.0, 2.0, 4.0, 8.0)),
     _hierarchical("complete", 0.6, (0.3, 0.4, 0.6, 0.9, 1.3, 2.0)),

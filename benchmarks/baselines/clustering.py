@@ -29,6 +29,13 @@ def hierarchical(
     return model.fit_predict(points)
 
 
+def hierarchical_count(points: np.ndarray, clusters: int) -> np.ndarray:
+    """scikit-learn's agglomerative clustering into a number of clusters, by ward's linkage."""
+    if len(points) < clusters:
+        return np.full(len(points), -1)
+    return AgglomerativeClustering(clusters).fit_predict(points)
+
+
 def single_linkage(points: np.ndarray, distance_m: float) -> np.ndarray:
     """SciPy's single linkage, cut at ``distance_m``."""
     return fcluster(scipy_linkage(points, "single"), distance_m, "distance") - 1

@@ -47,25 +47,47 @@ def tune(
     Returns:
         The best trial; of equals, the first.
     """
+
+    def value(params: dict[str, Any]) -> float:
+        tallies = run_frames(baseline, frames, truths, params, config, eval_config)
+        return float(objective(score(tallies)))
+
+    return search(baseline.trials(), baseline.numbers(), value)
+
+
+def search(
+    trials: Sequence[dict[str, Any]],
+    numbers: Sequence[str],
+    objective: Callable[[dict[str, Any]], float],
+) -> Tuned:
+    """Try all of ``trials``, then move the best one's ``numbers`` as long as that helps.
+
+    Args:
+        trials: Settings of the same names.
+        numbers: Names of settings that are made larger and smaller.
+        objective: What to make large; NaN counts as the worst.
+
+    Returns:
+        The best trial; of equals, the first.
+    """
     known: dict[tuple[Any, ...], float] = {}
 
     def value(params: dict[str, Any]) -> float:
         key = tuple(params.values())
         if key not in known:
-            tallies = run_frames(baseline, frames, truths, params, config, eval_config)
-            known[key] = float(objective(score(tallies)))
+            known[key] = objective(params)
         return -math.inf if math.isnan(known[key]) else known[key]
 
-    best = max(baseline.trials(), key=value)
+    best = max(trials, key=value)
     found = True
     while found:
         found = False
-        for name in baseline.numbers():
+        for name in numbers:
             for up in (True, False):
                 while value(near := _moved(best, name, up=up)) > value(best):
                     best, found = near, True
-    trials = [(dict(zip(best, key, strict=True)), one) for key, one in known.items()]
-    return Tuned(best, known[tuple(best.values())], trials)
+    tried = [(dict(zip(best, key, strict=True)), one) for key, one in known.items()]
+    return Tuned(best, known[tuple(best.values())], tried)
 
 
 def _moved(params: dict[str, Any], name: str, *, up: bool) -> dict[str, Any]:

@@ -12,14 +12,11 @@ from benchmarks.paper.lab import Lab
 from benchmarks.paper.plan import SCENES
 from benchmarks.paper.section import Section, bootstrap
 from benchmarks.paper.shots import frames_of
-from benchmarks.paper.systems import RIVALS, of_points
+from benchmarks.paper.systems import RULE, of_points
 from benchmarks.paper.timing import in_turns
 from jaxdet import stages
 from jaxdet.config import Config
 from jaxdet.presets import preset
-
-RULE = "paper"
-"""The baseline that all are held against."""
 
 
 def run(lab: Lab) -> Section:
@@ -29,7 +26,7 @@ def run(lab: Lab) -> Section:
     specs = [lab.spec(scene, seed, lab.counts.scenes) for seed in lab.seeds for scene in SCENES]
     shots = lab.load(specs[: lab.counts.timed])[: lab.counts.timed]
     frames = [frame for shot in shots for frame in prepare(frames_of([shot]), config)]
-    names = [RULE, *(name for name in RIVALS if BASELINES[name].space != "image")]
+    names = [RULE, *(name for name in lab.rivals if BASELINES[name].space != "image")]
     functions: dict[str, Callable[[int], Any]] = {
         name: partial(_labels, config, frames, name, lab.tuned.get(name, {})) for name in names
     }

@@ -8,7 +8,7 @@ from benchmarks.paper import paper_figures, plots
 from benchmarks.paper.lab import Lab
 from benchmarks.paper.plan import DISTANCES_M, LIGHTS
 from benchmarks.paper.section import Section, bootstrap
-from benchmarks.paper.systems import ours
+from benchmarks.paper.systems import System, ours, paper
 from jaxdet.eval import Tally, total
 
 NAMES = ("position", "width")
@@ -35,27 +35,28 @@ def errors_of(tally: Tally) -> Errors:
     return Errors(*np.where(found[:, None], np.abs(every), np.inf).T)
 
 
-def cells_of(lab: Lab) -> dict[tuple[float, str], Errors]:
-    """The errors in every cell, by distance and light."""
+def cells_of(lab: Lab, systems: list[System]) -> dict[tuple[str, float, str], Errors]:
+    """The errors in every cell, by system, distance and light."""
     seeds = lab.seeds[: lab.counts.cylinder_seeds]
-    system = ours(lab.config)
     keys = [(distance, light) for distance in DISTANCES_M for light in LIGHTS]
     specs = [
         lab.spec("cylinder", seed, 1, light, distance_m=d) for d, light in keys for seed in seeds
     ]
     lab.log(f"{len(specs)} frames of the cylinder")
-    parts = iter(lab.judge(specs, [system]))
-    cells: dict[tuple[float, str], Errors] = {}
+    parts = iter(lab.judge(specs, systems))
+    cells: dict[tuple[str, float, str], Errors] = {}
     for key in keys:
         mine = [next(parts) for _ in seeds]
-        cells[key] = errors_of(total(tally for part in mine for tally in part[system.name]))
+        for name in (system.name for system in systems):
+            cells[name, *key] = errors_of(total(tally for part in mine for tally in part[name]))
     return cells
 
 
 def run(lab: Lab) -> Section:
     """Fig. 14 (error of width and position of the 9 cm cylinder, four lights)."""
     section = Section("fig14", "Fig. 14: accuracy on a cylinder of 9 cm diameter")
-    cells = cells_of(lab)
+    systems = [ours(lab.config), paper()]
+    cells = cells_of(lab, systems)
     section.say(
         f"{lab.counts.cylinder_seeds} simulated scenes a cell. Position is the forward distance "
         "of point C, width the lateral distance from A to B, both against the visible "
@@ -63,6 +64,18 @@ def run(lab: Lab) -> Section:
         "cm; a cylinder that was not found counts with an infinite error. The paper draws its "
         f"figure without numbers; by its text: {paper_figures.CYLINDER}."
     )
+    for system in systems:
+        _system(
+            section,
+            system,
+            {(d, light): one for (name, d, light), one in cells.items() if name == system.name},
+        )
+    return section
+
+
+def _system(section: Section, system: System, cells: dict[tuple[float, str], Errors]) -> None:
+    """Tables and plot of one system; the default's keys have no name before them."""
+    prefix = "" if system.method == system.name else f"{system.name}."
     for name in NAMES:
         rows: list[list[str]] = []
         for light in LIGHTS:
@@ -71,13 +84,13 @@ def run(lab: Lab) -> Section:
                 one = cells[distance, light]
                 middle, high = one.quantile(name, 0.5), one.quantile(name, 0.9)
                 ends = bootstrap(getattr(one, name), 0.5)
-                key = f"{light}.{distance:g}m.{name}"
+                key = f"{prefix}{light}.{distance:g}m.{name}"
                 section.add(f"{key}.median", middle, "m", "lower", ends)
                 section.add(f"{key}.p90", high, "m", "lower")
                 row.append(f"{_cm(middle)} / {_cm(high)}")
             rows.append(row)
         header = [f"{name.capitalize()} [cm]", *(f"{d:g} m" for d in DISTANCES_M)]
-        section.table(header, rows, "Median / 90th percentile")
+        section.table(header, rows, f"{system.title}: median / 90th percentile")
     figure, axes = plots.canvas(2, 11, 4)
     for ax, name in zip(axes, NAMES, strict=True):
         series = {
@@ -91,9 +104,8 @@ def run(lab: Lab) -> Section:
         ax.set_xlabel("distance [m]")
         ax.set_ylim(bottom=0)
     plots.legend(figure, axes[0], 4)
-    caption = "Errors of ours on the cylinder; dotted the paper's bound of 2 cm."
-    section.picture("errors", plots.png(figure), caption)
-    return section
+    caption = f"Errors of {system.title} on the cylinder; dotted the paper's bound of 2 cm."
+    section.picture(f"{system.name}_errors", plots.png(figure), caption)
 
 
 def _cm(metres: float) -> str:

@@ -8,7 +8,7 @@ from benchmarks.paper.lab import Lab
 from benchmarks.paper.pictures import encode, frame_picture, grid, scaled
 from benchmarks.paper.section import Section, bootstrap, percent, wilson
 from benchmarks.paper.shots import Shot, frames_of
-from benchmarks.paper.systems import Prepared, found_by, ours, tally_of
+from benchmarks.paper.systems import Prepared, System, found_by, ours, paper, tally_of
 from jaxdet.eval import total
 from jaxdet.render import draw_map
 from jaxdet.results.metric import rectangles, to_world
@@ -25,35 +25,50 @@ def run(lab: Lab) -> Section:
     seed = lab.seeds[0]
     spec = lab.spec("pedestrian", seed, lab.counts.log_frames, log=True, rate_hz=RATE_HZ)
     shots = lab.load([spec])
-    results = found_by(ours(lab.config), Prepared(shots))
+    section.say(
+        f"A simulated log of {len(shots)} frames at {RATE_HZ:g} Hz: the robot rolls 1.6 m to and "
+        "fro, a person crosses at 1.2 m/s. The paper shows one scene and no figures."
+    )
+    for system in (ours(lab.config), paper()):
+        _system(section, system, shots, seed)
+    return section
+
+
+def _system(section: Section, system: System, shots: list[Shot], seed: int) -> None:
+    """Figures, pictures and maps of one system; the default's keys have no name before them."""
+    results = found_by(system, Prepared(shots))
+    config, prefix = system.config, "" if system.method == system.name else f"{system.name}."
     corners: list[np.ndarray] = []
     occupancy = OccupancyMap()
     tallies = []
     for shot, found in zip(shots, results, strict=True):
-        outline = rectangles(found.obstacles, shot.calibration.depth_unit, lab.config.footprint)
+        outline = rectangles(found.obstacles, shot.calibration.depth_unit, config.footprint)
         count = int(found.num_obstacles[0])
-        world = to_world(outline, shot.T_world_camera[None])[0, :count]
+        pose = shot.T_world_color if config.cluster.points else shot.T_world_camera
+        world = to_world(outline, pose[None])[0, :count]
         corners.append(world)
         occupancy.add(world.reshape(-1, 8).astype(np.float32))
         occupancy.add_path(shot.T_world_camera[None])
-        tallies.append(tally_of(shot, found, lab.config))
-    _figures(section, shots, tallies)
+        tallies.append(tally_of(shot, found, config))
+    _figures(section, system, shots, tallies, prefix)
     pictures = []
     for index in np.linspace(0, len(shots) - 1, 4).round().astype(int).tolist():
         frame, found = frames_of([shots[index]]), results[index]
         title = f"pedestrian, frame {index}, {index / RATE_HZ:.1f} s"
-        pictures.append(scaled(frame_picture(frame, found, lab.config, title), 640))
-    caption = "Fig. 15 (a): the walking person from the rolling robot, four moments."
-    section.picture("frames", encode(grid(pictures, 2)), caption)
-    _map(section, shots, corners, seed)
+        pictures.append(scaled(frame_picture(frame, found, config, title), 640))
+    caption = f"Fig. 15 (a), {system.title}: the walking person from the robot, four moments."
+    section.picture(f"{system.name}_frames", encode(grid(pictures, 2)), caption)
+    _map(section, system, shots, corners, seed)
     image = occupancy.image()
     if image is not None:
         drawn = draw_map(image, "pedestrian")
-        section.picture("counts", encode(drawn), "The same as the occupancy map of a run.")
-    return section
+        caption = f"{system.title}: the same as the occupancy map of a run."
+        section.picture(f"{system.name}_counts", encode(drawn), caption)
 
 
-def _figures(section: Section, shots: list[Shot], tallies: list) -> None:
+def _figures(
+    section: Section, system: System, shots: list[Shot], tallies: list, prefix: str
+) -> None:
     walker = shots[0].names.index(PERSON) + 1
     cases = [case for case in total(tallies).cases if case.number == walker]
     found = [case for case in cases if case.found]
@@ -61,18 +76,18 @@ def _figures(section: Section, shots: list[Shot], tallies: list) -> None:
     ends = wilson(len(found), len(cases))
     rate = len(found) / len(cases) if cases else float("nan")
     middle = float(np.median(off)) if len(off) else float("nan")
-    section.add("person.found", rate, "", "higher", ends)
-    section.add("person.position", middle, "m", "lower", bootstrap(off, 0.5))
+    section.add(f"{prefix}person.found", rate, "", "higher", ends)
+    section.add(f"{prefix}person.position", middle, "m", "lower", bootstrap(off, 0.5))
     section.say(
-        f"A simulated log of {len(shots)} frames at {RATE_HZ:g} Hz: the robot rolls 1.6 m to and "
-        "fro, a person crosses at 1.2 m/s. The paper shows one scene and no figures. The person "
-        f"was found in {len(found)} of the {len(cases)} frames in which it was to be found "
-        f"({percent(rate, ends)}); the forward distance of its point C was off "
+        f"{system.title}: the person was found in {len(found)} of the {len(cases)} frames in which "
+        f"it was to be found ({percent(rate, ends)}); the forward distance of its point C was off "
         f"by {100 * middle:.1f} cm (median)."
     )
 
 
-def _map(section: Section, shots: list[Shot], corners: list[np.ndarray], seed: int) -> None:
+def _map(
+    section: Section, system: System, shots: list[Shot], corners: list[np.ndarray], seed: int
+) -> None:
     """The map that navigation has (walls, by the scene), and on it what was detected."""
     figure, axes = plots.canvas(1, 8, 5.6)
     ax = axes[0]
@@ -92,8 +107,8 @@ def _map(section: Section, shots: list[Shot], corners: list[np.ndarray], seed: i
     ax.set_xlabel("world X [m]")
     ax.set_ylabel("world Y [m]")
     ax.legend(loc="upper left", fontsize=8, frameon=True)
-    caption = "Fig. 15 (b): outlines on the map by Eq. 8-9; what stands still adds up."
-    section.picture("map", plots.png(figure), caption)
+    caption = f"Fig. 15 (b), {system.title}: outlines on the map by Eq. 8-9, all frames."
+    section.picture(f"{system.name}_map", plots.png(figure), caption)
 
 
 def _true_outlines(ax: Axes, shots: list[Shot]) -> None:

@@ -19,6 +19,7 @@ from benchmarks.paper.section import Section
 from benchmarks.paper.shots import Shot, Spec, Store
 from benchmarks.paper.systems import (
     RIVALS,
+    RULE,
     System,
     TuningTask,
     judge,
@@ -41,6 +42,7 @@ class Lab:
         pool: Worker processes; None: everything runs here.
         config: Ours.
         rehearsal: Draw by other seeds than the test's.
+        rivals: Names of the baselines.
     """
 
     def __init__(
@@ -51,12 +53,14 @@ class Lab:
         config: Config | None = None,
         *,
         rehearsal: bool = False,
+        rivals: Sequence[str] = RIVALS,
     ) -> None:
         self.counts, self.config = counts, config or Config()
         self.store, self.pool = Store(folder, pool), pool
         self.sections: dict[str, Section] = {}
         self.recordings: tuple[Path, ...] = ()
         self.quiet, self.rehearsal = False, rehearsal
+        self.rivals = tuple(rivals)
         self.start = time.perf_counter()
 
     @property
@@ -109,18 +113,19 @@ class Lab:
             for seed in seeds
             for light in LIGHTS
         ]
-        self.log(f"tuning {len(RIVALS)} baselines on {len(specs)} frames")
+        names = (RULE, *self.rivals)
+        self.log(f"tuning {len(names)} baselines on {len(specs)} frames")
         self.store.ensure(specs)
         paths = tuple(self.store.path(spec) for spec in specs)
         config = of_points(self.config)
-        found = self.run(tune_one, [TuningTask(name, paths, config) for name in RIVALS])
-        self.tuning_values = {name: one[1] for name, one in zip(RIVALS, found, strict=True)}
-        return {name: one[0] for name, one in zip(RIVALS, found, strict=True)}
+        found = self.run(tune_one, [TuningTask(name, paths, config) for name in names])
+        self.tuning_values = {name: one[1] for name, one in zip(names, found, strict=True)}
+        return {name: one[0] for name, one in zip(names, found, strict=True)}
 
     @cached_property
     def systems(self) -> list[System]:
         """All that are compared."""
-        return systems(self.config, self.tuned)
+        return systems(self.config, self.tuned, self.rivals)
 
     @cached_property
     def scores(self) -> Scores:

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Annotated
@@ -47,7 +47,7 @@ from benchmarks.paper.labelled import BESIDE
 from benchmarks.paper.plan import FULL, QUICK, TUNING_SEEDS
 from benchmarks.paper.report import write, write_json
 from benchmarks.paper.section import Section
-from benchmarks.paper.systems import LEARNT
+from benchmarks.paper.systems import LEARNT, RIVALS
 from jaxdet.engine import versions
 from jaxdet.presets import PRESETS
 
@@ -82,7 +82,7 @@ class Options:
     """The paper's experiments on simulated scenes, beside its figures."""
 
     full: bool = False
-    """Larger counts, for narrower intervals; else it takes about 20 minutes on two cores."""
+    """Larger counts, for narrower intervals; else it takes half an hour on two quiet cores."""
     rehearsal: bool = False
     """Draws by other seeds than the test's, for work on the method: nothing may be tuned on the
     test seeds."""
@@ -92,6 +92,10 @@ class Options:
     """Where to write all figures; by default figures.json in the output folder."""
     only: tuple[str, ...] = ()
     """Names of experiments; by default all. ``recordings`` alone: only the pictures of those."""
+    rivals: tuple[str, ...] = ()
+    """Names of the baselines that are tuned and compared; by default all."""
+    seeds: int = 0
+    """Seeds used; 0: those of the size."""
     recordings: tuple[Path, ...] = ()
     """Folders of real recordings, to be pictured; labelled ones are also looked for in and beside
     them, by default in ../shared/data, for the experiment ``realframes``."""
@@ -108,10 +112,15 @@ def main(options: Options) -> int:
         names = ", ".join(EXPERIMENTS)
         print(f"no experiment {', '.join(unknown)}; there are {names}", file=sys.stderr)
         return 2
+    if absent := [name for name in options.rivals if name not in RIVALS]:
+        print(f"no baseline {', '.join(absent)}; there are {', '.join(RIVALS)}", file=sys.stderr)
+        return 2
     start = time.perf_counter()
     with _folder(options.frames) as folder, _pool(options.workers or os.cpu_count() or 1) as pool:
         counts, rehearsal = FULL if options.full else QUICK, options.rehearsal
-        lab = Lab(counts, folder, pool, rehearsal=rehearsal)
+        if options.seeds:
+            counts = replace(counts, test_seeds=options.seeds)
+        lab = Lab(counts, folder, pool, rehearsal=rehearsal, rivals=options.rivals or RIVALS)
         lab.recordings = options.recordings or (BESIDE,)
         sections = run(lab, options.only or tuple(EXPERIMENTS))
         for number, place in enumerate(options.recordings):

@@ -63,6 +63,10 @@ def _markdown_block(block: Block) -> str:
 
 def page(title: str, sections: Sequence[Section], facts: Mapping[str, str]) -> str:
     """The report as one HTML file that needs no other."""
+    contents = "".join(
+        f"<li><a href='#{section.name}'>{html.escape(section.title)}</a></li>"
+        for section in sections
+    )
     items = "".join(
         f"<li>{html.escape(name)}: {html.escape(value)}</li>" for name, value in facts.items()
     )
@@ -73,7 +77,8 @@ def page(title: str, sections: Sequence[Section], facts: Mapping[str, str]) -> s
     )
     return (
         f"<!doctype html><html lang='en'><meta charset='utf-8'><title>{html.escape(title)}</title>"
-        f"<style>{STYLE}</style><h1>{html.escape(title)}</h1><ul>{items}</ul>{body}</html>\n"
+        f"<style>{STYLE}</style><h1>{html.escape(title)}</h1><ul>{items}</ul>"
+        f"<h2>Contents</h2><ol>{contents}</ol>{body}</html>\n"
     )
 
 

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from benchmarks.paper.lab import Lab
 from benchmarks.paper.measure import Difference, differences
 from benchmarks.paper.plan import LIGHTS, SCENES
-from benchmarks.paper.systems import OURS, RIVALS
+from benchmarks.paper.systems import OURS
 
 FIGURES = ("accuracy", "fmi", "f1")
 Verdict = tuple[str, str, str, bool | None]
@@ -20,7 +20,7 @@ def against(lab: Lab) -> list[Difference]:
     groups |= {light: (SCENES, (light,)) for light in LIGHTS}
     for condition, (scenes, lights) in groups.items():
         ours = lab.tallies(OURS, scenes, lights)
-        for rival in RIVALS:
+        for rival in lab.rivals:
             theirs = lab.tallies(rival, scenes, lights)
             found += differences(condition, rival, ours, theirs, FIGURES)
     return found

@@ -139,6 +139,9 @@ def _log_lines(log: "LogSummary") -> list[str]:
         text.insert(1, f"bad frame  {log.frame_errors[0]}")
     if log.floor_sources["frame"] or log.floor_refused:
         text.append(f"floor      {_floor_text(log)}")
+    if log.short_rectangles:
+        what = "with their obstacle more than 2 cm in front; distance_m is to its nearest point"
+        text.append(f"rectangles {log.short_rectangles} of {log.obstacles} {what}")
     if log.overflow_frames:
         frames = many(log.overflow_frames, "frame")
         what = "had more surfaces, obstacles or (paper) corners than slots, see jaxdet help tuning"

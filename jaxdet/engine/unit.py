@@ -192,7 +192,7 @@ class _PartBuilder:
         sources = plan.planes.sources(batch.frames.stamp_ns)
         given = batch, join_planes(planes), sources, joined_inputs(inputs), plan.config
         rows = batch_rows(plan.log, plan.camera, *given)
-        part.counts.count(rows.frames)
+        part.counts.count(rows.frames, rows.obstacles)
         if plan.maps:
             part.map.add_path(rows.T_world_camera)
             part.map.add(rows.obstacles["corners_world"])

@@ -23,7 +23,9 @@ def footprint(
 
         min(d_A, d_B) - d_C < d_threshold
 
-    with d the distance forward. :func:`jaxdet.results.metric.rectangles` draws the rectangle.
+    with d the distance forward. :func:`jaxdet.results.metric.rectangles` draws the rectangle, which
+    need not hold all points: what lies in front of AB, to the side of C or behind is outside. So
+    ``nearest`` is of all points.
 
     Args:
         features: ``(B, N)`` points.
@@ -37,7 +39,18 @@ def footprint(
     """
     slots = max(1, labels.labels.shape[1] // (config.cluster.min_points + 1))
     floor = np.clip(to_ground(features, plane), -MAX_LATERAL, MAX_LATERAL)
-    return footprint_on_floor(features, labels, floor, depth_unit, config.footprint, slots=slots)
+    found = footprint_on_floor(features, labels, floor, depth_unit, config.footprint, slots=slots)
+    return found._replace(nearest=_nearest(labels, floor, slots))
+
+
+def _nearest(labels: Labels, floor: np.ndarray, slots: int) -> np.ndarray:
+    """Squared distance of each obstacle's nearest point, ``(B, M, 2)``: over 2^18, and the rest."""
+    squared = (floor.astype(np.int64) ** 2).sum(axis=-1)
+    nearest = np.zeros((len(floor), slots), np.int64)
+    for b, count in enumerate(labels.num_obstacles):
+        for label in range(int(count)):
+            nearest[b, label] = squared[b, labels.labels[b] == label].min()
+    return np.stack(np.divmod(nearest, 1 << 18), axis=-1).astype(np.int32)
 
 
 def footprint_on_floor(
@@ -60,7 +73,8 @@ def footprint_on_floor(
         slots: ``M``.
 
     Returns:
-        ``(B, M)`` obstacles in the order of their labels; direction and span are zero.
+        ``(B, M)`` obstacles in the order of their labels; direction and span are zero, nearest is
+        None.
     """
     batch, m = len(labels.labels), slots
     threshold = round(config.vertex_threshold_m / depth_unit)
@@ -68,7 +82,7 @@ def footprint_on_floor(
     shapes |= dict.fromkeys(("uv_min", "uv_max", "a", "b", "c", "direction"), (m, 2))
     shapes |= {"span": (m, 4)}
     shapes |= dict.fromkeys(("xyz_min", "xyz_max"), (m, 3)) | {"xyz_sum": (m, 3, 2)}
-    out = Obstacles(**{k: np.zeros((batch, *shapes[k]), np.int32) for k in Obstacles._fields})
+    out = Obstacles(**{k: np.zeros((batch, *shape), np.int32) for k, shape in shapes.items()})
     bands = band_table(config, depth_unit)
     uv = np.stack([features.u, features.v], axis=-1)
     xyz = np.stack([features.x, features.y, features.z], axis=-1)

@@ -106,21 +106,50 @@ def distances(detections: Detections) -> np.ndarray:
 
     Returns:
         ``(B, M)`` float64 [depth units], to the nearest point of the contour, or without one to
-        the nearest of the points A, B and C; 0 in empty slots.
+        the nearest of all points; 0 in empty slots.
     """
     scene = detections.scene
     if scene is None:
-        return corner_distances(detections.obstacles)
+        return point_distances(detections.obstacles)
     found = np.zeros(np.shape(scene.contour_points))
     used = np.nonzero(np.asarray(scene.contour_points))
     found[used] = nearest(*contour_lines(scene.contour, scene.contour_points, *used))
     return found
 
 
-def corner_distances(obstacles: Obstacles) -> np.ndarray:
-    """How far the nearest of A, B and C is, ``(...)`` float64 [depth units]."""
+def point_distances(obstacles: Obstacles) -> np.ndarray:
+    """Distance of the nearest point of clusters of points, ``(...)`` float64 [depth units].
+
+    Of obstacles by other methods, which lack ``nearest``, the nearest of A, B and C, which are
+    often not the nearest points.
+    """
+    if obstacles.nearest is not None:
+        return np.sqrt(dot(obstacles.nearest, np.array([262144.0, 1.0])))
     squared = [_squared(np.asarray(point)) for point in (obstacles.a, obstacles.b, obstacles.c)]
     return np.sqrt(np.minimum(np.minimum(*squared[:2]), squared[2]))
+
+
+def rectangle_distances(corners: np.ndarray) -> np.ndarray:
+    """Distance from the camera's foot to the nearest point of rectangles.
+
+    Args:
+        corners: ``(..., 4, 2)``, in order around the rectangle, ground frame [m].
+
+    Returns:
+        ``(...)`` float64 [m]; 0 where the camera stands on it.
+
+    Example:
+        >>> float(rectangle_distances(np.array([[-1, 2], [1, 2], [1, 3], [-1, 3]])))
+        2.0
+    """
+    start = np.asarray(corners).astype(np.float64)
+    edge = np.roll(start, -1, axis=-2) - start
+    length = dot(edge, edge)
+    share = np.divide(-dot(start, edge), length, out=np.zeros_like(length), where=length > 0)
+    foot = start + np.clip(share, 0, 1)[..., None] * edge
+    side = edge[..., 0] * start[..., 1] - edge[..., 1] * start[..., 0]
+    inside = (side > 0).all(axis=-1) | (side < 0).all(axis=-1)
+    return np.where(inside, 0.0, norm(foot).min(axis=-1))
 
 
 def contour_lines(

@@ -16,9 +16,9 @@ from jaxdet.results.lists import Lists
 from jaxdet.results.metric import (
     TILT,
     contour_lines,
-    corner_distances,
     extents,
     nearest,
+    point_distances,
     rectangles,
     tilted,
     to_world,
@@ -328,7 +328,7 @@ def _obstacle_columns(
     if (most := found.num_obstacles.max(initial=0)) > slots:
         raise ValueError(f"{most} obstacles in {slots} slots")
     row, slot = np.nonzero(good[:, None] & (np.arange(slots) < found.num_obstacles[:, None]))
-    obstacles = Obstacles(*(a[row, slot] for a in found.obstacles))
+    obstacles: Obstacles = map_leaves(lambda part: part[row, slot], found.obstacles)
     box, corners = extents(obstacles, unit), rectangles(obstacles, unit, config.footprint)
     columns: dict[str, Any] = {
         "frame": frames.number[row],
@@ -363,7 +363,7 @@ def _shape_columns(
 ) -> dict[str, Any]:
     """Distances, and of obstacles made of surfaces contours and heights above the floor."""
     if scene is None:
-        distance = corner_distances(obstacles)
+        distance = point_distances(obstacles)
         bottom = top = np.full(row.size, np.nan)
         contours = Lists.nulls(row.size)
     else:

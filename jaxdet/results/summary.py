@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from jaxdet.errors import FrameStatus, printable
-from jaxdet.results.metric import MOST_TILT_DEG, TILT, tilted
+from jaxdet.results.metric import MOST_TILT_DEG, TILT, rectangle_distances, tilted
 from jaxdet.results.versions import version, versions
 
 STEPS = ("read", "decode", "transfer", "compute", "write")
@@ -22,6 +22,8 @@ ON_DEVICES = ("transfer", "compute")
 """What GPUs do, where there are any."""
 _DERIVED = ("bottleneck", "rates")
 """What a log's entry has beside its fields and what observers say."""
+SHORT_M = 0.02
+"""A rectangle that begins more than this behind its obstacle's nearest point is counted [m]."""
 MANY_REFUSED = 0.1
 """More of the frames without a floor of their own are worth a warning."""
 MOSTLY_FAR = 0.9
@@ -36,6 +38,8 @@ class Counts:
     """Depth images; of a log that failed on the way, those before the failure."""
     status: Counter[str] = field(default_factory=Counter)
     obstacles: int = 0
+    short_rectangles: int = 0
+    """Obstacles whose nearest point lies more than ``SHORT_M`` in front of their rectangle."""
     overflow_frames: int = 0
     floor_sources: Counter[str] = field(default_factory=Counter)
     """Of the frames that are ok, see ``floor_source`` of ``frames.parquet``."""
@@ -47,11 +51,13 @@ class Counts:
     """How long all together took to ``read`` (and unpack), ``decode`` images, ``transfer`` to GPUs
     and back, ``compute``, ``write`` rows, and to ``wait`` for those who compute [s]."""
 
-    def count(self, rows: Mapping[str, Any]) -> None:
-        """Adds the columns of ``frames.parquet`` of a batch."""
+    def count(self, rows: Mapping[str, Any], obstacles: Mapping[str, Any]) -> None:
+        """Adds the columns of ``frames.parquet`` and of ``obstacles.parquet`` of a batch."""
         self.frames += len(rows["status"])
         self.status.update(rows["status"].tolist())
         self.obstacles += int(rows["num_obstacles"].sum())
+        begins = rectangle_distances(obstacles["corners_ground"].reshape(-1, 4, 2))
+        self.short_rectangles += int((begins > obstacles["distance_m"] + SHORT_M).sum())
         self.overflow_frames += int(rows["overflow"].sum())
         good = rows["status"] == str(FrameStatus.OK)
         self.floor_sources.update(rows["floor_source"][good].tolist())

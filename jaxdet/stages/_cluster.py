@@ -13,38 +13,36 @@ from jaxdet.floor.plane import depth_gap_units
 from jaxdet.stages._tables import kernel_table
 from jaxdet.types import MAX_LATERAL, Features, Labels
 
-PLACE_BITS, VALUE_BITS = 13, 19  # a frame has at most 2^13 points, and so many parts
+PLACE_BITS, VALUE_BITS = 13, 19  # a frame has at most 2^13 points, and as many runs
 LAST = (1 << VALUE_BITS) - 1  # beyond all values
 NONE = np.uint32(0xFFFFFFFF)  # beyond all keys, as x + MAX_LATERAL is below LAST
+BLOCK = 32  # entries that are summed together, see _running_sum
 
 
 def cluster(features: Features, depth_unit: float, config: Config) -> Labels:
     """Equals :func:`jaxdet.reference.cluster`.
 
-    Sorts and segmented scans over all frames: sort by depth, flag gaps, number the sets by running
-    sums and count them; the same by set and x; number what is left. z is below 65536, x at most
-    MAX_LATERAL.
+    Sorts and segmented scans over all frames: sort by depth, flag gaps, number the runs between
+    them by running sums and count their points; the same by set and x; number the runs that are
+    left. z is below 65536, x at most MAX_LATERAL.
 
     Raises:
-        ConfigError: There are more than 8192 points a frame.
+        ConfigError: There are more than 8192 points per frame.
     """
     points = features.z.shape[1]
     check_points(points)
-    settings = jnp.asarray(gap_settings(config.cluster, depth_unit))
+    settings = gap_settings(config.cluster, depth_unit)
     return labels(features, settings, most_obstacles(points, config.cluster))
 
 
 def gap_settings(config: ClusterConfig, depth_unit: float) -> np.ndarray:
-    """What :func:`labels` takes of the configuration, ``(3,)`` int32.
-
-    The gaps in depth and sideways [depth units], and how many points are too few.
-    """
+    """Settings of :func:`labels`: gaps in depth and sideways [depth units], N; ``(3,)`` int32."""
     gaps = depth_gap_units(config, depth_unit), round(config.lateral_gap_m / depth_unit)
     return kernel_table([*gaps, config.min_points])
 
 
 def most_obstacles(points: int, config: ClusterConfig) -> int:
-    """``M``, as many obstacles as ``points`` points can make, at least 1."""
+    """``M``, the largest number of obstacles that ``points`` points can make, at least 1."""
     return max(1, points // (config.min_points + 1))
 
 
@@ -55,57 +53,89 @@ def labels(features: Features, settings: jax.Array, most: int) -> Labels:
         depth_gap, lateral_gap, min_points = settings
         x, z, n = features.x, features.z, features.z.shape[1]
         depth, slot = _sorted(jnp.where(features.kept, z, LAST))
-        part = _parts(depth, jnp.where(depth < LAST, 0, n), depth_gap, min_points)
-        part = _put(slot, part)
-        key = part.astype(jnp.uint32) << VALUE_BITS | (x + MAX_LATERAL).astype(jnp.uint32)
-        key = jnp.where(part < n, key, NONE)
+        run = _runs(depth, depth < LAST, depth_gap)
+        large = _sizes(run, depth < LAST) > min_points
+        column = _put(slot, jnp.where(_take(large, run), run, n))
+        key = column.astype(jnp.uint32) << VALUE_BITS | (x + MAX_LATERAL).astype(jnp.uint32)
+        key = jnp.where(column < n, key, NONE)
         keys = jnp.sort(key, axis=1)
-        group = jnp.where(keys < NONE, (keys >> VALUE_BITS).astype(jnp.int32), n)
-        part = _parts((keys & LAST).astype(jnp.int32), group, lateral_gap, min_points)
-        # Equal keys are neighbours, so any of them will do.
-        place = jax.vmap(jnp.searchsorted)(keys, key)
-        return _numbered(part, place, z, most)
+        run = _runs((keys & LAST).astype(jnp.int32), keys >> VALUE_BITS, lateral_gap)
+        large = _sizes(run, keys < NONE) > min_points
+        obstacle = jnp.where(large, _running_sum(large) - 1, most)
+        # Equal keys are neighbours, so the first of them will do.
+        obstacle = _take(obstacle, _take(run, _first_place(keys, key)))
+        return _numbered(obstacle, z, most)
 
 
-def _parts(values: jax.Array, group: jax.Array, gap: jax.Array, min_points: jax.Array) -> jax.Array:
-    """Numbers the runs of ``values`` without a gap, in order.
+def _runs(values: jax.Array, group: jax.Array, gap: jax.Array) -> jax.Array:
+    """Number the runs of ``values`` without a gap (Eq. 6), from 0.
 
     Args:
         values: ``(B, N)`` int32, rising within each group.
-        group: ``(B, N)`` int32, rising; a new group starts a new run; N takes no part.
+        group: ``(B, N)``; entries of a group are neighbours, and a new group starts a new run.
         gap: The largest step from an entry to the next.
-        min_points: Runs of this many entries or fewer are dropped.
 
     Returns:
-        ``(B, N)`` int32, the run's number among all runs, or N where dropped.
+        ``(B, N)`` int32, the number of each entry's run.
     """
-    n = values.shape[1]
     starts = (values[:, 1:] - values[:, :-1] > gap) | (group[:, 1:] != group[:, :-1])
-    run = jnp.pad(jnp.cumsum(starts, axis=1, dtype=jnp.int32), ((0, 0), (1, 0)))
-    size = jnp.zeros_like(run).at[_rows(run), run].add(1)
-    return jnp.where((group < n) & (_take(size, run) > min_points), run, n)
+    return _running_sum(jnp.pad(starts, ((0, 0), (1, 0))))
 
 
-def _numbered(part: jax.Array, place: jax.Array, z: jax.Array, most: int) -> Labels:
-    """Numbers the parts by nearest z, then smallest x.
+def _sizes(run: jax.Array, valid: jax.Array) -> jax.Array:
+    """Number of valid entries of each run, ``(B, N)`` int32."""
+    return jnp.zeros_like(run).at[_rows(run), run].add(valid.astype(jnp.int32))
 
-    Parts that are equally near are of one set of neighbours in depth, so in the order of x already.
+
+def _running_sum(flags: jax.Array) -> jax.Array:
+    """Number of flags up to and including each entry of its row, ``(B, N)`` int32.
+
+    Within blocks, then over the blocks' sums, each as a product with a triangle of ones: on the
+    CPU a third of ``jnp.cumsum``. Exact in float32 and in TF32, as the factors are 0 to ``BLOCK``
+    and the sums below 2^24.
+    """
+    count = flags.shape[1]
+    padded = jnp.pad(flags.astype(jnp.float32), ((0, 0), (0, -count % BLOCK)))
+    blocks = padded.reshape(len(flags), -1, BLOCK)
+    within = blocks @ np.triu(np.ones((BLOCK, BLOCK), np.float32))
+    size = blocks.shape[1]
+    before = within[..., -1] @ np.triu(np.ones((size, size), np.float32), 1)
+    sums = (within + before[..., None]).reshape(len(flags), -1)
+    return sums[:, :count].astype(jnp.int32)
+
+
+def _first_place(keys: jax.Array, key: jax.Array) -> jax.Array:
+    """Place of the first of each row's rising ``keys`` that equals ``key``, ``(B, N)`` int32.
+
+    A binary search like ``jnp.searchsorted``, in steps of powers of two without bounds to carry,
+    which takes half the time on the CPU.
+    """
+    count = keys.shape[1]
+    bits = count.bit_length()
+    padded = jnp.pad(keys, ((0, 0), (0, (1 << bits) - 1 - count)), constant_values=NONE)
+
+    def halve(turn: int, place: jax.Array) -> jax.Array:
+        half = jnp.int32(1) << (bits - 1 - turn)
+        return place + jnp.where(_take(padded, place + half - 1) < key, half, 0)
+
+    return lax.fori_loop(0, bits, halve, jnp.zeros(key.shape, jnp.int32))
+
+
+def _numbered(obstacle: jax.Array, z: jax.Array, most: int) -> Labels:
+    """Number the obstacles by nearest z, then smallest x.
+
+    Obstacles that are equally near are of one set of neighbours in depth, so in the order of x
+    already.
 
     Args:
-        part: ``(B, N)`` int32, the part at each place, N for none; those of a part follow each
-            other.
-        place: ``(B, N)`` int32, where each point is.
+        obstacle: ``(B, N)`` int32, the obstacle of each point, ``most`` for none.
         z: ``(B, N)`` int32, of the points.
-        most: As many parts as there can be.
+        most: The largest number of obstacles.
     """
-    n = part.shape[1]
-    starts = (jnp.diff(part, axis=1, prepend=n) != 0) & (part < n)
-    index = jnp.where(part < n, jnp.cumsum(starts, axis=1, dtype=jnp.int32) - 1, most)
-    index = _take(index, place)
-    nearest = jnp.full((len(z), most), LAST).at[_rows(z), index].min(z, mode="drop")
+    nearest = jnp.full((len(z), most), LAST).at[_rows(z), obstacle].min(z, mode="drop")
     _, order = _sorted(nearest)
-    number = _take(_put(order, _positions(order)), jnp.minimum(index, most - 1))
-    found = jnp.where(index < most, number, -1)
+    number = _take(_put(order, _positions(order)), jnp.minimum(obstacle, most - 1))
+    found = jnp.where(obstacle < most, number, -1)
     return Labels(found, jnp.sum(nearest < LAST, axis=1, dtype=jnp.int32))
 
 

@@ -101,7 +101,7 @@ def _detect(
     fields = {name: record.take(found.record, name) for name in record.shapes}
     count, surfaces = fields["num_obstacles"], fields["num_surfaces"]
     fields["has_vertex"] = fields["has_vertex"] != 0
-    obstacles = Obstacles(*(fields[name] for name in Obstacles._fields))
+    obstacles = Obstacles(**{k: fields[k] for k in Obstacles._fields if k in fields})
     shape = len(depth), MAX_OBSTACLES, static.columns, 2
     fields |= {"prior": None, "contour": found.contour.reshape(shape)}  # the prior is on the host
     cells = None

@@ -127,6 +127,9 @@ def _measure(
     c_forward, _ = _outermost(own, forward, points, passed, near)
     a_forward, b_forward = (least(forward, best, right) for best in (a_right, b_right))
     c_right = least(right, c_forward, forward)
+    high, low = _squared_length(floor)
+    near_high = extreme("min", high)
+    near_low = least(low, near_high, high)
     a = jnp.stack([a_right, a_forward], axis=-1)
     b = jnp.stack([b_right, b_forward], axis=-1)
     return Obstacles(
@@ -142,7 +145,19 @@ def _measure(
         has_vertex=some & (jnp.minimum(a_forward, b_forward) - c_forward >= threshold),
         direction=jnp.zeros_like(a),
         span=jnp.zeros((m, 4), jnp.int32),
+        nearest=jnp.stack([near_high, near_low], axis=-1),
     )
+
+
+def _squared_length(floor: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Squared lengths of ``(N, 2)``, at most MAX_LATERAL each: over 2^18, and the rest, int32.
+
+    Without leaving 32 bits: of ``x = 2^9 h + l`` the square is ``2^18 h^2 + 2^10 h l + l^2``.
+    """
+    high, low = jnp.abs(floor) >> 9, jnp.abs(floor) & 511
+    rest = jnp.sum((high * low << 10) + low * low, axis=-1, dtype=jnp.int32)
+    whole = jnp.sum(high * high, axis=-1, dtype=jnp.int32)
+    return whole + (rest >> 18), rest & ((1 << 18) - 1)
 
 
 def _outermost(

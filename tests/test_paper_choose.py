@@ -1,0 +1,59 @@
+"""Choosing the settings of preset ``paper``: what is judged is what the preset detects."""
+
+import cv2
+import numpy as np
+import pytest
+
+pytest.importorskip("matplotlib")
+
+from benchmarks.paper import choose, plan
+from benchmarks.paper.shots import Spec, Store
+from benchmarks.paper.systems import Prepared, found_by, paper, tally_of
+from jaxdet.eval import score
+from jaxdet.presets import preset
+
+SMALL = (("height", 240), ("width", 320))
+
+
+@pytest.fixture(scope="module")
+def frames(tmp_path_factory):
+    specs = [Spec(scene, 100, 1, "normal", SMALL) for scene in ("roadblocks", "tree_trunk")]
+    return choose.Frames(Store(tmp_path_factory.mktemp("frames")).load(specs), preset("paper"))
+
+
+def test_the_presets_tallies_are_those_of_the_report(frames):
+    found = found_by(paper(), Prepared(frames.shots))
+    config = preset("paper")
+    for mine, shot, one in zip(frames.tallies({}), frames.shots, found, strict=True):
+        theirs = tally_of(shot, one, config)
+        assert (mine.found, mine.visible, mine.false) == (
+            theirs.found,
+            theirs.visible,
+            theirs.false,
+        )
+        assert score([mine]).fmi == score([theirs]).fmi
+    assert sum(tally.found for tally in frames.tallies({})) > 0
+
+
+def test_settings_are_those_of_their_parts():
+    config = choose.with_settings(preset("paper"), choose.FIRST)
+    assert (config.features.canny_low, config.features.canny_high) == (100.0, 200.0)
+    assert (config.cluster.min_points, config.cluster.depth_gap_m) == (10, 0.1)
+    assert config.cluster.points and not config.features.use_mask
+    for name in choose.GRID:
+        assert hasattr(config.features, name) != hasattr(config.cluster, name)
+
+
+def test_bounds_follow_each_frames_gradients(frames):
+    image = np.full((8, 8), 10, np.uint8)
+    image[:, 4:] = 110
+    assert np.unique(choose.gradient(image)).tolist() == [0, 400]
+    edges = cv2.Canny(image, 399, 399)
+    assert edges.any() and not cv2.Canny(image, 400, 400).any()
+    few, many = (frames.with_bounds(share)[0].valid.sum() for share in (0.98, 0.8))
+    assert 0 < few < many
+
+
+def test_the_seeds_that_judge_are_used_for_nothing_else():
+    others = {*plan.TUNING_SEEDS, *plan.TEST_SEEDS, *plan.REHEARSAL_SEEDS}
+    assert not others & set(plan.PRESET_SEEDS)
