@@ -29,9 +29,9 @@ from jaxdet.results.manifest import MANIFEST, WORKING, changed_manifest, read_ma
 from jaxdet.results.reading import Chunk, ResultLog, Results, check_folder
 from jaxdet.results.writer import parquet_writer, write_json
 from jaxdet.tracks.config import TrackConfig
+from jaxdet.tracks.observations import observations_of
 from jaxdet.tracks.rows import TrackRows
 from jaxdet.tracks.schemas import LINKS_SCHEMA, TRACKS_SCHEMA
-from jaxdet.tracks.seen import obstacles_seen
 from jaxdet.tracks.tracker import Tracker
 
 WINDOW_FRAMES = 1024
@@ -156,7 +156,7 @@ def _track_log(
         nowhere = np.isnan(columns["corners_world"]).any(axis=1)
         blind.update(_blind(chunk.take(np.unique(frame[nowhere]))))
         width = image.get("width")
-        seen = obstacles_seen(start + frame, stamps[frame], roll[frame], columns, width)
+        seen = observations_of(start + frame, stamps[frame], roll[frame], columns, width)
         waiting.append(chunk.obstacles.select(keys).cast(pa.schema(list(LINKS_SCHEMA)[:-1])))
         size = chunk.obstacles["num_points"].to_numpy()
         tracker.add(chunk.frames["frame"].to_numpy(), stamps, seen, size)
