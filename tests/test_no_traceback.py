@@ -73,7 +73,7 @@ LOG_FLAGS = {
     "--log.depth-intrinsics 1e-45 1e-45 0 0": "depth camera is not calibrated",
     "--log.color-intrinsics 50 50 1e39 0": "optical centre",
     "--log.color-intrinsics 309000 309 48 36": "/color/camera_info: fx 309000 and fy 309",
-    "--log.color-intrinsics 309000 309000 48 36": "the colour camera sees 0.0178°",
+    "--log.color-intrinsics 309000 309000 48 36": "field of view of the colour camera is 0.0178°",
 }
 
 

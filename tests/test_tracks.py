@@ -451,10 +451,10 @@ def test_settings_out_of_range(field):
     name, whole = field.replace("_", "-"), isinstance(getattr(TrackConfig(), field), int)
     with pytest.raises(ConfigError, match=f"{name} is out of its range"):
         TrackConfig(**{field: -1})
-    problem = ": float is not what it takes" if whole else " is out of its range"
+    problem = ": expected an integer, got float" if whole else " is out of its range"
     with pytest.raises(ConfigError, match=f"{name}{problem}"):
         TrackConfig(**{field: float("inf")})
-    with pytest.raises(ConfigError, match=f"{name}: bool is not what it takes"):
+    with pytest.raises(ConfigError, match=f"{name}: expected .*, got bool"):
         TrackConfig(**{field: False})
     if field.endswith("_m"):
         with pytest.raises(ConfigError, match=f"{name} is out of its range"):
