@@ -507,7 +507,7 @@ def test_a_truth_that_is_not_there_is_said_before_the_run(
 ) -> None:
     command = ["run", str(sim_log), "--output", str(tmp_path / "out"), "--truth", "nothing.mcap"]
     assert main(command) == 1
-    assert "nothing.mcap.truth.npz: no truth can be read" in capfd.readouterr().err
+    assert "nothing.mcap.truth.npz: cannot read ground truth" in capfd.readouterr().err
     assert not (tmp_path / "out").exists()
 
 

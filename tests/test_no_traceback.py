@@ -193,7 +193,7 @@ def broken_truth(made: Path, folder: Path, how: str) -> Path:
 @pytest.mark.parametrize("how", ["cut", "flipped", "missing", "shape", "kind", "other size"])
 def test_truth_files(tmp_path, made, how):
     path = broken_truth(made, tmp_path, how)
-    with pytest.raises(InputError, match="no truth can be read"):
+    with pytest.raises(InputError, match="cannot read ground truth"):
         load_truth(path)
         load_depths(path, [0, 1])
 
@@ -202,7 +202,7 @@ def test_truth_files(tmp_path, made, how):
 def test_a_truth_file_with_an_image_of_4_gib(tmp_path, made, monkeypatch):
     monkeypatch.setattr(truth, "MAX_ARRAY_BYTES", 2 << 20)
     path = broken_truth(made, tmp_path, "4 GiB")
-    with pytest.raises(InputError, match="no truth can be read"):
+    with pytest.raises(InputError, match="cannot read ground truth"):
         load_depths(path, [0, 1])
 
 
