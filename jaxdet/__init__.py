@@ -1,6 +1,6 @@
-"""Obstacles from RGB-D cameras: ``Detector`` takes frames, ``run`` takes logs.
+"""Obstacle detection with RGB-D cameras: ``Detector`` for frames, ``run`` for logs.
 
-Names are loaded when they are first used, so ``import jaxdet`` alone loads no heavy package.
+Names are loaded on first use, so that ``import jaxdet`` loads no heavy package.
 """
 
 from importlib import import_module

@@ -1,4 +1,4 @@
-"""``python -m jaxdet`` and ``jaxdet`` are the same command."""
+"""Entry point of ``jaxdet`` and ``python -m jaxdet``."""
 
 import os
 import sys
@@ -9,13 +9,13 @@ from jaxdet.signals import end_guard, guard_process
 
 
 def command() -> NoReturn:
-    """Run the command, and end the process at once.
+    """Run the command, then exit immediately.
 
-    All files are whole when it returns, and what JAX, CUDA and Warp do to take themselves down
-    takes a second or two.
+    All files are complete by then, and the shutdown of JAX, CUDA and Warp would take a second or
+    two.
     """
     guard_process()
-    from jaxdet.cli import main  # guarded
+    from jaxdet.cli import main  # after guard_process(), as it takes long
 
     _open_streams()
     code = main(sys.argv[1:])
@@ -23,15 +23,15 @@ def command() -> NoReturn:
     _remove_temporary()
     try:
         sys.stdout.flush()
-    except OSError:  # whoever read it has gone, or the disk is full
+    except OSError:  # the pipe is closed, or the disk is full
         code = code or 1
-    with suppress(OSError):  # progress and warnings that nobody reads cost nothing
+    with suppress(OSError):  # lost progress and warnings are not an error
         sys.stderr.flush()
     os._exit(code)
 
 
 def _open_streams() -> None:
-    """Make closed standard streams lead to the null device, before a file gets their number."""
+    """Redirect closed standard streams to the null device, before a file gets their descriptor."""
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         if getattr(sys, name) is None:
             null = os.open(os.devnull, os.O_RDWR)
@@ -42,7 +42,7 @@ def _open_streams() -> None:
 
 
 def _remove_temporary() -> None:
-    """Remove the folder of the fork server's socket, as Python would at its end."""
+    """Remove the folder of the fork server's socket, as Python would at exit."""
     if used := sys.modules.get("multiprocessing.util"):
         used._run_finalizers()
 

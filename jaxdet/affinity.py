@@ -1,4 +1,4 @@
-"""Affinity of surfaces: from what is seen of two of them, the evidence that they are one thing."""
+"""Learned pairwise merge model: the evidence that two surfaces belong to the same object."""
 
 import json
 from functools import cache
@@ -35,20 +35,21 @@ SEEN = (
     "through_share",
     "through_share_in_columns",
 )
-"""What is seen of two surfaces, ``less`` the one of fewer cells and ``more`` the other. ``gap``:
-smallest distance of their contours on the floor; ``ahead``: the gap in depth on the floor;
-``overlap``: sideways, in percent of the narrower. In the rows where they face each other, ``step``:
-their mean step in depth; ``through``: rows in which one sees through between them; ``hidden_share``
-and ``agree_share``: those in which nearer things lie between, and in which depth goes on behind
-them or across a hole, in percent of the rows of the one with fewer. ``nearest``: distance of the
-nearer one; ``behind``: how much farther away ``less`` begins than ``more``. In columns, ``through``
-likewise, and ``between`` those in which they face each other across something. ``rows`` and
-``columns``: places in which they face each other; ``through_share``: of these those in which one
-sees through, in percent."""
+"""Features of a pair of surfaces. ``less`` is the surface with fewer cells, ``more`` the other.
+
+``gap``: distance of the contours on the floor; ``ahead``: forward gap on the floor; ``overlap``:
+lateral overlap in percent of the narrower; ``nearest``: distance of the nearer surface; ``behind``:
+distance of ``less`` minus that of ``more``. Numbers of rows and columns in which the surfaces face
+each other: ``rows`` and ``columns``; with free sight between them: ``through``,
+``through_in_columns``, and in percent ``through_share``, ``through_share_in_columns``; across a
+nearer object or a hole: ``between_in_columns``. ``step``: mean depth difference in rows without
+free sight. In percent of the rows of the surface with fewer: ``hidden_share``, rows with a nearer
+object between them; ``agree_share``, rows whose depth continues behind it or across a hole
+(``agree``: their number)."""
 LENGTHS = frozenset({"gap", "ahead", "step", "nearest", "behind"}) | {
     name for name in SEEN if name.split("_")[0] in ("width", "depth", "bottom", "top")
 }
-"""Of these, what is in depth units; in a table [mm]."""
+"""Features in depth units; millimetres in a table file."""
 GROWS = {
     "gap": -1,
     "ahead": -1,
@@ -60,48 +61,47 @@ GROWS = {
     "agree": 1,
     "agree_share": 1,
 }
-"""Evidence never falls with a larger value (1), or never rises with it (-1)."""
+"""Monotonic constraints: evidence never decreases (1) or never increases (-1) with the feature."""
 NO_STEP = 10_000
-"""Step in depth [mm] of two surfaces that do not face each other in any row."""
+"""``step`` of two surfaces that do not face each other in any row [mm]."""
 BEYOND = 1 << 30
-"""Threshold that nothing exceeds."""
+"""Threshold that no feature exceeds."""
 FRACTION_BITS = 8
-"""Fraction bits of evidence, which is log-odds."""
+"""Fraction bits of evidence (log-odds)."""
 
 
 class Affinity(NamedTuple):
-    """Boosted regression trees, ``T`` of them, each complete and ``D`` deep.
+    """``T`` gradient-boosted regression trees, each complete with depth ``D``.
 
     Friedman, *Greedy function approximation: a gradient boosting machine*, Annals of Statistics
     29(5), 2001. Node ``k`` has the children ``2 k + 1`` (at most the threshold) and ``2 k + 2``.
     """
 
     feature: np.ndarray
-    """``(T, 2**D - 1)`` int64, which of :data:`SEEN` a node looks at."""
+    """Index in :data:`SEEN` of the feature that a node compares, ``(T, 2**D - 1)`` int64."""
     threshold: np.ndarray
-    """``(T, 2**D - 1)`` int64, what is larger goes to the second child."""
+    """Thresholds ``(T, 2**D - 1)`` int64; larger values go to the second child."""
     value: np.ndarray
-    """``(T, 2**D)`` int64, evidence of the leaves."""
+    """Evidence of the leaves, ``(T, 2**D)`` int64."""
     offset: int
-    """Evidence to begin with."""
+    """Evidence before the first tree."""
 
     @property
     def depth(self) -> int:
-        """``D``."""
+        """Depth ``D`` of the trees."""
         return self.value.shape[1].bit_length() - 1
 
 
 @cache
 def affinity(name: str, depth_unit: float) -> Affinity:
-    """A table of the package, lengths in depth units.
+    """Load a model of the package, with lengths in depth units.
 
-    Tables are made by ``python -m benchmarks.affinity``.
-
-    Tables hold for cells of the size they were learnt with, ``surface.cell_rad`` 0.0078.
+    Models are trained by ``python -m benchmarks.affinity``, for cells with ``surface.cell_rad``
+    0.0078.
 
     Args:
         name: ``surfaces`` or ``tabletop``.
-        depth_unit: Metres in one depth unit.
+        depth_unit: Metres per depth unit.
     """
     text = resources.files("jaxdet").joinpath("tables", f"{name}.json").read_text("utf-8")
     table = json.loads(text)
@@ -116,14 +116,14 @@ def affinity(name: str, depth_unit: float) -> Affinity:
 
 
 def evidence(seen: np.ndarray, table: Affinity) -> np.ndarray:
-    """The evidence that pairs of surfaces are one thing.
+    """Compute the evidence that pairs of surfaces belong to the same object.
 
     Args:
-        seen: ``(P, 26)`` integer, in the order of :data:`SEEN`.
-        table: In the same depth units.
+        seen: Features ``(P, 26)`` integer, in the order of :data:`SEEN`.
+        table: Model, in the same depth units.
 
     Returns:
-        ``(P,)`` int64, log-odds with ``FRACTION_BITS`` fraction bits: above 0 for, below against.
+        Log-odds ``(P,)`` int64 with ``FRACTION_BITS`` fraction bits; positive: the same object.
     """
     pair, tree = np.ogrid[: len(seen), : len(table.feature)]
     node = np.zeros((len(seen), len(table.feature)), np.int64)

@@ -8,10 +8,10 @@ _ANGLE = re.compile(r"(?P<number>[-+]?[0-9.]+(?:e[-+]?[0-9]+)?)\s*(?P<unit>deg|Â
 
 
 def parse_angle(text: Any) -> float:
-    """The angle that a text says [rad].
+    """Parse an angle, in radians.
 
     Raises:
-        ValueError: It is no number with ``deg`` or ``rad`` behind it.
+        ValueError: The text is not a number followed by ``deg`` or ``rad``.
 
     Example:
         >>> parse_angle("0.17rad"), parse_angle("-180deg") == -math.pi

@@ -1,4 +1,4 @@
-"""What callers give a function is checked where it comes in; errors name the argument."""
+"""Checks of arguments at the public entry points; errors name the argument."""
 
 import dataclasses
 from numbers import Integral, Real
@@ -12,74 +12,71 @@ if TYPE_CHECKING:
 
 Kind = TypeVar("Kind")
 _MOST = 1 << 24
-"""Entries of an array that is converted: a pose each for many more frames than a batch has."""
-_WORDS = {bool: "True or False", float: "a number", int: "a whole number", str: "a text"}
-_NAMES: dict[type, str] = {Integral: "whole number", Real: "number"}
+"""Maximum number of entries of an array that is converted: a pose each for a million frames."""
+_WORDS = {bool: "True or False", float: "a number", int: "an integer", str: "a string"}
+_NAMES: dict[type, str] = {Integral: "integer", Real: "number"}
 
 
 def of_type(name: str, value: Any, kind: type[Kind], error: type[JaxdetError] = InputError) -> Kind:
-    """A value of a type, and of no other.
+    """Return the value if it has the type.
 
     Raises:
-        JaxdetError: It is of another; by default an InputError.
+        JaxdetError: It has another type; by default an InputError.
     """
     if not isinstance(value, kind):
-        wanted = _NAMES.get(kind, kind.__name__)
-        problem = f"{type(value).__name__} is no {wanted}"
-        raise error(problem, topic=name, remedy=f"give a {wanted}")
+        expected = _NAMES.get(kind, kind.__name__)
+        raise error(f"expected {expected}, got {type(value).__name__}", topic=name)
     return value
 
 
 def number(name: str, value: Any) -> float:
-    """A real number.
+    """Return a real number as a float.
 
     Raises:
-        InputError: It is none, or too large for one of 64 bits.
+        InputError: It is not a number, or exceeds 64 bits.
     """
     try:
         return float(of_type(name, value, Real))
     except OverflowError as error:
-        raise InputError(
-            "is too large a number", topic=name, remedy="give a smaller one"
-        ) from error
+        raise InputError("number is too large", topic=name, remedy="give a smaller one") from error
 
 
 def whole_number(name: str, value: Any) -> int:
-    """A whole number.
+    """Return an integer.
 
     Raises:
-        InputError: It is none.
+        InputError: It is not an integer.
     """
     return int(of_type(name, value, Integral))
 
 
 def named_type(value: Any) -> str:
-    """What a wrong value is, for an error: a text itself, of others the type."""
+    """Describe a wrong value in an error: a text by itself, others by their type."""
     return repr(value[:40]) if isinstance(value, str) else f"of type {type(value).__name__}"
 
 
 def numeric(name: str, values: Any) -> "np.ndarray":
-    """Values as an array of numbers or truth values; of arrays no copy.
+    """Return values as an array of numbers or booleans, without copying arrays.
 
     Raises:
-        InputError: They are something else.
+        InputError: They are neither.
     """
     import numpy as np
 
     try:
-        found = np.asarray(values)
-    except Exception as error:  # whatever an object's __array__ does
+        array = np.asarray(values)
+    except Exception as error:  # __array__ of any object may raise anything
         raise _no_numbers(name, values) from error
-    if found.dtype.kind not in "biuf":
+    if array.dtype.kind not in "biuf":
         raise _no_numbers(name, values)
-    return found
+    return array
 
 
 def numbers(name: str, values: Any, kind: type) -> "np.ndarray":
-    """Values as an array of one type.
+    """Return values as an array of a type.
 
     Raises:
-        InputError: They are no numbers.
+        InputError: They are not numbers, or too many.
     """
     import numpy as np
 
@@ -87,38 +84,37 @@ def numbers(name: str, values: Any, kind: type) -> "np.ndarray":
         size = getattr(values, "size", 0)
         if not isinstance(size, Integral) or size <= _MOST:  # of a tensor it is a method
             return np.asarray(values, kind)
-    except Exception as error:  # likewise
+    except Exception as error:  # see numeric()
         raise _no_numbers(name, values) from error
-    raise InputError(f"an array of shape {values.shape}", topic=name, remedy="give fewer numbers")
+    problem = f"shape {values.shape} is too large"
+    raise InputError(problem, topic=name, remedy="give fewer numbers")
 
 
 def _no_numbers(name: str, values: Any) -> InputError:
-    problem = f"{type(values).__name__} is no array of numbers"
-    return InputError(problem, topic=name, remedy="give NumPy arrays")
+    return InputError(f"expected an array of numbers, got {type(values).__name__}", topic=name)
 
 
 def check_fields(part: Any) -> None:
-    """Refuses a configuration whose fields are not of their types.
+    """Check the types of the fields of a configuration.
 
     Args:
         part: A dataclass.
 
     Raises:
-        ConfigError: A field is of another type than it says.
+        ConfigError: A field does not have its annotated type.
     """
     section = type(part).__name__.removesuffix("Config").removesuffix("Options").lower()
     for field in dataclasses.fields(part):
         value = getattr(part, field.name)
         if not fits(value, field.type):
             raise ConfigError(
-                f"{type(value).__name__} is not what it takes",
+                f"expected {_words(field.type)}, got {type(value).__name__}",
                 topic=f"{section}.{field.name.replace('_', '-')}".lstrip("."),
-                remedy=f"give {_words(field.type)}",
             )
 
 
 def fits(value: Any, kind: Any) -> bool:
-    """Whether a value is of a type, as annotations of fields have them."""
+    """Return whether a value has the type of a field's annotation."""
     if isinstance(kind, UnionType):
         return any(fits(value, one) for one in get_args(kind))
     if get_origin(kind) is tuple:
@@ -133,7 +129,7 @@ def fits(value: Any, kind: Any) -> bool:
 
 
 def _words(kind: Any) -> str:
-    """A type, for people."""
+    """Return a type in words."""
     if isinstance(kind, UnionType):
         return " or ".join(_words(one) for one in get_args(kind))
     if get_origin(kind) is tuple:

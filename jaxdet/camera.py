@@ -1,8 +1,7 @@
-"""Camera models on the host: the rays and tables that both backends take as given.
+"""Camera models on the host: rays and tables that both backends share.
 
-Everything here is computed once for a calibration (results are cached), in float64 unless a
-rule says float32, and never inside the jitted programs: trigonometry and iterations would not
-agree to the bit between NumPy, XLA and CUDA, but a table is the same for all of them.
+They are computed once per calibration (and cached), in float64 unless noted, and never in jitted
+programs: trigonometry and iterations would not agree to the bit between NumPy, XLA and CUDA.
 """
 
 from functools import lru_cache
@@ -18,22 +17,22 @@ RAY_BITS = 20
 """Fraction bits of a fixed-point ray: x in depth units is ``(ray * z) >> RAY_BITS``, rounded."""
 
 MAX_RAY = 4.0
-"""Steepest ray that the 32-bit integer rule holds for (a half field of view of 76 degrees)."""
+"""Maximum slope of a ray in 32-bit integer arithmetic (half a field of view of 76 degrees)."""
 
 
 def distort(x: np.ndarray, y: np.ndarray, camera: Intrinsics) -> tuple[np.ndarray, np.ndarray]:
-    """Applies a lens model to undistorted rays, in float64.
+    """Apply a lens model to undistorted rays, in float64.
 
     Args:
         x: Ray x over z, any shape.
         y: Ray y over z, same shape.
-        camera: The camera whose model is applied.
+        camera: Camera with the lens model.
 
     Returns:
-        The distorted ``x`` and ``y``, same shape.
+        Distorted ``x`` and ``y``, same shape.
 
     Raises:
-        CalibrationError: The model maps the other way (inverse Brown-Conrady).
+        CalibrationError: The model is inverse Brown-Conrady, which maps the other way.
     """
     if camera.distortion is Distortion.NONE:
         return x, y
@@ -61,7 +60,7 @@ def _brown_conrady(x: np.ndarray, y: np.ndarray, k: np.ndarray) -> tuple[np.ndar
 
 
 def coefficients(camera: Intrinsics) -> np.ndarray:
-    """The lens coefficients padded to eight, ``(8,)`` float64.
+    """Return the lens coefficients, zero-padded to ``(8,)`` float64.
 
     Raises:
         CalibrationError: There are more than eight.
@@ -69,27 +68,27 @@ def coefficients(camera: Intrinsics) -> np.ndarray:
     if len(camera.coefficients) > NUM_COEFFICIENTS:
         raise CalibrationError(
             f"{len(camera.coefficients)} distortion coefficients for {camera.distortion}",
-            remedy="at most 8 are defined; give --log.color-distortion or --log.depth-distortion",
+            remedy="at most 8 are supported; give --log.color-distortion or --log.depth-distortion",
         )
     return np.array([*camera.coefficients, *[0.0] * (8 - len(camera.coefficients))])
 
 
 def undistort(x: np.ndarray, y: np.ndarray, camera: Intrinsics) -> tuple[np.ndarray, np.ndarray]:
-    """Removes a lens model from distorted rays, in float64.
+    """Undistort rays, in float64.
 
-    Inverse Brown-Conrady is a formula; the other models are inverted by Newton-free fixed-point
-    iteration, as ``cv2.undistortPoints`` does, until nothing changes by more than 1e-12.
+    Inverse Brown-Conrady is a formula; the other models are inverted by fixed-point iteration, as
+    in ``cv2.undistortPoints``, until no value changes by more than 1e-12.
 
     Args:
         x: Distorted ray x over z, any shape.
         y: Distorted ray y over z, same shape.
-        camera: The camera whose model is removed.
+        camera: Camera with the lens model.
 
     Returns:
-        The undistorted ``x`` and ``y``, same shape.
+        Undistorted ``x`` and ``y``, same shape.
 
     Raises:
-        CalibrationError: The model can't be inverted over this image.
+        CalibrationError: The model can't be inverted over the image.
     """
     if camera.distortion is Distortion.NONE:
         return x, y
@@ -114,7 +113,7 @@ def undistort(x: np.ndarray, y: np.ndarray, camera: Intrinsics) -> tuple[np.ndar
 
 @lru_cache(maxsize=16)
 def pixel_rays(camera: Intrinsics) -> tuple[np.ndarray, np.ndarray]:
-    """The undistorted ray of each pixel centre.
+    """Compute the undistorted ray of each pixel centre.
 
     Returns:
         ``x`` and ``y`` over z, each ``(H, W)`` float64, read-only.
@@ -129,13 +128,13 @@ def pixel_rays(camera: Intrinsics) -> tuple[np.ndarray, np.ndarray]:
 
 @lru_cache(maxsize=16)
 def fixed_rays(camera: Intrinsics) -> tuple[np.ndarray, np.ndarray]:
-    """:func:`pixel_rays` as integers with ``RAY_BITS`` fraction bits.
+    """Return :func:`pixel_rays` as integers with ``RAY_BITS`` fraction bits.
 
     Returns:
         ``x`` and ``y`` over z, each ``(H, W)`` int32, read-only.
 
     Raises:
-        CalibrationError: A ray is steeper than ``MAX_RAY``, or see :func:`pixel_rays`.
+        CalibrationError: A ray exceeds ``MAX_RAY``, or see :func:`pixel_rays`.
     """
     x, y = pixel_rays(camera)
     for ray in (x, y):
@@ -145,10 +144,10 @@ def fixed_rays(camera: Intrinsics) -> tuple[np.ndarray, np.ndarray]:
 
 
 def check_steepness(rays: np.ndarray, flag: str) -> None:
-    """Refuses rays that are steeper than ``MAX_RAY``.
+    """Check the slopes of rays.
 
     Raises:
-        CalibrationError: One is.
+        CalibrationError: A slope exceeds ``MAX_RAY``.
     """
     if np.abs(rays).max(initial=0.0) > MAX_RAY:
         raise CalibrationError(
@@ -158,35 +157,35 @@ def check_steepness(rays: np.ndarray, flag: str) -> None:
 
 
 def _extrinsics(calibration: Calibration) -> Extrinsics:
-    """Return the motion from the depth camera to the colour camera."""
+    """Return the transform from the depth camera to the colour camera."""
     if calibration.color_from_depth is None:
         raise CalibrationError(
-            "no extrinsics to align with",
+            "no extrinsics for the alignment",
             remedy="give --log.color-from-depth, or --log.depth-aligned if depth is aligned",
         )
     return calibration.color_from_depth
 
 
 def cell_side(camera: Intrinsics, cell_rad: float) -> int:
-    """The side of a cell [pixel] of a depth camera, about ``cell_rad`` wide."""
+    """Return the side of a depth cell [pixel] that is about ``cell_rad`` wide."""
     return max(1, round(camera.fx * cell_rad))
 
 
 @lru_cache(maxsize=16)
 def cell_rays(camera: Intrinsics, side: int) -> np.ndarray:
-    """Return the ray through the middle of each cell of the depth image.
+    """Compute the ray through the middle of each cell of the depth image.
 
     A cell of depth ``d`` is at ``(ray_x d, ray_y d, d)`` (Eq. 1).
 
     Args:
-        camera: The depth camera.
+        camera: Depth camera.
         side: Side of a cell [pixel].
 
     Returns:
         x and y over z, ``(2, R, C)`` int64 with ``RAY_BITS`` fraction bits, read-only.
 
     Raises:
-        CalibrationError: A ray is steeper than ``MAX_RAY``.
+        CalibrationError: A slope exceeds ``MAX_RAY``.
     """
     rows, columns = camera.height // side, camera.width // side
     v, u = (np.mgrid[0:rows, 0:columns] * side + (side - 1) / 2).astype(np.float64)
@@ -198,12 +197,12 @@ def cell_rays(camera: Intrinsics, side: int) -> np.ndarray:
 
 @lru_cache(maxsize=16)
 def corner_rays(camera: Intrinsics) -> tuple[np.ndarray, np.ndarray]:
-    """The rays through the corners of each depth pixel, in librealsense's float32 arithmetic.
+    """Compute the rays through the corners of each depth pixel, in librealsense's float32.
 
     Corner 0 of pixel ``(v, u)`` is entry ``[v, u]`` (offset -0.5) and corner 1 is
-    ``[v + 1, u + 1]`` (offset +0.5). Source of the rule: librealsense ``sse-align.cpp``,
-    ``pre_compute_x_y_map``; models that librealsense does not undistort there are undistorted
-    in float64 and rounded once.
+    ``[v + 1, u + 1]`` (offset +0.5). Source: librealsense ``sse-align.cpp``,
+    ``pre_compute_x_y_map``; lens models that it does not support are undistorted in float64 and
+    rounded once.
 
     Returns:
         ``x`` and ``y`` over z, each ``(Hd + 1, Wd + 1)`` float32, read-only.
@@ -237,24 +236,24 @@ def _inverse_brown_conrady_float32(
 
 
 class SplatParameters(NamedTuple):
-    """Constants of the projection into the colour image; all float32 scalars in arrays."""
+    """Constants of the projection into the colour image, as float32 arrays."""
 
     rotation: np.ndarray  # (9,) float32, row-major R of T_color_depth
     translation: np.ndarray  # (3,) float32 [m]
     pinhole: np.ndarray  # (4,) float32, the colour camera's fx fy cx cy [pixel]
     lens: np.ndarray  # (8,) float32, the colour camera's distortion coefficients
     max_r2: np.float32
-    """Rays with a larger squared slope can't be in the colour image: a lens polynomial folds
-    back far outside the field of view and would project them into it."""
+    """Maximum squared slope of rays in the colour image; beyond it a lens polynomial folds back
+    and would project rays into the image from far outside of the field of view."""
     depth_unit: np.float32  # metres in one depth unit
     model: Distortion
-    """The colour camera's model; inverse Brown-Conrady counts as none, as in ``rs.align``."""
+    """Lens model of the colour camera; inverse Brown-Conrady is ignored, as in ``rs.align``."""
     fills_corners: bool  # whether a depth pixel covers all colour pixels between its corners
 
 
 @lru_cache(maxsize=16)
 def splat_parameters(calibration: Calibration) -> SplatParameters:
-    """The constants of the alignment (Eq. 1-4), rounded as librealsense holds them.
+    """Return the constants of the alignment (Eq. 1-4), rounded as in librealsense.
 
     Raises:
         CalibrationError: The calibration has no extrinsics.
@@ -280,7 +279,7 @@ def splat_parameters(calibration: Calibration) -> SplatParameters:
 
 
 def _fills_corners(depth: Intrinsics, color: Intrinsics) -> bool:
-    """Colour is finer than depth, by pixels in a degree (librealsense ``rs2_fov``)."""
+    """Return whether colour has more pixels per degree than depth (librealsense ``rs2_fov``)."""
     shapes = (depth.width, depth.height), (color.width, color.height)
     if shapes in (((640, 240), (320, 180)), ((640, 480), (640, 360))):
         return True

@@ -1,6 +1,6 @@
-"""Checks of arrays and calibrations before kernels read them.
+"""Validation of arrays and calibrations before kernels read them.
 
-Everything from a log, a flag or a caller passes here once; kernels check nothing again.
+All input from logs, flags and callers is checked here once; kernels don't check again.
 """
 
 import math
@@ -30,31 +30,31 @@ from jaxdet.types import (
 )
 
 MAX_CELL_SIDE = 128
-"""Most pixels of a cell's side: sums of depths have 31 bits."""
+"""Maximum side of a cell [pixel]: sums of depths have 31 bits."""
 MAX_DEPTH_COLUMNS = 4096
-"""Most columns of a depth image in cells."""
+"""Maximum number of columns of a depth image that is divided into cells."""
 MAX_FRAMES = 1 << 16
-"""Most frames of a batch."""
+"""Maximum number of frames per batch."""
 
 FOCAL_LENGTHS = 1.0, 1e6
-"""Shortest and longest focal length [pixel], of images of any size."""
+"""Minimum and maximum focal length [pixel], for images of any size."""
 VIEW_DEG = 1.0, 179.0
-"""Narrowest and widest field of view, along the side of the images that shows more [degree]."""
+"""Minimum and maximum field of view, the larger of horizontal and vertical [degree]."""
 MAX_PIXEL_ASPECT = 4.0
-"""Most that fx and fy differ by, as a factor: rows or columns that are binned make it 2."""
+"""Maximum ratio of fx and fy; binned rows or columns make it 2."""
 MAX_COEFFICIENT = 1e4
-"""Largest magnitude of a distortion coefficient."""
+"""Maximum magnitude of a distortion coefficient."""
 MAX_BASELINE_M = 10.0
-"""Farthest that the depth camera may be from the colour camera; and no farther than depth reaches,
-so that sums of products have 32 bits."""
+"""Maximum distance between depth and colour camera [m]; the depth range limits it too, so that sums
+of products have 32 bits."""
 
 
 def check_calibration(calibration: Calibration) -> None:
-    """Refuses a calibration that no cameras have.
+    """Check that a calibration is plausible.
 
     Raises:
         CalibrationError: See :func:`check_numbers`; or a camera's field of view or optical centre
-            is not one of images of its size.
+            does not fit its image size.
     """
     check_numbers(calibration)
     for name, camera in (("color", calibration.color), ("depth", calibration.depth)):
@@ -63,11 +63,11 @@ def check_calibration(calibration: Calibration) -> None:
 
 
 def check_camera(name: str, camera: Intrinsics) -> None:
-    """Refuses intrinsics that no camera has.
+    """Check that intrinsics are plausible.
 
     Args:
         name: ``color`` or ``depth``, as in the flags.
-        camera: Of plain numbers.
+        camera: Intrinsics of plain numbers.
 
     Raises:
         CalibrationError: See :func:`check_calibration`.
@@ -77,19 +77,19 @@ def check_camera(name: str, camera: Intrinsics) -> None:
 
 
 def check_numbers(calibration: Calibration) -> None:
-    """Refuses a calibration that no cameras have, whatever the size of their images.
+    """Check the numbers of a calibration, regardless of the image size.
 
     Raises:
         CalibrationError: A size is not positive; a focal length, an optical centre, a distortion
-            coefficient, the rotation, the translation or the depth unit is no number or out of the
-            range that cameras have; a lens model is unknown.
+            coefficient, the rotation, the translation or the depth unit is not a number or out of
+            range; a lens model is unknown.
     """
     _check_types(calibration)
     _check_ranges(calibration)
 
 
 def _check_types(calibration: Calibration) -> None:
-    """Refuses what is no calibration of plain numbers, which can be hashed."""
+    """Check that a calibration consists of plain numbers, so that it can be hashed."""
 
     def check(name: str, value: Any, kind: type) -> None:
         of_type(name, value, kind, CalibrationError)
@@ -126,26 +126,27 @@ def _check_ranges(calibration: Calibration) -> None:
     remedy = "give --log.color-from-depth tx ty tz qx qy qz qw"
     if motion is None:
         if calibration.color is not None:
-            problem = "a colour camera, but no motion from the depth camera to it"
+            problem = "a colour camera without the transform from depth to colour"
             raise CalibrationError(problem, remedy=f"{remedy}, or leave the colour camera out")
         return
     if calibration.color is None:
-        problem = "a motion from depth to colour, but no colour camera"
+        problem = "a transform from depth to colour without a colour camera"
         raise CalibrationError(problem, remedy="leave color_from_depth out, or give color")
     if not is_rotation(motion.rotation):
-        raise CalibrationError("the rotation from depth to colour is none", remedy=remedy)
+        problem = "the rotation from depth to colour is not a rotation"
+        raise CalibrationError(problem, remedy=remedy)
     distance = float(reduce(hypot, motion.translation, 0.0))
     farthest = min(MAX_BASELINE_M, 65535 * calibration.depth_unit)
     if len(motion.translation) != 3 or not distance <= farthest:
         raise CalibrationError(
-            f"the depth camera is {distance:g} m from the colour camera, but at most "
-            f"{farthest:g} m are taken with a depth unit of {calibration.depth_unit:g} m",
+            f"the depth camera is {distance:g} m from the colour camera, more than the maximum of "
+            f"{farthest:g} m with a depth unit of {calibration.depth_unit:g} m",
             remedy=remedy,
         )
 
 
 def check_depth_unit(unit: float) -> None:
-    """Refuses a depth unit [m] that no camera has.
+    """Check a depth unit [m].
 
     Raises:
         CalibrationError: It is out of ``DEPTH_UNITS_M``.
@@ -153,19 +154,19 @@ def check_depth_unit(unit: float) -> None:
     smallest, largest = DEPTH_UNITS_M
     if not smallest <= unit <= largest:
         raise CalibrationError(
-            f"a depth unit of {unit:g} m, but cameras have {smallest:g} to {largest:g}",
+            f"a depth unit of {unit:g} m is out of the range of {smallest:g} to {largest:g} m",
             remedy="give --log.depth-unit-m",
         )
 
 
 def _check_view(name: str, camera: Intrinsics) -> None:
-    """Refuses a camera that does not see what images of its size show.
+    """Check the field of view and the optical centre against the image size.
 
-    An optical centre may be as far outside of the image as that is large, as in parts of images.
+    The optical centre may be outside of the image by its size, as in cropped images.
     """
     width, height, fx, fy, cx, cy = camera[:6]
     remedy = f"give --log.{name}-intrinsics fx fy cx cy"
-    name, size = _said(name), f"images of {width}x{height} pixels"
+    name, size = _spelled(name), f"images of {width}x{height} pixels"
     if not (-width <= cx <= 2 * width and -height <= cy <= 2 * height):
         problem = f"the optical centre ({cx:g}, {cy:g}) is far outside of the {name} {size}"
         raise CalibrationError(problem, remedy=remedy)
@@ -177,22 +178,22 @@ def _check_view(name: str, camera: Intrinsics) -> None:
     narrowest, widest = VIEW_DEG
     if not narrowest <= view <= widest:
         raise CalibrationError(
-            f"the {name} camera sees {view:.3g}° (fx {fx:g}, fy {fy:g}, {size}), but cameras see "
-            f"{narrowest:g}° to {widest:g}°",
+            f"the field of view of the {name} camera is {view:.3g}° (fx {fx:g}, fy {fy:g}, "
+            f"{size}), not {narrowest:g}° to {widest:g}°",
             remedy=remedy,
         )
 
 
-def _said(name: str) -> str:
+def _spelled(name: str) -> str:
     return "colour" if name == "color" else name
 
 
 def _check_camera(name: str, camera: Intrinsics) -> None:
     flag = f"--log.{name}-intrinsics fx fy cx cy"
     width, height, fx, fy, cx, cy, model, coefficients = camera
-    name = _said(name)
+    name = _spelled(name)
     if min(width, height) < 1:
-        problem = f"the {name} camera has images of {width}x{height} pixels"
+        problem = f"the {name} camera's image size is {width}x{height} pixels"
         raise CalibrationError(problem, remedy="give the size of its images")
     shortest, longest = FOCAL_LENGTHS
     if not all(shortest <= focal <= longest for focal in (fx, fy)):
@@ -202,37 +203,37 @@ def _check_camera(name: str, camera: Intrinsics) -> None:
         problem = f"fx {fx:g} and fy {fy:g} of the {name} camera differ by more than a factor of"
         raise CalibrationError(f"{problem} {MAX_PIXEL_ASPECT:g}", remedy=f"give {flag}")
     if not (abs(cx) <= longest and abs(cy) <= longest):
-        problem = f"the optical centre ({cx:g}, {cy:g}) is nowhere near the {name} image"
+        problem = f"the optical centre ({cx:g}, {cy:g}) is far outside of the {name} image"
         raise CalibrationError(problem, remedy=f"give {flag}")
     if model not in tuple(Distortion):
         known = ", ".join(Distortion)
         problem = f"the {name} camera's lens model {str(model)[:60]!a} is unknown"
-        raise CalibrationError(problem, remedy=f"it can be: {known}")
+        raise CalibrationError(problem, remedy=f"use one of {known}")
     if len(coefficients) > NUM_COEFFICIENTS or not all(
         abs(value) <= MAX_COEFFICIENT for value in coefficients
     ):
         listed = " ".join(f"{value:g}" for value in coefficients[:12])
         raise CalibrationError(
-            f"the {name} camera's distortion coefficients {listed} are not those of a lens",
-            remedy=f"at most {NUM_COEFFICIENTS} are taken, each a number of at most "
-            f"{MAX_COEFFICIENT:g}; correct the calibration",
+            f"the {name} camera's distortion coefficients {listed} are implausible",
+            remedy=f"correct the calibration: at most {NUM_COEFFICIENTS} coefficients, each of at "
+            f"most {MAX_COEFFICIENT:g}",
         )
 
 
 def check_frames(frames: Frames, config: Config, *, floor_only: bool = False) -> None:
-    """Refuse frames that kernels can't take.
+    """Check that kernels support the frames.
 
     Args:
-        frames: The frames.
-        config: The preset ``paper`` needs colour images, others need depth cells of a fitting size.
-        floor_only: Whether only the floor is searched, which needs cells and reads no colour.
+        frames: Frames.
+        config: Configuration; ``paper`` needs colour images, others depth cells of a valid size.
+        floor_only: Whether only the floor is estimated, which needs cells but no colour.
 
     Raises:
-        CalibrationError: See :func:`check_calibration`; or a camera of the calibration has another
-            size than its images.
-        InputError: Images are not arrays of uint8 and uint16; numbers of colour images, depth
-            images and planes differ, or are more than :data:`MAX_FRAMES`; or a plane is not finite.
-        ConfigError: Depth cells have a size, or images a number of cells, that is not taken.
+        CalibrationError: See :func:`check_calibration`; or the size of a camera differs from that
+            of its images.
+        InputError: Images are not arrays of uint8 and uint16; the numbers of colour images, depth
+            images and planes differ or exceed :data:`MAX_FRAMES`; or a plane is not finite.
+        ConfigError: The size of depth cells or their number per image is not supported.
     """
     of_type("frames", frames, Frames)
     _check_images("depth", frames.depth, "uint16", 3)
@@ -244,12 +245,12 @@ def check_frames(frames: Frames, config: Config, *, floor_only: bool = False) ->
         check_size("colour", frames.color.shape, frames.calibration.image)
         rows["colour images"] = len(frames.color)
     elif config.cluster.points and not floor_only:
-        problem = "no colour images, but the preset paper finds corners in them"
+        problem = "no colour images, which the preset paper needs to find corners"
         raise InputError(problem, remedy="give colour images, or use another preset")
     ground = config.ground
     stated = frames.plane is not None or ground.camera_height_m is not None
     if config.cluster.points and not (floor_only or stated or ground.source == "none"):
-        problem = "no floor, but the preset paper takes the plane as it is"
+        problem = "no floor plane, which the preset paper needs"
         remedy = "give frames.plane, for instance of jaxdet.estimate_plane(frames)"
         raise InputError(problem, remedy=remedy)
     if floor_only or not config.cluster.points:
@@ -260,58 +261,58 @@ def check_frames(frames: Frames, config: Config, *, floor_only: bool = False) ->
     if not any(rows.values()):
         raise InputError("there are no frames", remedy="give at least one")
     if len(frames.depth) > MAX_FRAMES:
-        problem = f"a batch of {len(frames.depth)} frames, but at most {MAX_FRAMES} are taken"
-        raise InputError(problem, remedy="give them in parts")
+        problem = f"a batch of {len(frames.depth)} frames exceeds the maximum of {MAX_FRAMES}"
+        raise InputError(problem, remedy="give smaller batches")
     if len(set(rows.values())) > 1:
         counts = ", ".join(f"{count} {name}" for name, count in rows.items())
-        raise InputError(f"a batch with {counts}", remedy="give one of each for every frame")
+        raise InputError(f"a batch with {counts}", remedy="give one of each per frame")
 
 
 _checked_calibrations: deque[Calibration] = deque(maxlen=16)
-"""Calibrations that have passed; compared by identity, as equal values may be of other types."""
+"""Valid calibrations, compared by identity, as equal values may have other types."""
 
 
 def _check_camera_once(calibration: Calibration) -> None:
-    """Refuse what :func:`check_calibration` does, once for each object."""
+    """Run :func:`check_calibration` once per object."""
     if not any(calibration is one for one in _checked_calibrations):
         check_calibration(calibration)
         _checked_calibrations.append(calibration)
 
 
 def _check_planes(planes: GroundPlane) -> int:
-    """How many planes there are."""
+    """Check planes and return their number."""
     of_type("plane", planes, GroundPlane)
     columns = [
         _column(f"plane.{name}", values, "b" if name == "valid" else "fiu")
         for name, values in planes._asdict().items()
     ]
     if len({len(column) for column in columns}) > 1:
-        raise InputError("a plane whose parts are of several lengths", remedy=_PLANES)
-    *known, valid, start, slope = columns
-    if not np.isfinite(np.stack([*known, slope])[:, valid]).all() or np.isnan(start[valid]).any():
+        raise InputError("the arrays of a plane differ in length", remedy=_PLANES)
+    *pose, valid, start, slope = columns
+    if not np.isfinite(np.stack([*pose, slope])[:, valid]).all() or np.isnan(start[valid]).any():
         raise InputError(
-            "a plane with a height, pitch, roll or ramp that is no number",
-            remedy="set its valid to False where the floor is not known",
+            "a valid plane with a height, pitch, roll or ramp that is not finite",
+            remedy="set valid to False where the floor is unknown",
         )
     return len(valid)
 
 
-_PLANES = "give (B,) numbers each, for instance by jaxdet.flat_plane"
+_PLANES = "give (B,) numbers each, for instance with jaxdet.flat_plane"
 
 
 def _column(name: str, values: Any, kinds: str) -> np.ndarray:
-    """An array with one axis, of some kinds of NumPy's types."""
-    found = np.asarray(values) if hasattr(values, "dtype") else np.zeros((), object)
-    if found.dtype.kind not in kinds or found.ndim != 1:
-        said = str(getattr(values, "dtype", type(values).__name__))
-        problem = f"{said} of shape {np.shape(found)}"
+    """Return a one-dimensional array of these NumPy kinds."""
+    array = np.asarray(values) if hasattr(values, "dtype") else np.zeros((), object)
+    if array.dtype.kind not in kinds or array.ndim != 1:
+        kind = str(getattr(values, "dtype", type(values).__name__))
+        problem = f"{kind} of shape {np.shape(array)}"
         remedy = "give a (B,) array of bool" if kinds == "b" else _PLANES
         raise InputError(problem, topic=name, remedy=remedy)
-    return found
+    return array
 
 
 def _check_images(what: str, images: Any, kind: str, axes: int) -> None:
-    """Refuse what is not an array of NumPy or JAX with values: lists, masked and traced arrays."""
+    """Check that images are a NumPy or JAX array with values, not a masked or traced one."""
     jax = sys.modules.get("jax")
     is_array = isinstance(images, np.ndarray) or (jax is not None and isinstance(images, jax.Array))
     given = str(images.dtype) if is_array else type(images).__name__
@@ -326,16 +327,16 @@ def _check_images(what: str, images: Any, kind: str, axes: int) -> None:
         raise InputError(f"{what} images are a masked array", remedy=remedy)
     if jax is not None and isinstance(images, jax.core.Tracer):
         raise InputError(
-            f"{what} images are no arrays but traced",
+            f"{what} images are traced arrays without values",
             remedy="give a whole batch; detect can't be called under jax.jit, jax.vmap or jax.grad",
         )
 
 
 def check_size(what: str, shape: tuple[int, ...], camera: Intrinsics) -> None:
-    """Refuses images ``(B, H, W, ...)`` of another size than their camera's.
+    """Check the size of images ``(B, H, W, ...)`` against their camera.
 
     Raises:
-        CalibrationError: They have another size.
+        CalibrationError: The sizes differ.
     """
     if tuple(shape[1:3]) != (camera.height, camera.width):
         found = "x".join(str(n) for n in shape[2:0:-1])
@@ -347,41 +348,41 @@ def check_size(what: str, shape: tuple[int, ...], camera: Intrinsics) -> None:
 
 
 def _check_cells(camera: Intrinsics, config: SurfaceConfig) -> None:
-    """Refuse depth images without a cell, or with more than contours and kernels have room for.
+    """Check that depth images have at least one cell and no more than contours and kernels hold.
 
     Raises:
-        ConfigError: No cell fits, a side has more than ``MAX_CONTOUR`` of them, a cell has more
-            than ``MAX_CELL_SIDE`` pixels a side, or images have more than ``MAX_DEPTH_COLUMNS``.
+        ConfigError: No cell fits, or there are more than ``MAX_CONTOUR`` cells per side, more than
+            ``MAX_CELL_SIDE`` pixels per side of a cell, or more than ``MAX_DEPTH_COLUMNS`` columns.
     """
     side = cell_side(camera, config.cell_rad)
     rows, columns = camera.height // side, camera.width // side
     size = f"depth images of {camera.width}x{camera.height} pixels"
     if camera.width > MAX_DEPTH_COLUMNS:
         raise ConfigError(
-            f"{size}, but at most {MAX_DEPTH_COLUMNS} columns are taken",
-            remedy="record or scale them smaller",
+            f"{size} exceed the maximum of {MAX_DEPTH_COLUMNS} columns",
+            remedy="record smaller images or scale them",
         )
     if side > MAX_CELL_SIDE or not min(rows, columns):
         raise ConfigError(
-            f"{size} in cells of {side}x{side}, but one must fit, and at most {MAX_CELL_SIDE} "
-            "pixels a side are taken",
-            remedy="lower --surface.cell-rad, the angle that a cell takes up",
+            f"{size} in cells of {side}x{side}: at least one must fit, with at most "
+            f"{MAX_CELL_SIDE} pixels per side",
+            remedy="lower --surface.cell-rad, the angular size of a cell",
         )
     if max(rows, columns) > MAX_CONTOUR:
         raise ConfigError(
-            f"{size} in {columns}x{rows} cells, but at most {MAX_CONTOUR} a side are taken",
-            remedy="raise --surface.cell-rad, the angle that a cell takes up",
+            f"{size} in {columns}x{rows} cells exceed the maximum of {MAX_CONTOUR} per side",
+            remedy="raise --surface.cell-rad, the angular size of a cell",
         )
 
 
 def check_points(points: int) -> None:
-    """Refuses more points a frame than keys, sums and the kernels' memory hold.
+    """Check the number of points per frame, which keys, sums and the kernels' memory limit.
 
     Raises:
         ConfigError: There are more than ``MAX_POINTS``.
     """
     if points > MAX_POINTS:
         raise ConfigError(
-            f"{points} points a frame are more than {MAX_POINTS}",
+            f"{points} points per frame exceed the maximum of {MAX_POINTS}",
             remedy="lower --features.max-corners",
         )

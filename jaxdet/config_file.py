@@ -1,4 +1,4 @@
-"""Configurations from files: TOML, and the ``config.json`` of earlier results."""
+"""Configuration files: TOML, and the ``config.json`` of earlier results."""
 
 import dataclasses
 import json
@@ -18,7 +18,7 @@ from jaxdet.errors import ConfigError, meant
 from jaxdet.io.options import LogOptions
 from jaxdet.presets import DEFAULT_PRESET, PRESETS, preset
 
-_WORDS = {str: "text in quotes", int: "a whole number", float: "a number", bool: "true or false"}
+_WORDS = {str: "text in quotes", int: "an integer", float: "a number", bool: "true or false"}
 SECTIONS = tuple(part.name for part in dataclasses.fields(Config)) + ("log",)
 
 if TYPE_CHECKING:
@@ -28,47 +28,46 @@ Section = TypeVar("Section", bound="DataclassInstance")
 
 
 class Settings(NamedTuple):
-    """What a file says, on top of its preset."""
+    """Settings of a file, on top of its preset."""
 
     config: Config
     log: LogOptions
-    """How to read logs."""
+    """Options for reading logs."""
     preset: str
 
 
 def find_config(source: str | PathLike[str]) -> Config:
-    """The configuration of a preset's name or of a file.
+    """Return the configuration of a preset or a file.
 
     Args:
         source: ``wheeled``, ``mine.toml`` or ``results/config.json``.
 
     Raises:
-        ConfigError: There is neither, or the file is wrong.
+        ConfigError: There is no such preset or file, or the file is invalid.
     """
     if not isinstance(source, str | PathLike):
-        problem = f"{type(source).__name__} is no configuration"
-        remedy = "give a Config, the name of a preset or a file"
-        raise ConfigError(problem, topic="config", remedy=remedy)
+        expected = "a Config, the name of a preset or a file"
+        raise ConfigError(f"expected {expected}, got {type(source).__name__}", topic="config")
     name = os.fspath(source)
     if name in PRESETS:
         return preset(name)
     path = Path(name)
     try:
         named = path.suffix.lower() in (".toml", ".json") or path.exists()
-    except OSError:  # longer than names of files can be
+    except OSError:  # too long for a file name
         named = False
     if isinstance(source, str) and not (name and named):
-        preset(name)  # which says what presets there are
+        preset(name)  # its error lists the presets
     return read_settings(path).config
 
 
 def read_settings(path: Path | None, preset_name: str | None = None) -> Settings:
-    """The settings of a file.
+    """Read the settings of a file.
 
     Args:
         path: TOML with the sections ``[ground]``, ``[surface]``, ... and ``[log]`` and perhaps a
-            ``preset``, or the ``config.json`` of results; None: the preset alone.
-        preset_name: The preset to start from; goes before the file's.
+            ``preset``, or the ``config.json`` of results; None: only the preset.
+        preset_name: Base preset, which overrides the file's.
 
     Raises:
         ConfigError: The preset or a key of the file is unknown, or a value doesn't fit.
@@ -91,10 +90,10 @@ def read_settings(path: Path | None, preset_name: str | None = None) -> Settings
 
 
 def read_table(path: Path) -> dict[str, Any]:
-    """The sections of a configuration file, and perhaps a ``preset``.
+    """Read the sections of a configuration file, and its ``preset`` if set.
 
     Raises:
-        ConfigError: It can't be read, or has an unknown section.
+        ConfigError: The file can't be read, or has an unknown section.
     """
     where = str(path)
     try:
@@ -102,12 +101,12 @@ def read_table(path: Path) -> dict[str, Any]:
     except OSError as error:
         raise ConfigError(f"can't be read ({error.strerror})", path=where) from error
     except UnicodeDecodeError as error:
-        raise ConfigError(f"is no text: {error}", path=where) from error
+        raise ConfigError(f"is not text: {error}", path=where) from error
     if path.suffix.lower() == ".json":
         return _of_results(text, where)
     try:
         table = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # numbers of 5,000 digits, lists in lists
+    except (ValueError, RecursionError) as error:  # e.g. numbers of 5,000 digits, nested lists
         raise ConfigError(f"is not TOML: {error}", path=where) from error
     for key, value in table.items():
         if key == "preset" and isinstance(value, str):
@@ -128,18 +127,18 @@ def read_table(path: Path) -> dict[str, Any]:
 
 
 def _place(key: str) -> str:
-    """What to do about a key before the first section: write it in those that have it."""
+    """Return the remedy for a key outside of a section: the sections that have such a key."""
     if key in SECTIONS:
         return f"write [{key}] and its keys below"
     parts = vars(Config()) | {"log": LogOptions()}
-    keys = {key, f"{key}_rad"}  # of an angle with its unit
+    keys = {key, f"{key}_rad"}  # the key of an angle may lack its unit
     having = [name for name, part in parts.items() if keys & vars(part).keys()]
     where = " or ".join(f"[{name}]" for name in having or SECTIONS)
     return f"write it below {where}"
 
 
 def _of_results(text: str, where: str) -> dict[str, Any]:
-    """The sections of a ``config.json``, which says more of its run, without what is not set."""
+    """Return the sections of a ``config.json``, without unset values and other keys of its run."""
     try:
         table = json.loads(text)
     except (ValueError, RecursionError) as error:
@@ -148,7 +147,7 @@ def _of_results(text: str, where: str) -> dict[str, Any]:
         isinstance(table.get(name), dict) for name in SECTIONS
     ):
         raise ConfigError(
-            "is no config.json of results", path=where, remedy="give that, or a TOML file"
+            "is not the config.json of a run", path=where, remedy="give that, or a TOML file"
         )
     sections: dict[str, Any] = {
         name: {key: value for key, value in table[name].items() if value is not None}
@@ -159,12 +158,12 @@ def _of_results(text: str, where: str) -> dict[str, Any]:
 
 
 def changed(section: Section, values: Mapping[str, Any], name: str, path: str) -> Section:
-    """A configuration section with these values.
+    """Return a configuration section with these values.
 
-    Keys of angles may lack their ``_rad`` and then have a unit: ``camera_pitch = "10deg"``.
+    The key of an angle may lack its ``_rad`` if the value has a unit: ``camera_pitch = "10deg"``.
 
     Raises:
-        ConfigError: A key is unknown or a value doesn't fit; names both and the file.
+        ConfigError: A key is unknown or a value has the wrong type; the error names both.
     """
     hints, clean = typing.get_type_hints(type(section)), {}
     for key, value in values.items():
@@ -191,7 +190,7 @@ def changed(section: Section, values: Mapping[str, Any], name: str, path: str) -
 
 
 def _said(hint: Any) -> str:
-    """A type in words."""
+    """Return a type in words."""
     parts = [part for part in typing.get_args(hint) or (hint,) if part is not types.NoneType]
     if len(parts) == 1 and typing.get_origin(parts[0]) is tuple:
         return f"a list of {len(typing.get_args(parts[0]))} numbers"

@@ -1,4 +1,4 @@
-"""How many cores this process has."""
+"""Number of CPU cores available to this process."""
 
 import os
 from pathlib import Path
@@ -7,7 +7,7 @@ _QUOTA = Path("/sys/fs/cgroup/cpu.max")
 
 
 def cores() -> int:
-    """Cores that this process may use, by its affinity and its control group's quota."""
+    """Return the number of cores allowed by the CPU affinity and the control group's quota."""
     count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     try:
         quota, period = _QUOTA.read_text(encoding="ascii").split()

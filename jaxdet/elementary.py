@@ -1,13 +1,12 @@
-"""Functions of real numbers whose results are the same on every machine, bit for bit.
+"""Elementary functions with bit-identical results on every machine.
 
-NumPy and the C library choose their sine, logarithm or power by the features of the CPU, BLAS its
-matrix product, and the versions differ in the last bits. Everything that reaches a table or
-decides something is computed by these functions instead. They consist of float64 additions,
-subtractions, products, quotients and square roots in the order in which they are written, each
-rounded to nearest (IEEE 754), of comparisons, and of scaling by powers of two. NumPy evaluates one
-operation per call, so none is fused with the next.
+NumPy, the C library and BLAS select their sine, logarithm, power or matrix product by the CPU's
+features, and the variants differ in the last bits. All values that reach a table or a decision are
+computed by these functions instead. They consist of comparisons, scaling by powers of two, and
+float64 additions, subtractions, products, quotients and square roots in the written order, each
+rounded to nearest (IEEE 754). NumPy evaluates one operation per call, so none are fused.
 
-All take numbers or arrays of any shape, and compute in float64.
+All functions accept numbers or arrays of any shape, and compute in float64.
 """
 
 import math
@@ -16,15 +15,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 _HALF_PI = 1.5707963267341256, 6.077100506303966e-11, 2.0222662487959506e-21
-"""π/2 as a sum; the first two have 33 bits, so their products with 20 bits are exact."""
+"""π/2 as a sum; the first two terms have 33 bits, so that products with 20 bits are exact."""
 _FARTHEST = 2.0**20 * 1.57
-"""Largest angle that is reduced so [rad]."""
+"""Maximum angle of this argument reduction [rad]."""
 _SIGNS = np.array([1.0, 1.0, -1.0, -1.0, 1.0])
-"""Signs of the sine by quarter of a turn; those of the cosine from the next one on."""
+"""Signs of the sine by quadrant; those of the cosine begin at the second entry."""
 _PI_LOW = 1.2246467991473532e-16
-"""π less its float64."""
+"""π minus its float64."""
 _LN2 = 0.6931471803691238, 1.9082149292705877e-10
-"""ln 2 as a sum; the first has 32 bits."""
+"""ln 2 as a sum; the first term has 32 bits."""
 _SIN = tuple((-1) ** k / math.factorial(2 * k + 1) for k in range(8, 0, -1))
 _COS = tuple((-1) ** k / math.factorial(2 * k) for k in range(8, 1, -1))
 _LOG = tuple(2 / (2 * k + 1) for k in range(10, 0, -1))
@@ -33,8 +32,8 @@ _LOG = tuple(2 / (2 * k + 1) for k in range(10, 0, -1))
 def sin(x: ArrayLike) -> np.ndarray:
     """Sine of angles [rad], within 1 ulp.
 
-    Off angles of more than 1.6 million, whole turns of 2π as rounded to float64 are taken first.
-    Infinities give NaN, zeros of both signs 0.
+    Angles beyond 1.6 million are first reduced modulo 2π as rounded to float64. Infinities give
+    NaN, zeros of both signs 0.
 
     Example:
         >>> sin([0.0, np.pi / 6, np.pi / 2]).round(15).tolist()
@@ -51,8 +50,8 @@ def cos(x: ArrayLike) -> np.ndarray:
 def sin_cos(x: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
     """Sine and cosine of angles [rad], see :func:`sin`.
 
-    The angle is reduced to an eighth of a turn or less, as a sum of two numbers (Cody and Waite
-    1980); there both functions are their Taylor series.
+    The angle is reduced to at most π/4, as a sum of two numbers (Cody and Waite 1980), where both
+    functions are evaluated by their Taylor series.
     """
     x = np.asarray(x, np.float64)
     if not np.all(np.abs(x) <= _FARTHEST):
@@ -79,9 +78,9 @@ def sin_cos(x: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
 
 
 def arctangent(x: np.ndarray) -> np.ndarray:
-    """Arc tangent of ``x >= 0``, ``(...)`` float64, within 2 ulp.
+    """Arc tangent of ``x >= 0``, any shape float64, within 2 ulp.
 
-    A rational approximation (Cephes ``atan.c``, S. Moshier), the same as in the kernels.
+    The kernels use the same rational approximation (Cephes ``atan.c``, S. Moshier).
 
     Example:
         >>> float(arctangent(np.array([1.0]))[0] * 4)
@@ -131,7 +130,7 @@ def arctan2(y: ArrayLike, x: ArrayLike) -> np.ndarray:
 
 
 def hypot(x: ArrayLike, y: ArrayLike) -> np.ndarray:
-    """Length of the vectors ``(x, y)``, within 1 ulp, without overflow on the way.
+    """Length of the vectors ``(x, y)``, within 1 ulp, without intermediate overflow.
 
     Example:
         >>> hypot([3.0, 3e300], [4.0, 4e300]).tolist()
@@ -145,9 +144,9 @@ def hypot(x: ArrayLike, y: ArrayLike) -> np.ndarray:
 
 
 def log(x: ArrayLike) -> np.ndarray:
-    """Natural logarithm, within 1 ulp; -infinity of 0, NaN of negative numbers.
+    """Natural logarithm, within 1 ulp; -infinity for 0, NaN for negative numbers.
 
-    Of the fraction ``1 + f`` between √½ and √2 it is the series in ``s = f / (2 + f)``.
+    For the fraction ``1 + f`` between √½ and √2 it is the series in ``s = f / (2 + f)``.
 
     Example:
         >>> log([1.0, 2.0, 0.0]).tolist()
@@ -167,7 +166,7 @@ def log(x: ArrayLike) -> np.ndarray:
 
 
 def dot(a: ArrayLike, b: ArrayLike) -> np.ndarray:
-    """Scalar product along the last axis, added from the first component to the last."""
+    """Scalar product along the last axis, summed from the first component to the last."""
     a, b = np.asarray(a), np.asarray(b)
     found = a[..., 0] * b[..., 0]
     for i in range(1, a.shape[-1]):
@@ -176,12 +175,12 @@ def dot(a: ArrayLike, b: ArrayLike) -> np.ndarray:
 
 
 def norm(a: ArrayLike) -> np.ndarray:
-    """Length along the last axis: the square root of :func:`dot` of vectors with themselves."""
+    """Euclidean norm along the last axis, by :func:`dot`."""
     return np.sqrt(dot(a, a))
 
 
 def matmul(a: ArrayLike, b: ArrayLike) -> np.ndarray:
-    """Product of matrices ``(..., N, K)`` and ``(..., K, M)``, added from the first term on.
+    """Product of matrices ``(..., N, K)`` and ``(..., K, M)``, summed from the first term on.
 
     Example:
         >>> matmul([[1.0, 2.0], [3.0, 4.0]], [[1.0, 0.0], [0.0, -1.0]]).tolist()
@@ -195,11 +194,11 @@ def matmul(a: ArrayLike, b: ArrayLike) -> np.ndarray:
 
 
 def mean(values: np.ndarray, weights: np.ndarray | None = None) -> np.ndarray:
-    """Mean along the first axis, weighted or not, added from the first value to the last.
+    """Mean along the first axis, optionally weighted, summed from the first value to the last.
 
     Args:
-        values: ``(N, ...)``, ``N`` at least 1.
-        weights: ``(N,)``, not all 0.
+        values: Values ``(N, ...)``, ``N`` at least 1.
+        weights: Weights ``(N,)``, not all 0.
     """
     values = np.asarray(values, np.float64)
     if weights is None:
@@ -213,14 +212,14 @@ def mean(values: np.ndarray, weights: np.ndarray | None = None) -> np.ndarray:
 def median(values: np.ndarray, axis: int | None = None) -> np.ndarray:
     """Median, the mean of both middle values of an even number; never a negative zero.
 
-    Which of several equal values is in the middle depends on how NumPy sorts them, so the one
-    case in which equal values differ, a zero's sign, is taken away.
+    Zeros of both signs are equal, so NumPy's sorting algorithm decides which one is in the middle;
+    the sign is removed.
     """
     return np.median(values, axis=axis) + 0.0
 
 
 def _polynomial(coefficients: tuple[float, ...], x: np.ndarray) -> np.ndarray:
-    """Value of a polynomial by Horner's rule, the highest power's coefficient first."""
+    """Value of a polynomial by Horner's rule, the coefficient of the highest power first."""
     found = coefficients[0] * x + coefficients[1]
     for c in coefficients[2:]:
         found = found * x + c

@@ -1,4 +1,4 @@
-"""The errors a user can meet: each names the input, what is wrong and what to do."""
+"""Errors for users: each names the input, the problem and the remedy."""
 
 import difflib
 from collections.abc import Iterable
@@ -6,10 +6,10 @@ from enum import StrEnum
 
 
 def printable(text: str) -> str:
-    r"""A name from a file or of one, fit for a terminal, a table and JSON.
+    r"""Escape unprintable characters of a name, for terminals, tables and JSON.
 
-    Control characters, line breaks and what else is not printable become escapes, as do bytes of
-    file names that are not UTF-8 (which Python has as lone surrogates).
+    Control characters and line breaks are escaped, as are bytes of file names that are not UTF-8
+    (lone surrogates in Python).
 
     >>> printable("a\x1b[31m\n\udcff")
     'a\\x1b[31m\\n\\xff'
@@ -26,19 +26,19 @@ def _escaped(char: str) -> str:
 
 
 def meant(word: str, known: Iterable[str]) -> str:
-    """``did you mean X? `` where a known word is near, else nothing."""
+    """Return ``did you mean X? `` if a known word is similar, else an empty string."""
     near = difflib.get_close_matches(word, list(known), 1)
     return f"did you mean {near[0]}? " if near else ""
 
 
 class JaxdetError(Exception):
-    """Base of every error raised on purpose; its text is one line for the user.
+    """Base class of all expected errors, each with a message of one line.
 
     Args:
-        problem: What is wrong, in one clause.
-        path: The file or folder it is about.
-        topic: The topic it is about.
-        remedy: What the user can do, for instance the flag that supplies what is missing.
+        problem: Problem, in one clause.
+        path: File or folder.
+        topic: Topic or argument.
+        remedy: Action for the user, for instance the flag that supplies a missing value.
     """
 
     def __init__(self, problem: str, *, path: str = "", topic: str = "", remedy: str = "") -> None:
@@ -49,12 +49,12 @@ class JaxdetError(Exception):
         super().__init__(printable(" ".join(text.split()) if "\n" in text else text))
 
     def add_remedy(self, remedy: str) -> None:
-        """Says what else the user can do, or should know."""
+        """Append a further remedy or note."""
         self.remedy = f"{self.remedy}; {remedy}" if self.remedy else remedy
         self.args = (printable(f"{self.args[0]}; {remedy}"),)
 
     def __reduce__(self) -> tuple:
-        """Whatever a kind of error is made from, it arrives whole in another process."""
+        """Pickle subclasses with other constructors completely."""
         return _restored, (type(self), self.args, vars(self))
 
 
@@ -65,23 +65,23 @@ def _restored(kind: type[JaxdetError], args: tuple, state: dict) -> JaxdetError:
 
 
 class InputError(JaxdetError):
-    """A log or file can't be read or is not what it should be."""
+    """A log, a file or an argument is unreadable or invalid."""
 
 
 class ChunkMemoryError(InputError):
-    """A chunk takes more memory than this process may give it; with fewer workers it has more."""
+    """A chunk exceeds the memory of this process; fewer workers leave more for each."""
 
 
 class TopicError(JaxdetError):
-    """The topics that the job needs are missing or ambiguous."""
+    """Required topics are missing or ambiguous."""
 
 
 class CamerasError(TopicError):
-    """A log has several cameras and none was chosen.
+    """A log has several cameras and none was selected.
 
     Args:
-        cameras: Their names, of those that can be used.
-        path: The log.
+        cameras: Names of the usable cameras.
+        path: Log.
     """
 
     def __init__(self, cameras: tuple[str, ...], *, path: str = "") -> None:
@@ -91,24 +91,24 @@ class CamerasError(TopicError):
 
 
 class CalibrationError(JaxdetError):
-    """A calibration is missing, unknown or contradicts itself."""
+    """A calibration is missing, unknown or inconsistent."""
 
 
 class TransformError(CalibrationError):
-    """The transforms that were looked at don't join two frames; others of the log might."""
+    """The transforms read so far don't connect two frames; others of the log might."""
 
 
 class ConfigError(JaxdetError):
-    """A configuration value is out of its range or unknown."""
+    """A configuration value is out of range or unknown."""
 
 
 class ResultsError(ConfigError):
-    """The output folder holds results that the run would not make.
+    """The output folder already contains results that the run would not produce.
 
     Args:
-        path: The folder.
+        path: Output folder.
         log: Folder of a log in it.
-        reason: Why not.
+        reason: Reason why it would not.
     """
 
     def __init__(self, path: str, log: str, *, reason: str) -> None:
@@ -117,18 +117,18 @@ class ResultsError(ConfigError):
 
 
 class RescanError(JaxdetError):
-    """A log is not as its index lets expect; read as a whole (``--log.scan``) it can be used."""
+    """A log contradicts its index; a complete scan (``--log.scan``) can read it."""
 
     def __init__(self, problem: str, *, path: str = "", topic: str = "") -> None:
         super().__init__(problem, path=path, topic=topic, remedy="read it with --log.scan")
 
 
 class OutputError(JaxdetError):
-    """Results can't be written: the disk is full, or the folder read-only. It ends the run."""
+    """Results can't be written, as the disk is full or the folder read-only; it ends the run."""
 
 
 class WorkerError(JaxdetError):
-    """A worker process ended, or failed in a way that nobody foresaw."""
+    """A worker process ended or failed unexpectedly."""
 
 
 class WorkerStartError(WorkerError):
@@ -136,11 +136,11 @@ class WorkerStartError(WorkerError):
 
 
 class Interrupted(KeyboardInterrupt):
-    """A signal ended the run; its text is one line that says how to go on.
+    """A signal ended the run; the message of one line explains how to resume.
 
     Args:
-        signal: Number of the signal.
-        text: The line.
+        signal: Signal number.
+        text: Message.
     """
 
     def __init__(self, signal: int, text: str = "interrupted") -> None:
@@ -149,7 +149,7 @@ class Interrupted(KeyboardInterrupt):
 
 
 class FrameError(JaxdetError):
-    """One frame can't be used; the run goes on and the frame gets ``status``."""
+    """A frame can't be used; it gets ``status``, and the run continues."""
 
     def __init__(self, problem: str, *, status: "FrameStatus", **where: str) -> None:
         super().__init__(problem, **where)
@@ -157,19 +157,19 @@ class FrameError(JaxdetError):
 
 
 class FrameStatus(StrEnum):
-    """What became of a frame, a depth image (the ``status`` column of the results)."""
+    """Outcome of a frame, that is of a depth image (the ``status`` column of the results)."""
 
     OK = "ok"
-    """Detected; the obstacle rows are complete."""
+    """Processed; its obstacle rows are complete."""
     NO_DEPTH = "no_depth"
-    """The depth image has no measurement in range, so nothing can be detected."""
+    """The depth image has no measurement in range."""
     NO_COLOR = "no_color"
-    """Preset ``paper``: no colour image near enough in time can be used."""
+    """Preset ``paper``: no usable colour image has a timestamp near enough."""
     DECODE_ERROR = "decode_error"
     """The depth image could not be decoded."""
     BAD_CALIBRATION = "bad_calibration"
     """The image size or the calibration of this frame contradicts the log's calibration."""
     WORKER_CRASHED = "worker_crashed"
-    """The processes that worked on this frame and its neighbours died, twice."""
+    """The process that worked on this frame and its neighbours died, in two attempts."""
     TIMEOUT = "timeout"
-    """They made no progress, twice."""
+    """The process made no progress, in two attempts."""

@@ -1,4 +1,4 @@
-"""How much memory this process may have."""
+"""Memory limits of this process, and sizes in bytes."""
 
 import os
 import re
@@ -16,13 +16,13 @@ _SIZE = re.compile(r"(\d{1,18}(?:\.\d+)?) ?([kmgt]?(?:i?b)?)", re.IGNORECASE | r
 
 
 def machine_memory() -> int:
-    """Bytes of this machine, or of its control group where that has fewer."""
+    """Return the memory of this machine or the limit of its control groups, if lower [byte]."""
     total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     return min(total, *_group_limits(), total)
 
 
 def _group_limits() -> Iterator[int]:
-    """What the control groups of this process allow, its own and those it is in."""
+    """Yield the memory limits of this process's control group and its parents [byte]."""
     try:
         lines = _OWN.read_text(encoding="utf-8").splitlines()
     except OSError:  # another system
@@ -36,30 +36,30 @@ def _group_limits() -> Iterator[int]:
             base, file = _GROUPS / "memory", "memory.limit_in_bytes"
         group = base / name.strip("/")
         for folder in (group, *group.parents):
-            with suppress(OSError, ValueError):  # not here, or "max"
+            with suppress(OSError, ValueError):  # no such file, or "max"
                 yield int((folder / file).read_text(encoding="ascii"))
             if folder == base:
                 break
 
 
 def parse_size(text: str, flag: str) -> int:
-    """A number of bytes: ``800MiB``, ``1.5G``, ``2GB``; K, M, G and T alone are 1024 and so on.
+    """Parse a size in bytes: ``800MiB``, ``1.5G``, ``2GB``; K, M, G and T are powers of 1024.
 
     Args:
-        text: The number with its unit.
-        flag: What the user gave it to.
+        text: Number with its unit.
+        flag: Flag, for the error.
 
     Raises:
-        ConfigError: It is none.
+        ConfigError: The text is not a size.
     """
     found = _SIZE.fullmatch(text.strip())
     unit = found and found[2].lower()
     if not found or unit not in _UNITS:
         remedy = f"give {flag} a number with a unit, for instance 800MiB or 4GiB"
-        raise ConfigError(f"{flag} {text!r} is no size", remedy=remedy)
+        raise ConfigError(f"{flag} {text!r} is not a size", remedy=remedy)
     return int(float(found[1]) * _UNITS[unit])
 
 
 def size_text(nbytes: int) -> str:
-    """A number of bytes that is given as a least one, in whole MiB, as :func:`parse_size` reads."""
+    """Format a size in bytes for :func:`parse_size`, rounded up to MiB."""
     return f"{-(-nbytes >> 20)}MiB"

@@ -1,4 +1,4 @@
-"""Presets: configurations for robots and cameras, by name."""
+"""Presets: named configurations for robots and cameras."""
 
 from dataclasses import replace
 from typing import Any
@@ -62,21 +62,20 @@ PRESETS: dict[str, Config] = {
     "azure-kinect": _with(min_depth_m=0.30, max_depth_m=5.0),
     "orbbec": _with(min_depth_m=0.25, max_depth_m=5.0),
 }
-"""Presets: ``wheeled`` (the default: robots on wheels, steps of 5 cm), ``tabletop`` (over a table,
-steps of 8 mm and 4 mm for each metre at a Kinect's cells of 4 pixels), ``paper`` (the paper's
-setting: obstacles are clusters of corners, Canny at 100 and 200, points dropped after the
-selection, its rectangle), and the default with the depth ranges of common cameras, by their data
-sheets."""
+"""``wheeled``: the default, for robots on wheels that climb steps of 5 cm; ``tabletop``: objects on
+a table, steps of 8 mm plus 4 mm per metre with a Kinect's cells of 4 pixels; ``paper``: the method
+of the paper, with clusters of corners as obstacles; others: the default with the depth range of a
+camera, by its data sheet."""
 
 
 def preset(name: str) -> Config:
-    """The configuration called ``name``.
+    """Return the configuration of a preset.
 
     Raises:
         ConfigError: There is no such preset.
     """
     if not isinstance(name, str):
-        problem = f"{type(name).__name__} is no name of a preset"
+        problem = f"expected the name of a preset, got {type(name).__name__}"
         raise ConfigError(problem, topic="name", remedy=f"use one of {', '.join(PRESETS)}")
     if name not in PRESETS:
         remedy = f"{meant(name, PRESETS)}use one of {', '.join(PRESETS)}"

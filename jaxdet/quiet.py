@@ -1,4 +1,4 @@
-"""Warp without what it writes to the standard streams."""
+"""Start of Warp without its output to the standard streams."""
 
 import os
 import sys
@@ -8,7 +8,7 @@ from threading import Lock
 
 
 def quiet_warp() -> None:
-    """Starts Warp without its banner, and without its note that there is no CUDA driver."""
+    """Start Warp without its banner, and without its warning about a missing CUDA driver."""
     with _lock:
         _start_warp()
 
@@ -21,11 +21,11 @@ def _start_warp() -> None:
     import warp
 
     warp.config.log_level = warp.LOG_ERROR
-    with suppress(OSError):  # nobody reads it
+    with suppress(OSError):  # the pipe is closed
         sys.stderr.flush()
     stderr, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     try:
-        os.dup2(nowhere, 2)  # the note comes from native code
+        os.dup2(nowhere, 2)  # the warning comes from native code
         warp.init()
     finally:
         os.dup2(stderr, 2)

@@ -1,18 +1,19 @@
-"""The arrays that flow through the pipeline.
+"""Arrays of the pipeline.
 
-Axes, used everywhere: ``B`` frames in a batch, ``H W`` colour image, ``Hd Wd`` depth image,
-``R C`` depth cells, ``N`` point slots per frame (preset ``paper``), ``M`` obstacle slots per frame.
-A variable count is a padded axis plus a mask or a count.
+Axes: ``B`` frames per batch, ``H W`` colour image, ``Hd Wd`` depth image, ``R C`` depth cells,
+``N`` point slots per frame (preset ``paper``), ``M`` obstacle slots per frame. A variable count is
+a padded axis plus a mask or a count.
 
-Frames of reference: the *camera optical frame* has x right, y down, z forward. "The camera" is the
+Coordinate frames: the *camera optical frame* has x right, y down, z forward. "The camera" is the
 depth camera; in the preset ``paper``, whose depth is aligned to colour, it is the colour camera.
-The *ground frame* of a camera is its optical centre projected onto the floor, x right, y forward.
-The *world* is the log's map or odom frame. ``T_a_b`` takes points of ``b`` to ``a``.
+The *ground frame* of a camera has its origin at the ground projection of the optical centre, x
+right, y forward. The *world* is the log's map or odom frame. ``T_a_b`` maps points from ``b`` to
+``a``.
 
-Units: metres, radians and nanoseconds, but every *decision* is made on integers in *depth
-units* (the unit of the depth image, 1 mm by default), so that all implementations agree to
-the bit. The metric results are computed from these integers once, in :mod:`jaxdet.results.metric`.
-Arrays are NumPy arrays in :mod:`jaxdet.reference` and JAX arrays in :mod:`jaxdet.stages`.
+Units: metres, radians and nanoseconds. Every *decision* is made on integers in *depth units* (the
+unit of the depth image, 1 mm by default), so that all implementations agree to the bit. The metric
+results are computed from these integers once, in :mod:`jaxdet.results.metric`. Arrays are NumPy
+arrays in :mod:`jaxdet.reference` and JAX arrays in :mod:`jaxdet.stages`.
 """
 
 from collections.abc import Sequence
@@ -27,51 +28,51 @@ from jaxdet.elementary import dot, matmul
 from jaxdet.errors import CalibrationError, InputError
 
 Array = Any
-"""A NumPy or a JAX array: what both have (``shape``, ``dtype``, indices, sums) can be used, and
-``np.asarray`` makes the first of either. Where a signature says ``np.ndarray`` it is one."""
+"""NumPy or JAX array, for use by their common interface (``shape``, ``dtype``, indices, sums);
+``np.asarray`` converts it. ``np.ndarray`` in a signature means a NumPy array."""
 
 
 MAX_CONTOUR = 512
-"""Most points of an obstacle's contour: columns of cells."""
+"""Maximum number of points of an obstacle's contour, that is of columns of cells."""
 
 MAX_SURFACES = 512
-"""Most surfaces of a frame; the cells of others belong to none."""
+"""Maximum number of surfaces per frame; cells of further ones have no surface."""
 
 MAX_LABELS = 1024
-"""Most parts of obstacles of a frame, once those that bend are split."""
+"""Maximum number of obstacle parts per frame, after bent obstacles are split."""
 
 MAX_OBSTACLES = 128
-"""``M`` where obstacles are made of surfaces; more set the overflow flag."""
+"""``M`` for obstacles made of surfaces; more set the overflow flag."""
 
 MAX_LATERAL = (1 << 18) - 1
-"""Largest sideways distance [depth units]: four times the largest depth."""
+"""Maximum lateral distance [depth units]: four times the maximum depth."""
 
 NUM_COEFFICIENTS = 8
-"""Most distortion coefficients of a lens."""
+"""Maximum number of distortion coefficients."""
 
 MAX_SKEW = 1e-3
-"""How far the product of a rotation and its transpose may be from the unit matrix."""
+"""Maximum deviation of a rotation times its transpose from the identity matrix."""
 
 
 def is_rotation(values: Sequence[float] | np.ndarray) -> bool:
-    """Whether numbers, row by row, are those of a rotation matrix."""
-    found = np.array(values, np.float64).ravel()
-    if found.size != 9 or not np.isfinite(found).all() or np.abs(found).max() >= 2:
+    """Return whether values, in row-major order, are a rotation matrix."""
+    entries = np.array(values, np.float64).ravel()
+    if entries.size != 9 or not np.isfinite(entries).all() or np.abs(entries).max() >= 2:
         return False
-    R = found.reshape(3, 3)
+    R = entries.reshape(3, 3)
     skew = np.abs(matmul(R, R.T) - np.eye(3)).max()
     return bool(skew <= MAX_SKEW and dot(np.cross(R[0], R[1]), R[2]) > 0)
 
 
 def is_rigid(T: np.ndarray) -> bool:
-    """Whether a matrix ``(4, 4)`` is that of a rigid motion."""
+    """Return whether a matrix ``(4, 4)`` is a rigid transform."""
     last, translation = T[3].tolist(), T[:3, 3]
     flat = last == [0.0, 0.0, 0.0, 1.0] and bool(np.isfinite(translation).all())
     return flat and is_rotation(T[:3, :3])
 
 
 class Distortion(StrEnum):
-    """Lens distortion models; the values are the names ROS and Foxglove use."""
+    """Lens distortion models, by their names in ROS and Foxglove."""
 
     NONE = "none"
     PLUMB_BOB = "plumb_bob"
@@ -85,29 +86,30 @@ class Distortion(StrEnum):
 
 
 def focal_and_center(K: ArrayLike) -> tuple[float, float, float, float]:
-    """``fx fy cx cy`` of a camera matrix ``(3, 3)``.
+    """Return ``fx fy cx cy`` of a camera matrix ``(3, 3)``.
 
     Raises:
-        CalibrationError: It is none: of another shape, with skew, transposed or scaled.
+        CalibrationError: It has another shape, skew, or is transposed or scaled.
     """
     remedy = "give a (3, 3) array of numbers"
     try:
         matrix = numbers("K", K, np.float64)
     except InputError:
-        raise CalibrationError(f"{type(K).__name__} is no matrix", remedy=remedy) from None
+        problem = f"expected a matrix, got {type(K).__name__}"
+        raise CalibrationError(problem, remedy=remedy) from None
     if matrix.shape != (3, 3):
         raise CalibrationError(f"a camera matrix of shape {matrix.shape}", remedy=remedy)
     fx, skew, cx, low, fy, cy, *last = matrix.ravel().tolist()
     if skew or low or last != [0.0, 0.0, 1.0]:
         raise CalibrationError(
-            f"{matrix.tolist()} is no camera matrix",
+            f"{matrix.tolist()} is not a camera matrix",
             remedy="give [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]",
         )
     return fx, fy, cx, cy
 
 
 class Intrinsics(NamedTuple):
-    """A camera's image size, matrix and lens; hashable, so derived tables can be cached."""
+    """Image size, camera matrix and lens; hashable, so that derived tables can be cached."""
 
     width: int
     height: int
@@ -120,7 +122,7 @@ class Intrinsics(NamedTuple):
 
     @property
     def K(self) -> np.ndarray:
-        """The camera matrix ``(3, 3)`` float64, pixels."""
+        """Camera matrix ``(3, 3)`` float64 [pixel]."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
     @classmethod
@@ -132,32 +134,32 @@ class Intrinsics(NamedTuple):
         distortion: Sequence[float] | np.ndarray | None = None,
         model: str | None = None,
     ) -> Self:
-        """From a camera matrix and lens coefficients as OpenCV and ROS have them.
+        """Build intrinsics from a camera matrix and lens coefficients of OpenCV or ROS.
 
         Args:
-            K: ``(3, 3)``, pixels.
-            width: Of the images [pixel].
-            height: Of the images [pixel].
-            distortion: The lens coefficients, at most 8 (of OpenCV's 12 or 14 the others must be
+            K: Camera matrix ``(3, 3)`` [pixel].
+            width: Image width [pixel].
+            height: Image height [pixel].
+            distortion: Lens coefficients, at most 8 (further ones, as of OpenCV's 12 or 14, must be
                 zero); None: images without distortion.
             model: A :class:`Distortion`; by default ``plumb_bob`` for 4 or 5 coefficients and
                 ``rational_polynomial`` for 8.
 
         Raises:
-            CalibrationError: ``K`` is no camera matrix, the model is unknown, or there are too
+            CalibrationError: ``K`` is not a camera matrix, the model is unknown, or there are too
                 many coefficients.
 
         Example:
             >>> Intrinsics.from_matrix([[600, 0, 320], [0, 610, 240], [0, 0, 1]], 640, 480).fy
             610.0
         """
-        given = numbers("distortion", () if distortion is None else distortion, np.float64)
-        values = tuple(float(value) for value in given.ravel())
+        array = numbers("distortion", () if distortion is None else distortion, np.float64)
+        values = tuple(float(value) for value in array.ravel())
         values, further = values[:NUM_COEFFICIENTS], values[NUM_COEFFICIENTS:]
         if any(further):
             raise CalibrationError(
-                f"{len(values + further)} distortion coefficients, but at most {NUM_COEFFICIENTS} "
-                "are taken",
+                f"{len(values + further)} distortion coefficients exceed the maximum of "
+                f"{NUM_COEFFICIENTS}",
                 remedy="calibrate without thin prism and tilt, or undistort the images",
             )
         if model is None:
@@ -166,24 +168,24 @@ class Intrinsics(NamedTuple):
         if not isinstance(model, str | None) or model not in tuple(Distortion):
             named = model if isinstance(model, str | None) else type(model).__name__
             raise CalibrationError(
-                f"{len(values)} distortion coefficients of the lens model {named}",
-                remedy=f"model can be {', '.join(Distortion)}",
+                f"{len(values)} distortion coefficients with the lens model {named}",
+                remedy=f"set model to one of {', '.join(Distortion)}",
             )
         size = whole_number("width", width), whole_number("height", height)
         return cls(*size, *focal_and_center(K), Distortion(model), values)
 
 
 class Extrinsics(NamedTuple):
-    """A rigid motion ``T_target_source``, hashable."""
+    """Rigid transform ``T_target_source``, hashable."""
 
     rotation: tuple[float, ...]
-    """Nine numbers, row-major."""
+    """Rotation matrix, nine numbers, row-major."""
     translation: tuple[float, float, float]
-    """Metres."""
+    """Translation [m]."""
 
     @property
     def T(self) -> np.ndarray:
-        """The matrix ``(4, 4)`` float64."""
+        """Homogeneous matrix ``(4, 4)`` float64."""
         T = np.eye(4)
         T[:3, :3] = np.reshape(self.rotation, (3, 3))
         T[:3, 3] = self.translation
@@ -191,10 +193,10 @@ class Extrinsics(NamedTuple):
 
     @classmethod
     def from_matrix(cls, T: ArrayLike) -> Self:
-        """From a matrix ``(4, 4)``, its translation in metres.
+        """Build extrinsics from a matrix ``(4, 4)`` with its translation in metres.
 
         Raises:
-            CalibrationError: It is no matrix of a rigid motion.
+            CalibrationError: It is not a homogeneous matrix.
 
         Example:
             >>> Extrinsics.from_matrix(np.eye(4)).translation
@@ -215,109 +217,109 @@ class Extrinsics(NamedTuple):
 
 
 class Calibration(NamedTuple):
-    """The cameras of a log and how depth pixels relate to colour pixels; hashable.
+    """Cameras of a log and the transform between them; hashable.
 
-    ``Calibration(camera)`` describes depth images without colour, and depth that is aligned to
-    colour alike: ``color`` is None where there is no other camera than that of the depth images.
+    ``Calibration(camera)`` describes depth images without colour as well as depth aligned to
+    colour: ``color`` is None unless the colour camera has pixels of its own.
     """
 
     depth: Intrinsics
-    """The camera of the depth images; of aligned depth this is the colour camera."""
+    """Camera of the depth images; the colour camera if depth is aligned to colour."""
     color: Intrinsics | None = None
-    """The colour camera, where it is calibrated and not the camera of the depth images."""
+    """Colour camera, if it is calibrated and not the camera of the depth images."""
     color_from_depth: Extrinsics | None = None
-    """``T_color_depth``; None where ``color`` is None."""
+    """``T_color_depth``; None if ``color`` is None."""
     depth_unit: float = 0.001
-    """Metres in one depth unit."""
+    """Metres per depth unit."""
 
     @property
     def is_aligned(self) -> bool:
-        """Whether a colour image, if there is one, has the pixels of the depth image."""
+        """Whether a colour image, if any, has the pixels of the depth image."""
         return self.color is None
 
     @property
     def image(self) -> Intrinsics:
-        """The camera of the image in which boxes are: the colour camera, else the depth camera."""
+        """Camera of the image that boxes refer to: the colour camera, else the depth camera."""
         return self.color or self.depth
 
 
 class GroundPlane(NamedTuple):
-    """The floor seen from the camera in each frame: a plane, and perhaps a ramp ahead.
+    """Floor of each frame relative to the camera: a plane, and optionally a ramp ahead.
 
-    ``pitch`` is the camera's downward tilt and ``roll`` its clockwise turn about the optical
-    axis as seen from behind the camera (a camera rolled clockwise sees the world turned
-    counter-clockwise). ``valid`` is False where the floor is unknown: then nothing is dropped
-    as floor and the camera is taken as level. :func:`jaxdet.flat_plane` makes one without ramps.
+    ``pitch`` is the camera's downward tilt, and ``roll`` its clockwise rotation about the optical
+    axis seen from behind (a camera rolled clockwise sees the world rotated counter-clockwise).
+    ``valid`` is False if the floor is unknown: then nothing is dropped as floor and a level camera
+    is assumed. :func:`jaxdet.flat_plane` builds one without ramps.
     """
 
     height: np.ndarray
-    """``(B,)`` float64, optical centre above the floor [m]."""
+    """Height of the optical centre above the floor, ``(B,)`` float64 [m]."""
     pitch: np.ndarray
-    """``(B,)`` float64 [rad], positive looks down."""
+    """Pitch ``(B,)`` float64 [rad], positive looks down."""
     roll: np.ndarray
-    """``(B,)`` float64 [rad], positive clockwise."""
+    """Roll ``(B,)`` float64 [rad], positive clockwise."""
     valid: np.ndarray
-    """``(B,)`` bool."""
+    """Whether the floor is known, ``(B,)`` bool."""
     ramp_start: np.ndarray
-    """``(B,)`` float64, distance on the floor, forward of the camera, at which a ramp begins
-    across the whole floor [m]; inf where there is none."""
+    """Forward distance on the floor at which a ramp begins, across the whole width, ``(B,)``
+    float64 [m]; inf without a ramp."""
     ramp_slope: np.ndarray
-    """``(B,)`` float64, the ramp's rise over its run, against the plane; downhill negative."""
+    """Rise over run of the ramp relative to the plane, ``(B,)`` float64; negative downhill."""
 
 
 class Frames(NamedTuple):
-    """A batch of depth images on the host, with their colour images where these are used."""
+    """A batch of depth images on the host, with their colour images if these are used."""
 
     depth: np.ndarray
-    """``(B, Hd, Wd)`` uint16, depth units, 0 = no measurement."""
+    """Depth images ``(B, Hd, Wd)`` uint16 [depth units], 0 = no measurement."""
     calibration: Calibration
     number: np.ndarray
-    """``(B,)`` int64, 0-based number of the depth image in its log."""
+    """Number of each depth image in its log, from 0, ``(B,)`` int64."""
     stamp_ns: np.ndarray
-    """``(B,)`` int64, header stamp of the depth image."""
+    """Timestamp in the header of each depth image, ``(B,)`` int64."""
     valid: np.ndarray
-    """``(B,)`` bool; False marks padding, whose results are dropped."""
+    """Whether each frame is real, ``(B,)`` bool; results of padding are dropped."""
     color: np.ndarray | None = None
-    """``(B, H, W, 3)`` uint8, RGB, zeros where a frame has none; None: not read. The method reads
-    depth alone; pictures show colour, and the preset ``paper`` needs it."""
+    """Colour images ``(B, H, W, 3)`` uint8, RGB, zeros for a frame without one; None: not read.
+    Only pictures and the preset ``paper`` use colour."""
     color_stamp_ns: np.ndarray | None = None
-    """``(B,)`` int64, header stamp of each frame's colour image, -1 = none; None: not read."""
+    """Timestamp in the header of each colour image, ``(B,)`` int64, -1 = none; None: not read."""
     T_world_camera: np.ndarray | None = None
-    """``(B, 4, 4)`` float64, depth optical frame to world, NaN where unknown; None without."""
+    """Poses of the depth optical frame in the world, ``(B, 4, 4)`` float64, NaN if unknown."""
     plane: GroundPlane | None = None
-    """Prior of the floor in each frame, seen from the depth camera, which the frame's own depth
-    corrects (the preset ``paper`` takes it as it is); None leaves it to the configuration."""
+    """Prior of the floor relative to the depth camera, which the depth of each frame corrects (the
+    preset ``paper`` uses it unchanged); None: the configuration's prior."""
 
 
 class Cells(NamedTuple):
-    """A regular grid of depth cells, ``R`` rows and ``C`` columns, in the depth optical frame."""
+    """Regular grid of depth cells, ``R`` rows and ``C`` columns, in the depth optical frame."""
 
     x: Array
-    """``(B, R, C)`` int32, to the right [depth units]."""
+    """x, to the right, ``(B, R, C)`` int32 [depth units]."""
     y: Array
-    """``(B, R, C)`` int32, down in the camera [depth units]."""
+    """y, downward, ``(B, R, C)`` int32 [depth units]."""
     z: Array
-    """``(B, R, C)`` int32, forward [depth units], 0 = no measurement."""
+    """z, forward, ``(B, R, C)`` int32 [depth units], 0 = no measurement."""
 
 
 class AlignedDepth(NamedTuple):
     """Depth at each colour pixel (Eq. 1-4)."""
 
     depth: Array
-    """``(B, H, W)`` uint16, z in the *depth* camera [depth units]; equals ``rs.align``."""
+    """z in the *depth* camera, ``(B, H, W)`` uint16 [depth units]; equals ``rs.align``."""
     z: Array
-    """``(B, H, W)`` uint16, z in the *colour* camera (Eq. 3) [depth units]; 0 = none."""
+    """z in the *colour* camera (Eq. 3), ``(B, H, W)`` uint16 [depth units]; 0 = none."""
 
 
 class Keep(NamedTuple):
-    """Where obstacles can be (Section 3.3)."""
+    """Pixels that can belong to obstacles (Section 3.3)."""
 
     mask: Array
-    """``(B, H, W)`` bool, the depth is in range and above the floor."""
+    """Whether the depth is in range and above the floor, ``(B, H, W)`` bool."""
     z: Array
-    """``(B, H, W)`` uint16, the depth that a feature here gets [depth units]; 0 = none."""
+    """Depth of a feature at each pixel, ``(B, H, W)`` uint16 [depth units]; 0 = none."""
     has_depth: Array
-    """``(B,)`` bool, some pixel of the frame has a depth in range."""
+    """Whether any pixel of the frame has a depth in range, ``(B,)`` bool."""
 
 
 class Features(NamedTuple):
@@ -327,34 +329,34 @@ class Features(NamedTuple):
     """
 
     u: Array
-    """``(B, N)`` int32, column [pixel]."""
+    """Column ``(B, N)`` int32 [pixel]."""
     v: Array
-    """``(B, N)`` int32, row [pixel]."""
+    """Row ``(B, N)`` int32 [pixel]."""
     x: Array
-    """``(B, N)`` int32, right of the optical axis [depth units]."""
+    """x, right of the optical axis, ``(B, N)`` int32 [depth units]."""
     y: Array
-    """``(B, N)`` int32, below the optical axis [depth units]."""
+    """y, below the optical axis, ``(B, N)`` int32 [depth units]."""
     z: Array
-    """``(B, N)`` int32, along the optical axis [depth units]."""
+    """z, along the optical axis, ``(B, N)`` int32 [depth units]."""
     valid: Array
-    """``(B, N)`` bool, the slot holds a corner."""
+    """Whether the slot holds a corner, ``(B, N)`` bool."""
     kept: Array
-    """``(B, N)`` bool, the depth is in range and above the floor."""
+    """Whether the depth is in range and above the floor, ``(B, N)`` bool."""
     overflow: Array
-    """``(B,)`` bool, more corners qualified than there are slots."""
+    """Whether more corners qualified than there are slots, ``(B,)`` bool."""
 
 
 class Labels(NamedTuple):
-    """Obstacle number of each feature (Section 3.4)."""
+    """Obstacle label of each feature (Section 3.4)."""
 
     labels: Array
-    """``(B, N)`` int32, -1 = none; numbered by nearest z, then smallest x."""
+    """Labels ``(B, N)`` int32, -1 = none; numbered by nearest z, then smallest x."""
     num_obstacles: Array
-    """``(B,)`` int32."""
+    """Number of obstacles, ``(B,)`` int32."""
 
 
 class Obstacles(NamedTuple):
-    """Each obstacle's extent and outline on the floor, in integers (Section 3.5).
+    """Extent and outline on the floor of each obstacle, in integers (Section 3.5).
 
     Slots from ``num_obstacles`` on are zero. ``a b c`` are the points A, B, C of Eq. 7 in the
     ground frame: ``[..., 0]`` to the right, ``[..., 1]`` forward, both at most MAX_LATERAL. They
@@ -363,122 +365,122 @@ class Obstacles(NamedTuple):
     """
 
     num_points: Array
-    """``(B, M)`` int32."""
+    """Number of points, ``(B, M)`` int32."""
     uv_min: Array
-    """``(B, M, 2)`` int32, first column and row in the image of :attr:`Calibration.image` [pixel];
-    of an obstacle outside of the colour image 0."""
+    """First column and row in the image of :attr:`Calibration.image`, ``(B, M, 2)`` int32 [pixel];
+    0 if the obstacle is outside of the colour image."""
     uv_max: Array
-    """``(B, M, 2)`` int32, last column and row [pixel]; of an obstacle outside of the colour image
-    -1."""
+    """Last column and row, ``(B, M, 2)`` int32 [pixel]; -1 if outside of the colour image."""
     xyz_min: Array
-    """``(B, M, 3)`` int32, camera optical frame [depth units]."""
+    """Minimum in the camera optical frame, ``(B, M, 3)`` int32 [depth units]."""
     xyz_max: Array
-    """``(B, M, 3)`` int32, camera optical frame [depth units]."""
+    """Maximum in the camera optical frame, ``(B, M, 3)`` int32 [depth units]."""
     xyz_sum: Array
-    """``(B, M, 3, 2)`` int32, camera optical frame [depth units]: the sum of each axis over 2^16,
-    rounded down, and what is left of it, below 2^16; the centroid is sum / points."""
+    """Sum in the camera optical frame, as quotient (rounded down) and remainder of 2^16, ``(B, M,
+    3, 2)`` int32 [depth units]; the centroid is sum / points."""
     a: Array
-    """``(B, M, 2)`` int32, the point to the left (of those, the nearest) [depth units]."""
+    """Leftmost point, the nearest in a tie, ``(B, M, 2)`` int32 [depth units]."""
     b: Array
-    """``(B, M, 2)`` int32, the point to the right (of those, the nearest) [depth units]."""
+    """Rightmost point, the nearest in a tie, ``(B, M, 2)`` int32 [depth units]."""
     c: Array
-    """``(B, M, 2)`` int32, the point in front (of those, the leftmost) [depth units]."""
+    """Nearest point, the leftmost in a tie, ``(B, M, 2)`` int32 [depth units]."""
     has_vertex: Array
-    """``(B, M)`` bool, Eq. 7: C stands out towards the camera."""
+    """Whether C is a vertex towards the camera (Eq. 7), ``(B, M)`` bool."""
     direction: Array
-    """``(B, M, 2)`` int32, along the fitted rectangle, right and forward, about 512 long; zero for
-    clusters of points."""
+    """Direction of the fitted rectangle, right and forward, about 512 long, ``(B, M, 2)`` int32;
+    zero for clusters of points."""
     span: Array
-    """``(B, M, 4)`` int32, the rectangle's extent along ``direction`` (dot product) and across
-    (cross product): least and largest along, least and largest across."""
+    """Extent of the rectangle, ``(B, M, 4)`` int32: minimum and maximum along ``direction`` (dot
+    product), minimum and maximum across (cross product)."""
     nearest: Array | None = None
-    """``(B, M, 2)`` int32, the squared distance on the floor from the camera's foot to the nearest
-    of all points [depth units squared]: over 2^18, rounded down, and what is left of it. None where
+    """Squared distance on the floor from the camera to the nearest of all points, as quotient
+    (rounded down) and remainder of 2^18, ``(B, M, 2)`` int32 [depth units squared]; None if
     obstacles are made of surfaces, whose contours have it."""
 
 
 class FreeEnd(IntEnum):
-    """What ends the free floor in a direction."""
+    """End of the free floor in a direction."""
 
     UNKNOWN = 0
-    """Nothing is measured beyond, or no floor is seen at all."""
+    """No measurement beyond, or no floor seen at all."""
     OBSTACLE = 1
     DROP = 2
-    """What is seen beyond lies clearly below the floor: a step down, a hole."""
+    """Points beyond are clearly below the floor: a step down or a hole."""
     RANGE = 3
-    """The end of the depth range."""
+    """End of the depth range."""
 
 
 class Refusal(IntEnum):
-    """Why a frame's own depth does not decide its floor."""
+    """Reason why a frame's own depth does not determine its floor."""
 
     NONE = 0
     """It does."""
     TOO_LITTLE = 1
-    """Too few cells lie on any one plane."""
+    """Too few inliers of any plane."""
     MOSTLY_OBSTACLE = 2
-    """The best plane makes most of the picture an obstacle."""
+    """The best plane makes most of the image an obstacle."""
     FAR = 3
-    """The best plane is too far from the prior and no ramp ahead of it, or without a prior more
-    tilted than a floor is seen."""
+    """The best plane is too far from the prior and not a ramp ahead of it; without a prior, it is
+    too tilted for a floor."""
     TABLE = 4
-    """Too much is seen below the best plane."""
+    """Too many cells are below the best plane."""
 
 
 class Scene(NamedTuple):
     """Floor, contours and free floor of each frame."""
 
     floor: Array
-    """``(B, 8)`` int32, the floor in each frame's own depth; with the next one it gives the planes
-    (:func:`jaxdet.floor.units.floor_fit`)."""
+    """Floor in each frame's own depth, ``(B, 8)`` int32; :func:`jaxdet.floor.units.floor_fit`
+    computes planes from it and ``prior``."""
     prior: GroundPlane
-    """The prior of each frame's floor, on the host."""
+    """Prior of each frame's floor, on the host."""
     contour: Array
-    """``(B, M, C, 2)`` int32, C columns of cells or 1, the visible edge of each obstacle, right and
-    forward in the ground frame, from left to right [depth units]."""
+    """Visible edge of each obstacle from left to right, right and forward in the ground frame,
+    ``(B, M, C, 2)`` int32 [depth units]; C columns of cells, or 1."""
     contour_points: Array
-    """``(B, M)`` int32, how many of them are used."""
+    """Number of contour points, ``(B, M)`` int32."""
     bottom_top: Array
-    """``(B, M, 2)`` int32, lowest and highest cell above the floor [depth units]."""
+    """Height of the lowest and of the highest cell above the floor, ``(B, M, 2)`` int32 [depth
+    units]."""
     free: Array
-    """``(B, C, 2, 2)`` int32, by column of cells: where the free floor begins and where it ends,
-    right and forward in the ground frame [depth units]; zero where nothing is seen."""
+    """Start and end of the free floor in each column of cells, right and forward in the ground
+    frame, ``(B, C, 2, 2)`` int32 [depth units]; zero where no floor is seen."""
     free_end: Array
-    """``(B, C)`` int32, what ends it, see :class:`FreeEnd`."""
+    """End of the free floor, ``(B, C)`` int32, see :class:`FreeEnd`."""
 
 
 class CellLabels(NamedTuple):
-    """The depth cells, each with its obstacle."""
+    """Depth cells with their obstacle labels."""
 
     label: Array
-    """``(B, R, C)`` int32, -1 = none."""
+    """Label ``(B, R, C)`` int32, -1 = none."""
     keep: Array
-    """``(B, R, C)`` bool, in range and above the floor: a cell of an obstacle or of what is too
-    small for one."""
+    """Whether the cell is in range and above the floor, ``(B, R, C)`` bool; it may belong to no
+    obstacle, if it is in a surface too small for one."""
     cells: Cells
 
 
 class Points(NamedTuple):
-    """The corners that the preset ``paper`` clusters, and the obstacle of each."""
+    """Corners that the preset ``paper`` clusters, and their obstacle labels."""
 
     features: Features
     labels: Labels
 
 
 class Detections(NamedTuple):
-    """All that is found in a batch."""
+    """Results of a batch."""
 
     num_obstacles: Array
-    """``(B,)`` int32."""
+    """Number of obstacles, ``(B,)`` int32."""
     overflow: Array
-    """``(B,)`` bool, obstacles may be lost: there are more surfaces than ``MAX_SURFACES`` or more
-    obstacles than ``MAX_OBSTACLES``; in the preset ``paper``, more corners than slots."""
+    """Whether obstacles may be lost, ``(B,)`` bool: there are more surfaces than ``MAX_SURFACES``
+    or more obstacles than ``MAX_OBSTACLES``; in the preset ``paper``, more corners than slots."""
     has_depth: Array
-    """``(B,)`` bool, some depth of the frame is in range."""
+    """Whether any depth of the frame is in range, ``(B,)`` bool."""
     obstacles: Obstacles
     scene: Scene | None = None
     """Outlines, floor and free floor; None in the preset ``paper``."""
     cells: CellLabels | None = None
-    """The depth cells, where requested; None in the preset ``paper``."""
+    """Depth cells, if requested; None in the preset ``paper``."""
     points: Points | None = None
-    """The corners of the preset ``paper``; None elsewhere."""
+    """Corners of the preset ``paper``; None elsewhere."""

@@ -39,7 +39,7 @@ from jaxdet.results.free_floor import free_floor
 from jaxdet.results.metric import extents, rectangles, tilted, to_world
 from jaxdet.results.occupancy import OccupancyMap
 from jaxdet.tracks.config import TrackConfig
-from jaxdet.tracks.seen import obstacles_seen
+from jaxdet.tracks.observations import observations_of
 from jaxdet.tracks.tracker import Tracker
 from jaxdet.types import Calibration, Distortion, Extrinsics, Intrinsics, Obstacles
 
@@ -196,7 +196,7 @@ def tracks() -> Iterator[object]:
         }
         stamps = frame * 33_333_333
         roll = numbers(len(frame)) * 3
-        seen = obstacles_seen(frame, stamps, roll, columns, 640)
+        seen = observations_of(frame, stamps, roll, columns, 640)
         numbered = np.arange(start, start + 40)
         tracker.add(numbered, numbered * 33_333_333, seen, RNG.integers(1, 99, len(frame)))
     tracker.finish()

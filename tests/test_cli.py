@@ -250,7 +250,7 @@ def test_a_run_can_be_repeated_from_its_results(
     (first / "sim" / "config.json").write_text('{"ground": {}}')
     capfd.readouterr()
     assert main([*args, "--overwrite"]) == 2
-    assert "is no config.json of results" in capfd.readouterr().err
+    assert "is not the config.json of a run" in capfd.readouterr().err
 
 
 def test_doctor_hints_at_the_extra_where_a_gpu_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -418,8 +418,8 @@ def test_flags_go_before_the_file_before_the_preset(tmp_path: Path) -> None:
         ("boat = 2\n", r"boat = 2 is in no section; write it below \[ground\] or \[features\] or"),
         ("preset = 3\n", r'preset = 3 is not text in quotes; write preset = "wheeled"'),
         ("preset = 'boat'\n", r"bad.toml: no preset 'boat'; use one of wheeled"),
-        ("[cluster]\nmin_points = 1.5\n", "min_points = 1.5 is not a whole number"),
-        ("[cluster]\nmin_points = true\n", "min_points = True is not a whole number"),
+        ("[cluster]\nmin_points = 1.5\n", "min_points = 1.5 is not an integer"),
+        ("[cluster]\nmin_points = true\n", "min_points = True is not an integer"),
         ("[log]\nstart = 5\n", "start = 5 is not text in quotes"),
         ("[log]\ncolor_intrinsics = [1, 2]\n", "is not a list of 4 numbers"),
         (
@@ -508,7 +508,7 @@ def test_a_truth_that_is_not_there_is_said_before_the_run(
 ) -> None:
     command = ["run", str(sim_log), "--output", str(tmp_path / "out"), "--truth", "nothing.mcap"]
     assert main(command) == 1
-    assert "nothing.mcap.truth.npz: no truth can be read" in capfd.readouterr().err
+    assert "nothing.mcap.truth.npz: cannot read ground truth" in capfd.readouterr().err
     assert not (tmp_path / "out").exists()
 
 

@@ -74,7 +74,7 @@ LOG_FLAGS = {
     "--log.depth-intrinsics 1e-45 1e-45 0 0": "depth camera is not calibrated",
     "--log.color-intrinsics 50 50 1e39 0": "optical centre",
     "--log.color-intrinsics 309000 309 48 36": "/color/camera_info: fx 309000 and fy 309",
-    "--log.color-intrinsics 309000 309000 48 36": "the colour camera sees 0.0178°",
+    "--log.color-intrinsics 309000 309000 48 36": "field of view of the colour camera is 0.0178°",
 }
 
 
@@ -196,7 +196,7 @@ def broken_truth(made: Path, folder: Path, how: str) -> Path:
 @pytest.mark.parametrize("how", ["cut", "flipped", "missing", "shape", "kind", "other size"])
 def test_truth_files(tmp_path, made, how):
     path = broken_truth(made, tmp_path, how)
-    with pytest.raises(InputError, match="no truth can be read"):
+    with pytest.raises(InputError, match="cannot read ground truth"):
         load_truth(path)
         load_depths(path, [0, 1])
 
@@ -205,7 +205,7 @@ def test_truth_files(tmp_path, made, how):
 def test_a_truth_file_with_an_image_of_4_gib(tmp_path, made, monkeypatch):
     monkeypatch.setattr(truth, "MAX_ARRAY_BYTES", 2 << 20)
     path = broken_truth(made, tmp_path, "4 GiB")
-    with pytest.raises(InputError, match="no truth can be read"):
+    with pytest.raises(InputError, match="cannot read ground truth"):
         load_depths(path, [0, 1])
 
 

@@ -115,10 +115,10 @@ def test_low_level_calls_with_what_is_no_batch_of_frames() -> None:
     arrays = given.calibration._replace(color_from_depth=Extrinsics(np.eye(3), [0, 0, 0]))
     none = given._replace(color=given.color[:0], depth=given.depth[:0], valid=given.valid[:0])
     for wrong, said in (
-        ([given, given], "frames: list is no Frames; give a Frames"),
+        ([given, given], "frames: expected Frames, got list"),
         (
             given._replace(calibration=arrays),
-            "rotation of color_from_depth: ndarray is no tuple; give a tuple",
+            "rotation of color_from_depth: expected tuple, got ndarray",
         ),
         (none, "there are no frames"),
     ):

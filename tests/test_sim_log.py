@@ -177,7 +177,7 @@ def test_the_log_opens(log):
 
 
 def test_no_truth(tmp_path):
-    with pytest.raises(InputError, match="no truth"):
+    with pytest.raises(InputError, match="cannot read ground truth"):
         load_truth(tmp_path / "real.mcap")
 
 

@@ -24,9 +24,8 @@ from jaxdet.sim import SimConfig, write_log
 from jaxdet.tracks import Track, TrackConfig, Tracker, track_results
 from jaxdet.tracks import folder as tracks_folder
 from jaxdet.tracks import rows as tracks_rows
+from jaxdet.tracks.observations import Observations, observations_of
 from jaxdet.tracks.outlines import Outlines
-from jaxdet.tracks.seen import obstacles_seen
-from jaxdet.tracks.things import Things
 from jaxdet.tracks.tracker import PIECE_FRAMES
 from tests.runs import only_log, run_logs
 
@@ -53,7 +52,9 @@ def in_picture(boxes: np.ndarray) -> dict[str, np.ndarray]:
     }
 
 
-def sightings(frame: np.ndarray, stamps: np.ndarray, boxes: np.ndarray, **other: object) -> Things:
+def sightings(
+    frame: np.ndarray, stamps: np.ndarray, boxes: np.ndarray, **other: object
+) -> Observations:
     """Outlines ``(N, 8)`` in frames ``(N,)`` as an upright camera at the origin sees them, but for
     other columns and rolls."""
     count = len(boxes)
@@ -66,7 +67,7 @@ def sightings(frame: np.ndarray, stamps: np.ndarray, boxes: np.ndarray, **other:
         **in_picture(boxes),
         "roll_rad": np.zeros(count),
     } | {name: np.asarray(values) for name, values in other.items()}
-    return obstacles_seen(frame, stamps, columns.pop("roll_rad"), columns, 640)
+    return observations_of(frame, stamps, columns.pop("roll_rad"), columns, 640)
 
 
 def follow(
@@ -362,14 +363,14 @@ def test_a_standing_camera_keeps_little_in_memory():
         columns = dict.fromkeys(("bottom_m", "top_m", "distance_m"), found)
         columns |= in_picture(boxes[which])
         columns |= dict.fromkeys(("corners_ground", "corners_world"), boxes[which])
-        seen = obstacles_seen(frame[at], stamps[at], np.zeros(len(at)), columns, None)
+        seen = observations_of(frame[at], stamps[at], np.zeros(len(at)), columns, None)
         tracker.add(frame, stamps, seen, np.ones(len(at), np.int64))
-        assert tracker.things is not None
+        assert tracker.observations is not None
         tracks, decided = tracker.take()
         rows += sum(map(len, decided))
         pieces = [piece for part in tracker.pieces.values() for piece in part]
-        numbers = tracker.numbers
-        state = (tracker.things.frame, tracker.stamps, numbers.of, numbers._seen, numbers._rows)
+        ids, frames = tracker.track_ids, tracker.observations.frame
+        state = (frames, tracker.stamps, ids.ids, ids._counts, ids._rows)
         state += tracker.begin, tracker.pieces
         kept.append([*map(len, state), sum(len(piece.path) for piece in pieces)])
         # Of more than 2,048 frames the last 1,024 wait.
@@ -449,10 +450,10 @@ def test_settings_out_of_range(field):
     name, whole = field.replace("_", "-"), isinstance(getattr(TrackConfig(), field), int)
     with pytest.raises(ConfigError, match=f"{name} is out of its range"):
         TrackConfig(**{field: -1})
-    problem = ": float is not what it takes" if whole else " is out of its range"
+    problem = ": expected an integer, got float" if whole else " is out of its range"
     with pytest.raises(ConfigError, match=f"{name}{problem}"):
         TrackConfig(**{field: float("inf")})
-    with pytest.raises(ConfigError, match=f"{name}: bool is not what it takes"):
+    with pytest.raises(ConfigError, match=f"{name}: expected .*, got bool"):
         TrackConfig(**{field: False})
     if field.endswith("_m"):
         with pytest.raises(ConfigError, match=f"{name} is out of its range"):
@@ -675,20 +676,20 @@ def test_what_is_linked_is_the_tables(folder: Path, tmp_path: Path, monkeypatch)
     rows = pq.read_table(copy / "obstacles.parquet").to_pandas()
     rolls = [3.1 if f % 3 else None for f in range(len(frames))]
     edited(copy / "frames.parquet", "camera_roll_rad", rolls)
-    seen, sizes, plain = [], [], tracks_folder.obstacles_seen
+    seen, sizes, plain = [], [], tracks_folder.observations_of
 
     class Spy(Tracker):
-        def add(self, frames: np.ndarray, stamps: np.ndarray, seen: Things, size: np.ndarray):
+        def add(self, frames: np.ndarray, stamps: np.ndarray, obs: Observations, size: np.ndarray):
             sizes.append((frames.tolist(), stamps.tolist(), size.tolist()))
-            super().add(frames, stamps, seen, size)
+            super().add(frames, stamps, obs, size)
 
-    def obstacles_seen(*given: Any) -> Things:
+    def observations_of(*given: Any) -> Observations:
         seen.append(given)
         return plain(*given)
 
     monkeypatch.setattr(tracks_folder, "WINDOW_FRAMES", 5)
     monkeypatch.setattr(tracks_folder, "Tracker", Spy)
-    monkeypatch.setattr(tracks_folder, "obstacles_seen", obstacles_seen)
+    monkeypatch.setattr(tracks_folder, "observations_of", observations_of)
     track_results(copy, TrackConfig(min_frames=7))  # the first window waits for the second
     assert [len(part) for part, *_ in sizes] == [5, 5, 2]
     links = pq.read_table(copy / "track_links.parquet").to_pandas()

@@ -11,19 +11,20 @@ from scipy.optimize import linear_sum_assignment
 
 from jaxdet.tracks import TrackConfig
 from jaxdet.tracks import rows as tracks_rows
-from jaxdet.tracks.hidden import hide_sides, unseen
 from jaxdet.tracks.links import end_pieces, link_frames, link_tracklets, tracklets_of
+from jaxdet.tracks.merge import merge_overlapping
 from jaxdet.tracks.motion import STEADY_S, Motion, motion_of
-from jaxdet.tracks.numbers import Numbers
+from jaxdet.tracks.observations import Observations
+from jaxdet.tracks.occlusion import hidden_shift, mark_hidden_sides
 from jaxdet.tracks.outlines import Outlines, displacement, gap, overlap
-from jaxdet.tracks.pairs import chain_starts, choose, components, pairs_in_frames
+from jaxdet.tracks.pairs import chain_starts, components, greedy_matching, pairs_in_frames
 from jaxdet.tracks.rows import TrackRows
-from jaxdet.tracks.things import Things, whole_things
 from jaxdet.tracks.track import Piece, piece_of, track_of
+from jaxdet.tracks.track_ids import TrackIds
 from tests.test_tracks import RATE_HZ, corners_of, follow, sightings
 
 
-def in_frames(frames: list[list[list[float]]], **other: object) -> Things:
+def in_frames(frames: list[list[list[float]]], **other: object) -> Observations:
     """Outlines by frame as sightings."""
     frame = np.repeat(np.arange(len(frames)), [len(boxes) for boxes in frames])
     boxes = np.array([box for boxes in frames for box in boxes], np.float64)
@@ -72,7 +73,7 @@ SIDE = corners_of(0, 0, (1.0, 0.6))
 def test_which_obstacles_are_one_thing(other, bottoms, one):
     for turn in (1, -1):
         seen = in_frames([[SIDE, other][::turn]], bottom_m=np.array(bottoms[::turn], float))
-        things, thing = whole_things(seen, np.array([9, 4][::turn]), TrackConfig())
+        things, thing = merge_overlapping(seen, np.array([9, 4][::turn]), TrackConfig())
         assert (len(things.frame), thing[0] == thing[1]) == ((1, True) if one else (2, False))
 
 
@@ -90,7 +91,7 @@ def test_what_stands_behind_something_nearer_floats_beside_nothing(columns, dist
         u_min=[150, 190, columns[0]],
         u_max=[180, 300, columns[1]],
     )
-    things, thing = whole_things(seen, np.array([4, 9, 6]), TrackConfig())
+    things, thing = merge_overlapping(seen, np.array([4, 9, 6]), TrackConfig())
     assert (thing[0] == thing[1]) == one and len(things.frame) == (2 if one else 3)
 
 
@@ -107,7 +108,7 @@ def test_a_thing_of_several_obstacles_by_hand():
         x_min=[-0.2, 5, 0.0, 0.0, 7],
         x_max=[0.1, 6, 0.2, 0.1, 8],
     )
-    things, thing = whole_things(seen, np.array([7, 9, 8, 2, 1]), TrackConfig())
+    things, thing = merge_overlapping(seen, np.array([7, 9, 8, 2, 1]), TrackConfig())
     assert thing.tolist() == [0, 1, 0, 0, 2] and things.frame.tolist() == [0, 0, 1]
     assert things.obstacles.tolist() == [3, 1, 1]
     c, s = np.cos(np.pi / 6), np.sin(np.pi / 6)
@@ -146,7 +147,7 @@ def test_what_something_nearer_hides(columns, distance, hidden):
     for turn in (1, -1):
         u_min, u_max = np.array([(192, 320), columns][::turn]).T
         things = in_frames([boxes], u_min=u_min, u_max=u_max, distance_m=[2, distance][::turn])
-        marked = hide_sides(things).hidden[::turn]
+        marked = mark_hidden_sides(things).hidden[::turn]
         assert tuple(marked[0]) == hidden and not marked[1].any()
 
 
@@ -179,10 +180,10 @@ def test_where_hidden_sides_would_be():
         hidden=np.array(hidden),
         rightwards=np.tile(way, (len(rows), 1)),
     )
-    found = unseen(things, np.array(track), 4)
+    found = hidden_shift(things, np.array(track), 4)
     np.testing.assert_allclose(found, np.outer(shift, way), atol=1e-12)
     last = things.take(np.array([4]))
-    assert (unseen(last, np.array([0]), 1) == 0).all()
+    assert (hidden_shift(last, np.array([0]), 1) == 0).all()
 
 
 def linked(frames: list[list[list[float]]], first: int = 0, **other: object) -> list[int]:
@@ -263,7 +264,7 @@ def test_which_tracklets_end_as_a_piece(ends, pair, begins, lasts, cut):
 
 def chains_of(
     *chains: tuple[int, list[list[float]]], **other: object
-) -> tuple[Things, np.ndarray, np.ndarray]:
+) -> tuple[Observations, np.ndarray, np.ndarray]:
     """Outlines of things in successive frames from a first one on, 10 frames a second: sightings,
     the one before each, and the chain of each."""
     rows = [(a + k, c, box) for c, (a, boxes) in enumerate(chains) for k, box in enumerate(boxes)]
@@ -295,14 +296,14 @@ def test_tracklets_by_hand():
     mps = spread / (spread + 0.01)
     np.testing.assert_allclose(found.velocity[:, 1], [[mps, 0], [0, 0], [0, 0]], atol=1e-9)
     np.testing.assert_allclose(found.velocity[:, 0], 0, atol=1e-9)
-    np.testing.assert_allclose(found.place[:, 0], [[0, 2], [9, 2], [5, 2]], atol=1e-9)
-    np.testing.assert_allclose(found.place[:, 1], [[0.9, 2], [9, 2], [5, 2]], atol=1e-9)
+    np.testing.assert_allclose(found.position[:, 0], [[0, 2], [9, 2], [5, 2]], atol=1e-9)
+    np.testing.assert_allclose(found.position[:, 1], [[0.9, 2], [9, 2], [5, 2]], atol=1e-9)
     # Its last sighting is cut at the right: 0.3 of 0.5 m.
     hidden, across = things.hidden.copy(), things.across_m.copy()
     hidden[found.end[0]] = False, True
     across[found.end[0], 1] -= 0.2
     cut = tracklets_of(things._replace(hidden=hidden, across_m=across), before)
-    np.testing.assert_allclose(cut.place[0, 1], [1.0, 2], atol=1e-9)
+    np.testing.assert_allclose(cut.position[0, 1], [1.0, 2], atol=1e-9)
 
 
 def goes_on(*chains: tuple[int, list[list[float]]], first: int = 0, **other: object) -> list[int]:
@@ -426,7 +427,7 @@ def test_far_sightings_are_no_noise():
 def test_a_far_sighting_hardly_moves_the_way():
     boxes = [corners_of(f / RATE_HZ, 2 + 0.5 * (f == 15)) for f in range(30)]
     motion = way_of(boxes, distance_m=np.where(np.arange(30) == 15, 15.0, 0.5))
-    np.testing.assert_allclose(motion.place[:, 1], 2, atol=0.002)
+    np.testing.assert_allclose(motion.position[:, 1], 2, atol=0.002)
     np.testing.assert_allclose(motion.velocity, [[1, 0]] * 30, atol=0.02)
 
 
@@ -436,9 +437,9 @@ def test_frames_between_sightings_hardly_move_the_way():
     things = things.take(np.abs(things.frame - 15.5) > 7)
     stamps = (np.arange(-5, 31) / RATE_HZ * 1e9).astype(np.int64)
     motion = motion_of(things, np.zeros(1, np.int64), stamps, -5, TrackConfig())
-    assert motion.place.shape == (31, 2)
+    assert motion.position.shape == (31, 2)
     assert np.abs(motion.velocity[[8, 23], 1]).max() < 0.5
-    np.testing.assert_allclose(motion.place[15, 1], 2 + 7 / 15, atol=0.02)
+    np.testing.assert_allclose(motion.position[15, 1], 2 + 7 / 15, atol=0.02)
 
 
 def test_ways_of_several_tracks_are_those_of_each():
@@ -450,7 +451,7 @@ def test_ways_of_several_tracks_are_those_of_each():
     first = np.cumsum([0, *map(len, ways[:-1])])
     together = motion_of(things, first, stamps, 0, TrackConfig())
     assert together.first.tolist() == first.tolist()
-    for name in ("place", "velocity", "moving"):
+    for name in ("position", "velocity", "moving"):
         parts = np.concatenate([getattr(motion, name) for motion in alone])
         np.testing.assert_allclose(getattr(together, name), parts, atol=1e-12)
 
@@ -475,7 +476,7 @@ def test_lines_through_frames_at_any_times():
 
 def test_numbers_by_hand():
     """By first sighting, as soon as it is certain; nothing is kept of what is decided."""
-    numbers = Numbers(3)
+    numbers = TrackIds(3)
 
     def add(*chains: int, obstacles: tuple[int, ...] = ()) -> list[list[int]]:
         numbers.add(np.array(chains), np.array(obstacles or chains))
@@ -486,17 +487,17 @@ def test_numbers_by_hand():
     numbers.end([2])
     assert [of.tolist() for of in numbers.take()] == [[0, -1], [1, 1]]
     numbers.end([0, 1])
-    assert not numbers.take() and not numbers.of
+    assert not numbers.take() and not numbers.ids
     assert add(3, 3, 3, obstacles=(3, 3, 3, 3)) == [[2, 2, 2, 2]]
     numbers.add(np.zeros(0, np.int64), np.zeros(0, np.int64))
     (none,) = numbers.take()
     assert none.dtype == np.int32 and not len(none)
-    assert numbers.of == {3: 2} and numbers.is_track(3)
+    assert numbers.ids == {3: 2} and numbers.is_track(3)
     # One that ended is known as long as what it is in waits for others.
     assert add(3, 4, 4) == [] and numbers.is_track(3)
     numbers.end([3])
     assert numbers.take() == [] and add(4) == [[2, 3, 3], [3]]
-    assert numbers.of == {4: 3}
+    assert numbers.ids == {4: 3}
 
 
 def test_a_piece_of_a_track_by_hand():
@@ -558,10 +559,10 @@ def test_choosing_takes_the_cheapest_first(seed):
         if a[k] not in used and b[k] not in used:
             taken.append(k)
             used |= {int(a[k]), int(b[k])}
-    assert choose(a, b, cost, 12).tolist() == sorted(taken)
+    assert greedy_matching(a, b, cost, 12).tolist() == sorted(taken)
     apart = 10.0 * np.abs(np.subtract.outer(np.arange(4), rng.permutation(4)))
     rows, columns = np.divmod(np.arange(16), 4)
-    best = choose(rows, columns + 4, apart.ravel(), 8)
+    best = greedy_matching(rows, columns + 4, apart.ravel(), 8)
     assert (columns[best] == linear_sum_assignment(apart)[1]).all()
 
 

@@ -1,4 +1,4 @@
-"""``Detector``: obstacles of frames that a program holds in its hands, one or many at a time."""
+"""``Detector``: obstacle detection in frames in memory, one or many at a time."""
 
 from jaxdet.detector.detector import Detector
 from jaxdet.detector.result import BatchResult, FrameResult, FreeFloorLine, Obstacle

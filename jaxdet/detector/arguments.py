@@ -1,6 +1,6 @@
-"""What callers give a detector, as the arrays and calibrations that the pipeline takes.
+"""Conversion of a detector's arguments to the arrays and calibrations of the pipeline.
 
-Everything is checked here, and errors name the argument.
+All arguments are checked here, and errors name the argument.
 """
 
 import math
@@ -26,47 +26,47 @@ from jaxdet.types import (
 
 ColorOrder = Literal["rgb", "bgr"]
 Pinhole = tuple[float, float, float, float]
-"""``fx fy cx cy`` of a camera whose image size is not known yet."""
+"""``fx fy cx cy`` of a camera whose image size is unknown until the first frame."""
 MAX_UNITS = 65535
 MAX_PIXELS = 1 << 25
-"""Of an image, as of one in a log."""
+"""Maximum number of pixels per image, as for images in logs."""
 
 
 @contextmanager
 def named(argument: str, remedy: str = "") -> Iterator[None]:
-    """Errors in the block name an argument, and what it takes where flags would be named."""
+    """Make errors in the block name an argument; ``remedy`` replaces remedies that name a flag."""
     try:
         yield
     except JaxdetError as error:
-        said = remedy if remedy and "--" in error.remedy else error.remedy
+        remedy = remedy if remedy and "--" in error.remedy else error.remedy
         part = "" if error.topic in ("", argument) else f"{error.topic}: "
-        raise type(error)(part + error.problem, topic=argument, remedy=said) from None
+        raise type(error)(part + error.problem, topic=argument, remedy=remedy) from None
 
 
 @contextmanager
 def untraced() -> Iterator[None]:
-    """Says in a line that JAX traces the caller: what is computed then has no values.
+    """Report in one line that the block is traced by JAX, so that arrays have no values.
 
     Raises:
-        InputError: It does.
+        InputError: It is traced.
     """
     try:
         yield
-    except TypeError as error:  # of NumPy, which is given a tracer
+    except TypeError as error:  # NumPy's error for a tracer
         if not type(error).__module__.startswith("jax."):
             raise
         problem = "a Detector can't be called under jax.jit, jax.vmap or jax.grad"
-        raise InputError(problem, remedy="call it outside, and give what it finds") from None
+        raise InputError(problem, remedy="call it outside, and pass its results") from None
 
 
 class Cameras:
-    """The calibration of a detector: complete as soon as the sizes of images are known.
+    """Calibration of a detector, complete as soon as the image sizes are known.
 
     Args:
-        K: Of the depth camera, see :class:`jaxdet.detector.Detector`.
-        color_K: Of the colour camera; None: colour has the pixels of depth, or there is none.
-        T_color_depth: From depth camera to colour camera; given with ``color_K``.
-        depth_unit_m: Metres in a unit of a uint16 depth image.
+        K: Depth camera, see :class:`jaxdet.detector.Detector`.
+        color_K: Colour camera; None: colour is aligned with depth, or not used.
+        T_color_depth: Transform from depth to colour camera; required with ``color_K``.
+        depth_unit_m: Metres per unit of a uint16 depth image.
 
     Raises:
         CalibrationError: See :class:`jaxdet.detector.Detector`.
@@ -87,29 +87,29 @@ class Cameras:
         self._motion = None
         self._known: Calibration | None = None
         if (color_K is None) != (T_color_depth is None):
-            given, missing = ("color_K", "T_color_depth")[:: 1 if T_color_depth is None else -1]
+            present, missing = ("color_K", "T_color_depth")[:: 1 if T_color_depth is None else -1]
             raise CalibrationError(
-                f"{missing} is missing next to {given}",
-                remedy="give both for a colour camera with pixels of its own, neither for colour "
-                "with the pixels of depth or without colour",
+                f"{present} without {missing}",
+                remedy="give both for a colour camera that is not aligned with depth, neither "
+                "otherwise",
             )
         if color_K is not None and T_color_depth is not None:
             self._color = _camera("color_K", color_K)
-            with named("T_color_depth", "give a (4, 4) matrix of a rigid motion, in metres"):
+            with named("T_color_depth", _TRANSFORM):
                 self._motion = _motion(T_color_depth)
-        # What does not depend on the images' size is checked at once.
+        # All checks that do not depend on the image size.
         small = [_sized(camera, (2, 2)) for camera in (self._depth, self._color)]
         whole = Calibration(small[0] or _NOTHING, small[1], self._motion, self.depth_unit_m)
         self._check(whole, check_numbers)
 
     @classmethod
     def of(cls, calibration: Calibration) -> "Cameras":
-        """Return those of a log."""
+        """Return the cameras of a calibration."""
         color, motion = calibration.color, calibration.color_from_depth
         return cls(calibration.depth, color, motion, calibration.depth_unit)
 
     def __str__(self) -> str:
-        """Of which cameras, in a few words."""
+        """Return a short description."""
         camera = self._depth
         fx, fy, cx, cy = camera[2:6] if isinstance(camera, Intrinsics) else camera
         focal = f"fx {fx:g} fy {fy:g} cx {cx:g} cy {cy:g}"
@@ -121,7 +121,7 @@ class Cameras:
         """Return the calibration of images of these shapes ``(B, H, W, ...)``.
 
         Raises:
-            CalibrationError: It is of images of another size.
+            CalibrationError: The calibration has another image size.
         """
         depths, colors = self._depth, self._color
         if self._known is not None:
@@ -131,15 +131,15 @@ class Cameras:
                 continue
             if (camera.height, camera.width) != shape[1:3]:
                 raise CalibrationError(
-                    f"images of {shape[2]}x{shape[1]} pixels, but the calibration is of "
+                    f"images of {shape[2]}x{shape[1]} pixels, but the calibration has "
                     f"{camera.width}x{camera.height}",
                     topic=name,
-                    remedy="make a Detector for each size of images",
+                    remedy="make a Detector for each image size",
                 )
         if self._color is None and color is not None and color[1:3] != depth[1:3]:
             raise CalibrationError(
-                f"colour images of {color[2]}x{color[1]} pixels do not have the pixels of depth "
-                f"images of {depth[2]}x{depth[1]}",
+                f"colour images of {color[2]}x{color[1]} pixels are not aligned with depth images "
+                f"of {depth[2]}x{depth[1]}",
                 topic="color",
                 remedy="give color_K and T_color_depth",
             )
@@ -152,7 +152,7 @@ class Cameras:
             if camera is not None and not isinstance(camera, Intrinsics):
                 if shape is None:
                     raise CalibrationError(
-                        "the size of the colour images is not known",
+                        "the size of the colour images is unknown",
                         topic=name,
                         remedy="give jaxdet.Intrinsics.from_matrix(K, width, height), or a colour "
                         "image with the first frame",
@@ -182,14 +182,14 @@ class Cameras:
         return whole
 
     def _check(self, whole: Calibration, check: Callable[[Calibration], None]) -> None:
-        """Check every part of the calibration, one argument after the other."""
+        """Check the parts of the calibration, argument by argument."""
         pinhole = "give (3, 3), or fx fy cx cy, or jaxdet.Intrinsics, in pixels"
         with named("K", pinhole):
             check(Calibration(whole.depth))
         if whole.color is not None:
             with named("color_K", pinhole):
                 check(Calibration(whole.color))
-            with named("T_color_depth", "give a (4, 4) matrix of a rigid motion, in metres"):
+            with named("T_color_depth", _TRANSFORM):
                 check(whole._replace(depth_unit=0.001))
         with named("depth_unit_m", "give metres, 0.001 for millimetres"):
             check(whole)
@@ -198,13 +198,14 @@ class Cameras:
 _NOTHING = Intrinsics(0, 0, 0.0, 0.0, 0.0, 0.0)
 _ORDER = "depth comes first: detector(depth, color)"
 _LENS = "give the focal length and lens of these images"
+_TRANSFORM = "give the (4, 4) matrix of a rigid transform, in metres"
 
 
 def _camera(name: str, value: ArrayLike | Intrinsics) -> Intrinsics | Pinhole:
     if isinstance(value, Intrinsics):
         return value
     with named(name):
-        with suppress(InputError):  # which the matrix says better
+        with suppress(InputError):  # the check of the matrix has a better message
             found = numbers(name, value, np.float64)
             if found.shape == (4,):
                 fx, fy, cx, cy = found.tolist()
@@ -223,27 +224,24 @@ def _motion(value: ArrayLike | Extrinsics) -> Extrinsics:
 
 
 def color_images(images: Any, order: ColorOrder) -> np.ndarray:
-    """Return colour images ``(B, H, W, 3)`` uint8, RGB, as an array of their own.
+    """Return a copy of colour images, ``(B, H, W, 3)`` uint8, RGB.
 
     Args:
-        images: ``(B, H, W, 3)`` in this order or ``(B, H, W)`` grey, uint8; or a sequence of such
-            frames.
-        order: ``rgb`` or ``bgr``.
+        images: Colour ``(B, H, W, 3)`` or grey images ``(B, H, W)``, uint8; or a sequence of them.
+        order: Channel order, ``rgb`` or ``bgr``.
 
     Raises:
-        InputError: They are something else.
+        InputError: The images have another type or shape.
     """
     array = _stacked("color", images)
     if array.dtype == np.uint16:
         raise InputError("images are uint16", topic="color", remedy=_ORDER)
     if array.dtype != np.uint8:
-        raise InputError(
-            f"images are {array.dtype}", topic="color", remedy="give uint8, from 0 to 255"
-        )
+        raise InputError(f"images are {array.dtype}", topic="color", remedy="give uint8, 0 to 255")
     if array.ndim == 3:
         return np.repeat(array[..., None], 3, axis=-1)
     if array.ndim != 4 or array.shape[-1] not in (1, 3):
-        remedy = "give (H, W, 3) or grey (H, W), and to batch one axis more"
+        remedy = "give (H, W, 3) or grey (H, W), with a leading axis for Detector.batch"
         if array.ndim == 4 and array.shape[-1] == 4:
             remedy = "leave out the fourth channel: image[..., :3]"
         raise InputError(f"a frame of shape {array.shape[1:]}", topic="color", remedy=remedy)
@@ -253,16 +251,15 @@ def color_images(images: Any, order: ColorOrder) -> np.ndarray:
 
 
 def depth_images(images: Any, unit_m: float) -> np.ndarray:
-    """Return depth images ``(B, Hd, Wd)`` uint16 in units of ``unit_m``, an array of their own.
+    """Return a copy of depth images, ``(B, Hd, Wd)`` uint16 in units of ``unit_m``.
 
     Args:
-        images: ``(B, Hd, Wd)`` uint16, or float32 or float64 in metres, where NaN, infinity and 0
-            are no measurement, nor is what an array of :mod:`numpy.ma` masks; or a sequence of such
-            frames.
-        unit_m: Metres in a unit.
+        images: Depth images ``(B, Hd, Wd)`` uint16, or float32 or float64 in metres; or a sequence
+            of them. NaN, infinity, 0 and masked values of :mod:`numpy.ma` mean "no measurement".
+        unit_m: Metres per unit.
 
     Raises:
-        InputError: They are something else, or not in metres.
+        InputError: The images have another type or shape, or are not in metres.
     """
     array = _stacked("depth", images)
     if array.dtype == np.uint8:
@@ -273,9 +270,9 @@ def depth_images(images: Any, unit_m: float) -> np.ndarray:
         raise InputError(
             f"a frame of shape {array.shape[1:]}",
             topic="depth",
-            remedy="give (Hd, Wd), and to batch one axis more",
+            remedy="give (Hd, Wd), with a leading axis for Detector.batch",
         )
-    if array.dtype.newbyteorder("=") == np.uint16:  # some cameras send the high byte first
+    if array.dtype.newbyteorder("=") == np.uint16:  # some cameras are big-endian
         return np.array(array, np.uint16, order="C")
     if not np.issubdtype(array.dtype, np.floating):
         raise InputError(
@@ -304,50 +301,50 @@ def _from_metres(metres: np.ndarray, unit_m: float) -> np.ndarray:
 
 
 def one_frame(name: str, image: Any) -> np.ndarray:
-    """A frame as a batch of one.
+    """Return a frame as a batch of one.
 
     Raises:
-        InputError: It is no image, or several.
+        InputError: It is not an image, or several.
     """
     array = _array(name, image)
     if name == "depth" and array.dtype == np.uint8:
         raise InputError("it is uint8, as colour images are", topic=name, remedy=_ORDER)
     if array.ndim not in (2, 3) or (name == "depth" and array.ndim == 3 and array.shape[2] != 1):
-        wanted = "(H, W, 3) or (H, W)" if name == "color" else "(Hd, Wd)"
+        expected = "(H, W, 3) or (H, W)" if name == "color" else "(Hd, Wd)"
         color = array.ndim == 3 and array.shape[2] in (3, 4)
         several = array.ndim > 2 and not color
         remedy = "give several frames to Detector.batch" if several else "give an image"
-        problem = f"one frame has shape {wanted}, not {array.shape}"
+        problem = f"expected a frame of shape {expected}, got {array.shape}"
         raise InputError(problem, topic=name, remedy=remedy)
     return array[None]
 
 
 def _stacked(name: str, images: Any) -> np.ndarray:
-    """An array with the frames' axis first."""
+    """Return an array whose first axis is the frames."""
     if isinstance(images, Sequence) and not isinstance(images, str | bytes | memoryview):
         frames = [_array(name, frame) for frame in images]
         if len({(frame.shape, frame.dtype) for frame in frames}) > 1:
             raise InputError(
-                "frames of several sizes or types", topic=name, remedy="give them one by one"
+                "frames differ in size or type", topic=name, remedy="give them one by one"
             )
         images = np.stack(frames) if frames else np.zeros(0)
     array = _array(name, images)
     if not array.ndim:
-        problem = f"{type(images).__name__} is no array"
-        raise InputError(problem, topic=name, remedy="give an array or a list of frames")
+        problem = f"expected an array or a list of frames, got {type(images).__name__}"
+        raise InputError(problem, topic=name)
     if not array.size:
         raise InputError("there are no frames", topic=name, remedy="give at least one")
     if len(array) > MAX_FRAMES:
-        problem = f"{len(array)} frames, but at most {MAX_FRAMES} are taken"
-        raise InputError(problem, topic=name, remedy="give them in parts")
+        problem = f"{len(array)} frames exceed the maximum of {MAX_FRAMES}"
+        raise InputError(problem, topic=name, remedy="give smaller batches")
     if math.prod(array.shape[1:3]) > MAX_PIXELS:
-        problem = f"an image of shape {array.shape[1:]}, but at most {MAX_PIXELS} pixels are taken"
+        problem = f"an image of shape {array.shape[1:]} exceeds the maximum of {MAX_PIXELS} pixels"
         raise InputError(problem, topic=name, remedy="scale it")
     return array
 
 
 def _array(name: str, images: Any) -> np.ndarray:
-    """An array of NumPy's; of a masked one the masked depths are 0."""
+    """Return a NumPy array; masked depths become 0."""
     kind = type(images)
     try:
         if isinstance(images, np.ma.MaskedArray):
@@ -355,59 +352,60 @@ def _array(name: str, images: Any) -> np.ndarray:
         if hasattr(kind, "__dlpack__") and not hasattr(kind, "__array__"):
             return np.from_dlpack(images)
         return np.asarray(images)
-    except Exception as error:  # what JAX traces is no array, and that of a GPU none of NumPy's
+    except Exception as error:  # e.g. a traced JAX array, or an array on a GPU
         remedy = "give NumPy arrays"
         if kind.__module__.startswith("jax"):
             remedy += "; a Detector can't be called under jax.jit, jax.vmap or jax.grad"
-        elif said := str(error).partition("\n")[0]:
-            remedy += f" ({said})"
-        raise InputError(f"{kind.__name__} is no array", topic=name, remedy=remedy) from error
+        elif reason := str(error).partition("\n")[0]:
+            remedy += f" ({reason})"
+        problem = f"expected an array, got {kind.__name__}"
+        raise InputError(problem, topic=name, remedy=remedy) from error
 
 
 def world_poses(values: Any, count: int) -> np.ndarray:
-    """Poses ``(count, 4, 4)`` float64; those with a NaN are unknown.
+    """Return poses ``(count, 4, 4)`` float64; those with a NaN are unknown.
 
     Raises:
-        InputError: They are something else.
+        InputError: They have another type or shape, or are not rigid transforms.
     """
     poses = numbers("T_world_camera", values, np.float64)
     if poses.shape != (count, 4, 4):
-        problem, remedy = f"shape {poses.shape}", "give a (4, 4) matrix for each frame"
+        problem, remedy = f"shape {poses.shape}", "give a (4, 4) matrix per frame"
         raise InputError(problem, topic="T_world_camera", remedy=remedy)
     for T in poses[~np.isnan(poses).any(axis=(1, 2))]:
         if not is_rigid(T):
-            remedy = "give (4, 4) matrices of rigid motions, in metres, NaN where unknown"
-            raise InputError("is no rigid motion", topic="T_world_camera", remedy=remedy)
+            remedy = "give (4, 4) matrices in metres, NaN where unknown"
+            raise InputError("is not a rigid transform", topic="T_world_camera", remedy=remedy)
     return poses
 
 
 def times(name: str, values: Any) -> np.ndarray:
-    """Times ``(B,)`` int64 [ns].
+    """Return timestamps ``(B,)`` int64 [ns].
 
     Raises:
-        InputError: They are something else, for instance seconds in floats.
+        InputError: They have another type or shape, for instance seconds in floats.
     """
-    found = _array(name, values)
-    if found.dtype.kind == "M":
-        if np.isnat(found).any():
-            raise InputError("NaT is no time", topic=name, remedy="leave the frame out")
-        found = found.astype("M8[ns]").astype(np.int64)
-    whole = found.dtype.kind in "iu" or not found.size
-    if not whole or found.max(initial=0) > np.iinfo(np.int64).max:
-        problem = f"{found.dtype} are no whole numbers of 64 bits"
-        raise InputError(problem, topic=name, remedy="give integers, in nanoseconds")
-    if found.ndim != 1:
-        raise InputError(f"shape {found.shape}", topic=name, remedy="give (B,)")
-    return found.astype(np.int64)
+    array = _array(name, values)
+    if array.dtype.kind == "M":
+        if np.isnat(array).any():
+            raise InputError("must not be NaT", topic=name, remedy="leave the frame out")
+        array = array.astype("M8[ns]").astype(np.int64)
+    whole = array.dtype.kind in "iu" or not array.size
+    if not whole or array.max(initial=0) > np.iinfo(np.int64).max:
+        problem = f"expected integers of 64 bits in nanoseconds, got {array.dtype}"
+        raise InputError(problem, topic=name)
+    if array.ndim != 1:
+        raise InputError(f"shape {array.shape}", topic=name, remedy="give (B,)")
+    return array.astype(np.int64)
 
 
 def one_of(name: str, value: Any, literal: Any) -> None:
-    """Refuses a word that is none of a Literal's.
+    """Check that a value is one of a Literal's.
 
     Raises:
-        ConfigError: It is none.
+        ConfigError: It is not.
     """
-    known = get_args(literal)
-    if not isinstance(value, str) or value not in known:
-        remedy = f"use one of {', '.join(known)}"
+    allowed = get_args(literal)
+    if not isinstance(value, str) or value not in allowed:
+        remedy = f"use one of {', '.join(allowed)}"
         raise ConfigError(named_type(value), topic=name, remedy=remedy)

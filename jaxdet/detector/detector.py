@@ -1,6 +1,6 @@
-"""The detector: a calibration and a configuration, ready for frames."""
+"""Detector of obstacles in frames in memory."""
 
-# So that help() shows ArrayLike, not the union that it stands for.
+# So that help() shows ArrayLike, not its union.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
@@ -38,38 +38,38 @@ if TYPE_CHECKING:
     from jaxdet.io import Batch, Log
 
 RUN_BATCH = 16
-"""Frames of a log that are computed together."""
+"""Default number of frames per batch of a log."""
 
 
 class Detector:
-    """Find the obstacles in depth images of one camera, as ``jaxdet run`` does.
+    """Detect obstacles in depth images of a camera, as ``jaxdet run`` does.
 
-    Only depth is read; colour is for pictures and for the preset ``paper``. The floor is searched
-    in each frame's own depth, around the ``mount`` where one is given. Results do not depend on how
-    many frames are given at once, and nothing is carried from frame to frame. A detector may be
-    called from one thread at a time.
+    Only depth is used; colour is for pictures and for the preset ``paper``. The floor is estimated
+    from the depth of each frame, near the ``mount`` if there is one. Results do not depend on the
+    batch size, and the detector has no state between frames. It may be called from one thread at a
+    time.
 
     Args:
-        K: Camera of the depth images: a matrix ``(3, 3)`` or ``fx fy cx cy`` [pixel] of images
-            without distortion, or :class:`jaxdet.Intrinsics`, which can have a lens. Of depth that
-            is aligned to colour this is the colour camera.
-        color_K: Colour camera in the same form, where colour images have pixels of their own; boxes
-            are then in the colour image. :class:`jaxdet.Intrinsics`, unless a colour image comes
-            with the first frame. None: colour has the pixels of depth, or there is none.
-        T_color_depth: ``(4, 4)``, takes points of the depth camera's optical frame to the colour
-            camera's [m]; or :class:`jaxdet.Extrinsics`. Given with ``color_K``.
-        depth_unit_m: Metres in a unit of a uint16 depth image; depth in floats is in metres and is
-            rounded to this unit.
-        color_order: Of the channels of colour images: ``rgb``, or ``bgr`` as OpenCV has them.
-        mount: How the camera is mounted, as far as known: each frame's own depth corrects it by at
-            most ``floor.max_turn_deg`` and ``floor.max_shift_m``. None: what the configuration
-            says, else each frame is searched alone.
+        K: Camera of the depth images: a matrix ``(3, 3)`` or ``fx fy cx cy`` [pixel] for images
+            without distortion, or :class:`jaxdet.Intrinsics` with a lens model. For depth that is
+            aligned to colour it is the colour camera.
+        color_K: Colour camera in the same form, if colour images are not aligned with depth; boxes
+            are then in the colour image. :class:`jaxdet.Intrinsics`, unless the first frame has a
+            colour image. None: colour is aligned with depth, or not used.
+        T_color_depth: Transform ``(4, 4)`` from the depth camera's optical frame to the colour
+            camera's [m], or :class:`jaxdet.Extrinsics`; required with ``color_K``.
+        depth_unit_m: Metres per unit of a uint16 depth image; float depth is in metres and rounded
+            to this unit.
+        color_order: Channel order of colour images: ``rgb``, or ``bgr`` as in OpenCV.
+        mount: Camera mounting, the prior of the floor; the depth of each frame corrects it by at
+            most ``floor.max_turn_deg`` and ``floor.max_shift_m``. None: the prior of the
+            configuration, if any.
         config: Name of a preset, a TOML file, a ``config.json`` of results, or a
             :class:`jaxdet.Config`.
-        backend: ``jax``, compiled, or ``reference``, plain NumPy; equal results.
+        backend: ``jax`` (compiled) or ``reference`` (plain NumPy), with equal results.
 
     Raises:
-        CalibrationError: No camera has such a calibration; says which argument is wrong.
+        CalibrationError: The calibration is implausible; the error names the argument.
         ConfigError: There is no such preset, file, order or backend.
 
     Example:
@@ -80,7 +80,7 @@ class Detector:
     """
 
     config: Config
-    """The method's parameters."""
+    """Parameters of the method."""
 
     def __init__(
         self,
@@ -118,15 +118,15 @@ class Detector:
         config: Config | str | PathLike[str] = "wheeled",
         backend: BackendName = "jax",
     ) -> Self:
-        """A detector for the frames of an open log: its calibration, and its floor.
+        """Build a detector for the frames of an open log, with its calibration and floor prior.
 
-        As ``jaxdet run`` does, it takes what flags (``config.ground``), TF and a sample of the
-        log's frames say of the floor as what each frame's floor is looked for around.
+        As in ``jaxdet run``, the prior of the floor comes from flags (``config.ground``), TF or a
+        sample of the log's frames.
 
         Args:
-            log: Of :func:`jaxdet.open_log`.
-            config: As above.
-            backend: As above.
+            log: Log from :func:`jaxdet.open_log`.
+            config: See :class:`Detector`.
+            backend: See :class:`Detector`.
 
         Raises:
             InputError: ``ground.source`` is tf and the log has no usable transform.
@@ -150,34 +150,34 @@ class Detector:
         stamp_ns: int = 0,
         T_world_camera: ArrayLike | None = None,
     ) -> FrameResult:
-        """Finds the obstacles in one frame.
+        """Detect the obstacles in one frame.
 
         Args:
-            depth: ``(Hd, Wd)``, uint16 in units of ``depth_unit_m``, 0 = no measurement, or floats
-                in metres, where NaN, infinity and what is not above 0 are no measurement; nor is
-                what an array of :mod:`numpy.ma` masks. Anything that NumPy takes as an array.
-            color: ``(H, W, 3)`` or grey ``(H, W)``, uint8, for :meth:`FrameResult.draw`; the preset
-                ``paper`` finds corners in it.
-            mount: What is known of this frame's floor, for instance from an IMU
-                (:meth:`Mount.from_gravity`); None: the detector's own.
-            stamp_ns: Time of the frame, a whole number [ns], which the result repeats; a detector
-                of a log with ``ground.window_s`` has a floor for each time window.
-            T_world_camera: ``(4, 4)``, takes points of the depth camera's optical frame to the
-                world [m], for :attr:`Obstacle.corners_world`.
+            depth: Depth image ``(Hd, Wd)``, any array-like: uint16 in units of ``depth_unit_m``, 0
+                = no measurement, or floats in metres. NaN, infinity, values of 0 or less, and
+                masked values of :mod:`numpy.ma` mean "no measurement".
+            color: Colour ``(H, W, 3)`` or grey image ``(H, W)``, uint8, for
+                :meth:`FrameResult.draw`; the preset ``paper`` finds corners in it.
+            mount: Prior of this frame's floor, for instance from an IMU
+                (:meth:`Mount.from_gravity`); None: the detector's.
+            stamp_ns: Timestamp of the frame, an integer [ns], copied to the result; it selects the
+                time window's floor if the detector is from a log with ``ground.window_s``.
+            T_world_camera: Pose ``(4, 4)`` of the depth camera's optical frame in the world [m],
+                for :attr:`Obstacle.corners_world`.
 
         Returns:
-            The obstacles, in the order of their labels. The images can be written to again.
+            The obstacles, in the order of their labels. The images may be overwritten afterwards.
 
         Raises:
-            InputError: The images are no such arrays.
-            CalibrationError: They are of another size than the calibration.
+            InputError: The images have another type or shape.
+            CalibrationError: Their size differs from the calibration.
         """
         poses = None
         if T_world_camera is not None:
             poses = numbers("T_world_camera", T_world_camera, np.float64)[None]
-        given = one_frame("depth", depth), None if color is None else one_frame("color", color)
+        images = one_frame("depth", depth), None if color is None else one_frame("color", color)
         mounts = None if mount is None else [mount]
-        return self.batch(*given, mounts=mounts, stamps_ns=[stamp_ns], T_world_camera=poses)[0]
+        return self.batch(*images, mounts=mounts, stamps_ns=[stamp_ns], T_world_camera=poses)[0]
 
     def batch(
         self,
@@ -188,22 +188,22 @@ class Detector:
         stamps_ns: ArrayLike | None = None,
         T_world_camera: ArrayLike | Sequence[ArrayLike] | None = None,
     ) -> BatchResult:
-        """Finds the obstacles in ``B`` frames, together.
+        """Detect the obstacles in a batch of ``B`` frames.
 
         Args:
-            depth: ``(B, Hd, Wd)``, uint16 or floats in metres; or a sequence of frames.
-            color: ``(B, H, W, 3)`` or grey ``(B, H, W)``, uint8, or a sequence of frames; None:
-                without.
-            mounts: What is known of the floor of each; None, of one or of all: the detector's own.
-            stamps_ns: ``(B,)`` integers [ns] or datetime64; None: 0.
-            T_world_camera: ``(B, 4, 4)``, NaN where unknown; None: not known.
+            depth: Depth images ``(B, Hd, Wd)``, uint16 or floats in metres, or a sequence of them.
+            color: Colour ``(B, H, W, 3)`` or grey images ``(B, H, W)``, uint8, or a sequence of
+                them; None: no images.
+            mounts: Prior of each frame's floor; None, for one or all: the detector's.
+            stamps_ns: Timestamps ``(B,)``, integers [ns] or datetime64; None: 0.
+            T_world_camera: Poses ``(B, 4, 4)``, NaN if unknown; None: all unknown.
 
         Returns:
-            A sequence of what :meth:`__call__` returns for each, and the arrays behind them.
+            A sequence of the results of :meth:`__call__` for each frame, with their arrays.
 
         Raises:
-            InputError: The images are no such arrays, or there are not as many of each.
-            CalibrationError: They are of another size than the calibration.
+            InputError: The images have another type or shape, or the numbers of frames differ.
+            CalibrationError: Their size differs from the calibration.
         """
         depths = depth_images(depth, self._cameras.depth_unit_m)
         colors = None if color is None else color_images(color, self._order)
@@ -211,14 +211,14 @@ class Detector:
         stamps = times("stamps_ns", [0] * count if stamps_ns is None else stamps_ns)
         poses = None if T_world_camera is None else world_poses(T_world_camera, count)
         if mounts is not None and not isinstance(mounts, Sequence):
-            problem = f"{type(mounts).__name__} is no sequence of them"
-            raise InputError(problem, topic="mounts", remedy="give a list of jaxdet.Mount")
-        for name, of_each in (("color", colors), ("stamps_ns", stamps), ("mounts", mounts)):
-            if of_each is not None and len(of_each) != count:
+            problem = f"expected a list of jaxdet.Mount, got {type(mounts).__name__}"
+            raise InputError(problem, topic="mounts")
+        for name, values in (("color", colors), ("stamps_ns", stamps), ("mounts", mounts)):
+            if values is not None and len(values) != count:
                 raise InputError(
-                    f"{len(of_each)} for {count} depth images",
+                    f"{len(values)} for {count} depth images",
                     topic=name,
-                    remedy="give one for every frame",
+                    remedy="give one per frame",
                 )
         shape = None if colors is None else colors.shape
         calibration = self._cameras.calibration(depths.shape, shape)
@@ -231,25 +231,25 @@ class Detector:
 
         batch = Batch(frames, (FrameStatus.OK,) * count, ("",) * count)
         with untraced():
-            return self._found(batch, *self._known(frames, mounts))
+            return self._detect(batch, *self._priors(frames, mounts))
 
     def run(
         self, log: Log, batch_size: int = RUN_BATCH, *, color: bool = False
     ) -> Iterator[FrameResult]:
-        """Finds the obstacles in every frame of the log that the detector was made from.
+        """Detect the obstacles in every frame of the log of :meth:`from_log`.
 
-        The results are what ``jaxdet run`` writes, frame by frame; frames that can't be used have
-        a status that says so and no obstacles.
+        The results equal those of ``jaxdet run``; unusable frames have no obstacles and another
+        status than ``ok``.
 
         Args:
-            log: Of :func:`jaxdet.open_log`.
-            batch_size: Frames computed together; changes no result.
-            color: Whether to read colour images as well, for :meth:`FrameResult.draw`; the preset
-                ``paper`` always does.
+            log: Log from :func:`jaxdet.open_log`.
+            batch_size: Frames per batch; does not change the results.
+            color: Whether to read colour images, for :meth:`FrameResult.draw`; the preset ``paper``
+                always does.
 
         Raises:
-            InputError: The detector is of another log, or a batch has no frame.
-            RescanError: The log isn't as its index lets expect.
+            InputError: The detector is for another log, or the batch size is below 1.
+            RescanError: The log contradicts its index.
         """
         remedy = "make it with Detector.from_log"
         from jaxdet.engine.color import method_frames
@@ -260,7 +260,7 @@ class Detector:
         of_type("log", log, Log)
         size = whole_number("batch_size", batch_size)
         if size < 1:
-            raise InputError(f"batches of {size}", topic="batch_size", remedy="give 1 or more")
+            raise InputError(f"must be at least 1, not {size}", topic="batch_size")
         if self._log != (log.label, log.calibration):
             problem = f"the detector was made from {self._log[0]!r}, not from {log.label!r}"
             raise InputError(problem, topic="log", remedy=remedy)
@@ -270,61 +270,60 @@ class Detector:
         for batch in log.batches(together, color=color or paper, need_color=paper):
             if paper:
                 batch = batch._replace(frames=method_frames(batch.frames, self.config))
-            yield from self._found(batch, *self._known(batch.frames, None))
+            yield from self._detect(batch, *self._priors(batch.frames, None))
 
-    def _known(
+    def _priors(
         self, frames: Frames, mounts: Sequence[Mount | None] | None
     ) -> tuple[GroundPlane, list[str]]:
-        """What is known of each frame's floor, and where that comes from."""
+        """Return the prior of each frame's floor, and its source."""
         count = len(frames.stamp_ns)
         if self.config.ground.source == "none":
             return unknown_plane(count), ["none"] * count
-        told = [_checked(mount) or self._mount for mount in mounts or [None] * count]
-        if not any(told):
-            return self._known_without(frames)
-        nothing = unknown_plane(count), ["none"] * count
-        others, sources = nothing if all(told) else self._known_without(frames)
+        mounted = [_checked(mount) or self._mount for mount in mounts or [None] * count]
+        if not any(mounted):
+            return self._priors_without_mount(frames)
+        unknown = unknown_plane(count), ["none"] * count
+        others, sources = unknown if all(mounted) else self._priors_without_mount(frames)
         planes = [
             mount.plane if mount else GroundPlane(*(part[row : row + 1] for part in others))
-            for row, mount in enumerate(told)
+            for row, mount in enumerate(mounted)
         ]
-        pairs = zip(told, sources, strict=True)
+        pairs = zip(mounted, sources, strict=True)
         return join_planes(planes), ["mount" if mount else source for mount, source in pairs]
 
-    def _known_without(self, frames: Frames) -> tuple[GroundPlane, list[str]]:
-        """The same where no mount is given."""
+    def _priors_without_mount(self, frames: Frames) -> tuple[GroundPlane, list[str]]:
+        """Return the priors of the log or the configuration, and their sources."""
         if self._planes is not None:
             stamps = frames.stamp_ns
             return self._planes.of(stamps), self._planes.sources(stamps)
         plane, ground = floor_prior(frames, self.config), self.config.ground
         stated = ground.camera_height_m is not None or ground.source == "none"
         if self.config.cluster.points and not stated:
-            found = estimate_plane(frames, self.config, backend=self._backend)
-            plane = repeat_plane(found.plane, len(frames.depth))
-        return plane, ["mount" if known else "none" for known in plane.valid.tolist()]
+            estimate = estimate_plane(frames, self.config, backend=self._backend)
+            plane = repeat_plane(estimate.plane, len(frames.depth))
+        return plane, ["mount" if valid else "none" for valid in plane.valid.tolist()]
 
-    def _found(self, batch: Batch, plane: GroundPlane, sources: list[str]) -> BatchResult:
+    def _detect(self, batch: Batch, plane: GroundPlane, sources: list[str]) -> BatchResult:
         from jaxdet.signals import stops_held_back
 
         frames = batch.frames._replace(plane=plane)
         with stops_held_back():
-            found = detect(frames, self.config, backend=self._backend, with_cells=True)
-            found = to_host(found)
-        rows = batch_rows("", "", batch, plane, sources, row_inputs(found), self.config)
-        return BatchResult(batch, found, rows, self.config, self._order)
+            detections = detect(frames, self.config, backend=self._backend, with_cells=True)
+            detections = to_host(detections)
+        rows = batch_rows("", "", batch, plane, sources, row_inputs(detections), self.config)
+        return BatchResult(batch, detections, rows, self.config, self._order)
 
 
 def _checked(mount: Mount | None) -> Mount | None:
     if mount is not None and not isinstance(mount, Mount):
-        said = f"{mount!r}" if isinstance(mount, int | float) else type(mount).__name__
-        raise ConfigError(
-            f"{said} is none", topic="mount", remedy="give jaxdet.Mount(height_m, pitch_rad)"
-        )
+        got = f"{mount!r}" if isinstance(mount, int | float) else type(mount).__name__
+        problem = f"must be a jaxdet.Mount, got {got}"
+        raise ConfigError(problem, topic="mount", remedy="give jaxdet.Mount(height_m, pitch_rad)")
     return mount
 
 
 def _prepare() -> None:
-    """Compiled programs are kept between runs, and Warp writes nothing to standard output."""
+    """Enable the caches of compiled programs, and start Warp without output."""
     import jax
 
     from jaxdet.engine import use_caches

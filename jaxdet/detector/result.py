@@ -1,4 +1,4 @@
-"""What was found, as objects: a batch, its frames, their obstacles."""
+"""Results as objects: a batch, its frames, their obstacles."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -24,41 +24,40 @@ if TYPE_CHECKING:
 
 
 class FreeFloorLine(NamedTuple):
-    """Free floor, a place for each column of depth cells that shows anything, left to right."""
+    """Free floor per column of depth cells that shows anything, from left to right."""
 
     bearing_rad: np.ndarray
-    """``(C,)`` float32, of its end, clockwise from above, 0 ahead."""
+    """Bearing of its end, ``(C,)`` float32, clockwise from above, 0 ahead [rad]."""
     from_m: np.ndarray
-    """``(C,)`` float32, distance from the camera's foot on the floor to where it begins [m]."""
+    """Distance of its start from the camera's ground projection, ``(C,)`` float32 [m]."""
     to_m: np.ndarray
-    """``(C,)`` float32, and to where it ends [m]."""
+    """Distance of its end, ``(C,)`` float32 [m]."""
     end: np.ndarray
-    """``(C,)`` int8, what ends it, see :class:`jaxdet.types.FreeEnd`."""
+    """Kind of end, ``(C,)`` int8, see :class:`jaxdet.types.FreeEnd`."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Obstacle:
-    """One obstacle. The values are those of its row in ``obstacles.parquet``.
+    """An obstacle, with the values of its row in ``obstacles.parquet``.
 
     Attributes:
-        label: Number in its frame, by the least depth that the depth camera measured of it: 0 is
-            not always the nearest. The value of its pixels in :attr:`FrameResult.labels`.
-        distance_m: From the camera's foot on the floor to its nearest point [m].
-        box: First column and row, last column and row of it [pixel], in the colour image of a
-            calibrated colour camera, else in the depth image; None where it is outside of the
-            colour image.
-        xyz_min: ``(3,)`` float32, least x, y and z in the camera's optical frame [m].
-        xyz_max: ``(3,)`` float32, largest x, y and z [m].
-        centroid: ``(3,)`` float32, x, y and z [m].
-        bottom_m: Its lowest cell seen above the floor [m], what stands on it has about the step's
-            height; None where the floor is not known.
-        top_m: Its highest cell above the floor [m]; None likewise.
-        contour: ``(P, 2)`` float32, its visible edge on the floor from left to right, right and
+        label: Number in its frame, in the order of smallest depth, so that 0 is not always the
+            nearest; the value of its pixels in :attr:`FrameResult.labels`.
+        distance_m: Distance from the camera's ground projection to its nearest point [m].
+        box: First column and row, last column and row [pixel], in the colour image of a calibrated
+            colour camera, else in the depth image; None if outside of the colour image.
+        xyz_min: Minimum x, y and z in the camera's optical frame, ``(3,)`` float32 [m].
+        xyz_max: Maximum x, y and z, ``(3,)`` float32 [m].
+        centroid: Centroid x, y and z, ``(3,)`` float32 [m].
+        bottom_m: Height of its lowest visible cell above the floor [m], about the step height for
+            objects that stand on it; None if the floor is unknown.
+        top_m: Height of its highest cell above the floor [m]; None if the floor is unknown.
+        contour: Its visible edge on the floor from left to right, ``(P, 2)`` float32, right and
             forward of the camera [m]; None for clusters of points.
-        corners: ``(4, 2)`` float32, its outline on the floor, right and forward [m].
-        corners_world: ``(4, 2)`` float64, the same in the world, X and Y [m]; None without a pose
-            or a floor.
-        num_points: Its depth cells; in the preset ``paper`` its corners.
+        corners: Its outline on the floor, ``(4, 2)`` float32, right and forward [m].
+        corners_world: The outline in the world, ``(4, 2)`` float64, X and Y [m]; None without a
+            pose or a floor.
+        num_points: Number of its depth cells; in the preset ``paper`` of its corners.
     """
 
     label: int
@@ -81,18 +80,18 @@ class Obstacle:
 
     @property
     def points(self) -> np.ndarray:
-        """``(num_points, 3)`` float32, its points in the camera's optical frame, x, y and z [m]."""
+        """Its points in the camera's optical frame, ``(num_points, 3)`` float32 [m]."""
         return self.frame.points[self.frame.point_labels == self.label]
 
     def mask(self) -> np.ndarray:
-        """``(H, W)`` bool, its pixels, see :attr:`FrameResult.labels`."""
+        """Return the mask of its pixels, ``(H, W)`` bool, see :attr:`FrameResult.labels`."""
         return self.frame.labels == self.label
 
 
 class FrameResult(Sequence[Obstacle]):
-    """What was found in a frame: a sequence of its obstacles, in the order of their labels.
+    """Result of a frame: a sequence of its obstacles, in the order of their labels.
 
-    It keeps the arrays of its batch, images included, some 1.3 MB per frame without colour.
+    It keeps the arrays of its batch, including images: 1.3 MB per frame without colour.
     """
 
     def __init__(self, batch: "BatchResult", row: int) -> None:
@@ -103,7 +102,7 @@ class FrameResult(Sequence[Obstacle]):
     @overload
     def __getitem__(self, index: slice) -> tuple[Obstacle, ...]: ...
     def __getitem__(self, index: Any) -> Any:
-        """An obstacle by its label, or some."""
+        """Return an obstacle by its label, or a slice of them."""
         return self.obstacles[index]
 
     def __len__(self) -> int:
@@ -115,37 +114,37 @@ class FrameResult(Sequence[Obstacle]):
 
     @property
     def number(self) -> int:
-        """Number in the log or in the batch, from 0."""
+        """Frame number in the log or in the batch, from 0."""
         return int(self._batch.frames.number[self._row])
 
     @property
     def stamp_ns(self) -> int:
-        """Time of the depth image [ns]."""
+        """Timestamp of the depth image [ns]."""
         return int(self._batch.frames.stamp_ns[self._row])
 
     @property
     def status(self) -> FrameStatus:
-        """``ok``, or why nothing can be said, for instance ``no_depth``."""
+        """``ok``, or the reason why there is no result, for instance ``no_depth``."""
         return FrameStatus(self._column("status"))
 
     @property
     def error(self) -> str:
-        """Why a frame of a log can't be used; empty where it can."""
+        """Reason why a frame of a log is unusable, else empty."""
         return self._batch.errors[self._row]
 
     @cached_property
     def obstacles(self) -> tuple[Obstacle, ...]:
-        """The obstacles, in the order of their labels."""
+        """Obstacles, in the order of their labels."""
         return tuple(self._batch.obstacles_of(self, self._row))
 
     @property
     def nearest_m(self) -> float | None:
-        """Distance of the nearest obstacle [m]; None where there is none."""
+        """Distance of the nearest obstacle [m], or None."""
         return min((obstacle.distance_m for obstacle in self.obstacles), default=None)
 
     @property
     def floor(self) -> Mount | None:
-        """The camera above the floor that was used; None where no floor is known."""
+        """Camera pose relative to the floor that was used; None if the floor is unknown."""
         plane = self._batch.rows.plane
         if not plane.valid[self._row]:
             return None
@@ -153,26 +152,26 @@ class FrameResult(Sequence[Obstacle]):
 
     @property
     def floor_source(self) -> str:
-        """Where that comes from: ``frame`` (its own depth), ``mount`` (what was given) or ``none``.
+        """Source of the floor: ``frame`` (its own depth), ``mount`` (the prior) or ``none``.
 
-        Of a log's frames what the table has: ``window``, ``log``, ``tf`` or ``flags`` as well.
+        For frames of a log also ``window``, ``log``, ``tf`` or ``flags``, as in the table.
         """
         return str(self._column("floor_source"))
 
     @property
     def floor_refused(self) -> str | None:
-        """Why the frame's own depth did not decide: a :class:`jaxdet.types.Refusal`, or None."""
+        """Reason why the frame's floor was refused, a :class:`jaxdet.types.Refusal`, or None."""
         reason = self._column("floor_refused")
         return None if reason is np.ma.masked else str(reason)
 
     @property
     def overflow(self) -> bool:
-        """Whether there was more than there is room for, see the table."""
+        """Whether obstacles may be lost, as there were too many; see the table."""
         return bool(self._column("overflow"))
 
     @property
     def free_floor(self) -> FreeFloorLine | None:
-        """Free floor; None for clusters of points and where the frame can't be used."""
+        """Free floor; None for clusters of points and unusable frames."""
         names = ("free_bearing_rad", "free_from_m", "free_to_m", "free_end")
         lists: list[Lists] = [self._batch.rows.frames[name] for name in names]
         if lists[0].null[self._row]:
@@ -182,16 +181,16 @@ class FrameResult(Sequence[Obstacle]):
 
     @property
     def drop_m(self) -> float | None:
-        """Distance of the nearest drop [m]; None where there is none."""
+        """Distance of the nearest drop [m], or None."""
         value = float(self._column("drop_m"))
         return None if np.isnan(value) else value
 
     @cached_property
     def labels(self) -> np.ndarray:
-        """``(H, W)`` int32, the obstacle of each pixel of the image of boxes, -1 = none.
+        """Obstacle label of each pixel of the image that boxes refer to, ``(H, W)`` int32, or -1.
 
-        As fine as depth cells are (3 to 4 pixels of a depth image); where several cells cover a
-        pixel, that of the nearest.
+        Labels have the resolution of depth cells (3 to 4 pixels of a depth image). If several cells
+        cover a pixel, the nearest one wins.
 
         Raises:
             ConfigError: Obstacles are clusters of points.
@@ -210,12 +209,12 @@ class FrameResult(Sequence[Obstacle]):
 
     @property
     def points(self) -> np.ndarray:
-        """``(P, 3)`` float32, the points of all obstacles in the camera's optical frame [m]."""
+        """Points of all obstacles in the camera's optical frame, ``(P, 3)`` float32 [m]."""
         return self._labelled[0]
 
     @property
     def point_labels(self) -> np.ndarray:
-        """``(P,)`` int32, the obstacle of each."""
+        """Obstacle label of each point, ``(P,)`` int32."""
         return self._labelled[1]
 
     @cached_property
@@ -229,11 +228,11 @@ class FrameResult(Sequence[Obstacle]):
         """Draw a picture as ``jaxdet run`` does.
 
         Args:
-            color: Colour image of the frame; None: the one that the detector was given, and
-                without one the depth image in colours.
+            color: Colour image of the frame; None: the detector's colour image, else the depth
+                image in false colours.
 
         Returns:
-            ``(h, w, 3)`` uint8, RGB, some 1280 pixels wide.
+            Picture ``(h, w, 3)`` uint8, RGB, about 1280 pixels wide.
         """
         from jaxdet.render import draw_frame
 
@@ -254,13 +253,12 @@ class FrameResult(Sequence[Obstacle]):
 
 
 class BatchResult(Sequence[FrameResult]):
-    """What was found in a batch: a sequence of frames, and the arrays behind them.
+    """Result of a batch: a sequence of frame results, and their arrays.
 
     Attributes:
-        frames: The frames; ``frames.plane`` is the floor of each.
-        found: All that was found, NumPy arrays with a padded axis, see
-            :class:`jaxdet.Detections`.
-        rows: The columns of the two tables.
+        frames: Frames; ``frames.plane`` is the floor of each.
+        found: Detections as NumPy arrays with a padded axis, see :class:`jaxdet.Detections`.
+        rows: Columns of the two tables.
     """
 
     def __init__(
@@ -284,14 +282,14 @@ class BatchResult(Sequence[FrameResult]):
     @overload
     def __getitem__(self, index: slice) -> list[FrameResult]: ...
     def __getitem__(self, index: Any) -> Any:
-        """A frame's result by its place in the batch, or some."""
+        """Return a frame's result by its index in the batch, or a slice of them."""
         rows = range(len(self))[index]
         if isinstance(rows, range):
             return [FrameResult(self, row) for row in rows]
         return FrameResult(self, rows)
 
     def obstacles_of(self, frame: FrameResult, row: int) -> Iterator[Obstacle]:
-        """The obstacles of a frame, from their rows."""
+        """Yield the obstacles of a frame from their rows."""
         columns = self.rows.obstacles
         contours: Lists = columns["contour"]
         for at in range(self._first[row], self._first[row + 1]):

@@ -1,1 +1,1 @@
-"""The floor: planes on the host, integer frames and units for the kernels, a log's sample."""
+"""Floor: planes on the host, integer frames and units for the kernels, sampled floor of a log."""

@@ -1,7 +1,7 @@
-"""The floor of each frame in integers: where points lie on it, and how high above it.
+"""Floor of each frame in integers: position of points on it, and height above it.
 
-Angles are whole :data:`ANGLES` of a degree, and sines come from one table, so that all that
-follows is a sum, a product or a shift of integers.
+Angles are integer steps, :data:`ANGLES` per degree, and sines come from a table, so that all
+further operations are sums, products and shifts of integers.
 """
 
 import numpy as np
@@ -11,27 +11,27 @@ from jaxdet.types import GroundPlane
 
 FRAME_BITS = 13  # fraction bits of the axes of a floor frame
 FLOOR_VALUES = 13
-"""Integers of a floor frame: right, forward and down in the camera (three each, ``FRAME_BITS``
-fraction bits), height of the optical centre [depth units], whether the floor is known, where a ramp
-begins [depth units], and its rise over its run (``FRAME_BITS`` fraction bits)."""
+"""Number of integers of a floor frame: right, forward and down in the camera (three each,
+``FRAME_BITS`` fraction bits), height of the optical centre [depth units], whether the floor is
+known, start of a ramp [depth units], and its slope (``FRAME_BITS`` fraction bits)."""
 DOWN, CAMERA_HEIGHT, IS_KNOWN = slice(6, 9), 9, 10
-"""Where down, the height and whether the floor is known are among them."""
-UNKNOWN_HEIGHT = 1 << 20  # of everything, where the floor is not known [depth units]
-STEEPEST_SLOPE = 8  # rise over run of a ramp, at most
+"""Indices of down, the height and whether the floor is known."""
+UNKNOWN_HEIGHT = 1 << 20  # height of every point if the floor is unknown [depth units]
+STEEPEST_SLOPE = 8  # maximum slope of a ramp, rise over run
 
 
 def floor_frames(plane: GroundPlane, depth_unit: float) -> np.ndarray:
-    """The floor of each frame as integers.
+    """Return the floor of each frame as integers.
 
     With pitch p and roll r rounded to whole steps, right is ``(cos r, -sin r, 0)``, forward
     ``(-sin r sin p, -cos r sin p, cos p)`` and down ``(sin r cos p, cos r cos p, sin p)``.
 
     Args:
-        plane: ``B`` planes; of one that is not known, the camera is taken as level.
-        depth_unit: Metres in one depth unit.
+        plane: ``B`` planes; a level camera is assumed if one is unknown.
+        depth_unit: Metres per depth unit.
 
     Returns:
-        ``(B, FLOOR_VALUES)`` int32.
+        Floor frames ``(B, FLOOR_VALUES)`` int32.
 
     Example:
         >>> from jaxdet.floor.plane import flat_plane
@@ -53,14 +53,14 @@ def floor_frames(plane: GroundPlane, depth_unit: float) -> np.ndarray:
 
 
 def axes(pitch: np.ndarray, roll: np.ndarray) -> list[np.ndarray | int]:
-    """Right, forward and down in the camera, nine numbers with ``FRAME_BITS`` fraction bits.
+    """Return right, forward and down in the camera, nine numbers with ``FRAME_BITS`` fraction bits.
 
     Args:
-        pitch: ``(B,)`` integer [angle steps].
-        roll: Likewise.
+        pitch: Pitch ``(B,)`` integer [angle steps].
+        roll: Roll ``(B,)`` integer [angle steps].
 
     Returns:
-        Each ``(B,)``, or 0.
+        Nine components, each ``(B,)`` or 0.
     """
     turn, quarter = 180 * ANGLES, 90 * ANGLES
     sin_p, cos_p, sin_r, cos_r = (
@@ -77,17 +77,17 @@ def axes(pitch: np.ndarray, roll: np.ndarray) -> list[np.ndarray | int]:
 
 
 def on_floor(frame: np.ndarray, xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points on the floor, and their height above it.
+    """Project points onto the floor, and compute their height above it.
 
-    A ramp raises the floor by its slope times what a point is beyond its start.
+    A ramp raises the floor by its slope times the distance of a point beyond its start.
 
     Args:
-        frame: ``(FLOOR_VALUES,)`` int32, of :func:`floor_frames`.
-        xyz: ``(3, ...)`` int64, colour optical frame [depth units].
+        frame: Floor frame ``(FLOOR_VALUES,)`` int32, from :func:`floor_frames`.
+        xyz: Points ``(3, ...)`` int64, camera optical frame [depth units].
 
     Returns:
-        Right, forward and height, each ``(...)`` int64, rounded to depth units; over a floor that
-        is not known everything is ``UNKNOWN_HEIGHT`` high.
+        Right, forward and height, each ``(...)`` int64, rounded to depth units; the height is
+        ``UNKNOWN_HEIGHT`` if the floor is unknown.
     """
     values = frame.astype(np.int64)
     along = np.tensordot(values[:9].reshape(3, 3), xyz, axes=1)

@@ -1,4 +1,4 @@
-"""Where a camera is mounted: what a user knows of its floor."""
+"""Camera mounting, given by the user as the prior of the floor."""
 
 import math
 from dataclasses import dataclass
@@ -19,15 +19,15 @@ HIGHEST_M = 20.0
 
 @dataclass(frozen=True)
 class Mount:
-    """How a camera is mounted above its floor.
+    """Camera pose relative to the floor.
 
     Attributes:
-        height_m: Optical centre of the depth camera above the floor [m].
+        height_m: Mounting height: optical centre of the depth camera above the floor [m].
         pitch_rad: Downward tilt [rad]; negative looks up.
-        roll_rad: Clockwise turn about the optical axis as seen from behind the camera [rad].
+        roll_rad: Clockwise rotation about the optical axis seen from behind the camera [rad].
 
     Raises:
-        ConfigError: The height is not between 0 and 20 m, or an angle is none that a camera has.
+        ConfigError: The height is not between 0 and 20 m, or an angle is out of range.
     """
 
     height_m: float
@@ -38,13 +38,13 @@ class Mount:
         for name in ("height_m", "pitch_rad", "roll_rad"):
             value = getattr(self, name)
             if not isinstance(value, Real):
-                said = repr(value[:40]) if isinstance(value, str) else type(value).__name__
-                problem, remedy = f"{said} is no number", "give one, in metres or radians"
-                raise ConfigError(problem, topic=name, remedy=remedy)
+                got = repr(value[:40]) if isinstance(value, str) else type(value).__name__
+                problem = f"expected a number in metres or radians, got {got}"
+                raise ConfigError(problem, topic=name)
             try:
                 float(value)
             except OverflowError as error:
-                problem, remedy = "is too large a number", "give metres or radians"
+                problem, remedy = "number is too large", "give metres or radians"
                 raise ConfigError(problem, topic=name, remedy=remedy) from error
         if not 0 < self.height_m < HIGHEST_M:
             raise ConfigError(
@@ -64,15 +64,15 @@ class Mount:
 
     @classmethod
     def from_gravity(cls, height_m: float, gravity: ArrayLike) -> Self:
-        """From the direction of gravity, for instance of the camera's IMU.
+        """Build a mount from the direction of gravity, for instance from the camera's IMU.
 
         Args:
-            height_m: As above.
-            gravity: ``(3,)``, which way things fall, in the depth camera's optical frame (x right,
-                y down, z forward), of any length. An accelerometer at rest measures the opposite.
+            height_m: Mounting height [m].
+            gravity: Direction of falling ``(3,)`` in the depth camera's optical frame (x right, y
+                down, z forward), of any length. An accelerometer at rest measures the opposite.
 
         Raises:
-            ConfigError: It is no direction.
+            ConfigError: ``gravity`` is not a direction.
 
         Example:
             >>> Mount.from_gravity(0.5, [0.0, 9.81, 0.0])
@@ -81,26 +81,26 @@ class Mount:
         down = numbers("gravity", gravity, np.float64)
         length = float(hypot(hypot(*down[:2]), down[2])) if down.shape == (3,) else math.nan
         if not 0 < length < math.inf:
-            problem = f"an array of shape {down.shape} and length {length:g} is no direction"
+            problem = f"a vector of shape {down.shape} and length {length:g} is not a direction"
             raise ConfigError(problem, topic="gravity", remedy="give three numbers, x y z")
         height = np.array([number("height_m", height_m)])
         return cls._of(plane_from_down(down[None] / length, height))
 
     @classmethod
     def from_transform(cls, T_base_camera: ArrayLike) -> Self:
-        """From the camera's place on a robot whose base frame has its z = 0 on the floor.
+        """Build a mount from the camera's pose on a robot whose base frame has z = 0 on the floor.
 
         Args:
-            T_base_camera: ``(4, 4)``, takes points of the colour optical frame to the base [m].
+            T_base_camera: Transform ``(4, 4)`` from the camera optical frame to the base [m].
 
         Raises:
-            InputError: It is no matrix of a rigid motion.
+            InputError: It is not a rigid transform.
             ConfigError: The camera is not between 0 and 20 m above the floor.
         """
         T = numbers("T_base_camera", T_base_camera, np.float64)
         if T.shape != (4, 4) or not is_rigid(T):
-            problem = f"shape {T.shape}" if T.shape != (4, 4) else "is no rigid motion"
-            remedy = "give a (4, 4) matrix of one, in metres"
+            problem = f"shape {T.shape}" if T.shape != (4, 4) else "is not a rigid transform"
+            remedy = "give a (4, 4) matrix, in metres"
             raise InputError(problem, topic="T_base_camera", remedy=remedy)
         return cls._of(plane_from_transform(T))
 
@@ -110,5 +110,5 @@ class Mount:
 
     @property
     def plane(self) -> GroundPlane:
-        """As a floor of one frame, ``B = 1``."""
+        """Floor of one frame, ``B = 1``."""
         return flat_plane(self.height_m, self.pitch_rad, self.roll_rad)

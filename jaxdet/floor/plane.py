@@ -1,4 +1,4 @@
-"""The floor plane on the host: its directions, and the depth at which a pixel becomes floor.
+"""Floor plane on the host: its directions, and the depth at which a pixel becomes floor.
 
 With pitch ``p`` and roll ``r`` (see :class:`jaxdet.types.GroundPlane`) the direction *down* in
 the camera optical frame is ``(sin r cos p, cos r cos p, sin p)``.
@@ -19,57 +19,58 @@ from jaxdet.errors import InputError
 from jaxdet.types import MAX_LATERAL, Calibration, Frames, GroundPlane, Intrinsics
 
 GROUND_BITS = 13  # fraction bits of the ground frame's axes
-DIRECTIONS = 90  # directions tried for a rectangle, a degree apart
-DIRECTION_BITS = 9  # fraction bits of a direction, short enough for products in 32 bits
+DIRECTIONS = 90  # candidate directions of a rectangle, one per degree
+DIRECTION_BITS = 9  # fraction bits of a direction, few enough for 32-bit products
 
 
 def flat_plane(
     height: ArrayLike, pitch: ArrayLike, roll: ArrayLike, valid: np.ndarray | None = None
 ) -> GroundPlane:
-    """A floor without ramps.
+    """Return a floor without ramps.
 
     Args:
-        height: ``(B,)`` float64, optical centre above the floor [m]; numbers are of one frame.
-        pitch: ``(B,)`` float64 [rad], positive looks down.
-        roll: ``(B,)`` float64 [rad], positive clockwise seen from behind.
-        valid: ``(B,)`` bool; None: all of them.
+        height: Height of the optical centre above the floor, ``(B,)`` float64, or a number for one
+            frame [m].
+        pitch: Pitch ``(B,)`` float64 [rad], positive looks down.
+        roll: Roll ``(B,)`` float64 [rad], positive clockwise seen from behind.
+        valid: Whether each floor is known, ``(B,)`` bool; None: all are.
 
     Raises:
-        InputError: One of them is no array of numbers, or their lengths differ.
+        InputError: An argument is not an array of numbers, or their lengths differ.
     """
-    given = {"height": height, "pitch": pitch, "roll": roll}
-    height, pitch, roll = (np.atleast_1d(numbers(n, a, np.float64)) for n, a in given.items())
+    arrays = {"height": height, "pitch": pitch, "roll": roll}
+    height, pitch, roll = (np.atleast_1d(numbers(n, a, np.float64)) for n, a in arrays.items())
     valid = np.ones(height.shape, bool) if valid is None else np.asarray(valid, bool)
     if not height.shape == pitch.shape == roll.shape == valid.shape or height.ndim != 1:
         shapes = ", ".join(str(a.shape) for a in (height, pitch, roll, valid))
-        problem = f"height, pitch, roll and valid of shapes {shapes}"
+        problem = f"height, pitch, roll and valid have the shapes {shapes}"
         raise InputError(problem, remedy="give (B,) each, or a number each")
     return GroundPlane(height, pitch, roll, valid, np.full(height.shape, np.inf), 0 * height)
 
 
 def down_vector(pitch: np.ndarray, roll: np.ndarray) -> np.ndarray:
-    """The direction of gravity in the camera optical frame.
+    """Compute the direction of gravity in the camera optical frame.
 
     Args:
-        pitch: ``(B,)`` float64 [rad], positive looks down.
-        roll: ``(B,)`` float64 [rad], positive clockwise seen from behind.
+        pitch: Pitch ``(B,)`` float64 [rad], positive looks down.
+        roll: Roll ``(B,)`` float64 [rad], positive clockwise seen from behind.
 
     Returns:
-        ``(B, 3)`` float64 unit vectors.
+        Unit vectors ``(B, 3)`` float64.
     """
     (sin_p, sin_r), (cos_p, cos_r) = sin_cos(np.stack([pitch, roll]))
     return np.stack([sin_r * cos_p, cos_r * cos_p, sin_p], axis=-1)
 
 
 def plane_from_down(down: np.ndarray, height: np.ndarray) -> GroundPlane:
-    """The plane with these unit down vectors ``(B, 3)`` and heights ``(B,)`` [m]."""
+    """Return the planes with these unit down vectors ``(B, 3)`` and heights ``(B,)`` [m]."""
     pitch = arctan2(down[:, 2], hypot(down[:, 0], down[:, 1]))
     roll = arctan2(down[:, 0], down[:, 1])
     return flat_plane(height, pitch, roll, np.isfinite(height))
 
 
 def plane_from_transform(T_base_camera: np.ndarray) -> GroundPlane:
-    """The plane of a camera mounted at ``T_base_camera`` ``(4, 4)`` on a base whose z = 0 is floor.
+    """Return the floor of a camera with pose ``(4, 4)`` in a base frame whose z = 0 is the floor.
 
     Returns:
         A :class:`GroundPlane` with ``B = 1``.
@@ -78,26 +79,26 @@ def plane_from_transform(T_base_camera: np.ndarray) -> GroundPlane:
 
 
 def plane_in_color(plane: GroundPlane, calibration: Calibration) -> GroundPlane:
-    """Return planes seen from the depth camera as the colour camera sees them, without ramps."""
+    """Transform planes from the depth camera to the colour camera, without ramps."""
     if calibration.color_from_depth is None:
         return plane
     T = calibration.color_from_depth.T
     down = down_vector(plane.pitch, plane.roll)
-    center = -dot(T[:3, :3].T, T[:3, 3])  # of the colour camera, in the depth camera's frame
+    center = -dot(T[:3, :3].T, T[:3, 3])  # colour camera's centre in the depth camera's frame
     moved = plane_from_down(matmul(down, T[:3, :3].T), plane.height - dot(down, center))
     height, pitch, roll = (np.where(plane.valid, ours, 0.0) for ours in moved[:3])
     return flat_plane(height, pitch, roll, plane.valid)
 
 
 def flagged_plane(config: GroundConfig) -> GroundPlane:
-    """The plane that the configuration states, ``B = 1``; its camera height must be set."""
+    """Return the plane of the configuration, ``B = 1``; its camera height must be set."""
     height, pitch = config.camera_height_m, config.camera_pitch_rad
     assert height is not None and pitch is not None
     return flat_plane(height, pitch, config.camera_roll_rad)
 
 
 def floor_prior(frames: Frames, config: Config) -> GroundPlane:
-    """Return the prior of each frame's floor: the frames' own, or the configuration's, or none."""
+    """Return the prior of each frame's floor: the frames', else the configuration's, else none."""
     batch = len(frames.depth)
     if config.ground.source == "none":
         return unknown_plane(batch)
@@ -109,56 +110,56 @@ def floor_prior(frames: Frames, config: Config) -> GroundPlane:
 
 
 def unknown_plane(batch: int) -> GroundPlane:
-    """Return the planes of ``batch`` frames without a known floor: level, nothing is dropped."""
+    """Return planes of ``batch`` frames with unknown floor: level camera, nothing is dropped."""
     zeros = np.zeros(batch)
     return flat_plane(zeros, zeros, zeros, np.zeros(batch, bool))
 
 
 def repeat_plane(plane: GroundPlane, batch: int) -> GroundPlane:
-    """One plane (``B = 1``) for each of ``batch`` frames."""
+    """Repeat a plane (``B = 1``) for ``batch`` frames."""
     return GroundPlane(*(np.repeat(a, batch) for a in plane))
 
 
 def join_planes(planes: Sequence[GroundPlane]) -> GroundPlane:
-    """The planes of batches one after the other, as those of one batch."""
+    """Concatenate the planes of several batches."""
     return GroundPlane(*(np.concatenate(parts) for parts in zip(*planes, strict=True)))
 
 
 def depth_range(min_depth_m: float, max_depth_m: float, depth_unit: float) -> tuple[int, int]:
-    """The range in whole depth units, each bound rounded to the nearest, at least 1."""
+    """Return the depth range in depth units, bounds rounded to nearest, at least 1."""
     nearest, farthest = round(min_depth_m / depth_unit), round(max_depth_m / depth_unit)
     return max(1, nearest), min(65535, farthest)
 
 
 def max_height(config: GroundConfig, depth_unit: float) -> int:
-    """``max_height_m`` in whole depth units, 2^30 for none."""
+    """Return ``max_height_m`` in depth units, 2^30 for no limit."""
     return min(round(config.max_height_m / depth_unit) or 1 << 30, 1 << 30)
 
 
 def floor_limits(
     camera: Intrinsics, plane: GroundPlane, config: GroundConfig, depth_unit: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The deepest z at which each colour pixel is still above the floor (Eq. 5, any tilt).
+    """Compute the maximum z at which each colour pixel is above the floor (Eq. 5, any tilt).
 
-    A point ``z (x, y, 1)`` is floor when its height above the plane is below the step height
-    ``step + c z``: ``z s >= h - step`` with ``s = down . (x, y, 1) + c``. At zero tilt and roll
+    A point ``z (x, y, 1)`` is floor if its height above the plane is below the step height
+    ``step + c z``: ``z s >= h - step`` with ``s = down . (x, y, 1) + c``. With zero tilt and roll
     and ``c = 0`` this is Eq. 5, ``v - c_y >= f (h - step) / z``. So for a pixel with ``s > 0`` the
     floor begins at ``ceil((h - step) / (s unit))`` depth units, and the limit is one less.
 
-    A ramp of slope ``t`` from the distance ``y0`` on raises the floor by ``t max(0, y - y0)``, with
-    ``y = z forward . (x, y, 1)``. So where it rises, floor is what is below the plane or below the
-    ramp's own plane, where it falls what is below both; the second plane has ``h + t y0`` for h and
-    ``s + t forward . (x, y, 1)`` for s. A ray that falls less than a falling ramp can't meet it:
-    it meets the plane before the crest, or no floor.
+    A ramp of slope ``t`` that begins at the distance ``y0`` raises the floor by
+    ``t max(0, y - y0)``, with ``y = z forward . (x, y, 1)``. Its own plane has ``h + t y0`` for h
+    and ``s + t forward . (x, y, 1)`` for s. On a rising ramp, points below either plane are floor;
+    on a falling one, points below both. A ray that falls less than a falling ramp can't meet it: it
+    meets the plane before the crest, or no floor.
 
     Args:
-        camera: The colour camera.
+        camera: Colour camera.
         plane: ``B`` planes.
-        config: ``step_height_m`` and ``step_height_per_m``, the ``c`` above.
-        depth_unit: Metres in one depth unit.
+        config: ``step_height_m`` and ``step_height_per_m`` (``c``).
+        depth_unit: Metres per depth unit.
 
     Returns:
-        ``limits`` ``(P, H, W)`` uint16, depth units, for the P different planes, and ``which``
+        ``limits`` ``(P, H, W)`` uint16 [depth units] for the P distinct planes, and ``which``
         ``(B,)`` int32, the plane of each frame. A depth above the limit is floor.
     """
     rows = np.stack([np.asarray(part, np.float64) for part in plane], axis=1)
@@ -188,51 +189,51 @@ def _floor_limit(
         else:
             before = (s_ramp <= 0) & (height * ahead <= start * s)
             first = np.maximum(first, np.where(before, 0.0, ramp))
-    # A true tie is floor: the nudge undoes the rounding of the operations above.
+    # A tie is floor; the factor compensates the rounding of the operations above.
     last = np.ceil(first * (1 - 1e-12)) - 1
     return np.clip(last, 0, 65535).astype(np.uint16)
 
 
 def _crossing(height: float, s: np.ndarray, depth_unit: float) -> np.ndarray:
-    """Where rays reach a plane ``height`` [m] below the camera: ``z s = height`` [depth units]."""
+    """Return the z at which rays meet a plane ``height`` [m] below the camera [depth units]."""
     drop = max(height, 0.0) / depth_unit
     return np.divide(drop, s, out=np.full_like(s, np.inf), where=s > 0)
 
 
 def depth_gap_units(config: ClusterConfig, depth_unit: float) -> int:
-    """d_z [depth units], at most 2^20, which no two depths are apart."""
+    """Return d_z [depth units], at most 2^20, more than any depth difference."""
     return min(round(config.depth_gap_m / depth_unit), 1 << 20)
 
 
 class StepHeight(NamedTuple):
-    """The height up to which a cell is floor.
+    """Maximum height of a floor cell.
 
-    A stereo camera's depth errs by ``c z^2``, with c in inverse proportion to its focal length, so
-    floor seen from a height h seems to be up to ``c z h`` higher or lower. A cell takes up the same
-    angle in each camera, so s, its side in pixels, is in proportion to the focal length: the step
-    is ``step_height_m + step_height_per_m z / s``, and at least ``noise_per_m h z / s``.
+    The depth error of a stereo camera is ``c z^2``, with c inversely proportional to the focal
+    length, so floor seen from a height h appears up to ``c z h`` higher or lower. Cells have the
+    same angular size in all cameras, so their side s in pixels is proportional to the focal length:
+    the step is ``step_height_m + step_height_per_m z / s``, and at least ``noise_per_m h z / s``.
     """
 
     table: np.ndarray
-    """``(65536,)`` int64 [depth units], of the first, by z in depth units; read-only."""
+    """First term by z in depth units, ``(65536,)`` int64 [depth units], read-only."""
     noise: int
     """``noise_per_m / s`` for a depth unit, with ``NOISE_BITS`` fraction bits, below 2^31."""
 
     def at(self, z: np.ndarray, height: int) -> np.ndarray:
-        """Of cells at these depths, the camera at this height over the floor [depth units]."""
+        """Return the step height of cells at depths z, for this camera height [depth units]."""
         slope = max(height, 0) * self.noise >> (NOISE_BITS - SLOPE_BITS)
         return np.maximum(self.table[z], z * min(slope, STEEPEST_NOISE) >> SLOPE_BITS)
 
 
 NOISE_BITS = 34
-SLOPE_BITS = 14  # fraction bits of a slope, its rise over its run
+SLOPE_BITS = 14  # fraction bits of a slope, rise over run
 STEEPEST_NOISE = 32767
-"""Most that noise grows with depth, with ``SLOPE_BITS``: so its product with a depth fits."""
+"""Maximum growth of noise with depth, ``SLOPE_BITS`` fraction bits, for 32-bit products."""
 
 
 @lru_cache(maxsize=16)
 def step_height(calibration: Calibration, config: Config) -> StepHeight:
-    """The height up to which a cell of this camera is floor."""
+    """Return the step height for cells of this camera."""
     side = cell_side(calibration.depth, config.surface.cell_rad)
     ground, unit = config.ground, calibration.depth_unit
     slope = ground.step_height_per_m / side
@@ -244,15 +245,15 @@ def step_height(calibration: Calibration, config: Config) -> StepHeight:
 
 @lru_cache(maxsize=64)
 def quadratic_table(constant_m: float, per_m: float, depth_unit: float) -> np.ndarray:
-    """A length that grows as stereo noise does, ``constant + per z^2``, by z.
+    """Tabulate a length that grows as stereo noise does, ``constant + per z^2``.
 
     Args:
-        constant_m: At z = 0 [m].
-        per_m: Added in proportion to z squared [1/m].
-        depth_unit: Metres in one depth unit.
+        constant_m: Length at z = 0 [m].
+        per_m: Factor of z squared [1/m].
+        depth_unit: Metres per depth unit.
 
     Returns:
-        ``(65536,)`` int64 [depth units], by z in depth units, read-only.
+        Lengths by z in depth units, ``(65536,)`` int64 [depth units], read-only.
     """
     z = np.arange(65536) * depth_unit
     table = np.rint((constant_m + per_m * z * z) / depth_unit).astype(np.int64)
@@ -261,13 +262,13 @@ def quadratic_table(constant_m: float, per_m: float, depth_unit: float) -> np.nd
 
 
 def band_table(config: FootprintConfig, depth_unit: float) -> np.ndarray:
-    """How deep the bands are whose medians are the points A and B, and C.
+    """Tabulate the depth of the bands whose medians are the points A and B, and C.
 
-    ``s z`` and ``c z^2``, rounded to whole depth units.
+    The depths are ``s z`` and ``c z^2``, rounded to depth units.
 
     Returns:
-        ``(65536, 2)`` int32 [depth units], by the distance z of the obstacle's nearest point in
-        depth units, read-only.
+        Depths by the distance z of the obstacle's nearest point in depth units, ``(65536, 2)``
+        int32 [depth units], read-only.
     """
     z = np.arange(65536) * depth_unit
     bands = np.stack([config.side_band_per_m * z, config.near_band_per_m2 * z * z], axis=1)
@@ -278,11 +279,11 @@ def band_table(config: FootprintConfig, depth_unit: float) -> np.ndarray:
 
 @lru_cache(maxsize=1)
 def direction_table() -> np.ndarray:
-    """The directions on the floor that are tried for a rectangle.
+    """Return the candidate directions of a rectangle on the floor.
 
     Returns:
-        ``(DIRECTIONS, 2)`` int64, right and forward with ``DIRECTION_BITS`` fraction bits, by
-        angle from 0 on, read-only.
+        Directions by angle from 0 on, ``(DIRECTIONS, 2)`` int64, right and forward with
+        ``DIRECTION_BITS`` fraction bits, read-only.
     """
     angle = np.radians(np.arange(DIRECTIONS) * 90.0 / DIRECTIONS)
     sine, cosine = sin_cos(angle)
@@ -293,15 +294,15 @@ def direction_table() -> np.ndarray:
 
 
 def forward_vector(down: np.ndarray) -> np.ndarray:
-    """The optical axis laid on the floor, in the camera optical frame.
+    """Project the optical axis onto the floor, in the camera optical frame.
 
-    For a camera that looks straight down, the image's up direction.
+    For a camera that looks straight down it is the image's up direction.
 
     Args:
-        down: ``(B, 3)`` float64 unit vectors.
+        down: Unit vectors ``(B, 3)`` float64.
 
     Returns:
-        ``(B, 3)`` float64 unit vectors.
+        Unit vectors ``(B, 3)`` float64.
     """
     axis = np.where(np.abs(down[:, 2:]) > 1 - 1e-9, [[0.0, -1.0, 0.0]], [[0.0, 0.0, 1.0]])
     forward = axis - down * dot(axis, down)[:, None]
@@ -309,13 +310,13 @@ def forward_vector(down: np.ndarray) -> np.ndarray:
 
 
 def ground_axes(plane: GroundPlane) -> np.ndarray:
-    """The ground frame's axes, right and forward, in the camera optical frame.
+    """Compute the axes of the ground frame, right and forward, in the camera optical frame.
 
     Forward is :func:`forward_vector`.
 
     Returns:
-        ``(B, 2, 3)`` int32 with ``GROUND_BITS`` fraction bits; for an unknown plane those of a
-        level camera.
+        Axes ``(B, 2, 3)`` int32 with ``GROUND_BITS`` fraction bits; those of a level camera if the
+        plane is unknown.
     """
     down = down_vector(plane.pitch, plane.roll)
     down[~plane.valid] = (0.0, 1.0, 0.0)

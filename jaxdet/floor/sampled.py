@@ -1,4 +1,4 @@
-"""One floor for all frames of a camera, from the floors that a sample of them shows."""
+"""Median floor of a camera from a sample of its frames."""
 
 from typing import NamedTuple
 
@@ -9,39 +9,40 @@ from jaxdet.floor.plane import flat_plane, unknown_plane
 from jaxdet.types import GroundPlane
 
 ENOUGH = 3
-"""So many sampled frames must show their floor, or all where there are fewer."""
+"""Minimum number of sampled frames with a floor of their own, or all if there are fewer."""
 AGREEING = 0.9
-"""A camera keeps its place on the robot where this share of the floors is near the median."""
+"""Minimum fraction of floors near the median for a camera that is fixed to the robot."""
 NEAR_M, NEAR_RAD = 0.03, float(np.radians(2.0))
-"""How near: height, and pitch and roll."""
+"""Maximum deviation of near floors in height [m], and in pitch and roll [rad]."""
 
 
 class SampledFloor(NamedTuple):
-    """What the floors of a sample say together."""
+    """Median floor of a sample, and its spread."""
 
     plane: GroundPlane
-    """``B = 1``, the median of height, pitch and roll; not valid where too few show a floor."""
+    """Median height, pitch and roll, ``B = 1``; not valid if too few frames show a floor."""
     decided: int
-    """Frames whose own depth showed the floor."""
+    """Number of frames whose own depth shows the floor."""
     looked_at: int
+    """Number of sampled frames."""
     height_spread_m: float
-    """The ``AGREEING`` quantile of the distances from the median [m]; NaN without a floor."""
+    """``AGREEING`` quantile of the deviation from the median height [m]; NaN without a floor."""
     angle_spread_rad: float
-    """The same of the larger of the two angles."""
+    """``AGREEING`` quantile of the larger deviation in pitch or roll [rad]; NaN without one."""
 
     @property
     def agrees(self) -> bool:
-        """Whether the camera keeps its place."""
+        """Whether the camera is fixed to the robot."""
         near = self.height_spread_m <= NEAR_M and self.angle_spread_rad <= NEAR_RAD
         return bool(self.plane.valid[0]) and near
 
 
 def sampled_floor(planes: GroundPlane, own: np.ndarray) -> SampledFloor:
-    """The median of the floors that frames show themselves.
+    """Compute the median of the floors that frames show.
 
     Args:
-        planes: ``B`` planes; their ramps are left out.
-        own: ``(B,)`` bool, the frame's own depth decided.
+        planes: ``B`` planes, whose ramps are ignored.
+        own: Whether the frame's own depth determined its plane, ``(B,)`` bool.
 
     Example:
         >>> tilts, level = np.radians([10.0, 11.0, 30.0, 10.0]), np.zeros(4)
@@ -62,5 +63,5 @@ def sampled_floor(planes: GroundPlane, own: np.ndarray) -> SampledFloor:
 
 
 def _quantile(values: np.ndarray) -> float:
-    """The smallest value that ``AGREEING`` of them don't exceed."""
+    """Return the smallest value that is not exceeded by the fraction ``AGREEING`` of them."""
     return float(np.quantile(values, AGREEING, method="inverted_cdf"))

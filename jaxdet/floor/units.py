@@ -1,6 +1,6 @@
-"""The floor of a frame in integers: lengths in depth units, angles in steps, tolerances.
+"""Integer units of the floor search: lengths in depth units, angles in steps, tolerances.
 
-Both backends look for it in these, see ``jaxdet/reference/_floor.py``.
+Both backends use them, see ``jaxdet/reference/_floor.py``.
 """
 
 import math
@@ -13,47 +13,47 @@ from jaxdet.elementary import sin
 from jaxdet.floor.plane import SLOPE_BITS, flat_plane
 from jaxdet.types import GroundPlane, Refusal
 
-ANGLES = 32  # steps of an angle in a degree: 0.03 degrees are 2 mm at 4 m
-FARTHEST = 1 << 20  # heights and starts of ramps are at most so large [depth units]
-SINE_BITS = 15  # fraction bits of sines; the product of two has 32 bits with its sign
+ANGLES = 32  # angle steps per degree: 0.03 degrees are 2 mm at 4 m
+FARTHEST = 1 << 20  # maximum height, and start of a ramp [depth units]
+SINE_BITS = 15  # fraction bits of sines; a product of two has 32 bits with its sign
 _TURN = np.radians(np.arange(-360 * ANGLES, 370 * ANGLES + 1) / ANGLES)
 SINES = np.rint(sin(_TURN) * (1 << SINE_BITS)).astype(np.int64)  # from -360 degrees on
-STEEPEST = 85 * ANGLES  # largest pitch, up or down: beyond it roll means nothing
-SLACK_BITS = 26  # fraction bits of what a tolerance has in proportion to depth
+STEEPEST = 85 * ANGLES  # maximum pitch, up or down; beyond it roll is meaningless
+SLACK_BITS = 26  # fraction bits of the terms of a tolerance that grow with depth
 ROUGH_M, FINE_M, FINE_PER_Z = 0.012, 0.008, 0.003
-"""Tolerances: roughness [m] where a plane is looked for and where it is known; and how much floors
-and depth images are bowed, for each metre."""
+"""Inlier tolerances: roughness during the search, and near a known plane [m]; bowing of floors and
+depth images per metre of depth."""
 SHARP_M, SHARP_PER_Z = 0.005, 0.0015
-"""The same for the last steps, so that a book on a table moves nothing."""
-PROFILE_M = 0.02  # the same for the first lattice of ramps, and beyond a step [m]
-ROUGH_DEG = 0.5  # turns that a rough tolerance allows
-LEVER_M = 0.008  # distances on the floor are measured so, to hold their squares
-HEIGHTS_M = (0.05, 3.0)  # heights of a robot's or a hand-held camera
-STEP_DEG = 3  # without a prior directions are tried so far apart at first, then a degree
-BIN_M = 0.008  # heights are tried so far apart, a power of two of the depth unit
+"""Roughness [m] and bowing in the last steps, so that a book on a table has no influence."""
+PROFILE_M = 0.02  # roughness on the first lattice of ramps, and beyond a step [m]
+ROUGH_DEG = 0.5  # error of direction that a rough tolerance covers
+LEVER_M = 0.008  # unit of distances on the floor, so that their squares fit
+HEIGHTS_M = (0.05, 3.0)  # minimum and maximum height of a robot's or a hand-held camera
+STEP_DEG = 3  # first spacing of directions without a prior; the next one is a degree
+BIN_M = 0.008  # spacing of heights, a power of two of the depth unit
 NEAR_M, STEEP_M = 0.10, 0.20
-"""A plane is looked for so far from a guess: a robot rocks and mounts are wrong by less. And one
-so far: where all that is seen is a ramp, it is that plane."""
+"""Search range of a plane's height: for the rocking of a robot and errors of the mount; and for
+frames that show only a ramp, whose plane it is."""
 RINGS_M = (0.6, 0.8, 1.1, 1.5, 2.0, 2.7)
-"""Before a ramp, only the cells up to some distance tell the plane."""
-STARTS_M = np.arange(0.4, 3.5, 0.2)  # distances at which a ramp is tried to begin
-FINE_START_M = 0.05  # steps of the finer lattice
-DROP_SPACING_M = 0.04  # steps are tried so far apart
-ALIKE_M = 0.004  # planes whose heights differ by less are not both tried with steps
+"""Maximum distances of the cells for the plane in front of a ramp."""
+STARTS_M = np.arange(0.4, 3.5, 0.2)  # candidate distances at which a ramp begins
+FINE_START_M = 0.05  # spacing of the finer lattice
+DROP_SPACING_M = 0.04  # spacing of candidate steps
+ALIKE_M = 0.004  # planes whose heights differ by less are not both searched for steps
 RUN_M, RISE_M = 0.064, 0.004
-"""A cell of the profile; both are rounded to powers of two of the depth unit."""
+"""Size of a profile bin; both are rounded to powers of two of the depth unit."""
 FARTHEST_M, HIGHEST_M = 6.0, 1.3
-"""Where the profile ends; what is lower is counted at its lower edge."""
+"""End of the profile; lower cells are counted at its lower edge."""
 RAMP_NEAR_M, SPREAD_M = 0.5, 0.4
-"""A ramp must be seen this near to where it can be told from the plane, and over such a distance,
-as the floor beyond a step; an obstacle's top or face is seen in one place."""
-RAMP_M = 3.6  # a plane far from the prior is a ramp where it crosses the prior so near
+"""A ramp must be visible this near to where it leaves the plane, and over this distance, as must
+the floor beyond a step; the top or the face of an obstacle is visible in one place."""
+RAMP_M = 3.6  # a plane far from the prior is a ramp if it crosses the prior nearer than this
 STEP_M, TABLE_M = 0.05, 0.10
-"""Cells so far above a plane are an obstacle's, cells so far below it show that it is no floor."""
+"""Cells this far above a plane are obstacles; cells this far below show it is not the floor."""
 
 
 class Slack(NamedTuple):
-    """How far from a plane of height h its cells may lie: ``base + per_z z + noise z h``."""
+    """Maximum distance of inliers from a plane of height h: ``base + per_z z + noise z h``."""
 
     base: int  # roughness of a floor [depth units]
     per_z: int  # errors of direction and bowed floors, SLACK_BITS fraction bits
@@ -62,88 +62,88 @@ class Slack(NamedTuple):
     ``SLACK_BITS`` fraction bits."""
 
     def of(self, z: np.ndarray, height: int) -> np.ndarray:
-        """The tolerance at each depth, ``(K,)`` int64 [depth units], at least ``base``."""
+        """Return the tolerance at each depth, ``(K,)`` int64 [depth units], at least ``base``."""
         return self.base + ((z * (self.per_z + self.noise * max(height, 0))) >> SLACK_BITS)
 
 
 class Scale(NamedTuple):
-    """Lengths in depth units."""
+    """Conversion of lengths and tolerances to depth units."""
 
-    unit: float  # metres in one depth unit
-    noise_per_m: float  # standard error of depth over its square [1/m]
+    unit: float  # metres per depth unit
+    noise_per_m: float  # standard deviation of depth divided by its square [1/m]
 
     def length(self, metres: float) -> int:
-        """Rounded, at least one."""
+        """Return a length rounded to depth units, at least one."""
         return max(round(metres / self.unit), 1)
 
     def bits(self, metres: float) -> int:
-        """The nearest power of two."""
+        """Return the exponent of the nearest power of two depth units."""
         fraction, exponent = math.frexp(metres / self.unit)  # from 1/2 to 1
         return max(exponent - (fraction < math.sqrt(0.5)), 0)
 
     def slack(self, base_m: float, per_z: float) -> Slack:
-        """A tolerance of so much, and so much more for each metre of depth."""
+        """Return a tolerance of ``base_m``, plus ``per_z`` per metre of depth."""
         one = 1 << SLACK_BITS
         noise = round(self.noise_per_m * self.unit * one)
         return Slack(self.length(base_m), round(per_z * one), noise)
 
     def rough(self, turn_deg: float) -> Slack:
-        """The tolerance where a plane may be turned by so much."""
+        """Return the tolerance for a plane with an error of direction of ``turn_deg``."""
         return self.slack(ROUGH_M, float(np.radians(turn_deg)))
 
     def coarse(self, z: np.ndarray, step_deg: float) -> np.ndarray:
-        """The tolerance of votes for directions so far apart, whatever the height, ``(K,)``."""
+        """Return the tolerance of votes for directions ``step_deg`` apart, any height, ``(K,)``."""
         slack = self.rough(step_deg / 2)
         return slack.of(z, 0) + ((z * z * slack.noise) >> SLACK_BITS)
 
     @property
     def fine(self) -> Slack:
-        """The tolerance of floor cells from their own plane."""
+        """Tolerance of floor cells from their own plane."""
         return self.slack(FINE_M, FINE_PER_Z)
 
     @property
     def sharp(self) -> Slack:
-        """The tolerance of the last steps."""
+        """Tolerance of the last steps."""
         return self.slack(SHARP_M, SHARP_PER_Z)
 
 
 class FloorFit(NamedTuple):
-    """The floor of each frame."""
+    """Floor of each frame."""
 
     plane: GroundPlane
-    """``B`` planes: the frame's own, or where that was refused the prior."""
+    """``B`` planes: the frame's own, or the prior if that was refused."""
     own: np.ndarray
-    """``(B,)`` bool, the frame's own depth decided."""
+    """Whether the frame's own depth determined the plane, ``(B,)`` bool."""
     share: np.ndarray
-    """``(B,)`` float64, share of the cells on the frame's own best floor."""
+    """Inlier fraction of the frame's own best floor, ``(B,)`` float64."""
     refused: np.ndarray
-    """``(B,)`` int32, a :class:`Refusal`."""
+    """Reason of refusal, ``(B,)`` int32, a :class:`Refusal`."""
     found: np.ndarray
-    """``(B, 8)`` int32, what they are made of, see :func:`floor_fit`."""
+    """Integers ``(B, 8)`` int32 that the fields are computed from, see :func:`floor_fit`."""
 
 
 def sine(angle: np.ndarray | int) -> np.ndarray:
-    """Sines of angle steps within three quarters of a turn, ``SINE_BITS`` fraction bits."""
+    """Return sines of angle steps within ±270 degrees, ``SINE_BITS`` fraction bits."""
     return SINES[np.asarray(angle) + 360 * ANGLES]
 
 
 def cosine(angle: np.ndarray | int) -> np.ndarray:
-    """Cosines likewise."""
+    """Return cosines of angle steps within ±270 degrees, ``SINE_BITS`` fraction bits."""
     return SINES[np.asarray(angle) + 450 * ANGLES]
 
 
 def slopes(turn: np.ndarray) -> np.ndarray:
-    """The tangents of angle steps, ``SLOPE_BITS`` fraction bits."""
+    """Return tangents of angle steps, ``SLOPE_BITS`` fraction bits."""
     return (sine(turn) << SLOPE_BITS) // cosine(turn)
 
 
 def stride(cells: int, config: FloorConfig) -> int:
-    """Every so many of a frame's cells are used, in rows and columns."""
+    """Return the subsampling stride of a frame's cells, in rows and columns."""
     return max(1, math.ceil(math.sqrt(cells / config.max_cells)))
 
 
 def angle_steps(plane: GroundPlane) -> tuple[np.ndarray, np.ndarray]:
-    """Pitch and roll of each frame in whole steps, ``(B,)`` int64; 0 where the floor is unknown."""
+    """Return pitch and roll of each frame in angle steps, ``(B,)`` int64; 0 if unknown."""
     pitch, roll = (
         np.rint(np.degrees(np.where(plane.valid, a, 0.0)) * ANGLES).astype(np.int64)
         for a in (plane.pitch, plane.roll)
@@ -152,11 +152,11 @@ def angle_steps(plane: GroundPlane) -> tuple[np.ndarray, np.ndarray]:
 
 
 def prior_units(prior: GroundPlane, scale: Scale) -> np.ndarray:
-    """What is known of each frame's floor, rounded.
+    """Return the prior of each frame's floor in integers.
 
     Returns:
-        ``(B, 4)`` int32: pitch and roll [angle steps], height [depth units] and valid; zeros
-        where nothing is known.
+        Pitch and roll [angle steps], height [depth units] and valid, ``(B, 4)`` int32; zeros
+        without a prior.
     """
     pitch, roll = angle_steps(prior)
     roll = (roll + 180 * ANGLES) % (360 * ANGLES) - 180 * ANGLES
@@ -166,14 +166,14 @@ def prior_units(prior: GroundPlane, scale: Scale) -> np.ndarray:
 
 
 def floor_fit(found: np.ndarray, prior: GroundPlane, unit: float) -> FloorFit:
-    """The floor of each frame in metres and radians.
+    """Return the floor of each frame in metres and radians.
 
     Args:
-        found: ``(B, 8)`` int32: pitch and roll [angle steps] and height [depth units] of the best
-            plane; start [depth units] and turn [angle steps] of its ramp, turn 0 = none; cells on
-            it, all cells, and a :class:`Refusal`.
+        found: Result of the search, ``(B, 8)`` int32: pitch and roll [angle steps] and height
+            [depth units] of the best plane; start [depth units] and turn [angle steps] of its ramp,
+            turn 0 = none; number of inliers, of all cells, and a :class:`Refusal`.
         prior: ``B`` planes.
-        unit: Metres in one depth unit.
+        unit: Metres per depth unit.
     """
     pitch, roll = np.radians(found[:, :2].astype(np.float64) / ANGLES).T
     start, turn = found[:, 3].astype(np.float64), found[:, 4]

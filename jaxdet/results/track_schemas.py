@@ -1,4 +1,4 @@
-"""The columns of ``tracks.parquet`` and ``track_links.parquet``."""
+"""Columns of ``tracks.parquet`` and ``track_links.parquet``."""
 
 import pyarrow as pa
 
@@ -42,7 +42,7 @@ TRACKS_SCHEMA = pa.schema(
         ),
     ]
 )  # fmt: skip
-"""``tracks.parquet``: one row for each track."""
+"""``tracks.parquet``: one row per track."""
 
 LINKS_SCHEMA = pa.schema(
     [
@@ -53,4 +53,4 @@ LINKS_SCHEMA = pa.schema(
         _field("track", _I32, "", "number of its track; null where it is in none", True),
     ]
 )
-"""``track_links.parquet``: one row for each row of ``obstacles.parquet``, in the same order."""
+"""``track_links.parquet``: one row per row of ``obstacles.parquet``, in the same order."""

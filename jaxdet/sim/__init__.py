@@ -1,15 +1,15 @@
-"""Simulated logs with exact truth: a robot with a RealSense-like camera among obstacles.
+"""Simulated logs with exact ground truth: a robot with a RealSense-like camera among obstacles.
 
 >>> from jaxdet.sim import SimConfig, simulate
 >>> frame = next(simulate(SimConfig(scene="single_box", width=64, height=48)))
 >>> frame.color.shape, frame.depth.dtype
 ((48, 64, 3), dtype('uint16'))
 
-``write_log(path, SimConfig(...))`` makes a ROS 2 MCAP file of it, ``load_truth(path)`` reads the
-truth beside it. ``sample_frames("mixed", seed=0, count=100, light="dim")`` draws single frames of a
-family of scenes, ``frame_truth(frame)`` has their truth, ``floor_truth(frame)`` where the floor can
-be driven on. ``sample_frames("corridor", 0, 100, depth_error=1.0, mount_pitch_error_rad=0.01)`` is
-harder: walls in range, a real camera's depth, a mount that is not as the log says.
+``write_log(path, SimConfig(...))`` writes a ROS 2 MCAP file, ``load_truth(path)`` reads its ground
+truth. ``sample_frames("mixed", seed=0, count=100, light="dim")`` draws single frames of a family of
+scenes, ``frame_truth(frame)`` returns their ground truth, ``floor_truth(frame)`` the drivable
+floor. ``sample_frames("corridor", 0, 100, depth_error=1.0, mount_pitch_error_rad=0.01)`` is harder:
+walls in range, depth errors of a real camera, an error of the mount in TF.
 """
 
 from importlib import import_module

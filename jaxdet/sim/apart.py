@@ -1,4 +1,4 @@
-"""Things that a scene has drawn into each other are put beside each other."""
+"""Relocation of objects that intersect in a random scene."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -11,27 +11,27 @@ from jaxdet.sim.world import thing_mesh
 
 TRIES = 60
 CLEAR_M = 0.10
-"""What is put elsewhere keeps so far from all that stands: the least gap at which the report asks
-for two things to be told apart [m]."""
+"""Minimum gap between a relocated object and all others [m]: the smallest gap at which the report
+expects two objects to be separated."""
 _FARTHER_M = 0.05
-"""Each try is up to so much farther from the first place than the one before [m]."""
+"""Increase of the search radius per try [m]."""
 _LIMITS_M = (0.9, 4.4)
-"""Distances ahead of what is close to the robot and what is out of range [m]; things stay there."""
+"""Distances ahead that separate close, in-range and far objects [m]; objects stay in their band."""
 _EDGE_M = 0.3
-"""Things keep so far from steps down [m]."""
+"""Minimum distance from steps down [m]."""
 
 
 def apart(scene: Scene, seed: int) -> Scene:
-    """The scene with no two solid things in each other.
+    """Return a scene without intersecting solid objects.
 
-    The larger of two stays. The smaller is put in another place near its own, drawn from its own
-    stream, so that a scene in which nothing is in another thing stays as it is; where ``TRIES``
-    places are taken, it is left out. Walls stay, and so do the ways of what moves (some lead out of
-    a hall through its wall): what stands keeps out of them.
+    The larger of two objects stays. The smaller is moved nearby, to a position from its own random
+    stream, so that scenes without intersections don't change; after ``TRIES`` occupied positions it
+    is dropped. Walls and the paths of moving objects stay (some lead through the wall of a hall),
+    and static objects are moved out of them.
 
     Args:
-        scene: As drawn.
-        seed: Of the streams.
+        scene: Random scene.
+        seed: Seed of the streams.
     """
     things = (*scene.boxes, *scene.cylinders, *scene.models)
     taken = [_solid(wall, scene) for wall in scene.walls]
@@ -62,7 +62,7 @@ def _moves(thing: Thing) -> bool:
 
 
 def _size(solid: Solid) -> float:
-    """Volume of the upright box around a thing [m^3]."""
+    """Return the volume of an object's bounding box [m^3]."""
     if not len(solid.box):
         return 0.0
     return float(np.prod(solid.box[:, 1].max(axis=0) - solid.box[:, 0].min(axis=0)))
@@ -76,7 +76,7 @@ def _solid(thing: Thing, scene: Scene) -> Solid:
 
 
 def _there_and_back(path: Path) -> list[float]:
-    """Times at which a thing is at both ends of its way and between them, in both directions."""
+    """Return times that sample an object's path in both directions, ends included."""
     period = np.pi * path.length / path.speed
     return (np.arange(16) / 16 * period - path.lead_s).tolist()
 
@@ -84,7 +84,7 @@ def _there_and_back(path: Path) -> list[float]:
 def _elsewhere(
     thing: Box | Cylinder | Model, scene: Scene, rng: np.random.Generator
 ) -> Iterator[Box | Cylinder | Model]:
-    """The thing at places around its own that are like it."""
+    """Yield the object at random positions near its own, in the same zone."""
     where = _where(scene, *thing.center)
     for k in range(TRIES):
         angle, far = rng.uniform(0, 2 * np.pi), _FARTHER_M * (k + 1) * np.sqrt(rng.uniform())
@@ -94,7 +94,7 @@ def _elsewhere(
 
 
 def _where(scene: Scene, x: float, y: float) -> tuple[int, ...]:
-    """Near the robot, in range or beyond it; on which of the floor's levels."""
+    """Return the zone of a position: close, in range or beyond, and the level of the floor."""
     along = float(rotation_z(-scene.ground.slope_yaw)[0] @ (x, y))
     edges = [along + side for side in (-_EDGE_M, _EDGE_M)]
     levels = np.searchsorted(scene.ground.edges_m, edges).tolist()
@@ -102,7 +102,7 @@ def _where(scene: Scene, x: float, y: float) -> tuple[int, ...]:
 
 
 def _behind_wall(scene: Scene, x: float, y: float) -> bool:
-    """Whether a wall stands between the robot and a place."""
+    """Return whether a wall is between the robot and a position."""
 
     def side(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]) -> bool:
         return (b[0] - a[0]) * (c[1] - a[1]) > (b[1] - a[1]) * (c[0] - a[0])

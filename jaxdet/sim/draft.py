@@ -1,4 +1,4 @@
-"""Drawing a scene by chance: placing things, and the floor, lamp and walls around them."""
+"""Random scenes: placement of objects, floor, lamp and walls."""
 
 import numpy as np
 
@@ -26,7 +26,7 @@ _STANDING = Path(length=0.0)
 
 
 class Draft:
-    """A scene being drawn."""
+    """A random scene under construction."""
 
     def __init__(self, seed: int, family: str) -> None:
         self.rng = np.random.default_rng([seed, *family.encode()])
@@ -36,14 +36,14 @@ class Draft:
         self.taken: list[tuple[float, float, float]] = []
 
     def put(self, kind: str, x: float, y: float, yaw: float | None = None) -> None:
-        """Place a model, turned by chance if not told."""
+        """Place a model, with a random yaw by default."""
         turn = float(self.rng.uniform(-np.pi, np.pi)) if yaw is None else yaw
         self.models.append(Model(kind, (x, y), turn, int(self.rng.integers(1 << 30))))
 
     def place(
         self, near: float, far: float, radius: float, gap: float = 0.45
     ) -> tuple[float, float]:
-        """A place in the field of view, ``gap`` clear of what is there if it can be, or 5 cm."""
+        """Draw a free position in the field of view, ``gap`` from others if possible, or 5 cm."""
         x, y = 0.0, 0.0
         for attempt in range(120):
             x = float(self.rng.uniform(near, far))
@@ -56,21 +56,21 @@ class Draft:
         return x, y
 
     def box(self, x: float, y: float) -> None:
-        """A box or case of 0.2-0.6 m."""
+        """Place a box or case of 0.2-0.6 m."""
         size = self.rng.uniform((0.2, 0.2, 0.15), (0.5, 0.5, 0.6)).tolist()
         look = pick(self.rng, CARTON, CARTON, DARK_CASE, RED_CRATE, WHITE_BOX)
         yaw = float(self.rng.uniform(-0.8, 0.8))
         self.boxes.append(Box((x, y), (size[0], size[1], size[2]), yaw, look))
 
     def pole(self, x: float, y: float, radius: float) -> None:
-        """A pole of any diameter, plain or striped."""
+        """Place a pole, plain or striped."""
         plain = Texture("plain", tinted(self.rng, (150, 150, 150), 50))
         height = float(self.rng.uniform(0.8, 1.6))
         look = pick(self.rng, POST, plain)
         self.cylinders.append(Cylinder((x, y), radius, height, look, name="pole"))
 
     def thing(self, kind: str, x: float, y: float) -> None:
-        """Anything by name."""
+        """Place an object by name."""
         if kind == "box":
             self.box(x, y)
         elif kind == "pole":
@@ -80,7 +80,7 @@ class Draft:
             self.put(kind, x, y, float(self.rng.normal(0, 0.35)) if facing else None)
 
     def _clutter(self, *, outdoors: bool, far: float) -> None:
-        """Things before the far wall, or a hedge: out of range, but in the picture."""
+        """Place objects in front of the far wall, or a hedge: visible, but out of range."""
         rng = self.rng
         if outdoors:
             x, y = rng.uniform((4.6, -1.5), (6.5, 1.5)).tolist()
@@ -92,12 +92,12 @@ class Draft:
             self.thing(str(rng.choice(["box", "box", "bin", "chair"])), far - 0.5, y)
 
     def finish(self, family: str, *, outdoors: bool, clutter: bool = True) -> Scene:
-        """The scene with floor, lamp, walls or a far building.
+        """Return the scene with floor, lamp, and walls or a far building.
 
         Args:
-            family: Its name.
-            outdoors: Asphalt or grass and a building, or a hall.
-            clutter: Whether things may stand far away, or a hedge.
+            family: Name of the scene.
+            outdoors: Whether to use an outdoor floor and a building instead of a hall.
+            clutter: Whether to allow far objects or a hedge.
         """
         rng = self.rng
         walls = building(rng) if outdoors else _hall(rng)
@@ -111,7 +111,7 @@ class Draft:
     def enclosed(
         self, family: str, walls: tuple[Wall, ...], floor: Texture, ground: Ground | None = None
     ) -> Scene:
-        """The scene with given walls and floor, and a lamp."""
+        """Return the scene with these walls and floor, and a lamp."""
         return self._scene(family, walls, floor, ground or Ground(), self._lamp())
 
     def _lamp(self) -> Light:
@@ -127,19 +127,19 @@ class Draft:
 
 
 def hard_floor(rng: np.random.Generator, *, outdoors: bool) -> Texture:
-    """A floor, in half of the draws (outdoors a third) one with little texture or a mirror."""
+    """Draw a floor; half of them (outdoors a third) have little texture or mirror."""
     if outdoors:
         return pick(rng, *OUTDOOR_FLOORS, WET, CONCRETE)
     return pick(rng, *HARD_FLOORS) if rng.random() < 0.5 else pick(rng, *INDOOR_FLOORS)
 
 
 def inner_wall(rng: np.random.Generator) -> Texture:
-    """The look of a wall indoors, plain paint in two of five draws."""
+    """Draw the texture of an indoor wall, plain paint with a probability of 2 / 5."""
     return pick(rng, *WALLS, PAINT, PAINT)
 
 
 def room(look: Texture, left: float, right: float, front: float) -> tuple[Wall, ...]:
-    """Four walls around the robot, their middles at these distances [m]; names begin with wall."""
+    """Return four walls around the robot at these distances [m]; their names begin with wall."""
     back = -3.0
     corners = [(back, -right), (front, -right), (front, left), (back, left)]
     pairs = zip(corners, [*corners[1:], corners[0]], strict=True)
@@ -152,7 +152,7 @@ def _hall(rng: np.random.Generator) -> tuple[Wall, ...]:
 
 
 def building(rng: np.random.Generator) -> tuple[Wall, ...]:
-    """The front of a house, out of range."""
+    """Return the front of a building, out of range."""
     far, turn = float(rng.uniform(9, 14)), float(rng.normal(0, 1.5))
     look = pick(rng, *WALLS)
     return (Wall((far + turn, -14.0), (far - turn, 14.0), 6.0, 0.3, look, name="building"),)

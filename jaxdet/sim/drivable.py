@@ -1,4 +1,4 @@
-"""Where the robot can truly drive: which pixels show such floor, and where the floor steps down."""
+"""Ground truth of the drivable floor: its pixels, and where the floor steps down."""
 
 from typing import NamedTuple
 
@@ -14,30 +14,30 @@ from jaxdet.sim.scene import Ground
 from jaxdet.sim.world import STEP_M
 
 EDGE_BEARINGS_RAD = np.radians(np.arange(-40.0, 41.0))
-"""``(K,)`` the bearings of ``Truth.edge_m``: clockwise from above, 0 ahead [rad]."""
+"""Bearings ``(K,)`` of ``Truth.edge_m``: clockwise from above, 0 ahead [rad]."""
 _HIDDEN = 0.97
-"""An edge is hidden by what is nearer than this share of its depth."""
+"""An edge is hidden by surfaces nearer than this fraction of its depth."""
 
 
 class FloorTruth(NamedTuple):
-    """The floor that a frame's colour pixels show."""
+    """Floor in a frame's colour pixels."""
 
     drivable: np.ndarray
-    """``(H, W)`` bool: the pixel shows floor on the robot's level (ramps too), outside the
-    footprints of all things and walls higher than 5 cm. Floor beyond a step down is not."""
+    """Whether the pixel shows drivable floor, ``(H, W)`` bool: on the robot's level (ramps too),
+    not beyond a step down, outside of the footprints of objects and walls higher than 5 cm."""
     points_m: np.ndarray
-    """``(H, W, 2)`` float32: right, forward in the camera's ground frame, exact [m]; NaN where
-    no floor is seen, drivable or not."""
+    """Exact right, forward in the camera's ground frame, ``(H, W, 2)`` float32 [m]; NaN outside of
+    the floor."""
 
 
 def floor_truth(frame: SimFrame) -> FloorTruth:
-    """The floor of a frame, for instance to count how much of it lies in found outlines.
+    """Return the floor of a frame, for instance to measure how much of it detections cover.
 
     Args:
-        frame: Of :func:`jaxdet.sim.simulate` or :func:`jaxdet.sim.sample_frames`.
+        frame: Frame from :func:`jaxdet.sim.simulate` or :func:`jaxdet.sim.sample_frames`.
 
     Returns:
-        A part of it for each colour pixel.
+        The floor of each colour pixel.
     """
     floor = frame.truth.kind == PixelKind.FLOOR
     points = frame.truth.points[floor]
@@ -60,15 +60,15 @@ def floor_truth(frame: SimFrame) -> FloorTruth:
 def floor_edge(
     frame: SimFrame, bearings_rad: np.ndarray = EDGE_BEARINGS_RAD
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Where the floor steps down first, by bearing.
+    """Return the distance of the first step down, by bearing.
 
     Args:
-        frame: A frame.
-        bearings_rad: ``(K,)`` clockwise from above, 0 ahead: ``arctan2(right, forward)``.
+        frame: Frame.
+        bearings_rad: Bearings ``(K,)``, clockwise from above, 0 ahead: ``arctan2(right, forward)``.
 
     Returns:
-        ``(K,)`` float32, distance from the camera's foot to the edge [m], NaN where the floor goes
-        on; ``(K,)`` bool, whether the colour camera sees the edge there.
+        Distance from the camera's ground projection to the edge, ``(K,)`` float32 [m], NaN without
+        an edge; and whether the colour camera sees it, ``(K,)`` bool.
     """
     bearings = np.asarray(bearings_rad, np.float64)
     distance, seen = np.full(bearings.shape, np.nan), np.zeros(bearings.shape, bool)
@@ -90,7 +90,7 @@ def floor_edge(
 
 
 def _seen(frame: SimFrame, points: np.ndarray) -> np.ndarray:
-    """Which world points ``(n, 3)`` are in the colour picture and not hidden."""
+    """Return which world points ``(n, 3)`` are in the colour image and not occluded."""
     camera, T = calibration_of(frame.config).image, frame.T_world_color
     x, y, z = ((points - T[:3, 3]) @ T[:3, :3]).T
     ahead = np.where(z > 0, z, np.inf)
@@ -102,7 +102,7 @@ def _seen(frame: SimFrame, points: np.ndarray) -> np.ndarray:
 
 
 def _level(ground: Ground, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Which places lie before the first step down."""
+    """Return which positions are in front of the first step down."""
     if not ground.edges_m:
         return np.ones(x.shape, bool)
     along = np.cos(ground.slope_yaw) * x + np.sin(ground.slope_yaw) * y
@@ -110,7 +110,7 @@ def _level(ground: Ground, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def _inside(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Which points ``(n, 2)`` lie in a convex outline ``(k, 2)``, counter-clockwise."""
+    """Return which points ``(n, 2)`` are in a counter-clockwise convex polygon ``(k, 2)``."""
     edge = np.roll(corners, -1, axis=0) - corners
     to = points[:, None] - corners
     return np.all(edge[:, 0] * to[..., 1] - edge[:, 1] * to[..., 0] >= 0, axis=1)

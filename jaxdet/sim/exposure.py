@@ -1,19 +1,18 @@
-"""From surfaces and light to the colour camera's picture, step by step as light goes.
+"""Sensor model of the colour camera, from surfaces and light to the image.
 
-1. A display value c gives the reflectance ``0.9 sRGB^-1(c / 255)``.
-2. The surface gets ``E`` lux from the even light and the lamp: ``E = lux ((1 - lamp) + lamp
-   cos / cos_floor)`` with the cosine of the lamp's direction there and on the level floor, and
-   reflects it evenly; gloss adds the lamp's mirror image.
-3. The sensor gets ``E_s = E rho T / (4 N^2)`` lux (Holst, "CMOS/CCD Sensors and Camera Systems",
-   eq. for an extended source far away), less by vignetting away from the middle.
-4. In the time t a pixel collects ``E_s t k`` electrons, ``k`` from the pixel's area, the quantum
+1. A display value c has the reflectance ``0.9 sRGB^-1(c / 255)``.
+2. The illuminance of a surface by ambient light and the lamp is ``E = lux ((1 - lamp) + lamp
+   cos / cos_floor)``, with the cosines of the lamp's direction on the surface and on the level
+   floor. Reflection is Lambertian; gloss adds a specular reflection of the lamp.
+3. The illuminance of the sensor is ``E_s = E rho T / (4 N^2)`` (Holst, "CMOS/CCD Sensors and Camera
+   Systems", equation for a distant extended source), reduced by vignetting.
+4. In the time t a pixel collects ``E_s t k`` electrons, ``k`` from the pixel area, the quantum
    efficiency behind the colour filters and 4.1e15 photons / (s m2 lux): 1 W of light at 555 nm is
    683 lm by definition of the candela.
-5. Photon noise (Poisson, by its normal limit), read noise, full well, gain.
-6. Time and gain are set so that the mean of the picture comes to ``target``: first the time, as
-   long as the frame rate allows, then the gain up to its limit. Beyond that the picture darkens.
-7. The camera's processor smooths the more the higher the gain, and encodes in sRGB with
-   a tone curve and 8 bits.
+5. Photon noise (Poisson, in its normal limit), read noise, full well and gain follow.
+6. Auto exposure brings the mean of the image to ``target``: first by the time, limited by the frame
+   rate, then by the gain up to its limit. Beyond that the image darkens.
+7. The processor smooths more at higher gain, and encodes in sRGB with a tone curve and 8 bits.
 """
 
 from dataclasses import dataclass
@@ -25,21 +24,21 @@ import numpy as np
 from jaxdet.types import Intrinsics
 
 TRANSMISSION = 0.9
-"""T of a coated lens."""
+"""Transmission T of a coated lens."""
 LightName = Literal["strong", "normal", "weaker", "dim"]
 
 
 class Illumination(NamedTuple):
-    """A level of light."""
+    """Illumination of a scene."""
 
     lux: float
-    """On the level floor."""
+    """Illuminance of the level floor [lux]."""
     lamp: float
-    """Share of it that comes from the lamp, the rest is even."""
+    """Fraction of the light that comes from the lamp; the rest is ambient."""
     softness: float
-    """Radius of the lamp's disc at distance one."""
+    """Radius of the lamp's disc at unit distance."""
     samples: int
-    """Shadow rays a pixel."""
+    """Shadow rays per pixel."""
 
 
 LIGHTS: dict[LightName, Illumination] = {
@@ -48,43 +47,43 @@ LIGHTS: dict[LightName, Illumination] = {
     "weaker": Illumination(120.0, 0.60, 0.06, 2),
     "dim": Illumination(50.0, 0.60, 0.06, 2),
 }
-"""The paper's four lights. It gives no figures; ours: sun through thin cloud (10-100 klx out of
-doors); an office (500 lx, EN 12464-1); a corridor (100 lx there); a room at dusk or a street at
-night (5-50 lx, EN 13201 class C), where exposure and gain are at their limits."""
+"""The paper's four light levels, for which it gives no figures. Ours: sun through thin cloud
+(10-100 klx outdoors); an office (500 lx, EN 12464-1); a corridor (100 lx, EN 12464-1); a room at
+dusk or a street at night (5-50 lx, EN 13201 class C), with exposure and gain at their limits."""
 
 
 @dataclass(frozen=True)
 class ColorSensor:
-    """The colour camera; the defaults are about a D435i's (OV2740, 1920 x 1080, 1.4 um, f/2.0)."""
+    """Colour camera; the defaults approximate a D435i (OV2740, 1920 x 1080, 1.4 um, f/2.0)."""
 
     enabled: bool = True
-    """Off: no noise, no blur, no vignetting; light and exposure stay."""
+    """Simulate noise, blur and vignetting; off: only light and exposure."""
     f_number: float = 2.0
-    """Of the lens."""
+    """F-number of the lens."""
     pixel_um: float = 3.15
-    """Side of a delivered pixel on the chip [um]: 1.4 by 1080 / 480 rows."""
+    """Side of an output pixel on the chip [um]: 1.4 times 1080 / 480 rows."""
     efficiency: float = 0.30
-    """Electrons a photon, behind the colour filters."""
+    """Quantum efficiency behind the colour filters [electrons per photon]."""
     read_noise_e: float = 6.0
-    """Read noise of a delivered pixel [electrons]."""
+    """Read noise of an output pixel [electrons]."""
     full_well_e: float = 25_000.0
-    """Electrons at which a delivered pixel saturates."""
+    """Full well capacity of an output pixel [electrons]."""
     max_exposure_s: float = 1 / 30
-    """Longest exposure [s]."""
+    """Maximum exposure time [s]."""
     max_gain: float = 16.0
-    """Greatest gain."""
+    """Maximum gain."""
     target: float = 0.18
-    """Mean of the picture that the exposure aims at, linear, 1 = saturated."""
+    """Mean of the image that the auto exposure aims at, linear, 1 = saturated."""
     blur_px: float = 0.55
-    """Lens and demosaicing [pixel]."""
+    """Blur of lens and demosaicing [pixel]."""
     smooth_px: float = 0.22
-    """Smoothing for each doubling of the gain [pixel]."""
+    """Smoothing per doubling of the gain [pixel]."""
     contrast: float = 1.3
-    """Slope of the tone curve (an S) at the middle grey, of display values; with it the pictures of
-    ``mixed`` in normal light are as contrasty as ten real ones of a D435 (spread 48 levels about
-    109), and edges as steep (a third of the step in a pixel)."""
+    """Slope of the S-shaped tone curve at middle grey, in display values; chosen so that images of
+    ``mixed`` in normal light have the contrast of ten real D435 images (standard deviation 48
+    levels, mean 109) and their edge sharpness (a third of the step per pixel)."""
     vignetting: float = 0.5
-    """Part of the cos^4 law that is left after the camera's own correction."""
+    """Fraction of the cos^4 law that remains after the camera's correction."""
 
 
 def expose(
@@ -96,19 +95,19 @@ def expose(
     rng: np.random.Generator,
     smear_px: float = 0.0,
 ) -> np.ndarray:
-    """Take a picture.
+    """Simulate a colour image.
 
     Args:
         surface: ``color`` and ``light`` of a :class:`jaxdet.sim.render.Rendering`.
-        camera: The colour camera.
-        light: How bright it is.
+        camera: Colour camera.
+        light: Illumination.
         cos_floor: Cosine of the lamp's direction on the level floor.
-        sensor: The camera's chip, lens and processor.
-        rng: Random numbers.
-        smear_px: How far the picture turns sideways in the longest exposure [pixel].
+        sensor: Sensor, lens and processor of the camera.
+        rng: Random generator.
+        smear_px: Horizontal motion blur at the maximum exposure time [pixel].
 
     Returns:
-        ``(H, W, 3)`` uint8, RGB.
+        Image ``(H, W, 3)`` uint8, RGB.
     """
     lux = illuminate(*surface, light, cos_floor) * np.float32(
         TRANSMISSION / (4 * sensor.f_number**2)
@@ -135,20 +134,20 @@ def expose(
 def illuminate(
     color: np.ndarray, shine: np.ndarray, light: Illumination, cos_floor: float
 ) -> np.ndarray:
-    """What surfaces send out, ``(H, W, 3)`` float32 [lux times reflectance]."""
+    """Return the light reflected by surfaces, ``(H, W, 3)`` float32 [lux times reflectance]."""
     lamp = np.float32(light.lux * light.lamp / cos_floor)
     got = np.float32(light.lux * (1 - light.lamp)) + lamp * shine[..., :1]
     return reflectance_of(color) * got + lamp * shine[..., 1:2]
 
 
 def reflectance_of(color: np.ndarray) -> np.ndarray:
-    """Reflectances, float32 of the shape of ``color`` [grey levels], to a quarter of a level."""
+    """Return the reflectance of colours [grey levels], float32, to a quarter of a level."""
     table = (0.9 * _linear(np.arange(1021) / 1020)).astype(np.float32)
     return table[np.clip(color * np.float32(4) + np.float32(0.5), 0, 1020).astype(np.uint16)]
 
 
 def _linear(value: np.ndarray) -> np.ndarray:
-    """The sRGB decoding, IEC 61966-2-1."""
+    """Decode sRGB, IEC 61966-2-1."""
     return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
 
 
@@ -168,7 +167,7 @@ def _vignette(camera: Intrinsics, part: float) -> np.ndarray:
 
 
 def _smear(image: np.ndarray, length_px: float) -> np.ndarray:
-    """A sideways blur by a box of that length, its ends weighted."""
+    """Blur horizontally by a box of this length, with fractional ends."""
     if length_px < 0.2:
         return image
     half = int(np.ceil(length_px / 2))

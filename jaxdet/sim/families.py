@@ -1,7 +1,7 @@
-"""Families of scenes, drawn by seed: the paper's four, and those of its experiments.
+"""Families of random scenes: the paper's four, those of its experiments, and further ones.
 
-The robot stands at the origin and looks along x. Things keep apart from each other by more than
-the default lateral gap in most draws, but not in all: what stands close counts too.
+The robot stands at the origin and looks along x. In most scenes objects are farther apart than the
+default lateral gap, but not in all, as close objects matter too.
 """
 
 from collections.abc import Callable
@@ -17,9 +17,9 @@ from jaxdet.sim.moving import moving
 from jaxdet.sim.scene import Cylinder, Model, Path, Scene
 
 DISTANCES_M = (3.0, 2.5, 2.0, 1.5, 1.25, 1.0)
-"""The paper's distances of its Table 4."""
+"""Distances of the paper's Table 4 [m]."""
 CYLINDER_RADIUS_M = 0.045
-"""The paper's cylinder of 9 cm diameter (its Section 4.4)."""
+"""Radius of the paper's cylinder (Section 4.4) [m]."""
 _APPROACHED = ("person", "cone", "bucket", "tree_trunk", "chair", "bin", "box", "pole")
 
 
@@ -88,9 +88,9 @@ def _cylinder(draft: Draft, distance_m: float) -> Scene:
 
 
 def _approach(draft: Draft, distance_m: float) -> Scene:
-    """The same obstacle, floor and lamp by the seed, at whichever distance.
+    """Draw an obstacle, floor and lamp that depend only on the seed, not on the distance.
 
-    Of what fits into the view at 1 m: tables and barriers don't.
+    All obstacles fit into the view at 1 m, which tables and barriers don't.
     """
     kind, aside = str(draft.rng.choice(_APPROACHED)), float(draft.rng.uniform(-0.08, 0.08))
     draft.thing(kind, distance_m, aside * distance_m)
@@ -119,7 +119,7 @@ def _low_things(draft: Draft, distance_m: float) -> Scene:
 
 
 def _pedestrian(draft: Draft, distance_m: float) -> Scene:
-    """A person walks to and fro across the way of the rolling robot (the paper's Fig. 15)."""
+    """Draw a person who walks to and fro across the path of the moving robot (paper, Fig. 15)."""
     del distance_m
     rng = draft.rng
     draft.thing("bin", 3.6, float(rng.uniform(0.9, 1.3)))
@@ -144,7 +144,7 @@ _HARD: dict[str, Callable[[Draft], Scene]] = {
     "tables": indoors.tables,
 }
 HARD_FAMILIES = tuple(_HARD)
-"""Families with walls in range, low things, steps down, ramps; plain and mirroring floors."""
+"""Families with walls in range, low objects, steps down, ramps; plain and mirroring floors."""
 _FAMILIES: dict[str, Callable[[Draft, float], Scene]] = {
     "people_and_vehicle": _people_and_vehicle,
     "roadblocks": _roadblocks,
@@ -164,16 +164,16 @@ FAMILIES = tuple(_FAMILIES)
 
 
 def make_scene(family: str, seed: int, distance_m: float = 2.0) -> Scene:
-    """Draw a scene in which no two solid things are in each other.
+    """Draw a scene without intersecting solid objects.
 
     Args:
         family: One of ``FAMILIES``.
-        seed: Draws it.
-        distance_m: Of the obstacle of ``cylinder`` and ``approach`` [m].
+        seed: Random seed.
+        distance_m: Distance of the obstacle of ``cylinder`` and ``approach`` [m].
     """
     return apart(draw_scene(family, seed, distance_m), seed)
 
 
 def draw_scene(family: str, seed: int, distance_m: float = 2.0) -> Scene:
-    """The same before :func:`jaxdet.sim.apart.apart`: things may be in each other."""
+    """Draw a scene without :func:`jaxdet.sim.apart.apart`: objects may intersect."""
     return _FAMILIES[family](Draft(seed, family), distance_m)

@@ -1,4 +1,4 @@
-"""The simulation itself: each frame from the seed and its number alone, so several at a time."""
+"""Simulation of frames, each from only the seed and its number, several at a time."""
 
 from collections import deque
 from collections.abc import Iterator
@@ -21,57 +21,57 @@ from jaxdet.sim.sensor import Surface, measure_depth
 from jaxdet.types import GroundPlane, Intrinsics
 
 _MOST_THREADS = 8
-"""Frames that are simulated at a time; each takes 40 MB."""
+"""Maximum number of frames that are simulated at once; each takes 40 MB."""
 
 
 class SimFrame(NamedTuple):
-    """What the cameras deliver at one time, and the truth about it."""
+    """Images of both cameras at a point in time, and their ground truth."""
 
     number: int
-    """0-based number in the log."""
+    """Number in the log, from 0."""
     stamp_ns: int
-    """Of the colour image [ns]."""
+    """Timestamp of the colour image [ns]."""
     depth_stamp_ns: int
     color: np.ndarray
-    """``(H, W, 3)`` uint8, RGB."""
+    """Colour image ``(H, W, 3)`` uint8, RGB."""
     depth: np.ndarray | None
-    """``(H, W)`` uint16 [mm] on the depth camera's rays; None in the form ``aligned``."""
+    """Depth image of the depth camera, ``(H, W)`` uint16 [mm]; None in the form ``aligned``."""
     aligned: np.ndarray | None
-    """``(H, W)`` uint16 [mm] on the colour camera's rays, in the forms ``aligned``, ``both``."""
+    """Depth image aligned to colour, ``(H, W)`` uint16 [mm], in the forms ``aligned``, ``both``."""
     T_world_color: np.ndarray
-    """``(4, 4)`` float64, colour optical frame to world, exact."""
+    """Exact pose of the colour optical frame in the world, ``(4, 4)`` float64."""
     T_world_base: np.ndarray
-    """``(4, 4)`` float64, robot (base_footprint) to world, exact."""
+    """Exact pose of the robot (base_footprint) in the world, ``(4, 4)`` float64."""
     truth: Rendering
-    """The ideal picture of the colour camera."""
+    """Ideal image of the colour camera."""
     scene: Scene
-    """What is looked at."""
+    """Scene."""
     config: SimConfig
-    """How."""
+    """Parameters of the simulation."""
     time_s: float
-    """Since the first frame [s]."""
+    """Time since the first frame [s]."""
     mount: tuple[float, float, float]
-    """True height [m], pitch and roll [rad] of the colour camera over the base."""
+    """True height [m], pitch and roll [rad] of the colour camera above the base."""
 
     @property
     def plane(self) -> GroundPlane:
-        """The floor, ``B`` = 1, as the log's TF has it: without the mount's errors."""
+        """Floor in the log's TF, ``B`` = 1, without the errors of the mount."""
         config = self.config
-        told = config.camera_height_m, config.camera_pitch_rad, config.camera_roll_rad
-        return flat_plane(*told)
+        mount = config.camera_height_m, config.camera_pitch_rad, config.camera_roll_rad
+        return flat_plane(*mount)
 
 
 def simulate(config: SimConfig) -> Iterator[SimFrame]:
-    """Simulate a log, a frame on each core.
+    """Simulate a log, one frame per core at a time.
 
     Args:
-        config: The scene and the recording.
+        config: Scene and recording.
 
     Yields:
-        Its frames in order. Frame i is the same however many are asked for.
+        Frames in order. Frame i does not depend on the number of frames.
 
     Raises:
-        ConfigError: The scene is not known.
+        ConfigError: The scene is unknown.
         InputError: The scene's file can't be read.
     """
     scene, threads = scene_of(config), min(cores(), _MOST_THREADS)
@@ -89,7 +89,7 @@ def simulate(config: SimConfig) -> Iterator[SimFrame]:
 
 
 def simulate_frame(config: SimConfig, scene: Scene, index: int) -> SimFrame:
-    """Frame ``index`` of a log; its noise depends on the seed and the index only."""
+    """Simulate frame ``index`` of a log; its noise depends only on the seed and the index."""
     calibration = calibration_of(config)
     time_s = index / config.rate_hz
     T_world_base = base_pose(scene, time_s)
@@ -129,7 +129,7 @@ def look(
     *,
     shadows: bool = True,
 ) -> Rendering:
-    """The ideal picture of one of the cameras at a time."""
+    """Render the ideal image of a camera at a time."""
     light = config.light if shadows else None
     return render(
         scene, camera, T_world_camera, seed=config.seed, time_s=time_s, light=light,
@@ -138,7 +138,7 @@ def look(
 
 
 def base_pose(scene: Scene, time_s: float) -> np.ndarray:
-    """``T_world_base`` ``(4, 4)`` float64 at a time since the first frame: on the ground."""
+    """Return ``T_world_base`` ``(4, 4)`` float64 on the ground, at a time since the first frame."""
     pose = pose_at(scene.path, time_s)
     return standing(scene.ground, pose.x, pose.y) @ pose.T
 
@@ -146,7 +146,7 @@ def base_pose(scene: Scene, time_s: float) -> np.ndarray:
 def _measure(
     view: Rendering, camera: Intrinsics, config: SimConfig, rng: np.random.Generator
 ) -> np.ndarray:
-    """The depth image; the infrared cameras see the surfaces in even light."""
+    """Simulate the depth image; lighting is uniform for the infrared cameras."""
     sensor = config.sensor.with_errors(config.depth_error) if config.depth_error else config.sensor
     if not sensor.enabled:
         return measure_depth(view.depth, camera, sensor, rng)
@@ -158,8 +158,10 @@ def _measure(
 
 
 def true_mount(config: SimConfig, index: int) -> tuple[float, float, float]:
-    """Height [m], pitch and roll [rad] of the colour camera in a frame: what the configuration
-    says, its errors, and how the robot rocks."""  # noqa: D205, D209
+    """Return true height [m], pitch and roll [rad] of the colour camera in a frame.
+
+    They are the configured values, plus the mount's errors and the rocking of the robot.
+    """
     pitch, roll = 0.0, 0.0
     if config.rock_rad:
         pitch, roll = (config.rock_rad * _rng(config, index, 3).standard_normal(2)).tolist()

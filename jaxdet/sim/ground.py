@@ -1,4 +1,4 @@
-"""The floor's height, its mesh, and how things and the robot stand on it."""
+"""Height and mesh of the floor, and poses of objects and the robot on it."""
 
 import numpy as np
 
@@ -9,18 +9,18 @@ from jaxdet.sim.scene import Ground
 EXTENT_M = 60.0
 """Half the side of the floor [m]."""
 RISER_M = 1e-5
-"""Half of what the side of a step takes along the floor [m]."""
+"""Half of the horizontal extent of a step's riser [m]."""
 _ALONG = np.arange(-5.0, 14.0, 0.08)
 _ACROSS = np.arange(-7.0, 7.0, 0.08)
-"""The bumpy part of the floor, along and across the slope [m]."""
+"""Grid of the bumpy part of the floor, along and across the slope [m]."""
 _STANCE_M = 0.2
-"""Half the distance over which the ground's tilt under a thing is taken [m]."""
+"""Half the distance over which the tilt of the ground under an object is measured [m]."""
 
 
 def ground_height(ground: Ground, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Height of the floor above z = 0 [m], of the shape of ``x`` and ``y`` [m].
+    """Return the height of the floor above z = 0 at ``x``, ``y`` [m].
 
-    Bumps end some metres away, where the floor's mesh has no grid.
+    Bumps end where the floor's mesh has no grid.
     """
     c, s = np.cos(ground.slope_yaw), np.sin(ground.slope_yaw)
     a, b = c * x + s * y, c * y - s * x
@@ -41,10 +41,10 @@ def ground_height(ground: Ground, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def floor_mesh(ground: Ground, look: Texture) -> Mesh:
-    """The floor, ``2 EXTENT_M`` wide: as few triangles as a ramp needs, or a grid for bumps.
+    """Build the mesh of the floor, ``2 EXTENT_M`` wide: few triangles, or a grid for bumps.
 
-    On bumps of height a and length L the grid is off by at most ``a (0.25 m / L)^2 / 2``, 0.05 a
-    for the default.
+    On bumps of height a and length L the error of the grid is at most ``a (0.25 m / L)^2 / 2``,
+    0.05 a for the default.
     """
     lines = np.array([-EXTENT_M, EXTENT_M])
     start, length = ground.slope_start_m, ground.slope_length_m
@@ -61,10 +61,10 @@ def floor_mesh(ground: Ground, look: Texture) -> Mesh:
 
 
 def standing(ground: Ground, x: float, y: float) -> np.ndarray:
-    """How a thing at ``x, y`` stands on the ground: raised and tilted with it, not turned.
+    """Return the transform that places an object at ``x, y`` on the ground: height and tilt.
 
     Returns:
-        ``(4, 4)`` float64, to be applied after the thing's own motion on the plane.
+        Transform ``(4, 4)`` float64, to be applied after the object's planar pose.
     """
     T = np.eye(4)
     if ground == Ground():

@@ -1,4 +1,4 @@
-"""Families of scenes among walls and furniture that are in range of the camera."""
+"""Families of scenes with walls and furniture in range of the camera."""
 
 import numpy as np
 
@@ -25,13 +25,13 @@ _BEFORE_WALLS = ("box", "box", "person", "bin", "cone", "bucket", "chair", "cabl
 
 
 def _point(yaw: float, along: float, across: float) -> tuple[float, float]:
-    """A place in a frame turned by ``yaw`` about the robot."""
+    """Return a point given in a frame rotated by ``yaw`` about the robot."""
     x, y = (rotation_z(yaw) @ (along, across)).tolist()
     return x, y
 
 
 def corridor(draft: Draft) -> Scene:
-    """A corridor of 1.2 to 2.4 m, perhaps with a door's recess, and one to three things in it."""
+    """Draw a corridor 1.2 to 2.4 m wide with one to three objects; some have a recessed door."""
     rng = draft.rng
     width, yaw = float(rng.uniform(1.2, 2.4)), float(rng.normal(0, 0.06))
     right = float(rng.uniform(0.3, 0.7)) * width
@@ -57,7 +57,7 @@ def _across(yaw: float, x: float, left: float, right: float, look: Texture, name
 def _side(
     yaw: float, sign: int, y: float, end: float, look: Texture, recess: float | None
 ) -> list[Wall]:
-    """A corridor's wall on one side, its face at ``y``, a door set back at ``recess``."""
+    """Return the wall on one side of a corridor, its face at ``y``, with a door at ``recess``."""
 
     def piece(a: float, b: float, face: float, what: Texture, name: str) -> Wall:
         across = sign * (face + _HALF)
@@ -77,7 +77,7 @@ def _side(
 
 
 def _thing_in_corridor(draft: Draft, yaw: float, left: float, right: float, far: float) -> None:
-    """A box, person or bin, by a wall or in the middle."""
+    """Place a box, person or bin, at a wall or in the middle."""
     rng = draft.rng
     kind = str(rng.choice(["box", "box", "person", "bin", "cone", "chair"]))
     radius = 0.22 if kind == "person" else 0.28
@@ -101,13 +101,13 @@ def _thing_in_corridor(draft: Draft, yaw: float, left: float, right: float, far:
 
 
 def wall_in_range(draft: Draft) -> Scene:
-    """One to three things 5 to 50 cm before a wall or a hedge that is 1.5 to 3.5 m away."""
+    """Draw one to three objects 5 to 50 cm in front of a wall or hedge 1.5 to 3.5 m away."""
     rng = draft.rng
     far, yaw = float(rng.uniform(1.5, 3.5)), float(rng.normal(0, 0.2))
     hedge = bool(rng.random() < 0.3)
     thick, tall = (0.6, float(rng.uniform(0.6, 1.4))) if hedge else (0.1, 2.8)
     look, name = (HEDGE, "hedge") if hedge else (inner_wall(rng), "wall")
-    # The wall is turned about the point of its face straight ahead.
+    # The wall is rotated about the point of its face straight ahead.
     ahead, along = rotation_z(yaw).T
     face = np.array([far, 0.0])
     a, b = (tuple((face + ahead * thick / 2 + side * along).tolist()) for side in (-5.0, 5.0))
@@ -121,7 +121,7 @@ def wall_in_range(draft: Draft) -> Scene:
 
 
 def _put_before(draft: Draft, face: np.ndarray, ahead: np.ndarray, gap: float) -> None:
-    """A thing whose far side is ``gap`` before a wall's face at a point; ``ahead`` is into it."""
+    """Place an object ``gap`` in front of a wall's face at a point; ``ahead`` points into it."""
     rng = draft.rng
     kind, seed = str(rng.choice(_BEFORE_WALLS)), int(rng.integers(1 << 30))
     yaw = float(np.arctan2(ahead[1], ahead[0]) + rng.normal(0, 0.15))
@@ -139,7 +139,7 @@ def _put_before(draft: Draft, face: np.ndarray, ahead: np.ndarray, gap: float) -
 
 
 def furnished(draft: Draft) -> Scene:
-    """A room of 2.5 to 5 m with tables, chairs, cabinets, a sofa, perhaps a glass wall."""
+    """Draw a room of 2.5 to 5 m with tables, chairs, cabinets, a sofa; some have a glass wall."""
     rng = draft.rng
     left, right, front = rng.uniform((1.1, 1.1, 2.6), (2.4, 2.4, 4.6)).tolist()
     look = inner_wall(rng)
@@ -167,7 +167,7 @@ def furnished(draft: Draft) -> Scene:
 
 
 def _by_wall(draft: Draft, side: int, left: float, right: float, front: float) -> None:
-    """A cabinet or sofa with its back to a wall: -1 the right one, 0 the one ahead, 1 the left."""
+    """Place a cabinet or sofa with its back to a wall: -1 right, 0 ahead, 1 left."""
     rng = draft.rng
     cabinet = bool(rng.random() < 0.6)
     deep = float(rng.uniform(0.35, 0.6)) if cabinet else 0.95
@@ -188,7 +188,7 @@ def _by_wall(draft: Draft, side: int, left: float, right: float, front: float) -
 
 
 def tables(draft: Draft) -> Scene:
-    """Tops on legs or a column, and slabs that hang in the air."""
+    """Draw tables with legs or a column, and floating slabs."""
     rng = draft.rng
     for _ in range(int(rng.integers(1, 3))):
         x, y = draft.place(1.3, 3.2, 0.7, gap=0.1)

@@ -1,6 +1,6 @@
-"""What is wrong with whole regions of a depth image: bowed, bent, torn, mirrored, seen through.
+"""Regional depth errors: bowing, bent margins, holes, mirrors and clear panes.
 
-Errors are errors of the disparity d = f B / z, so they grow with z^2 in depth.
+Errors are added to the disparity d = f B / z, so that in depth they grow with z^2.
 """
 
 import numpy as np
@@ -9,7 +9,7 @@ from jaxdet.sim.patches import chosen, patches
 from jaxdet.sim.stereo import DepthSensor, Surface
 
 FAR_M = 4.0
-"""Where ``DepthSensor.bow`` is stated [m]."""
+"""Depth to which ``DepthSensor.bow`` refers [m]."""
 
 
 def bend(
@@ -19,21 +19,21 @@ def bend(
     rng: np.random.Generator,
     specimen: int,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Errors of the disparity that hang together, and where margins have no depth.
+    """Return the smooth disparity error, and the holes of the margins.
 
-    The bow is ``bow f B / 4 m`` in the corners times a form that a camera keeps: a bowl and a
-    twist, their signs and parts drawn. In the margins the error grows from 0 at their inner end to
-    the outer one as a square.
+    The bowing is ``bow f B / 4 m`` in the corners times a shape that is constant for a camera: a
+    bowl and a twist with random signs and weights. In the margins the error grows quadratically
+    from 0 at the inner end.
 
     Args:
         shape: H, W.
         constant: f B [m pixel].
-        sensor: How it errs.
-        rng: Random numbers of the frame.
-        specimen: Which camera of its kind it is.
+        sensor: Error model.
+        rng: Random generator of the frame.
+        specimen: Seed of the systematic errors, which are constant for a camera.
 
     Returns:
-        ``(H, W)`` float64 [pixel] and ``(H, W)`` bool.
+        Error ``(H, W)`` float64 [pixel], and holes ``(H, W)`` bool.
     """
     own = np.random.default_rng([specimen, 5])
     y, x = (np.linspace(-1, 1, n) for n in shape)
@@ -59,17 +59,17 @@ def bend(
 def misread(
     z: np.ndarray, surface: Surface, sensor: DepthSensor, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Which surface is matched where floors mirror and panes are clear.
+    """Select the matched surface on mirroring floors and clear panes.
 
     Args:
-        z: ``(H, W)`` float, ideal depth [m].
-        surface: What the surfaces look like.
-        sensor: How it errs.
-        rng: Random numbers.
+        z: Ideal depth ``(H, W)`` float [m].
+        surface: Appearance of the surfaces.
+        sensor: Error model.
+        rng: Random generator.
 
     Returns:
-        ``(H, W)`` float, depth of what is matched [m]; ``(H, W)`` bool, no depth; ``(H, W)`` bool,
-        a mirror image, which is matched however bare the floor is.
+        Depth of the matched surface ``(H, W)`` float [m]; holes ``(H, W)`` bool; mirror images
+        ``(H, W)`` bool, which are matched regardless of the floor's texture.
     """
     lost, ghost = np.zeros((2, *z.shape), bool)
     if surface.mirrored is not None and sensor.reflection > 0:

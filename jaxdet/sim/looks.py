@@ -1,6 +1,6 @@
-"""Textures by name: what floors, walls and things are made of.
+"""Textures of floors, walls and objects.
 
-Colours are display values; a Lambert reflectance follows from them (:mod:`jaxdet.sim.exposure`).
+Colours are display values; :mod:`jaxdet.sim.exposure` derives the Lambertian reflectance.
 """
 
 from dataclasses import dataclass
@@ -9,20 +9,20 @@ from typing import Literal
 import numpy as np
 
 Color = tuple[int, int, int]
-"""RGB, 0-255, as a display shows them (sRGB)."""
+"""RGB, 0-255, sRGB."""
 Kind = Literal[
     "plain", "noise", "tiles", "wood", "stripes", "checker", "carton", "cloth", "bark", "brick",
     "lines", "asphalt", "grass", "mosaic",
 ]  # fmt: skip
-"""The patterns."""
+"""Names of the patterns."""
 
 
 @dataclass(frozen=True)
 class Texture:
-    """How a surface looks, to the colour camera and to the infrared ones."""
+    """Appearance of a surface in the colour and infrared cameras."""
 
     kind: Kind = "plain"
-    """Pattern drawn with the two colours."""
+    """Pattern of the two colours."""
     color: Color = (150, 150, 150)
     """Main colour."""
     accent: Color = (90, 90, 90)
@@ -30,12 +30,12 @@ class Texture:
     size_m: float = 0.3
     """Period of the pattern [m]: tile, board, stripe pair, carton face."""
     grain: float = 3.0
-    """Fine variation, standard deviation [grey levels]."""
+    """Standard deviation of the fine noise [grey levels]."""
     gloss: float = 0.0
-    """How much of a mirror it is, 0 to 1: highlights for colour, holes for depth; a level floor
-    with gloss shows what stands on it upside down."""
+    """Specular reflectance, 0 to 1: highlights in colour, holes in depth; a level floor with gloss
+    mirrors the objects on it."""
     clear: float = 0.0
-    """How much of what is behind it is seen, 0 to 1; depth is measured through it."""
+    """Transparency, 0 to 1; depth is measured through the surface."""
 
 
 TILES = Texture("tiles", color=(150, 146, 138), accent=(70, 68, 66), size_m=0.4, grain=3.0)
@@ -86,15 +86,18 @@ SIGNAL_RED = Texture("plain", color=(190, 28, 26), grain=3.0)
 
 
 def pick(rng: np.random.Generator, *looks: Texture) -> Texture:
-    """One of some textures by chance."""
+    """Draw one of the textures."""
     return looks[int(rng.integers(len(looks)))]
 
 
 def tinted(
     rng: np.random.Generator, color: tuple[int, int, int], spread: float = 18.0
 ) -> tuple[int, int, int]:
-    """A colour near another: brighter or darker by ``spread`` (standard deviation, grey levels),
-    each channel by a quarter of it."""  # noqa: D205, D209
+    """Draw a colour near another.
+
+    The standard deviation of the brightness is ``spread`` [grey levels], plus a quarter of it per
+    channel.
+    """
     moved = np.asarray(color) + rng.normal(0, spread) + rng.normal(0, spread / 4, 3)
     r, g, b = np.clip(moved, 8, 245).astype(int).tolist()
     return r, g, b

@@ -1,7 +1,7 @@
-"""Triangle meshes: soups of triangles, each with its own corners, so that joining is concatenating.
+"""Triangle soups: meshes whose triangles share no vertices, so that they can be concatenated.
 
-Lengths in metres. Surfaces carry places ``(s, t)`` in metres for their texture. Which way round a
-triangle goes does not matter: a surface is lit on the side that is looked at.
+Lengths are in metres, as are texture coordinates ``(s, t)``. The winding order of a triangle is
+irrelevant: surfaces are lit on the visible side.
 """
 
 from collections.abc import Iterable
@@ -16,27 +16,27 @@ class Mesh(NamedTuple):
     """``F`` triangles."""
 
     corners: np.ndarray
-    """``(F, 3, 3)`` float64 [m]."""
+    """Vertices ``(F, 3, 3)`` float64 [m]."""
     normals: np.ndarray
-    """``(F, 3, 3)`` float64, unit, for shading."""
+    """Unit normals for shading, ``(F, 3, 3)`` float64."""
     places: np.ndarray
-    """``(F, 3, 2)`` float64, place on the surface [m]."""
+    """Texture coordinates ``(F, 3, 2)`` float64 [m]."""
     look: np.ndarray
-    """``(F,)`` int32, index into ``looks``."""
+    """Index into ``looks``, ``(F,)`` int32."""
     looks: tuple[Texture, ...]
 
     def moved(self, T: np.ndarray) -> "Mesh":
-        """The mesh under a rigid motion ``(4, 4)``."""
+        """Apply a rigid transform ``(4, 4)``."""
         R = T[:3, :3]
         return self._replace(corners=self.corners @ R.T + T[:3, 3], normals=self.normals @ R.T)
 
     def scaled(self, factor: float) -> "Mesh":
-        """The mesh made larger about the origin; its texture keeps its scale."""
+        """Scale the mesh about the origin; its texture keeps its scale."""
         return self._replace(corners=self.corners * factor, places=self.places * factor)
 
 
 def join(meshes: Iterable[Mesh]) -> Mesh:
-    """All meshes as one; at least one."""
+    """Concatenate one or more meshes."""
     parts = list(meshes)
     looks = list(dict.fromkeys(look for part in parts for look in part.looks))
     index = [np.array([looks.index(k) for k in part.looks], np.int32)[part.look] for part in parts]
@@ -50,7 +50,7 @@ def join(meshes: Iterable[Mesh]) -> Mesh:
 
 
 def shift(x: float = 0.0, y: float = 0.0, z: float = 0.0, yaw: float = 0.0) -> np.ndarray:
-    """The motion ``(4, 4)`` that turns by ``yaw`` about the vertical, then moves."""
+    """Return the transform ``(4, 4)`` that rotates about the vertical, then translates."""
     T = np.eye(4)
     c, s = np.cos(yaw), np.sin(yaw)
     T[:2, :2] = [[c, -s], [s, c]]
@@ -61,8 +61,7 @@ def shift(x: float = 0.0, y: float = 0.0, z: float = 0.0, yaw: float = 0.0) -> n
 def soup(
     corners: np.ndarray, places: np.ndarray, look: Texture, normals: np.ndarray | None = None
 ) -> Mesh:
-    """A mesh of triangles ``(F, 3, 3)``, flat-shaded where no normals are given; empty triangles
-    are left out."""  # noqa: D205, D209
+    """Build a mesh of triangles ``(F, 3, 3)``, by default flat-shaded; drop degenerate ones."""
     if normals is None:
         flat = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         normals = np.repeat(flat[:, None], 3, axis=1)
@@ -75,14 +74,14 @@ def soup(
 
 
 def quads(grid: np.ndarray) -> np.ndarray:
-    """The two triangles of each cell of a grid ``(m, n, k)``: ``(2 (m-1) (n-1), 3, k)``."""
+    """Split each cell of a grid ``(m, n, k)`` into triangles ``(2 (m-1) (n-1), 3, k)``."""
     a, b, c, d = grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]
     pairs = np.stack([np.stack([a, b, c], 2), np.stack([a, c, d], 2)], 2)
     return pairs.reshape(-1, 3, grid.shape[-1])
 
 
 def sheet(points: np.ndarray, look: Texture, places: np.ndarray | None = None) -> Mesh:
-    """A flat-shaded surface through a grid of points ``(m, n, 3)``."""
+    """Build a flat-shaded surface through a grid of points ``(m, n, 3)``."""
     if places is None:
         places = points[..., :2]
     return soup(quads(points), quads(places), look)

@@ -1,4 +1,4 @@
-"""People who walk and carts that cross, before and behind things that stand."""
+"""Family of scenes with walking people and crossing carts among static objects."""
 
 from dataclasses import replace
 
@@ -10,7 +10,7 @@ from jaxdet.sim.robot import pose_at
 from jaxdet.sim.scene import Box, Model, Path, Scene
 
 DURATION_S = 30.0
-"""So long nobody walks through anything [s]."""
+"""Time without collisions [s]."""
 _TIMES_S = np.arange(0.0, DURATION_S, 0.1)
 _RADIUS_M = {"walker": 0.4, "cart": 0.6}
 _CLEAR_M = 0.35
@@ -18,9 +18,9 @@ _ROBOT_M = 0.7
 
 
 def moving(draft: Draft) -> Scene:
-    """One to three people on their ways, up to two carts, things and a pillar between them.
+    """Draw one to three walking people, up to two carts, static objects and often a pillar.
 
-    In half of the draws the robot stands, else it drives forth and back.
+    In half of the scenes the robot stands, else it drives back and forth.
     """
     rng = draft.rng
     path = Path(length=0.0)
@@ -45,13 +45,13 @@ def moving(draft: Draft) -> Scene:
 
 
 def _way(path: Path) -> np.ndarray:
-    """Where something is over time, ``(T, 2)`` [m]."""
+    """Return the trajectory of a path, ``(T, 2)`` [m]."""
     poses = [pose_at(path, float(t)) for t in _TIMES_S]
     return np.array([[pose.x, pose.y] for pose in poses])
 
 
 def _send(draft: Draft, kind: str, ways: list[tuple[np.ndarray, float]]) -> None:
-    """Something on a way that meets nothing; left out where there is no such way."""
+    """Add a moving model on a collision-free path; none if no such path is found."""
     radius = _RADIUS_M[kind]
     for _ in range(60):
         path = _crossing(draft.rng, kind)
@@ -65,7 +65,7 @@ def _send(draft: Draft, kind: str, ways: list[tuple[np.ndarray, float]]) -> None
 
 
 def _crossing(rng: np.random.Generator, kind: str) -> Path:
-    """A way across the view, or of people half of the time one that comes nearer."""
+    """Draw a path across the view; half of the people's paths approach the robot."""
     length, speed = rng.uniform((2.5, 0.6), (6.0, 1.5)).tolist()
     side = float(rng.choice([-1.0, 1.0]))
     if kind == "walker" and rng.random() < 0.5:

@@ -1,32 +1,32 @@
-"""Random images that hang together: noise of a width, and patches."""
+"""Spatially correlated random images: smooth noise and patches."""
 
 import cv2
 import numpy as np
 
 
 def smooth_noise(shape: tuple[int, ...], size_px: float, rng: np.random.Generator) -> np.ndarray:
-    """Normal noise ``shape`` float32, unit variance, blurred by ``size_px`` [pixel]."""
+    """Return normal noise ``shape`` float32 with unit variance, blurred by ``size_px`` [pixel]."""
     white = rng.standard_normal(shape, np.float32)
     if size_px <= 0:
         return white
-    # A Gaussian of this width leaves 1 / (4 pi size^2) of the variance; measured on its taps.
+    # A Gaussian of this width reduces the variance by 4 pi size^2; computed from its taps.
     taps = cv2.getGaussianKernel(2 * int(3 * size_px + 0.5) + 1, size_px)
     return cv2.sepFilter2D(white, -1, taps, taps) / np.float32((taps**2).sum())
 
 
 def patches(shape: tuple[int, ...], size_px: int, rng: np.random.Generator) -> np.ndarray:
-    """Normal noise ``shape`` float32 in patches a little larger than ``size_px`` [pixel]."""
+    """Return normal noise ``shape`` float32 in patches slightly larger than ``size_px`` [pixel]."""
     small = smooth_noise((shape[0] // size_px + 1, shape[1] // size_px + 1), 0.7, rng)
     return cv2.resize(small, shape[::-1], interpolation=cv2.INTER_LINEAR)
 
 
 def chosen(share: np.ndarray | float, values: np.ndarray) -> np.ndarray:
-    """Pixels by chance, bool: each with probability ``share``, near ones together.
+    """Draw a random mask, bool: each pixel with probability ``share``, correlated as ``values``.
 
     Args:
-        share: Of the shape of ``values`` or a number, 0 to 1.
-        values: Normal noise, as of :func:`patches`; its logistic is taken for its distribution,
-            which is right to 0.01.
+        share: Probability, 0 to 1, a number or an array of the shape of ``values``.
+        values: Normal noise, as from :func:`patches`; a logistic function approximates its
+            distribution to 0.01.
     """
     standard = (values - values.mean()) / max(float(values.std()), 1e-6)
     return 1 / (1 + np.exp(-1.702 * standard)) < share

@@ -1,4 +1,4 @@
-"""The shapes of a scene's objects at a time: heights, boxes, outlines on the floor."""
+"""Heights, boxes and footprints of a scene's objects at a point in time."""
 
 from functools import lru_cache
 
@@ -11,7 +11,7 @@ from jaxdet.sim.world import OUTLINE_CORNERS, bounds, heading, object_mesh, outl
 
 @lru_cache(maxsize=4)
 def placed(scene: Scene, time_s: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Heights, boxes and outlines of all objects at a time, as in :class:`jaxdet.sim.Truth`."""
+    """Return heights, boxes and footprints of all objects, as in :class:`jaxdet.sim.Truth`."""
     count = len(scene.objects)
     heights = np.zeros(count, np.float32)
     boxes = np.zeros((count, 8, 3), np.float32)

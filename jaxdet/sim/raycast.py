@@ -1,4 +1,4 @@
-"""Casting camera rays on worlds in Warp, on the CPU or a CUDA device."""
+"""Ray caster in Warp, on the CPU or a CUDA device."""
 
 from collections.abc import Sequence
 from functools import lru_cache
@@ -15,44 +15,44 @@ from jaxdet_kernels import raycast as kernels
 
 
 class View(NamedTuple):
-    """A look at one of the caster's worlds."""
+    """A view of one of the caster's worlds."""
 
     T_world_camera: np.ndarray
-    """``(4, 4)`` float64, optical frame to world."""
+    """Pose of the optical frame in the world, ``(4, 4)`` float64."""
     lamp: tuple[float, float, float] = (0.0, 0.0, 1.0)
-    """Towards the lamp."""
+    """Direction towards the lamp."""
     lamp_radius: float = 0.0
-    """Of the lamp's disc at distance one: how soft the shadows are."""
+    """Radius of the lamp's disc at unit distance, which softens shadows."""
     world: int = 0
-    """Place in the caster's worlds."""
+    """Index of the world."""
 
 
 class Hits(NamedTuple):
-    """What each pixel's ray meets first, for ``B`` views."""
+    """First intersection of each pixel's ray, for ``B`` views."""
 
     face: np.ndarray
-    """``(B, H, W)`` int32, triangle counted over all worlds; -1 none."""
+    """Index of the triangle over all worlds, ``(B, H, W)`` int32; -1: none."""
     depth: np.ndarray
-    """``(B, H, W)`` float64, z in the camera [m]; inf where nothing is hit."""
+    """z in the camera, ``(B, H, W)`` float64 [m]; inf where nothing is hit."""
     color: np.ndarray
-    """``(B, H, W, 3)`` float32, the surface's colour [grey levels], not clipped."""
+    """Colour of the surface, ``(B, H, W, 3)`` float32 [grey levels], not clipped."""
     light: np.ndarray
-    """``(B, H, W, 3)`` float32: the lamp's cosine times the share of the lamp that is seen; the
-    lamp's mirror image; the cosine between surface and view."""
+    """Lighting ``(B, H, W, 3)`` float32: cosine of the lamp times its visible fraction; specular
+    reflection of the lamp; cosine between surface normal and view."""
 
 
 class Caster:
-    """Some worlds on a device, ready to be looked at.
+    """Worlds on a device, ready for ray casting.
 
     Args:
-        worlds: The worlds.
-        seed: Where the textures begin.
-        device: Warp's name of the device.
+        worlds: Worlds.
+        seed: Seed of the texture offsets.
+        device: Warp device.
     """
 
     def __init__(self, worlds: Sequence[World], seed: int = 0, device: str = "cpu") -> None:
         self.device = device
-        wp.load_module(kernels, device=device)  # threads that look at the same time find it there
+        wp.load_module(kernels, device=device)  # once, before threads use it
         self.first = np.r_[0, np.cumsum([len(w.object_of) for w in worlds])].astype(np.int32)
         self._meshes = [self._mesh(world) for world in worlds]
         looks = list(dict.fromkeys(look for world in worlds for look in world.mesh.looks))
@@ -75,12 +75,12 @@ class Caster:
         )
 
     def look(self, camera: Intrinsics, views: Sequence[View], samples: int = 0) -> Hits:
-        """Look at the worlds.
+        """Cast the rays of all views.
 
         Args:
-            camera: The camera of all views; its distortion is ignored.
+            camera: Camera of all views; its distortion is ignored.
             views: ``B`` views.
-            samples: Shadow rays a pixel; 0: no light is computed.
+            samples: Shadow rays per pixel; 0: no lighting is computed.
         """
         shape = (len(views), camera.height, camera.width)
         poses = np.array([view.T_world_camera[:3].ravel() for view in views], np.float64)
@@ -113,14 +113,14 @@ def _unit(vector: tuple[float, float, float]) -> np.ndarray:
 
 
 def _planes(corners: np.ndarray) -> np.ndarray:
-    """Unit normal and offset of each triangle, ``(F, 4)`` float64."""
+    """Return unit normal and offset of each triangle, ``(F, 4)`` float64."""
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     return np.column_stack([normal, (normal * corners[:, 0]).sum(1)])
 
 
 def _look_rows(looks: Sequence[Texture], kinds: tuple[str, ...], seed: int) -> np.ndarray:
-    """``(L, 12)`` float32, as the kernel's documentation says."""
+    """Return the texture parameters ``(L, 12)`` float32, as documented in the kernel."""
     shifts = np.random.default_rng([seed, 3]).random((len(looks), 2))
     rows = [
         (kinds.index(k.kind), *k.color, *k.accent, k.size_m, k.grain, k.gloss, *shifts[i])

@@ -1,4 +1,4 @@
-"""Writing a simulated log: topics and frames as ``realsense2_camera`` 4.x names them."""
+"""Writer of simulated logs, with the topic and frame names of ``realsense2_camera`` 4.x."""
 
 from collections import deque
 from collections.abc import Callable
@@ -26,22 +26,22 @@ def write_log(
     config: SimConfig | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> Truth:
-    """Simulate a log and write it as a ROS 2 MCAP file, with its truth beside it.
+    """Simulate a log and write it as a ROS 2 MCAP file, with its ground truth next to it.
 
     Args:
-        path: The log; the truth goes to ``<path>.truth.npz`` (:mod:`jaxdet.sim.truth`).
-        config: What to simulate.
-        progress: Gets the number of frames that are written, after each.
+        path: Log; the ground truth goes to ``<path>.truth.npz`` (:mod:`jaxdet.sim.truth`).
+        config: Parameters of the simulation.
+        progress: Called with the number of written frames after each frame.
 
     Returns:
-        The truth.
+        The ground truth.
 
     Raises:
-        ConfigError: The scene is not known.
+        ConfigError: The scene is unknown.
         InputError: The scene's file can't be read.
     """
     config = config or SimConfig()
-    quiet_warp()  # standard output is the caller's
+    quiet_warp()  # keep standard output clean for the caller
     scene, calibration = scene_of(config), calibration_of(config)
     with (
         TruthWriter(truth_path(path), config, scene) as truth,
@@ -62,7 +62,7 @@ def write_log(
 
 
 def _odometry_times(config: SimConfig) -> deque[float]:
-    """Times from before the first frame to after the last, off the frames' beat."""
+    """Return odometry times from before the first frame to after the last, between frame times."""
     if config.odometry_hz == 0:
         return deque()
     step = 1 / config.odometry_hz
@@ -79,7 +79,7 @@ def _write_odometry(writer: Ros2LogWriter, config: SimConfig, scene: Scene, time
 
 
 def static_transforms(config: SimConfig, calibration: Calibration) -> list[Transform]:
-    """The frames that don't move: the driver's, and above them the mount's if it is told."""
+    """Return the static TF frames: those of the camera driver and, if ``mount_tf``, the mount."""
     optical = np.eye(4)
     optical[:3, :3] = OPTICAL
     assert calibration.color_from_depth is not None

@@ -1,4 +1,4 @@
-"""One noise-free look at a scene: surfaces, light, depth, object numbers, heights."""
+"""Noise-free rendering of a scene: surfaces, light, depth, object numbers, heights."""
 
 from enum import IntEnum
 from functools import lru_cache
@@ -16,7 +16,7 @@ from jaxdet.types import Intrinsics
 
 
 class PixelKind(IntEnum):
-    """What a pixel shows."""
+    """Kind of surface in a pixel."""
 
     NOTHING = 0
     FLOOR = 1
@@ -25,36 +25,35 @@ class PixelKind(IntEnum):
 
 
 class Rendering(NamedTuple):
-    """What an ideal camera sees."""
+    """Image of an ideal camera."""
 
     color: np.ndarray
-    """``(H, W, 3)`` float32, RGB of the surfaces without light [grey levels], not clipped."""
+    """RGB of the surfaces without light, ``(H, W, 3)`` float32 [grey levels], not clipped."""
     light: np.ndarray
-    """``(H, W, 3)`` float32: the lamp's cosine times the share of it that is seen; its mirror
-    image; the cosine between surface and view."""
+    """Lighting ``(H, W, 3)`` float32: cosine of the lamp times its visible fraction; specular
+    reflection of the lamp; cosine between surface normal and view."""
     gloss: np.ndarray
-    """``(H, W)`` float32, the surface's gloss."""
+    """Gloss of the surface, ``(H, W)`` float32."""
     depth: np.ndarray
-    """``(H, W)`` float64, z in the camera [m]; inf where nothing is hit."""
+    """z in the camera, ``(H, W)`` float64 [m]; inf where nothing is hit."""
     obstacle_id: np.ndarray
-    """``(H, W)`` uint8, number of the object (walls too), 0 = floor or nothing."""
+    """Number of the object (also of walls), ``(H, W)`` uint8, 0 = floor or nothing."""
     kind: np.ndarray
-    """``(H, W)`` uint8, :class:`PixelKind`: tells floor, wall and nothing apart."""
+    """Kind of surface, ``(H, W)`` uint8, :class:`PixelKind`."""
     points: np.ndarray
-    """``(H, W, 3)`` float64, world [m]; not finite where nothing is hit."""
+    """World points ``(H, W, 3)`` float64 [m]; not finite where nothing is hit."""
     ground: Ground
-    """The floor's shape."""
+    """Shape of the floor."""
     mirrored: np.ndarray | None = None
-    """``(H, W)`` float64, z of what a floor with gloss mirrors, as if it were below the floor [m];
-    inf where that is nothing, NaN where no floor is seen; None: the floor doesn't mirror."""
+    """z of the mirror image in a glossy floor, as if it were below the floor, ``(H, W)`` float64
+    [m]; inf where it is empty, NaN outside of the floor; None: the floor doesn't mirror."""
     behind: np.ndarray | None = None
-    """``(H, W)`` float64, z of what is behind clear panes [m], inf where that is nothing, NaN where
-    no pane is seen; None: the scene has no clear pane. All else is that of the pane itself."""
+    """z behind clear panes, ``(H, W)`` float64 [m]; inf where nothing is hit, NaN outside of panes;
+    None: no clear panes. All other arrays refer to the pane."""
 
     @property
     def height(self) -> np.ndarray:
-        """``(H, W)`` float32, vertical height above the floor beneath [m], 0 on the floor, NaN
-        where nothing is hit; computed when asked for."""  # noqa: D205, D209
+        """Height above the floor beneath, ``(H, W)`` float32 [m], NaN where nothing is hit."""
         height = np.full(self.depth.shape, np.nan, np.float32)
         thing = self.kind >= PixelKind.WALL
         x, y, z = self.points[thing].T
@@ -73,16 +72,16 @@ def render(
     light: LightName | None = "normal",
     device: str = "cpu",
 ) -> Rendering:
-    """Look at a scene.
+    """Render a scene.
 
     Args:
-        scene: The world.
-        camera: A camera; its distortion is ignored.
-        T_world_camera: ``(4, 4)`` float64, optical frame to world.
-        seed: Where the textures begin.
-        time_s: When, for things that move [s].
-        light: The light, which sets how soft shadows are; None: no light is computed.
-        device: Warp's name of the device that casts the rays.
+        scene: Scene.
+        camera: Camera; its distortion is ignored.
+        T_world_camera: Pose of the optical frame in the world, ``(4, 4)`` float64.
+        seed: Seed of the texture offsets.
+        time_s: Time, for moving objects [s].
+        light: Illumination, which sets the softness of shadows; None: no lighting is computed.
+        device: Warp device of the ray caster.
     """
     when = time_s if scene.moves else 0.0
     caster = caster_of(scene, when, seed, device)
@@ -133,7 +132,7 @@ def render(
 
 
 def _mirrors(scene: Scene) -> bool:
-    """Whether the floor is a mirror: it has gloss and is level, and something stands on it."""
+    """Return whether the floor mirrors objects: it is glossy and level, and there are objects."""
     level = scene.ground == Ground(seed=scene.ground.seed)
     return scene.floor.gloss > 0 and level and bool(scene.objects)
 
@@ -142,11 +141,11 @@ _building = Lock()
 
 
 def caster_of(scene: Scene, time_s: float, seed: int, device: str, part: Part = "all") -> Caster:
-    """The scene, or a part of it, at a time on a device, ready to be looked at."""
+    """Return the caster of a scene, or a part of it, at a time; cached."""
     with _building:
         return _caster(scene, time_s, seed, device, part)
 
 
-@lru_cache(maxsize=16)  # of each thread that simulates a frame, this moment's
+@lru_cache(maxsize=16)  # the current frames of all simulating threads
 def _caster(scene: Scene, time_s: float, seed: int, device: str, part: Part) -> Caster:
     return Caster([world_at(scene, time_s, part)], seed, device)

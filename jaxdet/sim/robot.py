@@ -1,4 +1,4 @@
-"""Where the robot and its cameras are: the path, the mount, the odometry."""
+"""Pose of the robot and its cameras: path, mount, odometry."""
 
 from typing import NamedTuple
 
@@ -7,25 +7,25 @@ import numpy as np
 from jaxdet.sim.scene import Path, rotation_z
 
 WHEEL_RADIUS_M = 0.10
-"""base_link above base_footprint [m]."""
+"""Height of base_link above base_footprint [m]."""
 
 OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-"""Optical axes (right, down, forward) to body axes (forward, left, up): ROS REP 103."""
+"""Rotation from optical axes (right, down, forward) to body axes (forward, left, up): REP 103."""
 
 
 class Pose(NamedTuple):
-    """A robot on the plane."""
+    """Planar pose of a robot."""
 
     x: float
     y: float
     yaw: float
-    """Counter-clockwise from above [rad]."""
+    """Heading, counter-clockwise from above [rad]."""
     travelled: float
-    """Length of the way it has gone [m]."""
+    """Travelled distance [m]."""
 
     @property
     def T(self) -> np.ndarray:
-        """``T_world_base`` ``(4, 4)`` float64."""
+        """Homogeneous matrix ``T_world_base``, ``(4, 4)`` float64."""
         T = np.eye(4)
         T[:2, :2] = rotation_z(self.yaw)
         T[:2, 3] = self.x, self.y
@@ -33,9 +33,9 @@ class Pose(NamedTuple):
 
 
 def pose_at(path: Path, time_s: float) -> Pose:
-    """The pose at a time; the robot starts and turns back softly, heading along the line.
+    """Return the pose at a time; the robot follows the line and reverses smoothly.
 
-    The way along the line's axis is a(t) = length (1 - cos w t) / 2 with w = 2 speed / length.
+    The position along the axis is a(t) = length (1 - cos w t) / 2 with w = 2 speed / length.
     """
     if path.length <= 0:
         return Pose(*path.start, path.yaw, 0.0)
@@ -53,7 +53,7 @@ def pose_at(path: Path, time_s: float) -> Pose:
 
 
 def velocity_at(path: Path, time_s: float, step_s: float = 1e-3) -> tuple[float, float]:
-    """Forward speed [m/s], negative when backing, and turn rate to the left [rad/s]."""
+    """Return forward speed [m/s], negative in reverse, and turn rate to the left [rad/s]."""
     a, b = pose_at(path, time_s - step_s), pose_at(path, time_s + step_s)
     heading = (a.yaw + b.yaw) / 2
     forward = (b.x - a.x) * np.cos(heading) + (b.y - a.y) * np.sin(heading)
@@ -61,20 +61,19 @@ def velocity_at(path: Path, time_s: float, step_s: float = 1e-3) -> tuple[float,
 
 
 def drifted(pose: Pose, drift: float) -> Pose:
-    """What the odometry says: ``drift`` is both its scale error and its turn [rad] per metre
-    travelled."""  # noqa: D205, D209
+    """Return the odometry of a pose: ``drift`` is the scale error and the turn [rad] per metre."""
     scale = 1 + drift
     return Pose(pose.x * scale, pose.y * scale, pose.yaw + drift * pose.travelled, pose.travelled)
 
 
 def mount(height_m: float, pitch_rad: float, roll_rad: float) -> np.ndarray:
-    """The colour camera on the robot.
+    """Return the pose of the colour camera on the robot.
 
-    The floor's direction in the optical frame is (sin r cos p, cos r cos p, sin p), as
-    :class:`jaxdet.types.GroundPlane` has it.
+    Down in the optical frame is (sin r cos p, cos r cos p, sin p), as in
+    :class:`jaxdet.types.GroundPlane`.
 
     Returns:
-        ``T_base_color`` ``(4, 4)`` float64, colour optical frame to base_footprint.
+        ``T_base_color`` ``(4, 4)`` float64, from colour optical frame to base_footprint.
     """
     cp, sp, cr, sr = np.cos(pitch_rad), np.sin(pitch_rad), np.cos(roll_rad), np.sin(roll_rad)
     tilt = np.array([[1, 0, 0], [0, cp, sp], [0, -sp, cp]])
@@ -86,10 +85,10 @@ def mount(height_m: float, pitch_rad: float, roll_rad: float) -> np.ndarray:
 
 
 def ground_frame(T_world_base: np.ndarray) -> np.ndarray:
-    """The camera's ground frame: its centre dropped on the floor, x right, y forward, z up.
+    """Return the transform to the camera's ground frame, x right, y forward, z up.
 
-    :func:`mount` puts the camera over the base's origin without a turn, so that this is the
-    base's frame with its axes renamed.
+    :func:`mount` has no yaw, and the camera is above the base's origin, so the ground frame is the
+    base frame with other names of its axes.
 
     Returns:
         ``T_ground_world`` ``(4, 4)`` float64.

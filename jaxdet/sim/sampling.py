@@ -1,4 +1,4 @@
-"""Single independent frames for experiments, in memory."""
+"""Independent single frames for experiments, in memory."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -23,24 +23,24 @@ def sample_frames(
     base: SimConfig | None = None,
     **changes: Any,
 ) -> Iterator[SimFrame]:
-    """Draw scenes of a family and look at each once.
+    """Draw scenes of a family and render a frame of each.
 
     Args:
         family: One of ``FAMILIES`` (or a fixed scene).
-        seed: Draws scenes and noise; frame ``i`` depends on the seed and ``i`` alone, and on
-            neither the light nor the camera's tilt, so levels can be compared on the same scenes.
+        seed: Random seed; the scene of frame ``i`` depends only on the seed and ``i``, not on light
+            or camera tilt, so that these can be compared on the same scenes.
         count: Number of frames.
-        light: How bright it is.
-        base: What else differs from :class:`SimConfig`.
-        **changes: Fields of it, as ``camera_pitch_rad``, ``camera_roll_rad``, ``slope_rad``,
-            ``distance_m``, ``width``, ``depth_form``.
+        light: Illumination.
+        base: Other parameters; None: the defaults of :class:`SimConfig`.
+        **changes: Changed fields of ``base``, for instance ``camera_pitch_rad``,
+            ``camera_roll_rad``, ``slope_rad``, ``distance_m``, ``width``, ``depth_form``.
 
     Yields:
-        Frames with their scene and truth; ``frame.number`` counts from 0, and
-        :func:`jaxdet.sim.frame_truth` gives extents and footprints.
+        Frames with their scene and ground truth; ``frame.number`` counts from 0, and
+        :func:`jaxdet.sim.frame_truth` returns extents and footprints.
 
     Raises:
-        ConfigError: The family is not known, or a value is out of its range.
+        ConfigError: The family is unknown, or a value is out of range.
     """
     if family not in (*FAMILIES, *SCENES):
         raise ConfigError(f"no family {family!r}", remedy=f"use {', '.join(FAMILIES)}")

@@ -1,4 +1,4 @@
-"""Scenes as TOML or JSON files."""
+"""Scene files in TOML or JSON."""
 
 import json
 import tomllib
@@ -15,19 +15,19 @@ def read_scene(path: str | Path) -> Scene:
     """Read a scene from a TOML or JSON file with the fields of :class:`Scene`.
 
     Raises:
-        ConfigError: It has an unknown field or a wrong value.
-        InputError: It can't be read.
+        ConfigError: A field is unknown or a value is wrong.
+        InputError: The file can't be read.
     """
     try:
         text = Path(path).read_text(encoding="utf-8")
         data = tomllib.loads(text) if str(path).endswith(".toml") else json.loads(text)
     except (OSError, ValueError) as error:
-        raise InputError(f"no scene can be read: {error}", path=str(path)) from error
+        raise InputError(f"cannot read scene: {error}", path=str(path)) from error
     return _build(Scene, data, str(path))
 
 
 def write_scene(scene: Scene, path: str | Path) -> None:
-    """Write a scene as TOML; :func:`read_scene` gives an equal one back.
+    """Write a scene as TOML; :func:`read_scene` returns an equal one.
 
     Raises:
         InputError: The file can't be written.
@@ -40,7 +40,7 @@ def write_scene(scene: Scene, path: str | Path) -> None:
 
 
 def _value(value: Any) -> str:
-    """A TOML value; tables inline, so that a thing is a line."""
+    """Format a TOML value; tables are inline, one line per object."""
     if is_dataclass(value) and not isinstance(value, type):
         pairs = [(f.name, getattr(value, f.name)) for f in fields(value)]
         return "{ " + ", ".join(f"{k} = {_value(v)}" for k, v in pairs if v is not None) + " }"
@@ -53,7 +53,7 @@ def _value(value: Any) -> str:
 
 
 def _build(kind: Any, data: Any, where: str) -> Any:
-    """Turn parsed TOML into the dataclass or tuple that ``kind`` says."""
+    """Convert parsed TOML to the dataclass or tuple type ``kind``."""
     if NoneType in get_args(kind):
         if data is None:
             return None
@@ -71,5 +71,5 @@ def _build(kind: Any, data: Any, where: str) -> Any:
     if isinstance(data, list):
         return tuple(_build(get_args(kind)[0], item, where) for item in data)
     if isinstance(data, dict) or is_dataclass(kind):
-        raise ConfigError("a table and a value are mixed up", path=where)
+        raise ConfigError("a table where a value is expected, or vice versa", path=where)
     return data

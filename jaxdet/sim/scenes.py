@@ -1,4 +1,4 @@
-"""The scenes that come with the simulator, and reading others from TOML or JSON files."""
+"""Built-in scenes of the simulator, and scenes from TOML or JSON files."""
 
 from dataclasses import replace
 from math import pi
@@ -80,17 +80,17 @@ def _empty() -> Scene:
 
 _SCENES = {"demo": _demo, "empty": _empty, "single_box": _single_box, "row": _row, "posts": _posts}
 SCENES = tuple(_SCENES)
-"""Names of the scenes: a room with eight obstacles, an empty room, one box seen from a standing
-robot, four boxes in a row, five posts of 9 cm diameter."""
+"""Names of the fixed scenes: a room with eight obstacles, an empty room, a box in front of a
+stationary robot, four boxes in a row, five posts of 9 cm diameter."""
 
 
 def load_scene(name: str, seed: int = 0, distance_m: float = 2.0) -> Scene:
-    """A scene by its name, or from a file with the fields of :class:`Scene`.
+    """Return a scene by its name, or from a file with the fields of :class:`Scene`.
 
     Args:
         name: One of ``SCENES`` or ``FAMILIES``, or a TOML or JSON file.
-        seed: Draws the scene of a family.
-        distance_m: Of the obstacle of the families that have one [m].
+        seed: Random seed of a family.
+        distance_m: Distance of the obstacle in ``cylinder`` and ``approach`` [m].
 
     Raises:
         ConfigError: There is no such scene, or the file has an unknown field or a wrong value.
@@ -107,11 +107,11 @@ def load_scene(name: str, seed: int = 0, distance_m: float = 2.0) -> Scene:
 
 
 def scene_of(config: SimConfig) -> Scene:
-    """The scene that a configuration asks for.
+    """Return the scene of a configuration.
 
     Raises:
-        ConfigError: It is not known, or its file is wrong.
-        InputError: Its file can't be read.
+        ConfigError: The scene is unknown, or its file is wrong.
+        InputError: The file can't be read.
     """
     scene = load_scene(config.scene, config.seed, config.distance_m)
     if config.slope_rad is not None:

@@ -1,12 +1,12 @@
-"""From ideal pictures to what a stereo depth camera and a colour camera deliver.
+"""Sensor model of a stereo depth camera.
 
-The depth camera works in disparity d = f B / z, as the Intel D400 family does: its noise and
-its steps are even in disparity, so they grow with z^2. Depth is that of the left imager.
+The camera measures disparity d = f B / z, as the Intel D400 family does: noise and quantisation are
+uniform in disparity, so they grow with z^2. Depth is that of the left imager.
 
-Matching needs contrast. What there is of it: the surface's own (spread over mean in the matching
-window) and the projector's dots, whose share of the light falls with z^2 and with the light of the
-day. What spoils it: the imager's noise, which is large on dark surfaces, and gloss, which mirrors
-the dots away. Where ``contrast / noise`` is too low there is a hole.
+Stereo matching needs contrast, from the surface's texture (standard deviation over mean in the
+matching window) and from the projector's dots, whose share of the light falls with z^2 and with
+ambient light. Imager noise, which is large on dark surfaces, and gloss, which reflects the dots
+away, reduce it. Depth has holes where ``contrast / noise`` is too low.
 """
 
 import cv2
@@ -26,20 +26,20 @@ def measure_depth(
     surface: Surface | None = None,
     specimen: int = 0,
 ) -> np.ndarray:
-    """Make an ideal depth image a measured one.
+    """Simulate the measurement of an ideal depth image.
 
     Args:
-        z: ``(H, W)`` float, ideal depth [m], inf where there is none.
-        camera: The depth camera (its left imager).
-        sensor: How it errs.
-        rng: Random numbers.
-        surface: What the surfaces look like; None: all can be matched.
-        specimen: Which camera of its kind it is: draws the errors that are always the same.
+        z: Ideal depth ``(H, W)`` float [m], inf where nothing is hit.
+        camera: Depth camera (its left imager).
+        sensor: Error model.
+        rng: Random generator.
+        surface: Appearance of the surfaces; None: all can be matched.
+        specimen: Seed of the systematic errors, which are constant for a camera.
 
     Returns:
-        ``(H, W)`` uint16 [mm], 0 where nothing is measured.
+        Depth ``(H, W)`` uint16 [mm], 0 = no measurement.
     """
-    # What a default sensor draws does not depend on whether more is drawn.
+    # A separate stream, so that the default sensor's noise does not depend on further errors.
     more = rng.spawn(1)[0]
     lost = ghost = np.zeros(z.shape, bool)
     if sensor.enabled and surface is not None:
@@ -69,21 +69,21 @@ def measure_depth(
 def match_quality(
     surface: Surface, z: np.ndarray, projector_lux: float = 500.0, window: int = 7
 ) -> np.ndarray:
-    """Contrast over noise in the matching window.
+    """Compute the ratio of contrast to noise in the matching window.
 
-    The day's light alone gives the surface's contrast, spread over mean. The dots add
-    ``facing lux_p / (z^2 lux)`` of it, at most 1. The noise is that of a camera whose mean pixel
-    holds 2500 electrons and which reads with 1 % of the mean: ``sqrt(4e-4 / s + (0.01 / s)^2)``
-    for a surface of brightness s, over the root of the pixels in the window / 8.
+    Ambient light gives the surface's contrast, standard deviation over mean. The dots add
+    ``facing lux_p / (z^2 lux)``, at most 1. The noise is that of a camera whose mean pixel holds
+    2500 electrons with a read noise of 1 % of the mean: ``sqrt(4e-4 / s + (0.01 / s)^2)`` for a
+    surface of brightness s, divided by the square root of (pixels in the window / 8).
 
     Args:
-        surface: What is seen.
-        z: ``(H, W)`` float, depth [m].
+        surface: Appearance of the surfaces.
+        z: Depth ``(H, W)`` float [m].
         projector_lux: See :class:`DepthSensor`.
         window: Side of the window [pixel].
 
     Returns:
-        ``(H, W)`` float32.
+        Match quality ``(H, W)`` float32.
     """
     rho, size = surface.reflectance, (window, window)
     mean = cv2.blur(rho, size)
@@ -100,12 +100,12 @@ def match_quality(
 
 
 def fatten(disparity: np.ndarray, reach_px: float, rng: np.random.Generator) -> np.ndarray:
-    """Let nearer things grow over what is behind them, here more and there less.
+    """Dilate foreground objects over the background, as block matching does (edge fattening).
 
     Args:
-        disparity: ``(H, W)`` float64 [pixel], 0 at infinity.
-        reach_px: How far, on average [pixel]; 0: not at all.
-        rng: Random numbers.
+        disparity: Disparity ``(H, W)`` float64 [pixel], 0 at infinity.
+        reach_px: Mean reach, which varies over the image [pixel]; 0: off.
+        rng: Random generator.
     """
     if reach_px <= 0:
         return disparity
@@ -114,22 +114,23 @@ def fatten(disparity: np.ndarray, reach_px: float, rng: np.random.Generator) -> 
     for radius in range(1, int(np.ceil(2 * reach_px)) + 1):
         kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
         grown = cv2.dilate(disparity, kernel)
-        # A jump of a pixel is an edge; less is a slanted surface, which stays as it is.
+        # A jump of a pixel is an edge; slanted surfaces have smaller ones.
         out = np.where((reach > radius - 0.5) & (grown > disparity + 1), grown, out)
     return out
 
 
 def is_shadowed(disparity: np.ndarray) -> np.ndarray:
-    """Where the right imager doesn't see what the left one sees: beside nearer things, and
-    outside its picture.
+    """Return the stereo shadow: pixels that the right imager doesn't see.
+
+    A pixel u of the left image is at u - d in the right one. It is hidden if a pixel further right
+    in the left image is further left there, or if u - d is outside of the right image.
 
     Args:
-        disparity: ``(H, W)`` float64 [pixel], 0 at infinity.
+        disparity: Disparity ``(H, W)`` float64 [pixel], 0 at infinity.
 
     Returns:
-        ``(H, W)`` bool. A pixel u lands on u - d in the right picture; it is hidden when one
-        further right in the left picture lands further left.
-    """  # noqa: D205
+        Mask ``(H, W)`` bool.
+    """
     landing = np.arange(disparity.shape[1]) - disparity
     leftmost = np.minimum.accumulate(landing[:, ::-1], axis=1)[:, ::-1]
     return (landing > leftmost + 0.5) | (landing < 0)

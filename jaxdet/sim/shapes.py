@@ -1,4 +1,4 @@
-"""What meshes are built of: rings, lathes, boxes, tubes, ellipsoids, prisms. Lengths in metres."""
+"""Mesh primitives: rings, lathes, boxes, tubes, ellipsoids, prisms. Lengths in metres."""
 
 from collections.abc import Iterable
 
@@ -11,12 +11,12 @@ Point = tuple[float, float, float] | np.ndarray
 
 
 def rings(points: np.ndarray, look: Texture, smooth_along: bool = False) -> Mesh:
-    """The skin of closed rings one above the other, shaded smoothly around.
+    """Build the surface through a stack of closed rings, smoothly shaded around.
 
     Args:
-        points: ``(m, n, 3)``, m rings of n points, counter-clockwise seen from the last ring.
-        look: Its look; s runs around, t along.
-        smooth_along: Shade smoothly from ring to ring too.
+        points: m rings of n points, ``(m, n, 3)``, counter-clockwise seen from the last ring.
+        look: Texture; s runs around, t along.
+        smooth_along: Whether to shade smoothly from ring to ring too.
     """
     closed = np.concatenate([points, points[:, :1]], axis=1)
     across = np.diff(closed, axis=1)
@@ -26,7 +26,7 @@ def rings(points: np.ndarray, look: Texture, smooth_along: bool = False) -> Mesh
     s = np.broadcast_to(np.r_[0.0, girth], closed.shape[:2])
     t = np.broadcast_to(np.r_[0.0, np.cumsum(np.maximum(along, reach))][:, None], s.shape)
     diagonal = closed[1:, 1:] - closed[:-1, :-1], closed[1:, :-1] - closed[:-1, 1:]
-    flat = np.cross(*diagonal)  # (m-1, n, 3), one a cell
+    flat = np.cross(*diagonal)  # (m-1, n, 3), one per cell
     corner = flat + np.roll(flat, 1, axis=1)
     corner = np.concatenate([corner, corner[:, :1]], axis=1)
     if smooth_along:
@@ -40,7 +40,7 @@ def rings(points: np.ndarray, look: Texture, smooth_along: bool = False) -> Mesh
 
 
 def fan(outline: np.ndarray, look: Texture) -> Mesh:
-    """The face inside a flat outline ``(n, 3)``, seen from its centre everywhere."""
+    """Build the face inside a flat outline ``(n, 3)`` that is star-shaped about its centre."""
     center = np.broadcast_to(outline.mean(0), outline.shape)
     corners = np.stack([center, outline, np.roll(outline, -1, axis=0)], axis=1)
     normal = np.abs(np.cross(outline - center, np.roll(outline, -1, 0) - center).sum(0))
@@ -49,32 +49,31 @@ def fan(outline: np.ndarray, look: Texture) -> Mesh:
 
 
 def circle(radius: float, z: float, sides: int = 48, x: float = 0.0, y: float = 0.0) -> np.ndarray:
-    """A level ring of points ``(sides, 3)``."""
+    """Return a horizontal ring of points ``(sides, 3)``."""
     angle = np.arange(sides) * (2 * np.pi / sides)
     ring = np.stack([x + radius * np.cos(angle), y + radius * np.sin(angle)], 1)
     return np.column_stack([ring, np.full(sides, z)])
 
 
 def lathe(profile: Iterable[tuple[float, float]], look: Texture, sides: int = 48) -> Mesh:
-    """A surface of revolution about the vertical through ``(radius, height)`` points, upwards
-    for an outside."""  # noqa: D205, D209
+    """Build a surface of revolution through ``(radius, height)`` points, upwards for an outside."""
     return rings(np.stack([circle(r, z, sides) for r, z in profile]), look)
 
 
 def cylinder(radius: float, height: float, look: Texture, sides: int = 64) -> Mesh:
-    """An upright cylinder on z = 0, inscribed: within 0.12 % of the radius at 64 sides."""
+    """Build an upright cylinder on z = 0, inscribed: within 0.12 % of the radius at 64 sides."""
     lid = fan(circle(radius, height, sides), look)
     return join([lathe([(radius, 0.0), (radius, height)], look, sides), lid])
 
 
 def box(size: Point, look: Texture, at: Point = (0.0, 0.0, 0.0), top: float = 1.0) -> Mesh:
-    """A box standing on ``at``, the middle of its underside.
+    """Build a box.
 
     Args:
-        size: Along x, y, z [m].
-        look: Its look; places on a face begin at a corner.
-        at: Middle of the underside.
-        top: Its upper face's sides as a share of the lower's.
+        size: Size along x, y, z [m].
+        look: Texture; its coordinates on a face begin at a corner.
+        at: Middle of the underside [m].
+        top: Size of the upper face relative to the lower.
     """
     half = np.array(size)[:2] / 2
     corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half
@@ -98,14 +97,14 @@ def tube(
     sides: int = 14,
     rounded: bool = True,
 ) -> Mesh:
-    """A round or elliptic tube along a line of points, its ends rounded or flat.
+    """Build a round or elliptic tube along a line of points.
 
     Args:
         path: ``k`` points.
-        radii: Radius at each, or the radii sideways and the other way.
-        look: Its look.
-        sides: Corners of a ring.
-        rounded: Whether half a ball closes each end, or a flat lid.
+        radii: Radius at each point, or both radii of an ellipse.
+        look: Texture.
+        sides: Number of points per ring.
+        rounded: Whether hemispheres close the ends, else flat lids.
     """
     line = np.array([np.asarray(p, float) for p in path])
     size = np.array([np.broadcast_to(np.asarray(r, float), 2) for r in radii])
@@ -135,7 +134,7 @@ def tube(
 
 
 def ellipsoid(center: Point, radii: Point, look: Texture, sides: int = 16) -> Mesh:
-    """An ellipsoid with level rings."""
+    """Build an ellipsoid with horizontal rings."""
     lift = np.linspace(-np.pi / 2 + 0.05, np.pi / 2 - 0.05, sides // 2 + 1)
     angle = np.arange(sides) * (2 * np.pi / sides)
     ball = np.stack(
@@ -150,13 +149,13 @@ def ellipsoid(center: Point, radii: Point, look: Texture, sides: int = 16) -> Me
 
 
 def prism(outline: np.ndarray, width: float, look: Texture, bevel: float = 0.0) -> Mesh:
-    """A side view ``(n, 2)`` in x, z (counter-clockwise seen from -y) drawn out along y.
+    """Extrude a side view ``(n, 2)`` in x, z (counter-clockwise seen from -y) along y.
 
     Args:
-        outline: Its corners; from its middle every one can be seen.
-        width: Along y [m].
-        look: Its look.
-        bevel: How much its long edges are cut [m].
+        outline: Corners of a star-shaped polygon.
+        width: Width along y [m].
+        look: Texture.
+        bevel: Bevel of the long edges [m].
     """
     middle = outline.mean(0)
     inner = middle + (outline - middle) * (1 - bevel / np.abs(outline - middle).max())

@@ -1,4 +1,4 @@
-"""The room that things take up: level slices of their parts, and whether two share any."""
+"""Solid shapes of objects as horizontal slices, for intersection tests."""
 
 from collections.abc import Iterator
 from itertools import pairwise
@@ -10,25 +10,25 @@ import numpy as np
 from jaxdet.sim.mesh import Mesh
 
 SLICE_M = 0.15
-"""Largest height of a slice [m]; of a slanted part, each is as wide as all of it in between."""
+"""Maximum height of a slice [m]; a slice of a slanted part spans its full extent in between."""
 TOUCH_M = 0.002
-"""Things that are in each other by less than this only touch [m]."""
+"""Objects that intersect by less than this only touch [m]."""
 
 
 class Solid(NamedTuple):
-    """A thing as ``S`` level slices of its connected parts, each as its convex hull from above.
+    """An object as ``S`` horizontal slices of its connected parts, each a convex hull from above.
 
-    A table is a top and four legs, so that a chair may stand under it.
+    A table is a top and four legs, so that a chair fits under it.
     """
 
     box: np.ndarray
-    """``(S, 2, 3)`` float64, smallest and largest x, y, z of each slice [m]."""
+    """Minimum and maximum x, y, z of each slice, ``(S, 2, 3)`` float64 [m]."""
     outlines: tuple[np.ndarray, ...]
-    """``(n, 2)`` float64 each, a convex polygon [m]."""
+    """Convex polygon ``(n, 2)`` float64 of each slice [m]."""
 
 
 def solid_of(mesh: Mesh) -> Solid:
-    """The room that a thing takes up; panes and lids without a volume take none."""
+    """Return the solid of an object; panes and lids without a volume are ignored."""
     boxes, outlines = [], []
     for part in _parts(mesh.corners):
         bottom, top = part[..., 2].min(), part[..., 2].max()
@@ -42,7 +42,7 @@ def solid_of(mesh: Mesh) -> Solid:
 
 
 def swept(meshes: list[Mesh]) -> Solid:
-    """The room that a thing takes up on a straight way, by where it is from end to end of it."""
+    """Return the volume swept by an object on a straight path, from its meshes along the path."""
     corners = np.concatenate([mesh.corners for mesh in meshes])
     low, high = corners[..., 2].min(), corners[..., 2].max()
     outline = hull_between(corners, low, high)
@@ -50,7 +50,7 @@ def swept(meshes: list[Mesh]) -> Solid:
 
 
 def intersect(one: Solid, other: Solid, clear_m: float = -TOUCH_M) -> bool:
-    """Whether two things are less than ``clear_m`` apart sideways where both are as high [m]."""
+    """Return whether two solids are horizontally less than ``clear_m`` apart at any height [m]."""
     if not len(one.outlines) or not len(other.outlines):
         return False
     low = np.maximum(one.box[:, None, 0], other.box[None, :, 0])
@@ -61,13 +61,13 @@ def intersect(one: Solid, other: Solid, clear_m: float = -TOUCH_M) -> bool:
 
 
 def gap(one: np.ndarray, other: np.ndarray) -> float:
-    """How far apart two convex polygons are, by the best of the lines along their edges.
+    """Return the gap between two convex polygons by the separating axis test.
 
-    Separating axes: never more than their distance, and below 0 exactly where they overlap.
+    It is at most their distance, and negative exactly if they overlap.
 
     Args:
-        one: ``(n, 2)``, counter-clockwise [m].
-        other: Likewise.
+        one: Polygon ``(n, 2)``, counter-clockwise [m].
+        other: Polygon ``(m, 2)``, counter-clockwise [m].
     """
     best = -np.inf
     for a, b in ((one, other), (other, one)):
@@ -79,15 +79,15 @@ def gap(one: np.ndarray, other: np.ndarray) -> float:
 
 
 def hull_between(corners: np.ndarray, low: float, high: float) -> np.ndarray:
-    """The convex hull, seen from above, of what of some triangles is between two heights.
+    """Return the convex hull, seen from above, of the parts of triangles between two heights.
 
     Args:
-        corners: ``(F, 3, 3)`` [m].
-        low: Height of the lower level [m].
-        high: Of the upper one [m].
+        corners: Triangles ``(F, 3, 3)`` [m].
+        low: Lower height [m].
+        high: Upper height [m].
 
     Returns:
-        ``(n, 2)`` float64, counter-clockwise [m].
+        Polygon ``(n, 2)`` float64, counter-clockwise [m].
     """
     a, b = corners, np.roll(corners, -1, axis=1)
     points = corners.reshape(-1, 3)
@@ -97,15 +97,15 @@ def hull_between(corners: np.ndarray, low: float, high: float) -> np.ndarray:
         share = (level - a[crosses, 2]) / (b[crosses, 2] - a[crosses, 2])
         found.append(a[crosses] + share[:, None] * (b[crosses] - a[crosses]))
     between = np.concatenate(found)[:, :2]
-    # Small numbers keep OpenCV's float32 exact to a tenth of a micrometre.
+    # Centred, so that OpenCV's float32 is exact to a tenth of a micrometre.
     middle = between.mean(0)
     hull = cv2.convexHull((between - middle).astype(np.float32), returnPoints=False)
     return between[hull.ravel()]
 
 
 def _parts(corners: np.ndarray) -> Iterator[np.ndarray]:
-    """The triangles of each connected part of a mesh: those that share corners."""
-    places = np.rint(corners * 1e5).astype(np.int64)  # alike within 21 m if as one number
+    """Yield the triangles of each connected part of a mesh, which share vertices."""
+    places = np.rint(corners * 1e5).astype(np.int64)  # keys are unique within 21 m
     _, face = np.unique(places @ (1, 1 << 21, 1 << 42), return_inverse=True)
     part = np.arange(face.max() + 1)
     while True:

@@ -1,4 +1,4 @@
-"""A stereo depth camera by its figures, and what it sees beside distances."""
+"""Parameters of a stereo depth camera, and the appearance of surfaces in it."""
 
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -11,62 +11,62 @@ class DepthSensor:
     """A stereo depth camera; the defaults are a D435's."""
 
     enabled: bool = True
-    """Off: exact depths, only rounded to units."""
+    """Simulate errors; off: exact depths, rounded to units."""
     baseline_m: float = 0.05
-    """Between the imagers [m]: 50 mm by the D400 series data sheet (337029)."""
+    """Baseline [m]: 50 mm by the D400 series data sheet (337029)."""
     noise_px: float = 0.08
-    """Standard deviation of a disparity [pixel]: 0.032 at best, 0.08 to be reckoned with, by
-    RealSense's chief technical officer (librealsense issue 3904)."""
+    """Standard deviation of the disparity [pixel]: 0.032 at best, 0.08 in practice, by RealSense's
+    chief technical officer (librealsense issue 3904)."""
     noise_size_px: float = 1.5
-    """How far the noise hangs together [pixel]: matching compares windows, not pixels."""
+    """Correlation length of the noise [pixel], as matching compares windows."""
     step_px: float = 1 / 32
-    """Step of a disparity [pixel]: Intel white paper "Subpixel linearity improvement"."""
+    """Quantisation of the disparity [pixel]: Intel white paper "Subpixel linearity improvement"."""
     max_disparity_px: float = 126.0
-    """Search range [pixel], which sets the nearest depth f B / 126: Intel's guide to
+    """Disparity search range [pixel], which sets the minimum depth f B / 126: Intel's guide to
     tuning D400 cameras."""
     max_range_m: float = 10.0
-    """Nothing farther is delivered [m]: the data sheet's usable range."""
+    """Maximum range [m], by the data sheet."""
     dropout: float = 0.004
-    """Share of the image in blotches without depth (our choice, by eye on real D435 images)."""
+    """Fraction of the image without depth, in blotches (chosen by eye on real D435 images)."""
     blotch_px: int = 8
-    """How far the blotches hang together [pixel]."""
+    """Size of the blotches [pixel]."""
     speckle: float = 0.001
-    """Share of single pixels without depth (as above)."""
+    """Fraction of single pixels without depth (chosen by eye on real D435 images)."""
     fattening_px: float = 1.2
-    """How far nearer things grow over what is behind them [pixel]: half of what of the matching
-    window decides (our choice, by eye on real D435 images)."""
+    """Mean edge fattening of foreground objects [pixel], half of the effective matching window
+    (chosen by eye on real D435 images)."""
     contrast: float = 1.0
-    """Least contrast over noise that is matched; 0: no holes of that cause."""
+    """Minimum ratio of contrast to noise that is matched; 0: no holes for this reason."""
     projector_lux: float = 500.0
-    """Light of the day against which the projector's dots at 1 m are as bright as it [lux]: about
-    0.36 W on 2 m2 in dots of a tenth of the area, against 500 lx of 3-4 W/m2 each klx."""
+    """Ambient light that equals the brightness of the projector's dots at 1 m [lux]: about 0.36 W
+    on 2 m2 in dots of a tenth of the area, with 3-4 W/m2 per klx."""
     bow: float = 0.0
-    """Share of the depth by which it is off at 4 m in the image's corners, by an error of the
-    disparity that is smooth in the image and always the same for a camera."""
+    """Relative depth error at 4 m in the image corners, from a disparity error that is smooth and
+    constant for a camera (stereo bowing)."""
     waves_px: float = 0.0
-    """Standard deviation of an error of the disparity in waves of a fortieth of the image's width
-    [pixel], another one in each frame."""
+    """Standard deviation of a disparity error with wavelengths of a fortieth of the image width
+    [pixel], drawn per frame."""
     margin: float = 0.0
-    """Width of the bad bands at the left and right of the image, as a share of its width."""
+    """Width of the bad bands at the left and right of the image, as a fraction of its width."""
     margin_bend_px: float = 0.0
-    """Greatest error of the disparity at the outer end of such a band [pixel], always the same for
-    a camera; positive is too near, so a floor bends up."""
+    """Maximum disparity error at the outer end of such a band [pixel], constant for a camera;
+    positive is too near, so that a floor bends up."""
     margin_dropout: float = 0.0
-    """Share of the bands without depth, in blotches."""
+    """Fraction of the bands without depth, in blotches."""
     reflection: float = 0.0
-    """Share of a mirroring floor that shows the depth of what it mirrors, as things below the
-    floor, where it is seen at a grazing angle; times the floor's gloss."""
+    """Fraction of a mirroring floor that shows the depth of the mirror image, below the floor, at
+    grazing angles; multiplied by the floor's gloss."""
     pane_holes: float = 0.4
-    """Share of a clear pane, in blotches, that has no depth; the rest shows what is behind."""
+    """Fraction of a clear pane without depth, in blotches; the rest shows the background."""
 
     def with_errors(self, scale: float = 1.0) -> "DepthSensor":
-        """The sensor with what real D400 cameras show on real floors and a clean one doesn't.
+        """Add the errors of real D400 cameras on real floors.
 
-        At ``scale`` 1 floors have the holes, the spread about their plane by distance and the
+        At ``scale`` 1 floors have the holes, the deviation from their plane by distance and the
         bent margins of a D415's labelled frames (``python -m benchmarks.real_floor``).
 
         Args:
-            scale: How much of it is added, 0 or more; noise grows by half of its size each.
+            scale: Scale of the errors, 0 or more; noise grows by half per unit.
         """
         return replace(
             self,
@@ -87,19 +87,19 @@ D435_LIKE = DepthSensor().with_errors()
 
 
 class Surface(NamedTuple):
-    """What the depth camera sees beside distances."""
+    """Appearance of the surfaces in the depth camera."""
 
     reflectance: np.ndarray
-    """``(H, W)`` float32, 0 to 1."""
+    """Reflectance ``(H, W)`` float32, 0 to 1."""
     gloss: np.ndarray
-    """``(H, W)`` float32, 0 to 1."""
+    """Gloss ``(H, W)`` float32, 0 to 1."""
     facing: np.ndarray
-    """``(H, W)`` float32, cosine between surface and view."""
+    """Cosine between surface normal and view, ``(H, W)`` float32."""
     lux: float
-    """Light of the day."""
+    """Ambient light [lux]."""
     mirrored: np.ndarray | None = None
-    """``(H, W)`` float64, z of what a mirroring floor mirrors [m], inf where that is nothing, NaN
-    where there is no such floor."""
+    """z of the mirror image in a floor, ``(H, W)`` float64 [m]; inf where it is empty, NaN outside
+    of mirroring floors."""
     behind: np.ndarray | None = None
-    """``(H, W)`` float64, z of what is behind a clear pane [m], inf where that is nothing, NaN
-    where there is no pane."""
+    """z behind a clear pane, ``(H, W)`` float64 [m]; inf where nothing is hit, NaN outside of
+    panes."""

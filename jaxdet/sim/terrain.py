@@ -1,4 +1,4 @@
-"""Families of scenes with low things, steps down and ramps."""
+"""Families of scenes with low objects, steps down and ramps."""
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from jaxdet.sim.scene import Box, Cylinder, Ground, Model, Scene
 
 
 def low_clutter(draft: Draft) -> Scene:
-    """Three to six things of 6 to 20 cm, on a floor indoors or outdoors."""
+    """Draw three to six objects of 6 to 20 cm, indoors or outdoors."""
     rng = draft.rng
     kinds = ["small box", "small box", "brick", "kerb", "bottle", "cable_drum"]
     for _ in range(int(rng.integers(3, 7))):
@@ -35,7 +35,7 @@ def _low(draft: Draft, kind: str, x: float, y: float) -> None:
         draft.boxes.append(Box((x, y), size, yaw, look, name="small box"))
     elif kind == "brick":
         clay = Texture("noise", tinted(rng, (164, 84, 62), 8), (120, 60, 46), 0.2, 5.0)
-        # On its large face, its long side or its end: DIN 105 NF.
+        # DIN 105 NF, lying on one of its faces.
         size = ((0.115, 0.24, 0.071), (0.071, 0.24, 0.115), (0.071, 0.24, 0.071))[rng.integers(3)]
         draft.boxes.append(Box((x, y), size, yaw, clay, name="brick"))
     elif kind == "kerb":
@@ -51,7 +51,7 @@ def _low(draft: Draft, kind: str, x: float, y: float) -> None:
 
 
 def drops(draft: Draft) -> Scene:
-    """A step of 5 to 40 cm down, stairs down, or a floor that ends, 1 to 3 m ahead."""
+    """Draw a step down of 5 to 40 cm, stairs down, or the end of the floor, 1 to 3 m ahead."""
     rng = draft.rng
     kind = str(rng.choice(["kerb", "step", "stairs", "end"]))
     deep = {"kerb": (0.05, 0.15), "step": (0.15, 0.4), "stairs": (0.14, 0.19), "end": (0.8, 1.5)}
@@ -66,7 +66,7 @@ def drops(draft: Draft) -> Scene:
     )
     side = np.array([-np.sin(yaw), np.cos(yaw)])
     for _ in range(int(rng.integers(1, 3))):
-        # Clear of the edge, on the robot's side of it, or people who rise above it beyond.
+        # Clear of the edge: objects on the robot's side, or people beyond it who rise above it.
         before = start > 1.7 and rng.random() < 0.6
         beyond = start + 0.6 + 0.32 * steps
         low, high = (1.0, start - 0.6) if before else (beyond, beyond + 1.5)
@@ -84,7 +84,7 @@ def drops(draft: Draft) -> Scene:
 
 
 def ramps(draft: Draft) -> Scene:
-    """A ramp of 3 to 8 degrees up or down ahead or under the robot, things on and before it."""
+    """Draw a ramp of 3 to 8 degrees up or down, ahead or under the robot, with objects."""
     rng = draft.rng
     slope = float(np.radians(rng.uniform(3, 8)) * rng.choice([-1, 1]))
     under = bool(rng.random() < 0.2)

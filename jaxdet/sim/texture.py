@@ -1,7 +1,7 @@
-"""Procedural textures: periodic patterns, drawn once, looked up by the ray caster.
+"""Procedural textures: periodic patterns for the ray caster, drawn once.
 
-A pattern is an image of three channels: how much of the accent colour (0-1), how much brighter
-(grey levels), and fine noise of unit variance, which the texture's grain scales.
+A pattern is an image of three channels: fraction of the accent colour (0-1), brightness offset
+[grey levels], and fine noise of unit variance, which the texture's grain scales.
 """
 
 from functools import lru_cache
@@ -15,19 +15,19 @@ from jaxdet_kernels import raycast as kernels
 SIZE = int(kernels.SIZE)
 """Side of a pattern's finest image [texel]."""
 PERIODS = int(kernels.PERIODS)
-"""How often the pattern's period fits into the image: variation before it repeats."""
+"""Number of periods per image, which differ in their noise."""
 
 
 def spectral_noise(rng: np.random.Generator, slope: float, stretch: float = 1.0) -> np.ndarray:
-    """Periodic noise with a power-law spectrum.
+    """Return periodic noise with a power-law spectrum.
 
     Args:
-        rng: Random numbers.
-        slope: Amplitude falls with the frequency to this power; 0 is white.
-        stretch: How much longer its features are along s than along t.
+        rng: Random generator.
+        slope: Exponent by which the amplitude falls with frequency; 0: white noise.
+        stretch: Aspect ratio of features, along s over along t.
 
     Returns:
-        ``(SIZE, SIZE)`` float64 indexed ``[t, s]``, zero mean, unit variance.
+        Noise ``(SIZE, SIZE)`` float64 indexed ``[t, s]``, zero mean, unit variance.
     """
     s, t = np.fft.rfftfreq(SIZE) * stretch, np.fft.fftfreq(SIZE)
     frequency = np.hypot(s[None, :], t[:, None])
@@ -39,7 +39,7 @@ def spectral_noise(rng: np.random.Generator, slope: float, stretch: float = 1.0)
 
 
 def _built(kind: Kind, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray] | None:
-    """Accent and brightness of the patterns that are made by hand; None for nature's."""
+    """Return accent and brightness of regular patterns; None for natural ones."""
     t, s = np.mgrid[:SIZE, :SIZE] * (PERIODS / SIZE)
     shade = np.zeros((SIZE, SIZE))
     per_cell = rng.normal(0, 7, (8 * PERIODS, 8 * PERIODS))
@@ -80,7 +80,7 @@ def _built(kind: Kind, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray
 
 
 def _mix(kind: Kind, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """How much accent (0-1) and how much brighter (grey levels) each texel is."""
+    """Return the accent fraction (0-1) and brightness offset [grey levels] of each texel."""
     built = _built(kind, rng)
     if built is not None:
         return built
@@ -104,11 +104,11 @@ def _mix(kind: Kind, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
 
 @lru_cache(maxsize=len(get_args(Kind)))
 def pattern(kind: Kind) -> np.ndarray:
-    """Draw a pattern in all its resolutions.
+    """Draw the mipmap of a pattern.
 
     Returns:
-        ``(texels, 3)`` float32: images of side SIZE, SIZE / 2, ..., one after the other, row by
-        row ``[t, s]``; each spans ``PERIODS`` periods and repeats.
+        Texels ``(texels, 3)`` float32: images of side SIZE, SIZE / 2, ..., concatenated, row by row
+        ``[t, s]``; each spans ``PERIODS`` periods and repeats.
     """
     rng = np.random.default_rng([7, get_args(Kind).index(kind)])
     mix, shade = _mix(kind, rng)

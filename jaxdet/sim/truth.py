@@ -1,9 +1,9 @@
-"""The truth of a simulated log, kept beside it as ``<log>.truth.npz``.
+"""Ground truth of a simulated log, in ``<log>.truth.npz`` next to it.
 
-The file holds the arrays of :class:`Truth` under their names, and for each frame ``i`` the
-obstacle number of each colour pixel, ``(H, W)`` uint8, as ``obstacle_id_<i, six digits>``, its
-depth, ``(H, W)`` float16 [m], inf where nothing is, as ``depth_<i, six digits>``, and whether it
-shows floor to drive on, ``(H, W)`` bool, as ``drivable_<i, six digits>``. Any NumPy reads it:
+The file holds the arrays of :class:`Truth` by name, and for each frame ``i`` three images in the
+colour camera: the object number, ``(H, W)`` uint8, as ``obstacle_id_<i, six digits>``; the depth,
+``(H, W)`` float16 [m], inf where nothing is hit, as ``depth_<i, six digits>``; and whether the
+pixel shows drivable floor, ``(H, W)`` bool, as ``drivable_<i, six digits>``. NumPy reads it:
 ``np.load("demo.mcap.truth.npz")["obstacle_id_000000"]``.
 """
 
@@ -27,71 +27,69 @@ from jaxdet.sim.scene import Scene
 from jaxdet.sim.world import STEP_M
 
 MAX_ARRAY_BYTES = 1 << 28
-"""Of one array of a truth file."""
+"""Maximum size of an array in a ground truth file."""
 
 
 class Truth(NamedTuple):
-    """All that is true of frames but the pixels: ``F`` frames, ``J`` objects.
+    """Ground truth of ``F`` frames and ``J`` objects, without images.
 
-    Object ``j`` has the number ``j + 1`` in the obstacle pictures. An object out of sight has 0
-    visible pixels and NaN extents.
+    Object ``j`` has the number ``j + 1`` in the images. An object out of sight has 0 visible pixels
+    and NaN extents.
     """
 
     stamp_ns: np.ndarray
-    """``(F,)`` int64, stamp of the colour image, which all but ``depth_stamp_ns`` is of."""
+    """Timestamp of the colour image, ``(F,)`` int64; all other fields refer to it."""
     depth_stamp_ns: np.ndarray
-    """``(F,)`` int64, stamp of the depth image."""
+    """Timestamp of the depth image, ``(F,)`` int64."""
     T_world_camera: np.ndarray
-    """``(F, 4, 4)`` float64, colour optical frame to world, exact."""
+    """Exact pose of the colour optical frame in the world, ``(F, 4, 4)`` float64."""
     camera_height: np.ndarray
-    """``(F,)`` float64, over the base, with the mount's errors that the log's TF doesn't have
-    [m]."""
+    """True mounting height above the base, ``(F,)`` float64, including errors not in TF [m]."""
     camera_pitch: np.ndarray
-    """``(F,)`` float64, likewise [rad]."""
+    """True pitch ``(F,)`` float64, including errors not in TF [rad]."""
     camera_roll: np.ndarray
-    """``(F,)`` float64, likewise [rad]."""
+    """True roll ``(F,)`` float64, including errors not in TF [rad]."""
     names: np.ndarray
-    """``(J,)`` str, the objects' names; models have their kind's, as ``person`` or ``cone``."""
+    """Names of the objects, ``(J,)`` str; for models their kind, as ``person`` or ``cone``."""
     is_wall: np.ndarray
-    """``(J,)`` bool."""
+    """Whether each object is a wall, ``(J,)`` bool."""
     height_m: np.ndarray
-    """``(F, J)`` float32, top of the object above the floor at its middle [m]."""
+    """Top of each object above the floor at its middle, ``(F, J)`` float32 [m]."""
     box_world: np.ndarray
-    """``(F, J, 8, 3)`` float32, corners of the upright box around each, turned with the object,
-    bottom first, counter-clockwise from above [m]; :func:`to_camera` has them in the camera."""
+    """Corners of the oriented upright bounding box, bottom first, counter-clockwise from above,
+    ``(F, J, 8, 3)`` float32 [m]; :func:`to_camera` transforms them to the camera."""
     footprint_world: np.ndarray
-    """``(F, J, 64, 2)`` float32, outline on the floor of what is between 0.05 m, which wheels
-    climb, and 2.2 m: its convex hull from above, counter-clockwise, NaN after the last corner
-    [m]."""
+    """Footprint ``(F, J, 64, 2)`` float32 [m]: convex hull, from above, of the object between
+    0.05 m (which wheels climb) and 2.2 m, counter-clockwise, NaN after the last corner."""
     visible_pixels: np.ndarray
-    """``(F, J)`` int32, colour pixels that show the object."""
+    """Number of colour pixels that show the object, ``(F, J)`` int32."""
     nearest_m: np.ndarray
-    """``(F, J)`` float32, smallest z in the colour camera of its visible surface, what is lower
-    than 0.05 m left out unless that is all [m]."""
+    """Minimum z in the colour camera of the visible surface, ``(F, J)`` float32 [m]; only parts
+    above 0.05 m count, if there are any."""
     ground_min: np.ndarray
-    """``(F, J, 2)`` float32, smallest right, forward of the same in the camera's ground frame
-    [m]; forward is the distance of its nearest face."""
+    """Minimum right, forward of this surface in the camera's ground frame, ``(F, J, 2)`` float32
+    [m]; forward is the distance of the nearest face."""
     ground_max: np.ndarray
-    """``(F, J, 2)`` float32, largest right, forward of the same [m]."""
+    """Maximum right, forward of this surface, ``(F, J, 2)`` float32 [m]."""
     edge_m: np.ndarray
-    """``(F, 81)`` float32, distance from the camera's foot to where the floor steps down, along the
-    bearings ``EDGE_BEARINGS_RAD`` (-40 to 40 degrees, clockwise) [m]; NaN where it goes on."""
+    """Distance from the camera's ground projection to the first step down, ``(F, 81)`` float32 [m],
+    at the bearings ``EDGE_BEARINGS_RAD`` (-40 to 40 degrees, clockwise); NaN without a step."""
     edge_seen: np.ndarray
-    """``(F, 81)`` bool, whether the colour camera sees that edge."""
+    """Whether the colour camera sees that edge, ``(F, 81)`` bool."""
 
 
 def truth_path(log: str | Path) -> Path:
-    """Where the truth of a log lies."""
+    """Return the path of a log's ground truth."""
     return Path(f"{log}.truth.npz")
 
 
 class TruthWriter:
-    """Writes the truth frame by frame, so memory stays small; a context manager.
+    """Write ground truth frame by frame, to limit memory; a context manager.
 
     Args:
-        path: The file to write.
-        config: The simulation.
-        scene: Its scene.
+        path: Output file.
+        config: Parameters of the simulation.
+        scene: Scene.
     """
 
     def __init__(self, path: Path, config: SimConfig, scene: Scene) -> None:
@@ -103,18 +101,18 @@ class TruthWriter:
         return self
 
     def __exit__(self, *_: object) -> None:
-        with suppress(OSError, ValueError):  # what failed to be written is told already
+        with suppress(OSError, ValueError):  # a failed write was reported already
             self._zip.close()
 
     def add(self, frame: SimFrame) -> None:
-        """Take one frame in."""
+        """Add a frame."""
         self._rows.append(frame_truth(frame))
         self._put(f"obstacle_id_{frame.number:06d}", frame.truth.obstacle_id)
         self._put(f"depth_{frame.number:06d}", frame.truth.depth.astype(np.float16))
         self._put(f"drivable_{frame.number:06d}", floor_truth(frame).drivable)
 
     def finish(self) -> Truth:
-        """Write the rest and close the file."""
+        """Write the remaining arrays and close the file."""
         truth = self._truth()
         for name, array in truth._asdict().items():
             self._put(name, array)
@@ -124,7 +122,7 @@ class TruthWriter:
     def _put(self, name: str, array: np.ndarray) -> None:
         buffer = io.BytesIO()
         np.save(buffer, array, allow_pickle=False)
-        # A fixed date, so that the same simulation gives the same bytes.
+        # A fixed date, for reproducible bytes.
         info = zipfile.ZipInfo(f"{name}.npy", (1980, 1, 1, 0, 0, 0))
         self._zip.writestr(info, buffer.getvalue(), zipfile.ZIP_DEFLATED, compresslevel=1)
 
@@ -144,7 +142,7 @@ _OF_LOG = ("names", "is_wall")
 
 
 def frame_truth(frame: SimFrame) -> Truth:
-    """The truth of one frame, ``F`` = 1."""
+    """Return the ground truth of a frame, ``F`` = 1."""
     scene = frame.scene
     shapes = placed(scene, frame.time_s if scene.moves else 0.0)
     extents = visible_extents(frame, len(scene.objects))
@@ -163,7 +161,7 @@ def frame_truth(frame: SimFrame) -> Truth:
 
 
 def empty_truth(config: SimConfig, scene: Scene) -> Truth:
-    """The truth of a log without frames."""
+    """Return the ground truth of a log without frames."""
     tiny = replace(config, width=16, height=16)
     truth = frame_truth(simulate_frame(tiny, scene, 0))
     arrays = truth._asdict().items()
@@ -171,18 +169,18 @@ def empty_truth(config: SimConfig, scene: Scene) -> Truth:
 
 
 def to_camera(T_world_camera: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """World points ``(..., 3)`` in the camera optical frame."""
+    """Transform world points ``(..., 3)`` to the camera optical frame."""
     return (points - T_world_camera[:3, 3]) @ T_world_camera[:3, :3]
 
 
 def visible_extents(
     frame: SimFrame, objects: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """What of each object is seen.
+    """Compute the extent of the visible part of each object.
 
     Returns:
-        Pixels ``(J,)``, nearest z ``(J,)``, smallest and largest right, forward ``(J, 2)`` [m],
-        as in :class:`Truth`.
+        Pixels ``(J,)``, nearest z ``(J,)``, minimum and maximum right, forward ``(J, 2)`` [m], as
+        in :class:`Truth`.
     """
     T = ground_frame(frame.T_world_base)
     pixels = np.bincount(frame.truth.obstacle_id.ravel(), minlength=objects + 1)[1:]
@@ -201,10 +199,10 @@ def visible_extents(
 
 
 def load_truth(log: str | Path) -> Truth:
-    """Read the truth of a log.
+    """Read the ground truth of a log.
 
     Raises:
-        InputError: There is none, or it is not what it should be.
+        InputError: There is none, or it is invalid.
     """
     truth = Truth(*_load(log, Truth._fields))
     sizes = {"F": len(truth.stamp_ns), "J": len(truth.names)}
@@ -234,14 +232,14 @@ _SHAPES: dict[str, tuple] = {
     "edge_m": ("F", 81, "f"),
     "edge_seen": ("F", 81, "b"),
 }
-"""Shape and kind of number of each array; of those not named ``(F, J)`` of floats."""
+"""Shape and NumPy kinds of each array; default: ``(F, J)`` floats."""
 
 
 def _load(log: str | Path, names: Sequence[str]) -> list[np.ndarray]:
-    """Arrays of a truth file, each within ``MAX_ARRAY_BYTES``.
+    """Load arrays of a ground truth file, each within ``MAX_ARRAY_BYTES``.
 
     Raises:
-        InputError: One isn't there, is damaged or too large.
+        InputError: An array is missing, damaged or too large.
     """
     try:
         with truth_path(log).open("rb") as file, np.load(file) as arrays:
@@ -249,27 +247,27 @@ def _load(log: str | Path, names: Sequence[str]) -> list[np.ndarray]:
                 if arrays.zip.getinfo(f"{name}.npy").file_size > MAX_ARRAY_BYTES:
                     raise ValueError(f"{name} is too large")
             return [arrays[name] for name in names]
-    except Exception as error:  # zip, zlib and NumPy raise what they like of a damaged file
+    except Exception as error:  # zip, zlib and NumPy raise many types for damaged files
         raise _unreadable(log) from error
 
 
 def _unreadable(log: str | Path) -> InputError:
-    remedy = "only logs of jaxdet sim have one; those of older versions have to be made again"
-    return InputError("no truth can be read", path=str(truth_path(log)), remedy=remedy)
+    remedy = "only logs of jaxdet sim have one; simulate logs of older versions again"
+    return InputError("cannot read ground truth", path=str(truth_path(log)), remedy=remedy)
 
 
 def load_obstacle_ids(log: str | Path, frames: np.ndarray | list[int]) -> np.ndarray:
-    """The obstacle number of each colour pixel of some frames, ``(B, H, W)`` uint8."""
+    """Load the object number of each colour pixel of some frames, ``(B, H, W)`` uint8."""
     return _load_images(log, "obstacle_id", frames)
 
 
 def load_depths(log: str | Path, frames: np.ndarray | list[int]) -> np.ndarray:
-    """The true z of what each colour pixel of some frames shows, ``(B, H, W)`` float16 [m]."""
+    """Load the true z of each colour pixel of some frames, ``(B, H, W)`` float16 [m]."""
     return _load_images(log, "depth", frames)
 
 
 def load_drivable(log: str | Path, frames: np.ndarray | list[int]) -> np.ndarray:
-    """Which colour pixels of some frames show floor to drive on, ``(B, H, W)`` bool."""
+    """Load which colour pixels of some frames show drivable floor, ``(B, H, W)`` bool."""
     return _load_images(log, "drivable", frames)
 
 

@@ -1,4 +1,4 @@
-"""A scene at one time as one triangle mesh, each triangle with its object."""
+"""Triangle mesh of a scene at a point in time, with the object of each triangle."""
 
 from functools import lru_cache
 from typing import Literal, NamedTuple
@@ -14,29 +14,29 @@ from jaxdet.sim.scene import Box, Cylinder, Ground, Model, Path, Scene, Thing, W
 from jaxdet.sim.solid import hull_between
 
 OUTLINE_CORNERS = 64
-"""Slots for the corners of a footprint."""
+"""Maximum number of corners of a footprint."""
 STEP_M, REACH_M = 0.05, 2.2
-"""Only what of an object is between these heights counts for its footprint [m]: what a robot could
-run into. Lower is what its wheels climb (the foot of a cone), higher what it passes under."""
+"""Heights between which an object counts for its footprint [m], as a robot could hit it there. Its
+wheels climb lower parts (the foot of a cone), and it passes under higher ones."""
 _WALL_FOOT_M = 1.5
-"""How far walls go down below z = 0 where the ground is not level [m]."""
+"""Depth to which walls extend below z = 0 if the ground is not level [m]."""
 
 
 Part = Literal["all", "opaque", "things"]
-"""What of a world is looked at: all; without clear panes; without the floor."""
+"""Rendered part of a world: all; without clear panes; without the floor."""
 
 
 class World(NamedTuple):
-    """A scene at one time."""
+    """A scene at a point in time."""
 
     mesh: Mesh
-    """Everything, the floor first."""
+    """Mesh of all objects, the floor first."""
     object_of: np.ndarray
-    """``(F,)`` int32, number of the object of each triangle, 0 = floor."""
+    """Number of the object of each triangle, ``(F,)`` int32, 0 = floor."""
 
 
 def world_at(scene: Scene, time_s: float, part: Part = "all") -> World:
-    """The world, or a part of it, at a time since the first frame; cached where nothing moves."""
+    """Return the world, or a part of it, at a time since the first frame; cached if static."""
     world = _world(scene, time_s if scene.moves else 0.0)
     if part == "all":
         return world
@@ -56,12 +56,12 @@ def _world(scene: Scene, time_s: float) -> World:
 
 
 def object_mesh(scene: Scene, j: int, time_s: float) -> Mesh:
-    """The mesh of object ``j`` (from 0) in the world at a time."""
+    """Return the mesh of object ``j`` (from 0) in the world at a time."""
     return thing_mesh(scene.objects[j], scene.ground, time_s)
 
 
 def thing_mesh(thing: Thing, ground: Ground, time_s: float = 0.0) -> Mesh:
-    """The mesh of a thing on some ground at a time."""
+    """Return the mesh of an object on the ground at a time."""
     if isinstance(thing, Wall):
         foot = _WALL_FOOT_M if ground.slope_rad or ground.bump_m or ground.drop_m else 0.0
         return _box(thing.box, foot + ground.drop_m * ground.drop_steps)
@@ -107,17 +107,17 @@ def _walk(path: Path, time_s: float) -> tuple[float, float, float, float]:
 
 
 def outline(mesh: Mesh, floor_z: float = 0.0) -> np.ndarray:
-    """The footprint of an object: the convex hull, seen from above, of what a robot could run into.
+    """Compute the footprint of an object: its convex hull, seen from above.
 
-    That is all between STEP_M and REACH_M above the floor; all of an object that is lower.
+    Only parts between STEP_M and REACH_M above the floor count; all of an object that is lower.
 
     Args:
-        mesh: The object in the world.
+        mesh: Object in the world.
         floor_z: World z of the floor under it [m].
 
     Returns:
-        ``(n, 2)`` float64, counter-clockwise, n at most OUTLINE_CORNERS [m]; of more corners those
-        that matter least are left out, which moves the outline by less than 1 mm.
+        Corners ``(n, 2)`` float64, counter-clockwise, n at most OUTLINE_CORNERS [m]; the least
+        significant further corners are dropped, which moves the outline by less than 1 mm.
     """
     step, reach = floor_z + STEP_M, floor_z + REACH_M
     if mesh.corners[..., 2].max() <= step:
@@ -131,7 +131,7 @@ def outline(mesh: Mesh, floor_z: float = 0.0) -> np.ndarray:
 
 
 def bounds(mesh: Mesh, yaw: float = 0.0) -> np.ndarray:
-    """The upright box, turned by ``yaw``, around a mesh.
+    """Return the upright bounding box of a mesh, rotated by ``yaw``.
 
     Returns:
         Corners ``(8, 3)`` float64 [m]: bottom, then top, counter-clockwise from above.
@@ -148,7 +148,7 @@ def bounds(mesh: Mesh, yaw: float = 0.0) -> np.ndarray:
 
 
 def heading(scene: Scene, j: int, time_s: float) -> float:
-    """How object ``j`` (from 0) is turned at a time [rad]."""
+    """Return the yaw of object ``j`` (from 0) at a time [rad]."""
     thing = scene.objects[j]
     if isinstance(thing, Model):
         return thing.yaw if thing.path is None else _walk(thing.path, time_s)[2]

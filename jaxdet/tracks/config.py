@@ -1,4 +1,4 @@
-"""What links obstacles to tracks."""
+"""Tracking parameters."""
 
 import math
 from dataclasses import dataclass
@@ -10,34 +10,36 @@ from jaxdet.errors import ConfigError
 
 @dataclass(frozen=True)
 class TrackConfig:
-    """When obstacles of different frames are one thing, and when that moves."""
+    """Data association, and the classification of tracks as moving or stationary."""
 
     max_speed_mps: float = 3.0
-    """Nothing moves faster [m/s]; a track that seems to stands."""
+    """Maximum speed of an object [m/s]; tracks that seem faster are stationary."""
     gate_m: float = 0.3
-    """So much more may the nearest edges of an outline move between frames [m]."""
+    """Gate on the motion of an outline's nearest edges between frames, in addition to the maximum
+    speed [m]."""
     max_gap_frames: int = 3
-    """Outlines this many frames apart are linked by their edges alone."""
+    """Maximum number of frames between outlines that are linked by their edges only."""
     max_gap_s: float = 2.5
-    """A thing that was not seen for longer begins a new track [s]."""
+    """Maximum time without an observation before a track ends [s]."""
     overlap: float = 0.4
-    """Outlines of a frame that overlap by this share of the smaller, along every side, are one
-    thing, unless it is a long one."""
+    """Minimum overlap, as a fraction of the smaller outline along every side, at which obstacles of
+    a frame are merged; long ones are not."""
     floats_m: float = 0.25
-    """What begins higher above the floor and touches a larger thing is a part of it [m]."""
+    """Minimum height above the floor of a floating obstacle [m], which is merged into a larger one
+    that it touches."""
     touch_m: float = 0.1
-    """Outlines that are nearer to each other than this touch [m]."""
+    """Maximum gap between outlines that touch [m]."""
     long_m: float = 1.6
-    """Things longer than this are walls, hedges or shelves, before which others stand [m]."""
+    """Minimum length of long objects [m]: walls, hedges or shelves, in front of which others
+    stand."""
     min_frames: int = 4
-    """A track is seen in at least so many frames."""
+    """Minimum number of frames in which a track is observed."""
     moving_m: float = 0.3
-    """A thing moves if its middle leaves its place by more, and both of its ends by half of it
-    [m]."""
+    """Minimum displacement of a moving object's middle [m]; its ends must move by half of it."""
     noise_m: float = 0.25
-    """A long thing whose ends jump about their way by more, root mean square, stands [m]."""
+    """Maximum RMS residual of the ends of a moving long object [m]."""
     smooth_s: float = 0.7
-    """Positions and speeds are fitted over so much time before and after a frame [s]."""
+    """Half-width of the time window over which positions and speeds are fitted [s]."""
 
     def __post_init__(self) -> None:
         check_fields(self)

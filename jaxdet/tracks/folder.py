@@ -30,8 +30,8 @@ from jaxdet.results.reading import LINKS, TRACKS, Chunk, ResultLog, Results
 from jaxdet.results.track_schemas import LINKS_SCHEMA, TRACKS_SCHEMA
 from jaxdet.results.writer import parquet_writer
 from jaxdet.tracks.config import TrackConfig
+from jaxdet.tracks.observations import observations_of
 from jaxdet.tracks.rows import TrackRows
-from jaxdet.tracks.seen import obstacles_seen
 from jaxdet.tracks.tracker import Tracker
 
 WINDOW_FRAMES = 1024
@@ -200,7 +200,7 @@ def _track_log(
         nowhere = np.isnan(columns["corners_world"]).any(axis=1)
         blind.update(_blind(chunk.take(np.unique(frame[nowhere]))))
         width = image.get("width")
-        seen = obstacles_seen(start + frame, stamps[frame], roll[frame], columns, width)
+        seen = observations_of(start + frame, stamps[frame], roll[frame], columns, width)
         waiting.append(chunk.obstacles.select(keys).cast(pa.schema(list(LINKS_SCHEMA)[:-1])))
         size = chunk.obstacles["num_points"].to_numpy()
         tracker.add(chunk.frames["frame"].to_numpy(), stamps, seen, size)

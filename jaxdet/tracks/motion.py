@@ -1,4 +1,4 @@
-"""Where a track was in each frame from its first to its last, how fast, and whether it moved."""
+"""Position and velocity of a track in each of its frames, and whether it moves."""
 
 from typing import NamedTuple
 
@@ -6,95 +6,96 @@ import numpy as np
 
 from jaxdet.elementary import hypot
 from jaxdet.tracks.config import TrackConfig
-from jaxdet.tracks.hidden import unseen
+from jaxdet.tracks.observations import Observations
+from jaxdet.tracks.occlusion import hidden_shift
 from jaxdet.tracks.pairs import ranges
-from jaxdet.tracks.things import Things
 
 GUESSED = 0.05
-"""Weight of a frame between sightings."""
+"""Weight of a frame without an observation, whose edges are interpolated."""
 LONGER, MERGED = 1.6, 0.1
-"""An outline so much longer than usual holds something else; its weight."""
+"""Outlines longer than the median by this factor are merged with another object; their weight."""
 STEADY_S = 0.02
-"""Fits over less time than this are drawn to standing still [s]."""
+"""Regularisation: velocities fitted over less time than this shrink toward zero [s]."""
 
 
 class Motion(NamedTuple):
-    """``K`` tracks; ``P`` points, those of the first track first, one a frame."""
+    """Trajectories of ``K`` tracks with ``P`` points in total, track by track, one per frame."""
 
     first: np.ndarray
-    """``(K,)`` int64, the first point of each; it has one for each frame from its first to its
-    last."""
-    place: np.ndarray
-    """``(P, 2)`` float64, middle of the outline [m]."""
+    """First point of each track, ``(K,)`` int64; it has a point for each frame from its first to
+    its last."""
+    position: np.ndarray
+    """Middle of the outline, ``(P, 2)`` float64 [m]."""
     velocity: np.ndarray
-    """``(P, 2)`` float64 [m/s]."""
+    """Velocity ``(P, 2)`` float64 [m/s], 0 for stationary tracks."""
     moving: np.ndarray
-    """``(K,)`` bool."""
+    """Whether each track moves, ``(K,)`` bool."""
 
 
 def motion_of(
-    things: Things, first: np.ndarray, stamps: np.ndarray, start: int, config: TrackConfig
+    obs: Observations, first: np.ndarray, stamps: np.ndarray, start: int, config: TrackConfig
 ) -> Motion:
-    """Fits the ways of tracks.
+    """Fit the trajectories of tracks.
 
-    A hidden side is put where it would be seen. Between sightings the outline's edges are
-    interpolated; over ``smooth_s`` before and after each frame they are lines.
+    Outlines are corrected for hidden sides. Their edges are interpolated between observations and
+    smoothed by a line fitted over ``smooth_s`` before and after each frame.
 
     Args:
-        things: Sightings, those of the first track first, each track's by frame.
-        first: ``(K,)``, the first sighting of each track.
-        stamps: Stamps of the log's frames from ``start`` on [ns].
-        start: Number of the first of them.
+        obs: Observations by track, then by frame.
+        first: First observation of each track, ``(K,)``.
+        stamps: Timestamps of the log's frames from ``start`` on [ns].
+        start: Index of the first of these frames.
         config: Times and limits.
     """
-    last = np.append(first[1:], len(things.frame)) - 1
-    count = things.frame[last] - things.frame[first] + 1
+    last = np.append(first[1:], len(obs.frame)) - 1
+    count = obs.frame[last] - obs.frame[first] + 1
     starts = np.cumsum(count) - count
     track = np.repeat(np.arange(len(first)), count)
-    stamp = stamps[ranges(things.frame[first] - start, count)]
+    stamp = stamps[ranges(obs.frame[first] - start, count)]
     time = (stamp - stamp[starts][track]) * 1e-9
-    length, usual = _lengths(things, first)
+    length, usual = _lengths(obs, first)
     longer = length > LONGER * np.repeat(usual, np.diff(np.append(first, len(length))))
-    things = things._replace(weight=np.where(longer, MERGED, 1) * things.weight)
-    shift = unseen(things, np.searchsorted(first, np.arange(len(length)), "right") - 1, len(first))
-    edges = _edges(things) + np.hstack([shift, shift])
-    edges, weight = _filled(things, edges, starts, first, stamp)
-    line, slope = _fitted(track, time, edges, weight, config.smooth_s)
+    obs = obs._replace(weight=np.where(longer, MERGED, 1) * obs.weight)
+    own_track = np.searchsorted(first, np.arange(len(length)), "right") - 1
+    shift = hidden_shift(obs, own_track, len(first))
+    edges = _edges(obs) + np.hstack([shift, shift])
+    edges, weight = _interpolated_edges(obs, edges, starts, first, stamp)
+    line, slope = _fitted_lines(track, time, edges, weight, config.smooth_s)
     velocity = _middle(slope)
-    # Over a few frames noise alone can be such a speed.
+    # In a track of a few frames, noise can look like a higher speed.
     possible = _medians(hypot(*velocity.T), track, starts) <= config.max_speed_mps
-    moving = _moves(line, edges, weight, starts, track, usual, config) & possible
+    moving = _is_moving(line, edges, weight, starts, track, usual, config) & possible
     velocity *= moving[track, None]
     return Motion(starts, _middle(line), velocity, moving)
 
 
 def _middle(edges: np.ndarray) -> np.ndarray:
-    """``(N, 2)``, of edges ``(N, 4)``."""
+    """Return the middles ``(N, 2)`` of edges ``(N, 4)``."""
     return (edges[:, :2] + edges[:, 2:]) / 2
 
 
-def _edges(things: Things) -> np.ndarray:
-    """``(N, 4)``, least x and y and greatest x and y of each outline [m]."""
-    outline = things.outline
-    ways = (np.broadcast_to(way, outline.axis.shape) for way in np.eye(2))
-    reach = np.stack([outline.reach(way) for way in ways], axis=1)
+def _edges(obs: Observations) -> np.ndarray:
+    """Return the bounds of each outline, ``(N, 4)``: minimum x and y, maximum x and y [m]."""
+    outline = obs.outline
+    directions = (np.broadcast_to(direction, outline.axis.shape) for direction in np.eye(2))
+    reach = np.stack([outline.reach(direction) for direction in directions], axis=1)
     return np.hstack([outline.center - reach, outline.center + reach])
 
 
-def _lengths(things: Things, first: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of each sighting, ``(N,)``, the longer side, and its median in each track, ``(K,)`` [m]."""
-    track = np.searchsorted(first, np.arange(len(things.frame)), "right") - 1
-    length = 2 * things.outline.half.max(axis=1)
+def _lengths(obs: Observations, first: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the longer side of each outline ``(N,)``, and its median per track ``(K,)`` [m]."""
+    track = np.searchsorted(first, np.arange(len(obs.frame)), "right") - 1
+    length = 2 * obs.outline.half.max(axis=1)
     return length, _medians(length, track, first)
 
 
 def _medians(values: np.ndarray, track: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """The upper median of the values ``(N,)`` of each track, which begins at ``first`` ``(K,)``."""
+    """Return the upper median of the values ``(N,)`` per track; ``first`` ``(K,)`` splits them."""
     count = np.diff(np.append(first, len(values)))
     return values[np.lexsort((values, track))][first + count // 2]
 
 
-def _moves(
+def _is_moving(
     line: np.ndarray,
     edges: np.ndarray,
     weight: np.ndarray,
@@ -103,10 +104,10 @@ def _moves(
     usual: np.ndarray,
     config: TrackConfig,
 ) -> np.ndarray:
-    """Which tracks move, ``(K,)``: both ends and the middle leave their places, by more than noise.
+    """Return which tracks move ``(K,)``: both ends and the middle are displaced beyond the noise.
 
-    Of long things, ``usual`` ``(K,)`` [m], more is asked: of a wall pieces come and go, whose ends
-    jump.
+    The limits are stricter for long objects, by their median length ``usual`` ``(K,)`` [m]: pieces
+    of a wall come and go, so its ends jump.
     """
     shift = line - line[starts][track]
     low, high = shift[:, :2], shift[:, 2:]
@@ -121,12 +122,12 @@ def _moves(
     return np.where(usual <= config.long_m, short, long & (noise <= config.noise_m))
 
 
-def _filled(
-    things: Things, edges: np.ndarray, starts: np.ndarray, first: np.ndarray, stamp: np.ndarray
+def _interpolated_edges(
+    obs: Observations, edges: np.ndarray, starts: np.ndarray, first: np.ndarray, stamp: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Edges in all frames, ``(P, 4)``, by lines between sightings, and their weights, ``(P,)``."""
-    track = np.searchsorted(first, np.arange(len(things.frame)), "right") - 1
-    point = starts[track] + things.frame - things.frame[first][track]
+    """Interpolate edges linearly to all frames, ``(P, 4)``, and return their weights ``(P,)``."""
+    track = np.searchsorted(first, np.arange(len(obs.frame)), "right") - 1
+    point = starts[track] + obs.frame - obs.frame[first][track]
     known = np.zeros(len(stamp), bool)
     known[point] = True
     before = np.cumsum(known) - 1
@@ -134,16 +135,16 @@ def _filled(
     whole = np.maximum(stamp[point[after]] - stamp[point[before]], 1)
     share = (stamp - stamp[point[before]]) / whole
     filled = edges[before] + share[:, None] * (edges[after] - edges[before])
-    return filled, np.where(known, things.weight[before], GUESSED)
+    return filled, np.where(known, obs.weight[before], GUESSED)
 
 
-def _fitted(
+def _fitted_lines(
     track: np.ndarray, time: np.ndarray, values: np.ndarray, weight: np.ndarray, reach_s: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Lines through the values within ``reach_s`` of each point: value and slope, ``(P, V)``.
+    """Fit a line to the values within ``reach_s`` of each point: value and slope, ``(P, V)``.
 
-    At both ends of a track they go through more, so that it is never less than three quarters of
-    the time. Where no other point is so near, they go through those next to it.
+    At both ends of a track the window is shifted inward, so that it never covers less than three
+    quarters of its length. A point without others in its window is fitted with its neighbours.
     """
     ends = np.flatnonzero(np.diff(track, append=-1))
     first, last = time[np.append(0, ends[:-1] + 1)][track], time[ends][track]
@@ -179,7 +180,7 @@ def _fitted(
 def _are_lonely(
     track: np.ndarray, time: np.ndarray, middle: np.ndarray, reach_s: float
 ) -> np.ndarray:
-    """``(P,)`` bool, whether a line reaches no other point of the track within ``reach_s``."""
+    """Return which points have no other point of their track within ``reach_s``, ``(P,)`` bool."""
     apart = np.full((2, len(track)), np.nan)
     same = track[1:] == track[:-1]
     apart[0, 1:][same] = np.abs(time[:-1] - middle[1:])[same]

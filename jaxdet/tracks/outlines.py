@@ -1,4 +1,4 @@
-"""Rectangles on the floor: how two of them overlap, and how far one's edges are from another's."""
+"""Rectangles on the floor: overlap, gap and displacement of two of them."""
 
 from typing import NamedTuple
 
@@ -11,55 +11,55 @@ class Outlines(NamedTuple):
     """``N`` rectangles on the floor, in the world or the camera's ground frame."""
 
     center: np.ndarray
-    """``(N, 2)`` float64 [m]."""
+    """Centres ``(N, 2)`` float64 [m]."""
     axis: np.ndarray
-    """``(N, 2)`` float64, unit vector along the first side."""
+    """Unit vectors along the first side, ``(N, 2)`` float64."""
     half: np.ndarray
-    """``(N, 2)`` float64, half of the first side and of the one across it [m]."""
+    """Half lengths of the first side and of the second, ``(N, 2)`` float64 [m]."""
 
     def take(self, rows: np.ndarray) -> "Outlines":
-        """Those of some rows, or of a mask."""
+        """Return the outlines of these rows or of a mask."""
         return Outlines(*(part[rows] for part in self))
 
     @classmethod
     def of_corners(cls, corners: np.ndarray) -> "Outlines":
-        """From corners ``(N, 8)``, x and y in turn around each [m]."""
+        """Build outlines from corners ``(N, 8)``: x, y of each corner in order [m]."""
         corner = corners.reshape(-1, 4, 2).astype(np.float64)
         first, second = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 1]
         length, width = hypot(*first.T), hypot(*second.T)
-        turned = np.stack([second[:, 1], -second[:, 0]], 1) / np.maximum(width, 1e-9)[:, None]
-        axis = np.where(length[:, None] > 1e-9, first / np.maximum(length, 1e-9)[:, None], turned)
+        across = np.stack([second[:, 1], -second[:, 0]], 1) / np.maximum(width, 1e-9)[:, None]
+        axis = np.where(length[:, None] > 1e-9, first / np.maximum(length, 1e-9)[:, None], across)
         axis[(length <= 1e-9) & (width <= 1e-9)] = 1.0, 0.0
         middle = (corner[:, 0] + corner[:, 1] + corner[:, 2] + corner[:, 3]) / 4
         return cls(middle, axis, np.stack([length, width], 1) / 2)
 
     @property
     def area(self) -> np.ndarray:
-        """``(N,)`` [m²]."""
+        """Areas ``(N,)`` [m²]."""
         return 4 * self.half[:, 0] * self.half[:, 1]
 
     def reach(self, direction: np.ndarray) -> np.ndarray:
-        """``(N,)``, half of their extent along unit vectors ``(N, 2)`` [m]."""
+        """Return half the extent ``(N,)`` along unit vectors ``(N, 2)`` [m]."""
         along = np.abs(dot(self.axis, direction))
         across = np.abs(self.axis[:, 0] * direction[:, 1] - self.axis[:, 1] * direction[:, 0])
         return self.half[:, 0] * along + self.half[:, 1] * across
 
 
 def overlap(a: Outlines, b: Outlines) -> np.ndarray:
-    """How much of the smaller extent the two share, along the side on which that is least.
+    """Compute the overlap of rectangle pairs by the separating axis test.
 
-    Along each side of both (the separating axes): the shared length over the smaller extent; 1
-    where one holds the other, negative where a line between them separates them.
+    It is the minimum over the sides of both of the shared length divided by the smaller extent: 1
+    if one contains the other, negative if a line separates them.
 
     Args:
         a: ``N`` rectangles.
-        b: As many.
+        b: ``N`` rectangles.
 
     Returns:
-        ``(N,)`` float64, at most 1.
+        Overlaps ``(N,)`` float64, at most 1.
     """
     shift, least = b.center - a.center, np.full(len(a.center), 1.0)
-    for axis in (a.axis, turned(a.axis), b.axis, turned(b.axis)):
+    for axis in (a.axis, perpendicular(a.axis), b.axis, perpendicular(b.axis)):
         one, other = a.reach(axis), b.reach(axis)
         shared = one + other - np.abs(dot(shift, axis))
         least = np.minimum(least, shared / np.maximum(2 * np.minimum(one, other), 1e-9))
@@ -67,36 +67,36 @@ def overlap(a: Outlines, b: Outlines) -> np.ndarray:
 
 
 def gap(a: Outlines, b: Outlines) -> np.ndarray:
-    """How far apart the two are, along the side on which that is most; negative if they overlap.
+    """Compute the largest gap along any side of two rectangles; negative if they overlap.
 
     Returns:
-        ``(N,)`` float64 [m]; of two corners that face each other, less than their distance.
+        Gaps ``(N,)`` float64 [m]; less than the distance if two corners face each other.
     """
     shift, most = b.center - a.center, np.full(len(a.center), -np.inf)
-    for axis in (a.axis, turned(a.axis), b.axis, turned(b.axis)):
+    for axis in (a.axis, perpendicular(a.axis), b.axis, perpendicular(b.axis)):
         apart = np.abs(dot(shift, axis)) - a.reach(axis) - b.reach(axis)
         most = np.maximum(most, apart)
     return most
 
 
 def displacement(a: Outlines, b: Outlines) -> np.ndarray:
-    """How far ``b`` has moved from ``a``, whose visible part may have grown or shrunk.
+    """Compute the motion from ``a`` to ``b``, whose visible parts may differ.
 
-    Along each side of ``a``, the least of what its two ends and its middle moved: what comes into
-    sight moves one end and the middle, motion moves all three.
+    Along each side of ``a`` it is the minimum over its two ends and its middle: a change of
+    visibility moves one end and the middle, motion moves all three.
 
     Returns:
-        ``(N,)`` float64, the greater of both sides [m].
+        Larger displacement of both sides, ``(N,)`` float64 [m].
     """
     shift, most = b.center - a.center, np.zeros(len(a.center))
-    for axis in (a.axis, turned(a.axis)):
+    for axis in (a.axis, perpendicular(a.axis)):
         middle, grown = dot(shift, axis), b.reach(axis) - a.reach(axis)
-        # Its ends moved by middle + grown and middle - grown.
+        # The ends moved by middle + grown and middle - grown.
         end = np.abs(np.abs(middle) - np.abs(grown))
         most = np.maximum(most, np.minimum(end, np.abs(middle)))
     return most
 
 
-def turned(axis: np.ndarray) -> np.ndarray:
-    """Unit vectors ``(N, 2)`` turned to the left by a right angle."""
+def perpendicular(axis: np.ndarray) -> np.ndarray:
+    """Rotate unit vectors ``(N, 2)`` by 90 degrees to the left."""
     return np.stack([-axis[:, 1], axis[:, 0]], axis=1)

@@ -1,21 +1,21 @@
-"""Pairs of rows: whose frames are so far apart, which of them choose each other, chains.
+"""Pairs of rows by frame, greedy matching, connected components and chains.
 
-Rows are sorted by frame. All of it is array code over the pairs of many frames at once.
+Rows are sorted by frame. The functions are vectorised over the pairs of many frames.
 """
 
 import numpy as np
 
 
 def pairs_of_frames(frame: np.ndarray, later: np.ndarray, apart: int) -> tuple[np.ndarray, ...]:
-    """Each of the rows ``later`` with all rows of the frame ``apart`` frames before.
+    """Pair each of the rows ``later`` with all rows of the frame ``apart`` frames before.
 
     Args:
         frame: ``(N,)`` int64, ascending.
-        later: ``(L,)`` rows.
-        apart: 1 or more.
+        later: Rows ``(L,)``.
+        apart: Number of frames; 0 pairs rows of the same frame.
 
     Returns:
-        The earlier and the later row of each pair, ``(P,)`` each, by the later row, then the
+        Earlier and later row of each pair, ``(P,)`` each, sorted by the later row, then the
         earlier one.
     """
     wanted = frame[later] - apart
@@ -25,38 +25,38 @@ def pairs_of_frames(frame: np.ndarray, later: np.ndarray, apart: int) -> tuple[n
 
 
 def pairs_in_frames(frame: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Each two rows of a frame, ``(P,)`` each, the earlier first."""
+    """Return all pairs of rows of the same frame, ``(P,)`` each, the earlier row first."""
     row = np.arange(len(frame))
     count = np.searchsorted(frame, frame, "right") - row - 1
     return np.repeat(row, count), ranges(row + 1, count)
 
 
 def ranges(first: np.ndarray, count: np.ndarray) -> np.ndarray:
-    """``first[0], first[0] + 1, ...``: ``count[0]`` numbers, then those of ``first[1]``, ..."""
+    """Concatenate the ranges of ``count[i]`` integers from ``first[i]`` on."""
     start = np.cumsum(count) - count
     return np.arange(int(count.sum())) - np.repeat(start, count) + np.repeat(first, count)
 
 
-def choose(a: np.ndarray, b: np.ndarray, cost: np.ndarray, size: int) -> np.ndarray:
-    """One-to-one pairs, the cheapest first, as if they were taken one by one in order of cost.
+def greedy_matching(a: np.ndarray, b: np.ndarray, cost: np.ndarray, size: int) -> np.ndarray:
+    """Match rows one to one, greedily in order of cost.
 
-    Pairs that are the cheapest of both of their rows are taken at once, until none is left; so a
-    frame's choice does not depend on the frames that are worked on together with it.
+    Each round takes all pairs that are the cheapest of both of their rows, which gives the same
+    result as one pair at a time; so it does not depend on the other frames in the arrays.
 
     Args:
-        a: ``(P,)`` rows.
-        b: ``(P,)`` rows.
-        cost: ``(P,)`` float64; of equal ones the pair with the smaller rows.
-        size: Rows are less.
+        a: Rows ``(P,)``.
+        b: Rows ``(P,)``.
+        cost: Costs ``(P,)`` float64; the pair with the smaller rows wins a tie.
+        size: Number of rows.
 
     Returns:
-        Numbers of the pairs taken, ascending.
+        Indices of the matched pairs, ascending.
     """
     order = np.lexsort((b, a, cost))
     a, b, taken = a[order], b[order], []
     left = np.arange(len(order))
     while len(left):
-        # Assigned from the last to the first, so that the cheapest stays.
+        # Assign in reverse order, so that the cheapest pair remains.
         best_a, best_b = np.empty(size, np.int64), np.empty(size, np.int64)
         best_a[a[left][::-1]], best_b[b[left][::-1]] = left[::-1], left[::-1]
         mutual = left[(best_a[a[left]] == left) & (best_b[b[left]] == left)]
@@ -68,7 +68,7 @@ def choose(a: np.ndarray, b: np.ndarray, cost: np.ndarray, size: int) -> np.ndar
 
 
 def components(size: int, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """``(size,)`` int64, the smallest row that hangs together with each through pairs."""
+    """Return the smallest row in the connected component of each row, ``(size,)`` int64."""
     root = np.arange(size)
     while True:
         low = np.minimum(root[a], root[b])
@@ -82,7 +82,7 @@ def components(size: int, a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def chain_starts(before: np.ndarray) -> np.ndarray:
-    """``(N,)`` int64, the first row of each row's chain; ``before`` is the row before, or -1."""
+    """Return the first row of each row's chain, ``(N,)`` int64; ``before`` links rows, -1: none."""
     root = np.where(before < 0, np.arange(len(before)), before)
     while True:
         further = root[root]

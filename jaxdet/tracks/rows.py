@@ -1,6 +1,7 @@
-"""The rows of ``tracks.parquet`` of a log, put in the order of their numbers on disk.
+"""Rows of ``tracks.parquet`` of a log, sorted by track number on disk.
 
-Tracks come as they end: one that is in sight all the time comes last and has the number 0.
+Tracks arrive in the order in which they end: one that is visible all the time has the number 0 and
+arrives last.
 """
 
 from collections.abc import Iterator, Sequence
@@ -17,15 +18,15 @@ from jaxdet.results.track_schemas import TRACKS_SCHEMA
 from jaxdet.tracks.track import Track
 
 PART_ROWS = 1024
-"""Rows that are read together."""
+"""Number of rows that are read at once."""
 
 
 class TrackRows:
-    """The tracks of a log; on leaving it, its file is removed.
+    """Tracks of a log in a temporary file, which leaving the context removes.
 
     Args:
-        path: A file to keep them in.
-        log: The log.
+        path: Temporary file.
+        log: Log.
     """
 
     def __init__(self, path: Path, log: ResultLog) -> None:
@@ -34,7 +35,7 @@ class TrackRows:
             self._file = open_file(path, "wb")
             self._writer = pa.ipc.new_file(self._file, TRACKS_SCHEMA)
         self._places: list[tuple[int, int, int]] = []
-        """Number, batch, and row in it, of each track."""
+        """Track number, batch, and row in the batch, of each track."""
         self._batches = 0
         self.moving = 0
         self.in_world = 0
@@ -43,7 +44,7 @@ class TrackRows:
         return self
 
     def __exit__(self, *_: object) -> None:
-        with suppress(OSError):  # what it holds is not needed any more
+        with suppress(OSError):  # the file is removed anyway
             self._close()
         self._path.unlink(missing_ok=True)
 
@@ -51,7 +52,7 @@ class TrackRows:
         return len(self._places)
 
     def add(self, tracks: Sequence[Track]) -> None:
-        """Takes tracks in."""
+        """Add tracks."""
         if not tracks:
             return
         with writing(self._path):
@@ -62,7 +63,7 @@ class TrackRows:
         self.in_world += sum(track.in_world for track in tracks)
 
     def ordered(self) -> Iterator[pa.Table]:
-        """The rows by number, some at a time; no track can be added any more."""
+        """Yield the rows sorted by track number, in parts; no track can be added afterwards."""
         with writing(self._path):
             self._close()
         with map_file(self._path) as file, pa.ipc.open_file(file) as reader:

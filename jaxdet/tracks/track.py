@@ -1,4 +1,4 @@
-"""A track, and the pieces that the way of a long one is fitted in."""
+"""A track, and the pieces in which the trajectory of a long track is fitted."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -7,119 +7,119 @@ import numpy as np
 
 from jaxdet import elementary
 from jaxdet.elementary import median
-from jaxdet.tracks.things import Things
+from jaxdet.tracks.observations import Observations
 
 
 class Track(NamedTuple):
-    """One thing over time."""
+    """An object over time."""
 
     number: int
-    """In the log, from 0, by its first sighting."""
+    """Number in the log, from 0, in the order of first observations."""
     in_world: bool
-    """Whether its path is in the world, else in the camera's ground frame."""
+    """Whether the path is in the world frame, else in the camera's ground frame."""
     first_frame: int
-    """Number of the frame that shows it first."""
+    """Number of the first frame with an observation."""
     last_frame: int
     first_stamp_ns: int
     last_stamp_ns: int
     frames: int
-    """In which it was seen."""
+    """Number of frames with an observation."""
     obstacles: int
-    """Rows of ``obstacles.parquet`` that show it."""
+    """Number of rows of ``obstacles.parquet`` in the track."""
     moving: bool
     mean_speed_mps: float
-    """0 where it does not move [m/s]."""
+    """Mean speed, 0 for a stationary track [m/s]."""
     max_speed_mps: float
-    """[m/s]."""
+    """Maximum speed [m/s]."""
     length_m: float
-    """The longer side of its outline, median [m]."""
+    """Median of the outline's longer side [m]."""
     width_m: float
-    """The shorter side [m]."""
+    """Median of the outline's shorter side [m]."""
     top_m: float
-    """Its highest point above the floor, median; NaN where that is not known [m]."""
+    """Median height of the highest point above the floor, NaN if unknown [m]."""
     path: np.ndarray
-    """``(P, 2)`` float64, its middle in each frame from the first to the last; one point where it
-    does not move [m]."""
+    """Middle of the outline in each frame from the first to the last, ``(P, 2)`` float64; one point
+    for a stationary track [m]."""
     speed: np.ndarray
-    """``(P,)`` float32, at each point of the path [m/s]."""
+    """Speed at each point of the path, ``(P,)`` float32 [m/s]."""
 
 
 class Piece(NamedTuple):
-    """Some frames of a track that follow each other, with what a :class:`Track` has of all."""
+    """Consecutive frames of a track, with the fields that :class:`Track` has for all frames."""
 
     in_world: bool
     first_frame: int
     last_frame: int
     first_stamp_ns: int
     last_stamp_ns: int
-    seen: int
+    num_observations: int
     obstacles: int
     moving: bool
     length_m: float
     width_m: float
     top_m: float
     num_frames: int
-    """Those that don't show it as well."""
+    """Number of frames, with or without an observation."""
     path: np.ndarray
-    """``(num_frames, 2)`` float64, or one point where it does not move [m]."""
+    """Path ``(num_frames, 2)`` float64, or one point if stationary [m]."""
     speed: np.ndarray
-    """``(num_frames,)`` or ``(1,)`` float32 [m/s]."""
+    """Speed ``(num_frames,)`` or ``(1,)`` float32 [m/s]."""
 
 
 def piece_of(
-    seen: Things, numbers: np.ndarray, stamps: np.ndarray, way: np.ndarray, speed: np.ndarray
+    obs: Observations, numbers: np.ndarray, stamps: np.ndarray, path: np.ndarray, speed: np.ndarray
 ) -> Piece:
-    """A piece of a track.
+    """Build a piece of a track.
 
     Args:
-        seen: The sightings in it.
-        numbers: ``(P,)`` numbers of its frames.
-        stamps: ``(P,)`` their stamps [ns].
-        way: ``(P, 2)``, where it is in each [m].
-        speed: ``(P,)``, 0 in all where it does not move [m/s].
+        obs: Observations in the piece.
+        numbers: Frame numbers ``(P,)``.
+        stamps: Timestamps of these frames, ``(P,)`` [ns].
+        path: Position in each frame, ``(P, 2)`` [m].
+        speed: Speed in each frame, ``(P,)``, all 0 if stationary [m/s].
     """
     moving = bool(speed.any())
-    # Which side of an outline is its first one changes from frame to frame.
-    shorter, longer = 2 * median(np.sort(seen.outline.half, axis=1), axis=0)
-    top = seen.top_m[~np.isnan(seen.top_m)]
+    # An outline's first side may be its longer or its shorter one, depending on the frame.
+    shorter, longer = 2 * median(np.sort(obs.outline.half, axis=1), axis=0)
+    top = obs.top_m[~np.isnan(obs.top_m)]
     return Piece(
-        bool(seen.in_world[0]),
+        bool(obs.in_world[0]),
         int(numbers[0]),
         int(numbers[-1]),
         int(stamps[0]),
         int(stamps[-1]),
-        len(seen.frame),
-        int(seen.obstacles.sum()),
+        len(obs.frame),
+        int(obs.obstacles.sum()),
         moving,
         float(longer),
         float(shorter),
         float(median(top)) if len(top) else float("nan"),
         len(numbers),
-        way if moving else median(way, axis=0)[None],
+        path if moving else median(path, axis=0)[None],
         (speed if moving else speed[:1]).astype(np.float32),
     )
 
 
 def track_of(number: int, pieces: Sequence[Piece]) -> Track:
-    """The track that the pieces make.
+    """Join pieces to a track.
 
-    It moves if one of them does; sizes, and where it stands, are their means.
+    It moves if any piece moves. Its sizes, and its position if stationary, are means over pieces.
     """
     first, last = pieces[0], pieces[-1]
     moving = any(piece.moving for piece in pieces)
-    seen = np.array([piece.seen for piece in pieces], np.float64)
+    counts = np.array([piece.num_observations for piece in pieces], np.float64)
     if moving:
         path = np.concatenate([np.broadcast_to(p.path, (p.num_frames, 2)) for p in pieces])
         speed = np.concatenate([np.broadcast_to(p.speed, p.num_frames) for p in pieces])
     else:
         points = np.concatenate([piece.path for piece in pieces])
-        path = elementary.mean(points, seen)[None]
+        path = elementary.mean(points, counts)[None]
         speed = np.zeros(1, np.float32)
 
     def mean(name: str) -> float:
         values = np.array([getattr(piece, name) for piece in pieces])
         known = ~np.isnan(values)
-        return float(elementary.mean(values[known], seen[known])) if known.any() else np.nan
+        return float(elementary.mean(values[known], counts[known])) if known.any() else np.nan
 
     return Track(
         number,
@@ -128,7 +128,7 @@ def track_of(number: int, pieces: Sequence[Piece]) -> Track:
         last.last_frame,
         first.first_stamp_ns,
         last.last_stamp_ns,
-        sum(piece.seen for piece in pieces),
+        sum(piece.num_observations for piece in pieces),
         sum(piece.obstacles for piece in pieces),
         moving,
         float(elementary.mean(speed)),

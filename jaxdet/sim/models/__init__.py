@@ -1,7 +1,7 @@
-"""Procedural models of the paper's obstacles, drawn by seed with plausible dimensions.
+"""Procedural models of the paper's obstacles, with random plausible dimensions.
 
-A model stands on z = 0 around the origin, faces along x, and is made by
-``builder(rng, phase)``; ``phase`` is the step of a walk [rad], of no effect on things.
+A model stands on z = 0 at the origin, faces along x, and is built by ``builder(rng, phase)``;
+``phase`` is the gait phase [rad], used only by walking people.
 """
 
 from collections.abc import Callable
@@ -38,7 +38,7 @@ _LATER: dict[str, Callable[[np.random.Generator, float], Mesh]] = {
     "cable_drum": cable_drum,
     "cart": cart,
 }
-"""After the low things: a model's place among all draws it."""
+"""Models added later; appended after the low objects, as the index of a model seeds it."""
 
 __all__ = ["KINDS", "LOW_THINGS", "STRIDE_M", "build_model"]
 
@@ -50,9 +50,9 @@ def build_model(kind: str, seed: int, phase: float = 0.0) -> Mesh:
     """Build a model.
 
     Args:
-        kind: Its name.
-        seed: Its dimensions, colours, pose.
-        phase: Step of a walk [rad].
+        kind: Name of the model.
+        seed: Seed of its dimensions, colours and pose.
+        phase: Gait phase [rad].
 
     Raises:
         ConfigError: There is no such model.

@@ -1,4 +1,4 @@
-"""Carts that people push: a platform on castors with a handle, perhaps loaded.
+"""Push carts: a platform on castors with a handle and a load.
 
 Sizes of EN 1757 platform trolleys: 0.8 to 1.2 by 0.5 to 0.7 m, handles 0.9 to 1.1 m high.
 """
@@ -10,11 +10,11 @@ from jaxdet.sim.mesh import Mesh, join
 from jaxdet.sim.shapes import box, tube
 
 DECK_M = 0.18
-"""Top of the platform above the floor [m]."""
+"""Height of the platform above the floor [m]."""
 
 
 def cart(rng: np.random.Generator, phase: float = 0.0) -> Mesh:
-    """A cart with boxes on it; its handle at -x."""
+    """A cart with a box; its handle is at -x."""
     del phase
     length, width, handle = rng.uniform((0.8, 0.5, 0.9), (1.2, 0.7, 1.1)).tolist()
     deck, frame = pick(rng, WOOD, STEEL), pick(rng, STEEL, BLACK)

@@ -2,7 +2,7 @@
 
 Tables: EN 527-1 and EN 15372, tops 0.72-0.76 m high, 1.0-1.6 by 0.6-0.8 m. Chairs: EN 1335 and
 EN 16139, seats 0.43-0.47 m high and 0.40-0.46 m wide, backs up to 0.80-0.90 m. Sofas and round
-tables: sizes of a furniture house's catalogue.
+tables: sizes of a furniture catalogue.
 """
 
 import numpy as np
@@ -32,7 +32,7 @@ def table(rng: np.random.Generator, phase: float = 0.0) -> Mesh:
 
 
 def chair(rng: np.random.Generator, phase: float = 0.0) -> Mesh:
-    """A chair on four legs; its back at -x."""
+    """A chair on four legs; its back is at -x."""
     del phase
     width, seat, back = rng.uniform((0.40, 0.43, 0.80), (0.46, 0.47, 0.90)).tolist()
     color = tinted(rng, SEATS[int(rng.integers(4))], 8)
@@ -52,7 +52,7 @@ def chair(rng: np.random.Generator, phase: float = 0.0) -> Mesh:
 
 
 def round_table(rng: np.random.Generator, phase: float = 0.0) -> Mesh:
-    """A round table on one column and a flat foot."""
+    """A round table on a column with a flat foot."""
     del phase
     radius, height = rng.uniform((0.30, 0.70), (0.45, 0.76)).tolist()
     top, column = pick(rng, WOOD, Texture("plain", (214, 212, 206))), pick(rng, BLACK, STEEL)
@@ -63,7 +63,7 @@ def round_table(rng: np.random.Generator, phase: float = 0.0) -> Mesh:
 
 
 def sofa(rng: np.random.Generator, phase: float = 0.0) -> Mesh:
-    """A sofa or armchair with arms; its back at -x."""
+    """A sofa or armchair; its back is at -x."""
     del phase
     length, depth, seat, back = rng.uniform((0.8, 0.75, 0.38, 0.70), (2.0, 0.90, 0.45, 0.90))
     r, g, b = tinted(rng, SEATS[int(rng.integers(4))], 12)

@@ -1,4 +1,4 @@
-"""Low things of 2 to 10 cm that a wheel would meet.
+"""Low objects of 2 to 10 cm.
 
 Bricks: 240 x 115 x 71 mm (DIN 105 NF). Planks: 18-50 mm. Cables: 20-32 mm rubber hose. Books: A4,
 20-50 mm. Kerbs: 80-100 mm above the road (EN 1340). Bottles: 0.5-1.5 l, 65-90 mm across.
@@ -14,7 +14,7 @@ LOW_THINGS = ("brick", "plank", "cable", "book", "kerb", "bottle")
 
 
 def low_thing(kind: str, rng: np.random.Generator) -> Mesh:
-    """One of ``LOW_THINGS``, its longest side along y."""
+    """Build one of ``LOW_THINGS``, its longest side along y."""
     if kind == "brick":
         clay = Texture("noise", tinted(rng, (164, 84, 62), 8), (120, 60, 46), 0.2, 5.0)
         return box((0.115, 0.24, 0.071), clay)

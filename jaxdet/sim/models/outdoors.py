@@ -1,8 +1,8 @@
 """Tree trunks and street lights.
 
-Trunks: diameters at breast height of town trees, 0.15-0.45 m, tapering by about 1 cm in a metre, a
-flare at the root (forestry's usual taper; our choice within it). Street lights: EN 40-2 poles of
-5-6 m, 0.11-0.17 m at the base over a wider door section, 0.06-0.08 m at the top.
+Trunks: diameters at breast height of urban trees, 0.15-0.45 m, a taper of about 1 cm per metre, as
+usual in forestry, and a root flare (our choice). Street lights: EN 40-2 poles of 5-6 m, 0.11-0.17 m
+at the base above a wider door section, 0.06-0.08 m at the top.
 """
 
 import numpy as np
@@ -15,7 +15,7 @@ BARKS = ((96, 78, 60), (120, 110, 98), (74, 62, 54))
 
 
 def tree_trunk(rng: np.random.Generator, phase: float = 0.0) -> Mesh:
-    """A trunk of 3-4 m, not quite round, not quite straight, with a few branches above 2.3 m."""
+    """A slightly irregular trunk of 3-4 m with three branches above 2.3 m."""
     del phase
     radius, height = float(rng.uniform(0.075, 0.225)), float(rng.uniform(3.0, 4.0))
     z = np.r_[0.0, 0.04, 0.1, 0.2, np.linspace(0.4, height, 14)]

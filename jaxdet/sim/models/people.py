@@ -1,10 +1,10 @@
 """People, standing and walking.
 
-Lengths are shares of the stature after Drillis and Contini (1966), as in Winter, "Biomechanics
+Lengths are fractions of the stature after Drillis and Contini (1966), as in Winter, "Biomechanics
 and Motor Control of Human Movement", 4th ed. 2009, Fig. 4.1: ankle 0.039, knee 0.285, hip
 0.530, shoulder 0.818, chin 0.870; upper arm 0.186, forearm 0.146, hand 0.108; half shoulder
 0.129, half hip 0.0955, foot 0.152. Statures are those of adults, 1.69 +- 0.09 m (both sexes of
-ANSUR II, Gordon et al. 2014, pooled). Girths and clothes are our choice, by eye.
+ANSUR II, Gordon et al. 2014, pooled). Girths and clothes were chosen by eye.
 """
 
 import numpy as np
@@ -14,7 +14,7 @@ from jaxdet.sim.mesh import Mesh, join, shift
 from jaxdet.sim.shapes import ellipsoid, rings, tube
 
 STRIDE_M = 1.4
-"""Way of one full cycle, two steps, at 1.4 m/s and a stature of 1.7 m (Winter, Table 3.2)."""
+"""Stride length (two steps) at 1.4 m/s and a stature of 1.7 m (Winter, Table 3.2) [m]."""
 
 SKINS = ((224, 182, 150), (196, 146, 110), (148, 100, 72), (92, 62, 46))
 HAIRS = ((30, 24, 20), (70, 48, 30), (120, 92, 60), (120, 118, 116))
@@ -23,7 +23,7 @@ TROUSERS = ((34, 42, 70), (38, 38, 40), (92, 78, 58), (120, 120, 124))
 
 
 def standing_person(rng: np.random.Generator, phase: float = 0.0) -> Mesh:
-    """A person who stands, weight and arms a little to one side."""
+    """A standing person, slightly asymmetric."""
     del phase
     lean = rng.normal(0, 0.05, 4)
     hips = lean[0] * 0.6 + 0.04, -lean[0] * 0.6 - 0.04
@@ -36,8 +36,8 @@ def standing_person(rng: np.random.Generator, phase: float = 0.0) -> Mesh:
 def walking_person(rng: np.random.Generator, phase: float = 0.0) -> Mesh:
     """A person in mid-stride.
 
-    Joint angles are sines near those of Winter's Fig. 2.18 (hip -20 to 30 degrees, knee 5 to 60):
-    the swinging leg bends, arms go against the legs.
+    Joint angles are sines similar to Winter's Fig. 2.18 (hip -20 to 30 degrees, knee 5 to 60): the
+    swinging leg bends, and arms swing opposite to the legs.
     """
     hips, knees, arms = [], [], []
     for side in (0.0, np.pi):
@@ -88,7 +88,7 @@ def _clothes(rng: np.random.Generator) -> tuple[Texture, Texture, Texture, Textu
 
 
 def _trunk(girth: float, shirt: Texture, trousers: Texture) -> list[Mesh]:
-    """Hips and chest as elliptic rings: height, half width, half depth in statures."""
+    """Hips and chest as elliptic rings: height, half width and half depth in statures."""
     hips = [
         (0.475, 0.070, 0.055),
         (0.50, 0.098, 0.070),
@@ -127,7 +127,7 @@ def _head(rng: np.random.Generator, skin: Texture, hair: Texture) -> list[Mesh]:
 
 
 def _swung(length: float, angle: float) -> np.ndarray:
-    """From a joint down its limb, swung forward by ``angle``."""
+    """Return the vector along a limb from its joint, swung forward by ``angle``."""
     return np.array([length * np.sin(angle), 0.0, -length * np.cos(angle)])
 
 

@@ -1,9 +1,9 @@
 """Roadblocks: water-filled barriers and traffic cones.
 
-Cones: EN 13422 knows heights of 0.30, 0.50, 0.75 and 1.00 m, orange with white bands; the base is
-about half as wide as the cone is high (makers' sheets: 0.75 m on 0.40 m). Barriers: makers'
-sheets of water-filled plastic barriers give 1.2-2.0 m by 0.40-0.60 m, 0.75-1.0 m high, red and
-white in turn, on a wide foot with two slots for a fork.
+Cones: heights of EN 13422 are 0.30, 0.50, 0.75 and 1.00 m, orange with white bands; the base is
+about half as wide as the cone is high (data sheets: 0.75 m on 0.40 m). Barriers: 1.2-2.0 m by
+0.40-0.60 m, 0.75-1.0 m high, alternating red and white, on a wide foot with two slots for a fork
+(data sheets of water-filled plastic barriers).
 """
 
 from itertools import pairwise

@@ -1,8 +1,8 @@
 """A car.
 
 Dimensions of small and compact cars: length 3.6-4.5 m, width 1.65-1.82 m, height 1.45-1.55 m,
-wheelbase about 0.61 of the length, ground clearance 0.15 m, wheels 0.60-0.65 m (makers' sheets of
-the VW Polo and Golf, Toyota Yaris and Corolla). Faces along x.
+wheelbase about 0.61 of the length, ground clearance 0.15 m, wheels 0.60-0.65 m (data sheets of the
+VW Polo and Golf, Toyota Yaris and Corolla). It faces along x.
 """
 
 import numpy as np
@@ -36,7 +36,7 @@ def _body(length: float, width: float, height: float, paint: Texture) -> Mesh:
 
 
 def _cabin(length: float, width: float, height: float, paint: Texture) -> list[Mesh]:
-    """Roof, pillars and glass as a tapered box with panes a little outside it."""
+    """Roof, pillars and glass: a tapered box with panes slightly outside of it."""
     belt, a = 0.59 * height, length / 2
     low_x, high_x = np.array([-0.93, 0.42]) * a, np.array([-0.72, 0.10]) * a
     low_y, high_y = 0.46 * width, 0.36 * width
@@ -91,7 +91,7 @@ def _quad(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray, look: Text
 
 
 def _wheel(x: float, y: float, radius: float = 0.315) -> list[Mesh]:
-    """A wheel that stands out of a dark arch by a centimetre."""
+    """A wheel that protrudes from a dark arch by a centimetre."""
     side = np.sign(y)
     turn = np.eye(4)
     turn[:3, :3] = [[1, 0, 0], [0, 0, -side], [0, side, 0]]

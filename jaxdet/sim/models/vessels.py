@@ -1,8 +1,8 @@
 """Buckets, bins, cable drums.
 
-Buckets: household and builder's buckets hold 10-20 l, 0.26-0.36 m across the rim, 0.25-0.34 m
-high. Bins: pedal and office bins 0.3-0.7 m high; wheeled bins of EN 840-1, 120 l: 0.48 x 0.55 x
-0.93 m. Cable drums: of 0.1-0.2 m, of plastic or plywood.
+Buckets: household and builder's buckets of 10-20 l, rim diameter 0.26-0.36 m, height 0.25-0.34 m.
+Bins: pedal and office bins 0.3-0.7 m high; wheeled bins of EN 840-1, 120 l: 0.48 x 0.55 x 0.93 m.
+Cable drums: 0.1-0.2 m, plastic or plywood.
 """
 
 import numpy as np
@@ -22,7 +22,7 @@ PLASTICS = (
 
 
 def bucket(rng: np.random.Generator, phase: float = 0.0) -> Mesh:
-    """An open bucket with a rim and its handle down or up."""
+    """An open bucket with a rim and a handle that is down or up."""
     del phase
     rim, height = float(rng.uniform(0.13, 0.18)), float(rng.uniform(0.25, 0.34))
     low = rim * float(rng.uniform(0.68, 0.8))
@@ -46,7 +46,7 @@ def bucket(rng: np.random.Generator, phase: float = 0.0) -> Mesh:
 
 
 def bin_with_lid(rng: np.random.Generator, phase: float = 0.0) -> Mesh:
-    """A round office bin, or a wheeled one with a lid."""
+    """A round office bin, or a wheeled bin with a lid."""
     del phase
     color = tinted(rng, PLASTICS[int(rng.integers(6))], 10)
     skin = Texture("plain", color, grain=3.0)
@@ -68,7 +68,7 @@ def bin_with_lid(rng: np.random.Generator, phase: float = 0.0) -> Mesh:
 def _taper(
     low_x: float, low_y: float, high_x: float, high_y: float, height: float, look: Texture
 ) -> Mesh:
-    """A box on z = 0.02 that widens upwards."""
+    """A box on z = 0.02 m that widens upwards."""
     signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) / 2
     low = np.column_stack([signs * (low_x, low_y), np.full(4, 0.02)])
     high = np.column_stack([signs * (high_x, high_y), np.full(4, height)])
@@ -77,7 +77,7 @@ def _taper(
 
 
 def cable_drum(rng: np.random.Generator, phase: float = 0.0) -> Mesh:
-    """A drum of cable that lies on one of its discs."""
+    """A cable drum that lies on one of its discs."""
     del phase
     radius, height = rng.uniform((0.08, 0.06), (0.16, 0.20)).tolist()
     disc = WOOD if rng.random() < 0.5 else Texture("plain", tinted(rng, (40, 40, 42), 20))
