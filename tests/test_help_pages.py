@@ -26,8 +26,8 @@ from jaxdet.engine import crew
 from jaxdet.errors import FrameStatus
 from jaxdet.results.schemas import FRAMES_SCHEMA, OBSTACLES_SCHEMA
 from jaxdet.results.summary import LogSummary, Summary
-from jaxdet.sim import SimConfig, write_log
 from jaxdet.results.track_schemas import LINKS_SCHEMA, TRACKS_SCHEMA
+from jaxdet.sim import SimConfig, write_log
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCUMENTS = {path.stem: path for path in sorted((ROOT / "jaxdet/help").glob("*.md"))}
