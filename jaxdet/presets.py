@@ -64,8 +64,8 @@ PRESETS: dict[str, Config] = {
 }
 """Presets: ``wheeled`` (the default: robots on wheels, steps of 5 cm), ``tabletop`` (over a table,
 steps of 8 mm and 4 mm for each metre at a Kinect's cells of 4 pixels), ``paper`` (the paper's
-setting: obstacles are clusters of corners, Canny at 100 and 200, points dropped after the
-selection, its rectangle), and the default with the depth ranges of common cameras, by their data
+method: obstacles are clusters of corners, points dropped after the selection, its rectangle; what
+the paper leaves open was chosen by ``python -m benchmarks.paper.choose``), and the default with the depth ranges of common cameras, by their data
 sheets."""
 
 

@@ -40,7 +40,8 @@ def make_results(folder: Path, logs: Mapping[str, int], config: Config | None = 
             for start in range(0, count, 1 << 15):
                 stop = min(count, start + (1 << 15))
                 frames, obstacles = _rows(name, start, stop, np.random.default_rng([seed, start]))
-                about.count(frames)
+                corners = np.zeros((len(obstacles["log"]), 8))
+                about.count(frames, obstacles | {"corners_ground": corners})
                 writer.add(
                     Tables(_table(frames, FRAMES_SCHEMA), _table(obstacles, OBSTACLES_SCHEMA))
                 )

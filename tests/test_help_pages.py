@@ -34,7 +34,10 @@ DOCUMENTS = {path.stem: path for path in sorted((ROOT / "jaxdet/help").glob("*.m
 DOCUMENTS["README"] = ROOT / "README.md"
 CONSOLE = ("pip ", "complete ", "python", "rosbags-convert ", "scripts/", ".venv/bin/")
 """What a block that is not run may hold: installing, and other programs."""
-OTHERS = ("--dst", "--dst-storage", "--src", "--system-site-packages", "--only", "--seeds")
+OTHERS = (
+    *("--dst", "--dst-storage", "--src", "--system-site-packages", "--only", "--seeds"),
+    *("--judge", "--laws", "--rivals"),
+)
 """Flags of other programs."""
 
 
