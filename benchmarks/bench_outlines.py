@@ -26,7 +26,7 @@ def cases() -> list[Case]:
 
     def peer() -> list[np.ndarray]:
         found, shapes = _outlines(seen.cells, seen.obstacles, count, calibration, CONFIG)
-        return [*found, *shapes]
+        return [*(part for part in found if part is not None), *shapes]
 
     return [against_reference(STEP, peer, MADE)]
 

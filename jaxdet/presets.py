@@ -62,10 +62,11 @@ PRESETS: dict[str, Config] = {
     "azure-kinect": _with(min_depth_m=0.30, max_depth_m=5.0),
     "orbbec": _with(min_depth_m=0.25, max_depth_m=5.0),
 }
-"""``wheeled``: the default, for robots on wheels that climb steps of 5 cm; ``tabletop``: objects on
-a table, steps of 8 mm plus 4 mm per metre with a Kinect's cells of 4 pixels; ``paper``: the method
-of the paper, with clusters of corners as obstacles; others: the default with the depth range of a
-camera, by its data sheet."""
+"""Presets: ``wheeled``, the default, for robots on wheels that climb steps of 5 cm; ``tabletop``,
+for objects on a table, steps of 8 mm plus 4 mm per metre with a Kinect's cells of 4 pixels;
+``paper``, the method of the paper, with clusters of corners as obstacles (what the paper leaves
+open was chosen by ``python -m benchmarks.paper.choose``); others: the default with the depth range
+of a camera, by its data sheet."""
 
 
 def preset(name: str) -> Config:

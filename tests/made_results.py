@@ -58,7 +58,8 @@ def _make_log(folder: Path, name: str, count: int, seed: int, config: Any, about
         for start in range(0, count, 1 << 15):
             stop = min(count, start + (1 << 15))
             frames, obstacles = _rows(name, start, stop, np.random.default_rng([seed, start]))
-            one.count(frames)
+            corners = np.zeros((len(obstacles["log"]), 8))
+            one.count(frames, obstacles | {"corners_ground": corners})
             writer.add(Tables(_table(frames, FRAMES_SCHEMA), _table(obstacles, OBSTACLES_SCHEMA)))
         writer.close(config, summary.to_dict())
     write_json(folder / "config.json", {**config, "batch_size": 16})

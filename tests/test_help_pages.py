@@ -38,6 +38,7 @@ OTHERS = ("--dst", "--dst-storage", "--src", "--system-site-packages", "--only",
 OTHERS += ("--array", "--array-properties", "--container-properties", "--cpus-per-task", "--gres")
 OTHERS += ("--job-definition", "--job-definition-name", "--job-name", "--job-queue", "--requeue")
 OTHERS += ("--retry-strategy", "--type")
+OTHERS += ("--judge", "--laws", "--rivals")
 """Flags of other programs."""
 
 

@@ -208,8 +208,8 @@ def _specs(seeds: Sequence[int]) -> list[Spec]:
 
 def gradient(image: np.ndarray) -> np.ndarray:
     """Canny's gradient of a grey image ``(H, W)``, by L1 of 3x3 Sobel filters, int16."""
-    sides = (cv2.Sobel(image, cv2.CV_16S, *order, ksize=3) for order in ((1, 0), (0, 1)))
-    return sum(np.abs(side) for side in sides)
+    across, down = (cv2.Sobel(image, cv2.CV_16S, *order, ksize=3) for order in ((1, 0), (0, 1)))
+    return np.abs(across) + np.abs(down)
 
 
 def _print(name: str, specs: Sequence[Spec], tallies: Sequence[Tally]) -> None:

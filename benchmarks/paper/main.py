@@ -183,6 +183,8 @@ def _facts(lab: Lab, size: str, seconds: float) -> dict[str, str]:
     tuned = TUNING_SEEDS[: lab.counts.tuning_seeds]
     name = next((name for name, one in PRESETS.items() if one == lab.config), "changed")
     return {
+        "Findings": "each claim, equation, figure and table of the paper with a verdict is in "
+        "jaxdet/help/paper.md (jaxdet help paper)",
         "Data": "simulated scenes (jaxdet.sim); the paper's robot data is not public, so its "
         "figures are for orientation only",
         "Command": command,

@@ -1,11 +1,12 @@
-"""Table 4: success rate by distance and illumination."""
+"""Table 4 and Fig. 13: success rate by distance and illumination."""
 
 from benchmarks.paper import paper_figures, plots
 from benchmarks.paper.lab import Lab
+from benchmarks.paper.pictures import encode, grid, shot_picture, titled
 from benchmarks.paper.plan import DISTANCES_M, LIGHTS
 from benchmarks.paper.section import Section, percent, wilson
 from benchmarks.paper.shots import Spec
-from benchmarks.paper.systems import OURS, PAPER
+from benchmarks.paper.systems import OURS, PAPER, paper
 from jaxdet.eval import Tally, total
 
 SHOWN = (OURS, PAPER)
@@ -36,8 +37,8 @@ def cells_of(lab: Lab) -> Cells:
 
 
 def run(lab: Lab) -> Section:
-    """Table 4 (share of obstacles found at 3 to 1 m in four lights)."""
-    section = Section("table4", "Table 4: success rate by distance and illumination")
+    """Table 4 (share of obstacles found at 3 to 1 m in four lights) and Fig. 13 (near and far)."""
+    section = Section("table4", "Table 4 and Fig. 13: success rate by distance and illumination")
     cells = cells_of(lab)
     asked = cells[OURS, DISTANCES_M[-1], "normal"].visible
     section.say(
@@ -53,16 +54,32 @@ def run(lab: Lab) -> Section:
         for light in LIGHTS:
             row = [light]
             for k, distance in enumerate(DISTANCES_M):
-                tally, paper = cells[name, distance, light], paper_figures.SUCCESS[light][k]
+                tally, theirs = cells[name, distance, light], paper_figures.SUCCESS[light][k]
                 ends = wilson(int(tally.found), int(tally.visible))
                 rate = tally.found / tally.visible if tally.visible else float("nan")
-                section.add(f"{name}.{light}.{distance:g}m", rate, "", "higher", ends, paper)
-                row.append(f"{percent(rate, ends, 0)} ({100 * paper:.1f})")
+                section.add(f"{name}.{light}.{distance:g}m", rate, "", "higher", ends, theirs)
+                row.append(f"{percent(rate, ends, 0)} ({100 * theirs:.1f})")
             rows.append(row)
         header = [titles[name], *(f"{d:g} m" for d in DISTANCES_M)]
         section.table(header, rows, "Success rate with 95 % interval (the paper's, in %)")
     _plot(section, cells, titles)
+    _near_and_far(section, lab)
     return section
+
+
+def _near_and_far(section: Section, lab: Lab) -> None:
+    """Fig. 13: the first things far away and near, by the paper's method."""
+    views = []
+    for seed in lab.seeds[:2]:
+        for distance in (DISTANCES_M[0], DISTANCES_M[-1]):
+            spec = lab.spec("approach", seed, lab.counts.approach, distance_m=distance)
+            shot = lab.load([spec])[0]
+            views.append(titled(shot_picture(shot, paper()), f"{distance:g} m", 640))
+    caption = (
+        "Fig. 13: two things at 3 m and at 1 m in normal light, preset paper: what is nearer has "
+        "more corners."
+    )
+    section.picture("fig13", encode(grid(views, 2)), caption)
 
 
 def _plot(section: Section, cells: Cells, titles: dict[str, str]) -> None:

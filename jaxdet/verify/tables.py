@@ -41,7 +41,7 @@ def _check_log(results: Results, log: ResultLog, read: Inputs, report: Report) -
     counts, numbers, problems = Counts(), [], set[str]()
     for chunk in results.chunks(log, None, OBSTACLES_SCHEMA.names):  # without tracks
         read.add(chunk.frames)
-        counts.count(_columns(chunk))
+        counts.count(_columns(chunk), _outlines(chunk))
         numbers.append(chunk.frames["frame"].to_numpy())
         problems |= _problems(chunk)
         report.frames += chunk.frames.num_rows
@@ -61,7 +61,7 @@ def _check_log(results: Results, log: ResultLog, read: Inputs, report: Report) -
 
 
 def _columns(chunk: Chunk) -> dict[str, np.ndarray]:
-    """What :meth:`jaxdet.results.summary.Counts.count` takes."""
+    """Columns of the frames that :meth:`jaxdet.results.summary.Counts.count` takes."""
     columns = {name: np.array(chunk.frames[name].to_pylist(), object) for name in _WORDS}
     refused = columns["floor_refused"]
     columns["floor_refused"] = np.ma.array(refused, mask=[word is None for word in refused])
@@ -70,6 +70,15 @@ def _columns(chunk: Chunk) -> dict[str, np.ndarray]:
         -1, 4
     )
     return columns | {name: chunk.frames[name].to_numpy() for name in _NUMBERS}
+
+
+def _outlines(chunk: Chunk) -> dict[str, np.ndarray]:
+    """Columns of the obstacles that :meth:`jaxdet.results.summary.Counts.count` takes."""
+    corners = chunk.obstacles["corners_ground"].combine_chunks().flatten()
+    return {
+        "corners_ground": corners.to_numpy().reshape(-1, 8),
+        "distance_m": chunk.obstacles["distance_m"].to_numpy(),
+    }
 
 
 _WORDS = ("status", "floor_source", "floor_refused")
