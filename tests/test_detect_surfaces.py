@@ -19,9 +19,9 @@ from jaxdet.reference import align, ground
 from jaxdet.results import metric
 from jaxdet.results.metric import floors
 from jaxdet.sim import DepthSensor, SimConfig, sample_frames
+from jaxdet.sim.appearance import CARTON, POST, RED_CRATE, WOOD
 from jaxdet.sim.config import calibration_of
 from jaxdet.sim.frames import SimFrame, simulate_frame
-from jaxdet.sim.looks import CARTON, POST, RED_CRATE, WOOD
 from jaxdet.sim.scene import Box, Cylinder, Ground, Scene
 from jaxdet.sim.scene import Path as Way
 from jaxdet.types import (

@@ -8,8 +8,8 @@ import pytest
 
 from jaxdet.sim import FAMILIES, HARD_FAMILIES, Scene, make_scene
 from jaxdet.sim.apart import CLEAR_M, apart
+from jaxdet.sim.appearance import WOOD
 from jaxdet.sim.families import draw_scene
-from jaxdet.sim.looks import WOOD
 from jaxdet.sim.mesh import Mesh, shift
 from jaxdet.sim.models import build_model
 from jaxdet.sim.scene import Box, Cylinder, Model, Path, Wall

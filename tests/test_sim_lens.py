@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from jaxdet.sim import D435_LIKE, DepthSensor, SimConfig
+from jaxdet.sim.appearance import BRICK_WALL, CLEAR_GLASS, EPOXY, Texture
 from jaxdet.sim.frames import simulate_frame
 from jaxdet.sim.lens import bend
-from jaxdet.sim.looks import BRICK_WALL, CLEAR_GLASS, EPOXY, Texture
 from jaxdet.sim.patches import chosen, patches
 from jaxdet.sim.render import render
 from jaxdet.sim.robot import mount

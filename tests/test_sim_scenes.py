@@ -56,7 +56,7 @@ def test_models_have_plausible_sizes(kind):
         np.testing.assert_allclose(np.linalg.norm(mesh.normals, axis=-1), 1, atol=1e-9)
         assert np.isfinite(mesh.places).all() and np.ptp(points[:, :2], axis=0).max() < 4.6
         again = build_model(kind, seed, 0.7 * seed)
-        assert (again.corners == mesh.corners).all() and again.looks == mesh.looks
+        assert (again.corners == mesh.corners).all() and again.textures == mesh.textures
         x, y = outline(mesh).T
         assert (x * np.roll(y, -1) - np.roll(x, -1) * y).sum() > 0
     assert len(LOW_THINGS) == 6

@@ -73,7 +73,7 @@ def test_ground_frame():
 def test_views_of_many_worlds_at_once():
     scenes = [load_scene("mixed", seed) for seed in range(3)]
     views = [View(mount(0.4, 0.1, 0.02), s.light.direction, 0.05, k) for k, s in enumerate(scenes)]
-    together = Caster([world_at(s, 0) for s in scenes]).look(CAMERA, views, 2)
+    together = Caster([world_at(s, 0) for s in scenes]).cast(CAMERA, views, 2)
     for k, scene in enumerate(scenes):
         alone = render(scene, CAMERA, views[k].T_world_camera)
         np.testing.assert_array_equal(together.depth[k], alone.depth)

@@ -9,8 +9,8 @@ import numpy as np
 
 from benchmarks.paper import case_scenes
 from jaxdet.sim import DepthSensor, Scene
+from jaxdet.sim.appearance import POLISHED
 from jaxdet.sim.draft import Draft
-from jaxdet.sim.looks import POLISHED
 
 Asked = Literal["found", "drop", "level", "claimed"]
 """found: each thing is; drop: the step down is reported; level: no step down is reported; claimed:

@@ -7,8 +7,7 @@ its seed, and places by centimetres.
 import numpy as np
 
 from jaxdet.sim import Scene, make_scene
-from jaxdet.sim.draft import Draft, inner_wall, room
-from jaxdet.sim.looks import (
+from jaxdet.sim.appearance import (
     CARTON,
     CLEAR_GLASS,
     INDOOR_FLOORS,
@@ -18,6 +17,7 @@ from jaxdet.sim.looks import (
     pick,
     tinted,
 )
+from jaxdet.sim.draft import Draft, inner_wall, room
 from jaxdet.sim.mesh import shift
 from jaxdet.sim.models import build_model
 from jaxdet.sim.scene import Box, Cylinder, Ground, Model, Wall

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from jaxdet.sim.looks import (
+from jaxdet.sim.appearance import (
     CARTON,
     CONCRETE,
     DARK_CASE,
@@ -58,16 +58,16 @@ class Draft:
     def box(self, x: float, y: float) -> None:
         """Place a box or case of 0.2-0.6 m."""
         size = self.rng.uniform((0.2, 0.2, 0.15), (0.5, 0.5, 0.6)).tolist()
-        look = pick(self.rng, CARTON, CARTON, DARK_CASE, RED_CRATE, WHITE_BOX)
+        texture = pick(self.rng, CARTON, CARTON, DARK_CASE, RED_CRATE, WHITE_BOX)
         yaw = float(self.rng.uniform(-0.8, 0.8))
-        self.boxes.append(Box((x, y), (size[0], size[1], size[2]), yaw, look))
+        self.boxes.append(Box((x, y), (size[0], size[1], size[2]), yaw, texture))
 
     def pole(self, x: float, y: float, radius: float) -> None:
         """Place a pole, plain or striped."""
         plain = Texture("plain", tinted(self.rng, (150, 150, 150), 50))
         height = float(self.rng.uniform(0.8, 1.6))
-        look = pick(self.rng, POST, plain)
-        self.cylinders.append(Cylinder((x, y), radius, height, look, name="pole"))
+        texture = pick(self.rng, POST, plain)
+        self.cylinders.append(Cylinder((x, y), radius, height, texture, name="pole"))
 
     def thing(self, kind: str, x: float, y: float) -> None:
         """Place an object by name."""
@@ -138,12 +138,14 @@ def inner_wall(rng: np.random.Generator) -> Texture:
     return pick(rng, *WALLS, PAINT, PAINT)
 
 
-def room(look: Texture, left: float, right: float, front: float) -> tuple[Wall, ...]:
+def room(texture: Texture, left: float, right: float, front: float) -> tuple[Wall, ...]:
     """Return four walls around the robot at these distances [m]; their names begin with wall."""
     back = -3.0
     corners = [(back, -right), (front, -right), (front, left), (back, left)]
     pairs = zip(corners, [*corners[1:], corners[0]], strict=True)
-    return tuple(Wall(a, b, 2.8, texture=look, name=f"wall {i}") for i, (a, b) in enumerate(pairs))
+    return tuple(
+        Wall(a, b, 2.8, texture=texture, name=f"wall {i}") for i, (a, b) in enumerate(pairs)
+    )
 
 
 def _hall(rng: np.random.Generator) -> tuple[Wall, ...]:
@@ -154,5 +156,5 @@ def _hall(rng: np.random.Generator) -> tuple[Wall, ...]:
 def building(rng: np.random.Generator) -> tuple[Wall, ...]:
     """Return the front of a building, out of range."""
     far, turn = float(rng.uniform(9, 14)), float(rng.normal(0, 1.5))
-    look = pick(rng, *WALLS)
-    return (Wall((far + turn, -14.0), (far - turn, 14.0), 6.0, 0.3, look, name="building"),)
+    texture = pick(rng, *WALLS)
+    return (Wall((far + turn, -14.0), (far - turn, 14.0), 6.0, 0.3, texture, name="building"),)

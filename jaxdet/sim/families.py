@@ -11,8 +11,8 @@ import numpy as np
 
 from jaxdet.sim import indoors, terrain
 from jaxdet.sim.apart import apart
+from jaxdet.sim.appearance import POST, Texture, pick
 from jaxdet.sim.draft import Draft
-from jaxdet.sim.looks import POST, Texture, pick
 from jaxdet.sim.moving import moving
 from jaxdet.sim.scene import Cylinder, Model, Path, Scene
 
@@ -81,9 +81,11 @@ def _mixed(draft: Draft, distance_m: float) -> Scene:
 
 def _cylinder(draft: Draft, distance_m: float) -> Scene:
     y = float(draft.rng.uniform(-0.15, 0.15) * distance_m)
-    look = pick(draft.rng, POST, Texture("plain", (196, 198, 200)), Texture("plain", (60, 62, 66)))
+    texture = pick(
+        draft.rng, POST, Texture("plain", (196, 198, 200)), Texture("plain", (60, 62, 66))
+    )
     x = float(np.sqrt(distance_m**2 - y**2))
-    draft.cylinders.append(Cylinder((x, y), CYLINDER_RADIUS_M, 1.0, look, name="cylinder"))
+    draft.cylinders.append(Cylinder((x, y), CYLINDER_RADIUS_M, 1.0, texture, name="cylinder"))
     return draft.finish("cylinder", outdoors=bool(draft.rng.random() < 0.5), clutter=False)
 
 

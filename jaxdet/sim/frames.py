@@ -95,7 +95,7 @@ def simulate_frame(config: SimConfig, scene: Scene, index: int) -> SimFrame:
     T_world_base = base_pose(scene, time_s)
     mounted = true_mount(config, index)
     T_world_color = T_world_base @ mount(*mounted)
-    truth = look(config, scene, calibration.image, T_world_color, time_s)
+    truth = ideal_view(config, scene, calibration.image, T_world_color, time_s)
     light, cos_floor = LIGHTS[config.light], _cos_floor(scene)
     turn = abs(velocity_at(scene.path, time_s)[1]) if scene.path.length > 0 else 0.0
     smear = turn * calibration.image.fx * config.exposure.max_exposure_s
@@ -108,7 +108,7 @@ def simulate_frame(config: SimConfig, scene: Scene, index: int) -> SimFrame:
         assert calibration.color_from_depth is not None
         later = time_s + config.depth_delay_s
         T = base_pose(scene, later) @ mount(*mounted) @ calibration.color_from_depth.T
-        view = look(config, scene, calibration.depth, T, later, shadows=False)
+        view = ideal_view(config, scene, calibration.depth, T, later, shadows=False)
         depth = _measure(view, calibration.depth, config, _rng(config, index, 1))
     if config.depth_form in ("aligned", "both"):
         aligned = _measure(truth, calibration.image, config, _rng(config, index, 2))
@@ -120,7 +120,7 @@ def simulate_frame(config: SimConfig, scene: Scene, index: int) -> SimFrame:
     )  # fmt: skip
 
 
-def look(
+def ideal_view(
     config: SimConfig,
     scene: Scene,
     camera: Intrinsics,

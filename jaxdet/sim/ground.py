@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from jaxdet.sim.looks import Texture
+from jaxdet.sim.appearance import Texture
 from jaxdet.sim.mesh import Mesh, sheet
 from jaxdet.sim.scene import Ground
 
@@ -40,7 +40,7 @@ def ground_height(ground: Ground, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return height
 
 
-def floor_mesh(ground: Ground, look: Texture) -> Mesh:
+def floor_mesh(ground: Ground, texture: Texture) -> Mesh:
     """Build the mesh of the floor, ``2 EXTENT_M`` wide: few triangles, or a grid for bumps.
 
     On bumps of height a and length L the error of the grid is at most ``a (0.25 m / L)^2 / 2``,
@@ -57,7 +57,7 @@ def floor_mesh(ground: Ground, look: Texture) -> Mesh:
     a, b = np.meshgrid(along, across, indexing="ij")
     c, s = np.cos(ground.slope_yaw), np.sin(ground.slope_yaw)
     x, y = c * a - s * b, s * a + c * b
-    return sheet(np.stack([x, y, ground_height(ground, x, y)], axis=-1), look)
+    return sheet(np.stack([x, y, ground_height(ground, x, y)], axis=-1), texture)
 
 
 def standing(ground: Ground, x: float, y: float) -> np.ndarray:

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from jaxdet.sim.draft import Draft, hard_floor, inner_wall, room
-from jaxdet.sim.looks import (
+from jaxdet.sim.appearance import (
     CARTON,
     CLEAR_GLASS,
     DOOR,
@@ -15,6 +14,7 @@ from jaxdet.sim.looks import (
     pick,
     tinted,
 )
+from jaxdet.sim.draft import Draft, hard_floor, inner_wall, room
 from jaxdet.sim.mesh import shift
 from jaxdet.sim.models import build_model
 from jaxdet.sim.scene import Box, Model, Scene, Wall, rotation_z
@@ -36,26 +36,26 @@ def corridor(draft: Draft) -> Scene:
     width, yaw = float(rng.uniform(1.2, 2.4)), float(rng.normal(0, 0.06))
     right = float(rng.uniform(0.3, 0.7)) * width
     left, end = width - right, float(rng.uniform(3.2, 11.0))
-    look = inner_wall(rng)
+    texture = inner_wall(rng)
     recess = float(rng.uniform(1.3, 3.0)) if rng.random() < 0.5 else None
-    walls = _side(yaw, 1, left, end, look, recess if rng.random() < 0.5 else None)
-    walls += _side(yaw, -1, right, end, look, recess)
-    closing = pick(rng, look, look, DOOR, CLEAR_GLASS)
+    walls = _side(yaw, 1, left, end, texture, recess if rng.random() < 0.5 else None)
+    walls += _side(yaw, -1, right, end, texture, recess)
+    closing = pick(rng, texture, texture, DOOR, CLEAR_GLASS)
     walls.append(_across(yaw, end, left, right, closing, "end"))
     if closing is CLEAR_GLASS:
-        walls.append(_across(yaw, end + 2.5, left + 2, right + 2, look, "beyond"))
+        walls.append(_across(yaw, end + 2.5, left + 2, right + 2, texture, "beyond"))
     for _ in range(int(rng.integers(1, 4))):
         _thing_in_corridor(draft, yaw, left, right, min(end - 0.4, 3.6))
     return draft.enclosed("corridor", tuple(walls), hard_floor(rng, outdoors=False))
 
 
-def _across(yaw: float, x: float, left: float, right: float, look: Texture, name: str) -> Wall:
+def _across(yaw: float, x: float, left: float, right: float, texture: Texture, name: str) -> Wall:
     ends = _point(yaw, x + _HALF, -right - 0.1), _point(yaw, x + _HALF, left + 0.1)
-    return Wall(*ends, 2.6, 2 * _HALF, look, f"wall {name}")
+    return Wall(*ends, 2.6, 2 * _HALF, texture, f"wall {name}")
 
 
 def _side(
-    yaw: float, sign: int, y: float, end: float, look: Texture, recess: float | None
+    yaw: float, sign: int, y: float, end: float, texture: Texture, recess: float | None
 ) -> list[Wall]:
     """Return the wall on one side of a corridor, its face at ``y``, with a door at ``recess``."""
 
@@ -65,15 +65,15 @@ def _side(
 
     name = "wall left" if sign > 0 else "wall right"
     if recess is None:
-        return [piece(-2.0, end + 0.1, y, look, name)]
+        return [piece(-2.0, end + 0.1, y, texture, name)]
     deep, wide = 0.3, 0.95
     jambs = [
-        Wall(_point(yaw, x, sign * y), _point(yaw, x, sign * (y + deep)), 2.6, 0.1, look, name)
+        Wall(_point(yaw, x, sign * y), _point(yaw, x, sign * (y + deep)), 2.6, 0.1, texture, name)
         for x in (recess - _HALF, recess + wide + _HALF)
     ]
     door = piece(recess, recess + wide, y + deep, DOOR, "wall door")
-    before = piece(-2.0, recess, y, look, name)
-    return [before, door, *jambs, piece(recess + wide, end + 0.1, y, look, name)]
+    before = piece(-2.0, recess, y, texture, name)
+    return [before, door, *jambs, piece(recess + wide, end + 0.1, y, texture, name)]
 
 
 def _thing_in_corridor(draft: Draft, yaw: float, left: float, right: float, far: float) -> None:
@@ -92,9 +92,11 @@ def _thing_in_corridor(draft: Draft, yaw: float, left: float, right: float, far:
             draft.taken.append((x, y, radius))
             if kind == "box":
                 size = rng.uniform((0.2, 0.2, 0.15), (0.4, 0.4, 0.6)).tolist()
-                look = pick(rng, CARTON, WHITE_BOX, Texture("plain", tinted(rng, (150, 140, 130))))
+                texture = pick(
+                    rng, CARTON, WHITE_BOX, Texture("plain", tinted(rng, (150, 140, 130)))
+                )
                 turn = yaw + float(rng.normal(0, 0.2))
-                draft.boxes.append(Box((x, y), (size[0], size[1], size[2]), turn, look))
+                draft.boxes.append(Box((x, y), (size[0], size[1], size[2]), turn, texture))
             else:
                 draft.thing(kind, x, y)
             return
@@ -106,12 +108,12 @@ def wall_in_range(draft: Draft) -> Scene:
     far, yaw = float(rng.uniform(1.5, 3.5)), float(rng.normal(0, 0.2))
     hedge = bool(rng.random() < 0.3)
     thick, tall = (0.6, float(rng.uniform(0.6, 1.4))) if hedge else (0.1, 2.8)
-    look, name = (HEDGE, "hedge") if hedge else (inner_wall(rng), "wall")
+    texture, name = (HEDGE, "hedge") if hedge else (inner_wall(rng), "wall")
     # The wall is rotated about the point of its face straight ahead.
     ahead, along = rotation_z(yaw).T
     face = np.array([far, 0.0])
     a, b = (tuple((face + ahead * thick / 2 + side * along).tolist()) for side in (-5.0, 5.0))
-    wall = Wall((a[0], a[1]), (b[0], b[1]), tall, thick, look, name)
+    wall = Wall((a[0], a[1]), (b[0], b[1]), tall, thick, texture, name)
     half = 0.40 * far
     slots = rng.permutation(np.linspace(-half, half, 3))[: int(rng.integers(1, 4))]
     for slot in slots:
@@ -129,8 +131,8 @@ def _put_before(draft: Draft, face: np.ndarray, ahead: np.ndarray, gap: float) -
         size = rng.uniform((0.15, 0.15, 0.1), (0.45, 0.45, 0.6)).tolist()
         corners = (np.array([[1, 1], [1, -1]]) * size[:2] / 2) @ rotation_z(yaw).T
         x, y = (face - (gap + np.abs(corners @ ahead).max()) * ahead).tolist()
-        look = pick(rng, CARTON, WHITE_BOX, Texture("plain", tinted(rng, (150, 140, 130), 40)))
-        draft.boxes.append(Box((x, y), (size[0], size[1], size[2]), yaw, look))
+        texture = pick(rng, CARTON, WHITE_BOX, Texture("plain", tinted(rng, (150, 140, 130), 40)))
+        draft.boxes.append(Box((x, y), (size[0], size[1], size[2]), yaw, texture))
         return
     mesh = build_model(kind, seed).moved(shift(yaw=yaw + np.pi))
     reach = float((mesh.corners.reshape(-1, 3)[:, :2] @ ahead).max())
@@ -142,11 +144,13 @@ def furnished(draft: Draft) -> Scene:
     """Draw a room of 2.5 to 5 m with tables, chairs, cabinets, a sofa; some have a glass wall."""
     rng = draft.rng
     left, right, front = rng.uniform((1.1, 1.1, 2.6), (2.4, 2.4, 4.6)).tolist()
-    look = inner_wall(rng)
-    walls = room(look, left, right, front)
+    texture = inner_wall(rng)
+    walls = room(texture, left, right, front)
     if rng.random() < 0.25:
         pane = walls[1]
-        back = Wall((front + 2.0, -4.0), (front + 2.0, 4.0), 2.8, texture=look, name="wall beyond")
+        back = Wall(
+            (front + 2.0, -4.0), (front + 2.0, 4.0), 2.8, texture=texture, name="wall beyond"
+        )
         clear = Wall(pane.start, pane.end, pane.height, 0.02, CLEAR_GLASS, "wall of glass")
         walls = (walls[0], clear, *walls[2:], back)
     for side in rng.permutation([-1, 0, 1])[: int(rng.integers(1, 3))].tolist():
@@ -179,8 +183,8 @@ def _by_wall(draft: Draft, side: int, left: float, right: float, front: float) -
         y = left - off if side > 0 else off - right
     if cabinet:
         wide, tall = rng.uniform((0.5, 0.5), (1.4, 1.9)).tolist()
-        look = pick(rng, WOOD, STEEL, Texture("plain", tinted(rng, (200, 196, 188), 20)))
-        draft.boxes.append(Box((x, y), (deep, wide, tall), yaw, look, name="cabinet"))
+        texture = pick(rng, WOOD, STEEL, Texture("plain", tinted(rng, (200, 196, 188), 20)))
+        draft.boxes.append(Box((x, y), (deep, wide, tall), yaw, texture, name="cabinet"))
         draft.taken.append((x, y, wide / 2))
     else:
         draft.put("sofa", x, y, yaw)
@@ -199,10 +203,10 @@ def tables(draft: Draft) -> Scene:
     if rng.random() < 0.6:
         x, y = draft.place(1.3, 3.0, 0.5, gap=0.1)
         size = rng.uniform((0.25, 0.5, 0.03), (0.7, 1.4, 0.3)).tolist()
-        look = pick(rng, WOOD, STEEL, Texture("plain", tinted(rng, (190, 186, 176), 25)))
+        texture = pick(rng, WOOD, STEEL, Texture("plain", tinted(rng, (190, 186, 176), 25)))
         base, turn = float(rng.uniform(0.3, 0.8)), float(rng.normal(0, 0.5))
         shape = size[0], size[1], size[2]
-        draft.boxes.append(Box((x, y), shape, turn, look, base, "slab"))
+        draft.boxes.append(Box((x, y), shape, turn, texture, base, "slab"))
     if rng.random() < 0.5:
         draft.thing("chair", *draft.place(1.2, 3.2, 0.3, gap=0.1))
     left, right, front = rng.uniform((1.6, 1.6, 3.0), (4.0, 4.0, 7.0)).tolist()

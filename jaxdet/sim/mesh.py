@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxdet.sim.looks import Texture
+from jaxdet.sim.appearance import Texture
 
 
 class Mesh(NamedTuple):
@@ -21,9 +21,9 @@ class Mesh(NamedTuple):
     """Unit normals for shading, ``(F, 3, 3)`` float64."""
     places: np.ndarray
     """Texture coordinates ``(F, 3, 2)`` float64 [m]."""
-    look: np.ndarray
-    """Index into ``looks``, ``(F,)`` int32."""
-    looks: tuple[Texture, ...]
+    texture_index: np.ndarray
+    """Index into ``textures``, ``(F,)`` int32."""
+    textures: tuple[Texture, ...]
 
     def moved(self, T: np.ndarray) -> "Mesh":
         """Apply a rigid transform ``(4, 4)``."""
@@ -38,14 +38,17 @@ class Mesh(NamedTuple):
 def join(meshes: Iterable[Mesh]) -> Mesh:
     """Concatenate one or more meshes."""
     parts = list(meshes)
-    looks = list(dict.fromkeys(look for part in parts for look in part.looks))
-    index = [np.array([looks.index(k) for k in part.looks], np.int32)[part.look] for part in parts]
+    textures = list(dict.fromkeys(texture for part in parts for texture in part.textures))
+    index = [
+        np.array([textures.index(k) for k in part.textures], np.int32)[part.texture_index]
+        for part in parts
+    ]
     return Mesh(
         np.concatenate([part.corners for part in parts]),
         np.concatenate([part.normals for part in parts]),
         np.concatenate([part.places for part in parts]),
         np.concatenate(index),
-        tuple(looks),
+        tuple(textures),
     )
 
 
@@ -59,7 +62,7 @@ def shift(x: float = 0.0, y: float = 0.0, z: float = 0.0, yaw: float = 0.0) -> n
 
 
 def soup(
-    corners: np.ndarray, places: np.ndarray, look: Texture, normals: np.ndarray | None = None
+    corners: np.ndarray, places: np.ndarray, texture: Texture, normals: np.ndarray | None = None
 ) -> Mesh:
     """Build a mesh of triangles ``(F, 3, 3)``, by default flat-shaded; drop degenerate ones."""
     if normals is None:
@@ -70,7 +73,7 @@ def soup(
     area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     kept = np.linalg.norm(area, axis=1) > 1e-12
     count = int(kept.sum())
-    return Mesh(corners[kept], normals[kept], places[kept], np.zeros(count, np.int32), (look,))
+    return Mesh(corners[kept], normals[kept], places[kept], np.zeros(count, np.int32), (texture,))
 
 
 def quads(grid: np.ndarray) -> np.ndarray:
@@ -80,8 +83,8 @@ def quads(grid: np.ndarray) -> np.ndarray:
     return pairs.reshape(-1, 3, grid.shape[-1])
 
 
-def sheet(points: np.ndarray, look: Texture, places: np.ndarray | None = None) -> Mesh:
+def sheet(points: np.ndarray, texture: Texture, places: np.ndarray | None = None) -> Mesh:
     """Build a flat-shaded surface through a grid of points ``(m, n, 3)``."""
     if places is None:
         places = points[..., :2]
-    return soup(quads(points), quads(places), look)
+    return soup(quads(points), quads(places), texture)

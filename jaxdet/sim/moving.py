@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from jaxdet.sim.appearance import CONCRETE, WOOD, pick
 from jaxdet.sim.draft import Draft
-from jaxdet.sim.looks import CONCRETE, WOOD, pick
 from jaxdet.sim.robot import pose_at
 from jaxdet.sim.scene import Box, Model, Path, Scene
 
@@ -34,8 +34,8 @@ def moving(draft: Draft) -> Scene:
     if rng.random() < 0.6:
         x, y = draft.place(2.0, 3.0, 0.25)
         side, turn = float(rng.uniform(0.2, 0.4)), float(rng.normal(0, 0.3))
-        look = pick(rng, CONCRETE, WOOD)
-        draft.boxes.append(Box((x, y), (side, side, 1.9), turn, look, name="pillar"))
+        texture = pick(rng, CONCRETE, WOOD)
+        draft.boxes.append(Box((x, y), (side, side, 1.9), turn, texture, name="pillar"))
     ways += [(np.array([[x, y]]), radius) for x, y, radius in draft.taken]
     kinds = ["cart"] * int(rng.integers(0, 3)) + ["walker"] * int(rng.integers(1, 4))
     for kind in kinds:

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import warp as wp
 
-from jaxdet.sim.looks import Texture
+from jaxdet.sim.appearance import Texture
 from jaxdet.sim.texture import pattern
 from jaxdet.sim.world import World
 from jaxdet.types import Intrinsics
@@ -55,26 +55,30 @@ class Caster:
         wp.load_module(kernels, device=device)  # once, before threads use it
         self.first = np.r_[0, np.cumsum([len(w.object_of) for w in worlds])].astype(np.int32)
         self._meshes = [self._mesh(world) for world in worlds]
-        looks = list(dict.fromkeys(look for world in worlds for look in world.mesh.looks))
+        textures = list(
+            dict.fromkeys(texture for world in worlds for texture in world.mesh.textures)
+        )
         self.object_of = np.concatenate([w.object_of for w in worlds])
-        index = [np.array([looks.index(k) for k in w.mesh.looks], np.int32) for w in worlds]
-        look_of = np.concatenate([i[w.mesh.look] for i, w in zip(index, worlds, strict=True)])
-        self.gloss = np.array([look.gloss for look in looks], np.float32)[look_of]
-        self.clear = np.array([look.clear for look in looks], np.float32)[look_of]
+        index = [np.array([textures.index(k) for k in w.mesh.textures], np.int32) for w in worlds]
+        texture_of = np.concatenate(
+            [i[w.mesh.texture_index] for i, w in zip(index, worlds, strict=True)]
+        )
+        self.gloss = np.array([texture.gloss for texture in textures], np.float32)[texture_of]
+        self.clear = np.array([texture.clear for texture in textures], np.float32)[texture_of]
         corners = np.concatenate([world.mesh.corners for world in worlds])
-        kinds = tuple(sorted({look.kind for look in looks}))
+        kinds = tuple(sorted({texture.kind for texture in textures}))
         self._arrays = (
             self._put(np.array([m.id for m in self._meshes], np.uint64), wp.uint64),
             self._put(self.first[:-1], wp.int32),
             self._put(_planes(corners), wp.float64),
             self._put(np.concatenate([w.mesh.normals for w in worlds]).astype(np.float32), wp.vec3),
             self._put(np.concatenate([w.mesh.places for w in worlds]).astype(np.float32), wp.vec2),
-            self._put(look_of, wp.int32),
-            self._put(_look_rows(looks, kinds, seed), wp.float32),
+            self._put(texture_of, wp.int32),
+            self._put(_texture_rows(textures, kinds, seed), wp.float32),
             _patterns(kinds, device),
         )
 
-    def look(self, camera: Intrinsics, views: Sequence[View], samples: int = 0) -> Hits:
+    def cast(self, camera: Intrinsics, views: Sequence[View], samples: int = 0) -> Hits:
         """Cast the rays of all views.
 
         Args:
@@ -119,12 +123,12 @@ def _planes(corners: np.ndarray) -> np.ndarray:
     return np.column_stack([normal, (normal * corners[:, 0]).sum(1)])
 
 
-def _look_rows(looks: Sequence[Texture], kinds: tuple[str, ...], seed: int) -> np.ndarray:
+def _texture_rows(textures: Sequence[Texture], kinds: tuple[str, ...], seed: int) -> np.ndarray:
     """Return the texture parameters ``(L, 12)`` float32, as documented in the kernel."""
-    shifts = np.random.default_rng([seed, 3]).random((len(looks), 2))
+    shifts = np.random.default_rng([seed, 3]).random((len(textures), 2))
     rows = [
         (kinds.index(k.kind), *k.color, *k.accent, k.size_m, k.grain, k.gloss, *shifts[i])
-        for i, k in enumerate(looks)
+        for i, k in enumerate(textures)
     ]
     return np.array(rows, np.float32)
 

@@ -88,7 +88,7 @@ def render(
     softness = LIGHTS[light].softness if light else 0.0
     samples = LIGHTS[light].samples if light else 0
     view = View(T_world_camera, scene.light.direction, softness)
-    face, depth, color, shine = (a[0] for a in caster.look(camera, [view], samples))
+    face, depth, color, shine = (a[0] for a in caster.cast(camera, [view], samples))
     seen = face >= 0
     gloss = np.where(seen, caster.gloss[face], np.float32(0))
     number = np.where(seen, caster.object_of[face], 0).astype(np.uint8)
@@ -99,7 +99,7 @@ def render(
     mirrored = behind = None
     if _mirrors(scene):
         flipped = view._replace(T_world_camera=np.diag([1.0, 1.0, -1.0, 1.0]) @ T_world_camera)
-        ghost = caster_of(scene, when, seed, device, "things").look(camera, [flipped])
+        ghost = caster_of(scene, when, seed, device, "things").cast(camera, [flipped])
         floor = seen & (number == 0)
         mirrored = np.where(floor, ghost.depth[0], np.nan)
         share = np.where(floor, gloss * (1 - shine[..., 2]) ** 2, 0)[..., None]
@@ -107,7 +107,7 @@ def render(
         color = (color + share * (image - color)).astype(np.float32)
     clear = np.where(seen, caster.clear[face], np.float32(0))
     if clear.any():
-        back = caster_of(scene, when, seed, device, "opaque").look(camera, [view], samples)
+        back = caster_of(scene, when, seed, device, "opaque").cast(camera, [view], samples)
         behind = np.where(clear > 0, back.depth[0], np.nan)
         image = np.where(back.face[0][..., None] >= 0, back.color[0], scene.background)
         color = color + clear[..., None] * (image - color).astype(np.float32)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from jaxdet.errors import ConfigError
-from jaxdet.sim.looks import Color, Texture
+from jaxdet.sim.appearance import Color, Texture
 
 MAX_OBSTACLES = 255
 """Maximum number of objects: their numbers are stored in a byte, and 0 is the floor."""

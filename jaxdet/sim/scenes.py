@@ -4,9 +4,7 @@ from dataclasses import replace
 from math import pi
 
 from jaxdet.errors import ConfigError
-from jaxdet.sim.config import SimConfig
-from jaxdet.sim.families import FAMILIES, make_scene
-from jaxdet.sim.looks import (
+from jaxdet.sim.appearance import (
     BLUE_BIN,
     BUCKET,
     CARPET,
@@ -19,6 +17,8 @@ from jaxdet.sim.looks import (
     WHITE_BOX,
     WOOD,
 )
+from jaxdet.sim.config import SimConfig
+from jaxdet.sim.families import FAMILIES, make_scene
 from jaxdet.sim.scene import Box, Cylinder, Path, Scene, Wall
 from jaxdet.sim.scenefile import read_scene
 
@@ -56,10 +56,10 @@ def _single_box() -> Scene:
 
 
 def _row() -> Scene:
-    looks = (CARTON, DARK_CASE, RED_CRATE, WHITE_BOX)
+    textures = (CARTON, DARK_CASE, RED_CRATE, WHITE_BOX)
     boxes = tuple(
-        Box((1.4 + 0.6 * i, 0.5 - 0.33 * i), (0.25, 0.25, 0.3 + 0.08 * i), 0.0, look)
-        for i, look in enumerate(looks)
+        Box((1.4 + 0.6 * i, 0.5 - 0.33 * i), (0.25, 0.25, 0.3 + 0.08 * i), 0.0, texture)
+        for i, texture in enumerate(textures)
     )
     path = Path(length=0.8, speed=0.3)
     return Scene("row", boxes, walls=_room(4.0, -4.0, -3.0, 8.0), floor=CARPET, path=path)

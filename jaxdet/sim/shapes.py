@@ -4,18 +4,18 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from jaxdet.sim.looks import Texture
+from jaxdet.sim.appearance import Texture
 from jaxdet.sim.mesh import Mesh, join, quads, sheet, soup
 
 Point = tuple[float, float, float] | np.ndarray
 
 
-def rings(points: np.ndarray, look: Texture, smooth_along: bool = False) -> Mesh:
+def rings(points: np.ndarray, texture: Texture, smooth_along: bool = False) -> Mesh:
     """Build the surface through a stack of closed rings, smoothly shaded around.
 
     Args:
         points: m rings of n points, ``(m, n, 3)``, counter-clockwise seen from the last ring.
-        look: Texture; s runs around, t along.
+        texture: Texture; s runs around, t along.
         smooth_along: Whether to shade smoothly from ring to ring too.
     """
     closed = np.concatenate([points, points[:, :1]], axis=1)
@@ -36,16 +36,16 @@ def rings(points: np.ndarray, look: Texture, smooth_along: bool = False) -> Mesh
         lower = upper = corner
     a, b, c, d = lower[:, :-1], lower[:, 1:], upper[:, 1:], upper[:, :-1]
     normals = np.stack([np.stack([a, b, c], 2), np.stack([a, c, d], 2)], 2).reshape(-1, 3, 3)
-    return soup(quads(closed), quads(np.stack([s, t], -1)), look, normals)
+    return soup(quads(closed), quads(np.stack([s, t], -1)), texture, normals)
 
 
-def fan(outline: np.ndarray, look: Texture) -> Mesh:
+def fan(outline: np.ndarray, texture: Texture) -> Mesh:
     """Build the face inside a flat outline ``(n, 3)`` that is star-shaped about its centre."""
     center = np.broadcast_to(outline.mean(0), outline.shape)
     corners = np.stack([center, outline, np.roll(outline, -1, axis=0)], axis=1)
     normal = np.abs(np.cross(outline - center, np.roll(outline, -1, 0) - center).sum(0))
     across = np.delete(np.arange(3), int(np.argmax(normal)))
-    return soup(corners, corners[..., across], look)
+    return soup(corners, corners[..., across], texture)
 
 
 def circle(radius: float, z: float, sides: int = 48, x: float = 0.0, y: float = 0.0) -> np.ndarray:
@@ -55,23 +55,23 @@ def circle(radius: float, z: float, sides: int = 48, x: float = 0.0, y: float = 
     return np.column_stack([ring, np.full(sides, z)])
 
 
-def lathe(profile: Iterable[tuple[float, float]], look: Texture, sides: int = 48) -> Mesh:
+def lathe(profile: Iterable[tuple[float, float]], texture: Texture, sides: int = 48) -> Mesh:
     """Build a surface of revolution through ``(radius, height)`` points, upwards for an outside."""
-    return rings(np.stack([circle(r, z, sides) for r, z in profile]), look)
+    return rings(np.stack([circle(r, z, sides) for r, z in profile]), texture)
 
 
-def cylinder(radius: float, height: float, look: Texture, sides: int = 64) -> Mesh:
+def cylinder(radius: float, height: float, texture: Texture, sides: int = 64) -> Mesh:
     """Build an upright cylinder on z = 0, inscribed: within 0.12 % of the radius at 64 sides."""
-    lid = fan(circle(radius, height, sides), look)
-    return join([lathe([(radius, 0.0), (radius, height)], look, sides), lid])
+    lid = fan(circle(radius, height, sides), texture)
+    return join([lathe([(radius, 0.0), (radius, height)], texture, sides), lid])
 
 
-def box(size: Point, look: Texture, at: Point = (0.0, 0.0, 0.0), top: float = 1.0) -> Mesh:
+def box(size: Point, texture: Texture, at: Point = (0.0, 0.0, 0.0), top: float = 1.0) -> Mesh:
     """Build a box.
 
     Args:
         size: Size along x, y, z [m].
-        look: Texture; its coordinates on a face begin at a corner.
+        texture: Texture; its coordinates on a face begin at a corner.
         at: Middle of the underside [m].
         top: Size of the upper face relative to the lower.
     """
@@ -86,14 +86,14 @@ def box(size: Point, look: Texture, at: Point = (0.0, 0.0, 0.0), top: float = 1.
         grid = np.array([[face[0], face[1]], [face[3], face[2]]]) + np.asarray(at)
         width, height = np.linalg.norm([grid[0, 1] - grid[0, 0], grid[1, 0] - grid[0, 0]], axis=1)
         places = np.array([[[0, 0], [width, 0]], [[0, height], [width, height]]])
-        parts.append(sheet(grid, look, places))
+        parts.append(sheet(grid, texture, places))
     return join(parts)
 
 
 def tube(
     path: Iterable[Point],
     radii: Iterable[float | tuple[float, float]],
-    look: Texture,
+    texture: Texture,
     sides: int = 14,
     rounded: bool = True,
 ) -> Mesh:
@@ -102,7 +102,7 @@ def tube(
     Args:
         path: ``k`` points.
         radii: Radius at each point, or both radii of an ellipse.
-        look: Texture.
+        texture: Texture.
         sides: Number of points per ring.
         rounded: Whether hemispheres close the ends, else flat lids.
     """
@@ -129,11 +129,11 @@ def tube(
     ring = (
         line[:, None] + side[:, None] * size[:, None, :1] * c + up[:, None] * size[:, None, 1:] * s
     )
-    lids = [] if rounded else [fan(ring[0], look), fan(ring[-1], look)]
-    return join([rings(ring, look, smooth_along=rounded), *lids])
+    lids = [] if rounded else [fan(ring[0], texture), fan(ring[-1], texture)]
+    return join([rings(ring, texture, smooth_along=rounded), *lids])
 
 
-def ellipsoid(center: Point, radii: Point, look: Texture, sides: int = 16) -> Mesh:
+def ellipsoid(center: Point, radii: Point, texture: Texture, sides: int = 16) -> Mesh:
     """Build an ellipsoid with horizontal rings."""
     lift = np.linspace(-np.pi / 2 + 0.05, np.pi / 2 - 0.05, sides // 2 + 1)
     angle = np.arange(sides) * (2 * np.pi / sides)
@@ -145,16 +145,16 @@ def ellipsoid(center: Point, radii: Point, look: Texture, sides: int = 16) -> Me
         ],
         axis=-1,
     )
-    return rings(ball * np.asarray(radii) + np.asarray(center), look, smooth_along=True)
+    return rings(ball * np.asarray(radii) + np.asarray(center), texture, smooth_along=True)
 
 
-def prism(outline: np.ndarray, width: float, look: Texture, bevel: float = 0.0) -> Mesh:
+def prism(outline: np.ndarray, width: float, texture: Texture, bevel: float = 0.0) -> Mesh:
     """Extrude a side view ``(n, 2)`` in x, z (counter-clockwise seen from -y) along y.
 
     Args:
         outline: Corners of a star-shaped polygon.
         width: Width along y [m].
-        look: Texture.
+        texture: Texture.
         bevel: Bevel of the long edges [m].
     """
     middle = outline.mean(0)
@@ -168,5 +168,5 @@ def prism(outline: np.ndarray, width: float, look: Texture, bevel: float = 0.0) 
     girth = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(closed[0], axis=0), axis=1))]
     s = np.broadcast_to(girth, closed.shape[:2])
     t = closed[..., 1]
-    skin = soup(quads(closed), quads(np.stack([s, t], -1)), look)
-    return join([skin, fan(stack[0], look), fan(stack[-1], look)])
+    skin = soup(quads(closed), quads(np.stack([s, t], -1)), texture)
+    return join([skin, fan(stack[0], texture), fan(stack[-1], texture)])

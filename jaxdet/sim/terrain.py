@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from jaxdet.sim.draft import Draft, building, hard_floor, inner_wall, room
-from jaxdet.sim.looks import (
+from jaxdet.sim.appearance import (
     CARTON,
     CONCRETE,
     WHITE_BOX,
@@ -11,6 +10,7 @@ from jaxdet.sim.looks import (
     pick,
     tinted,
 )
+from jaxdet.sim.draft import Draft, building, hard_floor, inner_wall, room
 from jaxdet.sim.scene import Box, Cylinder, Ground, Model, Scene
 
 
@@ -30,9 +30,9 @@ def _low(draft: Draft, kind: str, x: float, y: float) -> None:
     rng = draft.rng
     yaw = float(rng.uniform(-np.pi, np.pi))
     if kind == "small box":
-        look = pick(rng, CARTON, WHITE_BOX, Texture("plain", tinted(rng, (150, 140, 130), 40)))
+        texture = pick(rng, CARTON, WHITE_BOX, Texture("plain", tinted(rng, (150, 140, 130), 40)))
         size = 0.15, float(rng.uniform(0.12, 0.2)), float(rng.uniform(0.06, 0.2))
-        draft.boxes.append(Box((x, y), size, yaw, look, name="small box"))
+        draft.boxes.append(Box((x, y), size, yaw, texture, name="small box"))
     elif kind == "brick":
         clay = Texture("noise", tinted(rng, (164, 84, 62), 8), (120, 60, 46), 0.2, 5.0)
         # DIN 105 NF, lying on one of its faces.
@@ -43,9 +43,9 @@ def _low(draft: Draft, kind: str, x: float, y: float) -> None:
         turn = float(rng.normal(0, 0.5))
         draft.boxes.append(Box((x, y), size, turn, CONCRETE, name="kerb"))
     elif kind == "bottle":
-        look = Texture("plain", tinted(rng, (70, 110, 80), 30), gloss=0.4)
+        texture = Texture("plain", tinted(rng, (70, 110, 80), 30), gloss=0.4)
         radius, height = rng.uniform((0.03, 0.15), (0.045, 0.20)).tolist()
-        draft.cylinders.append(Cylinder((x, y), radius, height, look, name="bottle"))
+        draft.cylinders.append(Cylinder((x, y), radius, height, texture, name="bottle"))
     else:
         draft.models.append(Model(kind, (x, y), yaw, int(rng.integers(1 << 30))))
 

@@ -9,7 +9,7 @@ from typing import get_args
 
 import numpy as np
 
-from jaxdet.sim.looks import Kind
+from jaxdet.sim.appearance import Kind
 from jaxdet_kernels import raycast as kernels
 
 SIZE = int(kernels.SIZE)

@@ -41,17 +41,17 @@ def world_at(scene: Scene, time_s: float, part: Part = "all") -> World:
     if part == "all":
         return world
     mesh, object_of = world
-    clear = np.array([look.clear > 0 for look in mesh.looks])[mesh.look]
+    clear = np.array([texture.clear > 0 for texture in mesh.textures])[mesh.texture_index]
     kept = ~clear if part == "opaque" else object_of > 0
-    faces = (mesh.corners[kept], mesh.normals[kept], mesh.places[kept], mesh.look[kept])
-    return World(Mesh(*faces, mesh.looks), object_of[kept])
+    faces = (mesh.corners[kept], mesh.normals[kept], mesh.places[kept], mesh.texture_index[kept])
+    return World(Mesh(*faces, mesh.textures), object_of[kept])
 
 
 @lru_cache(maxsize=4)
 def _world(scene: Scene, time_s: float) -> World:
     parts = [floor_mesh(scene.ground, scene.floor)]
     parts += [object_mesh(scene, j, time_s) for j in range(len(scene.objects))]
-    counts = [len(part.look) for part in parts]
+    counts = [len(part.texture_index) for part in parts]
     return World(join(parts), np.repeat(np.arange(len(parts), dtype=np.int32), counts))
 
 

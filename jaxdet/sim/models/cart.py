@@ -5,7 +5,7 @@ Sizes of EN 1757 platform trolleys: 0.8 to 1.2 by 0.5 to 0.7 m, handles 0.9 to 1
 
 import numpy as np
 
-from jaxdet.sim.looks import BLACK, BLUE_BIN, CARTON, RUBBER, STEEL, WHITE_BOX, WOOD, pick
+from jaxdet.sim.appearance import BLACK, BLUE_BIN, CARTON, RUBBER, STEEL, WHITE_BOX, WOOD, pick
 from jaxdet.sim.mesh import Mesh, join
 from jaxdet.sim.shapes import box, tube
 

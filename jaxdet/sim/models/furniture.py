@@ -7,7 +7,7 @@ tables: sizes of a furniture catalogue.
 
 import numpy as np
 
-from jaxdet.sim.looks import BLACK, CHROME, STEEL, WOOD, Texture, pick, tinted
+from jaxdet.sim.appearance import BLACK, CHROME, STEEL, WOOD, Texture, pick, tinted
 from jaxdet.sim.mesh import Mesh, join
 from jaxdet.sim.shapes import box, circle, fan, lathe, tube
 

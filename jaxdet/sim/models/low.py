@@ -6,7 +6,7 @@ Bricks: 240 x 115 x 71 mm (DIN 105 NF). Planks: 18-50 mm. Cables: 20-32 mm rubbe
 
 import numpy as np
 
-from jaxdet.sim.looks import CONCRETE, WOOD, Texture, tinted
+from jaxdet.sim.appearance import CONCRETE, WOOD, Texture, tinted
 from jaxdet.sim.mesh import Mesh, join
 from jaxdet.sim.shapes import box, tube
 

@@ -7,7 +7,7 @@ at the base above a wider door section, 0.06-0.08 m at the top.
 
 import numpy as np
 
-from jaxdet.sim.looks import STEEL, Texture, tinted
+from jaxdet.sim.appearance import STEEL, Texture, tinted
 from jaxdet.sim.mesh import Mesh, join
 from jaxdet.sim.shapes import box, circle, fan, lathe, rings, tube
 

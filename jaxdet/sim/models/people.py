@@ -9,7 +9,7 @@ ANSUR II, Gordon et al. 2014, pooled). Girths and clothes were chosen by eye.
 
 import numpy as np
 
-from jaxdet.sim.looks import BLACK, Texture, pick, tinted
+from jaxdet.sim.appearance import BLACK, Texture, pick, tinted
 from jaxdet.sim.mesh import Mesh, join, shift
 from jaxdet.sim.shapes import ellipsoid, rings, tube
 
@@ -105,12 +105,12 @@ def _trunk(girth: float, shirt: Texture, trousers: Texture) -> list[Mesh]:
     ]
 
 
-def _ellipses(rows: list[tuple[float, float, float]], look: Texture) -> Mesh:
+def _ellipses(rows: list[tuple[float, float, float]], texture: Texture) -> Mesh:
     angle = np.pi + np.arange(20) * (2 * np.pi / 20)  # the texture's seam is at the back
     points = [
         np.stack([x * np.cos(angle), y * np.sin(angle), np.full(20, z)], axis=1) for z, y, x in rows
     ]
-    return rings(np.array(points), look, smooth_along=True)
+    return rings(np.array(points), texture, smooth_along=True)
 
 
 def _head(rng: np.random.Generator, skin: Texture, hair: Texture) -> list[Mesh]:

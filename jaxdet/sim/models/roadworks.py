@@ -10,7 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from jaxdet.sim.looks import BLACK, REFLECTIVE, RUBBER, SIGNAL_ORANGE, SIGNAL_RED, Texture
+from jaxdet.sim.appearance import BLACK, REFLECTIVE, RUBBER, SIGNAL_ORANGE, SIGNAL_RED, Texture
 from jaxdet.sim.mesh import Mesh, join, shift
 from jaxdet.sim.shapes import box, circle, fan, lathe, prism
 

@@ -7,7 +7,16 @@ VW Polo and Golf, Toyota Yaris and Corolla). It faces along x.
 
 import numpy as np
 
-from jaxdet.sim.looks import BLACK, CHROME, GLASS, REFLECTIVE, RUBBER, SIGNAL_RED, STEEL, Texture
+from jaxdet.sim.appearance import (
+    BLACK,
+    CHROME,
+    GLASS,
+    REFLECTIVE,
+    RUBBER,
+    SIGNAL_RED,
+    STEEL,
+    Texture,
+)
 from jaxdet.sim.mesh import Mesh, join, sheet
 from jaxdet.sim.shapes import box, circle, fan, lathe, prism
 
@@ -76,18 +85,18 @@ def _pane(corners: list[list[list[float]]]) -> Mesh:
 
 def _frustum(
     low_x: np.ndarray, high_x: np.ndarray, low_y: float, high_y: float, low: float, high: float,
-    look: Texture,
+    texture: Texture,
 ) -> Mesh:  # fmt: skip
     def ring(x: np.ndarray, y: float, z: float) -> np.ndarray:
         return np.array([[x[0], -y, z], [x[1], -y, z], [x[1], y, z], [x[0], y, z]])
 
     a, b = ring(low_x, low_y, low), ring(high_x, high_y, high)
-    sides = [_quad(a[i], a[j], b[j], b[i], look) for i, j in ((0, 1), (1, 2), (2, 3), (3, 0))]
-    return join([*sides, fan(b, look)])
+    sides = [_quad(a[i], a[j], b[j], b[i], texture) for i, j in ((0, 1), (1, 2), (2, 3), (3, 0))]
+    return join([*sides, fan(b, texture)])
 
 
-def _quad(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray, look: Texture) -> Mesh:
-    return sheet(np.array([[a, b], [d, c]]), look)
+def _quad(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray, texture: Texture) -> Mesh:
+    return sheet(np.array([[a, b], [d, c]]), texture)
 
 
 def _wheel(x: float, y: float, radius: float = 0.315) -> list[Mesh]:

@@ -7,7 +7,7 @@ Cable drums: 0.1-0.2 m, plastic or plywood.
 
 import numpy as np
 
-from jaxdet.sim.looks import BLACK, STEEL, WOOD, Texture, tinted
+from jaxdet.sim.appearance import BLACK, STEEL, WOOD, Texture, tinted
 from jaxdet.sim.mesh import Mesh, join, sheet
 from jaxdet.sim.shapes import box, circle, cylinder, fan, lathe, tube
 
@@ -66,14 +66,14 @@ def bin_with_lid(rng: np.random.Generator, phase: float = 0.0) -> Mesh:
 
 
 def _taper(
-    low_x: float, low_y: float, high_x: float, high_y: float, height: float, look: Texture
+    low_x: float, low_y: float, high_x: float, high_y: float, height: float, texture: Texture
 ) -> Mesh:
     """A box on z = 0.02 m that widens upwards."""
     signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) / 2
     low = np.column_stack([signs * (low_x, low_y), np.full(4, 0.02)])
     high = np.column_stack([signs * (high_x, high_y), np.full(4, height)])
     order = [0, 1, 2, 3, 0]
-    return sheet(np.array([low[order], high[order]]), look)
+    return sheet(np.array([low[order], high[order]]), texture)
 
 
 def cable_drum(rng: np.random.Generator, phase: float = 0.0) -> Mesh:

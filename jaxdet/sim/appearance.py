@@ -85,9 +85,9 @@ SIGNAL_ORANGE = Texture("plain", color=(226, 74, 24), grain=3.0)
 SIGNAL_RED = Texture("plain", color=(190, 28, 26), grain=3.0)
 
 
-def pick(rng: np.random.Generator, *looks: Texture) -> Texture:
+def pick(rng: np.random.Generator, *textures: Texture) -> Texture:
     """Draw one of the textures."""
-    return looks[int(rng.integers(len(looks)))]
+    return textures[int(rng.integers(len(textures)))]
 
 
 def tinted(
