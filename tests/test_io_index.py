@@ -36,6 +36,8 @@ from tests.io_helpers import (
 
 MS = 1_000_000
 NO_TURN = (0.0, 0.0, 0.0, 1.0)
+LEVEL = (-0.5, 0.5, -0.5, 0.5)
+"""Of a camera that looks ahead."""
 
 
 class Sender:
@@ -311,7 +313,7 @@ def test_damage_of_what_is_not_decoded_asks_for_the_scan(tmp_path, damaged):
             sender.image(COLOR, i, at, at)
             if i < 40:
                 sender.image(DEPTH, i, at, at)
-            log.ros("/tf", ros_tf(("odom", DEPTH_FRAME, (i, 0, 0), NO_TURN), stamp_ns=at), at)
+            log.ros("/tf", ros_tf(("odom", DEPTH_FRAME, (i, 0, 0), LEVEL), stamp_ns=at), at)
     with path.open("rb") as stream:
         summary = make_reader(stream).get_summary()
         assert summary is not None

@@ -113,7 +113,7 @@ def describe(
         found: What is used.
         numbers: The frames that are used.
     """
-    warnings = [*contents.warnings, *contents.tree.warnings, *found.warnings]
+    warnings = [*contents.warnings, *found.warnings]
     warnings += [*found.calibrated.warnings, *found.poses.warnings, *found.cameras.warnings]
     count, color = found.frames.num_frames, found.choice.color
     first_ns = first_told(map(found.frames.stamp_ns, range(count)))

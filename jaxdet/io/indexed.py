@@ -67,7 +67,7 @@ def open_index(files: Sequence[LogFile], store: ChunkStore, use_tf: bool, path: 
         if contents.topics[topic.topic].undecodable:
             problem = "one of the first messages can't be decoded"
             raise RescanError(problem, path=path, topic=topic.topic)
-        if contents.tree.ignored and not whole:
+        if not whole and any(tree.ignored for tree in contents.trees.values()):
             raise RescanError("a transform is none", path=path, topic=topic.topic)
         if topic.kind in _MOTIONS and not whole and not topic.is_static:
             _see_delays(delays, topic, number, payload)
@@ -224,7 +224,7 @@ def _motion_windows(
     messages = _joined(parts)
     order = np.argsort(messages.log_ns, kind="stable")
     found = MotionMessages(messages.rows(order), order, tuple(decoders), delays)
-    return MotionWindows(found, store, contents.tree, contents.tracks, contents.path, whole)
+    return MotionWindows(found, store, contents.tracks, contents.path, whole)
 
 
 def _joined(parts: Sequence[IndexedMessages]) -> IndexedMessages:

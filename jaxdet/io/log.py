@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from functools import cached_property
+from functools import cached_property, partial
 from operator import index as as_index
 from os import PathLike
 from typing import Any, NamedTuple, Self, overload
@@ -21,6 +21,7 @@ from jaxdet.errors import (
     TopicError,
 )
 from jaxdet.io.batch import Batch, LogFrame
+from jaxdet.io.body_frames import is_body_frame
 from jaxdet.io.chunks import DamageError
 from jaxdet.io.contents import LogContents
 from jaxdet.io.description import LogDescription, complete, describe, with_bad_color
@@ -128,7 +129,7 @@ class Log:
         self.description = describe(files, contents, found, self.frames)
         if isinstance(found.frames, ScannedFrames):
             self.description = self.described(found.frames.notes)
-        unit, limit = self.calibration.depth_unit, options.max_pixels
+        unit, limit = about.unit_in_floats, options.max_pixels
         by_index = isinstance(found.frames, IndexedFrames)
         self._reader = ImageReader(
             store, found.depth, found.color, unit, limit, by_index, about.used_for_depth
@@ -469,11 +470,12 @@ def open_log(
         if not options.scan:
             with suppress(DamageError, RescanError):
                 indexed = index_files(opened, store, source, options)
-                found = find_indexed(indexed, options)
-                return Log(source, indexed.contents, found, store, options)
+                find = partial(find_indexed, indexed, options)
+                return _opened(source, indexed.contents, find, store, options)
         contents = scan_files(opened, source, options)
         try:
-            found = find_scanned(contents, options)
+            find = partial(find_scanned, contents, options)
+            return _opened(source, contents, find, store, options)
         except (TopicError, CalibrationError) as error:
             damaged = [file for file in contents.integrity if file.recovered]
             for file in damaged[:2]:
@@ -484,10 +486,27 @@ def open_log(
                 if trouble not in str(error):
                     error.add_remedy(f"{name}: {trouble}")
             raise
-        return Log(source, contents, found, store, options)
     except BaseException:
         store.close()
         raise
+
+
+def _opened(
+    files: LogFiles,
+    contents: LogContents,
+    find: Callable[..., Findings],
+    store: ChunkStore,
+    options: LogOptions,
+) -> Log:
+    """Return the log; its depth frame counts as a body frame where the depth images say so."""
+    found = find()
+    log = Log(files, contents, found, store, options)
+    known = options.camera_frame is not None or found.calibrated.T_frame_camera is not None
+    return (
+        log
+        if known or not is_body_frame(log)
+        else Log(files, contents, find(is_body=True), store, options)
+    )
 
 
 class _Known(NamedTuple):

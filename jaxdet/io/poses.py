@@ -9,6 +9,7 @@ from jaxdet.elementary import matmul
 from jaxdet.errors import CalibrationError, TopicError, printable
 from jaxdet.io.contents import LogContents, PoseTrack
 from jaxdet.io.motion import MotionSamples
+from jaxdet.io.namespaces import namespace_of, namespaces_of_camera
 from jaxdet.io.options import LogOptions
 from jaxdet.io.topics import listed
 from jaxdet.io.transforms import TransformTree
@@ -105,6 +106,7 @@ def find_base(contents: LogContents, options: LogOptions, camera_frame: str) -> 
 def find_poses(
     contents: LogContents,
     options: LogOptions,
+    depth_topic: str,
     camera_frame: str,
     base_frame: str | None,
     share_known: Callable[[PoseSource], float],
@@ -112,14 +114,16 @@ def find_poses(
     """Where the poses come from.
 
     The topic of ``--log.odom`` goes first, then moving transforms up to the world frame, then
-    the log's only Odometry or PoseInFrame topic. Of the frames map and odom the first is taken in
-    which half of the poses are known, else the one in which most are. A pose topic holds the
-    robot's base, which static transforms join to the camera; where they don't, there are no poses
-    and a warning.
+    the robot's only Odometry or PoseInFrame topic. A frame given by ``--log.world-frame`` is taken
+    whatever it is, so the robot's base frame gives robot coordinates. Of the frames map and odom
+    the first is taken in which half of the poses are known, else the one in which most are. A pose
+    topic holds the robot's base, which static transforms join to the camera; where they don't,
+    there are no poses and a warning.
 
     Args:
         contents: What is in the log.
         options: What the user says.
+        depth_topic: Topic of the camera's depth images.
         camera_frame: TF frame of the camera.
         base_frame: TF frame of the robot.
         share_known: Of how many frames a source knows the pose, 0 to 1.
@@ -130,19 +134,17 @@ def find_poses(
             the transforms form a cycle.
     """
     if options.odom:
-        if options.odom not in contents.poses:
-            remedy = f"--log.odom can be: {listed(sorted(contents.poses)) or 'none'}"
-            raise TopicError(
-                "no poses on the topic", path=contents.path, topic=options.odom, remedy=remedy
-            )
-        return _from_track(contents, options.odom, camera_frame, base_frame)
+        return _given_track(contents, options, options.odom, camera_frame, base_frame)
     if options.world_frame and not (
         camera_frame and contents.tree.joins(options.world_frame, camera_frame)
     ):
         problem = f"no transforms join {options.world_frame!r} and {camera_frame!r}"
         raise CalibrationError(problem, path=contents.path, remedy="change --log.world-frame")
+    if options.world_frame:
+        text = f"poses: TF, frame {printable(options.world_frame)!r}"
+        return PoseSource(text, camera=camera_frame, world=options.world_frame)
     best, most = None, 0.0
-    for world in [options.world_frame] if options.world_frame else _named(contents, _WORLDS):
+    for world in _named(contents, _WORLDS):
         if not camera_frame or world == base_frame or not contents.tree.joins(world, camera_frame):
             continue
         text = f"poses: TF, frame {printable(world)!r}"
@@ -156,13 +158,32 @@ def find_poses(
             break
     if best:
         return best
-    topics = [name for name in sorted(contents.poses) if _is_robot_pose(contents, name)]
+    topics = _robot_poses(contents, depth_topic)
     if len(topics) == 1:
         return _from_track(contents, topics[0], camera_frame, base_frame)
     if topics:
         text = f"several topics hold poses ({listed(topics)}); choose one with --log.odom"
         return PoseSource("poses: none chosen", (text,))
     return PoseSource("poses: none in the log")
+
+
+def _given_track(
+    contents: LogContents,
+    options: LogOptions,
+    topic: str,
+    camera_frame: str,
+    base_frame: str | None,
+) -> PoseSource:
+    """Return the poses of the topic that ``--log.odom`` names."""
+    if topic not in contents.poses:
+        remedy = f"--log.odom can be: {listed(sorted(contents.poses)) or 'none'}"
+        raise TopicError("no poses on the topic", path=contents.path, topic=topic, remedy=remedy)
+    parent = contents.poses[topic].parent
+    if options.world_frame and options.world_frame != parent:
+        problem = f"its poses are in frame {parent!r}, not in {options.world_frame!r}"
+        remedy = "give --log.odom or --log.world-frame, not both"
+        raise TopicError(problem, path=contents.path, topic=topic, remedy=remedy)
+    return _from_track(contents, topic, camera_frame, base_frame)
 
 
 def _from_track(
@@ -178,6 +199,15 @@ def _from_track(
     text = f"poses: topic {printable(topic)} of frame {printable(child)!r}"
     given = {"topic": topic, "parent": track.parent, "T_child_camera": T_child_camera}
     return PoseSource(text, camera=camera_frame, **given)
+
+
+def _robot_poses(contents: LogContents, depth_topic: str) -> list[str]:
+    """Return the topics with poses of the robot that carries a camera."""
+    topics = [name for name in sorted(contents.poses) if _is_robot_pose(contents, name)]
+    spaces = {name: namespace_of(name) for name in topics}
+    found = namespaces_of_camera(spaces.values(), depth_topic, contents.streams)
+    wanted = found.own[:1] if found.has_robot else (*found.own, *found.others)
+    return [name for name in topics if spaces[name] in wanted]
 
 
 def _is_robot_pose(contents: LogContents, topic: str) -> bool:

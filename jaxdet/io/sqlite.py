@@ -18,8 +18,6 @@ from jaxdet.io.message_file import MessageFile, MessageRow
 _ROW = "SELECT topic_id, timestamp, length(data), typeof(data) FROM messages WHERE id = ?"
 _TABLES = "SELECT name FROM sqlite_master WHERE type = 'table'"
 _NEEDED = {"messages", "topics"}
-_FIRST = "SELECT substr(data, 1, 4) FROM messages LIMIT 1"
-_ZSTD = b"\x28\xb5\x2f\xfd"
 
 
 class SqliteFile(MessageFile):
@@ -113,7 +111,7 @@ class SqliteFile(MessageFile):
         return found
 
     def _check(self) -> None:
-        """Whether this is a recording, whole and not compressed.
+        """Whether this is a recording, and closed.
 
         Raises:
             InputError: It isn't.
@@ -129,18 +127,12 @@ class SqliteFile(MessageFile):
                 )
         try:
             tables = {row[0] for row in self.query(_TABLES)}
-            first = next(self.query(_FIRST), None) if tables >= _NEEDED else None
         except DamageError as error:
             remedy = "recover it with sqlite3 FILE .recover, or leave it out"
             raise InputError(str(error), path=str(self.path), remedy=remedy) from error
         if not tables >= _NEEDED:
             problem = "not a rosbag2 recording: it has no tables messages and topics"
             raise InputError(problem, path=str(self.path), remedy="leave it out")
-        if first and first[0] == _ZSTD:
-            problem = "its messages are compressed one by one"
-            remedy = f"convert it: rosbags-convert --src {self.path.parent} --dst NEW "
-            remedy += "--dst-storage mcap"
-            raise InputError(problem, path=str(self.path), remedy=remedy)
 
 
 def damage(error: Exception) -> DamageError:
