@@ -261,23 +261,31 @@ def test_stamps_out_of_order_are_ordered_or_ask_for_the_scan(tmp_path, apart):
 
 
 @pytest.mark.parametrize("ahead_s", [0.4, 0.0, -1.0, 3.3])
-def test_clocks_that_differ_are_said(tmp_path, ahead_s):
-    """Where depth is stamped by a clock of its own images of different times have equal stamps."""
+def test_clocks_that_differ_are_allowed_for(tmp_path, ahead_s):
+    """Depth is stamped by a clock of its own: images of one time have stamps of two clocks."""
+    ahead_ns = round(ahead_s * SECOND)
     with LogFile(tmp_path / "x.mcap", chunk_size=9000) as log:
         write_calibration(log)
         sender = Sender(log)
         for number in range(200):
             at = START + number * 33 * MS
-            sender.image(DEPTH, number, at + round(ahead_s * SECOND), at + 5 * MS)
+            sender.image(DEPTH, number, at + ahead_ns, at + 5 * MS)
             sender.image(COLOR, number, at, at + 9 * MS)
     path = str(tmp_path / "x.mcap")
+    other = abs(ahead_s) > 0.5
     with open_only(path) as log, open_only(path, LogOptions(scan=True)) as scanned:
         assert_same_log(log, scanned)
-        said = [text for text in scanned.description.warnings if "two clocks" in text]
-    assert [text.split(":")[0] for text in said] == [
-        f"colour and depth images of one stamp were recorded {abs(ahead_s)} s apart (median)"
-        for _ in range(abs(ahead_s) > 0.5)
-    ]
+        apart = log.color_stamps_ns + ahead_ns - log.stamps_ns
+        assert (np.abs(apart) <= 33 * MS).all() == (other or not ahead_s)
+        assert any("--log.color-offset-s 0" in text for text in log.description.notes) == other
+    given = LogOptions(color_offset_s=-ahead_s)
+    with open_only(path, given) as log:
+        assert (log.color_stamps_ns + ahead_ns == log.stamps_ns).all()
+        assert not any("offset" in text for text in log.description.notes)
+    with open_only(path, LogOptions(color_offset_s=0.0)) as log:
+        text = "colour and depth images of one stamp were recorded"
+        warnings = log.described(total(b.notes for b in log.batches(64))).warnings
+        assert any(text in item for item in warnings) == other
 
 
 @pytest.mark.parametrize("field", ["log time", "offset", "count", "channel", "opcode", "summary"])

@@ -32,6 +32,8 @@ from jaxdet.io.streams import NUM_PROBES, PROBE_BYTES, ImageSize, ImageStream
 from jaxdet.io.transforms import TransformTree
 from jaxdet.io.validity import CalibrationChange, values_of
 
+FIRST_MOTIONS = 64
+"""Messages of a topic with transforms or poses that are read in any case."""
 DEPTH_UNIT_TOPIC = "/option/Depth Units/value"
 """How librealsense's recorder ends the topic with the metres in a depth unit."""
 
@@ -114,6 +116,9 @@ class LogContents:
         self.depth_units: dict[str, float] = {}
         """What :data:`DEPTH_UNIT_TOPIC` says first [m], by its topic."""
         self.poses: dict[str, PoseTrack] = {}
+        self.delays: dict[tuple[str, str], list[int]] = {}
+        """Stamp less log time [ns], by topic and transformed frame; of poses the frame is empty.
+        Of the first messages of each topic."""
         self.trees: dict[str, TransformTree] = {}
         """The transforms of each namespace."""
         self.tree = TransformTree()
@@ -161,6 +166,7 @@ class ContentsBuilder:
         self.contents, self.use_tf, self.images = contents, use_tf, images
         self.file_number, self.path, self.bytes = -1, "", 0
         self._small_messages = 0
+        self._motions_seen: dict[str, int] = {}
         self._decoders: dict[ChannelInfo, MessageDecoder | None] = {}
 
     def decoder(self, channel: ChannelInfo) -> MessageDecoder | None:
@@ -308,10 +314,17 @@ class ContentsBuilder:
             assert isinstance(message, float)
             self.contents.depth_units.setdefault(topic, message)
         else:
-            self._motions(topic, decoder, payload)
+            self._motions(topic, decoder, payload, log_ns)
 
-    def _motions(self, topic: str, decoder: MessageDecoder, payload: memoryview) -> None:
+    def _motions(
+        self, topic: str, decoder: MessageDecoder, payload: memoryview, log_ns: int
+    ) -> None:
         motions = decoder.motions(payload)
+        seen = self._motions_seen[topic] = self._motions_seen.get(topic, 0) + 1
+        if self.images and seen <= FIRST_MOTIONS:
+            for item in motions:
+                key = topic, item.child if decoder.kind is Kind.TRANSFORM else ""
+                self.contents.delays.setdefault(key, []).append(item.stamp_ns - log_ns)
         if decoder.kind is Kind.TRANSFORM:
             if decoder.is_static or self.images:
                 tree = self.contents.trees.setdefault(namespace_of(topic), TransformTree())

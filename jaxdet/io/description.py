@@ -10,7 +10,6 @@ from jaxdet.io.files import LogFiles
 from jaxdet.io.findings import Findings
 from jaxdet.io.integrity import FileIntegrity
 from jaxdet.io.notes import Notes
-from jaxdet.io.part import first_told
 from jaxdet.io.timeline import ScannedFrames
 from jaxdet.io.windows import IndexedFrames
 
@@ -103,7 +102,7 @@ class LogDescription(NamedTuple):
 
 
 def describe(
-    files: LogFiles, contents: LogContents, found: Findings, numbers: range
+    files: LogFiles, contents: LogContents, found: Findings, numbers: range, first_ns: int
 ) -> LogDescription:
     """The description of a log.
 
@@ -112,11 +111,11 @@ def describe(
         contents: What is in them.
         found: What is used.
         numbers: The frames that are used.
+        first_ns: From when its seconds count [ns].
     """
     warnings = [*contents.warnings, *found.warnings]
     warnings += [*found.calibrated.warnings, *found.poses.warnings, *found.cameras.warnings]
     count, color = found.frames.num_frames, found.choice.color
-    first_ns = first_told(map(found.frames.stamp_ns, range(count)))
     return LogDescription(
         name=files.name,
         paths=tuple(str(path) for path in files.paths),
@@ -137,7 +136,7 @@ def describe(
         pairing=None,
         integrity=tuple(contents.integrity),
         warnings=tuple(warnings),
-        notes=(*contents.notes, *found.calibrated.notes),
+        notes=(*contents.notes, *found.calibrated.notes, *found.notes),
     )
 
 

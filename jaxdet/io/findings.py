@@ -10,6 +10,7 @@ from jaxdet.elementary import matmul
 from jaxdet.errors import CalibrationError, JaxdetError, RescanError, TransformError
 from jaxdet.io.calibration import Calibrated, calibrate
 from jaxdet.io.cameras import Cameras, find_cameras
+from jaxdet.io.clocks import color_offset, pose_offset
 from jaxdet.io.contents import LogContents
 from jaxdet.io.decode_messages import MessageDecoder
 from jaxdet.io.indexed import IndexedLog
@@ -41,6 +42,8 @@ class Findings(NamedTuple):
     """Of the colour topic, which may be the same; empty where no colour is used."""
     warnings: tuple[str, ...]
     """About the transforms and the frames."""
+    notes: tuple[str, ...] = ()
+    """About the frames."""
 
 
 def find_scanned(contents: LogContents, options: LogOptions, *, is_body: bool = False) -> Findings:
@@ -62,16 +65,17 @@ def find_scanned(contents: LogContents, options: LogOptions, *, is_body: bool = 
     calibrated = _calibrate(contents, choice, options, is_body)
     depth = contents.streams[choice.depth]
     color = contents.streams[choice.color] if calibrated.has_color else None
-    frames = order_frames(depth, color, options.pair_tolerance_s)
+    of_color = color_offset(contents, options, choice.depth, choice.color if color else "")
+    frames = order_frames(depth, color, options.pair_tolerance_s, of_color.ns)
     stamps, tracks = frames.about_ns(), contents.tracks
 
     def share_known(source: PoseSource) -> float:
-        T = source.at(stamps, contents.tree, tracks)
+        T = source.at(stamps + source.offset_ns, contents.tree, tracks)
         known = np.zeros(1) if T is None else np.isfinite(T[:, 0, 0])
         # Where the sample has none, any in the sample of another source go before all.
         return float(known[_sample(len(known))].mean() or known.mean() / 100)
 
-    base, poses = _find(contents, choice.depth, calibrated, options, share_known)
+    base, poses = _find(contents, choice, calibrated, options, share_known)
     other = np.zeros(len(stamps), bool)
     for topic, used in calibrated.used_for_depth.items():
         if depth.kind is not Kind.RGBD:  # whose images are read with their calibrations
@@ -83,10 +87,11 @@ def find_scanned(contents: LogContents, options: LogOptions, *, is_body: bool = 
         calibrated,
         base,
         poses,
-        frames.completed(poses.at(stamps, contents.tree, tracks), other),
+        frames.completed(poses.at(stamps + poses.offset_ns, contents.tree, tracks), other),
         depth.decoders,
         [] if color is None else color.decoders,
         (*contents.tree.warnings, *frames.warnings),
+        (of_color.text,) if of_color.text else (),
     )
 
 
@@ -129,6 +134,8 @@ def find_indexed(log: IndexedLog, options: LogOptions, *, is_body: bool = False)
         color.whole = False
     motions, tolerance = log.motions.of_tree(contents.tree), options.pair_tolerance_s
     frames = IndexedFrames(depth, color, motions, PoseSource(""), tolerance, path)
+    of_color = color_offset(contents, options, choice.depth, topics[-1])
+    frames = frames._replace(color_offset_ns=of_color.ns)
 
     def share_known(source: PoseSource) -> float:
         sample, looked = _sample(len(depth)), frames._replace(source=source, color=None)
@@ -138,7 +145,7 @@ def find_indexed(log: IndexedLog, options: LogOptions, *, is_body: bool = False)
         return share
 
     try:
-        base, poses = _find(contents, choice.depth, calibrated, options, share_known)
+        base, poses = _find(contents, choice, calibrated, options, share_known)
     except CalibrationError as error:
         _check_sampled(log, error)
         raise
@@ -166,6 +173,7 @@ def find_indexed(log: IndexedLog, options: LogOptions, *, is_body: bool = False)
                 for text in log_time_warnings(topic, log.streams[topic].backward)
             ),
         ),
+        (of_color.text,) if of_color.text else (),
     )
 
 
@@ -184,7 +192,7 @@ def _calibrate(
 
 def _find(
     contents: LogContents,
-    topic: str,
+    choice: Choice,
     calibrated: Calibrated,
     options: LogOptions,
     share_known: Callable[[PoseSource], float],
@@ -195,9 +203,19 @@ def _find(
     if motion is not None and frame not in frames and calibrated.color_frame in frames:
         frame = calibrated.color_frame
         T_frame_camera = motion.T if T_frame_camera is None else matmul(T_frame_camera, motion.T)
+
+    def on_clock(source: PoseSource) -> PoseSource:
+        moving = source.moving(contents.tree) if source.known else []
+        topics = [(name, "") for name in moving] if source.topic else []
+        topics = topics or [(contents.tree.topic(name), name) for name in moving]
+        found = pose_offset(contents, options, choice.depth, choice.color, topics)
+        warnings = (*source.warnings, *filter(None, [found.text]))
+        return source._replace(offset_ns=found.ns, warnings=warnings)
+
     with _naming_tree(contents):
         base = find_base(contents, options, frame)
-        poses = find_poses(contents, options, topic, frame, base.frame, share_known)
+        about = choice.depth, frame, base.frame
+        poses = find_poses(contents, options, *about, share_known, on_clock)
     if T_frame_camera is not None and base.T_base_camera is not None:
         base = base._replace(T_base_camera=matmul(base.T_base_camera, T_frame_camera))
     if calibrated.camera_frame != frame and calibrated.camera_frame not in frames:

@@ -23,6 +23,7 @@ from jaxdet.errors import (
 from jaxdet.io.batch import Batch, LogFrame
 from jaxdet.io.body_frames import is_body_frame
 from jaxdet.io.chunks import DamageError
+from jaxdet.io.clocks import first_stamp, unset_clock_text
 from jaxdet.io.contents import LogContents
 from jaxdet.io.description import LogDescription, complete, describe, with_bad_color
 from jaxdet.io.files import LogFiles, find_logs
@@ -123,10 +124,15 @@ class Log:
         self.label = f"{self.name}, {self.camera}" if several else self.name
         part = options.start, options.stop, options.every
         self.frames = range(self.num_frames)
+        frames = found.frames
+        begin_ns, before = first_stamp(frames.num_frames, frames.stamp_ns, frames.log_ns)
         if part != (None, None, 1):
             about_ns, stamp_ns = found.frames.about_ns(), found.frames.stamp_ns
-            self.frames = find_part(about_ns, stamp_ns, *part, self._path)
-        self.description = describe(files, contents, found, self.frames)
+            self.frames = find_part(begin_ns, about_ns, stamp_ns, *part, self._path)
+        if before and frames.stamp_ns(0):
+            text = unset_clock_text(found.choice.depth, before, frames.stamp_ns(0))
+            found = found._replace(warnings=(*found.warnings, text))
+        self.description = describe(files, contents, found, self.frames, begin_ns)
         if isinstance(found.frames, ScannedFrames):
             self.description = self.described(found.frames.notes)
         unit, limit = about.unit_in_floats, options.max_pixels

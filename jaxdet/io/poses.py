@@ -48,6 +48,8 @@ class PoseSource(NamedTuple):
     """``(4, 4)`` float64, from that frame to the one that the topic's poses are of."""
     T_frame_camera: np.ndarray | None = None
     """``(4, 4)`` float64, from the depth camera to ``camera``; None: they are the same."""
+    offset_ns: int = 0
+    """How far the clock of the poses is ahead of depth's [ns]."""
 
     @property
     def known(self) -> bool:
@@ -69,7 +71,7 @@ class PoseSource(NamedTuple):
         """``T_world_camera`` ``(F, 4, 4)`` at each stamp, NaN where unknown; None without poses.
 
         Args:
-            stamps_ns: ``(F,)`` int64 [ns].
+            stamps_ns: ``(F,)`` int64, in the clock of the poses [ns].
             tree: Transforms with the samples about these stamps.
             tracks: Samples of the pose topics.
 
@@ -110,6 +112,7 @@ def find_poses(
     camera_frame: str,
     base_frame: str | None,
     share_known: Callable[[PoseSource], float],
+    on_clock: Callable[[PoseSource], PoseSource] = lambda source: source,
 ) -> PoseSource:
     """Where the poses come from.
 
@@ -127,6 +130,7 @@ def find_poses(
         camera_frame: TF frame of the camera.
         base_frame: TF frame of the robot.
         share_known: Of how many frames a source knows the pose, 0 to 1.
+        on_clock: Adds how far the clock of a source is from depth's.
 
     Raises:
         TopicError: ``--log.odom`` names no topic with poses.
@@ -134,7 +138,7 @@ def find_poses(
             the transforms form a cycle.
     """
     if options.odom:
-        return _given_track(contents, options, options.odom, camera_frame, base_frame)
+        return on_clock(_given_track(contents, options, options.odom, camera_frame, base_frame))
     if options.world_frame and not (
         camera_frame and contents.tree.joins(options.world_frame, camera_frame)
     ):
@@ -142,7 +146,7 @@ def find_poses(
         raise CalibrationError(problem, path=contents.path, remedy="change --log.world-frame")
     if options.world_frame:
         text = f"poses: TF, frame {printable(options.world_frame)!r}"
-        return PoseSource(text, camera=camera_frame, world=options.world_frame)
+        return on_clock(PoseSource(text, camera=camera_frame, world=options.world_frame))
     best, most = None, 0.0
     for world in _named(contents, _WORLDS):
         if not camera_frame or world == base_frame or not contents.tree.joins(world, camera_frame):
@@ -150,7 +154,7 @@ def find_poses(
         text = f"poses: TF, frame {printable(world)!r}"
         if best:
             text += f", where more are known than in {printable(best.world)!r}"
-        source = PoseSource(text, camera=camera_frame, world=world)
+        source = on_clock(PoseSource(text, camera=camera_frame, world=world))
         share = share_known(source)
         if share > most:
             best, most = source, share
@@ -160,7 +164,7 @@ def find_poses(
         return best
     topics = _robot_poses(contents, depth_topic)
     if len(topics) == 1:
-        return _from_track(contents, topics[0], camera_frame, base_frame)
+        return on_clock(_from_track(contents, topics[0], camera_frame, base_frame))
     if topics:
         text = f"several topics hold poses ({listed(topics)}); choose one with --log.odom"
         return PoseSource("poses: none chosen", (text,))

@@ -218,6 +218,10 @@ class TransformTree:
             if len(edge.samples) == 1 and (edge.fixed is None or edge.once_is_static)
         }
 
+    def topic(self, frame: str) -> str:
+        """The topic that a frame's transforms come from; empty where it isn't known."""
+        return self._edges[frame].topic if frame in self._edges else ""
+
     def parent(self, frame: str) -> str | None:
         """The frame that another stands in; None where it isn't known."""
         return self._edges[frame].parent if frame in self._edges else None
