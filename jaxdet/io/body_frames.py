@@ -34,6 +34,8 @@ _LEAST = 0.05
 """Share of the points that must be floor."""
 _MUCH_MORE = 5
 """How many times more floor the optical rotation must show."""
+_UNDER = 0.1
+"""Largest share of the points that may be below a floor: noise, and reflections."""
 _FLOOR_M, _FLOOR_SHARE = 0.03, 0.02
 """How far floor may be from its plane: at any distance, and for each metre."""
 _BELOW_M = 0.05
@@ -95,8 +97,10 @@ def is_body_frame(log: "Log") -> bool:
     if T_base is None and not log.has_poses:
         return False
     numbers = np.unique(np.linspace(0, log.num_frames - 1, _LOOKS).astype(int)).tolist()
-    if T_base is None and not any(abs(T[2, 2]) >= _STEEP for T in _poses(log, numbers)):
-        return False
+    if T_base is None:
+        first = log.read(numbers[:1]).frames.T_world_camera
+        if first is not None and abs(first[0, 2, 2]) < _STEEP:
+            return False
     frames = log.read(numbers).frames
     shares = []
     for row in np.flatnonzero(frames.valid).tolist():
@@ -116,11 +120,6 @@ def is_body_frame(log: "Log") -> bool:
     return bool(as_body >= _LEAST and as_body > _MUCH_MORE * as_is)
 
 
-def _poses(log: "Log", numbers: list[int]) -> list[np.ndarray]:
-    found = [log.read([number]).frames.T_world_camera for number in numbers[:1]]
-    return [T[0] for T in found if T is not None and np.isfinite(T[0]).all()]
-
-
 def _is_small(T: np.ndarray) -> bool:
     return difference(np.eye(4), T)[1] < _NEAR_RAD
 
@@ -138,16 +137,16 @@ def _points(depth: np.ndarray, camera: Intrinsics, unit_m: float) -> np.ndarray:
 def _floor_share(points: np.ndarray, T: np.ndarray, height_is_known: bool) -> float:
     """Return the share of the points that are floor, where the camera is placed by ``T``.
 
-    Where its height is not known, floor is what most points lie on, with hardly any below.
+    Where its height is not known, floor is where the lowest points are. Nothing is below a floor.
     """
     if not len(points):
         return 0.0
     height = (points * T[2, :3]).sum(axis=1)
     slack = _FLOOR_M + _FLOOR_SHARE * points[:, 2]
-    if height_is_known:
-        return float((np.abs(height + T[2, 3]) <= slack).mean())
     below = height[height < -_BELOW_M]
-    if not len(below):
+    if not height_is_known and not len(below):
         return 0.0
-    floor = np.quantile(below, 0.02)
+    floor = -T[2, 3] if height_is_known else np.quantile(below, 0.02)
+    if (height < floor - slack).mean() > _UNDER:
+        return 0.0
     return float((np.abs(height - floor) <= slack).mean())

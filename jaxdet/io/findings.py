@@ -17,6 +17,7 @@ from jaxdet.io.indexed import IndexedLog
 from jaxdet.io.messages import Kind, kind_of
 from jaxdet.io.options import LogOptions
 from jaxdet.io.poses import Base, PoseSource, find_base, find_poses
+from jaxdet.io.repeats import may_repeat
 from jaxdet.io.streams import NUM_PROBES
 from jaxdet.io.timeline import ScannedFrames, log_time_warnings, order_frames
 from jaxdet.io.topics import Choice
@@ -126,9 +127,7 @@ def find_indexed(log: IndexedLog, options: LogOptions, *, is_body: bool = False)
     if calibrated.color_error is not None:
         _check_sampled(log, calibrated.color_error)
     topics = (choice.depth, choice.color) if calibrated.has_color else (choice.depth,)
-    for topic in topics:
-        if not contents.streams[topic].column("stamp").any():
-            raise RescanError("the first header stamps are zero", path=path, topic=topic)
+    _check_stamps(log, topics)
     depth, color = log.streams[topics[0]], log.streams[topics[-1]] if topics[1:] else None
     if color is not None and color is not depth:
         color.whole = False
@@ -175,6 +174,20 @@ def find_indexed(log: IndexedLog, options: LogOptions, *, is_body: bool = False)
         ),
         (of_color.text,) if of_color.text else (),
     )
+
+
+def _check_stamps(log: IndexedLog, topics: Sequence[str]) -> None:
+    """Make sure that the images of some topics can be told apart and ordered by their stamps.
+
+    Raises:
+        RescanError: The first stamps are zero, or images may occur twice.
+    """
+    for topic in topics:
+        stream, path = log.contents.streams[topic], log.contents.path
+        if not stream.column("stamp").any():
+            raise RescanError("the first header stamps are zero", path=path, topic=topic)
+        if may_repeat(stream, log.streams[topic].messages.log_ns):
+            raise RescanError("images may occur twice", path=path, topic=topic)
 
 
 def _calibration_windows(log: IndexedLog, calibrated: Calibrated) -> CalibrationWindows:

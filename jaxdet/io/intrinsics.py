@@ -110,7 +110,7 @@ def find_intrinsics(source: CameraSource) -> Found:
     except CalibrationError as error:
         raise source.error(error.problem, error.remedy) from error
     off = max(abs((cx + 0.5) / size.width - 0.5), abs((cy + 0.5) / size.height - 0.5))
-    if off > OFF_MIDDLE:
+    if off > OFF_MIDDLE and not (info and _part_text(info, size)):
         warnings.append(
             f"the optical centre ({cx:g}, {cy:g}) is far from the middle of the {source.camera} "
             f"images, {size.width}x{size.height}: is it that of another image size?"

@@ -34,6 +34,7 @@ from jaxdet.io.opening import index_files, open_files, scan_files
 from jaxdet.io.options import LogOptions
 from jaxdet.io.part import find_part
 from jaxdet.io.reading import Failures, ImageReader
+from jaxdet.io.repeats import drop_repeated
 from jaxdet.io.store import ChunkStore
 from jaxdet.io.timeline import ScannedFrames, Window
 from jaxdet.io.windows import IndexedFrames
@@ -479,6 +480,7 @@ def open_log(
                 find = partial(find_indexed, indexed, options)
                 return _opened(source, indexed.contents, find, store, options)
         contents = scan_files(opened, source, options)
+        drop_repeated(contents, store)
         try:
             find = partial(find_scanned, contents, options)
             return _opened(source, contents, find, store, options)

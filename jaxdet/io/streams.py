@@ -49,6 +49,11 @@ class ImageStream:
         for column, value in zip(self._columns.values(), values, strict=True):
             column.append(value)
 
+    def keep(self, which: np.ndarray) -> None:
+        """Keep some of the messages, by ``(N,)`` bool."""
+        columns = {name: self.column(name)[which].tolist() for name in self._columns}
+        self._columns = {name: array("q", values) for name, values in columns.items()}
+
     def column(self, name: str) -> np.ndarray:
         """``(N,)`` int64, in the order of the files."""
         return np.array(self._columns[name], np.int64)
