@@ -1,6 +1,8 @@
 """Logs with properties of real recordings: each reads as the log it was made of."""
 
+import bz2
 import struct
+import tempfile
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
@@ -12,13 +14,14 @@ import zstandard
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
-from jaxdet.errors import CalibrationError, TopicError
-from jaxdet.io import Log, LogOptions, open_log
+from jaxdet.errors import CalibrationError, InputError, JaxdetError, TopicError
+from jaxdet.io import Log, LogOptions, find_logs, open_log
 from jaxdet.io.body_frames import T_BODY_OPTICAL
 from jaxdet.io.motion import inverse
 from jaxdet.io.namespaces import namespaces_of_camera
 from jaxdet.sim import SimConfig, write_log
 from tests.io_both_ways import is_indexed
+from tests.io_helpers import convert_log
 from tests.rewritten import Change, Message, changed, read_messages, write_messages
 
 ALIGNED = "/camera/camera/aligned_depth_to_color/image_raw"
@@ -396,6 +399,61 @@ def test_depth_as_jpeg_is_refused_with_the_reason(tmp_path, aligned, topic, form
     for options in ({}, {"depth": topic}):
         with pytest.raises(TopicError, match=r"recorded as JPEG .*distances are lost.*png"):
             opened(tmp_path, messages, **options)
+
+
+def packed_file(source: Path, ending: str) -> Path:
+    target = source.with_name(source.name + ending)
+    pack = bz2.compress if ending == ".bz2" else zstandard.ZstdCompressor().compress
+    target.write_bytes(pack(source.read_bytes()))
+    source.unlink()
+    return target
+
+
+@pytest.mark.parametrize("ending", [".zstd", ".zst", ".bz2"])
+@pytest.mark.parametrize("form", ["mcap", "db3", "bag"])
+def test_recordings_that_are_compressed_as_a_whole_are_read(
+    tmp_path, monkeypatch, aligned, form, ending
+):
+    elsewhere = tmp_path.with_name(f"{tmp_path.name}-elsewhere")
+    elsewhere.mkdir()
+    monkeypatch.setenv("TMPDIR", str(elsewhere))
+    monkeypatch.setattr(tempfile, "tempdir", None)
+    source = write_messages(tmp_path / "drive.mcap", aligned)
+    if form != "mcap":
+        source = convert_log(source, tmp_path / ("drive" if form == "db3" else "drive.bag"))
+    with open_log(str(source)) as whole:
+        expected = depths(whole)
+    packed = packed_file(source, ending)
+    with open_log(str(packed)) as log:
+        assert log.name == whole.name
+        np.testing.assert_array_equal(depths(log), expected)
+    [found] = find_logs([packed.parent])
+    assert found.paths == (packed,) and found.name == whole.name
+
+
+def test_splits_that_are_compressed_are_one_recording(tmp_path, aligned):
+    middle = len(aligned) // 2
+    ordered = sorted(aligned, key=lambda item: item.log_ns)
+    for number, part in enumerate((ordered[:middle], ordered[middle:])):
+        packed_file(write_messages(tmp_path / f"run_{number}.mcap", part), ".zstd")
+    with open_log(str(tmp_path)) as log:
+        assert log.name == "run" and log.num_frames == 6
+
+
+@pytest.mark.parametrize("ending", [".zstd", ".bz2"])
+def test_compressed_files_that_are_damaged_or_bombs_end_in_a_line(tmp_path, aligned, ending):
+    packed = packed_file(write_messages(tmp_path / "x.mcap", aligned), ending)
+    packed.write_bytes(packed.read_bytes()[: packed.stat().st_size // 2])
+    with pytest.raises(JaxdetError, match=r"x\.mcap.*(decompress|no end of file)"):
+        open_log(str(packed))
+    bomb = tmp_path / f"bomb.mcap{ending}"
+    bomb.write_bytes(b"")
+    with pytest.raises(InputError, match="bomb"):
+        open_log(str(bomb))
+    pack = bz2.compress if ending == ".bz2" else zstandard.ZstdCompressor().compress
+    bomb.write_bytes(pack(bytes(80 << 20)))
+    with pytest.raises(InputError, match=r"more than \d+MiB"):
+        open_log(str(bomb))
 
 
 @pytest.mark.parametrize("scan", [False, True])

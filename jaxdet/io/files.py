@@ -13,18 +13,26 @@ from typing import NamedTuple
 from jaxdet.errors import InputError, printable
 from jaxdet.io.image_folder import BESIDE, image_folders, stamp_note
 from jaxdet.io.splits import Recording, Sketch, difference, gap, joined, recordings, sketch
+from jaxdet.io.unpacking import PACKED, is_packed
 
-SUFFIXES = (".mcap", ".db3", ".bag")
-"""Of the files that are read; of one recording in several formats the first is taken."""
-_SPLIT = re.compile(r"(?P<stem>.+)_(?P<number>\d{1,5}|00\d{4,})\.(?i:mcap|db3|bag)")
+_RECORDINGS = (".mcap", ".db3", ".bag")
+SUFFIXES = (*_RECORDINGS, *PACKED)
+"""Of the files that are read; of one recording in several formats the first is taken. A compressed
+file has the suffix of its recording before its own."""
+_SPLIT = re.compile(
+    r"(?P<stem>.+)_(?P<number>\d{1,5}|00\d{4,})\.(?i:mcap|db3|bag)(?i:\.zstd|\.zst|\.bz2)?"
+)
 """What has more digits, and does not begin with two zeros, is a time or a date, but for
 :data:`_LATE` ones."""
-_LATE = re.compile(r"(?P<stem>.+)_(?P<number>(?!00)\d{6})\.(?i:mcap|db3|bag)")
+_LATE = re.compile(
+    r"(?P<stem>.+)_(?P<number>(?!00)\d{6})\.(?i:mcap|db3|bag)(?i:\.zstd|\.zst|\.bz2)?"
+)
 """Splits too, where the one of :data:`_BEFORE_LATE` is there, which is no time of day."""
 _BEFORE_LATE = "009999"
 _OTHERS = {
-    ".zstd": "run unzstd on it",
-    ".zst": "run unzstd on it",
+    ".zstd": "name a recording, as NAME.mcap.zstd",
+    ".zst": "name a recording, as NAME.mcap.zst",
+    ".bz2": "name a recording, as NAME.bag.bz2",
     ".mcap.active": "take .active off its name when nothing writes to it any more",
     ".db3.active": "take .active off its name when nothing writes to it any more",
     ".active": "run rosbag reindex on it and name it .bag",
@@ -104,7 +112,7 @@ def find_logs(inputs: Sequence[str | PathLike[str]] | str | PathLike[str]) -> li
         for part in parts:
             alone = len(part.paths) == 1 or len(parts) > 1
             first = part.paths[0]
-            alone_name = first if first.is_dir() else first.with_suffix("")
+            alone_name = first if first.is_dir() else first.with_name(_bare_name(first))
             if first.is_dir() and first.name.lower() in VAGUE and first.parent.name:
                 vague.add(len(stems))
             stems.append(alone_name if alone else first.with_name(stem))
@@ -233,12 +241,12 @@ def _files(text: str) -> tuple[list[Path], dict[Path, str]]:
     for item in _seen(text):
         (seen if item.is_file() else rest).append(item)
     shut = [item for item in rest if item.is_dir()]
-    links = [item for item in rest if item.is_symlink() and format_of(item) in SUFFIXES]
+    links = [item for item in rest if item.is_symlink() and _is_recording(item)]
     gone = [item for item in links if not item.exists()]
     others = [file for file in seen if _advice(file)]
     datasets = [file.parents[1] for file in seen if _is_dataset(file)]
     exports = [file for file in seen if _is_export(file)]
-    found = [file for file in seen if format_of(file) in SUFFIXES and not _is_export(file)]
+    found = [file for file in seen if _is_recording(file) and not _is_export(file)]
     if path.is_file():
         if others:
             problem = f"{path.suffix} files are not read"
@@ -274,6 +282,8 @@ def _within_input(file: Path, named: Path) -> str:
 
 def _advice(file: Path) -> str:
     """What can be done with a recording that is not read; empty for all else."""
+    if _is_recording(file):
+        return ""
     name = file.name.lower()
     return next((remedy for ending, remedy in _OTHERS.items() if name.endswith(ending)), "")
 
@@ -294,6 +304,16 @@ def _nothing(
         where, remedy = str(gone[0]), "mend the link"
         problem = "a link to nothing, and there is nothing else here"
     return InputError(problem, path=where, remedy=remedy)
+
+
+def _is_recording(file: Path) -> bool:
+    """Whether a file is of a format that is read, by its name."""
+    return (file.with_suffix("") if is_packed(file) else file).suffix.lower() in _RECORDINGS
+
+
+def _bare_name(file: Path) -> str:
+    """A file's name without the suffixes of its format."""
+    return (file.with_suffix("") if is_packed(file) else file).stem
 
 
 def _is_export(file: Path) -> bool:
@@ -400,7 +420,7 @@ def _within(path: Path) -> Iterable[Path]:
 def _split(path: Path) -> tuple[str, int]:
     """What the splits of a recording share of their names, and the number; -1: it is none."""
     match = _SPLIT.fullmatch(path.name) or _late_split(path)
-    return (match["stem"], int(match["number"])) if match else (path.stem, -1)
+    return (match["stem"], int(match["number"])) if match else (_bare_name(path), -1)
 
 
 def _late_split(path: Path) -> re.Match[str] | None:
