@@ -420,7 +420,9 @@ def test_recordings_that_are_compressed_as_a_whole_are_read(
     monkeypatch.setattr(tempfile, "tempdir", None)
     source = write_messages(tmp_path / "drive.mcap", aligned)
     if form != "mcap":
-        source = convert_log(source, tmp_path / ("drive" if form == "db3" else "drive.bag"))
+        mcap = source
+        source = convert_log(mcap, tmp_path / ("drive" if form == "db3" else "drive.bag"))
+        mcap.unlink()
     with open_log(str(source)) as whole:
         expected = depths(whole)
     packed = packed_file(source, ending)
