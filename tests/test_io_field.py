@@ -1,6 +1,7 @@
 """Logs with properties of real recordings: each reads as the log it was made of."""
 
 import bz2
+import json
 import struct
 import tempfile
 from collections.abc import Callable, Iterable
@@ -14,8 +15,9 @@ import zstandard
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
+from jaxdet.cli.main import main
 from jaxdet.errors import CalibrationError, InputError, JaxdetError, TopicError
-from jaxdet.io import Log, LogOptions, find_logs, open_log
+from jaxdet.io import Log, LogOptions, files, find_logs, open_log
 from jaxdet.io.body_frames import T_BODY_OPTICAL
 from jaxdet.io.motion import inverse
 from jaxdet.io.namespaces import namespaces_of_camera
@@ -644,3 +646,34 @@ def test_images_of_equal_stamps_that_differ_both_count(tmp_path, aligned):
 
     with opened(tmp_path, aligned + changed(aligned, other)) as log:
         assert log.num_frames == 12
+
+
+@pytest.mark.parametrize("without", [ALIGNED, "/camera/camera/aligned_depth_to_color/camera_info"])
+def test_info_shows_the_topics_of_a_log_without_a_camera(tmp_path, aligned, without, capsys):
+    some = [item for item in aligned if item.topic != without and not item.topic.endswith("info")]
+    path = write_messages(tmp_path / "x.mcap", some)
+    assert main(["info", str(path)]) == 1
+    shown, error = capsys.readouterr()
+    assert shown.startswith("x: can't be used\ntopics\n") and "/odom" in shown
+    assert "error" in error and ("no depth image" in error or "no calibration" in error)
+    assert main(["info", str(path), "--json"]) == 1
+    [log] = json.loads(capsys.readouterr().out)["logs"]
+    assert {item["topic"] for item in log["topics"]} == {item.topic for item in some}
+
+
+def test_a_folder_that_links_to_a_folder_above_it_is_searched_once(tmp_path, aligned):
+    folder = tmp_path / "logs"
+    (folder / "deep").mkdir(parents=True)
+    write_messages(folder / "x.mcap", aligned)
+    (folder / "deep" / "all").symlink_to("/", target_is_directory=True)
+    (folder / "here").symlink_to(folder, target_is_directory=True)
+    [log] = find_logs([folder])
+    assert log.name == "x" and "deep/all is left out: a link to a folder above it" in log.note
+
+
+def test_a_tree_of_very_many_folders_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(files, "MAX_FOLDERS", 20)
+    for number in range(30):
+        (tmp_path / f"{number}").mkdir()
+    with pytest.raises(InputError, match="more than 20 folders in it; name a smaller folder"):
+        find_logs([tmp_path])

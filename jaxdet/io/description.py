@@ -126,7 +126,7 @@ def describe(
         num_frames=count,
         part=_part_text(numbers, found.frames, first_ns),
         duration_s=(found.frames.stamp_ns(count - 1) - first_ns) / 1e9,
-        topics=_topics(contents, color if found.color else "", found.choice.depth),
+        topics=describe_topics(contents, color if found.color else "", found.choice.depth),
         choices=found.choice.reasons,
         calibration=found.calibrated.origins,
         extrinsics_source=found.calibrated.extrinsics_source,
@@ -192,8 +192,10 @@ def with_bad_color(about: LogDescription, notes: Notes) -> LogDescription:
     return about._replace(notes=(*about.notes, text))
 
 
-def _topics(contents: LogContents, color: str, depth: str) -> tuple[TopicDescription, ...]:
-    """The topics by name."""
+def describe_topics(
+    contents: LogContents, color: str = "", depth: str = ""
+) -> tuple[TopicDescription, ...]:
+    """Return the topics by name; ``color`` and ``depth`` are those that are used."""
     found = []
     for name, info in sorted(contents.topics.items()):
         span = (info.last_ns - info.first_ns) / 1e9

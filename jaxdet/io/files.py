@@ -51,6 +51,8 @@ so, as their headers are those of any writer."""
 VAGUE = ("data", "dataset", "frames", "images", "recording", "rgbd")
 """What folders of images are called that are told apart by the folders they are in."""
 _MAX_LISTED, _MAX_MISSING = 4, 1000
+MAX_FOLDERS = 100_000
+"""Folders that are searched for logs."""
 
 
 class LogFiles(NamedTuple):
@@ -218,27 +220,30 @@ def _going_on(log: LogFiles, known: Sketch | None, splits: Iterable[Path]) -> It
         near = number if found and found.span_ns else near
 
 
-def _seen(text: str) -> list[Path]:
-    """The files that an input names, of whatever kind, in order, and folders that are shut."""
+def _seen(text: str, skipped: list[Path]) -> list[Path]:
+    """The files that an input names, of whatever kind, in order, and folders that are shut.
+
+    Links to folders above go to ``skipped``.
+    """
     path = Path(text)
     _check_path(path)
     if not text:  # a shell's variable that is not set is not this folder
         raise InputError("a log without a name", remedy="check the arguments")
     if path.exists():
-        return sorted(_within(path))
+        return sorted(_within(path, skipped))
     if not glob.has_magic(text):
         raise InputError("no such file or folder", path=text, remedy="check the path")
     matches = [Path(match) for match in sorted(glob.glob(text, recursive=True))]
     for match in matches:
         _check_path(match)
     # A folder may match, and what is in it.
-    return list(dict.fromkeys(file for match in matches for file in _within(match)))
+    return list(dict.fromkeys(file for match in matches for file in _within(match, skipped)))
 
 
 def _files(text: str) -> tuple[list[Path], dict[Path, str]]:
     """The files of an input that are read, at least one, and what is to be said, by file."""
-    path, seen, rest = Path(text), list[Path](), list[Path]()
-    for item in _seen(text):
+    path, seen, rest, above = Path(text), list[Path](), list[Path](), list[Path]()
+    for item in _seen(text, above):
         (seen if item.is_file() else rest).append(item)
     shut = [item for item in rest if item.is_dir()]
     links = [item for item in rest if item.is_symlink() and _is_recording(item)]
@@ -267,6 +272,7 @@ def _files(text: str) -> tuple[list[Path], dict[Path, str]]:
     taken, left = _preferred(found)
     left += [(file, _advice(file)) for file in others]
     left += [(file, "a link to nothing") for file in gone]
+    left += [(item, "a link to a folder above it") for item in above]
     left += [(file, "an export of jaxdet") for file in exports]
     left += [(item, "images beside a recording") for item in sorted(copies)]
     left += [(item, "a LeRobot dataset") for item in datasets]
@@ -390,15 +396,19 @@ def format_of(path: Path) -> str:
     return path.suffix.lower()
 
 
-def _within(path: Path) -> Iterable[Path]:
+def _within(path: Path, skipped: list[Path]) -> Iterable[Path]:
     """A file, or what is in a folder and its subfolders but :data:`BESIDE`; links followed once.
 
     Of a folder that can't be listed, or whose files can't be looked at, it is the folder itself.
+    Links to folders above are not followed: they go to ``skipped``.
+
+    Raises:
+        InputError: There are more than ``MAX_FOLDERS`` folders.
     """
     if not path.is_dir():
         yield path
         return
-    walked, shut = set[tuple[int, int]](), list[Path]()
+    walked, shut, own = set[tuple[int, int]](), list[Path](), path.resolve()
     listed = os.walk(
         path, onerror=lambda error: shut.append(Path(error.filename)), followlinks=True
     )
@@ -413,6 +423,13 @@ def _within(path: Path) -> Iterable[Path]:
             folders.clear()
             continue
         walked.add((about.st_dev, about.st_ino))
+        if len(walked) > MAX_FOLDERS:
+            problem = f"there are more than {MAX_FOLDERS} folders in it"
+            raise InputError(problem, path=str(path), remedy="name a smaller folder")
+        links = [name for name in folders if os.path.islink(os.path.join(folder, name))]
+        up = [name for name in links if own.is_relative_to(Path(folder, name).resolve())]
+        skipped += [Path(folder, name) for name in up]
+        folders[:] = [name for name in folders if name not in up]
         yield from (Path(folder, name) for name in files if not name.startswith(BESIDE))
     yield from shut
 

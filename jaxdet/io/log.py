@@ -25,7 +25,13 @@ from jaxdet.io.body_frames import is_body_frame
 from jaxdet.io.chunks import DamageError
 from jaxdet.io.clocks import first_stamp, unset_clock_text
 from jaxdet.io.contents import LogContents
-from jaxdet.io.description import LogDescription, complete, describe, with_bad_color
+from jaxdet.io.description import (
+    LogDescription,
+    complete,
+    describe,
+    describe_topics,
+    with_bad_color,
+)
 from jaxdet.io.files import LogFiles, find_logs
 from jaxdet.io.findings import Findings, find_indexed, find_scanned
 from jaxdet.io.limits import ReadMemory
@@ -507,7 +513,11 @@ def _opened(
     options: LogOptions,
 ) -> Log:
     """Return the log; its depth frame counts as a body frame where the depth images say so."""
-    found = find()
+    try:
+        found = find()
+    except (TopicError, CalibrationError) as error:
+        error.topics = describe_topics(contents)
+        raise
     log = Log(files, contents, found, store, options)
     known = options.camera_frame is not None or found.calibrated.T_frame_camera is not None
     return (
