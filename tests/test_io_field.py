@@ -624,6 +624,25 @@ def test_seconds_do_not_count_from_a_clock_that_was_not_set(tmp_path, aligned, c
         assert log.description.duration_s == pytest.approx(whole.description.duration_s)
 
 
+@pytest.mark.parametrize("scan", [False, True])
+@pytest.mark.parametrize("topics", [("/camera",), ("/tf", "/odom"), ("/camera", "/tf", "/odom")])
+def test_a_clock_that_is_set_within_the_log_has_no_offset(tmp_path, aligned, topics, scan):
+    """Half of the stamps, or nearly so, are of 1970: the others have their poses."""
+    middle = sorted(item.log_ns for item in aligned if item.topic == ALIGNED)[2]
+
+    def change(message: Message) -> None:
+        if message.topic.startswith(topics) and message.log_ns < middle:
+            message.delay(-1_699_999_000 * SECOND)
+
+    with (
+        opened(tmp_path, aligned) as whole,
+        opened(tmp_path, changed(aligned, change), scan=scan) as log,
+    ):
+        assert log.T_world_camera is not None and whole.T_world_camera is not None
+        same(log.T_world_camera[3:], whole.T_world_camera[3:])
+        assert not any("offset" in text for text in log.description.warnings)
+
+
 @pytest.mark.parametrize("late_ns", [0, 7_000_000, 60 * SECOND])
 @pytest.mark.parametrize("part", [1.0, 0.5])
 def test_a_recording_merged_with_itself_counts_once(tmp_path, aligned, late_ns, part):

@@ -150,8 +150,8 @@ def decide_planes(
         sample = evenly(all_frames, config.ground.sample_frames)
         given = known, plane, config, find, at_once, alive
         record, windows[number] = _look(log, sample, *given)
-        if record.source == "none" and not config.cluster.points:
-            look = partial(_sampled, log, sample, plane, find, at_once, alive)
+        if record.source in ("none", "tf") and not config.cluster.points:
+            look = partial(_sampled, log, sample, unknown_plane(1), find, at_once, alive)
             record, windows[number], text = _look_turned(record, plane, len(sample), look)
             warnings = (*warnings, text) if text else warnings
         start = number * window_ns if window_ns else None
@@ -298,7 +298,7 @@ def _look_turned(
         degrees = f"{math.degrees(pitch):.0f}deg", f"{math.degrees(roll):.0f}deg"
         flags = f"--ground.camera-height-m {height:.2f} --ground.camera-pitch {degrees[0]} "
         flags += f"--ground.camera-roll {degrees[1]}"
-        if quarters == 2 and height < _LOW_M:
+        if quarters == 2 and height < _LOW_M and record.source == "none":
             text = f"the camera is taken to be mounted upside down ({flags}): turned over, "
             told = replace(told, height_spread_m=found.height_spread_m, frames_used=found.decided)
             return told, turned, f"{text}{_sample_text(found)}"

@@ -34,18 +34,32 @@ class Offset(NamedTuple):
 
 
 def color_offset(
-    contents: LogContents, options: LogOptions, depth_topic: str, color_topic: str
+    contents: LogContents,
+    options: LogOptions,
+    depth_topic: str,
+    color_topic: str,
+    last_delay_ns: int,
 ) -> Offset:
     """Return how far colour's stamps are ahead of depth's.
 
-    Where the stamps of both agree, their log times don't matter: one was written later.
+    Where the stamps of both agree, their log times don't matter: one was written later. Where the
+    clock of depth was set while the log was recorded, there is no one offset.
+
+    Args:
+        contents: The log's.
+        options: What the user says.
+        depth_topic: Topic of the depth images.
+        color_topic: Topic of the colour images; may be empty.
+        last_delay_ns: Stamp less log time of the last depth image.
     """
     if options.color_offset_s is not None:
         return Offset(round(options.color_offset_s * 1e9))
     if not color_topic or color_topic == depth_topic:
         return Offset()
     depth, color = contents.streams[depth_topic], contents.streams[color_topic]
-    if _stamps_agree(depth, color):
+    delays = _delays(depth)
+    stepped = len(delays) and abs(last_delay_ns - np.median(delays)) > _LEAST_S * 1e9
+    if stepped or _stamps_agree(depth, color):
         return Offset()
     found = _difference(_delays(color), _delays(depth))
     return Offset(found, _text(color_topic, found, "--log.color-offset-s")) if found else Offset()

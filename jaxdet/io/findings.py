@@ -66,8 +66,11 @@ def find_scanned(contents: LogContents, options: LogOptions, *, is_body: bool = 
     calibrated = _calibrate(contents, choice, options, is_body)
     depth = contents.streams[choice.depth]
     color = contents.streams[choice.color] if calibrated.has_color else None
-    of_color = color_offset(contents, options, choice.depth, choice.color if color else "")
-    frames = order_frames(depth, color, options.pair_tolerance_s, of_color.ns)
+    frames = order_frames(depth, color, options.pair_tolerance_s)
+    used = choice.color if color else ""
+    of_color = color_offset(contents, options, choice.depth, used, _last_delay(frames))
+    if of_color.ns:
+        frames = order_frames(depth, color, options.pair_tolerance_s, of_color.ns)
     stamps, tracks = frames.about_ns(), contents.tracks
 
     def share_known(source: PoseSource) -> float:
@@ -133,7 +136,7 @@ def find_indexed(log: IndexedLog, options: LogOptions, *, is_body: bool = False)
         color.whole = False
     motions, tolerance = log.motions.of_tree(contents.tree), options.pair_tolerance_s
     frames = IndexedFrames(depth, color, motions, PoseSource(""), tolerance, path)
-    of_color = color_offset(contents, options, choice.depth, topics[-1])
+    of_color = color_offset(contents, options, choice.depth, topics[-1], _last_delay(frames))
     frames = frames._replace(color_offset_ns=of_color.ns)
 
     def share_known(source: PoseSource) -> float:
@@ -174,6 +177,12 @@ def find_indexed(log: IndexedLog, options: LogOptions, *, is_body: bool = False)
         ),
         (of_color.text,) if of_color.text else (),
     )
+
+
+def _last_delay(frames: ScannedFrames | IndexedFrames) -> int:
+    """Return stamp less log time of the last frame [ns]; 0 without one."""
+    last = frames.num_frames - 1
+    return frames.stamp_ns(last) - frames.log_ns(last) if last >= 0 else 0
 
 
 def _check_stamps(log: IndexedLog, topics: Sequence[str]) -> None:

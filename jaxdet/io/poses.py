@@ -138,7 +138,8 @@ def find_poses(
             the transforms form a cycle.
     """
     if options.odom:
-        return on_clock(_given_track(contents, options, options.odom, camera_frame, base_frame))
+        source = _given_track(contents, options, options.odom, camera_frame, base_frame)
+        return _on_clock(source, share_known, on_clock)
     if options.world_frame and not (
         camera_frame and contents.tree.joins(options.world_frame, camera_frame)
     ):
@@ -146,7 +147,8 @@ def find_poses(
         raise CalibrationError(problem, path=contents.path, remedy="change --log.world-frame")
     if options.world_frame:
         text = f"poses: TF, frame {printable(options.world_frame)!r}"
-        return on_clock(PoseSource(text, camera=camera_frame, world=options.world_frame))
+        source = PoseSource(text, camera=camera_frame, world=options.world_frame)
+        return _on_clock(source, share_known, on_clock)
     best, most = None, 0.0
     for world in _named(contents, _WORLDS):
         if not camera_frame or world == base_frame or not contents.tree.joins(world, camera_frame):
@@ -154,7 +156,8 @@ def find_poses(
         text = f"poses: TF, frame {printable(world)!r}"
         if best:
             text += f", where more are known than in {printable(best.world)!r}"
-        source = on_clock(PoseSource(text, camera=camera_frame, world=world))
+        source = PoseSource(text, camera=camera_frame, world=world)
+        source = _on_clock(source, share_known, on_clock)
         share = share_known(source)
         if share > most:
             best, most = source, share
@@ -164,11 +167,26 @@ def find_poses(
         return best
     topics = _robot_poses(contents, depth_topic)
     if len(topics) == 1:
-        return on_clock(_from_track(contents, topics[0], camera_frame, base_frame))
+        source = _from_track(contents, topics[0], camera_frame, base_frame)
+        return _on_clock(source, share_known, on_clock)
     if topics:
         text = f"several topics hold poses ({listed(topics)}); choose one with --log.odom"
         return PoseSource("poses: none chosen", (text,))
     return PoseSource("poses: none in the log")
+
+
+def _on_clock(
+    source: PoseSource,
+    share_known: Callable[[PoseSource], float],
+    on_clock: Callable[[PoseSource], PoseSource],
+) -> PoseSource:
+    """Return the source with the offset of its clock.
+
+    An offset with which fewer poses are known is none: a clock was set while the log was recorded.
+    """
+    found = on_clock(source) if source.known else source
+    measured = found.offset_ns and found.warnings != source.warnings
+    return source if measured and share_known(source) > share_known(found) else found
 
 
 def _given_track(
