@@ -40,6 +40,7 @@ _OTHERS = {
     ".svo2": "play it to ROS 2 topics and record them as MCAP",
     ".mkv": "play it to ROS 2 topics and record them as MCAP",
     ".oni": "play it to ROS 2 topics and record them as MCAP",
+    ".r3d": "export its frames as images, with 16-bit PNG depth in millimetres",
 }
 """How names of recordings end that are not read, and what can be done; the first that fits."""
 _DATASET = "write its frames as PNG to color/ and depth/ with a camera.json, see jaxdet help logs"
@@ -231,6 +232,9 @@ def _seen(text: str, skipped: list[Path]) -> list[Path]:
         raise InputError("a log without a name", remedy="check the arguments")
     if path.exists():
         return sorted(_within(path, skipped))
+    if "://" in text:
+        problem, remedy = "addresses are not read", "copy it to a disk, or mount the storage"
+        raise InputError(problem, path=text, remedy=remedy)
     if not glob.has_magic(text):
         raise InputError("no such file or folder", path=text, remedy="check the path")
     matches = [Path(match) for match in sorted(glob.glob(text, recursive=True))]
@@ -242,6 +246,8 @@ def _seen(text: str, skipped: list[Path]) -> list[Path]:
 
 def _files(text: str) -> tuple[list[Path], dict[Path, str]]:
     """The files of an input that are read, at least one, and what is to be said, by file."""
+    if Path(text).name == "metadata.yaml" and Path(text).is_file():
+        text = str(Path(text).parent)  # of rosbag2: its files are named in it
     path, seen, rest, above = Path(text), list[Path](), list[Path](), list[Path]()
     for item in _seen(text, above):
         (seen if item.is_file() else rest).append(item)
@@ -298,7 +304,8 @@ def _nothing(
     text: str, others: Sequence[Path], exports: Sequence[Path], gone: Sequence[Path]
 ) -> InputError:
     """The error of an input without logs, by what else is there."""
-    where, remedy = text, "name an MCAP file or a folder"
+    where, remedy = text, "name an MCAP file or a folder; jaxdet help logs has the layouts of "
+    remedy += "folders of images"
     problem = "no .mcap, .bag or .db3 file and no folder of images found"
     if others:
         where, remedy = str(others[0]), _advice(others[0])

@@ -370,8 +370,16 @@ def _missing(contents: LogContents) -> TopicError:
     if unread := _unread(contents):
         known = f"encodings not read: {listed(unread)}; {known}"
     remedy = "record depth in an encoding that jaxdet help logs names, or give --log.depth TOPIC"
+    clouds = [name for name, info in topics if _is_cloud(info.channel.schema_name)]
+    if clouds:
+        known = f"PointCloud2 ({listed(clouds)}) is not read; {known}"
+        remedy = "record the depth images that the clouds were made of"
     remedy = remedy if names else "copy or record it again"
     return TopicError(f"no depth image topic; {known}", path=contents.path, remedy=remedy)
+
+
+def _is_cloud(schema_name: str) -> bool:
+    return plain_schema_name(schema_name) in ("sensor_msgs/PointCloud2", "foxglove.PointCloud")
 
 
 def _unread(contents: LogContents) -> list[str]:
