@@ -6,7 +6,8 @@ the depth images tell: through the frame as it stands they show no floor, and wi
 rotation they do.
 """
 
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,10 +16,7 @@ from jaxdet.elementary import matmul
 from jaxdet.errors import printable
 from jaxdet.io.motion import difference, inverse
 from jaxdet.io.transforms import TransformTree
-from jaxdet.types import Intrinsics
-
-if TYPE_CHECKING:
-    from jaxdet.io.log import Log
+from jaxdet.types import Frames, Intrinsics
 
 T_BODY_OPTICAL = np.array(
     [[0.0, 0.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
@@ -86,22 +84,26 @@ def optical_frame(tree: TransformTree, frame: str) -> str:
     return ""
 
 
-def is_body_frame(log: "Log") -> bool:
+def is_body_frame(
+    num_frames: int, T_base: np.ndarray | None, read: Callable[[Sequence[int]], Frames]
+) -> bool:
     """Return whether the depth images show a floor only with the optical rotation.
 
     A sample of frames is read where the optical axis, as it stands, looks steeply up or down.
+
+    Args:
+        num_frames: Frames of the log.
+        T_base: ``(4, 4)`` float64, the camera on the robot; None: its poses in the world count.
+        read: Reads the frames of some numbers.
     """
-    T_base = log.T_base_camera
-    if not log.num_frames or (T_base is not None and abs(T_base[2, 2]) < _STEEP):
+    if not num_frames or (T_base is not None and abs(T_base[2, 2]) < _STEEP):
         return False
-    if T_base is None and not log.has_poses:
-        return False
-    numbers = np.unique(np.linspace(0, log.num_frames - 1, _LOOKS).astype(int)).tolist()
+    numbers = np.unique(np.linspace(0, num_frames - 1, _LOOKS).astype(int)).tolist()
     if T_base is None:
-        first = log.read(numbers[:1]).frames.T_world_camera
-        if first is not None and abs(first[0, 2, 2]) < _STEEP:
+        first = read(numbers[:1]).T_world_camera
+        if first is None or abs(first[0, 2, 2]) < _STEEP:
             return False
-    frames = log.read(numbers).frames
+    frames = read(numbers)
     shares = []
     for row in np.flatnonzero(frames.valid).tolist():
         T = T_base
@@ -110,7 +112,7 @@ def is_body_frame(log: "Log") -> bool:
             T = None if poses is None or np.isnan(poses[row]).any() else poses[row]
         if T is not None:
             depth = frames.depth[row]
-            points = _points(depth, log.calibration.depth, log.calibration.depth_unit)
+            points = _points(depth, frames.calibration.depth, frames.calibration.depth_unit)
             turned = matmul(T, T_BODY_OPTICAL)
             known = T_base is not None
             shares.append([_floor_share(points, one, known) for one in (T, turned)])

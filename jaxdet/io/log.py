@@ -520,11 +520,12 @@ def _opened(
         raise
     log = Log(files, contents, found, store, options)
     known = options.camera_frame is not None or found.calibrated.T_frame_camera is not None
-    return (
-        log
-        if known or not is_body_frame(log)
-        else Log(files, contents, find(is_body=True), store, options)
-    )
+    places = log.has_poses or log.T_base_camera is not None
+    if known or not places:
+        return log
+    if is_body_frame(log.num_frames, log.T_base_camera, lambda some: log.read(some).frames):
+        return Log(files, contents, find(is_body=True), store, options)
+    return log
 
 
 class _Known(NamedTuple):

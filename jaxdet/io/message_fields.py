@@ -133,11 +133,12 @@ def _info(message: Any, name: str) -> CameraInfoMessage:
         for key in "DKP"
     )
     size = int(message.width), int(message.height)
-    binning = tuple(max(1, int(getattr(message, f"binning_{axis}", 0))) for axis in "xy")
+    bx, by = (max(1, int(getattr(message, f"binning_{axis}", 0))) for axis in "xy")
     roi, names = getattr(message, "roi", None), ("x_offset", "y_offset", "width", "height")
-    part = tuple(int(getattr(roi, key)) for key in names) if roi is not None else (0, 0, 0, 0)
+    x, y, width, height = (int(getattr(roi, key, 0)) for key in names)
     model = str(message.distortion_model)
-    return CameraInfoMessage(stamp, frame, *size, model, D, K, P, binning, part)
+    part = x, y, width, height
+    return CameraInfoMessage(stamp, frame, *size, model, D, K, P, (bx, by), part)
 
 
 def _rgbd(message: Any, name: str) -> RgbdMessage:
