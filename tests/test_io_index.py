@@ -382,7 +382,7 @@ def test_what_batches_tell_adds_up_whatever_the_split(tmp_path):
 def test_robots_that_stand_still_at_first_and_rare_transforms(tmp_path, monkeypatch):
     """A sample of the transforms shows them to be constant, or one of them once: it is not so."""
     monkeypatch.setattr(indexed, "_MAX_MOTIONS", 10)
-    monkeypatch.setattr(indexed, "_FIRST_MOTIONS", 4)
+    monkeypatch.setattr(indexed, "FIRST_MOTIONS", 4)
     monkeypatch.setattr(indexed, "_MOTION_SAMPLE", 3)
     for moves, frame in ((False, "odom"), (True, "odom"), (True, "map")):
         with LogFile(tmp_path / "x.mcap", chunk_size=9000) as log:

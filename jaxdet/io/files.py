@@ -435,7 +435,7 @@ def _within(path: Path, skipped: list[Path]) -> Iterable[Path]:
             raise InputError(problem, path=str(path), remedy="name a smaller folder")
         links = [name for name in folders if os.path.islink(os.path.join(folder, name))]
         up = [name for name in links if own.is_relative_to(Path(folder, name).resolve())]
-        skipped += [Path(folder, name) for name in up]
+        skipped += [Path(folder, n) for n in up if Path(folder, n).resolve() != own]
         folders[:] = [name for name in folders if name not in up]
         yield from (Path(folder, name) for name in files if not name.startswith(BESIDE))
     yield from shut
