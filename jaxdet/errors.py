@@ -3,6 +3,7 @@
 import difflib
 from collections.abc import Iterable
 from enum import StrEnum
+from typing import Any
 
 
 def printable(text: str) -> str:
@@ -40,6 +41,9 @@ class JaxdetError(Exception):
         topic: Topic or argument.
         remedy: Action for the user, for instance the flag that supplies a missing value.
     """
+
+    topics: tuple[Any, ...] = ()
+    """Of the log that it is about, where these are known (``jaxdet info`` shows them)."""
 
     def __init__(self, problem: str, *, path: str = "", topic: str = "", remedy: str = "") -> None:
         self.problem, self.path, self.topic, self.remedy = problem, path, topic, remedy

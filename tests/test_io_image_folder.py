@@ -36,6 +36,7 @@ def images(count: int = 3) -> tuple[np.ndarray, np.ndarray]:
 
 def write(folder: Path, color_names: list[str], depth_names: list[str]) -> None:
     for array, names in zip(images(), (color_names, depth_names), strict=True):
+        array = array[: len(names)]
         for image, name in zip(array, names, strict=True):
             path = folder / name
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -302,3 +303,57 @@ def test_images_of_other_sizes_are_another_folder(tmp_path):
         found.append(fingerprint(tmp_path)["fingerprint"])
         sizes = {"a.png": 2, "b.png": 1}
     assert found[0] != found[1]
+
+
+def depth_poses(count: int = 3) -> np.ndarray:
+    T = np.tile(np.diag([1.0, -1.0, -1.0, 1.0]), (count, 1, 1))
+    T[:, :3, 3] = np.arange(count)[:, None] * [0.1, 0.2, 0.0] + [0, 0, 1.5]
+    return T
+
+
+@pytest.mark.parametrize("lost", [False, True])
+def test_scannet_has_matrices_of_both_images_and_a_pose_for_each(tmp_path, lost):
+    write(tmp_path, [f"color/{i}.jpg" for i in (0, 1, 10)], [])
+    for image, number in zip(images()[1], (0, 1, 10), strict=True):
+        (tmp_path / "depth").mkdir(exist_ok=True)
+        cv2.imwrite(str(tmp_path / f"depth/{number}.png"), image[::2, ::2])
+    for name in ("intrinsic", "pose"):
+        (tmp_path / name).mkdir()
+    for kind, factor in (("color", 1), ("depth", 2)):
+        matrix = np.eye(4)
+        matrix[[0, 1, 0, 1], [0, 1, 2, 2]] = np.array(K) / factor
+        np.savetxt(tmp_path / f"intrinsic/intrinsic_{kind}.txt", matrix)
+    poses = depth_poses()
+    for T, number in zip(poses, (0, 1, 10), strict=True):
+        T = np.full((4, 4), -np.inf) if lost and number == 1 else T
+        np.savetxt(tmp_path / f"pose/{number}.txt", T)
+    with open_log(str(tmp_path)) as log:
+        np.testing.assert_allclose(log.calibration.depth[2:6], np.array(K) / 2)
+        assert log.calibration.color is not None and log.calibration.color[2:6] == K
+        assert log.depth_shape == (15, 20) and log.color_shape == (30, 40, 3)
+        np.testing.assert_array_equal(log[0].depth, images()[1][0][::2, ::2])
+        assert log.T_world_camera is not None
+        some = [0, 2] if lost else [0, 1, 2]  # a lost one lies between its neighbours
+        np.testing.assert_allclose(log.T_world_camera[some], poses[some], atol=1e-12)
+
+
+def test_seven_scenes_has_all_images_in_one_folder(tmp_path):
+    names = [f"frame-{i:06d}" for i in range(3)]
+    write(tmp_path, [f"{n}.color.png" for n in names], [f"{n}.depth.png" for n in names])
+    for T, name in zip(depth_poses(), names, strict=True):
+        np.savetxt(tmp_path / f"{name}.pose.txt", T)
+    with pytest.raises(CalibrationError, match=r"--log\.color-intrinsics"):
+        open_log(str(tmp_path))
+    with open_log(str(tmp_path), LogOptions(color_intrinsics=K)) as log:
+        assert log.num_frames == 3 and log.has_color
+        np.testing.assert_array_equal(log[2].depth, images()[1][2])
+        np.testing.assert_allclose(log.T_world_camera, depth_poses(), atol=1e-12)
+
+
+@pytest.mark.parametrize("color", ["image", "rgb"])
+def test_redwoods_scans_have_times_in_their_names(tmp_path, color):
+    names = [f"{i + 1:07d}-{i * 33_369:012d}" for i in range(3)]
+    write(tmp_path, [f"{color}/{n}.jpg" for n in names], [f"depth/{n}.png" for n in names])
+    with open_log(str(tmp_path), LogOptions(color_intrinsics=K)) as log:
+        assert np.diff(log.stamps_ns).tolist() == [33_369_000] * 2
+        assert not any("no stamps" in text for text in log.description.warnings)

@@ -209,6 +209,6 @@ def test_the_search_looks_at_few_frames():
         for first in (0, 1, 7, 500_000, 999_999):
             seen.clear()
             start = f"{10 * first / 1e9:.9f}"
-            assert find_part(about_ns, stamp_ns, start, None, 1, "log") == range(first, 10**6)
+            assert find_part(10, about_ns, stamp_ns, start, None, 1, "log") == range(first, 10**6)
             assert len(seen) < 40 and {abs(n - first) for n in seen if n} <= set(range(70_000))
-    assert find_part(about_ns[:0], stamp_ns, "1", None, 1, "log") == range(0)
+    assert find_part(0, about_ns[:0], stamp_ns, "1", None, 1, "log") == range(0)

@@ -57,14 +57,16 @@ def write(path, topics, base=True, late_ns=0):
     return str(path)
 
 
-def test_poses_of_another_clock_are_warned_of(tmp_path):
-    for late_s, warned in ((0, False), (100_000, True)):
+def test_poses_of_another_clock_are_allowed_for(tmp_path):
+    for late_s in (0, 3, -100_000):
         path = write(tmp_path / f"{late_s}.mcap", ["/odom"], late_ns=late_s * 1_000_000_000)
-        with open_log(path) as log:
-            assert log.has_poses
+        with open_both_ways(path) as log:
             about = log.described(next(log.batches(2)).notes)
-        assert (about.num_poses == 0) == warned
-        assert any("no frame has a pose" in text for text in about.warnings) == warned
+        assert about.num_poses == 2
+        assert any("--log.pose-offset-s 0" in text for text in about.warnings) == bool(late_s)
+    with open_log(path, LogOptions(pose_offset_s=0.0)) as log:
+        about = log.described(next(log.batches(2)).notes)
+    assert about.num_poses == 0 and any("no frame has a pose" in item for item in about.warnings)
 
 
 def test_several_pose_topics_are_not_guessed(tmp_path):

@@ -481,7 +481,7 @@ def test_video_is_refused_by_name(tmp_path):
 def test_a_transform_that_cannot_be_decoded_is_counted(tmp_path, monkeypatch, bad):
     """Be it beyond those that opening looks at: the log is scanned then."""
     monkeypatch.setattr(indexed, "_MAX_MOTIONS", 0)
-    monkeypatch.setattr(indexed, "_FIRST_MOTIONS", 4)
+    monkeypatch.setattr(indexed, "FIRST_MOTIONS", 4)
     monkeypatch.setattr(indexed, "_MOTION_SAMPLE", 2)
     path, scene = tmp_path / "x.mcap", make_scene(40)
     text = STORE.generate_msgdef("tf2_msgs/msg/TFMessage", ros_version=2)[0].encode()

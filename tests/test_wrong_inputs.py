@@ -102,8 +102,8 @@ def test_stamps_before_1970_are_named(tmp_path, given):
         open_log(str(tmp_path / "x.mcap"), LogOptions(**given))
 
 
-def test_depth_of_another_rate_or_clock_is_used_without_colour(tmp_path, capsys):
-    """Depth at half the rate has two frames; depth of another clock has four, without colour."""
+def test_depth_of_another_rate_or_clock_is_used_with_its_colour(tmp_path, capsys):
+    """Depth at half the rate has two frames; depth of another clock has four, as its log times."""
     for late_s, every, frames in ((0, 1, 4), (0, 2, 2), (5, 1, 4)):
         scene, path = make_scene(4), tmp_path / f"{late_s}_{every}.mcap"
         with LogFile(path) as log:
@@ -122,7 +122,7 @@ def test_depth_of_another_rate_or_clock_is_used_without_colour(tmp_path, capsys)
         capsys.readouterr()
         rows = pq.read_table(only_log(out) / "frames.parquet").to_pylist()
         assert [row["status"] for row in rows] == frames * ["ok"]
-        assert [row["color_stamp_ns"] is None for row in rows] == frames * [late_s > 0]
+        assert [row["color_stamp_ns"] for row in rows] == stamps[::every]
 
 
 @pytest.mark.parametrize("form", ["millimetres in floats", "tenths of them"])

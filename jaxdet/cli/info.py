@@ -68,6 +68,7 @@ def main(args: list[str]) -> int:
     config, log_options, name = defaults(args)
     start = {"preset": name, "ground": config.ground, "log": log_options}
     command = parse_flags(InfoCommand, args, "jaxdet info", DESCRIPTION, COMMON, start)
+    from jaxdet.engine import plain
     from jaxdet.io import find_logs
     from jaxdet.results.summary import to_json
 
@@ -88,7 +89,10 @@ def main(args: list[str]) -> int:
         except JaxdetError as error:
             failed += 1
             camera = {"camera": options.camera} if options.camera else {}
-            found.append({"log": files.name, **camera, "error": str(error)})
+            known = {"topics": plain(error.topics)} if error.topics else {}
+            found.append({"log": files.name, **camera, **known, "error": str(error)})
+            if error.topics and not command.json:
+                print("\n".join([f"{files.name}: can't be used", *_topic_lines(error.topics)]))
             tell(f"jaxdet: error: {error}")
         else:
             found.append(about)
@@ -137,7 +141,7 @@ def _lines(label: str, about: "LogDescription", planes: "Planes", color: str) ->
     yield f"{label}: {many(about.num_frames, 'frame')} in {about.duration_s:.2f} s"
     files = [f"{printable(str(file.path))}: {file.text}" for file in about.integrity]
     yield from _section("files", files)
-    yield from _section("topics", _topics(about.topics))
+    yield from _topic_lines(about.topics)
     yield from _section("cameras", about.cameras)
     yield from _section("used", about.choices)
     yield from _section("part", [about.part])
@@ -150,6 +154,10 @@ def _lines(label: str, about: "LogDescription", planes: "Planes", color: str) ->
     yield from _section("poses", [about.pose_source, known])
     yield from _section("warnings", [*about.warnings, *planes.warnings])
     yield from _section("notes", about.notes)
+
+
+def _topic_lines(topics: Sequence["TopicDescription"]) -> list[str]:
+    return list(_section("topics", _topics(topics)))
 
 
 def _section(name: str, lines: Sequence[str]) -> Iterator[str]:

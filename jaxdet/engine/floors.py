@@ -7,6 +7,7 @@ depend on how a run is split. Each frame's own depth then corrects it; for clust
 the floor.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -24,7 +25,8 @@ from jaxdet.floor.plane import (
     repeat_plane,
     unknown_plane,
 )
-from jaxdet.floor.sampled import SampledFloor, sampled_floor
+from jaxdet.floor.sampled import ENOUGH, SampledFloor, sampled_floor
+from jaxdet.floor.turned import turned_back, turned_frames
 from jaxdet.pipeline import BackendName, find_floors
 from jaxdet.types import Frames, GroundPlane
 
@@ -34,6 +36,10 @@ if TYPE_CHECKING:
 
 FindFloors = Callable[[Frames], "FloorFit"]
 
+_FEW, _MOST = 0.25, 0.75
+"""Shares of a sample that show their floor: of a camera that is turned, and turned upright."""
+_LOW_M = 1.0
+"""Cameras lower than this that see no floor but a plane above them are upside down."""
 MIN_HEIGHT_M, MAX_HEIGHT_M = 0.02, 20.0
 """Camera heights that a TF tree is believed for; a base frame in the camera has none."""
 
@@ -144,6 +150,10 @@ def decide_planes(
         sample = evenly(all_frames, config.ground.sample_frames)
         given = known, plane, config, find, at_once, alive
         record, windows[number] = _look(log, sample, *given)
+        if record.source in ("none", "tf") and not config.cluster.points:
+            look = partial(_sampled, log, sample, unknown_plane(1), find, at_once, alive)
+            record, windows[number], text = _look_turned(record, plane, len(sample), look)
+            warnings = (*warnings, text) if text else warnings
         start = number * window_ns if window_ns else None
         records.append(replace(record, window_start_ns=start))
     unknown = sum(not one.valid[0] for one in windows.values())
@@ -221,19 +231,9 @@ def _look(
     alive: Callable[[], object],
 ) -> tuple[GroundRecord, GroundPlane]:
     """The prior that a sample of frames gives: what they show, else what is known."""
-    shown, own = [], []
-    size = at_once or len(sample)
-    for first in range(0, len(sample), size):
-        frames = log.read(sample[first : first + size].tolist()).frames
-        if frames.valid.any():
-            frames = frames._replace(plane=repeat_plane(plane, len(frames.valid)))
-            fit = find(frames)
-            shown.append(GroundPlane(*(np.asarray(a)[frames.valid] for a in fit.plane)))
-            own.append(np.asarray(fit.own)[frames.valid])
-        alive()
-    if not shown:
+    found = _sampled(log, sample, plane, find, at_once, alive)
+    if found is None:
         return replace(known, message=_said(known, "no sampled frame could be read")), plane
-    found = sampled_floor(join_planes(shown), np.concatenate(own))
     message = _said(known, _sample_text(found))
     alone = not plane.valid[0] and not config.cluster.points
     if not (found.agrees if alone else found.plane.valid[0]):
@@ -246,6 +246,65 @@ def _look(
         frames_used=found.decided,
     )
     return record, found.plane
+
+
+def _sampled(
+    log: "Log",
+    sample: np.ndarray,
+    plane: GroundPlane,
+    find: FindFloors,
+    at_once: int | None,
+    alive: Callable[[], object],
+    quarters: int = 0,
+) -> SampledFloor | None:
+    """Return the floor of a sample whose images are turned; None where no frame can be read."""
+    shown, own = [], []
+    size = at_once or len(sample)
+    for first in range(0, len(sample), size):
+        frames = log.read(sample[first : first + size].tolist()).frames
+        if frames.valid.any():
+            if quarters:
+                frames = turned_frames(frames, quarters)
+            frames = frames._replace(plane=repeat_plane(plane, len(frames.valid)))
+            fit = find(frames)
+            shown.append(GroundPlane(*(np.asarray(a)[frames.valid] for a in fit.plane)))
+            own.append(np.asarray(fit.own)[frames.valid])
+        alive()
+    return sampled_floor(join_planes(shown), np.concatenate(own)) if shown else None
+
+
+def _look_turned(
+    record: GroundRecord,
+    plane: GroundPlane,
+    looked_at: int,
+    look: Callable[[int], SampledFloor | None],
+) -> tuple[GroundRecord, GroundPlane, str]:
+    """Look for the floor of a camera whose mount nobody states, upside down and on its sides.
+
+    An upside-down one is believed where its floor is near: else it may be an upright camera that
+    sees a ceiling. Of one on its side the flags are named, as walls look like its floor.
+    """
+    if record.frames_used is None or record.frames_used > _FEW * looked_at:
+        return record, plane, ""
+    for quarters in (2, 1, 3):
+        found = look(quarters)
+        if found is None or not found.agrees:
+            continue
+        if found.decided < max(ENOUGH, _MOST * found.looked_at):
+            continue
+        turned = turned_back(found.plane, quarters)
+        told = _record("estimate", turned, _sample_text(found))
+        height, pitch, roll = (float(part[0]) for part in turned[:3])
+        degrees = f"{math.degrees(pitch):.0f}deg", f"{math.degrees(roll):.0f}deg"
+        flags = f"--ground.camera-height-m {height:.2f} --ground.camera-pitch {degrees[0]} "
+        flags += f"--ground.camera-roll {degrees[1]}"
+        if quarters == 2 and height < _LOW_M and record.source == "none":
+            text = f"the camera is taken to be mounted upside down ({flags}): turned over, "
+            told = replace(told, height_spread_m=found.height_spread_m, frames_used=found.decided)
+            return told, turned, f"{text}{_sample_text(found)}"
+        text = f"if the camera is mounted so, give {flags}: turned, {_sample_text(found)}"
+        return record, plane, text
+    return record, plane, ""
 
 
 def _record(source: str, plane: GroundPlane, message: str = "") -> GroundRecord:

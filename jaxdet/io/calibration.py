@@ -1,6 +1,7 @@
 """The calibration of the chosen topics, each part with where it comes from."""
 
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -8,6 +9,7 @@ import numpy as np
 
 from jaxdet.checks import check_calibration, check_depth_unit
 from jaxdet.errors import CalibrationError, TransformError, printable
+from jaxdet.io.body_frames import T_BODY_OPTICAL, body_frame_text, optical_frame
 from jaxdet.io.contents import LogContents
 from jaxdet.io.extrinsics import find_extrinsics
 from jaxdet.io.image_folder import LISTED_DEPTH
@@ -22,17 +24,27 @@ DEPTH_UNIT_M = 0.001
 """Metres in one depth unit, where nothing else is said."""
 _ASSUMED = "the default"
 """Where that depth unit comes from."""
+_NEAR_M, _FAR_M = 0.05, 65.535
+"""Between these is the median depth of an image."""
 _AS_FOLDERS = "as in TUM's and Open3D's folders"
 _ONE_LENS = 0.01
 """How much camera matrices of one lens may differ, in widths and heights of their images."""
+_CROPPED = 1e-3
+"""How much the focal lengths of a cropped image may differ from a whole multiple of another's."""
 
 
 class Calibrated(NamedTuple):
     """A log's calibration and how it was found."""
 
     calibration: Calibration
+    unit_in_floats: float
+    """A depth unit, in the unit of recorded 32FC1 depth."""
     camera_frame: str
     """TF frame of the depth camera; of aligned depth, that of the colour camera."""
+    tf_frame: str
+    """The same as the images name it, which may be a body frame."""
+    T_frame_camera: np.ndarray | None
+    """``(4, 4)`` float64, from the camera to that frame; None where they are the same."""
     color_frame: str
     """TF frame of the colour images; empty where none are used."""
     has_color: bool
@@ -86,27 +98,39 @@ class _Color(NamedTuple):
     warnings: tuple[str, ...] = ()
     error: CalibrationError | None = None
     """Why they can't be used."""
+    depth_is_body: bool = False
+    """Whether depth's frame is a body frame by its place to colour's."""
 
 
-def calibrate(contents: LogContents, choice: Choice, options: LogOptions) -> Calibrated:
+def calibrate(
+    contents: LogContents, choice: Choice, options: LogOptions, *, is_body: bool = False
+) -> Calibrated:
     """The calibration for the chosen topics: depth's, and how colour is placed to it.
 
     Depth that is aligned to colour has the calibration of the colour camera, or, where that has
     none, its own. A colour camera that isn't calibrated, or whose place isn't known, is an error
     only where options are about its calibration; else its images aren't used.
 
+    Args:
+        contents: What is in the log.
+        choice: The topics.
+        options: What the user says.
+        is_body: Whether the depth images show that their frame is a body frame.
+
     Raises:
         CalibrationError: A part of depth's is missing, unknown or contradicts another; the text
             names the flag that supplies it.
     """
     sources = _sources(contents, choice, options)
-    unit, unit_source = _depth_unit(contents, options, choice.depth)
+    stream = contents.streams[choice.depth]
+    unit, unit_source, recorded = _units(contents, options, stream)
     aligned, why = _aligned(sources, choice, options)
     if aligned and choice.infrared:  # which has other pixels
         sources = sources._replace(color=None, color_frame="")
     source = _of_depth(contents, sources, options) if aligned else sources.depth
     found = find_intrinsics(source)
     warnings = [*found.warnings, *_unit_doubts(unit_source, contents.path)]
+    warnings += _float_doubts(stream, recorded)
     if aligned:
         color = _aligned_color(sources, source, found.intrinsics, choice.depth)
         if source is sources.color:
@@ -117,13 +141,8 @@ def calibrate(contents: LogContents, choice: Choice, options: LogOptions) -> Cal
     elif choice.infrared:
         color = _Color(_same_pixels(sources, found.intrinsics))
     else:
-        color = _other_color(contents, choice, options, sources, found.intrinsics)
-    other = color.camera and color.camera.intrinsics
-    calibration = Calibration(found.intrinsics, other, color.extrinsics, unit)
-    try:
-        check_calibration(calibration)
-    except CalibrationError as error:
-        raise CalibrationError(error.problem, path=contents.path, remedy=error.remedy) from error
+        color = _other_color(contents, choice, options, sources, found.intrinsics, is_body)
+    calibration = _calibration(found, color, unit, contents.path)
     origins = [_line("depth" if source is sources.depth else "colour", found)]
     origins += [_line("colour", color.camera)] if color.camera else []
     origins.append(f"depth unit: {unit:g} m, {unit_source}")
@@ -131,11 +150,17 @@ def calibrate(contents: LogContents, choice: Choice, options: LogOptions) -> Cal
     used = {item.topic: item.info for item in described if item.info and item.matrix is None}
     of_depth = source.topic if source.topic in used else ""
     problem, note = _without_color(choice, color)
-    frame = sources.color_frame if aligned else ""
+    frame = options.camera_frame or (aligned and sources.color_frame) or sources.depth_frame
+    turned = is_body or color.depth_is_body
+    camera_frame, T_frame_camera = _camera_frame(contents, options, frame, turned)
+    warnings += [body_frame_text(frame)] if is_body else []
     not_needed = f"not needed: depth is aligned to colour ({why})" if aligned else ""
     return Calibrated(
         calibration=calibration,
-        camera_frame=options.camera_frame or frame or sources.depth_frame,
+        unit_in_floats=unit / recorded,
+        camera_frame=camera_frame,
+        tf_frame=frame,
+        T_frame_camera=T_frame_camera,
         color_frame=sources.color_frame if color.usable else "",
         has_color=color.usable,
         has_color_camera=aligned or color.camera is not None,
@@ -148,6 +173,37 @@ def calibrate(contents: LogContents, choice: Choice, options: LogOptions) -> Cal
         warnings=(*warnings, *color.warnings, *_changes(contents, used, of_depth)),
         notes=(note,) if note else (),
     )
+
+
+def _calibration(found: Found, color: _Color, unit: float, path: str) -> Calibration:
+    """Return the calibration of both cameras, checked."""
+    other = color.camera and color.camera.intrinsics
+    calibration = Calibration(found.intrinsics, other, color.extrinsics, unit)
+    try:
+        check_calibration(calibration)
+    except CalibrationError as error:
+        raise CalibrationError(error.problem, path=path, remedy=error.remedy) from error
+    return calibration
+
+
+def _units(
+    contents: LogContents, options: LogOptions, stream: ImageStream
+) -> tuple[float, str, float]:
+    """Return metres in a depth unit, where that is from, and metres in a unit of 32FC1 depth."""
+    if not stream.has_floats:
+        return *_depth_unit(contents, options, stream.topic), 1.0
+    recorded = options.depth_unit_m or 1.0
+    what = "metres" if recorded == 1 else f"units of {recorded:g} m (--log.depth-unit-m)"
+    return DEPTH_UNIT_M, f"to which 32FC1 in {what} is rounded", recorded
+
+
+def _camera_frame(
+    contents: LogContents, options: LogOptions, frame: str, turned: bool
+) -> tuple[str, np.ndarray | None]:
+    """Return the name of the optical frame, and the transform from it to ``frame`` if turned."""
+    if not turned or options.camera_frame:
+        return frame, None
+    return optical_frame(contents.tree, frame) or f"{frame}_optical", T_BODY_OPTICAL
 
 
 def _sources(contents: LogContents, choice: Choice, options: LogOptions) -> _Sources:
@@ -169,7 +225,7 @@ def _of_depth(contents: LogContents, sources: _Sources, options: LogOptions) -> 
     if (depth.info or depth.matrix) and not (color.info or color.matrix):
         return depth
     if depth.info and depth.size and color.size and depth.size != color.size:
-        return depth if depth.size == (depth.info.width, depth.info.height) else color
+        return depth if depth.size in depth.info.image_sizes() else color
     return color
 
 
@@ -185,7 +241,8 @@ def _without_images(
     topic = options.color_info or (known[0] if len(known) == 1 else "")
     calibrations = contents.calibrations.get(topic)
     info = calibrations.of(depth.size) if calibrations else None
-    if info and not options.color_info and depth.size not in (None, (info.width, info.height)):
+    sizes = (None, *info.image_sizes()) if info else ()
+    if info and not options.color_info and depth.size not in sizes:
         topic, info = "", None
     return depth._replace(
         name="color",
@@ -224,6 +281,7 @@ def _other_color(
     options: LogOptions,
     sources: _Sources,
     depth: Intrinsics,
+    is_body: bool,
 ) -> _Color:
     """Colour of a camera of its own.
 
@@ -241,6 +299,7 @@ def _other_color(
             sources.color_frame,
             options.camera_frame or sources.depth_frame,
             one_lens=_one_lens(camera.intrinsics, depth),
+            depth_is_body=is_body,
         )
         calibration = Calibration(depth, camera.intrinsics, found.extrinsics)
         check_calibration(calibration)
@@ -250,7 +309,8 @@ def _other_color(
             raise
         return _Color(False, error=error)
     warnings = *camera.warnings, *found.warnings
-    return _Color(True, camera, found.extrinsics, found.origin, warnings)
+    error, turned = None, found.depth_is_body
+    return _Color(True, camera, found.extrinsics, found.origin, warnings, error, turned)
 
 
 def _without_color(choice: Choice, color: _Color) -> tuple[str, str]:
@@ -310,6 +370,20 @@ def _unit_doubts(source: str, path: str) -> list[str]:
     ]
 
 
+def _float_doubts(stream: ImageStream, recorded: float) -> list[str]:
+    """A line where the values of 32FC1 depth are none in the unit that they are taken to be in."""
+    values = [value for value in stream.typical if np.isfinite(value)]
+    if not values:
+        return []
+    middle = float(np.median(values))
+    text = f"{printable(stream.topic)}: 32FC1 depth of about {middle:.3g}"
+    if middle * recorded > _FAR_M and _NEAR_M < middle * 0.001 < _FAR_M:
+        return [f"{text} looks like millimetres: give --log.depth-unit-m 0.001"]
+    if recorded < 1 and middle * recorded < _NEAR_M < middle < _FAR_M:
+        return [f"{text} looks like metres: leave --log.depth-unit-m out"]
+    return []
+
+
 def _aligned(sources: _Sources, choice: Choice, options: LogOptions) -> tuple[bool, str]:
     """Whether depth is aligned to colour, and why."""
     depth, color = sources.depth, sources.color
@@ -333,21 +407,27 @@ def _aligned(sources: _Sources, choice: Choice, options: LogOptions) -> tuple[bo
 
 
 def _one_lens(color: Intrinsics, depth: Intrinsics) -> bool:
-    """Whether two images can be of one lens, perhaps at different sizes."""
+    """Whether two images can be of one lens, scaled or cropped."""
     values = [
         (one.fx / one.width, one.fy / one.height, one.cx / one.width, one.cy / one.height)
         for one in (color, depth)
     ]
-    return np.allclose(*values, rtol=0, atol=_ONE_LENS)
+    if np.allclose(*values, rtol=0, atol=_ONE_LENS):
+        return True
+    ratios = color.fx / depth.fx, color.fy / depth.fy
+    steps = [ratio if ratio >= 1 else 1 / ratio for ratio in ratios]
+    return np.allclose(steps, np.round(steps), rtol=_CROPPED, atol=0)
 
 
 def _aligned_doubts(depth: CameraSource, color: Intrinsics) -> list[str]:
-    """A line where aligned depth has a camera matrix of its own."""
-    if depth.info is None or len(depth.info.K) != 9:
+    """A line where aligned depth has a camera matrix of its own; of rectified images, P counts."""
+    if depth.info is None or depth.matrix is not None:
         return []
-    K = depth.info.K
-    own = (K[0], K[4], K[2], K[5])
-    if np.allclose(own, color[2:6], rtol=0, atol=0.5):
+    own = []
+    for rectified in (False, True):
+        with suppress(CalibrationError):
+            own.append(find_intrinsics(depth._replace(rectified=rectified)).intrinsics[2:6])
+    if not own or any(np.allclose(one, color[2:6], rtol=0, atol=0.5) for one in own):
         return []
     text = "depth counts as aligned but has another camera matrix than colour"
     return [f"{printable(depth.topic)}: {text}"]
@@ -366,7 +446,8 @@ def _source(
         topic=topic,
         info=info,
         size=size,
-        rectified="rect" in stream.topic.lower().replace("/", "_").split("_"),
+        rectified=stream.kind is Kind.DISPARITY
+        or "rect" in stream.topic.lower().replace("/", "_").split("_"),
         matrix=options.depth_intrinsics if depth else options.color_intrinsics,
         model=options.depth_distortion if depth else options.color_distortion,
         path=contents.path,
@@ -400,6 +481,8 @@ def _info_topic(
     same = [name for name, item in known.items() if frame and item.frame_id == frame]
     best = max((affinity(name, stream.topic) for name in same), default=0)
     nearest = [name for name in same if affinity(name, stream.topic) == best]
+    if stream.kind is Kind.DISPARITY:  # which is of the left image
+        nearest = [name for name in nearest if "left" in name.split("/")] or nearest
     return nearest[0] if len(nearest) == 1 else ""
 
 

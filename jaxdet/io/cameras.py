@@ -83,7 +83,7 @@ def find_cameras(contents: LogContents, options: LogOptions) -> Cameras:
             if isinstance(choice, TopicError):
                 raise choice
             if len(found) > 1:
-                calibrate(contents, choice, options)
+                calibrate(contents.of_camera(choice.depth), choice, options)
             complete[name] = choice
         except (TopicError, CalibrationError) as error:
             incomplete[name] = error

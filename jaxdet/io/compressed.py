@@ -61,7 +61,13 @@ def is_depth_file(image: CompressedImageMessage, topic: str) -> bool:
     if is_zstd(image.format):
         head = read_zstd_head(image.data)
         return head is not None and is_depth_encoding(head.encoding)
-    return is_compressed_depth(image.format, topic) or is_png16(image.data)
+    named = is_compressed_depth(image.format, topic) and not is_jpeg(image)
+    return named or is_png16(image.data)
+
+
+def is_jpeg(image: CompressedImageMessage) -> bool:
+    """Return whether a CompressedImage is a JPEG, by its own head."""
+    return _begins(memoryview(image.data), JPEG)
 
 
 def compressed_size(image: CompressedImageMessage) -> tuple[int, int]:

@@ -5,6 +5,7 @@ never held. So a log of a million images takes about 64 MB.
 """
 
 from contextlib import suppress
+from copy import copy
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from jaxdet.errors import FrameError
 from jaxdet.io.container import Location, LogFile
 from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.decode_messages import MessageDecoder
-from jaxdet.io.images import check_pixels
+from jaxdet.io.images import check_pixels, typical_float
 from jaxdet.io.integrity import FileIntegrity
 from jaxdet.io.limits import check_images, check_motions, check_topics
 from jaxdet.io.messages import (
@@ -26,10 +27,13 @@ from jaxdet.io.messages import (
     kind_of,
 )
 from jaxdet.io.motion import MotionSamples
+from jaxdet.io.namespaces import namespace_of, namespaces_of_camera
 from jaxdet.io.streams import NUM_PROBES, PROBE_BYTES, ImageSize, ImageStream
 from jaxdet.io.transforms import TransformTree
 from jaxdet.io.validity import CalibrationChange, values_of
 
+FIRST_MOTIONS = 64
+"""Messages of a topic with transforms or poses that are read in any case."""
 DEPTH_UNIT_TOPIC = "/option/Depth Units/value"
 """How librealsense's recorder ends the topic with the metres in a depth unit."""
 
@@ -74,8 +78,8 @@ class CalibrationTopic:
             self.changes.append(CalibrationChange(info.stamp_ns, log_ns, values))
         if self.first is None or (self.first.K[:1] == (0.0,) and info.K[:1] != (0.0,)):
             self.first = info
-        if values is not None:
-            self._of_size.setdefault(ImageSize(info.width, info.height), info)
+        for size in info.image_sizes() if values is not None else ():
+            self._of_size.setdefault(ImageSize(*size), info)
 
     def of(self, size: ImageSize | None) -> CameraInfoMessage | None:
         """The first that is calibrated for images of this size, else the first."""
@@ -112,11 +116,35 @@ class LogContents:
         self.depth_units: dict[str, float] = {}
         """What :data:`DEPTH_UNIT_TOPIC` says first [m], by its topic."""
         self.poses: dict[str, PoseTrack] = {}
+        self.delays: dict[tuple[str, str], list[int]] = {}
+        """Stamp less log time [ns], by topic and transformed frame; of poses the frame is empty.
+        Of the first messages of each topic."""
+        self.trees: dict[str, TransformTree] = {}
+        """The transforms of each namespace."""
         self.tree = TransformTree()
+        """Those of the camera's robot, see :meth:`of_camera`."""
         self.integrity: list[FileIntegrity] = []
         self.warnings: list[str] = []
         self.notes: list[str] = []
         """What is worth knowing and as it should be."""
+
+    def of_camera(self, topic: str) -> "LogContents":
+        """Return the same contents with the transforms of the robot that carries a camera.
+
+        Args:
+            topic: The camera's depth images.
+        """
+        own, others = namespaces_of_camera(self.trees, topic, self.streams)
+        found = copy(self)
+        found.tree = TransformTree.joined(
+            [self.trees[name] for name in own], [self.trees[name] for name in others]
+        )
+        return found
+
+    @property
+    def has_static(self) -> bool:
+        """Whether a static transform was seen."""
+        return any(tree.has_static for tree in self.trees.values())
 
     @property
     def tracks(self) -> dict[str, MotionSamples]:
@@ -138,6 +166,7 @@ class ContentsBuilder:
         self.contents, self.use_tf, self.images = contents, use_tf, images
         self.file_number, self.path, self.bytes = -1, "", 0
         self._small_messages = 0
+        self._motions_seen: dict[str, int] = {}
         self._decoders: dict[ChannelInfo, MessageDecoder | None] = {}
 
     def decoder(self, channel: ChannelInfo) -> MessageDecoder | None:
@@ -245,16 +274,22 @@ class ContentsBuilder:
             if len(stream.probes) < NUM_PROBES:
                 check_pixels(color)
                 check_pixels(depth)
+                self._see_floats(stream, depth)
                 color, depth = color._replace(data=b""), depth._replace(data=b"")
                 stream.probes.append(message._replace(color=color, depth=depth))
             return depth.stamp_ns, color.stamp_ns
         assert isinstance(message, ImageMessage | CompressedImageMessage)
         if isinstance(message, ImageMessage):
             check_pixels(message)
+            self._see_floats(stream, message)
             stream.probes.append(message._replace(data=b""))
         else:
             stream.probes.append(message._replace(data=bytes(message.data[:PROBE_BYTES])))
         return message.stamp_ns, message.stamp_ns
+
+    def _see_floats(self, stream: ImageStream, image: ImageMessage) -> None:
+        if image.encoding.strip().lower() == "32fc1":
+            stream.typical.append(typical_float(image))
 
     def _calibrations(self, topic: str) -> CalibrationTopic:
         return self.contents.calibrations.setdefault(topic, CalibrationTopic())
@@ -279,14 +314,21 @@ class ContentsBuilder:
             assert isinstance(message, float)
             self.contents.depth_units.setdefault(topic, message)
         else:
-            self._motions(topic, decoder, payload)
+            self._motions(topic, decoder, payload, log_ns)
 
-    def _motions(self, topic: str, decoder: MessageDecoder, payload: memoryview) -> None:
+    def _motions(
+        self, topic: str, decoder: MessageDecoder, payload: memoryview, log_ns: int
+    ) -> None:
         motions = decoder.motions(payload)
+        seen = self._motions_seen[topic] = self._motions_seen.get(topic, 0) + 1
+        if self.images and seen <= FIRST_MOTIONS:
+            for item in motions:
+                key = topic, item.child if decoder.kind is Kind.TRANSFORM else ""
+                self.contents.delays.setdefault(key, []).append(item.stamp_ns - log_ns)
         if decoder.kind is Kind.TRANSFORM:
             if decoder.is_static or self.images:
-                foxglove = decoder.is_foxglove
-                self.contents.tree.add(motions, decoder.is_static, once_is_static=foxglove)
+                tree = self.contents.trees.setdefault(namespace_of(topic), TransformTree())
+                tree.add(motions, decoder.is_static, decoder.is_foxglove, topic)
         elif self.images:
             for item in motions:
                 if topic not in self.contents.poses:

@@ -13,6 +13,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import zstandard
 from mcap.records import Schema
 from mcap_protobuf.decoder import DecoderFactory as ProtobufFactory
 from mcap_ros2.decoder import DecoderFactory as Ros2Factory
@@ -24,7 +25,12 @@ from jaxdet.io.definition import (
     stamp_leads,
     with_ros2_names,
 )
-from jaxdet.io.limits import MAX_JSON_BYTES, MAX_SCHEMA_BYTES, MAX_SMALL_BYTES
+from jaxdet.io.limits import (
+    MAX_JSON_BYTES,
+    MAX_MESSAGE_BYTES,
+    MAX_SCHEMA_BYTES,
+    MAX_SMALL_BYTES,
+)
 from jaxdet.io.message_fields import nanoseconds, parse
 from jaxdet.io.messages import (
     IMAGE_KINDS,
@@ -40,6 +46,8 @@ from jaxdet.io.ros1 import ros1_decoder
 
 _STAMP_BYTES = 12
 """In which a stamp that leads is."""
+_ZSTD = b"\x28\xb5\x2f\xfd"
+"""How a message begins that rosbag2 compressed alone (``compression_mode: message``)."""
 _IN_PLACE = (Kind.TRANSFORM, Kind.ODOMETRY)
 
 
@@ -81,6 +89,7 @@ class MessageDecoder:
         Raises:
             FrameError: It can't be decoded.
         """
+        payload = self._expanded(payload)
         if len(payload) > self._most_bytes:
             problem = f"{self.kind.value} message of {len(payload)} bytes, but at most "
             problem += f"{self._most_bytes} are read"
@@ -116,9 +125,27 @@ class MessageDecoder:
             return False
         return self.channel.message_encoding == "ros1" or head[1] in (0, 1)
 
-    def after_stamp(self, payload: memoryview) -> bytes:
+    def after_stamp(self, payload: bytes | memoryview) -> bytes:
         """What a message says beside its time: what follows a stamp that leads, else all."""
+        payload = self._expanded(payload)
         return bytes(payload[_STAMP_BYTES:] if self.stamp_leads else payload)
+
+    def _expanded(self, payload: bytes | memoryview, most: int | None = None) -> bytes | memoryview:
+        """Return a message, or its first bytes, decompressed where rosbag2 compressed it alone.
+
+        Raises:
+            FrameError: It is damaged or too large.
+        """
+        if payload[:4] != _ZSTD or self.channel.message_encoding != "cdr":
+            return payload
+        try:
+            with zstandard.ZstdDecompressor().stream_reader(payload) as reader:
+                found = reader.read((MAX_MESSAGE_BYTES if most is None else most) + 1)
+        except zstandard.ZstdError as error:
+            raise bad_frame(f"the message can't be decompressed ({error})") from error
+        if most is None and len(found) > MAX_MESSAGE_BYTES:
+            raise bad_frame(f"the message has more than {MAX_MESSAGE_BYTES} bytes")
+        return found
 
     def _readable(self, payload: bytes | memoryview) -> Any:
         """What the decoder reads: a copy, but for ROS's images, whose pixels stay."""
@@ -134,11 +161,12 @@ class MessageDecoder:
         Raises:
             FrameError: It can't be decoded.
         """
-        if self.reads_stamp(payload):
-            little = self.channel.message_encoding == "ros1" or payload[1]
+        begin = self._expanded(payload, _STAMP_BYTES) if self.stamp_leads else payload
+        if self.reads_stamp(begin):
+            little = self.channel.message_encoding == "ros1" or begin[1]
             order = "little" if little else "big"
-            sec = int.from_bytes(payload[4:8], order, signed=True)
-            return nanoseconds(sec, int.from_bytes(payload[8:12], order))
+            sec = int.from_bytes(begin[4:8], order, signed=True)
+            return nanoseconds(sec, int.from_bytes(begin[8:12], order))
         return int(getattr(self.decode(payload), "stamp_ns", 0))
 
 

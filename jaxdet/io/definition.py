@@ -51,6 +51,9 @@ DEFINITIONS = {
     "vision_msgs/Detection3D": "std_msgs/Header header\n"
     "vision_msgs/ObjectHypothesisWithPose[] results\nvision_msgs/BoundingBox3D bbox\nstring id",
     "vision_msgs/Detection3DArray": "std_msgs/Header header\nvision_msgs/Detection3D[] detections",
+    "stereo_msgs/DisparityImage": "std_msgs/Header header\nsensor_msgs/Image image\nfloat32 f\n"
+    "float32 t\nsensor_msgs/RegionOfInterest valid_window\nfloat32 min_disparity\n"
+    "float32 max_disparity\nfloat32 delta_d",
     "realsense2_camera_msgs/Extrinsics": "float64[9] rotation\nfloat64[3] translation",
     "realsense2_camera_msgs/RGBD": "std_msgs/Header header\n"
     "sensor_msgs/CameraInfo rgb_camera_info\nsensor_msgs/CameraInfo depth_camera_info\n"

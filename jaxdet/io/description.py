@@ -10,7 +10,6 @@ from jaxdet.io.files import LogFiles
 from jaxdet.io.findings import Findings
 from jaxdet.io.integrity import FileIntegrity
 from jaxdet.io.notes import Notes
-from jaxdet.io.part import first_told
 from jaxdet.io.timeline import ScannedFrames
 from jaxdet.io.windows import IndexedFrames
 
@@ -103,7 +102,7 @@ class LogDescription(NamedTuple):
 
 
 def describe(
-    files: LogFiles, contents: LogContents, found: Findings, numbers: range
+    files: LogFiles, contents: LogContents, found: Findings, numbers: range, first_ns: int
 ) -> LogDescription:
     """The description of a log.
 
@@ -112,11 +111,11 @@ def describe(
         contents: What is in them.
         found: What is used.
         numbers: The frames that are used.
+        first_ns: From when its seconds count [ns].
     """
-    warnings = [*contents.warnings, *contents.tree.warnings, *found.warnings]
+    warnings = [*contents.warnings, *found.warnings]
     warnings += [*found.calibrated.warnings, *found.poses.warnings, *found.cameras.warnings]
     count, color = found.frames.num_frames, found.choice.color
-    first_ns = first_told(map(found.frames.stamp_ns, range(count)))
     return LogDescription(
         name=files.name,
         paths=tuple(str(path) for path in files.paths),
@@ -127,7 +126,7 @@ def describe(
         num_frames=count,
         part=_part_text(numbers, found.frames, first_ns),
         duration_s=(found.frames.stamp_ns(count - 1) - first_ns) / 1e9,
-        topics=_topics(contents, color if found.color else "", found.choice.depth),
+        topics=describe_topics(contents, color if found.color else "", found.choice.depth),
         choices=found.choice.reasons,
         calibration=found.calibrated.origins,
         extrinsics_source=found.calibrated.extrinsics_source,
@@ -137,7 +136,7 @@ def describe(
         pairing=None,
         integrity=tuple(contents.integrity),
         warnings=tuple(warnings),
-        notes=(*contents.notes, *found.calibrated.notes),
+        notes=(*contents.notes, *found.calibrated.notes, *found.notes),
     )
 
 
@@ -193,8 +192,10 @@ def with_bad_color(about: LogDescription, notes: Notes) -> LogDescription:
     return about._replace(notes=(*about.notes, text))
 
 
-def _topics(contents: LogContents, color: str, depth: str) -> tuple[TopicDescription, ...]:
-    """The topics by name."""
+def describe_topics(
+    contents: LogContents, color: str = "", depth: str = ""
+) -> tuple[TopicDescription, ...]:
+    """Return the topics by name; ``color`` and ``depth`` are those that are used."""
     found = []
     for name, info in sorted(contents.topics.items()):
         span = (info.last_ns - info.first_ns) / 1e9

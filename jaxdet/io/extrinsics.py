@@ -6,6 +6,7 @@ import numpy as np
 
 from jaxdet.elementary import matmul
 from jaxdet.errors import TransformError, printable
+from jaxdet.io.body_frames import body_frame_text, in_optical_axes
 from jaxdet.io.contents import LogContents
 from jaxdet.io.motion import difference, inverse, motion_matrix
 from jaxdet.io.options import LogOptions
@@ -21,6 +22,8 @@ class FoundExtrinsics(NamedTuple):
     extrinsics: Extrinsics
     origin: str
     warnings: tuple[str, ...]
+    depth_is_body: bool = False
+    """Whether depth's frame lacks the rotation to optical axes."""
 
 
 def find_extrinsics(
@@ -31,11 +34,13 @@ def find_extrinsics(
     depth_frame: str,
     *,
     one_lens: bool,
+    depth_is_body: bool = False,
 ) -> FoundExtrinsics:
-    """``T_color_depth`` from the flag, else the extrinsics topic, else TF.
+    """``T_color_depth`` from the flag, else equal frames, the extrinsics topic, or TF.
 
-    Two images of one lens in one and the same frame have none between them; drivers that give
-    every camera the same frame are known by the lenses. A difference between topic and TF is a
+    Two images of one lens in one and the same frame have none between them, whatever their sizes
+    and whatever a topic says of the cameras; drivers that give every camera the same frame are
+    known by the lenses. A difference between topic and TF is a
     warning; never is a missing motion taken for none.
 
     Args:
@@ -45,6 +50,7 @@ def find_extrinsics(
         color_frame: Of the colour images; empty where unknown.
         depth_frame: Of the depth images.
         one_lens: The camera matrices are the same but for the size of the images.
+        depth_is_body: Depth's frame is a body frame, see :mod:`jaxdet.io.body_frames`.
 
     Raises:
         CalibrationError: Nothing in the log tells it, or the transforms form a cycle.
@@ -53,15 +59,24 @@ def find_extrinsics(
     if given is not None:
         T = motion_matrix(np.array(given[:3]), np.array(given[3:]))
         return FoundExtrinsics(_extrinsics(T), "--log.color-from-depth", ())
+    if color_frame and color_frame == depth_frame and one_lens and not options.camera_frame:
+        origin = f"none: both images are in frame {printable(color_frame)!r}"
+        return FoundExtrinsics(_extrinsics(np.eye(4)), origin, ())
     streams = _between_streams(contents, *topics)
     if streams is not None:
         return FoundExtrinsics(_extrinsics(streams), "librealsense's topics of both streams", ())
     topic = _topic(contents, topics)
     tf = contents.tree.fixed(color_frame, depth_frame) if color_frame and depth_frame else None
+    is_body, turned = depth_is_body, ()
+    if tf is not None and color_frame != depth_frame:
+        tf, is_body, color_is_body = in_optical_axes(tf, depth_is_body)
+        bodies = [depth_frame] * (is_body and not depth_is_body) + [color_frame] * color_is_body
+        turned = tuple(body_frame_text(name) for name in bodies)
     if topic:
         T = contents.extrinsics[topic]
         warnings = _contradiction(T, tf, topic) if color_frame != depth_frame else ()
-        return FoundExtrinsics(_extrinsics(T), f"topic {printable(topic)}", warnings)
+        origin = f"topic {printable(topic)}"
+        return FoundExtrinsics(_extrinsics(T), origin, (*warnings, *turned), is_body)
     if tf is None:
         frames = f"{printable(depth_frame)!r} to {printable(color_frame)!r}"
         problem = f"no transform from depth to colour (frames {frames})"
@@ -69,7 +84,7 @@ def find_extrinsics(
         raise TransformError(problem, path=contents.path, topic=topics[1], remedy=remedy)
     if color_frame != depth_frame:
         origin = f"TF, {printable(depth_frame)!r} to {printable(color_frame)!r}"
-        return FoundExtrinsics(_extrinsics(tf), origin, ())
+        return FoundExtrinsics(_extrinsics(tf), origin, turned, is_body)
     if not (one_lens or options.camera_frame):
         problem = f"no transform from depth to colour: both images are in frame {color_frame!r}, "
         problem += "but their camera matrices differ"

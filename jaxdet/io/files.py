@@ -12,18 +12,26 @@ from typing import NamedTuple
 from jaxdet.errors import InputError, printable
 from jaxdet.io.image_folder import BESIDE, image_folders, stamp_note
 from jaxdet.io.splits import Recording, Sketch, difference, gap, joined, recordings, sketch
+from jaxdet.io.unpacking import PACKED, is_packed
 
-SUFFIXES = (".mcap", ".db3", ".bag")
-"""Of the files that are read; of one recording in several formats the first is taken."""
-_SPLIT = re.compile(r"(?P<stem>.+)_(?P<number>\d{1,5}|00\d{4,})\.(?i:mcap|db3|bag)")
+_RECORDINGS = (".mcap", ".db3", ".bag")
+SUFFIXES = (*_RECORDINGS, *PACKED)
+"""Of the files that are read; of one recording in several formats the first is taken. A compressed
+file has the suffix of its recording before its own."""
+_SPLIT = re.compile(
+    r"(?P<stem>.+)_(?P<number>\d{1,5}|00\d{4,})\.(?i:mcap|db3|bag)(?i:\.zstd|\.zst|\.bz2)?"
+)
 """What has more digits, and does not begin with two zeros, is a time or a date, but for
 :data:`_LATE` ones."""
-_LATE = re.compile(r"(?P<stem>.+)_(?P<number>(?!00)\d{6})\.(?i:mcap|db3|bag)")
+_LATE = re.compile(
+    r"(?P<stem>.+)_(?P<number>(?!00)\d{6})\.(?i:mcap|db3|bag)(?i:\.zstd|\.zst|\.bz2)?"
+)
 """Splits too, where the one of :data:`_BEFORE_LATE` is there, which is no time of day."""
 _BEFORE_LATE = "009999"
 _OTHERS = {
-    ".zstd": "run unzstd on it",
-    ".zst": "run unzstd on it",
+    ".zstd": "name a recording, as NAME.mcap.zstd",
+    ".zst": "name a recording, as NAME.mcap.zst",
+    ".bz2": "name a recording, as NAME.bag.bz2",
     ".mcap.active": "take .active off its name when nothing writes to it any more",
     ".db3.active": "take .active off its name when nothing writes to it any more",
     ".active": "run rosbag reindex on it and name it .bag",
@@ -31,6 +39,7 @@ _OTHERS = {
     ".svo2": "play it to ROS 2 topics and record them as MCAP",
     ".mkv": "play it to ROS 2 topics and record them as MCAP",
     ".oni": "play it to ROS 2 topics and record them as MCAP",
+    ".r3d": "export its frames as images, with 16-bit PNG depth in millimetres",
 }
 """How names of recordings end that are not read, and what can be done; the first that fits."""
 _DATASET = "write its frames as PNG to color/ and depth/ with a camera.json, see jaxdet help logs"
@@ -40,6 +49,8 @@ EXPORTED = ".jaxdet.mcap"
 """How files for Foxglove and ROS 2 are named that jaxdet exports, for beside the log. The name says
 so, as their headers are those of any writer."""
 _MAX_LISTED, _MAX_MISSING = 4, 1000
+MAX_FOLDERS = 100_000
+"""Folders that are searched for logs."""
 
 
 class LogFiles(NamedTuple):
@@ -131,7 +142,7 @@ def _name(file: "_Named", root: Path, *, joined: bool) -> str:
     path = file.path
     if path == root:  # a folder that is a log, named itself
         return printable(path.resolve().name or "log")
-    own = path.name if path.is_dir() else path.stem
+    own = path.name if path.is_dir() else _bare_name(path)
     if joined and 0 <= (split := _split(path))[1] <= 1:
         own = split[0]
     folders = path.parent.parts[len(root.parts) :] if path.is_relative_to(root) else ()
@@ -228,35 +239,43 @@ def _going_on(log: LogFiles, known: Sketch | None, splits: Iterable[Path]) -> It
         near = number if found and found.span_ns else near
 
 
-def _seen(text: str) -> list[Path]:
-    """The files that an input names, of whatever kind, in order, and folders that are shut."""
+def _seen(text: str, skipped: list[Path]) -> list[Path]:
+    """The files that an input names, of whatever kind, in order, and folders that are shut.
+
+    Links to folders above go to ``skipped``.
+    """
     path = Path(text)
     _check_path(path)
     if not text:  # a shell's variable that is not set is not this folder
         raise InputError("a log without a name", remedy="check the arguments")
     if path.exists():
-        return sorted(_within(path))
+        return sorted(_within(path, skipped))
+    if "://" in text:
+        problem, remedy = "addresses are not read", "copy it to a disk, or mount the storage"
+        raise InputError(problem, path=text, remedy=remedy)
     if not glob.has_magic(text):
         raise InputError("no such file or folder", path=text, remedy="check the path")
     matches = [Path(match) for match in sorted(glob.glob(text, recursive=True))]
     for match in matches:
         _check_path(match)
     # A folder may match, and what is in it.
-    return list(dict.fromkeys(file for match in matches for file in _within(match)))
+    return list(dict.fromkeys(file for match in matches for file in _within(match, skipped)))
 
 
 def _files(text: str) -> tuple[list[Path], dict[Path, str]]:
     """The files of an input that are read, at least one, and what is to be said, by file."""
-    path, seen, rest = Path(text), list[Path](), list[Path]()
-    for item in _seen(text):
+    if Path(text).name == "metadata.yaml" and Path(text).is_file():
+        text = str(Path(text).parent)  # of rosbag2: its files are named in it
+    path, seen, rest, above = Path(text), list[Path](), list[Path](), list[Path]()
+    for item in _seen(text, above):
         (seen if item.is_file() else rest).append(item)
     shut = [item for item in rest if item.is_dir()]
-    links = [item for item in rest if item.is_symlink() and format_of(item) in SUFFIXES]
+    links = [item for item in rest if item.is_symlink() and _is_recording(item)]
     gone = [item for item in links if not item.exists()]
     others = [file for file in seen if _advice(file)]
     datasets = [file.parents[1] for file in seen if _is_dataset(file)]
     exports = [file for file in seen if _is_export(file)]
-    found = [file for file in seen if format_of(file) in SUFFIXES and not _is_export(file)]
+    found = [file for file in seen if _is_recording(file) and not _is_export(file)]
     if path.is_file():
         if others:
             problem = f"{path.suffix} files are not read"
@@ -277,6 +296,7 @@ def _files(text: str) -> tuple[list[Path], dict[Path, str]]:
     taken, left = _preferred(found)
     left += [(file, _advice(file)) for file in others]
     left += [(file, "a link to nothing") for file in gone]
+    left += [(item, "a link to a folder above it") for item in above]
     left += [(file, "an export of jaxdet") for file in exports]
     left += [(item, "images beside a recording") for item in sorted(copies)]
     left += [(item, "a LeRobot dataset") for item in datasets]
@@ -292,6 +312,8 @@ def _within_input(file: Path, named: Path) -> str:
 
 def _advice(file: Path) -> str:
     """What can be done with a recording that is not read; empty for all else."""
+    if _is_recording(file):
+        return ""
     name = file.name.lower()
     return next((remedy for ending, remedy in _OTHERS.items() if name.endswith(ending)), "")
 
@@ -300,7 +322,8 @@ def _nothing(
     text: str, others: Sequence[Path], exports: Sequence[Path], gone: Sequence[Path]
 ) -> InputError:
     """The error of an input without logs, by what else is there."""
-    where, remedy = text, "name an MCAP file or a folder"
+    where, remedy = text, "name an MCAP file or a folder; jaxdet help logs has the layouts of "
+    remedy += "folders of images"
     problem = "no .mcap, .bag or .db3 file and no folder of images found"
     if others:
         where, remedy = str(others[0]), _advice(others[0])
@@ -312,6 +335,16 @@ def _nothing(
         where, remedy = str(gone[0]), "mend the link"
         problem = "a link to nothing, and there is nothing else here"
     return InputError(problem, path=where, remedy=remedy)
+
+
+def _is_recording(file: Path) -> bool:
+    """Whether a file is of a format that is read, by its name."""
+    return (file.with_suffix("") if is_packed(file) else file).suffix.lower() in _RECORDINGS
+
+
+def _bare_name(file: Path) -> str:
+    """A file's name without the suffixes of its format."""
+    return (file.with_suffix("") if is_packed(file) else file).stem
 
 
 def _is_export(file: Path) -> bool:
@@ -388,15 +421,19 @@ def format_of(path: Path) -> str:
     return path.suffix.lower()
 
 
-def _within(path: Path) -> Iterable[Path]:
+def _within(path: Path, skipped: list[Path]) -> Iterable[Path]:
     """A file, or what is in a folder and its subfolders but :data:`BESIDE`; links followed once.
 
     Of a folder that can't be listed, or whose files can't be looked at, it is the folder itself.
+    Links to folders above are not followed: they go to ``skipped``.
+
+    Raises:
+        InputError: There are more than ``MAX_FOLDERS`` folders.
     """
     if not path.is_dir():
         yield path
         return
-    walked, shut = set[tuple[int, int]](), list[Path]()
+    walked, shut, own = set[tuple[int, int]](), list[Path](), path.resolve()
     listed = os.walk(
         path, onerror=lambda error: shut.append(Path(error.filename)), followlinks=True
     )
@@ -411,6 +448,13 @@ def _within(path: Path) -> Iterable[Path]:
             folders.clear()
             continue
         walked.add((about.st_dev, about.st_ino))
+        if len(walked) > MAX_FOLDERS:
+            problem = f"there are more than {MAX_FOLDERS} folders in it"
+            raise InputError(problem, path=str(path), remedy="name a smaller folder")
+        links = [name for name in folders if os.path.islink(os.path.join(folder, name))]
+        up = [name for name in links if own.is_relative_to(Path(folder, name).resolve())]
+        skipped += [Path(folder, n) for n in up if Path(folder, n).resolve() != own]
+        folders[:] = [name for name in folders if name not in up]
         yield from (Path(folder, name) for name in files if not name.startswith(BESIDE))
     yield from shut
 
@@ -418,7 +462,7 @@ def _within(path: Path) -> Iterable[Path]:
 def _split(path: Path) -> tuple[str, int]:
     """What the splits of a recording share of their names, and the number; -1: it is none."""
     match = _SPLIT.fullmatch(path.name) or _late_split(path)
-    return (match["stem"], int(match["number"])) if match else (path.stem, -1)
+    return (match["stem"], int(match["number"])) if match else (_bare_name(path), -1)
 
 
 def _late_split(path: Path) -> re.Match[str] | None:

@@ -19,6 +19,7 @@ from jaxdet.io.mcap_index import read_mcap_index
 from jaxdet.io.mcap_scan import scan
 from jaxdet.io.sqlite import SqliteFile
 from jaxdet.io.sqlite_index import read_sqlite_index, scan_sqlite
+from jaxdet.io.unpacking import is_packed, unpacked
 from jaxdet.io.walk import Handler
 
 
@@ -38,7 +39,7 @@ _SUFFIXES: dict[str, type[LogFile]] = {".bag": BagFile, ".db3": SqliteFile}
 
 
 def open_file(path: Path, max_bytes: int) -> LogFile:
-    """Opens a file of a log.
+    """Opens a file of a log; one that is compressed as a whole through a temporary file.
 
     Args:
         path: The file or folder.
@@ -47,6 +48,8 @@ def open_file(path: Path, max_bytes: int) -> LogFile:
     Raises:
         InputError: It can't be opened, or isn't of the format that its name says.
     """
+    if is_packed(path) and path.is_file():
+        path = unpacked(path)
     kind = ImageFolder if path.is_dir() else _SUFFIXES.get(path.suffix.lower(), McapFile)
     return kind(path, max_bytes)
 

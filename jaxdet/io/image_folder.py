@@ -1,4 +1,4 @@
-"""A folder of colour and depth images as a log, as TUM's RGB-D benchmark and Open3D lay it out.
+"""A folder of colour and depth images as a log, as data sets and Open3D lay it out.
 
 In it are a folder of colour images (``rgb color colour``: PNG, JPEG) and one of depth images
 (``depth``: 16-bit PNG, aligned to colour). Stamps [s] and names are in ``rgb.txt`` and
@@ -6,8 +6,14 @@ In it are a folder of colour images (``rgb color colour``: PNG, JPEG) and one of
 numbers: then :data:`RATE_HZ` of them make a second. ``groundtruth.txt`` has the camera's poses
 (stamp, tx ty tz, qx qy qz qw), and a JSON file the camera matrix: ``intrinsic_matrix`` (nine
 numbers, column-major), ``width``, ``height`` and, perhaps, ``depth_scale`` (depth units in a
-metre). Sources: the benchmark's page "File Formats"; Open3D's ``PinholeCameraIntrinsic`` and
-``RGBDVideoMetadata``.
+metre). So is TUM's RGB-D benchmark laid out, and what Open3D writes. Others differ:
+
+- ScanNet has camera matrices of both images in ``intrinsic`` and poses in ``pose``;
+- 7-Scenes has all in one folder, ``frame-000000.color.png``, ``.depth.png`` and ``.pose.txt``;
+- Redwood's scans have ``image`` or ``rgb``, and microseconds in the names, ``NUMBER-TIME.png``.
+
+Sources: the benchmark's page "File Formats"; Open3D's ``PinholeCameraIntrinsic`` and
+``RGBDVideoMetadata``; ScanNet's ``SensReader``; the pages of 7-Scenes and of Redwood's scans.
 """
 
 import json
@@ -21,8 +27,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxdet.errors import InputError
+from jaxdet.errors import FrameError, InputError
 from jaxdet.io.chunks import PAYLOAD_OFFSET, DamageError
+from jaxdet.io.compressed import compressed_size
 from jaxdet.io.container import FileState, Location
 from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.definition import schema_text
@@ -36,12 +43,16 @@ from jaxdet.io.message_file import (
     indexed_messages,
     position_of,
 )
+from jaxdet.io.messages import CompressedImageMessage
 from jaxdet.io.walk import Handler, Walk
+from jaxdet.io.writer import pose_of
 from jaxdet.io.writer_cdr import camera_info, encode_cdr, header
-from jaxdet.types import Intrinsics
+from jaxdet.types import Intrinsics, is_rigid
 
 RATE_HZ = 30
-COLOR_NAMES = ("rgb", "color", "colour")
+COLOR_NAMES = ("rgb", "color", "colour", "image")
+FLAT = ".color", ".depth"
+"""How names without their suffix end where colour and depth lie in one folder, as of 7-Scenes."""
 DEPTH_NAMES = ("depth",)
 COLOR_SUFFIXES = (".png", ".jpg", ".jpeg")
 DEPTH_SUFFIXES = (".png",)
@@ -52,6 +63,8 @@ _SECOND = 1_000_000_000
 _FIRST_S = 1
 """Stamp of frame 0 where frames have numbers only [s]; 0 would count as none."""
 _MAX_TEXT_BYTES = 64 << 20
+_WITH_TIME = re.compile(r"\d{7}-(\d{12})")
+"""A frame's number and its time [us]."""
 _NUMBER = re.compile(r"(\d+)\D*$")
 _FRAME = "camera_color_optical_frame"
 _TYPES = {
@@ -60,8 +73,9 @@ _TYPES = {
     "/camera/color/camera_info": "sensor_msgs/CameraInfo",
     "/camera/depth_registered/option/Depth Units/value": "std_msgs/Float32",
     "/tf": "tf2_msgs/TFMessage",
+    "/camera/depth_registered/camera_info": "sensor_msgs/CameraInfo",
 }
-_COLOR, _DEPTH, _INFO, _UNIT, _TF = range(len(_TYPES))
+_COLOR, _DEPTH, _INFO, _UNIT, _TF, _DEPTH_INFO = range(len(_TYPES))
 
 
 class _Message(NamedTuple):
@@ -206,6 +220,8 @@ def image_folders(files: Iterable[Path]) -> list[Path]:
             found.setdefault(file.parent.parent, set()).add(True)
         elif name in COLOR_NAMES and suffix in COLOR_SUFFIXES:
             found.setdefault(file.parent.parent, set()).add(False)
+        elif suffix in COLOR_SUFFIXES and Path(file.stem).suffix in FLAT:
+            found.setdefault(file.parent, set()).add(Path(file.stem).suffix == FLAT[1])
     return sorted(folder for folder, kinds in found.items() if len(kinds) == 2)
 
 
@@ -220,7 +236,7 @@ def stamp_note(folder: Path) -> str:
         names = [path.stem for path in _images(folder, COLOR_NAMES, COLOR_SUFFIXES)]
     except (InputError, OSError):
         return ""
-    if all("." in name for name in names):
+    if all("." in name or _WITH_TIME.fullmatch(name) for name in names) and names:
         return ""
     return f"{folder.name} has no stamps; its frames' numbers count as {RATE_HZ} frames a second"
 
@@ -234,6 +250,7 @@ def _messages(folder: Path) -> list[_Message]:
     first = min((item.log_ns for item in found), default=0)
     found += _calibration(folder, first)
     found += _poses(folder)
+    found += _matrix_poses(folder, [item for item in found if item.channel == _DEPTH])
     return sorted(found, key=lambda item: item[:2])
 
 
@@ -245,7 +262,7 @@ def _image_messages(
         images = [(_nanoseconds(stamp, folder / listed), folder / name) for stamp, name in lines]
     else:
         paths = _images(folder, names, suffixes)
-        dots = bool(paths) and all("." in path.stem for path in paths)
+        dots = bool(paths) and all("." in _frame_name(path) for path in paths)
         images = [(_stamp_of(path, dots), path) for path in paths]
     form = "16UC1; png" if channel == _DEPTH else "png"
     found = []
@@ -258,7 +275,21 @@ def _image_messages(
     return found
 
 
+def _frame_name(path: Path) -> str:
+    """The name of an image's frame: without its suffix, and what says which image it is."""
+    stem = Path(path.stem)
+    return stem.stem if stem.suffix in FLAT else path.stem
+
+
 def _images(folder: Path, names: Sequence[str], suffixes: Sequence[str]) -> list[Path]:
+    end = FLAT[names is DEPTH_NAMES]
+    flat = sorted(
+        path
+        for path in folder.iterdir()
+        if path.suffix.lower() in suffixes and Path(path.stem).suffix == end
+    )
+    if flat:
+        return flat
     parts = sorted(part for part in folder.iterdir() if part.name.lower() in names)
     if len(parts) > 1:
         listed = ", ".join(part.name for part in parts)
@@ -272,9 +303,12 @@ def _images(folder: Path, names: Sequence[str], suffixes: Sequence[str]) -> list
 
 def _stamp_of(path: Path, is_stamp: bool) -> int:
     """Nanoseconds of an image by its name."""
+    name = _frame_name(path)
     if is_stamp:
-        return _nanoseconds(path.stem, path)
-    match = _NUMBER.search(path.stem)
+        return _nanoseconds(name, path)
+    if timed := _WITH_TIME.fullmatch(name):
+        return _FIRST_S * _SECOND + int(timed[1]) * 1000
+    match = _NUMBER.search(name)
     if match is None or len(match[1]) > 9:
         problem = "the name has neither a stamp in seconds nor a frame's number"
         raise InputError(problem, path=str(path), remedy="number the images, or write rgb.txt")
@@ -282,7 +316,9 @@ def _stamp_of(path: Path, is_stamp: bool) -> int:
 
 
 def _calibration(folder: Path, log_ns: int) -> list[_Message]:
-    """The camera's calibration and depth unit, where a JSON file has them."""
+    """The camera's calibration and depth unit, where a JSON file or ScanNet's folder has them."""
+    if (folder / "intrinsic").is_dir():
+        return _scannet_calibration(folder, log_ns)
     found = [(path, value) for path in sorted(folder.glob("*.json")) if (value := _camera(path))]
     if not found:
         return []
@@ -304,6 +340,70 @@ def _calibration(folder: Path, log_ns: int) -> list[_Message]:
         remedy = "give intrinsic_matrix (nine numbers, column-major), width and height"
         raise InputError(problem, path=str(path), remedy=remedy) from error
     return [_Message(log_ns, _INFO, head), _Message(log_ns, _UNIT, unit)]
+
+
+def _scannet_calibration(folder: Path, log_ns: int) -> list[_Message]:
+    """The camera matrices of both images, each with the size of its first image."""
+    found = []
+    for kind, channel, names, suffixes in (
+        ("color", _INFO, COLOR_NAMES, COLOR_SUFFIXES),
+        ("depth", _DEPTH_INFO, DEPTH_NAMES, DEPTH_SUFFIXES),
+    ):
+        path = folder / "intrinsic" / f"intrinsic_{kind}.txt"
+        images = _images(folder, names, suffixes)
+        if not path.is_file() or not images:
+            continue
+        K, (width, height) = _matrix(path), _image_size(images[0])
+        camera = Intrinsics(width, height, K[0, 0], K[1, 1], K[0, 2], K[1, 2])
+        head = encode_cdr("sensor_msgs/CameraInfo", camera_info(log_ns, _FRAME, camera))
+        found.append(_Message(log_ns, channel, head))
+    return found
+
+
+def _image_size(path: Path) -> tuple[int, int]:
+    """Width and height of an image by its head.
+
+    Raises:
+        InputError: It is damaged.
+    """
+    message = CompressedImageMessage(0, "", "", path.read_bytes()[: 1 << 20])
+    try:
+        return compressed_size(message)
+    except FrameError as error:
+        raise InputError(error.problem, path=str(path), remedy="leave it out") from error
+
+
+def _matrix(path: Path) -> np.ndarray:
+    """A ``(4, 4)`` matrix in a text file."""
+    try:
+        return np.array(_table(path, 4), np.float64).reshape(4, 4)
+    except ValueError as error:
+        problem = "is no matrix of four rows of four numbers"
+        raise InputError(problem, path=str(path), remedy="correct it") from error
+
+
+def _matrix_poses(folder: Path, images: Sequence[_Message]) -> list[_Message]:
+    """The poses of ScanNet and 7-Scenes, a file for each depth image; lost ones are infinite."""
+    found = []
+    for item in images:
+        if item.path is None:
+            continue
+        name = _frame_name(item.path)
+        near = [folder / "pose" / f"{name}.txt", item.path.with_name(f"{name}.pose.txt")]
+        path = next((one for one in near if one.is_file()), None)
+        T = _matrix(path) if path else np.full((4, 4), np.nan)
+        if is_rigid(T):
+            pose = pose_of(T)
+            motion = {"translation": pose["position"], "rotation": pose["orientation"]}
+            found.append(_transform(item.log_ns, motion))
+    return found
+
+
+def _transform(stamp_ns: int, motion: dict[str, Any]) -> _Message:
+    head = header(stamp_ns, "map")
+    item = {"header": head, "child_frame_id": _FRAME, "transform": motion}
+    data = encode_cdr("tf2_msgs/TFMessage", {"transforms": [item]})
+    return _Message(stamp_ns, _TF, data)
 
 
 def _camera(path: Path) -> dict[str, Any] | None:
@@ -332,10 +432,7 @@ def _poses(folder: Path) -> list[_Message]:
             "translation": {"x": tx, "y": ty, "z": tz},
             "rotation": {"x": qx, "y": qy, "z": qz, "w": qw},
         }
-        head = header(stamp_ns, "map")
-        item = {"header": head, "child_frame_id": _FRAME, "transform": motion}
-        data = encode_cdr("tf2_msgs/TFMessage", {"transforms": [item]})
-        found.append(_Message(stamp_ns, _TF, data))
+        found.append(_transform(stamp_ns, motion))
     return found
 
 

@@ -197,6 +197,18 @@ def metres_to_units(depth_m: np.ndarray, unit_m: float, row: np.ndarray) -> None
     launch("depth_units", np.ascontiguousarray(depth_m, np.float32), unit_m, row)
 
 
+def typical_float(image: ImageMessage) -> float:
+    """Return the median of the positive values of a 32FC1 image, in its own unit; NaN without.
+
+    Raises:
+        FrameError: Its data don't fit its size.
+    """
+    kind = np.dtype((">" if image.big_endian else "<") + "f4")
+    pixels = _pixels(image, kind, 1, image.width * image.height)[::4, ::4]
+    good = pixels[np.isfinite(pixels) & (pixels > 0)]
+    return float(np.median(good)) if len(good) else float("nan")
+
+
 def _pixels(image: ImageMessage, dtype: np.dtype, channels: int, max_pixels: int) -> np.ndarray:
     """The pixels ``(H, W, channels)`` where they lie, without the rows' padding."""
     check_size(image.width, image.height, max_pixels)

@@ -9,7 +9,7 @@ import numpy as np
 from jaxdet.errors import RescanError
 from jaxdet.io.chunks import PAYLOAD_OFFSET, DamageError
 from jaxdet.io.container import Location, LogFile
-from jaxdet.io.contents import ContentsBuilder, LogContents
+from jaxdet.io.contents import FIRST_MOTIONS, ContentsBuilder, LogContents
 from jaxdet.io.decode_messages import MessageDecoder
 from jaxdet.io.formats import read_file_index
 from jaxdet.io.limits import check_images, check_motions, check_topics
@@ -23,7 +23,6 @@ from jaxdet.io.windows import StreamWindows
 _MOTIONS = (Kind.TRANSFORM, Kind.ODOMETRY, Kind.POSE)
 _MAX_MOTIONS = 1000
 """So many transforms and poses are all read at opening; of more the first and a sample."""
-_FIRST_MOTIONS = 64
 _MOTION_SAMPLE = 192
 _STATIC = 256
 """Messages of static transforms read at opening, where there are many."""
@@ -67,7 +66,7 @@ def open_index(files: Sequence[LogFile], store: ChunkStore, use_tf: bool, path: 
         if contents.topics[topic.topic].undecodable:
             problem = "one of the first messages can't be decoded"
             raise RescanError(problem, path=path, topic=topic.topic)
-        if contents.tree.ignored and not whole:
+        if not whole and any(tree.ignored for tree in contents.trees.values()):
             raise RescanError("a transform is none", path=path, topic=topic.topic)
         if topic.kind in _MOTIONS and not whole and not topic.is_static:
             _see_delays(delays, topic, number, payload)
@@ -193,7 +192,7 @@ def _probes(topic: TopicMessages, whole: bool) -> np.ndarray:
         return np.arange(min(count, NUM_PROBES))
     if whole:
         return np.arange(count)
-    first, sample = (_STATIC, 0) if topic.is_static else (_FIRST_MOTIONS, _MOTION_SAMPLE)
+    first, sample = (_STATIC, 0) if topic.is_static else (FIRST_MOTIONS, _MOTION_SAMPLE)
     spread = np.linspace(0, count - 1, sample).astype(np.int64)
     return np.unique(np.concatenate([np.arange(min(count, first)), spread]))
 
@@ -224,7 +223,7 @@ def _motion_windows(
     messages = _joined(parts)
     order = np.argsort(messages.log_ns, kind="stable")
     found = MotionMessages(messages.rows(order), order, tuple(decoders), delays)
-    return MotionWindows(found, store, contents.tree, contents.tracks, contents.path, whole)
+    return MotionWindows(found, store, contents.tracks, contents.path, whole)
 
 
 def _joined(parts: Sequence[IndexedMessages]) -> IndexedMessages:

@@ -96,10 +96,11 @@ def find_intrinsics(source: CameraSource) -> Found:
         fx, fy, cx, cy = source.matrix
         origin = flag + (f", distortion of topic {printable(source.topic)}" if info else "")
     elif info is not None and use_p:
-        fx, fy, cx, cy = info.P[0], info.P[5], info.P[2], info.P[6]
-        origin += ", P, since the images are rectified"
+        fx, fy, cx, cy = _of_images(info, size, (info.P[0], info.P[5], info.P[2], info.P[6]))
+        origin += ", P, since the images are rectified" + _part_text(info, size)
     elif info is not None and len(info.K) == 9:
-        fx, fy, cx, cy = info.K[0], info.K[4], info.K[2], info.K[5]
+        fx, fy, cx, cy = _of_images(info, size, (info.K[0], info.K[4], info.K[2], info.K[5]))
+        origin += _part_text(info, size)
     else:
         raise source.error("K does not have nine numbers", f"give {flag}")
     model, coefficients = (Distortion.NONE, ()) if use_p else _distortion(source, warnings)
@@ -109,12 +110,32 @@ def find_intrinsics(source: CameraSource) -> Found:
     except CalibrationError as error:
         raise source.error(error.problem, error.remedy) from error
     off = max(abs((cx + 0.5) / size.width - 0.5), abs((cy + 0.5) / size.height - 0.5))
-    if off > OFF_MIDDLE:
+    if off > OFF_MIDDLE and not (info and _part_text(info, size)):
         warnings.append(
             f"the optical centre ({cx:g}, {cy:g}) is far from the middle of the {source.camera} "
             f"images, {size.width}x{size.height}: is it that of another image size?"
         )
     return Found(found, origin, tuple(warnings))
+
+
+def _of_images(
+    info: CameraInfoMessage, size: ImageSize, matrix: tuple[float, float, float, float]
+) -> tuple[float, float, float, float]:
+    """Return fx fy cx cy of images that are binned or a part of the sensor, as ROS has it.
+
+    The centre of the first pixel stays at 0, as in ``image_geometry::PinholeCameraModel``.
+    """
+    fx, fy, cx, cy = matrix
+    x, y, bx, by = info.image_sizes().get(size, (0, 0, 1, 1))
+    return fx / bx, fy / by, (cx - x) / bx, (cy - y) / by
+
+
+def _part_text(info: CameraInfoMessage, size: ImageSize) -> str:
+    """Return what was applied of the binning and the region of interest."""
+    x, y, bx, by = info.image_sizes().get(size, (0, 0, 1, 1))
+    binned = f", binned {bx}x{by}" if (bx, by) != (1, 1) else ""
+    cut = f", region of interest at ({x}, {y})" if (x, y) != (0, 0) else ""
+    return binned + cut
 
 
 def _size(source: CameraSource, flag: str, warnings: list[str]) -> ImageSize:
@@ -128,9 +149,14 @@ def _size(source: CameraSource, flag: str, warnings: list[str]) -> ImageSize:
         raise source.error(problem, "allow it with --log.max-pixels")
     if info and source.size and 0 in declared:
         warnings.append(f"{printable(source.topic)} has no image size; the images' is taken")
-    elif info and declared != size and source.matrix is None:
+    elif info and size not in info.image_sizes() and source.matrix is None:
         sizes = f"{size.width}x{size.height}, its calibration for "
         problem = f"the {source.camera} images are {sizes}{declared.width}x{declared.height}"
+        if info.binning != (1, 1) or any(info.roi):
+            x, y, width, height = info.roi
+            part = f"{width}x{height} at ({x}, {y})" if width else "all of it"
+            binning = f"binning {info.binning[0]}x{info.binning[1]}"
+            problem += f" (region of interest: {part}, {binning})"
         raise source.error(problem, f"name the right topic with --log.{source.name}-info or {flag}")
     return size
 

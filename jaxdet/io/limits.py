@@ -27,6 +27,8 @@ MAX_ODD_RECORDS = 1000
 """Empty records and those of unknown kinds, in a chunk, a summary or between chunks."""
 MAX_SMALL_BYTES = 1 << 20
 """Of a message of calibration, transforms or poses. A thousand transforms take 150 kB."""
+MAX_MESSAGE_BYTES = 256 << 20
+"""Of a message that was compressed alone. An image of 32 megapixels takes 128 MiB."""
 MAX_JSON_BYTES = 16 << 20
 """Of a JSON message: Python takes up to 50 times as much for it."""
 MAX_TRANSLATION_M = 1e8

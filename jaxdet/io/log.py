@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from functools import cached_property
+from functools import cached_property, partial
 from operator import index as as_index
 from os import PathLike
 from typing import Any, NamedTuple, Self, overload
@@ -21,9 +21,17 @@ from jaxdet.errors import (
     TopicError,
 )
 from jaxdet.io.batch import Batch, LogFrame
+from jaxdet.io.body_frames import is_body_frame
 from jaxdet.io.chunks import DamageError
+from jaxdet.io.clocks import first_stamp, unset_clock_text
 from jaxdet.io.contents import LogContents
-from jaxdet.io.description import LogDescription, complete, describe, with_bad_color
+from jaxdet.io.description import (
+    LogDescription,
+    complete,
+    describe,
+    describe_topics,
+    with_bad_color,
+)
 from jaxdet.io.files import LogFiles, find_logs
 from jaxdet.io.findings import Findings, find_indexed, find_scanned
 from jaxdet.io.limits import ReadMemory
@@ -32,6 +40,7 @@ from jaxdet.io.opening import index_files, open_files, scan_files
 from jaxdet.io.options import LogOptions
 from jaxdet.io.part import find_part
 from jaxdet.io.reading import Failures, ImageReader
+from jaxdet.io.repeats import drop_repeated
 from jaxdet.io.store import ChunkStore
 from jaxdet.io.timeline import ScannedFrames, Window
 from jaxdet.io.windows import IndexedFrames
@@ -122,13 +131,18 @@ class Log:
         self.label = f"{self.name}, {self.camera}" if several else self.name
         part = options.start, options.stop, options.every
         self.frames = range(self.num_frames)
+        frames = found.frames
+        begin_ns, before = first_stamp(frames.num_frames, frames.stamp_ns, frames.log_ns)
         if part != (None, None, 1):
             about_ns, stamp_ns = found.frames.about_ns(), found.frames.stamp_ns
-            self.frames = find_part(about_ns, stamp_ns, *part, self._path)
-        self.description = describe(files, contents, found, self.frames)
+            self.frames = find_part(begin_ns, about_ns, stamp_ns, *part, self._path)
+        if before and frames.stamp_ns(0):
+            text = unset_clock_text(found.choice.depth, before, frames.stamp_ns(0))
+            found = found._replace(warnings=(*found.warnings, text))
+        self.description = describe(files, contents, found, self.frames, begin_ns)
         if isinstance(found.frames, ScannedFrames):
             self.description = self.described(found.frames.notes)
-        unit, limit = self.calibration.depth_unit, options.max_pixels
+        unit, limit = about.unit_in_floats, options.max_pixels
         by_index = isinstance(found.frames, IndexedFrames)
         self._reader = ImageReader(
             store, found.depth, found.color, unit, limit, by_index, about.used_for_depth
@@ -469,11 +483,13 @@ def open_log(
         if not options.scan:
             with suppress(DamageError, RescanError):
                 indexed = index_files(opened, store, source, options)
-                found = find_indexed(indexed, options)
-                return Log(source, indexed.contents, found, store, options)
+                find = partial(find_indexed, indexed, options)
+                return _opened(source, indexed.contents, find, store, options)
         contents = scan_files(opened, source, options)
+        drop_repeated(contents, store)
         try:
-            found = find_scanned(contents, options)
+            find = partial(find_scanned, contents, options)
+            return _opened(source, contents, find, store, options)
         except (TopicError, CalibrationError) as error:
             damaged = [file for file in contents.integrity if file.recovered]
             for file in damaged[:2]:
@@ -484,10 +500,32 @@ def open_log(
                 if trouble not in str(error):
                     error.add_remedy(f"{name}: {trouble}")
             raise
-        return Log(source, contents, found, store, options)
     except BaseException:
         store.close()
         raise
+
+
+def _opened(
+    files: LogFiles,
+    contents: LogContents,
+    find: Callable[..., Findings],
+    store: ChunkStore,
+    options: LogOptions,
+) -> Log:
+    """Return the log; its depth frame counts as a body frame where the depth images say so."""
+    try:
+        found = find()
+    except (TopicError, CalibrationError) as error:
+        error.topics = describe_topics(contents)
+        raise
+    log = Log(files, contents, found, store, options)
+    known = options.camera_frame is not None or found.calibrated.T_frame_camera is not None
+    places = log.has_poses or log.T_base_camera is not None
+    if known or not places:
+        return log
+    if is_body_frame(log.num_frames, log.T_base_camera, lambda some: log.read(some).frames):
+        return Log(files, contents, find(is_body=True), store, options)
+    return log
 
 
 class _Known(NamedTuple):

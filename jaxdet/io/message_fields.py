@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from jaxdet.elementary import matmul
+from jaxdet.io.images import check_pixels
 from jaxdet.io.limits import MAX_TRANSLATION_M
 from jaxdet.io.messages import (
     CameraInfoMessage,
@@ -91,6 +92,35 @@ def _image(message: Any, name: str) -> ImageMessage:
     )
 
 
+def _disparity(message: Any, name: str) -> ImageMessage:
+    """Return the depth in metres of a stereo_msgs/DisparityImage: f T / disparity.
+
+    Disparities that are not positive, below ``min_disparity`` or no number are unknown.
+    """
+    stamp, frame = _head(message)
+    image = _image(message.image, name)
+    if image.encoding.upper() != "32FC1":
+        raise ValueError(f"disparity has the encoding {image.encoding!a}, not 32FC1")
+    check_pixels(image)
+    baseline = float(message.t if hasattr(message, "t") else message.T)
+    kind = np.dtype(">f4" if image.big_endian else "<f4")
+    step = image.step or 4 * image.width
+    shape, strides = (image.height, image.width), (step, 4)
+    found = np.ndarray(shape, kind, image.data, strides=strides).astype(np.float32)
+    least = max(float(message.min_disparity), 0.0)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        depth = np.float32(float(message.f) * abs(baseline)) / found
+    depth = np.where(np.isfinite(found) & (found > 0) & (found >= least), depth, np.float32(0))
+    data = depth.astype("<f4").tobytes()
+    return image._replace(
+        stamp_ns=stamp,
+        frame_id=frame or image.frame_id,
+        step=4 * image.width,
+        big_endian=False,
+        data=data,
+    )
+
+
 def _compressed(message: Any, name: str) -> CompressedImageMessage:
     return CompressedImageMessage(*_head(message), str(message.format), _bytes(message.data))
 
@@ -103,7 +133,12 @@ def _info(message: Any, name: str) -> CameraInfoMessage:
         for key in "DKP"
     )
     size = int(message.width), int(message.height)
-    return CameraInfoMessage(stamp, frame, *size, str(message.distortion_model), D, K, P)
+    bx, by = (max(1, int(getattr(message, f"binning_{axis}", 0))) for axis in "xy")
+    roi, names = getattr(message, "roi", None), ("x_offset", "y_offset", "width", "height")
+    x, y, width, height = (int(getattr(roi, key, 0)) for key in names)
+    model = str(message.distortion_model)
+    part = x, y, width, height
+    return CameraInfoMessage(stamp, frame, *size, model, D, K, P, (bx, by), part)
 
 
 def _rgbd(message: Any, name: str) -> RgbdMessage:
@@ -214,6 +249,7 @@ _PARSE: dict[Kind, Callable[[Any, str], Message]] = {
     Kind.IMAGE: _image,
     Kind.COMPRESSED: _compressed,
     Kind.RGBD: _rgbd,
+    Kind.DISPARITY: _disparity,
     Kind.INFO: _info,
     Kind.TRANSFORM: _transforms,
     Kind.ODOMETRY: _odometry,

@@ -14,6 +14,7 @@ class Kind(Enum):
     IMAGE = "image"
     COMPRESSED = "compressed image"
     RGBD = "colour and depth image"
+    DISPARITY = "disparity image"
     INFO = "camera calibration"
     TRANSFORM = "transforms"
     ODOMETRY = "odometry"
@@ -22,7 +23,7 @@ class Kind(Enum):
     NUMBER = "number"
 
 
-IMAGE_KINDS = (Kind.IMAGE, Kind.COMPRESSED, Kind.RGBD)
+IMAGE_KINDS = (Kind.IMAGE, Kind.COMPRESSED, Kind.RGBD, Kind.DISPARITY)
 
 _KINDS = {
     "sensor_msgs/Image": Kind.IMAGE,
@@ -30,6 +31,7 @@ _KINDS = {
     "sensor_msgs/CompressedImage": Kind.COMPRESSED,
     "foxglove.CompressedImage": Kind.COMPRESSED,
     "realsense2_camera_msgs/RGBD": Kind.RGBD,
+    "stereo_msgs/DisparityImage": Kind.DISPARITY,
     "sensor_msgs/CameraInfo": Kind.INFO,
     "foxglove.CameraCalibration": Kind.INFO,
     "tf2_msgs/TFMessage": Kind.TRANSFORM,
@@ -99,6 +101,28 @@ class CameraInfoMessage(NamedTuple):
     """Nine numbers, row-major."""
     P: tuple[float, ...]
     """Twelve numbers, row-major: the projection of the rectified image; may be empty."""
+    binning: tuple[int, int] = (1, 1)
+    """Columns and rows of the sensor that one pixel of the images covers."""
+    roi: tuple[int, int, int, int] = (0, 0, 0, 0)
+    """Part of the sensor that the images show: x, y, width, height; width 0 is all of it."""
+
+    def image_sizes(self) -> dict[tuple[int, int], tuple[int, int, int, int]]:
+        """Return the image sizes that the message describes, each with x, y and binning.
+
+        Width, height, K and P are those of the full sensor, from which the region of interest is
+        cut before pixels are binned (sensor_msgs/CameraInfo). Drivers that state the size of their
+        images instead have K for these; so the size itself comes first, with nothing to apply.
+        """
+        (bx, by), (x, y, width, height) = self.binning, self.roi
+        full, part = (self.width, self.height), (width, height) if width and height else None
+        sizes = {full: (0, 0, 1, 1)}
+        binned = part or full
+        sizes.setdefault(
+            (binned[0] // bx, binned[1] // by), (x, y, bx, by) if part else (0, 0, bx, by)
+        )
+        if part:
+            sizes.setdefault(part, (x, y, 1, 1))
+        return sizes
 
 
 class RgbdMessage(NamedTuple):

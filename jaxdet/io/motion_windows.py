@@ -7,6 +7,7 @@ sample. Each window holds every message that it answers for against that.
 
 from collections import OrderedDict
 from collections.abc import Sequence
+from copy import copy
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -48,7 +49,6 @@ class MotionWindows:
     Args:
         found: The messages.
         store: The log's chunks.
-        tree: The transforms seen at opening.
         tracks: The poses seen at opening, by topic.
         path: The log's, for errors.
         whole: Whether all messages were seen at opening.
@@ -58,15 +58,20 @@ class MotionWindows:
         self,
         found: MotionMessages,
         store: ChunkStore,
-        tree: TransformTree,
         tracks: dict[str, MotionSamples],
         path: str,
         whole: bool,
     ) -> None:
         self._messages, self._arrival, self._decoders, self._delays_seen = found
-        self._store, self._tree, self._tracks = store, tree, tracks
+        self._store, self._tree, self._tracks = store, TransformTree(), tracks
         self._path, self.whole = path, whole
         self._decoded: OrderedDict[int, list[tuple[str, TransformMessage]]] = OrderedDict()
+
+    def of_tree(self, tree: TransformTree) -> "MotionWindows":
+        """Return the same windows on the transforms of one robot, as they were seen at opening."""
+        found = copy(self)
+        found._tree, found._decoded = tree, OrderedDict()
+        return found
 
     def __getstate__(self) -> dict[str, Any]:
         """Without what was decoded."""
@@ -159,6 +164,8 @@ class MotionWindows:
                 raise self._odd(f"a transform of {item.child!r} is none")
             if decoder.kind is not Kind.TRANSFORM:
                 found.append((decoder.channel.topic, item))
+            elif not self._tree.uses(decoder.channel.topic, item.child):
+                continue
             elif not self._tree.agrees(item, decoder.is_static):
                 raise self._odd(f"frame {item.child!r} has transforms unlike the first ones")
             elif not decoder.is_static and item.parent == self._tree.parent(item.child):

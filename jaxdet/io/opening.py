@@ -91,9 +91,10 @@ def index_files(
 
 
 def _finish(contents: LogContents, opened: OpenedFiles, log: LogFiles, options: LogOptions) -> None:
-    if options.tf and not contents.tree.has_static:
+    if options.tf and not contents.has_static:
         _search_siblings(contents, opened.memory, log, options)
-    contents.tree.settle()
+    for tree in contents.trees.values():
+        tree.settle()
     contents.warnings += opened.warnings
     _note(contents, log)
 
@@ -113,7 +114,7 @@ def _search_siblings(
             raise  # else it would be for the memory to decide what is found
         except InputError as error:
             contents.warnings.append(f"{error}; the split is not searched for static transforms")
-        if contents.tree.has_static:
+        if contents.has_static:
             contents.warnings.append(f"static transforms are taken from the split {path.name}")
             return
 

@@ -12,6 +12,7 @@ from jaxdet.io.moments import parse_moment
 
 NO_COLOR = "none"
 """In place of the colour topic."""
+MAX_OFFSET_S = 4e9
 SHORT = {"short": True}
 """Of fields whose flags have no ``log.`` before them."""
 
@@ -50,9 +51,14 @@ class LogOptions:
     """Greatest difference of the header stamps of a depth image and the colour image that is shown
     with it, the nearest one [s]; 0.15 s allows for the long exposures of a dim room (0.10 s on a
     real D435)."""
+    color_offset_s: float | None = None
+    """How far the clock of colour's stamps is ahead of depth's [s]; unset: measured by the log
+    times where it is more than 0.5 s."""
+    pose_offset_s: float | None = None
+    """How far the clock of transforms or odometry is ahead of depth's [s]; unset: likewise."""
     depth_unit_m: float | None = None
-    """Metres in one unit of a 16-bit depth image; unset: 0.001. 32FC1 is in metres always and
-    is rounded to this unit. From 0.00001 to 0.1."""
+    """Metres in one unit of the recorded depth; unset: 0.001 for 16-bit images, 1 for 32FC1 (0.001
+    where it is in millimetres). From 0.00001 to 0.1, or 1."""
     color_from_depth: tuple[float, float, float, float, float, float, float] | None = None
     """T_color_depth, from depth to colour camera: tx ty tz qx qy qz qw [m]; goes before what
     the log says."""
@@ -92,9 +98,12 @@ class LogOptions:
         if self.every < 1:
             raise ConfigError(f"every {self.every}", remedy="give --every 1 or more")
         _require(0 <= self.pair_tolerance_s < 1e6, "pair-tolerance-s", "at least 0")
+        for name in ("color_offset_s", "pose_offset_s"):
+            known = getattr(self, name) is None or abs(getattr(self, name)) < MAX_OFFSET_S
+            _require(known, name.replace("_", "-"), f"less than {MAX_OFFSET_S:g} s")
         unit, (smallest, largest) = self.depth_unit_m, DEPTH_UNITS_M
-        known = unit is None or smallest <= unit <= largest
-        _require(known, "depth-unit-m", f"from {smallest:g} to {largest:g} m")
+        known = unit is None or smallest <= unit <= largest or unit == 1
+        _require(known, "depth-unit-m", f"from {smallest:g} to {largest:g} m, or 1 (32FC1)")
         _require(1 <= self.max_chunk_mib <= 1 << 20, "max-chunk-mib", "at least 1")
         _require(self.max_pixels >= 1, "max-pixels", "at least 1")
         for name in ("color_intrinsics", "depth_intrinsics"):

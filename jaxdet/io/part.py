@@ -1,7 +1,7 @@
 """A part of a log: the frames between two moments, found with few looks at the log."""
 
 from bisect import bisect_left
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from jaxdet.io.moments import EPOCH, MICROSECOND, parse_moment
 
 
 def find_part(
+    begin_ns: int,
     about_ns: np.ndarray,
     stamp_ns: Callable[[int], int],
     start: str | None,
@@ -19,9 +20,8 @@ def find_part(
 ) -> range:
     """The numbers of the frames from one moment to another.
 
-    Seconds count from the first stamp that is not zero.
-
     Args:
+        begin_ns: From when seconds count [ns], see :func:`jaxdet.io.clocks.first_stamp`.
         about_ns: ``(F,)`` int64, a time of each of the log's frames, in order [ns], which differs
             by about the same from all stamps: it says where to look first.
         stamp_ns: The stamp of a frame by its number [ns]; they are in order.
@@ -36,11 +36,11 @@ def find_part(
     count = len(about_ns)
     if not count:
         return range(0)
-    begin_ns, ends = first_told(map(stamp_ns, range(count))), [0, count]
+    ends = [0, count]
     for side, text in enumerate((start, stop)):
         if text is not None:
             wanted = parse_moment(text, "").stamp_ns(begin_ns)
-            ends[side] = _first_from(wanted, about_ns, stamp_ns)
+            ends[side] = _first_from(wanted, begin_ns, about_ns, stamp_ns)
     found = range(-(-ends[0] // every) * every, ends[1], every)
     if not found:
         asked = f"--start {start}" * (start is not None), f"--stop {stop}" * (stop is not None)
@@ -51,15 +51,12 @@ def find_part(
     return found
 
 
-def first_told(stamps_ns: Iterable[int]) -> int:
-    """The first stamp that is not zero [ns]; 0 where all are."""
-    return next((ns for ns in stamps_ns if ns), 0)
-
-
-def _first_from(wanted: int, about_ns: np.ndarray, stamp_ns: Callable[[int], int]) -> int:
+def _first_from(
+    wanted: int, begin_ns: int, about_ns: np.ndarray, stamp_ns: Callable[[int], int]
+) -> int:
     """The first frame whose stamp is ``wanted`` or later; looks at few, and those near by."""
     count = len(about_ns)
-    guess = int(np.searchsorted(about_ns, wanted - stamp_ns(0) + int(about_ns[0])))
+    guess = int(np.searchsorted(about_ns, wanted - begin_ns + int(about_ns[0])))
     low = high = min(guess, count - 1)
     step = 1
     while low > 0 and stamp_ns(low) >= wanted:

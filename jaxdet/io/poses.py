@@ -9,6 +9,7 @@ from jaxdet.elementary import matmul
 from jaxdet.errors import CalibrationError, TopicError, printable
 from jaxdet.io.contents import LogContents, PoseTrack
 from jaxdet.io.motion import MotionSamples
+from jaxdet.io.namespaces import namespace_of, namespaces_of_camera
 from jaxdet.io.options import LogOptions
 from jaxdet.io.topics import listed
 from jaxdet.io.transforms import TransformTree
@@ -47,6 +48,8 @@ class PoseSource(NamedTuple):
     """``(4, 4)`` float64, from that frame to the one that the topic's poses are of."""
     T_frame_camera: np.ndarray | None = None
     """``(4, 4)`` float64, from the depth camera to ``camera``; None: they are the same."""
+    offset_ns: int = 0
+    """How far the clock of the poses is ahead of depth's [ns]."""
 
     @property
     def known(self) -> bool:
@@ -68,7 +71,7 @@ class PoseSource(NamedTuple):
         """``T_world_camera`` ``(F, 4, 4)`` at each stamp, NaN where unknown; None without poses.
 
         Args:
-            stamps_ns: ``(F,)`` int64 [ns].
+            stamps_ns: ``(F,)`` int64, in the clock of the poses [ns].
             tree: Transforms with the samples about these stamps.
             tracks: Samples of the pose topics.
 
@@ -105,24 +108,29 @@ def find_base(contents: LogContents, options: LogOptions, camera_frame: str) -> 
 def find_poses(
     contents: LogContents,
     options: LogOptions,
+    depth_topic: str,
     camera_frame: str,
     base_frame: str | None,
     share_known: Callable[[PoseSource], float],
+    on_clock: Callable[[PoseSource], PoseSource] = lambda source: source,
 ) -> PoseSource:
     """Where the poses come from.
 
     The topic of ``--log.odom`` goes first, then moving transforms up to the world frame, then
-    the log's only Odometry or PoseInFrame topic. Of the frames map and odom the first is taken in
-    which half of the poses are known, else the one in which most are. A pose topic holds the
-    robot's base, which static transforms join to the camera; where they don't, there are no poses
-    and a warning.
+    the robot's only Odometry or PoseInFrame topic. A frame given by ``--log.world-frame`` is taken
+    whatever it is, so the robot's base frame gives robot coordinates. Of the frames map and odom
+    the first is taken in which half of the poses are known, else the one in which most are. A pose
+    topic holds the robot's base, which static transforms join to the camera; where they don't,
+    there are no poses and a warning.
 
     Args:
         contents: What is in the log.
         options: What the user says.
+        depth_topic: Topic of the camera's depth images.
         camera_frame: TF frame of the camera.
         base_frame: TF frame of the robot.
         share_known: Of how many frames a source knows the pose, 0 to 1.
+        on_clock: Adds how far the clock of a source is from depth's.
 
     Raises:
         TopicError: ``--log.odom`` names no topic with poses.
@@ -130,25 +138,26 @@ def find_poses(
             the transforms form a cycle.
     """
     if options.odom:
-        if options.odom not in contents.poses:
-            remedy = f"--log.odom can be: {listed(sorted(contents.poses)) or 'none'}"
-            raise TopicError(
-                "no poses on the topic", path=contents.path, topic=options.odom, remedy=remedy
-            )
-        return _from_track(contents, options.odom, camera_frame, base_frame)
+        source = _given_track(contents, options, options.odom, camera_frame, base_frame)
+        return _on_clock(source, share_known, on_clock)
     if options.world_frame and not (
         camera_frame and contents.tree.joins(options.world_frame, camera_frame)
     ):
         problem = f"no transforms join {options.world_frame!r} and {camera_frame!r}"
         raise CalibrationError(problem, path=contents.path, remedy="change --log.world-frame")
+    if options.world_frame:
+        text = f"poses: TF, frame {printable(options.world_frame)!r}"
+        source = PoseSource(text, camera=camera_frame, world=options.world_frame)
+        return _on_clock(source, share_known, on_clock)
     best, most = None, 0.0
-    for world in [options.world_frame] if options.world_frame else _named(contents, _WORLDS):
+    for world in _named(contents, _WORLDS):
         if not camera_frame or world == base_frame or not contents.tree.joins(world, camera_frame):
             continue
         text = f"poses: TF, frame {printable(world)!r}"
         if best:
             text += f", where more are known than in {printable(best.world)!r}"
         source = PoseSource(text, camera=camera_frame, world=world)
+        source = _on_clock(source, share_known, on_clock)
         share = share_known(source)
         if share > most:
             best, most = source, share
@@ -156,13 +165,47 @@ def find_poses(
             break
     if best:
         return best
-    topics = [name for name in sorted(contents.poses) if _is_robot_pose(contents, name)]
+    topics = _robot_poses(contents, depth_topic)
     if len(topics) == 1:
-        return _from_track(contents, topics[0], camera_frame, base_frame)
+        source = _from_track(contents, topics[0], camera_frame, base_frame)
+        return _on_clock(source, share_known, on_clock)
     if topics:
         text = f"several topics hold poses ({listed(topics)}); choose one with --log.odom"
         return PoseSource("poses: none chosen", (text,))
     return PoseSource("poses: none in the log")
+
+
+def _on_clock(
+    source: PoseSource,
+    share_known: Callable[[PoseSource], float],
+    on_clock: Callable[[PoseSource], PoseSource],
+) -> PoseSource:
+    """Return the source with the offset of its clock.
+
+    An offset with which fewer poses are known is none: a clock was set while the log was recorded.
+    """
+    found = on_clock(source) if source.known else source
+    measured = found.offset_ns and found.warnings != source.warnings
+    return source if measured and share_known(source) > share_known(found) else found
+
+
+def _given_track(
+    contents: LogContents,
+    options: LogOptions,
+    topic: str,
+    camera_frame: str,
+    base_frame: str | None,
+) -> PoseSource:
+    """Return the poses of the topic that ``--log.odom`` names."""
+    if topic not in contents.poses:
+        remedy = f"--log.odom can be: {listed(sorted(contents.poses)) or 'none'}"
+        raise TopicError("no poses on the topic", path=contents.path, topic=topic, remedy=remedy)
+    parent = contents.poses[topic].parent
+    if options.world_frame and options.world_frame != parent:
+        problem = f"its poses are in frame {parent!r}, not in {options.world_frame!r}"
+        remedy = "give --log.odom or --log.world-frame, not both"
+        raise TopicError(problem, path=contents.path, topic=topic, remedy=remedy)
+    return _from_track(contents, topic, camera_frame, base_frame)
 
 
 def _from_track(
@@ -178,6 +221,15 @@ def _from_track(
     text = f"poses: topic {printable(topic)} of frame {printable(child)!r}"
     given = {"topic": topic, "parent": track.parent, "T_child_camera": T_child_camera}
     return PoseSource(text, camera=camera_frame, **given)
+
+
+def _robot_poses(contents: LogContents, depth_topic: str) -> list[str]:
+    """Return the topics with poses of the robot that carries a camera."""
+    topics = [name for name in sorted(contents.poses) if _is_robot_pose(contents, name)]
+    spaces = {name: namespace_of(name) for name in topics}
+    found = namespaces_of_camera(spaces.values(), depth_topic, contents.streams)
+    wanted = found.own[:1] if found.has_robot else (*found.own, *found.others)
+    return [name for name in topics if spaces[name] in wanted]
 
 
 def _is_robot_pose(contents: LogContents, topic: str) -> bool:

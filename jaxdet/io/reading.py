@@ -76,7 +76,7 @@ class ImageReader:
         store: The log's chunks.
         depth: Decoders of the depth topic; a message has the one of its ``decoder``.
         color: Decoders of the colour topic, which may be the same; empty without one.
-        depth_unit_m: Metres in one depth unit.
+        depth_unit: A depth unit in the unit of 32FC1 depth, metres as a rule.
         max_pixels: Largest image decoded.
         strict: Whether damage of the file is raised. If not it costs the frames in it only.
         used: The calibrations used, by topic.
@@ -87,7 +87,7 @@ class ImageReader:
         store: ChunkStore,
         depth: Sequence[MessageDecoder],
         color: Sequence[MessageDecoder],
-        depth_unit_m: float,
+        depth_unit: float,
         max_pixels: int,
         strict: bool,
         used: Mapping[str, CameraInfoMessage],
@@ -95,7 +95,7 @@ class ImageReader:
         self._store, self._strict = store, strict
         self._depth, self._color = depth, color
         self._used = used
-        self._unit_m, self._max_pixels = depth_unit_m, max_pixels
+        self._unit, self._max_pixels = depth_unit, max_pixels
         self._took: list[float] = []
         """Times of threads since :meth:`decoding_s` was called [s]."""
 
@@ -293,9 +293,9 @@ class ImageReader:
 
     def _decode_depth(self, message: Message, row: np.ndarray) -> None:
         if isinstance(message, CompressedImageMessage):
-            decode_compressed_depth(message, row, self._unit_m, self._max_pixels)
+            decode_compressed_depth(message, row, self._unit, self._max_pixels)
         elif isinstance(message, ImageMessage):
-            decode_depth(message, row, self._unit_m, self._max_pixels)
+            decode_depth(message, row, self._unit, self._max_pixels)
 
 
 def _other_calibration() -> FrameError:

@@ -4,7 +4,9 @@ A message's number is its ``id``; SQLite gives any part of a blob without readin
 Source: rosbag2's ``rosbag2_storage_sqlite3``, schemas 1 to 4.
 """
 
+import math
 import sqlite3
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from threading import local
@@ -16,10 +18,18 @@ from jaxdet.io.container import FileState, LogFile
 from jaxdet.io.message_file import MessageFile, MessageRow
 
 _ROW = "SELECT topic_id, timestamp, length(data), typeof(data) FROM messages WHERE id = ?"
-_TABLES = "SELECT name FROM sqlite_master WHERE type = 'table'"
+_TABLES = "SELECT name FROM sqlite_master WHERE type = 'table' AND rootpage > 0"
+_XINFO = "table_xinfo"
+"""Pragma that lists the columns of a table, the generated ones too."""
+_HIDDEN = 6
+_READ = {"sqlite_master", "messages", "topics", "message_definitions"}
+_FUNCTIONS = {"length", "typeof", "count", "max"}
+_MAX_BYTES = (1 << 31) - 1
+_STEPS = 1_000_000
+"""Instructions of SQLite's virtual machine between two looks at the clock, some milliseconds."""
+_PATIENCE_S, _BYTES_PER_S = 5.0, 50 << 20
+"""The next row of a query may take so long, and a second more for so many bytes of the file."""
 _NEEDED = {"messages", "topics"}
-_FIRST = "SELECT substr(data, 1, 4) FROM messages LIMIT 1"
-_ZSTD = b"\x28\xb5\x2f\xfd"
 
 
 class SqliteFile(MessageFile):
@@ -27,6 +37,8 @@ class SqliteFile(MessageFile):
 
     magic = b"SQLite format 3\0"
     kind = "a rosbag2 SQLite"
+    tables: frozenset[str] | set[str] = frozenset()
+    """Tables of a recording that the file has; views are none."""
 
     def __init__(self, path: Path, max_bytes: int, state: FileState | None = None) -> None:
         super().__init__(path, max_bytes, state)
@@ -53,8 +65,15 @@ class SqliteFile(MessageFile):
         Raises:
             DamageError: SQLite can't go on.
         """
+        patience_s = _PATIENCE_S + self.size / _BYTES_PER_S
         try:
-            yield from self._connection().execute(text, values)
+            rows = self._connection().execute(text, values)
+            while True:
+                self._of_thread.until = time.monotonic() + patience_s
+                row = next(rows, None)
+                if row is None:
+                    return
+                yield row
         except (sqlite3.Error, OverflowError) as error:
             raise damage(error) from error
 
@@ -107,13 +126,20 @@ class SqliteFile(MessageFile):
             # Of a file that ends early what is there can be read.
             found.execute("PRAGMA writable_schema = ON")
             found.execute("PRAGMA trusted_schema = OFF")
+            found.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, min(self.max_bytes, _MAX_BYTES))
+            found.set_authorizer(_authorize)
+            found.set_progress_handler(self._takes_too_long, _STEPS)
         except sqlite3.Error as error:
             raise damage(error) from error
         self._of_thread.connection = found
         return found
 
+    def _takes_too_long(self) -> bool:
+        """Whether this thread's query takes longer than any recording's does; ends it then."""
+        return time.monotonic() > getattr(self._of_thread, "until", math.inf)
+
     def _check(self) -> None:
-        """Whether this is a recording, whole and not compressed.
+        """Whether this is a recording, and closed.
 
         Raises:
             InputError: It isn't.
@@ -129,18 +155,33 @@ class SqliteFile(MessageFile):
                 )
         try:
             tables = {row[0] for row in self.query(_TABLES)}
-            first = next(self.query(_FIRST), None) if tables >= _NEEDED else None
+            self.tables = tables & _READ
+            made = {
+                f"{table}.{row[1]}"
+                for table in sorted(self.tables)
+                for row in self.query(f"PRAGMA {_XINFO}({table})")
+                if row[_HIDDEN]
+            }
         except DamageError as error:
             remedy = "recover it with sqlite3 FILE .recover, or leave it out"
             raise InputError(str(error), path=str(self.path), remedy=remedy) from error
         if not tables >= _NEEDED:
             problem = "not a rosbag2 recording: it has no tables messages and topics"
             raise InputError(problem, path=str(self.path), remedy="leave it out")
-        if first and first[0] == _ZSTD:
-            problem = "its messages are compressed one by one"
-            remedy = f"convert it: rosbags-convert --src {self.path.parent} --dst NEW "
-            remedy += "--dst-storage mcap"
-            raise InputError(problem, path=str(self.path), remedy=remedy)
+        if made:
+            problem = f"not a rosbag2 recording: columns are generated ({', '.join(sorted(made))})"
+            raise InputError(problem, path=str(self.path), remedy="leave it out")
+
+
+def _authorize(action: int, first: str | None, second: str | None, *_: object) -> int:
+    """Allow reading a recording's tables, and nothing else: no views, no functions of theirs."""
+    allowed = {
+        sqlite3.SQLITE_SELECT: True,
+        sqlite3.SQLITE_READ: first in _READ,
+        sqlite3.SQLITE_FUNCTION: second in _FUNCTIONS,
+        sqlite3.SQLITE_PRAGMA: first == _XINFO,
+    }
+    return sqlite3.SQLITE_OK if allowed.get(action) else sqlite3.SQLITE_DENY
 
 
 def damage(error: Exception) -> DamageError:

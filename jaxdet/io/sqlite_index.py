@@ -162,7 +162,8 @@ def _channels(file: SqliteFile) -> dict[int, ChannelInfo]:
     topics, known = list(file.query(_TOPICS)), {}
     check_topics(len(topics), str(file.path))
     with suppress(DamageError):
-        known = {row[0]: row[1:] for row in file.query(_DEFINITIONS, (MAX_SCHEMA_BYTES,))}
+        rows = file.query(_DEFINITIONS, (MAX_SCHEMA_BYTES,))
+        known = {row[0]: row[1:] for row in (rows if "message_definitions" in file.tables else ())}
     found = {}
     for number, topic, name, encoding in topics:
         schema, text = known.get(name) or ("ros2msg", _definition(str(name)))

@@ -11,6 +11,7 @@ from jaxdet.errors import FrameError
 from jaxdet.io.compressed import compressed_size
 from jaxdet.io.decode_messages import MessageDecoder
 from jaxdet.io.messages import CompressedImageMessage, ImageMessage, Kind, RgbdMessage
+from jaxdet.io.zstd_images import is_zstd, read_zstd_head
 
 COLUMNS = ("stamp", "color_stamp", "log_time", "file", "decoder", "chunk", "offset", "size")
 """What is kept of an image message, all int64; stamps and log time in ns. The two stamps differ in
@@ -36,6 +37,8 @@ class ImageStream:
         self.decoders: list[MessageDecoder] = []
         self.probes: list[ImageMessage | CompressedImageMessage | RgbdMessage] = []
         """The first few messages, without their pixels."""
+        self.typical: list[float] = []
+        """Of 32FC1 images among them, the median value."""
         self._columns = {name: array("q") for name in COLUMNS}
 
     def __len__(self) -> int:
@@ -45,6 +48,11 @@ class ImageStream:
         """Adds a message, as ``COLUMNS``."""
         for column, value in zip(self._columns.values(), values, strict=True):
             column.append(value)
+
+    def keep(self, which: np.ndarray) -> None:
+        """Keep some of the messages, by ``(N,)`` bool."""
+        columns = {name: self.column(name)[which].tolist() for name in self._columns}
+        self._columns = {name: array("q", values) for name, values in columns.items()}
 
     def column(self, name: str) -> np.ndarray:
         """``(N,)`` int64, in the order of the files."""
@@ -72,6 +80,16 @@ class ImageStream:
         if isinstance(image, CompressedImageMessage):
             return image.format
         return image.encoding if image else ""
+
+    @property
+    def has_floats(self) -> bool:
+        """Whether its depth images are 32FC1, whatever they are compressed with."""
+        image = self.first_image(True)
+        text = self.encoding(True).partition(";")[0].strip().lower()
+        if isinstance(image, CompressedImageMessage) and is_zstd(image.format):
+            head = read_zstd_head(image.data)
+            text = head.encoding.lower() if head else ""
+        return text == "32fc1"
 
     def size(self, depth: bool) -> ImageSize | None:
         """The size of most of the first images, without decoding them; None when unknown."""

@@ -95,6 +95,10 @@ class ScannedFrames(NamedTuple):
         """The stamp of a frame [ns]."""
         return int(self.whole.depth.stamps_ns[number])
 
+    def log_ns(self, number: int) -> int:
+        """The log time of a frame [ns]."""
+        return int(self.whole.depth.log_ns[number])
+
     def window(self, start: int, stop: int) -> Window:
         """The frames ``start`` to ``stop``."""
         return self.whole.part(start, stop)
@@ -107,13 +111,14 @@ class ScannedFrames(NamedTuple):
 
 
 def order_frames(
-    depth: ImageStream, color: ImageStream | None, tolerance_s: float
+    depth: ImageStream, color: ImageStream | None, tolerance_s: float, color_offset_ns: int = 0
 ) -> ScannedFrames:
     """Order the depth images of a log that was read as a whole, each with its nearest colour image.
 
     The order is by header stamp, then log time, then place in the files. Where all stamps of a
     stream are zero, log times stand for its stamps, and decide which colour image is nearest. The
-    two images of an RGBD message belong together whatever their stamps.
+    two images of an RGBD message belong together whatever their stamps. Colour's clock is
+    ``color_offset_ns`` ahead of depth's.
     """
     streams = dict.fromkeys(stream for stream in (depth, color) if stream is not None)
     warnings: list[str] = []
@@ -131,9 +136,9 @@ def order_frames(
         partners = own._replace(stamps_ns=stamps)
     elif color is not None:
         every, _ = _table(color, "log_time" if zero else "stamp")
-        about = own.log_ns if zero else own.stamps_ns
+        about = own.log_ns if zero else own.stamps_ns + color_offset_ns
         partners = every.rows(nearest(about, every.stamps_ns, tolerance_s))
-    notes = Notes(stream_notes, *apart(own, partners))
+    notes = Notes(stream_notes, *apart(own, partners, color_offset_ns))
     whole = Window(own, partners, None)
     return ScannedFrames(whole, notes, depth in zero, tuple(warnings))
 
@@ -161,17 +166,20 @@ def nearest(stamps_ns: np.ndarray, others_ns: np.ndarray, tolerance_s: float) ->
     return np.where(near, np.searchsorted(others_ns, found), -1)
 
 
-def apart(depth: FrameTable, color: FrameTable | None) -> tuple[np.ndarray, np.ndarray, int]:
+def apart(
+    depth: FrameTable, color: FrameTable | None, color_offset_ns: int = 0
+) -> tuple[np.ndarray, np.ndarray, int]:
     """How far apart images are by stamp and by log time ``(P,)`` [ns]; frames without colour.
 
     Args:
         depth: ``n`` messages.
         color: Their colour images, with a stamp of -1 where there is none.
+        color_offset_ns: How far colour's clock is ahead of depth's.
     """
     if color is None:
         return np.zeros(0, np.int64), np.zeros(0, np.int64), len(depth.stamps_ns)
     there = color.stamps_ns >= 0
-    by_stamp = np.abs(color.stamps_ns - depth.stamps_ns)[there]
+    by_stamp = np.abs(color.stamps_ns - color_offset_ns - depth.stamps_ns)[there]
     by_log_time = np.abs(color.log_ns - depth.log_ns)[there]
     return by_stamp, by_log_time, int((~there).sum())
 

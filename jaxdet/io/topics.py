@@ -13,10 +13,10 @@ from functools import partial
 from typing import NamedTuple
 
 from jaxdet.errors import TopicError, printable
-from jaxdet.io.compressed import is_color_file, is_depth_file
+from jaxdet.io.compressed import is_color_file, is_compressed_depth, is_depth_file, is_jpeg
 from jaxdet.io.contents import LogContents
 from jaxdet.io.images import is_color_encoding, is_depth_encoding
-from jaxdet.io.messages import ImageMessage, Kind, plain_schema_name
+from jaxdet.io.messages import CompressedImageMessage, ImageMessage, Kind, plain_schema_name
 from jaxdet.io.options import NO_COLOR, LogOptions
 from jaxdet.io.streams import ImageStream
 
@@ -25,8 +25,9 @@ _COLOR_WORDS = {"color", "colour", "rgb"}
 _DEPTH_WORDS = {"depth", "stereo"}
 _INFRARED = {"ir", "infra", "infra1"}
 """Of the depth camera's own pixels; infra2 is the other eye's."""
-_NOT_COLOR = {"depth", "disparity", "confidence", "infra2", "mask"} | _INFRARED
-_NOT_DEPTH = {"confidence", "disparity", "infra2", "amplitude"} | _INFRARED
+_NOT_COLOR = {"depth", "confidence", "infra2", "mask"} | _INFRARED
+_NOT_DEPTH = {"confidence", "infra2", "amplitude"} | _INFRARED
+_DISPARITY_WORDS = {"disparity", "disp", "disparities"}
 _VIDEOS = {
     "foxglove.CompressedVideo": "video",
     "ffmpeg_image_transport_msgs/FFMPEGPacket": "video of FFmpeg",
@@ -37,7 +38,7 @@ _IMAGE_WORDS = (
     | _DEPTH_WORDS
     | {"image", "raw", "rect", "rectified", "mono", "gray", "grey", "rgbd", "data", "sensor"}
     | {"compressed", "compresseddepth", "aligned", "registered", "to", "sw", "hw", "transport"}
-    | {"extrinsics", "zstd", "infra2"}
+    | {"extrinsics", "zstd", "infra2", "disparity"}
     | _INFRARED
 )
 """Of topics, no part of a camera's name."""
@@ -257,6 +258,8 @@ def _is_eye(topic: str, contents: LogContents) -> bool:
 def _overridden(contents: LogContents, topic: str, depth: bool) -> Candidate:
     what, flag = ("depth", "--log.depth") if depth else ("colour", "--log.color")
     stream = contents.streams.get(topic)
+    if depth and stream is not None and (reason := _why_not_depth(stream)):
+        raise TopicError(reason[0], path=contents.path, topic=topic, remedy=reason[1])
     if stream is None:
         known = contents.topics.get(topic)
         reason = (known and known.trouble) or "there are no images on the topic"
@@ -286,7 +289,25 @@ def _is_kind(stream: ImageStream, depth: bool) -> bool:
     return is_depth if depth else not is_depth and is_color_file(image)
 
 
+def _why_not_depth(stream: ImageStream) -> tuple[str, str] | None:
+    """Return why images that look like depth are none, and the remedy; None where they may be."""
+    image, words = stream.first_image(True), _words(stream.topic)
+    named = "disparity" in stream.topic.lower() or bool(words & _DISPARITY_WORDS)
+    if named and stream.kind in (Kind.IMAGE, Kind.COMPRESSED):
+        remedy = "record the depth image, or stereo_msgs/DisparityImage (it has focal length and "
+        return "holds disparity in pixels, not depth in metres", f"{remedy}baseline)"
+    if not isinstance(image, CompressedImageMessage) or not is_jpeg(image):
+        return None
+    if is_compressed_depth(image.format, stream.topic) or "depth" in words:
+        problem = "depth was recorded as JPEG (8 bits, lossy), its distances are lost"
+        remedy = "record the compressedDepth topic, or set the format of image_transport's "
+        return problem, f"{remedy}compressed transport to png (now {image.format.strip()!a})"
+    return None
+
+
 def _depth_candidate(stream: ImageStream) -> Candidate | None:
+    if _why_not_depth(stream):
+        return None
     words = _words(stream.topic)
     named = bool(words & _DEPTH_WORDS)
     other = bool(words & (_NOT_DEPTH | _COLOR_WORDS)) and not named
@@ -294,6 +315,8 @@ def _depth_candidate(stream: ImageStream) -> Candidate | None:
         return None
     if stream.kind is Kind.RGBD:
         return Candidate(stream.topic, (2, 0, 0), "an RGBD message")
+    if stream.kind is Kind.DISPARITY:
+        return Candidate(stream.topic, (3, 0, 0), "depth of its disparity, focal length, baseline")
     aligned = _says_aligned(stream.topic)
     rank = (0 if aligned else 1, 0 if named else 1, int(stream.kind is Kind.COMPRESSED))
     encoding = printable(stream.encoding(True))
@@ -305,7 +328,7 @@ def _color_candidate(stream: ImageStream, prefer_rect: bool) -> Candidate | None
     words = _words(stream.topic)
     if stream.kind is Kind.RGBD:
         return Candidate(stream.topic, (3, 0, 0), "an RGBD message")
-    if not _is_kind(stream, False) or words & _NOT_COLOR:
+    if not _is_kind(stream, False) or words & _NOT_COLOR or _why_not_depth(stream):
         return None
     encoding = stream.encoding(False)
     named = bool(words & _COLOR_WORDS)
@@ -339,11 +362,24 @@ def _missing(contents: LogContents) -> TopicError:
         encoding = contents.streams[name].encoding(False) if name in contents.streams else ""
         names.append(f"{name} ({', '.join(filter(None, (kind, encoding, info.trouble)))})")
     known = f"its topics are {listed(names)}" if names else "it has no messages"
+    wrong = {name: _why_not_depth(one) for name, one in sorted(contents.streams.items())}
+    for name, reason in wrong.items():
+        if reason:
+            problem = f"no depth image topic: {reason[0]}"
+            raise TopicError(problem, path=contents.path, topic=name, remedy=reason[1])
     if unread := _unread(contents):
         known = f"encodings not read: {listed(unread)}; {known}"
     remedy = "record depth in an encoding that jaxdet help logs names, or give --log.depth TOPIC"
+    clouds = [name for name, info in topics if _is_cloud(info.channel.schema_name)]
+    if clouds:
+        known = f"PointCloud2 ({listed(clouds)}) is not read; {known}"
+        remedy = "record the depth images that the clouds were made of"
     remedy = remedy if names else "copy or record it again"
     return TopicError(f"no depth image topic; {known}", path=contents.path, remedy=remedy)
+
+
+def _is_cloud(schema_name: str) -> bool:
+    return plain_schema_name(schema_name) in ("sensor_msgs/PointCloud2", "foxglove.PointCloud")
 
 
 def _unread(contents: LogContents) -> list[str]:

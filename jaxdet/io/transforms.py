@@ -10,6 +10,7 @@ from jaxdet.errors import TransformError
 from jaxdet.io.limits import MAX_FRAMES_TF
 from jaxdet.io.messages import TransformMessage
 from jaxdet.io.motion import MotionSamples, difference, inverse, motion_matrix
+from jaxdet.io.namespaces import namespace_of
 
 _REMEDY = "give --log.color-from-depth and --log.no-tf, or repair the transforms"
 
@@ -17,8 +18,8 @@ _REMEDY = "give --log.color-from-depth and --log.no-tf, or repair the transforms
 class _Edge:
     """A frame's motion in its parent."""
 
-    def __init__(self, parent: str) -> None:
-        self.parent = parent
+    def __init__(self, parent: str, topic: str) -> None:
+        self.parent, self.topic = parent, topic
         self.fixed: np.ndarray | None = None
         self.samples = MotionSamples()
         self.once_is_static = False
@@ -43,6 +44,7 @@ class TransformTree:
         self.ignored: Counter[str] = Counter()
         self._problems: dict[str, str] = {}
         """Of the first of them."""
+        self._topics: set[str] = set()
 
     @property
     def frames(self) -> set[str]:
@@ -54,8 +56,59 @@ class TransformTree:
         """Whether a static transform was seen."""
         return any(edge.fixed is not None for edge in self._edges.values())
 
+    @classmethod
+    def joined(
+        cls, trees: Sequence["TransformTree"], others: Sequence["TransformTree"] = ()
+    ) -> "TransformTree":
+        """Join the trees of several namespaces; of a frame in several, the first tree's counts.
+
+        Args:
+            trees: Of the robot's namespaces, in the order in which they are searched.
+            others: Of other namespaces. One whose frames contradict those before it is of another
+                robot, and is left out.
+        """
+        found = cls()
+        for tree in trees:
+            found._join(tree)
+        for tree in others:
+            if not any(found._contradicts(frame, edge) for frame, edge in tree._edges.items()):
+                found._join(tree)
+        return found
+
+    def _join(self, tree: "TransformTree") -> None:
+        for frame, edge in tree._edges.items():
+            if self._contradicts(frame, edge):
+                used = self._edges[frame].topic
+                text = f"comes from {used} and from {edge.topic}; {used} is used"
+                self._warn(frame, text)
+            self._edges.setdefault(frame, edge)
+        self.warnings += [text for text in tree.warnings if text not in self.warnings]
+        self.ignored.update(tree.ignored)
+        self._warned |= tree._warned
+        self._topics |= tree._topics
+
+    def _contradicts(self, frame: str, edge: _Edge) -> bool:
+        """Whether another tree has this frame elsewhere."""
+        known = self._edges.get(frame)
+        if known is None:
+            return False
+        if known.parent != edge.parent or known.fixed is None or edge.fixed is None:
+            return True
+        return max(difference(known.fixed, edge.fixed)) > 1e-6
+
+    def uses(self, topic: str, frame: str) -> bool:
+        """Return whether transforms of this frame are taken from this topic."""
+        edge = self._edges.get(frame)
+        if edge is not None and namespace_of(edge.topic) != namespace_of(topic):
+            return False
+        return topic in self._topics
+
     def add(
-        self, messages: Sequence[TransformMessage], static: bool, once_is_static: bool = False
+        self,
+        messages: Sequence[TransformMessage],
+        static: bool,
+        once_is_static: bool = False,
+        topic: str = "",
     ) -> None:
         """Adds transforms.
 
@@ -64,12 +117,14 @@ class TransformTree:
             static: They hold at all times (``/tf_static``).
             once_is_static: A frame that gets one transform only has a static one (Foxglove,
                 which doesn't tell them apart).
+            topic: The topic that they come from.
         """
+        self._topics.add(topic)
         for message in messages:
             if message.problem:
                 self._ignore(message)
                 continue
-            edge = self._edge(message, static)
+            edge = self._edge(message, static, topic)
             if edge is None:
                 continue
             if not static:
@@ -80,7 +135,10 @@ class TransformTree:
             if edge.fixed is None:
                 edge.fixed = T
             elif max(difference(edge.fixed, T)) > 1e-6:
-                self._warn(message.child, "has two static transforms; the first is used")
+                both = sorted({edge.topic, topic} - {""})
+                where = f", on {' and '.join(both)}" if len(both) > 1 else ""
+                text = f"has two static transforms{where}; the first is used"
+                self._warn(message.child, text)
 
     def settle(self) -> None:
         """Call when all is added: a transform that never changes counts as static, at all times.
@@ -160,6 +218,10 @@ class TransformTree:
             if len(edge.samples) == 1 and (edge.fixed is None or edge.once_is_static)
         }
 
+    def topic(self, frame: str) -> str:
+        """The topic that a frame's transforms come from; empty where it isn't known."""
+        return self._edges[frame].topic if frame in self._edges else ""
+
     def parent(self, frame: str) -> str | None:
         """The frame that another stands in; None where it isn't known."""
         return self._edges[frame].parent if frame in self._edges else None
@@ -183,11 +245,11 @@ class TransformTree:
         """The same tree with other samples of what moves."""
         tree = TransformTree()
         for frame, edge in self._edges.items():
-            tree._edges[frame] = copy = _Edge(edge.parent)
+            tree._edges[frame] = copy = _Edge(edge.parent, edge.topic)
             copy.fixed, copy.samples = edge.fixed, samples.get(frame, copy.samples)
         return tree
 
-    def _edge(self, message: TransformMessage, static: bool) -> _Edge | None:
+    def _edge(self, message: TransformMessage, static: bool, topic: str) -> _Edge | None:
         """The edge a transform belongs to; None where it contradicts the one there is."""
         edge = self._edges.get(message.child)
         if edge is None and len(self._edges) >= MAX_FRAMES_TF:
@@ -195,14 +257,16 @@ class TransformTree:
             self.warnings += [text] if text not in self.warnings else []
             return None
         if edge is None:
-            edge = self._edges[message.child] = _Edge(message.parent)
+            edge = self._edges[message.child] = _Edge(message.parent, topic)
         if edge.parent == message.parent:
             return edge
         used = edge.parent
         if static and edge.fixed is None:
             used = message.parent
-            self._edges[message.child] = _Edge(used)
-        parents = f"{edge.parent!r} and {message.parent!r}"
+            self._edges[message.child] = _Edge(used, topic)
+        both = sorted({edge.topic, topic} - {""})
+        where = f" (on {' and '.join(both)})" if len(both) > 1 else ""
+        parents = f"{edge.parent!r} and {message.parent!r}{where}"
         self._warn(message.child, f"has two parents, {parents}; {used!r} is used")
         return self._edges[message.child] if used == message.parent else None
 

@@ -188,6 +188,8 @@ class IndexedFrames(NamedTuple):
     """The log's, for errors."""
     calibrations: CalibrationWindows | None = None
     """What must not change; None: not looked at."""
+    color_offset_ns: int = 0
+    """How far colour's clock is ahead of depth's [ns]."""
 
     @property
     def num_frames(self) -> int:
@@ -224,6 +226,15 @@ class IndexedFrames(NamedTuple):
         """
         return int(self.depth.stamp[self.depth.ranked(number, number + 1)[0]])
 
+    def log_ns(self, number: int) -> int:
+        """The log time of a frame [ns].
+
+        Raises:
+            RescanError: The index isn't enough.
+            DamageError: The file contradicts its index.
+        """
+        return int(self.depth.messages.log_ns[self.depth.ranked(number, number + 1)[0]])
+
     def window(self, start: int, stop: int) -> Window:
         """The frames ``start`` to ``stop``.
 
@@ -239,16 +250,20 @@ class IndexedFrames(NamedTuple):
         if self.color is self.depth:
             color = self.depth.table(numbers, color=True)
         elif self.color is not None:
-            color, of_color = self._colors(self.color, own.stamps_ns, start, stop)
+            stamps_ns = own.stamps_ns + self.color_offset_ns
+            color, of_color = self._colors(self.color, stamps_ns, start, stop)
         log_ns = self.depth.messages.log_ns
         begin = int(log_ns[start]) if start else None
         end = int(log_ns[stop]) if stop < len(self.depth) else None
-        T, chunks = self.motions.window(self.source, own.stamps_ns, begin, end)
+        stamps_ns = own.stamps_ns + self.source.offset_ns
+        T, chunks = self.motions.window(self.source, stamps_ns, begin, end)
         if self.calibrations:
             chunks = chunks | self.calibrations.check(begin, end)
         chunks = chunks | self.depth.messages.chunks(slice(start, stop))
         poses = 0 if T is None else int(np.isfinite(T[:, 0, 0]).sum())
-        notes = Notes(self.depth.notes(start, stop, ranked), *apart(own, color), poses)
+        notes = Notes(
+            self.depth.notes(start, stop, ranked), *apart(own, color, self.color_offset_ns), poses
+        )
         of_all, of_color = tuple(sorted(chunks)), tuple(sorted(of_color - chunks))
         return Window(own, color, T, notes, chunks=of_all, color_chunks=of_color)
 

@@ -1,0 +1,46 @@
+"""Images of a camera that is mounted upside down or on its side, turned upright."""
+
+import math
+
+import numpy as np
+
+from jaxdet.floor.plane import flat_plane
+from jaxdet.types import Frames, GroundPlane, Intrinsics
+
+QUARTER = math.pi / 2
+
+
+def turned_frames(frames: Frames, quarters: int) -> Frames:
+    """Turn depth images counterclockwise by quarters of a turn, with their camera.
+
+    Tangential distortion is left as it is: it matters for pixels, not for where a floor lies.
+
+    Args:
+        frames: ``B`` frames; colour is left out, and so is what is known of their floor.
+        quarters: 1, 2 or 3.
+    """
+    depth = np.ascontiguousarray(np.rot90(np.asarray(frames.depth), quarters, axes=(1, 2)))
+    camera = frames.calibration.depth
+    for _ in range(quarters):
+        camera = _turned_camera(camera)
+    calibration = frames.calibration._replace(depth=camera, color=None, color_from_depth=None)
+    return frames._replace(depth=depth, calibration=calibration, color=None, plane=None)
+
+
+def turned_back(plane: GroundPlane, quarters: int) -> GroundPlane:
+    """Return the floors of turned images in the camera as it is mounted."""
+    roll = np.asarray(plane.roll) - quarters * QUARTER
+    roll = np.where(roll < -math.pi, roll + 2 * math.pi, roll)
+    return flat_plane(plane.height, plane.pitch, roll, np.asarray(plane.valid, bool))
+
+
+def _turned_camera(camera: Intrinsics) -> Intrinsics:
+    """Turn a camera counterclockwise by a quarter: columns become rows."""
+    return camera._replace(
+        width=camera.height,
+        height=camera.width,
+        fx=camera.fy,
+        fy=camera.fx,
+        cx=camera.cy,
+        cy=camera.width - 1 - camera.cx,
+    )

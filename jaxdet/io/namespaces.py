@@ -1,0 +1,76 @@
+"""Which topics belong to the robot that carries a camera, by the namespaces of their names.
+
+Robots that share a recording have equal frame names and a namespace each: ``/robot1/tf`` moves the
+camera of ``/robot1/camera/depth/image_raw``, and ``/robot2/tf`` doesn't.
+"""
+
+from collections.abc import Collection, Iterable
+from typing import NamedTuple
+
+
+class Namespaces(NamedTuple):
+    """Namespaces in the order in which a camera looks into them."""
+
+    own: tuple[str, ...]
+    """Of the camera's robot, the longest first; the global one is empty and comes last."""
+    others: tuple[str, ...]
+    """Of no camera's robot; they may hold what the own ones lack."""
+
+    @property
+    def has_robot(self) -> bool:
+        """Whether the camera's robot has a namespace of its own."""
+        return bool(self.own and self.own[0])
+
+
+def namespace_of(topic: str) -> str:
+    """Return the namespace of a topic.
+
+    >>> namespace_of("/robot1/tf"), namespace_of("/tf")
+    ('robot1', '')
+    """
+    return topic.strip("/").rpartition("/")[0]
+
+
+def namespaces_of_camera(
+    namespaces: Iterable[str], camera_topic: str, image_topics: Collection[str]
+) -> Namespaces:
+    """Return which of some namespaces a camera belongs to.
+
+    A namespace above the camera's topic is its robot's, and so is one that branches off below it.
+    Where none is above it, the namespaces that share the longest beginning with the topic are. A
+    namespace that shares its beginning with another camera is that camera's.
+
+    Args:
+        namespaces: Of the topics with transforms, or of those with poses.
+        camera_topic: The camera's depth images.
+        image_topics: All image topics of the log.
+
+    >>> namespaces_of_camera(["", "a", "b"], "/a/camera/depth", ["/a/camera/depth"])
+    Namespaces(own=('a', ''), others=())
+    """
+    camera, every = _parts(namespace_of(camera_topic)), sorted(set(namespaces))
+    shared = {name: _common(_parts(name), camera) for name in every}
+    above = [shared[name] for name in every if name and shared[name] == len(_parts(name))]
+    least = max(above or shared.values(), default=0)
+    own = [name for name in every if name and shared[name] >= max(1, least)]
+    own += [name for name in every if shared[name] == len(_parts(name)) and name not in own]
+    own.sort(key=lambda name: (-shared[name], len(_parts(name)), name))
+    if own and own[0]:
+        return Namespaces(tuple(own), ())
+    claimed = {_parts(name)[0] for name in image_topics if _parts(namespace_of(name))}
+    others = [name for name in every if name not in own and _parts(name)[0] not in claimed]
+    return Namespaces(tuple(own), tuple(others))
+
+
+def _parts(name: str) -> list[str]:
+    return [part for part in name.split("/") if part]
+
+
+def _common(first: list[str], second: list[str]) -> int:
+    """Return how many leading parts two names share."""
+    count = 0
+    for one, other in zip(first, second, strict=False):
+        if one != other:
+            break
+        count += 1
+    return count

@@ -1,0 +1,118 @@
+"""Recordings that are compressed as a whole, read through a temporary file.
+
+rosbag2 names them ``NAME_0.mcap.zstd``; ``zstd`` and ``bzip2`` append ``.zst`` and ``.bz2``. The
+decompressed file lies in a folder of the user under the system's temporary folder (``TMPDIR``) and
+is removed when the process that made it ends.
+"""
+
+import atexit
+import bz2
+import hashlib
+import os
+import shutil
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+import zstandard
+
+from jaxdet.errors import InputError
+from jaxdet.memory import size_text
+
+PACKED = (".zstd", ".zst", ".bz2")
+"""How the names of compressed files end."""
+MAX_UNPACKED_BYTES = 64 << 30
+"""Of a decompressed recording."""
+_MAX_RATIO, _FREE_BYTES = 200, 64 << 20
+"""Largest ratio of decompressed to compressed bytes, beyond the first; recordings reach 20."""
+_SPARE_BYTES = 1 << 30
+"""Of the disk, that stay free."""
+_PIECE_BYTES = 4 << 20
+_OLD_S = 7 * 24 * 3600
+"""Age of files that were left behind by processes that were killed."""
+
+
+def is_packed(path: Path) -> bool:
+    """Return whether a file is compressed as a whole, by its name."""
+    return path.suffix.lower() in PACKED
+
+
+def unpacked(path: Path) -> Path:
+    """Return a decompressed copy of a recording, which is made where it isn't there yet.
+
+    Raises:
+        InputError: It is damaged or too large, or there is no room for it.
+    """
+    try:
+        state = path.stat()
+        folder = _own_folder()
+        about = f"{path.resolve()}|{state.st_ino}|{state.st_size}|{state.st_mtime_ns}"
+        place = folder / hashlib.sha256(about.encode("utf-8", "surrogateescape")).hexdigest()[:16]
+        target = place / path.with_suffix("").name
+        if not target.exists():
+            _remove_old(folder)
+            place.mkdir(exist_ok=True)
+            atexit.register(shutil.rmtree, place, ignore_errors=True)
+            _unpack(path, target, state.st_size)
+    except (OSError, EOFError, zstandard.ZstdError) as error:
+        problem = f"can't be decompressed ({getattr(error, 'strerror', None) or error})"
+        remedy = "check the file, or decompress it yourself"
+        raise InputError(problem, path=str(path), remedy=remedy) from error
+    return target
+
+
+def _own_folder() -> Path:
+    """Return a folder that only this user can write to."""
+    folder = Path(tempfile.gettempdir(), f"jaxdet-{os.getuid()}")
+    folder.mkdir(mode=0o700, exist_ok=True)
+    about = folder.lstat()
+    if about.st_uid != os.getuid() or about.st_mode & 0o077 or folder.is_symlink():
+        raise PermissionError(None, f"{folder} is not this user's own")
+    return folder
+
+
+def _remove_old(folder: Path) -> None:
+    for place in folder.iterdir():
+        with suppress(OSError):
+            if time.time() - place.stat().st_mtime > _OLD_S:
+                shutil.rmtree(place, ignore_errors=True)
+
+
+def _unpack(path: Path, target: Path, packed_bytes: int) -> None:
+    most = min(MAX_UNPACKED_BYTES, _MAX_RATIO * packed_bytes + _FREE_BYTES)
+    room = shutil.disk_usage(target.parent).free - _SPARE_BYTES
+    part, size = target.with_name(f"{target.name}.{os.getpid()}"), 0
+    try:
+        with part.open("wb") as file:
+            for piece in _pieces(path):
+                size += len(piece)
+                if size > min(most, room):
+                    raise _too_large(path, most, room)
+                file.write(piece)
+        part.replace(target)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def _pieces(path: Path) -> Iterator[bytes]:
+    if path.suffix.lower() == ".bz2":
+        with bz2.open(path) as file:
+            while piece := file.read(_PIECE_BYTES):
+                yield piece
+        return
+    with (
+        path.open("rb") as packed,
+        zstandard.ZstdDecompressor().stream_reader(packed, read_across_frames=True) as reader,
+    ):
+        while piece := reader.read(_PIECE_BYTES):
+            yield piece
+
+
+def _too_large(path: Path, most: int, room: int) -> InputError:
+    if room < most:
+        problem = f"no room to decompress it: {size_text(max(room, 0))} are left"
+        return InputError(problem, path=str(path), remedy="set TMPDIR to a folder with more room")
+    problem = f"decompressed it has more than {size_text(most)}"
+    return InputError(problem, path=str(path), remedy="check the file, or decompress it yourself")

@@ -1,0 +1,112 @@
+"""Logs with one property of real recordings: a simulated log whose messages are changed.
+
+All else stays as it was, so what is right for the simulated log is right for the changed one.
+"""
+
+import copy
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from mcap_ros2.writer import Writer
+
+from jaxdet.io.definition import DEFINITIONS, schema_text
+
+DTYPES = {"16UC1": np.uint16, "32FC1": np.float32}
+
+
+@dataclass
+class Message:
+    """A message as nested dicts and lists, and its log time [ns]."""
+
+    topic: str
+    kind: str
+    body: dict[str, Any]
+    log_ns: int
+
+    @property
+    def pixels(self) -> np.ndarray:
+        """Of an Image, ``(H, W)`` or ``(H, W, 3)``."""
+        body = self.body
+        flat = np.frombuffer(body["data"], DTYPES.get(body["encoding"], np.uint8))
+        return flat.reshape(body["height"], body["width"], -1).squeeze()
+
+    def show(self, image: np.ndarray, encoding: str = "") -> None:
+        """Put another image into an Image."""
+        data = np.ascontiguousarray(image).tobytes()
+        self.body |= {
+            "height": image.shape[0],
+            "width": image.shape[1],
+            "encoding": encoding or self.body["encoding"],
+            "step": len(data) // image.shape[0],
+            "data": data,
+        }
+
+    def delay(self, late_ns: int) -> None:
+        """Change the stamps of all headers in the message."""
+        for header in _headers(self.body):
+            at = header["stamp"]["sec"] * 10**9 + header["stamp"]["nanosec"] + late_ns
+            header["stamp"] = {"sec": at // 10**9, "nanosec": at % 10**9}
+
+
+Change = Callable[[Message], Iterable[Message] | None]
+"""Edits a message in place and returns None, or returns what takes its place."""
+
+
+def read_messages(path: Path) -> list[Message]:
+    """All messages of a log."""
+    found = []
+    with path.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        for schema, channel, message, decoded in reader.iter_decoded_messages():
+            assert schema is not None
+            kind = schema.name.replace("/msg/", "/")
+            found.append(Message(channel.topic, kind, _fields(decoded), message.log_time))
+    return found
+
+
+def write_messages(path: Path, messages: Iterable[Message]) -> Path:
+    """Write a log, in the order of log times."""
+    with path.open("wb") as file:
+        writer, schemas = Writer(file), {}
+        for m in sorted(messages, key=lambda item: item.log_ns):
+            if m.kind not in schemas:
+                assert m.kind in DEFINITIONS
+                name = m.kind.replace("/", "/msg/")
+                schemas[m.kind] = writer.register_msgdef(name, schema_text(m.kind))
+            writer.write_message(m.topic, schemas[m.kind], m.body, m.log_ns, m.log_ns)
+        writer.finish()
+    return path
+
+
+def changed(messages: Iterable[Message], *changes: Change) -> list[Message]:
+    """Copies of messages, with the changes done one after the other."""
+    found = copy.deepcopy(list(messages))
+    for change in changes:
+        some = [(item, change(item)) for item in found]
+        found = [one for item, new in some for one in ([item] if new is None else new)]
+    return found
+
+
+def _fields(message: Any) -> Any:
+    if hasattr(message, "__slots__") and not isinstance(message, str | bytes | memoryview):
+        names = [name for name in message.__slots__ if not name.startswith("_")]
+        return {name: _fields(getattr(message, name)) for name in names}
+    if isinstance(message, list | tuple):
+        return [_fields(item) for item in message]
+    return bytes(message) if isinstance(message, memoryview) else message
+
+
+def _headers(body: Any) -> Iterable[dict[str, Any]]:
+    if isinstance(body, dict):
+        if "stamp" in body:
+            yield body
+        for value in body.values():
+            yield from _headers(value)
+    elif isinstance(body, list):
+        for value in body:
+            yield from _headers(value)

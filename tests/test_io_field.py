@@ -1,0 +1,698 @@
+"""Logs with properties of real recordings: each reads as the log it was made of."""
+
+import bz2
+import json
+import struct
+import tempfile
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import zstandard
+from mcap.reader import make_reader
+from mcap.writer import Writer
+
+from jaxdet.cli.main import main
+from jaxdet.errors import CalibrationError, InputError, JaxdetError, TopicError
+from jaxdet.io import Log, LogOptions, files, find_logs, open_log
+from jaxdet.io.body_frames import T_BODY_OPTICAL
+from jaxdet.io.motion import inverse
+from jaxdet.io.namespaces import namespaces_of_camera
+from jaxdet.sim import SimConfig, write_log
+from tests.io_both_ways import is_indexed
+from tests.io_helpers import convert_log
+from tests.rewritten import Change, Message, changed, read_messages, write_messages
+
+ALIGNED = "/camera/camera/aligned_depth_to_color/image_raw"
+COLOR = "/camera/camera/color/image_raw"
+RAW_DEPTH = "/camera/camera/depth/image_rect_raw"
+IMAGE, INFO, TF = "sensor_msgs/Image", "sensor_msgs/CameraInfo", "tf2_msgs/TFMessage"
+SECOND = 1_000_000_000
+
+
+@pytest.fixture(scope="module")
+def aligned(tmp_path_factory: pytest.TempPathFactory) -> list[Message]:
+    """Messages of a simulated log with aligned depth."""
+    path = tmp_path_factory.mktemp("sim") / "sim.mcap"
+    write_log(path, SimConfig(frames=6, width=160, height=120, depth_form="aligned"))
+    return read_messages(path)
+
+
+@pytest.fixture(scope="module")
+def raw(tmp_path_factory: pytest.TempPathFactory) -> list[Message]:
+    """Messages of a simulated log with depth of a camera of its own, whose place TF holds."""
+    path = tmp_path_factory.mktemp("sim") / "raw.mcap"
+    config = SimConfig(frames=6, width=160, height=120, depth_form="raw", extrinsics="tf")
+    write_log(path, config)
+    return read_messages(path)
+
+
+def opened(folder: Path, messages: Iterable[Message], **options: Any) -> Log:
+    return open_log(
+        str(write_messages(folder / f"{len(list(folder.iterdir()))}.mcap", messages)),
+        LogOptions(**options),
+    )
+
+
+def depths(log: Log) -> np.ndarray:
+    return log.read(range(log.num_frames)).frames.depth
+
+
+def same(found: np.ndarray | None, expected: np.ndarray | None, atol: float = 1e-9) -> None:
+    assert found is not None and expected is not None
+    np.testing.assert_allclose(found, expected, rtol=0, atol=atol)
+
+
+def moved_by(number: int) -> Change:
+    """Moves a robot's odometry, as of another robot."""
+
+    def change(message: Message) -> None:
+        if message.topic == "/tf":
+            for item in message.body["transforms"]:
+                item["transform"]["translation"]["x"] += 20 * number
+        elif message.topic == "/odom":
+            message.body["pose"]["pose"]["position"]["x"] += 20 * number
+
+    return change
+
+
+def under(namespace: str, keep: tuple[str, ...] = ()) -> Change:
+    def change(message: Message) -> None:
+        if message.topic not in keep:
+            message.topic = namespace + message.topic
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("spaces", "camera", "images", "own", "others"),
+    [
+        (["", "a", "b"], "/a/camera/depth", ["/a/camera/depth"], ("a", ""), ()),
+        (["a", "b"], "/camera/depth", ["/camera/depth"], (), ("a", "b")),
+        (["a"], "/b/camera/depth", ["/a/camera/depth", "/b/camera/depth"], (), ()),
+        (["f/a", "f/b", "f"], "/f/a/camera/depth", [], ("f/a", "f"), ()),
+        (["f/a/localization", "f/b/localization"], "/f/a/x/depth", [], ("f/a/localization",), ()),
+        (["a", "a/localization", "b"], "/a/depth/image", [], ("a", "a/localization"), ()),
+        ([""], "/camera/depth", [], ("",), ()),
+    ],
+)
+def test_namespaces_of_a_cameras_robot(spaces, camera, images, own, others):
+    assert namespaces_of_camera(spaces, camera, images) == (own, others)
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "keep"),
+    [
+        ("/robot1", "/robot2", ()),
+        ("/fleet/a", "/fleet/b", ()),
+        ("/a", "/b", ("/tf_static",)),
+        ("", "/other", ()),
+    ],
+)
+def test_each_robot_has_its_own_transforms(tmp_path, aligned, first, second, keep):
+    both = changed(aligned, under(first, keep)) + changed(aligned, moved_by(1), under(second, keep))
+    names = [name.strip("/") or "camera" for name in (first, second)]
+    with opened(tmp_path, aligned) as alone:
+        for number, name in enumerate(names):
+            with opened(tmp_path, both, camera=name) as log:
+                expected = alone.T_world_camera
+                assert expected is not None
+                expected = expected + 20 * number * np.eye(4)[0, :, None] * np.eye(4)[3]
+                same(log.T_world_camera, expected)
+                same(log.T_base_camera, alone.T_base_camera)
+                assert not (first and log.description.warnings)
+
+
+@pytest.mark.parametrize("prefix", ["/robot1", "/fleet/robot1"])
+def test_odometry_is_the_robots_own_too(tmp_path, aligned, prefix):
+    def without_moving(message: Message) -> list[Message] | None:
+        return [] if message.topic == "/tf" else None
+
+    def without_odometry(message: Message) -> list[Message] | None:
+        return [] if message.topic in ("/tf", "/odom") else None
+
+    one = changed(aligned, without_moving)
+    first, second = under(prefix), under("/robot2")
+    both = changed(one, first) + changed(one, moved_by(1), second)
+    with opened(tmp_path, one) as alone, opened(tmp_path, both, camera=prefix.strip("/")) as log:
+        same(log.T_world_camera, alone.T_world_camera)
+    lacking = changed(changed(aligned, without_odometry), first) + changed(one, second)
+    with opened(tmp_path, lacking, camera=prefix.strip("/")) as log:
+        assert not log.has_poses
+
+
+def test_a_frame_on_two_topics_is_named_with_both(tmp_path, aligned):
+    def elsewhere(message: Message) -> list[Message] | None:
+        if message.topic != "/tf_static":
+            return []
+        message.topic = "/camera/tf_static"
+        message.body["transforms"][0]["transform"]["translation"]["z"] += 1
+        return None
+
+    with opened(tmp_path, aligned + changed(aligned, elsewhere)) as log:
+        [text] = [text for text in log.description.warnings if "/tf_static" in text]
+    assert "comes from /camera/tf_static and from /tf_static" in text
+
+
+@pytest.mark.parametrize("frame", ["base_footprint", "base_link", "camera_link"])
+def test_the_world_may_be_any_frame_of_the_tree(tmp_path, aligned, frame):
+    with opened(tmp_path, aligned, world_frame=frame) as log:
+        assert log.world_frame == frame and log.T_world_camera is not None
+        assert np.ptp(log.T_world_camera, axis=0).max() < 1e-12
+        base = log.T_world_camera[0]
+        with opened(tmp_path, aligned, base_frame=frame) as other:
+            same(other.T_base_camera, base)
+
+
+def test_the_world_is_not_taken_from_a_topic_of_other_poses(tmp_path, aligned):
+    with pytest.raises(CalibrationError, match=r"--log\.world-frame"):
+        opened(tmp_path, aligned, world_frame="nowhere")
+    with pytest.raises(TopicError, match="not both"):
+        opened(tmp_path, aligned, world_frame="base_link", odom="/odom")
+
+
+def binned(factor: int) -> Change:
+    def change(message: Message) -> None:
+        if message.kind == IMAGE:
+            message.show(message.pixels[::factor, ::factor])
+        elif message.kind == INFO:
+            message.body |= {"binning_x": factor, "binning_y": factor}
+
+    return change
+
+
+def cropped(x: int, y: int, width: int, height: int) -> Change:
+    def change(message: Message) -> None:
+        if message.kind == IMAGE:
+            message.show(message.pixels[y : y + height, x : x + width])
+        elif message.kind == INFO:
+            roi = {"x_offset": x, "y_offset": y, "width": width, "height": height}
+            message.body["roi"] = {**roi, "do_rectify": False}
+
+    return change
+
+
+@pytest.mark.parametrize("which", ["aligned", "raw"])
+@pytest.mark.parametrize(
+    ("changes", "shift", "factor"),
+    [
+        ([binned(2)], (0, 0), 2),
+        ([binned(4)], (0, 0), 4),
+        ([cropped(32, 40, 100, 60)], (32, 40), 1),
+        ([cropped(8, 16, 96, 64), binned(2)], (8, 16), 2),
+    ],
+)
+def test_binning_and_regions_of_interest_are_applied(
+    tmp_path, request, which, changes, shift, factor
+):
+    messages = request.getfixturevalue(which)
+    with (
+        opened(tmp_path, messages) as whole,
+        opened(tmp_path, changed(messages, *changes)) as log,
+    ):
+        pairs = [(log.calibration.depth, whole.calibration.depth)]
+        if which == "raw":
+            pairs.append((log.calibration.color, whole.calibration.color))
+        for found, full in pairs:
+            x, y = shift
+            expected = full.fx, full.fy, full.cx - x, full.cy - y
+            np.testing.assert_allclose(found[2:6], np.array(expected) / factor)
+            assert found.coefficients == full.coefficients
+        assert log.has_color and not log.description.warnings
+
+
+def test_images_that_no_region_explains_are_refused_with_all_that_is_known(tmp_path, aligned):
+    def other(message: Message) -> None:
+        if message.kind == INFO:
+            message.body |= {"width": 640, "height": 480, "binning_x": 3, "binning_y": 3}
+
+    with pytest.raises(CalibrationError, match=r"640x480 \(region of interest: .*binning 3x3"):
+        opened(tmp_path, changed(aligned, other))
+
+
+def resized(factor: float) -> Change:
+    """Aligned depth at another size, with the calibration of that."""
+
+    def change(message: Message) -> None:
+        if "aligned" not in message.topic:
+            return
+        if message.kind == IMAGE:
+            size = round(160 * factor), round(120 * factor)
+            message.show(cv2.resize(message.pixels, size, interpolation=cv2.INTER_NEAREST))
+        else:
+            k = [value * factor for value in message.body["k"]]
+            size = {"width": round(160 * factor), "height": round(120 * factor)}
+            message.body |= {**size, "k": [*k[:8], 1.0]}
+
+    return change
+
+
+def part_of_depth(message: Message) -> None:
+    if "aligned" in message.topic:
+        cropped(20, 10, 100, 100)(message)
+
+
+def renamed(old: str, new: str) -> Change:
+    def change(message: Message) -> None:
+        message.topic = message.topic.replace(old, new)
+
+    return change
+
+
+@pytest.mark.parametrize("change", [resized(0.5), resized(0.25), resized(2), part_of_depth])
+@pytest.mark.parametrize("name", ["aligned_depth_to_color", "depth"])
+@pytest.mark.parametrize("given", [None, False])
+def test_depth_in_colours_frame_is_aligned_whatever_its_size(
+    tmp_path, aligned, change, name, given
+):
+    messages = changed(aligned, change, renamed("aligned_depth_to_color", name))
+    with opened(tmp_path, messages, depth_aligned=given) as log:
+        motion = log.calibration.color_from_depth
+        assert motion is not None and log.has_color
+        same(motion.T, np.eye(4))
+        assert not log.description.warnings
+
+
+def as_disparity(topic: str, encoding: str = "32FC1") -> Change:
+    def change(message: Message) -> None:
+        if message.topic == ALIGNED:
+            depth = message.pixels.astype(np.float32) / 1000
+            shift = np.where(depth > 0, 15.4 / np.maximum(depth, 0.001), -1)
+            shift = shift.astype(np.float32) if encoding == "32FC1" else shift.astype(np.uint16)
+            message.show(shift, encoding)
+            message.topic = topic
+        elif message.topic.startswith("/camera/camera/aligned"):
+            message.topic = topic.rpartition("/")[0] + "/camera_info"
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("topic", "encoding"),
+    [
+        ("/stereo/disparity/image_raw", "32FC1"),
+        ("/depth_camera/disparity_image", "16UC1"),
+        ("/zed/zed_node/disparity/disparityImage", "32FC1"),
+        ("/oak/stereo/disp", "16UC1"),
+    ],
+)
+def test_disparity_is_no_depth(tmp_path, aligned, topic, encoding):
+    messages = changed(aligned, as_disparity(topic, encoding))
+    for options in ({}, {"depth": topic}):
+        with pytest.raises(TopicError, match=f"{topic}: .*disparity in pixels"):
+            opened(tmp_path, messages, **options)
+    with opened(tmp_path, aligned + messages) as log:
+        assert "aligned" in log.description.choices[0]
+
+
+@pytest.mark.parametrize(("baseline", "least"), [(0.05, 0.0), (-0.12, 6.0)])
+def test_disparity_with_focal_length_and_baseline_is_depth(tmp_path, aligned, baseline, least):
+    with opened(tmp_path, aligned) as whole:
+        expected, focal = depths(whole).astype(int), whole.calibration.depth.fx
+
+    def change(message: Message) -> list[Message] | None:
+        if message.topic != ALIGNED:
+            return None
+        depth = message.pixels.astype(np.float32) / 1000
+        with np.errstate(divide="ignore"):
+            shift = np.where(depth > 0, focal * abs(baseline) / depth, -1)
+        message.show(shift.astype(np.float32), "32FC1")
+        body = {"header": message.body["header"], "image": message.body, "f": focal, "t": baseline}
+        window = {"x_offset": 0, "y_offset": 0, "height": 0, "width": 0, "do_rectify": False}
+        body |= {"valid_window": window, "min_disparity": least, "max_disparity": 500.0}
+        kind = "stereo_msgs/DisparityImage"
+        topic = "/camera/camera/aligned_depth_to_color/disparity"
+        return [Message(topic, kind, {**body, "delta_d": 0.1}, message.log_ns)]
+
+    with opened(tmp_path, changed(aligned, change)) as log:
+        found = depths(log).astype(int)
+        far = expected > 1000 * focal * abs(baseline) / least if least else expected < 0
+        assert np.abs(found - expected)[~far].max() <= 1 and not found[far].any()
+
+
+def in_floats(factor: float) -> Change:
+    def change(message: Message) -> None:
+        if message.topic == ALIGNED:
+            message.show((message.pixels * np.float32(factor)).astype(np.float32), "32FC1")
+
+    return change
+
+
+def compressed_floats(factor: float) -> Change:
+    """Inverse depths A / (q - B) in a PNG, as compressedDepth has them, of depth in units."""
+
+    def change(message: Message) -> list[Message] | None:
+        if message.topic != ALIGNED:
+            return None
+        depth = message.pixels * factor
+        a = 100.0 * 100 * factor * 1000
+        with np.errstate(divide="ignore"):
+            codes = np.where(depth > 0, np.round(a / depth), 0)
+        codes = np.where(codes < 65536, codes, 0).astype(np.uint16)
+        data = struct.pack("<iff", 0, a, 0.0) + cv2.imencode(".png", codes)[1].tobytes()
+        body = {"header": message.body["header"], "format": "32FC1; compressedDepth png"}
+        topic = f"{ALIGNED}/compressedDepth"
+        kind = "sensor_msgs/CompressedImage"
+        return [Message(topic, kind, {**body, "data": data}, message.log_ns)]
+
+    return change
+
+
+@pytest.mark.parametrize("make", [in_floats, compressed_floats])
+def test_floats_in_millimetres_have_a_flag(tmp_path, aligned, make):
+    slack = 0 if make is in_floats else 40
+    with opened(tmp_path, aligned) as whole:
+        expected = depths(whole).astype(int)
+    with opened(tmp_path, changed(aligned, make(1.0)), depth_unit_m=0.001) as log:
+        assert log.calibration.depth_unit == 0.001 and not log.description.warnings
+        assert np.abs(depths(log) - expected).max() <= slack
+    with opened(tmp_path, changed(aligned, make(0.001))) as log:
+        assert np.abs(depths(log) - expected).max() <= slack and not log.description.warnings
+    if make is in_floats:
+        with opened(tmp_path, changed(aligned, make(1.0))) as log:
+            [text] = log.description.warnings
+            assert "looks like millimetres: give --log.depth-unit-m 0.001" in text
+        with opened(tmp_path, changed(aligned, make(0.001)), depth_unit_m=0.001) as log:
+            assert "looks like metres: leave --log.depth-unit-m out" in log.description.warnings[0]
+
+
+@pytest.mark.parametrize(
+    ("topic", "form"),
+    [
+        (f"{ALIGNED}/compressed", "16UC1; jpeg compressed "),
+        ("/camera/camera/depth/image_rect_raw/compressed", "jpeg"),
+        ("/zed/depth/depth_registered/compressed", "32FC1; jpeg compressed "),
+        (f"{ALIGNED}/compressedDepth", "16UC1; compressedDepth jpeg"),
+    ],
+)
+def test_depth_as_jpeg_is_refused_with_the_reason(tmp_path, aligned, topic, form):
+    def change(message: Message) -> list[Message] | None:
+        if message.topic != ALIGNED:
+            return None
+        grey = np.clip(message.pixels, 0, 255).astype(np.uint8)
+        body = {"header": message.body["header"], "format": form}
+        body["data"] = cv2.imencode(".jpg", grey)[1].tobytes()
+        return [Message(topic, "sensor_msgs/CompressedImage", body, message.log_ns)]
+
+    messages = changed(aligned, change)
+    for options in ({}, {"depth": topic}):
+        with pytest.raises(TopicError, match=r"recorded as JPEG .*distances are lost.*png"):
+            opened(tmp_path, messages, **options)
+
+
+def packed_file(source: Path, ending: str) -> Path:
+    target = source.with_name(source.name + ending)
+    pack = bz2.compress if ending == ".bz2" else zstandard.ZstdCompressor().compress
+    target.write_bytes(pack(source.read_bytes()))
+    source.unlink()
+    return target
+
+
+@pytest.mark.parametrize("ending", [".zstd", ".zst", ".bz2"])
+@pytest.mark.parametrize("form", ["mcap", "db3", "bag"])
+def test_recordings_that_are_compressed_as_a_whole_are_read(
+    tmp_path, monkeypatch, aligned, form, ending
+):
+    elsewhere = tmp_path.with_name(f"{tmp_path.name}-elsewhere")
+    elsewhere.mkdir()
+    monkeypatch.setenv("TMPDIR", str(elsewhere))
+    monkeypatch.setattr(tempfile, "tempdir", None)
+    source = write_messages(tmp_path / "drive.mcap", aligned)
+    if form != "mcap":
+        mcap = source
+        source = convert_log(mcap, tmp_path / ("drive" if form == "db3" else "drive.bag"))
+        mcap.unlink()
+    with open_log(str(source)) as whole:
+        expected = depths(whole)
+    packed = packed_file(source, ending)
+    with open_log(str(packed)) as log:
+        assert log.name == whole.name
+        np.testing.assert_array_equal(depths(log), expected)
+    [found] = find_logs([packed.parent])
+    assert found.paths == (packed,) and found.name == whole.name
+
+
+def test_splits_that_are_compressed_are_one_recording(tmp_path, aligned):
+    middle = len(aligned) // 2
+    ordered = sorted(aligned, key=lambda item: item.log_ns)
+    for number, part in enumerate((ordered[:middle], ordered[middle:])):
+        packed_file(write_messages(tmp_path / f"run_{number}.mcap", part), ".zstd")
+    with open_log(str(tmp_path)) as log:
+        assert log.name == "run" and log.num_frames == 6
+
+
+@pytest.mark.parametrize("ending", [".zstd", ".bz2"])
+def test_compressed_files_that_are_damaged_or_bombs_end_in_a_line(tmp_path, aligned, ending):
+    packed = packed_file(write_messages(tmp_path / "x.mcap", aligned), ending)
+    packed.write_bytes(packed.read_bytes()[: packed.stat().st_size // 2])
+    with pytest.raises(JaxdetError, match=r"x\.mcap.*(decompress|no end of file)"):
+        open_log(str(packed))
+    bomb = tmp_path / f"bomb.mcap{ending}"
+    bomb.write_bytes(b"")
+    with pytest.raises(InputError, match="bomb"):
+        open_log(str(bomb))
+    pack = bz2.compress if ending == ".bz2" else zstandard.ZstdCompressor().compress
+    bomb.write_bytes(pack(bytes(80 << 20)))
+    with pytest.raises(InputError, match=r"more than \d+MiB"):
+        open_log(str(bomb))
+
+
+@pytest.mark.parametrize("scan", [False, True])
+@pytest.mark.parametrize("which", ["aligned", "raw"])
+def test_messages_that_are_compressed_one_by_one_are_read(tmp_path, request, which, scan):
+    messages = request.getfixturevalue(which)
+    source, packed = write_messages(tmp_path / "x.mcap", messages), tmp_path / "packed.mcap"
+    with source.open("rb") as file, packed.open("wb") as target:
+        writer = Writer(target)
+        writer.start("ros2", "tests")
+        channels: dict[int, int] = {}
+        for schema, channel, message in make_reader(file).iter_messages():
+            assert schema is not None
+            if channel.id not in channels:
+                number = writer.register_schema(schema.name, schema.encoding, schema.data)
+                channels[channel.id] = writer.register_channel(channel.topic, "cdr", number)
+            data = zstandard.ZstdCompressor().compress(message.data)
+            writer.add_message(channels[channel.id], message.log_time, data, message.publish_time)
+        writer.finish()
+    with open_log(str(source)) as whole, open_log(str(packed), LogOptions(scan=scan)) as log:
+        np.testing.assert_array_equal(depths(log), depths(whole))
+        np.testing.assert_array_equal(log.stamps_ns, whole.stamps_ns)
+        same(log.T_world_camera, whole.T_world_camera)
+        assert log.calibration == whole.calibration
+
+
+def in_frame(frame: str, *topics: str) -> Change:
+    def change(message: Message) -> None:
+        if message.kind in (IMAGE, INFO) and message.topic.startswith(topics):
+            message.body["header"]["frame_id"] = frame
+
+    return change
+
+
+def without_frames(word: str) -> Change:
+    def change(message: Message) -> None:
+        if message.kind == TF:
+            every = message.body["transforms"]
+            some = [item for item in every if word not in item["child_frame_id"]]
+            message.body["transforms"] = some
+
+    return change
+
+
+@pytest.mark.parametrize("named", [False, True])
+def test_a_body_frame_is_turned_into_an_optical_one(tmp_path, aligned, named):
+    body = in_frame("camera_color_frame", "/camera")
+    changes: list[Change] = [body] if named else [body, without_frames("optical")]
+    with opened(tmp_path, aligned) as whole, opened(tmp_path, changed(aligned, *changes)) as log:
+        same(log.T_base_camera, whole.T_base_camera)
+        same(log.T_world_camera, whole.T_world_camera)
+        assert (log.camera_frame == "camera_color_optical_frame") == named
+        [text] = log.description.warnings
+        assert "'camera_color_frame'" in text and "--log.camera-frame" in text
+        assert is_indexed(log)
+
+
+def test_a_body_frame_of_a_camera_in_the_world_alone_is_found(tmp_path, raw):
+    """A tracked camera: TF has no robot, the world is all that says where up is."""
+    with opened(tmp_path, raw) as whole:
+        expected = whole.T_world_camera
+    assert expected is not None
+    poses = iter(expected @ inverse(T_BODY_OPTICAL))
+
+    def tracked(message: Message) -> list[Message] | None:
+        if message.kind == TF or message.topic == "/odom" or "color" in message.topic:
+            return []
+        return None
+
+    changes = tracked, in_frame("tracker", "/camera")
+    messages = changed(raw, *changes)
+    from jaxdet.io.writer import pose_of
+
+    for message in [item for item in messages if item.kind == IMAGE]:
+        pose = pose_of(next(poses))
+        motion = {"translation": pose["position"], "rotation": pose["orientation"]}
+        header = {**message.body["header"], "frame_id": "map"}
+        item = {"header": header, "child_frame_id": "tracker", "transform": motion}
+        messages.append(Message("/tf", TF, {"transforms": [item]}, message.log_ns))
+    with opened(tmp_path, messages) as log:
+        same(log.T_world_camera, expected, 1e-6)
+        assert any("body frame" in text for text in log.description.warnings)
+
+
+@pytest.mark.parametrize(
+    "bodies", [{"depth"}, {"color"}, {"depth", "color"}], ids=lambda names: "-".join(sorted(names))
+)
+def test_body_frames_between_two_cameras_are_turned(tmp_path, raw, bodies):
+    changes = [in_frame(f"camera_{name}_frame", f"/camera/camera/{name}") for name in bodies]
+    with opened(tmp_path, raw) as whole, opened(tmp_path, changed(raw, *changes)) as log:
+        one, other = log.calibration.color_from_depth, whole.calibration.color_from_depth
+        assert one is not None and other is not None
+        same(one.T, other.T)
+        same(log.T_base_camera, whole.T_base_camera)
+        same(log.T_world_camera, whole.T_world_camera)
+        texts = [text for text in log.description.warnings if "body frame" in text]
+        assert len(texts) == len(bodies)
+
+
+def test_a_camera_that_looks_up_is_none_in_a_body_frame(tmp_path, aligned):
+    """Nothing lies on the floor that either reading of the frame expects."""
+
+    def walls(message: Message) -> None:
+        if message.topic == ALIGNED:
+            message.show(np.full(message.pixels.shape, 900, np.uint16))
+
+    changes = in_frame("camera_color_frame", "/camera"), without_frames("optical"), walls
+    with opened(tmp_path, changed(aligned, *changes)) as log:
+        assert log.camera_frame == "camera_color_frame"
+
+
+def late(seconds: float, *topics: str) -> Change:
+    def change(message: Message) -> None:
+        if message.topic.startswith(topics):
+            message.delay(round(seconds * SECOND))
+
+    return change
+
+
+@pytest.mark.parametrize("seconds", [3.7, -2.0, 86_400.0])
+@pytest.mark.parametrize(
+    "topics", [("/tf", "/odom"), ("/camera/camera/aligned",), ("/camera/camera/color",)]
+)
+def test_clocks_are_measured_against_the_log_times(tmp_path, aligned, topics, seconds):
+    with (
+        opened(tmp_path, aligned) as whole,
+        opened(tmp_path, changed(aligned, late(seconds, *topics))) as log,
+    ):
+        same(log.T_world_camera, whole.T_world_camera)
+        shift = round(seconds * SECOND) * (topics[0].endswith("color"))
+        np.testing.assert_array_equal(log.color_stamps_ns, whole.color_stamps_ns + shift)
+        texts = [*log.description.warnings, *log.description.notes]
+        flags = ["color" for name in topics if "camera" in name]
+        flags += ["pose" for name in topics if "color" not in name]
+        for flag in ("color", "pose"):
+            assert any(f"--log.{flag}-offset-s 0" in text for text in texts) == (flag in flags)
+
+
+def first_stamps(count: int, at_s: int, kinds: tuple[str, ...] = (ALIGNED, COLOR)) -> Callable:
+    left = dict.fromkeys(kinds, count)
+
+    def change(message: Message) -> None:
+        if left.get(message.topic, 0):
+            number = count - left[message.topic]
+            left[message.topic] -= 1
+            message.body["header"]["stamp"] = {"sec": at_s, "nanosec": number * 33_000_000}
+
+    return change
+
+
+@pytest.mark.parametrize("scan", [False, True])
+@pytest.mark.parametrize(
+    "change", [(1, 5), (2, 5), (2, 946_684_800), (1, 5, (ALIGNED,))], ids=lambda args: str(args)
+)
+def test_seconds_do_not_count_from_a_clock_that_was_not_set(tmp_path, aligned, change, scan):
+    start = {"start": "0.08s", "scan": scan}
+    with (
+        opened(tmp_path, aligned, **start) as whole,
+        opened(tmp_path, changed(aligned, first_stamps(*change)), **start) as log,
+    ):
+        assert log.frames == whole.frames and 0 < len(log.frames) < 6
+        text = f"the first {change[0]} stamps are years before the others"
+        assert any(text in item for item in log.description.warnings)
+        assert log.description.duration_s == pytest.approx(whole.description.duration_s)
+
+
+@pytest.mark.parametrize("scan", [False, True])
+@pytest.mark.parametrize("topics", [("/camera",), ("/tf", "/odom"), ("/camera", "/tf", "/odom")])
+def test_a_clock_that_is_set_within_the_log_has_no_offset(tmp_path, aligned, topics, scan):
+    """Half of the stamps, or nearly so, are of 1970: the others have their poses."""
+    middle = sorted(item.log_ns for item in aligned if item.topic == ALIGNED)[2]
+
+    def change(message: Message) -> None:
+        if message.topic.startswith(topics) and message.log_ns < middle:
+            message.delay(-1_699_999_000 * SECOND)
+
+    with (
+        opened(tmp_path, aligned) as whole,
+        opened(tmp_path, changed(aligned, change), scan=scan) as log,
+    ):
+        assert log.T_world_camera is not None and whole.T_world_camera is not None
+        same(log.T_world_camera[3:], whole.T_world_camera[3:])
+        assert not any("offset" in text for text in log.description.warnings)
+
+
+@pytest.mark.parametrize("late_ns", [0, 7_000_000, 60 * SECOND])
+@pytest.mark.parametrize("part", [1.0, 0.5])
+def test_a_recording_merged_with_itself_counts_once(tmp_path, aligned, late_ns, part):
+    again = changed(aligned)[: round(len(aligned) * part)]
+    for message in again:
+        message.log_ns += late_ns
+    with opened(tmp_path, aligned) as whole, opened(tmp_path, aligned + again) as log:
+        assert log.num_frames == whole.num_frames
+        np.testing.assert_array_equal(depths(log), depths(whole))
+        same(log.T_world_camera, whole.T_world_camera)
+        assert any("occur twice, equal in stamp and content" in t for t in log.description.warnings)
+
+
+def test_images_of_equal_stamps_that_differ_both_count(tmp_path, aligned):
+    def other(message: Message) -> list[Message] | None:
+        if message.topic != ALIGNED:
+            return []
+        message.show(message.pixels + np.uint16(1))
+        return None
+
+    with opened(tmp_path, aligned + changed(aligned, other)) as log:
+        assert log.num_frames == 12
+
+
+@pytest.mark.parametrize("without", [ALIGNED, "/camera/camera/aligned_depth_to_color/camera_info"])
+def test_info_shows_the_topics_of_a_log_without_a_camera(tmp_path, aligned, without, capsys):
+    some = [item for item in aligned if item.topic != without and not item.topic.endswith("info")]
+    path = write_messages(tmp_path / "x.mcap", some)
+    assert main(["info", str(path)]) == 1
+    shown, error = capsys.readouterr()
+    assert shown.startswith("x: can't be used\ntopics\n") and "/odom" in shown
+    assert "error" in error and ("no depth image" in error or "no calibration" in error)
+    assert main(["info", str(path), "--json"]) == 1
+    [log] = json.loads(capsys.readouterr().out)["logs"]
+    assert {item["topic"] for item in log["topics"]} == {item.topic for item in some}
+
+
+def test_a_folder_that_links_to_a_folder_above_it_is_searched_once(tmp_path, aligned):
+    folder = tmp_path / "logs"
+    (folder / "deep").mkdir(parents=True)
+    write_messages(folder / "x.mcap", aligned)
+    (folder / "deep" / "all").symlink_to("/", target_is_directory=True)
+    (folder / "here").symlink_to(folder, target_is_directory=True)
+    [log] = find_logs([folder])
+    assert log.name == "x" and "deep/all is left out: a link to a folder above it" in log.note
+
+
+def test_a_tree_of_very_many_folders_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(files, "MAX_FOLDERS", 20)
+    for number in range(30):
+        (tmp_path / f"{number}").mkdir()
+    with pytest.raises(InputError, match="more than 20 folders in it; name a smaller folder"):
+        find_logs([tmp_path])
