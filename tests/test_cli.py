@@ -214,6 +214,7 @@ def test_angles_have_units(flag: str, tmp_path: Path, capsys: Captured) -> None:
 SECTIONS = {field.name: type(getattr(Config(), field.name)) for field in fields(Config)}
 SECTIONS |= {"log": LogOptions, "run": partial(RunOptions, Path("x"))}
 MAY_BE_NEGATIVE = {"canny_low", "canny_high", "camera_pitch_rad", "camera_roll_rad"}
+MAY_BE_NEGATIVE |= {"color_offset_s", "pose_offset_s"}
 
 
 @pytest.mark.parametrize("section", SECTIONS)

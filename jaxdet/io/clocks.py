@@ -130,7 +130,8 @@ def first_stamp(
 def unset_clock_text(topic: str, count: int, first_ns: int) -> str:
     """Return the warning about stamps of a clock that was not set yet."""
     when = f"{EPOCH + first_ns // 1000 * MICROSECOND:%Y-%m-%d}"
-    text = f"{printable(topic)}: the first {count} stamps are years before the others ({when})"
+    which = "first stamp is" if count == 1 else f"first {count} stamps are"
+    text = f"{printable(topic)}: the {which} years before the others ({when})"
     return f"{text}: the clock was not set yet; --start counts from when the first was recorded"
 
 
