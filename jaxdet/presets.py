@@ -62,11 +62,11 @@ PRESETS: dict[str, Config] = {
     "azure-kinect": _with(min_depth_m=0.30, max_depth_m=5.0),
     "orbbec": _with(min_depth_m=0.25, max_depth_m=5.0),
 }
-"""Presets: ``wheeled`` (the default: robots on wheels, steps of 5 cm), ``tabletop`` (over a table,
-steps of 8 mm and 4 mm for each metre at a Kinect's cells of 4 pixels), ``paper`` (the paper's
-method: obstacles are clusters of corners, points dropped after the selection, its rectangle; what
-the paper leaves open was chosen by ``python -m benchmarks.paper.choose``), and the default with the depth ranges of common cameras, by their data
-sheets."""
+"""Presets: ``wheeled`` (the default: robots on wheels, steps of 5 cm), ``tabletop`` (over a
+table, steps of 8 mm and 4 mm for each metre at a Kinect's cells of 4 pixels), ``paper`` (the
+paper's method: obstacles are clusters of corners, points dropped after the selection, its
+rectangle; what the paper leaves open was chosen by ``python -m benchmarks.paper.choose``), and
+the default with the depth ranges of common cameras, by their data sheets."""
 
 
 def preset(name: str) -> Config:
