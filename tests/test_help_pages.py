@@ -24,6 +24,7 @@ from jaxdet.cli import main
 from jaxdet.cli.help import FIRST, laid_out, pages, title_of
 from jaxdet.engine import crew
 from jaxdet.errors import FrameStatus
+from jaxdet.presets import preset
 from jaxdet.results.schemas import FRAMES_SCHEMA, OBSTACLES_SCHEMA
 from jaxdet.results.summary import LogSummary, Summary
 from jaxdet.results.track_schemas import LINKS_SCHEMA, TRACKS_SCHEMA
@@ -153,6 +154,20 @@ def test_flags_that_are_named_are_there(capsys, monkeypatch):
     known = {*re.findall(flag, capsys.readouterr().out), *OTHERS}
     for path in DOCUMENTS.values():
         assert {*re.findall(flag, path.read_text(encoding="utf-8"))} <= known, path.name
+
+
+def test_the_papers_parameters_are_those_of_the_preset():
+    paper = preset("paper")
+    now = {
+        cells[0].split(":")[0].split(",")[0]: cells[3] for cells in rows("paper", "Every parameter")
+    }
+    corners, cluster = paper.features, paper.cluster
+    assert now["Canny's bounds"] == f"**{corners.canny_low:g}, {corners.canny_high:g}**"
+    assert now["distance between corners"].startswith(f"**{corners.min_distance:g}**")
+    assert now["most corners; weakest"] == f"{corners.max_corners}; {corners.quality_level:g}"
+    assert now["N"] == f"**{cluster.min_points}**"
+    assert now["d_z"] == f"**{cluster.depth_gap_m:.2f} m**"
+    assert now["d_x"] == f"**{cluster.lateral_gap_m:.2f} m**"
 
 
 SCHEMAS = {

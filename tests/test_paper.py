@@ -185,6 +185,26 @@ def test_a_baseline_that_cannot_run_has_a_row(lab, monkeypatch):
         assert found.rows[-1][0] == "CURE" and "not run: CURE needs a module" in found.rows[-1]
 
 
+def test_the_papers_light_stands_next_to_its_method(sections):
+    (light,) = (one for one in sections if one.name == "fig12")
+    marked = {one.key: one.paper for one in light.figures if one.paper is not None}
+    assert marked == {
+        "fig12.preset_paper.normal.accuracy": 0.9172,
+        "fig12.preset_paper.dim.accuracy": 0.714,
+    }
+    assert isinstance(light.blocks[0], section.Text) and "dim 50 lx" in light.blocks[0].text
+
+
+def test_the_papers_rule_is_tuned_as_its_rivals_are(lab, sections):
+    assert set(lab.tuned) == {"paper", *RIVALS}
+    assert set(lab.tuned["paper"]) == {"depth_gap_m", "lateral_gap_m"}
+
+
+def test_a_baseline_that_is_not_there(capsys):
+    assert main.main(main.Options(rivals=("k_means",))) == 2
+    assert "k_means" in capsys.readouterr().err
+
+
 def test_an_experiment_that_is_not_there(capsys):
     assert main.main(main.Options(only=("table9",))) == 2
     assert "table9" in capsys.readouterr().err

@@ -59,6 +59,18 @@ _ALL = (
         "that library, without a word on its parameters",
         defaults={"clusters": 2},
     ),
+    Baseline(
+        name="printed",
+        title="Algorithm 1 as printed",
+        run=clustering.printed,
+        space="xz",
+        citation="Liu et al., Electronics 12 (2023), 2316, Algorithm 1",
+        defaults={"depth_gap_m": 0.4, "lateral_gap_m": 0.8},
+        grid={
+            "depth_gap_m": (0.1, 0.2, 0.4, 0.8),
+            "lateral_gap_m": (0.2, 0.4, 0.8, 1.6),
+        },
+    ),
     _hierarchical("ward", 1.0, (0.3, 0.6, 1.0, 2.0, 4.0, 8.0)),
     _hierarchical("complete", 0.6, (0.3, 0.4, 0.6, 0.9, 1.3, 2.0)),
     _hierarchical("average", 0.4, DISTANCES_M),

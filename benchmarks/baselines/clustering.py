@@ -105,6 +105,43 @@ def chameleon(
     return cluster_sample(points, limit, model.fit_predict)
 
 
+def printed(points: np.ndarray, depth_gap_m: float, lateral_gap_m: float) -> np.ndarray:
+    """The paper's Algorithm 1 as printed, along z and then along x.
+
+    It compares with the first point of a set and stops there (line 8), where Step 3 compares with
+    any point of the set: so a set reaches from its first point to less than the gap beyond it.
+
+    Args:
+        points: ``(n, 2)``, x and z [m].
+        depth_gap_m: d along z.
+        lateral_gap_m: d along x.
+
+    Returns:
+        ``(n,)`` int64, every point in a set.
+
+    Example:
+        >>> printed(np.array([[0, 1.0], [0, 1.09], [0, 1.18]]), 0.1, 0.4).tolist()
+        [0, 0, 1]
+    """
+    x, z = points.T
+    column = _from_seeds(z, np.zeros(len(z), np.int64), depth_gap_m)
+    return _from_seeds(x, column, lateral_gap_m)
+
+
+def _from_seeds(values: np.ndarray, group: np.ndarray, gap: float) -> np.ndarray:
+    """Parts of each group: from its least value to less than ``gap`` beyond, then the next."""
+    order = np.lexsort((values, group))
+    parts, number, start = np.zeros(len(values), np.int64), 0, 0
+    ends = np.flatnonzero(np.diff(group[order], append=-1)) + 1
+    for end in ends:
+        while start < end:
+            ahead = values[order[start:end]]
+            stop = start + max(1, int(np.searchsorted(ahead, ahead[0] + gap)))
+            parts[order[start:stop]] = number
+            number, start = number + 1, stop
+    return parts
+
+
 def paper(frame: Frame, config: Config, **params: Any) -> np.ndarray:
     """The paper's rule: the reference's cluster stage.
 
