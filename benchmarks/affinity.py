@@ -40,7 +40,7 @@ from benchmarks.paper.plan import SCENES
 from benchmarks.paper.shots import Shot, Spec, drawn, frames_of
 from benchmarks.paper.systems import eval_config
 from benchmarks.scores.boxes import FLOOR
-from jaxdet.affinity import BEYOND, FRACTION_BITS, GROWS, SEEN
+from jaxdet.affinity import BEYOND, FRACTION_BITS, GROWS, PAIR_FEATURES
 from jaxdet.camera import cell_side
 from jaxdet.config import Config
 from jaxdet.cores import cores
@@ -76,7 +76,7 @@ IN_FRONT_M, BEHIND_M = 0.15, 0.5
 """Cells in a box are of its object where they begin so much nearer or farther than it does."""
 ENOUGH = 100
 """Cells from which on a surface counts no more."""
-MONOTONIC = [GROWS.get(name, 0) for name in SEEN]
+MONOTONIC = [GROWS.get(name, 0) for name in PAIR_FEATURES]
 
 
 class Learning(NamedTuple):
@@ -318,7 +318,7 @@ def learn(found: Examples, how: Learning) -> dict[str, Any]:
     feature, threshold, value = ([tree[k] for tree in trees] for k in range(3))
     offset = model._baseline_prediction.item() + how.bias
     return {
-        "seen": SEEN,
+        "seen": PAIR_FEATURES,
         "offset": round(offset * (1 << FRACTION_BITS)),
         "feature": feature,
         "threshold": threshold,

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-SEEN = (
+PAIR_FEATURES = (
     "gap",
     "ahead",
     "overlap",
@@ -47,7 +47,7 @@ free sight. In percent of the rows of the surface with fewer: ``hidden_share``, 
 object between them; ``agree_share``, rows whose depth continues behind it or across a hole
 (``agree``: their number)."""
 LENGTHS = frozenset({"gap", "ahead", "step", "nearest", "behind"}) | {
-    name for name in SEEN if name.split("_")[0] in ("width", "depth", "bottom", "top")
+    name for name in PAIR_FEATURES if name.split("_")[0] in ("width", "depth", "bottom", "top")
 }
 """Features in depth units; millimetres in a table file."""
 GROWS = {
@@ -78,7 +78,7 @@ class Affinity(NamedTuple):
     """
 
     feature: np.ndarray
-    """Index in :data:`SEEN` of the feature that a node compares, ``(T, 2**D - 1)`` int64."""
+    """Feature that a node compares, index in :data:`PAIR_FEATURES`, ``(T, 2**D - 1)`` int64."""
     threshold: np.ndarray
     """Thresholds ``(T, 2**D - 1)`` int64; larger values go to the second child."""
     value: np.ndarray
@@ -105,10 +105,10 @@ def affinity(name: str, depth_unit: float) -> Affinity:
     """
     text = resources.files("jaxdet").joinpath("tables", f"{name}.json").read_text("utf-8")
     table = json.loads(text)
-    weighed = np.array([SEEN.index(one) for one in table["seen"]])
+    weighed = np.array([PAIR_FEATURES.index(one) for one in table["seen"]])
     feature = weighed[np.array(table["feature"], np.int64)]
     threshold = np.array(table["threshold"], np.int64)
-    lengths = np.isin(feature, [SEEN.index(one) for one in LENGTHS])
+    lengths = np.isin(feature, [PAIR_FEATURES.index(one) for one in LENGTHS])
     scaled = np.rint(threshold / (1000 * depth_unit)).astype(np.int64)
     scaled = np.minimum(scaled, BEYOND)
     value = np.array(table["value"], np.int64)
@@ -119,7 +119,7 @@ def evidence(seen: np.ndarray, table: Affinity) -> np.ndarray:
     """Compute the evidence that pairs of surfaces belong to the same object.
 
     Args:
-        seen: Features ``(P, 26)`` integer, in the order of :data:`SEEN`.
+        seen: Features ``(P, 26)`` integer, in the order of :data:`PAIR_FEATURES`.
         table: Model, in the same depth units.
 
     Returns:

@@ -14,8 +14,8 @@ from jaxdet.config import Config
 from jaxdet.errors import ConfigError
 from jaxdet.floor.plane import floor_prior, unknown_plane
 from jaxdet.floor.sampled import SampledFloor, sampled_floor
-from jaxdet.quiet import quiet_warp
 from jaxdet.types import Detections, Frames, GroundPlane
+from jaxdet.warp_start import start_warp
 
 if TYPE_CHECKING:
     from jaxdet.floor.units import FloorFit
@@ -52,7 +52,7 @@ def load_backend(name: BackendName) -> Backend:
             )
             remedy = "start processes with spawn, or use the backend reference"
             raise ConfigError(problem, remedy=remedy)
-        quiet_warp()  # standard output is the caller's
+        start_warp()  # standard output is the caller's
     return cast(Backend, import_module(modules[name]))
 
 

@@ -8,7 +8,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jaxdet.affinity import FRACTION_BITS, GROWS, LENGTHS, SEEN, Affinity, affinity, evidence
+from jaxdet.affinity import (
+    FRACTION_BITS,
+    GROWS,
+    LENGTHS,
+    PAIR_FEATURES,
+    Affinity,
+    affinity,
+    evidence,
+)
 from jaxdet.config import AFFINITIES
 
 UNIT = 0.001
@@ -27,13 +35,15 @@ def walked(seen: np.ndarray, table: Affinity) -> int:
     return int(total)
 
 
-pairs_seen = st.lists(st.integers(-200, LARGE), min_size=len(SEEN), max_size=len(SEEN))
+NUM_FEATURES = len(PAIR_FEATURES)
+GAP, AGREE = PAIR_FEATURES.index("gap"), PAIR_FEATURES.index("agree")
+pairs_seen = st.lists(st.integers(-200, LARGE), min_size=NUM_FEATURES, max_size=NUM_FEATURES)
 
 
 def test_by_hand() -> None:
     """Two trees of one node."""
     table = Affinity(np.array([[0], [3]]), np.array([[50], [9]]), np.array([[7, -7], [2, -1]]), 100)
-    seen = np.zeros((3, len(SEEN)), np.int64)
+    seen = np.zeros((3, NUM_FEATURES), np.int64)
     seen[1, 0], seen[2, 0], seen[2, 3] = 50, 51, 10
     assert evidence(seen, table).tolist() == [109, 109, 92]
 
@@ -51,7 +61,7 @@ def test_sense(name: str, seen: list[int], what: str, by: int) -> None:
     """A larger gap, a larger step, more lines one sees through never speak for a pair."""
     table = affinity(name, UNIT)
     before, after = np.array([seen]), np.array([seen])
-    after[0, SEEN.index(what)] += by
+    after[0, PAIR_FEATURES.index(what)] += by
     change = int(evidence(after, table)[0] - evidence(before, table)[0])
     assert change * GROWS[what] >= 0
 
@@ -59,8 +69,8 @@ def test_sense(name: str, seen: list[int], what: str, by: int) -> None:
 @pytest.mark.parametrize("name", AFFINITIES)
 def test_lengths_follow_the_depth_unit(name: str) -> None:
     rng = np.random.default_rng(0)
-    seen = rng.integers(0, 1000, (200, len(SEEN)))
-    fine = np.where([one in LENGTHS for one in SEEN], 10 * seen, seen)
+    seen = rng.integers(0, 1000, (200, NUM_FEATURES))
+    fine = np.where([one in LENGTHS for one in PAIR_FEATURES], 10 * seen, seen)
     expected = evidence(seen, affinity(name, UNIT))
     np.testing.assert_array_equal(evidence(fine, affinity(name, UNIT / 10)), expected)
     assert expected.min() < 0 < expected.max()
@@ -72,18 +82,18 @@ def test_complete_trees(name: str) -> None:
     trees, nodes = table.feature.shape
     assert nodes == 2**table.depth - 1 and table.threshold.shape == (trees, nodes)
     assert table.value.shape == (trees, nodes + 1)
-    assert table.feature.min() >= 0 and table.feature.max() < len(SEEN)
+    assert table.feature.min() >= 0 and table.feature.max() < NUM_FEATURES
     assert abs(table.offset) < 20 << FRACTION_BITS
 
 
 def test_a_table_weighs_what_it_names() -> None:
     """That of ``tabletop`` is older than the last five of what is seen."""
-    assert affinity("tabletop", UNIT).feature.max() < SEEN.index("behind")
-    assert affinity("surfaces", UNIT).feature.max() >= SEEN.index("behind")
+    assert affinity("tabletop", UNIT).feature.max() < PAIR_FEATURES.index("behind")
+    assert affinity("surfaces", UNIT).feature.max() >= PAIR_FEATURES.index("behind")
 
 
 def test_nothing() -> None:
-    assert len(evidence(np.zeros((0, len(SEEN)), np.int64), affinity("surfaces", UNIT))) == 0
+    assert len(evidence(np.zeros((0, NUM_FEATURES), np.int64), affinity("surfaces", UNIT))) == 0
 
 
 def test_learning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -92,17 +102,17 @@ def test_learning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from benchmarks import affinity as learning
 
     rng = np.random.default_rng(1)
-    seen = rng.integers(0, 1000, (3000, len(SEEN)))
-    same = (seen[:, SEEN.index("gap")] < 300) & (seen[:, SEEN.index("agree")] > 400)
+    seen = rng.integers(0, 1000, (3000, NUM_FEATURES))
+    same = (seen[:, GAP] < 300) & (seen[:, AGREE] > 400)
     found = learning.Examples(seen, same, rng.random(len(seen)) + 0.5)
     how = learning.Learning(trees=12, depth=3, rate=0.3, leaf=20, ridge=1.0, bias=0.0)
     monkeypatch.setattr(learning, "TABLES", tmp_path)
     learning.write("made", learning.learn(found, how))
 
     text = json.loads((tmp_path / "made.json").read_text("utf-8"))
-    assert tuple(text["seen"]) == SEEN
+    assert tuple(text["seen"]) == PAIR_FEATURES
     arrays = (np.array(text[key]) for key in ("feature", "threshold", "value"))
     table = Affinity(*arrays, text["offset"])
-    fresh = rng.integers(0, 1000, (3000, len(SEEN)))
-    expected = (fresh[:, SEEN.index("gap")] < 300) & (fresh[:, SEEN.index("agree")] > 400)
+    fresh = rng.integers(0, 1000, (3000, NUM_FEATURES))
+    expected = (fresh[:, GAP] < 300) & (fresh[:, AGREE] > 400)
     assert ((evidence(fresh, table) > 0) == expected).mean() > 0.98

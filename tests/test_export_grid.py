@@ -93,7 +93,7 @@ def test_nav2_loads_the_map_of_a_log(
         column, row = np.floor((middle - origin[:2]) / cell).astype(int)
         assert states[row, column] == OCCUPIED
     assert main(["export", str(results), "--to", "nav2", "--output", str(out)]) == 2
-    assert "is there already" in capsys.readouterr().err
+    assert "exists already" in capsys.readouterr().err
 
 
 def test_without_poses_there_is_no_map(aims_results: Path, tmp_path: Path) -> None:

@@ -236,7 +236,7 @@ def test_the_command_says_what_is_wrong(
     assert "--to foxglove needs the package mcap_protobuf" in message
     taken = tmp_path / "taken"
     taken.write_text("mine")
-    assert "is there already" in said(str(driven_results), "--to", "ros2", "--output", str(taken))
+    assert "exists already" in said(str(driven_results), "--to", "ros2", "--output", str(taken))
     assert taken.read_text() == "mine"
     assert "no such file" in said(
         str(driven_results), "--to", "ros2", "--output", out, "--log", "x.mcap"

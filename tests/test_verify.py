@@ -336,7 +336,7 @@ def test_logs_that_moved_are_given_or_noted(whole: Path, tmp_path: Path) -> None
         sealed(summary.parent)
     report = verify(out)
     assert not report.findings and not report.frames_of_logs
-    assert report.notes[0].startswith("a was not compared: /gone/a.mcap: the log isn't where")
+    assert report.notes[0].startswith("a was not compared: /gone/a.mcap: the log is not at its")
     assert report.notes[0].endswith("name it with --against")
     assert report_lines(report)[-1] == (
         f"nothing wrong, but {2 * FRAMES} frames were not compared with their logs"
@@ -355,7 +355,7 @@ def test_logs_with_other_names_now_are_known_by_what_is_in_them(
     assert not report.findings and report.frames_of_logs == 2 * FRAMES
     content = (folder / "c.mcap").read_bytes()
     (folder / "c.mcap").write_bytes(content[:-1])
-    known = "no log 'c'; it holds a, b; logs are known by their names, else by what is in them"
+    known = "no log 'c'; it holds a, b; logs are identified by name, else by content"
     with pytest.raises(InputError, match=known):
         verify(folder / "out", [str(folder / "*.mcap")], sample=1)
 

@@ -327,8 +327,8 @@ def _prepare() -> None:
     import jax
 
     from jaxdet.engine import use_caches
-    from jaxdet.quiet import quiet_warp
+    from jaxdet.warp_start import start_warp
 
     if getattr(jax.config, "jax_compilation_cache_dir", None) is None:
         use_caches()
-    quiet_warp()
+    start_warp()

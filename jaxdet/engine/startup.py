@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from jaxdet.errors import ConfigError, OutputError
-from jaxdet.quiet import quiet_warp
 from jaxdet.signals import stops_held_back
+from jaxdet.warp_start import start_warp
 
 ENVIRONMENT = "JAXDET_CACHE"
 """Environment variable: the folder, or ``off``."""
@@ -144,7 +144,7 @@ def start_up() -> None:
     keep_memory()
     _check_platforms()
     use_caches()
-    quiet_warp()
+    start_warp()
 
 
 @contextmanager

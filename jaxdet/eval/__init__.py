@@ -1,6 +1,6 @@
-"""Scores of detections against the truth, frame by frame, added up over a log.
+"""Evaluation of detections against ground truth, frame by frame, summed over a log.
 
-:mod:`jaxdet.eval.frame` states the rule, :class:`Score` the figures with their formulas.
+:mod:`jaxdet.eval.frame` describes the matching, :class:`Score` the metrics with their formulas.
 
 >>> from jaxdet.eval import Tally, score
 >>> score([Tally(visible=4, found=3, false=1), Tally(visible=1, found=1)]).accuracy

@@ -1,4 +1,4 @@
-"""How much of the floor that can truly be driven on lies inside of found outlines."""
+"""Fraction of the drivable floor that detected outlines claim."""
 
 import numpy as np
 
@@ -16,21 +16,22 @@ def floor_positions(
     calibration: Calibration,
     T_world_camera: np.ndarray,
 ) -> np.ndarray:
-    """Return where the drivable floor is that each colour pixel shows.
+    """Return the position of the drivable floor in each colour pixel.
 
     Args:
-        depth_m: ``(B, H, W)`` true z [m].
-        drivable: ``(B, H, W)`` bool, see :class:`jaxdet.eval.FrameTruth`.
-        calibration: Of the log; one without a colour camera where lengths refer to that camera.
-        T_world_camera: ``(B, 4, 4)`` float64, of the colour camera, exact; world z is up.
+        depth_m: True z ``(B, H, W)`` [m].
+        drivable: Drivable pixels ``(B, H, W)`` bool, see :class:`jaxdet.eval.FrameTruth`.
+        calibration: Calibration of the log; without a colour camera if lengths refer to that
+            camera.
+        T_world_camera: Exact poses ``(B, 4, 4)`` float64 of the colour camera; world z is up.
 
     Returns:
-        ``(B, H, W, 2)`` float64, right and forward in the depth camera's ground frame [m], NaN
-        where the pixel shows no such floor.
+        Right and forward in the depth camera's ground frame, ``(B, H, W, 2)`` float64 [m], NaN for
+        other pixels.
     """
     x, y = pixel_rays(calibration.image)
     z = np.where(drivable, np.asarray(depth_m, np.float64), np.nan)
-    # The rows of the world's axes, turned by the angle of Eq. 8-9, and the way between the cameras.
+    # The world's axes rotated by the angle of Eq. 8-9, and the translation between the cameras.
     depth = depth_poses(T_world_camera, calibration)
     sin, cos = (a[:, None] for a in world_angle(depth))
     T = np.concatenate([T_world_camera[..., :3], T_world_camera[..., 3:] - depth[..., 3:]], axis=-1)
@@ -45,17 +46,17 @@ def floor_positions(
 def measured_floor(
     positions_m: np.ndarray, true_depth_m: np.ndarray, z_m: np.ndarray, config: EvalConfig
 ) -> np.ndarray:
-    """The floor that a method could have seen.
+    """Return the drivable floor that was measured.
 
     Args:
-        positions_m: ``(..., H, W, 2)``, right and forward, NaN where no drivable floor is [m].
-        true_depth_m: ``(..., H, W)`` true z [m].
-        z_m: ``(..., H, W)`` z measured at each colour pixel [m], 0 = none.
-        config: Range and slack.
+        positions_m: Right and forward ``(..., H, W, 2)``, NaN outside of drivable floor [m].
+        true_depth_m: True z ``(..., H, W)`` [m].
+        z_m: Measured z at each colour pixel, ``(..., H, W)`` [m], 0 = none.
+        config: Range and tolerance.
 
     Returns:
-        The positions, NaN also beyond ``floor_range_m`` and where the depth of something else or
-        none was measured.
+        The positions, NaN also beyond ``floor_range_m`` and where the measured depth is missing or
+        not that of the floor.
     """
     slack = config.depth_slack(z_m)
     true = (z_m > 0) & (np.abs(z_m - np.asarray(true_depth_m, np.float64)) <= slack)
@@ -70,22 +71,22 @@ def claimed_floor(
     config: EvalConfig | None = None,
     valid: np.ndarray | None = None,
 ) -> list[Tally]:
-    """Counts the pixels of drivable floor inside of any outline.
+    """Count the pixels of drivable floor inside of any outline.
 
-    What hangs higher than ``hanging_m`` above the floor takes none of it; without a scene that is
-    not known and every outline counts.
+    Obstacles that hang higher than ``hanging_m`` above the floor don't count; without a scene, all
+    outlines do.
 
     Args:
-        detections: Of ``B`` frames.
-        floor_m: ``(B, H, W, 2)``, right and forward in the ground frame, NaN where nothing is
-            asked for [m]; from :func:`measured_floor`.
-        depth_unit: Metres in one depth unit.
-        config: Its footprint makes the rectangles.
-        valid: ``(B,)`` bool, False marks padding; None: all frames count.
+        detections: Detections of ``B`` frames.
+        floor_m: Evaluated floor from :func:`measured_floor`, right and forward in the ground frame,
+            ``(B, H, W, 2)``, NaN elsewhere [m].
+        depth_unit: Metres per depth unit.
+        config: Evaluation parameters, with the footprint parameters of the rectangles.
+        valid: Mask ``(B,)`` bool, False for padding; None: all frames count.
 
     Returns:
-        A tally for each frame that is not padding; :func:`jaxdet.eval.score` makes figures. Frames
-        with fewer than ``min_visible_pixels`` have no share of their own.
+        A tally per frame without padding, for :func:`jaxdet.eval.score`. Frames with fewer than
+        ``min_visible_pixels`` have no fraction of their own.
     """
     config = config or EvalConfig()
     outlines = rectangles(detections.obstacles, depth_unit, config.footprint)
@@ -109,9 +110,9 @@ def claimed_floor(
 def _standing(
     detections: Detections, b: int, known: np.ndarray | None, unit: float, config: EvalConfig
 ) -> np.ndarray:
-    """The obstacles of frame ``b`` that the robot can't drive under, ``(L,)``.
+    """Return the obstacles of frame ``b`` that the robot can't drive under, ``(L,)``.
 
-    ``known`` says which frames' floor is, ``(B,)`` bool; None without heights.
+    ``known`` is whether each frame's floor is known, ``(B,)`` bool; None without heights.
     """
     numbers = np.arange(int(detections.num_obstacles[b]))
     scene = detections.scene
@@ -122,7 +123,7 @@ def _standing(
 
 
 def _inside_any(outlines: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Which points ``(n, 2)`` lie in any of the outlines ``(L, 4, 2)``, ``(n,)`` bool."""
+    """Return which points ``(n, 2)`` are in any of the outlines ``(L, 4, 2)``, ``(n,)`` bool."""
     found = np.zeros(len(points), bool)
     x, y = np.ascontiguousarray(points.T)
     for outline in outlines:

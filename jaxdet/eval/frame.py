@@ -1,16 +1,16 @@
-"""Comparison of detections with the truth, frame by frame.
+"""Evaluation of detections against ground truth, frame by frame.
 
-The rule. Each kept point votes for the object it lies on, or whose depth was measured there
+Each kept point votes for the object in its pixel, or for the one whose depth it has
 (:func:`objects_of`). Points are the corners of the preset ``paper``, otherwise the depth cells
-(``detect(..., with_cells=True)``) in the colour image, whose truth is known. A detection
-and an obstacle are a pair when at least half of the detection's votes are for the obstacle; pairs
-are one to one, chosen for the most votes (:func:`jaxdet.eval.match.match`). Then
+(``detect(..., with_cells=True)``) in the colour image, for which there is ground truth. A detection
+and an obstacle may match if at least half of the detection's votes are for the obstacle; matches
+are one to one, with the most votes (:func:`jaxdet.eval.match.match`). Then
 
-- an obstacle asked for is *found* (true positive) when it has a pair, else *missed*;
-- a detection without a pair is *false*, also when it is a second one on an obstacle;
-- a detection with half of its votes on walls, or that could pair with an obstacle which is not
-  asked for (too far, too little of it visible, lower than the step), is *ignored*, as is one of
-  cells outside of the colour image.
+- a required obstacle is *found* (true positive) if it is matched, else *missed*;
+- an unmatched detection is *false*, also if it is a second one on an obstacle;
+- an unmatched detection is *ignored* if half of its votes are on walls, if it could match an
+  obstacle that is not required (too far, mostly hidden, lower than the step), or if its cells are
+  outside of the colour image.
 """
 
 import math
@@ -37,7 +37,7 @@ def evaluate(
     valid: np.ndarray | None = None,
     side: int | None = None,
 ) -> Tally:
-    """Compare a batch of detections with the truth; :func:`evaluate_frames`, added up."""
+    """Evaluate a batch of detections: the sum of :func:`evaluate_frames`."""
     return total(evaluate_frames(detections, truth, calibration, config, valid, side))
 
 
@@ -49,33 +49,33 @@ def evaluate_frames(
     valid: np.ndarray | None = None,
     side: int | None = None,
 ) -> list[Tally]:
-    """Compare each frame of a batch with the truth.
+    """Evaluate each frame of a batch.
 
     Args:
-        detections: Of ``B`` frames, from either backend or of another method; with their cells
-            where obstacles are made of surfaces. Of the obstacles
-            ``c`` is used, with ``truth.ground_min`` also ``a b``, with ``truth.footprint`` also
-            ``has_vertex``, and with ``truth.nearest_floor_m`` contours or ``a b``.
-        truth: Of the same frames.
-        calibration: Calibration of the log, whose colour image the truth is of; of points only the
-            depth unit is used. None: millimetres.
-        config: What counts.
-        valid: ``(B,)`` bool, False marks padding; None: all frames count.
+        detections: Detections of ``B`` frames, from either backend or another method; with cells if
+            obstacles are made of surfaces. Their field ``c`` is used, with ``truth.ground_min``
+            also ``a b``, with ``truth.footprint`` also ``has_vertex``, and with
+            ``truth.nearest_floor_m`` contours or ``a b``.
+        truth: Ground truth of these frames.
+        calibration: Calibration of the log, to whose colour image the ground truth refers; only its
+            depth unit is used for points. None: millimetres.
+        config: Evaluation parameters.
+        valid: Mask ``(B,)`` bool, False for padding; None: all frames count.
         side: Side of a cell [depth pixel], see :func:`jaxdet.camera.cell_side`; None: detections
             have points.
 
     Returns:
-        A tally for each frame that is not padding; :func:`jaxdet.eval.score` makes figures.
+        A tally per frame without padding, for :func:`jaxdet.eval.score`.
 
     Raises:
-        ValueError: The truth is of another number of frames, or cells lack their calibration.
+        ValueError: The number of frames differs, or cells lack their calibration.
     """
     config = config or EvalConfig()
     frames = len(detections.num_obstacles)
     depth_unit = calibration.depth_unit if calibration else 0.001
     if frames != len(truth.obstacle_id):
-        raise ValueError(f"{frames} frames, but the truth of {len(truth.obstacle_id)}")
-    asked = truth.asked(config)
+        raise ValueError(f"{frames} frames, but ground truth for {len(truth.obstacle_id)}")
+    required = truth.required(config)
     known = truth.nearest_floor_m is not None
     distances_m = distances(detections) * depth_unit if known else None
     tallies: list[Tally] = []
@@ -83,12 +83,12 @@ def evaluate_frames(
         if valid is None or valid[b]:
             points, labels = points_of(detections, b, calibration, side)
             count = int(detections.num_obstacles[b])
-            frame = _match_frame(points, labels, count, truth, b, asked[b], depth_unit, config)
+            frame = _match_frame(points, labels, count, truth, b, required[b], depth_unit, config)
             shapes = Shapes(detections, truth, b, frame.count, depth_unit, config, distances_m)
             parts = [
                 _count_detections(frame, config),
                 _count_points(frame, config),
-                count_shapes(frame.asked, frame.pair, shapes, config),
+                count_shapes(frame.required, frame.pair, shapes, config),
             ]
             tallies.append(total(parts)._replace(frames=1))
     return tallies
@@ -96,22 +96,22 @@ def evaluate_frames(
 
 @dataclass(frozen=True)
 class _Matched:
-    """One frame's points ``(n,)`` that take part, its ``L`` detections and their matches."""
+    """Points, ``L`` detections and their matches of a frame."""
 
     labels: np.ndarray
-    """``(n,)``."""
+    """Label of each point, ``(n,)``."""
     objects: np.ndarray
-    """``(n,)`` object numbers."""
+    """Object number of each point, ``(n,)``."""
     votes: np.ndarray
-    """``(L, J + 1)``."""
+    """Votes ``(L, J + 1)``."""
     pair: np.ndarray
-    """``(L,)`` number of the matched obstacle, 0 = none."""
+    """Number of the matched obstacle, ``(L,)``, 0 = none."""
     positions: np.ndarray
-    """``(n, 2)``, x and z of the points [m]."""
-    asked: np.ndarray
-    """``(J + 1,)`` bool."""
+    """x and z of the points, ``(n, 2)`` [m]."""
+    required: np.ndarray
+    """Whether each object is required, ``(J + 1,)`` bool."""
     kinds: np.ndarray
-    """``(J + 1,)``, see :attr:`FrameTruth.kinds`."""
+    """Kind of each object, ``(J + 1,)``, see :attr:`FrameTruth.kinds`."""
 
     @property
     def count(self) -> int:
@@ -121,16 +121,16 @@ class _Matched:
 def points_of(
     detections: Detections, b: int, calibration: Calibration | None, side: int | None
 ) -> tuple[Features, np.ndarray]:
-    """Return frame ``b``'s points that are kept or labelled, ``(n,)``, and their labels.
+    """Return the kept or labelled points of frame ``b``, ``(n,)``, and their labels.
 
     Raises:
-        ValueError: They are cells, and their calibration or their side is None.
+        ValueError: The points are cells, and their calibration or side is None.
     """
     if detections.points is not None:
         points, label = detections.points.features, detections.points.labels.labels[b]
         own = Features(*(np.asarray(part[b]) for part in points))
     elif detections.cells is None or calibration is None or side is None:
-        raise ValueError("points, or cells with calibration and side, are needed")
+        raise ValueError("needs points, or cells with calibration and side")
     else:
         own, label = cell_points(detections.cells, b, calibration, side), detections.cells.label[b]
     own, label = Features(*(np.ravel(part) for part in own)), np.ravel(label)
@@ -141,7 +141,7 @@ def points_of(
 def cell_points(found: CellLabels, b: int, calibration: Calibration, side: int) -> Features:
     """Return the cells of frame ``b`` as points ``(R, C)`` in the colour camera.
 
-    Their pixel is the middle of their box; valid are those in the colour image.
+    Their pixel is the middle of their box; those in the colour image are valid.
     """
     xyz = np.stack([np.asarray(axis[b]) for axis in found.cells]).astype(np.int32)
     low, high, inside = (part[0] for part in cell_boxes(xyz[2:], calibration, side))
@@ -162,7 +162,7 @@ def _match_frame(
     count: int,
     truth: FrameTruth,
     b: int,
-    asked: np.ndarray,
+    required: np.ndarray,
     depth_unit: float,
     config: EvalConfig,
 ) -> _Matched:
@@ -171,17 +171,17 @@ def _match_frame(
     kinds = truth.kinds
     votes = vote_table(labels, objects, count, len(kinds))
     pair = match(votes, kinds == 2, config.match_share)
-    asked = np.concatenate([[False], asked])
-    return _Matched(labels, objects, votes, pair, positions, asked, kinds)
+    required = np.concatenate([[False], required])
+    return _Matched(labels, objects, votes, pair, positions, required, kinds)
 
 
 def objects_of(
     points: Features, truth: FrameTruth, b: int, depth_unit: float, config: EvalConfig
 ) -> np.ndarray:
-    """Return the object of each point of frame ``b``, ``(n,)`` int64 numbers, 0 = floor.
+    """Return the object number of each point of frame ``b``, ``(n,)`` int64, 0 = floor.
 
-    That of its pixel or of one beside it (:func:`feature_objects`); but where the truth has depths,
-    its pixel's is not the measured one and that of another near it is, the other's
+    It is the object at or next to the point's pixel (:func:`feature_objects`). If the true depth is
+    known and only a neighbouring pixel has the measured depth, it is the object there
     (:func:`measured_objects`).
     """
     u, v, z = points.u, points.v, points.z
@@ -197,17 +197,17 @@ def objects_of(
 
 
 def _count_detections(frame: _Matched, config: EvalConfig) -> Tally:
-    votes, kinds, asked = frame.votes, frame.kinds, frame.asked
+    votes, kinds, required = frame.votes, frame.kinds, frame.required
     whole = np.maximum(votes.sum(axis=1), 1)
     could = eligible(votes, kinds == 2, config.match_share)
-    found = asked[frame.pair]
-    elsewhere = ~found & (could & ~asked).any(axis=1)
+    found = required[frame.pair]
+    elsewhere = ~found & (could & ~required).any(axis=1)
     elsewhere |= ~found & (votes.sum(axis=1) == 0)
     wall = ~found & ~elsewhere & (votes[:, kinds == 1].sum(axis=1) >= 0.5 * whole)
     false = ~found & ~elsewhere & ~wall
     parts = ((votes >= config.merge_share * whole[:, None]) & (kinds == 2)).sum(axis=1)
     return Tally(
-        visible=int(asked.sum()),
+        visible=int(required.sum()),
         found=int(found.sum()),
         detections=len(votes),
         matched=int((frame.pair > 0).sum()),

@@ -1,23 +1,23 @@
-"""Internal indices: how compact and how far apart clusters are, without any truth.
+"""Internal cluster validity indices, which need no ground truth.
 
-Points without a label (-1) take no part, so a method that throws points away is not punished
-here; that is what the scores against the truth are for.
+Points without a label (-1) are ignored, so that dropping points is not penalised here, but by the
+scores against ground truth.
 """
 
 import numpy as np
 
 
 def silhouette(points: np.ndarray, labels: np.ndarray) -> float:
-    """The silhouette coefficient, the paper's SC.
+    """Compute the silhouette coefficient, the paper's SC.
 
-    For point i, ``a`` is its mean distance to the others of its cluster, ``b`` the least mean
+    For point i, ``a`` is its mean distance to the others of its cluster, ``b`` the smallest mean
     distance to another cluster, ``s(i) = (b - a) / max(a, b)``, and 0 for a cluster of one; SC is
     the mean of ``s``. Rousseeuw, Journal of Computational and Applied Mathematics 20 (1987),
     53-65. Equals ``sklearn.metrics.silhouette_score`` on the labelled points.
 
     Args:
-        points: ``(n, d)`` numbers.
-        labels: ``(n,)`` integer, negative = noise, excluded.
+        points: Points ``(n, d)``.
+        labels: Labels ``(n,)`` integer, negative = noise, excluded.
 
     Returns:
         -1 to 1, larger is better; NaN with fewer than two clusters.
@@ -47,7 +47,7 @@ def silhouette(points: np.ndarray, labels: np.ndarray) -> float:
 
 
 def davies_bouldin(points: np.ndarray, labels: np.ndarray) -> float:
-    """The Davies-Bouldin index, the paper's DB.
+    """Compute the Davies-Bouldin index, the paper's DB.
 
     With ``S_i`` the mean distance of cluster i's points to their mean ``c_i`` it is the mean over
     i of ``max_j (S_i + S_j) / |c_i - c_j|``. Davies and Bouldin, IEEE Transactions on Pattern
@@ -55,12 +55,12 @@ def davies_bouldin(points: np.ndarray, labels: np.ndarray) -> float:
     ``sklearn.metrics.davies_bouldin_score`` on the labelled points.
 
     Args:
-        points: ``(n, d)`` numbers.
-        labels: ``(n,)`` integer, negative = noise, excluded.
+        points: Points ``(n, d)``.
+        labels: Labels ``(n,)`` integer, negative = noise, excluded.
 
     Returns:
-        At least 0, smaller is better, not bounded by 1 as the paper says; infinite where two
-        clusters of some extent have one mean; NaN with fewer than two clusters.
+        At least 0, smaller is better, not bounded by 1 as the paper says; infinite if two clusters
+        of non-zero extent have the same mean; NaN with fewer than two clusters.
 
     Example:
         >>> davies_bouldin(np.array([[0.0], [2.0], [8.0], [16.0]]), np.array([0, 0, 1, 1])) * 11
@@ -80,7 +80,7 @@ def davies_bouldin(points: np.ndarray, labels: np.ndarray) -> float:
 
 
 def _labelled(points: np.ndarray, labels: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
-    """The labelled points ``(m, d)``, their clusters ``(m,)`` as 0, 1, ... and how many."""
+    """Return labelled points ``(m, d)``, their clusters ``(m,)`` from 0, and the cluster count."""
     labels = np.asarray(labels)
     used = labels >= 0
     names, which = np.unique(labels[used], return_inverse=True)

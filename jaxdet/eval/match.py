@@ -1,4 +1,4 @@
-"""Which detection is which obstacle: votes of the features, then one to one."""
+"""Matching of detections and ground truth obstacles: votes of points, then one-to-one pairs."""
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -7,21 +7,21 @@ from scipy.optimize import linear_sum_assignment
 def feature_objects(
     obstacle_id: np.ndarray, is_wall: np.ndarray, u: np.ndarray, v: np.ndarray, tolerance: int
 ) -> np.ndarray:
-    """The object each feature votes for.
+    """Return the object that each feature votes for.
 
-    It is the object the feature lies on, or the nearest one within ``tolerance`` (a square),
-    since the corners of a contour fall beside the object; obstacles go before walls and walls
-    before floor.
+    It is the object in the feature's pixel, or the nearest one within ``tolerance`` (a square), as
+    corners of a contour fall next to the object. Obstacles take priority over walls, walls over
+    floor.
 
     Args:
-        obstacle_id: ``(H, W)`` integer.
-        is_wall: ``(J,)`` bool.
-        u: ``(n,)`` columns.
-        v: ``(n,)`` rows.
-        tolerance: How far away it may lie [pixel].
+        obstacle_id: Object numbers ``(H, W)`` integer.
+        is_wall: Whether each object is a wall, ``(J,)`` bool.
+        u: Columns ``(n,)``.
+        v: Rows ``(n,)``.
+        tolerance: Maximum distance [pixel].
 
     Returns:
-        ``(n,)`` int64 object numbers, 0 = floor.
+        Object numbers ``(n,)`` int64, 0 = floor.
     """
     around = _around(np.pad(obstacle_id, tolerance), u, v, tolerance).astype(np.int64)
     best = np.argmax(_rank(is_wall)[around], axis=1)
@@ -38,26 +38,26 @@ def measured_objects(
     slack_m: np.ndarray,
     tolerance: int,
 ) -> np.ndarray:
-    """The object beside each feature whose true depth is the one measured.
+    """Return the object next to each feature whose true depth equals the measured one.
 
-    A stereo camera smears near things over what is beside them, so a pixel that shows the
-    background may have the depth of the obstacle beside it. The object is that of the nearest
-    pixel within ``tolerance`` (a square) whose true depth is the feature's, unless the feature's
-    own pixel has it; obstacles go before walls and walls before floor.
+    Stereo matching dilates foreground objects, so a background pixel may have the depth of the
+    obstacle next to it. The object is that of the nearest pixel within ``tolerance`` (a square)
+    with the feature's depth, unless the feature's own pixel has it. Obstacles take priority over
+    walls, walls over floor.
 
     Args:
-        obstacle_id: ``(H, W)`` integer.
-        depth_m: ``(H, W)`` float, true z in the colour camera [m].
-        is_wall: ``(J,)`` bool.
-        u: ``(n,)`` columns.
-        v: ``(n,)`` rows.
-        z_m: ``(n,)`` measured z [m].
-        slack_m: ``(n,)`` how far a true depth may be from it [m].
-        tolerance: How far away the pixel may lie [pixel].
+        obstacle_id: Object numbers ``(H, W)`` integer.
+        depth_m: True z in the colour camera, ``(H, W)`` float [m].
+        is_wall: Whether each object is a wall, ``(J,)`` bool.
+        u: Columns ``(n,)``.
+        v: Rows ``(n,)``.
+        z_m: Measured z ``(n,)`` [m].
+        slack_m: Tolerance of the depth, ``(n,)`` [m].
+        tolerance: Maximum distance of the pixel [pixel].
 
     Returns:
-        ``(n,)`` int64 object numbers, 0 = floor, -1 where the own pixel's true depth or none is
-        the measured one.
+        Object numbers ``(n,)`` int64, 0 = floor, -1 if the feature's own pixel or no pixel has the
+        measured depth.
 
     Example:
         >>> ids, depth = np.array([[1, 0, 0, 0]]), np.array([[1.0, 5.0, 5.0, 5.0]])
@@ -79,7 +79,7 @@ def measured_objects(
 
 
 def _around(padded: np.ndarray, u: np.ndarray, v: np.ndarray, tolerance: int) -> np.ndarray:
-    """What a padded image holds at each place and around it, nearest first, ``(n, k)``."""
+    """Return the values of a padded image around each pixel, nearest first, ``(n, k)``."""
     reach = np.arange(2 * tolerance + 1)
     dv, du = (a.ravel() for a in np.meshgrid(reach, reach, indexing="ij"))
     order = np.argsort((du - tolerance) ** 2 + (dv - tolerance) ** 2, kind="stable")
@@ -87,21 +87,21 @@ def _around(padded: np.ndarray, u: np.ndarray, v: np.ndarray, tolerance: int) ->
 
 
 def _rank(is_wall: np.ndarray) -> np.ndarray:
-    """By object number: 0 the floor, 1 a wall, 2 an obstacle."""
+    """Return the priority by object number: 0 floor, 1 wall, 2 obstacle."""
     return np.concatenate([[0], np.where(is_wall, 1, 2)])
 
 
 def vote_table(labels: np.ndarray, objects: np.ndarray, detections: int, count: int) -> np.ndarray:
-    """How many points of each detection vote for each object.
+    """Count the points of each detection that vote for each object.
 
     Args:
-        labels: ``(n,)`` integer, -1 = none.
-        objects: ``(n,)`` integer, object number, 0 = floor.
-        detections: ``L``.
-        count: ``J + 1``.
+        labels: Detection of each point, ``(n,)`` integer, -1 = none.
+        objects: Object number of each point, ``(n,)`` integer, 0 = floor.
+        detections: Number of detections ``L``.
+        count: Number of objects and the floor, ``J + 1``.
 
     Returns:
-        ``(L, J + 1)`` int64.
+        Votes ``(L, J + 1)`` int64.
 
     Example:
         >>> vote_table(np.array([0, 0, 1, -1]), np.array([2, 0, 1, 1]), 2, 3).tolist()
@@ -113,19 +113,19 @@ def vote_table(labels: np.ndarray, objects: np.ndarray, detections: int, count: 
 
 
 def match(votes: np.ndarray, is_obstacle: np.ndarray, share: float = 0.5) -> np.ndarray:
-    """Matches detections and obstacles one to one.
+    """Match detections and obstacles one to one (linear assignment).
 
-    A detection and an obstacle can be a pair when at least ``share`` of the detection's votes
-    are for the obstacle. Of all ways to pair them, the one with the most votes in its pairs is
-    taken; of equal ones, that whose detections have the larger shares of their votes in it.
+    A detection and an obstacle may match if at least ``share`` of the detection's votes are for the
+    obstacle. The assignment maximises the votes of all pairs; in a tie, the fractions of votes.
 
     Args:
-        votes: ``(L, J + 1)`` integer, see :func:`vote_table`.
-        is_obstacle: ``(J + 1,)`` bool, False for the floor and for walls.
-        share: Between 0 and 1.
+        votes: Votes ``(L, J + 1)`` integer, see :func:`vote_table`.
+        is_obstacle: Whether each object is an obstacle, ``(J + 1,)`` bool, False for the floor and
+            walls.
+        share: Minimum fraction of votes, 0 to 1.
 
     Returns:
-        ``(L,)`` int64, number of the obstacle that each detection is paired with, 0 = none.
+        Number of the obstacle matched to each detection, ``(L,)`` int64, 0 = none.
 
     Example:
         >>> yes = np.array([False, True, True])
@@ -134,7 +134,7 @@ def match(votes: np.ndarray, is_obstacle: np.ndarray, share: float = 0.5) -> np.
     """
     able = eligible(votes, is_obstacle, share)
     shares = votes / np.maximum(votes.sum(axis=1, keepdims=True), 1)
-    # The shares of all pairs together stay below one vote.
+    # The fractions of all pairs add up to less than one vote.
     weight = np.where(able, votes + shares / (len(votes) + 1), 0.0)
     rows, columns = linear_sum_assignment(weight, maximize=True)
     paired = weight[rows, columns] > 0
@@ -144,6 +144,6 @@ def match(votes: np.ndarray, is_obstacle: np.ndarray, share: float = 0.5) -> np.
 
 
 def eligible(votes: np.ndarray, is_obstacle: np.ndarray, share: float) -> np.ndarray:
-    """Which pairs may match: ``(L, J + 1)`` bool."""
+    """Return which pairs may match, ``(L, J + 1)`` bool."""
     whole = votes.sum(axis=1, keepdims=True)
     return is_obstacle & (votes > 0) & (votes >= share * whole)

@@ -1,4 +1,4 @@
-"""Agreement of two partitions of the same points, counted by pairs so that frames add up."""
+"""Agreement of two partitions of points, by pair counts that can be summed over frames."""
 
 import math
 from typing import NamedTuple
@@ -7,25 +7,24 @@ import numpy as np
 
 
 class PairCounts(NamedTuple):
-    """Pairs of points that share a cluster; they add up over frames."""
+    """Numbers of pairs of points that share a cluster."""
 
     both: int
-    """In the detection and in the truth."""
+    """Pairs that share a cluster in the detection and in the ground truth."""
     detected: int
-    """In the detection."""
+    """Pairs that share a cluster in the detection."""
     true: int
-    """In the truth."""
+    """Pairs that share a cluster in the ground truth."""
 
 
 def pair_counts(labels: np.ndarray, truth: np.ndarray) -> PairCounts:
-    """Counts the pairs of points that are together.
+    """Count the pairs of points that share a cluster.
 
-    A point without a label (negative) is a cluster of its own, in both partitions: noise is not
-    one thing.
+    Each point without a label (negative) is a cluster of its own, in both partitions.
 
     Args:
-        labels: ``(n,)`` integer, what was found.
-        truth: ``(n,)`` integer, what is.
+        labels: Detected clusters ``(n,)`` integer.
+        truth: True clusters ``(n,)`` integer.
 
     Returns:
         Sums of ``k (k - 1) / 2`` over the clusters of each partition and of their intersection.
@@ -49,18 +48,17 @@ def _pairs(labels: np.ndarray) -> int:
 
 
 def fowlkes_mallows(counts: PairCounts) -> float:
-    """The Fowlkes-Mallows index ``both / sqrt(detected true)``.
+    """Compute the Fowlkes-Mallows index ``both / sqrt(detected true)``.
 
-    The geometric mean of the pairs' precision and recall; 1 is full agreement. Fowlkes and
+    It is the geometric mean of the pairs' precision and recall; 1 is full agreement. Fowlkes and
     Mallows, Journal of the American Statistical Association 78 (1983), 553-569. Equals
-    ``sklearn.metrics.fowlkes_mallows_score`` of labels in which each point of noise has a number
-    of its own.
+    ``sklearn.metrics.fowlkes_mallows_score`` if each noise point has a label of its own.
 
     Args:
-        counts: Of one frame or summed over many.
+        counts: Counts of a frame, or summed over many.
 
     Returns:
-        0 to 1; 0 where only one of the partitions has pairs; NaN where none has.
+        0 to 1; 0 if only one of the partitions has pairs; NaN if neither has.
 
     Example:
         >>> fowlkes_mallows(PairCounts(2, 4, 4))

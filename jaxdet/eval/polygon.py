@@ -1,12 +1,12 @@
-"""Outlines on the floor: area, overlap, and which points lie inside."""
+"""Polygons on the floor: area, hull, clipping, overlap, point tests."""
 
 import numpy as np
 
 
 def area(polygon: np.ndarray) -> float:
-    """The area ``Σ (x_i y_{i+1} - x_{i+1} y_i) / 2`` of a polygon ``(n, 2)``.
+    """Compute the area ``Σ (x_i y_{i+1} - x_{i+1} y_i) / 2`` of a polygon ``(n, 2)``.
 
-    Positive when it runs counter-clockwise.
+    It is positive for counter-clockwise order.
 
     Example:
         >>> area(np.array([[0, 0], [2, 0], [2, 3], [0, 3]]))
@@ -19,15 +19,15 @@ def area(polygon: np.ndarray) -> float:
 
 
 def hull(points: np.ndarray) -> np.ndarray:
-    """The convex hull of points, counter-clockwise, without points on its edges.
+    """Compute the convex hull of points, counter-clockwise, without points on its edges.
 
     Andrew, Information Processing Letters 9 (1979), 216-219.
 
     Args:
-        points: ``(n, 2)``; rows with NaN are left out.
+        points: Points ``(n, 2)``; rows with NaN are ignored.
 
     Returns:
-        ``(m, 2)`` float64, m ≤ n; fewer than 3 where the points lie on a line.
+        Corners ``(m, 2)`` float64, m ≤ n; fewer than 3 if the points are collinear.
 
     Example:
         >>> hull(np.array([[0, 0], [1, 1], [2, 0], [1, 0.2], [np.nan, 0]])).tolist()
@@ -53,16 +53,16 @@ def _turn(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]
 
 
 def clip(subject: np.ndarray, window: np.ndarray) -> np.ndarray:
-    """The part of a convex polygon inside another one.
+    """Intersect two convex polygons.
 
     Sutherland and Hodgman, Communications of the ACM 17 (1974), 32-42.
 
     Args:
-        subject: ``(n, 2)``, convex.
-        window: ``(m, 2)``, convex, counter-clockwise.
+        subject: Convex polygon ``(n, 2)``.
+        window: Convex polygon ``(m, 2)``, counter-clockwise.
 
     Returns:
-        ``(k, 2)`` float64, empty where they don't meet.
+        Intersection ``(k, 2)`` float64, empty if they are disjoint.
     """
     out = np.asarray(subject, np.float64)
     for start, end in zip(window, np.roll(window, -1, axis=0), strict=True):
@@ -82,14 +82,14 @@ def clip(subject: np.ndarray, window: np.ndarray) -> np.ndarray:
 
 
 def overlap(a: np.ndarray, b: np.ndarray) -> float:
-    """Intersection over union of two outlines, taken as their convex hulls.
+    """Compute the intersection over union of the convex hulls of two outlines.
 
     Args:
-        a: ``(n, 2)`` points; rows with NaN are left out.
-        b: ``(m, 2)`` points, likewise.
+        a: Points ``(n, 2)``; rows with NaN are ignored.
+        b: Points ``(m, 2)``; rows with NaN are ignored.
 
     Returns:
-        0 to 1; NaN where neither has an area.
+        0 to 1; NaN if neither has an area.
 
     Example:
         >>> square = np.array([[0, 0], [2, 0], [2, 2], [0, 2]])
@@ -105,15 +105,15 @@ def overlap(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def inside(outline: np.ndarray, points: np.ndarray, margin: float = 0.0) -> np.ndarray:
-    """Which points lie in a convex outline, or beyond no edge by more than the margin.
+    """Return which points are in a convex outline, or outside of it by at most the margin.
 
     Args:
-        outline: ``(n, 2)``, convex, either way round; it may be a line or a point.
-        points: ``(k, 2)``.
-        margin: In the units of the points.
+        outline: Convex polygon ``(n, 2)`` in either order; it may be a line or a point.
+        points: Points ``(k, 2)``.
+        margin: Margin in the units of the points.
 
     Returns:
-        ``(k,)`` bool.
+        Mask ``(k,)`` bool.
 
     Example:
         >>> line = np.array([[0, 0], [2, 0], [2, 0], [0, 0]])
@@ -133,17 +133,17 @@ def inside(outline: np.ndarray, points: np.ndarray, margin: float = 0.0) -> np.n
 
 
 def near_side(outline: np.ndarray, step: float = 0.01) -> np.ndarray:
-    """Points along the edges of an outline that face the origin.
+    """Sample points on the edges of an outline that face the origin.
 
-    An edge of the convex hull faces the origin when its outer normal points to that side. On
-    each such edge the points are evenly spaced, at most ``step`` apart, its ends included.
+    An edge of the convex hull faces the origin if its outer normal points to that side. On each
+    such edge the points are evenly spaced, at most ``step`` apart, ends included.
 
     Args:
-        outline: ``(n, 2)``; rows with NaN are left out.
-        step: In the units of the outline.
+        outline: Points ``(n, 2)``; rows with NaN are ignored.
+        step: Maximum spacing in the units of the outline.
 
     Returns:
-        ``(k, 2)`` float64; none where the origin lies inside.
+        Points ``(k, 2)`` float64; none if the origin is inside.
 
     Example:
         >>> near_side(np.array([[-1, 2], [1, 2], [1, 4], [-1, 4]]), 1.0).tolist()

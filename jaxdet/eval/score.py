@@ -1,4 +1,4 @@
-"""Figures from tallies."""
+"""Evaluation metrics from tallies."""
 
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
@@ -9,9 +9,9 @@ from jaxdet.eval.tally import COUNTS, Case, Tally, total
 
 
 class Score(NamedTuple):
-    """The figures of a log; NaN where there was nothing to count.
+    """Metrics of a log; NaN where there was nothing to count.
 
-    With TP obstacles found, FN missed and FP false detections (:mod:`jaxdet.eval.frame`):
+    TP are found obstacles, FN missed ones, FP false detections (:mod:`jaxdet.eval.frame`).
     """
 
     recall: float
@@ -21,69 +21,68 @@ class Score(NamedTuple):
     f1: float
     """``2 TP / (2 TP + FP + FN)``."""
     accuracy: float
-    """ACC as we read it, ``TP / (TP + FP + FN)``: correct clusters among all that were found or
-    should have been. The paper labels "ground shadows, noise, or other non-existent situations"
-    as negative samples, so its ACC is ``(TP + TN) / (TP + TN + FP + FN)``; a true negative is
-    something that isn't there and wasn't found, which can't be counted without inventing it, and
-    leaving TN out can only lower the figure."""
+    """ACC in our interpretation, ``TP / (TP + FP + FN)``. The paper labels "ground shadows, noise,
+    or other non-existent situations" as negative samples, so its ACC is
+    ``(TP + TN) / (TP + TN + FP + FN)``; true negatives, objects that neither exist nor were
+    detected, can't be counted, and without them the value can only be lower."""
     point_accuracy: float
-    """ACC as the literature on clustering has it: the share of points with the right label, the
-    labels matched one to one to the obstacles, where "no label" is right on floor and nothing."""
+    """ACC of the clustering literature: fraction of points with the correct label, after one-to-one
+    matching of labels and obstacles; on floor and nothing, "no label" is correct."""
     fmi: float
-    """Fowlkes-Mallows index over the points, the mean of the frames', see
+    """Mean over frames of the Fowlkes-Mallows index of points, see
     :func:`jaxdet.eval.partition.fowlkes_mallows`."""
     fmi_pooled: float
-    """The same from the pairs of all frames together."""
+    """Fowlkes-Mallows index of the pairs of all frames."""
     fmi_obstacles: float
-    """``sqrt(precision recall)``: the same formula over obstacles. The paper's figures fit this
-    one: its precision 85.54 and recall 90.22 give 0.8785, its FMI is 0.8773."""
+    """``sqrt(precision recall)``: the same formula over obstacles, which fits the paper's values:
+    its precision 85.54 and recall 90.22 give 0.8785, its FMI is 0.8773."""
     silhouette: float
-    """Mean of the frames' silhouette coefficients, see
+    """Mean over frames of the silhouette coefficient, see
     :func:`jaxdet.eval.indices.silhouette`."""
     davies_bouldin: float
-    """Mean of the frames' Davies-Bouldin indices."""
+    """Mean over frames of the Davies-Bouldin index."""
     coverage: float
-    """Of the points on the visible side of the footprints of obstacles found (every centimetre
-    along the edges of the convex hull that face the camera, within ``coverage_range_m`` and the
-    visible surface's extent), the share in the rectangle of the obstacle's detection,
-    ``coverage_margin_m`` allowed."""
+    """Fraction of the visible sides of found obstacles inside of their detection's rectangle, with
+    the margin ``coverage_margin_m``. The sides are sampled every centimetre along the edges of the
+    footprint's convex hull that face the camera, within ``coverage_range_m`` and the extent of the
+    visible surface."""
     safe_coverage: float
-    """Of these points of all obstacles asked for, found or not, the share in any rectangle."""
+    """Fraction of the visible sides of all required obstacles inside of any rectangle."""
     floor_kept: float
-    """Share of the floor's pixels that the ground stage keeps."""
+    """Fraction of floor pixels that the ground stage keeps."""
     obstacle_kept: float
-    """Share of the pixels on obstacles, above the step, that it keeps."""
+    """Fraction of obstacle pixels above the step that the ground stage keeps."""
     free_claimed: float
-    """Of the pixels of drivable floor that are near and measured as floor, the share inside of any
-    outline, see :func:`jaxdet.eval.claimed_floor`; what hangs takes none."""
+    """Fraction of the pixels of drivable floor, in range and measured as floor, inside of any
+    outline, without hanging obstacles; see :func:`jaxdet.eval.claimed_floor`."""
     free_claimed_worst: float
-    """The same in the worst frame."""
+    """``free_claimed`` of the worst frame."""
     nearest_error_m: float
-    """Median of the absolute errors of ``distance_m`` against the nearest visible point [m]."""
+    """Median absolute error of ``distance_m`` relative to the nearest visible point [m]."""
     nearest_error_p90_m: float
-    """Their 90th percentile [m]."""
+    """90th percentile of this error [m]."""
     nearest_bias_m: float
-    """Median of these errors with their sign, negative where ``distance_m`` is too near [m]."""
+    """Median signed error of ``distance_m``, negative if too near [m]."""
     position_error_m: float
-    """Median of the absolute errors of the forward coordinate of point C [m]."""
+    """Median absolute error of the forward coordinate of point C [m]."""
     position_error_p90_m: float
-    """Their 90th percentile [m]."""
+    """90th percentile of this error [m]."""
     width_error_m: float
-    """Median of the width's absolute errors [m]."""
+    """Median absolute error of the width [m]."""
     width_error_p90_m: float
-    """Their 90th percentile [m]."""
+    """90th percentile of this error [m]."""
     iou: float
-    """Median overlap of the rectangles with the true footprints."""
+    """Median intersection over union of rectangles and true footprints."""
     tally: Tally
 
     def to_dict(self) -> dict[str, float]:
-        """All figures and counts by name."""
+        """Return all metrics and counts by name."""
         figures = {k: v for k, v in self._asdict().items() if k != "tally"}
         return {**figures, **self.tally.to_dict()}
 
 
 def score(tallies: Iterable[Tally]) -> Score:
-    """The figures of all tallies together."""
+    """Compute the metrics of the sum of tallies."""
     tally = total(tallies)
     shares = {k: float(v) for k, v in rates(np.array(tally.counts, np.float64)).items()}
     worst = max(tally.claims, default=float("nan"))
@@ -92,13 +91,13 @@ def score(tallies: Iterable[Tally]) -> Score:
 
 
 def rates(counts: np.ndarray) -> dict[str, np.ndarray]:
-    """The figures that are ratios of counts.
+    """Compute the metrics that are ratios of counts.
 
     Args:
-        counts: ``(..., C)`` float64, in the order of :data:`jaxdet.eval.tally.COUNTS`.
+        counts: Counts ``(..., C)`` float64, in the order of :data:`jaxdet.eval.tally.COUNTS`.
 
     Returns:
-        By name, each ``(...)`` float64; NaN where the denominator is 0.
+        Metrics by name, each ``(...)`` float64; NaN where the denominator is 0.
     """
     c = {name: counts[..., i] for i, name in enumerate(COUNTS)}
     tp, fp, fn = c["found"], c["false"], c["visible"] - c["found"]
@@ -129,18 +128,18 @@ def _ratio(part: np.ndarray, whole: np.ndarray) -> np.ndarray:
 
 
 def case_table(cases: Sequence[Case]) -> np.ndarray:
-    """The cases as ``(n, 7)`` float64, columns as the fields of :class:`Case`."""
+    """Return the cases as ``(n, 7)`` float64, with the fields of :class:`Case` as columns."""
     return np.array(cases, np.float64).reshape(len(cases), len(Case._fields))
 
 
 def errors(cases: np.ndarray) -> dict[str, float]:
-    """The figures that are quantiles over the obstacles found.
+    """Compute the metrics that are quantiles over found obstacles.
 
     Args:
-        cases: ``(n, 7)`` float64, see :func:`case_table`.
+        cases: Cases ``(n, 7)`` float64, see :func:`case_table`.
 
     Returns:
-        By name; NaN where nothing was measured.
+        Metrics by name; NaN without values.
     """
     position, width, iou, nearest = np.abs(cases[:, 3:]).T
     return {

@@ -1,4 +1,4 @@
-"""Distance, width and outline of the obstacles of one frame, against the truth."""
+"""Errors of distance, width and outline of the obstacles of a frame."""
 
 import math
 
@@ -11,11 +11,11 @@ from jaxdet.results.metric import rectangles
 from jaxdet.types import Detections
 
 NEAR_STEP_M = 0.01
-"""Distance of the footprint points that are asked for the coverage [m]."""
+"""Spacing of the footprint points for the coverage [m]."""
 
 
 class Shapes:
-    """Outlines of one frame in metres; None where the truth does not have them."""
+    """Outlines of a frame in metres; None if the ground truth lacks them."""
 
     def __init__(
         self,
@@ -43,10 +43,10 @@ class Shapes:
             self.rectangle = rectangles(one, depth_unit, config.footprint)
 
     def near(self, j: int, config: EvalConfig) -> np.ndarray:
-        """Object ``j``'s footprint points that are asked for.
+        """Return the footprint points of object ``j`` for the coverage.
 
-        On its near side, in range, within the width of its visible surface and not before that
-        surface: what the picture's edges cut off, no camera can cover.
+        They are on its near side, in range, within the width of its visible surface and not in
+        front of it, as parts beyond the image border can't be covered.
         """
         if self.outline is None or self.true_low is None or self.true_width is None:
             return np.zeros((0, 2))
@@ -57,19 +57,21 @@ class Shapes:
         return points[seen & (np.hypot(*points.T) <= config.coverage_range_m)]
 
 
-def count_shapes(asked: np.ndarray, pair: np.ndarray, shapes: Shapes, config: EvalConfig) -> Tally:
-    """A case for each obstacle asked for, and how much of its footprint is covered.
+def count_shapes(
+    required: np.ndarray, pair: np.ndarray, shapes: Shapes, config: EvalConfig
+) -> Tally:
+    """Return a case for each required obstacle, and the coverage of its footprint.
 
     Args:
-        asked: ``(J + 1,)`` bool by number.
-        pair: ``(L,)`` number of the obstacle matched to each detection, 0 = none.
-        shapes: Of the same frame.
+        required: Whether each object is required, by number, ``(J + 1,)`` bool.
+        pair: Number of the obstacle matched to each detection, ``(L,)``, 0 = none.
+        shapes: Outlines of the frame.
         config: Margin and range.
     """
     cases: list[Case] = []
     points = covered = every = safe = 0
     margin, nan = config.coverage_margin_m, math.nan
-    for number in np.flatnonzero(asked).tolist():
+    for number in np.flatnonzero(required).tolist():
         j, which = number - 1, np.flatnonzero(pair == number)
         near, position, width, iou, nearest = shapes.near(j, config), nan, nan, nan, nan
         every += len(near)

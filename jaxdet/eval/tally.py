@@ -1,4 +1,4 @@
-"""What is counted in a frame; the counts of frames add up, so a run can stream."""
+"""Counts per frame; they can be summed, so that a run can stream."""
 
 from collections.abc import Iterable
 from typing import NamedTuple
@@ -7,10 +7,10 @@ import numpy as np
 
 
 class Case(NamedTuple):
-    """One obstacle asked for in one frame; NaN where it was not found or the truth says nothing."""
+    """A required obstacle in a frame; NaN if it was missed or the ground truth is unknown."""
 
     number: int
-    """The object's number in the pictures of the truth."""
+    """Number of the object in the ground truth images."""
     distance_m: float
     """True distance of its nearest face, forward in the ground frame [m]."""
     found: bool
@@ -20,90 +20,90 @@ class Case(NamedTuple):
     """Width of its detection (right coordinate of B minus that of A) minus the width of its
     visible surface [m]."""
     iou: float
-    """Overlap of its detection's rectangle with the true footprint."""
+    """Intersection over union of its detection's rectangle and the true footprint."""
     nearest_error_m: float
     """Distance of its detection (:func:`jaxdet.results.metric.distances`, the column
     ``distance_m``) minus the true one, ``FrameTruth.nearest_floor_m`` [m]."""
 
 
 class Tally(NamedTuple):
-    """Counts that add up over frames, batches and logs."""
+    """Counts, summed over frames, batches and logs."""
 
     frames: int = 0
     visible: int = 0
-    """Obstacles asked for, each frame anew."""
+    """Required obstacles, counted per frame."""
     found: int = 0
-    """Of those, the ones matched to a detection: true positives."""
+    """True positives: required obstacles matched to a detection."""
     detections: int = 0
     matched: int = 0
-    """Detections matched to an obstacle, asked for or not."""
+    """Detections matched to an obstacle, required or not."""
     false: int = 0
-    """Detections that are matched to none and not ignored: false positives."""
+    """False positives: detections that are neither matched nor ignored."""
     ignored: int = 0
-    """Detections on walls or on obstacles that are not asked for: neither right nor wrong."""
+    """Detections on walls or on obstacles that are not required."""
     on_floor: int = 0
-    """False detections with most votes for the floor or nothing."""
+    """False positives with most votes for the floor or nothing."""
     on_wall: int = 0
-    """Ignored detections, those on walls."""
+    """Ignored detections on walls."""
     splits: int = 0
-    """False detections that could match an obstacle which a better one has."""
+    """False positives that could match an obstacle which a better detection has."""
     merges: int = 0
-    """Obstacles beyond the first that are part of one detection."""
+    """Further obstacles that are part of the same detection."""
     points: int = 0
-    """Kept features that lie on no wall."""
+    """Kept points that are not on a wall."""
     points_right: int = 0
-    """Of those, the ones on an obstacle with the label of its matched detection, and the ones on
-    the floor or nothing without a label."""
+    """Correct points: on an obstacle with the label of its matched detection, or on the floor or
+    nothing without a label."""
     pairs_both: int = 0
-    """Pairs of these points together in a detection and on one obstacle."""
+    """Pairs of these points that share a detection and an obstacle."""
     pairs_detected: int = 0
-    """Pairs together in a detection."""
+    """Pairs that share a detection."""
     pairs_true: int = 0
-    """Pairs together on an obstacle."""
+    """Pairs that share an obstacle."""
     fmi_sum: float = 0.0
     """Sum of the frames' Fowlkes-Mallows indices."""
     fmi_frames: int = 0
-    """Frames that have one."""
+    """Frames with a Fowlkes-Mallows index."""
     silhouette_sum: float = 0.0
     davies_bouldin_sum: float = 0.0
     index_frames: int = 0
-    """Frames with two detections or more, so with internal indices."""
+    """Frames with at least two detections, which have internal indices."""
     near_points: int = 0
-    """Points on the visible side of the footprints of obstacles found."""
+    """Points on the visible side of the footprints of found obstacles."""
     near_covered: int = 0
-    """Of those, the ones in the rectangle of the obstacle's detection."""
+    """Points of ``near_points`` in the rectangle of the obstacle's detection."""
     near_asked: int = 0
-    """The same points, of all obstacles asked for."""
+    """Points on the visible side of the footprints of all required obstacles."""
     near_safe: int = 0
-    """Of those, the ones in any rectangle."""
+    """Points of ``near_asked`` in any rectangle."""
     floor_pixels: int = 0
     floor_pixels_kept: int = 0
     obstacle_pixels: int = 0
     obstacle_pixels_kept: int = 0
     drivable_pixels: int = 0
-    """Pixels of floor to drive on, near and measured as floor."""
+    """Pixels of drivable floor in range and measured as floor."""
     drivable_claimed: int = 0
-    """Of those, the ones inside of an outline."""
+    """Pixels of ``drivable_pixels`` inside of an outline."""
     cases: tuple[Case, ...] = ()
     claims: tuple[float, ...] = ()
-    """The shares of such pixels inside of an outline, of each frame that has enough of them."""
+    """Fraction of such pixels inside of an outline, per frame with enough of them."""
 
     @property
     def counts(self) -> tuple[float, ...]:
-        """All fields but the cases and the claims."""
+        """All fields except ``cases`` and ``claims``."""
         return tuple(getattr(self, name) for name in COUNTS)
 
     def to_dict(self) -> dict[str, float]:
-        """The counts by name."""
+        """Return the counts by name."""
         return dict(zip(COUNTS, self.counts, strict=True))
 
 
 COUNTS = Tally._fields[:-2]
-"""The names of the counts, in order."""
+"""Names of the counts, in order."""
 
 
 def total(tallies: Iterable[Tally]) -> Tally:
-    """All tallies as one."""
+    """Sum tallies."""
     every = list(tallies)
     if not every:
         return Tally()
@@ -120,22 +120,22 @@ def keep_shares(
     is_wall: np.ndarray,
     step_height_m: float = 0.05,
 ) -> Tally:
-    """Counts what the ground stage keeps of the floor and of obstacles.
+    """Count the pixels of floor and of obstacles that the ground stage keeps.
 
-    A pixel takes part when it has a measured depth and the truth has a surface there. It is floor
-    when no object is there, and obstacle when it shows an object that is no wall at a true height
-    above the step. What lies lower on an object may be kept or not.
+    Pixels with a measured depth and a true surface count: as floor if there is no object, as
+    obstacle if they show an object other than a wall at a true height above the step. Lower parts
+    of objects don't count.
 
     Args:
-        mask: ``(..., H, W)`` bool, kept pixels.
-        z_m: ``(..., H, W)`` measured depth, 0 where there is none or it is out of range [m].
-        truth_id: ``(..., H, W)`` integer, object numbers, 0 = floor or nothing.
-        truth_height_m: ``(..., H, W)`` true height above the floor, NaN where nothing is [m].
-        is_wall: ``(J,)`` bool.
-        step_height_m: What the wheels can climb [m].
+        mask: Kept pixels ``(..., H, W)`` bool.
+        z_m: Measured depth ``(..., H, W)``, 0 = none or out of range [m].
+        truth_id: Object numbers ``(..., H, W)`` integer, 0 = floor or nothing.
+        truth_height_m: True height above the floor, ``(..., H, W)``, NaN without a surface [m].
+        is_wall: Whether each object is a wall, ``(J,)`` bool.
+        step_height_m: Height that the wheels can climb [m].
 
     Returns:
-        A tally with the four numbers of pixels; :func:`jaxdet.eval.score` gives the shares.
+        A tally with the four numbers of pixels, for :func:`jaxdet.eval.score`.
     """
     seen = (z_m > 0) & np.isfinite(truth_height_m)
     solid = np.concatenate([[False], ~is_wall])[truth_id]

@@ -1,4 +1,4 @@
-"""What is true of a batch of frames, and what of it counts."""
+"""Ground truth of a batch of frames, and the selection of required obstacles."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -15,89 +15,89 @@ from jaxdet.types import Calibration
 
 @dataclass(frozen=True)
 class EvalConfig:
-    """What counts as an obstacle to be found, and when it is."""
+    """Which obstacles are required, and when they count as found."""
 
     min_depth_m: float = 0.15
-    """An obstacle nearer than this is not asked for [m]."""
+    """Minimum depth of a required obstacle [m]."""
     max_depth_m: float = 4.0
-    """An obstacle whose nearest visible point is farther is not asked for [m]."""
+    """Maximum depth of the nearest visible point of a required obstacle [m]."""
     min_visible_pixels: int = 400
-    """An obstacle with fewer visible colour pixels is not asked for."""
+    """Minimum number of visible colour pixels of a required obstacle."""
     tolerance_px: int = 2
-    """How far beside an object its features may lie [pixel], along rows and columns."""
+    """Maximum distance of features from their object, along rows and columns [pixel]."""
     smear_px: int = 4
-    """How far beside an object its depth may be measured [pixel], along rows and columns, where
-    the true depth is known."""
+    """Maximum distance of pixels with an object's depth from the object, along rows and columns, if
+    the true depth is known [pixel]."""
     depth_slack_m: float = 0.05
-    """A measured depth this far from a true one may be of it [m]."""
+    """Tolerance of a measured depth [m]."""
     depth_slack_per_m2: float = 0.01
     """Added in proportion to z squared [1/m], about four standard deviations of a D435."""
     merge_share: float = 0.2
-    """An object with at least this share of a detection's votes is part of it."""
+    """Minimum fraction of a detection's votes for an object that is part of it."""
     match_share: float = 0.5
-    """Share of a detection's votes that must lie on an obstacle for the two to match."""
+    """Minimum fraction of a detection's votes for an obstacle that it can match."""
     step_height_m: float = 0.05
-    """An obstacle that is not higher is not asked for [m]; the wheels climb it."""
+    """Required obstacles are higher than this, which the wheels climb [m]."""
     footprint: FootprintConfig = field(default_factory=FootprintConfig)
-    """For the rectangles on the floor."""
+    """Parameters of the rectangles on the floor."""
     coverage_range_m: float = 3.0
-    """Footprint points farther from the camera don't count for the coverage [m]."""
+    """Maximum distance of footprint points for the coverage [m]."""
     coverage_margin_m: float = 0.02
-    """How far outside its rectangle a footprint point may lie [m]: the accuracy that the paper
-    states."""
+    """Maximum distance of covered footprint points from the rectangle [m]: the accuracy stated in
+    the paper."""
     floor_range_m: float = 4.0
-    """Drivable floor farther from the camera's foot doesn't count [m]."""
+    """Maximum distance of evaluated floor from the camera's ground projection [m]."""
     hanging_m: float = 0.5
-    """An obstacle whose lowest cell is higher above the floor takes none of it [m]."""
+    """Obstacles whose lowest cell is higher above the floor claim no floor [m]."""
     indices: bool = False
-    """Whether the silhouette and the Davies-Bouldin index are computed too; they take longer."""
+    """Whether to compute the silhouette and the Davies-Bouldin index, which take longer."""
 
     def depth_slack(self, z_m: np.ndarray) -> np.ndarray:
-        """How far from a true depth a measured one may be of it, at each measured z [m]."""
+        """Return the tolerance of a measured depth at each z [m]."""
         return self.depth_slack_m + self.depth_slack_per_m2 * z_m * z_m
 
 
 class FrameTruth(NamedTuple):
-    """The truth of ``B`` frames with ``J`` objects; object ``j`` has the number ``j + 1``.
+    """Ground truth of ``B`` frames with ``J`` objects; object ``j`` has the number ``j + 1``.
 
-    Where an optional part is None, the scores that need it are NaN. Extents of an object out of
+    If an optional field is None, the metrics that need it are NaN. Extents of an object out of
     sight are NaN. The ground frame is that of the camera that lengths refer to: right, forward [m].
     """
 
     obstacle_id: np.ndarray
-    """``(B, H, W)`` integer, number of the object at each colour pixel, 0 = floor or nothing."""
+    """Object number in each colour pixel, ``(B, H, W)`` integer, 0 = floor or nothing."""
     visible_pixels: np.ndarray
-    """``(B, J)`` integer, colour pixels that show the object."""
+    """Number of colour pixels that show the object, ``(B, J)`` integer."""
     nearest_m: np.ndarray
-    """``(B, J)`` float, smallest z of its visible surface in the colour camera [m]."""
+    """Minimum z of its visible surface in the colour camera, ``(B, J)`` float [m]."""
     nearest_forward_m: np.ndarray
-    """``(B, J)`` float, distance of its nearest face: smallest forward coordinate of its visible
-    surface in the ground frame [m]."""
+    """Distance of its nearest face: minimum forward coordinate of its visible surface in the ground
+    frame, ``(B, J)`` float [m]."""
     is_wall: np.ndarray
-    """``(J,)`` bool, walls need not be found and are no mistake."""
+    """Whether the object is a wall, ``(J,)`` bool; walls are not required, and detections on them
+    are ignored."""
     ground_min: np.ndarray | None = None
-    """``(B, J, 2)`` float, smallest right, forward of its visible surface."""
+    """Minimum right, forward of its visible surface, ``(B, J, 2)`` float."""
     ground_max: np.ndarray | None = None
-    """``(B, J, 2)`` float, largest right, forward of the same."""
+    """Maximum right, forward of its visible surface, ``(B, J, 2)`` float."""
     footprint: np.ndarray | None = None
-    """``(B, J, V, 2)`` float, outline on the floor in the ground frame, NaN after the last."""
+    """Outline on the floor in the ground frame, ``(B, J, V, 2)`` float, NaN after the last."""
     height_m: np.ndarray | None = None
-    """``(B, J)`` float, height of the object itself [m]."""
+    """Height of the object, ``(B, J)`` float [m]."""
     depth_m: np.ndarray | None = None
-    """``(B, H, W)`` float, z of what each colour pixel shows [m], inf where nothing is; without
-    it a feature is of what its pixel shows, whatever depth was measured there."""
+    """True z in each colour pixel, ``(B, H, W)`` float [m], inf where nothing is hit; without it,
+    features vote by their pixel only, not by the measured depth."""
     drivable: np.ndarray | None = None
-    """``(B, H, W)`` bool, the pixel truly shows floor that the robot can drive on, outside all
-    footprints."""
+    """Whether the pixel shows drivable floor, outside of all footprints, ``(B, H, W)`` bool."""
     nearest_floor_m: np.ndarray | None = None
-    """``(B, J)`` float, distance on the floor from the camera's foot to the nearest point of its
-    visible surface [m], NaN where that is not known, see :func:`nearest_on_floor`."""
+    """Distance on the floor from the camera's ground projection to the nearest point of its visible
+    surface, ``(B, J)`` float [m], NaN if unknown, see :func:`nearest_on_floor`."""
 
-    def asked(self, config: EvalConfig) -> np.ndarray:
-        """Which objects have to be found: ``(B, J)`` bool.
+    def required(self, config: EvalConfig) -> np.ndarray:
+        """Return which objects are required, ``(B, J)`` bool.
 
-        Those that are no wall, show ``min_visible_pixels``, have their nearest visible point in
-        the range of depth, and are higher than the step.
+        They are not walls, show at least ``min_visible_pixels``, have their nearest visible point
+        in the depth range, and are higher than the step.
         """
         seen = ~self.is_wall & (self.visible_pixels >= config.min_visible_pixels)
         seen &= (self.nearest_m >= config.min_depth_m) & (self.nearest_m <= config.max_depth_m)
@@ -105,51 +105,51 @@ class FrameTruth(NamedTuple):
 
     @property
     def kinds(self) -> np.ndarray:
-        """``(J + 1,)`` int64 by number: 0 the floor or nothing, 1 a wall, 2 an obstacle."""
+        """Kind by object number, ``(J + 1,)`` int64: 0 floor or nothing, 1 wall, 2 obstacle."""
         return np.concatenate([[0], np.where(self.is_wall, 1, 2)])
 
 
 class LogTruth(Protocol):
-    """What :func:`truth_of` reads, ``F`` frames; the simulator's ``Truth`` has it."""
+    """Ground truth of a log with ``F`` frames, as the simulator's ``Truth``."""
 
     @property
     def T_world_camera(self) -> np.ndarray:
-        """``(F, 4, 4)`` float64, of the colour camera."""
+        """Poses of the colour camera, ``(F, 4, 4)`` float64."""
         ...
 
     @property
     def visible_pixels(self) -> np.ndarray:
-        """``(F, J)``."""
+        """Number of visible pixels, ``(F, J)``."""
         ...
 
     @property
     def nearest_m(self) -> np.ndarray:
-        """``(F, J)`` [m]."""
+        """Minimum z, ``(F, J)`` [m]."""
         ...
 
     @property
     def ground_min(self) -> np.ndarray:
-        """``(F, J, 2)`` [m]."""
+        """Minimum right, forward, ``(F, J, 2)`` [m]."""
         ...
 
     @property
     def ground_max(self) -> np.ndarray:
-        """``(F, J, 2)`` [m]."""
+        """Maximum right, forward, ``(F, J, 2)`` [m]."""
         ...
 
     @property
     def is_wall(self) -> np.ndarray:
-        """``(J,)`` bool."""
+        """Whether each object is a wall, ``(J,)`` bool."""
         ...
 
     @property
     def height_m(self) -> np.ndarray:
-        """``(F, J)`` [m]."""
+        """Height of each object, ``(F, J)`` [m]."""
         ...
 
     @property
     def footprint_world(self) -> np.ndarray:
-        """``(F, J, V, 2)``, NaN after the last [m]."""
+        """Footprints ``(F, J, V, 2)``, NaN after the last corner [m]."""
         ...
 
 
@@ -161,19 +161,19 @@ def truth_of(
     drivable: np.ndarray | None = None,
     calibration: Calibration | None = None,
 ) -> FrameTruth:
-    """Return the truth of some frames of a simulated log, with outlines in the ground frame.
+    """Return the ground truth of some frames of a simulated log, with outlines in the ground frame.
 
     Args:
-        log: The truth of the whole log.
-        frames: ``(B,)`` integer, which of its frames.
-        obstacle_id: ``(B, H, W)`` integer, their pictures of object numbers.
-        depth_m: ``(B, H, W)`` float, their true depth [m], if known.
-        drivable: ``(B, H, W)`` bool, whether their pixels show floor to drive on, if known.
-        calibration: Of the log, whose lengths refer to the depth camera; None: they refer to the
-            colour camera.
+        log: Ground truth of the log.
+        frames: Frame indices ``(B,)`` integer.
+        obstacle_id: Images of object numbers, ``(B, H, W)`` integer.
+        depth_m: True depth ``(B, H, W)`` float [m], if known.
+        drivable: Drivable pixels ``(B, H, W)`` bool, if known.
+        calibration: Calibration of the log, if lengths refer to the depth camera; None: they refer
+            to the colour camera.
 
     Returns:
-        All other parts filled.
+        Ground truth without ``nearest_floor_m``.
     """
     which = np.asarray(frames, np.int64)
     poses = log.T_world_camera[which]
@@ -196,12 +196,12 @@ def truth_of(
 def in_depth_camera(
     truth: FrameTruth, T_world_color: np.ndarray, calibration: Calibration
 ) -> FrameTruth:
-    """Return a truth whose lengths refer to the colour camera with those of the depth camera.
+    """Convert the lengths of ground truth from the colour camera to the depth camera.
 
     Args:
-        truth: Of ``B`` frames, with outlines.
-        T_world_color: ``(B, 4, 4)`` float64, exact.
-        calibration: Of the log; the truth stays as it is without a colour camera.
+        truth: Ground truth of ``B`` frames, with outlines.
+        T_world_color: Exact poses of the colour camera, ``(B, 4, 4)`` float64.
+        calibration: Calibration of the log; without a colour camera nothing changes.
     """
     if calibration.color_from_depth is None:
         return truth
@@ -224,7 +224,7 @@ def depth_poses(T_world_color: np.ndarray, calibration: Calibration) -> np.ndarr
 def _moved(
     low: np.ndarray, high: np.ndarray, source: np.ndarray, target: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return extents ``(B, J, 2)`` of one camera's ground frame in that of another."""
+    """Transform extents ``(B, J, 2)`` between the ground frames of two cameras."""
     corners = [np.stack([a[..., 0], b[..., 1]], axis=-1) for a in (low, high) for b in (low, high)]
     ground = to_ground_frame(to_world(np.stack(corners, axis=2), source), target)
     return ground.min(axis=2), ground.max(axis=2)
@@ -238,32 +238,33 @@ def nearest_on_floor(
     roll_rad: np.ndarray,
     step_height_m: float,
 ) -> np.ndarray:
-    """Return how far each object is from the depth camera's foot, as ``distance_m`` is.
+    """Return the distance of each object from the depth camera's ground projection.
 
-    Of the colour pixels that show the object the least distance between the foot and the point
-    below what they show, both on the plane of the floor. What is no higher above that plane than
-    the step is left out, unless that is all. Of what the picture cuts at its left, right or lower
-    edge it is not known: the depth camera may see nearer parts, which ``distance_m`` counts.
+    It is the minimum over the object's colour pixels of the distance on the floor plane, like
+    ``distance_m``. Points at most as high as the step are ignored if there are higher ones. It is
+    unknown for objects that the left, right or lower image border cuts off, as the depth camera may
+    see nearer parts, which ``distance_m`` includes.
 
     Args:
-        truth: With ``depth_m``.
-        calibration: Of the log; one without a colour camera where lengths refer to that camera.
-        height_m: ``(B,)`` of the colour camera over its true floor [m].
-        pitch_rad: ``(B,)`` of the same [rad].
-        roll_rad: ``(B,)`` of the same [rad].
-        step_height_m: What the wheels can climb [m].
+        truth: Ground truth with ``depth_m``.
+        calibration: Calibration of the log; without a colour camera if lengths refer to that
+            camera.
+        height_m: True height of the colour camera above the floor, ``(B,)`` [m].
+        pitch_rad: True pitch of the colour camera, ``(B,)`` [rad].
+        roll_rad: True roll of the colour camera, ``(B,)`` [rad].
+        step_height_m: Height that the wheels can climb [m].
 
     Returns:
-        ``(B, J)`` float64 [m], NaN for objects out of sight and for those cut.
+        Distances ``(B, J)`` float64 [m], NaN for objects that are out of sight or cut off.
 
     Raises:
-        ValueError: The truth has no depth.
+        ValueError: The ground truth has no depth.
     """
     if truth.depth_m is None:
         raise ValueError("distances need depth_m")
     camera, center = calibration.image, np.zeros(3)
     if calibration.color_from_depth is not None:
-        center = calibration.color_from_depth.T[:3, 3]  # of the depth camera
+        center = calibration.color_from_depth.T[:3, 3]  # depth camera's centre
     rays = np.stack([*pixel_rays(camera), np.ones((camera.height, camera.width))], axis=-1)
     nearest = np.full((2, len(truth.depth_m), len(truth.is_wall)), np.inf)
     for b, down in enumerate(down_vector(pitch_rad, roll_rad)):
@@ -283,16 +284,16 @@ def nearest_on_floor(
 
 
 def to_ground_frame(points: np.ndarray, T_world_camera: np.ndarray) -> np.ndarray:
-    """World points in the ground frame: Eq. 8-9 solved for ``x`` and ``y``.
+    """Transform world points to the ground frame: Eq. 8-9 solved for ``x`` and ``y``.
 
     ``x = dX cos θ - dY sin θ`` and ``y = dX sin θ + dY cos θ`` with ``(dX, dY)`` from the camera.
 
     Args:
-        points: ``(B, J, V, 2)`` float64, world X, Y [m].
-        T_world_camera: ``(B, 4, 4)`` float64.
+        points: World X, Y, ``(B, J, V, 2)`` float64 [m].
+        T_world_camera: Poses ``(B, 4, 4)`` float64.
 
     Returns:
-        ``(B, J, V, 2)`` float64, right and forward [m].
+        Right and forward, ``(B, J, V, 2)`` float64 [m].
     """
     sin, cos = (a[:, None, None] for a in world_angle(T_world_camera))
     dx, dy = np.moveaxis(points - T_world_camera[:, None, None, :2, 3], -1, 0)

@@ -1,9 +1,8 @@
-"""Results in the formats of other programs; each format is a module that is loaded when used.
+"""Export of results to formats of other programs, each a module that is loaded on use.
 
-A module ``NAME`` has ``export(results, output, recordings)``, which writes the file or folder
-``output``, that is not there yet, and may raise a :class:`jaxdet.errors.JaxdetError`.
-``recordings`` are the logs given with ``--log``, by their names in the results. It returns lines
-about what is left out, or nothing.
+A module ``NAME`` has ``export(results, output, recordings)``, which writes the new file or folder
+``output``, and may raise a :class:`jaxdet.errors.JaxdetError`. ``recordings`` are the logs passed
+with ``--log``, by their names in the results. It returns a line for each omission, or None.
 """
 
 import shlex
@@ -23,25 +22,24 @@ if TYPE_CHECKING:
 
 
 class Format(NamedTuple):
-    """What a format is for."""
+    """Description of a format."""
 
     writes: str
-    """What the output is."""
+    """Contents of the output."""
     shown_by: str
-    """How another program opens it; ``{}`` is the output, as a shell takes it where it is a command
-    of one."""
+    """Instruction to open it; ``{}`` is the output, quoted in a shell command."""
     of_logs: str = ""
-    """What ``--log`` adds; empty: the logs aren't looked at."""
+    """Contents that ``--log`` adds; empty: logs are not read."""
     extra: str = ""
-    """The extra of jaxdet that its packages come with; empty: they are always there."""
+    """Extra of jaxdet with the required packages; empty: always installed."""
     suffix: str = ""
-    """Of a format that is a file; empty: it is a folder."""
+    """Suffix of an output file; empty: the output is a folder."""
 
     def seen(self, output: Path) -> str:
-        """How another program opens an output."""
+        """Return the instruction to open an output."""
         name = str(output)
         if self.suffix and output.suffix.lower() != self.suffix:
-            return f"{self.shown_by}, which may ask for a name that ends in {self.suffix}"
+            return f"{self.shown_by}, which may require a name that ends in {self.suffix}"
         if self.shown_by.startswith(("ros2 ", "rerun ")):
             name = shlex.quote(name)
         return self.shown_by.replace("{}", name)
@@ -49,16 +47,16 @@ class Format(NamedTuple):
 
 FORMATS = {
     "foxglove": Format(
-        "a folder: an MCAP file to open beside each log, and layouts",
+        "a folder: an MCAP file to open with each log, and layouts",
         "drag {}/LOG.jaxdet.mcap and the log into Foxglove, and import {}/layout.json",
     ),
     "ros2": Format(
-        "a folder: an MCAP file of ROS 2 messages for each log",
+        "a folder: an MCAP file of ROS 2 messages per log",
         "ros2 bag play {}/LOG.jaxdet.mcap",
         "the obstacles' own points",
     ),
     "nav2": Format(
-        "a folder: a map of each log as nav2's map_server loads it (PGM and YAML)",
+        "a folder: a map per log for nav2's map_server (PGM and YAML)",
         "ros2 run nav2_map_server map_server --ros-args -p yaml_filename:={}/LOG.yaml",
     ),
     "html": Format(
@@ -68,13 +66,13 @@ FORMATS = {
         suffix=".html",
     ),
     "rerun": Format(
-        "a folder: a recording (.rrd) of each log for the Rerun viewer",
+        "a folder: a recording (.rrd) per log for the Rerun viewer",
         "rerun {}/*.rrd",
         "images, depth and points too",
         "rerun",
     ),
     "coco": Format(
-        "a folder: images, and their boxes and masks as COCO has them",
+        "a folder: images, with boxes and masks in COCO format",
         "pycocotools.coco.COCO('{}/annotations.json')",
         "the logs, if they were moved",
     ),
@@ -84,33 +82,32 @@ FORMATS = {
 def export(
     results: "Results", to: str, output: Path, recordings: Mapping[str, "LogFiles"]
 ) -> list[str]:
-    """Writes results in another format; whole, or nothing.
+    """Export results to another format, atomically.
 
     Args:
-        results: What a run wrote.
+        results: Results of a run.
         to: One of :data:`FORMATS`.
-        output: File or folder to write, see :class:`Format`.
+        output: Output file or folder, see :class:`Format`.
         recordings: Logs of the results by name, see :func:`jaxdet.export.recordings.find`.
 
     Returns:
-        Lines about what the format shows and is left out: its log is gone, or has none.
+        A line for each omission, for instance of a log that was moved.
 
     Raises:
-        ConfigError: The output is there already, a package is missing, or the format shows nothing
-            of the logs that are given.
-        InputError: The output's folder can't be written to, or what the format shows is not in the
-            results.
+        ConfigError: The output exists, a package is missing, or the format does not use logs but
+            some are given.
+        InputError: The output's folder is not writable, or the results lack what the format needs.
         OutputError: The disk is full or broken.
     """
     if recordings and not FORMATS[to].of_logs:
-        problem = f"--to {to} shows nothing of the logs themselves"
+        problem = f"--to {to} does not use --log"
         raise ConfigError(problem, remedy="leave --log out")
     if FORMATS[to].suffix and output.is_dir():
         remedy = f"name a file, such as {output / f'report{FORMATS[to].suffix}'}"
         raise ConfigError("is a folder", path=str(output), remedy=remedy)
     if output.is_file() or (output.is_dir() and any(output.iterdir())):
         remedy = "give another --output, or remove it"
-        raise ConfigError("is there already", path=str(output), remedy=remedy)
+        raise ConfigError("exists already", path=str(output), remedy=remedy)
     try:
         write: Callable[..., list[str] | None] = import_module(f"jaxdet.export.{to}").export
     except ModuleNotFoundError as error:

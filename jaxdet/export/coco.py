@@ -1,4 +1,4 @@
-"""``--to coco``: images, boxes and masks as training sets have them (COCO's instances)."""
+"""``--to coco``: images, boxes and masks as a training set (COCO instances)."""
 
 import json
 import tempfile
@@ -19,35 +19,32 @@ from jaxdet.results.masks import label_image
 from jaxdet.results.reading import ResultLog, Results
 
 QUALITY = 95
-"""Of the JPEG images."""
+"""Quality of the JPEG images."""
 CATEGORY = {"id": 1, "name": "obstacle", "supercategory": "obstacle"}
 
 
 def export(results: Results, output: Path, recordings: Mapping[str, LogFiles]) -> list[str]:
     """Write a folder with ``images/`` and ``annotations.json``.
 
-    Images are the colour images; a frame without one is shown as its depth image in colours, with
-    boxes and masks in it, and ``info`` counts these.
+    Images are the colour images, or depth images in false colours for frames without one, with
+    their boxes and masks; ``info`` in ``annotations.json`` counts the latter. Frames without a
+    result are omitted and counted in ``info``. A log that was not given and can't be read at its
+    original path is omitted, with a line in ``info``.
 
-    A log that was not given and can't be read where the run found it is left out; ``info`` in
-    ``annotations.json`` has a line for each.
-
-    Frames without a result are left out, as it isn't known what they show; ``info`` in
-    ``annotations.json`` counts them. Masks are found again in the logs; frames whose obstacles are
-    not those of the results are an error. Annotations have a ``track_id``, null for none, where
-    ``jaxdet track`` linked the obstacles.
+    Masks are detected again from the logs; it is an error if the obstacles differ from the results.
+    Annotations have a ``track_id``, or null, if ``jaxdet track`` was run.
 
     Args:
-        results: The results.
-        output: The folder.
-        recordings: Logs of the results; others are read where the run found them.
+        results: Results.
+        output: Folder.
+        recordings: Logs of the results; others are read from their original paths.
 
     Returns:
-        A line for each log that is left out.
+        A line for each omitted log.
 
     Raises:
         ConfigError: The results are clusters of points, which have no masks.
-        InputError: A log that was given isn't that of the results, or none can be read.
+        InputError: A given log is not that of the results, or no log can be read.
     """
     if results.method.cluster.points:
         raise ConfigError(
@@ -77,7 +74,7 @@ def export(results: Results, output: Path, recordings: Mapping[str, LogFiles]) -
 
 
 def _add(annotations: "_Annotations", log: ResultLog, seen: Seen, config: Config) -> None:
-    """Add some frames."""
+    """Add the frames of a batch."""
     rows, first = seen.chunk.frames.to_pylist(), seen.chunk.first.tolist()
     obstacles, frames = seen.chunk.obstacles.to_pylist(), seen.batch.frames
     assert seen.found.cells is not None
@@ -94,7 +91,7 @@ def _add(annotations: "_Annotations", log: ResultLog, seen: Seen, config: Config
 
 
 class _Annotations:
-    """``annotations.json``, written as it grows."""
+    """Incremental writer of ``annotations.json``."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -110,14 +107,14 @@ class _Annotations:
         self._objects.file.close()
 
     def begin(self) -> None:
-        """Begins a log."""
+        """Begin a log."""
         self._before = self.images, self.objects, self.lost, self.of_depth
         self._names: list[str] = []
         self._images.mark()
         self._objects.mark()
 
     def take_back(self) -> None:
-        """Takes back what was added of the log."""
+        """Remove the frames of the current log."""
         self.images, self.objects, self.lost, self.of_depth = self._before
         for name in self._names:
             (self.folder / name).unlink()
@@ -134,7 +131,7 @@ class _Annotations:
         *,
         of_depth: bool,
     ) -> None:
-        """Add a frame: its image ``(H, W, 3)`` RGB, and ``(H, W)`` the obstacle of each pixel."""
+        """Add a frame: its image ``(H, W, 3)`` RGB, and the label of each pixel, ``(H, W)``."""
         self.of_depth += of_depth
         encoded = cv2.imencode(".jpg", color[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1]
         self._names.append(name)
@@ -154,7 +151,7 @@ class _Annotations:
             self._objects.add({**place, **_annotation(obstacle, seen, box)})
 
     def finish(self, results: Results, left_out: Sequence[str]) -> None:
-        """Joins the parts; ``left_out`` has a line for each log that is not in them."""
+        """Write the file; ``left_out`` has a line for each omitted log."""
         info = {
             "description": "obstacles found by jaxdet",
             "version": results.version,
@@ -173,7 +170,7 @@ class _Annotations:
 
 
 class _Lines:
-    """JSON values in a file until all are known."""
+    """JSON values in a temporary file."""
 
     def __init__(self) -> None:
         self.file: IO[str] = tempfile.TemporaryFile("w+", encoding="utf-8")  # noqa: SIM115
@@ -182,7 +179,7 @@ class _Lines:
         self._mark = self.file.tell()
 
     def take_back(self) -> None:
-        """Forgets what was added since the mark."""
+        """Remove the values since the mark."""
         self.file.seek(self._mark)
         self.file.truncate()
 
@@ -196,10 +193,10 @@ class _Lines:
 
 
 def _box(obstacle: Mapping[str, Any], mask: np.ndarray, *, of_depth: bool) -> list[int] | None:
-    """Return left, top, width and height of an obstacle in its image; None: it is outside.
+    """Return left, top, width and height of an obstacle in its image, or None if it is outside.
 
-    The table's box is of the colour image where there is a colour camera: in the depth image of a
-    frame without colour it is that of the mask.
+    With a colour camera, the table's box refers to the colour image; in the depth image of a frame
+    without colour it is the bounding box of the mask.
     """
     if of_depth and obstacle["box_image"] == "color":
         rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
@@ -214,7 +211,7 @@ def _box(obstacle: Mapping[str, Any], mask: np.ndarray, *, of_depth: bool) -> li
 
 
 def _annotation(obstacle: Mapping[str, Any], mask: np.ndarray, box: list[int]) -> dict[str, Any]:
-    """Return box and mask of an obstacle; the mask ``(H, W)`` lies in the box."""
+    """Return box and mask ``(H, W)`` of an obstacle as an annotation."""
     return {
         "bbox": box,
         "area": int(mask.sum()),
@@ -226,7 +223,7 @@ def _annotation(obstacle: Mapping[str, Any], mask: np.ndarray, box: list[int]) -
 
 
 def run_lengths(mask: np.ndarray) -> list[int]:
-    """COCO's run lengths of a mask ``(H, W)`` bool: of zeros and ones in turn, column by column."""
+    """Encode a mask ``(H, W)`` bool as COCO run lengths, of zeros and ones, column by column."""
     flat = mask.ravel(order="F")
     ends = np.flatnonzero(flat[1:] != flat[:-1]) + 1
     runs = np.diff(np.concatenate([[0], ends, [flat.size]])).tolist()

@@ -1,9 +1,8 @@
-"""Scenes for Foxglove: an MCAP file to open beside each log, and layouts.
+"""Scenes for Foxglove: an MCAP file to open together with each log, and layouts.
 
-Obstacles are in the frame of the camera that lengths refer to,
-the map is in the world's, and a transform adds the camera's floor frame, which is x right,
-y forward, z up. Each message replaces what the one before it showed, so that any moment of a log
-can be jumped to.
+Obstacles are in the frame of the camera that lengths refer to, the map is in the world frame, and a
+transform adds the camera's floor frame, x right, y forward, z up. Each message replaces the
+previous one, so that seeking works.
 """
 
 import json
@@ -55,7 +54,7 @@ from jaxdet.export.shapes import (
     quaternion,
     topic,
 )
-from jaxdet.export.sidecar import moments, sidecars
+from jaxdet.export.sidecar import sidecar_frames, sidecars
 from jaxdet.io import LogFiles
 from jaxdet.io.writer import Transform
 from jaxdet.render.canvas import color_of
@@ -68,27 +67,26 @@ SCENE, BOXES, MAP, TF = "obstacles", "boxes", "map", "tf"
 _TEXT = Color(r=1.0, g=1.0, b=1.0, a=1.0)
 _DARK = Color(r=0.0, g=0.0, b=0.0, a=0.6)
 _CELL_COLORS = {OCCUPIED: (200, 40, 40, 200), FREE: (160, 190, 170, 110)}
-"""Red, green, blue, alpha; unknown cells are transparent."""
+"""Colours of cells (RGBA); unknown ones are transparent."""
 _ABOUT = ("obstacle", "track", "distance_m", "bottom_m", "top_m", "num_points")
-"""Columns that are shown when an obstacle is selected."""
+"""Columns shown for a selected obstacle."""
 HEAD_M = 0.15
 """Length of an arrow's head [m]."""
 PATH_POINTS = 300
-"""Of a track's way so many frames are shown."""
+"""Number of the last frames of a track's path that are shown."""
 TEXT_PX, LINE_PX = 14.0, 18.0
-"""Size of a label in the image, and of its line [pixel]."""
+"""Font size and line height of a label in the image [pixel]."""
 _CELL_FIELDS = ("red", "green", "blue", "alpha")
 
 
 def export(results: Results, output: Path, recordings: Mapping[str, LogFiles]) -> None:
-    """Writes ``LOG.jaxdet.mcap`` of each log and ``layout.json`` into a folder.
+    """Write ``LOG.jaxdet.mcap`` of each log and ``layout.json`` into a folder.
 
-    A log that needs another layout, as its topics or frames are called otherwise, has
-    ``LOG.layout.json``.
+    A log with other topics or frames has its own layout, ``LOG.layout.json``.
 
     Args:
-        results: What a run wrote.
-        output: The folder.
+        results: Results of a run.
+        output: Folder.
         recordings: Not used.
     """
     cameras: dict[str, list[tuple[ResultLog, str]]] = {}
@@ -110,25 +108,25 @@ def _write_layout(path: Path, content: Mapping[str, Any]) -> None:
 
 
 def _write_log(writer: Writer, results: Results, log: ResultLog) -> str:
-    """Writes the messages; returns what the view follows: the world, or the camera's floor."""
+    """Write the messages; return the frame that the view follows: world, or camera's floor."""
     follow = ""
-    for sequence, moment in enumerate(moments(results, log)):
-        frame, at = moment.frame, moment.log_time_ns
+    for sequence, entry in enumerate(sidecar_frames(results, log)):
+        frame, at = entry.frame, entry.log_time_ns
         follow = follow or frame.row["world_frame"] or floor_name(frame.row)
         messages = {
-            TF: tf_message(frame.row["stamp_ns"], moment.transforms),
+            TF: tf_message(frame.row["stamp_ns"], entry.transforms),
             SCENE: scene(frame),
             BOXES: annotations(frame),
         }
-        if moment.grid is not None:
-            messages[MAP] = grid_message(moment.grid, frame.row)
+        if entry.grid is not None:
+            messages[MAP] = grid_message(entry.grid, frame.row)
         for name, message in messages.items():
             writer.write_message(topic(log, name), message, at, at, sequence)
     return follow
 
 
 def tf_message(stamp_ns: int, transforms: Sequence[Transform]) -> FrameTransforms:
-    """The transforms of a frame."""
+    """Return the transforms of a frame."""
     stamp = _stamp(stamp_ns)
     return FrameTransforms(
         transforms=[
@@ -145,20 +143,20 @@ def tf_message(stamp_ns: int, transforms: Sequence[Transform]) -> FrameTransform
 
 
 def scene(frame: Frame) -> SceneUpdate:
-    """The obstacles of a frame in place of those of the frame before."""
+    """Return the obstacles of a frame, which replace those of the previous frame."""
     stamp = _stamp(frame.row["stamp_ns"])
     gone = SceneEntityDeletion(timestamp=stamp, type=SceneEntityDeletion.ALL)
     T = T_camera_floor(frame.row)
     pose = _pose(T)
     entities = [_entity(frame.row, obstacle, T, pose) for obstacle in frame.obstacles]
     placed = T_world_camera(frame.row) is not None
-    ways = (track for track in frame.tracks if track.moving and (placed or not track.in_world))
-    entities += [_way(frame.row, track) for track in ways]
+    moving = (track for track in frame.tracks if track.moving and (placed or not track.in_world))
+    entities += [_trajectory(frame.row, track) for track in moving]
     return SceneUpdate(deletions=[gone], entities=_named_apart(entities))
 
 
 def _named_apart(entities: list[SceneEntity]) -> list[SceneEntity]:
-    """The entities, of which the pieces of a track have names of their own but for the first."""
+    """Make the names of entities unique: pieces of a track after the first get a number."""
     counts = Counter[str]()
     for entity in entities:
         counts[entity.id] += 1
@@ -167,8 +165,8 @@ def _named_apart(entities: list[SceneEntity]) -> list[SceneEntity]:
     return entities
 
 
-def _way(row: Row, track: Mover) -> SceneEntity:
-    """Where something that moves was, and as an arrow how far it gets in a second."""
+def _trajectory(row: Row, track: Mover) -> SceneEntity:
+    """Return the trajectory of a track, with its velocity as an arrow, 1 m per m/s."""
     T = T_world_camera(row)
     if track.in_world and T is not None:
         name, z = row["world_frame"] or "", T[2, 3] - (row["camera_height_m"] or 0.0)
@@ -205,7 +203,7 @@ def _way(row: Row, track: Mover) -> SceneEntity:
 
 
 def _entity(row: Row, obstacle: Row, T: np.ndarray, pose: Pose) -> SceneEntity:
-    """An obstacle: its contour as a wall from bottom to top, or a box, and its label."""
+    """Return an obstacle: its contour as a wall from bottom to top, or a box, and its label."""
     bottom, top = heights(row, obstacle)
     edge, number = contour(obstacle), number_of(obstacle)
     shape: dict[str, Any] = {}
@@ -244,11 +242,11 @@ def _entity(row: Row, obstacle: Row, T: np.ndarray, pose: Pose) -> SceneEntity:
 
 
 def _wall(count: int) -> list[int]:
-    """Triangles between two lines of ``count`` points, the second after the first."""
-    found: list[int] = []
+    """Return triangle indices between two lines of ``count`` points, stored consecutively."""
+    indices: list[int] = []
     for i in range(count - 1):
-        found += [i, i + 1, count + i, count + i, i + 1, count + i + 1]
-    return found
+        indices += [i, i + 1, count + i, count + i, i + 1, count + i + 1]
+    return indices
 
 
 def _cube(obstacle: Row, T: np.ndarray, bottom: float, top: float) -> CubePrimitive:
@@ -258,7 +256,7 @@ def _cube(obstacle: Row, T: np.ndarray, bottom: float, top: float) -> CubePrimit
 
 
 def annotations(frame: Frame) -> ImageAnnotations:
-    """Return the boxes and labels of a frame's obstacles, of those that are in the image."""
+    """Return the boxes and labels of a frame's obstacles that are in the image."""
     stamp = _stamp(frame.row["stamp_ns"])
     boxes, texts = [], []
     for obstacle in frame.obstacles:
@@ -280,7 +278,7 @@ def annotations(frame: Frame) -> ImageAnnotations:
         texts.append(
             TextAnnotation(
                 timestamp=stamp,
-                # The lower left corner of the text, which would end above the image.
+                # Lower left corner of the text, kept inside of the image.
                 position=Point2(x=left, y=max(upper, LINE_PX)),
                 text=label(obstacle),
                 font_size=TEXT_PX,
@@ -292,7 +290,7 @@ def annotations(frame: Frame) -> ImageAnnotations:
 
 
 def grid_message(grid: Grid, row: Row) -> GridMessage:
-    """The map, coloured, in the world; stamped as the frame of a row."""
+    """Return the coloured map in the world frame, with the timestamp of a row."""
     cells = np.zeros((*grid.states.shape, len(_CELL_FIELDS)), np.uint8)
     for state, color in _CELL_COLORS.items():
         cells[grid.states == state] = color
@@ -318,10 +316,10 @@ def grid_message(grid: Grid, row: Row) -> GridMessage:
 def layout(cameras: Sequence[tuple[ResultLog, str]]) -> dict[str, Any]:
     """Return a layout with the scene of a log next to the image of its first camera.
 
-    That is the colour image, without one the depth image.
+    The image is the colour image, or the depth image without one.
 
     Args:
-        cameras: Each with what the view follows.
+        cameras: Cameras of the log, each with the frame that the view follows.
     """
     view, image = "3D!jaxdet", "Image!jaxdet"
     color, boxes, follow = "", "", ""

@@ -1,9 +1,9 @@
-"""The map as it was when the log ended: what was seen free after an obstacle had gone is free.
+"""Occupancy grid at the end of a log: cells that an obstacle has left are free.
 
-The map of a run counts; this one weighs in the order of the frames, as OctoMap does (Hornung et
-al. 2013, "OctoMap: an efficient probabilistic 3D mapping framework", Section 4.2): an outline that
-covers a cell speaks for an obstacle there, free floor against one, and neither can outweigh more
-than a few frames.
+The map of a run counts outlines; this grid updates clamped log-odds in the order of frames, as
+OctoMap does (Hornung et al. 2013, "OctoMap: an efficient probabilistic 3D mapping framework",
+Section 4.2): outlines raise a cell's occupancy, free floor lowers it, and a few frames suffice to
+change its state.
 """
 
 from typing import NamedTuple
@@ -17,22 +17,22 @@ from jaxdet.results.occupancy import SHIFT, placed
 from jaxdet.results.reading import Frame, ResultLog, Results
 
 OCCUPIED, FREE, UNKNOWN = 100, 0, -1
-"""States of a cell, as ``nav_msgs/OccupancyGrid`` has them."""
+"""States of a cell, as in ``nav_msgs/OccupancyGrid``."""
 
 HIT, MISS = 85, -40
-"""What an outline and free floor add to a cell's log-odds [1/100]: OctoMap's."""
+"""Log-odds that an outline and free floor add to a cell [1/100], as in OctoMap."""
 LEAST, MOST = -200, 350
-"""Bounds of a cell's log-odds [1/100]: OctoMap's; nine frames of free floor clear any cell."""
+"""Bounds of the log-odds [1/100], as in OctoMap; nine frames of free floor clear any cell."""
 
 _ADDED = np.array([0, MISS, HIT], np.int16)
 _FRAME_COLUMNS = ("camera_position_world", *TILT, *FREE_COLUMNS)
 
 
 class Grid(NamedTuple):
-    """The world's floor in cells; row 0 is the lowest Y."""
+    """Occupancy grid of the world's floor; row 0 is the lowest Y."""
 
     states: np.ndarray
-    """``(rows, columns)`` int8: OCCUPIED, FREE or UNKNOWN."""
+    """States ``(rows, columns)`` int8: OCCUPIED, FREE or UNKNOWN."""
     origin: tuple[float, float]
     """World X and Y of the outer corner of cell (0, 0) [m]."""
     cell_m: float
@@ -40,10 +40,10 @@ class Grid(NamedTuple):
 
 
 def last_grid(results: Results, log: ResultLog) -> Grid | None:
-    """The map of a log at its end; None where the run made none.
+    """Return the occupancy grid at the end of a log; None if the run made no map.
 
     Args:
-        results: What a run wrote.
+        results: Results of a run.
         log: One of its logs.
     """
     counted = results.map(log)
@@ -69,7 +69,7 @@ def last_grid(results: Results, log: ResultLog) -> Grid | None:
 
 
 def _cells(frame: Frame, cell_rad: float) -> tuple[np.ndarray, np.ndarray] | None:
-    """What a frame says of cells: 1 free floor, 2 an outline; and column and row of the first."""
+    """Return the cells that a frame updates: 1 free, 2 outline; and the first column and row."""
     T = T_world_upright(frame.row)
     if T is None:
         return None

@@ -1,4 +1,4 @@
-"""The map of a log as a small picture with alpha."""
+"""Map of a log as a small picture with alpha."""
 
 import cv2
 import numpy as np
@@ -6,19 +6,19 @@ import numpy as np
 from jaxdet.results.occupancy import MapImage
 
 MOST_CELLS = 720
-"""Longer side of a picture; of larger maps several cells are a pixel, the most of them counts."""
+"""Maximum side of a picture [pixel]; a pixel is the maximum of several cells of larger maps."""
 FREE = (122, 150, 140)
 FREE_ALPHA = 70
 
 
 def map_picture(image: MapImage) -> tuple[np.ndarray, float]:
-    """Cells that outlines cover in the colours of ``inferno``, those seen free in grey.
+    """Draw cells covered by outlines in the colours of ``inferno``, and free cells in grey.
 
     Args:
-        image: The map.
+        image: Map.
 
     Returns:
-        ``(h, w, 4)`` uint8, RGB and alpha, row 0 the lowest Y, transparent where nothing is known;
+        Picture ``(h, w, 4)`` uint8, RGB and alpha, row 0 the lowest Y, transparent where unknown;
         and the side of a pixel [m]. Its outer corner is the map's origin.
     """
     side = -(-max(image.counts.shape) // MOST_CELLS)
@@ -35,7 +35,7 @@ def map_picture(image: MapImage) -> tuple[np.ndarray, float]:
 
 
 def _largest(cells: np.ndarray, side: int) -> np.ndarray:
-    """The largest value of each ``side`` × ``side`` cells."""
+    """Return the maximum of each ``side`` × ``side`` cells."""
     rows, columns = (-(-n // side) * side for n in cells.shape)
     whole = np.zeros((rows, columns), cells.dtype)
     whole[: cells.shape[0], : cells.shape[1]] = cells

@@ -1,4 +1,4 @@
-"""Maps as nav2's map_server loads them: a PGM picture and a YAML file beside it."""
+"""Maps for nav2's map_server: a PGM picture and a YAML file."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,7 +11,7 @@ from jaxdet.io import LogFiles
 from jaxdet.results.reading import Results
 
 OCCUPIED_GREY, FREE_GREY, UNKNOWN_GREY = 0, 254, 205
-"""As nav2's map_saver writes them."""
+"""Grey levels, as written by nav2's map_saver."""
 
 _YAML = """\
 # Map of {log}, in the frame {frame}.
@@ -23,18 +23,18 @@ negate: 0
 occupied_thresh: 0.65
 free_thresh: 0.196
 """
-# The grey of unknown cells is 0.19608 of the way to occupied.
+# The grey level of unknown cells is an occupancy of 0.19608.
 
 
 def export(results: Results, output: Path, recordings: Mapping[str, LogFiles]) -> list[str]:
-    """Writes ``LOG.pgm`` and ``LOG.yaml`` of each log that has a map into a folder.
+    """Write ``LOG.pgm`` and ``LOG.yaml`` of each log with a map into a folder.
 
-    A cell is occupied where outlines of obstacles weigh more than later free floor, see
-    :mod:`jaxdet.export.grid`, free where floor was seen, and else unknown.
+    A cell is occupied if outlines of obstacles outweigh later free floor, see
+    :mod:`jaxdet.export.grid`, free if floor was seen, and else unknown.
 
     Args:
-        results: What a run wrote.
-        output: The folder.
+        results: Results of a run.
+        output: Folder.
         recordings: Not used.
 
     Returns:
@@ -52,13 +52,13 @@ def export(results: Results, output: Path, recordings: Mapping[str, LogFiles]) -
         else:
             _write(output / log.file_name, grid, log.label, results.world_frame(log))
     if len(left_out) == len(results.logs):
-        remedy = "maps need logs with the camera's poses"
+        remedy = "maps need logs with camera poses"
         raise InputError("no log has a map", path=str(results.folder), remedy=remedy)
     return left_out
 
 
 def _write(path: Path, grid: Grid, log: str, frame: str) -> None:
-    """The two files of a map; row 0 of the picture is the highest Y."""
+    """Write the two files of a map; row 0 of the picture is the highest Y."""
     greys = np.full(grid.states.shape, UNKNOWN_GREY, np.uint8)
     greys[grid.states == FREE] = FREE_GREY
     greys[grid.states == OCCUPIED] = OCCUPIED_GREY

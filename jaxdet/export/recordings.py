@@ -1,4 +1,4 @@
-"""The logs that results are of, read and looked at again where a format shows images or points."""
+"""Logs of results, read and detected in again for formats with images or points."""
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -18,32 +18,32 @@ from jaxdet.results.rows import to_host
 from jaxdet.types import Detections
 
 BATCH = 16
-"""Frames read together."""
+"""Number of frames per batch."""
 
 
 class Seen(NamedTuple):
-    """Some frames of a log, and what was found in them."""
+    """A batch of frames of a log, and their detections."""
 
     batch: Batch
-    """:data:`BATCH` frames, with what was known of their floor; after the last row of the chunk the
-    last frame is repeated."""
+    """:data:`BATCH` frames, with the prior of their floor; the last frame of the chunk is repeated
+    as padding."""
     found: Detections
-    """NumPy arrays, of the same frames."""
+    """Detections of these frames, NumPy arrays."""
     chunk: Chunk
-    """Their rows of the results."""
+    """Rows of the results of these frames."""
 
 
 def find(results: Results, given: Sequence[str]) -> dict[str, LogFiles]:
-    """The logs of the results among files, folders and globs.
+    """Find the logs of the results among files, folders and globs.
 
-    They are told by their names, else by what is in them; a single one is that of results of a
-    single log. Logs that failed in the run are passed over.
+    They are identified by name, else by content; a single log needs no identification if the
+    results are of a single one. Logs that failed in the run are ignored.
 
     Returns:
-        By name in the results.
+        Logs by their names in the results.
 
     Raises:
-        InputError: One of them is no log of the results.
+        InputError: A log is not one of the results.
     """
     names = {log.name for log in results.logs}
     logs = _best(given, names)
@@ -91,18 +91,18 @@ def _by_content(results: Results, log: LogFiles) -> str | None:
 
 
 def recorded(log: ResultLog, flag: str = "--log") -> LogFiles:
-    """Where a log was when the results were made.
+    """Return the files of a log at their original paths.
 
     Args:
-        log: One of the results.
-        flag: What names it where it is now.
+        log: Log of the results.
+        flag: Flag that names a moved log, for the error.
 
     Raises:
-        InputError: It isn't there any more.
+        InputError: A file does not exist any more.
     """
     for path in log.paths:
         if not path.exists():  # a file, or a folder of images
-            problem = "the log isn't where it was when the results were made"
+            problem = "the log is not at its original path"
             raise InputError(problem, path=str(path), remedy=f"name it with {flag}")
     return LogFiles(log.name, log.paths)
 
@@ -115,21 +115,21 @@ def images(
     *,
     color: bool = False,
 ) -> Iterator[tuple[Batch, Chunk]]:
-    """The frames of a log with their rows, :data:`BATCH` at a time, see :class:`Seen`.
+    """Yield the frames of a log with their rows, :data:`BATCH` at a time, see :class:`Seen`.
 
     Args:
-        results: What a run wrote.
+        results: Results of a run.
         log: One of its logs.
-        files: Where that is.
-        wanted: ``(n,)`` numbers of frames; None: all.
-        color: Whether to read colour images as well; the preset ``paper`` always does.
+        files: Files of the log.
+        wanted: Frame numbers ``(n,)``; None: all.
+        color: Whether to read colour images; the preset ``paper`` always does.
 
     Raises:
-        InputError: It is another log, or it can't be read.
+        InputError: The files are another log, or unreadable.
     """
     chunks = results.chunks(log, size=BATCH) if wanted is None else some(results, log, wanted)
     waiting, paper = next(chunks, None), results.method.cluster.points
-    for options in ways(results, log):
+    for options in open_modes(results, log):
         try:
             with _opened(log, files, options) as opened:
                 while waiting is not None:
@@ -160,18 +160,18 @@ def look_again(
     with_cells: bool = False,
     color: bool = False,
 ) -> Iterator[Seen]:
-    """The frames of a log with all that is found in them, as the run found it.
+    """Detect the obstacles in frames of a log again, with the same results as in the run.
 
     Args:
-        results: What a run wrote.
+        results: Results of a run.
         log: One of its logs.
-        files: Where that is.
-        wanted: ``(n,)`` numbers of frames; None: all.
-        with_cells: Whether to return the depth cells with their obstacles as well.
-        color: Whether to read colour images as well.
+        files: Files of the log.
+        wanted: Frame numbers ``(n,)``; None: all.
+        with_cells: Whether to return the depth cells with their labels.
+        color: Whether to read colour images.
 
     Raises:
-        InputError: It is another log, or it can't be read.
+        InputError: The files are another log, or unreadable.
     """
     start_up()
     config = results.method
@@ -194,7 +194,7 @@ def some(
     wanted: np.ndarray,
     obstacles: Sequence[str] | None = None,
 ) -> Iterator[Chunk]:
-    """The rows of some frames, with these columns of obstacles, at most :data:`BATCH` at a time."""
+    """Yield the rows of some frames, with these obstacle columns, up to :data:`BATCH` at a time."""
     for chunk in results.chunks(log, None, obstacles):
         rows = np.flatnonzero(np.isin(chunk.frames["frame"].to_numpy(), wanted))
         for start in range(0, len(rows), BATCH):
@@ -202,18 +202,18 @@ def some(
 
 
 def _planes(results: Results, log: ResultLog, files: LogFiles) -> Planes:
-    """The floor that the run gave each frame."""
-    by_index, whole = ways(results, log)
+    """Return the floor priors of the run."""
+    by_index, by_scan = open_modes(results, log)
     try:
         with _opened(log, files, by_index) as opened:
             return decide_planes(opened, results.method, "jax")
     except RescanError:
-        with _opened(log, files, whole) as opened:
+        with _opened(log, files, by_scan) as opened:
             return decide_planes(opened, results.method, "jax")
 
 
-def ways(results: Results, log: ResultLog) -> Iterator[LogOptions]:
-    """How to open a log: by its index, and where that isn't enough by reading all of it."""
+def open_modes(results: Results, log: ResultLog) -> Iterator[LogOptions]:
+    """Yield the options to open a log: by its index, and as a fallback by a complete scan."""
     options = results.options_of(log)
     yield options
     yield replace(options, scan=True)
@@ -221,7 +221,7 @@ def ways(results: Results, log: ResultLog) -> Iterator[LogOptions]:
 
 @contextmanager
 def _opened(log: ResultLog, files: LogFiles, options: LogOptions) -> Iterator[Log]:
-    """The log, opened as the run opened it; what lacks its topics is another one."""
+    """Open the log as in the run; without its topics it is another log."""
     try:
         opened = open_log(files, options)
     except (TopicError, CalibrationError) as error:

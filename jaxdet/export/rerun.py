@@ -2,20 +2,20 @@
 
 Entities of a recording::
 
-    world                        z up; without poses the floor below the camera. Moved by the whole
-                                 kilometres that the first pose is away from the world's origin
-      map, path                  static, where the log has poses
-      floor                      the camera's foot: x to the right, y forward, z up
+    world                        z up; without poses the floor below the camera. Translated by the
+                                 distance of the first pose from the origin, in whole kilometres
+      map, path                  static, if the log has poses
+      floor                      ground projection of the camera: x right, y forward, z up
         boxes, contours, free    obstacles, and the free floor
-        tracks/N                 paths of things that move, while they are there; in the world
-                                 where there are poses (world/tracks/N)
-        camera                   the optical frame of the depth camera; of results of the preset
-                                 paper that of the colour camera
-          color                  image, where the log has any, and boxes
-          depth                  image; the boxes, where there is no colour
+        tracks/N                 paths of moving tracks, during their lifetime; world/tracks/N if
+                                 the log has poses
+        camera                   optical frame of the depth camera; of the colour camera in the
+                                 preset paper
+          color                  image, if any, and boxes
+          depth                  image, and the boxes if there is no colour
           points                 depth cells by obstacle
     distance, obstacles          time series
-    frames                       text: why a frame has no result
+    frames                       text: reasons why frames have no result
 """
 
 from collections.abc import Mapping, Sequence
@@ -53,28 +53,28 @@ from jaxdet.types import Detections, Extrinsics
 FLOOR, CAMERA = "world/floor", "world/floor/camera"
 COLOR, DEPTH = f"{CAMERA}/color", f"{CAMERA}/depth"
 FLUSH_FRAMES = 1024
-"""So many frames wait to be written at most."""
+"""Maximum number of frames that wait to be written."""
 QUALITY = 85
-"""Of the JPEG images."""
+"""Quality of the JPEG images."""
 PNG_LEVEL = 1
 PATH_POINTS = 10_000
 UNKNOWN = np.array((70, 74, 80), np.uint8)
-"""Of the map."""
+"""Colour of unknown cells of the map."""
 COLORS = np.array(PALETTE, np.uint8)
 LEVEL = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
-"""A level camera in its floor frame, for what takes poses in the world."""
+"""Pose of a level camera in its floor frame, for functions that take a pose in the world."""
 
 
 def export(results: Results, output: Path, recordings: Mapping[str, LogFiles]) -> None:
-    """Writes a folder with a recording of each log.
+    """Write a folder with a recording of each log.
 
     Args:
-        results: The results.
-        output: The folder.
-        recordings: Logs of the results; of these images, depth and points are shown as well.
+        results: Results.
+        output: Folder.
+        recordings: Logs of the results, whose images, depth and points are added.
 
     Raises:
-        InputError: A log isn't that of the results.
+        InputError: A log is not that of the results.
     """
     output.mkdir()
     for log in results.logs:
@@ -93,20 +93,20 @@ def export(results: Results, output: Path, recordings: Mapping[str, LogFiles]) -
 
 
 def _has_color(log: ResultLog) -> bool:
-    """Whether boxes are shown in colour images: of a calibrated camera, or with depth's pixels."""
+    """Return whether boxes are in colour images: of a calibrated camera, or aligned with depth."""
     camera = log.summary["calibration"] or {}
     return bool(camera.get("color") or log.topic("color"))
 
 
 def _blueprint(images: Sequence[tuple[str, str]]) -> rrb.Blueprint:
-    """Return how the viewer arranges it; ``images`` are names and entities."""
+    """Return the layout of the viewer; ``images`` are names and entities."""
     flat = [rrb.Spatial2DView(origin=path, name=name) for name, path in images]
     series = [
         rrb.TimeSeriesView(origin="distance", name="Distance [m]"),
         rrb.TimeSeriesView(origin="obstacles", name="Obstacles"),
         rrb.TextLogView(origin="frames", name="Frames without a result"),
     ]
-    # The points of obstacles show better without those of the depth image.
+    # The points of the depth image would hide those of the obstacles.
     shown = ["$origin/**", f"- {DEPTH}/**"]
     space = rrb.Spatial3DView(origin="world", contents=shown, name="Space")
     upper = rrb.Horizontal(space, rrb.Vertical(*flat), column_shares=[3, 2])
@@ -115,21 +115,21 @@ def _blueprint(images: Sequence[tuple[str, str]]) -> rrb.Blueprint:
 
 
 class _Recording:
-    """One log's recording."""
+    """Recording of a log."""
 
     def __init__(self, stream: rr.RecordingStream, results: Results, log: ResultLog) -> None:
         self.stream, self.results, self.log = stream, results, log
         self.origin = _origin(results, log)
         self.in_world = _in_world(results, log)
-        """Whether some frame has a place in the world; those that have none are then not in space,
-        where they would be at the place of the one before."""
+        """Whether any frame has a pose in the world; then frames without one are not shown in
+        space, as they would be at the pose of the previous frame."""
         self.boxes = COLOR if _has_color(log) else DEPTH
-        """The image that boxes are shown in."""
+        """Image in which boxes are shown."""
         self.floor_z = 0.0
-        """Of the last frame with a pose, from the origin on [m]."""
+        """Height of the floor in the last frame with a pose, relative to the origin [m]."""
 
     def write(self, files: LogFiles | None) -> None:
-        """Writes all of it, with what is in the log itself where its files are given."""
+        """Write the recording, with images and points if the log's files are given."""
         self._start()
         for chunk in self.results.chunks(self.log):
             _series(self.stream, chunk)
@@ -137,7 +137,7 @@ class _Recording:
                 self._at(frame.row)
                 self._frame(frame)
                 if number % FLUSH_FRAMES == 0:
-                    self.stream.flush()  # else what waits to be written has no bound
+                    self.stream.flush()  # limits the queue
         if files is not None:
             for seen in look_again(self.results, self.log, files, with_cells=True, color=True):
                 for b, frame in enumerate(seen.chunk.each()):
@@ -150,7 +150,7 @@ class _Recording:
             _map(self.stream, image, self.origin, self.floor_z)
 
     def _start(self) -> None:
-        """What doesn't change."""
+        """Write static data."""
         camera = self.log.summary["calibration"]
         log = self.stream.log
         log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
@@ -172,7 +172,7 @@ class _Recording:
         self.stream.set_time("stamp", timestamp=np.datetime64(row["stamp_ns"], "ns"))
 
     def _frame(self, frame: Frame) -> None:
-        """What the tables say of a frame."""
+        """Write the tables' data of a frame."""
         row, log = frame.row, self.stream.log
         pose = T_world_upright(row)
         if pose is not None:
@@ -193,11 +193,11 @@ class _Recording:
             log("frames", rr.TextLog(text, level=rr.TextLogLevel.WARN))
 
     def _has_place(self, row: Mapping[str, Any]) -> bool:
-        """Whether it is known where a frame's floor is, or that of none is."""
+        """Return whether the pose of a frame's floor is known, or those of all are unknown."""
         return not self.in_world or _is_placed(row)
 
     def _tracks(self) -> None:
-        """The ways of things that move, each an entity from its first frame to its last."""
+        """Write the trajectories of moving tracks, each from its first frame to its last."""
         for track in self.results.tracks(self.log):
             if track["moving"]:
                 place = f"{'world' if track['in_world'] else FLOOR}/tracks/{track['track']}"
@@ -214,7 +214,7 @@ class _Recording:
                 self.stream.log(place, rr.Clear(recursive=False))
 
     def _images(self, seen: Seen, b: int, frame: Frame) -> None:
-        """What the log says of a frame."""
+        """Write the log's data of a frame."""
         row, log, frames = frame.row, self.stream.log, seen.batch.frames
         if row["status"] == FrameStatus.DECODE_ERROR:
             for path in (COLOR, DEPTH, f"{CAMERA}/points"):
@@ -233,14 +233,14 @@ class _Recording:
         log(DEPTH, rr.EncodedDepthImage(blob=depth, **how))
         if row["status"] == FrameStatus.OK and self._has_place(row):
             log(f"{CAMERA}/points", _points(seen.found, b, unit, frame.obstacles))
-        else:  # lost in the run, for instance, or without a place
+        else:  # for instance without a result or a pose
             log(f"{CAMERA}/points", rr.Clear(recursive=False))
 
 
 def _origin(results: Results, log: ResultLog) -> np.ndarray:
-    """Where the entity ``world`` is, ``(3,)`` float64, whole kilometres near the first pose [m].
+    """Return the origin of the entity ``world`` [m]: the first position, rounded to kilometres.
 
-    Rerun has float32, and worlds as UTM's have millions of metres.
+    Rerun uses float32, and coordinates in frames as UTM are millions of metres.
     """
     name = "camera_position_world"
     places = (frame.row[name] for frame in results.frames(log, (name,), ()))
@@ -248,13 +248,13 @@ def _origin(results: Results, log: ResultLog) -> np.ndarray:
 
 
 def _in_world(results: Results, log: ResultLog) -> bool:
-    """Whether some frame of a log has a place in the world."""
+    """Return whether any frame of a log has a pose in the world."""
     columns = ("camera_position_world", "camera_height_m", *TILT)
     return any(_is_placed(frame.row) for frame in results.frames(log, columns, ()))
 
 
 def _is_placed(row: Mapping[str, Any]) -> bool:
-    """Whether a frame's floor has a place in the world, as its rows of the tables do."""
+    """Return whether a frame's floor has a pose in the world, as in the tables."""
     return row["camera_height_m"] is not None and T_world_upright(row) is not None
 
 
@@ -263,7 +263,7 @@ def _encoded(kind: str, image: np.ndarray, *how: int) -> bytes:
 
 
 def _series(stream: rr.RecordingStream, chunk: Chunk) -> None:
-    """Distances and counts of some frames."""
+    """Write the distances and counts of some frames."""
     numbers, stamps = (chunk.frames[name].to_numpy() for name in ("frame", "stamp_ns"))
     count = chunk.frames["num_obstacles"].to_numpy()
     distance, first = chunk.obstacles["distance_m"].to_numpy(), chunk.first[:-1][count > 0]
@@ -294,7 +294,7 @@ def _pinhole(camera: Mapping[str, Any]) -> rr.Pinhole:
 
 
 def _floor_in_world(row: Mapping[str, Any], T: np.ndarray) -> rr.Transform3D:
-    """From the floor below the camera to the world, as outlines are placed on it."""
+    """Return the transform from the floor below the camera to the world, as for outlines."""
     sin, cos = world_angle(T)
     x, y, z = T[:3, 3] - (0, 0, row["camera_height_m"] or 0.0)
     turn = [[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]]
@@ -302,7 +302,7 @@ def _floor_in_world(row: Mapping[str, Any], T: np.ndarray) -> rr.Transform3D:
 
 
 def _camera_on_floor(row: Mapping[str, Any]) -> rr.Transform3D:
-    """Return the motion from the optical frame to the floor below it."""
+    """Return the transform from the optical frame to the floor below it."""
     T = np.linalg.inv(T_camera_floor(row))
     return rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3])
 
@@ -312,7 +312,7 @@ def _colors(obstacles: Any) -> np.ndarray:
 
 
 def _boxes(row: Mapping[str, Any], obstacles: list[dict[str, Any]]) -> rr.Boxes3D:
-    """The outlines on the floor, from bottom to top."""
+    """Return the outlines as boxes, from bottom to top."""
     boxes = [box(one, *heights(row, one)) for one in obstacles]
     placed = np.reshape([T for T, _ in boxes], (-1, 4, 4))
     return rr.Boxes3D(
@@ -325,7 +325,7 @@ def _boxes(row: Mapping[str, Any], obstacles: list[dict[str, Any]]) -> rr.Boxes3
 
 
 def _contours(obstacles: list[dict[str, Any]]) -> rr.LineStrips3D:
-    """The visible edges on the floor."""
+    """Return the visible edges on the floor."""
     some = [one for one in obstacles if one["contour"]]
     lines = [contour(one) for one in some]
     strips = [np.column_stack([line, np.full(len(line), 0.01)]) for line in lines]
@@ -333,7 +333,7 @@ def _contours(obstacles: list[dict[str, Any]]) -> rr.LineStrips3D:
 
 
 def _flat_boxes(obstacles: list[dict[str, Any]]) -> rr.Boxes2D:
-    """Return the boxes of the obstacles that are in the image."""
+    """Return the boxes of obstacles that are in the image."""
     names = ("u_min", "v_min", "u_max", "v_max")
     obstacles = [one for one in obstacles if one["u_min"] is not None]
     box = np.reshape([[one[name] for name in names] for one in obstacles], (-1, 4))
@@ -346,7 +346,7 @@ def _flat_boxes(obstacles: list[dict[str, Any]]) -> rr.Boxes2D:
 
 
 def _free(row: Mapping[str, Any], cell_rad: float) -> rr.Mesh3D | rr.Clear:
-    """The free floor, the same polygons as on the map."""
+    """Return the free floor, as the polygons of the map."""
     points, corners, _ = free_floor(row, cell_rad).in_world(LEVEL[None])
     if not len(corners):
         return rr.Clear(recursive=False)
@@ -371,11 +371,11 @@ def _points(found: Detections, b: int, unit: float, obstacles: list[dict[str, An
 
 
 def _map(stream: rr.RecordingStream, image: MapImage, origin: np.ndarray, floor_z: float) -> None:
-    """The map just below the floor, and the path over it."""
+    """Write the map just below the floor, and the path above it."""
     picture, cell_m = map_picture(image)
     height, width, _ = picture.shape
     seen = picture[..., 3:] > 0
-    opaque = np.where(seen, picture[..., :3], UNKNOWN)  # grids show no transparency
+    opaque = np.where(seen, picture[..., :3], UNKNOWN)  # grids have no transparency
     kind = rr.components.ImageFormat(
         width=width, height=height, color_model="RGB", channel_datatype="U8"
     )

@@ -1,6 +1,6 @@
-"""ROS 2 messages: detections, points, the map and the floor frame in an MCAP file for each log.
+"""ROS 2 messages: detections, points, map and floor frame in an MCAP file per log.
 
-It can be played beside the recording, see :mod:`jaxdet.export.sidecar`.
+It can be played together with the recording, see :mod:`jaxdet.export.sidecar`.
 """
 
 from collections.abc import Iterator, Mapping
@@ -22,7 +22,7 @@ from jaxdet.export.shapes import (
     heights,
     topic,
 )
-from jaxdet.export.sidecar import moments, sidecars
+from jaxdet.export.sidecar import sidecar_frames, sidecars
 from jaxdet.io import LogFiles
 from jaxdet.io.writer import Ros2LogWriter, pose_of, xyz
 from jaxdet.io.writer_cdr import header
@@ -33,18 +33,18 @@ DETECTIONS, POINTS, MAP = "detections", "points", "map"
 """Topics, see :func:`jaxdet.export.shapes.topic`."""
 
 POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("obstacle", "<u4")])
-"""A point of the cloud, in the camera's optical frame [m], and the obstacle's label."""
+"""Point of the cloud, in the camera's optical frame [m], and the obstacle's label."""
 _DATATYPES = {"<f4": 7, "<u4": 6}
-"""Of ``sensor_msgs/PointField``."""
+"""Data types of ``sensor_msgs/PointField``."""
 
 
 def export(results: Results, output: Path, recordings: Mapping[str, LogFiles]) -> None:
-    """Writes ``LOG.jaxdet.mcap`` of each log into a folder.
+    """Write ``LOG.jaxdet.mcap`` of each log into a folder.
 
     Args:
-        results: What a run wrote.
-        output: The folder.
-        recordings: Of these logs the points are the obstacles' own, else the corners of their
+        results: Results of a run.
+        output: Folder.
+        recordings: Logs whose clouds are the obstacles' points; other clouds are the corners of
             contours at the bottom and the top.
     """
     for log, path in sidecars(results, output):
@@ -57,21 +57,21 @@ def export(results: Results, output: Path, recordings: Mapping[str, LogFiles]) -
 def _write_log(
     writer: Ros2LogWriter, results: Results, log: ResultLog, clouds: Iterator[np.ndarray]
 ) -> None:
-    for moment, cloud in zip(moments(results, log), clouds, strict=True):
-        row, at = moment.frame.row, moment.log_time_ns
-        if moment.grid is not None:
-            message, map_topic = grid_message(moment.grid, row), topic(log, MAP)
+    for entry, cloud in zip(sidecar_frames(results, log), clouds, strict=True):
+        row, at = entry.frame.row, entry.log_time_ns
+        if entry.grid is not None:
+            message, map_topic = grid_message(entry.grid, row), topic(log, MAP)
             writer.write(map_topic, at, "nav_msgs/OccupancyGrid", message, latched=True)
-        writer.write_transforms(row["stamp_ns"], moment.transforms, log_ns=at)
-        found, points = detections(moment.frame), cloud_message(row, cloud)
-        writer.write(topic(log, DETECTIONS), at, "vision_msgs/Detection3DArray", found)
+        writer.write_transforms(row["stamp_ns"], entry.transforms, log_ns=at)
+        boxes, points = detections(entry.frame), cloud_message(row, cloud)
+        writer.write(topic(log, DETECTIONS), at, "vision_msgs/Detection3DArray", boxes)
         writer.write(topic(log, POINTS), at, "sensor_msgs/PointCloud2", points)
 
 
 def detections(frame: Frame) -> dict[str, Any]:
-    """A ``vision_msgs/Detection3DArray``: the outlines from bottom to top, in the camera.
+    """Return a ``vision_msgs/Detection3DArray``: outlines from bottom to top, in the camera frame.
 
-    ``id`` is the obstacle's track, empty where it has none; without tracks its number.
+    ``id`` is the obstacle's track, or empty; its label if there are no tracks.
     """
     row = frame.row
     head, T = header(row["stamp_ns"], camera_name(row)), T_camera_floor(row)
@@ -91,7 +91,7 @@ def detections(frame: Frame) -> dict[str, Any]:
 
 
 def _contours(results: Results, log: ResultLog) -> Iterator[np.ndarray]:
-    """For each frame the corners of contours, else outlines, at the bottom and the top."""
+    """Yield per frame the corners of contours, else of outlines, at the bottom and the top."""
     for row, obstacles in results.frames(log, FRAME_COLUMNS):
         T, parts = T_camera_floor(row), [np.zeros(0, POINT)]
         for obstacle in obstacles:
@@ -104,7 +104,7 @@ def _contours(results: Results, log: ResultLog) -> Iterator[np.ndarray]:
 
 
 def _own_points(results: Results, log: ResultLog, files: LogFiles) -> Iterator[np.ndarray]:
-    """For each frame the points of its obstacles."""
+    """Yield per frame the points of its obstacles."""
     for batch, found, chunk in look_again(results, log, files, with_cells=True):
         unit = batch.frames.calibration.depth_unit
         for i, count in enumerate(chunk.frames["num_obstacles"].to_pylist()):
@@ -119,7 +119,7 @@ def _cloud(points: np.ndarray, labels: np.ndarray) -> np.ndarray:
 
 
 def cloud_message(row: Row, cloud: np.ndarray) -> dict[str, Any]:
-    """A ``sensor_msgs/PointCloud2`` of :data:`POINT`."""
+    """Return a ``sensor_msgs/PointCloud2`` of :data:`POINT`."""
     offsets = zip(POINT.names or (), POINT.descr, strict=True)
     fields = [
         {"name": name, "offset": 4 * i, "datatype": _DATATYPES[kind[1]], "count": 1}
@@ -139,7 +139,7 @@ def cloud_message(row: Row, cloud: np.ndarray) -> dict[str, Any]:
 
 
 def grid_message(grid: Grid, row: Row) -> dict[str, Any]:
-    """A ``nav_msgs/OccupancyGrid``, stamped as a frame: 100 occupied, 0 free, -1 unknown."""
+    """Return a ``nav_msgs/OccupancyGrid`` with the timestamp of a row: 100, 0, or -1 (unknown)."""
     head = header(row["stamp_ns"], row["world_frame"] or "")
     rows, columns = grid.states.shape
     origin = np.eye(4)

@@ -1,8 +1,8 @@
-"""Rows of the tables as shapes: where the camera and its floor are, and what stands on it.
+"""Geometry from rows of the tables: poses of camera and floor, shapes of obstacles.
 
 The *floor frame* of a camera has its origin on the floor below the optical centre, x right,
-y forward, z up: contours and outlines of the tables are its x and y, heights its z. Where the
-floor is unknown it is a level one at the height of the camera.
+y forward, z up: contours and outlines of the tables are in its x and y, heights in its z. If the
+floor is unknown, it is level at the height of the camera.
 """
 
 from collections.abc import Mapping
@@ -23,37 +23,37 @@ FRAME_COLUMNS = (
     *("stamp_ns", "log_time_ns", "camera_frame", "world_frame", "camera_position_world"),
     *("camera_orientation_world", "camera_height_m", "camera_pitch_rad", "camera_roll_rad"),
 )
-"""What the functions here but :func:`free_floor` use of frames."""
+"""Columns of frames for the functions of this module, except :func:`free_floor`."""
 FREE_COLUMNS = ("free_bearing_rad", "free_from_m", "free_to_m")
-"""What that uses."""
+"""Columns of frames for :func:`free_floor`."""
 
 NEIGHBOURS = 8
-"""Columns whose free floor ends farther apart than this many cells, 3 degrees, are not joined: the
-tables leave out columns that show nothing. Neighbours that end before and behind an edge are up to
-so far apart too where the camera is rolled."""
+"""Maximum distance between columns whose free floor is joined [cells], 3 degrees, as the tables
+omit columns without free floor. Neighbours at an edge may be this far apart if the camera is
+rolled."""
 
 
 def topic(log: ResultLog, name: str) -> str:
-    """A topic for what is shown of a log; of one with several cameras each has its own."""
+    """Return the topic of exported data; each camera of a log with several has its own."""
     return f"/jaxdet/{name}" if log.label == log.name else f"/jaxdet/{log.camera}/{name}"
 
 
 def camera_name(row: Row) -> str:
-    """The frame of the camera that lengths refer to; ``camera`` where the log names none."""
+    """Return the frame of the camera that lengths refer to; ``camera`` if the log names none."""
     return row["camera_frame"] or "camera"
 
 
 def floor_name(row: Row) -> str:
-    """What the floor frame of the camera is called."""
+    """Return the name of the camera's floor frame."""
     return f"{camera_name(row)}_floor"
 
 
 def T_camera_floor(row: Row) -> np.ndarray:
-    """``(4, 4)`` float64, floor frame to optical frame, of a row of frames [m]; constant."""
+    """Return the transform from floor frame to optical frame, ``(4, 4)`` float64 [m]; read-only."""
     return _floor(*(row[f"camera_{name}"] for name in ("height_m", "pitch_rad", "roll_rad")))
 
 
-@lru_cache(maxsize=4)  # the obstacles of a frame ask one after the other
+@lru_cache(maxsize=4)  # called for each obstacle of a frame
 def _floor(height: float | None, pitch: float | None, roll: float | None) -> np.ndarray:
     known = height is not None
     height, pitch, roll = (value or 0.0 for value in (height, pitch, roll))
@@ -69,37 +69,37 @@ def _floor(height: float | None, pitch: float | None, roll: float | None) -> np.
 
 
 def T_world_camera(row: Row) -> np.ndarray | None:
-    """``(4, 4)`` float64, optical frame to world [m]; None where the pose is unknown."""
+    """Return the transform from optical frame to world, ``(4, 4)`` float64 [m]; None if unknown."""
     if row["camera_position_world"] is None:
         return None
     return motion_matrix(row["camera_position_world"], row["camera_orientation_world"])
 
 
 def T_world_upright(row: Row) -> np.ndarray | None:
-    """The same of frames whose floor has a place in the world; None of others."""
+    """Return :func:`T_world_camera` if the world's z is up for this camera, else None."""
     T, known = T_world_camera(row), (np.array([row[name]], np.float64) for name in TILT)
     return None if T is None or tilted(*known)[0] else T
 
 
 def quaternion(T: np.ndarray) -> list[float]:
-    """The unit quaternion x y z w of a rigid motion ``(4, 4)``."""
+    """Return the unit quaternion x y z w of a rigid transform ``(4, 4)``."""
     return quaternions(T[:3, :3]).tolist()
 
 
 def corners(obstacle: Row) -> np.ndarray:
-    """``(4, 2)`` float64, the outline in the floor frame [m], counter-clockwise or clockwise."""
+    """Return the outline in the floor frame, ``(4, 2)`` float64 [m], in either order."""
     return np.reshape(obstacle["corners_ground"], (4, 2)).astype(np.float64)
 
 
 def contour(obstacle: Row) -> np.ndarray:
-    """``(n, 2)`` float64, the visible edge in the floor frame [m]; n is 0 without one."""
+    """Return the visible edge in the floor frame, ``(n, 2)`` float64 [m]; n is 0 without one."""
     return np.reshape(obstacle["contour"] or [], (-1, 2)).astype(np.float64)
 
 
 def heights(row: Row, obstacle: Row) -> tuple[float, float]:
-    """The lowest and the highest point in the floor frame [m].
+    """Return the height of the lowest and the highest point in the floor frame [m].
 
-    Where the table has no heights they are those of the box in the camera, at its centroid.
+    If the table has no heights, they are those of the box in the camera, at its centroid.
     """
     if obstacle["bottom_m"] is not None:
         return obstacle["bottom_m"], obstacle["top_m"]
@@ -110,10 +110,10 @@ def heights(row: Row, obstacle: Row) -> tuple[float, float]:
 
 
 def free_floor(row: Row, cell_rad: float) -> FreeFloor:
-    """The free floor of a row of frames, with an empty column where neighbours are apart.
+    """Return the free floor of a frame, with an empty column between distant neighbours.
 
     Args:
-        row: With :data:`FREE_COLUMNS`.
+        row: Row with :data:`FREE_COLUMNS`.
         cell_rad: Width of the run's cells [rad].
     """
     bearing, start, stop = (np.array(row[name] or [], np.float64) for name in FREE_COLUMNS)
@@ -126,11 +126,11 @@ def free_floor(row: Row, cell_rad: float) -> FreeFloor:
 
 
 def box(obstacle: Row, bottom: float, top: float) -> tuple[np.ndarray, np.ndarray]:
-    """The outline as a box that stands on the floor.
+    """Return the outline as a box.
 
     Returns:
-        ``(4, 4)`` float64, the box's frame to the floor frame: its origin is the middle, x goes
-        from A to B; and ``(3,)`` float64, its lengths [m].
+        Transform from the box's frame to the floor frame, ``(4, 4)`` float64: its origin is the
+        middle, x points from A to B; and its size ``(3,)`` float64 [m].
     """
     ring = corners(obstacle)
     along, across = ring[1] - ring[0], ring[3] - ring[0]
@@ -143,13 +143,13 @@ def box(obstacle: Row, bottom: float, top: float) -> tuple[np.ndarray, np.ndarra
 
 
 def number_of(obstacle: Row) -> int:
-    """What tells it from others: its track's number, else its own."""
+    """Return the obstacle's identifier: the number of its track, else its label."""
     track = obstacle.get("track")
     return obstacle["obstacle"] if track is None else track
 
 
 def label(obstacle: Row) -> str:
-    """Its number and distance, as in the pictures, and after ``#`` its track."""
+    """Return a text with label and distance, as in the pictures, and the track after ``#``."""
     track = obstacle.get("track")
     followed = "" if track is None else f"   #{track}"
     return f"{obstacle['obstacle']}   {obstacle['distance_m']:.2f} m{followed}"

@@ -1,7 +1,7 @@
-"""What a file that is opened or played beside a log shows of each of its frames.
+"""Sidecar files, opened or played together with a log.
 
-Messages have the header stamps of the log's depth images, and as log times the times at which
-the log received them, so that both files have one timeline whatever clock stamped the images.
+Messages have the header timestamps of the log's depth images, and the log times at which these were
+recorded, so that both files share a timeline for any clock of the camera.
 """
 
 from collections.abc import Iterator
@@ -23,29 +23,29 @@ from jaxdet.io.writer import Transform
 from jaxdet.results.reading import Frame, ResultLog, Results
 
 
-class Moment(NamedTuple):
+class SidecarFrame(NamedTuple):
     """A frame in a sidecar."""
 
     frame: Frame
-    """Its camera frame is ``CAMERA_FRAME_jaxdet`` where the transforms have its pose: a frame has
-    one parent, and that of the log's own camera is in the log."""
+    """Rows of the frame. Its camera frame is ``CAMERA_FRAME_jaxdet`` if ``transforms`` has its
+    pose, as a TF frame has one parent, which is in the log for the log's own camera."""
     log_time_ns: int
     """Log time of its messages [ns]."""
     transforms: tuple[Transform, ...]
-    """The floor frame, and where the log's own transforms lack it the camera in the world."""
+    """Floor frame, and pose of the camera in the world if the log's TF lacks it."""
     grid: Grid | None
-    """The map in the world's frame, with the first frame of a log that has one."""
+    """Map in the world frame, with the first frame of a log that has one."""
 
 
 def sidecars(results: Results, folder: Path) -> Iterator[tuple[ResultLog, Path]]:
-    """Makes the folder, and names the file of each log in it: ``LOG.jaxdet.mcap``."""
+    """Create the folder, and yield the path of each log's file in it: ``LOG.jaxdet.mcap``."""
     folder.mkdir()
     for log in results.logs:
         yield log, folder / f"{log.file_name}.jaxdet.mcap"
 
 
-def moments(results: Results, log: ResultLog) -> Iterator[Moment]:
-    """The frames of a log, one by one."""
+def sidecar_frames(results: Results, log: ResultLog) -> Iterator[SidecarFrame]:
+    """Yield the frames of a log."""
     for number, frame in enumerate(results.frames(log, FRAME_COLUMNS)):
         grid = None if number else last_grid(results, log)
         named = frame.row["world_frame"] and not log.poses_from_tf
@@ -53,7 +53,8 @@ def moments(results: Results, log: ResultLog) -> Iterator[Moment]:
         if T is not None:
             row = frame.row | {"camera_frame": f"{camera_name(frame.row)}_jaxdet"}
             frame = frame._replace(row=row)
-        yield Moment(frame, frame.row["log_time_ns"], tuple(_transforms(frame.row, T)), grid)
+        transforms = tuple(_transforms(frame.row, T))
+        yield SidecarFrame(frame, frame.row["log_time_ns"], transforms, grid)
 
 
 def _transforms(row: Row, T_world: np.ndarray | None) -> Iterator[Transform]:

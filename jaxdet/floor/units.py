@@ -19,7 +19,7 @@ SINE_BITS = 15  # fraction bits of sines; a product of two has 32 bits with its 
 _TURN = np.radians(np.arange(-360 * ANGLES, 370 * ANGLES + 1) / ANGLES)
 SINES = np.rint(sin(_TURN) * (1 << SINE_BITS)).astype(np.int64)  # from -360 degrees on
 STEEPEST = 85 * ANGLES  # maximum pitch, up or down; beyond it roll is meaningless
-SLACK_BITS = 26  # fraction bits of the terms of a tolerance that grow with depth
+TOLERANCE_BITS = 26  # fraction bits of the terms of a tolerance that grow with depth
 ROUGH_M, FINE_M, FINE_PER_Z = 0.012, 0.008, 0.003
 """Inlier tolerances: roughness during the search, and near a known plane [m]; bowing of floors and
 depth images per metre of depth."""
@@ -52,18 +52,18 @@ STEP_M, TABLE_M = 0.05, 0.10
 """Cells this far above a plane are obstacles; cells this far below show it is not the floor."""
 
 
-class Slack(NamedTuple):
+class Tolerance(NamedTuple):
     """Maximum distance of inliers from a plane of height h: ``base + per_z z + noise z h``."""
 
     base: int  # roughness of a floor [depth units]
-    per_z: int  # errors of direction and bowed floors, SLACK_BITS fraction bits
+    per_z: int  # errors of direction and bowed floors, TOLERANCE_BITS fraction bits
     noise: int
     """Stereo noise ``c z^2`` along a ray that meets the floor at the angle whose sine is h / z,
-    ``SLACK_BITS`` fraction bits."""
+    ``TOLERANCE_BITS`` fraction bits."""
 
     def of(self, z: np.ndarray, height: int) -> np.ndarray:
         """Return the tolerance at each depth, ``(K,)`` int64 [depth units], at least ``base``."""
-        return self.base + ((z * (self.per_z + self.noise * max(height, 0))) >> SLACK_BITS)
+        return self.base + ((z * (self.per_z + self.noise * max(height, 0))) >> TOLERANCE_BITS)
 
 
 class Scale(NamedTuple):
@@ -81,30 +81,30 @@ class Scale(NamedTuple):
         fraction, exponent = math.frexp(metres / self.unit)  # from 1/2 to 1
         return max(exponent - (fraction < math.sqrt(0.5)), 0)
 
-    def slack(self, base_m: float, per_z: float) -> Slack:
+    def tolerance(self, base_m: float, per_z: float) -> Tolerance:
         """Return a tolerance of ``base_m``, plus ``per_z`` per metre of depth."""
-        one = 1 << SLACK_BITS
+        one = 1 << TOLERANCE_BITS
         noise = round(self.noise_per_m * self.unit * one)
-        return Slack(self.length(base_m), round(per_z * one), noise)
+        return Tolerance(self.length(base_m), round(per_z * one), noise)
 
-    def rough(self, turn_deg: float) -> Slack:
+    def rough(self, turn_deg: float) -> Tolerance:
         """Return the tolerance for a plane with an error of direction of ``turn_deg``."""
-        return self.slack(ROUGH_M, float(np.radians(turn_deg)))
+        return self.tolerance(ROUGH_M, float(np.radians(turn_deg)))
 
     def coarse(self, z: np.ndarray, step_deg: float) -> np.ndarray:
         """Return the tolerance of votes for directions ``step_deg`` apart, any height, ``(K,)``."""
-        slack = self.rough(step_deg / 2)
-        return slack.of(z, 0) + ((z * z * slack.noise) >> SLACK_BITS)
+        tolerance = self.rough(step_deg / 2)
+        return tolerance.of(z, 0) + ((z * z * tolerance.noise) >> TOLERANCE_BITS)
 
     @property
-    def fine(self) -> Slack:
+    def fine(self) -> Tolerance:
         """Tolerance of floor cells from their own plane."""
-        return self.slack(FINE_M, FINE_PER_Z)
+        return self.tolerance(FINE_M, FINE_PER_Z)
 
     @property
-    def sharp(self) -> Slack:
+    def sharp(self) -> Tolerance:
         """Tolerance of the last steps."""
-        return self.slack(SHARP_M, SHARP_PER_Z)
+        return self.tolerance(SHARP_M, SHARP_PER_Z)
 
 
 class FloorFit(NamedTuple):

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxdet.quiet import quiet_warp
+from jaxdet.warp_start import start_warp
 
 _loading = Lock()
 
@@ -41,7 +41,7 @@ def launch(name: str, *arguments: Any) -> None:
 
 @cache
 def _kernels() -> Any:
-    quiet_warp()  # standard output may be a table's
+    start_warp()  # standard output may be a table's
     from jaxdet.runtime.compiled import load_for_cpu
     from jaxdet_kernels import decode
 

@@ -41,8 +41,8 @@ class Pairs(NamedTuple):
     one: np.ndarray  # (P,) int64, a surface
     other: np.ndarray  # (P,) int64, one with a higher number
     seen: np.ndarray
-    """``(P, 26)`` int64, in the order of :data:`jaxdet.affinity.SEEN` [depth units, cells, lines,
-    percent]."""
+    """``(P, 26)`` int64, in the order of :data:`jaxdet.affinity.PAIR_FEATURES` [depth units, cells,
+    lines, percent]."""
 
 
 def pairs(

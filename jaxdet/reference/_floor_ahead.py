@@ -37,7 +37,7 @@ def find_ahead(
     for plane in dict.fromkeys([flat, *planes]):
         seen = profile(plane, inner, scale)
         coarse, fine = (
-            scale.slack(base, FINE_PER_Z).of(seen.run, plane.height)
+            scale.tolerance(base, FINE_PER_Z).of(seen.run, plane.height)
             for base in (PROFILE_M, ROUGH_M)
         )
         alone.append(int(seen.votes(np.zeros_like(seen.run), fine)))

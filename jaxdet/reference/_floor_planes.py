@@ -16,7 +16,7 @@ from jaxdet.floor.units import (
     SINE_BITS,
     STEEPEST,
     Scale,
-    Slack,
+    Tolerance,
     cosine,
     sine,
 )
@@ -100,7 +100,7 @@ def refined(
 
 
 def refine(
-    plane: Plane, cells: Sample, slack: Slack, rounds: int, prior: Plane | None, lever_bits: int
+    plane: Plane, cells: Sample, slack: Tolerance, rounds: int, prior: Plane | None, lever_bits: int
 ) -> Plane:
     """Weighted least squares on the cells near a plane, in fixed rounds.
 

@@ -1,4 +1,4 @@
-"""Pictures of frames and logs, with OpenCV and NumPy only."""
+"""Pictures of frames and logs, drawn with OpenCV and NumPy."""
 
 from jaxdet.render.canvas import write_png
 from jaxdet.render.frame import draw_frame

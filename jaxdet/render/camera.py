@@ -1,4 +1,4 @@
-"""The camera's view: obstacles, boxes and distances over the colour image or the depth image."""
+"""Camera view: obstacles, boxes and distances on the colour or depth image."""
 
 from typing import NamedTuple
 
@@ -16,25 +16,25 @@ from jaxdet.types import Calibration, CellLabels, Detections, Features, Frames, 
 Box = tuple[float, float, float, float]
 
 LOOSE_LABEL = 1 << 20
-"""Label of cells above the floor in no obstacle."""
+"""Label of cells above the floor without an obstacle."""
 
 _CHIP_TEXT = 16
 _CHIP_HEIGHT = 24
 _TINT, _LOOSE_TINT = 0.42, 0.30
 """Opacity of the colours of cells."""
 _BAR = 10, 180
-"""Width and height of the scale of depths [pixel]."""
+"""Width and height of the depth scale [pixel]."""
 
 
 class Shown(NamedTuple):
-    """What a frame's picture shows."""
+    """Background image of a frame's picture."""
 
     image: np.ndarray
-    """``(H, W, 3)`` uint8, RGB."""
+    """Image ``(H, W, 3)`` uint8, RGB."""
     calibration: Calibration
-    """With the camera of the image as :attr:`Calibration.image`."""
+    """Calibration whose :attr:`Calibration.image` is the camera of the image."""
     depth_range_m: tuple[float, float] | None
-    """Range of the colour map of a depth image; None: it is the colour image."""
+    """Range of the depth image's colour map [m]; None: it is a colour image."""
 
 
 class Chip(NamedTuple):
@@ -47,15 +47,15 @@ class Chip(NamedTuple):
 
 
 def shown_image(frames: Frames, row: int, config: Config) -> Shown:
-    """Return the image that a frame is shown in.
+    """Return the background image of a frame.
 
-    It is the colour image where the frame has one whose pixels can be related to those of the depth
-    image, else the depth image in colours: near is warm, no measurement is black.
+    It is the colour image if there is one and it is calibrated, else the depth image in false
+    colours: near is warm, no measurement is black.
 
     Args:
-        frames: The batch.
+        frames: Batch.
         row: Row of the frame.
-        config: The range of depths that the colours show.
+        config: Configuration with the depth range of the colour map.
     """
     calibration = frames.calibration
     if has_color(frames, row):
@@ -67,7 +67,7 @@ def shown_image(frames: Frames, row: int, config: Config) -> Shown:
 
 
 def has_color(frames: Frames, row: int) -> bool:
-    """Whether a frame has a colour image that its obstacles can be drawn in."""
+    """Return whether a frame has a colour image of the calibrated size."""
     color, camera = frames.color, frames.calibration.image
     if color is None or color.shape[1:3] != (camera.height, camera.width):
         return False
@@ -75,7 +75,7 @@ def has_color(frames: Frames, row: int) -> bool:
 
 
 def depth_picture(depth: np.ndarray, unit: float, near_m: float, far_m: float) -> np.ndarray:
-    """Return a depth image ``(H, W)`` in colours, ``(H, W, 3)`` uint8 RGB."""
+    """Return a depth image ``(H, W)`` in false colours, ``(H, W, 3)`` uint8 RGB."""
     measured = depth > 0
     share = (depth * unit - near_m) / max(far_m - near_m, 1e-6)
     level = np.rint(255 * (0.94 - 0.86 * np.clip(share, 0, 1))).astype(np.uint8)
@@ -86,17 +86,17 @@ def depth_picture(depth: np.ndarray, unit: float, near_m: float, far_m: float) -
 def camera_view(
     shown: Shown, found: Detections, row: int, config: Config, scale: float
 ) -> np.ndarray:
-    """Return the image of one frame with what was found in it.
+    """Draw the detections of a frame on its image.
 
     Args:
-        shown: The image.
-        found: The batch's detections, as NumPy arrays.
-        row: The frame's row in them.
-        config: For the size of cells.
-        scale: Enlargement.
+        shown: Background image.
+        found: Detections of the batch, as NumPy arrays.
+        row: Row of the frame.
+        config: Configuration with the size of cells.
+        scale: Scale factor.
 
     Returns:
-        ``(H * scale, W * scale, 3)`` uint8, RGB.
+        Picture ``(H * scale, W * scale, 3)`` uint8, RGB.
     """
     height, width = shown.image.shape[:2]
     size = (round(width * scale), round(height * scale))
@@ -104,7 +104,7 @@ def camera_view(
     image = cv2.resize(shown.image, size, interpolation=method)
     if shown.depth_range_m is None:
         image = cv2.addWeighted(image, 0.82, np.zeros_like(image), 0, 0)
-    else:  # paler than the obstacles' colours
+    else:  # less saturated than the obstacles' colours
         grey = np.repeat(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)[..., None], 3, axis=2)
         image = cv2.addWeighted(image, 0.42, grey, 0.28, 0)
     if found.points is not None:
@@ -133,7 +133,7 @@ def _draw_points(
     uv = (np.stack([features.u[row], features.v[row]], axis=1) + 0.5) * scale - 0.5
     valid, kept = features.valid[row], features.kept[row]
     label = np.where(valid, labels.labels[row], -1)
-    # Small enough that one sees the thing that they lie on.
+    # Small, so that the object stays visible.
     canvas.dots(image, uv[valid & ~kept], canvas.DROPPED, 1.6)
     canvas.dots(image, uv[valid & kept & (label < 0)], canvas.LOOSE, 2.0)
     for number in reversed(range(int(labels.num_obstacles[row]))):
@@ -148,12 +148,12 @@ def _draw_cells(
     side: int,
     scale: float,
 ) -> None:
-    """Tint the cells of each obstacle in its colour, and those of none white."""
+    """Tint the cells of each obstacle in its colour, and cells without one white."""
     loose = found.keep & (found.label < 0)
     labelled = found._replace(label=np.where(loose, LOOSE_LABEL, found.label))
     labels = label_image(labelled, row, calibration, side)
     size = image.shape[1], image.shape[0]
-    # Wide enough that the steps between cells are gone.
+    # Wide enough to hide the steps between cells.
     blur = max(0.5, 0.45 * side * scale * calibration.image.fx / calibration.depth.fx)
     for number in np.unique(labels[labels >= 0]).tolist()[::-1]:
         is_loose = number == LOOSE_LABEL
@@ -170,7 +170,7 @@ def _draw_cells(
 
 
 def _boxes(found: Detections, row: int, shown: Shown, side: int, scale: float) -> dict[int, Box]:
-    """Return the box of each obstacle in the picture, by label; of those outside there is none."""
+    """Return the boxes of the obstacles inside of the picture, by label."""
     count = int(found.num_obstacles[row])
     low, high = found.obstacles.uv_min[row, :count], found.obstacles.uv_max[row, :count]
     if shown.depth_range_m is not None and found.cells is not None:
@@ -196,7 +196,7 @@ def _depth_boxes(
 
 
 def _draw_scale(image: np.ndarray, near_m: float, far_m: float) -> None:
-    """Draw which colour is which depth, from near at the bottom to far at the top."""
+    """Draw the depth scale, from near at the bottom to far at the top."""
     width, height = _BAR
     height = min(height, image.shape[0] // 2)
     left, bottom = image.shape[1] - width - 14, image.shape[0] - 24
@@ -212,7 +212,7 @@ def _draw_scale(image: np.ndarray, near_m: float, far_m: float) -> None:
 
 
 def _chips(boxes: dict[int, Box], texts: dict[int, str], width: int, height: int) -> list[Chip]:
-    """Labels above their boxes, moved down where they would hide one another."""
+    """Place labels above their boxes, moved down where they would overlap."""
     placed: list[Chip] = []
     for label, box in boxes.items():
         text = texts[label]

@@ -38,30 +38,30 @@ _SHIFT = 4
 
 
 def color_of(label: int) -> Color:
-    """The colour of an obstacle in every picture."""
+    """Return the colour of an obstacle in all pictures."""
     return PALETTE[label % len(PALETTE)]
 
 
 def canvas(height: int, width: int, color: Color = BACKGROUND) -> np.ndarray:
-    """An empty picture ``(height, width, 3)`` uint8 RGB."""
+    """Return an empty picture ``(height, width, 3)`` uint8 RGB."""
     return np.full((height, width, 3), color, np.uint8)
 
 
 def fixed(points: np.ndarray) -> np.ndarray:
-    """Points in pixels as the fixed-point integers of OpenCV's drawing functions."""
+    """Convert pixels to the fixed-point integers of OpenCV's drawing functions."""
     clipped = np.clip(np.asarray(points, np.float64), -30000, 30000)
     return np.rint(clipped * (1 << _SHIFT)).astype(np.int32)
 
 
 def line(image: np.ndarray, points: np.ndarray, color: Color, width: int = 1) -> None:
-    """An open line through ``points`` ``(P, 2)`` pixels."""
+    """Draw an open line through ``points`` ``(P, 2)`` [pixel]."""
     cv2.polylines(image, [fixed(points)], False, color, width, cv2.LINE_AA, _SHIFT)
 
 
 def polygon(
     image: np.ndarray, points: np.ndarray, color: Color, fill: float = 0.0, width: int = 2
 ) -> None:
-    """A convex outline through ``points`` ``(P, 2)`` pixels, its inside at opacity ``fill``."""
+    """Draw a convex outline through ``points`` ``(P, 2)`` [pixel], filled with this opacity."""
     if fill > 0:
         layer = image.copy() if fill < 1 else image
         cv2.fillConvexPoly(layer, fixed(points), color, cv2.LINE_AA, _SHIFT)
@@ -74,7 +74,7 @@ def polygon(
 def dots(
     image: np.ndarray, points: np.ndarray, color: Color, radius: float, rim: float = 1.0
 ) -> None:
-    """Filled discs at ``points`` ``(P, 2)`` pixels, with a thin dark rim."""
+    """Draw filled discs with a dark rim at ``points`` ``(P, 2)`` [pixel]."""
     r, edge = (round(size * (1 << _SHIFT)) for size in (radius, rim))
     for center in fixed(points).tolist():
         cv2.circle(image, center, r + edge, (0, 0, 0), -1, cv2.LINE_AA, _SHIFT)
@@ -88,13 +88,13 @@ def _font() -> Any:
 
 
 _HAS_FONTS = hasattr(cv2, "FontFace")
-"""OpenCV 5 does. OpenCV 4, which another package may bring, has letters made of strokes, ASCII."""
+"""Whether OpenCV has fonts: OpenCV 5. OpenCV 4, of another package, has ASCII stroke fonts."""
 _STROKES, _STROKE_HEIGHT = cv2.FONT_HERSHEY_SIMPLEX, 21
-"""Height of their capitals at scale 1 [pixel]."""
+"""Stroke font of OpenCV 4, and the height of its capitals at scale 1 [pixel]."""
 
 
 def text_size(text: str, size: int, bold: bool = False) -> tuple[int, int]:
-    """Width and height of the capitals of ``text`` [pixel]."""
+    """Return the width of ``text`` and the height of its capitals [pixel]."""
     height = round(size * 0.72)
     if not _HAS_FONTS:
         scale, thick = height / _STROKE_HEIGHT, 1 + bold
@@ -118,7 +118,7 @@ def write(
     bold: bool = False,
     align: str = "left",
 ) -> None:
-    """Text whose baseline starts, ends (``right``) or is centred (``center``) at ``at``."""
+    """Write text whose baseline starts, ends (``right``) or is centred (``center``) at ``at``."""
     width, height = text_size(text, size, bold)
     x = at[0] - {"left": 0.0, "center": width / 2, "right": width}[align]
     place = round(x), round(at[1])
@@ -133,10 +133,10 @@ _PNG = (
     *(cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE),
     *(cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_PAETH),
 )
-"""For pictures of cameras: smaller than at zlib's level 6 and six times as quick."""
+"""PNG settings for camera images: smaller files than zlib level 6, six times as fast."""
 
 
 def write_png(path: Path, image: np.ndarray) -> None:
-    """Writes an RGB picture."""
+    """Write an RGB picture."""
     encoded = cv2.imencode(".png", image[..., ::-1], _PNG)[1]
     Path(os.fspath(path)).write_bytes(encoded.tobytes())

@@ -1,4 +1,4 @@
-"""The picture of one frame: the camera's view next to the top view."""
+"""Picture of a frame: camera view next to top view."""
 
 import numpy as np
 
@@ -14,7 +14,7 @@ TOP_WIDTH = 540
 HEADER, FOOTER, GAP = 46, 34, 10
 MAX_CAMERA_WIDTH = 960
 _COLORS_SHOWN = 3
-"""Of the obstacles' colours, in the legend."""
+"""Number of obstacle colours in the legend."""
 
 
 def draw_frame(
@@ -25,22 +25,22 @@ def draw_frame(
     config: Config,
     title: str,
 ) -> np.ndarray:
-    """Draw a picture of what was found in one frame.
+    """Draw the detections of a frame.
 
-    Left the colour image, or without one the depth image in colours, with the cells of each
-    obstacle in its colour, boxes and distances; right the top view with outlines, contours, the
-    free floor and where it drops. In the preset ``paper`` the corners take the place of the cells.
+    On the left is the colour image, or the depth image in false colours, with the cells of each
+    obstacle in its colour, boxes and distances; on the right the top view with outlines, contours,
+    free floor and drops. The preset ``paper`` has corners instead of cells.
 
     Args:
-        frames: The batch; its planes are seen from the camera that lengths refer to.
-        found: Its detections, as NumPy arrays, with cells.
-        corners: ``(B, M, 4, 2)`` float64, outlines in the ground frame [m].
-        row: The frame's row in the batch.
-        config: For the reach of the top view.
-        title: Heads the picture.
+        frames: Batch; its planes are relative to the camera that lengths refer to.
+        found: Detections, as NumPy arrays, with cells.
+        corners: Outlines in the ground frame, ``(B, M, 4, 2)`` float64 [m].
+        row: Row of the frame in the batch.
+        config: Configuration with the reach of the top view.
+        title: Title of the picture.
 
     Returns:
-        ``(h, w, 3)`` uint8, RGB, w about 1280 for a 4:3 camera.
+        Picture ``(h, w, 3)`` uint8, RGB, w about 1280 for a 4:3 camera.
     """
     plane = frames.plane or unknown_plane(frames.valid.size)
     frames = frames._replace(plane=plane)
@@ -71,7 +71,7 @@ def _camera_text(frames: Frames, row: int) -> str:
 
 
 def _legend(found: Detections, row: int) -> list[tuple[list[canvas.Color], str]]:
-    """Return colours and what they mean."""
+    """Return the colours of the legend and their meaning."""
     count = int(found.num_obstacles[row])
     obstacles = f"{count} obstacle" + "s" * (count != 1)
     several = [canvas.color_of(n) for n in range(min(max(count, 1), _COLORS_SHOWN))]

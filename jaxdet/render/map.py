@@ -1,4 +1,4 @@
-"""The picture of a whole log: outline counts, free floor, the robot's path, a scale bar."""
+"""Map of a log: outline counts, free floor, the camera's path, a scale bar."""
 
 import math
 from collections.abc import Sequence
@@ -20,16 +20,16 @@ STANDS: canvas.Color = (240, 240, 240)
 def draw_map(
     image: MapImage, title: str, tracks: Sequence[tuple[np.ndarray, bool]] | None = None
 ) -> np.ndarray:
-    """A picture of a map, X to the right and Y up.
+    """Draw a map, X to the right and Y up.
 
     Args:
-        image: The map.
-        title: Heads the picture.
-        tracks: Paths ``(P, 2)`` in the world [m] of things that were followed and whether they
-            move: a line that ends in a dot, or a small square. The map is drawn darker under them.
+        image: Map.
+        title: Title of the picture.
+        tracks: Paths ``(P, 2)`` of tracks in the world [m], and whether they move: a line that ends
+            in a dot, or a small square. The map is darker under them.
 
     Returns:
-        ``(h, w, 3)`` uint8, RGB.
+        Picture ``(h, w, 3)`` uint8, RGB.
     """
     low, high = _bounds(image)
     scale = min(LONG_SIDE / max(float((high - low).max()), 1e-6), 400.0)
@@ -68,7 +68,7 @@ def _draw_track(panel: np.ndarray, way: np.ndarray, color: canvas.Color, moves: 
 
 
 def _bounds(image: MapImage) -> tuple[np.ndarray, np.ndarray]:
-    """World corners of the picture: all cells and the path, and a margin."""
+    """Return the world corners of the picture: all cells and the path, plus a margin."""
     low = np.array(image.origin)
     high = low + np.array(image.counts.shape[::-1]) * image.cell_m
     if len(image.path):
@@ -79,7 +79,7 @@ def _bounds(image: MapImage) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _paint_counts(panel: np.ndarray, image: MapImage, low: np.ndarray, scale: float) -> None:
-    """Each pixel shows the cell under its centre."""
+    """Paint each pixel with the cell under its centre."""
     height, width = panel.shape[:2]
     x = low[0] + (np.arange(width) + 0.5) / scale
     y = low[1] + (height - np.arange(height) - 0.5) / scale
@@ -95,7 +95,7 @@ def _paint_counts(panel: np.ndarray, image: MapImage, low: np.ndarray, scale: fl
 
 
 def _heat(counts: np.ndarray, most: int) -> np.ndarray:
-    """Counts as colours, logarithmic, dark purple to yellow."""
+    """Map counts to colours, logarithmically, from dark purple to yellow."""
     share = np.log1p(np.maximum(counts - 1, 0)) / max(np.log1p(most - 1), 1e-9)
     level = (70 + 170 * np.clip(share, 0, 1)).astype(np.uint8)
     return cv2.applyColorMap(level, cv2.COLORMAP_INFERNO)[..., ::-1]
@@ -114,7 +114,7 @@ def _draw_grid(panel: np.ndarray, low: np.ndarray, scale: float, step: float) ->
 
 
 def _round_length(metres: float) -> float:
-    """The first of 0.1, 0.2, 0.5, 1, 2, 5, ... that is not shorter."""
+    """Round up to 0.1, 0.2, 0.5, 1, 2, 5, ..."""
     tens = 10.0 ** max(math.floor(math.log10(metres)), -1)
     return next(base * tens for base in (1, 2, 5, 10, 20) if base * tens >= metres)
 

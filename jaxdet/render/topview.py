@@ -1,4 +1,4 @@
-"""The top view of one frame: points, outlines and free floor in the ground frame, in metres."""
+"""Top view of a frame: points, outlines and free floor in the ground frame, in metres."""
 
 from typing import NamedTuple
 
@@ -12,15 +12,15 @@ _MARGIN = 34
 
 
 class View(NamedTuple):
-    """From the ground frame to pixels."""
+    """Transform from the ground frame to pixels."""
 
     center: float
     bottom: float
     scale: float
-    """Pixels in a metre."""
+    """Pixels per metre."""
 
     def pixels(self, points: np.ndarray) -> np.ndarray:
-        """Points ``(..., 2)`` right and forward [m] as pixels."""
+        """Convert points ``(..., 2)``, right and forward [m], to pixels."""
         x, y = points[..., 0], points[..., 1]
         return np.stack([self.center + x * self.scale, self.bottom - y * self.scale], axis=-1)
 
@@ -34,19 +34,19 @@ def top_view(
     calibration: Calibration,
     max_depth_m: float,
 ) -> np.ndarray:
-    """The ground in front of the camera, which stands at the bottom.
+    """Draw the ground in front of the camera, which is at the bottom.
 
     Args:
         size: Height and width of the picture [pixel].
-        found: The batch's detections, as NumPy arrays.
-        corners: ``(B, M, 4, 2)`` float64, outlines in the ground frame [m].
-        row: The frame's row in them.
-        plane: ``(B,)`` planes.
-        calibration: For the field of view and the depth unit.
-        max_depth_m: Farthest depth used [m]; the view reaches that far.
+        found: Detections of the batch, as NumPy arrays.
+        corners: Outlines in the ground frame, ``(B, M, 4, 2)`` float64 [m].
+        row: Row of the frame.
+        plane: Planes ``(B,)``.
+        calibration: Calibration with the field of view and the depth unit.
+        max_depth_m: Maximum depth, and reach of the view [m].
 
     Returns:
-        ``size + (3,)`` uint8, RGB.
+        Picture ``size + (3,)`` uint8, RGB.
     """
     height, width = size
     image = canvas.canvas(height, width, canvas.PANEL)
@@ -78,7 +78,7 @@ def top_view(
 def ground_points(
     points: Features | Cells, row: int, plane: GroundPlane, unit: float
 ) -> np.ndarray:
-    """Return the points of a frame on the ground, ``(N, 2)`` float64, right and forward [m]."""
+    """Project the points of a frame onto the ground: right and forward, ``(N, 2)`` float64 [m]."""
     axes = (np.ravel(axis[row]) for axis in (points.x, points.y, points.z))
     xyz = np.stack(list(axes), axis=1).astype(np.float64)
     return xyz @ ground_axes(plane)[row].T.astype(np.float64) / (1 << GROUND_BITS) * unit
@@ -119,7 +119,7 @@ def _draw_points(
 
 
 def _apart(points: np.ndarray) -> np.ndarray:
-    """Return one point of those in each pixel."""
+    """Return one point per pixel."""
     return points[np.unique(np.rint(points), axis=0, return_index=True)[1]]
 
 
@@ -132,7 +132,7 @@ def _draw_outlines(
 
 
 def _draw_marks(image: np.ndarray, view: View, found: Detections, row: int, unit: float) -> None:
-    """The points A, B and C."""
+    """Draw the points A, B and C."""
     obstacles = found.obstacles
     for label in reversed(range(int(found.num_obstacles[row]))):
         marks = np.stack(
@@ -140,7 +140,7 @@ def _draw_marks(image: np.ndarray, view: View, found: Detections, row: int, unit
         )
         spots = view.pixels(marks * unit)
         canvas.dots(image, spots, canvas.color_of(label), 3.5)
-        # Letters where they stay apart: A to the left of the outline, B right, C below.
+        # Letters that don't overlap: A to the left of the outline, B right, C below.
         aligned = ("right", (-7, 4)), ("left", (7, 4)), ("center", (0, 18))
         for name, at, (align, shift) in zip("ABC", spots.tolist(), aligned, strict=True):
             place = (at[0] + shift[0], at[1] + shift[1])
@@ -150,7 +150,7 @@ def _draw_marks(image: np.ndarray, view: View, found: Detections, row: int, unit
 def _draw_contours(
     image: np.ndarray, view: View, scene: Scene, count: int, row: int, unit: float
 ) -> None:
-    """The visible edge of each obstacle, and the drops, on top."""
+    """Draw the visible edge of each obstacle, and the drops."""
     for label in reversed(range(count)):
         points = scene.contour[row, label, : scene.contour_points[row, label]]
         canvas.line(image, view.pixels(points * unit), (10, 12, 16), 4)
@@ -160,7 +160,7 @@ def _draw_contours(
 
 
 def _draw_free(image: np.ndarray, view: View, scene: Scene, row: int, unit: float) -> None:
-    """The free floor between neighbouring columns that both show some."""
+    """Draw the free floor between neighbouring columns that both have some."""
     lines = view.pixels(scene.free[row] * unit)
     seen = (scene.free[row, :, 0] != scene.free[row, :, 1]).any(axis=-1)
     layer = image.copy()

@@ -16,7 +16,7 @@ import warp as wp
 
 import jaxdet_kernels
 from jaxdet.errors import JaxdetError
-from jaxdet.quiet import quiet_warp
+from jaxdet.warp_start import start_warp
 
 _CHECKSUMS = "checksums"
 _lock = Lock()
@@ -34,7 +34,7 @@ def load_for_cpu(module: ModuleType) -> None:
     with _lock:
         if module.__name__ in _loaded:
             return
-        quiet_warp()  # which decides where its cache is
+        start_warp()  # which decides where its cache is
         cache_folder = Path(str(wp.config.kernel_cache_dir))
         folder = cache_folder / f"{module.__name__}-{_version()}"
         if not _load(module, folder):

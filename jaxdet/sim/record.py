@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 
 from jaxdet.io.writer import Ros2LogWriter, Transform
-from jaxdet.quiet import quiet_warp
 from jaxdet.sim.config import SimConfig, calibration_of
 from jaxdet.sim.frames import SimFrame, simulate
 from jaxdet.sim.robot import OPTICAL, WHEEL_RADIUS_M, drifted, mount, pose_at, velocity_at
@@ -15,6 +14,7 @@ from jaxdet.sim.scene import Scene
 from jaxdet.sim.scenes import scene_of
 from jaxdet.sim.truth import Truth, TruthWriter, truth_path
 from jaxdet.types import Calibration, Intrinsics
+from jaxdet.warp_start import start_warp
 
 NAMESPACE = "/camera/camera"
 COLOR_FRAME = "camera_color_optical_frame"
@@ -41,7 +41,7 @@ def write_log(
         InputError: The scene's file can't be read.
     """
     config = config or SimConfig()
-    quiet_warp()  # keep standard output clean for the caller
+    start_warp()  # keep standard output clean for the caller
     scene, calibration = scene_of(config), calibration_of(config)
     with (
         TruthWriter(truth_path(path), config, scene) as truth,

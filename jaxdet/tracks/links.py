@@ -99,9 +99,9 @@ def end_pieces(
     short = 2 * obs.outline.half.max(axis=1) <= config.long_m
     taken &= short[old] & short[new]
     old, new = old[taken], new[taken]
-    beside = gap(obs.outline.take(old), obs.outline.take(new)) <= config.touch_m
+    adjacent = gap(obs.outline.take(old), obs.outline.take(new)) <= config.touch_m
     cut = np.full(len(before), np.iinfo(np.int64).max)
-    np.minimum.at(cut, root[old[beside]], obs.frame[old[beside]])
+    np.minimum.at(cut, root[old[adjacent]], obs.frame[old[adjacent]])
     return np.where(obs.frame >= cut[root], -1, before)
 
 

@@ -9,7 +9,7 @@ from jaxdet.engine import decide_planes
 from jaxdet.engine.color import method_frames
 from jaxdet.engine.floors import evenly
 from jaxdet.errors import FrameStatus, JaxdetError
-from jaxdet.export.recordings import some, ways
+from jaxdet.export.recordings import open_modes, some
 from jaxdet.floor.plane import unknown_plane
 from jaxdet.io import Log, LogFiles, open_log
 from jaxdet.pipeline import detect
@@ -74,7 +74,7 @@ def check_log(
         report: Gets what is found.
     """
     found = Report()
-    for options in ways(results, log):
+    for options in open_modes(results, log):
         found = Report()
         try:
             with open_log(files, options) as opened:

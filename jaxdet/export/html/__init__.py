@@ -1,4 +1,4 @@
-"""``--to html``: a report in one file that any browser shows, without a network."""
+"""``--to html``: a self-contained report for any browser, without a network."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -22,7 +22,7 @@ from jaxdet.export.html.page import (
     page,
     run_lines,
 )
-from jaxdet.export.html.ways import track_rows
+from jaxdet.export.html.trajectories import track_rows
 from jaxdet.io.options import LogOptions
 from jaxdet.render.canvas import PALETTE
 from jaxdet.results.summary import failure
@@ -32,9 +32,9 @@ if TYPE_CHECKING:
     from jaxdet.results.reading import ResultLog, Results
 
 MOST_ROWS = 24
-"""Obstacles listed of a frame, the nearest."""
+"""Maximum number of obstacles listed per frame, the nearest."""
 MOST_MAPS = 24
-"""Maps shown, of the logs with most frames."""
+"""Maximum number of maps, of the logs with most frames."""
 FRAME_COLUMNS = (
     *("stamp_ns", "status", "overflow", "drop_m", "floor_source", "floor_refused"),
     *("camera_height_m", "camera_pitch_rad", "camera_roll_rad"),
@@ -44,24 +44,23 @@ OBSTACLE_COLUMNS = (
 )
 CHUNK_FRAMES = 1 << 14
 DIGITS = 6
-"""Of metres: what float32 holds, so that rounding for the eye gives what pictures say."""
+"""Decimals of metres: the precision of float32, so that rounded values agree with pictures."""
 
 
 def export(results: "Results", output: Path, recordings: Mapping[str, "LogFiles"]) -> list[str]:
-    """Writes the report.
+    """Write the report.
 
-    The frames of a long log are put into a few hundred bins, of which the nearest obstacle is
-    shown; the gallery has the frames that are worth a look, and pictures where the run drew some.
-    So the file stays small: 1 MB, and 50 kB for each picture.
+    The frames of a long log are grouped into a few hundred bins, each with its nearest obstacle;
+    the gallery shows selected frames. So the file is small: 1 MB, plus 50 kB per picture.
 
     Args:
-        results: The results.
-        output: The file.
-        recordings: Where logs of the results are; the others are looked for where the run found
-            them. The frames in the gallery that have no picture are drawn from them.
+        results: Results.
+        output: File.
+        recordings: Logs of the results; others are read from their original paths. Frames of the
+            gallery without a picture are drawn from them.
 
     Returns:
-        A line for each log of which some can't be drawn.
+        A line for each log with frames that can't be drawn.
     """
     figures = collect(results, results.method.ground.max_depth_m)
     pictures = {
@@ -107,9 +106,9 @@ def export(results: "Results", output: Path, recordings: Mapping[str, "LogFiles"
 
 
 def _reach(figures: Sequence[LogFigures], shown: Iterable[Mapping[str, Any]]) -> int:
-    """How far the timelines go [m]: one scale for all logs, as far as what is drawn in them.
+    """Return the maximum distance of the timelines [m], a common scale for all logs.
 
-    That may be farther than depth is used, as distances to the side are.
+    It may exceed the maximum depth, as obstacles at the side are farther away than their depth.
     """
     drawn = [distance for one in figures for distance in one.timeline.nearest_m.tolist()]
     drawn += [frame["nearest"] for frame in shown if frame["nearest"] is not None]
@@ -121,10 +120,10 @@ def _draw(
     shown: Mapping[Key, dict[str, Any]],
     recordings: Mapping[str, "LogFiles"],
 ) -> list[str]:
-    """Draws the frames that have a result but no picture.
+    """Draw the frames that have a result but no picture.
 
     Returns:
-        A line for each log that was not given, and can't be read where the run found it.
+        A line for each log that was not given and can't be read at its original path.
     """
     undrawn = []
     for log in results.logs:
@@ -135,7 +134,7 @@ def _draw(
         ]
         if not wanted:
             continue
-        from jaxdet.export.html.drawing import draw_again  # which loads JAX
+        from jaxdet.export.html.drawing import draw_again  # loads JAX
         from jaxdet.export.recordings import recorded
 
         try:
@@ -150,14 +149,14 @@ def _draw(
 
 
 def _mapped(results: "Results") -> set[str]:
-    """The logs whose maps are shown."""
+    """Return the logs whose maps are shown."""
     some = [log for log in results.logs if log.summary["map"]]
     some.sort(key=lambda log: -log.num_frames)
     return {log.label for log in some[:MOST_MAPS]}
 
 
 def _log(results: "Results", log: "ResultLog", figures: LogFigures) -> dict[str, Any]:
-    """What the page needs of a log, but its map."""
+    """Return the data of a log for the page, except its map."""
     line, start, stop = figures.timeline, figures.start_ns, figures.stop_ns
     bins, summary = slice(0, line.bins), log.summary
     nearest = _numbers(line.nearest_m[bins], DIGITS)
@@ -202,7 +201,7 @@ def _log(results: "Results", log: "ResultLog", figures: LogFigures) -> dict[str,
 
 
 def _failed(entry: Mapping[str, Any]) -> dict[str, Any]:
-    """A log that is not in the tables."""
+    """Return the data of a failed log, which is not in the tables."""
     nothing = dict.fromkeys(("nearest", "begin", "duration", "bins", "map", "map_file", "tracks"))
     nothing |= dict.fromkeys(("per_frame", "per_obstacle", "near_frames", "near_obstacles"))
     counts = dict.fromkeys(("frames", "obstacles", "overflow", "floorless"), 0)
@@ -214,7 +213,7 @@ def _failed(entry: Mapping[str, Any]) -> dict[str, Any]:
 def _shown(
     results: "Results", chosen: Mapping[Key, Sequence[str]], place: Mapping[str, int]
 ) -> dict[Key, dict[str, Any]]:
-    """The chosen frames as the page needs them, but their pictures."""
+    """Return the data of the chosen frames for the page, except their pictures."""
     found: dict[Key, dict[str, Any]] = {}
     for log in results.logs:
         wanted = np.array([frame for name, frame in chosen if name == log.label], np.int64)
@@ -245,7 +244,7 @@ def _shown(
 
 
 def _frame(row: Mapping[str, Any], parts: list[dict[str, Any]], begin: int) -> dict[str, Any]:
-    """A frame from its rows."""
+    """Return the data of a frame from its rows."""
 
     def degrees(name: str) -> float | None:
         return None if row[name] is None else float(np.degrees(row[name]))
@@ -271,7 +270,7 @@ def _frame(row: Mapping[str, Any], parts: list[dict[str, Any]], begin: int) -> d
 
 
 def _obstacle(part: Mapping[str, Any]) -> list[Any]:
-    """Label, distance, bottom, top, width and depth of the outline, cells."""
+    """Return label, distance, bottom, top, width and depth of the outline, number of cells."""
     corners = np.reshape(part["corners_ground"], (4, 2))
     wide, deep = (float(np.hypot(*(corners[i + 1] - corners[i]))) for i in (0, 1))
     metres = (part["distance_m"], part["bottom_m"], part["top_m"], wide, deep)
@@ -280,11 +279,11 @@ def _obstacle(part: Mapping[str, Any]) -> list[Any]:
 
 
 def _reasons(errors: Sequence[str]) -> list[tuple[int, str]]:
-    """The frame that each line is of, and the rest of the line."""
+    """Return the frame number of each line, and the rest of the line."""
     split = (line.removeprefix("frame ").partition(": ") for line in errors)
     return [(int(number), text) for number, _, text in split if number.isdigit()]
 
 
 def _numbers(values: np.ndarray, digits: int) -> list[float | None]:
-    """As JSON has them; infinite ones are null."""
+    """Return values for JSON; infinite ones are null."""
     return [round(v, digits) if np.isfinite(v) else None for v in values.tolist()]

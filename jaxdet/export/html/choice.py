@@ -1,4 +1,4 @@
-"""Which frames the gallery shows."""
+"""Selection of the frames of the gallery."""
 
 from collections.abc import Iterable, Sequence
 from itertools import chain, zip_longest
@@ -6,22 +6,22 @@ from itertools import chain, zip_longest
 from jaxdet.export.html.collect import LogFigures
 
 EACH = 12
-"""Frames of each kind: nearest, most obstacles, more than there is room for."""
+"""Maximum number of frames per kind: nearest, most obstacles, overflow."""
 LOST = 36
-"""Frames without a result."""
+"""Maximum number of frames without a result."""
 SAMPLED = 36
-"""Frames with a picture for no other reason."""
+"""Maximum number of further frames with a picture."""
 
 Key = tuple[str, int]
-"""A log and the number of one of its frames."""
+"""Log and frame number."""
 
 
 def choose(figures: Sequence[LogFigures], pictures: Iterable[Key]) -> dict[Key, list[str]]:
-    """Frames worth a look, each with the kinds that it is of, ordered as in the tables.
+    """Choose frames of interest, each with its kinds, in the order of the tables.
 
     Args:
-        figures: Of each log.
-        pictures: The frames that have one.
+        figures: Statistics of each log.
+        pictures: Frames with a picture.
     """
     kinds: dict[Key, list[str]] = {}
 
@@ -51,5 +51,5 @@ def choose(figures: Sequence[LogFigures], pictures: Iterable[Key]) -> dict[Key, 
 
 
 def _in_turn(lists: Iterable[Sequence[Key]]) -> Iterable[Key]:
-    """The first of each list, then the second of each."""
+    """Yield the first element of each list, then the second of each, and so on."""
     return (key for key in chain(*zip_longest(*lists)) if key is not None)

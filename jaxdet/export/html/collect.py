@@ -1,4 +1,4 @@
-"""One pass over the tables of results: timelines, histograms, and the frames worth a look."""
+"""Statistics of results in one pass over the tables: timelines, histograms, notable frames."""
 
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
@@ -11,40 +11,40 @@ if TYPE_CHECKING:
     from jaxdet.results.reading import Results
 
 MOST_BINS = 512
-"""Of a timeline; longer logs have several frames in a bin, of which the nearest obstacle is
-kept."""
+"""Maximum number of bins of a timeline; a bin of a longer log is several frames, with their nearest
+obstacle."""
 LOST_KEPT = 12
-"""First frames without a result, and with an overflow, that are kept of each log."""
+"""Maximum number of first frames without a result, and with an overflow, per log."""
 HISTOGRAM_BINS = 41
-"""The last one is open."""
+"""Number of bins; the last one is open."""
 NEAR_M = (1.0, 0.5)
-"""What is nearer is counted by itself: these need be no edges of the histograms' bins [m]."""
+"""Distances below which obstacles are counted separately, as they may not be bin edges [m]."""
 APART = 32
-"""Frames worth a look are this part of their log apart."""
+"""Notable frames are separated by this fraction (1 / APART) of their log."""
 CHUNK_FRAMES = 1 << 16
-"""Read together."""
+"""Number of frames read at once."""
 FRAME_COLUMNS = ("frame", "stamp_ns", "status", "overflow")
 
 
 class Columns(NamedTuple):
-    """Some frames of a log in their order, each with its obstacles' distances."""
+    """Consecutive frames of a log, with the distances of their obstacles."""
 
     frame: np.ndarray
-    """``(n,)`` int64."""
+    """Frame numbers ``(n,)`` int64."""
     stamp_ns: np.ndarray
-    """``(n,)`` int64."""
+    """Timestamps ``(n,)`` int64."""
     status: np.ndarray
-    """``(n,)`` str objects."""
+    """Status ``(n,)`` str objects."""
     overflow: np.ndarray
-    """``(n,)`` bool."""
+    """Overflow ``(n,)`` bool."""
     obstacles: np.ndarray
-    """``(n,)`` int64, how many."""
+    """Number of obstacles, ``(n,)`` int64."""
     distance_m: np.ndarray
-    """``(sum of obstacles,)`` float32, of all of them, frame after frame."""
+    """Distances of all obstacles, frame by frame, ``(sum of obstacles,)`` float32."""
 
     @property
     def nearest_m(self) -> np.ndarray:
-        """``(n,)`` float64, distance of the nearest obstacle; inf without one."""
+        """Distance of the nearest obstacle, ``(n,)`` float64; inf without one."""
         nearest, some = np.full(len(self.frame), np.inf), self.obstacles > 0
         first = (np.cumsum(self.obstacles) - self.obstacles)[some]
         if first.size:
@@ -53,40 +53,40 @@ class Columns(NamedTuple):
 
 
 class Timeline:
-    """The frames of a log in bins of equal numbers of frames, however many there are.
+    """Frames of a log in bins of equal numbers of frames.
 
     Args:
-        frames: Of the log.
+        frames: Number of frames of the log.
     """
 
     def __init__(self, frames: int) -> None:
         self.stride = 1
-        """Frames in a bin, a power of two."""
+        """Number of frames per bin, a power of two."""
         while self.stride * MOST_BINS < frames:
             self.stride *= 2
         self.count = 0
-        """Frames seen."""
+        """Number of frames so far."""
         bins = -(-frames // self.stride)
         self.nearest_m = np.full(bins, np.inf)
-        """Of each bin the nearest obstacle."""
+        """Distance of the nearest obstacle in each bin."""
         self.frame = np.zeros(bins, np.int64)
-        """The number of the frame with the nearest obstacle, else of the bin's first."""
+        """Number of the frame with the nearest obstacle, else of the bin's first frame."""
         self.stamp_ns = np.zeros(bins, np.int64)
-        """Of that frame."""
+        """Timestamp of that frame."""
         self.lost = np.zeros(bins, np.int64)
-        """Frames without a result."""
+        """Number of frames without a result."""
         self.most = np.full(bins, -1)
-        """Most obstacles of a frame."""
+        """Maximum number of obstacles in a frame."""
         self.most_frame = np.zeros(bins, np.int64)
-        """And its number."""
+        """Number of the frame with most obstacles."""
 
     @property
     def bins(self) -> int:
-        """How many there are."""
+        """Number of bins."""
         return len(self.most)
 
     def add(self, rows: Columns) -> None:
-        """Appends rows of the log."""
+        """Append rows of the log."""
         nearest = rows.nearest_m
         index = (self.count + np.arange(len(nearest))) // self.stride
         self.count += len(nearest)
@@ -102,16 +102,16 @@ class Timeline:
         self.most[at], self.most_frame[at] = rows.obstacles[row], rows.frame[row]
 
     def nearest_frames(self, most: int) -> list[int]:
-        """Numbers of frames with the nearest obstacles, some way apart, the nearest first."""
+        """Return the frames with the nearest obstacles, spaced in time, the nearest first."""
         return [int(self.frame[b]) for b in self._spaced(self.nearest_m, most)]
 
     def fullest_frames(self, most: int) -> list[int]:
-        """Numbers of frames with the most obstacles, likewise."""
+        """Return the frames with the most obstacles, spaced in time, the fullest first."""
         counts = np.where(self.most > 0, -self.most.astype(np.float64), np.inf)
         return [int(self.most_frame[b]) for b in self._spaced(counts, most)]
 
     def _spaced(self, cost: np.ndarray, most: int) -> list[int]:
-        """The bins of least cost, each some way from the others; infinite ones are none."""
+        """Return the bins of least finite cost, at least 1 / APART of the log apart."""
         chosen: list[int] = []
         apart = max(1, self.bins // APART)
         for b in np.argsort(cost, kind="stable").tolist():
@@ -123,36 +123,36 @@ class Timeline:
 
 
 def _best(index: np.ndarray, cost: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """The row of least cost of each bin, of equal ones the first; ``first`` begins each bin."""
+    """Return the row of least cost in each bin, the first in a tie; ``first`` begins each bin."""
     order = np.lexsort((np.arange(len(cost)), cost, index))
     return order[first]
 
 
 @dataclass
 class LogFigures:
-    """What the tables say of a log."""
+    """Statistics of a log."""
 
     log: str
     width_m: float
-    """Of a bin of the histograms."""
+    """Bin width of the histograms [m]."""
     timeline: Timeline
     start_ns: int | None = None
     stop_ns: int | None = None
     per_frame: np.ndarray = field(default_factory=lambda: np.zeros(HISTOGRAM_BINS, np.int64))
     """Histogram of the distance to the nearest obstacle of each frame; its last bin is open."""
     per_obstacle: np.ndarray = field(default_factory=lambda: np.zeros(HISTOGRAM_BINS, np.int64))
-    """And of all distances."""
+    """Histogram of all distances."""
     near_frames: np.ndarray = field(default_factory=lambda: np.zeros(len(NEAR_M), np.int64))
     """Frames whose nearest obstacle is nearer than each of :data:`NEAR_M`."""
     near_obstacles: np.ndarray = field(default_factory=lambda: np.zeros(len(NEAR_M), np.int64))
-    """And of all obstacles."""
+    """Obstacles nearer than each of :data:`NEAR_M`."""
     lost: list[int] = field(default_factory=list)
-    """The first frames without a result."""
+    """First frames without a result."""
     overflow: list[int] = field(default_factory=list)
-    """The first frames with an overflow."""
+    """First frames with an overflow."""
 
     def add(self, rows: Columns) -> None:
-        """Appends rows of the log."""
+        """Append rows of the log."""
         self.timeline.add(rows)
         if self.start_ns is None:
             self.start_ns = int(rows.stamp_ns[0])
@@ -174,11 +174,11 @@ class LogFigures:
 
 
 def collect(results: "Results", range_m: float) -> list[LogFigures]:
-    """The figures of each log, in the order of the tables, in one pass and bounded memory.
+    """Collect the statistics of each log, in the order of the tables, with bounded memory.
 
     Args:
-        results: The results.
-        range_m: Farthest depth used, for the histograms [m].
+        results: Results.
+        range_m: Maximum depth, for the histograms [m].
     """
     width_m, found = range_m / (HISTOGRAM_BINS - 1), []
     for log in results.logs:

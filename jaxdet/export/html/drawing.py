@@ -1,4 +1,4 @@
-"""Pictures of chosen frames, drawn from their log as the run draws them."""
+"""Pictures of chosen frames, drawn from their log as in a run."""
 
 from collections.abc import Iterator, Sequence
 
@@ -15,16 +15,16 @@ from jaxdet.results.rows import row_inputs, shown_planes
 def draw_again(
     results: Results, log: ResultLog, files: LogFiles, wanted: Sequence[int]
 ) -> Iterator[tuple[int, np.ndarray]]:
-    """Draws frames.
+    """Draw frames.
 
     Args:
-        results: The results.
+        results: Results.
         log: One of its logs.
-        files: Where that is.
-        wanted: The frames' numbers.
+        files: Files of the log.
+        wanted: Frame numbers.
 
-    Returns:
-        Of each its number and its picture, ``(h, w, 3)`` uint8, BGR.
+    Yields:
+        Number and picture ``(h, w, 3)`` uint8, BGR, of each frame.
     """
     config = results.method
     for seen in look_again(results, log, files, np.array(wanted), with_cells=True, color=True):

@@ -10,18 +10,18 @@ import numpy as np
 from jaxdet.errors import InputError
 
 WIDTH = 1024
-"""Of pictures of frames [pixel]."""
+"""Maximum width of pictures [pixel]."""
 QUALITY = 74
 
 
 def data_url(image: np.ndarray, quality: int) -> str:
-    """A BGR picture, with or without alpha, as WebP in a ``data:`` URL."""
+    """Encode a BGR picture, with or without alpha, as WebP in a ``data:`` URL."""
     encoded = cv2.imencode(".webp", image, [cv2.IMWRITE_WEBP_QUALITY, quality])[1]
     return f"data:image/webp;base64,{b64encode(encoded.tobytes()).decode()}"
 
 
 def frame_picture(picture: np.ndarray) -> dict[str, Any]:
-    """The picture of a frame, ``(h, w, 3)`` uint8 BGR, made smaller, and its size, for the page."""
+    """Encode the picture of a frame, ``(h, w, 3)`` uint8 BGR, for the page, with its size."""
     height, width = picture.shape[:2]
     if width > WIDTH:
         size = (WIDTH, round(height * WIDTH / width))
@@ -30,14 +30,14 @@ def frame_picture(picture: np.ndarray) -> dict[str, Any]:
 
 
 def read_picture(path: Path) -> np.ndarray:
-    """A picture of a results folder, ``(h, w, 3)`` uint8 BGR.
+    """Read a picture of a results folder, ``(h, w, 3)`` uint8 BGR.
 
     Raises:
-        InputError: It can't be read, or is no picture.
+        InputError: It can't be read, or is not a picture.
     """
     remedy = "remove it, then it is drawn from the log, or run jaxdet run again"
     try:
-        data = np.frombuffer(path.read_bytes(), np.uint8)  # of a path OpenCV prints warnings
+        data = np.frombuffer(path.read_bytes(), np.uint8)  # imread would print warnings
     except OSError as error:
         problem = f"the picture can't be read ({error.strerror})"
         raise InputError(problem, path=str(path), remedy=remedy) from error

@@ -1,4 +1,4 @@
-"""Maps of logs with their path, for an SVG to show."""
+"""Maps of logs with the camera's path, for an SVG."""
 
 from typing import Any
 
@@ -10,21 +10,21 @@ from jaxdet.export.map_picture import map_picture
 from jaxdet.results.occupancy import MapImage
 
 MOST_POINTS = 800
-"""Of the path."""
+"""Maximum number of points of the path."""
 LOSSLESS = 101
-"""WebP's quality that says so."""
+"""WebP quality for lossless compression."""
 
 
 def map_figure(image: MapImage) -> dict[str, Any]:
-    """What the page needs to draw a map.
+    """Return the data of a map for the page.
 
     Args:
-        image: The map of a log.
+        image: Map of a log.
 
     Returns:
-        ``picture`` (a data URL, X to the right and Y up), its ``x``, ``y`` (world coordinates of
-        its lower left corner), ``width`` and ``height`` [m], ``cell`` (side of a pixel [m]) and
-        ``path``, a list of X and Y in turn [m].
+        ``picture`` (a data URL, X to the right and Y up), ``x``, ``y`` (world coordinates of its
+        lower left corner), ``width`` and ``height`` [m], ``cell`` (side of a pixel [m]) and
+        ``path`` (alternating X and Y [m]).
     """
     picture, cell_m = map_picture(image)
     height, width = picture.shape[:2]

@@ -1,4 +1,4 @@
-"""The page: what the tables say as JSON, in a page that draws it without anything from outside."""
+"""HTML page with the data as JSON, and a script that draws it without external resources."""
 
 import json
 from base64 import b64encode
@@ -24,7 +24,7 @@ REASONS = {
     "worker_crashed": "The processes that worked on it died.",
     "timeout": "The processes that worked on it made no progress.",
 }
-"""What each :class:`jaxdet.errors.FrameStatus` means but ``ok``."""
+"""Meaning of each :class:`jaxdet.errors.FrameStatus` except ``ok``."""
 SOURCES = {
     "frame": "its own depth",
     "window": "frames of its time window",
@@ -33,20 +33,20 @@ SOURCES = {
     "flags": "the settings",
     "none": "nowhere",
 }
-"""What ``floor_source`` means."""
+"""Meaning of ``floor_source``."""
 FIRST_DATE_S = 946684800
-"""Stamps before the year 2000 count from somewhere else, and have no date."""
+"""Timestamps before the year 2000 are not UNIX times, and have no date [s]."""
 
 
 def page(title: str, data: Mapping[str, Any]) -> str:
-    """The whole page.
+    """Return the HTML page.
 
-    Only the script and the style that are in it may run, by their hashes, and nothing may be
-    loaded: a name in a log that were not escaped could still do nothing.
+    Its content security policy allows only the embedded script and style, by their hashes, and no
+    loading, so that even an unescaped name of a log would be harmless.
 
     Args:
-        title: Of the report.
-        data: What the script draws, as JSON has it.
+        title: Title of the report.
+        data: Data for the script, as JSON values.
     """
     parts = files("jaxdet.export.html")
     style, script, text = (
@@ -69,17 +69,17 @@ def _hash(text: str) -> str:
 
 
 def _in_script(data: Mapping[str, Any]) -> str:
-    """JSON that can't end the element it is in."""
+    """Encode JSON so that it can't end its script element."""
     text = json.dumps(data, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
     return text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")
 
 
 def changed_settings(config: Mapping[str, Any], method: Config) -> list[list[str]]:
-    """The settings that differ from their preset: name, value, the preset's.
+    """Return the settings that differ from their preset: name, value, the preset's value.
 
     Args:
-        config: ``config.json``.
-        method: The configuration in it.
+        config: Contents of ``config.json``.
+        method: Configuration in it.
     """
     standard = plain(preset(config.get("preset") or "wheeled"))
     found = []
@@ -91,7 +91,7 @@ def changed_settings(config: Mapping[str, Any], method: Config) -> list[list[str
 
 
 def given_options(options: Any, standard: Any) -> list[list[str]]:
-    """What the user said about the logs: name, value, the default."""
+    """Return the log options that differ from the defaults: name, value, default."""
     pairs = zip(plain(options).items(), plain(standard).values(), strict=True)
     return [[f"log.{n}", _said(v), _said(d)] for (n, v), d in pairs if v != d]
 
@@ -110,7 +110,7 @@ def run_lines(results: "Results") -> list[list[str]]:
 
 
 def about(version: str, frames: int, begins_s: Sequence[float]) -> str:
-    """The line below the title."""
+    """Return the line below the title."""
     dates = [datetime.fromtimestamp(s, UTC).date().isoformat() for s in begins_s if s]
     recorded = ""
     if dates:

@@ -1,4 +1,4 @@
-"""Tracks of logs, as the page lists them and draws their ways on the map."""
+"""Tracks of logs, for the lists and maps of the page."""
 
 import heapq
 from typing import TYPE_CHECKING, Any
@@ -9,23 +9,24 @@ if TYPE_CHECKING:
     from jaxdet.results.reading import ResultLog, Results
 
 MOST = 200
-"""Tracks of a log that are listed, of those that move and of those that stand."""
+"""Maximum number of moving tracks, and of stationary tracks, listed per log."""
 MOST_POINTS = 40
-"""Of a way."""
+"""Maximum number of points of a trajectory."""
 
 
 def track_rows(results: "Results", log: "ResultLog", begin_ns: int) -> dict[str, Any] | None:
-    """The tracks of a log that were seen in most frames, those that move and those that stand.
+    """Return the moving and the stationary tracks of a log with the most frames.
 
     Args:
-        results: What a run wrote.
+        results: Results of a run.
         log: One of its logs.
-        begin_ns: The stamp that times are counted from.
+        begin_ns: Timestamp to which times are relative [ns].
 
     Returns:
-        ``moving`` and ``standing``, how many there are, and ``rows`` of number, whether it moves,
-        begin and length of sight [s], mean and greatest speed [m/s], length and width [m], and the
-        way in the world, x and y in turn [m], null where there are no poses. None without tracks.
+        The numbers of tracks, ``moving`` and ``standing``, and ``rows`` with number, whether it
+        moves, begin and duration [s], mean and maximum speed [m/s], length and width [m], and the
+        trajectory in the world, alternating x and y [m], or null without poses. None without
+        tracks.
     """
     if not results.tracked(log):
         return None
@@ -48,5 +49,5 @@ def _row(track: dict[str, Any], begin_ns: int) -> list[Any]:
     begin, end = ((track[f"{at}_stamp_ns"] - begin_ns) / 1e9 for at in ("first", "last"))
     metres = (track[name] for name in ("mean_speed_mps", "max_speed_mps", "length_m", "width_m"))
     rounded = [round(value, 2) for value in (begin, end - begin, *metres)]
-    way = np.round(path, 2).ravel().tolist() if track["in_world"] else None
-    return [track["track"], track["moving"], *rounded, way]
+    trajectory = np.round(path, 2).ravel().tolist() if track["in_world"] else None
+    return [track["track"], track["moving"], *rounded, trajectory]

@@ -7,7 +7,7 @@ from functools import cache
 from threading import Lock
 
 
-def quiet_warp() -> None:
+def start_warp() -> None:
     """Start Warp without its banner, and without its warning about a missing CUDA driver."""
     with _lock:
         _start_warp()
