@@ -232,6 +232,9 @@ class SurfaceConfig:
     """Number of cells by which creases are dilated, to close gaps in them."""
     min_cells: int = 6
     """Minimum number of cells of a separate surface, or of a crease."""
+    hole_cells: int = 8
+    """Maximum number of unmeasured cells in a row or column across which cells count as connected
+    for min_cells, if their depth continues. 0: off."""
     bent_m: float = 0.20
     """Maximum height of stereo bowing [m]: lower surfaces without a steep side, at the margins of
     the image or far away, are floor. 0: off."""
@@ -246,6 +249,7 @@ class SurfaceConfig:
         _require_within(self, 0, 1, "step_per_m", "crease_per_m")
         _require_within(self, 1, 16, "crease_cells")
         _require_within(self, 0, 16, "crease_margin")
+        _require_within(self, 0, 512, "hole_cells")
         _require_within(self, 1, MAX_POINTS, "min_cells")
         _require_within(self, 1, 4, "beyond")
 
@@ -279,7 +283,7 @@ class ObstacleConfig:
     of the contour at the corner [m]."""
     min_size_m: float = 0.05
     """Minimum width or height of an obstacle [m]."""
-    min_cells: int = 8
+    min_cells: int = 6
     """Minimum number of depth cells."""
 
     def __post_init__(self) -> None:
