@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 import pytest
 
@@ -376,7 +377,7 @@ def test_no_depth_at_all(calibration: Calibration, known: bool) -> None:
         and floors(scene, UNIT).refused[0] == Refusal.TOO_LITTLE
     )
     assert not scene.free.any() and (scene.free_end == FreeEnd.UNKNOWN).all()
-    assert not np.concatenate([a.ravel() for a in detections.obstacles]).any()
+    assert not any(np.any(part) for part in jax.tree.leaves(detections.obstacles))
 
 
 def test_without_a_floor_nothing_is_floor() -> None:
@@ -489,3 +490,33 @@ def test_a_wheelchair_on_its_way(shared_data: Path) -> None:
     assert len(tallies) == 3 and sum(t.objects for t in tallies) == 2
     assert score.recall == 1.0
     assert score.on_floor == 0 and score.swamped == 0
+
+
+def test_a_low_carton_with_a_hole_in_its_depth_is_found() -> None:
+    """As on a real pavement: a hole leaves 7 and 4 of its cells above the step."""
+    sensor = DepthSensor(enabled=False)
+    carton = Box((3.3, 0.0), (0.25, 0.24, 0.075), 0.0, CARTON)
+    scene = Scene("made", (carton,), floor=WOOD, ground=Ground(), path=Way(length=0.0))
+    mount = {"camera_height_m": 0.52, "camera_pitch_rad": 0.26, "sensor": sensor}
+    given = of(simulate_frame(SimConfig(width=640, height=480, **mount), scene, 0))
+
+    def cells_of(given: Frames) -> np.ndarray:
+        bare = replace(SURFACES, obstacle=replace(SURFACES.obstacle, min_cells=1))
+        cells = detect(given, bare, backend="reference", with_cells=True).cells
+        assert cells
+        return np.argwhere(cells.keep[0])
+
+    cells = cells_of(given)
+    top, left = cells.min(axis=0)
+    holes = [(row, left + column) for row in (0, 1) for column in (4, 5, 6, 7)] + [(1, left + 3)]
+    for row, column in holes:
+        place = (slice(3 * (top + row), 3 * (top + row + 1)), slice(3 * column, 3 * (column + 1)))
+        given.depth[0][place] = 0
+    parts = cells_of(given)[:, 1] < left + 5.5
+    assert len(cells) == 20 and (parts.sum(), (~parts).sum()) == (7, 4)
+    part = replace(SURFACES.surface, hole_cells=0)
+    before = replace(SURFACES, surface=part, obstacle=replace(SURFACES.obstacle, min_cells=8))
+    assert count(detect(given, before, backend="reference")) == 0
+    detections = found(given)
+    assert count(detections) >= 1
+    assert metric.distances(detections)[0, 0] == pytest.approx(3175, abs=40)
