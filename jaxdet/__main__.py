@@ -5,17 +5,21 @@ import sys
 from contextlib import suppress
 from typing import NoReturn
 
-from jaxdet.cli import main
+from jaxdet.signals import end_guard, guard_process
 
 
 def command() -> NoReturn:
-    """The command; ends the process at once.
+    """Run the command, and end the process at once.
 
     All files are whole when it returns, and what JAX, CUDA and Warp do to take themselves down
     takes a second or two.
     """
+    guard_process()
+    from jaxdet.cli import main  # guarded
+
     _open_streams()
     code = main(sys.argv[1:])
+    end_guard()
     _remove_temporary()
     try:
         sys.stdout.flush()
@@ -27,7 +31,7 @@ def command() -> NoReturn:
 
 
 def _open_streams() -> None:
-    """Standard streams that are closed lead to the null device, before a file gets their number."""
+    """Make closed standard streams lead to the null device, before a file gets their number."""
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         if getattr(sys, name) is None:
             null = os.open(os.devnull, os.O_RDWR)
@@ -38,7 +42,7 @@ def _open_streams() -> None:
 
 
 def _remove_temporary() -> None:
-    """Removes the folder of the fork server's socket, as Python would at its end."""
+    """Remove the folder of the fork server's socket, as Python would at its end."""
     if used := sys.modules.get("multiprocessing.util"):
         used._run_finalizers()
 

@@ -1,9 +1,9 @@
 """Configuration: one frozen dataclass for each part of the method.
 
 Every field is a command-line flag (``--ground.max-depth-m``) and a TOML key
-(``[ground] max_depth_m``). Obstacles are made of surfaces of depth cells by the parts ``floor``,
-``surface`` and ``obstacle``, or of points by ``cluster``; the others serve both. All are hashable,
-so JAX can take them as static arguments.
+(``[ground] max_depth_m``). The parts ``floor``, ``surface`` and ``obstacle`` configure the methods
+on depth cells, ``features`` and ``cluster`` the preset ``paper``; the others serve both. All are
+hashable, so JAX can take them as static arguments.
 """
 
 import math
@@ -14,25 +14,25 @@ from jaxdet.arguments import check_fields
 from jaxdet.errors import ConfigError
 
 MAX_POINTS = 8192
-"""Most points of a frame that are clustered: what the 32-bit keys and sums hold."""
+"""Maximum number of points to cluster per frame: the limit of the 32-bit keys and sums."""
 
 TRIM_SHARE = 16
-"""At most this part of an obstacle's points is passed over at each side, and in front."""
+"""At most one in this many of an obstacle's points is trimmed at each side, and in front."""
 
 LARGEST_STEP_M = 1.0
-"""Largest step, margin or error in a configuration [m]; larger numbers are millimetres."""
+"""Largest step, margin or error in a configuration [m]; larger values are millimetres."""
 
 LARGEST_SIZE_M = 5.0
-"""Largest size of a thing, and gap in depth, in a configuration [m]."""
+"""Largest object size and gap in depth in a configuration [m]."""
 
 LARGEST_GAP_M = 10.0
 """Largest gap on the floor in a configuration [m]."""
 
 FARTHEST_M = 65.535
-"""Farthest depth [m]: 16 bits of millimetres."""
+"""Maximum depth [m]: 16 bits of millimetres."""
 
 DEPTH_UNITS_M = 1e-5, 0.1
-"""Smallest and largest depth unit: 16 bits of them reach from 0.65 m to 6.5 km."""
+"""Smallest and largest depth unit [m]: 16 bits of them cover 0.65 m to 6.5 km."""
 
 
 def _require(condition: bool, field_name: str, rule: str) -> None:
@@ -41,7 +41,7 @@ def _require(condition: bool, field_name: str, rule: str) -> None:
 
 
 def _require_within(part: Any, low: float, high: float, *names: str) -> None:
-    """Refuses a part of the configuration with such a field outside of the bounds."""
+    """Raise ConfigError if one of these fields of a part is outside the bounds."""
     section, rule = type(part).__name__.removesuffix("Config").lower(), f"from {low:g} to {high:g}"
     for name in names:
         unit = " m" if name.endswith("_m") and "_per_" not in name else ""
@@ -51,39 +51,39 @@ def _require_within(part: Any, low: float, high: float, *names: str) -> None:
 
 @dataclass(frozen=True)
 class GroundConfig:
-    """Range and floor (Section 3.3, Eq. 5)."""
+    """Depth range and floor (Section 3.3, Eq. 5)."""
 
     min_depth_m: float = 0.15
-    """Nearest depth used [m]."""
+    """Minimum depth [m]."""
     max_depth_m: float = 4.0
-    """Farthest depth used [m]; obstacles begin nearer, see surface.beyond."""
+    """Maximum depth [m]; every obstacle begins nearer than this, see surface.beyond."""
     step_height_m: float = 0.05
-    """What the wheels can climb [m]: lower points are floor."""
+    """Height that the wheels can climb [m]; lower points are floor."""
     step_height_per_m: float = 0.003
-    """Added to the step height for each metre of depth, with the floor of each frame for noise:
-    cells of s x s pixels add an s-th of it. Clusters of points have one plane, so there it is how
-    well the floor's tilt is known (0.003 is 0.2 degrees); the paper's is 0."""
+    """Added to the step height per metre of depth, for noise; averages over cells of s x s pixels
+    need 1/s of it. For paper, which uses one plane, it is the uncertainty of the floor's tilt
+    (0.003 is 0.2 degrees); the publication has 0."""
     noise_per_m: float = 0.07
-    """Noise of depth on the floor [1/m]: the step height is at least this times the camera's height
-    above the floor and the depth, an s-th of it with cells of s x s pixels. 0: as good as none."""
+    """Depth noise on the floor [1/m]: the step height is at least this times the camera's height
+    times the depth, 1/s of it with cells of s x s pixels. 0 disables it."""
     max_height_m: float = 2.0
-    """What the robot fits under [m]: what hangs higher is no obstacle. Of what stands the part
-    below counts. 0: no limit; clusters of points have none."""
+    """Maximum obstacle height, the robot's clearance [m]. Objects that hang higher are ignored,
+    taller ones are cut off there. 0: no limit. Not used by paper."""
     camera_height_m: float | None = None
-    """Optical centre above the floor [m], as far as known; unset: from the log's TF, else from a
-    sample of its frames. Each frame's own depth corrects it."""
+    """Camera mounting height above the floor [m]. Unset: from the log's TF, else estimated from a
+    sample of its frames. The depth of each frame corrects it."""
     camera_pitch_rad: float | None = None
-    """Downward tilt [rad]; given with camera_height_m, 0 where the camera looks level."""
+    """Downward tilt of the camera [rad], required with camera_height_m; 0 for a level camera."""
     camera_roll_rad: float = 0.0
-    """Clockwise roll seen from behind the camera [rad], with camera_height_m."""
+    """Roll of the camera [rad], clockwise seen from behind; used with camera_height_m."""
     source: str = "auto"
-    """What the floor of each frame is looked for around: auto (flags, then tf), flags, tf, or
-    estimate (neither). The median floor of a sample of the log's frames takes its place where
-    enough of them show one. none: no floor is looked for, and nothing is dropped as floor."""
+    """Prior of the floor estimate of each frame: auto (flags, then tf), flags, tf, or estimate
+    (neither). The median floor of a sample of the log's frames replaces it if enough of them show
+    one. none: no floor is estimated, and nothing is dropped as floor."""
     sample_frames: int = 24
-    """Frames of that sample, evenly spaced over the log or the window."""
+    """Number of frames in that sample, evenly spaced over the log or the window."""
     window_s: float = 0.0
-    """Length of the fixed time windows with a sample each [s]. 0: one sample for the log."""
+    """Length of time windows with a sample each [s]. 0: one sample for the whole log."""
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -120,32 +120,32 @@ class GroundConfig:
             _require(
                 not value or self.camera_height_m is not None,
                 "ground.camera-height-m",
-                f"given with camera-{angle}: one without the other says nothing of the floor",
+                f"given with camera-{angle}: one without the other does not determine the floor",
             )
         _require(
             self.camera_height_m is None or self.camera_pitch_rad is not None,
             "ground.camera-pitch",
-            "given with camera-height-m, 0deg where it looks level; without both the floor is "
-            "found in each frame",
+            "given with camera-height-m, 0deg for a level camera; without both the floor is "
+            "estimated in each frame",
         )
 
 
 @dataclass(frozen=True)
 class FeaturesConfig:
-    """Canny, then Shi-Tomasi on the edge image (Section 3.2)."""
+    """Canny edges, then Shi-Tomasi corners of the edge image (Section 3.2)."""
 
     canny_low: float = 50.0
-    """Lower hysteresis bound [grey levels of the L1 gradient]."""
+    """Lower hysteresis threshold [grey levels of the L1 gradient]."""
     canny_high: float = 100.0
-    """Upper hysteresis bound [grey levels of the L1 gradient]."""
+    """Upper hysteresis threshold [grey levels of the L1 gradient]."""
     max_corners: int = 1024
-    """Slots for corners: the strongest that are used."""
+    """Maximum number of corners; the strongest are kept."""
     quality_level: float = 0.01
-    """Weakest corner used, as a share of the strongest one's minimum eigenvalue."""
+    """Minimum corner strength, as a fraction of the strongest corner's minimum eigenvalue."""
     min_distance: float = 3.0
-    """Least distance between two corners [pixel]; below 1: none."""
+    """Minimum distance between two corners [pixel]; no minimum below 1."""
     use_mask: bool = True
-    """Take corners only on what is in range and above the floor; off: drop them afterwards."""
+    """Detect corners only in range and above the floor; off: drop the others afterwards."""
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -158,9 +158,9 @@ class FeaturesConfig:
 
     @property
     def canny_bounds(self) -> tuple[int, int]:
-        """Canny's bounds in whole grey levels, the lower first, from -1 to 2047.
+        """Canny's thresholds as integers from -1 to 2047, the lower first.
 
-        The L1 gradient of a 3x3 Sobel is from 0 to 2040, so bounds farther out mean the same.
+        The L1 gradient of a 3x3 Sobel filter is from 0 to 2040, so clipping changes nothing.
         """
         low, high = sorted((self.canny_low, self.canny_high))
         return math.floor(min(max(low, -1), 2047)), math.floor(min(max(high, -1), 2047))
@@ -168,35 +168,35 @@ class FeaturesConfig:
 
 @dataclass(frozen=True)
 class FloorConfig:
-    """How the floor of each frame, and free floor on it, is looked for.
+    """Floor estimation per frame, and free floor.
 
-    The prior is what is known before: from flags, TF, or a sample of the log.
+    The prior comes from flags, TF, or a sample of the log's frames.
     """
 
     max_cells: int = 4800
-    """Most cells used: a regular part of those given."""
+    """Maximum number of cells used; larger images are subsampled on a regular grid."""
     max_depth_m: float = 6.0
-    """Farthest depth used [m]; 0: no floor is looked for."""
+    """Maximum depth used [m]; 0: no floor is estimated."""
     noise_per_m: float = 0.004
-    """Error of depth over its square [1/m]; 0.004 is a D435's."""
+    """Depth error divided by depth squared [1/m]; 0.004 for a D435."""
     max_turn_deg: float = 4.0
-    """Most that a prior's pitch and roll are corrected [degree]."""
+    """Largest correction of the prior's pitch and roll [degree]."""
     max_shift_m: float = 0.07
-    """Most that its height is corrected [m]."""
+    """Largest correction of the prior's height [m]."""
     min_share: float = 0.04
-    """Least share of the cells on the floor."""
+    """Minimum inlier fraction of the cells."""
     min_share_alone: float = 0.06
-    """The same without a prior, of a camera pitched by up to 35 degrees; 1.2 % more for each degree
-    beyond. Cells clearly below the floor count twice against it."""
+    """Minimum inlier fraction without a prior, for a pitch of up to 35 degrees; 1.2 % more per
+    additional degree. Cells clearly below the plane are penalised twice."""
     ramps: bool = True
-    """Look for a ramp ahead, or for a step where something is known of the floor."""
+    """Search for a ramp ahead, or for a step if there is a prior."""
     bow_per_m: float = 0.01
-    """What is measured below the plane by the step height and this, in proportion to z squared, is
-    floor still: far floors are bowed [1/m]."""
+    """Tolerance for stereo bowing of far floors [1/m]: depth below the plane by up to the step
+    height plus this times z squared still counts as floor."""
     drop_m: float = 0.05
-    """A floor that falls by more than this at once, and by the noise, is a drop [m]."""
+    """Minimum height of a drop [m], in addition to the noise."""
     gap_m: float = 0.5
-    """Free floor ends where so much of it shows no measurement [m]."""
+    """Longest stretch of floor without measurements that free floor continues over [m]."""
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -212,32 +212,32 @@ class FloorConfig:
 
 @dataclass(frozen=True)
 class SurfaceConfig:
-    """Surfaces in a grid of depth cells, in which the floor is looked for as well."""
+    """Surfaces in a grid of depth cells; the floor is estimated from the same grid."""
 
     cell_rad: float = 0.0078
-    """Angle that a square cell of the depth image takes up at its middle [rad]; 0.0078 is 4 pixels
-    of a Kinect's depth image of 640 columns, 3 of a D435's, 7 of a D415's of 1280."""
+    """Angular size of a square cell at the centre of the depth image [rad]; 0.0078 is 4 pixels of a
+    Kinect with 640 columns, 3 of a D435, 7 of a D415 with 1280."""
     step_m: float = 0.03
-    """Largest step in depth between neighbouring cells of a surface [m]."""
+    """Maximum depth difference between neighbouring cells of a surface [m]."""
     step_per_m: float = 0.011
-    """Added to it in proportion to z squared [1/m]: some four standard deviations of a D435's
-    depth."""
+    """Added to the difference in proportion to z squared [1/m]: about four standard deviations of a
+    D435's depth."""
     crease_cells: int = 3
-    """A crease is a bend of the depth over so many cells to both sides."""
+    """Number of cells on each side over which a crease (a bend in depth) is measured."""
     crease_m: float = 0.010
-    """Bends deeper than this part surfaces [m]."""
+    """Minimum depth of a crease that separates surfaces [m]."""
     crease_per_m: float = 0.004
-    """Added to it in proportion to z squared [1/m]."""
+    """Added to the depth of a crease in proportion to z squared [1/m]."""
     crease_margin: int = 1
-    """Creases are so many cells wider at each side, so that gaps in them join nothing."""
+    """Number of cells by which creases are dilated, to close gaps in them."""
     min_cells: int = 6
-    """Smaller components are no surfaces of their own, and smaller creases are noise."""
+    """Minimum number of cells of a separate surface, or of a crease."""
     bent_m: float = 0.20
-    """Surfaces at most so high without a steep side are floor that the sensor bends up, at the
-    margins of the image or far away [m]. 0: off."""
+    """Maximum height of stereo bowing [m]: lower surfaces without a steep side, at the margins of
+    the image or far away, are floor. 0: off."""
     beyond: float = 1.15
-    """Surfaces are followed so much farther than the largest depth, so that the end of the range
-    does not cut a thing into pieces; what begins beyond the range is no obstacle."""
+    """Factor by which surfaces extend beyond the maximum depth, so that the end of the range does
+    not cut objects into pieces; objects that begin beyond the range are ignored."""
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -251,34 +251,34 @@ class SurfaceConfig:
 
 
 AFFINITIES = ("surfaces", "tabletop")
-"""Tables of :mod:`jaxdet.affinity`."""
+"""Names of the tables of :mod:`jaxdet.affinity`."""
 
 
 @dataclass(frozen=True)
 class ObstacleConfig:
-    """Obstacles made of surfaces: gaps on the floor, and what else is seen of two surfaces."""
+    """Merging of surfaces into obstacles, by gaps on the floor and other features of pairs."""
 
     affinity: str = "surfaces"
-    """Table that says what of two surfaces speaks for their being one: surfaces, learnt in rooms
-    and streets, or tabletop. It counts cells of the default size."""
+    """Learned model for merging pairs of surfaces: surfaces (rooms and streets) or tabletop. It
+    assumes cells of the default size."""
     lateral_gap_m: float = 1.5
-    """Surfaces farther apart sideways are not looked at together, d_x [m]."""
+    """Maximum lateral gap between surfaces that may be merged, d_x [m]."""
     forward_gap_m: float = 0.8
-    """Nor those farther apart in depth on the floor, d_z [m]."""
+    """Maximum forward gap between surfaces that may be merged, on the floor, d_z [m]."""
     depth_gap_m: float = 0.12
-    """Depths of one surface on both sides of a nearer thing or of a hole differ by at most this,
-    and by a tenth of what lies between [m]."""
+    """Maximum depth difference between two parts of one surface on both sides of an occluder or a
+    hole [m], plus a tenth of the distance between them."""
     contact_m: float = 0.10
-    """Pieces too small to be an obstacle join the surface they touch, over at most such a step
-    [m]."""
+    """Maximum depth difference at which a piece that is too small for an obstacle joins the surface
+    that it touches [m]."""
     bend_m: float = 0.15
-    """Obstacles whose contour lies so far behind the chord of its ends are split there: walls of a
-    room [m]. 0: off."""
+    """Obstacles whose contour lies this far behind the chord between its ends are split there, as
+    two walls of a room are [m]. 0: off."""
     side_m: float = 1.0
-    """Their sides are at least so long, and at the corner neighbouring points of the contour at
-    most so far apart [m]."""
+    """Minimum length of the sides of such a split, and maximum distance between neighbouring points
+    of the contour at the corner [m]."""
     min_size_m: float = 0.05
-    """Obstacles are at least so wide or so high [m]."""
+    """Minimum width or height of an obstacle [m]."""
     min_cells: int = 8
     """Minimum number of depth cells."""
 
@@ -293,17 +293,17 @@ class ObstacleConfig:
 
 @dataclass(frozen=True)
 class ClusterConfig:
-    """Clusters of points: gaps in depth, then sideways (Section 3.4, Eq. 6); preset paper."""
+    """Clustering of points by gaps in depth, then sideways (Section 3.4, Eq. 6); preset paper."""
 
     points: bool = False
     """Make obstacles of points, as the paper does; off: of surfaces. The other settings of this
-    part are for points alone."""
+    part apply to points only."""
     depth_gap_m: float = 0.10
-    """d_z [m]: a larger gap between neighbours in depth starts a new set."""
+    """d_z [m]: a larger gap between neighbours in depth starts a new cluster."""
     lateral_gap_m: float = 0.40
-    """d_x [m]: a larger sideways gap starts a new set; the robot's width."""
+    """d_x [m]: a larger sideways gap starts a new cluster; the robot's width."""
     min_points: int = 10
-    """N: sets of this many points or fewer are dropped."""
+    """N: clusters of this many points or fewer are dropped."""
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -317,29 +317,29 @@ class FootprintConfig:
     """Outline on the floor (Section 3.5, Eq. 7-9)."""
 
     vertex_threshold_m: float = 0.03
-    """d_threshold of Eq. 7 [m], about the sensor's error: C must be this much nearer than A
-    and B to count as a vertex."""
+    """d_threshold of Eq. 7 [m], about the sensor's error: C is a vertex if it is nearer than A and
+    B by at least this."""
     trim: int = 2
-    """So many of the outermost points of each side, and of the nearest ones, are outliers that
-    don't make A, B or C, at most a sixteenth of the obstacle's points. The paper's is 0."""
+    """Number of outermost points on each side, and of nearest points, that are ignored as outliers
+    in A, B and C; at most a sixteenth of the obstacle's points. The publication has 0."""
     side_band_per_m: float = 0.006
-    """A and B are the median of the points at most this far inside of the outermost [m], for each
-    metre of distance: a silhouette is smeared over about three pixels. The paper's is 0."""
+    """A and B are medians of the points within this band from the outermost point [m per metre of
+    distance], as silhouettes blur over about three pixels. The publication has 0."""
     near_band_per_m2: float = 0.012
-    """C is the median of the points at most this far behind the nearest [m], times the distance
-    squared [1/m]: of many noisy points the nearest is too near, and stereo noise grows so; 0.012
-    is some four standard deviations of a D435's. The paper's is 0."""
+    """C is the median of the points within this times the distance squared behind the nearest
+    point [1/m]: the minimum of noisy depths is biased, and stereo noise grows with the square;
+    0.012 is about four standard deviations of a D435. The publication has 0."""
     extension_m: float = 0.20
-    """How far the edge AB is extended backward when there is no vertex [m]; fitted rectangles end
-    with their obstacle's cells."""
+    """Distance by which the edge AB is extended backward if there is no vertex [m]; fitted
+    rectangles end with their obstacle's cells."""
     margin_m: float = 0.0
-    """Added to the rectangle on all sides [m]."""
+    """Margin added to the rectangle on all sides [m]."""
     margin_per_m2: float = 0.007
-    """Added to it in proportion to the square of the obstacle's smallest z [1/m], as stereo noise
-    grows; 0.007 is nearly two standard deviations of a D435's."""
+    """Margin in proportion to the square of the obstacle's smallest z [1/m], as stereo noise grows;
+    0.007 is nearly two standard deviations of a D435."""
     long_m: float = 3.0
-    """Fitted rectangles longer than this pass over a twentieth of their cells at each long side:
-    walls are smeared over the floor before them [m]."""
+    """Fitted rectangles longer than this ignore a twentieth of their cells at each long side, as
+    depth of walls spreads over the floor in front of them [m]."""
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -354,7 +354,7 @@ class FootprintConfig:
 
 @dataclass(frozen=True)
 class Config:
-    """The whole method."""
+    """Configuration of the whole method."""
 
     ground: GroundConfig = field(default_factory=GroundConfig)
     features: FeaturesConfig = field(default_factory=FeaturesConfig)

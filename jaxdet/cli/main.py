@@ -68,6 +68,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         with stops_raised():  # so that what a command has begun to write is removed
             return _guarded(_do, args)
+    except Interrupted as stop:  # while an error was reported
+        return _fail(str(stop), 128 + stop.signal)
     finally:
         SPINNER.stop()
 

@@ -1,0 +1,121 @@
+"""Signals that end a run: raised where that is safe, and a guard for where it never is."""
+
+import gc
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from jaxdet.errors import Interrupted
+from jaxdet.signals import stops_held_back, stops_raised
+
+GUARDED = """
+import ctypes, sys
+from jaxdet.signals import end_guard, guard_process, stops_raised
+guard_process()
+print("ready", flush=True)
+{body}
+"""
+"""Code of a process of its own."""
+NATIVE = "with stops_raised():\n    ctypes.PyDLL(None).sleep(30)"
+"""A call of native code that keeps Python's lock for 30 s is nothing that a handler can end."""
+
+
+def test_a_stop_is_raised_in_code_of_jaxdet() -> None:
+    with pytest.raises(Interrupted) as caught, stops_raised():
+        signal.raise_signal(signal.SIGTERM)
+        wait_in_jaxdet()
+    assert caught.value.signal == signal.SIGTERM
+
+
+def wait_in_jaxdet() -> None:
+    """Wait where Python runs frames of the module jaxdet.signals, for at most 10 s."""
+    end = time.monotonic() + 10
+    while time.monotonic() < end:
+        with stops_held_back():
+            time.sleep(0.001)
+
+
+def test_a_stop_waits_for_the_end_of_an_import(tmp_path: Path, monkeypatch) -> None:
+    code = (
+        "import signal, time\nsignal.raise_signal(signal.SIGINT)\ntime.sleep(0.1)\nwhole = True\n"
+    )
+    (tmp_path / "imported_here.py").write_text(code, encoding="utf-8")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    whole = False
+    with pytest.raises(Interrupted), stops_raised():
+        import imported_here
+
+        whole = imported_here.whole
+        wait_in_jaxdet()
+    assert whole
+
+
+def test_a_stop_is_not_swallowed_by_a_callback_of_the_garbage_collector() -> None:
+    def callback(phase: str, _: object) -> None:
+        if phase == "start":
+            signal.raise_signal(signal.SIGINT)
+
+    with pytest.raises(Interrupted), stops_raised():
+        gc.callbacks.append(callback)
+        try:
+            gc.collect()
+        finally:
+            gc.callbacks.remove(callback)
+        wait_in_jaxdet()
+
+
+def test_a_stop_that_was_not_raised_is_passed_on() -> None:
+    inside = False
+    with pytest.raises(Interrupted), stops_raised(), stops_raised():
+        signal.raise_signal(signal.SIGINT)
+        time.sleep(0.1)
+        inside = True
+    assert inside
+    time.sleep(0.1)  # nothing comes later
+
+
+def test_other_threads_change_no_handlers() -> None:
+    before, seen = signal.getsignal(signal.SIGINT), []
+
+    def look() -> None:
+        with stops_raised(), stops_held_back():
+            seen.append(signal.getsignal(signal.SIGINT))
+
+    thread = threading.Thread(target=look)
+    thread.start()
+    thread.join()
+    assert seen == [before]
+
+
+@pytest.mark.parametrize(
+    ("body", "stops", "code", "most_s"),
+    [
+        ("import time; time.sleep(30)", 1, 130, 1.4),
+        (NATIVE, 1, 130, 5.0),
+        (NATIVE, 2, 130, 1.4),
+        ("end_guard(); print('ready', flush=True); sys.stdin.read()", 1, 0, 5.0),
+    ],
+    ids=["before it begins", "in native code", "twice", "when it is done"],
+)
+def test_the_guard_ends_the_process(body: str, stops: int, code: int, most_s: float) -> None:
+    pipe = subprocess.PIPE
+    command = [sys.executable, "-c", GUARDED.format(body=body)]
+    process = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True)
+    assert process.stdin and process.stdout
+    for _ in range(body.count("ready") + 1):
+        process.stdout.readline()
+    time.sleep(0.1)
+    start = time.monotonic()
+    for _ in range(stops):
+        os.kill(process.pid, signal.SIGINT)
+        time.sleep(0.1)
+    _, errors = process.communicate(timeout=20)
+    assert process.returncode == code
+    assert time.monotonic() - start < most_s
+    assert "Traceback" not in errors
