@@ -1,5 +1,6 @@
-"""Fig. 11: time of the clustering alone."""
+"""Fig. 11: time of the clustering alone, and its memory."""
 
+import tracemalloc
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -58,8 +59,14 @@ def run(lab: Lab) -> Section:
         section.add(f"{name}.ratio", float(np.median(ratio)), "x", "info", ends, paper)
         ratios[title] = float(np.median(ratio))
         text = f"{np.median(ratio):.1f} [{ends.low:.1f}, {ends.high:.1f}]"
-        rows.append([title, f"{value:.2f}", text, paper or ""])
-    section.table(["Method", "Time [ms]", "Ratio to the rule", "the paper's ratio"], rows)
+        peak = _peak_mb(functions[name])
+        memory = ""
+        if name != "stages":  # JAX's memory is not Python's
+            memory = f"{peak:.2f}"
+            section.add(f"{name}.peak", peak, "MB", "lower")
+        rows.append([title, f"{value:.2f}", text, paper or "", memory])
+    header = ["Method", "Time [ms]", "Ratio to the rule", "the paper's ratio"]
+    section.table([*header, "Peak memory [MB]"], rows)
     figure, axes = plots.canvas(1, 9, 4.4)
     order = sorted(ratios, key=lambda title: ratios[title])
     axes[0].barh(order, [ratios[title] for title in order], color=plots.OURS)
@@ -68,6 +75,15 @@ def run(lab: Lab) -> Section:
     caption = "Clustering time over that of the paper's rule by our reference."
     section.picture("ratio", plots.png(figure), caption)
     return section
+
+
+def _peak_mb(function: Callable[[int], Any]) -> float:
+    """Most memory that Python and NumPy hold during a call on the first frame [MB]."""
+    tracemalloc.start()
+    function(0)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    return peak / 1e6
 
 
 def _labels(config: Config, frames: list, name: str, params: dict, index: int) -> np.ndarray:
