@@ -52,10 +52,10 @@ def find(results: Results, given: Sequence[str]) -> dict[str, LogFiles]:
         return dict(zip(names, logs, strict=True))
     failed = {entry["log"] for entry in results.summary["logs"] if entry["error"]} - names
     logs = [log for log in logs if log.name not in failed]
-    found = {log.name: log for log in logs if log.name in names}
+    logs_by_name = {log.name: log for log in logs if log.name in names}
     unknown = [log for log in logs if log.name not in names]
     inputs = read_manifest(results.folder)["inputs"] if unknown else {}
-    left = names - found.keys()
+    left = names - logs_by_name.keys()
     same = by_content(
         [LogIdentity(log.name, (), [*map(fingerprint, log.paths)]) for log in unknown],
         [LogIdentity(name, (), inputs[name]) for name in inputs if name in left],
@@ -65,8 +65,8 @@ def find(results: Results, given: Sequence[str]) -> dict[str, LogFiles]:
             problem = f"no log {log.name!r}; it holds {', '.join(sorted(names)) or 'none'}"
             remedy = "logs are identified by name, else by content"
             raise InputError(problem, path=str(results.folder), remedy=remedy)
-        found[same[log.name]] = log
-    return found
+        logs_by_name[same[log.name]] = log
+    return logs_by_name
 
 
 def recorded(log: ResultLog, flag: str = "--log") -> LogFiles:
@@ -157,14 +157,14 @@ def look_again(
     planes = _planes(results, log, files)
     for batch, chunk in images(results, log, files, wanted, color=color):
         frames = batch.frames._replace(plane=planes.of(batch.frames.stamp_ns))
-        found = detect(method_frames(frames, config), config, with_cells=with_cells)
-        found = to_host(found)
-        good = frames.valid & found.has_depth
-        counts = np.where(good, found.num_obstacles, 0)[: chunk.frames.num_rows]
+        detections = detect(method_frames(frames, config), config, with_cells=with_cells)
+        detections = to_host(detections)
+        good = frames.valid & detections.has_depth
+        counts = np.where(good, detections.num_obstacles, 0)[: chunk.frames.num_rows]
         ok = chunk.frames["status"].to_numpy() == FrameStatus.OK
         if (counts != chunk.frames["num_obstacles"].to_numpy())[ok].any():
             raise _other(log, files)
-        yield Seen(batch._replace(frames=frames), found, chunk)
+        yield Seen(batch._replace(frames=frames), detections, chunk)
 
 
 def some(
