@@ -206,9 +206,9 @@ def _check_camera(name: str, camera: Intrinsics) -> None:
         problem = f"the optical centre ({cx:g}, {cy:g}) is far outside of the {name} image"
         raise CalibrationError(problem, remedy=f"give {flag}")
     if model not in tuple(Distortion):
-        known = ", ".join(Distortion)
+        models = ", ".join(Distortion)
         problem = f"the {name} camera's lens model {str(model)[:60]!a} is unknown"
-        raise CalibrationError(problem, remedy=f"use one of {known}")
+        raise CalibrationError(problem, remedy=f"use one of {models}")
     if len(coefficients) > NUM_COEFFICIENTS or not all(
         abs(value) <= MAX_COEFFICIENT for value in coefficients
     ):
@@ -315,12 +315,12 @@ def _check_images(what: str, images: Any, kind: str, axes: int) -> None:
     """Check that images are a NumPy or JAX array with values, not a masked or traced one."""
     jax = sys.modules.get("jax")
     is_array = isinstance(images, np.ndarray) or (jax is not None and isinstance(images, jax.Array))
-    given = str(images.dtype) if is_array else type(images).__name__
+    actual = str(images.dtype) if is_array else type(images).__name__
     shape: Any = getattr(images, "shape", ())
-    if given != kind or len(shape) != axes or (axes == 4 and shape[-1] != 3):
+    if actual != kind or len(shape) != axes or (axes == 4 and shape[-1] != 3):
         wanted = "(B, H, W, 3)" if axes == 4 else "(B, H, W)"
         raise InputError(
-            f"{what} images are {given} of shape {shape}", remedy=f"give {wanted} {kind}"
+            f"{what} images are {actual} of shape {shape}", remedy=f"give {wanted} {kind}"
         )
     if isinstance(images, np.ma.MaskedArray):
         remedy = "give images.filled(0): a pixel of 0 has no depth"
@@ -339,9 +339,9 @@ def check_size(what: str, shape: tuple[int, ...], camera: Intrinsics) -> None:
         CalibrationError: The sizes differ.
     """
     if tuple(shape[1:3]) != (camera.height, camera.width):
-        found = "x".join(str(n) for n in shape[2:0:-1])
+        size = "x".join(str(n) for n in shape[2:0:-1])
         raise CalibrationError(
-            f"{what} images of {found} pixels, but the calibration has {camera.width}x"
+            f"{what} images of {size} pixels, but the calibration has {camera.width}x"
             f"{camera.height}",
             remedy="give the calibration of these images",
         )

@@ -120,8 +120,8 @@ def read_table(path: Path) -> dict[str, Any]:
         if not isinstance(value, dict):
             raise ConfigError(f"{key} = {value!r} is in no section", path=where, remedy=_place(key))
         if key not in SECTIONS:
-            known = ", ".join(f"[{name}]" for name in SECTIONS)
-            remedy = f"{meant(key, SECTIONS)}use {known}"
+            sections = ", ".join(f"[{name}]" for name in SECTIONS)
+            remedy = f"{meant(key, SECTIONS)}use {sections}"
             raise ConfigError(f"no section [{key}]", path=where, remedy=remedy)
     return table
 
@@ -167,22 +167,22 @@ def changed(section: Section, values: Mapping[str, Any], name: str, path: str) -
     """
     hints, clean = typing.get_type_hints(type(section)), {}
     for key, value in values.items():
-        field, given = key, value
+        field, parsed = key, value
         if f"{key}_rad" in hints or (key.endswith("_rad") and isinstance(value, str)):
             field = key if key in hints else f"{key}_rad"
             try:
-                given = parse_angle(value)
+                parsed = parse_angle(value)
             except ValueError as error:
                 raise ConfigError(f"[{name}] {key} = {value!r}: {error}", path=path) from None
         if field not in hints:
-            known = ", ".join(hints) or "nothing"
+            keys = ", ".join(hints) or "nothing"
             problem = f"no key {key!r} in [{name}]"
-            raise ConfigError(problem, path=path, remedy=f"{meant(key, hints)}it takes {known}")
+            raise ConfigError(problem, path=path, remedy=f"{meant(key, hints)}it takes {keys}")
         if field in clean:
             raise ConfigError(f"[{name}] {key} is given twice, as {field}", path=path)
-        if not fits(given, hints[field]):
+        if not fits(parsed, hints[field]):
             raise ConfigError(f"[{name}] {key} = {value!r} is not {_said(hints[field])}", path=path)
-        clean[field] = _as(given, hints[field])
+        clean[field] = _as(parsed, hints[field])
     try:
         return dataclasses.replace(section, **clean)
     except ConfigError as error:

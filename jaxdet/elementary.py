@@ -161,17 +161,17 @@ def log(x: ArrayLike) -> np.ndarray:
     s, half = f / (2 + f), f * f / 2
     square = s * s
     tail = s * (half + square * _polynomial(_LOG, square)) + k * _LN2[1]
-    found = k * _LN2[0] - ((half - tail) - f)
-    return np.where(regular, found, np.where(x == 0, -np.inf, np.where(x > 0, np.inf, np.nan)))
+    result = k * _LN2[0] - ((half - tail) - f)
+    return np.where(regular, result, np.where(x == 0, -np.inf, np.where(x > 0, np.inf, np.nan)))
 
 
 def dot(a: ArrayLike, b: ArrayLike) -> np.ndarray:
     """Scalar product along the last axis, summed from the first component to the last."""
     a, b = np.asarray(a), np.asarray(b)
-    found = a[..., 0] * b[..., 0]
+    total = a[..., 0] * b[..., 0]
     for i in range(1, a.shape[-1]):
-        found = found + a[..., i] * b[..., i]
-    return found
+        total = total + a[..., i] * b[..., i]
+    return total
 
 
 def norm(a: ArrayLike) -> np.ndarray:
@@ -187,10 +187,10 @@ def matmul(a: ArrayLike, b: ArrayLike) -> np.ndarray:
         [[1.0, -2.0], [3.0, -4.0]]
     """
     a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)
-    found = a[..., :, :1] * b[..., :1, :]
+    total = a[..., :, :1] * b[..., :1, :]
     for i in range(1, a.shape[-1]):
-        found = found + a[..., :, i : i + 1] * b[..., i : i + 1, :]
-    return found
+        total = total + a[..., :, i : i + 1] * b[..., i : i + 1, :]
+    return total
 
 
 def mean(values: np.ndarray, weights: np.ndarray | None = None) -> np.ndarray:
@@ -220,7 +220,7 @@ def median(values: np.ndarray, axis: int | None = None) -> np.ndarray:
 
 def _polynomial(coefficients: tuple[float, ...], x: np.ndarray) -> np.ndarray:
     """Value of a polynomial by Horner's rule, the coefficient of the highest power first."""
-    found = coefficients[0] * x + coefficients[1]
+    value = coefficients[0] * x + coefficients[1]
     for c in coefficients[2:]:
-        found = found * x + c
-    return found
+        value = value * x + c
+    return value

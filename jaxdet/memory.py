@@ -52,12 +52,12 @@ def parse_size(text: str, flag: str) -> int:
     Raises:
         ConfigError: The text is not a size.
     """
-    found = _SIZE.fullmatch(text.strip())
-    unit = found and found[2].lower()
-    if not found or unit not in _UNITS:
+    match = _SIZE.fullmatch(text.strip())
+    unit = match and match[2].lower()
+    if not match or unit not in _UNITS:
         remedy = f"give {flag} a number with a unit, for instance 800MiB or 4GiB"
         raise ConfigError(f"{flag} {text!r} is not a size", remedy=remedy)
-    return int(float(found[1]) * _UNITS[unit])
+    return int(float(match[1]) * _UNITS[unit])
 
 
 def size_text(nbytes: int) -> str:

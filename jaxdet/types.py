@@ -414,7 +414,7 @@ class Refusal(IntEnum):
     """Reason why a frame's own depth does not determine its floor."""
 
     NONE = 0
-    """It does."""
+    """Not refused."""
     TOO_LITTLE = 1
     """Too few inliers of any plane."""
     MOSTLY_OBSTACLE = 2

@@ -206,9 +206,9 @@ def _camera(name: str, value: ArrayLike | Intrinsics) -> Intrinsics | Pinhole:
         return value
     with named(name):
         with suppress(InputError):  # the check of the matrix has a better message
-            found = numbers(name, value, np.float64)
-            if found.shape == (4,):
-                fx, fy, cx, cy = found.tolist()
+            array = numbers(name, value, np.float64)
+            if array.shape == (4,):
+                fx, fy, cx, cy = array.tolist()
                 return fx, fy, cx, cy
         return focal_and_center(value)
 

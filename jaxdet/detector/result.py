@@ -195,8 +195,8 @@ class FrameResult(Sequence[Obstacle]):
         Raises:
             ConfigError: Obstacles are clusters of points.
         """
-        found = self._batch.found.cells
-        if found is None:
+        cells = self._batch.found.cells
+        if cells is None:
             raise ConfigError(
                 "clusters of points have no masks", remedy="use another preset than paper"
             )
@@ -205,7 +205,7 @@ class FrameResult(Sequence[Obstacle]):
             camera = calibration.image
             return np.full((camera.height, camera.width), -1, np.int32)
         side = cell_side(calibration.depth, config.surface.cell_rad)
-        return label_image(found, self._row, calibration, side)
+        return label_image(cells, self._row, calibration, side)
 
     @property
     def points(self) -> np.ndarray:
@@ -219,10 +219,10 @@ class FrameResult(Sequence[Obstacle]):
 
     @cached_property
     def _labelled(self) -> tuple[np.ndarray, np.ndarray]:
-        found, row = self._batch.found, self._row
+        detections, row = self._batch.found, self._row
         if not len(self):
             return np.zeros((0, 3), np.float32), np.zeros(0, np.int32)
-        return obstacle_points(found, row, self._batch.frames.calibration.depth_unit)
+        return obstacle_points(detections, row, self._batch.frames.calibration.depth_unit)
 
     def draw(self, color: Any = None) -> np.ndarray:
         """Draw a picture as ``jaxdet run`` does.

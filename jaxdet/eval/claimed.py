@@ -91,12 +91,12 @@ def claimed_floor(
     config = config or EvalConfig()
     outlines = rectangles(detections.obstacles, depth_unit, config.footprint)
     scene = detections.scene
-    known = None if scene is None else floors(scene, depth_unit).plane.valid
+    floor_known = None if scene is None else floors(scene, depth_unit).plane.valid
     tallies: list[Tally] = []
     for b, floor in enumerate(floor_m):
         if valid is None or valid[b]:
             points = floor[np.isfinite(floor).all(axis=-1)]
-            standing = _standing(detections, b, known, depth_unit, config)
+            standing = _standing(detections, b, floor_known, depth_unit, config)
             claimed = _inside_any(outlines[b, standing], points)
             share = float(claimed.mean()) if len(points) >= config.min_visible_pixels else None
             claims = () if share is None else (share,)
@@ -108,7 +108,7 @@ def claimed_floor(
 
 
 def _standing(
-    detections: Detections, b: int, known: np.ndarray | None, unit: float, config: EvalConfig
+    detections: Detections, b: int, floor_known: np.ndarray | None, unit: float, config: EvalConfig
 ) -> np.ndarray:
     """Return the obstacles of frame ``b`` that the robot can't drive under, ``(L,)``.
 
@@ -116,7 +116,7 @@ def _standing(
     """
     numbers = np.arange(int(detections.num_obstacles[b]))
     scene = detections.scene
-    if scene is None or known is None or not known[b]:
+    if scene is None or floor_known is None or not floor_known[b]:
         return numbers
     bottom = np.asarray(scene.bottom_top[b])[numbers, 0] * unit
     return numbers[bottom <= config.hanging_m]
@@ -124,11 +124,11 @@ def _standing(
 
 def _inside_any(outlines: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Return which points ``(n, 2)`` are in any of the outlines ``(L, 4, 2)``, ``(n,)`` bool."""
-    found = np.zeros(len(points), bool)
+    covered = np.zeros(len(points), bool)
     x, y = np.ascontiguousarray(points.T)
     for outline in outlines:
         (left, first), (right, last) = outline.min(axis=0), outline.max(axis=0)
         box = (x >= left) & (x <= right) & (y >= first) & (y <= last)
-        near = np.flatnonzero(box & ~found)
-        found[near] = inside(outline, points[near])
-    return found
+        near = np.flatnonzero(box & ~covered)
+        covered[near] = inside(outline, points[near])
+    return covered

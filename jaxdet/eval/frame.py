@@ -76,8 +76,8 @@ def evaluate_frames(
     if frames != len(truth.obstacle_id):
         raise ValueError(f"{frames} frames, but ground truth for {len(truth.obstacle_id)}")
     required = truth.required(config)
-    known = truth.nearest_floor_m is not None
-    distances_m = distances(detections) * depth_unit if known else None
+    has_distances = truth.nearest_floor_m is not None
+    distances_m = distances(detections) * depth_unit if has_distances else None
     tallies: list[Tally] = []
     for b in range(frames):
         if valid is None or valid[b]:
@@ -200,15 +200,15 @@ def _count_detections(frame: _Matched, config: EvalConfig) -> Tally:
     votes, kinds, required = frame.votes, frame.kinds, frame.required
     whole = np.maximum(votes.sum(axis=1), 1)
     could = eligible(votes, kinds == 2, config.match_share)
-    found = required[frame.pair]
-    elsewhere = ~found & (could & ~required).any(axis=1)
-    elsewhere |= ~found & (votes.sum(axis=1) == 0)
-    wall = ~found & ~elsewhere & (votes[:, kinds == 1].sum(axis=1) >= 0.5 * whole)
-    false = ~found & ~elsewhere & ~wall
+    true_positive = required[frame.pair]
+    elsewhere = ~true_positive & (could & ~required).any(axis=1)
+    elsewhere |= ~true_positive & (votes.sum(axis=1) == 0)
+    wall = ~true_positive & ~elsewhere & (votes[:, kinds == 1].sum(axis=1) >= 0.5 * whole)
+    false = ~true_positive & ~elsewhere & ~wall
     parts = ((votes >= config.merge_share * whole[:, None]) & (kinds == 2)).sum(axis=1)
     return Tally(
         visible=int(required.sum()),
-        found=int(found.sum()),
+        found=int(true_positive.sum()),
         detections=len(votes),
         matched=int((frame.pair > 0).sum()),
         false=int(false.sum()),

@@ -66,7 +66,7 @@ def measured_objects(
         >>> measured_objects(ids, depth, walls, u, v, z, slack, 2).tolist()
         [1, -1, -1]
     """
-    rank, found = _rank(is_wall), np.full(len(u), -1, np.int64)
+    rank, objects = _rank(is_wall), np.full(len(u), -1, np.int64)
     rest = np.flatnonzero(np.abs(depth_m[v, u] - z_m) > slack_m)
     around = _around(np.pad(obstacle_id, tolerance), u[rest], v[rest], tolerance).astype(np.int64)
     depth = np.pad(depth_m, tolerance, constant_values=np.inf)
@@ -74,8 +74,8 @@ def measured_objects(
     ranks = np.where(off <= slack_m[rest, None], rank[around], -1)
     best = np.argmax(ranks, axis=1)[:, None]
     agrees = np.take_along_axis(ranks, best, 1)[:, 0] >= 0
-    found[rest[agrees]] = np.take_along_axis(around, best, 1)[agrees, 0]
-    return found
+    objects[rest[agrees]] = np.take_along_axis(around, best, 1)[agrees, 0]
+    return objects
 
 
 def _around(padded: np.ndarray, u: np.ndarray, v: np.ndarray, tolerance: int) -> np.ndarray:
@@ -138,9 +138,9 @@ def match(votes: np.ndarray, is_obstacle: np.ndarray, share: float = 0.5) -> np.
     weight = np.where(able, votes + shares / (len(votes) + 1), 0.0)
     rows, columns = linear_sum_assignment(weight, maximize=True)
     paired = weight[rows, columns] > 0
-    found = np.zeros(len(votes), np.int64)
-    found[rows[paired]] = columns[paired]
-    return found
+    matched = np.zeros(len(votes), np.int64)
+    matched[rows[paired]] = columns[paired]
+    return matched
 
 
 def eligible(votes: np.ndarray, is_obstacle: np.ndarray, share: float) -> np.ndarray:

@@ -15,7 +15,7 @@ from jaxdet.types import Calibration
 
 @dataclass(frozen=True)
 class EvalConfig:
-    """Which obstacles are required, and when they count as found."""
+    """Selection of required obstacles, and tolerances of the evaluation."""
 
     min_depth_m: float = 0.15
     """Minimum depth of a required obstacle [m]."""
@@ -279,8 +279,8 @@ def nearest_on_floor(
         edges = [truth.obstacle_id[b][edge] for edge in (np.s_[:, 0], np.s_[:, -1], np.s_[-1])]
         cut = np.unique(np.concatenate(edges).astype(np.int64))
         nearest[:, b, cut[cut > 0] - 1] = np.inf
-    found = np.where(np.isfinite(nearest[0]), *nearest)
-    return np.where(np.isfinite(found), found, np.nan)
+    shortest = np.where(np.isfinite(nearest[0]), *nearest)
+    return np.where(np.isfinite(shortest), shortest, np.nan)
 
 
 def to_ground_frame(points: np.ndarray, T_world_camera: np.ndarray) -> np.ndarray:

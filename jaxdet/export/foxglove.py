@@ -229,8 +229,8 @@ def _entity(row: Row, obstacle: Row, T: np.ndarray, pose: Pose) -> SceneEntity:
         color=_TEXT,
         text=label(obstacle),
     )
-    known = {key: obstacle[key] for key in _ABOUT if obstacle.get(key) is not None}
-    about = [KeyValuePair(key=key, value=f"{value:.6g}") for key, value in known.items()]
+    values = {key: obstacle[key] for key in _ABOUT if obstacle.get(key) is not None}
+    about = [KeyValuePair(key=key, value=f"{value:.6g}") for key, value in values.items()]
     return SceneEntity(
         timestamp=_stamp(row["stamp_ns"]),
         frame_id=camera_name(row),

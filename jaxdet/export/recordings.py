@@ -178,14 +178,14 @@ def look_again(
     planes = _planes(results, log, files)
     for batch, chunk in images(results, log, files, wanted, color=color):
         frames = batch.frames._replace(plane=planes.of(batch.frames.stamp_ns))
-        found = detect(method_frames(frames, config), config, with_cells=with_cells)
-        found = to_host(found)
-        good = frames.valid & found.has_depth
-        counts = np.where(good, found.num_obstacles, 0)[: chunk.frames.num_rows]
+        detections = detect(method_frames(frames, config), config, with_cells=with_cells)
+        detections = to_host(detections)
+        good = frames.valid & detections.has_depth
+        counts = np.where(good, detections.num_obstacles, 0)[: chunk.frames.num_rows]
         ok = chunk.frames["status"].to_numpy() == FrameStatus.OK
         if (counts != chunk.frames["num_obstacles"].to_numpy())[ok].any():
             raise _other(log, files)
-        yield Seen(batch._replace(frames=frames), found, chunk)
+        yield Seen(batch._replace(frames=frames), detections, chunk)
 
 
 def some(

@@ -277,13 +277,13 @@ def _series(stream: rr.RecordingStream, chunk: Chunk) -> None:
         ("distance/drop", drop),
         ("obstacles", np.where(good, count, np.nan)),
     ):
-        known = ~np.isnan(values)
-        if known.any():
+        valid = ~np.isnan(values)
+        if valid.any():
             times = [
-                rr.TimeColumn("frame", sequence=numbers[known]),
-                rr.TimeColumn("stamp", timestamp=stamps[known].astype("datetime64[ns]")),
+                rr.TimeColumn("frame", sequence=numbers[valid]),
+                rr.TimeColumn("stamp", timestamp=stamps[valid].astype("datetime64[ns]")),
             ]
-            columns = rr.Scalars.columns(scalars=values[known].astype(np.float64))
+            columns = rr.Scalars.columns(scalars=values[valid].astype(np.float64))
             rr.send_columns(path, times, columns, recording=stream)
 
 

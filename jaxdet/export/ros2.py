@@ -75,7 +75,7 @@ def detections(frame: Frame) -> dict[str, Any]:
     """
     row = frame.row
     head, T = header(row["stamp_ns"], camera_name(row)), T_camera_floor(row)
-    found = []
+    messages = []
     for obstacle in frame.obstacles:
         T_floor_box, size = box(obstacle, *heights(row, obstacle))
         center = pose_of(T @ T_floor_box)
@@ -86,8 +86,8 @@ def detections(frame: Frame) -> dict[str, Any]:
         bounds = {"center": center, "size": xyz(size)}
         name = obstacle["track"] if "track" in obstacle else obstacle["obstacle"]
         name = "" if name is None else str(name)
-        found.append({"header": head, "results": [result], "bbox": bounds, "id": name})
-    return {"header": head, "detections": found}
+        messages.append({"header": head, "results": [result], "bbox": bounds, "id": name})
+    return {"header": head, "detections": messages}
 
 
 def _contours(results: Results, log: ResultLog) -> Iterator[np.ndarray]:

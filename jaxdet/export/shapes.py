@@ -55,10 +55,10 @@ def T_camera_floor(row: Row) -> np.ndarray:
 
 @lru_cache(maxsize=4)  # called for each obstacle of a frame
 def _floor(height: float | None, pitch: float | None, roll: float | None) -> np.ndarray:
-    known = height is not None
+    is_known = height is not None
     height, pitch, roll = (value or 0.0 for value in (height, pitch, roll))
     down = np.array([[0.0, 1.0, 0.0]])
-    if known:
+    if is_known:
         down = down_vector(np.array([pitch]), np.array([roll]))
     forward = forward_vector(down)
     T = np.eye(4)
@@ -77,8 +77,8 @@ def T_world_camera(row: Row) -> np.ndarray | None:
 
 def T_world_upright(row: Row) -> np.ndarray | None:
     """Return :func:`T_world_camera` if the world's z is up for this camera, else None."""
-    T, known = T_world_camera(row), (np.array([row[name]], np.float64) for name in TILT)
-    return None if T is None or tilted(*known)[0] else T
+    T, tilt = T_world_camera(row), (np.array([row[name]], np.float64) for name in TILT)
+    return None if T is None or tilted(*tilt)[0] else T
 
 
 def quaternion(T: np.ndarray) -> list[float]:

@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from jaxdet.sim.scene import Box, Cylinder, Model, Path, Scene, Thing, rotation_z
+from jaxdet.sim.scene import Box, Cylinder, Model, Path, Scene, SceneObject, rotation_z
 from jaxdet.sim.solid import Solid, intersect, solid_of, swept
-from jaxdet.sim.world import thing_mesh
+from jaxdet.sim.world import mesh_of
 
 TRIES = 60
 CLEAR_M = 0.10
@@ -33,23 +33,23 @@ def apart(scene: Scene, seed: int) -> Scene:
         scene: Random scene.
         seed: Seed of the streams.
     """
-    things = (*scene.boxes, *scene.cylinders, *scene.models)
+    objects = (*scene.boxes, *scene.cylinders, *scene.models)
     taken = [_solid(wall, scene) for wall in scene.walls]
-    solids = [_solid(thing, scene) for thing in things]
+    solids = [_solid(obj, scene) for obj in objects]
     kept: dict[int, Box | Cylinder | Model] = {}
-    for j in sorted(range(len(things)), key=lambda j: (not _moves(things[j]), -_size(solids[j]))):
-        thing, solid = things[j], solids[j]
-        if not _moves(thing) and any(intersect(solid, other) for other in taken):
-            for thing in _elsewhere(things[j], scene, np.random.default_rng([seed, j, *b"apart"])):
-                solid = _solid(thing, scene)
+    for j in sorted(range(len(objects)), key=lambda j: (not _moves(objects[j]), -_size(solids[j]))):
+        obj, solid = objects[j], solids[j]
+        if not _moves(obj) and any(intersect(solid, other) for other in taken):
+            for obj in _elsewhere(objects[j], scene, np.random.default_rng([seed, j, *b"apart"])):
+                solid = _solid(obj, scene)
                 if not any(intersect(solid, other, CLEAR_M) for other in taken):
                     break
             else:
                 continue
-        kept[j] = thing
+        kept[j] = obj
         taken.append(solid)
     left = [kept[j] for j in sorted(kept)]
-    if left == list(things):
+    if left == list(objects):
         return scene
     kinds = {"boxes": Box, "cylinders": Cylinder, "models": Model}
     return replace(
@@ -57,8 +57,8 @@ def apart(scene: Scene, seed: int) -> Scene:
     )
 
 
-def _moves(thing: Thing) -> bool:
-    return isinstance(thing, Model) and thing.path is not None
+def _moves(obj: SceneObject) -> bool:
+    return isinstance(obj, Model) and obj.path is not None
 
 
 def _size(solid: Solid) -> float:
@@ -68,11 +68,11 @@ def _size(solid: Solid) -> float:
     return float(np.prod(solid.box[:, 1].max(axis=0) - solid.box[:, 0].min(axis=0)))
 
 
-def _solid(thing: Thing, scene: Scene) -> Solid:
-    if isinstance(thing, Model) and thing.path is not None:
-        times = _there_and_back(thing.path)
-        return swept([thing_mesh(thing, scene.ground, time) for time in times])
-    return solid_of(thing_mesh(thing, scene.ground))
+def _solid(obj: SceneObject, scene: Scene) -> Solid:
+    if isinstance(obj, Model) and obj.path is not None:
+        times = _there_and_back(obj.path)
+        return swept([mesh_of(obj, scene.ground, time) for time in times])
+    return solid_of(mesh_of(obj, scene.ground))
 
 
 def _there_and_back(path: Path) -> list[float]:
@@ -82,15 +82,15 @@ def _there_and_back(path: Path) -> list[float]:
 
 
 def _elsewhere(
-    thing: Box | Cylinder | Model, scene: Scene, rng: np.random.Generator
+    obj: Box | Cylinder | Model, scene: Scene, rng: np.random.Generator
 ) -> Iterator[Box | Cylinder | Model]:
     """Yield the object at random positions near its own, in the same zone."""
-    where = _where(scene, *thing.center)
+    where = _where(scene, *obj.center)
     for k in range(TRIES):
         angle, far = rng.uniform(0, 2 * np.pi), _FARTHER_M * (k + 1) * np.sqrt(rng.uniform())
-        x, y = thing.center[0] + far * np.cos(angle), thing.center[1] + far * np.sin(angle)
+        x, y = obj.center[0] + far * np.cos(angle), obj.center[1] + far * np.sin(angle)
         if _where(scene, x, y) == where and not _behind_wall(scene, x, y):
-            yield replace(thing, center=(float(x), float(y)))
+            yield replace(obj, center=(float(x), float(y)))
 
 
 def _where(scene: Scene, x: float, y: float) -> tuple[int, ...]:

@@ -42,16 +42,16 @@ class SimConfig:
     height: int = 480
     """Height of both images [pixel]."""
     depth_form: Literal["raw", "aligned", "both", "metres"] = "raw"
-    """raw: uint16 mm in the depth camera; aligned: in the colour camera; both; metres: as raw, but
-    float32 metres."""
+    """Form of depth images: raw, uint16 mm in the depth camera; aligned, in the colour camera;
+    both; metres, as raw but float32 metres."""
     mount_tf: bool = True
     """Write the camera's mounting to TF; off: the floor must be estimated."""
     extrinsics: Literal["tf", "topic", "both", "none"] = "both"
-    """Where the extrinsics between depth and colour camera are written."""
+    """Messages with the extrinsics from depth to colour camera."""
     compression: Literal["zstd", "lz4", "none"] = "zstd"
     """Compression of the file's chunks."""
     camera_height_m: float = 0.30
-    """Mounting height: optical centre of the colour camera above the floor [m]."""
+    """Mounting height of the colour camera above the floor [m]."""
     camera_pitch_rad: float = 0.1745
     """Downward tilt of the camera [rad]."""
     camera_roll_rad: float = 0.0175
@@ -67,12 +67,12 @@ class SimConfig:
     sensor: DepthSensor = field(default_factory=DepthSensor)
     """Errors of the depth camera."""
     depth_error: float = 0.0
-    """Scale of a real camera's errors on real floors, added to ``sensor``
-    (:meth:`DepthSensor.with_errors`): 0 none, 1 as a D435."""
+    """Scale of a D435's errors on real floors, added to ``sensor``
+    (:meth:`DepthSensor.with_errors`); 0: none."""
     exposure: ColorSensor = field(default_factory=ColorSensor)
     """Sensor, lens and processor of the colour camera."""
     light: LightName = "normal"
-    """Illumination: strong 30 000 lx, normal 500, weaker 120, dim 50."""
+    """Light: strong 30 000 lx, normal 500, weaker 120, dim 50."""
     slope_rad: float | None = None
     """Rise of a ramp ahead [rad]; unset: the scene's."""
     distance_m: float = 2.0

@@ -69,7 +69,7 @@ class Draft:
         texture = pick(self.rng, POST, plain)
         self.cylinders.append(Cylinder((x, y), radius, height, texture, name="pole"))
 
-    def thing(self, kind: str, x: float, y: float) -> None:
+    def add_object(self, kind: str, x: float, y: float) -> None:
         """Place an object by name."""
         if kind == "box":
             self.box(x, y)
@@ -89,7 +89,7 @@ class Draft:
             self.boxes.append(Box((x, y), size, yaw, HEDGE, name="hedge"))
             return
         for y in rng.uniform(-2.2, 2.2, int(rng.integers(1, 5))).tolist():
-            self.thing(str(rng.choice(["box", "box", "bin", "chair"])), far - 0.5, y)
+            self.add_object(str(rng.choice(["box", "box", "bin", "chair"])), far - 0.5, y)
 
     def finish(self, family: str, *, outdoors: bool, clutter: bool = True) -> Scene:
         """Return the scene with floor, lamp, and walls or a far building.
@@ -122,8 +122,8 @@ class Draft:
     def _scene(
         self, family: str, walls: tuple[Wall, ...], floor: Texture, ground: Ground, light: Light
     ) -> Scene:
-        things = tuple(self.boxes), tuple(self.cylinders), tuple(self.models)
-        return Scene(family, *things, walls, floor, ground, light, _STANDING)
+        objects = tuple(self.boxes), tuple(self.cylinders), tuple(self.models)
+        return Scene(family, *objects, walls, floor, ground, light, _STANDING)
 
 
 def hard_floor(rng: np.random.Generator, *, outdoors: bool) -> Texture:

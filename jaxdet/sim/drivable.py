@@ -16,7 +16,7 @@ from jaxdet.sim.world import STEP_M
 EDGE_BEARINGS_RAD = np.radians(np.arange(-40.0, 41.0))
 """Bearings ``(K,)`` of ``Truth.edge_m``: clockwise from above, 0 ahead [rad]."""
 _HIDDEN = 0.97
-"""An edge is hidden by surfaces nearer than this fraction of its depth."""
+"""Fraction of an edge's depth below which a surface hides it."""
 
 
 class FloorTruth(NamedTuple):

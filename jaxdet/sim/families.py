@@ -53,7 +53,7 @@ def _bucket(draft: Draft, distance_m: float) -> Scene:
     for _ in range(int(draft.rng.integers(1, 4))):
         draft.put("bucket", *draft.place(1.0, 3.0, 0.18))
     if draft.rng.random() < 0.5:
-        draft.thing(str(draft.rng.choice(["bin", "box"])), *draft.place(1.8, 3.6, 0.3))
+        draft.add_object(str(draft.rng.choice(["bin", "box"])), *draft.place(1.8, 3.6, 0.3))
     return draft.finish("bucket", outdoors=bool(draft.rng.random() < 0.3))
 
 
@@ -75,7 +75,7 @@ def _mixed(draft: Draft, distance_m: float) -> Scene:
     radii = {"barrier": 0.7, "table": 0.7, "person": 0.28, "walker": 0.35, "chair": 0.3}
     for _ in range(int(draft.rng.integers(3, 7))):
         kind = str(draft.rng.choice(kinds))
-        draft.thing(kind, *draft.place(1.1, 4.0, radii.get(kind, 0.25)))
+        draft.add_object(kind, *draft.place(1.1, 4.0, radii.get(kind, 0.25)))
     return draft.finish("mixed", outdoors=bool(draft.rng.random() < 0.5))
 
 
@@ -95,7 +95,7 @@ def _approach(draft: Draft, distance_m: float) -> Scene:
     All obstacles fit into the view at 1 m, which tables and barriers don't.
     """
     kind, aside = str(draft.rng.choice(_APPROACHED)), float(draft.rng.uniform(-0.08, 0.08))
-    draft.thing(kind, distance_m, aside * distance_m)
+    draft.add_object(kind, distance_m, aside * distance_m)
     return draft.finish("approach", outdoors=bool(draft.rng.random() < 0.5), clutter=False)
 
 
@@ -116,7 +116,7 @@ def _low_things(draft: Draft, distance_m: float) -> Scene:
     rng = draft.rng
     kinds = ["brick", "plank", "cable", "book", "kerb", "bottle"]
     for kind in rng.choice(kinds, int(rng.integers(2, 5)), replace=False):
-        draft.thing(str(kind), *draft.place(0.9, 2.4, 0.25))
+        draft.add_object(str(kind), *draft.place(0.9, 2.4, 0.25))
     return draft.finish("low_things", outdoors=bool(rng.random() < 0.5))
 
 
@@ -124,8 +124,8 @@ def _pedestrian(draft: Draft, distance_m: float) -> Scene:
     """Draw a person who walks to and fro across the path of the moving robot (paper, Fig. 15)."""
     del distance_m
     rng = draft.rng
-    draft.thing("bin", 3.6, float(rng.uniform(0.9, 1.3)))
-    draft.thing("box", 4.2, -float(rng.uniform(0.9, 1.3)))
+    draft.add_object("bin", 3.6, float(rng.uniform(0.9, 1.3)))
+    draft.add_object("box", 4.2, -float(rng.uniform(0.9, 1.3)))
     path = Path((float(rng.uniform(2.8, 3.4)), -1.3), np.pi / 2 + 0.15, 2.6, 1.2)
     draft.models.append(Model("walker", seed=int(rng.integers(1 << 30)), path=path, name="person"))
     scene = draft.finish("pedestrian", outdoors=False)

@@ -98,7 +98,7 @@ def _thing_in_corridor(draft: Draft, yaw: float, left: float, right: float, far:
                 turn = yaw + float(rng.normal(0, 0.2))
                 draft.boxes.append(Box((x, y), (size[0], size[1], size[2]), turn, texture))
             else:
-                draft.thing(kind, x, y)
+                draft.add_object(kind, x, y)
             return
 
 
@@ -166,7 +166,7 @@ def furnished(draft: Draft) -> Scene:
     for _ in range(int(rng.integers(1, 4))):
         kind = str(rng.choice(["chair", "bin", "box", "bucket", "person", "pole"]))
         x, y = draft.place(1.1, max(front - 0.4, 1.5), 0.28, gap=0.15)
-        draft.thing(kind, x, float(np.clip(y, 0.35 - right, left - 0.35)))
+        draft.add_object(kind, x, float(np.clip(y, 0.35 - right, left - 0.35)))
     return draft.enclosed("room", walls, hard_floor(rng, outdoors=False))
 
 
@@ -208,7 +208,7 @@ def tables(draft: Draft) -> Scene:
         shape = size[0], size[1], size[2]
         draft.boxes.append(Box((x, y), shape, turn, texture, base, "slab"))
     if rng.random() < 0.5:
-        draft.thing("chair", *draft.place(1.2, 3.2, 0.3, gap=0.1))
+        draft.add_object("chair", *draft.place(1.2, 3.2, 0.3, gap=0.1))
     left, right, front = rng.uniform((1.6, 1.6, 3.0), (4.0, 4.0, 7.0)).tolist()
     walls = room(inner_wall(rng), left, right, front)
     return draft.enclosed("tables", walls, hard_floor(rng, outdoors=False))

@@ -30,7 +30,7 @@ def moving(draft: Draft) -> Scene:
     ways = [(_way(path), _ROBOT_M)]
     for _ in range(int(rng.integers(1, 3))):
         kind = str(rng.choice(["bin", "box", "bucket", "cone", "chair", "person"]))
-        draft.thing(kind, *draft.place(2.6, 4.0, 0.3))
+        draft.add_object(kind, *draft.place(2.6, 4.0, 0.3))
     if rng.random() < 0.6:
         x, y = draft.place(2.0, 3.0, 0.25)
         side, turn = float(rng.uniform(0.2, 0.4)), float(rng.normal(0, 0.3))

@@ -9,7 +9,7 @@ def smooth_noise(shape: tuple[int, ...], size_px: float, rng: np.random.Generato
     white = rng.standard_normal(shape, np.float32)
     if size_px <= 0:
         return white
-    # A Gaussian of this width reduces the variance by 4 pi size^2; computed from its taps.
+    # A Gaussian of this width divides the variance by 4 pi size^2; computed from its taps.
     taps = cv2.getGaussianKernel(2 * int(3 * size_px + 0.5) + 1, size_px)
     return cv2.sepFilter2D(white, -1, taps, taps) / np.float32((taps**2).sum())
 

@@ -92,14 +92,14 @@ class Caster:
         lamps = np.array([(*_unit(view.lamp), view.lamp_radius) for view in views], np.float32)
         types: tuple[Any, ...] = (wp.int32, wp.float64, wp.vec3, wp.vec3)
         out = [wp.empty(shape, dtype=kind, device=self.device) for kind in types]
-        given = [
+        view_inputs = [
             self._put(np.array([view.world for view in views], np.int32), wp.int32),
             self._put(poses, wp.float64),
             self._put(pinhole, wp.float64),
             self._put(lamps, wp.float32),
             samples,
         ]
-        inputs = [*self._arrays, *given]
+        inputs = [*self._arrays, *view_inputs]
         wp.launch(kernels.raycast_view, shape, inputs, out, device=self.device)
         return Hits(*(array.numpy() for array in out))
 

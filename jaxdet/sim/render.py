@@ -55,9 +55,9 @@ class Rendering(NamedTuple):
     def height(self) -> np.ndarray:
         """Height above the floor beneath, ``(H, W)`` float32 [m], NaN where nothing is hit."""
         height = np.full(self.depth.shape, np.nan, np.float32)
-        thing = self.kind >= PixelKind.WALL
-        x, y, z = self.points[thing].T
-        height[thing] = z - ground_height(self.ground, x, y)
+        solid = self.kind >= PixelKind.WALL
+        x, y, z = self.points[solid].T
+        height[solid] = z - ground_height(self.ground, x, y)
         height[self.kind == PixelKind.FLOOR] = 0.0
         return height
 
@@ -99,7 +99,7 @@ def render(
     mirrored = behind = None
     if _mirrors(scene):
         flipped = view._replace(T_world_camera=np.diag([1.0, 1.0, -1.0, 1.0]) @ T_world_camera)
-        ghost = caster_of(scene, when, seed, device, "things").cast(camera, [flipped])
+        ghost = caster_of(scene, when, seed, device, "objects").cast(camera, [flipped])
         floor = seen & (number == 0)
         mirrored = np.where(floor, ghost.depth[0], np.nan)
         share = np.where(floor, gloss * (1 - shine[..., 2]) ** 2, 0)[..., None]

@@ -165,7 +165,7 @@ class Model:
     """Name in the ground truth; empty: the kind."""
 
 
-Thing = Box | Cylinder | Model | Wall
+SceneObject = Box | Cylinder | Model | Wall
 """Any object on the floor."""
 
 
@@ -196,7 +196,7 @@ class Scene:
             )
 
     @property
-    def objects(self) -> tuple[Thing, ...]:
+    def objects(self) -> tuple[SceneObject, ...]:
         """All objects on the floor; object ``i`` has the number ``i + 1``."""
         return (*self.boxes, *self.cylinders, *self.models, *self.walls)
 

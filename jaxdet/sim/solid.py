@@ -91,12 +91,12 @@ def hull_between(corners: np.ndarray, low: float, high: float) -> np.ndarray:
     """
     a, b = corners, np.roll(corners, -1, axis=1)
     points = corners.reshape(-1, 3)
-    found = [points[(points[:, 2] >= low) & (points[:, 2] <= high)]]
+    parts = [points[(points[:, 2] >= low) & (points[:, 2] <= high)]]
     for level in (low, high):
         crosses = (a[..., 2] - level) * (b[..., 2] - level) < 0
         share = (level - a[crosses, 2]) / (b[crosses, 2] - a[crosses, 2])
-        found.append(a[crosses] + share[:, None] * (b[crosses] - a[crosses]))
-    between = np.concatenate(found)[:, :2]
+        parts.append(a[crosses] + share[:, None] * (b[crosses] - a[crosses]))
+    between = np.concatenate(parts)[:, :2]
     # Centred, so that OpenCV's float32 is exact to a tenth of a micrometre.
     middle = between.mean(0)
     hull = cv2.convexHull((between - middle).astype(np.float32), returnPoints=False)

@@ -76,7 +76,7 @@ def drops(draft: Draft) -> Scene:
         if all(np.hypot(x - a, y - b) > 0.5 + r for a, b, r in draft.taken):
             draft.taken.append((x, y, 0.25))
             kinds = ["box", "bin", "cone", "person", "pole", "bucket"]
-            draft.thing(str(rng.choice(kinds)) if before else "person", x, y)
+            draft.add_object(str(rng.choice(kinds)) if before else "person", x, y)
     outdoors = bool(rng.random() < 0.5)
     left, right, front = rng.uniform((1.3, 1.3, 5.0), (4.0, 4.0, 9.0)).tolist()
     walls = building(rng) if outdoors else room(inner_wall(rng), left, right, front)
@@ -98,7 +98,7 @@ def ramps(draft: Draft) -> Scene:
     )
     kinds = ["box", "box", "bin", "cone", "person", "pole", "chair", "bucket", "brick"]
     for _ in range(int(rng.integers(2, 5))):
-        draft.thing(str(rng.choice(kinds)), *draft.place(1.1, 3.7, 0.27, gap=0.3))
+        draft.add_object(str(rng.choice(kinds)), *draft.place(1.1, 3.7, 0.27, gap=0.3))
     outdoors = bool(rng.random() < 0.5)
     left, right, front = rng.uniform((1.5, 1.5, 4.0), (4.0, 4.0, 7.0)).tolist()
     walls = building(rng) if outdoors else room(inner_wall(rng), left, right, front)

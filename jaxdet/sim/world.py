@@ -10,7 +10,7 @@ from jaxdet.sim.ground import floor_mesh, standing
 from jaxdet.sim.mesh import Mesh, join, shift
 from jaxdet.sim.models import STRIDE_M, build_model
 from jaxdet.sim.robot import pose_at
-from jaxdet.sim.scene import Box, Cylinder, Ground, Model, Path, Scene, Thing, Wall
+from jaxdet.sim.scene import Box, Cylinder, Ground, Model, Path, Scene, SceneObject, Wall
 from jaxdet.sim.solid import hull_between
 
 OUTLINE_CORNERS = 64
@@ -22,7 +22,7 @@ _WALL_FOOT_M = 1.5
 """Depth to which walls extend below z = 0 if the ground is not level [m]."""
 
 
-Part = Literal["all", "opaque", "things"]
+Part = Literal["all", "opaque", "objects"]
 """Rendered part of a world: all; without clear panes; without the floor."""
 
 
@@ -57,22 +57,22 @@ def _world(scene: Scene, time_s: float) -> World:
 
 def object_mesh(scene: Scene, j: int, time_s: float) -> Mesh:
     """Return the mesh of object ``j`` (from 0) in the world at a time."""
-    return thing_mesh(scene.objects[j], scene.ground, time_s)
+    return mesh_of(scene.objects[j], scene.ground, time_s)
 
 
-def thing_mesh(thing: Thing, ground: Ground, time_s: float = 0.0) -> Mesh:
+def mesh_of(obj: SceneObject, ground: Ground, time_s: float = 0.0) -> Mesh:
     """Return the mesh of an object on the ground at a time."""
-    if isinstance(thing, Wall):
+    if isinstance(obj, Wall):
         foot = _WALL_FOOT_M if ground.slope_rad or ground.bump_m or ground.drop_m else 0.0
-        return _box(thing.box, foot + ground.drop_m * ground.drop_steps)
-    if isinstance(thing, Box):
-        mesh, (x, y) = _box(thing, 0.0), thing.center
-    elif isinstance(thing, Cylinder):
-        mesh = shapes.cylinder(thing.radius, thing.height, thing.texture)
-        (x, y) = thing.center
-        mesh = mesh.moved(shift(x, y, thing.base))
+        return _box(obj.box, foot + ground.drop_m * ground.drop_steps)
+    if isinstance(obj, Box):
+        mesh, (x, y) = _box(obj, 0.0), obj.center
+    elif isinstance(obj, Cylinder):
+        mesh = shapes.cylinder(obj.radius, obj.height, obj.texture)
+        (x, y) = obj.center
+        mesh = mesh.moved(shift(x, y, obj.base))
     else:
-        mesh, x, y = _model(thing, time_s)
+        mesh, x, y = _model(obj, time_s)
     return mesh.moved(standing(ground, x, y))
 
 
@@ -149,9 +149,9 @@ def bounds(mesh: Mesh, yaw: float = 0.0) -> np.ndarray:
 
 def heading(scene: Scene, j: int, time_s: float) -> float:
     """Return the yaw of object ``j`` (from 0) at a time [rad]."""
-    thing = scene.objects[j]
-    if isinstance(thing, Model):
-        return thing.yaw if thing.path is None else _walk(thing.path, time_s)[2]
-    if isinstance(thing, Wall):
-        return thing.box.yaw
-    return thing.yaw if isinstance(thing, Box) else 0.0
+    obj = scene.objects[j]
+    if isinstance(obj, Model):
+        return obj.yaw if obj.path is None else _walk(obj.path, time_s)[2]
+    if isinstance(obj, Wall):
+        return obj.box.yaw
+    return obj.yaw if isinstance(obj, Box) else 0.0

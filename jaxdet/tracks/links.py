@@ -145,8 +145,8 @@ def _next(chain: np.ndarray, at: np.ndarray, step: int) -> np.ndarray:
     order = np.argsort(chain, kind="stable")
     position = np.empty(len(chain), np.int64)
     position[order] = np.arange(len(chain))
-    found = order[np.clip(position[at] + step, 0, len(chain) - 1)]
-    return found[chain[found] == chain[at]]
+    rows = order[np.clip(position[at] + step, 0, len(chain) - 1)]
+    return rows[chain[rows] == chain[at]]
 
 
 def _slopes(group: np.ndarray, t: np.ndarray, xy: np.ndarray, count: int) -> np.ndarray:

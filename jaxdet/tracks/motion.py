@@ -128,14 +128,14 @@ def _interpolated_edges(
     """Interpolate edges linearly to all frames, ``(P, 4)``, and return their weights ``(P,)``."""
     track = np.searchsorted(first, np.arange(len(obs.frame)), "right") - 1
     point = starts[track] + obs.frame - obs.frame[first][track]
-    known = np.zeros(len(stamp), bool)
-    known[point] = True
-    before = np.cumsum(known) - 1
-    after = before + ~known
+    observed = np.zeros(len(stamp), bool)
+    observed[point] = True
+    before = np.cumsum(observed) - 1
+    after = before + ~observed
     whole = np.maximum(stamp[point[after]] - stamp[point[before]], 1)
     share = (stamp - stamp[point[before]]) / whole
     filled = edges[before] + share[:, None] * (edges[after] - edges[before])
-    return filled, np.where(known, obs.weight[before], GUESSED)
+    return filled, np.where(observed, obs.weight[before], GUESSED)
 
 
 def _fitted_lines(

@@ -118,8 +118,8 @@ def track_of(number: int, pieces: Sequence[Piece]) -> Track:
 
     def mean(name: str) -> float:
         values = np.array([getattr(piece, name) for piece in pieces])
-        known = ~np.isnan(values)
-        return float(elementary.mean(values[known], counts[known])) if known.any() else np.nan
+        finite = ~np.isnan(values)
+        return float(elementary.mean(values[finite], counts[finite])) if finite.any() else np.nan
 
     return Track(
         number,

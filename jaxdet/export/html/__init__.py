@@ -161,7 +161,7 @@ def _log(results: "Results", log: "ResultLog", figures: LogFigures) -> dict[str,
     bins, summary = slice(0, line.bins), log.summary
     nearest = _numbers(line.nearest_m[bins], DIGITS)
     least = int(np.argmin(line.nearest_m[bins])) if line.bins else 0
-    known = bool(line.bins) and nearest[least] is not None
+    has_obstacle = bool(line.bins) and nearest[least] is not None
     begin_s = start / 1e9 if start is not None else 0.0
     return {
         "log": log.label,
@@ -171,7 +171,7 @@ def _log(results: "Results", log: "ResultLog", figures: LogFigures) -> dict[str,
         "obstacles": log.num_obstacles,
         "overflow": summary["overflow_frames"],
         "floorless": summary["floor_sources"].get("none", 0),
-        "nearest": [nearest[least], int(line.frame[least])] if known else None,
+        "nearest": [nearest[least], int(line.frame[least])] if has_obstacle else None,
         "begin": round(begin_s, 3) if begin_s > FIRST_DATE_S else None,
         "duration": (stop - start) / 1e9 if start is not None and stop is not None else None,
         "stride": line.stride,
@@ -214,7 +214,7 @@ def _shown(
     results: "Results", chosen: Mapping[Key, Sequence[str]], place: Mapping[str, int]
 ) -> dict[Key, dict[str, Any]]:
     """Return the data of the chosen frames for the page, except their pictures."""
-    found: dict[Key, dict[str, Any]] = {}
+    frames: dict[Key, dict[str, Any]] = {}
     for log in results.logs:
         wanted = np.array([frame for name, frame in chosen if name == log.label], np.int64)
         if not wanted.size:
@@ -232,7 +232,7 @@ def _shown(
                 listed = np.sort(np.argsort(distances, kind="stable")[:MOST_ROWS])
                 parts = own.take(listed).to_pylist()
                 key = log.label, values["frame"]
-                found[key] = _frame(values, parts, begin) | {
+                frames[key] = _frame(values, parts, begin) | {
                     "log": place[log.label],
                     "place": passed + row,
                     "kinds": chosen[key],
@@ -240,7 +240,7 @@ def _shown(
                     "nearest": round(float(distances.min()), DIGITS) if len(distances) else None,
                 }
             passed += len(numbers)
-    return found
+    return frames
 
 
 def _frame(row: Mapping[str, Any], parts: list[dict[str, Any]], begin: int) -> dict[str, Any]:

@@ -180,7 +180,7 @@ def collect(results: "Results", range_m: float) -> list[LogFigures]:
         results: Results.
         range_m: Maximum depth, for the histograms [m].
     """
-    width_m, found = range_m / (HISTOGRAM_BINS - 1), []
+    width_m, statistics = range_m / (HISTOGRAM_BINS - 1), []
     for log in results.logs:
         figures = LogFigures(log.label, width_m, Timeline(log.num_frames))
         for chunk in results.chunks(log, FRAME_COLUMNS, ("distance_m",), CHUNK_FRAMES):
@@ -188,5 +188,5 @@ def collect(results: "Results", range_m: float) -> list[LogFigures]:
             count = chunk.frames["num_obstacles"].to_numpy().astype(np.int64)
             distance_m = chunk.obstacles["distance_m"].to_numpy()
             figures.add(Columns(**columns, obstacles=count, distance_m=distance_m))
-        found.append(figures)
-    return found
+        statistics.append(figures)
+    return statistics

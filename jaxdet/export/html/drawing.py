@@ -28,12 +28,12 @@ def draw_again(
     """
     config = results.method
     for seen in look_again(results, log, files, np.array(wanted), with_cells=True, color=True):
-        frames, found = seen.batch.frames, seen.found
+        frames, detections = seen.batch.frames, seen.found
         unit = frames.calibration.depth_unit
-        corners = rectangles(found.obstacles, unit, config.footprint)
+        corners = rectangles(detections.obstacles, unit, config.footprint)
         assert frames.plane is not None
-        plane = shown_planes(row_inputs(found), frames.plane, frames.calibration)
+        plane = shown_planes(row_inputs(detections), frames.plane, frames.calibration)
         frames = frames._replace(plane=plane)
         for row, number in enumerate(seen.chunk.frames["frame"].to_pylist()):
             title = f"{log.label}   frame {number}"
-            yield number, draw_frame(frames, found, corners, row, config, title)[..., ::-1]
+            yield number, draw_frame(frames, detections, corners, row, config, title)[..., ::-1]

@@ -82,12 +82,12 @@ def changed_settings(config: Mapping[str, Any], method: Config) -> list[list[str
         method: Configuration in it.
     """
     standard = plain(preset(config.get("preset") or "wheeled"))
-    found = []
+    changes = []
     for section, values in plain(method).items():
         for name, value in values.items():
             if value != standard[section][name]:
-                found.append([f"{section}.{name}", _said(value), _said(standard[section][name])])
-    return found
+                changes.append([f"{section}.{name}", _said(value), _said(standard[section][name])])
+    return changes
 
 
 def given_options(options: Any, standard: Any) -> list[list[str]]:

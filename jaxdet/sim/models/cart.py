@@ -14,7 +14,7 @@ DECK_M = 0.18
 
 
 def cart(rng: np.random.Generator, phase: float = 0.0) -> Mesh:
-    """A cart with a box; its handle is at -x."""
+    """Build a cart with a box; its handle is at -x."""
     del phase
     length, width, handle = rng.uniform((0.8, 0.5, 0.9), (1.2, 0.7, 1.1)).tolist()
     deck, frame = pick(rng, WOOD, STEEL), pick(rng, STEEL, BLACK)

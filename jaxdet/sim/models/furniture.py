@@ -15,7 +15,7 @@ SEATS = ((40, 42, 46), (30, 60, 110), (150, 40, 40), (190, 160, 120))
 
 
 def table(rng: np.random.Generator, phase: float = 0.0) -> Mesh:
-    """A table on four legs."""
+    """Build a table on four legs."""
     del phase
     length, width, height = rng.uniform((1.0, 0.60, 0.72), (1.6, 0.80, 0.76)).tolist()
     white = Texture("plain", (214, 212, 206), grain=3.0)
@@ -32,7 +32,7 @@ def table(rng: np.random.Generator, phase: float = 0.0) -> Mesh:
 
 
 def chair(rng: np.random.Generator, phase: float = 0.0) -> Mesh:
-    """A chair on four legs; its back is at -x."""
+    """Build a chair on four legs; its back is at -x."""
     del phase
     width, seat, back = rng.uniform((0.40, 0.43, 0.80), (0.46, 0.47, 0.90)).tolist()
     color = tinted(rng, SEATS[int(rng.integers(4))], 8)
@@ -52,7 +52,7 @@ def chair(rng: np.random.Generator, phase: float = 0.0) -> Mesh:
 
 
 def round_table(rng: np.random.Generator, phase: float = 0.0) -> Mesh:
-    """A round table on a column with a flat foot."""
+    """Build a round table on a column with a flat foot."""
     del phase
     radius, height = rng.uniform((0.30, 0.70), (0.45, 0.76)).tolist()
     top, column = pick(rng, WOOD, Texture("plain", (214, 212, 206))), pick(rng, BLACK, STEEL)
@@ -63,7 +63,7 @@ def round_table(rng: np.random.Generator, phase: float = 0.0) -> Mesh:
 
 
 def sofa(rng: np.random.Generator, phase: float = 0.0) -> Mesh:
-    """A sofa or armchair; its back is at -x."""
+    """Build a sofa or armchair; its back is at -x."""
     del phase
     length, depth, seat, back = rng.uniform((0.8, 0.75, 0.38, 0.70), (2.0, 0.90, 0.45, 0.90))
     r, g, b = tinted(rng, SEATS[int(rng.integers(4))], 12)

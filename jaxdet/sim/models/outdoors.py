@@ -15,7 +15,7 @@ BARKS = ((96, 78, 60), (120, 110, 98), (74, 62, 54))
 
 
 def tree_trunk(rng: np.random.Generator, phase: float = 0.0) -> Mesh:
-    """A slightly irregular trunk of 3-4 m with three branches above 2.3 m."""
+    """Build a slightly irregular trunk of 3-4 m with three branches above 2.3 m."""
     del phase
     radius, height = float(rng.uniform(0.075, 0.225)), float(rng.uniform(3.0, 4.0))
     z = np.r_[0.0, 0.04, 0.1, 0.2, np.linspace(0.4, height, 14)]
@@ -49,7 +49,7 @@ def tree_trunk(rng: np.random.Generator, phase: float = 0.0) -> Mesh:
 
 
 def street_light(rng: np.random.Generator, phase: float = 0.0) -> Mesh:
-    """A pole with a door section, an arm and a lamp."""
+    """Build a pole with a door section, an arm and a lamp."""
     del phase
     height, base = float(rng.uniform(5.0, 6.0)), float(rng.uniform(0.055, 0.085))
     paint = Texture("plain", tinted(rng, (96, 104, 104), 20), grain=3.0, gloss=0.1)

@@ -23,7 +23,7 @@ TROUSERS = ((34, 42, 70), (38, 38, 40), (92, 78, 58), (120, 120, 124))
 
 
 def standing_person(rng: np.random.Generator, phase: float = 0.0) -> Mesh:
-    """A standing person, slightly asymmetric."""
+    """Build a standing person, slightly asymmetric."""
     del phase
     lean = rng.normal(0, 0.05, 4)
     hips = lean[0] * 0.6 + 0.04, -lean[0] * 0.6 - 0.04
@@ -34,7 +34,7 @@ def standing_person(rng: np.random.Generator, phase: float = 0.0) -> Mesh:
 
 
 def walking_person(rng: np.random.Generator, phase: float = 0.0) -> Mesh:
-    """A person in mid-stride.
+    """Build a person in mid-stride.
 
     Joint angles are sines similar to Winter's Fig. 2.18 (hip -20 to 30 degrees, knee 5 to 60): the
     swinging leg bends, and arms swing opposite to the legs.
@@ -88,7 +88,7 @@ def _clothes(rng: np.random.Generator) -> tuple[Texture, Texture, Texture, Textu
 
 
 def _trunk(girth: float, shirt: Texture, trousers: Texture) -> list[Mesh]:
-    """Hips and chest as elliptic rings: height, half width and half depth in statures."""
+    """Build hips and chest of elliptic rings: height, half width and half depth in statures."""
     hips = [
         (0.475, 0.070, 0.055),
         (0.50, 0.098, 0.070),

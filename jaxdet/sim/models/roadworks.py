@@ -19,7 +19,7 @@ WHITE_PLASTIC = Texture("plain", (226, 226, 222), grain=4.0)
 
 
 def cone(rng: np.random.Generator, phase: float = 0.0) -> Mesh:
-    """A traffic cone with one or two white bands."""
+    """Build a traffic cone with one or two white bands."""
     del phase
     height = CONE_HEIGHTS_M[int(rng.choice(3, p=[0.35, 0.5, 0.15]))]
     width = {0.50: 0.29, 0.75: 0.39, 1.00: 0.45}[height]
@@ -35,7 +35,7 @@ def cone(rng: np.random.Generator, phase: float = 0.0) -> Mesh:
 
 
 def barrier(rng: np.random.Generator, phase: float = 0.0) -> Mesh:
-    """A water-filled barrier, its length along y."""
+    """Build a water-filled barrier, its length along y."""
     del phase
     length, depth, height = rng.uniform((1.2, 0.40, 0.70), (1.6, 0.50, 0.90)).tolist()
     color = SIGNAL_RED if rng.random() < 0.6 else WHITE_PLASTIC

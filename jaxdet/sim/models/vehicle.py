@@ -1,4 +1,4 @@
-"""A car.
+"""Model of a car.
 
 Dimensions of small and compact cars: length 3.6-4.5 m, width 1.65-1.82 m, height 1.45-1.55 m,
 wheelbase about 0.61 of the length, ground clearance 0.15 m, wheels 0.60-0.65 m (data sheets of the
@@ -24,7 +24,7 @@ PAINTS = ((214, 214, 212), (120, 124, 130), (26, 28, 32), (140, 22, 26), (28, 52
 
 
 def vehicle(rng: np.random.Generator, phase: float = 0.0) -> Mesh:
-    """A car with wheels, windows, lamps and plates."""
+    """Build a car with wheels, windows, lamps and plates."""
     del phase
     length, width, height = rng.uniform((3.6, 1.66, 1.45), (4.5, 1.82, 1.55)).tolist()
     paint = Texture("plain", PAINTS[int(rng.integers(5))], grain=2.0, gloss=0.45)
@@ -45,7 +45,7 @@ def _body(length: float, width: float, height: float, paint: Texture) -> Mesh:
 
 
 def _cabin(length: float, width: float, height: float, paint: Texture) -> list[Mesh]:
-    """Roof, pillars and glass: a tapered box with panes slightly outside of it."""
+    """Build roof, pillars and glass: a tapered box with panes slightly outside of it."""
     belt, a = 0.59 * height, length / 2
     low_x, high_x = np.array([-0.93, 0.42]) * a, np.array([-0.72, 0.10]) * a
     low_y, high_y = 0.46 * width, 0.36 * width
@@ -100,7 +100,7 @@ def _quad(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray, texture: T
 
 
 def _wheel(x: float, y: float, radius: float = 0.315) -> list[Mesh]:
-    """A wheel that protrudes from a dark arch by a centimetre."""
+    """Build a wheel that protrudes from a dark arch by a centimetre."""
     side = np.sign(y)
     turn = np.eye(4)
     turn[:3, :3] = [[1, 0, 0], [0, 0, -side], [0, side, 0]]

@@ -22,7 +22,7 @@ PLASTICS = (
 
 
 def bucket(rng: np.random.Generator, phase: float = 0.0) -> Mesh:
-    """An open bucket with a rim and a handle that is down or up."""
+    """Build an open bucket with a rim and a handle that is down or up."""
     del phase
     rim, height = float(rng.uniform(0.13, 0.18)), float(rng.uniform(0.25, 0.34))
     low = rim * float(rng.uniform(0.68, 0.8))
@@ -46,7 +46,7 @@ def bucket(rng: np.random.Generator, phase: float = 0.0) -> Mesh:
 
 
 def bin_with_lid(rng: np.random.Generator, phase: float = 0.0) -> Mesh:
-    """A round office bin, or a wheeled bin with a lid."""
+    """Build a round office bin, or a wheeled bin with a lid."""
     del phase
     color = tinted(rng, PLASTICS[int(rng.integers(6))], 10)
     skin = Texture("plain", color, grain=3.0)
@@ -68,7 +68,7 @@ def bin_with_lid(rng: np.random.Generator, phase: float = 0.0) -> Mesh:
 def _taper(
     low_x: float, low_y: float, high_x: float, high_y: float, height: float, texture: Texture
 ) -> Mesh:
-    """A box on z = 0.02 m that widens upwards."""
+    """Build a box on z = 0.02 m that widens upwards."""
     signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) / 2
     low = np.column_stack([signs * (low_x, low_y), np.full(4, 0.02)])
     high = np.column_stack([signs * (high_x, high_y), np.full(4, height)])
@@ -77,7 +77,7 @@ def _taper(
 
 
 def cable_drum(rng: np.random.Generator, phase: float = 0.0) -> Mesh:
-    """A cable drum that lies on one of its discs."""
+    """Build a cable drum that lies on one of its discs."""
     del phase
     radius, height = rng.uniform((0.08, 0.06), (0.16, 0.20)).tolist()
     disc = WOOD if rng.random() < 0.5 else Texture("plain", tinted(rng, (40, 40, 42), 20))
