@@ -59,14 +59,14 @@ def stops_raised() -> Iterator[None]:
 
 
 @contextmanager
-def stops_held_back(*, drop: bool = False) -> Iterator[None]:
-    """Let a signal wait until the end of the block; with ``drop`` it comes too late by then."""
+def stops_held_back() -> Iterator[None]:
+    """Let a signal wait until the end of the block."""
     held: list[int] = []
     try:
         with _handled(lambda number, _: held.append(number)):
             yield
     finally:
-        for number in () if drop else held:
+        for number in held:
             signal.raise_signal(number)
 
 
