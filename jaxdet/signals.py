@@ -54,8 +54,8 @@ def stops_raised() -> Iterator[None]:
         finally:
             if pending:
                 signal.setitimer(signal.ITIMER_REAL, 0)
-    if pending:
-        signal.raise_signal(pending)
+    if pending:  # the block ended before it could be raised
+        raise Interrupted(pending)
 
 
 @contextmanager

@@ -10,6 +10,7 @@ from jaxdet.presets import preset
 from jaxdet.results.lists import Lists
 from jaxdet.results.manifest import write_manifest
 from jaxdet.results.occupancy import MapImage, save_map
+from jaxdet.results.summary import LogSummary, Summary
 from jaxdet.results.writer import Tables, TableWriter, write_json
 from jaxdet.sim import SimConfig, write_log
 from tests.runs import run_log
@@ -47,11 +48,10 @@ def by_hand(folder: Path, frames: list[tuple[list[tuple[float, float]], float]])
         image = MapImage(ones, ones, (-1.0, -2.0), 0.05, np.zeros((len(frames), 2)))
         save_map(folder / "map.npz", image)
         total = sum(len(places) for places, _ in frames)
-        log = {"log": "hand", "paths": ["hand.mcap"], "frames": len(frames), "obstacles": total}
-        log |= {"error": None, "lost": [], "map": "map", "pictures": [], "calibration": None}
-        log |= {"description": None, "camera": "camera", "file_name": "hand"}
+        log = LogSummary("hand", ("hand.mcap",), camera="camera", file_name="hand", map="map")
+        log.frames, log.obstacles = len(frames), total
         config = {"surface": {"cell_rad": 0.1}, "log": {}}
-        summary = {"frames": len(frames), "obstacles": total, "logs": [log]}
+        summary = Summary("reference", 16, [log]).to_dict()
         writer.close(config, summary)
     write_json(folder / "config.json", config)
     write_json(folder / "summary.json", summary)

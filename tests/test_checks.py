@@ -180,7 +180,7 @@ def test_the_largest_numbers_work():
         cluster=ClusterConfig(True, 5.0, 10.0, 8192),
         footprint=FootprintConfig(1.0, 8192, 1.0, 1.0, 5.0, 1.0, 1.0, 65.535),
     )
-    widest = SurfaceConfig(0.02, 1.0, 1.0, 16, 1.0, 1.0, 16, 8192, 1.0, 4.0)
+    widest = SurfaceConfig(0.02, 1.0, 1.0, 16, 1.0, 1.0, 16, 8192, 512, 1.0, 4.0)
     surfaces = replace(config, cluster=ClusterConfig(), surface=widest)
     largest = ObstacleConfig("surfaces", 10.0, 10.0, 5.0, 1.0, 5.0, 10.0, 5.0, 8192)
     obstacles = replace(config, cluster=ClusterConfig(), obstacle=largest)

@@ -222,13 +222,14 @@ import signal, sys
 from jaxdet.cli import main
 from jaxdet.export import html
 from jaxdet.tracks import folder
+from tests.stops import stop
 
-def stop(path):
+def stopped(path):
     path.touch()
-    signal.raise_signal(signal.SIGTERM)
+    stop(signal.SIGTERM)
 
-html.export = lambda results, output, recordings: stop(output)
-folder.write_tracks = lambda results, config, staging: stop(staging / "half")
+html.export = lambda results, output, recordings: stopped(output)
+folder.write_tracks = lambda results, config, staging: stopped(staging / "half")
 sys.exit(main(sys.argv[1:]))
 """
 

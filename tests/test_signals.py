@@ -13,6 +13,7 @@ import pytest
 
 from jaxdet.errors import Interrupted
 from jaxdet.signals import stops_held_back, stops_raised
+from tests.stops import stop, wait_in_jaxdet
 
 GUARDED = """
 import ctypes, sys
@@ -28,17 +29,8 @@ NATIVE = "with stops_raised():\n    ctypes.PyDLL(None).sleep(30)"
 
 def test_a_stop_is_raised_in_code_of_jaxdet() -> None:
     with pytest.raises(Interrupted) as caught, stops_raised():
-        signal.raise_signal(signal.SIGTERM)
-        wait_in_jaxdet()
+        stop(signal.SIGTERM)
     assert caught.value.signal == signal.SIGTERM
-
-
-def wait_in_jaxdet() -> None:
-    """Wait where Python runs frames of the module jaxdet.signals, for at most 10 s."""
-    end = time.monotonic() + 10
-    while time.monotonic() < end:
-        with stops_held_back():
-            time.sleep(0.001)
 
 
 def test_a_stop_waits_for_the_end_of_an_import(tmp_path: Path, monkeypatch) -> None:
@@ -70,7 +62,7 @@ def test_a_stop_is_not_swallowed_by_a_callback_of_the_garbage_collector() -> Non
         wait_in_jaxdet()
 
 
-def test_a_stop_that_was_not_raised_is_passed_on() -> None:
+def test_a_stop_that_could_not_be_raised_inside_is_raised_at_the_end() -> None:
     inside = False
     with pytest.raises(Interrupted), stops_raised(), stops_raised():
         signal.raise_signal(signal.SIGINT)

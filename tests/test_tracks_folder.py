@@ -5,7 +5,6 @@ import shutil
 import signal
 import subprocess
 import sys
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +20,7 @@ from jaxdet.tracks import track_results
 from jaxdet.verify import verify
 from tests.pools import same_results
 from tests.runs import run_logs
+from tests.stops import stop
 from tests.test_tracks import results
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -80,8 +80,7 @@ def test_a_run_that_is_stopped_while_it_links_goes_on(tmp_path: Path, monkeypatc
     assert run("whole", "--quiet") == (0, "", "")
     for number in (signal.SIGINT, signal.SIGTERM):
         with monkeypatch.context() as patch:
-            stop = partial(signal.raise_signal, number)
-            patch.setattr(tracks_folder, "write_tracks", lambda *_, stop=stop: stop())
+            patch.setattr(tracks_folder, "write_tracks", lambda *_, n=number: stop(n))
             code, _, said = run("a", *["--quiet"] * (number == signal.SIGINT))
         assert code == 128 + number
         assert said.splitlines()[-1] == (

@@ -59,7 +59,7 @@ def find(results: Results, given: Sequence[str]) -> dict[str, LogFiles]:
         if name is None or name in found:
             some = ", ".join(sorted(names)[:MOST_NAMED]) or "none"
             problem = f"no log {log.name!r}; it holds {some}"
-            remedy = "logs are known by their names, else by what is in them"
+            remedy = "logs are identified by name, else by content"
             raise InputError(problem, path=str(results.folder), remedy=remedy)
         found[name] = log
     return found

@@ -41,7 +41,7 @@ def surfaces(
         [[0, 0, 1, 1]]
         >>> z = np.array([[900, 905, 0, 0, 910]], np.int32)
         >>> surfaces(z, z > 0, 0.001, SurfaceConfig(min_cells=3)).tolist()
-        [[0, 0, -1, -1, 0]]
+        [[0, 0, -1, -1, 1]]
     """
     z = z.astype(np.int64)
     step = quadratic_table(config.step_m, config.step_per_m, depth_unit)[z]

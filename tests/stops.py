@@ -1,0 +1,20 @@
+"""Signals sent where a test says, and raised where code of jaxdet runs."""
+
+import signal
+import time
+
+from jaxdet.signals import stops_held_back
+
+
+def stop(number: int) -> None:
+    """Send this process a signal and wait until it is raised."""
+    signal.raise_signal(number)
+    wait_in_jaxdet()
+
+
+def wait_in_jaxdet() -> None:
+    """Wait, at most 10 s, where code of jaxdet runs again and again."""
+    end = time.monotonic() + 10
+    while time.monotonic() < end:
+        with stops_held_back():
+            time.sleep(0.001)
