@@ -23,8 +23,8 @@ print("ready", flush=True)
 {body}
 """
 """Code of a process of its own."""
-NATIVE = "with stops_raised():\n    ctypes.PyDLL(None).sleep(30)"
-"""A call of native code that keeps Python's lock for 30 s is nothing that a handler can end."""
+NATIVE = "with stops_raised():\n    while True: ctypes.PyDLL(None).sleep(30)"
+"""Calls of native code that keep Python's lock, in code that is not jaxdet's."""
 
 
 def test_a_stop_is_raised_in_code_of_jaxdet() -> None:
