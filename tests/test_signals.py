@@ -23,8 +23,8 @@ print("ready", flush=True)
 {body}
 """
 """Code of a process of its own."""
-NATIVE = "with stops_raised():\n    while True: ctypes.PyDLL(None).sleep(30)"
-"""Calls of native code that keep Python's lock, in code that is not jaxdet's."""
+NATIVE = "with stops_raised():\n    while True: ctypes.CDLL(None).sleep(30)"
+"""Calls of native code that let go of Python's lock, in code that is not jaxdet's."""
 
 
 def test_a_stop_is_raised_in_code_of_jaxdet() -> None:
