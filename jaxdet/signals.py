@@ -12,6 +12,7 @@ import select
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType
@@ -104,13 +105,15 @@ _done = threading.Event()
 
 def _watch(receives: int) -> None:
     """End the process some time after the first signal, or at the second one."""
-    first = 0
+    first, deadline = 0, 0.0
     while not _done.is_set():
-        there, _, _ = select.select([receives], [], [], GRACE_S if first else None)
+        left = max(0.0, deadline - time.monotonic()) if first else None
+        there, _, _ = select.select([receives], [], [], left)
         stops = [number for number in os.read(receives, 64) if number in STOPS] if there else []
-        if first and (stops or not there) and not _done.is_set():
+        if first and (stops or time.monotonic() >= deadline) and not _done.is_set():
             _end(first)
-        first = first or next(iter(stops), 0)
+        if stops and not first:
+            first, deadline = stops[0], time.monotonic() + GRACE_S
 
 
 def _end(number: int) -> None:
