@@ -25,9 +25,8 @@ from jaxdet.cli.help import FIRST, laid_out, pages, title_of
 from jaxdet.engine import crew
 from jaxdet.errors import FrameStatus
 from jaxdet.presets import preset
-from jaxdet.results.schemas import FRAMES_SCHEMA, OBSTACLES_SCHEMA
+from jaxdet.results.schemas import FRAMES_SCHEMA, LINKS_SCHEMA, OBSTACLES_SCHEMA, TRACKS_SCHEMA
 from jaxdet.results.summary import LogSummary, Summary
-from jaxdet.results.track_schemas import LINKS_SCHEMA, TRACKS_SCHEMA
 from jaxdet.sim import SimConfig, write_log
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -50,7 +50,7 @@ JUDGED: dict[str, dict[str, Any]] = {
     "preset paper": {},
     "preset paper, corners only above the floor": {"use_mask": True},
 }
-"""What is judged on the seeds that are used for nothing else; nothing is chosen by it."""
+"""Variants that are evaluated on the held-out seeds; no setting is chosen by them."""
 GRID: dict[str, tuple[Any, ...]] = {
     "canny_high": (100.0, 150.0, 200.0, 300.0),
     "min_distance": (2.0, 3.0, 5.0, 7.0),

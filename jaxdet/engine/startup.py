@@ -249,6 +249,7 @@ def _user_cache() -> Path | None:
         return None
 
 
+@cache
 def _processor() -> str:
     """A name for what machine code made here runs on."""
     features = platform.processor()

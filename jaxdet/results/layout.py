@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxdet.errors import InputError
-from jaxdet.results.shapes import LOGS, check_shape
+from jaxdet.results.shapes import AGAIN, LOGS, check_shape
 
 RUN, MANIFEST, FAILED = "run.json", "manifest.json", "failed.json"
 SUMMARY, CONFIG = "summary.json", "config.json"
@@ -33,8 +33,6 @@ FRAMES, OBSTACLES = "frames.parquet", "obstacles.parquet"
 WORKING, READY = ".jaxdet", "ready"
 FLEET = ".fleet"
 """Folder in results for what machines that share a run note, see jaxdet.fleet.publish."""
-
-AGAIN = "run jaxdet run again, or name another folder"
 
 
 def log_folders(results: Path) -> dict[str, Path]:

@@ -43,9 +43,8 @@ from jaxdet.results.metadata import FORMAT, FORMAT_KEY
 from jaxdet.results.names import camera_name, export_name
 from jaxdet.results.occupancy import MapImage, load_map
 from jaxdet.results.record import digest
-from jaxdet.results.schemas import FRAMES_SCHEMA, OBSTACLES_SCHEMA
+from jaxdet.results.schemas import FRAMES_SCHEMA, LINKS_SCHEMA, OBSTACLES_SCHEMA, TRACKS_SCHEMA
 from jaxdet.results.shapes import check_shape
-from jaxdet.results.track_schemas import LINKS_SCHEMA, TRACKS_SCHEMA
 from jaxdet.results.tracked import Mover, TracksInFrames
 
 CHUNK_FRAMES = 1024

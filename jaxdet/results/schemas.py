@@ -1,4 +1,4 @@
-"""The columns of the two result tables, each with its unit and what it says."""
+"""Columns of the tables of results, each with its unit and description."""
 
 from typing import NamedTuple
 
@@ -128,6 +128,43 @@ OBSTACLES_SCHEMA = _schema(
     _Column("contour", _LIST, "m", "visible edge on the floor, right and forward in turn", True),
 )
 """``obstacles.parquet``: one row for each obstacle."""
+
+TRACKS_SCHEMA = _schema(
+    _Column("log", _STRING, "", "name of the log"),
+    _Column("camera", _STRING, "", "name of the camera"),
+    _Column("track", _I32, "", "number in the log and camera, from 0, by its first obstacle"),
+    _Column("in_world", _BOOL, "", "path in the world, else in the camera's ground frame"),
+    _Column("first_frame", _I64, "", "frame that shows it first"),
+    _Column("last_frame", _I64, "", "and last"),
+    _Column("first_stamp_ns", _I64, "ns", "stamp of its first frame"),
+    _Column("last_stamp_ns", _I64, "ns", "stamp of its last frame"),
+    _Column("num_frames", _I64, "", "frames that show it"),
+    _Column("num_obstacles", _I64, "", "its rows in obstacles.parquet"),
+    _Column("moving", _BOOL, "", "whether it moves in its path's frame, else it stands"),
+    _Column("mean_speed_mps", _F32, "m/s", "mean of its frames, 0 where it stands"),
+    _Column("max_speed_mps", _F32, "m/s", "greatest of them"),
+    _Column("length_m", _F32, "m", "longer side of its outline, median"),
+    _Column("width_m", _F32, "m", "shorter side, median"),
+    _Column("top_m", _F32, "m", "highest point above the floor, median", True),
+    _Column(
+        "path",
+        pa.list_(_item(_F64)),
+        "m",
+        "middle of its outline, x and y in turn: a point for each frame from the first to the "
+        "last, shown or not; one point where it stands",
+    ),
+    _Column("speed_mps", _LIST, "m/s", "speed in each of these frames; one value likewise"),
+)
+"""``tracks.parquet``: one row per track."""
+
+LINKS_SCHEMA = _schema(
+    _Column("log", _STRING, "", "name of the log"),
+    _Column("camera", _STRING, "", "name of the camera"),
+    _Column("frame", _I64, "", "number of the depth image in the log"),
+    _Column("obstacle", _I32, "", "label in the frame"),
+    _Column("track", _I32, "", "number of its track; null where it is in none", True),
+)
+"""``track_links.parquet``: one row per row of ``obstacles.parquet``, in the same order."""
 
 DICTIONARIES = [
     *("log", "camera", "status", "camera_frame", "world_frame", "floor_source", "floor_refused"),

@@ -7,7 +7,7 @@ from typing import Any
 
 from jaxdet.errors import InputError, printable
 
-REMEDY = "run jaxdet run again, or name another folder"
+AGAIN = "run jaxdet run again, or name another folder"
 COUNT, NUMBER, TEXT = "a count", "a number", "a line of text"
 """An integer from 0 on; a finite number; text without control characters."""
 MAYBE = "maybe"
@@ -93,4 +93,4 @@ def _require(good: bool, wanted: str, value: Any, path: Path, where: str) -> Non
     if not good:
         found = type(value).__name__ if value is not None else "missing or null"
         problem = f"{printable(where)[:200]} must be {wanted}, but is {found}"
-        raise InputError(problem, path=str(path), remedy=REMEDY)
+        raise InputError(problem, path=str(path), remedy=AGAIN)

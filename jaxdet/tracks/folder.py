@@ -27,7 +27,7 @@ from jaxdet.results.lock import Lock
 from jaxdet.results.manifest import read_manifest, write_manifest
 from jaxdet.results.publish import finish, flush_folder, link_folder, publish, remove
 from jaxdet.results.reading import LINKS, TRACKS, Chunk, ResultLog, Results
-from jaxdet.results.track_schemas import LINKS_SCHEMA, TRACKS_SCHEMA
+from jaxdet.results.schemas import LINKS_SCHEMA, TRACKS_SCHEMA
 from jaxdet.results.writer import parquet_writer
 from jaxdet.tracks.config import TrackConfig
 from jaxdet.tracks.observations import observations_of
@@ -67,7 +67,7 @@ def track_results(
 ) -> list[LogTracks]:
     """Link the obstacles of each log of results over time.
 
-    Writes ``tracks.parquet`` and ``track_links.parquet`` (:mod:`jaxdet.results.track_schemas`) and,
+    Writes ``tracks.parquet`` and ``track_links.parquet`` (:mod:`jaxdet.results.schemas`) and,
     where there is a map, ``tracks.png`` into the folder of each log: all of them or none, whatever
     ends the process. Logs are done one after the other, so some may have new tracks after a stop.
 

@@ -14,7 +14,7 @@ import pyarrow as pa
 from jaxdet.results.arrow import map_file, open_file
 from jaxdet.results.durable import writing
 from jaxdet.results.reading import ResultLog
-from jaxdet.results.track_schemas import TRACKS_SCHEMA
+from jaxdet.results.schemas import TRACKS_SCHEMA
 from jaxdet.tracks.track import Track
 
 PART_ROWS = 1024
