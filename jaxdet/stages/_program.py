@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-import warp as wp
 
 from jaxdet.affinity import affinity
 from jaxdet.camera import cell_side
@@ -20,7 +19,7 @@ from jaxdet.floor.frame import floor_frames
 from jaxdet.floor.plane import depth_range
 from jaxdet.floor.units import Scale, prior_units
 from jaxdet.runtime.calls import by_device, jax_callable
-from jaxdet.runtime.launch import INT32, TeamKernel, most_teams, on_cores, prepare
+from jaxdet.runtime.launch import TeamKernel, most_teams, on_cores, reported_words
 from jaxdet.runtime.layout import Layout
 from jaxdet.stages import _cells, _floor, _free, _obstacles, _outlines, _surfaces
 from jaxdet.stages._tables import Tables
@@ -125,19 +124,10 @@ def packed(sizes: Sizes, tables: Mapping[str, Array]) -> np.ndarray:
     found = np.concatenate([np.zeros(_HEADER, np.int32), layout.pack(1, made)[0]])
     header = Static(rows, columns, 0)
     found[: len(header) + len(more) + len(places)] = *header, *more, *places
-    found[: len(header)] = header._replace(own_words=_scratch_words(found, rows, columns))
+    found[: len(header)] = header._replace(
+        own_words=reported_words(kernels, [found, rows, columns])
+    )
     return found
-
-
-def _scratch_words(tables: np.ndarray, rows: int, columns: int) -> int:
-    """Words of scratch memory of a thread or a team, which the kernels know."""
-    prepare(kernels)
-    device = wp.device_from_jax(jax.local_devices()[0])
-    words = wp.zeros(1, dtype=INT32, device=device)
-    given = wp.array(tables, dtype=INT32, device=device)
-    inputs, width = [given, rows, columns, words], kernels.WIDTH
-    wp.launch(kernels.scratch_words, 1, inputs, device=device, block_dim=width)
-    return int(words.numpy()[0])
 
 
 class Rows(NamedTuple):

@@ -17,19 +17,17 @@ struct CornerSettings {
 
     // Corners are stronger than this share of the strongest allowed pixel: a double in two words.
     double quality() const {
-        unsigned long long bits = (unsigned)values[QUALITY + 1];
-        bits = bits << 32 | (unsigned)values[QUALITY];
-#if defined(__CUDA_ARCH__)
-        return __longlong_as_double((long long)bits);
-#else
-        double value;
-        __builtin_memcpy(&value, &bits, sizeof value);
-        return value;
-#endif
+        union {
+            unsigned long long bits;
+            double value;
+        } both;
+        both.bits = (unsigned)values[QUALITY + 1];
+        both.bits = both.bits << 32 | (unsigned)values[QUALITY];
+        return both.value;
     }
 
-    // All ones: corners may be everywhere, whatever the mask is.
-    unsigned long long everywhere() const { return values[EVERYWHERE] ? ~0ull : 0; }
+    // Corners may be everywhere, whatever the mask is.
+    bool everywhere() const { return values[EVERYWHERE] != 0; }
 };
 
 } }  // namespace jaxdet

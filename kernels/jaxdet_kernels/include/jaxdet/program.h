@@ -28,11 +28,6 @@ struct Header {
     }
 };
 
-// Takes arrays of so many words each from a row.
-template <class... Arrays> void take(Arena& row, int words, Arrays*&... all) {
-    ((all = (Arrays*)row.words(words)), ...);
-}
-
 // A frame: its arrays by name, in the order of jaxdet/stages/_program.py. Where most begin follows from
 // the size of the grid, which is an argument of the kernels: CUDA computes it anew at each use, while
 // what is read from memory would take registers.

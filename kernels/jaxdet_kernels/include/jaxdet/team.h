@@ -36,6 +36,7 @@ struct Team {
 
     static int input(const int* place) { return __ldg(place); }
     static bool input(const bool* place) { return __ldg((const unsigned char*)place); }
+    static unsigned char input(const unsigned char* place) { return __ldg(place); }
     static unsigned long long input(const unsigned long long* place) { return __ldg(place); }
 
     int atomic_add(int* place, int value) const { return atomicAdd(place, value); }
@@ -70,6 +71,7 @@ struct Team {
 
     static int input(const int* place) { return *place; }
     static bool input(const bool* place) { return *place; }
+    static unsigned char input(const unsigned char* place) { return *place; }
     // Also of eight bytes that were written as such.
     static unsigned long long input(const unsigned long long* place) {
         unsigned long long word;
