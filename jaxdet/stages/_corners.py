@@ -8,15 +8,13 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+import warp as wp
 from jax import lax
 
 from jaxdet.config import FeaturesConfig
 from jaxdet.runtime.calls import by_device, jax_callable
-from jaxdet.runtime.launch import TeamKernel, most_teams, on_cores, reported_words
+from jaxdet.runtime.launch import most_teams, on_cores, reported_words
 from jaxdet_kernels import features as kernels
-
-_BY_TEAMS = TeamKernel(kernels.corners_by_teams, kernels.WIDTH, kernels.BLOCKS)
-
 
 def corner_settings(config: FeaturesConfig) -> np.ndarray:
     """Return the settings as the kernels take them, ``(6,)`` int32.
@@ -56,14 +54,14 @@ def strongest_corners(
     """
     batch, height, width, _ = color.shape
 
-    def corners(scratch: tuple[int, int]) -> tuple[jax.Array, jax.Array, jax.Array]:
+    def corners(scratch: int) -> tuple[jax.Array, jax.Array, jax.Array]:
         found = dict.fromkeys(("u_out", "v_out"), (batch, slots))
-        dims = {**found, "found_out": (batch,), "scratch": scratch}
+        dims = {**found, "found_out": (batch,), "scratch": (scratch,)}
         return _corners(color, mask, settings, output_dims=dims)[:3]
 
     words = _words(height, width)
     teams = most_teams(batch, words, kernels.BLOCKS)
-    return by_device(lambda: corners((1, 1)), lambda: corners((teams, words)))
+    return by_device(lambda: corners(1), lambda: corners(teams * words))
 
 
 @lru_cache(maxsize=64)
@@ -78,7 +76,10 @@ def _corners(
     """Launch the kernel of the arrays' device; the scratch memory is not used on the CPU."""
     batch, height, width, _ = color.shape
     arrays = [color, mask, settings, u_out, v_out, found_out]
+    words = _words(height, width)
     if color.device.is_cpu:
-        on_cores(kernels.corners, arrays, batch, _words(height, width))
+        on_cores(kernels.corners, arrays, batch, words)
         return
-    _BY_TEAMS.launch([*arrays, scratch], batch, len(scratch))
+    given, teams = [*arrays, scratch, settings], len(scratch) // words
+    block, device = kernels.WIDTH, color.device
+    wp.launch(kernels.corners, teams * block, given, device=device, block_dim=block)

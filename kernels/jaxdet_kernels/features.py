@@ -8,80 +8,46 @@ import warp as wp
 
 from jaxdet_kernels.build import options
 
-wp.set_module_options(options("corners.h", "frames.h"))
+wp.set_module_options(options("corners.h"))
 
 WIDTH, BLOCKS = 256, 4
 """Threads of a team on CUDA, and how many teams are on a multiprocessor at once."""
 
 Color, Bits = wp.array4d[wp.uint8], wp.array3d[wp.uint32]
 Words, Rows = wp.array[wp.int32], wp.array2d[wp.int32]
-TYPES = Color, Bits, Words, Rows, Rows, Words, Rows
-"""Of the arrays of a call, those of :func:`corners_by_teams`."""
+TYPES = Color, Bits, Words, Rows, Rows, Words, Words
+"""Of the arrays of a call, those of :func:`corners`."""
 
 MAX_SIZE = 4096  # a row and a column fit in 32 bits
 """Most columns and rows of a colour image: places have 24 bits."""
 
-_CORNERS = """
+
+@wp.func_native("""
     using namespace jaxdet;
-    const int height = color.shape[1], width = color.shape[2], slots = u_out.shape[1];
+    const int frames = color.shape[0], height = color.shape[1], width = color.shape[2];
+    const int slots = u_out.shape[1];
     const Corners corners{height, width, {settings.data}, slots};
     const auto find = [&](size_t b, const Team& team, Corners::Shared& shared, int* own) {
         corners.run(team, shared, color.data + 3 * b * height * width,
                     mask.data + b * height * PixelBits::words(width), own,
                     u_out.data + b * slots, v_out.data + b * slots, found_out.data + b);
     };
-"""
-
-
-@wp.func_native(f"""
-#if !defined(__CUDA_ARCH__)
-    {_CORNERS}
+#if defined(__CUDA_ARCH__)
+    __shared__ Corners::Shared shared;
+    const Team team(tid, 0);
+    int* const own = scratch.data + (size_t)team.index * (scratch.shape[0] / gridDim.x);
+    for (int b = team.index; b < frames; b += gridDim.x) {
+        find(b, team, shared, own);
+        team.sync();
+    }
+#else
     Corners::Shared shared;
-    each_frame(next.data, color.shape[0], [&](size_t b) {{
-        find(b, Team(0, 0), shared, scratch.data);
-    }});
+    each_frame(next.data, frames, [&](size_t b) {
+        find(b, Team(tid, 0), shared, scratch.data);
+    });
 #endif
 """)
 def _corners(
-    color: Color,
-    mask: Bits,
-    settings: Words,
-    u_out: Rows,
-    v_out: Rows,
-    found_out: Words,
-    scratch: Words,
-    next: Words,
-): ...
-
-
-@wp.kernel
-def corners(
-    color: Color,  # (B, H, W, 3) RGB
-    mask: Bits,  # (B, H, words) where corners may be, one bit per pixel
-    settings: Words,  # (6,) see corner_settings.h
-    u_out: Rows,  # (B, N) columns, strongest corner first; 0 where there is none
-    v_out: Rows,  # rows
-    found_out: Words,  # (B,) number of corners, at most N + 1
-    scratch: Words,
-    next: Words,
-):
-    """Takes frames until none is left, on the CPU."""
-    _corners(color, mask, settings, u_out, v_out, found_out, scratch, next)
-
-
-@wp.func_native(f"""
-#if defined(__CUDA_ARCH__)
-    {_CORNERS}
-    __shared__ Corners::Shared shared;
-    const Team team(tid, 0);
-    int* const own = scratch.data + (size_t)team.index * scratch.shape[1];
-    for (int b = team.index; b < color.shape[0]; b += teams) {{
-        find(b, team, shared, own);
-        team.sync();
-    }}
-#endif
-""")
-def _corners_by_teams(
     tid: int,
     color: Color,
     mask: Bits,
@@ -89,24 +55,24 @@ def _corners_by_teams(
     u_out: Rows,
     v_out: Rows,
     found_out: Words,
-    scratch: Rows,
-    teams: int,
+    scratch: Words,
+    next: Words,
 ): ...
 
 
 @wp.kernel(launch_bounds=(WIDTH, BLOCKS))
-def corners_by_teams(
-    color: Color,
-    mask: Bits,
-    settings: Words,
-    u_out: Rows,
-    v_out: Rows,
-    found_out: Words,
-    scratch: Rows,  # (teams, words)
-    teams: int,
+def corners(
+    color: Color,  # (B, H, W, 3) RGB
+    mask: Bits,  # (B, H, words) where corners may be, one bit per pixel
+    settings: Words,  # (6,) see corners.h
+    u_out: Rows,  # (B, N) columns, strongest corner first; 0 where there is none
+    v_out: Rows,  # rows
+    found_out: Words,  # (B,) number of corners, at most N + 1
+    scratch: Words,  # of a thread on the CPU, of all teams on CUDA
+    next: Words,  # (1,) first frame that no thread of the CPU has taken
 ):
-    """The same on CUDA: teams take the frames of a batch in turn."""
-    _corners_by_teams(wp.tid(), color, mask, settings, u_out, v_out, found_out, scratch, teams)
+    """Take frames until none is left; teams on CUDA take them in turn."""
+    _corners(wp.tid(), color, mask, settings, u_out, v_out, found_out, scratch, next)
 
 
 @wp.func_native("words.data[0] = jaxdet::Corners::scratch_words(height, width);")

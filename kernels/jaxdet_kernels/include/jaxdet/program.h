@@ -4,7 +4,6 @@
 #include "cells.h"
 #include "floor.h"
 #include "found_frame.h"
-#include "frames.h"
 #include "free_floor.h"
 #include "obstacles.h"
 #include "outlines.h"
