@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from jaxdet import reference
 from jaxdet.camera import cell_side
 from jaxdet.config import SurfaceConfig
-from jaxdet.stages import _cells
+from jaxdet.stages._tables import cell_tables
 from jaxdet.types import Calibration, Cells, Intrinsics
 from tests.scenes import (
     D435_DEPTH,
@@ -30,7 +30,7 @@ THREE = SurfaceConfig(cell_rad=0.0078)
 
 def program(depth: np.ndarray, calibration: Calibration, config: SurfaceConfig) -> Cells:
     side = cell_side(calibration.depth, config.cell_rad)
-    return cells(depth, _cells.tables(calibration, config), side)
+    return cells(depth, cell_tables(calibration, config), side)
 
 
 def assert_same(depth: np.ndarray, calibration: Calibration, config: SurfaceConfig) -> None:

@@ -16,6 +16,7 @@ from jaxdet.runtime.calls import by_device, jax_callable
 from jaxdet.runtime.launch import most_teams, on_cores, reported_words
 from jaxdet_kernels import features as kernels
 
+
 def corner_settings(config: FeaturesConfig) -> np.ndarray:
     """Return the settings as the kernels take them, ``(6,)`` int32.
 

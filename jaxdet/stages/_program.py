@@ -21,8 +21,15 @@ from jaxdet.floor.units import Scale, prior_units
 from jaxdet.runtime.calls import by_device, jax_callable
 from jaxdet.runtime.launch import TeamKernel, most_teams, on_cores, reported_words
 from jaxdet.runtime.layout import Layout
-from jaxdet.stages import _cells, _floor, _free, _obstacles, _outlines, _surfaces
-from jaxdet.stages._tables import Tables
+from jaxdet.stages import _free
+from jaxdet.stages._tables import (
+    Tables,
+    cell_tables,
+    floor_tables,
+    obstacle_tables,
+    outline_tables,
+    surface_tables,
+)
 from jaxdet.types import MAX_CONTOUR, MAX_OBSTACLES, Array, Calibration, GroundPlane
 from jaxdet_kernels import program as kernels
 
@@ -82,17 +89,17 @@ def record_layout(columns: int) -> Layout:
 def host_tables(calibration: Calibration, config: Config) -> tuple[Sizes, Tables]:
     """The sizes and tables of all steps, on the host."""
     unit, camera = calibration.depth_unit, calibration.depth
-    cells = _cells.tables(calibration, config.surface)
+    cells = cell_tables(calibration, config.surface)
     rows, columns = cells["rays"].shape[1:]
     bounds = depth_range(config.ground.min_depth_m, config.ground.max_depth_m, unit)
     table = affinity(config.obstacle.affinity, unit)
     side = cell_side(camera, config.surface.cell_rad)
     return Sizes(camera.height, camera.width, side, rows, columns), {
         **cells,
-        **_floor.tables(rows * columns, config.floor, unit),
-        **_surfaces.tables(calibration, config),
-        **_obstacles.tables(bounds[1], unit, config.obstacle, table),
-        **_outlines.tables(calibration, config),
+        **floor_tables(rows * columns, config.floor, unit),
+        **surface_tables(calibration, config),
+        **obstacle_tables(bounds[1], unit, config.obstacle, table),
+        **outline_tables(calibration, config),
         **_free.tables(config, unit),
     }
 
