@@ -20,6 +20,7 @@ COMMANDS = {
     "export": "write results for other programs, or as a page: foxglove, ros2, html ...",
     "verify": "check results: every file, frame and table, and a sample against the reference",
     "info": "say what is in a log, and what would be used of it and why",
+    "config": "write all parameters with their meaning, as a file for run --config",
     "sim": "simulate a log with known obstacles",
     "help": "show a page: logs, calibration, tuning, recipes, ...; without a name their list",
     "doctor": "check this installation: versions, devices, and a small comparison",
