@@ -1,0 +1,3 @@
+"""Fixtures and settings of the tests, which those of benchmarks share."""
+
+from tests.conftest import shared_data, started  # noqa: F401
