@@ -14,6 +14,7 @@ from typing import Any
 
 from jaxdet.config import Config, GroundConfig
 from jaxdet.engine import device
+from jaxdet.engine.output import OutputFolder
 from jaxdet.results import publish
 from jaxdet.results.durable import sha256
 from jaxdet.results.layout import RUN, is_run
@@ -64,6 +65,9 @@ def kinds(output: Path) -> set[tuple[str, ...]]:
 def main(folder: Path, every: int, way: str) -> None:
     """Ends a command at every so many-th call, and the same one after it at others."""
     device.detect = remembered(device.detect)
+    # A run after one that was killed leaves its logs to worker processes, which take seconds to
+    # start; tests/test_killed.py kills commands with workers.
+    OutputFolder.taken_over = property(lambda output: False, lambda output, value: None)  # pyright: ignore
     if way.endswith("-slow"):
         publish.exchange = lambda one, other: False
     (logs := folder / "logs").mkdir()
