@@ -90,9 +90,7 @@ def test_damaged_code_is_compiled_again(cache: Path, tmp_path: Path, damage: str
         file.unlink()
     else:
         middle = len(original) // 2
-        file.write_bytes(
-            original[:middle] + bytes([original[middle] ^ 1]) + original[middle + 1 :]
-        )
+        file.write_bytes(original[:middle] + bytes([original[middle] ^ 1]) + original[middle + 1 :])
     assert ended(start(tmp_path)) == "1500\n"
     (made,) = code_in(tmp_path)
     assert made.read_bytes() == original
