@@ -86,7 +86,7 @@ def main(folder: Path, every: int, way: str) -> None:
     rewrite(copytree(before, folder / "new"))
     want, wanted = files(folder / "new"), kinds(folder / "new")
     wanted |= kinds(before) if is_run(before) else set()
-    call, ended = 0, True
+    call, kills, ended = 0, 0, True
     while ended:
         output, tries = copytree(before, folder / f"{call}"), 0
         while killed_at(call + 3 * tries, partial(rewrite, output)):
@@ -97,8 +97,8 @@ def main(folder: Path, every: int, way: str) -> None:
         found = files(output)
         assert found == want, (call, [n for n in {*found, *want} if found.get(n) != want.get(n)])
         rmtree(output)
-        ended, call = tries > 0, call + every
-    print(f"ends at {call - every} calls")
+        ended, call, kills = tries > 0, call + every, kills + tries
+    print(f"killed {kills} times")
     assert RUN in want
 
 
