@@ -32,7 +32,7 @@ def test_results_are_complete_whichever_system_call_was_the_last(
     command = [sys.executable, "-m", "tests.killed_runs", str(tmp_path), str(every), way]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     assert not done.returncode, done.stderr
-    assert int(re.findall(r"killed (\d+) times", done.stdout)[0]) > 15
+    assert int(re.findall(r"killed (\d+) times", done.stdout)[0]) > 5
 
 
 STOPS = (signal.SIGKILL, signal.SIGINT, signal.SIGTERM)
