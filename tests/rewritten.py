@@ -13,6 +13,7 @@ import numpy as np
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from mcap_ros2.writer import Writer
+from scipy.spatial.transform import Rotation
 
 from jaxdet.io.definition import DEFINITIONS, schema_text
 
@@ -90,6 +91,24 @@ def changed(messages: Iterable[Message], *changes: Change) -> list[Message]:
         some = [(item, change(item)) for item in found]
         found = [one for item, new in some for one in ([item] if new is None else new)]
     return found
+
+
+def move_world(path: Path, T: np.ndarray) -> Path:
+    """Move the odometry frame of a simulated log by a rigid transform ``(4, 4)``, in place."""
+
+    def move(position: dict[str, float], orientation: dict[str, float]) -> None:
+        turned = Rotation.from_matrix(T[:3, :3]) * Rotation.from_quat([*orientation.values()])
+        position |= zip("xyz", (T[:3, :3] @ [*position.values()] + T[:3, 3]).tolist(), strict=True)
+        orientation |= zip("xyzw", turned.as_quat().tolist(), strict=True)
+
+    def change(message: Message) -> None:
+        if message.topic == "/odom":
+            move(*message.body["pose"]["pose"].values())
+        elif message.topic == "/tf":
+            for item in message.body["transforms"]:
+                move(*item["transform"].values())
+
+    return write_messages(path, changed(read_messages(path), change))
 
 
 def _fields(message: Any) -> Any:

@@ -31,7 +31,8 @@ def scene(batch: int, lens: str = "pinhole", size: tuple[int, int] = (80, 60)) -
 
 
 @pytest.mark.parametrize(
-    ("name", "batch"), [("wheeled", 1), ("wheeled", 2), ("wheeled", 5), ("paper", 5)]
+    ("name", "batch"),
+    [("wheeled", 1), ("wheeled", 2), ("wheeled", 5), ("wheeled", 23), ("paper", 5)],
 )
 def test_any_number_of_frames_equals_the_reference(name, batch):
     given, config = scene(batch), PRESETS[name]
@@ -77,15 +78,6 @@ def test_a_batch_in_parts_equals_the_whole(name, monkeypatch):
     found, fit = detect(given, config), find_floors(given, config)
     assert_equal(found, detect(given, config, backend="reference"))
     assert_equal(fit, find_floors(given, config, backend="reference"))
-
-
-def test_a_batch_that_is_no_power_of_two_is_not_padded(monkeypatch):
-    """Of 23 frames 16 are computed as they are, and the other 7 get one more."""
-    given, sizes = scene(23), []
-    bucket = _batches._bucket
-    monkeypatch.setattr(_batches, "_bucket", lambda n: sizes.append((n, bucket(n))) or bucket(n))
-    assert_equal(detect(given), detect(given, backend="reference"))
-    assert sizes == [(16, 16), (7, 8)]
 
 
 def first(given: Frames, count: int) -> Frames:

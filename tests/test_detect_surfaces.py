@@ -414,6 +414,19 @@ def test_more_obstacles_than_there_is_room_for() -> None:
     assert (detections.obstacles.num_points > 0).all()
 
 
+@pytest.mark.parametrize("backend", ["reference", "jax"])
+def test_more_surfaces_than_there_is_room_for(backend: BackendName) -> None:
+    """35 x 26 squares hang in the air, all of them too small for obstacles."""
+    row, column = np.indices((26, 35))
+    z = 1.5 + 0.01 * ((17 * row + column) % 200)
+    depth = np.zeros((1, 9 * 26, 9 * 35))
+    for down, right in np.ndindex(6, 6):
+        depth[0, down::9, right::9] = z
+    large = replace(SURFACES, obstacle=replace(SURFACES.obstacle, forward_gap_m=0.0, min_cells=999))
+    detections = detect(made(depth, unknown_plane(1)), large, backend=backend)
+    assert count(detections) == 0 and detections.overflow[0]
+
+
 @pytest.mark.parametrize(("height", "width"), [(119, 157), (60, 160), (120, 40)])
 def test_parts_of_an_image(height: int, width: int) -> None:
     detections = found(made(cast(POSE, [BOX])[None, :height, :width], POSE.plane()))

@@ -19,6 +19,7 @@ from jaxdet.engine.floors import evenly
 from jaxdet.engine.unit import _ahead
 from jaxdet.errors import FrameStatus, InputError, Interrupted
 from jaxdet.floor.plane import flat_plane
+from jaxdet.floor.units import FloorFit
 from jaxdet.io import Batch, LogFiles, LogOptions, Notes, find_logs, open_log
 from jaxdet.io.limits import ReadMemory
 from jaxdet.sim import SimConfig, write_log
@@ -236,20 +237,16 @@ def test_sources_of_the_ground() -> None:
         source(source="tf")
 
 
-def test_windows_are_by_absolute_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    from jaxdet.engine import floors
-    from jaxdet.floor.units import FloorFit
-
-    def by_first_frame(frames: Frames, config: Config, *, backend: str) -> FloorFit:
+def test_windows_are_by_absolute_time() -> None:
+    def by_first_frame(frames: Frames) -> FloorFit:
         own = frames.valid
         height = np.full(len(own), 0.5 + int(frames.number[0]) / 100)
         plane = flat_plane(height, 0 * height, 0 * height, own)
         return FloorFit(plane, own, 0.5 * own, 0 * own, np.zeros((len(own), 8)))
 
-    monkeypatch.setattr(floors, "find_floors", by_first_frame)
     log: Any = FakeLog()
     config = Config(GroundConfig(window_s=0.5), cluster=ClusterConfig(points=True))
-    planes = decide_planes(log, config, "reference")
+    planes = decide_planes(log, config, "reference", find=by_first_frame)
     starts = [record.window_start_ns for record in planes.records]
     assert starts == [500_000_000, 1_000_000_000, 1_500_000_000]
     found = planes.of(log.stamps_ns)
@@ -257,7 +254,8 @@ def test_windows_are_by_absolute_time(monkeypatch: pytest.MonkeyPatch) -> None:
     assert found.valid.tolist() == [True] * 6 + [False] * 4  # no readable pair in the last one
     assert "1 of 3 time windows" in planes.warnings[0]
     assert not planes.of(np.array([0])).valid.any()
-    assert not decide_planes(log, Config(config.ground), "reference").warnings
+    plain = Config(config.ground)
+    assert not decide_planes(log, plain, "reference", find=by_first_frame).warnings
 
 
 def test_evenly_takes_both_ends() -> None:

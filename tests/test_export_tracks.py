@@ -117,19 +117,16 @@ def test_ros2_and_coco_have_the_tracks(walkers: Path, tmp_path: Path) -> None:
     assert found == [track for own in tracks for track, shown in own if shown]
 
 
-def test_rerun_has_an_entity_for_each_thing_that_moves(
-    walkers: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """From its first frame to its last, and where the world is moved to."""
-    folder, origin = walkers / "out", np.array([1000.0, -2000.0, 0.0])
-    monkeypatch.setattr("jaxdet.export.rerun._origin", lambda *_: origin)
+def test_rerun_has_an_entity_for_each_moving_track(walkers: Path, tmp_path: Path) -> None:
+    """It is shown from the track's first frame to its last."""
+    folder = walkers / "out"
     found = recording_of(folder, tmp_path / "rerun")
     tracks = pq.read_table(folder / "tracks.parquet").to_pylist()
     moving = {f"/world/tracks/{t['track']}": t for t in tracks if t["moving"]}
     assert {name for name in found if name.startswith("/world/tracks")} == {*moving}
     for name, track in moving.items():
         strip = np.array(found[name]["strips"][track["first_frame"]][0])
-        path = np.reshape(track["path"], (-1, 2)) - origin[:2]
+        path = np.reshape(track["path"], (-1, 2))
         np.testing.assert_allclose(strip[:, :2], path, atol=1e-3)
         assert [*found[name]["strips"]] == [track["first_frame"]]
         assert [*found[name]["is_recursive"]] == [track["last_frame"] + 1]

@@ -9,9 +9,9 @@ import pytest
 
 from jaxdet.export import export
 from jaxdet.results.reading import Results
-from jaxdet.sim import record
 from jaxdet.tracks import track_results
 from tests.export_results import run, sim_log
+from tests.rewritten import move_world
 from tests.test_export_foxglove import exported
 from tests.test_export_rerun import motion, recording_of
 
@@ -26,10 +26,9 @@ def drives(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     about: dict[str, Any] = {"scene": "moving", "frames": 10, "seed": 3126, "rate_hz": 8.0}
     about["camera_height_m"] = 0.5
     sim_log(near.parent / "log.mcap", **about)
-    with pytest.MonkeyPatch.context() as patch:
-        x, y = OFFSET
-        patch.setattr(record, "drifted", lambda pose, _: pose._replace(x=pose.x + x, y=pose.y + y))
-        sim_log(far.parent / "log.mcap", **about)
+    T = np.eye(4)
+    T[:2, 3] = OFFSET
+    move_world(sim_log(far.parent / "log.mcap", **about), T)
     for folder in folders:
         run(folder.parent / "log.mcap", folder)
         track_results(folder)

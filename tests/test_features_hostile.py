@@ -98,7 +98,7 @@ OF_THE_LONGEST = ("default", "full", "weak corners", "far apart")
 
 @pytest.mark.parametrize(
     ("size", "name"),
-    [*product(SIZES, SETTINGS), *product(LONGEST, OF_THE_LONGEST)],
+    [*product(SIZES[:1], SETTINGS), *product(SIZES[1:] + LONGEST, OF_THE_LONGEST)],
 )
 def test_hostile_images(device, size, name):
     grey = np.stack(list(hostile(*size).values()))
@@ -168,7 +168,7 @@ def test_recordings(device, shared_data):
     distance=st.sampled_from([0.0, 1.0, 2.0**0.5, 3.0, 4.7]),
     coarse=st.integers(1, 6),
 )
-@settings(max_examples=150)
+@settings(max_examples=60)
 def test_random_images(seed, levels, width, share, quality, distance, coarse):
     rng = np.random.default_rng(seed)
     size = 2, 24 + seed % 2 * 13, width

@@ -1,9 +1,13 @@
 """The cases of ``shared/cases/field``: obstacles equal those of the log they were made of."""
 
-import subprocess
+import runpy
 import sys
 from collections.abc import Callable
+from functools import cache
+from hashlib import sha256
 from pathlib import Path
+from shutil import copy
+from typing import Any
 
 import pyarrow.parquet as pq
 import pytest
@@ -13,31 +17,55 @@ from jaxdet.cli import main
 CASES = Path(__file__).resolve().parents[2] / "shared" / "cases" / "field"
 COLUMNS = ("distance_m", "corners_ground", "corners_world", "camera_position_world")
 Made = Callable[[str], Path]
+Run = Callable[..., Path]
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
-    """Makes a case once; skips where it is absent or needs what is not installed."""
-    folders: dict[str, Path] = {}
+    """Return a function that makes the logs of a case once; skip if the cases are absent."""
+    if not CASES.is_dir():
+        pytest.skip("no shared cases next to the project")
+    sys.path.insert(0, str(CASES / "_lib"))
+    import fl
 
+    @cache
+    def simulated(*flags: str) -> Path:
+        path = tmp_path_factory.mktemp("simulated") / "log.mcap"
+        size = ["--width", str(fl.WIDTH), "--height", str(fl.HEIGHT)]
+        assert main(["sim", str(path), "--quiet", *size, *flags]) == 0
+        return path
+
+    def simulate(path: Path, *flags: str) -> Any:
+        copy(simulated(*flags), path)
+        return fl.read(path)
+
+    @cache
     def make(name: str) -> Path:
-        scripts = [*CASES.glob(f"{name}-*/make.py")] if CASES.is_dir() else []
-        if not scripts:
-            pytest.skip("no shared cases next to the project")
-        if name not in folders:
-            folder = tmp_path_factory.mktemp(f"case{name}")
-            command = [sys.executable, str(scripts[0]), str(folder)]
-            subprocess.run(command, check=True, capture_output=True)
-            folders[name] = folder
-        return folders[name]
+        (script,) = CASES.glob(f"{name}-*/make.py")
+        folder = tmp_path_factory.mktemp(f"case{name}")
+        runpy.run_path(str(script))["main"](folder)
+        return folder
 
+    fl.simulate = simulate  # in this process; many cases begin with the same log
     return make
 
 
-def run(log: Path, folder: Path, *flags: str) -> Path:
-    results = folder / log.stem
-    assert main(["run", str(log), "-o", str(results), "--pictures", "0", "-q", *flags]) == 0
-    return results
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """Return a function that runs a log once and returns its results."""
+
+    known: dict[tuple, Path] = {}
+
+    def run(log: Path, *flags: str) -> Path:
+        files = [log] if log.is_file() else sorted(log.iterdir())
+        key = (sha256(b"".join(path.read_bytes() for path in files)).digest(), *flags)
+        if key not in known:
+            known[key] = tmp_path_factory.mktemp("results") / log.stem
+            how = ["-o", str(known[key]), "--pictures", "0", "-q", *flags]
+            assert main(["run", str(log), *how]) == 0
+        return known[key]
+
+    return run
 
 
 def columns(results: Path, table: str, camera: str = "") -> dict[str, list]:
@@ -59,28 +87,30 @@ def columns(results: Path, table: str, camera: str = "") -> dict[str, list]:
         ("14", "boot_1970.mcap", "base.mcap", ("--start", "0.2s")),
     ],
 )
-def test_a_case_is_as_the_log_it_was_made_of(made, tmp_path, case, file, base, flags):
+def test_obstacles_are_those_of_the_log_that_the_case_was_made_of(
+    made, run, case, file, base, flags
+):
     folder = made(case)
-    found, expected = (run(folder / name, tmp_path, *flags) for name in (file, base))
+    found, expected = (run(folder / name, *flags) for name in (file, base))
     for table in ("obstacles", "frames"):
         assert columns(found, table) == columns(expected, table)
 
 
 @pytest.mark.parametrize("log", ["two_equal_robots", "two_robots"])
-def test_robots_of_one_log_are_as_alone(made, tmp_path, log):
+def test_two_robots_in_a_log_have_the_results_of_separate_logs(made, run, log):
     folder = made("01")
-    found, expected = (run(folder / f"{name}.mcap", tmp_path) for name in (log, "robot1"))
+    found, expected = (run(folder / f"{name}.mcap") for name in (log, "robot1"))
     for table in ("obstacles", "frames"):
         assert columns(found, table, "robot1") == columns(expected, table)
     if log == "two_robots":
-        other = run(folder / "robot2.mcap", tmp_path)
+        other = run(folder / "robot2.mcap")
         ground = columns(found, "obstacles", "robot2")["corners_ground"]
         assert ground == columns(other, "obstacles")["corners_ground"]
 
 
 @pytest.mark.parametrize("flags", [(), ("--log.no-depth-aligned",)])
-def test_aligned_depth_of_half_the_size(made, tmp_path, flags):
-    results = run(made("07") / "aligned_half.mcap", tmp_path, *flags)
+def test_aligned_depth_of_half_the_size(made, run, flags):
+    results = run(made("07") / "aligned_half.mcap", *flags)
     found = pq.read_table(next(results.glob("*/obstacles.parquet"))).to_pylist()
     assert len(found) == 108
     nearest: dict[int, float] = {}
@@ -97,7 +127,7 @@ def test_aligned_depth_of_half_the_size(made, tmp_path, flags):
     ],
 )
 @pytest.mark.parametrize("command", ["info", "run"])
-def test_what_is_no_depth_is_refused(made, tmp_path, capsys, case, file, text, command):
+def test_images_that_are_not_depth_are_refused(made, tmp_path, capsys, case, file, text, command):
     output = ["-o", str(tmp_path / "out")] if command == "run" else []
     assert main([command, str(made(case) / file), *output]) == 1
     assert text in capsys.readouterr().err

@@ -99,7 +99,7 @@ def test_steps() -> None:
     """Steps down and up from any height, with priors that are right, wrong and none."""
     depths, known = [], []
     for pose in (Pose(0.3, 10.0, 1.0), Pose(0.8, 20.0, 1.0), Pose(1.3, 30.0, -2.0)):
-        for drop, start in ((0.05, 1.8), (0.09, 1.2), (0.15, 2.5), (0.35, 1.8), (1.3, 1.8)):
+        for drop, start in ((0.05, 1.8), (0.15, 2.5), (1.3, 1.8)):
             kerb = [((-9.0, start, 0.0), (9.0, 9.0, drop / 2))]
             for shown in (cast_step(pose, drop, start), cast(pose, kerb)):
                 for prior in priors(pose.plane()):
@@ -108,7 +108,7 @@ def test_steps() -> None:
     grid, prior = positions(np.stack(depths), CAMERA), join_planes(known)
     found = assert_same(grid, prior)
     flat = assert_same(grid, prior, FloorConfig(ramps=False))
-    assert (found != flat).any(axis=1).sum() > 40
+    assert (found != flat).any(axis=1).sum() > 20
 
 
 def test_tables_walls_and_little() -> None:
@@ -144,7 +144,7 @@ def test_settings(config: FloorConfig) -> None:
     depths, known = [], []
     for pose, slope in zip(POSES, (0.0, 6.0, -6.0, 4.0), strict=True):
         ramp = (1.3, float(np.tan(np.radians(slope)))) if slope else None
-        for prior in priors(pose.plane()):
+        for prior in priors(pose.plane())[::2]:
             depths.append(measured(cast(pose, BOXES, ramp=ramp)))
             known.append(prior)
     assert_same(positions(np.stack(depths), CAMERA), join_planes(known), config)
@@ -244,7 +244,7 @@ def test_any_roll(roll_deg: float) -> None:
     ],
 )
 def test_simulated(family: str, depth_error: float) -> None:
-    frames = list(sample_frames(family, 300, 2, depth_error=depth_error))
+    frames = list(sample_frames(family, 300, 1, depth_error=depth_error))
     calibration = calibration_of(frames[0].config)
     depth = np.stack([f.depth for f in frames if f.depth is not None])
     grid = cells(depth, calibration, SURFACE)

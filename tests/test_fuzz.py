@@ -41,14 +41,14 @@ def test_a_wrong_pixel_and_a_frame_lost_in_silence_are_failures(fuzzer, monkeypa
         plain = container.read_chunk_head
         unchecked = lambda data, size: plain(data, size)._replace(crc=0)  # noqa: E731
         patch.setattr(container, "read_chunk_head", unchecked)
-        assert "wrong pixels" in {fuzzer.one(seed).verdict.kind for seed in range(60)}
+        assert any(fuzzer.one(seed).verdict.kind == "wrong pixels" for seed in range(60))
     with monkeypatch.context() as patch:
         patch.setattr(FileIntegrity, "recovered", False)
-        assert "silently lost" in {fuzzer.one(seed).verdict.kind for seed in range(60)}
+        assert any(fuzzer.one(seed).verdict.kind == "silently lost" for seed in range(60))
 
 
 @pytest.mark.parametrize(
-    ("subject", "count"), [("calibrations", 50), ("calls", 500), ("results", 40)]
+    ("subject", "count"), [("calibrations", 12), ("calls", 200), ("results", 12)]
 )
 def test_hostile_calibrations_calls_and_results(tmp_path, subject, count):
     """In processes of their own, where one that dies is seen; compiled programs are kept."""

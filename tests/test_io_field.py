@@ -379,6 +379,18 @@ def test_floats_in_millimetres_have_a_flag(tmp_path, aligned, make):
             assert "looks like metres: leave --log.depth-unit-m out" in log.description.warnings[0]
 
 
+def test_pixels_without_depth_do_not_hide_millimetres(tmp_path, aligned):
+    def mostly_empty(message: Message) -> None:
+        if message.topic == ALIGNED:
+            image = message.pixels.copy()
+            image[len(image) // 5 :] = 0
+            message.show(image)
+
+    with opened(tmp_path, changed(aligned, in_floats(1.0), mostly_empty)) as log:
+        [text] = log.description.warnings
+    assert "looks like millimetres" in text
+
+
 @pytest.mark.parametrize(
     ("topic", "form"),
     [

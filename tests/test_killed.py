@@ -1,4 +1,4 @@
-"""Commands that are killed: whole results or none, old or new ones, whatever call was the last."""
+"""Commands that are killed: complete results or none, old or new ones, never a mixture."""
 
 import os
 import random
@@ -20,23 +20,30 @@ from tests.runs import run_logs
 ROOT = Path(__file__).resolve().parents[1]
 
 
-@pytest.mark.parametrize(
-    ("way", "every"),
-    [
-        *(("run", 7), ("overwrite", 9), ("overwrite-slow", 9)),
-        *(("track", 3), ("track-slow", 3)),
-    ],
-)
-def test_whatever_system_call_is_the_last(tmp_path: Path, way: str, every: int) -> None:
+WAYS = ("run", "overwrite", "overwrite-slow", "track", "track-slow")
+EVERY = {"run": 17, "overwrite": 61, "overwrite-slow": 61, "track": 31, "track-slow": 31}
+EACH = [pytest.param(way, 3, marks=pytest.mark.slow, id=f"{way}-each") for way in WAYS]
+
+
+@pytest.mark.parametrize(("way", "every"), [*EVERY.items(), *EACH])
+def test_results_are_complete_whichever_system_call_was_the_last(
+    tmp_path: Path, way: str, every: int
+) -> None:
     command = [sys.executable, "-m", "tests.killed_runs", str(tmp_path), str(every), way]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     assert not done.returncode, done.stderr
-    assert int(re.findall(r"ends at (\d+) calls", done.stdout)[0]) > 15
+    assert int(re.findall(r"killed (\d+) times", done.stdout)[0]) > 5
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT, signal.SIGTERM])
-def test_a_command_that_is_killed_goes_on(tmp_path: Path, number: signal.Signals) -> None:
-    """At some moment, with its workers; nothing is left of it after the next one."""
+STOPS = (signal.SIGKILL, signal.SIGINT, signal.SIGTERM)
+MANY = [pytest.param(stop, 7, marks=pytest.mark.slow) for stop in STOPS]
+
+
+@pytest.mark.parametrize(("number", "times"), [(signal.SIGKILL, 2), (signal.SIGINT, 1), *MANY])
+def test_a_command_that_was_killed_with_its_workers_goes_on(
+    tmp_path: Path, number: signal.Signals, times: int
+) -> None:
+    """The next command leaves nothing of the killed one, which ended at a random moment."""
     (logs := tmp_path / "logs").mkdir()
     for seed in range(4):
         write_log(logs / f"{seed}.mcap", SimConfig(frames=8, width=96, height=72, seed=seed))
@@ -45,9 +52,9 @@ def test_a_command_that_is_killed_goes_on(tmp_path: Path, number: signal.Signals
     command = [sys.executable, "-m", "jaxdet", "run", str(logs), "-o", str(tmp_path / "out")]
     command += ["--backend", "reference", "--pictures", "0", "--workers", "2"]
     draw = random.Random(int(number))
-    for _ in range(7 if number == signal.SIGKILL else 3):
+    for _ in range(times):
         process = subprocess.Popen(command, start_new_session=True, stderr=subprocess.DEVNULL)
-        time.sleep(draw.uniform(1.0, 8.0))
+        time.sleep(draw.uniform(1.0, 5.0))
         os.killpg(process.pid, number)
         assert process.wait() in (-number, 128 + number, 0)
         if (tmp_path / "out" / "run.json").exists():

@@ -65,6 +65,15 @@ def test_no_vertex_extends_away_from_the_camera() -> None:
     np.testing.assert_allclose(found, [[-0.3, 1], [0.3, 1], [0.3, 1.2], [-0.3, 1.2]])
 
 
+def test_margin_grows_with_the_square_of_the_nearest_depth() -> None:
+    one = outline((-300, 1000), (300, 1000), (0, 990))
+    near, far = (np.array([[[0, 0, z]]], np.int32) for z in (2000, 4000))
+    config = FootprintConfig(extension_m=0.2, margin_m=0.01, margin_per_m2=0.01)
+    found = metric.rectangles(one._replace(xyz_min=near, xyz_max=far), 0.001, config)[0, 0]
+    expected = [[-0.35, 0.95], [0.35, 0.95], [0.35, 1.25], [-0.35, 1.25]]
+    np.testing.assert_allclose(found, expected)
+
+
 def test_slanted_edge_extends_along_its_normal() -> None:
     found = corners((0, 2000), (300, 1600), (300, 1600))
     np.testing.assert_allclose(found[3] - found[0], [0.16, 0.12])

@@ -128,6 +128,18 @@ def test_a_cell_may_be_occupied_and_free() -> None:
     np.testing.assert_allclose(image.origin, (0.0, 0.0), atol=CELL_M)
 
 
+def test_counts_of_merged_maps_add_up():
+    square = np.array([[0.0, 0.0, 0.3, 0.0, 0.3, 0.3, 0.0, 0.3]])
+    one, other, both = OccupancyMap(), OccupancyMap(), OccupancyMap()
+    for corners, part in ((square, one), (square + 0.1, other)):
+        part.add(corners)
+        both.add(corners)
+    one.merge(other)
+    merged, wanted = one.image(), both.image()
+    assert merged and wanted and wanted.counts.max() == 2
+    np.testing.assert_array_equal(merged.counts, wanted.counts)
+
+
 def test_what_two_maps_left_out_adds_up():
     maps = [OccupancyMap(), OccupancyMap()]
     for one in maps:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from jaxdet.config import Config, GroundConfig, SurfaceConfig
-from jaxdet.engine import Planes, decide_planes, floors
+from jaxdet.engine import Planes, decide_planes
 from jaxdet.floor.plane import flat_plane, unknown_plane
 from jaxdet.floor.sampled import sampled_floor
 from jaxdet.floor.units import FloorFit
@@ -32,7 +32,7 @@ class Sampled:
         frames = _Frames(np.array(indices), np.ones(n, bool), None)
         return SimpleNamespace(frames=frames)
 
-    def find(self, frames: Any, config: Config, backend: str) -> FloorFit:
+    def find(self, frames: Any) -> FloorFit:
         self.priors.append(frames.plane)
         own = self.own[frames.number]
         height = np.where(own, self.heights[frames.number], frames.plane.height)
@@ -59,24 +59,19 @@ def test_a_camera_keeps_its_place_where_heights_and_angles_are_alike():
         assert sampled_floor(flat_plane(heights, level, pitches), own).agrees == agrees
 
 
-@pytest.fixture
-def decide(monkeypatch: pytest.MonkeyPatch) -> Any:
-    def decided(
-        heights: list[float], own: list[bool] | None = None, tf: bool = False, **ground: Any
-    ) -> Planes:
-        log = Sampled(heights, [True] * len(heights) if own is None else own, tf)
-        monkeypatch.setattr(floors, "find_floors", log.find)
-        config = Config(ground=GroundConfig(**ground), surface=SurfaceConfig(cell_rad=0.01))
-        return decide_planes(log, config, "reference")
-
-    return decided
+def decide(
+    heights: list[float], own: list[bool] | None = None, tf: bool = False, **ground: Any
+) -> Planes:
+    log: Any = Sampled(heights, [True] * len(heights) if own is None else own, tf)
+    config = Config(ground=GroundConfig(**ground), surface=SurfaceConfig(cell_rad=0.01))
+    return decide_planes(log, config, "reference", find=log.find)
 
 
 def words(planes: Planes, frames: int = 4) -> list[str]:
     return planes.sources(np.arange(frames) * 100_000_000)
 
 
-def test_the_log_replaces_what_tf_says(decide: Any) -> None:
+def test_the_log_replaces_what_tf_says() -> None:
     planes = decide([0.30, 0.31, 0.36, 0.9], [True, True, True, False], tf=True)
     assert words(planes) == ["log"] * 4
     assert planes.of(np.zeros(2, np.int64)).height.tolist() == [0.31, 0.31]
@@ -86,7 +81,7 @@ def test_the_log_replaces_what_tf_says(decide: Any) -> None:
     assert words(flags) == ["log"] * 4 and flags.records[0].height_m == 0.3
 
 
-def test_few_frames_do_not(decide: Any) -> None:
+def test_few_frames_do_not() -> None:
     planes = decide([0.3] * 4, [True, True, False, False], tf=True)
     assert words(planes) == ["tf"] * 4
     assert planes.of(np.zeros(1, np.int64)).height[0] == pytest.approx(0.4)
@@ -98,7 +93,7 @@ def test_few_frames_do_not(decide: Any) -> None:
     assert words(decide([], tf=True)) == ["tf"] * 4
 
 
-def test_where_nothing_is_known_the_camera_must_keep_its_place(decide: Any) -> None:
+def test_where_nothing_is_known_the_camera_must_keep_its_place() -> None:
     assert words(decide([0.3, 0.31, 0.32, 0.3])) == ["log"] * 4
     moved = decide([0.3, 0.3, 0.6, 0.6])
     assert words(moved) == ["none"] * 4
@@ -109,7 +104,7 @@ def test_where_nothing_is_known_the_camera_must_keep_its_place(decide: Any) -> N
     assert words(decide([0.3] * 4, source="estimate", tf=True)) == ["log"] * 4
 
 
-def test_windows_are_looked_at_for_themselves(decide: Any) -> None:
+def test_windows_are_looked_at_for_themselves() -> None:
     heights, own = [0.3] * 4 + [0.5] * 4, [True] * 7 + [False]
     planes = decide(heights, own, window_s=0.2)
     assert words(planes, 9) == ["window"] * 6 + ["none"] * 3
@@ -118,7 +113,7 @@ def test_windows_are_looked_at_for_themselves(decide: Any) -> None:
     assert words(planes, 9) == ["window"] * 6 + ["tf"] * 3
 
 
-def test_the_sample_is_fixed(decide: Any) -> None:
+def test_the_sample_is_fixed() -> None:
     planes = decide([0.3] * 50, sample_frames=5)
     assert planes.records[0].frames_used == 5
 

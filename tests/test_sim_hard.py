@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import jaxdet
-from benchmarks.real_floor import simulated
 from jaxdet.errors import ConfigError
 from jaxdet.eval import truth_of
 from jaxdet.floor.plane import down_vector, flat_plane
@@ -100,7 +99,7 @@ def test_things_stand_before_a_wall(seed):
 
 
 def test_sizes_of_low_things_drops_and_ramps():
-    for seed in range(20):
+    for seed in range(8):
         scene = load_scene("low_clutter", seed)
         tall = placed(scene, 0.0)[0][: -len(scene.walls)]
         assert len(tall) >= 3 and tall.min() > 0.0599 and tall.max() < 0.2401
@@ -227,18 +226,3 @@ def test_a_robot_rocks():
 def test_bad_values(wrong):
     with pytest.raises(ConfigError, match="out of range"):
         SimConfig(**wrong)
-
-
-def test_floors_are_as_bad_as_real_ones():
-    """Medians over eight frames within what a D415's labelled frames show, clean ones below."""
-    measured, clean = (
-        [np.array([[s.no_depth, *s.deviation_m, s.above_step] for s in both]) for both in every]
-        for every in (simulated(1.0, (0, 1)), simulated(0.0, (0,)))
-    )
-    # Share without depth; deviation [m] at 1.5-2, 2.5-3 and 3-4 m: whole image, then inside.
-    low = [[0.10, 0.008, 0.008, 0.010], [0.04, 0.004, 0.006, 0.008]]
-    high = [[0.17, 0.033, 0.034, 0.045], [0.11, 0.016, 0.024, 0.043]]
-    got = np.nanmedian(measured, axis=0)[:, :4]
-    assert (got >= low).all() and (got <= high).all()
-    assert (np.nanmedian(clean, axis=0)[:, 1:4] < np.array(low)[:, 1:]).all()
-    assert 0 <= np.nanmax(measured, axis=0)[0, 4] < 0.107

@@ -29,10 +29,10 @@ from tests.scenes import (
 
 pytestmark = pytest.mark.twin
 
-BATCHES = pytest.mark.parametrize("batch", [1, 2, 3, 7])
+BATCHES = pytest.mark.parametrize("batch", [1, 3, 7])
 
 
-@pytest.fixture(params=[1, 2, 3, 5])
+@pytest.fixture(params=[1, 3])
 def threads(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
     """A number of threads; programs that were traced for another number are forgotten."""
     monkeypatch.setenv("PJRT_NPROC", str(request.param))

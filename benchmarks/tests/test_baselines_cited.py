@@ -14,7 +14,7 @@ from sklearn.metrics import adjusted_rand_score
 from benchmarks.baselines import cure, perch, rock
 from benchmarks.baselines.clustering import chameleon
 from benchmarks.baselines.sampling import cluster_sample, sample
-from tests.boards import same_partition
+from benchmarks.tests.boards import same_partition
 
 seeds = st.integers(0, 2**32 - 1)
 EASY = {

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 pytest.importorskip("scipy")
 
 from benchmarks.baselines.rsc import nearest_neighbours, rsc_count, rsc_threshold
-from tests.boards import same_partition
+from benchmarks.tests.boards import same_partition
 
 seeds = st.integers(0, 2**32 - 1)
 

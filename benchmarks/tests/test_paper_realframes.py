@@ -184,7 +184,7 @@ def test_stills_of_repositories_become_logs(tmp_path):
                     cv2.imwrite(str(clone / depth), image)
             stored = np.rint(image * room["depth_unit_m"] * 1000)
             depths.setdefault(room["name"], np.minimum(stored, 65535))
-    script = str(Path(__file__).parents[1] / "scripts" / "rooms_to_mcap")
+    script = str(Path(__file__).parents[2] / "scripts" / "rooms_to_mcap")
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
     command = [sys.executable, script, str(tmp_path / "clones"), str(tmp_path / "rooms")]
     run = subprocess.run(command, check=True, capture_output=True, text=True, env=environment)

@@ -11,8 +11,8 @@ pytest.importorskip("sklearn")
 from sklearn.metrics import adjusted_rand_score
 
 from benchmarks.baselines import autoencoder, dcc, ddc
+from benchmarks.tests.boards import board_frame, same_partition
 from jaxdet.config import Config
-from tests.boards import board_frame, same_partition
 
 seeds = st.integers(0, 2**32 - 1)
 

@@ -23,13 +23,7 @@ from benchmarks.baselines import (
 from benchmarks.baselines.dense import range_image
 from benchmarks.baselines.frames import color_plane, labels_at, ordered
 from benchmarks.paper.shots import Spec, frames_of, shot_of
-from jaxdet import reference
-from jaxdet.config import MAX_POINTS, ClusterConfig
-from jaxdet.eval import EvalConfig, score
-from jaxdet.presets import preset
-from jaxdet.sim import sample_frames
-from jaxdet.types import Calibration, Extrinsics, Frames, GroundPlane
-from tests.boards import (
+from benchmarks.tests.boards import (
     BOXES,
     CALIBRATION,
     CONFIG,
@@ -38,6 +32,12 @@ from tests.boards import (
     board_picture,
     board_truth,
 )
+from jaxdet import reference
+from jaxdet.config import MAX_POINTS, ClusterConfig
+from jaxdet.eval import EvalConfig, score
+from jaxdet.presets import preset
+from jaxdet.sim import sample_frames
+from jaxdet.types import Calibration, Extrinsics, Frames, GroundPlane
 
 PARAMS = {
     "hierarchical_ward": {"distance_m": 3.0},

@@ -1,7 +1,5 @@
 """Comparison of the obstacles of two commits, and copies of logs without colour."""
 
-import doctest
-
 import numpy as np
 import pytest
 
@@ -76,10 +74,6 @@ def test_frames_of_one_side_are_counted():
     new.frames[9] = new.frames[7]
     found = compare(old, new, 0.03, ())
     assert (found.frames, found.only_old, found.only_new) == (1, 0, 1)
-
-
-def test_examples():
-    assert doctest.testmod(same_obstacles).failed == 0
 
 
 def test_a_copy_without_color_has_the_same_depth(tmp_path):
