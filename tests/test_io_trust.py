@@ -22,9 +22,10 @@ from jaxdet.io.container import McapFile
 from jaxdet.io.declarations import ChannelInfo, Declarations
 from jaxdet.io.decode_messages import MessageDecoder
 from jaxdet.io.definition import bare_definition
+from jaxdet.io.formats import rebuild_file_index
 from jaxdet.io.limits import ReadMemory
 from jaxdet.io.messages import TransformMessage
-from jaxdet.io.opening import open_files, scan_files
+from jaxdet.io.opening import open_files
 from jaxdet.io.transforms import TransformTree
 from tests.fuzz.formats import write_format
 from tests.fuzz.mutations import chunks, records
@@ -157,7 +158,7 @@ def test_a_file_that_is_cut_while_it_is_scanned(tmp_path):
     opened = open_files(source, LogOptions(), ReadMemory())
     os.truncate(path, 5000)
     with pytest.raises(InputError, match="changed while it was read"):
-        scan_files(opened, source, LogOptions())
+        rebuild_file_index(opened.files[0])
     for file in opened.files:
         file.close()
 

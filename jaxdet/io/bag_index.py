@@ -1,4 +1,4 @@
-"""The messages of a ROS 1 bag: by its index, or by a walk over the whole file.
+"""The index of a ROS 1 bag: its own, or by a walk over the whole file.
 
 A bag that was not closed has no index at its end; then, or where the index is torn, the walk takes
 what is whole: it goes over damaged chunks, and ends where a record's length is damaged, but for
@@ -16,10 +16,9 @@ from mcap.opcode import Opcode
 
 from jaxdet.io.bag import BAG, CHUNK, CHUNK_INFO, CONNECTION, INDEX, MAGIC, BagFile, records
 from jaxdet.io.chunks import MESSAGE_HEAD, PAYLOAD_OFFSET, RECORD_HEAD, DamageError
-from jaxdet.io.container import Location
 from jaxdet.io.file_index import FileIndex, file_index
 from jaxdet.io.integrity import FileIntegrity
-from jaxdet.io.walk import TORN, FileRecord, Handler, Walk
+from jaxdet.io.walk import TORN, FileRecord, Walk
 
 _ENTRY = np.dtype([("sec", "<u4"), ("nanosec", "<u4"), ("offset", "<u4")])
 _COUNT = np.dtype([("connection", "<u4"), ("messages", "<u4")])
@@ -40,23 +39,23 @@ def read_bag_index(file: BagFile) -> FileIndex:
     messages = np.concatenate(parts, axis=1)
     file.check_messages(messages.shape[1])
     infos = dict(sorted(file.connections.items()))
-    return file_index(file.path, infos, messages, chunks=len(counts))
+    known = FileIntegrity(file.path, chunks=len(counts), by_index=True)
+    return file_index(infos, messages, known)
 
 
-def scan_bag(file: BagFile, handler: Handler, pool: ThreadPoolExecutor) -> FileIntegrity:
-    """Gives every readable message to ``handler``, in file order; says what was lost.
+def rebuild_bag_index(file: BagFile, pool: ThreadPoolExecutor) -> FileIndex:
+    """The index of every readable message, with what was lost.
 
     Args:
         file: The file.
-        handler: Called by this thread.
         pool: Decompresses chunks ahead.
 
     Raises:
         InputError: The file was changed meanwhile, or holds more messages than it has room for.
     """
-    scan = _Scan(file, handler)
+    scan = _Scan(file)
     scan.walk.over(scan.records(), scan.take, pool)
-    return scan.integrity()
+    return scan.index()
 
 
 def _read_end(file: BagFile) -> dict[int, dict[int, int]]:
@@ -123,8 +122,8 @@ def _chunk_index(
 class _Scan:
     """The state of one walk over a bag."""
 
-    def __init__(self, file: BagFile, handler: Handler) -> None:
-        self.file, self.walk = file, Walk(file, handler)
+    def __init__(self, file: BagFile) -> None:
+        self.file, self.walk = file, Walk(file)
         self.chunks, self.problem = 0, ""
         try:
             self.counts = _read_end(file)
@@ -156,16 +155,14 @@ class _Scan:
         assert decompressed is not None  # all but chunks are passed over
         self.chunks += 1
         chunk = memoryview(decompressed.result())
-        for place, size in _messages(chunk):
+        for place in _messages(chunk):
             number, _, log_ns, _ = MESSAGE_HEAD.unpack_from(chunk, place + RECORD_HEAD.size)
             info = self.file.connection(number, record.position)
             if info is None:
                 raise DamageError("message of an undeclared connection")
-            where = Location(record.position, place + PAYLOAD_OFFSET, size)
-            payload = chunk[place + PAYLOAD_OFFSET : place + PAYLOAD_OFFSET + size]
-            self.walk.give(number, info, log_ns, payload, where)
+            self.walk.add(number, info, log_ns, record.position, record.length, place)
 
-    def integrity(self) -> FileIntegrity:
+    def index(self) -> FileIndex:
         """What was found, and of what the index speaks beside that."""
         declared: Counter[int] = Counter()
         for counts in self.counts.values():
@@ -174,7 +171,7 @@ class _Scan:
         for number, count in sorted((declared - self.walk.read).items()):
             info = self.file.connections.get(number)
             missing[info.topic if info else f"connection {number}"] += count
-        return self.walk.integrity(
+        return self.walk.index(
             declared_messages=None if self.problem else declared.total(),
             chunks=self.chunks,
             has_end=not self.problem,
@@ -183,11 +180,11 @@ class _Scan:
         )
 
 
-def _messages(chunk: memoryview) -> Iterator[tuple[int, int]]:
-    """Where the messages of a chunk begin, and the sizes of their payloads."""
+def _messages(chunk: memoryview) -> Iterator[int]:
+    """Where the messages of a chunk begin."""
     place = 0
     while place < len(chunk):
         opcode, length = RECORD_HEAD.unpack_from(chunk, place)
         if opcode == Opcode.MESSAGE:
-            yield place, length - MESSAGE_HEAD.size
+            yield place
         place += RECORD_HEAD.size + length

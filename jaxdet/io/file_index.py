@@ -1,6 +1,10 @@
-"""What a file's own index tells of its messages, whatever the file's format is."""
+"""The index of a file: what and where its messages are, whatever the file's format is.
 
-from pathlib import Path
+A format reads it from the file's own index, without a look at a message, or rebuilds it by a walk
+over the whole file (:mod:`jaxdet.io.walk`). All that reads messages stands on these arrays, and
+does not know which of the two they come from.
+"""
+
 from typing import NamedTuple
 
 import numpy as np
@@ -40,23 +44,20 @@ class FileIndex(NamedTuple):
 
 
 def file_index(
-    path: Path,
     infos: dict[int, ChannelInfo],
     messages: np.ndarray,
+    integrity: FileIntegrity,
     counts: dict[int, ChannelCount] | None = None,
-    chunks: int = 0,
-    chunks_with_crc: int = 0,
 ) -> FileIndex:
     """The index of a file.
 
     Args:
-        path: The file.
         infos: Its channels.
         messages: ``(5, N)`` int64, the last five fields of the index of messages in any order;
             those of no use are left out.
+        integrity: What is known of the file beside its messages. By the file's own index the
+            numbers of messages are filled in.
         counts: What else is known of the channels, where ``messages`` lacks some of no use.
-        chunks: Of the file.
-        chunks_with_crc: Of these.
 
     Raises:
         DamageError: A message is of no channel.
@@ -66,16 +67,9 @@ def file_index(
         raise DamageError("message index of an undeclared channel")
     which = np.flatnonzero(np.isin(messages[0], useful_channels(infos)))
     which = which[np.lexsort(messages[[4, 2]][:, which])]
-    count = sum(item.messages for item in counts.values())
-    integrity = FileIntegrity(
-        path=path,
-        messages=count,
-        declared_messages=count,
-        has_end=True,
-        chunks=chunks,
-        chunks_with_crc=chunks_with_crc,
-        by_index=True,
-    )
+    if integrity.by_index:
+        count = sum(item.messages for item in counts.values())
+        integrity = integrity._replace(messages=count, declared_messages=count)
     return FileIndex(infos, counts, integrity, *messages[:, which])
 
 
@@ -86,8 +80,11 @@ def useful_channels(infos: dict[int, ChannelInfo]) -> np.ndarray:
 
 
 def _counts(channel: np.ndarray, log_ns: np.ndarray) -> dict[int, ChannelCount]:
-    found = {}
-    for number in np.unique(channel).tolist():
-        mine = log_ns[channel == number]
-        found[number] = ChannelCount(len(mine), int(mine.min()), int(mine.max()))
-    return found
+    numbers, where, count = np.unique(channel, return_inverse=True, return_counts=True)
+    if not len(numbers):
+        return {}
+    by_channel = log_ns[np.argsort(where, kind="stable")]
+    starts = np.cumsum(count) - count
+    ends = np.minimum.reduceat(by_channel, starts), np.maximum.reduceat(by_channel, starts)
+    columns = (values.tolist() for values in (numbers, count, *ends))
+    return {number: ChannelCount(*rest) for number, *rest in zip(*columns, strict=True)}

@@ -30,7 +30,7 @@ import numpy as np
 from jaxdet.errors import FrameError, InputError
 from jaxdet.io.chunks import PAYLOAD_OFFSET, DamageError
 from jaxdet.io.compressed import compressed_size
-from jaxdet.io.container import FileState, Location
+from jaxdet.io.container import FileState
 from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.definition import schema_text
 from jaxdet.io.file_index import FileIndex, file_index
@@ -44,7 +44,7 @@ from jaxdet.io.message_file import (
     position_of,
 )
 from jaxdet.io.messages import CompressedImageMessage
-from jaxdet.io.walk import Handler, Walk
+from jaxdet.io.walk import Walk
 from jaxdet.io.writer import pose_of
 from jaxdet.io.writer_cdr import camera_info, encode_cdr, header
 from jaxdet.types import Intrinsics, is_rigid
@@ -151,10 +151,6 @@ class ImageFolder(MessageFile):
         path = self._messages[position >> POSITION_BITS].path
         return "" if path is None else os.path.relpath(path, self.path)
 
-    def head(self, number: int) -> bytes:
-        """A message's data up to the image."""
-        return self._messages[number].head
-
     def read_payload(self, number: int, start: int, parts: Sequence[memoryview]) -> None:
         """Fills writable byte views with a message's data from ``start``, one after the other.
 
@@ -186,29 +182,24 @@ def read_folder_index(folder: ImageFolder) -> FileIndex:
     """What the names and sizes of a folder's files tell of its messages."""
     channel, log_ns, size = np.array(folder.rows(), np.int64).reshape(-1, 3).T
     messages = indexed_messages(np.arange(len(channel)), channel, log_ns, size)
-    return file_index(folder.path, folder.infos, messages)
+    return file_index(folder.infos, messages, FileIntegrity(folder.path, by_index=True))
 
 
-def scan_folder(folder: ImageFolder, handler: Handler) -> FileIntegrity:
-    """Gives every message to ``handler``, in order of time; says what was lost.
-
-    Of an image that can't be read it gives what is before: it is a frame, which can't be decoded.
+def rebuild_folder_index(folder: ImageFolder) -> FileIndex:
+    """The same by reading all files, with what can't be read: it stays a frame without an image.
 
     Raises:
         InputError: The folder was changed meanwhile.
     """
-    walk, rows = Walk(folder, handler), folder.rows()
+    walk, rows = Walk(folder), folder.rows()
     for number, row in enumerate(rows):
-        position = position_of(number)
+        position, info = position_of(number), folder.infos[row.channel]
         try:
-            payload = folder.chunk(position)[PAYLOAD_OFFSET:]
+            folder.chunk(position)
         except DamageError as error:
             walk.lose(str(error), 0)
-            payload = folder.head(number)
-        where = Location(position, PAYLOAD_OFFSET, row.size)
-        info = folder.infos[row.channel]
-        walk.give(row.channel, info, row.log_ns, memoryview(payload), where)
-    return walk.integrity(declared_messages=len(rows), has_end=True)
+        walk.add(row.channel, info, row.log_ns, position, row.size + PAYLOAD_OFFSET, 0)
+    return walk.index(declared_messages=len(rows))
 
 
 def image_folders(files: Iterable[Path]) -> list[Path]:

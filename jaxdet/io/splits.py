@@ -71,7 +71,7 @@ def _sketch(file: LogFile) -> Sketch:
     several = [counts[key] for key in seen if counts[key].messages > 1]
     periods = [(one.last_ns - one.first_ns) // (one.messages - 1) for one in several]
     builder = ContentsBuilder(LogContents(str(file.path)), use_tf=False, images=False)
-    search_index(file, builder)
+    search_index(file, entries, builder)
     known = builder.contents.calibrations.items()
     return Sketch(
         {info.topic: info.schema_name for info in useful.values()},

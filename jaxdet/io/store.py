@@ -29,7 +29,7 @@ class Place(NamedTuple):
     file: int
     """Number of the file."""
     position: int
-    """Where the content of the chunk's record begins, -1 for what lies outside chunks."""
+    """Of the chunk, see :meth:`jaxdet.io.container.LogFile.chunk_head`."""
 
 
 class ChunkStore:
@@ -159,8 +159,7 @@ class ChunkStore:
             DamageError: One can't be read.
         """
         for wave in self.waves(places):
-            packed = [place for place in wave if place.position >= 0]
-            packed = [place for place in packed if not self.head(place).is_plain]
+            packed = [place for place in wave if not self.head(place).is_plain]
             for _ in self.map(partial(self.data, ahead=True), packed):
                 pass
             yield from wave
@@ -200,10 +199,6 @@ class ChunkStore:
         Raises:
             DamageError: The chunk can't be read.
         """
-        if place.position < 0:
-            file = self.files[place.file]
-            file.check_memory(size, "message")
-            return memoryview(file.read(offset, min(size, file.size - offset)))
         head = self.head(place)
         if not head.is_plain:
             near = head.uncompressed_size >= LARGE_BYTES and offset + size <= BEGIN_BYTES
@@ -213,12 +208,11 @@ class ChunkStore:
                     return memoryview(known)[offset:]
             return memoryview(self.data(place, ahead=True))[offset : offset + size]
         size = min(size, head.uncompressed_size - offset)
+        self.files[place.file].check_memory(size, "message")
         start = place.position + head.data_offset
         return memoryview(self.files[place.file].read(start + offset, max(size, 0)))
 
     def _size(self, place: Place) -> int:
-        if place.position < 0:
-            return 0
         try:
             return min(self.head(place).uncompressed_size, self.files[place.file].max_bytes)
         except DamageError:
