@@ -163,10 +163,10 @@ def _read_all(
     """Reads all messages, but of images only the stamps and what the first ones look like.
 
     A message that can't be read, as the file of an image that is gone, is one that can't be
-    decoded. But a message that isn't where the index says contradicts it.
+    decoded.
 
     Raises:
-        DamageError: A chunk can't be read, or a message isn't where the index says.
+        DamageError: The index is the files' own, and a message isn't where it says.
     """
     trusted = any(file.by_index for file in builder.contents.integrity)
     parts = [(topic, np.arange(topic.num_messages)) for topic in topics]
@@ -192,11 +192,7 @@ def _read_all(
 def _in_file_order(
     store: ChunkStore, parts: Sequence[tuple[TopicMessages, np.ndarray]]
 ) -> Iterator[tuple[TopicMessages, int]]:
-    """Topics and numbers of messages in the order of the files, when their chunks are in memory.
-
-    Raises:
-        DamageError: A chunk can't be read.
-    """
+    """Topics and numbers of messages in the order of the files, when their chunks are in memory."""
     which = np.repeat(np.arange(len(parts)), [len(numbers) for _, numbers in parts])
     numbers = np.concatenate([np.zeros(0, np.int64), *(numbers for _, numbers in parts)])
     messages = _joined([topic.messages.rows(numbers) for topic, numbers in parts], in_order=False)

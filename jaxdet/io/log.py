@@ -493,10 +493,6 @@ def open_log(
         indexes = [rebuild_file_index(file) for file in opened.files]
         found = find_contents(opened, indexes, store, source, options, complete=True)
         return _opened(source, found, options)
-    except DamageError as error:  # of what could be read just now
-        store.close()
-        problem = f"can't be read any more ({error})"
-        raise InputError(problem, path=str(source.paths[0]), remedy="check the disk") from error
     except BaseException:
         store.close()
         raise

@@ -3,7 +3,7 @@
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
+from contextlib import suppress
 from threading import Lock
 from typing import NamedTuple, TypeVar
 
@@ -155,14 +155,23 @@ class ChunkStore:
     def loaded(self, places: Iterable[Place]) -> Iterator[Place]:
         """Chunks in order; those of a wave that are packed are decompressed by all threads.
 
-        Raises:
-            DamageError: One can't be read.
+        One that can't be read raises a DamageError where its bytes are used.
         """
         for wave in self.waves(places):
-            packed = [place for place in wave if not self.head(place).is_plain]
-            for _ in self.map(partial(self.data, ahead=True), packed):
+            for _ in self.map(self._load, [place for place in wave if self._is_packed(place)]):
                 pass
             yield from wave
+
+    def _is_packed(self, place: Place) -> bool:
+        try:
+            return not self.head(place).is_plain
+        except DamageError:
+            return False
+
+    def _load(self, place: Place) -> None:
+        """Decompresses a packed chunk, which is kept until it is used."""
+        with suppress(DamageError):
+            self.data(place, ahead=True)
 
     def _drop_one(self) -> None:
         """Drops the chunk used least of late; one that waits for its use only if all do."""
