@@ -29,7 +29,7 @@ class _Format(NamedTuple):
 
 _FORMATS: dict[type[LogFile], _Format] = {
     McapFile: _Format(read_mcap_index, rebuild_mcap_index),
-    BagFile: _Format(read_bag_index, rebuild_bag_index),
+    BagFile: _Format(read_bag_index, lambda file, _: rebuild_bag_index(file)),
     SqliteFile: _Format(read_sqlite_index, lambda file, _: rebuild_sqlite_index(file)),
     ImageFolder: _Format(read_folder_index, lambda file, _: rebuild_folder_index(file)),
 }
