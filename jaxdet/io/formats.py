@@ -5,11 +5,9 @@ all that reads logs stands on these.
 """
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from jaxdet.cores import cores
 from jaxdet.io.bag import BagFile
 from jaxdet.io.bag_index import read_bag_index, rebuild_bag_index
 from jaxdet.io.container import LogFile, McapFile
@@ -24,14 +22,14 @@ from jaxdet.io.unpacking import is_packed, unpacked
 
 class _Format(NamedTuple):
     read_index: Callable[[Any], FileIndex]
-    rebuild_index: Callable[[Any, ThreadPoolExecutor], FileIndex]
+    rebuild_index: Callable[[Any], FileIndex]
 
 
 _FORMATS: dict[type[LogFile], _Format] = {
     McapFile: _Format(read_mcap_index, rebuild_mcap_index),
-    BagFile: _Format(read_bag_index, lambda file, _: rebuild_bag_index(file)),
-    SqliteFile: _Format(read_sqlite_index, lambda file, _: rebuild_sqlite_index(file)),
-    ImageFolder: _Format(read_folder_index, lambda file, _: rebuild_folder_index(file)),
+    BagFile: _Format(read_bag_index, rebuild_bag_index),
+    SqliteFile: _Format(read_sqlite_index, rebuild_sqlite_index),
+    ImageFolder: _Format(read_folder_index, rebuild_folder_index),
 }
 _SUFFIXES: dict[str, type[LogFile]] = {".bag": BagFile, ".db3": SqliteFile}
 """Any other file is taken for MCAP."""
@@ -68,5 +66,4 @@ def rebuild_file_index(file: LogFile) -> FileIndex:
     Raises:
         InputError: The file was changed meanwhile, or holds more messages than it has room for.
     """
-    with ThreadPoolExecutor(cores(), thread_name_prefix="jaxdet-open") as pool:
-        return _FORMATS[type(file)].rebuild_index(file, pool)
+    return _FORMATS[type(file)].rebuild_index(file)
