@@ -43,7 +43,9 @@ from tests.io_helpers import (
     SECOND,
     START,
     STORE,
+    T_DEPTH_COLOR,
     LogFile,
+    assert_holds,
     make_scene,
     ros_image,
     ros_info,
@@ -161,6 +163,18 @@ def test_a_file_that_is_cut_while_it_is_scanned(tmp_path):
         rebuild_file_index(opened.files[0])
     for file in opened.files:
         file.close()
+
+
+def test_a_topic_may_have_messages_of_several_kinds(tmp_path):
+    path = tmp_path / "x.mcap"
+    with LogFile(path, chunk_size=6000) as log:
+        write_calibration(log)
+        write_images(log, SCENE)
+        log._channels.pop(DEPTH)
+        for number in range(12):
+            log.ros(DEPTH, ros_tf(("map", "x", *T_DEPTH_COLOR)), START + number)
+    with open_log(str(path)) as log:
+        assert_holds(log, SCENE)
 
 
 def other_calibration(path: Path, changed: range, K: tuple[float, ...]) -> Path:

@@ -172,7 +172,7 @@ def _read_all(
     parts = [(topic, np.arange(topic.num_messages)) for topic in topics]
     ranks = {name: stream.in_file_order() for name, stream in streams.items()}
     for topic, number in _in_file_order(store, parts):
-        stream, problem = streams.get(topic.topic), ""
+        stream, problem = streams.get(topic.topic) if topic.kind in IMAGE_KINDS else None, ""
         rank = int(ranks[topic.topic][number]) if stream else 0
         try:
             problem = stream.read(rank) if stream else ""
@@ -214,7 +214,7 @@ def _find_topics(
     files: Sequence[LogFile], indexes: Sequence[FileIndex], builder: ContentsBuilder
 ) -> list[TopicMessages]:
     """The topics that are of use; those of no use are noted and counted only."""
-    found: dict[str, tuple[list[MessageDecoder], list[IndexedMessages]]] = {}
+    found: dict[tuple[str, str], tuple[list[MessageDecoder], list[IndexedMessages]]] = {}
     for number, (file, entries) in enumerate(zip(files, indexes, strict=True)):
         builder.next_file(file)
         check_topics(len(entries.infos), builder.path)
@@ -229,7 +229,9 @@ def _find_topics(
             if decoder is None or not builder.wants(decoder):
                 continue
             mine = entries.channel == key
-            decoders, messages = found.setdefault(info.topic, ([], []))
+            # A topic may have messages of several kinds.
+            kind = "image" if decoder.kind in IMAGE_KINDS else decoder.kind.value
+            decoders, messages = found.setdefault((info.topic, kind), ([], []))
             same = np.full(int(mine.sum()), 0, np.int64)
             messages.append(
                 IndexedMessages(
@@ -243,7 +245,7 @@ def _find_topics(
                 )
             )
             decoders.append(decoder)
-    topics = [_topic(*parts) for parts in found.values()]
+    topics = [TopicMessages(tuple(known), _joined(parts)) for known, parts in found.values()]
     small = 0
     for topic in topics:
         small += topic.num_messages * (topic.kind not in IMAGE_KINDS)
@@ -251,12 +253,6 @@ def _find_topics(
             check_images(topic.num_messages, builder.bytes, builder.path, topic.topic)
         check_motions(small, builder.bytes, builder.path, topic.topic)
     return topics
-
-
-def _topic(decoders: list[MessageDecoder], parts: list[IndexedMessages]) -> TopicMessages:
-    if len({decoder.kind for decoder in decoders}) > 1:
-        raise DamageError("a topic has messages of several kinds")
-    return TopicMessages(tuple(decoders), _joined(parts))
 
 
 def _probes(topic: TopicMessages, whole: bool) -> np.ndarray:

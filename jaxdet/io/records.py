@@ -55,10 +55,10 @@ class IndexedMessages(NamedTuple):
 
 
 class TopicMessages(NamedTuple):
-    """The messages of a topic."""
+    """The messages of a topic, of one kind."""
 
     decoders: tuple[MessageDecoder, ...]
-    """All of one kind; a message has the one of its ``decoder``."""
+    """All of one kind, or all of images; a message has the one of its ``decoder``."""
     messages: IndexedMessages
 
     @property
