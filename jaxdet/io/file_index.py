@@ -9,10 +9,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxdet.io.chunks import DamageError
+from jaxdet.io.chunks import MAX_TIME_NS, DamageError
 from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.integrity import FileIntegrity
 from jaxdet.io.messages import kind_of
+
+
+MAX_CHANNEL = 0xFFFF
 
 
 class ChannelCount(NamedTuple):
@@ -60,8 +63,10 @@ def file_index(
         counts: What else is known of the channels, where ``messages`` lacks some of no use.
 
     Raises:
-        DamageError: A message is of no channel.
+        DamageError: A message is of no channel, or of one whose number has more than 16 bits.
     """
+    if messages.shape[1] and not 0 <= messages[0].min() <= messages[0].max() <= MAX_CHANNEL:
+        raise DamageError("number of a channel is out of range")
     counts = (counts or {}) | _counts(*messages[:2])
     if counts.keys() - infos.keys():
         raise DamageError("message index of an undeclared channel")
@@ -80,11 +85,11 @@ def useful_channels(infos: dict[int, ChannelInfo]) -> np.ndarray:
 
 
 def _counts(channel: np.ndarray, log_ns: np.ndarray) -> dict[int, ChannelCount]:
-    numbers, where, count = np.unique(channel, return_inverse=True, return_counts=True)
-    if not len(numbers):
-        return {}
-    by_channel = log_ns[np.argsort(where, kind="stable")]
-    starts = np.cumsum(count) - count
-    ends = np.minimum.reduceat(by_channel, starts), np.maximum.reduceat(by_channel, starts)
-    columns = (values.tolist() for values in (numbers, count, *ends))
-    return {number: ChannelCount(*rest) for number, *rest in zip(*columns, strict=True)}
+    """The messages by channel."""
+    count = np.bincount(channel)
+    first, last = np.full(len(count), MAX_TIME_NS), np.zeros(len(count), np.int64)
+    np.minimum.at(first, channel, log_ns)
+    np.maximum.at(last, channel, log_ns)
+    columns = count.tolist(), first.tolist(), last.tolist()
+    found = enumerate(map(ChannelCount, *columns))
+    return {number: item for number, item in found if item.messages}
