@@ -14,7 +14,6 @@ from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.integrity import FileIntegrity
 from jaxdet.io.messages import kind_of
 
-
 MAX_CHANNEL = 0xFFFF
 
 
