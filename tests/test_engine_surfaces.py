@@ -1,6 +1,7 @@
 """Runs with obstacles made of surfaces: everything found is in the folder, whatever the split."""
 
 import json
+import re
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +13,7 @@ import pytest
 
 from jaxdet import detect, engine
 from jaxdet.config import Config
+from jaxdet.engine import GroundRecord
 from jaxdet.io import find_logs, open_log
 from jaxdet.presets import preset
 from jaxdet.results.summary import LogSummary
@@ -143,6 +145,23 @@ def test_floors_far_from_the_mount_everywhere_may_be_depths_fault(far: int, told
     warning = log.floor_warning
     assert warning and "give the camera's true" in warning
     assert ("check the depth unit (--log.depth-unit-m), the intrinsics" in warning) is told
+
+
+@pytest.mark.parametrize(
+    "pitch, roll, given, cause",
+    [
+        (0.2, 0.1, "", "z = 0 is the floor with --log.base-frame"),
+        (1.5, 0.0, "", "looks 86° down, rolled by 0°: .* --log.camera-frame"),
+        (0.2, -1.57, "", "rolled by -90°: .* --log.camera-frame"),
+        (0.2, 0.1, "give --ground.camera-roll 90deg: turned", "warning with --ground.camera-roll"),
+    ],
+)
+def test_the_floor_warning_names_the_cause(pitch, roll, given, cause) -> None:
+    log = LogSummary("a", (), status=Counter(ok=10), floor_sources=Counter(tf=10))
+    log.ground = (GroundRecord("tf", None, 0.3, pitch, roll),)
+    log.floor_refused, log.warnings = Counter(too_little=10), [given]
+    warning = log.floor_warning
+    assert warning and re.search(cause, warning) and "; else give the camera's true" in warning
 
 
 def test_source_none_drops_nothing_as_floor(tf_log: Path, tmp_path: Path) -> None:

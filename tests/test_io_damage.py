@@ -17,7 +17,7 @@ from mcap.writer import Writer
 
 from jaxdet import io
 from jaxdet.errors import JaxdetError, TopicError
-from jaxdet.io import LogOptions, RescanError, open_log, walk
+from jaxdet.io import LogOptions, RescanError, mcap_scan, open_log
 from jaxdet.io.chunks import RECORD_HEAD, ChunkHead, DamageError, chunk_records, decompress
 from jaxdet.io.container import MAGIC, McapFile
 from tests.io_both_ways import is_indexed
@@ -175,7 +175,7 @@ def test_what_is_lost_does_not_depend_on_how_far_threads_are_ahead(tmp_path, mon
     path.write_bytes(data)
     found = []
     for ahead in (0, 10_000, 1 << 30):
-        monkeypatch.setattr(walk, "AHEAD_BYTES", ahead)
+        monkeypatch.setattr(mcap_scan, "AHEAD_BYTES", ahead)
         with open_log(str(path), LogOptions(scan=True)) as log:
             [integrity] = log.description.integrity
             found.append((integrity, integrity.text, log.stamps_ns.tolist(), frames_right(log)))

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from jaxdet.errors import CalibrationError, ConfigError, FrameStatus, InputError
-from jaxdet.io import LogOptions, find_logs, open_log
+from jaxdet.io import Log, LogOptions, find_logs, open_log
 from jaxdet.results.manifest import fingerprint
 from jaxdet.verify import verify
 from tests.runs import run_logs
@@ -348,6 +348,83 @@ def test_seven_scenes_has_all_images_in_one_folder(tmp_path):
         assert log.num_frames == 3 and log.has_color
         np.testing.assert_array_equal(log[2].depth, images()[1][2])
         np.testing.assert_allclose(log.T_world_camera, depth_poses(), atol=1e-12)
+
+
+ARKIT_POSES = [(0.1 * i, 1.5, -0.2 * i) for i in range(3)]
+"""Positions in ARKit's world, whose y is up, of a camera that looks along -z."""
+
+
+def assert_phone_poses(log: Log) -> None:
+    """The camera looks along the world's +y, its x stays, and z is up."""
+    assert log.T_world_camera is not None
+    rotation = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]
+    for T, (x, y, z) in zip(log.T_world_camera, ARKIT_POSES, strict=True):
+        np.testing.assert_allclose(T[:3, :3], rotation, atol=1e-9)
+        np.testing.assert_allclose(T[:3, 3], (x, -z, y), atol=1e-9)
+
+
+def write_stray(folder: Path) -> np.ndarray:
+    """A recording of Stray Scanner without its video; returns its confidences."""
+    depths = images()[1]
+    confidence = np.random.default_rng(1).integers(0, 3, depths.shape).astype(np.uint8)
+    for name, stack in (("depth", depths), ("confidence", confidence)):
+        (folder / name).mkdir()
+        for number, image in enumerate(stack):
+            cv2.imwrite(str(folder / name / f"{number:06d}.png"), image)
+    matrix = [[1400.0, 0, 960.0], [0, 1400.0, 720.0], [0, 0, 1]]
+    np.savetxt(folder / "camera_matrix.csv", matrix, delimiter=",")
+    lines = ["timestamp, frame, x, y, z, qx, qy, qz, qw"]
+    for i, (x, y, z) in enumerate(ARKIT_POSES):  # q is ARKit's, turned by half around x
+        lines.append(f"{100 + i / 60}, {i:06d}, {x}, {y}, {z}, 1.0, 0.0, 0.0, 0.0")
+    (folder / "odometry.csv").write_text("\n".join(lines))
+    return confidence
+
+
+@pytest.mark.parametrize("scan", [False, True])
+def test_stray_scanner_has_confidences_and_poses(tmp_path, scan):
+    confidence = write_stray(tmp_path)
+    with open_log(str(tmp_path), LogOptions(scan=scan)) as log:
+        depths = images()[1]
+        height, width = depths.shape[1:]
+        camera = log.calibration.depth
+        wanted = 1400 * width / 1920, 1400 * height / 1440, width / 2, height / 2
+        assert not log.has_color and camera[2:6] == pytest.approx(wanted)
+        for frame, depth, mask in zip(log, depths, confidence, strict=True):
+            assert frame.error == ""
+            np.testing.assert_array_equal(frame.depth, np.where(mask > 0, depth, 0))
+        stamps = [round((100 + i / 60) * 1e9) for i in range(3)]
+        assert np.abs(log.stamps_ns - stamps).max() < 1000
+        assert_phone_poses(log)
+
+
+def test_a_depth_image_without_its_confidences_is_a_frame_with_an_error(tmp_path):
+    write_stray(tmp_path)
+    (tmp_path / "confidence" / "000001.png").unlink()
+    with open_log(str(tmp_path), LogOptions(scan=True)) as log:
+        errors = [frame.error for frame in log]
+        assert errors[::2] == ["", ""] and "000001.png: the confidences can't" in errors[1]
+    (tmp_path / "odometry.csv").write_text("timestamp, frame, x, y, z, qx, qy, qz, qw\n1, 0, x")
+    with pytest.raises(InputError, match=r"recording's data can't be read .*; export it again"):
+        open_log(str(tmp_path))
+
+
+def test_record3d_with_depth_as_png(tmp_path):
+    write(tmp_path, [f"rgb/{i}.png" for i in range(3)], [f"depth/{i}.png" for i in range(3)])
+    color, depths = images()
+    poses = [(0.0, 0.0, 0.0, 1.0, *place) for place in ARKIT_POSES]
+    height, width = color.shape[1:3]
+    about = {"K": [90, 0, 0, 0, 91, 0, width / 2, height / 2, 1], "w": width, "h": height}
+    about |= {"fps": 60, "poses": poses}
+    (tmp_path / "metadata.json").write_text(json.dumps(about))
+    with open_log(str(tmp_path)) as log:
+        assert log.calibration.image[2:6] == (90, 91, width / 2, height / 2) and log.has_color
+        np.testing.assert_array_equal(log[1].depth, depths[1])
+        assert np.diff(log.stamps_ns).tolist() == pytest.approx([1e9 / 60] * 2, abs=2)
+        assert_phone_poses(log)
+    for path in (tmp_path / "depth").iterdir():
+        path.rename(path.with_suffix(".exr"))
+    with pytest.raises(InputError, match=r"OpenEXR .* is not read; write it to depth/ as 16-bit"):
+        open_log(str(tmp_path))
 
 
 @pytest.mark.parametrize("color", ["image", "rgb"])

@@ -346,7 +346,7 @@ def test_a_sent_log_reads_no_index(tmp_path, monkeypatch):
     with open_only(str(path)) as log:
         expected = read_all(log)
         sent = pickle.dumps(log)
-    monkeypatch.setattr(indexed, "read_file_index", None)
+    monkeypatch.setattr(log_module, "read_file_index", None)
     with pickle.loads(sent) as log:
         for one, other in zip(read_all(log), expected, strict=True):
             assert_same_batch(one, other)

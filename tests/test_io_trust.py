@@ -22,9 +22,10 @@ from jaxdet.io.container import McapFile
 from jaxdet.io.declarations import ChannelInfo, Declarations
 from jaxdet.io.decode_messages import MessageDecoder
 from jaxdet.io.definition import bare_definition
+from jaxdet.io.formats import rebuild_file_index
 from jaxdet.io.limits import ReadMemory
 from jaxdet.io.messages import TransformMessage
-from jaxdet.io.opening import open_files, scan_files
+from jaxdet.io.opening import open_files
 from jaxdet.io.transforms import TransformTree
 from tests.fuzz.formats import write_format
 from tests.fuzz.mutations import chunks, records
@@ -42,7 +43,9 @@ from tests.io_helpers import (
     SECOND,
     START,
     STORE,
+    T_DEPTH_COLOR,
     LogFile,
+    assert_holds,
     make_scene,
     ros_image,
     ros_info,
@@ -157,9 +160,21 @@ def test_a_file_that_is_cut_while_it_is_scanned(tmp_path):
     opened = open_files(source, LogOptions(), ReadMemory())
     os.truncate(path, 5000)
     with pytest.raises(InputError, match="changed while it was read"):
-        scan_files(opened, source, LogOptions())
+        rebuild_file_index(opened.files[0])
     for file in opened.files:
         file.close()
+
+
+def test_a_topic_may_have_messages_of_several_kinds(tmp_path):
+    path = tmp_path / "x.mcap"
+    with LogFile(path, chunk_size=6000) as log:
+        write_calibration(log)
+        write_images(log, SCENE)
+        log._channels.pop(DEPTH)
+        for number in range(12):
+            log.ros(DEPTH, ros_tf(("map", "x", *T_DEPTH_COLOR)), START + number)
+    with open_log(str(path)) as log:
+        assert_holds(log, SCENE)
 
 
 def other_calibration(path: Path, changed: range, K: tuple[float, ...]) -> Path:

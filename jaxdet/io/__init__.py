@@ -11,19 +11,15 @@ From the bytes of files to frames, by module::
         container, chunks             MCAP
         bag                           ROS 1
         message_file                  messages one by one: sqlite (ROS 2), image_folder
-      opening
-        by index                    where every message is, without reading one
-          mcap_summary, mcap_index    MCAP; bag_index, sqlite_index, image_folder
-          file_index, records         the same for all formats: messages by topic
-          indexed, contents           the first messages of each topic, decoded
-          windows                     any range of frames: order, nearest colour, poses
-                                      (motion_windows), calibration (validity)
-        by a scan                   where there is no index, or it isn't enough
-          walk, mcap_scan             all that is whole; bag_index, sqlite_index, ...
-          contents                    every message, decoded but for its pixels
-          timeline                    all frames: order, nearest colour
+      file_index                    where every message is: arrays, the same for all formats
+        by the file's own index       mcap_summary, mcap_index, bag_index, sqlite_index
+        rebuilt from the whole file   mcap_scan, sqlite_index, walk: what is whole, what is lost
+      opening, indexed              messages by topic (records), the first of each decoded
+                                      (contents); or all small ones and all stamps
       findings                      cameras, topics, calibration (intrinsics, extrinsics), poses,
                                       transforms, motion
+      windows                       any range of frames: order, nearest colour, poses
+                                      (motion_windows), calibration (validity)
     timeline.Window                 where the images of some frames lie
       reading, store                  chunks, each read and checked once, by threads
         raw_images                    pixels that go straight into their arrays

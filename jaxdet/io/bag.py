@@ -2,7 +2,11 @@
 
 A record is a head of named fields and data, each with its length before it. A chunk holds
 connections and messages; at the file's end are all connections and the places of the chunks.
-The index of a chunk follows it. Source: the ROS wiki's page "Bags/Format/2.0".
+The index of a chunk follows it. Source: the ROS wiki's page "Bags/Format/2.0". A bag is read by
+its index alone; ``rosbag reindex`` makes one where a recording was not closed.
+
+The messages are decoded by ``rosbags``, but the file is read here: the reader of ``rosbags`` takes
+150 bytes a message, parses its index entry by entry, and decompresses chunks of any size.
 
 A message's head takes more bytes in a bag (46) than in MCAP (31). So a chunk as MCAP has it is as
 long as the bag's, and every message begins where the bag's index says; between them is padding.
@@ -12,22 +16,20 @@ import bz2
 import struct
 from collections.abc import Iterator
 from pathlib import Path
-from threading import Lock
 from typing import NamedTuple
 
 import lz4.frame
 from mcap.opcode import Opcode
 
+from jaxdet.errors import InputError
 from jaxdet.io.chunks import MESSAGE_HEAD, PAYLOAD_OFFSET, RECORD_HEAD, ChunkHead, DamageError
 from jaxdet.io.container import FileState, LogFile
-from jaxdet.io.declarations import ChannelInfo
-from jaxdet.io.limits import MAX_SCHEMA_BYTES, MAX_SCHEMAS_BYTES
-from jaxdet.io.messages import kind_of
 from jaxdet.io.ros1 import require_rosbags
 
 MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 4, 5, 6, 7
 """Kinds of records (their field ``op``)."""
 MAGIC = b"#ROSBAG V2.0\n"
+MAX_CONNECTION = 0xFFFF
 _LENGTH = struct.Struct("<I")
 _PADDING = 0x80
 """Opcode of MCAP's records that programs may use as they like."""
@@ -68,9 +70,8 @@ class BagRecord(NamedTuple):
 class BagFile(LogFile):
     """A ROS 1 bag; the position of a chunk is where its record begins.
 
-    Attributes:
-        connections: What is declared by those records that were read so far. Where several declare
-            a number, it is the first of them in the file, whichever thread reads first.
+    Raises:
+        InputError: It has no index.
     """
 
     magic = MAGIC
@@ -79,11 +80,19 @@ class BagFile(LogFile):
     def __init__(self, path: Path, max_bytes: int, state: FileState | None = None) -> None:
         require_rosbags(path)
         super().__init__(path, max_bytes, state)
-        self.connections: dict[int, ChannelInfo] = {}
-        self._declared: dict[int, int] = {}
-        """The chunk that declares each of them, by its position; -1: the index."""
-        self._bytes = 0
-        self._declaring = Lock()
+        try:
+            self.head = self.record(len(MAGIC))
+            self.index = self.head.number(b"index_pos", 8) if self.head.op == BAG else 0
+        except DamageError:
+            self.index = 0
+        if not self.index:
+            self.close()
+            raise self.without_index("the bag was not closed")
+
+    def without_index(self, why: str) -> InputError:
+        """Return the error of a bag without an index that can be used."""
+        remedy = "on a copy, run rosbag reindex"
+        return InputError(f"it has no index ({why})", path=str(self.path), remedy=remedy)
 
     def record(self, position: int, end: int | None = None) -> BagRecord:
         """The record at a position of the file.
@@ -133,11 +142,9 @@ class BagFile(LogFile):
         view = memoryview(data)
         for record in records(data):
             start = record.start
-            if record.op == CONNECTION:
-                self.declare(record, view[record.data : record.end], position)
-            elif record.op == MESSAGE:
+            if record.op == MESSAGE:
                 number, log_ns = record.number(b"conn"), nanoseconds(record)
-                if number > 0xFFFF:
+                if number > MAX_CONNECTION:
                     raise DamageError("connection number is out of range")
                 RECORD_HEAD.pack_into(found, start, Opcode.MESSAGE, MESSAGE_HEAD.size + record.size)
                 MESSAGE_HEAD.pack_into(found, start + RECORD_HEAD.size, number, 0, log_ns, log_ns)
@@ -146,41 +153,6 @@ class BagFile(LogFile):
                 found[payload:start] = view[record.data : record.end]
             RECORD_HEAD.pack_into(found, start, _PADDING, record.end - start - RECORD_HEAD.size)
         return memoryview(found)
-
-    def declare(self, record: BagRecord, data: bytes | memoryview, chunk: int = -1) -> None:
-        """Takes in a connection; of one number the first counts.
-
-        Args:
-            record: It.
-            data: Its data.
-            chunk: The position of the chunk that it is in; -1: it is in the index.
-
-        Raises:
-            DamageError: It is damaged, or all take too much memory.
-        """
-        number = record.number(b"conn")
-        with self._declaring:
-            if self._declared.get(number, chunk + 1) > chunk:
-                self._declare(number, record, _fields(data))
-                self._declared[number] = chunk
-
-    def connection(self, number: int, chunk: int) -> ChannelInfo | None:
-        """That of a message in a chunk, by the position of that; chunks before it have been read.
-
-        None: what declares it comes later, or never.
-        """
-        there = self._declared.get(number, chunk + 1) <= chunk
-        return self.connections[number] if there else None
-
-    def _declare(self, number: int, record: BagRecord, fields: dict[bytes, bytes]) -> None:
-        topic = record.fields.get(b"topic", fields.get(b"topic", b"")).decode("utf-8", "replace")
-        name = fields.get(b"type", b"").decode("utf-8", "replace")
-        text = fields.get(b"message_definition", b"")
-        kept = text if kind_of(name) is not None and len(text) <= MAX_SCHEMA_BYTES else b""
-        self._bytes += len(topic) + len(name) + len(kept)
-        if self._bytes > MAX_SCHEMAS_BYTES:
-            raise DamageError("connections take too much memory")
-        self.connections[number] = ChannelInfo(topic, "ros1", name, "ros1msg", kept, len(text))
 
 
 def records(data: bytes) -> Iterator[BagRecord]:
@@ -210,11 +182,11 @@ def read_record(data: bytes, place: int, start: int = 0) -> BagRecord:
         (data_size,) = _LENGTH.unpack_from(data, after)
     except struct.error as error:
         raise DamageError("record of the bag is damaged") from error
-    fields = _fields(memoryview(data)[place + _LENGTH.size : after])
-    op = fields.get(b"op", b"")
+    found = fields(memoryview(data)[place + _LENGTH.size : after])
+    op = found.get(b"op", b"")
     if len(op) != 1:
         raise DamageError("record of the bag is damaged")
-    return BagRecord(op[0], fields, start + place, start + after + _LENGTH.size, data_size)
+    return BagRecord(op[0], found, start + place, start + after + _LENGTH.size, data_size)
 
 
 def nanoseconds(record: BagRecord) -> int:
@@ -227,7 +199,12 @@ def nanoseconds(record: BagRecord) -> int:
     return sec * 1_000_000_000 + nanosec
 
 
-def _fields(head: bytes | memoryview) -> dict[bytes, bytes]:
+def fields(head: bytes | memoryview) -> dict[bytes, bytes]:
+    """The named fields of a record's head, or of the data of a connection.
+
+    Raises:
+        DamageError: They are damaged.
+    """
     found: dict[bytes, bytes] = {}
     place = 0
     while place < len(head):

@@ -1,90 +1,111 @@
-"""The messages of a ROS 1 bag: by its index, or by a walk over the whole file.
+"""The index of a ROS 1 bag."""
 
-A bag that was not closed has no index at its end; then, or where the index is torn, the walk takes
-what is whole: it goes over damaged chunks, and ends where a record's length is damaged, but for
-the chunks that the index at the end knows.
-"""
-
-from bisect import bisect_right
 from collections import Counter
 from collections.abc import Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
-from mcap.opcode import Opcode
 
-from jaxdet.io.bag import BAG, CHUNK, CHUNK_INFO, CONNECTION, INDEX, MAGIC, BagFile, records
-from jaxdet.io.chunks import MESSAGE_HEAD, PAYLOAD_OFFSET, RECORD_HEAD, DamageError
-from jaxdet.io.container import Location
+from jaxdet.io.bag import (
+    CHUNK,
+    CHUNK_INFO,
+    CONNECTION,
+    INDEX,
+    MAX_CONNECTION,
+    BagFile,
+    BagRecord,
+    fields,
+    records,
+)
+from jaxdet.io.chunks import PAYLOAD_OFFSET, DamageError
+from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.file_index import FileIndex, file_index
 from jaxdet.io.integrity import FileIntegrity
-from jaxdet.io.walk import TORN, FileRecord, Handler, Walk
+from jaxdet.io.limits import MAX_SCHEMA_BYTES, MAX_SCHEMAS_BYTES
+from jaxdet.io.messages import kind_of
 
 _ENTRY = np.dtype([("sec", "<u4"), ("nanosec", "<u4"), ("offset", "<u4")])
 _COUNT = np.dtype([("connection", "<u4"), ("messages", "<u4")])
 _INDEX_VERSION = 1
 
 
+class _End(NamedTuple):
+    """What stands at the end of a bag."""
+
+    connections: dict[int, ChannelInfo]
+    counts: dict[int, dict[int, int]]
+    """The messages of each connection in each chunk, by its position."""
+
+
 def read_bag_index(file: BagFile) -> FileIndex:
     """What a bag's index tells.
 
     Raises:
-        DamageError: It is missing, torn or wrong.
+        DamageError: It is torn or wrong.
     """
-    counts = _read_end(file)
-    ends = [*sorted(counts), file.record(len(MAGIC)).number(b"index_pos", 8)]
+    end = _read_end(file)
     parts = [np.zeros((5, 0), np.int64)]
-    for position, end in pairwise(ends):
-        parts += _chunk_index(file, position, end, counts[position])
+    for position, after in pairwise([*sorted(end.counts), file.index]):
+        parts += _chunk_index(file, position, after, end.counts[position])
     messages = np.concatenate(parts, axis=1)
     file.check_messages(messages.shape[1])
-    infos = dict(sorted(file.connections.items()))
-    return file_index(file.path, infos, messages, chunks=len(counts))
+    known = FileIntegrity(file.path, chunks=len(end.counts), by_index=True)
+    return file_index(dict(sorted(end.connections.items())), messages, known)
 
 
-def scan_bag(file: BagFile, handler: Handler, pool: ThreadPoolExecutor) -> FileIntegrity:
-    """Gives every readable message to ``handler``, in file order; says what was lost.
-
-    Args:
-        file: The file.
-        handler: Called by this thread.
-        pool: Decompresses chunks ahead.
+def rebuild_bag_index(file: BagFile) -> FileIndex:
+    """The same index, where messages can't be read that are in it.
 
     Raises:
-        InputError: The file was changed meanwhile, or holds more messages than it has room for.
+        InputError: It is torn or wrong.
     """
-    scan = _Scan(file, handler)
-    scan.walk.over(scan.records(), scan.take, pool)
-    return scan.integrity()
+    try:
+        found = read_bag_index(file)
+    except DamageError as error:
+        raise file.without_index(str(error)) from error
+    return found._replace(integrity=found.integrity._replace(by_index=False))
 
 
-def _read_end(file: BagFile) -> dict[int, dict[int, int]]:
-    """The messages of each connection in each chunk, by its position; declares the connections.
+def _read_end(file: BagFile) -> _End:
+    """What stands at the end of a bag.
 
     Raises:
-        DamageError: The file's end is missing or damaged.
+        DamageError: It is missing or damaged.
     """
-    head = file.record(len(MAGIC))
-    start = head.number(b"index_pos", 8) if head.op == BAG else 0
+    head, start = file.head, file.index
     if not head.end <= start < file.size:
-        raise DamageError("no index: the bag was not closed")
+        raise DamageError("index leaves the file")
     file.check_size(file.size - start, "index")
     data = file.read(start, file.size - start)
-    found: dict[int, dict[int, int]] = {}
+    found, used = _End({}, {}), 0
     for record in records(data):
         content = data[record.data : record.end]
         if record.op == CONNECTION:
-            file.declare(record, content)
+            number = record.number(b"conn")
+            if number > MAX_CONNECTION:
+                raise DamageError("connection number is out of range")
+            info = _connection(record, fields(content))
+            used += len(info.topic) + len(info.schema_name) + len(info.schema_data)
+            if used > MAX_SCHEMAS_BYTES:
+                raise DamageError("connections take too much memory")
+            found.connections.setdefault(number, info)
         elif record.op == CHUNK_INFO:
             position = record.number(b"chunk_pos", 8)
             if not head.end <= position < start or len(content) % _COUNT.itemsize:
                 raise DamageError("index leaves the file")
-            pairs = np.frombuffer(content, _COUNT).tolist()
-            found[position] = dict(pairs)
-    if len(found) != head.number(b"chunk_count"):
+            found.counts[position] = dict(np.frombuffer(content, _COUNT).tolist())
+    if len(found.counts) != head.number(b"chunk_count"):
         raise DamageError("index lacks chunks")
     return found
+
+
+def _connection(record: BagRecord, about: dict[bytes, bytes]) -> ChannelInfo:
+    topic = record.fields.get(b"topic", about.get(b"topic", b"")).decode("utf-8", "replace")
+    name = about.get(b"type", b"").decode("utf-8", "replace")
+    text = about.get(b"message_definition", b"")
+    kept = text if kind_of(name) is not None and len(text) <= MAX_SCHEMA_BYTES else b""
+    return ChannelInfo(topic, "ros1", name, "ros1msg", kept, len(text))
 
 
 def _chunk_index(
@@ -118,76 +139,3 @@ def _chunk_index(
         yield found
     if +seen != +Counter(counts):
         raise DamageError("message indexes contradict the index of the chunks")
-
-
-class _Scan:
-    """The state of one walk over a bag."""
-
-    def __init__(self, file: BagFile, handler: Handler) -> None:
-        self.file, self.walk = file, Walk(file, handler)
-        self.chunks, self.problem = 0, ""
-        try:
-            self.counts = _read_end(file)
-        except DamageError as error:
-            self.counts, self.problem = {}, str(error)
-
-    def records(self) -> Iterator[FileRecord]:
-        """The chunks up to the file's end, and in their places what can't be one."""
-        position, end = len(MAGIC), self.file.size
-        chunks = sorted(self.counts)
-        while position < end:
-            try:
-                record = self.file.record(position)
-            except DamageError:
-                place = bisect_right(chunks, position)
-                start, position = position, chunks[place] if place < len(chunks) else end
-                yield FileRecord(TORN, start, position - start)
-                continue
-            if record.op == CHUNK:
-                yield FileRecord(Opcode.CHUNK, position, record.size)
-            position = record.end
-
-    def take(self, record: FileRecord, decompressed: Future[bytes | memoryview] | None) -> None:
-        """Takes in a chunk.
-
-        Raises:
-            DamageError: It can't be used.
-        """
-        assert decompressed is not None  # all but chunks are passed over
-        self.chunks += 1
-        chunk = memoryview(decompressed.result())
-        for place, size in _messages(chunk):
-            number, _, log_ns, _ = MESSAGE_HEAD.unpack_from(chunk, place + RECORD_HEAD.size)
-            info = self.file.connection(number, record.position)
-            if info is None:
-                raise DamageError("message of an undeclared connection")
-            where = Location(record.position, place + PAYLOAD_OFFSET, size)
-            payload = chunk[place + PAYLOAD_OFFSET : place + PAYLOAD_OFFSET + size]
-            self.walk.give(number, info, log_ns, payload, where)
-
-    def integrity(self) -> FileIntegrity:
-        """What was found, and of what the index speaks beside that."""
-        declared: Counter[int] = Counter()
-        for counts in self.counts.values():
-            declared.update(counts)
-        missing: Counter[str] = Counter()
-        for number, count in sorted((declared - self.walk.read).items()):
-            info = self.file.connections.get(number)
-            missing[info.topic if info else f"connection {number}"] += count
-        return self.walk.integrity(
-            declared_messages=None if self.problem else declared.total(),
-            chunks=self.chunks,
-            has_end=not self.problem,
-            missing=dict(missing),
-            summary_problem=self.problem,
-        )
-
-
-def _messages(chunk: memoryview) -> Iterator[tuple[int, int]]:
-    """Where the messages of a chunk begin, and the sizes of their payloads."""
-    place = 0
-    while place < len(chunk):
-        opcode, length = RECORD_HEAD.unpack_from(chunk, place)
-        if opcode == Opcode.MESSAGE:
-            yield place, length - MESSAGE_HEAD.size
-        place += RECORD_HEAD.size + length

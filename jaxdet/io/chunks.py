@@ -23,6 +23,8 @@ MESSAGE_HEAD = struct.Struct("<HIQQ")
 PAYLOAD_OFFSET = RECORD_HEAD.size + MESSAGE_HEAD.size
 """From where a message's record begins to its payload."""
 _CHUNK_HEAD = struct.Struct("<QQQII")
+MAX_TIME_NS = (1 << 63) - 1
+"""Log times beyond this count as this [ns]."""
 
 PIECE_BYTES = 1 << 18
 """Of a chunk, worked on at a time: they stay in a core's cache."""

@@ -14,7 +14,7 @@ from jaxdet.errors import printable
 from jaxdet.io.contents import LogContents
 from jaxdet.io.moments import EPOCH, MICROSECOND
 from jaxdet.io.options import LogOptions
-from jaxdet.io.streams import NUM_PROBES, ImageStream
+from jaxdet.io.streams import ImageStream
 
 _LEAST_S = 0.5
 """Clocks that differ by less are one clock: images are delayed, and transforms dated ahead."""
@@ -137,10 +137,9 @@ def unset_clock_text(topic: str, count: int, first_ns: int) -> str:
 
 def _delays(stream: ImageStream) -> np.ndarray:
     """Return header stamp less log time of the first images [ns]; none where a stamp is zero."""
-    stamps = stream.column("stamp")[:NUM_PROBES]
-    if not len(stamps) or not stamps.any():
+    if not any(image.stamp_ns for image in stream.first):
         return np.zeros(0, np.int64)
-    return stamps - stream.column("log_time")[:NUM_PROBES]
+    return np.array([image.stamp_ns - image.log_ns for image in stream.first], np.int64)
 
 
 def _difference(first: np.ndarray, second: np.ndarray) -> int:
@@ -156,7 +155,9 @@ def _difference(first: np.ndarray, second: np.ndarray) -> int:
 
 def _stamps_agree(depth: ImageStream, color: ImageStream) -> bool:
     """Return whether most of the first images of both have the same stamps."""
-    one, other = (stream.column("stamp")[:NUM_PROBES] for stream in (depth, color))
+    one, other = (
+        np.array([image.stamp_ns for image in stream.first], np.int64) for stream in (depth, color)
+    )
     if not len(one) or not len(other):
         return False
     apart = np.abs(one[:, None] - other[None]).min(axis=1)

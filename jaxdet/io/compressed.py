@@ -4,6 +4,9 @@
 or two counts (columns, rows) and an RVL stream. For 32FC1 the 16-bit numbers q in it are
 inverse depths: z = A / (q - B) metres, q = 0 unknown. Source: image_transport_plugins,
 ``compressed_depth_image_transport``.
+
+Depth of a folder may be followed by a PNG with its confidences (ARKit's, 0 to 2), where its format
+says so: what has a lower one than ``MIN_CONFIDENCE`` is no measurement.
 """
 
 import struct
@@ -29,6 +32,13 @@ from jaxdet.io.zstd_images import is_zstd, read_zstd_head, unpack
 
 _DEPTH_HEAD = struct.Struct("<iff")
 _RVL_HEAD = struct.Struct("<II")
+MIN_CONFIDENCE = 1
+_CONFIDENCE = "; confidence at "
+
+
+def with_confidence(place: int) -> str:
+    """Return what ``format`` has at its end where confidences begin at this byte of the data."""
+    return f"{_CONFIDENCE}{place}"
 
 
 def is_compressed_depth(format_text: str, topic: str) -> bool:
@@ -148,6 +158,10 @@ def decode_compressed_depth(
         return
     _check("depth", image, row, max_pixels)
     data = memoryview(image.data)
+    _, masked, place = image.format.partition(_CONFIDENCE)
+    if masked:
+        _decode_masked(data, place, row)
+        return
     headed = not _begins(data, MAGIC)
     if headed and len(data) < _DEPTH_HEAD.size:
         raise bad_frame("compressedDepth ends early")
@@ -162,6 +176,21 @@ def decode_compressed_depth(
     if headed and image.format.partition(";")[0].strip().lower() == "32fc1":
         _, a, b = _DEPTH_HEAD.unpack_from(data)
         np.take(_inverse_depths(a, b, unit_m), row, out=row)
+
+
+def _decode_masked(data: memoryview, place_text: str, row: np.ndarray) -> None:
+    """Depth as it is in a PNG, but 0 where the PNG after it has a low confidence."""
+    confidence = np.empty((*row.shape, 3), np.uint8)
+    try:
+        place = int(place_text)
+        decode_png_depth(data[:place], row)
+    except ValueError as error:
+        raise bad_frame(f"PNG can't be decoded ({error})") from error
+    try:
+        decode_png_color(data[place:], confidence)
+    except ValueError as error:
+        raise bad_frame(f"the confidences can't be decoded ({error})") from error
+    row[confidence[..., 0] < MIN_CONFIDENCE] = 0
 
 
 @lru_cache(maxsize=4)

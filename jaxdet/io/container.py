@@ -50,9 +50,9 @@ class Location(NamedTuple):
     """Where a message's payload lies; enough to read it again."""
 
     chunk: int
-    """Offset of the chunk record's content in the file, -1 for a message outside chunks."""
+    """Position of the chunk in the file, see :meth:`LogFile.chunk_head`."""
     offset: int
-    """Of the payload, in the decompressed chunk or in the file."""
+    """Of the payload, in the decompressed chunk."""
     size: int
 
 
@@ -260,13 +260,17 @@ class LogFile(ABC):
 
 
 class McapFile(LogFile):
-    """An MCAP file; the position of a chunk is where its record's content begins."""
+    """An MCAP file; the position of a chunk is where its record's content begins.
+
+    A message record outside chunks is a chunk of its own that isn't packed: its records are that
+    one record.
+    """
 
     magic = MAGIC
     kind = "an MCAP"
 
     def chunk_head(self, position: int) -> ChunkHead:
-        """The head of the chunk record whose content begins at ``position``.
+        """The head of the chunk or message record whose content begins at ``position``.
 
         Raises:
             DamageError: It isn't one.
@@ -274,6 +278,9 @@ class McapFile(LogFile):
         start = position - RECORD_HEAD.size
         known = self.read(start, min(RECORD_HEAD.size + _HEAD_BYTES, self.size - start))
         opcode, length = RECORD_HEAD.unpack_from(known)
+        if opcode == Opcode.MESSAGE and length <= self.size - position:
+            size = RECORD_HEAD.size + length
+            return ChunkHead(0, 0, size, 0, "", -RECORD_HEAD.size, size, length)
         if opcode != Opcode.CHUNK:
             raise DamageError("no chunk where one should be")
         return read_chunk_head(known[RECORD_HEAD.size :][:length], length)

@@ -1,7 +1,6 @@
-"""What is in a log, by taking in its messages: where each image lies, and everything small.
+"""What is in a log, by taking in messages: the first images of each topic, and everything small.
 
-An image costs 64 bytes here whatever its size, a transform or a pose 64 bytes; image data are
-never held. So a log of a million images takes about 64 MB.
+A transform or a pose costs 64 bytes; image data are never held.
 """
 
 from contextlib import suppress
@@ -10,12 +9,12 @@ from copy import copy
 import numpy as np
 
 from jaxdet.errors import FrameError
-from jaxdet.io.container import Location, LogFile
+from jaxdet.io.container import LogFile
 from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.decode_messages import MessageDecoder
 from jaxdet.io.images import check_pixels, typical_float
 from jaxdet.io.integrity import FileIntegrity
-from jaxdet.io.limits import check_images, check_motions, check_topics
+from jaxdet.io.limits import check_topics
 from jaxdet.io.messages import (
     IMAGE_KINDS,
     CameraInfoMessage,
@@ -28,7 +27,7 @@ from jaxdet.io.messages import (
 )
 from jaxdet.io.motion import MotionSamples
 from jaxdet.io.namespaces import namespace_of, namespaces_of_camera
-from jaxdet.io.streams import NUM_PROBES, PROBE_BYTES, ImageSize, ImageStream
+from jaxdet.io.streams import NUM_PROBES, PROBE_BYTES, FirstImage, ImageSize, ImageStream
 from jaxdet.io.transforms import TransformTree
 from jaxdet.io.validity import CalibrationChange, values_of
 
@@ -51,6 +50,11 @@ class TopicInfo:
         """Why the first of those can't be decoded."""
         self.problem = ""
         """Why its messages can't be used; empty when they can."""
+
+    def add_undecodable(self, why: str) -> None:
+        """Counts a message that can't be decoded."""
+        self.undecodable += 1
+        self.why = self.why or why
 
     @property
     def trouble(self) -> str:
@@ -153,7 +157,7 @@ class LogContents:
 
 
 class ContentsBuilder:
-    """Takes in the messages of one file after the other; ``add`` is a scan's handler.
+    """Takes in messages of one file after the other.
 
     Args:
         contents: Where they go.
@@ -164,8 +168,7 @@ class ContentsBuilder:
 
     def __init__(self, contents: LogContents, use_tf: bool, images: bool = True) -> None:
         self.contents, self.use_tf, self.images = contents, use_tf, images
-        self.file_number, self.path, self.bytes = -1, "", 0
-        self._small_messages = 0
+        self.path, self.bytes = "", 0
         self._motions_seen: dict[str, int] = {}
         self._decoders: dict[ChannelInfo, MessageDecoder | None] = {}
 
@@ -191,35 +194,25 @@ class ContentsBuilder:
             topic.last_ns = max(topic.last_ns, last_ns)
 
     def next_file(self, file: LogFile) -> None:
-        """Call before each file's scan."""
-        self.file_number += 1
+        """Call before the channels of each file."""
         self.path = str(file.path)
         self.bytes += file.size
 
-    def add(
-        self, channel: ChannelInfo, log_ns: int, payload: memoryview, location: Location
-    ) -> None:
-        """Counts a message and takes it in."""
-        self.count(channel, 1, log_ns, log_ns)
-        self.take(channel, log_ns, payload, location)
-
-    def take(
-        self, channel: ChannelInfo, log_ns: int, payload: memoryview, location: Location
-    ) -> None:
-        """Takes in a message."""
-        decoder = self.decoder(channel)
-        if decoder is None:
-            return
+    def take(self, decoder: MessageDecoder, log_ns: int, payload: memoryview) -> None:
+        """Takes in a message of a kind that is used, images also without their pixels."""
+        topic = decoder.channel.topic
         try:
             if decoder.kind in IMAGE_KINDS:
-                if self.images:
-                    self._image(channel.topic, decoder, log_ns, payload, location)
-            elif self.wants(decoder):
-                self._small(channel.topic, decoder, payload, log_ns)
+                self._image(topic, decoder, log_ns, payload)
+            else:
+                self._small(topic, decoder, payload, log_ns)
         except FrameError as error:
-            topic = self._topic(channel)
-            topic.undecodable += 1
-            topic.why = topic.why or error.problem
+            self.contents.topics[topic].add_undecodable(error.problem)
+
+    def is_probe(self, decoder: MessageDecoder) -> bool:
+        """Whether the next image of a topic is to be taken in: one of the first, or any of RGBD."""
+        stream = self.contents.streams.get(decoder.channel.topic)
+        return decoder.kind is Kind.RGBD or stream is None or len(stream.probes) < NUM_PROBES
 
     def _topic(self, channel: ChannelInfo) -> TopicInfo:
         topics = self.contents.topics
@@ -244,28 +237,22 @@ class ContentsBuilder:
         decoder: MessageDecoder,
         log_ns: int,
         payload: memoryview,
-        location: Location,
     ) -> None:
         stream = self.contents.streams.get(topic)
         if stream is None:
             stream = self.contents.streams[topic] = ImageStream(topic, decoder.kind)
-        if decoder not in stream.decoders:
-            stream.decoders.append(decoder)
         # What can't be decoded stays a frame, at its log time, and fails when it is read.
-        stamps = log_ns, log_ns
+        stamp = log_ns
         try:
-            stamps = (decoder.stamp_ns(payload),) * 2
-            if len(stream.probes) < NUM_PROBES or decoder.kind is Kind.RGBD:
-                stamps = self._probe(stream, decoder, payload, log_ns)
+            stamp = decoder.stamp_ns(payload)
+            stamp = self._probe(stream, decoder, payload, log_ns)
         finally:
-            number = stream.decoders.index(decoder)
-            where = (self.file_number, number, *location)
-            stream.add((*stamps, log_ns, *where))
-            check_images(len(stream), self.bytes, self.path, topic)
+            if len(stream.first) < NUM_PROBES:
+                stream.first.append(FirstImage(stamp, log_ns, len(payload)))
 
     def _probe(
         self, stream: ImageStream, decoder: MessageDecoder, payload: memoryview, log_ns: int
-    ) -> tuple[int, int]:
+    ) -> int:
         message = decoder.decode(payload)
         if isinstance(message, RgbdMessage):
             color, depth = message.color, message.depth
@@ -277,7 +264,7 @@ class ContentsBuilder:
                 self._see_floats(stream, depth)
                 color, depth = color._replace(data=b""), depth._replace(data=b"")
                 stream.probes.append(message._replace(color=color, depth=depth))
-            return depth.stamp_ns, color.stamp_ns
+            return depth.stamp_ns
         assert isinstance(message, ImageMessage | CompressedImageMessage)
         if isinstance(message, ImageMessage):
             check_pixels(message)
@@ -285,7 +272,7 @@ class ContentsBuilder:
             stream.probes.append(message._replace(data=b""))
         else:
             stream.probes.append(message._replace(data=bytes(message.data[:PROBE_BYTES])))
-        return message.stamp_ns, message.stamp_ns
+        return message.stamp_ns
 
     def _see_floats(self, stream: ImageStream, image: ImageMessage) -> None:
         if image.encoding.strip().lower() == "32fc1":
@@ -295,8 +282,6 @@ class ContentsBuilder:
         return self.contents.calibrations.setdefault(topic, CalibrationTopic())
 
     def _small(self, topic: str, decoder: MessageDecoder, payload: memoryview, log_ns: int) -> None:
-        self._small_messages += 1
-        check_motions(self._small_messages, self.bytes, self.path, topic)
         if decoder.kind is Kind.INFO:
             known = self._calibrations(topic)
             rest = decoder.after_stamp(payload)

@@ -10,7 +10,6 @@ from jaxdet.io.files import LogFiles
 from jaxdet.io.findings import Findings
 from jaxdet.io.integrity import FileIntegrity
 from jaxdet.io.notes import Notes
-from jaxdet.io.timeline import ScannedFrames
 from jaxdet.io.windows import IndexedFrames
 
 _SLOW_S = 0.05
@@ -216,7 +215,7 @@ def describe_topics(
     return tuple(found)
 
 
-def _part_text(numbers: range, frames: ScannedFrames | IndexedFrames, first_ns: int) -> str:
+def _part_text(numbers: range, frames: IndexedFrames, first_ns: int) -> str:
     """Numbers and times of the frames that are used; empty where these are all."""
     if len(numbers) == frames.num_frames:
         return ""

@@ -1,14 +1,20 @@
-"""What a file's own index tells of its messages, whatever the file's format is."""
+"""The index of a file: what and where its messages are, whatever the file's format is.
 
-from pathlib import Path
+A format reads it from the file's own index, without a look at a message, or rebuilds it by a walk
+over the whole file (:mod:`jaxdet.io.walk`). All that reads messages stands on these arrays, and
+does not know which of the two they come from.
+"""
+
 from typing import NamedTuple
 
 import numpy as np
 
-from jaxdet.io.chunks import DamageError
+from jaxdet.io.chunks import MAX_TIME_NS, DamageError
 from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.integrity import FileIntegrity
 from jaxdet.io.messages import kind_of
+
+MAX_CHANNEL = 0xFFFF
 
 
 class ChannelCount(NamedTuple):
@@ -40,42 +46,34 @@ class FileIndex(NamedTuple):
 
 
 def file_index(
-    path: Path,
     infos: dict[int, ChannelInfo],
     messages: np.ndarray,
+    integrity: FileIntegrity,
     counts: dict[int, ChannelCount] | None = None,
-    chunks: int = 0,
-    chunks_with_crc: int = 0,
 ) -> FileIndex:
     """The index of a file.
 
     Args:
-        path: The file.
         infos: Its channels.
         messages: ``(5, N)`` int64, the last five fields of the index of messages in any order;
             those of no use are left out.
+        integrity: What is known of the file beside its messages. By the file's own index the
+            numbers of messages are filled in.
         counts: What else is known of the channels, where ``messages`` lacks some of no use.
-        chunks: Of the file.
-        chunks_with_crc: Of these.
 
     Raises:
-        DamageError: A message is of no channel.
+        DamageError: A message is of no channel, or of one whose number has more than 16 bits.
     """
+    if messages.shape[1] and not 0 <= messages[0].min() <= messages[0].max() <= MAX_CHANNEL:
+        raise DamageError("number of a channel is out of range")
     counts = (counts or {}) | _counts(*messages[:2])
     if counts.keys() - infos.keys():
         raise DamageError("message index of an undeclared channel")
     which = np.flatnonzero(np.isin(messages[0], useful_channels(infos)))
     which = which[np.lexsort(messages[[4, 2]][:, which])]
-    count = sum(item.messages for item in counts.values())
-    integrity = FileIntegrity(
-        path=path,
-        messages=count,
-        declared_messages=count,
-        has_end=True,
-        chunks=chunks,
-        chunks_with_crc=chunks_with_crc,
-        by_index=True,
-    )
+    if integrity.by_index:
+        count = sum(item.messages for item in counts.values())
+        integrity = integrity._replace(messages=count, declared_messages=count)
     return FileIndex(infos, counts, integrity, *messages[:, which])
 
 
@@ -86,8 +84,11 @@ def useful_channels(infos: dict[int, ChannelInfo]) -> np.ndarray:
 
 
 def _counts(channel: np.ndarray, log_ns: np.ndarray) -> dict[int, ChannelCount]:
-    found = {}
-    for number in np.unique(channel).tolist():
-        mine = log_ns[channel == number]
-        found[number] = ChannelCount(len(mine), int(mine.min()), int(mine.max()))
-    return found
+    """The messages by channel."""
+    count = np.bincount(channel)
+    first, last = np.full(len(count), MAX_TIME_NS), np.zeros(len(count), np.int64)
+    np.minimum.at(first, channel, log_ns)
+    np.maximum.at(last, channel, log_ns)
+    columns = count.tolist(), first.tolist(), last.tolist()
+    found = enumerate(map(ChannelCount, *columns))
+    return {number: item for number, item in found if item.messages}

@@ -45,6 +45,7 @@ _OTHERS = {
 _DATASET = "write its frames as PNG to color/ and depth/ with a camera.json, see jaxdet help logs"
 """What can be done with a LeRobot dataset: its depth is video of 12 bits, TIFF or Parquet, by
 version, and nowhere has it the camera's calibration."""
+_PNG = "write it to depth/ as 16-bit PNG in millimetres, beside metadata.json and rgb/"
 EXPORTED = ".jaxdet.mcap"
 """How files for Foxglove and ROS 2 are named that jaxdet exports, for beside the log. The name says
 so, as their headers are those of any writer."""
@@ -288,6 +289,10 @@ def _files(text: str) -> tuple[list[Path], dict[Path, str]]:
     stamps = {item: note for item in folders if (note := stamp_note(item))}
     if not found and (folders or shut):
         return [*folders, *shut], stamps
+    exr = [file for file in seen if file.suffix.lower() == ".exr"]
+    if not found and exr:
+        problem = "depth in OpenEXR files, as of Record3D, is not read"
+        raise InputError(problem, path=str(exr[0].parent), remedy=_PNG)
     if not found and datasets:
         problem = "is a LeRobot dataset, which holds no camera's calibration"
         raise InputError(problem, path=str(datasets[0]), remedy=_DATASET)

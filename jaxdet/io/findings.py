@@ -1,13 +1,20 @@
 """All that is found in a log before an image is decoded."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from jaxdet.elementary import matmul
-from jaxdet.errors import CalibrationError, JaxdetError, RescanError, TransformError
+from jaxdet.errors import (
+    CalibrationError,
+    JaxdetError,
+    RescanError,
+    TransformError,
+    printable,
+)
 from jaxdet.io.calibration import Calibrated, calibrate
 from jaxdet.io.cameras import Cameras, find_cameras
 from jaxdet.io.clocks import color_offset, pose_offset
@@ -19,9 +26,9 @@ from jaxdet.io.options import LogOptions
 from jaxdet.io.poses import Base, PoseSource, find_base, find_poses
 from jaxdet.io.repeats import may_repeat
 from jaxdet.io.streams import NUM_PROBES
-from jaxdet.io.timeline import ScannedFrames, log_time_warnings, order_frames
+from jaxdet.io.timeline import log_time_warnings
 from jaxdet.io.topics import Choice
-from jaxdet.io.validity import CalibrationWindows, other_calibration
+from jaxdet.io.validity import CalibrationWindows
 from jaxdet.io.windows import IndexedFrames
 
 _POSE_SAMPLE = 8
@@ -36,7 +43,7 @@ class Findings(NamedTuple):
     calibrated: Calibrated
     base: Base
     poses: PoseSource
-    frames: ScannedFrames | IndexedFrames
+    frames: IndexedFrames
     depth: Sequence[MessageDecoder]
     """Of the depth topic; a message has the one of its ``decoder``."""
     color: Sequence[MessageDecoder]
@@ -47,11 +54,11 @@ class Findings(NamedTuple):
     """About the frames."""
 
 
-def find_scanned(contents: LogContents, options: LogOptions, *, is_body: bool = False) -> Findings:
-    """What a log holds that was read as a whole.
+def find(log: IndexedLog, options: LogOptions, *, is_body: bool = False) -> Findings:
+    """What a log holds.
 
     Args:
-        contents: What is in it.
+        log: What its indexes tell, and the messages that were read at opening.
         options: What the user says.
         is_body: Whether the depth images show that their frame is a body frame.
 
@@ -59,67 +66,14 @@ def find_scanned(contents: LogContents, options: LogOptions, *, is_body: bool = 
         CamerasError: There are several cameras.
         TopicError: No or several topics can be depth, or there is no such camera.
         CalibrationError: A part of the calibration is missing, unknown or contradictory.
-    """
-    cameras = find_cameras(contents, options)
-    choice = cameras.chosen(options, contents.path)
-    contents = contents.of_camera(choice.depth)
-    calibrated = _calibrate(contents, choice, options, is_body)
-    depth = contents.streams[choice.depth]
-    color = contents.streams[choice.color] if calibrated.has_color else None
-    frames = order_frames(depth, color, options.pair_tolerance_s)
-    used = choice.color if color else ""
-    of_color = color_offset(contents, options, choice.depth, used, _last_delay(frames))
-    if of_color.ns:
-        frames = order_frames(depth, color, options.pair_tolerance_s, of_color.ns)
-    stamps, tracks = frames.about_ns(), contents.tracks
-
-    def share_known(source: PoseSource) -> float:
-        T = source.at(stamps + source.offset_ns, contents.tree, tracks)
-        known = np.zeros(1) if T is None else np.isfinite(T[:, 0, 0])
-        # Where the sample has none, any in the sample of another source go before all.
-        return float(known[_sample(len(known))].mean() or known.mean() / 100)
-
-    base, poses = _find(contents, choice, calibrated, options, share_known)
-    other = np.zeros(len(stamps), bool)
-    for topic, used in calibrated.used_for_depth.items():
-        if depth.kind is not Kind.RGBD:  # whose images are read with their calibrations
-            changes = contents.calibrations[topic].changes
-            other |= other_calibration(stamps, changes, used, frames.by_log_time)
-    return Findings(
-        cameras,
-        choice,
-        calibrated,
-        base,
-        poses,
-        frames.completed(poses.at(stamps + poses.offset_ns, contents.tree, tracks), other),
-        depth.decoders,
-        [] if color is None else color.decoders,
-        (*contents.tree.warnings, *frames.warnings),
-        (of_color.text,) if of_color.text else (),
-    )
-
-
-def find_indexed(log: IndexedLog, options: LogOptions, *, is_body: bool = False) -> Findings:
-    """What a log holds that was opened by its index.
-
-    Args:
-        log: What its indexes tell.
-        options: What the user says.
-        is_body: As for :func:`find_scanned`.
-
-    Raises:
-        CamerasError: There are several cameras.
-        TopicError: No or several topics can be depth, or there is no such camera.
-        CalibrationError: A part of the calibration is missing, unknown or contradictory.
-        RescanError: The first messages are such that the index isn't enough.
+        RescanError: The first messages are such that all have to be read.
         DamageError: The file contradicts its index.
     """
-    contents, path = log.contents, log.contents.path
+    contents = log.contents
     cameras = find_cameras(contents, options)
     for error in cameras.incomplete.values():
-        sampled = isinstance(error, TransformError) and not log.motions.whole
-        if sampled or _is_of_first(log, error):
-            raise RescanError(f"not found in a sample: {error.problem}", path=path)
+        if isinstance(error, TransformError) or _is_of_first(log, error):
+            _check_sampled(log, error)
     choice = cameras.chosen(options, contents.path)
     contents = contents.of_camera(choice.depth)
     try:
@@ -129,23 +83,12 @@ def find_indexed(log: IndexedLog, options: LogOptions, *, is_body: bool = False)
         raise
     if calibrated.color_error is not None:
         _check_sampled(log, calibrated.color_error)
-    topics = (choice.depth, choice.color) if calibrated.has_color else (choice.depth,)
-    _check_stamps(log, topics)
-    depth, color = log.streams[topics[0]], log.streams[topics[-1]] if topics[1:] else None
-    if color is not None and color is not depth:
-        color.whole = False
-    motions, tolerance = log.motions.of_tree(contents.tree), options.pair_tolerance_s
-    frames = IndexedFrames(depth, color, motions, PoseSource(""), tolerance, path)
-    of_color = color_offset(contents, options, choice.depth, topics[-1], _last_delay(frames))
-    frames = frames._replace(color_offset_ns=of_color.ns)
-
-    def share_known(source: PoseSource) -> float:
-        sample, looked = _sample(len(depth)), frames._replace(source=source, color=None)
-        share = float(np.mean([looked.window(i, i + 1).notes.poses for i in sample.tolist()]))
-        if not share and len(sample) < len(depth):
-            raise RescanError("no sampled frame has a pose in the world frame", path=path)
-        return share
-
+    frames, warnings = _frames(log, choice, calibrated, options)
+    used = choice.color if frames.color else ""
+    of_color = color_offset(contents, options, choice.depth, used, _last_delay(frames))
+    motions = log.motions.of_tree(contents.tree)
+    frames = frames._replace(motions=motions, color_offset_ns=of_color.ns)
+    share_known = partial(_share_known, frames, is_complete=log.is_complete)
     try:
         base, poses = _find(contents, choice, calibrated, options, share_known)
     except CalibrationError as error:
@@ -156,36 +99,88 @@ def find_indexed(log: IndexedLog, options: LogOptions, *, is_body: bool = False)
     if not log.motions.whole and contents.tree.sampled_once() & {
         above for frame in frames_used for above in contents.tree.above(frame)
     }:
-        raise RescanError("a transform is too rare for a sample", path=path)
-    calibrations = _calibration_windows(log, calibrated)
+        raise RescanError("a transform is too rare for a sample", path=contents.path)
     return Findings(
         cameras,
         choice,
         calibrated,
         base,
         poses,
-        frames._replace(source=poses, calibrations=calibrations),
-        depth.decoders,
-        () if color is None else color.decoders,
-        (
-            *contents.tree.warnings,
-            *(
-                text
-                for topic in dict.fromkeys(topics)
-                for text in log_time_warnings(topic, log.streams[topic].backward)
-            ),
-        ),
+        frames._replace(source=poses),
+        frames.depth.decoders,
+        frames.color.decoders if frames.color else (),
+        (*contents.tree.warnings, *warnings),
         (of_color.text,) if of_color.text else (),
     )
 
 
-def _last_delay(frames: ScannedFrames | IndexedFrames) -> int:
+def _frames(
+    log: IndexedLog, choice: Choice, calibrated: Calibrated, options: LogOptions
+) -> tuple[IndexedFrames, list[str]]:
+    """Return the frames of the chosen topics, without poses, and what to tell of them.
+
+    Where all stamps of a stream are zero, log times stand for its stamps, and decide which colour
+    image is nearest.
+
+    Raises:
+        RescanError: The first messages are such that all have to be read.
+    """
+    path, warnings, zero = log.contents.path, list[str](), set[str]()
+    topics = dict.fromkeys((choice.depth, *((choice.color,) if calibrated.has_color else ())))
+    streams = {topic: log.streams[topic] for topic in topics}
+    if log.is_complete:
+        zero = {topic for topic, stream in streams.items() if not stream.stamp.any()}
+    else:
+        _check_stamps(log, topics)
+    for topic, stream in streams.items():
+        if topic in zero:
+            text = "header stamps are all zero; log times are used"
+            warnings.append(f"{printable(topic)}: {text}")
+        warnings += log_time_warnings(topic, stream.backward)
+        if log.is_complete:
+            of_color = topic != choice.depth and bool(zero)
+            streams[topic] = stream.complete(by_log_time=topic in zero or of_color)
+    depth, color = streams[choice.depth], streams[choice.color] if calibrated.has_color else None
+    if color is not None and color is not depth:
+        color.whole = False
+    frames = IndexedFrames(
+        depth,
+        color,
+        log.motions,
+        PoseSource(""),
+        options.pair_tolerance_s,
+        path,
+        _calibrations(log, choice, calibrated, by_log_time=choice.depth in zero),
+        by_log_time=bool(zero),
+    )
+    return frames, warnings
+
+
+def _share_known(frames: IndexedFrames, source: PoseSource, *, is_complete: bool) -> float:
+    """Of how many frames a source knows the pose, 0 to 1, by a sample of them.
+
+    Where the sample has none, any in the sample of another source go before all.
+
+    Raises:
+        RescanError: No frame of the sample has a pose, and not all messages were read.
+    """
+    looked, count = frames._replace(source=source, color=None), frames.num_frames
+    sample = np.unique(np.linspace(0, count - 1, _POSE_SAMPLE).astype(np.int64)).tolist()
+    share = float(np.mean([looked.window(i, i + 1).notes.poses for i in sample]))
+    if share or len(sample) == count:
+        return share
+    if not is_complete:
+        raise RescanError("no sampled frame has a pose in the world frame", path=frames.path)
+    return looked.window(0, count).notes.poses / count / 100
+
+
+def _last_delay(frames: IndexedFrames) -> int:
     """Return stamp less log time of the last frame [ns]; 0 without one."""
     last = frames.num_frames - 1
     return frames.stamp_ns(last) - frames.log_ns(last) if last >= 0 else 0
 
 
-def _check_stamps(log: IndexedLog, topics: Sequence[str]) -> None:
+def _check_stamps(log: IndexedLog, topics: Iterable[str]) -> None:
     """Make sure that the images of some topics can be told apart and ordered by their stamps.
 
     Raises:
@@ -193,16 +188,24 @@ def _check_stamps(log: IndexedLog, topics: Sequence[str]) -> None:
     """
     for topic in topics:
         stream, path = log.contents.streams[topic], log.contents.path
-        if not stream.column("stamp").any():
+        if not any(image.stamp_ns for image in stream.first):
             raise RescanError("the first header stamps are zero", path=path, topic=topic)
         if may_repeat(stream, log.streams[topic].messages.log_ns):
             raise RescanError("images may occur twice", path=path, topic=topic)
 
 
-def _calibration_windows(log: IndexedLog, calibrated: Calibrated) -> CalibrationWindows:
-    used = calibrated.used
+def _calibrations(
+    log: IndexedLog, choice: Choice, calibrated: Calibrated, *, by_log_time: bool
+) -> CalibrationWindows:
+    used, changes = calibrated.used, None
     infos = [log.calibrations[topic] for topic in sorted(used) if topic in log.calibrations]
-    return CalibrationWindows(infos, used, log.store, log.contents.path)
+    if log.is_complete:
+        of_depth = calibrated.used_for_depth.items()
+        if log.streams[choice.depth].is_rgbd:  # whose images are read with their calibrations
+            of_depth = ()
+        changes = [(log.contents.calibrations[topic].changes, info) for topic, info in of_depth]
+    path = log.contents.path
+    return CalibrationWindows(infos, used, log.store, path, changes, by_log_time=by_log_time)
 
 
 def _calibrate(
@@ -260,13 +263,13 @@ def _naming_tree(contents: LogContents) -> Iterator[None]:
         raise TransformError(problem, path=contents.path, topic=topic, remedy=remedy) from error
 
 
-def _check_sampled(log: IndexedLog, error: CalibrationError) -> None:
+def _check_sampled(log: IndexedLog, error: JaxdetError) -> None:
     """Makes sure that messages which were not looked at can't change an error.
 
     Raises:
         RescanError: They can.
     """
-    if not log.motions.whole or _is_of_first(log, error):
+    if not log.is_complete and (not log.motions.whole or _is_of_first(log, error)):
         problem = f"not found in a sample: {error.problem}"
         raise RescanError(problem, path=log.contents.path) from error
 
@@ -275,8 +278,3 @@ def _is_of_first(log: IndexedLog, error: JaxdetError) -> bool:
     """Whether an error is about a topic with more calibrations than were looked at."""
     known = log.calibrations.get(error.topic)
     return known is not None and known.num_messages > NUM_PROBES
-
-
-def _sample(count: int) -> np.ndarray:
-    """The frames whose poses say which world frame is taken, the same however a log is opened."""
-    return np.unique(np.linspace(0, count - 1, _POSE_SAMPLE).astype(np.int64))

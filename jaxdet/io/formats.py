@@ -5,34 +5,31 @@ all that reads logs stands on these.
 """
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from jaxdet.io.bag import BagFile
-from jaxdet.io.bag_index import read_bag_index, scan_bag
+from jaxdet.io.bag_index import read_bag_index, rebuild_bag_index
 from jaxdet.io.container import LogFile, McapFile
 from jaxdet.io.file_index import FileIndex
-from jaxdet.io.image_folder import ImageFolder, read_folder_index, scan_folder
-from jaxdet.io.integrity import FileIntegrity
+from jaxdet.io.image_folder import ImageFolder, read_folder_index, rebuild_folder_index
 from jaxdet.io.mcap_index import read_mcap_index
-from jaxdet.io.mcap_scan import scan
+from jaxdet.io.mcap_scan import rebuild_mcap_index
 from jaxdet.io.sqlite import SqliteFile
-from jaxdet.io.sqlite_index import read_sqlite_index, scan_sqlite
+from jaxdet.io.sqlite_index import read_sqlite_index, rebuild_sqlite_index
 from jaxdet.io.unpacking import is_packed, unpacked
-from jaxdet.io.walk import Handler
 
 
 class _Format(NamedTuple):
     read_index: Callable[[Any], FileIndex]
-    scan: Callable[[Any, Handler, ThreadPoolExecutor], FileIntegrity]
+    rebuild_index: Callable[[Any], FileIndex]
 
 
 _FORMATS: dict[type[LogFile], _Format] = {
-    McapFile: _Format(read_mcap_index, scan),
-    BagFile: _Format(read_bag_index, scan_bag),
-    SqliteFile: _Format(read_sqlite_index, lambda file, handler, _: scan_sqlite(file, handler)),
-    ImageFolder: _Format(read_folder_index, lambda file, handler, _: scan_folder(file, handler)),
+    McapFile: _Format(read_mcap_index, rebuild_mcap_index),
+    BagFile: _Format(read_bag_index, rebuild_bag_index),
+    SqliteFile: _Format(read_sqlite_index, rebuild_sqlite_index),
+    ImageFolder: _Format(read_folder_index, rebuild_folder_index),
 }
 _SUFFIXES: dict[str, type[LogFile]] = {".bag": BagFile, ".db3": SqliteFile}
 """Any other file is taken for MCAP."""
@@ -55,7 +52,7 @@ def open_file(path: Path, max_bytes: int) -> LogFile:
 
 
 def read_file_index(file: LogFile) -> FileIndex:
-    """What a file's index tells.
+    """What a file's own index tells.
 
     Raises:
         DamageError: The index is missing, torn or wrong.
@@ -63,15 +60,10 @@ def read_file_index(file: LogFile) -> FileIndex:
     return _FORMATS[type(file)].read_index(file)
 
 
-def scan_file(file: LogFile, handler: Handler, pool: ThreadPoolExecutor) -> FileIntegrity:
-    """Gives every readable message to ``handler``, in file order; says what was lost.
-
-    Args:
-        file: The file.
-        handler: Called by this thread.
-        pool: Decompresses chunks ahead.
+def rebuild_file_index(file: LogFile) -> FileIndex:
+    """The index of every readable message of a file, by reading all of it; says what was lost.
 
     Raises:
         InputError: The file was changed meanwhile, or holds more messages than it has room for.
     """
-    return _FORMATS[type(file)].scan(file, handler, pool)
+    return _FORMATS[type(file)].rebuild_index(file)

@@ -10,7 +10,8 @@ metre). So is TUM's RGB-D benchmark laid out, and what Open3D writes. Others dif
 
 - ScanNet has camera matrices of both images in ``intrinsic`` and poses in ``pose``;
 - 7-Scenes has all in one folder, ``frame-000000.color.png``, ``.depth.png`` and ``.pose.txt``;
-- Redwood's scans have ``image`` or ``rgb``, and microseconds in the names, ``NUMBER-TIME.png``.
+- Redwood's scans have ``image`` or ``rgb``, and microseconds in the names, ``NUMBER-TIME.png``;
+- recordings of an iPhone's LiDAR have confidences too, see :mod:`jaxdet.io.phone_folder`.
 
 Sources: the benchmark's page "File Formats"; Open3D's ``PinholeCameraIntrinsic`` and
 ``RGBDVideoMetadata``; ScanNet's ``SensReader``; the pages of 7-Scenes and of Redwood's scans.
@@ -22,6 +23,7 @@ import re
 import struct
 from collections.abc import Iterable, Sequence
 from decimal import Decimal, InvalidOperation
+from io import BytesIO, RawIOBase
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -29,8 +31,8 @@ import numpy as np
 
 from jaxdet.errors import FrameError, InputError
 from jaxdet.io.chunks import PAYLOAD_OFFSET, DamageError
-from jaxdet.io.compressed import compressed_size
-from jaxdet.io.container import FileState, Location
+from jaxdet.io.compressed import compressed_size, with_confidence
+from jaxdet.io.container import FileState
 from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.definition import schema_text
 from jaxdet.io.file_index import FileIndex, file_index
@@ -44,7 +46,8 @@ from jaxdet.io.message_file import (
     position_of,
 )
 from jaxdet.io.messages import CompressedImageMessage
-from jaxdet.io.walk import Handler, Walk
+from jaxdet.io.phone_folder import ODOMETRY, PhoneRecording, read_phone
+from jaxdet.io.walk import Walk
 from jaxdet.io.writer import pose_of
 from jaxdet.io.writer_cdr import camera_info, encode_cdr, header
 from jaxdet.types import Intrinsics, is_rigid
@@ -56,6 +59,8 @@ FLAT = ".color", ".depth"
 DEPTH_NAMES = ("depth",)
 COLOR_SUFFIXES = (".png", ".jpg", ".jpeg")
 DEPTH_SUFFIXES = (".png",)
+CONFIDENCE = "confidence"
+"""Folder with a PNG for each depth image, of the same name."""
 BESIDE = "._"
 """How the files begin that macOS writes beside others on other systems' disks and in archives."""
 LISTED_COLOR, LISTED_DEPTH = "rgb.txt", "depth.txt"
@@ -79,14 +84,23 @@ _COLOR, _DEPTH, _INFO, _UNIT, _TF, _DEPTH_INFO = range(len(_TYPES))
 
 
 class _Message(NamedTuple):
-    """A message: some bytes, then a file."""
+    """A message: some bytes, then files."""
 
     log_ns: int
     channel: int
     head: bytes
-    path: Path | None = None
-    size: int = 0
-    """Of the file; 0 where it is missing."""
+    files: tuple[tuple[Path, int], ...] = ()
+    """An image, and of depth perhaps its confidences; each with its size, 0 where it is missing."""
+
+    @property
+    def size(self) -> int:
+        """Bytes of all."""
+        return len(self.head) + sum(size for _, size in self.files)
+
+    @property
+    def path(self) -> Path | None:
+        """The image."""
+        return self.files[0][0] if self.files else None
 
 
 class ImageFolder(MessageFile):
@@ -108,7 +122,7 @@ class ImageFolder(MessageFile):
         except OSError as error:
             problem = f"can't be read ({error.strerror})"
             raise InputError(problem, path=str(path), remedy="check the folder") from error
-        self.size = sum(len(item.head) + item.size for item in self._messages)
+        self.size = sum(item.size for item in self._messages)
         self.infos = {
             number: ChannelInfo(topic, "cdr", name, "ros2msg", schema_text(name).encode())
             for number, (topic, name) in enumerate(_TYPES.items())
@@ -144,16 +158,12 @@ class ImageFolder(MessageFile):
         if not 0 <= number < len(self._messages):
             raise DamageError("no message where one should be")
         item = self._messages[number]
-        return MessageRow(item.channel, item.log_ns, len(item.head) + item.size)
+        return MessageRow(item.channel, item.log_ns, item.size)
 
     def name_of(self, position: int) -> str:
         """The image's path from the folder on; empty for what is no image."""
         path = self._messages[position >> POSITION_BITS].path
         return "" if path is None else os.path.relpath(path, self.path)
-
-    def head(self, number: int) -> bytes:
-        """A message's data up to the image."""
-        return self._messages[number].head
 
     def read_payload(self, number: int, start: int, parts: Sequence[memoryview]) -> None:
         """Fills writable byte views with a message's data from ``start``, one after the other.
@@ -161,54 +171,78 @@ class ImageFolder(MessageFile):
         Raises:
             DamageError: They end before, or can't be read.
         """
-        item, left = self._messages[number], []
-        head = item.head[start:]
-        for part in parts:
-            known, head = head[: len(part)], head[len(part) :]
-            part[: len(known)] = known
-            left += [part[len(known) :]] if len(known) < len(part) else []
-        if not left:
-            return
-        if item.path is None:
+        item, left = self._messages[number], list(parts)
+        head = BytesIO(item.head)
+        head.seek(start)
+        left = _fill(head, len(item.head) - start, left)
+        start = max(0, start - len(item.head))
+        for path, size in item.files:
+            if left and (start < size or not size):
+                left = self._read_file(path, start, size, left)
+            start = max(0, start - size)
+        if left:
             raise DamageError("message ends early")
+
+    def _read_file(
+        self, path: Path, start: int, size: int, parts: list[memoryview]
+    ) -> list[memoryview]:
+        """Fills views with a file from ``start``; returns those that are left.
+
+        Raises:
+            DamageError: The file is missing, ends early, or can't be read.
+        """
+        name = os.path.relpath(path, self.path)
         try:
-            with item.path.open("rb", buffering=0) as file:
-                file.seek(max(0, start - len(item.head)))
-                whole = all(file.readinto(part) == len(part) for part in left)
+            with path.open("rb", buffering=0) as file:
+                file.seek(start)
+                left = _fill(file, size - start, parts)
         except OSError as error:
-            name = os.path.relpath(item.path, self.path)
             raise DamageError(f"{name} can't be read ({error.strerror})") from error
-        if not whole:
-            raise DamageError(f"{os.path.relpath(item.path, self.path)} ends early")
+        except EOFError as error:
+            raise DamageError(f"{name} ends early") from error
+        if not size:
+            raise DamageError(f"{name} ends early")
+        return left
+
+
+def _fill(file: RawIOBase | BytesIO, size: int, parts: list[memoryview]) -> list[memoryview]:
+    """Fills views with the next bytes of a file, at most ``size``; returns those that are left.
+
+    Raises:
+        EOFError: It has fewer.
+    """
+    left = []
+    for part in parts:
+        piece = part[: max(0, size)]
+        if len(piece) and file.readinto(piece) != len(piece):
+            raise EOFError
+        size -= len(piece)
+        left += [part[len(piece) :]] if len(piece) < len(part) else []
+    return left
 
 
 def read_folder_index(folder: ImageFolder) -> FileIndex:
     """What the names and sizes of a folder's files tell of its messages."""
     channel, log_ns, size = np.array(folder.rows(), np.int64).reshape(-1, 3).T
     messages = indexed_messages(np.arange(len(channel)), channel, log_ns, size)
-    return file_index(folder.path, folder.infos, messages)
+    return file_index(folder.infos, messages, FileIntegrity(folder.path, by_index=True))
 
 
-def scan_folder(folder: ImageFolder, handler: Handler) -> FileIntegrity:
-    """Gives every message to ``handler``, in order of time; says what was lost.
-
-    Of an image that can't be read it gives what is before: it is a frame, which can't be decoded.
+def rebuild_folder_index(folder: ImageFolder) -> FileIndex:
+    """The same by reading all files, with what can't be read: it stays a frame without an image.
 
     Raises:
         InputError: The folder was changed meanwhile.
     """
-    walk, rows = Walk(folder, handler), folder.rows()
+    walk, rows = Walk(folder), folder.rows()
     for number, row in enumerate(rows):
-        position = position_of(number)
+        position, info = position_of(number), folder.infos[row.channel]
         try:
-            payload = folder.chunk(position)[PAYLOAD_OFFSET:]
+            folder.chunk(position)
         except DamageError as error:
             walk.lose(str(error), 0)
-            payload = folder.head(number)
-        where = Location(position, PAYLOAD_OFFSET, row.size)
-        info = folder.infos[row.channel]
-        walk.give(row.channel, info, row.log_ns, memoryview(payload), where)
-    return walk.integrity(declared_messages=len(rows), has_end=True)
+        walk.add(row.channel, info, row.log_ns, position, row.size + PAYLOAD_OFFSET, 0)
+    return walk.index(declared_messages=len(rows))
 
 
 def image_folders(files: Iterable[Path]) -> list[Path]:
@@ -220,6 +254,8 @@ def image_folders(files: Iterable[Path]) -> list[Path]:
             found.setdefault(file.parent.parent, set()).add(True)
         elif name in COLOR_NAMES and suffix in COLOR_SUFFIXES:
             found.setdefault(file.parent.parent, set()).add(False)
+        elif file.name == ODOMETRY:  # of Stray Scanner, whose colour is video
+            found.setdefault(file.parent, set()).add(False)
         elif suffix in COLOR_SUFFIXES and Path(file.stem).suffix in FLAT:
             found.setdefault(file.parent, set()).add(Path(file.stem).suffix == FLAT[1])
     return sorted(folder for folder, kinds in found.items() if len(kinds) == 2)
@@ -233,6 +269,8 @@ def stamp_note(folder: Path) -> str:
     if (folder / LISTED_COLOR).exists() and (folder / LISTED_DEPTH).exists():
         return ""
     try:
+        if read_phone(folder):
+            return ""
         names = [path.stem for path in _images(folder, COLOR_NAMES, COLOR_SUFFIXES)]
     except (InputError, OSError):
         return ""
@@ -243,19 +281,40 @@ def stamp_note(folder: Path) -> str:
 
 def _messages(folder: Path) -> list[_Message]:
     """The messages of a folder in order of time."""
+    phone = read_phone(folder)
     found = [
-        *_image_messages(folder, _COLOR, LISTED_COLOR, COLOR_NAMES, COLOR_SUFFIXES),
-        *_image_messages(folder, _DEPTH, LISTED_DEPTH, DEPTH_NAMES, DEPTH_SUFFIXES),
+        *_image_messages(folder, _COLOR, LISTED_COLOR, COLOR_NAMES, COLOR_SUFFIXES, phone),
+        *_image_messages(folder, _DEPTH, LISTED_DEPTH, DEPTH_NAMES, DEPTH_SUFFIXES, phone),
     ]
     first = min((item.log_ns for item in found), default=0)
+    if phone:
+        found += _of_phone(phone, found, first)
+        return sorted(found, key=lambda item: item[:2])
     found += _calibration(folder, first)
     found += _poses(folder)
     found += _matrix_poses(folder, [item for item in found if item.channel == _DEPTH])
     return sorted(found, key=lambda item: item[:2])
 
 
+def _of_phone(phone: PhoneRecording, images: Sequence[_Message], first: int) -> list[_Message]:
+    """The cameras of both images, each by the size of its first one, and the poses."""
+    found = []
+    for kind, channel in ((_COLOR, _INFO), (_DEPTH, _DEPTH_INFO)):
+        path = next((item.path for item in images if item.channel == kind), None)
+        if path is not None:
+            info = camera_info(first, _FRAME, phone.camera(_image_size(path)))
+            found.append(_Message(first, channel, encode_cdr("sensor_msgs/CameraInfo", info)))
+    known = {number: phone.stamps_ns[number] for number in phone.poses}
+    return found + [_pose(stamp, phone.poses[number]) for number, stamp in known.items()]
+
+
 def _image_messages(
-    folder: Path, channel: int, listed: str, names: Sequence[str], suffixes: Sequence[str]
+    folder: Path,
+    channel: int,
+    listed: str,
+    names: Sequence[str],
+    suffixes: Sequence[str],
+    phone: PhoneRecording | None,
 ) -> list[_Message]:
     if (folder / listed).exists():
         lines = _table(folder / listed, 2)
@@ -263,15 +322,18 @@ def _image_messages(
     else:
         paths = _images(folder, names, suffixes)
         dots = bool(paths) and all("." in _frame_name(path) for path in paths)
-        images = [(_stamp_of(path, dots), path) for path in paths]
-    form = "16UC1; png" if channel == _DEPTH else "png"
+        images = [(_stamp_of(path, dots, phone), path) for path in paths]
+    has_mask = channel == _DEPTH and (folder / CONFIDENCE).is_dir()
     found = []
     for stamp_ns, path in images:
-        size = path.stat().st_size if path.is_file() else 0
+        paths = (path, folder / CONFIDENCE / path.name) if has_mask else (path,)
+        files = tuple((one, one.stat().st_size if one.is_file() else 0) for one in paths)
+        form = "16UC1; png" if channel == _DEPTH else "png"
+        form += with_confidence(files[0][1]) if has_mask else ""
         message = {"header": header(stamp_ns, _FRAME), "format": form, "data": b""}
         head = encode_cdr("sensor_msgs/CompressedImage", message)
-        head = head[:-4] + size.to_bytes(4, "little")
-        found.append(_Message(stamp_ns, channel, head, path, size))
+        head = head[:-4] + sum(size for _, size in files).to_bytes(4, "little")
+        found.append(_Message(stamp_ns, channel, head, files))
     return found
 
 
@@ -301,9 +363,14 @@ def _images(folder: Path, names: Sequence[str], suffixes: Sequence[str]) -> list
     return sorted(path for path in files if path.suffix.lower() in suffixes)
 
 
-def _stamp_of(path: Path, is_stamp: bool) -> int:
+def _stamp_of(path: Path, is_stamp: bool, phone: PhoneRecording | None) -> int:
     """Nanoseconds of an image by its name."""
     name = _frame_name(path)
+    if phone:
+        if not name.isdecimal() or int(name[-9:]) not in phone.stamps_ns:
+            problem = "the recording has no timestamp of this frame"
+            raise InputError(problem, path=str(path), remedy="leave the image out")
+        return phone.stamps_ns[int(name[-9:])]
     if is_stamp:
         return _nanoseconds(name, path)
     if timed := _WITH_TIME.fullmatch(name):
@@ -393,10 +460,13 @@ def _matrix_poses(folder: Path, images: Sequence[_Message]) -> list[_Message]:
         path = next((one for one in near if one.is_file()), None)
         T = _matrix(path) if path else np.full((4, 4), np.nan)
         if is_rigid(T):
-            pose = pose_of(T)
-            motion = {"translation": pose["position"], "rotation": pose["orientation"]}
-            found.append(_transform(item.log_ns, motion))
+            found.append(_pose(item.log_ns, T))
     return found
+
+
+def _pose(stamp_ns: int, T: np.ndarray) -> _Message:
+    pose = pose_of(T)
+    return _transform(stamp_ns, {"translation": pose["position"], "rotation": pose["orientation"]})
 
 
 def _transform(stamp_ns: int, motion: dict[str, Any]) -> _Message:

@@ -1,22 +1,26 @@
-"""Opens a log by the indexes of its files: what is small is read, of images the first few."""
+"""Opens a log by the indexes of its files.
 
-from collections.abc import Iterator, Sequence
-from itertools import groupby
+Of images the first few are read, and of messages that are many a sample. Where this is not enough
+to know the log's frames, a RescanError says so; then all stamps and all small messages are read.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from jaxdet.errors import RescanError
-from jaxdet.io.chunks import PAYLOAD_OFFSET, DamageError
-from jaxdet.io.container import Location, LogFile
+from jaxdet.io.chunks import DamageError
+from jaxdet.io.container import LogFile
 from jaxdet.io.contents import FIRST_MOTIONS, ContentsBuilder, LogContents
 from jaxdet.io.decode_messages import MessageDecoder
-from jaxdet.io.formats import read_file_index
+from jaxdet.io.file_index import FileIndex
 from jaxdet.io.limits import check_images, check_motions, check_topics
 from jaxdet.io.messages import IMAGE_KINDS, Kind, kind_of
 from jaxdet.io.motion_windows import MotionMessages, MotionWindows
 from jaxdet.io.records import IndexedMessages, TopicMessages, read_message
-from jaxdet.io.store import ChunkStore
+from jaxdet.io.repeats import drop_repeated
+from jaxdet.io.store import ChunkStore, Place
 from jaxdet.io.streams import NUM_PROBES
 from jaxdet.io.windows import StreamWindows
 
@@ -29,7 +33,7 @@ _STATIC = 256
 
 
 class IndexedLog(NamedTuple):
-    """What the indexes of a log's files tell."""
+    """What the indexes of a log's files tell, and the messages that were read."""
 
     contents: LogContents
     streams: dict[str, StreamWindows]
@@ -38,111 +42,181 @@ class IndexedLog(NamedTuple):
     calibrations: dict[str, TopicMessages]
     """In the order of log time."""
     store: ChunkStore
+    is_complete: bool
+    """Whether all small messages and the stamps of all images were read."""
+
+    @property
+    def is_trusted(self) -> bool:
+        """Whether the index is the files' own; then damage that shows contradicts it."""
+        return any(file.by_index for file in self.contents.integrity)
 
 
-def open_index(files: Sequence[LogFile], store: ChunkStore, use_tf: bool, path: str) -> IndexedLog:
-    """What the indexes of a log's files tell, and its first messages.
+def open_index(
+    files: Sequence[LogFile],
+    indexes: Sequence[FileIndex],
+    store: ChunkStore,
+    use_tf: bool,
+    path: str,
+    *,
+    complete: bool,
+) -> IndexedLog:
+    """What the indexes of a log's files tell, and its first messages, or all.
 
     Args:
         files: The open files.
+        indexes: Theirs.
         store: Their chunks.
         use_tf: Whether transforms are read.
         path: The log's, for errors.
+        complete: Whether to read all small messages, and the stamps of all images.
 
     Raises:
-        DamageError: An index is missing, torn or wrong.
-        RescanError: The first messages are such that the index isn't enough.
+        DamageError: An index is wrong.
+        RescanError: The first messages are such that all have to be read.
     """
     contents = LogContents(path)
     builder = ContentsBuilder(contents, use_tf)
-    topics = _read_topics(files, builder)
+    topics = _find_topics(files, indexes, builder)
     motions = [topic for topic in topics if topic.kind in _MOTIONS]
-    whole = sum(topic.num_messages for topic in motions) <= _MAX_MOTIONS
-    probes = [(topic, _probes(topic, whole)) for topic in topics]
+    whole = complete or sum(topic.num_messages for topic in motions) <= _MAX_MOTIONS
+    streams = {
+        topic.topic: StreamWindows(topic, store, path)
+        for topic in topics
+        if topic.kind in IMAGE_KINDS
+    }
     delays: dict[str, tuple[int, int]] = {}
     """Least and most, by frame or pose topic [ns]."""
-    for topic, number, payload in _read_messages(store, probes):
-        _add_message(builder, topic, number, payload)
+    if complete:
+        _read_all(topics, streams, store, builder)
+        contents.warnings += drop_repeated(streams.values(), store)
+    else:
+        _read_first(topics, store, builder, delays, whole=whole)
+    windows = _motion_windows(contents, motions, store, delays, whole)
+    infos = {topic.topic: topic.in_time() for topic in topics if topic.kind is Kind.INFO}
+    return IndexedLog(contents, streams, windows, infos, store, complete)
+
+
+def search_index(file: LogFile, index: FileIndex, builder: ContentsBuilder) -> None:
+    """Calibration and static transforms of a file, by its index.
+
+    Raises:
+        DamageError: The index is wrong.
+    """
+    store = ChunkStore([file], 1, most_bytes=file.memory.chunk)
+    topics = [
+        topic
+        for topic in _find_topics([file], [index], builder)
+        if topic.kind not in _MOTIONS or topic.is_static
+    ]
+    probes = [(topic, _probes(topic, False)) for topic in topics]
+    for topic, number in _in_file_order(store, probes):
+        _take(builder, topic, number, read_message(store, topic.messages, number)[1])
+
+
+def _read_first(
+    topics: Sequence[TopicMessages],
+    store: ChunkStore,
+    builder: ContentsBuilder,
+    delays: dict[str, tuple[int, int]],
+    *,
+    whole: bool,
+) -> None:
+    """Reads the first messages of each topic, and of many transforms and poses a sample.
+
+    Args:
+        topics: The topics.
+        store: The log's chunks.
+        builder: Takes in the messages.
+        delays: Gets what stamps differ from log times by, least and most, by frame or pose topic.
+        whole: Whether all transforms and poses are read.
+
+    Raises:
+        DamageError: A message isn't where the index says.
+        RescanError: The first messages are such that all have to be read.
+    """
+    contents = builder.contents
+    probes = [(topic, _probes(topic, whole)) for topic in topics]
+    for topic, number in _in_file_order(store, probes):
+        payload = read_message(store, topic.messages, number)[1]
+        _take(builder, topic, number, payload)
         if contents.topics[topic.topic].undecodable:
             problem = "one of the first messages can't be decoded"
-            raise RescanError(problem, path=path, topic=topic.topic)
+            raise RescanError(problem, path=contents.path, topic=topic.topic)
         if not whole and any(tree.ignored for tree in contents.trees.values()):
-            raise RescanError("a transform is none", path=path, topic=topic.topic)
+            raise RescanError("a transform is none", path=contents.path, topic=topic.topic)
         if topic.kind in _MOTIONS and not whole and not topic.is_static:
             _see_delays(delays, topic, number, payload)
     for topic in topics:
         known = contents.calibrations.get(topic.topic)
         more = topic.num_messages > NUM_PROBES
         if known and more and (known.first is None or known.first.K[:1] == (0.0,)):
-            raise RescanError("the first calibrations are empty", path=path, topic=topic.topic)
-    streams = {
-        topic.topic: StreamWindows(topic, store, path)
-        for topic in topics
-        if topic.kind in IMAGE_KINDS
-    }
-    windows = _motion_windows(contents, motions, store, delays, whole)
-    infos = {topic.topic: topic.in_time() for topic in topics if topic.kind is Kind.INFO}
-    return IndexedLog(contents, streams, windows, infos, store)
+            problem = "the first calibrations are empty"
+            raise RescanError(problem, path=contents.path, topic=topic.topic)
 
 
-def search_index(file: LogFile, builder: ContentsBuilder) -> None:
-    """Calibration and static transforms of a file, by its index.
-
-    Raises:
-        DamageError: The index is missing, torn or wrong.
-    """
-    store = ChunkStore([file], 1, most_bytes=file.memory.chunk)
-    topics = [
-        topic
-        for topic in _read_topics([file], builder)
-        if topic.kind not in _MOTIONS or topic.is_static
-    ]
-    probes = [(topic, _probes(topic, False)) for topic in topics]
-    for topic, number, payload in _read_messages(store, probes):
-        _add_message(builder, topic, number, payload)
-
-
-def _read_messages(
-    store: ChunkStore, parts: Sequence[tuple[TopicMessages, np.ndarray]]
-) -> Iterator[tuple[TopicMessages, int, memoryview]]:
-    """Topic, number and payload of some messages, in the order of the files.
-
-    Raises:
-        DamageError: One isn't where the index says.
-    """
-    wanted = [
-        (place, offset, topic, number)
-        for topic, numbers in parts
-        for place, offset, number in zip(
-            topic.messages.places(numbers),
-            topic.messages.offset[numbers].tolist(),
-            numbers.tolist(),
-            strict=True,
-        )
-    ]
-    wanted.sort(key=lambda item: item[:2])
-    chunks = {place: list(group) for place, group in groupby(wanted, lambda item: item[0])}
-    for place in store.loaded(chunks):
-        for _, _, topic, number in chunks[place]:
-            yield topic, number, read_message(store, topic.messages, number)[1]
-
-
-def _add_message(
-    builder: ContentsBuilder, topic: TopicMessages, number: int, payload: memoryview
+def _read_all(
+    topics: Sequence[TopicMessages],
+    streams: Mapping[str, StreamWindows],
+    store: ChunkStore,
+    builder: ContentsBuilder,
 ) -> None:
-    messages = topic.messages
-    builder.file_number = int(messages.file[number])
-    place = int(messages.position[number]), int(messages.offset[number]) + PAYLOAD_OFFSET
-    where = Location(*place, len(payload))
-    builder.take(topic.decoder(number).channel, int(messages.log_ns[number]), payload, where)
+    """Reads all messages, but of images only the stamps and what the first ones look like.
+
+    A message that can't be read, as the file of an image that is gone, is one that can't be
+    decoded.
+
+    Raises:
+        DamageError: The index is the files' own, and a message isn't where it says.
+    """
+    trusted = any(file.by_index for file in builder.contents.integrity)
+    parts = [(topic, np.arange(topic.num_messages)) for topic in topics]
+    ranks = {name: stream.in_file_order() for name, stream in streams.items()}
+    for topic, number in _in_file_order(store, parts):
+        stream, problem = streams.get(topic.topic) if topic.kind in IMAGE_KINDS else None, ""
+        rank = int(ranks[topic.topic][number]) if stream else 0
+        try:
+            problem = stream.read(rank) if stream else ""
+            if stream is None or builder.is_probe(topic.decoder(number)):
+                problem = ""  # which is found again
+                _take(builder, topic, number, read_message(store, topic.messages, number)[1])
+        except DamageError as error:
+            if trusted:
+                raise
+            problem = str(error)
+            if stream and stream.size[rank] < 0:
+                stream.lose(rank)
+        if problem:
+            builder.contents.topics[topic.topic].add_undecodable(problem)
 
 
-def _read_topics(files: Sequence[LogFile], builder: ContentsBuilder) -> list[TopicMessages]:
+def _in_file_order(
+    store: ChunkStore, parts: Sequence[tuple[TopicMessages, np.ndarray]]
+) -> Iterator[tuple[TopicMessages, int]]:
+    """Topics and numbers of messages in the order of the files, when their chunks are in memory."""
+    which = np.repeat(np.arange(len(parts)), [len(numbers) for _, numbers in parts])
+    numbers = np.concatenate([np.zeros(0, np.int64), *(numbers for _, numbers in parts)])
+    messages = _joined([topic.messages.rows(numbers) for topic, numbers in parts], in_order=False)
+    order = np.lexsort((messages.offset, messages.position, messages.file))
+    file, position = messages.file[order], messages.position[order]
+    starts = np.flatnonzero((np.diff(file, prepend=-1) != 0) | (np.diff(position, prepend=-1) != 0))
+    ends = np.append(starts, len(order))[1:].tolist()
+    places = (Place(int(file[row]), int(position[row])) for row in starts.tolist())
+    for _, start, end in zip(store.loaded(places), starts.tolist(), ends, strict=True):
+        for row in order[start:end].tolist():
+            yield parts[int(which[row])][0], int(numbers[row])
+
+
+def _take(builder: ContentsBuilder, topic: TopicMessages, number: int, payload: memoryview) -> None:
+    builder.take(topic.decoder(number), int(topic.messages.log_ns[number]), payload)
+
+
+def _find_topics(
+    files: Sequence[LogFile], indexes: Sequence[FileIndex], builder: ContentsBuilder
+) -> list[TopicMessages]:
     """The topics that are of use; those of no use are noted and counted only."""
-    found: dict[str, tuple[list[MessageDecoder], list[IndexedMessages]]] = {}
-    for number, file in enumerate(files):
+    found: dict[tuple[str, str], tuple[list[MessageDecoder], list[IndexedMessages]]] = {}
+    for number, (file, entries) in enumerate(zip(files, indexes, strict=True)):
         builder.next_file(file)
-        entries = read_file_index(file)
         check_topics(len(entries.infos), builder.path)
         if builder.images:
             builder.contents.integrity.append(entries.integrity)
@@ -155,7 +229,9 @@ def _read_topics(files: Sequence[LogFile], builder: ContentsBuilder) -> list[Top
             if decoder is None or not builder.wants(decoder):
                 continue
             mine = entries.channel == key
-            decoders, messages = found.setdefault(info.topic, ([], []))
+            # A topic may have messages of several kinds.
+            kind = "image" if decoder.kind in IMAGE_KINDS else decoder.kind.value
+            decoders, messages = found.setdefault((info.topic, kind), ([], []))
             same = np.full(int(mine.sum()), 0, np.int64)
             messages.append(
                 IndexedMessages(
@@ -169,7 +245,7 @@ def _read_topics(files: Sequence[LogFile], builder: ContentsBuilder) -> list[Top
                 )
             )
             decoders.append(decoder)
-    topics = [_topic(*parts) for parts in found.values()]
+    topics = [TopicMessages(tuple(known), _joined(parts)) for known, parts in found.values()]
     small = 0
     for topic in topics:
         small += topic.num_messages * (topic.kind not in IMAGE_KINDS)
@@ -177,12 +253,6 @@ def _read_topics(files: Sequence[LogFile], builder: ContentsBuilder) -> list[Top
             check_images(topic.num_messages, builder.bytes, builder.path, topic.topic)
         check_motions(small, builder.bytes, builder.path, topic.topic)
     return topics
-
-
-def _topic(decoders: list[MessageDecoder], parts: list[IndexedMessages]) -> TopicMessages:
-    if len({decoder.kind for decoder in decoders}) > 1:
-        raise DamageError("a topic has messages of several kinds")
-    return TopicMessages(tuple(decoders), _joined(parts))
 
 
 def _probes(topic: TopicMessages, whole: bool) -> np.ndarray:
@@ -226,11 +296,13 @@ def _motion_windows(
     return MotionWindows(found, store, contents.tracks, contents.path, whole)
 
 
-def _joined(parts: Sequence[IndexedMessages]) -> IndexedMessages:
-    """Messages of topics or channels, each in the order of the files, in this order."""
+def _joined(parts: Sequence[IndexedMessages], *, in_order: bool = True) -> IndexedMessages:
+    """Messages of topics or channels together, in the order of the files or one after the other."""
     if len(parts) == 1:
         return parts[0]
     none = IndexedMessages(*[np.zeros(0, np.int64)] * 7)
     columns = zip(none, *parts, strict=True)
     messages = IndexedMessages(*map(np.concatenate, columns))
+    if not in_order:
+        return messages
     return messages.rows(np.lexsort((messages.offset, messages.position, messages.file)))

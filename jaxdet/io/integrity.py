@@ -12,11 +12,11 @@ class FileIntegrity(NamedTuple):
     """What was read of a file, and what was lost."""
 
     path: Path
-    messages: int
-    """Messages read."""
-    declared_messages: int | None
+    messages: int = 0
+    """Messages found."""
+    declared_messages: int | None = None
     """Messages the file's statistics speak of; None without."""
-    has_end: bool
+    has_end: bool = True
     """Whether the data end and the file's closing magic are there."""
     chunks: int = 0
     chunks_with_crc: int = 0
@@ -26,14 +26,15 @@ class FileIntegrity(NamedTuple):
     lost_spans_ns: tuple[tuple[int, int], ...] = ()
     """Log times of the rejected chunks, by their own word."""
     last_log_time_ns: int = 0
-    """Of the messages read."""
+    """Of the messages found."""
     missing: Mapping[str, int] = {}
-    """How many messages of each topic statistics or message indexes count that were not read."""
+    """How many messages of each topic statistics or message indexes count that were not found."""
     summary_problem: str = ""
     """Why the file has no summary that can be read; empty where it has one."""
     by_index: bool = False
-    """Whether the file's index was read instead of the whole file. Then the chunks are checked
-    when frames are read from them, and the first one's CRC stands for all."""
+    """Whether the messages are those of the file's own index, not of a walk over the whole file.
+    Then the chunks are checked when frames are read from them, and the first one's CRC stands for
+    all."""
 
     @property
     def recovered(self) -> bool:

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from functools import cached_property, partial
+from functools import cached_property
 from operator import index as as_index
 from os import PathLike
 from typing import Any, NamedTuple, Self, overload
@@ -33,17 +33,17 @@ from jaxdet.io.description import (
     with_bad_color,
 )
 from jaxdet.io.files import LogFiles, find_logs
-from jaxdet.io.findings import Findings, find_indexed, find_scanned
+from jaxdet.io.findings import Findings, find
+from jaxdet.io.formats import read_file_index, rebuild_file_index
+from jaxdet.io.indexed import IndexedLog
 from jaxdet.io.limits import ReadMemory
 from jaxdet.io.notes import Notes, total
-from jaxdet.io.opening import index_files, open_files, scan_files
+from jaxdet.io.opening import find_contents, open_files
 from jaxdet.io.options import LogOptions
 from jaxdet.io.part import find_part
 from jaxdet.io.reading import Failures, ImageReader
-from jaxdet.io.repeats import drop_repeated
 from jaxdet.io.store import ChunkStore
-from jaxdet.io.timeline import ScannedFrames, Window
-from jaxdet.io.windows import IndexedFrames
+from jaxdet.io.timeline import Window
 from jaxdet.notebook import table
 from jaxdet.types import Frames
 
@@ -69,12 +69,13 @@ WhichColor = bool | Container[int]
 class Log:
     """A recorded log; use :func:`open_log`, and ``with`` to close it.
 
-    A log whose files have an index is opened by it: what frames are made of is read with them,
-    each chunk once, and checked. Where this shows that the index isn't enough, or the file is
-    damaged, reading raises a RescanError; opened with ``LogOptions(scan=True)`` the log is read
-    as a whole, and everything in it can be used that is whole. The frames are the same.
+    A log is read by the index of its files. What frames are made of is read with them, each chunk
+    once, and checked. Where this shows that messages would have had to be looked at before, or the
+    file is damaged, reading raises a RescanError. With ``LogOptions(scan=True)`` the index is
+    rebuilt from all that is whole in the files, and all small messages and all stamps are read at
+    opening. The frames are the same.
 
-    Memory: 80 bytes for an image, 48 for a pose or transform (of a scanned log 64 each); 64 MiB
+    Memory: 80 bytes for an image, 48 for a pose or transform (64 more where all are read); 64 MiB
     of decompressed chunks, more where some ten frames take more; and the images of the batch
     being read. One thread may read at a time; threads of the log's own help it, one for each
     core. A log can be pickled: another process opens the files again, but not their indexes, and
@@ -141,12 +142,12 @@ class Log:
             text = unset_clock_text(found.choice.depth, before, frames.stamp_ns(0))
             found = found._replace(warnings=(*found.warnings, text))
         self.description = describe(files, contents, found, self.frames, begin_ns)
-        if isinstance(found.frames, ScannedFrames):
-            self.description = self.described(found.frames.notes)
+        if found.frames.depth.is_complete:
+            self.description = self.described(self._window(0, self.num_frames).notes)
         unit, limit = about.unit_in_floats, options.max_pixels
-        by_index = isinstance(found.frames, IndexedFrames)
+        trusted = any(file.by_index for file in contents.integrity)
         self._reader = ImageReader(
-            store, found.depth, found.color, unit, limit, by_index, about.used_for_depth
+            store, found.depth, found.color, unit, limit, trusted, about.used_for_depth
         )
         depth, image = self.calibration.depth, self.calibration.image
         self.depth_shape = depth.height, depth.width
@@ -460,7 +461,7 @@ def open_log(
     options: LogOptions | None = None,
     memory: ReadMemory | None = None,
 ) -> Log:
-    """Opens a camera of a log by its index, or reads all of it where that is missing or wrong.
+    """Opens a camera of a log by its index, which is rebuilt where it is missing or wrong.
 
     Args:
         source: A file, a folder or a glob with exactly one log, or one of :func:`find_logs`.
@@ -489,50 +490,47 @@ def open_log(
     store = ChunkStore(opened.files, most_bytes=memory.chunk)
     try:
         if not options.scan:
-            with suppress(DamageError, RescanError):
-                indexed = index_files(opened, store, source, options)
-                find = partial(find_indexed, indexed, options)
-                return _opened(source, indexed.contents, find, store, options)
-        contents = scan_files(opened, source, options)
-        drop_repeated(contents, store)
-        try:
-            find = partial(find_scanned, contents, options)
-            return _opened(source, contents, find, store, options)
-        except (TopicError, CalibrationError) as error:
-            damaged = [file for file in contents.integrity if file.recovered]
-            for file in damaged[:2]:
-                error.add_remedy(f"{file.path.name} is {file.text}")
-            known = contents.topics.items()
-            bad = [(name, about.trouble) for name, about in known if about.undecodable]
-            for name, trouble in bad[:2]:
-                if trouble not in str(error):
-                    error.add_remedy(f"{name}: {trouble}")
-            raise
+            with suppress(DamageError):
+                indexes = [read_file_index(file) for file in opened.files]
+                for complete in (False, True):
+                    with suppress(RescanError):
+                        found = find_contents(
+                            opened, indexes, store, source, options, complete=complete
+                        )
+                        return _opened(source, found, options)
+        indexes = [rebuild_file_index(file) for file in opened.files]
+        found = find_contents(opened, indexes, store, source, options, complete=True)
+        return _opened(source, found, options)
     except BaseException:
         store.close()
         raise
 
 
-def _opened(
-    files: LogFiles,
-    contents: LogContents,
-    find: Callable[..., Findings],
-    store: ChunkStore,
-    options: LogOptions,
-) -> Log:
-    """Return the log; its depth frame counts as a body frame where the depth images say so."""
+def _opened(files: LogFiles, known: IndexedLog, options: LogOptions) -> Log:
+    """Return the log; its depth frame counts as a body frame where the depth images say so.
+
+    Raises:
+        JaxdetError: As :func:`open_log`; the error names what is damaged.
+    """
+    contents, store = known.contents, known.store
     try:
-        found = find()
+        found = find(known, options)
     except (TopicError, CalibrationError) as error:
         error.topics = describe_topics(contents)
+        for file in [file for file in contents.integrity if file.recovered][:2]:
+            error.add_remedy(f"{file.path.name} is {file.text}")
+        bad = [(name, about) for name, about in contents.topics.items() if about.undecodable]
+        for name, about in bad[:2]:
+            if about.trouble not in str(error):
+                error.add_remedy(f"{name}: {about.trouble}")
         raise
     log = Log(files, contents, found, store, options)
-    known = options.camera_frame is not None or found.calibrated.T_frame_camera is not None
+    given = options.camera_frame is not None or found.calibrated.T_frame_camera is not None
     places = log.has_poses or log.T_base_camera is not None
-    if known or not places:
+    if given or not places:
         return log
     if is_body_frame(log.num_frames, log.T_base_camera, lambda some: log.read(some).frames):
-        return Log(files, contents, find(is_body=True), store, options)
+        return Log(files, contents, find(known, options, is_body=True), store, options)
     return log
 
 

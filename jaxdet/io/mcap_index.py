@@ -13,6 +13,7 @@ from mcap.opcode import Opcode
 from jaxdet.io.chunks import PAYLOAD_OFFSET, RECORD_HEAD, DamageError
 from jaxdet.io.container import McapFile
 from jaxdet.io.file_index import ChannelCount, FileIndex, file_index, useful_channels
+from jaxdet.io.integrity import FileIntegrity
 from jaxdet.io.mcap_summary import FileBytes, Summary, read_summary
 
 _HEAD_BYTES = RECORD_HEAD.size + 6
@@ -72,8 +73,9 @@ def read_mcap_index(file: McapFile) -> FileIndex:
         raise DamageError("message index leaves its chunk")
     place, length = chunks.start + RECORD_HEAD.size, chunks.length - RECORD_HEAD.size
     messages = np.stack([channel, log_ns, place[chunk], length[chunk], offset])
-    has_crc = len(place) and file.chunk_head(int(place[0])).crc
-    return file_index(file.path, infos, messages, counts, len(place), len(place) if has_crc else 0)
+    checked = len(place) if len(place) and file.chunk_head(int(place[0])).crc else 0
+    known = FileIntegrity(file.path, chunks=len(place), chunks_with_crc=checked, by_index=True)
+    return file_index(infos, messages, known, counts)
 
 
 def _check(file: McapFile, summary: Summary) -> None:

@@ -1,32 +1,39 @@
-"""The walk over a whole MCAP file, tolerant of damage.
+"""The index of an MCAP file by a walk over all of it, tolerant of damage.
 
 A file is walked from its first record to its last, whole chunks at a time; those ahead are
-decompressed on threads, and all is taken in by the caller's, in order. What is damaged is
-dropped and counted, and its neighbours are used: a chunk with a wrong CRC, a message longer
-than its chunk, a torn end. A missing summary does no harm. Where a record's length is damaged
-the walk goes on at the next chunk that the summary's index knows. What the summary and the
-message indexes speak of and the walk did not find is lost, and said.
+decompressed on threads, and all is taken in by the caller's, in order. What is damaged is dropped
+and counted, and its neighbours are used: a chunk with a wrong CRC, a message longer than its
+chunk, a torn end. A missing summary does no harm. Where a record's length is damaged the walk goes
+on at the next chunk that the summary's index knows. What the summary and the message indexes speak
+of and the walk did not find is lost, and said.
 """
 
 import struct
 from bisect import bisect_right
-from collections import Counter
-from collections.abc import Iterator
+from collections import Counter, deque
+from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from typing import NamedTuple
 
 import numpy as np
 from mcap.opcode import Opcode
 
-from jaxdet.io.chunks import MESSAGE_HEAD, RECORD_HEAD, ChunkHead, DamageError, chunk_records
-from jaxdet.io.container import MAGIC, Location, McapFile
+from jaxdet.cores import cores
+from jaxdet.io.chunks import (
+    MAX_TIME_NS,
+    MESSAGE_HEAD,
+    RECORD_HEAD,
+    ChunkHead,
+    DamageError,
+    chunk_records,
+)
+from jaxdet.io.container import MAGIC, LogFile, McapFile
 from jaxdet.io.declarations import ChannelInfo, Declarations
-from jaxdet.io.integrity import FileIntegrity
+from jaxdet.io.file_index import FileIndex
 from jaxdet.io.limits import MAX_ODD_RECORDS
 from jaxdet.io.mcap_summary import Summary, read_summary
-from jaxdet.io.walk import TORN, FileRecord, Handler, Walk
+from jaxdet.io.walk import Walk
 
-_TOP_LEVEL = -1
-_MAX_TIME_NS = (1 << 63) - 1
 _INDEX_HEAD = struct.Struct("<HI")
 """Channel and bytes of the entries of a message index."""
 _ENTRY_BYTES = 16
@@ -34,27 +41,85 @@ _ODD_BYTES = 64
 """Records of unknown kinds that are shorter are odd, see ``MAX_ODD_RECORDS``."""
 
 
-def scan(file: McapFile, handler: Handler, pool: ThreadPoolExecutor) -> FileIntegrity:
-    """Gives every readable message to ``handler``, in file order; says what was lost.
+AHEAD_BYTES = 64 << 20
+"""Of decompressed chunks."""
+AHEAD_RECORDS = 256
+TORN = 0
+"""Opcode, which no record has."""
 
-    Args:
-        file: The file.
-        handler: Called by this thread.
-        pool: Decompresses chunks, up to 64 MiB of them ahead (or one chunk, if larger).
+
+class FileRecord(NamedTuple):
+    """A record of a file's data section."""
+
+    opcode: int
+    """``TORN``: what can't be walked over."""
+    position: int
+    """Where its content begins in the file."""
+    length: int
+    """Of its content, by its own word."""
+
+
+class Ahead(NamedTuple):
+    """A record that is to be taken in."""
+
+    record: FileRecord
+    chunk: Future[bytes | memoryview] | None = None
+    """What a chunk will be decompressed."""
+    size: int = 0
+    """Of that."""
+
+
+def rebuild_mcap_index(file: McapFile) -> FileIndex:
+    """The index of every readable message, with what was lost.
 
     Raises:
         InputError: The file was changed meanwhile, or holds more messages than it has room for.
     """
-    scan = _Scan(file, handler)
-    scan.walk.over(scan.records(), scan.record, pool)
-    return scan.integrity()
+    scan = _Scan(file)
+    with ThreadPoolExecutor(cores(), "jaxdet-open") as pool:
+        for item in ahead(file, scan.records(), pool):
+            try:
+                scan.take(*item[:2])
+            except DamageError as error:
+                scan.walk.lose(str(error), item.record.length)
+            del item  # and its chunk, before the next is decompressed
+    return scan.index()
+
+
+def ahead(
+    file: LogFile, records: Iterable[FileRecord], pool: ThreadPoolExecutor
+) -> Iterator[Ahead]:
+    """The records in order; up to 64 MiB of chunks (or one chunk, if larger) are ahead.
+
+    Args:
+        file: The file.
+        records: Its records.
+        pool: Decompresses.
+    """
+    waiting: deque[Ahead] = deque()
+    size_ahead, most = 0, min(AHEAD_BYTES, file.memory.chunk)
+    for record in records:
+        is_chunk = record.opcode == Opcode.CHUNK
+        size = file.chunk_bytes(record.position) if is_chunk else 0
+        while waiting and (size_ahead + size > most or len(waiting) >= AHEAD_RECORDS):
+            size_ahead -= waiting[0].size
+            yield waiting.popleft()
+        if is_chunk:
+            waiting.append(Ahead(record, pool.submit(file.chunk, record.position), size))
+            size_ahead += size
+        elif waiting:
+            waiting.append(Ahead(record))
+        else:
+            yield Ahead(record)
+    while waiting:
+        yield waiting.popleft()
 
 
 class _Scan:
     """The state of one walk over a file."""
 
-    def __init__(self, file: McapFile, handler: Handler) -> None:
-        self.file, self.walk = file, Walk(file, handler)
+    def __init__(self, file: McapFile) -> None:
+        self.file, self.walk = file, Walk(file)
         self.summary: Summary | None = None
         self.summary_problem = ""
         try:
@@ -96,13 +161,15 @@ class _Scan:
             if not len(after):
                 return
 
-    def record(self, record: FileRecord, chunk: Future[bytes | memoryview] | None) -> None:
-        """Takes in one record.
+    def take(self, record: FileRecord, chunk: Future[bytes | memoryview] | None) -> None:
+        """Takes in one record, a chunk decompressed.
 
         Raises:
             DamageError: It can't be used.
         """
         opcode, position, length = record
+        if opcode == TORN:
+            raise DamageError("damaged or torn record")
         if chunk is not None:
             self._chunk(position, chunk)
         elif opcode == Opcode.MESSAGE_INDEX:
@@ -110,15 +177,15 @@ class _Scan:
         elif opcode in (Opcode.MESSAGE, Opcode.CHANNEL, Opcode.SCHEMA):
             self.file.check_memory(length, "record")
             content = memoryview(self.file.read(position, length))
-            self._content(opcode, content, _TOP_LEVEL, position)
+            self._content(opcode, content, position, length, 0)
 
-    def integrity(self) -> FileIntegrity:
+    def index(self) -> FileIndex:
         """What was found, and of what the file speaks beside that."""
         missing = self._missing()
         statistics = self.summary.statistics if self.summary else None
         if missing or (self.summary and not statistics):
             self._lose_missing_chunks()
-        return self.walk.integrity(
+        return self.walk.index(
             declared_messages=statistics.message_count if statistics else None,
             chunks=self.chunks,
             chunks_with_crc=self.chunks_with_crc,
@@ -160,17 +227,21 @@ class _Scan:
         try:
             chunk = decompressed.result()
         except DamageError:
-            if head.start_ns <= head.end_ns <= _MAX_TIME_NS:
+            if head.start_ns <= head.end_ns <= MAX_TIME_NS:
                 self.lost_spans.append((head.start_ns, head.end_ns))
             raise
         view = memoryview(chunk)
         for opcode, offset, size in chunk_records(chunk):
             try:
-                self._content(opcode, view[offset : offset + size], position, offset)
+                content, start = view[offset : offset + size], offset - RECORD_HEAD.size
+                self._content(opcode, content, position, head.length, start)
             except DamageError as error:
                 self.walk.lose(str(error), size)
 
-    def _content(self, opcode: int, content: memoryview, chunk: int, offset: int) -> None:
+    def _content(
+        self, opcode: int, content: memoryview, position: int, length: int, offset: int
+    ) -> None:
+        """Takes in the record at an offset in the records of a chunk."""
         if opcode == Opcode.SCHEMA:
             self.declared.add_schema(content)
             return
@@ -183,10 +254,7 @@ class _Scan:
         info = self.infos.get(channel_id) or self._info(channel_id)
         if info is None:
             raise DamageError("message of an undeclared channel")
-        size = len(content) - MESSAGE_HEAD.size
-        location = Location(chunk, offset + MESSAGE_HEAD.size, size)
-        payload = content[MESSAGE_HEAD.size :]
-        self.walk.give(channel_id, info, min(log_ns, _MAX_TIME_NS), payload, location)
+        self.walk.add(channel_id, info, min(log_ns, MAX_TIME_NS), position, length, offset)
 
     def _info(self, channel_id: int) -> ChannelInfo | None:
         info = self.declared.info(channel_id, self.summary.declared if self.summary else None)

@@ -19,6 +19,7 @@ class MotionSamples:
     def __init__(self) -> None:
         self._stamps = array("q")
         self._values = array("d")
+        self._in_order: tuple[np.ndarray, np.ndarray] | None = None
 
     def __len__(self) -> int:
         return len(self._stamps)
@@ -30,6 +31,7 @@ class MotionSamples:
         rotation: tuple[float, float, float, float],
     ) -> None:
         """Adds a sample: metres, and a unit quaternion x y z w."""
+        self._in_order = None
         self._stamps.append(stamp_ns)
         self._values.extend(translation)
         self._values.extend(rotation)
@@ -56,11 +58,13 @@ class MotionSamples:
 
     def at(self, stamps_ns: np.ndarray) -> np.ndarray:
         """The motion at each stamp, see :func:`interpolate`; of equal stamps the last counts."""
-        stamps = self.stamps_ns
-        order = np.argsort(stamps, kind="stable")
-        last = np.append(np.diff(stamps[order]) > 0, True)[: len(order)]
-        kept = order[last]
-        return interpolate(stamps_ns, stamps[kept], self.values[kept])
+        if self._in_order is None:
+            stamps = self.stamps_ns
+            order = np.argsort(stamps, kind="stable")
+            last = np.append(np.diff(stamps[order]) > 0, True)[: len(order)]
+            kept = order[last]
+            self._in_order = stamps[kept], self.values[kept]
+        return interpolate(stamps_ns, *self._in_order)
 
 
 def interpolate(stamps_ns: np.ndarray, sample_ns: np.ndarray, samples: np.ndarray) -> np.ndarray:

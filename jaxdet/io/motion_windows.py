@@ -1,8 +1,9 @@
-"""Transforms and poses about some frames, by the index: only the messages near them are read.
+"""Transforms and poses about some frames, by the index.
 
-What the log's transforms look like (which frame stands in which, and what never changes) is
-known from messages read at opening: all of them, or, where there are many, the first and an even
-sample. Each window holds every message that it answers for against that.
+Either all messages were read at opening, or only those near the frames are read. Then what the
+log's transforms look like (which frame stands in which, and what never changes) is known from the
+first messages and an even sample, and each window holds every message that it answers for against
+that.
 """
 
 from collections import OrderedDict
@@ -26,7 +27,7 @@ _SLACK_NS = 250_000_000
 _BESIDE = 8
 """Messages looked at to either side, at first."""
 _MAX_MESSAGES = 20_000
-"""About one window; where more are needed the log is scanned."""
+"""About one window; where more are needed all are read at opening."""
 _MAX_DECODED = 1 << 15
 
 
@@ -157,7 +158,7 @@ class MotionWindows:
         found = []
         try:
             items = decoder.motions(payload)
-        except FrameError as error:  # which a scan counts
+        except FrameError as error:  # which is counted where all are read
             raise self._odd(f"a message of {decoder.channel.topic} can't be decoded") from error
         for item in items:
             if item.problem:  # likewise

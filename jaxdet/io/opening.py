@@ -1,20 +1,18 @@
-"""Opens the files of a log and finds what is in them, by their indexes or by reading all."""
+"""Opens the files of a log and finds what is in them, by their own indexes or by rebuilt ones."""
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from pathlib import Path
 from typing import NamedTuple
 
-from jaxdet.cores import cores
 from jaxdet.errors import ChunkMemoryError, InputError, printable
 from jaxdet.io.chunks import DamageError
 from jaxdet.io.container import LogFile
 from jaxdet.io.contents import ContentsBuilder, LogContents
+from jaxdet.io.file_index import FileIndex
 from jaxdet.io.files import LogFiles, missing_splits, siblings
-from jaxdet.io.formats import open_file, scan_file
+from jaxdet.io.formats import open_file, read_file_index, rebuild_file_index
 from jaxdet.io.indexed import IndexedLog, open_index, search_index
-from jaxdet.io.integrity import FileIntegrity
 from jaxdet.io.limits import ReadMemory
 from jaxdet.io.options import LogOptions
 from jaxdet.io.store import ChunkStore
@@ -59,33 +57,31 @@ def _open(path: Path, options: LogOptions, memory: ReadMemory) -> LogFile:
     return file
 
 
-def scan_files(opened: OpenedFiles, log: LogFiles, options: LogOptions) -> LogContents:
-    """What is in a log, by reading all of it."""
-    contents = LogContents(str(log.paths[0]))
-    contents.integrity += _scan(opened.files, ContentsBuilder(contents, options.tf))
-    _finish(contents, opened, log, options)
-    return contents
-
-
-def _scan(files: Sequence[LogFile], builder: ContentsBuilder) -> list[FileIntegrity]:
-    found = []
-    with ThreadPoolExecutor(cores(), thread_name_prefix="jaxdet-open") as pool:
-        for file in files:
-            builder.next_file(file)
-            found.append(scan_file(file, builder.add, pool))
-    return found
-
-
-def index_files(
-    opened: OpenedFiles, store: ChunkStore, log: LogFiles, options: LogOptions
+def find_contents(
+    opened: OpenedFiles,
+    indexes: Sequence[FileIndex],
+    store: ChunkStore,
+    log: LogFiles,
+    options: LogOptions,
+    *,
+    complete: bool,
 ) -> IndexedLog:
     """What is in a log, by the indexes of its files.
 
+    Args:
+        opened: The files.
+        indexes: Theirs.
+        store: Their chunks.
+        log: The files' names.
+        options: What the user says about the log.
+        complete: Whether to read all small messages, and the stamps of all images.
+
     Raises:
-        DamageError: An index is missing, torn or wrong.
-        RescanError: The index isn't enough.
+        DamageError: An index is wrong.
+        RescanError: The first messages are such that all have to be read.
     """
-    found = open_index(opened.files, store, options.tf, str(log.paths[0]))
+    path = str(log.paths[0])
+    found = open_index(opened.files, indexes, store, options.tf, path, complete=complete)
     _finish(found.contents, opened, log, options)
     return found
 
@@ -106,13 +102,14 @@ def _search_siblings(
     for path in siblings(log):
         try:
             with closing(_open(path, options, memory)) as file:
+                builder = ContentsBuilder(contents, options.tf, images=False)
                 try:
-                    search_index(file, ContentsBuilder(contents, options.tf, images=False))
+                    search_index(file, read_file_index(file), builder)
                 except DamageError:
-                    _scan([file], ContentsBuilder(contents, options.tf, images=False))
+                    search_index(file, rebuild_file_index(file), builder)
         except ChunkMemoryError:
             raise  # else it would be for the memory to decide what is found
-        except InputError as error:
+        except (InputError, DamageError) as error:
             contents.warnings.append(f"{error}; the split is not searched for static transforms")
         if contents.has_static:
             contents.warnings.append(f"static transforms are taken from the split {path.name}")

@@ -145,7 +145,7 @@ class ImageReader:
                     errors[0 if is_depth else 1][row] = error
         rows.clear()  # a thread may hold its last job
         of_color = window.color_chunks if wanted is not None and wanted.any() else ()
-        for chunk in (*window.chunks, *of_color):
+        for chunk in (*window.chunks, *of_color) if self._strict else ():
             self._store.check(chunk)
         for images, problems in zip((depth, color), errors, strict=True):
             bad = [row for row, error in enumerate(problems) if error is not None]
@@ -165,9 +165,7 @@ class ImageReader:
         chunk, requests, rows = job
         images = rows[0], rows[-1]
         try:
-            if chunk.position < 0:
-                payloads = [self._store.peek(chunk, *item.location[1:]) for item in requests]
-            elif self._store.head(chunk).is_plain:
+            if self._store.head(chunk).is_plain:
                 payloads = self._read_plain(chunk, requests, *images)
             else:
                 data = memoryview(self._store.data(chunk))

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from mcap.opcode import Opcode
 
-from jaxdet.io.chunks import MESSAGE_HEAD, PAYLOAD_OFFSET, RECORD_HEAD, DamageError
+from jaxdet.io.chunks import MAX_TIME_NS, MESSAGE_HEAD, PAYLOAD_OFFSET, RECORD_HEAD, DamageError
 from jaxdet.io.decode_messages import MessageDecoder
 from jaxdet.io.messages import Kind
 from jaxdet.io.store import ChunkStore, Place
@@ -22,9 +22,9 @@ class IndexedMessages(NamedTuple):
     file: np.ndarray
     """Number of the log's file."""
     position: np.ndarray
-    """Where the content of the chunk's record begins in the file."""
+    """Of the chunk in the file, see :meth:`jaxdet.io.container.LogFile.chunk_head`."""
     length: np.ndarray
-    """Of that content."""
+    """Of the chunk's content in the file."""
     offset: np.ndarray
     """Of the message's record in the decompressed chunk."""
     channel: np.ndarray
@@ -55,10 +55,10 @@ class IndexedMessages(NamedTuple):
 
 
 class TopicMessages(NamedTuple):
-    """The messages of a topic."""
+    """The messages of a topic, of one kind."""
 
     decoders: tuple[MessageDecoder, ...]
-    """All of one kind; a message has the one of its ``decoder``."""
+    """All of one kind, or all of images; a message has the one of its ``decoder``."""
     messages: IndexedMessages
 
     @property
@@ -113,7 +113,7 @@ def read_message(
     opcode, length = RECORD_HEAD.unpack_from(known)
     channel, _, log_ns, _ = MESSAGE_HEAD.unpack_from(known, RECORD_HEAD.size)
     expected = int(messages.channel[number]), int(messages.log_ns[number])
-    if opcode != Opcode.MESSAGE or (channel, log_ns) != expected:
+    if opcode != Opcode.MESSAGE or (channel, min(log_ns, MAX_TIME_NS)) != expected:
         raise DamageError("no such message there")
     size = length - MESSAGE_HEAD.size
     head = store.head(place)

@@ -1,64 +1,70 @@
 """Images that a log holds twice, as where a recording was merged with itself: each counts once."""
 
 from collections import Counter
+from collections.abc import Iterable
 
 import deflate
 import numpy as np
 
 from jaxdet.errors import InputError, printable
 from jaxdet.io.chunks import DamageError
-from jaxdet.io.contents import LogContents
-from jaxdet.io.store import ChunkStore, Place
-from jaxdet.io.streams import NUM_PROBES, ImageStream
-
-_COLUMNS = ("stamp", "color_stamp", "size")
+from jaxdet.io.records import read_message
+from jaxdet.io.store import ChunkStore
+from jaxdet.io.streams import ImageStream
+from jaxdet.io.windows import StreamWindows
 
 
 def may_repeat(stream: ImageStream, log_ns: np.ndarray) -> bool:
     """Return whether images may occur twice, by the first ones and by all log times.
 
     Args:
-        stream: The first images, at least.
+        stream: The first images.
         log_ns: ``(N,)`` int64, log times of all images in order.
     """
-    stamps, sizes = (stream.column(name)[:NUM_PROBES] for name in ("stamp", "size"))
-    first = Counter(zip(stamps.tolist(), sizes.tolist(), strict=True))
+    first = Counter((image.stamp_ns, image.size) for image in stream.first)
     several = any(count > 1 for (stamp, _), count in first.items() if stamp)
     return several or bool((np.diff(log_ns) == 0).any())
 
 
-def drop_repeated(contents: LogContents, store: ChunkStore) -> None:
+def drop_repeated(streams: Iterable[StreamWindows], store: ChunkStore) -> list[str]:
     """Drop images that are equal to an earlier one of their topic, in stamp and in content.
 
     Only messages of equal stamps and sizes are read and compared.
+
+    Args:
+        streams: The images of each topic; all stamps have been read.
+        store: The log's chunks.
+
+    Returns:
+        What to tell of it.
     """
-    for topic, stream in sorted(contents.streams.items()):
+    warnings = []
+    for stream in sorted(streams, key=lambda stream: stream.topic):
         keep = _first_ones(stream, store)
         if not keep.all():
             stream.keep(keep)
             count = int((~keep).sum())
             text = f"{count} images occur twice, equal in stamp and content; each counts once"
-            contents.warnings.append(f"{printable(topic)}: {text}")
+            warnings.append(f"{printable(stream.topic)}: {text}")
+    return warnings
 
 
-def _first_ones(stream: ImageStream, store: ChunkStore) -> np.ndarray:
-    """Return ``(N,)`` bool, images that are not equal to an earlier one."""
-    keys = np.stack([stream.column(name) for name in _COLUMNS], axis=1)
+def _first_ones(stream: StreamWindows, store: ChunkStore) -> np.ndarray:
+    """Return ``(N,)`` bool, images that are not equal to an earlier one in the files."""
+    keys = np.stack([stream.stamp, stream.color_stamp, stream.size], axis=1)
     keep = np.ones(len(keys), bool)
     if not len(keys):
         return keep
     _, group, count = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
     group = group.reshape(-1)
-    where = np.flatnonzero((count[group] > 1) & (keys[:, 0] > 0))
-    places = np.stack([stream.column(name) for name in ("file", "chunk", "offset")], axis=1)
+    several = (count[group] > 1) & (keys[:, 0] > 0)
     seen: set[tuple[int, int]] = set()
-    for row in where.tolist():
-        file, chunk, offset = places[row].tolist()
+    for number in stream.in_file_order()[several[stream.in_file_order()]].tolist():
         try:
-            data = store.peek(Place(file, chunk), offset, int(keys[row, 2]))
+            data = read_message(store, stream.messages, number)[1]
         except (DamageError, InputError):
             continue
-        key = int(group[row]), deflate.crc32(data)
-        keep[row] = key not in seen
+        key = int(group[number]), deflate.crc32(data)
+        keep[number] = key not in seen
         seen.add(key)
     return keep

@@ -13,7 +13,7 @@ from contextlib import suppress
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
-from jaxdet.errors import InputError, RescanError
+from jaxdet.errors import InputError
 from jaxdet.io.chunks import DamageError
 from jaxdet.io.container import LogFile
 from jaxdet.io.contents import ContentsBuilder, LogContents
@@ -52,7 +52,7 @@ class Sketch(NamedTuple):
 
 def sketch(path: Path) -> Sketch | None:
     """The sketch of a file by its index; None where that can't be read."""
-    with suppress(InputError, DamageError, RescanError):
+    with suppress(InputError, DamageError):
         file = open_file(path, LogOptions.max_chunk_mib << 20)
         try:
             return _sketch(file)
@@ -71,7 +71,7 @@ def _sketch(file: LogFile) -> Sketch:
     several = [counts[key] for key in seen if counts[key].messages > 1]
     periods = [(one.last_ns - one.first_ns) // (one.messages - 1) for one in several]
     builder = ContentsBuilder(LogContents(str(file.path)), use_tf=False, images=False)
-    search_index(file, builder)
+    search_index(file, entries, builder)
     known = builder.contents.calibrations.items()
     return Sketch(
         {info.topic: info.schema_name for info in useful.values()},

@@ -1,4 +1,4 @@
-"""The messages of a rosbag2 recording in SQLite: without their data, or all of it."""
+"""The index of a rosbag2 recording in SQLite: by its tables, or row by row around damage."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from jaxdet.io.chunks import PAYLOAD_OFFSET, DamageError
-from jaxdet.io.container import Location
 from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.definition import DEFINITIONS, schema_text
 from jaxdet.io.file_index import FileIndex, file_index
@@ -18,7 +17,7 @@ from jaxdet.io.limits import MAX_SCHEMA_BYTES, check_topics
 from jaxdet.io.message_file import MessageRow, indexed_messages, position_of
 from jaxdet.io.messages import kind_of
 from jaxdet.io.sqlite import SqliteFile, damage
-from jaxdet.io.walk import Handler, Walk
+from jaxdet.io.walk import Walk
 
 _ROWS_AT_ONCE = 1 << 14
 _DAMAGED = "page is damaged"
@@ -62,11 +61,12 @@ def read_sqlite_index(file: SqliteFile) -> FileIndex:
         position_of(int(value))
     if _declared(file) not in (None, len(number)):
         raise DamageError("index of times contradicts the messages")
-    return file_index(file.path, infos, indexed_messages(number, channel, log_ns, size))
+    messages = indexed_messages(number, channel, log_ns, size)
+    return file_index(infos, messages, FileIntegrity(file.path, by_index=True))
 
 
-def scan_sqlite(file: SqliteFile, handler: Handler) -> FileIntegrity:
-    """Gives every readable message to ``handler``, in the order of their numbers.
+def rebuild_sqlite_index(file: SqliteFile) -> FileIndex:
+    """The index of every readable message, with what was lost.
 
     Where SQLite finds a page damaged, the walk goes on at the next message that it can reach. Of
     a message whose data are damaged the topic is known mostly; else its number is counted as lost.
@@ -79,7 +79,7 @@ def scan_sqlite(file: SqliteFile, handler: Handler) -> FileIntegrity:
         infos = _channels(file)
     except DamageError as error:
         problem = str(error)
-    walk, missing = Walk(file, handler), Counter[str]()
+    walk, missing = Walk(file), Counter[str]()
     for number, channel, log_ns, data, size in _rows(file, walk.lost):
         try:
             MessageRow(channel, log_ns, size).check()
@@ -92,9 +92,8 @@ def scan_sqlite(file: SqliteFile, handler: Handler) -> FileIntegrity:
         except DamageError as error:
             walk.lose(str(error), size or 0)
             continue
-        where = Location(position, PAYLOAD_OFFSET, len(data))
-        walk.give(channel, infos[channel], log_ns, memoryview(data), where)
-    return walk.integrity(
+        walk.add(channel, infos[channel], log_ns, position, len(data) + PAYLOAD_OFFSET, 0)
+    return walk.index(
         declared_messages=_declared(file),
         has_end=file.declared_bytes <= file.size,
         missing=dict(missing),

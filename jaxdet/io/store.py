@@ -3,7 +3,7 @@
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
+from contextlib import suppress
 from threading import Lock
 from typing import NamedTuple, TypeVar
 
@@ -29,7 +29,7 @@ class Place(NamedTuple):
     file: int
     """Number of the file."""
     position: int
-    """Where the content of the chunk's record begins, -1 for what lies outside chunks."""
+    """Of the chunk, see :meth:`jaxdet.io.container.LogFile.chunk_head`."""
 
 
 class ChunkStore:
@@ -155,15 +155,23 @@ class ChunkStore:
     def loaded(self, places: Iterable[Place]) -> Iterator[Place]:
         """Chunks in order; those of a wave that are packed are decompressed by all threads.
 
-        Raises:
-            DamageError: One can't be read.
+        One that can't be read raises a DamageError where its bytes are used.
         """
         for wave in self.waves(places):
-            packed = [place for place in wave if place.position >= 0]
-            packed = [place for place in packed if not self.head(place).is_plain]
-            for _ in self.map(partial(self.data, ahead=True), packed):
+            for _ in self.map(self._load, [place for place in wave if self._is_packed(place)]):
                 pass
             yield from wave
+
+    def _is_packed(self, place: Place) -> bool:
+        try:
+            return not self.head(place).is_plain
+        except DamageError:
+            return False
+
+    def _load(self, place: Place) -> None:
+        """Decompresses a packed chunk, which is kept until it is used."""
+        with suppress(DamageError):
+            self.data(place, ahead=True)
 
     def _drop_one(self) -> None:
         """Drops the chunk used least of late; one that waits for its use only if all do."""
@@ -200,10 +208,6 @@ class ChunkStore:
         Raises:
             DamageError: The chunk can't be read.
         """
-        if place.position < 0:
-            file = self.files[place.file]
-            file.check_memory(size, "message")
-            return memoryview(file.read(offset, min(size, file.size - offset)))
         head = self.head(place)
         if not head.is_plain:
             near = head.uncompressed_size >= LARGE_BYTES and offset + size <= BEGIN_BYTES
@@ -213,12 +217,11 @@ class ChunkStore:
                     return memoryview(known)[offset:]
             return memoryview(self.data(place, ahead=True))[offset : offset + size]
         size = min(size, head.uncompressed_size - offset)
+        self.files[place.file].check_memory(size, "message")
         start = place.position + head.data_offset
         return memoryview(self.files[place.file].read(start + offset, max(size, 0)))
 
     def _size(self, place: Place) -> int:
-        if place.position < 0:
-            return 0
         try:
             return min(self.head(place).uncompressed_size, self.files[place.file].max_bytes)
         except DamageError:

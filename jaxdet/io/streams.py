@@ -1,21 +1,14 @@
-"""The messages of one image topic: where they lie, and what the first of them look like."""
+"""What the first messages of an image topic look like."""
 
-from array import array
 from collections import Counter
 from contextlib import suppress
 from typing import NamedTuple
 
-import numpy as np
-
 from jaxdet.errors import FrameError
 from jaxdet.io.compressed import compressed_size
-from jaxdet.io.decode_messages import MessageDecoder
 from jaxdet.io.messages import CompressedImageMessage, ImageMessage, Kind, RgbdMessage
 from jaxdet.io.zstd_images import is_zstd, read_zstd_head
 
-COLUMNS = ("stamp", "color_stamp", "log_time", "file", "decoder", "chunk", "offset", "size")
-"""What is kept of an image message, all int64; stamps and log time in ns. The two stamps differ in
-RGBD messages alone, where ``stamp`` is that of the depth image."""
 NUM_PROBES = 8
 """How many of a stream's first messages are looked at."""
 PROBE_BYTES = 1 << 16
@@ -29,34 +22,27 @@ class ImageSize(NamedTuple):
     height: int
 
 
+class FirstImage(NamedTuple):
+    """What is known of one of the first messages, also where it can't be decoded."""
+
+    stamp_ns: int
+    """Header stamp, of RGBD that of the depth image; the log time where it can't be decoded."""
+    log_ns: int
+    size: int
+    """Bytes of the payload."""
+
+
 class ImageStream:
-    """The messages of one image topic."""
+    """The first messages of one image topic."""
 
     def __init__(self, topic: str, kind: Kind) -> None:
         self.topic, self.kind = topic, kind
-        self.decoders: list[MessageDecoder] = []
+        self.first: list[FirstImage] = []
+        """The first ``NUM_PROBES`` messages."""
         self.probes: list[ImageMessage | CompressedImageMessage | RgbdMessage] = []
-        """The first few messages, without their pixels."""
+        """Of the first that can be decoded as many, without their pixels."""
         self.typical: list[float] = []
         """Of 32FC1 images among them, the median value."""
-        self._columns = {name: array("q") for name in COLUMNS}
-
-    def __len__(self) -> int:
-        return len(self._columns["stamp"])
-
-    def add(self, values: tuple[int, ...]) -> None:
-        """Adds a message, as ``COLUMNS``."""
-        for column, value in zip(self._columns.values(), values, strict=True):
-            column.append(value)
-
-    def keep(self, which: np.ndarray) -> None:
-        """Keep some of the messages, by ``(N,)`` bool."""
-        columns = {name: self.column(name)[which].tolist() for name in self._columns}
-        self._columns = {name: array("q", values) for name, values in columns.items()}
-
-    def column(self, name: str) -> np.ndarray:
-        """``(N,)`` int64, in the order of the files."""
-        return np.array(self._columns[name], np.int64)
 
     def images(self, depth: bool) -> list[ImageMessage | CompressedImageMessage]:
         """The first images, without their pixels; which one of those in an RGBD message."""

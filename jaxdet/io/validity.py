@@ -63,13 +63,19 @@ def other_calibration(
 
 
 class CalibrationWindows:
-    """Makes sure, window by window, that the calibration of a log never changes.
+    """Says to which frames another calibration belongs than the one that is used.
+
+    Where only the first messages were read at opening, it makes sure, window by window, that the
+    calibration never changes.
 
     Args:
         topics: The messages of the topics used, in the order of log time.
         used: The calibration of each that is used.
         store: The log's chunks.
         path: The log's, for errors.
+        changes: All calibrations of the topic that describes depth, with the one used, where all
+            messages were read; else None.
+        by_log_time: Whether the frames' stamps are log times.
     """
 
     def __init__(
@@ -78,13 +84,25 @@ class CalibrationWindows:
         used: Mapping[str, CameraInfoMessage],
         store: ChunkStore,
         path: str,
+        changes: Sequence[tuple[Sequence[CalibrationChange], CameraInfoMessage]] | None = None,
+        *,
+        by_log_time: bool = False,
     ) -> None:
+        self._changes, self._by_log_time = changes, by_log_time
         self._topics, self._used = tuple(topics), dict(used)
         self._store, self._path = store, path
         self._good: set[tuple[str, bytes]] = set()
         """What follows the stamp in messages that were compared."""
         self._last: dict[str, int] = {}
         """The message of each topic before the end of the latest span: it was compared."""
+
+    def other(self, stamps_ns: np.ndarray) -> np.ndarray | None:
+        """Which frames have another calibration ``(n,)`` bool, by their stamps; None: none has."""
+        found = None
+        for changes, used in self._changes or ():
+            other = other_calibration(stamps_ns, changes, used, self._by_log_time)
+            found = other if found is None else found | other
+        return found
 
     def check(self, begin: int | None, end: int | None) -> set[Place]:
         """Compares the messages of a span of log times, and the one before it, which holds there.
@@ -106,6 +124,8 @@ class CalibrationWindows:
         for topic in self._topics:
             own = topic.messages.between(begin, end)
             chunks |= topic.messages.chunks(own)
+            if self._changes is not None:
+                continue
             start, stop = own.start, own.stop
             known = self._last.get(topic.topic) == start - 1
             for number in range(start if known else max(0, start - 1), stop):

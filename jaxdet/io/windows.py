@@ -1,13 +1,14 @@
-"""The frames of a log by its index: only messages near the requested frames are looked at.
+"""The frames of a log by its index.
 
-A frame's number is the rank of its depth image by header stamp. A stream's messages are nearly in
-this order already: it is checked that no two that are ``REACH`` or more messages apart (by log
-time) are in the wrong order, so that ranks follow from messages near by. It is enough to compare
-messages ``REACH`` to ``2 REACH - 1`` apart: of two in the wrong order that are farther apart, one
-in between is in the wrong order with one of them. Both are known to the window that holds the
-message ``REACH`` after the first of them, and each message of a log belongs to one window of any
-division of its frames. So whoever reads all frames either gets the ranks of a whole scan or an
-error.
+A frame's number is the rank of its depth image by header stamp. Where all stamps have been read,
+the ranks follow from them. Else only messages near the requested frames are looked at: a stream's
+messages are nearly in the order of their stamps already. It is checked that no two that are
+``REACH`` or more messages apart (by log time) are in the wrong order, so that ranks follow from
+messages near by. It is enough to compare messages ``REACH`` to ``2 REACH - 1`` apart: of two in the
+wrong order that are farther apart, one in between is in the wrong order with one of them. Both are
+known to the window that holds the message ``REACH`` after the first of them, and each message of a
+log belongs to one window of any division of its frames. So whoever reads all frames either gets the
+ranks of all stamps or an error.
 
 The stamps of colour images are read whether colour is decoded or not: of a chunk that isn't packed
 64 bytes of each message (0.02 ms); of a large packed one its begin where the message is there
@@ -15,6 +16,7 @@ The stamps of colour images are read whether colour is decoded or not: of a chun
 colour alone are checked against their CRC only with frames whose colour is decoded.
 """
 
+from copy import copy
 from itertools import groupby
 from typing import NamedTuple
 
@@ -44,7 +46,7 @@ _STAMP_BYTES = 64
 
 
 class StreamWindows:
-    """The messages of one image topic; stamps are read when they are needed.
+    """The messages of one image topic; stamps are read when they are needed, or all at opening.
 
     Args:
         found: The messages, in the order of the files.
@@ -55,19 +57,95 @@ class StreamWindows:
         messages: The messages in the order of log time, then of arrival.
         backward: How many come after one with a later log time in the files.
         whole: Whether chunks are read whole for stamps; else, of packed ones, perhaps the begin.
+        stamp: ``(N,)`` int64, header stamps of the messages read, of RGBD those of depth [ns].
+        color_stamp: ``(N,)`` int64, the same but for RGBD, of which it is that of colour [ns].
+        size: ``(N,)`` int64, bytes of their payloads; -1 where a message has not been read.
     """
 
     def __init__(self, found: TopicMessages, store: ChunkStore, path: str) -> None:
         self.topic, self.decoders = found.topic, found.decoders
-        self.messages = found.in_time().messages
+        self._arrival = np.argsort(found.messages.log_ns, kind="stable")
+        self.messages = found.messages.rows(self._arrival)
         self.backward = int((np.diff(found.messages.log_ns) < 0).sum())
         self.store, self._path, self.whole = store, path, True
+        self._order: np.ndarray | None = None
         count = found.num_messages
         self.stamp, self.color_stamp, self.size = (np.full(count, -1, np.int64) for _ in range(3))
         self._undecodable = np.zeros(count, bool)
 
     def __len__(self) -> int:
         return len(self.stamp)
+
+    @property
+    def is_rgbd(self) -> bool:
+        """Whether a message holds both images."""
+        return self.decoders[0].kind is Kind.RGBD
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether all stamps have been read at opening."""
+        return self._order is not None
+
+    def in_file_order(self) -> np.ndarray:
+        """``(N,)`` int64, the numbers of the messages in the order of the files."""
+        return np.argsort(self._arrival)
+
+    def read(self, number: int) -> str:
+        """Reads the stamps of a message; returns why it can't be decoded, else an empty text.
+
+        Raises:
+            DamageError: It is not where the index says.
+        """
+        decoder = self.decoders[self.messages.decoder[number]]
+        leads = decoder.stamp_leads and decoder.kind is not Kind.RGBD
+        size, payload = read_message(
+            self.store,
+            self.messages,
+            number,
+            _STAMP_BYTES if leads else None,
+            whole=self.whole,
+        )
+        if leads and not decoder.reads_stamp(payload):
+            size, payload = read_message(self.store, self.messages, number)
+        problem = ""
+        try:
+            stamps = image_stamps(decoder, payload)
+        except FrameError as error:
+            stamps, problem = (int(self.messages.log_ns[number]),) * 2, error.problem
+        self.stamp[number], self.color_stamp[number] = stamps
+        self.size[number] = size
+        return problem
+
+    def lose(self, number: int) -> None:
+        """Leaves a message that can't be read a frame, at its log time."""
+        self.stamp[number] = self.color_stamp[number] = self.messages.log_ns[number]
+        self.size[number] = 0
+
+    def keep(self, which: np.ndarray) -> None:
+        """Keeps some of the messages, by ``(N,)`` bool."""
+        self.messages, self._arrival = self.messages.rows(which), self._arrival[which]
+        self.backward = int((np.diff(self.messages.log_ns[self.in_file_order()]) < 0).sum())
+        self.stamp, self.color_stamp, self.size, self._undecodable = (
+            column[which] for column in (self.stamp, self.color_stamp, self.size, self._undecodable)
+        )
+
+    def complete(self, *, by_log_time: bool = False) -> "StreamWindows":
+        """Return the same messages, whose stamps have all been read, with their order known.
+
+        Args:
+            by_log_time: Take the log times for stamps.
+        """
+        found = copy(self)
+        if by_log_time:
+            found.stamp = found.color_stamp = self.messages.log_ns
+        found._order = np.argsort(found.stamp, kind="stable")
+        return found
+
+    def between(self, first_ns: int, last_ns: int) -> np.ndarray:
+        """The numbers of the messages of a span of stamps and one to either side, in order."""
+        assert self._order is not None
+        ends = np.searchsorted(self.stamp, [first_ns, last_ns + 1], sorter=self._order)
+        return self._order[max(0, int(ends[0]) - 1) : int(ends[1]) + 1]
 
     def check_clock(self) -> None:
         """Sees whether stamps follow log times, by some messages spread over the log.
@@ -79,6 +157,8 @@ class StreamWindows:
             RescanError: Messages are too far from the order of their stamps.
             DamageError: One of them is not where the index says.
         """
+        if self.is_complete:
+            return
         times = self.messages.log_ns
         some = np.unique(np.linspace(0, len(self) - 1, min(_LOOKS, len(self))).astype(np.int64))
         self._load(some)
@@ -93,6 +173,8 @@ class StreamWindows:
             RescanError: Messages are too far from the order of their stamps.
             DamageError: One of them is not where the index says.
         """
+        if self._order is not None:
+            return self._order[first:last]
         start, stop = max(0, first - REACH), min(len(self), last + REACH)
         self._load(np.arange(start, stop))
         stamps = self.stamp[start:stop]
@@ -138,7 +220,7 @@ class StreamWindows:
         if not self.whole:  # they are read one by one
             near = self.messages.offset[missing] < BEGIN_BYTES - PAYLOAD_OFFSET - _STAMP_BYTES
             for number in missing[near].tolist():
-                self._read(number)
+                self._look(number)
             missing = missing[~near]
         places = self.messages.places(missing)
         parts = {
@@ -149,27 +231,10 @@ class StreamWindows:
         }
         for place in self.store.loaded(parts):
             for number in parts[place]:
-                self._read(number)
+                self._look(number)
 
-    def _read(self, number: int) -> None:
-        decoder = self.decoders[self.messages.decoder[number]]
-        leads = decoder.stamp_leads and decoder.kind is not Kind.RGBD
-        size, payload = read_message(
-            self.store,
-            self.messages,
-            number,
-            _STAMP_BYTES if leads else None,
-            whole=self.whole,
-        )
-        if leads and not decoder.reads_stamp(payload):
-            size, payload = read_message(self.store, self.messages, number)
-        try:
-            stamps = image_stamps(decoder, payload)
-        except FrameError:
-            log_ns = int(self.messages.log_ns[number])
-            stamps, self._undecodable[number] = (log_ns, log_ns), True
-        self.stamp[number], self.color_stamp[number] = stamps
-        self.size[number] = size
+    def _look(self, number: int) -> None:
+        self._undecodable[number] = bool(self.read(number))
 
 
 class IndexedFrames(NamedTuple):
@@ -187,9 +252,11 @@ class IndexedFrames(NamedTuple):
     path: str
     """The log's, for errors."""
     calibrations: CalibrationWindows | None = None
-    """What must not change; None: not looked at."""
+    """Which calibration belongs to each frame; None: not looked at."""
     color_offset_ns: int = 0
     """How far colour's clock is ahead of depth's [ns]."""
+    by_log_time: bool = False
+    """Whether the log times say which colour image is nearest, as the header stamps are zero."""
 
     @property
     def num_frames(self) -> int:
@@ -197,7 +264,9 @@ class IndexedFrames(NamedTuple):
         return len(self.depth)
 
     def about_ns(self) -> np.ndarray:
-        """``(F,)`` int64, log times of the depth messages, in order [ns].
+        """``(F,)`` int64, a time of each frame that differs by about the same from all stamps [ns].
+
+        The times are in order.
 
         Raises:
             RescanError: The stamps of some images are far from the order of these.
@@ -206,6 +275,8 @@ class IndexedFrames(NamedTuple):
         for stream in (self.depth, self.color):
             if stream is not None:
                 stream.check_clock()
+        if self.depth.is_complete:
+            return self.depth.stamp[self.depth.ranked(0, len(self.depth))]
         return self.depth.messages.log_ns
 
     def is_plain(self, number: int) -> bool:
@@ -215,7 +286,7 @@ class IndexedFrames(NamedTuple):
             DamageError: There is no such chunk.
         """
         (place,) = self.depth.messages.places(slice(number, number + 1))
-        return place.position < 0 or self.depth.store.head(place).is_plain
+        return self.depth.store.head(place).is_plain
 
     def stamp_ns(self, number: int) -> int:
         """The stamp of a frame [ns].
@@ -250,35 +321,42 @@ class IndexedFrames(NamedTuple):
         if self.color is self.depth:
             color = self.depth.table(numbers, color=True)
         elif self.color is not None:
-            stamps_ns = own.stamps_ns + self.color_offset_ns
+            stamps_ns = own.log_ns if self.by_log_time else own.stamps_ns + self.color_offset_ns
             color, of_color = self._colors(self.color, stamps_ns, start, stop)
         log_ns = self.depth.messages.log_ns
         begin = int(log_ns[start]) if start else None
         end = int(log_ns[stop]) if stop < len(self.depth) else None
         stamps_ns = own.stamps_ns + self.source.offset_ns
         T, chunks = self.motions.window(self.source, stamps_ns, begin, end)
+        other = None
         if self.calibrations:
             chunks = chunks | self.calibrations.check(begin, end)
+            other = self.calibrations.other(own.stamps_ns)
         chunks = chunks | self.depth.messages.chunks(slice(start, stop))
         poses = 0 if T is None else int(np.isfinite(T[:, 0, 0]).sum())
         notes = Notes(
             self.depth.notes(start, stop, ranked), *apart(own, color, self.color_offset_ns), poses
         )
         of_all, of_color = tuple(sorted(chunks)), tuple(sorted(of_color - chunks))
-        return Window(own, color, T, notes, chunks=of_all, color_chunks=of_color)
+        return Window(own, color, T, notes, other, of_all, of_color)
 
     def _colors(
         self, color: StreamWindows, stamps_ns: np.ndarray, start: int, stop: int
     ) -> tuple[FrameTable, set[Place]]:
         """The nearest colour images of some frames, and the chunks that this window answers for.
 
-        All messages are looked at that come between the frames by log time, so that those of a log
-        are, and further ones until no other can be nearer.
+        Where not all stamps are known, all messages are looked at that come between the frames by
+        log time, so that those of a log are, and further ones until no other can be nearer.
         """
         own_ns, log_ns, count = self.depth.messages.log_ns, color.messages.log_ns, len(color)
         first = int(np.searchsorted(log_ns, own_ns[start])) if start else 0
         last = int(np.searchsorted(log_ns, own_ns[stop])) if stop < len(own_ns) else count
-        low = int(stamps_ns[0]) - round(self.tolerance_s * 1e9)
+        slack, of_color = round(self.tolerance_s * 1e9), color.messages.chunks(slice(first, last))
+        if color.is_complete:
+            ranked = color.between(int(stamps_ns.min()) - slack, int(stamps_ns.max()) + slack)
+            near = nearest(stamps_ns, color.stamp[ranked], self.tolerance_s)
+            return color.table(np.append(ranked, -1)[near]), of_color
+        low = int(stamps_ns[0]) - slack
         beside = [_BESIDE, _BESIDE]
         while True:
             begin, end = max(0, first - beside[0]), min(count, last + beside[1])
@@ -297,4 +375,4 @@ class IndexedFrames(NamedTuple):
                 problem = "colour and depth stamps are too far apart"
                 raise RescanError(problem, path=self.path)
         numbers = np.append(ranked, -1)[nearest(stamps_ns, found, self.tolerance_s)]
-        return color.table(numbers), color.messages.chunks(slice(first, last))
+        return color.table(numbers), of_color

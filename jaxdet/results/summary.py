@@ -26,6 +26,9 @@ SHORT_M = 0.02
 """A rectangle that begins more than this behind its obstacle's nearest point is counted [m]."""
 MANY_REFUSED = 0.1
 """More of the frames without a floor of their own are worth a warning."""
+ROLL_FLAG = "--ground.camera-roll"
+STEEP_DEG = 60.0
+"""A mount of more pitch or roll may be of another frame than the camera's."""
 MOSTLY_FAR = 0.9
 """Where more have a floor far from what was expected, depth itself may be wrong."""
 
@@ -147,17 +150,34 @@ class LogSummary(Counts):
         others = [text for text in others if not text.endswith((" frame", " none"))]
         if nothing:
             others.append(f"in {nothing} no floor is known, distances are as of a level camera")
-        remedy = "give the camera's true --ground.camera-height-m and --ground.camera-pitch"
+        remedy = "give the camera's true --ground.camera-height-m, --ground.camera-pitch and "
+        remedy += "--ground.camera-roll"
         if self.floor_sources["flags"]:
-            remedy += ", or leave both out"
+            remedy += ", or leave them out"
         if self.floor_refused["far"] > MOSTLY_FAR * good:
             remedy += "; where the mount is true, check the depth unit (--log.depth-unit-m), the "
             remedy += "intrinsics of the depth camera"
+        cause = self._floor_cause()
         return (
             f"{refused} of {good} frames don't show their floor themselves ({reasons}; "
             f"see floor_refused in jaxdet help tables), "
-            f"{', '.join(others)}: {remedy}"
+            f"{', '.join(others)}: {cause}{'; else ' if cause else ''}{remedy}"
         )
+
+    def _floor_cause(self) -> str:
+        """Why frames don't show their floor, as far as the mount tells, with the remedy."""
+        if any(ROLL_FLAG in text for text in self.warnings):
+            return f"the camera looks turned, as the warning with {ROLL_FLAG} says"
+        if not self.floor_sources["tf"]:
+            return ""
+        mount = next((record for record in self.ground if record.pitch_rad is not None), None)
+        angles = [math.degrees(a) for a in (mount.pitch_rad, mount.roll_rad)] if mount else [0, 0]
+        if max(map(abs, angles)) > STEEP_DEG:
+            looks = f"by its transforms the camera looks {angles[0]:.0f}° down, rolled by "
+            looks += f"{angles[1]:.0f}°: its images may not be in the frame that they name"
+            return f"{looks}; name the optical frame with --log.camera-frame"
+        text = "by its transforms the camera is elsewhere than over the floor"
+        return f"{text}; name the frame whose z = 0 is the floor with --log.base-frame"
 
     @property
     def depth_warning(self) -> str | None:
