@@ -232,6 +232,9 @@ class SurfaceConfig:
     """Creases are so many cells wider at each side, so that gaps in them join nothing."""
     min_cells: int = 6
     """Smaller components are no surfaces of their own, and smaller creases are noise."""
+    hole_cells: int = 8
+    """Cells of a row or a column on both sides of at most this many unmeasured ones are linked as
+    neighbours are, where their depth goes on. 0: off."""
     bent_m: float = 0.20
     """Surfaces at most so high without a steep side are floor that the sensor bends up, at the
     margins of the image or far away [m]. 0: off."""
@@ -246,6 +249,7 @@ class SurfaceConfig:
         _require_within(self, 0, 1, "step_per_m", "crease_per_m")
         _require_within(self, 1, 16, "crease_cells")
         _require_within(self, 0, 16, "crease_margin")
+        _require_within(self, 0, 512, "hole_cells")
         _require_within(self, 1, MAX_POINTS, "min_cells")
         _require_within(self, 1, 4, "beyond")
 
@@ -279,7 +283,7 @@ class ObstacleConfig:
     most so far apart [m]."""
     min_size_m: float = 0.05
     """Obstacles are at least so wide or so high [m]."""
-    min_cells: int = 8
+    min_cells: int = 6
     """Minimum number of depth cells."""
 
     def __post_init__(self) -> None:

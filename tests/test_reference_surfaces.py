@@ -76,7 +76,7 @@ def test_the_step_is_that_of_the_nearer() -> None:
 
 def test_small_components_are_no_surfaces() -> None:
     config = replace(PLAIN, min_cells=3)
-    assert found([[900, 900, 0, 900, 900, 900]], config=config) == [[-1, -1, -1, 0, 0, 0]]
+    assert found([[900, 900, 990, 900, 900, 900]], config=config) == [[-1, -1, -1, 0, 0, 0]]
 
 
 def test_depth_unit() -> None:
@@ -176,6 +176,23 @@ def test_of_several_surfaces_only_the_bent_goes() -> None:
 
 
 # somebody else's code
+
+
+def test_a_hole_makes_no_piece_too_small() -> None:
+    """Both sides of unmeasured cells count together; what they are one thing by is seen later."""
+    small = replace(PLAIN, min_cells=6)
+    row = [900, 905, 910, 0, 0, 0, 0, 915, 905, 900]
+    assert found([row], config=small) == [[0, 0, 0, -1, -1, -1, -1, 1, 1, 1]]
+    column = [[z] for z in row]
+    assert found(column, config=small) == [[0]] * 3 + [[-1]] * 4 + [[1]] * 3
+    nothing = [[-1] * 10]
+    assert found([row], config=replace(small, min_cells=7)) == nothing
+    assert found([row], config=replace(small, hole_cells=3)) == nothing
+    assert found([row], config=replace(small, hole_cells=0)) == nothing
+    stepped = [900, 905, 910, 0, 0, 0, 0, 945, 905, 900]
+    assert found([stepped], config=small) == nothing
+    seen_through = [900, 905, 910, 0, 2000, 0, 0, 915, 905, 900]
+    assert found([seen_through], config=small) == nothing
 
 
 @given(masks)

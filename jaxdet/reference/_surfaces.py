@@ -17,7 +17,9 @@ def surfaces(
     """Groups the kept cells of a frame into surfaces.
 
     Neighbours in a row or column are one surface when their depths differ by at most
-    ``step_m + step_per_m z^2`` (depth discontinuities part things). Where two things touch, depth
+    ``step_m + step_per_m z^2`` (depth discontinuities part things). Cells on both sides of at most
+    ``hole_cells`` unmeasured ones are neighbours, too: what is dark, glossy or blurred has holes
+    that would part it into pieces too small to count. Where two things touch, depth
     goes on but has a crease: it is larger than halfway between the depths ``crease_cells`` before
     and after (a concave edge). Those cells take no part in the linking (:func:`creases`) and then
     go to the neighbouring surface that is nearest in depth, as do components of fewer than
@@ -37,13 +39,17 @@ def surfaces(
         >>> z = np.array([[900, 910, 1500, 1505]], np.int32)
         >>> surfaces(z, z > 0, 0.001, SurfaceConfig(min_cells=1)).tolist()
         [[0, 0, 1, 1]]
+        >>> z = np.array([[900, 905, 0, 0, 910]], np.int32)
+        >>> surfaces(z, z > 0, 0.001, SurfaceConfig(min_cells=3)).tolist()
+        [[0, 0, -1, -1, 0]]
     """
     z = z.astype(np.int64)
     step = quadratic_table(config.step_m, config.step_per_m, depth_unit)[z]
     linked = keep & ~creases(z, step, keep, depth_unit, config)
     label = _components(z, step, linked)
-    size = np.bincount(label.ravel(), minlength=label.size)
-    label = np.where(linked & (size[label] >= config.min_cells), label, -1)
+    together = _across_holes(label, z, step, linked, config.hole_cells)
+    size = np.bincount(together.ravel(), minlength=label.size)
+    label = np.where(linked & (size[together] >= config.min_cells), label, -1)
     rounds = config.crease_cells + config.crease_margin + 1
     return renumbered(_grown(label, z, step, keep, rounds))
 
@@ -201,6 +207,28 @@ def _components(z: np.ndarray, step: np.ndarray, linked: np.ndarray) -> np.ndarr
     both = _neighbours(linked, ((0, 1), (1, 0)))
     (one, other), most = z.ravel()[both], step.ravel()[both].min(axis=0)
     return components(z.size, *both[:, np.abs(one - other) <= most]).reshape(z.shape)
+
+
+def _across_holes(
+    label: np.ndarray, z: np.ndarray, step: np.ndarray, linked: np.ndarray, longest: int
+) -> np.ndarray:
+    """Components ``(R, C)`` with those joined whose depth goes on across unmeasured cells.
+
+    Linked cells of a row or a column on both sides of 1 to ``longest`` of these are neighbours.
+    """
+    cell = np.where(linked, np.arange(z.size).reshape(z.shape), -1)
+    pairs = [np.zeros((2, 0), np.int64)]
+    for axis in (0, 1):
+        hole = np.ones(z.shape, bool)
+        for away in range(1, min(longest, z.shape[axis]) + 1):
+            hole &= _shifted(z == 0, -away, axis)
+            there = _shifted(cell + 1, -away - 1, axis) - 1
+            both = linked & hole & (there >= 0)
+            pairs.append(np.stack([cell[both], there[both]]))
+    both = np.concatenate(pairs, axis=1)
+    (one, other), most = z.ravel()[both], step.ravel()[both].min(axis=0)
+    near = label.ravel()[both[:, np.abs(one - other) <= most]]
+    return components(z.size, *near)[label]
 
 
 def _grown(

@@ -25,5 +25,5 @@ def tables(calibration: Calibration, config: Config) -> Tables:
         steps=np.minimum(steps, MOST_STEP),
         limits=np.minimum(limits, MOST_LIMIT),
         rises=step.table,
-        surface_settings=(*lengths, max_height(ground, unit), farthest),
+        surface_settings=(*lengths, max_height(ground, unit), farthest, surface.hole_cells),
     )

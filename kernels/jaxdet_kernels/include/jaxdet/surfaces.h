@@ -22,11 +22,11 @@ struct Surfaces {
     };
     // Where each setting is: depths up to which surfaces are followed; the height up to which those
     // without a steep side are floor; how much noise of depth lifts floor, by its depth and by the
-    // camera's height, with NOISE_BITS fraction bits; the height from which things are passed below; and
-    // the end of the depth range.
+    // camera's height, with NOISE_BITS fraction bits; the height from which things are passed below;
+    // the end of the depth range; and the most cells of a hole.
     enum {
         NEAREST, FARTHEST, CREASE_CELLS, MIN_CELLS, CREASE_MARGIN, BENT, NOISE, HIGHEST, IN_RANGE,
-        SETTINGS
+        HOLE, SETTINGS
     };
     enum { NOISE_BITS = 34, SLOPE_BITS = 14, STEEPEST_NOISE = 32767 };
     int rows, columns;
@@ -103,9 +103,9 @@ struct Surfaces {
     }
 
     // How fast the height that noise gives to floor grows with depth, with SLOPE_BITS.
-    int noise(const FloorFrame& frame) const {
+    static int noise(const FloorFrame& frame, int setting) {
         const long long high = frame.height > 0 ? frame.height : 0;
-        const long long slope = high * settings[NOISE] >> (NOISE_BITS - SLOPE_BITS);
+        const long long slope = high * setting >> (NOISE_BITS - SLOPE_BITS);
         return slope < STEEPEST_NOISE ? (int)slope : (int)STEEPEST_NOISE;
     }
 
@@ -117,7 +117,7 @@ struct Surfaces {
     bool start(const Team& team, const Parts& in) const {
         int some = 0;
         const FloorFrame frame(floor);
-        const int slope = noise(frame);
+        const int slope = noise(frame, settings[NOISE]);
         in.grid.frame(team, in.depth, Creases::NONE);
 #if defined(__CUDA_ARCH__)
         const Warp warp(team);
@@ -234,6 +234,44 @@ struct Surfaces {
     }
 #endif
 
+    // Links cells of a row or a column on both sides of unmeasured ones where depth goes on.
+    void link_across_holes(const Team& team, const Runs& runs) const {
+        const BitRows& on = runs.on;
+        if (!settings[HOLE]) return;
+        for (int i = team.rank; i < on.count(); i += team.size) {
+            if (!on[i]) continue;
+            const int r = on.row(i), first = on.column(i);
+            for (unsigned rest = on[i] & ~on.after(i); rest; rest &= rest - 1) {
+                const int k = BitRows::lowest(rest), c = first + k;
+                const int n = across(r * columns + c, 1, columns - c);
+                if (!n) continue;
+                const int there = c + n, j = on.at(r, there / BitRows::WIDTH);
+                const int l = there % BitRows::WIDTH;
+                if (on[j] >> l & 1) runs.link(team, i, k, j, l);
+            }
+            for (unsigned rest = on[i] & ~on.below(i); rest; rest &= rest - 1) {
+                const int k = BitRows::lowest(rest), c = first + k;
+                const int n = across(r * columns + c, columns, rows - r);
+                if (!n) continue;
+                const int j = on.at(r + n, c / BitRows::WIDTH);
+                if (on[j] >> k & 1) runs.link(team, i, k, j, k);
+            }
+        }
+    }
+
+    // How many cells on from a cell, `away` from one to the next and of `most` in all, lies the
+    // measured one behind a hole; 0 where there is no hole, or depth does not go on.
+    int across(int cell, int away, int most) const {
+        const int end = most < settings[HOLE] + 2 ? most : settings[HOLE] + 2;
+        for (int n = 1; n < end; ++n) {
+            const int there = cell + n * away;
+            if (!z[there]) continue;
+            const bool near = n > 1 && is_near(z[cell], z[there], steps[z[cell]], steps[z[there]]);
+            return near ? n : 0;
+        }
+        return 0;
+    }
+
     // Labels of the linked cells: the root of their component, -1 where that is small. Returns how
     // many runs there are; `has` becomes which cells have a label. Ends in a sync.
     int label(const Team& team, const Parts& in, Runs& runs, const BitRows& up, const BitRows& has) const {
@@ -250,10 +288,14 @@ struct Surfaces {
             }
         }
         team.sync();
+        for (int run = team.rank; run < all; run += team.size)
+            in.label[run] = runs.sets.find(run);
+        team.sync();
+        link_across_holes(team, runs);
+        team.sync();
         runs.measure(team);
         for (int run = team.rank; run < all; run += team.size) {
-            const int root = runs.sets.find(run);
-            in.label[run] = runs.sizes[root] < least ? -1 : root;
+            if (runs.sizes[runs.sets.find(run)] < least) in.label[run] = -1;
             in.first[run] = UNSEEN;
             in.top[run] = -1;
             in.level[run] = 0;
