@@ -43,6 +43,10 @@ MAX_LABELS = 1024
 MAX_OBSTACLES = 128
 """``M`` where obstacles are made of surfaces; more set the overflow flag."""
 
+RAYS = 1440
+"""Bearings of the free floor: a full turn, a quarter of a degree apart. The ray ``i`` has the
+bearing ``(i - RAYS / 2) / 4`` degrees, clockwise from above, 0 ahead."""
+
 MAX_LATERAL = (1 << 18) - 1
 """Largest sideways distance [depth units]: four times the largest depth."""
 
@@ -399,6 +403,7 @@ class FreeEnd(IntEnum):
     UNKNOWN = 0
     """Nothing is measured beyond, or no floor is seen at all."""
     OBSTACLE = 1
+    """An obstacle, or what is measured above the step and too small for one."""
     DROP = 2
     """What is seen beyond lies clearly below the floor: a step down, a hole."""
     RANGE = 3
@@ -437,10 +442,11 @@ class Scene(NamedTuple):
     bottom_top: Array
     """``(B, M, 2)`` int32, lowest and highest cell above the floor [depth units]."""
     free: Array
-    """``(B, C, 2, 2)`` int32, by column of cells: where the free floor begins and where it ends,
-    right and forward in the ground frame [depth units]; zero where nothing is seen."""
+    """``(B, RAYS, 2)`` int32, by bearing: the range from the camera's foot at which the free floor
+    begins and at which it ends [depth units]; both the same where only an obstacle is seen, zero
+    where nothing is."""
     free_end: Array
-    """``(B, C)`` int32, what ends it, see :class:`FreeEnd`."""
+    """``(B, RAYS)`` int32, what ends it, see :class:`FreeEnd`."""
 
 
 class CellLabels(NamedTuple):

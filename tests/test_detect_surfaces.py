@@ -17,6 +17,7 @@ from jaxdet.pipeline import BackendName
 from jaxdet.presets import preset
 from jaxdet.reference import align, ground
 from jaxdet.results import metric
+from jaxdet.results.free_floor import ray_bearings
 from jaxdet.results.metric import floors
 from jaxdet.sim import DepthSensor, SimConfig, sample_frames
 from jaxdet.sim.config import calibration_of
@@ -115,15 +116,15 @@ def test_a_box_in_exact_depth() -> None:
 def test_free_floor_before_and_beside_a_box() -> None:
     scene = found(made(cast(POSE, [BOX])[None], POSE.plane())).scene
     assert scene
-    line, end = scene.free[0], scene.free_end[0]
+    stop, end = scene.free[0, :, 1], scene.free_end[0]
     blocked = np.flatnonzero(end == FreeEnd.OBSTACLE)
     assert np.ptp(blocked) + 1 == len(blocked)
-    assert (np.abs(line[blocked, 1, 1] - 1200) < 30).all()
-    bearing = line[blocked, 1, 0] / line[blocked, 1, 1]
-    assert bearing.min() == pytest.approx(-0.25, abs=0.03)
-    assert bearing.max() == pytest.approx(0.1 / 1.2, abs=0.03)
+    bearing, _ = ray_bearings()
+    assert (np.abs(stop[blocked] * np.cos(bearing[blocked]) - 1200) < 30).all()
+    assert bearing[blocked].min() == pytest.approx(-np.arctan2(0.3, 1.2), abs=0.03)
+    assert bearing[blocked].max() == pytest.approx(np.arctan2(0.1, 1.2), abs=0.03)
     assert FreeEnd.DROP not in end
-    beyond = line[end == FreeEnd.RANGE, 1, 1]
+    beyond = (stop * np.cos(bearing))[end == FreeEnd.RANGE]
     assert len(beyond) > 50 and (beyond > 3400).all() and (beyond <= 4000).all()
 
 
@@ -144,7 +145,7 @@ def test_what_hangs_higher_than_the_robot_is_no_obstacle() -> None:
     assert count(low) == 2 and (sizes(low)[:, 0] < 0.3).all()
     assert (sizes(low)[:, 2] <= 0.45).all() and (sizes(low)[:, 2] > 0.4).all()
     assert low.scene
-    between = np.abs(low.scene.free[0, :, 1, 0]) < 0.5 * low.scene.free[0, :, 1, 1] / 2.2
+    between = np.abs(ray_bearings()[0]) < 0.5 / 2.2
     assert between.sum() > 20 and (low.scene.free_end[0, between] == FreeEnd.RANGE).all()
 
 
@@ -293,6 +294,33 @@ def test_a_box_behind_a_pole_is_whole() -> None:
     assert wide[0] < 0.15 and wide[1] == pytest.approx(0.7, abs=0.1)
 
 
+def test_a_low_carton_with_a_hole_in_its_depth_is_found() -> None:
+    """As on a real pavement: a hole leaves 7 and 4 of its cells above the step."""
+    sensor = DepthSensor(enabled=False)
+    carton = Box((3.3, 0.0), (0.25, 0.24, 0.075), 0.0, CARTON)
+    scene = Scene("made", (carton,), floor=WOOD, ground=Ground(), path=Way(length=0.0))
+    mount = {"camera_height_m": 0.52, "camera_pitch_rad": 0.26, "sensor": sensor}
+    given = of(simulate_frame(SimConfig(width=640, height=480, **mount), scene, 0))
+
+    def cells_of(given: Frames) -> np.ndarray:
+        bare = replace(SURFACES, obstacle=replace(SURFACES.obstacle, min_cells=1))
+        cells = detect(given, bare, backend="reference", with_cells=True).cells
+        assert cells
+        return np.argwhere(cells.keep[0])
+
+    cells = cells_of(given)
+    top, left = cells.min(axis=0)
+    holes = [(row, left + column) for row in (0, 1) for column in (4, 5, 6, 7)] + [(1, left + 3)]
+    for row, column in holes:
+        place = (slice(3 * (top + row), 3 * (top + row + 1)), slice(3 * column, 3 * (column + 1)))
+        given.depth[0][place] = 0
+    parts = cells_of(given)[:, 1] < left + 5.5
+    assert len(cells) == 20 and (parts.sum(), (~parts).sum()) == (7, 4)
+    detections = found(given)
+    assert count(detections) >= 1
+    assert metric.distances(detections)[0, 0] == pytest.approx(3175, abs=40)
+
+
 def test_a_step_down() -> None:
     floor = Ground(drop_m=0.3, drop_start_m=1.5)
     frame = simulated(floor=floor, camera_height_m=0.5, camera_pitch_rad=0.35)
@@ -300,10 +328,11 @@ def test_a_step_down() -> None:
     scene = detections.scene
     assert count(detections) == 0 and scene
     drops = scene.free_end[0] == FreeEnd.DROP
-    assert drops.mean() > 0.5
+    assert drops.sum() > 0.5 * (scene.free[0, :, 1] > 0).sum()
     assert set(scene.free_end[0].tolist()) == {FreeEnd.DROP, FreeEnd.UNKNOWN}
-    assert np.median(scene.free[0, drops, 1, 1]) == pytest.approx(1500, abs=60)
-    assert scene.free[0, :, 1, 1].max() < 1600
+    ahead = scene.free[0, :, 1] * np.cos(ray_bearings()[0])
+    assert np.median(ahead[drops]) == pytest.approx(1500, abs=60)
+    assert ahead.max() < 1600
 
 
 # laws

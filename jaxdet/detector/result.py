@@ -24,10 +24,10 @@ if TYPE_CHECKING:
 
 
 class FreeFloorLine(NamedTuple):
-    """Free floor, a place for each column of depth cells that shows anything, left to right."""
+    """Free floor, an entry for each ray that shows anything, left to right."""
 
     bearing_rad: np.ndarray
-    """``(C,)`` float32, of its end, clockwise from above, 0 ahead."""
+    """``(C,)`` float32, of the ray, clockwise from above, 0 ahead."""
     from_m: np.ndarray
     """``(C,)`` float32, distance from the camera's foot on the floor to where it begins [m]."""
     to_m: np.ndarray

@@ -13,7 +13,7 @@ import numpy as np
 
 from jaxdet.floor.plane import down_vector, forward_vector
 from jaxdet.io.motion import motion_matrix, quaternions
-from jaxdet.results.free_floor import FreeFloor
+from jaxdet.results.free_floor import RAY_RAD, FreeFloor
 from jaxdet.results.metric import TILT, tilted
 from jaxdet.results.reading import ResultLog
 
@@ -26,11 +26,9 @@ FRAME_COLUMNS = (
 """What the functions here but :func:`free_floor` use of frames."""
 FREE_COLUMNS = ("free_bearing_rad", "free_from_m", "free_to_m")
 """What that uses."""
-
-NEIGHBOURS = 8
-"""Columns whose free floor ends farther apart than this many cells, 3 degrees, are not joined: the
-tables leave out columns that show nothing. Neighbours that end before and behind an edge are up to
-so far apart too where the camera is rolled."""
+LEVEL = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+"""Pose of a level camera in its floor frame, for what takes poses in the world."""
+LEVEL.setflags(write=False)
 
 
 def topic(log: ResultLog, name: str) -> str:
@@ -109,15 +107,14 @@ def heights(row: Row, obstacle: Row) -> tuple[float, float]:
     return min(low, high), max(low, high)
 
 
-def free_floor(row: Row, cell_rad: float) -> FreeFloor:
-    """The free floor of a row of frames, with an empty column where neighbours are apart.
+def free_floor(row: Row) -> FreeFloor:
+    """The free floor of a row of frames, with an empty ray where the table leaves some out.
 
     Args:
         row: With :data:`FREE_COLUMNS`.
-        cell_rad: Width of the run's cells [rad].
     """
     bearing, start, stop = (np.array(row[name] or [], np.float64) for name in FREE_COLUMNS)
-    apart = np.flatnonzero(np.abs(np.diff(bearing)) > NEIGHBOURS * cell_rad) + 1
+    apart = np.flatnonzero(np.abs(np.diff(bearing)) > 1.5 * RAY_RAD) + 1
     seen = np.insert(np.ones(bearing.size, bool), apart, False)
     bearing, start, stop = (np.insert(a, apart, 0.0) for a in (bearing, start, stop))
     way = np.sin(bearing) + 1j * np.cos(bearing)

@@ -44,9 +44,9 @@ def sidecars(results: Results, folder: Path) -> Iterator[tuple[ResultLog, Path]]
         yield log, folder / f"{log.file_name}.jaxdet.mcap"
 
 
-def moments(results: Results, log: ResultLog) -> Iterator[Moment]:
-    """The frames of a log, one by one."""
-    for number, frame in enumerate(results.frames(log, FRAME_COLUMNS)):
+def moments(results: Results, log: ResultLog, columns: tuple[str, ...] = ()) -> Iterator[Moment]:
+    """The frames of a log, one by one, with further columns of theirs."""
+    for number, frame in enumerate(results.frames(log, (*FRAME_COLUMNS, *columns))):
         grid = None if number else last_grid(results, log)
         named = frame.row["world_frame"] and not log.poses_from_tf
         T = T_world_camera(frame.row) if named else None
