@@ -100,7 +100,7 @@ def drop_of(found: Detections, unit: float) -> float:
         return float("nan")
     which = np.concatenate(runs)
     _, way = ray_bearings()
-    return float(np.median(found.scene.free[0, which, 1] * way[which].imag)) * unit
+    return float(np.median(found.scene.free[0, which, 1] * np.imag(way[which]))) * unit
 
 
 def run(lab: Lab) -> Section:

@@ -163,7 +163,9 @@ def _draw_contours(
 def _ray_places(scene: Scene, row: int) -> np.ndarray:
     """Where free floor begins and ends on each ray, ``(RAYS, 2, 2)`` right and forward [units]."""
     _, way = ray_bearings()
-    return np.asarray(scene.free[row])[..., None] * np.stack([way.real, way.imag], -1)[:, None]
+    return (
+        np.asarray(scene.free[row])[..., None] * np.stack([np.real(way), np.imag(way)], -1)[:, None]
+    )
 
 
 def _draw_free(image: np.ndarray, view: View, scene: Scene, row: int, unit: float) -> None:
@@ -176,6 +178,6 @@ def _draw_free(image: np.ndarray, view: View, scene: Scene, row: int, unit: floa
     for c in np.flatnonzero(seen[:-1] & seen[1:] & (first < last)).tolist():
         ring = np.outer([first[c], last[c]], way[c : c + 2])
         corners = np.concatenate([ring[0], ring[1, ::-1]])
-        quad = view.pixels(np.stack([corners.real, corners.imag], axis=-1) * unit)
+        quad = view.pixels(np.stack([np.real(corners), np.imag(corners)], axis=-1) * unit)
         canvas.polygon(layer, quad, canvas.FREE, fill=1.0, width=0)
     image[:] = np.rint(0.7 * image + 0.3 * layer).astype(np.uint8)
