@@ -6,7 +6,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jaxdet.reference._free import BESIDE, FloorView, floor_ahead, free_floor
-from jaxdet.results.free_floor import free_floor as metres
 from jaxdet.types import FreeEnd
 
 FAR, GAP, DROP = 4000, 500, 60
@@ -53,7 +52,7 @@ def narrow(*columns: dict[str, list[int]], count: int) -> tuple[np.ndarray, list
         arrays["height"],
         drop,
     )
-    line, end = free_floor(view, FAR, GAP)
+    line, end, _ = free_floor(view, FAR, GAP)
     assert line.dtype == end.dtype == np.int32
     return line[:count], [FreeEnd(int(e)) for e in end[:count]]
 
@@ -119,19 +118,13 @@ def test_a_camera_mounted_in_any_way(down: tuple[int, int, int]) -> None:
     view = FloorView(label, low > 0, known > 0, right, ahead, height, drop)
     if down[1] < 0:
         view = FloorView(*(a[::-1, ::-1] for a in view))
-    line, end = floor_ahead(view, np.array(down), FAR, GAP)
-    if down[0] > abs(down[1]):
-        assert not line.any() and not end.any()
-    else:
+    ahead = floor_ahead(view, np.array(down), FAR, GAP)
+    assert (ahead is None) == (down[0] > abs(down[1]))
+    if ahead:
+        line, end, nearest = ahead
+        assert nearest.tolist() == [-1, -1]
         assert line.tolist() == [[[x, 500], [x, 3600]] for x in (-7, 7)]
         assert end.tolist() == [FreeEnd.RANGE] * 2
-
-
-def test_floor_on_both_sides_of_the_foot_begins_at_the_foot() -> None:
-    """A camera that looks straight down sees floor behind itself, too."""
-    line = np.array([[[[0, -600], [100, 1300]], [[0, 200], [0, 1300]]]])
-    free = metres(line, np.array([[FreeEnd.RANGE] * 2]), 0.001)
-    np.testing.assert_allclose(free.from_m, [[0.0, 0.2]])
 
 
 STEP_DOWN = column(*floor(500, 900, 1300), (2000, -300), (2200, -300), (2400, -305), None)

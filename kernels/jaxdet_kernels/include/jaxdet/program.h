@@ -51,18 +51,19 @@ struct Frame {
     int width, side, trees, leaves, aligned;
     int work_words;  // of what steps hand on
     // Tables.
-    const int *near, *steps, *limits, *rises, *bows, *drops, *bands;  // by depth
+    const int *near, *steps, *limits, *rises, *bows, *drops, *pixel_rises, *bands;  // by depth
     const int *surface_settings, *outline_settings, *free_settings, *last, *directions;
+    const int *bearings, *ray_directions;
     const float *parameters, *corner_x, *corner_y;
     const int *rays, *floor_settings, *sines, *feature, *threshold, *value, *obstacle_settings;
     // What steps hand on: of each cell, but for `frame`.
-    int *frame, *x, *y, *z, *right, *forward, *above, *surface, *label;
+    int *frame, *x, *y, *z, *nearest, *right, *forward, *above, *surface, *label;
     unsigned char *keep, *free, *low;
     // The record.
     int *floor, *num_surfaces, *has_depth, *num_obstacles;
     int *num_points, *has_vertex, *contour_points;
     int *uv_min, *uv_max, *a, *b, *c, *direction, *bottom_top;
-    int *xyz_min, *xyz_max, *xyz_sum, *span, *free_line, *free_end;
+    int *xyz_min, *xyz_max, *xyz_sum, *span, *free_ranges, *free_end;
 
     Frame(int rows, int columns, const int* tables, const unsigned short* depth, const int* floors,
           int* record, int* contour, int* work)
@@ -72,18 +73,20 @@ struct Frame {
         header.places(tables, corner_x, corner_y, rays, floor_settings, sines, feature, threshold,
                       value, obstacle_settings);
         Arena fixed{(int*)tables + HEADER};
-        take(fixed, DEPTHS, near, steps, limits, rises, bows, drops);
+        take(fixed, DEPTHS, near, steps, limits, rises, bows, drops, pixel_rises);
         take(fixed, 2 * DEPTHS, bands);
         take(fixed, Surfaces::SETTINGS, surface_settings);
         take(fixed, Outlines::SETTINGS, outline_settings);
         take(fixed, FreeFloor::SETTINGS, free_settings);
         take(fixed, 2, last);
         take(fixed, 2 * Outlines::DIRECTIONS, directions);
+        take(fixed, (1 << Rays::RATIO_BITS) + 1, bearings);
+        take(fixed, 4 * Rays::RAYS, ray_directions);
         take(fixed, Projection::PARAMETERS + 2, parameters);
         const int cells = rows * columns;
         Arena handed{work}, found{record};
         take(handed, FloorFrame::VALUES, frame);
-        take(handed, cells, x, y, z, right, forward, above, surface, label);
+        take(handed, cells, x, y, z, nearest, right, forward, above, surface, label);
         take(handed, (cells + 3) / 4, keep, free, low);
         work_words = handed.used;
         take(found, FoundFrame::RESULTS, floor);
@@ -93,12 +96,12 @@ struct Frame {
         take(found, 3 * SLOTS, xyz_min, xyz_max);
         take(found, 6 * SLOTS, xyz_sum);
         take(found, 4 * SLOTS, span);
-        take(found, 4 * columns, free_line);
-        take(found, columns, free_end);
+        take(found, 2 * Rays::RAYS, free_ranges);
+        take(found, Rays::RAYS, free_end);
     }
 
     JAXDET_STEP void find_cells(const Team& team, int*) const {
-        CellGrid{depth, width, rows, columns, side, near, rays, x, y, z}.run(team);
+        CellGrid{depth, width, rows, columns, side, near, rays, x, y, z, nearest}.run(team);
     }
 
     Floor floor_near(const int* prior, const Team& team, Arena& arena, int* fast) const {
@@ -166,11 +169,41 @@ struct Frame {
         with_outlines(team, number, arena, [](const Outlines& outlines) { outlines.run(); });
     }
 
+    // What the step of the free floor has in scratch memory.
+    struct FreeParts {
+        int *line, *end, *nearest, *falls, *start, *stop, *block, *only;
+        float *limit, *way_x, *way_y, *way_z;
+
+        FreeParts(int columns, Arena& arena)
+            : line(arena.words(4 * columns)), end(arena.words(columns)),
+              nearest(arena.words(columns)), falls(arena.words(columns)),
+              start(arena.words(Rays::RAYS)), stop(arena.words(Rays::RAYS)),
+              block(arena.words(Rays::RAYS)), only(arena.words(Rays::RAYS)),
+              limit((float*)arena.words(columns)), way_x((float*)arena.words(columns)),
+              way_y((float*)arena.words(columns)), way_z((float*)arena.words(columns)) {}
+    };
     JAXDET_STEP void find_free_floor(const Team& team, int* scratch) const {
-        FreeFloor{team, rows, columns, free_settings[FreeFloor::FAR], free_settings[FreeFloor::GAP],
-                  label, z, right, forward, above, (const bool*)low, bows, drops, free_line,
-                  free_end, scratch, false}
-            .run(FloorFrame(frame));
+        Arena arena{scratch};
+        const FreeParts in(columns, arena);
+        const int* const of = free_settings;
+        const FloorFrame floor_frame(frame);
+        FreeFloor by_column{team, rows, columns, of[FreeFloor::FAR], of[FreeFloor::GAP], label, z,
+                            right, forward, above, (const bool*)low, bows, drops, in.line, in.end,
+                            in.nearest, in.falls, false};
+        const Rays found{team, columns, bearings, ray_directions, in.line, in.end, in.start,
+                         in.stop, in.block, in.only, of[FreeFloor::HALF], of[FreeFloor::HALF_TURN]};
+        found.begin();
+        bool inside = false;
+        if (by_column.run(floor_frame)) {
+            inside = found.is_foot_inside();
+            found.add_floor(inside);
+            RayBlocks{of[FreeFloor::NEAREST], of[FreeFloor::IN_RANGE], of[FreeFloor::HIGHEST],
+                      Surfaces::noise(floor_frame, of[FreeFloor::NOISE]), rows, columns,
+                      floor_frame, low, nearest, z, right, forward, above, rays, pixel_rises,
+                      in.nearest, in.limit, in.way_x, in.way_y, in.way_z}
+                .run(found, inside);
+        }
+        found.put(inside, free_ranges, free_end);
     }
 
     // The most words of scratch memory that a step takes; also for CUDA, where it is less.
@@ -183,7 +216,7 @@ struct Frame {
         Surfaces::Parts(rows, columns, of[SURFACES]);
         obstacles(nullptr).allocate(of[OBSTACLES]);
         with_outlines(team, 0, of[OUTLINES], [](const Outlines&) {});
-        of[FREE_FLOOR].words(columns);
+        FreeParts(columns, of[FREE_FLOOR]);
         int most = 0;
         for (const Arena& arena : of) most = arena.used > most ? arena.used : most;
         return (size_t)most;
