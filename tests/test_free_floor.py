@@ -52,7 +52,7 @@ def narrow(*columns: dict[str, list[int]], count: int) -> tuple[np.ndarray, list
         arrays["height"],
         drop,
     )
-    line, end, _ = free_floor(view, FAR, GAP)
+    line, end = free_floor(view, FAR, GAP)
     assert line.dtype == end.dtype == np.int32
     return line[:count], [FreeEnd(int(e)) for e in end[:count]]
 
@@ -118,11 +118,10 @@ def test_a_camera_mounted_in_any_way(down: tuple[int, int, int]) -> None:
     view = FloorView(label, low > 0, known > 0, right, ahead, height, drop)
     if down[1] < 0:
         view = FloorView(*(a[::-1, ::-1] for a in view))
-    ahead = floor_ahead(view, np.array(down), FAR, GAP)
-    assert (ahead is None) == (down[0] > abs(down[1]))
-    if ahead:
-        line, end, nearest = ahead
-        assert nearest.tolist() == [-1, -1]
+    line, end = floor_ahead(view, np.array(down), FAR, GAP)
+    if down[0] > abs(down[1]):
+        assert not line.any() and not end.any()
+    else:
         assert line.tolist() == [[[x, 500], [x, 3600]] for x in (-7, 7)]
         assert end.tolist() == [FreeEnd.RANGE] * 2
 

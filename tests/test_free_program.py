@@ -13,6 +13,7 @@ from jaxdet.floor.plane import flat_plane, unknown_plane
 from jaxdet.reference._detect import _free
 from jaxdet.reference._features import lateral
 from jaxdet.reference._view import View
+from jaxdet.stages import _cells
 from jaxdet.stages._free import tables
 from jaxdet.types import FreeEnd
 from tests.scenes import small
@@ -31,12 +32,6 @@ from tests.surface_frames import (
 pytestmark = pytest.mark.twin
 
 
-def rays_of(batch: Batch) -> np.ndarray:
-    """The rays through the middle of the cells."""
-    camera = batch.calibration.depth
-    return cell_rays(camera, cell_side(camera, SURFACES.surface.cell_rad)).astype(np.int32)
-
-
 def pixels_of(batch: Batch, share: float) -> np.ndarray:
     """A nearest pixel of a share of the cells: often its depth, now and then less."""
     z = batch.grid.z
@@ -47,7 +42,8 @@ def pixels_of(batch: Batch, share: float) -> np.ndarray:
 
 def on_rays(batch: Batch, frame: np.ndarray) -> Batch:
     """The same cells where their rays and depths put them over a floor."""
-    found, rays = [], rays_of(batch)
+    camera = batch.calibration.depth
+    found, rays = [], cell_rays(camera, cell_side(camera, SURFACES.surface.cell_rad))
     for one in batch.found:
         x, y = (lateral(ray, one.view.z) for ray in rays)
         xyz = np.stack([x, y, one.view.z]).astype(np.int64)
@@ -60,7 +56,8 @@ def assert_twins(
 ) -> set[int]:
     """Holds the kernel to the reference, for cameras of any roll; the ends that there are."""
     pixels, ends = pixels_of(batch, pixel_share), set[int]()
-    shared = tables(batch.calibration, config) | {"rays": rays_of(batch)}
+    cells = _cells.tables(batch.calibration, config.surface)
+    shared = tables(batch.calibration, config) | {"rays": cells["rays"]}
     for roll_deg in (0.0, 100.0, 180.0, -44.0, -46.0, 136.0):
         plane = flat_plane(np.array([0.5]), np.array([0.2]), np.radians([roll_deg]))
         frame = np.repeat(floor_frames(plane, batch.unit), len(batch.found), axis=0)

@@ -5,13 +5,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jaxdet.floor.rays import TURN, half_cell, half_turn, ray_directions
-from jaxdet.reference._rays import Blocks, bearings, rays
+from jaxdet.config import GroundConfig
+from jaxdet.floor.frame import floor_frames
+from jaxdet.floor.plane import flat_plane, unknown_plane
+from jaxdet.floor.rays import TILE, TURN, half_turn, ray_directions, tile_corners
+from jaxdet.reference._rays import NONE, Standing, bearings, blocks, rays
 from jaxdet.types import RAYS, FreeEnd, Intrinsics
 
-HALF = half_cell(Intrinsics(640, 480, 380.0, 380.0, 319.5, 239.5), 0.0078)
+CAMERA = Intrinsics(640, 480, 380.0, 380.0, 319.5, 239.5)
+HALF = half_turn(CAMERA, 3)
 AHEAD = RAYS // 2
-NONE = Blocks(*np.zeros((3, 0), np.int64))
+NOTHING = np.full(RAYS, NONE)
 
 
 def fan(
@@ -27,17 +31,47 @@ def fan(
     return np.rint(places).astype(np.int32).transpose(1, 0, 2), np.array(end, np.int32)
 
 
-def block(*places: tuple[int, int]) -> Blocks:
-    right, forward = np.array(places, np.int64).T
-    return Blocks(right, forward, forward)
+def block(*places: tuple[int, int], wide: int = 1) -> np.ndarray:
+    """Ranges on the rays of places and their neighbours."""
+    nearest = NOTHING.copy()
+    for right, forward in places:
+        ray = AHEAD + round(np.degrees(np.arctan2(right, forward)) * 4)
+        near = nearest[ray - wide : ray + wide + 1]
+        near[:] = np.minimum(near, int(np.hypot(right, forward)))
+    return nearest
 
 
 def found(
-    columns: tuple[np.ndarray, np.ndarray], blocks: Blocks = NONE, obstacles: Blocks = NONE
+    columns: tuple[np.ndarray, np.ndarray], stands: np.ndarray = NOTHING
 ) -> tuple[np.ndarray, np.ndarray]:
-    free, end = rays(*columns, blocks, obstacles, HALF)
+    free, end = rays(*columns, stands, HALF)
     assert free.dtype == end.dtype == np.int32 and free.shape == (RAYS, 2)
     return free, end
+
+
+ROWS, COLUMNS = 2 * TILE + 3, 31
+CELLS = np.rint(
+    np.stack(np.meshgrid(np.arange(COLUMNS) - 15, np.arange(ROWS) - 9)) * 0.0079 * (1 << 20)
+).astype(np.int64)
+"""Rays of a small camera, level and 0.25 m above the floor."""
+FLOOR_AT = 250 / (9 * 0.0079)
+"""Depth of the floor in row 18."""
+
+
+def stands_of(
+    pixel: dict[tuple[int, int], int],
+    z: dict[tuple[int, int], int] | None = None,
+    frame: np.ndarray | None = None,
+) -> np.ndarray:
+    """Blocks of pixels, and of cells above the step, by row and column."""
+    if frame is None:
+        frame = floor_frames(flat_plane(np.array([0.25]), np.zeros(1), np.zeros(1)), 0.001)[0]
+    pixels, depths = np.zeros((2, ROWS, COLUMNS), np.int64)
+    for values, to in ((pixel, pixels), (z or {}, depths)):
+        for place, depth in values.items():
+            to[place] = depth
+    standing = Standing(pixels, depths, depths > 0)
+    return blocks(standing, frame, CELLS, GroundConfig(), 0.001)
 
 
 # by hand
@@ -51,8 +85,17 @@ def test_bearings_as_by_numpy(right: int, forward: int) -> None:
 
 
 def test_half_a_cell_of_a_d435() -> None:
-    assert pytest.approx(np.degrees(1.5 / 380), rel=0.01) == HALF / 16 * 360 / TURN
-    assert half_turn(HALF) / (1 << 13) == pytest.approx(1.5 / 380, rel=0.02)
+    assert pytest.approx(1.5 / 380, rel=0.02) == HALF / (1 << 13)
+
+
+def test_corners_of_tiles() -> None:
+    corners = tile_corners(CELLS)
+    assert corners.shape == (2, 4, COLUMNS + 1)
+    np.testing.assert_allclose(corners[0, 0], (np.arange(COLUMNS + 1) - 15.5) * 8283.75, atol=2)
+    np.testing.assert_allclose(
+        corners[1, :, 0] / 8283.75, [-9.5, TILE - 9.5, 2 * TILE - 9.5, ROWS - 9.5], atol=1e-3
+    )
+    assert tile_corners(np.ones((2, 1, 1), np.int64)).tolist() == [[[1, 1]] * 2] * 2
 
 
 def test_directions() -> None:
@@ -104,13 +147,45 @@ def test_what_stands_on_the_floor_ends_rays() -> None:
     assert behind[AHEAD, 1] == 3000
 
 
-def test_only_an_obstacle() -> None:
-    """Where no floor is seen, rays end at the obstacles of columns."""
+def test_where_no_floor_is_seen_a_ray_ends_at_what_stands() -> None:
     columns = np.zeros((41, 2, 2), np.int32), np.zeros(41, np.int32)
-    free, end = found(columns, block((0, 1500)), block((100, 1600)))
-    assert free[AHEAD].tolist() == [0, 0] and end[AHEAD] == FreeEnd.UNKNOWN
+    free, end = found(columns, block((100, 1600), wide=0))
     at = AHEAD + round(np.degrees(np.arctan2(100, 1600)) * 4)
-    assert free[at, 0] == free[at, 1] == pytest.approx(1603, abs=2) and end[at] == FreeEnd.OBSTACLE
+    assert np.flatnonzero(free.any(axis=1)).tolist() == [at] and end[at] == FreeEnd.OBSTACLE
+    assert free[at].tolist() == [1603, 1603]
+
+
+def test_the_nearest_pixel_of_a_tile_stands_in_its_sectors() -> None:
+    stands = stands_of({(9, 15): 2000, (10, 15): 1500, (9, 20): 1800})
+    ahead = np.flatnonzero(stands < NONE) - AHEAD
+    aside = np.degrees(np.arctan([4.5 * 0.0079, 5.5 * 0.0079])) * 4
+    assert ahead.tolist() == [-1, 0, 1, *range(round(aside[0]), round(aside[1]) + 1)]
+    assert (stands[AHEAD - 1 : AHEAD + 2] == 1500).all()
+    assert stands[AHEAD + 9] == int(np.hypot(1800, 5 * 0.0079 * 1800))
+
+
+def test_a_pixel_on_the_floor_does_not_stand() -> None:
+    place, floor = (18, 15), round(FLOOR_AT)
+    assert (stands_of({place: round(floor * 0.97)}) == NONE).all()
+    assert stands_of({place: round(floor * 0.6)})[AHEAD] == round(floor * 0.6)
+
+
+def test_a_cell_stands_where_its_nearest_pixel_is_too_near_or_on_the_floor() -> None:
+    place, floor = (18, 15), round(FLOOR_AT)
+    assert stands_of({place: 20}, {place: 2000})[AHEAD] == 2000
+    assert stands_of({place: 1900}, {place: 2000})[AHEAD] == 1900
+    assert stands_of({place: floor}, {place: floor})[AHEAD] == floor
+
+
+def test_without_a_floor_all_pixels_stand() -> None:
+    frame = floor_frames(unknown_plane(1), 0.001)[0]
+    assert stands_of({(18, 15): 3900}, frame=frame)[AHEAD] == 3900
+
+
+def test_what_is_above_the_foot_stands_in_all_sectors() -> None:
+    down = flat_plane(np.array([0.9]), np.array([np.pi / 2]), np.zeros(1))
+    stands = stands_of({(9, 15): 700}, frame=floor_frames(down, 0.001)[0])
+    assert (stands < 20).all()
 
 
 def test_floor_on_both_sides_of_the_foot_begins_at_the_foot() -> None:

@@ -232,9 +232,9 @@ STEEPEST_NOISE = 32767
 
 
 @lru_cache(maxsize=16)
-def step_height(calibration: Calibration, config: Config, side: int = 0) -> StepHeight:
-    """Return the step height for squares of ``side`` pixels; 0: for cells of this camera."""
-    side = side or cell_side(calibration.depth, config.surface.cell_rad)
+def step_height(calibration: Calibration, config: Config) -> StepHeight:
+    """Return the step height for cells of this camera."""
+    side = cell_side(calibration.depth, config.surface.cell_rad)
     ground, unit = config.ground, calibration.depth_unit
     slope = ground.step_height_per_m / side
     table = np.rint(ground.step_height_m / unit + slope * np.arange(65536)).astype(np.int64)

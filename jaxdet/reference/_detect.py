@@ -16,24 +16,22 @@ from jaxdet.floor.frame import (
     on_floor,
 )
 from jaxdet.floor.plane import StepHeight, depth_range, max_height, quadratic_table, step_height
-from jaxdet.floor.rays import half_cell
+from jaxdet.floor.rays import half_turn
 from jaxdet.reference._cells import cell_boxes, cells, margins, nearest_depths
 from jaxdet.reference._evidence import Pairs, pairs
-from jaxdet.reference._features import lateral
 from jaxdet.reference._floor import FloorFit, find_floor, floor_of_cells, used_cells
 from jaxdet.reference._footprint import footprint_on_floor
 from jaxdet.reference._free import FloorView, floor_ahead
 from jaxdet.reference._obstacles import obstacles, whole_surfaces
 from jaxdet.reference._outlines import contours, fitted_direction, fitted_span, inner
 from jaxdet.reference._points import clusters
-from jaxdet.reference._rays import Blocks, rays
+from jaxdet.reference._rays import Standing, blocks, rays
 from jaxdet.reference._surfaces import surfaces, without_bent_floor
 from jaxdet.reference._view import View
 from jaxdet.types import (
     MAX_LATERAL,
     MAX_OBSTACLES,
     MAX_SURFACES,
-    RAYS,
     Calibration,
     CellLabels,
     Cells,
@@ -226,46 +224,24 @@ def _free(
     settings, step = config.floor, config.ground.step_height_m
     drops = quadratic_table(settings.drop_m, settings.noise_per_m, unit)
     bows = quadratic_table(step, settings.bow_per_m, unit)
-    half = half_cell(calibration.depth, config.surface.cell_rad)
+    side = cell_side(calibration.depth, config.surface.cell_rad)
+    cells, half = cell_rays(calibration.depth, side), half_turn(calibration.depth, side)
     for one, frame, near in zip(found, floors, pixels, strict=True):
         cell = one.view
         floor = one.low & (cell.height >= -bows[cell.z]) & (cell.z <= far)
         place = cell.right, cell.forward, cell.height
         view = FloorView(one.label, one.low, floor, *place, drops[cell.z])
         ahead = floor_ahead(view, frame[DOWN], far, gap)
-        if ahead is None:
-            parts.append((np.zeros((RAYS, 2), np.int32), np.zeros(RAYS, np.int32)))
-        else:
-            line, end, nearest = ahead
-            own = nearest[nearest >= 0]
-            obstacles = Blocks(*(a.ravel()[own] for a in (cell.right, cell.forward, cell.z)))
-            blocks = _blocks(one, frame, near, calibration, config)
-            parts.append(rays(line, end, blocks, obstacles, half))
+        standing = Standing(near, cell.z, _is_above(one, frame, config, unit))
+        parts.append(rays(*ahead, blocks(standing, frame, cells, config.ground, unit), half))
     free, end = zip(*parts, strict=True)
     return np.stack(free), np.stack(end)
 
 
-def _blocks(
-    one: Found, frame: np.ndarray, pixels: np.ndarray, calibration: Calibration, config: Config
-) -> Blocks:
-    """The points of a frame that free floor ends at: the nearest pixels of cells.
-
-    Of a cell above the step, which is itself taken where that pixel is too near, and of others
-    where the pixel is above the step of a pixel, which has more noise than a cell's.
-    """
-    view, unit = one.view, calibration.depth_unit
-    side = cell_side(calibration.depth, config.surface.cell_rad)
-    nearest, farthest = depth_range(config.ground.min_depth_m, config.ground.max_depth_m, unit)
-    highest = max_height(config.ground, unit) if frame[IS_KNOWN] else UNKNOWN_HEIGHT
-    x, y = (lateral(ray, pixels) for ray in cell_rays(calibration.depth, side))
-    right, forward, height = on_floor(frame, np.stack([x, y, pixels]).astype(np.int64))
-    rise = step_height(calibration, config, side=1).at(pixels, int(frame[CAMERA_HEIGHT]))
-
-    def in_range(z: np.ndarray, height: np.ndarray) -> np.ndarray:
-        return (z >= nearest) & (z <= farthest) & (height <= highest)
-
-    cell = in_range(view.z, view.height) & ~one.low
-    pixel = np.where(cell, pixels >= nearest, in_range(pixels, height) & (height > rise))
-    both = zip((right, forward, pixels), (view.right, view.forward, view.z), strict=True)
-    alone = cell & ~pixel
-    return Blocks(*(np.concatenate([of_pixel[pixel], own[alone]]) for of_pixel, own in both))
+def _is_above(one: Found, frame: np.ndarray, config: Config, unit: float) -> np.ndarray:
+    """Whether each cell is in the depth range and between the step and the maximum height."""
+    view, ground = one.view, config.ground
+    nearest, farthest = depth_range(ground.min_depth_m, ground.max_depth_m, unit)
+    highest = max_height(ground, unit) if frame[IS_KNOWN] else UNKNOWN_HEIGHT
+    in_range = (view.z >= nearest) & (view.z <= farthest)
+    return in_range & ~one.low & (view.height <= highest)

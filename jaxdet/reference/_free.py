@@ -27,12 +27,12 @@ class FloorView(NamedTuple):
 
 def floor_ahead(
     view: FloorView, down: np.ndarray, far: int, longest_gap: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+) -> tuple[np.ndarray, np.ndarray]:
     """:func:`free_floor` of a camera that is mounted in any way.
 
     Of one that is upside down (rolled by 135 degrees or more) the cells are turned by half, so that
     columns go from left to right and outward is up; of one on its side (45 degrees or more)
-    columns don't lead away from it: None.
+    columns don't lead away from it, and nothing is said.
 
     Args:
         view: The cells.
@@ -42,16 +42,14 @@ def floor_ahead(
     """
     aside, upright = int(down[0]), int(down[1])
     if abs(aside) > abs(upright):
-        return None
+        columns = view.label.shape[1]
+        return np.zeros((columns, 2, 2), np.int32), np.zeros(columns, np.int32)
     if upright < 0:
-        line, end, nearest = free_floor(FloorView(*(a[::-1, ::-1] for a in view)), far, longest_gap)
-        return line, end, np.where(nearest < 0, -1, view.label.size - 1 - nearest)
+        view = FloorView(*(a[::-1, ::-1] for a in view))
     return free_floor(view, far, longest_gap)
 
 
-def free_floor(
-    view: FloorView, far: int, longest_gap: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def free_floor(view: FloorView, far: int, longest_gap: int) -> tuple[np.ndarray, np.ndarray]:
     """Follows the floor in each column of cells, from the robot outward.
 
     From the nearest floor cell on, the floor goes on while the next one is at most ``longest_gap``
@@ -75,19 +73,16 @@ def free_floor(
     Returns:
         ``(C, 2, 2)`` int32, where the floor begins and where it ends, right and forward in the
         ground frame [depth units], both the same where only an obstacle is seen and zero where
-        nothing is; ``(C,)`` int32, what ends it (:class:`jaxdet.types.FreeEnd`); and ``(C,)``
-        int64, the column's nearest obstacle cell as a flat index, -1 = none. Distances are
+        nothing is; and ``(C,)`` int32, what ends it (:class:`jaxdet.types.FreeEnd`). Distances are
         compared forward.
     """
     columns = view.label.shape[1]
     line, end = np.zeros((columns, 2, 2), np.int32), np.zeros(columns, np.int32)
-    cell = np.full(columns, -1)
     place = np.stack([view.right, view.forward], axis=-1)
     for column in range(columns):
         blocked = np.flatnonzero(view.label[:, column] >= 0)
         nearest = blocked[np.argmin(view.forward[blocked, column])] if len(blocked) else -1
         limit = view.forward[nearest, column] if len(blocked) else far
-        cell[column] = nearest * columns + column if len(blocked) else -1
         floor = np.flatnonzero(view.floor[:, column] & (view.forward[:, column] < limit))[::-1]
         if not len(floor):
             if len(blocked):
@@ -107,7 +102,7 @@ def free_floor(
     drops = (end == FreeEnd.DROP).astype(np.int64)
     beside = np.convolve(drops, np.ones(2 * BESIDE + 1, np.int64))[BESIDE : BESIDE + columns]
     end[(drops > 0) & (beside <= BESIDE)] = FreeEnd.UNKNOWN
-    return line, end, cell
+    return line, end
 
 
 def _followed(view: FloorView, column: int, floor: np.ndarray, gap: int) -> tuple[int, bool]:

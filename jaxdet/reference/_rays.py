@@ -4,39 +4,52 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxdet.camera import RAY_BITS as CELL_BITS
+from jaxdet.config import GroundConfig
+from jaxdet.floor.frame import CAMERA_HEIGHT, FRAME_BITS, IS_KNOWN, UNKNOWN_HEIGHT
+from jaxdet.floor.plane import depth_range, max_height
 from jaxdet.floor.rays import (
     RATIO_BITS,
     RAY_BITS,
+    TILE,
     TURN,
     TURN_BITS,
     UNITS,
     bearing_table,
-    half_turn,
+    block_settings,
     ray_directions,
+    tile_corners,
 )
 from jaxdet.types import RAYS, FreeEnd
 
 END_BITS = 2  # of a range that what ends it is packed with
 MOST_WIDER = 8  # times that a column is wider at its end than at its neighbour's
 NONE = np.iinfo(np.int32).max  # no range
+CORNER_BITS = 12  # fraction bits of the places of tiles' corners, for their bearings
+WIDEST = TURN // 4  # of a tile; one that is wider may have the foot in it, and has all sectors
+RAMP_START, RAMP_SLOPE = 11, 12  # of a floor frame
+F32 = np.float32
 
 
-class Blocks(NamedTuple):
-    """Measured points above the step, which no ray passes; each ``(N,)`` int64."""
+class Standing(NamedTuple):
+    """Cells and pixels of a frame that may end rays; each ``(R, C)``."""
 
-    right: np.ndarray  # ground frame [depth units]
-    forward: np.ndarray  # ground frame [depth units]
-    depth: np.ndarray  # in the camera [depth units]
+    pixel: np.ndarray
+    """Nearest pixel of each cell [depth units], 0 = none."""
+    z: np.ndarray
+    """Depth of each cell [depth units], 0 = none."""
+    is_cell: np.ndarray
+    """Whether the cell is above the step, bool."""
 
 
 def rays(
-    line: np.ndarray, end: np.ndarray, blocks: Blocks, obstacles: Blocks, half: int
+    line: np.ndarray, end: np.ndarray, block: np.ndarray, turned: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Free floor by column of cells and what stands on it, as a polar scan.
+    """Compute the free floor as a polar scan, from columns of cells and from what stands on it.
 
     A ray stands for the sector of bearings nearer to it than to its neighbours, and ends at the
-    least range at which the floor ends anywhere in the sector. A column of a pitched camera is no
-    ray: its bearing changes with range. So floor is free in the polygon between the near ends and
+    least range at which the floor ends anywhere in the sector. A column of a pitched camera is not
+    a ray: its bearing changes with range. So floor is free in the polygon between the near ends and
     the far ends of neighbouring columns that show floor, a ray goes as far as it stays in there,
     and nothing that is measured above the step is passed.
 
@@ -44,26 +57,23 @@ def rays(
     shorter one as far as that is wide. Next to one that shows no floor it is half a cell wide.
 
     Args:
-        line: ``(C, 2, 2)`` int32, of :func:`jaxdet.reference._free.free_floor`.
-        end: ``(C,)`` int32, of the same.
-        blocks: Points that no ray passes.
-        obstacles: Of these, the nearest of an obstacle in each column that has one. Rays on which
-            no floor is seen end at them.
-        half: Half of a cell's angle in bearing units, with four fraction bits; the points are as
-            wide as their cells.
+        line: Start and end of the floor in each column, ``(C, 2, 2)`` int32, of
+            :func:`jaxdet.reference._free.free_floor`.
+        end: Kind of end of each column, ``(C,)`` int32.
+        block: Range of what stands on each ray, of :func:`blocks`.
+        turned: Half of a cell's angle, of :func:`jaxdet.floor.rays.half_turn`.
 
     Returns:
-        ``(RAYS, 2)`` int32, where free floor begins and ends [depth units], both the same where
-        only something above the step is seen and zero where nothing is; and ``(RAYS,)`` int32,
-        what ends it (:class:`jaxdet.types.FreeEnd`).
+        Ranges at which free floor begins and ends, ``(RAYS, 2)`` int32 [depth units], both the same
+        where only something above the step is seen and zero where nothing is; and its kind of end,
+        ``(RAYS,)`` int32 (:class:`jaxdet.types.FreeEnd`).
     """
     near, far = line.astype(np.int64).transpose(1, 0, 2)
     alone = (near == far).all(axis=1) & (end == FreeEnd.OBSTACLE)
     seen = line.any(axis=(1, 2)) & ~alone
     inside = _foot_inside(near, far, seen)
 
-    start, (stop, block, only) = np.full(RAYS, -1), np.full((3, RAYS), NONE)
-    turned = half_turn(half)
+    start, stop = np.full(RAYS, -1), np.full(RAYS, NONE)
     for first, last, why in _far_edges(near, far, end, seen, turned):
         (sector, segment), length = _swept(first, last, least=True)
         np.minimum.at(stop, sector, _packed(length, why[segment]))
@@ -75,18 +85,98 @@ def rays(
             np.maximum.at(start, sector, length)
     start = np.zeros_like(start) if inside else start
 
-    for points, nearest in ((blocks, block), (obstacles, only)):
-        sector, length = _covered(points, half)
-        np.minimum.at(nearest, sector, length)
-    block[block >= np.where((start >= 0) & (stop < NONE), stop >> END_BITS, 0)] = NONE
-    stop = np.minimum(stop, np.where(block < NONE, _packed(block, int(FreeEnd.OBSTACLE)), NONE))
-    length, block = stop >> END_BITS, np.minimum(block, only)
+    blocks_floor = block < np.where((start >= 0) & (stop < NONE), stop >> END_BITS, 0)
+    stop = np.where(blocks_floor, np.minimum(stop, _packed(block, int(FreeEnd.OBSTACLE))), stop)
+    length = stop >> END_BITS
     free = (start >= 0) & (stop < NONE) & (start < length)
-    only = ~free & (block < NONE)
+    stands = ~free & (block < NONE)
     found = np.where(free[:, None], np.stack([start, length], axis=1), 0)
-    found = np.where(only[:, None], block[:, None], found)
-    why = np.where(free, (stop + 1) & 3, np.where(only, int(FreeEnd.OBSTACLE), 0))
+    found = np.where(stands[:, None], block[:, None], found)
+    why = np.where(free, (stop + 1) & 3, np.where(stands, int(FreeEnd.OBSTACLE), 0))
     return found.astype(np.int32), why.astype(np.int32)
+
+
+def blocks(
+    standing: Standing,
+    frame: np.ndarray,
+    cells: np.ndarray,
+    ground: GroundConfig,
+    depth_unit: float,
+) -> np.ndarray:
+    """Compute the range of what stands on each ray: the nearest pixels of cells.
+
+    The nearest pixel of a cell above the step stands, or that cell if the pixel is nearer than the
+    depth range; and that of another cell if it is itself above the step height of a single pixel,
+    which has more noise than a cell. The nearest of a tile, some cells of a column, stands in all
+    sectors that the tile is seen in. Float32: each operation is rounded on its own.
+
+    Args:
+        standing: Cells of a frame.
+        frame: Floor frame ``(13,)`` int32, of :func:`jaxdet.floor.frame.floor_frames`.
+        cells: Rays through the middles of cells, ``(2, R, C)``, of
+            :func:`jaxdet.camera.cell_rays`.
+        ground: Depth range, step height and maximum height.
+        depth_unit: Metres per depth unit.
+
+    Returns:
+        ``(RAYS,)`` int64 [depth units], ``NONE`` where nothing stands.
+    """
+    least = _least_in_tiles(_squares(standing, frame, cells, ground, depth_unit))
+    right, forward, _ = _directions(frame, tile_corners(cells)) * F32(1 << CORNER_BITS)
+    corner = bearings(right.astype(np.int64), forward.astype(np.int64))
+    around = np.stack([corner[:-1, :-1], corner[:-1, 1:], corner[1:, :-1], corner[1:, 1:]])
+    turn = (around - around[0] + TURN // 2) % TURN - TURN // 2
+    left, right = turn.min(axis=0), turn.max(axis=0)
+    wide = right - left > WIDEST
+    begin = np.where(wide, 0, _sector(around[0] + left))
+    count = np.where(wide, RAYS, _sector(around[0] + right) - begin + 1)[np.isfinite(least)]
+    tile = np.repeat(np.arange(len(count)), count)
+    sector = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
+    nearest = np.full(RAYS, np.inf, F32)
+    at = (sector + begin[np.isfinite(least)][tile]) % RAYS
+    np.minimum.at(nearest, at, least[np.isfinite(least)][tile])
+    stands = np.isfinite(nearest)
+    length = np.sqrt(np.where(stands, nearest, F32(0))).astype(np.int64)
+    return np.where(stands, np.maximum(length, 1), NONE)
+
+
+def _directions(frame: np.ndarray, cells: np.ndarray) -> np.ndarray:
+    """Right, forward and down ``(3, ...)`` float32 of rays whose depth is 1."""
+    x, y = cells.astype(F32) * F32(2.0**-CELL_BITS)
+    axes = frame[:9].astype(F32).reshape(3, 3) * F32(2.0**-FRAME_BITS)
+    return np.stack([a * x + b * y + c for a, b, c in axes])
+
+
+def _squares(
+    standing: Standing,
+    frame: np.ndarray,
+    cells: np.ndarray,
+    ground: GroundConfig,
+    depth_unit: float,
+) -> np.ndarray:
+    """Squared distance from the foot of what stands in each cell, ``(R, C)`` float32, or inf."""
+    pixel, z, is_cell = standing
+    nearest, farthest = depth_range(ground.min_depth_m, ground.max_depth_m, depth_unit)
+    depth = np.where(is_cell & (pixel < nearest), z, pixel).astype(F32)
+    right, forward, down = _directions(frame, cells)
+    height, start = F32(frame[CAMERA_HEIGHT]), F32(frame[RAMP_START])
+    slope = F32(frame[RAMP_SLOPE]) * F32(2.0**-FRAME_BITS)
+    above = height - down * depth - np.maximum(forward * depth - start, F32(0)) * slope
+    top = F32(max_height(ground, depth_unit))
+    if not frame[IS_KNOWN]:
+        above, top = np.full_like(above, UNKNOWN_HEIGHT), F32(UNKNOWN_HEIGHT)
+    step, growth, noise = block_settings(ground, depth_unit)
+    rise = np.maximum(step + growth * depth, noise * max(height, F32(0)) * depth)
+    in_range = (pixel >= nearest) & (pixel <= farthest)
+    stands = is_cell | (in_range & (above > rise) & (above <= top))
+    return np.where(stands, (right * right + forward * forward) * (depth * depth), F32(np.inf))
+
+
+def _least_in_tiles(squares: np.ndarray) -> np.ndarray:
+    """The least value of each tile, ``(T, C)``."""
+    rows, columns = squares.shape
+    padded = np.pad(squares, ((0, -rows % TILE), (0, 0)), constant_values=np.inf)
+    return padded.reshape(-1, TILE, columns).min(axis=1)
 
 
 def bearings(right: np.ndarray, forward: np.ndarray) -> np.ndarray:
@@ -227,16 +317,3 @@ def _swept(
     right = np.where(sector == stop[segment], ends[1][segment], crossing(sector + 1))
     length = np.minimum(left, right) if least else np.maximum(left, right)
     return (sector % RAYS, segment), length
-
-
-def _covered(blocks: Blocks, half: int) -> tuple[np.ndarray, np.ndarray]:
-    """The sectors that points as wide as a cell are in, and their range, ``(k,)`` each."""
-    bearing = bearings(blocks.right, blocks.forward)
-    place = np.stack([blocks.right, blocks.forward], axis=-1)
-    length = np.maximum(_ranges(place, bearing), 1)
-    wide = np.minimum(blocks.depth * half // (length << 4) + 1, TURN // 2 - UNITS)
-    begin = _sector(bearing - wide)
-    count = _sector(bearing + wide) - begin + 1
-    point = np.repeat(np.arange(len(count)), count)
-    sector = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count) + begin[point]
-    return sector % RAYS, length[point]

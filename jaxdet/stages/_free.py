@@ -1,8 +1,15 @@
 """Free floor of obstacles made of surfaces. Twin of ``jaxdet/reference/_free.py``, ``_rays.py``."""
 
+from jaxdet.camera import cell_rays, cell_side
 from jaxdet.config import Config
-from jaxdet.floor.plane import depth_range, max_height, quadratic_table, step_height
-from jaxdet.floor.rays import bearing_table, half_cell, half_turn, ray_directions
+from jaxdet.floor.plane import depth_range, max_height, quadratic_table
+from jaxdet.floor.rays import (
+    bearing_table,
+    block_settings,
+    half_turn,
+    ray_directions,
+    tile_corners,
+)
 from jaxdet.stages._tables import Tables, kernel_tables
 from jaxdet.types import Calibration
 
@@ -14,14 +21,14 @@ def tables(calibration: Calibration, config: Config) -> Tables:
     drops = quadratic_table(floor.drop_m, floor.noise_per_m, unit)
     lengths = [round(m / unit) for m in (ground.max_depth_m, floor.gap_m)]
     bounds = depth_range(ground.min_depth_m, ground.max_depth_m, unit)
-    pixel = step_height(calibration, config, side=1)
-    half = half_cell(calibration.depth, config.surface.cell_rad)
-    above = max_height(ground, unit), half, half_turn(half), pixel.noise
-    return kernel_tables(
+    side = cell_side(calibration.depth, config.surface.cell_rad)
+    half = half_turn(calibration.depth, side)
+    made = kernel_tables(
         bows=bows,
         drops=drops,
-        pixel_rises=pixel.table,
-        free_settings=(*lengths, *bounds, *above),
+        free_settings=(*lengths, *bounds, max_height(ground, unit), half),
         bearings=bearing_table(),
         ray_directions=ray_directions(),
+        tile_corners=tile_corners(cell_rays(calibration.depth, side)),
     )
+    return made | {"block_settings": block_settings(ground, unit)}

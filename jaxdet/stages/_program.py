@@ -30,14 +30,14 @@ from jaxdet_kernels import program as kernels
 STEPS = tuple(kernels.STEPS)
 _TEAMS = [TeamKernel(kernel, kernels.WIDTH, kernels.BLOCKS) for kernel in kernels.STEPS.values()]
 _FIXED = (
-    "near", "steps", "limits", "rises", "bows", "drops", "pixel_rises", "bands",
+    "near", "steps", "limits", "rises", "bows", "drops", "bands",
     "surface_settings", "outline_settings", "free_settings", "last", "directions", "bearings",
-    "ray_directions", "parameters",
+    "ray_directions", "block_settings", "parameters",
 )  # fmt: skip
 """Tables that are as long for each camera: the header doesn't say where they begin."""
 _TABLES = (
-    *_FIXED, "corner_x", "corner_y", "rays", "floor_settings", "sines",
-    "feature", "threshold", "value", "obstacle_settings",
+    *_FIXED, "corner_x", "corner_y", "rays", "tile_corners", "floor_settings",
+    "sines", "feature", "threshold", "value", "obstacle_settings",
 )  # fmt: skip
 _HEADER = 32
 """Words of the header, with room: whole cache lines."""

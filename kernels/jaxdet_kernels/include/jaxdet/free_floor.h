@@ -9,8 +9,8 @@ namespace jaxdet { namespace {
 
 struct FreeFloor {
     // End of the range; the floor ends where so much of it shows no measurement; depths and heights
-    // of what ends rays; half of a cell's angle, twice; and how much noise lifts a pixel of floor.
-    enum { FAR, GAP, NEAREST, IN_RANGE, HIGHEST, HALF, HALF_TURN, NOISE, SETTINGS };
+    // of what ends rays; and half of a cell's angle.
+    enum { FAR, GAP, NEAREST, IN_RANGE, HIGHEST, HALF_TURN, SETTINGS };
     enum { UNKNOWN, OBSTACLE, DROP, RANGE };
     enum {
         // So many measured cells one after the other are a drop lower than the last floor.
@@ -46,7 +46,6 @@ struct FreeFloor {
     const bool* low;
     const int *bows, *drops;  // (DEPTHS,), by z
     int *line_out, *end_out;
-    int* nearest_out;  // each column's nearest obstacle cell, -1 = none
     int* falls;  // scratch, by column: whether the floor drops
     bool turned;  // by half: the camera is upside down
 
@@ -64,13 +63,17 @@ struct FreeFloor {
             for (int c = 0; c < n; ++c) out[c] = cell[c];
     }
 
-    // Of a camera mounted in any way; false: of one on its side nothing is said.
-    bool run(const FloorFrame& frame) {
+    // Of a camera mounted in any way; of one on its side nothing is said.
+    void run(const FloorFrame& frame) {
         const int aside = frame.axes[6], upright = frame.axes[7];  // of down
         turned = upright < 0;
-        if ((aside < 0 ? -aside : aside) > (upright < 0 ? -upright : upright)) return false;
-        run();
-        return true;
+        if ((aside < 0 ? -aside : aside) <= (upright < 0 ? -upright : upright)) {
+            run();
+            return;
+        }
+        for (int k = team.rank; k < 4 * columns; k += team.size) line_out[k] = 0;
+        for (int c = team.rank; c < columns; c += team.size) end_out[c] = UNKNOWN;
+        team.sync();
     }
 
     void run() const {
@@ -226,7 +229,6 @@ struct FreeFloor {
         put_place(0, seen ? of.first[i] : obstacle, c);
         put_place(1, up_to ? obstacle : of.last[i], c);
         falls[c] = falls_off;
-        nearest_out[c] = blocked ? at(obstacle, c) : -1;
         end_out[c] = falls_off ? DROP : up_to ? OBSTACLE : close ? RANGE : UNKNOWN;
     }
 

@@ -51,11 +51,11 @@ struct Frame {
     int width, side, trees, leaves, aligned;
     int work_words;  // of what steps hand on
     // Tables.
-    const int *near, *steps, *limits, *rises, *bows, *drops, *pixel_rises, *bands;  // by depth
+    const int *near, *steps, *limits, *rises, *bows, *drops, *bands;  // by depth
     const int *surface_settings, *outline_settings, *free_settings, *last, *directions;
     const int *bearings, *ray_directions;
-    const float *parameters, *corner_x, *corner_y;
-    const int *rays, *floor_settings, *sines, *feature, *threshold, *value, *obstacle_settings;
+    const float *block_settings, *parameters, *corner_x, *corner_y;
+    const int *rays, *tile_corners, *floor_settings, *sines, *feature, *threshold, *value, *obstacle_settings;
     // What steps hand on: of each cell, but for `frame`.
     int *frame, *x, *y, *z, *nearest, *right, *forward, *above, *surface, *label;
     unsigned char *keep, *free, *low;
@@ -70,10 +70,10 @@ struct Frame {
         : depth(depth), floors(floors), contour(contour), rows(rows), columns(columns) {
         Header header{tables + STATIC};
         header.sizes(width, side, trees, leaves, aligned);
-        header.places(tables, corner_x, corner_y, rays, floor_settings, sines, feature, threshold,
+        header.places(tables, corner_x, corner_y, rays, tile_corners, floor_settings, sines, feature, threshold,
                       value, obstacle_settings);
         Arena fixed{(int*)tables + HEADER};
-        take(fixed, DEPTHS, near, steps, limits, rises, bows, drops, pixel_rises);
+        take(fixed, DEPTHS, near, steps, limits, rises, bows, drops);
         take(fixed, 2 * DEPTHS, bands);
         take(fixed, Surfaces::SETTINGS, surface_settings);
         take(fixed, Outlines::SETTINGS, outline_settings);
@@ -82,6 +82,7 @@ struct Frame {
         take(fixed, 2 * Outlines::DIRECTIONS, directions);
         take(fixed, (1 << Rays::RATIO_BITS) + 1, bearings);
         take(fixed, 4 * Rays::RAYS, ray_directions);
+        take(fixed, RayBlocks::SETTINGS, block_settings);
         take(fixed, Projection::PARAMETERS + 2, parameters);
         const int cells = rows * columns;
         Arena handed{work}, found{record};
@@ -171,16 +172,12 @@ struct Frame {
 
     // What the step of the free floor has in scratch memory.
     struct FreeParts {
-        int *line, *end, *nearest, *falls, *start, *stop, *block, *only;
-        float *limit, *way_x, *way_y, *way_z;
+        int *line, *end, *falls, *start, *stop, *block;
 
         FreeParts(int columns, Arena& arena)
             : line(arena.words(4 * columns)), end(arena.words(columns)),
-              nearest(arena.words(columns)), falls(arena.words(columns)),
-              start(arena.words(Rays::RAYS)), stop(arena.words(Rays::RAYS)),
-              block(arena.words(Rays::RAYS)), only(arena.words(Rays::RAYS)),
-              limit((float*)arena.words(columns)), way_x((float*)arena.words(columns)),
-              way_y((float*)arena.words(columns)), way_z((float*)arena.words(columns)) {}
+              falls(arena.words(columns)), start(arena.words(Rays::RAYS)),
+              stop(arena.words(Rays::RAYS)), block(arena.words(Rays::RAYS)) {}
     };
     JAXDET_STEP void find_free_floor(const Team& team, int* scratch) const {
         Arena arena{scratch};
@@ -189,20 +186,16 @@ struct Frame {
         const FloorFrame floor_frame(frame);
         FreeFloor by_column{team, rows, columns, of[FreeFloor::FAR], of[FreeFloor::GAP], label, z,
                             right, forward, above, (const bool*)low, bows, drops, in.line, in.end,
-                            in.nearest, in.falls, false};
+                            in.falls, false};
         const Rays found{team, columns, bearings, ray_directions, in.line, in.end, in.start,
-                         in.stop, in.block, in.only, of[FreeFloor::HALF], of[FreeFloor::HALF_TURN]};
+                         in.stop, in.block, of[FreeFloor::HALF_TURN]};
         found.begin();
-        bool inside = false;
-        if (by_column.run(floor_frame)) {
-            inside = found.is_foot_inside();
-            found.add_floor(inside);
-            RayBlocks{of[FreeFloor::NEAREST], of[FreeFloor::IN_RANGE], of[FreeFloor::HIGHEST],
-                      Surfaces::noise(floor_frame, of[FreeFloor::NOISE]), rows, columns,
-                      floor_frame, low, nearest, z, right, forward, above, rays, pixel_rises,
-                      in.nearest, in.limit, in.way_x, in.way_y, in.way_z}
-                .run(found, inside);
-        }
+        by_column.run(floor_frame);
+        const bool inside = found.is_foot_inside();
+        found.add_floor(inside);
+        RayBlocks(of[FreeFloor::NEAREST], of[FreeFloor::IN_RANGE], of[FreeFloor::HIGHEST], rows,
+                  columns, floor_frame, low, nearest, z, above, rays, tile_corners, block_settings)
+            .run(found);
         found.put(inside, free_ranges, free_end);
     }
 

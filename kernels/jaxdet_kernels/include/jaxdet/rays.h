@@ -4,6 +4,7 @@
 #include "cells.h"
 #include "floor_frame.h"
 #include "grid.h"
+#include "square_root.h"
 
 namespace jaxdet { namespace {
 
@@ -18,7 +19,8 @@ struct Rays {
         TURN_BITS = 13,  // and of a small turn
         MOST_WIDER = 8,  // times that a column is wider at its end than at its neighbour's
         END_BITS = 2,
-        NONE = 0x7fffffff
+        NONE = 0x7fffffff,
+        INFINITE = 0x7f800000  // as float32
     };
     enum { UNKNOWN, OBSTACLE };  // as in FreeFloor
     struct Point { int right, forward; };
@@ -28,11 +30,10 @@ struct Rays {
     const int* angles;       // (2^RATIO_BITS + 1,) of bearings up to an eighth of a turn, by tangent
     const int* directions;   // (2, RAYS, 2): of the rays, and of the left edges of their sectors
     const int *line, *ends;  // (columns, 2, 2), (columns,): where columns begin and end, and why
-    // By ray: where the floor begins; packed, where it ends; what stands before that; and the nearest
-    // of the obstacles that columns show.
-    int *start, *stop, *block, *only;
-    int half;  // of a cell, with four more bits
-    int turn;  // the same in radians, with TURN_BITS
+    // By ray: where the floor begins; packed, where it ends; and as the bits of its squared float32,
+    // the range of what stands there.
+    int *start, *stop, *block;
+    int turn;  // half a cell's angle in radians, with TURN_BITS
 
     // The quotient rounded down; the divisor is positive.
     static long long floored(long long a, long long b) {
@@ -82,7 +83,8 @@ struct Rays {
     void begin() const {
         for (int i = team.rank; i < RAYS; i += team.size) {
             start[i] = -1;
-            stop[i] = block[i] = only[i] = NONE;
+            stop[i] = NONE;
+            block[i] = INFINITE;
         }
         team.sync();
     }
@@ -219,171 +221,176 @@ struct Rays {
         team.sync();
     }
 
-    // Half of the angle of a cell that is so deep and far.
-    __attribute__((always_inline)) int half_angle(int depth, int length) const {
-        const int most = TURN / 2 - UNITS;
-        const int wide = quotient((unsigned)depth * (unsigned)half, (unsigned)length << 4) + 1;
-        return wide < most ? wide : most;
-    }
-
-    // Puts a point into the sectors that it stands in.
-    void add(int* nearest, Point p, int depth) const {
-        const int at = bearing(p), away = range(p, at), length = away > 1 ? away : 1;
-        const int wide = half_angle(depth, length), end = sector(at + wide);
-        for (int s = sector(at - wide); s <= end; ++s) {
-            const int ray = wrapped(s);
-            if (length < nearest[ray]) team.atomic_min(nearest + ray, length);
-        }
-    }
-
     // Where the floor that columns show on a ray ends, 0 where they show none.
     int floor_end(int ray, bool foot_inside) const {
         return (foot_inside || start[ray] >= 0) && stop[ray] < NONE ? stop[ray] >> END_BITS : 0;
     }
 
+    // The range of what stands on a ray, NONE where nothing does.
+    __attribute__((always_inline)) int range_of_block(int ray) const {
+        float square;
+        __builtin_memcpy(&square, block + ray, sizeof square);
+        const int range = block[ray] < INFINITE ? (int)SquareRoot::rounded(square) : (int)NONE;
+        return range > 1 ? range : 1;
+    }
+
     // The result, all threads after a sync; ends in one. `free_out` (RAYS, 2), `end_out` (RAYS,).
     void put(bool foot_inside, int* free_out, int* end_out) const {
         for (int i = team.rank; i < RAYS; i += team.size) {
-            const bool blocks = block[i] < floor_end(i, foot_inside);
-            const int least = blocks ? packed(block[i], OBSTACLE) : (int)NONE;
+            const int blocked = range_of_block(i);
+            const int least = blocked < floor_end(i, foot_inside) ? packed(blocked, OBSTACLE)
+                                                                  : (int)NONE;
             const int last = stop[i] < least ? stop[i] : least, from = foot_inside ? 0 : start[i];
             const bool free = from >= 0 && last < NONE && from < last >> END_BITS;
-            const int before = blocks && block[i] < only[i] ? block[i] : only[i];
-            const bool stands = before < NONE;
-            free_out[2 * i] = free ? from : stands ? before : 0;
-            free_out[2 * i + 1] = free ? last >> END_BITS : stands ? before : 0;
+            const bool stands = blocked < NONE;
+            free_out[2 * i] = free ? from : stands ? blocked : 0;
+            free_out[2 * i + 1] = free ? last >> END_BITS : stands ? blocked : 0;
             end_out[i] = free ? (last + 1) & 3 : stands ? (int)OBSTACLE : (int)UNKNOWN;
         }
         team.sync();
     }
 };
 
-// What stands above the step: of each cell its nearest pixel or itself.
+// What stands above the step, by bearing: of each cell its nearest pixel or itself. Float32 like the
+// reference, and each operation is rounded on its own.
 struct RayBlocks {
-    enum { SLOPE_BITS = 14, SAMPLES = 3, WIDEST = Rays::TURN / 16 };
-    // As in FreeFloor's settings.
-    int nearest, farthest, highest, slope;
+    // A tile is so many rows of a column of cells; its nearest point stands in all sectors that the
+    // tile is seen in.
+    enum { TILE = 8, ABREAST = 8, CORNER_BITS = 12, WIDEST = Rays::TURN / 4 };
+    // Of a pixel's step: its part at the camera, its growth with depth, and the noise of depth.
+    enum { STEP, GROWTH, NOISE, SETTINGS };
+    int nearest, farthest, highest;  // depths in range, and the most height
     int rows, columns;
-    const FloorFrame frame;
     const unsigned char* low;
-    const int *pixels, *z, *right, *forward, *height;
-    const int *rays, *rises;  // (2, rows, columns); by depth, of a pixel
-    const int* obstacles;     // (columns,) cells, -1 = none
-    // Scratch, by column: the farthest end of floor in its sectors, and factors of a cell's rays and
-    // of 1 that give how far along the middle one of these it is, for a depth of 1.
-    float *limit, *way_x, *way_y, *way_z;
+    const int *pixels, *z, *height;
+    const int *rays, *corners;  // (2, rows, columns), and of tiles (2, tiles + 1, columns + 1)
+    // Axes of the floor, for rays with RAY_BITS; the camera's height; the step; the ramp.
+    float axes[3][3], camera, step, growth, noise, ramp_start, ramp_slope;
 
-    static int higher(int a, int b) { return a > b ? a : b; }
-
-    // Whether the nearest pixel of cell k is in range and above the step of a pixel.
-    bool stands(int k) const {
-        const int d = pixels[k];
-        if (d < nearest || d > farthest) return false;
-        const Rays::Point at = ray(k, d);
-        int high = frame.level(at.right, at.forward, d);
-        if (frame.has_ramp()) high -= frame.rise(frame.forward(at.right, at.forward, d));
-        return high > higher(rises[d], d * slope >> SLOPE_BITS) && (high <= highest || !frame.valid);
-    }
-
-    // Right and down in the camera.
-    Rays::Point ray(int k, int d) const {
-        return {CellGrid::along(rays[k], d), CellGrid::along(rays[rows * columns + k], d)};
-    }
-
-    enum { NO, IS_CELL, MAY_STAND };
-    // Whether cell k ends rays, or perhaps a pixel of it does, before the end of floor in the sectors
-    // of column c. In float32, a little too often: what is left out here changes nothing.
-    __attribute__((always_inline)) int kind(int k, int c, float step, float floor, bool ramp) const {
-        const int d = pixels[k], own = z[k], high = height[k];
-        const bool cell = (own >= nearest) & (own <= farthest) & !low[k] & (high <= highest);
-        const int depth = d < nearest ? own : d;
-        const float away = (way_x[c] * (float)rays[k] + way_y[c] * (float)rays[rows * columns + k] +
-                            way_z[c]) * (float)depth;
-        // What a pixel is above its cell, from the rays' slope.
-        const float above = (floor - (float)high) * (float)(own - d);
-        const bool may = (d > 0) & ((own == 0) | (((float)own * (step - (float)high) < above) | ramp));
-        return away < limit[c] ? cell ? (int)IS_CELL : may ? (int)MAY_STAND : (int)NO : (int)NO;
-    }
-
-    // The farthest end of floor in the sectors that the cells of a column see; a column that looks
-    // past the foot sees all.
-    void find_limit(int c, const Rays& to, bool foot_inside) const {
-        int low_end = 0, high_end = 0, first = 0, half = 0;
-        bool wide = false;
-        for (int i = 0; i < SAMPLES; ++i) {
-            const int k = (rows - 1) * i / (SAMPLES - 1) * columns + c, d = 1 << 12;
-            const int x = CellGrid::along(rays[k], d);
-            const int y = CellGrid::along(rays[rows * columns + k], d);
-            const Rays::Point p = {frame.right(x, y, d), frame.forward(x, y, d)};
-            const int at = to.bearing(p), away = to.range(p, at);
-            half = higher(half, to.half_angle(d, away > 1 ? away : 1));
-            if (!i) first = at;
-            const int turn = (at - first + Rays::TURN + Rays::TURN / 2) % Rays::TURN - Rays::TURN / 2;
-            wide |= Rays::magnitude(turn) > WIDEST;
-            low_end = turn < low_end ? turn : low_end;
-            high_end = turn > high_end ? turn : high_end;
-        }
-        int most = 0;
-        // Cells are at most so wide; lenses bend columns a little.
-        const int pad = half + half / 8 + Rays::UNITS;
-        wide |= pad > WIDEST;
-        const int begin = Rays::sector(first + low_end - (wide ? 0 : pad));
-        const int end = wide ? begin : Rays::sector(first + high_end + pad);
-        for (int s = begin; s <= end; ++s)
-            most = higher(most, to.floor_end(Rays::wrapped(s), foot_inside));
-        limit[c] = (float)(wide ? (int)Rays::NONE : most);
-        const int middle = Rays::wrapped(Rays::sector(first + (low_end + high_end) / 2));
-        const int* const along = to.directions + 2 * middle;
-        const float unit = 0.999f / (1 << Rays::BITS) / (1 << FloorFrame::BITS);
-        float* const ways[] = {way_x, way_y, way_z};
-        for (int i = 0; i < 3; ++i) {
-            const float of_ray = i < 2 ? 1.0f / (1 << CellGrid::RAY_BITS) : 1.0f;
-            ways[i][c] = unit * of_ray * ((float)frame.axes[i] * (float)along[0] +
-                                          (float)frame.axes[3 + i] * (float)along[1]);
+    // Without a known floor all points are as high.
+    RayBlocks(int nearest, int farthest, int highest, int rows, int columns,
+              const FloorFrame& frame, const unsigned char* low, const int* pixels, const int* z,
+              const int* height, const int* rays, const int* corners, const float* settings)
+        : nearest(nearest), farthest(farthest),
+          highest(frame.valid ? highest : (int)FloorFrame::UNKNOWN), rows(rows), columns(columns),
+          low(low), pixels(pixels), z(z), height(height), rays(rays), corners(corners),
+          camera((float)(frame.valid ? frame.height : (int)FloorFrame::UNKNOWN)),
+          step(settings[STEP]), growth(settings[GROWTH]),
+          noise(settings[NOISE] * higher((float)frame.height, 0.0f)),
+          ramp_start((float)frame.ramp_start),
+          ramp_slope(frame.has_ramp() ? (float)frame.ramp_slope / (1 << FloorFrame::BITS) : 0.0f) {
+        for (int i = 0; i < 9; ++i) {
+            const float axis = (float)frame.axes[i] / (1 << FloorFrame::BITS);
+            const float of_ray = i % 3 < 2 ? 1.0f / (1 << CellGrid::RAY_BITS) : 1.0f;
+            axes[i / 3][i % 3] = i < 6 || frame.valid ? axis * of_ray : 0.0f;
         }
     }
 
-    void add(const Rays& to, int k, int kind) const {
-        const int d = pixels[k];
-        if (kind == MAY_STAND && !stands(k)) return;
-        if (d < nearest) {
-            to.add(to.block, {right[k], forward[k]}, z[k]);
-            return;
-        }
-        const Rays::Point at = ray(k, d);
-        to.add(to.block,
-               {frame.right(at.right, at.forward, d), frame.forward(at.right, at.forward, d)}, d);
+    __attribute__((always_inline)) static float higher(float a, float b) { return a > b ? a : b; }
+
+    // On the floor, of a ray whose depth is 1.
+    __attribute__((always_inline)) float along(int axis, float x, float y) const {
+        return axes[axis][0] * x + axes[axis][1] * y + axes[axis][2];
     }
 
-    void run(const Rays& to, bool foot_inside) const {
+    // The squared distance from the foot of what stands in cell k, infinite if nothing does; as the
+    // bits of a float32, which are ordered as positive ones are.
+    __attribute__((always_inline)) int square(int k) const {
+        const int pixel = pixels[k], own = z[k], high = height[k];
+        const bool is_cell =
+            (own >= nearest) & (own <= farthest) & (low[k] == 0) & (high <= highest);
+        const float depth = (float)((is_cell & (pixel < nearest)) ? own : pixel);
+        const float x = (float)rays[k], y = (float)rays[rows * columns + k];
+        const float right = along(0, x, y), forward = along(1, x, y), down = along(2, x, y);
+        const float ramp = higher(forward * depth - ramp_start, 0.0f) * ramp_slope;
+        const float above = camera - down * depth - ramp;
+        const bool is_pixel = (pixel >= nearest) & (pixel <= farthest) & (above <= (float)highest) &
+                              (above > higher(step + growth * depth, noise * depth));
+        const float found = (right * right + forward * forward) * (depth * depth);
+        int bits;
+        __builtin_memcpy(&bits, &found, sizeof bits);
+        return (is_cell | is_pixel) ? bits : (int)Rays::INFINITE;
+    }
+
+    // The least of cells k .. k + N - 1 and what was found before.
+    template <int N> __attribute__((always_inline)) void find_least(int k, int* least) const {
+        for (int i = 0; i < N; ++i) {
+            const int found = square(k + i);
+            least[i] = found < least[i] ? found : least[i];
+        }
+    }
+
+    // The bearing of a corner of tiles.
+    __attribute__((always_inline)) int bearing(const Rays& to, int tile, int column) const {
+        const int all = (tiles() + 1) * (columns + 1), k = tile * (columns + 1) + column;
+        const float x = (float)corners[k], y = (float)corners[all + k];
+        return to.bearing((int)(along(0, x, y) * (1 << CORNER_BITS)),
+                          (int)(along(1, x, y) * (1 << CORNER_BITS)));
+    }
+
+    int end_of(int tile) const { return (tile + 1) * TILE < rows ? (tile + 1) * TILE : rows; }
+    int tiles() const { return (rows + TILE - 1) / TILE; }
+
+    // From one bearing to another, less than half a turn to either side.
+    static int turn(int from, int to) {
+        const int by = to - from;
+        return by >= Rays::TURN / 2 ? by - Rays::TURN : by < -Rays::TURN / 2 ? by + Rays::TURN : by;
+    }
+
+    // Puts the nearest point of a tile into the sectors between its corners; one that the foot may
+    // be in has all.
+    __attribute__((always_inline)) void add(const Rays& to, int square, int a, int b, int c,
+                                            int d) const {
+        const int turns[] = {turn(a, b), turn(a, c), turn(a, d)};
+        int left = 0, right = 0;
+        for (int by : turns) {
+            left = by < left ? by : left;
+            right = by > right ? by : right;
+        }
+        const bool wide = right - left > WIDEST;
+        const int begin = wide ? 0 : Rays::sector(a + left);
+        const int end = wide ? (int)Rays::RAYS - 1 : Rays::sector(a + right);
+        for (int s = begin; s <= end; ++s) {
+            int* const place = to.block + Rays::wrapped(s);
+            if (square < *place) to.team.atomic_min(place, square);
+        }
+    }
+
+    void run(const Rays& to) const {
         const Team& team = to.team;
-        for (int c = team.rank; c < columns; c += team.size) {
-            find_limit(c, to, foot_inside);
-            const int k = obstacles[c];
-            if (k >= 0) to.add(to.only, {right[k], forward[k]}, z[k]);
-        }
-        team.sync();
-        // Heights are rounded a few times.
-        const float step = (float)(rises[0] - 4), floor = (float)frame.height;
-        const bool ramp = frame.has_ramp();
 #if defined(__CUDA_ARCH__)
-        for (int k = team.rank; k < rows * columns; k += team.size) {
-            const int own = kind(k, k % columns, step, floor, ramp);
-            if (own) add(to, k, own);
+        for (int k = team.rank; k < tiles() * columns; k += team.size) {
+            const int tile = k / columns, c = k % columns;
+            int least = Rays::INFINITE;
+            for (int row = tile * TILE; row < end_of(tile); ++row)
+                find_least<1>(row * columns + c, &least);
+            if (least == Rays::INFINITE) continue;
+            add(to, least, bearing(to, tile, c), bearing(to, tile, c + 1),
+                bearing(to, tile + 1, c), bearing(to, tile + 1, c + 1));
         }
-        team.sync();
 #else
-        int kinds[Grid::MOST_COLUMNS];
-        for (int row = rows - 1; row >= 0; --row) {
-            const int first = row * columns;
-#if defined(__clang__)
-#pragma clang loop vectorize(assume_safety)
-#endif
-            for (int c = 0; c < columns; ++c) kinds[c] = kind(first + c, c, step, floor, ramp);
+        int bearings[2][Grid::MOST_COLUMNS + 1], least[Grid::MOST_COLUMNS];
+        for (int c = 0; c <= columns; ++c) bearings[0][c] = bearing(to, 0, c);
+        for (int tile = 0; tile < tiles(); ++tile) {
+            for (int c = 0; c < columns; ++c) least[c] = Rays::INFINITE;
+            for (int row = tile * TILE; row < end_of(tile); ++row) {
+                for (int c = 0; c < columns; c += columns < ABREAST ? 1 : (int)ABREAST) {
+                    // The last ones are found again where they don't fill the lanes.
+                    const int first = c < columns - ABREAST ? c : columns - ABREAST;
+                    if (first < 0)
+                        find_least<1>(row * columns + c, least + c);
+                    else
+                        find_least<ABREAST>(row * columns + first, least + first);
+                }
+            }
+            const int *const upper = bearings[tile & 1], *const lower = bearings[~tile & 1];
+            for (int c = 0; c <= columns; ++c) bearings[~tile & 1][c] = bearing(to, tile + 1, c);
             for (int c = 0; c < columns; ++c)
-                if (kinds[c]) add(to, first + c, kinds[c]);
+                if (least[c] != Rays::INFINITE)
+                    add(to, least[c], upper[c], upper[c + 1], lower[c], lower[c + 1]);
         }
 #endif
+        team.sync();
     }
 };
 
