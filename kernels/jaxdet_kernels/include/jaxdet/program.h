@@ -172,12 +172,13 @@ struct Frame {
 
     // What the step of the free floor has in scratch memory.
     struct FreeParts {
-        int *line, *end, *falls, *start, *stop, *block;
+        int *line, *end, *falls, *polar, *start, *stop, *block;
 
         FreeParts(int columns, Arena& arena)
             : line(arena.words(4 * columns)), end(arena.words(columns)),
-              falls(arena.words(columns)), start(arena.words(Rays::RAYS)),
-              stop(arena.words(Rays::RAYS)), block(arena.words(Rays::RAYS)) {}
+              falls(arena.words(columns)), polar(arena.words(4 * columns)),
+              start(arena.words(Rays::RAYS)), stop(arena.words(Rays::RAYS)),
+              block(arena.words(Rays::RAYS)) {}
     };
     JAXDET_STEP void find_free_floor(const Team& team, int* scratch) const {
         Arena arena{scratch};
@@ -188,9 +189,10 @@ struct Frame {
                             right, forward, above, (const bool*)low, bows, drops, in.line, in.end,
                             in.falls, false};
         const Rays found{team, columns, bearings, ray_directions, in.line, in.end, in.start,
-                         in.stop, in.block, of[FreeFloor::HALF_TURN]};
+                         in.stop, in.block, in.polar, of[FreeFloor::HALF_TURN]};
         found.begin();
         by_column.run(floor_frame);
+        found.find_points();
         const bool inside = found.is_foot_inside();
         found.add_floor(inside);
         RayBlocks(of[FreeFloor::NEAREST], of[FreeFloor::IN_RANGE], of[FreeFloor::HIGHEST], rows,

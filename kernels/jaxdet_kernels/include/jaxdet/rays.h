@@ -23,7 +23,7 @@ struct Rays {
         INFINITE = 0x7f800000  // as float32
     };
     enum { UNKNOWN, OBSTACLE };  // as in FreeFloor
-    struct Point { int right, forward; };
+    struct Point { int right, forward, bearing, range; };
 
     const Team& team;
     int columns;
@@ -33,20 +33,24 @@ struct Rays {
     // By ray: where the floor begins; packed, where it ends; and as the bits of its squared float32,
     // the range of what stands there.
     int *start, *stop, *block;
-    int turn;  // half a cell's angle in radians, with TURN_BITS
+    int* polar;  // (columns, 2, 2): bearing and range of where columns begin and end
+    int turn;    // half a cell's angle in radians, with TURN_BITS
 
-    // The quotient rounded down; the divisor is positive.
-    static long long floored(long long a, long long b) {
-        const long long all = a / b;
-        return all - (all * b > a);
-    }
     static int magnitude(int a) { return a < 0 ? -a : a; }
 
-    // The quotient of integers from 0 on rounded down, below 2^31. Float64 tells such quotients from
-    // the next whole number, and CPUs divide several at once.
-    static int quotient(unsigned a, unsigned b) {
+    // Quotients rounded down, of a below 2^52 and b from 1 to 2^33. Float64, which CPUs are faster
+    // with, tells those below 2^19 from the next integer; larger ones may be rounded.
+    static long long floored(long long a, long long b) {
 #if defined(__CUDA_ARCH__)
-        return (int)(a / b);
+        const long long all = a / b;
+        return all - (all * b > a);
+#else
+        return (long long)__builtin_floor((double)a / (double)b);
+#endif
+    }
+    static int quotient(int a, int b) {
+#if defined(__CUDA_ARCH__)
+        return a / b;
 #else
         return (int)((double)a / (double)b);
 #endif
@@ -56,12 +60,17 @@ struct Rays {
     __attribute__((always_inline)) int bearing(int right, int forward) const {
         const int aside = magnitude(right), ahead = magnitude(forward);
         const int low = aside < ahead ? aside : ahead, high = aside < ahead ? ahead : aside;
-        int angle = angles[quotient((unsigned)low << RATIO_BITS, (unsigned)(high ? high : 1))];
+        int angle = angles[quotient(low << RATIO_BITS, high ? high : 1)];
         angle = aside > ahead ? TURN / 4 - angle : angle;
         angle = forward < 0 ? TURN / 2 - angle : angle;
         return right < 0 ? -angle : angle;
     }
-    int bearing(Point p) const { return bearing(p.right, p.forward); }
+
+    // From one bearing to another, at most half a turn to either side.
+    static int turn_to(int from, int to) {
+        const int by = to - from;
+        return by >= TURN / 2 ? by - TURN : by < -TURN / 2 ? by + TURN : by;
+    }
 
     // Counted on from 0 without an end.
     static int sector(int bearing) { return (bearing + TURN / 2 + UNITS / 2) >> UNIT_BITS; }
@@ -75,7 +84,10 @@ struct Rays {
         const double sum = (double)right * way[0] + (double)forward * way[1] + (1 << (BITS - 1));
         return (int)((sum < 0 ? -sum : sum) * (1.0 / (1 << BITS)));
     }
-    int range(Point p, int bearing) const { return range(p.right, p.forward, bearing); }
+    __attribute__((always_inline)) Point point(int right, int forward) const {
+        const int at = bearing(right, forward);
+        return {right, forward, at, range(right, forward, at)};
+    }
 
     // Of equal ranges an obstacle is least, then a drop.
     static int packed(int range, int why) { return range << END_BITS | ((why - 1) & 3); }
@@ -89,8 +101,22 @@ struct Rays {
         team.sync();
     }
 
-    Point near(int c) const { return {line[4 * c], line[4 * c + 1]}; }
-    Point far(int c) const { return {line[4 * c + 2], line[4 * c + 3]}; }
+    // Where a column begins (0) or ends (1).
+    Point end_point(int c, int which) const {
+        const int k = 2 * c + which;
+        return {line[2 * k], line[2 * k + 1], polar[2 * k], polar[2 * k + 1]};
+    }
+    Point near(int c) const { return end_point(c, 0); }
+    Point far(int c) const { return end_point(c, 1); }
+
+    void find_points() const {
+        for (int k = team.rank; k < 2 * columns; k += team.size) {
+            const Point p = point(line[2 * k], line[2 * k + 1]);
+            polar[2 * k] = p.bearing;
+            polar[2 * k + 1] = p.range;
+        }
+        team.sync();
+    }
 
     // Whether a column shows floor, not only an obstacle.
     bool is_seen(int c) const {
@@ -122,27 +148,22 @@ struct Rays {
 
     // The sectors that a segment passes, with its least or largest range in each.
     template <bool LEAST, class Put> void sweep(Point first, Point last, Put put) const {
-        const int at = bearing(first), to = bearing(last);
-        int turn = (to - at + TURN + TURN / 2) % TURN - TURN / 2;
-        const int range_first = range(first, at), range_last = range(last, to);
-        const bool back = turn < 0;
-        const int low = back ? to : at;
-        turn = back ? -turn : turn;
-        const int left_end = back ? range_last : range_first;
-        const int right_end = back ? range_first : range_last;
-        const int begin = sector(low), end = sector(low + turn);
+        const int turn = turn_to(first.bearing, last.bearing);
+        const Point &leftmost = turn < 0 ? last : first, &rightmost = turn < 0 ? first : last;
+        const int begin = sector(leftmost.bearing);
+        const int end = sector(leftmost.bearing + magnitude(turn));
         const int x = last.right - first.right, y = last.forward - first.forward;
         const long long cross = (long long)first.right * y - (long long)first.forward * x;
         const long long area = (cross < 0 ? -cross : cross) << BITS;
-        const int lowest = range_first < range_last ? range_first : range_last;
-        const int highest = range_first < range_last ? range_last : range_first;
-        int left = left_end;
+        const int lowest = first.range < last.range ? first.range : last.range;
+        const int highest = first.range < last.range ? last.range : first.range;
+        int left = leftmost.range;
         for (int s = begin; s <= end; ++s) {
-            int right = right_end;
+            int right = rightmost.range;
             if (s < end) {
                 const int* const edge = directions + 2 * (RAYS + wrapped(s + 1));
                 const long long over = (long long)edge[0] * y - (long long)edge[1] * x;
-                const long long all = area / (over ? over < 0 ? -over : over : 1);
+                const long long all = floored(area, over ? over < 0 ? -over : over : 1);
                 right = all < lowest ? lowest : all > highest ? highest : (int)all;
             }
             put(wrapped(s), LEAST == (left < right) ? left : right);
@@ -166,9 +187,9 @@ struct Rays {
     }
 
     // Clockwise about the foot by a small angle.
-    static Point turned(Point p, int by) {
-        return {p.right + (int)((long long)p.forward * by >> TURN_BITS),
-                p.forward + (int)((long long)p.right * -by >> TURN_BITS)};
+    Point turned(Point p, int by) const {
+        return point(p.right + (int)((long long)p.forward * by >> TURN_BITS),
+                     p.forward + (int)((long long)p.right * -by >> TURN_BITS));
     }
 
     // A side of a column whose neighbour shows no floor.
@@ -189,17 +210,16 @@ struct Rays {
         int part = first.forward - a.forward;
         part = part < 0 ? 0 : part > most ? most : part;
         const int divisor = run > 1 ? run : 1;
-        const Point beside = {
-            a.right + (int)floored((long long)(b.right - a.right) * part, divisor),
-            a.forward + (int)floored((long long)(b.forward - a.forward) * part, divisor)};
-        const Point middle = {(first.right + beside.right) >> 1,
-                              (first.forward + beside.forward) >> 1};
-        const bool wider = beside.forward > 0 && b.forward > beside.forward;
-        const long long widest = (long long)MOST_WIDER * beside.forward;
+        const int right = a.right + (int)floored((long long)(b.right - a.right) * part, divisor);
+        const int ahead =
+            a.forward + (int)floored((long long)(b.forward - a.forward) * part, divisor);
+        const Point middle = point((first.right + right) >> 1, (first.forward + ahead) >> 1);
+        const bool wider = ahead > 0 && b.forward > ahead;
+        const long long widest = (long long)MOST_WIDER * ahead;
         const long long times = !wider ? 1 : b.forward < widest ? b.forward : widest;
-        const int over = wider ? beside.forward : 1;
-        const Point last = {b.right + (int)floored((middle.right - beside.right) * times, over),
-                            b.forward + (int)floored((middle.forward - beside.forward) * times, over)};
+        const int over = wider ? ahead : 1;
+        const Point last = point(b.right + (int)floored((middle.right - right) * times, over),
+                                 b.forward + (int)floored((middle.forward - ahead) * times, over));
         const int why = ends[brief];
         end_at(first, middle, why);
         end_at(middle, last, why == OBSTACLE ? (int)UNKNOWN : why);
@@ -331,17 +351,11 @@ struct RayBlocks {
     int end_of(int tile) const { return (tile + 1) * TILE < rows ? (tile + 1) * TILE : rows; }
     int tiles() const { return (rows + TILE - 1) / TILE; }
 
-    // From one bearing to another, less than half a turn to either side.
-    static int turn(int from, int to) {
-        const int by = to - from;
-        return by >= Rays::TURN / 2 ? by - Rays::TURN : by < -Rays::TURN / 2 ? by + Rays::TURN : by;
-    }
-
     // Puts the nearest point of a tile into the sectors between its corners; one that the foot may
     // be in has all.
     __attribute__((always_inline)) void add(const Rays& to, int square, int a, int b, int c,
                                             int d) const {
-        const int turns[] = {turn(a, b), turn(a, c), turn(a, d)};
+        const int turns[] = {Rays::turn_to(a, b), Rays::turn_to(a, c), Rays::turn_to(a, d)};
         int left = 0, right = 0;
         for (int by : turns) {
             left = by < left ? by : left;
