@@ -17,6 +17,7 @@ from jaxdet.export.recordings import find, images, look_again
 from jaxdet.export.shapes import box, heights
 from jaxdet.io import LogFiles, LogOptions
 from jaxdet.results.reading import Frame, Results
+from jaxdet.types import RAYS
 from tests.export_results import run, sim_log
 
 DETECTIONS, POINTS, MAP, SCAN, LOCAL = (
@@ -134,17 +135,34 @@ def test_a_frame_has_a_grid_around_its_foot(driven_results: Path, tmp_path: Path
             if np.abs(middle).max() < 0.9 * info.width * info.resolution / 2:
                 assert state(*middle) == 100
         assert state(0.0, -1.0) == -1  # behind the camera
-        bearing, start, stop = (
-            np.array(row[n]) for n in ("free_bearing_rad", "free_from_m", "free_to_m")
+        least, most = free_between_rays(row)
+        rows, columns = states.shape
+        x = info.origin.position.x + (np.arange(columns) + 0.5) * info.resolution
+        y = info.origin.position.y + (np.arange(rows)[:, None] + 0.5) * info.resolution
+        sector = np.floor(np.arctan2(x, y) / (2 * np.pi / RAYS) + RAYS / 2).astype(int) % RAYS
+        away, margin = np.hypot(x, y), info.resolution
+        # Inside: as far as three neighbouring pairs of rays show it. Outside: two cells from any.
+        first, last = (
+            f([np.roll(a, i) for i in (-1, 0, 1)], axis=0)[sector]
+            for f, a in ((np.max, least), (np.min, most))
         )
-        states_of_rays = []
-        for i in range(1, len(stop) - 1):
-            first, last = start[i - 1 : i + 2].max(), stop[i - 1 : i + 2].min()
-            r, b = (first + last) / 2, bearing[i]
-            if last - first > 0.3 and np.ptp(bearing[i - 1 : i + 2]) < 0.01:
-                states_of_rays.append(state(r * np.sin(b), r * np.cos(b)))
-        assert len(states_of_rays) > 50
-        assert np.mean(np.array(states_of_rays) == -1) < 0.03  # between middles of cells
+        inside = (away > first + 0.01) & (away < last - 0.01)
+        assert inside.sum() > 500 and (states[inside] != -1).all()
+        near = [np.roll(a, i) for a in (least, most) for i in range(-40, 41)]
+        low, high = np.min(near[:81], axis=0)[sector], np.max(near[81:], axis=0)[sector]
+        outside = (away > 2 * margin / np.radians(10)) & (
+            (away < low - 2 * margin) | (away > high + 2 * margin)
+        )
+        assert outside.sum() > 500 and (states[outside] != 0).all()
+
+
+def free_between_rays(row: dict[str, Any]) -> tuple[np.ndarray, np.ndarray]:
+    """Range at which free floor begins and ends between each ray and the next one."""
+    start, stop = np.full(RAYS, np.inf), np.zeros(RAYS)
+    number = np.rint(np.degrees(row["free_bearing_rad"]) * 4).astype(int) + RAYS // 2
+    start[number], stop[number] = row["free_from_m"], row["free_to_m"]
+    least, most = np.maximum(start, np.roll(start, -1)), np.minimum(stop, np.roll(stop, -1))
+    return np.where(least < most, least, np.inf), np.where(least < most, most, 0.0)
 
 
 def test_points_are_the_contours(driven_results: Path, tmp_path: Path) -> None:
