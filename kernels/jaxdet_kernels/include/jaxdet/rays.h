@@ -56,6 +56,23 @@ struct Rays {
 #endif
     }
 
+    // Bits of a float32; those of positive ones are ordered as they are.
+#if defined(__CUDA_ARCH__)
+    static int bits_of(float value) { return __float_as_int(value); }
+    static float float_of(int bits) { return __int_as_float(bits); }
+#else
+    static int bits_of(float value) {
+        int bits;
+        __builtin_memcpy(&bits, &value, sizeof bits);
+        return bits;
+    }
+    static float float_of(int bits) {
+        float value;
+        __builtin_memcpy(&value, &bits, sizeof value);
+        return value;
+    }
+#endif
+
     // Clockwise from above, 0 ahead.
     __attribute__((always_inline)) int bearing(int right, int forward) const {
         const int aside = magnitude(right), ahead = magnitude(forward);
@@ -248,9 +265,8 @@ struct Rays {
 
     // The range of what stands on a ray, NONE where nothing does.
     __attribute__((always_inline)) int range_of_block(int ray) const {
-        float square;
-        __builtin_memcpy(&square, block + ray, sizeof square);
-        const int range = block[ray] < INFINITE ? (int)SquareRoot::rounded(square) : (int)NONE;
+        if (block[ray] == INFINITE) return NONE;
+        const int range = (int)SquareRoot::rounded(float_of(block[ray]));
         return range > 1 ? range : 1;
     }
 
@@ -313,8 +329,8 @@ struct RayBlocks {
         return axes[axis][0] * x + axes[axis][1] * y + axes[axis][2];
     }
 
-    // The squared distance from the foot of what stands in cell k, infinite if nothing does; as the
-    // bits of a float32, which are ordered as positive ones are.
+    // The squared distance from the foot of what stands in cell k, infinite if nothing does; the
+    // bits of a float32.
     __attribute__((always_inline)) int square(int k) const {
         const int pixel = pixels[k], own = z[k], high = height[k];
         const bool is_cell =
@@ -327,9 +343,7 @@ struct RayBlocks {
         const bool is_pixel = (pixel >= nearest) & (pixel <= farthest) & (above <= (float)highest) &
                               (above > higher(step + growth * depth, noise * depth));
         const float found = (right * right + forward * forward) * (depth * depth);
-        int bits;
-        __builtin_memcpy(&bits, &found, sizeof bits);
-        return (is_cell | is_pixel) ? bits : (int)Rays::INFINITE;
+        return (is_cell | is_pixel) ? Rays::bits_of(found) : (int)Rays::INFINITE;
     }
 
     // The least of cells k .. k + N - 1 and what was found before.
