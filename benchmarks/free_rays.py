@@ -3,8 +3,8 @@
     python -m benchmarks.free_rays ../shared/data/labelled/wheelchair.mcap ...
 
 A ray passes what lies on it more than 15 cm before its end: a point of an obstacle's contour, or a
-measured pixel above the step height of a single pixel. The free floor of a column of cells is right
-up to the nearest of these at the bearing of each of its points; it is kept where a ray is free.
+measured pixel above the step height of a single pixel. The free floor of a column of cells, taken
+at the bearing of its end, is right up to the nearest of these; it is kept where the ray is free.
 """
 
 import sys
@@ -13,15 +13,15 @@ from typing import NamedTuple
 import numpy as np
 
 import jaxdet
-from jaxdet.camera import cell_rays, cell_side, pixel_rays
+from jaxdet.camera import cell_side, pixel_rays
 from jaxdet.config import Config
-from jaxdet.floor.frame import DOWN, UNKNOWN_HEIGHT, floor_frames, on_floor
+from jaxdet.floor.frame import CAMERA_HEIGHT, DOWN, UNKNOWN_HEIGHT, floor_frames, on_floor
 from jaxdet.floor.plane import depth_range, max_height, quadratic_table, step_height, unknown_plane
-from jaxdet.floor.rays import block_settings, half_turn
+from jaxdet.floor.rays import block_settings
 from jaxdet.presets import preset
 from jaxdet.reference import cells, find_floor
 from jaxdet.reference._cells import nearest_depths
-from jaxdet.reference._detect import _free, _group
+from jaxdet.reference._detect import Found, _free, _group
 from jaxdet.reference._free import FloorView, floor_ahead
 from jaxdet.reference._outlines import contours
 from jaxdet.types import MAX_OBSTACLES, RAYS, Frames
@@ -97,13 +97,13 @@ def _pixels_above(
     right, forward, height = on_floor(floor, np.rint(xyz).astype(np.int64))
     near, far = depth_range(ground.min_depth_m, ground.max_depth_m, unit)
     step, growth, noise = block_settings(ground, unit).astype(np.float64)
-    rise = np.maximum(step + growth * z, noise * max(floor[9], 0) * z)
+    rise = np.maximum(step + growth * z, noise * max(floor[CAMERA_HEIGHT], 0) * z)
     above = (z >= near) & (z <= far) & (height > rise) & (height <= max_height(ground, unit))
     above &= height < UNKNOWN_HEIGHT
     return right[above], forward[above]
 
 
-def _columns(one, floor: np.ndarray, config: Config, unit: float) -> np.ndarray:
+def _columns(one: Found, floor: np.ndarray, config: Config, unit: float) -> np.ndarray:
     """Start and end of the free floor of each column, ``(C, 2, 2)``."""
     settings, view = config.floor, one.view
     far, gap = round(config.ground.max_depth_m / unit), round(settings.gap_m / unit)

@@ -13,7 +13,7 @@ TURN = RAYS * UNITS  # a full turn
 RATIO_BITS = 12  # of the quotient that a bearing is read by
 RAY_BITS = 13  # fraction bits of a direction
 TURN_BITS = 13  # fraction bits of the sine of a small turn
-TILE = 8  # rows of cells in a tile
+TILE = 4  # rows of cells in a tile
 
 
 def half_turn(camera: Intrinsics, side: int) -> int:

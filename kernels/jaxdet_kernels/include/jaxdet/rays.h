@@ -292,7 +292,7 @@ struct Rays {
 struct RayBlocks {
     // A tile is so many rows of a column of cells; its nearest point stands in all sectors that the
     // tile is seen in.
-    enum { TILE = 8, ABREAST = 8, CORNER_BITS = 12, WIDEST = Rays::TURN / 4 };
+    enum { TILE = 4, ABREAST = 8, CORNER_BITS = 12, WIDEST = Rays::TURN / 4 };
     // Of a pixel's step: its part at the camera, its growth with depth, and the noise of depth.
     enum { STEP, GROWTH, NOISE, SETTINGS };
     int nearest, farthest, highest;  // depths in range, and the most height
