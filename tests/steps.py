@@ -81,7 +81,7 @@ def cells(depth: np.ndarray, tables: Tables, side: int) -> tuple[Cells, np.ndarr
     rows, columns = tables["rays"].shape[1:]
     sizes = Sizes(*depth.shape[1:], side, rows, columns)
     found = step("find_cells", tables, {}, sizes, depth)
-    return Cells(found["x"], found["y"], found["z"]), found["nearest"]
+    return Cells(found["x"], found["y"], found["z"]), found["nearest_pixel"]
 
 
 def find_floor(
@@ -169,7 +169,7 @@ def free_floor(
     tables: Tables,
 ) -> tuple[np.ndarray, np.ndarray]:
     """``find_free_floor``: where it begins and ends, and what ends it."""
-    given = {"label": label, "low": low, "z": z, "nearest": nearest, "frame": frame}
+    given = {"label": label, "low": low, "z": z, "nearest_pixel": nearest, "frame": frame}
     given |= dict(zip(("right", "forward", "height"), floor, strict=True))
     found = step("find_free_floor", tables, given, _grid(label))
     return found["free"], found["free_end"]

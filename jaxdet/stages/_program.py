@@ -56,7 +56,7 @@ class Sizes(NamedTuple):
 @lru_cache(maxsize=64)
 def work_layout(rows: int, columns: int) -> Layout:
     """What steps hand on: the grid of cells on the floor, and the floor's frame."""
-    by_cell = "x", "y", "z", "nearest", "right", "forward", "height", "surface", "label"
+    by_cell = "x", "y", "z", "nearest_pixel", "right", "forward", "height", "surface", "label"
     bools = "keep", "free_cell", "low"
     shapes = {"frame": (13,), **dict.fromkeys((*by_cell, *bools), (rows, columns))}
     return Layout(shapes, frozenset(bools))
