@@ -4,27 +4,21 @@ import dataclasses
 import json
 import os
 import tomllib
-import types
-import typing
 from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
-from jaxdet.angles import parse_angle
-from jaxdet.arguments import fits
 from jaxdet.config import Config
+from jaxdet.config_changes import changed
 from jaxdet.errors import ConfigError, meant
 from jaxdet.io.options import LogOptions
 from jaxdet.presets import DEFAULT_PRESET, PRESETS, preset
 
-_WORDS = {str: "text in quotes", int: "an integer", float: "a number", bool: "true or false"}
 SECTIONS = tuple(part.name for part in dataclasses.fields(Config)) + ("log",)
 
-if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
-
-Section = TypeVar("Section", bound="DataclassInstance")
+ConfigSource = Config | Mapping[str, Any] | str | PathLike[str]
+"""A configuration, its sections as a dictionary, or the name of a preset or a file."""
 
 
 class Settings(NamedTuple):
@@ -36,17 +30,23 @@ class Settings(NamedTuple):
     preset: str
 
 
-def find_config(source: str | PathLike[str]) -> Config:
-    """Return the configuration of a preset or a file.
+def find_config(source: ConfigSource) -> Config:
+    """Return the configuration of a preset, a dictionary or a file.
 
     Args:
-        source: ``wheeled``, ``mine.toml`` or ``results/config.json``.
+        source: ``wheeled``, ``mine.toml``, ``results/config.json``, or the same sections as a
+            dictionary: ``{"preset": "d435", "ground": {"max_depth_m": 3.0}}``.
 
     Raises:
-        ConfigError: There is no such preset or file, or the file is invalid.
+        ConfigError: There is no such preset or file, or a setting is invalid.
     """
+    if isinstance(source, Config):
+        return source
+    if isinstance(source, Mapping):
+        table = {str(key): value for key, value in source.items()}
+        return _settings(_checked_table(table, ""), "").config
     if not isinstance(source, str | PathLike):
-        expected = "a Config, the name of a preset or a file"
+        expected = "a Config, the name of a preset, a dictionary or a file"
         raise ConfigError(f"expected {expected}, got {type(source).__name__}", topic="config")
     name = os.fspath(source)
     if name in PRESETS:
@@ -72,19 +72,22 @@ def read_settings(path: Path | None, preset_name: str | None = None) -> Settings
     Raises:
         ConfigError: The preset or a key of the file is unknown, or a value doesn't fit.
     """
-    table = read_table(path) if path else {}
+    return _settings(read_table(path) if path else {}, str(path), preset_name)
+
+
+def _settings(table: dict[str, Any], where: str, preset_name: str | None = None) -> Settings:
     named = table.pop("preset", DEFAULT_PRESET)
     name = named if preset_name is None else preset_name
     try:
         config, log = preset(name), LogOptions()
     except ConfigError as error:
-        where = str(path) if preset_name is None else ""
-        raise ConfigError(error.problem, path=where, remedy=error.remedy) from None
+        path = where if preset_name is None else ""
+        raise ConfigError(error.problem, path=path, remedy=error.remedy) from None
     for section, values in table.items():
         if section == "log":
-            log = changed(log, values, section, str(path))
+            log = changed(log, values, section, where)
         else:
-            part = changed(getattr(config, section), values, section, str(path))
+            part = changed(getattr(config, section), values, section, where)
             config = dataclasses.replace(config, **{section: part})
     return Settings(config, log, name)
 
@@ -108,6 +111,11 @@ def read_table(path: Path) -> dict[str, Any]:
         table = tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # e.g. numbers of 5,000 digits, nested lists
         raise ConfigError(f"is not TOML: {error}", path=where) from error
+    return _checked_table(table, where)
+
+
+def _checked_table(table: dict[str, Any], where: str) -> dict[str, Any]:
+    """Return a table whose keys are sections, and perhaps ``preset``."""
     for key, value in table.items():
         if key == "preset" and isinstance(value, str):
             continue
@@ -155,50 +163,3 @@ def _of_results(text: str, where: str) -> dict[str, Any]:
     }
     named = table.get("preset")
     return sections | ({"preset": named} if named in PRESETS else {})
-
-
-def changed(section: Section, values: Mapping[str, Any], name: str, path: str) -> Section:
-    """Return a configuration section with these values.
-
-    The key of an angle may lack its ``_rad`` if the value has a unit: ``camera_pitch = "10deg"``.
-
-    Raises:
-        ConfigError: A key is unknown or a value has the wrong type; the error names both.
-    """
-    hints, clean = typing.get_type_hints(type(section)), {}
-    for key, value in values.items():
-        field, parsed = key, value
-        if f"{key}_rad" in hints or (key.endswith("_rad") and isinstance(value, str)):
-            field = key if key in hints else f"{key}_rad"
-            try:
-                parsed = parse_angle(value)
-            except ValueError as error:
-                raise ConfigError(f"[{name}] {key} = {value!r}: {error}", path=path) from None
-        if field not in hints:
-            keys = ", ".join(hints) or "nothing"
-            problem = f"no key {key!r} in [{name}]"
-            raise ConfigError(problem, path=path, remedy=f"{meant(key, hints)}it takes {keys}")
-        if field in clean:
-            raise ConfigError(f"[{name}] {key} is given twice, as {field}", path=path)
-        if not fits(parsed, hints[field]):
-            raise ConfigError(f"[{name}] {key} = {value!r} is not {_said(hints[field])}", path=path)
-        clean[field] = _as(parsed, hints[field])
-    try:
-        return dataclasses.replace(section, **clean)
-    except ConfigError as error:
-        raise ConfigError(error.problem, path=path, remedy=error.remedy) from error
-
-
-def _said(hint: Any) -> str:
-    """Return a type in words."""
-    parts = [part for part in typing.get_args(hint) or (hint,) if part is not types.NoneType]
-    if len(parts) == 1 and typing.get_origin(parts[0]) is tuple:
-        return f"a list of {len(typing.get_args(parts[0]))} numbers"
-    return " or ".join(_WORDS[part] for part in parts)
-
-
-def _as(value: Any, hint: Any) -> Any:
-    if isinstance(value, list):
-        return tuple(float(part) for part in value)
-    wants_float = hint is float or float in typing.get_args(hint)
-    return float(value) if wants_float and isinstance(value, int) else value

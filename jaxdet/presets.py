@@ -12,6 +12,7 @@ from jaxdet.config import (
     ObstacleConfig,
     SurfaceConfig,
 )
+from jaxdet.config_changes import with_changes
 from jaxdet.errors import ConfigError, meant
 
 DEFAULT_PRESET = "wheeled"
@@ -69,11 +70,20 @@ open was chosen by ``python -m benchmarks.paper.choose``); others: the default w
 of a camera, by its data sheet."""
 
 
-def preset(name: str) -> Config:
-    """Return the configuration of a preset.
+def preset(name: str, **changes: Any) -> Config:
+    """Return the configuration of a preset, with changes.
+
+    Args:
+        name: Name of the preset.
+        **changes: A section with its changes, ``ground={"max_depth_m": 3.0}``, or a parameter
+            alone, ``max_depth_m=3.0``: the one in ``ground`` where several sections have it.
 
     Raises:
-        ConfigError: There is no such preset.
+        ConfigError: There is no such preset or parameter, or a value doesn't fit.
+
+    Example:
+        >>> preset("d435", max_depth_m=3.0).ground.max_depth_m
+        3.0
     """
     if not isinstance(name, str):
         problem = f"expected the name of a preset, got {type(name).__name__}"
@@ -81,4 +91,4 @@ def preset(name: str) -> Config:
     if name not in PRESETS:
         remedy = f"{meant(name, PRESETS)}use one of {', '.join(PRESETS)}"
         raise ConfigError(f"no preset {name[:40]!r}", remedy=remedy)
-    return PRESETS[name]
+    return with_changes(PRESETS[name], changes) if changes else PRESETS[name]

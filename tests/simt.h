@@ -165,20 +165,25 @@ inline unsigned __ballot_sync(unsigned mask, int mine) {
     for (int i = 0; i < 32; ++i) bits |= (unsigned)all[i] << i;
     return bits;
 }
-inline bool __any_sync(unsigned mask, int mine) {
+template <class Combine> int reduced(const char* kind, int mine, Combine combine) {
+    const auto& all = Simt::one().warp(kind, as_word(mine));
+    int found = from_word<int>(all[0]);
+    for (int i = 1; i < 32; ++i) found = combine(found, from_word<int>(all[i]));
+    return found;
+}
+inline int __reduce_add_sync(unsigned mask, int mine) {
     whole(mask);
-    const auto& all = Simt::one().warp("any", mine != 0);
-    bool any = false;
-    for (int i = 0; i < 32; ++i) any |= all[i] != 0;
-    return any;
+    return reduced("add", mine, [](int a, int b) { return (int)((unsigned)a + (unsigned)b); });
+}
+inline int __reduce_min_sync(unsigned mask, int mine) {
+    whole(mask);
+    return reduced("min", mine, [](int a, int b) { return a < b ? a : b; });
 }
 inline int __reduce_max_sync(unsigned mask, int mine) {
     whole(mask);
-    const auto& all = Simt::one().warp("max", as_word(mine));
-    int most = from_word<int>(all[0]);
-    for (int i = 1; i < 32; ++i) most = std::max(most, from_word<int>(all[i]));
-    return most;
+    return reduced("max", mine, [](int a, int b) { return a < b ? b : a; });
 }
+inline void __syncwarp() { Simt::one().warp("syncwarp", 0); }
 inline void __syncthreads() { Simt::one().meet(Simt::one().block, "sync", 0); }
 inline int __syncthreads_or(int mine) {
     const auto& all = Simt::one().meet(Simt::one().block, "or", mine != 0);
@@ -190,15 +195,8 @@ inline int __syncthreads_or(int mine) {
 inline unsigned __activemask() { return 1u << threadIdx.x % 32; }
 inline unsigned __match_any_sync(unsigned mask, unsigned long long) { return mask; }
 inline int __ffs(unsigned v) { return __builtin_ffs((int)v); }
+inline int __clz(int v) { return v ? __builtin_clz(v) : 32; }
 inline int __popc(unsigned v) { return __builtin_popcount(v); }
-inline unsigned long long __brevll(unsigned long long v) {
-    unsigned long long r = 0;
-    for (int i = 0; i < 64; ++i) r |= (v >> i & 1) << (63 - i);
-    return r;
-}
-inline int __float_as_int(float v) { return from_word<int>(as_word(v)); }
-inline float __int_as_float(int v) { return from_word<float>(as_word(v)); }
-inline double __longlong_as_double(long long v) { return from_word<double>(as_word(v)); }
 inline float __fsqrt_rn(float v) { return __builtin_sqrtf(v); }
 inline double __dsqrt_rn(double v) { return __builtin_sqrt(v); }
 template <class T> T atomicAdd(T* place, T value) {
@@ -234,21 +232,3 @@ template <class T> T atomicCAS(T* place, T expected, T value) {
 template <class T> T __ldg(const T* place) { return *place; }
 inline int min(int a, int b) { return a < b ? a : b; }
 inline int max(int a, int b) { return a > b ? a : b; }
-inline unsigned __vmaxu2(unsigned a, unsigned b) {
-    return std::max(a & 0xffff, b & 0xffff) | std::max(a >> 16, b >> 16) << 16;
-}
-inline unsigned __byte_perm(unsigned a, unsigned b, unsigned select) {
-    const unsigned long long all = (unsigned long long)b << 32 | a;
-    unsigned out = 0;
-    for (int i = 0; i < 4; ++i) out |= (unsigned)(all >> 8 * (select >> 4 * i & 7) & 255) << 8 * i;
-    return out;
-}
-inline unsigned __funnelshift_r(unsigned low, unsigned high, unsigned by) {
-    return (unsigned)(((unsigned long long)high << 32 | low) >> (by & 31));
-}
-inline unsigned __dp2a_lo(unsigned a, unsigned b, unsigned c) {
-    return c + (a & 0xffff) * (b & 255) + (a >> 16) * (b >> 8 & 255);
-}
-inline unsigned __dp2a_hi(unsigned a, unsigned b, unsigned c) {
-    return c + (a & 0xffff) * (b >> 16 & 255) + (a >> 16) * (b >> 24 & 255);
-}

@@ -10,22 +10,6 @@
 
 #if defined(SIMT)
 #include "simt.h"
-
-template <class Combine> int reduced(const char* kind, int mine, Combine combine) {
-    const auto& all = Simt::one().warp(kind, as_word(mine));
-    int found = from_word<int>(all[0]);
-    for (int i = 1; i < 32; ++i) found = combine(found, from_word<int>(all[i]));
-    return found;
-}
-inline int __reduce_add_sync(unsigned mask, int mine) {
-    whole(mask);
-    return reduced("add", mine, [](int a, int b) { return (int)((unsigned)a + (unsigned)b); });
-}
-inline int __reduce_min_sync(unsigned mask, int mine) {
-    whole(mask);
-    return reduced("min", mine, [](int a, int b) { return a < b ? a : b; });
-}
-inline int __clz(int v) { return v ? __builtin_clz(v) : 32; }
 #endif
 
 #include "jaxdet/program.h"

@@ -12,7 +12,7 @@ from jaxdet import reference
 from jaxdet.camera import cell_side
 from jaxdet.config import SurfaceConfig
 from jaxdet.reference._cells import nearest_depths
-from jaxdet.stages import _cells
+from jaxdet.stages._tables import cell_tables
 from jaxdet.types import Calibration, Cells, Intrinsics
 from tests.scenes import (
     D435_DEPTH,
@@ -31,7 +31,7 @@ THREE = SurfaceConfig(cell_rad=0.0078)
 
 def program(depth: np.ndarray, calibration: Calibration, config: SurfaceConfig) -> Cells:
     side = cell_side(calibration.depth, config.cell_rad)
-    found, nearest = cells(depth, _cells.tables(calibration, config), side)
+    found, nearest = cells(depth, cell_tables(calibration, config), side)
     np.testing.assert_array_equal(nearest, nearest_depths(depth, side))
     return found
 

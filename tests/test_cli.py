@@ -70,7 +70,7 @@ def wide(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_help_is_short_and_help_all_has_the_rest(capsys: Captured) -> None:
-    for command, most in (("run", 49), ("info", 30), ("sim", 30)):
+    for command, most in (("run", 64), ("info", 34), ("sim", 34)):
         main([command, "--help"])
         brief = capsys.readouterr().out
         assert len(brief.splitlines()) <= most
@@ -293,7 +293,8 @@ def test_version(capsys: Captured) -> None:
         (["run", "a", "--output", "x", *PITCH, "1.2.3deg"], 2, "'1.2.3deg': give an angle with"),
         (["run", "a", "--output", "x", *PITCH[2:], "0.1rad"], 2, "camera-height-m must be given"),
         (["run", "a", "--output", "x", *PITCH[:2]], 2, "camera-pitch must be given with camera-h"),
-        (["run", "--output", "x"], 2, "no log given"),
+        (["run", "--output", "x"], 2, "missing: LOG...; see jaxdet run --help"),
+        (["run"], 2, "missing: LOG..., --output DIR; see jaxdet run --help"),
         (["run", "missing.mcap", "--output", "x"], 1, "missing.mcap: no such file"),
         (["run", "a", "--output", "x", "--preset", "boat"], 2, "no preset 'boat'"),
         (["run", "a", "--output", "x", "--cluster.depth-gap-m", "-1"], 2, "from 0 to 5 m"),

@@ -1,5 +1,7 @@
 """scripts/examples run on recorded frames, with the little of rclpy that they use."""
 
+import ast
+import json
 import os
 import runpy
 import shutil
@@ -9,6 +11,7 @@ from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -34,6 +37,26 @@ def test_a_live_camera(aligned_log, capsys):
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 3
     assert all("nearest 1." in line and line.endswith("STOP") for line in lines)
+
+
+def test_the_notebook(tmp_path, monkeypatch):
+    """Each cell runs, and what notebooks show of its last expression is there."""
+    pytest.importorskip("pandas")
+    monkeypatch.chdir(tmp_path)
+    notebook = json.loads((EXAMPLES / "first_look.ipynb").read_text("utf-8"))
+    cells = ["".join(c["source"]) for c in notebook["cells"] if c["cell_type"] == "code"]
+    names: dict[str, Any] = {}
+    shown = []
+    for cell in cells:
+        *before, last = ast.parse(cell).body
+        exec(compile(ast.Module(before, []), "notebook", "exec"), names)
+        if isinstance(last, ast.Expr):
+            shown.append(eval(compile(ast.Expression(last.value), "notebook", "eval"), names))
+    log, count, frame, table = shown[-4:]
+    assert "<td>320x240</td>" in log._repr_html_() and count == 4
+    assert cv2.imdecode(np.frombuffer(frame._repr_png_(), np.uint8), cv2.IMREAD_COLOR).shape[2] == 3
+    assert table.distance_m.tolist() == [obstacle.distance_m for obstacle in frame]
+    log.close()
 
 
 class FakeNode:

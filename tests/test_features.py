@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from jaxdet import reference, stages
 from jaxdet.config import FeaturesConfig
 from jaxdet.reference._canny import canny, grey
-from jaxdet.reference._corners import min_eigenvalue, strongest_corners
+from jaxdet.reference._corners import corner_strength, strongest_corners
 from jaxdet.reference._features import lateral
 from jaxdet.stages._features import lateral as lateral_twin
 from jaxdet.stages._features import on_device
@@ -54,52 +54,46 @@ def test_canny_equals_opencv(bounds):
         assert np.array_equal(canny(image, *bounds), cv2.Canny(image, *bounds))
 
 
-def test_min_eigenvalue_equals_opencv():
+def test_strengths_are_those_of_opencv_but_for_rounding():
     for image in grey_images():
-        for source in (image, canny(image, 100, 200)):
-            assert np.array_equal(min_eigenvalue(source), cv2.cornerMinEigenVal(source, 3, ksize=3))
+        edges = canny(image, 100, 200)
+        opencv = cv2.cornerMinEigenVal(edges, 3, ksize=3)
+        np.testing.assert_allclose(corner_strength(edges), opencv, rtol=0, atol=2.0**-24)
 
 
 SELECTIONS = [(1024, 0.01, 5.0), (0, 0.05, 0.0), (300, 0.001, 10.5), (77, 0.01, 1.0)]
 
 
-@pytest.mark.parametrize(("max_corners", "quality", "distance"), SELECTIONS)
+@pytest.mark.parametrize("selection", SELECTIONS)
 @pytest.mark.parametrize("masked", [False, True])
-def test_corners_equal_opencv_in_order(max_corners, quality, distance, masked):
+def test_corners_of_rendered_edges_equal_opencv_in_order(selection, masked):
     rng = np.random.default_rng(5)
-    for image in grey_images():
-        for source in (image, canny(image, 100, 200)):
-            mask = rng.random(image.shape) < 0.7 if masked else None
-            got = strongest_corners(min_eigenvalue(source), mask, max_corners, quality, distance)
-            u8 = None if mask is None else mask.astype(np.uint8)
-            assert_corners(
-                got, cv2.goodFeaturesToTrack(source, max_corners, quality, distance, mask=u8)
-            )
+    for image in grey_images()[:4]:
+        edges = canny(image, 100, 200)
+        mask = rng.random(image.shape) < 0.7 if masked else None
+        got = strongest_corners(corner_strength(edges), mask, *selection)
+        assert np.array_equal(got, opencv_corners(edges, selection, mask))
 
 
-def assert_corners(got: np.ndarray, opencv: np.ndarray | None) -> None:
-    want = np.zeros((0, 2)) if opencv is None else opencv[:, 0]
-    assert np.array_equal(got, want)
+def opencv_corners(
+    edges: np.ndarray, selection: tuple[int, float, float], mask: np.ndarray | None = None
+) -> np.ndarray:
+    """Columns and rows ``(n, 2)`` of ``cv2.goodFeaturesToTrack``."""
+    u8 = None if mask is None else mask.astype(np.uint8)
+    corners = cv2.goodFeaturesToTrack(edges, *selection, mask=u8)
+    return np.zeros((0, 2), int) if corners is None else corners[:, 0].astype(int)
 
 
-def test_recordings_equal_opencv(shared_data):
+@pytest.mark.parametrize("bounds", [(50, 100), (100, 200)])
+def test_corners_of_recordings_equal_opencv_but_for_the_order_of_equals(shared_data, bounds):
     for image in recorded_colors(shared_data):
-        edges = canny(grey(image), 100, 200)
-        want = cv2.Canny(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), 100, 200)
-        assert np.array_equal(edges, want)
-        strength = min_eigenvalue(edges)
-        assert np.array_equal(strength, cv2.cornerMinEigenVal(want, 3))
-        got = strongest_corners(strength, None, 1024, 0.01, 5)
-        assert_corners(got, cv2.goodFeaturesToTrack(want, 1024, 0.01, 5))
-
-
-def test_opencv_depends_on_the_width_and_we_do_not():
-    """Where the width isn't a multiple of 32, OpenCV's last columns are not fused."""
-    image = grey_images()[4][:, :150]
-    ours, theirs = min_eigenvalue(image), cv2.cornerMinEigenVal(image, 3, ksize=3)
-    body = 150 - 150 % 32 - 2
-    assert np.array_equal(ours[:, :body], theirs[:, :body])
-    assert np.allclose(ours, theirs, rtol=1e-4, atol=1e-7)
+        edges = canny(grey(image), *bounds)
+        opencv_edges = cv2.Canny(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), *bounds)
+        assert np.array_equal(edges, opencv_edges)
+        for selection in (*SELECTIONS, (1024, 0.01, 10.5)):
+            got = strongest_corners(corner_strength(edges), None, *selection)
+            want = opencv_corners(edges, selection)
+            assert set(map(tuple, got.tolist())) == set(map(tuple, want.tolist()))
 
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from([2, 3, 9, 256]), st.integers(3, 40))

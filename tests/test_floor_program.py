@@ -16,7 +16,7 @@ from jaxdet.reference import cells
 from jaxdet.reference._floor import find_floor
 from jaxdet.sim import sample_frames
 from jaxdet.sim.config import calibration_of
-from jaxdet.stages._floor import tables
+from jaxdet.stages._tables import floor_tables as tables
 from jaxdet.types import GroundPlane
 from tests.floor_cells import (
     BOXES,

@@ -13,8 +13,8 @@ from jaxdet.floor.plane import flat_plane, unknown_plane
 from jaxdet.reference._detect import _free
 from jaxdet.reference._features import lateral
 from jaxdet.reference._view import View
-from jaxdet.stages import _cells
 from jaxdet.stages._free import tables
+from jaxdet.stages._tables import cell_tables
 from jaxdet.types import FreeEnd
 from tests.scenes import small
 from tests.steps import free_floor
@@ -56,7 +56,7 @@ def assert_twins(
 ) -> set[int]:
     """Holds the kernel to the reference, for cameras of any roll; the ends that there are."""
     pixels, ends = pixels_of(batch, pixel_share), set[int]()
-    cells = _cells.tables(batch.calibration, config.surface)
+    cells = cell_tables(batch.calibration, config.surface)
     shared = tables(batch.calibration, config) | {"rays": cells["rays"]}
     for roll_deg in (0.0, 100.0, 180.0, -44.0, -46.0, 136.0):
         plane = flat_plane(np.array([0.5]), np.array([0.2]), np.radians([roll_deg]))

@@ -22,7 +22,7 @@ from jaxdet.reference._surfaces import renumbered
 from jaxdet.reference._view import View
 from jaxdet.sim import sample_frames
 from jaxdet.sim.config import calibration_of
-from jaxdet.stages import _obstacles
+from jaxdet.stages._tables import obstacle_tables
 from jaxdet.types import Frames, GroundPlane
 from tests.scenes import frames
 from tests.steps import obstacles
@@ -46,7 +46,7 @@ def assert_twin(
 ) -> list[int]:
     """The program and the reference find the same; the numbers of obstacles."""
     table = affinity(config.affinity, unit)
-    shared = _obstacles.tables(farthest, unit, config, table)
+    shared = obstacle_tables(farthest, unit, config, table)
     parts = zip(*(one.view for one in given), strict=True)
     arrays = [np.stack(part) for part in parts]
     view = tuple(a if a.dtype == bool else a.astype(np.int32) for a in arrays)
@@ -156,13 +156,13 @@ def test_a_table_that_could_overflow() -> None:
     table = affinity("surfaces", UNIT)
     large = table._replace(value=table.value * 1000)
     with pytest.raises(ValueError, match="32767"):
-        _obstacles.tables(4000, UNIT, CONFIG, large)
+        obstacle_tables(4000, UNIT, CONFIG, large)
 
 
 def test_too_large_a_grid() -> None:
     none = np.zeros((1, 2, 513), np.int32)
     view = 6 * [none]
-    shared = _obstacles.tables(4000, UNIT, CONFIG, affinity("surfaces", UNIT))
+    shared = obstacle_tables(4000, UNIT, CONFIG, affinity("surfaces", UNIT))
     with pytest.raises(ValueError, match="513 x 2 cells"):
         obstacles(none, none > 0, view, shared)
 

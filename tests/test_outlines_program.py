@@ -10,7 +10,7 @@ from jaxdet.config import Config
 from jaxdet.floor.plane import unknown_plane
 from jaxdet.reference._detect import _outlines
 from jaxdet.results.metric import extents
-from jaxdet.stages._outlines import tables
+from jaxdet.stages._tables import outline_tables as tables
 from jaxdet.types import MAX_OBSTACLES
 from tests.scenes import assert_equal, small
 from tests.steps import outlines

@@ -15,7 +15,7 @@ from jaxdet.reference._detect import _surfaces
 from jaxdet.reference._floor import find_floor
 from jaxdet.sim import sample_frames
 from jaxdet.sim.config import calibration_of
-from jaxdet.stages._surfaces import tables
+from jaxdet.stages._tables import surface_tables as tables
 from jaxdet.types import MAX_SURFACES, Calibration, Cells, GroundPlane, Intrinsics
 from tests.steps import Surfaces, surfaces
 

@@ -10,7 +10,6 @@ from benchmarks.paper.section import Section, percent
 from benchmarks.paper.shots import Shot
 from jaxdet.presets import preset
 from jaxdet.reference._canny import canny, grey
-from jaxdet.reference._corners import min_eigenvalue, strongest_corners
 from jaxdet.render import canvas
 
 CONTOUR_PX = 3
@@ -52,7 +51,7 @@ def _corners(shot: Shot, on_edges: bool) -> np.ndarray:
     if on_edges:
         image = canny(image, config.canny_low, config.canny_high)
     selection = config.max_corners, config.quality_level, config.min_distance
-    return strongest_corners(min_eigenvalue(image), None, *selection)
+    return cv2.goodFeaturesToTrack(image, *selection)[:, 0].astype(np.int32)
 
 
 def _counts(shot: Shot, corners: np.ndarray) -> tuple[int, int, int, int]:

@@ -30,8 +30,9 @@ def parse_flags(
     description: str,
     common: Sequence[str] | None = None,
     defaults: Mapping[str, Any] | None = None,
+    groups: Mapping[str, Sequence[str]] | None = None,
 ) -> Command:
-    """The dataclass that the flags say, see :mod:`jaxdet.cli.fields`.
+    """Return the dataclass of the flags, see :mod:`jaxdet.cli.fields`.
 
     A flag may be given as ``--flag value`` or ``--flag=value``, with ``_`` for ``-``, some as a
     letter (``-o value``); the last one counts. Angles take a number with its unit, ``10deg`` or
@@ -46,6 +47,7 @@ def parse_flags(
         common: What ``--help`` shows of its sections (:func:`jaxdet.cli.usage.usage`), where
             ``--help-all`` shows all; None: both show all.
         defaults: Values of fields, in place of their own defaults.
+        groups: Headings of ``--help``, likewise.
 
     Raises:
         ConfigError: A flag is unknown or missing, or a value is none or out of its range.
@@ -56,12 +58,13 @@ def parse_flags(
     words = args[: args.index("--")] if "--" in args else args
     asked = [word for word in words if word in ("-h", "--help", "--help-all")]
     if asked:
-        print(usage(options, prog, description, common, whole="--help-all" in asked), end="")
+        everything = "--help-all" in asked
+        print(usage(options, prog, description, common, groups, whole=everything), end="")
         raise SystemExit(0)
     see = f"see {prog} --help"
     given = _Parser(options, see).read(args)
     missing = [option for option in options if option.default is MISSING]
-    missing = [option for option in missing if given.get(".".join(option.path)) is None]
+    missing = [option for option in missing if given.get(".".join(option.path)) in (None, [], ())]
     if missing:
         lacks = ", ".join(f"{option.flag} {takes(option)}".strip() for option in missing)
         raise ConfigError(f"missing: {lacks}", remedy=see)

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from jaxdet.cli.settings import given
 from jaxdet.cli.spinner import SPINNER
 from jaxdet.cli.tell import on_terminal, tell
 from jaxdet.engine.options import RunOptions
@@ -65,7 +64,7 @@ def run_on_machines(
     how["spool_size"] = fleet.spool_size and parse_size(fleet.spool_size, "--spool-size")
     with _reporting(quiet or as_json) as report:
         outcomes = run_fleet(
-            given(logs),
+            logs,
             options.output,
             {key: value for key, value in how.items() if value is not None},
             on=fleet.on,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from jaxdet.cli.flags import parse_flags
 from jaxdet.cli.report import ground_text, many
-from jaxdet.cli.settings import defaults, given
+from jaxdet.cli.settings import defaults
 from jaxdet.cli.spinner import SPINNER
 from jaxdet.cli.tell import tell
 from jaxdet.config import Config, GroundConfig
@@ -75,9 +75,7 @@ def main(args: list[str]) -> int:
     failed, found = 0, []
     options = replace(command.log, scan=command.log.scan or command.check)
     method = replace(config, ground=command.ground)
-    todo = [
-        (files, options) for files in reversed(find_logs(given(command.logs), join=command.join))
-    ]
+    todo = [(files, options) for files in reversed(find_logs(command.logs, join=command.join))]
     while todo:
         files, options = todo.pop()
         try:

@@ -20,6 +20,7 @@ COMMANDS = {
     "export": "write results for other programs, or as a page: foxglove, ros2, html ...",
     "verify": "check results: every file, frame and table, and a sample against the reference",
     "info": "say what is in a log, and what would be used of it and why",
+    "config": "write all parameters with their meaning, as a file for run --config",
     "sim": "simulate a log with known obstacles",
     "help": "show a page: logs, calibration, tuning, recipes, ...; without a name their list",
     "doctor": "check this installation: versions, devices, and a small comparison",
@@ -45,8 +46,9 @@ options:
   -h, --help   this text
   --version    the version
 
-tab completion, for bash and for zsh after bashcompinit:
+tab completion, for bash and for zsh after bashcompinit, and for fish:
   complete -o default -C 'jaxdet complete' jaxdet
+  complete -c jaxdet -a '(env COMP_LINE=(commandline -cp) jaxdet complete)'
 
 exit codes: 0 all fine, 1 some inputs failed, 2 bad usage, 130 interrupted (143 by SIGTERM)
 """

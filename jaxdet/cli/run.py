@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from jaxdet.cli.flags import parse_flags
 from jaxdet.cli.fleet import FleetOptions, run_on_machines
 from jaxdet.cli.report import summary_lines
-from jaxdet.cli.settings import defaults, given
+from jaxdet.cli.settings import defaults
 from jaxdet.cli.spinner import SPINNER
 from jaxdet.cli.tell import tell
 from jaxdet.config import Config
@@ -49,7 +49,45 @@ COMMON = (
     "log.color",
     "log.depth",
 )
-"""What ``--help`` shows of the settings."""
+"""Settings that ``--help`` shows."""
+GROUPS = {
+    "input": (
+        "--camera",
+        "--start",
+        "--stop",
+        "--every",
+        "--log.color",
+        "--log.depth",
+        "--join",
+    ),
+    "floor": (
+        "--ground.camera-height-m",
+        "--ground.camera-pitch",
+        "--ground.camera-roll",
+    ),
+    "what counts": (
+        "--preset",
+        "--config",
+        "--ground.max-depth-m",
+        "--ground.step-height-m",
+        "--ground.max-height-m",
+        "--obstacle.min-size-m",
+    ),
+    "output": (
+        "--output",
+        "--pictures",
+        "--map",
+        "--tracks",
+        "--truth",
+        "--overwrite",
+        "--update",
+        "--verbose",
+        "--quiet",
+        "--json",
+    ),
+    "machine": ("--backend", "--batch-size", "--workers", "--memory", "--on", "--share"),
+}
+"""Flags by the headings of ``--help``."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +124,7 @@ def parse(args: list[str]) -> RunCommand:
     """The command with preset, TOML file and flags resolved, in that order."""
     config, log, name = defaults(args)
     start = {"preset": name, "method": config, "log": log}
-    return parse_flags(RunCommand, args, "jaxdet run", DESCRIPTION, COMMON, start)
+    return parse_flags(RunCommand, args, "jaxdet run", DESCRIPTION, COMMON, start, GROUPS)
 
 
 def main(args: list[str]) -> int:
@@ -112,7 +150,7 @@ def _run(command: RunCommand) -> int:
     from jaxdet.io import find_logs
     from jaxdet.results.summary import to_json
 
-    logs = find_logs(given(command.logs), join=command.join)
+    logs = find_logs(command.logs, join=command.join)
     observers = {}
     if command.truth:
         from jaxdet.cli.truth import TruthScore  # which loads the simulator

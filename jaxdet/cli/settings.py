@@ -27,14 +27,3 @@ def defaults(args: Sequence[str]) -> Settings:
     if found.config == "":
         raise ConfigError("--config: '' is no file", remedy="see --help")
     return read_settings(Path(found.config) if found.config else None, found.preset)
-
-
-def given(logs: Sequence[str]) -> Sequence[str]:
-    """The logs named on the command line.
-
-    Raises:
-        ConfigError: There are none.
-    """
-    if not logs:
-        raise ConfigError("no log given", remedy="name MCAP files, folders or globs, see --help")
-    return logs

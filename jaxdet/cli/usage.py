@@ -5,7 +5,7 @@ import re
 import shutil
 import textwrap
 import typing
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import MISSING
 from typing import Any
 
@@ -22,10 +22,11 @@ def usage(
     prog: str,
     description: str,
     common: Sequence[str] | None = None,
+    groups: Mapping[str, Sequence[str]] | None = None,
     *,
     whole: bool = False,
 ) -> str:
-    """The help of a command.
+    """Return the help of a command.
 
     Args:
         options: All its options.
@@ -33,6 +34,7 @@ def usage(
         description: What it does, and examples.
         common: The options of its sections that are shown, ``ground.max_depth_m``, or sections all
             of whose options are, ``run``; None: all. The command's own come first.
+        groups: Flags by the headings that short help puts them below; others come last.
         whole: Show all, with all that is said of them.
 
     Returns:
@@ -46,9 +48,9 @@ def usage(
     head = _wrapped(f"usage: {' '.join([prog, *needed, '[OPTIONS]'])}", "       ")
     lines = [head, "", _about(description), ""]
     positional = [o for o in words if not o.flag]
+    if positional:
+        lines += ["arguments:", *(_row(takes(o), o.text) for o in positional), ""]
     if whole or common is None:
-        if positional:
-            lines += ["arguments:", *(_row(takes(o), o.text) for o in positional), ""]
         lines += ["options:", *(_row(_flags(o), _said(o, whole=True)) for o in own)]
         lines.append(_row("-h, --help", "This text"))
         for name in dict.fromkeys(o.section for o in rest):
@@ -58,7 +60,11 @@ def usage(
             lines += [_row(_flags(o), _said(o, whole=True)) for o in members]
         return "\n".join(lines) + "\n"
     chosen = [o for name in common for o in rest if f"{o.section}.{o.name}" == name]
-    lines += ["options:", *(_row(_flags(o), _said(o), 2) for o in [*own, *chosen])]
+    left = {o.flag: o for o in [*own, *chosen]}
+    for heading, flags in (groups or {}).items():
+        lines.append(f"{heading}:")
+        lines += [*(_row(_flags(o), _said(o), 2) for o in map(left.pop, flags)), ""]
+    lines += ["options:", *(_row(_flags(o), _said(o), 2) for o in left.values())]
     hidden = ", ".join(sorted({o.section for o in rest}))
     if len(rest) > len(chosen):
         text = f"Its other {len(rest) - len(chosen)} settings, of {hidden}"

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from os import PathLike
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -13,7 +12,7 @@ from numpy.typing import ArrayLike
 from jaxdet.arguments import numbers, of_type, whole_number
 from jaxdet.checks import MAX_FRAMES
 from jaxdet.config import Config
-from jaxdet.config_file import find_config
+from jaxdet.config_file import ConfigSource, find_config
 from jaxdet.detector.arguments import (
     Cameras,
     ColorOrder,
@@ -64,8 +63,8 @@ class Detector:
         mount: Camera mounting, the prior of the floor; the depth of each frame corrects it by at
             most ``floor.max_turn_deg`` and ``floor.max_shift_m``. None: the prior of the
             configuration, if any.
-        config: Name of a preset, a TOML file, a ``config.json`` of results, or a
-            :class:`jaxdet.Config`.
+        config: Name of a preset, a TOML file, a ``config.json`` of results, a dictionary of
+            sections or a :class:`jaxdet.Config`.
         backend: ``jax`` (compiled) or ``reference`` (plain NumPy), with equal results.
 
     Raises:
@@ -91,12 +90,12 @@ class Detector:
         depth_unit_m: float = 0.001,
         color_order: ColorOrder = "rgb",
         mount: Mount | None = None,
-        config: Config | str | PathLike[str] = "wheeled",
+        config: ConfigSource = "wheeled",
         backend: BackendName = "jax",
     ) -> None:
         one_of("color_order", color_order, ColorOrder)
         one_of("backend", backend, BackendName)
-        self.config = config if isinstance(config, Config) else find_config(config)
+        self.config = find_config(config)
         self._cameras = Cameras(K, color_K, T_color_depth, depth_unit_m)
         self._order: ColorOrder = color_order
         self._backend: BackendName = backend
@@ -115,7 +114,7 @@ class Detector:
         cls,
         log: Log,
         *,
-        config: Config | str | PathLike[str] = "wheeled",
+        config: ConfigSource = "wheeled",
         backend: BackendName = "jax",
     ) -> Self:
         """Build a detector for the frames of an open log, with its calibration and floor prior.

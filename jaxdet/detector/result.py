@@ -13,12 +13,15 @@ from jaxdet.config import Config
 from jaxdet.detector.arguments import ColorOrder, color_images, named, one_frame
 from jaxdet.errors import ConfigError, FrameStatus
 from jaxdet.floor.mount import Mount
+from jaxdet.notebook import table
 from jaxdet.results.masks import label_image, obstacle_points
 from jaxdet.results.metric import rectangles
 from jaxdet.results.rows import Rows
 from jaxdet.types import Detections, Frames
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from jaxdet.io import Batch
     from jaxdet.results.lists import Lists
 
@@ -88,6 +91,10 @@ class Obstacle:
         return self.frame.labels == self.label
 
 
+_NUMBERS = "distance_m", "bottom_m", "top_m", "num_points"
+_SIDES = "u_min", "v_min", "u_max", "v_max"
+
+
 class FrameResult(Sequence[Obstacle]):
     """Result of a frame: a sequence of its obstacles, in the order of their labels.
 
@@ -111,6 +118,30 @@ class FrameResult(Sequence[Obstacle]):
     def __repr__(self) -> str:
         near = "" if self.nearest_m is None else f", the nearest at {self.nearest_m:.2f} m"
         return f"<FrameResult {self.number}: {self.status}, {len(self)} obstacles{near}>"
+
+    def _repr_png_(self) -> bytes:
+        """Return the picture that notebooks show."""
+        import cv2
+
+        picture = cv2.cvtColor(self.draw(), cv2.COLOR_RGB2BGR)
+        return cv2.imencode(".png", picture)[1].tobytes()
+
+    def to_pandas(self) -> "pd.DataFrame":
+        """Return a table of the obstacles, one row each, with pandas.
+
+        Columns are ``obstacle``, ``distance_m``, ``bottom_m``, ``top_m``, ``num_points``, the box
+        ``u_min`` ... ``v_max`` and the centroid ``x y z`` in the camera's optical frame [m].
+        """
+        import pandas as pd
+
+        boxes = [one.box or (None,) * 4 for one in self]
+        columns = {name: [getattr(one, name) for one in self] for name in _NUMBERS}
+        sides = dict(zip(_SIDES, zip(*boxes, strict=True) if boxes else [()] * 4, strict=True))
+        middles = np.array([one.centroid for one in self], np.float32).reshape(-1, 3)
+        places = dict(zip("xyz", middles.T, strict=True))
+        labels = {"obstacle": [one.label for one in self]}
+        found = pd.DataFrame({**labels, **columns, **sides, **places})
+        return found.astype(dict.fromkeys(_SIDES, "Int32"))
 
     @property
     def number(self) -> int:
@@ -276,6 +307,26 @@ class BatchResult(Sequence[FrameResult]):
 
     def __repr__(self) -> str:
         return f"<BatchResult: {len(self)} frames, {sum(self.counts)} obstacles>"
+
+    def _repr_html_(self) -> str:
+        """Return the table of frames that notebooks show."""
+        columns = {
+            "frame": [one.number for one in self],
+            "status": [one.status for one in self],
+            "obstacles": self.counts,
+            "nearest [m]": [one.nearest_m for one in self],
+            "floor from": [one.floor_source for one in self],
+        }
+        return table(repr(self).strip("<>"), columns)
+
+    def to_pandas(self) -> "pd.DataFrame":
+        """Return a table of all obstacles with pandas: that of each frame, after its ``frame``."""
+        import pandas as pd
+
+        each = [one.to_pandas() for one in self]
+        found = pd.concat(each, ignore_index=True)
+        found.insert(0, "frame", np.repeat([one.number for one in self], self.counts))
+        return found
 
     @overload
     def __getitem__(self, index: int) -> FrameResult: ...

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxdet.config import Config
-from jaxdet.config_file import changed
+from jaxdet.config_changes import changed
 from jaxdet.engine.runner import Runner
 from jaxdet.errors import InputError
 from jaxdet.io import LogOptions, find_logs

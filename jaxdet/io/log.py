@@ -44,6 +44,7 @@ from jaxdet.io.repeats import drop_repeated
 from jaxdet.io.store import ChunkStore
 from jaxdet.io.timeline import ScannedFrames, Window
 from jaxdet.io.windows import IndexedFrames
+from jaxdet.notebook import table
 from jaxdet.types import Frames
 
 _LINE_BYTES = 64
@@ -179,6 +180,13 @@ class Log:
         if self.color_shape:
             sizes += ", colour {1}x{0}".format(*self.color_shape)
         return f"<Log {self.label}: {len(self)} frames, {sizes}>"
+
+    def _repr_html_(self) -> str:
+        """Return the table that notebooks show."""
+        facts = {"frames": len(self), "depth": "{1}x{0}".format(*self.depth_shape)}
+        if self.color_shape:
+            facts["colour"] = "{1}x{0}".format(*self.color_shape)
+        return table(f"Log {self.label}", {"": [*facts], "value": [*facts.values()]})
 
     def __iter__(self) -> Iterator[LogFrame]:
         """The frames of the part that is read, with colour, one by one; some are read at a time."""

@@ -1,65 +1,51 @@
-"""Shi-Tomasi corners, written out as OpenCV computes them."""
+"""Shi-Tomasi corners of edge images, as OpenCV finds them but for the rounding of sums."""
 
 import numpy as np
 
 f32, f64 = np.float32, np.float64
 
+STEP = f32(255 * f64(f32(1 / (4 * 3 * 255))))
+"""A step from 0 to 255 with OpenCV's scale of gradients."""
 
-def min_eigenvalue(image: np.ndarray) -> np.ndarray:
-    """Smaller eigenvalue of the gradient's covariance, as ``cv2.cornerMinEigenVal(image, 3)``.
 
-    The bits are those of OpenCV's AVX2 path: the smoothing of both Sobel filters is a fused
-    multiply-add (here: in float64, rounded once), the eigenvalue itself is not fused. OpenCV
-    leaves the fusing out in the last ``W mod 32`` columns and on processors without FMA; this
-    rule does not depend on either.
+def corner_strength(edges: np.ndarray) -> np.ndarray:
+    """Return the smaller eigenvalue of the gradient's covariance in 3x3 windows.
+
+    The gradients are those of ``cv2.cornerMinEigenVal(edges, 3)``: 3x3 Sobel filters in float32,
+    borders mirrored (101). Products of gradients of an edge image are multiples of 2^-31, so their
+    sums are exact in float64, and a strength depends on its 5x5 pixels only. OpenCV's running sums
+    keep residues of gradients that cancel: their strengths may differ in the last bit, by the
+    processor and by what is above.
 
     Args:
-        image: ``(H, W)`` uint8.
+        edges: ``(H, W)`` uint8, 0 or 255.
 
     Returns:
         ``(H, W)`` float32.
+
+    Example:
+        >>> square = np.zeros((7, 7), np.uint8)
+        >>> square[:4, :4] = 255
+        >>> strength = corner_strength(square)
+        >>> np.unravel_index(strength.argmax(), strength.shape)
+        (np.int64(3), np.int64(3))
     """
-    dx, dy = _scaled_sobel(image, 1.0 / (4 * 3 * 255))
-    xx, xy, yy = (_box_sum(p) for p in (dx * dx, dx * dy, dy * dy))
+    p = np.pad(edges != 0, 1, mode="reflect").astype(np.int32)
+    across = p[:, 2:] - p[:, :-2]
+    dx = (across[:-2] + 2 * across[1:-1] + across[2:]).astype(f32) * STEP
+    smooth = (p[:, :-2] + 2 * p[:, 1:-1] + p[:, 2:]).astype(f32) * STEP
+    dy = smooth[2:] - smooth[:-2]
+    xx, xy, yy = (_window_sum(p) for p in (dx * dx, dx * dy, dy * dy))
     a, c = f32(0.5) * xx, f32(0.5) * yy
     t = a - c
     return (a + c) - np.sqrt(t * t + xy * xy)
 
 
-def _scaled_sobel(image: np.ndarray, scale: float) -> tuple[np.ndarray, np.ndarray]:
-    """3x3 Sobel derivatives times ``scale``, borders mirrored (101); ``(H, W)`` float32."""
-    k1, k0 = f64(f32(scale)), f64(f32(2 * scale))
-    p = np.pad(image.astype(f64), 1, mode="reflect")
-
-    def fused(outer: np.ndarray, k: np.float64, inner: np.ndarray) -> np.ndarray:
-        return (outer * k + inner).astype(f32)
-
-    across = p[:, 2:] - p[:, :-2]
-    above, middle, below = across[:-2], across[1:-1], across[2:]
-    dx = fused(above + below, k1, (middle * k0).astype(f32).astype(f64))
-    left, middle, right = p[:, :-2], p[:, 1:-1], p[:, 2:]
-    smooth = fused(middle, k0, (left * k1).astype(f32).astype(f64))
-    smooth = fused(right, k1, smooth.astype(f64))
-    return dx, smooth[2:] - smooth[:-2]
-
-
-def _box_sum(values: np.ndarray) -> np.ndarray:
-    """Sum over 3x3 windows, borders mirrored (101); ``(H, W)`` float32.
-
-    As OpenCV's box filter: float64, left to right along rows, and a running sum down each
-    column, to which the next row is added and from which the oldest is then taken away. The
-    running sum's rounding decides ties on edge images, so it is part of the rule.
-    """
-    height, width = values.shape
+def _window_sum(values: np.ndarray) -> np.ndarray:
+    """Sum over 3x3 windows, borders mirrored (101); ``(H, W)`` float32."""
     p = np.pad(values.astype(f64), 1, mode="reflect")
-    rows = p[:, :-2] + p[:, 1:-1] + p[:, 2:]
-    running = rows[0] + rows[1]
-    sums = np.empty((height, width), f32)
-    for v in range(height):
-        total = running + rows[v + 2]
-        sums[v] = total
-        running = total - rows[v]
-    return sums
+    rows = p[:-2] + p[1:-1] + p[2:]
+    return (rows[:, :-2] + rows[:, 1:-1] + rows[:, 2:]).astype(f32)
 
 
 def strongest_corners(
@@ -69,7 +55,7 @@ def strongest_corners(
     quality_level: float,
     min_distance: float,
 ) -> np.ndarray:
-    """The strongest local maxima with a minimum distance, as ``cv2.goodFeaturesToTrack``.
+    """Return the strongest local maxima with a minimum distance, as ``cv2.goodFeaturesToTrack``.
 
     A corner is not on the image border, is stronger than ``quality_level`` times the strongest
     allowed pixel, and is the maximum of its 3x3 window (all of a plateau are). In order of
@@ -77,7 +63,7 @@ def strongest_corners(
     taken is nearer than ``min_distance``.
 
     Args:
-        strength: ``(H, W)`` float32, from :func:`min_eigenvalue`.
+        strength: ``(H, W)`` float32, from :func:`corner_strength`.
         allowed: ``(H, W)`` bool, or None for everywhere.
         max_corners: Stop after this many; 0 = no limit.
         quality_level: Share of the strongest corner's strength.

@@ -5,7 +5,7 @@ import numpy as np
 from jaxdet.camera import RAY_BITS, fixed_rays
 from jaxdet.config import FeaturesConfig
 from jaxdet.reference._canny import canny, grey
-from jaxdet.reference._corners import min_eigenvalue, strongest_corners
+from jaxdet.reference._corners import corner_strength, strongest_corners
 from jaxdet.types import Calibration, Features, Keep
 
 
@@ -62,7 +62,7 @@ def _corners(image: np.ndarray, mask: np.ndarray | None, config: FeaturesConfig)
     """The corners of one frame, one more than there are slots; ``(n, 2)`` int32 column, row."""
     edges = canny(grey(image), config.canny_low, config.canny_high)
     return strongest_corners(
-        min_eigenvalue(edges),
+        corner_strength(edges),
         mask,
         config.max_corners + 1,
         config.quality_level,

@@ -96,6 +96,25 @@ def most_teams(frames: int, words: int, blocks: int) -> int:
     return min(frames, blocks * MULTIPROCESSORS, max(room // (4 * max(words, 1)), 1))
 
 
+def reported_words(module: Any, inputs: Sequence[Any]) -> int:
+    """Return the words of scratch memory of a thread or a team, which a module's kernels know.
+
+    Args:
+        module: Has ``WIDTH`` and the kernel ``scratch_words``.
+        inputs: Arguments of that kernel but the last; NumPy arrays are copied to the device.
+    """
+    prepare(module)
+    device = wp.device_from_jax(jax.local_devices()[0])
+    words = wp.zeros(1, dtype=INT32, device=device)
+    given = [
+        wp.array(one, dtype=INT32, device=device) if isinstance(one, np.ndarray) else one
+        for one in inputs
+    ]
+    block = module.WIDTH
+    wp.launch(module.scratch_words, 1, [*given, words], device=device, block_dim=block)
+    return int(words.numpy()[0])
+
+
 def prepare(module: Any) -> None:
     """Loads a module's kernels for the device that JAX computes on."""
     if jax.default_backend() == "cpu":

@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-import warp as wp
 
 from jaxdet.affinity import affinity
 from jaxdet.camera import cell_side
@@ -20,10 +19,17 @@ from jaxdet.floor.frame import floor_frames
 from jaxdet.floor.plane import depth_range
 from jaxdet.floor.units import Scale, prior_units
 from jaxdet.runtime.calls import by_device, jax_callable
-from jaxdet.runtime.launch import INT32, TeamKernel, most_teams, on_cores, prepare
+from jaxdet.runtime.launch import TeamKernel, most_teams, on_cores, reported_words
 from jaxdet.runtime.layout import Layout
-from jaxdet.stages import _cells, _floor, _free, _obstacles, _outlines, _surfaces
-from jaxdet.stages._tables import Tables
+from jaxdet.stages import _free
+from jaxdet.stages._tables import (
+    Tables,
+    cell_tables,
+    floor_tables,
+    obstacle_tables,
+    outline_tables,
+    surface_tables,
+)
 from jaxdet.types import MAX_CONTOUR, MAX_OBSTACLES, RAYS, Array, Calibration, GroundPlane
 from jaxdet_kernels import program as kernels
 
@@ -84,17 +90,17 @@ def record_layout() -> Layout:
 def host_tables(calibration: Calibration, config: Config) -> tuple[Sizes, Tables]:
     """The sizes and tables of all steps, on the host."""
     unit, camera = calibration.depth_unit, calibration.depth
-    cells = _cells.tables(calibration, config.surface)
+    cells = cell_tables(calibration, config.surface)
     rows, columns = cells["rays"].shape[1:]
     bounds = depth_range(config.ground.min_depth_m, config.ground.max_depth_m, unit)
     table = affinity(config.obstacle.affinity, unit)
     side = cell_side(camera, config.surface.cell_rad)
     return Sizes(camera.height, camera.width, side, rows, columns), {
         **cells,
-        **_floor.tables(rows * columns, config.floor, unit),
-        **_surfaces.tables(calibration, config),
-        **_obstacles.tables(bounds[1], unit, config.obstacle, table),
-        **_outlines.tables(calibration, config),
+        **floor_tables(rows * columns, config.floor, unit),
+        **surface_tables(calibration, config),
+        **obstacle_tables(bounds[1], unit, config.obstacle, table),
+        **outline_tables(calibration, config),
         **_free.tables(calibration, config),
     }
 
@@ -126,19 +132,10 @@ def packed(sizes: Sizes, tables: Mapping[str, Array]) -> np.ndarray:
     found = np.concatenate([np.zeros(_HEADER, np.int32), layout.pack(1, made)[0]])
     header = Static(rows, columns, 0)
     found[: len(header) + len(more) + len(places)] = *header, *more, *places
-    found[: len(header)] = header._replace(own_words=_scratch_words(found, rows, columns))
+    found[: len(header)] = header._replace(
+        own_words=reported_words(kernels, [found, rows, columns])
+    )
     return found
-
-
-def _scratch_words(tables: np.ndarray, rows: int, columns: int) -> int:
-    """Words of scratch memory of a thread or a team, which the kernels know."""
-    prepare(kernels)
-    device = wp.device_from_jax(jax.local_devices()[0])
-    words = wp.zeros(1, dtype=INT32, device=device)
-    given = wp.array(tables, dtype=INT32, device=device)
-    inputs, width = [given, rows, columns, words], kernels.WIDTH
-    wp.launch(kernels.scratch_words, 1, inputs, device=device, block_dim=width)
-    return int(words.numpy()[0])
 
 
 class Rows(NamedTuple):

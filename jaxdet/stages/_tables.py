@@ -1,21 +1,178 @@
-"""Tables and settings of kernels: int32, nothing longer than any length."""
+"""Tables of the kernels on depth images, of a camera and a configuration, made on the host.
+
+Tables and settings are int32, nothing longer than any length; ``program.h`` has their names.
+"""
+
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxdet.types import Array
+from jaxdet.affinity import BEYOND, NO_STEP, Affinity
+from jaxdet.camera import cell_rays, cell_side, corner_rays
+from jaxdet.config import Config, FloorConfig, ObstacleConfig, SurfaceConfig
+from jaxdet.floor import units
+from jaxdet.floor.plane import (
+    band_table,
+    depth_range,
+    direction_table,
+    max_height,
+    quadratic_table,
+    step_height,
+)
+from jaxdet.floor.units import Scale, stride
+from jaxdet.stages import _align
+from jaxdet.types import Array, Calibration
+from jaxdet_kernels.align import PARAMETERS
 
 LIMIT = 1 << 30  # of a setting or of an entry of a table: no length is longer
+MOST_STEP, MOST_LIMIT = 1 << 16, 1 << 17
+"""Depths have 16 bits, bends 17: larger steps and limits mean the same."""
+FARTHEST = 1 << 28
+"""Longer than any length that is compared [depth units]; products with it fit in 64 bits."""
+MOST_EVIDENCE = (1 << 15) - 1  # of a pair; 256 by 256 of them, added up, fit in 32 bits
 
 Tables = dict[str, Array]
 """The tables and settings of a step, by the names in ``program.h``."""
 
 
 def kernel_table(values: ArrayLike) -> np.ndarray:
-    """A table or settings as kernels take them: int32, nothing above ``LIMIT``."""
+    """Return a table or settings as kernels take them."""
     return np.minimum(values, LIMIT).astype(np.int32)
 
 
 def kernel_tables(**values: ArrayLike) -> Tables:
-    """The same of several, by name."""
+    """Return several of them by name."""
     return {name: kernel_table(one) for name, one in values.items()}
+
+
+def cell_tables(calibration: Calibration, config: SurfaceConfig) -> Tables:
+    """Return the tables of the grid of cells.
+
+    Raises:
+        CalibrationError: The calibration can't be used.
+    """
+    side = cell_side(calibration.depth, config.cell_rad)
+    steps = quadratic_table(config.step_m, config.step_per_m, calibration.depth_unit)
+    return kernel_tables(near=steps, rays=cell_rays(calibration.depth, side))
+
+
+def floor_tables(cells: int, config: FloorConfig, unit: float) -> Tables:
+    """Return the tables of the search for the floor in a grid of so many cells."""
+    settings = np.hstack(list(_floor_settings(cells, config, unit).values()))
+    return kernel_tables(floor_settings=settings, sines=units.SINES.astype(np.int32))
+
+
+def _floor_settings(cells: int, config: FloorConfig, unit: float) -> dict[str, Any]:
+    """Return the settings [depth units], in the order of ``floor_planes.h``.
+
+    Args:
+        cells: Rows times columns.
+        config: What to correct and what to refuse.
+        unit: Metres in one depth unit.
+    """
+    scale = Scale(unit, config.noise_per_m)
+    rough, fine, sharp = scale.rough(units.ROUGH_DEG), scale.fine, scale.sharp
+    span, bin_bits = scale.length(units.STEEP_M), scale.bits(units.BIN_M)
+    run_bits, rise_bits = scale.bits(units.RUN_M), scale.bits(units.RISE_M)
+    return {
+        "stride": stride(cells, config),  # of the cells used, in rows and columns
+        "max_depth": round(config.max_depth_m / unit),
+        "noise": rough.noise,
+        "rough": (rough.base, rough.per_z),
+        "fine": (fine.base, fine.per_z),
+        "sharp": (sharp.base, sharp.per_z),
+        "wide_per_z": scale.rough(units.STEP_DEG / 2).per_z,
+        "lever_bits": scale.bits(units.LEVER_M),
+        "bin_bits": bin_bits,
+        "span": span,  # heights are tried so far from a guess
+        # Bins at each end that are farther than most planes are looked for.
+        "edge": (span - scale.length(units.NEAR_M)) >> bin_bits,
+        "lowest": scale.length(units.HEIGHTS_M[0]),
+        "highest": scale.length(units.HEIGHTS_M[1]),
+        "rings": tuple(scale.length(m) for m in units.RINGS_M),
+        "max_turn": round(config.max_turn_deg * units.ANGLES),
+        "max_shift": scale.length(config.max_shift_m),
+        "min_share": round(1000 * config.min_share),  # in thousandths
+        "min_share_alone": round(1000 * config.min_share_alone),
+        "table": scale.length(units.TABLE_M),
+        "step": scale.length(units.STEP_M),
+        "ramps": int(config.ramps),
+        "farthest_ramp": scale.length(units.RAMP_M),
+        "run_bits": run_bits,
+        "rise_bits": rise_bits,
+        "runs": round(units.FARTHEST_M / unit) >> run_bits,
+        # Heights of the profile above the plane, and below.
+        "half": round(units.HIGHEST_M / unit) >> rise_bits,
+        "profile_base": scale.length(units.PROFILE_M),
+        "ramp_near": round(units.RAMP_NEAR_M / unit),
+        "spread": round(units.SPREAD_M / unit),
+        "start_step": scale.length(units.FINE_START_M),
+        "drop_spacing": scale.length(units.DROP_SPACING_M),
+        "alike": scale.length(units.ALIKE_M),
+        "starts": tuple(np.rint(units.STARTS_M / unit).astype(np.int64).tolist()),
+    }
+
+
+def surface_tables(calibration: Calibration, config: Config) -> Tables:
+    """Return the tables of surfaces; what is longer than any length is cut."""
+    ground, surface, unit = config.ground, config.surface, calibration.depth_unit
+    nearest, farthest = depth_range(ground.min_depth_m, ground.max_depth_m, unit)
+    steps = quadratic_table(surface.step_m, surface.step_per_m, unit)
+    limits = quadratic_table(surface.crease_m, surface.crease_per_m, unit)
+    step = step_height(calibration, config)
+    beyond, bent = round(farthest * surface.beyond), round(surface.bent_m / unit)
+    creases = surface.crease_cells, surface.min_cells, surface.crease_margin
+    lengths = nearest, beyond, *creases, bent, step.noise
+    return kernel_tables(
+        steps=np.minimum(steps, MOST_STEP),
+        limits=np.minimum(limits, MOST_LIMIT),
+        rises=step.table,
+        surface_settings=(*lengths, max_height(ground, unit), farthest, surface.hole_cells),
+    )
+
+
+def obstacle_tables(farthest: int, unit: float, config: ObstacleConfig, table: Affinity) -> Tables:
+    """Return the tables of what joins surfaces to obstacles.
+
+    Args:
+        farthest: End of the range [depth units].
+        unit: Metres in one depth unit.
+        config: The gaps and sizes.
+        table: That of the configuration, in the same depth units.
+
+    Raises:
+        ValueError: The table's evidence could overflow when it is added up.
+    """
+    most = int(np.abs(table.value).max(axis=1).sum()) + abs(table.offset)
+    if most > MOST_EVIDENCE:
+        raise ValueError(f"evidence of up to {most}, but {MOST_EVIDENCE} is the most there may be")
+    gaps = config.lateral_gap_m, config.forward_gap_m, config.depth_gap_m, config.contact_m
+    sizes = config.bend_m, config.side_m, config.min_size_m
+    lengths = (round(m / unit) for m in (*gaps, *sizes))
+    settings = farthest, *lengths, config.min_cells, round(NO_STEP / (1000 * unit)), table.offset
+    return kernel_tables(
+        feature=table.feature,
+        threshold=np.clip(table.threshold, -BEYOND, BEYOND),
+        value=table.value,
+        obstacle_settings=np.clip(settings, -FARTHEST, FARTHEST),
+    )
+
+
+def outline_tables(calibration: Calibration, config: Config) -> Tables:
+    """Return the tables of outlines and measures."""
+    unit, footprint = calibration.depth_unit, config.footprint
+    vertex, long = (round(m / unit) for m in (footprint.vertex_threshold_m, footprint.long_m))
+    image, camera = calibration.image, calibration.depth
+    found = kernel_tables(
+        bands=band_table(footprint, unit),
+        directions=direction_table(),
+        outline_settings=(footprint.trim, vertex, long),
+        last=(image.width - 1, image.height - 1),
+    )
+    if calibration.is_aligned:
+        return found | {"parameters": np.zeros(PARAMETERS + 2, np.float32)}
+    side = cell_side(camera, config.surface.cell_rad)
+    corners = tuple(slice(0, n // side * side + 1, side) for n in (camera.height, camera.width))
+    x, y = (rays[corners] for rays in corner_rays(camera))
+    return found | {"corner_x": x, "corner_y": y, "parameters": _align.parameters(calibration)}

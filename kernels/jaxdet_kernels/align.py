@@ -4,7 +4,7 @@ import warp as wp
 
 from jaxdet_kernels.build import options
 
-wp.set_module_options(options("alignment.h", "frames.h"))
+wp.set_module_options(options("alignment.h"))
 
 PARAMETERS = 26
 """Length of the parameters, see ``projection.h``; then come the colour camera's lens and whether a
@@ -93,7 +93,7 @@ def _align_tiles(
 ): ...
 
 
-@wp.kernel(launch_bounds=(TILE_BLOCK, 1))
+@wp.kernel(launch_bounds=(TILE_BLOCK, 4))
 def align_tiles(
     depth: Depth,
     corner_x: Rays,

@@ -25,4 +25,9 @@ struct Arena {
     unsigned long long* longs(int count) { return (unsigned long long*)words(2 * count); }
 };
 
+// Takes arrays of so many words each from an arena.
+template <class... Arrays> void take(Arena& arena, int words, Arrays*&... all) {
+    ((all = (Arrays*)arena.words(words)), ...);
+}
+
 } }  // namespace jaxdet

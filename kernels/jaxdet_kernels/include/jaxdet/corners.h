@@ -1,46 +1,96 @@
-// The strongest corners of a frame on the CPU, by a thread: from its colours on. On CUDA the steps are
-// kernels of their own.
+// The strongest corners of a frame, from its colours on.
 #pragma once
+#include "arena.h"
 #include "canny.h"
 #include "corner_maxima.h"
 #include "corner_selection.h"
-#include "corner_settings.h"
 #include "hysteresis.h"
 
 namespace jaxdet { namespace {
 
-#if !defined(__CUDA_ARCH__)
-struct Corners {
-    typedef unsigned long long Key;
+// Settings of Canny and of the corners' selection, as jaxdet/stages/_corners.py puts them together.
+struct CornerSettings {
+    enum { LOW, HIGH, LIMIT, QUALITY, EVERYWHERE = QUALITY + 2, COUNT };
+    const int* values;  // (COUNT)
 
-    const unsigned char* color;  // (height, width, 3), RGB.
-    const unsigned* allowed;     // (height, PixelBits::words(width))
+    // Canny's thresholds, from -1 to 2047, the lower first.
+    int low() const { return values[LOW]; }
+    int high() const { return values[HIGH]; }
+
+    // The square of the least distance of two corners, rounded up; 0: none.
+    int limit() const { return values[LIMIT]; }
+
+    // Corners are stronger than this share of the strongest allowed pixel: a double in two words.
+    double quality() const {
+        union {
+            unsigned long long bits;
+            double value;
+        } both;
+        both.bits = (unsigned)values[QUALITY + 1];
+        both.bits = both.bits << 32 | (unsigned)values[QUALITY];
+        return both.value;
+    }
+
+    // Corners may be everywhere, whatever the mask is.
+    bool everywhere() const { return values[EVERYWHERE] != 0; }
+};
+
+struct Corners {
+    typedef unsigned long long Word;
+
     int height, width;
     CornerSettings given;
     int slots;
-    int *u_out, *v_out;          // (slots), zero where there is no corner.
-    // Two lists of keys, as long as the image, two images of bits for the hysteresis and two more.
-    unsigned* scratch;
 
-    // How many corners there are, at most one more than slots.
-    int run() const {
-        const size_t bits = (size_t)height * PixelBits::words(width);
-        const size_t pixels = (size_t)height * width;
-        Key *list = (Key*)scratch, *other = list + pixels;
-        const int stride = 2 * Hysteresis::stride(width);
-        const size_t spaced = Hysteresis::spaced(height, width);
-        Key* weak = Hysteresis::rows(other + pixels, height, width);
-        Key* strong = Hysteresis::rows(other + pixels + spaced, height, width);
-        unsigned *edges = (unsigned*)(other + pixels + 2 * spaced), *blocked = edges + bits;
-        CannySuppress{color, height, width, given.low(), given.high(), stride,
-                      (unsigned*)weak, (unsigned*)strong}.run();
-        Hysteresis{height, width, weak, strong, edges}.run();
-        const int count = CornerMaxima{edges, allowed, given.everywhere(), height, width,
-                                       given.quality(), list}.run();
-        return CornerSelection{height, width, CornerDisk{given.limit()}, slots, list, other, count,
-                               blocked, u_out, v_out}.run();
+    enum { BLOCKED = 480 * 640 / 32 };  // words of images of bits that fit there
+
+    // What a team shares in its nearest memory, one after the other.
+    union Shared {
+        Canny::Tile tile;
+        CornerMaxima::Shared maxima;
+        unsigned blocked[BLOCKED];
+    };
+
+    // Scratch memory of a team.
+    struct Scratch {
+        unsigned *weak, *edges, *mirrored, *blocked;
+        int *list, *halves, *strength;
+        Word *keys, *other;
+
+        Scratch(Arena& arena, int height, int width) {
+            take(arena, height * PixelBits::words(width), weak, edges, blocked, list);
+            take(arena, height * CornerMaxima::outer_words(width), mirrored);
+            take(arena, height, halves);
+            take(arena, CornerMaxima::strengths(height, width), strength);
+            take(arena, 2 * height * width, keys, other);
+        }
+    };
+
+    static int scratch_words(int height, int width) {
+        Arena arena = Arena::counting();
+        Scratch(arena, height, width);
+        return arena.used;
+    }
+
+    // Writes columns and rows, and how many corners there are, at most one more than slots.
+    void run(const Team& team, Shared& shared, const unsigned char* color, const unsigned* allowed,
+             int* own, int* u_out, int* v_out, int* count_out) const {
+        Arena arena{own};
+        const Scratch scratch(arena, height, width);
+        Canny{color, height, width, given.low(), given.high(), scratch.weak, scratch.edges}
+            .run(team, shared.tile);
+        Hysteresis{height, PixelBits::words(width) / 2, (const Word*)scratch.weak,
+                   (Word*)scratch.edges}.run(team);
+        CornerMaxima::mirror(team, scratch.edges, scratch.mirrored, height, width);
+        const int maxima = CornerMaxima{scratch.mirrored, allowed, height, width,
+                                        given.everywhere(), given.quality(), scratch.list,
+                                        scratch.strength, scratch.keys}.run(team, shared.maxima);
+        const bool fits = height * PixelBits::words(width) <= BLOCKED;
+        const int count = CornerSelection{height, width, given.limit(), slots, u_out, v_out,
+                                          fits ? shared.blocked : scratch.blocked, scratch.halves,
+                                          scratch.other}.run(team, scratch.keys, maxima);
+        if (team.rank == 0) *count_out = count;
     }
 };
-#endif
 
 } }  // namespace jaxdet

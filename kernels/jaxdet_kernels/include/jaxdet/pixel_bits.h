@@ -1,5 +1,5 @@
 // Images of bits: rows of 32-bit words, bit i of word w being column 32 w + i. Rows have an even
-// number of words, so that they can be read as 64-bit words; bits beyond the image are 0.
+// number of words, so that they can be read as 64-bit words; bits outside of the image are 0.
 #pragma once
 #include "team.h"
 
@@ -15,6 +15,22 @@ struct PixelBits {
         if (w == from >> 5) in &= 0xffffffffu << (from & 31);
         if (w == to >> 5) in &= 0xffffffffu >> (31 - (to & 31));
         return in;
+    }
+
+    // The bits of a word that are columns of an image.
+    static unsigned inside(int w, int width) {
+        const int left = width - 32 * w;
+        return left >= 32 ? 0xffffffffu : left > 0 ? (1u << left) - 1 : 0;
+    }
+
+    // A pixel as a number, in raster order.
+    static int place(int x, int y) { return y << 16 | x; }
+    static int column(int place) { return place & 0xffff; }
+    static int row(int place) { return place >> 16; }
+
+    // Sets a bit of a row that is 0 to what another is.
+    static void copy(unsigned* row, int from, int to) {
+        row[to >> 5] |= (row[from >> 5] >> (from & 31) & 1) << (to & 31);
     }
 
     // Eight bytes, each 0 or 1, as bits: the product moves all of them into the highest byte.

@@ -4,7 +4,6 @@
 #include "cells.h"
 #include "floor.h"
 #include "found_frame.h"
-#include "frames.h"
 #include "free_floor.h"
 #include "obstacles.h"
 #include "outlines.h"
@@ -27,11 +26,6 @@ struct Header {
         ((all = (Arrays*)(base + Team::input(at++))), ...);
     }
 };
-
-// Takes arrays of so many words each from a row.
-template <class... Arrays> void take(Arena& row, int words, Arrays*&... all) {
-    ((all = (Arrays*)row.words(words)), ...);
-}
 
 // A frame: its arrays by name, in the order of jaxdet/stages/_program.py. Where most begin follows from
 // the size of the grid, which is an argument of the kernels: CUDA computes it anew at each use, while

@@ -36,6 +36,7 @@ struct Team {
 
     static int input(const int* place) { return __ldg(place); }
     static bool input(const bool* place) { return __ldg((const unsigned char*)place); }
+    static unsigned char input(const unsigned char* place) { return __ldg(place); }
     static unsigned long long input(const unsigned long long* place) { return __ldg(place); }
 
     int atomic_add(int* place, int value) const { return atomicAdd(place, value); }
@@ -70,6 +71,7 @@ struct Team {
 
     static int input(const int* place) { return *place; }
     static bool input(const bool* place) { return *place; }
+    static unsigned char input(const unsigned char* place) { return *place; }
     // Also of eight bytes that were written as such.
     static unsigned long long input(const unsigned long long* place) {
         unsigned long long word;
@@ -101,5 +103,17 @@ struct Team {
     }
 #endif
 };
+
+#if !defined(__CUDA_ARCH__)
+// Does `work(b)` for frames that no other thread has taken, until there are none; `next` is the
+// first of those. One launch for all: after a launch a thread of Python would wait for its lock.
+template <class Work> void each_frame(int* next, int frames, Work work) {
+    for (;;) {
+        const int b = __atomic_fetch_add(next, 1, __ATOMIC_RELAXED);
+        if (b >= frames) return;
+        work((size_t)b);
+    }
+}
+#endif
 
 } }  // namespace jaxdet

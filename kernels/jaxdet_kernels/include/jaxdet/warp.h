@@ -13,16 +13,18 @@ namespace jaxdet { namespace {
 struct Warp {
     // broadcast      the value of one lane
     // ballot         bit k: whether lane k says so
+    // sync           lanes see what the others wrote
     // sum, min, max  of the values of all lanes
     // inclusive_sum  of the values of the lanes up to this one (a prefix sum)
 #if defined(__CUDA_ARCH__)
     enum : unsigned { ALL = 0xffffffff };
-    enum { size = 32 };
+    enum { size = 32, MOST = 1024 / size };  // and most warps of a team
     int lane, index, count;
 
     explicit Warp(const Team& team)
         : lane(team.rank % size), index(team.rank / size), count(team.size / size) {}
 
+    void sync() const { __syncwarp(); }
     int broadcast(int value, int source) const { return __shfl_sync(ALL, value, source); }
     unsigned ballot(bool mine) const { return __ballot_sync(ALL, mine); }
 
@@ -58,10 +60,11 @@ struct Warp {
 #endif
     }
 #else
-    enum { lane = 0, size = 1, index = 0, count = 1 };
+    enum { lane = 0, size = 1, index = 0, count = 1, MOST = 1 };
 
     explicit Warp(const Team&) {}
 
+    void sync() const {}
     int broadcast(int value, int) const { return value; }
     unsigned ballot(bool mine) const { return mine; }
     int sum(int value) const { return value; }
@@ -72,6 +75,17 @@ struct Warp {
 #endif
 
     int max(int value) const { return -min(-value); }
+
+    // Bit i: whether a test holds of i, from 0 to 31; all lanes ask.
+    template <class Test> unsigned bits(Test test) const {
+#if defined(__CUDA_ARCH__)
+        return ballot(test(lane));
+#else
+        unsigned char holds[BitRows::WIDTH];
+        for (int i = 0; i < BitRows::WIDTH; ++i) holds[i] = test(i);
+        return BitRows::packed(holds, 0, BitRows::WIDTH);
+#endif
+    }
 
     // This lane's rank among those that say so, and how many these are; all lanes must ask.
     int ballot_rank(bool mine, int* all) const {

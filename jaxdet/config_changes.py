@@ -1,0 +1,100 @@
+"""Configurations with other values for some of their parameters."""
+
+import dataclasses
+import types
+import typing
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from jaxdet.angles import parse_angle
+from jaxdet.arguments import fits
+from jaxdet.config import Config
+from jaxdet.errors import ConfigError, meant
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+_WORDS = {str: "text in quotes", int: "an integer", float: "a number", bool: "true or false"}
+
+Section = TypeVar("Section", bound="DataclassInstance")
+
+
+def with_changes(config: Config, changes: Mapping[str, Any]) -> Config:
+    """Return a configuration with changes of sections or parameters, see :func:`jaxdet.preset`.
+
+    Raises:
+        ConfigError: A parameter is unknown or in several sections, or a value doesn't fit.
+    """
+    sections, grouped = vars(config), dict[str, dict[str, Any]]()
+    for key, value in changes.items():
+        name, values = key, value
+        if key not in sections:
+            homes = [part for part in sections if {key, f"{key}_rad"} & vars(sections[part]).keys()]
+            name, values = _home(key, homes), {key: value}
+        if not isinstance(values, Mapping):
+            problem = f"{name} = {value!r} is no dictionary of parameters"
+            raise ConfigError(problem, remedy=f"give {name}={{...}}, or the parameter itself")
+        grouped[name] = grouped.get(name, {}) | {**values}
+    parts = {name: changed(sections[name], values, name, "") for name, values in grouped.items()}
+    return dataclasses.replace(config, **parts)
+
+
+def _home(key: str, homes: list[str]) -> str:
+    if "ground" in homes:
+        return "ground"
+    if len(homes) == 1:
+        return homes[0]
+    parts = vars(Config())
+    if homes:
+        remedy = f"name the section: {' or '.join(f'{name}={{{key!r}: ...}}' for name in homes)}"
+        raise ConfigError(f"{key} is a parameter of several sections", remedy=remedy)
+    known = [name for part in parts.values() for name in vars(part)]
+    remedy = f"{meant(key, known)}`jaxdet run --help-all` lists them"
+    raise ConfigError(f"no parameter or section {key!r}", remedy=remedy)
+
+
+def changed(section: Section, values: Mapping[str, Any], name: str, path: str) -> Section:
+    """Return a configuration section with these values.
+
+    The key of an angle may lack its ``_rad`` if the value has a unit: ``camera_pitch = "10deg"``.
+
+    Raises:
+        ConfigError: A key is unknown or a value has the wrong type; the error names both.
+    """
+    hints, clean = typing.get_type_hints(type(section)), {}
+    for key, value in values.items():
+        field, parsed = key, value
+        if f"{key}_rad" in hints or (key.endswith("_rad") and isinstance(value, str)):
+            field = key if key in hints else f"{key}_rad"
+            try:
+                parsed = parse_angle(value)
+            except ValueError as error:
+                raise ConfigError(f"[{name}] {key} = {value!r}: {error}", path=path) from None
+        if field not in hints:
+            keys = ", ".join(hints) or "nothing"
+            problem = f"no key {key!r} in [{name}]"
+            raise ConfigError(problem, path=path, remedy=f"{meant(key, hints)}it takes {keys}")
+        if field in clean:
+            raise ConfigError(f"[{name}] {key} is given twice, as {field}", path=path)
+        if not fits(parsed, hints[field]):
+            raise ConfigError(f"[{name}] {key} = {value!r} is not {_said(hints[field])}", path=path)
+        clean[field] = _as(parsed, hints[field])
+    try:
+        return dataclasses.replace(section, **clean)
+    except ConfigError as error:
+        raise ConfigError(error.problem, path=path, remedy=error.remedy) from error
+
+
+def _said(hint: Any) -> str:
+    """Return a type in words."""
+    parts = [part for part in typing.get_args(hint) or (hint,) if part is not types.NoneType]
+    if len(parts) == 1 and typing.get_origin(parts[0]) is tuple:
+        return f"a list of {len(typing.get_args(parts[0]))} numbers"
+    return " or ".join(_WORDS[part] for part in parts)
+
+
+def _as(value: Any, hint: Any) -> Any:
+    if isinstance(value, list):
+        return tuple(float(part) for part in value)
+    wants_float = hint is float or float in typing.get_args(hint)
+    return float(value) if wants_float and isinstance(value, int) else value

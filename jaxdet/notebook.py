@@ -1,0 +1,34 @@
+"""HTML that notebooks show in place of the text of an object."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from html import escape
+from typing import Any
+
+MOST_ROWS = 20
+"""Rows of a table; a last line counts the others."""
+
+
+def table(title: str, columns: Mapping[str, Sequence[Any]]) -> str:
+    """Return a table as HTML, with at most ``MOST_ROWS`` rows.
+
+    Args:
+        title: Text above the table.
+        columns: Values by their headings, equally many in each; floats get two decimals, and None
+            an empty cell.
+    """
+    rows = list(zip(*columns.values(), strict=True))
+    lines = [_row("th", columns)]
+    lines += [_row("td", map(_text, row)) for row in rows[:MOST_ROWS]]
+    more = len(rows) - MOST_ROWS
+    rest = f"<p>and {more} more</p>" if more > 0 else ""
+    return f"<p><b>{escape(title)}</b></p><table>{''.join(lines)}</table>{rest}"
+
+
+def _row(tag: str, cells: Iterable[str]) -> str:
+    return f"<tr>{''.join(f'<{tag}>{escape(cell)}</{tag}>' for cell in cells)}</tr>"
+
+
+def _text(value: Any) -> str:
+    if value is None:
+        return ""
+    return f"{value:.2f}" if isinstance(value, float) else str(value)
