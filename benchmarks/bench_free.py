@@ -1,19 +1,23 @@
-"""The free floor in each column of cells, against the reference."""
+"""The free floor along rays, against the reference."""
 
 from benchmarks.program_steps import against_reference, step_at
 from benchmarks.run import Case
 from benchmarks.scene import CONFIG, inputs, on_cells
 from benchmarks.sweep import SIZES, Point
+from jaxdet.camera import cell_side
+from jaxdet.reference._cells import nearest_depths
 from jaxdet.reference._detect import _free
 
 STEP, MADE = "find_free_floor", ("free", "free_end")
-READ = ("label", "low", "z", "right", "forward", "height", "frame")
+READ = ("label", "low", "z", "nearest_pixel", "right", "forward", "height", "frame")
 
 
 def cases() -> list[Case]:
     """Obstacles on the device; no other library has this step."""
-    seen, unit = on_cells(SIZES[0]), inputs(SIZES[0]).calibration.depth_unit
-    given = seen.obstacles, seen.floor, unit, CONFIG
+    seen, frames = on_cells(SIZES[0]), inputs(SIZES[0])
+    side = cell_side(frames.calibration.depth, CONFIG.surface.cell_rad)
+    pixels = nearest_depths(frames.depth, side)
+    given = seen.obstacles, seen.floor, pixels, frames.calibration, CONFIG
     return [against_reference(STEP, lambda: list(_free(*given)), MADE)]
 
 

@@ -43,7 +43,7 @@ class Program(NamedTuple):
         static, (depth, *_, record, contour, work) = self.static, self.arrays
         if name == "contour":
             return contour.numpy().reshape(len(depth), -1, static.columns, 2)
-        layouts = (record_layout(static.columns), record), (work_layout(*static[:2]), work)
+        layouts = (record_layout(), record), (work_layout(*static[:2]), work)
         return next(lay.take(rows.numpy(), name) for lay, rows in layouts if name in lay.shapes)
 
 

@@ -44,6 +44,10 @@ MAX_LABELS = 1024
 MAX_OBSTACLES = 128
 """``M`` for obstacles made of surfaces; more set the overflow flag."""
 
+RAYS = 1440
+"""Bearings of the free floor: a full turn, a quarter of a degree apart. The ray ``i`` has the
+bearing ``(i - RAYS / 2) / 4`` degrees, clockwise from above, 0 ahead."""
+
 MAX_LATERAL = (1 << 18) - 1
 """Maximum lateral distance [depth units]: four times the maximum depth."""
 
@@ -404,6 +408,7 @@ class FreeEnd(IntEnum):
     UNKNOWN = 0
     """No measurement beyond, or no floor seen at all."""
     OBSTACLE = 1
+    """An obstacle, or what is measured above the step and too small for one."""
     DROP = 2
     """Points beyond are clearly below the floor: a step down or a hole."""
     RANGE = 3
@@ -443,10 +448,11 @@ class Scene(NamedTuple):
     """Height of the lowest and of the highest cell above the floor, ``(B, M, 2)`` int32 [depth
     units]."""
     free: Array
-    """Start and end of the free floor in each column of cells, right and forward in the ground
-    frame, ``(B, C, 2, 2)`` int32 [depth units]; zero where no floor is seen."""
+    """Range from the camera's ground projection at which the free floor of each ray starts and
+    ends, ``(B, RAYS, 2)`` int32 [depth units]; both are equal where only an obstacle is seen, and
+    zero where nothing is."""
     free_end: Array
-    """End of the free floor, ``(B, C)`` int32, see :class:`FreeEnd`."""
+    """End of the free floor of each ray, ``(B, RAYS)`` int32, see :class:`FreeEnd`."""
 
 
 class CellLabels(NamedTuple):

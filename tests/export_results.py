@@ -7,6 +7,7 @@ import numpy as np
 
 from jaxdet.io import LogOptions
 from jaxdet.presets import preset
+from jaxdet.results.free_floor import RAY_RAD
 from jaxdet.results.lists import Lists
 from jaxdet.results.manifest import write_manifest
 from jaxdet.results.occupancy import MapImage, save_map
@@ -61,7 +62,7 @@ def by_hand(folder: Path, frames: list[tuple[list[tuple[float, float]], float]])
 
 def _rows(number: int, places: list, free_m: float) -> tuple[dict, dict]:
     count = len(places)
-    bearing = np.linspace(-0.46, 0.46, 11)
+    bearing = np.arange(-105, 106) * RAY_RAD
     free = {"free_bearing_rad": bearing, "free_from_m": 0 * bearing + 0.3}
     free["free_to_m"] = free_m / np.cos(bearing)
 

@@ -41,7 +41,7 @@ from jaxdet.results.occupancy import OccupancyMap
 from jaxdet.tracks.config import TrackConfig
 from jaxdet.tracks.observations import observations_of
 from jaxdet.tracks.tracker import Tracker
-from jaxdet.types import Calibration, Distortion, Extrinsics, Intrinsics, Obstacles
+from jaxdet.types import RAYS, Calibration, Distortion, Extrinsics, Intrinsics, Obstacles
 
 RNG = np.random.default_rng(11)
 UNIT = 0.001
@@ -157,8 +157,8 @@ def outlines() -> Iterator[object]:
         yield from (corners, found)
         grid.add(found.reshape(-1, 8))
     yield tilted(quaternions(world[:, :3, :3]), numbers(frames), numbers(frames))
-    lines = RNG.integers(-4000, 4000, (frames, 60, 2, 2)).astype(np.int32)
-    free = free_floor(lines, RNG.integers(0, 3, (frames, 60)), UNIT)
+    ranges = np.sort(RNG.integers(-2000, 4000, (frames, RAYS, 2)).clip(0), axis=2)
+    free = free_floor(ranges.astype(np.int32), RNG.integers(0, 3, (frames, RAYS)), UNIT)
     yield from free
     areas = free.in_world(world)
     yield from areas

@@ -46,7 +46,7 @@ def step(
     """
     buffer = packed(sizes, {**_other_tables(), **tables})
     static = Static.of(buffer)
-    work, record = work_layout(static.rows, static.columns), record_layout(static.columns)
+    work, record = work_layout(static.rows, static.columns), record_layout()
     batch = len(next(iter(given.values())) if depth is None else depth)
     if depth is None:
         depth = np.zeros((batch, sizes.height, sizes.width), np.uint16)
@@ -76,12 +76,12 @@ def _grid(z: np.ndarray, side: int = 1) -> Sizes:
     return Sizes(rows * side, columns * side, side, rows, columns)
 
 
-def cells(depth: np.ndarray, tables: Tables, side: int) -> Cells:
-    """``find_cells``."""
+def cells(depth: np.ndarray, tables: Tables, side: int) -> tuple[Cells, np.ndarray]:
+    """``find_cells``: the cells, and the least depth of each."""
     rows, columns = tables["rays"].shape[1:]
     sizes = Sizes(*depth.shape[1:], side, rows, columns)
     found = step("find_cells", tables, {}, sizes, depth)
-    return Cells(found["x"], found["y"], found["z"])
+    return Cells(found["x"], found["y"], found["z"]), found["nearest_pixel"]
 
 
 def find_floor(
@@ -163,12 +163,13 @@ def free_floor(
     label: np.ndarray,
     low: np.ndarray,
     z: np.ndarray,
+    nearest: np.ndarray,
     floor: Sequence[np.ndarray],
     frame: np.ndarray,
     tables: Tables,
 ) -> tuple[np.ndarray, np.ndarray]:
     """``find_free_floor``: where it begins and ends, and what ends it."""
-    given = {"label": label, "low": low, "z": z, "frame": frame}
+    given = {"label": label, "low": low, "z": z, "nearest_pixel": nearest, "frame": frame}
     given |= dict(zip(("right", "forward", "height"), floor, strict=True))
     found = step("find_free_floor", tables, given, _grid(label))
     return found["free"], found["free_end"]

@@ -136,7 +136,7 @@ def drawn(
 
 
 def with_floor(batch: Batch, seed: int, far: int, step: int) -> Batch:
-    """The same with forward and height as of a floor that falls now and then, up the image.
+    """The same with places and heights as of a floor that falls now and then, up the image.
 
     Args:
         batch: Frames.
@@ -151,8 +151,9 @@ def with_floor(batch: Batch, seed: int, far: int, step: int) -> Batch:
         forward = ahead + rng.integers(-20, 21, (rows, columns))
         falls = np.cumsum((rng.random((rows, columns)) < 3 / rows)[::-1], axis=0)[::-1]
         height = rng.integers(-10, 11, (rows, columns)) - step * falls
-        z = np.abs(forward)
-        view = one.view._replace(forward=forward, height=height, z=z)
+        z = np.where(one.low, np.abs(forward), 0)
+        right = forward * (np.arange(columns) - columns // 2) * 8 // 1000
+        view = one.view._replace(right=right, forward=forward, height=height, z=z)
         found.append(one._replace(view=view))
     z = np.stack([one.view.z for one in found]).astype(np.int32)
     return batch._replace(grid=batch.grid._replace(z=z), found=found)

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from jaxdet import reference
 from jaxdet.camera import cell_side
 from jaxdet.config import SurfaceConfig
+from jaxdet.reference._cells import nearest_depths
 from jaxdet.stages._tables import cell_tables
 from jaxdet.types import Calibration, Cells, Intrinsics
 from tests.scenes import (
@@ -30,7 +31,9 @@ THREE = SurfaceConfig(cell_rad=0.0078)
 
 def program(depth: np.ndarray, calibration: Calibration, config: SurfaceConfig) -> Cells:
     side = cell_side(calibration.depth, config.cell_rad)
-    return cells(depth, cell_tables(calibration, config), side)
+    found, nearest = cells(depth, cell_tables(calibration, config), side)
+    np.testing.assert_array_equal(nearest, nearest_depths(depth, side))
+    return found
 
 
 def assert_same(depth: np.ndarray, calibration: Calibration, config: SurfaceConfig) -> None:

@@ -18,6 +18,7 @@ from jaxdet.pipeline import BackendName
 from jaxdet.presets import preset
 from jaxdet.reference import align, ground
 from jaxdet.results import metric
+from jaxdet.results.free_floor import ray_bearings
 from jaxdet.results.metric import floors
 from jaxdet.sim import DepthSensor, SimConfig, sample_frames
 from jaxdet.sim.appearance import CARTON, POST, RED_CRATE, WOOD
@@ -116,15 +117,15 @@ def test_a_box_in_exact_depth() -> None:
 def test_free_floor_before_and_beside_a_box() -> None:
     scene = found(made(cast(POSE, [BOX])[None], POSE.plane())).scene
     assert scene
-    line, end = scene.free[0], scene.free_end[0]
+    stop, end = scene.free[0, :, 1], scene.free_end[0]
     blocked = np.flatnonzero(end == FreeEnd.OBSTACLE)
     assert np.ptp(blocked) + 1 == len(blocked)
-    assert (np.abs(line[blocked, 1, 1] - 1200) < 30).all()
-    bearing = line[blocked, 1, 0] / line[blocked, 1, 1]
-    assert bearing.min() == pytest.approx(-0.25, abs=0.03)
-    assert bearing.max() == pytest.approx(0.1 / 1.2, abs=0.03)
+    bearing, _ = ray_bearings()
+    assert (np.abs(stop[blocked] * np.cos(bearing[blocked]) - 1200) < 30).all()
+    assert bearing[blocked].min() == pytest.approx(-np.arctan2(0.3, 1.2), abs=0.03)
+    assert bearing[blocked].max() == pytest.approx(np.arctan2(0.1, 1.2), abs=0.03)
     assert FreeEnd.DROP not in end
-    beyond = line[end == FreeEnd.RANGE, 1, 1]
+    beyond = (stop * np.cos(bearing))[end == FreeEnd.RANGE]
     assert len(beyond) > 50 and (beyond > 3400).all() and (beyond <= 4000).all()
 
 
@@ -145,7 +146,7 @@ def test_what_hangs_higher_than_the_robot_is_no_obstacle() -> None:
     assert count(low) == 2 and (sizes(low)[:, 0] < 0.3).all()
     assert (sizes(low)[:, 2] <= 0.45).all() and (sizes(low)[:, 2] > 0.4).all()
     assert low.scene
-    between = np.abs(low.scene.free[0, :, 1, 0]) < 0.5 * low.scene.free[0, :, 1, 1] / 2.2
+    between = np.abs(ray_bearings()[0]) < 0.5 / 2.2
     assert between.sum() > 20 and (low.scene.free_end[0, between] == FreeEnd.RANGE).all()
 
 
@@ -301,10 +302,11 @@ def test_a_step_down() -> None:
     scene = detections.scene
     assert count(detections) == 0 and scene
     drops = scene.free_end[0] == FreeEnd.DROP
-    assert drops.mean() > 0.5
+    assert drops.sum() > 0.5 * (scene.free[0, :, 1] > 0).sum()
     assert set(scene.free_end[0].tolist()) == {FreeEnd.DROP, FreeEnd.UNKNOWN}
-    assert np.median(scene.free[0, drops, 1, 1]) == pytest.approx(1500, abs=60)
-    assert scene.free[0, :, 1, 1].max() < 1600
+    ahead = scene.free[0, :, 1] * np.cos(ray_bearings()[0])
+    assert np.median(ahead[drops]) == pytest.approx(1500, abs=60)
+    assert ahead.max() < 1600
 
 
 # laws

@@ -9,6 +9,7 @@ from jaxdet.cli import main
 from jaxdet.errors import InputError
 from jaxdet.export import export
 from jaxdet.export.grid import FREE, OCCUPIED, UNKNOWN, last_grid
+from jaxdet.results.free_floor import RAY_RAD
 from jaxdet.results.reading import Results
 from tests.export_results import by_hand
 
@@ -60,11 +61,11 @@ def test_what_is_seen_free_later_is_free(tmp_path: Path, frames: list, state: in
     assert state_at(tmp_path / "r", frames, 1.5, 0.0) == state
 
 
-def test_free_floor_is_not_joined_over_columns_that_show_nothing(tmp_path: Path) -> None:
+def test_free_floor_is_not_joined_over_rays_that_show_nothing(tmp_path: Path) -> None:
     frames = [([], 1.5)]
     assert state_at(tmp_path / "a", frames, 1.0, 0.0) == FREE
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("jaxdet.export.shapes.NEIGHBOURS", 0.5)
+        patch.setattr("jaxdet.export.shapes.RAY_RAD", RAY_RAD / 2)
         assert state_at(tmp_path / "b", frames, 1.0, 0.0) == UNKNOWN
 
 

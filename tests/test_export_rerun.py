@@ -17,6 +17,7 @@ from jaxdet.errors import ConfigError
 from jaxdet.export import export
 from jaxdet.export.map_picture import FREE
 from jaxdet.export.recordings import find
+from jaxdet.results.free_floor import RAY_RAD
 from jaxdet.results.reading import Results
 from tests.made_results import make_results
 
@@ -209,19 +210,19 @@ def test_each_log_and_lost_frames(tmp_path: Path) -> None:
 def test_free_floor_is_that_of_the_map() -> None:
     """It is not joined over columns that show nothing, and ends at the nearer of neighbours."""
     show = pytest.importorskip("jaxdet.export.rerun")._free
-    bearing = [-0.5, -0.4, -0.3, 0.3, 0.4, 0.5]
+    bearing = [RAY_RAD * i for i in (-5, -4, -3, 3, 4, 5)]
     row = {"free_bearing_rad": bearing, "free_from_m": [0.5] * 6, "free_to_m": [2.0] * 5 + [1.0]}
-    mesh = show(row, 0.02)
+    mesh = show(row)
     place = np.array(mesh.vertex_positions.as_arrow_array().to_pylist())
     corners = place[np.array(mesh.triangle_indices.as_arrow_array().to_pylist())]
     angle, far = np.arctan2(corners[..., 0], corners[..., 1]), np.hypot(*corners.T[:2]).T
-    assert np.ptp(angle, axis=1).max() < 0.11 and not place[:, 2].any()
-    assert far[(angle > 0.41).any(axis=1)].max() == pytest.approx(1.0) and far.max() > 1.99
+    assert np.ptp(angle, axis=1).max() < 1.1 * RAY_RAD and not place[:, 2].any()
+    assert far[(angle > 4.1 * RAY_RAD).any(axis=1)].max() == pytest.approx(1.0) and far.max() > 1.99
     a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     area = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum() / 2
-    assert area == pytest.approx(np.sin(0.1) / 2 * (3 * 3.75 + 0.75), rel=1e-6)
+    assert area == pytest.approx(np.sin(RAY_RAD) / 2 * (3 * 3.75 + 0.75), rel=1e-6)
     nothing = dict.fromkeys(row)
-    assert type(show(nothing, 0.02)) is type(show({name: [1.0] for name in row}, 0.02))
+    assert type(show(nothing)) is type(show({name: [1.0] for name in row}))
 
 
 def test_missing_package_names_the_extra(drive: Path, tmp_path: Path, monkeypatch: Any) -> None:

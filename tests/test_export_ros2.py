@@ -17,9 +17,12 @@ from jaxdet.export.recordings import find, images, look_again
 from jaxdet.export.shapes import box, heights
 from jaxdet.io import LogFiles, LogOptions
 from jaxdet.results.reading import Frame, Results
+from jaxdet.types import RAYS
 from tests.export_results import run, sim_log
 
-DETECTIONS, POINTS, MAP = (f"/jaxdet/{name}" for name in ("detections", "points", "map"))
+DETECTIONS, POINTS, MAP, SCAN, LOCAL = (
+    f"/jaxdet/{name}" for name in ("detections", "points", "map", "scan", "local_map")
+)
 POINT = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("obstacle", "<u4")]
 Captured = pytest.CaptureFixture[str]
 
@@ -91,6 +94,75 @@ def test_detections_are_the_outlines_in_the_world(driven_results: Path, tmp_path
             assert size.z == pytest.approx(obstacle["top_m"] - obstacle["bottom_m"], abs=1e-6)
             middle = (obstacle["top_m"] + obstacle["bottom_m"]) / 2
             assert T[2, 3] == pytest.approx(middle, abs=0.03)
+
+
+def test_scans_are_the_rays_of_the_table(driven_results: Path, tmp_path: Path) -> None:
+    topics, frames = exported(driven_results, tmp_path / "out")
+    assert len(topics[SCAN]) == len(frames)
+    for (at, message), (row, _) in zip(topics[SCAN], frames, strict=True):
+        assert at == row["stamp_ns"]
+        assert message.header.frame_id == f"{row['camera_frame']}_floor"
+        angle = message.angle_min + np.arange(len(message.ranges)) * message.angle_increment
+        assert angle[-1] == pytest.approx(message.angle_max, abs=1e-5)
+        known = 0
+        for bearing, stop, end in zip(
+            row["free_bearing_rad"], row["free_to_m"], row["free_end"], strict=True
+        ):
+            turn = (angle - (np.pi / 2 - bearing) + np.pi) % (2 * np.pi) - np.pi
+            (value,) = message.ranges[np.abs(turn) < 1e-3]
+            want = {0: np.nan, 1: stop, 2: stop, 3: np.inf}[end]
+            np.testing.assert_equal(value, np.float32(want))
+            known += end != 0
+        assert np.count_nonzero(~np.isnan(message.ranges)) == known > 50
+        assert message.range_min == pytest.approx(min(row["free_from_m"]))
+        assert message.range_min <= np.nanmin(message.ranges)
+
+
+def test_a_frame_has_a_grid_around_its_foot(driven_results: Path, tmp_path: Path) -> None:
+    topics, frames = exported(driven_results, tmp_path / "out")
+    for (_, message), (row, obstacles) in zip(topics[LOCAL], frames, strict=True):
+        info, states = message.info, np.reshape(message.data, (message.info.height, -1))
+        assert message.header.frame_id == f"{row['camera_frame']}_floor"
+        assert set(np.unique(states)) <= {-1, 0, 100}
+
+        def state(x: float, y: float, info: Any = info, states: Any = states) -> int:
+            place = np.array([x - info.origin.position.x, y - info.origin.position.y])
+            column, line = np.floor(place / info.resolution).astype(int).tolist()
+            return int(states[line, column])
+
+        for obstacle in obstacles:
+            middle = np.reshape(obstacle["corners_ground"], (4, 2)).mean(axis=0)
+            if np.abs(middle).max() < 0.9 * info.width * info.resolution / 2:
+                assert state(*middle) == 100
+        assert state(0.0, -1.0) == -1  # behind the camera
+        least, most = free_between_rays(row)
+        rows, columns = states.shape
+        x = info.origin.position.x + (np.arange(columns) + 0.5) * info.resolution
+        y = info.origin.position.y + (np.arange(rows)[:, None] + 0.5) * info.resolution
+        sector = np.floor(np.arctan2(x, y) / (2 * np.pi / RAYS) + RAYS / 2).astype(int) % RAYS
+        away, margin = np.hypot(x, y), info.resolution
+        # Inside: as far as three neighbouring pairs of rays show it. Outside: two cells from any.
+        first, last = (
+            f([np.roll(a, i) for i in (-1, 0, 1)], axis=0)[sector]
+            for f, a in ((np.max, least), (np.min, most))
+        )
+        inside = (away > first + 0.01) & (away < last - 0.01)
+        assert inside.sum() > 500 and (states[inside] != -1).all()
+        near = [np.roll(a, i) for a in (least, most) for i in range(-40, 41)]
+        low, high = np.min(near[:81], axis=0)[sector], np.max(near[81:], axis=0)[sector]
+        outside = (away > 2 * margin / np.radians(10)) & (
+            (away < low - 2 * margin) | (away > high + 2 * margin)
+        )
+        assert outside.sum() > 500 and (states[outside] != 0).all()
+
+
+def free_between_rays(row: dict[str, Any]) -> tuple[np.ndarray, np.ndarray]:
+    """Range at which free floor begins and ends between each ray and the next one."""
+    start, stop = np.full(RAYS, np.inf), np.zeros(RAYS)
+    number = np.rint(np.degrees(row["free_bearing_rad"]) * 4).astype(int) + RAYS // 2
+    start[number], stop[number] = row["free_from_m"], row["free_to_m"]
+    least, most = np.maximum(start, np.roll(start, -1)), np.minimum(stop, np.roll(stop, -1))
+    return np.where(least < most, least, np.inf), np.where(least < most, most, 0.0)
 
 
 def test_points_are_the_contours(driven_results: Path, tmp_path: Path) -> None:

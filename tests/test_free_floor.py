@@ -6,7 +6,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jaxdet.reference._free import BESIDE, FloorView, floor_ahead, free_floor
-from jaxdet.results.free_floor import free_floor as metres
 from jaxdet.types import FreeEnd
 
 FAR, GAP, DROP = 4000, 500, 60
@@ -125,13 +124,6 @@ def test_a_camera_mounted_in_any_way(down: tuple[int, int, int]) -> None:
     else:
         assert line.tolist() == [[[x, 500], [x, 3600]] for x in (-7, 7)]
         assert end.tolist() == [FreeEnd.RANGE] * 2
-
-
-def test_floor_on_both_sides_of_the_foot_begins_at_the_foot() -> None:
-    """A camera that looks straight down sees floor behind itself, too."""
-    line = np.array([[[[0, -600], [100, 1300]], [[0, 200], [0, 1300]]]])
-    free = metres(line, np.array([[FreeEnd.RANGE] * 2]), 0.001)
-    np.testing.assert_allclose(free.from_m, [[0.0, 0.2]])
 
 
 STEP_DOWN = column(*floor(500, 900, 1300), (2000, -300), (2200, -300), (2400, -305), None)

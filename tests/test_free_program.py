@@ -6,11 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from jaxdet.camera import cell_rays, cell_side
 from jaxdet.config import Config
-from jaxdet.floor.frame import floor_frames
+from jaxdet.floor.frame import floor_frames, on_floor
 from jaxdet.floor.plane import flat_plane, unknown_plane
 from jaxdet.reference._detect import _free
+from jaxdet.reference._features import lateral
+from jaxdet.reference._view import View
 from jaxdet.stages._free import tables
+from jaxdet.stages._tables import cell_tables
 from jaxdet.types import FreeEnd
 from tests.scenes import small
 from tests.steps import free_floor
@@ -28,14 +32,38 @@ from tests.surface_frames import (
 pytestmark = pytest.mark.twin
 
 
-def assert_twins(batch: Batch, config: Config = SURFACES) -> set[int]:
+def pixels_of(batch: Batch, share: float) -> np.ndarray:
+    """A nearest pixel of a share of the cells: often its depth, now and then less."""
+    z = batch.grid.z
+    rng = np.random.default_rng(z.size)
+    part = rng.choice([0.3, 0.9, 1.0], z.shape, p=[0.1, 0.1, 0.8])
+    return np.rint(np.where(rng.random(z.shape) < share, z * part, 0)).astype(np.int32)
+
+
+def on_rays(batch: Batch, frame: np.ndarray) -> Batch:
+    """The same cells where their rays and depths put them over a floor."""
+    camera = batch.calibration.depth
+    found, rays = [], cell_rays(camera, cell_side(camera, SURFACES.surface.cell_rad))
+    for one in batch.found:
+        x, y = (lateral(ray, one.view.z) for ray in rays)
+        xyz = np.stack([x, y, one.view.z]).astype(np.int64)
+        found.append(one._replace(view=View(*xyz, *on_floor(frame, xyz))))
+    return batch._replace(found=found)
+
+
+def assert_twins(
+    batch: Batch, config: Config = SURFACES, pixel_share: float = 0.95, placed: bool = False
+) -> set[int]:
     """Holds the kernel to the reference, for cameras of any roll; the ends that there are."""
-    shared, ends = tables(config, batch.unit), set[int]()
+    pixels, ends = pixels_of(batch, pixel_share), set[int]()
+    cells = cell_tables(batch.calibration, config.surface)
+    shared = tables(batch.calibration, config) | {"rays": cells["rays"]}
     for roll_deg in (0.0, 100.0, 180.0, -44.0, -46.0, 136.0):
         plane = flat_plane(np.array([0.5]), np.array([0.2]), np.radians([roll_deg]))
         frame = np.repeat(floor_frames(plane, batch.unit), len(batch.found), axis=0)
-        want = _free(batch.found, frame, batch.unit, config)
-        twin = free_floor(batch.label, batch.low, batch.grid.z, batch.floor, frame, shared)
+        batch = on_rays(batch, frame[0]) if placed else batch
+        want = _free(batch.found, frame, pixels, batch.calibration, config)
+        twin = free_floor(batch.label, batch.low, batch.grid.z, pixels, batch.floor, frame, shared)
         for got, expected in zip(twin, want, strict=True):
             np.testing.assert_array_equal(np.asarray(got), expected, strict=True)
         ends |= set(want[1].ravel().tolist())
@@ -45,7 +73,8 @@ def assert_twins(batch: Batch, config: Config = SURFACES) -> set[int]:
 @pytest.mark.parametrize("reach", [40, 3000, 300000])
 @pytest.mark.parametrize("shape", [(1, 1, 1), (1, 40, 1), (3, 31, 45), (2, 7, 19), (5, 64, 22)])
 def test_random_frames(shape: tuple[int, int, int], reach: int) -> None:
-    assert FreeEnd.OBSTACLE in assert_twins(drawn(shape, 9, seed=sum(shape), reach=reach))
+    ends = assert_twins(drawn(shape, 9, seed=sum(shape), reach=reach), placed=True)
+    assert FreeEnd.OBSTACLE in ends or shape == (1, 1, 1)  # its cell is out of range
 
 
 @pytest.mark.parametrize("step", [0, 60, 300])
@@ -54,7 +83,7 @@ def test_floors_that_fall(shape: tuple[int, int, int], step: int) -> None:
     batch = drawn(shape, 2, seed=5, block=3)
     batch = batch._replace(found=[one._replace(label=one.label * 0 - 1) for one in batch.found])
     for far in (1500, 5000):
-        ends = assert_twins(with_floor(batch, seed=step, far=far, step=step))
+        ends = assert_twins(with_floor(batch, step, far, step), pixel_share=0.0)
         assert FreeEnd.DROP in ends or step < 300
         assert FreeEnd.UNKNOWN in ends or step < 300
 
@@ -73,17 +102,19 @@ def test_floors_that_mirror(times: float) -> None:
             deep[top : top + rng.integers(3, 12), column : column + 29] = True
         ahead = np.where(deep, one.view.forward * times, one.view.forward).astype(np.int64)
         height = np.where(deep, -1500, one.view.height)
-        view = one.view._replace(forward=ahead, height=height, z=np.abs(ahead))
+        z = np.where(one.low, np.abs(ahead), 0)
+        view = one.view._replace(forward=ahead, height=height, z=z)
         found.append(one._replace(view=view))
     z = np.stack([one.view.z for one in found]).astype(np.int32)
-    ends = assert_twins(batch._replace(grid=batch.grid._replace(z=z), found=found))
+    mirrored = batch._replace(grid=batch.grid._replace(z=z), found=found)
+    ends = assert_twins(mirrored, pixel_share=0.0)
     assert (FreeEnd.DROP in ends) == (times < 1.2)
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_floors_with_obstacles(seed: int) -> None:
     batch = with_floor(drawn((2, 50, 60), 4, seed, block=12), seed, far=4500, step=80)
-    assert FreeEnd.OBSTACLE in assert_twins(batch)
+    assert FreeEnd.OBSTACLE in assert_twins(batch, pixel_share=0.0)
 
 
 def test_settings() -> None:
@@ -91,9 +122,11 @@ def test_settings() -> None:
     floors = ({"gap_m": 0.0}, {"gap_m": 10.0}, {"drop_m": 0.0}, {"drop_m": 5.0},
               {"noise_per_m": 1.0, "bow_per_m": 1.0}, {"bow_per_m": 0.0})  # fmt: skip
     for floor in floors:
-        assert_twins(batch, replace(SURFACES, floor=replace(SURFACES.floor, **floor)))
-    near = replace(SURFACES.ground, max_depth_m=2.0)
-    assert_twins(batch, replace(SURFACES, ground=near))
+        changed = replace(SURFACES, floor=replace(SURFACES.floor, **floor))
+        assert_twins(batch, changed, pixel_share=0.0)
+    near = replace(SURFACES, ground=replace(SURFACES.ground, max_depth_m=2.0))
+    assert_twins(batch, near, pixel_share=0.0)
+    assert_twins(simulated("room"), near, placed=True)
 
 
 def test_nothing_is_measured() -> None:
@@ -104,7 +137,8 @@ def test_nothing_is_measured() -> None:
 
 @pytest.mark.parametrize("family", ["mixed", "drops", "ramps", "corridor", "room", "tables"])
 def test_simulated_frames(family: str) -> None:
-    assert FreeEnd.OBSTACLE in assert_twins(simulated(family)) or family in ("drops", "ramps")
+    ends = assert_twins(simulated(family), placed=True)
+    assert FreeEnd.OBSTACLE in ends or family in ("drops", "ramps")
 
 
 @pytest.mark.parametrize(("name", "frames"), [("mosd", 4), ("wheelchair", 2), ("aims_slam", 2)])
@@ -113,4 +147,4 @@ def test_recorded_frames(shared_data: Path, name: str, frames: int) -> None:
     if not batches:
         pytest.skip(f"no {name}")
     for batch in batches:
-        assert len(assert_twins(batch, recorded_config(name))) > 1
+        assert len(assert_twins(batch, recorded_config(name), placed=True)) > 1

@@ -18,7 +18,7 @@ from jaxdet.render.topview import View, ground_points
 from jaxdet.results.metric import floors, rectangles
 from jaxdet.results.occupancy import MapImage
 from jaxdet.results.rows import to_host
-from jaxdet.types import Calibration, Extrinsics, Frames, Intrinsics
+from jaxdet.types import RAYS, Calibration, Extrinsics, Frames, Intrinsics
 
 STILL = Extrinsics((1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0), (0.0, 0.0, 0.0))
 
@@ -170,15 +170,15 @@ def test_a_scene_shows_free_floor_and_drops() -> None:
 
 
 def test_free_floor_is_drawn_between_neighbours_alone() -> None:
-    """Columns that show none part it."""
-    free = np.zeros((1, 5, 2, 2), np.int32)
-    for column in (0, 2, 3):
-        free[0, column] = [[400 * column - 800, 500], [400 * column - 800, 2000]]
+    """Rays that show none part it."""
+    free, ahead = np.zeros((1, RAYS, 2), np.int32), RAYS // 2
+    free[0, ahead : ahead + 41] = free[0, ahead - 40] = 500, 2000
     image = np.zeros((200, 200, 3), np.uint8)
     scene: Any = SimpleNamespace(free=free)
     topview._draw_free(image, View(center=100, bottom=190, scale=80), scene, 0, 0.001)
     first, last = np.flatnonzero(image.any(axis=(0, 2)))[[0, -1]].tolist()
-    assert abs(first - 100) <= 1 and abs(last - 132) <= 1  # from column 2 to 3
+    right = 100 + 160 * np.sin(np.radians(10))  # from ahead to 40 rays on
+    assert abs(first - 100) <= 1 and abs(last - right) < 2
 
 
 def test_labels_of_boxes_stay_in_the_picture() -> None:

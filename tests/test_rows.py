@@ -220,10 +220,10 @@ def free(to: list[float], end: list[int], start: float = 0.5) -> FreeFloor:
     return FreeFloor(seen, way, bearing, np.full((1, n), start), np.array([to]), np.array([end]))
 
 
-def test_a_drop_is_what_three_neighbouring_columns_show() -> None:
-    assert np.isnan(free([1.0, 1.0, 2.0, 1.0], [2, 2, 1, 2]).drop_m[0])
-    assert free([0.7, 1.0, 1.2, 1.1, 3.0], [2, 2, 2, 2, 0]).drop_m[0] == 1.2
-    assert np.isnan(free([1.0, 1.0], [2, 2]).drop_m[0])
+def test_a_drop_is_what_five_neighbouring_rays_show() -> None:
+    assert np.isnan(free([1.0] * 4 + [2.0] + [1.0] * 4, [2] * 4 + [1] + [2] * 4).drop_m[0])
+    assert free([0.7, 1.0, 1.2, 1.1, 1.0, 1.1, 3.0], [2] * 6 + [0]).drop_m[0] == 1.2
+    assert np.isnan(free([1.0] * 4, [2] * 4).drop_m[0])
 
 
 def test_free_polygons_go_over_columns_that_show_floor() -> None:

@@ -13,13 +13,14 @@ from benchmarks.paper.section import Section, percent, wilson
 from benchmarks.paper.shots import Shot, Spec, shot_of
 from benchmarks.paper.systems import OURS, Prepared, System, eval_config, found_by, ours, tally_of
 from jaxdet.eval import Tally, score
+from jaxdet.results.free_floor import ray_bearings
 from jaxdet.sim import SimConfig
 from jaxdet.sim.draft import Draft
 from jaxdet.sim.frames import simulate_frame
 from jaxdet.types import Detections, FreeEnd
 
-NEIGHBOURS = 3
-"""So many columns of cells side by side that end in a drop report one."""
+NEIGHBOURS = 5
+"""So many rays side by side that end in a drop report one."""
 DROP_WITHIN_M = 0.3
 """A step down is found where it is reported so near to its place."""
 
@@ -88,8 +89,8 @@ def drop_of(found: Detections, unit: float) -> float:
         unit: Metres in a depth unit.
 
     Returns:
-        The median forward distance [m] of the columns of cells that end in a drop beside others
-        that do, at least :data:`NEIGHBOURS` side by side; NaN where there are none.
+        The median forward distance [m] of the rays that end in a drop next to others that do, at
+        least :data:`NEIGHBOURS` side by side; NaN where there are none.
     """
     assert found.scene is not None
     ends = np.asarray(found.scene.free_end[0]) == FreeEnd.DROP
@@ -97,7 +98,9 @@ def drop_of(found: Detections, unit: float) -> float:
     runs = [np.arange(a, b) for a, b in edges.reshape(-1, 2) if b - a >= NEIGHBOURS]
     if not runs:
         return float("nan")
-    return float(np.median(found.scene.free[0, np.concatenate(runs), 1, 1])) * unit
+    which = np.concatenate(runs)
+    _, way = ray_bearings()
+    return float(np.median(found.scene.free[0, which, 1] * np.imag(way[which]))) * unit
 
 
 def run(lab: Lab) -> Section:
@@ -110,7 +113,7 @@ def run(lab: Lab) -> Section:
         "normal light unless said. Found: each thing has a detection of its own, at least half of "
         "whose points lie on it, however low and small it is (a pane: within 30 cm of it, not what "
         "is seen behind). A step down is reported where the free "
-        f"floor ends in a drop in at least {NEIGHBOURS} neighbouring columns of cells, within "
+        f"floor ends in a drop in at least {NEIGHBOURS} neighbouring rays, within "
         f"{100 * DROP_WITHIN_M:g} cm of its place. The last "
         "column is what a review found an earlier default, of clustered points, to do in scenes of "
         "its own of the same kind."

@@ -27,10 +27,10 @@ if TYPE_CHECKING:
 
 
 class FreeFloorLine(NamedTuple):
-    """Free floor per column of depth cells that shows anything, from left to right."""
+    """Free floor per ray that shows anything, from left to right."""
 
     bearing_rad: np.ndarray
-    """Bearing of its end, ``(C,)`` float32, clockwise from above, 0 ahead [rad]."""
+    """Bearing of the ray, ``(C,)`` float32, clockwise from above, 0 ahead [rad]."""
     from_m: np.ndarray
     """Distance of its start from the camera's ground projection, ``(C,)`` float32 [m]."""
     to_m: np.ndarray

@@ -52,9 +52,8 @@ def last_grid(results: Results, log: ResultLog) -> Grid | None:
     first = np.rint(np.array(counted.origin) / counted.cell_m).astype(np.int64)
     odds = np.zeros(counted.counts.shape, np.int16)
     seen = np.zeros(counted.counts.shape, bool)
-    cell_rad = results.method.surface.cell_rad
     for frame in results.frames(log, _FRAME_COLUMNS, ("corners_world",)):
-        if (view := _cells(frame, cell_rad)) is None:
+        if (view := _cells(frame)) is None:
             continue
         cells, low = view
         x, y = (low - first).tolist()
@@ -68,7 +67,7 @@ def last_grid(results: Results, log: ResultLog) -> Grid | None:
     return Grid(np.where(seen, states, UNKNOWN).astype(np.int8), counted.origin, counted.cell_m)
 
 
-def _cells(frame: Frame, cell_rad: float) -> tuple[np.ndarray, np.ndarray] | None:
+def _cells(frame: Frame) -> tuple[np.ndarray, np.ndarray] | None:
     """Return the cells that a frame updates: 1 free, 2 outline; and the first column and row."""
     T = T_world_upright(frame.row)
     if T is None:
@@ -76,7 +75,7 @@ def _cells(frame: Frame, cell_rad: float) -> tuple[np.ndarray, np.ndarray] | Non
     outlines = [o["corners_world"] for o in frame.obstacles if o["corners_world"]]
     parts = [np.reshape(corners, (4, 2)) for corners in outlines]
     covered = len(parts)
-    free = free_floor(frame.row, cell_rad).in_world(T[None])
+    free = free_floor(frame.row).in_world(T[None])
     parts += np.split(free.points, np.cumsum(free.corners)[:-1]) if len(free.corners) else []
     if not parts:
         return None

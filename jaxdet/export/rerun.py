@@ -31,6 +31,7 @@ from jaxdet.errors import FrameStatus
 from jaxdet.export.map_picture import map_picture
 from jaxdet.export.recordings import Seen, look_again
 from jaxdet.export.shapes import (
+    LEVEL,
     T_camera_floor,
     T_world_upright,
     box,
@@ -61,8 +62,6 @@ PATH_POINTS = 10_000
 UNKNOWN = np.array((70, 74, 80), np.uint8)
 """Colour of unknown cells of the map."""
 COLORS = np.array(PALETTE, np.uint8)
-LEVEL = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
-"""Pose of a level camera in its floor frame, for functions that take a pose in the world."""
 
 
 def export(results: Results, output: Path, recordings: Mapping[str, LogFiles]) -> None:
@@ -183,7 +182,7 @@ class _Recording:
         if self._has_place(row):
             log(f"{FLOOR}/boxes", _boxes(row, frame.obstacles))
             log(f"{FLOOR}/contours", _contours(frame.obstacles))
-            log(f"{FLOOR}/free", _free(row, self.results.method.surface.cell_rad))
+            log(f"{FLOOR}/free", _free(row))
         else:
             for name in ("boxes", "contours", "free"):
                 log(f"{FLOOR}/{name}", rr.Clear(recursive=False))
@@ -345,9 +344,9 @@ def _flat_boxes(obstacles: list[dict[str, Any]]) -> rr.Boxes2D:
     )
 
 
-def _free(row: Mapping[str, Any], cell_rad: float) -> rr.Mesh3D | rr.Clear:
+def _free(row: Mapping[str, Any]) -> rr.Mesh3D | rr.Clear:
     """Return the free floor, as the polygons of the map."""
-    points, corners, _ = free_floor(row, cell_rad).in_world(LEVEL[None])
+    points, corners, _ = free_floor(row).in_world(LEVEL[None])
     if not len(corners):
         return rr.Clear(recursive=False)
     triangles: list[np.ndarray] = []

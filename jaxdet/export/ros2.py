@@ -1,4 +1,4 @@
-"""ROS 2 messages: detections, points, map and floor frame in an MCAP file per log.
+"""ROS 2 messages: detections, points, free floor, map and TF in an MCAP file per log.
 
 It can be played together with the recording, see :mod:`jaxdet.export.sidecar`.
 """
@@ -11,6 +11,7 @@ import numpy as np
 
 from jaxdet.export.grid import Grid
 from jaxdet.export.recordings import look_again
+from jaxdet.export.scan import SCAN_COLUMNS, local_grid, scan, scan_message
 from jaxdet.export.shapes import (
     FRAME_COLUMNS,
     Row,
@@ -19,6 +20,7 @@ from jaxdet.export.shapes import (
     camera_name,
     contour,
     corners,
+    floor_name,
     heights,
     topic,
 )
@@ -29,7 +31,7 @@ from jaxdet.io.writer_cdr import header
 from jaxdet.results.masks import obstacle_points
 from jaxdet.results.reading import Frame, ResultLog, Results
 
-DETECTIONS, POINTS, MAP = "detections", "points", "map"
+DETECTIONS, POINTS, MAP, SCAN, LOCAL = "detections", "points", "map", "scan", "local_map"
 """Topics, see :func:`jaxdet.export.shapes.topic`."""
 
 POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("obstacle", "<u4")])
@@ -57,12 +59,20 @@ def export(results: Results, output: Path, recordings: Mapping[str, LogFiles]) -
 def _write_log(
     writer: Ros2LogWriter, results: Results, log: ResultLog, clouds: Iterator[np.ndarray]
 ) -> None:
-    for entry, cloud in zip(sidecar_frames(results, log), clouds, strict=True):
+    range_m = results.method.ground.max_depth_m
+    for entry, cloud in zip(sidecar_frames(results, log, SCAN_COLUMNS), clouds, strict=True):
         row, at = entry.frame.row, entry.log_time_ns
         if entry.grid is not None:
             message, map_topic = grid_message(entry.grid, row), topic(log, MAP)
             writer.write(map_topic, at, "nav_msgs/OccupancyGrid", message, latched=True)
         writer.write_transforms(row["stamp_ns"], entry.transforms, log_ns=at)
+        if (own := scan(row)) is not None:
+            head = header(row["stamp_ns"], floor_name(row))
+            message = scan_message(own, head, range_m)
+            writer.write(topic(log, SCAN), at, "sensor_msgs/LaserScan", message)
+        if (around := local_grid(entry.frame, range_m)) is not None:
+            message = grid_message(around, row, floor_name(row))
+            writer.write(topic(log, LOCAL), at, "nav_msgs/OccupancyGrid", message)
         boxes, points = detections(entry.frame), cloud_message(row, cloud)
         writer.write(topic(log, DETECTIONS), at, "vision_msgs/Detection3DArray", boxes)
         writer.write(topic(log, POINTS), at, "sensor_msgs/PointCloud2", points)
@@ -138,9 +148,15 @@ def cloud_message(row: Row, cloud: np.ndarray) -> dict[str, Any]:
     }
 
 
-def grid_message(grid: Grid, row: Row) -> dict[str, Any]:
-    """Return a ``nav_msgs/OccupancyGrid`` with the timestamp of a row: 100, 0, or -1 (unknown)."""
-    head = header(row["stamp_ns"], row["world_frame"] or "")
+def grid_message(grid: Grid, row: Row, frame_id: str | None = None) -> dict[str, Any]:
+    """Return a ``nav_msgs/OccupancyGrid`` with the timestamp of a row: 100, 0, or -1 (unknown).
+
+    Args:
+        grid: The grid.
+        row: The frame's row.
+        frame_id: Frame of the grid; the world frame by default.
+    """
+    head = header(row["stamp_ns"], frame_id or row["world_frame"] or "")
     rows, columns = grid.states.shape
     origin = np.eye(4)
     origin[:2, 3] = grid.origin

@@ -13,7 +13,7 @@ import numpy as np
 
 from jaxdet.floor.plane import down_vector, forward_vector
 from jaxdet.io.motion import motion_matrix, quaternions
-from jaxdet.results.free_floor import FreeFloor
+from jaxdet.results.free_floor import RAY_RAD, FreeFloor
 from jaxdet.results.metric import TILT, tilted
 from jaxdet.results.reading import ResultLog
 
@@ -26,11 +26,9 @@ FRAME_COLUMNS = (
 """Columns of frames for the functions of this module, except :func:`free_floor`."""
 FREE_COLUMNS = ("free_bearing_rad", "free_from_m", "free_to_m")
 """Columns of frames for :func:`free_floor`."""
-
-NEIGHBOURS = 8
-"""Maximum distance between columns whose free floor is joined [cells], 3 degrees, as the tables
-omit columns without free floor. Neighbours at an edge may be this far apart if the camera is
-rolled."""
+LEVEL = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+"""Pose of a level camera in its floor frame, for functions that take a pose in the world."""
+LEVEL.setflags(write=False)
 
 
 def topic(log: ResultLog, name: str) -> str:
@@ -109,15 +107,14 @@ def heights(row: Row, obstacle: Row) -> tuple[float, float]:
     return min(low, high), max(low, high)
 
 
-def free_floor(row: Row, cell_rad: float) -> FreeFloor:
-    """Return the free floor of a frame, with an empty column between distant neighbours.
+def free_floor(row: Row) -> FreeFloor:
+    """Return the free floor of a frame, with an empty ray between rays that are not neighbours.
 
     Args:
         row: Row with :data:`FREE_COLUMNS`.
-        cell_rad: Width of the run's cells [rad].
     """
     bearing, start, stop = (np.array(row[name] or [], np.float64) for name in FREE_COLUMNS)
-    apart = np.flatnonzero(np.abs(np.diff(bearing)) > NEIGHBOURS * cell_rad) + 1
+    apart = np.flatnonzero(np.abs(np.diff(bearing)) > 1.5 * RAY_RAD) + 1
     seen = np.insert(np.ones(bearing.size, bool), apart, False)
     bearing, start, stop = (np.insert(a, apart, 0.0) for a in (bearing, start, stop))
     way = np.sin(bearing) + 1j * np.cos(bearing)

@@ -44,9 +44,11 @@ def sidecars(results: Results, folder: Path) -> Iterator[tuple[ResultLog, Path]]
         yield log, folder / f"{log.file_name}.jaxdet.mcap"
 
 
-def sidecar_frames(results: Results, log: ResultLog) -> Iterator[SidecarFrame]:
-    """Yield the frames of a log."""
-    for number, frame in enumerate(results.frames(log, FRAME_COLUMNS)):
+def sidecar_frames(
+    results: Results, log: ResultLog, columns: tuple[str, ...] = ()
+) -> Iterator[SidecarFrame]:
+    """Yield the frames of a log, with further columns."""
+    for number, frame in enumerate(results.frames(log, (*FRAME_COLUMNS, *columns))):
         grid = None if number else last_grid(results, log)
         named = frame.row["world_frame"] and not log.poses_from_tf
         T = T_world_camera(frame.row) if named else None

@@ -40,6 +40,9 @@ DEFINITIONS = {
     "nav_msgs/MapMetaData": "builtin_interfaces/Time map_load_time\nfloat32 resolution\n"
     "uint32 width\nuint32 height\ngeometry_msgs/Pose origin",
     "nav_msgs/OccupancyGrid": "std_msgs/Header header\nnav_msgs/MapMetaData info\nint8[] data",
+    "sensor_msgs/LaserScan": "std_msgs/Header header\nfloat32 angle_min\nfloat32 angle_max\n"
+    "float32 angle_increment\nfloat32 time_increment\nfloat32 scan_time\nfloat32 range_min\n"
+    "float32 range_max\nfloat32[] ranges\nfloat32[] intensities",
     "sensor_msgs/PointField": "string name\nuint32 offset\nuint8 datatype\nuint32 count",
     "sensor_msgs/PointCloud2": "std_msgs/Header header\nuint32 height\nuint32 width\n"
     "sensor_msgs/PointField[] fields\nbool is_bigendian\nuint32 point_step\nuint32 row_step\n"

@@ -68,6 +68,27 @@ def _block_depth(image: np.ndarray, side: int, near: np.ndarray, part: slice) ->
     return np.where(median > 0, mean, 0)
 
 
+def nearest_depths(depth: np.ndarray, side: int) -> np.ndarray:
+    """The least measured depth of each cell, also of one that has too few for a depth.
+
+    Args:
+        depth: ``(B, Hd, Wd)`` uint16 [depth units], 0 = no measurement.
+        side: Side of a cell [pixel].
+
+    Returns:
+        ``(B, R, C)`` int64, 0 where nothing is measured.
+
+    Example:
+        >>> nearest_depths(np.array([[[0, 7, 0, 0], [9, 8, 0, 0]]], np.uint16), 2).tolist()
+        [[[7, 0]]]
+    """
+    batch, height, width = depth.shape
+    rows, columns = height // side, width // side
+    blocks = depth[:, : rows * side, : columns * side].reshape(batch, rows, side, columns, side)
+    least = np.where(blocks > 0, blocks.astype(np.int64), 65536).min(axis=(2, 4))
+    return np.where(least < 65536, least, 0)
+
+
 def cell_boxes(
     z: np.ndarray, calibration: Calibration, side: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

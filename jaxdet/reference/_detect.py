@@ -5,11 +5,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxdet.camera import cell_side
+from jaxdet.camera import cell_rays, cell_side
 from jaxdet.config import Config
-from jaxdet.floor.frame import CAMERA_HEIGHT, DOWN, IS_KNOWN, floor_frames, on_floor
+from jaxdet.floor.frame import (
+    CAMERA_HEIGHT,
+    DOWN,
+    IS_KNOWN,
+    UNKNOWN_HEIGHT,
+    floor_frames,
+    on_floor,
+)
 from jaxdet.floor.plane import StepHeight, depth_range, max_height, quadratic_table, step_height
-from jaxdet.reference._cells import cell_boxes, cells, margins
+from jaxdet.floor.rays import half_turn
+from jaxdet.reference._cells import cell_boxes, cells, margins, nearest_depths
 from jaxdet.reference._evidence import Pairs, pairs
 from jaxdet.reference._floor import FloorFit, find_floor, floor_of_cells, used_cells
 from jaxdet.reference._footprint import footprint_on_floor
@@ -17,6 +25,7 @@ from jaxdet.reference._free import FloorView, floor_ahead
 from jaxdet.reference._obstacles import obstacles, whole_surfaces
 from jaxdet.reference._outlines import contours, fitted_direction, fitted_span, inner
 from jaxdet.reference._points import clusters
+from jaxdet.reference._rays import Standing, blocks, rays
 from jaxdet.reference._surfaces import surfaces, without_bent_floor
 from jaxdet.reference._view import View
 from jaxdet.types import (
@@ -73,13 +82,14 @@ def detect(
     count = np.array([one.label.max(initial=-1) + 1 for one in found])
     kept = np.minimum(count, MAX_OBSTACLES).astype(np.int32)
     outlines, shapes = _outlines(grid, found, kept, calibration, config)
+    pixels = nearest_depths(frames.depth, cell_side(calibration.depth, config.surface.cell_rad))
     nearest, farthest = depth_range(config.ground.min_depth_m, config.ground.max_depth_m, unit)
     return Detections(
         kept,
         (count > MAX_OBSTACLES) | [one.overflow for one in found],
         ((grid.z >= nearest) & (grid.z <= farthest)).any(axis=(1, 2)),
         outlines,
-        Scene(fit.found, plane, *shapes, *_free(found, floors, unit, config)),
+        Scene(fit.found, plane, *shapes, *_free(found, floors, pixels, calibration, config)),
         _cell_labels(grid, found) if with_cells else None,
     )
 
@@ -193,20 +203,45 @@ def _outlines(
 
 
 def _free(
-    found: list[Found], floors: np.ndarray, unit: float, config: Config
+    found: list[Found],
+    floors: np.ndarray,
+    pixels: np.ndarray,
+    calibration: Calibration,
+    config: Config,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The free floor of each frame; ``floors`` are of :func:`jaxdet.floor.frame.floor_frames`."""
-    parts = []
+    """The free floor of each frame.
+
+    Args:
+        found: Obstacles of ``B`` frames.
+        floors: ``(B, 13)``, of :func:`jaxdet.floor.frame.floor_frames`.
+        pixels: ``(B, R, C)``, of :func:`jaxdet.reference._cells.nearest_depths`.
+        calibration: Calibration of the log.
+        config: Configuration of the method.
+    """
+    parts, unit = [], calibration.depth_unit
     far = round(config.ground.max_depth_m / unit)
     gap = round(config.floor.gap_m / unit)
     settings, step = config.floor, config.ground.step_height_m
     drops = quadratic_table(settings.drop_m, settings.noise_per_m, unit)
     bows = quadratic_table(step, settings.bow_per_m, unit)
-    for one, frame in zip(found, floors, strict=True):
+    side = cell_side(calibration.depth, config.surface.cell_rad)
+    cells, half = cell_rays(calibration.depth, side), half_turn(calibration.depth, side)
+    for one, frame, near in zip(found, floors, pixels, strict=True):
         cell = one.view
         floor = one.low & (cell.height >= -bows[cell.z]) & (cell.z <= far)
         place = cell.right, cell.forward, cell.height
         view = FloorView(one.label, one.low, floor, *place, drops[cell.z])
-        parts.append(floor_ahead(view, frame[DOWN], far, gap))
-    line, end = zip(*parts, strict=True)
-    return np.stack(line), np.stack(end)
+        ahead = floor_ahead(view, frame[DOWN], far, gap)
+        standing = Standing(near, cell.z, _is_above(one, frame, config, unit))
+        parts.append(rays(*ahead, blocks(standing, frame, cells, config.ground, unit), half))
+    free, end = zip(*parts, strict=True)
+    return np.stack(free), np.stack(end)
+
+
+def _is_above(one: Found, frame: np.ndarray, config: Config, unit: float) -> np.ndarray:
+    """Whether each cell is in the depth range and between the step and the maximum height."""
+    view, ground = one.view, config.ground
+    nearest, farthest = depth_range(ground.min_depth_m, ground.max_depth_m, unit)
+    highest = max_height(ground, unit) if frame[IS_KNOWN] else UNKNOWN_HEIGHT
+    in_range = (view.z >= nearest) & (view.z <= farthest)
+    return in_range & ~one.low & (view.height <= highest)

@@ -6,6 +6,7 @@ import numpy as np
 
 import jaxdet.render.canvas as canvas
 from jaxdet.floor.plane import GROUND_BITS, ground_axes
+from jaxdet.results.free_floor import ray_bearings
 from jaxdet.types import Calibration, Cells, Detections, Features, FreeEnd, GroundPlane, Scene
 
 _MARGIN = 34
@@ -155,16 +156,28 @@ def _draw_contours(
         points = scene.contour[row, label, : scene.contour_points[row, label]]
         canvas.line(image, view.pixels(points * unit), (10, 12, 16), 4)
         canvas.line(image, view.pixels(points * unit), canvas.color_of(label), 2)
-    drops = scene.free[row, scene.free_end[row] == FreeEnd.DROP, 1]
+    drops = _ray_places(scene, row)[scene.free_end[row] == FreeEnd.DROP, 1]
     canvas.dots(image, view.pixels(drops * unit), canvas.DROP, 2.0)
 
 
+def _ray_places(scene: Scene, row: int) -> np.ndarray:
+    """Where free floor begins and ends on each ray, ``(RAYS, 2, 2)`` right and forward [units]."""
+    _, way = ray_bearings()
+    return (
+        np.asarray(scene.free[row])[..., None] * np.stack([np.real(way), np.imag(way)], -1)[:, None]
+    )
+
+
 def _draw_free(image: np.ndarray, view: View, scene: Scene, row: int, unit: float) -> None:
-    """Draw the free floor between neighbouring columns that both have some."""
-    lines = view.pixels(scene.free[row] * unit)
-    seen = (scene.free[row, :, 0] != scene.free[row, :, 1]).any(axis=-1)
+    """Draw the free floor between neighbouring rays that both have some, as far as both do."""
+    _, way = ray_bearings()
+    start, stop = np.asarray(scene.free[row]).T
+    seen = start < stop
+    first, last = np.maximum(start[:-1], start[1:]), np.minimum(stop[:-1], stop[1:])
     layer = image.copy()
-    for c in np.flatnonzero(seen[:-1] & seen[1:]).tolist():
-        quad = np.concatenate([lines[c], lines[c + 1, ::-1]])
+    for c in np.flatnonzero(seen[:-1] & seen[1:] & (first < last)).tolist():
+        ring = np.outer([first[c], last[c]], way[c : c + 2])
+        corners = np.concatenate([ring[0], ring[1, ::-1]])
+        quad = view.pixels(np.stack([np.real(corners), np.imag(corners)], axis=-1) * unit)
         canvas.polygon(layer, quad, canvas.FREE, fill=1.0, width=0)
     image[:] = np.rint(0.7 * image + 0.3 * layer).astype(np.uint8)

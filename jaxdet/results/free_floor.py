@@ -1,17 +1,19 @@
 """The free floor of a batch in metres: columns of the result table, and its place in the world."""
 
-from functools import reduce
+from functools import lru_cache, reduce
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxdet.elementary import arctan2
+from jaxdet.elementary import sin_cos
 from jaxdet.results.lists import Lists
 from jaxdet.results.metric import world_angle
-from jaxdet.types import Array, FreeEnd
+from jaxdet.types import RAYS, Array, FreeEnd
 
-DROP_COLUMNS = 3
-"""So many neighbouring columns of cells must show a drop."""
+RAY_RAD = 2 * np.pi / RAYS
+"""Between neighbouring rays [rad]."""
+DROP_RAYS = 5
+"""So many neighbouring rays must show a drop, some three columns of cells."""
 
 
 class Polygons(NamedTuple):
@@ -26,14 +28,14 @@ class Polygons(NamedTuple):
 
 
 class FreeFloor(NamedTuple):
-    """By frame and column of cells, each ``(B, C)``; 0 where nothing is seen."""
+    """By frame and ray, each ``(B, N)``; 0 where nothing is seen."""
 
     seen: np.ndarray
     """bool, the floor or an obstacle."""
     way: np.ndarray
-    """complex128, unit vector to where it ends: right, and forward times 1j."""
+    """complex128, unit vector along the ray: right, and forward times 1j."""
     bearing_rad: np.ndarray
-    """float64, of where it ends, clockwise from above, 0 ahead: ``arctan2(right, forward)``."""
+    """float64, of the ray, clockwise from above, 0 ahead [rad]."""
     from_m: np.ndarray
     """float64, distance from the camera's foot on the floor to where the free floor begins [m]."""
     to_m: np.ndarray
@@ -43,24 +45,24 @@ class FreeFloor(NamedTuple):
 
     @property
     def drop_m(self) -> np.ndarray:
-        """``(B,)`` float64, distance of the nearest drop that ``DROP_COLUMNS`` columns show [m].
+        """``(B,)`` float64, distance of the nearest drop that ``DROP_RAYS`` rays show [m].
 
-        The farthest of so many neighbouring columns that all end in a drop, and of these the
+        The farthest of so many neighbouring rays that all end in a drop, and of these the
         nearest; NaN where there are none.
         """
         to = np.where(self.end == FreeEnd.DROP, self.to_m, np.inf)
-        last = to.shape[1] - DROP_COLUMNS + 1
+        last = to.shape[1] - DROP_RAYS + 1
         if last < 1:
             return np.full(len(to), np.nan)
-        together = reduce(np.maximum, (to[:, i : i + last] for i in range(DROP_COLUMNS)))
+        together = reduce(np.maximum, (to[:, i : i + last] for i in range(DROP_RAYS)))
         nearest = together.min(axis=1)
         return np.where(np.isfinite(nearest), nearest, np.nan)
 
     def in_world(self, T_world_camera: np.ndarray) -> Polygons:
-        """The free floor between neighbouring columns, joined where they go on.
+        """The free floor between neighbouring rays, joined where they go on.
 
-        Between two columns it is free as far as both show it; a column in which nothing is seen
-        parts polygons. A frame whose pose is unknown has none.
+        Between two rays it is free as far as both show it; a ray on which nothing is seen parts
+        polygons. A frame whose pose is unknown has none.
 
         Args:
             T_world_camera: ``(B, 4, 4)`` float64, NaN where unknown.
@@ -103,19 +105,27 @@ def free_floor(free: Array, free_end: Array, depth_unit: float) -> FreeFloor:
     """The free floor of a batch in metres.
 
     Args:
-        free: ``(B, C, 2, 2)`` int32 [depth units], of :class:`jaxdet.types.Scene`.
-        free_end: ``(B, C)`` int32, of the same.
+        free: ``(B, RAYS, 2)`` int32 [depth units], of :class:`jaxdet.types.Scene`.
+        free_end: ``(B, RAYS)`` int32, of the same.
         depth_unit: Metres in one depth unit.
     """
-    (x0, y0), (x, y) = np.ascontiguousarray(np.moveaxis(np.asarray(free), (2, 3), (0, 1)))
-    seen = (x0 | y0 | x | y) != 0
-    x0, y0, x, y = (a.astype(np.float64) for a in (x0, y0, x, y))
-    start, stop = np.sqrt(x0 * x0 + y0 * y0), np.sqrt(x * x + y * y)
-    start[x0 * x + y0 * y < 0] = 0.0  # it begins behind the camera's foot
-    way, length = np.empty(stop.shape, np.complex128), np.where(stop, stop, 1.0)
-    way.real, way.imag = x / length, y / length
+    start, stop = np.moveaxis(np.asarray(free), 2, 0)
+    bearing, way = ray_bearings()
+    shape = stop.shape
     end = np.asarray(free_end, np.int8)
-    return FreeFloor(seen, way, arctan2(x, y), start * depth_unit, stop * depth_unit, end)
+    ways = np.broadcast_to(way, shape), np.broadcast_to(bearing, shape)
+    return FreeFloor(stop > 0, *ways, start * depth_unit, stop * depth_unit, end)
+
+
+@lru_cache(maxsize=1)
+def ray_bearings() -> tuple[np.ndarray, np.ndarray]:
+    """The bearings of the rays ``(RAYS,)`` float64 [rad], and unit vectors as in FreeFloor."""
+    bearing = (np.arange(RAYS) - RAYS // 2) * RAY_RAD
+    way = np.empty(RAYS, np.complex128)
+    way.real, way.imag = sin_cos(bearing)
+    for table in (bearing, way):
+        table.setflags(write=False)
+    return bearing, way
 
 
 def free_columns(free: FreeFloor, good: np.ndarray) -> dict[str, Any]:

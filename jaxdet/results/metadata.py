@@ -15,7 +15,7 @@ import pyarrow as pa
 
 import jaxdet
 
-FORMAT = 4
+FORMAT = 5
 """Number of the tables' format; another one has other columns, or some of another meaning."""
 
 FORMAT_KEY, VERSION_KEY = "jaxdet.format", "jaxdet.version"

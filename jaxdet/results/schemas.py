@@ -66,7 +66,7 @@ FRAMES_SCHEMA = _schema(
     _Column("floor_source", _STRING, "", "where the floor comes from"),
     _Column("floor_refused", _STRING, "", "why the frame's own depth did not decide", True),
     _Column(
-        "free_bearing_rad", _LIST, "rad", "free floor: bearing of its end, clockwise, 0 ahead", True
+        "free_bearing_rad", _LIST, "rad", "free floor: bearing of a ray, clockwise, 0 ahead", True
     ),
     _Column("free_from_m", _LIST, "m", "where it begins, from the camera's foot", True),
     _Column("free_to_m", _LIST, "m", "where it ends, from the camera's foot", True),
@@ -74,7 +74,7 @@ FRAMES_SCHEMA = _schema(
         "free_end",
         pa.list_(_item(_I8)),
         "",
-        "what ends it: 0 not known, 1 an obstacle, 2 a drop, 3 the depth range",
+        "what ends it: 0 not known, 1 an obstacle or what is above the step, 2 a drop, 3 the range",
         True,
     ),
     _Column("drop_m", _F32, "m", "distance of the nearest drop on the floor", True),

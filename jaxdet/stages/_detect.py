@@ -97,7 +97,7 @@ def _detect(
 ) -> Detections:
     tables, floors = given
     found = _program.detect(depth, floors, tables, static, with_cells)
-    record = _program.record_layout(static.columns)
+    record = _program.record_layout()
     fields = {name: record.take(found.record, name) for name in record.shapes}
     count, surfaces = fields["num_obstacles"], fields["num_surfaces"]
     fields["has_vertex"] = fields["has_vertex"] != 0

@@ -30,19 +30,20 @@ from jaxdet.stages._tables import (
     outline_tables,
     surface_tables,
 )
-from jaxdet.types import MAX_CONTOUR, MAX_OBSTACLES, Array, Calibration, GroundPlane
+from jaxdet.types import MAX_CONTOUR, MAX_OBSTACLES, RAYS, Array, Calibration, GroundPlane
 from jaxdet_kernels import program as kernels
 
 STEPS = tuple(kernels.STEPS)
 _TEAMS = [TeamKernel(kernel, kernels.WIDTH, kernels.BLOCKS) for kernel in kernels.STEPS.values()]
 _FIXED = (
     "near", "steps", "limits", "rises", "bows", "drops", "bands",
-    "surface_settings", "outline_settings", "free_settings", "last", "directions", "parameters",
+    "surface_settings", "outline_settings", "free_settings", "last", "directions", "bearings",
+    "ray_directions", "block_settings", "parameters",
 )  # fmt: skip
 """Tables that are as long for each camera: the header doesn't say where they begin."""
 _TABLES = (
-    *_FIXED, "corner_x", "corner_y", "rays", "floor_settings", "sines",
-    "feature", "threshold", "value", "obstacle_settings",
+    *_FIXED, "corner_x", "corner_y", "rays", "tile_corners", "floor_settings",
+    "sines", "feature", "threshold", "value", "obstacle_settings",
 )  # fmt: skip
 _HEADER = 32
 """Words of the header, with room: whole cache lines."""
@@ -61,14 +62,14 @@ class Sizes(NamedTuple):
 @lru_cache(maxsize=64)
 def work_layout(rows: int, columns: int) -> Layout:
     """What steps hand on: the grid of cells on the floor, and the floor's frame."""
-    by_cell = "x", "y", "z", "right", "forward", "height", "surface", "label"
+    by_cell = "x", "y", "z", "nearest_pixel", "right", "forward", "height", "surface", "label"
     bools = "keep", "free_cell", "low"
     shapes = {"frame": (13,), **dict.fromkeys((*by_cell, *bools), (rows, columns))}
     return Layout(shapes, frozenset(bools))
 
 
-@lru_cache(maxsize=64)
-def record_layout(columns: int) -> Layout:
+@lru_cache(maxsize=1)
+def record_layout() -> Layout:
     """Results of a frame, see :class:`jaxdet.types.Obstacles` and :class:`jaxdet.types.Scene`."""
     one, two, three = (MAX_OBSTACLES,), (MAX_OBSTACLES, 2), (MAX_OBSTACLES, 3)
     return Layout(
@@ -80,8 +81,8 @@ def record_layout(columns: int) -> Layout:
             **dict.fromkeys(("xyz_min", "xyz_max"), three),
             "xyz_sum": (*three, 2),
             "span": (MAX_OBSTACLES, 4),
-            "free": (columns, 2, 2),
-            "free_end": (columns,),
+            "free": (RAYS, 2),
+            "free_end": (RAYS,),
         }
     )
 
@@ -100,7 +101,7 @@ def host_tables(calibration: Calibration, config: Config) -> tuple[Sizes, Tables
         **surface_tables(calibration, config),
         **obstacle_tables(bounds[1], unit, config.obstacle, table),
         **outline_tables(calibration, config),
-        **_free.tables(config, unit),
+        **_free.tables(calibration, config),
     }
 
 
@@ -167,7 +168,7 @@ def find_floors(
 ) -> jax.Array:
     """The floor alone ``(B, 8)`` int32, takes what :func:`detect` takes."""
     found = _called(2, depth, floors, tables, static, keep_work=False)
-    return record_layout(static.columns).take(found.record, "floor")
+    return record_layout().take(found.record, "floor")
 
 
 class Static(NamedTuple):
@@ -185,7 +186,7 @@ class Static(NamedTuple):
     def words(self, keep_work: bool = True) -> tuple[int, int, int]:
         """Words of a frame's record, contours and work."""
         work = work_layout(self.rows, self.columns).words if keep_work else 1
-        return record_layout(self.columns).words, MAX_OBSTACLES * self.columns * 2, work
+        return record_layout().words, MAX_OBSTACLES * self.columns * 2, work
 
 
 def _called(

@@ -79,7 +79,7 @@ struct CellDepth {
     enum { SMALL = 4 };
 
     // For a side known when this is compiled, at most SMALL: the values stay in registers.
-    __forceinline__ int depth_of_small(int known) const {
+    __forceinline__ int depth_of_small(int known, int* nearest) const {
         const int all = known * known;
         int value[SMALL * SMALL], sorted[SMALL * SMALL];
 #pragma unroll
@@ -94,6 +94,10 @@ struct CellDepth {
             high = value[i] > high ? value[i] : high;
             sorted[i] = value[i] ? value[i] : 65536;
         }
+        int least = 65536;
+#pragma unroll
+        for (int i = 0; i < all; ++i) least = min(least, sorted[i]);
+        *nearest = least & 65535;
         if (2 * count < all || !count) return 0;
         sort(sorted, all);
         if (high - sorted[0] > near[sorted[0]]) {
@@ -133,12 +137,14 @@ struct CellDepth {
     }
 #endif
 
-    int depth() const {
+    // The depth; `nearest` becomes the least measured one, also where too few are.
+    int depth(int* nearest) const {
 #if defined(__CUDA_ARCH__)
-        if (side == 3) return depth_of_small(3);
-        if (side == 4) return depth_of_small(4);
+        if (side == 3) return depth_of_small(3, nearest);
+        if (side == 4) return depth_of_small(4, nearest);
 #endif
         Pixels all = pixels();
+        *nearest = all.low & 65535;
         keep_near(all);
         return mean(all.sum, all.count);
     }
@@ -167,7 +173,8 @@ struct CellRow {
     // The depths of the cells whose first pixel is `first`; a side is at most MOST_SIDE. Called with
     // a constant, so that the pixels of a row are dealt out by shuffles.
     __attribute__((always_inline)) inline void run(const unsigned short* first, int stride,
-                                                   int side, int* out) {
+                                                   int side, int* out,
+                                                   int* nearest) {
         const int all = side * side;
         for (int v = 0; v < side; ++v)
             for (int k = 0; k < LANES; ++k)
@@ -181,6 +188,7 @@ struct CellRow {
             high = high > depth ? high : depth;
             add(depth, &count, &sum);
         }
+        *(Wide*)nearest = __builtin_convertvector((Words)(low + 1), Wide);
         const Words enough = (Words)(count * 2 >= (unsigned short)all);
         if (are_uneven(low, high)) {
             sort(all);

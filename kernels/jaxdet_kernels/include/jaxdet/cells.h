@@ -14,6 +14,7 @@ struct CellGrid {
     const int* near;                // By depth, see `CellDepth`.
     const int* rays;                // (2, rows, columns), x and y over z with RAY_BITS fraction bits.
     int *x_out, *y_out, *z_out;
+    int* nearest_out;               // The least measured depth of a cell, 0 = none.
 
     CellDepth cell(int row, int column) const {
         return {depth + (long long)row * side * width + column * side, width, side, near};
@@ -35,9 +36,11 @@ struct CellGrid {
     void depths(int row, CellRow& beside, int* d) const {
         enum { LANES = CellRow::LANES };
         if (side > CellRow::MOST_SIDE || columns < LANES) {
-            for (int column = 0; column < columns; ++column) d[column] = cell(row, column).depth();
+            for (int column = 0; column < columns; ++column)
+                d[column] = cell(row, column).depth(nearest_out + row * columns + column);
             return;
         }
+        int* const nearest = nearest_out + row * columns;
         for (int start = 0; start < columns; start += LANES) {
             // The last ones are found again where they don't fill the lanes.
             const int from = start < columns - LANES ? start : columns - LANES;
@@ -46,12 +49,12 @@ struct CellGrid {
             for (int v = side; row + 1 < rows && v < 2 * side; ++v)
                 for (int u = 0; u < LANES * side; u += 32) __builtin_prefetch(first + v * width + u);
             switch (side) {
-                case 1: beside.run(first, width, 1, d + from); break;
-                case 2: beside.run(first, width, 2, d + from); break;
-                case 3: beside.run(first, width, 3, d + from); break;
-                case 4: beside.run(first, width, 4, d + from); break;
-                case 5: beside.run(first, width, 5, d + from); break;
-                default: beside.run(first, width, side, d + from);
+                case 1: beside.run(first, width, 1, d + from, nearest + from); break;
+                case 2: beside.run(first, width, 2, d + from, nearest + from); break;
+                case 3: beside.run(first, width, 3, d + from, nearest + from); break;
+                case 4: beside.run(first, width, 4, d + from, nearest + from); break;
+                case 5: beside.run(first, width, 5, d + from, nearest + from); break;
+                default: beside.run(first, width, side, d + from, nearest + from);
             }
         }
     }
@@ -66,7 +69,7 @@ struct CellGrid {
                 const int k = row * columns + column;
                 // The ray is requested before the depth is computed: both loads wait together.
                 const int ray_x = rays[k], ray_y = rays[all + k];
-                place(k, ray_x, ray_y, cell(row, column).depth());
+                place(k, ray_x, ray_y, cell(row, column).depth(nearest_out + k));
             }
 #else
         (void)team;

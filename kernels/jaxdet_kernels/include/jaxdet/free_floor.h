@@ -2,13 +2,15 @@
 // jaxdet/reference/_free.py.
 #pragma once
 #include "floor_frame.h"
+#include "rays.h"
 #include "warp.h"
 
 namespace jaxdet { namespace {
 
 struct FreeFloor {
-    // End of the range; the floor ends where so much of it shows no measurement.
-    enum { FAR, GAP, SETTINGS };
+    // End of the range; the floor ends where so much of it shows no measurement; depths and heights
+    // of what ends rays; and half of a cell's angle.
+    enum { FAR, GAP, NEAREST, IN_RANGE, HIGHEST, HALF_TURN, SETTINGS };
     enum { UNKNOWN, OBSTACLE, DROP, RANGE };
     enum {
         // So many measured cells one after the other are a drop lower than the last floor.

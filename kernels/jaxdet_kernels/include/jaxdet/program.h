@@ -47,23 +47,24 @@ struct Frame {
     // Tables.
     const int *near, *steps, *limits, *rises, *bows, *drops, *bands;  // by depth
     const int *surface_settings, *outline_settings, *free_settings, *last, *directions;
-    const float *parameters, *corner_x, *corner_y;
-    const int *rays, *floor_settings, *sines, *feature, *threshold, *value, *obstacle_settings;
+    const int *bearings, *ray_directions;
+    const float *block_settings, *parameters, *corner_x, *corner_y;
+    const int *rays, *tile_corners, *floor_settings, *sines, *feature, *threshold, *value, *obstacle_settings;
     // What steps hand on: of each cell, but for `frame`.
-    int *frame, *x, *y, *z, *right, *forward, *above, *surface, *label;
+    int *frame, *x, *y, *z, *nearest, *right, *forward, *above, *surface, *label;
     unsigned char *keep, *free, *low;
     // The record.
     int *floor, *num_surfaces, *has_depth, *num_obstacles;
     int *num_points, *has_vertex, *contour_points;
     int *uv_min, *uv_max, *a, *b, *c, *direction, *bottom_top;
-    int *xyz_min, *xyz_max, *xyz_sum, *span, *free_line, *free_end;
+    int *xyz_min, *xyz_max, *xyz_sum, *span, *free_ranges, *free_end;
 
     Frame(int rows, int columns, const int* tables, const unsigned short* depth, const int* floors,
           int* record, int* contour, int* work)
         : depth(depth), floors(floors), contour(contour), rows(rows), columns(columns) {
         Header header{tables + STATIC};
         header.sizes(width, side, trees, leaves, aligned);
-        header.places(tables, corner_x, corner_y, rays, floor_settings, sines, feature, threshold,
+        header.places(tables, corner_x, corner_y, rays, tile_corners, floor_settings, sines, feature, threshold,
                       value, obstacle_settings);
         Arena fixed{(int*)tables + HEADER};
         take(fixed, DEPTHS, near, steps, limits, rises, bows, drops);
@@ -73,11 +74,14 @@ struct Frame {
         take(fixed, FreeFloor::SETTINGS, free_settings);
         take(fixed, 2, last);
         take(fixed, 2 * Outlines::DIRECTIONS, directions);
+        take(fixed, (1 << Rays::RATIO_BITS) + 1, bearings);
+        take(fixed, 4 * Rays::RAYS, ray_directions);
+        take(fixed, RayBlocks::SETTINGS, block_settings);
         take(fixed, Projection::PARAMETERS + 2, parameters);
         const int cells = rows * columns;
         Arena handed{work}, found{record};
         take(handed, FloorFrame::VALUES, frame);
-        take(handed, cells, x, y, z, right, forward, above, surface, label);
+        take(handed, cells, x, y, z, nearest, right, forward, above, surface, label);
         take(handed, (cells + 3) / 4, keep, free, low);
         work_words = handed.used;
         take(found, FoundFrame::RESULTS, floor);
@@ -87,12 +91,12 @@ struct Frame {
         take(found, 3 * SLOTS, xyz_min, xyz_max);
         take(found, 6 * SLOTS, xyz_sum);
         take(found, 4 * SLOTS, span);
-        take(found, 4 * columns, free_line);
-        take(found, columns, free_end);
+        take(found, 2 * Rays::RAYS, free_ranges);
+        take(found, Rays::RAYS, free_end);
     }
 
     JAXDET_STEP void find_cells(const Team& team, int*) const {
-        CellGrid{depth, width, rows, columns, side, near, rays, x, y, z}.run(team);
+        CellGrid{depth, width, rows, columns, side, near, rays, x, y, z, nearest}.run(team);
     }
 
     Floor floor_near(const int* prior, const Team& team, Arena& arena, int* fast) const {
@@ -160,11 +164,35 @@ struct Frame {
         with_outlines(team, number, arena, [](const Outlines& outlines) { outlines.run(); });
     }
 
+    // What the step of the free floor has in scratch memory.
+    struct FreeParts {
+        int *line, *end, *falls, *polar, *start, *stop, *block;
+
+        FreeParts(int columns, Arena& arena)
+            : line(arena.words(4 * columns)), end(arena.words(columns)),
+              falls(arena.words(columns)), polar(arena.words(4 * columns)),
+              start(arena.words(Rays::RAYS)), stop(arena.words(Rays::RAYS)),
+              block(arena.words(Rays::RAYS)) {}
+    };
     JAXDET_STEP void find_free_floor(const Team& team, int* scratch) const {
-        FreeFloor{team, rows, columns, free_settings[FreeFloor::FAR], free_settings[FreeFloor::GAP],
-                  label, z, right, forward, above, (const bool*)low, bows, drops, free_line,
-                  free_end, scratch, false}
-            .run(FloorFrame(frame));
+        Arena arena{scratch};
+        const FreeParts in(columns, arena);
+        const int* const of = free_settings;
+        const FloorFrame floor_frame(frame);
+        FreeFloor by_column{team, rows, columns, of[FreeFloor::FAR], of[FreeFloor::GAP], label, z,
+                            right, forward, above, (const bool*)low, bows, drops, in.line, in.end,
+                            in.falls, false};
+        const Rays found{team, columns, bearings, ray_directions, in.line, in.end, in.start,
+                         in.stop, in.block, in.polar, of[FreeFloor::HALF_TURN]};
+        found.begin();
+        by_column.run(floor_frame);
+        found.find_points();
+        const bool inside = found.is_foot_inside();
+        found.add_floor(inside);
+        RayBlocks(of[FreeFloor::NEAREST], of[FreeFloor::IN_RANGE], of[FreeFloor::HIGHEST], rows,
+                  columns, floor_frame, low, nearest, z, above, rays, tile_corners, block_settings)
+            .run(found);
+        found.put(inside, free_ranges, free_end);
     }
 
     // The most words of scratch memory that a step takes; also for CUDA, where it is less.
@@ -177,7 +205,7 @@ struct Frame {
         Surfaces::Parts(rows, columns, of[SURFACES]);
         obstacles(nullptr).allocate(of[OBSTACLES]);
         with_outlines(team, 0, of[OUTLINES], [](const Outlines&) {});
-        of[FREE_FLOOR].words(columns);
+        FreeParts(columns, of[FREE_FLOOR]);
         int most = 0;
         for (const Arena& arena : of) most = arena.used > most ? arena.used : most;
         return (size_t)most;

@@ -1,0 +1,425 @@
+// How far the floor is free along fixed bearings from the camera's foot. Twin of
+// jaxdet/reference/_rays.py.
+#pragma once
+#include "cells.h"
+#include "floor_frame.h"
+#include "grid.h"
+#include "square_root.h"
+
+namespace jaxdet { namespace {
+
+struct Rays {
+    enum {
+        RAYS = 1440,
+        UNIT_BITS = 4,
+        UNITS = 1 << UNIT_BITS,  // of a bearing, between neighbouring rays
+        TURN = RAYS * UNITS,
+        RATIO_BITS = 12,
+        BITS = 13,       // fraction bits of a direction
+        TURN_BITS = 13,  // and of a small turn
+        MOST_WIDER = 8,  // times that a column is wider at its end than at its neighbour's
+        END_BITS = 2,
+        NONE = 0x7fffffff,
+        INFINITE = 0x7f800000  // as float32
+    };
+    enum { UNKNOWN, OBSTACLE };  // as in FreeFloor
+    struct Point { int right, forward, bearing, range; };
+
+    const Team& team;
+    int columns;
+    const int* angles;       // (2^RATIO_BITS + 1,) of bearings up to an eighth of a turn, by tangent
+    const int* directions;   // (2, RAYS, 2): of the rays, and of the left edges of their sectors
+    const int *line, *ends;  // (columns, 2, 2), (columns,): where columns begin and end, and why
+    // By ray: where the floor begins; packed, where it ends; and as the bits of its squared float32,
+    // the range of what stands there.
+    int *start, *stop, *block;
+    int* polar;  // (columns, 2, 2): bearing and range of where columns begin and end
+    int turn;    // half a cell's angle in radians, with TURN_BITS
+
+    static int magnitude(int a) { return a < 0 ? -a : a; }
+
+    // Quotients rounded down, of a below 2^52 and b from 1 to 2^33. Float64, which CPUs are faster
+    // with, tells those below 2^19 from the next integer; larger ones may be rounded.
+    static long long floored(long long a, long long b) {
+#if defined(__CUDA_ARCH__)
+        const long long all = a / b;
+        return all - (all * b > a);
+#else
+        return (long long)__builtin_floor((double)a / (double)b);
+#endif
+    }
+    static int quotient(int a, int b) {
+#if defined(__CUDA_ARCH__)
+        return a / b;
+#else
+        return (int)((double)a / (double)b);
+#endif
+    }
+
+    // Bits of a float32; those of positive ones are ordered as they are.
+#if defined(__CUDA_ARCH__)
+    static int bits_of(float value) { return __float_as_int(value); }
+    static float float_of(int bits) { return __int_as_float(bits); }
+#else
+    static int bits_of(float value) {
+        int bits;
+        __builtin_memcpy(&bits, &value, sizeof bits);
+        return bits;
+    }
+    static float float_of(int bits) {
+        float value;
+        __builtin_memcpy(&value, &bits, sizeof value);
+        return value;
+    }
+#endif
+
+    // Clockwise from above, 0 ahead.
+    __attribute__((always_inline)) int bearing(int right, int forward) const {
+        const int aside = magnitude(right), ahead = magnitude(forward);
+        const int low = aside < ahead ? aside : ahead, high = aside < ahead ? ahead : aside;
+        int angle = angles[quotient(low << RATIO_BITS, high ? high : 1)];
+        angle = aside > ahead ? TURN / 4 - angle : angle;
+        angle = forward < 0 ? TURN / 2 - angle : angle;
+        return right < 0 ? -angle : angle;
+    }
+
+    // From one bearing to another, at most half a turn to either side.
+    static int turn_to(int from, int to) {
+        const int by = to - from;
+        return by >= TURN / 2 ? by - TURN : by < -TURN / 2 ? by + TURN : by;
+    }
+
+    // Counted on from 0 without an end.
+    static int sector(int bearing) { return (bearing + TURN / 2 + UNITS / 2) >> UNIT_BITS; }
+    static int wrapped(int sector) {
+        return sector < 0 ? sector + RAYS : sector < RAYS ? sector : sector - RAYS;
+    }
+
+    // The distance from the foot along the ray of a bearing; below 2^53 float64 is exact.
+    __attribute__((always_inline)) int range(int right, int forward, int bearing) const {
+        const int* const way = directions + 2 * wrapped(sector(bearing));
+        const double sum = (double)right * way[0] + (double)forward * way[1] + (1 << (BITS - 1));
+        return (int)((sum < 0 ? -sum : sum) * (1.0 / (1 << BITS)));
+    }
+    __attribute__((always_inline)) Point point(int right, int forward) const {
+        const int at = bearing(right, forward);
+        return {right, forward, at, range(right, forward, at)};
+    }
+
+    // Of equal ranges an obstacle is least, then a drop.
+    static int packed(int range, int why) { return range << END_BITS | ((why - 1) & 3); }
+
+    void begin() const {
+        for (int i = team.rank; i < RAYS; i += team.size) {
+            start[i] = -1;
+            stop[i] = NONE;
+            block[i] = INFINITE;
+        }
+        team.sync();
+    }
+
+    // Where a column begins (0) or ends (1).
+    Point end_point(int c, int which) const {
+        const int k = 2 * c + which;
+        return {line[2 * k], line[2 * k + 1], polar[2 * k], polar[2 * k + 1]};
+    }
+    Point near(int c) const { return end_point(c, 0); }
+    Point far(int c) const { return end_point(c, 1); }
+
+    void find_points() const {
+        for (int k = team.rank; k < 2 * columns; k += team.size) {
+            const Point p = point(line[2 * k], line[2 * k + 1]);
+            polar[2 * k] = p.bearing;
+            polar[2 * k + 1] = p.range;
+        }
+        team.sync();
+    }
+
+    // Whether a column shows floor, not only an obstacle.
+    bool is_seen(int c) const {
+        if (c < 0 || c >= columns) return false;
+        const Point a = near(c), b = far(c);
+        const bool any = a.right || a.forward || b.right || b.forward;
+        return any && !(a.right == b.right && a.forward == b.forward && ends[c] == OBSTACLE);
+    }
+
+    // Whether the floor of a column goes from behind the foot to before it, and where it passes.
+    bool passes(int c, long long* beside) const {
+        if (!is_seen(c)) return false;
+        const Point a = near(c), b = far(c);
+        if (a.forward > 0 || b.forward < 0 || b.forward <= a.forward) return false;
+        const long long across = (long long)(b.right - a.right) * -a.forward;
+        *beside = a.right + floored(across, b.forward - a.forward);
+        return true;
+    }
+
+    bool is_foot_inside() const {
+        bool found = false;
+        for (int c = team.rank; c + 1 < columns; c += team.size) {
+            long long one = 0, other = 0;
+            if (!passes(c, &one) || !passes(c + 1, &other)) continue;
+            found |= (one < other ? one : other) <= 0 && (one < other ? other : one) >= 0;
+        }
+        return team.any(found);
+    }
+
+    // The sectors that a segment passes, with its least or largest range in each.
+    template <bool LEAST, class Put> void sweep(Point first, Point last, Put put) const {
+        const int turn = turn_to(first.bearing, last.bearing);
+        const Point &leftmost = turn < 0 ? last : first, &rightmost = turn < 0 ? first : last;
+        const int begin = sector(leftmost.bearing);
+        const int end = sector(leftmost.bearing + magnitude(turn));
+        const int x = last.right - first.right, y = last.forward - first.forward;
+        const long long cross = (long long)first.right * y - (long long)first.forward * x;
+        const long long area = (cross < 0 ? -cross : cross) << BITS;
+        const int lowest = first.range < last.range ? first.range : last.range;
+        const int highest = first.range < last.range ? last.range : first.range;
+        int left = leftmost.range;
+        for (int s = begin; s <= end; ++s) {
+            int right = rightmost.range;
+            if (s < end) {
+                const int* const edge = directions + 2 * (RAYS + wrapped(s + 1));
+                const long long over = (long long)edge[0] * y - (long long)edge[1] * x;
+                const long long all = floored(area, over ? over < 0 ? -over : over : 1);
+                right = all < lowest ? lowest : all > highest ? highest : (int)all;
+            }
+            put(wrapped(s), LEAST == (left < right) ? left : right);
+            left = right;
+        }
+    }
+
+    void end_at(Point first, Point last, int why) const {
+        sweep<true>(first, last, [&](int ray, int range) {
+            team.atomic_min(stop + ray, packed(range, why));
+        });
+    }
+
+    void begin_at(Point first, Point last, bool foot_inside) const {
+        if (foot_inside)
+            end_at(first, last, UNKNOWN);
+        else
+            sweep<false>(first, last, [&](int ray, int range) {
+                team.atomic_max(start + ray, range);
+            });
+    }
+
+    // Clockwise about the foot by a small angle.
+    Point turned(Point p, int by) const {
+        return point(p.right + (int)((long long)p.forward * by >> TURN_BITS),
+                     p.forward + (int)((long long)p.right * -by >> TURN_BITS));
+    }
+
+    // A side of a column whose neighbour shows no floor.
+    void add_side(int c, int by, bool foot_inside) const {
+        const Point begin = turned(near(c), by), end = turned(far(c), by);
+        begin_at(near(c), begin, foot_inside);
+        end_at(far(c), end, ends[c]);
+        end_at(end, begin, UNKNOWN);
+    }
+
+    // Between a column and the next one: from the end of the shorter one halfway to the longer one,
+    // along there, and on to the end of the longer one.
+    void add_between(int c) const {
+        const bool nearer = far(c).forward <= far(c + 1).forward;
+        const int brief = nearer ? c : c + 1, lasting = nearer ? c + 1 : c;
+        const Point a = near(lasting), b = far(lasting), first = far(brief);
+        const int run = b.forward - a.forward, most = run > 0 ? run : 0;
+        int part = first.forward - a.forward;
+        part = part < 0 ? 0 : part > most ? most : part;
+        const int divisor = run > 1 ? run : 1;
+        const int right = a.right + (int)floored((long long)(b.right - a.right) * part, divisor);
+        const int ahead =
+            a.forward + (int)floored((long long)(b.forward - a.forward) * part, divisor);
+        const Point middle = point((first.right + right) >> 1, (first.forward + ahead) >> 1);
+        const bool wider = ahead > 0 && b.forward > ahead;
+        const long long widest = (long long)MOST_WIDER * ahead;
+        const long long times = !wider ? 1 : b.forward < widest ? b.forward : widest;
+        const int over = wider ? ahead : 1;
+        const Point last = point(b.right + (int)floored((middle.right - right) * times, over),
+                                 b.forward + (int)floored((middle.forward - ahead) * times, over));
+        const int why = ends[brief];
+        end_at(first, middle, why);
+        end_at(middle, last, why == OBSTACLE ? (int)UNKNOWN : why);
+        end_at(last, b, ends[lasting]);
+    }
+
+    // The polygon of floor that columns show; ends in a sync.
+    void add_floor(bool foot_inside) const {
+        for (int c = team.rank; c < columns; c += team.size) {
+            if (!is_seen(c)) continue;
+            if (!is_seen(c - 1)) add_side(c, -turn, foot_inside);
+            if (!is_seen(c + 1)) {
+                add_side(c, turn, foot_inside);
+                continue;
+            }
+            begin_at(near(c), near(c + 1), foot_inside);
+            add_between(c);
+        }
+        team.sync();
+    }
+
+    // Where the floor that columns show on a ray ends, 0 where they show none.
+    int floor_end(int ray, bool foot_inside) const {
+        return (foot_inside || start[ray] >= 0) && stop[ray] < NONE ? stop[ray] >> END_BITS : 0;
+    }
+
+    // The range of what stands on a ray, NONE where nothing does.
+    __attribute__((always_inline)) int range_of_block(int ray) const {
+        if (block[ray] == INFINITE) return NONE;
+        const int range = (int)SquareRoot::rounded(float_of(block[ray]));
+        return range > 1 ? range : 1;
+    }
+
+    // The result, all threads after a sync; ends in one. `free_out` (RAYS, 2), `end_out` (RAYS,).
+    void put(bool foot_inside, int* free_out, int* end_out) const {
+        for (int i = team.rank; i < RAYS; i += team.size) {
+            const int blocked = range_of_block(i);
+            const int least = blocked < floor_end(i, foot_inside) ? packed(blocked, OBSTACLE)
+                                                                  : (int)NONE;
+            const int last = stop[i] < least ? stop[i] : least, from = foot_inside ? 0 : start[i];
+            const bool free = from >= 0 && last < NONE && from < last >> END_BITS;
+            const bool stands = blocked < NONE;
+            free_out[2 * i] = free ? from : stands ? blocked : 0;
+            free_out[2 * i + 1] = free ? last >> END_BITS : stands ? blocked : 0;
+            end_out[i] = free ? (last + 1) & 3 : stands ? (int)OBSTACLE : (int)UNKNOWN;
+        }
+        team.sync();
+    }
+};
+
+// What stands above the step, by bearing: of each cell its nearest pixel or itself. Float32 like the
+// reference, and each operation is rounded on its own.
+struct RayBlocks {
+    // A tile is so many rows of a column of cells; its nearest point stands in all sectors that the
+    // tile is seen in.
+    enum { TILE = 4, ABREAST = 8, CORNER_BITS = 12, WIDEST = Rays::TURN / 4 };
+    // Of a pixel's step: its part at the camera, its growth with depth, and the noise of depth.
+    enum { STEP, GROWTH, NOISE, SETTINGS };
+    int nearest, farthest, highest;  // depths in range, and the most height
+    int rows, columns;
+    const unsigned char* low;
+    const int *pixels, *z, *height;
+    const int *rays, *corners;  // (2, rows, columns), and of tiles (2, tiles + 1, columns + 1)
+    // Axes of the floor, for rays with RAY_BITS; the camera's height; the step; the ramp.
+    float axes[3][3], camera, step, growth, noise, ramp_start, ramp_slope;
+
+    // Without a known floor all points are as high.
+    RayBlocks(int nearest, int farthest, int highest, int rows, int columns,
+              const FloorFrame& frame, const unsigned char* low, const int* pixels, const int* z,
+              const int* height, const int* rays, const int* corners, const float* settings)
+        : nearest(nearest), farthest(farthest),
+          highest(frame.valid ? highest : (int)FloorFrame::UNKNOWN), rows(rows), columns(columns),
+          low(low), pixels(pixels), z(z), height(height), rays(rays), corners(corners),
+          camera((float)(frame.valid ? frame.height : (int)FloorFrame::UNKNOWN)),
+          step(settings[STEP]), growth(settings[GROWTH]),
+          noise(settings[NOISE] * higher((float)frame.height, 0.0f)),
+          ramp_start((float)frame.ramp_start),
+          ramp_slope(frame.has_ramp() ? (float)frame.ramp_slope / (1 << FloorFrame::BITS) : 0.0f) {
+        for (int i = 0; i < 9; ++i) {
+            const float axis = (float)frame.axes[i] / (1 << FloorFrame::BITS);
+            const float of_ray = i % 3 < 2 ? 1.0f / (1 << CellGrid::RAY_BITS) : 1.0f;
+            axes[i / 3][i % 3] = i < 6 || frame.valid ? axis * of_ray : 0.0f;
+        }
+    }
+
+    __attribute__((always_inline)) static float higher(float a, float b) { return a > b ? a : b; }
+
+    // On the floor, of a ray whose depth is 1.
+    __attribute__((always_inline)) float along(int axis, float x, float y) const {
+        return axes[axis][0] * x + axes[axis][1] * y + axes[axis][2];
+    }
+
+    // The squared distance from the foot of what stands in cell k, infinite if nothing does; the
+    // bits of a float32.
+    __attribute__((always_inline)) int square(int k) const {
+        const int pixel = pixels[k], own = z[k], high = height[k];
+        const bool is_cell =
+            (own >= nearest) & (own <= farthest) & (low[k] == 0) & (high <= highest);
+        const float depth = (float)((is_cell & (pixel < nearest)) ? own : pixel);
+        const float x = (float)rays[k], y = (float)rays[rows * columns + k];
+        const float right = along(0, x, y), forward = along(1, x, y), down = along(2, x, y);
+        const float ramp = higher(forward * depth - ramp_start, 0.0f) * ramp_slope;
+        const float above = camera - down * depth - ramp;
+        const bool is_pixel = (pixel >= nearest) & (pixel <= farthest) & (above <= (float)highest) &
+                              (above > higher(step + growth * depth, noise * depth));
+        const float found = (right * right + forward * forward) * (depth * depth);
+        return (is_cell | is_pixel) ? Rays::bits_of(found) : (int)Rays::INFINITE;
+    }
+
+    // The least of cells k .. k + N - 1 and what was found before.
+    template <int N> __attribute__((always_inline)) void find_least(int k, int* least) const {
+        for (int i = 0; i < N; ++i) {
+            const int found = square(k + i);
+            least[i] = found < least[i] ? found : least[i];
+        }
+    }
+
+    // The bearing of a corner of tiles.
+    __attribute__((always_inline)) int bearing(const Rays& to, int tile, int column) const {
+        const int all = (tiles() + 1) * (columns + 1), k = tile * (columns + 1) + column;
+        const float x = (float)corners[k], y = (float)corners[all + k];
+        return to.bearing((int)(along(0, x, y) * (1 << CORNER_BITS)),
+                          (int)(along(1, x, y) * (1 << CORNER_BITS)));
+    }
+
+    int end_of(int tile) const { return (tile + 1) * TILE < rows ? (tile + 1) * TILE : rows; }
+    int tiles() const { return (rows + TILE - 1) / TILE; }
+
+    // Puts the nearest point of a tile into the sectors between its corners; one that the foot may
+    // be in has all.
+    __attribute__((always_inline)) void add(const Rays& to, int square, int a, int b, int c,
+                                            int d) const {
+        const int turns[] = {Rays::turn_to(a, b), Rays::turn_to(a, c), Rays::turn_to(a, d)};
+        int left = 0, right = 0;
+        for (int by : turns) {
+            left = by < left ? by : left;
+            right = by > right ? by : right;
+        }
+        const bool wide = right - left > WIDEST;
+        const int begin = wide ? 0 : Rays::sector(a + left);
+        const int end = wide ? (int)Rays::RAYS - 1 : Rays::sector(a + right);
+        for (int s = begin; s <= end; ++s) {
+            int* const place = to.block + Rays::wrapped(s);
+            if (square < *place) to.team.atomic_min(place, square);
+        }
+    }
+
+    void run(const Rays& to) const {
+        const Team& team = to.team;
+#if defined(__CUDA_ARCH__)
+        for (int k = team.rank; k < tiles() * columns; k += team.size) {
+            const int tile = k / columns, c = k % columns;
+            int least = Rays::INFINITE;
+            for (int row = tile * TILE; row < end_of(tile); ++row)
+                find_least<1>(row * columns + c, &least);
+            if (least == Rays::INFINITE) continue;
+            add(to, least, bearing(to, tile, c), bearing(to, tile, c + 1),
+                bearing(to, tile + 1, c), bearing(to, tile + 1, c + 1));
+        }
+#else
+        int bearings[2][Grid::MOST_COLUMNS + 1], least[Grid::MOST_COLUMNS];
+        for (int c = 0; c <= columns; ++c) bearings[0][c] = bearing(to, 0, c);
+        for (int tile = 0; tile < tiles(); ++tile) {
+            for (int c = 0; c < columns; ++c) least[c] = Rays::INFINITE;
+            for (int row = tile * TILE; row < end_of(tile); ++row) {
+                for (int c = 0; c < columns; c += columns < ABREAST ? 1 : (int)ABREAST) {
+                    // The last ones are found again where they don't fill the lanes.
+                    const int first = c < columns - ABREAST ? c : columns - ABREAST;
+                    if (first < 0)
+                        find_least<1>(row * columns + c, least + c);
+                    else
+                        find_least<ABREAST>(row * columns + first, least + first);
+                }
+            }
+            const int *const upper = bearings[tile & 1], *const lower = bearings[~tile & 1];
+            for (int c = 0; c <= columns; ++c) bearings[~tile & 1][c] = bearing(to, tile + 1, c);
+            for (int c = 0; c < columns; ++c)
+                if (least[c] != Rays::INFINITE)
+                    add(to, least[c], upper[c], upper[c + 1], lower[c], lower[c + 1]);
+        }
+#endif
+        team.sync();
+    }
+};
+
+} }  // namespace jaxdet
