@@ -13,8 +13,8 @@ from jaxdet.floor.plane import flat_plane, unknown_plane
 from jaxdet.reference._detect import _free
 from jaxdet.reference._features import lateral
 from jaxdet.reference._view import View
-from jaxdet.stages._free import tables
 from jaxdet.stages._tables import cell_tables
+from jaxdet.stages._tables import free_tables as tables
 from jaxdet.types import FreeEnd
 from tests.scenes import small
 from tests.steps import free_floor

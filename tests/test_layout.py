@@ -11,7 +11,7 @@ ROOT = Path(__file__).resolve().parents[1]
 STAGES = ("align", "ground", "features", "cluster", "footprint")
 """Of obstacles made of points; features are corners on cells too."""
 STEPS = ("cells", "floor", "surfaces", "obstacles", "outlines", "free")
-"""Of obstacles made of surfaces; both backends join them in their ``_detect.py``."""
+"""Steps on depth cells: the program's are headers of kernels, with tables of ``_tables.py``."""
 BENCHMARKS = {*STAGES, *STEPS, "pipeline"} - {"ground"}
 SECTIONS = ("ground", "features", "cluster", "footprint", "floor", "surface", "obstacle")
 """Parts of the configuration; a step's has its name in the singular."""
@@ -22,7 +22,8 @@ SKIPPED_FOLDERS = {"__pycache__", "dist", "out"}
 
 def named_files() -> list[str]:
     """The files that stages and steps consist of, relative to the root."""
-    twins = [f"jaxdet/{side}/_{n}.py" for n in STAGES + STEPS for side in ("reference", "stages")]
+    twins = [f"jaxdet/reference/_{name}.py" for name in STAGES + STEPS]
+    twins += [f"jaxdet/stages/_{name}.py" for name in STAGES]
     tests = [f"tests/test_{name}.py" for name in STAGES]
     tests += [f"tests/test_{name}_program.py" for name in STEPS]
     return twins + tests + [f"benchmarks/bench_{name}.py" for name in sorted(BENCHMARKS)]

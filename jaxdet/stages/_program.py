@@ -21,11 +21,11 @@ from jaxdet.floor.units import Scale, prior_units
 from jaxdet.runtime.calls import by_device, jax_callable
 from jaxdet.runtime.launch import TeamKernel, most_teams, on_cores, reported_words
 from jaxdet.runtime.layout import Layout
-from jaxdet.stages import _free
 from jaxdet.stages._tables import (
     Tables,
     cell_tables,
     floor_tables,
+    free_tables,
     obstacle_tables,
     outline_tables,
     surface_tables,
@@ -101,7 +101,7 @@ def host_tables(calibration: Calibration, config: Config) -> tuple[Sizes, Tables
         **surface_tables(calibration, config),
         **obstacle_tables(bounds[1], unit, config.obstacle, table),
         **outline_tables(calibration, config),
-        **_free.tables(calibration, config),
+        **free_tables(calibration, config),
     }
 
 

@@ -20,6 +20,13 @@ from jaxdet.floor.plane import (
     quadratic_table,
     step_height,
 )
+from jaxdet.floor.rays import (
+    bearing_table,
+    block_settings,
+    half_turn,
+    ray_directions,
+    tile_corners,
+)
 from jaxdet.floor.units import Scale, stride
 from jaxdet.stages import _align
 from jaxdet.types import Array, Calibration
@@ -176,3 +183,23 @@ def outline_tables(calibration: Calibration, config: Config) -> Tables:
     corners = tuple(slice(0, n // side * side + 1, side) for n in (camera.height, camera.width))
     x, y = (rays[corners] for rays in corner_rays(camera))
     return found | {"corner_x": x, "corner_y": y, "parameters": _align.parameters(calibration)}
+
+
+def free_tables(calibration: Calibration, config: Config) -> Tables:
+    """Return the tables of free floor and of its rays."""
+    floor, ground, unit = config.floor, config.ground, calibration.depth_unit
+    bows = quadratic_table(ground.step_height_m, floor.bow_per_m, unit)
+    drops = quadratic_table(floor.drop_m, floor.noise_per_m, unit)
+    lengths = [round(m / unit) for m in (ground.max_depth_m, floor.gap_m)]
+    bounds = depth_range(ground.min_depth_m, ground.max_depth_m, unit)
+    side = cell_side(calibration.depth, config.surface.cell_rad)
+    half = half_turn(calibration.depth, side)
+    made = kernel_tables(
+        bows=bows,
+        drops=drops,
+        free_settings=(*lengths, *bounds, max_height(ground, unit), half),
+        bearings=bearing_table(),
+        ray_directions=ray_directions(),
+        tile_corners=tile_corners(cell_rays(calibration.depth, side)),
+    )
+    return made | {"block_settings": block_settings(ground, unit)}

@@ -5,7 +5,7 @@
 
 namespace jaxdet { namespace {
 
-// Where each setting is, in the order of jaxdet/stages/_floor.py; lengths are whole depth units.
+// Where each setting is, in the order of jaxdet/stages/_tables.py; lengths are whole depth units.
 struct FloorSetting {
     enum {
         STRIDE, MAX_DEPTH, NOISE,

@@ -16,7 +16,7 @@ struct Obstacles {
     enum { MAX_SURFACES = 512, MAX_LABELS = 1024, THINNEST = 3 };
     // Places of `counts`.
     enum { SURFACES, WHOLE, GROUPS, NEAR, PARTS, LISTED, COUNTS };
-    // The order of `settings`, as in jaxdet/stages/_obstacles.py. NO_STEP: the step in depth of surfaces
+    // The order of `settings`, as in jaxdet/stages/_tables.py. NO_STEP: the step in depth of surfaces
     // that do not face each other; OFFSET: evidence to begin with.
     enum {
         FARTHEST, LATERAL, FORWARD, GAP, CONTACT, BEND, SIDE, MIN_SIZE, MIN_CELLS, NO_STEP, OFFSET
