@@ -27,6 +27,7 @@ from jaxdet.config import Config, GroundConfig
 from jaxdet.engine import lane, log_job, pool, station, worker
 from jaxdet.engine.plan import LogPlan
 from jaxdet.engine.slots import SLOTS, attached
+from jaxdet.engine.tasks import TaskQueue
 from jaxdet.engine.worker import decide_floors
 from jaxdet.errors import ConfigError, FrameError, FrameStatus, InputError, Interrupted
 from jaxdet.io import Batch, LogOptions, RescanError
@@ -294,10 +295,9 @@ def sleep(_: None, seconds: float) -> None:
 
 def test_nothing_waits_for_a_worker_while_another_has_nothing_to_do():
     with pool.Pool(2, "reference") as workers:
-        tasks = {"long": (1.5,), "short": (0.01,), "last": (0.01,)}
-        assert [name for name, _ in workers.each(Nothing(), sleep, tasks)] == [
-            *("short", "last", "long")
-        ]
+        seconds = {"long": (1.5,), "short": (0.01,), "last": (0.01,)}
+        tasks = workers.each(Nothing(), sleep, TaskQueue(seconds), seconds.__getitem__)
+        assert [name for name, _ in tasks] == ["short", "last", "long"]
 
 
 def test_units_keep_all_workers_busy():
@@ -357,10 +357,10 @@ def test_one_process_that_computes_for_all_gives_the_same_bytes(
 def test_the_memory_is_bounded(width, height, asked, want):
     camera = Intrinsics(width, height, 600.0, 600.0, width / 2, height / 2)
     log: Any = SimpleNamespace(depth_shape=(height, width), calibration=Calibration(camera))
-    there = station.Station(2, ["gpu"])
-    slots, batch = there.enter(log, Config(), asked, station.PIECE_FRAMES)
-    again, _ = there.enter(log, Config(), asked, station.PIECE_FRAMES)
-    assert (slots.frames, batch) == want and again is slots
+    served = station.how_to_serve(log, Config(), asked, station.PIECE_FRAMES, 2)
+    there = station.Station(served, [], ["gpu"])
+    slots = there.memory.slots
+    assert (slots.frames, served.pieces * slots.frames) == want
     assert slots.nbytes <= 2 * SLOTS * max(station.PIECE_BYTES + 8192, 2 * width * height)
     first, last = slots.views(attached(slots.path))[:: 2 * SLOTS - 1]
     assert first.depth.shape == (want[0], height, width) and first.color is None
@@ -378,8 +378,9 @@ def test_the_preset_paper_has_memory_for_colour():
         (Calibration(camera, wide, still), (50, 80, 3)),
     ):
         log: Any = SimpleNamespace(depth_shape=(48, 64), calibration=calibration)
-        there = station.Station(1, ["gpu"])
-        slots, _ = there.enter(log, PRESETS["paper"], 3, station.PIECE_FRAMES)
+        served = station.how_to_serve(log, PRESETS["paper"], 3, station.PIECE_FRAMES, 1)
+        there = station.Station(served, [], ["gpu"])
+        slots = there.memory.slots
         for number, images in enumerate(slots.views(attached(slots.path))):
             assert images.color is not None and images.color.shape == (3, *shape)
             images.depth[...], images.color[...] = number, number + 100
@@ -452,7 +453,7 @@ class RingLane:
 
 
 def test_what_is_copied_is_not_overwritten_by_parts_of_others(monkeypatch):
-    """Batches go through a lane as `_LogStation._compute` leads them; some don't fit."""
+    """Batches go through a lane as `Station._compute` leads them; some don't fit."""
     monkeypatch.setattr(lane, "Lane", RingLane)
     log: Any = SimpleNamespace(served=SimpleNamespace(pieces=16))
     fitting: Any = lane.FittingLane(log, None)

@@ -21,8 +21,9 @@ from jaxdet.engine.memory import Memory
 from jaxdet.engine.options import RunOptions
 from jaxdet.engine.output import OutputFolder, Say
 from jaxdet.engine.plan import Observer
-from jaxdet.engine.pool import LOST, Pool, gpus
+from jaxdet.engine.pool import Pool, gpus
 from jaxdet.engine.progress import Progress, ProgressCallback
+from jaxdet.engine.tasks import TaskQueue
 from jaxdet.engine.whole_logs import FEW_BYTES, OtherCamera, WorkerJob, choose_whole, do_log
 from jaxdet.errors import ConfigError, InputError, Interrupted, OutputError
 from jaxdet.io import LogFiles, LogOptions, find_logs
@@ -376,10 +377,10 @@ class _Run:
             remove(staged)  # of a worker that was ended
         first = next(iter(logs))
         self._report(LogSummary(first, ()), first, 0, "opening")
-        for name, answer in self.pool.each(context, do_log, tasks):
+        for name, answer in self.pool.each(context, do_log, TaskQueue(tasks), tasks.__getitem__):
             if not isinstance(answer, list):
                 remove(tasks[name][1])
-            yield name, None if answer == LOST else answer
+            yield name, answer
 
     def _do_here(self, log: LogFiles) -> None:
         """Do a log by this process, or by all workers together."""

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from jaxdet.config import Config
 from jaxdet.engine.lane import FittingLane, LogMemory, Served
-from jaxdet.engine.slots import Piece, Piped, Reply, Sample, Slots
+from jaxdet.engine.slots import Piece, Reply, Sample, Slots
 
 if TYPE_CHECKING:
     from jaxdet.io import Log
@@ -27,72 +27,18 @@ BATCH_PIECES = 16
 """A batch: 256 frames of 640x480."""
 
 
-class Station:
-    """Computes what workers decode, a thread for each GPU.
-
-    Memory, page-locked: for each worker ``SLOTS`` times ``PIECE_BYTES``, or one frame where that is
-    more, and as many results (0.25 MB for a frame of 640x480).
-
-    Args:
-        workers: How many share it.
-        devices: What computes.
-    """
-
-    def __init__(self, workers: int, devices: Sequence[Any]) -> None:
-        pipes = [Pipe() for _ in range(workers)]
-        self.ends = [Piped(number, theirs) for number, (_, theirs) in enumerate(pipes)]
-        self._pipes = [ours for ours, _ in pipes]
-        self._devices = devices
-        self._log: _LogStation | None = None
-
-    def close(self) -> None:
-        """Ends the threads; the workers have ended."""
-        self.leave()
-        for pipe in (*self._pipes, *(end.pipe for end in self.ends)):
-            pipe.close()
-
-    def leave(self) -> None:
-        """No log is worked on any more."""
-        if self._log:
-            self._log.close()
-        self._log = None
-
-    @property
-    def serving(self) -> "Served | None":
-        """What workers are served in: slots, camera and configuration."""
-        log = self._log
-        return log and log.served._replace(slots=log.memory.slots)
-
-    def enter(
-        self, log: "Log", config: Config, batch_size: int | None, piece_frames: int
-    ) -> tuple[Slots, int]:
-        """Begins to serve a log.
-
-        Args:
-            log: Its images' sizes and calibration are asked for.
-            config: The method's parameters.
-            batch_size: Frames computed together; None: as many as the memory is meant for.
-            piece_frames: Most frames of a slot that there is room for.
-
-        Returns:
-            The slots for the workers, and the frames computed together.
-
-        Raises:
-            WorkerError: There is not as much memory.
-        """
-        depth, color = log.depth_shape, None
-        if config.cluster.points:
-            camera = log.calibration.image
-            color = camera.height, camera.width, 3
-        fits = PIECE_BYTES // (2 * prod(depth) + (prod(color) if color else 0))
-        frames = max(1, min(PIECE_FRAMES, fits, piece_frames, batch_size or PIECE_FRAMES))
-        pieces = BATCH_PIECES if batch_size is None else -(-batch_size // frames)
-        slots = Slots("", frames, depth, color, len(self._pipes))
-        served = Served(slots, pieces, log.calibration, config)
-        if self._log is None or self._log.served != served:
-            self.leave()
-            self._log = _LogStation(served, self._pipes, self._devices)
-        return self._log.memory.slots, pieces * frames
+def how_to_serve(
+    log: "Log", config: Config, batch_size: int | None, piece_frames: int, workers: int
+) -> Served:
+    """Return slots and batches for a log; arguments as of :meth:`jaxdet.engine.pool.Pool.serve`."""
+    depth, color = log.depth_shape, None
+    if config.cluster.points:
+        camera = log.calibration.image
+        color = camera.height, camera.width, 3
+    fits = PIECE_BYTES // (2 * prod(depth) + (prod(color) if color else 0))
+    frames = max(1, min(PIECE_FRAMES, fits, piece_frames, batch_size or PIECE_FRAMES))
+    pieces = BATCH_PIECES if batch_size is None else -(-batch_size // frames)
+    return Served(Slots("", frames, depth, color, workers), pieces, log.calibration, config)
 
 
 class _Batch(NamedTuple):
@@ -103,8 +49,20 @@ class _Batch(NamedTuple):
     """What their lane knows them by: of the last step that is done."""
 
 
-class _LogStation:
-    """What serves a log, and the next one if it is of the same kind."""
+class Station:
+    """Computes what workers decode, a thread for each GPU: of a log, and others of the same kind.
+
+    Memory, page-locked: for each worker ``SLOTS`` times ``PIECE_BYTES``, or one frame where that is
+    more, and as many results (0.25 MB for a frame of 640x480).
+
+    Args:
+        served: What the logs have in common.
+        pipes: To each worker.
+        devices: GPUs, whose threads end with :meth:`close`.
+
+    Raises:
+        WorkerError: There is not as much memory.
+    """
 
     def __init__(self, served: Served, pipes: list[Any], devices: Sequence[Any]) -> None:
         self.served, self.pipes, self.devices = served, pipes, devices
