@@ -11,12 +11,10 @@ from typing import Any
 from jaxdet.cli.settings import given
 from jaxdet.cli.spinner import SPINNER
 from jaxdet.cli.tell import on_terminal, tell
-from jaxdet.engine.options import RunOptions
+from jaxdet.engine.options import AGAIN, OF_RUN, OF_RUNNER, RunOptions
 from jaxdet.memory import parse_size, size_text
 
 LINE_EVERY_S = 10.0
-ALIKE = ("backend", "batch_size", "workers", "memory", "pictures", "map", "overwrite", "update")
-"""Options that are passed on as they are."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +58,7 @@ def run_on_machines(
     """
     from jaxdet.fleet import run_fleet
 
-    how = {**how, **{name: getattr(options, name) for name in ALIKE}}
+    how = {**how, **{name: getattr(options, name) for name in (*OF_RUNNER, *OF_RUN, *AGAIN)}}
     how["spool"] = str(fleet.spool) if fleet.spool else None
     how["spool_size"] = fleet.spool_size and parse_size(fleet.spool_size, "--spool-size")
     with _reporting(quiet or as_json) as report:

@@ -105,7 +105,7 @@ def make_log(
         summary = Summary(job.options.backend, max(one.batch for one in cameras), abouts)
         summary.seconds = sum(about.seconds for about in abouts)
         summary.workers = max(about.workers for about in abouts)
-        about = {**job.about, "log": files.name, "inputs": inputs}
+        about = {"log": files.name, "inputs": inputs, **job.about}
         if done:
             _write_results(folder, job, summary, done, about)
         else:

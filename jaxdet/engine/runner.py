@@ -185,9 +185,11 @@ class Runner:
             folder: New folder for the results.
             config: Configuration.
             log: How to read it.
-            options: As of :meth:`run`.
+            options: As of :meth:`run`, and ``about``, see :func:`jaxdet.engine.run_one`.
         """
-        return self._prepared([files], folder, config, log, options).run_alone(folder)
+        one = self._prepared([files], folder, config, log, options)
+        one.job.about.update(options.get("about") or {})
+        return one.run_alone(folder)
 
     def _prepared(
         self,
