@@ -27,7 +27,6 @@ from jaxdet.io.notes import total
 from jaxdet.memory import size_text
 from jaxdet.pipeline import BackendName
 from jaxdet.render import draw_map, write_png
-from jaxdet.results.crash_report import crash_report
 from jaxdet.results.durable import writing
 from jaxdet.results.layout import CONFIG, FAILED, SUMMARY
 from jaxdet.results.manifest import fingerprint, write_manifest
@@ -35,6 +34,7 @@ from jaxdet.results.names import camera_name, export_name
 from jaxdet.results.occupancy import MAX_CELLS, OccupancyMap, save_map
 from jaxdet.results.publish import flush_folder, remove
 from jaxdet.results.summary import LogSummary, Summary
+from jaxdet.results.versions import crash_report
 from jaxdet.results.writer import TableWriter, write_json
 
 if TYPE_CHECKING:
