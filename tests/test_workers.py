@@ -10,7 +10,6 @@ import sys
 import tempfile
 import threading
 import time
-from concurrent.futures import Future
 from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
@@ -424,49 +423,27 @@ def test_a_device_without_memory_computes_smaller_batches(
         assert (tmp_path / "a" / "a" / name).read_bytes() == (plain_run / name).read_bytes()
 
 
-class RingLane:
-    """A device with three buffers, and no memory for more than four pieces together."""
+def test_a_device_that_runs_out_of_memory_on_the_way_goes_on_with_smaller_batches(
+    sim_logs, plain_run, tmp_path, monkeypatch
+):
+    on_this_machine(monkeypatch)
+    sizes = []
 
-    def __init__(self, log: Any, device: Any, pieces: int) -> None:
-        self.ring: list[list[int]] = []
+    def finish(small: Any, pieces: list[Any], *given: Any) -> Any:
+        if pieces:
+            sizes.append(small.rows)
+        if pieces and len(sizes) in (2, 3):
+            raise RuntimeError("RESOURCE_EXHAUSTED: Out of memory while trying to allocate")
+        return real(small, pieces, *given)
 
-    def copied(self, pieces: list[int]) -> int:
-        self.ring.append(pieces)
-        return len(self.ring) - 1
-
-    def copy(self, pieces: list[int]) -> Future[int]:
-        done: Future[int] = Future()
-        done.set_result(self.copied(pieces))
-        return done
-
-    def start(self, pieces: list[int], copied: int) -> Any:
-        if len(pieces) > 4:
-            raise MemoryError
-        last = self.ring[copied::3][-1]  # that was copied to this buffer
-        return SimpleNamespace(lane=self, found=last)
-
-    def finish(self, pieces: list[int], started: Any) -> list[int]:
-        return started.found
-
-    def close(self) -> None:
-        pass
-
-
-def test_what_is_copied_is_not_overwritten_by_parts_of_others(monkeypatch):
-    """Batches go through a lane as `Station._compute` leads them; some don't fit."""
-    monkeypatch.setattr(lane, "Lane", RingLane)
-    log: Any = SimpleNamespace(served=SimpleNamespace(pieces=16))
-    fitting: Any = lane.FittingLane(log, None)
-    sizes, found = [16, 16, 2, 2, 3, 16, 4, 1], []
-    ends = np.cumsum(sizes).tolist()
-    batches = [list(range(end - size, end)) for size, end in zip(sizes, ends, strict=True)]
-    copying = computing = None
-    for pieces in [*batches, None, None]:
-        copied = pieces and (pieces, fitting.copy(pieces))
-        started = copying and (copying[0], fitting.start(*copying))
-        found += fitting.finish(*computing) if computing else []
-        copying, computing = copied, started
-    assert found == list(range(ends[-1]))
+    real = lane.Lane.finish
+    monkeypatch.setattr(lane.Lane, "finish", finish)
+    monkeypatch.setattr(station, "PIECE_FRAMES", 2)
+    with jax.default_device(jax.devices("cpu")[0]):
+        summary = run(sim_logs[:1], tmp_path / "a", workers=2, batch_size=16, pictures=0)
+    assert not summary.failed and not summary.logs[0].lost and sizes[:4] == [16, 16, 8, 4]
+    for name in ("frames.parquet", "obstacles.parquet", "map.npz"):
+        assert (tmp_path / "a" / "a" / name).read_bytes() == (plain_run / name).read_bytes()
 
 
 def test_a_worker_of_a_device_that_dies_costs_nothing(sim_logs, plain_run, tmp_path, monkeypatch):

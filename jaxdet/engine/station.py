@@ -8,14 +8,16 @@ result depends on who shares a batch.
 import queue
 import selectors
 import threading
-from collections.abc import Callable, Sequence
+from collections import deque
+from collections.abc import Sequence
 from contextlib import suppress
 from math import prod
 from multiprocessing import Pipe
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from jaxdet.config import Config
-from jaxdet.engine.lane import FittingLane, LogMemory, Served
+from jaxdet.engine.device import out_of_memory
+from jaxdet.engine.lane import Lane, LogMemory, Served
 from jaxdet.engine.slots import Piece, Reply, Sample, Slots
 
 if TYPE_CHECKING:
@@ -46,7 +48,10 @@ class _Batch(NamedTuple):
 
     pieces: list[Piece]
     state: Any
-    """What their lane knows them by: of the last step that is done."""
+    """Their copy on its way, or what was started."""
+
+
+_NOTHING = _Batch([], None)
 
 
 class Station:
@@ -125,48 +130,65 @@ class Station:
             self._send(sample, reply)
 
     def _compute(self, device: Any) -> None:
-        """Computes batches on one device, while the next one is copied to it."""
-        lane = FittingLane(self.memory, device)
-        with suppress(Exception):  # said of each batch
-            lane.open()  # compiled while workers read
-        copying: _Batch | None = None
-        computing: _Batch | None = None
-        more = True
-        while more or copying or computing:
-            idle = not (copying or computing)
-            pieces, more = self._collect(block=idle) if more else ([], False)
-            copied = self._next(_Batch(pieces, None) if pieces else None, lane.copy)
-            started = self._next(copying, lane.start)
-            done = self._next(computing, lane.finish)
-            if done:
-                for piece, reply in zip(*done, strict=True):
-                    self._send(piece, reply)
-            copying, computing = copied, started
-        lane.close()
+        """Compute batches on one device, while the next one is copied to it.
 
-    def _next(self, batch: "_Batch | None", step: Callable[..., Any]) -> "_Batch | None":
-        """A batch after the next step; None: it has failed, or there is none."""
-        if batch is None:
-            return None
-        try:
-            return _Batch(batch.pieces, step(*batch))
-        except Exception as error:
-            for piece in batch.pieces:
-                self._send(piece, Reply(piece.slot, b"", None, error, {}))
-            return None
-
-    def _collect(self, *, block: bool) -> tuple[list[Piece], bool]:
-        """The pieces that wait, at most a batch, and whether more may come."""
-        found: list[Piece] = []
-        while len(found) < self.served.pieces:
+        Where it runs out of memory, what is on it is copied again, half as much at a time.
+        """
+        size, lane, more = self.served.pieces, None, True
+        left: deque[Piece] = deque()
+        copying = computing = _NOTHING
+        while more or left or copying.pieces or computing.pieces:
+            new: list[Piece] = []
             try:
-                piece = self.waiting.get(block=block and not found)
+                if lane is None:
+                    lane = Lane(self.memory, device, size)
+                    lane.compile()  # while workers read
+                if more and not left:
+                    idle = not (copying.pieces or computing.pieces)
+                    more = self._collect(left, size, block=idle)
+                new = [left.popleft() for _ in range(min(size, len(left)))]
+                copying, computing = self._step(lane, new, copying, computing)
+            except Exception as error:
+                left.extendleft(reversed([*computing.pieces, *copying.pieces, *new]))
+                copying = computing = _NOTHING
+                if lane:
+                    lane.close()
+                lane = None
+                if out_of_memory(error) and size > 1:
+                    size //= 2
+                    continue
+                more = more and (bool(left) or self._collect(left, size, block=True))
+                while left:
+                    piece = left.popleft()
+                    self._send(piece, Reply(piece.slot, b"", None, error, {}))
+        if lane:
+            lane.close()
+
+    def _step(
+        self, lane: Lane, new: list[Piece], copying: _Batch, computing: _Batch
+    ) -> tuple[_Batch, _Batch]:
+        """Send the results of a batch, compute the next one, and copy the one after that."""
+        copied = _Batch(new, lane.copy(new)) if new else _NOTHING
+        started = _NOTHING
+        if copying.pieces:
+            state = lane.start(copying.pieces, copying.state.result())
+            started = copying._replace(state=state)
+        if computing.pieces:
+            for piece, reply in zip(computing.pieces, lane.finish(*computing), strict=True):
+                self._send(piece, reply)
+        return copied, started
+
+    def _collect(self, left: deque[Piece], most: int, *, block: bool) -> bool:
+        """Take pieces that wait, at most a batch; return whether more may come."""
+        while len(left) < most:
+            try:
+                piece = self.waiting.get(block=block and not left)
             except queue.Empty:
                 break
             if piece is None:
-                return found, False
-            found.append(piece)
-        return found, True
+                return False
+            left.append(piece)
+        return True
 
     def _send(self, to: Piece | Sample, reply: Reply) -> None:
         with self.sending, suppress(OSError):  # the worker has died, which its pool says
