@@ -31,6 +31,7 @@ from jaxdet.engine.worker import decide_floors
 from jaxdet.errors import ConfigError, FrameError, FrameStatus, InputError, Interrupted
 from jaxdet.io import Batch, LogOptions, RescanError
 from jaxdet.presets import PRESETS
+from jaxdet.results.summary import Summary
 from jaxdet.signals import stops_raised
 from jaxdet.sim import SimConfig, write_log
 from jaxdet.types import Calibration, Extrinsics, Intrinsics
@@ -94,7 +95,7 @@ def sim_logs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return paths
 
 
-def run(logs: list[Path], output: Path, **options: Any) -> engine.Summary:
+def run(logs: list[Path], output: Path, **options: Any) -> Summary:
     windows = Config(ground=GroundConfig(source="estimate", window_s=0.3, sample_frames=3))
     config = options.pop("config", windows)
     return run_logs(logs, output, config, **{"pictures": 3, **options})

@@ -19,8 +19,8 @@ from jaxdet.io.options import LogOptions
 from jaxdet.presets import DEFAULT_PRESET
 
 if TYPE_CHECKING:
-    from jaxdet.engine import Summary
     from jaxdet.engine.startup import Caches
+    from jaxdet.results.summary import Summary
 
 DESCRIPTION = """\
 Finds the obstacles in every frame of logs and writes for each a folder of tables, pictures and a

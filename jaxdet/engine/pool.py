@@ -303,7 +303,7 @@ class Pool:
         """
         self.start()
         self._started.wait()
-        packed = context and PackedContext(context)
+        packed = None if context is None else PackedContext(context)
         try:
             while True:
                 for most in range(1, WAITING + 1):

@@ -141,7 +141,7 @@ def _stem(key: str, number: re.Pattern[str] | None = None) -> str:
 
 
 def _log(stem: str, url: str, entries: Iterable[Entry]) -> Log:
-    from jaxdet.engine import log_name
+    from jaxdet.results.names import log_name
 
     files = [entry._asdict() for entry in entries]
     return {"log": stem, "name": log_name(stem), "url": url, "files": files}
