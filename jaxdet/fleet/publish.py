@@ -19,7 +19,6 @@ In a folder a log has the one layout of local runs, renamed into place; ``.fleet
 
 import hashlib
 import json
-import os
 import time
 from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -31,7 +30,7 @@ from jaxdet.fleet.place import Bucket, Entry, Folder, Place, input_entry, open_p
 from jaxdet.fleet.spool import is_dead, process, testify
 from jaxdet.results.durable import sha256, writing
 from jaxdet.results.layout import FAILED, FLEET, MANIFEST
-from jaxdet.results.publish import exchange, remove
+from jaxdet.results.publish import finish, publish, remove
 
 TRACKS, CURRENT = "tracks.json", "current.json"
 MOST_KILLED = 3
@@ -253,6 +252,7 @@ class FolderResults(_Attempts):
 
     def __init__(self, place: Folder) -> None:
         self.place, self.root = place, place.root
+        finish(self.root)
 
     def standing(self, target: Target) -> Standing:
         for file, state in ((MANIFEST, "whole"), (FAILED, "failed")):
@@ -289,29 +289,13 @@ class FolderResults(_Attempts):
         self.place.delete([*noted, f"{target.name}/{FAILED}"])
 
     def _place(self, target: Target, staged: Path, unless: tuple[str, ...]) -> str:
-        folder = self.root / target.name
+        def is_there() -> bool:
+            return self.standing(target).state in unless
+
         try:
-            with writing(folder):
-                while not rename_if_absent(staged, folder):
-                    if self.standing(target).state in unless:
-                        return "there"
-                    if exchange(staged, folder):
-                        break
-                    remove(folder)  # where folders can't be exchanged
-                return "done"
+            return "done" if publish(staged, self.root, target.name, is_there) else "there"
         finally:
             remove(staged)
-
-
-def rename_if_absent(staged: Path, target: Path) -> bool:
-    """Rename a folder; False: there is one with files at its place."""
-    try:
-        os.rename(staged, target)
-    except OSError:
-        if target.is_dir():
-            return False
-        raise
-    return True
 
 
 Results = BucketResults | FolderResults

@@ -8,14 +8,20 @@ import pytest
 from jaxdet.fleet import publish, result_files, spool
 from jaxdet.fleet.place import Bucket, Folder, input_entry
 from jaxdet.fleet.publish import Target, open_results, version_of
+from jaxdet.results import publish as folders
 from tests.fleet.stub import check_complete, check_results, run_one
 
 WRITES = ("put", "create", "swap", "delete")
 
 
-@pytest.fixture(params=["bucket", "folder", pytest.param("s3", marks=pytest.mark.fleet)])
-def url(request, tmp_path):
-    if request.param == "folder":
+@pytest.fixture(
+    params=["bucket", "folder", "no_exchange", pytest.param("s3", marks=pytest.mark.fleet)]
+)
+def url(request, tmp_path, monkeypatch):
+    """A place for results; one is a folder of a file system that can't exchange two folders."""
+    if request.param == "no_exchange":
+        monkeypatch.setattr(folders, "exchange", lambda one, other: False)
+    if request.param in ("folder", "no_exchange"):
         return str(tmp_path / "results")
     if request.param == "s3":
         return request.getfixturevalue("bucket") + "/results"
@@ -57,7 +63,7 @@ def die_at(monkeypatch, step: int, before: bool) -> list[str]:
     """The process dies before or after its ``step``-th write; lists the writes."""
     seen: list[str] = []
     places = [(kind, name) for kind in (Bucket, Folder) for name in WRITES]
-    for where, name in [*places, (publish, "rename_if_absent"), (publish, "exchange")]:
+    for where, name in [*places, (folders, "rename_if_absent"), (folders, "exchange")]:
         real = getattr(where, name)
 
         def write(*args, real=real, name=name):
