@@ -199,16 +199,9 @@ class Runner:
         log: LogOptions | None,
         options: Mapping[str, Any],
     ) -> "_Run":
-        preset = options.get("preset")
-        if preset is None and isinstance(config, str) and config in PRESETS:
-            preset = config
         how = {name: options[name] for name in How.__annotations__ if name in options}
         chosen = replace(self._options, output=output, **how)
-        settings = config if isinstance(config, Config) else find_config(config)
-        observers = options.get("observers") or {}
-        one = _Run(self, logs, settings, log or LogOptions(), chosen, observers, preset)
-        one.say = options.get("say") or one.say
-        return one
+        return _Run(self, logs, config, log or LogOptions(), chosen, options)
 
     def pool(self, memory: Memory, devices: tuple[object, ...]) -> Pool:
         """Return the worker processes, which need not be there yet."""
@@ -234,15 +227,18 @@ class _Run:
         self,
         runner: Runner,
         logs: Sequence[LogFiles],
-        config: Config,
+        config: Config | str | PathLike[str],
         log_options: LogOptions,
         options: RunOptions,
-        observers: Mapping[str, Observer],
-        preset: str | None,
+        hooks: Mapping[str, Any],
     ) -> None:
-        self.runner, self.logs, self.config, self.options = runner, logs, config, options
+        self.runner, self.logs, self.options = runner, logs, options
         self.progress: ProgressCallback | None = None
-        self.say: Say = lambda text: None
+        self.say: Say = hooks.get("say") or (lambda text: None)
+        preset, observers = hooks.get("preset"), hooks.get("observers") or {}
+        if preset is None and isinstance(config, str) and config in PRESETS:
+            preset = config
+        self.config = config = config if isinstance(config, Config) else find_config(config)
         _check_observers(observers)
         _check_outside(options.output, logs)
         self.record = make_record(
