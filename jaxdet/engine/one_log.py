@@ -28,8 +28,7 @@ def run_one(log_path: str, folder: str | Path, how: Mapping[str, Any]) -> dict[s
             ``preset``, ``config`` (sections of the configuration as in ``config.json``), ``log``
             (fields of :class:`jaxdet.LogOptions`), ``backend``, ``workers``, ``memory``,
             ``batch_size``, ``pictures`` and ``map`` (see :func:`jaxdet.run`), and ``about`` (more
-            for the manifest, or in place of what it would say: ``inputs`` of a log that was
-            fetched, for instance).
+            for the manifest: where a log was ``fetched`` from, for instance).
 
     Returns:
         ``status`` (``done`` or ``failed``), ``name``, ``frames``, ``obstacles``, ``seconds``,

@@ -48,7 +48,7 @@ class Entry(NamedTuple):
 
 
 def input_entry(about: Mapping[str, Any]) -> Entry:
-    """Return the entry of a file by what a manifest says of it in ``inputs``.
+    """Return the entry of a file by what a manifest says of it in ``fetched`` or ``inputs``.
 
     Args:
         about: ``path``, ``size`` and the tag of a file of a bucket, or a

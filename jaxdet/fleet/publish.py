@@ -259,7 +259,7 @@ class FolderResults(_Attempts):
             if found := self.place.get(f"{target.name}/{file}"):
                 content = json.loads(found[0])
                 record = content.get("run", "") + content.get("overwrites", "")
-                inputs = map(input_entry, content.get("inputs") or ())
+                inputs = map(input_entry, content.get("fetched") or content.get("inputs") or ())
                 if version_of(record, inputs) == target.version:
                     return Standing(state, None, content if file == FAILED else {})
                 return Standing("other", {"record": record})

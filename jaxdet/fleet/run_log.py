@@ -115,11 +115,11 @@ class _Fetched(NamedTuple):
         return text.replace(str(self.path), f"{log['url']}/{first}") if log["url"] else text
 
     def about(self, how: Mapping[str, Any]) -> dict[str, Any]:
-        """Return what a manifest says of the log in ``inputs``, and of the run."""
+        """Return what a manifest says besides: where a log was fetched from, and of the run."""
         log, overwrites = self.log, how["overwrites"]
         about: dict[str, Any] = {"overwrites": overwrites} if overwrites else {}
         if log["url"]:
-            about["inputs"] = [
+            about["fetched"] = [
                 {"path": f"{log['url']}/{entry.key}", "size": entry.size, **entry.tag}
                 for entry in entries_of(log)
             ]
