@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from jaxdet.config import Config
     from jaxdet.detector import BatchResult, Detector, FrameResult, Obstacle
-    from jaxdet.engine import LogSummary, Runner, Summary, run
+    from jaxdet.engine import Runner, run
     from jaxdet.errors import FrameStatus, JaxdetError
     from jaxdet.floor.mount import Mount
     from jaxdet.floor.plane import flat_plane
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from jaxdet.presets import PRESETS, preset
     from jaxdet.results.metric import extents, rectangles, to_world
     from jaxdet.results.reading import Results, open_results
+    from jaxdet.results.summary import LogSummary, Summary
     from jaxdet.types import (
         Calibration,
         Detections,
@@ -36,13 +37,14 @@ __version__ = "0.1.0"
 _HOMES = {
     "jaxdet.config": ("Config",),
     "jaxdet.presets": ("PRESETS", "preset"),
-    "jaxdet.engine": ("LogSummary", "Runner", "Summary", "run"),
+    "jaxdet.engine": ("Runner", "run"),
     "jaxdet.errors": ("FrameStatus", "JaxdetError"),
     "jaxdet.detector": ("BatchResult", "Detector", "FrameResult", "Obstacle"),
     "jaxdet.floor.mount": ("Mount",),
     "jaxdet.io": ("LogOptions", "find_logs", "open_log"),
     "jaxdet.results.metric": ("extents", "rectangles", "to_world"),
     "jaxdet.results.reading": ("Results", "open_results"),
+    "jaxdet.results.summary": ("LogSummary", "Summary"),
     "jaxdet.pipeline": ("detect", "estimate_plane", "find_floors"),
     "jaxdet.floor.plane": ("flat_plane",),
     "jaxdet.types": (

@@ -22,6 +22,7 @@ from jaxdet.floor.plane import flat_plane
 from jaxdet.floor.units import FloorFit
 from jaxdet.io import Batch, LogFiles, LogOptions, Notes, find_logs, open_log
 from jaxdet.io.limits import ReadMemory
+from jaxdet.results.summary import Summary
 from jaxdet.sim import SimConfig, write_log
 from jaxdet.types import Calibration, Frames, Intrinsics
 from tests.runs import run_log, run_logs
@@ -36,7 +37,7 @@ def sim_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def run(log: Path | str, output: Path, **options: Any) -> engine.Summary:
+def run(log: Path | str, output: Path, **options: Any) -> Summary:
     config, truth = options.pop("config", Config()), options.pop("truth", None)
     observers = {"score": TruthScore(truth, config)} if truth else {}
     return run_log(log, output / "log", config, observers=observers, **options)
@@ -164,7 +165,7 @@ def fake_logs(
     return [LogFiles(name, (path,)) for name, path in zip(names, paths, strict=True)]
 
 
-def run_fake(logs: list[LogFiles], output: Path, size: int = 4, **kwargs: Any) -> engine.Summary:
+def run_fake(logs: list[LogFiles], output: Path, size: int = 4, **kwargs: Any) -> Summary:
     return run_logs(logs, output, backend="reference", batch_size=size, **kwargs)
 
 

@@ -16,6 +16,7 @@ from jaxdet.cli.main import main
 from jaxdet.export.shapes import topic
 from jaxdet.io import LogOptions, find_logs, open_log
 from jaxdet.results.reading import Results
+from jaxdet.results.summary import Summary
 from jaxdet.sim import SimConfig, write_log
 from tests.camera_logs import join_cameras
 from tests.runs import run_log
@@ -39,7 +40,7 @@ def two_cameras(sim_log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path
     return join_cameras({"rear": sim_log, "front": folder / "other.mcap"}, folder / "two.mcap")
 
 
-def run(log: Path, output: Path, options: LogOptions | None = None, **run: Any) -> engine.Summary:
+def run(log: Path, output: Path, options: LogOptions | None = None, **run: Any) -> Summary:
     how = {"backend": "reference", "pictures": 0, **run}
     return run_log(log, output / "log", log=options, **how)
 

@@ -12,8 +12,8 @@ import pytest
 from jaxdet.cli.progress import _bars, _Lines, _slowest, _steps, _text, _thousands, reporting
 from jaxdet.cli.report import MANY_LOGS, ground_text, summary_lines
 from jaxdet.cli.tell import tell
-from jaxdet.engine import GroundRecord, LogSummary, Progress
-from jaxdet.results.summary import Summary, failure
+from jaxdet.engine import GroundRecord, Progress
+from jaxdet.results.summary import LogSummary, Summary, failure
 
 
 def about(workers: int, devices: int, **busy_s: float) -> LogSummary:

@@ -17,6 +17,7 @@ from jaxdet.errors import ConfigError, InputError, OutputError
 from jaxdet.results import reading, versions
 from jaxdet.results.lock import Lock
 from jaxdet.results.reading import Results
+from jaxdet.results.summary import Summary
 from jaxdet.sim import SimConfig, write_log
 from jaxdet.verify import verify
 from tests.pools import same_results
@@ -34,7 +35,7 @@ def two(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def run(output: Path, logs: Path, **more: Any) -> engine.Summary:
+def run(output: Path, logs: Path, **more: Any) -> Summary:
     height = more.pop("height", None)
     pitch = None if height is None else 0.0
     config = Config(GroundConfig(camera_height_m=height, camera_pitch_rad=pitch))

@@ -10,11 +10,11 @@ from typing import Any
 import jax
 import pytest
 
-from jaxdet import engine
 from jaxdet.engine import runner
 from jaxdet.engine.whole_logs import OPENING_BYTES, choose_whole
 from jaxdet.errors import ConfigError, Interrupted
 from jaxdet.io import Batch, LogFiles
+from jaxdet.results.summary import Summary
 from jaxdet.sim import SimConfig, write_log
 from tests.camera_logs import join_cameras
 from tests.pools import on_this_machine, same_results
@@ -48,7 +48,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def run(folder: Path, output: Path, **options: Any) -> engine.Summary:
+def run(folder: Path, output: Path, **options: Any) -> Summary:
     return run_logs(folder, output, **{"pictures": 2, "batch_size": 4, **options})
 
 

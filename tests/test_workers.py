@@ -10,7 +10,6 @@ import sys
 import tempfile
 import threading
 import time
-from concurrent.futures import Future
 from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
@@ -27,10 +26,12 @@ from jaxdet.config import Config, GroundConfig
 from jaxdet.engine import lane, log_job, pool, station, worker
 from jaxdet.engine.plan import LogPlan
 from jaxdet.engine.slots import SLOTS, attached
+from jaxdet.engine.tasks import TaskQueue
 from jaxdet.engine.worker import decide_floors
 from jaxdet.errors import ConfigError, FrameError, FrameStatus, InputError, Interrupted
 from jaxdet.io import Batch, LogOptions, RescanError
 from jaxdet.presets import PRESETS
+from jaxdet.results.summary import Summary
 from jaxdet.signals import stops_raised
 from jaxdet.sim import SimConfig, write_log
 from jaxdet.types import Calibration, Extrinsics, Intrinsics
@@ -94,7 +95,7 @@ def sim_logs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return paths
 
 
-def run(logs: list[Path], output: Path, **options: Any) -> engine.Summary:
+def run(logs: list[Path], output: Path, **options: Any) -> Summary:
     windows = Config(ground=GroundConfig(source="estimate", window_s=0.3, sample_frames=3))
     config = options.pop("config", windows)
     return run_logs(logs, output, config, **{"pictures": 3, **options})
@@ -294,10 +295,9 @@ def sleep(_: None, seconds: float) -> None:
 
 def test_nothing_waits_for_a_worker_while_another_has_nothing_to_do():
     with pool.Pool(2, "reference") as workers:
-        tasks = {"long": (1.5,), "short": (0.01,), "last": (0.01,)}
-        assert [name for name, _ in workers.each(Nothing(), sleep, tasks)] == [
-            *("short", "last", "long")
-        ]
+        seconds = {"long": (1.5,), "short": (0.01,), "last": (0.01,)}
+        tasks = workers.each(Nothing(), sleep, TaskQueue(seconds), seconds.__getitem__)
+        assert [name for name, _ in tasks] == ["short", "last", "long"]
 
 
 def test_units_keep_all_workers_busy():
@@ -357,10 +357,10 @@ def test_one_process_that_computes_for_all_gives_the_same_bytes(
 def test_the_memory_is_bounded(width, height, asked, want):
     camera = Intrinsics(width, height, 600.0, 600.0, width / 2, height / 2)
     log: Any = SimpleNamespace(depth_shape=(height, width), calibration=Calibration(camera))
-    there = station.Station(2, ["gpu"])
-    slots, batch = there.enter(log, Config(), asked, station.PIECE_FRAMES)
-    again, _ = there.enter(log, Config(), asked, station.PIECE_FRAMES)
-    assert (slots.frames, batch) == want and again is slots
+    served = station.how_to_serve(log, Config(), asked, station.PIECE_FRAMES, 2)
+    there = station.Station(served, [], ["gpu"])
+    slots = there.memory.slots
+    assert (slots.frames, served.pieces * slots.frames) == want
     assert slots.nbytes <= 2 * SLOTS * max(station.PIECE_BYTES + 8192, 2 * width * height)
     first, last = slots.views(attached(slots.path))[:: 2 * SLOTS - 1]
     assert first.depth.shape == (want[0], height, width) and first.color is None
@@ -378,8 +378,9 @@ def test_the_preset_paper_has_memory_for_colour():
         (Calibration(camera, wide, still), (50, 80, 3)),
     ):
         log: Any = SimpleNamespace(depth_shape=(48, 64), calibration=calibration)
-        there = station.Station(1, ["gpu"])
-        slots, _ = there.enter(log, PRESETS["paper"], 3, station.PIECE_FRAMES)
+        served = station.how_to_serve(log, PRESETS["paper"], 3, station.PIECE_FRAMES, 1)
+        there = station.Station(served, [], ["gpu"])
+        slots = there.memory.slots
         for number, images in enumerate(slots.views(attached(slots.path))):
             assert images.color is not None and images.color.shape == (3, *shape)
             images.depth[...], images.color[...] = number, number + 100
@@ -423,49 +424,27 @@ def test_a_device_without_memory_computes_smaller_batches(
         assert (tmp_path / "a" / "a" / name).read_bytes() == (plain_run / name).read_bytes()
 
 
-class RingLane:
-    """A device with three buffers, and no memory for more than four pieces together."""
+def test_a_device_that_runs_out_of_memory_on_the_way_goes_on_with_smaller_batches(
+    sim_logs, plain_run, tmp_path, monkeypatch
+):
+    on_this_machine(monkeypatch)
+    sizes = []
 
-    def __init__(self, log: Any, device: Any, pieces: int) -> None:
-        self.ring: list[list[int]] = []
+    def finish(small: Any, pieces: list[Any], *given: Any) -> Any:
+        if pieces:
+            sizes.append(small.rows)
+        if pieces and len(sizes) in (2, 3):
+            raise RuntimeError("RESOURCE_EXHAUSTED: Out of memory while trying to allocate")
+        return real(small, pieces, *given)
 
-    def copied(self, pieces: list[int]) -> int:
-        self.ring.append(pieces)
-        return len(self.ring) - 1
-
-    def copy(self, pieces: list[int]) -> Future[int]:
-        done: Future[int] = Future()
-        done.set_result(self.copied(pieces))
-        return done
-
-    def start(self, pieces: list[int], copied: int) -> Any:
-        if len(pieces) > 4:
-            raise MemoryError
-        last = self.ring[copied::3][-1]  # that was copied to this buffer
-        return SimpleNamespace(lane=self, found=last)
-
-    def finish(self, pieces: list[int], started: Any) -> list[int]:
-        return started.found
-
-    def close(self) -> None:
-        pass
-
-
-def test_what_is_copied_is_not_overwritten_by_parts_of_others(monkeypatch):
-    """Batches go through a lane as `_LogStation._compute` leads them; some don't fit."""
-    monkeypatch.setattr(lane, "Lane", RingLane)
-    log: Any = SimpleNamespace(served=SimpleNamespace(pieces=16))
-    fitting: Any = lane.FittingLane(log, None)
-    sizes, found = [16, 16, 2, 2, 3, 16, 4, 1], []
-    ends = np.cumsum(sizes).tolist()
-    batches = [list(range(end - size, end)) for size, end in zip(sizes, ends, strict=True)]
-    copying = computing = None
-    for pieces in [*batches, None, None]:
-        copied = pieces and (pieces, fitting.copy(pieces))
-        started = copying and (copying[0], fitting.start(*copying))
-        found += fitting.finish(*computing) if computing else []
-        copying, computing = copied, started
-    assert found == list(range(ends[-1]))
+    real = lane.Lane.finish
+    monkeypatch.setattr(lane.Lane, "finish", finish)
+    monkeypatch.setattr(station, "PIECE_FRAMES", 2)
+    with jax.default_device(jax.devices("cpu")[0]):
+        summary = run(sim_logs[:1], tmp_path / "a", workers=2, batch_size=16, pictures=0)
+    assert not summary.failed and not summary.logs[0].lost and sizes[:4] == [16, 16, 8, 4]
+    for name in ("frames.parquet", "obstacles.parquet", "map.npz"):
+        assert (tmp_path / "a" / "a" / name).read_bytes() == (plain_run / name).read_bytes()
 
 
 def test_a_worker_of_a_device_that_dies_costs_nothing(sim_logs, plain_run, tmp_path, monkeypatch):

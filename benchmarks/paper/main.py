@@ -48,8 +48,8 @@ from benchmarks.paper.plan import FULL, QUICK, TUNING_SEEDS
 from benchmarks.paper.report import write, write_json
 from benchmarks.paper.section import Section
 from benchmarks.paper.systems import LEARNT, RIVALS
-from jaxdet.engine import versions
 from jaxdet.presets import PRESETS
+from jaxdet.results.versions import versions
 
 EXPERIMENTS: dict[str, Callable[[Lab], Section]] = {
     "table1": table1_indices.run,

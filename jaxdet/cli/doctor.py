@@ -30,8 +30,9 @@ def main(args: list[str]) -> int:
     """Runs the command; returns 0 when all checks pass, else 1."""
     command = parse_flags(DoctorCommand, args, "jaxdet doctor", DESCRIPTION)
     with SPINNER.shown("comparing; the first time it is compiled"):
-        from jaxdet.engine import start_up, versions
+        from jaxdet.engine import start_up
         from jaxdet.results.summary import to_json
+        from jaxdet.results.versions import versions
 
         start_up()
         about = {"jaxdet": jaxdet.__version__, **versions()}

@@ -1,21 +1,17 @@
 """``jaxdet run`` with buckets, on other machines, or a share of the logs."""
 
 import json
-import time
+from collections import Counter
 from collections.abc import Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from jaxdet.cli.spinner import SPINNER
-from jaxdet.cli.tell import on_terminal, tell
-from jaxdet.engine.options import RunOptions
-from jaxdet.memory import parse_size, size_text
+from jaxdet.cli.tell import tell
+from jaxdet.engine.options import AGAIN, OF_RUN, OF_RUNNER, RunOptions
+from jaxdet.memory import parse_size
 
-LINE_EVERY_S = 10.0
-ALIKE = ("backend", "batch_size", "workers", "memory", "pictures", "map", "overwrite", "update")
-"""Options that are passed on as they are."""
+STATES = ("done", "there", "failed", "replaced")
 
 
 @dataclass(frozen=True)
@@ -57,12 +53,13 @@ def run_on_machines(
         quiet: Report errors only.
         as_json: Print the outcomes as JSON.
     """
+    from jaxdet.cli.progress import reporting
     from jaxdet.fleet import run_fleet
 
-    how = {**how, **{name: getattr(options, name) for name in ALIKE}}
+    how = {**how, **{name: getattr(options, name) for name in (*OF_RUNNER, *OF_RUN, *AGAIN)}}
     how["spool"] = str(fleet.spool) if fleet.spool else None
     how["spool_size"] = fleet.spool_size and parse_size(fleet.spool_size, "--spool-size")
-    with _reporting(quiet or as_json) as report:
+    with reporting(quiet or as_json) as progress:
         outcomes = run_fleet(
             logs,
             options.output,
@@ -70,7 +67,7 @@ def run_on_machines(
             on=fleet.on,
             share=fleet.share,
             join=join,
-            report=report,
+            progress=progress,
         )
     wrong = [one for one in outcomes if one["error"] or one["lost"]]
     for one in wrong:
@@ -86,37 +83,7 @@ def run_on_machines(
 
 def _closing(outcomes: list[dict[str, Any]]) -> str:
     """Return a line about a run."""
-    counts = dict.fromkeys(("done", "there", "failed", "replaced"), 0)
-    for one in outcomes:
-        counts[one["state"]] += 1
+    counts = Counter(one["state"] for one in outcomes)
     frames, found = (sum(one[name] for one in outcomes) for name in ("frames", "obstacles"))
-    states = ", ".join(f"{count} {state}" for state, count in counts.items() if count)
+    states = ", ".join(f"{counts[state]} {state}" for state in STATES if counts[state])
     return f"{len(outcomes)} logs: {states or 'none'}; {frames} frames, {found} obstacles"
-
-
-@contextmanager
-def _reporting(silent: bool):  # noqa: ANN202 (a generator)
-    """One line that shows how far the run is: rewritten on a terminal, else every few seconds."""
-    began = last = time.monotonic()
-    failed = size = 0
-
-    def show(done: int, total: int, outcome: Mapping[str, Any]) -> None:
-        nonlocal last, failed, size
-        failed += outcome["state"] == "failed"
-        size += outcome["bytes"] if outcome["state"] == "done" else 0
-        now = time.monotonic()
-        if not on_terminal() and done < total and now - last < LINE_EVERY_S:
-            return
-        last = now
-        rate = size_text(int(size / max(now - began, 1e-3)))
-        text = f"{done}/{total} logs, {rate}/s" + (f", {failed} failed" if failed else "")
-        if on_terminal() and done < total:
-            SPINNER.start(text)
-        else:
-            SPINNER.stop()
-            tell(f"jaxdet: {text}")
-
-    try:
-        yield None if silent else show
-    finally:
-        SPINNER.stop()

@@ -68,9 +68,8 @@ def main(args: list[str]) -> int:
     config, log_options, name = defaults(args)
     start = {"preset": name, "ground": config.ground, "log": log_options}
     command = parse_flags(InfoCommand, args, "jaxdet info", DESCRIPTION, COMMON, start)
-    from jaxdet.engine import plain
     from jaxdet.io import find_logs
-    from jaxdet.results.summary import to_json
+    from jaxdet.results.summary import plain, to_json
 
     failed, found = 0, []
     options = replace(command.log, scan=command.log.scan or command.check)
@@ -110,8 +109,9 @@ def describe(
         CamerasError: The log has several, and none is chosen.
         JaxdetError: The log can't be used.
     """
-    from jaxdet.engine import decide_planes, plain
+    from jaxdet.engine import decide_planes
     from jaxdet.io import open_log
+    from jaxdet.results.summary import plain
 
     with open_log(files, options) as log:
         planes = decide_planes(log, config, "reference")

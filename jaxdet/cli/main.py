@@ -11,7 +11,7 @@ import jaxdet
 from jaxdet.cli.spinner import SPINNER
 from jaxdet.cli.tell import tell
 from jaxdet.errors import ConfigError, Interrupted, JaxdetError, meant, printable
-from jaxdet.results.crash_report import crash_report
+from jaxdet.results.versions import crash_report
 from jaxdet.signals import stops_raised
 
 COMMANDS = {

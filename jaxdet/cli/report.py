@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from jaxdet.engine import GroundRecord, LogSummary, Summary
+    from jaxdet.engine import GroundRecord
+    from jaxdet.results.summary import LogSummary, Summary
 
 
 MANY_LOGS = 12

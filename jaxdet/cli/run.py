@@ -12,15 +12,15 @@ from jaxdet.cli.settings import defaults
 from jaxdet.cli.spinner import SPINNER
 from jaxdet.cli.tell import tell
 from jaxdet.config import Config
-from jaxdet.engine.options import RunOptions
+from jaxdet.engine.options import AGAIN, OF_RUN, OF_RUNNER, RunOptions
 from jaxdet.errors import ConfigError, Interrupted
 from jaxdet.fleet.place import is_url
 from jaxdet.io.options import LogOptions
 from jaxdet.presets import DEFAULT_PRESET
 
 if TYPE_CHECKING:
-    from jaxdet.engine import Summary
     from jaxdet.engine.startup import Caches
+    from jaxdet.results.summary import Summary
 
 DESCRIPTION = """\
 Finds the obstacles in every frame of logs and writes for each a folder of tables, pictures and a
@@ -161,9 +161,8 @@ def _run(command: RunCommand) -> int:
     if options.backend == "jax" and not silent and (text := first_time(cache_folders())):
         _say(text)
         SPINNER.start("loading")
-    own = ("batch_size", "pictures", "map", "overwrite", "update")
-    how: dict[str, Any] = {name: getattr(options, name) for name in own}
-    resources = options.backend, options.workers, options.memory
+    how: dict[str, Any] = {name: getattr(options, name) for name in (*OF_RUN, *AGAIN)}
+    resources = (getattr(options, name) for name in OF_RUNNER)
     with reporting(silent) as progress, Runner(*resources) as runner:
         summary = runner.run(
             logs,

@@ -10,53 +10,38 @@ if TYPE_CHECKING:
     from jaxdet.engine.floors import GroundRecord, Planes, decide_planes
     from jaxdet.engine.one_log import run_one
     from jaxdet.engine.options import RunOptions
-    from jaxdet.engine.plan import Observer, Unit
+    from jaxdet.engine.plan import Observer
     from jaxdet.engine.progress import Progress, ProgressCallback
     from jaxdet.engine.runner import Runner, run
     from jaxdet.engine.startup import start_up, use_caches
-    from jaxdet.results.names import log_name
-    from jaxdet.results.summary import LogSummary, Summary, plain
-    from jaxdet.results.versions import versions
 
 _MODULES = {
     "GroundRecord": "engine.floors",
-    "LogSummary": "results.summary",
     "Observer": "engine.plan",
     "Planes": "engine.floors",
     "Progress": "engine.progress",
     "ProgressCallback": "engine.progress",
     "RunOptions": "engine.options",
     "Runner": "engine.runner",
-    "Summary": "results.summary",
-    "Unit": "engine.plan",
     "decide_planes": "engine.floors",
-    "log_name": "results.names",
-    "plain": "results.summary",
     "run": "engine.runner",
     "run_one": "engine.one_log",
     "start_up": "engine.startup",
     "use_caches": "engine.startup",
-    "versions": "results.versions",
 }
 __all__ = [
     "GroundRecord",
-    "LogSummary",
     "Observer",
     "Planes",
     "Progress",
     "ProgressCallback",
     "RunOptions",
     "Runner",
-    "Summary",
-    "Unit",
     "decide_planes",
-    "log_name",
-    "plain",
     "run",
     "run_one",
     "start_up",
     "use_caches",
-    "versions",
 ]
 
 

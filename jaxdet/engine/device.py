@@ -156,7 +156,7 @@ class SharedDevice:
     """Another process, which computes for this worker.
 
     Args:
-        slots: What :meth:`jaxdet.engine.station.Station.enter` returned.
+        slots: What :meth:`jaxdet.engine.pool.Pool.serve` returned.
         piped: The worker's way to the station.
     """
 

@@ -8,10 +8,10 @@ the floor.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -38,6 +38,8 @@ FindFloors = Callable[[Frames], "FloorFit"]
 
 _FEW, _MOST = 0.25, 0.75
 """Shares of a sample that show their floor: of a camera that is turned, and turned upright."""
+_TURNS = (2, 1, 3)
+"""Quarter turns of cameras: upside down, and on each side."""
 _LOW_M = 1.0
 """Cameras lower than this that see no floor but a plane above them are upside down."""
 MIN_HEIGHT_M, MAX_HEIGHT_M = 0.02, 20.0
@@ -142,17 +144,18 @@ def decide_planes(
     if config.ground.source == "none":
         return Planes((GroundRecord("none", message="asked for"),), {0: unknown_plane(1)})
     known, plane, warnings = _stated(log, config.ground)
-    find = find or partial(find_here, config, backend)
+    samples = _Samples(log, find or partial(find_here, config, backend), at_once, alive)
     records, windows = [], {}
     window_ns = round(config.ground.window_s * 1e9)
     wanted = np.array(log.frames, int) if frames is None else frames
     for number, all_frames in _windows(log, window_ns, wanted):
         sample = evenly(all_frames, config.ground.sample_frames)
-        given = known, plane, config, find, at_once, alive
-        record, windows[number] = _look(log, sample, *given)
-        if record.source in ("none", "tf") and not config.cluster.points:
-            look = partial(_sampled, log, sample, unknown_plane(1), find, at_once, alive)
-            record, windows[number], text = _look_turned(record, plane, len(sample), look)
+        (found,) = samples.floors(sample, plane)
+        record, windows[number] = _prior(found, known, plane, alone=not config.cluster.points)
+        few = record.frames_used is not None and record.frames_used <= _FEW * len(sample)
+        if few and record.source in ("none", "tf") and not config.cluster.points:
+            turned = samples.floors(sample, unknown_plane(1), _TURNS)
+            record, windows[number], text = _turned_prior(turned, record, plane)
             warnings = (*warnings, text) if text else warnings
         start = number * window_ns if window_ns else None
         records.append(replace(record, window_start_ns=start))
@@ -220,22 +223,59 @@ def _plane_from_tf(log: "Log") -> tuple[GroundPlane | None, str]:
     return plane, ""
 
 
-def _look(
-    log: "Log",
-    sample: np.ndarray,
-    known: GroundRecord,
-    plane: GroundPlane,
-    config: Config,
-    find: FindFloors,
-    at_once: int | None,
-    alive: Callable[[], object],
+class _Samples(NamedTuple):
+    """How samples of a log are looked at; attributes as of :func:`decide_planes`."""
+
+    log: "Log"
+    find: FindFloors
+    at_once: int | None
+    alive: Callable[[], object]
+
+    def floors(
+        self, sample: np.ndarray, plane: GroundPlane, turns: Sequence[int] = (0,)
+    ) -> list[SampledFloor | None]:
+        """Return the floor of a sample, for each way in which its images may be turned.
+
+        Args:
+            sample: Numbers of frames.
+            plane: Prior of each.
+            turns: Quarter turns of the images.
+
+        Returns:
+            A floor for each; None where no frame can be read.
+        """
+        shown: list[list[GroundPlane]] = [[] for _ in turns]
+        own: list[list[np.ndarray]] = [[] for _ in turns]
+        size = self.at_once or len(sample)
+        for first in range(0, len(sample), size):
+            frames = self.log.read(sample[first : first + size].tolist()).frames
+            for way, quarters in enumerate(turns if frames.valid.any() else ()):
+                images = turned_frames(frames, quarters) if quarters else frames
+                fit = self.find(images._replace(plane=repeat_plane(plane, len(frames.valid))))
+                shown[way].append(GroundPlane(*(np.asarray(a)[frames.valid] for a in fit.plane)))
+                own[way].append(np.asarray(fit.own)[frames.valid])
+            self.alive()
+        return [
+            sampled_floor(join_planes(planes), np.concatenate(decided)) if planes else None
+            for planes, decided in zip(shown, own, strict=True)
+        ]
+
+
+def _prior(
+    found: SampledFloor | None, known: GroundRecord, plane: GroundPlane, *, alone: bool
 ) -> tuple[GroundRecord, GroundPlane]:
-    """The prior that a sample of frames gives: what they show, else what is known."""
-    found = _sampled(log, sample, plane, find, at_once, alive)
+    """Return the prior that a sample gives: what its frames show, else what is known.
+
+    Args:
+        found: What they show.
+        known: Where the plane that is known comes from.
+        plane: That plane.
+        alone: Whether a frame can be searched alone, without a prior.
+    """
     if found is None:
         return replace(known, message=_said(known, "no sampled frame could be read")), plane
     message = _said(known, _sample_text(found))
-    alone = not plane.valid[0] and not config.cluster.points
+    alone = alone and not plane.valid[0]
     if not (found.agrees if alone else found.plane.valid[0]):
         if alone:
             message = f"each frame is searched alone; {message}"
@@ -248,46 +288,20 @@ def _look(
     return record, found.plane
 
 
-def _sampled(
-    log: "Log",
-    sample: np.ndarray,
-    plane: GroundPlane,
-    find: FindFloors,
-    at_once: int | None,
-    alive: Callable[[], object],
-    quarters: int = 0,
-) -> SampledFloor | None:
-    """Return the floor of a sample whose images are turned; None where no frame can be read."""
-    shown, own = [], []
-    size = at_once or len(sample)
-    for first in range(0, len(sample), size):
-        frames = log.read(sample[first : first + size].tolist()).frames
-        if frames.valid.any():
-            if quarters:
-                frames = turned_frames(frames, quarters)
-            frames = frames._replace(plane=repeat_plane(plane, len(frames.valid)))
-            fit = find(frames)
-            shown.append(GroundPlane(*(np.asarray(a)[frames.valid] for a in fit.plane)))
-            own.append(np.asarray(fit.own)[frames.valid])
-        alive()
-    return sampled_floor(join_planes(shown), np.concatenate(own)) if shown else None
-
-
-def _look_turned(
-    record: GroundRecord,
-    plane: GroundPlane,
-    looked_at: int,
-    look: Callable[[int], SampledFloor | None],
+def _turned_prior(
+    each: Sequence[SampledFloor | None], record: GroundRecord, plane: GroundPlane
 ) -> tuple[GroundRecord, GroundPlane, str]:
-    """Look for the floor of a camera whose mount nobody states, upside down and on its sides.
+    """Return the prior of a camera whose mount nobody states, and a warning or nothing.
 
     An upside-down one is believed where its floor is near: else it may be an upright camera that
     sees a ceiling. Of one on its side the flags are named, as walls look like its floor.
+
+    Args:
+        each: Floors of the sample for each of :data:`_TURNS`.
+        record: What the sample gives as it is.
+        plane: Its prior.
     """
-    if record.frames_used is None or record.frames_used > _FEW * looked_at:
-        return record, plane, ""
-    for quarters in (2, 1, 3):
-        found = look(quarters)
+    for quarters, found in zip(_TURNS, each, strict=True):
         if found is None or not found.agrees:
             continue
         if found.decided < max(ENOUGH, _MOST * found.looked_at):

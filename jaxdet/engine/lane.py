@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from jaxdet.config import Config
-from jaxdet.engine.device import out_of_memory
 from jaxdet.engine.floors import find_here
 from jaxdet.engine.slots import (
     SLOTS,
@@ -119,74 +118,6 @@ def _frames(depth: Any, color: Any, served: Served, plane: GroundPlane) -> Frame
     return Frames(depth, served.calibration, *known, color=color, plane=plane)
 
 
-class FittingLane:
-    """A lane for as many pieces as the device has memory for: half as many where it runs out."""
-
-    def __init__(self, log: LogMemory, device: Any) -> None:
-        self.log, self.device, self.pieces = log, device, log.served.pieces
-        self._lane: Lane | None = None
-        self._broken: Exception | None = None
-        self._divided = 0
-        """Batches that were computed in parts, which take the buffers of what was copied before."""
-
-    def open(self) -> "Lane":
-        """The lane, compiled."""
-        if self._broken:
-            raise self._broken
-        while self._lane is None:
-            try:
-                self._lane = Lane(self.log, self.device, self.pieces)
-                self._lane.finish([], self._lane.start([], self._lane.copied([])))
-            except Exception as error:
-                self._broken = error
-                self._halve(error)
-                self._broken = None
-        return self._lane
-
-    def close(self) -> None:
-        """Ends its thread."""
-        if self._lane:
-            self._lane.close()
-
-    def copy(self, pieces: list[Piece], _: None = None) -> "_Copying | None":
-        """Begins to copy a batch; None: there is no memory for all of it."""
-        lane = self.open()
-        if len(pieces) > self.pieces:
-            return None
-        return _Copying(lane, self._divided, lane.copy(pieces))
-
-    def start(self, pieces: list[Piece], copying: "_Copying | None") -> "_Started | None":
-        """Waits until a batch is copied and starts to compute it; None: it is not on the device."""
-        if copying is None or copying[:2] != (self._lane, self._divided):
-            return None
-        try:
-            return copying.lane.start(pieces, copying.copied.result())
-        except Exception as error:
-            self._halve(error)
-            return None
-
-    def finish(self, pieces: list[Piece], started: "_Started | None") -> list[Reply]:
-        """Waits for a batch; one that was not started is copied again, and computed in parts."""
-        if started:
-            try:
-                return started.lane.finish(pieces, started)
-            except Exception as error:
-                self._halve(error)
-        replies: list[Reply] = []
-        self._divided += 1
-        while len(replies) < len(pieces):
-            part = pieces[len(replies) :][: self.pieces]
-            replies += self.finish(part, self.start(part, self.copy(part)))
-        return replies
-
-    def _halve(self, error: Exception) -> None:
-        """From now on half as many pieces, if that can help."""
-        if not out_of_memory(error) or self.pieces == 1:
-            raise error
-        self.close()
-        self._lane, self.pieces = None, self.pieces // 2
-
-
 class _Copied(NamedTuple):
     """Images of a batch on a device."""
 
@@ -198,7 +129,6 @@ class _Copied(NamedTuple):
 class _Started(NamedTuple):
     """A batch that a lane's device computes."""
 
-    lane: "Lane"
     found: Detections
     packed: Any
     begin: float
@@ -209,17 +139,14 @@ class _Started(NamedTuple):
     """Time when it is computed."""
 
 
-class _Copying(NamedTuple):
-    """A batch on its way to a lane's device."""
-
-    lane: "Lane"
-    divided: int
-    """See :class:`FittingLane`."""
-    copied: "Future[_Copied]"
-
-
 class Lane:
-    """One device and what belongs to it: a batch is copied to it while one is computed."""
+    """One device and what belongs to it: a batch is copied to it while one is computed.
+
+    Args:
+        log: Memory of the images and results.
+        device: The device.
+        pieces: Most pieces of a batch.
+    """
 
     def __init__(self, log: LogMemory, device: Any, pieces: int) -> None:
         from jaxdet.stages._upload import Uploader, wait_asleep
@@ -236,6 +163,10 @@ class Lane:
         self._copier = ThreadPoolExecutor(1, "jaxdet-copier")
         self._locked = self._copier.submit(log.page_lock, log.images, device)
 
+    def compile(self) -> None:
+        """Compute nothing, for which the program is compiled and takes its memory."""
+        self.finish([], self.start([], self._copied([])))
+
     def close(self) -> None:
         """Ends its threads."""
         self._copier.shutdown()
@@ -243,9 +174,9 @@ class Lane:
 
     def copy(self, pieces: list[Piece]) -> "Future[_Copied]":
         """Begins to copy the pieces to the device."""
-        return self._copier.submit(self.copied, pieces)
+        return self._copier.submit(self._copied, pieces)
 
-    def copied(self, pieces: list[Piece]) -> _Copied:
+    def _copied(self, pieces: list[Piece]) -> _Copied:
         """Copies the pieces to the device."""
         if pieces:
             self._locked.result()
@@ -268,7 +199,7 @@ class Lane:
             pack = _pack()
         packed = pack(_without_prior(found))
         ready = self._watch.submit(_time_when_ready, packed)
-        return _Started(self, found, packed, begin, copied.seconds, ready)
+        return _Started(found, packed, begin, copied.seconds, ready)
 
     def finish(self, pieces: list[Piece], started: _Started) -> list[Reply]:
         """Waits for the results and copies them to the slots."""

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import ExitStack, closing
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,7 +27,6 @@ from jaxdet.io.notes import total
 from jaxdet.memory import size_text
 from jaxdet.pipeline import BackendName
 from jaxdet.render import draw_map, write_png
-from jaxdet.results.crash_report import crash_report
 from jaxdet.results.durable import writing
 from jaxdet.results.layout import CONFIG, FAILED, SUMMARY
 from jaxdet.results.manifest import fingerprint, write_manifest
@@ -35,6 +34,7 @@ from jaxdet.results.names import camera_name, export_name
 from jaxdet.results.occupancy import MAX_CELLS, OccupancyMap, save_map
 from jaxdet.results.publish import flush_folder, remove
 from jaxdet.results.summary import LogSummary, Summary
+from jaxdet.results.versions import crash_report
 from jaxdet.results.writer import TableWriter, write_json
 
 if TYPE_CHECKING:
@@ -83,13 +83,13 @@ def make_log(
     with writing(folder):
         folder.mkdir()
     inputs = [fingerprint(path) for path in files.paths]
-    given = job, files, inputs, folder, memory, choose, report
+    given = job, files, folder, memory, choose, report, keep_memory, inputs
     with ExitStack() as stack:
 
         def run(options: "LogOptions", camera: str = "") -> CameraRun:
             one = CameraRun(*given, camera)
             stack.callback(one.close)
-            one.run(options, keep_memory=keep_memory)
+            one.run(options)
             return one
 
         options = job.log_options
@@ -105,7 +105,7 @@ def make_log(
         summary = Summary(job.options.backend, max(one.batch for one in cameras), abouts)
         summary.seconds = sum(about.seconds for about in abouts)
         summary.workers = max(about.workers for about in abouts)
-        about = {**job.about, "log": files.name, "inputs": inputs}
+        about = {"log": files.name, "inputs": inputs, **job.about}
         if done:
             _write_results(folder, job, summary, done, about)
         else:
@@ -145,44 +145,32 @@ def _write_results(
         write_manifest(folder, about)
 
 
+@dataclass
 class CameraRun:
-    """One camera of a log, worked through.
+    """One camera of a log, worked through; fields as the arguments of :func:`make_log`."""
 
-    Args:
-        job: What it has in common with others.
-        files: The log.
-        inputs: Fingerprints of its files.
-        folder: Folder of the log's results.
-        memory: The memory of the run.
-        choose: Chooses who works on it.
-        report: Gets where it stands.
-        camera: The camera, where the log has several.
+    job: Job
+    files: "LogFiles"
+    folder: Path
+    memory: Memory
+    choose: Choose
+    report: Report
+    keep_memory: bool
+    inputs: Inputs
+    """Fingerprints of the log's files."""
+    camera: str = ""
+    """The camera, where the log has several."""
+    batch: int = 0
+    """Frames computed together."""
 
-    Attributes:
-        about: The summary.
-        batch: Frames computed together.
-    """
-
-    def __init__(
-        self,
-        job: Job,
-        files: "LogFiles",
-        inputs: Inputs,
-        folder: Path,
-        memory: Memory,
-        choose: Choose,
-        report: Report,
-        camera: str,
-    ) -> None:
-        self.job, self.files, self.inputs, self.folder = job, files, inputs, folder
-        self.memory, self.choose, self.report, self.camera = memory, choose, report, camera
-        self.part = camera_name(camera) if camera else ""
+    def __post_init__(self) -> None:
+        self.part = camera_name(self.camera) if self.camera else ""
         """Part of the names of its files, where the log has several cameras."""
-        self.scratch = folder.with_name(f"{folder.name}~{self.part}.rows")
-        self.batch, self.about = 0, self._new()
+        self.scratch = self.folder.with_name(f"{self.folder.name}~{self.part}.rows")
+        self.about = self._new()
         self._assembly = Assembly(self.scratch, self.about)
 
-    def run(self, options: "LogOptions", *, keep_memory: bool) -> None:
+    def run(self, options: "LogOptions") -> None:
         """Work through the log; what is wrong with it is an error in the summary.
 
         Raises:
@@ -191,11 +179,11 @@ class CameraRun:
             WorkerStartError: There are no workers.
         """
         try:
-            self._run_with_retries(options, keep_memory=keep_memory)
+            self._run_with_retries(options)
         except (OutputError, CamerasError, WorkerStartError):
             raise
         except Exception as error:
-            if keep_memory:
+            if self.keep_memory:
                 raise
             self._fail(error)
 
@@ -230,7 +218,7 @@ class CameraRun:
             text += f"; a fault of jaxdet: please send its developers {where}"
         self.about.error = text
 
-    def _run_with_retries(self, options: "LogOptions", *, keep_memory: bool) -> None:
+    def _run_with_retries(self, options: "LogOptions") -> None:
         """Scan a log whose index is wrong, and take fewer workers where its chunks are large."""
         while True:
             self._assembly.close()
@@ -244,7 +232,7 @@ class CameraRun:
                     raise
                 options = replace(options, scan=True)
             except ChunkMemoryError:
-                fewer = None if keep_memory else self.memory.with_fewer_workers()
+                fewer = None if self.keep_memory else self.memory.with_fewer_workers()
                 if fewer is None:
                     raise
                 self.memory = fewer

@@ -8,16 +8,12 @@ from typing import Any
 
 from jaxdet.config import Config
 from jaxdet.config_changes import changed
+from jaxdet.engine.options import OF_RUN, OF_RUNNER
 from jaxdet.engine.runner import Runner
 from jaxdet.errors import InputError
 from jaxdet.io import LogOptions, find_logs
 from jaxdet.presets import DEFAULT_PRESET, preset
 from jaxdet.results.record import make_record
-
-RUNNER = ("backend", "workers", "memory")
-"""Keys of ``how`` that are arguments of :class:`jaxdet.Runner`."""
-OPTIONS = ("batch_size", "pictures", "map")
-"""Keys of ``how`` that are arguments of :meth:`jaxdet.Runner.run`."""
 
 
 def run_one(log_path: str, folder: str | Path, how: Mapping[str, Any]) -> dict[str, Any]:
@@ -31,7 +27,8 @@ def run_one(log_path: str, folder: str | Path, how: Mapping[str, Any]) -> dict[s
         how: Plain values, all optional: ``name`` (of the log; by default from its path),
             ``preset``, ``config`` (sections of the configuration as in ``config.json``), ``log``
             (fields of :class:`jaxdet.LogOptions`), ``backend``, ``workers``, ``memory``,
-            ``batch_size``, ``pictures`` and ``map`` (see :func:`jaxdet.run`).
+            ``batch_size``, ``pictures`` and ``map`` (see :func:`jaxdet.run`), and ``about`` (more
+            for the manifest: where a log was ``fetched`` from, for instance).
 
     Returns:
         ``status`` (``done`` or ``failed``), ``name``, ``frames``, ``obstacles``, ``seconds``,
@@ -44,8 +41,8 @@ def run_one(log_path: str, folder: str | Path, how: Mapping[str, Any]) -> dict[s
         Interrupted: A signal ended it.
     """
     config, log_options, name = _settings(how)
-    runner = _runner(*(how.get(key) for key in RUNNER))
-    options = {key: how[key] for key in OPTIONS if key in how}
+    runner = _runner(*(how.get(key) for key in OF_RUNNER))
+    options = {key: how[key] for key in OF_RUN if key in how}
     try:
         logs = find_logs([log_path])
         if len(logs) != 1:
@@ -55,6 +52,7 @@ def run_one(log_path: str, folder: str | Path, how: Mapping[str, Any]) -> dict[s
         return {"status": "failed", **found, "warnings": [], "lost": [], "error": str(error)}
     given = logs[0]._replace(name=how.get("name") or logs[0].name)
     folder = Path(folder)
+    options["about"] = how.get("about") or {}
     summary = runner.run_alone(given, folder, config, log_options, preset=name, **options)
     errors = "; ".join(log.error for log in summary.failed if log.error)
     return {

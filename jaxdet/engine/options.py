@@ -9,6 +9,12 @@ from jaxdet.memory import parse_size
 
 MAX_WORKERS = 1024
 """Most processes; more than machines have cores."""
+OF_RUNNER = ("backend", "workers", "memory")
+"""Options that are arguments of :class:`jaxdet.Runner`."""
+OF_RUN = ("batch_size", "pictures", "map")
+"""Options that are arguments of :meth:`jaxdet.Runner.run`; others say what is done again."""
+AGAIN = ("overwrite", "update")
+"""Those others."""
 
 
 @dataclass(frozen=True)

@@ -4,21 +4,20 @@ import multiprocessing
 import signal
 import threading
 import time
-from collections import deque
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing, contextmanager
-from functools import partial
+from itertools import chain
 from multiprocessing import forkserver, resource_tracker
 from multiprocessing.connection import wait
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from jaxdet.config import Config
 from jaxdet.engine.part import Part
 from jaxdet.engine.plan import LogPlan, Unit
-from jaxdet.engine.slots import Slots
+from jaxdet.engine.slots import Piped, Slots
 from jaxdet.engine.startup import may_use_gpus, start_cuda, start_up
-from jaxdet.engine.station import Station
-from jaxdet.engine.unit_queue import UnitQueue
+from jaxdet.engine.station import Station, how_to_serve
+from jaxdet.engine.tasks import TaskQueue, UnitQueue
 from jaxdet.engine.worker import (
     Context,
     Failure,
@@ -35,12 +34,6 @@ from jaxdet.signals import STOPS, stops_held_back
 if TYPE_CHECKING:
     from jaxdet.engine.lane import Served
     from jaxdet.io import Log
-
-Value = TypeVar("Value")
-Label = TypeVar("Label")
-
-LOST = "lost"
-"""Instead of an answer."""
 
 WAITING = 2
 """Units that a worker has been given: the one it works on, and the next."""
@@ -121,6 +114,8 @@ class Pool:
         self.count, self.devices = count, devices
         self._backend: BackendName = backend
         self._station: Station | None = None
+        self._pipes: list[Any] = []
+        """With GPUs: to each worker, and the worker's end of it."""
         self._context: Any = multiprocessing.get_context(_start_method())
         self._workers: list[Worker] = []
         self._early = 0
@@ -147,9 +142,11 @@ class Pool:
         compute = self._backend == "jax" and not self.devices
         _start_server(LOADED + LOADED_TO_COMPUTE * compute)
         with stops_held_back():  # close() waits for the thread
-            self._station = Station(self.count, self.devices) if self.devices else None
-            ends = self._station.ends if self._station else [None] * self.count
-            self._workers = [Worker(self._context, self._backend, end) for end in ends]
+            self._pipes = [multiprocessing.Pipe() for _ in range(self.count) if self.devices]
+            piped = [Piped(number, theirs) for number, (_, theirs) in enumerate(self._pipes)]
+            self._workers = [
+                Worker(self._context, self._backend, end) for end in piped or [None] * self.count
+            ]
             self._ended, self._started = threading.Event(), threading.Event()
             # In a thread, as the fork server takes a while to load what it loads, and so that a
             # signal never leaves a process half started; not to be joined: a Ctrl-C while Python
@@ -166,15 +163,37 @@ class Pool:
     def serve(
         self, log: "Log", config: Config, batch_size: int | None, piece_frames: int
     ) -> tuple[Slots, int]:
-        """Starts the processes and begins to compute for them, see :meth:`Station.enter`."""
+        """Start the processes and begin to compute for them, if that is not done for such a log.
+
+        Args:
+            log: Open log.
+            config: The method's parameters.
+            batch_size: Frames computed together; None: as many as the memory is meant for.
+            piece_frames: Most frames of a slot that there is room for.
+
+        Returns:
+            The slots for the workers, and the frames computed together.
+
+        Raises:
+            WorkerError: There is not as much memory.
+        """
         self.start()
-        assert self._station is not None
-        return self._station.enter(log, config, batch_size, piece_frames)
+        served = how_to_serve(log, config, batch_size, piece_frames, self.count)
+        if self._station is None or self._station.served != served:
+            self._end_station()
+            self._station = Station(served, [ours for ours, _ in self._pipes], self.devices)
+        return self._station.memory.slots, served.pieces * served.slots.frames
 
     @property
     def serving(self) -> "Served | None":
-        """What workers are served in, see :attr:`Station.serving`."""
-        return self._station and self._station.serving
+        """What workers are served in: slots, camera and configuration."""
+        one = self._station
+        return one and one.served._replace(slots=one.memory.slots)
+
+    def _end_station(self) -> None:
+        if self._station:
+            self._station.close()
+        self._station = None
 
     def close(self) -> None:
         """Ends the processes."""
@@ -184,11 +203,12 @@ class Pool:
                 self._started.wait()
             for worker in self._workers:
                 worker.end()
-            if self._station is not None:
-                self._station.close()
-            self._workers, self._station = [], None
+            self._end_station()
+            for end in chain(*self._pipes):
+                end.close()
+            self._workers, self._pipes = [], []
 
-    def call(self, function: Callable[..., Value], *args: Any) -> Value:
+    def call(self, function: Callable[..., Any], *args: Any) -> Any:
         """Return what a worker's call of a function returns; it is tried twice.
 
         Raises:
@@ -196,71 +216,12 @@ class Pool:
             JaxdetError: As the function raises it.
         """
         where = "before the first frame"
-        try:
-            return self._call(where, None, function, *args)
-        except _WorkerLostError:
-            return self._call(where, None, function, *args)
-
-    def each(
-        self, context: Context, function: Callable[..., Any], tasks: Mapping[Label, tuple]
-    ) -> Generator[tuple[Label, Any], None, None]:
-        """What workers' calls of a function return, as they come.
-
-        When a worker dies, hangs or runs out of memory all have ended, and nothing comes after.
-
-        Args:
-            context: What the calls have in common.
-            function: Of the module level.
-            tasks: Its other arguments, in the order in which they are given out.
-
-        Returns:
-            The task's key, and what was returned; :data:`LOST` for what the lost worker was at.
-        """
-        todo = deque(tasks.items())
-        give = partial(self._give_each, PackedContext(context), function, todo)
-        with closing(self._answers(give)) as answers:
-            for worker, told in answers:
-                if isinstance(told, _Problem):
-                    yield worker.given[0], LOST
-                    return
-                yield from told
-
-    def _give_each(
-        self,
-        context: PackedContext,
-        function: Callable[..., Any],
-        todo: deque[tuple[Any, tuple]],
-    ) -> None:
-        """Gives workers calls to do, one ahead while there are more than workers.
-
-        The last ones wait here for whoever is done first.
-        """
-        for most in range(1, WAITING + 1):
-            for worker in self._workers:
-                spare = len(todo) > len(self._workers) * (most > 1)
-                if len(worker.given) < most and spare:
-                    label, args = todo.popleft()
-                    worker.give(label, function, *args, context=context)
-
-    def _answers(
-        self, give: Callable[[], None]
-    ) -> "Generator[tuple[Worker, list[tuple[Any, Any]] | _Problem], None, None]":
-        """What :meth:`_poll` yields until workers have nothing to do; ends those that still have.
-
-        Args:
-            give: Gives them more, if there is more.
-        """
-        self.start()
-        self._started.wait()
-        try:
-            while True:
-                give()
-                if not any(worker.given for worker in self._workers):
-                    return
-                yield from self._poll()
-        finally:
-            if any(worker.given for worker in self._workers):
-                self.close()
+        answer = self._alone(None, function, where, *args)
+        if isinstance(answer, Lost):
+            answer = self._alone(None, function, where, *args)
+        if isinstance(answer, Lost):
+            raise answer.as_raised(where)
+        return answer
 
     def work_through(
         self, plan: LogPlan, make_context: MakeContext
@@ -278,80 +239,95 @@ class Pool:
             WorkerError: A worker failed in an unforeseen way.
             JaxdetError: As :func:`jaxdet.engine.worker.run_unit` raises it.
         """
-        todo = UnitQueue(plan.units(), self.count)
+        todo, failure = UnitQueue(plan.units(), self.count), None
         while todo:
-            lost = yield from self._until_one_is_lost(plan, todo, PackedContext(make_context()))
-            if lost:
-                yield lost[0], self._retry(plan, *lost, make_context)
-
-    def _until_one_is_lost(
-        self, plan: LogPlan, todo: UnitQueue, context: PackedContext
-    ) -> "Generator[tuple[Unit, Part], None, tuple[Unit, _Problem] | None]":
-        """Take units from ``todo`` until none is left, or a worker failed; then all have ended."""
-        give = partial(self._give, todo, context, plan.batch_size)
-        with closing(self._answers(give)) as answers:
-            for worker, told in answers:
-                if isinstance(told, _Problem):
-                    lost = worker.given[0]
-                    given = {unit for one in self._workers for unit in one.given}
-                    todo.put_back(given - {lost})
-                    return lost, told
-                for unit, part in told:
+            given = make_context(), run_unit, todo, lambda unit: (plan.batch_size, unit)
+            with closing(self.each(*given)) as answers:
+                for unit, answer in answers:
+                    if failure:
+                        continue  # which lets the workers live
+                    part = answer
+                    if isinstance(part, Lost):
+                        part = self._retry(plan, unit, part, make_context)
                     if isinstance(part, Failure):
-                        self._drain()
-                        raise part.as_raised(plan.where(unit))
-                    yield unit, part
-        return None
+                        failure = part.as_raised(plan.where(unit))
+                        todo.clear()
+                    else:
+                        yield unit, part
+        if failure:
+            raise failure
 
-    def _give(self, todo: UnitQueue, context: PackedContext, batch_size: int) -> None:
-        """Give workers units to do."""
-        for most in range(1, WAITING + 1):
-            for number, worker in enumerate(self._workers):
-                if len(worker.given) < most and (unit := todo.take(number)):
-                    worker.give(unit, run_unit, batch_size, unit, context=context)
-
-    def _drain(self) -> None:
-        """Waits for what has been given out, which is not wanted any more."""
-        while any(worker.given for worker in self._workers):
-            if any(isinstance(told, _Problem) for _, told in self._poll()):
-                return
-
-    def _retry(
-        self, plan: LogPlan, unit: Unit, problem: "_Problem", make_context: MakeContext
-    ) -> Part:
+    def _retry(self, plan: LogPlan, unit: Unit, lost: "Lost", make_context: MakeContext) -> Part:
         """Return the part of a lost unit, which is done alone; its frames get a status if not."""
         batch = plan.batch_size if self.devices else max(1, plan.batch_size // 2)
         where = plan.where(unit)
-        try:
-            return self._call(where, make_context, run_unit, batch, unit)
-        except _WorkerLostError as again:
-            self.close()
-            status, reason = again.problem
-            reason += ", twice" * (reason == problem.reason)
-            return self._call(where, make_context, mark_unit_failed, unit, status, reason)
+        found = self._alone(make_context(), run_unit, where, batch, unit)
+        if not isinstance(found, Lost):
+            return found
+        reason = f"{found.reason}, twice" if found.reason == lost.reason else found.reason
+        given = where, unit, found.status, reason
+        found = self._alone(make_context(), mark_unit_failed, *given)
+        if isinstance(found, Lost):
+            raise found.as_raised(where)
+        return found
 
-    def _call(
+    def _alone(
+        self, context: Context | None, function: Callable[..., Any], where: str, *args: Any
+    ) -> "Any | Lost":
+        """Return what one call returns, while no other is made."""
+        ((_, answer),) = self.each(context, function, TaskQueue([where]), lambda _: args)
+        if isinstance(answer, Failure):
+            raise answer.as_raised(where)
+        return answer
+
+    def each(
         self,
-        where: str,
-        make_context: MakeContext | None,
-        function: Callable[..., Value],
-        *args: Any,
-    ) -> Value:
+        context: Context | None,
+        function: Callable[..., Any],
+        tasks: TaskQueue | UnitQueue,
+        args_of: Callable[[Any], tuple],
+    ) -> Generator[tuple[Any, Any], None, None]:
+        """Yield what workers' calls of a function return, as they come.
+
+        Args:
+            context: Makes the first argument of the calls; None: they have none.
+            function: Of the module level.
+            tasks: What is to be done. A worker gets the next one ahead while there are more than
+                workers: the last ones wait for whoever is done first.
+            args_of: Returns the other arguments of a task's call.
+
+        Yields:
+            A task, and what was returned, or a :class:`Failure`. When a worker dies, hangs or runs
+            out of memory, all have ended: its task comes last, with :class:`Lost`, and those of
+            the others are back among ``tasks``.
+        """
         self.start()
         self._started.wait()
-        context = PackedContext(make_context()) if make_context else None
-        self._workers[0].give(where, function, *args, context=context)
-        while True:
-            for _, told in self._poll():
-                if isinstance(told, _Problem):
-                    self.close()
-                    raise _WorkerLostError(where, told)
-                for _, found in told:
-                    if isinstance(found, Failure):
-                        raise found.as_raised(where)
-                    return found
+        packed = None if context is None else PackedContext(context)
+        try:
+            while True:
+                for most in range(1, WAITING + 1):
+                    for number, worker in enumerate(self._workers):
+                        more = len(tasks) > len(self._workers) * (most > 1)
+                        if more and len(worker.given) < most:
+                            task = tasks.take(number)
+                            worker.give(task, function, *args_of(task), context=packed)
+                if not any(worker.given for worker in self._workers):
+                    return
+                for worker, told in self._poll():
+                    if isinstance(told, Lost):
+                        task, *rest = worker.given
+                        others = (one.given for one in self._workers if one is not worker)
+                        tasks.put_back([*rest, *chain(*others)])
+                        self.close()
+                        yield task, told
+                        return
+                    yield from told
+        finally:
+            if any(worker.given for worker in self._workers):
+                self.close()
 
-    def _poll(self) -> "Iterator[tuple[Worker, list[tuple[Any, Any]] | _Problem]]":
+    def _poll(self) -> "Iterator[tuple[Worker, list[tuple[Any, Any]] | Lost]]":
         """Waits a little; what workers answered, or what is the matter with one.
 
         Raises:
@@ -367,7 +343,7 @@ class Pool:
                 worker.idle_s += passed if worker.given else 0.0
                 if worker.idle_s > NO_PROGRESS_S:
                     text = f"a worker process made no progress for {NO_PROGRESS_S:g} s"
-                    yield worker, _Problem(FrameStatus.TIMEOUT, text)
+                    yield worker, Lost(FrameStatus.TIMEOUT, text)
                     return
                 continue
             try:
@@ -379,7 +355,7 @@ class Pool:
                     self.close()
                     raise WorkerStartError(died, remedy=_ENDED_EARLY) from None
                 if worker.given:
-                    yield worker, _Problem(FrameStatus.WORKER_CRASHED, worker.death)
+                    yield worker, Lost(FrameStatus.WORKER_CRASHED, worker.death)
                     return
                 worker.end()
                 self._workers.remove(worker)
@@ -390,24 +366,20 @@ class Pool:
             yield worker, [answer for answer in answers if answer[0] not in short]
             if short:
                 worker.given.extendleft(reversed(short))
-                yield worker, _Problem(FrameStatus.WORKER_CRASHED, "out of memory")
+                yield worker, Lost(FrameStatus.WORKER_CRASHED, "out of memory")
                 return
 
 
-class _Problem(NamedTuple):
-    """Why a worker has to be replaced."""
+class Lost(NamedTuple):
+    """Instead of an answer: the worker died, hangs or ran out of memory."""
 
     status: FrameStatus
     reason: str
 
-
-class _WorkerLostError(WorkerError):
-    """A worker died, hangs or ran out of memory."""
-
-    def __init__(self, where: str, problem: _Problem) -> None:
+    def as_raised(self, where: str) -> WorkerError:
+        """Return the error of a call that was lost."""
         remedy = "if memory ran out, take fewer workers (--workers) or smaller batches"
-        super().__init__(f"{where}: {problem.reason}", remedy=remedy)
-        self.problem = problem
+        return WorkerError(f"{where}: {self.reason}", remedy=remedy)
 
 
 def _wake(workers: list[Worker], ended: threading.Event, awake: threading.Event) -> None:

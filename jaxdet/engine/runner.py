@@ -21,8 +21,9 @@ from jaxdet.engine.memory import Memory
 from jaxdet.engine.options import RunOptions
 from jaxdet.engine.output import OutputFolder, Say
 from jaxdet.engine.plan import Observer
-from jaxdet.engine.pool import LOST, Pool, gpus
+from jaxdet.engine.pool import Pool, gpus
 from jaxdet.engine.progress import Progress, ProgressCallback
+from jaxdet.engine.tasks import TaskQueue
 from jaxdet.engine.whole_logs import FEW_BYTES, OtherCamera, WorkerJob, choose_whole, do_log
 from jaxdet.errors import ConfigError, InputError, Interrupted, OutputError
 from jaxdet.io import LogFiles, LogOptions, find_logs
@@ -184,9 +185,11 @@ class Runner:
             folder: New folder for the results.
             config: Configuration.
             log: How to read it.
-            options: As of :meth:`run`.
+            options: As of :meth:`run`, and ``about``, see :func:`jaxdet.engine.run_one`.
         """
-        return self._prepared([files], folder, config, log, options).run_alone(folder)
+        one = self._prepared([files], folder, config, log, options)
+        one.job.about.update(options.get("about") or {})
+        return one.run_alone(folder)
 
     def _prepared(
         self,
@@ -196,16 +199,9 @@ class Runner:
         log: LogOptions | None,
         options: Mapping[str, Any],
     ) -> "_Run":
-        preset = options.get("preset")
-        if preset is None and isinstance(config, str) and config in PRESETS:
-            preset = config
         how = {name: options[name] for name in How.__annotations__ if name in options}
         chosen = replace(self._options, output=output, **how)
-        settings = config if isinstance(config, Config) else find_config(config)
-        observers = options.get("observers") or {}
-        one = _Run(self, logs, settings, log or LogOptions(), chosen, observers, preset)
-        one.say = options.get("say") or one.say
-        return one
+        return _Run(self, logs, config, log or LogOptions(), chosen, options)
 
     def pool(self, memory: Memory, devices: tuple[object, ...]) -> Pool:
         """Return the worker processes, which need not be there yet."""
@@ -231,15 +227,18 @@ class _Run:
         self,
         runner: Runner,
         logs: Sequence[LogFiles],
-        config: Config,
+        config: Config | str | PathLike[str],
         log_options: LogOptions,
         options: RunOptions,
-        observers: Mapping[str, Observer],
-        preset: str | None,
+        hooks: Mapping[str, Any],
     ) -> None:
-        self.runner, self.logs, self.config, self.options = runner, logs, config, options
+        self.runner, self.logs, self.options = runner, logs, options
         self.progress: ProgressCallback | None = None
-        self.say: Say = lambda text: None
+        self.say: Say = hooks.get("say") or (lambda text: None)
+        preset, observers = hooks.get("preset"), hooks.get("observers") or {}
+        if preset is None and isinstance(config, str) and config in PRESETS:
+            preset = config
+        self.config = config = find_config(config)
         _check_observers(observers)
         _check_outside(options.output, logs)
         self.record = make_record(
@@ -376,10 +375,10 @@ class _Run:
             remove(staged)  # of a worker that was ended
         first = next(iter(logs))
         self._report(LogSummary(first, ()), first, 0, "opening")
-        for name, answer in self.pool.each(context, do_log, tasks):
+        for name, answer in self.pool.each(context, do_log, TaskQueue(tasks), tasks.__getitem__):
             if not isinstance(answer, list):
                 remove(tasks[name][1])
-            yield name, None if answer == LOST else answer
+            yield name, answer
 
     def _do_here(self, log: LogFiles) -> None:
         """Do a log by this process, or by all workers together."""

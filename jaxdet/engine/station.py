@@ -8,15 +8,17 @@ result depends on who shares a batch.
 import queue
 import selectors
 import threading
-from collections.abc import Callable, Sequence
+from collections import deque
+from collections.abc import Sequence
 from contextlib import suppress
 from math import prod
 from multiprocessing import Pipe
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from jaxdet.config import Config
-from jaxdet.engine.lane import FittingLane, LogMemory, Served
-from jaxdet.engine.slots import Piece, Piped, Reply, Sample, Slots
+from jaxdet.engine.device import out_of_memory
+from jaxdet.engine.lane import Lane, LogMemory, Served
+from jaxdet.engine.slots import Piece, Reply, Sample, Slots
 
 if TYPE_CHECKING:
     from jaxdet.io import Log
@@ -27,72 +29,18 @@ BATCH_PIECES = 16
 """A batch: 256 frames of 640x480."""
 
 
-class Station:
-    """Computes what workers decode, a thread for each GPU.
-
-    Memory, page-locked: for each worker ``SLOTS`` times ``PIECE_BYTES``, or one frame where that is
-    more, and as many results (0.25 MB for a frame of 640x480).
-
-    Args:
-        workers: How many share it.
-        devices: What computes.
-    """
-
-    def __init__(self, workers: int, devices: Sequence[Any]) -> None:
-        pipes = [Pipe() for _ in range(workers)]
-        self.ends = [Piped(number, theirs) for number, (_, theirs) in enumerate(pipes)]
-        self._pipes = [ours for ours, _ in pipes]
-        self._devices = devices
-        self._log: _LogStation | None = None
-
-    def close(self) -> None:
-        """Ends the threads; the workers have ended."""
-        self.leave()
-        for pipe in (*self._pipes, *(end.pipe for end in self.ends)):
-            pipe.close()
-
-    def leave(self) -> None:
-        """No log is worked on any more."""
-        if self._log:
-            self._log.close()
-        self._log = None
-
-    @property
-    def serving(self) -> "Served | None":
-        """What workers are served in: slots, camera and configuration."""
-        log = self._log
-        return log and log.served._replace(slots=log.memory.slots)
-
-    def enter(
-        self, log: "Log", config: Config, batch_size: int | None, piece_frames: int
-    ) -> tuple[Slots, int]:
-        """Begins to serve a log.
-
-        Args:
-            log: Its images' sizes and calibration are asked for.
-            config: The method's parameters.
-            batch_size: Frames computed together; None: as many as the memory is meant for.
-            piece_frames: Most frames of a slot that there is room for.
-
-        Returns:
-            The slots for the workers, and the frames computed together.
-
-        Raises:
-            WorkerError: There is not as much memory.
-        """
-        depth, color = log.depth_shape, None
-        if config.cluster.points:
-            camera = log.calibration.image
-            color = camera.height, camera.width, 3
-        fits = PIECE_BYTES // (2 * prod(depth) + (prod(color) if color else 0))
-        frames = max(1, min(PIECE_FRAMES, fits, piece_frames, batch_size or PIECE_FRAMES))
-        pieces = BATCH_PIECES if batch_size is None else -(-batch_size // frames)
-        slots = Slots("", frames, depth, color, len(self._pipes))
-        served = Served(slots, pieces, log.calibration, config)
-        if self._log is None or self._log.served != served:
-            self.leave()
-            self._log = _LogStation(served, self._pipes, self._devices)
-        return self._log.memory.slots, pieces * frames
+def how_to_serve(
+    log: "Log", config: Config, batch_size: int | None, piece_frames: int, workers: int
+) -> Served:
+    """Return slots and batches for a log; arguments as of :meth:`jaxdet.engine.pool.Pool.serve`."""
+    depth, color = log.depth_shape, None
+    if config.cluster.points:
+        camera = log.calibration.image
+        color = camera.height, camera.width, 3
+    fits = PIECE_BYTES // (2 * prod(depth) + (prod(color) if color else 0))
+    frames = max(1, min(PIECE_FRAMES, fits, piece_frames, batch_size or PIECE_FRAMES))
+    pieces = BATCH_PIECES if batch_size is None else -(-batch_size // frames)
+    return Served(Slots("", frames, depth, color, workers), pieces, log.calibration, config)
 
 
 class _Batch(NamedTuple):
@@ -100,11 +48,26 @@ class _Batch(NamedTuple):
 
     pieces: list[Piece]
     state: Any
-    """What their lane knows them by: of the last step that is done."""
+    """Their copy on its way, or what was started."""
 
 
-class _LogStation:
-    """What serves a log, and the next one if it is of the same kind."""
+_NOTHING = _Batch([], None)
+
+
+class Station:
+    """Computes what workers decode, a thread for each GPU: of a log, and others of the same kind.
+
+    Memory, page-locked: for each worker ``SLOTS`` times ``PIECE_BYTES``, or one frame where that is
+    more, and as many results (0.25 MB for a frame of 640x480).
+
+    Args:
+        served: What the logs have in common.
+        pipes: To each worker.
+        devices: GPUs, whose threads end with :meth:`close`.
+
+    Raises:
+        WorkerError: There is not as much memory.
+    """
 
     def __init__(self, served: Served, pipes: list[Any], devices: Sequence[Any]) -> None:
         self.served, self.pipes, self.devices = served, pipes, devices
@@ -167,48 +130,65 @@ class _LogStation:
             self._send(sample, reply)
 
     def _compute(self, device: Any) -> None:
-        """Computes batches on one device, while the next one is copied to it."""
-        lane = FittingLane(self.memory, device)
-        with suppress(Exception):  # said of each batch
-            lane.open()  # compiled while workers read
-        copying: _Batch | None = None
-        computing: _Batch | None = None
-        more = True
-        while more or copying or computing:
-            idle = not (copying or computing)
-            pieces, more = self._collect(block=idle) if more else ([], False)
-            copied = self._next(_Batch(pieces, None) if pieces else None, lane.copy)
-            started = self._next(copying, lane.start)
-            done = self._next(computing, lane.finish)
-            if done:
-                for piece, reply in zip(*done, strict=True):
-                    self._send(piece, reply)
-            copying, computing = copied, started
-        lane.close()
+        """Compute batches on one device, while the next one is copied to it.
 
-    def _next(self, batch: "_Batch | None", step: Callable[..., Any]) -> "_Batch | None":
-        """A batch after the next step; None: it has failed, or there is none."""
-        if batch is None:
-            return None
-        try:
-            return _Batch(batch.pieces, step(*batch))
-        except Exception as error:
-            for piece in batch.pieces:
-                self._send(piece, Reply(piece.slot, b"", None, error, {}))
-            return None
-
-    def _collect(self, *, block: bool) -> tuple[list[Piece], bool]:
-        """The pieces that wait, at most a batch, and whether more may come."""
-        found: list[Piece] = []
-        while len(found) < self.served.pieces:
+        Where it runs out of memory, what is on it is copied again, half as much at a time.
+        """
+        size, lane, more = self.served.pieces, None, True
+        left: deque[Piece] = deque()
+        copying = computing = _NOTHING
+        while more or left or copying.pieces or computing.pieces:
+            new: list[Piece] = []
             try:
-                piece = self.waiting.get(block=block and not found)
+                if lane is None:
+                    lane = Lane(self.memory, device, size)
+                    lane.compile()  # while workers read
+                if more and not left:
+                    idle = not (copying.pieces or computing.pieces)
+                    more = self._collect(left, size, block=idle)
+                new = [left.popleft() for _ in range(min(size, len(left)))]
+                copying, computing = self._step(lane, new, copying, computing)
+            except Exception as error:
+                left.extendleft(reversed([*computing.pieces, *copying.pieces, *new]))
+                copying = computing = _NOTHING
+                if lane:
+                    lane.close()
+                lane = None
+                if out_of_memory(error) and size > 1:
+                    size //= 2
+                    continue
+                more = more and (bool(left) or self._collect(left, size, block=True))
+                while left:
+                    piece = left.popleft()
+                    self._send(piece, Reply(piece.slot, b"", None, error, {}))
+        if lane:
+            lane.close()
+
+    def _step(
+        self, lane: Lane, new: list[Piece], copying: _Batch, computing: _Batch
+    ) -> tuple[_Batch, _Batch]:
+        """Send the results of a batch, compute the next one, and copy the one after that."""
+        copied = _Batch(new, lane.copy(new)) if new else _NOTHING
+        started = _NOTHING
+        if copying.pieces:
+            state = lane.start(copying.pieces, copying.state.result())
+            started = copying._replace(state=state)
+        if computing.pieces:
+            for piece, reply in zip(computing.pieces, lane.finish(*computing), strict=True):
+                self._send(piece, reply)
+        return copied, started
+
+    def _collect(self, left: deque[Piece], most: int, *, block: bool) -> bool:
+        """Take pieces that wait, at most a batch; return whether more may come."""
+        while len(left) < most:
+            try:
+                piece = self.waiting.get(block=block and not left)
             except queue.Empty:
                 break
             if piece is None:
-                return found, False
-            found.append(piece)
-        return found, True
+                return False
+            left.append(piece)
+        return True
 
     def _send(self, to: Piece | Sample, reply: Reply) -> None:
         with self.sending, suppress(OSError):  # the worker has died, which its pool says

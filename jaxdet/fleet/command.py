@@ -1,18 +1,18 @@
 """What ``jaxdet run`` does with addresses of buckets, ``--on`` and ``--share``."""
 
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import time
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import redirect_stdout
 from os import PathLike
 from typing import Any
 
+from jaxdet.engine.progress import Progress, ProgressCallback
 from jaxdet.errors import ConfigError
 from jaxdet.fleet.logs import Log, list_logs, share_of, size_of
 from jaxdet.fleet.place import address
 from jaxdet.fleet.run_log import prepare, run_logs
-
-Report = Callable[[int, int, Mapping[str, Any]], None]
-"""Receives the number of logs done, of all logs, and the last outcome."""
+from jaxdet.memory import size_text
 
 
 def run_fleet(
@@ -23,7 +23,7 @@ def run_fleet(
     on: str | None = None,
     share: str | None = None,
     join: bool = True,
-    report: Report | None = None,
+    progress: ProgressCallback | None = None,
 ) -> list[dict[str, Any]]:
     """Run logs at places into a place; what is done there already is skipped.
 
@@ -34,7 +34,7 @@ def run_fleet(
         on: ``ray``: on a Ray cluster; by default on this machine.
         share: ``K/N``: only the logs of the K-th of N shares.
         join: As of :func:`jaxdet.find_logs`.
-        report: Called after each log.
+        progress: Called after each log.
 
     Returns:
         The outcomes of :func:`jaxdet.fleet.run_log`, by name.
@@ -50,12 +50,17 @@ def run_fleet(
     place = address(output)
     logs = list_logs(inputs, join=join)
     logs = share_of(logs, share) if share else logs
-    found = []
+    found, failed, size, begin = [], 0, 0, time.monotonic()
     with redirect_stdout(sys.stderr):  # Ray's messages about workers
         for outcome in _outcomes(logs, place, prepare(place, how), on):
             found.append(outcome)
-            if report:
-                report(len(found), len(logs), outcome)
+            failed += outcome["state"] == "failed"
+            size += outcome["bytes"] * (outcome["state"] == "done")
+            if progress:
+                rate = f"{size_text(int(size / max(time.monotonic() - begin, 1e-3)))}/s"
+                counts = {"logs_done": len(found), "logs_failed": failed}
+                now = outcome["log"], len(found) - 1, len(logs), 0, 0, 0, None
+                progress(Progress(*now, doing=rate, **counts))
     return sorted(found, key=lambda outcome: outcome["name"])
 
 

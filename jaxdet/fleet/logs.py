@@ -15,7 +15,7 @@ from pathlib import PurePosixPath
 from typing import Any
 
 from jaxdet.errors import ConfigError, InputError
-from jaxdet.fleet.place import Entry, Place, address, is_url, local_entry, open_place
+from jaxdet.fleet.place import Entry, Place, address, input_entry, is_url, open_place
 
 Log = dict[str, Any]
 METADATA = "metadata.yaml"
@@ -141,7 +141,7 @@ def _stem(key: str, number: re.Pattern[str] | None = None) -> str:
 
 
 def _log(stem: str, url: str, entries: Iterable[Entry]) -> Log:
-    from jaxdet.engine import log_name
+    from jaxdet.results.names import log_name
 
     files = [entry._asdict() for entry in entries]
     return {"log": stem, "name": log_name(stem), "url": url, "files": files}
@@ -152,6 +152,6 @@ def _local(paths: Sequence[str], join: bool) -> list[Log]:
     from jaxdet.results.manifest import fingerprint
 
     return [
-        _log(log.name, "", [local_entry(fingerprint(path.absolute())) for path in log.paths])
+        _log(log.name, "", [input_entry(fingerprint(path.absolute())) for path in log.paths])
         for log in find_logs(paths, join=join)
     ]

@@ -47,9 +47,17 @@ class Entry(NamedTuple):
     tag: Tag
 
 
-def local_entry(about: Mapping[str, Any]) -> Entry:
-    """Return the entry of a file by its :func:`jaxdet.results.manifest.fingerprint`."""
-    tag = {"e_tag": f"{about.get('mtime_ns')}-{about.get('fingerprint')}"}
+def input_entry(about: Mapping[str, Any]) -> Entry:
+    """Return the entry of a file by what a manifest says of it in ``fetched`` or ``inputs``.
+
+    Args:
+        about: ``path``, ``size`` and the tag of a file of a bucket, or a
+            :func:`jaxdet.results.manifest.fingerprint`.
+    """
+    if "fingerprint" in about:
+        tag = {"e_tag": f"{about['mtime_ns']}-{about['fingerprint']}"}
+    else:
+        tag = _tag_of(about)
     return Entry(about["path"], about.get("size", 0), tag)
 
 

@@ -14,13 +14,11 @@ In a bucket::
 Each attempt writes under its own name, so two can't mix even where their files differ, and one that
 finds the manifest or another ``current.json`` than at its begin removes its own files.
 
-In a folder a log has the one layout of local runs, renamed into place; ``.fleet`` notes
-which folder is of which version, before the rename.
+In a folder a log has the one layout of local runs, renamed into place; ``.fleet`` holds attempts.
 """
 
 import hashlib
 import json
-import os
 import time
 from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -28,11 +26,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from jaxdet.errors import InputError
-from jaxdet.fleet.place import Bucket, Entry, Folder, Place, local_entry, open_place
+from jaxdet.fleet.place import Bucket, Entry, Folder, Place, input_entry, open_place
 from jaxdet.fleet.spool import is_dead, process, testify
 from jaxdet.results.durable import sha256, writing
 from jaxdet.results.layout import FAILED, FLEET, MANIFEST
-from jaxdet.results.publish import exchange, remove
+from jaxdet.results.publish import finish, publish, remove
 
 TRACKS, CURRENT = "tracks.json", "current.json"
 MOST_KILLED = 3
@@ -254,22 +252,17 @@ class FolderResults(_Attempts):
 
     def __init__(self, place: Folder) -> None:
         self.place, self.root = place, place.root
+        finish(self.root)
 
     def standing(self, target: Target) -> Standing:
         for file, state in ((MANIFEST, "whole"), (FAILED, "failed")):
-            found = self.place.get(f"{target.name}/{file}")
-            if found is None:
-                continue
-            content = json.loads(found[0])
-            inputs = map(local_entry, content.get("inputs") or ())
-            same = version_of(content.get("run", ""), inputs) == target.version  # of a local run
-            if same or self.place.get(self._note(target, found[0])):
-                return Standing(state, None, content if file == FAILED else {})
-            digest = self._note(target, found[0]).rpartition("/")[2]
-            noted = self.place.list(f"{_NOTES}{target.name}/")
-            key = next((entry.key for entry in noted if entry.key.endswith(digest)), "")
-            before = self.place.get(key) if key else None
-            return Standing("other", json.loads(before[0]) if before else None)
+            if found := self.place.get(f"{target.name}/{file}"):
+                content = json.loads(found[0])
+                record = content.get("run", "") + content.get("overwrites", "")
+                inputs = map(input_entry, content.get("fetched") or content.get("inputs") or ())
+                if version_of(record, inputs) == target.version:
+                    return Standing(state, None, content if file == FAILED else {})
+                return Standing("other", {"record": record})
         return Standing("new")
 
     def stage(self, attempt: str, spool: Path) -> Path:
@@ -282,47 +275,27 @@ class FolderResults(_Attempts):
         return parent / f"{process()}-{attempt}"
 
     def publish(self, target: Target, attempt: str, staged: Path, seen: Standing) -> str:
-        return self._place(target, staged, MANIFEST)
+        return self._place(target, staged, ("whole",))
 
     def fail(self, target: Target, failure: Mapping[str, Any], seen: Standing) -> None:
         staged = self.stage("failed", Path())
         with writing(staged):
             staged.mkdir()
             (staged / FAILED).write_bytes(_bytes(failure))
-        self._place(target, staged, FAILED)
+        self._place(target, staged, ("whole", "failed"))
 
     def reopen(self, target: Target) -> None:
-        self.place.delete([entry.key for entry in self.place.list(f"{_NOTES}{target.base}/")])
+        noted = [entry.key for entry in self.place.list(f"{_NOTES}{target.base}/")]
+        self.place.delete([*noted, f"{target.name}/{FAILED}"])
 
-    def _place(self, target: Target, staged: Path, file: str) -> str:
-        note = _bytes({"version": target.version, "record": target.record})
-        self.place.put(self._note(target, (staged / file).read_bytes()), note)
-        folder = self.root / target.name
+    def _place(self, target: Target, staged: Path, unless: tuple[str, ...]) -> str:
+        def is_there() -> bool:
+            return self.standing(target).state in unless
+
         try:
-            with writing(folder):
-                while not rename_if_absent(staged, folder):
-                    if self.standing(target).state in ("whole", file == FAILED and "failed"):
-                        return "there"
-                    if exchange(staged, folder):
-                        break
-                    remove(folder)  # where folders can't be exchanged
-                return "done"
+            return "done" if publish(staged, self.root, target.name, is_there) else "there"
         finally:
             remove(staged)
-
-    def _note(self, target: Target, content: bytes) -> str:
-        return f"{_NOTES}{target.base}/{hashlib.sha256(content).hexdigest()[:16]}"
-
-
-def rename_if_absent(staged: Path, target: Path) -> bool:
-    """Rename a folder; False: there is one with files at its place."""
-    try:
-        os.rename(staged, target)
-    except OSError:
-        if target.is_dir():
-            return False
-        raise
-    return True
 
 
 Results = BucketResults | FolderResults

@@ -11,6 +11,7 @@ from pathlib import Path
 from threading import Event
 from typing import Any, NamedTuple
 
+from jaxdet.engine.options import OF_RUN, OF_RUNNER
 from jaxdet.errors import ConfigError, InputError, JaxdetError, OutputError
 from jaxdet.fleet.logs import Log, entries_of, size_of
 from jaxdet.fleet.place import Bucket, address, open_place, probe
@@ -29,8 +30,7 @@ from jaxdet.fleet.spool import Spool, check_room, sweep
 from jaxdet.results.layout import FAILED, RUN
 from jaxdet.results.publish import remove
 
-ENGINE_KEYS = ("preset", "config", "log", "backend", "workers", "memory", "batch_size")
-ENGINE_KEYS += ("pictures", "map")
+ENGINE_KEYS = ("preset", "config", "log", *OF_RUNNER, *OF_RUN)
 """Keys of ``how`` that :func:`jaxdet.engine.run_one` takes."""
 
 
@@ -113,6 +113,17 @@ class _Fetched(NamedTuple):
         log = self.log
         first = log["files"][0]["key"]
         return text.replace(str(self.path), f"{log['url']}/{first}") if log["url"] else text
+
+    def about(self, how: Mapping[str, Any]) -> dict[str, Any]:
+        """Return what a manifest says besides: where a log was fetched from, and of the run."""
+        log, overwrites = self.log, how["overwrites"]
+        about: dict[str, Any] = {"overwrites": overwrites} if overwrites else {}
+        if log["url"]:
+            about["fetched"] = [
+                {"path": f"{log['url']}/{entry.key}", "size": entry.size, **entry.tag}
+                for entry in entries_of(log)
+            ]
+        return about
 
     def as_outcome(self, state: str, **values: Any) -> dict[str, Any]:
         about = {"log": self.log["log"], "name": self.log["name"], "bytes": size_of(self.log)}
@@ -215,10 +226,14 @@ class _Work(NamedTuple):
         if path and path.exists():
             content = json.loads(one.renamed(path.read_text(encoding="utf-8")))
         else:
+            from jaxdet.results.manifest import fingerprint
             from jaxdet.results.summary import LogSummary
 
-            about = LogSummary(one.log["log"], ()).to_dict()
-            content = {"reason": error, "log": one.log["log"], "logs": [{**about, "error": error}]}
+            inputs = [fingerprint(Path(file["key"])) for file in one.log["files"]]
+            entry = {**LogSummary(one.log["log"], ()).to_dict(), "error": error}
+            content = {"reason": error, "log": one.log["log"], "logs": [entry], "inputs": inputs}
+            run = self.how["record"].removesuffix(self.how["overwrites"])
+            content |= {"run": run, **one.about(self.how)}
         self.results.fail(one.target, {**content, **noted}, one.seen)
 
     def _add_tracks(self, target: Target) -> str | None:
@@ -278,6 +293,7 @@ def _run_one(one: _Fetched, staged: Path, how: Mapping[str, Any]) -> dict[str, A
     from jaxdet import engine
 
     chosen = {key: how[key] for key in ENGINE_KEYS if how.get(key) is not None}
+    chosen["about"] = one.about(how)
     try:
         found = engine.run_one(str(one.path), staged, {**chosen, "name": one.log["log"]})
     except (ConfigError, OutputError):

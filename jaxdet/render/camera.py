@@ -160,9 +160,12 @@ def _draw_cells(
         color = canvas.LOOSE if is_loose else canvas.color_of(number)
         mask = cv2.resize((labels == number).astype(np.float32), size)
         mask = cv2.GaussianBlur(mask, (0, 0), blur, borderType=cv2.BORDER_REPLICATE)
-        shape = np.clip(2.5 * (mask - 0.5) + 0.5, 0, 1)[..., None]
+        x, y, width, height = cv2.boundingRect((mask > 0.3).astype(np.uint8))
+        part = np.s_[y : y + height, x : x + width]  # elsewhere the opacity is 0
+        shape = np.clip(2.5 * (mask[part] - 0.5) + 0.5, 0, 1)[..., None]
         opacity = shape * (_LOOSE_TINT if is_loose else _TINT)
-        image[:] = np.rint(image + (np.array(color) - image) * opacity).astype(np.uint8)
+        tinted = image[part] + (np.array(color) - image[part]) * opacity
+        image[part] = np.rint(tinted).astype(np.uint8)
         if not is_loose:
             outline = (mask >= 0.5).astype(np.uint8)
             lines, _ = cv2.findContours(outline, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)

@@ -11,6 +11,7 @@ import errno
 import os
 import secrets
 import shutil
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
@@ -21,40 +22,48 @@ _AT_FDCWD, _RENAME_EXCHANGE = -100, 2
 _CANT = (errno.ENOSYS, errno.EINVAL, errno.ENOTSUP, errno.EOPNOTSUPP)
 
 
-def publish(staged: Path, results: Path, name: str) -> None:
+def publish(
+    staged: Path, results: Path, name: str, unless: Callable[[], bool] = lambda: False
+) -> bool:
     """Make a folder that of a log; an older one is removed.
 
     Args:
-        staged: Complete folder, in the working folder; its files are on the disk
+        staged: Complete folder, on the same disk; its files are on the disk
             (:func:`flush_folder`).
-        results: Results folder, whose working folder this process has locked.
+        results: Results folder.
         name: Name of the log's folder.
+        unless: Called where there is a folder already: returns whether that stays.
+
+    Returns:
+        Whether it is the log's; else it is where it was.
 
     Raises:
         OutputError: The disk is full or broken. The old folder or the new one is there.
     """
     place = results / name
     with writing(place):
-        if not os.path.lexists(place):
-            os.rename(staged, place)
-        elif exchange(staged, place):
-            remove(staged)
-        else:
-            ready = results / WORKING / READY / name
-            ready.parent.mkdir(exist_ok=True)
-            os.rename(staged, ready)
-            flush(ready.parent)
-            _move(ready, place)
-            with suppress(OSError):
-                ready.parent.rmdir()
+        if not rename_if_absent(staged, place):
+            if unless():
+                return False
+            if exchange(staged, place):
+                remove(staged)
+            else:
+                ready = results / WORKING / READY / name
+                ready.parent.mkdir(parents=True, exist_ok=True)
+                os.rename(staged, ready)
+                flush(ready.parent)
+                _move(ready, place)
+                with suppress(OSError):
+                    ready.parent.rmdir()
         flush(results)
+    return True
 
 
 def finish(results: Path) -> int:
     """Complete what :func:`publish` began in a process that has ended.
 
     Args:
-        results: Results folder, whose working folder this process has locked.
+        results: Results folder.
 
     Returns:
         Number of folders that were moved to their place.
@@ -76,14 +85,27 @@ def finish(results: Path) -> int:
 
 
 def _move(ready: Path, place: Path) -> None:
-    """Move a folder to its place; what is there is removed."""
+    """Move a folder to its place, where another process hasn't; what is there is removed."""
+    old = ready.parents[1] / f"old-{secrets.token_hex(4)}"
     if os.path.lexists(place):
-        old = ready.parents[1] / f"old-{secrets.token_hex(4)}"
         os.rename(place, old)
+    try:
         os.rename(ready, place)
-        remove(old)
+    except FileNotFoundError:
+        os.rename(old, place)  # which is the new one
     else:
-        os.rename(ready, place)
+        remove(old)
+
+
+def rename_if_absent(staged: Path, place: Path) -> bool:
+    """Rename a folder; False: something is at its place, and nothing has changed."""
+    try:
+        os.rename(staged, place)
+    except OSError:
+        if os.path.lexists(place):
+            return False
+        raise
+    return True
 
 
 def exchange(one: Path, other: Path) -> bool:

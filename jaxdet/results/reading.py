@@ -260,7 +260,7 @@ class Results:
     def _logs_of(self, folder: Path) -> Iterator[ResultLog]:
         """Yield the cameras of a log with results."""
         manifest, summary = self._manifest(folder), read_json(folder / SUMMARY)
-        if read_manifest(folder) != manifest:
+        if read_json(folder / MANIFEST) != manifest:
             problem = "the results were replaced while they were opened"
             raise InputError(problem, path=str(folder), remedy="read them again")
         self.summaries[folder] = summary

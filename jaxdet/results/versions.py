@@ -1,10 +1,14 @@
-"""Which jaxdet this is: the versions of what its results depend on, and its source."""
+"""Which jaxdet this is, for records and reports: versions of what results depend on, its source."""
 
 import hashlib
 import os
 import platform
-from collections.abc import Iterator
+import traceback
+from collections.abc import Iterable, Iterator
 from functools import cache
+
+import jaxdet
+from jaxdet.errors import printable
 
 PACKAGES = ("jax", "jaxlib", "warp-lang", "numpy", "opencv-python-headless", "pyarrow", "mcap")
 _CODE = (".py", ".h", ".json")
@@ -26,8 +30,6 @@ def version(name: str) -> str | None:
     try:
         return installed(name)
     except PackageNotFoundError:
-        import jaxdet
-
         return jaxdet.__version__ if name == "jaxdet" else None
 
 
@@ -52,6 +54,14 @@ def source_digest() -> str:
                 hashed.update(f"{name} {len(content)}\n".encode())
                 hashed.update(content)
     return hashed.hexdigest()[:16]
+
+
+def crash_report(error: BaseException, inputs: Iterable[object] = ()) -> str:
+    """Return a report of a fault of jaxdet: inputs, versions and traceback, fit for a terminal."""
+    lines = [*map(str, inputs), "", f"jaxdet {jaxdet.__version__}, source {source_digest()}"]
+    lines += [f"{name} {version}" for name, version in versions().items()]
+    lines += ["", *"".join(traceback.format_exception(error)).splitlines()]
+    return "\n".join(map(printable, lines)).lstrip("\n") + "\n"
 
 
 def _code(folder: str) -> Iterator[str]:

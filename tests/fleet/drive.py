@@ -10,8 +10,22 @@ def main(logs: str, results: str, spool: str, on: str = "", share: str = "") -> 
     install()
     from jaxdet.fleet import run_fleet
 
-    outcomes = run_fleet([logs], results, {"spool": spool}, on=on or None, share=share or None)
+    if on == "ray.data":
+        outcomes = run_by_ray_data(logs, results, {"spool": spool, "workers": 1})
+    else:
+        outcomes = run_fleet([logs], results, {"spool": spool}, on=on or None, share=share or None)
     print(json.dumps({outcome["name"]: outcome["state"] for outcome in outcomes}))
+
+
+def run_by_ray_data(logs: str, results: str, how: dict) -> list:
+    """The recipe of the page on fleets."""
+    import ray
+
+    from jaxdet.fleet import list_logs, prepare, run_log
+
+    how = prepare(results, how)
+    rows = ray.data.from_items([{"one": log} for log in list_logs(logs)])
+    return rows.map(lambda row: run_log(row["one"], results, how), num_cpus=1).take_all()
 
 
 if __name__ == "__main__":

@@ -1,4 +1,7 @@
-"""A stub of the engine: logs are texts that say what becomes of the process that runs them."""
+"""A stub of the engine: logs are texts that say what becomes of the process that runs them.
+
+Recorded logs are run by the engine itself.
+"""
 
 import hashlib
 import json
@@ -7,6 +10,11 @@ import signal
 import time
 import uuid
 from pathlib import Path
+
+from jaxdet.engine import one_log
+from jaxdet.engine.one_log import record_of
+from jaxdet.results.manifest import fingerprint
+from jaxdet.results.record import digest
 
 JOURNAL = "JAXDET_TEST_JOURNAL"
 """Names the folder that gets a file per computation, ``LOG@PID@NUMBER``."""
@@ -30,6 +38,8 @@ def run_one(log_path, folder, how):
     paths = sorted(path.iterdir()) if path.is_dir() else [path]
     content = b"".join(one.read_bytes() for one in paths)
     name = how["name"].replace("/", "+")
+    if content.startswith(b"\x89MCAP"):
+        return one_log.run_one(log_path, folder, how)
     before = 0
     if journal := os.environ.get(JOURNAL):
         before = len(computed(Path(journal), name))
@@ -50,14 +60,14 @@ def run_one(log_path, folder, how):
     (folder / "obstacles.parquet").write_text(rows.hexdigest())
     (folder / "pictures/000000.png").write_bytes(rows.digest())
     (folder / "summary.json").write_text(json.dumps({"log": how["name"], "it": uuid.uuid4().hex}))
-    write_manifest(folder)
+    write_manifest(folder, paths, how)
     return {"error": None, "frames": 3, "obstacles": 2, "lost": [], "warnings": []}
 
 
 _NONE = {"frames": 0, "obstacles": 0, "lost": [], "warnings": []}
 
 
-def write_manifest(folder: Path) -> None:
+def write_manifest(folder: Path, inputs: list[Path], how: dict) -> None:
     paths = [path for path in folder.rglob("*") if path.is_file()]
     files = {
         path.relative_to(folder).as_posix(): {
@@ -66,7 +76,9 @@ def write_manifest(folder: Path) -> None:
         }
         for path in paths
     }
-    (folder / "manifest.json").write_text(json.dumps({"files": files}))
+    about = {"run": digest(record_of(how)), "inputs": list(map(fingerprint, inputs))}
+    about |= how.get("about") or {}
+    (folder / "manifest.json").write_text(json.dumps({**about, "files": files}))
 
 
 def check_complete(folder: Path) -> str:

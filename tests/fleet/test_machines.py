@@ -12,7 +12,10 @@ from pathlib import Path
 
 import pytest
 
-from jaxdet.fleet import result_files, spool
+import jaxdet
+from jaxdet.fleet import download, result_files, spool
+from jaxdet.fleet.place import open_place
+from jaxdet.sim import SimConfig, write_log
 from tests.fleet.conftest import ROOT, started
 from tests.fleet.stub import JOURNAL, check_results, computed
 
@@ -186,3 +189,41 @@ def test_ray_with_the_driver_killed_and_the_command_repeated(fleet, put):
     found = fleet.run(on="ray")
     assert {*found} == {*names(6)} and {*found.values()} <= {"done", "there"}
     assert {*fleet.check()} == {*names(6)} and fleet.most() <= 2
+
+
+SAME = ("frames.parquet", "obstacles.parquet", "map.npz", "map.png", "pictures/")
+
+
+@pytest.mark.filterwarnings("default")
+def test_24_logs_have_the_bytes_of_one_machine_everywhere(fleet, tmp_path):
+    """Through a bucket: by one machine, three shares at once, Ray on two nodes, and Ray Data."""
+    logs, alone = tmp_path / "logs", tmp_path / "alone"
+    logs.mkdir()
+    bucket = open_place(fleet.logs)
+    for seed in range(24):
+        path = logs / f"log{seed:02}.mcap"
+        write_log(path, SimConfig(frames=3, width=96, height=72, seed=seed))
+        bucket.put(path.name, path)
+    assert not jaxdet.run(logs, alone).failed
+    done = dict.fromkeys((path.stem for path in logs.glob("*.mcap")), "done")
+    assert fleet.run(results=f"{fleet.results}/one") == done
+    shares = [fleet.start(share=f"{k}/3", results=f"{fleet.results}/shares") for k in (1, 2, 3)]
+    assert {name: state for one in shares for name, state in fleet.end(one).items()} == done
+    assert fleet.run(on="ray", results=f"{fleet.results}/ray") == done
+    assert fleet.run(on="ray.data", results=f"{fleet.results}/data") == done
+    expected = contents(alone)
+    assert len(expected) == 24 * (4 + 3)
+    for way in ("one", "shares", "ray", "data"):
+        for name in done:
+            download(f"{fleet.results}/{way}", name, tmp_path / way / name)
+        assert contents(tmp_path / way) == expected
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """Tables, maps and pictures by their names."""
+    files = {path.relative_to(folder).as_posix(): path for path in folder.rglob("*")}
+    return {
+        name: path.read_bytes()
+        for name, path in files.items()
+        if path.is_file() and name.split("/", 1)[-1].startswith(SAME)
+    }

@@ -6,16 +6,22 @@ from pathlib import Path
 import pytest
 
 from jaxdet.fleet import publish, result_files, spool
-from jaxdet.fleet.place import Bucket, Folder
-from jaxdet.fleet.publish import Target, open_results
+from jaxdet.fleet.place import Bucket, Folder, input_entry
+from jaxdet.fleet.publish import Target, open_results, version_of
+from jaxdet.results import publish as folders
 from tests.fleet.stub import check_complete, check_results, run_one
 
 WRITES = ("put", "create", "swap", "delete")
 
 
-@pytest.fixture(params=["bucket", "folder", pytest.param("s3", marks=pytest.mark.fleet)])
-def url(request, tmp_path):
-    if request.param == "folder":
+@pytest.fixture(
+    params=["bucket", "folder", "no_exchange", pytest.param("s3", marks=pytest.mark.fleet)]
+)
+def url(request, tmp_path, monkeypatch):
+    """A place for results; one is a folder of a file system that can't exchange two folders."""
+    if request.param == "no_exchange":
+        monkeypatch.setattr(folders, "exchange", lambda one, other: False)
+    if request.param in ("folder", "no_exchange"):
         return str(tmp_path / "results")
     if request.param == "s3":
         return request.getfixturevalue("bucket") + "/results"
@@ -23,12 +29,22 @@ def url(request, tmp_path):
     return "s3://bucket/results"
 
 
-def stage(results, tmp_path: Path, attempt: str, text: str = "log") -> Path:
+def about(record: str) -> dict:
+    """What manifests say of the log and of the run."""
+    return {"run": record, "inputs": [{"path": "log.mcap", "size": 3, "e_tag": record}]}
+
+
+def target_of(record: str) -> Target:
+    inputs = map(input_entry, about(record)["inputs"])
+    return Target("log", version_of(record, inputs), record)
+
+
+def stage(results, tmp_path: Path, attempt: str, record: str = "r1") -> Path:
     """A folder with results that an attempt made."""
     log = tmp_path / f"{attempt}.mcap"
-    log.write_text(text)
+    log.write_text(record)
     staged = results.stage(attempt, tmp_path / attempt)
-    run_one(log, staged, {"name": "log"})
+    run_one(log, staged, {"name": "log", "about": about(record)})
     return staged
 
 
@@ -46,20 +62,20 @@ class Death(BaseException):
 def die_at(monkeypatch, step: int, before: bool) -> list[str]:
     """The process dies before or after its ``step``-th write; lists the writes."""
     seen: list[str] = []
-    for kind in (Bucket, Folder):
-        for name in WRITES:
-            real = getattr(kind, name)
+    places = [(kind, name) for kind in (Bucket, Folder) for name in WRITES]
+    for where, name in [*places, (folders, "rename_if_absent"), (folders, "exchange")]:
+        real = getattr(where, name)
 
-            def write(self, *args, real=real, name=name):
-                seen.append(name)
-                if len(seen) >= step and before:
-                    raise Death
-                result = real(self, *args)
-                if len(seen) >= step:
-                    raise Death
-                return result
+        def write(*args, real=real, name=name):
+            seen.append(name)
+            if len(seen) >= step and before:
+                raise Death
+            result = real(*args)
+            if len(seen) >= step:
+                raise Death
+            return result
 
-            monkeypatch.setattr(kind, name, write)
+        monkeypatch.setattr(where, name, write)
     return seen
 
 
@@ -78,16 +94,16 @@ def _dies(url, tmp_path, monkeypatch, step, old, before) -> bool:
     """Whether publishing has this step; the process dies there, and the next one goes on."""
     tmp_path.mkdir()
     results = open_results(url)
-    target = Target("log", "v2", "r2")
+    target = target_of("r2")
     tables = []
     if old:
-        first = Target("log", "v1", "r1")
-        staged = stage(results, tmp_path, "a0", "old")
+        first = target_of("r1")
+        staged = stage(results, tmp_path, "a0", "r1")
         assert results.publish(first, "a0", staged, results.standing(first)) == "done"
         tables.append(table(url, tmp_path))
     seen = results.standing(target)
     assert seen.state == ("other" if old else "new")
-    staged = stage(results, tmp_path, "a1")
+    staged = stage(results, tmp_path, "a1", "r2")
     with monkeypatch.context() as patched:
         die_at(patched, step, before)
         try:
@@ -99,7 +115,7 @@ def _dies(url, tmp_path, monkeypatch, step, old, before) -> bool:
         assert table(url, tmp_path)
     seen = results.standing(target)
     if seen.state != "whole":
-        staged = stage(results, tmp_path, "a2")
+        staged = stage(results, tmp_path, "a2", "r2")
         assert results.publish(target, "a2", staged, seen) in ("done", "there")
     assert results.standing(target).state == "whole"
     assert table(url, tmp_path) not in tables and len(result_files(url)) == 1
@@ -108,7 +124,7 @@ def _dies(url, tmp_path, monkeypatch, step, old, before) -> bool:
 
 def test_of_four_attempts_at_once_one_holds(url, tmp_path):
     results = open_results(url)
-    target = Target("log", "v1", "r1")
+    target = target_of("r1")
     staged = [stage(results, tmp_path, f"a{i}") for i in range(4)]
     seen = results.standing(target)
     gate, found = threading.Barrier(4), []
@@ -126,39 +142,40 @@ def test_of_four_attempts_at_once_one_holds(url, tmp_path):
     assert table(url, tmp_path)
     assert not any(path.exists() for path in staged if not url.startswith("s3:"))
     if isinstance(results, publish.BucketResults):
-        kept = {entry.key.split("/")[2] for entry in results.place.list("log/v1")}
+        kept = {entry.key.split("/")[2] for entry in results.place.list(target.base)}
         assert len(kept) == 2  # the manifest and one attempt
 
 
 def test_an_attempt_that_is_late_does_not_replace_a_newer_version(stores, tmp_path):
     results = open_results("s3://bucket/results")
-    old, new = Target("log", "v1", "r"), Target("log", "v2", "r")
+    old, new = target_of("r1"), target_of("r2")
     late = results.standing(old)
-    staged = stage(results, tmp_path, "a0", "old")
-    fresh = stage(results, tmp_path, "a1", "new")
+    staged = stage(results, tmp_path, "a0", "r1")
+    fresh = stage(results, tmp_path, "a1", "r2")
     assert results.publish(new, "a1", fresh, results.standing(new)) == "done"
     before = table("s3://bucket/results", tmp_path)
     assert results.publish(old, "a0", staged, late) == "replaced"
     assert table("s3://bucket/results", tmp_path) == before
-    assert not [*results.place.list("log/v1")]
+    assert not [*results.place.list(old.base)]
 
 
 def test_a_failure_does_not_hide_results(url, tmp_path):
     results = open_results(url)
-    target = Target("log", "v1", "r1")
+    target = target_of("r1")
     seen = results.standing(target)
     staged = stage(results, tmp_path, "a0")
     assert results.publish(target, "a0", staged, seen) == "done"
-    results.fail(target, {"reason": "late"}, seen)
+    results.fail(target, {"reason": "late", **about("r1")}, seen)
     assert results.standing(target).state == "whole" and table(url, tmp_path)
 
 
 def test_results_take_the_place_of_a_failure(url, tmp_path):
     results = open_results(url)
-    target = Target("log", "v1", "r1")
-    results.fail(target, {"reason": "no depth"}, results.standing(target))
+    target = target_of("r1")
+    failure = {"reason": "no depth", **about("r1")}
+    results.fail(target, failure, results.standing(target))
     seen = results.standing(target)
-    assert seen.state == "failed" and seen.failure == {"reason": "no depth"}
+    assert seen.state == "failed" and seen.failure == failure
     assert result_files(url) == []
     results.reopen(target)
     assert results.standing(target).state in ("new", "other")
@@ -169,7 +186,7 @@ def test_results_take_the_place_of_a_failure(url, tmp_path):
 
 def test_deaths_are_counted_where_they_can_be_told_from_lost_machines(url, monkeypatch):
     results = open_results(url)
-    target = Target("log", "v1", "r1")
+    target = target_of("r1")
     running = results.begin(target, "a0", "c0")
     assert results.deaths(target) == (0, 0)
     names = {"a1": f"{spool.machine()}-1-0", "a2": "elsewhere-7-7"}
