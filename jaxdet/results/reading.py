@@ -515,14 +515,23 @@ def open_table(path: Path) -> pq.ParquetFile:
     if (found := _metadata(table).get(FORMAT_KEY, "none")) != str(FORMAT):
         problem = f"has format {found} of the tables, not {FORMAT}"
         raise InputError(problem, path=str(path), remedy="run jaxdet run again")
-    found = {field.name: field.type for field in table.schema_arrow}
+    found = {field.name: field for field in table.schema_arrow}
     for field in TABLES.get(path.name, ()):
-        kind = found.get(field.name)
+        own = found.get(field.name)
+        kind = own.type if own else None
         dense = kind.value_type if kind and pa.types.is_dictionary(kind) else kind
         if dense != field.type:
             problem = f"column {field.name} is {'missing' if kind is None else 'of another type'}"
             raise InputError(problem, path=str(path), remedy=AGAIN)
+        if own and own.nullable and not field.nullable and _has_nulls(table, field.name):
+            problem = f"column {field.name} has nulls"
+            raise InputError(problem, path=str(path), remedy=AGAIN)
     return table
+
+
+def _has_nulls(table: pq.ParquetFile, column: str) -> bool:
+    """Return whether a column of a table that somebody else wrote has nulls."""
+    return any(batch.column(0).null_count for batch in table.iter_batches(columns=[column]))
 
 
 def _linked(log: ResultLog, chunk: Chunk, links: "_Rows") -> Chunk:

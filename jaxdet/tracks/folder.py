@@ -115,8 +115,10 @@ def add_tracks(folder: Path, config: TrackConfig) -> list[LogTracks]:
     about = {key: value for key, value in manifest.items() if key not in ("files", "sha256")}
     paths = [path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()]
     others = [name for name in paths if name not in manifest["files"]]
-    for name in filter(is_track_file, manifest["files"]):
-        (folder / name).unlink(missing_ok=True)  # a link, perhaps
+    for path in [*folder.rglob("*")]:  # not those of the manifest, which lists no broken link
+        is_folder = path.is_dir() and not path.is_symlink()
+        if not is_folder and is_track_file(path.relative_to(folder).as_posix()):
+            path.unlink()
     with Results(folder) as results:
         found = write_tracks(results, config, folder)
     (folder / MANIFEST).unlink()

@@ -10,7 +10,9 @@ from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
 from jaxdet.config import Config
+from jaxdet.errors import InputError
 from jaxdet.presets import preset
+from jaxdet.results.shapes import AGAIN
 from jaxdet.results.summary import plain
 
 if TYPE_CHECKING:
@@ -69,8 +71,16 @@ def _hash(text: str) -> str:
 
 
 def _in_script(data: Mapping[str, Any]) -> str:
-    """Encode JSON so that it can't end its script element."""
-    text = json.dumps(data, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+    """Encode JSON so that it can't end its script element.
+
+    Raises:
+        InputError: A number is not finite, which no table of jaxdet has where the page needs one.
+    """
+    try:
+        text = json.dumps(data, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+    except ValueError as error:
+        problem = "a number of the results is not finite"
+        raise InputError(problem, remedy=AGAIN) from error
     return text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")
 
 

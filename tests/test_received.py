@@ -1,0 +1,63 @@
+"""Results that somebody else wrote: tables with nulls or NaN, links in place of files."""
+
+import shutil
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+import pytest
+
+from jaxdet.cli import main
+from tests.export_results import sim_log
+from tests.runs import run_logs
+
+
+@pytest.fixture(scope="module")
+def tracked(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Results of a log, with tracks."""
+    folder = tmp_path_factory.mktemp("received")
+    results = folder / "results"
+    run_logs([sim_log(folder / "a.mcap", seed=0)], results, backend="reference", pictures=0)
+    assert main(["track", str(results), "-q"]) == 0
+    return results
+
+
+def rewrite(table: Path, column: str, value: pa.Scalar, nullable: bool) -> None:
+    """Put a value in the first row of a column."""
+    rows = pq.read_table(table)
+    at, kind = rows.schema.get_field_index(column), rows.schema.field(column)
+    first = pa.array(range(len(rows))).cast(pa.int64())
+    values = pc.if_else(pc.equal(first, 0), value, rows[column].combine_chunks())
+    rows = rows.set_column(at, kind.with_nullable(nullable), values)
+    pq.write_table(rows, table)
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "says"),
+    [
+        ("moving", pa.scalar(None, pa.bool_()), "column moving has nulls"),
+        ("max_speed_mps", pa.scalar(float("nan"), pa.float32()), "is not finite"),
+    ],
+)
+def test_values_that_no_run_writes_are_one_line(tracked, tmp_path, capsys, column, value, says):
+    results = tmp_path / "results"
+    shutil.copytree(tracked, results)
+    rewrite(results / "a/tracks.parquet", column, value, not value.is_valid)
+    page = tmp_path / "page.html"
+    assert main(["export", str(results), "--to", "html", "--output", str(page)]) == 1
+    error = capsys.readouterr().err
+    assert says in error and "jaxdet itself" not in error and not page.exists()
+
+
+def test_tracks_are_not_written_through_a_broken_link(tracked, tmp_path):
+    results, outside = tmp_path / "results", tmp_path / "outside"
+    shutil.copytree(tracked, results)
+    table = results / "a/tracks.parquet"
+    table.unlink()
+    manifest = results / "a/manifest.json"
+    text = manifest.read_text("utf-8")
+    manifest.write_text(text.replace('"tracks.parquet"', '"gone.parquet"'), "utf-8")
+    table.symlink_to(outside)
+    main(["track", str(results), "-q"])
+    assert not outside.exists()
