@@ -66,9 +66,15 @@ def cv2_canny(grey: np.ndarray) -> np.ndarray:
 
 
 def corners_of(features: Features) -> list[np.ndarray]:
-    """Column and row of each frame's corners, as OpenCV returns them."""
+    """Return column and row of each frame's corners, in raster order."""
     uv = np.stack([features.u, features.v], axis=-1)
-    return [a[valid] for a, valid in zip(uv, np.asarray(features.valid), strict=True)]
+    valid = np.asarray(features.valid)
+    return [in_raster_order(a[kept]) for a, kept in zip(uv, valid, strict=True)]
+
+
+def in_raster_order(corners: np.ndarray) -> np.ndarray:
+    """Return corners by row and column: equally strong ones have another order in OpenCV."""
+    return corners[np.lexsort(corners.T)]
 
 
 def _frames(given: Inputs) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -83,7 +89,7 @@ def _one_frame(color: np.ndarray, mask: np.ndarray, canny: Canny) -> np.ndarray:
         CORNERS.min_distance,
         mask=mask,
     )
-    return np.zeros((0, 2), int) if corners is None else corners[:, 0].astype(int)
+    return np.zeros((0, 2), int) if corners is None else in_raster_order(corners[:, 0].astype(int))
 
 
 def _case(size: str) -> Case:
