@@ -81,7 +81,7 @@ def _rays_of(right: np.ndarray, forward: np.ndarray) -> np.ndarray:
 
 
 def _nearest(right: np.ndarray, forward: np.ndarray) -> np.ndarray:
-    """The least range of points on each ray, ``(RAYS,)``, inf where there is none."""
+    """Return the minimum range of the points on each ray, ``(RAYS,)``, inf for rays without any."""
     least = np.full(RAYS, np.inf)
     np.minimum.at(least, _rays_of(right, forward), np.hypot(right, forward))
     return least

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 
 from jaxdet.eval import (
     Case,
-    FrameTruth,
     Score,
     Tally,
     keep_shares,
@@ -23,15 +22,12 @@ from jaxdet.eval.score import errors
 from jaxdet.eval.tally import COUNTS
 from jaxdet.results.metric import to_world
 from jaxdet.types import Calibration, Extrinsics, Intrinsics
+from tests.score_cases import frame_truth, tallies
 
 NAN = math.nan
 counts = st.lists(
     st.tuples(st.integers(0, 5), st.integers(0, 5), st.integers(0, 5)), min_size=1, max_size=6
 )
-
-
-def tallies(rows):
-    return [Tally(visible=tp + fn, found=tp, false=fp) for tp, fp, fn in rows]
 
 
 @given(counts)
@@ -70,25 +66,6 @@ def test_keep_shares():
     assert (got.floor_pixels, got.floor_pixels_kept) == (2, 1)
     assert (got.obstacle_pixels, got.obstacle_pixels_kept) == (2, 1)
     assert score([got]).floor_kept == 0.5 == score([got]).obstacle_kept
-
-
-def frame_truth():
-    """Three obstacles side by side, 0.3 m apart, the third 1 m behind; and a wall among them."""
-    low = np.array([[[0, 1], [0.8, 1.05], [1.6, 2.0], [0.5, 1]]], float)
-    outline = np.full((1, 4, 6, 2), NAN)
-    for j, (x, y) in enumerate(low[0]):
-        outline[0, j, :4] = [[x, y], [x + 0.5, y], [x + 0.5, y + 0.2], [x, y + 0.2]]
-    return FrameTruth(
-        np.array([[[0, 1, 2, 3, 4]]]),
-        np.array([[10, 20, 30, 40]]),
-        low[..., 1].copy(),
-        low[..., 1].copy(),
-        np.array([False, False, False, True]),
-        low,
-        low + [0.5, 0.02],
-        outline,
-        np.array([[0.3, 0.6, 0.1, 2.0]]),
-    )
 
 
 def test_nearest_on_floor():

@@ -20,7 +20,7 @@ from jaxdet.sim.frames import simulate_frame
 from jaxdet.types import Detections, FreeEnd
 
 NEIGHBOURS = 5
-"""So many rays side by side that end in a drop report one."""
+"""Minimum number of neighbouring rays ending in a drop for a frame to report one."""
 DROP_WITHIN_M = 0.3
 """A step down is found where it is reported so near to its place."""
 

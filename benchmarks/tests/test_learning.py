@@ -16,7 +16,7 @@ GAP, AGREE = PAIR_FEATURES.index("gap"), PAIR_FEATURES.index("agree")
 
 
 def test_learning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Pairs are one where the gap is small and they share rows: what is learnt says so."""
+    """The learnt table joins pairs with a small gap and common rows."""
     rng = np.random.default_rng(1)
     seen = rng.integers(0, 1000, (3000, NUM_FEATURES))
     same = (seen[:, GAP] < 300) & (seen[:, AGREE] > 400)

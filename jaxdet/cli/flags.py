@@ -47,7 +47,7 @@ def parse_flags(
         common: What ``--help`` shows of its sections (:func:`jaxdet.cli.usage.usage`), where
             ``--help-all`` shows all; None: both show all.
         defaults: Values of fields, in place of their own defaults.
-        groups: Headings of ``--help``, likewise.
+        groups: Flags by the headings of ``--help`` (:func:`jaxdet.cli.usage.usage`).
 
     Raises:
         ConfigError: A flag is unknown or missing, or a value is none or out of its range.

@@ -130,8 +130,7 @@ def blocks(
     wide = right - left > WIDEST
     begin = np.where(wide, 0, _sector(around[0] + left))
     count = np.where(wide, RAYS, _sector(around[0] + right) - begin + 1)[np.isfinite(least)]
-    tile = np.repeat(np.arange(len(count)), count)
-    sector = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
+    tile, sector = _counted(count)
     nearest = np.full(RAYS, np.inf, F32)
     at = (sector + begin[np.isfinite(least)][tile]) % RAYS
     np.minimum.at(nearest, at, least[np.isfinite(least)][tile])
@@ -209,6 +208,17 @@ def _packed(length: np.ndarray, why: np.ndarray | int) -> np.ndarray:
 def _sector(bearing: np.ndarray) -> np.ndarray:
     """The sector of a bearing, counted on from 0 without an end."""
     return (bearing + TURN // 2 + UNITS // 2) >> (UNITS.bit_length() - 1)
+
+
+def _counted(count: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the index of each count, as often as it says, and numbers from 0 for each index.
+
+    Example:
+        >>> [a.tolist() for a in _counted(np.array([2, 0, 3]))]
+        [[0, 0, 2, 2, 2], [0, 1, 0, 1, 2]]
+    """
+    which = np.repeat(np.arange(len(count)), count)
+    return which, np.arange(len(which)) - np.repeat(np.cumsum(count) - count, count)
 
 
 def _ranges(points: np.ndarray, bearing: np.ndarray) -> np.ndarray:
@@ -301,8 +311,8 @@ def _swept(
     ends = np.where(back, [range_last, range_first], [range_first, range_last])
     begin, stop = _sector(low), _sector(low + np.abs(turn))
     count = stop - begin + 1
-    segment = np.repeat(np.arange(len(first)), count)
-    sector = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count) + begin[segment]
+    segment, number = _counted(count)
+    sector = number + begin[segment]
 
     way = last - first
     area = np.abs(first[:, 0] * way[:, 1] - first[:, 1] * way[:, 0])[segment]
