@@ -13,8 +13,8 @@ import numpy as np
 from benchmarks.run import Case, Missing, with_peer
 from benchmarks.scene import BATCH, CONFIG, Inputs, inputs, repeated
 from benchmarks.sweep import DEFAULT_BATCH, Point, kind
-from jaxdet import stages
-from jaxdet.types import Features
+from jaxdet import reference, stages
+from jaxdet.types import Calibration, Features
 
 CORNERS = CONFIG.features
 Canny = Callable[[np.ndarray], np.ndarray]
@@ -37,27 +37,26 @@ def cases() -> list[Case | Missing]:
 
 
 def at(point: Point) -> Case:
-    """Colour images and keep mask on the device, ``slots`` corner slots."""
+    """Colour images and aligned depth on the device, ``slots`` corner slots."""
     given, config = inputs(point.size), replace(CORNERS, max_corners=point.slots)
-    color, keep = jax.device_put(repeated((given.color, given.keep), point.batch))
+    color, z = jax.device_put(repeated((given.color, _aligned(given)), point.batch))
     return Case(
         name=point.name,
-        run=lambda: stages.features(color, keep, given.calibration, config),
+        run=lambda: stages.features(color, z, Calibration(given.calibration.image), config),
         frames=point.batch,
-        bytes_read=color.nbytes + keep.mask.nbytes,
+        bytes_read=color.nbytes,
     )
 
 
 def opencv(given: Inputs) -> list[np.ndarray]:
-    """Grey, Canny, Shi-Tomasi under the mask, frame by frame; OpenCV uses its own threads."""
-    return [_one_frame(*frame, cv2_canny) for frame in _frames(given)]
+    """Grey, Canny, Shi-Tomasi, frame by frame; OpenCV uses its own threads."""
+    return [_one_frame(color, cv2_canny) for color in given.color]
 
 
 def opencv_threads(given: Inputs) -> list[np.ndarray]:
     """The same with a thread a frame."""
-    colors, masks = zip(*_frames(given), strict=True)
     with ThreadPoolExecutor() as pool:
-        return list(pool.map(partial(_one_frame, canny=cv2_canny), colors, masks))
+        return list(pool.map(partial(_one_frame, canny=cv2_canny), given.color))
 
 
 def cv2_canny(grey: np.ndarray) -> np.ndarray:
@@ -77,28 +76,27 @@ def in_raster_order(corners: np.ndarray) -> np.ndarray:
     return corners[np.lexsort(corners.T)]
 
 
-def _frames(given: Inputs) -> list[tuple[np.ndarray, np.ndarray]]:
-    return list(zip(given.color, given.keep.mask.view(np.uint8), strict=True))
+def _aligned(given: Inputs) -> np.ndarray:
+    return reference.align(given.depth, given.calibration).z
 
 
-def _one_frame(color: np.ndarray, mask: np.ndarray, canny: Canny) -> np.ndarray:
+def _one_frame(color: np.ndarray, canny: Canny) -> np.ndarray:
     corners = cv2.goodFeaturesToTrack(
         canny(cv2.cvtColor(color, cv2.COLOR_RGB2GRAY)),
         CORNERS.max_corners,
         CORNERS.quality_level,
         CORNERS.min_distance,
-        mask=mask,
     )
     return np.zeros((0, 2), int) if corners is None else in_raster_order(corners[:, 0].astype(int))
 
 
 def _case(size: str) -> Case:
     given, batch = inputs(size), DEFAULT_BATCH[kind()]
-    color, keep = repeated((given.color, given.keep), batch)
-    keep = jax.device_put(keep)
+    color, z = repeated((given.color, _aligned(given)), batch)
+    z = jax.device_put(z)
     return Case(
         name=size,
-        run=lambda: stages.features(color, keep, given.calibration, CORNERS),
+        run=lambda: stages.features(color, z, Calibration(given.calibration.image), CORNERS),
         frames=batch,
         equal=True,
         peer_frames=BATCH,
@@ -113,7 +111,7 @@ def _kornia(case: Case, imgproc: Any) -> Case:
         edges = imgproc.canny(grey[..., None], CORNERS.canny_low, CORNERS.canny_high)
         return np.asarray(edges)[..., 0]
 
-    frames = _frames(inputs("640x480"))
+    colors = inputs("640x480").color
     return case._replace(
-        name="vs_kornia", peer=lambda: [_one_frame(*frame, canny) for frame in frames]
+        name="vs_kornia", peer=lambda: [_one_frame(color, canny) for color in colors]
     )

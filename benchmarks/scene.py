@@ -10,7 +10,7 @@ import warp as wp
 from jaxdet import reference
 from jaxdet.config import Config
 from jaxdet.floor.frame import floor_frames
-from jaxdet.floor.plane import flat_plane, plane_in_color, repeat_plane, step_height
+from jaxdet.floor.plane import flat_plane, repeat_plane, step_height
 from jaxdet.reference import FloorFit
 from jaxdet.reference._detect import Found, _group, _surfaces
 from jaxdet.sim.exposure import LIGHTS, ColorSensor, expose
@@ -18,7 +18,6 @@ from jaxdet.sim.render import render
 from jaxdet.sim.scenes import load_scene
 from jaxdet.sim.sensor import DepthSensor, measure_depth
 from jaxdet.types import (
-    AlignedDepth,
     Calibration,
     Cells,
     Distortion,
@@ -26,7 +25,6 @@ from jaxdet.types import (
     Frames,
     GroundPlane,
     Intrinsics,
-    Keep,
 )
 
 RENDERER = "cuda" if wp.is_cuda_available() else "cpu"
@@ -73,14 +71,12 @@ changes what is seen at the margins and not how it is worked on."""
 
 
 class Inputs(NamedTuple):
-    """What the stages on pixels get, by the reference."""
+    """Inputs of the stages on pixels."""
 
     calibration: Calibration
     color: np.ndarray
     depth: np.ndarray
     plane: GroundPlane
-    aligned: AlignedDepth
-    keep: Keep
 
 
 class OnCells(NamedTuple):
@@ -143,9 +139,7 @@ def inputs(size: str) -> Inputs:
     one = flat_plane(*(np.array([a]) for a in (HEIGHT_M, PITCH_RAD, 0.0)))
     plane = repeat_plane(one, BATCH)
     colors, depths = np.stack(color), np.stack(depth)
-    aligned = reference.align(depths, calibration)
-    keep = reference.ground(aligned, plane_in_color(plane, calibration), calibration, CONFIG)
-    return Inputs(calibration, colors, depths, plane, aligned, keep)
+    return Inputs(calibration, colors, depths, plane)
 
 
 @cache

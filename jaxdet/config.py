@@ -144,8 +144,6 @@ class FeaturesConfig:
     """Minimum corner strength, as a fraction of the strongest corner's minimum eigenvalue."""
     min_distance: float = 3.0
     """Minimum distance between two corners [pixel]; no minimum below 1."""
-    use_mask: bool = True
-    """Detect corners only in range and above the floor; off: drop the others afterwards."""
 
     def __post_init__(self) -> None:
         check_fields(self)

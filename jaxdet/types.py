@@ -315,17 +315,6 @@ class AlignedDepth(NamedTuple):
     """z in the *colour* camera (Eq. 3), ``(B, H, W)`` uint16 [depth units]; 0 = none."""
 
 
-class Keep(NamedTuple):
-    """Pixels that can belong to obstacles (Section 3.3)."""
-
-    mask: Array
-    """Whether the depth is in range and above the floor, ``(B, H, W)`` bool."""
-    z: Array
-    """Depth of a feature at each pixel, ``(B, H, W)`` uint16 [depth units]; 0 = none."""
-    has_depth: Array
-    """Whether any pixel of the frame has a depth in range, ``(B,)`` bool."""
-
-
 class Features(NamedTuple):
     """Corners with depth of the preset ``paper`` (Sections 3.2, 3.3), strongest first.
 

@@ -1,6 +1,6 @@
 // The corners of one image as the kernels find them, on the CPU or, with SIMT defined, by the threads
 // of a team on CUDA: tests/test_native.py runs both. The file named has height, width, slots, the
-// settings, colours and mask.
+// settings and colours.
 #if defined(SIMT)
 #include "simt.h"
 #endif
@@ -19,20 +19,16 @@ int main(int, char** arguments) {
     is_whole = is_whole && fread(values, sizeof values, 1, file) == 1;
     if (!is_whole) return 1;
     const int height = head[0], width = head[1], slots = head[2];
-    const size_t pixels = (size_t)height * width, words = PixelBits::words(width);
-    std::vector<unsigned char> color(3 * pixels), mask(pixels);
+    const size_t pixels = (size_t)height * width;
+    std::vector<unsigned char> color(3 * pixels);
     if (fread(color.data(), color.size(), 1, file) != 1) return 1;
-    if (fread(mask.data(), mask.size(), 1, file) != 1) return 1;
     fclose(file);
-    std::vector<unsigned> allowed(height * words, 0);
-    for (size_t i = 0; i < pixels; ++i)
-        allowed[i / width * words + i % width / 32] |= (unsigned)(mask[i] != 0) << i % width % 32;
     // What memory holds before must not matter. Words are aligned as in the kernels.
     std::vector<unsigned long long> scratch(Corners::scratch_words(height, width) / 2, ~0ull);
     std::vector<int> u(slots, -1), v(slots, -1);
     static Corners::Shared shared;
     const auto run = [&](const Team& team) {
-        Corners{height, width, {values}, slots}.run(team, shared, color.data(), allowed.data(),
+        Corners{height, width, {values}, slots}.run(team, shared, color.data(),
                                                     (int*)scratch.data(), u.data(), v.data(),
                                                     &found);
     };

@@ -5,6 +5,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from jaxdet import stages
 from jaxdet.floor.plane import flat_plane
 from jaxdet.types import (
     AlignedDepth,
@@ -117,9 +118,25 @@ def points(x, z, kept=None) -> Features:
     return Features(u.copy(), 0 * z, x, 0 * z, z, valid, kept, overflow)
 
 
-def aligned(z: np.ndarray) -> AlignedDepth:
-    """Depth already aligned."""
-    return AlignedDepth(z, z)
+def every_pixel(batch: int, height: int, width: int) -> tuple[np.ndarray, np.ndarray]:
+    """Columns and rows ``(B, H W)`` int32 of all pixels, in raster order."""
+    v, u = np.indices((height, width), np.int32).reshape(2, -1)
+    return np.broadcast_to(u, (batch, u.size)), np.broadcast_to(v, (batch, v.size))
+
+
+def align_all(depth: np.ndarray, calibration: Calibration) -> AlignedDepth:
+    """Aligned depth ``(B, H, W)`` of all pixels of the colour image, by the kernel."""
+    shape = len(depth), calibration.image.height, calibration.image.width
+    found = stages.align(depth, *every_pixel(*shape), calibration)
+    return AlignedDepth(*(np.asarray(a).reshape(shape) for a in found))
+
+
+def at_every_pixel(z: np.ndarray) -> Features:
+    """A feature at every pixel of images of z ``(B, H, W)``."""
+    u, v = every_pixel(*z.shape)
+    flat = z.reshape(len(z), -1).astype(np.int32)
+    valid = np.ones(flat.shape, bool)
+    return Features(u, v, 0 * flat, 0 * flat, flat, valid, valid, valid[:, 0])
 
 
 def assert_equal(twin, reference) -> None:

@@ -6,7 +6,7 @@ import pytest
 
 from jaxdet import reference, stages
 from jaxdet.errors import CalibrationError
-from jaxdet.types import Calibration, Extrinsics, Intrinsics
+from jaxdet.types import AlignedDepth, Calibration, Extrinsics, Intrinsics
 from tests.goldens.make_rs_align import CASES, FILE
 from tests.scenes import (
     D435,
@@ -14,6 +14,7 @@ from tests.scenes import (
     D435_MOTION,
     IDENTITY,
     LENSES,
+    align_all,
     assert_equal,
     noise_depth,
     resized,
@@ -23,7 +24,9 @@ from tests.scenes import (
     with_lens,
 )
 
-BACKENDS = pytest.mark.parametrize("backend", [reference, stages], ids=["reference", "stages"])
+BACKENDS = pytest.mark.parametrize(
+    "align", [reference.align, align_all], ids=["reference", "stages"]
+)
 TURNED = Extrinsics(rotation(3, -5, 8), (-0.03, 0.01, 0.02))
 
 
@@ -36,55 +39,53 @@ def still(shift_x: float) -> Calibration:
 
 
 @BACKENDS
-def test_identity_keeps_every_pixel(backend):
+def test_identity_keeps_every_pixel(align):
     depth = noise_depth(2, still(0).depth)
-    aligned = backend.align(depth, still(0))
+    aligned = align(depth, still(0))
     assert np.array_equal(aligned.depth, depth)
     assert np.array_equal(aligned.z, np.minimum(depth, 65534))
 
 
 @BACKENDS
-def test_a_sideways_camera_shifts_near_pixels_and_the_nearest_wins(backend):
+def test_a_sideways_camera_shifts_near_pixels_and_the_nearest_wins(align):
     depth = np.zeros((1, 3, 6), np.uint16)
     depth[0, 1] = 1000, 1000, 500, 0, 0, 1000
     # 2 px of focal length and 0.5 m sideways: 1 px at 1 m, 2 px at 0.5 m.
-    aligned = np.asarray(backend.align(depth, still(0.5)).depth)
+    aligned = np.asarray(align(depth, still(0.5)).depth)
     assert aligned[0, 1].tolist() == [0, 1000, 1000, 0, 500, 0]
     depth[0, 1, 3] = 2000
-    assert np.asarray(backend.align(depth, still(0.5)).depth)[0, 1, 4] == 500
+    assert np.asarray(align(depth, still(0.5)).depth)[0, 1, 4] == 500
 
 
 @BACKENDS
-def test_z_is_the_colour_cameras(backend):
+def test_z_is_the_colour_cameras(align):
     behind = Extrinsics(IDENTITY, (0.0, 0.0, 0.25))
     camera = still(0).color
     depth = np.full((1, 3, 6), 1000, np.uint16)
-    aligned = backend.align(depth, Calibration(camera, camera, behind))
+    aligned = align(depth, Calibration(camera, camera, behind))
     assert set(np.unique(aligned.depth).tolist()) <= {0, 1000}
     assert set(np.unique(aligned.z).tolist()) <= {0, 1250}
 
 
 @BACKENDS
-def test_a_point_behind_the_colour_camera_is_dropped(backend):
+def test_a_point_behind_the_colour_camera_is_dropped(align):
     ahead = Extrinsics(IDENTITY, (0.0, 0.0, -2.0))
     depth = np.full((1, 3, 6), 1000, np.uint16)
-    assert not np.asarray(
-        backend.align(depth, Calibration(still(0).depth, still(0).image, ahead)).z
-    ).any()
+    assert not np.asarray(align(depth, Calibration(still(0).depth, still(0).image, ahead)).z).any()
 
 
 @BACKENDS
-def test_aligned_depth_is_passed_through(backend):
+def test_aligned_depth_is_passed_through(align):
     depth = noise_depth(1, still(0).depth)
-    aligned = backend.align(depth, Calibration(still(0).depth))
+    aligned = align(depth, Calibration(still(0).depth))
     assert np.array_equal(aligned.depth, depth)
     assert np.array_equal(aligned.z, depth)
 
 
 @BACKENDS
-def test_missing_extrinsics_name_the_flag(backend):
+def test_missing_extrinsics_name_the_flag(align):
     with pytest.raises(CalibrationError, match=r"--log\.color-from-depth"):
-        backend.align(noise_depth(1, still(0).depth), still(0)._replace(color_from_depth=None))
+        align(noise_depth(1, still(0).depth), still(0)._replace(color_from_depth=None))
 
 
 # librealsense
@@ -92,11 +93,11 @@ def test_missing_extrinsics_name_the_flag(backend):
 
 @pytest.mark.parametrize("name", CASES)
 @BACKENDS
-def test_equals_stored_rs_align(backend, name):
+def test_equals_stored_rs_align(align, name):
     calibration, depth = CASES[name]
     want = np.load(FILE)[name]
     assert np.count_nonzero(want) > 1000
-    assert np.array_equal(backend.align(depth[None], calibration).depth[0], want)
+    assert np.array_equal(align(depth[None], calibration).depth[0], want)
 
 
 LIVE = {
@@ -170,7 +171,7 @@ def test_twin_with_every_lens(device, lens, image):
     base = small(97, 61, 1.6)
     calibration = base._replace(color=with_lens(base.color, lens), color_from_depth=TURNED)
     depth = image(3, calibration.depth)
-    assert_equal(stages.align(depth, calibration), reference.align(depth, calibration))
+    assert_equal(align_all(depth, calibration), reference.align(depth, calibration))
 
 
 @pytest.mark.twin
@@ -180,7 +181,7 @@ def test_twin_at_full_size(device, batch, size):
     depth_camera = resized(D435.depth, *size)
     calibration = Calibration(depth_camera, resized(D435_COLOR, 640, 480), D435_MOTION)
     depth = noise_depth(batch, depth_camera)
-    assert_equal(stages.align(depth, calibration), reference.align(depth, calibration))
+    assert_equal(align_all(depth, calibration), reference.align(depth, calibration))
 
 
 @pytest.mark.twin
@@ -199,7 +200,7 @@ def test_twin_with_large_and_odd_images(device, lens, depth_size, color_size):
     calibration = Calibration(resized(D435.depth, *depth_size), color, TURNED)
     depth = smooth_depth(1, calibration.depth)
     depth[0, ::7, ::5] = 0
-    aligned = stages.align(depth, calibration)
+    aligned = align_all(depth, calibration)
     assert np.count_nonzero(aligned.depth) > 1000
     assert_equal(aligned, reference.align(depth, calibration))
 
@@ -212,14 +213,32 @@ def test_twin_where_the_depth_camera_has_a_lens(device, lens):
         color=with_lens(base.color, lens), depth=with_lens(base.depth, lens)
     )
     depth = noise_depth(3, calibration.depth)
-    assert_equal(stages.align(depth, calibration), reference.align(depth, calibration))
+    assert_equal(align_all(depth, calibration), reference.align(depth, calibration))
+
+
+@pytest.mark.twin
+@pytest.mark.parametrize("color_size", [(97, 61), (640, 480), (1921, 1083), (33, 20)])
+@pytest.mark.parametrize("lens", LENSES)
+def test_twin_at_a_few_pixels(device, lens, color_size):
+    """Boxes of depth pixels are one to some thirty colour pixels wide; few of them are wanted."""
+    base, (width, height) = small(97, 61), color_size
+    color = with_lens(resized(base.color, *color_size), lens)
+    calibration = base._replace(color=color, color_from_depth=TURNED)
+    depth, rng = noise_depth(3, calibration.depth), np.random.default_rng(width)
+    whole = reference.align(depth, calibration)
+    for points in (1, 7, 300):
+        u, v = (rng.integers(0, n, (3, points)).astype(np.int32) for n in (width, height))
+        u[0, 0], v[0, 0], u[-1, -1], v[-1, -1] = 0, 0, width - 1, height - 1
+        want = AlignedDepth(*(image[np.arange(3)[:, None], v, u] for image in whole))
+        assert_equal(stages.align(depth, u, v, calibration), want)
+    assert np.count_nonzero(want.z) > 100
 
 
 @pytest.mark.twin
 def test_twin_without_any_measurement(device):
     depth = np.zeros((2, 60, 80), np.uint16)
-    assert_equal(stages.align(depth, small()), reference.align(depth, small()))
-    assert not np.asarray(stages.align(depth, small()).depth).any()
+    assert_equal(align_all(depth, small()), reference.align(depth, small()))
+    assert not np.asarray(align_all(depth, small()).depth).any()
 
 
 # laws
@@ -227,14 +246,14 @@ def test_twin_without_any_measurement(device):
 
 def test_a_batch_is_a_stack_of_singles(device):
     depth = noise_depth(4, small().depth)
-    whole = np.asarray(stages.align(depth, small()).z)
-    singles = [np.asarray(stages.align(image[None], small()).z)[0] for image in depth]
+    whole = np.asarray(align_all(depth, small()).z)
+    singles = [np.asarray(align_all(image[None], small()).z)[0] for image in depth]
     assert np.array_equal(whole, np.stack(singles))
 
 
 def test_a_deeper_hit_never_hides_a_nearer_one(device):
     depth = noise_depth(1, small().depth)
-    before = np.asarray(stages.align(depth, small()).depth).astype(np.int64)
+    before = np.asarray(align_all(depth, small()).depth).astype(np.int64)
     more = np.where(depth == 0, np.uint16(9000), depth)
-    after = np.asarray(stages.align(more, small()).depth)
+    after = np.asarray(align_all(more, small()).depth)
     assert np.array_equal(after[before > 0], before[before > 0])

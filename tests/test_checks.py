@@ -23,7 +23,7 @@ from jaxdet.config import (
 from jaxdet.errors import CalibrationError, ConfigError, InputError, JaxdetError
 from jaxdet.presets import preset
 from jaxdet.results import metric
-from jaxdet.types import Calibration, Distortion, Frames, Intrinsics, Keep, Labels
+from jaxdet.types import Calibration, Distortion, Frames, Intrinsics, Labels
 from tests.scenes import (
     LENSES,
     assert_equal,
@@ -65,13 +65,12 @@ def test_a_batch_has_one_of_each(backend):
 
 def test_the_stages_refuse_other_sizes():
     given = made()
-    keep = Keep(np.ones((2, 60, 96), bool), np.ones((2, 60, 96), np.uint16), np.ones(2, bool))
-    small_mask = keep._replace(mask=keep.mask[:, :30])
+    pixels = np.zeros((2, 2, 1), np.int32)
     with pytest.raises(CalibrationError, match="depth images of 96x20"):
-        stages.align(given.depth[:, :20], given.calibration)
-    for color, mask in ((given.color[:, :30], keep), (given.color, small_mask)):
+        stages.align(given.depth[:, :20], *pixels, given.calibration)
+    for color, depth in ((given.color[:, :30], given.depth), (given.color, given.depth[:, :30])):
         with pytest.raises(CalibrationError, match="images of 96x30"):
-            stages.features(color, mask, given.calibration, FeaturesConfig())
+            stages.features(color, depth, given.calibration, FeaturesConfig())
 
 
 @pytest.mark.parametrize(("width", "height"), [(4097, 3), (3, 4097), (2, 60), (60, 2)])
@@ -79,11 +78,11 @@ def test_images_smaller_or_larger_than_the_kernels_take(width, height):
     focal = float(max(width, height))
     camera = Intrinsics(width, height, focal, focal, width / 2, height / 2)
     z = np.zeros((1, height, width), np.uint16)
-    color, keep = np.zeros((*z.shape, 3), np.uint8), Keep(z > 0, z, np.zeros(1, bool))
+    color = np.zeros((*z.shape, 3), np.uint8)
     config = Config(cluster=ClusterConfig(points=True))
     message = rf"{width}x{height} pixels, but the kernels take from 3 to 4096 .*--backend reference"
     with pytest.raises(ConfigError, match=message):
-        stages.features(color, keep, Calibration(camera), config.features)
+        stages.features(color, z, Calibration(camera), config.features)
     with pytest.raises(ConfigError, match=message):
         detect(frames(Calibration(camera), color, z, plane=level(1)), config)
 

@@ -59,7 +59,7 @@ def test_help_of_run_names_presets_and_every_field(capsys: Captured) -> None:
     main(["run", "--help-all"])
     text = " ".join(capsys.readouterr().out.replace("│", " ").split())
     assert ", ".join(PRESETS) in text
-    for flag in ("--cluster.depth-gap-m", "--features.no-use-mask", "--log.color-from-depth"):
+    for flag in ("--cluster.depth-gap-m", "--features.max-corners", "--log.color-from-depth"):
         assert flag in text
 
 
@@ -387,7 +387,7 @@ def test_flags_go_before_the_file_before_the_preset(tmp_path: Path) -> None:
     file = tmp_path / "mine.toml"
     file.write_text(
         'preset = "d455"\n[cluster]\ndepth_gap_m = 1\nmin_points = 4\n'
-        "[features]\nuse_mask = false\n"
+        "[features]\nmax_corners = 77\n"
         "[log]\ncolor_intrinsics = [600, 600, 320, 240.5]\n"
     )
     args = ["a.mcap", "--output", "x", "--config", str(file), "--cluster.min-points", "7"]
@@ -397,10 +397,9 @@ def test_flags_go_before_the_file_before_the_preset(tmp_path: Path) -> None:
     assert (command.method.cluster.depth_gap_m, command.method.cluster.min_points) == (1.0, 7)
     assert isinstance(command.method.cluster.depth_gap_m, float)
     assert command.method.ground == PRESETS["d455"].ground
-    assert not command.method.features.use_mask
+    assert command.method.features.max_corners == 77
     assert command.log.color_intrinsics == (600.0, 600.0, 320.0, 240.5)
     assert parse([*args, "--preset=zed"]).method.ground == PRESETS["zed"].ground
-    assert parse([*args, "--features.use-mask"]).method.features.use_mask
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,8 @@ from jaxdet.floor.plane import flat_plane, unknown_plane
 from jaxdet.io import open_log
 from jaxdet.pipeline import BackendName
 from jaxdet.presets import preset
-from jaxdet.reference import align, ground
+from jaxdet.reference import align
+from jaxdet.reference._ground import above_floor
 from jaxdet.results import metric
 from jaxdet.results.free_floor import ray_bearings
 from jaxdet.results.metric import floors
@@ -484,7 +485,7 @@ def judged(shared_data: Path, name: str, config: Config, **changes: Any) -> list
                 [detections.obstacles.uv_min[0, :n], detections.obstacles.uv_max[0, :n]], axis=1
             )
             nearest = metric.extents(detections.obstacles, unit).minimum[0, :n, 2]
-            kept = ground(aligned, floors(scene, UNIT).plane, given.calibration, config).mask[0]
+            kept = above_floor(aligned.z, floors(scene, UNIT).plane, given.calibration, config)[0]
             tallies.append(tally_boxes(labels, boxes, nearest, kept, z_m > 0, recording.least_iou))
     return tallies
 

@@ -16,8 +16,16 @@ from jaxdet.reference._corners import corner_strength, strongest_corners
 from jaxdet.reference._features import lateral
 from jaxdet.stages._features import lateral as lateral_twin
 from jaxdet.stages._features import on_device
-from jaxdet.types import Calibration, Distortion, Keep
-from tests.scenes import D435_COLOR, assert_equal, blocks, recorded_colors, resized
+from jaxdet.types import Calibration, Distortion
+from tests.scenes import (
+    D435,
+    D435_COLOR,
+    assert_equal,
+    blocks,
+    noise_depth,
+    recorded_colors,
+    resized,
+)
 
 SIZES = [(480, 640), (61, 96), (240, 320), (33, 64)]
 
@@ -33,7 +41,7 @@ def grey_images() -> list[np.ndarray]:
 
 
 def corners_only(**changes) -> FeaturesConfig:
-    """The paper's bounds, with a mask."""
+    """The paper's bounds."""
     plain = FeaturesConfig(canny_low=100, canny_high=200, min_distance=5.0)
     return replace(plain, **changes)
 
@@ -65,22 +73,16 @@ SELECTIONS = [(1024, 0.01, 5.0), (0, 0.05, 0.0), (300, 0.001, 10.5), (77, 0.01, 
 
 
 @pytest.mark.parametrize("selection", SELECTIONS)
-@pytest.mark.parametrize("masked", [False, True])
-def test_corners_of_rendered_edges_equal_opencv_in_order(selection, masked):
-    rng = np.random.default_rng(5)
+def test_corners_of_rendered_edges_equal_opencv_in_order(selection):
     for image in grey_images()[:4]:
         edges = canny(image, 100, 200)
-        mask = rng.random(image.shape) < 0.7 if masked else None
-        got = strongest_corners(corner_strength(edges), mask, *selection)
-        assert np.array_equal(got, opencv_corners(edges, selection, mask))
+        got = strongest_corners(corner_strength(edges), *selection)
+        assert np.array_equal(got, opencv_corners(edges, selection))
 
 
-def opencv_corners(
-    edges: np.ndarray, selection: tuple[int, float, float], mask: np.ndarray | None = None
-) -> np.ndarray:
+def opencv_corners(edges: np.ndarray, selection: tuple[int, float, float]) -> np.ndarray:
     """Columns and rows ``(n, 2)`` of ``cv2.goodFeaturesToTrack``."""
-    u8 = None if mask is None else mask.astype(np.uint8)
-    corners = cv2.goodFeaturesToTrack(edges, *selection, mask=u8)
+    corners = cv2.goodFeaturesToTrack(edges, *selection)
     return np.zeros((0, 2), int) if corners is None else corners[:, 0].astype(int)
 
 
@@ -91,7 +93,7 @@ def test_corners_of_recordings_equal_opencv_but_for_the_order_of_equals(shared_d
         opencv_edges = cv2.Canny(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), *bounds)
         assert np.array_equal(edges, opencv_edges)
         for selection in (*SELECTIONS, (1024, 0.01, 10.5)):
-            got = strongest_corners(corner_strength(edges), None, *selection)
+            got = strongest_corners(corner_strength(edges), *selection)
             want = opencv_corners(edges, selection)
             assert set(map(tuple, got.tolist())) == set(map(tuple, want.tolist()))
 
@@ -113,9 +115,8 @@ def test_a_square_gives_its_corners_with_depth_and_metric_coordinates():
     color[0, 16:32, 20:44] = 255
     camera = resized(D435_COLOR, 64, 48)._replace(fx=50.0, fy=50.0, cx=32.0, cy=24.0)
     z = np.full((1, 48, 64), 1000, np.uint16)
-    keep = Keep(np.ones(z.shape, bool), z, np.ones(1, bool))
     config = corners_only(max_corners=8)
-    found = reference.features(color, keep, Calibration(camera), config)
+    found = reference.features(color, z, Calibration(camera), config)
     assert found.valid[0].tolist() == [True] * 4 + [False] * 4
     at = sorted(zip(found.u[0, :4].tolist(), found.v[0, :4].tolist(), strict=True))
     # The edge is the square's outermost white pixels; its corners are strongest just inside.
@@ -124,26 +125,12 @@ def test_a_square_gives_its_corners_with_depth_and_metric_coordinates():
     assert np.array_equal(found.y[0, :4], (found.v[0, :4] - 24) * 20)
 
 
-def test_mask_frees_the_slots_for_what_matters():
-    color = blocks(1, 96, 128, 2)
-    z = np.full((1, 96, 128), 1000, np.uint16)
-    mask = np.zeros(z.shape, bool)
-    mask[:, :, 64:] = True
-    keep, calibration = Keep(mask, z, np.ones(1, bool)), Calibration(resized(D435_COLOR, 128, 96))
-    config = corners_only(max_corners=12)
-    with_mask = reference.features(color, keep, calibration, config)
-    paper = reference.features(color, keep, calibration, replace(config, use_mask=False))
-    assert with_mask.kept.sum() == 12
-    assert paper.valid.sum() == 12
-    assert 0 < paper.kept.sum() < 12
-
-
 def test_overflow_is_flagged(device):
     color, z = blocks(2, 96, 128), np.full((2, 96, 128), 1000, np.uint16)
     color[1] = 7
-    keep, calibration = Keep(z > 0, z, np.ones(2, bool)), Calibration(resized(D435_COLOR, 128, 96))
+    calibration = Calibration(resized(D435_COLOR, 128, 96))
     for backend in (reference, stages):
-        found = backend.features(color, keep, calibration, corners_only(max_corners=5))
+        found = backend.features(color, z, calibration, corners_only(max_corners=5))
         assert np.asarray(found.overflow).tolist() == [True, False]
         assert np.asarray(found.valid).sum(1).tolist() == [5, 0]
 
@@ -153,8 +140,7 @@ def test_undistorted_coordinates():
         distortion=Distortion.PLUMB_BOB, coefficients=(-0.3, 0.1, 0.001, -0.002, 0.0)
     )
     color, z = blocks(1, 480, 640), np.full((1, 480, 640), 2000, np.uint16)
-    keep = Keep(z > 0, z, np.ones(1, bool))
-    found = reference.features(color, keep, Calibration(camera), corners_only())
+    found = reference.features(color, z, Calibration(camera), corners_only())
     n = found.valid[0].sum()
     rays = np.stack([found.x[0, :n], found.y[0, :n], found.z[0, :n]], axis=1) / 2000
     pixels = cv2.projectPoints(
@@ -169,11 +155,20 @@ def test_undistorted_coordinates():
 
 CONFIGS = {
     "default": FeaturesConfig(),
-    "no_mask": corners_only(use_mask=False),
+    "high bounds": corners_only(),
     "root": corners_only(max_corners=3000, min_distance=2**0.5),
     "few": corners_only(max_corners=20, min_distance=12.5),
     "dense": corners_only(max_corners=4000, min_distance=0, quality_level=0.0001),
 }
+
+
+@pytest.mark.twin
+def test_twin_of_two_cameras(device):
+    depth, color = noise_depth(3, D435.depth), blocks(3, 480, 640)
+    given_ = color, depth, D435, FeaturesConfig()
+    want = reference.features(*given_)
+    assert (want.z > 0).sum() > 1000
+    assert_equal(stages.features(*given_), want)
 
 
 @pytest.mark.twin
@@ -186,8 +181,7 @@ def test_twin(device, name, width):
     camera = resized(D435_COLOR, width, height)
     rng = np.random.default_rng(width)
     z = rng.integers(0, 5000, (3, height, width)).astype(np.uint16)
-    keep = Keep((z > 150) & (rng.random(z.shape) < 0.8), z, np.ones(3, bool))
-    given_ = color, keep, Calibration(camera), CONFIGS[name]
+    given_ = color, z, Calibration(camera), CONFIGS[name]
     want = reference.features(*given_)
     assert want.valid[:2].any()
     assert_equal(stages.features(*given_), want)
@@ -195,7 +189,6 @@ def test_twin(device, name, width):
 
 def test_settings_compile_nothing_anew():
     color, z = blocks(1, 60, 80), np.full((1, 60, 80), 900, np.uint16)
-    keep = Keep(np.indices(z.shape).sum(0) % 97 > 30, z, np.ones(1, bool))
     calibration = Calibration(resized(D435_COLOR, 80, 60))
     compiled = cast(Any, on_device)._cache_size
     before, found = compiled(), []
@@ -204,9 +197,8 @@ def test_settings_compile_nothing_anew():
         {"canny_low": 20.0, "canny_high": 400.0},
         {"quality_level": 0.3},
         {"min_distance": 9.5},
-        {"use_mask": False},
     ):
-        given_ = color, keep, calibration, corners_only(max_corners=300, **changes)
+        given_ = color, z, calibration, corners_only(max_corners=300, **changes)
         found.append(stages.features(*given_))
         assert_equal(found[-1], reference.features(*given_))
     assert len({np.asarray(each.valid).sum() for each in found}) == len(found)

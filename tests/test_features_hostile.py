@@ -11,10 +11,9 @@ from hypothesis import strategies as st
 
 from jaxdet import reference, stages
 from jaxdet.config import FeaturesConfig
-from jaxdet.reference._canny import canny
-from jaxdet.reference._corners import STEP, _window_maximum, corner_strength
-from jaxdet.types import Calibration, Keep
-from tests.scenes import D435_COLOR, assert_equal, blocks, recorded_colors, resized
+from jaxdet.reference._corners import STEP
+from jaxdet.types import Calibration
+from tests.scenes import D435_COLOR, assert_equal, recorded_colors, resized
 
 CORNERS = FeaturesConfig(max_corners=200)
 
@@ -59,25 +58,22 @@ SETTINGS = {
     "all edges": replace(CORNERS, canny_low=0.0, canny_high=0.0, min_distance=1.0),
     "weak corners": replace(CORNERS, quality_level=1e-30, min_distance=0.0, max_corners=8192),
     "strong corners": replace(CORNERS, quality_level=1.0, min_distance=2.5),
-    "paper's order": replace(CORNERS, use_mask=False, min_distance=7.0),
+    "a few pixels apart": replace(CORNERS, min_distance=7.0),
     "negative bounds": replace(CORNERS, canny_low=-3.0, canny_high=-1.0),
     "bounds no pixel reaches": replace(CORNERS, canny_low=2000.0, canny_high=1e5),
     "far apart": replace(CORNERS, min_distance=1000.0),
 }
 
 
-def compare(grey: np.ndarray, mask: np.ndarray, config: FeaturesConfig) -> None:
-    """Both implementations on grey images and masks ``(B, H, W)``; two runs give equal bytes."""
-    batch, height, width = grey.shape
+def compare(grey: np.ndarray, config: FeaturesConfig) -> None:
+    """Both implementations on grey images ``(B, H, W)``; two runs give equal bytes."""
+    height, width = grey.shape[1:]
     color = np.repeat(grey[..., None], 3, axis=-1)
     z = np.random.default_rng(0).integers(0, 65536, grey.shape).astype(np.uint16)
-    keep, calibration = (
-        Keep(mask, z, np.ones(batch, bool)),
-        Calibration(resized(D435_COLOR, width, height)),
-    )
-    want = reference.features(color, keep, calibration, config)
+    calibration = Calibration(resized(D435_COLOR, width, height))
+    want = reference.features(color, z, calibration, config)
     for _ in range(2):
-        assert_equal(stages.features(color, keep, calibration, config), want)
+        assert_equal(stages.features(color, z, calibration, config), want)
 
 
 def test_sums_of_products_are_exact():
@@ -101,78 +97,33 @@ OF_THE_LONGEST = ("default", "full", "weak corners", "far apart")
     [*product(SIZES[:1], SETTINGS), *product(SIZES[1:] + LONGEST, OF_THE_LONGEST)],
 )
 def test_hostile_images(device, size, name):
-    grey = np.stack(list(hostile(*size).values()))
-    rng = np.random.default_rng(1)
-    for mask in (
-        np.ones(grey.shape, bool),
-        rng.random(grey.shape) < 0.1,
-        np.zeros(grey.shape, bool),
-    ):
-        compare(grey, mask, SETTINGS[name])
-
-
-def test_a_mask_that_leaves_only_weak_corners(device):
-    """The threshold follows the strongest allowed pixel, which no allowed maximum need be."""
-    grey = blocks(2, 120, 160)[..., 1]
-    dot = np.zeros(grey.shape, np.uint8)
-    dot[:, ::7, ::9] = grey[:, ::7, ::9]
-    for images in (grey, dot):
-        strength = [corner_strength(canny(image, 50, 100)) for image in images]
-        for quantile in (0.5, 0.9, 0.99):
-            mask = np.stack([s < np.quantile(s[s > 0], quantile) for s in strength])
-            for quality in (0.01, 0.3, 0.9):
-                compare(images, mask, replace(CORNERS, quality_level=quality))
-
-
-def test_allowed_corners_far_weaker_than_the_strongest(device):
-    """And none between, so that a list of the stronger half says nothing about them."""
-    rng, found = np.random.default_rng(5), 0
-    for _ in range(400):
-        image = np.zeros((1, 60, 64), np.uint8)
-        for _ in range(2):
-            v, u, tall, wide = rng.integers((4, 4, 1, 1), (40, 40, 14, 20))
-            image[0, v : v + tall, u : u + wide] = rng.choice([255, 120, 60])
-        strength = corner_strength(canny(image[0], 50, 100))
-        share = strength / strength.max()
-        maxima = share[strength == _window_maximum(strength)]
-        if not ((maxima > 0.48) & (maxima < 0.995)).any() and ((maxima > 0.1) & (maxima < 1)).any():
-            compare(image, (share < 0.48)[None], replace(CORNERS, quality_level=0.99))
-            found += 1
-    assert found >= 3
+    compare(np.stack(list(hostile(*size).values())), SETTINGS[name])
 
 
 def test_recordings(device, shared_data):
-    """Recorded images with a mask of blobs."""
     rng = np.random.default_rng(2)
     for image in recorded_colors(shared_data)[::4]:
         color = image[None]
-        size = color.shape[1:3]
-        blobs = cv2.GaussianBlur(rng.random(size), (0, 0), 20)
-        keep = Keep(
-            (blobs > 0.5)[None],
-            rng.integers(0, 5000, (1, *size)).astype(np.uint16),
-            np.ones(1, bool),
-        )
-        calibration = Calibration(resized(D435_COLOR, size[1], size[0]))
+        z = rng.integers(0, 5000, color.shape[:3]).astype(np.uint16)
+        calibration = Calibration(resized(D435_COLOR, image.shape[1], image.shape[0]))
         for config in (FeaturesConfig(), replace(CORNERS, quality_level=0.2)):
-            want = reference.features(color, keep, calibration, config)
-            assert_equal(stages.features(color, keep, calibration, config), want)
+            want = reference.features(color, z, calibration, config)
+            assert_equal(stages.features(color, z, calibration, config), want)
 
 
 @given(
     seed=st.integers(0, 2**32 - 1),
     levels=st.sampled_from([2, 3, 5, 256]),
     width=st.sampled_from([3, 31, 33, 64, 70]),
-    share=st.floats(0, 1),
     quality=st.sampled_from([1e-12, 0.01, 0.2, 1.0]),
     distance=st.sampled_from([0.0, 1.0, 2.0**0.5, 3.0, 4.7]),
     coarse=st.integers(1, 6),
 )
 @settings(max_examples=60)
-def test_random_images(seed, levels, width, share, quality, distance, coarse):
+def test_random_images(seed, levels, width, quality, distance, coarse):
     rng = np.random.default_rng(seed)
     size = 2, 24 + seed % 2 * 13, width
     grey = rng.integers(0, levels, size) * (255 // (levels - 1))
     grey = grey.repeat(coarse, 1).repeat(coarse, 2)[:, : size[1], : size[2]].astype(np.uint8)
     config = replace(CORNERS, quality_level=quality, min_distance=distance, max_corners=64)
-    compare(grey, rng.random(size) < share, config)
+    compare(grey, config)

@@ -2,6 +2,8 @@
 
 from dataclasses import replace
 from fractions import Fraction
+from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,12 +21,21 @@ from jaxdet.floor.plane import (
     plane_from_transform,
     unknown_plane,
 )
+from jaxdet.reference._ground import above_floor
 from jaxdet.types import Calibration, GroundPlane, Intrinsics
-from tests.scenes import aligned, assert_equal, level, noise_depth, resized, rotation, small
+from tests.scenes import assert_equal, at_every_pixel, level, noise_depth, resized, rotation, small
 
 BACKENDS = pytest.mark.parametrize("backend", [reference, stages], ids=["reference", "stages"])
 CAMERA = Intrinsics(64, 48, 60.0, 60.0, 31.5, 20.0)
 CALIBRATION = Calibration(CAMERA)
+
+
+def kept(backend: ModuleType, z: np.ndarray, plane: GroundPlane, *given: Any) -> np.ndarray:
+    """Where a stage keeps features, of one at every pixel of images of z ``(B, H, W)``."""
+    found = backend.ground(at_every_pixel(z), plane, *given)
+    return np.asarray(found.kept).reshape(z.shape)
+
+
 WIDE = replace(
     Config(), ground=GroundConfig(min_depth_m=0.001, max_depth_m=60.0, step_height_per_m=0.0)
 )
@@ -38,12 +49,8 @@ def test_range_bounds_are_inclusive(backend):
     config = replace(Config(), ground=GroundConfig(min_depth_m=0.5, max_depth_m=2.0))
     z = np.zeros((1, 48, 64), np.uint16)
     z[0, 0, :6] = 0, 499, 500, 2000, 2001, 65535
-    keep = backend.ground(aligned(z), unknown_plane(1), CALIBRATION, config)
-    assert np.asarray(keep.mask)[0, 0, :6].tolist() == [False, False, True, True, False, False]
-    assert np.asarray(keep.has_depth).tolist() == [True]
-    z[0, 0, 2:4] = 0
-    keep = backend.ground(aligned(z), unknown_plane(1), CALIBRATION, config)
-    assert np.asarray(keep.has_depth).tolist() == [False]
+    found = kept(backend, z, unknown_plane(1), CALIBRATION, config)
+    assert found[0, 0, :6].tolist() == [False, False, True, True, False, False]
 
 
 @BACKENDS
@@ -52,8 +59,8 @@ def test_all_depths_of_fine_units_may_be_too_near(backend):
     for nearest, some in ((0.65, True), (0.8, False)):
         config = replace(Config(), ground=GroundConfig(min_depth_m=nearest))
         fine = Calibration(CAMERA, depth_unit=1e-5)
-        keep = backend.ground(aligned(z), unknown_plane(1), fine, config)
-        assert np.asarray(keep.mask).all() == np.asarray(keep.has_depth).all() == some
+        found = kept(backend, z, unknown_plane(1), fine, config)
+        assert found.all() == found.any() == some
 
 
 @BACKENDS
@@ -62,11 +69,11 @@ def test_level_camera_equals_equation_5_on_every_pixel(backend):
     height, step, unit = Fraction("0.62"), Fraction("0.05"), Fraction("0.001")
     depths = np.unique(np.concatenate([np.arange(1, 4000, 7), [342, 570, 1026, 1710, 2850]]))
     z = np.broadcast_to(depths[:, None, None], (len(depths), 48, 64)).astype(np.uint16)
-    keep = backend.ground(aligned(z), level(len(depths), 0.62), CALIBRATION, WIDE)
+    found = kept(backend, z, level(len(depths), 0.62), CALIBRATION, WIDE)
     bound = [Fraction(60) * (height - step) / (int(d) * unit) for d in depths]
     floor = np.array([[v - 20 >= b for v in range(48)] for b in bound])
     assert 0.05 < floor.mean() < 0.6
-    assert np.array_equal(~np.asarray(keep.mask), np.broadcast_to(floor[:, :, None], z.shape))
+    assert np.array_equal(~found, np.broadcast_to(floor[:, :, None], z.shape))
 
 
 @BACKENDS
@@ -74,9 +81,9 @@ def test_an_exact_tie_is_floor(backend):
     # Row 39 is 19 px under the axis: 60 * 0.57 / 19 = 1.8 m, and 1.799 m is still above.
     z = np.zeros((2, 48, 64), np.uint16)
     z[0, 39], z[1, 39] = 1800, 1799
-    keep = np.asarray(backend.ground(aligned(z), level(2, 0.62), CALIBRATION, WIDE).mask)
-    assert not keep[0, 39].any()
-    assert keep[1, 39].all()
+    found = kept(backend, z, level(2, 0.62), CALIBRATION, WIDE)
+    assert not found[0, 39].any()
+    assert found[1, 39].all()
 
 
 @BACKENDS
@@ -86,7 +93,7 @@ def test_the_step_height_grows_with_depth(backend):
     config = replace(WIDE, ground=replace(WIDE.ground, step_height_per_m=0.01))
     z = np.zeros((2, 48, 64), np.uint16)
     z[0], z[1] = 2000, 4000
-    mask = np.asarray(backend.ground(aligned(z), level(2, 0.62), CALIBRATION, config).mask)
+    mask = kept(backend, z, level(2, 0.62), CALIBRATION, config)
     assert mask[0, :37].all() and not mask[0, 37:].any()
     assert mask[1, :28].all() and not mask[1, 28:].any()
 
@@ -103,12 +110,13 @@ def test_tilted_floor_is_dropped_and_higher_points_are_kept(pitch, roll):
 
     plane = level(3, 0.6, pitch, roll)
     z = np.stack([depth_at(0.0), depth_at(0.045), depth_at(0.056)])
-    keep = reference.ground(aligned(z), plane, CALIBRATION, WIDE)
+    mask = above_floor(z, plane, CALIBRATION, WIDE)
     seen = (z[0] > 0) & (z[0] < 20_000)
     assert seen.sum() > 200
-    assert not keep.mask[0][seen].any()
-    assert not keep.mask[1][seen].any()
-    assert keep.mask[2][seen].all()
+    assert not mask[0][seen].any()
+    assert not mask[1][seen].any()
+    assert mask[2][seen].all()
+    assert np.array_equal(kept(reference, z, plane, CALIBRATION, WIDE), mask)
 
 
 @pytest.mark.parametrize("slope", [0.1, 0.4, -0.1, -0.4])
@@ -198,9 +206,10 @@ def test_twin(device, batch):
     z = noise_depth(batch, camera)
     plane = level(batch, 0.5, 0.2, -0.1)
     plane.height[-1], plane.valid[0] = 0.3, False
-    given = aligned(z), plane, Calibration(camera), Config()
+    given = at_every_pixel(z), plane, Calibration(camera), Config()
+    given[0].valid[:, ::3] = False
     assert_equal(stages.ground(*given), reference.ground(*given))
-    assert reference.ground(*given).mask.any()
+    assert reference.ground(*given).kept.any()
 
 
 # laws
@@ -209,7 +218,7 @@ def test_twin(device, batch):
 def test_a_lower_step_keeps_more(device):
     z = noise_depth(2, CAMERA)
     low = replace(Config(), ground=GroundConfig(step_height_m=0.02))
-    more = np.asarray(stages.ground(aligned(z), level(2), CALIBRATION, low).mask)
-    fewer = np.asarray(stages.ground(aligned(z), level(2), CALIBRATION, Config()).mask)
+    more = kept(stages, z, level(2), CALIBRATION, low)
+    fewer = kept(stages, z, level(2), CALIBRATION, Config())
     assert np.all(more | ~fewer)
     assert more.sum() > fewer.sum()

@@ -10,7 +10,7 @@ import pytest
 from jaxdet.config import FeaturesConfig
 from jaxdet.reference import features
 from jaxdet.stages._corners import corner_settings
-from jaxdet.types import Calibration, Keep
+from jaxdet.types import Calibration
 from jaxdet_kernels.build import HEADERS as FILES
 from jaxdet_kernels.build import INCLUDE
 from tests.scenes import D435_COLOR, resized
@@ -59,19 +59,18 @@ def test_corners_of_both_sources(tmp_path, target):
         grey = rng.integers(0, levels, (height, width)) * (255 // (levels - 1))
         grey = grey.repeat(3, 0).repeat(2, 1)[:height, :width] if trial % 2 else grey
         color = np.repeat(grey[..., None], 3, axis=-1).astype(np.uint8)
-        mask = rng.random((height, width)) < (1.0, 0.3)[trial % 2]
         slots, quality = (40, 1024, 5)[trial % 3], (0.01, 1e-9)[trial % 2]
         config = FeaturesConfig(
             max_corners=slots, quality_level=quality, min_distance=distances[trial % 4]
         )
         case = tmp_path / "case"
         numbers = np.array([height, width, slots, *corner_settings(config)], np.int32)
-        case.write_bytes(numbers.tobytes() + color.tobytes() + mask.tobytes())
+        case.write_bytes(numbers.tobytes() + color.tobytes())
         run = subprocess.run([str(program), str(case)], capture_output=True, text=True)
         assert (run.returncode, run.stderr) == (0, "")
-        keep = Keep(mask[None], np.ones((1, height, width), np.uint16), np.ones(1, bool))
+        z = np.ones((1, height, width), np.uint16)
         camera = Calibration(resized(D435_COLOR, width, height))
-        want = features(color[None], keep, camera, config)
+        want = features(color[None], z, camera, config)
         found = np.array(run.stdout.split(), int)
         assert min(found[0], slots) == want.valid.sum()
         assert (found[0] > slots) == want.overflow[0]

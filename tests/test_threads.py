@@ -11,13 +11,14 @@ import numpy as np
 import pytest
 
 import jaxdet.cores
-from jaxdet import detect, reference, stages
+from jaxdet import detect, reference
 from jaxdet.cores import cores
 from jaxdet.runtime import launch
 from jaxdet.runtime import threads as pool
 from jaxdet.signals import stops_held_back
 from tests.scenes import (
     D435,
+    align_all,
     assert_equal,
     blocks,
     frames,
@@ -47,7 +48,7 @@ def threads(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> 
 @BATCHES
 def test_alignment_does_not_depend_on_the_threads(threads, batch):
     for depth in noise_depth(batch, D435.depth), smooth_depth(batch, D435.depth):
-        assert_equal(stages.align(depth, D435), reference.align(depth, D435))
+        assert_equal(align_all(depth, D435), reference.align(depth, D435))
 
 
 @BATCHES
@@ -97,8 +98,8 @@ def test_an_error_in_a_thread_reaches_the_caller(monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(pool, "on_all_cores", lambda work: plain([work[0], fails]))
         with pytest.raises(jax.errors.JaxRuntimeError, match="in a thread"):
-            jax.block_until_ready(stages.align(depth, small()))
-    assert_equal(stages.align(depth, small()), reference.align(depth, small()))
+            jax.block_until_ready(align_all(depth, small()))
+    assert_equal(align_all(depth, small()), reference.align(depth, small()))
 
 
 def test_threads_of_a_process_are_its_cores_or_as_many_as_xla_has(monkeypatch):
@@ -127,7 +128,7 @@ def test_the_caller_keeps_an_affinity_that_it_chose_later(monkeypatch):
     monkeypatch.setenv("PJRT_NPROC", str(len(allowed)))
     pool._pool.cache_clear()
     depth = noise_depth(4, small().depth)
-    jax.block_until_ready(stages.align(depth, small()))
+    jax.block_until_ready(align_all(depth, small()))
     chosen = {min(allowed)}
     try:
         os.sched_setaffinity(0, chosen)

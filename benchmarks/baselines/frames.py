@@ -3,21 +3,23 @@
 from dataclasses import replace
 from typing import Literal, NamedTuple
 
+import cv2
 import numpy as np
 
 from jaxdet import reference
 from jaxdet.camera import fixed_rays
-from jaxdet.config import MAX_POINTS, Config
+from jaxdet.config import MAX_POINTS, Config, FeaturesConfig
 from jaxdet.floor.plane import down_vector, forward_vector, plane_in_color
 from jaxdet.pipeline import find_floors
+from jaxdet.reference._canny import canny, grey
 from jaxdet.reference._features import lateral
+from jaxdet.reference._ground import above_floor
 from jaxdet.types import (
     Calibration,
     Detections,
     Features,
     Frames,
     GroundPlane,
-    Keep,
     Labels,
     Points,
 )
@@ -59,14 +61,14 @@ def prepare(frames: Frames, config: Config | None = None) -> list[Frame]:
     assert frames.color is not None
     found = find_floors(frames, config, backend="reference").plane
     plane = color_plane(found, calibration)
-    keep = reference.ground(reference.align(frames.depth, calibration), plane, calibration, config)
-    corners = reference.features(frames.color, keep, calibration, config.features)
-    features = _with_grid(corners, keep, calibration)
+    z = reference.align(frames.depth, calibration).z
+    keep = above_floor(z, plane, calibration, config)
+    features = _points(frames.color, z, keep, calibration, config.features)
     return [
         Frame(
             frames.color[b],
-            keep.z[b],
-            keep.mask[b],
+            z[b],
+            keep[b],
             Features(*(a[b : b + 1] for a in features)),
             GroundPlane(*(a[b : b + 1] for a in plane)),
             calibration,
@@ -86,18 +88,37 @@ def color_plane(plane: GroundPlane, calibration: Calibration) -> GroundPlane:
     return plane_in_color(plane, calibration)._replace(ramp_start=start, ramp_slope=slope)
 
 
-def _with_grid(corners: Features, keep: Keep, calibration: Calibration) -> Features:
-    """Corners, then the kept pixels of a grid with square meshes, row by row."""
-    batch, height, width = keep.mask.shape
+def _points(
+    color: np.ndarray,
+    z: np.ndarray,
+    keep: np.ndarray,
+    calibration: Calibration,
+    config: FeaturesConfig,
+) -> Features:
+    """Corners on kept pixels, then the kept pixels of a grid with square meshes, row by row."""
+    batch, height, width = keep.shape
     step = max(1, round(width / GRID_COLUMNS))
-    v, u = np.mgrid[step // 2 : height : step, step // 2 : width : step].astype(np.int32)
-    u, v = (np.broadcast_to(a.ravel(), (batch, a.size)) for a in (u, v))
+    v, u = np.mgrid[step // 2 : height : step, step // 2 : width : step].reshape(2, -1)
+    uv = np.zeros((2, batch, config.max_corners + u.size), np.int32)
+    valid = np.zeros(uv.shape[1:], bool)
+    for b in range(batch):
+        corners = _corners(color[b], keep[b], config)
+        uv[:, b, : len(corners)], valid[b, : len(corners)] = corners.T, True
+    uv[:, :, config.max_corners :] = np.stack([u, v])[:, None]
+    u, v = uv
     frame = np.arange(batch)[:, None]
-    z, kept = keep.z[frame, v, u].astype(np.int32), keep.mask[frame, v, u]
-    x, y = (lateral(ray[v, u], z) for ray in fixed_rays(calibration.image))
-    grid = Features(u, v, x, y, z, kept, kept, corners.overflow)
-    parts = zip(corners[:-1], grid[:-1], strict=True)
-    return Features(*[np.concatenate(part, axis=1) for part in parts], overflow=corners.overflow)
+    valid[:, config.max_corners :] = keep[frame, v, u][:, config.max_corners :]
+    depth = np.where(valid, z[frame, v, u], 0).astype(np.int32)
+    x, y = (lateral(ray[v, u], depth) for ray in fixed_rays(calibration.image))
+    return Features(u, v, x, y, depth, valid, valid, overflow=np.zeros(batch, bool))
+
+
+def _corners(color: np.ndarray, keep: np.ndarray, config: FeaturesConfig) -> np.ndarray:
+    """Column and row ``(n, 2)`` of OpenCV's corners on kept pixels."""
+    edges = canny(grey(color), config.canny_low, config.canny_high)
+    selection = config.max_corners, config.quality_level, config.min_distance
+    found = cv2.goodFeaturesToTrack(edges, *selection, mask=keep.astype(np.uint8))
+    return np.zeros((0, 2), np.int32) if found is None else found[:, 0].astype(np.int32)
 
 
 def points_of(frame: Frame, space: Space = "xz") -> np.ndarray:

@@ -19,6 +19,7 @@ from jaxdet.camera import cell_side
 from jaxdet.config import Config
 from jaxdet.eval import Tally, keep_shares, total
 from jaxdet.pipeline import find_floors
+from jaxdet.reference._ground import above_floor
 
 SOURCES = ("tf", "estimate")
 """What is known before each frame's own depth is looked at: the camera's mount on the robot, or
@@ -71,8 +72,7 @@ def _ground(shot: Shot, source: str, config: Config) -> tuple[np.ndarray, np.nda
     step = ground.step_height_per_m / side
     config = replace(config, ground=replace(ground, step_height_per_m=step))
     aligned = reference.align(frames.depth, frames.calibration)
-    keep = reference.ground(aligned, plane, frames.calibration, config)
-    return keep.mask[0], keep.z[0]
+    return above_floor(aligned.z, plane, frames.calibration, config)[0], aligned.z[0]
 
 
 def tallies_of(lab: Lab) -> dict[Key, list[Tally]]:

@@ -29,6 +29,7 @@ from jaxdet.floor.plane import floor_prior
 from jaxdet.io import Log, open_log
 from jaxdet.pipeline import detect
 from jaxdet.presets import PRESETS
+from jaxdet.reference._ground import above_floor
 from jaxdet.render import canvas
 from jaxdet.render.camera import camera_view, shown_image
 from jaxdet.results.metric import extents, floors
@@ -146,7 +147,7 @@ def _held(task: Task, found: Found) -> tuple[FrameLabels | None, BoxTally]:
     prior = floor_prior(frames, task.config)
     plane = floors(scene, calibration.depth_unit).plane if scene else prior
     plane = color_plane(plane, calibration)
-    kept = np.asarray(reference.ground(aligned, plane, calibration, task.config).mask[0])
+    kept = above_floor(aligned.z, plane, calibration, task.config)[0]
     boxes, nearest, least = found.boxes, found.nearest_m, task.recording.least_iou
     return labels, tally_boxes(labels, boxes, nearest, kept, z_m > 0, least)
 

@@ -33,18 +33,14 @@ def run(lab: Lab) -> Section:
     frames = split_batch(frames_of(shots))
     paper = preset("paper")
     configs = {bounds: with_bounds(paper, bounds) for bounds in CANNY_BOUNDS}
-    keeps = []
-    for frame in frames:
-        aligned = reference.align(frame.depth, frame.calibration)
-        assert frame.plane is not None
-        plane = plane_in_color(frame.plane, frame.calibration)
-        keeps.append(reference.ground(aligned, plane, frame.calibration, paper))
 
     def extract(backend: str, bounds: tuple[int, int], index: int) -> object:
         module = stages if backend == "jax" else reference
         frame, config = frames[index], configs[bounds].features
-        assert frame.color is not None
-        return module.features(frame.color, keeps[index], frame.calibration, config)
+        assert frame.color is not None and frame.plane is not None
+        corners = module.features(frame.color, frame.depth, frame.calibration, config)
+        plane = plane_in_color(frame.plane, frame.calibration)
+        return module.ground(corners, plane, frame.calibration, paper)
 
     def whole(bounds: tuple[int, int], index: int) -> object:
         return detect(frames[index], configs[bounds], backend="jax")

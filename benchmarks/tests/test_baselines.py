@@ -36,6 +36,7 @@ from jaxdet import reference
 from jaxdet.config import MAX_POINTS, ClusterConfig
 from jaxdet.eval import EvalConfig, score
 from jaxdet.presets import preset
+from jaxdet.reference._ground import above_floor
 from jaxdet.sim import sample_frames
 from jaxdet.types import Calibration, Extrinsics, Frames, GroundPlane
 
@@ -199,20 +200,21 @@ def test_prepare_is_the_pipeline():
     prepared = prepare(frames)
     assert len(prepared) == 1
     aligned = reference.align(frames.depth, CALIBRATION)
-    keep = reference.ground(aligned, plane, CALIBRATION, CONFIG)
-    expected = reference.features(color, keep, CALIBRATION, CONFIG.features)
-    corners, found = expected.u.shape[1], prepared[0].features
-    for got, want in zip(found[:-1], expected[:-1], strict=True):
-        np.testing.assert_array_equal(got[:, :corners], want[:1])
-    np.testing.assert_array_equal(prepared[0].keep, keep.mask[0])
+    keep = above_floor(aligned.z, plane, CALIBRATION, CONFIG)
+    corners, found = CONFIG.features.max_corners, prepared[0].features
+    u, v, valid = (a[0, :corners] for a in (found.u, found.v, found.valid))
+    assert valid.sum() > 50 and keep[0, v[valid], u[valid]].all()
+    np.testing.assert_array_equal(found.z[0, :corners][valid], aligned.z[0, v[valid], u[valid]])
+    np.testing.assert_array_equal(prepared[0].keep, keep[0])
     n = int(found.kept[0].sum())
     assert points_of(prepared[0]).shape == (n, 2) and points_of(prepared[0], "xyz").shape == (n, 3)
 
     # Every second pixel of 160 columns, row by row.
     u, v, x, y, z = (a[0, corners:] for a in found[:5])
     assert u[:81].tolist() == [*range(1, 160, 2), 1] and v[79:81].tolist() == [1, 3]
-    np.testing.assert_array_equal(found.kept[0, corners:], keep.mask[0, 1::2, 1::2].ravel())
-    np.testing.assert_array_equal(z, depth[1::2, 1::2].ravel())
+    np.testing.assert_array_equal(found.kept[0, corners:], keep[0, 1::2, 1::2].ravel())
+    on_grid = np.where(keep[0], depth, 0)[1::2, 1::2].ravel()
+    np.testing.assert_array_equal(z, on_grid)
     for place, pixel, centre in ((x, u, 79.5), (y, v, 59.5)):
         assert np.abs(place - (pixel - centre) / 120 * z).max() <= 1
 
@@ -236,8 +238,8 @@ def test_each_frame_corrects_its_floor():
     assert want.own[0] and prepared.plane == plane
     assert abs(want.plane.pitch[0] - pitch) < np.radians(1)
     aligned = reference.align(frames.depth, frames.calibration)
-    keep = reference.ground(aligned, plane, frames.calibration, CONFIG)
-    np.testing.assert_array_equal(prepared.keep, keep.mask[0])
+    keep = above_floor(aligned.z, plane, frames.calibration, CONFIG)
+    np.testing.assert_array_equal(prepared.keep, keep[0])
 
 
 def test_ramps_begin_at_the_same_place_for_both_cameras():

@@ -39,7 +39,7 @@ def test_settings_are_those_of_their_parts():
     config = choose.with_settings(preset("paper"), choose.FIRST)
     assert (config.features.canny_low, config.features.canny_high) == (100.0, 200.0)
     assert (config.cluster.min_points, config.cluster.depth_gap_m) == (10, 0.1)
-    assert config.cluster.points and not config.features.use_mask
+    assert config.cluster.points
     for name in choose.GRID:
         assert hasattr(config.features, name) != hasattr(config.cluster, name)
 

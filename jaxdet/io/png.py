@@ -1,4 +1,4 @@
-"""PNG files to RGB, by OpenCV, and to 16-bit depth, within the bounds of the image that is expected.
+"""PNG files to RGB, by OpenCV, and to 16-bit depth, within the bounds of the expected image.
 
 Source: Portable Network Graphics Specification, Second Edition. Every chunk's CRC and the
 Adler-32 of the pixels are checked. Palettes, fewer than 8 bits a sample and interlaced files are

@@ -49,22 +49,17 @@ def _window_sum(values: np.ndarray) -> np.ndarray:
 
 
 def strongest_corners(
-    strength: np.ndarray,
-    allowed: np.ndarray | None,
-    max_corners: int,
-    quality_level: float,
-    min_distance: float,
+    strength: np.ndarray, max_corners: int, quality_level: float, min_distance: float
 ) -> np.ndarray:
     """Return the strongest local maxima with a minimum distance, as ``cv2.goodFeaturesToTrack``.
 
     A corner is not on the image border, is stronger than ``quality_level`` times the strongest
-    allowed pixel, and is the maximum of its 3x3 window (all of a plateau are). In order of
+    pixel, and is the maximum of its 3x3 window (all of a plateau are). In order of
     falling strength, ties by falling raster position, a corner is taken unless one already
     taken is nearer than ``min_distance``.
 
     Args:
         strength: ``(H, W)`` float32, from :func:`corner_strength`.
-        allowed: ``(H, W)`` bool, or None for everywhere.
         max_corners: Stop after this many; 0 = no limit.
         quality_level: Share of the strongest corner's strength.
         min_distance: Least distance of two corners [pixel]; below 1: none.
@@ -72,13 +67,9 @@ def strongest_corners(
     Returns:
         ``(n, 2)`` int32, column and row, strongest first.
     """
-    if allowed is None:
-        allowed = np.ones(strength.shape, bool)
-    if not allowed.any():
-        return np.zeros((0, 2), np.int32)
-    threshold = f32(f64(strength[allowed].max()) * quality_level)
+    threshold = f32(f64(strength.max()) * quality_level)
     kept = np.where(strength > threshold, strength, f32(0))
-    is_corner = allowed & (kept != 0) & (kept == _window_maximum(kept))
+    is_corner = (kept != 0) & (kept == _window_maximum(kept))
     is_corner[[0, -1]] = False
     is_corner[:, [0, -1]] = False
     position = np.flatnonzero(is_corner)

@@ -1,72 +1,53 @@
-"""Stage 3, features: corners of the edge image, with depth (Section 3.2)."""
+"""Stage 2, features: corners of the edge image, with depth (Section 3.2)."""
 
 import numpy as np
 
 from jaxdet.camera import RAY_BITS, fixed_rays
 from jaxdet.config import FeaturesConfig
+from jaxdet.reference._align import align
 from jaxdet.reference._canny import canny, grey
 from jaxdet.reference._corners import corner_strength, strongest_corners
-from jaxdet.types import Calibration, Features, Keep
+from jaxdet.types import Calibration, Features
 
 
 def features(
-    color: np.ndarray,
-    keep: Keep,
-    calibration: Calibration,
-    config: FeaturesConfig,
+    color: np.ndarray, depth: np.ndarray, calibration: Calibration, config: FeaturesConfig
 ) -> Features:
-    """Finds the strongest Shi-Tomasi corners of the Canny edge image and looks up their depth.
+    """Find the strongest Shi-Tomasi corners of the Canny edge image and look up their depth.
 
-    With ``config.use_mask`` corners are taken only where ``keep`` allows, so that floor texture
-    and far clutter don't use up the slots; else (the paper's order) points are dropped after
-    the selection. ``x = (u - c_x) z / f_x`` and y likewise, undistorted, rounded to whole depth
-    units (:func:`lateral`).
+    ``x = (u - c_x) z / f_x`` and y likewise, undistorted, rounded to whole depth units
+    (:func:`lateral`).
 
     Args:
         color: ``(B, H, W, 3)`` uint8, RGB.
-        keep: Where corners may be, and the depth there, from the ground stage.
-        calibration: For the colour camera.
+        depth: ``(B, Hd, Wd)`` uint16 [depth units], 0 = no measurement.
+        calibration: Calibration of the log.
         config: Canny's bounds and the corner selection.
 
     Returns:
-        ``N = config.max_corners`` slots a frame; empty slots are zero.
+        ``N = config.max_corners`` slots per frame; empty slots are zero. All are ``kept``.
     """
-    slots = [
-        _corners(image, mask if config.use_mask else None, config)
-        for image, mask in zip(color, keep.mask, strict=True)
-    ]
     batch, n = len(color), config.max_corners
     u, v = np.zeros((batch, n), np.int32), np.zeros((batch, n), np.int32)
-    valid = np.zeros((batch, n), bool)
-    overflow = np.array([len(corners) > n for corners in slots], bool)
-    for b, corners in enumerate(slots):
+    valid, overflow = np.zeros((batch, n), bool), np.zeros(batch, bool)
+    for b, image in enumerate(color):
+        corners = _corners(image, config)
         count = min(len(corners), n)
         u[b, :count], v[b, :count] = corners[:count].T
         valid[b, :count] = True
-    frame = np.arange(batch)[:, None]
-    z = np.where(valid, keep.z[frame, v, u], 0).astype(np.int32)
+        overflow[b] = len(corners) > n
+    z_image = align(depth, calibration).z
+    z = np.where(valid, z_image[np.arange(batch)[:, None], v, u], 0).astype(np.int32)
     ray_x, ray_y = fixed_rays(calibration.image)
-    return Features(
-        u=u,
-        v=v,
-        x=lateral(ray_x[v, u], z),
-        y=lateral(ray_y[v, u], z),
-        z=z,
-        valid=valid,
-        kept=valid & keep.mask[frame, v, u],
-        overflow=overflow,
-    )
+    x, y = lateral(ray_x[v, u], z), lateral(ray_y[v, u], z)
+    return Features(u, v, x, y, z, valid=valid, kept=valid, overflow=overflow)
 
 
-def _corners(image: np.ndarray, mask: np.ndarray | None, config: FeaturesConfig) -> np.ndarray:
-    """The corners of one frame, one more than there are slots; ``(n, 2)`` int32 column, row."""
+def _corners(image: np.ndarray, config: FeaturesConfig) -> np.ndarray:
+    """Corners of one frame, one more than there are slots; ``(n, 2)`` int32 column, row."""
     edges = canny(grey(image), config.canny_low, config.canny_high)
     return strongest_corners(
-        corner_strength(edges),
-        mask,
-        config.max_corners + 1,
-        config.quality_level,
-        config.min_distance,
+        corner_strength(edges), config.max_corners + 1, config.quality_level, config.min_distance
     )
 
 

@@ -1,8 +1,7 @@
 """Obstacles made of points: the paper's method, step by step."""
 
 from jaxdet.config import Config
-from jaxdet.floor.plane import plane_in_color
-from jaxdet.reference._align import align
+from jaxdet.floor.plane import depth_range, plane_in_color
 from jaxdet.reference._cluster import cluster
 from jaxdet.reference._features import features
 from jaxdet.reference._footprint import footprint
@@ -11,7 +10,7 @@ from jaxdet.types import Detections, Frames, GroundPlane, Points
 
 
 def clusters(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
-    """Align depth, drop the floor, find corners, cluster them by gaps and outline the clusters.
+    """Find corners with depth, drop those on the floor, cluster the rest by gaps and outline it.
 
     Args:
         frames: ``B`` frames with colour; their ``plane`` is not used.
@@ -20,15 +19,17 @@ def clusters(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
     """
     calibration, unit = frames.calibration, frames.calibration.depth_unit
     plane = plane_in_color(plane, calibration)
-    keep = ground(align(frames.depth, calibration), plane, calibration, config)
     assert frames.color is not None
-    corners = features(frames.color, keep, calibration, config.features)
+    corners = features(frames.color, frames.depth, calibration, config.features)
+    corners = ground(corners, plane, calibration, config)
     labels = cluster(corners, unit, config)
     obstacles = footprint(corners, labels, plane, unit, config)
+    nearest, farthest = depth_range(config.ground.min_depth_m, config.ground.max_depth_m, unit)
+    in_range = (frames.depth >= nearest) & (frames.depth <= farthest)
     return Detections(
         labels.num_obstacles,
         corners.overflow,
-        keep.has_depth,
+        in_range.any(axis=(1, 2)),
         obstacles,
         points=Points(corners, labels),
     )

@@ -70,6 +70,25 @@ def _memory(thread: int, words: int) -> Any:
     return _kept[thread]
 
 
+def by_frame(module: Any, kernel: Any, arguments: Sequence[Any], frames: int, scratch: Any) -> None:
+    """Launch a kernel whose threads on the CPU, or teams of threads on CUDA, take frames in turn.
+
+    Args:
+        module: Has ``WIDTH``, the threads of a team.
+        kernel: Takes ``arguments``, ``scratch`` and ``next``, see :func:`on_cores`.
+        arguments: Arrays of Warp's.
+        frames: ``B``.
+        scratch: ``(teams, words)`` int32; the CPU takes only its width.
+    """
+    teams, words = scratch.shape
+    if scratch.device.is_cpu:
+        on_cores(kernel, arguments, frames, words)
+        return
+    memory = scratch.flatten()
+    given, size = [*arguments, memory, memory], teams * module.WIDTH
+    wp.launch(kernel, size, given, device=scratch.device, block_dim=module.WIDTH)
+
+
 class TeamKernel(NamedTuple):
     """A kernel for CUDA whose blocks take the frames of a batch in turn, see ``team.h``.
 

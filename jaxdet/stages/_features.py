@@ -1,4 +1,4 @@
-"""Stage 3, features: Warp kernels and a look-up of depth."""
+"""Stage 2, features: corners by a Warp kernel, and their depth."""
 
 from functools import lru_cache, partial
 from typing import NamedTuple
@@ -11,8 +11,9 @@ from jaxdet.checks import check_size
 from jaxdet.config import FeaturesConfig
 from jaxdet.errors import ConfigError
 from jaxdet.runtime.calls import uninterrupted
-from jaxdet.stages._corners import corner_settings, mask_bits, strongest_corners
-from jaxdet.types import Array, Calibration, Features, Intrinsics, Keep
+from jaxdet.stages import _align
+from jaxdet.stages._corners import corner_settings, strongest_corners
+from jaxdet.types import Array, Calibration, Features, Intrinsics
 from jaxdet_kernels.features import MAX_SIZE
 
 
@@ -30,24 +31,41 @@ def rays(camera: Intrinsics) -> Rays:
 
 
 def features(
-    color: Array,
-    keep: Keep,
-    calibration: Calibration,
-    config: FeaturesConfig,
+    color: Array, depth: Array, calibration: Calibration, config: FeaturesConfig
 ) -> Features:
-    """Equals :func:`jaxdet.reference.features`, in one program.
+    """Return what :func:`jaxdet.reference.features` does, by one program.
 
     Raises:
-        CalibrationError: The images or the mask are not of the colour camera's size.
+        CalibrationError: The images are not of their cameras' sizes.
         ConfigError: That size is not one that the kernels take, see :func:`check_kernels_size`.
     """
     check_kernels_size(calibration.image)
-    for what, images in (("colour", color), ("mask", keep.mask)):
-        check_size(what, images.shape, calibration.image)
-    arrays = rays(calibration.image)
+    check_size("colour", color.shape, calibration.image)
+    check_size("depth", depth.shape, calibration.depth)
+    shared, static = tables(calibration, config)
+    return uninterrupted(on_device, jnp.asarray(color), jnp.asarray(depth), shared, static)
+
+
+class Tables(NamedTuple):
+    """What :func:`on_device` takes of a camera and a configuration."""
+
+    align: _align.Tables
+    rays: Rays
+    corners: jax.Array
+
+
+class Static(NamedTuple):
+    """Sizes that :func:`on_device` is compiled for."""
+
+    moved: tuple[int, int] | None  # the colour image's size; None: depth is aligned already
+    slots: int  # of corners
+
+
+def tables(calibration: Calibration, config: FeaturesConfig) -> tuple[Tables, Static]:
+    """Return the tables on the device, and the sizes."""
     settings = jnp.asarray(corner_settings(config))
-    given = jnp.asarray(color), keep.z, keep.mask, arrays, settings
-    return uninterrupted(on_device, *given, config.max_corners)
+    shared = Tables(_align.tables(calibration), rays(calibration.image), settings)
+    return shared, Static(_align.moved_size(calibration), config.max_corners)
 
 
 def check_kernels_size(camera: Intrinsics) -> None:
@@ -64,36 +82,16 @@ def check_kernels_size(camera: Intrinsics) -> None:
         )
 
 
-@partial(jax.jit, static_argnames="slots")
-def on_device(
-    color: jax.Array,
-    z: jax.Array,
-    keep: jax.Array,
-    arrays: Rays,
-    settings: jax.Array,
-    slots: int,
-) -> Features:
-    """The features, from :func:`rays` and :func:`~jaxdet.stages._corners.corner_settings`."""
+@partial(jax.jit, static_argnames="static")
+def on_device(color: jax.Array, depth: jax.Array, shared: Tables, static: Static) -> Features:
+    """Return the features, from :func:`tables`."""
     with jax.named_scope("features"):
-        found = strongest_corners(color, mask_bits(keep), settings, slots)
-        return _look_up(*found, z, keep, arrays)
-
-
-def _look_up(
-    u: jax.Array,
-    v: jax.Array,
-    count: jax.Array,
-    z: jax.Array,
-    keep: jax.Array,
-    arrays: Rays,
-) -> Features:
-    """The features' depth, coordinates and flags, from their pixels ``(B, N)``."""
-    n = u.shape[1]
-    valid = jnp.arange(n, dtype=jnp.int32)[None, :] < count[:, None]
-    frame = jnp.arange(u.shape[0], dtype=jnp.int32)[:, None]
-    z = jnp.where(valid, z[frame, v, u].astype(jnp.int32), 0)
-    x, y = (lateral(ray[v, u], z) for ray in arrays)
-    return Features(u, v, x, y, z, valid, valid & keep[frame, v, u], overflow=count > n)
+        u, v, count = strongest_corners(color, shared.corners, static.slots)
+        _, z = _align.align_arrays(depth, u, v, shared.align, static.moved)
+        valid = jnp.arange(static.slots, dtype=jnp.int32)[None, :] < count[:, None]
+        z = jnp.where(valid, z.astype(jnp.int32), 0)
+        x, y = (lateral(ray[v, u], z) for ray in shared.rays)
+        return Features(u, v, x, y, z, valid=valid, kept=valid, overflow=count > static.slots)
 
 
 def lateral(ray: jax.Array, z: jax.Array) -> jax.Array:

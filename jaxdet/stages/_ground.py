@@ -1,6 +1,7 @@
-"""Stage 2, ground: one comparison a pixel."""
+"""Stage 3, ground: comparisons of each feature's depth."""
 
 from functools import lru_cache
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -8,24 +9,33 @@ import numpy as np
 
 from jaxdet.config import Config, GroundConfig
 from jaxdet.floor.plane import depth_range, floor_limits
-from jaxdet.types import AlignedDepth, Calibration, GroundPlane, Intrinsics, Keep
+from jaxdet.types import Calibration, Features, GroundPlane, Intrinsics
 
 
 def ground(
-    aligned: AlignedDepth, plane: GroundPlane, calibration: Calibration, config: Config
-) -> Keep:
-    """Equals :func:`jaxdet.reference.ground`.
+    features: Features, plane: GroundPlane, calibration: Calibration, config: Config
+) -> Features:
+    """Return what :func:`jaxdet.reference.ground` does.
 
     What depends on the plane and the calibration is in a table made on the host once
-    (:func:`jaxdet.floor.plane.floor_limits`); here each pixel is compared with it.
+    (:func:`jaxdet.floor.plane.floor_limits`); here each feature is compared with it.
     """
-    return keep(aligned.z, *tables(plane, calibration, config))
+    return keep(features, tables(plane, calibration, config))
 
 
-def tables(
-    plane: GroundPlane, calibration: Calibration, config: Config
-) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
-    """The limits of the different planes, each frame's plane, the nearest and farthest depth.
+class Tables(NamedTuple):
+    """What :func:`keep` takes of the floors and the configuration."""
+
+    limits: jax.Array
+    """``(P, H, W)`` uint16 [depth units], of the different planes."""
+    which: jax.Array
+    """``(B,)`` int32, the plane of each frame."""
+    nearest: jax.Array
+    farthest: jax.Array
+
+
+def tables(plane: GroundPlane, calibration: Calibration, config: Config) -> Tables:
+    """Return the tables on the device.
 
     The last plane is repeated up to a power of two, so that few shapes are compiled.
     """
@@ -36,7 +46,7 @@ def tables(
     limits = _limits(calibration.image, planes, settings, unit)
     bounds = depth_range(settings.min_depth_m, settings.max_depth_m, unit)
     nearest, farthest = (jnp.asarray(np.int32(bound)) for bound in bounds)
-    return limits, jnp.asarray(which.reshape(-1).astype(np.int32)), nearest, farthest
+    return Tables(limits, jnp.asarray(which.reshape(-1).astype(np.int32)), nearest, farthest)
 
 
 @lru_cache(maxsize=8)
@@ -52,16 +62,10 @@ def _limits(
 
 
 @jax.jit
-def keep(
-    z: jax.Array,
-    limits: jax.Array,
-    which: jax.Array,
-    nearest: jax.Array,
-    farthest: jax.Array,
-) -> Keep:
-    """The pixels kept, from :func:`tables`."""
+def keep(features: Features, floors: Tables) -> Features:
+    """Return the features with ``kept``."""
     with jax.named_scope("ground"):
-        depth = z.astype(nearest.dtype)  # in fine units the nearest may be more than 16 bits
-        in_range = (depth >= nearest) & (depth <= farthest)
-        mask = in_range & (z <= limits[which])
-        return Keep(mask, z, in_range.any(axis=(1, 2)))
+        z, limit = features.z, floors.limits[floors.which[:, None], features.v, features.u]
+        in_range = (z >= floors.nearest) & (z <= floors.farthest)
+        kept = features.valid & in_range & (z <= limit.astype(z.dtype))
+        return features._replace(kept=kept)

@@ -9,38 +9,27 @@ import jax.numpy as jnp
 from jaxdet.config import Config
 from jaxdet.floor.plane import ground_axes, plane_in_color
 from jaxdet.runtime.calls import uninterrupted
-from jaxdet.stages import _align, _batches, _cluster, _features, _footprint, _ground
-from jaxdet.stages._corners import corner_settings
-from jaxdet.types import AlignedDepth, Calibration, Detections, Frames, GroundPlane, Points
+from jaxdet.stages import _batches, _cluster, _features, _footprint, _ground
+from jaxdet.types import Calibration, Detections, Frames, GroundPlane, Points
 
 
 class _Tables(NamedTuple):
     """What all frames share: arrays, so that no camera and no setting compiles anew."""
 
-    align: tuple[jax.Array, ...]
-    rays: _features.Rays
-    corners: jax.Array
+    features: _features.Tables
     gaps: jax.Array
     footprint: _footprint.Tables
 
 
-class _Given(NamedTuple):
-    """What is known of the frames' floors."""
-
-    ground: tuple[jax.Array, ...]
-    axes: jax.Array
-
-
 class _Static(NamedTuple):
-    """What a compiled program is for."""
+    """Sizes that the program is compiled for."""
 
-    align: tuple[int, int] | None  # the colour image's size; None: depth is aligned already
-    slots: int  # of corners
+    features: _features.Static
     most: int  # obstacles that there is room for
 
 
 def clusters(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
-    """Align depth, drop the floor, find corners, cluster them by gaps and outline the clusters.
+    """Find corners with depth, drop those on the floor, cluster the rest by gaps and outline it.
 
     Args:
         frames: ``B`` frames with colour; images on the host or already on a device.
@@ -56,42 +45,40 @@ def clusters(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
 
     def run(images: tuple[Any, ...], known: GroundPlane) -> Detections:
         ground = _ground.tables(known, frames.calibration, config)
-        given = _Given(ground, jnp.asarray(ground_axes(known)))
-        return uninterrupted(_detect, *images, (shared, given), static)
+        axes = jnp.asarray(ground_axes(known))
+        return uninterrupted(_detect, *images, (shared, ground, axes), static)
 
     return _batches.in_parts(run, (frames.color, frames.depth), plane, staged=True)
 
 
 @lru_cache(maxsize=8)
 def _tables(calibration: Calibration, config: Config) -> tuple[_Tables, _Static]:
-    """The arrays on the device, and what is compiled for; no alignment of what is aligned."""
-    unit, slots, size, align = calibration.depth_unit, config.features.max_corners, None, ()
-    if not calibration.is_aligned:
-        align = _align.tables(calibration)
-        size = calibration.image.height, calibration.image.width
-    made = _Tables(
-        tuple(align),
-        _features.rays(calibration.image),
-        jnp.asarray(corner_settings(config.features)),
-        jnp.asarray(_cluster.gap_settings(config.cluster, unit)),
-        _footprint.tables(config.footprint, unit),
-    )
-    return made, _Static(size, slots, _cluster.most_obstacles(slots, config.cluster))
+    """The arrays on the device, and the sizes."""
+    unit = calibration.depth_unit
+    features, sizes = _features.tables(calibration, config.features)
+    gaps = jnp.asarray(_cluster.gap_settings(config.cluster, unit))
+    made = _Tables(features, gaps, _footprint.tables(config.footprint, unit))
+    return made, _Static(sizes, _cluster.most_obstacles(sizes.slots, config.cluster))
 
 
 @partial(jax.jit, static_argnames="static")
 def _detect(
-    color: jax.Array, depth: jax.Array, given: tuple[_Tables, _Given], static: _Static
+    color: jax.Array,
+    depth: jax.Array,
+    given: tuple[_Tables, _ground.Tables, jax.Array],
+    static: _Static,
 ) -> Detections:
-    tables, floor = given
-    aligned = AlignedDepth(depth, depth)
-    if static.align is not None:
-        aligned = AlignedDepth(*_align.align_arrays(depth, *tables.align, static.align))
-    keep = _ground.keep(aligned.z, *floor.ground)
-    corners = _features.on_device(
-        color, keep.z, keep.mask, tables.rays, tables.corners, static.slots
-    )
+    tables, ground, axes = given
+    corners = _features.on_device(color, depth, tables.features, static.features)
+    corners = _ground.keep(corners, ground)
     labels = _cluster.labels(corners, tables.gaps, static.most)
-    obstacles = _footprint.obstacles(corners, labels, floor.axes, tables.footprint, static.most)
-    count, points = labels.num_obstacles, Points(corners, labels)
-    return Detections(count, corners.overflow, keep.has_depth, obstacles, points=points)
+    obstacles = _footprint.obstacles(corners, labels, axes, tables.footprint, static.most)
+    units = depth.astype(ground.nearest.dtype)  # in fine units the nearest may be above 16 bits
+    in_range = (units >= ground.nearest) & (units <= ground.farthest)
+    return Detections(
+        labels.num_obstacles,
+        corners.overflow,
+        in_range.any(axis=(1, 2)),
+        obstacles,
+        points=Points(corners, labels),
+    )

@@ -13,9 +13,8 @@ wp.set_module_options(options("corners.h"))
 WIDTH, BLOCKS = 256, 4
 """Threads of a team on CUDA, and how many teams are on a multiprocessor at once."""
 
-Color, Bits = wp.array4d[wp.uint8], wp.array3d[wp.uint32]
-Words, Rows = wp.array[wp.int32], wp.array2d[wp.int32]
-TYPES = Color, Bits, Words, Rows, Rows, Words, Words
+Color, Rows, Words = wp.array4d[wp.uint8], wp.array2d[wp.int32], wp.array[wp.int32]
+TYPES = Color, Words, Rows, Rows, Words, Rows
 """Of the arrays of a call, those of :func:`corners`."""
 
 MAX_SIZE = 4096  # a row and a column fit in 32 bits
@@ -28,8 +27,7 @@ MAX_SIZE = 4096  # a row and a column fit in 32 bits
     const int slots = u_out.shape[1];
     const Corners corners{height, width, {settings.data}, slots};
     const auto find = [&](size_t b, const Team& team, Corners::Shared& shared, int* own) {
-        corners.run(team, shared, color.data + 3 * b * height * width,
-                    mask.data + b * height * PixelBits::words(width), own,
+        corners.run(team, shared, color.data + 3 * b * height * width, own,
                     u_out.data + b * slots, v_out.data + b * slots, found_out.data + b);
     };
 #if defined(__CUDA_ARCH__)
@@ -50,7 +48,6 @@ MAX_SIZE = 4096  # a row and a column fit in 32 bits
 def _corners(
     tid: int,
     color: Color,
-    mask: Bits,
     settings: Words,
     u_out: Rows,
     v_out: Rows,
@@ -63,8 +60,7 @@ def _corners(
 @wp.kernel(launch_bounds=(WIDTH, BLOCKS))
 def corners(
     color: Color,  # (B, H, W, 3) RGB
-    mask: Bits,  # (B, H, words) where corners may be, one bit per pixel
-    settings: Words,  # (6,) see corners.h
+    settings: Words,  # (5,) see corners.h
     u_out: Rows,  # (B, N) columns, strongest corner first; 0 where there is none
     v_out: Rows,  # rows
     found_out: Words,  # (B,) number of corners, at most N + 1
@@ -72,7 +68,7 @@ def corners(
     next: Words,  # (1,) first frame that no thread of the CPU has taken
 ):
     """Take frames until none is left; teams on CUDA take them in turn."""
-    _corners(wp.tid(), color, mask, settings, u_out, v_out, found_out, scratch, next)
+    _corners(wp.tid(), color, settings, u_out, v_out, found_out, scratch, next)
 
 
 @wp.func_native("words.data[0] = jaxdet::Corners::scratch_words(height, width);")

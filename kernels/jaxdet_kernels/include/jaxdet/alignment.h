@@ -1,58 +1,81 @@
-// Depth pixels moved into the colour image, the nearest wins.
+// Depth at some pixels of the colour image: depth pixels are moved there, and the nearest wins.
 // Twin of jaxdet/reference/_align.py.
 //
 // A key is `depth << 16 | z` (depth in the depth camera, z in the colour camera), so one unsigned
 // minimum decides on both, whatever the order of the writes. z stays below 65535, so that no key
 // equals NOTHING.
 #pragma once
-#include "team.h"
+#include "arena.h"
+#include "pixel_bits.h"
 #include "projection.h"
+#include "warp.h"
 
 namespace jaxdet { namespace {
 
-// A block's tile of an image of a batch, on CUDA. Tiles of an image follow each other row by row.
-struct ImageTile {
-    int image, top, left;
-
-    ImageTile(const Team& team, int rows, int columns, int height, int width) {
-        const int across = (width + columns - 1) / columns;
-        const int tiles = across * ((height + rows - 1) / rows), tile = team.index % tiles;
-        image = team.index / tiles;
-        top = tile / across * rows;
-        left = tile % across * columns;
-    }
-};
-
 struct Alignment {
     enum : unsigned { NOTHING = 0xFFFFFFFFu };
+    enum {
+        NEAR_WORDS = 480 * 640 / 32,  // words of an image of bits in the nearest memory
+        REACH = 4  // a box that covers no more columns and rows is looked up by its first pixel
+    };
     const unsigned short* depth;       // (rows, columns)
     int rows, columns;
     const float *corner_x, *corner_y;  // (rows + 1, columns + 1)
     Projection projection;
     int fills;                         // 1 where a pixel covers all between its corners, else 0.
     int height, width;                 // Of the colour image.
-    unsigned* keys;                    // (height, width)
+    // Scratch memory: a bit for pixels up to REACH before a wanted one, in both directions; and the
+    // keys, which are valid for wanted pixels alone.
+    unsigned *wanted, *keys;           // (height, PixelBits::words(width)), (height, width)
 
-    // `parameters` are those of the projection, then the lens and `fills`.
-    static Alignment of(
-        const float* parameters, const unsigned short* depth, int rows, int columns,
-        const float* corner_x, const float* corner_y, int height, int width, unsigned* keys
-    ) {
-        const int fills = static_cast<int>(parameters[Projection::PARAMETERS + 1]);
-        const Projection projection = Projection::of(parameters);
-        return {depth, rows, columns, corner_x, corner_y, projection, fills, height, width, keys};
+    static int scratch_words(int height, int width) {
+        return height * (PixelBits::words(width) + width);
     }
 
-    // The colour pixels that a depth pixel covers, inside of the image.
+    // `parameters` are those of the projection, then the lens, `fills`, height and width. `near` has
+    // NEAR_WORDS.
+    static Alignment of(
+        const float* parameters, const unsigned short* depth, int rows, int columns,
+        const float* corner_x, const float* corner_y, unsigned* near, int* own
+    ) {
+        const float* const more = parameters + Projection::PARAMETERS + 1;
+        const int fills = (int)more[0], height = (int)more[1], width = (int)more[2];
+        const int words = height * PixelBits::words(width);
+        unsigned *const wanted = (unsigned*)own, *const keys = wanted + words;
+        return {depth, rows, columns, corner_x, corner_y, Projection::of(parameters), fills, height,
+                width, words <= NEAR_WORDS ? near : wanted, keys};
+    }
+
+    // Writes the keys of `points` pixels (u, v), 0 where nothing hits.
+    void run(const Team& team, int points, const int* u, const int* v, unsigned* keys_out) const {
+        const int words = PixelBits::words(width);
+        for (int i = team.rank; i < height * words; i += team.size) wanted[i] = 0;
+        team.sync();
+        for (int i = team.rank; i < points; i += team.size) {
+            const int left = u[i] > REACH ? u[i] - REACH : 0, top = v[i] > REACH ? v[i] - REACH : 0;
+            for (int y = top; y <= v[i]; ++y)
+                for (int w = left / 32; w <= u[i] / 32; ++w)
+                    team.atomic_or((int*)wanted + y * words + w, (int)PixelBits::part(w, left, u[i]));
+            keys[(size_t)v[i] * width + u[i]] = NOTHING;
+        }
+        team.sync();
+        lower_all(team);
+        team.sync();
+        for (int i = team.rank; i < points; i += team.size) {
+            const unsigned key = keys[(size_t)v[i] * width + u[i]];
+            keys_out[i] = key == NOTHING ? 0 : key;
+        }
+    }
+
+    // The colour pixels that a depth pixel covers, inside of the image; the key is NOTHING where there
+    // are none.
     struct Box {
         int left, top, right, bottom;
         unsigned key;
-        bool seen;
     };
 
     // `bends` where the colour camera's lens does. There is no branch but for that.
-    __attribute__((always_inline)) Box box(int v, int u, bool bends) const {
-        const int units = depth[(long long)v * columns + u];
+    __attribute__((always_inline)) Box box(int v, int u, int units, bool bends) const {
         const long long one = (long long)v * (columns + 1) + u;
         const long long two = one + fills * (columns + 2);
         Projection::Point first, last;
@@ -63,110 +86,69 @@ struct Alignment {
         const int bottom = last.v < height - 1 ? last.v : height - 1;
         const bool seen =
             (units > 0) & first.seen & last.seen & (left <= right) & (top <= bottom);
-        return {left, top, right, bottom, (unsigned)units << 16 | (unsigned)first.z, seen};
+        const unsigned key = (unsigned)units << 16 | (unsigned)first.z;
+        return {left, top, right, bottom, seen ? key : (unsigned)NOTHING};
+    }
+
+    // Lowers the keys of a box, if it may cover a wanted pixel.
+    __attribute__((always_inline)) void lower(const Team& team, const Box& box) const {
+        if (box.key == NOTHING) return;
+        const bool large = (box.right - box.left > REACH) | (box.bottom - box.top > REACH);
+        const unsigned bits = wanted[box.top * PixelBits::words(width) + box.left / 32];
+        if (!(large | (bits >> (box.left & 31) & 1))) return;
+        for (int y = box.top; y <= box.bottom; ++y)
+            for (int x = box.left; x <= box.right; ++x)
+                team.atomic_min(keys + (size_t)y * width + x, box.key);
     }
 
 #if defined(__CUDA_ARCH__)
-    // A block of 256 threads lowers the keys by the pixels of one tile of the depth image. It
-    // gathers the tile's hits in shared memory, so that each colour pixel is lowered once; where
-    // they spread too far, straight in the image.
-    enum { TILE_ROWS = 16, TILE_COLUMNS = 32, PIXELS = 2, THREADS = 256, CAPACITY = 8192 };
-
-    void lower_by_tile(const Team& team, const ImageTile& tile) const {
-        __shared__ uint4 shared[CAPACITY / 4];
-        __shared__ int bounds[4];
-        unsigned* hits = (unsigned*)shared;
-        const int v = tile.top + team.rank / TILE_COLUMNS;
-        const int u = tile.left + team.rank % TILE_COLUMNS;
+    // A warp takes a row. Loads of AHEAD pixels wait together.
+    void lower_all(const Team& team) const {
+        enum { AHEAD = 4 };
+        const Warp warp(team);
         const bool bends = projection.model != Projection::PINHOLE;
-        Box boxes[PIXELS];
-        int left = 1 << 30, top = 1 << 30, right = -1, bottom = -1;
-        if (team.rank == 0) {
-            bounds[0] = bounds[1] = 1 << 30;
-            bounds[2] = bounds[3] = -1;
-        }
-        #pragma unroll
-        for (int k = 0; k < PIXELS; ++k) {
-            const int row = v + k * (TILE_ROWS / PIXELS);
-            boxes[k].seen = false;
-            if (row >= rows || u >= columns || !depth[(long long)row * columns + u]) continue;
-            boxes[k] = box(row, u, bends);
-            if (!boxes[k].seen) continue;
-            left = min(left, boxes[k].left);
-            top = min(top, boxes[k].top);
-            right = max(right, boxes[k].right);
-            bottom = max(bottom, boxes[k].bottom);
-        }
-        left = __reduce_min_sync(0xffffffffu, left);
-        top = __reduce_min_sync(0xffffffffu, top);
-        right = __reduce_max_sync(0xffffffffu, right);
-        bottom = __reduce_max_sync(0xffffffffu, bottom);
-        team.sync();
-        if (team.rank % 32 == 0 && right >= 0) {
-            atomicMin(&bounds[0], left);
-            atomicMin(&bounds[1], top);
-            atomicMax(&bounds[2], right);
-            atomicMax(&bounds[3], bottom);
-        }
-        team.sync();
-        const int first_u = bounds[0], first_v = bounds[1];
-        const int wide = bounds[2] - first_u + 1, tall = bounds[3] - first_v + 1;
-        if (bounds[2] < 0) return;  // All threads alike.
-        unsigned* corner = keys + (long long)first_v * width + first_u;
-        // Rows as long as a power of two, so that places and pixels need no division.
-        const int bits = wide <= 32 ? 5 : wide <= 64 ? 6 : wide <= 128 ? 7 : 8, pitch = 1 << bits;
-        if (wide > pitch || tall > CAPACITY >> bits) {
-            lower(boxes, corner, width, first_u, first_v);
-            return;
-        }
-        const uint4 nothing = make_uint4(NOTHING, NOTHING, NOTHING, NOTHING);
-        for (int i = team.rank; i < tall << (bits - 2); i += team.size) shared[i] = nothing;
-        team.sync();
-        lower(boxes, hits, pitch, first_u, first_v);
-        team.sync();
-        for (int i = team.rank; i < tall << bits; i += team.size) {
-            const unsigned hit = hits[i];
-            if (hit != NOTHING)
-                atomicMin(corner + (long long)(i >> bits) * width + (i & (pitch - 1)), hit);
-        }
-    }
-
-    // Lowers the keys of boxes in an image whose first pixel is (first_v, first_u).
-    void lower(const Box* boxes, unsigned* image, int pitch, int first_u, int first_v) const {
-        #pragma unroll
-        for (int k = 0; k < PIXELS; ++k) {
-            const Box& at = boxes[k];
-            if (!at.seen) continue;
-            const int more = at.right - at.left, down = at.bottom - at.top;
-            unsigned* place =
-                image + (long long)(at.top - first_v) * pitch + (at.left - first_u);
-            if (more <= 2 && down <= 2) {
+        for (int v = warp.index; v < rows; v += warp.count)
+            for (int first = warp.lane; first < columns; first += AHEAD * warp.size) {
+                int units[AHEAD];
                 #pragma unroll
-                for (int i = 0; i < 9; ++i)
-                    if (i / 3 <= down && i % 3 <= more)
-                        atomicMin(place + i / 3 * pitch + i % 3, at.key);
-            } else {
-                for (int row = 0; row <= down; ++row)
-                    for (int column = 0; column <= more; ++column)
-                        atomicMin(place + (long long)row * pitch + column, at.key);
+                for (int k = 0; k < AHEAD; ++k) {
+                    const int u = first + k * warp.size;
+                    units[k] = u < columns ? __ldg(depth + (size_t)v * columns + u) : 0;
+                }
+                #pragma unroll
+                for (int k = 0; k < AHEAD; ++k) {
+                    if (!units[k]) continue;
+                    lower(team, box(v, first + k * warp.size, units[k], bends));
+                }
             }
-        }
     }
 #else
-    // Some depth pixels of a row. The rows they cover are `top << 16 | bottom`, -1: not seen.
-    enum { CHUNK = 512, LINES = 4, FEW = 4, WIDE = 16, SPARE = FEW + WIDE };
+    // Boxes of some depth pixels of a row.
+    enum { CHUNK = 512 };
 
     struct Boxes {
-        int left[CHUNK], right[CHUNK], span[CHUNK];
+        int left[CHUNK], top[CHUNK], right[CHUNK], bottom[CHUNK];
         unsigned key[CHUNK];
 
         void set(int i, const Box& box) {
             left[i] = box.left;
+            top[i] = box.top;
             right[i] = box.right;
-            span[i] = box.seen ? box.top << 16 | box.bottom : -1;
+            bottom[i] = box.bottom;
             key[i] = box.key;
         }
+        Box at(int i) const { return {left[i], top[i], right[i], bottom[i], key[i]}; }
     };
+
+    void lower_all(const Team& team) const {
+        Boxes boxes;
+        for (int v = 0; v < rows; ++v)
+            for (int u = 0; u < columns; u += CHUNK) {
+                const int count = columns - u < CHUNK ? columns - u : (int)CHUNK;
+                project(v, u, count, boxes);
+                for (int i = 0; i < count; ++i) lower(team, boxes.at(i));
+            }
+    }
 
     // A loop for each lens model, which the compiler turns into vector instructions.
     void project(int v, int u, int count, Boxes& __restrict__ boxes) const {
@@ -184,97 +166,9 @@ struct Alignment {
         float parameters[Projection::PARAMETERS];
         for (int i = 0; i < Projection::PARAMETERS; ++i) parameters[i] = projection.p[i];
         here.projection = {parameters, model};
+        const unsigned short* const line = depth + (size_t)v * columns;
         for (int i = 0; i < count; ++i)
-            boxes.set(i, here.box(v, u + i, model != Projection::PINHOLE));
-    }
-
-    // Depth pixels that cover the same colour rows lower a line of keys in common, one pixel after
-    // the other; the line then lowers all of those rows, in vectors. Where a row's end flickers
-    // between two, both of its lines stay in use.
-    struct Line {
-        unsigned* keys;  // (width + SPARE), NOTHING outside of the columns from `first` to `last`.
-        int span, first, last;
-
-        void empty(int width) {
-            first = width;
-            last = -1;
-        }
-
-        // Lowers the columns from `left` to `right`: the first few without a branch.
-        void lower(unsigned key, int left, int right) const {
-            for (int j = 0; j < FEW; ++j) {
-                const unsigned mine = left + j <= right ? key : (unsigned)NOTHING;
-                unsigned& place = keys[left + j];
-                place = mine < place ? mine : place;
-            }
-            for (int j = left + FEW; j <= right; ++j) keys[j] = key < keys[j] ? key : keys[j];
-        }
-
-        static void lower_wide(const unsigned* __restrict__ line, unsigned* __restrict__ row) {
-            for (int k = 0; k < WIDE; ++k) row[k] = line[k] < row[k] ? line[k] : row[k];
-        }
-
-        // Lowers the rows, WIDE columns at a time, and the line is empty.
-        void lower_rows(unsigned* image, int width) {
-            for (int i = span >> 16; i <= (span & 0xFFFF); ++i)
-                for (int j = first; j <= last; j += WIDE)
-                    lower_wide(keys + j, image + (long long)i * width + j);
-            for (int j = first; j <= last; j += WIDE)
-                for (int k = 0; k < WIDE; ++k) keys[j + k] = NOTHING;
-            empty(width);
-        }
-    };
-
-    void lower_lines(const Boxes& boxes, int count, Line* lines) const {
-        for (int i = 0; i < count;) {
-            const int span = boxes.span[i];
-            if (span < 0) {
-                ++i;
-                continue;
-            }
-            Line& line = lines[(span >> 15 & 2) | (span & 1)];
-            if (span != line.span) {
-                line.lower_rows(keys, width);
-                line.span = span;
-            }
-            int first = line.first, last = line.last;
-            do {
-                const int left = boxes.left[i], right = boxes.right[i];
-                first = left < first ? left : first;
-                last = right > last ? right : last;
-                line.lower(boxes.key[i], left, right);
-                ++i;
-            } while (i < count && boxes.span[i] == span);
-            line.first = first;
-            line.last = last;
-        }
-    }
-
-    // The whole frame. `keys` has SPARE more; `scratch` has LINES * (width + SPARE).
-    void run(unsigned* scratch, unsigned short* depth_out, unsigned short* z_out) const {
-        const long long pixels = (long long)height * width;
-        for (long long i = 0; i < pixels + SPARE; ++i) keys[i] = NOTHING;
-        for (int i = 0; i < LINES * (width + SPARE); ++i) scratch[i] = NOTHING;
-        Line lines[LINES];
-        for (int k = 0; k < LINES; ++k) {
-            lines[k].keys = scratch + k * (width + SPARE);
-            lines[k].span = -1;
-            lines[k].empty(width);
-        }
-        Boxes boxes;
-        for (int v = 0; v < rows; ++v) {
-            for (int u = 0; u < columns; u += CHUNK) {
-                const int count = columns - u < CHUNK ? columns - u : CHUNK;
-                project(v, u, count, boxes);
-                lower_lines(boxes, count, lines);
-            }
-        }
-        for (int k = 0; k < LINES; ++k) lines[k].lower_rows(keys, width);
-        for (long long i = 0; i < pixels; ++i) {
-            const unsigned key = keys[i] == NOTHING ? 0 : keys[i];
-            depth_out[i] = (unsigned short)(key >> 16);
-            z_out[i] = (unsigned short)key;
-        }
+            boxes.set(i, here.box(v, u + i, line[u + i], model != Projection::PINHOLE));
     }
 #endif
 };

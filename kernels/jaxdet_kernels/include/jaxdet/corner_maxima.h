@@ -1,5 +1,4 @@
-// Local maxima of the corner strength of an edge image, where a mask allows them. Twin of
-// `strongest_corners` in jaxdet/reference/_corners.py, but for the minimum distance: see
+// Local maxima of the corner strength of an edge image. Twin of `strongest_corners` in jaxdet/reference/_corners.py, but for the minimum distance: see
 // corner_selection.h.
 #pragma once
 #include "corner_strength.h"
@@ -14,10 +13,8 @@ struct CornerMaxima {
     typedef unsigned long long Key;  // strength << 32 | place
 
     const unsigned* edges;    // (height, outer_words(width)), from `mirror`
-    const unsigned* allowed;  // (height, PixelBits::words(width))
     int height, width;
-    bool everywhere;          // corners may be everywhere, whatever the mask is
-    double quality;           // share of the strongest allowed strength that a corner exceeds
+    double quality;           // share of the strongest strength that a corner exceeds
     // Scratch memory.
     int* list;                // (height * PixelBits::words(width)) words that may have corners
     int* strength;            // (strengths(height, width)) bits of floats, 0 where there is no corner
@@ -89,10 +86,6 @@ struct CornerMaxima {
         return (float)((double)strongest.value * quality);
     }
 
-    unsigned allowed_in(int y, int w) const {
-        return PixelBits::inside(w, width) & (everywhere ? ~0u : allowed[(size_t)y * words() + w]);
-    }
-
     // A word of row y, the two rows above it and the two below, and two more columns at both sides: bit
     // j is column 32 w - 2 + j. Rows outside of the image are mirrored.
     struct Around {
@@ -116,7 +109,7 @@ struct CornerMaxima {
         }
     };
 
-    // Writes the strengths of a word of row y, and raises the strongest to those allowed.
+    // Writes the strengths of a word of row y, and raises the strongest to them.
     void measure(const Warp& warp, int y, int w, Columns& columns, int* strongest) const {
         int* out = strength + ((size_t)y * words() + w) * WORD;
         const Around around(*this, y, w);
@@ -129,7 +122,7 @@ struct CornerMaxima {
         for (int c = warp.lane; c < WORD + 2; c += warp.size) {
             const int a = (int)(rows[0] >> c), b = (int)(rows[1] >> c), o = (int)(rows[2] >> c);
             const int d = (int)(rows[3] >> c), e = (int)(rows[4] >> c);
-            const int inside = (c >= first) & (c <= last) ? 1 : -1;
+            const int inside = ((c >= first) & (c <= last)) ? 1 : -1;
             GradientSums sums;
             sums.add(a, b, o, top * inside);
             sums.add(b, o, d, inside);
@@ -139,7 +132,6 @@ struct CornerMaxima {
             columns.xy[c] = sums.xy;
         }
         warp.sync();
-        const unsigned may = allowed_in(y, w);
         int most = *strongest;
         for (int l = warp.lane; l < WORD; l += warp.size) {
             const unsigned* xx = columns.xx + l;
@@ -148,7 +140,7 @@ struct CornerMaxima {
             const int found = CornerStrength::of(xx[0] + xx[1] + xx[2], xy[0] + xy[1] + xy[2],
                                                  yy[0] + yy[1] + yy[2]);
             out[l] = some >> l & 1 ? found : 0;
-            most = greater(most, may >> l & 1 ? out[l] : 0);
+            most = greater(most, out[l]);
         }
         warp.sync();
         *strongest = most;
@@ -168,7 +160,7 @@ struct CornerMaxima {
             const int lower = greater(below[0], greater(below[-1], below[1]));
             return (own[0] > limit) & (own[0] >= greater(sides, greater(upper, lower)));
         });
-        found &= allowed_in(y, w) & PixelBits::inside(w, width - 1);
+        found &= PixelBits::inside(w, width - 1);
         if (w == 0) found &= ~1u;
         for (unsigned left = found; left; left &= left - 1) {
             const int l = BitRows::lowest(left);

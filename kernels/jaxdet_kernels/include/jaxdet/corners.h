@@ -10,7 +10,7 @@ namespace jaxdet { namespace {
 
 // Settings of Canny and of the corners' selection, as jaxdet/stages/_corners.py puts them together.
 struct CornerSettings {
-    enum { LOW, HIGH, LIMIT, QUALITY, EVERYWHERE = QUALITY + 2, COUNT };
+    enum { LOW, HIGH, LIMIT, QUALITY, COUNT = QUALITY + 2 };
     const int* values;  // (COUNT)
 
     // Canny's thresholds, from -1 to 2047, the lower first.
@@ -20,7 +20,7 @@ struct CornerSettings {
     // The square of the least distance of two corners, rounded up; 0: none.
     int limit() const { return values[LIMIT]; }
 
-    // Corners are stronger than this share of the strongest allowed pixel: a double in two words.
+    // Corners are stronger than this share of the strongest pixel: a double in two words.
     double quality() const {
         union {
             unsigned long long bits;
@@ -30,9 +30,6 @@ struct CornerSettings {
         both.bits = both.bits << 32 | (unsigned)values[QUALITY];
         return both.value;
     }
-
-    // Corners may be everywhere, whatever the mask is.
-    bool everywhere() const { return values[EVERYWHERE] != 0; }
 };
 
 struct Corners {
@@ -73,8 +70,8 @@ struct Corners {
     }
 
     // Writes columns and rows, and how many corners there are, at most one more than slots.
-    void run(const Team& team, Shared& shared, const unsigned char* color, const unsigned* allowed,
-             int* own, int* u_out, int* v_out, int* count_out) const {
+    void run(const Team& team, Shared& shared, const unsigned char* color, int* own, int* u_out,
+             int* v_out, int* count_out) const {
         Arena arena{own};
         const Scratch scratch(arena, height, width);
         Canny{color, height, width, given.low(), given.high(), scratch.weak, scratch.edges}
@@ -82,9 +79,9 @@ struct Corners {
         Hysteresis{height, PixelBits::words(width) / 2, (const Word*)scratch.weak,
                    (Word*)scratch.edges}.run(team);
         CornerMaxima::mirror(team, scratch.edges, scratch.mirrored, height, width);
-        const int maxima = CornerMaxima{scratch.mirrored, allowed, height, width,
-                                        given.everywhere(), given.quality(), scratch.list,
-                                        scratch.strength, scratch.keys}.run(team, shared.maxima);
+        const int maxima = CornerMaxima{scratch.mirrored, height, width, given.quality(),
+                                        scratch.list, scratch.strength, scratch.keys}
+            .run(team, shared.maxima);
         const bool fits = height * PixelBits::words(width) <= BLOCKED;
         const int count = CornerSelection{height, width, given.limit(), slots, u_out, v_out,
                                           fits ? shared.blocked : scratch.blocked, scratch.halves,

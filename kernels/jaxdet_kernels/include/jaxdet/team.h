@@ -42,6 +42,7 @@ struct Team {
     int atomic_add(int* place, int value) const { return atomicAdd(place, value); }
     int atomic_min(int* place, int value) const { return atomicMin(place, value); }
     int atomic_max(int* place, int value) const { return atomicMax(place, value); }
+    void atomic_min(unsigned* place, unsigned value) const { atomicMin(place, value); }
     int atomic_or(int* place, int bits) const { return atomicOr(place, bits); }
     int atomic_exchange(int* place, int value) const { return atomicExch(place, value); }
     int atomic_cas(int* place, int expected, int value) const {
@@ -97,6 +98,9 @@ struct Team {
         return *place == expected ? replace(place, value) : *place;
     }
     int atomic_count(int* place) const { return (*place)++; }
+    void atomic_min(unsigned* place, unsigned value) const {
+        *place = value < *place ? value : *place;
+    }
     void atomic_add(unsigned long long* place, unsigned long long value) const { *place += value; }
     void atomic_min(unsigned long long* place, unsigned long long value) const {
         *place = value < *place ? value : *place;
