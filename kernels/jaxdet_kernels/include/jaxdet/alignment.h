@@ -8,7 +8,6 @@
 #include "arena.h"
 #include "pixel_bits.h"
 #include "projection.h"
-#include "warp.h"
 
 namespace jaxdet { namespace {
 
@@ -102,25 +101,12 @@ struct Alignment {
     }
 
 #if defined(__CUDA_ARCH__)
-    // A warp takes a row. Loads of AHEAD pixels wait together.
     void lower_all(const Team& team) const {
-        enum { AHEAD = 4 };
-        const Warp warp(team);
         const bool bends = projection.model != Projection::PINHOLE;
-        for (int v = warp.index; v < rows; v += warp.count)
-            for (int first = warp.lane; first < columns; first += AHEAD * warp.size) {
-                int units[AHEAD];
-                #pragma unroll
-                for (int k = 0; k < AHEAD; ++k) {
-                    const int u = first + k * warp.size;
-                    units[k] = u < columns ? __ldg(depth + (size_t)v * columns + u) : 0;
-                }
-                #pragma unroll
-                for (int k = 0; k < AHEAD; ++k) {
-                    if (!units[k]) continue;
-                    lower(team, box(v, first + k * warp.size, units[k], bends));
-                }
-            }
+        for (int i = team.rank; i < rows * columns; i += team.size) {
+            const int units = __ldg(depth + i);
+            if (units) lower(team, box(i / columns, i % columns, units, bends));
+        }
     }
 #else
     // Boxes of some depth pixels of a row.
