@@ -21,7 +21,7 @@ import pytest
 from rich.console import Console
 
 from jaxdet.cli import main
-from jaxdet.cli.help import FIRST, laid_out, pages, title_of
+from jaxdet.cli.help import laid_out, pages, title_of
 from jaxdet.engine import crew
 from jaxdet.errors import FrameStatus
 from jaxdet.presets import preset
@@ -219,13 +219,13 @@ def test_each_status_is_explained():
 
 def test_each_key_of_the_summary_is_explained():
     text = DOCUMENTS["runs"].read_text(encoding="utf-8")
-    told = {**Summary("jax", 1).to_dict(), **LogSummary("a", ()).to_dict()}
-    assert [key for key in told if f"`{key}`" not in text] == []
+    keys = {**Summary("jax", 1).to_dict(), **LogSummary("a", ()).to_dict()}
+    assert [key for key in keys if f"`{key}`" not in text] == []
 
 
 def test_pages_that_are_named_are_there():
     found = pages()
-    assert [*found][: len(FIRST)] == list(FIRST)
+    assert {*found} == {path.stem for path in (ROOT / "jaxdet/help").glob("*.md")}
     for path in DOCUMENTS.values():
         for name in re.findall(r"`jaxdet help (\w+)`", path.read_text(encoding="utf-8")):
             assert name in found

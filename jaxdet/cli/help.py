@@ -13,11 +13,12 @@ from jaxdet.errors import ConfigError, meant
 if TYPE_CHECKING:
     from rich.markdown import Markdown
 
-FIRST = (
-    *("logs", "calibration", "tuning", "tables", "queries", "exports", "tracks", "runs", "recipes"),
-    "api",
-)
-"""Pages in the order in which one needs them; the others follow by name."""
+KINDS = {
+    "guide": ("start", "logs", "calibration", "tuning", "tracks", "exports", "recipes", "fleets"),
+    "reference": ("tables", "queries", "runs", "api"),
+    "background": ("method", "paper"),
+}
+"""All pages, by kind and in the order of need."""
 
 
 def main(args: list[str]) -> int:
@@ -31,8 +32,10 @@ def main(args: list[str]) -> int:
         command: Callable[[list[str]], int] = import_module(f"jaxdet.cli.{args[0]}").main
         return command(["--help"])
     if not args or args[0] in ("-h", "--help"):
-        print("usage: jaxdet help PAGE or COMMAND\n\npages:")
-        print("\n".join(f"  {name:<12} {title_of(text)}" for name, text in texts.items()))
+        print("usage: jaxdet help PAGE or COMMAND")
+        for kind, names in KINDS.items():
+            print(f"\n{kind}:")
+            print("\n".join(f"  {name:<12} {title_of(texts[name])}" for name in names))
         print("\ncommands:")
         print("\n".join(f"  {name:<12} {text}" for name, text in COMMANDS.items()))
         return 0
@@ -47,13 +50,8 @@ def main(args: list[str]) -> int:
 def pages() -> dict[str, str]:
     """The pages as Markdown, by name."""
     folder = files("jaxdet") / "help"
-    found = {
-        item.name.removesuffix(".md"): item.read_text(encoding="utf-8")
-        for item in folder.iterdir()
-        if item.name.endswith(".md")
-    }
-    order = [name for name in FIRST if name in found]
-    return {name: found[name] for name in [*order, *sorted(found.keys() - set(order))]}
+    names = (name for kind in KINDS.values() for name in kind)
+    return {name: (folder / f"{name}.md").read_text(encoding="utf-8") for name in names}
 
 
 def title_of(text: str) -> str:
