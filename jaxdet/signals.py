@@ -40,9 +40,14 @@ def stops_raised() -> Iterator[None]:
     One that is ignored (nohup) stays so. In other threads than the main one nothing changes.
     """
     pending = 0
+    outer = signal.getsignal(_RETRY) if _RETRY is not None else None
 
     def stop(number: int, frame: FrameType | None) -> None:
         nonlocal pending
+        if number == _RETRY and not pending:  # an alarm of a block around this one
+            if callable(outer):
+                outer(number, frame)
+            return
         pending = pending if number == _RETRY else number
         if _may_raise(frame) or _RETRY is None:
             number, pending = pending, 0
@@ -68,7 +73,7 @@ def stops_held_back() -> Iterator[None]:
             yield
     finally:
         for number in held:
-            signal.raise_signal(number)
+            _handle(number)
 
 
 def ignore_stops() -> None:
@@ -125,6 +130,15 @@ def _end(number: int) -> None:
             for child in processes.active_children():
                 child.kill()
     os._exit(128 + number)
+
+
+def _handle(number: int) -> None:
+    """Do what a signal does; the guard, which has seen it, does not count it again."""
+    handler = signal.getsignal(number)
+    if callable(handler):
+        handler(number, sys._getframe())
+    else:
+        signal.raise_signal(number)
 
 
 def _may_raise(frame: FrameType | None) -> bool:
