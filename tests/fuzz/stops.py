@@ -27,7 +27,7 @@ MOST_S = 2.0
 """Time from the signal to the end [s]; on a busy machine the best of :data:`TRIES`."""
 TRIES = 3
 HANGS_S = 60.0
-WORKERS = 1, 1, 1, 2
+WORKERS = 1, 1, 1, 1, 1, 1, 1, 2
 """Numbers of workers to choose from."""
 TICKS = os.sysconf("SC_CLK_TCK")
 SLACK_S = 0.05
@@ -106,8 +106,11 @@ class Stops:
             return Verdict("wrong results", text)
         if code is None:
             return Verdict("hang", text)
-        if code == -signal.SIGINT and not complete_at and "jaxdet: " not in errors:
+        begun = complete_at or "jaxdet: " in errors
+        if code == -signal.SIGINT and not begun:
             return Verdict("not begun", text)
+        if code == 1 and "KeyboardInterrupt" in errors and not begun and "/jaxdet/" not in errors:
+            return Verdict("not begun", text)  # Python's own start
         if code not in (0, INTERRUPTED) or "Traceback" in errors or "jaxdet itself" in errors:
             return Verdict("crash", text)
         if code == 0 and complete_at > sent_at + SLACK_S:
