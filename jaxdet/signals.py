@@ -7,7 +7,9 @@ a guard (:func:`guard_process`) that ends the process if that takes too long. Wh
 gets its name when it is complete, so a process may end anywhere.
 """
 
+import linecache
 import os
+import re
 import select
 import signal
 import sys
@@ -29,6 +31,9 @@ _RETRY = getattr(signal, "SIGALRM", None)
 _RETRY_S = 0.02
 _WAITS = {"threading", "multiprocessing.connection", "selectors", "queue", "subprocess"}
 """Modules of Python in which code of jaxdet waits."""
+_BLOCKS = re.compile(r"waiter\.acquire\(|\block\.acquire\(block|_handle\.join\(")
+"""Lines of :mod:`threading` that block. An exception elsewhere in it may leave a lock that a
+``with`` around it holds unlocked, whose end then raises another one."""
 _IMPORTS = {"importlib._bootstrap", "importlib._bootstrap_external", "_frozen_importlib"}
 _Handler = Callable[[int, FrameType | None], None]
 
@@ -146,6 +151,10 @@ def _may_raise(frame: FrameType | None) -> bool:
     name = str(frame.f_globals.get("__name__")) if frame else ""
     if name.partition(".")[0] != "jaxdet" and name not in _WAITS:
         return False
+    if frame and name == "threading":
+        line = linecache.getline(frame.f_code.co_filename, frame.f_lineno)
+        if not _BLOCKS.search(line):
+            return False
     while frame:
         if frame.f_globals.get("__name__") in _IMPORTS:
             return False

@@ -74,6 +74,36 @@ def test_a_stop_is_not_swallowed_by_a_callback_of_the_garbage_collector() -> Non
         wait_in_jaxdet()
 
 
+def test_a_stop_is_raised_where_a_thread_waits() -> None:
+    condition, start = threading.Condition(), time.monotonic()
+    other = threading.Thread(target=time.sleep, args=(5,), daemon=True)
+    other.start()
+    for wait in (condition.wait, threading.Event().wait, other.join):
+        main = threading.main_thread().ident
+        threading.Timer(0.05, signal.pthread_kill, (main, signal.SIGINT)).start()
+        with pytest.raises(Interrupted), stops_raised(), condition:
+            wait(4)
+    assert time.monotonic() - start < 3
+
+
+def test_a_stop_leaves_no_lock_that_a_wait_has_to_take_again() -> None:
+    """As at the end of ``Condition.wait``, inside of a ``with`` that releases the lock."""
+    code = """
+def take_again():
+    signal.raise_signal(signal.SIGINT)
+    time.sleep(0.1)
+    lock.acquire()
+"""
+    lock = threading.Lock()
+    names = {"__name__": "threading", "lock": lock, "signal": signal, "time": time}
+    exec(code, names)
+    with pytest.raises(Interrupted), stops_raised():
+        names["take_again"]()
+        assert lock.locked()
+        wait_in_jaxdet()
+    assert lock.locked()
+
+
 def test_a_stop_that_could_not_be_raised_inside_is_raised_at_the_end() -> None:
     inside = False
     with pytest.raises(Interrupted), stops_raised(), stops_raised():

@@ -55,7 +55,7 @@ class Stops:
     """
 
     def __init__(self, folder: Path) -> None:
-        self._folder, self._log = folder, folder / "log.mcap"
+        self._folder, self._log, self._errors = folder, folder / "log.mcap", folder / "errors"
         write_log(self._log, SimConfig(frames=6, width=160, height=120))
         self._complete(folder / "first", 1)  # which may compile
         self._cpu_s = {n: self._complete(folder / f"{n}", n) for n in WORKERS}
@@ -89,12 +89,12 @@ class Stops:
             sent_at = time.time()
             os.killpg(process.pid, signal.SIGINT)
         try:
-            _, errors = process.communicate(timeout=HANGS_S)
+            code = process.wait(timeout=HANGS_S)
         except subprocess.TimeoutExpired:
             os.killpg(process.pid, signal.SIGKILL)
-            _, errors = process.communicate()
-            return Ending(None, HANGS_S, sent_at, errors)
-        return Ending(process.returncode, time.monotonic() - start, sent_at, errors)
+            process.wait()
+            code = None
+        return Ending(code, time.monotonic() - start, sent_at, self._errors.read_text())
 
     def _judge(self, ending: Ending, output: Path, workers: int) -> Verdict:
         code, delay_s, sent_at, errors = ending
@@ -140,20 +140,20 @@ class Stops:
         while process.poll() is None:
             seconds = _cpu_time(process.pid)
             time.sleep(0.01)
-        assert process.stderr and process.returncode == 0, process.stderr and process.stderr.read()
+        assert process.returncode == 0, self._errors.read_text()
         return seconds
 
-    def _start(self, output: Path, workers: int) -> subprocess.Popen[str]:
+    def _start(self, output: Path, workers: int) -> subprocess.Popen[bytes]:
         command = [sys.executable, "-P", "-m", "jaxdet", "run", str(self._log), "-o", str(output)]
-        return subprocess.Popen(
-            [*command, "--pictures", "0", "--workers", str(workers)],
-            env={**os.environ, "JAX_PLATFORMS": "cpu"},
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.PIPE,
-            text=True,
-            start_new_session=True,
-            preexec_fn=_as_in_a_terminal,
-        )
+        with self._errors.open("wb") as errors:  # workers may hold a pipe for longer
+            return subprocess.Popen(
+                [*command, "--pictures", "0", "--workers", str(workers)],
+                env={**os.environ, "JAX_PLATFORMS": "cpu"},
+                stdout=subprocess.DEVNULL,
+                stderr=errors,
+                start_new_session=True,
+                preexec_fn=_as_in_a_terminal,
+            )
 
 
 def _as_in_a_terminal() -> None:
