@@ -1,4 +1,4 @@
-"""What images in logs are decoded with: PNG, RVL, depth in metres. For the CPU only.
+"""Kernels that decode depth images of logs: PNG, RVL, metres. For the CPU only.
 
 One thread does a whole image, as threads of a CPU kernel run one after the other; images are
 decoded side by side because a launch does not hold Python's lock. Arrays are contiguous.
@@ -8,7 +8,7 @@ import warp as wp
 
 from jaxdet_kernels.build import options
 
-wp.set_module_options(options("png_depth.h", "png_lines.h", "rvl.h"))
+wp.set_module_options(options("png_depth.h", "rvl.h"))
 
 
 @wp.func_native("""
@@ -24,26 +24,6 @@ def png_depth(
 ):
     """The lines of a 16-bit grey PNG to depth; filters are 0 to 4."""
     _png_depth(lines, depth_out)
-
-
-@wp.func_native("""
-    jaxdet::PngLines{lines.data, lines.shape[0], lines.shape[1] - 1, step}
-        .color(spread, rgb_out.data);
-""")
-def _png_color(
-    lines: wp.array2d[wp.uint8], step: int, spread: int, rgb_out: wp.array3d[wp.uint8]
-): ...
-
-
-@wp.kernel
-def png_color(
-    lines: wp.array2d[wp.uint8],  # (H, 1 + step W) likewise; un-filtered in place
-    step: int,  # bytes of a pixel, 1, 2, 3, 4, 6 or 8
-    spread: int,  # bytes from a sample to the next; 0: grey, which is repeated
-    rgb_out: wp.array3d[wp.uint8],  # (H, W, 3)
-):
-    """The lines of a PNG with 8 or 16 bits a sample to RGB; of 16 bits the higher 8 are taken."""
-    _png_color(lines, step, spread, rgb_out)
 
 
 @wp.func_native("""
