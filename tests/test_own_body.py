@@ -146,12 +146,16 @@ def test_a_mask_of_another_size_is_refused(logs, tmp_path):
 
 @pytest.mark.parametrize(
     "given",
-    ["none.png", ".", "", "4x4:15", "4x4:17", "0x4:0", "4x4:-1 17", "left=", f"{MAX_PIXELS}x1:1"],
+    [
+        *("none.png", ".", "", "left=", "\x00", "x" * 5000, "\x1b[31m\n.png"),
+        *("4x4:15", "4x4:17", "0x4:0", "4x4:-1 17", f"{MAX_PIXELS}x1:1"),
+    ],
 )
 def test_what_is_no_mask_is_refused(given, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(ConfigError, match="mask"):
+    with pytest.raises(ConfigError, match="mask") as caught:
         LogOptions(mask=given)
+    assert str(caught.value).isprintable()
 
 
 def test_damaged_images_and_other_files_are_refused(mask):
