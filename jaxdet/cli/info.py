@@ -114,13 +114,12 @@ def _suggest_mask(files: "LogFiles", options: LogOptions, config: Config, path: 
     import cv2
     import numpy as np
 
-    from jaxdet.engine import decide_planes
     from jaxdet.engine.own_body import NEAR_M, find_own_body
     from jaxdet.io import open_log
     from jaxdet.results.durable import write_whole
 
     with SPINNER.shown(f"reading {files.name}"), open_log(files, options) as log:
-        body = find_own_body(log, decide_planes(log, config, "reference"))
+        body = find_own_body(log, config)
     if not body.any():
         print(f"{log.label}: nothing stays less than {NEAR_M:g} m away; no mask is needed")
         return 0

@@ -6,9 +6,12 @@ import cv2
 import numpy as np
 
 from jaxdet.camera import pixel_rays
-from jaxdet.engine.floors import Planes, evenly
+from jaxdet.config import Config
+from jaxdet.engine.floors import decide_planes, evenly, find_here
 from jaxdet.errors import InputError
 from jaxdet.floor.plane import down_vector
+from jaxdet.floor.sampled import sampled_floor
+from jaxdet.types import Frames, GroundPlane
 
 if TYPE_CHECKING:
     from jaxdet.io import Log
@@ -28,7 +31,7 @@ _SMALLEST, _MARGIN = 0.001, 0.008
 """Size of a part, of the image's pixels; and what is added around it, of the image's width."""
 
 
-def find_own_body(log: "Log", planes: Planes) -> np.ndarray:
+def find_own_body(log: "Log", config: Config) -> np.ndarray:
     """Return the pixels of a log's depth images that show the robot itself.
 
     A sample of frames is looked at. The floor is always at the same depth too, as are ceilings, and
@@ -36,7 +39,7 @@ def find_own_body(log: "Log", planes: Planes) -> np.ndarray:
 
     Args:
         log: An open log of a camera that moves.
-        planes: The floor of its frames.
+        config: Configuration, by which the floor is found.
 
     Returns:
         ``(H, W)`` bool; none is true where nothing was found.
@@ -46,10 +49,10 @@ def find_own_body(log: "Log", planes: Planes) -> np.ndarray:
     """
     most = max(_FEWEST, _MAX_BYTES // (2 * log.depth_shape[0] * log.depth_shape[1]))
     frames = log.read(evenly(np.array(log.frames), min(_FRAMES, most)).tolist()).frames
-    plane = planes.of(frames.stamp_ns[:1])
     depth = frames.depth[frames.valid]
     if len(depth) < _FEWEST:
         raise _not_found(log, f"{len(depth)} frames are too few", "take a longer log")
+    plane = _floor(log, frames, config)
     if not plane.valid[0]:
         remedy = "give --ground.camera-height-m and --ground.camera-pitch"
         raise _not_found(log, "the floor is not known", remedy)
@@ -63,6 +66,15 @@ def find_own_body(log: "Log", planes: Planes) -> np.ndarray:
     if np.count_nonzero(others & same) > (1 - _MOVING) * np.count_nonzero(others):
         raise _not_found(log, "the camera keeps still", "take a log of a robot that turns")
     return _whole_parts(body)
+
+
+def _floor(log: "Log", frames: Frames, config: Config) -> GroundPlane:
+    """Return the floor of a log, ``B = 1``: the prior of its frames, else the median of theirs."""
+    planes = decide_planes(log, config, "reference").of(frames.stamp_ns)
+    if planes.valid[0]:
+        return GroundPlane(*(part[:1] for part in planes))
+    fit = find_here(config, "reference", frames._replace(plane=planes))
+    return sampled_floor(fit.plane, fit.own & frames.valid).plane
 
 
 def _steady(depth: np.ndarray, unit: float) -> tuple[np.ndarray, np.ndarray]:
