@@ -7,7 +7,9 @@ a guard (:func:`guard_process`) that ends the process if that takes too long. Wh
 gets its name when it is complete, so a process may end anywhere.
 """
 
+import linecache
 import os
+import re
 import select
 import signal
 import sys
@@ -29,6 +31,9 @@ _RETRY = getattr(signal, "SIGALRM", None)
 _RETRY_S = 0.02
 _WAITS = {"threading", "multiprocessing.connection", "selectors", "queue", "subprocess"}
 """Modules of Python in which code of jaxdet waits."""
+_BLOCKS = re.compile(r"waiter\.acquire\(|\block\.acquire\(block|_handle\.join\(")
+"""Lines of :mod:`threading` that block. An exception elsewhere in it may leave a lock that a
+``with`` around it holds unlocked, whose end then raises another one."""
 _IMPORTS = {"importlib._bootstrap", "importlib._bootstrap_external", "_frozen_importlib"}
 _Handler = Callable[[int, FrameType | None], None]
 
@@ -40,9 +45,14 @@ def stops_raised() -> Iterator[None]:
     One that is ignored (nohup) stays so. In other threads than the main one nothing changes.
     """
     pending = 0
+    outer = signal.getsignal(_RETRY) if _RETRY is not None else None
 
     def stop(number: int, frame: FrameType | None) -> None:
         nonlocal pending
+        if number == _RETRY and not pending:  # an alarm of a block around this one
+            if callable(outer):
+                outer(number, frame)
+            return
         pending = pending if number == _RETRY else number
         if _may_raise(frame) or _RETRY is None:
             number, pending = pending, 0
@@ -68,7 +78,7 @@ def stops_held_back() -> Iterator[None]:
             yield
     finally:
         for number in held:
-            signal.raise_signal(number)
+            _handle(number)
 
 
 def ignore_stops() -> None:
@@ -127,11 +137,24 @@ def _end(number: int) -> None:
     os._exit(128 + number)
 
 
+def _handle(number: int) -> None:
+    """Do what a signal does; the guard, which has seen it, does not count it again."""
+    handler = signal.getsignal(number)
+    if callable(handler):
+        handler(number, sys._getframe())
+    else:
+        signal.raise_signal(number)
+
+
 def _may_raise(frame: FrameType | None) -> bool:
     """Return whether code of jaxdet runs or waits, and no module is being imported."""
     name = str(frame.f_globals.get("__name__")) if frame else ""
     if name.partition(".")[0] != "jaxdet" and name not in _WAITS:
         return False
+    if frame and name == "threading":
+        line = linecache.getline(frame.f_code.co_filename, frame.f_lineno)
+        if not _BLOCKS.search(line):
+            return False
     while frame:
         if frame.f_globals.get("__name__") in _IMPORTS:
             return False

@@ -33,7 +33,7 @@ from tests.io_helpers import (
 def write_foxglove(path: Path, scene: Scene, form: str, pose: bool = False) -> Path:
     """The same log as :func:`write_log` in Foxglove's schemas, ``form`` proto or json."""
     with LogFile(path) as log:
-        put = _put_proto if form == "proto" else _put_json
+        put = put_proto if form == "proto" else _put_json
         cameras = (
             (COLOR_INFO, COLOR_SIZE, COLOR_K, COLOR_FRAME),
             (DEPTH_INFO, DEPTH_SIZE, DEPTH_K, DEPTH_FRAME),
@@ -64,7 +64,7 @@ def _raw_image(pixels: np.ndarray, encoding: str, frame: str) -> dict[str, Any]:
     return fields | {"step": pixels.nbytes // height, "data": pixels.tobytes()}
 
 
-def _put_proto(log: LogFile, topic: str, kind: Any, fields: dict[str, Any], at: int) -> None:
+def put_proto(log: LogFile, topic: str, kind: Any, fields: dict[str, Any], at: int) -> None:
     message = kind(**fields)
     message.timestamp.FromNanoseconds(at)
     log.proto(topic, message, at)

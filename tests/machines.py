@@ -64,18 +64,21 @@ def run(arguments: list[str], environment: Environment) -> subprocess.CompletedP
 
 
 def tables(folder: Path) -> dict[str, str]:
-    """Return digests of tables and maps, and of each column and array of theirs."""
+    """Return digests of tables and maps of all logs, and of each column and array of theirs."""
     found = {}
-    for path in sorted(folder.glob("*.parquet")):
-        found[path.name] = _digest(path.read_bytes())
+    for path in sorted(folder.glob("*/*.parquet")):
+        file = f"{path.parent.name}/{path.name}"
+        found[file] = _digest(path.read_bytes())
         table = pq.read_table(path)
         for name in table.column_names:
             column = table[name].combine_chunks()
-            found[f"{path.name} {name}"] = _digest(repr(column.to_pylist()).encode())
-    for path in sorted(folder.glob("*.npz")):
-        found[path.name] = _digest(path.read_bytes())
+            found[f"{file} {name}"] = _digest(repr(column.to_pylist()).encode())
+    for path in sorted(folder.glob("*/*.npz")):
+        file = f"{path.parent.name}/{path.name}"
+        found[file] = _digest(path.read_bytes())
         with np.load(path) as parts:
-            found |= {f"{path.name} {name}": _digest(parts[name].tobytes()) for name in parts}
+            found |= {f"{file} {name}": _digest(parts[name].tobytes()) for name in parts}
+    assert any("tracks.parquet" in name for name in found)
     return found
 
 

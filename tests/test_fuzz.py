@@ -48,9 +48,15 @@ def test_a_wrong_pixel_and_a_frame_lost_in_silence_are_failures(fuzzer, monkeypa
 
 
 @pytest.mark.parametrize(
-    ("subject", "count"), [("calibrations", 12), ("calls", 200), ("results", 12)]
+    ("subject", "count", "ways"),
+    [
+        ("calibrations", 12, ("clean", "error", "frames")),
+        ("calls", 200, ("clean", "error")),
+        ("results", 12, ("clean", "error")),
+        ("stops", 6, ("interrupted",)),
+    ],
 )
-def test_hostile_calibrations_calls_and_results(tmp_path, subject, count):
+def test_what_else_is_hostile(tmp_path, subject, count, ways):
     """In processes of their own, where one that dies is seen; compiled programs are kept."""
     command = ["tests.fuzz.run", subject, "--count", f"{count}", "--corpus", str(tmp_path)]
     done = subprocess.run(
@@ -59,5 +65,4 @@ def test_hostile_calibrations_calls_and_results(tmp_path, subject, count):
     assert done.returncode == 0, done.stdout + done.stderr
     assert "Traceback" not in done.stderr and "Warning" not in done.stderr
     assert done.stdout.startswith(f"{count} {subject} in ")
-    ways = ("clean", "error", "frames") if subject == "calibrations" else ("clean", "error")
     assert all(f"'{way}': " in done.stdout for way in ways)

@@ -1,4 +1,4 @@
-"""Files to logs, and the topic names of many cameras' drivers."""
+"""Files to logs, and names of topics."""
 
 import errno
 import os
@@ -308,44 +308,6 @@ def test_other_compressed_files_and_several_logs_are_refused_by_name(tmp_path):
     touch(tmp_path, "y/a.mcap", "y/b.mcap")
     with pytest.raises(InputError, match="2 logs"):
         open_log(str(tmp_path / "y"))
-
-
-CAMERAS = {
-    "realsense": ("/camera/camera/color/image_raw", "/camera/camera/depth/image_rect_raw"),
-    "realsense old": ("/camera/color/image_raw", "/camera/aligned_depth_to_color/image_raw"),
-    "oak-d": ("/oak/rgb/image_raw", "/oak/stereo/image_raw"),
-    "zed": ("/zed/zed_node/rgb/color/rect/image", "/zed/zed_node/depth/depth_registered"),
-    "zed old": ("/zed2/rgb/image_rect_color", "/zed2/depth/depth_registered"),
-    "azure kinect": ("/rgb/image_raw", "/depth_to_rgb/image_raw"),
-    "orbbec": ("/camera/color/image_raw", "/camera/depth/image_raw"),
-}
-OTHERS = {
-    "realsense": [("/camera/camera/infra1/image_rect_raw", "mono8")],
-    "realsense old": [("/camera/depth/image_rect_raw", "16UC1")],
-    "oak-d": [("/oak/left/image_raw", "mono8"), ("/oak/right/image_raw", "mono8")],
-    "zed": [("/zed/zed_node/left/color/rect/image", "bgra8"), ("/zed/zed_node/rgb/raw", "bgra8")],
-    "zed old": [("/zed2/confidence/confidence_map", "32FC1")],
-    "azure kinect": [("/depth/image_raw", "16UC1"), ("/ir/image_raw", "mono16")],
-    "orbbec": [("/camera/ir/image_raw", "mono16")],
-}
-
-
-@pytest.mark.parametrize("camera", CAMERAS)
-def test_topics_of_each_driver(tmp_path, camera):
-    scene, (color, depth) = make_scene(1, size=COLOR_SIZE), CAMERAS[camera]
-    with LogFile(tmp_path / "x.mcap") as log:
-        for topic, encoding in [(color, "rgb8"), (depth, "16UC1"), *OTHERS[camera]]:
-            pixels = {"rgb8": scene.color[0], "16UC1": scene.depth[0], "mono16": scene.depth[0]}
-            other = {"mono8": np.zeros((30, 40), np.uint8), "bgra8": np.zeros((30, 40, 4), "u1")}
-            other["32FC1"] = np.zeros((30, 40), np.float32)
-            image = (pixels | other)[encoding]
-            log.ros(topic, ros_image(image, encoding, START, COLOR_FRAME), START)
-            info = ros_info(COLOR_SIZE, COLOR_K, START, COLOR_FRAME)
-            log.ros(f"{topic.rpartition('/')[0]}/camera_info", info, START)
-    with open_log(str(tmp_path / "x.mcap")) as log:
-        chosen = {item.chosen_as: item.topic for item in log.description.topics if item.chosen_as}
-        assert chosen == {"color": color, "depth": depth}
-        assert log.read([0]).frames.valid.all()
 
 
 def test_compressed_topics(tmp_path):

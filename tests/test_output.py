@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from jaxdet import engine
-from jaxdet.engine import run_one, runner
+from jaxdet.engine import log_job, run_one, runner
 from jaxdet.errors import ConfigError, Interrupted, JaxdetError, OutputError, ResultsError
 from jaxdet.io import Batch
 from jaxdet.results import publish as publishing
@@ -217,6 +217,20 @@ def test_a_failed_log_is_tried_again_by_an_update_alone(
     shutil.copy2(logs / "b.mcap", own / "b.mcap")
     assert not run_logs(own, output, update=True, **HOW).failed
     assert not (output / "b" / "failed.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("now", "says"),
+    [({"size": 1, "fingerprint": "0"}, "changed since the run began"), ({}, "can't be read any")],
+)
+def test_a_log_that_changes_or_cannot_be_read_when_it_is_opened_fails(
+    logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, now: dict[str, Any], says: str
+):
+    before, found = log_job.fingerprint, dict[Path, Any]()
+    later = lambda path: now if path in found else found.setdefault(path, before(path))  # noqa: E731
+    monkeypatch.setattr(log_job, "fingerprint", later)
+    (failed,) = run_logs(logs / "a.mcap", tmp_path, **HOW).failed
+    assert says in (failed.error or "")
 
 
 class Odd:

@@ -25,6 +25,18 @@ print("ready", flush=True)
 """Code of a process of its own."""
 NATIVE = "with stops_raised():\n    while True: ctypes.CDLL(None).sleep(30)"
 """Calls of native code that let go of Python's lock, in code that is not jaxdet's."""
+HELD = """
+import os, time
+from jaxdet.signals import stops_held_back
+try:
+    with stops_raised(), stops_held_back():
+        print("ready", flush=True)
+        time.sleep(0.3)
+except KeyboardInterrupt:
+    time.sleep(0.3)
+    os._exit(7)
+"""
+"""Ends in its own way after a signal that waited."""
 
 
 def test_a_stop_is_raised_in_code_of_jaxdet() -> None:
@@ -62,6 +74,36 @@ def test_a_stop_is_not_swallowed_by_a_callback_of_the_garbage_collector() -> Non
         wait_in_jaxdet()
 
 
+def test_a_stop_is_raised_where_a_thread_waits() -> None:
+    condition, start = threading.Condition(), time.monotonic()
+    other = threading.Thread(target=time.sleep, args=(5,), daemon=True)
+    other.start()
+    for wait in (condition.wait, threading.Event().wait, other.join):
+        main = threading.main_thread().ident
+        threading.Timer(0.05, signal.pthread_kill, (main, signal.SIGINT)).start()
+        with pytest.raises(Interrupted), stops_raised(), condition:
+            wait(4)
+    assert time.monotonic() - start < 3
+
+
+def test_a_stop_leaves_no_lock_that_a_wait_has_to_take_again() -> None:
+    """As at the end of ``Condition.wait``, inside of a ``with`` that releases the lock."""
+    code = """
+def take_again():
+    signal.raise_signal(signal.SIGINT)
+    time.sleep(0.1)
+    lock.acquire()
+"""
+    lock = threading.Lock()
+    names = {"__name__": "threading", "lock": lock, "signal": signal, "time": time}
+    exec(code, names)
+    with pytest.raises(Interrupted), stops_raised():
+        names["take_again"]()
+        assert lock.locked()
+        wait_in_jaxdet()
+    assert lock.locked()
+
+
 def test_a_stop_that_could_not_be_raised_inside_is_raised_at_the_end() -> None:
     inside = False
     with pytest.raises(Interrupted), stops_raised(), stops_raised():
@@ -70,6 +112,14 @@ def test_a_stop_that_could_not_be_raised_inside_is_raised_at_the_end() -> None:
         inside = True
     assert inside
     time.sleep(0.1)  # nothing comes later
+
+
+def test_a_stop_that_waits_when_a_block_begins_is_raised_inside_it() -> None:
+    with pytest.raises(Interrupted) as caught, stops_raised():
+        signal.raise_signal(signal.SIGTERM)
+        with stops_raised():
+            wait_in_jaxdet()
+    assert caught.value.signal == signal.SIGTERM
 
 
 def test_other_threads_change_no_handlers() -> None:
@@ -91,9 +141,10 @@ def test_other_threads_change_no_handlers() -> None:
         ("import time; time.sleep(30)", 1, 130, 1.4),
         (NATIVE, 1, 130, 5.0),
         (NATIVE, 2, 130, 1.4),
+        (HELD, 1, 7, 5.0),
         ("end_guard(); print('ready', flush=True); sys.stdin.read()", 1, 0, 5.0),
     ],
-    ids=["before it begins", "in native code", "twice", "when it is done"],
+    ids=["before it begins", "in native code", "twice", "held back", "when it is done"],
 )
 def test_the_guard_ends_the_process(body: str, stops: int, code: int, most_s: float) -> None:
     pipe = subprocess.PIPE

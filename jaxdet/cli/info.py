@@ -11,7 +11,7 @@ from jaxdet.cli.settings import defaults
 from jaxdet.cli.spinner import SPINNER
 from jaxdet.cli.tell import tell
 from jaxdet.config import Config, GroundConfig
-from jaxdet.errors import CamerasError, JaxdetError, printable
+from jaxdet.errors import CamerasError, ConfigError, JaxdetError, printable
 from jaxdet.io.options import LogOptions
 from jaxdet.presets import DEFAULT_PRESET
 
@@ -57,6 +57,9 @@ class InfoCommand:
     """Print JSON."""
     check: bool = False
     """Read the logs as a whole: check every CRC, pair all frames, count all poses."""
+    suggest_mask: Path | None = field(default=None, metadata={"takes": "FILE"})
+    """Write a PNG for --log.mask: black where the camera sees its own robot, which is what stays
+    less than 1 m away above the floor while the camera moves. Takes one camera."""
     join: bool = True
     """Make one log of the split files of a recording."""
     ground: GroundConfig = field(default_factory=GroundConfig)
@@ -75,6 +78,10 @@ def main(args: list[str]) -> int:
     options = replace(command.log, scan=command.log.scan or command.check)
     method = replace(config, ground=command.ground)
     todo = [(files, options) for files in reversed(find_logs(command.logs, join=command.join))]
+    if command.suggest_mask:
+        if len(todo) > 1:
+            raise ConfigError(f"--suggest-mask takes one log, got {len(todo)}")
+        return _suggest_mask(*todo[0], method, command.suggest_mask)
     while todo:
         files, options = todo.pop()
         try:
@@ -98,6 +105,29 @@ def main(args: list[str]) -> int:
     if command.json:
         print(to_json({"logs": found}), end="")
     return 1 if failed else 0
+
+
+def _suggest_mask(files: "LogFiles", options: LogOptions, config: Config, path: Path) -> int:
+    """Write what a camera sees of its own robot as a mask, if it sees something."""
+    if path.suffix.lower() != ".png":
+        raise ConfigError(f"--suggest-mask {path} is not a PNG file", remedy="end it with .png")
+    import cv2
+    import numpy as np
+
+    from jaxdet.engine.own_body import NEAR_M, find_own_body
+    from jaxdet.io import open_log
+    from jaxdet.results.durable import write_whole
+
+    with SPINNER.shown(f"reading {files.name}"), open_log(files, options) as log:
+        body = find_own_body(log, config)
+    if not body.any():
+        print(f"{log.label}: nothing stays less than {NEAR_M:g} m away; no mask is needed")
+        return 0
+    write_whole(path, cv2.imencode(".png", np.where(body, 0, 255).astype(np.uint8))[1].tobytes())
+    share = f"{100 * body.mean():.1f} % of the depth image"
+    print(f"{log.label}: {share} may show the robot itself; look at {path}")
+    print(f"to leave it out: --log.mask {path}")
+    return 0
 
 
 def describe(

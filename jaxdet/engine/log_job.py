@@ -251,7 +251,10 @@ class CameraRun:
             InputError: One is not.
         """
         for path, was in zip(self.files.paths, self.inputs, strict=True):
-            if fingerprint(path) != was:
+            now = fingerprint(path)
+            if "fingerprint" not in now:
+                raise InputError("can't be read any more", path=str(path), remedy="check the disk")
+            if now != was:
                 problem = "was changed since the run began"
                 remedy = "read it again when nothing writes to it"
                 raise InputError(problem, path=str(path), remedy=remedy)

@@ -25,6 +25,7 @@ From the bytes of files to frames, by module::
         raw_images                    pixels that go straight into their arrays
         decode_messages               CDR, ROS 1, protobuf and JSON -> messages
         images, compressed            their pixels: raw, jpeg, png, rvl, zstd_images
+        body_mask                     pixels of the robot itself, which are not measured
     batch                           arrays of images, stamps and poses, and what became of each
 """
 

@@ -22,6 +22,7 @@ from jaxdet.errors import (
 )
 from jaxdet.io.batch import Batch, LogFrame
 from jaxdet.io.body_frames import is_body_frame
+from jaxdet.io.body_mask import hidden_pixels
 from jaxdet.io.chunks import DamageError
 from jaxdet.io.clocks import first_stamp, unset_clock_text
 from jaxdet.io.contents import LogContents
@@ -146,10 +147,12 @@ class Log:
             self.description = self.described(self._window(0, self.num_frames).notes)
         unit, limit = about.unit_in_floats, options.max_pixels
         trusted = any(file.by_index for file in contents.integrity)
-        self._reader = ImageReader(
-            store, found.depth, found.color, unit, limit, trusted, about.used_for_depth
-        )
         depth, image = self.calibration.depth, self.calibration.image
+        about_mask = self.camera, found.cameras.names, (depth.width, depth.height), self._path
+        hidden = hidden_pixels(options.mask, *about_mask)
+        self._reader = ImageReader(
+            store, found.depth, found.color, unit, limit, trusted, about.used_for_depth, hidden
+        )
         self.depth_shape = depth.height, depth.width
         self.color_shape = (image.height, image.width, 3) if self.has_color else None
         frame_bytes = 2 * math.prod(self.depth_shape) + math.prod(self.color_shape or (0,))

@@ -81,6 +81,10 @@ class LogOptions:
     """TF frame of the robot, whose z = 0 is the floor; unset: base_footprint, else base_link."""
     world_frame: str | None = None
     """TF frame of the world; unset: map, else odom."""
+    mask: str | None = field(default=None, metadata={"takes": "FILE"})
+    """PNG as large as the depth images, black where the camera sees its own robot: depth counts as
+    not measured there. CAMERA=FILE,CAMERA=FILE for several cameras; jaxdet info --suggest-mask FILE
+    makes one. Results hold the pixels, not the file."""
     max_chunk_mib: int = 256
     """Largest chunk or message read [MiB], before and after decompression; larger ones are
     rejected, which bounds memory and stops decompression bombs."""
@@ -92,6 +96,10 @@ class LogOptions:
 
     def __post_init__(self) -> None:
         check_fields(self)
+        if self.mask is not None:
+            from jaxdet.io.body_mask import masks_text  # which loads NumPy
+
+            object.__setattr__(self, "mask", masks_text(self.mask))
         for name in ("start", "stop"):
             if getattr(self, name) is not None:
                 parse_moment(getattr(self, name), f"--{name}")

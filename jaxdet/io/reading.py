@@ -80,6 +80,8 @@ class ImageReader:
         max_pixels: Largest image decoded.
         strict: Whether damage of the file is raised. If not it costs the frames in it only.
         used: The calibrations used, by topic.
+        hidden: Pixels ``(Hd, Wd)`` bool that show the robot itself, where depth becomes 0 (not
+            measured); None: none do.
     """
 
     def __init__(
@@ -91,11 +93,12 @@ class ImageReader:
         max_pixels: int,
         strict: bool,
         used: Mapping[str, CameraInfoMessage],
+        hidden: np.ndarray | None = None,
     ) -> None:
         self._store, self._strict = store, strict
         self._depth, self._color = depth, color
         self._used = used
-        self._unit, self._max_pixels = depth_unit, max_pixels
+        self._unit, self._max_pixels, self._hidden = depth_unit, max_pixels, hidden
         self._took: list[float] = []
         """Times of threads since :meth:`decoding_s` was called [s]."""
 
@@ -151,6 +154,8 @@ class ImageReader:
             bad = [row for row, error in enumerate(problems) if error is not None]
             if images is not None and bad:
                 images[bad] = 0
+        if self._hidden is not None:
+            depth[:, self._hidden] = 0
         if color is not None:
             for row, first in same.items():
                 color[row], errors.color[row] = color[first], errors.color[first]

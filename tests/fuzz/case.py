@@ -10,7 +10,16 @@ from jaxdet.errors import JaxdetError
 
 MOST_S = 10.0
 """Of all of the process's threads together, so that a busy machine makes no difference."""
-FAILURES = {"wrong pixels", "silently lost", "wrong results", "crash", "hang", "bad message"}
+FAILURES = {
+    "wrong pixels",
+    "silently lost",
+    "wrong results",
+    "crash",
+    "hang",
+    "bad message",
+    "swallowed",
+    "denied",
+}
 
 
 class Verdict(NamedTuple):

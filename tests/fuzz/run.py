@@ -24,6 +24,7 @@ SUBJECTS = {
     "calibrations": "Calibrations",
     "calls": "Calls",
     "results": "HostileResults",
+    "stops": "Stops",
 }
 """Modules beside this one, and the class in each."""
 MOST_BYTES = 6 << 30

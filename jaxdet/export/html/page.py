@@ -38,6 +38,8 @@ SOURCES = {
 """Meaning of ``floor_source``."""
 FIRST_DATE_S = 946684800
 """Timestamps before the year 2000 are not UNIX times, and have no date [s]."""
+_LONGEST = 120
+"""Characters of a setting's value."""
 
 
 def page(title: str, data: Mapping[str, Any]) -> str:
@@ -130,4 +132,5 @@ def about(version: str, frames: int, begins_s: Sequence[float]) -> str:
 
 
 def _said(value: Any) -> str:
-    return "–" if value is None else value if isinstance(value, str) else json.dumps(value)
+    text = "–" if value is None else value if isinstance(value, str) else json.dumps(value)
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}…"  # a mask has many numbers

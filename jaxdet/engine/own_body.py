@@ -1,0 +1,114 @@
+"""Finds what of a robot its own camera sees: near, above the floor, always at the same depth."""
+
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from jaxdet.camera import pixel_rays
+from jaxdet.config import Config
+from jaxdet.engine.floors import decide_planes, evenly, find_here
+from jaxdet.errors import InputError
+from jaxdet.floor.plane import down_vector
+from jaxdet.floor.sampled import sampled_floor
+from jaxdet.types import Frames, GroundPlane
+
+if TYPE_CHECKING:
+    from jaxdet.io import Log
+
+_FRAMES, _FEWEST = 32, 8
+_MAX_BYTES = 128 << 20
+"""Of depth images that are in memory together."""
+NEAR_M, ABOVE_M = 1.0, 0.04
+"""A body is nearer to the camera, and higher above the floor."""
+_SHARE = 0.9
+"""Of the sampled frames, at least, in which a pixel has the same depth."""
+_BAND_M, _BAND = 0.012, 0.04
+"""Depth counts as the same within so much, and so much of it."""
+_MOVING = 0.25
+"""Of all other pixels above the floor, at least, that change where the camera moves."""
+_SMALLEST, _MARGIN = 0.001, 0.008
+"""Size of a part, of the image's pixels; and what is added around it, of the image's width."""
+
+
+def find_own_body(log: "Log", config: Config) -> np.ndarray:
+    """Return the pixels of a log's depth images that show the robot itself.
+
+    A sample of frames is looked at. The floor is always at the same depth too, as are ceilings, and
+    walls beside a straight way: so only near things above the floor count.
+
+    Args:
+        log: An open log of a camera that moves.
+        config: Configuration, by which the floor is found.
+
+    Returns:
+        ``(H, W)`` bool; none is true where nothing was found.
+
+    Raises:
+        InputError: Too few frames can be read, the floor is not known, or the camera keeps still.
+    """
+    most = max(_FEWEST, _MAX_BYTES // (2 * log.depth_shape[0] * log.depth_shape[1]))
+    frames = log.read(evenly(np.array(log.frames), min(_FRAMES, most)).tolist()).frames
+    depth = frames.depth[frames.valid]
+    if len(depth) < _FEWEST:
+        raise _not_found(log, f"{len(depth)} frames are too few", "take a longer log")
+    plane = _floor(log, frames, config)
+    if not plane.valid[0]:
+        remedy = "give --ground.camera-height-m and --ground.camera-pitch"
+        raise _not_found(log, "the floor is not known", remedy)
+    unit = log.calibration.depth_unit
+    typical, same = _steady(depth, unit)
+    x, y = pixel_rays(log.calibration.depth)
+    down = down_vector(plane.pitch, plane.roll)[0]
+    above = plane.height[0] - typical * unit * (down[0] * x + down[1] * y + down[2]) > ABOVE_M
+    body = same & above & (typical * unit < NEAR_M)
+    others = above & (typical > 0) & ~body
+    if np.count_nonzero(others & same) > (1 - _MOVING) * np.count_nonzero(others):
+        raise _not_found(log, "the camera keeps still", "take a log of a robot that turns")
+    return _whole_parts(body)
+
+
+def _floor(log: "Log", frames: Frames, config: Config) -> GroundPlane:
+    """Return the floor of a log, ``B = 1``: the prior of its frames, else the median of theirs."""
+    planes = decide_planes(log, config, "reference").of(frames.stamp_ns)
+    if planes.valid[0]:
+        return GroundPlane(*(part[:1] for part in planes))
+    fit = find_here(config, "reference", frames._replace(plane=planes))
+    return sampled_floor(fit.plane, fit.own & frames.valid).plane
+
+
+def _steady(depth: np.ndarray, unit: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the median depth of each pixel, 0 where it has none, and whether it stays.
+
+    Args:
+        depth: ``(n, H, W)`` uint16.
+        unit: Metres in a depth unit.
+
+    Returns:
+        ``(H, W)`` float64 [depth units], and bool.
+    """
+    typical = np.zeros(depth.shape[1:])
+    same = np.zeros(depth.shape[1:], bool)
+    for row, values in enumerate(np.moveaxis(depth, 1, 0)):
+        measured = np.where(values > 0, values, np.nan)
+        there = (values > 0).mean(axis=0) > 0.5
+        typical[row, there] = np.nanmedian(measured[:, there], axis=0)
+        band = np.maximum(_BAND_M / unit, _BAND * typical[row])
+        same[row] = (abs(measured - typical[row]) <= band).mean(axis=0) >= _SHARE
+    return typical, same & (typical > 0)
+
+
+def _whole_parts(body: np.ndarray) -> np.ndarray:
+    """Leave out small parts, close holes and add a margin, where depth is mixed."""
+    width = 2 * round(_MARGIN * body.shape[1]) + 3
+    square = np.ones((width, width), np.uint8)
+    closed = cv2.morphologyEx(body.astype(np.uint8), cv2.MORPH_CLOSE, square)
+    _, labels, about, _ = cv2.connectedComponentsWithStats(closed)
+    large = about[:, cv2.CC_STAT_AREA] >= _SMALLEST * body.size
+    large[0] = False  # the background
+    return cv2.dilate(large[np.asarray(labels, np.int32)].astype(np.uint8), square) > 0
+
+
+def _not_found(log: "Log", problem: str, remedy: str) -> InputError:
+    text = f"no mask can be suggested: {problem}"
+    return InputError(text, path=log.label, remedy=f"{remedy}, or draw it yourself")

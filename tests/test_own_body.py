@@ -1,0 +1,202 @@
+"""What a camera sees of its own robot: masks of it, and their suggestion."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from jaxdet.cli import main
+from jaxdet.config_file import read_settings
+from jaxdet.errors import ConfigError, InputError
+from jaxdet.io import LogOptions, open_log
+from jaxdet.io.body_mask import MAX_PIXELS, as_text
+from jaxdet.sim import SimConfig, write_log
+from tests.camera_logs import join_cameras
+from tests.export_results import sim_log
+from tests.rewritten import Change, Message, changed, read_messages, write_messages
+from tests.runs import run_log
+
+ARM = np.s_[90:, 60:100]
+"""Pixels of the robot's arm in depth images of 160x120."""
+TABLES = "frames.parquet", "obstacles.parquet"
+
+
+def in_depth(show: Callable[[np.ndarray], None]) -> Change:
+    """Change depth images."""
+
+    def change(message: Message) -> None:
+        if message.kind == "sensor_msgs/Image" and "depth" in message.topic:
+            depth = message.pixels.copy()
+            show(depth)
+            message.show(depth)
+
+    return change
+
+
+def arm(depth: np.ndarray) -> None:
+    """Show an arm 30 cm in front of the camera, with the noise of depth."""
+    noise = np.random.default_rng(int(depth.sum()) % 1000)
+    depth[ARM] = 300 + noise.integers(-3, 4, depth[ARM].shape)
+
+
+def nothing(depth: np.ndarray) -> None:
+    """Show no measurement where the arm is."""
+    depth[ARM] = 0
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a drive, plain, with an arm in view, and with a hole where that is."""
+    folder = tmp_path_factory.mktemp("drives")
+    config = SimConfig(frames=16, width=160, height=120, rate_hz=4, depth_form="aligned")
+    write_log(folder / "plain.mcap", config)
+    messages = read_messages(folder / "plain.mcap")
+    write_messages(folder / "arm.mcap", changed(messages, in_depth(arm)))
+    write_messages(folder / "hole.mcap", changed(messages, in_depth(nothing)))
+    return folder
+
+
+@pytest.fixture
+def mask(tmp_path: Path) -> Path:
+    """The arm as an image in colour."""
+    image = np.full((120, 160, 3), (0, 0, 255), np.uint8)
+    image[ARM] = 0
+    cv2.imwrite(str(path := tmp_path / "mask.png"), image)
+    return path
+
+
+def depths(path: Path, **options) -> np.ndarray:
+    with open_log(path, LogOptions(**options)) as log:
+        return log.read(range(log.num_frames)).frames.depth
+
+
+@pytest.mark.parametrize("scan", [False, True])
+def test_masked_pixels_are_not_measured(logs, mask, scan):
+    masked = depths(logs / "arm.mcap", mask=str(mask), scan=scan)
+    assert (masked == depths(logs / "hole.mcap")).all()
+    assert (depths(logs / "arm.mcap")[:, *ARM] > 0).all()
+
+
+@pytest.mark.parametrize(
+    "form",
+    [{"depth_form": "metres"}, {"depth_form": "aligned", "compression": "none"}, {"scene": "demo"}],
+    ids=["floats", "not packed", "unaligned"],
+)
+def test_all_forms_of_depth_are_masked(tmp_path, mask, form):
+    path = sim_log(tmp_path / "a.mcap", **form)
+    plain, masked = depths(path), depths(path, mask=str(mask))
+    assert not masked[:, *ARM].any() and plain[:, *ARM].any()
+    plain[:, *ARM] = 0
+    assert (masked == plain).all()
+
+
+@pytest.mark.parametrize("backend", ["reference", "jax"])
+def test_a_masked_body_is_no_obstacle_and_hides_no_floor(logs, mask, tmp_path, backend):
+    how = {"backend": backend, "pictures": 0, "workers": 1}
+    run_log(logs / "arm.mcap", tmp_path / "arm", log=LogOptions(mask=str(mask)), **how)
+    run_log(logs / "hole.mcap", tmp_path / "hole", **how)
+    run_log(logs / "arm.mcap", tmp_path / "unmasked", **how)
+    masked, hole, unmasked = (
+        [pq.read_table(tmp_path / name / table).drop_columns(["log"]) for table in TABLES]
+        for name in ("arm", "hole", "unmasked")
+    )
+    assert all(a.equals(b) for a, b in zip(masked, hole, strict=True))
+    nearest = [table[1]["distance_m"].to_numpy() for table in (masked, unmasked)]
+    assert (nearest[0] > 0.35).all() and (nearest[1] < 0.35).sum() >= 16
+
+
+def test_results_hold_the_mask_and_not_its_file(logs, mask, tmp_path, monkeypatch):
+    monkeypatch.chdir(logs)
+    results = tmp_path / "results"
+    quiet = ["-q", "--backend", "reference", "--pictures", "0"]
+    given = ["run", "arm.mcap", "-o", str(results), "--log.mask", str(mask)]
+    assert main([*given, *quiet]) == 0
+    mask.unlink()
+    assert main(["verify", str(results), "--sample", "2"]) == 0
+    again = tmp_path / "again"
+    settings = ["--config", str(results / "arm/config.json")]
+    assert main(["run", "arm.mcap", "-o", str(again), *settings, *quiet]) == 0
+    for table in TABLES:
+        assert (again / "arm" / table).read_bytes() == (results / "arm" / table).read_bytes()
+
+
+def test_each_camera_has_a_mask_of_its_own(logs, mask, tmp_path):
+    both = join_cameras(
+        {"left": logs / "arm.mcap", "right": logs / "arm.mcap"}, tmp_path / "both.mcap"
+    )
+    toml = tmp_path / "masks.toml"
+    toml.write_text(f"[log]\nmask = 'left={mask}'\n", encoding="utf-8")
+    text = read_settings(toml).log.mask
+    left, right = (depths(both, camera=name, mask=text) for name in ("left", "right"))
+    assert not left[:, *ARM].any() and right[:, *ARM].all()
+    with pytest.raises(InputError, match="no camera 'front'; cameras of this log: left, right"):
+        depths(both, camera="left", mask=f"front={mask}")
+    with pytest.raises(ConfigError, match="two masks of left"):
+        LogOptions(mask=f"left={mask},left={mask}")
+
+
+def test_a_mask_of_another_size_is_refused(logs, tmp_path):
+    cv2.imwrite(str(path := tmp_path / "small.png"), np.zeros((60, 80), np.uint8))
+    with pytest.raises(InputError, match=r"80x60, its depth images 160x120"):
+        depths(logs / "arm.mcap", mask=str(path))
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        *("none.png", ".", "", "left=", "\x00", "x" * 5000, "\x1b[31m\n.png"),
+        *("4x4:15", "4x4:17", "0x4:0", "4x4:-1 17", f"{MAX_PIXELS}x1:1"),
+    ],
+)
+def test_what_is_no_mask_is_refused(given, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ConfigError, match="mask") as caught:
+        LogOptions(mask=given)
+    assert str(caught.value).isprintable()
+
+
+def test_damaged_images_and_other_files_are_refused(mask):
+    whole = mask.read_bytes()
+    for data in (b"", b"P5 1 1 255 \x00", whole[:-30], whole[:40] + b"\x00" * 8 + whole[48:]):
+        mask.write_bytes(data)
+        with pytest.raises(ConfigError, match="mask"):
+            LogOptions(mask=str(mask))
+
+
+def test_text_of_a_mask_by_hand():
+    hidden = np.array([[True, True, False], [False, False, True]])
+    assert as_text(hidden) == "3x2:0 2 3 1"
+    assert LogOptions(mask=as_text(hidden)).mask == "3x2:0 2 3 1"
+    assert as_text(~hidden) == "3x2:2 3 1"
+
+
+def test_the_suggested_mask_covers_the_body_and_little_else(logs, tmp_path, capsys):
+    path = tmp_path / "mask.png"
+    assert main(["info", str(logs / "arm.mcap"), "--suggest-mask", str(path)]) == 0
+    black = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) == 0
+    assert black[ARM].all() and black.sum() < 1.3 * black[ARM].size
+    assert f"--log.mask {path}" in capsys.readouterr().out
+
+
+def test_no_mask_is_suggested_for_a_floor(logs, tmp_path, capsys):
+    path = tmp_path / "mask.png"
+    assert main(["info", str(logs / "plain.mcap"), "--suggest-mask", str(path)]) == 0
+    assert "no mask is needed" in capsys.readouterr().out and not path.exists()
+
+
+def test_no_mask_is_suggested_where_body_and_scene_look_alike(logs, tmp_path, capsys):
+    messages = read_messages(logs / "arm.mcap")
+    first = next(m for m in messages if m.kind == "sensor_msgs/Image" and "depth" in m.topic)
+    still = changed(messages, in_depth(lambda depth: np.copyto(depth, first.pixels)))
+    log = write_messages(tmp_path / "still.mcap", still)
+    asked = ["--suggest-mask", str(tmp_path / "mask.png")]
+    assert main(["info", str(log), *asked]) == 1
+    assert "the camera keeps still" in capsys.readouterr().err
+    how = ["--ground.source", "none"]
+    assert main(["info", str(logs / "arm.mcap"), *asked, *how]) == 1
+    assert "the floor is not known" in capsys.readouterr().err
+    assert main(["info", str(logs), *asked]) == 2
+    assert main(["info", str(log), "--suggest-mask", str(log)]) == 2
