@@ -142,7 +142,8 @@ def test_top_view_puts_right_to_the_right() -> None:
     found = to_host(detect(frames, Config(), backend="reference", with_cells=True))
     assert frames.plane is not None and found.cells is not None
     own = found.cells.label[0].ravel() == 0
-    points = ground_points(found.cells.cells, 0, frames.plane, 0.001)[own]
+    xyz = (np.ravel(axis[0])[own] for axis in found.cells.cells[:3])
+    points = ground_points(*xyz, 0, frames.plane, 0.001)
     assert len(points) and (points[:, 0] > 0).all()
     np.testing.assert_allclose(points[:, 1], 1.2, atol=2e-3)
 
@@ -174,7 +175,7 @@ def test_free_floor_is_drawn_between_neighbours_alone() -> None:
     free, ahead = np.zeros((1, RAYS, 2), np.int32), RAYS // 2
     free[0, ahead : ahead + 41] = free[0, ahead - 40] = 500, 2000
     image = np.zeros((200, 200, 3), np.uint8)
-    scene: Any = SimpleNamespace(free=free)
+    scene: Any = SimpleNamespace(free=free, free_end=np.zeros((1, RAYS), np.int32))
     topview._draw_free(image, View(center=100, bottom=190, scale=80), scene, 0, 0.001)
     first, last = np.flatnonzero(image.any(axis=(0, 2)))[[0, -1]].tolist()
     right = 100 + 160 * np.sin(np.radians(10))  # from ahead to 40 rays on

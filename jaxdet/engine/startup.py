@@ -135,8 +135,9 @@ def _remove_damaged(folder: Path) -> None:
                 known.unlink()
 
 
+@cache
 def start_up() -> None:
-    """What a process does that computes, in the order that it needs.
+    """Prepare this process for computing, in the order that it needs; once.
 
     Raises:
         ConfigError: JAX has no device of the platform that the environment asks for.

@@ -107,25 +107,24 @@ def cell_boxes(
         First and last column and row, ``(B, R, C, 2)`` int32 each, and ``(B, R, C)`` bool, whether
         the cell is measured and at least partly in the image. Boxes of other cells are 0.
     """
-    batch, rows, columns = z.shape
     seen = z > 0
-    top, left = (a * side for a in np.mgrid[0:rows, 0:columns])
+    _, row, column = np.nonzero(seen)
+    low, high = np.zeros((2, *z.shape, 2), np.int32)
     if calibration.is_aligned:
-        first = np.broadcast_to(np.stack([left, top], axis=-1), (batch, rows, columns, 2))
-        first, last = (np.where(seen[..., None], a, 0) for a in (first, first + side - 1))
-        return first.astype(np.int32), last.astype(np.int32), seen
+        low[seen] = first = np.stack([column, row], axis=-1) * side
+        high[seen] = first + side - 1
+        return low, high, seen
     splat, color = splat_parameters(calibration), calibration.image
     x, y = corner_rays(calibration.depth)
-    low, high = np.zeros((*z.shape, 2), np.int32), np.zeros((*z.shape, 2), np.int32)
-    inside = seen.copy()
-    for shift, corner in ((0, low), (side, high)):
-        ray = x[top + shift, left + shift], y[top + shift, left + shift]
-        ray_x, ray_y = (np.broadcast_to(a, z.shape)[seen] for a in ray)
-        u, v, _, fits = project_corners(ray_x, ray_y, z[seen].astype(np.uint16), splat)
-        corner[seen] = np.stack([u, v], axis=-1)
-        inside[seen] &= fits
-    low, high = np.minimum(low, high), np.maximum(low, high)
-    last = np.array([color.width - 1, color.height - 1])
-    inside &= ((high >= 0) & (low <= last)).all(axis=-1)
-    low, high = (np.where(inside[..., None], np.clip(a, 0, last), 0) for a in (low, high))
-    return low.astype(np.int32), high.astype(np.int32), inside
+    corners, inside = [], np.ones(row.size, bool)
+    for shift in (0, side):
+        ray = row * side + shift, column * side + shift
+        u, v, _, fits = project_corners(x[ray], y[ray], z[seen].astype(np.uint16), splat)
+        corners.append(np.stack([u, v], axis=-1))
+        inside &= fits
+    first, last = np.minimum(*corners), np.maximum(*corners)
+    most = np.array([color.width - 1, color.height - 1])
+    inside &= ((last >= 0) & (first <= most)).all(axis=-1)
+    seen[seen] = inside
+    low[seen], high[seen] = (np.clip(a[inside], 0, most) for a in (first, last))
+    return low, high, seen

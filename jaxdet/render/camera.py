@@ -1,5 +1,6 @@
 """Camera view: obstacles, boxes and distances on the colour or depth image."""
 
+import math
 from typing import NamedTuple
 
 import cv2
@@ -149,27 +150,34 @@ def _draw_cells(
     scale: float,
 ) -> None:
     """Tint the cells of each obstacle in its colour, and cells without one white."""
-    loose = found.keep & (found.label < 0)
-    labelled = found._replace(label=np.where(loose, LOOSE_LABEL, found.label))
-    labels = label_image(labelled, row, calibration, side)
+    label, z = found.label[row], found.cells.z[row]
+    label = np.where(found.keep[row] & (label < 0), LOOSE_LABEL, label)
+    marked = found.cells._replace(z=np.where(label < 0, 0, z)[None])
+    labels = label_image(found._replace(cells=marked, label=label[None]), 0, calibration, side)
     size = image.shape[1], image.shape[0]
     # Wide enough to hide the steps between cells.
     blur = max(0.5, 0.45 * side * scale * calibration.image.fx / calibration.depth.fx)
-    for number in np.unique(labels[labels >= 0]).tolist()[::-1]:
-        is_loose = number == LOOSE_LABEL
-        color = canvas.LOOSE if is_loose else canvas.color_of(number)
-        mask = cv2.resize((labels == number).astype(np.float32), size)
-        mask = cv2.GaussianBlur(mask, (0, 0), blur, borderType=cv2.BORDER_REPLICATE)
-        x, y, width, height = cv2.boundingRect((mask > 0.3).astype(np.uint8))
-        part = np.s_[y : y + height, x : x + width]  # elsewhere the opacity is 0
-        shape = np.clip(2.5 * (mask[part] - 0.5) + 0.5, 0, 1)[..., None]
-        opacity = shape * (_LOOSE_TINT if is_loose else _TINT)
-        tinted = image[part] + (np.array(color) - image[part]) * opacity
-        image[part] = np.rint(tinted).astype(np.uint8)
-        if not is_loose:
-            outline = (mask >= 0.5).astype(np.uint8)
-            lines, _ = cv2.findContours(outline, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
-            cv2.drawContours(image, lines, -1, color, 1, cv2.LINE_AA)
+    labels = cv2.resize(labels, size, interpolation=cv2.INTER_NEAREST)
+    for number in np.unique(label[label >= 0]).tolist()[::-1]:
+        _tint(image, labels == number, number, blur)
+
+
+def _tint(image: np.ndarray, mask: np.ndarray, number: int, blur: float) -> None:
+    """Tint the pixels of a mask ``(H, W)`` bool, whose edge is blurred, and outline obstacles."""
+    x, y, width, height = cv2.boundingRect(mask.astype(np.uint8))
+    reach = math.ceil(4 * blur)
+    left, top = max(0, x - reach), max(0, y - reach)
+    part = np.s_[top : y + height + reach, left : x + width + reach]
+    soft = mask[part].astype(np.float32)
+    soft = cv2.GaussianBlur(soft, (0, 0), blur, borderType=cv2.BORDER_REPLICATE)
+    shape = np.clip(2.5 * (soft - 0.5) + 0.5, 0, 1)
+    if number == LOOSE_LABEL:
+        canvas.blend(image[part], canvas.LOOSE, _LOOSE_TINT * shape)
+        return
+    canvas.blend(image[part], color := canvas.color_of(number), _TINT * shape)
+    outline = (soft >= 0.5).astype(np.uint8)
+    lines, _ = cv2.findContours(outline, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    cv2.drawContours(image, lines, -1, color, 1, cv2.LINE_AA, offset=(left, top))
 
 
 def _boxes(found: Detections, row: int, shown: Shown, side: int, scale: float) -> dict[int, Box]:

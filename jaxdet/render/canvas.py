@@ -1,5 +1,6 @@
 """Drawing primitives with sub-pixel positions, and the colours of all pictures (RGB)."""
 
+import math
 import os
 from functools import cache
 from pathlib import Path
@@ -34,7 +35,8 @@ PALETTE: tuple[Color, ...] = (
 )
 """Colours of the obstacles, by label."""
 
-_SHIFT = 4
+SHIFT = 4
+"""Fractional bits of :func:`fixed`."""
 
 
 def color_of(label: int) -> Color:
@@ -44,18 +46,18 @@ def color_of(label: int) -> Color:
 
 def canvas(height: int, width: int, color: Color = BACKGROUND) -> np.ndarray:
     """Return an empty picture ``(height, width, 3)`` uint8 RGB."""
-    return np.full((height, width, 3), color, np.uint8)
+    return np.tile(np.array(color, np.uint8), (height, width, 1))
 
 
 def fixed(points: np.ndarray) -> np.ndarray:
     """Convert pixels to the fixed-point integers of OpenCV's drawing functions."""
     clipped = np.clip(np.asarray(points, np.float64), -30000, 30000)
-    return np.rint(clipped * (1 << _SHIFT)).astype(np.int32)
+    return np.rint(clipped * (1 << SHIFT)).astype(np.int32)
 
 
 def line(image: np.ndarray, points: np.ndarray, color: Color, width: int = 1) -> None:
     """Draw an open line through ``points`` ``(P, 2)`` [pixel]."""
-    cv2.polylines(image, [fixed(points)], False, color, width, cv2.LINE_AA, _SHIFT)
+    cv2.polylines(image, [fixed(points)], False, color, width, cv2.LINE_AA, SHIFT)
 
 
 def polygon(
@@ -63,23 +65,57 @@ def polygon(
 ) -> None:
     """Draw a convex outline through ``points`` ``(P, 2)`` [pixel], filled with this opacity."""
     if fill > 0:
-        layer = image.copy() if fill < 1 else image
-        cv2.fillConvexPoly(layer, fixed(points), color, cv2.LINE_AA, _SHIFT)
-        if fill < 1:
-            cv2.addWeighted(layer, fill, image, 1 - fill, 0, dst=image)
+        part, first = _part(image, points, 1)
+        layer = part.copy()
+        cv2.fillConvexPoly(layer, fixed(points - first), color, cv2.LINE_AA, SHIFT)
+        cv2.addWeighted(layer, fill, part, 1 - fill, 0, dst=part)
     if width:
-        cv2.polylines(image, [fixed(points)], True, color, width, cv2.LINE_AA, _SHIFT)
+        cv2.polylines(image, [fixed(points)], True, color, width, cv2.LINE_AA, SHIFT)
 
 
 def dots(
     image: np.ndarray, points: np.ndarray, color: Color, radius: float, rim: float = 1.0
 ) -> None:
-    """Draw filled discs with a dark rim at ``points`` ``(P, 2)`` [pixel]."""
-    r, edge = (round(size * (1 << _SHIFT)) for size in (radius, rim))
-    for center in fixed(points).tolist():
-        cv2.circle(image, center, r + edge, (0, 0, 0), -1, cv2.LINE_AA, _SHIFT)
-    for center in fixed(points).tolist():
-        cv2.circle(image, center, r, color, -1, cv2.LINE_AA, _SHIFT)
+    """Draw filled discs with a dark rim around the pixels nearest to ``points`` ``(P, 2)``.
+
+    All rims lie under all discs.
+    """
+    reach = math.ceil(radius + rim) + 1
+    part, first = _part(image, points, reach)
+    spots = np.rint(np.clip(points, -30000, 30000)).astype(int) - first + reach
+    height, width = part.shape[0] + 2 * reach, part.shape[1] + 2 * reach
+    x, y = spots[((spots >= 0) & (spots < (width, height))).all(axis=1)].T
+    centers = np.zeros((height, width), np.float32)
+    centers[y, x] = 1
+    for size, shade in ((radius + rim, (0, 0, 0)), (radius, color)):
+        cover = cv2.filter2D(centers, -1, _disc(size))[reach:-reach, reach:-reach]
+        blend(part, shade, np.minimum(cover, 1))
+
+
+def blend(image: np.ndarray, color: Color, opacity: np.ndarray) -> None:
+    """Lay a colour over an image with an opacity for each pixel, ``(H, W)`` float32."""
+    used = np.nonzero(opacity)
+    below = image[used].astype(np.float32)
+    mixed = below + (np.array(color, np.float32) - below) * opacity[used][:, None]
+    image[used] = np.rint(mixed).astype(np.uint8)
+
+
+def _part(image: np.ndarray, points: np.ndarray, reach: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the view of an image around points ``(P, 2)``, and its first column and row."""
+    size = np.array(image.shape[1::-1])
+    if not len(points):
+        return image[:0, :0], np.zeros(2, int)
+    first = np.clip(np.floor(points.min(axis=0)) - reach, 0, size).astype(int)
+    last = np.clip(np.ceil(points.max(axis=0)) + reach + 1, 0, size).astype(int)
+    return image[first[1] : last[1], first[0] : last[0]], first
+
+
+@cache
+def _disc(radius: float) -> np.ndarray:
+    """Return the share of each pixel that a disc around the middle one covers, float32."""
+    reach = math.ceil(radius)
+    away = np.hypot(*np.mgrid[-reach : reach + 1, -reach : reach + 1])
+    return np.clip(radius + 0.5 - away, 0, 1).astype(np.float32)
 
 
 @cache
@@ -138,5 +174,5 @@ _PNG = (
 
 def write_png(path: Path, image: np.ndarray) -> None:
     """Write an RGB picture."""
-    encoded = cv2.imencode(".png", image[..., ::-1], _PNG)[1]
+    encoded = cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), _PNG)[1]
     Path(os.fspath(path)).write_bytes(encoded.tobytes())

@@ -86,19 +86,24 @@ def _paint_counts(panel: np.ndarray, image: MapImage, low: np.ndarray, scale: fl
     column = np.floor((x - image.origin[0]) / image.cell_m).astype(np.int64)
     row = np.floor((y - image.origin[1]) / image.cell_m).astype(np.int64)
     rows, columns = image.counts.shape
-    inside = ((row >= 0) & (row < rows))[:, None] & ((column >= 0) & (column < columns))
-    cell = np.clip(row, 0, rows - 1)[:, None], np.clip(column, 0, columns - 1)
-    counts = image.counts[cell]
-    panel[inside & (image.free[cell] > 0)] = canvas.FREE
-    shown = inside & (counts > 0)
-    panel[shown] = _heat(counts, max(int(image.counts.max()), 1))[shown]
+    v = np.flatnonzero((row >= 0) & (row < rows))
+    u = np.flatnonzero((column >= 0) & (column < columns))
+    if not (v.size and u.size):
+        return
+    counts, free = (cells[row[v]][:, column[u]] for cells in (image.counts, image.free))
+    most = max(int(image.counts.max()), 1)
+    colors = np.concatenate([_heat(most), [canvas.FREE]]).astype(np.uint8)
+    colors[0] = canvas.PANEL
+    code = np.where((counts == 0) & (free > 0), most + 1, counts)
+    panel[v[0] : v[-1] + 1, u[0] : u[-1] + 1] = colors[code]
 
 
-def _heat(counts: np.ndarray, most: int) -> np.ndarray:
-    """Map counts to colours, logarithmically, from dark purple to yellow."""
+def _heat(most: int) -> np.ndarray:
+    """Return a colour for each count, ``(most + 1, 3)``: logarithmic, dark purple to yellow."""
+    counts = np.arange(most + 1)
     share = np.log1p(np.maximum(counts - 1, 0)) / max(np.log1p(most - 1), 1e-9)
     level = (70 + 170 * np.clip(share, 0, 1)).astype(np.uint8)
-    return cv2.applyColorMap(level, cv2.COLORMAP_INFERNO)[..., ::-1]
+    return cv2.applyColorMap(level[:, None], cv2.COLORMAP_INFERNO)[:, 0, ::-1]
 
 
 def _draw_grid(panel: np.ndarray, low: np.ndarray, scale: float, step: float) -> None:
@@ -153,7 +158,7 @@ def _draw_legend(framed: np.ndarray, image: MapImage, right: int, y: int) -> Non
     canvas.write(framed, f"{most} outlines on a cell", (right, y + 2), canvas.FAINT, align="right")
     right -= canvas.text_size(f"{most} outlines on a cell", 15)[0] + 8
     ramp = np.rint(np.expm1(np.linspace(0, np.log1p(most - 1), 110)) + 1).astype(np.int64)
-    framed[y - 10 : y + 2, right - 110 : right] = _heat(ramp[None], most)
+    framed[y - 10 : y + 2, right - 110 : right] = _heat(most)[ramp]
     canvas.write(framed, "1", (right - 116, y + 2), canvas.FAINT, align="right")
     x = right - 150.0
     entries = [

@@ -2,14 +2,17 @@
 
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 
 import jaxdet.render.canvas as canvas
 from jaxdet.floor.plane import GROUND_BITS, ground_axes
-from jaxdet.results.free_floor import ray_bearings
-from jaxdet.types import Calibration, Cells, Detections, Features, FreeEnd, GroundPlane, Scene
+from jaxdet.results.free_floor import free_floor, ray_bearings
+from jaxdet.types import Calibration, Detections, FreeEnd, GroundPlane, Scene
 
 _MARGIN = 34
+_AHEAD = np.array([[[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]]])
+"""Pose of a camera at the origin of a world whose y axis is its forward direction."""
 
 
 class View(NamedTuple):
@@ -77,11 +80,23 @@ def top_view(
 
 
 def ground_points(
-    points: Features | Cells, row: int, plane: GroundPlane, unit: float
+    x: np.ndarray, y: np.ndarray, z: np.ndarray, row: int, plane: GroundPlane, unit: float
 ) -> np.ndarray:
-    """Project the points of a frame onto the ground: right and forward, ``(N, 2)`` float64 [m]."""
-    axes = (np.ravel(axis[row]) for axis in (points.x, points.y, points.z))
-    xyz = np.stack(list(axes), axis=1).astype(np.float64)
+    """Project points of a frame onto the ground.
+
+    Args:
+        x: Points in the camera's optical frame, ``(N,)`` integer [depth units]; ``y`` and ``z``
+            likewise.
+        y: See ``x``.
+        z: See ``x``.
+        row: Row of the frame.
+        plane: Planes ``(B,)``.
+        unit: Metres in a depth unit.
+
+    Returns:
+        Right and forward, ``(N, 2)`` float64 [m].
+    """
+    xyz = np.stack([x, y, z], axis=1).astype(np.float64)
     return xyz @ ground_axes(plane)[row].T.astype(np.float64) / (1 << GROUND_BITS) * unit
 
 
@@ -106,22 +121,18 @@ def _draw_points(
 ) -> None:
     if found.points is not None:
         place, labels = found.points.features, found.points.labels.labels[row]
-        loose, radius = place.valid[row] & place.kept[row] & (labels < 0), 2.5
+        shown, radius = place.valid[row] & place.kept[row], 2.5
     elif found.cells is not None:
-        place, labels = found.cells.cells, found.cells.label[row].ravel()
-        loose, radius = found.cells.keep[row].ravel() & (labels < 0), 1.5
+        place, labels = found.cells.cells, found.cells.label[row]
+        shown, radius = found.cells.keep[row], 1.5
     else:
         return
-    points = view.pixels(ground_points(place, row, plane, unit))
-    canvas.dots(image, _apart(points[loose]), canvas.DROPPED, 0.8 * radius)
+    shown = shown | (labels >= 0)
+    x, y, z = (axis[row][shown] for axis in (place.x, place.y, place.z))
+    points, labels = view.pixels(ground_points(x, y, z, row, plane, unit)), labels[shown]
+    canvas.dots(image, points[labels < 0], canvas.DROPPED, 0.8 * radius)
     for label in reversed(range(int(found.num_obstacles[row]))):
-        own = _apart(points[labels == label])
-        canvas.dots(image, own, canvas.color_of(label), radius, rim=0.4 * radius)
-
-
-def _apart(points: np.ndarray) -> np.ndarray:
-    """Return one point per pixel."""
-    return points[np.unique(np.rint(points), axis=0, return_index=True)[1]]
+        canvas.dots(image, points[labels == label], canvas.color_of(label), radius, 0.4 * radius)
 
 
 def _draw_outlines(
@@ -170,14 +181,10 @@ def _ray_places(scene: Scene, row: int) -> np.ndarray:
 
 def _draw_free(image: np.ndarray, view: View, scene: Scene, row: int, unit: float) -> None:
     """Draw the free floor between neighbouring rays that both have some, as far as both do."""
-    _, way = ray_bearings()
-    start, stop = np.asarray(scene.free[row]).T
-    seen = start < stop
-    first, last = np.maximum(start[:-1], start[1:]), np.minimum(stop[:-1], stop[1:])
+    rows = slice(row, row + 1)
+    free = free_floor(scene.free[rows], scene.free_end[rows], unit).in_world(_AHEAD)
+    rings = np.split(view.pixels(free.points), np.cumsum(free.corners))[:-1]
     layer = image.copy()
-    for c in np.flatnonzero(seen[:-1] & seen[1:] & (first < last)).tolist():
-        ring = np.outer([first[c], last[c]], way[c : c + 2])
-        corners = np.concatenate([ring[0], ring[1, ::-1]])
-        quad = view.pixels(np.stack([np.real(corners), np.imag(corners)], axis=-1) * unit)
-        canvas.polygon(layer, quad, canvas.FREE, fill=1.0, width=0)
-    image[:] = np.rint(0.7 * image + 0.3 * layer).astype(np.uint8)
+    for ring in rings:
+        cv2.fillPoly(layer, [canvas.fixed(ring)], canvas.FREE, cv2.LINE_AA, canvas.SHIFT)
+    cv2.addWeighted(layer, 0.3, image, 0.7, 0, dst=image)

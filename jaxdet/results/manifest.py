@@ -11,7 +11,7 @@ from typing import Any
 
 from jaxdet.errors import InputError, printable
 from jaxdet.results import shapes
-from jaxdet.results.durable import sha256, write_whole
+from jaxdet.results.durable import sha256, writing
 from jaxdet.results.layout import AGAIN, MANIFEST, check_regular, leads_out, read_json
 from jaxdet.results.shapes import check_shape
 from jaxdet.results.summary import to_json
@@ -106,7 +106,8 @@ def write_manifest(folder: Path, about: Mapping[str, Any], leave_out: Collection
         if name != MANIFEST and name not in leave_out
     }
     manifest = _sealed({"format": FORMAT, **about, "files": files})
-    write_whole(folder / MANIFEST, to_json(manifest).encode())
+    with writing(folder):
+        (folder / MANIFEST).write_text(to_json(manifest), encoding="utf-8")
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:

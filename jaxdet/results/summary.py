@@ -346,8 +346,29 @@ def _unusable(log: Mapping[str, Any]) -> str:
 
 
 def to_json(value: Mapping[str, Any]) -> str:
-    """A mapping as indented JSON with a final newline; paths and enums become strings."""
-    return json.dumps(value, indent=2, ensure_ascii=False, default=str, allow_nan=False) + "\n"
+    """Return a mapping as JSON with a final newline; paths and enums become strings.
+
+    What fits into a line stands in one, else each of its parts is indented by two spaces.
+    """
+    return _json_text(value, "") + "\n"
+
+
+_LINE = 100
+_ENCODER = json.JSONEncoder(ensure_ascii=False, default=str, allow_nan=False)
+
+
+def _json_text(value: Any, indent: str) -> str:
+    line = _ENCODER.encode(value)
+    if len(indent) + len(line) <= _LINE or not isinstance(value, Mapping | list | tuple):
+        return line
+    deeper = indent + "  "
+    if isinstance(value, Mapping):
+        ends = "{}"
+        parts = [f"{_ENCODER.encode(k)}: {_json_text(v, deeper)}" for k, v in value.items()]
+    else:
+        ends, parts = "[]", [_json_text(part, deeper) for part in value]
+    rows = ",\n".join(deeper + part for part in parts)
+    return f"{ends[0]}\n{rows}\n{indent}{ends[1]}"
 
 
 def plain(value: Any) -> Any:

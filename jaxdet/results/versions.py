@@ -22,6 +22,7 @@ def versions() -> dict[str, str | None]:
     return {"python": platform.python_version(), **found}
 
 
+@cache
 def version(name: str) -> str | None:
     """Of a package; None: not installed."""
     from importlib.metadata import PackageNotFoundError

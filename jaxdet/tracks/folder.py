@@ -99,7 +99,6 @@ def track_results(
             with writing(staged, "make room"):
                 link_folder(one, staged)
                 found += add_tracks(staged, config or TrackConfig())
-                flush_folder(staged)
             publish(staged, root, one.absolute().name)
     return found
 
@@ -123,6 +122,8 @@ def add_tracks(folder: Path, config: TrackConfig) -> list[LogTracks]:
         found = write_tracks(results, config, folder)
     (folder / MANIFEST).unlink()
     write_manifest(folder, about, others)
+    with writing(folder):
+        flush_folder(folder)
     return found
 
 
