@@ -14,6 +14,7 @@ import pytest
 from jaxdet.config import Config, GroundConfig
 from jaxdet.errors import FrameStatus, InputError, printable
 from jaxdet.export import export
+from jaxdet.export.html.choice import choose
 from jaxdet.export.html.collect import HISTOGRAM_BINS, MOST_BINS, Columns, LogFigures, Timeline
 from jaxdet.export.html.page import REASONS
 from jaxdet.export.recordings import find
@@ -121,6 +122,29 @@ def test_gallery_has_what_is_worth_a_look(made: Path, tmp_path: Path) -> None:
         assert ("lost" in frame["kinds"]) == (row.status != "ok")
     reasons = [f["reason"] for f in data["frames"] if f["frame"] == 7 and f["status"] != "ok"]
     assert all("isn't what it was" in reason for reason in reasons)
+
+
+def test_few_frames_are_marked_as_near_or_full(tmp_path: Path) -> None:
+    folder = make_results(tmp_path / "out", {"a": 40})
+    data = page_of(folder, tmp_path / "page.html")
+    obstacles = open_results(folder).tables().obstacles.to_pandas()
+    counts = obstacles.groupby("frame").size()
+    marked = {
+        kind: {frame["frame"] for frame in data["frames"] if kind in frame["kinds"]}
+        for kind in ("nearest", "most")
+    }
+    assert marked["nearest"] == set(obstacles.groupby("frame").distance_m.min().nsmallest(4).index)
+    assert len(marked["most"]) == 4 and counts[list(marked["most"])].min() == counts.max()
+    assert sum("sample" in frame["kinds"] for frame in data["frames"]) > 8  # shown all the same
+
+
+def test_frames_with_equally_many_obstacles_are_not_marked_as_full() -> None:
+    figures = LogFigures("a", 0.1, Timeline(30))
+    each, names = np.ones(30, np.int64), np.full(30, "ok", object)
+    rows = Columns(np.arange(30), np.arange(30), names, each == 0, each, np.ones(30, np.float32))
+    figures.add(rows)
+    kinds = [kind for kinds in choose([figures], []).values() for kind in kinds]
+    assert kinds.count("nearest") == 3 and "most" not in kinds
 
 
 def test_each_status_has_a_reason() -> None:
