@@ -32,8 +32,8 @@ from jaxdet.sim import SimConfig, write_log
 ROOT = Path(__file__).resolve().parents[1]
 DOCUMENTS = {path.stem: path for path in sorted((ROOT / "jaxdet/help").glob("*.md"))}
 DOCUMENTS["README"] = ROOT / "README.md"
-CONSOLE = ("pip ", "complete ", "python", "rosbags-convert ", "scripts/", ".venv/bin/")
-"""What a block that is not run may hold: installing, and other programs."""
+CONSOLE = ("pip ", "jaxdet run drive.mcap ", "complete ", "python", "rosbags-convert ", "scripts/", ".venv/bin/")
+"""What a block that is not run may hold: installing, what needs a log, and other programs."""
 OTHERS = ("--dst", "--dst-storage", "--src", "--system-site-packages", "--only", "--seeds")
 OTHERS += ("--array", "--array-properties", "--container-properties", "--cpus-per-task", "--gres")
 OTHERS += ("--job-definition", "--job-definition-name", "--job-name", "--job-queue", "--requeue")
