@@ -145,6 +145,7 @@ def test_flags_that_are_named_are_there(capsys, monkeypatch):
         "track --help-all",
         "export -h",
         "verify -h",
+        "diff -h",
         "info -h",
         "sim -h",
         "doctor -h",

@@ -19,6 +19,7 @@ COMMANDS = {
     "track": "link the obstacles of results over time: paths, speeds, what moves",
     "export": "write results for other programs, or as a page: foxglove, ros2, html ...",
     "verify": "check results: every file, frame and table, and a sample against the reference",
+    "diff": "compare two runs on the same logs, as a table and as pictures side by side",
     "info": "say what is in a log, and what would be used of it and why",
     "config": "write all parameters with their meaning, as a file for run --config",
     "sim": "simulate a log with known obstacles",
