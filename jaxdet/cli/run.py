@@ -104,8 +104,9 @@ class RunCommand:
     of corners; the others are wheeled with the depth range of a camera."""
     config: Path | None = field(default=None, metadata={"takes": "FILE"})
     """TOML file with sections as below, or the config.json of results."""
-    truth: Path | None = field(default=None, metadata={"takes": "LOG"})
-    """A simulated log whose truth the results are compared with."""
+    truth: Path | None = field(default=None, metadata={"takes": "TRUTH"})
+    """Ground truth that the results are compared with: a simulated log, or a JSON file of labelled
+    boxes (COCO or a list, see jaxdet help tuning)."""
     join: bool = True
     """Make one log of the split files of a recording."""
     tracks: bool = False
@@ -153,10 +154,9 @@ def _run(command: RunCommand) -> int:
     logs = find_logs(command.logs, join=command.join)
     observers = {}
     if command.truth:
-        from jaxdet.cli.truth import TruthScore  # which loads the simulator
+        from jaxdet.cli.truth import score_against  # which loads the simulator
 
-        observers["score"] = TruthScore(command.truth, command.method)
-        observers["score"].check()
+        observers["score"] = score_against(command.truth, command.method, len(logs))
     silent = command.quiet or command.json
     if options.backend == "jax" and not silent and (text := first_time(cache_folders())):
         _say(text)
