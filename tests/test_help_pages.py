@@ -35,7 +35,8 @@ DOCUMENTS["README"] = ROOT / "README.md"
 CONSOLE = (
     "pip ",
     "jaxdet run drive.mcap ",
-    "complete ",
+    'eval "$(jaxdet complete ',
+    "jaxdet complete fish",
     "python",
     "rosbags-convert ",
     "scripts/",

@@ -47,9 +47,10 @@ options:
   -h, --help   this text
   --version    the version
 
-tab completion, for bash and for zsh after bashcompinit, and for fish:
-  complete -o default -C 'jaxdet complete' jaxdet
-  complete -c jaxdet -a '(env COMP_LINE=(commandline -cp) jaxdet complete)'
+tab completion, in the start-up file of bash, zsh (after compinit), fish:
+  eval "$(jaxdet complete bash)"
+  eval "$(jaxdet complete zsh)"
+  jaxdet complete fish | source
 
 exit codes: 0 all fine, 1 some inputs failed, 2 bad usage, 130 interrupted (143 by SIGTERM)
 """
