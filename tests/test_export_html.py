@@ -320,7 +320,8 @@ def test_browser_opens_frames(drive: Path, tmp_path: Path, browser: Any) -> None
     page, dialog = opened.page, opened.page.locator("dialog")
     line = page.locator(".timeline svg")
     line.hover()
-    assert re.match(r"frame \d · .* m · \d+ obstacles? · picture", page.locator("#tip").inner_text())
+    tip = page.locator("#tip").inner_text()
+    assert re.match(r"frame \d · .* m · \d+ obstacles? · picture", tip)
     line.click()
     assert dialog.is_visible() and dialog.locator("img").evaluate("i => i.naturalWidth") == 1024
     first = page.locator("#frame-title").inner_text()

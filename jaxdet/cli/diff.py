@@ -126,13 +126,14 @@ def _log_lines(log: "LogDifference") -> Iterator[str]:
 
 def _row(frame: "FrameDifference") -> tuple[str, str, str, str, str, str]:
     same = frame.status[0] == frame.status[1]
-    counts = map(str, frame.obstacles) if same else frame.status
+    of_a, of_b = map(str, frame.obstacles if same else frame.status)
     changed = [f"{len(frame.changed)} by up to {frame.moved_m:.3f} m"] if frame.changed else []
     names = dict.fromkeys(_brief(name) for name in frame.columns if name != "num_obstacles")
     changed += [_some([*names])] if names else []
     return (
         str(frame.frame),
-        *counts,
+        of_a,
+        of_b,
         _metres(frame.only_a),
         _metres(frame.only_b),
         "; ".join(changed),

@@ -115,9 +115,9 @@ def difference(a: Results, b: Results) -> Difference:
         problem = "no log of {} is in {}; they hold {} and {}"
         raise InputError(problem.format(a.folder, b.folder, *some))
     paired = {log.label for pair in pairs for log in pair}
-    only = ([name for name in names if name not in paired] for names in logs)
+    only_a, only_b = ([name for name in names if name not in paired] for names in logs)
     found = [_log_difference(a, b, *pair) for pair in pairs]
-    return Difference(_settings(a, b), *only, found)
+    return Difference(_settings(a, b), only_a, only_b, found)
 
 
 def _settings(a: Results, b: Results) -> list[tuple[str, Any, Any]]:
