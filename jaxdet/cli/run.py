@@ -108,16 +108,16 @@ class RunCommand:
     config: Path | None = field(default=None, metadata={"takes": "FILE"})
     """TOML file with sections as below, or the config.json of results."""
     truth: Path | None = field(default=None, metadata={"takes": "TRUTH"})
-    """Ground truth that the results are compared with: a simulated log, or a JSON file of labelled
-    boxes (COCO or a list, see jaxdet help tuning)."""
+    """Compare with a simulated log's ground truth, or with labelled boxes. These are a JSON file,
+    COCO or a list, see jaxdet help tuning."""
     join: bool = True
     """Make one log of the split files of a recording."""
     tracks: bool = False
     """Link the obstacles over time, as jaxdet track does."""
     verbose: bool = False
-    """Report each log, of many too, when it is done (Python's logging: level INFO)."""
+    """Report each log that is done. Level INFO of Python's logging."""
     debug: bool = False
-    """Report each step of each log, too (level DEBUG)."""
+    """Report each step of each log. Level DEBUG of Python's logging."""
     quiet: bool = False
     """Say nothing but errors."""
     json: bool = False
