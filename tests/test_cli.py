@@ -6,6 +6,7 @@ import math
 import os
 import re
 import resource
+import shutil
 import subprocess
 import sys
 import typing
@@ -180,6 +181,45 @@ def test_a_shell_is_told_what_a_word_may_become(
     found = capsys.readouterr().out.splitlines()
     assert offered <= set(found) and bool(found) == bool(offered)
     assert all(word.startswith(re.split("[ =]", line)[-1]) for word in found)
+
+
+SHELLS = {
+    "bash": (
+        ["--norc"],
+        """eval "$(jaxdet complete bash)" && complete -p jaxdet | grep -q "jaxdet complete" &&
+        COMP_LINE="jaxdet export results --to f" COMP_POINT=28 jaxdet complete jaxdet f --to""",
+        ["foxglove"],
+    ),
+    "zsh": (
+        ["-f"],
+        """compdef() { [[ "$*" == "_jaxdet jaxdet" ]] }
+        compadd() { shift; print -l -- "$@" }; compset() { }; _files() { print files }
+        eval "$(jaxdet complete zsh)"
+        words=(jaxdet export results --to f); CURRENT=5; _jaxdet
+        words=(jaxdet run ""); CURRENT=3; _jaxdet""",
+        ["foxglove", "files"],
+    ),
+    "fish": (
+        ["--no-config"],
+        """jaxdet complete fish | source; complete -C "jaxdet export results --to f" """,
+        ["foxglove"],
+    ),
+}
+"""Flags, a script and what it prints, for each shell."""
+
+
+@pytest.mark.parametrize("shell", SHELLS)
+def test_completion_in_a_shell(shell: str, tmp_path: Path) -> None:
+    if not shutil.which(shell):
+        pytest.skip(f"no {shell} here")
+    program = tmp_path / "jaxdet"
+    program.write_text(f'#!/bin/sh\nexec {sys.executable} -m jaxdet "$@"\n')
+    program.chmod(0o755)
+    flags, script, offered = SHELLS[shell]
+    env = {**os.environ, "PATH": f"{tmp_path}:{os.environ['PATH']}", "HOME": str(tmp_path)}
+    command = [shell, *flags, "-c", script]
+    done = subprocess.run(command, env=env, capture_output=True, text=True, timeout=60)
+    assert done.stdout.split() == offered, done.stderr
 
 
 def test_the_page_on_tuning_has_the_ranges_of_cameras() -> None:

@@ -14,6 +14,7 @@ import pytest
 from jaxdet.config import Config, GroundConfig
 from jaxdet.errors import FrameStatus, InputError, printable
 from jaxdet.export import export
+from jaxdet.export.html.choice import choose
 from jaxdet.export.html.collect import HISTOGRAM_BINS, MOST_BINS, Columns, LogFigures, Timeline
 from jaxdet.export.html.page import REASONS
 from jaxdet.export.recordings import find
@@ -121,6 +122,29 @@ def test_gallery_has_what_is_worth_a_look(made: Path, tmp_path: Path) -> None:
         assert ("lost" in frame["kinds"]) == (row.status != "ok")
     reasons = [f["reason"] for f in data["frames"] if f["frame"] == 7 and f["status"] != "ok"]
     assert all("isn't what it was" in reason for reason in reasons)
+
+
+def test_few_frames_are_marked_as_near_or_full(tmp_path: Path) -> None:
+    folder = make_results(tmp_path / "out", {"a": 39})
+    data = page_of(folder, tmp_path / "page.html")
+    obstacles = open_results(folder).tables().obstacles.to_pandas()
+    counts = obstacles.groupby("frame").size()
+    marked = {
+        kind: {frame["frame"] for frame in data["frames"] if kind in frame["kinds"]}
+        for kind in ("nearest", "most")
+    }
+    assert marked["nearest"] == set(obstacles.groupby("frame").distance_m.min().nsmallest(3).index)
+    assert len(marked["most"]) == 3 and counts[list(marked["most"])].min() == counts.max()
+    assert sum("sample" in frame["kinds"] for frame in data["frames"]) > 8  # shown all the same
+
+
+def test_frames_with_equally_many_obstacles_are_not_marked_as_full() -> None:
+    figures = LogFigures("a", 0.1, Timeline(30))
+    each, names = np.ones(30, np.int64), np.full(30, "ok", object)
+    rows = Columns(np.arange(30), np.arange(30), names, each == 0, each, np.ones(30, np.float32))
+    figures.add(rows)
+    kinds = [kind for kinds in choose([figures], []).values() for kind in kinds]
+    assert kinds.count("nearest") == 3 and "most" not in kinds
 
 
 def test_each_status_has_a_reason() -> None:
@@ -254,7 +278,7 @@ def test_browser_with_lost_frames(made: Path, tmp_path: Path, browser: Any) -> N
     page = opened.page
     assert page.title() == "Obstacles in 4 logs"
     assert page.locator("#figures dd").nth(1).inner_text().startswith("3,401")
-    assert "No depth image is near enough" in page.locator("#lost").inner_text()
+    assert "no colour image near enough" in page.locator("#lost").inner_text()
     assert "torn: no <b>images</b> in it" in page.locator("#lost").inner_text()
     assert page.locator(".timeline").count() == 3
     assert page.locator("#only option").all_inner_texts()[1].startswith("</script><img")
@@ -296,7 +320,8 @@ def test_browser_opens_frames(drive: Path, tmp_path: Path, browser: Any) -> None
     page, dialog = opened.page, opened.page.locator("dialog")
     line = page.locator(".timeline svg")
     line.hover()
-    assert re.match(r"frame \d · .* m · \d obstacles? · picture", page.locator("#tip").inner_text())
+    tip = page.locator("#tip").inner_text()
+    assert re.match(r"frame \d · .* m · \d+ obstacles? · picture", tip)
     line.click()
     assert dialog.is_visible() and dialog.locator("img").evaluate("i => i.naturalWidth") == 1024
     first = page.locator("#frame-title").inner_text()
@@ -357,3 +382,51 @@ def test_browser_narrow_dark_print(drive: Path, tmp_path: Path, browser: Any) ->
         assert len(page.pdf()) > 10_000
         opened.check()
     assert len(grounds) == 2
+
+
+def test_browser_on_a_phone(driven_results: Path, tmp_path: Path, browser: Any) -> None:
+    page_of(driven_results, tmp_path / "page.html")
+    how = {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobile": True}
+    opened = Opened(browser, tmp_path / "page.html", **how)
+    page = opened.page
+    assert page.evaluate("document.documentElement.scrollWidth") == 390
+    size = "t => parseFloat(getComputedStyle(t).fontSize) * t.getScreenCTM().a"
+    sizes = page.locator("svg text").evaluate_all(f"texts => texts.map({size})")
+    assert len(sizes) > 15 and min(sizes) > 10.99
+    page.locator(".card").first.tap()
+    picture, frame = page.locator(".zoom img"), page.locator(".zoom")
+    small = picture.bounding_box()["width"]
+    assert 300 < small < 390
+    page.locator(".zoom button").tap(position={"x": small - 20, "y": 30})
+    assert picture.bounding_box()["width"] == 1024  # its own size: labels can be read
+    shown = frame.evaluate("n => [n.clientWidth, n.scrollLeft]")
+    assert shown[0] < 390 and shown[1] > 512  # where it was tapped
+    page.locator(".zoom button").tap()
+    assert picture.bounding_box()["width"] == small
+    fits = "tables => tables.map(t => t.scrollWidth - t.clientWidth)"
+    assert page.locator(".wide").evaluate_all(fits) == [0, 0, 0]
+    head = "n => getComputedStyle(n, '::before').content"
+    heads = page.locator("dialog tr").last.locator("td").evaluate_all(f"tds => tds.map({head})")
+    assert heads[0] == '"obstacle"' and heads[-1] == '"cells"'
+    opened.check()
+
+
+def test_browser_shows_no_picture_larger_than_it_is(
+    driven_results: Path, tmp_path: Path, browser: Any
+) -> None:
+    page_of(driven_results, tmp_path / "page.html")
+    opened = Opened(browser, tmp_path / "page.html", viewport={"width": 1440, "height": 900})
+    opened.page.locator(".card").first.click()
+    assert opened.page.locator(".zoom img").bounding_box()["width"] <= 1024
+    opened.check()
+
+
+def test_browser_sizes_outlines_in_place_of_pictures(
+    made: Path, tmp_path: Path, browser: Any
+) -> None:
+    page_of(made, tmp_path / "page.html")
+    opened = Opened(browser, tmp_path / "page.html", viewport={"width": 390, "height": 844})
+    size = "t => parseFloat(getComputedStyle(t).fontSize) * t.getScreenCTM().a"
+    sizes = opened.page.locator(".plan text").evaluate_all(f"texts => texts.map({size})")
+    assert sizes and min(sizes) > 10.99
+    opened.check()

@@ -32,8 +32,17 @@ from jaxdet.sim import SimConfig, write_log
 ROOT = Path(__file__).resolve().parents[1]
 DOCUMENTS = {path.stem: path for path in sorted((ROOT / "jaxdet/help").glob("*.md"))}
 DOCUMENTS["README"] = ROOT / "README.md"
-CONSOLE = ("pip ", "complete ", "python", "rosbags-convert ", "scripts/", ".venv/bin/")
-"""What a block that is not run may hold: installing, and other programs."""
+CONSOLE = (
+    "pip ",
+    "jaxdet run drive.mcap ",
+    'eval "$(jaxdet complete ',
+    "jaxdet complete fish",
+    "python",
+    "rosbags-convert ",
+    "scripts/",
+    ".venv/bin/",
+)
+"""What a block that is not run may hold: installing, what needs a log, and other programs."""
 OTHERS = ("--dst", "--dst-storage", "--src", "--system-site-packages", "--only", "--seeds")
 OTHERS += ("--array", "--array-properties", "--container-properties", "--cpus-per-task", "--gres")
 OTHERS += ("--job-definition", "--job-definition-name", "--job-name", "--job-queue", "--requeue")
@@ -89,7 +98,8 @@ def test_every_snippet_runs(name, drive, tmp_path, monkeypatch, capsys):
                 if " ".join(args[:6]) == SIM and name != "logs":
                     (tmp_path / "drive.mcap").hardlink_to(drive)
                     continue
-                assert main(args) == 0, (args, capsys.readouterr().err)
+                expected = 1 if args[0] == "diff" else 0  # the runs differ
+                assert main(args) == expected, (args, capsys.readouterr().err)
         elif language == "sql":
             assert duckdb.sql(block).fetchall()
         elif language == "python":
@@ -145,6 +155,7 @@ def test_flags_that_are_named_are_there(capsys, monkeypatch):
         "track --help-all",
         "export -h",
         "verify -h",
+        "diff -h",
         "info -h",
         "sim -h",
         "doctor -h",

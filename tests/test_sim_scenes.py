@@ -11,7 +11,7 @@ from jaxdet.sim import FAMILIES, SCENES, SimConfig, load_scene, read_scene, simu
 from jaxdet.sim.mesh import shift
 from jaxdet.sim.models import KINDS, LOW_THINGS, build_model
 from jaxdet.sim.render import render
-from jaxdet.sim.robot import mount
+from jaxdet.sim.robot import mount, pose_at
 from jaxdet.sim.scene import Model, Scene
 from jaxdet.sim.world import outline
 from jaxdet.types import Intrinsics
@@ -34,6 +34,23 @@ def test_scenes_render(name):
     standing = len(scene.boxes) + len(scene.cylinders)
     seen = set(np.unique(view.obstacle_id)) & set(range(1, standing + 1))
     assert len(seen) == min(standing, 8)
+
+
+def test_drive_passes_obstacles_and_a_person_crosses_in_front():
+    scene = load_scene("drive")
+    (person,) = scene.models
+    times = np.arange(0, 10.01, 0.1)
+    robot = np.array([pose_at(scene.path, time)[:2] for time in times])
+    walker = np.array([pose_at(person.path, time)[:2] for time in times])
+    standing = np.array([obj.center for obj in (*scene.boxes, *scene.cylinders)])
+    assert robot[-1, 0] - robot[0, 0] == pytest.approx(5.0)
+    passed = standing[standing[:, 0] < robot[-1, 0]]
+    assert len(passed) >= 4 and {1.0, -1.0} == set(np.sign(passed[:, 1]))
+    crossing = np.flatnonzero(np.diff(np.sign(walker[:, 1])))
+    ahead = (walker - robot)[crossing, 0]
+    assert len(ahead) == 1 and 1.0 < ahead[0] < 3.5  # in view of the camera
+    for way in (walker[:, None], standing[None]):
+        assert np.hypot(*(robot[:, None] - way).T).min() > 0.5  # room for the robot
 
 
 @pytest.mark.parametrize("family", FAMILIES)

@@ -14,7 +14,6 @@ from benchmarks.paper.section import Direction, Section, number, percent, wilson
 from benchmarks.scores.boxes import (
     BoxTally,
     FrameLabels,
-    match_boxes,
     on_known_ground,
     score_boxes,
     tally_boxes,
@@ -24,6 +23,7 @@ from jaxdet.camera import cell_side
 from jaxdet.config import Config
 from jaxdet.engine import decide_planes
 from jaxdet.engine.color import method_frames
+from jaxdet.eval.boxes import match_boxes
 from jaxdet.eval.frame import cell_points
 from jaxdet.floor.plane import floor_prior
 from jaxdet.io import Log, open_log

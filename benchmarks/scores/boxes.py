@@ -16,10 +16,9 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxdet.camera import pixel_rays
+from jaxdet.eval.boxes import box_sizes, match_boxes, near_surface
 from jaxdet.types import Intrinsics
 
-NEAR_M = 0.08
-"""Depth of what counts as the near surface of a thing [m]."""
 FLOOR = 1
 """The label of the floor; 0 is unknown, larger ones an object each."""
 MIN_PLANE_PIXELS = 50
@@ -77,50 +76,6 @@ class BoxScore(NamedTuple):
     """90th percentile of the same."""
 
 
-def box_iou(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Intersection over union of boxes ``(n, 4)`` and ``(m, 4)``: ``(n, m)`` float64.
-
-    Example:
-        >>> box_iou(np.array([[0, 0, 9, 9]]), np.array([[5, 0, 14, 9], [10, 0, 19, 9]])).tolist()
-        [[0.3333333333333333, 0.0]]
-    """
-    low = np.maximum(a[:, None, :2], b[None, :, :2])
-    high = np.minimum(a[:, None, 2:], b[None, :, 2:]) + 1
-    both = np.maximum(high - low, 0).prod(axis=2)
-    return both / (_sizes(a)[:, None] + _sizes(b) - both)
-
-
-def _sizes(boxes: np.ndarray) -> np.ndarray:
-    return (boxes[:, 2:] - boxes[:, :2] + 1).prod(axis=1)
-
-
-def match_boxes(boxes: np.ndarray, found: np.ndarray, least_iou: float) -> np.ndarray:
-    """Pairs objects and detections one to one, the pair with the largest IoU first.
-
-    Args:
-        boxes: ``(T, 4)`` integer, of the objects.
-        found: ``(n, 4)`` integer, of the detections.
-        least_iou: Least IoU of a pair.
-
-    Returns:
-        ``(T,)`` int64, each object's detection, -1 = none. Of equal pairs the one with the larger
-        object number, then detection number, is taken first.
-
-    Example:
-        >>> objects = np.array([[0, 0, 9, 9], [0, 0, 9, 7]])
-        >>> match_boxes(objects, np.array([[0, 0, 9, 8], [0, 0, 9, 9]]), 0.5).tolist()
-        [1, 0]
-    """
-    iou = box_iou(boxes, found)
-    rows, columns = np.nonzero(iou >= least_iou)
-    order = np.lexsort((columns, rows, iou[rows, columns]))[::-1]
-    pairs = np.full(len(boxes), -1, np.int64)
-    for row, column in zip(rows[order].tolist(), columns[order].tolist(), strict=True):
-        if pairs[row] < 0 and column not in pairs:
-            pairs[row] = column
-    return pairs
-
-
 def tally_boxes(
     labels: FrameLabels,
     found: np.ndarray,
@@ -146,7 +101,7 @@ def tally_boxes(
     chosen = counted[pairs[matched]]
     errors = nearest_m[chosen] - labels.distance_m[matched]
     false = np.setdiff1d(counted, chosen)
-    sizes = _sizes(found)
+    sizes = box_sizes(found)
     ground = labels.floor & measured
     return BoxTally(
         objects=len(labels.boxes),
@@ -162,7 +117,7 @@ def tally_boxes(
 
 def on_known_ground(labels: FrameLabels, found: np.ndarray) -> np.ndarray:
     """Which boxes ``(n, 4)`` count, those of at least half known pixels: ``(n,)`` bool."""
-    return 2 * _pixels(labels.known, found) >= _sizes(found)
+    return 2 * _pixels(labels.known, found) >= box_sizes(found)
 
 
 def _pixels(mask: np.ndarray, boxes: np.ndarray) -> np.ndarray:
@@ -253,20 +208,6 @@ def labels_of_image(
 def _top(height_m: np.ndarray) -> float:
     """A height that a few wrong pixels don't reach [m]; without any, unlimited."""
     return float(np.quantile(height_m, 0.95)) if height_m.size else np.inf
-
-
-def near_surface(z_m: np.ndarray) -> float:
-    """Forward depth of the near surface of a thing, from the depths ``(n,)`` of its pixels [m].
-
-    The median of those that lie at most ``NEAR_M`` behind their 5th percentile; NaN without any.
-
-    Example:
-        >>> near_surface(np.array([1.0, 1.0, 1.02, 1.5, 1.5]))
-        1.0
-    """
-    if not z_m.size:
-        return float("nan")
-    return float(np.median(z_m[z_m <= np.quantile(z_m, 0.05) + NEAR_M]))
 
 
 def heights(z_m: np.ndarray, floor: np.ndarray, camera: Intrinsics) -> np.ndarray:

@@ -15,17 +15,15 @@ from hypothesis import strategies as st
 from benchmarks.scores.boxes import (
     BoxTally,
     FrameLabels,
-    box_iou,
     heights,
     labels_of_boxes,
     labels_of_image,
-    match_boxes,
-    near_surface,
     on_known_ground,
     score_boxes,
     tally_boxes,
 )
 from jaxdet.camera import pixel_rays
+from jaxdet.eval.boxes import box_iou, match_boxes, near_surface
 from jaxdet.types import Intrinsics
 
 CAMERA = Intrinsics(64, 48, 60.0, 60.0, 31.5, 20.0)

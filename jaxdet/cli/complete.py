@@ -1,7 +1,8 @@
-"""``jaxdet complete``: what a shell offers at TAB; ``complete -C 'jaxdet complete' jaxdet``.
+"""``jaxdet complete``: tab completion for bash, zsh and fish.
 
-Bash, and zsh with bashcompinit, call it with the line in ``COMP_LINE`` and the place of the cursor
-in ``COMP_POINT``, and read a candidate a line.
+``jaxdet complete bash`` prints the line for the shell's start-up file. What it sets up calls
+``jaxdet complete`` with the line in ``COMP_LINE`` and, in bash, the place of the cursor in
+``COMP_POINT``, and reads a candidate per line.
 """
 
 import os
@@ -14,9 +15,31 @@ from jaxdet.cli.help import pages
 from jaxdet.cli.main import COMMANDS
 from jaxdet.presets import PRESETS
 
+SCRIPTS = {
+    "bash": """\
+complete -o default -C 'jaxdet complete' jaxdet
+""",
+    "zsh": """\
+_jaxdet() {
+  local -a found
+  found=("${(@f)$(COMP_LINE="${(j: :)words[1,CURRENT]}" jaxdet complete)}")
+  compset -P '*='
+  if [[ -n "$found" ]]; then compadd -- $found; else _files; fi
+}
+compdef _jaxdet jaxdet
+""",
+    "fish": """\
+complete -c jaxdet -a '(env COMP_LINE=(commandline -cp) jaxdet complete)'
+""",
+}
+"""Set-up for each shell. Where there are no candidates, files are offered."""
+
 
 def main(args: list[str]) -> int:
-    """Prints the candidates; returns 0."""
+    """Print the set-up for a shell, or the candidates; return 0."""
+    if args and args[0] in SCRIPTS:
+        print(SCRIPTS[args[0]], end="")
+        return 0
     line = os.environ.get("COMP_LINE", "")
     line = line[: int(os.environ.get("COMP_POINT", len(line)))]
     *before, begun = re.split("[ =]", line)  # shells begin a word after = too

@@ -17,7 +17,13 @@ from functools import cache
 from itertools import pairwise
 from typing import Any, NamedTuple
 
-LETTERS = {"--verbose": "-v", "--output": "-o", "--quiet": "-q", "--overwrite": "-y"}
+LETTERS = {
+    "--verbose": "-v",
+    "--debug": "-vv",
+    "--output": "-o",
+    "--quiet": "-q",
+    "--overwrite": "-y",
+}
 """Short forms, in every command that has the flag: as in ffmpeg, ``rosbag`` and ``mcap``."""
 
 

@@ -19,6 +19,7 @@ COMMANDS = {
     "track": "link the obstacles of results over time: paths, speeds, what moves",
     "export": "write results for other programs, or as a page: foxglove, ros2, html ...",
     "verify": "check results: every file, frame and table, and a sample against the reference",
+    "diff": "compare two runs on the same logs, as a table and as pictures side by side",
     "info": "say what is in a log, and what would be used of it and why",
     "config": "write all parameters with their meaning, as a file for run --config",
     "sim": "simulate a log with known obstacles",
@@ -46,9 +47,10 @@ options:
   -h, --help   this text
   --version    the version
 
-tab completion, for bash and for zsh after bashcompinit, and for fish:
-  complete -o default -C 'jaxdet complete' jaxdet
-  complete -c jaxdet -a '(env COMP_LINE=(commandline -cp) jaxdet complete)'
+tab completion, in the start-up file of bash, zsh (after compinit), fish:
+  eval "$(jaxdet complete bash)"
+  eval "$(jaxdet complete zsh)"
+  jaxdet complete fish | source
 
 exit codes: 0 all fine, 1 some inputs failed, 2 bad usage, 130 interrupted (143 by SIGTERM)
 """

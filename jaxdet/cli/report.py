@@ -197,7 +197,7 @@ def _off(score: Mapping[str, Any]) -> str:
         score[name] * 100 for name in ("nearest_error_m", "nearest_error_p90_m", "nearest_bias_m")
     )
     if math.isnan(middle):
-        return "not compared: nothing found is whole in a picture"
+        return "not compared: no true distance is known"
     side = f"too {'near' if bias < 0 else 'far'} by {abs(bias):.1f} cm"
     return f"off by {middle:.1f} cm (median), {most:.1f} cm (90 %), {side}"
 

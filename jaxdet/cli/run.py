@@ -1,5 +1,6 @@
 """``jaxdet run``: logs in, a results folder out."""
 
+import logging
 import signal
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -7,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from jaxdet.cli.flags import parse_flags
 from jaxdet.cli.fleet import FleetOptions, run_on_machines
+from jaxdet.cli.log import LOGGER, show_log
 from jaxdet.cli.report import summary_lines
 from jaxdet.cli.settings import defaults
 from jaxdet.cli.spinner import SPINNER
@@ -82,6 +84,7 @@ GROUPS = {
         "--overwrite",
         "--update",
         "--verbose",
+        "--debug",
         "--quiet",
         "--json",
     ),
@@ -104,14 +107,17 @@ class RunCommand:
     of corners; the others are wheeled with the depth range of a camera."""
     config: Path | None = field(default=None, metadata={"takes": "FILE"})
     """TOML file with sections as below, or the config.json of results."""
-    truth: Path | None = field(default=None, metadata={"takes": "LOG"})
-    """A simulated log whose truth the results are compared with."""
+    truth: Path | None = field(default=None, metadata={"takes": "TRUTH"})
+    """Compare with a simulated log's ground truth, or with labelled boxes. These are a JSON file,
+    COCO or a list, see jaxdet help tuning."""
     join: bool = True
     """Make one log of the split files of a recording."""
     tracks: bool = False
     """Link the obstacles over time, as jaxdet track does."""
     verbose: bool = False
-    """Say something of each log, of many too."""
+    """Report each log that is done. Level INFO of Python's logging."""
+    debug: bool = False
+    """Report each step of each log. Level DEBUG of Python's logging."""
     quiet: bool = False
     """Say nothing but errors."""
     json: bool = False
@@ -131,9 +137,17 @@ def main(args: list[str]) -> int:
     """Runs the command; returns the exit code."""
     SPINNER.stop()  # whatever is said of the arguments
     command = parse(args)
+    show_log(_level(command))
     if not (command.quiet or command.json):
         SPINNER.start("loading")
     return _run(command)
+
+
+def _level(command: RunCommand) -> int:
+    """Return the level from which on log records are shown."""
+    if command.quiet or command.json:
+        return logging.ERROR
+    return logging.DEBUG if command.debug else logging.INFO if command.verbose else logging.WARNING
 
 
 def _run(command: RunCommand) -> int:
@@ -153,13 +167,12 @@ def _run(command: RunCommand) -> int:
     logs = find_logs(command.logs, join=command.join)
     observers = {}
     if command.truth:
-        from jaxdet.cli.truth import TruthScore  # which loads the simulator
+        from jaxdet.cli.truth import score_against  # which loads the simulator
 
-        observers["score"] = TruthScore(command.truth, command.method)
-        observers["score"].check()
+        observers["score"] = score_against(command.truth, command.method, len(logs))
     silent = command.quiet or command.json
     if options.backend == "jax" and not silent and (text := first_time(cache_folders())):
-        _say(text)
+        LOGGER.warning("%s", text)
         SPINNER.start("loading")
     how: dict[str, Any] = {name: getattr(options, name) for name in (*OF_RUN, *AGAIN)}
     resources = (getattr(options, name) for name in OF_RUNNER)
@@ -173,12 +186,12 @@ def _run(command: RunCommand) -> int:
             progress=progress,
             observers=observers,
             preset=command.preset,
-            say=(lambda text: None) if silent else _say,
         )
     if command.json:
         print(to_json(summary.to_dict()), end="")
     elif not command.quiet:
-        print("\n".join(summary_lines(summary, options.output, every=command.verbose)))
+        every = command.verbose or command.debug
+        print("\n".join(summary_lines(summary, options.output, every=every)))
     code = _exit_code(summary, updated=options.update)
     if command.tracks and summary.whole:
         _link(command)
@@ -240,8 +253,3 @@ def _link(command: RunCommand) -> None:
         raise Interrupted(getattr(stop, "signal", signal.SIGINT), text) from None
     if not (command.quiet or command.json):
         print("\n".join(track_lines(found)))
-
-
-def _say(text: str) -> None:
-    SPINNER.stop()
-    tell(f"jaxdet: {text}")

@@ -1,4 +1,4 @@
-"""``jaxdet run --truth``: comparison with the truth of a simulated log, batch by batch."""
+"""``jaxdet run --truth``: comparison with a simulated log's ground truth or with labelled boxes."""
 
 from collections.abc import Sequence
 from functools import cached_property
@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxdet.camera import cell_side
 from jaxdet.config import Config
-from jaxdet.errors import InputError
+from jaxdet.errors import ConfigError, InputError
 from jaxdet.eval import (
     EvalConfig,
     Tally,
@@ -22,8 +22,11 @@ from jaxdet.eval import (
     total,
     truth_of,
 )
+from jaxdet.eval.boxes import evaluate_boxes, near_surface
+from jaxdet.eval.labels import read_labels
 from jaxdet.reference import align
 from jaxdet.results.manifest import fingerprint
+from jaxdet.results.metric import distances
 from jaxdet.sim import Truth, load_depths, load_drivable, load_obstacle_ids, load_truth
 from jaxdet.types import Calibration, Detections
 
@@ -38,6 +41,104 @@ _MAX_OFF = 0.2
 errors it is at most 0.06 in a log's own scene, and in nine of ten others 0.21 or more."""
 
 
+def _identity(path: Path) -> dict[str, Any]:
+    file = fingerprint(path)
+    return {name: file.get(name) for name in ("size", "fingerprint")}
+
+
+Observed = Sequence[Tally | str]
+"""Counts of batches; a text says why one can't be compared."""
+
+
+def _summary(seen: Observed) -> dict[str, Any] | None:
+    """Return the metrics of a log, or why there are none; None if no frame is compared."""
+    tallies = [one for one in seen if isinstance(one, Tally)]
+    if len(tallies) < len(seen):
+        return {"error": next(one for one in seen if isinstance(one, str))}
+    figures = score(tallies) if tallies else None
+    return figures.to_dict() if figures and figures.tally.frames else None
+
+
+def score_against(truth: Path, config: Config, logs: int) -> "TruthScore | LabelScore":
+    """Return the observer that compares a run's detections with a ground truth.
+
+    Args:
+        truth: Simulated log, or its ground truth, or a JSON file of labelled boxes.
+        config: Configuration of the run.
+        logs: Number of logs of the run.
+
+    Raises:
+        ConfigError: Labels of one log are given for several.
+        InputError: The ground truth can't be read.
+    """
+    if truth.suffix.lower() != ".json":
+        simulated = TruthScore(truth, config)
+        simulated.check()
+        return simulated
+    if logs != 1:
+        problem = f"labels are of one log, but there are {logs}"
+        raise ConfigError(problem, path=str(truth), remedy="run the logs one by one")
+    return LabelScore(truth, config)
+
+
+class LabelScore:
+    """Compares image boxes with labelled ones; a :class:`jaxdet.engine.Observer`.
+
+    A labelled object is required if its box shows depth in the range of the method. Frames without
+    a label are not compared.
+
+    Args:
+        path: JSON file (:func:`jaxdet.eval.labels.read_labels`).
+        config: Configuration with the depth range.
+
+    Raises:
+        InputError: The file can't be read, or is not one of labels.
+    """
+
+    summary = staticmethod(_summary)
+
+    def __init__(self, path: Path, config: Config) -> None:
+        self._path, self._ground = str(path), config.ground
+        self._labels = read_labels(path)
+        self.file = _identity(path)
+        """Identifies the labels in the record of the results."""
+
+    def __call__(self, batch: "Batch", found: Detections) -> Tally | str:
+        """Evaluate a batch, ``found`` as NumPy arrays; a text says why it can't be compared."""
+        frames, numbers = batch.frames, np.asarray(batch.frames.number).tolist()
+        labels = [
+            self._labels.get(("frame", number), self._labels.get(("stamp_ns", stamp)))
+            for number, stamp in zip(numbers, frames.stamp_ns.tolist(), strict=True)
+        ]
+        if not any(labels):
+            return Tally()
+        calibration = frames.calibration
+        image, unit = calibration.image, calibration.depth_unit
+        z_m = align(np.asarray(frames.depth), calibration).z * unit
+        boxes = np.concatenate([found.obstacles.uv_min, found.obstacles.uv_max], axis=-1)
+        distance_m = distances(found) * unit
+        tallies = []
+        for b in np.flatnonzero(frames.valid).tolist():
+            own, count = labels[b], int(found.num_obstacles[b])
+            if own is None:
+                continue
+            if own.size not in (None, (image.width, image.height)):
+                size = "the labels are of images of {} x {} pixels, the log's have {} x {}"
+                problem = size.format(*own.size, image.width, image.height)
+                return str(InputError(problem, path=self._path))
+            required = np.array([self._is_in_range(z_m[b], box) for box in own.boxes], bool)
+            one = evaluate_boxes(own, required, boxes[b, :count], distance_m[b, :count])
+            tallies.append(one)
+        return total(tallies)
+
+    def _is_in_range(self, z_m: np.ndarray, box: np.ndarray) -> bool:
+        """Return whether the near surface in a box is in the depth range."""
+        left, top, right, bottom = np.rint(box).astype(np.int64).clip(0).tolist()
+        z_m = z_m[top : bottom + 1, left : right + 1]
+        near = near_surface(z_m[z_m > 0])
+        return self._ground.min_depth_m <= near <= self._ground.max_depth_m
+
+
 class TruthScore:
     """Compares the frames whose depth stamps the truth knows; a :class:`jaxdet.engine.Observer`.
 
@@ -50,8 +151,7 @@ class TruthScore:
 
     def __init__(self, path: Path, config: Config) -> None:
         self._log = Path(str(path).removesuffix(_SUFFIX))
-        file = fingerprint(Path(f"{self._log}{_SUFFIX}"))
-        self.file = {name: file.get(name) for name in ("size", "fingerprint")}
+        self.file = _identity(Path(f"{self._log}{_SUFFIX}"))
         """Tells the results' record of another truth in its place."""
         ground = config.ground
         self._method = config
@@ -122,13 +222,7 @@ class TruthScore:
             remedy = "give the log's own truth, and its own depth unit and calibration"
             raise InputError(problem, path=str(self._log), remedy=remedy)
 
-    def summary(self, seen: Sequence[Tally | str]) -> dict[str, Any] | None:
-        """The figures for the summary, or only why there are none; None: no frame is compared."""
-        tallies = [one for one in seen if isinstance(one, Tally)]
-        if len(tallies) < len(seen):
-            return {"error": next(one for one in seen if isinstance(one, str))}
-        figures = score(tallies) if tallies else None
-        return figures.to_dict() if figures and figures.tally.frames else None
+    summary = staticmethod(_summary)
 
     @cached_property
     def _truth(self) -> Truth:

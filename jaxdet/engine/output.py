@@ -1,8 +1,9 @@
 """The output folder of a run: which logs are done, and where others are made."""
 
+import logging
 import os
 import secrets
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
     from jaxdet.engine.options import RunOptions
     from jaxdet.io import LogFiles
 
-Say = Callable[[str], None]
+LOGGER = logging.getLogger("jaxdet")
 
 
 class OutputFolder:
@@ -43,7 +44,6 @@ class OutputFolder:
         output: The folder; made when missing.
         record: Configuration and versions, see :func:`jaxdet.results.record.make_record`.
         options: ``overwrite`` and ``update`` are looked at.
-        say: Gets a line for each thing worth knowing.
 
     Attributes:
         staging: Folder for logs that are being made.
@@ -54,9 +54,7 @@ class OutputFolder:
         InputError: The folder can't be written to, or holds another user's unfinished run.
     """
 
-    def __init__(
-        self, output: Path, record: Mapping[str, Any], options: "RunOptions", say: Say
-    ) -> None:
+    def __init__(self, output: Path, record: Mapping[str, Any], options: "RunOptions") -> None:
         self.output, self.record, self.options = output, record, options
         self.run = digest(record)
         self._working = output.absolute() / WORKING
@@ -67,7 +65,8 @@ class OutputFolder:
         self.taken_over = self._lock.before is not None
         try:
             if self._lock.before:
-                say(f"taken over from a run that ended without a word ({self._lock.before})")
+                before = self._lock.before
+                LOGGER.warning("taken over from a run that ended without a word (%s)", before)
             finish(output)
             self._clear()
         except BaseException:

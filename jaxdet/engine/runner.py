@@ -1,5 +1,6 @@
 """Runs over many logs: each log in, a folder of results out."""
 
+import logging
 import os
 import pickle
 import signal
@@ -19,7 +20,7 @@ from jaxdet.engine.device import OwnDevice
 from jaxdet.engine.log_job import make_log
 from jaxdet.engine.memory import Memory
 from jaxdet.engine.options import RunOptions
-from jaxdet.engine.output import OutputFolder, Say
+from jaxdet.engine.output import OutputFolder
 from jaxdet.engine.plan import Observer
 from jaxdet.engine.pool import Pool, gpus
 from jaxdet.engine.progress import Progress, ProgressCallback
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
     from jaxdet.io import Log
     from jaxdet.types import Calibration
 
+LOGGER = logging.getLogger("jaxdet")
 FRAMES_WORTH_WORKERS = 500
 """Fewer are done sooner by this process than workers have started."""
 Logs = str | PathLike[str] | Sequence[str | PathLike[str]] | Sequence[LogFiles]
@@ -59,7 +61,6 @@ class Hooks(How, total=False):
 
     observers: Mapping[str, Observer]
     preset: str | None
-    say: Say
 
 
 def run(
@@ -167,9 +168,8 @@ class Runner:
             log: How to read the logs.
             progress: Called after each unit and each log.
             options: As there, and ``observers`` (which see each batch of every log, and whose
-                answers are in its summary), ``preset`` (name of the preset that the configuration
-                started from, for ``config.json``) and ``say`` (gets a line for each thing worth
-                knowing).
+                answers are in its summary) and ``preset`` (name of the preset that the
+                configuration started from, for ``config.json``).
         """
         one = self._prepared(_find(logs), Path(output), config, log, options)
         one.progress = progress
@@ -234,7 +234,6 @@ class _Run:
     ) -> None:
         self.runner, self.logs, self.options = runner, logs, options
         self.progress: ProgressCallback | None = None
-        self.say: Say = hooks.get("say") or (lambda text: None)
         preset, observers = hooks.get("preset"), hooks.get("observers") or {}
         if preset is None and isinstance(config, str) and config in PRESETS:
             preset = config
@@ -262,13 +261,14 @@ class _Run:
     def run(self) -> Summary:
         """Do all logs that are not done."""
         start = time.perf_counter()
-        with OutputFolder(self.options.output, self.record, self.options, self.say) as output:
+        with OutputFolder(self.options.output, self.record, self.options) as output:
             self.output = output
             self.done = output.begin(self.logs)
             self.job.about["run"] = output.run
             self.kept = frozenset(self.done)
             if self.done and len(self.done) < len(self.logs):
-                self.say(f"continuing: {len(self.done)} of {len(self.logs)} logs are done")
+                done, total = len(self.done), len(self.logs)
+                LOGGER.info("continuing: %d of %d logs are done", done, total)
             try:
                 with stops_raised():
                     self._run_logs({f.name: f for f in self.logs if f.name not in self.done})
@@ -340,7 +340,7 @@ class _Run:
         memory = Memory(options.memory, workers, len(devices), apart=apart, largest=largest)
         if asked and memory.workers < asked:
             room = f"{size_text(memory.total)} of memory have no room for more"
-            self.say(f"{memory.workers} of {asked} workers: {room}")
+            LOGGER.warning("%d of %d workers: %s", memory.workers, asked, room)
         return memory, self.runner.pool(memory, devices)
 
     def _for_workers(self, left: Mapping[str, LogFiles]) -> list[str]:
@@ -396,6 +396,11 @@ class _Run:
             self.done[log.name] = done
         for about in done:
             self._report(about, about.log, about.frames, "")
+            if about.error:
+                LOGGER.info("%s: failed: %s", about.log, about.error)
+            else:
+                counts = about.frames, about.obstacles
+                LOGGER.info("%s: done, %d frames, %d obstacles", about.log, *counts)
 
     def _choose(self, log: "Log", memory: Memory) -> Crew:
         """Choose who works on a log: this process where it has few frames."""
@@ -415,7 +420,9 @@ class _Run:
         return PoolCrew(self.job, self.pool, plan)
 
     def _report(self, about: LogSummary, label: str, total: int, doing: str) -> None:
-        """Tell the callback where the run stands."""
+        """Tell the log and the callback where the run stands."""
+        stands = doing or f"{about.frames} of {total} frames"
+        LOGGER.debug("%s: %s", label, stands)
         if self.progress:
             state = about.frames, total, about.num_bad, about.frames_per_s, about.bottleneck
             number, count = self.numbers[about.log], len(self.logs)

@@ -27,10 +27,10 @@ class SimConfig:
     """Scene and recording of a simulated log."""
 
     scene: str = "demo"
-    """Scene: demo, empty, single_box, row, posts; randomised by the seed: people_and_vehicle,
-    roadblocks, bucket, tree_trunk, mixed, cylinder, approach, queue, low_things, pedestrian, and
-    the harder corridor, wall_in_range, room, low_clutter, drops, ramps, tables; moving, with
-    walking people and crossing carts; or a TOML or JSON file."""
+    """Scene: demo, drive, empty, single_box, row, posts; randomised by the seed:
+    people_and_vehicle, roadblocks, bucket, tree_trunk, mixed, cylinder, approach, queue,
+    low_things, pedestrian, and the harder corridor, wall_in_range, room, low_clutter, drops, ramps,
+    tables; moving, with walking people and crossing carts; or a TOML or JSON file."""
     frames: int = 60
     """Number of colour frames."""
     seed: int = 0

@@ -19,7 +19,7 @@ from jaxdet.sim.appearance import (
 )
 from jaxdet.sim.config import SimConfig
 from jaxdet.sim.families import FAMILIES, make_scene
-from jaxdet.sim.scene import Box, Cylinder, Path, Scene, Wall
+from jaxdet.sim.scene import Box, Cylinder, Model, Path, Scene, Wall
 from jaxdet.sim.scenefile import read_scene
 
 
@@ -47,6 +47,25 @@ def _demo() -> Scene:
     return Scene(
         "demo", boxes, cylinders, walls=_room(3.4, -3.4, -3.0, 9.5), floor=TILES, path=path
     )
+
+
+def _drive() -> Scene:
+    boxes = (
+        Box((1.85, -0.50), (0.30, 0.36, 0.26), 0.25, CARTON, name="carton"),
+        Box((3.05, -0.95), (0.34, 0.46, 0.52), -0.15, DARK_CASE, name="case"),
+        Box((6.50, 0.25), (0.40, 0.60, 0.66), 0.10, RED_CRATE, name="crate"),
+        Box((7.60, -0.75), (0.40, 0.40, 0.50), 0.5, WHITE_BOX, name="white box"),
+    )
+    cylinders = (
+        Cylinder((2.20, 0.85), 0.13, 0.28, BUCKET, name="bucket"),
+        Cylinder((3.45, 0.75), 0.20, 0.58, BLUE_BIN, name="bin"),
+        Cylinder((5.30, -0.65), 0.06, 0.95, POST, name="post"),
+    )
+    across = Path(start=(4.4, -2.4), yaw=pi / 2, length=4.8, speed=0.94)
+    person = Model("walker", seed=1, path=across, name="person")
+    path = Path(length=5.0, speed=pi / 4, weave=0.12, weave_length=5.0)
+    walls = _room(3.6, -3.6, -3.0, 10.0)
+    return Scene("drive", boxes, cylinders, (person,), walls=walls, floor=TILES, path=path)
 
 
 def _single_box() -> Scene:
@@ -78,10 +97,18 @@ def _empty() -> Scene:
     return Scene("empty", walls=_room(4.5, -4.5, -3.0, 9.5), floor=TILES, path=Path(length=1.0))
 
 
-_SCENES = {"demo": _demo, "empty": _empty, "single_box": _single_box, "row": _row, "posts": _posts}
+_SCENES = {
+    "demo": _demo,
+    "drive": _drive,
+    "empty": _empty,
+    "single_box": _single_box,
+    "row": _row,
+    "posts": _posts,
+}
 SCENES = tuple(_SCENES)
-"""Names of the fixed scenes: a room with eight obstacles, an empty room, a box in front of a
-stationary robot, four boxes in a row, five posts of 9 cm diameter."""
+"""Names of the fixed scenes: a room with eight obstacles, a drive of ten seconds past obstacles and
+a walking person, an empty room, a box in front of a stationary robot, four boxes in a row, five
+posts of 9 cm diameter."""
 
 
 def load_scene(name: str, seed: int = 0, distance_m: float = 2.0) -> Scene:

@@ -7,6 +7,8 @@ from jaxdet.export.html.collect import LogFigures
 
 EACH = 12
 """Maximum number of frames per kind: nearest, most obstacles, overflow."""
+RARE = 10
+"""At most this fraction (1 / RARE) of the frames is marked as nearest, and as most obstacles."""
 LOST = 36
 """Maximum number of frames without a result."""
 SAMPLED = 36
@@ -18,6 +20,9 @@ Key = tuple[str, int]
 
 def choose(figures: Sequence[LogFigures], pictures: Iterable[Key]) -> dict[Key, list[str]]:
     """Choose frames of interest, each with its kinds, in the order of the tables.
+
+    What is near, or many, depends on the logs: at most a tenth of the frames are marked as nearest,
+    and a tenth as most obstacles if they have more obstacles than the mean of their log.
 
     Args:
         figures: Statistics of each log.
@@ -39,10 +44,16 @@ def choose(figures: Sequence[LogFigures], pictures: Iterable[Key]) -> dict[Key, 
         for f in figures
         for n in f.timeline.fullest_frames(EACH)
     ]
-    add("nearest", ((log, n) for _, log, n in sorted(near)), EACH)
-    add("most", ((log, n) for _, log, n in sorted(full)), EACH)
+    mean = {f.log: f.per_obstacle.sum() / max(1, f.timeline.count) for f in figures}
+    rare = max(1, sum(f.timeline.count for f in figures) // RARE)
+    nearest = [(log, n) for _, log, n in sorted(near)][:EACH]
+    fullest = [(log, n) for _, log, n in sorted(full)][:EACH]
+    fuller = [(log, n) for count, log, n in sorted(full) if -count > mean[log]]
+    add("nearest", nearest, rare)
+    add("most", fuller[:EACH], rare)
     add("overflow", _in_turn([[(f.log, n) for n in f.overflow] for f in figures]), EACH)
     add("lost", _in_turn([[(f.log, n) for n in f.lost] for f in figures]), LOST)
+    add("sample", (key for key in (*nearest, *fullest) if key not in kinds), 2 * EACH)
     others = [key for key in pictures if key not in kinds]
     step = -(-len(others) // SAMPLED) or 1
     add("sample", others[::step], SAMPLED)

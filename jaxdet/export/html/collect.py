@@ -19,7 +19,7 @@ HISTOGRAM_BINS = 41
 """Number of bins; the last one is open."""
 NEAR_M = (1.0, 0.5)
 """Distances below which obstacles are counted separately, as they may not be bin edges [m]."""
-APART = 32
+APART = 20
 """Notable frames are separated by this fraction (1 / APART) of their log."""
 CHUNK_FRAMES = 1 << 16
 """Number of frames read at once."""

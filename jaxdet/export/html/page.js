@@ -39,7 +39,7 @@
     const body = add(node, "tbody");
     for (const row of rows) {
       const line = add(body, "tr");
-      row.forEach((cell, i) => add(line, "td", { class: numeric[i] ? "n" : null }).append(cell));
+      row.forEach((cell, i) => add(line, "td", { class: numeric[i] ? "n" : null, "data-head": head[i].replace("#", "") }).append(cell));
     }
     return node;
   }
@@ -75,9 +75,9 @@
     card("Logs", whole.length.toLocaleString("en"), failed ? `${failed} more failed` : seconds(sum((l) => l.duration || 0)));
     card("Frames", frames.toLocaleString("en"), frames ? `${share(ok, frames)} with a result` : "");
     card("Without a result", (frames - ok).toLocaleString("en"), frames - ok ? share(frames - ok, frames) : "none lost");
-    card("Obstacles", obstacles.toLocaleString("en"), ok ? `${(obstacles / ok).toFixed(1)} a frame` : "");
+    card("Obstacles", obstacles.toLocaleString("en"), ok ? `${(obstacles / ok).toFixed(1)} per frame` : "");
     card("Nearest", nearest ? metres(nearest.nearest[0]) : "–", nearest ? `${data.logs.length > 1 ? nearest.log + ", " : ""}frame ${nearest.nearest[1]}` : "");
-    if (floorless) card("No floor", floorless.toLocaleString("en"), "frames; distances as of a level camera");
+    if (floorless) card("No floor", floorless.toLocaleString("en"), "frames; their distances assume a level camera");
     card("Overflow", overflow.toLocaleString("en"), overflow ? "frames in which obstacles may be lost" : "no frame");
   }
 
@@ -89,10 +89,10 @@
     }
     const rows = Object.entries(counts).sort((a, b) => b[1] - a[1]);
     const frames = sum((l) => l.frames), failed = picked().filter((l) => l.error);
-    if (!rows.length && !failed.length) add(node, "p", {}, `None: each of the ${many(frames, "frame")} has a result.`);
+    if (!rows.length && !failed.length) add(node, "p", {}, "None: each frame has a result.");
     if (rows.length) table(node, ["Status", "Why", "#Frames", "#Share"], rows.map(([s, n]) => [s, data.reasons[s] || "", n.toLocaleString("en"), share(n, frames)]));
     if (failed.length) {
-      add(node, "p", { class: "bad" }, `${many(failed.length, "log")} failed as a whole:`);
+      add(node, "p", { class: "bad" }, `${many(failed.length, "log")} failed:`);
       const list = add(node, "ul");
       for (const log of failed) add(list, "li", {}, log.error);
     }
@@ -266,7 +266,7 @@
     const size = first.per_frame.length;
     const bins = Array.from({ length: size }, (_, b) => sum((l) => (l[counted] ? l[counted][b] : 0)));
     const total = bins.reduce((a, b) => a + b, 0), high = Math.max(...bins, 1);
-    const W = 560, H = 260, left = 46, right = W - 8, top = 10, bottom = H - 34;
+    const W = Math.max(300, Math.min(620, node.clientWidth)), H = W < 400 ? 220 : 260, left = 46, right = W - 8, top = 10, bottom = H - 34;
     const what = counted === "per_frame" ? "frame" : "obstacle";
     const svg = add(node, "svg", { viewBox: `0 0 ${W} ${H}`, role: "img", "aria-label": `Histogram of distances of ${many(total, what)}` });
     for (const part of [0, 0.5, 1]) {
@@ -282,9 +282,9 @@
       const bar = add(svg, "rect", { class: "barr", x: left + b * wide + 0.75, width: wide - 1.5, y: bottom - tall, height: tall });
       add(bar, "title", {}, `${range}: ${many(n, what)}`);
     });
-    const every = Math.max(1, Math.round((size - 1) / 8));
+    const every = Math.max(1, Math.round((size - 1) / (W < 400 ? 4 : 8)));
     for (let b = 0; b < size; b += every) add(svg, "text", { x: left + b * wide, y: bottom + 16, "text-anchor": "middle" }, `${+(b * data.width).toFixed(2)}`);
-    add(svg, "text", { x: (left + right) / 2, y: H - 4, "text-anchor": "middle" }, counted === "per_frame" ? "distance to the nearest obstacle of a frame [m]" : "distance of each obstacle [m]");
+    add(svg, "text", { x: (left + right) / 2, y: H - 4, "text-anchor": "middle" }, counted === "per_frame" ? "distance to the nearest obstacle per frame [m]" : "distance of each obstacle [m]");
     const near = data.near.map((limit, i) => `${share(sum((l) => (l[counted] ? l[`near_${what}s`][i] : 0)), total)} nearer than ${limit} m`);
     if (total) add(node, "p", { class: "faint" }, `${many(total, what)}; ${near.join(", ")}.`);
   }
@@ -340,7 +340,7 @@
       const bar = add(svg, "line", { class: "scale", x1: 3 * unit, x2: 3 * unit + scale, y1: H - 3 * unit, y2: H - 3 * unit, "stroke-width": 0.5 * unit });
       add(bar, "title", {}, `${scale} m`);
       const caption = add(figure, "figcaption", {}, `${data.logs.length > 1 ? log.log + ": " : ""}the bar is ${scale} m, cells are ${m.cell} m.`);
-      for (const [kind, text] of [["covered", "covered by outlines"], ["free", "seen free"], ["path", "path of the camera, from the ring on"], ...(ways.length ? [["way", "ways of tracks, to the dot"]] : [])]) {
+      for (const [kind, text] of [["covered", "covered by outlines"], ["free", "seen free"], ["path", "camera trajectory (ring: start)"], ...(ways.length ? [["way", "object trajectories (dot: end)"]] : [])]) {
         add(caption, "span", { class: `key ${kind}` });
         caption.append(text);
       }
@@ -401,7 +401,8 @@
   const radius = Math.min(8, Math.max(2, ...begins.map((m) => Math.ceil(m + 0.5))));
   function plan(parent, f) {
     const per = 240 / (radius + 0.2), X = (x) => 258 + x * per, Y = (y) => 244 - y * per;
-    const svg = add(parent, "svg", { class: "plan", viewBox: "0 0 516 248", role: "img", "aria-label": `Outlines of the obstacles in ${where(f)}, from above` });
+    const scale = 516 / (parent.clientWidth || 340); // text is as large on the screen at any width
+    const svg = add(parent, "svg", { class: "plan", viewBox: "0 0 516 248", "font-size": 11.5 * scale, role: "img", "aria-label": `Outlines of the obstacles in ${where(f)}, from above` });
     for (let m = 1; m <= radius; m++) {
       add(svg, "circle", { cx: X(0), cy: Y(0), r: m * per });
       add(svg, "text", { x: X(0) + 3, y: Y(m) - 3 }, `${m} m`);
@@ -411,6 +412,21 @@
       const color = data.palette[f.rows[i][0] % data.palette.length];
       const points = [0, 2, 4, 6].map((k) => `${X(o[k]).toFixed(1)},${Y(o[k + 1]).toFixed(1)}`);
       add(svg, "polygon", { points: points.join(" "), fill: color, stroke: color });
+    });
+  }
+  // A picture that a click or a tap shows in full size, to be scrolled in its frame.
+  function zoomed(parent, f) {
+    const frame = add(parent, "div", { class: "zoom" });
+    const button = add(frame, "button", { type: "button", "aria-pressed": "false", "aria-label": "Enlarge the picture" });
+    look(button, f);
+    button.addEventListener("click", (e) => {
+      const box = button.getBoundingClientRect(), px = (e.clientX - box.left) / box.width, py = (e.clientY - box.top) / box.height;
+      const large = frame.classList.toggle("large");
+      button.setAttribute("aria-pressed", String(large));
+      if (large) {
+        frame.scrollLeft = px * frame.scrollWidth - frame.clientWidth / 2;
+        frame.scrollTop = py * frame.scrollHeight - frame.clientHeight / 2;
+      }
     });
   }
   function look(parent, f) {
@@ -439,7 +455,9 @@
     current = index;
     $("frame-title").textContent = `${log.log} · frame ${f.frame}`;
     const body = clear($("frame-body"));
-    look(body, f);
+    if (!dialog.open) dialog.showModal();
+    if (f.picture) zoomed(body, f);
+    else look(body, f);
     const list = add(body, "dl", { class: "numbers" });
     const item = (name, value) => { if (value === null || value === "") return; const d = add(list, "div"); add(d, "dt", {}, name); add(d, "dd", {}, value); };
     item("time", secondsOf(f));
@@ -459,7 +477,6 @@
         f.rows.map((r) => [obstacle(r[0]), ...r.slice(1, 6).map(metres), r[6]]));
       if (f.count > f.rows.length) add(body, "p", { class: "faint" }, `The nearest ${f.rows.length} of ${f.count}.`);
     }
-    if (!dialog.open) dialog.showModal();
     dialog.scrollTop = 0;
   }
   function step(by) {
@@ -500,7 +517,7 @@
   function drawSettings() {
     const node = $("settings");
     if (data.settings.length) table(node, ["Setting", "Value", `Preset ${data.preset}`], data.settings);
-    else add(node, "p", {}, `As preset ${data.preset} has it.`);
+    else add(node, "p", {}, `Default settings of preset ${data.preset}.`);
     table($("run"), ["Run", ""], data.run);
   }
 
@@ -521,5 +538,5 @@
   drawSettings();
   drawAll();
   let width = innerWidth;
-  addEventListener("resize", () => { if (innerWidth !== width) { width = innerWidth; drawTimelines(); } });
+  addEventListener("resize", () => { if (innerWidth !== width) { width = innerWidth; drawTimelines(); drawHistogram(); drawGallery(); } });
 })();
