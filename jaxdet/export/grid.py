@@ -6,18 +6,13 @@ Section 4.2): outlines raise a cell's occupancy, free floor lowers it, and a few
 change its state.
 """
 
-from typing import NamedTuple
-
-import cv2
 import numpy as np
 
 from jaxdet.export.shapes import FREE_COLUMNS, T_world_upright, free_floor
+from jaxdet.results.map_file import FREE, OCCUPIED, UNKNOWN, Grid
 from jaxdet.results.metric import TILT
-from jaxdet.results.occupancy import SHIFT, placed
 from jaxdet.results.reading import Frame, ResultLog, Results
-
-OCCUPIED, FREE, UNKNOWN = 100, 0, -1
-"""States of a cell, as in ``nav_msgs/OccupancyGrid``."""
+from jaxdet.results.sheet import Layer, Sheet, draw_sheet
 
 HIT, MISS = 85, -40
 """Log-odds that an outline and free floor add to a cell [1/100], as in OctoMap."""
@@ -26,17 +21,6 @@ LEAST, MOST = -200, 350
 
 _ADDED = np.array([0, MISS, HIT], np.int16)
 _FRAME_COLUMNS = ("camera_position_world", *TILT, *FREE_COLUMNS)
-
-
-class Grid(NamedTuple):
-    """Occupancy grid of the world's floor; row 0 is the lowest Y."""
-
-    states: np.ndarray
-    """States ``(rows, columns)`` int8: OCCUPIED, FREE or UNKNOWN."""
-    origin: tuple[float, float]
-    """World X and Y of the outer corner of cell (0, 0) [m]."""
-    cell_m: float
-    """Side of a cell [m]."""
 
 
 def last_grid(results: Results, log: ResultLog) -> Grid | None:
@@ -53,10 +37,9 @@ def last_grid(results: Results, log: ResultLog) -> Grid | None:
     odds = np.zeros(counted.counts.shape, np.int16)
     seen = np.zeros(counted.counts.shape, bool)
     for frame in results.frames(log, _FRAME_COLUMNS, ("corners_world",)):
-        if (view := _cells(frame)) is None:
+        if (sheet := _sheet(frame)) is None:
             continue
-        cells, low = view
-        x, y = (low - first).tolist()
+        cells, (x, y) = sheet.cells, (sheet.low - first).tolist()
         rows, columns = counted.counts.shape
         top, left = max(y, 0), max(x, 0)
         part = cells[top - y : max(rows - y, 0), left - x : max(columns - x, 0)]
@@ -67,29 +50,13 @@ def last_grid(results: Results, log: ResultLog) -> Grid | None:
     return Grid(np.where(seen, states, UNKNOWN).astype(np.int8), counted.origin, counted.cell_m)
 
 
-def _cells(frame: Frame) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return the cells that a frame updates: 1 free, 2 outline; and the first column and row."""
+def _sheet(frame: Frame) -> Sheet | None:
+    """Return the cells that a frame updates: 1 free, 2 outline."""
     T = T_world_upright(frame.row)
     if T is None:
         return None
     outlines = [o["corners_world"] for o in frame.obstacles if o["corners_world"]]
-    parts = [np.reshape(corners, (4, 2)) for corners in outlines]
-    covered = len(parts)
     free = free_floor(frame.row).in_world(T[None])
-    parts += np.split(free.points, np.cumsum(free.corners)[:-1]) if len(free.corners) else []
-    if not parts:
-        return None
-    fits = placed(np.concatenate(parts), np.array([len(part) for part in parts])).fits
-    used = [part for part, fit in zip(parts, fits, strict=True) if fit]
-    covered = int(fits[:covered].sum())
-    if not used:
-        return None
-    together = placed(np.concatenate(used), np.array([sum(map(len, used))]))
-    if not together.fits[0]:
-        return None
-    points = np.split(together.points, np.cumsum([len(part) for part in used])[:-1])
-    cells = np.zeros(together.size[0, ::-1], np.uint8)
-    cv2.fillPoly(cells, points[covered:], (1,), cv2.LINE_8, SHIFT)
-    for outline in points[:covered]:
-        cv2.fillConvexPoly(cells, outline, (2,), cv2.LINE_8, SHIFT)
-    return cells, together.low[0]
+    areas = np.split(free.points, np.cumsum(free.corners)[:-1]) if len(free.corners) else []
+    rectangles = [np.reshape(corners, (4, 2)) for corners in outlines]
+    return draw_sheet([Layer(1, "areas", areas), Layer(2, "outlines", rectangles)])
