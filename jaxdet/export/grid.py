@@ -6,13 +6,17 @@ Section 4.2): outlines raise a cell's occupancy, free floor lowers it, and a few
 change its state.
 """
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from jaxdet.export.shapes import FREE_COLUMNS, T_world_upright, free_floor
-from jaxdet.results.map_file import FREE, OCCUPIED, UNKNOWN, Grid
-from jaxdet.results.metric import TILT
+from jaxdet.results.map_file import FREE, OCCUPIED, UNKNOWN, Grid, KnownPlaces
 from jaxdet.results.reading import Frame, ResultLog, Results
 from jaxdet.results.sheet import Layer, Sheet, draw_sheet
+from jaxdet.tracks.folder import tracking
+from jaxdet.tracks.looks import OBSTACLE_COLUMNS, POSE_COLUMNS
+from jaxdet.tracks.places import IN_MAP, is_lasting, shares_in_map
 
 HIT, MISS = 85, -40
 """Log-odds that an outline and free floor add to a cell [1/100], as in OctoMap."""
@@ -20,15 +24,19 @@ LEAST, MOST = -200, 350
 """Bounds of the log-odds [1/100], as in OctoMap; nine frames of free floor clear any cell."""
 
 _ADDED = np.array([0, MISS, HIT], np.int16)
-_FRAME_COLUMNS = ("camera_position_world", *TILT, *FREE_COLUMNS)
+_FRAME_COLUMNS = (*POSE_COLUMNS, *FREE_COLUMNS)
 
 
-def last_grid(results: Results, log: ResultLog) -> Grid | None:
+def last_grid(results: Results, log: ResultLog, known: KnownPlaces | None = None) -> Grid | None:
     """Return the occupancy grid at the end of a log; None if the run made no map.
+
+    After ``jaxdet track`` obstacles at whose place floor was seen too often are left out
+    (``track.most_floor``).
 
     Args:
         results: Results of a run.
         log: One of its logs.
+        known: Map; obstacles that are in it are left out. None: all are drawn.
     """
     counted = results.map(log)
     if counted is None:
@@ -36,7 +44,7 @@ def last_grid(results: Results, log: ResultLog) -> Grid | None:
     first = np.rint(np.array(counted.origin) / counted.cell_m).astype(np.int64)
     odds = np.zeros(counted.counts.shape, np.int16)
     seen = np.zeros(counted.counts.shape, bool)
-    for frame in results.frames(log, _FRAME_COLUMNS, ("corners_world",)):
+    for frame in _frames(results, log, known):
         if (sheet := _sheet(frame)) is None:
             continue
         cells, (x, y) = sheet.cells, (sheet.low - first).tolist()
@@ -48,6 +56,22 @@ def last_grid(results: Results, log: ResultLog) -> Grid | None:
         seen[here] |= part > 0
     states = np.where(odds > 0, OCCUPIED, FREE)
     return Grid(np.where(seen, states, UNKNOWN).astype(np.int8), counted.origin, counted.cell_m)
+
+
+def _frames(results: Results, log: ResultLog, known: KnownPlaces | None) -> Iterator[Frame]:
+    """Yield the frames of a log, each with the obstacles that are drawn."""
+    tracked = results.tracked(log)
+    most_floor = tracking(log.folder).most_floor if tracked else 1.0
+    columns = ("corners_world", *OBSTACLE_COLUMNS, *(["floor_seen"] * tracked))
+    for chunk in results.chunks(log, _FRAME_COLUMNS, columns):
+        drawn = np.ones(chunk.obstacles.num_rows, bool)
+        if tracked:
+            drawn = is_lasting(chunk.obstacles["floor_seen"].to_numpy(), most_floor)
+        if known is not None:
+            drawn &= ~(shares_in_map(chunk, known) >= IN_MAP)
+        for frame, first in zip(chunk.each(), chunk.first.tolist(), strict=False):
+            own = zip(frame.obstacles, drawn[first:].tolist(), strict=False)
+            yield Frame(frame.row, [obstacle for obstacle, shown in own if shown])
 
 
 def _sheet(frame: Frame) -> Sheet | None:

@@ -32,7 +32,7 @@ COLUMNS = ("persistence", "floor_seen", "in_map")
 MAP_NEAR_M, MAP_PER_M = 0.10, 0.015
 """Distance within which a map has a point of a contour [m], and its growth with the square of the
 obstacle's distance [1/m]."""
-MOST = 0.5
+IN_MAP = 0.5
 """Minimum share of a contour's points in the map, and of a track's obstacles."""
 
 
@@ -81,26 +81,15 @@ class Places:
         """
         looks = self._looks.of(chunk)
         self._lasting.add(corners_world[is_lasting(shares(looks)[1], self._most_floor)])
-        return PlaceRows(looks, self._shares_in_map(chunk))
-
-    def _shares_in_map(self, chunk: Chunk) -> np.ndarray:
-        count = chunk.obstacles.num_rows
         if self._known is None:
-            return np.full(count, np.nan)
-        lines = contours(chunk, poses(chunk.frames))
-        distance = chunk.obstacles["distance_m"].to_numpy().astype(np.float64)
-        reach = MAP_NEAR_M + MAP_PER_M * (distance * distance)
-        obstacle = np.repeat(np.arange(count), lines.count)
-        known = np.isfinite(lines.points).all(axis=1)
-        near = self._known.near(lines.points, reach[obstacle])
-        total, inside = (np.bincount(obstacle[rows], minlength=count) for rows in (known, near))
-        return np.where(total > 0, inside / np.maximum(total, 1), np.nan)
+            return PlaceRows(looks, np.full(len(looks), np.nan))
+        return PlaceRows(looks, shares_in_map(chunk, self._known))
 
     def count(self, tracks: np.ndarray, places: PlaceRows) -> None:
         """Add places to those of their tracks ``(N,)``, -1 for none."""
         if (more := int(tracks.max(initial=-1)) + 1 - len(self._of_tracks)) > 0:
             self._of_tracks = np.concatenate([self._of_tracks, np.zeros((more, 5), np.int64)])
-        compared = np.stack([~np.isnan(places.in_map), places.in_map >= MOST], axis=1)
+        compared = np.stack([~np.isnan(places.in_map), places.in_map >= IN_MAP], axis=1)
         linked = tracks >= 0
         each = np.concatenate([places.looks, compared], axis=1)
         np.add.at(self._of_tracks, tracks[linked], each[linked])
@@ -143,6 +132,28 @@ class Places:
         return with_outlines(image, self._lasting)
 
 
+def shares_in_map(chunk: Chunk, known: KnownPlaces) -> np.ndarray:
+    """Return the share of each contour that is near something of a map.
+
+    Args:
+        chunk: With ``POSE_COLUMNS`` and ``OBSTACLE_COLUMNS`` of :mod:`jaxdet.tracks.looks`.
+        known: Map.
+
+    Returns:
+        ``(N,)`` float64, NaN without a contour in the world; from :data:`IN_MAP` on the obstacle is
+        in the map.
+    """
+    count = chunk.obstacles.num_rows
+    lines = contours(chunk, poses(chunk.frames))
+    distance = chunk.obstacles["distance_m"].to_numpy().astype(np.float64)
+    reach = MAP_NEAR_M + MAP_PER_M * (distance * distance)
+    obstacle = np.repeat(np.arange(count), lines.count)
+    placed = np.isfinite(lines.points).all(axis=1)
+    near = known.near(lines.points, reach[obstacle])
+    total, inside = (np.bincount(obstacle[rows], minlength=count) for rows in (placed, near))
+    return np.where(total > 0, inside / np.maximum(total, 1), np.nan)
+
+
 def is_lasting(floor_seen: np.ndarray, most_floor: float) -> np.ndarray:
     """Return whether obstacles are drawn on maps; those without a place in the world are.
 
@@ -178,6 +189,6 @@ def _shows_floor(free: FreeFloor, frame: int, T: np.ndarray, place: np.ndarray) 
 def _columns(persistence: np.ndarray, floor_seen: np.ndarray, in_map: np.ndarray) -> list[pa.Array]:
     """Return Arrow columns of floats ``(N,)``, whose NaN are null."""
     types = [LINKS_SCHEMA.field(name).type for name in COLUMNS]
-    values = (persistence.astype(np.float32), floor_seen.astype(np.float32), in_map >= MOST)
+    values = (persistence.astype(np.float32), floor_seen.astype(np.float32), in_map >= IN_MAP)
     nulls = (np.isnan(persistence), np.isnan(floor_seen), np.isnan(in_map))
     return [pa.array(v, t, mask=n) for v, t, n in zip(values, types, nulls, strict=True)]
