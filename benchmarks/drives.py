@@ -5,6 +5,7 @@ The depth is a D435's on real floors, half of which are wet, polished or coated,
 
 from dataclasses import replace
 from pathlib import Path as File
+from typing import Any
 
 import numpy as np
 
@@ -82,7 +83,8 @@ def _put_thing(draft: Draft, size: tuple[float, float, float], path: Path, name:
             continue
         draft.taken.append((x, y, THING_M))
         draft.add_object(str(rng.choice(THINGS)), x, y)
-        for kind in (draft.boxes, draft.cylinders, draft.models):
+        kinds: list[list[Any]] = [draft.boxes, draft.cylinders, draft.models]
+        for kind in kinds:
             if kind and kind[-1].center == (x, y) and name:
                 kind[-1] = replace(kind[-1], name=name)
         return
@@ -102,6 +104,6 @@ def write_drive(folder: File, seed: int, frames: int, width: int) -> File:
     if not truth_path(log).exists():
         write_scene(drive_scene(seed), scene)
         size = width, width * 3 // 4
-        error = {"camera_height_m": 0.4, "depth_error": 1.0}
-        write_log(log, SimConfig(str(scene), frames, seed, RATE_HZ, *size, **error))
+        config = SimConfig(str(scene), frames, seed, RATE_HZ, *size, camera_height_m=0.4)
+        write_log(log, replace(config, depth_error=1.0))
     return log

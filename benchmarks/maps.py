@@ -137,7 +137,7 @@ def _obstacles(results: Results, log: ResultLog, room: "Room") -> tuple[np.ndarr
     of, in_map = [], []
     for chunk in results.chunks(log, FRAME_COLUMNS, (*OBSTACLE_COLUMNS, "in_map")):
         lines = contours(chunk, poses(chunk.frames))
-        points = np.split(lines.points, np.cumsum(lines.count)[:-1])
+        points = np.split(lines.points, np.cumsum(lines.lengths)[:-1])
         distance = chunk.obstacles["distance_m"].to_pylist()
         of += [room.thing_of(p, d) for p, d in zip(points, distance, strict=True)]
         in_map += chunk.obstacles["in_map"].to_pylist()
@@ -153,11 +153,12 @@ class Room:
         ]
         self.low = np.floor(np.concatenate(rings).min(axis=0) / CELL_M) - 20
         size = np.ceil(np.concatenate(rings).max(axis=0) / CELL_M) + 20 - self.low
-        self.masks = np.zeros((len(rings), *size[::-1].astype(int)), np.uint8)
-        for mask, ring in zip(self.masks, rings, strict=True):
+        masks = [np.zeros(size[::-1].astype(int), np.uint8) for _ in rings]
+        for mask, ring in zip(masks, rings, strict=True):
             cells = np.rint((ring / CELL_M - self.low - 0.5) * UNITS).astype(np.int32)
             cv2.fillPoly(mask, [cells], (1,), cv2.LINE_8, SHIFT)
-        self.away = np.stack([self._distance(mask) for mask in self.masks])
+        self.masks = np.stack(masks)
+        self.away = np.stack([self._distance(mask) for mask in masks])
         """Distance from each thing ``(J, H, W)`` [m]."""
         low = (truth.height_m[0] < LIDAR_HEIGHT_M) & ~truth.is_wall
         self.is_added = truth.names == ADDED
@@ -176,8 +177,8 @@ class Room:
         """Return rows and columns of points ``(..., 2)``, clipped."""
         cell = (np.floor(points / CELL_M) - self.low).astype(np.int64)
         limit = np.array(self.masks.shape[:0:-1]) - 1
-        column, row = np.moveaxis(np.clip(cell, 0, limit), -1, 0)
-        return row, column
+        cell = np.clip(cell, 0, limit)
+        return cell[..., 1], cell[..., 0]
 
     def thing_of(self, points: np.ndarray, distance_m: float) -> int:
         """Return the thing that nearly all points of a contour are of, else -1."""
@@ -205,7 +206,7 @@ class Room:
         """Return which things have occupied cells on them, or 10 cm from them, ``(J,)`` bool."""
         occupied, at = self._occupied(grid)
         row, column = self.cells(at[occupied])
-        return (self.away[:, row, column] <= 0.1).any(axis=1)
+        return np.any(self.away[:, row, column] <= 0.1, axis=1)
 
     def lidar_map(self) -> Grid:
         """Return the map of a lidar on the robot's path, made before things were added."""

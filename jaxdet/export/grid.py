@@ -8,6 +8,7 @@ change its state.
 
 from collections.abc import Iterator
 
+import cv2
 import numpy as np
 
 from jaxdet.export.shapes import FREE_COLUMNS, T_world_upright, free_floor
@@ -31,7 +32,7 @@ def last_grid(results: Results, log: ResultLog, known: KnownPlaces | None = None
     """Return the occupancy grid at the end of a log; None if the run made no map.
 
     After ``jaxdet track`` obstacles at whose place floor was seen too often are left out
-    (``track.most_floor``).
+    (``track.most_floor``), and so are single cells among free ones.
 
     Args:
         results: Results of a run.
@@ -54,8 +55,20 @@ def last_grid(results: Results, log: ResultLog, known: KnownPlaces | None = None
         here = slice(top, top + part.shape[0]), slice(left, left + part.shape[1])
         odds[here] = np.clip(odds[here] + _ADDED[part], LEAST, MOST)
         seen[here] |= part > 0
-    states = np.where(odds > 0, OCCUPIED, FREE)
-    return Grid(np.where(seen, states, UNKNOWN).astype(np.int8), counted.origin, counted.cell_m)
+    states = np.where(seen, np.where(odds > 0, OCCUPIED, FREE), UNKNOWN).astype(np.int8)
+    if results.tracked(log):
+        states[_are_specks(states)] = FREE
+    return Grid(states, counted.origin, counted.cell_m)
+
+
+def _are_specks(states: np.ndarray) -> np.ndarray:
+    """Return which cells are occupied, and all eight around them free, bool.
+
+    They are corners of rectangles around bent contours; those of real things have margins.
+    """
+    around = np.ones((3, 3), np.uint8)
+    around[1, 1] = 0
+    return (states == OCCUPIED) & (cv2.erode((states == FREE).astype(np.uint8), around) > 0)
 
 
 def _frames(results: Results, log: ResultLog, known: KnownPlaces | None) -> Iterator[Frame]:

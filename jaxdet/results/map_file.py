@@ -184,7 +184,7 @@ def _read_picture(path: Path, raw: bool) -> tuple[np.ndarray, np.ndarray]:
         image = None
     if image is None or image.shape[1::-1] != size:
         raise InputError("is damaged", path=str(path), remedy=remedy)
-    top = np.iinfo(image.dtype).max
+    top = 255 if image.dtype == np.uint8 else 65535
     image = image.reshape(*image.shape[:2], -1)
     colors, alpha = (image[..., :3], image[..., 3]) if image.shape[2] == 4 else (image, None)
     known = np.ones(image.shape[:2], bool) if alpha is None else alpha == top

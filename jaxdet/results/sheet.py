@@ -73,7 +73,7 @@ def _draw(cells: np.ndarray, layer: Layer, places: list[np.ndarray]) -> None:
             cv2.fillConvexPoly(cells, place, (layer.value,), cv2.LINE_8, SHIFT)
     elif layer.kind == "dots":
         for place in places:  # a closed line of one point is a dot
-            lines = place[:, None]
+            lines = list(place[:, None])
             cv2.polylines(cells, lines, True, (layer.value,), layer.thickness, cv2.LINE_8, SHIFT)
     elif places:
         cv2.polylines(cells, places, False, (layer.value,), layer.thickness, cv2.LINE_8, SHIFT)

@@ -16,7 +16,6 @@ from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from jaxdet.errors import ConfigError, InputError
@@ -27,6 +26,7 @@ from jaxdet.results.layout import MANIFEST, WORKING, check_folder, is_complete
 from jaxdet.results.lock import Lock
 from jaxdet.results.manifest import read_manifest, write_manifest
 from jaxdet.results.map_file import Grid, read_map, write_map
+from jaxdet.results.occupancy import MapImage, OccupancyMap
 from jaxdet.results.publish import finish, flush_folder, link_folder, publish, remove
 from jaxdet.results.reading import LINKS, TRACKS, Chunk, ResultLog, Results
 from jaxdet.results.schemas import LINKS_SCHEMA, TRACKS_SCHEMA
@@ -34,7 +34,7 @@ from jaxdet.results.writer import parquet_writer
 from jaxdet.tracks.config import TrackConfig
 from jaxdet.tracks.looks import OBSTACLE_COLUMNS, POSE_COLUMNS
 from jaxdet.tracks.observations import observations_of
-from jaxdet.tracks.places import PlaceRows, Places, is_lasting
+from jaxdet.tracks.places import PlaceRows, Places, is_lasting, with_outlines
 from jaxdet.tracks.rows import TrackRows
 from jaxdet.tracks.tracker import Tracker
 
@@ -183,13 +183,29 @@ def write_tracks(results: Results, config: TrackConfig, folder: Path) -> list[Lo
                 one = _track_log(results, log, config, rows, links, places)
                 for part in places.tracks(rows):
                     table.write(part)
-                    new += pc.sum(pc.invert(part["in_map"])).as_py() or 0
+                    new += part["in_map"].to_pylist().count(False)
                     paths += _paths(part, config.most_floor) if image is not None else ()
             found.append(one._replace(new=None if known is None else new))
             if image is not None:
                 picture = draw_map(places.lasting_map(image), log.label, paths)
                 write_png(folder / f"tracks{log.suffix}.png", picture)
     return found
+
+
+def lasting_map(results: Results, log: ResultLog) -> MapImage | None:
+    """Return the map of a log, after ``jaxdet track`` with the outlines of lasting obstacles only.
+
+    Raises:
+        InputError: Map or tracks can't be read.
+    """
+    image = results.map(log)
+    if image is None or not results.tracked(log):
+        return image
+    most_floor, outlines = tracking(log.folder).most_floor, OccupancyMap()
+    for chunk in results.chunks(log, (), ("corners_world", "floor_seen")):
+        lasting = is_lasting(chunk.obstacles["floor_seen"].to_numpy(), most_floor)
+        outlines.add(_corners(chunk, "corners_world")[lasting])
+    return with_outlines(image, outlines)
 
 
 def known_map(folder: Path) -> Grid | None:

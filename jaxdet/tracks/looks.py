@@ -43,7 +43,7 @@ class Lines(NamedTuple):
 
     points: np.ndarray
     """Points of all contours, ``(P, 2)`` float64, NaN without a pose or a floor [m]."""
-    count: np.ndarray
+    lengths: np.ndarray
     """Number of points of each obstacle, ``(N,)`` int64."""
 
 
@@ -69,10 +69,11 @@ class Looks:
         area_of = np.searchsorted(areas.frame, np.arange(len(T) + 1))
         polygons = np.split(areas.points, np.cumsum(areas.corners)[:-1])
         lines = contours(chunk, T)
-        points = np.split(lines.points, np.cumsum(lines.count)[:-1])
+        points = np.split(lines.points, np.cumsum(lines.lengths)[:-1])
         distance = chunk.obstacles["distance_m"].to_numpy()
         frame, ray = np.nonzero(free.end == FreeEnd.OBSTACLE)
-        ends = np.stack([free.way.real[frame, ray], free.way.imag[frame, ray]], axis=1)
+        way = free.way[frame, ray]
+        ends = np.stack([np.real(way), np.imag(way)], axis=1)
         ends = _in_world(ends * free.to_m[frame, ray, None], T[frame])
         end_of = np.searchsorted(frame, np.arange(len(T) + 1))
         first = chunk.first
@@ -124,8 +125,8 @@ class Looks:
                 x, y = (cell[own] % TILE).T
                 found[known[own]] = self._tiles[row, column][:, y, x].T
         total = np.concatenate([np.zeros((1, 3), np.int64), np.cumsum(found, axis=0)])
-        last = np.cumsum(lines.count)
-        return total[last] - total[last - lines.count]
+        last = np.cumsum(lines.lengths)
+        return total[last] - total[last - lines.lengths]
 
 
 def shares(looks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -172,7 +173,7 @@ def free_floor(frames: pa.Table) -> FreeFloor:
     names = "free_bearing_rad", "free_from_m", "free_to_m", "free_end"
     count = _lengths(frames[names[0]])
     frame = np.repeat(np.arange(len(count)), count)
-    columns = [pc.list_flatten(frames[name]).to_numpy() for name in names]
+    columns = [_lists(frames[name]).flatten().to_numpy() for name in names]
     ray = np.rint(columns[0].astype(np.float64) / RAY_RAD).astype(np.int64) + RAYS // 2
     bearing, way = (np.broadcast_to(row, (len(count), RAYS)) for row in ray_bearings())
     seen, end = np.zeros((2, len(count), RAYS), np.int8)
@@ -185,7 +186,7 @@ def free_floor(frames: pa.Table) -> FreeFloor:
 def contours(chunk: Chunk, T_world_camera: np.ndarray) -> Lines:
     """Return the contours of all obstacles of a chunk."""
     count = _lengths(chunk.obstacles["contour"]) // 2
-    values = pc.list_flatten(chunk.obstacles["contour"]).to_numpy().astype(np.float64)
+    values = _lists(chunk.obstacles["contour"]).flatten().to_numpy().astype(np.float64)
     frame = np.repeat(np.arange(len(T_world_camera)), np.diff(chunk.first))
     T = T_world_camera[np.repeat(frame, count)]
     return Lines(_in_world(values.reshape(-1, 2), T), count)
@@ -201,13 +202,19 @@ def _falling(values: np.ndarray) -> list[int]:
     return np.unique(values)[::-1].tolist()
 
 
+def _lists(column: pa.ChunkedArray) -> pa.ListArray:
+    """Return a column of lists as one array."""
+    array = column.combine_chunks()
+    return array.chunk(0) if isinstance(array, pa.ChunkedArray) else array
+
+
 def _lengths(column: pa.ChunkedArray) -> np.ndarray:
     """Return the lengths of lists ``(N,)`` int64; 0 for null."""
-    return pc.fill_null(pc.list_value_length(column), 0).to_numpy().astype(np.int64)
+    return pc.fill_null(_lists(column).value_lengths(), 0).to_numpy().astype(np.int64)
 
 
 def _vectors(column: pa.ChunkedArray, size: int) -> np.ndarray:
     """Return vectors ``(N, size)`` float64, NaN for null."""
     found = np.full((len(column), size), np.nan)
-    found[column.is_valid().to_numpy()] = pc.list_flatten(column).to_numpy().reshape(-1, size)
+    found[column.is_valid().to_numpy()] = _lists(column).flatten().to_numpy().reshape(-1, size)
     return found

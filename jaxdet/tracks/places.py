@@ -147,7 +147,7 @@ def shares_in_map(chunk: Chunk, known: KnownPlaces) -> np.ndarray:
     lines = contours(chunk, poses(chunk.frames))
     distance = chunk.obstacles["distance_m"].to_numpy().astype(np.float64)
     reach = MAP_NEAR_M + MAP_PER_M * (distance * distance)
-    obstacle = np.repeat(np.arange(count), lines.count)
+    obstacle = np.repeat(np.arange(count), lines.lengths)
     placed = np.isfinite(lines.points).all(axis=1)
     near = known.near(lines.points, reach[obstacle])
     total, inside = (np.bincount(obstacle[rows], minlength=count) for rows in (placed, near))
