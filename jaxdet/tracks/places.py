@@ -170,7 +170,10 @@ def with_outlines(image: MapImage, outlines: OccupancyMap) -> MapImage:
     if own is not None:
         shift = np.subtract(own.origin, image.origin) / image.cell_m
         x, y = np.rint(shift).astype(np.int64).tolist()
-        counts[y : y + own.counts.shape[0], x : x + own.counts.shape[1]] = own.counts
+        rows, columns = counts.shape
+        part = own.counts[max(-y, 0) : max(rows - y, 0), max(-x, 0) : max(columns - x, 0)]
+        top, left = max(y, 0), max(x, 0)
+        counts[top : top + part.shape[0], left : left + part.shape[1]] = part
     return image._replace(counts=counts)
 
 
