@@ -1,10 +1,10 @@
 """``python -m benchmarks maps``: maps of simulated drives against the truth.
 
-Phantoms on the map with and without ``track.most_floor``, real things that are lost from it, and
+Phantoms on the map before and after ``jaxdet track``, real things that are lost from it, and
 which obstacles are found to be in a map of the room that a lidar made before things were added.
 
 A phantom is a group of adjacent occupied cells inside of the room, none of which is near anything
-real. A thing is lost if it has occupied cells on the map of all obstacles only.
+real. A thing is lost if it has occupied cells on the map before only.
 """
 
 from dataclasses import dataclass
@@ -56,11 +56,11 @@ class Score(NamedTuple):
     """Counts of one drive, or the sums of several."""
 
     phantoms: int
-    """Phantoms on the map of all obstacles."""
+    """Phantoms on the map without tracks, of all obstacles."""
     left: int
-    """Phantoms on the map with ``most_floor``."""
+    """Phantoms on the map after ``jaxdet track``."""
     things: int
-    """Real things on the map of all obstacles."""
+    """Real things on the map without tracks."""
     lost: int
     added: int
     """Obstacles of added things."""
@@ -77,7 +77,7 @@ class Score(NamedTuple):
     in_map_things: int
 
 
-_TITLES = "phantoms all, lasting   things lost   added new, things   mapped in_map, things"
+_TITLES = "phantoms before, after   things lost   added new, things   mapped in_map, things"
 
 
 def main(options: Options) -> int:
@@ -112,15 +112,22 @@ def _line(name: str, s: Score) -> str:
     )
 
 
+class _Untracked(Results):
+    """Results as they are before ``jaxdet track``."""
+
+    def tracked(self, log: ResultLog) -> bool:
+        return False
+
+
 def score_drive(folder: Path, log: Path, most_floor: float) -> Score:
     """Score the results of a drive; tracks in the folder are replaced."""
-    room = Room(load_truth(log))
-    grids = []
-    for limit in (1.0, most_floor):
-        track_results(folder, TrackConfig(most_floor=limit), known=room.lidar_map())
-        with Results(folder) as results:
+    room, grids = Room(load_truth(log)), []
+    track_results(folder, TrackConfig(most_floor=most_floor), known=room.lidar_map())
+    for kind in (_Untracked, Results):
+        with kind(folder) as results:
             grids.append(last_grid(results, results.logs[0]))
-            of, in_map = _obstacles(results, results.logs[0], room)
+    with Results(folder) as results:
+        of, in_map = _obstacles(results, results.logs[0], room)
     phantoms, left = (room.phantoms(grid) for grid in grids)
     shown, kept = (room.things_on(grid) for grid in grids)
     figures = [phantoms, left, shown.sum(), (shown & ~kept).sum()]

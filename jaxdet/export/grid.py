@@ -11,8 +11,9 @@ from collections.abc import Iterator
 import cv2
 import numpy as np
 
-from jaxdet.export.shapes import FREE_COLUMNS, T_world_upright, free_floor
+from jaxdet.export.shapes import FREE_COLUMNS, T_world_upright, contour, free_floor
 from jaxdet.results.map_file import FREE, OCCUPIED, UNKNOWN, Grid, KnownPlaces
+from jaxdet.results.metric import to_world
 from jaxdet.results.reading import Frame, ResultLog, Results
 from jaxdet.results.sheet import Layer, Sheet, draw_sheet
 from jaxdet.tracks.folder import tracking
@@ -24,7 +25,9 @@ HIT, MISS = 85, -40
 LEAST, MOST = -200, 350
 """Bounds of the log-odds [1/100], as in OctoMap; nine frames of free floor clear any cell."""
 
-_ADDED = np.array([0, MISS, HIT], np.int16)
+_FLOOR, _OUTLINE, _EDGE = 1, 2, 3
+"""Values of cells on the sheet of a frame: free floor, outlines, and contours in them."""
+_ADDED = np.array([0, MISS, HIT, HIT], np.int16)
 _FRAME_COLUMNS = (*POSE_COLUMNS, *FREE_COLUMNS)
 
 
@@ -32,7 +35,8 @@ def last_grid(results: Results, log: ResultLog, known: KnownPlaces | None = None
     """Return the occupancy grid at the end of a log; None if the run made no map.
 
     After ``jaxdet track`` obstacles at whose place floor was seen too often are left out
-    (``track.most_floor``), and so are single cells among free ones.
+    (``track.most_floor``), and so are groups of cells, mostly corners of rectangles, none of which
+    has a contour and so little floor.
 
     Args:
         results: Results of a run.
@@ -44,8 +48,11 @@ def last_grid(results: Results, log: ResultLog, known: KnownPlaces | None = None
         return None
     first = np.rint(np.array(counted.origin) / counted.cell_m).astype(np.int64)
     odds = np.zeros(counted.counts.shape, np.int16)
-    seen = np.zeros(counted.counts.shape, bool)
-    for frame in _frames(results, log, known):
+    most_floor = tracking(log.folder).most_floor if results.tracked(log) else 1.0
+    # Frames that show floor, an outline and a contour; floor counts from the first outline on.
+    looks = np.zeros((3, *counted.counts.shape), np.int32)
+    seen_floor = np.zeros(counted.counts.shape, bool)
+    for frame in _frames(results, log, most_floor, known):
         if (sheet := _sheet(frame)) is None:
             continue
         cells, (x, y) = sheet.cells, (sheet.low - first).tolist()
@@ -54,27 +61,34 @@ def last_grid(results: Results, log: ResultLog, known: KnownPlaces | None = None
         part = cells[top - y : max(rows - y, 0), left - x : max(columns - x, 0)]
         here = slice(top, top + part.shape[0]), slice(left, left + part.shape[1])
         odds[here] = np.clip(odds[here] + _ADDED[part], LEAST, MOST)
-        seen[here] |= part > 0
-    states = np.where(seen, np.where(odds > 0, OCCUPIED, FREE), UNKNOWN).astype(np.int8)
+        seen_floor[here] |= part == _FLOOR
+        floor, outlines, contours = (look[here] for look in looks)
+        outlines += part >= _OUTLINE
+        contours += part == _EDGE
+        floor += (part == _FLOOR) & (outlines > 0)
+    occupied = odds > 0
     if results.tracked(log):
-        states[_are_specks(states)] = FREE
-    return Grid(states, counted.origin, counted.cell_m)
+        floor, outlines, contours = looks
+        lasting = (contours > 0) & is_lasting(floor / np.maximum(floor + outlines, 1), most_floor)
+        occupied = _groups_with(lasting, occupied)
+    free = (seen_floor | (odds < 0)) & ~occupied
+    states = np.where(occupied, OCCUPIED, np.where(free, FREE, UNKNOWN))
+    return Grid(states.astype(np.int8), counted.origin, counted.cell_m)
 
 
-def _are_specks(states: np.ndarray) -> np.ndarray:
-    """Return which cells are occupied, and all eight around them free, bool.
-
-    They are corners of rectangles around bent contours; those of real things have margins.
-    """
-    around = np.ones((3, 3), np.uint8)
-    around[1, 1] = 0
-    return (states == OCCUPIED) & (cv2.erode((states == FREE).astype(np.uint8), around) > 0)
+def _groups_with(lasting: np.ndarray, occupied: np.ndarray) -> np.ndarray:
+    """Return the cells of groups of adjacent occupied cells that have a lasting one, bool."""
+    count, group = cv2.connectedComponents(occupied.astype(np.uint8), connectivity=8)
+    has_one = np.zeros(count, bool)
+    has_one[group[lasting & occupied]] = True
+    return has_one[group] & occupied
 
 
-def _frames(results: Results, log: ResultLog, known: KnownPlaces | None) -> Iterator[Frame]:
+def _frames(
+    results: Results, log: ResultLog, most_floor: float, known: KnownPlaces | None
+) -> Iterator[Frame]:
     """Yield the frames of a log, each with the obstacles that are drawn."""
     tracked = results.tracked(log)
-    most_floor = tracking(log.folder).most_floor if tracked else 1.0
     columns = ("corners_world", *OBSTACLE_COLUMNS, *(["floor_seen"] * tracked))
     for chunk in results.chunks(log, _FRAME_COLUMNS, columns):
         drawn = np.ones(chunk.obstacles.num_rows, bool)
@@ -88,12 +102,17 @@ def _frames(results: Results, log: ResultLog, known: KnownPlaces | None) -> Iter
 
 
 def _sheet(frame: Frame) -> Sheet | None:
-    """Return the cells that a frame updates: 1 free, 2 outline."""
+    """Return the cells that a frame updates; an outline without a contour counts as one."""
     T = T_world_upright(frame.row)
     if T is None:
         return None
-    outlines = [o["corners_world"] for o in frame.obstacles if o["corners_world"]]
+    placed = [o for o in frame.obstacles if o["corners_world"]]
+    outlines, bare = (
+        [np.reshape(o["corners_world"], (4, 2)) for o in placed if bool(o["contour"]) == edged]
+        for edged in (True, False)
+    )
+    edges = [to_world(contour(o)[None, None], T[None])[0, 0] for o in placed if o["contour"]]
     free = free_floor(frame.row).in_world(T[None])
     areas = np.split(free.points, np.cumsum(free.corners)[:-1]) if len(free.corners) else []
-    rectangles = [np.reshape(corners, (4, 2)) for corners in outlines]
-    return draw_sheet([Layer(1, "areas", areas), Layer(2, "outlines", rectangles)])
+    layers = [Layer(_FLOOR, "areas", areas), Layer(_OUTLINE, "outlines", outlines)]
+    return draw_sheet([*layers, Layer(_EDGE, "outlines", bare), Layer(_EDGE, "lines", edges)])
