@@ -40,14 +40,16 @@ def by_hand(folder: Path, frames: list[tuple], ends: int = 0) -> Path:
         folder: Where to write.
         frames: For each frame the middles of obstacles, right and forward [m], each 0.2 m wide,
             and how far the floor is free ahead, 0.5 m to each side at 1 m; and optionally columns
-            of the frame in place of others.
+            in place of others.
         ends: What ends the free floor, ``free_end``.
     """
     folder.mkdir(parents=True, exist_ok=True)
     with TableWriter(folder) as writer:
         for number, (places, free_m, *other) in enumerate(frames):
             frame, obstacles = _rows(number, places, free_m, ends)
-            writer.add(Tables.of(frame | (other[0] if other else {}), obstacles))
+            for columns in (frame, obstacles):
+                columns |= {k: v for more in other for k, v in more.items() if k in columns}
+            writer.add(Tables.of(frame, obstacles))
         ones = np.ones((80, 80), np.int32)
         image = MapImage(ones, ones, (-1.0, -2.0), 0.05, np.zeros((len(frames), 2)))
         save_map(folder / "map.npz", image)

@@ -8,6 +8,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from jaxdet.export.grid import last_grid
+from jaxdet.results.lists import Lists
 from jaxdet.results.map_file import FREE, OCCUPIED
 from jaxdet.results.reading import Results
 from jaxdet.tracks import TrackConfig, places, track_results
@@ -98,23 +99,41 @@ def test_a_standing_track_has_the_looks_of_all_its_obstacles(tmp_path: Path) -> 
     assert track["in_map"] is None
 
 
+def state_at_its_place(folder: Path) -> int:
+    with Results(folder) as results:
+        grid = last_grid(results, results.logs[0])
+    assert grid is not None
+    column, row = np.floor(grid.places(np.array([1.5, 0.0]))).astype(int)
+    return int(grid.states[row, column])
+
+
 def test_what_floor_was_seen_through_is_left_out_of_maps(tmp_path: Path) -> None:
     """A phantom that comes and goes, and is there at the end."""
     folder = by_hand(tmp_path / "r", [FOUND] + [FLOOR] * 9 + [FOUND] * 3)
 
     def at_its_place() -> tuple[int, int]:
         with Results(folder) as results:
-            (log,) = results.logs
-            grid, image = last_grid(results, log), lasting_map(results, log)
-        assert grid is not None and image is not None
-        column, row = np.floor((np.array([1.5, 0.0]) - grid.origin) / grid.cell_m).astype(int)
-        return int(grid.states[row, column]), int(image.counts[row, column] > 0)
+            image = lasting_map(results, results.logs[0])
+        assert image is not None
+        column, row = np.floor((np.array([1.5, 0.0]) - image.origin) / image.cell_m).astype(int)
+        return state_at_its_place(folder), int(image.counts[row, column] > 0)
 
     assert at_its_place() == (OCCUPIED, 1)
     track_results(folder, ANY)
     assert at_its_place() == (FREE, 0)
     track_results(folder, TrackConfig(min_frames=1, most_floor=0.8))
     assert at_its_place() == (OCCUPIED, 1)
+
+
+def test_part_of_a_rectangle_that_no_contour_joins_to_a_thing_is_left_out(tmp_path: Path) -> None:
+    """A contour far from its rectangle stands for the corner of one around a bent contour."""
+    aside = np.array([-0.6, 1.4, -0.5, 1.4, -0.4, 1.4], np.float32)
+    bent = {"contour": Lists.of_lengths(aside, np.array([6]), np.array([False]))}
+    for name, frame, expected in (("bent", (*FOUND, bent), FREE), ("plain", FOUND, OCCUPIED)):
+        folder = by_hand(tmp_path / name, [FLOOR, frame, frame])
+        assert state_at_its_place(folder) == OCCUPIED
+        track_results(folder, ANY)
+        assert state_at_its_place(folder) == expected
 
 
 def test_neither_chunks_nor_repetition_change_the_tables(
