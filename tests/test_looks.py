@@ -28,7 +28,7 @@ def rows_of(folder: Path, name: str) -> list[dict[str, Any]]:
     return pq.read_table(folder / f"{name}.parquet").to_pylist()
 
 
-def shares_of(folder: Path, frames: list, ends: int = 0) -> list[tuple[float, float]]:
+def shares_of(folder: Path, frames: list, ends: int = 0) -> list[tuple]:
     """Persistence and share of floor of each obstacle, rounded."""
     track_results(by_hand(folder, frames, ends), ANY)
     links = rows_of(folder, "track_links")

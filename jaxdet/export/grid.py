@@ -62,7 +62,7 @@ def last_grid(results: Results, log: ResultLog, known: KnownPlaces | None = None
         here = slice(top, top + part.shape[0]), slice(left, left + part.shape[1])
         odds[here] = np.clip(odds[here] + _ADDED[part], LEAST, MOST)
         seen_floor[here] |= part == _FLOOR
-        floor, outlines, contours = (look[here] for look in looks)
+        floor, outlines, contours = (looks[kind][here] for kind in range(3))
         outlines += part >= _OUTLINE
         contours += part == _EDGE
         floor += (part == _FLOOR) & (outlines > 0)
@@ -78,7 +78,8 @@ def last_grid(results: Results, log: ResultLog, known: KnownPlaces | None = None
 
 def _groups_with(lasting: np.ndarray, occupied: np.ndarray) -> np.ndarray:
     """Return the cells of groups of adjacent occupied cells that have a lasting one, bool."""
-    count, group = cv2.connectedComponents(occupied.astype(np.uint8), connectivity=8)
+    count, labels = cv2.connectedComponents(occupied.astype(np.uint8), connectivity=8)
+    group = labels.astype(np.int32)
     has_one = np.zeros(count, bool)
     has_one[group[lasting & occupied]] = True
     return has_one[group] & occupied
