@@ -352,13 +352,13 @@
   let followed = data.logs.some((l) => l.tracks && l.tracks.moving) ? "moving" : "all";
   const shownTracks = (log) => (log.tracks ? log.tracks.rows.filter((t) => followed === "all" || (followed === "new" ? t[11] === false : t[1] === (followed === "moving"))) : []);
   const compared = data.logs.some((l) => l.tracks && l.tracks.new != null);
-  const share = (value) => (value == null ? "–" : `${Math.round(100 * value)} %`);
+  const percent = (value) => (value == null ? "–" : `${Math.round(100 * value)} %`);
   function drawTracks() {
     $("track-section").hidden = !data.logs.some((l) => l.tracks);
     const rows = picked().flatMap((l) => shownTracks(l).map((t) => [
       ...(data.logs.length > 1 ? [l.log] : []), String(t[0]), t[1] ? "moves" : "stands", seconds(t[2]), seconds(t[3]),
       t[1] ? `${t[4].toFixed(2)} m/s` : "–", t[1] ? `${t[5].toFixed(2)} m/s` : "–", `${t[6].toFixed(2)} × ${t[7].toFixed(2)} m`,
-      share(t[9]), share(t[10]), ...(compared ? [t[11] == null ? "–" : t[11] ? "has it" : "new"] : []),
+      percent(t[9]), percent(t[10]), ...(compared ? [t[11] == null ? "–" : t[11] ? "has it" : "new"] : []),
     ]));
     table($("tracks"), [...(data.logs.length > 1 ? ["Log"] : []), "#Track", "Motion", "#Seen from", "#Seen for", "#Mean speed", "#Top speed", "#Size", "#Persistence", "#Floor seen", ...(compared ? ["Known map"] : [])], rows);
     const counts = { moving: (t) => t.moving, standing: (t) => t.standing, new: (t) => t.new || 0, all: (t) => t.moving + t.standing };
