@@ -2,6 +2,7 @@
 
 ``python -m benchmarks feed --json FILE`` times whole logs, see :mod:`benchmarks.feed`;
 ``python -m benchmarks tracks`` scores tracks, see :mod:`benchmarks.tracks`;
+``python -m benchmarks maps`` scores maps of simulated drives, see :mod:`benchmarks.maps`;
 ``python -m benchmarks scale`` simulates runs on many nodes, see :mod:`benchmarks.scale`;
 ``python -m benchmarks same`` compares the obstacles of two commits, see
 :mod:`benchmarks.same_obstacles`.
@@ -94,6 +95,11 @@ if __name__ == "__main__":
 
         feed_options = tyro.cli(feed.Options, args=sys.argv[2:], prog="python -m benchmarks feed")
         sys.exit(feed.main(feed_options))
+    if sys.argv[1:2] == ["maps"]:
+        from benchmarks import maps
+
+        drives = tyro.cli(maps.Options, args=sys.argv[2:], prog="python -m benchmarks maps")
+        sys.exit(maps.main(drives))
     if sys.argv[1:2] == ["same"]:
         from benchmarks import same_obstacles
 

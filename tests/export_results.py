@@ -33,22 +33,27 @@ def run(log: Path, output: Path, name: str = "wheeled", options: LogOptions | No
     return output
 
 
-def by_hand(folder: Path, frames: list[tuple[list[tuple[float, float]], float]]) -> Path:
+def by_hand(folder: Path, frames: list[tuple], ends: int = 0) -> Path:
     """Results of a camera at the origin of the world that looks along X, 1 m up.
 
     Args:
         folder: Where to write.
         frames: For each frame the middles of obstacles, right and forward [m], each 0.2 m wide,
-            and how far the floor is free ahead, 0.5 m to each side at 1 m.
+            and how far the floor is free ahead, 0.5 m to each side at 1 m; and optionally columns
+            in place of others.
+        ends: What ends the free floor, ``free_end``.
     """
     folder.mkdir(parents=True, exist_ok=True)
     with TableWriter(folder) as writer:
-        for number, (places, free_m) in enumerate(frames):
-            writer.add(Tables.of(*_rows(number, places, free_m)))
+        for number, (places, free_m, *other) in enumerate(frames):
+            frame, obstacles = _rows(number, places, free_m, ends)
+            for columns in (frame, obstacles):
+                columns |= {k: v for more in other for k, v in more.items() if k in columns}
+            writer.add(Tables.of(frame, obstacles))
         ones = np.ones((80, 80), np.int32)
         image = MapImage(ones, ones, (-1.0, -2.0), 0.05, np.zeros((len(frames), 2)))
         save_map(folder / "map.npz", image)
-        total = sum(len(places) for places, _ in frames)
+        total = sum(len(frame[0]) for frame in frames)
         log = LogSummary("hand", ("hand.mcap",), camera="camera", file_name="hand", map="map")
         log.frames, log.obstacles = len(frames), total
         config = {"surface": {"cell_rad": 0.1}, "log": {}}
@@ -60,7 +65,7 @@ def by_hand(folder: Path, frames: list[tuple[list[tuple[float, float]], float]])
     return folder
 
 
-def _rows(number: int, places: list, free_m: float) -> tuple[dict, dict]:
+def _rows(number: int, places: list, free_m: float, end: int) -> tuple[dict, dict]:
     count = len(places)
     bearing = np.arange(-105, 106) * RAY_RAD
     free = {"free_bearing_rad": bearing, "free_from_m": 0 * bearing + 0.3}
@@ -89,7 +94,7 @@ def _rows(number: int, places: list, free_m: float) -> tuple[dict, dict]:
         "camera_orientation_world": np.array([[-0.5, 0.5, -0.5, 0.5]]),
         "floor_source": np.array(["frame"], object),
         "floor_refused": np.ma.array(["far"], mask=[True], dtype=object),
-        "free_end": one(np.zeros(bearing.size, np.int8)),
+        "free_end": one(np.full(bearing.size, end, np.int8)),
         "drop_m": np.array([np.nan]),
         **{name: one(values.astype(np.float32)) for name, values in free.items()},
     }
@@ -97,6 +102,7 @@ def _rows(number: int, places: list, free_m: float) -> tuple[dict, dict]:
     square = np.array([[-0.1, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.1, 0.1]])
     ground = middle + square
     world = np.stack([ground[..., 1], -ground[..., 0]], axis=-1)
+    near = (middle + [[-0.1, -0.1], [0.0, -0.1], [0.1, -0.1]]).astype(np.float32)
     zeros = np.zeros(count)
     obstacles = {name: zeros.astype(np.int32) for name in ("num_points", "vertices")}
     obstacles |= {name: zeros.astype(np.int32) for name in ("u_min", "u_max", "v_min", "v_max")}
@@ -114,6 +120,6 @@ def _rows(number: int, places: list, free_m: float) -> tuple[dict, dict]:
         "distance_m": np.linalg.norm(middle[:, 0], axis=1),
         "bottom_m": zeros,
         "top_m": zeros + 0.5,
-        "contour": Lists.nulls(count),
+        "contour": Lists.of_lengths(near.ravel(), np.full(count, 6), np.zeros(count, bool)),
     }
     return frame, obstacles

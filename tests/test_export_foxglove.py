@@ -15,8 +15,9 @@ from mcap_ros2.decoder import DecoderFactory as Ros2DecoderFactory
 from scipy.spatial.transform import Rotation, Slerp
 
 from jaxdet.export import export
-from jaxdet.export.grid import FREE, OCCUPIED, last_grid
+from jaxdet.export.grid import last_grid
 from jaxdet.io import LogOptions
+from jaxdet.results.map_file import FREE, OCCUPIED
 from jaxdet.results.reading import Frame, Results
 from tests.camera_logs import join_cameras
 from tests.export_results import run

@@ -8,8 +8,9 @@ import pytest
 from jaxdet.cli import main
 from jaxdet.errors import InputError
 from jaxdet.export import export
-from jaxdet.export.grid import FREE, OCCUPIED, UNKNOWN, last_grid
+from jaxdet.export.grid import last_grid
 from jaxdet.results.free_floor import RAY_RAD
+from jaxdet.results.map_file import FREE, OCCUPIED, UNKNOWN
 from jaxdet.results.reading import Results
 from tests.export_results import by_hand
 

@@ -3,12 +3,17 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from jaxdet.cli.flags import parse_flags
 from jaxdet.cli.spinner import SPINNER
 from jaxdet.cli.tell import tell
+from jaxdet.errors import ConfigError
 from jaxdet.export import FORMATS
+
+if TYPE_CHECKING:
+    from jaxdet.export.nav2 import KnownMap
+    from jaxdet.results.reading import Results
 
 DESCRIPTION = """\
 Writes the results of jaxdet run for another program.
@@ -19,6 +24,7 @@ Examples:
   jaxdet export results --to foxglove --output scenes
   jaxdet export results --to rerun --output recordings --log drive.mcap
   jaxdet export results --to nav2 --output maps
+  jaxdet export results --to nav2 --output maps --map building.yaml --clear
   jaxdet export results --to html --output report.html
 """
 
@@ -38,6 +44,12 @@ class ExportCommand:
     """What to write; must not be there yet."""
     log: tuple[str, ...] = field(default=(), metadata={"takes": "LOG..."})
     """The logs of the results, for formats that look at them, see above."""
+    map: Path | None = field(default=None, metadata={"takes": "FILE"})
+    """YAML file of a map for nav2's map_server; nav2 adds the obstacles that it lacks."""
+    map_frame: str | None = field(default=None, metadata={"takes": "NAME"})
+    """Frame that the map is in; unset: the world that the poses are in."""
+    clear: bool = False
+    """Make free what was seen free, in the map of --map."""
 
 
 def _format_lines() -> Iterator[str]:
@@ -45,6 +57,19 @@ def _format_lines() -> Iterator[str]:
         yield f"  {name:<10}{form.writes}"
         if form.of_logs:
             yield f"  {'':<10}  with --log {form.of_logs}"
+
+
+def _known_map(command: ExportCommand, results: "Results") -> "KnownMap | None":
+    if command.map is None:
+        if command.clear or command.map_frame:
+            raise ConfigError("--clear and --map-frame are of a map", remedy="give it by --map")
+        return None
+    from jaxdet.export.nav2 import KnownMap
+    from jaxdet.results.map_file import read_map
+    from jaxdet.tracks.folder import check_frame
+
+    check_frame(results, command.map_frame)
+    return KnownMap(read_map(command.map), command.clear)
 
 
 def main(args: list[str]) -> int:
@@ -58,7 +83,8 @@ def main(args: list[str]) -> int:
 
         with Results(command.results) as results:
             recordings = find(results, command.log)
-            left_out = export(results, command.to, command.output, recordings)
+            known = _known_map(command, results)
+            left_out = export(results, command.to, command.output, recordings, known)
             left_out += [f"{name} is of another configuration" for name in results.stale]
     more = len(left_out) - MOST_LINES
     for line in left_out[:MOST_LINES] + ([f"and {more} more logs"] if more > 0 else []):

@@ -17,6 +17,7 @@ from jaxdet.errors import ConfigError, InputError
 from jaxdet.results.durable import writing
 
 if TYPE_CHECKING:
+    from jaxdet.export.nav2 import KnownMap
     from jaxdet.io import LogFiles
     from jaxdet.results.reading import Results
 
@@ -80,7 +81,11 @@ FORMATS = {
 
 
 def export(
-    results: "Results", to: str, output: Path, recordings: Mapping[str, "LogFiles"]
+    results: "Results",
+    to: str,
+    output: Path,
+    recordings: Mapping[str, "LogFiles"],
+    known: "KnownMap | None" = None,
 ) -> list[str]:
     """Export results to another format, atomically.
 
@@ -89,19 +94,23 @@ def export(
         to: One of :data:`FORMATS`.
         output: Output file or folder, see :class:`Format`.
         recordings: Logs of the results by name, see :func:`jaxdet.export.recordings.find`.
+        known: Map to which ``nav2`` adds obstacles.
 
     Returns:
         A line for each omission, for instance of a log that was moved.
 
     Raises:
-        ConfigError: The output exists, a package is missing, or the format does not use logs but
-            some are given.
+        ConfigError: The output exists, a package is missing, or the format does not use logs or a
+            map but some are given.
         InputError: The output's folder is not writable, or the results lack what the format needs.
         OutputError: The disk is full or broken.
     """
     if recordings and not FORMATS[to].of_logs:
         problem = f"--to {to} does not use --log"
         raise ConfigError(problem, remedy="leave --log out")
+    if known is not None and to != "nav2":
+        remedy = "use --to nav2, or jaxdet track --map before the export"
+        raise ConfigError(f"--to {to} does not use --map", remedy=remedy)
     if FORMATS[to].suffix and output.is_dir():
         remedy = f"name a file, such as {output / f'report{FORMATS[to].suffix}'}"
         raise ConfigError("is a folder", path=str(output), remedy=remedy)
@@ -126,7 +135,8 @@ def export(
         raise InputError(reason, path=str(output.parent)) from error
     try:
         with writing(output):
-            left_out = write(results, staging / "output", recordings)
+            more = () if known is None else (known,)
+            left_out = write(results, staging / "output", recordings, *more)
         if output.is_dir():
             output.rmdir()
         (staging / "output").rename(output)

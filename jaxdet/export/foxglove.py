@@ -38,7 +38,6 @@ from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from google.protobuf.timestamp_pb2 import Timestamp
 from mcap_protobuf.writer import Writer
 
-from jaxdet.export.grid import FREE, OCCUPIED, Grid
 from jaxdet.export.shapes import (
     Row,
     T_camera_floor,
@@ -58,6 +57,7 @@ from jaxdet.export.sidecar import sidecar_frames, sidecars
 from jaxdet.io import LogFiles
 from jaxdet.io.writer import Transform
 from jaxdet.render.canvas import color_of
+from jaxdet.results.map_file import FREE, OCCUPIED, Grid
 from jaxdet.results.reading import Frame, ResultLog, Results
 from jaxdet.results.tracked import Mover
 

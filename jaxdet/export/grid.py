@@ -6,90 +6,114 @@ Section 4.2): outlines raise a cell's occupancy, free floor lowers it, and a few
 change its state.
 """
 
-from typing import NamedTuple
+from collections.abc import Iterator
 
 import cv2
 import numpy as np
 
-from jaxdet.export.shapes import FREE_COLUMNS, T_world_upright, free_floor
-from jaxdet.results.metric import TILT
-from jaxdet.results.occupancy import SHIFT, placed
+from jaxdet.export.shapes import FREE_COLUMNS, T_world_upright, contour, free_floor
+from jaxdet.results.map_file import FREE, OCCUPIED, UNKNOWN, Grid, KnownPlaces
+from jaxdet.results.metric import to_world
 from jaxdet.results.reading import Frame, ResultLog, Results
-
-OCCUPIED, FREE, UNKNOWN = 100, 0, -1
-"""States of a cell, as in ``nav_msgs/OccupancyGrid``."""
+from jaxdet.results.sheet import Layer, Sheet, draw_sheet
+from jaxdet.tracks.folder import tracking
+from jaxdet.tracks.looks import OBSTACLE_COLUMNS, POSE_COLUMNS
+from jaxdet.tracks.places import IN_MAP, is_lasting, shares_in_map
 
 HIT, MISS = 85, -40
 """Log-odds that an outline and free floor add to a cell [1/100], as in OctoMap."""
 LEAST, MOST = -200, 350
 """Bounds of the log-odds [1/100], as in OctoMap; nine frames of free floor clear any cell."""
 
-_ADDED = np.array([0, MISS, HIT], np.int16)
-_FRAME_COLUMNS = ("camera_position_world", *TILT, *FREE_COLUMNS)
+_FLOOR, _OUTLINE, _EDGE = 1, 2, 3
+"""Values of cells on the sheet of a frame: free floor, outlines, and contours in them."""
+_ADDED = np.array([0, MISS, HIT, HIT], np.int16)
+_FRAME_COLUMNS = (*POSE_COLUMNS, *FREE_COLUMNS)
 
 
-class Grid(NamedTuple):
-    """Occupancy grid of the world's floor; row 0 is the lowest Y."""
-
-    states: np.ndarray
-    """States ``(rows, columns)`` int8: OCCUPIED, FREE or UNKNOWN."""
-    origin: tuple[float, float]
-    """World X and Y of the outer corner of cell (0, 0) [m]."""
-    cell_m: float
-    """Side of a cell [m]."""
-
-
-def last_grid(results: Results, log: ResultLog) -> Grid | None:
+def last_grid(results: Results, log: ResultLog, known: KnownPlaces | None = None) -> Grid | None:
     """Return the occupancy grid at the end of a log; None if the run made no map.
+
+    After ``jaxdet track`` obstacles at whose place floor was seen too often are left out
+    (``track.most_floor``), and so are groups of cells, mostly corners of rectangles, none of which
+    has a contour and so little floor.
 
     Args:
         results: Results of a run.
         log: One of its logs.
+        known: Map; obstacles that are in it are left out. None: all are drawn.
     """
     counted = results.map(log)
     if counted is None:
         return None
     first = np.rint(np.array(counted.origin) / counted.cell_m).astype(np.int64)
     odds = np.zeros(counted.counts.shape, np.int16)
-    seen = np.zeros(counted.counts.shape, bool)
-    for frame in results.frames(log, _FRAME_COLUMNS, ("corners_world",)):
-        if (view := _cells(frame)) is None:
+    most_floor = tracking(log.folder).most_floor if results.tracked(log) else 1.0
+    # Frames that show floor, an outline and a contour; floor counts from the first outline on.
+    looks = np.zeros((3, *counted.counts.shape), np.int32)
+    seen_floor = np.zeros(counted.counts.shape, bool)
+    for frame in _frames(results, log, most_floor, known):
+        if (sheet := _sheet(frame)) is None:
             continue
-        cells, low = view
-        x, y = (low - first).tolist()
+        cells, (x, y) = sheet.cells, (sheet.low - first).tolist()
         rows, columns = counted.counts.shape
         top, left = max(y, 0), max(x, 0)
         part = cells[top - y : max(rows - y, 0), left - x : max(columns - x, 0)]
         here = slice(top, top + part.shape[0]), slice(left, left + part.shape[1])
         odds[here] = np.clip(odds[here] + _ADDED[part], LEAST, MOST)
-        seen[here] |= part > 0
-    states = np.where(odds > 0, OCCUPIED, FREE)
-    return Grid(np.where(seen, states, UNKNOWN).astype(np.int8), counted.origin, counted.cell_m)
+        seen_floor[here] |= part == _FLOOR
+        floor, outlines, contours = (looks[kind][here] for kind in range(3))
+        outlines += part >= _OUTLINE
+        contours += part == _EDGE
+        floor += (part == _FLOOR) & (outlines > 0)
+    occupied = odds > 0
+    if results.tracked(log):
+        floor, outlines, contours = looks
+        lasting = (contours > 0) & is_lasting(floor / np.maximum(floor + outlines, 1), most_floor)
+        occupied = _groups_with(lasting, occupied)
+    free = (seen_floor | (odds < 0)) & ~occupied
+    states = np.where(occupied, OCCUPIED, np.where(free, FREE, UNKNOWN))
+    return Grid(states.astype(np.int8), counted.origin, counted.cell_m)
 
 
-def _cells(frame: Frame) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return the cells that a frame updates: 1 free, 2 outline; and the first column and row."""
+def _groups_with(lasting: np.ndarray, occupied: np.ndarray) -> np.ndarray:
+    """Return the cells of groups of adjacent occupied cells that have a lasting one, bool."""
+    count, labels = cv2.connectedComponents(occupied.astype(np.uint8), connectivity=8)
+    group = labels.astype(np.int32)
+    has_one = np.zeros(count, bool)
+    has_one[group[lasting & occupied]] = True
+    return has_one[group] & occupied
+
+
+def _frames(
+    results: Results, log: ResultLog, most_floor: float, known: KnownPlaces | None
+) -> Iterator[Frame]:
+    """Yield the frames of a log, each with the obstacles that are drawn."""
+    tracked = results.tracked(log)
+    columns = ("corners_world", *OBSTACLE_COLUMNS, *(["floor_seen"] * tracked))
+    for chunk in results.chunks(log, _FRAME_COLUMNS, columns):
+        drawn = np.ones(chunk.obstacles.num_rows, bool)
+        if tracked:
+            drawn = is_lasting(chunk.obstacles["floor_seen"].to_numpy(), most_floor)
+        if known is not None:
+            drawn &= ~(shares_in_map(chunk, known) >= IN_MAP)
+        for frame, first in zip(chunk.each(), chunk.first.tolist(), strict=False):
+            own = zip(frame.obstacles, drawn[first:].tolist(), strict=False)
+            yield Frame(frame.row, [obstacle for obstacle, shown in own if shown])
+
+
+def _sheet(frame: Frame) -> Sheet | None:
+    """Return the cells that a frame updates; an outline without a contour counts as one."""
     T = T_world_upright(frame.row)
     if T is None:
         return None
-    outlines = [o["corners_world"] for o in frame.obstacles if o["corners_world"]]
-    parts = [np.reshape(corners, (4, 2)) for corners in outlines]
-    covered = len(parts)
+    placed = [o for o in frame.obstacles if o["corners_world"]]
+    outlines, bare = (
+        [np.reshape(o["corners_world"], (4, 2)) for o in placed if bool(o["contour"]) == edged]
+        for edged in (True, False)
+    )
+    edges = [to_world(contour(o)[None, None], T[None])[0, 0] for o in placed if o["contour"]]
     free = free_floor(frame.row).in_world(T[None])
-    parts += np.split(free.points, np.cumsum(free.corners)[:-1]) if len(free.corners) else []
-    if not parts:
-        return None
-    fits = placed(np.concatenate(parts), np.array([len(part) for part in parts])).fits
-    used = [part for part, fit in zip(parts, fits, strict=True) if fit]
-    covered = int(fits[:covered].sum())
-    if not used:
-        return None
-    together = placed(np.concatenate(used), np.array([sum(map(len, used))]))
-    if not together.fits[0]:
-        return None
-    points = np.split(together.points, np.cumsum([len(part) for part in used])[:-1])
-    cells = np.zeros(together.size[0, ::-1], np.uint8)
-    cv2.fillPoly(cells, points[covered:], (1,), cv2.LINE_8, SHIFT)
-    for outline in points[:covered]:
-        cv2.fillConvexPoly(cells, outline, (2,), cv2.LINE_8, SHIFT)
-    return cells, together.low[0]
+    areas = np.split(free.points, np.cumsum(free.corners)[:-1]) if len(free.corners) else []
+    layers = [Layer(_FLOOR, "areas", areas), Layer(_OUTLINE, "outlines", outlines)]
+    return draw_sheet([*layers, Layer(_EDGE, "outlines", bare), Layer(_EDGE, "lines", edges)])

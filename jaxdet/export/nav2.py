@@ -2,31 +2,36 @@
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import NamedTuple
 
+import cv2
 import numpy as np
 
 from jaxdet.errors import InputError
-from jaxdet.export.grid import FREE, OCCUPIED, Grid, last_grid
+from jaxdet.export.grid import last_grid
 from jaxdet.io import LogFiles
+from jaxdet.results.map_file import FREE, OCCUPIED, UNKNOWN, Grid, KnownPlaces, write_map
+from jaxdet.results.occupancy import MAX_CELLS
 from jaxdet.results.reading import Results
 
-OCCUPIED_GREY, FREE_GREY, UNKNOWN_GREY = 0, 254, 205
-"""Grey levels, as written by nav2's map_saver."""
-
-_YAML = """\
-# Map of {log}, in the frame {frame}.
-image: {image}
-mode: trinary
-resolution: {cell_m:.9g}
-origin: [{x:.12g}, {y:.12g}, 0.0]
-negate: 0
-occupied_thresh: 0.65
-free_thresh: 0.196
-"""
-# The grey level of unknown cells is an occupancy of 0.19608.
+KEPT_M = 0.15
+"""What a map has this near to an obstacle that was seen is not cleared [m]."""
 
 
-def export(results: Results, output: Path, recordings: Mapping[str, LogFiles]) -> list[str]:
+class KnownMap(NamedTuple):
+    """Map to which obstacles are added."""
+
+    grid: Grid
+    clear: bool
+    """Whether cells that were seen free become free."""
+
+
+def export(
+    results: Results,
+    output: Path,
+    recordings: Mapping[str, LogFiles],
+    known: KnownMap | None = None,
+) -> list[str]:
     """Write ``LOG.pgm`` and ``LOG.yaml`` of each log with a map into a folder.
 
     A cell is occupied if outlines of obstacles outweigh later free floor, see
@@ -36,37 +41,88 @@ def export(results: Results, output: Path, recordings: Mapping[str, LogFiles]) -
         results: Results of a run.
         output: Folder.
         recordings: Not used.
+        known: Map to which the obstacles that it lacks are added.
 
     Returns:
         A line for each log without a map.
 
     Raises:
-        InputError: No log has a map.
+        InputError: No log has a map, or one would be too large.
     """
     output.mkdir()
     left_out = []
+    places = None if known is None else KnownPlaces(known.grid)
     for log in results.logs:
-        grid = last_grid(results, log)
+        grid = last_grid(results, log, places)
         if grid is None:
             left_out.append(f"{log.label} is left out: it has no map")
-        else:
-            _write(output / log.file_name, grid, log.label, results.world_frame(log))
+            continue
+        if known is not None:
+            seen = last_grid(results, log) if known.clear else None
+            grid = merged(known.grid, grid, seen)
+        path = output / f"{log.file_name}.pgm"
+        write_map(path, grid, log.label, results.world_frame(log))
     if len(left_out) == len(results.logs):
         remedy = "maps need logs with camera poses"
         raise InputError("no log has a map", path=str(results.folder), remedy=remedy)
     return left_out
 
 
-def _write(path: Path, grid: Grid, log: str, frame: str) -> None:
-    """Write the two files of a map; row 0 of the picture is the highest Y."""
-    greys = np.full(grid.states.shape, UNKNOWN_GREY, np.uint8)
-    greys[grid.states == FREE] = FREE_GREY
-    greys[grid.states == OCCUPIED] = OCCUPIED_GREY
-    rows, columns = grid.states.shape
-    picture = path.with_name(f"{path.name}.pgm")
-    picture.write_bytes(b"P5\n%d %d\n255\n" % (columns, rows) + greys[::-1].tobytes())
-    x, y = grid.origin
-    log, frame = (" ".join(text.split()) for text in (log, frame))
-    names = {"log": log, "frame": frame, "image": picture.name}
-    text = _YAML.format(**names, cell_m=grid.cell_m, x=x, y=y)
-    path.with_name(f"{path.name}.yaml").write_text(text, encoding="utf-8")
+def merged(known: Grid, new: Grid, seen: Grid | None = None) -> Grid:
+    """Return a map with new obstacles, extended where they lie outside of it.
+
+    Args:
+        known: Map.
+        new: Grid whose occupied cells are added.
+        seen: Grid whose free cells are cleared, except near its occupied ones; None: none are.
+
+    Raises:
+        InputError: It would be too large.
+    """
+    rows, columns = np.nonzero(new.states == OCCUPIED)
+    added = known.places(new.world(np.stack([columns, rows], axis=1) + 0.5))
+    grid, shift = _extended(known, added)
+    states = grid.states
+    if seen is not None:
+        reach = round(KEPT_M / seen.cell_m)
+        near = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
+        kept = cv2.dilate((seen.states == OCCUPIED).astype(np.uint8), near) > 0
+        free = np.where((seen.states == FREE) & ~kept, FREE, UNKNOWN)
+        here, found = _sampled(grid, seen._replace(states=free))
+        states[here] = np.where(found == FREE, FREE, states[here])
+    here, found = _sampled(grid, new)
+    states[here] = np.where(found == OCCUPIED, OCCUPIED, states[here])
+    x, y = np.floor(added + shift).astype(np.int64).T  # cells that are larger than those of new
+    states[y, x] = OCCUPIED
+    return grid
+
+
+def _extended(known: Grid, places: np.ndarray) -> tuple[Grid, np.ndarray]:
+    """Return a copy of a map that has these columns and rows, and what these are shifted by."""
+    size = np.array(known.states.shape[::-1])
+    low = np.minimum(np.floor(places).min(axis=0, initial=0), 0).astype(np.int64)
+    high = np.maximum(np.floor(places).max(axis=0, initial=0) + 1, size).astype(np.int64)
+    if int(np.prod(high - low)) > MAX_CELLS:
+        problem = "obstacles are too far from the map"
+        raise InputError(problem, topic="--map", remedy="give the map of the frame of the poses")
+    pad = [(-low[1], high[1] - size[1]), (-low[0], high[0] - size[0])]
+    states = np.pad(known.states, pad, constant_values=UNKNOWN)
+    x, y = known.world(low.astype(np.float64)).tolist()
+    return known._replace(states=states, origin=(x, y)), -low
+
+
+def _sampled(grid: Grid, other: Grid) -> tuple[tuple[slice, slice], np.ndarray]:
+    """Return the part of a grid that another one covers, and the other's states at its cells."""
+    rows, columns = other.states.shape
+    ring = np.array([[0, 0], [columns, 0], [columns, rows], [0, rows]], np.float64)
+    places = grid.places(other.world(ring))
+    size = np.array(grid.states.shape[::-1])
+    low = np.clip(np.floor(places.min(axis=0)), 0, size).astype(np.int64)
+    high = np.clip(np.ceil(places.max(axis=0)), low, size).astype(np.int64)
+    x, y = (np.arange(a, b) + 0.5 for a, b in zip(low, high, strict=True))
+    cells = np.stack(np.meshgrid(x, y), axis=-1)
+    column, row = np.moveaxis(np.floor(other.places(grid.world(cells))).astype(np.int64), -1, 0)
+    inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
+    found = other.states[np.where(inside, row, 0), np.where(inside, column, 0)]
+    part = slice(low[1], high[1]), slice(low[0], high[0])
+    return part, np.where(inside, found, UNKNOWN)

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from jaxdet.export.grid import Grid
 from jaxdet.export.recordings import look_again
 from jaxdet.export.scan import SCAN_COLUMNS, local_grid, scan, scan_message
 from jaxdet.export.shapes import (
@@ -28,6 +27,7 @@ from jaxdet.export.sidecar import sidecar_frames, sidecars
 from jaxdet.io import LogFiles
 from jaxdet.io.writer import Ros2LogWriter, pose_of, xyz
 from jaxdet.io.writer_cdr import header
+from jaxdet.results.map_file import Grid
 from jaxdet.results.masks import obstacle_points
 from jaxdet.results.reading import Frame, ResultLog, Results
 

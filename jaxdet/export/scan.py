@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
-from jaxdet.export.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from jaxdet.export.shapes import FREE_COLUMNS, LEVEL, Row, corners, free_floor
 from jaxdet.results.free_floor import RAY_RAD
+from jaxdet.results.map_file import FREE, OCCUPIED, UNKNOWN, Grid
 from jaxdet.results.occupancy import CELL_M, SHIFT
 from jaxdet.results.reading import Frame
 from jaxdet.types import RAYS, FreeEnd

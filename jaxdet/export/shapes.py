@@ -146,7 +146,11 @@ def number_of(obstacle: Row) -> int:
 
 
 def label(obstacle: Row) -> str:
-    """Return a text with label and distance, as in the pictures, and the track after ``#``."""
+    """Return a text with label and distance, as in the pictures, and the track after ``#``.
+
+    It ends with ``new`` if the obstacle is not in the known map.
+    """
     track = obstacle.get("track")
     followed = "" if track is None else f"   #{track}"
-    return f"{obstacle['obstacle']}   {obstacle['distance_m']:.2f} m{followed}"
+    new = "   new" if obstacle.get("in_map") is False else ""
+    return f"{obstacle['obstacle']}   {obstacle['distance_m']:.2f} m{followed}{new}"

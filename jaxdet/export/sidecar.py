@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxdet.export.grid import Grid, last_grid
+from jaxdet.export.grid import last_grid
 from jaxdet.export.shapes import (
     FRAME_COLUMNS,
     Row,
@@ -20,6 +20,7 @@ from jaxdet.export.shapes import (
     floor_name,
 )
 from jaxdet.io.writer import Transform
+from jaxdet.results.map_file import Grid
 from jaxdet.results.reading import Frame, ResultLog, Results
 
 

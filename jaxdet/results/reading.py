@@ -52,6 +52,8 @@ CHUNK_FRAMES = 1024
 
 TRACKS, LINKS = "tracks.parquet", "track_links.parquet"
 """Tables that ``jaxdet track`` adds to a log's folder."""
+LINKED = tuple(LINKS_SCHEMA.names[4:])
+"""Columns of ``track_links.parquet`` that obstacles have after ``jaxdet track``."""
 TABLES = {
     FRAMES: FRAMES_SCHEMA, OBSTACLES: OBSTACLES_SCHEMA, TRACKS: TRACKS_SCHEMA, LINKS: LINKS_SCHEMA
 }  # fmt: skip
@@ -158,7 +160,7 @@ class Frame(NamedTuple):
 
 
 class Tables(NamedTuple):
-    """Rows of both tables; of tracked logs obstacles have a column ``track``."""
+    """Rows of both tables; of tracked logs obstacles have the columns :data:`LINKED`."""
 
     frames: pa.Table
     obstacles: pa.Table
@@ -381,7 +383,7 @@ class Results:
             log: Of this log; None: of all, one after the other.
             frames: Columns of the frames; None: all. ``log``, ``camera``, ``frame`` and
                 ``num_obstacles`` come always.
-            obstacles: Columns of the obstacles; None: all, with ``track`` where they are
+            obstacles: Columns of the obstacles; None: all, with :data:`LINKED` where they are
                 :meth:`tracked`. ``log``, ``camera`` and ``frame`` come always.
             size: Most frames of a chunk.
 
@@ -398,8 +400,9 @@ class Results:
         obstacles: Sequence[str] | None,
         size: int,
     ) -> Iterator[Chunk]:
-        own = obstacles and [name for name in obstacles if name != "track"]
-        linked = self.tracked(log) and (obstacles is None or "track" in obstacles)
+        own = obstacles and [name for name in obstacles if name not in LINKED]
+        wanted = LINKED if obstacles is None else [name for name in LINKED if name in obstacles]
+        linked = self.tracked(log) and wanted
         with (
             self._table(log, FRAMES) as frame_file,
             self._table(log, OBSTACLES) as obstacle_file,
@@ -409,7 +412,7 @@ class Results:
             always = ("log", "camera", "frame")
             rows = _Rows(frame_file, log.first_frame, frames, (*always, "num_obstacles"))
             parts = _Rows(obstacle_file, log.first_obstacle, own, always)
-            links = link_file and _Rows(link_file, log.first_obstacle, ("track",), ("frame",))
+            links = link_file and _Rows(link_file, log.first_obstacle, wanted, ("frame",))
             left = log.num_frames
             while left:
                 taken = rows.take(min(size, left))
@@ -515,6 +518,7 @@ def open_table(path: Path) -> pq.ParquetFile:
     if (found := _metadata(table).get(FORMAT_KEY, "none")) != str(FORMAT):
         problem = f"has format {found} of the tables, not {FORMAT}"
         raise InputError(problem, path=str(path), remedy="run jaxdet run again")
+    again = _TRACK_AGAIN if path.name in (TRACKS, LINKS) else AGAIN
     found = {field.name: field for field in table.schema_arrow}
     for field in TABLES.get(path.name, ()):
         own = found.get(field.name)
@@ -522,10 +526,10 @@ def open_table(path: Path) -> pq.ParquetFile:
         dense = kind.value_type if kind and pa.types.is_dictionary(kind) else kind
         if dense != field.type:
             problem = f"column {field.name} is {'missing' if kind is None else 'of another type'}"
-            raise InputError(problem, path=str(path), remedy=AGAIN)
+            raise InputError(problem, path=str(path), remedy=again)
         if own and own.nullable and not field.nullable and _has_nulls(table, field.name):
             problem = f"column {field.name} has nulls"
-            raise InputError(problem, path=str(path), remedy=AGAIN)
+            raise InputError(problem, path=str(path), remedy=again)
     return table
 
 
@@ -540,7 +544,10 @@ def _linked(log: ResultLog, chunk: Chunk, links: "_Rows") -> Chunk:
     if not taken["frame"].equals(chunk.obstacles["frame"]):
         problem = f"{LINKS} and {OBSTACLES} don't belong together"
         raise InputError(problem, path=str(log.folder), remedy=_TRACK_AGAIN)
-    return chunk._replace(obstacles=chunk.obstacles.append_column("track", taken["track"]))
+    obstacles = chunk.obstacles
+    for name in taken.column_names[1:]:
+        obstacles = obstacles.append_column(taken.schema.field(name), taken[name])
+    return chunk._replace(obstacles=obstacles)
 
 
 def _check(log: ResultLog, chunk: Chunk, count: np.ndarray) -> None:

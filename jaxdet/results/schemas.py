@@ -129,6 +129,18 @@ OBSTACLES_SCHEMA = _schema(
 )
 """``obstacles.parquet``: one row for each obstacle."""
 
+_LOOKS = (
+    _Column(
+        "persistence",
+        _F32,
+        "",
+        "of the frames that measure its place since it was found there, the share that show an "
+        "obstacle",
+        True,
+    ),
+    _Column("floor_seen", _F32, "", "share of these frames that show floor there", True),
+)
+
 TRACKS_SCHEMA = _schema(
     _Column("log", _STRING, "", "name of the log"),
     _Column("camera", _STRING, "", "name of the camera"),
@@ -154,6 +166,8 @@ TRACKS_SCHEMA = _schema(
         "last, shown or not; one point where it stands",
     ),
     _Column("speed_mps", _LIST, "m/s", "speed in each of these frames; one value likewise"),
+    *_LOOKS,
+    _Column("in_map", _BOOL, "", "most of its obstacles are in the map that was given", True),
 )
 """``tracks.parquet``: one row per track."""
 
@@ -163,6 +177,8 @@ LINKS_SCHEMA = _schema(
     _Column("frame", _I64, "", "number of the depth image in the log"),
     _Column("obstacle", _I32, "", "label in the frame"),
     _Column("track", _I32, "", "number of its track; null where it is in none", True),
+    *_LOOKS,
+    _Column("in_map", _BOOL, "", "it stands on something of the map that was given", True),
 )
 """``track_links.parquet``: one row per row of ``obstacles.parquet``, in the same order."""
 

@@ -40,6 +40,9 @@ class TrackConfig:
     """Maximum RMS residual of the ends of a moving long object [m]."""
     smooth_s: float = 0.7
     """Half-width of the time window over which positions and speeds are fitted [s]."""
+    most_floor: float = 0.3
+    """Maximum share of the frames with floor at an obstacle's place (floor_seen) with which the
+    obstacle is drawn on maps."""
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -56,6 +59,7 @@ class TrackConfig:
             "moving-m": self.moving_m > 0,
             "noise-m": self.noise_m > 0,
             "smooth-s": self.smooth_s > 0,
+            "most-floor": 0 <= self.most_floor <= 1,
         }
         for name, kept in rules.items():
             most = FARTHEST_M if name.endswith("-m") else math.inf

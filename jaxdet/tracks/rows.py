@@ -90,6 +90,7 @@ def _batch(log: ResultLog, tracks: Sequence[Track]) -> pa.RecordBatch:
         [t.length_m for t in tracks], [t.width_m for t in tracks],
         [None if np.isnan(t.top_m) else t.top_m for t in tracks],
         [t.path.ravel() for t in tracks], [t.speed for t in tracks],
+        *[[None] * len(tracks)] * 3,  # filled in later, see jaxdet.tracks.places
     ]  # fmt: skip
     arrays = [pa.array(c, f.type) for c, f in zip(columns, TRACKS_SCHEMA, strict=True)]
     return pa.RecordBatch.from_arrays(arrays, schema=TRACKS_SCHEMA)

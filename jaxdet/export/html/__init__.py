@@ -26,6 +26,7 @@ from jaxdet.export.html.trajectories import track_rows
 from jaxdet.io.options import LogOptions
 from jaxdet.render.canvas import PALETTE
 from jaxdet.results.summary import failure
+from jaxdet.tracks.folder import lasting_map
 
 if TYPE_CHECKING:
     from jaxdet.io import LogFiles
@@ -79,7 +80,7 @@ def export(results: "Results", output: Path, recordings: Mapping[str, "LogFiles"
     mapped = _mapped(results)
     for log, entry in zip(results.logs, entries, strict=True):
         if log.label in mapped:
-            image = results.map(log)
+            image = lasting_map(results, log)
             entry["map"] = map_figure(image) if image else None
     entries += [_failed(failure.summary) for failure in results.failed]
     frames = sum(log.num_frames for log in results.logs)

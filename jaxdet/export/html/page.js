@@ -333,14 +333,14 @@
         const at = t[8].filter((_, i) => i % 2 === 0).map((v, i) => [X(v).toFixed(3), Y(t[8][2 * i + 1]).toFixed(3)]);
         const line = at.length > 1 ? add(svg, "polyline", { class: "way", "stroke-width": 0.5 * unit, points: at.map((p) => p.join(",")).join(" ") }) : null;
         const [x, y] = at[at.length - 1];
-        const end = add(svg, "circle", { class: "way end", cx: x, cy: y, r: 0.8 * unit });
-        for (const mark of line ? [line, end] : [end]) add(mark, "title", {}, `track ${t[0]}`);
+        const end = add(svg, "circle", { class: t[11] === false ? "way end new" : "way end", cx: x, cy: y, r: 0.8 * unit });
+        for (const mark of line ? [line, end] : [end]) add(mark, "title", {}, `track ${t[0]}${t[11] === false ? ", new" : ""}`);
       }
       const scale = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000].find((s) => s > W / 8) || 1000;
       const bar = add(svg, "line", { class: "scale", x1: 3 * unit, x2: 3 * unit + scale, y1: H - 3 * unit, y2: H - 3 * unit, "stroke-width": 0.5 * unit });
       add(bar, "title", {}, `${scale} m`);
       const caption = add(figure, "figcaption", {}, `${data.logs.length > 1 ? log.log + ": " : ""}the bar is ${scale} m, cells are ${m.cell} m.`);
-      for (const [kind, text] of [["covered", "covered by outlines"], ["free", "seen free"], ["path", "camera trajectory (ring: start)"], ...(ways.length ? [["way", "object trajectories (dot: end)"]] : [])]) {
+      for (const [kind, text] of [["covered", "covered by outlines"], ["free", "seen free"], ["path", "camera trajectory (ring: start)"], ...(ways.length ? [["way", "object trajectories (dot: end)"]] : []), ...(ways.some((t) => t[11] === false) ? [["new", "not in the known map"]] : [])]) {
         add(caption, "span", { class: `key ${kind}` });
         caption.append(text);
       }
@@ -350,15 +350,19 @@
 
   // ---- tracks
   let followed = data.logs.some((l) => l.tracks && l.tracks.moving) ? "moving" : "all";
-  const shownTracks = (log) => (log.tracks ? log.tracks.rows.filter((t) => followed === "all" || t[1] === (followed === "moving")) : []);
+  const shownTracks = (log) => (log.tracks ? log.tracks.rows.filter((t) => followed === "all" || (followed === "new" ? t[11] === false : t[1] === (followed === "moving"))) : []);
+  const compared = data.logs.some((l) => l.tracks && l.tracks.new != null);
+  const percent = (value) => (value == null ? "–" : `${Math.round(100 * value)} %`);
   function drawTracks() {
     $("track-section").hidden = !data.logs.some((l) => l.tracks);
     const rows = picked().flatMap((l) => shownTracks(l).map((t) => [
       ...(data.logs.length > 1 ? [l.log] : []), String(t[0]), t[1] ? "moves" : "stands", seconds(t[2]), seconds(t[3]),
       t[1] ? `${t[4].toFixed(2)} m/s` : "–", t[1] ? `${t[5].toFixed(2)} m/s` : "–", `${t[6].toFixed(2)} × ${t[7].toFixed(2)} m`,
+      percent(t[9]), percent(t[10]), ...(compared ? [t[11] == null ? "–" : t[11] ? "has it" : "new"] : []),
     ]));
-    table($("tracks"), [...(data.logs.length > 1 ? ["Log"] : []), "#Track", "Motion", "#Seen from", "#Seen for", "#Mean speed", "#Top speed", "#Size"], rows);
-    const every = sum((l) => (l.tracks ? (followed === "standing" ? 0 : l.tracks.moving) + (followed === "moving" ? 0 : l.tracks.standing) : 0));
+    table($("tracks"), [...(data.logs.length > 1 ? ["Log"] : []), "#Track", "Motion", "#Seen from", "#Seen for", "#Mean speed", "#Top speed", "#Size", "#Persistence", "#Floor seen", ...(compared ? ["Known map"] : [])], rows);
+    const counts = { moving: (t) => t.moving, standing: (t) => t.standing, new: (t) => t.new || 0, all: (t) => t.moving + t.standing };
+    const every = sum((l) => (l.tracks ? counts[followed](l.tracks) : 0));
     const notes = rows.length ? [] : ["None."];
     if (rows.length < every) notes.push(`${many(every - rows.length, "further track")} in tracks.parquet.`);
     if (picked().some((l) => shownTracks(l).some((t) => !t[8]))) notes.push("Without poses motion is that seen from the camera, its own included.");
@@ -532,7 +536,7 @@
   $("only-label").hidden = data.logs.length < 2;
   $("order").addEventListener("change", (e) => { order = e.target.value; drawGallery(); });
   chips($("hist-of"), [["per_frame", "Nearest of each frame"], ["per_obstacle", "All obstacles"]], () => counted, (v) => { counted = v; drawHistogram(); });
-  chips($("track-kinds"), [["moving", "Moving"], ["standing", "Standing"], ["all", "All tracks"]], () => followed, (v) => { followed = v; drawTracks(); drawMaps(); });
+  chips($("track-kinds"), [["moving", "Moving"], ["standing", "Standing"], ...(compared ? [["new", "New"]] : []), ["all", "All tracks"]], () => followed, (v) => { followed = v; drawTracks(); drawMaps(); });
   chips($("kinds"), KINDS.filter(([k]) => k === "all" || data.frames.some((f) => f.kinds.includes(k))), () => kind, (v) => { kind = v; drawGallery(); });
   $("about").textContent = data.about;
   drawSettings();

@@ -1,6 +1,7 @@
 """Tracks of logs, for the lists and maps of the page."""
 
 import heapq
+from collections import Counter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,22 +26,25 @@ def track_rows(results: "Results", log: "ResultLog", begin_ns: int) -> dict[str,
     Returns:
         The numbers of tracks, ``moving`` and ``standing``, and ``rows`` with number, whether it
         moves, begin and duration [s], mean and maximum speed [m/s], length and width [m], and the
-        trajectory in the world, alternating x and y [m], or null without poses. None without
-        tracks.
+        trajectory in the world, alternating x and y [m], or null without poses, persistence,
+        share of floor, and whether the known map has it. ``new`` is the number of tracks that it
+        lacks, null without a known map. None without tracks.
     """
     if not results.tracked(log):
         return None
     most: dict[bool, list[tuple[int, int, dict[str, Any]]]] = {True: [], False: []}
-    count = {True: 0, False: 0}
+    count, in_map = {True: 0, False: 0}, Counter[bool | None]()
     for track in results.tracks(log):
         heap = most[track["moving"]]
         count[track["moving"]] += 1
+        in_map[track["in_map"]] += 1
         heapq.heappush(heap, (track["num_frames"], -track["track"], track))
         if len(heap) > MOST:
             heapq.heappop(heap)
     kept = sorted((t for heap in most.values() for _, _, t in heap), key=lambda t: t["track"])
     rows = [_row(track, begin_ns) for track in kept]
-    return {"moving": count[True], "standing": count[False], "rows": rows}
+    new = in_map[False] if in_map[False] + in_map[True] else None
+    return {"moving": count[True], "standing": count[False], "new": new, "rows": rows}
 
 
 def _row(track: dict[str, Any], begin_ns: int) -> list[Any]:
@@ -50,4 +54,6 @@ def _row(track: dict[str, Any], begin_ns: int) -> list[Any]:
     metres = (track[name] for name in ("mean_speed_mps", "max_speed_mps", "length_m", "width_m"))
     rounded = [round(value, 2) for value in (begin, end - begin, *metres)]
     trajectory = np.round(path, 2).ravel().tolist() if track["in_world"] else None
-    return [track["track"], track["moving"], *rounded, trajectory]
+    shares = (track["persistence"], track["floor_seen"])
+    places = [None if share is None else round(share, 2) for share in shares]
+    return [track["track"], track["moving"], *rounded, trajectory, *places, track["in_map"]]

@@ -1,0 +1,197 @@
+"""Places of obstacles and tracks of a log: how lasting they are, and whether a map has them."""
+
+from collections import Counter
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+import pyarrow as pa
+
+from jaxdet.elementary import arctan2, hypot
+from jaxdet.results.free_floor import RAY_RAD, FreeFloor
+from jaxdet.results.map_file import Grid, KnownPlaces
+from jaxdet.results.metric import world_angle
+from jaxdet.results.occupancy import MapImage, OccupancyMap
+from jaxdet.results.reading import Chunk, ResultLog, Results
+from jaxdet.results.schemas import LINKS_SCHEMA, TRACKS_SCHEMA
+from jaxdet.results.tracked import TracksInFrames
+from jaxdet.tracks.looks import (
+    CHUNK_FRAMES,
+    FRAME_COLUMNS,
+    OBSTACLE_COLUMNS,
+    Looks,
+    contours,
+    free_floor,
+    poses,
+    shares,
+)
+from jaxdet.tracks.rows import TrackRows
+from jaxdet.types import RAYS
+
+COLUMNS = ("persistence", "floor_seen", "in_map")
+MAP_NEAR_M, MAP_PER_M = 0.10, 0.015
+"""Distance within which a map has a point of a contour [m], and its growth with the square of the
+obstacle's distance [1/m]."""
+IN_MAP = 0.5
+"""Minimum share of a contour's points in the map, and of a track's obstacles."""
+
+
+class PlaceRows(NamedTuple):
+    """Places of ``N`` obstacles."""
+
+    looks: np.ndarray
+    """Looks at each place, ``(N, 3)`` int64, see :meth:`jaxdet.tracks.looks.Looks.of`."""
+    in_map: np.ndarray
+    """Share of the points in the map, ``(N,)`` float64, NaN without a map or a contour in the
+    world."""
+
+    def columns(self) -> list[pa.Array]:
+        """Return the columns :data:`COLUMNS` of ``track_links.parquet``."""
+        return _columns(*shares(self.looks), self.in_map)
+
+
+class Places:
+    """Places of a log. Memory grows with the area that was seen.
+
+    Args:
+        results: Results of the log.
+        log: Log, whose frames are read.
+        most_floor: Maximum share of floor of what is drawn on maps.
+        known: Map that obstacles are compared with.
+    """
+
+    def __init__(
+        self, results: Results, log: ResultLog, most_floor: float, known: Grid | None
+    ) -> None:
+        self._results, self._log, self._most_floor = results, log, most_floor
+        self._known = None if known is None else KnownPlaces(known)
+        self._looks, self._lasting = Looks(), OccupancyMap()
+        self._of_tracks = np.zeros((0, 5), np.int64)
+        """Looks by kind, obstacles compared with the map, and those in it, of each track."""
+        self._floor_of_moving: Counter[int] = Counter()
+        for chunk in results.chunks(log, FRAME_COLUMNS, OBSTACLE_COLUMNS, CHUNK_FRAMES):
+            self._looks.add(chunk)
+
+    def of(self, chunk: Chunk, corners_world: np.ndarray) -> PlaceRows:
+        """Return the places of the obstacles of a chunk.
+
+        Args:
+            chunk: With ``POSE_COLUMNS`` and ``OBSTACLE_COLUMNS`` of :mod:`jaxdet.tracks.looks`.
+            corners_world: Outlines ``(N, 8)``, NaN where unknown [m].
+        """
+        looks = self._looks.of(chunk)
+        self._lasting.add(corners_world[is_lasting(shares(looks)[1], self._most_floor)])
+        if self._known is None:
+            return PlaceRows(looks, np.full(len(looks), np.nan))
+        return PlaceRows(looks, shares_in_map(chunk, self._known))
+
+    def count(self, tracks: np.ndarray, places: PlaceRows) -> None:
+        """Add places to those of their tracks ``(N,)``, -1 for none."""
+        if (more := int(tracks.max(initial=-1)) + 1 - len(self._of_tracks)) > 0:
+            self._of_tracks = np.concatenate([self._of_tracks, np.zeros((more, 5), np.int64)])
+        compared = np.stack([~np.isnan(places.in_map), places.in_map >= IN_MAP], axis=1)
+        linked = tracks >= 0
+        each = np.concatenate([places.looks, compared], axis=1)
+        np.add.at(self._of_tracks, tracks[linked], each[linked])
+
+    def follow(self, rows: TrackRows) -> None:
+        """Count the frames that show floor where a moving track is at that time."""
+        tracks = TracksInFrames(row for part in rows.ordered() for row in part.to_pylist())
+        for chunk in self._results.chunks(self._log, FRAME_COLUMNS, (), CHUNK_FRAMES):
+            T, free = poses(chunk.frames), free_floor(chunk.frames)
+            for f, number in enumerate(chunk.frames["frame"].to_pylist()):
+                for track in tracks.at(number):
+                    if track.moving and track.in_world:
+                        seen = _shows_floor(free, f, T[f], track.path[-1])
+                        self._floor_of_moving[track.track] += seen
+
+    def tracks(self, rows: TrackRows) -> Iterator[pa.Table]:
+        """Yield the rows of ``tracks.parquet`` with the columns :data:`COLUMNS`."""
+        if rows.moving:
+            self.follow(rows)
+        for part in rows.ordered():
+            number, moving, frames, in_world = (
+                part[name].to_numpy() for name in ("track", "moving", "num_frames", "in_world")
+            )
+            sums = self._of_tracks[number]
+            floor = np.array([self._floor_of_moving[n] for n in number.tolist()], np.int64)
+            along = np.stack([frames, floor, np.zeros_like(floor)], axis=1)
+            looks = np.where(moving[:, None], along, sums[:, :3])
+            looks[~in_world | (sums[:, 0] == 0)] = 0
+            with np.errstate(invalid="ignore"):
+                in_map = sums[:, 4] / sums[:, 3]
+            columns = zip(COLUMNS, _columns(*shares(looks), in_map), strict=True)
+            for name, column in columns:
+                part = part.set_column(
+                    part.schema.get_field_index(name), TRACKS_SCHEMA.field(name), column
+                )
+            yield part
+
+    def lasting_map(self, image: MapImage) -> MapImage:
+        """Return the map of the run with the outlines of lasting obstacles only."""
+        return with_outlines(image, self._lasting)
+
+
+def shares_in_map(chunk: Chunk, known: KnownPlaces) -> np.ndarray:
+    """Return the share of each contour that is near something of a map.
+
+    Args:
+        chunk: With ``POSE_COLUMNS`` and ``OBSTACLE_COLUMNS`` of :mod:`jaxdet.tracks.looks`.
+        known: Map.
+
+    Returns:
+        ``(N,)`` float64, NaN without a contour in the world; from :data:`IN_MAP` on the obstacle is
+        in the map.
+    """
+    count = chunk.obstacles.num_rows
+    lines = contours(chunk, poses(chunk.frames))
+    distance = chunk.obstacles["distance_m"].to_numpy().astype(np.float64)
+    reach = MAP_NEAR_M + MAP_PER_M * (distance * distance)
+    obstacle = np.repeat(np.arange(count), lines.lengths)
+    placed = np.isfinite(lines.points).all(axis=1)
+    near = known.near(lines.points, reach[obstacle])
+    total, inside = (np.bincount(obstacle[rows], minlength=count) for rows in (placed, near))
+    return np.where(total > 0, inside / np.maximum(total, 1), np.nan)
+
+
+def is_lasting(floor_seen: np.ndarray, most_floor: float) -> np.ndarray:
+    """Return whether obstacles are drawn on maps; those without a place in the world are.
+
+    Example:
+        >>> is_lasting(np.array([0.1, 0.9, np.nan]), 0.3).tolist()
+        [True, False, True]
+    """
+    return ~(floor_seen > most_floor)
+
+
+def with_outlines(image: MapImage, outlines: OccupancyMap) -> MapImage:
+    """Return a map whose counts are those of some of its outlines."""
+    counts, own = np.zeros_like(image.counts), outlines.image()
+    if own is not None:
+        shift = np.subtract(own.origin, image.origin) / image.cell_m
+        x, y = np.rint(shift).astype(np.int64).tolist()
+        rows, columns = counts.shape
+        part = own.counts[max(-y, 0) : max(rows - y, 0), max(-x, 0) : max(columns - x, 0)]
+        top, left = max(y, 0), max(x, 0)
+        counts[top : top + part.shape[0], left : left + part.shape[1]] = part
+    return image._replace(counts=counts)
+
+
+def _shows_floor(free: FreeFloor, frame: int, T: np.ndarray, place: np.ndarray) -> bool:
+    """Return whether a frame shows floor at a place in the world, False without a pose."""
+    if not np.isfinite(T).all():
+        return False
+    sin, cos = (float(part[0]) for part in world_angle(T[None]))
+    x, y = (place - T[:2, 3]).tolist()
+    right, forward = x * cos - y * sin, x * sin + y * cos
+    ray = (int(np.rint(arctan2(right, forward) / RAY_RAD)) + RAYS // 2) % RAYS
+    distance = float(hypot(right, forward))
+    return bool(free.from_m[frame, ray] <= distance <= free.to_m[frame, ray])
+
+
+def _columns(persistence: np.ndarray, floor_seen: np.ndarray, in_map: np.ndarray) -> list[pa.Array]:
+    """Return Arrow columns of floats ``(N,)``, whose NaN are null."""
+    types = [LINKS_SCHEMA.field(name).type for name in COLUMNS]
+    values = (persistence.astype(np.float32), floor_seen.astype(np.float32), in_map >= IN_MAP)
+    nulls = (np.isnan(persistence), np.isnan(floor_seen), np.isnan(in_map))
+    return [pa.array(v, t, mask=n) for v, t, n in zip(values, types, nulls, strict=True)]
