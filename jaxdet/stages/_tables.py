@@ -21,6 +21,7 @@ from jaxdet.floor.plane import (
     step_height,
 )
 from jaxdet.floor.rays import (
+    NOTCH_M,
     bearing_table,
     block_settings,
     half_turn,
@@ -193,11 +194,12 @@ def free_tables(calibration: Calibration, config: Config) -> Tables:
     lengths = [round(m / unit) for m in (ground.max_depth_m, floor.gap_m)]
     bounds = depth_range(ground.min_depth_m, ground.max_depth_m, unit)
     side = cell_side(calibration.depth, config.surface.cell_rad)
-    half = half_turn(calibration.depth, side)
+    half, notch = half_turn(calibration.depth, side), round(NOTCH_M / unit)
+    least = config.obstacle.min_cells
     made = kernel_tables(
         bows=bows,
         drops=drops,
-        free_settings=(*lengths, *bounds, max_height(ground, unit), half),
+        free_settings=(*lengths, *bounds, max_height(ground, unit), half, notch, least),
         bearings=bearing_table(),
         ray_directions=ray_directions(),
         tile_corners=tile_corners(cell_rays(calibration.depth, side)),
