@@ -104,6 +104,7 @@ def _floor_settings(cells: int, config: FloorConfig, unit: float) -> dict[str, A
         "min_share": round(1000 * config.min_share),  # in thousandths
         "min_share_alone": round(1000 * config.min_share_alone),
         "table": scale.length(units.TABLE_M),
+        "deep": scale.length(units.DEEP_M),
         "step": scale.length(units.STEP_M),
         "ramps": int(config.ramps),
         "farthest_ramp": scale.length(units.RAMP_M),
