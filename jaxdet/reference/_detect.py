@@ -89,7 +89,7 @@ def detect(
     floors, step = floor_frames(fit.plane, unit), step_height(calibration, config)
     found = [_group(grid, b, floor, step, unit, config) for b, floor in enumerate(floors)]
     pixels = nearest_depths(frames.depth, cell_side(calibration.depth, config.surface.cell_rad))
-    found, first_notch, *rays = _free(found, floors, pixels, calibration, config)
+    found, first_notch, free, end = _free(found, floors, pixels, calibration, config)
 
     count = np.array([one.label.max(initial=-1) + 1 for one in found])
     kept = np.minimum(count, MAX_OBSTACLES).astype(np.int32)
@@ -100,7 +100,7 @@ def detect(
         (count > MAX_OBSTACLES) | [one.overflow for one in found],
         ((grid.z >= nearest) & (grid.z <= farthest)).any(axis=(1, 2)),
         outlines,
-        Scene(fit.found, plane, *shapes, *rays, first_notch),
+        Scene(fit.found, plane, *shapes, free, end, first_notch),
         _cell_labels(grid, found) if with_cells else None,
     )
 
