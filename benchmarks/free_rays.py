@@ -15,14 +15,13 @@ import numpy as np
 import jaxdet
 from jaxdet.camera import cell_side, pixel_rays
 from jaxdet.config import Config
-from jaxdet.floor.frame import CAMERA_HEIGHT, DOWN, UNKNOWN_HEIGHT, floor_frames, on_floor
-from jaxdet.floor.plane import depth_range, max_height, quadratic_table, step_height, unknown_plane
+from jaxdet.floor.frame import CAMERA_HEIGHT, UNKNOWN_HEIGHT, floor_frames, on_floor
+from jaxdet.floor.plane import depth_range, max_height, step_height, unknown_plane
 from jaxdet.floor.rays import block_settings
 from jaxdet.presets import preset
 from jaxdet.reference import cells, find_floor
 from jaxdet.reference._cells import nearest_depths
-from jaxdet.reference._detect import Found, _free, _group
-from jaxdet.reference._free import FloorView, floor_ahead
+from jaxdet.reference._detect import _columns, _free, _group
 from jaxdet.reference._outlines import contours
 from jaxdet.types import MAX_OBSTACLES, RAYS, Frames
 
@@ -56,7 +55,7 @@ def figures(frames: Frames, config: Config) -> Figures:
     found = [_group(grid, b, floor, step, unit, config) for b, floor in enumerate(floors)]
     side = cell_side(calibration.depth, config.surface.cell_rad)
     pixels = nearest_depths(frames.depth, side)
-    free, _ = _free(found, floors, pixels, calibration, config)
+    found, _, free, _ = _free(found, floors, pixels, calibration, config)
     for b, one in enumerate(found):
         start, stop = free[b].T
         is_free = start < stop
@@ -67,7 +66,7 @@ def figures(frames: Frames, config: Config) -> Figures:
         inside = round(INSIDE_M / unit)
         past = [(is_free & (least < stop - inside) & (least >= start)).sum()
                 for least in (contour, pixel)]  # fmt: skip
-        line = _columns(one, floors[b], config, unit)
+        line, _ = _columns(one, floors[b], calibration, config)
         ray, length = _points(line, round(STEP_M / unit))
         right = length < np.minimum(contour, pixel)[ray]
         kept = right & (length >= start[ray]) & (length <= stop[ray])
@@ -101,20 +100,6 @@ def _pixels_above(
     above = (z >= near) & (z <= far) & (height > rise) & (height <= max_height(ground, unit))
     above &= height < UNKNOWN_HEIGHT
     return right[above], forward[above]
-
-
-def _columns(one: Found, floor: np.ndarray, config: Config, unit: float) -> np.ndarray:
-    """Start and end of the free floor of each column, ``(C, 2, 2)``."""
-    settings, view = config.floor, one.view
-    far, gap = round(config.ground.max_depth_m / unit), round(settings.gap_m / unit)
-    drops = quadratic_table(settings.drop_m, settings.noise_per_m, unit)
-    bows = quadratic_table(config.ground.step_height_m, settings.bow_per_m, unit)
-    is_floor = one.low & (view.height >= -bows[view.z]) & (view.z <= far)
-    place = view.right, view.forward, view.height
-    line, _ = floor_ahead(
-        FloorView(one.label, one.low, is_floor, *place, drops[view.z]), floor[DOWN], far, gap
-    )
-    return line
 
 
 def _points(line: np.ndarray, step: int) -> tuple[np.ndarray, np.ndarray]:

@@ -442,6 +442,9 @@ class Scene(NamedTuple):
     zero where nothing is."""
     free_end: Array
     """End of the free floor of each ray, ``(B, RAYS)`` int32, see :class:`FreeEnd`."""
+    first_notch: Array
+    """Label of the first obstacle that only a notch in the free floor shows, ``(B,)`` int32; those
+    are labelled last, from left to right."""
 
 
 class CellLabels(NamedTuple):

@@ -159,6 +159,16 @@ def outlines(
     return Outlined(measured, found["contour"], found["contour_points"], found["bottom_top"])
 
 
+class FreeFloor(NamedTuple):
+    """What ``find_free_floor`` makes."""
+
+    label: np.ndarray
+    num_obstacles: np.ndarray
+    first_notch: np.ndarray
+    free: np.ndarray
+    free_end: np.ndarray
+
+
 def free_floor(
     label: np.ndarray,
     low: np.ndarray,
@@ -167,9 +177,10 @@ def free_floor(
     floor: Sequence[np.ndarray],
     frame: np.ndarray,
     tables: Tables,
-) -> tuple[np.ndarray, np.ndarray]:
-    """``find_free_floor``: where it begins and ends, and what ends it."""
+) -> FreeFloor:
+    """``find_free_floor``: obstacles in its notches, where it begins and ends, and what ends it."""
     given = {"label": label, "low": low, "z": z, "nearest_pixel": nearest, "frame": frame}
     given |= dict(zip(("right", "forward", "height"), floor, strict=True))
+    given["num_obstacles"] = label.max(axis=(1, 2), initial=-1).astype(np.int32) + 1
     found = step("find_free_floor", tables, given, _grid(label))
-    return found["free"], found["free_end"]
+    return FreeFloor(*(found[name] for name in FreeFloor._fields))

@@ -39,8 +39,8 @@ int main(int, char** argv) {
 #if defined(SIMT)
     typedef void (Frame::*Step)(const Team&, int*) const;
     const Step steps[] = {&Frame::find_cells, &Frame::find_floor, &Frame::find_frame,
-                          &Frame::find_surfaces, &Frame::find_obstacles, &Frame::find_outlines,
-                          &Frame::find_free_floor};
+                          &Frame::find_surfaces, &Frame::find_obstacles, &Frame::find_free_floor,
+                          &Frame::find_outlines};
     for (int team = 0; team < TEAMS; ++team)
         Simt::one().run(256, [&, team] {
             batch.by_teams(256 * team + threadIdx.x, TEAMS, scratch.data(), words,

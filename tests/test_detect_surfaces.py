@@ -508,6 +508,28 @@ def test_a_wheelchair_on_its_way(shared_data: Path) -> None:
     assert score.on_floor == 0 and score.swamped == 0
 
 
+@pytest.mark.parametrize("upside_down", [False, True])
+def test_the_free_floor_shows_what_is_lower_than_the_step(
+    device: object, upside_down: bool
+) -> None:
+    """A strip 4 cm high, behind which nothing is measured: floor ends there, but not beside it."""
+    bare, strip = (cast(POSE, boxes) for boxes in ([], [((-0.1, 2.0, 0.0), (0.1, 2.1, 0.04))]))
+    rows, columns = np.nonzero(strip < bare - 0.001)
+    depth, plane = strip.copy(), POSE.plane()
+    depth[: rows.min(), columns.min() : columns.max() + 1] = 0
+    if upside_down:
+        depth, plane = depth[::-1, ::-1], plane._replace(roll=plane.roll + np.pi)
+    given = made(depth[None], plane)
+    detections = found(given)
+    scene = detections.scene
+    assert scene and count(detections) == 1 and scene.first_notch[0] == 0
+    assert metric.distances(detections)[0, 0] == pytest.approx(2050, abs=55)
+    assert 20 < scene.bottom_top[0, 0, 0] <= scene.bottom_top[0, 0, 1] < 45
+    assert_equal(detect(given, SURFACES), detections)
+    # Where the floor is measured behind it, it is floor.
+    assert count(found(made(strip[None], POSE.plane()))) == 0
+
+
 def test_a_low_carton_with_a_hole_in_its_depth_is_found() -> None:
     """As on a real pavement: a hole leaves 7 and 4 of its cells above the step."""
     sensor = DepthSensor(enabled=False)
@@ -532,7 +554,8 @@ def test_a_low_carton_with_a_hole_in_its_depth_is_found() -> None:
     assert len(cells) == 20 and (parts.sum(), (~parts).sum()) == (7, 4)
     part = replace(SURFACES.surface, hole_cells=0)
     before = replace(SURFACES, surface=part, obstacle=replace(SURFACES.obstacle, min_cells=8))
-    assert count(detect(given, before, backend="reference")) == 0
+    by_surface = [detect(given, config, backend="reference").scene for config in (before, SURFACES)]
+    assert [int(scene.first_notch[0]) for scene in by_surface if scene] == [0, 1]
     detections = found(given)
     assert count(detections) >= 1
     assert metric.distances(detections)[0, 0] == pytest.approx(3175, abs=40)

@@ -109,7 +109,7 @@ def test_a_plane_through_a_room_is_no_floor():
     room: list[Box] = [((-4, 4.2, 0), (4, 4.3, 3)), ((0.3, 2.4, 0), (1.7, 3.2, 0.72))]
     room.append(((-2.2, 2.8, 0), (-0.4, 3.2, 1.2)))
     fit = found(measured(cast(Pose(1.06, -3.0, 2.0), room)), unknown_plane(1))
-    assert_refused(fit, Refusal.TOO_LITTLE, unknown_plane(1))
+    assert_refused(fit, Refusal.FAR, unknown_plane(1))
 
 
 TABLE: list[Box] = [((-0.8, 0.2, 0.70), (0.8, 1.0, 0.74)), ((-4.0, 3.5, 0.0), (4.0, 3.6, 2.5))]

@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jaxdet.reference._free import BESIDE, FloorView, floor_ahead, free_floor
+from jaxdet.reference._notches import notches, with_notches
 from jaxdet.types import FreeEnd
 
 FAR, GAP, DROP = 4000, 500, 60
@@ -223,3 +224,41 @@ def test_nothing() -> None:
 def test_narrow_grids(count: int) -> None:
     line, end = narrow(*[column(*floor(500, 900), "1200")] * count, count=count)
     assert end == [FreeEnd.OBSTACLE] * count and line.shape == (count, 2, 2)
+
+
+# notches
+
+
+@pytest.mark.parametrize(
+    ("ahead", "ends", "want"),
+    [
+        ([900, 500, 550, 950], "uuuu", [-1, 0, 0, -1]),
+        ([900, 500, 550, 850], "uuuu", [-1, -1, -1, -1]),  # no deeper than it must be
+        ([900, 500, 550, 950], "uudu", [-1, -1, -1, -1]),  # a drop tells why
+        ([900, 500, 0, 950], "uuuu", [-1, -1, -1, -1]),  # no floor is seen in one of them
+        ([500, 100, 100, 500, 900, 590, 950, 900], "uuuuuuuu", [-1, 0, 0, -1, -1, 1, -1, -1]),
+        ([900, 500, 500], "uuu", [-1, -1, -1]),  # the image ends
+        ([500, 900, 500], "uuu", [-1, -1, -1]),
+        ([900, 500, 950], "rur", [-1, 0, -1]),
+        ([900], "u", [-1]),
+    ],
+)
+def test_notches(ahead: list[int], ends: str, want: list[int]) -> None:
+    kinds = {"u": FreeEnd.UNKNOWN, "d": FreeEnd.DROP, "r": FreeEnd.RANGE}
+    end = np.array([kinds[e] for e in ends])
+    assert notches(end, np.array(ahead), 300).tolist() == want
+    assert notches(end[::-1], np.array(ahead[::-1]), 300)[::-1].max() == max(want)
+
+
+def test_what_stands_in_notches() -> None:
+    label = np.array([[-1, -1, -1, 0, -1], [-1, -1, -1, -1, -1], [-1, -1, -1, -1, -1]])
+    notch, ahead = np.array([0, -1, 1, 1, 2]), np.array([500, 900, 500, 600, 400])
+    forward = np.array(
+        [[600, 600, 800, 700, 450], [550, 550, 801, 700, 420], [500, 500, 499, 600, 410]]
+    )
+    high = np.array([[1, 1, 1, 1, 1], [1, 1, 1, 1, 0], [1, 1, 1, 1, 0]], bool)
+    found = with_notches(label, notch, ahead, forward, high, 300, 3)
+    assert found.tolist() == [[1, -1, 2, 0, -1], [1, -1, -1, 2, -1], [1, -1, -1, 2, -1]]
+    assert (with_notches(label, notch, ahead, forward, high, 300, 4) == label).all()
+    none = np.full(5, -1)
+    assert (with_notches(label, none, ahead, forward, high, 300, 1) == label).all()

@@ -13,8 +13,7 @@ from jaxdet.floor.plane import flat_plane, unknown_plane
 from jaxdet.reference._detect import _free
 from jaxdet.reference._features import lateral
 from jaxdet.reference._view import View
-from jaxdet.stages._tables import cell_tables
-from jaxdet.stages._tables import free_tables as tables
+from jaxdet.stages._tables import cell_tables, free_tables, surface_tables
 from jaxdet.types import FreeEnd
 from tests.scenes import small
 from tests.steps import free_floor
@@ -57,16 +56,19 @@ def assert_twins(
     """Holds the kernel to the reference, for cameras of any roll; the ends that there are."""
     pixels, ends = pixels_of(batch, pixel_share), set[int]()
     cells = cell_tables(batch.calibration, config.surface)
-    shared = tables(batch.calibration, config) | {"rays": cells["rays"]}
+    shared = surface_tables(batch.calibration, config) | free_tables(batch.calibration, config)
+    shared["rays"] = cells["rays"]
     for roll_deg in (0.0, 100.0, 180.0, -44.0, -46.0, 136.0):
         plane = flat_plane(np.array([0.5]), np.array([0.2]), np.radians([roll_deg]))
         frame = np.repeat(floor_frames(plane, batch.unit), len(batch.found), axis=0)
         batch = on_rays(batch, frame[0]) if placed else batch
-        want = _free(batch.found, frame, pixels, batch.calibration, config)
+        found, first, free, end = _free(batch.found, frame, pixels, batch.calibration, config)
         twin = free_floor(batch.label, batch.low, batch.grid.z, pixels, batch.floor, frame, shared)
-        for got, expected in zip(twin, want, strict=True):
+        label = batch._replace(found=found).label
+        count = label.max(axis=(1, 2), initial=-1).astype(np.int32) + 1
+        for got, expected in zip(twin, (label, count, first, free, end), strict=True):
             np.testing.assert_array_equal(np.asarray(got), expected, strict=True)
-        ends |= set(want[1].ravel().tolist())
+        ends |= set(end.ravel().tolist())
     return ends
 
 

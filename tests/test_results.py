@@ -61,6 +61,7 @@ def obstacle_rows(start: int, stop: int) -> dict:
     world = np.where(n[:, None] % 2, corners, np.nan)
     rows |= {"log": np.full(n.size, "a", object), "camera": np.full(n.size, "c", object)}
     rows |= {"frame": n, "stamp_ns": n, "box_image": np.full(n.size, "depth", object)}
+    rows["evidence"] = np.full(n.size, "surface", object)
     return rows | {
         "vertices": (n % 2).astype(np.int8),
         "corners_ground": corners,

@@ -45,7 +45,8 @@ class Obstacle:
 
     Attributes:
         label: Number in its frame, in the order of smallest depth, so that 0 is not always the
-            nearest; the value of its pixels in :attr:`FrameResult.labels`.
+            nearest; those whose evidence is ``free_floor`` come last. Its pixels have this value in
+            :attr:`FrameResult.labels`.
         distance_m: Distance from the camera's ground projection to its nearest point [m].
         box: First column and row, last column and row [pixel], in the colour image of a calibrated
             colour camera, else in the depth image; None if outside of the colour image.
@@ -61,6 +62,8 @@ class Obstacle:
         corners_world: The outline in the world, ``(4, 2)`` float64, X and Y [m]; None without a
             pose or a floor.
         num_points: Number of its depth cells; in the preset ``paper`` of its corners.
+        evidence: What shows it: ``surface``, ``free_floor`` for what is low and stands in a notch
+            of the free floor, or ``corners`` in the preset ``paper``.
     """
 
     label: int
@@ -75,6 +78,7 @@ class Obstacle:
     corners: np.ndarray
     corners_world: np.ndarray | None
     num_points: int
+    evidence: str
     frame: "FrameResult"
 
     def __repr__(self) -> str:
@@ -366,6 +370,7 @@ class BatchResult(Sequence[FrameResult]):
                 corners=columns["corners_ground"][at].reshape(4, 2),
                 corners_world=None if np.isnan(world).any() else world,
                 num_points=int(columns["num_points"][at]),
+                evidence=str(columns["evidence"][at]),
                 frame=frame,
             )
 

@@ -14,6 +14,7 @@ RATIO_BITS = 12  # of the quotient that a bearing is read by
 RAY_BITS = 13  # fraction bits of a direction
 TURN_BITS = 13  # fraction bits of the sine of a small turn
 TILE = 4  # rows of cells in a tile
+NOTCH_M = 0.3  # minimum depth of a notch in the free floor, and of what is looked for in it [m]
 
 
 def half_turn(camera: Intrinsics, side: int) -> int:

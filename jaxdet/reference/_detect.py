@@ -16,12 +16,13 @@ from jaxdet.floor.frame import (
     on_floor,
 )
 from jaxdet.floor.plane import StepHeight, depth_range, max_height, quadratic_table, step_height
-from jaxdet.floor.rays import half_turn
+from jaxdet.floor.rays import NOTCH_M, half_turn
 from jaxdet.reference._cells import cell_boxes, cells, margins, nearest_depths
 from jaxdet.reference._evidence import Pairs, pairs
 from jaxdet.reference._floor import FloorFit, find_floor, floor_of_cells, used_cells
 from jaxdet.reference._footprint import footprint_on_floor
-from jaxdet.reference._free import FloorView, floor_ahead
+from jaxdet.reference._free import FloorView, floor_ahead, is_upside_down
+from jaxdet.reference._notches import notches, with_notches
 from jaxdet.reference._obstacles import obstacles, whole_surfaces
 from jaxdet.reference._outlines import contours, fitted_direction, fitted_span, inner
 from jaxdet.reference._points import clusters
@@ -56,6 +57,15 @@ class Found(NamedTuple):
     overflow: bool  # there are more surfaces than MAX_SURFACES
 
 
+class FreeFloor(NamedTuple):
+    """The free floor of ``B`` frames, and their obstacles with those that it shows."""
+
+    found: list[Found]
+    first_notch: np.ndarray  # (B,) int32, number of the first obstacle that only it shows
+    free: np.ndarray  # (B, RAYS, 2) int32, of :func:`jaxdet.reference._rays.rays`
+    end: np.ndarray  # (B, RAYS) int32
+
+
 def detect(
     frames: Frames, plane: GroundPlane, config: Config, with_cells: bool = False
 ) -> Detections:
@@ -78,18 +88,19 @@ def detect(
     fit = find_floor(grid.x, grid.y, grid.z, plane, config.floor, unit)
     floors, step = floor_frames(fit.plane, unit), step_height(calibration, config)
     found = [_group(grid, b, floor, step, unit, config) for b, floor in enumerate(floors)]
+    pixels = nearest_depths(frames.depth, cell_side(calibration.depth, config.surface.cell_rad))
+    found, first_notch, free, end = _free(found, floors, pixels, calibration, config)
 
     count = np.array([one.label.max(initial=-1) + 1 for one in found])
     kept = np.minimum(count, MAX_OBSTACLES).astype(np.int32)
     outlines, shapes = _outlines(grid, found, kept, calibration, config)
-    pixels = nearest_depths(frames.depth, cell_side(calibration.depth, config.surface.cell_rad))
     nearest, farthest = depth_range(config.ground.min_depth_m, config.ground.max_depth_m, unit)
     return Detections(
         kept,
         (count > MAX_OBSTACLES) | [one.overflow for one in found],
         ((grid.z >= nearest) & (grid.z <= farthest)).any(axis=(1, 2)),
         outlines,
-        Scene(fit.found, plane, *shapes, *_free(found, floors, pixels, calibration, config)),
+        Scene(fit.found, plane, *shapes, free, end, first_notch),
         _cell_labels(grid, found) if with_cells else None,
     )
 
@@ -208,7 +219,7 @@ def _free(
     pixels: np.ndarray,
     calibration: Calibration,
     config: Config,
-) -> tuple[np.ndarray, np.ndarray]:
+) -> FreeFloor:
     """The free floor of each frame.
 
     Args:
@@ -218,30 +229,53 @@ def _free(
         calibration: Calibration of the log.
         config: Configuration of the method.
     """
-    parts, unit = [], calibration.depth_unit
-    far = round(config.ground.max_depth_m / unit)
-    gap = round(config.floor.gap_m / unit)
-    settings, step = config.floor, config.ground.step_height_m
-    drops = quadratic_table(settings.drop_m, settings.noise_per_m, unit)
-    bows = quadratic_table(step, settings.bow_per_m, unit)
-    side = cell_side(calibration.depth, config.surface.cell_rad)
+    unit, side = calibration.depth_unit, cell_side(calibration.depth, config.surface.cell_rad)
     cells, half = cell_rays(calibration.depth, side), half_turn(calibration.depth, side)
+    parts, every, first = [], [], [one.label.max(initial=-1) + 1 for one in found]
     for one, frame, near in zip(found, floors, pixels, strict=True):
-        cell = one.view
-        floor = one.low & (cell.height >= -bows[cell.z]) & (cell.z <= far)
-        place = cell.right, cell.forward, cell.height
-        view = FloorView(one.label, one.low, floor, *place, drops[cell.z])
-        ahead = floor_ahead(view, frame[DOWN], far, gap)
-        standing = Standing(near, cell.z, _is_above(one, frame, config, unit))
-        parts.append(rays(*ahead, blocks(standing, frame, cells, config.ground, unit), half))
+        with_low = _with_notches(one, frame, calibration, config)
+        columns = _columns(with_low, frame, calibration, config)
+        above = _in_range(one, frame, config, unit) & ~one.low
+        standing = Standing(near, one.view.z, above)
+        parts.append(rays(*columns, blocks(standing, frame, cells, config.ground, unit), half))
+        every.append(with_low)
     free, end = zip(*parts, strict=True)
-    return np.stack(free), np.stack(end)
+    return FreeFloor(every, np.array(first, np.int32), np.stack(free), np.stack(end))
 
 
-def _is_above(one: Found, frame: np.ndarray, config: Config, unit: float) -> np.ndarray:
-    """Whether each cell is in the depth range and between the step and the maximum height."""
+def _columns(
+    one: Found, frame: np.ndarray, calibration: Calibration, config: Config
+) -> tuple[np.ndarray, np.ndarray]:
+    """The free floor of each column of cells, of :func:`jaxdet.reference._free.free_floor`."""
+    settings, cell, unit = config.floor, one.view, calibration.depth_unit
+    far, gap = round(config.ground.max_depth_m / unit), round(settings.gap_m / unit)
+    drops = quadratic_table(settings.drop_m, settings.noise_per_m, unit)
+    bows = quadratic_table(config.ground.step_height_m, settings.bow_per_m, unit)
+    floor = one.low & (cell.height >= -bows[cell.z]) & (cell.z <= far)
+    place = cell.right, cell.forward, cell.height
+    view = FloorView(one.label, one.low, floor, *place, drops[cell.z])
+    return floor_ahead(view, frame[DOWN], far, gap)
+
+
+def _with_notches(one: Found, frame: np.ndarray, calibration: Calibration, config: Config) -> Found:
+    """The obstacles of a frame with those in the notches of its free floor."""
+    unit, cell = calibration.depth_unit, one.view
+    line, end = _columns(one, frame, calibration, config)
+    if is_upside_down(frame[DOWN]):
+        line, end = line[::-1], end[::-1]
+    length, ahead = round(NOTCH_M / unit), line[:, 1, 1].astype(np.int64)
+    rise = step_height(calibration, config).at(cell.z, int(frame[CAMERA_HEIGHT]))
+    high = _in_range(one, frame, config, unit) & (2 * cell.height > rise)
+    notch, least = notches(end, ahead, length), config.obstacle.min_cells
+    return one._replace(
+        label=with_notches(one.label, notch, ahead, cell.forward, high, length, least)
+    )
+
+
+def _in_range(one: Found, frame: np.ndarray, config: Config, unit: float) -> np.ndarray:
+    """Whether each cell is in the depth range and no higher than the maximum height."""
     view, ground = one.view, config.ground
     nearest, farthest = depth_range(ground.min_depth_m, ground.max_depth_m, unit)
     highest = max_height(ground, unit) if frame[IS_KNOWN] else UNKNOWN_HEIGHT
     in_range = (view.z >= nearest) & (view.z <= farthest)
-    return in_range & ~one.low & (view.height <= highest)
+    return in_range & (view.height <= highest)

@@ -8,6 +8,7 @@ import numpy as np
 from jaxdet.config import FloorConfig
 from jaxdet.floor.units import (
     ANGLES,
+    DEEP_M,
     RAMP_M,
     STEP_M,
     TABLE_M,
@@ -210,12 +211,15 @@ def _judge(
     scale: Scale,
 ) -> _Found:
     """Says whether a floor is to be believed."""
-    deep = below(plane, cells)
-    if ahead:
-        deep = deep + ahead.rise(distance(plane, cells))
+    level = below(plane, cells)
+    deep = level + ahead.rise(distance(plane, cells)) if ahead else level
     slack, total = scale.fine.of(cells.z, plane.height), len(cells.z)
     on = int(np.count_nonzero(np.abs(deep) <= slack))
-    low = int(np.count_nonzero(deep > BELOW * slack + scale.length(TABLE_M)))
+    is_low = deep > BELOW * slack + scale.length(TABLE_M)
+    if prior is None and ahead and ahead.drop > 0:
+        # With nothing known, a floor beyond a deep step may as well be the one below a table.
+        is_low |= level > BELOW * slack + scale.length(DEEP_M)
+    low = int(np.count_nonzero(is_low))
     high = int(np.count_nonzero(-deep > slack + scale.length(STEP_M)))
     known = prior is not None
     share, part = UNDER[not known]

@@ -30,7 +30,7 @@ def find_ahead(
         scale: The depth unit.
         farthest: How far below the camera its floor may be [depth units]. Beyond a step down the
             floor is lower: else what stands on it, wide and low, would be the floor before a step.
-            None: nothing is known, and no step is tried: a table's top is like a floor before one.
+            None: nothing is known.
     """
     inner = cells.take(cells.inner)
     alone, ramps, steps, stepped = [], [], [], []
@@ -44,9 +44,10 @@ def find_ahead(
         votes, ramp = best_ramp(seen, coarse, fine, scale.unit)
         if is_seen(seen, ramp, fine, scale.unit):
             ramps.append((votes, plane, ramp))
-        if farthest is not None and not any(_alike(plane, one, scale) for one in stepped):
+        if not any(_alike(plane, one, scale) for one in stepped):
             stepped.append(plane)
-            votes, step = best_step(seen, coarse, fine, farthest - plane.height, scale.unit)
+            deeper = 0 if farthest is None else farthest - plane.height
+            votes, step = best_step(seen, coarse, fine, deeper, scale.unit)
             steps.append((votes, plane, step))
     best = max(alone), flat, None
     for found in (ramps, steps):

@@ -40,13 +40,17 @@ def floor_ahead(
         far: As for :func:`free_floor`.
         longest_gap: Likewise.
     """
-    aside, upright = int(down[0]), int(down[1])
-    if abs(aside) > abs(upright):
+    if abs(int(down[0])) > abs(int(down[1])):
         columns = view.label.shape[1]
         return np.zeros((columns, 2, 2), np.int32), np.zeros(columns, np.int32)
-    if upright < 0:
+    if is_upside_down(down):
         view = FloorView(*(a[::-1, ::-1] for a in view))
     return free_floor(view, far, longest_gap)
+
+
+def is_upside_down(down: np.ndarray) -> bool:
+    """Whether the image's columns go from right to left, ``(3,)`` int as :func:`floor_ahead`'s."""
+    return int(down[1]) < 0
 
 
 def free_floor(view: FloorView, far: int, longest_gap: int) -> tuple[np.ndarray, np.ndarray]:

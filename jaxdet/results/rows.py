@@ -335,6 +335,7 @@ def _obstacle_columns(
         "stamp_ns": frames.stamp_ns[row],
         "obstacle": slot.astype(np.int32),
         "num_points": obstacles.num_points,
+        "evidence": _evidence(found.scene, row, slot),
         "vertices": obstacles.has_vertex.astype(np.int8),
         "corners_ground": corners.reshape(-1, 8).astype(np.float32),
         "corners_world": _world_corners(corners, poses, row),
@@ -351,6 +352,14 @@ def _obstacle_columns(
         columns[f"{axis}_max"] = box.maximum[:, i]
         columns[axis] = box.centroid[:, i]
     return columns
+
+
+def _evidence(scene: Scene | None, row: np.ndarray, slot: np.ndarray) -> np.ndarray:
+    """What shows each obstacle, ``(R,)`` object."""
+    if scene is None:
+        return np.full(row.size, "corners", object)
+    is_notch = slot >= np.asarray(scene.first_notch)[row]
+    return np.where(is_notch, "free_floor", "surface").astype(object)
 
 
 def _shape_columns(

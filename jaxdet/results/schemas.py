@@ -90,9 +90,15 @@ OBSTACLES_SCHEMA = _schema(
         "obstacle",
         _I32,
         "",
-        "label in the frame from 0, by its least measured depth",
+        "label in the frame from 0, by its least measured depth; those of the free floor last",
     ),
     _Column("num_points", _I32, "", "its depth cells; in the preset paper its corners"),
+    _Column(
+        "evidence",
+        _STRING,
+        "",
+        "what shows it: surface, free_floor (a notch in the free floor) or corners (preset paper)",
+    ),
     _Column("box_image", _STRING, "", "image that its box is in: color or depth"),
     _Column("u_min", _I32, "pixel", "first column of its box, null outside of the image", True),
     _Column("u_max", _I32, "pixel", "last column", True),
@@ -184,6 +190,6 @@ LINKS_SCHEMA = _schema(
 
 DICTIONARIES = [
     *("log", "camera", "status", "camera_frame", "world_frame", "floor_source", "floor_refused"),
-    "box_image",
+    *("box_image", "evidence"),
 ]
 """Columns of few different values."""

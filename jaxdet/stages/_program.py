@@ -83,6 +83,7 @@ def record_layout() -> Layout:
             "span": (MAX_OBSTACLES, 4),
             "free": (RAYS, 2),
             "free_end": (RAYS,),
+            "first_notch": (),
         }
     )
 

@@ -21,6 +21,7 @@ from jaxdet.floor.plane import (
     step_height,
 )
 from jaxdet.floor.rays import (
+    NOTCH_M,
     bearing_table,
     block_settings,
     half_turn,
@@ -103,6 +104,7 @@ def _floor_settings(cells: int, config: FloorConfig, unit: float) -> dict[str, A
         "min_share": round(1000 * config.min_share),  # in thousandths
         "min_share_alone": round(1000 * config.min_share_alone),
         "table": scale.length(units.TABLE_M),
+        "deep": scale.length(units.DEEP_M),
         "step": scale.length(units.STEP_M),
         "ramps": int(config.ramps),
         "farthest_ramp": scale.length(units.RAMP_M),
@@ -193,11 +195,12 @@ def free_tables(calibration: Calibration, config: Config) -> Tables:
     lengths = [round(m / unit) for m in (ground.max_depth_m, floor.gap_m)]
     bounds = depth_range(ground.min_depth_m, ground.max_depth_m, unit)
     side = cell_side(calibration.depth, config.surface.cell_rad)
-    half = half_turn(calibration.depth, side)
+    half, notch = half_turn(calibration.depth, side), round(NOTCH_M / unit)
+    least = config.obstacle.min_cells
     made = kernel_tables(
         bows=bows,
         drops=drops,
-        free_settings=(*lengths, *bounds, max_height(ground, unit), half),
+        free_settings=(*lengths, *bounds, max_height(ground, unit), half, notch, least),
         bearings=bearing_table(),
         ray_directions=ray_directions(),
         tile_corners=tile_corners(cell_rays(calibration.depth, side)),

@@ -140,8 +140,8 @@ STEPS = {
         "find_frame",
         "find_surfaces",
         "find_obstacles",
-        "find_outlines",
         "find_free_floor",
+        "find_outlines",
     )
 }
 """Kernels in the order in which they run; on CUDA, where :func:`frames` does nothing."""

@@ -297,6 +297,8 @@ struct Floor {
         const int slope = ahead.turn ? angles.slope(ahead.turn) : 0;
         const bool is_flat = !ahead.turn && !ahead.drop;
         const int table_depth = settings[FloorSetting::TABLE], step = settings[FloorSetting::STEP];
+        // With nothing known, a floor beyond a deep step may as well be the one below a table.
+        const bool may_be_table = !known && ahead.drop > 0;
         int on = 0, low = 0, high = 0, dents = 0;
         for (int i = group.rank(); i < all.count; i += group.size()) {
             const int x = all.x[i], y = all.y[i], z = all.z[i];
@@ -304,7 +306,9 @@ struct Floor {
             const int up = ramp.rise(ahead.start, slope, run) - (run >= ahead.start ? ahead.drop : 0);
             const int deep = down.along(x, y, z) - plane.height + up, s = fine.at(z);
             on += (deep <= s) & (-deep <= s);
-            low += deep > FloorScore::BELOW * s + table_depth;
+            const int most = FloorScore::BELOW * s;
+            low += (deep > most + table_depth) |
+                   (may_be_table & (deep - up > most + settings[FloorSetting::DEEP]));
             high += -deep > s + step;
             dents += 2 * deep > 3 * s;
         }

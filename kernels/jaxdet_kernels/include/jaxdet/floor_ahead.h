@@ -10,8 +10,8 @@ struct FloorOutlook {
     enum { MIN_GAIN = 5, OVER_RAMP = 2, ALIKE = 3 };
     FloorRamps ramps;
     FloorSteps steps;
-    // Whether steps are tried, and how far below the camera its floor may be.
-    bool may_step;
+    // Whether anything is known, and how far below the camera its floor may be.
+    bool known;
     int farthest;
     // Scratch: a word a plane.
     int* most_ramp;
@@ -31,14 +31,15 @@ struct FloorOutlook {
             most_alone = alone > most_alone ? alone : most_alone;
             ramps.limit(team, ramps.fine(), most_ramp + n);
             team.sync();
-            bool is_new = may_step;
+            bool is_new = true;
             for (int k = 0; k < n; k++)
                 if (tried >> k & 1) is_new = is_new && !are_alike(planes[n], planes[k]);
             if (!is_new) continue;
             tried |= 1u << n;
             FloorAhead found;
             int votes;
-            if (!steps.step(team, best_votes + 1, farthest - planes[n].height, found, votes)) continue;
+            const int deeper = known ? farthest - planes[n].height : 0;
+            if (!steps.step(team, best_votes + 1, deeper, found, votes)) continue;
             best_votes = votes;
             best_plane = n;
             out = found;

@@ -9,8 +9,8 @@ namespace jaxdet { namespace {
 
 struct FreeFloor {
     // End of the range; the floor ends where so much of it shows no measurement; depths and heights
-    // of what ends rays; and half of a cell's angle.
-    enum { FAR, GAP, NEAREST, IN_RANGE, HIGHEST, HALF_TURN, SETTINGS };
+    // of what ends rays; half of a cell's angle; how deep a notch is, and the cells of what is in it.
+    enum { FAR, GAP, NEAREST, IN_RANGE, HIGHEST, HALF_TURN, NOTCH, MIN_CELLS, SETTINGS };
     enum { UNKNOWN, OBSTACLE, DROP, RANGE };
     enum {
         // So many measured cells one after the other are a drop lower than the last floor.

@@ -5,6 +5,7 @@
 #include "floor.h"
 #include "found_frame.h"
 #include "free_floor.h"
+#include "notches.h"
 #include "obstacles.h"
 #include "outlines.h"
 #include "surfaces.h"
@@ -57,7 +58,7 @@ struct Frame {
     int *floor, *num_surfaces, *has_depth, *num_obstacles;
     int *num_points, *has_vertex, *contour_points;
     int *uv_min, *uv_max, *a, *b, *c, *direction, *bottom_top;
-    int *xyz_min, *xyz_max, *xyz_sum, *span, *free_ranges, *free_end;
+    int *xyz_min, *xyz_max, *xyz_sum, *span, *free_ranges, *free_end, *first_notch;
 
     Frame(int rows, int columns, const int* tables, const unsigned short* depth, const int* floors,
           int* record, int* contour, int* work)
@@ -93,6 +94,7 @@ struct Frame {
         take(found, 4 * SLOTS, span);
         take(found, 2 * Rays::RAYS, free_ranges);
         take(found, Rays::RAYS, free_end);
+        take(found, 1, first_notch);
     }
 
     JAXDET_STEP void find_cells(const Team& team, int*) const {
@@ -141,6 +143,41 @@ struct Frame {
         found.run(team);
     }
 
+    // What the step of the free floor has in scratch memory.
+    struct FreeParts {
+        int *line, *end, *falls, *polar, *start, *stop, *block;
+
+        FreeParts(int columns, Arena& arena)
+            : line(arena.words(4 * columns)), end(arena.words(columns)),
+              falls(arena.words(columns)), polar(arena.words(4 * columns)),
+              start(arena.words(Rays::RAYS)), stop(arena.words(Rays::RAYS)),
+              block(arena.words(Rays::RAYS)) {}
+    };
+    JAXDET_STEP void find_free_floor(const Team& team, int* scratch) const {
+        Arena arena{scratch};
+        const FreeParts in(columns, arena);
+        const int* const of = free_settings;
+        const FloorFrame floor_frame(frame);
+        FreeFloor by_column{team, rows, columns, of[FreeFloor::FAR], of[FreeFloor::GAP], label, z,
+                            right, forward, above, (const bool*)low, bows, drops, in.line, in.end,
+                            in.falls, false};
+        const Rays found{team, columns, bearings, ray_directions, in.line, in.end, in.start,
+                         in.stop, in.block, in.polar, of[FreeFloor::HALF_TURN]};
+        by_column.run(floor_frame);
+        const int slope = Surfaces::noise(floor_frame, surface_settings[Surfaces::NOISE]);
+        const Notches notches{by_column, of, rises, slope, in.polar, in.start, in.stop, label,
+                              num_obstacles, first_notch};
+        if (notches.run()) by_column.run(floor_frame);
+        found.begin();
+        found.find_points();
+        const bool inside = found.is_foot_inside();
+        found.add_floor(inside);
+        RayBlocks(of[FreeFloor::NEAREST], of[FreeFloor::IN_RANGE], of[FreeFloor::HIGHEST], rows,
+                  columns, floor_frame, low, nearest, z, above, rays, tile_corners, block_settings)
+            .run(found);
+        found.put(inside, free_ranges, free_end);
+    }
+
     // Calls `use` with the outlines of so many obstacles, once they have taken their memory.
     template <class Use>
     void with_outlines(const Team& team, int number, Arena& arena, Use use) const {
@@ -162,37 +199,6 @@ struct Frame {
         Arena arena{scratch};
         const int number = *num_obstacles < SLOTS ? *num_obstacles : (int)SLOTS;
         with_outlines(team, number, arena, [](const Outlines& outlines) { outlines.run(); });
-    }
-
-    // What the step of the free floor has in scratch memory.
-    struct FreeParts {
-        int *line, *end, *falls, *polar, *start, *stop, *block;
-
-        FreeParts(int columns, Arena& arena)
-            : line(arena.words(4 * columns)), end(arena.words(columns)),
-              falls(arena.words(columns)), polar(arena.words(4 * columns)),
-              start(arena.words(Rays::RAYS)), stop(arena.words(Rays::RAYS)),
-              block(arena.words(Rays::RAYS)) {}
-    };
-    JAXDET_STEP void find_free_floor(const Team& team, int* scratch) const {
-        Arena arena{scratch};
-        const FreeParts in(columns, arena);
-        const int* const of = free_settings;
-        const FloorFrame floor_frame(frame);
-        FreeFloor by_column{team, rows, columns, of[FreeFloor::FAR], of[FreeFloor::GAP], label, z,
-                            right, forward, above, (const bool*)low, bows, drops, in.line, in.end,
-                            in.falls, false};
-        const Rays found{team, columns, bearings, ray_directions, in.line, in.end, in.start,
-                         in.stop, in.block, in.polar, of[FreeFloor::HALF_TURN]};
-        found.begin();
-        by_column.run(floor_frame);
-        found.find_points();
-        const bool inside = found.is_foot_inside();
-        found.add_floor(inside);
-        RayBlocks(of[FreeFloor::NEAREST], of[FreeFloor::IN_RANGE], of[FreeFloor::HIGHEST], rows,
-                  columns, floor_frame, low, nearest, z, above, rays, tile_corners, block_settings)
-            .run(found);
-        found.put(inside, free_ranges, free_end);
     }
 
     // The most words of scratch memory that a step takes; also for CUDA, where it is less.
@@ -243,7 +249,7 @@ struct Batch {
         typedef void (Frame::*Step)(const Team&, int*) const;
         const Step steps[] = {&Frame::find_cells, &Frame::find_floor, &Frame::find_frame,
                               &Frame::find_surfaces, &Frame::find_obstacles,
-                              &Frame::find_outlines, &Frame::find_free_floor};
+                              &Frame::find_free_floor, &Frame::find_outlines};
         each_frame(next, frames, [&](size_t b) {
             const bool kept = work_words > 1;
             const Frame one = frame(b, kept ? work + b * work_words : own);

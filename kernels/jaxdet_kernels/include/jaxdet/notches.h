@@ -1,0 +1,87 @@
+// Low things that the free floor shows. Twin of jaxdet/reference/_notches.py.
+#pragma once
+#include "free_floor.h"
+#include "surfaces.h"
+
+namespace jaxdet { namespace {
+
+struct Notches {
+    const FreeFloor& floor;  // its columns, once they have been followed
+    const int* settings;
+    const int* rises;  // (DEPTHS,), the step by z, and how fast noise raises it
+    int slope;
+    // Scratch: the notch of each column, -1 = none; the cells of each, then the number of what is there.
+    int *notch, *size, *most;
+    int* label;
+    int *num_obstacles, *first;
+
+    // Where the floor of a column of cells ends, forward, 0 where none is seen; and whether that is
+    // for no known reason.
+    int ahead(int c) const { return floor.line_out[4 * of(c) + 3]; }
+    bool is_short(int c) const { return floor.end_out[of(c)] == FreeFloor::UNKNOWN && ahead(c) > 0; }
+    int of(int c) const { return floor.turned ? floor.columns - 1 - c : c; }
+
+    // Adds obstacles; whether there are any.
+    bool run() const {
+        const Team& team = floor.team;
+        const int columns = floor.columns;
+        if (team.rank == 0) *most = find();
+        team.sync();
+        const int found = *most;
+        for (int n = team.rank; n < found; n += team.size) size[n] = 0;
+        team.sync();
+        if (found) each_cell([&](int n, int) { team.atomic_add(size + n, 1); });
+        team.sync();
+        if (team.rank == 0) {
+            int next = *first = *num_obstacles;
+            for (int n = 0; n < found; ++n)
+                size[n] = size[n] >= settings[FreeFloor::MIN_CELLS] ? next++ : -1;
+            *num_obstacles = next;
+        }
+        team.sync();
+        const bool any = *num_obstacles > *first;
+        if (any)
+            each_cell([&](int n, int k) {
+                if (size[n] >= 0) label[k] = size[n];
+            });
+        team.sync();
+        return any;
+    }
+
+    // Numbers the notches, by one thread: runs of short columns between longer ones.
+    int find() const {
+        const int columns = floor.columns, length = settings[FreeFloor::NOTCH];
+        int found = 0;
+        for (int c = 0; c < columns; ++c) notch[c] = -1;
+        for (int c = 1; c < columns;) {
+            const int before = ahead(c - 1);
+            int last = c, longest = -FreeFloor::LARGEST;
+            for (; last < columns && is_short(last) && before - ahead(last) > length; ++last)
+                longest = ahead(last) > longest ? ahead(last) : longest;
+            if (last > c && last < columns && ahead(last) - longest > length) {
+                while (c < last) notch[c++] = found;
+                ++found;
+            } else {
+                ++c;
+            }
+        }
+        return found;
+    }
+
+    // Calls `use` with the notch and the place of each cell that stands in one.
+    template <class Use> void each_cell(Use use) const {
+        const int all = floor.rows * floor.columns;
+        for (int k = floor.team.rank; k < all; k += floor.team.size) {
+            const int c = k % floor.columns, n = notch[c], z = floor.z[k], high = floor.height[k];
+            if (n < 0 || label[k] >= 0) continue;
+            const int rise = Surfaces::higher(rises[z], z * slope >> Surfaces::SLOPE_BITS);
+            const int beyond = floor.forward[k] - ahead(c);
+            if (z >= settings[FreeFloor::NEAREST] && z <= settings[FreeFloor::IN_RANGE] &&
+                high <= settings[FreeFloor::HIGHEST] && 2 * high > rise && beyond >= 0 &&
+                beyond <= settings[FreeFloor::NOTCH])
+                use(n, k);
+        }
+    }
+};
+
+} }  // namespace jaxdet
