@@ -1,6 +1,10 @@
-"""Stage 1, align, against librealsense and OpenCV."""
+"""Stage 1, align, at ``POINTS`` pixels of each image, against librealsense and OpenCV.
 
-from collections.abc import Callable
+The peers align whole images.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import cache
 from typing import Any
 
 import cv2
@@ -13,6 +17,7 @@ from benchmarks.sweep import DEFAULT_BATCH, SIZES, Point, kind
 from jaxdet import reference, stages
 from jaxdet.types import AlignedDepth, Distortion
 
+POINTS = 1024
 ORACLE = "install the extra oracle; the system needs libusb-1.0-0 and libudev1"
 
 
@@ -22,8 +27,10 @@ def cases() -> list[Case | Missing]:
     found: list[Case | Missing] = [
         first._replace(
             name="vs_reference",
-            peer=lambda: reference.align(inputs("640x480").depth, inputs("640x480").calibration),
-            compared=lambda result: jax.tree.map(lambda a: a[:BATCH], result),
+            peer=lambda: _at_pixels(
+                "640x480",
+                reference.align(inputs("640x480").depth, inputs("640x480").calibration).depth,
+            ),
         ),
         first._replace(
             name="vs_registerDepth", peer=lambda: register_depth("640x480"), equal=False
@@ -50,7 +57,7 @@ def at(point: Point) -> Case:
     depth = jax.device_put(repeated(given.depth, point.batch))
     return Case(
         name=point.name,
-        run=lambda: stages.align(depth, given.calibration),
+        run=lambda: stages.align(depth, *_pixels(point.size, point.batch), given.calibration),
         frames=point.batch,
         bytes_read=depth.nbytes,
     )
@@ -66,7 +73,20 @@ def _straightened(size: str, batch: int) -> Callable[[], AlignedDepth]:
         color=calibration.color._replace(distortion=Distortion.NONE, coefficients=()),
         depth=calibration.depth._replace(distortion=Distortion.NONE, coefficients=()),
     )
-    return lambda: stages.align(depth, straight)
+    return lambda: stages.align(depth, *_pixels(size, batch), straight)
+
+
+@cache
+def _pixels(size: str, batch: int) -> tuple[np.ndarray, np.ndarray]:
+    """Columns and rows ``(B, POINTS)`` int32 of pixels of the colour images."""
+    image, rng = CALIBRATIONS[size].image, np.random.default_rng(0)
+    u, v = (rng.integers(0, n, (BATCH, POINTS), np.int32) for n in (image.width, image.height))
+    return repeated((u, v), batch)
+
+
+def _at_pixels(size: str, images: Sequence[np.ndarray]) -> np.ndarray:
+    u, v = _pixels(size, BATCH)
+    return np.stack([image[v[b], u[b]] for b, image in enumerate(images)])
 
 
 def register_depth(size: str) -> list[np.ndarray]:
@@ -93,7 +113,7 @@ def _case(size: str) -> Case:
     depth = repeated(given.depth, batch)
     return Case(
         name=size,
-        run=lambda: stages.align(depth, given.calibration),
+        run=lambda: stages.align(depth, *_pixels(size, batch), given.calibration),
         frames=batch,
         equal=True,
         peer_frames=BATCH,
@@ -105,4 +125,6 @@ def _with_librealsense(realsense: Any, size: str, name: str) -> Case:
     given = inputs(size)
     pairs = realsense.framesets(given.depth, given.calibration)
     process = realsense.aligner()
-    return _case(size)._replace(name=name, peer=lambda: realsense.aligned(process, pairs))
+    return _case(size)._replace(
+        name=name, peer=lambda: _at_pixels(size, realsense.aligned(process, pairs))
+    )
