@@ -114,6 +114,7 @@ def _rows(number: int, places: list, free_m: float, end: int) -> tuple[dict, dic
         "stamp_ns": np.full(count, START_NS + number * 10**8),
         "obstacle": np.arange(count, dtype=np.int32),
         "box_image": np.full(count, "depth", object),
+        "evidence": np.full(count, "surface", object),
         "vertices": zeros.astype(np.int8),
         "corners_ground": ground.reshape(-1, 8).astype(np.float32),
         "corners_world": world.reshape(-1, 8).astype(np.float32),

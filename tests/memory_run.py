@@ -56,7 +56,9 @@ def main(output: Path, memory: str | None) -> None:
     log_job.open_log = lambda files, options, memory: LargeLog()
     device.detect = slow
     how = {"backend": "reference", "memory": memory, "pictures": 0, "workers": 1}
-    logs = [LogFiles("a", (Path("a.mcap"),))]
+    file = output.with_suffix(".mcap")
+    file.write_bytes(b"made")
+    logs = [LogFiles("a", (file,))]
     summary = run_logs(logs, output, Config(GroundConfig(source="none")), **how)
     assert not summary.failed, summary.failed[0].error
     lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()

@@ -24,7 +24,6 @@ struct Notches {
     // Adds obstacles; whether there are any.
     bool run() const {
         const Team& team = floor.team;
-        const int columns = floor.columns;
         if (team.rank == 0) *most = find();
         team.sync();
         const int found = *most;
