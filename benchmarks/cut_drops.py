@@ -32,18 +32,18 @@ LEAST_SHARE = 0.04
 TURN_DEG = 1.5
 """Largest error of a plane that is right [degree]."""
 PAST_M = 0.15
-"""A ray that goes on for more than this beyond the edge passes it [m]."""
+"""A ray passes an edge if it ends more than this beyond it [m]."""
 
 
 class Cut(NamedTuple):
-    """What is found of one drop."""
+    """Result of one cut."""
 
     is_own: bool
     """Whether the frame's own depth shows a floor."""
     turn_deg: float
     """Angle between the planes before and after the cut [degree]."""
     ahead: int
-    """Number of rays whose floor went on beyond the edge before the cut."""
+    """Number of rays that passed the edge before the cut."""
     passing: int
     """Number of these that still do."""
     as_drop: int
@@ -84,7 +84,7 @@ def cuts(frames: Frames, config: Config, edge_m: float, drop_m: float) -> list[C
     """Cut a drop into each frame of a batch.
 
     Returns:
-        For each frame that shows its floor beyond the edge what is found with a mount, and without.
+        Two results for each frame that shows its floor beyond the edge: with a mount, and without.
     """
     out, bearing = [], ray_bearings()[0]
     for b in range(len(frames.depth)):
@@ -127,7 +127,7 @@ def _turn_deg(one: GroundPlane, other: GroundPlane) -> float:
 
 
 def of_log(path: str, config: Config) -> Iterator[tuple[float, list[Cut]]]:
-    """Yield the drops and what is found of each in the frames of a log."""
+    """Yield the depth of each drop and its results in each frame of a log."""
     with jaxdet.open_log(path) as log:
         for batch in log.batches(1):
             for drop_m, edge_m in product(DROPS_M, EDGES_M):

@@ -1,4 +1,4 @@
-"""Finds what of a robot its own camera sees: near, above the floor, always at the same depth."""
+"""Finds parts of a robot in view of its own camera: near, above the floor, of constant depth."""
 
 from typing import TYPE_CHECKING
 
@@ -18,24 +18,24 @@ if TYPE_CHECKING:
 
 _FRAMES, _FEWEST = 32, 8
 _MAX_BYTES = 128 << 20
-"""Of depth images that are in memory together."""
+"""Maximum size of the depth images in memory [byte]."""
 NEAR_M, ABOVE_M = 1.0, 0.04
-"""A body is nearer to the camera, and higher above the floor."""
+"""Maximum depth of the body, and its minimum height above the floor [m]."""
 _SHARE = 0.9
-"""Of the sampled frames, at least, in which a pixel has the same depth."""
+"""Minimum share of the sampled frames in which a pixel of the body has the same depth."""
 _BAND_M, _BAND = 0.012, 0.04
-"""Depth counts as the same within so much, and so much of it."""
+"""Tolerance of equal depths [m], and as a share of the depth; the larger one holds."""
 _MOVING = 0.25
-"""Of all other pixels above the floor, at least, that change where the camera moves."""
+"""Minimum share of the other pixels above the floor that change while the camera moves."""
 _SMALLEST, _MARGIN = 0.001, 0.008
-"""Size of a part, of the image's pixels; and what is added around it, of the image's width."""
+"""Minimum size of a part as a share of the pixels, and its margin as a share of the width."""
 
 
 def find_own_body(log: "Log", config: Config) -> np.ndarray:
     """Return the pixels of a log's depth images that show the robot itself.
 
-    A sample of frames is looked at. The floor is always at the same depth too, as are ceilings, and
-    walls beside a straight way: so only near things above the floor count.
+    The depth of a sample of frames is compared. Floor, ceilings and walls along a straight way keep
+    their depth too, so only near pixels above the floor count.
 
     Args:
         log: An open log of a camera that moves.

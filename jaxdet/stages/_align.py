@@ -51,7 +51,7 @@ def align_arrays(
         found = depth[jnp.arange(len(depth))[:, None], v, u]
         return found, found
     with jax.named_scope("align"):
-        words = _words(*size)
+        words = reported_words(kernels, size)
 
         def call(teams: int) -> jax.Array:
             dims = {"keys_out": u.shape, "scratch": (teams, words)}
@@ -60,11 +60,6 @@ def align_arrays(
         most = most_teams(len(depth), words, kernels.BLOCKS)
         keys = by_device(lambda: call(1), lambda: call(most))
         return (keys >> 16).astype(jnp.uint16), (keys & 0xFFFF).astype(jnp.uint16)
-
-
-@lru_cache(maxsize=64)
-def _words(height: int, width: int) -> int:
-    return reported_words(kernels, [height, width])
 
 
 @jax_callable(kernels, kernels.TYPES, outputs=2)

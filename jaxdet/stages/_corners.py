@@ -2,7 +2,6 @@
 
 import math
 import struct
-from functools import lru_cache
 from typing import Any
 
 import jax
@@ -42,7 +41,7 @@ def strongest_corners(
         corners ``(B,)`` int32, at most ``N + 1``.
     """
     batch, height, width, _ = color.shape
-    words = _words(height, width)
+    words = reported_words(kernels, [height, width])
 
     def corners(teams: int) -> tuple[jax.Array, jax.Array, jax.Array]:
         found = dict.fromkeys(("u_out", "v_out"), (batch, slots))
@@ -50,11 +49,6 @@ def strongest_corners(
         return _corners(color, settings, output_dims=dims)[:3]
 
     return by_device(lambda: corners(1), lambda: corners(most_teams(batch, words, kernels.BLOCKS)))
-
-
-@lru_cache(maxsize=64)
-def _words(height: int, width: int) -> int:
-    return reported_words(kernels, [height, width])
 
 
 @jax_callable(kernels, kernels.TYPES, outputs=4)

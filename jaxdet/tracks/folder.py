@@ -32,7 +32,7 @@ from jaxdet.results.reading import LINKS, TRACKS, Chunk, ResultLog, Results
 from jaxdet.results.schemas import LINKS_SCHEMA, TRACKS_SCHEMA
 from jaxdet.results.writer import parquet_writer
 from jaxdet.tracks.config import TrackConfig
-from jaxdet.tracks.looks import OBSTACLE_COLUMNS, POSE_COLUMNS
+from jaxdet.tracks.looks import OBSTACLE_COLUMNS, POSE_COLUMNS, vectors
 from jaxdet.tracks.observations import observations_of
 from jaxdet.tracks.places import PlaceRows, Places, is_lasting, with_outlines
 from jaxdet.tracks.rows import TrackRows
@@ -205,7 +205,7 @@ def lasting_map(results: Results, log: ResultLog) -> MapImage | None:
     most_floor, outlines = tracking(log.folder).most_floor, OccupancyMap()
     for chunk in results.chunks(log, (), ("corners_world", "floor_seen")):
         lasting = is_lasting(chunk.obstacles["floor_seen"].to_numpy(), most_floor)
-        outlines.add(_corners(chunk, "corners_world")[lasting])
+        outlines.add(vectors(chunk.obstacles["corners_world"], 8)[lasting])
     return with_outlines(image, outlines)
 
 
@@ -279,7 +279,8 @@ def _track_log(
         first = chunk.first
         frame = np.repeat(np.arange(len(stamps)), np.diff(first))
         columns = {name: chunk.obstacles[name].to_numpy() for name in _COLUMNS}
-        columns |= {name: _corners(chunk, name) for name in ("corners_ground", "corners_world")}
+        outlines = "corners_ground", "corners_world"
+        columns |= {name: vectors(chunk.obstacles[name], 8) for name in outlines}
         nowhere = np.isnan(columns["corners_world"]).any(axis=1)
         blind.update(_blind(chunk.take(np.unique(frame[nowhere]))))
         width = image.get("width")
@@ -311,16 +312,6 @@ def _paths(tracks: pa.Table, most_floor: float) -> list[tuple[np.ndarray, bool]]
     lasting = is_lasting(tracks["floor_seen"].to_numpy(), most_floor).tolist()
     kept = zip(*columns, paths, lasting, strict=True)
     return [(path, moving) for in_world, moving, path, lasts in kept if in_world and lasts]
-
-
-def _corners(chunk: Chunk, name: str) -> np.ndarray:
-    """``(N, 8)``, NaN where null."""
-    column = chunk.obstacles[name].combine_chunks()
-    column = column.chunk(0) if isinstance(column, pa.ChunkedArray) else column
-    values = column.values.to_numpy(zero_copy_only=False).reshape(-1, 8)
-    values = values[column.offset : column.offset + len(column)]
-    known = column.is_valid().to_numpy(zero_copy_only=False)
-    return np.where(known[:, None], values, np.nan)
 
 
 class _Writer:

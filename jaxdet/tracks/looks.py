@@ -158,7 +158,7 @@ def thickness(distance_m: np.ndarray) -> np.ndarray:
 
 def poses(frames: pa.Table) -> np.ndarray:
     """Return ``T_world_camera`` ``(F, 4, 4)`` of frames, NaN without a pose or a level floor."""
-    place, turn = (_vectors(frames[name], size) for name, size in zip(_POSE, (3, 4), strict=True))
+    place, turn = (vectors(frames[name], size) for name, size in zip(_POSE, (3, 4), strict=True))
     tilt = (frames[name].to_numpy().astype(np.float64) for name in TILT[1:])
     known = np.isfinite(place).all(axis=1) & np.isfinite(turn).all(axis=1)
     known &= ~tilted(turn, *tilt) & (frames["floor_source"].to_numpy() != "none")
@@ -213,8 +213,9 @@ def _lengths(column: pa.ChunkedArray) -> np.ndarray:
     return pc.fill_null(_lists(column).value_lengths(), 0).to_numpy().astype(np.int64)
 
 
-def _vectors(column: pa.ChunkedArray, size: int) -> np.ndarray:
-    """Return vectors ``(N, size)`` float64, NaN for null."""
-    found = np.full((len(column), size), np.nan)
-    found[column.is_valid().to_numpy()] = _lists(column).flatten().to_numpy().reshape(-1, size)
+def vectors(column: pa.ChunkedArray, size: int) -> np.ndarray:
+    """Return vectors ``(N, size)`` of the column's type, NaN for null."""
+    values = _lists(column).flatten().to_numpy().reshape(-1, size)
+    found = np.full((len(column), size), np.nan, values.dtype)
+    found[column.is_valid().to_numpy()] = values
     return found
