@@ -64,9 +64,17 @@ def align_arrays(
 
 @jax_callable(kernels, kernels.TYPES, outputs=2)
 def _align(
-    depth: Any, x: Any, y: Any, parameters: Any, u: Any, v: Any, keys_out: Any, scratch: Any
+    depth: Any,
+    x: Any,
+    y: Any,
+    tile_rays: Any,
+    parameters: Any,
+    u: Any,
+    v: Any,
+    keys_out: Any,
+    scratch: Any,
 ) -> None:
-    given = [depth, x, y, parameters, u, v, keys_out]
+    given = [depth, x, y, tile_rays, parameters, u, v, keys_out]
     by_frame(kernels, kernels.align, given, len(depth), scratch)
 
 
@@ -84,7 +92,31 @@ def tables(calibration: Calibration) -> Tables:
         return ()
     x, y = corner_rays(calibration.depth)
     numbers = np.concatenate([parameters(calibration), np.array(size, np.float32)])
-    return jnp.asarray(x), jnp.asarray(y), jnp.asarray(numbers)
+    return tuple(jnp.asarray(a) for a in (x, y, tile_rays(x, y), numbers))
+
+
+def tile_rays(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return bounds of the corner rays of each tile of depth pixels.
+
+    Args:
+        x: ``(Hd + 1, Wd + 1)`` float32, see :func:`jaxdet.camera.corner_rays`.
+        y: ``(Hd + 1, Wd + 1)`` float32.
+
+    Returns:
+        Least and largest x, then y, of the corners of each tile's pixels, ``(tiles, 4)`` float32.
+    """
+    bounds = []
+    for rays in (x, y):
+        for extreme in (np.minimum, np.maximum):
+            bound = rays
+            for axis, size in enumerate(rays.shape):
+                first = np.minimum(
+                    np.arange(0, size - 1, kernels.TILE), max(size - 1 - kernels.TILE, 0)
+                )
+                corners = [np.minimum(first + i, size - 1) for i in range(kernels.TILE + 1)]
+                bound = extreme.reduce([np.take(bound, c, axis) for c in corners])
+            bounds.append(bound.ravel())
+    return np.stack(bounds, axis=1)
 
 
 def parameters(calibration: Calibration) -> np.ndarray:
