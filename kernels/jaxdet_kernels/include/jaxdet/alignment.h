@@ -3,8 +3,8 @@
 //
 // A key is `depth << 16 | z` (depth in the depth camera, z in the colour camera), so one unsigned
 // minimum decides on both, whatever the order of the writes. z stays below 65535, so that no key
-// equals NOTHING. Most depth pixels are not projected: those of a tile whose interval of depths can
-// not reach a wanted pixel.
+// equals NOTHING. A tile of depth pixels is projected only if bounds of where its pixels fall, from
+// its least and largest depth, contain a wanted pixel.
 #pragma once
 #include "bits.h"
 #include "pixel_bits.h"
@@ -39,13 +39,14 @@ struct Alignment {
     // NEAR_WORDS.
     static Alignment of(
         const float* parameters, const unsigned short* depth, int rows, int columns,
-        const float* corner_x, const float* corner_y, const float* tile_rays, unsigned* near, int* own
+        const float* rays, const float* tile_rays, unsigned* near, int* own
     ) {
         const float* const more = parameters + Projection::PARAMETERS + 1;
         const int fills = (int)more[0], height = (int)more[1], width = (int)more[2];
         const int words = height * PixelBits::words(width);
         unsigned *const wanted = (unsigned*)own, *const keys = wanted + words;
-        return {depth, rows, columns, corner_x, corner_y, tile_rays, Projection::of(parameters), fills,
+        const float* const corner_y = rays + (size_t)(rows + 1) * (columns + 1);
+        return {depth, rows, columns, rays, corner_y, tile_rays, Projection::of(parameters), fills,
                 height, width, words <= NEAR_WORDS ? near : wanted, keys};
     }
 
@@ -128,13 +129,17 @@ struct Alignment {
 
     // True for large boxes.
     bool any_wanted(Bounds box) const {
-        if (box.left > box.right) return false;
-        if (box.bottom - box.top > 64) return true;
-        for (int y = box.top; y <= box.bottom; ++y)
-            for (int w = box.left / 32; w <= box.right / 32; ++w)
-                if (wanted[y * PixelBits::words(width) + w] & PixelBits::part(w, box.left, box.right))
-                    return true;
-        return false;
+        if (box.left > box.right || box.top > box.bottom) return false;
+        const int left = box.left / 32, right = box.right / 32;
+        if (right - left > 1 || box.bottom - box.top > 64) return true;
+        const unsigned first = PixelBits::part(left, box.left, box.right);
+        const unsigned last = PixelBits::part(right, box.left, box.right);
+        unsigned some = 0;
+        for (int y = box.top; y <= box.bottom; ++y) {
+            const unsigned* const row = wanted + y * PixelBits::words(width);
+            some |= (row[left] & first) | (row[right] & last);
+        }
+        return some;
     }
 
     // The colour pixels that a lane's depth pixels of a tile cover, and their keys.
@@ -155,12 +160,23 @@ struct Alignment {
         }
         columns.join(warp);
         rows.join(warp);
-        for (int y = rows.low; y <= rows.high; ++y)
-            for (int w = columns.low / 32; w <= columns.high / 32; ++w) {
-                unsigned some = wanted[y * PixelBits::words(width) + w];
-                for (; some; some &= some - 1)
-                    lower(team, warp, boxes, w * 32 + BitRows::lowest(some), y);
+        if (rows.low > rows.high) return;
+        const int left = columns.low / 32, across = columns.high / 32 - left + 1;
+        const int words = across * (rows.high - rows.low + 1);
+        for (int start = 0; start < words; start += warp.size) {
+            const int i = start + warp.lane;
+            const unsigned mine = i < words ? wanted_of(columns, rows.low + i / across, left + i % across) : 0;
+            for (unsigned some = warp.ballot(mine); some; some &= some - 1) {
+                const int lane = BitRows::lowest(some), word = start + lane;
+                const int x = 32 * (left + word % across), y = rows.low + word / across;
+                for (unsigned bits = warp.broadcast(mine, lane); bits; bits &= bits - 1)
+                    lower(team, warp, boxes, x + BitRows::lowest(bits), y);
             }
+        }
+    }
+
+    unsigned wanted_of(const Extremes& columns, int y, int w) const {
+        return wanted[y * PixelBits::words(width) + w] & PixelBits::part(w, columns.low, columns.high);
     }
 
     void lower(const Team& team, const Warp& warp, const Boxes& boxes, int x, int y) const {
