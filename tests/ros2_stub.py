@@ -201,24 +201,37 @@ def _message_classes(module: ModuleType) -> Callable[[str], Any]:
 
 
 def install(
-    patch: pytest.MonkeyPatch, spin: Callable[[Node], None] | None = None, **parameters: Any
+    patch: pytest.MonkeyPatch, spin: Callable[[Node], bool] | None = None, **parameters: Any
 ) -> Node:
     """Put the stub in place of ROS 2, and return the node that ``rclpy`` will create.
 
     Args:
         patch: Removes the stub after the test.
-        spin: ``rclpy.spin``.
+        spin: Called when an executor spins; False shuts ROS 2 down.
         parameters: Parameters of the node.
     """
     node = Node(parameters, {"depth": "/cam/depth/image", "camera_info": "/cam/depth/camera_info"})
+    running = [True]
+
+    class SingleThreadedExecutor:
+        def add_node(self, added: Node) -> None:
+            assert added is node
+
+        def spin_once(self, timeout_sec: float) -> None:
+            assert spin is not None
+            running[0] = spin(node)
+
+    def init(args: list[str], signal_handler_options: str) -> None:
+        assert signal_handler_options == "no"  # a detector would replace the handlers
+
     contents: dict[str, dict[str, Any]] = {
         "rclpy": {
-            "init": lambda args: None,
+            "init": init,
             "create_node": lambda name: node,
-            "spin": spin,
+            "ok": lambda: running[0],
             "try_shutdown": lambda: None,
         },
-        "rclpy.executors": {"ExternalShutdownException": type("Shutdown", (Exception,), {})},
+        "rclpy.executors": {"SingleThreadedExecutor": SingleThreadedExecutor},
         "rclpy.qos": {
             "QoSProfile": lambda **policies: policies,
             "ReliabilityPolicy": SimpleNamespace(BEST_EFFORT="best_effort"),
@@ -227,6 +240,7 @@ def install(
         "rclpy.serialization": {
             "deserialize_message": lambda data, kind: STORE.deserialize_cdr(data, kind.__msgtype__)
         },
+        "rclpy.signals": {"SignalHandlerOptions": SimpleNamespace(NO="no")},
         "rclpy.time": {"Time": SimpleNamespace},
         "message_filters": {
             "Subscriber": Subscriber,

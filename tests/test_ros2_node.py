@@ -211,13 +211,27 @@ def test_wrong_parameters_end_the_node_with_one_line(parameters, problem, monkey
     assert problem in error and error.startswith("jaxdet: ") and error.count("\n") == 1
 
 
-def test_node_runs_until_it_is_interrupted(monkeypatch, capsys):
-    def spin(node: Node) -> None:
-        raise KeyboardInterrupt
+def test_node_runs_until_it_is_interrupted(frames, monkeypatch, capsys):
+    camera, images = frames
+    left = list(images[:2])
+
+    def spin(node: Node) -> bool:
+        if not left:
+            raise KeyboardInterrupt
+        frame = left.pop()
+        image = image_message(frame.stamp_ns, "camera", frame.depth)
+        deliver(node, image, info_message(frame.stamp_ns, camera))
+        return True
 
     install(monkeypatch, spin, camera_height_m=1)  # an integer, as YAML has it
     assert main(["--ros-args", "-r", "depth:=/d"]) == 0
-    assert capsys.readouterr().err == "0 depth images, 0 with published obstacles\n"
+    assert capsys.readouterr().err == "2 depth images, 2 with published obstacles\n"
+
+
+def test_node_ends_with_ros(monkeypatch, capsys):
+    install(monkeypatch, lambda node: False)
+    assert main([]) == 0
+    assert capsys.readouterr().err == ""
 
 
 @pytest.mark.parametrize("package", ["rclpy", "vision_msgs"])

@@ -10,6 +10,8 @@ from jaxdet.ros2.node import PARAMETERS, ObstacleNode, ros
 
 LAUNCH_FILE = Path(__file__).with_name("jaxdet.launch.xml")
 """Launch file of the node."""
+WAIT_S = 0.2
+"""Maximum time in which Ctrl-C is not noticed while no image comes [s]."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -27,21 +29,30 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(LAUNCH_FILE)
         return 0
     try:
-        rclpy, stop = ros("rclpy"), ros("rclpy.executors").ExternalShutdownException
-        rclpy.init(args=[__package__, *args])
-        try:
-            node = rclpy.create_node("jaxdet")
-            obstacles = ObstacleNode(node)
-            try:
-                rclpy.spin(node)
-            except (KeyboardInterrupt, stop):
-                print(obstacles, file=sys.stderr)
-        finally:
-            rclpy.try_shutdown()
+        _run(args)
     except JaxdetError as error:
         print(f"jaxdet: {error}", file=sys.stderr)
         return 2
     return 0
+
+
+def _run(args: Sequence[str]) -> None:
+    """Run the node until Ctrl-C, or until ROS 2 is shut down."""
+    rclpy, executors = ros("rclpy"), ros("rclpy.executors")
+    # Python handles signals: a detector replaces the handlers of rclpy while it computes.
+    no_handlers = ros("rclpy.signals").SignalHandlerOptions.NO
+    rclpy.init(args=[__package__, *args], signal_handler_options=no_handlers)
+    try:
+        node = rclpy.create_node("jaxdet")
+        obstacles, executor = ObstacleNode(node), executors.SingleThreadedExecutor()
+        executor.add_node(node)
+        try:
+            while rclpy.ok():
+                executor.spin_once(timeout_sec=WAIT_S)
+        except KeyboardInterrupt:
+            print(obstacles, file=sys.stderr)
+    finally:
+        rclpy.try_shutdown()
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -3,7 +3,7 @@
 Packages of ROS 2 are imported when a node is made, so that this module loads without them.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from importlib import import_module
 from types import MappingProxyType
@@ -31,6 +31,9 @@ from jaxdet.io.writer_cdr import encode_cdr
 from jaxdet.results.reading import Chunk
 from jaxdet.results.writer import Tables
 from jaxdet.types import Intrinsics
+
+Publish = Callable[[Mapping[str, Any]], None]
+"""Function that publishes a message, given as its fields by name."""
 
 PARAMETERS: Mapping[str, tuple[Any, str]] = MappingProxyType(
     {
@@ -79,6 +82,13 @@ def message_class(name: str) -> Any:
     return getattr(ros(f"{package}.msg"), kind)
 
 
+def _publisher(node: Any, topic: str, type_name: str, qos: Any) -> Publish:
+    """Return a function that publishes a message, through the bytes that an export would write."""
+    kind, decode = message_class(type_name), ros("rclpy.serialization").deserialize_message
+    publisher = node.create_publisher(kind, topic, qos)
+    return lambda message: publisher.publish(decode(encode_cdr(type_name, message), kind))
+
+
 class ObstacleNode:
     """Publishes the obstacles in the depth images of a camera, as ROS 2 messages.
 
@@ -123,17 +133,15 @@ class ObstacleNode:
         """Return how many images were received and published."""
         return f"{self.received} depth images, {self.published} with published obstacles"
 
-    def _new_publishers(self) -> Iterator[tuple[str, tuple[Any, Any]]]:
-        """Yield the publisher of each topic, with its message class."""
+    def _new_publishers(self) -> Iterator[tuple[str, Publish]]:
+        """Yield the publisher of each topic."""
         qos = ros("rclpy.qos")
         latched = qos.QoSProfile(depth=1, durability=qos.DurabilityPolicy.TRANSIENT_LOCAL)
-        kind = message_class("tf2_msgs/TFMessage")
-        yield TF, (self._node.create_publisher(kind, TF, 100), kind)
+        yield TF, _publisher(self._node, TF, "tf2_msgs/TFMessage", 100)
         for name, type_name in MESSAGES.items():
-            if name == LOCAL and not self._settings["publish_grid"]:
-                continue
-            kind, profile = message_class(type_name), latched if name == LOCAL else 10
-            yield name, (self._node.create_publisher(kind, f"~/{name}", profile), kind)
+            if name != LOCAL or self._settings["publish_grid"]:
+                profile = latched if name == LOCAL else 10
+                yield name, _publisher(self._node, f"~/{name}", type_name, profile)
 
     def _subscribe(self) -> Any:
         """Subscribe to both topics, and return the synchronizer of their messages."""
@@ -157,9 +165,7 @@ class ObstacleNode:
         self._unpaired += 1
         if self._unpaired > UNPAIRED:
             problem = f"no CameraInfo within slop_s of the last {self._unpaired} depth images"
-            self._warn(
-                f"{self._info_topic}: {problem}; remap {INFO} to that of {self._depth_topic}"
-            )
+            self._warn(f"{self._info_topic}: {problem}; {self._remap_info}")
 
     def _on_pair(self, image: Any, info: Any) -> None:
         self._unpaired = 0
@@ -181,7 +187,7 @@ class ObstacleNode:
         """
         depth, units = self._units(image)
         detector = self._detector_of(depth, info)
-        frame_id = self._settings["camera_frame"] or depth.frame_id
+        frame_id = str(self._settings["camera_frame"]) or depth.frame_id
         mount = self._base.mount(frame_id) if self._base else self._mount
         found = detector.batch(units[None], mounts=[mount], stamps_ns=[depth.stamp_ns])
         if found[0].status is not FrameStatus.OK:
@@ -190,10 +196,10 @@ class ObstacleNode:
         (frame,) = Chunk(*Tables.of(found.rows.frames, found.rows.obstacles)).each()
         frame = frame._replace(row=frame.row | {"camera_frame": frame_id})
         if (floor := floor_transform(frame.row)) is not None:
-            message = transforms_message(depth.stamp_ns, [floor])
-            self._publish(TF, "tf2_msgs/TFMessage", message)
+            self._publishers[TF](transforms_message(depth.stamp_ns, [floor]))
         for name, message in frame_messages(frame, self._config.ground.max_depth_m):
-            self._publish(name, MESSAGES[name], message)
+            if name in self._publishers:
+                self._publishers[name](message)
 
     def _units(self, image: Any) -> tuple[ImageMessage, np.ndarray]:
         """Return a depth image and its pixels, ``(H, W)`` uint16 in units of ``depth_unit_m``.
@@ -211,13 +217,6 @@ class ObstacleNode:
             units = np.empty((depth.height, depth.width), np.uint16)
             decode_depth(depth, units, self._unit, LogOptions.max_pixels)
         return depth, units
-
-    def _publish(self, name: str, type_name: str, message: Mapping[str, Any]) -> None:
-        """Publish a message, through the bytes that an export would write."""
-        if name in self._publishers:
-            publisher, kind = self._publishers[name]
-            decode = ros("rclpy.serialization").deserialize_message
-            publisher.publish(decode(encode_cdr(type_name, message), kind))
 
     def _detector_of(self, depth: ImageMessage, info: Any) -> Detector:
         """Return the detector of an image's calibration, a new one if the calibration changed.
