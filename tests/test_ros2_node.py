@@ -91,12 +91,16 @@ def bad_images(camera: Any, depth: np.ndarray) -> dict[str, tuple[Any, Any]]:
     good, small = image_message(7, "camera", depth), image_message(7, "camera", depth[:60])
     short = image_message(7, "camera", depth)
     del short.data[-100:]
+    huge = image_message(7, "camera", depth)
+    huge.height = huge.width = 60_000
+    huge.step = 120_000
     color = image_message(7, "camera", np.zeros((*depth.shape, 3), np.uint8), "rgb8")
     size = "the depth images are 160x60, its calibration for 160x120; remap camera_info to the"
     return {
         "encoding 'rgb8' is not depth; remap depth": (color, info_message(7, camera)),
         f"{size} calibration of {DEPTH}": (small, info_message(7, camera)),
         "bytes are too few for 160x120": (short, info_message(7, camera)),
+        "bytes are too few for 60000x60000": (huge, info_message(7, camera)),
         "/camera_info: the depth camera is not calibrated": (
             good,
             info_message(7, camera._replace(fx=0.0, fy=0.0)),
@@ -120,7 +124,7 @@ def test_of_an_image_that_cannot_be_used_nothing_is_published(frames, monkeypatc
         assert "--" not in said and set(node.counts().values()) == {0}
     deliver(node, image_message(8, "camera", images[0].depth), info_message(8, camera))
     assert set(node.counts().values()) == {1}
-    assert str(obstacles) == "6 depth images, 1 with published obstacles"
+    assert str(obstacles) == "7 depth images, 1 with published obstacles"
 
 
 def test_images_without_calibration_are_a_warning(frames, monkeypatch):
@@ -155,19 +159,23 @@ def test_changed_calibration_is_used_from_its_image_on(frames, monkeypatch):
 
 
 def test_float_depth_and_rectified_images(frames, monkeypatch):
-    """Float images are in metres; of a rectified image the distortion is not applied."""
+    """Float images are in metres; to a rectified image its distortion is not applied."""
     camera, images = frames
-    metres = images[0].depth.astype("<f4") / 1000
-    node = install(monkeypatch)
+    depth, metres = 2 * images[0].depth, images[0].depth.astype("<f4") / 1000
+    node = install(monkeypatch, depth_unit_m=0.0005)
     node.remaps["depth"] = "/cam/image_rect"
     ObstacleNode(node)
     info = info_message(0, camera, D=(0.1, 0.0, 0.0, 0.0, 0.0))
     info.p[0], info.p[5], info.p[2], info.p[6] = camera.fx, camera.fy, camera.cx, camera.cy
-    node.deliver("/cam/image_rect", image_message(0, "camera", metres, "32FC1"))
-    node.deliver(INFO, info)
-    expected = jaxdet.Detector(camera)(images[0].depth)
-    (message,) = node.published["/jaxdet/detections"]
-    assert len(message.detections) == len(expected) > 0 and "plumb_bob" not in node.infos[0]
+    for pixels, encoding in ((metres, "32FC1"), (depth, "16UC1")):
+        node.deliver("/cam/image_rect", image_message(0, "camera", pixels, encoding))
+        node.deliver(INFO, info)
+    expected = jaxdet.Detector(camera, depth_unit_m=0.0005)(depth)
+    first, second = node.published["/jaxdet/detections"]
+    assert same(first, second) and len(first.detections) == len(expected) > 0
+    heights = [obstacle.top_m - obstacle.bottom_m for obstacle in expected]
+    assert [one.bbox.size.z for one in first.detections] == pytest.approx(heights)
+    assert "plumb_bob" not in node.infos[0]
 
 
 def test_mount_from_tf(frames, monkeypatch):
