@@ -1,6 +1,7 @@
 """The ROS 2 node, with a stub of ROS 2; it was never run with the real one."""
 
 import importlib
+import re
 import sys
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
@@ -275,3 +276,11 @@ def test_launch_file_sets_every_parameter(capsys):
     for name, (default, _) in PARAMETERS.items():
         text = str(default).lower() if isinstance(default, bool) else str(default)
         assert arguments[name] == text
+
+
+def test_page_names_every_parameter():
+    page = (Path(jaxdet.__file__).parent / "help/recipes.md").read_text(encoding="utf-8")
+    table = page.partition("| parameter | default |")[2].partition("\n\n")[0]
+    cells = [line.split("|")[1] for line in table.splitlines()[2:]]
+    named = [name for cell in cells for name in re.findall(r"`(\w+)`", cell)]
+    assert sorted(named) == sorted(PARAMETERS)
