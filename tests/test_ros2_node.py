@@ -174,7 +174,8 @@ def test_float_depth_and_rectified_images(frames, monkeypatch):
     expected = jaxdet.Detector(camera, depth_unit_m=0.0005)(depth)
     first, second = node.published["/jaxdet/detections"]
     assert same(first, second) and len(first.detections) == len(expected) > 0
-    heights = [obstacle.top_m - obstacle.bottom_m for obstacle in expected]
+    table = expected.to_pandas()
+    heights = (table.top_m - table.bottom_m).tolist()
     assert [one.bbox.size.z for one in first.detections] == pytest.approx(heights)
     assert "plumb_bob" not in node.infos[0]
 
