@@ -1,4 +1,4 @@
-"""scripts/examples run on recorded frames, with the little of rclpy that they use."""
+"""scripts/examples run on recorded frames."""
 
 import ast
 import json
@@ -8,7 +8,6 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import cv2
@@ -57,80 +56,6 @@ def test_the_notebook(tmp_path, monkeypatch):
     assert cv2.imdecode(np.frombuffer(frame._repr_png_(), np.uint8), cv2.IMREAD_COLOR).shape[2] == 3
     assert table.distance_m.tolist() == [obstacle.distance_m for obstacle in frame]
     log.close()
-
-
-class FakeNode:
-    """What the example uses of ``rclpy.node.Node``."""
-
-    def __init__(self, name: str) -> None:
-        self.name, self.published, self.said = name, [], []
-
-    def create_publisher(self, kind: type, topic: str, depth: int) -> Any:
-        return SimpleNamespace(publish=lambda message: self.published.append(message.data))
-
-    def get_logger(self) -> Any:
-        return SimpleNamespace(info=self.said.append)
-
-
-class FakeSynchronizer:
-    """``message_filters.TimeSynchronizer``: its callback is called by the test."""
-
-    def __init__(self, subscribers: list, depth: int) -> None:
-        self.topics = [topic for _, topic in subscribers]
-
-    def registerCallback(self, callback: Any) -> None:  # noqa: N802
-        self.callback = callback
-
-
-def ros_modules() -> dict[str, ModuleType]:
-    names = {
-        "rclpy": {},
-        "rclpy.node": {"Node": FakeNode},
-        "message_filters": {
-            "Subscriber": lambda node, kind, topic: (kind, topic),
-            "TimeSynchronizer": FakeSynchronizer,
-        },
-        "sensor_msgs": {},
-        "sensor_msgs.msg": {"CameraInfo": SimpleNamespace, "Image": SimpleNamespace},
-        "std_msgs": {},
-        "std_msgs.msg": {"Float32": SimpleNamespace},
-    }
-    modules = {name: ModuleType(name) for name in names}
-    for name, contents in names.items():
-        vars(modules[name]).update(contents)
-    return modules
-
-
-def image(pixels: np.ndarray, padding: int) -> Any:
-    """A sensor_msgs/Image whose rows end with some bytes that are no pixels."""
-    height, width = pixels.shape[:2]
-    rows = pixels.reshape(height, -1).view(np.uint8)
-    data = np.pad(rows, ((0, 0), (0, padding)), constant_values=77).tobytes()
-    step = rows.shape[1] + padding
-    return SimpleNamespace(height=height, width=width, encoding="16UC1", step=step, data=data)
-
-
-def test_a_ros2_node(aligned_log, monkeypatch):
-    for name, module in ros_modules().items():
-        monkeypatch.setitem(sys.modules, name, module)
-    node = runpy.run_path(str(EXAMPLES / "ros2_node.py"))["Obstacles"]()
-    assert node.frames.topics == ["depth", "camera_info"]
-    with jaxdet.open_log(aligned_log) as log:
-        frame, K = log[0], log.calibration.depth.K
-    info = SimpleNamespace(
-        k=K.ravel(), width=320, height=240, d=[0.0] * 5, distortion_model="plumb_bob"
-    )
-    node.frames.callback(image(frame.depth, 4), info)
-    want = jaxdet.Detector(K)(frame.depth)
-    assert node.published == [want.nearest_m]
-    assert node.said == [f"{len(want)} obstacles, nearest {want.nearest_m:.2f} m"]
-    node.on_frame(image(0 * frame.depth, 0), info)
-    assert node.published[-1] == float("inf")
-    node.detector, info.d = None, [0.1, -0.05, 0.0, 0.0, 0.0]
-    node.on_frame(image(frame.depth, 0), info)
-    lens = jaxdet.Intrinsics.from_matrix(K, 320, 240, info.d, "plumb_bob")
-    assert str(node.detector) == str(jaxdet.Detector(lens)) and "plumb_bob" in str(node.detector)
-    assert node.published[-1] == jaxdet.Detector(lens)(frame.depth).nearest_m
 
 
 def test_the_demo_replaces_what_an_earlier_one_left(tmp_path):

@@ -38,7 +38,9 @@ CONSOLE = (
     'eval "$(jaxdet complete ',
     "jaxdet complete fish",
     "python",
+    "ros2 launch ",
     "rosbags-convert ",
+    "source /opt/ros/",
     "scripts/",
     ".venv/bin/",
 )
@@ -48,7 +50,8 @@ OTHERS += ("--array", "--array-properties", "--container-properties", "--cpus-pe
 OTHERS += ("--job-definition", "--job-definition-name", "--job-name", "--job-queue", "--requeue")
 OTHERS += ("--retry-strategy", "--type")
 OTHERS += ("--judge", "--laws", "--rivals")
-"""Flags of other programs."""
+OTHERS += ("--launch-file", "--ros-args")
+"""Flags of other programs, and of ``python -m jaxdet.ros2``."""
 
 
 @pytest.mark.parametrize("columns", [40, 80, 100])

@@ -33,6 +33,12 @@ from jaxdet.results.reading import Frame, ResultLog, Results
 
 DETECTIONS, POINTS, MAP, SCAN, LOCAL = "detections", "points", "map", "scan", "local_map"
 """Topics, see :func:`jaxdet.export.shapes.topic`."""
+MESSAGES = {
+    SCAN: "sensor_msgs/LaserScan",
+    LOCAL: "nav_msgs/OccupancyGrid",
+    DETECTIONS: "vision_msgs/Detection3DArray",
+}
+"""Type of the messages of each frame, by topic; see :func:`frame_messages`."""
 
 POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("obstacle", "<u4")])
 """Point of the cloud, in the camera's optical frame [m], and the obstacle's label."""
@@ -66,16 +72,27 @@ def _write_log(
             message, map_topic = grid_message(entry.grid, row), topic(log, MAP)
             writer.write(map_topic, at, "nav_msgs/OccupancyGrid", message, latched=True)
         writer.write_transforms(row["stamp_ns"], entry.transforms, log_ns=at)
-        if (own := scan(row)) is not None:
-            head = header(row["stamp_ns"], floor_name(row))
-            message = scan_message(own, head, range_m)
-            writer.write(topic(log, SCAN), at, "sensor_msgs/LaserScan", message)
-        if (around := local_grid(entry.frame, range_m)) is not None:
-            message = grid_message(around, row, floor_name(row))
-            writer.write(topic(log, LOCAL), at, "nav_msgs/OccupancyGrid", message)
-        boxes, points = detections(entry.frame), cloud_message(row, cloud)
-        writer.write(topic(log, DETECTIONS), at, "vision_msgs/Detection3DArray", boxes)
+        for name, message in frame_messages(entry.frame, range_m):
+            writer.write(topic(log, name), at, MESSAGES[name], message)
+        points = cloud_message(row, cloud)
         writer.write(topic(log, POINTS), at, "sensor_msgs/PointCloud2", points)
+
+
+def frame_messages(frame: Frame, range_m: float) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield the messages of a frame, each with its key in :data:`MESSAGES`.
+
+    If the floor is unknown there are only the detections.
+
+    Args:
+        frame: Frame with :data:`jaxdet.export.scan.SCAN_COLUMNS`.
+        range_m: Maximum depth [m], the extent of scan and grid.
+    """
+    row = frame.row
+    if (own := scan(row)) is not None:
+        yield SCAN, scan_message(own, header(row["stamp_ns"], floor_name(row)), range_m)
+    if (around := local_grid(frame, range_m)) is not None:
+        yield LOCAL, grid_message(around, row, floor_name(row))
+    yield DETECTIONS, detections(frame)
 
 
 def detections(frame: Frame) -> dict[str, Any]:

@@ -60,8 +60,15 @@ def sidecar_frames(
         yield SidecarFrame(frame, frame.row["log_time_ns"], transforms, grid)
 
 
+def floor_transform(row: Row) -> Transform | None:
+    """Return the transform of the floor frame in the camera frame; None if the floor is unknown."""
+    if row["camera_height_m"] is None:
+        return None
+    return Transform(camera_name(row), floor_name(row), T_camera_floor(row))
+
+
 def _transforms(row: Row, T_world: np.ndarray | None) -> Iterator[Transform]:
-    if row["camera_height_m"] is not None:
-        yield Transform(camera_name(row), floor_name(row), T_camera_floor(row))
+    if (floor := floor_transform(row)) is not None:
+        yield floor
     if T_world is not None:
         yield Transform(row["world_frame"], camera_name(row), T_world)

@@ -59,6 +59,18 @@ def pose_of(T: np.ndarray) -> dict[str, Any]:
     return {"position": xyz(T[:3, 3]), "orientation": quaternion(T[:3, :3])}
 
 
+def transforms_message(stamp_ns: int, transforms: Sequence[Transform]) -> dict[str, Any]:
+    """Return transforms as a ``tf2_msgs/TFMessage``."""
+    stamped = [
+        {
+            "header": header(stamp_ns, parent), "child_frame_id": child,
+            "transform": {"translation": xyz(T[:3, 3]), "rotation": quaternion(T[:3, :3])},
+        }
+        for parent, child, T in transforms
+    ]  # fmt: skip
+    return {"transforms": stamped}
+
+
 class Ros2LogWriter:
     """Writes one MCAP file with the ``ros2`` profile; a context manager.
 
@@ -162,16 +174,9 @@ class Ros2LogWriter:
             static: It holds always.
             log_ns: Log and publish time [ns]; None: the stamp.
         """
-        stamped = [
-            {
-                "header": header(stamp_ns, parent), "child_frame_id": child,
-                "transform": {"translation": xyz(T[:3, 3]), "rotation": quaternion(T[:3, :3])},
-            }
-            for parent, child, T in transforms
-        ]  # fmt: skip
         topic = "/tf_static" if static else "/tf"
         at = stamp_ns if log_ns is None else log_ns
-        self.write(topic, at, "tf2_msgs/TFMessage", {"transforms": stamped})
+        self.write(topic, at, "tf2_msgs/TFMessage", transforms_message(stamp_ns, transforms))
 
     def write_odometry(
         self, topic: str, stamp_ns: int, pose: Transform, velocity: tuple[float, float]
