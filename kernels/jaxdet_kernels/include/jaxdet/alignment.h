@@ -1,10 +1,10 @@
-// Depth at some pixels of the colour image: depth pixels are moved there, and the nearest wins.
+// Depth at given pixels of the colour image: depth pixels are projected there, and the nearest wins.
 // Twin of jaxdet/reference/_align.py.
 //
 // A key is `depth << 16 | z` (depth in the depth camera, z in the colour camera), so one unsigned
-// minimum decides on both, whatever the order of the writes. z stays below 65535, so that no key
-// equals NOTHING. A tile of depth pixels is projected only if bounds of where its pixels fall, from
-// its least and largest depth, contain a wanted pixel.
+// minimum decides on both, independent of the order of the writes. z stays below 65535, so that no key
+// equals NOTHING. A tile of depth pixels is projected only if the bounds of its projection, from its
+// smallest and largest depth, contain a wanted pixel.
 #pragma once
 #include "bits.h"
 #include "pixel_bits.h"
@@ -17,26 +17,26 @@ struct Alignment {
     typedef Projection::Bounds Bounds;
     enum : unsigned { NOTHING = 0xFFFFFFFFu };
     enum {
-        NEAR_WORDS = 480 * 640 / 32,  // words of an image of bits in the nearest memory
+        NEAR_WORDS = 480 * 640 / 32,  // words of a bitmap in shared memory or on the stack
         TILE = 8,                     // rows and columns of a tile of depth pixels
         PIXELS = TILE * TILE
     };
     const unsigned short* depth;       // (rows, columns)
     int rows, columns;
     const float *corner_x, *corner_y;  // (rows + 1, columns + 1)
-    const float* tile_rays;            // (tiles, 4), the least and largest x, then y of a tile's corners
+    const float* tile_rays;            // (tiles, 4), smallest and largest x, then y of a tile's rays
     Projection projection;
-    int fills;                         // 1 where a pixel covers all between its corners, else 0.
-    int height, width;                 // Of the colour image.
-    // Scratch memory: a bit for each wanted pixel; and the keys, valid for wanted pixels alone.
+    int fills;                         // 1 if a depth pixel covers all colour pixels between its corners, else 0
+    int height, width;                 // of the colour image
+    // Scratch memory: bitmap of the wanted pixels, and keys, which are valid only at wanted pixels.
     unsigned *wanted, *keys;           // (height, PixelBits::words(width)), (height, width)
 
     static int scratch_words(int height, int width) {
         return height * (PixelBits::words(width) + width);
     }
 
-    // `parameters` are those of the projection, then the lens, `fills`, height and width. `near` has
-    // NEAR_WORDS.
+    // `parameters` holds the parameters of the projection, the lens model, `fills`, and the height and
+    // width of the colour image. `near` has NEAR_WORDS words.
     static Alignment of(
         const float* parameters, const unsigned short* depth, int rows, int columns,
         const float* rays, const float* tile_rays, unsigned* near, int* own
@@ -50,7 +50,7 @@ struct Alignment {
                 height, width, words <= NEAR_WORDS ? near : wanted, keys};
     }
 
-    // Writes the keys of `points` pixels (u, v), 0 where nothing hits.
+    // Writes the keys of `points` pixels (u, v), 0 if no depth pixel covers the pixel.
     void run(const Team& team, int points, const int* u, const int* v, unsigned* keys_out) const {
         const int words = PixelBits::words(width);
         for (int i = team.rank; i < height * words; i += team.size) wanted[i] = 0;
@@ -74,8 +74,8 @@ struct Alignment {
         }
     }
 
-    // Tiles at the right and bottom edge overlap others, so that all are whole; they are smaller only
-    // where the image is.
+    // Tiles at the right and bottom edge overlap their neighbours so that all tiles are complete; they
+    // are smaller only if the image is.
     int tiles_across() const { return (columns + TILE - 1) / TILE; }
     int tile_row(int tile) const { return begin(tile / tiles_across(), rows); }
     int tile_column(int tile) const { return begin(tile % tiles_across(), columns); }
@@ -84,7 +84,7 @@ struct Alignment {
         return tile * TILE < last ? tile * TILE : last;
     }
 
-    // Whether depth pixels of a tile may cover a wanted pixel.
+    // Whether the depth pixels of a tile may cover a wanted pixel.
     bool may_cover(int tile) const {
         Depths all;
         const unsigned short* const first = depth + (size_t)tile_row(tile) * columns + tile_column(tile);
@@ -98,11 +98,12 @@ struct Alignment {
         return any_wanted(clipped(projection.bounds(units, x, y)));
     }
 
-    // The least and the largest depth of the columns of a tile.
+    // Smallest and largest measured depth in each column of a tile.
     struct Depths {
-        unsigned short less[TILE] = {NONE, NONE, NONE, NONE, NONE, NONE, NONE, NONE};  // by one
+        // smallest, minus one
+        unsigned short less[TILE] = {NONE, NONE, NONE, NONE, NONE, NONE, NONE, NONE};
         unsigned short most[TILE] = {};
-        enum : unsigned short { NONE = 0xffff };  // 0, less one
+        enum : unsigned short { NONE = 0xffff };  // 0 minus one
 
         __attribute__((always_inline)) void add(const unsigned short* line, int count) {
             for (int c = 0; c < count; ++c) {
@@ -127,7 +128,7 @@ struct Alignment {
                 box.bottom < height - 1 ? box.bottom : height - 1};
     }
 
-    // True for large boxes.
+    // Whether a box may contain a wanted pixel; always true for large boxes.
     bool any_wanted(Bounds box) const {
         if (box.left > box.right || box.top > box.bottom) return false;
         const int left = box.left / 32, right = box.right / 32;
@@ -142,14 +143,14 @@ struct Alignment {
         return some;
     }
 
-    // The colour pixels that a lane's depth pixels of a tile cover, and their keys.
+    // Boxes of colour pixels covered by one lane's depth pixels of a tile, and their keys.
     struct Boxes {
         enum { COUNT = PIXELS / Warp::size };
         int left[COUNT], top[COUNT], right[COUNT], bottom[COUNT];
         unsigned key[COUNT];
     };
 
-    // Lowers the keys of the wanted pixels that depth pixels of a tile cover.
+    // Applies the minimum to the keys of the wanted pixels that a tile covers.
     void lower(const Team& team, const Warp& warp, int tile) const {
         Boxes boxes;
         cover(warp, tile, boxes);
@@ -191,9 +192,8 @@ struct Alignment {
             team.atomic_min(keys + (size_t)y * width + x, least);
     }
 
-    // Box `k` of a depth pixel on the rays of its first and last corner, which is empty where no
-    // colour pixel is covered. `bends` where the colour camera's lens does. There is no branch but
-    // for that.
+    // Sets box `k` from a depth pixel and the rays of its first and last corner; the box is empty if no
+    // colour pixel is covered. `bends` is true for a lens with distortion. There is no other branch.
     __attribute__((always_inline)) void cover(
         Boxes& boxes, int k, int units, float x0, float y0, float x1, float y1, bool bends) const {
         Projection::Point first, last;
@@ -222,7 +222,7 @@ struct Alignment {
         }
     }
 #else
-    // Depth pixels of a tile, 0 outside of the image, and the rays of their corners.
+    // Depth pixels of a tile, 0 outside the image, and the rays of their corners.
     struct Tile {
         unsigned short units[PIXELS];
         float x0[PIXELS], y0[PIXELS], x1[PIXELS], y1[PIXELS];
@@ -248,7 +248,7 @@ struct Alignment {
         else cover_by(Lens::EQUIDISTANT, tile, boxes);
     }
 
-    // A loop for each lens model, which the compiler turns into vector instructions.
+    // One loop per lens model, so that the compiler can vectorize it.
     __attribute__((always_inline)) void cover_by(
         int model, const Tile& tile, Boxes& __restrict__ boxes) const {
         Alignment here = *this;

@@ -1,4 +1,4 @@
-// Hands out scratch memory in the order of requests, each at a cache line.
+// Bump allocator for scratch memory; each array begins at a cache line.
 #pragma once
 #include "team.h"
 
@@ -6,17 +6,17 @@ namespace jaxdet { namespace {
 
 struct Arena {
     enum { LINE = 16 };
-    int* base;        // where it begins
-    int used = 0;     // words
+    int* base;        // start of the memory
+    int used = 0;     // allocated words
 
-    // One that only counts: nothing is read or written there.
+    // Returns an arena that only counts words: its memory is neither read nor written.
     static Arena counting() { return {(int*)(LINE * sizeof(int))}; }
 
     int* words(int count) {
         int* place = base + used;
         used += (count + LINE - 1) / LINE * LINE;
 #if !defined(__CUDA_ARCH__)
-        // Hides from clang how far one array is from another, which it would try to make use of in
+        // Hides the distance between arrays from clang, which would otherwise try to exploit it in
         // every loop: that takes four times as long to compile and is no faster.
         asm("" : "+r"(place));
 #endif
@@ -25,7 +25,7 @@ struct Arena {
     unsigned long long* longs(int count) { return (unsigned long long*)words(2 * count); }
 };
 
-// Takes arrays of so many words each from an arena.
+// Allocates several arrays of `words` words each.
 template <class... Arrays> void take(Arena& arena, int words, Arrays*&... all) {
     ((all = (Arrays*)arena.words(words)), ...);
 }

@@ -1,4 +1,4 @@
-// What is said of each cell of a frame with yes or no: rows of words, a bit a cell.
+// Bitmap with one bit per cell; rows are padded to a power of two of 32-bit words.
 #pragma once
 #include "team.h"
 
@@ -6,8 +6,8 @@ namespace jaxdet { namespace {
 
 struct BitRows {
     enum { WIDTH = 32 };
-    // Words of each row that are used, and the binary logarithm of how many there are; bits beyond a
-    // row's last cell are 0.
+    // Words of a row that hold cells, and the binary logarithm of the row length in words. Bits beyond
+    // the last cell of a row are 0.
     int rows, words, shift;
     unsigned* bits;
 
@@ -18,12 +18,13 @@ struct BitRows {
 
     int count() const { return rows << shift; }
     unsigned& operator[](int i) const { return bits[i]; }
-    // Where word w of row r is; the row of word i, and its first cell's column.
+    // Index of word w of row r; row of word i, and column of its first cell.
     int at(int r, int w) const { return r << shift | w; }
     int row(int i) const { return i >> shift; }
     int column(int i) const { return (i & ((1 << shift) - 1)) * WIDTH; }
 
-    // What word i says of the cells before and after its own, and above and below.
+    // Word i shifted so that each bit is that of the neighbouring cell: the previous or next one in the
+    // row, or the one above or below.
     unsigned before(int i) const {
         return bits[i] << 1 | (column(i) ? bits[i - 1] >> (WIDTH - 1) : 0);
     }
@@ -33,7 +34,7 @@ struct BitRows {
     unsigned above(int i) const { return row(i) ? bits[i - (1 << shift)] : 0; }
     unsigned below(int i) const { return row(i) + 1 < rows ? bits[i + (1 << shift)] : 0; }
 
-    // How many bits are set, and which is the lowest of some.
+    // Number of set bits, and index of the lowest set bit.
     static int popcount(unsigned word) {
 #if defined(__CUDA_ARCH__)
         return __popc(word);
@@ -49,7 +50,7 @@ struct BitRows {
 #endif
     }
 
-    // Bit `shift` of each of n bytes, at most WIDTH.
+    // Packs bit `shift` of each of n bytes into a word; n is at most WIDTH.
     static unsigned packed(const unsigned char* bytes, int shift, int n) {
         unsigned word = 0;
         if (n >= WIDTH)
@@ -59,7 +60,7 @@ struct BitRows {
         return word;
     }
 
-    // The transpose: bit r of word w of row c of `out` is that of column c in row 32 w + r.
+    // Writes the transpose: bit r of word w of row c of `out` is the bit of column c in row 32 w + r.
     void transpose(const Team& team, const BitRows& out) const {
         for (int block = team.rank; block < words * out.words; block += team.size) {
             const int w = block % words, top = block / words * WIDTH;
@@ -78,7 +79,7 @@ struct BitRows {
         }
     }
 
-    // Words that no cell belongs to become 0.
+    // Clears the padding words, which hold no cells.
     void clear_padding(const Team& team) const {
         for (int i = team.rank; i < count(); i += team.size)
             if (column(i) >= words * WIDTH) bits[i] = 0;

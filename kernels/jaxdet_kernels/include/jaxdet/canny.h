@@ -1,6 +1,6 @@
-// Canny's grey conversion, gradients and non-maximum suppression. Twin of
-// jaxdet/reference/_canny.py: all in integers. Outputs are two images of bits (pixel_bits.h): weak
-// edges above the lower bound, and those of them above the higher one. hysteresis.h joins them.
+// Grey conversion, gradients and non-maximum suppression of Canny, all in integers. Twin of
+// jaxdet/reference/_canny.py. The outputs are two bitmaps (pixel_bits.h): weak edges, above the lower
+// threshold, and strong edges, above the higher one. hysteresis.h connects them.
 #pragma once
 #include "pixel_bits.h"
 #include "warp.h"
@@ -10,8 +10,8 @@ namespace jaxdet { namespace {
 struct Canny {
     // Weights of colours, and tan(22.5 degrees), with 15 fraction bits.
     enum { RED = 9798, GREEN = 19235, BLUE = 3735, TAN22 = 13573, BITS = 15 };
-    // Size of a tile, which is computed in a processor's nearest memory. With the two pixels around
-    // it that grey needs, its rows are a few columns less than a multiple of a warp.
+    // Size of a tile, which is processed in shared memory or the CPU cache. With the border of two
+    // pixels that the grey image needs, its rows are a few columns shorter than a multiple of a warp.
     enum { ROWS = 24, COLUMNS = 248 };
 
     const unsigned char* color;       // (height, width, 3), RGB
@@ -20,12 +20,13 @@ struct Canny {
     unsigned *weak_out, *strong_out;  // (height, PixelBits::words(width))
 
     struct Tile {
-        short grey[ROWS + 4][COLUMNS + 4];        // from row top - 2 and column left - 2 on
-        short size[ROWS + 2][COLUMNS + 2];        // |dx| + |dy|, from row top - 1 on; 0 outside
+        short grey[ROWS + 4][COLUMNS + 4];        // begins at row top - 2, column left - 2
+        // dx| + |dy|, begins one pixel outside the tile; 0 outside
+        short size[ROWS + 2][COLUMNS + 2];
         unsigned char direction[ROWS + 2][COLUMNS + 2];
         alignas(8) unsigned char edge[ROWS][COLUMNS];  // bit 0: weak, bit 1: strong
     };
-    // Across which a pixel's gradient points: its row, its column, or a diagonal.
+    // Direction of a pixel's gradient, quantized: along its row, along its column, or along a diagonal.
     enum { FLAT, STEEP, FALLING, RISING };
 
     void run(const Team& team, Tile& tile) const {
@@ -52,7 +53,7 @@ struct Canny {
         return (short)((RED * red + GREEN * green + BLUE * blue + (1 << (BITS - 1))) >> BITS);
     }
 
-    // Outside of the image grey is that of its nearest pixel.
+    // Outside the image the grey value is that of the nearest pixel (replicated border).
     void read_grey(const Team& team, Tile& tile, int top, int left, int rows, int columns) const {
         const Warp warp(team);
         const int first = left < 2 ? 2 - left : 0, end = least(columns, width - left + 2);
@@ -67,7 +68,7 @@ struct Canny {
         }
     }
 
-    // Sobel's gradients.
+    // Computes Sobel gradients.
     void differentiate(const Team& team, Tile& tile, int top, int left, int rows,
                        int columns) const {
         const Warp warp(team);
@@ -89,15 +90,15 @@ struct Canny {
         }
     }
 
-    // Keeps pixels larger than both neighbours in the gradient's direction.
+    // Non-maximum suppression: keeps pixels larger than both neighbours in the gradient's direction.
     void suppress(const Team& team, Tile& tile, int rows, int columns) const {
         const Warp warp(team);
-        const int low = this->low, high = this->high;  // which no store can change, for compilers
+        const int low = this->low, high = this->high;  // not reloaded after stores
         for (int r = warp.index; r < rows; r += warp.count) {
             const short *a = tile.size[r], *o = tile.size[r + 1], *b = tile.size[r + 2];
             for (int c = warp.lane; c < columns; c += warp.size) {
-                // Without branches, for compilers. Of equals along a row or a column the second is
-                // kept, on a diagonal none.
+                // Without branches, so that the loop can be vectorized. Of equal pixels along a row or
+                // a column the second is kept, on a diagonal neither.
                 const int direction = tile.direction[r + 1][c + 1], m = o[c + 1];
                 const int flat = (direction == FLAT) & (m > o[c]) & (m >= o[c + 2]);
                 const int steep = (direction == STEEP) & (m > a[c + 1]) & (m >= b[c + 1]);
@@ -109,7 +110,7 @@ struct Canny {
         }
     }
 
-    // Writes eight pixels as a byte.
+    // Packs eight pixels per byte and writes them.
     void write(const Team& team, const Tile& tile, int top, int left, int rows, int columns) const {
         const Warp warp(team);
         const size_t bytes = 4 * (size_t)PixelBits::words(width);

@@ -1,5 +1,5 @@
-// The box of a cell in the image of boxes: its square in the depth image, or the span of its corners
-// in the colour image. Twin of `cell_boxes` in jaxdet/reference/_cells.py.
+// Box of a cell in the image in which boxes are reported: its square in an aligned depth image, or the
+// extent of its corners in the colour image. Twin of `cell_boxes` in jaxdet/reference/_cells.py.
 #pragma once
 #include "projection.h"
 #include "warp.h"
@@ -7,13 +7,13 @@
 namespace jaxdet { namespace {
 
 struct CellBoxes {
-    int columns, side;                 // of the grid, and of a cell [depth pixel]
-    const float *corner_x, *corner_y;  // (rows + 1, columns + 1); not where depth is aligned
+    int columns, side;                 // columns of the grid, and side of a cell [depth pixel]
+    const float *corner_x, *corner_y;  // (rows + 1, columns + 1); unused if depth is aligned
     Projection projection;
     const int* last;                   // the image's last column and row
     bool aligned;
 
-    // Adds cell k, measured at depth d, to the columns and rows of some cells.
+    // Extends the extents of columns and rows by cell k, measured at depth d.
     void add(int k, int d, Extremes* across, Extremes* down) const {
         const int row = k / columns, column = k - row * columns;
         if (aligned) {
@@ -34,7 +34,7 @@ struct CellBoxes {
         down->add(v.low, v.high);
     }
 
-    // Writes the span of some cells clipped to the image; 0 and -1 where none is in it.
+    // Writes the first and last column or row, clipped to the image; 0 and -1 if no cell is in it.
     static void put(Extremes found, int last, int* first_out, int* last_out) {
         const bool none = found.high < found.low;
         *first_out = none || found.low < 0 ? 0 : found.low;

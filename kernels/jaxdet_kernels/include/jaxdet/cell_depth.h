@@ -1,17 +1,17 @@
-// The depth of a cell: of the measured depths of its pixels, the mean of those near their median.
-// Twin of `_block_depth` in jaxdet/reference/_cells.py.
+// Depth of a cell: the mean of its measured depths that are close to their median. Twin of
+// `_block_depth` in jaxdet/reference/_cells.py.
 #pragma once
 #include "vectors.h"
 
 namespace jaxdet { namespace {
 
 struct CellDepth {
-    const unsigned short* first;  // The cell's upper left pixel.
-    int stride;                   // From row to row [pixel].
-    int side;                     // Of the cell [pixel], at most 128: sums have 31 bits.
-    const int* near;              // By the median: how far from it depths count; never falling.
+    const unsigned short* first;  // upper left pixel of the cell
+    int stride;                   // distance between rows [pixel]
+    int side;                     // side of the cell [pixel], at most 128, so that sums fit in 31 bits
+    const int* near;              // tolerance around the median, indexed by the median; non-decreasing
 
-    // What is known of the measured depths of its pixels.
+    // Statistics of the measured depths of a cell.
     struct Pixels {
         int count, sum, low, high;
     };
@@ -29,7 +29,7 @@ struct CellDepth {
         return all;
     }
 
-    // The k-th smallest of the measured depths, k from 0, between `low` and `high`.
+    // Returns the k-th smallest measured depth, k from 0, which must lie between `low` and `high`.
     int smallest(int k, int low, int high) const {
         // Bisection.
         while (low < high) {
@@ -48,14 +48,15 @@ struct CellDepth {
         return low;
     }
 
-    // Leaves what is near the median; a count of 0 where too few are measured.
+    // Restricts the statistics to depths within the tolerance of the median; the count becomes 0 if
+    // fewer than half of the pixels are measured.
     void keep_near(Pixels& all) const {
         if (2 * all.count < side * side || !all.count) {
             all.count = all.sum = 0;
             return;
         }
-        // What is near grows with depth: if the farthest is near the nearest, all are near the
-        // median.
+        // The tolerance grows with depth: if the farthest depth is within that of the nearest, all
+        // depths are within that of the median.
         if (all.high - all.low <= near[all.low]) return;
         const int median = smallest((all.count - 1) / 2, all.low, all.high), reach = near[median];
         all.count = all.sum = 0;
@@ -69,8 +70,8 @@ struct CellDepth {
             }
     }
 
-    // Rounded, halves up; 0 of nothing. Quotients of such integers are exact to 2^-9, so float64
-    // tells those below a whole number from it.
+    // Mean, rounded half up; 0 if the count is 0. Such quotients are at least 2^-9 below the next
+    // integer, so float64 never rounds them up to it.
     static int mean(int sum, int count) {
         return count ? (int)((2.0 * sum + count) / (2.0 * count)) : 0;
     }
@@ -78,14 +79,14 @@ struct CellDepth {
 #if defined(__CUDA_ARCH__)
     enum { SMALL = 4 };
 
-    // For a side known when this is compiled, at most SMALL: the values stay in registers.
-    __forceinline__ int depth_of_small(int known, int* nearest) const {
-        const int all = known * known;
+    // For a side known at compile time, at most SMALL: the values stay in registers.
+    __forceinline__ int depth_of_small(int constant, int* nearest) const {
+        const int all = constant * constant;
         int value[SMALL * SMALL], sorted[SMALL * SMALL];
 #pragma unroll
-        for (int v = 0; v < known; ++v)
+        for (int v = 0; v < constant; ++v)
 #pragma unroll
-            for (int u = 0; u < known; ++u) value[v * known + u] = first[v * stride + u];
+            for (int u = 0; u < constant; ++u) value[v * constant + u] = first[v * stride + u];
         int count = 0, sum = 0, high = 0;
 #pragma unroll
         for (int i = 0; i < all; ++i) {
@@ -118,7 +119,7 @@ struct CellDepth {
         return (2 * sum + count) / (2 * count);
     }
 
-    // Batcher's odd-even merge sort; all its loops have a fixed length.
+    // Batcher's odd-even merge sort; all loops have a fixed length.
     __forceinline__ void sort(int* values, int all) const {
 #pragma unroll
         for (int m = 0; m < 4; ++m)
@@ -137,7 +138,8 @@ struct CellDepth {
     }
 #endif
 
-    // The depth; `nearest` becomes the least measured one, also where too few are.
+    // Returns the depth. `nearest` becomes the smallest measured depth, even if too few pixels are
+    // measured for a depth.
     int depth(int* nearest) const {
 #if defined(__CUDA_ARCH__)
         if (side == 3) return depth_of_small(3, nearest);
@@ -151,27 +153,29 @@ struct CellDepth {
 };
 
 #if !defined(__CUDA_ARCH__)
-// The same for LANES cells side by side, in vectors.
+// CellDepth for LANES adjacent cells at once, in vectors.
 struct CellRow {
-    typedef Vectors::Words Words;  // One of each cell.
+    typedef Vectors::Words Words;  // one value per cell
     typedef Vectors::Wide Wide;
     enum { LANES = Vectors::SHORTS, MOST_SIDE = 8, NONE = 65535 };
-    const int* near;  // As in CellDepth.
-    // By place in the cell: depth less one, so that no measurement is more than any depth.
+    const int* near;  // as in CellDepth
+    // Indexed by the position in the cell: depth minus one, so that a missing measurement is larger
+    // than any depth.
     unsigned short pixel[MOST_SIDE * MOST_SIDE][LANES];
 
     explicit CellRow(const int* near) : near(near) {}
 
     Words& at(int p) { return *(Words*)pixel[p]; }
 
-    // Of a depth less one.
+    // Tolerance of a depth that is given minus one.
     int reach(unsigned short one) const {
         const int reach = near[(one + 1) & 65535];
         return reach < NONE ? reach : (int)NONE;
     }
 
-    // The depths of the cells whose first pixel is `first`; a side is at most MOST_SIDE. Called with
-    // a constant, so that the pixels of a row are dealt out by shuffles.
+    // Computes the depths of adjacent cells, the first of which begins at pixel `first`; the side is at
+    // most MOST_SIDE. Callers pass a constant side, so that the pixels of a row are distributed by
+    // shuffles.
     __attribute__((always_inline)) inline void run(const unsigned short* first, int stride,
                                                    int side, int* out,
                                                    int* nearest) {
@@ -204,8 +208,8 @@ struct CellRow {
                 add(apart <= most_apart ? at(p) + 1 : (Words){}, &count, &sum);
             }
         }
-        // Rounded, halves up. Quotients of such integers are exact to 2^-7, and float32 tells those
-        // below a whole number from it.
+        // Rounded half up. Such quotients are at least 2^-7 below the next integer, so float32 never
+        // rounds them up to it.
         const Wide parts = __builtin_convertvector(count, Wide);
         const Vectors::WideFloats mean =
             __builtin_convertvector(sum * 2 + parts, Vectors::WideFloats)
@@ -214,22 +218,22 @@ struct CellRow {
         *(Wide*)out = __builtin_convertvector(enough, Wide) ? depth : (Wide){};
     }
 
-    // Depths, 0 = none.
+    // Adds depths to counts and sums; 0 = not measured.
     static void add(const Words& depth, Words* count, Wide* sum) {
         *count -= (Words)(depth != 0);
         *sum += __builtin_convertvector(depth, Wide);
     }
 
-    // Whether the farthest depth of a cell may not be near its nearest; else all are near its
-    // median, whatever that is, as what is near grows with depth.
+    // Whether some depths of a cell may lie outside the tolerance of its median. If the farthest depth
+    // is within the tolerance of the nearest, none does, because the tolerance grows with depth.
     bool are_uneven(const Words& low, const Words& high) const {
         const Words spread = high > low ? high - low : (Words){};
         const int widest = NONE - Vectors::least(~spread);
         return widest - 1 > reach(Vectors::least(low));
     }
 
-    // Each cell's pixels by rising depth: Batcher's odd-even merge sort. Loops over many pixels stay
-    // loops, which is no news for whoever compiles this.
+    // Sorts the pixels of each cell by depth with Batcher's odd-even merge sort. Loops over many pixels
+    // are not unrolled, and clang's warning about that is ignored.
     __attribute__((always_inline)) inline void sort(int all) {
 #if defined(__clang__)
 #pragma clang diagnostic ignored "-Wpass-failed"
@@ -244,7 +248,7 @@ struct CellRow {
 #pragma clang loop unroll(full)
 #endif
                 for (int k = apart % part; k + apart < all; ++k) {
-                    // Runs of `apart` places, every second one, and within two parts.
+                    // Only every second run of `apart` positions, and only within two parts.
                     if ((k - apart % part) & apart || (k ^ (k + apart)) >= 2 * part) continue;
                     const Words one = at(k), other = at(k + apart);
                     at(k) = one < other ? one : other;

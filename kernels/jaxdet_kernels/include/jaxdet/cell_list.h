@@ -1,4 +1,4 @@
-// The cells of a frame that have a label, compacted to a list: mostly a small part of all.
+// Compacted list of the labelled cells of a frame, usually a small fraction of all cells.
 #pragma once
 #include "bits.h"
 #include "warp.h"
@@ -8,13 +8,13 @@ namespace jaxdet { namespace {
 struct CellList {
     enum { AHEAD = 4 };
     int* count;
-    // Of each: which cell it is, its label, and where it is on the floor. Cells of a row follow each
-    // other; on CUDA, groups of AHEAD words of them lie in any order.
+    // Per listed cell: its index, its label, and its position on the floor. Cells of a row are listed
+    // in order; on CUDA, groups of AHEAD words of cells are listed in any order.
     int *cell, *label, *right, *forward;
 
-    // Takes all cells with a label. Of all cells `has` says which these are, `open` which are free,
-    // and `out` is their label; `most` becomes at least the largest label and one. `count` and
-    // `most` are 0 before. Ends in a sync.
+    // Lists all cells with a label. Also writes the bitmaps of labelled cells to `has` and of free
+    // cells to `open`, copies the labels to `out`, and raises `most` to at least the largest label plus
+    // one. `count` and `most` must be 0 before. Ends in a sync.
     void take(
         const Team& team, const int* labels, const unsigned char* free, const int* at_right,
         const int* at_forward, int columns, const BitRows& has, const BitRows& open, int* out,
@@ -69,7 +69,8 @@ struct CellList {
         team.sync();
     }
 
-    // The same for the labels 0 .. limit - 1 of `cells` cells, and no more than that.
+    // Lists only the cells with labels 0 .. limit - 1, of `cells` cells, and writes nothing else. Ends
+    // in a sync.
     void take(
         const Team& team, int cells, const int* labels, int limit, const int* at_right,
         const int* at_forward
@@ -96,7 +97,7 @@ struct CellList {
     }
 
 #if defined(__CUDA_ARCH__)
-    // Puts those of AHEAD cells of each lane that have a label behind what is listed.
+    // Appends the labelled ones of each lane's AHEAD cells to the list.
     void append(
         const Team& team, const Warp& warp, const int* own, const int* from, const int* at_right,
         const int* at_forward

@@ -1,5 +1,4 @@
-// Cells of the depth image: one depth each, and its place in space.
-// Twin of jaxdet/reference/_cells.py.
+// Cells of the depth image: one depth and one 3D position per cell. Twin of jaxdet/reference/_cells.py.
 #pragma once
 #include "team.h"
 #include "cell_depth.h"
@@ -11,16 +10,17 @@ struct CellGrid {
     enum { RAY_BITS = 20, MOST_COLUMNS = 4096 };
     const unsigned short* depth;    // (height, width)
     int width, rows, columns, side;
-    const int* near;                // By depth, see `CellDepth`.
-    const int* rays;                // (2, rows, columns), x and y over z with RAY_BITS fraction bits.
+    const int* near;                // indexed by depth, see `CellDepth`
+    const int* rays;                // (2, rows, columns), x / z and y / z with RAY_BITS fraction bits
     int *x_out, *y_out, *z_out;
-    int* nearest_out;               // The least measured depth of a cell, 0 = none.
+    int* nearest_out;               // smallest measured depth of a cell, 0 = none
 
     CellDepth cell(int row, int column) const {
         return {depth + (long long)row * side * width + column * side, width, side, near};
     }
 
-    // `ray d` rounded, in 32 bits: ten fraction bits at a time. Rays are below 2^23.
+    // Product of `ray` and d, rounded, in 32-bit arithmetic: ten fraction bits at a time. Rays are
+    // below 2^23.
     static int along(int ray, int d) {
         return ((ray >> 10) * d + (((ray & 1023) * d) >> 10) + 512) >> 10;
     }
@@ -32,8 +32,8 @@ struct CellGrid {
     }
 
 #if !defined(__CUDA_ARCH__)
-    // Of a row of cells.
-    void depths(int row, CellRow& beside, int* d) const {
+    // Computes the depths of a row of cells.
+    void depths(int row, CellRow& row_depths, int* d) const {
         enum { LANES = CellRow::LANES };
         if (side > CellRow::MOST_SIDE || columns < LANES) {
             for (int column = 0; column < columns; ++column)
@@ -42,19 +42,19 @@ struct CellGrid {
         }
         int* const nearest = nearest_out + row * columns;
         for (int start = 0; start < columns; start += LANES) {
-            // The last ones are found again where they don't fill the lanes.
+            // The last vector overlaps the one before it if the row is not a multiple of LANES.
             const int from = start < columns - LANES ? start : columns - LANES;
             const unsigned short* first = cell(row, from).first;
-            // Those of the next row of cells are on their way meanwhile.
+            // Prefetches the next row of cells.
             for (int v = side; row + 1 < rows && v < 2 * side; ++v)
                 for (int u = 0; u < LANES * side; u += 32) __builtin_prefetch(first + v * width + u);
             switch (side) {
-                case 1: beside.run(first, width, 1, d + from, nearest + from); break;
-                case 2: beside.run(first, width, 2, d + from, nearest + from); break;
-                case 3: beside.run(first, width, 3, d + from, nearest + from); break;
-                case 4: beside.run(first, width, 4, d + from, nearest + from); break;
-                case 5: beside.run(first, width, 5, d + from, nearest + from); break;
-                default: beside.run(first, width, side, d + from, nearest + from);
+                case 1: row_depths.run(first, width, 1, d + from, nearest + from); break;
+                case 2: row_depths.run(first, width, 2, d + from, nearest + from); break;
+                case 3: row_depths.run(first, width, 3, d + from, nearest + from); break;
+                case 4: row_depths.run(first, width, 4, d + from, nearest + from); break;
+                case 5: row_depths.run(first, width, 5, d + from, nearest + from); break;
+                default: row_depths.run(first, width, side, d + from, nearest + from);
             }
         }
     }
@@ -74,9 +74,9 @@ struct CellGrid {
 #else
         (void)team;
         int d[MOST_COLUMNS];
-        CellRow beside(near);
+        CellRow row_depths(near);
         for (int row = 0; row < rows; ++row) {
-            depths(row, beside, d);
+            depths(row, row_depths, d);
             for (int column = 0; column < columns; ++column) {
                 const int k = row * columns + column;
                 place(k, rays[k], rays[all + k], d[column]);

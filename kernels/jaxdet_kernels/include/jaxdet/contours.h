@@ -1,5 +1,5 @@
-// The visible edge of each label on the floor: in each column of cells, its nearest cell.
-// Twin of `contours` in jaxdet/reference/_outlines.py.
+// Contour of each label on the floor, its visible edge: the nearest cell in each column. Twin of
+// `contours` in jaxdet/reference/_outlines.py.
 #pragma once
 #include "warp.h"
 #include "cell_list.h"
@@ -10,12 +10,12 @@ struct Contours {
     typedef unsigned long long Key;
     enum { ROW_BITS = 9 };
     int count, rows, columns;
-    const int *right, *forward;            // of each cell
-    const int *column_low, *column_high;   // of each label
-    // Of each label and column, the smallest squared distance, then the uppermost row; all ones
-    // where there is none. Only a label's own columns are kept.
+    const int *right, *forward;            // (cells)
+    const int *column_low, *column_high;   // (labels)
+    // Lexicographic key per label and column: smallest squared distance, then uppermost row; all ones
+    // if there is no cell. Only the columns of a label are valid.
     Key* nearest;
-    // Points of label `l` are `start[l]` to `start[l + 1]`, from left to right.
+    // The points of label `l` are `start[l]` to `start[l + 1]` - 1, from left to right.
     int *start, *x, *y, *column;
 
     Key& at(int l, int c) const { return nearest[(size_t)l * columns + c]; }
@@ -33,7 +33,7 @@ struct Contours {
         return (Key)(r * r + f * f) << ROW_BITS | row;
     }
 
-    // From the listed cells. Ends in a sync.
+    // Finds the keys from the listed cells. Ends in a sync.
     void find(const Team& team, const CellList& listed) const {
         clear(team);
         const int all = *listed.count;
@@ -44,7 +44,7 @@ struct Contours {
         team.sync();
     }
 
-    // From those of parts: part `l` belongs to `whole[l]`. Ends in a sync.
+    // Merges the keys of parts: part `l` belongs to label `whole[l]`. Ends in a sync.
     void join(const Team& team, const Contours& parts, const int* whole) const {
         clear(team);
         const Warp warp(team);
@@ -57,7 +57,7 @@ struct Contours {
         team.sync();
     }
 
-    // The points. Ends in a sync.
+    // Lists the points from the keys. Ends in a sync.
     void list(const Team& team) const {
         const Warp warp(team);
         for (int l = warp.index; l < count; l += warp.count) {

@@ -9,18 +9,18 @@ struct Contraction {
     typedef unsigned long long Key;
     enum { NODE_BITS = 10, NODE = (1 << NODE_BITS) - 1, TURNS = 3 };
     int count;
-    int* between;    // (count, count) weights, symmetric, 0 on the diagonal; changed
-    Key* best;       // scratch, of each node
-    Key* turns;      // scratch, 2 * TURNS
-    int* group;      // result: the smallest node of each one's group
+    int* between;    // (count, count) weights, symmetric, 0 on the diagonal; modified
+    Key* best;       // scratch, (count)
+    Key* turns;      // scratch, (2 * TURNS)
+    int* group;      // result, (count): the smallest node of each node's group
 
-    // The larger a weight, the smaller its key; of equal ones, that of the smaller nodes.
+    // Lexicographic key, smallest first: falling weight, then the pair of nodes.
     Key key(int weight, int one, int other) const {
         if (weight <= 0) return ~0ull;
         return ((Key)(0x7fffffff - weight) << NODE_BITS | one) << NODE_BITS | other;
     }
 
-    // That of a node with the later ones.
+    // Best key of the edges between a node and later nodes.
     Key best_of(int one) const {
         int largest = 0, with = 0;
         for (int other = one + 1; other < count; ++other) {
@@ -30,10 +30,11 @@ struct Contraction {
         return key(largest, one, with);
     }
 
-    // Words of fast memory, at 16 bytes, that all but the result fits in.
+    // Words of fast memory, aligned to 16 bytes, that hold all arrays but the result.
     int words() const { return 2 * (2 * TURNS + count) + count * count + count; }
 
-    // `fast`: `room` words of it, which is used if it is enough. Ends in a sync.
+    // Runs the contraction. `fast` has `room` words of fast memory and is used if that is enough. Ends
+    // in a sync.
     void run(const Team& team, int* fast, int room) const {
         Contraction own = *this;
         const bool fits = words() <= room;
@@ -50,9 +51,9 @@ struct Contraction {
         team.sync();
     }
 
-    // In each turn two nodes become one, and the best key of the next turn is found; `turns` has
-    // it for this turn, the next and the one after, of all nodes and of the last that has grown.
-    // Ends in a sync.
+    // Each turn merges two nodes and finds the best key of the next turn. `turns` holds the best keys
+    // of this turn, the next and the one after: first those of all nodes, then those of the node that
+    // grew last. Ends in a sync.
     void contract(const Team& team) const {
         if (team.rank == 0) {
             for (int k = 0; k < 2 * TURNS; ++k) turns[k] = ~0ull;

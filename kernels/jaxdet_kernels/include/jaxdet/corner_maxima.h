@@ -1,5 +1,5 @@
-// Local maxima of the corner strength of an edge image. Twin of `strongest_corners` in jaxdet/reference/_corners.py, but for the minimum distance: see
-// corner_selection.h.
+// Local maxima of the corner strength of an edge image. Twin of `strongest_corners` in
+// jaxdet/reference/_corners.py, without the minimum distance, for which see corner_selection.h.
 #pragma once
 #include "corner_strength.h"
 #include "pixel_bits.h"
@@ -7,27 +7,27 @@
 
 namespace jaxdet { namespace {
 
-// A warp takes a word of 32 pixels: on CUDA a lane has one of them, on the CPU a vector has several.
+// A warp processes a word of 32 pixels: on CUDA one pixel per lane, on the CPU several per vector.
 struct CornerMaxima {
     typedef unsigned long long Word;
     typedef unsigned long long Key;  // strength << 32 | place
 
     const unsigned* edges;    // (height, outer_words(width)), from `mirror`
     int height, width;
-    double quality;           // share of the strongest strength that a corner exceeds
+    double quality;           // fraction of the largest strength that a corner exceeds
     // Scratch memory.
-    int* list;                // (height * PixelBits::words(width)) words that may have corners
-    int* strength;            // (strengths(height, width)) bits of floats, 0 where there is no corner
-    Key* keys;                // (height * width) the maxima, in any order
+    int* list;                // (height * PixelBits::words(width)) words that may contain corners
+    int* strength;            // (strengths(height, width)) bits of floats, 0 if not a corner
+    Key* keys;                // (height * width) maxima, unordered
 
-    enum { MARGIN = 2, WORD = 32 };  // words next to a row of edges; pixels of a word
+    enum { MARGIN = 2, WORD = 32 };  // padding words on each side of a row of edges; pixels per word
 
-    // Sums of a word's columns and one more at both sides.
+    // Sums over the columns of a word and one more column on each side.
     struct Columns {
         unsigned xx[WORD + 2], yy[WORD + 2];
         int xy[WORD + 2];
     };
-    // Shared by the team.
+    // Shared memory of the team.
     struct Shared {
         Columns columns[Warp::MOST];
         int listed, strongest, maxima;
@@ -38,7 +38,7 @@ struct CornerMaxima {
 
     int words() const { return PixelBits::words(width); }
 
-    // Copies edges; two columns next to the image become the mirror image of those inside.
+    // Copies the edge bitmap; two columns on each side of the image mirror those inside.
     static void mirror(const Team& team, const unsigned* from, unsigned* to, int height, int width) {
         const int inner = PixelBits::words(width), outer = outer_words(width);
         const int first = MARGIN * WORD, last = first + width - 1;
@@ -54,7 +54,7 @@ struct CornerMaxima {
         team.sync();
     }
 
-    // How many maxima there are.
+    // Finds the maxima; returns their number.
     int run(const Team& team, Shared& shared) const {
         const Warp warp(team);
         if (team.rank == 0) shared.listed = shared.strongest = shared.maxima = 0;
@@ -86,8 +86,8 @@ struct CornerMaxima {
         return (float)((double)strongest.value * quality);
     }
 
-    // A word of row y, the two rows above it and the two below, and two more columns at both sides: bit
-    // j is column 32 w - 2 + j. Rows outside of the image are mirrored.
+    // Neighbourhood of a word of row y: five rows, from two above to two below, with two more columns
+    // on each side: bit j is column 32 w - 2 + j. Rows outside the image are mirrored.
     struct Around {
         Word rows[5];
 
@@ -99,7 +99,7 @@ struct CornerMaxima {
             }
         }
 
-        // The pixels that may be corners: pixels of an edge differ in both directions near them.
+        // Bitmap of pixels that may be corners: edges nearby differ in both directions.
         unsigned corners() const {
             Word across = 0, along = 0;
             for (int i = 0; i < 5; ++i) across |= rows[i] ^ rows[i] >> 2;
@@ -109,14 +109,14 @@ struct CornerMaxima {
         }
     };
 
-    // Writes the strengths of a word of row y, and raises the strongest to them.
+    // Writes the strengths of a word of row y and updates the maximum.
     void measure(const Warp& warp, int y, int w, Columns& columns, int* strongest) const {
         int* out = strength + ((size_t)y * words() + w) * WORD;
         const Around around(*this, y, w);
         const Word* rows = around.rows;
         const unsigned some = around.corners() & PixelBits::inside(w, width);
-        // Outside of the image the products are those of gradients inside, while the mirrored pixels
-        // have one gradient of the other sign.
+        // Outside the image the products of gradients are mirrored, while gradients of mirrored pixels
+        // have one component with the opposite sign.
         const int top = y == 0 ? -1 : 1, bottom = y == height - 1 ? -1 : 1;
         const int first = 1 - WORD * w, last = width - WORD * w;
         for (int c = warp.lane; c < WORD + 2; c += warp.size) {
@@ -146,8 +146,8 @@ struct CornerMaxima {
         *strongest = most;
     }
 
-    // Lists the pixels of a word that are above the limit and the strongest of their 3x3 pixels.
-    // Those on the image's border are none.
+    // Lists the pixels of a word that exceed the limit and are maxima of their 3x3 window, except on
+    // the image border.
     void search(const Team& team, const Warp& warp, int y, int w, int limit,
                 int* count) const {
         if (y == 0 || y == height - 1) return;

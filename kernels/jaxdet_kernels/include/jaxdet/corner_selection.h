@@ -1,7 +1,6 @@
-// The strongest corners that keep a minimum distance, strongest first: greedy non-maximum
-// suppression. Twin of `_without_near` in jaxdet/reference/_corners.py: in order of falling
-// strength, of equals the last in raster order first, a corner is taken unless one that was taken
-// is nearer than the distance.
+// Greedy non-maximum suppression of corners by a minimum distance. Twin of `_without_near` in
+// jaxdet/reference/_corners.py: in order of decreasing strength (equal ones in reverse raster order) a
+// corner is accepted unless an accepted one is closer than the distance.
 #pragma once
 #include "key_sort.h"
 #include "pixel_bits.h"
@@ -14,15 +13,16 @@ struct CornerSelection {
     typedef unsigned long long Key;  // strength << 32 | place
 
     int height, width;
-    int limit;            // the square of the distance, rounded up; 0: no distance
+    int limit;            // square of the minimum distance, rounded up; 0: no minimum
     int slots;
-    int *u_out, *v_out;   // (slots), zero where there is no corner
+    int *u_out, *v_out;   // (slots), 0 in unused slots
     // Scratch memory.
-    unsigned* blocked;    // (height, PixelBits::words(width)) pixels near a corner that was taken
-    int* halves;          // (height) half the disk's row that is so many rows away; -1: none
-    Key* other;           // as long as the keys
+    unsigned* blocked;    // (height, PixelBits::words(width)) pixels close to an accepted corner
+    // (height) half-width of the disk by vertical distance from its centre; -1: outside
+    int* halves;
+    Key* other;           // (count) keys
 
-    // How many corners there are, at most one more than slots; a warp counts them.
+    // Selects corners; returns their number, at most slots + 1. One warp selects.
     int run(const Team& team, Key* keys, int count) const {
         const int words = PixelBits::words(width);
         for (int i = team.rank; i < height * words; i += team.size) blocked[i] = 0;
@@ -36,7 +36,7 @@ struct CornerSelection {
         return taken;
     }
 
-    // Pixels nearer than the distance: those whose squared distance, a whole number, is below it.
+    // Half-width of the disk of pixels whose squared distance, an integer, is below the limit.
     int half(int dy) const {
         const int left = limit - dy * dy;
         if (left <= 0) return -1;
@@ -46,8 +46,8 @@ struct CornerSelection {
         return side;
     }
 
-    // A warp looks at as many corners as it has lanes, takes the first that is not blocked, and looks
-    // at the others again.
+    // A warp tests one corner per lane, accepts the first that is not blocked, and tests the others
+    // again.
     int take(const Warp& warp, const Key* keys, int count) const {
         int taken = 0;
         for (int start = 0; start < count && taken <= slots; start += warp.size) {

@@ -1,4 +1,4 @@
-// The strongest corners of a frame, from its colours on.
+// Detects the strongest corners of a colour image.
 #pragma once
 #include "arena.h"
 #include "canny.h"
@@ -8,19 +8,19 @@
 
 namespace jaxdet { namespace {
 
-// Settings of Canny and of the corners' selection, as jaxdet/stages/_corners.py puts them together.
+// Settings of Canny and of the corner selection, in the order of jaxdet/stages/_corners.py.
 struct CornerSettings {
     enum { LOW, HIGH, LIMIT, QUALITY, COUNT = QUALITY + 2 };
     const int* values;  // (COUNT)
 
-    // Canny's thresholds, from -1 to 2047, the lower first.
+    // Thresholds of Canny, from -1 to 2047.
     int low() const { return values[LOW]; }
     int high() const { return values[HIGH]; }
 
-    // The square of the least distance of two corners, rounded up; 0: none.
+    // Square of the minimum distance between corners, rounded up; 0: no minimum.
     int limit() const { return values[LIMIT]; }
 
-    // Corners are stronger than this share of the strongest pixel: a double in two words.
+    // Minimum strength, as a fraction of the strongest pixel's: a double in two words.
     double quality() const {
         union {
             unsigned long long bits;
@@ -36,12 +36,12 @@ struct Corners {
     typedef unsigned long long Word;
 
     int height, width;
-    CornerSettings given;
+    CornerSettings settings;
     int slots;
 
-    enum { BLOCKED = 480 * 640 / 32 };  // words of images of bits that fit there
+    enum { BLOCKED = 480 * 640 / 32 };  // words of a bitmap that fits in `Shared`
 
-    // What a team shares in its nearest memory, one after the other.
+    // Memory shared by a team, used by one stage after the other.
     union Shared {
         Canny::Tile tile;
         CornerMaxima::Shared maxima;
@@ -69,21 +69,21 @@ struct Corners {
         return arena.used;
     }
 
-    // Writes columns and rows, and how many corners there are, at most one more than slots.
+    // Writes the columns and rows of corners and their number, at most slots + 1.
     void run(const Team& team, Shared& shared, const unsigned char* color, int* own, int* u_out,
              int* v_out, int* count_out) const {
         Arena arena{own};
         const Scratch scratch(arena, height, width);
-        Canny{color, height, width, given.low(), given.high(), scratch.weak, scratch.edges}
+        Canny{color, height, width, settings.low(), settings.high(), scratch.weak, scratch.edges}
             .run(team, shared.tile);
         Hysteresis{height, PixelBits::words(width) / 2, (const Word*)scratch.weak,
                    (Word*)scratch.edges}.run(team);
         CornerMaxima::mirror(team, scratch.edges, scratch.mirrored, height, width);
-        const int maxima = CornerMaxima{scratch.mirrored, height, width, given.quality(),
+        const int maxima = CornerMaxima{scratch.mirrored, height, width, settings.quality(),
                                         scratch.list, scratch.strength, scratch.keys}
             .run(team, shared.maxima);
         const bool fits = height * PixelBits::words(width) <= BLOCKED;
-        const int count = CornerSelection{height, width, given.limit(), slots, u_out, v_out,
+        const int count = CornerSelection{height, width, settings.limit(), slots, u_out, v_out,
                                           fits ? shared.blocked : scratch.blocked, scratch.halves,
                                           scratch.other}.run(team, scratch.keys, maxima);
         if (team.rank == 0) *count_out = count;

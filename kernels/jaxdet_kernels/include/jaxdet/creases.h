@@ -1,5 +1,5 @@
-// Creases: concave edges, where depth goes on but bends, for two things touch there.
-// Twin of `creases` in jaxdet/reference/_surfaces.py.
+// Creases: concave edges, where depth is continuous but bends because two objects touch. Twin of
+// `creases` in jaxdet/reference/_surfaces.py.
 #pragma once
 #include "bits.h"
 #include "grid.h"
@@ -12,23 +12,25 @@ namespace jaxdet { namespace {
 struct Creases {
     enum {
         BITS = 4,           // fraction bits of smoothed depths
-        NONE = -(1 << 26),  // in place of one where nothing is measured: far from all of them
-        // On CUDA a warp smooths a strip of columns, of which HALO at both sides are its
-        // neighbours', down SEGMENT rows; loads of AHEAD rows or words wait together.
+        NONE = -(1 << 26),  // placeholder of a missing depth, far from all depths
+        // On CUDA a warp smooths a strip of columns, the outer HALO of which on both sides belong to
+        // its neighbours, down SEGMENT rows; AHEAD loads are in flight together.
         HALO = 2,
         SEGMENT = 24,
         AHEAD = 4
     };
     Grid grid;
-    // How many cells away the bend is measured, least cells of a crease, cells it is made wider.
+    // Distance of the cells between which the bend is measured, minimum number of cells of a crease,
+    // and dilation [cells].
     int reach, least, margin;
-    // By depth: the surface step, at most 2^16, and the limit of bends, at most 2^17.
+    // Indexed by depth: surface step, at most 2^16, and limit of bends, at most 2^17.
     const int *steps, *limits;
-    const int* z;  // (R, C): depth, 0 = none
-    // (grid), with margins of NONE: smoothed depths, at first on the CPU depths with BITS fraction
-    // bits; on the CPU the same as scratch memory, and what is found of each depth in `steps`.
+    const int* z;  // (R, C) depth, 0 = none
+    // (grid) with margins of NONE. `smooth` holds the smoothed depths; on the CPU it holds the depths
+    // with BITS fraction bits at first, `other` is scratch memory and `step` holds each cell's value of
+    // `steps`.
     int *smooth, *other, *step;
-    // Which cells are kept. Scratch memory: what is found, and where runs start.
+    // Cells to process. Scratch memory: crease cells, and run starts.
     BitRows kept, found, wide;
     Runs runs;
     int* near;
@@ -36,9 +38,9 @@ struct Creases {
 
     static int apart(int a, int b) { return a < b ? b - a : a - b; }
 
-    // The rounded mean of the 3 x 3 neighbours that are at most two steps away. At most nine depths
-    // below 2^20 are added up, so floats have them exactly, and their quotient, below 2^20 and a
-    // ninth away from the next integer or more, is rounded by less than that.
+    // Rounded mean of the 3 x 3 neighbours that are at most two steps away. The sum of at most nine
+    // depths below 2^20 is exact as a float, and the quotient, below 2^20 and at least a ninth from the
+    // next integer, has a smaller rounding error than that.
     static int mean(int own, int step, int a, int b, int c, int d, int e, int f, int g, int h) {
         const int near = step << (BITS + 1), shift = near - own;
         int total = own, count = 1;
@@ -58,7 +60,7 @@ struct Creases {
     }
 
 #if defined(__CUDA_ARCH__)
-    // Three rows of three cells, the last row the newest; each lane has its own column's.
+    // Window of 3 x 3 cells, newest row last; each lane holds the window of its own column.
     struct Window {
         int left[3], own[3], right[3];
 
@@ -79,7 +81,8 @@ struct Creases {
         }
     };
 
-    // Whether a cell is kept at most `reach` cells away from some; all lanes ask.
+    // Whether a cell of a block, or at most `reach` cells away, is to be processed; a collective call
+    // of the warp.
     bool is_used(const Warp& warp, int top, int bottom, int left, int right) const {
         const int from = left - reach < 0 ? 0 : (left - reach) / BitRows::WIDTH;
         const int to = (right + reach) / BitRows::WIDTH;
@@ -90,7 +93,7 @@ struct Creases {
         return warp.ballot(some != 0);
     }
 
-    // Both smoothings at once, down strips of columns, where they are used.
+    // Smooths twice in one pass, down strips of columns, wherever the result is used.
     void smoothed(const Team& team) const {
         enum { INNER = Warp::size - 2 * HALO };
         const Warp warp(team);
@@ -130,7 +133,7 @@ struct Creases {
         team.sync();
     }
 
-    // What bends, a word a warp.
+    // Finds the cells that bend, one word per warp.
     void find(const Team& team) const {
         const Warp warp(team);
         const int words = found.words, count = grid.rows * words;
@@ -179,7 +182,7 @@ struct Creases {
                           down[c - 1], down[c], down[c + 1]);
     }
 
-    // Rows near kept cells; `other` has those of the first smoothing.
+    // Smooths the rows near kept cells twice; `other` holds the result of the first pass.
     void smoothed(const Team&) const {
         const int wide = grid.stride, n = grid.columns;
         int used[Grid::MOST_COLUMNS];
@@ -215,7 +218,7 @@ struct Creases {
             const int r = found.row(i), c = found.column(i), left = grid.columns - c;
             const int n = left < BitRows::WIDTH ? left : (int)BitRows::WIDTH;
             const int at = grid.row(r) + c, none = grid.row(-1) + c;
-            // Without a row so far above or below there is no bend.
+            // Without rows at that distance above and below there is no vertical bend.
             const bool inside = r >= reach && r + reach < grid.rows;
             const int up = inside ? at - reach * grid.stride : none;
             const int down = inside ? at + reach * grid.stride : none;
@@ -234,7 +237,7 @@ struct Creases {
     }
 #endif
 
-    // Takes away 8-connected components of fewer than `least` cells. Ends in a sync.
+    // Removes 8-connected components of fewer than `least` cells. Ends in a sync.
     void without_small(const Team& team) {
         const int count = found.count(), words = found.at(1, 0);
         for (int i = team.rank; i < count; i += team.size) wide[i] = found[i] & ~found.before(i);
@@ -244,7 +247,7 @@ struct Creases {
             const int j = i - words;
             const unsigned here = found[i], above = found[j];
             const unsigned before = found.before(i), over = found.before(j);
-            // Where two runs meet first, and where they meet at a corner alone.
+            // The first cell where two runs touch, and cells where they touch only diagonally.
             unsigned straight = here & above & ~(before & over);
             unsigned left = here & ~above & over & ~before;
             unsigned right = here & ~above & found.after(j) & ~found.after(i);
@@ -275,7 +278,7 @@ struct Creases {
         team.sync();
     }
 
-    // One cell wider in all directions, into `to`. Ends in a sync.
+    // Dilates by one cell in all directions, into `to`. Ends in a sync.
     void dilate(const Team& team, const BitRows& from, const BitRows& to) const {
         const int count = from.count(), words = from.at(1, 0);
         const auto wider = [&](int i) { return from[i] | from.before(i) | from.after(i); };
@@ -288,7 +291,8 @@ struct Creases {
         team.sync();
     }
 
-    // Creases, kept or not. All threads must call it, after a sync; ends in one.
+    // Returns the crease cells, also those that are not in `kept`. A collective call, after a sync;
+    // ends in a sync.
     BitRows run(const Team& team) {
         smoothed(team);
         find(team);

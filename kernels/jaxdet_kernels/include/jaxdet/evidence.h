@@ -1,5 +1,5 @@
-// What is seen of each two surfaces that may be one thing, and how much it speaks for that.
-// Twin of `pairs` in jaxdet/reference/_evidence.py and of `evidence` in jaxdet/affinity.py.
+// Features of pairs of surfaces that may belong to the same object, and the resulting evidence. Twin of
+// `pairs` in jaxdet/reference/_evidence.py and of `evidence` in jaxdet/affinity.py.
 #pragma once
 #include "contours.h"
 #include "extents.h"
@@ -8,19 +8,21 @@
 
 namespace jaxdet { namespace {
 
-// Boosted regression trees, each complete: node k has the children 2 k + 1 (at most the threshold)
-// and 2 k + 2.
+// Boosted regression trees, each complete: node k has the children 2 k + 1 (at most the threshold) and
+// 2 k + 2 (above it).
 struct Trees {
     const int *feature, *threshold, *value;
     int trees, leaves, offset;
 
-    // Where tree after tree leads, from `first` on, each by `step` later. What is seen lies `apart`.
-    int weigh(const int* seen, int apart, int first, int step) const {
+    // Returns the sum of the values of trees `first`, `first + step`, ... The features are `stride`
+    // words apart.
+    int weigh(const int* features, int stride, int first, int step) const {
         int sum = 0;
         for (int tree = first; tree < trees; tree += step) {
             const int *which = feature + tree * (leaves - 1), *most = threshold + tree * (leaves - 1);
             int node = 0;
-            while (node < leaves - 1) node = 2 * node + 1 + (seen[which[node] * apart] > most[node]);
+            while (node < leaves - 1)
+                node = 2 * node + 1 + (features[which[node] * stride] > most[node]);
             sum += value[tree * leaves + node - (leaves - 1)];
         }
         return sum;
@@ -29,34 +31,34 @@ struct Trees {
 
 struct Evidence {
     typedef unsigned long long Sum;
-    // Threads that share the search for the smallest distance of two contours.
+    // Number of threads that share the search for the smallest distance between two contours.
     enum { PARTS = Warp::size > 1 ? 8 : 1 };
-    enum { CONTACT = 2, PERCENT = 100, SEEN = 26 };
-    // Pairs that a block of BATCH threads or a multiple of it weighs at a time.
-    enum { BATCH = 64, FAST = (SEEN + 1) * BATCH, NOT_NEAR = 1 << 30 };
+    enum { CONTACT = 2, PERCENT = 100, FEATURES = 26 };
+    // Number of pairs that a block of BATCH threads, or a multiple of it, weighs at once.
+    enum { BATCH = 64, FAST = (FEATURES + 1) * BATCH, NOT_NEAR = 1 << 30 };
     int count, lateral_gap, forward_gap, gap, no_step;
-    Extents known;
+    Extents extents;
     Contours contours;
     Trees trees;
-    unsigned char* near;  // scratch, of each pair
-    Sum* sums;            // scratch, Facing::SUMS of each pair
-    int *list, *listed;   // scratch: the pairs that are near, and how many
+    unsigned char* near;  // scratch, (pairs)
+    Sum* sums;            // scratch, (pairs, Facing::SUMS)
+    int *list, *listed;   // scratch: nearby pairs, and their number
     int* between;         // result, (count, count)
-    // On CUDA, FAST words of fast memory.
+    // FAST words of fast memory on CUDA.
     int* fast;
 
     int least(int a, int b) const { return a < b ? a : b; }
     int most(int a, int b) const { return a > b ? a : b; }
 
-    // The pairs within the gaps on the floor, with sums of 0. Ends in a sync.
+    // Lists the pairs within the gaps on the floor and clears their sums. Ends in a sync.
     void find_near(const Team& team) const {
         if (team.rank == 0) *listed = 0;
         team.sync();
         for (int b = 0; b < count; ++b) {
             if (b % team.size == team.rank) between[b * count + b] = 0;
             for (int a = team.rank; a < b; a += team.size) {
-                const int aside = most(known.left[a], known.left[b]) -
-                                  least(known.right[a], known.right[b]);
+                const int aside = most(extents.left[a], extents.left[b]) -
+                                  least(extents.right[a], extents.right[b]);
                 const int ahead = ahead_of(a, b), pair = Pair(a, b).place;
                 between[a * count + b] = between[b * count + a] = 0;
                 near[pair] = most(aside, 0) <= lateral_gap && ahead <= forward_gap;
@@ -71,30 +73,31 @@ struct Evidence {
     }
 
     int ahead_of(int a, int b) const {
-        return most(most(known.near[a], known.near[b]) - least(known.far[a], known.far[b]), 0);
+        return most(most(extents.near[a], extents.near[b]) - least(extents.far[a], extents.far[b]), 0);
     }
 
-    // Once the sums are complete. Ends in a sync.
+    // Computes the evidence after the sums of `Facing` are complete. Ends in a sync.
     void run(const Team& team) const {
         for (int item = team.rank; item < *listed * PARTS; item += team.size) {
             measure(team, list[item / PARTS], item % PARTS);
         }
         team.sync();
 #if defined(__CUDA_ARCH__)
-        // What is seen of BATCH pairs at a time; then threads share the trees of a pair.
-        int *seen = fast, *weights = seen + SEEN * BATCH;
+        // Compute the features of BATCH pairs at a time; then the threads share the trees of each pair.
+        int *features = fast, *weights = features + FEATURES * BATCH;
         const int own = team.rank % BATCH, share = team.rank / BATCH, shares = team.size / BATCH;
         for (int first = 0; first < *listed; first += BATCH) {
             const bool some = first + own < *listed;
             const int pair = some ? list[first + own] : 0, a = pair >> 16, b = pair & 0xffff;
             if (share == 0) {
-                weights[own] = some && look(a, b, seen + own, BATCH) ? trees.offset : NOT_NEAR;
+                const bool near = some && write_features(a, b, features + own, BATCH);
+                weights[own] = near ? trees.offset : NOT_NEAR;
             }
             team.sync();
             const bool weighs = weights[own] != NOT_NEAR;
             team.sync();
             if (weighs)
-                team.atomic_add(weights + own, trees.weigh(seen + own, BATCH, share, shares));
+                team.atomic_add(weights + own, trees.weigh(features + own, BATCH, share, shares));
             team.sync();
             if (share == 0 && some) {
                 between[a * count + b] = between[b * count + a] = weighs ? weights[own] : 0;
@@ -103,8 +106,9 @@ struct Evidence {
 #else
         for (int item = 0; item < *listed; ++item) {
             const int a = list[item] >> 16, b = list[item] & 0xffff;
-            int seen[SEEN], weight = 0;
-            if (look(a, b, seen, 1)) weight = trees.offset + trees.weigh(seen, 1, 0, 1);
+            int features[FEATURES], weight = 0;
+            if (write_features(a, b, features, 1))
+                weight = trees.offset + trees.weigh(features, 1, 0, 1);
             between[a * count + b] = between[b * count + a] = weight;
         }
 #endif
@@ -115,15 +119,16 @@ struct Evidence {
 
     bool facing(const Sum* own) const { return own[Facing::ROWS] || own[Facing::COLUMNS]; }
 
-    // The smallest distance of the contours of two surfaces that face each other or are near.
+    // Finds the smallest distance between the contours of two surfaces that face each other or are
+    // close.
     void measure(const Team& team, int pair, int part) const {
         int a = pair >> 16, b = pair & 0xffff;
         Sum* own = sums + (size_t)Pair(a, b).place * Facing::SUMS;
         if (!facing(own)) {
-            const int x = most(known.right_low[a], known.right_low[b]) -
-                          least(known.right_high[a], known.right_high[b]);
-            const int y = most(known.forward_low[a], known.forward_low[b]) -
-                          least(known.forward_high[a], known.forward_high[b]);
+            const int x = most(extents.right_low[a], extents.right_low[b]) -
+                          least(extents.right_high[a], extents.right_high[b]);
+            const int y = most(extents.forward_low[a], extents.forward_low[b]) -
+                          least(extents.forward_high[a], extents.forward_high[b]);
             if (squared(most(x, 0), most(y, 0)) > squared(CONTACT * gap + 1, 0)) return;
         }
         const int* start = contours.start;
@@ -148,18 +153,19 @@ struct Evidence {
         return (int)(sum >> k * Facing::COUNT_BITS & ((1 << Facing::COUNT_BITS) - 1));
     }
 
-    // Whether one surface counts as the smaller one of two.
+    // Whether surface a counts as the smaller one of the two.
     bool fewer(int a, int b) const {
-        const int one[] = {known.cells[a], known.width(a), known.depth(a), known.bottom[a]};
-        const int other[] = {known.cells[b], known.width(b), known.depth(b), known.bottom[b]};
+        const int one[] = {extents.cells[a], extents.width(a), extents.depth(a), extents.bottom[a]};
+        const int other[] = {extents.cells[b], extents.width(b), extents.depth(b), extents.bottom[b]};
         for (int k = 0; k < 4; ++k) {
             if (one[k] != other[k]) return one[k] < other[k];
         }
-        return known.top[a] != known.top[b] ? known.top[a] < known.top[b] : a < b;
+        return extents.top[a] != extents.top[b] ? extents.top[a] < extents.top[b] : a < b;
     }
 
-    // What is seen of two surfaces, each `apart` words from the last; false if they are not near.
-    bool look(int a, int b, int* seen, int apart) const {
+    // Writes the features of two surfaces, `stride` words apart; returns false if the surfaces are not
+    // close.
+    bool write_features(int a, int b, int* features, int stride) const {
         const Sum* own = sums + (size_t)Pair(a, b).place * Facing::SUMS;
         if (own[Facing::DISTANCE] == ~0ull) return false;
         const int distance = SquareRoot::of(own[Facing::DISTANCE]);
@@ -168,14 +174,14 @@ struct Evidence {
         const Sum steps = own[Facing::STEPS] >> Facing::STEP_SHIFT;
         const int agree = (int)(own[Facing::STEPS] & ((1 << Facing::STEP_SHIFT) - 1));
         const int closed = part(rows, 0) - part(rows, 1);
-        const int both = least(known.right[a], known.right[b]) -
-                         most(known.left[a], known.left[b]);
-        const int narrower = most(least(known.width(a), known.width(b)), 1);
-        const int shorter = least(known.rows_of(a), known.rows_of(b));
+        const int both = least(extents.right[a], extents.right[b]) -
+                         most(extents.left[a], extents.left[b]);
+        const int narrower = most(least(extents.width(a), extents.width(b)), 1);
+        const int shorter = least(extents.rows_of(a), extents.rows_of(b));
         const int overlap = both >= 0 ? PERCENT * both / narrower
                                       : -((-PERCENT * both + narrower - 1) / narrower);
         const int less = fewer(a, b) ? a : b, more = a + b - less;
-        const int all[SEEN] = {
+        const int all[FEATURES] = {
             distance,
             ahead_of(a, b),
             overlap,
@@ -186,24 +192,24 @@ struct Evidence {
             PERCENT * agree / shorter,
             part(columns, 1),
             part(columns, 2),
-            least(known.near[a], known.near[b]),
-            known.cells[less],
-            known.cells[more],
-            known.width(less),
-            known.width(more),
-            known.depth(less),
-            known.depth(more),
-            known.bottom[less],
-            known.bottom[more],
-            known.top[less],
-            known.top[more],
-            known.near[less] - known.near[more],
+            least(extents.near[a], extents.near[b]),
+            extents.cells[less],
+            extents.cells[more],
+            extents.width(less),
+            extents.width(more),
+            extents.depth(less),
+            extents.depth(more),
+            extents.bottom[less],
+            extents.bottom[more],
+            extents.top[less],
+            extents.top[more],
+            extents.near[less] - extents.near[more],
             part(rows, 0),
             part(columns, 0),
             PERCENT * part(rows, 1) / most(part(rows, 0), 1),
             PERCENT * part(columns, 1) / most(part(columns, 0), 1),
         };
-        for (int k = 0; k < SEEN; ++k) seen[k * apart] = all[k];
+        for (int k = 0; k < FEATURES; ++k) features[k * stride] = all[k];
         return true;
     }
 };

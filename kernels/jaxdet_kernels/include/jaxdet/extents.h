@@ -1,5 +1,5 @@
-// What is known of each label of a frame: how many cells, from where to where.
-// Twin of `extents` in jaxdet/reference/_view.py.
+// Extents of each label of a frame: number of cells, and ranges in the image and in space. Twin of
+// `extents` in jaxdet/reference/_view.py.
 #pragma once
 #include "warp.h"
 #include "cell_list.h"
@@ -8,20 +8,20 @@
 namespace jaxdet { namespace {
 
 struct Extents {
-    enum { TRIM = 20, SUMS = 1, LEAST = 9, FIELDS = 18, KNOWN = 14, NONE = 1 << 30 };
+    enum { TRIM = 20, SUMS = 1, LEAST = 9, FIELDS = 18, UNTRIMMED = 14, NONE = 1 << 30 };
     int slots, *words;
-    // Each of `slots` labels. `first` is the first cell in row-major order; `low` and `high` are the
-    // extremes, `left`, `right`, `near` and `far` those of `right` and `forward` but for a
-    // twentieth of the cells.
+    // Arrays of `slots` values, one per label. `first` is the first cell in row-major order; `low` and
+    // `high` are minima and maxima; `left`, `right`, `near` and `far` are those of `right` and
+    // `forward` without a twentieth of the cells at each end.
     int *cells, *first, *row_low, *row_high, *column_low, *column_high;
     int *right_low, *right_high, *forward_low, *forward_high, *bottom, *top, *nearest, *leftmost;
     int *left, *right, *near, *far;
 
-    // `place`: room for FIELDS arrays.
+    // Sets the arrays in `place`, which has room for FIELDS arrays of `labels` values.
     void allocate(int* place, int labels) {
         slots = labels;
         words = place;
-        // Sums, then the least, then the most of all cells, then what is trimmed.
+        // Order: sums, minima, maxima, trimmed extremes.
         int** each[] = {&cells, &first, &row_low, &column_low, &right_low, &forward_low,
                         &bottom, &nearest, &leftmost, &row_high, &column_high, &right_high,
                         &forward_high, &top, &left, &right, &near, &far};
@@ -36,14 +36,14 @@ struct Extents {
 
     void clear(const Team& team, int count) const {
         for (int l = team.rank; l < count; l += team.size) {
-            for (int k = 0; k < KNOWN; ++k) {
+            for (int k = 0; k < UNTRIMMED; ++k) {
                 words[k * slots + l] = k < SUMS ? 0 : k < LEAST ? NONE : -NONE;
             }
         }
         team.sync();
     }
 
-    // Everything but the trimmed extremes, from the listed cells. Ends in a sync.
+    // Measures everything except the trimmed extremes, from the listed cells. Ends in a sync.
     void measure(
         const Team& team, int count, const CellList& listed, int wide, const int* x, const int* z,
         const int* height
@@ -57,7 +57,7 @@ struct Extents {
             const int label = listed.label[i], k = listed.cell[i], r = listed.right[i];
             const int f = listed.forward[i], h = height[k], x_here = x[k], z_here = z[k];
             const int row = k / wide, column = k % wide;
-            // One label after the other; lane n adds what is known by the name n.
+            // One label after the other; lane n updates field n.
             for (unsigned rest = warp.ballot(first + warp.lane < all); rest;) {
                 const int l = warp.broadcast(label, BitRows::lowest(rest));
                 const bool own = label == l && first + warp.lane < all;
@@ -65,13 +65,13 @@ struct Extents {
                 rest &= ~those;
                 const auto least = [&](int value) { return warp.min(own ? value : (int)NONE); };
                 const auto most = [&](int value) { return warp.max(own ? value : -(int)NONE); };
-                const int found[KNOWN] = {
+                const int found[UNTRIMMED] = {
                     BitRows::popcount(those),
                     least(k), least(row), least(column), least(r), least(f), least(h),
                     least(z_here), least(x_here), most(row), most(column), most(r), most(f), most(h),
                 };
                 int mine = 0;
-                for (int n = 0; n < KNOWN; ++n) mine = warp.lane == n ? found[n] : mine;
+                for (int n = 0; n < UNTRIMMED; ++n) mine = warp.lane == n ? found[n] : mine;
                 add(team, l, warp.lane, mine);
             }
         }
@@ -84,49 +84,50 @@ struct Extents {
             const int *high = height + from, *across = x + from;
             int n = 0;
             Extremes r, f, h, d, w;
-            // Cells of a row that follow each other.
+            // A run of adjacent cells of one row and label.
             for (; n < left && own[n] == l && cell[n] == from + n; ++n) {
                 r.add(right[n]), f.add(forward[n]), h.add(high[n]), d.add(at[n]), w.add(across[n]);
             }
             const int column = from - row * wide;
-            const int found[KNOWN] = {n, from, row, column, r.low, f.low, h.low, d.low,
+            const int found[UNTRIMMED] = {n, from, row, column, r.low, f.low, h.low, d.low,
                                       w.low, row, column + n - 1, r.high, f.high, h.high};
-            for (int k = 0; k < KNOWN; ++k) add(team, l, k, found[k]);
+            for (int k = 0; k < UNTRIMMED; ++k) add(team, l, k, found[k]);
             i += n;
         }
 #endif
         team.sync();
     }
 
-    // The k-th of what is known of a label, from a part of its cells.
+    // Updates field k of a label from some of its cells.
     void add(const Team& team, int l, int k, int value) const {
         int* place = words + k * slots + l;
         if (k < SUMS) team.atomic_add(place, value);
         else if (k < LEAST) team.atomic_min(place, value);
-        else if (k < KNOWN) team.atomic_max(place, value);
+        else if (k < UNTRIMMED) team.atomic_max(place, value);
     }
 
-    // The same, from those of parts: part `l` belongs to `whole[l]`. Ends in a sync.
+    // Merges the extents of parts: part `l` belongs to label `whole[l]`. Ends in a sync.
     void join(const Team& team, int count, const Extents& parts, int of, const int* whole) const {
         clear(team, count);
         for (int l = team.rank; l < of; l += team.size) {
-            for (int k = 0; k < KNOWN; ++k)
+            for (int k = 0; k < UNTRIMMED; ++k)
                 add(team, whole[l], k, parts.words[k * parts.slots + l]);
         }
         team.sync();
     }
 };
 
-// The k-th smallest and the k-th largest value of each label: a counting sort by label, then order
-// statistics.
+// Trimmed extremes: the k-th smallest and k-th largest value of each label, by a counting sort by label
+// and order statistics.
 struct Trimmed {
     int count, all;
-    const int *label, *value;  // of each of all listed cells
-    // Of each label: how many cells it has, its extremes, and how many cells to pass over at either
-    // end; where that is 0 the results are the extremes.
+    const int *label, *value;  // per listed cell
+    // Per label: number of cells, extremes, and number of cells trimmed at each end; if that is 0, the
+    // results are the extremes.
     const int *cells, *low, *high, *over;
     int *least, *most;  // results
-    // Scratch: where the values of each label begin, one word more; where the next goes; the values.
+    // Scratch: start of each label's values (one more element), position of the next value, and the
+    // values.
     int *start, *next, *sorted;
 
     // Ends in a sync.

@@ -1,10 +1,11 @@
-// How surfaces face each other along lines. Twin of `facing` in jaxdet/reference/_evidence.py.
+// Statistics of pairs of surfaces that face each other along rows and columns. Twin of `facing` in
+// jaxdet/reference/_evidence.py.
 #pragma once
 #include "warp.h"
 
 namespace jaxdet { namespace {
 
-// The surface of a cell and its depth, in one word.
+// Label and depth of a cell, packed in one word.
 struct Packed {
     enum { DEPTH_BITS = 20 };
     int word;
@@ -16,7 +17,7 @@ struct Packed {
     int z() const { return word & ((1 << DEPTH_BITS) - 1); }
 };
 
-// Two surfaces, and their place in lists of all pairs.
+// Unordered pair of surfaces, and its index in lists of all pairs.
 struct Pair {
     int low, high, place;
 
@@ -27,33 +28,36 @@ struct Pair {
 
 struct Facing {
     typedef unsigned long long Sum;
-    // Sums of a pair: in rows, places, of these with free cells or something farther between,
-    // and with something nearer, COUNT_BITS each; those that agree, and above STEP_SHIFT the steps;
-    // in columns, places, of these as above, and with something nearer or a hole.
+    // Sums of a pair. ROWS: number of places where the surfaces face each other in rows, places of
+    // these with free cells or something farther between them, and places with something nearer between
+    // them, COUNT_BITS each. STEPS: places that agree, and above STEP_SHIFT the sum of depth steps.
+    // COLUMNS: places in columns, places with free cells or something farther, and places with
+    // something nearer or a hole.
     enum { ROWS, STEPS, COLUMNS, DISTANCE, SUMS, COUNT_BITS = 21, STEP_SHIFT = 20 };
     enum { MOST_BETWEEN = 11, RING = 16, SLOPE = 10, FAR = 1 << 30 };
-    // On CUDA the loads of so many cells wait together.
+    // Number of cells whose loads are in flight together on CUDA.
     enum { AHEAD = Warp::size > 1 ? 8 : 1 };
-    // A run of cells of one label in a line. `before` and `after` are the free cells of the line
-    // up to its first cell and up to behind its last.
+    // Run of cells of one label in a line. `before` and `after` count the free cells of the line before
+    // its first cell and up to and including its last.
     struct Run {
         int label, first, last, before, after, z_first, z_last, nearest, farthest;
     };
-    // What later runs need of one; its label is -1 once there is another run of that label.
+    // Summary of an earlier run; its label becomes -1 once a later run has the same label.
     struct Past {
         int label, last, after, z_last, nearest, farthest;
     };
-    // Lines of cells: which have a surface and which are free; packed, those that have one, `stride`
-    // from a line to the next, `step` from cell to cell; and their place along the line.
+    // Lines of cells: bitmaps of cells with a surface and of free cells; packed cells, valid where
+    // there is a surface, `stride` apart from line to line and `step` from cell to cell; and their
+    // position along the line.
     BitRows has, free;
     const int *cells, *along;
     int stride, step;
     bool in_rows;
     int gap;
-    const unsigned char* near;  // of each pair: whether it matters
-    Sum* sums;                  // of each pair SUMS, zero before
+    const unsigned char* near;  // per pair: whether it is evaluated
+    Sum* sums;                  // (pairs, SUMS), 0 before
 
-    // All lines of two directions.
+    // Processes all lines of both directions.
     static void run(const Team& team, const Facing& one, const Facing& other) {
         const int all = one.has.rows + other.has.rows;
         for (int i = team.rank; i < all; i += team.size) {
@@ -65,7 +69,7 @@ struct Facing {
     }
 
     void walk(const Team& team, int line, const int* cell, const int* place) const {
-        Past ring[RING];  // the last runs of the line, a ring buffer
+        Past ring[RING];  // ring buffer of the last runs of the line
         Run run = {-1, 0, -2, 0, 0, 0, 0, 0, 0};
         int runs = 0, frees = 0;
         for (int i = has.at(line, 0); i < has.at(line + 1, 0); ++i) {
@@ -100,8 +104,8 @@ struct Facing {
         if (run.label >= 0) meet(team, ring, runs, run, place);
     }
 
-    // A new run and those before it, of which neither's label may lie between; then it is one of
-    // them.
+    // Counts the pairs of a new run and earlier ones, if neither label occurs between the two; then
+    // adds the run to the ring.
     void meet(const Team& team, Past* ring, int index, const Run& right, const int* place) const {
         int nearest = FAR, farthest = -1;
         for (int away = 1; away <= MOST_BETWEEN + 1 && away <= index; ++away) {

@@ -1,5 +1,5 @@
-// The best floor of a frame, in its own cells. Twin of `_find` in jaxdet/reference/_floor.py; the
-// constants are its.
+// Estimates the floor of a frame from its own cells. Twin of `_find` in jaxdet/reference/_floor.py,
+// which documents the constants.
 #pragma once
 #include "arena.h"
 #include "floor_ahead.h"
@@ -17,7 +17,7 @@ struct Floor {
         UNDER_PART = 2,
         UNDER_ALONE = 3,
         UNDER_PART_ALONE = 8,
-        // Looked at together: near a guess there are fewer.
+        // Planes that are scored together; a search near a guess has fewer.
         PLANES = FloorSearch::ANY_PLANES,
         RESULTS = 8,
         PRIOR = 4,
@@ -26,30 +26,31 @@ struct Floor {
         MOSTLY_OBSTACLE = 2,
         FAR = 3,
         TABLE = 4,
-        // 0 to 3: counts; from 4 on: ends of rings, then where the next cell of each goes.
+        // Indices of `counts`: 0 to 3 are numbers of cells; then the ends of rings, then the position
+        // of the next cell of each ring.
         ALL = 0, INNER = 1, BEFORE = 2, BEYOND = 3, ENDS = 4, NEXT = ENDS + FloorSearch::RINGS,
         COUNTS = NEXT + FloorSearch::RINGS,
         MOST_THREADS = 256,
-        // Words of shared memory on CUDA: five blocks have room on a multiprocessor of 228 KB.
+        // Words of shared memory on CUDA: five blocks fit on a multiprocessor with 228 KB.
         SHARED = 11264
     };
     const Team& team;
     const int* settings;
     FloorAngles angles;
     FloorPlane prior;
-    bool known;
+    bool has_prior;
     // Scratch.
     unsigned long long *sums, *keys;
     int *counts, *planes, *votes, *most_ramp, *cells, *parts, *few, *inner, *slack, *weights;
     int *rows, *places, *lattice, *ends;
     int most, most_few, room;
 
-    // Takes the arrays from scratch memory. On CUDA `fast` has SHARED words, used first: what is
-    // needed always, then what one part of the search needs after the other.
-    Floor(const Team& team, const int* settings, const int* sines, const int* given, int rows_in,
+    // Allocates the arrays. On CUDA `fast` has SHARED words, used first: for arrays that are always
+    // needed, then for those that parts of the search use one after the other.
+    Floor(const Team& team, const int* settings, const int* sines, const int* prior_in, int rows_in,
           int columns_in, Arena& arena, int* fast)
-        : team(team), settings(settings), angles{sines}, prior{given[0], given[1], given[2]},
-          known(given[3] != 0) {
+        : team(team), settings(settings), angles{sines}, prior{prior_in[0], prior_in[1], prior_in[2]},
+          has_prior(prior_in[3] != 0) {
         const int stride = settings[FloorSetting::STRIDE];
         const int r = part(rows_in, stride), c = part(columns_in, stride);
         most = r * c;
@@ -84,7 +85,7 @@ struct Floor {
         lattice = arena.words(FloorSearch::lattice_words(settings));
     }
 
-    // Cells of a side that are used: from the middle of the first step on.
+    // Number of sampled cells along a side, beginning at the middle of the first step.
     int part(int size, int stride) const {
         return size > stride / 2 ? (size - stride / 2 + stride - 1) / stride : 0;
     }
@@ -93,7 +94,7 @@ struct Floor {
         return {xyz + from, xyz + room + from, xyz + 2 * room + from, count};
     }
 
-    // The cells used, and every second of them in rows and columns, by rings.
+    // Collects the sampled cells, and every second of them in rows and columns, sorted by rings.
     void take(const int* x, const int* y, const int* z, int rows, int columns) const {
         const int stride = settings[FloorSetting::STRIDE], half = stride / 2;
         const int r = part(rows, stride), c = part(columns, stride);
@@ -145,12 +146,12 @@ struct Floor {
         team.sync();
     }
 
-    // The best floor of a frame: the values of `_Found`, RESULTS integers.
+    // Writes the floor: the RESULTS values of `_Found`.
     void run(const int* x, const int* y, const int* z, int rows, int columns, int* out) const {
         take(x, y, z, rows, columns);
         const int number = counts[ENDS + FloorSearch::RINGS - 1];
         if (number < MIN_CELLS) {
-            const FloorPlane plane = known ? prior : FloorPlane{0, 0, 0};
+            const FloorPlane plane = has_prior ? prior : FloorPlane{0, 0, 0};
             write(out, plane, {}, 0, 0, TOO_LITTLE);
         } else {
             find(number, out);
@@ -178,10 +179,10 @@ struct Floor {
                                     slack,  weights,  keys,   lattice, ends, room};
         FloorPlane* all = (FloorPlane*)planes;
         FloorPlane* different = all + PLANES;
-        const FloorPlane guess = known ? prior : search.any_plane(team, different, votes);
+        const FloorPlane guess = has_prior ? prior : search.any_plane(team, different, votes);
         team.sync();
         if (team.rank == 0) all[0] = guess;
-        const int count = 1 + search.near_planes(team, guess, known, all + 1);
+        const int count = 1 + search.near_planes(team, guess, has_prior, all + 1);
         search.score(team, all, count, votes);
         int best = 0, first = -1;
         for (int n = 0; n < count; n++) {
@@ -197,13 +198,14 @@ struct Floor {
                 const FloorPlane one = all[n < 0 ? first : n];
                 bool is_new = n < 0 || is_near(one);
                 for (int k = 0; k < others; k++) is_new = is_new && !(different[k] == one);
-                // All threads count, and read only what the first has written already itself.
+                // All threads count, and the others read only what the first thread wrote before a
+                // sync.
                 if (is_new && team.rank == 0) different[others] = one;
                 team.sync();
                 others += is_new;
             }
             const int farthest = prior.height + settings[FloorSetting::MAX_SHIFT];
-            const FloorOutlook outlook = {ramps(), {profile()}, known, farthest, most_ramp};
+            const FloorOutlook outlook = {ramps(), {profile()}, has_prior, farthest, most_ramp};
             plane = outlook.run(team, different, others, ahead);
         }
         ThreadGroup everyone(team, sums);
@@ -213,7 +215,7 @@ struct Floor {
         const long long least = (100LL * found[0] + (long long)FAR_GAIN * found[1]) * number;
         FloorPlane steep = plane;
         bool far = found[2] == FAR;
-        if (known && !is_near(all[best]) && 100LL * votes[best] * found[1] > least) {
+        if (has_prior && !is_near(all[best]) && 100LL * votes[best] * found[1] > least) {
             steep = all[best];
             far = true;
         }
@@ -221,7 +223,7 @@ struct Floor {
             found[2] = FAR;
             FloorAhead ramp;
             const FloorPlane level = {prior.pitch, steep.roll, prior.height};
-            if (known && settings[FloorSetting::RAMPS] && is_near(level))
+            if (has_prior && settings[FloorSetting::RAMPS] && is_near(level))
                 ramp = ramps().crossing(level, steep);
             if (is_ahead(ramp)) {
                 plane = level;
@@ -236,9 +238,9 @@ struct Floor {
         return ramp.turn && ramp.start > 0 && ramp.start <= settings[FloorSetting::FARTHEST_RAMP];
     }
 
-    // Whether a plane is below the camera and near the prior, or usual where there is none.
+    // Whether a plane is below the camera and close to the prior; without a prior, whether it is usual.
     bool is_near(FloorPlane plane) const {
-        if (!known) return FloorSearch::is_usual(plane);
+        if (!has_prior) return FloorSearch::is_usual(plane);
         const auto apart = [](long long a, long long b) { return a > b ? a - b : b - a; };
         const int turn = settings[FloorSetting::MAX_TURN];
         return plane.height > 0 && apart(plane.pitch, prior.pitch) <= turn &&
@@ -246,7 +248,8 @@ struct Floor {
                apart(plane.height, prior.height) <= settings[FloorSetting::MAX_SHIFT];
     }
 
-    // A plane refined on all cells, or on those before its ramp or step; and the ramp beyond.
+    // Refines the plane on all cells, or on those before its ramp or step, and the ramp on the cells
+    // beyond.
     void refine(ThreadGroup& group, FloorPlane& plane, FloorAhead& ahead) const {
         const FloorCells all = of(cells, most, 0, counts[ALL]);
         const FloorRamps ramp = ramps();
@@ -269,10 +272,10 @@ struct Floor {
             before = counts[BEFORE];
             beyond = counts[BEYOND];
         }
-        // One call, so that it is compiled once.
+        // A single call site, so that it is compiled once.
         for (int n = 0; n <= (ahead.turn != 0); n++) {
             const FloorPlane start = n ? steep : plane;
-            const FloorRefine refined = {angles, settings, n ? steep : prior, n || known, weights};
+            const FloorRefine refined = {angles, settings, n ? steep : prior, n || has_prior, weights};
             const FloorPlane found = refined.run(
                 group, start,
                 of(is_split ? parts : cells, most, n ? most - beyond : 0, n ? beyond : before), 0, 1,
@@ -287,7 +290,7 @@ struct Floor {
         if (is_ahead(between)) ahead = between;
     }
 
-    // Says whether a floor is to be believed: cells on it, all cells, and a refusal.
+    // Judges a floor: writes its number of inliers, the number of all cells, and a refusal or NONE.
     void judge(ThreadGroup& group, FloorPlane plane, FloorAhead ahead, int* found) const {
         const FloorCells all = of(cells, most, 0, counts[ALL]);
         const FloorDirection down = angles.down(plane), forward = angles.forward(plane);
@@ -297,8 +300,8 @@ struct Floor {
         const int slope = ahead.turn ? angles.slope(ahead.turn) : 0;
         const bool is_flat = !ahead.turn && !ahead.drop;
         const int table_depth = settings[FloorSetting::TABLE], step = settings[FloorSetting::STEP];
-        // With nothing known, a floor beyond a deep step may as well be the one below a table.
-        const bool may_be_table = !known && ahead.drop > 0;
+        // Without a prior, a floor beyond a deep step may be the floor below a table.
+        const bool may_be_table = !has_prior && ahead.drop > 0;
         int on = 0, low = 0, high = 0, dents = 0;
         for (int i = group.rank(); i < all.count; i += group.size()) {
             const int x = all.x[i], y = all.y[i], z = all.z[i];
@@ -315,12 +318,13 @@ struct Floor {
         long long sums[4] = {on, low, high, dents};
         group.sum(sums, 4);
         const long long total = all.count;
-        // A plane through a table has more of it just below than a floor has dents.
-        const long long enough = sums[0] - (known ? 0 : FloorScore::BELOW_COST * sums[3]);
+        // Below a plane through a table there are more cells than a floor has dents.
+        const long long enough = sums[0] - (has_prior ? 0 : FloorScore::BELOW_COST * sums[3]);
         const int least =
-            known ? settings[FloorSetting::MIN_SHARE]
+            has_prior ? settings[FloorSetting::MIN_SHARE]
                   : FloorSearch::least_share(plane, settings[FloorSetting::MIN_SHARE_ALONE]);
-        const int share = known ? UNDER : UNDER_ALONE, portion = known ? UNDER_PART : UNDER_PART_ALONE;
+        const int share = has_prior ? UNDER : UNDER_ALONE;
+        const int portion = has_prior ? UNDER_PART : UNDER_PART_ALONE;
         int refused = NONE;
         if (!is_near(plane))
             refused = FAR;

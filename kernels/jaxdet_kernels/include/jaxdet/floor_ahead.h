@@ -1,5 +1,5 @@
-// How a floor goes on ahead: flat, as a ramp, or after a step.
-// Twin of jaxdet/reference/_floor_ahead.py; the constants are its.
+// Shape of the floor ahead of its plane: flat, a ramp, or a step. Twin of
+// jaxdet/reference/_floor_ahead.py, which documents the constants.
 #pragma once
 #include "floor_ramp.h"
 #include "floor_step.h"
@@ -10,14 +10,14 @@ struct FloorOutlook {
     enum { MIN_GAIN = 5, OVER_RAMP = 2, ALIKE = 3 };
     FloorRamps ramps;
     FloorSteps steps;
-    // Whether anything is known, and how far below the camera its floor may be.
-    bool known;
+    // Whether there is a prior, and the largest height of the camera above its floor.
+    bool has_prior;
     int farthest;
-    // Scratch: a word a plane.
+    // Scratch, (planes).
     int* most_ramp;
 
-    // The plane, with a ramp or a step where clearly more cells speak for that than for any plane.
-    // Planes are different ones; the first is taken where there is neither.
+    // Returns the plane, and the ramp or step if that gets clearly more votes than any plane. Planes
+    // are distinct; the first is returned if there is no ramp or step.
     FloorPlane run(const Team& team, const FloorPlane* planes, int count, FloorAhead& out) const {
         const int none = -0x7fffffff;
         int most_alone = none, best_plane = 0, best_votes = none;
@@ -38,7 +38,7 @@ struct FloorOutlook {
             tried |= 1u << n;
             FloorAhead found;
             int votes;
-            const int deeper = known ? farthest - planes[n].height : 0;
+            const int deeper = has_prior ? farthest - planes[n].height : 0;
             if (!steps.step(team, best_votes + 1, deeper, found, votes)) continue;
             best_votes = votes;
             best_plane = n;
@@ -52,7 +52,7 @@ struct FloorOutlook {
             best_plane = 0;
             out = {};
         } else {
-            // So many are enough for a ramp to be taken instead.
+            // The number of votes from which a ramp is preferred to the step.
             const int percent = 100 + OVER_RAMP, votes = best_votes;
             const int enough = votes > 0 ? (100 * votes + percent - 1) / percent : votes;
             best_votes = (enough > needed ? enough : needed) - 1;
@@ -74,7 +74,7 @@ struct FloorOutlook {
         return planes[best_plane];
     }
 
-    // Whether two planes are too much alike to be both tried with steps.
+    // Whether two planes are too similar to try steps with both.
     bool are_alike(FloorPlane a, FloorPlane b) const {
         const auto differ = [](int a, int b, int most) { return a - b > most || b - a > most; };
         return !differ(a.pitch, b.pitch, ALIKE) && !differ(a.roll, b.roll, ALIKE) &&

@@ -1,11 +1,11 @@
-// Planes, and their refinement by least squares, all on integers.
-// Twin of jaxdet/reference/_floor_planes.py, which says why; the constants are its.
+// Floor planes, and their refinement by least squares, in integers. Twin of
+// jaxdet/reference/_floor_planes.py, which documents the method and the constants.
 #pragma once
 #include "thread_group.h"
 
 namespace jaxdet { namespace {
 
-// Where each setting is, in the order of jaxdet/stages/_tables.py; lengths are whole depth units.
+// Index of each setting, in the order of jaxdet/stages/_tables.py; lengths are integer depth units.
 struct FloorSetting {
     enum {
         STRIDE, MAX_DEPTH, NOISE,
@@ -27,13 +27,13 @@ struct FloorPlane {
     }
 };
 
-// Cells with depth: positions in the camera optical frame.
+// Positions of measured cells in the camera optical frame.
 struct FloorCells {
     const int *x, *y, *z;
     int count;
 };
 
-// A direction with DOWN_BITS fraction bits; with positions up to 2^18 its product has 32 bits.
+// Direction with DOWN_BITS fraction bits; its product with positions up to 2^18 fits in 32 bits.
 struct FloorDirection {
     enum { DOWN_BITS = 12 };
     int x, y, z;
@@ -43,7 +43,7 @@ struct FloorDirection {
     }
 };
 
-// How far from a plane of some height its cells may lie: below 2^20, for the squares.
+// Tolerance of inliers of a plane at a given height; below 2^20, so that squares do not overflow.
 struct FloorSlack {
     enum { BITS = 26 };
     int base;
@@ -63,7 +63,7 @@ struct FloorAngles {
         RADIAN = 1833,
         SLOPE_BITS = 14
     };
-    // From -360 degrees on.
+    // Table of sines, beginning at -360 degrees.
     const int* sines;
 
     int sine(int angle) const { return sines[angle + 360 * ANGLES]; }
@@ -83,16 +83,16 @@ struct FloorAngles {
     FloorDirection down(FloorPlane p) const { return down(p.pitch, p.roll); }
     FloorDirection forward(FloorPlane p) const { return down(p.pitch + 90 * ANGLES, p.roll); }
 
-    // a / b rounded down, b positive.
+    // a / b rounded down; b must be positive.
     long long quotient(long long a, long long b) const {
         const long long whole = a / b;
         return whole - (a < 0 && whole * b != a);
     }
 
-    // a / b to the nearest, halves up.
+    // a / b rounded to nearest, halves up.
     long long rounded(long long a, long long b) const { return quotient(2 * a + b, 2 * b); }
 
-    // The tangent of an angle, SLOPE_BITS fraction bits.
+    // Tangent of an angle, with SLOPE_BITS fraction bits.
     int slope(int angle) const {
         return (int)quotient((long long)sine(angle) * (1 << SLOPE_BITS), cosine(angle));
     }
@@ -102,7 +102,7 @@ struct FloorAngles {
     }
 };
 
-// Cells on a floor, less BELOW_COST times those clearly below it.
+// Score of a cell for a floor: 1 for an inlier, minus BELOW_COST if it is clearly below the floor.
 struct FloorScore {
     enum { BELOW = 4, BELOW_COST = 2 };
 
@@ -112,8 +112,7 @@ struct FloorScore {
     }
 };
 
-// One of many and its votes as a key: smaller where there are more votes, or as many for one that
-// comes first.
+// Lexicographic key of a candidate, smallest first: most votes, then lowest index.
 struct FloorKey {
     typedef unsigned long long Word;
 
@@ -128,21 +127,22 @@ struct FloorRefine {
     enum { LARGEST_TURN = 8 * FloorAngles::ANGLES, TURN_BITS = 24, RIDGE = 14, FEWEST = 20 };
     FloorAngles angles;
     const int* settings;
-    // What is known of the angles, if anything. By value: what has an address stays in memory.
+    // Prior of the angles, if `is_given`. A copy, because a value whose address is taken is kept in
+    // memory.
     FloorPlane prior;
     bool is_given;
-    // A word for each cell, the group's own.
+    // Scratch, one word per cell, private to the group.
     int* weights;
 
-    // Some rounds with a rough tolerance, a fine and a sharp one.
+    // Runs rounds with a rough, a fine and a sharp tolerance.
     FloorPlane run(ThreadGroup& group, FloorPlane plane, const FloorCells& cells, int rough, int fine,
                    int sharp) const {
-        // One loop, so that a round is compiled once.
+        // A single loop, so that `round` is compiled once.
         for (int k = 0, n = 0; k < 3;) {
             const int* slack = settings + FloorSetting::ROUGH_BASE + 2 * k;
             const int rounds = k == 0 ? rough : k == 1 ? fine : sharp;
             const FloorPlane before = plane;
-            // A round that changes nothing would do so again.
+            // A round that changes nothing has converged.
             const bool more = n < rounds && round(group, plane, cells, slack[0], slack[1]) &&
                               !(plane == before);
             n = more ? n + 1 : 0;
@@ -151,9 +151,9 @@ struct FloorRefine {
         return plane;
     }
 
-    // n / d rounded down; at most 64 times the square of two tolerances, and d below 2^46. So
-    // both are exact as doubles, and no quotient is rounded up to a whole number: it is at least
-    // 1 / d below it.
+    // n / d rounded down. n is at most 64 times the square of two tolerances, and d is below 2^46, so
+    // both are exact as doubles, and no quotient is rounded up to an integer: it is at least 1 / d
+    // below it.
     int ratio(long long n, long long d) const {
 #if defined(__CUDA_ARCH__)
         if ((n | d) >> 32 == 0) return (int)((unsigned)n / (unsigned)d);
@@ -163,7 +163,8 @@ struct FloorRefine {
 #endif
     }
 
-    // A step of weighted least squares; false where too few cells are near.
+    // Performs one step of weighted least squares; returns false if too few cells are within the
+    // tolerance.
     bool round(ThreadGroup& group, FloorPlane& plane, const FloorCells& cells, int base,
                int per_z) const {
         const FloorDirection down = angles.down(plane);
@@ -216,7 +217,7 @@ struct FloorRefine {
         return true;
     }
 
-    // Pitch and roll of a plane after a step.
+    // Writes pitch and roll of the plane after a step.
     void turn(const long long* sums, FloorPlane plane, int* out) const {
         int pitch, side;
         turns(sums, plane, pitch, side);
@@ -227,8 +228,9 @@ struct FloorRefine {
         out[1] = roll + wide - (int)angles.quotient(roll + wide, 2 * wide) * 2 * wide - wide;
     }
 
-    // The turns about right and forward by Cramer's rule. What is summed about the means is
-    // sum w a b - m_a sum w b - m_b sum w a + m_a m_b sum w, exactly, whatever whole numbers m are.
+    // Solves for the rotations about the right and forward axes by Cramer's rule. Sums about the means
+    // are computed as sum w a b - m_a sum w b - m_b sum w a + m_a m_b sum w, which is exact for any
+    // integers m.
     void turns(const long long* sums, FloorPlane plane, int& pitch, int& side) const {
         const long long total = sums[1], we = sums[2], wt = sums[3], ws = sums[4];
         const long long e = angles.rounded(we, total), t = angles.rounded(wt, total);

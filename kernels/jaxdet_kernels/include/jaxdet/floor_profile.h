@@ -1,44 +1,44 @@
-// The floor's profile over a plane: cells by distance and height.
-// Twin of jaxdet/reference/_floor_profile.py; the constants are its.
+// Profile of the floor above a plane: cells by distance and height. Twin of
+// jaxdet/reference/_floor_profile.py, which documents the constants.
 #pragma once
 #include "floor_planes.h"
 #include "warp.h"
 
 namespace jaxdet { namespace {
 
-// How a floor goes on ahead of its plane: as a ramp, or lower or higher after a step.
+// Shape of the floor ahead of its plane: a ramp, or a step down or up.
 struct FloorAhead {
-    // Where it begins; the ramp's pitch against the plane, uphill positive, and the step, down
-    // positive. 0: none.
+    // Distance at which it begins; pitch of the ramp relative to the plane, positive uphill; height of
+    // the step, positive downwards. 0: none.
     int start = 0, turn = 0, drop = 0;
 };
 
 struct FloorProfile {
     enum {
-        // Of each distance: where its cells begin, flat votes, upper bounds, tolerances (2), counts
-        // of a ramp's or a step's cells (2), where the next cell goes.
+        // Arrays per distance: start of its cells, flat votes, upper bounds, tolerances (2), counts of
+        // the cells of a ramp or a step (2), position of the next cell.
         ROW_ARRAYS = 8
     };
     FloorAngles angles;
     const int* settings;
-    // The inner cells.
+    // The cells inside the margins.
     FloorCells cells;
-    // Scratch: a `FloorKey`; ROW_ARRAYS (runs + 1) words; 4 words a cell.
+    // Scratch: a `FloorKey`; ROW_ARRAYS (runs + 1) words; 4 words per cell.
     unsigned long long* key;
     int *rows, *places;
 
     int runs() const { return settings[FloorSetting::RUNS]; }
     int half() const { return settings[FloorSetting::HALF]; }
     int* row(int k) const { return rows + k * (runs() + 1); }
-    // Where the cells of each distance begin in `sorted`.
+    // Start of the cells of each distance in `sorted`.
     int* begin() const { return row(0); }
-    // Votes of the cells nearer than each distance for a floor that goes on flat.
+    // Votes of the cells nearer than each distance for a floor that stays flat.
     int* flat() const { return row(1); }
     int* coarse() const { return row(3); }
     int* fine() const { return row(4); }
     int* cursor() const { return row(7); }
 
-    // The middle of a distance.
+    // Centre of a distance bin.
     int middle(int k) const {
         const int bits = settings[FloorSetting::RUN_BITS];
         return (k << bits) + (1 << bits >> 1);
@@ -49,7 +49,8 @@ struct FloorProfile {
         return place < 0 ? 0 : place > 2 * half() ? 2 * half() : place;
     }
 
-    // Tolerances at each distance, and the cells of a plane by distance, with their heights.
+    // Computes the tolerances at each distance, and sorts the cells by distance above a plane, with
+    // their heights.
     void sort(const Team& team, FloorPlane plane) const {
         const int n = runs(), run_bits = settings[FloorSetting::RUN_BITS];
         const int rise_bits = settings[FloorSetting::RISE_BITS], middle_rise = half();
@@ -98,26 +99,26 @@ struct FloorProfile {
         team.sync();
     }
 
-    // Heights of the cells by distance, those of a distance in order.
+    // Heights of the cells, sorted by distance bin, then by height.
     const int* sorted() const { return places + cells.count; }
 
-    // Of heights of the profile, how many cells at a distance are lower than each.
+    // Counts the cells of a distance bin that are lower than each of `number` heights of the profile.
     void lower(int k, const int* heights, int* counts, int number) const {
         const int* in_order = sorted();
         const int from = begin()[k], to = begin()[k + 1];
 #if defined(__CUDA_ARCH__)
         for (int m = 0; m < number; m++) counts[m] = from;
         if (from == to) return;
-        // Few are clearly below: the last height asked for is often lower than all.
-        const int asked = number > 1 && in_order[from] >= heights[number - 1] ? number - 1 : number;
+        // Few cells are clearly below: the last height is often lower than all cells.
+        const int searched = number > 1 && in_order[from] >= heights[number - 1] ? number - 1 : number;
         for (int part = 1 << (31 - __clz(to - from)); part; part >>= 1)
-            for (int m = 0; m < asked; m++) {
+            for (int m = 0; m < searched; m++) {
                 const int next = counts[m] + part;
                 if (next <= to && in_order[next - 1] < heights[m]) counts[m] = next;
             }
         for (int m = 0; m < number; m++) counts[m] -= from;
 #else
-        // In vectors, which for so few is faster than a search by halves.
+        // Linear and vectorized, which is faster than bisection for so few cells.
         for (int m = 0; m < number; m++) {
             const int height = heights[m];
             int count = 0;
@@ -127,7 +128,8 @@ struct FloorProfile {
 #endif
     }
 
-    // Cells at a distance on a floor so much above the plane; and those clearly below it.
+    // Number of inliers in a distance bin of a floor at `height` above the plane; `low` is the number
+    // of cells clearly below it.
     int on(int k, int height, int slack, int& low) const {
         low = 0;
         if (begin()[k] == begin()[k + 1]) return 0;
@@ -139,7 +141,8 @@ struct FloorProfile {
         return under[0] - under[1];
     }
 
-    // Between which distances all but a tenth of the cells at each end lie, by how many each has.
+    // Finds the distances between which all but a tenth of the cells at each end lie, from the number
+    // of cells per distance.
     void spread(const int* counts, int& first, int& last) const {
         long long total = 0, running = 0;
         for (int k = 0; k < runs(); k++) total += counts[k];
@@ -151,7 +154,7 @@ struct FloorProfile {
         }
     }
 
-    // Cells under a height over the plane at a distance.
+    // Number of cells in a distance bin that are lower than a height above the plane.
     int under(int k, int height) const {
         if (begin()[k] == begin()[k + 1]) return 0;
         const int end = index(height);

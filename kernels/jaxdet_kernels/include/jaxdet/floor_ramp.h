@@ -1,5 +1,5 @@
-// A ramp ahead of a plane, by votes on the floor's profile.
-// Twin of jaxdet/reference/_floor_ramp.py; the constants are its.
+// Detection of a ramp ahead of a plane, by votes on the profile of the floor. Twin of
+// jaxdet/reference/_floor_ramp.py, which documents the constants.
 #pragma once
 #include "floor_profile.h"
 
@@ -16,22 +16,23 @@ struct FloorRamps : FloorProfile {
         FINE = 2 * AROUND + 1,
         FINE_TURN = FloorAngles::ANGLES / 4,
         MIN_SHARE = 40,
-        // Ramps taken together: three degrees of turns, and so many starts side by side.
+        // Groups of ramps with one upper bound: a sector of three degrees, and ABREAST starts that are
+        // processed together.
         SECTOR = 3 * FloorAngles::ANGLES,
         SECTORS = 2 * (MOST_TURN - LEAST_TURN) / SECTOR,
         ABREAST = Warp::size > 1 ? 1 : STARTS
     };
 
-    // Ramps that are tried: so many starts and turns, all that there are (sign 0) or around a ramp.
+    // Lattice of candidate ramps by start and turn: all of them (sign 0), or those around one ramp.
     struct Lattice {
         int starts, turns, start, turn, sign;
     };
 
-    // At most how many votes each distance and those beyond give any ramp, once there are limits.
+    // Upper bound of the votes of any ramp from each distance on, after `limits`.
     int* most() const { return row(2); }
-    int* anew() const { return row(5); }
-    int* there() const { return row(6); }
-    // Of each cell in `sorted`.
+    int* ramp_cells() const { return row(5); }
+    int* all_cells() const { return row(6); }
+    // Upper bound per cell in `sorted`.
     int* worth() const { return places; }
 
     int rise(int start, int slope, int run) const {
@@ -40,15 +41,15 @@ struct FloorRamps : FloorProfile {
                      FloorAngles::SLOPE_BITS);
     }
 
-    // What has SLOPE_BITS fraction bits. Distances of cells have 19 bits, slopes 12.
+    // Rounds a product with SLOPE_BITS fraction bits. Distances of cells have 19 bits, slopes 12.
     static int rounded(int product) {
         return (product + (1 << (FloorAngles::SLOPE_BITS - 1))) >> FloorAngles::SLOPE_BITS;
     }
 
-    // Of each distance: votes for a floor that goes on flat, and at most how many any ramp gets. Of
-    // each cell, how many at most where it is the highest that counts: with s the tolerance, a ramp
-    // that passes at height p counts the cells from p - s to p + s, less those below p - 4 s. If
-    // the highest is at h, none of them is below h - 2 s, and all below h - 5 s are taken off.
+    // Computes, per distance, the votes for a flat floor and an upper bound of the votes for any ramp;
+    // per cell, an upper bound if it is the highest inlier: with tolerance s, a ramp that passes at
+    // height p counts the cells from p - s to p + s, minus those below p - 4 s. If the highest inlier
+    // is at h, no inlier is below h - 2 s, and all cells below h - 5 s are subtracted.
     void limits(const Team& team, const int* slack) const {
         const int bits = settings[FloorSetting::RISE_BITS], each = FloorScore::BELOW_COST;
         const int *heights = sorted(), *at = places + 3 * cells.count;
@@ -69,7 +70,7 @@ struct FloorRamps : FloorProfile {
             team.atomic_max(most() + k, worth()[i]);
         }
         team.sync();
-        // Prefix sums of the first, suffix sums of the second.
+        // Prefix sums of the flat votes, suffix sums of the upper bounds.
         const Warp warp(team);
         if (warp.index == 0) warp.exclusive_sum(flat(), runs());
         if (warp.index == 1 % warp.count) {
@@ -79,8 +80,8 @@ struct FloorRamps : FloorProfile {
         team.sync();
     }
 
-    // At most how many votes any ramp gets, once there are limits: ramps are taken together by
-    // where they begin and by their turn.
+    // Computes an upper bound of the votes of any ramp, after `limits`: ramps are grouped by start and
+    // turn.
     void limit(const Team& team, const int* slack, int* found) const {
         const int *heights = sorted(), bits = settings[FloorSetting::RISE_BITS], middle_rise = half();
         for (int first = team.rank * ABREAST; first < STARTS * SECTORS; first += team.size * ABREAST) {
@@ -122,32 +123,33 @@ struct FloorRamps : FloorProfile {
         }
     }
 
-    // Where the ramps begin that belong to a start of the rough lattice; with the finer one.
+    // Start of the ramps that belong to start i of the coarse lattice, including the fine lattice
+    // around it.
     int begins(int i) const {
         const int around = AROUND * settings[FloorSetting::START_STEP];
         const int* starts = settings + FloorSetting::STARTS;
         return i < STARTS ? starts[i] - around : starts[STARTS - 1] + around;
     }
 
-    // The first ramp with most votes of a lattice and at least so many, as a key; `flat` and `most`
-    // are of this tolerance. A thread takes its ramps from the last on, so one that can have as
-    // many votes as the best so far counts, and others are passed over.
+    // Finds the first ramp of a lattice with the most votes, at least `least`, as a key; `flat` and
+    // `most` must have been computed with the same tolerance. A thread visits its ramps last to first,
+    // so a ramp that ties with the best so far replaces it, and ramps that cannot tie are skipped.
     void best(const Team& team, const Lattice& tried, const int* slack, int least) const {
         const int turns = tried.turns, number = tried.starts * turns;
         const int n = runs(), last = 2 * half(), center = half();
         const int bits = settings[FloorSetting::RISE_BITS];
         const int *first = begin(), *level = flat(), *rest = most();
-        int known = least;
+        int most_votes = least;
         for (int m = number - 1 - team.rank; m >= 0; m -= team.size) {
             const int i = m / turns, start = start_of(tried, i);
             int k = first_beyond(start), votes = level[k];
 #if defined(__CUDA_ARCH__)
             const int others = FloorKey::votes(*(volatile unsigned long long*)key);
-            if (others > known) known = others;
+            if (others > most_votes) most_votes = others;
 #endif
-            if (votes + rest[k] < known) continue;
+            if (votes + rest[k] < most_votes) continue;
             const int slope = angles.slope(turn_of(tried, m - i * turns));
-            for (; k < n && votes + rest[k] >= known; k++) {
+            for (; k < n && votes + rest[k] >= most_votes; k++) {
                 if (first[k] == first[k + 1]) continue;
                 const int up = rise(start, slope, middle(k)), s = slack[k];
                 const auto place = [&](int height) {
@@ -159,14 +161,14 @@ struct FloorRamps : FloorProfile {
                 lower(k, ends, under, 3);
                 votes += under[0] - under[1] - FloorScore::BELOW_COST * under[2];
             }
-            if (votes < known || k < n) continue;
-            known = votes;
+            if (votes < most_votes || k < n) continue;
+            most_votes = votes;
             team.atomic_min(key, FloorKey::of(votes, m));
         }
         team.sync();
     }
 
-    // The first distance whose middle lies beyond a start.
+    // First distance bin whose centre lies beyond a start.
     int first_beyond(int start) const {
         const int bits = settings[FloorSetting::RUN_BITS];
         const int k = start < 0 ? 0 : start >> bits;
@@ -188,8 +190,8 @@ struct FloorRamps : FloorProfile {
         return tried.sign * (turn < LEAST_TURN ? LEAST_TURN : turn > MOST_TURN ? MOST_TURN : turn);
     }
 
-    // The best ramp of a plane whose cells are sorted, and its votes; false where these are fewer
-    // than `least` or the ramp is not seen.
+    // Finds the best ramp of a plane whose cells are sorted, and its votes; returns false if these are
+    // fewer than `least` or the ramp is not visible.
     bool ramp(const Team& team, int least, FloorAhead& found, int& votes) const {
         Lattice tried = {STARTS, 2 * TURNS, 0, 0, 0};
         for (int pass = 0; pass < 2; pass++) {
@@ -209,36 +211,36 @@ struct FloorRamps : FloorProfile {
         return is_seen(team, found, fine());
     }
 
-    // Whether the ramp shows itself from near its start on, over some distance.
+    // Whether the ramp is visible from close to its start over some distance.
     bool is_seen(const Team& team, FloorAhead ramp, const int* slack) const {
         const int slope = angles.slope(ramp.turn);
         const bool uphill = ramp.turn > 0;
         for (int k = team.rank; k < runs(); k += team.size) {
             const int up = rise(ramp.start, slope, middle(k)), s = slack[k];
-            const bool telling = up > s || -up > s;
-            // Where the tolerances of ramp and plane overlap, a cell is the plane's.
+            const bool distinct = up > s || -up > s;
+            // If the tolerances of ramp and plane overlap, a cell belongs to the plane.
             int low = up - s, high = up + s;
             if (uphill && low < s) low = s;
             if (!uphill && high > -s) high = -s;
-            anew()[k] = telling ? under(k, high) - under(k, low) : 0;
-            there()[k] = telling ? under(k, (up > 0 ? up : 0) + FloorScore::BELOW * s) : -1;
+            ramp_cells()[k] = distinct ? under(k, high) - under(k, low) : 0;
+            all_cells()[k] = distinct ? under(k, (up > 0 ? up : 0) + FloorScore::BELOW * s) : -1;
         }
         team.sync();
         int total = 0, all = 0, begins = -1;
         for (int k = 0; k < runs(); k++) {
-            total += anew()[k];
-            if (there()[k] < 0) continue;
-            all += there()[k];
+            total += ramp_cells()[k];
+            if (all_cells()[k] < 0) continue;
+            all += all_cells()[k];
             if (begins < 0) begins = k;
         }
         if (100LL * total < (long long)MIN_SHARE * all || !total) return false;
         int first, last;
-        spread(anew(), first, last);
+        spread(ramp_cells(), first, last);
         return middle(first) < middle(begins) + settings[FloorSetting::RAMP_NEAR] &&
                middle(last) - middle(first) > settings[FloorSetting::SPREAD];
     }
 
-    // The ramp that a steeper plane is, ahead of a level one.
+    // Ramp equivalent to a steeper plane ahead of a level one.
     FloorAhead crossing(FloorPlane level, FloorPlane steep) const {
         const int turn = steep.pitch - level.pitch, size = turn < 0 ? -turn : turn;
         if (size < LEAST_TURN || size > MOST_TURN) return {};
@@ -251,7 +253,7 @@ struct FloorRamps : FloorProfile {
         return {angles.clipped(start, 1 << 30), turn};
     }
 
-    // The plane of a ramp, no steeper than planes are; `crossing` gives the ramp back.
+    // Plane of a ramp, with the pitch limited to that of planes; the inverse of `crossing`.
     FloorPlane steeper(FloorPlane level, FloorAhead ramp) const {
         const long long up = (long long)ramp.start * angles.slope(ramp.turn);
         const long long height = level.height + (up >> FloorAngles::SLOPE_BITS);

@@ -1,5 +1,5 @@
-// Where planes are looked for: near a guess, or in all directions that cameras have.
-// Twin of jaxdet/reference/_floor_search.py; the constants are its.
+// Search for floor planes, near a guess or over all usual camera poses. Twin of
+// jaxdet/reference/_floor_search.py, which documents the constants.
 #pragma once
 #include "floor_planes.h"
 #include "vectors.h"
@@ -7,13 +7,13 @@
 
 namespace jaxdet { namespace {
 
-// Votes for planes on a lattice of pitch, roll and height (a Hough transform), by the cells up to
-// each ring. For a direction a cell votes for a range of heights: the ends of the ranges are
-// counted, and the votes are their prefix sums. On the CPU the directions of a vector go through all
-// cells together. On CUDA each lane of a warp has a direction, the warps share the cells, and as many
-// directions are counted at once as there is shared memory for.
+// Hough transform: votes for planes on a lattice of pitch, roll and height, by the cells up to each
+// ring. For each direction a cell votes for a range of heights: the ends of the ranges are counted, and
+// the votes are the prefix sums of the counts. On the CPU all cells are processed for a vector of
+// directions at a time. On CUDA each lane of a warp handles one direction, the warps share the cells,
+// and as many directions are counted at once as fit in shared memory.
 struct FloorVotes {
-    // Directions that a thread sums up together.
+    // Number of directions that a thread sums up together.
 #if defined(__CUDA_ARCH__)
     enum { LANES = 1 };
     typedef int Lanes;
@@ -25,20 +25,21 @@ struct FloorVotes {
     enum { APART = 12, BIN_BITS = 10, NOTHING = -0x7fffffff };
     FloorAngles angles;
     FloorCells cells;
-    // Tolerance of each cell.
+    // Tolerance per cell.
     const int* slack;
-    // The cells up to each ring come first; a ring of fewer than `fewest` cells is passed over.
+    // Number of cells up to each ring, by which the cells are sorted; rings with fewer than `fewest`
+    // cells are skipped.
     const int* ring_ends;
     int rings, fewest;
-    // The lattice in angle steps and depth units.
+    // The lattice, in angle steps and depth units.
     int pitch0, roll0, step, pitches, rolls, lowest, bins, bits;
-    // What is left out of the nearer part: pitches and heights at each end.
+    // The near part of the lattice excludes this many pitches and heights at each end.
     int edge_pitches, edge_bins;
-    // Votes of all cells, bins + 1 words a direction; and LANES as many words, or on CUDA `room`
-    // words of shared memory.
+    // Votes of all cells, bins + 1 words per direction; and counts, LANES times as many words, or on
+    // CUDA `room` words of shared memory.
     int *votes, *counts;
     int room;
-    // The best of each ring in the nearer part, of all of the lattice, and of each direction.
+    // Best key of each ring in the near part, of the complete lattice, and of each direction.
     unsigned long long *best, *whole, *of_direction;
 
     int directions() const { return pitches * rolls; }
@@ -54,26 +55,27 @@ struct FloorVotes {
         return {pitch, roll0 + d % rolls * step, lowest + ((index - d * bins) << bits)};
     }
 
-    // A `FloorKey` of a direction and a bin.
+    // `FloorKey` of a direction and a bin.
     unsigned long long key(int votes, int d, int bin) const {
         return FloorKey::of(votes, d * bins + bin);
     }
 
-    // The same of votes with their bin, larger where there are more votes or the bin comes first.
+    // `FloorKey` from packed votes and bin; the packed value is larger for more votes, then for a lower
+    // bin.
     unsigned long long key(int most, int d) const {
         const int bin = -most & ((1 << BIN_BITS) - 1);
         return key((most + bin) >> BIN_BITS, d, bin);
     }
 
-    // The directions of the nearer part.
+    // Range of directions in the near part.
     int first_near() const { return edge_pitches * rolls; }
     int end_near() const { return (pitches - edge_pitches) * rolls; }
     bool is_near(int d) const { return d >= first_near() && d < end_near(); }
 
-    // How counts lie in memory: those of direction k and bin b at `words[b * span + k]`, or where
-    // they are packed those of bins 2 n and 2 n + 1 in the halves of `words[n * span + k]`.
+    // Memory layout of counts: `words[b * span + k]` for direction k and bin b; if packed, the halves
+    // of `words[n * span + k]` hold bins 2 n and 2 n + 1.
     struct Table {
-        enum { MOST_PACKED = 10000 };  // Cells: all counts of a bin stay below 2^15.
+        enum { MOST_PACKED = 10000 };  // cells: all counts of a bin stay below 2^15
         int* words;
         int span;
         bool is_shared, is_packed;
@@ -86,14 +88,14 @@ struct FloorVotes {
     };
 
 #if defined(__CUDA_ARCH__)
-    // Directions with those that fill up the last warp.
+    // Number of directions, padded to complete warps.
     int padded() const { return (directions() + Warp::size - 1) / Warp::size * Warp::size; }
     bool are_fast() const { return padded() * (bins + 1) <= room; }
-    // Votes of a direction, and how far those of its bins are apart.
+    // Votes of a direction, and the stride between its bins.
     int* row_of(int d) const { return (are_fast() ? counts : votes) + d; }
     int bin_step() const { return padded(); }
 
-    // Adds the ends of the ranges of some cells: each lane for direction k of the table.
+    // Counts the ends of the ranges of cells; each lane handles direction k of the table.
     void count(const Warp& warp, const FloorDirection& down, int from, int to, const Table& table,
                int k_of_lane) const {
         int* const ends = table.words + k_of_lane;
@@ -127,7 +129,8 @@ struct FloorVotes {
         const Warp warp(team);
         const int groups = table.span / Warp::size, share = to - from;
         for (int unit = warp.index; unit < groups * warp.count; unit += warp.count) {
-            // Each warp takes another part of the cells for each group, so none waits long.
+            // Each warp takes a different part of the cells for each group, so that the load is
+            // balanced.
             const int group = unit / warp.count, part = (warp.index + group) % warp.count;
             const int k = group * Warp::size + warp.lane;
             count(warp, direction(first + k), from + share * part / warp.count,
@@ -140,14 +143,14 @@ struct FloorVotes {
     int* row_of(int d) const { return votes + d / LANES * LANES * (bins + 1) + d % LANES; }
     int bin_step() const { return LANES; }
 
-    // The place of a bin in each lane's counts.
+    // Position of a bin in each lane's counts.
     void place(const Lanes& bin, int* out) const {
         const Lanes none = {}, last = none + bins;
         const Lanes at = (bin < none ? none : bin > last ? last : bin) * (int)LANES;
         __builtin_memcpy(out, &at, sizeof at);
     }
 
-    // Adds the ends of the ranges of some cells.
+    // Counts the ends of the ranges of cells.
     void count(const Team&, int first, int from, int to, const Table& table) const {
         Lanes dx, dy, dz;
         for (int k = 0; k < LANES; k++) {
@@ -174,8 +177,8 @@ struct FloorVotes {
     }
 #endif
 
-    // The best of each of some directions, from counts of so many cells: of nearer planes and, from
-    // all cells, of all planes; then votes are written, too.
+    // Sums up the counts of `cells` cells for a vector of directions: `nearer` is the best of the near
+    // part, `all` the best of all bins. The votes are written to `out` if it is not null.
     void sum_up(const Table& table, int k, int cells, int* out, Lanes& nearer, Lanes& all) const {
         const int step = bin_step(), from = edge_bins, to = bins - edge_bins;
         Lanes sum = Lanes{} - FloorScore::BELOW_COST * cells;
@@ -191,7 +194,7 @@ struct FloorVotes {
         all = highest;
     }
 
-    // All votes of the directions of a table, from `first` on.
+    // Votes for the directions of a table, beginning at `first`.
     void run(const Team& team, int first, const Table& table) const {
         const Warp warp(team);
         const int span = table.span, end_of_all = directions();
@@ -230,7 +233,7 @@ struct FloorVotes {
         }
     }
 
-    // All votes. `best` and `whole` are set before the sync.
+    // Votes for all directions. `best` and `whole` are initialized before the sync.
     void run(const Team& team) const {
         for (int n = team.rank; n < rings; n += team.size) best[n] = ~0ull;
         if (team.rank == 0) *whole = ~0ull;
@@ -250,7 +253,8 @@ struct FloorVotes {
         team.sync();
     }
 
-    // The best plane of all cells in the nearer part that is apart from the one found last.
+    // Finds the best plane in the near part that is apart from the previous one, with the votes of all
+    // cells.
     void next(const Team& team) const {
         const unsigned long long last = best[rings - 1];
         const int index = FloorKey::number(last), d = index / bins, h = index - d * bins;
@@ -307,38 +311,38 @@ struct FloorSearch {
     };
     FloorAngles angles;
     const int* settings;
-    // The cells voted by, by rings, and where each ring ends.
+    // The cells that vote, sorted by ring, and the end of each ring.
     FloorCells cells;
     const int* ring_ends;
-    // Scratch: a word a cell; the weights of all groups; KEY_WORDS; votes of all directions and
-    // of FloorVotes::LANES of them, or on CUDA `room` words of shared memory.
+    // Scratch: one word per cell; the weights of all groups; KEY_WORDS; votes of all directions; counts
+    // of FloorVotes::LANES directions, or on CUDA `room` words of shared memory.
     int *slack, *weights;
     unsigned long long* keys;
     int *votes, *counts;
     int room;
 
-    // Whether a camera on a robot or in a hand can be so tilted.
+    // Whether a camera on a robot or in a hand is commonly tilted like this.
     static bool is_usual(FloorPlane plane) {
         const int one = FloorAngles::ANGLES, roll = ROLLED_DEG * one;
         return plane.pitch >= PITCH_LEAST * one && plane.pitch <= PITCH_MOST * one &&
                plane.roll <= roll && -plane.roll <= roll && plane.height > 0;
     }
 
-    // The share of the cells that a plane must show [per mille], `least` of a level camera: the
-    // more a camera is pitched, the more floor it sees.
+    // Minimum inlier fraction of a plane [per mille], `least` for a level camera: the more a camera is
+    // pitched, the more floor it sees.
     static int least_share(FloorPlane plane, int least) {
         const int beyond = plane.pitch - FILLS_DEG * FloorAngles::ANGLES;
         return least + (beyond > 0 ? FILLS * beyond / FloorAngles::ANGLES : 0);
     }
 
-    // Bins of the largest lattice, and one more.
+    // Number of bins of the largest lattice, plus one.
     static int most_bins(const int* settings) {
         const int span = 2 * settings[FloorSetting::SPAN];
         const int range = settings[FloorSetting::HIGHEST] - settings[FloorSetting::LOWEST];
         return ((span > range ? span : range) >> settings[FloorSetting::BIN_BITS]) + 2;
     }
 
-    // Words of the largest lattice: the directions of whole warps, with a bin more.
+    // Number of words of the largest lattice: directions padded to complete warps, one extra bin each.
     static size_t lattice_words(const int* settings) {
         const auto words = [&](size_t directions, int span) {
             return (directions + 31) / 32 * 32 * ((span >> settings[FloorSetting::BIN_BITS]) + 2);
@@ -350,7 +354,7 @@ struct FloorSearch {
         return near > wide ? near : wide;
     }
 
-    // The tolerance of votes for directions so far apart, whatever the height.
+    // Computes the tolerances of votes for the spacing of directions; they do not depend on the height.
     void coarse(const Team& team, int per_z) const {
         const int noise = settings[FloorSetting::NOISE];
         const FloorSlack rough(settings[FloorSetting::ROUGH_BASE], per_z, noise, 0);
@@ -361,7 +365,7 @@ struct FloorSearch {
         team.sync();
     }
 
-    // A lattice of planes around one.
+    // Lattice of planes around a given one.
     FloorVotes around(FloorPlane middle, int turn, int roll) const {
         const int one = FloorAngles::ANGLES, span = settings[FloorSetting::SPAN];
         return lattice(middle.pitch - turn * one, middle.roll - roll * one, one, 2 * turn + 1,
@@ -376,8 +380,8 @@ struct FloorSearch {
                 keys + RINGS, keys + RINGS + 1};
     }
 
-    // The votes for each of some planes. Groups take parts of the cells, so that none waits for one
-    // that has a plane more.
+    // Counts the votes for each plane. Each warp takes a part of the cells, so that the load is
+    // balanced for any number of planes.
     void score(const Team& team, const FloorPlane* planes, int count, int* votes) const {
         for (int n = team.rank; n < count; n += team.size) votes[n] = 0;
         team.sync();
@@ -401,7 +405,7 @@ struct FloorSearch {
         team.sync();
     }
 
-    // Votes by rings; the best plane of the cells up to each, and how many cells these are.
+    // Votes by rings: writes the best plane of the cells up to each ring and the number of these cells.
     int best_of_rings(const Team& team, FloorVotes& lattice, FloorPlane* planes, int* ends) const {
         lattice.rings = RINGS;
         lattice.fewest = (MIN_SHARE * cells.count + 99) / 100;
@@ -416,7 +420,7 @@ struct FloorSearch {
         return count;
     }
 
-    // Up to NEAR_PLANES planes near a guess, which is the prior or not, and how many.
+    // Finds up to NEAR_PLANES planes near a guess, which may be the prior; returns their number.
     int near_planes(const Team& team, FloorPlane guess, bool is_prior, FloorPlane* planes) const {
         coarse(team, settings[FloorSetting::ROUGH_PER_Z]);
         FloorVotes lattice = around(guess, STEEP_DEG, NEAR_DEG);
@@ -444,8 +448,8 @@ struct FloorSearch {
         return count;
     }
 
-    // The best floor of any camera that a robot or a hand holds; `planes` and `scores` have
-    // ANY_PLANES places each.
+    // Finds the best floor without a prior, for any usual pose of the camera; `planes` and `scores`
+    // have room for ANY_PLANES elements each.
     FloorPlane any_plane(const Team& team, FloorPlane* planes, int* scores) const {
         const int lowest = settings[FloorSetting::LOWEST];
         const int one = FloorAngles::ANGLES, range = settings[FloorSetting::HIGHEST] - lowest;

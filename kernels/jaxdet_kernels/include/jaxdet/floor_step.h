@@ -1,5 +1,5 @@
-// A step ahead of a plane, down or up, by votes on the floor's profile.
-// Twin of jaxdet/reference/_floor_step.py; the constants are its.
+// Detection of a step ahead of a plane, down or up, by votes on the profile of the floor. Twin of
+// jaxdet/reference/_floor_step.py, which documents the constants.
 #pragma once
 #include "floor_profile.h"
 
@@ -8,19 +8,20 @@ namespace jaxdet { namespace {
 struct FloorSteps : FloorProfile {
     enum { DROPS = 28, RISES = 10, OWN = 4 };
 
-    // Cells on the plane nearer than each distance, and those on the other floor at each.
+    // Inliers of the plane nearer than each distance, and inliers of the other floor at each.
     int* own() const { return row(5); }
     int* others() const { return row(6); }
 
-    // The steps tried, down first.
+    // Candidate steps, steps down first.
     int drop(int i) const {
         const int each = settings[FloorSetting::DROP_SPACING];
         return i < DROPS ? (i + 1) * each : -(i - DROPS + 1) * each;
     }
 
-    // The first step with most votes of a plane whose cells are sorted, once there are flat votes
-    // of the fine tolerance, and its votes; false where these are fewer than `least` or the other
-    // floor is not seen over some distance. A step down is deeper than `deeper`.
+    // Finds the first step with the most votes, for a plane whose cells are sorted and whose flat votes
+    // have been computed with the fine tolerance, and its votes; returns false if these are fewer than
+    // `least` or the other floor is not visible over some distance. A step down must be deeper than
+    // `deeper`.
     bool step(const Team& team, int least, int deeper, FloorAhead& found, int& votes) const {
         const int n = runs(), each = FloorScore::BELOW_COST;
         const Warp warp(team);
@@ -35,7 +36,7 @@ struct FloorSteps : FloorProfile {
         for (int i = warp.index; i < DROPS + RISES; i += warp.count) {
             const int deep = drop(i), size = deep < 0 ? -deep : deep;
             if (deep > 0 && deep <= deeper) continue;
-            // Of the other floor, beyond the distances that the lanes are at.
+            // Sums of the other floor beyond the distances of this pass's lanes.
             int beyond = 0, other = 0;
             for (int done = 0; done < n; done += warp.size) {
                 const int k = n - 1 - done - warp.lane;
@@ -62,7 +63,7 @@ struct FloorSteps : FloorProfile {
         return is_seen(team, m % n, found.drop);
     }
 
-    // Whether the other floor, from a distance on, is seen over some distance, which a wall is not.
+    // Whether the other floor is visible over some distance from a given one on; a wall is not.
     bool is_seen(const Team& team, int from, int deep) const {
         const int n = runs();
         for (int k = team.rank; k < n; k += team.size) {

@@ -1,5 +1,5 @@
-// The frame of the floor that was found, or of the one given where that was refused. Twin of `axes`
-// in jaxdet/floor/frame.py and of `slopes` in jaxdet/floor/units.py.
+// Floor frame of the detected floor, or the fallback if that was refused. Twin of `axes` in
+// jaxdet/floor/frame.py and of `slopes` in jaxdet/floor/units.py.
 #pragma once
 #include "floor_frame.h"
 #include "floor_planes.h"
@@ -7,11 +7,11 @@
 namespace jaxdet { namespace {
 
 struct FoundFrame {
-    // Of what the floor's kernel finds.
+    // Indices of the results of `Floor`.
     enum { PITCH, ROLL, HEIGHT, START, TURN, ON, ALL, REFUSED, RESULTS };
     FloorAngles angles;
 
-    // An angle between half a turn and the other.
+    // Wraps an angle to [-180, 180) degrees.
     static int within_a_turn(int angle) {
         enum { HALF = 180 * FloorAngles::ANGLES, WHOLE = 2 * HALF };
         const int rest = (angle + HALF) % WHOLE;
@@ -23,7 +23,7 @@ struct FoundFrame {
         return (a * b + (1 << (bits - 1))) >> bits;
     }
 
-    // `found` has RESULTS values, the others FloorFrame::VALUES.
+    // `found` has RESULTS values, `given` (the fallback) and `out` have FloorFrame::VALUES.
     void run(const int* found, const int* given, int* out) const {
         if (found[REFUSED]) {
             for (int i = 0; i < FloorFrame::VALUES; ++i) out[i] = given[i];

@@ -1,5 +1,4 @@
-// How far the floor is seen in each column of cells, and what ends it. Twin of
-// jaxdet/reference/_free.py.
+// Visible free floor in each column of cells, and what ends it. Twin of jaxdet/reference/_free.py.
 #pragma once
 #include "floor_frame.h"
 #include "rays.h"
@@ -8,35 +7,36 @@
 namespace jaxdet { namespace {
 
 struct FreeFloor {
-    // End of the range; the floor ends where so much of it shows no measurement; depths and heights
-    // of what ends rays; half of a cell's angle; how deep a notch is, and the cells of what is in it.
+    // Indices of settings: end of the range; length of floor without a measurement that ends it; limits
+    // of depth and height of what ends rays (3); half of a cell's angle; minimum depth of a notch, and
+    // minimum number of cells of an obstacle in it.
     enum { FAR, GAP, NEAREST, IN_RANGE, HIGHEST, HALF_TURN, NOTCH, MIN_CELLS, SETTINGS };
     enum { UNKNOWN, OBSTACLE, DROP, RANGE };
     enum {
-        // So many measured cells one after the other are a drop lower than the last floor.
+        // Number of consecutive measured cells, lower than the last floor by a drop, that make a drop.
         RUN = 3,
-        // Columns on both sides of one that drops, more than half of which must drop too.
-        BESIDE = 14,
-        // No floor farther up may be nearer than what lies lower by more than this part of it.
+        // Number of neighbouring columns on each side of a drop; more than half of them must drop too.
+        NEIGHBOURS = 14,
+        // Floor farther up must not be nearer than what lies lower by more than one part in SHARE.
         SHARE = 5,
         LARGEST = 0x7fffffff,
         DEPTHS = 65536,
-        // On CUDA a thread follows one column, and the loads of so many cells wait together: up to
-        // the nearest obstacle, on the way up the floor, and behind its end. On the CPU so many
-        // columns are followed side by side, in loops that become vectors.
+        // On CUDA a thread follows one column, and the loads of this many cells are in flight together:
+        // while searching the nearest obstacle, following the floor, and looking beyond its end. On the
+        // CPU, ABREAST columns are followed together, in loops that are vectorized.
         SEEK = Warp::size > 1 ? 8 : 1,
         AHEAD = Warp::size > 1 ? 4 : 1,
         BEHIND = Warp::size > 1 ? 4 : 1,
         ABREAST = Warp::size > 1 ? 1 : 256
     };
 
-    // What is known of columns that are followed side by side.
+    // State of columns that are followed together.
     struct Columns {
-        // The nearest obstacle's distance and row, or the range and -1.
+        // Distance and row of the nearest obstacle, or the range and -1.
         int limit[ABREAST], nearest[ABREAST];
-        // Rows where the floor begins and where it has come to, -1 = none yet; its last cell's place.
+        // Rows of the first and the last floor cell so far, -1 = none yet; position of the last one.
         int first[ABREAST], last[ABREAST], forward[ABREAST], height[ABREAST];
-        // Whether the floor has ended, and whether it drops there, -1 = not looked at yet.
+        // Whether the floor has ended, and whether it drops there, -1 = not tested yet.
         int ended[ABREAST], falls[ABREAST];
     };
 
@@ -44,17 +44,17 @@ struct FreeFloor {
     int rows, columns, far, gap;
     const int *label, *z, *right, *forward, *height;
     const bool* low;
-    const int *bows, *drops;  // (DEPTHS,), by z
+    const int *bows, *drops;  // (DEPTHS,), indexed by z
     int *line_out, *end_out;
-    int* falls;  // scratch, by column: whether the floor drops
-    bool turned;  // by half: the camera is upside down
+    int* falls;  // scratch, (columns): whether the floor drops
+    bool turned;  // by half a turn: the camera is upside down
 
     int at(int row, int column) const {
         const int k = row * columns + column;
         return turned ? rows * columns - 1 - k : k;
     }
 
-    // The cells of a row from a column on, the others to its left where the cells are turned.
+    // Loads n cells of a row, to the right from `left`, or to the left if the cells are turned.
     void take(const int* from, int row, int left, int n, int* __restrict__ out) const {
         const int* const cell = from + at(row, left);
         if (turned)
@@ -63,7 +63,7 @@ struct FreeFloor {
             for (int c = 0; c < n; ++c) out[c] = cell[c];
     }
 
-    // Of a camera mounted in any way; of one on its side nothing is said.
+    // Runs for any mounting; the result is unknown for a camera on its side.
     void run(const FloorFrame& frame) {
         const int aside = frame.axes[6], upright = frame.axes[7];  // of down
         turned = upright < 0;
@@ -92,15 +92,16 @@ struct FreeFloor {
         }
         team.sync();
         for (int c = team.rank; c < columns; c += team.size) {
-            int beside = 0;
-            for (int other = c - BESIDE; other <= c + BESIDE; ++other)
-                beside += other >= 0 && other < columns ? falls[other] : 0;
-            if (falls[c] && beside <= BESIDE) end_out[c] = UNKNOWN;
+            int dropping = 0;
+            for (int other = c - NEIGHBOURS; other <= c + NEIGHBOURS; ++other)
+                dropping += other >= 0 && other < columns ? falls[other] : 0;
+            if (falls[c] && dropping <= NEIGHBOURS) end_out[c] = UNKNOWN;
         }
         team.sync();
     }
 
-    // The nearest obstacle of each column, of equal ones the uppermost; no floor is known yet.
+    // Finds the nearest obstacle of each column, the uppermost of equal ones, and initializes the
+    // floor.
     void find_obstacles(Columns& __restrict__ of, int left, int n) const {
         for (int c = 0; c < n; ++c) {
             of.limit[c] = LARGEST;
@@ -133,7 +134,7 @@ struct FreeFloor {
         for (int c = 0; c < n; ++c) of.limit[c] = of.nearest[c] >= 0 ? of.limit[c] : far;
     }
 
-    // Goes on with AHEAD cells of each column, from row `bottom` up.
+    // Follows the floor through AHEAD cells of each column, from row `bottom` upwards.
     void follow(Columns& __restrict__ of, int bottom, int left, int n) const {
         int on[AHEAD][ABREAST], ahead[AHEAD][ABREAST], high[AHEAD][ABREAST], depth[AHEAD][ABREAST];
         int bow[AHEAD][ABREAST], drop[AHEAD][ABREAST], jumps[ABREAST], some = 0;
@@ -181,7 +182,7 @@ struct FreeFloor {
         }
     }
 
-    // Whether the next RUN measured cells up a column are a drop lower than its last floor, and lie
+    // Whether the next RUN measured cells up a column are lower than its last floor by a drop and lie
     // flat, and no floor farther up is clearly nearer than they are.
     int falls_after(Columns& of, int i, int c) const {
         if (of.falls[i] < 0) of.falls[i] = look_behind(of.last[i], of.height[i], c);
@@ -219,7 +220,8 @@ struct FreeFloor {
         return found == RUN;
     }
 
-    // Where the free floor of a column begins and ends, but for drops that are too narrow.
+    // Writes where the free floor of a column begins and ends; drops in too few columns are removed
+    // later.
     void put(Columns& of, int i, int c) const {
         const int obstacle = of.nearest[i];
         const bool blocked = obstacle >= 0, seen = of.first[i] >= 0;

@@ -1,11 +1,11 @@
-// Planes of a frame's cells with a margin around.
+// Layout of planes of cells with a margin.
 #pragma once
 #include "team.h"
 
 namespace jaxdet { namespace {
 
-// Where the cells of R rows and C columns are in a plane of scratch memory that has one more row
-// above and below and PAD more columns at both sides. The columns right of a row are those left of
+// Layout of R rows and C columns of cells in a plane of scratch memory with one more row above and
+// below and PAD more columns on both sides. The columns to the right of a row are those to the left of
 // the next one.
 struct Grid {
     enum { PAD = 16, MOST_COLUMNS = 512 };
@@ -14,10 +14,10 @@ struct Grid {
     Grid(int rows, int columns)
         : rows(rows), columns(columns), stride(columns + PAD), size((rows + 2) * stride + PAD) {}
 
-    // The first cell of row r, -1 .. R.
+    // Index of the first cell of row r, -1 .. R.
     int row(int r) const { return (r + 1) * stride + PAD; }
 
-    // What lies outside of the rows becomes `value`; a row's right margin is the next one's left.
+    // Fills the margin with `value`; the right margin of a row is the left margin of the next.
     void frame(const Team& team, int* plane, int value) const {
         const int last = row(rows);
         for (int i = team.rank; i < row(0); i += team.size) plane[i] = value;

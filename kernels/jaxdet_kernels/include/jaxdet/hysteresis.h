@@ -1,5 +1,5 @@
-// Hysteresis, the last step of Canny: the weak edges that are 8-connected to strong ones. Twin of
-// `_connected_to` in jaxdet/reference/_canny.py. Images of bits, see pixel_bits.h.
+// Hysteresis, the last step of Canny: keeps weak edges that are 8-connected to strong ones. Twin of
+// `_connected_to` in jaxdet/reference/_canny.py. Works on bitmaps, see pixel_bits.h.
 #pragma once
 #include "pixel_bits.h"
 
@@ -8,12 +8,12 @@ namespace jaxdet { namespace {
 struct Hysteresis {
     typedef unsigned long long Word;
 
-    int height, words;  // rows, and 64-bit words of a row
+    int height, words;  // rows, and 64-bit words per row
     const Word* weak;   // (height, words)
-    Word* edges;        // (height, words): strong edges, which become all connected to them
+    Word* edges;        // (height, words): strong edges; result: all edges connected to them
 
-    // Words grow until none does. A thread passes through the words above each other of some rows, down
-    // and up, so that lines are followed.
+    // Grows the edges until nothing changes. A thread sweeps down and up a column of words in a strip
+    // of rows, so that it can follow lines.
     void run(const Team& team) const {
         const int strips = team.size > words ? team.size / words : 1;
         const int rows = (height + strips - 1) / strips;
@@ -28,7 +28,7 @@ struct Hysteresis {
         }
     }
 
-    // Adds the runs of a word's weak pixels that touch an edge; whether there are some.
+    // Adds the runs of weak pixels in a word that touch an edge; returns whether there are any.
     bool grow(int y, int w) const {
         const int i = y * words + w;
         Word free = weak[i] & ~edges[i];
@@ -43,7 +43,7 @@ struct Hysteresis {
         }
         Word now = near & free;
         if (!now) return false;
-        // A seed added to its run of ones carries to the run's end.
+        // The carry of a seed added to its run of ones propagates to the end of the run.
         now |= free & ~(free + now);
         for (int step = 1; step < 64; step *= 2) {
             now |= free & now >> step;

@@ -1,5 +1,5 @@
-// Intervals of floats. Rounding never swaps two numbers, so an operation on the ends of intervals
-// bounds the rounded results of that operation on all numbers inside of them.
+// Interval arithmetic on floats. Rounding is monotonic, so an operation on the ends of intervals bounds
+// the rounded results of that operation on all numbers in them.
 #pragma once
 #include "team.h"
 
@@ -16,8 +16,8 @@ struct Interval {
         const float p = a.low * b.low, q = a.low * b.high, r = a.high * b.low, s = a.high * b.high;
         return {lower(lower(p, q), lower(r, s)), higher(higher(p, q), higher(r, s))};
     }
-    // Anything if the divisor may be about 0 or less. No end is infinite, as 0 times infinity is not
-    // a number.
+    // Unbounded if the divisor may be close to 0 or negative. The ends are finite, because 0 times
+    // infinity is NaN.
     friend Interval operator/(Interval a, Interval b) {
         if (!(b.low > 1e-6f)) return {-1e12f, 1e12f};
         return {a.low / (a.low < 0 ? b.low : b.high), a.high / (a.high < 0 ? b.high : b.low)};

@@ -1,5 +1,4 @@
-// Sorts different 64-bit keys, greatest first. On CUDA a team exchanges pairs (a bitonic network), on
-// the CPU its one thread sorts by digits.
+// Sorts distinct 64-bit keys in descending order: a bitonic network on CUDA, a radix sort on the CPU.
 #pragma once
 #include "team.h"
 
@@ -8,12 +7,12 @@ namespace jaxdet { namespace {
 struct KeySort {
     typedef unsigned long long Key;
 
-    // `other` is scratch memory as long as `keys`. Ends in a sync.
+    // `other` is scratch memory of the same length as `keys`. Ends in a sync.
 #if defined(__CUDA_ARCH__)
     static void run(const Team& team, Key* keys, Key*, int count) {
         for (int run = 2; run < 2 * count; run *= 2)
-            // The first pairs of a run are mirror images, so that all pairs have one direction, and
-            // the network's places beyond the last key need not exist.
+            // The first exchange of a run pairs mirrored positions, so that all exchanges have the same
+            // direction and positions beyond the last key need not exist.
             for (int mask = run - 1, away = run / 2; away; away /= 2, mask = away) {
                 for (int i = team.rank; i < count; i += team.size) {
                     const int partner = i ^ mask;
@@ -33,7 +32,7 @@ struct KeySort {
         for (int shift = 0; shift < 64 && differ >> shift; shift += BITS) {
             if (!(differ >> shift & (BINS - 1))) continue;
             int bins[BINS + 1] = {};
-            // Bin BINS - 1 - digit, so that the greatest come first.
+            // Bin BINS - 1 - digit, for descending order.
             for (int i = 0; i < count; ++i) ++bins[BINS - (from[i] >> shift & (BINS - 1))];
             for (int i = 1; i < BINS; ++i) bins[i] += bins[i - 1];
             for (int i = 0; i < count; ++i)

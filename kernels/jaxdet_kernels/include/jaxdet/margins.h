@@ -6,7 +6,7 @@
 namespace jaxdet { namespace {
 
 struct Margins {
-    enum { MARGIN = 8 };  // This part of the columns at each side.
+    enum { MARGIN = 8 };  // one in MARGIN columns on each side
     int columns, width;
 
     explicit Margins(int columns) : columns(columns), width(columns / MARGIN) {}

@@ -1,5 +1,5 @@
-// How large obstacles are: extents of their cells in space and in the image of boxes, and the points
-// A, B and C on the floor. Twin of jaxdet/reference/_footprint.py.
+// Sizes of obstacles: extents of their cells in space and in the image of boxes, and the points A, B
+// and C on the floor. Twin of jaxdet/reference/_footprint.py.
 #pragma once
 #include "cell_box.h"
 #include "obstacle_cells.h"
@@ -9,16 +9,16 @@ namespace jaxdet { namespace {
 
 struct Measures {
     enum { MOST_LATERAL = (1 << 18) - 1, DEPTHS = 65536, TRIM_SHARE = 16 };
-    // What is measured of an obstacle at a time.
+    // Measurements that are separate units of work.
     enum { PLACE, BOX, HEIGHT, LEFT, RIGHT, NEAR, KINDS };
 
     const ObstacleCells& cells;
     const Warp& warp;
     int trim, threshold;
-    const int* bands;  // (DEPTHS, 2), by the nearest distance: to the side, behind the nearest
+    const int* bands;  // (DEPTHS, 2) lateral and forward band, by the nearest distance
     const int *xyz[3], *height;
     CellBoxes boxes;
-    // By slot.
+    // Results, (slots).
     int *count_out, *uv_min_out, *uv_max_out, *xyz_min_out, *xyz_max_out, *xyz_sum_out;
     int *a_out, *b_out, *c_out, *bottom_top_out;
     int* vertex_out;
@@ -41,7 +41,7 @@ struct Measures {
             xyz_min_out[i] = xyz_max_out[i] = xyz_sum_out[2 * i] = xyz_sum_out[2 * i + 1] = 0;
     }
 
-    // Whether C stands out: when A, B and C are there.
+    // Sets whether C is a vertex, after A, B and C are known.
     void find_vertices() const {
         for (int i = cells.team.rank; i < cells.count; i += cells.team.size) {
             const int a = a_out[2 * i + 1], b = b_out[2 * i + 1];
@@ -50,7 +50,7 @@ struct Measures {
         }
     }
 
-    // All but the vertex, when the cells are sorted.
+    // Takes one measurement of an obstacle, all but the vertex, after the cells are sorted.
     void measure(int number, int kind) const {
         const ObstacleCells::Range all = cells.all(number);
         if (all.size() == 0)
@@ -65,7 +65,7 @@ struct Measures {
             put_corner(number, kind, all);
     }
 
-    // How many cells there are, and where they are in the camera.
+    // Writes the number of cells, and the extremes and sums of their camera coordinates.
     void put_place(int number, ObstacleCells::Range range) const {
         Extremes found[3];
         long long sum[3] = {0, 0, 0};
@@ -92,7 +92,7 @@ struct Measures {
         *high = found.high;
     }
 
-    // Where they are in the image of boxes.
+    // Writes the bounding box in the image of boxes.
     void put_box(int number, ObstacleCells::Range range) const {
         Extremes sides[2];
         for (int i = range.first + warp.lane; i < range.end; i += warp.size) {
@@ -113,7 +113,7 @@ struct Measures {
         put(found, bottom_top_out + 2 * number, bottom_top_out + 2 * number + 1);
     }
 
-    // Of numbers by place in the order.
+    // Extremes of values in the order of sorted cells.
     Extremes extremes(const int* values, ObstacleCells::Range range) const {
         Extremes found;
         for (int i = range.first + warp.lane; i < range.end; i += warp.size) found.add(values[i]);
@@ -121,7 +121,8 @@ struct Measures {
         return found;
     }
 
-    // A, B or C: on one axis the outermost, on the other the least of those as far out.
+    // Writes A, B or C: on one axis the outermost coordinate, on the other the smallest of the cells
+    // that far out.
     void put_corner(int number, int kind, ObstacleCells::Range range) const {
         const bool near = kind == NEAR;
         const int* values = near ? cells.forward_of : cells.right_of;
@@ -143,7 +144,7 @@ struct Measures {
         out[!near] = least;
     }
 
-    // The median of the values at most `band` from the outermost that is not passed over.
+    // Median of the values within `band` of the outermost one, after trimming.
     int outermost(const int* values, int flip, Extremes all, int band,
                   ObstacleCells::Range range) const {
         const Ranks ranks(warp);

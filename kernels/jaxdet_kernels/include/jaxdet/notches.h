@@ -1,4 +1,4 @@
-// Low things that the free floor shows. Twin of jaxdet/reference/_notches.py.
+// Low obstacles revealed by notches in the free floor. Twin of jaxdet/reference/_notches.py.
 #pragma once
 #include "free_floor.h"
 #include "surfaces.h"
@@ -6,22 +6,23 @@
 namespace jaxdet { namespace {
 
 struct Notches {
-    const FreeFloor& floor;  // its columns, once they have been followed
+    const FreeFloor& floor;  // its columns, after they have been followed
     const int* settings;
-    const int* rises;  // (DEPTHS,), the step by z, and how fast noise raises it
+    const int* rises;  // (DEPTHS,) step, indexed by z; `slope` is its growth with noise
     int slope;
-    // Scratch: the notch of each column, -1 = none; the cells of each, then the number of what is there.
+    // Scratch: notch of each column, -1 = none; number of cells of each notch, replaced by the number
+    // of its obstacle.
     int *notch, *size, *most;
     int* label;
     int *num_obstacles, *first;
 
-    // Where the floor of a column of cells ends, forward, 0 where none is seen; and whether that is
-    // for no known reason.
+    // Forward distance at which the floor of a column ends, 0 if no floor is visible; and whether it
+    // ends for an unknown reason.
     int ahead(int c) const { return floor.line_out[4 * of(c) + 3]; }
     bool is_short(int c) const { return floor.end_out[of(c)] == FreeFloor::UNKNOWN && ahead(c) > 0; }
     int of(int c) const { return floor.turned ? floor.columns - 1 - c : c; }
 
-    // Adds obstacles; whether there are any.
+    // Adds obstacles; returns whether there are any.
     bool run() const {
         const Team& team = floor.team;
         if (team.rank == 0) *most = find();
@@ -47,7 +48,7 @@ struct Notches {
         return any;
     }
 
-    // Numbers the notches, by one thread: runs of short columns between longer ones.
+    // Numbers the notches, in one thread: runs of short columns between longer ones.
     int find() const {
         const int columns = floor.columns, length = settings[FreeFloor::NOTCH];
         int found = 0;
@@ -67,7 +68,7 @@ struct Notches {
         return found;
     }
 
-    // Calls `use` with the notch and the place of each cell that stands in one.
+    // Calls `use` with the notch and the index of each cell above the step in a notch.
     template <class Use> void each_cell(Use use) const {
         const int all = floor.rows * floor.columns;
         for (int k = floor.team.rank; k < all; k += floor.team.size) {

@@ -1,5 +1,5 @@
-// Groups of labels as 0, 1, ... in the order of their first cell.
-// Twin of `renumbered` in jaxdet/reference/_surfaces.py.
+// Numbers groups of labels 0, 1, ... in the order of their first cells. Twin of `renumbered` in
+// jaxdet/reference/_surfaces.py.
 #pragma once
 #include "team.h"
 
@@ -8,9 +8,9 @@ namespace jaxdet { namespace {
 struct Numbering {
     enum { NONE = 1 << 30 };
     int count;
-    const int *group, *first;  // of each label: one of its group (the same for all), its first cell
-    int *lowest, *rank;        // scratch, a word a label
-    int *number, *total;       // results: of each label, and how many there are
+    const int *group, *first;  // per label: representative of its group, first cell
+    int *lowest, *rank;        // scratch, (count)
+    int *number, *total;       // results: number per label, and how many groups there are
 
     // Ends in a sync.
     void run(const Team& team) const {

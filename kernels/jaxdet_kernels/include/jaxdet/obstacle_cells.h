@@ -1,8 +1,8 @@
 // The cells of a frame sorted by obstacle (a counting sort).
 //
-// An obstacle's cells lie in two parts one after the other, those inside of the image's margins
-// first. Within a part they lie in any order: what is made of them is a sum, a minimum, a maximum or
-// a median.
+// The cells of an obstacle form two parts, first those inside the margins of the image, then those in
+// the margins. The order within a part is arbitrary, because only sums, minima, maxima and medians are
+// computed.
 #pragma once
 #include "arena.h"
 #include "warp.h"
@@ -14,24 +14,24 @@ namespace jaxdet { namespace {
 struct ObstacleCells {
     enum { INSIDE, AT_MARGIN, PARTS };
 
-    // Cells from the first to before the last in the order below.
+    // Range of cells in the order below, without `end`.
     struct Range {
         int first, end;
         int size() const { return end - first; }
     };
 
     const Team& team;
-    int cells, columns, count;  // of the grid; and how many obstacles
+    int cells, columns, count;  // size of the grid, and number of obstacles
     Margins margins;
     const int *label, *right, *forward;
-    CellList listed;  // those of obstacles; their label becomes their place
-    // By obstacle and part, and one more.
+    CellList listed;  // cells of obstacles; the label is replaced by the part's index
+    // Starts of parts by obstacle and part, plus the end; and fill counts.
     int* starts;
     int* filled;
-    // By place in the order: the cell, and where it is on the floor.
+    // In sorted order: cell, and its position on the floor.
     int *cell, *right_of, *forward_of;
 
-    // Takes the arrays from scratch memory with room for so many obstacles.
+    // Allocates the arrays, with room for `slots` obstacles.
     void allocate(Arena& arena, int slots) {
         starts = arena.words(PARTS * slots + 1);
         filled = arena.words(PARTS * slots);
@@ -45,13 +45,13 @@ struct ObstacleCells {
         return PARTS * number + (margins.has(column) ? AT_MARGIN : INSIDE);
     }
 
-    // Before the cells are counted; then all threads wait.
+    // Clears the counts. The team must sync afterwards.
     void clear() const {
         for (int i = team.rank; i < PARTS * count; i += team.size) filled[i] = 0;
         if (team.rank == 0) *listed.count = 0;
     }
 
-    // By the first warp, after all cells are counted; then all threads wait.
+    // Computes the starts, in one warp, after all cells are counted. The team must sync afterwards.
     void order(const Warp& warp) const {
         const int all = PARTS * count;
         for (int i = warp.lane; i < all; i += warp.size) starts[i] = filled[i];
@@ -59,7 +59,7 @@ struct ObstacleCells {
         for (int i = warp.lane; i < all; i += warp.size) filled[i] = starts[i];
     }
 
-    // Puts the cells in order, once their labels are their places; then all threads wait.
+    // Sorts the cells, after their labels have been replaced. The team must sync afterwards.
     void sort() const {
         for (int i = team.rank; i < *listed.count; i += team.size) {
             const int at = team.atomic_count(filled + listed.label[i]);
@@ -71,7 +71,7 @@ struct ObstacleCells {
 
     Range all(int number) const { return parts(number, INSIDE, PARTS); }
 
-    // Those inside of the margins, or all where more than half are there.
+    // Cells inside the margins, or all if more than half are in the margins.
     Range relied(int number) const {
         const Range every = all(number), inside = parts(number, INSIDE, AT_MARGIN);
         return 2 * (every.size() - inside.size()) > every.size() ? every : inside;

@@ -1,4 +1,4 @@
-// Obstacles from surfaces. Twin of `obstacles` in jaxdet/reference/_obstacles.py.
+// Groups surfaces into obstacles. Twin of `obstacles` in jaxdet/reference/_obstacles.py.
 #pragma once
 #include "arena.h"
 #include "bits.h"
@@ -14,38 +14,38 @@ namespace jaxdet { namespace {
 struct Obstacles {
     typedef unsigned long long Key;
     enum { MAX_SURFACES = 512, MAX_LABELS = 1024, THINNEST = 3 };
-    // Places of `counts`.
+    // Indices of `counts`.
     enum { SURFACES, WHOLE, GROUPS, NEAR, PARTS, LISTED, COUNTS };
-    // The order of `settings`, as in jaxdet/stages/_tables.py. NO_STEP: the step in depth of surfaces
-    // that do not face each other; OFFSET: evidence to begin with.
+    // Indices of `settings`, in the order of jaxdet/stages/_tables.py. NO_STEP: depth step of surfaces
+    // that do not face each other; OFFSET: initial evidence.
     enum {
         FARTHEST, LATERAL, FORWARD, GAP, CONTACT, BEND, SIDE, MIN_SIZE, MIN_CELLS, NO_STEP, OFFSET
     };
-    // Words of fast memory: on CUDA, what the threads of a block share.
+    // Words of fast memory: shared memory on CUDA, none on the CPU.
     enum { FAST = Warp::size > 1 ? 4096 : 0 };
     static_assert((int)FAST == 0 || (int)FAST >= (int)Evidence::FAST, "room for a batch of pairs");
-    int* fast;  // for one use after the other, at 16 bytes
+    int* fast;  // reused by one stage after the other, aligned to 16 bytes
     int rows, columns;
-    // Of each cell.
+    // Per cell.
     const int *surface, *x, *y, *z, *right, *forward, *height;
     const unsigned char* free;
     const int* settings;
     Trees trees;
-    int* label;  // result, of each cell
-    int* total;  // result: how many obstacles there are
+    int* label;  // result, per cell
+    int* total;  // result: number of obstacles
 
-    // Scratch. `pairs` holds one thing after the other: how often surfaces touch, values of
-    // surfaces, sums of pairs, and the nearest cells of obstacles' contours.
+    // Scratch. `pairs` is reused: for contacts between surfaces, values of surfaces, sums of pairs, and
+    // the nearest cells of contours of obstacles.
     int slots;
     Key *pairs, *of_surfaces, *best, *turns;
     int *between, *list, *packed, *stack, *line_x, *line_y, *line_column, *start;
     unsigned char* near_pairs;
     int* bits;
-    CellList listed;  // with their label as it changes: surface, whole surface, part of an obstacle
+    CellList listed;  // the label changes: surface, merged surface, part of an obstacle
     Extents first, whole, last;
     int *group, *number, *small, *spare, *over, *counts, *parts, *part_of;
 
-    // Takes the arrays from scratch memory.
+    // Allocates the arrays.
     void allocate(Arena& arena) {
         const size_t cells = (size_t)rows * columns;
         slots = cells < MAX_SURFACES ? (int)cells : MAX_SURFACES;
@@ -62,8 +62,8 @@ struct Obstacles {
         packed = arena.words(cells + slots);
         stack = arena.words(cells + slots);
         start = arena.words(labels + 1);
-        Extents* const known[] = {&first, &whole, &last};
-        for (Extents* of : known) of->allocate(arena.words(Extents::FIELDS * labels), (int)labels);
+        Extents* const extents[] = {&first, &whole, &last};
+        for (Extents* of : extents) of->allocate(arena.words(Extents::FIELDS * labels), (int)labels);
         int** const by_label[] = {&group, &number, &small, &over};
         for (int** array : by_label) *array = arena.words(labels);
         spare = arena.words(2 * labels + 1);
@@ -100,58 +100,58 @@ struct Obstacles {
         order(team);
     }
 
-    Contours contours_of(int count, const Extents& known, Key* nearest) const {
-        return {count, rows, columns, right, forward, known.column_low, known.column_high, nearest,
+    Contours contours_of(int count, const Extents& extents, Key* nearest) const {
+        return {count, rows, columns, right, forward, extents.column_low, extents.column_high, nearest,
                 start, line_x, line_y, line_column};
     }
 
-    void measure(const Team& team, const Extents& known, int count) const {
-        known.measure(team, count, listed, columns, x, z, height);
+    void measure(const Team& team, const Extents& extents, int count) const {
+        extents.measure(team, count, listed, columns, x, z, height);
     }
 
-    // The trimmed extremes of a value, of labels with `over` set.
+    // Computes the trimmed extremes of a value for labels with `over` set.
     void trim(
-        const Team& team, const Extents& known, int count, const int* value, const int* low,
+        const Team& team, const Extents& extents, int count, const int* value, const int* low,
         const int* high, int* least, int* most
     ) const {
         int* const start = 2 * count < FAST ? fast : spare;
-        const Trimmed trimmed = {count, *listed.count, listed.label, value, known.cells, low, high,
+        const Trimmed trimmed = {count, *listed.count, listed.label, value, extents.cells, low, high,
                                  over, least, most, start, start + count + 1, (int*)pairs};
         trimmed.run(team);
     }
 
-    // Sets `over` of this thread's labels to pass cells over where the trimmed width decides
-    // whether a label is large enough; whether it does for any. Elsewhere the whole width will do.
-    bool width_decides(const Team& team, const Extents& known, int count) const {
+    // Sets `over`, the number of cells to trim, for this thread's labels whose size test depends on the
+    // trimmed width; returns whether there are any. For other labels the untrimmed width is sufficient.
+    bool width_decides(const Team& team, const Extents& extents, int count) const {
         bool some = false;
         for (int l = team.rank; l < count; l += team.size) {
             const int size = settings[MIN_SIZE];
-            known.left[l] = known.right_low[l];
-            known.right[l] = known.right_high[l];
-            const bool decides = known.height(l) < size && known.width(l) >= size;
-            over[l] = decides ? known.cells[l] / Extents::TRIM : 0;
+            extents.left[l] = extents.right_low[l];
+            extents.right[l] = extents.right_high[l];
+            const bool decides = extents.height(l) < size && extents.width(l) >= size;
+            over[l] = decides ? extents.cells[l] / Extents::TRIM : 0;
             some |= over[l] > 0;
         }
         return some;
     }
 
-    // The width, once `over` is set.
-    void measure_width(const Team& team, const Extents& known, int count) const {
-        trim(team, known, count, listed.right, known.right_low, known.right_high, known.left,
-             known.right);
+    // Measures the trimmed width, after `over` is set.
+    void measure_width(const Team& team, const Extents& extents, int count) const {
+        trim(team, extents, count, listed.right, extents.right_low, extents.right_high, extents.left,
+             extents.right);
     }
 
-    bool is_large(const Extents& known, int l) const {
-        return known.width(l) >= settings[MIN_SIZE] || known.height(l) >= settings[MIN_SIZE];
+    bool is_large(const Extents& extents, int l) const {
+        return extents.width(l) >= settings[MIN_SIZE] || extents.height(l) >= settings[MIN_SIZE];
     }
 
-    void number_groups(const Team& team, int count, const Extents& known, int* groups) const {
+    void number_groups(const Team& team, int count, const Extents& extents, int* groups) const {
         int* const lowest = 2 * count <= FAST ? fast : spare;
-        const Numbering numbering = {count, group, known.first, lowest, lowest + count, number, groups};
+        const Numbering numbering = {count, group, extents.first, lowest, lowest + count, number, groups};
         numbering.run(team);
     }
 
-    // The surfaces without the small ones: `number` of each, and `whole`.
+    // Merges small surfaces into others: sets `number` of each surface, and the extents `whole`.
     void join_small(const Team& team) const {
         const int count = counts[SURFACES];
         measure(team, first, count);
@@ -172,7 +172,7 @@ struct Obstacles {
         whole.join(team, counts[WHOLE], first, count, number);
     }
 
-    // Which cells have a surface (0) and which are free (1), by rows and by columns.
+    // Bitmaps of cells with a surface (0) and of free cells (1), by rows and by columns.
     BitRows rows_bits() const { return BitRows(rows, columns, nullptr); }
     BitRows columns_bits() const { return BitRows(columns, rows, nullptr); }
     BitRows bits_of(int k) const {
@@ -183,7 +183,7 @@ struct Obstacles {
         return BitRows(columns, rows, (int*)after + k * columns_bits().count());
     }
 
-    // The listed cells' whole surfaces, and with their depths, packed, where they are.
+    // Replaces the labels of listed cells by their merged surfaces, and packs these with the depths.
     void pack(const Team& team) const {
         for (int i = team.rank; i < *listed.count; i += team.size) {
             const int own = number[listed.label[i]], k = listed.cell[i];
@@ -197,7 +197,7 @@ struct Obstacles {
         team.sync();
     }
 
-    // The evidence between all pairs of surfaces.
+    // Computes the evidence between all pairs of surfaces.
     void find_evidence(const Team& team, const Contours& contours) const {
         const int count = counts[WHOLE], gap = settings[GAP];
         for (int l = team.rank; l < count; l += team.size) over[l] = whole.cells[l] / Extents::TRIM;
@@ -221,10 +221,10 @@ struct Obstacles {
         evidence.run(team);
     }
 
-    // Splits what bends around free floor; `last` of the parts.
+    // Splits obstacles that bend around free floor, and measures the parts in `last`.
     void straighten(const Team& team, const Contours& of_whole) const {
         const int groups = counts[GROUPS];
-        int* before = parts + groups;  // how many parts the groups before one have beside the first
+        int* before = parts + groups;  // extra parts of the groups before each one
         const Warp warp(team);
         for (int g = team.rank; g < groups; g += team.size) before[g] = 0;
         if (settings[BEND] > 0) {
@@ -260,7 +260,7 @@ struct Obstacles {
         measure(team, last, counts[PARTS]);
     }
 
-    // From the whole surface of each listed cell to the part of an obstacle. Ends in a sync.
+    // Replaces the merged surface of each listed cell by its part of an obstacle. Ends in a sync.
     void name(const Team& team) const {
         for (int i = team.rank; i < *listed.count; i += team.size) {
             const int g = number[listed.label[i]];
@@ -275,10 +275,10 @@ struct Obstacles {
                 settings[SIDE], settings[SIDE], stack + begin + g, packed + begin + g};
     }
 
-    // Obstacles by distance; what is too small or too far is none.
+    // Sorts obstacles by distance and removes those that are too small or too far away.
     void order(const Team& team) const {
         const int count = counts[PARTS], wholes = counts[WHOLE];
-        // Where nothing is split and no width matters, cells still have their surface.
+        // If nothing is split and no width matters, the cells still have the labels of surfaces.
         bool named = count > counts[GROUPS];
         if (team.any(width_decides(team, last, count)) && !named) {
             name(team);

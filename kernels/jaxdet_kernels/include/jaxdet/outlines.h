@@ -1,4 +1,4 @@
-// The outline of each obstacle on the floor: its contour, and the rectangle that fits it. Twin of
+// Outline of each obstacle on the floor: its contour, and the rectangle that fits it. Twin of
 // jaxdet/reference/_outlines.py.
 #pragma once
 #include "arena.h"
@@ -9,16 +9,16 @@
 namespace jaxdet { namespace {
 
 struct Outlines {
-    // Cells passed over before A, B and C; how much nearer a vertex is than A and B; longer rectangles
-    // pass over a part of their cells at their long sides.
+    // Settings: cells trimmed before A, B and C; minimum distance by which a vertex is nearer than A
+    // and B; length from which the long sides of a rectangle are trimmed.
     enum { TRIM, VERTEX, LONG, SETTINGS };
     enum {
         DIRECTIONS = 90,
         DIRECTION_BITS = 9,
         LONG_TRIM = 20,
-        // Cells of a frame are counted in so many bits.
+        // Bits of a cell index.
         CELL_BITS = 20,
-        // Larger than any sum of distances to edges, without its fraction.
+        // Larger than any sum of distances to edges, after the fraction is dropped.
         NO_EDGE = 1 << 30
     };
 
@@ -27,19 +27,19 @@ struct Outlines {
     const Measures& measures;
     int slots, longest;
     const int* directions;  // (DIRECTIONS, 2)
-    // By slot; a contour has room for a point in each column.
+    // Results, (slots); a contour has room for one point per column.
     int *contour_out, *points_out, *direction_out, *span_out;
-    // By obstacle and column: the nearest cell's squared distance, then its number.
+    // Lexicographic key per obstacle and column: smallest squared distance, then cell index.
     unsigned long long* nearest;
-    // By obstacle and direction: what is compared.
+    // Criteria per obstacle and direction.
     long long* area;
     int* cost;
-    // By obstacle: points of the contour in the margins to the left and to the right.
+    // Number of contour points in the left and in the right margin, per obstacle.
     int* margins;
-    // By place in the order of the cells: along or across the direction.
+    // Coordinate along or across the direction, in the order of sorted cells.
     int* projected;
 
-    // Takes the arrays from scratch memory; those of `grid`, which `cells` is, after them.
+    // Allocates the arrays, then those of `grid`, which is `cells`.
     void allocate(Arena& arena, ObstacleCells& grid) {
         nearest = arena.longs(slots * cells.columns);
         area = (long long*)arena.longs(slots * DIRECTIONS);
@@ -49,7 +49,7 @@ struct Outlines {
         grid.allocate(arena, slots);
     }
 
-    // All of it, `measures` included.
+    // Runs all parts, including `measures`.
     void run() const {
         const Team& team = cells.team;
         clear();
@@ -57,7 +57,7 @@ struct Outlines {
         cells.clear();
         team.sync();
         cells.listed.take(team, cells.cells, cells.label, cells.count, cells.right, cells.forward);
-        look();
+        count();
         team.sync();
         if (warp.index == 0) cells.order(warp);
         for (int number = warp.index; number < cells.count; number += warp.count)
@@ -66,7 +66,7 @@ struct Outlines {
         cells.sort();
         compare_directions();
         team.sync();
-        // The rectangle of an obstacle is one piece of work, and so is each of its measures.
+        // The rectangle of an obstacle and each of its measurements are separate units of work.
         enum { PIECES = Measures::KINDS + 1 };
         for (int piece = warp.index; piece < PIECES * cells.count; piece += warp.count) {
             const int number = piece / PIECES, kind = piece % PIECES;
@@ -92,8 +92,8 @@ struct Outlines {
         for (int i = team.rank; i < 4 * slots; i += team.size) span_out[i] = 0;
     }
 
-    // Counts the cells of each obstacle's parts and finds the nearest in each column.
-    void look() const {
+    // Counts the cells of the parts of each obstacle and finds the nearest one in each column.
+    void count() const {
         const Team& team = cells.team;
         const CellList& listed = cells.listed;
         for (int i = team.rank; i < *listed.count; i += team.size) {
@@ -106,12 +106,12 @@ struct Outlines {
         }
     }
 
-    // What the cells of a column are compared by: the squared distance, then the number.
+    // Lexicographic key of a cell: squared distance, then cell index.
     unsigned long long key(int k, long long x, long long y) const {
         return (unsigned long long)(x * x + y * y) << CELL_BITS | (unsigned)k;
     }
 
-    // The nearest cells of an obstacle from left to right, and how many lie in either margin.
+    // Writes the contour of an obstacle, from left to right, and counts its points in either margin.
     void put_contour(int number) const {
         const unsigned long long* own = nearest + number * cells.columns;
         int* out = contour_out + 2 * number * cells.columns;
@@ -132,8 +132,8 @@ struct Outlines {
         for (int side = 0; side < 2; ++side) margins[2 * number + side] = sides[side];
     }
 
-    // How well each direction fits each contour, without its points in the margins unless more
-    // than half of them are there.
+    // Computes how well each direction fits each contour, without points in the margins unless more
+    // than half of the points are there.
     void compare_directions() const {
         const Team& team = cells.team;
         for (int i = team.rank; i < cells.count * DIRECTIONS; i += team.size) {
@@ -145,7 +145,8 @@ struct Outlines {
         }
     }
 
-    // The sum of the distances from `n` points to the nearer of the edges that face the camera.
+    // Computes the sum of the distances from `n` points to the nearer of the edges that face the
+    // camera.
     void compare(int i, const int* line, int n, const int* direction) const {
         const int dx = direction[0], dy = direction[1];
         Extremes along, across;
@@ -179,7 +180,7 @@ struct Outlines {
                                 : NO_EDGE;
     }
 
-    // The best direction of an obstacle and the extremes of its cells along and across.
+    // Writes the best direction of an obstacle and the extremes of its cells along and across it.
     void put_rectangle(int number) const {
         const ObstacleCells::Range every = cells.all(number), relied = cells.relied(number);
         if (every.size() == 0) return;
@@ -214,7 +215,7 @@ struct Outlines {
         return best - first;
     }
 
-    // Of equal directions the first is better.
+    // Whether one direction fits better; of equal ones the first does.
     bool fits_better(int one, int other) const {
         if (cost[one] != cost[other]) return cost[one] < cost[other];
         return area[one] != area[other] ? area[one] < area[other] : one < other;
@@ -227,7 +228,7 @@ struct Outlines {
         measures.put(all, found, found + 1);
     }
 
-    // Passes over one of LONG_TRIM cells at each end.
+    // Trims one in LONG_TRIM cells at each end.
     void trim(ObstacleCells::Range range, int ax, int ay, int* side) const {
         const Ranks ranks(warp);
         const int passed = range.size() / LONG_TRIM, first = range.first, end = range.end;

@@ -1,13 +1,12 @@
-// The lines of a 16-bit grey PNG: their filters undone, sixteen lines side by side.
+// Decoding of the filtered lines of a 16-bit grey PNG, sixteen lines at a time.
 //
-// Source: Portable Network Graphics Specification, Section 9 (filtering). A line is the number of
-// its filter and the bytes of its samples, the higher byte first.
+// Source: Portable Network Graphics Specification, Section 9 (filtering). A line is the number of its
+// filter followed by the bytes of its samples, high byte first.
 //
-// A byte depends on the bytes to its left (a), above it (b) and above to the left (c). So each line
-// is a pixel behind the one above it, and the bytes of a step are all that the next one needs: a
-// are its lanes, b the lanes before these, and c what b was. All filters are one expression, in
-// which a line leaves out what its filter does not look at: of a alone Paeth's predictor is a, of b
-// alone it is b.
+// A byte depends on the bytes to its left (a), above (b) and above left (c). So each line is processed
+// one pixel behind the one above it, and a step needs only the bytes of the previous one: a is the same
+// lane, b the preceding lane, and c the previous b. All filters are one expression, in which inputs
+// that a filter does not use are masked: with a only, Paeth's predictor is a; with b only, it is b.
 #pragma once
 #include "team.h"
 
@@ -17,7 +16,7 @@ struct PngDepth {
     enum { NONE, SUB, UP, AVERAGE, PAETH };
     enum { LINES = 16 };
     typedef unsigned short Pixels __attribute__((vector_size(32), aligned(2), may_alias));
-    typedef short Lanes __attribute__((vector_size(64)));  // a line's higher byte; 16 on its lower
+    typedef short Lanes __attribute__((vector_size(64)));  // high bytes of the lines, then low bytes
 
     const unsigned char* lines;  // (height, 1 + 2 width)
     int height, width;
@@ -27,12 +26,12 @@ struct PngDepth {
         for (int v = 0; v < height; v += LINES) undo(v, height - v < LINES ? height - v : LINES);
     }
 
-    // `count` lines from v on.
+    // Decodes `count` lines beginning at v.
     void undo(int v, int count) const {
-        Lanes left = {}, above = {}, corner = {}, mean = {};  // -1 in lanes whose filter looks there
+        Lanes left = {}, above = {}, corner = {}, mean = {};  // -1: the filter uses the input
         for (int r = 0; r < count; ++r) {
             const int filter = *line(v + r);
-            const bool has_above = v + r > 0;  // else what is above counts as zeros
+            const bool has_above = v + r > 0;  // otherwise the line above counts as zeros
             for (int lane = r; lane < 2 * LINES; lane += LINES) {
                 left[lane] = -(filter == SUB || filter >= AVERAGE);
                 above[lane] = -(has_above && filter >= UP);
@@ -40,9 +39,9 @@ struct PngDepth {
                 mean[lane] = -(filter == AVERAGE);
             }
         }
-        Lanes bytes = {}, before = {};  // of the last step, and what was above them
+        Lanes bytes = {}, before = {};  // bytes of the last step, and the bytes above them
         for (int u = 0; u < width + count - 1; u += LINES) {
-            // Line r is at u - r; what is outside of the image counts as zeros.
+            // Line r is at column u - r; pixels outside the image count as zeros.
             const bool inside = u >= LINES && u + LINES <= width && count == LINES;
             Pixels pixels[LINES] = {}, last = {};
             if (inside)
@@ -76,7 +75,7 @@ struct PngDepth {
 
     const unsigned char* line(int v) const { return lines + (size_t)v * (1 + 2 * width); }
 
-    // Pixels of a line from u on.
+    // Reads or writes the pixels of a line beginning at column u.
     void read(const unsigned char* from, int u, Pixels* out) const {
         for (int k = u < 0 ? -u : 0; k < LINES && u + k < width; ++k)
             __builtin_memcpy((char*)out + 2 * k, from + 2 * (u + k), 2);
@@ -86,9 +85,9 @@ struct PngDepth {
             depth_out[(size_t)v * width + u + k] = pixels[k];
     }
 
-    // The one of a, b and c that is nearest to a + b - c, of equally near ones the first. With
-    // bound = 3 c - a - b that is the lower of a and b where both are at most bound, the higher
-    // where both are at least bound, else c: a shorter chain than the three distances.
+    // Paeth's predictor: the one of a, b and c that is nearest to a + b - c, the first of equally near
+    // ones. With bound = 3 c - a - b it is min(a, b) if both are at most bound, max(a, b) if both are
+    // at least bound, otherwise c: a shorter dependency chain than the three distances.
     __attribute__((always_inline)) static void paeth(const Lanes& a, const Lanes& b, const Lanes& c,
                                                      Lanes* out) {
         const Lanes low = a < b ? a : b, high = a < b ? b : a, bound = 3 * c - (a + b);
@@ -96,7 +95,8 @@ struct PngDepth {
         *out = bound <= low ? high : not_high;
     }
 
-    // Each line gets the bytes of the one above it, the first the last ones of `first`.
+    // Shifts the lanes, so that each line gets the bytes of the one above it, and the first line the
+    // last lanes of `first`.
     __attribute__((always_inline)) static void lower(const Lanes& bytes, const Lanes& first,
                                                      Lanes* out) {
         *out = __builtin_shufflevector(first, bytes, 15, 32, 33, 34, 35, 36, 37, 38, 39, 40, 41, 42, 43,
@@ -104,7 +104,7 @@ struct PngDepth {
                                        60, 61, 62);
     }
 
-    // The bytes of a pixel of each line, as they are in a file.
+    // Splits pixels in file byte order into high and low bytes, or joins them.
     __attribute__((always_inline)) static void split(const Pixels& pixels, Lanes* out) {
         const Pixels high = pixels & 255, low = pixels >> 8;
         *out = (Lanes)__builtin_shufflevector(high, low, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13,
@@ -119,7 +119,7 @@ struct PngDepth {
         *out = high << 8 | low;
     }
 
-    // Rounds in which rows i and i + LINES / 2 are interleaved.
+    // Transposes by rounds that interleave rows i and i + LINES / 2.
     __attribute__((always_inline)) static void transpose(Pixels* rows) {
         for (int round = LINES; round > 1; round /= 2) {
             Pixels next[LINES];

@@ -1,4 +1,4 @@
-// The method on the frames of a batch: from a depth image to the record of what is found in it.
+// The detection method on a batch of frames: from depth images to records of results.
 #pragma once
 #include "arena.h"
 #include "cells.h"
@@ -18,7 +18,7 @@
 
 namespace jaxdet { namespace {
 
-// Reads sizes, and where arrays of a buffer begin, one after the other.
+// Cursor over the header of a buffer; reads sizes and the offsets of arrays one after the other.
 struct Header {
     const int* at;
 
@@ -28,13 +28,13 @@ struct Header {
     }
 };
 
-// A frame: its arrays by name, in the order of jaxdet/stages/_program.py. Where most begin follows from
-// the size of the grid, which is an argument of the kernels: CUDA computes it anew at each use, while
-// what is read from memory would take registers.
+// The named arrays of one frame, in the order of jaxdet/stages/_program.py. Most offsets follow from
+// the size of the grid, which is an argument of the kernels: CUDA recomputes them at each use, while
+// values read from memory would occupy registers.
 struct Frame {
     enum {
-        STATIC = 3,   // words that only Python reads, at the begin of the header
-        HEADER = 32,  // all of them
+        STATIC = 3,   // header words at the start that only Python reads
+        HEADER = 32,  // words of the complete header
         DEPTHS = 65536,
         SLOTS = 128  // MAX_OBSTACLES
     };
@@ -42,19 +42,19 @@ struct Frame {
     const int* floors;            // Floor::PRIOR values, then FloorFrame::VALUES
     int* contour;                 // (SLOTS, columns, 2)
 
-    int rows, columns;  // of the grid of cells
+    int rows, columns;  // size of the grid of cells
     int width, side, trees, leaves, aligned;
-    int work_words;  // of what steps hand on
+    int work_words;  // words of the intermediate arrays
     // Tables.
-    const int *near, *steps, *limits, *rises, *bows, *drops, *bands;  // by depth
+    const int *near, *steps, *limits, *rises, *bows, *drops, *bands;  // indexed by depth
     const int *surface_settings, *outline_settings, *free_settings, *last, *directions;
     const int *bearings, *ray_directions;
     const float *block_settings, *parameters, *corner_x, *corner_y;
     const int *rays, *tile_corners, *floor_settings, *sines, *feature, *threshold, *value, *obstacle_settings;
-    // What steps hand on: of each cell, but for `frame`.
+    // Intermediate arrays that steps pass on, one value per cell except for `frame`.
     int *frame, *x, *y, *z, *nearest, *right, *forward, *above, *surface, *label;
     unsigned char *keep, *free, *low;
-    // The record.
+    // The record of results.
     int *floor, *num_surfaces, *has_depth, *num_obstacles;
     int *num_points, *has_vertex, *contour_points;
     int *uv_min, *uv_max, *a, *b, *c, *direction, *bottom_top;
@@ -143,7 +143,7 @@ struct Frame {
         found.run(team);
     }
 
-    // What the step of the free floor has in scratch memory.
+    // Scratch memory of the free-floor step.
     struct FreeParts {
         int *line, *end, *falls, *polar, *start, *stop, *block;
 
@@ -155,17 +155,17 @@ struct Frame {
     };
     JAXDET_STEP void find_free_floor(const Team& team, int* scratch) const {
         Arena arena{scratch};
-        const FreeParts in(columns, arena);
+        const FreeParts parts(columns, arena);
         const int* const of = free_settings;
         const FloorFrame floor_frame(frame);
         FreeFloor by_column{team, rows, columns, of[FreeFloor::FAR], of[FreeFloor::GAP], label, z,
-                            right, forward, above, (const bool*)low, bows, drops, in.line, in.end,
-                            in.falls, false};
-        const Rays found{team, columns, bearings, ray_directions, in.line, in.end, in.start,
-                         in.stop, in.block, in.polar, of[FreeFloor::HALF_TURN]};
+                            right, forward, above, (const bool*)low, bows, drops, parts.line, parts.end,
+                            parts.falls, false};
+        const Rays found{team, columns, bearings, ray_directions, parts.line, parts.end, parts.start,
+                         parts.stop, parts.block, parts.polar, of[FreeFloor::HALF_TURN]};
         by_column.run(floor_frame);
         const int slope = Surfaces::noise(floor_frame, surface_settings[Surfaces::NOISE]);
-        const Notches notches{by_column, of, rises, slope, in.polar, in.start, in.stop, label,
+        const Notches notches{by_column, of, rises, slope, parts.polar, parts.start, parts.stop, label,
                               num_obstacles, first_notch};
         if (notches.run()) by_column.run(floor_frame);
         found.begin();
@@ -178,7 +178,7 @@ struct Frame {
         found.put(inside, free_ranges, free_end);
     }
 
-    // Calls `use` with the outlines of so many obstacles, once they have taken their memory.
+    // Allocates the outlines of `number` obstacles in the arena, then calls `use` with them.
     template <class Use>
     void with_outlines(const Team& team, int number, Arena& arena, Use use) const {
         const Warp warp(team);
@@ -201,7 +201,8 @@ struct Frame {
         with_outlines(team, number, arena, [](const Outlines& outlines) { outlines.run(); });
     }
 
-    // The most words of scratch memory that a step takes; also for CUDA, where it is less.
+    // Returns the largest number of scratch words of any step, computed with the CPU's layout; CUDA
+    // needs no more.
     size_t scratch_words(const Team& team) const {
         enum { FLOOR, SURFACES, OBSTACLES, OUTLINES, FREE_FLOOR, ALL };
         Arena of[ALL];
@@ -218,7 +219,7 @@ struct Frame {
     }
 };
 
-// A batch: rows of words, one row for each frame.
+// The arrays of a batch: one row of words per frame.
 struct Batch {
     const unsigned short* depth;
     const int *floors, *tables;
@@ -232,7 +233,7 @@ struct Batch {
                 record + b * record_words, contour + b * contour_words, own_work};
     }
 
-    // On CUDA: calls `step` with each frame of a team.
+    // On CUDA: calls `step` for each frame assigned to this team.
     template <class Step>
     void by_teams(int tid, int teams, int* scratch, size_t words, Step step) const {
         const Team team(tid, 0);
@@ -242,8 +243,9 @@ struct Batch {
     }
 
 #if !defined(__CUDA_ARCH__)
-    // On the CPU, in a thread: takes frames and does the steps from `first` to `last`. What they hand
-    // on is in `work` where that has a row for each frame, else in `own`, before the scratch memory.
+    // On the CPU, in one thread: takes frames from the queue and runs steps `first` to `last` on each.
+    // The intermediate arrays are in `work` if it has a row per frame, otherwise in `own`, followed by
+    // the scratch memory.
     void by_threads(int* next, int first, int last, int* own) const {
         const Team team(0, 0);
         typedef void (Frame::*Step)(const Team&, int*) const;

@@ -9,13 +9,13 @@ namespace jaxdet { namespace {
 
 struct Projection {
     enum { PINHOLE, PLUMB_BOB, RATIONAL, EQUIDISTANT, PARAMETERS = 26 };
-    enum { FAR = 1 << 20 };  // a column or row that is near no image
+    enum { FAR = 1 << 20 };  // farther than any column or row of an image
     // Rotation 0-8, translation 9-11, fx fy cx cy 12-15, lens 16-23, largest squared slope 24,
-    // metres in a depth unit 25.
+    // metres per depth unit 25.
     const float* p;
     int model;
 
-    // Behind the parameters is the lens.
+    // The lens model follows the parameters.
     static Projection of(const float* parameters) {
         return {parameters, static_cast<int>(parameters[PARAMETERS])};
     }
@@ -25,7 +25,7 @@ struct Projection {
         bool seen;
     };
 
-    // Cephes `atan` for x >= 0 from the four operations alone, without a branch.
+    // Cephes `atan` for x >= 0, from basic arithmetic only and without a branch.
     __attribute__((always_inline)) static double arctangent(double x) {
         const bool large = x > 2.414213562373095, middle = !large & (x > 0.66);
         const double offset = large ? 1.5707963267948966 : middle ? 0.7853981633974483 : 0.0;
@@ -56,7 +56,7 @@ struct Projection {
         y = (float)(wy * scale);
     }
 
-    // OpenCV's radial and tangential model, of floats or intervals.
+    // OpenCV's radial and tangential distortion, for floats or intervals.
     template <class T>
     __attribute__((always_inline)) void brown_conrady(T& x, T& y, T r2) const {
         T radial = 1.0f + r2 * (p[16] + r2 * (p[17] + r2 * p[20]));
@@ -69,7 +69,7 @@ struct Projection {
         y = dy;
     }
 
-    // A point in the colour camera [m], of floats or intervals.
+    // A point in the colour camera frame [m], as floats or intervals.
     template <class T> struct Moved {
         T x, y, z;
     };
@@ -82,10 +82,10 @@ struct Projection {
                 p[6] * px + (p[7] * py + (p[8] * depth + p[11]))};
     }
 
-    // The pixel of the point at `units` on the ray (x, y) of the depth camera; `bends` where the
-    // lens does. There is no branch but for the model, and functions are inlined, so that loops
-    // over points become vector instructions; a struct that is returned would be packed into words.
-    // Points that are not seen go the same way.
+    // Computes the pixel of the point at depth `units` on the ray (x, y) of the depth camera; `bends`
+    // is true for a lens with distortion. The only branch is on the model, functions are inlined and
+    // points that are not visible take the same path, so that loops over points can be vectorized. The
+    // result is an output parameter because a returned struct would be packed into words.
     __attribute__((always_inline)) void through(
         int units, float x, float y, bool bends, Point* at) const {
         const float depth = (float)units * p[25];
@@ -110,7 +110,7 @@ struct Projection {
         at->seen = seen;
     }
 
-    // Pixels from (left, top) to (right, bottom).
+    // Box of pixels from (left, top) to (right, bottom), inclusive.
     struct Bounds {
         int left, top, right, bottom;
     };

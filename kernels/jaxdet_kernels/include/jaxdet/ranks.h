@@ -1,8 +1,8 @@
-// Order statistics: the k-th smallest of many values, by a search over values that counts how many
-// are at most so large.
+// Order statistics: the k-th smallest of many values, by a search over the range of values that counts
+// values up to a bound.
 //
-// Values are taken as they are (`flip` 0) or in falling order (`flip` -1): then v stands for ~v,
-// and so do the bounds and the result; `^ flip` turns both ways.
+// With `flip` 0 the order is ascending; with `flip` -1 it is descending: then v stands for ~v, as do
+// the bounds and the result, and `^ flip` converts both ways.
 #pragma once
 #include "warp.h"
 
@@ -13,7 +13,7 @@ struct Ranks {
 
     explicit Ranks(const Warp& warp) : warp(warp) {}
 
-    // How many of the values first .. end - 1 are at most `limit`. All lanes ask together.
+    // Number of the values first .. end - 1 that are at most `limit`; a collective call of the warp.
     int up_to(const int* values, int flip, int first, int end, int limit) const {
         int count = 0;
         for (int i = first + warp.lane; i < end; i += warp.size)
@@ -21,11 +21,11 @@ struct Ranks {
         return warp.sum(count);
     }
 
-    // The smallest value that more than `place` of the values first .. end - 1 do not exceed, if
-    // it lies within low .. high: the one at `place` in their order. All lanes ask together.
-    // Values below `low` or above `high` may be any.
+    // Returns the value at index `place` of the sorted values first .. end - 1, if it lies within low
+    // .. high: the smallest that at least `place` + 1 values do not exceed. A collective call of the
+    // warp. Other values may lie outside the bounds.
     //
-    // Each round looks at three values between the bounds and so leaves a quarter.
+    // Each round counts at three values between the bounds and leaves a quarter of the range.
     int at(const int* values, int flip, int first, int end, int place, int low, int high) const {
         while (low < high) {
             const int part = (high - low) >> 2;

@@ -1,4 +1,4 @@
-// How far the floor is free along fixed bearings from the camera's foot. Twin of
+// Free floor along fixed bearings from the ground projection of the camera (the foot). Twin of
 // jaxdet/reference/_rays.py.
 #pragma once
 #include "cells.h"
@@ -12,34 +12,34 @@ struct Rays {
     enum {
         RAYS = 1440,
         UNIT_BITS = 4,
-        UNITS = 1 << UNIT_BITS,  // of a bearing, between neighbouring rays
+        UNITS = 1 << UNIT_BITS,  // units of a bearing between neighbouring rays
         TURN = RAYS * UNITS,
         RATIO_BITS = 12,
         BITS = 13,       // fraction bits of a direction
-        TURN_BITS = 13,  // and of a small turn
-        MOST_WIDER = 8,  // times that a column is wider at its end than at its neighbour's
+        TURN_BITS = 13,  // fraction bits of a small angle
+        MOST_WIDER = 8,  // largest ratio of a column's width at its end and at its neighbour's end
         END_BITS = 2,
         NONE = 0x7fffffff,
-        INFINITE = 0x7f800000  // as float32
+        INFINITE = 0x7f800000  // infinity as float32
     };
     enum { UNKNOWN, OBSTACLE };  // as in FreeFloor
     struct Point { int right, forward, bearing, range; };
 
     const Team& team;
     int columns;
-    const int* angles;       // (2^RATIO_BITS + 1,) of bearings up to an eighth of a turn, by tangent
-    const int* directions;   // (2, RAYS, 2): of the rays, and of the left edges of their sectors
-    const int *line, *ends;  // (columns, 2, 2), (columns,): where columns begin and end, and why
-    // By ray: where the floor begins; packed, where it ends; and as the bits of its squared float32,
-    // the range of what stands there.
+    const int* angles;       // (2^RATIO_BITS + 1,) bearings up to an eighth of a turn, by tangent
+    const int* directions;   // (2, RAYS, 2): directions of rays, and of the left edges of their sectors
+    const int *line, *ends;  // (columns, 2, 2), (columns,): start and end of columns, and why they end
+    // Per ray: start of the floor; packed end of the floor; squared range of the nearest obstacle, as
+    // the bits of a float32.
     int *start, *stop, *block;
-    int* polar;  // (columns, 2, 2): bearing and range of where columns begin and end
-    int turn;    // half a cell's angle in radians, with TURN_BITS
+    int* polar;  // (columns, 2, 2): bearing and range of the start and end of columns
+    int turn;    // half a cell's angle [rad], with TURN_BITS fraction bits
 
     static int magnitude(int a) { return a < 0 ? -a : a; }
 
-    // Quotients rounded down, of a below 2^52 and b from 1 to 2^33. Float64, which CPUs are faster
-    // with, tells those below 2^19 from the next integer; larger ones may be rounded.
+    // Quotients rounded down, for a below 2^52 and b from 1 to 2^33. In float64, which is faster on
+    // CPUs, quotients below 2^19 are exact after rounding down; larger ones may be rounded up.
     static long long floored(long long a, long long b) {
 #if defined(__CUDA_ARCH__)
         const long long all = a / b;
@@ -56,7 +56,7 @@ struct Rays {
 #endif
     }
 
-    // Bits of a float32; those of positive ones are ordered as they are.
+    // Bits of a float32; for positive floats they have the same order.
 #if defined(__CUDA_ARCH__)
     static int bits_of(float value) { return __float_as_int(value); }
     static float float_of(int bits) { return __int_as_float(bits); }
@@ -73,7 +73,7 @@ struct Rays {
     }
 #endif
 
-    // Clockwise from above, 0 ahead.
+    // Bearing of a point, clockwise from above, 0 ahead.
     __attribute__((always_inline)) int bearing(int right, int forward) const {
         const int aside = magnitude(right), ahead = magnitude(forward);
         const int low = aside < ahead ? aside : ahead, high = aside < ahead ? ahead : aside;
@@ -83,19 +83,19 @@ struct Rays {
         return right < 0 ? -angle : angle;
     }
 
-    // From one bearing to another, at most half a turn to either side.
+    // Signed angle from one bearing to another, at most half a turn.
     static int turn_to(int from, int to) {
         const int by = to - from;
         return by >= TURN / 2 ? by - TURN : by < -TURN / 2 ? by + TURN : by;
     }
 
-    // Counted on from 0 without an end.
+    // Index of the sector of a bearing, not wrapped.
     static int sector(int bearing) { return (bearing + TURN / 2 + UNITS / 2) >> UNIT_BITS; }
     static int wrapped(int sector) {
         return sector < 0 ? sector + RAYS : sector < RAYS ? sector : sector - RAYS;
     }
 
-    // The distance from the foot along the ray of a bearing; below 2^53 float64 is exact.
+    // Distance from the foot along the ray nearest to a bearing; float64 is exact below 2^53.
     __attribute__((always_inline)) int range(int right, int forward, int bearing) const {
         const int* const way = directions + 2 * wrapped(sector(bearing));
         const double sum = (double)right * way[0] + (double)forward * way[1] + (1 << (BITS - 1));
@@ -106,7 +106,7 @@ struct Rays {
         return {right, forward, at, range(right, forward, at)};
     }
 
-    // Of equal ranges an obstacle is least, then a drop.
+    // Lexicographic key: range, then obstacles before drops before other ends.
     static int packed(int range, int why) { return range << END_BITS | ((why - 1) & 3); }
 
     void begin() const {
@@ -118,7 +118,7 @@ struct Rays {
         team.sync();
     }
 
-    // Where a column begins (0) or ends (1).
+    // Start (0) or end (1) of a column.
     Point end_point(int c, int which) const {
         const int k = 2 * c + which;
         return {line[2 * k], line[2 * k + 1], polar[2 * k], polar[2 * k + 1]};
@@ -135,7 +135,7 @@ struct Rays {
         team.sync();
     }
 
-    // Whether a column shows floor, not only an obstacle.
+    // Whether floor is visible in a column, not only an obstacle.
     bool is_seen(int c) const {
         if (c < 0 || c >= columns) return false;
         const Point a = near(c), b = far(c);
@@ -143,13 +143,14 @@ struct Rays {
         return any && !(a.right == b.right && a.forward == b.forward && ends[c] == OBSTACLE);
     }
 
-    // Whether the floor of a column goes from behind the foot to before it, and where it passes.
-    bool passes(int c, long long* beside) const {
+    // Whether the floor of a column extends from behind the foot to in front of it, and the lateral
+    // position at which it passes the foot.
+    bool passes(int c, long long* crossing) const {
         if (!is_seen(c)) return false;
         const Point a = near(c), b = far(c);
         if (a.forward > 0 || b.forward < 0 || b.forward <= a.forward) return false;
         const long long across = (long long)(b.right - a.right) * -a.forward;
-        *beside = a.right + floored(across, b.forward - a.forward);
+        *crossing = a.right + floored(across, b.forward - a.forward);
         return true;
     }
 
@@ -163,7 +164,8 @@ struct Rays {
         return team.any(found);
     }
 
-    // The sectors that a segment passes, with its least or largest range in each.
+    // Calls `put` with each sector that a segment crosses, and its smallest or largest range in the
+    // sector.
     template <bool LEAST, class Put> void sweep(Point first, Point last, Put put) const {
         const int turn = turn_to(first.bearing, last.bearing);
         const Point &leftmost = turn < 0 ? last : first, &rightmost = turn < 0 ? first : last;
@@ -203,13 +205,13 @@ struct Rays {
             });
     }
 
-    // Clockwise about the foot by a small angle.
+    // Rotates a point clockwise about the foot by a small angle.
     Point turned(Point p, int by) const {
         return point(p.right + (int)((long long)p.forward * by >> TURN_BITS),
                      p.forward + (int)((long long)p.right * -by >> TURN_BITS));
     }
 
-    // A side of a column whose neighbour shows no floor.
+    // Adds the side of a column whose neighbour shows no floor.
     void add_side(int c, int by, bool foot_inside) const {
         const Point begin = turned(near(c), by), end = turned(far(c), by);
         begin_at(near(c), begin, foot_inside);
@@ -217,8 +219,8 @@ struct Rays {
         end_at(end, begin, UNKNOWN);
     }
 
-    // Between a column and the next one: from the end of the shorter one halfway to the longer one,
-    // along there, and on to the end of the longer one.
+    // Adds the boundary between a column and the next one: from the end of the shorter one halfway to
+    // the longer one, along the latter, and on to the end of the longer one.
     void add_between(int c) const {
         const bool nearer = far(c).forward <= far(c + 1).forward;
         const int brief = nearer ? c : c + 1, lasting = nearer ? c + 1 : c;
@@ -243,7 +245,7 @@ struct Rays {
         end_at(last, b, ends[lasting]);
     }
 
-    // The polygon of floor that columns show; ends in a sync.
+    // Adds the polygon of floor that the columns show. Ends in a sync.
     void add_floor(bool foot_inside) const {
         for (int c = team.rank; c < columns; c += team.size) {
             if (!is_seen(c)) continue;
@@ -258,19 +260,19 @@ struct Rays {
         team.sync();
     }
 
-    // Where the floor that columns show on a ray ends, 0 where they show none.
+    // Range at which the floor that the columns show on a ray ends, 0 if they show none.
     int floor_end(int ray, bool foot_inside) const {
         return (foot_inside || start[ray] >= 0) && stop[ray] < NONE ? stop[ray] >> END_BITS : 0;
     }
 
-    // The range of what stands on a ray, NONE where nothing does.
+    // Range of the nearest obstacle on a ray, NONE if there is none.
     __attribute__((always_inline)) int range_of_block(int ray) const {
         if (block[ray] == INFINITE) return NONE;
         const int range = (int)SquareRoot::rounded(float_of(block[ray]));
         return range > 1 ? range : 1;
     }
 
-    // The result, all threads after a sync; ends in one. `free_out` (RAYS, 2), `end_out` (RAYS,).
+    // Writes the result, after a sync: `free_out` (RAYS, 2), `end_out` (RAYS,). Ends in a sync.
     void put(bool foot_inside, int* free_out, int* end_out) const {
         for (int i = team.rank; i < RAYS; i += team.size) {
             const int blocked = range_of_block(i);
@@ -287,23 +289,24 @@ struct Rays {
     }
 };
 
-// What stands above the step, by bearing: of each cell its nearest pixel or itself. Float32 like the
-// reference, and each operation is rounded on its own.
+// Nearest obstacle above the step height by bearing, from the nearest pixel of each cell or the cell
+// itself. Float32 as in the reference, with each operation rounded separately.
 struct RayBlocks {
-    // A tile is so many rows of a column of cells; its nearest point stands in all sectors that the
-    // tile is seen in.
+    // A tile is TILE rows of a column of cells; its nearest point blocks all sectors that the tile
+    // covers.
     enum { TILE = 4, ABREAST = 8, CORNER_BITS = 12, WIDEST = Rays::TURN / 4 };
-    // Of a pixel's step: its part at the camera, its growth with depth, and the noise of depth.
+    // Indices of settings: height of the step for pixels at the camera, its growth with depth, and the
+    // noise of depth.
     enum { STEP, GROWTH, NOISE, SETTINGS };
-    int nearest, farthest, highest;  // depths in range, and the most height
+    int nearest, farthest, highest;  // depth range, and largest height
     int rows, columns;
     const unsigned char* low;
     const int *pixels, *z, *height;
-    const int *rays, *corners;  // (2, rows, columns), and of tiles (2, tiles + 1, columns + 1)
-    // Axes of the floor, for rays with RAY_BITS; the camera's height; the step; the ramp.
+    const int *rays, *corners;  // (2, rows, columns); corners of tiles (2, tiles + 1, columns + 1)
+    // Axes of the floor, scaled for rays with RAY_BITS; height of the camera; step; ramp.
     float axes[3][3], camera, step, growth, noise, ramp_start, ramp_slope;
 
-    // Without a known floor all points are as high.
+    // If the floor is unknown, all points have the same height.
     RayBlocks(int nearest, int farthest, int highest, int rows, int columns,
               const FloorFrame& frame, const unsigned char* low, const int* pixels, const int* z,
               const int* height, const int* rays, const int* corners, const float* settings)
@@ -324,13 +327,13 @@ struct RayBlocks {
 
     __attribute__((always_inline)) static float higher(float a, float b) { return a > b ? a : b; }
 
-    // On the floor, of a ray whose depth is 1.
+    // Component along a floor axis of the point at depth 1 on a ray.
     __attribute__((always_inline)) float along(int axis, float x, float y) const {
         return axes[axis][0] * x + axes[axis][1] * y + axes[axis][2];
     }
 
-    // The squared distance from the foot of what stands in cell k, infinite if nothing does; the
-    // bits of a float32.
+    // Squared distance from the foot of the obstacle in cell k, infinite if there is none, as the bits
+    // of a float32.
     __attribute__((always_inline)) int square(int k) const {
         const int pixel = pixels[k], own = z[k], high = height[k];
         const bool is_cell =
@@ -346,7 +349,7 @@ struct RayBlocks {
         return (is_cell | is_pixel) ? Rays::bits_of(found) : (int)Rays::INFINITE;
     }
 
-    // The least of cells k .. k + N - 1 and what was found before.
+    // Updates N minima with cells k .. k + N - 1.
     template <int N> __attribute__((always_inline)) void find_least(int k, int* least) const {
         for (int i = 0; i < N; ++i) {
             const int found = square(k + i);
@@ -354,7 +357,7 @@ struct RayBlocks {
         }
     }
 
-    // The bearing of a corner of tiles.
+    // Bearing of a corner of tiles.
     __attribute__((always_inline)) int bearing(const Rays& to, int tile, int column) const {
         const int all = (tiles() + 1) * (columns + 1), k = tile * (columns + 1) + column;
         const float x = (float)corners[k], y = (float)corners[all + k];
@@ -365,8 +368,8 @@ struct RayBlocks {
     int end_of(int tile) const { return (tile + 1) * TILE < rows ? (tile + 1) * TILE : rows; }
     int tiles() const { return (rows + TILE - 1) / TILE; }
 
-    // Puts the nearest point of a tile into the sectors between its corners; one that the foot may
-    // be in has all.
+    // Adds the nearest point of a tile to the sectors between its corners, or to all sectors if the
+    // tile may contain the foot.
     __attribute__((always_inline)) void add(const Rays& to, int square, int a, int b, int c,
                                             int d) const {
         const int turns[] = {Rays::turn_to(a, b), Rays::turn_to(a, c), Rays::turn_to(a, d)};
@@ -403,7 +406,8 @@ struct RayBlocks {
             for (int c = 0; c < columns; ++c) least[c] = Rays::INFINITE;
             for (int row = tile * TILE; row < end_of(tile); ++row) {
                 for (int c = 0; c < columns; c += columns < ABREAST ? 1 : (int)ABREAST) {
-                    // The last ones are found again where they don't fill the lanes.
+                    // The last vector overlaps the one before it if the row is not a multiple of its
+                    // length.
                     const int first = c < columns - ABREAST ? c : columns - ABREAST;
                     if (first < 0)
                         find_least<1>(row * columns + c, least + c);

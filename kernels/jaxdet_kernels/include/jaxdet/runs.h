@@ -1,5 +1,5 @@
-// Connected components of the cells of a frame, by runs: cells of a row that are linked one to the
-// next. Runs are numbered by a prefix sum and joined by union-find.
+// Connected components of the cells of a frame, by runs of linked cells in a row. Runs are numbered by
+// a prefix sum and merged by union-find.
 #pragma once
 #include "bits.h"
 #include "union_find.h"
@@ -7,14 +7,14 @@
 
 namespace jaxdet { namespace {
 
-// The runs of all rows, numbered from the upper left, and the sets that they are linked to.
+// Runs of all rows, numbered in raster order, and the components that they belong to.
 struct Runs {
-    BitRows on, starts;  // cells of runs, and which of them a run begins with
-    int* before;         // how many runs begin before each word, and how many there are
-    UnionFind sets;      // of runs
-    int* sizes;          // by the root, the cells of a set
+    BitRows on, starts;  // cells of runs, and first cells of runs
+    int* before;         // number of runs that begin before each word, and the total
+    UnionFind sets;      // components of runs
+    int* sizes;          // number of cells of a component, indexed by its root
 
-    // Finds `before`; how many runs there are. All threads must call it, after a sync; ends in one.
+    // Computes `before`; returns the number of runs. A collective call, after a sync; ends in a sync.
     int count(const Team& team) const {
         const int words = starts.count();
         for (int i = team.rank; i < words; i += team.size) before[i] = BitRows::popcount(starts[i]);
@@ -25,8 +25,9 @@ struct Runs {
         return before[words];
     }
 
-    // Numbers the runs, each a set of its own; ends in a sync. All threads must call it, after a
-    // sync. `near` has room for the sets of `most` runs and is used where that is enough.
+    // Numbers the runs, each of which becomes its own component; returns their number. A collective
+    // call, after a sync; ends in a sync. `near` has room for the parents of `most` runs and is used if
+    // that is enough.
     int number(const Team& team, int* near, int most) {
         const int count = this->count(team);
         if (count <= most) sets.parent = near;
@@ -43,7 +44,8 @@ struct Runs {
         return before[i] + BitRows::popcount(starts[i] & ((2u << k) - 1)) - 1;
     }
 
-    // The cells of one run in word i, and these taken off `rest`, which is `on[i]` at first.
+    // Returns the cells of the next run in word i and removes them from `rest`, which is `on[i]` at
+    // first.
     unsigned next(int i, unsigned* rest) const {
         const unsigned low = *rest & -*rest, up_to = low | (low - 1);
         const unsigned stop = (~on[i] | starts[i]) & ~up_to;
@@ -52,12 +54,12 @@ struct Runs {
         return cells;
     }
 
-    // Links the runs of two cells, of bits k and l.
+    // Merges the components of two cells: bit k of word i and bit l of word j.
     void link(const Team& team, int i, int k, int j, int l) const {
         sets.link(team, at(i, k), at(j, l));
     }
 
-    // Adds up the sizes of the sets; ends in a sync.
+    // Computes the sizes of the components. Ends in a sync.
     void measure(const Team& team) const {
         for (int i = team.rank; i < on.count(); i += team.size)
             for (unsigned rest = on[i]; rest;) {

@@ -1,23 +1,23 @@
-// RVL: depth as variable-length numbers. Source: A. Wilson, Fast Lossless Depth Image Compression,
-// ISS 2017.
+// Decoder of RVL, run-length and variable-length coding of depth images. Source: A. Wilson, Fast
+// Lossless Depth Image Compression, ISS 2017.
 //
-// A number is a run of nibbles, three bits in each, the lowest first; the top bit of a nibble says
-// that more follow. Nibbles stand in little-endian 32-bit words, the most significant first.
+// A number is a sequence of nibbles with three bits each, lowest first; the top bit of a nibble is set
+// if more follow. Nibbles are packed in little-endian 32-bit words, most significant first.
 #pragma once
 #include "team.h"
 
 namespace jaxdet { namespace {
 
-// What the next three nibbles hold: most differences between pixels are one or two long.
+// Lookup table by the next three nibbles: most differences between pixels are one or two nibbles long.
 struct RvlWindows {
     enum { BITS = 12, REACH = 256 };
 
     struct Window {
-        short sum[3];  // of the differences up to each number; the last again where it is not there
-        unsigned char count;  // of numbers that end here
-        unsigned char bits;   // of these
+        short sum[3];  // prefix sums of the complete differences, the last one repeated
+        unsigned char count;  // number of complete differences
+        unsigned char bits;   // bits of these
     };
-    Window windows[1 << BITS];  // no sum is beyond REACH
+    Window windows[1 << BITS];  // no sum exceeds REACH in magnitude
 
     RvlWindows() {
         for (int code = 0; code < 1 << BITS; ++code) {
@@ -39,18 +39,18 @@ struct RvlWindows {
     }
 };
 
-// The stream's nibbles, the next at the top of a register; zeros after its end.
+// Bit reader of the stream, with the next nibble at the top of a register; zeros after the end.
 struct RvlNibbles {
     const unsigned char* words;
     long long count;  // words
     long long next;
     unsigned long long bits;
-    int held;  // bits of the stream in the register
+    int held;  // bits in the register
 
     RvlNibbles(const unsigned char* words, long long count)
         : words(words), count(count), next(0), bits(0), held(0) {}
 
-    // At least 33 bits are held afterwards.
+    // Refills the register to at least 33 bits.
     void refill() {
         if (held > 32) return;
         unsigned word = 0;
@@ -68,10 +68,10 @@ struct RvlNibbles {
         held -= size;
     }
 
-    // Whether more was taken than there is.
+    // Whether more bits were read than the stream has.
     bool overrun() const { return 32 * next - held > 32 * count; }
 
-    // The next number; -1 where it is longer than 32 bits.
+    // Reads the next number; -1 if it is longer than 32 bits.
     long long number() {
         long long value = 0;
         for (int place = 0; place < 33; place += 3) {
@@ -93,7 +93,7 @@ struct RvlDecoder {
     long long size;  // of the image [pixel]
     RvlWindows table;
 
-    // Runs of zeros and of other pixels in turns until the image is full.
+    // Decodes alternating runs of zeros and of other pixels until the image is full.
     int run() {
         long long at = 0, value = 0;
         while (at < size) {
@@ -116,12 +116,13 @@ struct RvlDecoder {
         return GOOD;
     }
 
-    // Up to three pixels at once, where none can leave 16 bits; false where no number ends so soon.
+    // Decodes up to three pixels at once, if no value can leave 16 bits; returns false otherwise, or if
+    // no number is complete.
     bool window(long long& at, long long& value) {
         const RvlWindows::Window& next = table.windows[nibbles.bits >> (64 - RvlWindows::BITS)];
         if (!next.count || value < RvlWindows::REACH || value > MOST - RvlWindows::REACH)
             return false;
-        // Those beyond the count are written again.
+        // Pixels beyond the count are overwritten later.
         for (int i = 0; i < 3; ++i) pixels_out[at + i] = (unsigned short)(value + next.sum[i]);
         value += next.sum[2];
         at += next.count;

@@ -1,5 +1,5 @@
-// Surfaces too small to be an obstacle join the one they touch most.
-// Twin of `whole_surfaces` in jaxdet/reference/_obstacles.py.
+// Merges surfaces that are too small to be an obstacle into the one they touch most. Twin of
+// `whole_surfaces` in jaxdet/reference/_obstacles.py.
 #pragma once
 #include "warp.h"
 #include "cell_list.h"
@@ -11,10 +11,10 @@ struct SmallSurfaces {
     enum { REACH = 2 };
     int count, rows, columns, step;
     const CellList& listed;
-    const int *label, *z;  // of each cell
-    const int* small;      // of each surface
-    int* touching;         // scratch: `count` words for each surface
-    // Each surface by itself; result, as `parent`: the smallest one of those it belongs to.
+    const int *label, *z;  // per cell
+    const int* small;      // per surface
+    int* touching;         // scratch, (count, count)
+    // Input: each surface is its own set. Result, as `parent`: the smallest surface of each set.
     UnionFind sets;
 
     // Ends in a sync.
@@ -44,8 +44,8 @@ struct SmallSurfaces {
         team.sync();
     }
 
-    // How many cells of small surfaces touch which surface, in the next cell or the one after it, at
-    // all four sides.
+    // Counts the cells of small surfaces that touch other surfaces: in the next cell or the one after
+    // it, on all four sides.
     void touch(const Team& team) const {
         const int all = *listed.count;
         for (int i = team.rank; i < all; i += team.size) {

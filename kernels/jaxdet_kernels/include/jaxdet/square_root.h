@@ -1,4 +1,4 @@
-// Square roots: of floats rounded to the nearest, of integers below 2^44 rounded down.
+// Square roots: of floats, rounded to nearest; of integers below 2^44, rounded down.
 #pragma once
 #include "team.h"
 

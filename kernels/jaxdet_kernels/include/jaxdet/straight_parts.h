@@ -1,6 +1,6 @@
-// Where a contour bends around free floor. Twin of `straight_parts` in
-// jaxdet/reference/_outlines.py. Lanes work on one contour together: all of them take every step, and
-// share the search for the largest triangle.
+// Splits a contour where it bends around free floor. Twin of `straight_parts` in
+// jaxdet/reference/_outlines.py. The lanes of a warp work on one contour together: all of them execute
+// every step, and share the search for the largest triangle.
 #pragma once
 #include "warp.h"
 #include "square_root.h"
@@ -14,8 +14,8 @@ struct StraightParts {
     const int *x, *y;  // the contour, from left to right
     int points;
     long long bend, shortest, jump;
-    // Scratch, a word a point; result, one more: the first point of each part. Each lane reads what
-    // it has written itself, the same as all others.
+    // Scratch, (points); result, (points + 1): the first point of each part. Every lane writes the same
+    // values and reads back its own writes.
     int *stack, *parts;
 
     long long squared(int a, int b) const {
@@ -23,17 +23,17 @@ struct StraightParts {
         return right * right + forward * forward;
     }
 
-    // The length of a chord, at least 1.
+    // Length of a chord, at least 1.
     long long length(int a, int b) const {
         const int found = SquareRoot::of(squared(a, b));
         return found > 1 ? found : 1;
     }
 
-    // Twice the area of the largest triangle behind the chord of two points, and where its tip is.
+    // Returns twice the area of the largest triangle behind the chord of two points, and its tip.
     long long behind(int first, int last, int* tip) const {
         const long long right = x[last] - x[first], forward = y[last] - y[first];
         const bool faces = right * y[first] - forward * x[first] >= 0;
-        // The larger an area, the smaller its key; of equal ones, that of the first point.
+        // Lexicographic key, smallest first: falling area, then the first point.
         unsigned long long best = ~0ull;
         for (int k = first + 1 + warp.lane; k <= last; k += warp.size) {
             const long long area = right * (y[k] - y[first]) - forward * (x[k] - x[first]);
@@ -46,7 +46,7 @@ struct StraightParts {
         return best == ~0ull ? 0 : MOST_AREA - (long long)(best >> POINT_BITS);
     }
 
-    // The point to split at, -1 for none.
+    // Returns the point at which to split, -1 if none.
     int corner(int first, int last) const {
         if (last - first < FEWEST - 1) return -1;
         int at;
@@ -60,7 +60,7 @@ struct StraightParts {
         return area > most && is_long ? at : -1;
     }
 
-    // How many parts there are.
+    // Splits the contour; returns the number of parts.
     int run() const {
         parts[0] = 0;
         if (points < FEWEST) return 1;

@@ -1,5 +1,5 @@
-// The cells of a frame on the floor, and the surfaces that they make.
-// Twin of `_surfaces` in jaxdet/reference/_detect.py and of jaxdet/reference/_surfaces.py.
+// Positions of cells relative to the floor, and segmentation of cells into surfaces. Twin of
+// `_surfaces` in jaxdet/reference/_detect.py and of jaxdet/reference/_surfaces.py.
 #pragma once
 #include "arena.h"
 #include "bits.h"
@@ -15,42 +15,43 @@ namespace jaxdet { namespace {
 
 struct Surfaces {
     enum {
-        MOST = 512,  // labels from here on become -1
+        MOST = 512,  // larger labels become -1
         UNSEEN = 0x7fffffff,
-        AHEAD = 4,  // on CUDA loads of so many cells wait together
-        FEW = 2,    // where there are more of each cell
+        AHEAD = 4,  // cells whose loads are in flight together on CUDA
+        FEW = 2,    // the same if there are more loads per cell
     };
-    // Where each setting is: depths up to which surfaces are followed; the height up to which those
-    // without a steep side are floor; how much noise of depth lifts floor, by its depth and by the
-    // camera's height, with NOISE_BITS fraction bits; the height from which things are passed below;
-    // the end of the depth range; and the most cells of a hole.
+    // Indices of settings: depth range of surfaces; radius, minimum size and dilation of creases
+    // [cells]; height up to which surfaces without a steep side are floor; growth of the floor's
+    // tolerance by noise, per depth and height of the camera, with NOISE_BITS fraction bits; height
+    // from which the robot passes below obstacles; end of the depth range; and largest hole [cells].
     enum {
         NEAREST, FARTHEST, CREASE_CELLS, MIN_CELLS, CREASE_MARGIN, BENT, NOISE, HIGHEST, IN_RANGE,
         HOLE, SETTINGS
     };
     enum { NOISE_BITS = 34, SLOPE_BITS = 14, STEEPEST_NOISE = 32767 };
     int rows, columns;
-    const int *x, *y, *z;  // (R, C): the frame's cells, z = 0: none
+    const int *x, *y, *z;  // (R, C): cells of the frame, z = 0: none
     const int* floor;
-    // By depth: steps of a surface, at most 2^16; limits of bends, at most 2^17; heights that are
-    // floor.
+    // Indexed by depth: step of a surface, at most 2^16; limit of bends, at most 2^17; height up to
+    // which cells are floor.
     const int *steps, *limits, *rises;
     const int* settings;
     int *right, *forward, *height, *label_out;  // (R, C)
     unsigned char *keep, *free, *low;           // (R, C)
     int* count_out;
-    int* has_depth_out;  // whether some depth is in range
+    int* has_depth_out;  // whether any depth is in range
     int* scratch;
 
-    // A team's scratch memory.
+    // Scratch memory of a team.
     struct Parts {
         Grid grid;
-        // (grid) each: smoothed depths; on the CPU what more there is of single cells.
+        // (grid) each: smoothed depths; on the CPU also a second plane and the steps.
         int *depth, *other, *step;
-        // By run; of surfaces, by the run that is their root: the cells, the first one, the top, and
-        // 2 for each of its lowest cells that have floor below them, less 3 for each steep one.
+        // Indexed by run; fields of surfaces by their root run: number of cells, first cell, top, and
+        // `level`: 2 for each of its lowest cells with floor below, minus 3 for each of these that is
+        // steep.
         int *parent, *label, *sizes, *first, *top, *level;
-        // Planes of bits, how many runs begin before each word of one, and room for sets; in
+        // Bitmaps, number of runs that begin before each word, and room for the parents of runs; in
         // shared memory if they fit.
         BitRows kept, on, starts, up;
         int *before, *near;
@@ -83,7 +84,8 @@ struct Surfaces {
         }
     };
 
-    // What is known of a cell at (a, b, d); whether it is kept. What is no higher than `rise` is floor.
+    // Transforms the cell at (a, b, d) to the floor frame and classifies it; returns whether it is
+    // kept. Cells no higher than `rise` are floor.
     __attribute__((always_inline)) bool place(
         const FloorFrame& frame, int k, int a, int b, int d, int rise
     ) const {
@@ -102,7 +104,7 @@ struct Surfaces {
         return on;
     }
 
-    // How fast the height that noise gives to floor grows with depth, with SLOPE_BITS.
+    // Growth of the floor's tolerance by noise with depth, with SLOPE_BITS fraction bits.
     static int noise(const FloorFrame& frame, int setting) {
         const long long high = frame.height > 0 ? frame.height : 0;
         const long long slope = high * setting >> (NOISE_BITS - SLOPE_BITS);
@@ -113,7 +115,8 @@ struct Surfaces {
 
     bool in_range(int d) const { return (d >= settings[NEAREST]) & (d <= settings[IN_RANGE]); }
 
-    // Places single cells on the floor; returns whether one of this thread's is in range.
+    // Transforms and classifies all cells; returns whether the depth of any of this thread's cells is
+    // in range.
     bool start(const Team& team, const Parts& in) const {
         int some = 0;
         const FloorFrame frame(floor);
@@ -168,11 +171,11 @@ struct Surfaces {
         return Creases::apart(z_one, z_other) <= (step_one < step_other ? step_one : step_other);
     }
 
-    // Where runs of linked cells start, and which cells are linked with the one above.
+    // Finds the first cells of runs of linked cells, and the cells linked to the one above.
 #if defined(__CUDA_ARCH__)
     void find_links(const Team& team, const BitRows& on, const BitRows& starts, const BitRows& up,
                     const Parts&) const {
-        // A lane looks whether a word has cells; then all lanes see FEW such words at a time.
+        // Each lane tests whether a word has cells; then all lanes process FEW such words at a time.
         const Warp warp(team);
         for (int first = warp.index * Warp::size; first < on.count();
              first += warp.count * Warp::size) {
@@ -196,10 +199,10 @@ struct Surfaces {
                     step_above[k] = steps[above[k]];
                 }
                 for (int k = 0; k < FEW; ++k) {
-                    const bool beside = is_near(here[k], before[k], step[k], step_before[k]);
+                    const bool in_row = is_near(here[k], before[k], step[k], step_before[k]);
                     const bool below = is_near(here[k], above[k], step[k], step_above[k]);
-                    const unsigned those_beside = warp.ballot(beside), those = warp.ballot(below);
-                    if (word[k] == own) goes_on = those_beside, linked = those;
+                    const unsigned those_in_row = warp.ballot(in_row), those = warp.ballot(below);
+                    if (word[k] == own) goes_on = those_in_row, linked = those;
                 }
             }
             if (own >= on.count()) continue;
@@ -234,7 +237,7 @@ struct Surfaces {
     }
 #endif
 
-    // Links cells of a row or a column on both sides of unmeasured ones where depth goes on.
+    // Links cells of a row or a column across holes (unmeasured cells), if depth is continuous.
     void link_across_holes(const Team& team, const Runs& runs) const {
         const BitRows& on = runs.on;
         if (!settings[HOLE]) return;
@@ -259,8 +262,8 @@ struct Surfaces {
         }
     }
 
-    // How many cells on from a cell, `away` from one to the next and of `most` in all, lies the
-    // measured one behind a hole; 0 where there is no hole, or depth does not go on.
+    // Distance in cells from a cell to the measured cell behind a hole; cells are `away` apart and
+    // there are `most` in all. 0 if there is no hole or depth is not continuous.
     int across(int cell, int away, int most) const {
         const int end = most < settings[HOLE] + 2 ? most : settings[HOLE] + 2;
         for (int n = 1; n < end; ++n) {
@@ -272,15 +275,15 @@ struct Surfaces {
         return 0;
     }
 
-    // Labels of the linked cells: the root of their component, -1 where that is small. Returns how
-    // many runs there are; `has` becomes which cells have a label. Ends in a sync.
+    // Labels linked cells with the root of their component, -1 if that is small. Returns the number of
+    // runs; `has` becomes the bitmap of labelled cells. Ends in a sync.
     int label(const Team& team, const Parts& in, Runs& runs, const BitRows& up, const BitRows& has) const {
         const BitRows &on = runs.on, &starts = runs.starts;
         const int count = on.count(), words = on.at(1, 0), least = settings[MIN_CELLS];
         const int all = runs.number(team, in.near, in.most_near);
         for (int i = words + team.rank; i < count; i += team.size) {
             const int j = i - words;
-            // Where two runs meet first.
+            // The first cell where two runs touch.
             unsigned meet = up[i] & ~(up.before(i) & ~starts[i] & ~starts[j]);
             for (; meet; meet &= meet - 1) {
                 const int k = BitRows::lowest(meet);
@@ -342,20 +345,21 @@ struct Surfaces {
         return all;
     }
 
-    // Region growing, breadth first: kept cells without a label take that of the neighbour nearest
-    // in depth. Labels of a round are looked at in the next: `has` says which are there. Returns
-    // which cells have one in the end; ends in a sync.
+    // Breadth-first region growing: kept cells without a label take that of the neighbour nearest in
+    // depth. Labels of a round are visible in the next, as marked in `has`. Returns the bitmap of
+    // labelled cells; ends in a sync.
     BitRows grow(const Team& team, const BitRows& kept, BitRows has, BitRows next) const {
         const Warp warp(team);
         const int rounds = settings[CREASE_CELLS] + settings[CREASE_MARGIN] + 1;
         for (int round = 0; round < rounds; ++round) {
             bool some = false;
-            // A lane looks whether a word has such cells; then all lanes take them, word after word.
+            // Each lane tests whether a word has such cells; then all lanes process these words one by
+            // one.
             for (int first = warp.index * Warp::size; first < has.count();
                  first += warp.count * Warp::size) {
                 const int own = first + warp.lane;
                 const bool open = own < has.count() && (kept[own] & ~has[own]) &&
-                                  Beside(has, own).free(kept, has, own);
+                                  Neighbours(has, own).free(kept, has, own);
                 unsigned taken = 0;
                 for (unsigned rest = warp.ballot(open); rest; rest &= rest - 1) {
                     const int lane = BitRows::lowest(rest);
@@ -373,28 +377,28 @@ struct Surfaces {
         return has;
     }
 
-    // Which cells of a word have a neighbour at the left, right, upper and lower side.
-    struct Beside {
+    // Bitmaps of the cells of a word whose left, right, upper and lower neighbour has a label.
+    struct Neighbours {
         unsigned left, right, upper, lower;
 
-        Beside(const BitRows& has, int i)
+        Neighbours(const BitRows& has, int i)
             : left(has.before(i)), right(has.after(i)), upper(has.above(i)), lower(has.below(i)) {}
-        // Those without a label that may take one.
+        // Cells without a label that may take one.
         unsigned free(const BitRows& kept, const BitRows& has, int i) const {
             return kept[i] & ~has[i] & (left | right | upper | lower);
         }
     };
 
-    // Labels of the cells of a word: which of them got one. All lanes ask for the same word.
+    // Labels the cells of a word; returns those that got a label. A collective call with the same word.
     unsigned take_all(
         [[maybe_unused]] const Warp& warp, const BitRows& kept, const BitRows& has, int i
     ) const {
-        const Beside beside(has, i);
-        unsigned free = beside.free(kept, has, i), taken = 0;
+        const Neighbours labelled(has, i);
+        unsigned free = labelled.free(kept, has, i), taken = 0;
         const int at = has.row(i) * columns + has.column(i);
         const auto takes = [&](int k) {
-            return take(at + k, beside.left >> k & 1, beside.right >> k & 1, beside.upper >> k & 1,
-                        beside.lower >> k & 1);
+            return take(at + k, labelled.left >> k & 1, labelled.right >> k & 1,
+                        labelled.upper >> k & 1, labelled.lower >> k & 1);
         };
 #if defined(__CUDA_ARCH__)
         taken = warp.ballot(free >> warp.lane & 1 && takes(warp.lane));
@@ -405,29 +409,29 @@ struct Surfaces {
         return taken;
     }
 
-    // Gives a cell the label of the neighbour that is nearest in depth within the step, of as near
-    // ones the left, right, upper, lower one; whether there is one.
+    // Gives a cell the label of the neighbour nearest in depth within the step, the first of equal ones
+    // in the order left, right, upper, lower; returns whether there is one.
     bool take(int cell, bool left, bool right, bool upper, bool lower) const {
         const int depth = z[cell];
         int best = steps[depth] + 1, from = -1;
-        const auto look = [&](bool has, int there) {
+        const auto try_label = [&](bool has, int there) {
             if (!has) return;
             const int apart = Creases::apart(z[there], depth);
             if (apart >= best) return;
             best = apart;
             from = there;
         };
-        look(left, cell - 1);
-        look(right, cell + 1);
-        look(upper, cell - columns);
-        look(lower, cell + columns);
+        try_label(left, cell - 1);
+        try_label(right, cell + 1);
+        try_label(upper, cell - columns);
+        try_label(lower, cell + columns);
         if (from >= 0) label_out[cell] = label_out[from];
         return from >= 0;
     }
 
-    // What is known of each surface by its root; `certain` has one for those with a lowest cell that
-    // has floor below it, a cell inside of the margins or one at the image's lower edge.
-    void look_at(
+    // Updates the fields of a surface, by its root; `sizes` becomes 1 for surfaces with a lowest cell
+    // that has floor below, a cell inside the margins, or one at the lower edge of the image.
+    void update(
         const Team& team, const Parts& in, int label, int first, int top, int level, bool sure
     ) const {
         team.atomic_min(in.first + label, first);
@@ -436,15 +440,15 @@ struct Surfaces {
         if (sure) in.sizes[label] = 1;
     }
 
-    // Whether what rises from the floor below it is a front; `outer`: at the image's margins.
+    // Whether the side of a surface above floor is steep; `outer`: in the margins of the image.
     bool is_steep(int rises, int goes, bool outer) const {
         const int away = goes < 0 ? -goes : goes;
         return outer ? rises > away : 3 * rises > goes;
     }
 
 #if defined(__CUDA_ARCH__)
-    // -1: no word.
-    void look_at_words(
+    // Measures FEW words; index -1: no word.
+    void measure_words(
         const Team& team, const Warp& warp, const Parts& in, const BitRows& has, const int* words
     ) const {
         const Margins margins(columns);
@@ -474,22 +478,21 @@ struct Surfaces {
                 const unsigned those = warp.ballot(own);
                 const int top = warp.max(own && h[k] > -1 ? h[k] : -1);
                 const int sum = warp.sum(own ? level : 0);
-                const bool certain_here = warp.ballot(own && sure);
+                const bool any_sure = warp.ballot(own && sure);
                 if (warp.lane == leader)
-                    look_at(team, in, label, r * columns + c, top, sum, certain_here);
+                    update(team, in, label, r * columns + c, top, sum, any_sure);
                 rest &= ~those;
             }
         }
     }
 #endif
 
-    // Ends in a sync.
-    void look(const Team& team, const Parts& in, int runs, const BitRows& has) const {
-        int* const certain = in.sizes;
-        for (int run = team.rank; run < runs; run += team.size) certain[run] = 0;
+    // Measures all surfaces. Ends in a sync.
+    void measure(const Team& team, const Parts& in, int runs, const BitRows& has) const {
+        for (int run = team.rank; run < runs; run += team.size) in.sizes[run] = 0;
         team.sync();
 #if defined(__CUDA_ARCH__)
-        // A lane looks whether a word has cells; then all lanes see FEW such words at a time.
+        // Each lane tests whether a word has cells; then all lanes process FEW such words at a time.
         const Warp warp(team);
         for (int first = warp.index * Warp::size; first < has.count();
              first += warp.count * Warp::size) {
@@ -498,7 +501,7 @@ struct Surfaces {
                 int words[FEW];
                 for (int k = 0; k < FEW; ++k, rest &= rest - 1)
                     words[k] = rest ? first + BitRows::lowest(rest) : -1;
-                look_at_words(team, warp, in, has, words);
+                measure_words(team, warp, in, has, words);
             }
         }
 #else
@@ -507,7 +510,7 @@ struct Surfaces {
             const int r = has.row(i), k = r * columns;
             const int* label = label_out + k + has.column(i);
             for (unsigned rest = has[i]; rest;) {
-                // Cells of one label that follow each other.
+                // A run of adjacent cells with one label.
                 const int first = BitRows::lowest(rest), own = label[first];
                 int next = first;
                 for (; next < BitRows::WIDTH && rest >> next & 1 && label[next] == own; ++next)
@@ -524,7 +527,7 @@ struct Surfaces {
                         steep += lowest & (int)is_steep(rises, goes, margins.has(c));
                     }
                 const bool inner = begin < columns - margins.width && end > margins.width;
-                look_at(team, in, own, k + begin, top, 2 * pairs - 3 * steep,
+                update(team, in, own, k + begin, top, 2 * pairs - 3 * steep,
                         pairs || r + 1 == rows || inner);
             }
         }
@@ -532,13 +535,13 @@ struct Surfaces {
         team.sync();
     }
 
-    // Whether a surface is floor that the sensor bends up.
+    // Whether a surface is floor that appears bent up because of sensor error.
     bool is_bent(const Parts& in, int label) const {
         const bool flat = in.level[label] > 0 || !in.sizes[label];
         return flat && in.top[label] <= settings[BENT];
     }
 
-    // Numbers the surfaces in the order of their first cells, but for bent floor.
+    // Numbers the surfaces in the order of their first cells, and removes bent floor.
     void number(
         const Team& team, const Parts& in, const Runs& runs, int all, const BitRows& has
     ) const {
@@ -582,7 +585,7 @@ struct Surfaces {
         team.sync();
     }
 
-    // All threads of the team must call it.
+    // A collective call of the team.
     void run(const Team& team) const {
         Arena arena{scratch};
         const Parts in(rows, columns, arena);
@@ -603,7 +606,7 @@ struct Surfaces {
         Runs runs = {on, starts, in.before, {in.parent}, in.sizes};
         const int all = label(team, in, runs, up, up);
         const BitRows has = grow(team, kept, up, on);
-        look(team, in, all, has);
+        measure(team, in, all, has);
         number(team, in, runs, all, has);
     }
 };

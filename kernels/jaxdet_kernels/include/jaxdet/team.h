@@ -1,30 +1,30 @@
-// The threads that work on one frame together: a block on CUDA, a single thread on the CPU.
+// The threads that process one frame together: a block on CUDA, a single thread on the CPU.
 //
-// Code for a team is written once. Work is shared out by
+// Code for a team is written once. Work is divided by
 //
 //     for (int i = team.rank; i < n; i += team.size) ...
 //     team.sync();
 //
-// and what threads of a team write to one place goes through the atomic functions below. On the
-// CPU rank is 0, size is 1, and all of this is plain memory. Results must not depend on the order
-// in which threads arrive: sums, minima and maxima of integers do not.
+// Writes of several threads to one address go through the atomic functions below. On the CPU rank is 0,
+// size is 1, and the atomics are plain memory operations. Results must not depend on the order in which
+// threads arrive: integer sums, minima and maxima do not.
 //
-// Each header's inner namespace has no name: a module of kernels is one translation unit, and clang
-// inlines a function that is called once only where no other unit can see it (7 % of the run time).
+// The inner namespace of each header is anonymous: a module of kernels is one translation unit, and
+// clang inlines a function with a single caller only if no other unit can see it (7 % of the run time).
 #pragma once
-#if __has_include(<stddef.h>)  // else size_t is there from the start
+#if __has_include(<stddef.h>)  // else size_t is predefined
 #include <stddef.h>
 #endif
 
 namespace jaxdet { namespace {
 
 struct Team {
-    // sync          all threads wait for each other, and see what the others wrote
-    // any           whether any thread says so; all threads must ask
-    // input         what the kernel writes nowhere, so that the load may be moved before stores
-    // atomic_...    change a place and return what was there before
-    // atomic_cas    compare and swap: writes `value` where `expected` is
-    // atomic_count  adds one; threads of a warp that count at one place add together
+    // sync          barrier of all threads, after which each sees the writes of the others
+    // any           whether `mine` is true in any thread; a collective call
+    // input         load of read-only data, which the compiler may move before stores
+    // atomic_...    update of an address, returns the previous value
+    // atomic_cas    compare and swap: stores `value` if the address holds `expected`
+    // atomic_count  increment; threads of a warp with the same address are aggregated
 #if defined(__CUDA_ARCH__)
     int rank, size, index;
 
@@ -73,7 +73,7 @@ struct Team {
     static int input(const int* place) { return *place; }
     static bool input(const bool* place) { return *place; }
     static unsigned char input(const unsigned char* place) { return *place; }
-    // Also of eight bytes that were written as such.
+    // Also valid for eight bytes that were written as smaller types.
     static unsigned long long input(const unsigned long long* place) {
         unsigned long long word;
         __builtin_memcpy(&word, place, sizeof word);
@@ -109,8 +109,9 @@ struct Team {
 };
 
 #if !defined(__CUDA_ARCH__)
-// Does `work(b)` for frames that no other thread has taken, until there are none; `next` is the
-// first of those. One launch for all: after a launch a thread of Python would wait for its lock.
+// Calls `work(b)` for frames that no other thread has taken until none is left; `next` is the index of
+// the first of these. All frames share one launch because after each launch a Python thread would have
+// to wait for the interpreter lock.
 template <class Work> void each_frame(int* next, int frames, Work work) {
     for (;;) {
         const int b = __atomic_fetch_add(next, 1, __ATOMIC_RELAXED);

@@ -1,5 +1,5 @@
-// Threads of a team that work on one thing together: all of them, or a warp. On the CPU a group
-// is the one thread there is.
+// Group of threads of a team that share a task: the complete team, or a warp. On the CPU it is a single
+// thread.
 #pragma once
 #include "warp.h"
 
@@ -8,25 +8,26 @@ namespace jaxdet { namespace {
 struct ThreadGroup {
     enum { WARP = Warp::size, MOST_SUMS = 10, MOST_SHARED = 4 };
     const Team* team;
-    // Of a whole team: two rows of the warps' sums, used in turn. Null: the group is a warp.
+    // For a complete team: two rows of the warps' sums, used alternately. Null if the group is a warp.
     unsigned long long* rows;
     int turn;
 
-    // A warp of a team.
+    // Groups of one warp each.
     explicit ThreadGroup(const Team& all) : team(&all), rows(nullptr), turn(0) {}
 
-    // A whole team; `scratch` has words(team) words.
+    // A group of the complete team; `scratch` has words(team) words.
     ThreadGroup(const Team& all, unsigned long long* scratch) : team(&all), rows(scratch), turn(0) {}
 
     static int words(const Team& all) {
         return 2 * 2 * MOST_SUMS * ((all.size + WARP - 1) / WARP) + MOST_SHARED;
     }
 
-    // index, count  which of the groups of a team this is, and how many there are
-    // leads         whether this thread is of the first warp, which works for a whole team where all
-    //               would do the same
-    // broadcast     what it then tells the others: at most MOST_SHARED values; a sum is between any two
-    // sum           each of the values, at most MOST_SUMS, becomes its sum over the group; all must ask
+    // index, count  index of this group in the team, and number of groups
+    // leads         whether this thread is in the first warp, which does work for the complete team that
+    //               would be the same in all warps
+    // broadcast     sends the results of that to the others: at most MOST_SHARED values; between any two
+    //               calls there must be a sum
+    // sum           replaces each of at most MOST_SUMS values by its sum over the group; a collective call
     int rank() const { return rows ? team->rank : team->rank % WARP; }
     int size() const { return rows ? team->size : (int)WARP; }
     int index() const { return rows ? 0 : team->rank / WARP; }
@@ -41,8 +42,8 @@ struct ThreadGroup {
         team->sync();
         for (int k = 0; k < n; k++) values[k] = shared[k];
     }
-    // Who fills a row passed the sync of the sum before, which all readers of that row reached
-    // after they had read it.
+    // A thread that fills a row has passed the sync of the previous sum, which all readers of that row
+    // reached after reading it.
     void sum(long long* values, int n) {
         const Warp warp(*team);
         for (int k = 0; k < n; k++) values[k] = warp.sum(values[k]);

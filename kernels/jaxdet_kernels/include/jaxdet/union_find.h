@@ -1,5 +1,5 @@
-// Disjoint sets: union-find with path halving, without locks. A root is the smallest member of its
-// set; they are joined by compare-and-swap, by which a root only ever gets a smaller one as parent.
+// Lock-free union-find with path halving. The root is the smallest member of a set; sets are merged by
+// compare-and-swap, so the parent of a root only ever decreases.
 #pragma once
 #include "team.h"
 

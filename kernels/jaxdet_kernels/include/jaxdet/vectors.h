@@ -1,5 +1,5 @@
-// Vectors of cells on the CPU, in what Clang (Warp's compiler) and GCC have in common. Where a
-// processor's vectors are narrower the compiler takes several.
+// Vector types for the CPU, from the extensions that Clang (Warp's compiler) and GCC share. On
+// processors with narrower vectors the compiler uses several registers.
 #pragma once
 #include "team.h"
 

@@ -1,24 +1,24 @@
-// The threads that do one task of a frame together, without waiting for the others of their
-// team: a warp on CUDA, a single thread on the CPU.
+// The threads that execute one task of a frame together, independently of the rest of their team: a
+// warp on CUDA, a single thread on the CPU.
 //
 //     for (int task = warp.index; task < tasks; task += warp.count)
 //         for (int i = warp.lane; i < n; i += warp.size) ...
 //
-// All lanes ask for a sum, a minimum or a maximum together, and all get it.
+// Sums, minima and maxima are collective calls: all lanes must make them, and all get the result.
 #pragma once
 #include "bits.h"
 
 namespace jaxdet { namespace {
 
 struct Warp {
-    // broadcast      the value of one lane
-    // ballot         bit k: whether lane k says so
-    // sync           lanes see what the others wrote
-    // sum, min, max  of the values of all lanes
-    // inclusive_sum  of the values of the lanes up to this one (a prefix sum)
+    // broadcast      value of one lane
+    // ballot         bitmap of the lanes whose argument is true
+    // sync           memory barrier of the lanes
+    // sum, min, max  reduction over all lanes
+    // inclusive_sum  inclusive prefix sum over the lanes
 #if defined(__CUDA_ARCH__)
     enum : unsigned { ALL = 0xffffffff };
-    enum { size = 32, MOST = 1024 / size };  // and most warps of a team
+    enum { size = 32, MOST = 1024 / size };  // MOST: most warps of a team
     int lane, index, count;
 
     explicit Warp(const Team& team)
@@ -28,7 +28,7 @@ struct Warp {
     int broadcast(int value, int source) const { return __shfl_sync(ALL, value, source); }
     unsigned ballot(bool mine) const { return __ballot_sync(ALL, mine); }
 
-    // From compute capability 8.0 on.
+    // Requires compute capability 8.0.
     int sum(int value) const { return __reduce_add_sync(ALL, value); }
     int min(int value) const { return __reduce_min_sync(ALL, value); }
     unsigned min(unsigned value) const { return __reduce_min_sync(ALL, value); }
@@ -51,7 +51,7 @@ struct Warp {
         return value;
     }
 
-    // Adds to shared memory.
+    // Atomic add in shared memory.
     void add_shared(int* place, int value) const {
 #if defined(__CUDACC__)
         const unsigned at = (unsigned)__cvta_generic_to_shared(place);
@@ -78,7 +78,7 @@ struct Warp {
 
     int max(int value) const { return -min(-value); }
 
-    // Bit i: whether a test holds of i, from 0 to 31; all lanes ask.
+    // Bitmap of the results of a test for i from 0 to 31; a collective call.
     template <class Test> unsigned bits(Test test) const {
 #if defined(__CUDA_ARCH__)
         return ballot(test(lane));
@@ -89,15 +89,15 @@ struct Warp {
 #endif
     }
 
-    // This lane's rank among those that say so, and how many these are; all lanes must ask.
+    // Rank of this lane among those whose argument is true, and their number; a collective call.
     int ballot_rank(bool mine, int* all) const {
         const unsigned who = ballot(mine);
         *all = BitRows::popcount(who);
         return BitRows::popcount(who & ((1u << lane) - 1));
     }
 
-    // Exclusive prefix sums, in place: each of the n values becomes the sum of those before it, and
-    // the one after them that of all, which is returned. The lanes of one warp ask; others see the
+    // Exclusive prefix sums, in place: each of the n values is replaced by the sum of those before it,
+    // and element n by the total, which is returned. A collective call of one warp; other warps see the
     // sums after a sync of their team.
     int exclusive_sum(int* values, int n) const {
         int before = 0;
@@ -111,7 +111,7 @@ struct Warp {
     }
 };
 
-// The least and the largest of some values.
+// Running minimum and maximum.
 struct Extremes {
     enum { MOST = 0x7fffffff };
     int low = MOST, high = -MOST;
@@ -121,7 +121,7 @@ struct Extremes {
         low = lower < low ? lower : low;
         high = upper > high ? upper : high;
     }
-    // Over all lanes.
+    // Reduces over all lanes.
     void join(const Warp& warp) {
         low = warp.min(low);
         high = warp.max(high);
