@@ -25,7 +25,7 @@
 struct Place {
     int x;
 };
-static Place threadIdx, blockDim;
+static Place threadIdx, blockDim, gridDim;
 
 struct Simt {
     enum { STACK = 1 << 18 };
@@ -61,6 +61,7 @@ struct Simt {
     void run(int count, std::function<void()> work) {
         body = work;
         blockDim.x = count;
+        gridDim.x = 1;
         if ((int)threads.size() < count) threads.resize(count);
         warps.assign(count / 32, Group{});
         for (Group& warp : warps) reset(warp, 32);

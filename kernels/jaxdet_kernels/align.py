@@ -31,24 +31,14 @@ TYPES = Depth, Rays, Bounds, Floats, Pixels, Pixels, Keys, Pixels
     using namespace jaxdet;
     const int frames = depth.shape[0], rows = depth.shape[1], columns = depth.shape[2];
     const int points = u.shape[1];
-    const auto find = [&](size_t b, const Team& team, unsigned* near, int* own) {
-        const size_t at = b * points;
-        Alignment::of(parameters.data, depth.data + b * rows * columns, rows, columns,
-                      rays.data, tile_rays.data, near, own)
-            .run(team, points, u.data + at, v.data + at, keys_out.data + at);
-    };
-#if defined(__CUDA_ARCH__)
-    __shared__ unsigned near[Alignment::NEAR_WORDS];
-    const Team team(tid, 0);
-    int* const own = scratch.data + (size_t)team.index * (scratch.shape[0] / gridDim.x);
-    for (int b = team.index; b < frames; b += gridDim.x) {
-        find(b, team, near, own);
-        team.sync();
-    }
-#else
-    unsigned near[Alignment::NEAR_WORDS];
-    each_frame(next.data, frames, [&](size_t b) { find(b, Team(tid, 0), near, scratch.data); });
-#endif
+    by_frames<Alignment::Near>(
+        tid, frames, next.data, scratch.data, scratch.shape[0],
+        [&](size_t b, const Team& team, Alignment::Near& near, int* own) {
+            Alignment::of(parameters.data, depth.data + b * rows * columns, rows, columns,
+                          rays.data, tile_rays.data, near.words, own)
+                .run(team, points, u.data + b * points, v.data + b * points,
+                     keys_out.data + b * points);
+        });
 """)
 def _align(
     tid: int,

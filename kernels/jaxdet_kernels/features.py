@@ -26,24 +26,12 @@ MAX_SIZE = 4096  # a row and a column fit in 32 bits
     const int frames = color.shape[0], height = color.shape[1], width = color.shape[2];
     const int slots = u_out.shape[1];
     const Corners corners{height, width, {settings.data}, slots};
-    const auto find = [&](size_t b, const Team& team, Corners::Shared& shared, int* own) {
-        corners.run(team, shared, color.data + 3 * b * height * width, own,
-                    u_out.data + b * slots, v_out.data + b * slots, found_out.data + b);
-    };
-#if defined(__CUDA_ARCH__)
-    __shared__ Corners::Shared shared;
-    const Team team(tid, 0);
-    int* const own = scratch.data + (size_t)team.index * (scratch.shape[0] / gridDim.x);
-    for (int b = team.index; b < frames; b += gridDim.x) {
-        find(b, team, shared, own);
-        team.sync();
-    }
-#else
-    Corners::Shared shared;
-    each_frame(next.data, frames, [&](size_t b) {
-        find(b, Team(tid, 0), shared, scratch.data);
-    });
-#endif
+    by_frames<Corners::Shared>(
+        tid, frames, next.data, scratch.data, scratch.shape[0],
+        [&](size_t b, const Team& team, Corners::Shared& shared, int* own) {
+            corners.run(team, shared, color.data + 3 * b * height * width, own,
+                        u_out.data + b * slots, v_out.data + b * slots, found_out.data + b);
+        });
 """)
 def _corners(
     tid: int,

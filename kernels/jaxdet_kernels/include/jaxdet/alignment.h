@@ -21,6 +21,11 @@ struct Alignment {
         TILE = 8,                     // rows and columns of a tile of depth pixels
         PIXELS = TILE * TILE
     };
+    // The fastest memory of a team.
+    struct Near {
+        unsigned words[NEAR_WORDS];
+    };
+
     const unsigned short* depth;       // (rows, columns)
     int rows, columns;
     const float *corner_x, *corner_y;  // (rows + 1, columns + 1)

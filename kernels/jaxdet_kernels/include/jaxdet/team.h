@@ -121,4 +121,23 @@ template <class Work> void each_frame(int* next, int frames, Work work) {
 }
 #endif
 
+// Calls `work(b, team, near, own)` for the frames of a batch. On CUDA the teams of a launch share the
+// frames, on the CPU its threads take them one by one. `near` is in the fastest memory of a team; `own`
+// is the part of its scratch memory, which has `words` for all teams.
+template <class Near, class Work>
+void by_frames(int tid, int frames, int* next, int* scratch, int words, Work work) {
+    const Team team(tid, 0);
+#if defined(__CUDA_ARCH__)
+    __shared__ Near near;
+    int* const own = scratch + (size_t)team.index * (words / gridDim.x);
+    for (int b = team.index; b < frames; b += gridDim.x) {
+        work((size_t)b, team, near, own);
+        team.sync();
+    }
+#else
+    Near near;
+    each_frame(next, frames, [&](size_t b) { work(b, team, near, scratch); });
+#endif
+}
+
 } }  // namespace jaxdet
