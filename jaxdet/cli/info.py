@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,8 +18,10 @@ from jaxdet.presets import DEFAULT_PRESET
 
 if TYPE_CHECKING:
     from jaxdet.engine import Planes
+    from jaxdet.floor.units import FloorFit
     from jaxdet.io import Log, LogFiles
     from jaxdet.io.description import LogDescription, TopicDescription
+    from jaxdet.types import Frames
 
 _UNCOUNTED = "not counted; see --check"
 
@@ -71,9 +74,11 @@ def main(args: list[str]) -> int:
     config, log_options, name = defaults(args)
     start = {"preset": name, "ground": config.ground, "log": log_options}
     command = parse_flags(InfoCommand, args, "jaxdet info", DESCRIPTION, COMMON, start)
+    from jaxdet.engine.startup import use_warp_cache
     from jaxdet.io import find_logs
     from jaxdet.results.summary import plain, to_json
 
+    use_warp_cache()
     failed, found = 0, []
     options = replace(command.log, scan=command.log.scan or command.check)
     method = replace(config, ground=command.ground)
@@ -144,7 +149,7 @@ def describe(
     from jaxdet.results.summary import plain
 
     with open_log(files, options) as log:
-        planes = decide_planes(log, config, "reference")
+        planes = decide_planes(log, config, "reference", find=partial(_find_floors, config))
         about = {
             "log": log.name,
             "camera": log.camera,
@@ -155,6 +160,15 @@ def describe(
             "warnings": planes.warnings,
         }
         return plain(about), list(_lines(log.label, log.description, planes, _color(log)))
+
+
+def _find_floors(config: Config, frames: "Frames") -> "FloorFit":
+    """Find the floors as a run does, without its start-up."""
+    from jaxdet.engine.startup import computing
+    from jaxdet.pipeline import find_floors_without_jax
+
+    with computing():
+        return find_floors_without_jax(frames, config)
 
 
 def _color(log: "Log") -> str:

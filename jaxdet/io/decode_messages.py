@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 import zstandard
 from mcap.records import Schema
-from mcap_protobuf.decoder import DecoderFactory as ProtobufFactory
 from mcap_ros2.decoder import DecoderFactory as Ros2Factory
 
 from jaxdet.io.declarations import ChannelInfo
@@ -198,16 +197,19 @@ def _raw_decoder(
             raise ValueError(problem) from error
         except Exception as error:  # parsers of foreign text raise what they like
             raise ValueError(f"its schema can't be read ({_short(error)})") from error
-    factories = {"cdr": Ros2Factory, "protobuf": ProtobufFactory}
     decode = None
     try:
         if message_encoding == "cdr" and schema_encoding == "ros2msg":
             data = with_ros2_names(bare_definition(data.decode())).encode()
         schema = Schema(id=1, data=data, encoding=schema_encoding, name=name)
-        if message_encoding in factories:
+        if message_encoding == "protobuf":
+            from mcap_protobuf.decoder import DecoderFactory as ProtobufFactory
+
+            decode = ProtobufFactory().decoder_for(message_encoding, schema)
+        elif message_encoding == "cdr":
             # mcap_ros2 prints what it can't parse; the error says it too.
             with redirect_stderr(StringIO()), redirect_stdout(StringIO()):
-                decode = factories[message_encoding]().decoder_for(message_encoding, schema)
+                decode = Ros2Factory().decoder_for(message_encoding, schema)
     except Exception as error:  # parsers of foreign text raise what they like
         raise ValueError(f"its schema can't be read ({_short(error)})") from error
     if decode is None:

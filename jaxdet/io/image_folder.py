@@ -48,8 +48,7 @@ from jaxdet.io.message_file import (
 from jaxdet.io.messages import CompressedImageMessage
 from jaxdet.io.phone_folder import ODOMETRY, PhoneRecording, read_phone
 from jaxdet.io.walk import Walk
-from jaxdet.io.writer import pose_of
-from jaxdet.io.writer_cdr import camera_info, encode_cdr, header
+from jaxdet.io.writer_cdr import camera_info, encode_cdr, header, pose_of
 from jaxdet.types import Intrinsics, is_rigid
 
 RATE_HZ = 30
