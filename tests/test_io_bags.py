@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from jaxdet.errors import FrameStatus, InputError
-from jaxdet.io import Log, LogOptions, find_logs, open_log, sqlite_index
+from jaxdet.io import Log, LogOptions, find_logs, open_log, sqlite
 from jaxdet.io.bag import records
 from jaxdet.io.chunks import DamageError
 from jaxdet.io.sqlite import SqliteFile
@@ -183,7 +183,7 @@ def test_a_damaged_db3_that_ends_or_leads_back(db3, monkeypatch, answer):
     monkeypatch.setattr(SqliteFile, "query", damaged)
     lost = Counter[str]()
     with closing(SqliteFile(db3, 1 << 30)) as file:
-        assert [*sqlite_index._rows(file, lost)] == []
+        assert [*sqlite._rows(file, lost)] == []
     assert lost["page is damaged"] == count_messages(db3) + 1
 
 

@@ -12,7 +12,7 @@ from jaxdet.errors import CalibrationError, TopicError
 from jaxdet.io import LogOptions, RescanError, mcap_scan, open_log, store
 from jaxdet.io import log as log_module
 from jaxdet.io.chunks import DamageError
-from jaxdet.io.container import McapFile
+from jaxdet.io.mcap_file import McapFile
 from tests.io_helpers import (
     COLOR,
     COLOR_FRAME,

@@ -7,13 +7,13 @@ are used, so that the options alone cost no import of a decoder.
 From the bytes of files to frames, by module::
 
     files, splits                   paths -> the files of each log
-      formats                       a file of any format: chunks of MCAP records by position
-        container, chunks             MCAP
+      formats, container            a file of any format: chunks of MCAP records by position, and
+                                      its index
+        mcap_file, chunks             MCAP: mcap_summary, mcap_index; without these mcap_scan
         bag                           ROS 1
         message_file                  messages one by one: sqlite (ROS 2), image_folder
-      file_index                    where every message is: arrays, the same for all formats
-        by the file's own index       mcap_summary, mcap_index, bag_index, sqlite_index
-        rebuilt from the whole file   mcap_scan, sqlite_index, walk: what is whole, what is lost
+      file_index                    where every message is: arrays, the same for all formats, by
+                                      the file's own index or rebuilt from all that is whole (walk)
       opening, indexed              messages by topic (records), the first of each decoded
                                       (contents); or all small ones and all stamps
       findings                      cameras, topics, calibration (intrinsics, extrinsics), poses,

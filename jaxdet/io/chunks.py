@@ -16,6 +16,8 @@ from mcap.opcode import Opcode
 
 from jaxdet.io.limits import MAX_ODD_RECORDS
 
+MAGIC = b"\x89MCAP0\r\n"
+"""How an MCAP file begins and ends."""
 RECORD_HEAD = struct.Struct("<BQ")
 """Opcode and length, before every record."""
 MESSAGE_HEAD = struct.Struct("<HIQQ")

@@ -11,39 +11,21 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from threading import local
 from typing import Any, NamedTuple
 
-from mcap.opcode import Opcode
-
 from jaxdet.errors import InputError
-from jaxdet.io.chunks import (
-    RECORD_HEAD,
-    ChunkHead,
-    DamageError,
-    decompress,
-    decompress_begin,
-    read_chunk_head,
-)
+from jaxdet.io.chunks import ChunkHead, DamageError
+from jaxdet.io.file_index import FileIndex
 from jaxdet.io.limits import ReadMemory, check_chunk, check_messages
 
-MAGIC = b"\x89MCAP0\r\n"
-_HEAD_BYTES = 128
 _MAX_PARTS = 512
 """Buffers filled by one call, fewer than any system's limit."""
-_BEGIN_BYTES = 192 << 10
-"""Of a packed chunk, enough for the first block of zstd."""
-_PACKED_BYTES = 16 << 20
-"""Of a packed chunk that is read into memory which its thread keeps."""
-
 _PASSING = errno.EIO, errno.ETIMEDOUT
 """What disks and file servers say that may come back."""
 _WAITS_S = 0.1, 0.5, 2.0
 """Before a read that failed so is tried again."""
 _PATIENCE_S = 30.0
 """So long in all for each file: one that has many bad places is not waited for at each of them."""
-
-_of_thread = local()
 
 
 class Location(NamedTuple):
@@ -165,6 +147,22 @@ class LogFile(ABC):
         check_messages(count, self.size, str(self.path), self.memory)
 
     @abstractmethod
+    def read_index(self) -> FileIndex:
+        """Return the index of the file's messages by its own index, without reading a message.
+
+        Raises:
+            DamageError: The file's own index is missing, torn or wrong.
+        """
+
+    @abstractmethod
+    def rebuild_index(self) -> FileIndex:
+        """Return the index of every readable message by reading all of the file.
+
+        Raises:
+            InputError: The file was changed meanwhile, or holds more messages than fit into it.
+        """
+
+    @abstractmethod
     def chunk_head(self, position: int) -> ChunkHead:
         """The head of the chunk at ``position``, which is any number that the index gives it.
 
@@ -257,67 +255,6 @@ class LogFile(ABC):
             self._patience_s -= wait_s
             time.sleep(wait_s)
         return function(*args)
-
-
-class McapFile(LogFile):
-    """An MCAP file; the position of a chunk is where its record's content begins.
-
-    A message record outside chunks is a chunk of its own that isn't packed: its records are that
-    one record.
-    """
-
-    magic = MAGIC
-    kind = "an MCAP"
-
-    def chunk_head(self, position: int) -> ChunkHead:
-        """The head of the chunk or message record whose content begins at ``position``.
-
-        Raises:
-            DamageError: It isn't one.
-        """
-        start = position - RECORD_HEAD.size
-        known = self.read(start, min(RECORD_HEAD.size + _HEAD_BYTES, self.size - start))
-        opcode, length = RECORD_HEAD.unpack_from(known)
-        if opcode == Opcode.MESSAGE and length <= self.size - position:
-            size = RECORD_HEAD.size + length
-            return ChunkHead(0, 0, size, 0, "", -RECORD_HEAD.size, size, length)
-        if opcode != Opcode.CHUNK:
-            raise DamageError("no chunk where one should be")
-        return read_chunk_head(known[RECORD_HEAD.size :][:length], length)
-
-    def chunk_begin(self, position: int, size: int) -> bytes:
-        """See :meth:`LogFile.chunk_begin`."""
-        head = self.chunk_head(position)
-        data = self.read(position + head.data_offset, min(head.data_size, _BEGIN_BYTES))
-        return decompress_begin(head, data, size)
-
-    def chunk(self, position: int) -> bytes | memoryview:
-        """The decompressed chunk whose record's content begins at ``position``.
-
-        Raises:
-            DamageError: It can't be read any more.
-        """
-        head = self.chunk_head(position)
-        self.check_memory(max(head.uncompressed_size, head.data_size))
-        start = position + head.data_offset
-        if head.is_plain:
-            return decompress(head, self.read(start, head.data_size))
-        data = _packed_memory(head.data_size)
-        self.read_into(start, [data])
-        return decompress(head, data)
-
-
-def _packed_memory(size: int) -> memoryview:
-    """Memory for a packed chunk, until the thread's next call.
-
-    It stays in a core's cache, where fresh memory would be fetched, written and read once more.
-    """
-    memory: bytearray = getattr(_of_thread, "memory", bytearray())
-    if len(memory) < size:
-        memory = bytearray(size)
-        if size <= _PACKED_BYTES:
-            _of_thread.memory = memory
-    return memoryview(memory)[:size]
 
 
 def _unreadable(error: Exception) -> DamageError:

@@ -12,8 +12,8 @@ from jaxdet.errors import FrameError
 from jaxdet.io.container import LogFile
 from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.decode_messages import MessageDecoder
+from jaxdet.io.file_index import FileIntegrity
 from jaxdet.io.images import check_pixels, typical_float
-from jaxdet.io.integrity import FileIntegrity
 from jaxdet.io.limits import check_topics
 from jaxdet.io.messages import (
     IMAGE_KINDS,

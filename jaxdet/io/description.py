@@ -6,9 +6,9 @@ import numpy as np
 
 from jaxdet.errors import printable
 from jaxdet.io.contents import LogContents
+from jaxdet.io.file_index import FileIntegrity
 from jaxdet.io.files import LogFiles
 from jaxdet.io.findings import Findings
-from jaxdet.io.integrity import FileIntegrity
 from jaxdet.io.notes import Notes
 from jaxdet.io.windows import IndexedFrames
 

@@ -35,8 +35,7 @@ from jaxdet.io.compressed import compressed_size, with_confidence
 from jaxdet.io.container import FileState
 from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.definition import schema_text
-from jaxdet.io.file_index import FileIndex, file_index
-from jaxdet.io.integrity import FileIntegrity
+from jaxdet.io.file_index import FileIndex, FileIntegrity, file_index
 from jaxdet.io.message_fields import MAX_STAMP_S
 from jaxdet.io.message_file import (
     POSITION_BITS,
@@ -127,8 +126,30 @@ class ImageFolder(MessageFile):
             for number, (topic, name) in enumerate(_TYPES.items())
         }
 
-    def rows(self) -> list[MessageRow]:
-        """What is known of the messages, in order of time."""
+    def read_index(self) -> FileIndex:
+        """Return the index of the messages by the names and sizes of the files."""
+        channel, log_ns, size = np.array(self._rows(), np.int64).reshape(-1, 3).T
+        messages = indexed_messages(np.arange(len(channel)), channel, log_ns, size)
+        return file_index(self.infos, messages, FileIntegrity(self.path, by_index=True))
+
+    def rebuild_index(self) -> FileIndex:
+        """Return the same index by reading all files; an unreadable image stays a frame without.
+
+        Raises:
+            InputError: The folder was changed meanwhile.
+        """
+        walk, rows = Walk(self), self._rows()
+        for number, row in enumerate(rows):
+            position, info = position_of(number), self.infos[row.channel]
+            try:
+                self.chunk(position)
+            except DamageError as error:
+                walk.lose(str(error), 0)
+            walk.add(row.channel, info, row.log_ns, position, row.size + PAYLOAD_OFFSET, 0)
+        return walk.index(declared_messages=len(rows))
+
+    def _rows(self) -> list[MessageRow]:
+        """Return what is known of the messages, in order of time."""
         return [self.row(number) for number in range(len(self._messages))]
 
     def close(self) -> None:
@@ -218,30 +239,6 @@ def _fill(file: RawIOBase | BytesIO, size: int, parts: list[memoryview]) -> list
         size -= len(piece)
         left += [part[len(piece) :]] if len(piece) < len(part) else []
     return left
-
-
-def read_folder_index(folder: ImageFolder) -> FileIndex:
-    """What the names and sizes of a folder's files tell of its messages."""
-    channel, log_ns, size = np.array(folder.rows(), np.int64).reshape(-1, 3).T
-    messages = indexed_messages(np.arange(len(channel)), channel, log_ns, size)
-    return file_index(folder.infos, messages, FileIntegrity(folder.path, by_index=True))
-
-
-def rebuild_folder_index(folder: ImageFolder) -> FileIndex:
-    """The same by reading all files, with what can't be read: it stays a frame without an image.
-
-    Raises:
-        InputError: The folder was changed meanwhile.
-    """
-    walk, rows = Walk(folder), folder.rows()
-    for number, row in enumerate(rows):
-        position, info = position_of(number), folder.infos[row.channel]
-        try:
-            folder.chunk(position)
-        except DamageError as error:
-            walk.lose(str(error), 0)
-        walk.add(row.channel, info, row.log_ns, position, row.size + PAYLOAD_OFFSET, 0)
-    return walk.index(declared_messages=len(rows))
 
 
 def image_folders(files: Iterable[Path]) -> list[Path]:

@@ -35,7 +35,6 @@ from jaxdet.io.description import (
 )
 from jaxdet.io.files import LogFiles, find_logs
 from jaxdet.io.findings import Findings, find
-from jaxdet.io.formats import read_file_index, rebuild_file_index
 from jaxdet.io.indexed import IndexedLog
 from jaxdet.io.limits import ReadMemory
 from jaxdet.io.notes import Notes, total
@@ -494,14 +493,14 @@ def open_log(
     try:
         if not options.scan:
             with suppress(DamageError):
-                indexes = [read_file_index(file) for file in opened.files]
+                indexes = [file.read_index() for file in opened.files]
                 for complete in (False, True):
                     with suppress(RescanError):
                         found = find_contents(
                             opened, indexes, store, source, options, complete=complete
                         )
                         return _opened(source, found, options)
-        indexes = [rebuild_file_index(file) for file in opened.files]
+        indexes = [file.rebuild_index() for file in opened.files]
         found = find_contents(opened, indexes, store, source, options, complete=True)
         return _opened(source, found, options)
     except BaseException:

@@ -11,9 +11,8 @@ import numpy as np
 from mcap.opcode import Opcode
 
 from jaxdet.io.chunks import PAYLOAD_OFFSET, RECORD_HEAD, DamageError
-from jaxdet.io.container import McapFile
-from jaxdet.io.file_index import ChannelCount, FileIndex, file_index, useful_channels
-from jaxdet.io.integrity import FileIntegrity
+from jaxdet.io.container import LogFile
+from jaxdet.io.file_index import ChannelCount, FileIndex, FileIntegrity, file_index, useful_channels
 from jaxdet.io.mcap_summary import FileBytes, Summary, read_summary
 
 _HEAD_BYTES = RECORD_HEAD.size + 6
@@ -35,7 +34,7 @@ class _Records(NamedTuple):
     """int64, the larger one."""
 
 
-def read_mcap_index(file: McapFile) -> FileIndex:
+def read_mcap_index(file: LogFile) -> FileIndex:
     """What the summary and the message indexes of a file tell.
 
     Raises:
@@ -78,7 +77,7 @@ def read_mcap_index(file: McapFile) -> FileIndex:
     return file_index(infos, messages, known, counts)
 
 
-def _check(file: McapFile, summary: Summary) -> None:
+def _check(file: LogFile, summary: Summary) -> None:
     """Whether the summary is whole and fits the file."""
     statistics, chunks = summary.statistics, summary.chunks
     if not summary.crc_is_right:
@@ -138,7 +137,7 @@ def _entries(
     return place + _HEAD_BYTES, size
 
 
-def _parts(file: McapFile, summary: Summary) -> Iterator[tuple[slice, FileBytes, np.ndarray]]:
+def _parts(file: LogFile, summary: Summary) -> Iterator[tuple[slice, FileBytes, np.ndarray]]:
     """A range of ``IndexOffsets``, its bytes, and where in these the indexes of a chunk begin."""
     chunks, offsets = summary.chunks, summary.offsets
     total = np.append(0, np.cumsum(chunks.index_length))

@@ -20,6 +20,7 @@ from mcap.opcode import Opcode
 
 from jaxdet.cores import cores
 from jaxdet.io.chunks import (
+    MAGIC,
     MAX_TIME_NS,
     MESSAGE_HEAD,
     RECORD_HEAD,
@@ -27,7 +28,7 @@ from jaxdet.io.chunks import (
     DamageError,
     chunk_records,
 )
-from jaxdet.io.container import MAGIC, LogFile, McapFile
+from jaxdet.io.container import LogFile
 from jaxdet.io.declarations import ChannelInfo, Declarations
 from jaxdet.io.file_index import FileIndex
 from jaxdet.io.limits import MAX_ODD_RECORDS
@@ -69,7 +70,7 @@ class Ahead(NamedTuple):
     """Of that."""
 
 
-def rebuild_mcap_index(file: McapFile) -> FileIndex:
+def rebuild_mcap_index(file: LogFile) -> FileIndex:
     """The index of every readable message, with what was lost.
 
     Raises:
@@ -118,7 +119,7 @@ def ahead(
 class _Scan:
     """The state of one walk over a file."""
 
-    def __init__(self, file: McapFile) -> None:
+    def __init__(self, file: LogFile) -> None:
         self.file, self.walk = file, Walk(file)
         self.summary: Summary | None = None
         self.summary_problem = ""

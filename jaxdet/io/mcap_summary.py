@@ -13,8 +13,8 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Statistics
 
-from jaxdet.io.chunks import RECORD_HEAD, DamageError
-from jaxdet.io.container import MAGIC, McapFile
+from jaxdet.io.chunks import MAGIC, RECORD_HEAD, DamageError
+from jaxdet.io.container import LogFile
 from jaxdet.io.declarations import Declarations
 from jaxdet.io.limits import MAX_DECLARATIONS, MAX_ODD_RECORDS
 
@@ -69,7 +69,7 @@ class Summary(NamedTuple):
     offsets: IndexOffsets
 
 
-def read_summary(file: McapFile, at: int | None = None) -> Summary:
+def read_summary(file: LogFile, at: int | None = None) -> Summary:
     """The summary of a file.
 
     Args:

@@ -11,7 +11,7 @@ from jaxdet.io.container import LogFile
 from jaxdet.io.contents import ContentsBuilder, LogContents
 from jaxdet.io.file_index import FileIndex
 from jaxdet.io.files import LogFiles, missing_splits, siblings
-from jaxdet.io.formats import open_file, read_file_index, rebuild_file_index
+from jaxdet.io.formats import open_file
 from jaxdet.io.indexed import IndexedLog, open_index, search_index
 from jaxdet.io.limits import ReadMemory
 from jaxdet.io.options import LogOptions
@@ -104,9 +104,9 @@ def _search_siblings(
             with closing(_open(path, options, memory)) as file:
                 builder = ContentsBuilder(contents, options.tf, images=False)
                 try:
-                    search_index(file, read_file_index(file), builder)
+                    search_index(file, file.read_index(), builder)
                 except DamageError:
-                    search_index(file, rebuild_file_index(file), builder)
+                    search_index(file, file.rebuild_index(), builder)
         except ChunkMemoryError:
             raise  # else it would be for the memory to decide what is found
         except (InputError, DamageError) as error:

@@ -17,7 +17,7 @@ from jaxdet.errors import InputError
 from jaxdet.io.chunks import DamageError
 from jaxdet.io.container import LogFile
 from jaxdet.io.contents import ContentsBuilder, LogContents
-from jaxdet.io.formats import open_file, read_file_index
+from jaxdet.io.formats import open_file
 from jaxdet.io.indexed import search_index
 from jaxdet.io.messages import IMAGE_KINDS, kind_of
 from jaxdet.io.options import LogOptions
@@ -62,7 +62,7 @@ def sketch(path: Path) -> Sketch | None:
 
 
 def _sketch(file: LogFile) -> Sketch:
-    entries = read_file_index(file)
+    entries = file.read_index()
     counts = entries.counts
     useful = {key: info for key, info in entries.infos.items() if kind_of(info.schema_name)}
     images = [key for key, info in useful.items() if kind_of(info.schema_name) in IMAGE_KINDS]

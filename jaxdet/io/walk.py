@@ -12,8 +12,7 @@ import numpy as np
 
 from jaxdet.io.container import LogFile
 from jaxdet.io.declarations import ChannelInfo
-from jaxdet.io.file_index import FileIndex, file_index
-from jaxdet.io.integrity import FileIntegrity
+from jaxdet.io.file_index import FileIndex, FileIntegrity, file_index
 
 
 class Walk:
