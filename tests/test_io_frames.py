@@ -208,7 +208,7 @@ def test_memory_does_not_grow_with_the_log(tmp_path):
                 log.ros(DEPTH, image, at)
                 log.ros(COLOR, ros_image(scene.color[i % 8], "rgb8", at, COLOR_FRAME), at)
         tracemalloc.start()
-        with log_module.open_log(str(path)) as log:
+        with open_log(str(path)) as log:
             assert sum(batch.frames.valid.sum() for batch in log.batches(4)) == count
             _, most = tracemalloc.get_traced_memory()
         tracemalloc.stop()

@@ -15,9 +15,10 @@ from jaxdet.io.extrinsics import find_extrinsics
 from jaxdet.io.image_folder import LISTED_DEPTH
 from jaxdet.io.intrinsics import CameraSource, Found, find_intrinsics
 from jaxdet.io.messages import CameraInfoMessage, Kind
+from jaxdet.io.namespaces import affinity
 from jaxdet.io.options import LogOptions
 from jaxdet.io.streams import ImageStream
-from jaxdet.io.topics import Choice, affinity, camera_name, is_color_name, listed
+from jaxdet.io.topics import Choice, camera_name, is_color_name, listed
 from jaxdet.types import Calibration, Extrinsics, Intrinsics
 
 DEPTH_UNIT_M = 0.001

@@ -85,13 +85,14 @@ def pose_offset(
     if options.pose_offset_s is not None:
         return Offset(round(options.pose_offset_s * 1e9))
     depth = contents.streams[depth_topic]
-    delays = [np.array(contents.delays.get(key, ()), np.int64) for key in sources]
-    found = [_difference(one, _delays(depth)) for one in delays if len(one)]
+    seen = [contents.delays[key].first for key in sources if key in contents.delays]
+    delays = [np.array(one, np.int64) for one in seen if one]
+    found = [_difference(one, _delays(depth)) for one in delays]
     if not found or not all(found):
         return Offset()
     if color_topic and color_topic != depth_topic:
         color = contents.streams[color_topic]
-        near = [_difference(one, _delays(color)) for one in delays if len(one)]
+        near = [_difference(one, _delays(color)) for one in delays]
         if _stamps_agree(depth, color) and not all(near):
             return Offset()  # depth was written later
     least = min(found, key=abs)

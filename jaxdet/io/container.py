@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 from jaxdet.errors import InputError
 from jaxdet.io.chunks import ChunkHead, DamageError
 from jaxdet.io.file_index import FileIndex
-from jaxdet.io.limits import ReadMemory, check_chunk, check_messages
+from jaxdet.io.limits import ReadMemory, check_chunk, check_count, check_index
 
 _MAX_PARTS = 512
 """Buffers filled by one call, fewer than any system's limit."""
@@ -26,16 +26,6 @@ _WAITS_S = 0.1, 0.5, 2.0
 """Before a read that failed so is tried again."""
 _PATIENCE_S = 30.0
 """So long in all for each file: one that has many bad places is not waited for at each of them."""
-
-
-class Location(NamedTuple):
-    """Where a message's payload lies; enough to read it again."""
-
-    chunk: int
-    """Position of the chunk in the file, see :meth:`LogFile.chunk_head`."""
-    offset: int
-    """Of the payload, in the decompressed chunk."""
-    size: int
 
 
 class FileState(NamedTuple):
@@ -144,7 +134,8 @@ class LogFile(ABC):
         Raises:
             InputError: One hasn't.
         """
-        check_messages(count, self.size, str(self.path), self.memory)
+        check_count("messages", count, self.size, str(self.path))
+        check_index(count, str(self.path), self.memory)
 
     @abstractmethod
     def read_index(self) -> FileIndex:

@@ -103,6 +103,21 @@ class PoseTrack:
         self.samples = MotionSamples()
 
 
+class Delays:
+    """Header stamps less log times [ns] of a pose topic or of a frame's transforms."""
+
+    def __init__(self, delay_ns: int) -> None:
+        self.first: list[int] = []
+        """Those of the topic's first ``FIRST_MOTIONS`` messages."""
+        self.least = self.most = delay_ns
+
+    def add(self, delay_ns: int, *, is_first: bool) -> None:
+        """Add one."""
+        self.least, self.most = min(self.least, delay_ns), max(self.most, delay_ns)
+        if is_first:
+            self.first.append(delay_ns)
+
+
 class LogContents:
     """What is in a log: what its messages tell, but for the pixels of images.
 
@@ -120,9 +135,8 @@ class LogContents:
         self.depth_units: dict[str, float] = {}
         """What :data:`DEPTH_UNIT_TOPIC` says first [m], by its topic."""
         self.poses: dict[str, PoseTrack] = {}
-        self.delays: dict[tuple[str, str], list[int]] = {}
-        """Stamp less log time [ns], by topic and transformed frame; of poses the frame is empty.
-        Of the first messages of each topic."""
+        self.delays: dict[tuple[str, str], Delays] = {}
+        """By topic and transformed frame, which is empty for poses; of what may move."""
         self.trees: dict[str, TransformTree] = {}
         """The transforms of each namespace."""
         self.tree = TransformTree()
@@ -306,10 +320,12 @@ class ContentsBuilder:
     ) -> None:
         motions = decoder.motions(payload)
         seen = self._motions_seen[topic] = self._motions_seen.get(topic, 0) + 1
-        if self.images and seen <= FIRST_MOTIONS:
-            for item in motions:
-                key = topic, item.child if decoder.kind is Kind.TRANSFORM else ""
-                self.contents.delays.setdefault(key, []).append(item.stamp_ns - log_ns)
+        for item in motions if self.images and not decoder.is_static else ():
+            key = topic, item.child if decoder.kind is Kind.TRANSFORM else ""
+            delay = item.stamp_ns - log_ns
+            if key not in self.contents.delays:
+                self.contents.delays[key] = Delays(delay)
+            self.contents.delays[key].add(delay, is_first=seen <= FIRST_MOTIONS)
         if decoder.kind is Kind.TRANSFORM:
             if decoder.is_static or self.images:
                 tree = self.contents.trees.setdefault(namespace_of(topic), TransformTree())

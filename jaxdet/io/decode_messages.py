@@ -40,7 +40,7 @@ from jaxdet.io.messages import (
     kind_of,
     plain_schema_name,
 )
-from jaxdet.io.raw_transforms import read_motions
+from jaxdet.io.raw_messages import read_motions
 from jaxdet.io.ros1 import ros1_decoder
 
 _STAMP_BYTES = 12

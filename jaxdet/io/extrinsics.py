@@ -9,8 +9,9 @@ from jaxdet.errors import TransformError, printable
 from jaxdet.io.body_frames import body_frame_text, in_optical_axes
 from jaxdet.io.contents import LogContents
 from jaxdet.io.motion import difference, inverse, motion_matrix
+from jaxdet.io.namespaces import affinity
 from jaxdet.io.options import LogOptions
-from jaxdet.io.topics import affinity, camera_name
+from jaxdet.io.topics import camera_name
 from jaxdet.types import Extrinsics
 
 _AGREE_M, _AGREE_RAD = 0.001, 0.002

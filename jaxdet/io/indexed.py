@@ -15,7 +15,7 @@ from jaxdet.io.container import LogFile
 from jaxdet.io.contents import FIRST_MOTIONS, ContentsBuilder, LogContents
 from jaxdet.io.decode_messages import MessageDecoder
 from jaxdet.io.file_index import FileIndex
-from jaxdet.io.limits import check_images, check_motions, check_topics
+from jaxdet.io.limits import check_count, check_topics
 from jaxdet.io.messages import IMAGE_KINDS, Kind, kind_of
 from jaxdet.io.motion_windows import MotionMessages, MotionWindows
 from jaxdet.io.records import IndexedMessages, TopicMessages, read_message
@@ -44,11 +44,6 @@ class IndexedLog(NamedTuple):
     store: ChunkStore
     is_complete: bool
     """Whether all small messages and the stamps of all images were read."""
-
-    @property
-    def is_trusted(self) -> bool:
-        """Whether the index is the files' own; then damage that shows contradicts it."""
-        return any(file.by_index for file in self.contents.integrity)
 
 
 def open_index(
@@ -84,14 +79,12 @@ def open_index(
         for topic in topics
         if topic.kind in IMAGE_KINDS
     }
-    delays: dict[str, tuple[int, int]] = {}
-    """Least and most, by frame or pose topic [ns]."""
     if complete:
         _read_all(topics, streams, store, builder)
         contents.warnings += drop_repeated(streams.values(), store)
     else:
-        _read_first(topics, store, builder, delays, whole=whole)
-    windows = _motion_windows(contents, motions, store, delays, whole)
+        _read_first(topics, store, builder, whole=whole)
+    windows = _motion_windows(contents, motions, store, whole)
     infos = {topic.topic: topic.in_time() for topic in topics if topic.kind is Kind.INFO}
     return IndexedLog(contents, streams, windows, infos, store, complete)
 
@@ -114,12 +107,7 @@ def search_index(file: LogFile, index: FileIndex, builder: ContentsBuilder) -> N
 
 
 def _read_first(
-    topics: Sequence[TopicMessages],
-    store: ChunkStore,
-    builder: ContentsBuilder,
-    delays: dict[str, tuple[int, int]],
-    *,
-    whole: bool,
+    topics: Sequence[TopicMessages], store: ChunkStore, builder: ContentsBuilder, *, whole: bool
 ) -> None:
     """Reads the first messages of each topic, and of many transforms and poses a sample.
 
@@ -127,7 +115,6 @@ def _read_first(
         topics: The topics.
         store: The log's chunks.
         builder: Takes in the messages.
-        delays: Gets what stamps differ from log times by, least and most, by frame or pose topic.
         whole: Whether all transforms and poses are read.
 
     Raises:
@@ -137,15 +124,12 @@ def _read_first(
     contents = builder.contents
     probes = [(topic, _probes(topic, whole)) for topic in topics]
     for topic, number in _in_file_order(store, probes):
-        payload = read_message(store, topic.messages, number)[1]
-        _take(builder, topic, number, payload)
+        _take(builder, topic, number, read_message(store, topic.messages, number)[1])
         if contents.topics[topic.topic].undecodable:
             problem = "one of the first messages can't be decoded"
             raise RescanError(problem, path=contents.path, topic=topic.topic)
         if not whole and any(tree.ignored for tree in contents.trees.values()):
             raise RescanError("a transform is none", path=contents.path, topic=topic.topic)
-        if topic.kind in _MOTIONS and not whole and not topic.is_static:
-            _see_delays(delays, topic, number, payload)
     for topic in topics:
         known = contents.calibrations.get(topic.topic)
         more = topic.num_messages > NUM_PROBES
@@ -250,8 +234,8 @@ def _find_topics(
     for topic in topics:
         small += topic.num_messages * (topic.kind not in IMAGE_KINDS)
         if topic.kind in IMAGE_KINDS:
-            check_images(topic.num_messages, builder.bytes, builder.path, topic.topic)
-        check_motions(small, builder.bytes, builder.path, topic.topic)
+            check_count("images", topic.num_messages, builder.bytes, builder.path, topic.topic)
+        check_count("small messages", small, builder.bytes, builder.path, topic.topic)
     return topics
 
 
@@ -267,23 +251,8 @@ def _probes(topic: TopicMessages, whole: bool) -> np.ndarray:
     return np.unique(np.concatenate([np.arange(min(count, first)), spread]))
 
 
-def _see_delays(
-    delays: dict[str, tuple[int, int]], topic: TopicMessages, number: int, payload: memoryview
-) -> None:
-    """By how much stamps in a message of what moves differ from its log time."""
-    for item in topic.decoder(number).motions(payload):
-        name = item.child if topic.kind is Kind.TRANSFORM else topic.topic
-        delay = item.stamp_ns - int(topic.messages.log_ns[number])
-        low, high = delays.get(name, (delay, delay))
-        delays[name] = min(low, delay), max(high, delay)
-
-
 def _motion_windows(
-    contents: LogContents,
-    topics: Sequence[TopicMessages],
-    store: ChunkStore,
-    delays: dict[str, tuple[int, int]],
-    whole: bool,
+    contents: LogContents, topics: Sequence[TopicMessages], store: ChunkStore, whole: bool
 ) -> MotionWindows:
     """The windows on the messages of all these topics."""
     parts, decoders = [], []
@@ -292,8 +261,8 @@ def _motion_windows(
         decoders += topic.decoders
     messages = _joined(parts)
     order = np.argsort(messages.log_ns, kind="stable")
-    found = MotionMessages(messages.rows(order), order, tuple(decoders), delays)
-    return MotionWindows(found, store, contents.tracks, contents.path, whole)
+    found = MotionMessages(messages.rows(order), order, tuple(decoders))
+    return MotionWindows(found, store, contents, whole)
 
 
 def _joined(parts: Sequence[IndexedMessages], *, in_order: bool = True) -> IndexedMessages:

@@ -5,40 +5,22 @@ from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import cached_property
 from operator import index as as_index
-from os import PathLike
 from typing import Any, NamedTuple, Self, overload
 
 import numpy as np
 
-from jaxdet.arguments import of_type, whole_number
+from jaxdet.arguments import whole_number
 from jaxdet.checks import MAX_FRAMES
-from jaxdet.errors import (
-    CalibrationError,
-    FrameError,
-    FrameStatus,
-    InputError,
-    RescanError,
-    TopicError,
-)
+from jaxdet.errors import FrameError, FrameStatus, InputError, RescanError
 from jaxdet.io.batch import Batch, LogFrame
-from jaxdet.io.body_frames import is_body_frame
 from jaxdet.io.body_mask import hidden_pixels
 from jaxdet.io.chunks import DamageError
 from jaxdet.io.clocks import first_stamp, unset_clock_text
 from jaxdet.io.contents import LogContents
-from jaxdet.io.description import (
-    LogDescription,
-    complete,
-    describe,
-    describe_topics,
-    with_bad_color,
-)
-from jaxdet.io.files import LogFiles, find_logs
-from jaxdet.io.findings import Findings, find
-from jaxdet.io.indexed import IndexedLog
-from jaxdet.io.limits import ReadMemory
+from jaxdet.io.description import LogDescription, complete, describe, with_bad_color
+from jaxdet.io.files import LogFiles
+from jaxdet.io.findings import Findings
 from jaxdet.io.notes import Notes, total
-from jaxdet.io.opening import find_contents, open_files
 from jaxdet.io.options import LogOptions
 from jaxdet.io.part import find_part
 from jaxdet.io.reading import Failures, ImageReader
@@ -456,84 +438,6 @@ class Log:
             color_frame=self.color_frame,
             nearest_color_ns=colors,
         )
-
-
-def open_log(
-    source: str | PathLike[str] | LogFiles,
-    options: LogOptions | None = None,
-    memory: ReadMemory | None = None,
-) -> Log:
-    """Opens a camera of a log by its index, which is rebuilt where it is missing or wrong.
-
-    Args:
-        source: A file, a folder or a glob with exactly one log, or one of :func:`find_logs`.
-        options: What the user says about the log; default: nothing.
-        memory: What reading may take; changes no frame.
-
-    Raises:
-        InputError: No file can be read, there are several logs, no frame is in the part, or a
-            chunk or the index takes more memory.
-        CamerasError: The log has several cameras, and the options choose none.
-        TopicError: No or several topics can be depth, or one that the options name is not there.
-        CalibrationError: A part of the calibration is missing, unknown or contradictory.
-    """
-    options = of_type("options", LogOptions() if options is None else options, LogOptions)
-    if not isinstance(source, LogFiles):
-        if not isinstance(source, str | PathLike):
-            problem, remedy = f"{type(source).__name__} is no path", "give a file or a folder"
-            raise InputError(problem, topic="source", remedy=remedy)
-        logs = find_logs([source])
-        if len(logs) > 1:
-            problem, remedy = f"there are {len(logs)} logs here", "name one of them"
-            raise InputError(problem, path=str(source), remedy=remedy)
-        source = logs[0]
-    memory = memory or ReadMemory()
-    opened = open_files(source, options, memory)
-    store = ChunkStore(opened.files, most_bytes=memory.chunk)
-    try:
-        if not options.scan:
-            with suppress(DamageError):
-                indexes = [file.read_index() for file in opened.files]
-                for complete in (False, True):
-                    with suppress(RescanError):
-                        found = find_contents(
-                            opened, indexes, store, source, options, complete=complete
-                        )
-                        return _opened(source, found, options)
-        indexes = [file.rebuild_index() for file in opened.files]
-        found = find_contents(opened, indexes, store, source, options, complete=True)
-        return _opened(source, found, options)
-    except BaseException:
-        store.close()
-        raise
-
-
-def _opened(files: LogFiles, known: IndexedLog, options: LogOptions) -> Log:
-    """Return the log; its depth frame counts as a body frame where the depth images say so.
-
-    Raises:
-        JaxdetError: As :func:`open_log`; the error names what is damaged.
-    """
-    contents, store = known.contents, known.store
-    try:
-        found = find(known, options)
-    except (TopicError, CalibrationError) as error:
-        error.topics = describe_topics(contents)
-        for file in [file for file in contents.integrity if file.recovered][:2]:
-            error.add_remedy(f"{file.path.name} is {file.text}")
-        bad = [(name, about) for name, about in contents.topics.items() if about.undecodable]
-        for name, about in bad[:2]:
-            if about.trouble not in str(error):
-                error.add_remedy(f"{name}: {about.trouble}")
-        raise
-    log = Log(files, contents, found, store, options)
-    given = options.camera_frame is not None or found.calibrated.T_frame_camera is not None
-    places = log.has_poses or log.T_base_camera is not None
-    if given or not places:
-        return log
-    if is_body_frame(log.num_frames, log.T_base_camera, lambda some: log.read(some).frames):
-        return Log(files, contents, find(known, options, is_body=True), store, options)
-    return log
 
 
 class _Known(NamedTuple):

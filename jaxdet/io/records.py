@@ -32,8 +32,8 @@ class IndexedMessages(NamedTuple):
     decoder: np.ndarray
     """Number of the decoder."""
 
-    def rows(self, which: np.ndarray) -> "IndexedMessages":
-        """Some of them."""
+    def rows(self, which: np.ndarray | slice) -> "IndexedMessages":
+        """Return some of them."""
         return IndexedMessages(*(column[which] for column in self))
 
     def between(self, begin: int | None, end: int | None) -> slice:
@@ -44,8 +44,8 @@ class IndexedMessages(NamedTuple):
         first, last = np.searchsorted(self.log_ns, [begin or 0, end or 0]).tolist()
         return slice(0 if begin is None else first, len(self.log_ns) if end is None else last)
 
-    def places(self, which: np.ndarray | slice) -> list[Place]:
-        """The chunk of each of some messages."""
+    def places(self, which: np.ndarray | slice = slice(None)) -> list[Place]:
+        """Return the chunk of each of some messages; by default of all."""
         pairs = zip(self.file[which].tolist(), self.position[which].tolist(), strict=True)
         return [Place(*pair) for pair in pairs]
 

@@ -17,6 +17,7 @@ from jaxdet.io.compressed import is_color_file, is_compressed_depth, is_depth_fi
 from jaxdet.io.contents import LogContents
 from jaxdet.io.images import is_color_encoding, is_depth_encoding
 from jaxdet.io.messages import CompressedImageMessage, ImageMessage, Kind, plain_schema_name
+from jaxdet.io.namespaces import affinity
 from jaxdet.io.options import NO_COLOR, LogOptions
 from jaxdet.io.streams import ImageStream
 
@@ -214,17 +215,6 @@ def listed(names: Sequence[str]) -> str:
     """Names for people: the first, and how many more there are; empty where there is none."""
     more = f", and {len(names) - _MAX_LISTED} more" if len(names) > _MAX_LISTED else ""
     return ", ".join(printable(name) for name in names[:_MAX_LISTED]) + more
-
-
-def affinity(first: str, second: str) -> int:
-    """How many leading parts two topic names share."""
-    pairs = zip(first.strip("/").split("/"), second.strip("/").split("/"), strict=False)
-    count = 0
-    for one, other in pairs:
-        if one != other:
-            break
-        count += 1
-    return count
 
 
 def _words(topic: str) -> set[str]:

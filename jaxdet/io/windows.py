@@ -203,14 +203,10 @@ class StreamWindows:
         )
 
     def table(self, numbers: np.ndarray, color: bool = False) -> FrameTable:
-        """Messages of some numbers; of -1 one with a stamp of -1."""
-        messages = self.messages
+        """Return the messages of some numbers; the number -1 stands for no image."""
         stamps = (self.color_stamp if color else self.stamp)[numbers]
-        columns = messages.position, messages.offset + PAYLOAD_OFFSET, self.size
-        place = np.stack([column[numbers] for column in columns], axis=1)
         stamps = np.where(numbers < 0, -1, stamps)
-        of = messages.file[numbers], messages.decoder[numbers]
-        return FrameTable(stamps, *of, place, messages.log_ns[numbers])
+        return FrameTable(stamps, self.size[numbers], self.messages.rows(numbers))
 
     def _load(self, numbers: np.ndarray) -> None:
         """Reads the stamps of messages that aren't known yet."""
