@@ -191,9 +191,15 @@ def test_formats_of_one_recording_and_others_beside_it(mcap, bag, db3, tmp_path)
     for path in (mcap, bag, db3):
         copy(path, tmp_path)
     (tmp_path / "other.svo2").write_bytes(b"x")
+    (tmp_path / "other.r3d").write_bytes(b"x")
     [log] = find_logs([str(tmp_path)])
     assert [path.name for path in log.paths] == ["sim.mcap"]
-    for text in ("sim.bag is left out", "sim.db3 is left out", "other.svo2 is left out: play"):
+    for text in (
+        "sim.bag is left out",
+        "sim.db3 is left out",
+        "other.svo2 is left out: play",
+        "other.r3d is left out: in Record3D, export it as EXR",
+    ):
         assert text in log.note
     with open_log(log) as opened:
         assert log.note in opened.description.warnings

@@ -18,10 +18,8 @@ from jaxdet.presets import DEFAULT_PRESET
 
 if TYPE_CHECKING:
     from jaxdet.engine import Planes
-    from jaxdet.floor.units import FloorFit
     from jaxdet.io import Log, LogFiles
     from jaxdet.io.description import LogDescription, TopicDescription
-    from jaxdet.types import Frames
 
 _UNCOUNTED = "not counted; see --check"
 
@@ -144,12 +142,12 @@ def describe(
         CamerasError: The log has several, and none is chosen.
         JaxdetError: The log can't be used.
     """
-    from jaxdet.engine import decide_planes
+    from jaxdet.engine.floors import decide_planes, find_without_jax
     from jaxdet.io import open_log
     from jaxdet.results.summary import plain
 
     with open_log(files, options) as log:
-        planes = decide_planes(log, config, "reference", find=partial(_find_floors, config))
+        planes = decide_planes(log, config, "reference", find=partial(find_without_jax, config))
         about = {
             "log": log.name,
             "camera": log.camera,
@@ -160,15 +158,6 @@ def describe(
             "warnings": planes.warnings,
         }
         return plain(about), list(_lines(log.label, log.description, planes, _color(log)))
-
-
-def _find_floors(config: Config, frames: "Frames") -> "FloorFit":
-    """Find the floors as a run does, without its start-up."""
-    from jaxdet.engine.startup import computing
-    from jaxdet.pipeline import find_floors_without_jax
-
-    with computing():
-        return find_floors_without_jax(frames, config)
 
 
 def _color(log: "Log") -> str:

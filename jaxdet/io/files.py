@@ -39,13 +39,15 @@ _OTHERS = {
     ".svo2": "play it to ROS 2 topics and record them as MCAP",
     ".mkv": "play it to ROS 2 topics and record them as MCAP",
     ".oni": "play it to ROS 2 topics and record them as MCAP",
-    ".r3d": "export its frames as images, with 16-bit PNG depth in millimetres",
+    ".r3d": "in Record3D, export it as EXR + JPG sequence, and convert its depth to PNG as jaxdet "
+    "help logs shows",
 }
 """How names of recordings end that are not read, and what can be done; the first that fits."""
 _DATASET = "write its frames as PNG to color/ and depth/ with a camera.json, see jaxdet help logs"
 """What can be done with a LeRobot dataset: its depth is video of 12 bits, TIFF or Parquet, by
 version, and nowhere has it the camera's calibration."""
-_PNG = "write it to depth/ as 16-bit PNG in millimetres, beside metadata.json and rgb/"
+_PNG = "convert it to 16-bit PNG in millimetres, as jaxdet help logs shows (the Python package "
+_PNG += "OpenEXR reads it)"
 EXPORTED = ".jaxdet.mcap"
 """How files for Foxglove and ROS 2 are named that jaxdet exports, for beside the log. The name says
 so, as their headers are those of any writer."""
