@@ -66,7 +66,7 @@ class BagRecord(NamedTuple):
         return self.data + self.size
 
     def number(self, name: bytes, size: int = 4) -> int:
-        """A field of so many bytes.
+        """Return a field of so many bytes as an integer.
 
         Raises:
             DamageError: It isn't there, or has another size.
@@ -136,7 +136,7 @@ class BagFile(LogFile):
         return found._replace(integrity=found.integrity._replace(by_index=False))
 
     def record(self, position: int, end: int | None = None) -> BagRecord:
-        """The record at a position of the file.
+        """Return the record at a position of the file.
 
         Args:
             position: Where it begins.
@@ -157,7 +157,7 @@ class BagFile(LogFile):
         return found
 
     def chunk_head(self, position: int) -> ChunkHead:
-        """The head of the chunk whose record begins at ``position``; it has no times.
+        """Return the head of the chunk whose record begins at ``position``; it has no times.
 
         Raises:
             DamageError: There is none.
@@ -171,7 +171,7 @@ class BagFile(LogFile):
         return ChunkHead(0, 0, size, 0, f"bag {name}", place, record.size, record.size)
 
     def chunk(self, position: int) -> memoryview:
-        """The chunk at ``position`` with its messages as MCAP's records, each where it was.
+        """Return the chunk at ``position``, with each message as a record of MCAP where it was.
 
         Raises:
             DamageError: It can't be read, or a record overruns it.
@@ -197,7 +197,7 @@ class BagFile(LogFile):
 
 
 def records(data: bytes) -> Iterator[BagRecord]:
-    """The records in some data, such as a decompressed chunk.
+    """Return the records in some data, such as a decompressed chunk.
 
     Raises:
         DamageError: One overruns the data.
@@ -212,7 +212,7 @@ def records(data: bytes) -> Iterator[BagRecord]:
 
 
 def read_record(data: bytes, place: int, start: int = 0) -> BagRecord:
-    """The record whose head stands at ``place`` in some data, which begin at ``start``.
+    """Return the record whose head is at ``place`` in some data, which begin at ``start``.
 
     Raises:
         DamageError: There is none; whether its data are there isn't looked at.
@@ -231,7 +231,7 @@ def read_record(data: bytes, place: int, start: int = 0) -> BagRecord:
 
 
 def nanoseconds(record: BagRecord) -> int:
-    """The log time of a message record [ns].
+    """Return the log time of a message record [ns].
 
     Raises:
         DamageError: It has none.
@@ -241,7 +241,7 @@ def nanoseconds(record: BagRecord) -> int:
 
 
 def fields(head: bytes | memoryview) -> dict[bytes, bytes]:
-    """The named fields of a record's head, or of the data of a connection.
+    """Return the named fields of a record's head, or of the data of a connection.
 
     Raises:
         DamageError: They are damaged.
@@ -280,7 +280,7 @@ def _decompress(head: ChunkHead, data: bytes) -> bytes:
 
 
 def _read_end(file: BagFile) -> _End:
-    """What stands at the end of a bag.
+    """Return the connections and chunks that the end of a bag lists.
 
     Raises:
         DamageError: It is missing or damaged.

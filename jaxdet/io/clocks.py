@@ -30,7 +30,7 @@ class Offset(NamedTuple):
 
     ns: int = 0
     text: str = ""
-    """What to tell of it; empty where nothing is to be told."""
+    """What to tell of it; empty if nothing is to be told."""
 
 
 def color_offset(
@@ -137,7 +137,7 @@ def unset_clock_text(topic: str, count: int, first_ns: int) -> str:
 
 
 def _delays(stream: ImageStream) -> np.ndarray:
-    """Return header stamp less log time of the first images [ns]; none where a stamp is zero."""
+    """Return header stamp less log time of the first images [ns]; none if a stamp is zero."""
     if not any(image.stamp_ns for image in stream.first):
         return np.zeros(0, np.int64)
     return np.array([image.stamp_ns - image.log_ns for image in stream.first], np.int64)

@@ -38,7 +38,7 @@ class FileState(NamedTuple):
 
     @classmethod
     def of(cls, found: os.stat_result) -> "FileState":
-        """The state in what the system says of a file."""
+        """Return the state that the system reports."""
         return cls(found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns)
 
 
@@ -89,12 +89,12 @@ class LogFile(ABC):
         return type(self), arguments, {"memory": self.memory}
 
     def close(self) -> None:
-        """Closes the file."""
+        """Close the file."""
         self._file.close()
         self._descriptor = -1
 
     def check_unchanged(self) -> None:
-        """Makes sure that the file is what it was when it was opened.
+        """Check that the file is what it was when it was opened.
 
         Raises:
             InputError: It has another size or time of change, or another file has its name.
@@ -110,7 +110,7 @@ class LogFile(ABC):
             raise InputError(problem, path=str(self.path), remedy=remedy)
 
     def check_size(self, size: int, what: str = "chunk") -> None:
-        """Makes sure that a chunk, or what else is read at once, has at most ``max_bytes``.
+        """Check that a chunk, or anything else read at once, has at most ``max_bytes``.
 
         Raises:
             DamageError: It is larger.
@@ -119,7 +119,7 @@ class LogFile(ABC):
             raise DamageError(f"{what} is larger than --log.max-chunk-mib")
 
     def check_memory(self, size: int, what: str = "chunk") -> None:
-        """Makes sure that it has at most ``max_bytes``, and that there is memory for it.
+        """Check that a chunk has at most ``max_bytes``, and that there is memory for it.
 
         Raises:
             DamageError: It is larger.
@@ -129,7 +129,7 @@ class LogFile(ABC):
         check_chunk(size, str(self.path), self.memory)
 
     def check_messages(self, count: int) -> None:
-        """Makes sure that the file has room for so many messages, and memory what is known of them.
+        """Check that so many messages fit into the file, and their index into memory.
 
         Raises:
             InputError: One hasn't.
@@ -155,7 +155,7 @@ class LogFile(ABC):
 
     @abstractmethod
     def chunk_head(self, position: int) -> ChunkHead:
-        """The head of the chunk at ``position``, which is any number that the index gives it.
+        """Return the head of the chunk at ``position``, a number by which the index names it.
 
         Raises:
             DamageError: There is none.
@@ -163,18 +163,18 @@ class LogFile(ABC):
 
     @abstractmethod
     def chunk(self, position: int) -> bytes | memoryview:
-        """The decompressed chunk at ``position``; its messages are MCAP's records.
+        """Return the decompressed chunk at ``position``; its messages are MCAP's records.
 
         Raises:
             DamageError: It can't be read any more.
         """
 
     def chunk_begin(self, position: int, size: int) -> bytes:
-        """At most ``size`` bytes of a packed chunk's records, not checked; fewer: read it whole."""
+        """Return up to ``size`` bytes of a packed chunk's records, not checked; perhaps none."""
         return b""
 
     def chunk_bytes(self, position: int) -> int:
-        """How much memory :meth:`chunk` may take there; 0 where no chunk can be."""
+        """Return how much memory :meth:`chunk` may take there; 0 if there is no chunk."""
         try:
             head = self.chunk_head(position)
         except DamageError:
@@ -182,11 +182,11 @@ class LogFile(ABC):
         return min(max(head.uncompressed_size, head.data_size), self.max_bytes)
 
     def name_of(self, position: int) -> str:
-        """The name of the image that the chunk there is; empty where it is no file of its own."""
+        """Return the name of the image that the chunk is; empty if it is not a file of its own."""
         return ""
 
     def read(self, position: int, size: int) -> bytes:
-        """Exactly ``size`` bytes at ``position``.
+        """Return exactly ``size`` bytes at ``position``.
 
         Raises:
             DamageError: The file ends before, or can't be read there.
@@ -207,7 +207,7 @@ class LogFile(ABC):
         return bytes(whole)
 
     def read_into(self, position: int, parts: Sequence[memoryview]) -> None:
-        """Fills writable byte views with what begins at ``position``, one after the other.
+        """Fill writable byte views, one after the other, with what begins at ``position``.
 
         Raises:
             DamageError: The file ends before, or can't be read there.
@@ -232,7 +232,7 @@ class LogFile(ABC):
                 left[0] = left[0][count:]
 
     def _call(self, function: Callable[..., Any], *args: Any) -> Any:
-        """What a call of the system returns, tried again where it fails for what may pass.
+        """Call a function of the system; try again after errors that may pass.
 
         Raises:
             OSError: It fails for good.

@@ -48,7 +48,7 @@ def find_extrinsics(
         contents: The log's.
         options: What the user says.
         topics: Those of the colour and of the depth images.
-        color_frame: Of the colour images; empty where unknown.
+        color_frame: Of the colour images; empty if unknown.
         depth_frame: Of the depth images.
         one_lens: The camera matrices are the same but for the size of the images.
         depth_is_body: Depth's frame is a body frame, see :mod:`jaxdet.io.body_frames`.
@@ -96,7 +96,7 @@ def find_extrinsics(
 
 
 def _topic(contents: LogContents, topics: tuple[str, str]) -> str:
-    """The ``depth_to_color`` topic that shares most of its name with the depth images'.
+    """Return the ``depth_to_color`` topic that shares most of its name with the depth images'.
 
     Those of the log's other cameras are left out.
     """
@@ -114,7 +114,7 @@ def _topic(contents: LogContents, topics: tuple[str, str]) -> str:
 def _between_streams(
     contents: LogContents, color_topic: str, depth_topic: str
 ) -> np.ndarray | None:
-    """``T_color_depth`` of a recording of librealsense; None where it is none.
+    """``T_color_depth`` of a recording of librealsense; None if it is none.
 
     It has ``STREAM/image/data`` beside ``STREAM/tf/N``, the motion from the reference stream of
     group N to the stream. Source: librealsense, ``media/ros/ros_file_format.h``.

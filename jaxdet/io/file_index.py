@@ -42,7 +42,7 @@ class FileIntegrity(NamedTuple):
     missing: Mapping[str, int] = {}
     """How many messages of each topic statistics or message indexes count that were not found."""
     summary_problem: str = ""
-    """Why the file has no summary that can be read; empty where it has one."""
+    """Why the file has no summary that can be read; empty if it has one."""
     by_index: bool = False
     """Whether the messages are those of the file's own index, not of a walk over the whole file.
     Then the chunks are checked when frames are read from them, and the first one's CRC stands for
@@ -117,7 +117,7 @@ def file_index(
     integrity: FileIntegrity,
     counts: dict[int, ChannelCount] | None = None,
 ) -> FileIndex:
-    """The index of a file.
+    """Return the index of a file.
 
     Args:
         infos: Its channels.
@@ -144,13 +144,13 @@ def file_index(
 
 
 def useful_channels(infos: dict[int, ChannelInfo]) -> np.ndarray:
-    """The numbers of the channels with messages of use, int64."""
+    """Return the numbers of the channels with messages of use, int64."""
     useful = [number for number, info in infos.items() if kind_of(info.schema_name) is not None]
     return np.array(useful, np.int64)
 
 
 def _counts(channel: np.ndarray, log_ns: np.ndarray) -> dict[int, ChannelCount]:
-    """The messages by channel."""
+    """Return the messages by channel."""
     count = np.bincount(channel)
     first, last = np.full(len(count), MAX_TIME_NS), np.zeros(len(count), np.int64)
     np.minimum.at(first, channel, log_ns)

@@ -55,7 +55,7 @@ def open_index(
     *,
     complete: bool,
 ) -> IndexedLog:
-    """What the indexes of a log's files tell, and its first messages, or all.
+    """Return what the indexes of a log's files and its first messages, or all, contain.
 
     Args:
         files: The open files.
@@ -109,7 +109,7 @@ def search_index(file: LogFile, index: FileIndex, builder: ContentsBuilder) -> N
 def _read_first(
     topics: Sequence[TopicMessages], store: ChunkStore, builder: ContentsBuilder, *, whole: bool
 ) -> None:
-    """Reads the first messages of each topic, and of many transforms and poses a sample.
+    """Read the first messages of each topic, and of many transforms and poses a sample.
 
     Args:
         topics: The topics.
@@ -144,7 +144,7 @@ def _read_all(
     store: ChunkStore,
     builder: ContentsBuilder,
 ) -> None:
-    """Reads all messages, but of images only the stamps and what the first ones look like.
+    """Read all messages; of images only the stamps, and the first ones.
 
     A message that can't be read, as the file of an image that is gone, is one that can't be
     decoded.
@@ -176,7 +176,7 @@ def _read_all(
 def _in_file_order(
     store: ChunkStore, parts: Sequence[tuple[TopicMessages, np.ndarray]]
 ) -> Iterator[tuple[TopicMessages, int]]:
-    """Topics and numbers of messages in the order of the files, when their chunks are in memory."""
+    """Yield topics and numbers of messages in the order of the files, with chunks loaded."""
     which = np.repeat(np.arange(len(parts)), [len(numbers) for _, numbers in parts])
     numbers = np.concatenate([np.zeros(0, np.int64), *(numbers for _, numbers in parts)])
     messages = _joined([topic.messages.rows(numbers) for topic, numbers in parts], in_order=False)
@@ -197,7 +197,7 @@ def _take(builder: ContentsBuilder, topic: TopicMessages, number: int, payload: 
 def _find_topics(
     files: Sequence[LogFile], indexes: Sequence[FileIndex], builder: ContentsBuilder
 ) -> list[TopicMessages]:
-    """The topics that are of use; those of no use are noted and counted only."""
+    """Return the topics that are of use; the others are only noted and counted."""
     found: dict[tuple[str, str], tuple[list[MessageDecoder], list[IndexedMessages]]] = {}
     for number, (file, entries) in enumerate(zip(files, indexes, strict=True)):
         builder.next_file(file)
@@ -240,7 +240,7 @@ def _find_topics(
 
 
 def _probes(topic: TopicMessages, whole: bool) -> np.ndarray:
-    """The messages read at opening."""
+    """Return the numbers of the messages that are read at opening."""
     count = topic.num_messages
     if topic.kind not in _MOTIONS:
         return np.arange(min(count, NUM_PROBES))
@@ -254,7 +254,7 @@ def _probes(topic: TopicMessages, whole: bool) -> np.ndarray:
 def _motion_windows(
     contents: LogContents, topics: Sequence[TopicMessages], store: ChunkStore, whole: bool
 ) -> MotionWindows:
-    """The windows on the messages of all these topics."""
+    """Return the windows on the messages of all these topics."""
     parts, decoders = [], []
     for topic in topics:
         parts.append(topic.messages._replace(decoder=topic.messages.decoder + len(decoders)))

@@ -62,7 +62,7 @@ def check_index(count: int, path: str, memory: ReadMemory) -> None:
 
 
 def check_chunk(nbytes: int, path: str, memory: ReadMemory) -> None:
-    """Refuses a chunk that takes more memory than there is for one.
+    """Refuse a chunk that takes more memory than there is for one.
 
     Raises:
         ChunkMemoryError: It does.
@@ -80,7 +80,7 @@ def _too_large(kind: type[InputError], what: str, nbytes: int, most: int, path: 
 
 
 def check_topics(count: int, path: str) -> None:
-    """Refuses more than ``MAX_TOPICS``.
+    """Refuse more topics than ``MAX_TOPICS``.
 
     Raises:
         InputError: There are more.

@@ -75,10 +75,10 @@ class Log:
         T_base_camera: ``(4, 4)`` float64, depth optical frame to the robot's base frame, whose
             z = 0 is the floor; None when the log's transforms don't hold it.
         base_frame: Name of that frame, or None.
-        camera_frame: Name of the depth camera's optical frame; empty where the log has none. Of
+        camera_frame: Name of the depth camera's optical frame; empty if the log has none. Of
             depth that is aligned to colour it is that of the colour camera.
-        color_frame: Name of the colour camera's optical frame; empty where the log has none.
-        world_frame: Name of the frame that poses are in; empty where there are none.
+        color_frame: Name of the colour camera's optical frame; empty if the log has none.
+        world_frame: Name of the frame that poses are in; empty if there are none.
         num_frames: Depth images, all of them.
         frames: Numbers of those in the part of the log that is read; by default all.
         has_color: Whether the log has colour images that can be decoded and whose pixels are
@@ -145,15 +145,15 @@ class Log:
         return {name: value for name, value in self.__dict__.items() if name != "_all"}
 
     def __enter__(self) -> Self:
-        """The log itself."""
+        """Return the log itself."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Closes the log."""
+        """Close the log."""
         self.close()
 
     def close(self) -> None:
-        """Closes the files and stops the threads."""
+        """Close the files and stops the threads."""
         self._store.close()
 
     def __len__(self) -> int:
@@ -174,7 +174,7 @@ class Log:
         return table(f"Log {self.label}", {"": [*facts], "value": [*facts.values()]})
 
     def __iter__(self) -> Iterator[LogFrame]:
-        """The frames of the part that is read, with colour, one by one; some are read at a time."""
+        """Yield the frames of the part that is read, with colour; some are read at a time."""
         for batch in self.batches(self._at_once, color=True):
             yield from batch.one_by_one()
 
@@ -183,7 +183,7 @@ class Log:
     @overload
     def __getitem__(self, index: slice) -> list[LogFrame]: ...
     def __getitem__(self, index: Any) -> Any:
-        """A frame of the part that is read, or those of a slice, by their place in it; with colour.
+        """Return a frame or a slice of the part that is read, by place in it, with colour.
 
         Raises:
             IndexError: There is no such frame.
@@ -245,7 +245,7 @@ class Log:
         return _MESSAGE_BYTES * sum(topic.num_messages for topic in self.description.topics)
 
     def described(self, notes: Notes) -> LogDescription:
-        """The log's description, with what reading all frames showed.
+        """Return the log's description, with what reading all frames showed.
 
         Args:
             notes: Of batches that hold each frame once, see :func:`jaxdet.io.notes.total`.
@@ -265,7 +265,7 @@ class Log:
         color: WhichColor = False,
         need_color: bool = False,
     ) -> Iterator[Batch]:
-        """The frames of the part that is read, or of a part of that, in batches, in order.
+        """Yield the frames of the part that is read, or of a range of it, in batches, in order.
 
         Where no frame of a batch has its colour read ``frames.color`` is None.
 
@@ -314,7 +314,7 @@ class Log:
     def read(
         self, indices: Sequence[int], *, color: WhichColor = False, need_color: bool = False
     ) -> Batch:
-        """The frames of these numbers, in the order given, without padding.
+        """Return the frames with these numbers, in the order given, without padding.
 
         Args:
             indices: The numbers.
@@ -334,7 +334,7 @@ class Log:
         return self._batch(indices, len(indices), _which_color(color), need_color)
 
     def without_images(self, indices: Sequence[int], status: FrameStatus, error: str) -> Batch:
-        """The frames of these numbers with stamps and poses, but no image is read.
+        """Return the frames with these numbers with stamps and poses, without reading an image.
 
         Args:
             indices: The numbers.
@@ -408,7 +408,7 @@ class Log:
         status: tuple[FrameStatus, ...],
         errors: tuple[str, ...],
     ) -> Batch:
-        """A batch of the frames of some windows, as long as its images where these are more."""
+        """Return a batch of the frames of some windows, padded to the number of images."""
         count, size = len(indices), max(len(indices), len(images[0]))
         valid, poses = np.zeros(size, bool), None
         valid[:count] = [item is FrameStatus.OK for item in status]
@@ -447,7 +447,7 @@ class _Known(NamedTuple):
     whole: Window
 
     def window(self, start: int, stop: int) -> Window:
-        """Those of some numbers."""
+        """Return the frames ``start`` to ``stop``."""
         return self.whole.part(start - self.first, stop - self.first)
 
 
@@ -487,7 +487,7 @@ def _joined(columns: Iterable[np.ndarray]) -> np.ndarray:
 
 
 def _aligned(shape: tuple[int, ...], kind: type[np.unsignedinteger]) -> np.ndarray:
-    """An array that begins with a cache line; XLA copies arrays that don't."""
+    """Return an array that begins at a cache line; XLA copies others."""
     nbytes = math.prod(shape) * np.dtype(kind).itemsize
     memory = np.empty(nbytes + _LINE_BYTES, np.uint8)
     start = -memory.ctypes.data % _LINE_BYTES

@@ -45,7 +45,7 @@ class McapFile(LogFile):
         return rebuild_mcap_index(self)
 
     def chunk_head(self, position: int) -> ChunkHead:
-        """The head of the chunk or message record whose content begins at ``position``.
+        """Return the head of the chunk or message record whose content begins at ``position``.
 
         Raises:
             DamageError: It isn't one.
@@ -67,7 +67,7 @@ class McapFile(LogFile):
         return decompress_begin(head, data, size)
 
     def chunk(self, position: int) -> bytes | memoryview:
-        """The decompressed chunk whose record's content begins at ``position``.
+        """Return the decompressed chunk whose record's content begins at ``position``.
 
         Raises:
             DamageError: It can't be read any more.

@@ -35,7 +35,7 @@ class _Records(NamedTuple):
 
 
 def read_mcap_index(file: LogFile) -> FileIndex:
-    """What the summary and the message indexes of a file tell.
+    """Return the index of a file by its summary and message indexes.
 
     Raises:
         DamageError: Something is missing, or the indexes contradict the summary.
@@ -78,7 +78,7 @@ def read_mcap_index(file: LogFile) -> FileIndex:
 
 
 def _check(file: LogFile, summary: Summary) -> None:
-    """Whether the summary is whole and fits the file."""
+    """Check that the summary is complete and fits the file."""
     statistics, chunks = summary.statistics, summary.chunks
     if not summary.crc_is_right:
         raise DamageError("summary has a wrong CRC")
@@ -98,7 +98,7 @@ def _check(file: LogFile, summary: Summary) -> None:
 
 
 def _check_counts(summary: Summary, counts: dict[int, ChannelCount]) -> None:
-    """Whether there are as many messages of each channel as the statistics say."""
+    """Check that the numbers of messages of each channel equal the statistics."""
     statistics = summary.statistics
     assert statistics is not None
     declared = {key: count for key, count in statistics.channel_message_counts.items() if count}
@@ -115,7 +115,7 @@ def _entries(
     channel: np.ndarray,
     length: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Where the entries of message indexes begin in the data, and their bytes.
+    """Return where the entries of message indexes begin in the data, and their bytes.
 
     Args:
         data: The indexes of some chunks.
@@ -138,7 +138,7 @@ def _entries(
 
 
 def _parts(file: LogFile, summary: Summary) -> Iterator[tuple[slice, FileBytes, np.ndarray]]:
-    """A range of ``IndexOffsets``, its bytes, and where in these the indexes of a chunk begin."""
+    """Yield ranges of ``IndexOffsets``, their bytes, and where the indexes of a chunk begin."""
     chunks, offsets = summary.chunks, summary.offsets
     total = np.append(0, np.cumsum(chunks.index_length))
     first = 0

@@ -71,7 +71,7 @@ class Ahead(NamedTuple):
 
 
 def rebuild_mcap_index(file: LogFile) -> FileIndex:
-    """The index of every readable message, with what was lost.
+    """Return the index of every readable message, with what was lost.
 
     Raises:
         InputError: The file was changed meanwhile, or holds more messages than it has room for.
@@ -90,7 +90,7 @@ def rebuild_mcap_index(file: LogFile) -> FileIndex:
 def ahead(
     file: LogFile, records: Iterable[FileRecord], pool: ThreadPoolExecutor
 ) -> Iterator[Ahead]:
-    """The records in order; up to 64 MiB of chunks (or one chunk, if larger) are ahead.
+    """Yield the records in order, up to 64 MiB of chunks (or one larger chunk) ahead.
 
     Args:
         file: The file.
@@ -140,7 +140,7 @@ class _Scan:
         """Chunks, as the summary knows them."""
 
     def records(self) -> Iterator[FileRecord]:
-        """The records up to the end of the data, and in their places what can't be one."""
+        """Yield the records up to the end of the data; what can't be a record is ``TORN``."""
         file, position, odd = self.file, len(MAGIC), 0
         while True:
             start, content = position, position + RECORD_HEAD.size
@@ -163,7 +163,7 @@ class _Scan:
                 return
 
     def take(self, record: FileRecord, chunk: Future[bytes | memoryview] | None) -> None:
-        """Takes in one record, a chunk decompressed.
+        """Take in one record, a chunk decompressed.
 
         Raises:
             DamageError: It can't be used.
@@ -181,7 +181,7 @@ class _Scan:
             self._content(opcode, content, position, length, 0)
 
     def index(self) -> FileIndex:
-        """What was found, and of what the file speaks beside that."""
+        """Return the index of what was found, and what the file declares besides."""
         missing = self._missing()
         statistics = self.summary.statistics if self.summary else None
         if missing or (self.summary and not statistics):
@@ -197,7 +197,7 @@ class _Scan:
         )
 
     def _record_head(self, position: int) -> tuple[int, int]:
-        """Opcode and length; what is no record where the file ends or can't be read."""
+        """Return opcode and length; ``TORN`` if the file ends or can't be read there."""
         if position + RECORD_HEAD.size > self.file.size:
             return TORN, 0
         try:
@@ -207,7 +207,7 @@ class _Scan:
         return opcode, length
 
     def _end(self, position: int) -> None:
-        """The data end here; the summary follows, wherever the footer looks for it."""
+        """Note the end of the data; the summary follows, wherever the footer expects it."""
         try:
             magic = self.file.read(self.file.size - len(MAGIC), len(MAGIC))
         except DamageError:
@@ -242,7 +242,7 @@ class _Scan:
     def _content(
         self, opcode: int, content: memoryview, position: int, length: int, offset: int
     ) -> None:
-        """Takes in the record at an offset in the records of a chunk."""
+        """Take in the record at an offset in the records of a chunk."""
         if opcode == Opcode.SCHEMA:
             self.declared.add_schema(content)
             return
@@ -284,7 +284,7 @@ class _Scan:
         return dict(missing)
 
     def _lose_missing_chunks(self) -> None:
-        """Says of which chunks of the summary nothing was found."""
+        """Count chunks of the summary of which nothing was found as lost."""
         if self.summary is None:
             return
         left, chunks = Counter(self.seen), self.summary.chunks

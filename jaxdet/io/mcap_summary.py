@@ -70,7 +70,7 @@ class Summary(NamedTuple):
 
 
 def read_summary(file: LogFile, at: int | None = None) -> Summary:
-    """The summary of a file.
+    """Return the summary of a file.
 
     Args:
         file: The file.
@@ -116,7 +116,7 @@ class FileBytes:
         }
 
     def at(self, position: np.ndarray, kind: str) -> np.ndarray:
-        """The numbers of a kind (``<u1`` to ``<u8``) at some positions, int64.
+        """Return the numbers of a kind (``<u1`` to ``<u8``) at some positions, int64.
 
         Raises:
             DamageError: A position is outside, or a number beyond int64.

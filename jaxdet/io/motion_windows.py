@@ -73,7 +73,7 @@ class MotionWindows:
     def window(
         self, source: PoseSource, stamps_ns: np.ndarray, begin: int | None, end: int | None
     ) -> tuple[np.ndarray | None, set[Place]]:
-        """The camera's poses at some stamps, and the chunks that were looked at for them.
+        """Return the camera's poses at some stamps, and the chunks that they were read from.
 
         Args:
             source: Where the poses come from.
@@ -122,7 +122,7 @@ class MotionWindows:
     def _samples(
         self, bound: Sequence[int], moving: Sequence[str], low: int, high: int
     ) -> dict[str, MotionSamples]:
-        """The samples of what moves, of some messages in the order of their arrival."""
+        """Return the samples of moving frames in some messages, in order of arrival."""
         samples = {name: MotionSamples() for name in moving}
         wanted = [
             decoder.kind is Kind.TRANSFORM or decoder.channel.topic in samples
@@ -145,7 +145,7 @@ class MotionWindows:
         return samples
 
     def _decode(self, number: int, decoder_number: int) -> list[tuple[str, TransformMessage]]:
-        """What a message says of what moves, with its frame or topic."""
+        """Return the moving transforms in a message, each with its frame or topic."""
         decoder = self._decoders[decoder_number]
         _, payload = read_message(self._store, self._messages, number)
         found = []

@@ -106,7 +106,7 @@ class ImageReader:
         color: np.ndarray | None = None,
         wanted: np.ndarray | None = None,
     ) -> Failures:
-        """Decodes the frames of a window into the rows of ``depth`` and ``color``.
+        """Decode the frames of a window into the rows of ``depth`` and ``color``.
 
         Args:
             window: ``n`` frames.
@@ -159,7 +159,7 @@ class ImageReader:
         return errors
 
     def decoding_s(self) -> float:
-        """How long images were decoded since the last call, all threads at a time [s]."""
+        """Return the time for decoding since the last call, divided by the threads [s]."""
         took, self._took = self._took, []
         return sum(took) / self._store.threads
 
@@ -192,7 +192,7 @@ class ImageReader:
     def _read_plain(
         self, chunk: Place, requests: Sequence[Request], depth: np.ndarray, color: np.ndarray
     ) -> list[memoryview | None]:
-        """The payloads of messages, None where the pixels are in their row already.
+        """Return the payloads of messages, None if the pixels are in their row already.
 
         Raises:
             DamageError: The chunk can't be read, or is not as its CRC says.
@@ -243,7 +243,7 @@ class ImageReader:
         ]
 
     def _span(self, chunk: Place, request: Request, rows: np.ndarray) -> Span | None:
-        """Where pixels can be read straight into their row."""
+        """Return the part of a chunk that can be read straight into its row."""
         if not is_standard_image(request.decoder.channel):
             return None
         head = self._store.peek(chunk, request.offset, min(request.size, HEAD_BYTES))
@@ -316,7 +316,7 @@ def _requests(
 
 
 def _repeated(table: FrameTable, wanted: np.ndarray) -> dict[int, int]:
-    """The rows, of those wanted, whose message an earlier one has, with the first such row."""
+    """Return the rows, of those wanted, with the same message as an earlier row, and that row."""
     first: dict[tuple[Place, int], int] = {}
     found = {}
     rows = np.flatnonzero(wanted)

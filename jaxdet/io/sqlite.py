@@ -78,7 +78,7 @@ class SqliteFile(MessageFile):
             raise
 
     def close(self) -> None:
-        """Closes the file."""
+        """Close the file."""
         for connection in self._connections:
             connection.close()
         self._connections = []
@@ -146,7 +146,7 @@ class SqliteFile(MessageFile):
     def query(
         self, text: str, values: Sequence[object] | Mapping[str, object] = ()
     ) -> Iterator[tuple[Any, ...]]:
-        """The rows of a query.
+        """Yield the rows of a query.
 
         Raises:
             DamageError: SQLite can't go on.
@@ -164,7 +164,7 @@ class SqliteFile(MessageFile):
             raise _damage(error) from error
 
     def read_payload(self, number: int, start: int, parts: Sequence[memoryview]) -> None:
-        """Fills writable byte views with a message's data from ``start``, one after the other.
+        """Fill writable byte views, one after the other, with a message's data from ``start``.
 
         Raises:
             DamageError: They end before, or can't be read.
@@ -188,7 +188,7 @@ class SqliteFile(MessageFile):
         return int.from_bytes(pages, "big") * (65536 if size == 1 else size)
 
     def row(self, number: int) -> MessageRow:
-        """What is known of a message.
+        """Return channel, log time and size of a message.
 
         Raises:
             DamageError: There is none, or it can't be read.
@@ -221,11 +221,11 @@ class SqliteFile(MessageFile):
         return found
 
     def _takes_too_long(self) -> bool:
-        """Whether this thread's query takes longer than any recording's does; ends it then."""
+        """Return whether this thread's query takes too long; SQLite ends it then."""
         return time.monotonic() > getattr(self._of_thread, "until", math.inf)
 
     def _check(self) -> None:
-        """Whether this is a recording, and closed.
+        """Check that this is a recording, and closed.
 
         Raises:
             InputError: It isn't.
@@ -271,14 +271,14 @@ def _authorize(action: int, first: str | None, second: str | None, *_: object) -
 
 
 def _damage(error: Exception) -> DamageError:
-    """What SQLite says, as damage."""
+    """Return an error of SQLite as damage."""
     return DamageError(f"the SQLite file can't be read ({error})")
 
 
 def _rows(file: SqliteFile, lost: Counter[str]) -> Iterator[tuple[Any, ...]]:
     """Number, topic, log time, data and their bytes of all messages that can be reached.
 
-    The data are None where they can't be read.
+    The data are None if they can't be read.
     """
     before, last = -1, _last_number(file)
 
@@ -310,7 +310,7 @@ def _rows(file: SqliteFile, lost: Counter[str]) -> Iterator[tuple[Any, ...]]:
 
 
 def _last_number(file: SqliteFile) -> int:
-    """The greatest number of a message, by the messages or by the index of their times."""
+    """Return the largest number of a message, by the messages or the index of their times."""
     numbers = [0]
     for text in ("SELECT max(id) FROM messages", _GREATEST):
         with suppress(DamageError):
@@ -319,7 +319,7 @@ def _last_number(file: SqliteFile) -> int:
 
 
 def _declared(file: SqliteFile) -> int | None:
-    """How many messages the index of their times has; None where it can't be read."""
+    """Return how many messages the index of their times has; None if it can't be read."""
     with suppress(DamageError):
         for (count,) in file.query(_COUNT):
             return int(count)
@@ -327,7 +327,7 @@ def _declared(file: SqliteFile) -> int | None:
 
 
 def _channels(file: SqliteFile) -> dict[int, ChannelInfo]:
-    """The topics with their definitions; where the file has none (before ROS 2 Iron), ROS 2's.
+    """Return the topics with their definitions, or ROS 2's in files from before ROS 2 Iron.
 
     Raises:
         DamageError: The table can't be read.

@@ -48,7 +48,7 @@ class Window(NamedTuple):
     """The same, where colour is decoded."""
 
     def part(self, first: int, last: int) -> "Window":
-        """The frames ``first`` to ``last`` of these.
+        """Return the frames ``first`` to ``last`` of these.
 
         What is to be noted goes with the first part, what is to be checked with the last one,
         when most of it has been read.
@@ -90,7 +90,7 @@ def nearest(stamps_ns: np.ndarray, others_ns: np.ndarray, tolerance_s: float) ->
 def apart(
     depth: FrameTable, color: FrameTable | None, color_offset_ns: int = 0
 ) -> tuple[np.ndarray, np.ndarray, int]:
-    """How far apart images are by stamp and by log time ``(P,)`` [ns]; frames without colour.
+    """Return how far images are apart by stamp and by log time, and frames without colour.
 
     Args:
         depth: Images of ``n`` frames.
@@ -106,6 +106,6 @@ def apart(
 
 
 def log_time_warnings(topic: str, backward: int) -> list[str]:
-    """A line on a stream with messages that come after a later one."""
+    """Return a warning about messages that come after a later one."""
     text = f"{printable(topic)}: {backward} log times run backward; images are ordered by stamp"
     return [text] if backward else []
