@@ -153,7 +153,7 @@ class Log:
         self.close()
 
     def close(self) -> None:
-        """Close the files and stops the threads."""
+        """Close the files and stop the threads."""
         self._store.close()
 
     def __len__(self) -> int:
