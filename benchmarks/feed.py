@@ -38,10 +38,10 @@ from jaxdet.cores import cores
 from jaxdet.floor.plane import repeat_plane
 from jaxdet.io import Log, open_log
 from jaxdet.io.compressed import decode_compressed_depth
-from jaxdet.io.container import McapFile
 from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.decode_messages import MessageDecoder
 from jaxdet.io.images import decode_depth
+from jaxdet.io.mcap_file import McapFile
 from jaxdet.io.messages import CompressedImageMessage, ImageMessage
 from jaxdet.results.rows import batch_rows, row_inputs
 from jaxdet.results.schemas import FRAMES_SCHEMA, OBSTACLES_SCHEMA

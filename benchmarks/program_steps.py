@@ -9,8 +9,7 @@ import warp as wp
 from benchmarks.run import Case
 from benchmarks.scene import BATCH, CONFIG, frames_of
 from benchmarks.sweep import SIZES, Point
-from jaxdet.runtime.launch import most_teams
-from jaxdet.stages._batches import default_device
+from jaxdet.runtime.calls import device_of_jax, most_teams
 from jaxdet.stages._program import (
     STEPS,
     Static,
@@ -52,8 +51,9 @@ def program(point: Point) -> Program:
     frames = frames_of(point.size, point.batch)
     unit, plane = frames.calibration.depth_unit, frames.plane
     assert plane is not None
-    tables = packed(*host_tables(frames.calibration, CONFIG))
-    static, device = Static.of(tables), wp.device_from_jax(default_device())
+    device = device_of_jax(kernels)
+    tables = packed(*host_tables(frames.calibration, CONFIG), device)
+    static = Static.of(tables)
     given = frames.depth, floors(plane, CONFIG, unit), tables
     arrays = [wp.array(a, dtype=wp.dtype_from_numpy(a.dtype), device=device) for a in given]
     rows = [(point.batch, words) for words in static.words()]

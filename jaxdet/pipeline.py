@@ -128,6 +128,29 @@ def find_floors(
     return load_backend(backend).find_floors(frames, prior, config)
 
 
+def find_floors_without_jax(frames: Frames, config: Config | None = None) -> "FloorFit":
+    """Find the same floors in a process that computes nothing else, without loading JAX.
+
+    Args:
+        frames: ``B`` frames; if ``plane`` is None, the prior is the configuration's.
+        config: Configuration of the method; by default the preset ``wheeled``.
+
+    Returns:
+        The planes, computed by the kernels if they are compiled already, else by the reference.
+
+    Raises:
+        CalibrationError: The calibration can't be used, or images are not of its cameras' sizes.
+        InputError: Numbers of images and planes differ.
+    """
+    from jaxdet.stages import find_floors_on_cpu
+
+    config = _checked(config)
+    check_frames(frames, config, floor_only=True)
+    prior = floor_prior(frames, config)
+    found = find_floors_on_cpu(frames, prior, config)
+    return found or load_backend("reference").find_floors(frames, prior, config)
+
+
 def _checked(config: Config | None) -> Config:
     """Return the configuration, or the default.
 

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from jaxdet.io.writer import pose_of
+from jaxdet.io.writer_cdr import pose_of
 
 VISION = {
     "ObjectHypothesis": "string class_id\nfloat64 score",

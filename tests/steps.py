@@ -4,11 +4,11 @@ from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 import warp as wp
 
 from jaxdet.config import Config
+from jaxdet.runtime.calls import device_of_jax
 from jaxdet.stages._program import (
     STEPS,
     Sizes,
@@ -21,6 +21,7 @@ from jaxdet.stages._program import (
 )
 from jaxdet.stages._tables import Tables
 from jaxdet.types import MAX_OBSTACLES, Calibration, Cells, Intrinsics, Obstacles
+from jaxdet_kernels import program
 
 POISON = 0x55555555
 Arrays = Mapping[str, np.ndarray]
@@ -44,7 +45,8 @@ def step(
         sizes: Of the arrays.
         depth: Images, for the first step.
     """
-    buffer = packed(sizes, {**_other_tables(), **tables})
+    device = device_of_jax(program)
+    buffer = packed(sizes, {**_other_tables(), **tables}, device)
     static = Static.of(buffer)
     work, record = work_layout(static.rows, static.columns), record_layout()
     batch = len(next(iter(given.values())) if depth is None else depth)
@@ -57,7 +59,6 @@ def step(
         for layout in (record, work)
     ]
     contour = np.full((batch, static.words()[1]), POISON, np.int32)
-    device = wp.device_from_jax(jax.local_devices()[0])
     arrays = [
         wp.array(np.ascontiguousarray(a), dtype=wp.dtype_from_numpy(a.dtype), device=device)
         for a in (depth, floors, buffer, rows[0], contour, rows[1])

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from jaxdet.io import container
-from jaxdet.io.integrity import FileIntegrity
+from jaxdet.io import mcap_file
+from jaxdet.io.file_index import FileIntegrity
 from tests.fuzz.formats import FORMATS
 from tests.fuzz.logs import Logs
 from tests.fuzz.mutations import MUTATIONS
@@ -38,9 +38,9 @@ def test_damaged_logs_end_in_right_frames_or_one_clear_line(fuzzer):
 
 def test_a_wrong_pixel_and_a_frame_lost_in_silence_are_failures(fuzzer, monkeypatch):
     with monkeypatch.context() as patch:
-        plain = container.read_chunk_head
+        plain = mcap_file.read_chunk_head
         unchecked = lambda data, size: plain(data, size)._replace(crc=0)  # noqa: E731
-        patch.setattr(container, "read_chunk_head", unchecked)
+        patch.setattr(mcap_file, "read_chunk_head", unchecked)
         assert any(fuzzer.one(seed).verdict.kind == "wrong pixels" for seed in range(60))
     with monkeypatch.context() as patch:
         patch.setattr(FileIntegrity, "recovered", False)

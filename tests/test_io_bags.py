@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from jaxdet.errors import FrameStatus, InputError
-from jaxdet.io import Log, LogOptions, find_logs, open_log, sqlite_index
+from jaxdet.io import Log, LogOptions, find_logs, open_log, sqlite
 from jaxdet.io.bag import records
 from jaxdet.io.chunks import DamageError
 from jaxdet.io.sqlite import SqliteFile
@@ -183,7 +183,7 @@ def test_a_damaged_db3_that_ends_or_leads_back(db3, monkeypatch, answer):
     monkeypatch.setattr(SqliteFile, "query", damaged)
     lost = Counter[str]()
     with closing(SqliteFile(db3, 1 << 30)) as file:
-        assert [*sqlite_index._rows(file, lost)] == []
+        assert [*sqlite._rows(file, lost)] == []
     assert lost["page is damaged"] == count_messages(db3) + 1
 
 
@@ -191,9 +191,15 @@ def test_formats_of_one_recording_and_others_beside_it(mcap, bag, db3, tmp_path)
     for path in (mcap, bag, db3):
         copy(path, tmp_path)
     (tmp_path / "other.svo2").write_bytes(b"x")
+    (tmp_path / "other.r3d").write_bytes(b"x")
     [log] = find_logs([str(tmp_path)])
     assert [path.name for path in log.paths] == ["sim.mcap"]
-    for text in ("sim.bag is left out", "sim.db3 is left out", "other.svo2 is left out: play"):
+    for text in (
+        "sim.bag is left out",
+        "sim.db3 is left out",
+        "other.svo2 is left out: play",
+        "other.r3d is left out: in Record3D, export it as EXR",
+    ):
         assert text in log.note
     with open_log(log) as opened:
         assert log.note in opened.description.warnings

@@ -18,8 +18,8 @@ from mcap.writer import Writer
 from jaxdet import io
 from jaxdet.errors import JaxdetError, TopicError
 from jaxdet.io import LogOptions, RescanError, mcap_scan, open_log
-from jaxdet.io.chunks import RECORD_HEAD, ChunkHead, DamageError, chunk_records, decompress
-from jaxdet.io.container import MAGIC, McapFile
+from jaxdet.io.chunks import MAGIC, RECORD_HEAD, ChunkHead, DamageError, chunk_records, decompress
+from jaxdet.io.mcap_file import McapFile
 from tests.io_both_ways import is_indexed
 from tests.io_helpers import assert_holds, make_scene, write_log
 

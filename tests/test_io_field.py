@@ -541,7 +541,7 @@ def test_a_body_frame_of_a_camera_in_the_world_alone_is_found(tmp_path, raw):
 
     changes = tracked, in_frame("tracker", "/camera")
     messages = changed(raw, *changes)
-    from jaxdet.io.writer import pose_of
+    from jaxdet.io.writer_cdr import pose_of
 
     for message in [item for item in messages if item.kind == IMAGE]:
         pose = pose_of(next(poses))

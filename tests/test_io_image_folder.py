@@ -423,7 +423,7 @@ def test_record3d_with_depth_as_png(tmp_path):
         assert_phone_poses(log)
     for path in (tmp_path / "depth").iterdir():
         path.rename(path.with_suffix(".exr"))
-    with pytest.raises(InputError, match=r"OpenEXR .* is not read; write it to depth/ as 16-bit"):
+    with pytest.raises(InputError, match=r"OpenEXR .* is not read; convert it to 16-bit PNG"):
         open_log(str(tmp_path))
 
 

@@ -13,7 +13,7 @@ from jaxdet.errors import RescanError
 from jaxdet.io import Batch, LogOptions, indexed, reading, windows
 from jaxdet.io import log as log_module
 from jaxdet.io import open_log as open_only
-from jaxdet.io.container import McapFile
+from jaxdet.io.mcap_file import McapFile
 from jaxdet.io.notes import total
 from jaxdet.io.store import ChunkStore
 from tests.io_both_ways import assert_same_batch, assert_same_log, is_indexed, scanning
@@ -346,7 +346,7 @@ def test_a_sent_log_reads_no_index(tmp_path, monkeypatch):
     with open_only(str(path)) as log:
         expected = read_all(log)
         sent = pickle.dumps(log)
-    monkeypatch.setattr(log_module, "read_file_index", None)
+    monkeypatch.setattr(McapFile, "read_index", None)
     with pickle.loads(sent) as log:
         for one, other in zip(read_all(log), expected, strict=True):
             assert_same_batch(one, other)

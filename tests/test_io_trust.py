@@ -18,12 +18,11 @@ from hypothesis import strategies as st
 from jaxdet.errors import FrameError, FrameStatus, InputError, JaxdetError, RescanError, printable
 from jaxdet.io import LogOptions, container, find_logs, indexed, open_log
 from jaxdet.io.chunks import DamageError
-from jaxdet.io.container import McapFile
 from jaxdet.io.declarations import ChannelInfo, Declarations
 from jaxdet.io.decode_messages import MessageDecoder
 from jaxdet.io.definition import bare_definition
-from jaxdet.io.formats import rebuild_file_index
 from jaxdet.io.limits import ReadMemory
+from jaxdet.io.mcap_file import McapFile
 from jaxdet.io.messages import TransformMessage
 from jaxdet.io.opening import open_files
 from jaxdet.io.transforms import TransformTree
@@ -160,7 +159,7 @@ def test_a_file_that_is_cut_while_it_is_scanned(tmp_path):
     opened = open_files(source, LogOptions(), ReadMemory())
     os.truncate(path, 5000)
     with pytest.raises(InputError, match="changed while it was read"):
-        rebuild_file_index(opened.files[0])
+        opened.files[0].rebuild_index()
     for file in opened.files:
         file.close()
 

@@ -15,7 +15,7 @@ import warp as wp
 
 from jaxdet.config import Config
 from jaxdet.floor.plane import unknown_plane
-from jaxdet.runtime.launch import prepare
+from jaxdet.runtime.calls import device_of_jax
 from jaxdet.sim import sample_frames
 from jaxdet.sim.config import calibration_of
 from jaxdet.stages import _program
@@ -85,10 +85,10 @@ def test_steps_stay_in_their_memory(tmp_path: Path) -> None:
 
 def check(program: Path, cases: Iterator[Case] | list[Case]) -> None:
     """Holds each step to the compiled kernels, from what these made of the steps before."""
-    prepare(kernels)
+    device = device_of_jax(kernels)
     for case in cases:
         config, unit = Config(), case.calibration.depth_unit
-        tables = _program.packed(*_program.host_tables(case.calibration, config))
+        tables = _program.packed(*_program.host_tables(case.calibration, config), device)
         static = _program.Static.of(tables)
         floors = _program.floors(case.plane, config, unit)
         words = static.words()

@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from jaxdet.errors import InputError
 from jaxdet.io import open_log
-from jaxdet.io.writer import Transform, quaternion
-from jaxdet.io.writer_cdr import encode_cdr
+from jaxdet.io.writer import Transform
+from jaxdet.io.writer_cdr import encode_cdr, quaternion
 from jaxdet.sim import (
     SimConfig,
     load_depths,

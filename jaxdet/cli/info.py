@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -71,9 +72,11 @@ def main(args: list[str]) -> int:
     config, log_options, name = defaults(args)
     start = {"preset": name, "ground": config.ground, "log": log_options}
     command = parse_flags(InfoCommand, args, "jaxdet info", DESCRIPTION, COMMON, start)
+    from jaxdet.engine.startup import use_warp_cache
     from jaxdet.io import find_logs
     from jaxdet.results.summary import plain, to_json
 
+    use_warp_cache()
     failed, found = 0, []
     options = replace(command.log, scan=command.log.scan or command.check)
     method = replace(config, ground=command.ground)
@@ -139,12 +142,12 @@ def describe(
         CamerasError: The log has several, and none is chosen.
         JaxdetError: The log can't be used.
     """
-    from jaxdet.engine import decide_planes
+    from jaxdet.engine.floors import decide_planes, find_without_jax
     from jaxdet.io import open_log
     from jaxdet.results.summary import plain
 
     with open_log(files, options) as log:
-        planes = decide_planes(log, config, "reference")
+        planes = decide_planes(log, config, "reference", find=partial(find_without_jax, config))
         about = {
             "log": log.name,
             "camera": log.camera,

@@ -27,7 +27,7 @@ from jaxdet.floor.plane import (
 )
 from jaxdet.floor.sampled import ENOUGH, SampledFloor, sampled_floor
 from jaxdet.floor.turned import turned_back, turned_frames
-from jaxdet.pipeline import BackendName, find_floors
+from jaxdet.pipeline import BackendName, find_floors, find_floors_without_jax
 from jaxdet.types import Frames, GroundPlane
 
 if TYPE_CHECKING:
@@ -178,6 +178,12 @@ def find_here(config: Config, backend: BackendName, frames: Frames) -> "FloorFit
     """The floors of frames, found by this process."""
     with computing():
         return find_floors(frames, config, backend=backend)
+
+
+def find_without_jax(config: Config, frames: Frames) -> "FloorFit":
+    """Find the same floors in a process that computes nothing else, without its start-up."""
+    with computing():
+        return find_floors_without_jax(frames, config)
 
 
 def evenly(values: np.ndarray, count: int) -> np.ndarray:

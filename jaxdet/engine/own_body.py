@@ -1,5 +1,6 @@
 """Finds parts of a robot in view of its own camera: near, above the floor, of constant depth."""
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 import cv2
@@ -7,7 +8,7 @@ import numpy as np
 
 from jaxdet.camera import pixel_rays
 from jaxdet.config import Config
-from jaxdet.engine.floors import decide_planes, evenly, find_here
+from jaxdet.engine.floors import decide_planes, evenly, find_without_jax
 from jaxdet.errors import InputError
 from jaxdet.floor.plane import down_vector
 from jaxdet.floor.sampled import sampled_floor
@@ -70,10 +71,11 @@ def find_own_body(log: "Log", config: Config) -> np.ndarray:
 
 def _floor(log: "Log", frames: Frames, config: Config) -> GroundPlane:
     """Return the floor of a log, ``B = 1``: the prior of its frames, else the median of theirs."""
-    planes = decide_planes(log, config, "reference").of(frames.stamp_ns)
+    find = partial(find_without_jax, config)
+    planes = decide_planes(log, config, "reference", find=find).of(frames.stamp_ns)
     if planes.valid[0]:
         return GroundPlane(*(part[:1] for part in planes))
-    fit = find_here(config, "reference", frames._replace(plane=planes))
+    fit = find(frames._replace(plane=planes))
     return sampled_floor(fit.plane, fit.own & frames.valid).plane
 
 

@@ -39,7 +39,7 @@ WAITING = 2
 """Units that a worker has been given: the one it works on, and the next."""
 NO_PROGRESS_S = 600.0
 """A worker that finishes no batch for so long hangs; the first one may have to be compiled."""
-LOADED = ["jaxdet.engine.whole_logs", "jaxdet.io.log", "numpy.ma", "jaxdet_kernels.decode"]
+LOADED = ["jaxdet.engine.whole_logs", "jaxdet.io.opening", "numpy.ma", "jaxdet_kernels.decode"]
 LOADED_TO_COMPUTE = ["jaxdet.stages"]
 """What the fork server loads once for all workers, with what pyarrow and decoders would load in
 each of them; none of it may start a thread, or Warp."""

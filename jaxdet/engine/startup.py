@@ -227,6 +227,11 @@ def start_reading() -> None:
     """
     keep_memory()
     os.environ["CUDA_VISIBLE_DEVICES"] = ""
+    use_warp_cache()
+
+
+def use_warp_cache() -> None:
+    """Make Warp keep what it compiles where runs do; to be called before Warp starts."""
     folder = cache_folders().warp
     if is_writable(folder):
         os.environ["WARP_CACHE_PATH"] = str(folder)

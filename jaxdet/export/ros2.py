@@ -25,8 +25,8 @@ from jaxdet.export.shapes import (
 )
 from jaxdet.export.sidecar import sidecar_frames, sidecars
 from jaxdet.io import LogFiles
-from jaxdet.io.writer import Ros2LogWriter, pose_of, xyz
-from jaxdet.io.writer_cdr import header
+from jaxdet.io.writer import Ros2LogWriter
+from jaxdet.io.writer_cdr import header, pose_of, xyz
 from jaxdet.results.map_file import Grid
 from jaxdet.results.masks import obstacle_points
 from jaxdet.results.reading import Frame, ResultLog, Results

@@ -1,19 +1,19 @@
 """Logs of depth cameras: recordings to arrays, and arrays to files.
 
-``find_logs`` turns what the user names into logs, ``open_log`` finds in one what its index and
-first messages tell, and :class:`Log` gives its frames in batches. The names are loaded when they
-are used, so that the options alone cost no import of a decoder.
+``find_logs`` turns names of files and folders into logs, ``open_log`` reads the index and the first
+messages of a log, and :class:`Log` reads its frames in batches. The names are loaded when they are
+used, so that the options alone cost no import of a decoder.
 
 From the bytes of files to frames, by module::
 
     files, splits                   paths -> the files of each log
-      formats                       a file of any format: chunks of MCAP records by position
-        container, chunks             MCAP
+      formats, container            a file of any format: chunks of MCAP records by position, and
+                                      its index
+        mcap_file, chunks             MCAP: mcap_summary, mcap_index; without these mcap_scan
         bag                           ROS 1
         message_file                  messages one by one: sqlite (ROS 2), image_folder
-      file_index                    where every message is: arrays, the same for all formats
-        by the file's own index       mcap_summary, mcap_index, bag_index, sqlite_index
-        rebuilt from the whole file   mcap_scan, sqlite_index, walk: what is whole, what is lost
+      file_index                    where every message is: arrays, the same for all formats, by
+                                      the file's own index or rebuilt from all that is whole (walk)
       opening, indexed              messages by topic (records), the first of each decoded
                                       (contents); or all small ones and all stamps
       findings                      cameras, topics, calibration (intrinsics, extrinsics), poses,
@@ -22,11 +22,11 @@ From the bytes of files to frames, by module::
                                       (motion_windows), calibration (validity)
     timeline.Window                 where the images of some frames lie
       reading, store                  chunks, each read and checked once, by threads
-        raw_images                    pixels that go straight into their arrays
+        raw_messages                  pixels that go straight into their arrays; transforms
         decode_messages               CDR, ROS 1, protobuf and JSON -> messages
         images, compressed            their pixels: raw, jpeg, png, rvl, zstd_images
         body_mask                     pixels of the robot itself, which are not measured
-    batch                           arrays of images, stamps and poses, and what became of each
+    log, batch                      arrays of images, stamps and poses, and the status of each
 """
 
 from importlib import import_module
@@ -37,8 +37,9 @@ if TYPE_CHECKING:
     from jaxdet.io.batch import Batch, LogFrame
     from jaxdet.io.description import LogDescription
     from jaxdet.io.files import LogFiles, find_logs
-    from jaxdet.io.log import Log, open_log
+    from jaxdet.io.log import Log
     from jaxdet.io.notes import Notes
+    from jaxdet.io.opening import open_log
     from jaxdet.io.options import LogOptions
 
 _MODULES = {
@@ -51,7 +52,7 @@ _MODULES = {
     "Notes": "io.notes",
     "RescanError": "errors",
     "find_logs": "io.files",
-    "open_log": "io.log",
+    "open_log": "io.opening",
 }
 __all__ = [
     "Batch",
@@ -68,7 +69,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Loads a public name with its module."""
+    """Load a public name with its module."""
     if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module(f"jaxdet.{_MODULES[name]}"), name)

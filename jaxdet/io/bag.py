@@ -14,16 +14,23 @@ long as the bag's, and every message begins where the bag's index says; between 
 
 import bz2
 import struct
+from collections import Counter
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
 import lz4.frame
+import numpy as np
 from mcap.opcode import Opcode
 
 from jaxdet.errors import InputError
 from jaxdet.io.chunks import MESSAGE_HEAD, PAYLOAD_OFFSET, RECORD_HEAD, ChunkHead, DamageError
 from jaxdet.io.container import FileState, LogFile
+from jaxdet.io.declarations import ChannelInfo
+from jaxdet.io.file_index import FileIndex, FileIntegrity, file_index
+from jaxdet.io.limits import MAX_SCHEMA_BYTES, MAX_SCHEMAS_BYTES
+from jaxdet.io.messages import kind_of
 from jaxdet.io.ros1 import require_rosbags
 
 MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 4, 5, 6, 7
@@ -36,6 +43,9 @@ _PADDING = 0x80
 _MAX_HEAD_BYTES = 1 << 16
 _FIRST_BYTES = 256
 """Read at once of a record's head."""
+_ENTRY = np.dtype([("sec", "<u4"), ("nanosec", "<u4"), ("offset", "<u4")])
+_COUNT = np.dtype([("connection", "<u4"), ("messages", "<u4")])
+_INDEX_VERSION = 1
 
 
 class BagRecord(NamedTuple):
@@ -56,7 +66,7 @@ class BagRecord(NamedTuple):
         return self.data + self.size
 
     def number(self, name: bytes, size: int = 4) -> int:
-        """A field of so many bytes.
+        """Return a field of so many bytes as an integer.
 
         Raises:
             DamageError: It isn't there, or has another size.
@@ -65,6 +75,14 @@ class BagRecord(NamedTuple):
         if len(value) != size:
             raise DamageError("record of the bag is damaged")
         return int.from_bytes(value, "little")
+
+
+class _End(NamedTuple):
+    """What stands at the end of a bag."""
+
+    connections: dict[int, ChannelInfo]
+    counts: dict[int, dict[int, int]]
+    """The messages of each connection in each chunk, by its position."""
 
 
 class BagFile(LogFile):
@@ -94,8 +112,31 @@ class BagFile(LogFile):
         remedy = "on a copy, run rosbag reindex"
         return InputError(f"it has no index ({why})", path=str(self.path), remedy=remedy)
 
+    def read_index(self) -> FileIndex:
+        """See :meth:`LogFile.read_index`."""
+        end = _read_end(self)
+        parts = [np.zeros((5, 0), np.int64)]
+        for position, after in pairwise([*sorted(end.counts), self.index]):
+            parts += _chunk_index(self, position, after, end.counts[position])
+        messages = np.concatenate(parts, axis=1)
+        self.check_messages(messages.shape[1])
+        about = FileIntegrity(self.path, chunks=len(end.counts), by_index=True)
+        return file_index(dict(sorted(end.connections.items())), messages, about)
+
+    def rebuild_index(self) -> FileIndex:
+        """Return the same index, if it holds messages that can't be read.
+
+        Raises:
+            InputError: The bag's own index is torn or wrong.
+        """
+        try:
+            found = self.read_index()
+        except DamageError as error:
+            raise self.without_index(str(error)) from error
+        return found._replace(integrity=found.integrity._replace(by_index=False))
+
     def record(self, position: int, end: int | None = None) -> BagRecord:
-        """The record at a position of the file.
+        """Return the record at a position of the file.
 
         Args:
             position: Where it begins.
@@ -116,7 +157,7 @@ class BagFile(LogFile):
         return found
 
     def chunk_head(self, position: int) -> ChunkHead:
-        """The head of the chunk whose record begins at ``position``; it has no times.
+        """Return the head of the chunk whose record begins at ``position``; it has no times.
 
         Raises:
             DamageError: There is none.
@@ -130,7 +171,7 @@ class BagFile(LogFile):
         return ChunkHead(0, 0, size, 0, f"bag {name}", place, record.size, record.size)
 
     def chunk(self, position: int) -> memoryview:
-        """The chunk at ``position`` with its messages as MCAP's records, each where it was.
+        """Return the chunk at ``position``, with each message as a record of MCAP where it was.
 
         Raises:
             DamageError: It can't be read, or a record overruns it.
@@ -156,7 +197,7 @@ class BagFile(LogFile):
 
 
 def records(data: bytes) -> Iterator[BagRecord]:
-    """The records in some data, such as a decompressed chunk.
+    """Return the records in some data, such as a decompressed chunk.
 
     Raises:
         DamageError: One overruns the data.
@@ -171,7 +212,7 @@ def records(data: bytes) -> Iterator[BagRecord]:
 
 
 def read_record(data: bytes, place: int, start: int = 0) -> BagRecord:
-    """The record whose head stands at ``place`` in some data, which begin at ``start``.
+    """Return the record whose head is at ``place`` in some data, which begin at ``start``.
 
     Raises:
         DamageError: There is none; whether its data are there isn't looked at.
@@ -190,7 +231,7 @@ def read_record(data: bytes, place: int, start: int = 0) -> BagRecord:
 
 
 def nanoseconds(record: BagRecord) -> int:
-    """The log time of a message record [ns].
+    """Return the log time of a message record [ns].
 
     Raises:
         DamageError: It has none.
@@ -200,7 +241,7 @@ def nanoseconds(record: BagRecord) -> int:
 
 
 def fields(head: bytes | memoryview) -> dict[bytes, bytes]:
-    """The named fields of a record's head, or of the data of a connection.
+    """Return the named fields of a record's head, or of the data of a connection.
 
     Raises:
         DamageError: They are damaged.
@@ -236,3 +277,77 @@ def _decompress(head: ChunkHead, data: bytes) -> bytes:
     if len(found) != size:
         raise DamageError("chunk has another size than declared")
     return found
+
+
+def _read_end(file: BagFile) -> _End:
+    """Return the connections and chunks that the end of a bag lists.
+
+    Raises:
+        DamageError: It is missing or damaged.
+    """
+    head, start = file.head, file.index
+    if not head.end <= start < file.size:
+        raise DamageError("index leaves the file")
+    file.check_size(file.size - start, "index")
+    data = file.read(start, file.size - start)
+    found, used = _End({}, {}), 0
+    for record in records(data):
+        content = data[record.data : record.end]
+        if record.op == CONNECTION:
+            number = record.number(b"conn")
+            if number > MAX_CONNECTION:
+                raise DamageError("connection number is out of range")
+            info = _connection(record, fields(content))
+            used += len(info.topic) + len(info.schema_name) + len(info.schema_data)
+            if used > MAX_SCHEMAS_BYTES:
+                raise DamageError("connections take too much memory")
+            found.connections.setdefault(number, info)
+        elif record.op == CHUNK_INFO:
+            position = record.number(b"chunk_pos", 8)
+            if not head.end <= position < start or len(content) % _COUNT.itemsize:
+                raise DamageError("index leaves the file")
+            found.counts[position] = dict(np.frombuffer(content, _COUNT).tolist())
+    if len(found.counts) != head.number(b"chunk_count"):
+        raise DamageError("index lacks chunks")
+    return found
+
+
+def _connection(record: BagRecord, about: dict[bytes, bytes]) -> ChannelInfo:
+    topic = record.fields.get(b"topic", about.get(b"topic", b"")).decode("utf-8", "replace")
+    name = about.get(b"type", b"").decode("utf-8", "replace")
+    text = about.get(b"message_definition", b"")
+    kept = text if kind_of(name) is not None and len(text) <= MAX_SCHEMA_BYTES else b""
+    return ChannelInfo(topic, "ros1", name, "ros1msg", kept, len(text))
+
+
+def _chunk_index(
+    file: BagFile, position: int, end: int, counts: dict[int, int]
+) -> Iterator[np.ndarray]:
+    """Connection, log time, chunk, its length and offset ``(5, N)`` of a chunk's messages.
+
+    Raises:
+        DamageError: The index of the chunk isn't what it should be.
+    """
+    chunk = file.record(position, end)
+    size = chunk.number(b"size")
+    if chunk.op != CHUNK or size > file.max_bytes or end - chunk.end > file.max_bytes:
+        raise DamageError("no chunk where one should be")
+    data = file.read(chunk.end, end - chunk.end)
+    seen: Counter[int] = Counter()
+    for record in records(data):
+        if record.op != INDEX:
+            continue
+        number, content = record.number(b"conn"), data[record.data : record.end]
+        if record.number(b"ver") != _INDEX_VERSION or len(content) % _ENTRY.itemsize:
+            raise DamageError("message index is damaged")
+        entries = np.frombuffer(content, _ENTRY)
+        found = np.empty((5, len(entries)), np.int64)
+        found[0], found[2], found[3] = number, position, chunk.size
+        found[1] = entries["sec"].astype(np.int64) * 1_000_000_000 + entries["nanosec"]
+        found[4] = entries["offset"]
+        if len(entries) and found[4].max() > size - PAYLOAD_OFFSET:
+            raise DamageError("message index leaves its chunk")
+        seen[number] += len(entries)
+        yield found
+    if +seen != +Counter(counts):
+        raise DamageError("message indexes contradict the index of the chunks")

@@ -22,11 +22,11 @@ class LogFrame(NamedTuple):
     depth: np.ndarray
     """``(Hd, Wd)`` uint16 [depth units], 0 = no measurement; zeros where it can't be decoded."""
     color: np.ndarray | None
-    """``(H, W, 3)`` uint8, RGB, the nearest colour image; None where none was read."""
+    """``(H, W, 3)`` uint8, RGB, the nearest colour image; None if none was read."""
     status: FrameStatus
     """``ok``, or why the frame can't be used."""
     error: str
-    """One line on that; empty where it is ok."""
+    """One line on that; empty if it is ok."""
     stamp_ns: int
     """Depth header stamp."""
     color_stamp_ns: int
@@ -52,25 +52,25 @@ class Batch(NamedTuple):
     status: tuple[FrameStatus, ...]
     """One for each requested frame; at most the batch size."""
     errors: tuple[str, ...]
-    """One line for each of them, empty where the status is OK."""
+    """One line for each of them, empty if the status is OK."""
     notes: Notes = Notes()
     """What else was seen, for :meth:`Log.described`."""
     decoding_s: float = 0.0
     """How long its images were decoded [s]; the rest of the time they were read."""
     camera_frame: str = ""
-    """Name of the depth camera's optical frame; empty where the log has none."""
+    """Name of the depth camera's optical frame; empty if the log has none."""
     world_frame: str = ""
-    """Name of the frame that poses are in; empty where there are none."""
+    """Name of the frame that poses are in; empty if there are none."""
     log_time_ns: np.ndarray | None = None
     """When the log received the depth image of each of them, int64 [ns]; None: of no log."""
     color_frame: str = ""
-    """Name of the colour camera's optical frame; empty where the log has none."""
+    """Name of the colour camera's optical frame; empty if the log has none."""
     nearest_color_ns: np.ndarray | None = None
     """Header stamp of the colour image that belongs to each of them, int64 [ns], -1 = none; the
     same whether colour was read or not. None: of no log."""
 
     def one_by_one(self) -> Iterator[LogFrame]:
-        """The frames without the padding."""
+        """Return the frames without the padding."""
         frames, poses = self.frames, self.frames.T_world_camera
         color, stamps = frames.color, frames.color_stamp_ns
         for row, (status, error) in enumerate(zip(self.status, self.errors, strict=True)):
@@ -87,7 +87,7 @@ class Batch(NamedTuple):
             )
 
     def without_images(self) -> "Batch":
-        """The batch without images and padding: what is small, and stays when memory is reused."""
+        """Return the batch without images and padding; the rest stays when memory is reused."""
         count, frames = len(self.status), self.frames
         poses = frames.T_world_camera
         known = {name: _rows(getattr(frames, name), count) for name in _PER_FRAME}

@@ -74,7 +74,7 @@ def body_frame_text(frame: str) -> str:
 
 
 def optical_frame(tree: TransformTree, frame: str) -> str:
-    """Return the name of the optical frame of a body frame; empty where the tree has none."""
+    """Return the name of the optical frame of a body frame; empty if the tree has none."""
     for name in sorted(tree.frames):
         if "optical" not in name or name == frame:
             continue

@@ -15,9 +15,10 @@ from jaxdet.io.extrinsics import find_extrinsics
 from jaxdet.io.image_folder import LISTED_DEPTH
 from jaxdet.io.intrinsics import CameraSource, Found, find_intrinsics
 from jaxdet.io.messages import CameraInfoMessage, Kind
+from jaxdet.io.namespaces import affinity
 from jaxdet.io.options import LogOptions
 from jaxdet.io.streams import ImageStream
-from jaxdet.io.topics import Choice, affinity, camera_name, is_color_name, listed
+from jaxdet.io.topics import Choice, camera_name, is_color_name, listed
 from jaxdet.types import Calibration, Extrinsics, Intrinsics
 
 DEPTH_UNIT_M = 0.001
@@ -44,9 +45,9 @@ class Calibrated(NamedTuple):
     tf_frame: str
     """The same as the images name it, which may be a body frame."""
     T_frame_camera: np.ndarray | None
-    """``(4, 4)`` float64, from the camera to that frame; None where they are the same."""
+    """``(4, 4)`` float64, from the camera to that frame; None if they are the same."""
     color_frame: str
-    """TF frame of the colour images; empty where none are used."""
+    """TF frame of the colour images; empty if none are used."""
     has_color: bool
     """Whether colour images have the pixels of ``calibration.image``."""
     has_color_camera: bool
@@ -54,14 +55,14 @@ class Calibrated(NamedTuple):
     color_problem: str
     """Why ``has_color`` is False, and what to do; else empty."""
     color_error: CalibrationError | None
-    """What the colour camera lacks; None where it lacks nothing, or there is none."""
+    """What the colour camera lacks; None if it lacks nothing, or there is none."""
     origins: tuple[str, ...]
     """Sentences."""
     extrinsics_source: str
     used: dict[str, CameraInfoMessage]
     """The calibrations used, by topic."""
     of_depth: str
-    """The topic of these that describes depth; empty where flags do."""
+    """The topic of these that describes depth; empty if flags do."""
     warnings: tuple[str, ...]
     notes: tuple[str, ...]
 
@@ -105,7 +106,7 @@ class _Color(NamedTuple):
 def calibrate(
     contents: LogContents, choice: Choice, options: LogOptions, *, is_body: bool = False
 ) -> Calibrated:
-    """The calibration for the chosen topics: depth's, and how colour is placed to it.
+    """Return the calibration for the chosen topics: depth's, and the pose of colour to it.
 
     Depth that is aligned to colour has the calibration of the colour camera, or, where that has
     none, its own. A colour camera that isn't calibrated, or whose place isn't known, is an error
@@ -218,7 +219,7 @@ def _sources(contents: LogContents, choice: Choice, options: LogOptions) -> _Sou
 
 
 def _of_depth(contents: LogContents, sources: _Sources, options: LogOptions) -> CameraSource:
-    """The source of the calibration of depth that is aligned to colour."""
+    """Return the source of the calibration of depth that is aligned to colour."""
     depth, color = sources.depth, sources.color
     if color is None:
         color = _without_images(contents, depth, options)
@@ -232,7 +233,7 @@ def _of_depth(contents: LogContents, sources: _Sources, options: LogOptions) -> 
 def _without_images(
     contents: LogContents, depth: CameraSource, options: LogOptions
 ) -> CameraSource:
-    """The colour camera of aligned depth whose own images aren't read: the flags, or the log's."""
+    """Return the colour camera of aligned depth without colour images: by flags, or the log's."""
     known = [
         topic
         for topic in contents.calibrations
@@ -256,7 +257,7 @@ def _without_images(
 def _aligned_color(
     sources: _Sources, source: CameraSource, camera: Intrinsics, topic: str
 ) -> _Color:
-    """Colour to which depth is aligned: of the same pixels, or of another number of them."""
+    """Return colour to which depth is aligned, of the same or of another number of pixels."""
     color, size = sources.color, (camera.width, camera.height)
     if color is None:
         return _Color(False)
@@ -314,7 +315,7 @@ def _other_color(
 
 
 def _without_color(choice: Choice, color: _Color) -> tuple[str, str]:
-    """What to tell of a log without colour: the problem with its remedy, and a note."""
+    """Return why a log has no colour, with a remedy, and a note."""
     if color.usable:
         return "", f"no colour: pictures show infrared ({choice.color})" * choice.infrared
     if color.error is not None:
@@ -330,7 +331,7 @@ def _without_color(choice: Choice, color: _Color) -> tuple[str, str]:
 
 
 def _same_pixels(sources: _Sources, camera: Intrinsics) -> bool:
-    """Whether infrared images have the depth camera's pixels: its size, and its matrix or frame."""
+    """Return whether infrared images have the depth camera's pixels: size, and matrix or frame."""
     color = sources.color
     if color is None or color.size not in (None, (camera.width, camera.height)):
         return False
@@ -343,7 +344,7 @@ def _same_pixels(sources: _Sources, camera: Intrinsics) -> bool:
 
 
 def _depth_unit(contents: LogContents, options: LogOptions, depth_topic: str) -> tuple[float, str]:
-    """Metres in a depth unit, and where that comes from."""
+    """Return metres in a depth unit, and where that comes from."""
     if options.depth_unit_m:
         return options.depth_unit_m, "--log.depth-unit-m"
     near = [name for name in sorted(contents.depth_units) if affinity(name, depth_topic) > 1]
@@ -361,7 +362,7 @@ def _depth_unit(contents: LogContents, options: LogOptions, depth_topic: str) ->
 
 
 def _unit_doubts(source: str, path: str) -> list[str]:
-    """A line where nothing tells the depth unit of what looks like TUM's benchmark."""
+    """Return a warning if the depth unit of what looks like TUM's benchmark is unknown."""
     if source != _ASSUMED or not Path(path, LISTED_DEPTH).is_file():
         return []
     return [
@@ -371,7 +372,7 @@ def _unit_doubts(source: str, path: str) -> list[str]:
 
 
 def _float_doubts(stream: ImageStream, recorded: float) -> list[str]:
-    """A line where the values of 32FC1 depth are none in the unit that they are taken to be in."""
+    """Return a warning if the values of 32FC1 depth don't fit their unit."""
     values = [value for value in stream.typical if np.isfinite(value)]
     if not values:
         return []
@@ -385,7 +386,7 @@ def _float_doubts(stream: ImageStream, recorded: float) -> list[str]:
 
 
 def _aligned(sources: _Sources, choice: Choice, options: LogOptions) -> tuple[bool, str]:
-    """Whether depth is aligned to colour, and why."""
+    """Return whether depth is aligned to colour, and why."""
     depth, color = sources.depth, sources.color
     if options.depth_aligned is not None:
         flag = "--log.depth-aligned" if options.depth_aligned else "--log.no-depth-aligned"
@@ -407,7 +408,7 @@ def _aligned(sources: _Sources, choice: Choice, options: LogOptions) -> tuple[bo
 
 
 def _one_lens(color: Intrinsics, depth: Intrinsics) -> bool:
-    """Whether two images can be of one lens, scaled or cropped."""
+    """Return whether two images can be of one lens, scaled or cropped."""
     values = [
         (one.fx / one.width, one.fy / one.height, one.cx / one.width, one.cy / one.height)
         for one in (color, depth)
@@ -420,7 +421,7 @@ def _one_lens(color: Intrinsics, depth: Intrinsics) -> bool:
 
 
 def _aligned_doubts(depth: CameraSource, color: Intrinsics) -> list[str]:
-    """A line where aligned depth has a camera matrix of its own; of rectified images, P counts."""
+    """Return a warning if aligned depth has another camera matrix; P counts if rectified."""
     if depth.info is None or depth.matrix is not None:
         return []
     own = []
@@ -459,7 +460,7 @@ def _source(
 def _info_topic(
     contents: LogContents, stream: ImageStream, depth: bool, override: str | None
 ) -> str:
-    """The flag's topic, else the one next to the images, else the only one of their frame."""
+    """Return the flag's topic, else that next to the images, else the only one of their frame."""
     known = contents.calibrations
     if override:
         if override not in known:

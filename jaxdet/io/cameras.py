@@ -20,7 +20,7 @@ class Cameras(NamedTuple):
     complete: Mapping[str, Choice]
     """With depth and its calibration."""
     incomplete: Mapping[str, TopicError | CalibrationError]
-    """What the others lack; empty where there is one camera."""
+    """What the others lack; empty if there is one camera."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -28,7 +28,7 @@ class Cameras(NamedTuple):
         return tuple(sorted({**self.complete, **self.incomplete}))
 
     def chosen(self, options: LogOptions, path: str) -> Choice:
-        """The camera that the user wants, or the only one that can be used.
+        """Return the camera that the user wants, or the only one that can be used.
 
         Raises:
             CamerasError: There are several.
@@ -53,7 +53,7 @@ class Cameras(NamedTuple):
 
     @property
     def lines(self) -> tuple[str, ...]:
-        """The cameras for a person; empty where there is one."""
+        """The cameras for a person; empty if there is one."""
         found = {
             name: ", ".join(dict.fromkeys(filter(None, (item.depth, item.color))))
             for name, item in self.complete.items()
@@ -70,7 +70,7 @@ class Cameras(NamedTuple):
 
 
 def find_cameras(contents: LogContents, options: LogOptions) -> Cameras:
-    """The cameras of a log; the calibration is looked at where there are several.
+    """Return the cameras of a log; if there are several, with their calibration checked.
 
     Raises:
         TopicError: No or several topics can be depth of the only camera.

@@ -16,6 +16,8 @@ from mcap.opcode import Opcode
 
 from jaxdet.io.limits import MAX_ODD_RECORDS
 
+MAGIC = b"\x89MCAP0\r\n"
+"""How an MCAP file begins and ends."""
 RECORD_HEAD = struct.Struct("<BQ")
 """Opcode and length, before every record."""
 MESSAGE_HEAD = struct.Struct("<HIQQ")
@@ -66,7 +68,7 @@ class Record(NamedTuple):
 
 
 def read_chunk_head(content: bytes, length: int) -> ChunkHead:
-    """The head of a chunk record whose content is ``length`` bytes long and begins so.
+    """Return the head of a chunk record with ``length`` bytes of content, which begins so.
 
     Raises:
         DamageError: It doesn't fit.
@@ -87,7 +89,7 @@ def read_chunk_head(content: bytes, length: int) -> ChunkHead:
 
 
 def decompress(head: ChunkHead, data: bytes | memoryview) -> bytes | memoryview:
-    """The records of a chunk, checked against its CRC where it has one.
+    """Return the records of a chunk, checked against its CRC if it has one.
 
     Those of a packed chunk are in memory of their own, others are ``data``.
 
@@ -111,7 +113,7 @@ def decompress(head: ChunkHead, data: bytes | memoryview) -> bytes | memoryview:
 
 
 def decompress_begin(head: ChunkHead, data: bytes, size: int) -> bytes:
-    """At most ``size`` bytes of a packed chunk's records, not checked; its data may be cut off."""
+    """Return up to ``size`` bytes of a packed chunk's records, unchecked; data may be cut off."""
     with suppress(zstandard.ZstdError, RuntimeError, EOFError):
         if head.compression == "zstd":
             return zstandard.ZstdDecompressor().stream_reader(data).read(size)
@@ -130,7 +132,7 @@ def _unpacked(compression: str, data: bytes | memoryview, size: int) -> memoryvi
 
 
 def _fills(compression: str, data: bytes | memoryview, size: int) -> bool:
-    """Whether packed data are ``size`` bytes: of lz4 pyarrow doesn't say how many it wrote."""
+    """Return whether packed data are ``size`` bytes; for lz4, pyarrow does not report that."""
     if compression != "lz4" or not len(data):
         return True
     context, left = lz4.frame.create_decompression_context(), memoryview(data)
@@ -142,7 +144,7 @@ def _fills(compression: str, data: bytes | memoryview, size: int) -> bool:
 
 
 def chunk_records(records: bytes | memoryview) -> Iterator[Record]:
-    """The records of a decompressed chunk in order.
+    """Return the records of a decompressed chunk in order.
 
     Raises:
         DamageError: A record overruns the chunk or can't be one; those before it are good.

@@ -30,7 +30,7 @@ class Offset(NamedTuple):
 
     ns: int = 0
     text: str = ""
-    """What to tell of it; empty where nothing is to be told."""
+    """What to tell of it; empty if nothing is to be told."""
 
 
 def color_offset(
@@ -85,13 +85,14 @@ def pose_offset(
     if options.pose_offset_s is not None:
         return Offset(round(options.pose_offset_s * 1e9))
     depth = contents.streams[depth_topic]
-    delays = [np.array(contents.delays.get(key, ()), np.int64) for key in sources]
-    found = [_difference(one, _delays(depth)) for one in delays if len(one)]
+    seen = [contents.delays[key].first for key in sources if key in contents.delays]
+    delays = [np.array(one, np.int64) for one in seen if one]
+    found = [_difference(one, _delays(depth)) for one in delays]
     if not found or not all(found):
         return Offset()
     if color_topic and color_topic != depth_topic:
         color = contents.streams[color_topic]
-        near = [_difference(one, _delays(color)) for one in delays if len(one)]
+        near = [_difference(one, _delays(color)) for one in delays]
         if _stamps_agree(depth, color) and not all(near):
             return Offset()  # depth was written later
     least = min(found, key=abs)
@@ -136,7 +137,7 @@ def unset_clock_text(topic: str, count: int, first_ns: int) -> str:
 
 
 def _delays(stream: ImageStream) -> np.ndarray:
-    """Return header stamp less log time of the first images [ns]; none where a stamp is zero."""
+    """Return header stamp less log time of the first images [ns]; none if a stamp is zero."""
     if not any(image.stamp_ns for image in stream.first):
         return np.zeros(0, np.int64)
     return np.array([image.stamp_ns - image.log_ns for image in stream.first], np.int64)

@@ -42,7 +42,7 @@ def with_confidence(place: int) -> str:
 
 
 def is_compressed_depth(format_text: str, topic: str) -> bool:
-    """Whether a CompressedImage holds depth, by its ``format`` and its topic."""
+    """Return whether a CompressedImage holds depth, by its ``format`` and its topic."""
     encoding = format_text.partition(";")[0].strip().lower()
     if "compresseddepth" in format_text.lower() or topic.lower().endswith("/compresseddepth"):
         return True
@@ -50,7 +50,7 @@ def is_compressed_depth(format_text: str, topic: str) -> bool:
 
 
 def is_png16(data: bytes | memoryview) -> bool:
-    """Whether a file is a 16-bit grey PNG, by its head."""
+    """Return whether a file is a 16-bit grey PNG, by its head."""
     try:
         return read_png_head(data).is_grey16
     except ValueError:
@@ -58,7 +58,7 @@ def is_png16(data: bytes | memoryview) -> bool:
 
 
 def is_color_file(image: CompressedImageMessage) -> bool:
-    """Whether a CompressedImage can be turned into RGB, by its ``format`` or its own head."""
+    """Return whether a CompressedImage can become RGB, by its ``format`` or its own head."""
     if is_zstd(image.format):
         head = read_zstd_head(image.data)
         return head is None or is_color_encoding(head.encoding)
@@ -67,7 +67,7 @@ def is_color_file(image: CompressedImageMessage) -> bool:
 
 
 def is_depth_file(image: CompressedImageMessage, topic: str) -> bool:
-    """Whether a CompressedImage holds depth, by its ``format``, its own head or its topic."""
+    """Return whether a CompressedImage holds depth, by ``format``, its own head or its topic."""
     if is_zstd(image.format):
         head = read_zstd_head(image.data)
         return head is not None and is_depth_encoding(head.encoding)
@@ -81,7 +81,7 @@ def is_jpeg(image: CompressedImageMessage) -> bool:
 
 
 def compressed_size(image: CompressedImageMessage) -> tuple[int, int]:
-    """Width and height [pixel] by the file's own head, without decoding.
+    """Return width and height [pixel] by the file's own head, without decoding.
 
     Raises:
         FrameError: It is empty, or neither JPEG, PNG nor ``compressedDepth``.
@@ -114,7 +114,7 @@ def compressed_size(image: CompressedImageMessage) -> tuple[int, int]:
 def decode_compressed_color(
     image: CompressedImageMessage, row: np.ndarray, max_pixels: int
 ) -> None:
-    """RGB of a JPEG, a PNG or an image packed by zstd; grey is repeated in the three channels.
+    """Decode a JPEG, a PNG or an image packed by zstd to RGB; grey is repeated.
 
     Args:
         image: The message.
@@ -142,7 +142,7 @@ def decode_compressed_color(
 def decode_compressed_depth(
     image: CompressedImageMessage, row: np.ndarray, unit_m: float, max_pixels: int
 ) -> None:
-    """Depth in units of ``unit_m`` of ``compressedDepth``, a 16-bit PNG or a zstd image.
+    """Decode ``compressedDepth``, a 16-bit PNG or a zstd image to units of ``unit_m``.
 
     Args:
         image: The message.
@@ -179,7 +179,7 @@ def decode_compressed_depth(
 
 
 def _decode_masked(data: memoryview, place_text: str, row: np.ndarray) -> None:
-    """Depth as it is in a PNG, but 0 where the PNG after it has a low confidence."""
+    """Decode depth of a PNG, 0 if the PNG after it has a low confidence."""
     confidence = np.empty((*row.shape, 3), np.uint8)
     try:
         place = int(place_text)
@@ -195,7 +195,7 @@ def _decode_masked(data: memoryview, place_text: str, row: np.ndarray) -> None:
 
 @lru_cache(maxsize=4)
 def _inverse_depths(a: float, b: float, unit_m: float) -> np.ndarray:
-    """Metres ``A / (q - B)`` in float32, as the encoder's other half does, in units, by q."""
+    """Return the depth ``A / (q - B)`` of each ``q`` in units, computed in float32."""
     codes, units = np.arange(1 << 16), np.empty((1, 1 << 16), np.uint16)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         metres = np.float32(a) / (codes.astype(np.float32) - np.float32(b))

@@ -11,49 +11,21 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from threading import local
 from typing import Any, NamedTuple
 
-from mcap.opcode import Opcode
-
 from jaxdet.errors import InputError
-from jaxdet.io.chunks import (
-    RECORD_HEAD,
-    ChunkHead,
-    DamageError,
-    decompress,
-    decompress_begin,
-    read_chunk_head,
-)
-from jaxdet.io.limits import ReadMemory, check_chunk, check_messages
+from jaxdet.io.chunks import ChunkHead, DamageError
+from jaxdet.io.file_index import FileIndex
+from jaxdet.io.limits import ReadMemory, check_chunk, check_count, check_index
 
-MAGIC = b"\x89MCAP0\r\n"
-_HEAD_BYTES = 128
 _MAX_PARTS = 512
 """Buffers filled by one call, fewer than any system's limit."""
-_BEGIN_BYTES = 192 << 10
-"""Of a packed chunk, enough for the first block of zstd."""
-_PACKED_BYTES = 16 << 20
-"""Of a packed chunk that is read into memory which its thread keeps."""
-
 _PASSING = errno.EIO, errno.ETIMEDOUT
 """What disks and file servers say that may come back."""
 _WAITS_S = 0.1, 0.5, 2.0
 """Before a read that failed so is tried again."""
 _PATIENCE_S = 30.0
 """So long in all for each file: one that has many bad places is not waited for at each of them."""
-
-_of_thread = local()
-
-
-class Location(NamedTuple):
-    """Where a message's payload lies; enough to read it again."""
-
-    chunk: int
-    """Position of the chunk in the file, see :meth:`LogFile.chunk_head`."""
-    offset: int
-    """Of the payload, in the decompressed chunk."""
-    size: int
 
 
 class FileState(NamedTuple):
@@ -66,7 +38,7 @@ class FileState(NamedTuple):
 
     @classmethod
     def of(cls, found: os.stat_result) -> "FileState":
-        """The state in what the system says of a file."""
+        """Return the state that the system reports."""
         return cls(found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns)
 
 
@@ -117,12 +89,12 @@ class LogFile(ABC):
         return type(self), arguments, {"memory": self.memory}
 
     def close(self) -> None:
-        """Closes the file."""
+        """Close the file."""
         self._file.close()
         self._descriptor = -1
 
     def check_unchanged(self) -> None:
-        """Makes sure that the file is what it was when it was opened.
+        """Check that the file is what it was when it was opened.
 
         Raises:
             InputError: It has another size or time of change, or another file has its name.
@@ -138,7 +110,7 @@ class LogFile(ABC):
             raise InputError(problem, path=str(self.path), remedy=remedy)
 
     def check_size(self, size: int, what: str = "chunk") -> None:
-        """Makes sure that a chunk, or what else is read at once, has at most ``max_bytes``.
+        """Check that a chunk, or anything else read at once, has at most ``max_bytes``.
 
         Raises:
             DamageError: It is larger.
@@ -147,7 +119,7 @@ class LogFile(ABC):
             raise DamageError(f"{what} is larger than --log.max-chunk-mib")
 
     def check_memory(self, size: int, what: str = "chunk") -> None:
-        """Makes sure that it has at most ``max_bytes``, and that there is memory for it.
+        """Check that a chunk has at most ``max_bytes``, and that there is memory for it.
 
         Raises:
             DamageError: It is larger.
@@ -157,16 +129,33 @@ class LogFile(ABC):
         check_chunk(size, str(self.path), self.memory)
 
     def check_messages(self, count: int) -> None:
-        """Makes sure that the file has room for so many messages, and memory what is known of them.
+        """Check that so many messages fit into the file, and their index into memory.
 
         Raises:
             InputError: One hasn't.
         """
-        check_messages(count, self.size, str(self.path), self.memory)
+        check_count("messages", count, self.size, str(self.path))
+        check_index(count, str(self.path), self.memory)
+
+    @abstractmethod
+    def read_index(self) -> FileIndex:
+        """Return the index of the file's messages by its own index, without reading a message.
+
+        Raises:
+            DamageError: The file's own index is missing, torn or wrong.
+        """
+
+    @abstractmethod
+    def rebuild_index(self) -> FileIndex:
+        """Return the index of every readable message by reading all of the file.
+
+        Raises:
+            InputError: The file was changed meanwhile, or holds more messages than fit into it.
+        """
 
     @abstractmethod
     def chunk_head(self, position: int) -> ChunkHead:
-        """The head of the chunk at ``position``, which is any number that the index gives it.
+        """Return the head of the chunk at ``position``, a number by which the index names it.
 
         Raises:
             DamageError: There is none.
@@ -174,18 +163,18 @@ class LogFile(ABC):
 
     @abstractmethod
     def chunk(self, position: int) -> bytes | memoryview:
-        """The decompressed chunk at ``position``; its messages are MCAP's records.
+        """Return the decompressed chunk at ``position``; its messages are MCAP's records.
 
         Raises:
             DamageError: It can't be read any more.
         """
 
     def chunk_begin(self, position: int, size: int) -> bytes:
-        """At most ``size`` bytes of a packed chunk's records, not checked; fewer: read it whole."""
+        """Return up to ``size`` bytes of a packed chunk's records, not checked; perhaps none."""
         return b""
 
     def chunk_bytes(self, position: int) -> int:
-        """How much memory :meth:`chunk` may take there; 0 where no chunk can be."""
+        """Return how much memory :meth:`chunk` may take there; 0 if there is no chunk."""
         try:
             head = self.chunk_head(position)
         except DamageError:
@@ -193,11 +182,11 @@ class LogFile(ABC):
         return min(max(head.uncompressed_size, head.data_size), self.max_bytes)
 
     def name_of(self, position: int) -> str:
-        """The name of the image that the chunk there is; empty where it is no file of its own."""
+        """Return the name of the image that the chunk is; empty if it is not a file of its own."""
         return ""
 
     def read(self, position: int, size: int) -> bytes:
-        """Exactly ``size`` bytes at ``position``.
+        """Return exactly ``size`` bytes at ``position``.
 
         Raises:
             DamageError: The file ends before, or can't be read there.
@@ -218,7 +207,7 @@ class LogFile(ABC):
         return bytes(whole)
 
     def read_into(self, position: int, parts: Sequence[memoryview]) -> None:
-        """Fills writable byte views with what begins at ``position``, one after the other.
+        """Fill writable byte views, one after the other, with what begins at ``position``.
 
         Raises:
             DamageError: The file ends before, or can't be read there.
@@ -243,7 +232,7 @@ class LogFile(ABC):
                 left[0] = left[0][count:]
 
     def _call(self, function: Callable[..., Any], *args: Any) -> Any:
-        """What a call of the system returns, tried again where it fails for what may pass.
+        """Call a function of the system; try again after errors that may pass.
 
         Raises:
             OSError: It fails for good.
@@ -257,67 +246,6 @@ class LogFile(ABC):
             self._patience_s -= wait_s
             time.sleep(wait_s)
         return function(*args)
-
-
-class McapFile(LogFile):
-    """An MCAP file; the position of a chunk is where its record's content begins.
-
-    A message record outside chunks is a chunk of its own that isn't packed: its records are that
-    one record.
-    """
-
-    magic = MAGIC
-    kind = "an MCAP"
-
-    def chunk_head(self, position: int) -> ChunkHead:
-        """The head of the chunk or message record whose content begins at ``position``.
-
-        Raises:
-            DamageError: It isn't one.
-        """
-        start = position - RECORD_HEAD.size
-        known = self.read(start, min(RECORD_HEAD.size + _HEAD_BYTES, self.size - start))
-        opcode, length = RECORD_HEAD.unpack_from(known)
-        if opcode == Opcode.MESSAGE and length <= self.size - position:
-            size = RECORD_HEAD.size + length
-            return ChunkHead(0, 0, size, 0, "", -RECORD_HEAD.size, size, length)
-        if opcode != Opcode.CHUNK:
-            raise DamageError("no chunk where one should be")
-        return read_chunk_head(known[RECORD_HEAD.size :][:length], length)
-
-    def chunk_begin(self, position: int, size: int) -> bytes:
-        """See :meth:`LogFile.chunk_begin`."""
-        head = self.chunk_head(position)
-        data = self.read(position + head.data_offset, min(head.data_size, _BEGIN_BYTES))
-        return decompress_begin(head, data, size)
-
-    def chunk(self, position: int) -> bytes | memoryview:
-        """The decompressed chunk whose record's content begins at ``position``.
-
-        Raises:
-            DamageError: It can't be read any more.
-        """
-        head = self.chunk_head(position)
-        self.check_memory(max(head.uncompressed_size, head.data_size))
-        start = position + head.data_offset
-        if head.is_plain:
-            return decompress(head, self.read(start, head.data_size))
-        data = _packed_memory(head.data_size)
-        self.read_into(start, [data])
-        return decompress(head, data)
-
-
-def _packed_memory(size: int) -> memoryview:
-    """Memory for a packed chunk, until the thread's next call.
-
-    It stays in a core's cache, where fresh memory would be fetched, written and read once more.
-    """
-    memory: bytearray = getattr(_of_thread, "memory", bytearray())
-    if len(memory) < size:
-        memory = bytearray(size)
-        if size <= _PACKED_BYTES:
-            _of_thread.memory = memory
-    return memoryview(memory)[:size]
 
 
 def _unreadable(error: Exception) -> DamageError:

@@ -12,8 +12,8 @@ from jaxdet.errors import FrameError
 from jaxdet.io.container import LogFile
 from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.decode_messages import MessageDecoder
+from jaxdet.io.file_index import FileIntegrity
 from jaxdet.io.images import check_pixels, typical_float
-from jaxdet.io.integrity import FileIntegrity
 from jaxdet.io.limits import check_topics
 from jaxdet.io.messages import (
     IMAGE_KINDS,
@@ -52,7 +52,7 @@ class TopicInfo:
         """Why its messages can't be used; empty when they can."""
 
     def add_undecodable(self, why: str) -> None:
-        """Counts a message that can't be decoded."""
+        """Count a message that can't be decoded."""
         self.undecodable += 1
         self.why = self.why or why
 
@@ -76,7 +76,7 @@ class CalibrationTopic:
         self.last_payload = b""
 
     def add(self, info: CameraInfoMessage, log_ns: int) -> None:
-        """Adds a calibration."""
+        """Add a calibration."""
         values = values_of(info)
         if values is not None and (not self.changes or self.changes[-1].values != values):
             self.changes.append(CalibrationChange(info.stamp_ns, log_ns, values))
@@ -86,12 +86,12 @@ class CalibrationTopic:
             self._of_size.setdefault(ImageSize(*size), info)
 
     def of(self, size: ImageSize | None) -> CameraInfoMessage | None:
-        """The first that is calibrated for images of this size, else the first."""
+        """Return the first calibration for images of this size, else the first of all."""
         return (size and self._of_size.get(size)) or self.first
 
     @property
     def frame_id(self) -> str:
-        """TF frame of the first; empty where there is none."""
+        """TF frame of the first; empty if there is none."""
         return self.first.frame_id if self.first else ""
 
 
@@ -101,6 +101,21 @@ class PoseTrack:
     def __init__(self, first: TransformMessage) -> None:
         self.parent, self.child = first.parent, first.child
         self.samples = MotionSamples()
+
+
+class Delays:
+    """Header stamps less log times [ns] of a pose topic or of a frame's transforms."""
+
+    def __init__(self, delay_ns: int) -> None:
+        self.first: list[int] = []
+        """Those of the topic's first ``FIRST_MOTIONS`` messages."""
+        self.least = self.most = delay_ns
+
+    def add(self, delay_ns: int, *, is_first: bool) -> None:
+        """Add one."""
+        self.least, self.most = min(self.least, delay_ns), max(self.most, delay_ns)
+        if is_first:
+            self.first.append(delay_ns)
 
 
 class LogContents:
@@ -120,9 +135,8 @@ class LogContents:
         self.depth_units: dict[str, float] = {}
         """What :data:`DEPTH_UNIT_TOPIC` says first [m], by its topic."""
         self.poses: dict[str, PoseTrack] = {}
-        self.delays: dict[tuple[str, str], list[int]] = {}
-        """Stamp less log time [ns], by topic and transformed frame; of poses the frame is empty.
-        Of the first messages of each topic."""
+        self.delays: dict[tuple[str, str], Delays] = {}
+        """By topic and transformed frame, which is empty for poses; of what may move."""
         self.trees: dict[str, TransformTree] = {}
         """The transforms of each namespace."""
         self.tree = TransformTree()
@@ -173,12 +187,12 @@ class ContentsBuilder:
         self._decoders: dict[ChannelInfo, MessageDecoder | None] = {}
 
     def decoder(self, channel: ChannelInfo) -> MessageDecoder | None:
-        """What decodes a channel's messages; None where they are of no use, which is noted."""
+        """Return the decoder of a channel's messages; None, noted, if they are of no use."""
         self._topic(channel)
         return self._decoders[channel] if channel in self._decoders else self._decoder(channel)
 
     def wants(self, decoder: MessageDecoder) -> bool:
-        """Whether messages of this kind are used."""
+        """Return whether messages of this kind are used."""
         if decoder.kind in IMAGE_KINDS:
             return self.images
         if decoder.kind is Kind.NUMBER:
@@ -186,7 +200,7 @@ class ContentsBuilder:
         return self.use_tf or decoder.kind is not Kind.TRANSFORM
 
     def count(self, channel: ChannelInfo, messages: int, first_ns: int, last_ns: int) -> None:
-        """Counts messages without looking at them."""
+        """Count messages without looking at them."""
         if self.images:
             topic = self._topic(channel)
             topic.count += messages
@@ -199,7 +213,7 @@ class ContentsBuilder:
         self.bytes += file.size
 
     def take(self, decoder: MessageDecoder, log_ns: int, payload: memoryview) -> None:
-        """Takes in a message of a kind that is used, images also without their pixels."""
+        """Take in a message of a kind that is used; images without their pixels."""
         topic = decoder.channel.topic
         try:
             if decoder.kind in IMAGE_KINDS:
@@ -210,7 +224,7 @@ class ContentsBuilder:
             self.contents.topics[topic].add_undecodable(error.problem)
 
     def is_probe(self, decoder: MessageDecoder) -> bool:
-        """Whether the next image of a topic is to be taken in: one of the first, or any of RGBD."""
+        """Return whether the next image of a topic is taken in: a first one, or any of RGBD."""
         stream = self.contents.streams.get(decoder.channel.topic)
         return decoder.kind is Kind.RGBD or stream is None or len(stream.probes) < NUM_PROBES
 
@@ -306,10 +320,12 @@ class ContentsBuilder:
     ) -> None:
         motions = decoder.motions(payload)
         seen = self._motions_seen[topic] = self._motions_seen.get(topic, 0) + 1
-        if self.images and seen <= FIRST_MOTIONS:
-            for item in motions:
-                key = topic, item.child if decoder.kind is Kind.TRANSFORM else ""
-                self.contents.delays.setdefault(key, []).append(item.stamp_ns - log_ns)
+        for item in motions if self.images and not decoder.is_static else ():
+            key = topic, item.child if decoder.kind is Kind.TRANSFORM else ""
+            delay = item.stamp_ns - log_ns
+            if key not in self.contents.delays:
+                self.contents.delays[key] = Delays(delay)
+            self.contents.delays[key].add(delay, is_first=seen <= FIRST_MOTIONS)
         if decoder.kind is Kind.TRANSFORM:
             if decoder.is_static or self.images:
                 tree = self.contents.trees.setdefault(namespace_of(topic), TransformTree())
@@ -324,7 +340,7 @@ class ContentsBuilder:
 
 
 def image_stamps(decoder: MessageDecoder, payload: memoryview) -> tuple[int, int]:
-    """The stamps of the depth and the colour image in a message [ns]; of one image twice its own.
+    """Return the stamps of depth and colour in a message [ns]; equal for a single image.
 
     Raises:
         FrameError: The message can't be decoded.

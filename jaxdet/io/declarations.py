@@ -21,7 +21,7 @@ class Schema(NamedTuple):
     name: str
     encoding: str
     data: bytes
-    """Empty where it is of no use here, or too large."""
+    """Empty if it is of no use here, or too large."""
     size: int
     """Of the data in the file."""
 
@@ -42,7 +42,7 @@ class ChannelInfo(NamedTuple):
     schema_name: str
     schema_encoding: str
     schema_data: bytes
-    """Empty where it is of no use here, or too large."""
+    """Empty if it is of no use here, or too large."""
     schema_size: int = 0
     """Of the schema in the file."""
 
@@ -61,7 +61,7 @@ class Declarations:
         self._bytes = 0
 
     def add_schema(self, content: bytes | memoryview) -> None:
-        """Takes in the content of a schema record.
+        """Take in the content of a schema record.
 
         Raises:
             DamageError: It overruns its record, or the schemas take too much memory.
@@ -82,7 +82,7 @@ class Declarations:
         self.schemas[number] = Schema(name, encoding, data, size)
 
     def add_channel(self, content: bytes | memoryview) -> None:
-        """Takes in the content of a channel record; its metadata are not read.
+        """Take in the content of a channel record; its metadata are not read.
 
         Raises:
             DamageError: It overruns its record.
@@ -100,7 +100,7 @@ class Declarations:
             self.channels[number] = Channel(topic, encoding, schema)
 
     def info(self, number: int, more: "Declarations | None" = None) -> ChannelInfo | None:
-        """A channel with its schema, if it has one; None where it is not declared.
+        """Return a channel with its schema, if it has one; None if it is not declared.
 
         Args:
             number: Of the channel.

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 import zstandard
 from mcap.records import Schema
-from mcap_protobuf.decoder import DecoderFactory as ProtobufFactory
 from mcap_ros2.decoder import DecoderFactory as Ros2Factory
 
 from jaxdet.io.declarations import ChannelInfo
@@ -41,7 +40,7 @@ from jaxdet.io.messages import (
     kind_of,
     plain_schema_name,
 )
-from jaxdet.io.raw_transforms import read_motions
+from jaxdet.io.raw_messages import read_motions
 from jaxdet.io.ros1 import ros1_decoder
 
 _STAMP_BYTES = 12
@@ -84,7 +83,7 @@ class MessageDecoder:
         return MessageDecoder, (self.channel,)
 
     def decode(self, payload: bytes | memoryview) -> Message:
-        """The message in a payload.
+        """Return the message in a payload.
 
         Raises:
             FrameError: It can't be decoded.
@@ -106,7 +105,7 @@ class MessageDecoder:
             ) from error
 
     def motions(self, payload: bytes | memoryview) -> tuple[TransformMessage, ...]:
-        """The transforms or poses in a payload.
+        """Return the transforms or poses in a payload.
 
         Raises:
             FrameError: It can't be decoded.
@@ -116,7 +115,7 @@ class MessageDecoder:
         return tuple(item for item in found if isinstance(item, TransformMessage))
 
     def reads_stamp(self, head: bytes | memoryview) -> bool:
-        """Whether the header stamp can be told by a message's first bytes.
+        """Return whether the header stamp is within a message's first bytes.
 
         CDR has it after its own 4 bytes, of which one says the order; ROS 1 after the header's
         number, little-endian.
@@ -126,7 +125,7 @@ class MessageDecoder:
         return self.channel.message_encoding == "ros1" or head[1] in (0, 1)
 
     def after_stamp(self, payload: bytes | memoryview) -> bytes:
-        """What a message says beside its time: what follows a stamp that leads, else all."""
+        """Return a message without a leading stamp; all of it if the stamp does not lead."""
         payload = self._expanded(payload)
         return bytes(payload[_STAMP_BYTES:] if self.stamp_leads else payload)
 
@@ -148,7 +147,7 @@ class MessageDecoder:
         return found
 
     def _readable(self, payload: bytes | memoryview) -> Any:
-        """What the decoder reads: a copy, but for ROS's images, whose pixels stay."""
+        """Return the payload for the decoder: a copy, but of ROS's images a view."""
         if self.kind in IMAGE_KINDS and self.channel.message_encoding == "ros1":
             return payload
         if self.kind in IMAGE_KINDS and self.channel.message_encoding == "cdr":
@@ -156,7 +155,7 @@ class MessageDecoder:
         return bytes(payload)
 
     def stamp_ns(self, payload: memoryview) -> int:
-        """The header stamp [ns], by the schema's first field where that is the header.
+        """Return the header stamp [ns]; read in place if the schema's first field is the header.
 
         Raises:
             FrameError: It can't be decoded.
@@ -174,7 +173,7 @@ class _Payload(np.ndarray):
     """CDR as ``mcap_ros2`` reads it; slices are views, for it takes arrays of bytes by slicing."""
 
     def decode(self, encoding: str) -> str:
-        """The text in a slice, as of bytes."""
+        """Return the text in a slice, as of bytes."""
         return self.tobytes().decode(encoding)
 
 
@@ -187,7 +186,7 @@ def _short(error: Exception) -> str:
 def _raw_decoder(
     message_encoding: str, name: str, schema_encoding: str, data: bytes
 ) -> Callable[[bytes], Any]:
-    """A log may have many topics of one schema, which is parsed once."""
+    """Return a decoder of a schema, cached, as a log may have many topics of one schema."""
     if message_encoding == "json":
         return lambda data: json.loads(data, object_hook=lambda fields: SimpleNamespace(**fields))
     if message_encoding == "ros1" and schema_encoding == "ros1msg":
@@ -198,16 +197,19 @@ def _raw_decoder(
             raise ValueError(problem) from error
         except Exception as error:  # parsers of foreign text raise what they like
             raise ValueError(f"its schema can't be read ({_short(error)})") from error
-    factories = {"cdr": Ros2Factory, "protobuf": ProtobufFactory}
     decode = None
     try:
         if message_encoding == "cdr" and schema_encoding == "ros2msg":
             data = with_ros2_names(bare_definition(data.decode())).encode()
         schema = Schema(id=1, data=data, encoding=schema_encoding, name=name)
-        if message_encoding in factories:
+        if message_encoding == "protobuf":
+            from mcap_protobuf.decoder import DecoderFactory as ProtobufFactory
+
+            decode = ProtobufFactory().decoder_for(message_encoding, schema)
+        elif message_encoding == "cdr":
             # mcap_ros2 prints what it can't parse; the error says it too.
             with redirect_stderr(StringIO()), redirect_stdout(StringIO()):
-                decode = factories[message_encoding]().decoder_for(message_encoding, schema)
+                decode = Ros2Factory().decoder_for(message_encoding, schema)
     except Exception as error:  # parsers of foreign text raise what they like
         raise ValueError(f"its schema can't be read ({_short(error)})") from error
     if decode is None:

@@ -73,7 +73,7 @@ _LEADING: dict[str, dict[str, tuple[str, ...]]] = {
 
 @cache
 def schema_text(type_name: str) -> str:
-    """The definition followed by those of the types inside it, as ROS 2 concatenates them."""
+    """Return a definition and those of the types inside it, as ROS 2 concatenates them."""
     order = [type_name]
     for name in order:
         kinds = (line.split()[0].partition("[")[0] for line in DEFINITIONS[name].splitlines())
@@ -84,7 +84,7 @@ def schema_text(type_name: str) -> str:
 
 
 def bare_definition(text: str) -> str:
-    """A definition's types and names, without comments, constants and default values.
+    """Return a definition's types and names, without comments, constants and default values.
 
     These say nothing of the bytes of a message, and the parser takes time that grows with the
     square of their length.
@@ -104,7 +104,7 @@ def bare_definition(text: str) -> str:
 
 
 def with_ros2_names(definition: str) -> str:
-    """A bare definition whose fields are named as ROS 2 asks, in lower case.
+    """Return a bare definition with fields named as in ROS 2, in lower case.
 
     Converters of ROS 1 recordings keep the names that fields have there, as CameraInfo's ``K``.
     """
@@ -116,7 +116,7 @@ def with_ros2_names(definition: str) -> str:
 
 @lru_cache(16)
 def fields_of(text: str) -> dict[str, tuple[str, ...]]:
-    """The fields of each type in a definition, as ``type name``, by the type's name.
+    """Return the fields of each type in a definition, as ``type name``, by the type's name.
 
     The name of the message itself is empty. Packages are left out; of types of several packages
     that differ and have one name nothing is said.
@@ -139,7 +139,7 @@ def fields_of(text: str) -> dict[str, tuple[str, ...]]:
 
 @lru_cache(64)
 def is_standard(channel: ChannelInfo) -> bool:
-    """Whether a channel's messages are CDR of a type as ROS 2 defines it.
+    """Return whether a channel's messages are CDR of a type as ROS 2 defines it.
 
     What counts is the definition that stands in the log.
     """
@@ -150,7 +150,7 @@ def is_standard(channel: ChannelInfo) -> bool:
 
 
 def stamp_leads(channel: ChannelInfo) -> bool:
-    """Whether a channel's messages begin with a header that begins with its stamp."""
+    """Return whether a channel's messages begin with a header that begins with its stamp."""
     if channel.message_encoding not in _LEADING:
         return False
     known = fields_of(channel.schema_text)

@@ -6,9 +6,9 @@ import numpy as np
 
 from jaxdet.errors import printable
 from jaxdet.io.contents import LogContents
+from jaxdet.io.file_index import FileIntegrity
 from jaxdet.io.files import LogFiles
 from jaxdet.io.findings import Findings
-from jaxdet.io.integrity import FileIntegrity
 from jaxdet.io.notes import Notes
 from jaxdet.io.windows import IndexedFrames
 
@@ -90,9 +90,9 @@ class LogDescription(NamedTuple):
     base_source: str
     pose_source: str
     num_poses: int | None
-    """Frames with a known pose; None where the log was opened by its index."""
+    """Frames with a known pose; None if the log was opened by its index."""
     pairing: PairingDescription | None
-    """Of colour to depth; None where the log was opened by its index."""
+    """Of colour to depth; None if the log was opened by its index."""
     integrity: tuple[FileIntegrity, ...]
     """One for each file; its ``text`` is a line."""
     warnings: tuple[str, ...]
@@ -103,7 +103,7 @@ class LogDescription(NamedTuple):
 def describe(
     files: LogFiles, contents: LogContents, found: Findings, numbers: range, first_ns: int
 ) -> LogDescription:
-    """The description of a log.
+    """Return the description of a log.
 
     Args:
         files: Its files.
@@ -142,7 +142,7 @@ def describe(
 def complete(
     about: LogDescription, notes: Notes, tolerance_s: float, *, has_poses: bool
 ) -> LogDescription:
-    """A description with what all frames tell.
+    """Return a description with what all frames show.
 
     Args:
         about: What was known at opening.
@@ -184,7 +184,7 @@ def complete(
 
 
 def with_bad_color(about: LogDescription, notes: Notes) -> LogDescription:
-    """A description with a note on colour images that were read and can't be decoded."""
+    """Return a description with a note on colour images that can't be decoded."""
     if not notes.bad_color:
         return about
     text = f"{notes.bad_color} colour images can't be decoded: {notes.why_bad_color}"
@@ -216,7 +216,7 @@ def describe_topics(
 
 
 def _part_text(numbers: range, frames: IndexedFrames, first_ns: int) -> str:
-    """Numbers and times of the frames that are used; empty where these are all."""
+    """Numbers and times of the frames that are used; empty if these are all."""
     if len(numbers) == frames.num_frames:
         return ""
     which = f"{len(numbers)} of {frames.num_frames} frames, {numbers[0]} to {numbers[-1]}"
@@ -239,6 +239,6 @@ def _pairing(notes: Notes, tolerance_s: float) -> PairingDescription:
 
 
 def _recorded_apart(notes: Notes) -> float:
-    """How much farther colour is from depth by log time than by stamp, the median [s]."""
+    """Return how much farther colour is from depth by log time than by stamp, the median [s]."""
     more = (notes.recorded_apart_ns - notes.apart_ns) / 1e9
     return float(np.median(more)) if len(more) else 0.0

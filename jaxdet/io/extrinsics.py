@@ -9,8 +9,9 @@ from jaxdet.errors import TransformError, printable
 from jaxdet.io.body_frames import body_frame_text, in_optical_axes
 from jaxdet.io.contents import LogContents
 from jaxdet.io.motion import difference, inverse, motion_matrix
+from jaxdet.io.namespaces import affinity
 from jaxdet.io.options import LogOptions
-from jaxdet.io.topics import affinity, camera_name
+from jaxdet.io.topics import camera_name
 from jaxdet.types import Extrinsics
 
 _AGREE_M, _AGREE_RAD = 0.001, 0.002
@@ -47,7 +48,7 @@ def find_extrinsics(
         contents: The log's.
         options: What the user says.
         topics: Those of the colour and of the depth images.
-        color_frame: Of the colour images; empty where unknown.
+        color_frame: Of the colour images; empty if unknown.
         depth_frame: Of the depth images.
         one_lens: The camera matrices are the same but for the size of the images.
         depth_is_body: Depth's frame is a body frame, see :mod:`jaxdet.io.body_frames`.
@@ -95,7 +96,7 @@ def find_extrinsics(
 
 
 def _topic(contents: LogContents, topics: tuple[str, str]) -> str:
-    """The ``depth_to_color`` topic that shares most of its name with the depth images'.
+    """Return the ``depth_to_color`` topic that shares most of its name with the depth images'.
 
     Those of the log's other cameras are left out.
     """
@@ -113,7 +114,7 @@ def _topic(contents: LogContents, topics: tuple[str, str]) -> str:
 def _between_streams(
     contents: LogContents, color_topic: str, depth_topic: str
 ) -> np.ndarray | None:
-    """``T_color_depth`` of a recording of librealsense; None where it is none.
+    """``T_color_depth`` of a recording of librealsense; None if it is none.
 
     It has ``STREAM/image/data`` beside ``STREAM/tf/N``, the motion from the reference stream of
     group N to the stream. Source: librealsense, ``media/ros/ros_file_format.h``.

@@ -5,16 +5,82 @@ over the whole file (:mod:`jaxdet.io.walk`). All that reads messages stands on t
 does not know which of the two they come from.
 """
 
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+from jaxdet.errors import printable
 from jaxdet.io.chunks import MAX_TIME_NS, DamageError
 from jaxdet.io.declarations import ChannelInfo
-from jaxdet.io.integrity import FileIntegrity
 from jaxdet.io.messages import kind_of
 
 MAX_CHANNEL = 0xFFFF
+
+
+class FileIntegrity(NamedTuple):
+    """What was read of a file, and what was lost."""
+
+    path: Path
+    messages: int = 0
+    """Messages found."""
+    declared_messages: int | None = None
+    """Messages the file's statistics speak of; None without."""
+    has_end: bool = True
+    """Whether the data end and the file's closing magic are there."""
+    chunks: int = 0
+    chunks_with_crc: int = 0
+    lost: Mapping[str, int] = {}
+    """How many records or chunks were rejected, by reason."""
+    lost_bytes: int = 0
+    lost_spans_ns: tuple[tuple[int, int], ...] = ()
+    """Log times of the rejected chunks, by their own word."""
+    last_log_time_ns: int = 0
+    """Of the messages found."""
+    missing: Mapping[str, int] = {}
+    """How many messages of each topic statistics or message indexes count that were not found."""
+    summary_problem: str = ""
+    """Why the file has no summary that can be read; empty if it has one."""
+    by_index: bool = False
+    """Whether the messages are those of the file's own index, not of a walk over the whole file.
+    Then the chunks are checked when frames are read from them, and the first one's CRC stands for
+    all."""
+
+    @property
+    def recovered(self) -> bool:
+        """Whether something is missing."""
+        declared = self.declared_messages
+        counted = declared in (None, self.messages) and not self.missing
+        return bool(self.lost) or not self.has_end or not counted
+
+    @property
+    def text(self) -> str:
+        """One line for people."""
+        if self.by_index and self.chunks_with_crc:
+            return "has an index; the CRC of each chunk is checked when it is read"
+        crc = f"CRC checked in {self.chunks_with_crc} of {self.chunks} chunks"
+        crc = crc if self.chunks_with_crc else "not checkable (no CRC in file)"
+        if self.summary_problem:
+            crc += f"; nothing tells what is missing ({self.summary_problem})"
+        if not self.recovered:
+            return crc
+        parts = [f"{self.messages} messages"]
+        if self.declared_messages not in (None, self.messages):
+            parts[0] += f" of the {self.declared_messages} declared"
+        if self.lost:
+            reasons = ", ".join(f"{reason} ({count})" for reason, count in self.lost.items())
+            parts.append(f"{self.lost_bytes} bytes lost: {reasons}")
+        for topic, count in [*self.missing.items()][:8]:
+            parts.append(f"{count} messages of {printable(topic)} missing")
+        for start, end in self.lost_spans_ns[:3]:
+            parts.append(f"log time {_utc(start)} to {_utc(end)} lost")
+        if not self.has_end:
+            upto = f"; data up to {_utc(self.last_log_time_ns)}" if self.messages else ""
+            parts.append(f"no end of file{upto}")
+        parts.append(crc)
+        return "recovered: " + "; ".join(parts)
 
 
 class ChannelCount(NamedTuple):
@@ -51,7 +117,7 @@ def file_index(
     integrity: FileIntegrity,
     counts: dict[int, ChannelCount] | None = None,
 ) -> FileIndex:
-    """The index of a file.
+    """Return the index of a file.
 
     Args:
         infos: Its channels.
@@ -78,13 +144,13 @@ def file_index(
 
 
 def useful_channels(infos: dict[int, ChannelInfo]) -> np.ndarray:
-    """The numbers of the channels with messages of use, int64."""
+    """Return the numbers of the channels with messages of use, int64."""
     useful = [number for number, info in infos.items() if kind_of(info.schema_name) is not None]
     return np.array(useful, np.int64)
 
 
 def _counts(channel: np.ndarray, log_ns: np.ndarray) -> dict[int, ChannelCount]:
-    """The messages by channel."""
+    """Return the messages by channel."""
     count = np.bincount(channel)
     first, last = np.full(len(count), MAX_TIME_NS), np.zeros(len(count), np.int64)
     np.minimum.at(first, channel, log_ns)
@@ -92,3 +158,12 @@ def _counts(channel: np.ndarray, log_ns: np.ndarray) -> dict[int, ChannelCount]:
     columns = count.tolist(), first.tolist(), last.tolist()
     found = enumerate(map(ChannelCount, *columns))
     return {number: item for number, item in found if item.messages}
+
+
+def _utc(stamp_ns: int) -> str:
+    whole, rest = divmod(stamp_ns, 1_000_000_000)
+    try:
+        text = datetime.fromtimestamp(whole, UTC).strftime("%Y-%m-%dT%H:%M:%S")
+    except (OverflowError, ValueError, OSError):
+        return f"{stamp_ns} ns"
+    return f"{text}.{rest // 1_000_000:03d}Z"

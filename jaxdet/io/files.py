@@ -39,13 +39,15 @@ _OTHERS = {
     ".svo2": "play it to ROS 2 topics and record them as MCAP",
     ".mkv": "play it to ROS 2 topics and record them as MCAP",
     ".oni": "play it to ROS 2 topics and record them as MCAP",
-    ".r3d": "export its frames as images, with 16-bit PNG depth in millimetres",
+    ".r3d": "in Record3D, export it as EXR + JPG sequence, and convert its depth to PNG as jaxdet "
+    "help logs shows",
 }
 """How names of recordings end that are not read, and what can be done; the first that fits."""
 _DATASET = "write its frames as PNG to color/ and depth/ with a camera.json, see jaxdet help logs"
 """What can be done with a LeRobot dataset: its depth is video of 12 bits, TIFF or Parquet, by
 version, and nowhere has it the camera's calibration."""
-_PNG = "write it to depth/ as 16-bit PNG in millimetres, beside metadata.json and rgb/"
+_PNG = "convert it to 16-bit PNG in millimetres, as jaxdet help logs shows (the Python package "
+_PNG += "OpenEXR reads it)"
 EXPORTED = ".jaxdet.mcap"
 """How files for Foxglove and ROS 2 are named that jaxdet exports, for beside the log. The name says
 so, as their headers are those of any writer."""
@@ -178,12 +180,12 @@ def _once(found: Iterable[Path]) -> dict[Path, _Named]:
 
 
 def place_of(path: Path) -> Path:
-    """Where a file is, however it is named; its own name stays, also where that is a link's."""
+    """Return the path of a file with links of its folders followed, but not its own."""
     return _place(path, {})
 
 
 def _place(path: Path, folders: dict[Path, Path]) -> Path:
-    """The same, where folders have been looked up already."""
+    """Return the same; folders that were looked up already are taken from ``folders``."""
     if path.is_dir():
         return path.resolve()
     parent = path.parent
@@ -193,7 +195,7 @@ def _place(path: Path, folders: dict[Path, Path]) -> Path:
 
 
 def missing_splits(log: LogFiles) -> tuple[int, ...]:
-    """The numbers lacking between the first and the last split of a log, the first ones."""
+    """Return the first numbers that lack between the first and the last split of a log."""
     numbers = {_split(path)[1] for path in log.paths}
     if len(log.paths) < 2 or -1 in numbers:
         return ()
@@ -202,7 +204,7 @@ def missing_splits(log: LogFiles) -> tuple[int, ...]:
 
 
 def siblings(log: LogFiles) -> tuple[Path, ...]:
-    """The splits of the same recording, beside the log's files but not of them, in order.
+    """Return the splits of the same recording that are not part of the log, in order.
 
     rosbag2 writes static transforms to the first split only, so they are looked for there.
     """
@@ -241,7 +243,7 @@ def _going_on(log: LogFiles, known: Sketch | None, splits: Iterable[Path]) -> It
 
 
 def _seen(text: str, skipped: list[Path]) -> list[Path]:
-    """The files that an input names, of whatever kind, in order, and folders that are shut.
+    """Return the files of any kind that an input names, in order, and unreadable folders.
 
     Links to folders above go to ``skipped``.
     """
@@ -264,7 +266,7 @@ def _seen(text: str, skipped: list[Path]) -> list[Path]:
 
 
 def _files(text: str) -> tuple[list[Path], dict[Path, str]]:
-    """The files of an input that are read, at least one, and what is to be said, by file."""
+    """Return the files of an input that are read, at least one, and notes by file."""
     if Path(text).name == "metadata.yaml" and Path(text).is_file():
         text = str(Path(text).parent)  # of rosbag2: its files are named in it
     path, seen, rest, above = Path(text), list[Path](), list[Path](), list[Path]()
@@ -311,12 +313,12 @@ def _files(text: str) -> tuple[list[Path], dict[Path, str]]:
 
 
 def _within_input(file: Path, named: Path) -> str:
-    """A file's path from the folder that was named on; its name where a glob was."""
+    """Return a file's path relative to the input; for a glob its name."""
     return printable(str(file.relative_to(named) if file.is_relative_to(named) else file.name))
 
 
 def _advice(file: Path) -> str:
-    """What can be done with a recording that is not read; empty for all else."""
+    """Return the remedy for a recording that is not read; empty for all other files."""
     if _is_recording(file):
         return ""
     name = file.name.lower()
@@ -326,7 +328,7 @@ def _advice(file: Path) -> str:
 def _nothing(
     text: str, others: Sequence[Path], exports: Sequence[Path], gone: Sequence[Path]
 ) -> InputError:
-    """The error of an input without logs, by what else is there."""
+    """Return the error of an input without logs, by what else it holds."""
     where, remedy = text, "name an MCAP file or a folder; jaxdet help logs has the layouts of "
     remedy += "folders of images"
     problem = "no .mcap, .bag or .db3 file and no folder of images found"
@@ -343,12 +345,12 @@ def _nothing(
 
 
 def _is_recording(file: Path) -> bool:
-    """Whether a file is of a format that is read, by its name."""
+    """Return whether a file is of a format that is read, by its name."""
     return (file.with_suffix("") if is_packed(file) else file).suffix.lower() in _RECORDINGS
 
 
 def _bare_name(file: Path) -> str:
-    """A file's name without the suffixes of its format."""
+    """Return a file's name without the suffixes of its format."""
     return (file.with_suffix("") if is_packed(file) else file).stem
 
 
@@ -357,7 +359,7 @@ def _is_export(file: Path) -> bool:
 
 
 def _is_dataset(file: Path) -> bool:
-    """Whether a file is what a LeRobot dataset says of itself."""
+    """Return whether a file describes a LeRobot dataset."""
     if file.name != "info.json" or file.parent.name != "meta":
         return False
     try:
@@ -367,7 +369,7 @@ def _is_dataset(file: Path) -> bool:
 
 
 def _check_path(path: Path) -> None:
-    """Refuses a path that the system doesn't take; there may be nothing at it.
+    """Refuse a path that the system does not accept; there may be nothing at it.
 
     Raises:
         InputError: It is too long, has a zero byte, or may not be looked at.
@@ -382,7 +384,7 @@ def _check_path(path: Path) -> None:
 
 
 def _preferred(found: Sequence[Path]) -> tuple[list[Path], list[tuple[Path, str]]]:
-    """The files that are taken of those found, and the others, each with the reason.
+    """Return the files that are read of those found, and the others, each with the reason.
 
     A file is left out where its recording is there in a format that is read rather. A split is not
     where that has other numbers alone, and images of other times: it may be half converted, or
@@ -407,7 +409,7 @@ def _preferred(found: Sequence[Path]) -> tuple[list[Path], list[tuple[Path, str]
 
 
 def _has_times_of(file: Path, others: Sequence[Path]) -> bool:
-    """Whether the images of a file are of the times of those of others, or that can't be told."""
+    """Return whether images of a file may be of the same times as those of others."""
     known = sketch(file)
     spans = [one.span_ns for one in map(sketch, others) if one and one.span_ns]
     if known is None or known.span_ns is None or not spans:
@@ -417,17 +419,17 @@ def _has_times_of(file: Path, others: Sequence[Path]) -> bool:
 
 
 def recording_of(path: Path) -> tuple[Path, str]:
-    """What the files of one recording share, whatever their format."""
+    """Return what all files of a recording have in common, whatever their format."""
     return path.parent, _split(path)[0]
 
 
 def format_of(path: Path) -> str:
-    """The suffix of a file, by which formats are told: of recordings one of :data:`SUFFIXES`."""
+    """Return the suffix that names the format of a file, one of :data:`SUFFIXES`."""
     return path.suffix.lower()
 
 
 def _within(path: Path, skipped: list[Path]) -> Iterable[Path]:
-    """A file, or what is in a folder and its subfolders but :data:`BESIDE`; links followed once.
+    """Yield a file, or all files in a folder and its subfolders but :data:`BESIDE`.
 
     Of a folder that can't be listed, or whose files can't be looked at, it is the folder itself.
     Links to folders above are not followed: they go to ``skipped``.
@@ -465,7 +467,7 @@ def _within(path: Path, skipped: list[Path]) -> Iterable[Path]:
 
 
 def _split(path: Path) -> tuple[str, int]:
-    """What the splits of a recording share of their names, and the number; -1: it is none."""
+    """Return the common name of the splits of a recording, and the number; -1: not a split."""
     match = _SPLIT.fullmatch(path.name) or _late_split(path)
     return (match["stem"], int(match["number"])) if match else (_bare_name(path), -1)
 

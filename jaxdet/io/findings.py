@@ -47,7 +47,7 @@ class Findings(NamedTuple):
     depth: Sequence[MessageDecoder]
     """Of the depth topic; a message has the one of its ``decoder``."""
     color: Sequence[MessageDecoder]
-    """Of the colour topic, which may be the same; empty where no colour is used."""
+    """Of the colour topic, which may be the same; empty if no colour is used."""
     warnings: tuple[str, ...]
     """About the transforms and the frames."""
     notes: tuple[str, ...] = ()
@@ -55,7 +55,7 @@ class Findings(NamedTuple):
 
 
 def find(log: IndexedLog, options: LogOptions, *, is_body: bool = False) -> Findings:
-    """What a log holds.
+    """Return the topics, calibration, poses and frames of a log.
 
     Args:
         log: What its indexes tell, and the messages that were read at opening.
@@ -157,7 +157,7 @@ def _frames(
 
 
 def _share_known(frames: IndexedFrames, source: PoseSource, *, is_complete: bool) -> float:
-    """Of how many frames a source knows the pose, 0 to 1, by a sample of them.
+    """Return the share of a sample of frames whose pose a source knows, 0 to 1.
 
     Where the sample has none, any in the sample of another source go before all.
 
@@ -250,7 +250,7 @@ def _find(
 
 @contextmanager
 def _naming_tree(contents: LogContents) -> Iterator[None]:
-    """Names file and topic in errors of the tree of transforms, which knows neither."""
+    """Add file and topic to errors of the tree of transforms, which knows neither."""
     try:
         yield
     except TransformError as error:
@@ -264,7 +264,7 @@ def _naming_tree(contents: LogContents) -> Iterator[None]:
 
 
 def _check_sampled(log: IndexedLog, error: JaxdetError) -> None:
-    """Makes sure that messages which were not looked at can't change an error.
+    """Check that messages that were not read can't change an error.
 
     Raises:
         RescanError: They can.
@@ -275,6 +275,6 @@ def _check_sampled(log: IndexedLog, error: JaxdetError) -> None:
 
 
 def _is_of_first(log: IndexedLog, error: JaxdetError) -> bool:
-    """Whether an error is about a topic with more calibrations than were looked at."""
+    """Return whether an error is about a topic with more calibrations than were read."""
     known = log.calibrations.get(error.topic)
     return known is not None and known.num_messages > NUM_PROBES

@@ -35,8 +35,7 @@ from jaxdet.io.compressed import compressed_size, with_confidence
 from jaxdet.io.container import FileState
 from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.definition import schema_text
-from jaxdet.io.file_index import FileIndex, file_index
-from jaxdet.io.integrity import FileIntegrity
+from jaxdet.io.file_index import FileIndex, FileIntegrity, file_index
 from jaxdet.io.message_fields import MAX_STAMP_S
 from jaxdet.io.message_file import (
     POSITION_BITS,
@@ -48,8 +47,7 @@ from jaxdet.io.message_file import (
 from jaxdet.io.messages import CompressedImageMessage
 from jaxdet.io.phone_folder import ODOMETRY, PhoneRecording, read_phone
 from jaxdet.io.walk import Walk
-from jaxdet.io.writer import pose_of
-from jaxdet.io.writer_cdr import camera_info, encode_cdr, header
+from jaxdet.io.writer_cdr import camera_info, encode_cdr, header, pose_of
 from jaxdet.types import Intrinsics, is_rigid
 
 RATE_HZ = 30
@@ -128,15 +126,37 @@ class ImageFolder(MessageFile):
             for number, (topic, name) in enumerate(_TYPES.items())
         }
 
-    def rows(self) -> list[MessageRow]:
-        """What is known of the messages, in order of time."""
+    def read_index(self) -> FileIndex:
+        """Return the index of the messages by the names and sizes of the files."""
+        channel, log_ns, size = np.array(self._rows(), np.int64).reshape(-1, 3).T
+        messages = indexed_messages(np.arange(len(channel)), channel, log_ns, size)
+        return file_index(self.infos, messages, FileIntegrity(self.path, by_index=True))
+
+    def rebuild_index(self) -> FileIndex:
+        """Return the same index by reading all files; an unreadable image stays a frame without.
+
+        Raises:
+            InputError: The folder was changed meanwhile.
+        """
+        walk, rows = Walk(self), self._rows()
+        for number, row in enumerate(rows):
+            position, info = position_of(number), self.infos[row.channel]
+            try:
+                self.chunk(position)
+            except DamageError as error:
+                walk.lose(str(error), 0)
+            walk.add(row.channel, info, row.log_ns, position, row.size + PAYLOAD_OFFSET, 0)
+        return walk.index(declared_messages=len(rows))
+
+    def _rows(self) -> list[MessageRow]:
+        """Return what is known of the messages, in order of time."""
         return [self.row(number) for number in range(len(self._messages))]
 
     def close(self) -> None:
         """Does nothing: an image is open while it is read."""
 
     def check_unchanged(self) -> None:
-        """Makes sure that no image came, went or got another name since the folder was opened.
+        """Check that no image was added, removed or renamed since the folder was opened.
 
         Raises:
             InputError: One did, or the folder is not there any more.
@@ -150,7 +170,7 @@ class ImageFolder(MessageFile):
             raise InputError(problem, path=str(self.path), remedy=remedy)
 
     def row(self, number: int) -> MessageRow:
-        """What is known of a message.
+        """Return channel, log time and size of a message.
 
         Raises:
             DamageError: There is none.
@@ -161,12 +181,12 @@ class ImageFolder(MessageFile):
         return MessageRow(item.channel, item.log_ns, item.size)
 
     def name_of(self, position: int) -> str:
-        """The image's path from the folder on; empty for what is no image."""
+        """Return the image's path relative to the folder; empty for other messages."""
         path = self._messages[position >> POSITION_BITS].path
         return "" if path is None else os.path.relpath(path, self.path)
 
     def read_payload(self, number: int, start: int, parts: Sequence[memoryview]) -> None:
-        """Fills writable byte views with a message's data from ``start``, one after the other.
+        """Fill writable byte views, one after the other, with a message's data from ``start``.
 
         Raises:
             DamageError: They end before, or can't be read.
@@ -186,7 +206,7 @@ class ImageFolder(MessageFile):
     def _read_file(
         self, path: Path, start: int, size: int, parts: list[memoryview]
     ) -> list[memoryview]:
-        """Fills views with a file from ``start``; returns those that are left.
+        """Fill views with a file from ``start``; return those that are left.
 
         Raises:
             DamageError: The file is missing, ends early, or can't be read.
@@ -206,7 +226,7 @@ class ImageFolder(MessageFile):
 
 
 def _fill(file: RawIOBase | BytesIO, size: int, parts: list[memoryview]) -> list[memoryview]:
-    """Fills views with the next bytes of a file, at most ``size``; returns those that are left.
+    """Fill views with the next bytes of a file, at most ``size``; return those that are left.
 
     Raises:
         EOFError: It has fewer.
@@ -221,32 +241,8 @@ def _fill(file: RawIOBase | BytesIO, size: int, parts: list[memoryview]) -> list
     return left
 
 
-def read_folder_index(folder: ImageFolder) -> FileIndex:
-    """What the names and sizes of a folder's files tell of its messages."""
-    channel, log_ns, size = np.array(folder.rows(), np.int64).reshape(-1, 3).T
-    messages = indexed_messages(np.arange(len(channel)), channel, log_ns, size)
-    return file_index(folder.infos, messages, FileIntegrity(folder.path, by_index=True))
-
-
-def rebuild_folder_index(folder: ImageFolder) -> FileIndex:
-    """The same by reading all files, with what can't be read: it stays a frame without an image.
-
-    Raises:
-        InputError: The folder was changed meanwhile.
-    """
-    walk, rows = Walk(folder), folder.rows()
-    for number, row in enumerate(rows):
-        position, info = position_of(number), folder.infos[row.channel]
-        try:
-            folder.chunk(position)
-        except DamageError as error:
-            walk.lose(str(error), 0)
-        walk.add(row.channel, info, row.log_ns, position, row.size + PAYLOAD_OFFSET, 0)
-    return walk.index(declared_messages=len(rows))
-
-
 def image_folders(files: Iterable[Path]) -> list[Path]:
-    """The folders with colour and depth images, among whose files are some; in order."""
+    """Return the folders with colour and depth images among some files, in order."""
     found: dict[Path, set[bool]] = {}
     for file in files:
         name, suffix = file.parent.name.lower(), file.suffix.lower()
@@ -262,7 +258,7 @@ def image_folders(files: Iterable[Path]) -> list[Path]:
 
 
 def stamp_note(folder: Path) -> str:
-    """What is to be said of the stamps of a folder's images; empty where they are recorded.
+    """Return a note on the stamps of a folder's images; empty if they are recorded.
 
     Nothing is said of a folder that can't be opened, which says why then.
     """
@@ -280,7 +276,7 @@ def stamp_note(folder: Path) -> str:
 
 
 def _messages(folder: Path) -> list[_Message]:
-    """The messages of a folder in order of time."""
+    """Return the messages of a folder in order of time."""
     phone = read_phone(folder)
     found = [
         *_image_messages(folder, _COLOR, LISTED_COLOR, COLOR_NAMES, COLOR_SUFFIXES, phone),
@@ -297,7 +293,7 @@ def _messages(folder: Path) -> list[_Message]:
 
 
 def _of_phone(phone: PhoneRecording, images: Sequence[_Message], first: int) -> list[_Message]:
-    """The cameras of both images, each by the size of its first one, and the poses."""
+    """Return the cameras of both images, each by the size of its first one, and the poses."""
     found = []
     for kind, channel in ((_COLOR, _INFO), (_DEPTH, _DEPTH_INFO)):
         path = next((item.path for item in images if item.channel == kind), None)
@@ -338,7 +334,7 @@ def _image_messages(
 
 
 def _frame_name(path: Path) -> str:
-    """The name of an image's frame: without its suffix, and what says which image it is."""
+    """Return the name of an image's frame, without suffix and kind of image."""
     stem = Path(path.stem)
     return stem.stem if stem.suffix in FLAT else path.stem
 
@@ -383,7 +379,7 @@ def _stamp_of(path: Path, is_stamp: bool, phone: PhoneRecording | None) -> int:
 
 
 def _calibration(folder: Path, log_ns: int) -> list[_Message]:
-    """The camera's calibration and depth unit, where a JSON file or ScanNet's folder has them."""
+    """Return calibration and depth unit of the camera, by a JSON file or ScanNet's folder."""
     if (folder / "intrinsic").is_dir():
         return _scannet_calibration(folder, log_ns)
     found = [(path, value) for path in sorted(folder.glob("*.json")) if (value := _camera(path))]
@@ -410,7 +406,7 @@ def _calibration(folder: Path, log_ns: int) -> list[_Message]:
 
 
 def _scannet_calibration(folder: Path, log_ns: int) -> list[_Message]:
-    """The camera matrices of both images, each with the size of its first image."""
+    """Return the camera matrices of both images, each with the size of its first image."""
     found = []
     for kind, channel, names, suffixes in (
         ("color", _INFO, COLOR_NAMES, COLOR_SUFFIXES),
@@ -428,7 +424,7 @@ def _scannet_calibration(folder: Path, log_ns: int) -> list[_Message]:
 
 
 def _image_size(path: Path) -> tuple[int, int]:
-    """Width and height of an image by its head.
+    """Return width and height of an image by its head.
 
     Raises:
         InputError: It is damaged.
@@ -441,7 +437,7 @@ def _image_size(path: Path) -> tuple[int, int]:
 
 
 def _matrix(path: Path) -> np.ndarray:
-    """A ``(4, 4)`` matrix in a text file."""
+    """Return a ``(4, 4)`` matrix in a text file."""
     try:
         return np.array(_table(path, 4), np.float64).reshape(4, 4)
     except ValueError as error:
@@ -450,7 +446,7 @@ def _matrix(path: Path) -> np.ndarray:
 
 
 def _matrix_poses(folder: Path, images: Sequence[_Message]) -> list[_Message]:
-    """The poses of ScanNet and 7-Scenes, a file for each depth image; lost ones are infinite."""
+    """Return the poses of ScanNet and 7-Scenes, a file per depth image; lost ones are infinite."""
     found = []
     for item in images:
         if item.path is None:
@@ -477,7 +473,7 @@ def _transform(stamp_ns: int, motion: dict[str, Any]) -> _Message:
 
 
 def _camera(path: Path) -> dict[str, Any] | None:
-    """What a JSON file says of a camera; None where it is about something else."""
+    """Return the camera in a JSON file; None if it is about something else."""
     if path.stat().st_size > 1 << 20:
         return None
     try:
@@ -488,7 +484,7 @@ def _camera(path: Path) -> dict[str, Any] | None:
 
 
 def _poses(folder: Path) -> list[_Message]:
-    """The camera's poses in the world."""
+    """Return the camera's poses in the world."""
     path, found = folder / "groundtruth.txt", []
     if not path.exists():
         return []
@@ -507,7 +503,7 @@ def _poses(folder: Path) -> list[_Message]:
 
 
 def _table(path: Path, columns: int) -> list[list[str]]:
-    """The lines of a text file, in words; ``#`` begins a comment."""
+    """Return the lines of a text file, split into words; ``#`` begins a comment."""
     if path.stat().st_size > _MAX_TEXT_BYTES:
         raise InputError("the file is too large", path=str(path), remedy="split the recording")
     lines = path.read_text("utf-8", "replace").replace(",", " ").splitlines()
@@ -520,7 +516,7 @@ def _table(path: Path, columns: int) -> list[list[str]]:
 
 
 def _nanoseconds(text: str, path: Path) -> int:
-    """A stamp in seconds, exactly."""
+    """Return a stamp in seconds, exactly."""
     try:
         found = Decimal(text)
         in_range = 0 <= found < MAX_STAMP_S
@@ -534,7 +530,7 @@ def _nanoseconds(text: str, path: Path) -> int:
 
 
 def _state(folder: Path) -> FileState:
-    """The folder's state: that of itself and of the folders in it, of which the latest change."""
+    """Return the state of the folder and of those in it, with the latest change."""
     about = os.stat(folder)
     parts = [os.stat(part) for part in sorted(folder.iterdir()) if part.is_dir()]
     latest = max(item.st_mtime_ns for item in (about, *parts))

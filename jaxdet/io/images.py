@@ -69,12 +69,12 @@ def canonical_encoding(encoding: str) -> str:
 
 
 def is_depth_encoding(encoding: str) -> bool:
-    """Whether raw images of this encoding can be depth."""
+    """Return whether raw images of this encoding can be depth."""
     return canonical_encoding(encoding) in _DEPTH_TYPES
 
 
 def is_color_encoding(encoding: str) -> bool:
-    """Whether raw images of this encoding can be turned into RGB; mono16 can, and be depth."""
+    """Return whether raw images of this encoding can become RGB; mono16 may also be depth."""
     name = encoding.strip().lower()
     return name == "mono16" or canonical_encoding(name) in _TO_RGB
 
@@ -85,7 +85,7 @@ def _color_name(encoding: str) -> str:
 
 
 def check_size(width: int, height: int, max_pixels: int) -> None:
-    """Refuses an image before memory is taken for it.
+    """Refuse an image before memory is taken for it.
 
     Raises:
         FrameError: It has no pixels or too many.
@@ -97,7 +97,7 @@ def check_size(width: int, height: int, max_pixels: int) -> None:
 
 
 def check_pixels(image: ImageMessage) -> None:
-    """Refuses an image whose bytes are fewer than its pixels, before its size is believed.
+    """Refuse an image with fewer bytes than pixels, before its size is believed.
 
     Raises:
         FrameError: They are.
@@ -113,7 +113,7 @@ def _check_data(image: ImageMessage, pixel_bytes: int, step: int) -> None:
 
 
 def check_row(what: str, width: int, height: int, row: np.ndarray) -> None:
-    """Refuses an image of another size than the calibrated one, which ``row`` has.
+    """Refuse an image whose size differs from the calibrated one, that of ``row``.
 
     Raises:
         FrameError: It differs.
@@ -159,7 +159,7 @@ def decode_color(image: ImageMessage, row: np.ndarray, max_pixels: int) -> None:
 
 
 def decode_depth(image: ImageMessage, row: np.ndarray, unit_m: float, max_pixels: int) -> None:
-    """Depth in units of ``unit_m`` of 16UC1, mono16 or 32FC1.
+    """Decode 16UC1, mono16 or 32FC1 to depth in units of ``unit_m``.
 
     16-bit images are taken as they are; 32FC1 is in metres, see :func:`metres_to_units`.
 
@@ -185,7 +185,7 @@ def decode_depth(image: ImageMessage, row: np.ndarray, unit_m: float, max_pixels
 
 
 def metres_to_units(depth_m: np.ndarray, unit_m: float, row: np.ndarray) -> None:
-    """Depth in metres, rounded to the nearest unit.
+    """Convert depth in metres to the nearest unit.
 
     NaN, infinity, what is 0 or less, and what rounds to more than 65535 units become 0.
 
@@ -210,7 +210,7 @@ def typical_float(image: ImageMessage) -> float:
 
 
 def _pixels(image: ImageMessage, dtype: np.dtype, channels: int, max_pixels: int) -> np.ndarray:
-    """The pixels ``(H, W, channels)`` where they lie, without the rows' padding."""
+    """Return a view of the pixels ``(H, W, channels)``, without the padding of rows."""
     check_size(image.width, image.height, max_pixels)
     size = dtype.itemsize * channels
     step = image.step or image.width * size

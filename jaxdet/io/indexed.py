@@ -15,7 +15,7 @@ from jaxdet.io.container import LogFile
 from jaxdet.io.contents import FIRST_MOTIONS, ContentsBuilder, LogContents
 from jaxdet.io.decode_messages import MessageDecoder
 from jaxdet.io.file_index import FileIndex
-from jaxdet.io.limits import check_images, check_motions, check_topics
+from jaxdet.io.limits import check_count, check_topics
 from jaxdet.io.messages import IMAGE_KINDS, Kind, kind_of
 from jaxdet.io.motion_windows import MotionMessages, MotionWindows
 from jaxdet.io.records import IndexedMessages, TopicMessages, read_message
@@ -45,11 +45,6 @@ class IndexedLog(NamedTuple):
     is_complete: bool
     """Whether all small messages and the stamps of all images were read."""
 
-    @property
-    def is_trusted(self) -> bool:
-        """Whether the index is the files' own; then damage that shows contradicts it."""
-        return any(file.by_index for file in self.contents.integrity)
-
 
 def open_index(
     files: Sequence[LogFile],
@@ -60,7 +55,7 @@ def open_index(
     *,
     complete: bool,
 ) -> IndexedLog:
-    """What the indexes of a log's files tell, and its first messages, or all.
+    """Return what the indexes of a log's files and its first messages, or all, contain.
 
     Args:
         files: The open files.
@@ -84,14 +79,12 @@ def open_index(
         for topic in topics
         if topic.kind in IMAGE_KINDS
     }
-    delays: dict[str, tuple[int, int]] = {}
-    """Least and most, by frame or pose topic [ns]."""
     if complete:
         _read_all(topics, streams, store, builder)
         contents.warnings += drop_repeated(streams.values(), store)
     else:
-        _read_first(topics, store, builder, delays, whole=whole)
-    windows = _motion_windows(contents, motions, store, delays, whole)
+        _read_first(topics, store, builder, whole=whole)
+    windows = _motion_windows(contents, motions, store, whole)
     infos = {topic.topic: topic.in_time() for topic in topics if topic.kind is Kind.INFO}
     return IndexedLog(contents, streams, windows, infos, store, complete)
 
@@ -114,20 +107,14 @@ def search_index(file: LogFile, index: FileIndex, builder: ContentsBuilder) -> N
 
 
 def _read_first(
-    topics: Sequence[TopicMessages],
-    store: ChunkStore,
-    builder: ContentsBuilder,
-    delays: dict[str, tuple[int, int]],
-    *,
-    whole: bool,
+    topics: Sequence[TopicMessages], store: ChunkStore, builder: ContentsBuilder, *, whole: bool
 ) -> None:
-    """Reads the first messages of each topic, and of many transforms and poses a sample.
+    """Read the first messages of each topic, and of many transforms and poses a sample.
 
     Args:
         topics: The topics.
         store: The log's chunks.
         builder: Takes in the messages.
-        delays: Gets what stamps differ from log times by, least and most, by frame or pose topic.
         whole: Whether all transforms and poses are read.
 
     Raises:
@@ -137,15 +124,12 @@ def _read_first(
     contents = builder.contents
     probes = [(topic, _probes(topic, whole)) for topic in topics]
     for topic, number in _in_file_order(store, probes):
-        payload = read_message(store, topic.messages, number)[1]
-        _take(builder, topic, number, payload)
+        _take(builder, topic, number, read_message(store, topic.messages, number)[1])
         if contents.topics[topic.topic].undecodable:
             problem = "one of the first messages can't be decoded"
             raise RescanError(problem, path=contents.path, topic=topic.topic)
         if not whole and any(tree.ignored for tree in contents.trees.values()):
             raise RescanError("a transform is none", path=contents.path, topic=topic.topic)
-        if topic.kind in _MOTIONS and not whole and not topic.is_static:
-            _see_delays(delays, topic, number, payload)
     for topic in topics:
         known = contents.calibrations.get(topic.topic)
         more = topic.num_messages > NUM_PROBES
@@ -160,7 +144,7 @@ def _read_all(
     store: ChunkStore,
     builder: ContentsBuilder,
 ) -> None:
-    """Reads all messages, but of images only the stamps and what the first ones look like.
+    """Read all messages; of images only the stamps, and the first ones.
 
     A message that can't be read, as the file of an image that is gone, is one that can't be
     decoded.
@@ -192,7 +176,7 @@ def _read_all(
 def _in_file_order(
     store: ChunkStore, parts: Sequence[tuple[TopicMessages, np.ndarray]]
 ) -> Iterator[tuple[TopicMessages, int]]:
-    """Topics and numbers of messages in the order of the files, when their chunks are in memory."""
+    """Yield topics and numbers of messages in the order of the files, with chunks loaded."""
     which = np.repeat(np.arange(len(parts)), [len(numbers) for _, numbers in parts])
     numbers = np.concatenate([np.zeros(0, np.int64), *(numbers for _, numbers in parts)])
     messages = _joined([topic.messages.rows(numbers) for topic, numbers in parts], in_order=False)
@@ -213,7 +197,7 @@ def _take(builder: ContentsBuilder, topic: TopicMessages, number: int, payload: 
 def _find_topics(
     files: Sequence[LogFile], indexes: Sequence[FileIndex], builder: ContentsBuilder
 ) -> list[TopicMessages]:
-    """The topics that are of use; those of no use are noted and counted only."""
+    """Return the topics that are of use; the others are only noted and counted."""
     found: dict[tuple[str, str], tuple[list[MessageDecoder], list[IndexedMessages]]] = {}
     for number, (file, entries) in enumerate(zip(files, indexes, strict=True)):
         builder.next_file(file)
@@ -250,13 +234,13 @@ def _find_topics(
     for topic in topics:
         small += topic.num_messages * (topic.kind not in IMAGE_KINDS)
         if topic.kind in IMAGE_KINDS:
-            check_images(topic.num_messages, builder.bytes, builder.path, topic.topic)
-        check_motions(small, builder.bytes, builder.path, topic.topic)
+            check_count("images", topic.num_messages, builder.bytes, builder.path, topic.topic)
+        check_count("small messages", small, builder.bytes, builder.path, topic.topic)
     return topics
 
 
 def _probes(topic: TopicMessages, whole: bool) -> np.ndarray:
-    """The messages read at opening."""
+    """Return the numbers of the messages that are read at opening."""
     count = topic.num_messages
     if topic.kind not in _MOTIONS:
         return np.arange(min(count, NUM_PROBES))
@@ -267,33 +251,18 @@ def _probes(topic: TopicMessages, whole: bool) -> np.ndarray:
     return np.unique(np.concatenate([np.arange(min(count, first)), spread]))
 
 
-def _see_delays(
-    delays: dict[str, tuple[int, int]], topic: TopicMessages, number: int, payload: memoryview
-) -> None:
-    """By how much stamps in a message of what moves differ from its log time."""
-    for item in topic.decoder(number).motions(payload):
-        name = item.child if topic.kind is Kind.TRANSFORM else topic.topic
-        delay = item.stamp_ns - int(topic.messages.log_ns[number])
-        low, high = delays.get(name, (delay, delay))
-        delays[name] = min(low, delay), max(high, delay)
-
-
 def _motion_windows(
-    contents: LogContents,
-    topics: Sequence[TopicMessages],
-    store: ChunkStore,
-    delays: dict[str, tuple[int, int]],
-    whole: bool,
+    contents: LogContents, topics: Sequence[TopicMessages], store: ChunkStore, whole: bool
 ) -> MotionWindows:
-    """The windows on the messages of all these topics."""
+    """Return the windows on the messages of all these topics."""
     parts, decoders = [], []
     for topic in topics:
         parts.append(topic.messages._replace(decoder=topic.messages.decoder + len(decoders)))
         decoders += topic.decoders
     messages = _joined(parts)
     order = np.argsort(messages.log_ns, kind="stable")
-    found = MotionMessages(messages.rows(order), order, tuple(decoders), delays)
-    return MotionWindows(found, store, contents.tracks, contents.path, whole)
+    found = MotionMessages(messages.rows(order), order, tuple(decoders))
+    return MotionWindows(found, store, contents, whole)
 
 
 def _joined(parts: Sequence[IndexedMessages], *, in_order: bool = True) -> IndexedMessages:

@@ -57,7 +57,7 @@ class CameraSource(NamedTuple):
         return {"color": "colour"}.get(self.name, self.name)
 
     def error(self, problem: str, remedy: str) -> CalibrationError:
-        """A CalibrationError about this camera."""
+        """Return a CalibrationError about this camera."""
         return CalibrationError(problem, path=self.path, topic=self.topic, remedy=remedy)
 
 
@@ -70,7 +70,7 @@ class Found(NamedTuple):
 
 
 def find_intrinsics(source: CameraSource) -> Found:
-    """A camera's intrinsics from its flags and its message.
+    """Return a camera's intrinsics from its flags and its message.
 
     A flag goes before the message. Images that their topic calls rectified, with a message that
     has distortion coefficients, are described by the projection matrix P without distortion.
@@ -189,7 +189,7 @@ def _distortion(source: CameraSource, warnings: list[str]) -> tuple[Distortion, 
 
 
 def _means_none(model: str, D: tuple[float, ...]) -> bool:
-    """Whether there is no distortion; an equidistant lens isn't a pinhole even with zeros."""
+    """Return whether there is no distortion; an equidistant lens with zeros has some."""
     return not any(D) and (not D or _ALIASES.get(model, model) != Distortion.EQUIDISTANT)
 
 

@@ -19,7 +19,7 @@ _SEQUENTIAL = {0xC0, 0xC1, 0xC9}
 
 
 def jpeg_size(data: bytes | memoryview) -> tuple[int, int]:
-    """Width and height [pixel] by the head.
+    """Return width and height [pixel] by the head.
 
     Raises:
         ValueError: It is damaged.
@@ -29,7 +29,7 @@ def jpeg_size(data: bytes | memoryview) -> tuple[int, int]:
 
 
 def decode_jpeg(data: memoryview, row: np.ndarray) -> None:
-    """Decodes to RGB; grey is repeated.
+    """Decode to RGB; grey is repeated.
 
     Args:
         data: The file.
@@ -48,7 +48,7 @@ def decode_jpeg(data: memoryview, row: np.ndarray) -> None:
 
 
 def _has_one_scan(data: memoryview) -> bool:
-    """Whether the first scan is all of the image, so that a decoder stops behind it."""
+    """Return whether the first scan is all of the image, after which a decoder stops."""
     place, components = len(MAGIC), 0
     while place + 10 <= len(data) and data[place] == 0xFF:
         marker = data[place + 1]

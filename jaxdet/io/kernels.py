@@ -15,7 +15,7 @@ _loading = Lock()
 
 
 def launch(name: str, *arguments: Any) -> None:
-    """Launches a kernel of ``jaxdet_kernels.decode``, which does not hold Python's lock.
+    """Launch a kernel of ``jaxdet_kernels.decode``, which does not hold Python's lock.
 
     Args:
         name: Of the kernel.

@@ -36,9 +36,9 @@ MAX_TRANSLATION_M = 1e8
 
 _INDEX_BYTES = 64
 """Of a message that is known."""
-_FREE_MESSAGES, _MESSAGE_BYTES = 250_000, 8
-_FREE_MOTIONS, _MOTION_BYTES = 100_000, 32
-_FREE_IMAGES, _IMAGE_BYTES = 10_000, 64
+_FIT = {"messages": (250_000, 8), "small messages": (100_000, 32), "images": (10_000, 64)}
+"""A file may have so many of them, and one more per so many bytes. Small messages are transforms,
+poses and calibrations."""
 
 
 class ReadMemory(NamedTuple):
@@ -50,20 +50,19 @@ class ReadMemory(NamedTuple):
     """For what is known of messages while a file is opened."""
 
 
-def check_messages(count: int, file_bytes: int, path: str, memory: ReadMemory) -> None:
-    """Refuses more messages than a file has room for, or memory: 250,000, and one for each 8 bytes.
+def check_index(count: int, path: str, memory: ReadMemory) -> None:
+    """Refuse more messages than there is memory for in an index.
 
     Raises:
         InputError: There are more.
     """
-    _check("messages", count, _FREE_MESSAGES, _MESSAGE_BYTES, file_bytes, path)
     if count * _INDEX_BYTES > memory.messages:
         what, most = f"an index of {count} messages", memory.messages
         raise _too_large(InputError, what, count * _INDEX_BYTES, most, path)
 
 
 def check_chunk(nbytes: int, path: str, memory: ReadMemory) -> None:
-    """Refuses a chunk that takes more memory than there is for one.
+    """Refuse a chunk that takes more memory than there is for one.
 
     Raises:
         ChunkMemoryError: It does.
@@ -80,26 +79,8 @@ def _too_large(kind: type[InputError], what: str, nbytes: int, most: int, path: 
     return kind(problem, path=path, remedy=remedy)
 
 
-def check_motions(count: int, file_bytes: int, path: str, topic: str) -> None:
-    """Refuses more transforms, poses or calibrations: 100,000, and one for each 32 bytes.
-
-    Raises:
-        InputError: There are more.
-    """
-    _check("small messages", count, _FREE_MOTIONS, _MOTION_BYTES, file_bytes, path, topic)
-
-
-def check_images(count: int, file_bytes: int, path: str, topic: str) -> None:
-    """Refuses more images of a topic: 10,000, and one for each 64 bytes.
-
-    Raises:
-        InputError: There are more.
-    """
-    _check("images", count, _FREE_IMAGES, _IMAGE_BYTES, file_bytes, path, topic)
-
-
 def check_topics(count: int, path: str) -> None:
-    """Refuses more than ``MAX_TOPICS``.
+    """Refuse more topics than ``MAX_TOPICS``.
 
     Raises:
         InputError: There are more.
@@ -109,9 +90,20 @@ def check_topics(count: int, path: str) -> None:
         raise InputError(problem, path=path, remedy="no recorder writes so many; check the file")
 
 
-def _check(
-    what: str, count: int, free: int, each: int, file_bytes: int, path: str, topic: str = ""
-) -> None:
+def check_count(what: str, count: int, file_bytes: int, path: str, topic: str = "") -> None:
+    """Refuse more messages than a recorder writes into files of this size.
+
+    Args:
+        what: A key of ``_FIT``.
+        count: Number of messages.
+        file_bytes: Size of the files.
+        path: The log, for errors.
+        topic: The topic, for errors.
+
+    Raises:
+        InputError: There are more.
+    """
+    free, each = _FIT[what]
     most = free + file_bytes // each
     if count > most:
         problem = f"{count} {what} or more in {file_bytes} bytes, but at most {most} fit into them"

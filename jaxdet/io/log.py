@@ -5,41 +5,22 @@ from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import cached_property
 from operator import index as as_index
-from os import PathLike
 from typing import Any, NamedTuple, Self, overload
 
 import numpy as np
 
-from jaxdet.arguments import of_type, whole_number
+from jaxdet.arguments import whole_number
 from jaxdet.checks import MAX_FRAMES
-from jaxdet.errors import (
-    CalibrationError,
-    FrameError,
-    FrameStatus,
-    InputError,
-    RescanError,
-    TopicError,
-)
+from jaxdet.errors import FrameError, FrameStatus, InputError, RescanError
 from jaxdet.io.batch import Batch, LogFrame
-from jaxdet.io.body_frames import is_body_frame
 from jaxdet.io.body_mask import hidden_pixels
 from jaxdet.io.chunks import DamageError
 from jaxdet.io.clocks import first_stamp, unset_clock_text
 from jaxdet.io.contents import LogContents
-from jaxdet.io.description import (
-    LogDescription,
-    complete,
-    describe,
-    describe_topics,
-    with_bad_color,
-)
-from jaxdet.io.files import LogFiles, find_logs
-from jaxdet.io.findings import Findings, find
-from jaxdet.io.formats import read_file_index, rebuild_file_index
-from jaxdet.io.indexed import IndexedLog
-from jaxdet.io.limits import ReadMemory
+from jaxdet.io.description import LogDescription, complete, describe, with_bad_color
+from jaxdet.io.files import LogFiles
+from jaxdet.io.findings import Findings
 from jaxdet.io.notes import Notes, total
-from jaxdet.io.opening import find_contents, open_files
 from jaxdet.io.options import LogOptions
 from jaxdet.io.part import find_part
 from jaxdet.io.reading import Failures, ImageReader
@@ -94,10 +75,10 @@ class Log:
         T_base_camera: ``(4, 4)`` float64, depth optical frame to the robot's base frame, whose
             z = 0 is the floor; None when the log's transforms don't hold it.
         base_frame: Name of that frame, or None.
-        camera_frame: Name of the depth camera's optical frame; empty where the log has none. Of
+        camera_frame: Name of the depth camera's optical frame; empty if the log has none. Of
             depth that is aligned to colour it is that of the colour camera.
-        color_frame: Name of the colour camera's optical frame; empty where the log has none.
-        world_frame: Name of the frame that poses are in; empty where there are none.
+        color_frame: Name of the colour camera's optical frame; empty if the log has none.
+        world_frame: Name of the frame that poses are in; empty if there are none.
         num_frames: Depth images, all of them.
         frames: Numbers of those in the part of the log that is read; by default all.
         has_color: Whether the log has colour images that can be decoded and whose pixels are
@@ -164,15 +145,15 @@ class Log:
         return {name: value for name, value in self.__dict__.items() if name != "_all"}
 
     def __enter__(self) -> Self:
-        """The log itself."""
+        """Return the log itself."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Closes the log."""
+        """Close the log."""
         self.close()
 
     def close(self) -> None:
-        """Closes the files and stops the threads."""
+        """Close the files and stop the threads."""
         self._store.close()
 
     def __len__(self) -> int:
@@ -193,7 +174,7 @@ class Log:
         return table(f"Log {self.label}", {"": [*facts], "value": [*facts.values()]})
 
     def __iter__(self) -> Iterator[LogFrame]:
-        """The frames of the part that is read, with colour, one by one; some are read at a time."""
+        """Yield the frames of the part that is read, with colour; some are read at a time."""
         for batch in self.batches(self._at_once, color=True):
             yield from batch.one_by_one()
 
@@ -202,7 +183,7 @@ class Log:
     @overload
     def __getitem__(self, index: slice) -> list[LogFrame]: ...
     def __getitem__(self, index: Any) -> Any:
-        """A frame of the part that is read, or those of a slice, by their place in it; with colour.
+        """Return a frame or a slice of the part that is read, by place in it, with colour.
 
         Raises:
             IndexError: There is no such frame.
@@ -264,7 +245,7 @@ class Log:
         return _MESSAGE_BYTES * sum(topic.num_messages for topic in self.description.topics)
 
     def described(self, notes: Notes) -> LogDescription:
-        """The log's description, with what reading all frames showed.
+        """Return the log's description, with what reading all frames showed.
 
         Args:
             notes: Of batches that hold each frame once, see :func:`jaxdet.io.notes.total`.
@@ -284,7 +265,7 @@ class Log:
         color: WhichColor = False,
         need_color: bool = False,
     ) -> Iterator[Batch]:
-        """The frames of the part that is read, or of a part of that, in batches, in order.
+        """Yield the frames of the part that is read, or of a range of it, in batches, in order.
 
         Where no frame of a batch has its colour read ``frames.color`` is None.
 
@@ -333,7 +314,7 @@ class Log:
     def read(
         self, indices: Sequence[int], *, color: WhichColor = False, need_color: bool = False
     ) -> Batch:
-        """The frames of these numbers, in the order given, without padding.
+        """Return the frames with these numbers, in the order given, without padding.
 
         Args:
             indices: The numbers.
@@ -353,7 +334,7 @@ class Log:
         return self._batch(indices, len(indices), _which_color(color), need_color)
 
     def without_images(self, indices: Sequence[int], status: FrameStatus, error: str) -> Batch:
-        """The frames of these numbers with stamps and poses, but no image is read.
+        """Return the frames with these numbers with stamps and poses, without reading an image.
 
         Args:
             indices: The numbers.
@@ -427,7 +408,7 @@ class Log:
         status: tuple[FrameStatus, ...],
         errors: tuple[str, ...],
     ) -> Batch:
-        """A batch of the frames of some windows, as long as its images where these are more."""
+        """Return a batch of the frames of some windows, padded to the number of images."""
         count, size = len(indices), max(len(indices), len(images[0]))
         valid, poses = np.zeros(size, bool), None
         valid[:count] = [item is FrameStatus.OK for item in status]
@@ -459,84 +440,6 @@ class Log:
         )
 
 
-def open_log(
-    source: str | PathLike[str] | LogFiles,
-    options: LogOptions | None = None,
-    memory: ReadMemory | None = None,
-) -> Log:
-    """Opens a camera of a log by its index, which is rebuilt where it is missing or wrong.
-
-    Args:
-        source: A file, a folder or a glob with exactly one log, or one of :func:`find_logs`.
-        options: What the user says about the log; default: nothing.
-        memory: What reading may take; changes no frame.
-
-    Raises:
-        InputError: No file can be read, there are several logs, no frame is in the part, or a
-            chunk or the index takes more memory.
-        CamerasError: The log has several cameras, and the options choose none.
-        TopicError: No or several topics can be depth, or one that the options name is not there.
-        CalibrationError: A part of the calibration is missing, unknown or contradictory.
-    """
-    options = of_type("options", LogOptions() if options is None else options, LogOptions)
-    if not isinstance(source, LogFiles):
-        if not isinstance(source, str | PathLike):
-            problem, remedy = f"{type(source).__name__} is no path", "give a file or a folder"
-            raise InputError(problem, topic="source", remedy=remedy)
-        logs = find_logs([source])
-        if len(logs) > 1:
-            problem, remedy = f"there are {len(logs)} logs here", "name one of them"
-            raise InputError(problem, path=str(source), remedy=remedy)
-        source = logs[0]
-    memory = memory or ReadMemory()
-    opened = open_files(source, options, memory)
-    store = ChunkStore(opened.files, most_bytes=memory.chunk)
-    try:
-        if not options.scan:
-            with suppress(DamageError):
-                indexes = [read_file_index(file) for file in opened.files]
-                for complete in (False, True):
-                    with suppress(RescanError):
-                        found = find_contents(
-                            opened, indexes, store, source, options, complete=complete
-                        )
-                        return _opened(source, found, options)
-        indexes = [rebuild_file_index(file) for file in opened.files]
-        found = find_contents(opened, indexes, store, source, options, complete=True)
-        return _opened(source, found, options)
-    except BaseException:
-        store.close()
-        raise
-
-
-def _opened(files: LogFiles, known: IndexedLog, options: LogOptions) -> Log:
-    """Return the log; its depth frame counts as a body frame where the depth images say so.
-
-    Raises:
-        JaxdetError: As :func:`open_log`; the error names what is damaged.
-    """
-    contents, store = known.contents, known.store
-    try:
-        found = find(known, options)
-    except (TopicError, CalibrationError) as error:
-        error.topics = describe_topics(contents)
-        for file in [file for file in contents.integrity if file.recovered][:2]:
-            error.add_remedy(f"{file.path.name} is {file.text}")
-        bad = [(name, about) for name, about in contents.topics.items() if about.undecodable]
-        for name, about in bad[:2]:
-            if about.trouble not in str(error):
-                error.add_remedy(f"{name}: {about.trouble}")
-        raise
-    log = Log(files, contents, found, store, options)
-    given = options.camera_frame is not None or found.calibrated.T_frame_camera is not None
-    places = log.has_poses or log.T_base_camera is not None
-    if given or not places:
-        return log
-    if is_body_frame(log.num_frames, log.T_base_camera, lambda some: log.read(some).frames):
-        return Log(files, contents, find(known, options, is_body=True), store, options)
-    return log
-
-
 class _Known(NamedTuple):
     """Frames in a row whose messages have been looked at."""
 
@@ -544,7 +447,7 @@ class _Known(NamedTuple):
     whole: Window
 
     def window(self, start: int, stop: int) -> Window:
-        """Those of some numbers."""
+        """Return the frames ``start`` to ``stop``."""
         return self.whole.part(start - self.first, stop - self.first)
 
 
@@ -584,7 +487,7 @@ def _joined(columns: Iterable[np.ndarray]) -> np.ndarray:
 
 
 def _aligned(shape: tuple[int, ...], kind: type[np.unsignedinteger]) -> np.ndarray:
-    """An array that begins with a cache line; XLA copies arrays that don't."""
+    """Return an array that begins at a cache line; XLA copies others."""
     nbytes = math.prod(shape) * np.dtype(kind).itemsize
     memory = np.empty(nbytes + _LINE_BYTES, np.uint8)
     start = -memory.ctypes.data % _LINE_BYTES

@@ -11,9 +11,8 @@ import numpy as np
 from mcap.opcode import Opcode
 
 from jaxdet.io.chunks import PAYLOAD_OFFSET, RECORD_HEAD, DamageError
-from jaxdet.io.container import McapFile
-from jaxdet.io.file_index import ChannelCount, FileIndex, file_index, useful_channels
-from jaxdet.io.integrity import FileIntegrity
+from jaxdet.io.container import LogFile
+from jaxdet.io.file_index import ChannelCount, FileIndex, FileIntegrity, file_index, useful_channels
 from jaxdet.io.mcap_summary import FileBytes, Summary, read_summary
 
 _HEAD_BYTES = RECORD_HEAD.size + 6
@@ -35,8 +34,8 @@ class _Records(NamedTuple):
     """int64, the larger one."""
 
 
-def read_mcap_index(file: McapFile) -> FileIndex:
-    """What the summary and the message indexes of a file tell.
+def read_mcap_index(file: LogFile) -> FileIndex:
+    """Return the index of a file by its summary and message indexes.
 
     Raises:
         DamageError: Something is missing, or the indexes contradict the summary.
@@ -78,8 +77,8 @@ def read_mcap_index(file: McapFile) -> FileIndex:
     return file_index(infos, messages, known, counts)
 
 
-def _check(file: McapFile, summary: Summary) -> None:
-    """Whether the summary is whole and fits the file."""
+def _check(file: LogFile, summary: Summary) -> None:
+    """Check that the summary is complete and fits the file."""
     statistics, chunks = summary.statistics, summary.chunks
     if not summary.crc_is_right:
         raise DamageError("summary has a wrong CRC")
@@ -99,7 +98,7 @@ def _check(file: McapFile, summary: Summary) -> None:
 
 
 def _check_counts(summary: Summary, counts: dict[int, ChannelCount]) -> None:
-    """Whether there are as many messages of each channel as the statistics say."""
+    """Check that the numbers of messages of each channel equal the statistics."""
     statistics = summary.statistics
     assert statistics is not None
     declared = {key: count for key, count in statistics.channel_message_counts.items() if count}
@@ -116,7 +115,7 @@ def _entries(
     channel: np.ndarray,
     length: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Where the entries of message indexes begin in the data, and their bytes.
+    """Return where the entries of message indexes begin in the data, and their bytes.
 
     Args:
         data: The indexes of some chunks.
@@ -138,8 +137,8 @@ def _entries(
     return place + _HEAD_BYTES, size
 
 
-def _parts(file: McapFile, summary: Summary) -> Iterator[tuple[slice, FileBytes, np.ndarray]]:
-    """A range of ``IndexOffsets``, its bytes, and where in these the indexes of a chunk begin."""
+def _parts(file: LogFile, summary: Summary) -> Iterator[tuple[slice, FileBytes, np.ndarray]]:
+    """Yield ranges of ``IndexOffsets``, their bytes, and where the indexes of a chunk begin."""
     chunks, offsets = summary.chunks, summary.offsets
     total = np.append(0, np.cumsum(chunks.index_length))
     first = 0

@@ -20,6 +20,7 @@ from mcap.opcode import Opcode
 
 from jaxdet.cores import cores
 from jaxdet.io.chunks import (
+    MAGIC,
     MAX_TIME_NS,
     MESSAGE_HEAD,
     RECORD_HEAD,
@@ -27,7 +28,7 @@ from jaxdet.io.chunks import (
     DamageError,
     chunk_records,
 )
-from jaxdet.io.container import MAGIC, LogFile, McapFile
+from jaxdet.io.container import LogFile
 from jaxdet.io.declarations import ChannelInfo, Declarations
 from jaxdet.io.file_index import FileIndex
 from jaxdet.io.limits import MAX_ODD_RECORDS
@@ -69,8 +70,8 @@ class Ahead(NamedTuple):
     """Of that."""
 
 
-def rebuild_mcap_index(file: McapFile) -> FileIndex:
-    """The index of every readable message, with what was lost.
+def rebuild_mcap_index(file: LogFile) -> FileIndex:
+    """Return the index of every readable message, with what was lost.
 
     Raises:
         InputError: The file was changed meanwhile, or holds more messages than it has room for.
@@ -89,7 +90,7 @@ def rebuild_mcap_index(file: McapFile) -> FileIndex:
 def ahead(
     file: LogFile, records: Iterable[FileRecord], pool: ThreadPoolExecutor
 ) -> Iterator[Ahead]:
-    """The records in order; up to 64 MiB of chunks (or one chunk, if larger) are ahead.
+    """Yield the records in order, up to 64 MiB of chunks (or one larger chunk) ahead.
 
     Args:
         file: The file.
@@ -118,7 +119,7 @@ def ahead(
 class _Scan:
     """The state of one walk over a file."""
 
-    def __init__(self, file: McapFile) -> None:
+    def __init__(self, file: LogFile) -> None:
         self.file, self.walk = file, Walk(file)
         self.summary: Summary | None = None
         self.summary_problem = ""
@@ -139,7 +140,7 @@ class _Scan:
         """Chunks, as the summary knows them."""
 
     def records(self) -> Iterator[FileRecord]:
-        """The records up to the end of the data, and in their places what can't be one."""
+        """Yield the records up to the end of the data; what can't be a record is ``TORN``."""
         file, position, odd = self.file, len(MAGIC), 0
         while True:
             start, content = position, position + RECORD_HEAD.size
@@ -162,7 +163,7 @@ class _Scan:
                 return
 
     def take(self, record: FileRecord, chunk: Future[bytes | memoryview] | None) -> None:
-        """Takes in one record, a chunk decompressed.
+        """Take in one record, a chunk decompressed.
 
         Raises:
             DamageError: It can't be used.
@@ -180,7 +181,7 @@ class _Scan:
             self._content(opcode, content, position, length, 0)
 
     def index(self) -> FileIndex:
-        """What was found, and of what the file speaks beside that."""
+        """Return the index of what was found, and what the file declares besides."""
         missing = self._missing()
         statistics = self.summary.statistics if self.summary else None
         if missing or (self.summary and not statistics):
@@ -196,7 +197,7 @@ class _Scan:
         )
 
     def _record_head(self, position: int) -> tuple[int, int]:
-        """Opcode and length; what is no record where the file ends or can't be read."""
+        """Return opcode and length; ``TORN`` if the file ends or can't be read there."""
         if position + RECORD_HEAD.size > self.file.size:
             return TORN, 0
         try:
@@ -206,7 +207,7 @@ class _Scan:
         return opcode, length
 
     def _end(self, position: int) -> None:
-        """The data end here; the summary follows, wherever the footer looks for it."""
+        """Note the end of the data; the summary follows, wherever the footer expects it."""
         try:
             magic = self.file.read(self.file.size - len(MAGIC), len(MAGIC))
         except DamageError:
@@ -241,7 +242,7 @@ class _Scan:
     def _content(
         self, opcode: int, content: memoryview, position: int, length: int, offset: int
     ) -> None:
-        """Takes in the record at an offset in the records of a chunk."""
+        """Take in the record at an offset in the records of a chunk."""
         if opcode == Opcode.SCHEMA:
             self.declared.add_schema(content)
             return
@@ -283,7 +284,7 @@ class _Scan:
         return dict(missing)
 
     def _lose_missing_chunks(self) -> None:
-        """Says of which chunks of the summary nothing was found."""
+        """Count chunks of the summary of which nothing was found as lost."""
         if self.summary is None:
             return
         left, chunks = Counter(self.seen), self.summary.chunks

@@ -13,8 +13,8 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Statistics
 
-from jaxdet.io.chunks import RECORD_HEAD, DamageError
-from jaxdet.io.container import MAGIC, McapFile
+from jaxdet.io.chunks import MAGIC, RECORD_HEAD, DamageError
+from jaxdet.io.container import LogFile
 from jaxdet.io.declarations import Declarations
 from jaxdet.io.limits import MAX_DECLARATIONS, MAX_ODD_RECORDS
 
@@ -69,8 +69,8 @@ class Summary(NamedTuple):
     offsets: IndexOffsets
 
 
-def read_summary(file: McapFile, at: int | None = None) -> Summary:
-    """The summary of a file.
+def read_summary(file: LogFile, at: int | None = None) -> Summary:
+    """Return the summary of a file.
 
     Args:
         file: The file.
@@ -116,7 +116,7 @@ class FileBytes:
         }
 
     def at(self, position: np.ndarray, kind: str) -> np.ndarray:
-        """The numbers of a kind (``<u1`` to ``<u8``) at some positions, int64.
+        """Return the numbers of a kind (``<u1`` to ``<u8``) at some positions, int64.
 
         Raises:
             DamageError: A position is outside, or a number beyond int64.

@@ -32,7 +32,7 @@ UNIT_TOLERANCE = 0.01
 
 
 def nanoseconds(sec: int, nanosec: int) -> int:
-    """A stamp in nanoseconds.
+    """Return a stamp in nanoseconds.
 
     Raises:
         FrameError: It is negative or beyond what int64 nanoseconds hold.
@@ -46,7 +46,7 @@ def nanoseconds(sec: int, nanosec: int) -> int:
 
 
 def parse(kind: Kind, message: Any, schema_name: str) -> Message:
-    """The message of ours in a decoded ROS 2 or Foxglove message.
+    """Convert a decoded ROS 2 or Foxglove message to one of :mod:`jaxdet.io.messages`.
 
     Args:
         kind: What the schema holds.
@@ -154,7 +154,7 @@ def _rgbd(message: Any, name: str) -> RgbdMessage:
 def motion(
     stamp: int, parent: str, child: str, translation: Iterable[Any], rotation: Iterable[Any]
 ) -> TransformMessage:
-    """A transform or pose.
+    """Return a transform or pose.
 
     Args:
         stamp: [ns].
@@ -184,7 +184,7 @@ def motion(
 def transform(
     stamp: int, parent: str, child: str, translation: Iterable[Any], rotation: Iterable[Any]
 ) -> TransformMessage:
-    """As :func:`motion`; one that is none says so itself, and costs its message nothing else."""
+    """Return the same as :func:`motion`, with a ``problem`` instead of an error."""
     try:
         return motion(stamp, parent, child, translation, rotation)
     except ValueError as error:

@@ -31,7 +31,7 @@ class MessageRow(NamedTuple):
     """Of the payload."""
 
     def check(self) -> "MessageRow":
-        """The row itself.
+        """Return the row itself, checked.
 
         Raises:
             DamageError: Channel or log time are out of range.
@@ -44,7 +44,7 @@ class MessageRow(NamedTuple):
 
 
 def position_of(number: int) -> int:
-    """The position of a message.
+    """Return the position of a message.
 
     Raises:
         DamageError: Its number is out of range.
@@ -67,7 +67,7 @@ class MessageFile(LogFile):
 
     @abstractmethod
     def row(self, number: int) -> MessageRow:
-        """What is known of a message.
+        """Return channel, log time and size of a message.
 
         Raises:
             DamageError: There is none, or it can't be read.
@@ -75,14 +75,14 @@ class MessageFile(LogFile):
 
     @abstractmethod
     def read_payload(self, number: int, start: int, parts: Sequence[memoryview]) -> None:
-        """Fills writable byte views with a message's payload from ``start``, one after the other.
+        """Fill writable byte views, one after the other, with a message's payload from ``start``.
 
         Raises:
             DamageError: It ends before, or can't be read.
         """
 
     def chunk_head(self, position: int) -> ChunkHead:
-        """The head of the chunk that a message is.
+        """Return the head of the chunk that a message is.
 
         Raises:
             DamageError: There is none.
@@ -92,7 +92,7 @@ class MessageFile(LogFile):
         return ChunkHead(log_ns, log_ns, size, 0, "", 0, size, size)
 
     def chunk(self, position: int) -> bytes:
-        """A message with its head.
+        """Return a message with its head.
 
         Raises:
             DamageError: It can't be read.
@@ -102,7 +102,7 @@ class MessageFile(LogFile):
         return self.read(position, head.uncompressed_size)
 
     def read(self, position: int, size: int) -> bytes:
-        """Exactly ``size`` bytes of a message.
+        """Return exactly ``size`` bytes of a message.
 
         Raises:
             DamageError: It ends before, or can't be read.
@@ -112,7 +112,7 @@ class MessageFile(LogFile):
         return bytes(found)
 
     def read_into(self, position: int, parts: Sequence[memoryview]) -> None:
-        """Fills writable byte views with what begins at ``position``, one after the other.
+        """Fill writable byte views, one after the other, with what begins at ``position``.
 
         Raises:
             DamageError: The message ends before, or can't be read.

@@ -48,18 +48,18 @@ _KINDS = {
 
 
 def plain_schema_name(name: str) -> str:
-    """A schema's name without ROS 2's ``/msg/``; Foxglove's ROS package counts as Foxglove."""
+    """Return a schema's name without ``/msg/``; Foxglove's ROS package counts as Foxglove."""
     plain = name.replace("/msg/", "/")
     return plain.replace("foxglove_msgs/", "foxglove.", 1)
 
 
 def kind_of(schema_name: str) -> Kind | None:
-    """What a schema of this name holds; None when it is of no use here."""
+    """Return the kind of messages of this schema; None if they are of no use."""
     return _KINDS.get(plain_schema_name(schema_name))
 
 
 def bad_frame(problem: str) -> FrameError:
-    """The error of a message or image that can't be decoded."""
+    """Return the error of a message or image that can't be decoded."""
     return FrameError(problem, status=FrameStatus.DECODE_ERROR)
 
 
@@ -141,7 +141,7 @@ class TransformMessage(NamedTuple):
     stamp_ns: int
     parent: str
     child: str
-    """Empty where the message doesn't say what the pose is of."""
+    """Empty if the message doesn't say what the pose is of."""
     translation: tuple[float, float, float]
     """Metres."""
     rotation: tuple[float, float, float, float]

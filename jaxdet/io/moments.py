@@ -22,12 +22,12 @@ class Moment(NamedTuple):
     """A header stamp; else counted from the log's first depth image."""
 
     def stamp_ns(self, first_ns: int) -> int:
-        """As a header stamp [ns], where the log's first is ``first_ns``."""
+        """Return the moment as a header stamp [ns] of a log whose first is ``first_ns``."""
         return self.ns if self.is_stamp else first_ns + self.ns
 
 
 def parse_moment(text: str, flag: str) -> Moment:
-    """Reads a moment: ``12.5``, ``90s``, ``2024-05-01T10:00:00Z``, or a stamp in nanoseconds.
+    """Parse a moment: ``12.5``, ``90s``, ``2024-05-01T10:00:00Z``, or a stamp in nanoseconds.
 
     Args:
         text: Seconds after the log's first depth image; or a header stamp, as ISO 8601 (without

@@ -30,7 +30,7 @@ class MotionSamples:
         translation: tuple[float, float, float],
         rotation: tuple[float, float, float, float],
     ) -> None:
-        """Adds a sample: metres, and a unit quaternion x y z w."""
+        """Add a sample: metres, and a unit quaternion x y z w."""
         self._in_order = None
         self._stamps.append(stamp_ns)
         self._values.extend(translation)
@@ -42,12 +42,12 @@ class MotionSamples:
         return np.array(self._values, np.float64).reshape(-1, 7)
 
     def is_constant(self) -> bool:
-        """Whether there are two samples or more, and all are the same motion."""
+        """Return whether there are two samples or more, and all are the same motion."""
         values = self.values
         return len(values) > 1 and bool(np.allclose(values, values[0], rtol=0, atol=1e-9))
 
     def is_like_first(self, message: TransformMessage) -> bool:
-        """Whether a transform is the same motion as the first sample."""
+        """Return whether a transform is the same motion as the first sample."""
         value = np.array([*message.translation, *message.rotation])
         return bool(np.allclose(value, self._values[:7], rtol=0, atol=1e-9))
 
@@ -57,7 +57,7 @@ class MotionSamples:
         return np.array(self._stamps, np.int64)
 
     def at(self, stamps_ns: np.ndarray) -> np.ndarray:
-        """The motion at each stamp, see :func:`interpolate`; of equal stamps the last counts."""
+        """Interpolate, see :func:`interpolate`; of samples with equal stamps the last counts."""
         if self._in_order is None:
             stamps = self.stamps_ns
             order = np.argsort(stamps, kind="stable")
@@ -68,7 +68,7 @@ class MotionSamples:
 
 
 def interpolate(stamps_ns: np.ndarray, sample_ns: np.ndarray, samples: np.ndarray) -> np.ndarray:
-    """Motions between timed samples: translation linear, rotation on the shortest arc (slerp).
+    """Interpolate timed motions: translation linear, rotation on the shortest arc (slerp).
 
     Never extrapolated: up to ``MARGIN_S`` beyond the ends the nearest sample is held, farther
     out, and between samples more than ``MAX_GAP_S`` apart, the motion is unknown.
@@ -120,7 +120,7 @@ def motion_matrix(translation: np.ndarray, quaternion: np.ndarray) -> np.ndarray
 
 
 def quaternions(rotations: np.ndarray) -> np.ndarray:
-    """Unit quaternions of rotation matrices.
+    """Return unit quaternions of rotation matrices.
 
     The largest of the four parts is taken from the diagonal, so that nothing small is divided by
     (Shepperd 1978).
@@ -151,7 +151,7 @@ def quaternions(rotations: np.ndarray) -> np.ndarray:
 
 
 def inverse(T: np.ndarray) -> np.ndarray:
-    """The inverse of rigid motions ``(..., 4, 4)``."""
+    """Return the inverse of rigid motions ``(..., 4, 4)``."""
     rotation = np.swapaxes(T[..., :3, :3], -1, -2)
     result = np.zeros_like(T)
     result[..., :3, :3] = rotation
@@ -161,7 +161,7 @@ def inverse(T: np.ndarray) -> np.ndarray:
 
 
 def difference(first: np.ndarray, second: np.ndarray) -> tuple[float, float]:
-    """How far two rigid motions ``(4, 4)`` are apart: metres and radians."""
+    """Return how far two rigid motions ``(4, 4)`` are apart: metres and radians."""
     delta = matmul(inverse(first), second)
     skew = delta[:3, :3] - delta[:3, :3].T
     sine = norm([skew[2, 1], skew[0, 2], skew[1, 0]]) / 2

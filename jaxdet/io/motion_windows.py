@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxdet.errors import FrameError, RescanError
+from jaxdet.io.contents import LogContents
 from jaxdet.io.decode_messages import MessageDecoder
 from jaxdet.io.messages import Kind, TransformMessage
 from jaxdet.io.motion import MotionSamples
@@ -39,9 +40,6 @@ class MotionMessages(NamedTuple):
     """``(N,)`` int64, their order in the files."""
     decoders: tuple[MessageDecoder, ...]
     """A message has the one of its ``decoder``."""
-    delays: dict[str, tuple[int, int]]
-    """Stamp less log time at opening, least and most, by frame or pose topic [ns]; empty where
-    all were read then."""
 
 
 class MotionWindows:
@@ -50,22 +48,16 @@ class MotionWindows:
     Args:
         found: The messages.
         store: The log's chunks.
-        tracks: The poses seen at opening, by topic.
-        path: The log's, for errors.
-        whole: Whether all messages were seen at opening.
+        contents: The messages that were read at opening.
+        whole: Whether these are all.
     """
 
     def __init__(
-        self,
-        found: MotionMessages,
-        store: ChunkStore,
-        tracks: dict[str, MotionSamples],
-        path: str,
-        whole: bool,
+        self, found: MotionMessages, store: ChunkStore, contents: LogContents, whole: bool
     ) -> None:
-        self._messages, self._arrival, self._decoders, self._delays_seen = found
-        self._store, self._tree, self._tracks = store, TransformTree(), tracks
-        self._path, self.whole = path, whole
+        self._messages, self._arrival, self._decoders = found
+        self._store, self._tree, self._tracks = store, TransformTree(), contents.tracks
+        self._path, self._seen, self.whole = contents.path, contents.delays, whole
         self._decoded: OrderedDict[int, list[tuple[str, TransformMessage]]] = OrderedDict()
 
     def of_tree(self, tree: TransformTree) -> "MotionWindows":
@@ -81,7 +73,7 @@ class MotionWindows:
     def window(
         self, source: PoseSource, stamps_ns: np.ndarray, begin: int | None, end: int | None
     ) -> tuple[np.ndarray | None, set[Place]]:
-        """The camera's poses at some stamps, and the chunks that were looked at for them.
+        """Return the camera's poses at some stamps, and the chunks that they were read from.
 
         Args:
             source: Where the poses come from.
@@ -120,16 +112,17 @@ class MotionWindows:
         return source.at(stamps_ns, tree, samples), chunks
 
     def _delays(self, moving: Sequence[str]) -> tuple[int, int]:
-        """By how much stamps may differ from log times, least and most [ns]."""
-        found = [self._delays_seen[name] for name in moving if name in self._delays_seen]
+        """Return the least and the largest difference of stamps from log times to expect [ns]."""
+        found = [seen for (topic, child), seen in self._seen.items() if (child or topic) in moving]
         if not found:
             return 0, 0
-        return min(low for low, _ in found) - _SLACK_NS, max(high for _, high in found) + _SLACK_NS
+        least, most = min(seen.least for seen in found), max(seen.most for seen in found)
+        return least - _SLACK_NS, most + _SLACK_NS
 
     def _samples(
         self, bound: Sequence[int], moving: Sequence[str], low: int, high: int
     ) -> dict[str, MotionSamples]:
-        """The samples of what moves, of some messages in the order of their arrival."""
+        """Return the samples of moving frames in some messages, in order of arrival."""
         samples = {name: MotionSamples() for name in moving}
         wanted = [
             decoder.kind is Kind.TRANSFORM or decoder.channel.topic in samples
@@ -152,7 +145,7 @@ class MotionWindows:
         return samples
 
     def _decode(self, number: int, decoder_number: int) -> list[tuple[str, TransformMessage]]:
-        """What a message says of what moves, with its frame or topic."""
+        """Return the moving transforms in a message, each with its frame or topic."""
         decoder = self._decoders[decoder_number]
         _, payload = read_message(self._store, self._messages, number)
         found = []

@@ -48,8 +48,8 @@ def namespaces_of_camera(
     >>> namespaces_of_camera(["", "a", "b"], "/a/camera/depth", ["/a/camera/depth"])
     Namespaces(own=('a', ''), others=())
     """
-    camera, every = _parts(namespace_of(camera_topic)), sorted(set(namespaces))
-    shared = {name: _common(_parts(name), camera) for name in every}
+    camera, every = namespace_of(camera_topic), sorted(set(namespaces))
+    shared = {name: affinity(name, camera) for name in every}
     above = [shared[name] for name in every if name and shared[name] == len(_parts(name))]
     least = max(above or shared.values(), default=0)
     own = [name for name in every if name and shared[name] >= max(1, least)]
@@ -62,15 +62,19 @@ def namespaces_of_camera(
     return Namespaces(tuple(own), tuple(others))
 
 
-def _parts(name: str) -> list[str]:
-    return [part for part in name.split("/") if part]
+def affinity(first: str, second: str) -> int:
+    """Return how many leading parts two names share.
 
-
-def _common(first: list[str], second: list[str]) -> int:
-    """Return how many leading parts two names share."""
+    >>> affinity("/front/camera/depth", "/front/camera/color")
+    2
+    """
     count = 0
-    for one, other in zip(first, second, strict=False):
+    for one, other in zip(_parts(first), _parts(second), strict=False):
         if one != other:
             break
         count += 1
     return count
+
+
+def _parts(name: str) -> list[str]:
+    return [part for part in name.split("/") if part]

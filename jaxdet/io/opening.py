@@ -1,39 +1,130 @@
-"""Opens the files of a log and finds what is in them, by their own indexes or by rebuilt ones."""
+"""Opens a log, by the own indexes of its files or by rebuilt ones."""
 
 from collections.abc import Sequence
-from contextlib import closing
+from contextlib import closing, suppress
+from os import PathLike
 from pathlib import Path
 from typing import NamedTuple
 
-from jaxdet.errors import ChunkMemoryError, InputError, printable
+from jaxdet.arguments import of_type
+from jaxdet.errors import (
+    CalibrationError,
+    ChunkMemoryError,
+    InputError,
+    RescanError,
+    TopicError,
+    printable,
+)
+from jaxdet.io.body_frames import is_body_frame
 from jaxdet.io.chunks import DamageError
 from jaxdet.io.container import LogFile
 from jaxdet.io.contents import ContentsBuilder, LogContents
+from jaxdet.io.description import describe_topics
 from jaxdet.io.file_index import FileIndex
-from jaxdet.io.files import LogFiles, missing_splits, siblings
-from jaxdet.io.formats import open_file, read_file_index, rebuild_file_index
+from jaxdet.io.files import LogFiles, find_logs, missing_splits, siblings
+from jaxdet.io.findings import find
+from jaxdet.io.formats import open_file
 from jaxdet.io.indexed import IndexedLog, open_index, search_index
 from jaxdet.io.limits import ReadMemory
+from jaxdet.io.log import Log
 from jaxdet.io.options import LogOptions
 from jaxdet.io.store import ChunkStore
 
 
+def open_log(
+    source: str | PathLike[str] | LogFiles,
+    options: LogOptions | None = None,
+    memory: ReadMemory | None = None,
+) -> Log:
+    """Open a camera of a log by its index, which is rebuilt if it is missing or wrong.
+
+    Args:
+        source: A file, a folder or a glob with exactly one log, or a log of :func:`find_logs`.
+        options: Options of the user; by default everything is found in the log.
+        memory: Limits of the memory for reading, which change no frame.
+
+    Raises:
+        InputError: No file can be read, there are several logs, no frame is in the part, or a
+            chunk or the index takes more memory.
+        CamerasError: The log has several cameras, and the options choose none.
+        TopicError: No or several topics can be depth, or one that the options name is not there.
+        CalibrationError: A part of the calibration is missing, unknown or contradictory.
+    """
+    options = of_type("options", LogOptions() if options is None else options, LogOptions)
+    if not isinstance(source, LogFiles):
+        if not isinstance(source, str | PathLike):
+            problem, remedy = f"{type(source).__name__} is no path", "give a file or a folder"
+            raise InputError(problem, topic="source", remedy=remedy)
+        logs = find_logs([source])
+        if len(logs) > 1:
+            problem, remedy = f"there are {len(logs)} logs here", "name one of them"
+            raise InputError(problem, path=str(source), remedy=remedy)
+        source = logs[0]
+    memory = memory or ReadMemory()
+    opened = open_files(source, options, memory)
+    store = ChunkStore(opened.files, most_bytes=memory.chunk)
+    try:
+        if not options.scan:
+            with suppress(DamageError):
+                indexes = [file.read_index() for file in opened.files]
+                for complete in (False, True):
+                    with suppress(RescanError):
+                        found = _find_contents(
+                            opened, indexes, store, source, options, complete=complete
+                        )
+                        return _opened(source, found, options)
+        indexes = [file.rebuild_index() for file in opened.files]
+        found = _find_contents(opened, indexes, store, source, options, complete=True)
+        return _opened(source, found, options)
+    except BaseException:
+        store.close()
+        raise
+
+
+def _opened(files: LogFiles, known: IndexedLog, options: LogOptions) -> Log:
+    """Return the log; its depth frame counts as a body frame if the depth images show it.
+
+    Raises:
+        JaxdetError: As :func:`open_log`; the error names what is damaged.
+    """
+    contents, store = known.contents, known.store
+    try:
+        found = find(known, options)
+    except (TopicError, CalibrationError) as error:
+        error.topics = describe_topics(contents)
+        for file in [file for file in contents.integrity if file.recovered][:2]:
+            error.add_remedy(f"{file.path.name} is {file.text}")
+        bad = [(name, about) for name, about in contents.topics.items() if about.undecodable]
+        for name, about in bad[:2]:
+            if about.trouble not in str(error):
+                error.add_remedy(f"{name}: {about.trouble}")
+        raise
+    log = Log(files, contents, found, store, options)
+    given = options.camera_frame is not None or found.calibrated.T_frame_camera is not None
+    places = log.has_poses or log.T_base_camera is not None
+    if given or not places:
+        return log
+    if is_body_frame(log.num_frames, log.T_base_camera, lambda some: log.read(some).frames):
+        return Log(files, contents, find(known, options, is_body=True), store, options)
+    return log
+
+
 class OpenedFiles(NamedTuple):
-    """A log's open files, and what is wrong with the others."""
+    """The open files of a log, and what is wrong with the others."""
 
     files: tuple[LogFile, ...]
     warnings: tuple[str, ...]
     memory: ReadMemory
-    """What reading may take."""
+    """Limits of the memory for reading."""
 
 
 def open_files(log: LogFiles, options: LogOptions, memory: ReadMemory) -> OpenedFiles:
-    """Opens a log's files; a split that can't be read is left out with a warning.
+    """Open the files of a log; a split that can't be read is left out with a warning.
 
     Args:
-        log: Its files.
-        options: What the user says about it.
-        memory: What reading may take.
+        log: Names of the files.
+        options: Options of the user.
+        memory: Limits of the memory for reading.
 
     Raises:
         InputError: None of its files can be read.
@@ -57,7 +148,7 @@ def _open(path: Path, options: LogOptions, memory: ReadMemory) -> LogFile:
     return file
 
 
-def find_contents(
+def _find_contents(
     opened: OpenedFiles,
     indexes: Sequence[FileIndex],
     store: ChunkStore,
@@ -66,14 +157,14 @@ def find_contents(
     *,
     complete: bool,
 ) -> IndexedLog:
-    """What is in a log, by the indexes of its files.
+    """Return what is in a log, by the indexes of its files.
 
     Args:
         opened: The files.
-        indexes: Theirs.
+        indexes: Their indexes.
         store: Their chunks.
-        log: The files' names.
-        options: What the user says about the log.
+        log: Their names.
+        options: Options of the user.
         complete: Whether to read all small messages, and the stamps of all images.
 
     Raises:
@@ -82,33 +173,30 @@ def find_contents(
     """
     path = str(log.paths[0])
     found = open_index(opened.files, indexes, store, options.tf, path, complete=complete)
-    _finish(found.contents, opened, log, options)
-    return found
-
-
-def _finish(contents: LogContents, opened: OpenedFiles, log: LogFiles, options: LogOptions) -> None:
+    contents = found.contents
     if options.tf and not contents.has_static:
         _search_siblings(contents, opened.memory, log, options)
     for tree in contents.trees.values():
         tree.settle()
     contents.warnings += opened.warnings
     _note(contents, log)
+    return found
 
 
 def _search_siblings(
     contents: LogContents, memory: ReadMemory, log: LogFiles, options: LogOptions
 ) -> None:
-    """Static transforms and calibration from the recording's other splits, first to last."""
+    """Take static transforms and calibration from the recording's other splits, in order."""
     for path in siblings(log):
         try:
             with closing(_open(path, options, memory)) as file:
                 builder = ContentsBuilder(contents, options.tf, images=False)
                 try:
-                    search_index(file, read_file_index(file), builder)
+                    search_index(file, file.read_index(), builder)
                 except DamageError:
-                    search_index(file, rebuild_file_index(file), builder)
+                    search_index(file, file.rebuild_index(), builder)
         except ChunkMemoryError:
-            raise  # else it would be for the memory to decide what is found
+            raise  # else the memory would decide what is found
         except (InputError, DamageError) as error:
             contents.warnings.append(f"{error}; the split is not searched for static transforms")
         if contents.has_static:

@@ -18,7 +18,7 @@ def find_part(
     every: int,
     path: str,
 ) -> range:
-    """The numbers of the frames from one moment to another.
+    """Return the numbers of the frames from one moment to another.
 
     Args:
         begin_ns: From when seconds count [ns], see :func:`jaxdet.io.clocks.first_stamp`.
@@ -54,7 +54,7 @@ def find_part(
 def _first_from(
     wanted: int, begin_ns: int, about_ns: np.ndarray, stamp_ns: Callable[[int], int]
 ) -> int:
-    """The first frame whose stamp is ``wanted`` or later; looks at few, and those near by."""
+    """Return the first frame with a stamp of ``wanted`` or later; reads few, and near ones."""
     count = len(about_ns)
     guess = int(np.searchsorted(about_ns, wanted - begin_ns + int(about_ns[0])))
     low = high = min(guess, count - 1)

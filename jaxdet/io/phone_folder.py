@@ -56,7 +56,7 @@ class PhoneRecording(NamedTuple):
 
 
 def read_phone(folder: Path) -> PhoneRecording | None:
-    """Return what a folder's recording says; None where it is not of an iPhone.
+    """Return what a folder's recording says; None if it is not of an iPhone.
 
     Raises:
         InputError: A file is damaged.

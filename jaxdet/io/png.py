@@ -49,7 +49,7 @@ class PngHead(NamedTuple):
 
 
 def read_png_head(data: bytes | memoryview) -> PngHead:
-    """The head of a file, which may be cut off behind it.
+    """Return the head of a file, which may be cut off after it.
 
     Raises:
         ValueError: It is no PNG, or cut off before.
@@ -63,7 +63,7 @@ def read_png_head(data: bytes | memoryview) -> PngHead:
 
 
 def decode_png_depth(data: bytes | memoryview, row: np.ndarray) -> None:
-    """Decodes a 16-bit grey PNG.
+    """Decode a 16-bit grey PNG.
 
     Args:
         data: The file.
@@ -79,7 +79,7 @@ def decode_png_depth(data: bytes | memoryview, row: np.ndarray) -> None:
 
 
 def decode_png_color(data: bytes | memoryview, row: np.ndarray) -> None:
-    """Decodes a PNG to RGB: alpha is dropped, grey repeated, of 16 bits the higher 8 are taken.
+    """Decode a PNG to RGB: alpha is dropped, grey repeated, 16 bits cut to the higher 8.
 
     Args:
         data: The file.
@@ -96,7 +96,7 @@ def decode_png_color(data: bytes | memoryview, row: np.ndarray) -> None:
 
 
 def _lines(data: bytes | memoryview, head: PngHead, row: np.ndarray) -> np.ndarray:
-    """The lines ``(H, 1 + bytes)`` uint8, each with its filter before it."""
+    """Return the lines ``(H, 1 + bytes)`` uint8, each with its filter before it."""
     if head.color_type not in _SAMPLES or head.bits not in (8, 16):
         raise ValueError("palettes and fewer than 8 bits a sample are not supported")
     if head.interlace or head.compression or head.filters:
@@ -122,7 +122,7 @@ def _lines(data: bytes | memoryview, head: PngHead, row: np.ndarray) -> np.ndarr
 
 
 def _compressed(data: memoryview) -> bytes | memoryview:
-    """The content of all IDAT chunks."""
+    """Return the content of all IDAT chunks."""
     parts: list[memoryview] = []
     left = _FREE_CHUNKS + len(data) // _CHUNK_BYTES
     position, name, known = len(MAGIC), b"", {b"IHDR"}

@@ -58,11 +58,11 @@ class PoseSource(NamedTuple):
 
     @property
     def world_frame(self) -> str:
-        """The frame that poses are in; empty where there are none."""
+        """The frame that poses are in; empty if there are none."""
         return self.world or self.parent
 
     def moving(self, tree: TransformTree) -> list[str]:
-        """What its samples are taken of: frames of the tree, or the topic."""
+        """Return the frames or the topic whose samples are needed."""
         return [self.topic] if self.topic else tree.moving(self.world, self.camera)
 
     def at(
@@ -114,7 +114,7 @@ def find_poses(
     share_known: Callable[[PoseSource], float],
     on_clock: Callable[[PoseSource], PoseSource] = lambda source: source,
 ) -> PoseSource:
-    """Where the poses come from.
+    """Return the source of the camera's poses.
 
     The topic of ``--log.odom`` goes first, then moving transforms up to the world frame, then
     the robot's only Odometry or PoseInFrame topic. A frame given by ``--log.world-frame`` is taken
@@ -238,6 +238,6 @@ def _is_robot_pose(contents: LogContents, topic: str) -> bool:
 
 
 def _named(contents: LogContents, names: tuple[str, ...]) -> list[str]:
-    """The tree's frames of these names, with any namespace before them, in this order."""
+    """Return the tree's frames of these names in this order, with any namespace before them."""
     frames = sorted(contents.tree.frames)
     return [frame for name in names for frame in frames if frame.split("/")[-1] == name]

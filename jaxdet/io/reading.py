@@ -14,9 +14,8 @@ import deflate
 import numpy as np
 
 from jaxdet.errors import FrameError, FrameStatus
-from jaxdet.io.chunks import PIECE_BYTES, DamageError
+from jaxdet.io.chunks import PAYLOAD_OFFSET, PIECE_BYTES, DamageError
 from jaxdet.io.compressed import decode_compressed_color, decode_compressed_depth
-from jaxdet.io.container import Location
 from jaxdet.io.decode_messages import MessageDecoder
 from jaxdet.io.images import decode_color, decode_depth
 from jaxdet.io.messages import (
@@ -27,7 +26,7 @@ from jaxdet.io.messages import (
     RgbdMessage,
     bad_frame,
 )
-from jaxdet.io.raw_images import HEAD_BYTES, find_pixels, is_standard_image
+from jaxdet.io.raw_messages import HEAD_BYTES, find_pixels, is_standard_image
 from jaxdet.io.store import ChunkStore, Place
 from jaxdet.io.timeline import FrameTable, Window
 from jaxdet.io.validity import says_other
@@ -36,16 +35,14 @@ from jaxdet.io.validity import says_other
 class Request(NamedTuple):
     """One message to read, for one row of a batch; sorts into the order of the files."""
 
-    file: int
-    location: Location
+    chunk: Place
+    offset: int
+    """Begin of its payload in the chunk's records."""
+    size: int
+    """Bytes of its payload."""
     row: int
     depth: bool
     decoder: MessageDecoder
-
-    @property
-    def chunk(self) -> Place:
-        """The chunk it is in."""
-        return Place(self.file, self.location.chunk)
 
 
 class Span(NamedTuple):
@@ -109,7 +106,7 @@ class ImageReader:
         color: np.ndarray | None = None,
         wanted: np.ndarray | None = None,
     ) -> Failures:
-        """Decodes the frames of a window into the rows of ``depth`` and ``color``.
+        """Decode the frames of a window into the rows of ``depth`` and ``color``.
 
         Args:
             window: ``n`` frames.
@@ -139,7 +136,7 @@ class ImageReader:
                 requests += _requests(window.color, self._color, once, False)
             color[~there] = 0
         rows = [depth, color]
-        requests.sort(key=lambda request: request[:4])
+        requests.sort(key=lambda request: request[:5])
         parts = {chunk: list(group) for chunk, group in groupby(requests, lambda r: r.chunk)}
         for wave in self._store.waves(parts):
             jobs = [(chunk, parts[chunk], rows) for chunk in wave]
@@ -162,7 +159,7 @@ class ImageReader:
         return errors
 
     def decoding_s(self) -> float:
-        """How long images were decoded since the last call, all threads at a time [s]."""
+        """Return the time for decoding since the last call, divided by the threads [s]."""
         took, self._took = self._took, []
         return sum(took) / self._store.threads
 
@@ -174,8 +171,7 @@ class ImageReader:
                 payloads = self._read_plain(chunk, requests, *images)
             else:
                 data = memoryview(self._store.data(chunk))
-                spans = [item.location[1:] for item in requests]
-                payloads = [data[offset : offset + size] for offset, size in spans]
+                payloads = [data[item.offset : item.offset + item.size] for item in requests]
         except DamageError as error:
             if self._strict:
                 raise
@@ -196,7 +192,7 @@ class ImageReader:
     def _read_plain(
         self, chunk: Place, requests: Sequence[Request], depth: np.ndarray, color: np.ndarray
     ) -> list[memoryview | None]:
-        """The payloads of messages, None where the pixels are in their row already.
+        """Return the payloads of messages, None if the pixels are in their row already.
 
         Raises:
             DamageError: The chunk can't be read, or is not as its CRC says.
@@ -211,7 +207,7 @@ class ImageReader:
             payloads: list[memoryview | None] = []
             for item, span in zip(requests, spans, strict=True):
                 if span is None:
-                    payload = file.read(start + item.location.offset, item.location.size)
+                    payload = file.read(start + item.offset, item.size)
                     payloads.append(memoryview(payload))
                 else:
                     file.read_into(start + span.start, [span.row])
@@ -224,7 +220,7 @@ class ImageReader:
         done = used = 0
         moved = []
         for item, span in zip(requests, spans, strict=True):
-            moved.append(item.location.offset - (done - used))
+            moved.append(item.offset - (done - used))
             if span is not None:
                 before = span.start - done
                 if before < 0:
@@ -242,18 +238,17 @@ class ImageReader:
             raise DamageError("chunk has a wrong CRC")
         self._store.checked.add(chunk)
         return [
-            rest[place : place + item.location.size] if span is None else None
+            rest[place : place + item.size] if span is None else None
             for item, span, place in zip(requests, spans, moved, strict=True)
         ]
 
     def _span(self, chunk: Place, request: Request, rows: np.ndarray) -> Span | None:
-        """Where pixels can be read straight into their row."""
+        """Return the part of a chunk that can be read straight into its row."""
         if not is_standard_image(request.decoder.channel):
             return None
-        location, row = request.location, rows[request.row]
-        head = self._store.peek(chunk, location.offset, min(location.size, HEAD_BYTES))
-        memory = self._memory(head, location.size, row, request.depth)
-        return memory and Span(location.offset + memory[0], memory[1])
+        head = self._store.peek(chunk, request.offset, min(request.size, HEAD_BYTES))
+        memory = self._memory(head, request.size, rows[request.row], request.depth)
+        return memory and Span(request.offset + memory[0], memory[1])
 
     def _memory(
         self, head: memoryview, size: int, row: np.ndarray, depth: bool
@@ -309,19 +304,26 @@ def _other_calibration() -> FrameError:
 def _requests(
     table: FrameTable, known: Sequence[MessageDecoder], wanted: np.ndarray, depth: bool
 ) -> list[Request]:
-    files, decoders, places = table.file.tolist(), table.decoder.tolist(), table.place.tolist()
+    rows = np.flatnonzero(wanted)
+    messages, size = table.messages.rows(rows), table.size[rows]
+    decoders = [known[number] for number in messages.decoder.tolist()]
+    offsets = (messages.offset + PAYLOAD_OFFSET).tolist()
+    columns = messages.places(), offsets, size.tolist(), rows.tolist(), decoders
     return [
-        Request(files[i], Location(*places[i]), i, depth, known[decoders[i]])
-        for i in np.flatnonzero(wanted).tolist()
+        Request(place, offset, count, row, depth, decoder)
+        for place, offset, count, row, decoder in zip(*columns, strict=True)
     ]
 
 
 def _repeated(table: FrameTable, wanted: np.ndarray) -> dict[int, int]:
-    """The rows, of those wanted, whose message an earlier one has, with the first such row."""
-    first: dict[tuple[int, ...], int] = {}
+    """Return the rows, of those wanted, with the same message as an earlier row, and that row."""
+    first: dict[tuple[Place, int], int] = {}
     found = {}
-    for row in np.flatnonzero(wanted).tolist():
-        before = first.setdefault((int(table.file[row]), *table.place[row].tolist()), row)
+    rows = np.flatnonzero(wanted)
+    messages = table.messages.rows(rows)
+    keys = zip(messages.places(), messages.offset.tolist(), strict=True)
+    for row, key in zip(rows.tolist(), keys, strict=True):
+        before = first.setdefault(key, row)
         if before != row:
             found[row] = before
     return found

@@ -32,25 +32,25 @@ class IndexedMessages(NamedTuple):
     decoder: np.ndarray
     """Number of the decoder."""
 
-    def rows(self, which: np.ndarray) -> "IndexedMessages":
-        """Some of them."""
+    def rows(self, which: np.ndarray | slice) -> "IndexedMessages":
+        """Return some of them."""
         return IndexedMessages(*(column[which] for column in self))
 
     def between(self, begin: int | None, end: int | None) -> slice:
-        """Those from one log time to another, exclusive; None: from the first, to the last.
+        """Return those from one log time to another, exclusive; None: from the first, to the last.
 
         They are in the order of log time.
         """
         first, last = np.searchsorted(self.log_ns, [begin or 0, end or 0]).tolist()
         return slice(0 if begin is None else first, len(self.log_ns) if end is None else last)
 
-    def places(self, which: np.ndarray | slice) -> list[Place]:
-        """The chunk of each of some messages."""
+    def places(self, which: np.ndarray | slice = slice(None)) -> list[Place]:
+        """Return the chunk of each of some messages; by default of all."""
         pairs = zip(self.file[which].tolist(), self.position[which].tolist(), strict=True)
         return [Place(*pair) for pair in pairs]
 
     def chunks(self, which: np.ndarray | slice) -> set[Place]:
-        """The chunks of some messages."""
+        """Return the chunks of some messages."""
         return set(self.places(which))
 
 
@@ -82,11 +82,11 @@ class TopicMessages(NamedTuple):
         return len(self.messages.log_ns)
 
     def decoder(self, number: int) -> MessageDecoder:
-        """What decodes a message."""
+        """Return the decoder of a message."""
         return self.decoders[int(self.messages.decoder[number])]
 
     def in_time(self) -> "TopicMessages":
-        """The same, which are in the order of the files, by log time and then by arrival."""
+        """Return the same messages by log time, then in the order of the files."""
         order = np.argsort(self.messages.log_ns, kind="stable")
         return self._replace(messages=self.messages.rows(order))
 
@@ -99,7 +99,7 @@ def read_message(
     *,
     whole: bool = True,
 ) -> tuple[int, memoryview]:
-    """Size and payload of a message, or its first ``most`` bytes; see :meth:`ChunkStore.peek`.
+    """Return size and payload of a message, or its first ``most`` bytes.
 
     Raises:
         DamageError: It isn't there.

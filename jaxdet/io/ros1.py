@@ -9,7 +9,7 @@ from jaxdet.errors import InputError
 
 
 def require_rosbags(path: Path) -> None:
-    """Makes sure that ROS 1 messages can be decoded.
+    """Check that ROS 1 messages can be decoded.
 
     Raises:
         InputError: ``rosbags`` isn't installed.
@@ -21,7 +21,7 @@ def require_rosbags(path: Path) -> None:
 
 
 def ros1_decoder(name: str, definition: str) -> Callable[[bytes], Any]:
-    """What decodes messages of a type.
+    """Return a decoder of messages of a type.
 
     Args:
         name: The type's.

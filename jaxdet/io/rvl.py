@@ -26,7 +26,7 @@ _ERRORS = (
 
 
 def decode_rvl(data: bytes | memoryview, row: np.ndarray) -> None:
-    """Decodes an RVL stream.
+    """Decode an RVL stream.
 
     Args:
         data: The stream, without any header; what follows the last pixel is not read.

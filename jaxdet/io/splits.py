@@ -17,7 +17,7 @@ from jaxdet.errors import InputError
 from jaxdet.io.chunks import DamageError
 from jaxdet.io.container import LogFile
 from jaxdet.io.contents import ContentsBuilder, LogContents
-from jaxdet.io.formats import open_file, read_file_index
+from jaxdet.io.formats import open_file
 from jaxdet.io.indexed import search_index
 from jaxdet.io.messages import IMAGE_KINDS, kind_of
 from jaxdet.io.options import LogOptions
@@ -51,7 +51,7 @@ class Sketch(NamedTuple):
 
 
 def sketch(path: Path) -> Sketch | None:
-    """The sketch of a file by its index; None where that can't be read."""
+    """Return the sketch of a file by its index; None if that can't be read."""
     with suppress(InputError, DamageError):
         file = open_file(path, LogOptions.max_chunk_mib << 20)
         try:
@@ -62,7 +62,7 @@ def sketch(path: Path) -> Sketch | None:
 
 
 def _sketch(file: LogFile) -> Sketch:
-    entries = read_file_index(file)
+    entries = file.read_index()
     counts = entries.counts
     useful = {key: info for key, info in entries.infos.items() if kind_of(info.schema_name)}
     images = [key for key, info in useful.items() if kind_of(info.schema_name) in IMAGE_KINDS]
@@ -83,7 +83,7 @@ def _sketch(file: LogFile) -> Sketch:
 
 
 def difference(first: Sketch | None, second: Sketch | None, steps: int) -> str:
-    """Why two files can't be of one recording, in its order; empty where they can.
+    """Return why two files, in this order, can't be of one recording; empty if they can.
 
     Args:
         first: The earlier file.
@@ -116,7 +116,7 @@ def _overlap(first: Sketch, second: Sketch) -> str:
 
 
 def gap(first: Sketch | None, second: Sketch | None, steps: int) -> str:
-    """Whether two files can't be of one recording for the time between them, as a text."""
+    """Return why the time between two files is too long for one recording, or an empty text."""
     if first and second and first.span_ns and second.span_ns:
         pause, steps = second.span_ns[0] - first.span_ns[1], min(steps, _MOST_STEPS)
         longest = max(last - begin for begin, last in (first.span_ns, second.span_ns))
@@ -127,7 +127,7 @@ def gap(first: Sketch | None, second: Sketch | None, steps: int) -> str:
 
 
 def joined(first: Sketch | None, second: Sketch | None) -> Sketch | None:
-    """What is known of a recording after another file of it, ``second``."""
+    """Return the sketch of a recording with another file of it, ``second``."""
     if first is None or second is None:
         return second or first
     schemas, calibrations = first.schemas | second.schemas, first.calibrations | second.calibrations
@@ -180,7 +180,7 @@ def recordings(files: Sequence[tuple[int, Path]]) -> list[Recording]:
 
 
 def _why_apart(first: int, before: Sketch | None, second: int, now: Sketch | None) -> str:
-    """Return why a file does not go on with the recording before it; empty where it does."""
+    """Return why a file does not go on with the recording before it; empty if it does."""
     if second != first + 1:
         return "their numbers do not follow on"
     if before is None or now is None or not (before.span_ns and now.span_ns):

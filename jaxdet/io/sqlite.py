@@ -1,21 +1,33 @@
 """ROS 2's SQLite recordings (``.db3`` of rosbag2).
 
-A message's number is its ``id``; SQLite gives any part of a blob without reading all of it.
+A message's number is its ``id``; SQLite gives any part of a blob without reading all of it. The
+tables are the file's own index; around damage they are read row by row.
 Source: rosbag2's ``rosbag2_storage_sqlite3``, schemas 1 to 4.
 """
 
 import math
 import sqlite3
 import time
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from itertools import islice
 from pathlib import Path
 from threading import local
 from typing import Any
 
+import numpy as np
+
 from jaxdet.errors import InputError
-from jaxdet.io.chunks import DamageError
+from jaxdet.io.chunks import PAYLOAD_OFFSET, DamageError
 from jaxdet.io.container import FileState, LogFile
-from jaxdet.io.message_file import MessageFile, MessageRow
+from jaxdet.io.declarations import ChannelInfo
+from jaxdet.io.definition import DEFINITIONS, schema_text
+from jaxdet.io.file_index import FileIndex, FileIntegrity, file_index
+from jaxdet.io.limits import MAX_SCHEMA_BYTES, check_topics
+from jaxdet.io.message_file import MessageFile, MessageRow, indexed_messages, position_of
+from jaxdet.io.messages import kind_of
+from jaxdet.io.walk import Walk
 
 _ROW = "SELECT topic_id, timestamp, length(data), typeof(data) FROM messages WHERE id = ?"
 _TABLES = "SELECT name FROM sqlite_master WHERE type = 'table' AND rootpage > 0"
@@ -30,6 +42,21 @@ _STEPS = 1_000_000
 _PATIENCE_S, _BYTES_PER_S = 5.0, 50 << 20
 """The next row of a query may take so long, and a second more for so many bytes of the file."""
 _NEEDED = {"messages", "topics"}
+_ROWS_AT_ONCE = 1 << 14
+_DAMAGED = "page is damaged"
+_MAX_LOST = 100_000
+"""Numbers tried one by one where pages are damaged; a few seconds."""
+_INDEX = "SELECT id, topic_id, timestamp, length(data) FROM messages ORDER BY id"
+_DATA = """SELECT id, topic_id, timestamp,
+CASE WHEN length(data) <= :most THEN data END, length(data)
+FROM messages WHERE id > :before ORDER BY id LIMIT :count"""
+_WITHOUT_DATA = """SELECT id, topic_id, timestamp, NULL, length(data)
+FROM messages WHERE id > :before ORDER BY id LIMIT :count"""
+_COUNT = "SELECT count(*) FROM messages INDEXED BY timestamp_idx"
+_GREATEST = "SELECT max(id) FROM messages INDEXED BY timestamp_idx WHERE timestamp >= 0"
+_TOPICS = "SELECT id, name, type, serialization_format FROM topics ORDER BY id"
+_DEFINITIONS = """SELECT topic_type, encoding, encoded_message_definition
+FROM message_definitions WHERE length(encoded_message_definition) <= ? ORDER BY id"""
 
 
 class SqliteFile(MessageFile):
@@ -51,16 +78,75 @@ class SqliteFile(MessageFile):
             raise
 
     def close(self) -> None:
-        """Closes the file."""
+        """Close the file."""
         for connection in self._connections:
             connection.close()
         self._connections = []
         super().close()
 
+    def read_index(self) -> FileIndex:
+        """See :meth:`LogFile.read_index`."""
+        if self.declared_bytes > self.size:
+            raise DamageError("file ends early")
+        infos = _channels(self)
+        rows, parts = self.query(_INDEX), [np.zeros((4, 0), np.int64)]
+        try:
+            while some := list(islice(rows, _ROWS_AT_ONCE)):
+                parts.append(np.array(some, np.int64).T)
+        except (OverflowError, TypeError, ValueError) as error:
+            raise _damage(error) from error
+        number, channel, log_ns, size = np.concatenate(parts, axis=1)
+        self.check_messages(len(number))
+        for value in (channel.min(initial=0), channel.max(initial=0)):
+            MessageRow(int(value), int(log_ns.min(initial=0)), 0).check()
+        if (np.diff(number) <= 0).any():
+            raise DamageError("numbers of messages are out of order")
+        for value in (number.min(initial=0), number.max(initial=0)):
+            position_of(int(value))
+        if _declared(self) not in (None, len(number)):
+            raise DamageError("index of times contradicts the messages")
+        messages = indexed_messages(number, channel, log_ns, size)
+        return file_index(infos, messages, FileIntegrity(self.path, by_index=True))
+
+    def rebuild_index(self) -> FileIndex:
+        """Return the index of every readable message, with what was lost.
+
+        If SQLite finds a page damaged, the walk continues at the next message that it can reach. Of
+        a message whose data are damaged the topic is known mostly; else its number counts as lost.
+
+        Raises:
+            InputError: The file was changed meanwhile, or holds more messages than fit into it.
+        """
+        problem, infos = "", {}
+        try:
+            infos = _channels(self)
+        except DamageError as error:
+            problem = str(error)
+        walk, missing = Walk(self), Counter[str]()
+        for number, channel, log_ns, data, size in _rows(self, walk.lost):
+            try:
+                MessageRow(channel, log_ns, size).check()
+                position = position_of(number)
+                if channel not in infos:
+                    raise DamageError("message of an undeclared topic")
+                if not isinstance(data, bytes):
+                    missing[infos[channel].topic] += 1
+                    raise DamageError("message is damaged or larger than --log.max-chunk-mib")
+            except DamageError as error:
+                walk.lose(str(error), size or 0)
+                continue
+            walk.add(channel, infos[channel], log_ns, position, len(data) + PAYLOAD_OFFSET, 0)
+        return walk.index(
+            declared_messages=_declared(self),
+            has_end=self.declared_bytes <= self.size,
+            missing=dict(missing),
+            summary_problem=problem,
+        )
+
     def query(
         self, text: str, values: Sequence[object] | Mapping[str, object] = ()
     ) -> Iterator[tuple[Any, ...]]:
-        """The rows of a query.
+        """Yield the rows of a query.
 
         Raises:
             DamageError: SQLite can't go on.
@@ -75,10 +161,10 @@ class SqliteFile(MessageFile):
                     return
                 yield row
         except (sqlite3.Error, OverflowError) as error:
-            raise damage(error) from error
+            raise _damage(error) from error
 
     def read_payload(self, number: int, start: int, parts: Sequence[memoryview]) -> None:
-        """Fills writable byte views with a message's data from ``start``, one after the other.
+        """Fill writable byte views, one after the other, with a message's data from ``start``.
 
         Raises:
             DamageError: They end before, or can't be read.
@@ -92,7 +178,7 @@ class SqliteFile(MessageFile):
                         raise DamageError("message ends early")
                     part[:] = data
         except (sqlite3.Error, OverflowError, ValueError) as error:
-            raise damage(error) from error
+            raise _damage(error) from error
 
     @property
     def declared_bytes(self) -> int:
@@ -102,7 +188,7 @@ class SqliteFile(MessageFile):
         return int.from_bytes(pages, "big") * (65536 if size == 1 else size)
 
     def row(self, number: int) -> MessageRow:
-        """What is known of a message.
+        """Return channel, log time and size of a message.
 
         Raises:
             DamageError: There is none, or it can't be read.
@@ -130,16 +216,16 @@ class SqliteFile(MessageFile):
             found.set_authorizer(_authorize)
             found.set_progress_handler(self._takes_too_long, _STEPS)
         except sqlite3.Error as error:
-            raise damage(error) from error
+            raise _damage(error) from error
         self._of_thread.connection = found
         return found
 
     def _takes_too_long(self) -> bool:
-        """Whether this thread's query takes longer than any recording's does; ends it then."""
+        """Return whether this thread's query takes too long; SQLite ends it then."""
         return time.monotonic() > getattr(self._of_thread, "until", math.inf)
 
     def _check(self) -> None:
-        """Whether this is a recording, and closed.
+        """Check that this is a recording, and closed.
 
         Raises:
             InputError: It isn't.
@@ -184,6 +270,85 @@ def _authorize(action: int, first: str | None, second: str | None, *_: object) -
     return sqlite3.SQLITE_OK if allowed.get(action) else sqlite3.SQLITE_DENY
 
 
-def damage(error: Exception) -> DamageError:
-    """What SQLite says, as damage."""
+def _damage(error: Exception) -> DamageError:
+    """Return an error of SQLite as damage."""
     return DamageError(f"the SQLite file can't be read ({error})")
+
+
+def _rows(file: SqliteFile, lost: Counter[str]) -> Iterator[tuple[Any, ...]]:
+    """Number, topic, log time, data and their bytes of all messages that can be reached.
+
+    The data are None if they can't be read.
+    """
+    before, last = -1, _last_number(file)
+
+    def after(text: str, count: int) -> Iterator[tuple[Any, ...]]:
+        values = {"most": file.max_bytes, "before": before, "count": count}
+        return file.query(text, values)
+
+    def comes_next(row: tuple[Any, ...]) -> bool:  # a damaged page may lead back
+        return isinstance(row[0], int) and row[0] > before
+
+    while before < last and lost[_DAMAGED] < _MAX_LOST:
+        with suppress(DamageError):
+            for row in after(_DATA, -1):
+                if comes_next(row):
+                    yield row
+                    before = row[0]
+            return
+        # The next one may be whole: what SQLite could not read can come after it.
+        for text in (_DATA, _WITHOUT_DATA):
+            with suppress(DamageError):
+                row = next(iter([*after(text, 1)]), None)
+                if row and comes_next(row):
+                    yield row
+                    before = row[0]
+                    break
+        else:
+            lost[_DAMAGED] += 1
+            before += 1
+
+
+def _last_number(file: SqliteFile) -> int:
+    """Return the largest number of a message, by the messages or the index of their times."""
+    numbers = [0]
+    for text in ("SELECT max(id) FROM messages", _GREATEST):
+        with suppress(DamageError):
+            numbers += [number or 0 for (number,) in file.query(text)]
+    return max(numbers)
+
+
+def _declared(file: SqliteFile) -> int | None:
+    """Return how many messages the index of their times has; None if it can't be read."""
+    with suppress(DamageError):
+        for (count,) in file.query(_COUNT):
+            return int(count)
+    return None
+
+
+def _channels(file: SqliteFile) -> dict[int, ChannelInfo]:
+    """Return the topics with their definitions, or ROS 2's in files from before ROS 2 Iron.
+
+    Raises:
+        DamageError: The table can't be read.
+    """
+    topics, known = list(file.query(_TOPICS)), {}
+    check_topics(len(topics), str(file.path))
+    with suppress(DamageError):
+        rows = file.query(_DEFINITIONS, (MAX_SCHEMA_BYTES,))
+        known = {row[0]: row[1:] for row in (rows if "message_definitions" in file.tables else ())}
+    found = {}
+    for number, topic, name, encoding in topics:
+        schema, text = known.get(name) or ("ros2msg", _definition(str(name)))
+        data = str(text).encode()
+        useful = kind_of(str(name)) is not None
+        kept = data if useful else b""
+        found[number] = ChannelInfo(
+            str(topic), str(encoding), str(name), str(schema), kept, len(data)
+        )
+    return found
+
+
+def _definition(name: str) -> str:
+    plain = name.replace("/msg/", "/")
+    return schema_text(plain) if plain in DEFINITIONS else ""

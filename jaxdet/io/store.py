@@ -67,18 +67,18 @@ class ChunkStore:
         return ChunkStore, (self.files, 1, self.cache_bytes, self._most_bytes)
 
     def keep(self, nbytes: int) -> None:
-        """Keeps at least so much, where there is room for it."""
+        """Keep at least so many bytes of chunks, if there is room."""
         self.cache_bytes = min(max(self.cache_bytes, nbytes), self._most_bytes)
 
     def close(self) -> None:
-        """Stops the threads and closes the files."""
+        """Stop the threads and close the files."""
         if self._pool:
             self._pool.shutdown(cancel_futures=True)
         for file in self.files:
             file.close()
 
     def check_unchanged(self) -> None:
-        """Makes sure that the files are what they were when they were opened.
+        """Check that the files are what they were when they were opened.
 
         Raises:
             InputError: One isn't.
@@ -109,7 +109,7 @@ class ChunkStore:
             yield wave
 
     def head(self, place: Place) -> ChunkHead:
-        """The head of a chunk.
+        """Return the head of a chunk.
 
         Raises:
             DamageError: There is none.
@@ -124,7 +124,7 @@ class ChunkStore:
         return head
 
     def data(self, place: Place, ahead: bool = False) -> bytes | memoryview:
-        """The records of a chunk, checked against its CRC.
+        """Return the records of a chunk, checked against its CRC.
 
         Args:
             place: The chunk.
@@ -174,14 +174,14 @@ class ChunkStore:
             self.data(place, ahead=True)
 
     def _drop_one(self) -> None:
-        """Drops the chunk used least of late; one that waits for its use only if all do."""
+        """Drop the least recently used chunk; one that waits for its use only if all do."""
         used = (place for place in self._chunks if place not in self._ahead)
         place = next(used, next(iter(self._chunks)))
         self._ahead.discard(place)
         self._bytes -= len(self._chunks.pop(place))
 
     def check(self, place: Place) -> None:
-        """Makes sure that a chunk is as its CRC says, where it has one.
+        """Check a chunk against its CRC, if it has one.
 
         Raises:
             DamageError: It is not.
@@ -196,7 +196,7 @@ class ChunkStore:
             self.checked.add(place)
 
     def peek(self, place: Place, offset: int, size: int, *, whole: bool = True) -> memoryview:
-        """At most ``size`` bytes of a chunk's records, without its CRC where it isn't packed.
+        """Return up to ``size`` bytes of a chunk's records, without the CRC if it isn't packed.
 
         Args:
             place: The chunk.

@@ -45,14 +45,14 @@ class ImageStream:
         """Of 32FC1 images among them, the median value."""
 
     def images(self, depth: bool) -> list[ImageMessage | CompressedImageMessage]:
-        """The first images, without their pixels; which one of those in an RGBD message."""
+        """Return the first images, depth or colour ones, without their pixels."""
         return [
             (probe.depth if depth else probe.color) if isinstance(probe, RgbdMessage) else probe
             for probe in self.probes
         ]
 
     def first_image(self, depth: bool) -> ImageMessage | CompressedImageMessage | None:
-        """The first of them; None when none of the first messages can be decoded."""
+        """Return the first of them; None if none of the first messages can be decoded."""
         return next(iter(self.images(depth)), None)
 
     def frame_id(self, depth: bool) -> str:
@@ -78,7 +78,7 @@ class ImageStream:
         return text == "32fc1"
 
     def size(self, depth: bool) -> ImageSize | None:
-        """The size of most of the first images, without decoding them; None when unknown."""
+        """Return the most common size of the first images, without decoding; None if unknown."""
         sizes: Counter[ImageSize] = Counter()
         for image in self.images(depth):
             if isinstance(image, ImageMessage):

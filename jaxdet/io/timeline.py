@@ -6,37 +6,37 @@ import numpy as np
 
 from jaxdet.errors import printable
 from jaxdet.io.notes import Notes
+from jaxdet.io.records import IndexedMessages
 from jaxdet.io.store import Place
 
 
 class FrameTable(NamedTuple):
-    """The messages of one stream, for depth in the order of their stamps."""
+    """The images of some frames."""
 
     stamps_ns: np.ndarray
-    """``(N,)`` int64, header stamps, or log times where the header stamps are all zero."""
-    file: np.ndarray
-    """``(N,)`` int64, number of the log's file."""
-    decoder: np.ndarray
-    """``(N,)`` int64, number of the stream's decoder."""
-    place: np.ndarray
-    """``(N, 3)`` int64, as :class:`jaxdet.io.container.Location`."""
-    log_ns: np.ndarray
-    """``(N,)`` int64, log times."""
+    """Header stamps, ``(N,)`` int64; log times if all header stamps are zero; -1: no image."""
+    size: np.ndarray
+    """Bytes of the payloads, ``(N,)`` int64."""
+    messages: IndexedMessages
+    """Where the images are; any message if there is no image."""
 
-    def rows(self, numbers: np.ndarray) -> "FrameTable":
-        """The messages of some numbers; of -1 one with a stamp of -1."""
-        rows = FrameTable(*(column[numbers] for column in self))
-        return rows._replace(stamps_ns=np.where(numbers < 0, -1, rows.stamps_ns))
+    @property
+    def log_ns(self) -> np.ndarray:
+        """Log times, ``(N,)`` int64 [ns]."""
+        return self.messages.log_ns
+
+    def rows(self, which: slice) -> "FrameTable":
+        """Return the images of some of the frames."""
+        return FrameTable(self.stamps_ns[which], self.size[which], self.messages.rows(which))
 
 
 class Window(NamedTuple):
     """Some frames in a row, ``n`` of them."""
 
     depth: FrameTable
-    """``n`` messages."""
+    """Their depth images, in the order of the stamps."""
     color: FrameTable | None
-    """Their nearest colour images, ``n`` messages, with a stamp of -1 where there is none near
-    enough; None where the log has no colour."""
+    """Their nearest colour images, within the tolerance; None if the log has no colour."""
     T_world_camera: np.ndarray | None
     """``(n, 4, 4)`` float64, NaN where unknown; None when the log has no poses."""
     notes: Notes = Notes()
@@ -48,14 +48,13 @@ class Window(NamedTuple):
     """The same, where colour is decoded."""
 
     def part(self, first: int, last: int) -> "Window":
-        """The frames ``first`` to ``last`` of these.
+        """Return the frames ``first`` to ``last`` of these.
 
         What is to be noted goes with the first part, what is to be checked with the last one,
         when most of it has been read.
         """
         rows = slice(first, last)
-        depth = FrameTable(*(column[rows] for column in self.depth))
-        color = self.color and FrameTable(*(column[rows] for column in self.color))
+        depth, color = self.depth.rows(rows), self.color and self.color.rows(rows)
         poses, other = (
             a if a is None else a[rows] for a in (self.T_world_camera, self.other_calibration)
         )
@@ -91,11 +90,11 @@ def nearest(stamps_ns: np.ndarray, others_ns: np.ndarray, tolerance_s: float) ->
 def apart(
     depth: FrameTable, color: FrameTable | None, color_offset_ns: int = 0
 ) -> tuple[np.ndarray, np.ndarray, int]:
-    """How far apart images are by stamp and by log time ``(P,)`` [ns]; frames without colour.
+    """Return how far images are apart by stamp and by log time, and frames without colour.
 
     Args:
-        depth: ``n`` messages.
-        color: Their colour images, with a stamp of -1 where there is none.
+        depth: Images of ``n`` frames.
+        color: Their colour images.
         color_offset_ns: How far colour's clock is ahead of depth's.
     """
     if color is None:
@@ -107,6 +106,6 @@ def apart(
 
 
 def log_time_warnings(topic: str, backward: int) -> list[str]:
-    """A line on a stream with messages that come after a later one."""
+    """Return a warning about messages that come after a later one."""
     text = f"{printable(topic)}: {backward} log times run backward; images are ordered by stamp"
     return [text] if backward else []

@@ -17,6 +17,7 @@ from jaxdet.io.compressed import is_color_file, is_compressed_depth, is_depth_fi
 from jaxdet.io.contents import LogContents
 from jaxdet.io.images import is_color_encoding, is_depth_encoding
 from jaxdet.io.messages import CompressedImageMessage, ImageMessage, Kind, plain_schema_name
+from jaxdet.io.namespaces import affinity
 from jaxdet.io.options import NO_COLOR, LogOptions
 from jaxdet.io.streams import ImageStream
 
@@ -60,11 +61,11 @@ class Choice(NamedTuple):
     """Its name."""
     depth: str
     color: str
-    """Empty where there is none."""
+    """Empty if there is none."""
     aligned_by_name: bool
     reasons: tuple[str, ...]
     why_no_color: str = ""
-    """A clause; empty where there is a colour topic."""
+    """A clause; empty if there is a colour topic."""
     remedy: str = ""
     """What gives the log colour; empty likewise."""
     infrared: bool = False
@@ -72,7 +73,7 @@ class Choice(NamedTuple):
 
 
 def choose_topics(contents: LogContents, options: LogOptions) -> dict[str, Choice | TopicError]:
-    """The depth and the colour topic of each camera, by its name, in order.
+    """Return the depth and the colour topic of each camera, by its name, in order.
 
     There are several cameras where depth topics have several names (see :func:`camera_name`), and
     the user chooses neither topic. Depth that its name says is aligned to colour goes before other
@@ -118,7 +119,7 @@ def choose_topics(contents: LogContents, options: LogOptions) -> dict[str, Choic
 
 
 def camera_name(topic: str) -> str:
-    """The name of the camera that an image topic is of: its namespace.
+    """Return the name of the camera that an image topic is of: its namespace.
 
     That is the topic without the words that say what is in an image, for instance ``front`` of
     ``/front/camera/color/image_raw``; ``camera`` where nothing is left.
@@ -135,7 +136,7 @@ def camera_name(topic: str) -> str:
 
 
 def is_color_name(topic: str) -> bool:
-    """Whether a topic's name says colour, and not that it is aligned depth."""
+    """Return whether a topic's name says colour, and not that it is aligned depth."""
     words = _words(topic)
     return bool(words & _COLOR_WORDS) and not words & _DEPTH_WORDS
 
@@ -146,7 +147,7 @@ def _choose(
     colors: Sequence[Candidate],
     depths: Sequence[Candidate],
 ) -> Choice:
-    """The depth and the colour topic among some candidates."""
+    """Return the depth and the colour topic among some candidates."""
     color_best, depth_best = _best(colors), _best(depths)
     if len(depth_best) > 1 and len(color_best) == 1:
         depth_best = _nearest(depth_best, color_best[0].topic)
@@ -178,7 +179,7 @@ def _choose(
 def _why_no_color(
     contents: LogContents, options: LogOptions, several: Sequence[Candidate]
 ) -> tuple[str, str]:
-    """Why a camera has no colour topic, and what would give it one."""
+    """Return why a camera has no colour topic, and the remedy."""
     remedy = "name a topic with --log.color"
     if options.color == NO_COLOR:
         return "--log.color none", "leave --log.color none out"
@@ -191,14 +192,14 @@ def _why_no_color(
 
 
 def _videos(contents: LogContents) -> list[str]:
-    """Topics with video, each with its kind."""
+    """Return the topics with video, each with its kind."""
     schemas = {name: info.channel.schema_name for name, info in sorted(contents.topics.items())}
     plain = {name: plain_schema_name(schema) for name, schema in schemas.items()}
     return [f"{_VIDEOS[kind]} of {name}" for name, kind in plain.items() if kind in _VIDEOS]
 
 
 def _infrared(contents: LogContents, depth_topic: str) -> list[Candidate]:
-    """The infrared image of the depth camera's own pixels."""
+    """Return the infrared image of the depth camera's own pixels."""
     name = camera_name(depth_topic)
     found = []
     for topic, stream in sorted(contents.streams.items()):
@@ -211,20 +212,9 @@ def _infrared(contents: LogContents, depth_topic: str) -> list[Candidate]:
 
 
 def listed(names: Sequence[str]) -> str:
-    """Names for people: the first, and how many more there are; empty where there is none."""
+    """Return names as text: the first ones, and how many more there are."""
     more = f", and {len(names) - _MAX_LISTED} more" if len(names) > _MAX_LISTED else ""
     return ", ".join(printable(name) for name in names[:_MAX_LISTED]) + more
-
-
-def affinity(first: str, second: str) -> int:
-    """How many leading parts two topic names share."""
-    pairs = zip(first.strip("/").split("/"), second.strip("/").split("/"), strict=False)
-    count = 0
-    for one, other in pairs:
-        if one != other:
-            break
-        count += 1
-    return count
 
 
 def _words(topic: str) -> set[str]:
@@ -250,7 +240,7 @@ def _candidates(
 
 
 def _is_eye(topic: str, contents: LogContents) -> bool:
-    """Whether this is a stereo camera's left or right image next to its colour one (ZED)."""
+    """Return whether this is the left or right image of a stereo camera with a colour one (ZED)."""
     color = re.sub("/(left|right)/", "/rgb/", topic)
     return color != topic and color in contents.streams
 
@@ -290,7 +280,7 @@ def _is_kind(stream: ImageStream, depth: bool) -> bool:
 
 
 def _why_not_depth(stream: ImageStream) -> tuple[str, str] | None:
-    """Return why images that look like depth are none, and the remedy; None where they may be."""
+    """Return why images that look like depth are none, and the remedy; None if they may be."""
     image, words = stream.first_image(True), _words(stream.topic)
     named = "disparity" in stream.topic.lower() or bool(words & _DISPARITY_WORDS)
     if named and stream.kind in (Kind.IMAGE, Kind.COMPRESSED):
@@ -342,7 +332,7 @@ def _color_candidate(stream: ImageStream, prefer_rect: bool) -> Candidate | None
 
 
 def _best(candidates: Sequence[Candidate]) -> list[Candidate]:
-    """Those of the smallest rank, which goes first."""
+    """Return the candidates of the smallest rank."""
     return [item for item in candidates if item.rank == candidates[0].rank]
 
 

@@ -88,7 +88,7 @@ class TransformTree:
         self._topics |= tree._topics
 
     def _contradicts(self, frame: str, edge: _Edge) -> bool:
-        """Whether another tree has this frame elsewhere."""
+        """Return whether another tree has this frame elsewhere."""
         known = self._edges.get(frame)
         if known is None:
             return False
@@ -110,7 +110,7 @@ class TransformTree:
         once_is_static: bool = False,
         topic: str = "",
     ) -> None:
-        """Adds transforms.
+        """Add transforms.
 
         Args:
             messages: The transforms.
@@ -156,7 +156,7 @@ class TransformTree:
             self.warnings.append(text)
 
     def fixed(self, target: str, source: str) -> np.ndarray | None:
-        """``T_target_source`` ``(4, 4)`` of static transforms; None where there is none.
+        """``T_target_source`` ``(4, 4)`` of static transforms; None if there is none.
 
         Raises:
             TransformError: The transforms form a cycle.
@@ -170,7 +170,7 @@ class TransformTree:
     def at(self, target: str, source: str, stamps_ns: np.ndarray) -> np.ndarray | None:
         """``T_target_source`` at each stamp ``(F, 4, 4)``, NaN where unknown.
 
-        None where no chain of transforms, static or moving, joins the frames.
+        None if no chain of transforms, static or moving, joins the frames.
 
         Raises:
             TransformError: The transforms form a cycle.
@@ -182,7 +182,7 @@ class TransformTree:
         return matmul(inverse(up), down)
 
     def joins(self, target: str, source: str) -> bool:
-        """Whether a chain of transforms, static or moving, joins two frames.
+        """Return whether a chain of transforms, static or moving, joins two frames.
 
         Raises:
             TransformError: The transforms form a cycle.
@@ -190,12 +190,12 @@ class TransformTree:
         return self._paths(target, source) is not None
 
     def moving(self, target: str, source: str) -> list[str]:
-        """The frames between two whose motions in their parents change."""
+        """Return the frames between two that move in their parents."""
         paths = self._paths(target, source) or ([], [])
         return [frame for path in paths for frame in path if self._edges[frame].fixed is None]
 
     def above(self, frame: str) -> list[str]:
-        """A frame and those that it stands in, up to the root.
+        """Return a frame and its parents up to the root.
 
         Raises:
             TransformError: The transforms form a cycle.
@@ -211,7 +211,7 @@ class TransformTree:
         return path
 
     def sampled_once(self) -> set[str]:
-        """The frames with one moving transform, of which nobody knows whether it changes."""
+        """Return the frames with a single moving transform, which may change or not."""
         return {
             frame
             for frame, edge in self._edges.items()
@@ -219,15 +219,15 @@ class TransformTree:
         }
 
     def topic(self, frame: str) -> str:
-        """The topic that a frame's transforms come from; empty where it isn't known."""
+        """Return the topic that a frame's transforms come from; empty if it is unknown."""
         return self._edges[frame].topic if frame in self._edges else ""
 
     def parent(self, frame: str) -> str | None:
-        """The frame that another stands in; None where it isn't known."""
+        """Return the parent of a frame; None if it is unknown."""
         return self._edges[frame].parent if frame in self._edges else None
 
     def agrees(self, message: TransformMessage, static: bool) -> bool:
-        """Whether a transform would change nothing but the samples of what moves."""
+        """Return whether a transform would change nothing but the samples of moving frames."""
         edge = self._edges.get(message.child)
         if edge is None:
             return False
@@ -242,7 +242,7 @@ class TransformTree:
         return not edge.settled or edge.samples.is_like_first(message)
 
     def with_samples(self, samples: dict[str, MotionSamples]) -> "TransformTree":
-        """The same tree with other samples of what moves."""
+        """Return the same tree with other samples of what moves."""
         tree = TransformTree()
         for frame, edge in self._edges.items():
             tree._edges[frame] = copy = _Edge(edge.parent, edge.topic)
@@ -250,7 +250,7 @@ class TransformTree:
         return tree
 
     def _edge(self, message: TransformMessage, static: bool, topic: str) -> _Edge | None:
-        """The edge a transform belongs to; None where it contradicts the one there is."""
+        """Return the edge of a transform; None if it contradicts the existing one."""
         edge = self._edges.get(message.child)
         if edge is None and len(self._edges) >= MAX_FRAMES_TF:
             text = f"there are more than {MAX_FRAMES_TF} TF frames; the first ones are used"
@@ -271,7 +271,7 @@ class TransformTree:
         return self._edges[message.child] if used == message.parent else None
 
     def _paths(self, target: str, source: str) -> tuple[list[str], list[str]] | None:
-        """The frames from each of the two up to, and without, their common ancestor."""
+        """Return the frames from each of the two up to their common ancestor, exclusive."""
         above_target, above_source = self.above(target), self.above(source)
         known = set(above_source)
         common = next((frame for frame in above_target if frame in known), None)

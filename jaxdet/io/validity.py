@@ -28,12 +28,12 @@ class CalibrationChange(NamedTuple):
 
 
 def values_of(info: CameraInfoMessage) -> tuple[object, ...] | None:
-    """What must stay the same: size, lens model, D, K and P; None of a camera without."""
+    """Return what must stay the same: size, lens model, D, K and P; None if not calibrated."""
     return None if info.K[:1] == (0.0,) else info[2:]
 
 
 def says_other(info: CameraInfoMessage, used: CameraInfoMessage | None) -> bool:
-    """Whether a calibration contradicts the one that is used."""
+    """Return whether a calibration contradicts the one that is used."""
     values = values_of(info)
     return used is not None and values is not None and values != values_of(used)
 
@@ -44,7 +44,7 @@ def other_calibration(
     used: CameraInfoMessage,
     by_log_time: bool,
 ) -> np.ndarray:
-    """Which frames have another calibration than the one that is used, ``(F,)`` bool.
+    """Return which frames have another calibration than the one that is used, ``(F,)`` bool.
 
     To a frame belongs the last calibration that is not later than it, else the first.
 
@@ -97,7 +97,7 @@ class CalibrationWindows:
         """The message of each topic before the end of the latest span: it was compared."""
 
     def other(self, stamps_ns: np.ndarray) -> np.ndarray | None:
-        """Which frames have another calibration ``(n,)`` bool, by their stamps; None: none has."""
+        """Return which frames have another calibration by their stamps; None if none has."""
         found = None
         for changes, used in self._changes or ():
             other = other_calibration(stamps_ns, changes, used, self._by_log_time)
@@ -105,7 +105,7 @@ class CalibrationWindows:
         return found
 
     def check(self, begin: int | None, end: int | None) -> set[Place]:
-        """Compares the messages of a span of log times, and the one before it, which holds there.
+        """Compare the messages of a span of log times, and the one before it, which holds there.
 
         Of a part of a log no other window may have looked at that one.
 

@@ -12,8 +12,7 @@ import numpy as np
 
 from jaxdet.io.container import LogFile
 from jaxdet.io.declarations import ChannelInfo
-from jaxdet.io.file_index import FileIndex, file_index
-from jaxdet.io.integrity import FileIntegrity
+from jaxdet.io.file_index import FileIndex, FileIntegrity, file_index
 
 
 class Walk:
@@ -36,7 +35,7 @@ class Walk:
     def add(
         self, number: int, info: ChannelInfo, log_ns: int, position: int, length: int, offset: int
     ) -> None:
-        """Adds a message of the channel with this number.
+        """Add a message of the channel with this number.
 
         Args:
             number: Of the channel.
@@ -58,12 +57,12 @@ class Walk:
         self.last_ns = max(self.last_ns, log_ns)
 
     def lose(self, reason: str, size: int) -> None:
-        """Counts something that can't be used."""
+        """Count something that can't be used."""
         self.lost[reason] += 1
         self.lost_bytes += size
 
     def index(self, **more: Any) -> FileIndex:
-        """The index of the messages found, with what was lost.
+        """Return the index of the messages found, with what was lost.
 
         Args:
             more: What the format tells of the file's integrity; by default the file has no chunks,

@@ -91,7 +91,7 @@ class StreamWindows:
         return np.argsort(self._arrival)
 
     def read(self, number: int) -> str:
-        """Reads the stamps of a message; returns why it can't be decoded, else an empty text.
+        """Read the stamps of a message; return why it can't be decoded, else an empty text.
 
         Raises:
             DamageError: It is not where the index says.
@@ -117,12 +117,12 @@ class StreamWindows:
         return problem
 
     def lose(self, number: int) -> None:
-        """Leaves a message that can't be read a frame, at its log time."""
+        """Keep a message that can't be read as a frame at its log time."""
         self.stamp[number] = self.color_stamp[number] = self.messages.log_ns[number]
         self.size[number] = 0
 
     def keep(self, which: np.ndarray) -> None:
-        """Keeps some of the messages, by ``(N,)`` bool."""
+        """Keep some of the messages, by ``(N,)`` bool."""
         self.messages, self._arrival = self.messages.rows(which), self._arrival[which]
         self.backward = int((np.diff(self.messages.log_ns[self.in_file_order()]) < 0).sum())
         self.stamp, self.color_stamp, self.size, self._undecodable = (
@@ -142,13 +142,13 @@ class StreamWindows:
         return found
 
     def between(self, first_ns: int, last_ns: int) -> np.ndarray:
-        """The numbers of the messages of a span of stamps and one to either side, in order."""
+        """Return the messages of a span of stamps and one to either side, in order."""
         assert self._order is not None
         ends = np.searchsorted(self.stamp, [first_ns, last_ns + 1], sorter=self._order)
         return self._order[max(0, int(ends[0]) - 1) : int(ends[1]) + 1]
 
     def check_clock(self) -> None:
-        """Sees whether stamps follow log times, by some messages spread over the log.
+        """Check that stamps follow log times, by some messages spread over the log.
 
         A clock that steps changes how far stamps are from log times, for all that comes after.
         Where that differs by as much as messages in another order may be apart, all are looked at.
@@ -167,7 +167,7 @@ class StreamWindows:
             self.ranked(0, len(self))
 
     def ranked(self, first: int, last: int) -> np.ndarray:
-        """The messages of the frames ``first`` to ``last``.
+        """Return the messages of the frames ``first`` to ``last``.
 
         Raises:
             RescanError: Messages are too far from the order of their stamps.
@@ -187,7 +187,7 @@ class StreamWindows:
         return order[first - start : last - start]
 
     def notes(self, first: int, last: int, ranked: np.ndarray) -> StreamNotes:
-        """What is odd of messages and frames ``first`` to ``last``.
+        """Return what is odd about messages and frames ``first`` to ``last``.
 
         Args:
             first: Of the messages, whose stamps are known.
@@ -203,17 +203,13 @@ class StreamWindows:
         )
 
     def table(self, numbers: np.ndarray, color: bool = False) -> FrameTable:
-        """Messages of some numbers; of -1 one with a stamp of -1."""
-        messages = self.messages
+        """Return the messages of some numbers; the number -1 stands for no image."""
         stamps = (self.color_stamp if color else self.stamp)[numbers]
-        columns = messages.position, messages.offset + PAYLOAD_OFFSET, self.size
-        place = np.stack([column[numbers] for column in columns], axis=1)
         stamps = np.where(numbers < 0, -1, stamps)
-        of = messages.file[numbers], messages.decoder[numbers]
-        return FrameTable(stamps, *of, place, messages.log_ns[numbers])
+        return FrameTable(stamps, self.size[numbers], self.messages.rows(numbers))
 
     def _load(self, numbers: np.ndarray) -> None:
-        """Reads the stamps of messages that aren't known yet."""
+        """Read the stamps of messages that aren't known yet."""
         missing = numbers[self.size[numbers] < 0]
         if not len(missing):
             return
@@ -242,7 +238,7 @@ class IndexedFrames(NamedTuple):
 
     depth: StreamWindows
     color: StreamWindows | None
-    """The same object for RGBD messages; None where the log has no colour."""
+    """The same object for RGBD messages; None if the log has no colour."""
     motions: MotionWindows
     """Transforms and poses."""
     source: PoseSource
@@ -280,7 +276,7 @@ class IndexedFrames(NamedTuple):
         return self.depth.messages.log_ns
 
     def is_plain(self, number: int) -> bool:
-        """Whether the chunk of a frame isn't packed, so that its messages can be read alone.
+        """Return whether the chunk of a frame is not packed; its messages can be read one by one.
 
         Raises:
             DamageError: There is no such chunk.
@@ -289,7 +285,7 @@ class IndexedFrames(NamedTuple):
         return self.depth.store.head(place).is_plain
 
     def stamp_ns(self, number: int) -> int:
-        """The stamp of a frame [ns].
+        """Return the stamp of a frame [ns].
 
         Raises:
             RescanError: The index isn't enough.
@@ -298,7 +294,7 @@ class IndexedFrames(NamedTuple):
         return int(self.depth.stamp[self.depth.ranked(number, number + 1)[0]])
 
     def log_ns(self, number: int) -> int:
-        """The log time of a frame [ns].
+        """Return the log time of a frame [ns].
 
         Raises:
             RescanError: The index isn't enough.
@@ -307,7 +303,7 @@ class IndexedFrames(NamedTuple):
         return int(self.depth.messages.log_ns[self.depth.ranked(number, number + 1)[0]])
 
     def window(self, start: int, stop: int) -> Window:
-        """The frames ``start`` to ``stop``.
+        """Return the frames ``start`` to ``stop``.
 
         Raises:
             RescanError: The index isn't enough.
@@ -343,7 +339,7 @@ class IndexedFrames(NamedTuple):
     def _colors(
         self, color: StreamWindows, stamps_ns: np.ndarray, start: int, stop: int
     ) -> tuple[FrameTable, set[Place]]:
-        """The nearest colour images of some frames, and the chunks that this window answers for.
+        """Return the nearest colour images of some frames, and the chunks to check with them.
 
         Where not all stamps are known, all messages are looked at that come between the frames by
         log time, so that those of a log are, and further ones until no other can be nearer.

@@ -13,8 +13,7 @@ from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 
 from jaxdet.io.definition import schema_text
-from jaxdet.io.motion import quaternions
-from jaxdet.io.writer_cdr import camera_info, encode_cdr, header
+from jaxdet.io.writer_cdr import camera_info, encode_cdr, header, pose_of, quaternion, xyz
 from jaxdet.types import Extrinsics, Intrinsics
 
 Compression = Literal["zstd", "lz4", "none"]
@@ -42,21 +41,6 @@ class Transform(NamedTuple):
     child: str
     T: np.ndarray
     """``(4, 4)`` float64 [m]."""
-
-
-def quaternion(R: np.ndarray) -> dict[str, float]:
-    """The unit quaternion of a rotation ``(3, 3)`` as its message has it."""
-    return dict(zip("xyzw", quaternions(np.asarray(R, np.float64)).tolist(), strict=True))
-
-
-def xyz(vector: np.ndarray | Sequence[float]) -> dict[str, float]:
-    """A vector of three as its message has it."""
-    return dict(zip("xyz", np.asarray(vector, np.float64).tolist(), strict=True))
-
-
-def pose_of(T: np.ndarray) -> dict[str, Any]:
-    """A rigid motion ``(4, 4)`` as a ``geometry_msgs/Pose``."""
-    return {"position": xyz(T[:3, 3]), "orientation": quaternion(T[:3, :3])}
 
 
 def transforms_message(stamp_ns: int, transforms: Sequence[Transform]) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Encoding ROS 2 messages as CDR.
+"""ROS 2 messages and their encoding as CDR.
 
 Messages are plain dictionaries; the definitions that say how they are encoded also go into a log
 as its schemas (:func:`jaxdet.io.definition.schema_text`), so the two cannot disagree. The writer of
@@ -6,11 +6,14 @@ as its schemas (:func:`jaxdet.io.definition.schema_text`), so the two cannot dis
 """
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from jaxdet.io.definition import DEFINITIONS
+from jaxdet.io.motion import quaternions
 from jaxdet.types import Distortion, Intrinsics
 
 _FORMATS = {
@@ -94,13 +97,13 @@ def encode_cdr(type_name: str, message: Mapping[str, Any]) -> bytes:
 
 
 def header(stamp_ns: int, frame_id: str) -> dict[str, Any]:
-    """A ``std_msgs/Header``."""
+    """Return a ``std_msgs/Header``."""
     sec, nanosec = divmod(int(stamp_ns), 10**9)
     return {"stamp": {"sec": sec, "nanosec": nanosec}, "frame_id": frame_id}
 
 
 def camera_info(stamp_ns: int, frame_id: str, camera: Intrinsics) -> dict[str, Any]:
-    """A ``sensor_msgs/CameraInfo``; no distortion is ``plumb_bob`` with zeros."""
+    """Return a ``sensor_msgs/CameraInfo``; no distortion is ``plumb_bob`` with zeros."""
     plain = camera.distortion is Distortion.NONE
     fx, fy, cx, cy = camera.fx, camera.fy, camera.cx, camera.cy
     return {
@@ -113,3 +116,18 @@ def camera_info(stamp_ns: int, frame_id: str, camera: Intrinsics) -> dict[str, A
         "binning_x": 0, "binning_y": 0,
         "roi": {"x_offset": 0, "y_offset": 0, "height": 0, "width": 0, "do_rectify": False},
     }  # fmt: skip
+
+
+def quaternion(R: np.ndarray) -> dict[str, float]:
+    """Return the rotation ``(3, 3)`` as a ``geometry_msgs/Quaternion``."""
+    return dict(zip("xyzw", quaternions(np.asarray(R, np.float64)).tolist(), strict=True))
+
+
+def xyz(vector: np.ndarray | Sequence[float]) -> dict[str, float]:
+    """Return the three numbers of a vector as a ``geometry_msgs/Point`` or ``Vector3``."""
+    return dict(zip("xyz", np.asarray(vector, np.float64).tolist(), strict=True))
+
+
+def pose_of(T: np.ndarray) -> dict[str, Any]:
+    """Return the rigid motion ``(4, 4)`` as a ``geometry_msgs/Pose``."""
+    return {"position": xyz(T[:3, 3]), "orientation": quaternion(T[:3, :3])}

@@ -36,12 +36,12 @@ class ZstdHead(NamedTuple):
 
 
 def is_zstd(format_text: str) -> bool:
-    """Whether a CompressedImage is of this transport, by its ``format``."""
+    """Return whether a CompressedImage is of this transport, by its ``format``."""
     return format_text.partition(";")[0].strip().lower() == "zstd"
 
 
 def read_zstd_head(data: bytes | memoryview) -> ZstdHead | None:
-    """Return the head of an image, which may be cut off behind it; None where there is none."""
+    """Return the head of an image, which may be cut off behind it; None if there is none."""
     if len(data) < _HEAD.size or data[: len(_ZSTD)] == _ZSTD:
         return None
     height, width, big_endian, step, length = _HEAD.unpack_from(data)

@@ -8,8 +8,13 @@ from typing import Any
 import jax
 import warp as wp
 
-from jaxdet.runtime.launch import prepare
+from jaxdet.runtime.compiled import load_for_cpu
+from jaxdet.runtime.launch import MULTIPROCESSORS
 from jaxdet.signals import stops_held_back
+
+SCRATCH_SHARE = 8
+"""Of a CUDA device's memory, the scratch memory of all teams is at most one of so many parts; fewer
+teams work where theirs is larger."""
 
 
 def jax_callable(
@@ -54,6 +59,25 @@ def jax_callable(
 def by_device(cpu: Callable[[], Any], cuda: Callable[[], Any]) -> Any:
     """What one of two functions returns, by the device that a jitted program runs on."""
     return jax.lax.platform_dependent(cpu=cpu, cuda=cuda)
+
+
+def prepare(module: Any) -> None:
+    """Load a module's kernels for the device that JAX computes on."""
+    if jax.default_backend() == "cpu":
+        load_for_cpu(module)
+
+
+def device_of_jax(module: Any) -> Any:
+    """Return the device that JAX computes on as Warp's, with a module's kernels loaded."""
+    prepare(module)
+    return wp.device_from_jax(jax.local_devices()[0])
+
+
+def most_teams(frames: int, words: int, blocks: int) -> int:
+    """How many teams of a launch get so many words of scratch memory on the default device."""
+    stats = jax.local_devices()[0].memory_stats() or {}
+    room = stats.get("bytes_limit", SCRATCH_SHARE << 30) // SCRATCH_SHARE
+    return min(frames, blocks * MULTIPROCESSORS, max(room // (4 * max(words, 1)), 1))
 
 
 def uninterrupted(program: Callable[..., Any], *arguments: Any) -> Any:

@@ -35,13 +35,32 @@ def load_for_cpu(module: ModuleType) -> None:
         if module.__name__ in _loaded:
             return
         start_warp()  # which decides where its cache is
-        cache_folder = Path(str(wp.config.kernel_cache_dir))
-        folder = cache_folder / f"{module.__name__}-{_version()}"
+        folder = _folder(module)
         if not _load(module, folder):
-            with _alone(cache_folder):
+            with _alone(folder.parent):
                 if not _load(module, folder):
                     _compile(module, folder)
         _loaded.add(module.__name__)
+
+
+def load_compiled(module: ModuleType) -> bool:
+    """Load the kernels of a module for the CPU if some process has compiled them.
+
+    Returns:
+        Whether they are loaded.
+    """
+    with _lock:
+        if module.__name__ not in _loaded:
+            start_warp()
+            if not _load(module, _folder(module)):
+                return False
+            _loaded.add(module.__name__)
+        return True
+
+
+def _folder(module: ModuleType) -> Path:
+    """Return where the compiled kernels of a module lie in Warp's cache, once Warp is started."""
+    return Path(str(wp.config.kernel_cache_dir)) / f"{module.__name__}-{_version()}"
 
 
 def _load(module: ModuleType, folder: Path) -> bool:
@@ -94,12 +113,17 @@ def _new_folder(beside: Path) -> Path:
 
 @cache
 def _version() -> str:
-    """Names the sources of the kernels, Warp and the processor, whose instructions are used."""
-    found = blake2b(f"{wp.__version__} {platform.machine()}".encode(), digest_size=8)
+    """Name the sources of the kernels, Warp and the processor, whose instructions are used.
+
+    The place of the sources counts too, as it is part of Warp's own name of a compiled module: two
+    installations would otherwise compile into the same folder in turns.
+    """
+    sources = Path(jaxdet_kernels.__file__ or "").parent
+    about = f"{wp.__version__} {platform.machine()} {sources}"
+    found = blake2b(about.encode(), digest_size=8)
     with suppress(OSError):
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
         found.update("\n".join(s for s in lines[:40] if s.startswith(("flags", "model"))).encode())
-    sources = Path(jaxdet_kernels.__file__ or "").parent
     for file in sorted(path for path in sources.rglob("*") if path.suffix in (".h", ".py")):
         found.update(file.read_bytes())
     return found.hexdigest()

@@ -5,22 +5,16 @@ from functools import lru_cache, partial
 from threading import Lock
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 import warp as wp
 
 from jaxdet.runtime import threads
-from jaxdet.runtime.compiled import load_for_cpu
 from jaxdet.runtime.layout import LINE
 
 INT32: Any = wp.int32
 
 MULTIPROCESSORS = 132
 """Of an H100 or H200; a launch has as many blocks as fit on so many at once."""
-
-SCRATCH_SHARE = 8
-"""Of a CUDA device's memory, the scratch memory of all teams is at most one of so many parts; fewer
-teams work where theirs is larger."""
 
 registering = Lock()
 """Warp keeps contexts, streams and kernels of all devices in tables without a lock, and loads a
@@ -108,22 +102,14 @@ class TeamKernel(NamedTuple):
         wp.launch(self.kernel, size, [*given, teams], device=device, block_dim=self.width)
 
 
-def most_teams(frames: int, words: int, blocks: int) -> int:
-    """How many teams of a launch get so many words of scratch memory on the default device."""
-    stats = jax.local_devices()[0].memory_stats() or {}
-    room = stats.get("bytes_limit", SCRATCH_SHARE << 30) // SCRATCH_SHARE
-    return min(frames, blocks * MULTIPROCESSORS, max(room // (4 * max(words, 1)), 1))
-
-
-def reported_words(module: Any, inputs: Sequence[Any]) -> int:
+def reported_words(module: Any, inputs: Sequence[Any], device: Any) -> int:
     """Return the words of scratch memory of a thread or a team, which a module's kernels know.
 
     Args:
         module: Has ``WIDTH`` and the kernel ``scratch_words``.
         inputs: Arguments of that kernel but the last; NumPy arrays are copied to the device.
+        device: Warp's device, for which the module is loaded.
     """
-    prepare(module)
-    device = wp.device_from_jax(jax.local_devices()[0])
     words = wp.zeros(1, dtype=INT32, device=device)
     given = [
         wp.array(one, dtype=INT32, device=device) if isinstance(one, np.ndarray) else one
@@ -132,9 +118,3 @@ def reported_words(module: Any, inputs: Sequence[Any]) -> int:
     block = module.WIDTH
     wp.launch(module.scratch_words, 1, [*given, words], device=device, block_dim=block)
     return int(words.numpy()[0])
-
-
-def prepare(module: Any) -> None:
-    """Loads a module's kernels for the device that JAX computes on."""
-    if jax.default_backend() == "cpu":
-        load_for_cpu(module)

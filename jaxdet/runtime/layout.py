@@ -4,8 +4,6 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxdet.types import Array
@@ -48,11 +46,7 @@ class Layout:
         shape, first = self.shapes[name], self.begin[name]
         words = rows[:, first : first + self._length(name, shape)]
         if name in self.bools:
-            octets = (
-                jax.lax.bitcast_convert_type(words, jnp.uint8)
-                if isinstance(rows, jax.Array)
-                else np.ascontiguousarray(words).view(np.uint8)
-            )
+            octets = _octets(words)
             words = octets.reshape(len(rows), -1)[:, : math.prod(shape)] != 0
         return words.reshape(len(rows), *shape)
 
@@ -65,3 +59,12 @@ class Layout:
             first = 4 * self.begin[name]
             rows.view(np.uint8)[:, first : first + octets.shape[1]] = octets
         return rows
+
+
+def _octets(words: Any) -> Any:
+    """Return the bytes of 32-bit words; only those of JAX's arrays need JAX."""
+    if isinstance(words, np.ndarray):
+        return np.ascontiguousarray(words).view(np.uint8)
+    import jax
+
+    return jax.lax.bitcast_convert_type(words, np.uint8)

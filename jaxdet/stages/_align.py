@@ -7,15 +7,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxdet.camera import corner_rays, splat_parameters
+from jaxdet.camera import corner_rays
 from jaxdet.checks import check_size
-from jaxdet.runtime.calls import by_device, jax_callable, uninterrupted
-from jaxdet.runtime.launch import by_frame, most_teams, reported_words
-from jaxdet.types import AlignedDepth, Array, Calibration, Distortion
+from jaxdet.runtime.calls import (
+    by_device,
+    device_of_jax,
+    jax_callable,
+    most_teams,
+    uninterrupted,
+)
+from jaxdet.runtime.launch import by_frame, reported_words
+from jaxdet.stages._tables import parameters
+from jaxdet.types import AlignedDepth, Array, Calibration
 from jaxdet_kernels import align as kernels
 
-_MODELS = Distortion.NONE, Distortion.PLUMB_BOB, Distortion.RATIONAL, Distortion.EQUIDISTANT
-"""In the order of ``projection.h``."""
 Tables = tuple[jax.Array, ...]
 
 
@@ -51,7 +56,7 @@ def align_arrays(
         found = depth[jnp.arange(len(depth))[:, None], v, u]
         return found, found
     with jax.named_scope("align"):
-        words = reported_words(kernels, size)
+        words = reported_words(kernels, size, device_of_jax(kernels))
 
         def call(teams: int) -> jax.Array:
             dims = {"keys": u.shape, "scratch": (teams, words)}
@@ -107,12 +112,3 @@ def _over_tiles(extreme: np.ufunc, image: np.ndarray) -> np.ndarray:
         corners = [np.minimum(first + i, size - 1) for i in range(kernels.TILE + 1)]
         image = extreme.reduce([np.take(image, c, axis) for c in corners])
     return image.ravel()
-
-
-def parameters(calibration: Calibration) -> np.ndarray:
-    """Return the projection into the colour image as the kernels take it, ``(PARAMETERS + 2,)``."""
-    splat = splat_parameters(calibration)
-    more = splat.max_r2, splat.depth_unit, _MODELS.index(splat.model), splat.fills_corners
-    return np.concatenate(
-        [splat.rotation, splat.translation, splat.pinhole, splat.lens, np.array(more, np.float32)]
-    )

@@ -3,8 +3,9 @@
 from collections.abc import Mapping
 from functools import cache
 from hashlib import blake2b
+from importlib.metadata import version
+from typing import Any
 
-import jax
 import numpy as np
 import warp as wp
 
@@ -60,15 +61,22 @@ def digest_of(found: Detections) -> str:
 
 
 @cache
-def check_kernels() -> None:
-    """Runs the kernels alone on two small images, on the device that JAX computes on.
+def check_kernels(device: Any = None) -> None:
+    """Run the kernels alone on two small images.
+
+    Args:
+        device: Warp's device, for which they are loaded; None: the one that JAX computes on.
 
     Raises:
         JaxdetError: They don't find what the reference found there.
     """
     depth, planes = check_frames()
-    config, device = Config(), wp.device_from_jax(jax.local_devices()[0])
-    tables = _program.packed(*_program.host_tables(CALIBRATION, config))
+    if device is None:
+        from jaxdet.runtime.calls import device_of_jax
+
+        device = device_of_jax(_program.kernels)
+    config = Config()
+    tables = _program.packed(*_program.host_tables(CALIBRATION, config), device)
     floors = _program.floors(planes, config, CALIBRATION.depth_unit)
     static, batch = _program.Static.of(tables), len(depth)
     inputs = [
@@ -84,7 +92,7 @@ def check_kernels() -> None:
     found = {name: layout.take(record.numpy(), name) for name in layout.shapes}
     found["contour"] = contour.numpy().reshape(batch, MAX_OBSTACLES, static.columns, 2)
     if digest(found) != ANSWER:
-        versions = f"Warp {wp.__version__}, JAX {jax.__version__}"
+        versions = f"Warp {wp.__version__}, JAX {version('jax')}"
         raise JaxdetError(
             f"the kernels don't find what they should with {versions} on {device}",
             remedy="use the versions that pyproject.toml names, or --backend reference",

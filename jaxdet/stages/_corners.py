@@ -8,8 +8,8 @@ import jax
 import numpy as np
 
 from jaxdet.config import FeaturesConfig
-from jaxdet.runtime.calls import by_device, jax_callable
-from jaxdet.runtime.launch import by_frame, most_teams, reported_words
+from jaxdet.runtime.calls import by_device, device_of_jax, jax_callable, most_teams
+from jaxdet.runtime.launch import by_frame, reported_words
 from jaxdet_kernels import features as kernels
 
 
@@ -41,7 +41,7 @@ def strongest_corners(
         corners ``(B,)`` int32, at most ``N + 1``.
     """
     batch, height, width, _ = color.shape
-    words = reported_words(kernels, [height, width])
+    words = reported_words(kernels, [height, width], device_of_jax(kernels))
 
     def corners(teams: int) -> tuple[jax.Array, jax.Array, jax.Array]:
         found = dict.fromkeys(("u_out", "v_out"), (batch, slots))

@@ -1,7 +1,7 @@
 """The whole method as one compiled program, for the CPU and CUDA."""
 
 from functools import lru_cache, partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -9,10 +9,17 @@ import numpy as np
 
 from jaxdet.config import Config
 from jaxdet.floor.units import FloorFit, floor_fit
-from jaxdet.runtime.calls import uninterrupted
+from jaxdet.runtime.calls import (
+    by_device,
+    device_of_jax,
+    jax_callable,
+    most_teams,
+    uninterrupted,
+)
 from jaxdet.stages import _batches, _program
 from jaxdet.stages._check import check_kernels
 from jaxdet.stages._points import clusters
+from jaxdet.stages._program import Static
 from jaxdet.types import (
     MAX_OBSTACLES,
     MAX_SURFACES,
@@ -25,6 +32,7 @@ from jaxdet.types import (
     Obstacles,
     Scene,
 )
+from jaxdet_kernels import program as kernels
 
 
 def detect(
@@ -73,30 +81,29 @@ def find_floors(frames: Frames, prior: GroundPlane, config: Config) -> FloorFit:
 
 
 @lru_cache(maxsize=8)
-def _tables(calibration: Calibration, config: Config) -> tuple[jax.Array, _program.Static]:
+def _tables(calibration: Calibration, config: Config) -> tuple[jax.Array, Static]:
     """The tables on the device, and the sizes that a program is compiled for."""
     check_kernels()
-    packed = _program.packed(*_program.host_tables(calibration, config))
-    return jnp.asarray(packed), _program.Static.of(packed)
+    device = device_of_jax(kernels)
+    packed = _program.packed(*_program.host_tables(calibration, config), device)
+    return jnp.asarray(packed), Static.of(packed)
 
 
 @partial(jax.jit, static_argnames="static")
-def _find_floors(
-    depth: jax.Array, given: tuple[jax.Array, jax.Array], static: _program.Static
-) -> jax.Array:
+def _find_floors(depth: jax.Array, given: tuple[jax.Array, jax.Array], static: Static) -> jax.Array:
     tables, floors = given
-    return _program.find_floors(depth, floors, tables, static)
+    return _run_floors(depth, floors, tables, static)
 
 
 @partial(jax.jit, static_argnames=("static", "with_cells"))
 def _detect(
     depth: jax.Array,
     given: tuple[jax.Array, jax.Array],
-    static: _program.Static,
+    static: Static,
     with_cells: bool,
 ) -> Detections:
     tables, floors = given
-    found = _program.detect(depth, floors, tables, static, with_cells)
+    found = _run_steps(depth, floors, tables, static, with_cells)
     record = _program.record_layout()
     fields = {name: record.take(found.record, name) for name in record.shapes}
     count, surfaces = fields["num_obstacles"], fields["num_surfaces"]
@@ -117,3 +124,73 @@ def _detect(
         Scene(*(fields[name] for name in Scene._fields)),
         cells,
     )
+
+
+class Rows(NamedTuple):
+    """What the steps write, a row of words for each frame."""
+
+    record: Any
+    contour: Any
+    work: Any
+    """Empty on the CPU, unless it is requested."""
+
+
+def _run_steps(
+    depth: jax.Array, floors: jax.Array, tables: jax.Array, static: Static, keep_work: bool
+) -> Rows:
+    """All steps on a batch, under ``jax.jit``.
+
+    Args:
+        depth: ``(B, Hd, Wd)`` uint16 [depth units], 0 = no measurement.
+        floors: ``(B, 17)`` int32, :func:`jaxdet.floor.units.prior_units`, then
+            :func:`jaxdet.floor.frame.floor_frames`.
+        tables: From :func:`jaxdet.stages._program.packed`.
+        static: Its sizes.
+        keep_work: Whether to return what steps hand on.
+    """
+    return _called(len(_program.STEPS), depth, floors, tables, static, keep_work)
+
+
+def _run_floors(
+    depth: jax.Array, floors: jax.Array, tables: jax.Array, static: Static
+) -> jax.Array:
+    """The floor alone ``(B, 8)`` int32, takes what :func:`_run_steps` takes."""
+    found = _called(2, depth, floors, tables, static, keep_work=False)
+    return _program.record_layout().take(found.record, "floor")
+
+
+def _called(
+    steps: int,
+    depth: jax.Array,
+    floors: jax.Array,
+    tables: jax.Array,
+    static: Static,
+    keep_work: bool,
+) -> Rows:
+    batch, program = len(depth), _compiled(steps, static)
+
+    def call(work: bool, scratch: tuple[int, int]) -> Rows:
+        record, contour, words = static.words(work)
+        dims = {"record": (batch, record), "contour": (batch, contour), "scratch": scratch}
+        dims["work"] = (batch, words) if work else (1, 1)
+        return Rows(*program(depth, floors, tables, output_dims=dims)[:3])
+
+    def on_cuda() -> Rows:
+        teams = most_teams(batch, static.own_words, kernels.BLOCKS)
+        found = call(True, (teams, static.own_words))
+        return found if keep_work else found._replace(work=found.work[:1, :1])
+
+    return by_device(lambda: call(keep_work, (1, 1)), on_cuda)
+
+
+@lru_cache(maxsize=64)
+def _compiled(steps: int, static: Static) -> Any:
+    """Does the first so many steps, with what does not change as numbers."""
+
+    def program(
+        depth: Any, floors: Any, tables: Any, record: Any, contour: Any, work: Any, scratch: Any
+    ) -> None:
+        _program.launch([depth, floors, tables, record, contour, work], scratch, 0, steps, static)
+
+    program.__qualname__ = f"{steps}_steps_{static.rows}_{static.columns}"
+    return jax_callable(kernels, kernels.TYPES, outputs=4)(program)

@@ -1,4 +1,4 @@
-"""The steps on depth images as one call: its arrays, and what launches the kernels.
+"""The steps on depth images as one call: its arrays, and what launches the kernels. Without JAX.
 
 All tables of a camera and a configuration are one buffer, which begins with a header: sizes, then
 where each array begins. ``program.h`` reads it in the same order. All results of a frame but the
@@ -9,7 +9,6 @@ from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 
 from jaxdet.affinity import affinity
@@ -18,8 +17,7 @@ from jaxdet.config import Config
 from jaxdet.floor.frame import floor_frames
 from jaxdet.floor.plane import depth_range
 from jaxdet.floor.units import Scale, prior_units
-from jaxdet.runtime.calls import by_device, jax_callable
-from jaxdet.runtime.launch import TeamKernel, most_teams, on_cores, reported_words
+from jaxdet.runtime.launch import TeamKernel, on_cores, reported_words
 from jaxdet.runtime.layout import Layout
 from jaxdet.stages._tables import (
     Tables,
@@ -112,12 +110,13 @@ def floors(known: GroundPlane, config: Config, unit: float) -> np.ndarray:
     return np.hstack([prior, floor_frames(known, unit)])
 
 
-def packed(sizes: Sizes, tables: Mapping[str, Array]) -> np.ndarray:
+def packed(sizes: Sizes, tables: Mapping[str, Array], device: Any) -> np.ndarray:
     """The header and all tables of a program, int32; tables of floats bit by bit.
 
     Args:
         sizes: Of the images and the grid.
         tables: By name; those that no step to be run reads may be missing.
+        device: Warp's device that the program runs on.
 
     Raises:
         ValueError: The grid has more than ``MAX_CONTOUR`` rows or columns.
@@ -134,42 +133,9 @@ def packed(sizes: Sizes, tables: Mapping[str, Array]) -> np.ndarray:
     header = Static(rows, columns, 0)
     found[: len(header) + len(more) + len(places)] = *header, *more, *places
     found[: len(header)] = header._replace(
-        own_words=reported_words(kernels, [found, rows, columns])
+        own_words=reported_words(kernels, [found, rows, columns], device)
     )
     return found
-
-
-class Rows(NamedTuple):
-    """What the steps write, a row of words for each frame."""
-
-    record: Any
-    contour: Any
-    work: Any
-    """Empty on the CPU, unless it is requested."""
-
-
-def detect(
-    depth: jax.Array, floors: jax.Array, tables: jax.Array, static: "Static", keep_work: bool
-) -> Rows:
-    """All steps on a batch, under ``jax.jit``.
-
-    Args:
-        depth: ``(B, Hd, Wd)`` uint16 [depth units], 0 = no measurement.
-        floors: ``(B, 17)`` int32, :func:`jaxdet.floor.units.prior_units`, then
-            :func:`jaxdet.floor.frame.floor_frames`.
-        tables: From :func:`packed`.
-        static: Its sizes.
-        keep_work: Whether to return what steps hand on.
-    """
-    return _called(len(STEPS), depth, floors, tables, static, keep_work)
-
-
-def find_floors(
-    depth: jax.Array, floors: jax.Array, tables: jax.Array, static: "Static"
-) -> jax.Array:
-    """The floor alone ``(B, 8)`` int32, takes what :func:`detect` takes."""
-    found = _called(2, depth, floors, tables, static, keep_work=False)
-    return record_layout().take(found.record, "floor")
 
 
 class Static(NamedTuple):
@@ -188,43 +154,6 @@ class Static(NamedTuple):
         """Words of a frame's record, contours and work."""
         work = work_layout(self.rows, self.columns).words if keep_work else 1
         return record_layout().words, MAX_OBSTACLES * self.columns * 2, work
-
-
-def _called(
-    steps: int,
-    depth: jax.Array,
-    floors: jax.Array,
-    tables: jax.Array,
-    static: Static,
-    keep_work: bool,
-) -> Rows:
-    batch, program = len(depth), _program(steps, static)
-
-    def call(work: bool, scratch: tuple[int, int]) -> Rows:
-        record, contour, words = static.words(work)
-        dims = {"record": (batch, record), "contour": (batch, contour), "scratch": scratch}
-        dims["work"] = (batch, words) if work else (1, 1)
-        return Rows(*program(depth, floors, tables, output_dims=dims)[:3])
-
-    def on_cuda() -> Rows:
-        teams = most_teams(batch, static.own_words, kernels.BLOCKS)
-        found = call(True, (teams, static.own_words))
-        return found if keep_work else found._replace(work=found.work[:1, :1])
-
-    return by_device(lambda: call(keep_work, (1, 1)), on_cuda)
-
-
-@lru_cache(maxsize=64)
-def _program(steps: int, static: Static) -> Any:
-    """Does the first so many steps, with what does not change as numbers."""
-
-    def program(
-        depth: Any, floors: Any, tables: Any, record: Any, contour: Any, work: Any, scratch: Any
-    ) -> None:
-        launch([depth, floors, tables, record, contour, work], scratch, 0, steps, static)
-
-    program.__qualname__ = f"{steps}_steps_{static.rows}_{static.columns}"
-    return jax_callable(kernels, kernels.TYPES, outputs=4)(program)
 
 
 def launch(arrays: list[Any], scratch: Any, first: int, end: int, static: Static) -> None:

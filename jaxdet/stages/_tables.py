@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxdet.affinity import BEYOND, NO_STEP, Affinity
-from jaxdet.camera import cell_rays, cell_side, corner_rays
+from jaxdet.camera import cell_rays, cell_side, corner_rays, splat_parameters
 from jaxdet.config import Config, FloorConfig, ObstacleConfig, SurfaceConfig
 from jaxdet.floor import units
 from jaxdet.floor.plane import (
@@ -29,8 +29,7 @@ from jaxdet.floor.rays import (
     tile_corners,
 )
 from jaxdet.floor.units import Scale, stride
-from jaxdet.stages import _align
-from jaxdet.types import Array, Calibration
+from jaxdet.types import Array, Calibration, Distortion
 from jaxdet_kernels.align import PARAMETERS
 
 LIMIT = 1 << 30  # of a setting or of an entry of a table: no length is longer
@@ -39,6 +38,8 @@ MOST_STEP, MOST_LIMIT = 1 << 16, 1 << 17
 FARTHEST = 1 << 28
 """Longer than any length that is compared [depth units]; products with it fit in 64 bits."""
 MOST_EVIDENCE = (1 << 15) - 1  # of a pair; 256 by 256 of them, added up, fit in 32 bits
+_MODELS = Distortion.NONE, Distortion.PLUMB_BOB, Distortion.RATIONAL, Distortion.EQUIDISTANT
+"""In the order of ``projection.h``."""
 
 Tables = dict[str, Array]
 """The tables and settings of a step, by the names in ``program.h``."""
@@ -184,7 +185,7 @@ def outline_tables(calibration: Calibration, config: Config) -> Tables:
     side = cell_side(camera, config.surface.cell_rad)
     corners = tuple(slice(0, n // side * side + 1, side) for n in (camera.height, camera.width))
     x, y = (rays[corners] for rays in corner_rays(camera))
-    return found | {"corner_x": x, "corner_y": y, "parameters": _align.parameters(calibration)}
+    return found | {"corner_x": x, "corner_y": y, "parameters": parameters(calibration)}
 
 
 def free_tables(calibration: Calibration, config: Config) -> Tables:
@@ -206,3 +207,12 @@ def free_tables(calibration: Calibration, config: Config) -> Tables:
         tile_corners=tile_corners(cell_rays(calibration.depth, side)),
     )
     return made | {"block_settings": block_settings(ground, unit)}
+
+
+def parameters(calibration: Calibration) -> np.ndarray:
+    """Return the projection into the colour image as the kernels take it, ``(PARAMETERS + 2,)``."""
+    splat = splat_parameters(calibration)
+    more = splat.max_r2, splat.depth_unit, _MODELS.index(splat.model), splat.fills_corners
+    return np.concatenate(
+        [splat.rotation, splat.translation, splat.pinhole, splat.lens, np.array(more, np.float32)]
+    )

@@ -1,0 +1,95 @@
+"""MCAP files."""
+
+from threading import local
+
+from mcap.opcode import Opcode
+
+from jaxdet.io.chunks import (
+    MAGIC,
+    RECORD_HEAD,
+    ChunkHead,
+    DamageError,
+    decompress,
+    decompress_begin,
+    read_chunk_head,
+)
+from jaxdet.io.container import LogFile
+from jaxdet.io.file_index import FileIndex
+from jaxdet.io.mcap_index import read_mcap_index
+from jaxdet.io.mcap_scan import rebuild_mcap_index
+
+_HEAD_BYTES = 128
+_BEGIN_BYTES = 192 << 10
+"""Of a packed chunk, enough for the first block of zstd."""
+_PACKED_BYTES = 16 << 20
+"""Of a packed chunk that is read into memory which its thread keeps."""
+_of_thread = local()
+
+
+class McapFile(LogFile):
+    """An MCAP file; the position of a chunk is where its record's content begins.
+
+    A message record outside chunks is a chunk of its own that isn't packed: its records are that
+    one record.
+    """
+
+    magic = MAGIC
+    kind = "an MCAP"
+
+    def read_index(self) -> FileIndex:
+        """See :meth:`LogFile.read_index`."""
+        return read_mcap_index(self)
+
+    def rebuild_index(self) -> FileIndex:
+        """See :meth:`LogFile.rebuild_index`."""
+        return rebuild_mcap_index(self)
+
+    def chunk_head(self, position: int) -> ChunkHead:
+        """Return the head of the chunk or message record whose content begins at ``position``.
+
+        Raises:
+            DamageError: It isn't one.
+        """
+        start = position - RECORD_HEAD.size
+        known = self.read(start, min(RECORD_HEAD.size + _HEAD_BYTES, self.size - start))
+        opcode, length = RECORD_HEAD.unpack_from(known)
+        if opcode == Opcode.MESSAGE and length <= self.size - position:
+            size = RECORD_HEAD.size + length
+            return ChunkHead(0, 0, size, 0, "", -RECORD_HEAD.size, size, length)
+        if opcode != Opcode.CHUNK:
+            raise DamageError("no chunk where one should be")
+        return read_chunk_head(known[RECORD_HEAD.size :][:length], length)
+
+    def chunk_begin(self, position: int, size: int) -> bytes:
+        """See :meth:`LogFile.chunk_begin`."""
+        head = self.chunk_head(position)
+        data = self.read(position + head.data_offset, min(head.data_size, _BEGIN_BYTES))
+        return decompress_begin(head, data, size)
+
+    def chunk(self, position: int) -> bytes | memoryview:
+        """Return the decompressed chunk whose record's content begins at ``position``.
+
+        Raises:
+            DamageError: It can't be read any more.
+        """
+        head = self.chunk_head(position)
+        self.check_memory(max(head.uncompressed_size, head.data_size))
+        start = position + head.data_offset
+        if head.is_plain:
+            return decompress(head, self.read(start, head.data_size))
+        data = _packed_memory(head.data_size)
+        self.read_into(start, [data])
+        return decompress(head, data)
+
+
+def _packed_memory(size: int) -> memoryview:
+    """Memory for a packed chunk, until the thread's next call.
+
+    It stays in a core's cache, where fresh memory would be fetched, written and read once more.
+    """
+    memory: bytearray = getattr(_of_thread, "memory", bytearray())
+    if len(memory) < size:
+        memory = bytearray(size)
+        if size <= _PACKED_BYTES:
+            _of_thread.memory = memory
+    return memoryview(memory)[:size]

@@ -1,0 +1,46 @@
+"""The floor step on the CPU without JAX, which takes longer to load than a log to describe."""
+
+from functools import lru_cache
+
+import numpy as np
+import warp as wp
+
+from jaxdet.config import Config
+from jaxdet.floor.units import FloorFit, floor_fit
+from jaxdet.runtime.compiled import load_compiled
+from jaxdet.stages import _program
+from jaxdet.stages._check import check_kernels
+from jaxdet.stages._program import Static, record_layout
+from jaxdet.types import Calibration, Frames, GroundPlane
+
+_STEPS = 2
+"""Cells and floor, the first steps of the program."""
+
+
+def find_floors_on_cpu(frames: Frames, prior: GroundPlane, config: Config) -> FloorFit | None:
+    """Return what :func:`jaxdet.reference.find_floors` does, if the kernels are compiled.
+
+    Returns:
+        The floors; None if no process has compiled the kernels yet, which takes 15 s.
+    """
+    if not load_compiled(_program.kernels):
+        return None
+    tables, static = _tables(frames.calibration, config)
+    unit, batch = frames.calibration.depth_unit, len(frames.depth)
+    given = frames.depth, _program.floors(prior, config, unit), tables
+    record, contour, _ = static.words()
+    found = np.zeros((batch, record), np.int32)
+    made = found, np.zeros((batch, contour), np.int32), np.zeros((1, 1), np.int32)
+    arrays = [
+        wp.array(a, dtype=wp.dtype_from_numpy(a.dtype), device="cpu", copy=False)
+        for a in map(np.ascontiguousarray, (*given, *made))
+    ]
+    _program.launch(arrays, None, 0, _STEPS, static)
+    return floor_fit(record_layout().take(found, "floor"), prior, unit)
+
+
+@lru_cache(maxsize=8)
+def _tables(calibration: Calibration, config: Config) -> tuple[np.ndarray, Static]:
+    check_kernels("cpu")
+    tables = _program.packed(*_program.host_tables(calibration, config), "cpu")
+    return tables, Static.of(tables)
