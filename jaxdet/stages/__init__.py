@@ -1,4 +1,4 @@
-"""The fast programs: the functions of :mod:`jaxdet.reference` over batches, in JAX and Warp."""
+"""JAX and Warp implementation of the functions of :mod:`jaxdet.reference`, on batches."""
 
 from jaxdet.stages._align import align
 from jaxdet.stages._check import check_kernels
