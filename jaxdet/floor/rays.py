@@ -39,8 +39,7 @@ def tile_corners(rays: np.ndarray) -> np.ndarray:
 
     Returns:
         Rays in the same units, ``(2, T + 1, C + 1)`` int64, for T tiles per column; the last tile
-            may have fewer rows.
-        have fewer rows.
+        may have fewer rows.
 
     Example:
         >>> tile_corners(np.array([[[0, 10, 20]], [[7, 7, 7]]]))[0].tolist()

@@ -96,7 +96,7 @@ def tile_rays(rays: np.ndarray) -> np.ndarray:
 
     Returns:
         Smallest and largest x, then y, of the corners of each tile's pixels, ``(tiles, 4)``
-            float32.
+        float32.
     """
     return np.stack([_over_tiles(f, image) for image in rays for f in (np.minimum, np.maximum)], 1)
 

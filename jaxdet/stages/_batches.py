@@ -90,8 +90,7 @@ def in_parts(
 
     Returns:
         The tree for all ``B`` frames: the result of ``run`` for a single part, NumPy arrays for
-            several parts.
-        for one in several.
+        several parts.
 
     Raises:
         ConfigError: See :func:`check_device`.

@@ -1,4 +1,4 @@
-"""The complete method as one compiled program, for the CPU and CUDA."""
+"""Complete method as one compiled program, for the CPU and CUDA."""
 
 from functools import lru_cache, partial
 from typing import Any

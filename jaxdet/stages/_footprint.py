@@ -153,8 +153,8 @@ def _measure(
 def _squared_length(floor: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Return squared lengths of ``(N, 2)`` int32 as quotient and remainder by 2^18.
 
-    Coordinates are at most MAX_LATERAL. 32 bits suffice: the square of ``x = 2^9 h + l`` is ``2^18
-    h^2 + 2^10 h l + l^2``.
+    Coordinates are at most MAX_LATERAL. 32 bits suffice: the square of ``x = 2^9 h + l`` is
+    ``2^18 h^2 + 2^10 h l + l^2``.
     """
     high, low = jnp.abs(floor) >> 9, jnp.abs(floor) & 511
     rest = jnp.sum((high * low << 10) + low * low, axis=-1, dtype=jnp.int32)

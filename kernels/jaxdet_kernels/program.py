@@ -1,4 +1,4 @@
-"""The method on depth images: one kernel with all steps for the CPU, one kernel per step for CUDA.
+"""Method on depth images: one kernel with all steps for the CPU, one kernel per step for CUDA.
 
 ``include/jaxdet/program.h`` calls the steps; ``jaxdet/stages/_program.py`` allocates the arrays.
 """

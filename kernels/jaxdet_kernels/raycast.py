@@ -1,4 +1,4 @@
-"""The simulator's views: camera rays cast on triangle meshes, texture, light and shadow.
+"""Views of the simulator: camera rays cast on triangle meshes, texture, light and shadow.
 
 A view is a camera at a pose in a world; views of one world or of several are rendered in one
 launch. The triangle that a ray hits is found in float32 by Warp's bounding volume hierarchy; the
