@@ -135,7 +135,7 @@ def examples(
         asked = (np.minimum(one, other) >= 0) & (np.maximum(one, other) > 0)
         asked &= ~(walls[one] & walls[other])
         weight = np.sqrt(np.minimum(size[pairs.one], size[pairs.other]) / max(len(one), 1))
-        parts.append(Examples(pairs.seen[asked], (one == other)[asked], weight[asked]))
+        parts.append(Examples(pairs.features[asked], (one == other)[asked], weight[asked]))
     return joined(parts)
 
 

@@ -1,4 +1,4 @@
-"""Made cells of floors, ramps and boxes, and their floor as found."""
+"""Synthetic cells of floors, ramps and boxes, and assertions on their floors."""
 
 from typing import NamedTuple
 
@@ -23,14 +23,14 @@ BOXES: list[Box] = [
 
 
 class Pose(NamedTuple):
-    """Height [m], pitch and roll [degree]."""
+    """Camera pose: height [m], pitch and roll [degree]."""
 
     height: float
     pitch: float
     roll: float
 
     def plane(self, height: float = 0.0, pitch: float = 0.0, roll: float = 0.0) -> GroundPlane:
-        """As a prior that is wrong by so much."""
+        """Return the pose as a prior with these errors."""
         angles = np.radians([[self.pitch + pitch], [self.roll + roll]])
         return flat_plane(np.array([self.height + height]), *angles)
 
@@ -41,7 +41,7 @@ POSES = [Pose(0.3, 10, 1), Pose(0.62, 19, 10), Pose(0.62, 19, -10), Pose(1.2, 35
 def cast(
     pose: Pose, boxes: list[Box], *, ramp: tuple[float, float] | None = None, floor: bool = True
 ) -> np.ndarray:
-    """Depth of a floor, perhaps with a ramp (start [m], slope), and boxes, ``(R, C)`` [m]."""
+    """Return the depth of a floor, boxes and an optional ramp (start [m], slope), ``(R, C)``."""
     x, y = pixel_rays(CAMERA)
     rays = np.stack([x, y, np.ones_like(x)], axis=-1)
     down = down_vector(*np.radians([[pose.pitch], [pose.roll]]))
@@ -64,14 +64,14 @@ def cast(
 
 
 def cast_step(pose: Pose, drop: float, start: float) -> np.ndarray:
-    """Depth of a floor that is lower by ``drop`` from ``start`` on [m], and a box before that."""
+    """Return the depth of a floor with a step of ``drop`` at ``start`` [m], and a box before it."""
     low = pose._replace(height=pose.height + drop)
     box = (-0.3, start - 0.5, drop), (0.1, start - 0.2, drop + 0.3)
     return cast(low, [((-9.0, -1.0, 0.0), (9.0, start, drop)), box])
 
 
 def measured(z: np.ndarray, seed: int = 0, noise: float = 0.002) -> np.ndarray:
-    """The same as a stereo camera has it, with its noise and holes [mm]."""
+    """Return the depth with the noise and holes of a stereo camera [mm]."""
     rng = np.random.default_rng(seed)
     z = np.minimum(z, 20)
     z = z + rng.normal(0, 1, z.shape) * noise * z * z
@@ -80,7 +80,7 @@ def measured(z: np.ndarray, seed: int = 0, noise: float = 0.002) -> np.ndarray:
 
 
 def positions(z: np.ndarray, camera: Intrinsics, step: int = 1) -> list[np.ndarray]:
-    """Cells of depth images ``(B, H, W)``: every so many pixels in rows and columns."""
+    """Return the positions of every ``step``-th pixel of depth images ``(B, H, W)``."""
     part = slice(step // 2, None, step)
     depth = z[:, part, part].astype(np.int64)
     half = 1 << (RAY_BITS - 1)
@@ -89,12 +89,12 @@ def positions(z: np.ndarray, camera: Intrinsics, step: int = 1) -> list[np.ndarr
 
 
 def found(z: np.ndarray, prior: GroundPlane, config: FloorConfig = CONFIG) -> FloorFit:
-    """The floor of one made frame."""
+    """Return the floor of one synthetic frame."""
     return find_floor(*positions(z[None], CAMERA), prior, config, UNIT)
 
 
 def errors(fit: FloorFit, pose: Pose) -> tuple[float, float, float]:
-    """Height [mm], pitch and roll [degree] against the true ones."""
+    """Return the errors of height [mm], pitch and roll [degree]."""
     plane = fit.plane
     pitch, roll = np.degrees([plane.pitch[0], plane.roll[0]])
     return 1000 * (plane.height[0] - pose.height), pitch - pose.pitch, roll - pose.roll

@@ -1,10 +1,10 @@
-// CUDA's blocks and warps on a CPU, so that tests run kernels without a GPU.
+// Emulation of CUDA blocks and warps on a CPU, so that tests run kernels without a GPU.
 //
-// The threads of a block take turns: each runs until it asks for something of its warp or block
-// (a shuffle, a vote, a barrier) and goes on once all have asked for the same. Threads that ask for
-// different things, or wait for ones that have ended, are an error. Only whole warps may ask.
-// A warp goes as far as it can before the next one, the last warp first, so that most barriers that
-// are missing show; races within a warp do not.
+// The threads of a block take turns: each runs until it reaches a collective operation of its warp or
+// block (a shuffle, a vote, a barrier) and continues once all threads have reached the same one. If
+// threads reach different operations, or wait for threads that have ended, that is an error. Only
+// complete warps are supported. A warp runs as far as it can before the next one, last warp first, so
+// that most missing barriers are detected; races within a warp are not.
 #pragma once
 #include <math.h>
 #include <stdio.h>
@@ -29,7 +29,7 @@ static Place threadIdx, blockDim, gridDim;
 
 struct Simt {
     enum { STACK = 1 << 18 };
-    // Threads that wait for each other: a warp or a block. Values are kept for two turns.
+    // Threads that synchronize: a warp or a block. Values are kept for two turns.
     struct Group {
         int size, arrived, turn;
         const char* kind;
@@ -89,11 +89,11 @@ struct Simt {
                         swapcontext(&main, &threads[i].context);
                     }
                 }
-            if (some && steps == before) fail("threads wait for others that do not come");
+            if (some && steps == before) fail("deadlock: threads wait for threads that have ended");
         }
-        if (block.arrived) fail("a barrier was left");
+        if (block.arrived) fail("a barrier was not reached by all threads of the block");
         for (Group& warp : warps)
-            if (warp.arrived) fail("a warp was left");
+            if (warp.arrived) fail("an operation was not reached by all threads of a warp");
     }
     static void reset(Group& group, int size) {
         group.size = size;
@@ -104,12 +104,12 @@ struct Simt {
         fprintf(stderr, "%s\n", what);
         abort();
     }
-    // All values of the group, once all have come with the same request.
+    // Returns the values of all threads of the group, after all have reached the same operation.
     const std::vector<unsigned long long>& meet(Group& group, const char* kind,
                                                 unsigned long long value) {
         const int turn = group.turn, self = threadIdx.x;
         if (group.arrived == 0) group.kind = kind;
-        if (strcmp(group.kind, kind)) fail("threads of a group ask for different things");
+        if (strcmp(group.kind, kind)) fail("threads of a group reached different operations");
         group.values[turn % 2][self % group.size] = value;
         ++steps;
         if (++group.arrived == group.size) {
@@ -135,8 +135,8 @@ template <class T> T from_word(unsigned long long word) {
     memcpy(&value, &word, sizeof value);
     return value;
 }
-inline void whole(unsigned mask) {
-    if (mask != 0xffffffffu) Simt::fail("not a whole warp");
+inline void check_complete(unsigned mask) {
+    if (mask != 0xffffffffu) Simt::fail("not a complete warp");
 }
 template <class T> T shuffled(const char* kind, T value, int from) {
     const auto& all = Simt::one().warp(kind, as_word(value));
@@ -144,23 +144,23 @@ template <class T> T shuffled(const char* kind, T value, int from) {
 }
 template <class T> T __shfl_sync(unsigned mask, T value, int from) {
     if (mask == 1u << threadIdx.x % 32) return value;
-    whole(mask);
+    check_complete(mask);
     return shuffled("shfl", value, from & 31);
 }
 template <class T> T __shfl_up_sync(unsigned mask, T value, int by) {
-    whole(mask);
+    check_complete(mask);
     return shuffled("up", value, threadIdx.x % 32 - by);
 }
 template <class T> T __shfl_down_sync(unsigned mask, T value, int by) {
-    whole(mask);
+    check_complete(mask);
     return shuffled("down", value, threadIdx.x % 32 + by);
 }
 template <class T> T __shfl_xor_sync(unsigned mask, T value, int by) {
-    whole(mask);
+    check_complete(mask);
     return shuffled("xor", value, (threadIdx.x % 32) ^ by);
 }
 inline unsigned __ballot_sync(unsigned mask, int mine) {
-    whole(mask);
+    check_complete(mask);
     const auto& all = Simt::one().warp("ballot", mine != 0);
     unsigned bits = 0;
     for (int i = 0; i < 32; ++i) bits |= (unsigned)all[i] << i;
@@ -173,19 +173,19 @@ template <class T, class Combine> T reduced(const char* kind, T mine, Combine co
     return found;
 }
 inline int __reduce_add_sync(unsigned mask, int mine) {
-    whole(mask);
+    check_complete(mask);
     return reduced("add", mine, [](int a, int b) { return (int)((unsigned)a + (unsigned)b); });
 }
 inline int __reduce_min_sync(unsigned mask, int mine) {
-    whole(mask);
+    check_complete(mask);
     return reduced("min", mine, [](int a, int b) { return a < b ? a : b; });
 }
 inline unsigned __reduce_min_sync(unsigned mask, unsigned mine) {
-    whole(mask);
+    check_complete(mask);
     return reduced("min", mine, [](unsigned a, unsigned b) { return a < b ? a : b; });
 }
 inline int __reduce_max_sync(unsigned mask, int mine) {
-    whole(mask);
+    check_complete(mask);
     return reduced("max", mine, [](int a, int b) { return a < b ? b : a; });
 }
 inline void __syncwarp() { Simt::one().warp("syncwarp", 0); }
@@ -196,7 +196,7 @@ inline int __syncthreads_or(int mine) {
     for (auto one : all) any |= one != 0;
     return any;
 }
-// Of Team::count: each thread is alone.
+// For Team::atomic_count: no aggregation.
 inline unsigned __activemask() { return 1u << threadIdx.x % 32; }
 inline unsigned __match_any_sync(unsigned mask, unsigned long long) { return mask; }
 inline int __ffs(unsigned v) { return __builtin_ffs((int)v); }

@@ -1,4 +1,4 @@
-"""The program's steps one at a time, on given arrays, for tests against the reference."""
+"""Run single steps of the program on given arrays, for tests against the reference."""
 
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
@@ -29,21 +29,22 @@ Arrays = Mapping[str, np.ndarray]
 
 @lru_cache(maxsize=1)
 def _other_tables() -> Tables:
-    """Those of the steps that a test does not look at."""
+    """Return tables of the steps that a test does not run."""
     return host_tables(Calibration(Intrinsics(64, 48, 60.0, 60.0, 31.5, 23.5)), Config())[1]
 
 
 def step(
     name: str, tables: Tables, given: Arrays, sizes: Sizes, depth: np.ndarray | None = None
 ) -> dict[str, np.ndarray]:
-    """What a step makes of given arrays: all arrays of the program by name.
+    """Run a step on given arrays and return all arrays of the program by name.
 
     Args:
-        name: The step, see :data:`STEPS`.
-        tables: Those that it reads.
-        given: What earlier steps hand on, and ``prior`` and ``floor_frame``; the rest is poison.
-        sizes: Of the arrays.
-        depth: Images, for the first step.
+        name: Name of the step, see :data:`STEPS`.
+        tables: Tables that the step reads.
+        given: Intermediate arrays of earlier steps, and ``prior`` and ``floor_frame``; all others
+            are poisoned.
+        sizes: Sizes of the arrays.
+        depth: Depth images, for the first step.
     """
     device = device_of_jax(program)
     buffer = packed(sizes, {**_other_tables(), **tables}, device)
@@ -78,7 +79,7 @@ def _grid(z: np.ndarray, side: int = 1) -> Sizes:
 
 
 def cells(depth: np.ndarray, tables: Tables, side: int) -> tuple[Cells, np.ndarray]:
-    """``find_cells``: the cells, and the least depth of each."""
+    """Run ``find_cells``; return the cells and the smallest depth of each."""
     rows, columns = tables["rays"].shape[1:]
     sizes = Sizes(*depth.shape[1:], side, rows, columns)
     found = step("find_cells", tables, {}, sizes, depth)
@@ -88,19 +89,19 @@ def cells(depth: np.ndarray, tables: Tables, side: int) -> tuple[Cells, np.ndarr
 def find_floor(
     x: np.ndarray, y: np.ndarray, z: np.ndarray, prior: np.ndarray, tables: Tables
 ) -> np.ndarray:
-    """``find_floor``: ``(B, 8)``."""
+    """Run ``find_floor``; return its result ``(B, 8)``."""
     given = {"x": x, "y": y, "z": z, "prior": prior}
     return step("find_floor", tables, given, _grid(z))["floor"]
 
 
 def found_frames(found: np.ndarray, frame: np.ndarray, tables: Tables) -> np.ndarray:
-    """``find_frame``: ``(B, 13)``."""
+    """Run ``find_frame``; return floor frames ``(B, 13)``."""
     given = {"floor": found, "floor_frame": frame}
     return step("find_frame", tables, given, Sizes(1, 1, 1, 1, 1))["frame"]
 
 
 class Surfaces(NamedTuple):
-    """What ``find_surfaces`` makes."""
+    """Results of ``find_surfaces``."""
 
     right: np.ndarray
     forward: np.ndarray
@@ -116,7 +117,7 @@ class Surfaces(NamedTuple):
 def surfaces(
     x: np.ndarray, y: np.ndarray, z: np.ndarray, frame: np.ndarray, tables: Tables
 ) -> Surfaces:
-    """``find_surfaces``."""
+    """Run ``find_surfaces``."""
     found = step("find_surfaces", tables, {"x": x, "y": y, "z": z, "frame": frame}, _grid(z))
     found |= {"label": found["surface"], "free": found["free_cell"]}
     found["has_depth"] = found["has_depth"] != 0
@@ -126,7 +127,7 @@ def surfaces(
 def obstacles(
     label: np.ndarray, free: np.ndarray, view: Sequence[np.ndarray], tables: Tables
 ) -> tuple[np.ndarray, np.ndarray]:
-    """``find_obstacles``: the obstacle of each cell, and how many there are."""
+    """Run ``find_obstacles``; return the obstacle of each cell, and the number of obstacles."""
     names = "x", "y", "z", "right", "forward", "height"
     given = {"surface": label, "free_cell": free, **dict(zip(names, view, strict=True))}
     found = step("find_obstacles", tables, given, _grid(label))
@@ -134,7 +135,7 @@ def obstacles(
 
 
 class Outlined(NamedTuple):
-    """What ``find_outlines`` makes."""
+    """Results of ``find_outlines``."""
 
     obstacles: Obstacles
     contour: np.ndarray
@@ -150,7 +151,7 @@ def outlines(
     tables: Tables,
     side: int,
 ) -> Outlined:
-    """``find_outlines``; ``floor`` is right, forward and height of the cells."""
+    """Run ``find_outlines``; ``floor`` is right, forward and height of the cells."""
     names = "right", "forward", "height"
     given = {**grid._asdict(), **dict(zip(names, floor, strict=True))}
     given |= {"label": label, "num_obstacles": count}
@@ -161,7 +162,7 @@ def outlines(
 
 
 class FreeFloor(NamedTuple):
-    """What ``find_free_floor`` makes."""
+    """Results of ``find_free_floor``."""
 
     label: np.ndarray
     num_obstacles: np.ndarray
@@ -179,7 +180,7 @@ def free_floor(
     frame: np.ndarray,
     tables: Tables,
 ) -> FreeFloor:
-    """``find_free_floor``: obstacles in its notches, where it begins and ends, and what ends it."""
+    """Run ``find_free_floor``; return obstacles in its notches, its range and kinds of end."""
     given = {"label": label, "low": low, "z": z, "nearest_pixel": nearest, "frame": frame}
     given |= dict(zip(("right", "forward", "height"), floor, strict=True))
     given["num_obstacles"] = label.max(axis=(1, 2), initial=-1).astype(np.int32) + 1

@@ -58,7 +58,7 @@ def test_a_sideways_camera_shifts_near_pixels_and_the_nearest_wins(align):
 
 
 @BACKENDS
-def test_z_is_the_colour_cameras(align):
+def test_z_is_in_the_colour_camera(align):
     behind = Extrinsics(IDENTITY, (0.0, 0.0, 0.25))
     camera = still(0).color
     depth = np.full((1, 3, 6), 1000, np.uint16)
@@ -207,7 +207,7 @@ def test_twin_with_large_and_odd_images(device, lens, depth_size, color_size):
 
 @pytest.mark.twin
 @pytest.mark.parametrize("lens", LENSES)
-def test_twin_where_the_depth_camera_has_a_lens(device, lens):
+def test_twin_if_the_depth_camera_has_distortion(device, lens):
     base = small(97, 61, 0.7)
     calibration = base._replace(
         color=with_lens(base.color, lens), depth=with_lens(base.depth, lens)
@@ -220,7 +220,7 @@ def test_twin_where_the_depth_camera_has_a_lens(device, lens):
 @pytest.mark.parametrize("color_size", [(97, 61), (640, 480), (1921, 1083), (33, 20)])
 @pytest.mark.parametrize("lens", LENSES)
 def test_twin_at_a_few_pixels(device, lens, color_size):
-    """Boxes of depth pixels are one to some thirty colour pixels wide; few of them are wanted."""
+    """Boxes of depth pixels are 1 to about 30 colour pixels wide; few of them are wanted."""
     base, (width, height) = small(97, 61), color_size
     color = with_lens(resized(base.color, *color_size), lens)
     calibration = base._replace(color=color, color_from_depth=TURNED)
@@ -237,7 +237,7 @@ def test_twin_at_a_few_pixels(device, lens, color_size):
 @pytest.mark.twin
 @pytest.mark.parametrize("lens", LENSES)
 def test_twin_skips_no_tile_that_covers_a_wanted_pixel(device, lens):
-    """Surfaces from near to far under cameras turned and moved by a little or a lot.
+    """Surfaces from near to far, under small and large rotations and translations of the cameras.
 
     Smooth depth makes the intervals of a tile narrow, so that most tiles are skipped.
     """
@@ -260,7 +260,7 @@ def test_twin_skips_no_tile_that_covers_a_wanted_pixel(device, lens):
 
 
 @pytest.mark.twin
-def test_twin_without_any_measurement(device):
+def test_twin_without_measurements(device):
     depth = np.zeros((2, 60, 80), np.uint16)
     assert_equal(align_all(depth, small()), reference.align(depth, small()))
     assert not np.asarray(align_all(depth, small()).depth).any()

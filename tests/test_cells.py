@@ -1,4 +1,4 @@
-"""cells: depth in square blocks, each with one robust depth and its place and box."""
+"""cells: square blocks of depth with one robust depth, a position and a box each."""
 
 import numpy as np
 import pytest
@@ -35,7 +35,7 @@ THREE = SurfaceConfig(cell_rad=0.0078)
 
 
 def one_cell(block: object, config: SurfaceConfig = TWO) -> int:
-    """The depth of one cell of these pixels."""
+    """Return the depth of a cell with these pixels."""
     depth = np.array(block, np.uint16)[None]
     camera = Intrinsics(depth.shape[2], depth.shape[1], 100.0, 100.0, 0.5, 0.5)
     return int(cells(depth, Calibration(camera), config).z[0, 0, 0])
@@ -44,7 +44,7 @@ def one_cell(block: object, config: SurfaceConfig = TWO) -> int:
 # by hand
 
 
-def test_grid_of_whole_cells() -> None:
+def test_grid_of_complete_cells() -> None:
     depth = np.array(
         [[100, 101, 700, 700, 9], [102, 105, 700, 700, 9], [500, 0, 0, 0, 9], [0, 504, 0, 400, 9]],
         np.uint16,
@@ -63,7 +63,7 @@ def test_grid_of_whole_cells() -> None:
 @pytest.mark.parametrize(
     ("block", "depth"),
     [
-        ([[900, 905], [2000, 2010]], 903),  # the lower median is the thing's; 902.5 goes up
+        ([[900, 905], [2000, 2010]], 903),  # the lower median is the object's; 902.5 is rounded up
         ([[900, 2005], [2000, 2010]], 2005),  # mostly background
         ([[900, 910], [911, 890]], 900),  # lower median 900: 911 is 11 mm away
         ([[0, 900], [0, 2000]], 900),  # half of the pixels are enough
@@ -87,10 +87,10 @@ def test_step_grows_with_the_square_of_depth() -> None:
 @pytest.mark.parametrize(
     ("focal", "side", "at_4_m"), [(192.25, 1, 62), (384.5, 3, 54), (769.0, 6, 52)]
 )
-def test_the_step_height_grows_less_where_cells_have_more_pixels(
+def test_the_step_height_grows_less_for_cells_with_more_pixels(
     focal: float, side: int, at_4_m: int
 ) -> None:
-    """5 cm, and 3 mm for each metre over the side: of the depth camera, where there is one."""
+    """It is 5 cm, plus 3 mm per metre divided by the side of a cell in the depth camera."""
     config = Config(GroundConfig(step_height_m=0.05, step_height_per_m=0.003), surface=THREE)
     camera = Intrinsics(640, 480, focal, focal, 319.5, 239.5)
     steps = step_height(Calibration(camera), config).table
@@ -103,7 +103,7 @@ def test_the_step_height_grows_less_where_cells_have_more_pixels(
 
 
 def test_the_step_height_over_a_table() -> None:
-    """4 mm for each metre at a Kinect's cells of 4 pixels, which its table was learnt with."""
+    """4 mm per metre for a Kinect's cells of 4 pixels, the camera of the training data."""
     kinect = Calibration(Intrinsics(640, 480, 525.0, 525.0, 319.5, 239.5))
     expected = np.rint(8 + 0.004 * np.arange(65536)).astype(np.int64)
     np.testing.assert_array_equal(step_height(kinect, preset("tabletop")).table, expected)
@@ -121,13 +121,13 @@ def test_noise_lifts_floor_by_depth_and_the_camera_s_height(
         want = np.maximum(0.05, 0.06 / side * max(height, 0.0) * z)
         got = steps.at(np.rint(z / unit).astype(int), round(height / unit)) * unit
         np.testing.assert_allclose(got, want, rtol=0.005, atol=1.5 * unit)
-    # Whatever the floor's height, the product has 32 bits.
+    # For any height of the floor, the product fits in 32 bits.
     high = steps.at(np.array([65535]), 1 << 20)
     assert 0 < high[0] <= 65535 * 2
 
 
 def test_depth_unit() -> None:
-    """The step is metric, the depths are not."""
+    """The step is in metres, the depths are in depth units."""
     camera = Intrinsics(2, 2, 100.0, 100.0, 0.5, 0.5)
     depth = np.array([[[9000, 9050], [9100, 9140]]], np.uint16)
     fine, coarse = Calibration(camera, depth_unit=0.0001), Calibration(camera)
@@ -136,7 +136,7 @@ def test_depth_unit() -> None:
 
 
 def test_centre_lies_on_the_ray_of_the_middle() -> None:
-    """``P = d K^-1 p`` in floating point, to the nearest depth unit, whatever the colour camera."""
+    """It equals ``P = d K^-1 p`` in floating point to the nearest unit, for any colour camera."""
     depth = smooth_depth(1, D435_DEPTH)
     depth[0, :200] = 2000
     grid, side = cells(depth, D435, THREE), cell_side(D435_DEPTH, THREE.cell_rad)
@@ -152,8 +152,8 @@ def test_centre_lies_on_the_ray_of_the_middle() -> None:
 
 @pytest.mark.parametrize("color_scale", [0.5, 1.0, 2.5])
 @pytest.mark.parametrize("turn", [(0.0, 0.0, 0.0), (0.0, 0.74, 0.59)])
-def test_box_holds_where_the_pixels_land(color_scale: float, turn: tuple) -> None:
-    """Held against ``align``, alone in the image cell by cell; a turned cell's by a pixel."""
+def test_box_contains_the_projected_pixels(color_scale: float, turn: tuple) -> None:
+    """Compared with ``align`` of single cells; for a rotated camera, within a pixel."""
     motion = Extrinsics(rotation(*turn), (0.0143, 0.0006, 0.0006))
     calibration = small(color_scale=color_scale)._replace(color_from_depth=motion)
     config = SurfaceConfig(cell_rad=4 / calibration.depth.fx)
@@ -176,7 +176,7 @@ def test_box_holds_where_the_pixels_land(color_scale: float, turn: tuple) -> Non
 
 
 def test_cells_outside_of_the_colour_image() -> None:
-    """Depth sees wider than colour: cells are measured, but have no box."""
+    """The depth camera has the wider field of view: such cells are measured, but have no box."""
     grid = cells(np.full((1, 480, 640), 1000, np.uint16), D435, THREE)
     assert (grid.z == 1000).all()
     _, _, inside = cell_boxes(grid.z, D435, cell_side(D435_DEPTH, THREE.cell_rad))
@@ -194,7 +194,7 @@ def test_cells_outside_of_the_colour_image() -> None:
 
 @pytest.mark.parametrize("lens", ["pinhole", "inverse", "plumb_bob", "rational", "equidistant"])
 def test_cells_outside_of_the_lens_have_no_box(lens: str) -> None:
-    """As in ``align``: what the colour camera's lens model does not reach is not in its image."""
+    """As in ``align``, rays outside the range of the lens model are not in the colour image."""
     assert lens in LENSES
     calibration = D435._replace(color=with_lens(D435_COLOR, lens))
     depth = np.zeros((1, 480, 640), np.uint16)
@@ -218,7 +218,9 @@ def test_batch_is_the_stack_of_singles(seed: int) -> None:
 
 
 @given(st.lists(st.integers(0, 3000), min_size=9, max_size=9), st.permutations(range(9)))
-def test_the_order_of_a_cells_pixels_is_nothing(values: list[int], order: list[int]) -> None:
+def test_the_order_of_the_pixels_of_a_cell_has_no_influence(
+    values: list[int], order: list[int]
+) -> None:
     config = SurfaceConfig(cell_rad=0.03)
     block = np.array(values)
     mixed = block[order]
@@ -226,7 +228,7 @@ def test_the_order_of_a_cells_pixels_is_nothing(values: list[int], order: list[i
 
 
 @given(st.integers(0, 2**32 - 1))
-def test_a_cell_lies_among_its_pixels(seed: int) -> None:
+def test_the_depth_of_a_cell_is_within_that_of_its_pixels(seed: int) -> None:
     camera = Intrinsics(24, 18, 100.0, 100.0, 11.5, 8.5)
     depth = noise_depth(1, camera, seed)
     z = cells(depth, Calibration(camera), SurfaceConfig(cell_rad=0.03)).z
@@ -283,7 +285,7 @@ def test_a_cell_is_at_least_a_pixel() -> None:
     np.testing.assert_array_equal(first, last)
 
 
-def test_what_cannot_be_calibrated() -> None:
+def test_an_invalid_calibration_is_an_error() -> None:
     depth = np.ones((1, 10, 10), np.uint16)
     wide = Intrinsics(10, 10, 1.0, 1.0, 5.0, 5.0)
     with pytest.raises(CalibrationError, match="field of view is too wide"):

@@ -1,4 +1,4 @@
-"""The program of cells equals the reference."""
+"""The kernel of cells equals the reference."""
 
 from dataclasses import replace
 from typing import Any
@@ -49,7 +49,7 @@ def test_lenses(lens: str, device: Any) -> None:
 
 @pytest.mark.parametrize("side", [1, 2, 3, 7, 8, 9, 15])
 def test_sides(side: int, device: Any) -> None:
-    """Nine pixels a side and more find the median bit by bit."""
+    """Cells of nine pixels and more per side compute the median by bisection."""
     calibration = small(263, 195)
     camera = calibration.depth
     depth = np.concatenate([noise_depth(2, camera, side), smooth_depth(1, camera)])
@@ -69,7 +69,7 @@ def test_images_smaller_than_a_cell(device: Any) -> None:
     assert_same(np.full((3, 5, 7), 800, np.uint16), Calibration(camera), THREE)
 
 
-def test_nothing_and_batches(device: Any) -> None:
+def test_no_depth_and_batches(device: Any) -> None:
     calibration = small(64, 48)
     assert_same(np.zeros((1, 48, 64), np.uint16), calibration, replace(THREE, cell_rad=0.05))
     assert_same(noise_depth(9, calibration.depth), calibration, replace(THREE, cell_rad=0.05))

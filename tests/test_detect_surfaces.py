@@ -1,4 +1,4 @@
-"""detect with surfaces: whole scenes, made, simulated and recorded."""
+"""detect with surfaces: complete scenes, synthetic, simulated and recorded."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -44,7 +44,7 @@ SURFACES = Config()
 UNIT = 0.001
 POSE = Pose(0.5, 15.0, 0.0)
 MARGIN = SURFACES.footprint.margin_per_m2 * 1.2**2
-"""Of an obstacle whose nearest point is 1.2 m ahead [m]."""
+"""Margin of an obstacle whose nearest point is 1.2 m ahead [m]."""
 
 
 def found(given: Frames, config: Config = SURFACES) -> Detections:
@@ -52,7 +52,7 @@ def found(given: Frames, config: Config = SURFACES) -> Detections:
 
 
 def made(depth_m: np.ndarray, plane: GroundPlane | None, unit: float = 0.001) -> Frames:
-    """Frames of exact aligned depth ``(B, H, W)`` [m], black in colour."""
+    """Return frames of exact aligned depth ``(B, H, W)`` [m], with black colour images."""
     depth = np.where((depth_m > 0) & (depth_m < 8), np.rint(depth_m / unit), 0).astype(np.uint16)
     height, width = depth.shape[1:]
     camera = CAMERA._replace(width=width, height=height)
@@ -61,7 +61,7 @@ def made(depth_m: np.ndarray, plane: GroundPlane | None, unit: float = 0.001) ->
 
 
 def of(frame: SimFrame, wrong_deg: float = 0.0) -> Frames:
-    """A simulated frame whose floor is known but for so much pitch."""
+    """Return a simulated frame with its floor as prior, with an error of pitch."""
     assert frame.depth is not None
     plane = frame.plane._replace(pitch=frame.plane.pitch + np.radians(wrong_deg))
     calibration = calibration_of(frame.config)
@@ -71,7 +71,7 @@ def of(frame: SimFrame, wrong_deg: float = 0.0) -> Frames:
 def simulated(
     *boxes: Box, poles: tuple = (), floor: Ground | None = None, **settings: Any
 ) -> SimFrame:
-    """A frame of 320 x 240 of boxes and poles on a wooden floor."""
+    """Return a frame of 320 x 240 pixels of boxes and poles on a wooden floor."""
     scene = Scene("made", boxes, poles, floor=WOOD, ground=floor or Ground(), path=Way(length=0.0))
     return simulate_frame(SimConfig(width=320, height=240, **settings), scene, 0)
 
@@ -81,7 +81,7 @@ def count(detections: Detections, b: int = 0) -> int:
 
 
 def sizes(detections: Detections, config: Config = SURFACES) -> np.ndarray:
-    """Width along AB, depth and top of the obstacles of frame 0, without the margin [m]."""
+    """Return width along AB, depth and top of the obstacles of frame 0, without the margin [m]."""
     n, assumed = count(detections), detections.scene
     assert assumed
     bare = replace(config.footprint, margin_m=0.0, margin_per_m2=0.0)
@@ -115,7 +115,7 @@ def test_a_box_in_exact_depth() -> None:
     assert floors(scene, UNIT).plane.height[0] == pytest.approx(POSE.height, abs=0.004)
 
 
-def test_free_floor_before_and_beside_a_box() -> None:
+def test_free_floor_in_front_of_and_next_to_a_box() -> None:
     scene = found(made(cast(POSE, [BOX])[None], POSE.plane())).scene
     assert scene
     stop, end = scene.free[0, :, 1], scene.free_end[0]
@@ -130,8 +130,8 @@ def test_free_floor_before_and_beside_a_box() -> None:
     assert len(beyond) > 50 and (beyond > 3400).all() and (beyond <= 4000).all()
 
 
-def test_what_hangs_higher_than_the_robot_is_no_obstacle() -> None:
-    """A gate of two posts 1.2 m apart and a beam from 0.5 m up, in one plane."""
+def test_an_object_above_the_robot_is_not_an_obstacle() -> None:
+    """A gate has two posts 1.2 m apart and a beam from 0.5 m up, in one plane."""
     posts = [((-0.8, 2.0, 0.0), (-0.6, 2.2, 1.0)), ((0.6, 2.0, 0.0), (0.8, 2.2, 1.0))]
     gate = made(cast(POSE, [*posts, ((-0.6, 2.0, 0.5), (0.6, 2.2, 1.0))])[None], POSE.plane())
 
@@ -151,7 +151,7 @@ def test_what_hangs_higher_than_the_robot_is_no_obstacle() -> None:
     assert between.sum() > 20 and (low.scene.free_end[0, between] == FreeEnd.RANGE).all()
 
 
-def test_without_a_floor_nothing_hangs_higher() -> None:
+def test_nothing_is_above_the_robot_if_the_floor_is_unknown() -> None:
     given = made(cast(POSE, [BOX])[None], None)
     unknown = replace(SURFACES, floor=replace(SURFACES.floor, min_share_alone=1.0))
     limits = (replace(SURFACES.ground, max_height_m=m) for m in (0.0, 0.1))
@@ -159,7 +159,7 @@ def test_without_a_floor_nothing_hangs_higher() -> None:
 
 
 def test_cells_of_twice_the_pixels_add_half_to_the_step() -> None:
-    """A box 9 cm high and 2.6 m away, in cells of one pixel and of 2 x 2 equal ones."""
+    """A box is 9 cm high and 2.6 m away, in cells of one pixel and of 2 x 2 equal ones."""
     fine_camera = Intrinsics(320, 240, 304.0, 304.0, 159.5, 119.5)
     coarse = made(cast(POSE, [((-0.5, 2.6, 0.0), (0.5, 3.4, 0.09))])[None], POSE.plane())
     depth = np.kron(coarse.depth, np.ones((1, 2, 2), np.uint16))
@@ -179,7 +179,7 @@ def test_cells_of_twice_the_pixels_add_half_to_the_step() -> None:
     assert kept(fine, 0.0, 0.1).sum() > kept(coarse, 0.0, 0.1).sum()
 
 
-def test_cells_carry_the_obstacle_that_their_box_spans() -> None:
+def test_labelled_cells_span_the_box_of_their_obstacle() -> None:
     given = made(cast(POSE, [BOX])[None], POSE.plane())
     detections = detect(given, SURFACES, backend="reference", with_cells=True)
     cells, side = detections.cells, 1
@@ -194,7 +194,7 @@ def test_cells_carry_the_obstacle_that_their_box_spans() -> None:
 
 
 def test_box_of_an_obstacle_outside_of_the_colour_image_is_empty() -> None:
-    """A narrow colour camera that looks to the left sees nothing of a box to the right."""
+    """A narrow colour camera that looks to the left does not see a box to the right."""
     given = made(cast(POSE, [((0.3, 1.2, 0.0), (0.6, 1.5, 0.3))])[None], POSE.plane())
     camera = given.calibration.depth
     narrow = camera._replace(fx=4 * camera.fx, fy=4 * camera.fy)
@@ -208,7 +208,7 @@ def test_box_of_an_obstacle_outside_of_the_colour_image_is_empty() -> None:
 
 
 @pytest.mark.parametrize("backend", ["reference", "jax"])
-def test_colour_decides_nothing(backend: BackendName) -> None:
+def test_colour_has_no_influence(backend: BackendName) -> None:
     given = made(cast(POSE, [BOX])[None], POSE.plane())
     noise = np.random.default_rng(0).integers(0, 256, given.color.shape).astype(np.uint8)
     want = detect(given, backend=backend)
@@ -217,7 +217,7 @@ def test_colour_decides_nothing(backend: BackendName) -> None:
 
 
 def test_a_low_bend_of_the_floor_at_the_margin() -> None:
-    """The outer tenth of the columns comes nearer by up to 8 percent."""
+    """The outer tenth of the columns is nearer by up to 8 percent."""
     u = np.arange(160)
     bend = np.maximum(16 - u, u - 143).clip(0)
     depth = cast(POSE, []) * (1 - 0.08 * bend / 16)
@@ -248,7 +248,7 @@ LOOKING_DOWN = {"camera_height_m": 0.6, "camera_pitch_rad": 0.45}
 
 
 def test_sizes_without_noise() -> None:
-    """Within 3 cm: the front of a high box, width and depth of one that is seen from above."""
+    """The front of a tall box, and width and depth of one seen from above, are within 3 cm."""
     sensor = DepthSensor(enabled=False)
     wide, _, high = sizes(found(of(simulated(CARTON_BOX, sensor=sensor))))[0]
     assert (wide, high) == pytest.approx((0.4, 0.4), abs=0.03)
@@ -257,7 +257,7 @@ def test_sizes_without_noise() -> None:
 
 
 def test_size_with_the_noise_of_a_stereo_camera() -> None:
-    """Silhouettes are smeared over three of the 192 pixels of a radian, at each side."""
+    """Silhouettes are smeared over three of 192 pixels per radian, on each side."""
     detections = found(of(simulated(CARTON_BOX)))
     wide, _, high = sizes(detections)[0]
     assert count(detections) == 1
@@ -277,8 +277,8 @@ def test_size_with_the_noise_of_a_stereo_camera() -> None:
     ],
     ids=["box", "low box", "a gap apart", "behind a pole", "nothing"],
 )
-def test_as_many_as_there_are_whatever_the_prior(things: int, scene: dict) -> None:
-    """The mount is wrong by 2 degrees of pitch, up or down."""
+def test_number_of_obstacles_does_not_depend_on_the_prior(things: int, scene: dict) -> None:
+    """The mount has an error of 2 degrees of pitch, up or down."""
     settings = {k: v for k, v in scene.items() if k != "boxes"}
     frame = simulated(*scene["boxes"], **settings)
     true = found(of(frame))
@@ -290,7 +290,7 @@ def test_as_many_as_there_are_whatever_the_prior(things: int, scene: dict) -> No
         assert np.abs(sizes(other) - sizes(true)).max(initial=0) < 0.05
 
 
-def test_a_box_behind_a_pole_is_whole() -> None:
+def test_a_box_behind_a_pole_is_one_obstacle() -> None:
     detections = found(of(simulated(BEHIND, poles=POLE)))
     wide = sizes(detections)[:, 0]
     assert wide[0] < 0.15 and wide[1] == pytest.approx(0.7, abs=0.1)
@@ -350,7 +350,7 @@ def test_mirrored() -> None:
     assert same.mean() > 0.97
 
 
-def test_the_depth_unit_matters_little() -> None:
+def test_the_depth_unit_has_little_influence() -> None:
     depth = cast(POSE, [BOX])[None]
     depth = np.where(depth < 6, depth, 0)
     one, fine = (found(made(depth, POSE.plane(), unit)) for unit in (0.001, 0.0001))
@@ -383,8 +383,8 @@ def test_no_depth_at_all(calibration: Calibration, known: bool) -> None:
     assert not any(np.any(part) for part in jax.tree.leaves(detections.obstacles))
 
 
-def test_without_a_floor_nothing_is_floor() -> None:
-    """Floor and box are obstacles where no floor is believed."""
+def test_nothing_is_floor_if_the_floor_is_refused() -> None:
+    """Floor and box are obstacles if the floor is refused."""
     config = replace(SURFACES, floor=replace(SURFACES.floor, min_share_alone=1.0))
     given = made(cast(POSE, [BOX])[None], None)
     detections = detect(given, config, backend="reference", with_cells=True)
@@ -395,14 +395,14 @@ def test_without_a_floor_nothing_is_floor() -> None:
     assert FreeEnd.RANGE not in scene.free_end and FreeEnd.DROP not in scene.free_end
 
 
-def test_no_floor_is_looked_for() -> None:
+def test_the_floor_search_can_be_disabled() -> None:
     config = replace(SURFACES, ground=GroundConfig(source="none"))
     scene = found(made(cast(POSE, [BOX])[None], None), config).scene
     assert scene and not floors(scene, UNIT).own[0] and not floors(scene, UNIT).plane.valid[0]
 
 
-def test_more_obstacles_than_there_is_room_for() -> None:
-    """17 x 13 squares hang in the air, each a centimetre behind the last."""
+def test_more_obstacles_than_max_obstacles() -> None:
+    """17 x 13 squares hang in the air, each a centimetre behind the previous one."""
     depth = np.zeros((1, 120, 160))
     for row in range(13):
         for column in range(17):
@@ -418,7 +418,7 @@ def test_more_obstacles_than_there_is_room_for() -> None:
 
 
 @pytest.mark.parametrize("backend", ["reference", "jax"])
-def test_more_surfaces_than_there_is_room_for(backend: BackendName) -> None:
+def test_more_surfaces_than_max_surfaces(backend: BackendName) -> None:
     """35 x 26 squares hang in the air, all of them too small for obstacles."""
     row, column = np.indices((26, 35))
     z = 1.5 + 0.01 * ((17 * row + column) % 200)
@@ -452,7 +452,7 @@ def test_a_large_image() -> None:
 
 
 def test_saturated_depth() -> None:
-    """65535 is what some drivers send where nothing is measured; a turned camera adds to it."""
+    """Some drivers send 65535 for missing measurements; a rotated camera increases it."""
     depth = np.full((1, 480, 640), 65535, np.uint16)
     color = np.zeros((1, 480, 640, 3), np.uint8)
     assert count(found(frames(D435, color, depth, plane=POSE.plane()))) == 0
@@ -462,7 +462,7 @@ def test_saturated_depth() -> None:
 
 
 def judged(shared_data: Path, name: str, config: Config, **changes: Any) -> list[BoxTally]:
-    """Each labelled frame alone, but for held-out ones."""
+    """Evaluate each labelled frame separately, without held-out ones."""
     recording: Recording = next(r for r in RECORDINGS if r.name == name)._replace(**changes)
     tallies = []
     if not (shared_data / recording.place).is_file():
@@ -490,7 +490,7 @@ def judged(shared_data: Path, name: str, config: Config, **changes: Any) -> list
     return tallies
 
 
-def test_things_on_a_table(shared_data: Path) -> None:
+def test_objects_on_a_table(shared_data: Path) -> None:
     tallies = judged(shared_data, "mosd", preset("tabletop"))
     assert len(tallies) == 36
     score = score_boxes(tallies)
@@ -499,8 +499,8 @@ def test_things_on_a_table(shared_data: Path) -> None:
     assert score.swamped == 0
 
 
-def test_a_wheelchair_on_its_way(shared_data: Path) -> None:
-    """Its labels' things over 6.5 cm; lower ones are neither missed nor false."""
+def test_a_moving_wheelchair(shared_data: Path) -> None:
+    """Labelled objects above 6.5 cm are required; lower ones are neither missed nor false."""
     tallies = judged(shared_data, "wheelchair", SURFACES, least_height_m=0.065)
     score = score_boxes(tallies)
     assert len(tallies) == 3 and sum(t.objects for t in tallies) == 2
@@ -509,10 +509,10 @@ def test_a_wheelchair_on_its_way(shared_data: Path) -> None:
 
 
 @pytest.mark.parametrize("upside_down", [False, True])
-def test_the_free_floor_shows_what_is_lower_than_the_step(
+def test_notches_of_the_free_floor_show_objects_lower_than_the_step(
     device: object, upside_down: bool
 ) -> None:
-    """A strip 4 cm high, behind which nothing is measured: floor ends there, but not beside it."""
+    """Nothing is measured behind a strip 4 cm high: floor ends there, but not next to it."""
     bare, strip = (cast(POSE, boxes) for boxes in ([], [((-0.1, 2.0, 0.0), (0.1, 2.1, 0.04))]))
     rows, columns = np.nonzero(strip < bare - 0.001)
     depth, plane = strip.copy(), POSE.plane()
@@ -526,12 +526,12 @@ def test_the_free_floor_shows_what_is_lower_than_the_step(
     assert metric.distances(detections)[0, 0] == pytest.approx(2050, abs=55)
     assert 20 < scene.bottom_top[0, 0, 0] <= scene.bottom_top[0, 0, 1] < 45
     assert_equal(detect(given, SURFACES), detections)
-    # Where the floor is measured behind it, it is floor.
+    # If the floor behind it is measured, the strip is floor.
     assert count(found(made(strip[None], POSE.plane()))) == 0
 
 
 def test_a_low_carton_with_a_hole_in_its_depth_is_found() -> None:
-    """As on a real pavement: a hole leaves 7 and 4 of its cells above the step."""
+    """As on a real pavement, a hole leaves 7 and 4 of its cells above the step."""
     sensor = DepthSensor(enabled=False)
     carton = Box((3.3, 0.0), (0.25, 0.24, 0.075), 0.0, CARTON)
     scene = Scene("made", (carton,), floor=WOOD, ground=Ground(), path=Way(length=0.0))

@@ -1,4 +1,4 @@
-"""Runs with obstacles made of surfaces: everything found is in the folder, whatever the split."""
+"""Runs with obstacles made of surfaces: results are complete, and independent of the split."""
 
 import json
 import re
@@ -46,7 +46,7 @@ def sim_log(
 
 @pytest.fixture(scope="module")
 def results(sim_log: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, LogSummary]:
-    """Of one process that takes a frame at a time, with a picture."""
+    """Return the results of one process that takes one frame at a time, with a picture."""
     folder = tmp_path_factory.mktemp("results")
     return folder, run(sim_log, folder, batch_size=1, workers=1, pictures=1)
 
@@ -96,14 +96,16 @@ def test_rows_and_summary(results: tuple[Path, LogSummary]) -> None:
 
 
 @pytest.mark.parametrize("sim_log", ["tf"], indirect=True)
-def test_the_map_knows_what_is_free(results: tuple[Path, LogSummary]) -> None:
+def test_the_map_shows_free_floor(results: tuple[Path, LogSummary]) -> None:
     grid = np.load(only_log(results[0]) / "map.npz")
     assert grid["free"].shape == grid["counts"].shape and 0 < grid["free"].max() <= FRAMES
     assert (grid["free"] > 0).sum() > 500
 
 
-def test_each_frame_is_as_alone(sim_log: Path, results: tuple[Path, LogSummary]) -> None:
-    """What is found with the prior of the log is what ``detect`` finds with it."""
+def test_each_frame_equals_a_single_detection(
+    sim_log: Path, results: tuple[Path, LogSummary]
+) -> None:
+    """A run with the prior of the log equals ``detect`` with that prior."""
     config = Config()
     with open_log(find_logs([str(sim_log)])[0]) as log:
         planes = engine.decide_planes(log, config, "reference")
@@ -118,7 +120,7 @@ def test_a_wrong_mount_is_corrected(tmp_path: Path) -> None:
     log = simulated(tmp_path, mount_pitch_error_rad=0.03, scene="row")
     about = run(log, tmp_path / "out")
     assert about.ground[0].pitch_rad == pytest.approx(0.1745 + 0.03, abs=0.01)
-    # The mount is that of the colour camera; the depth camera beside it is turned by 1.2°.
+    # The mount is that of the colour camera; the depth camera is rotated by 1.2°.
     assert "tf: 0.299 m up, 9.8° down" in about.ground[0].message
 
 
@@ -139,7 +141,7 @@ def test_far_from_the_mount_every_frame_is_refused_with_a_warning(
 
 
 @pytest.mark.parametrize("far, told", [(10, True), (8, False)])
-def test_floors_far_from_the_mount_everywhere_may_be_depths_fault(far: int, told: bool) -> None:
+def test_floors_far_from_the_mount_may_be_errors_of_the_depth(far: int, told: bool) -> None:
     log = LogSummary("a", (), status=Counter(ok=10), floor_sources=Counter(tf=10))
     log.floor_refused = Counter(far=far, too_little=10 - far)
     warning = log.floor_warning
@@ -164,7 +166,7 @@ def test_the_floor_warning_names_the_cause(pitch, roll, given, cause) -> None:
     assert warning and re.search(cause, warning) and "; else give the camera's true" in warning
 
 
-def test_source_none_drops_nothing_as_floor(tf_log: Path, tmp_path: Path) -> None:
+def test_source_none_removes_no_floor(tf_log: Path, tmp_path: Path) -> None:
     config = Config()
     nothing = replace(config, ground=replace(config.ground, source="none"))
     about = run(tf_log, tmp_path, nothing)

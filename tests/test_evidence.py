@@ -97,7 +97,7 @@ def upright(columns: list[tuple[int, int, int]]) -> tuple[np.ndarray, View]:
 def seen_of(things: list[tuple[int, int, int]], config: ObstacleConfig = CONFIG) -> list[dict]:
     label, view = upright(things)
     found = pairs(label, (view.z > 0) & (label < 0), view, UNIT, config)
-    return [dict(zip(PAIR_FEATURES, one.tolist(), strict=True)) for one in found.seen]
+    return [dict(zip(PAIR_FEATURES, one.tolist(), strict=True)) for one in found.features]
 
 
 def test_what_is_seen_by_hand() -> None:
@@ -128,15 +128,15 @@ def test_columns_and_depth_unit() -> None:
     label[4:7], view.z[4:7] = -1, 0
     label[7:] = np.where(label[7:] == 0, 1, label[7:])
     found = pairs(label, view.z < 0, view, UNIT, CONFIG)
-    seen = dict(zip(PAIR_FEATURES, found.seen[0].tolist(), strict=True))
+    seen = dict(zip(PAIR_FEATURES, found.features[0].tolist(), strict=True))
     assert seen["between_in_columns"] == 20 and seen["through_in_columns"] == 0
     fine = View(*(10 * a for a in view))
-    tenths = pairs(label, view.z < 0, fine, UNIT / 10, CONFIG).seen[0]
+    tenths = pairs(label, view.z < 0, fine, UNIT / 10, CONFIG).features[0]
     scale = np.where([name in LENGTHS for name in PAIR_FEATURES], 10, 1)
-    np.testing.assert_array_equal(tenths, found.seen[0] * scale)
+    np.testing.assert_array_equal(tenths, found.features[0] * scale)
     floor = np.zeros(label.shape, bool)
     floor[5, 30:50] = True
-    through = pairs(label, floor, view, UNIT, CONFIG).seen[0]
+    through = pairs(label, floor, view, UNIT, CONFIG).features[0]
     assert through[PAIR_FEATURES.index("through_in_columns")] == 20
 
 
@@ -149,7 +149,7 @@ def test_pairs_out_of_reach() -> None:
 
 def test_nothing() -> None:
     label, view = upright([])
-    assert pairs(label, (view.z > 0) & (label < 0), view, UNIT, CONFIG).seen.shape == (
+    assert pairs(label, (view.z > 0) & (label < 0), view, UNIT, CONFIG).features.shape == (
         0,
         len(PAIR_FEATURES),
     )

@@ -1,4 +1,4 @@
-"""features: against OpenCV on many images, by hand, and the twin."""
+"""features: compared with OpenCV on many images, by hand, and the twin."""
 
 from dataclasses import replace
 from typing import Any, cast
@@ -31,7 +31,7 @@ SIZES = [(480, 640), (61, 96), (240, 320), (33, 64)]
 
 
 def grey_images() -> list[np.ndarray]:
-    """Grey images whose width is a multiple of 32, where OpenCV's bits are ours."""
+    """Return grey images with a width of a multiple of 32, for which OpenCV's bits are equal."""
     rng = np.random.default_rng(3)
     images = [grey(blocks(1, *size)[0]) for size in SIZES]
     images.append(rng.integers(0, 256, (120, 160)).astype(np.uint8))
@@ -41,7 +41,7 @@ def grey_images() -> list[np.ndarray]:
 
 
 def corners_only(**changes) -> FeaturesConfig:
-    """The paper's bounds."""
+    """Return a configuration with the paper's thresholds."""
     plain = FeaturesConfig(canny_low=100, canny_high=200, min_distance=5.0)
     return replace(plain, **changes)
 
@@ -62,7 +62,7 @@ def test_canny_equals_opencv(bounds):
         assert np.array_equal(canny(image, *bounds), cv2.Canny(image, *bounds))
 
 
-def test_strengths_are_those_of_opencv_but_for_rounding():
+def test_strengths_equal_opencv_except_for_rounding():
     for image in grey_images():
         edges = canny(image, 100, 200)
         opencv = cv2.cornerMinEigenVal(edges, 3, ksize=3)
@@ -81,13 +81,13 @@ def test_corners_of_rendered_edges_equal_opencv_in_order(selection):
 
 
 def opencv_corners(edges: np.ndarray, selection: tuple[int, float, float]) -> np.ndarray:
-    """Columns and rows ``(n, 2)`` of ``cv2.goodFeaturesToTrack``."""
+    """Return columns and rows ``(n, 2)`` of ``cv2.goodFeaturesToTrack``."""
     corners = cv2.goodFeaturesToTrack(edges, *selection)
     return np.zeros((0, 2), int) if corners is None else corners[:, 0].astype(int)
 
 
 @pytest.mark.parametrize("bounds", [(50, 100), (100, 200)])
-def test_corners_of_recordings_equal_opencv_but_for_the_order_of_equals(shared_data, bounds):
+def test_corners_of_recordings_equal_opencv_except_for_the_order_of_ties(shared_data, bounds):
     for image in recorded_colors(shared_data):
         edges = canny(grey(image), *bounds)
         opencv_edges = cv2.Canny(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), *bounds)
@@ -110,7 +110,7 @@ def test_canny_equals_opencv_on_random_images(seed, levels, size):
 # by hand
 
 
-def test_a_square_gives_its_corners_with_depth_and_metric_coordinates():
+def test_corners_of_a_square_have_depth_and_metric_coordinates():
     color = np.zeros((1, 48, 64, 3), np.uint8)
     color[0, 16:32, 20:44] = 255
     camera = resized(D435_COLOR, 64, 48)._replace(fx=50.0, fy=50.0, cx=32.0, cy=24.0)
@@ -119,7 +119,7 @@ def test_a_square_gives_its_corners_with_depth_and_metric_coordinates():
     found = reference.features(color, z, Calibration(camera), config)
     assert found.valid[0].tolist() == [True] * 4 + [False] * 4
     at = sorted(zip(found.u[0, :4].tolist(), found.v[0, :4].tolist(), strict=True))
-    # The edge is the square's outermost white pixels; its corners are strongest just inside.
+    # The edge is the outermost white pixels of the square; the strongest corners are just inside.
     assert at == [(21, 17), (21, 29), (41, 17), (41, 29)]
     assert np.array_equal(found.x[0, :4], (found.u[0, :4] - 32) * 20)
     assert np.array_equal(found.y[0, :4], (found.v[0, :4] - 24) * 20)
@@ -187,7 +187,7 @@ def test_twin(device, name, width):
     assert_equal(stages.features(*given_), want)
 
 
-def test_settings_compile_nothing_anew():
+def test_new_settings_need_no_compilation():
     color, z = blocks(1, 60, 80), np.full((1, 60, 80), 900, np.uint16)
     calibration = Calibration(resized(D435_COLOR, 80, 60))
     compiled = cast(Any, on_device)._cache_size

@@ -1,4 +1,4 @@
-"""features: the twin on images made to break it, and on what hypothesis finds."""
+"""features: the twin on adversarial images, and on those that hypothesis finds."""
 
 from dataclasses import replace
 from itertools import product
@@ -19,7 +19,7 @@ CORNERS = FeaturesConfig(max_corners=200)
 
 
 def spiral(height: int, width: int) -> np.ndarray:
-    """A white line of one piece from the border to the middle, four pixels from itself."""
+    """Return a connected white spiral from border to centre, with a pitch of four pixels."""
     image = np.zeros((height, width), np.uint8)
     left, top, right, bottom = 0, 0, width - 1, height - 1
     while right - left > 12 and bottom - top > 12:
@@ -31,7 +31,7 @@ def spiral(height: int, width: int) -> np.ndarray:
 
 
 def hostile(height: int, width: int) -> dict[str, np.ndarray]:
-    """Grey images ``(H, W)``."""
+    """Return adversarial grey images ``(H, W)`` by name."""
     rng = np.random.default_rng(height * width)
     v, u = np.mgrid[:height, :width]
     images = {
@@ -66,7 +66,7 @@ SETTINGS = {
 
 
 def compare(grey: np.ndarray, config: FeaturesConfig) -> None:
-    """Both implementations on grey images ``(B, H, W)``; two runs give equal bytes."""
+    """Compare both implementations on grey images ``(B, H, W)``; two runs return equal bytes."""
     height, width = grey.shape[1:]
     color = np.repeat(grey[..., None], 3, axis=-1)
     z = np.random.default_rng(0).integers(0, 65536, grey.shape).astype(np.uint16)
@@ -77,7 +77,7 @@ def compare(grey: np.ndarray, config: FeaturesConfig) -> None:
 
 
 def test_sums_of_products_are_exact():
-    """Products of gradients of all windows are multiples of 2^-31, and nine of them at most 1."""
+    """Products of gradients are multiples of 2^-31, and nine of them sum up to at most 1."""
     windows = (np.arange(512)[:, None] >> np.arange(9) & 1).reshape(512, 3, 3)
     dx = ((windows[:, :, 2] - windows[:, :, 0]) @ [1, 2, 1]).astype(np.float32) * STEP
     smooth = (windows @ [1, 2, 1]).astype(np.float32) * STEP

@@ -1,4 +1,4 @@
-"""floor_frame: the floor in integers, and points on it."""
+"""floor_frame: floor in integers, and points on it."""
 
 import numpy as np
 from hypothesis import given
@@ -47,7 +47,7 @@ def test_a_rotation(pitch: int, roll: int, points: list) -> None:
 
 @given(st.floats(-0.6, 1.3), st.floats(-3.0, 3.0))
 def test_axes_are_those_of_the_plane(pitch: float, roll: float) -> None:
-    """Within half a step of both angles, and what is rounded."""
+    """They agree within half a step of both angles plus rounding."""
     plane = flat_plane(*(np.array([a]) for a in (0.5, pitch, roll)))
     axes = floor_frames(plane, UNIT)[0, :9].reshape(3, 3)
     known = np.concatenate(
@@ -56,27 +56,27 @@ def test_axes_are_those_of_the_plane(pitch: float, roll: float) -> None:
     assert np.abs(axes - known).max() <= np.radians(1 / ANGLES) * (1 << FRAME_BITS) + 1
 
 
-def test_a_camera_that_looks_straight_down() -> None:
+def test_a_camera_looking_straight_down() -> None:
     plane = flat_plane(np.array([0.5]), np.array([np.pi / 2]), np.zeros(1))
     right, forward, height = on_floor(floor_frames(plane, UNIT)[0], np.array([[100], [-50], [400]]))
     assert (right.tolist(), forward.tolist(), height.tolist()) == ([100], [50], [100])
 
 
 def test_without_a_floor() -> None:
-    """Level, and everything is high above."""
+    """The camera is level, and all points are high above the floor."""
     frame = floor_frames(unknown_plane(1), UNIT)[0]
     right, forward, height = on_floor(frame, np.array([[5], [700], [900]]))
     assert (right.tolist(), forward.tolist(), height.tolist()) == ([5], [900], [UNKNOWN_HEIGHT])
 
 
-def test_ramps_are_at_most_as_steep_as_integers_hold() -> None:
+def test_steepness_of_ramps_is_clipped() -> None:
     plane = flat_plane(np.ones(2), np.zeros(2), np.zeros(2))
     plane = plane._replace(ramp_start=np.ones(2), ramp_slope=np.array([1e9, -1e9]))
     steepest = STEEPEST_SLOPE << FRAME_BITS
     assert floor_frames(plane, UNIT)[:, -1].tolist() == [steepest, -steepest]
 
 
-def test_rolls_that_are_a_turn_apart_are_one() -> None:
+def test_rolls_a_full_turn_apart_are_equal() -> None:
     roll = np.radians([190.0, -170.0, 180.0, -180.0, 359.0, -1.0])
     given = prior_units(flat_plane(np.full(6, 0.5), np.zeros(6), roll), Scale(UNIT, 0.004))
     assert given[:, 1].tolist() == [ANGLES * deg for deg in (-170, -170, -180, -180, -1, -1)]

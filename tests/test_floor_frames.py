@@ -1,4 +1,4 @@
-"""find_floor: the floor of each frame on made cells."""
+"""find_floor: floor of each frame on synthetic cells."""
 
 import numpy as np
 import pytest
@@ -33,7 +33,7 @@ from tests.floor_cells import (
 @pytest.mark.parametrize(
     "wrong", [None, (0.0, 0.0, 0.0), (0.03, 2.0, 0.0), (-0.03, -2.0, 1.0), (0.05, 0.0, -3.0)]
 )
-def test_plane_is_found_beside_boxes(pose, wrong):
+def test_plane_is_found_next_to_boxes(pose, wrong):
     prior = unknown_plane(1) if wrong is None else pose.plane(*wrong)
     fit = found(measured(cast(pose, BOXES)), prior)
     assert_found(fit, pose)
@@ -43,7 +43,7 @@ def test_plane_is_found_beside_boxes(pose, wrong):
 @pytest.mark.parametrize("pose", [POSES[0], POSES[2]])
 @pytest.mark.parametrize("wrong", [None, (0.0, 0.0, 0.0), (0.03, 2.0, -1.0), (0.0, -1.0, 2.5)])
 def test_corridor(pose, wrong):
-    """Walls 60 cm to both sides, and low boxes between them."""
+    """Walls are 60 cm away on both sides, with low boxes between them."""
     walls: list[Box] = [((-0.7, -1, 0), (-0.6, 9, 2.5)), ((0.6, -1, 0), (0.7, 9, 2.5))]
     low: list[Box] = [((x, y, 0), (x + 0.2, y + 0.3, 0.08)) for x, y in ((-0.5, 1.0), (0.2, 1.7))]
     prior = unknown_plane(1) if wrong is None else pose.plane(*wrong)
@@ -51,14 +51,14 @@ def test_corridor(pose, wrong):
 
 
 @pytest.mark.parametrize("noise", [0.004, 0.006])
-def test_noise_moves_the_plane_little(noise):
+def test_noise_has_little_influence_on_the_plane(noise):
     pose = POSES[0]
     fit = found(measured(cast(pose, BOXES), noise=noise), pose.plane(0.03, 1.0, -1.0))
     assert_found(fit, pose, angle=0.25, height=6.0)
 
 
-def test_level_floor_by_head():
-    """A camera 500 mm up that looks level: floor cells are 500 below it, whatever their depth."""
+def test_level_floor_by_hand():
+    """For a level camera 500 mm up, floor cells are 500 below it at any depth."""
     z = np.zeros((120, 160), np.int32)
     v = np.arange(61, 120)
     z[61:] = (500 * 152 / (v - 59.5))[:, None]
@@ -68,7 +68,7 @@ def test_level_floor_by_head():
 
 
 @pytest.mark.parametrize("known", [True, False])
-def test_walls_are_no_floor(known):
+def test_walls_are_not_a_floor(known):
     walls: list[Box] = [((-4, 1.5, 0), (4, 1.6, 3)), ((-1.0, 0, 0), (-0.9, 1.5, 3))]
     pose = Pose(1.2, 0.0, 0.0)
     prior = pose.plane() if known else unknown_plane(1)
@@ -79,7 +79,7 @@ def test_walls_are_no_floor(known):
 
 @pytest.mark.parametrize(("pose", "measured_share"), [((0.06, -6, 1.4), 0.5), ((0.1, -5, 2), 0.5)])
 def test_a_wall_has_more_cells_than_the_floor(pose, measured_share):
-    """A camera just above a glossy floor, of which half is measured, sees walls at a metre."""
+    """A camera just above a glossy floor, half of which is measured, sees walls at a metre."""
     pose = Pose(*pose)
     walls: list[Box] = [((-3, 1.0, 0), (-0.35, 1.1, 2)), ((-0.35, 1.7, 0), (0.4, 1.8, 2))]
     walls.append(((0.4, 1.2, 0), (3, 1.3, 2)))
@@ -97,15 +97,15 @@ CHAIR += [((-0.2, 2.2, 0.4), (0.2, 2.6, 0.45)), ((-0.2, 2.6, 0.45), (0.2, 2.65, 
 
 @pytest.mark.parametrize("room", [DESK, CHAIR], ids=["desk", "chair"])
 @pytest.mark.parametrize("pose", [Pose(1.06, 0.0, 1.0), Pose(1.3, 5.0, 0.0)])
-def test_a_levelled_camera_in_a_room_sees_little_floor(pose, room):
-    """Less than a tenth of what it sees is floor, and nine tenths are walls and furniture."""
+def test_a_level_camera_in_a_room_sees_little_floor(pose, room):
+    """Less than a tenth of its image is floor, and nine tenths are walls and furniture."""
     fit = found(measured(cast(pose, room)), unknown_plane(1))
     assert_found(fit, pose, angle=0.4, height=20.0)
     assert fit.share[0] < 0.1
 
 
-def test_a_plane_through_a_room_is_no_floor():
-    """Hardly any floor is in sight: a steep plane through wall and furniture has more cells."""
+def test_a_plane_through_a_room_is_not_a_floor():
+    """Hardly any floor is visible: a steep plane through wall and furniture has more inliers."""
     room: list[Box] = [((-4, 4.2, 0), (4, 4.3, 3)), ((0.3, 2.4, 0), (1.7, 3.2, 0.72))]
     room.append(((-2.2, 2.8, 0), (-0.4, 3.2, 1.2)))
     fit = found(measured(cast(Pose(1.06, -3.0, 2.0), room)), unknown_plane(1))
@@ -116,7 +116,7 @@ TABLE: list[Box] = [((-0.8, 0.2, 0.70), (0.8, 1.0, 0.74)), ((-4.0, 3.5, 0.0), (4
 
 
 def test_table_is_not_the_floor():
-    """Seen from 1.3 m, the table fills half of the picture and the floor goes on behind it."""
+    """From 1.3 m the table fills half of the image, and the floor continues behind it."""
     pose = Pose(1.3, 40.0, 0.0)
     z = measured(cast(pose, TABLE))
     assert_found(found(z, pose.plane(0.04, 2.0, 1.0)), pose, angle=0.3, height=15.0)
@@ -124,7 +124,7 @@ def test_table_is_not_the_floor():
     assert not alone.own[0] or abs(alone.plane.height[0] - 1.3) < 0.02
 
 
-def test_table_alone_is_refused_when_something_is_seen_below_it():
+def test_table_without_floor_is_refused_if_something_is_visible_below_it():
     pose = Pose(1.3, 35.0, 0.0)
     low: Box = ((-4.0, 2.0, 0.0), (4.0, 2.1, 2.5))
     z = measured(cast(pose, [((-2.0, 0.2, 0.70), (2.0, 1.1, 0.74)), low], floor=False))
@@ -132,9 +132,11 @@ def test_table_alone_is_refused_when_something_is_seen_below_it():
 
 
 @pytest.mark.parametrize(("known", "columns"), [(True, 16), (True, 90), (False, 16), (False, 24)])
-def test_reflections_do_not_veto_the_floor(known, columns):
-    """A glossy floor shows lamps as far below itself as they hang above: up to 14 % of the cells
-    where the floor is known, 4 % where it is not, and much less than lie on it."""
+def test_reflections_do_not_lead_to_refusal(known, columns):
+    """A glossy floor shows mirrored lamps below itself.
+
+    They are up to 14 % of the cells with a prior, 4 % without, and far fewer than the inliers.
+    """
     pose = Pose(0.6, 20.0, 0.0)
     z = cast(pose, BOXES)
     z[70:100, 60 : 60 + columns] *= 1.6
@@ -150,8 +152,8 @@ def test_too_few_cells():
         assert_refused(found(0 * z, prior), Refusal.TOO_LITTLE, prior)
 
 
-def test_a_floor_that_makes_all_else_an_obstacle_is_refused():
-    """A little of it is seen under a plate that hangs 0.6 m ahead."""
+def test_a_floor_below_nearly_all_cells_is_refused():
+    """A little floor is visible under a plate that hangs 0.6 m ahead."""
     pose = Pose(0.5, 0.0, 0.0)
     z = cast(pose, [])
     little, more = (np.where(np.arange(120)[:, None] < row, 0.6, z) for row in (115, 112))
@@ -161,7 +163,7 @@ def test_a_floor_that_makes_all_else_an_obstacle_is_refused():
 
 
 def test_a_camera_on_its_side_is_unusual():
-    """The plane of a floor to the right is a wall's, unless that is known."""
+    """Without a prior, a floor to the right of the image is taken for a wall."""
     pose = Pose(0.6, 20.0, 60.0)
     z = measured(cast(pose, []))
     assert_found(found(z, pose.plane(0.02, 1.0, 0.0)), pose)
@@ -186,7 +188,7 @@ def test_a_plane_too_far_from_the_prior_is_refused():
 
 
 def test_a_floor_above_the_camera_is_refused():
-    """A ceiling 2 cm above the axis, where the camera is said to be 4 cm up."""
+    """A ceiling is 2 cm above the axis, and the prior has a height of 4 cm."""
     pose = Pose(0.04, 0.0, 0.0)
     ceiling = np.flip(cast(pose._replace(height=0.02), []), axis=0)
     fit = found(measured(ceiling, noise=0.0), pose.plane())
@@ -197,7 +199,7 @@ def test_a_floor_above_the_camera_is_refused():
 @pytest.mark.parametrize("drop", [0.09, 0.15, 0.25, 0.35, 0.9])
 @pytest.mark.parametrize("start", [1.8, 2.5])
 def test_the_floor_before_a_step_down_is_found(pose, drop, start):
-    """A plane turned by 1 to 4 degrees runs from the floor before the step to the one beyond."""
+    """A plane tilted by 1 to 4 degrees would fit the floor before the step and the one beyond."""
     z = measured(cast_step(pose, drop, start), noise=0.004)
     for wrong in ((0.0, 0.0, 0.0), (0.03, 1.5, -1.0), (-0.02, -1.5, 1.0), (0.0, 2.0, 0.0)):
         fit = found(z, pose.plane(*wrong))
@@ -215,14 +217,14 @@ def test_the_floor_before_a_step_down_is_found(pose, drop, start):
 )
 @pytest.mark.parametrize("high", [0.065, 0.08, 0.1, 0.13, 0.2])
 def test_the_floor_before_a_kerb_is_found(pose, start, high):
-    """A plane that runs from the road to the pavement would hide the kerb."""
+    """A plane through road and pavement would hide the kerb."""
     z = measured(cast(pose, [((-9.0, start, 0.0), (9.0, 9.0, high))]), noise=0.004)
     for wrong in ((0.0, 0.0, 0.0), (0.02, 0.7, -1.0), (-0.02, -0.7, 1.0)):
         assert_found(found(z, pose.plane(*wrong)), pose, angle=0.2, height=5.0)
 
 
-def test_a_wall_behind_the_floor_is_no_step():
-    """It gives as many cells at any height, but at one distance."""
+def test_a_wall_behind_the_floor_is_not_a_step():
+    """It has as many cells at any height, but all at one distance."""
     pose = Pose(1.7, 29.0, -0.8)
     walls: list[Box] = [((-4.0, 2.6, 0.0), (4.0, 2.7, 2.5)), ((-0.9, 1.4, 0.2), (0.8, 2.6, 0.6))]
     assert_found(found(measured(cast(pose, walls)), pose.plane()), pose)
@@ -233,16 +235,16 @@ def test_a_wall_behind_the_floor_is_no_step():
     [(Pose(0.6, 25, 0), 0.3, 0.8), (Pose(0.6, 25, 0), 0.3, 1.1), (Pose(1.3, 30, -2), 0.7, 1.5)],
 )
 @pytest.mark.parametrize("high", [0.055, 0.065])
-def test_what_is_low_and_as_wide_as_the_picture_is_not_the_floor(pose, start, end, high):
-    """Beyond it the floor is where the camera's is: no step leads down there."""
+def test_a_low_object_as_wide_as_the_image_is_not_the_floor(pose, start, end, high):
+    """Beyond it the floor is at the same height as below the camera, so there is no step down."""
     platform: Box = ((-3.0, start, 0.0), (3.0, end, high))
     fit = found(measured(cast(pose, [platform]), noise=0.004), pose.plane())
     height, pitch, _ = errors(fit, pose)
     assert abs(height) < 4.0 and abs(pitch) < 0.12
 
 
-def test_a_step_counts_as_floor():
-    """Beyond a step the lower floor is neither a table's surroundings nor missing."""
+def test_floor_beyond_a_step_counts_as_floor():
+    """The lower floor is neither the surroundings of a table nor missing."""
     pose = Pose(1.3, 30.0, 0.0)
     shown = cast_step(pose, 0.25, 1.8), cast(pose, [])
     share = [found(measured(z), pose.plane()).share[0] for z in shown]
@@ -252,7 +254,7 @@ def test_a_step_counts_as_floor():
 @pytest.mark.parametrize("slope", [-8.0, -4.0, 4.0, 8.0])
 @pytest.mark.parametrize("wrong", [(0.0, 0.0, 0.0), (0.02, 1.0, 0.5), None])
 def test_ramp_is_found_or_is_the_plane(slope, wrong):
-    """The surface is within 2 cm + 1.5 cm/m wherever floor is seen, as plane or as ramp."""
+    """The surface, plane or ramp, is within 2 cm + 1.5 cm/m of the true visible floor."""
     pose, start = Pose(0.4, 15.0, 2.0), 1.3
     z = cast(pose, BOXES[:1], ramp=(start, float(np.tan(np.radians(slope)))))
     prior = unknown_plane(1) if wrong is None else pose.plane(*wrong)
@@ -272,7 +274,7 @@ def test_ramp_is_found_or_is_the_plane(slope, wrong):
 
 
 def test_a_ramp_between_cabinets_is_found():
-    """Most of the picture shows cabinets and a wall; of the floor, a tenth lies on the ramp."""
+    """Most of the image shows cabinets and a wall; a tenth of the floor is on the ramp."""
     pose, start, slope = Pose(0.3, 10.0, 1.0), 1.8, 5.0
     things: list[Box] = [((-4, 3.2, 0), (4, 3.3, 3)), ((-2, 1.0, 0), (-0.1, 1.2, 2))]
     things.append(((0.1, 1.0, 0), (2, 1.2, 2)))
@@ -283,7 +285,7 @@ def test_a_ramp_between_cabinets_is_found():
 
 
 @pytest.mark.parametrize("slope", [-4.0, 4.0])
-def test_without_ramps_none_is_found(slope):
+def test_no_ramp_is_found_if_ramps_are_disabled(slope):
     pose = Pose(0.4, 15.0, 2.0)
     z = measured(cast(pose, [], ramp=(1.3, float(np.tan(np.radians(slope))))))
     fit = found(z, pose.plane(), FloorConfig(ramps=False))
@@ -291,8 +293,8 @@ def test_without_ramps_none_is_found(slope):
 
 
 @pytest.mark.parametrize("pose", POSES[:2])
-def test_bent_margins_tilt_nothing(pose):
-    """The outer tenth of the columns comes nearer by up to 8 percent, on one side or on both."""
+def test_bent_margins_do_not_tilt_the_plane(pose):
+    """The outer tenth of the columns is nearer by up to 8 percent, on one side or on both."""
     u = np.arange(160)
     for sides in ((True, True), (True, False)):
         bend = np.maximum(np.where(sides[0], 16 - u, 0), np.where(sides[1], u - 143, 0)).clip(0)
@@ -302,7 +304,7 @@ def test_bent_margins_tilt_nothing(pose):
         assert np.isinf(fit.plane.ramp_start[0])
 
 
-def test_a_box_face_is_no_ramp():
+def test_a_box_face_is_not_a_ramp():
     pose = Pose(0.3, 10.0, 0.0)
     for distance in (0.9, 1.5, 2.2):
         low: list[Box] = [((-2.0, distance, 0.0), (2.0, distance + 0.3, 0.12))]
@@ -312,7 +314,7 @@ def test_a_box_face_is_no_ramp():
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_noise_is_no_floor(seed):
+def test_noise_is_not_a_floor(seed):
     rng = np.random.default_rng(seed)
     z = rng.integers(0, 8000, (120, 160)).astype(np.uint16)
     for prior in (
@@ -344,7 +346,7 @@ def test_batch_is_the_stack_of_singles():
 
 
 @pytest.mark.parametrize("pose", POSES)
-def test_a_wrong_prior_gives_the_same_plane(pose):
+def test_a_wrong_prior_leads_to_the_same_plane(pose):
     z = measured(cast(pose, BOXES), seed=3)
     true = found(z, pose.plane()).plane
     for wrong in ((0.0, 2.0, 0.0), (0.0, -2.0, 0.0), (0.03, 0.0, 2.0), (-0.03, 0.0, -2.0)):
@@ -354,7 +356,7 @@ def test_a_wrong_prior_gives_the_same_plane(pose):
         assert abs(plane.height - true.height) < 0.003
 
 
-def test_the_depth_unit_matters_little():
+def test_the_depth_unit_has_little_influence():
     pose = POSES[0]
     z = measured(cast(pose, BOXES))
     x, y, depth = positions(z[None], CAMERA)

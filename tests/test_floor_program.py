@@ -1,4 +1,4 @@
-"""The floor of each frame: the program finds what the reference finds."""
+"""The kernel of the floor equals the reference."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -42,10 +42,10 @@ Cells = list[np.ndarray]
 def assert_same(
     grid: Cells, prior: GroundPlane, config: FloorConfig = CONFIG, unit: float = UNIT
 ) -> np.ndarray:
-    """The program's planes are the reference's.
+    """Assert that the kernel and the reference return the same planes.
 
     Returns:
-        ``(B, 8)`` int32, as the program found it.
+        Result of the kernel, ``(B, 8)`` int32.
     """
     shared = tables(grid[2][0].size, config, unit)
     known = prior_units(prior, Scale(unit, config.noise_per_m))
@@ -55,7 +55,7 @@ def assert_same(
 
 
 def priors(plane: GroundPlane) -> list[GroundPlane]:
-    """Right ones, some that are wrong, and none."""
+    """Return correct priors, some wrong ones, and none."""
     up, roll = np.radians(2.0), np.radians(-2.0)
     return [
         plane,
@@ -67,7 +67,7 @@ def priors(plane: GroundPlane) -> list[GroundPlane]:
 
 
 def random_cells(seed: int, batch: int, rows: int, columns: int, part: float = 0.7) -> Cells:
-    """Anything within a metre of a floor half a metre down, so many of the cells measured."""
+    """Return random cells within 1 m of a floor 0.5 m down, a fraction of them measured."""
     rng = np.random.default_rng(seed)
     z = rng.integers(1, 7000, (batch, rows, columns))
     z *= rng.random(z.shape) < part
@@ -80,7 +80,7 @@ def random_cells(seed: int, batch: int, rows: int, columns: int, part: float = 0
 
 
 def test_boxes_and_ramps() -> None:
-    """Ramps up, ramps down and none are found, and planes too far from the prior are refused."""
+    """Ramps up, down and none are found, and planes too far from the prior are refused."""
     depths, known = [], []
     for pose in POSES:
         for slope in (0.0, -6.0, 6.0):
@@ -96,7 +96,7 @@ def test_boxes_and_ramps() -> None:
 
 
 def test_steps() -> None:
-    """Steps down and up from any height, with priors that are right, wrong and none."""
+    """Steps down and up are found from any height, with correct, wrong and no priors."""
     depths, known = [], []
     for pose in (Pose(0.3, 10.0, 1.0), Pose(0.8, 20.0, 1.0), Pose(1.3, 30.0, -2.0)):
         for drop, start in ((0.05, 1.8), (0.15, 2.5), (1.3, 1.8)):
@@ -111,7 +111,7 @@ def test_steps() -> None:
     assert (found != flat).any(axis=1).sum() > 20
 
 
-def test_tables_walls_and_little() -> None:
+def test_tables_walls_and_few_cells() -> None:
     pose = POSES[3]
     things = [
         ([((-2.0, 0.2, 0.5), (2.0, 1.1, 0.54)), ((-4.0, 2.0, 0.0), (4.0, 2.1, 2.5))], False),
@@ -160,8 +160,8 @@ def test_depth_units(unit: float) -> None:
         assert_same(scaled, repeat_plane(prior, 2), CONFIG, unit)
 
 
-def test_cells_at_the_very_edge_of_the_tolerance_move_no_plane() -> None:
-    """In coarse units it is a few, and Tukey's biweight of what lies there is 0."""
+def test_cells_at_the_edge_of_the_tolerance_do_not_move_the_plane() -> None:
+    """In coarse units the tolerance is a few units, and Tukey's biweight at its edge is 0."""
     z = np.broadcast_to(np.arange(340, 590, 5, dtype=np.int32)[:, None], (50, 40))[None].copy()
     x = np.broadcast_to(np.arange(-20, 20, dtype=np.int32), z.shape).copy()
     given = flat_plane(*(np.array([a]) for a in (0.5, 0.0, 0.0)))
@@ -185,8 +185,8 @@ def test_ramps_seen_from_straight_above() -> None:
 
 
 @pytest.mark.parametrize("low", [1e-5, 0.003])
-def test_a_plane_above_the_camera_has_no_smaller_tolerance(low: float) -> None:
-    """With much noise and the largest shift, in fine units, it would be some units or negative."""
+def test_tolerance_is_not_smaller_for_a_plane_above_the_camera(low: float) -> None:
+    """With strong noise and the largest shift, the tolerance would be small or negative."""
     rng = np.random.default_rng(3)
     config = FloorConfig(noise_per_m=0.6, max_shift_m=1.0, max_turn_deg=10.0, min_share=0.0)
     pitch = rng.uniform(np.radians(-85), np.radians(-60), 12)
@@ -214,7 +214,7 @@ def test_random_cells(batch: int, rows: int, columns: int) -> None:
             assert_same(grid, prior)
 
 
-def test_fewer_cells_than_are_given() -> None:
+def test_fewer_cells_than_in_the_grid() -> None:
     config = replace(CONFIG, max_cells=300)
     plane = flat_plane(*(np.array([a]) for a in (0.5, 0.0, 0.02)))
     for prior in priors(plane):
@@ -223,7 +223,7 @@ def test_fewer_cells_than_are_given() -> None:
 
 @pytest.mark.parametrize("roll_deg", [-180.0, -177.0, 90.0, 178.0])
 def test_any_roll(roll_deg: float) -> None:
-    """As the images of a camera that hangs upside down."""
+    """The camera may have any roll, for instance hang upside down."""
     plane = flat_plane(*(np.array([a]) for a in (0.5, 0.2, np.radians(roll_deg))))
     for grid in (random_cells(5, 1, 40, 50), [-a for a in random_cells(6, 1, 40, 50)]):
         assert_same([*grid[:2], np.abs(grid[2])], plane)
@@ -253,8 +253,8 @@ def test_simulated(family: str, depth_error: float) -> None:
         assert_same([grid.x, grid.y, grid.z], prior)
 
 
-def test_a_steep_plane_through_a_hedge_is_no_floor() -> None:
-    """More cells of a hedge and what stands before it lie on one plane than on the level floor."""
+def test_a_steep_plane_through_a_hedge_is_not_a_floor() -> None:
+    """A plane through a hedge and objects in front of it has more inliers than the level floor."""
     level = {"camera_pitch_rad": 0.0, "camera_roll_rad": 0.0, "width": 320, "height": 240}
     (frame,) = sample_frames("mixed", 2102, 1, **level)
     assert frame.depth is not None

@@ -1,4 +1,4 @@
-"""find_floor: the floor of each frame on recorded cells."""
+"""find_floor: floor of each frame on recorded cells."""
 
 from pathlib import Path
 
@@ -17,7 +17,7 @@ from tests.floor_cells import CONFIG, UNIT, positions
 
 
 def grids(path: Path) -> tuple[list[list[np.ndarray]], list[np.ndarray], Calibration]:
-    """Each frame's cells, and its aligned depth."""
+    """Return the cells of each frame, its aligned depth, and the calibration."""
     cells, depths = [], []
     with open_log(str(path)) as log:
         for batch in log.batches(6):
@@ -31,7 +31,7 @@ def grids(path: Path) -> tuple[list[list[np.ndarray]], list[np.ndarray], Calibra
 
 
 def test_a_recorded_cart(shared_data):
-    """README_DATA's RANSAC: 0.62-0.63 m, 19-20 degrees down, 9-13 degrees of roll."""
+    """RANSAC in README_DATA: height 0.62-0.63 m, pitch 19-20 degrees, roll 9-13 degrees."""
     cells, _, _ = grids(shared_data / "aims_slam/aims_slam_18frames.mcap")
     assert len(cells) == 18
     for one in cells:
@@ -69,7 +69,7 @@ def test_labelled_support_is_not_kept(shared_data, name, step, most):
 
 
 def test_kitchen_tables_are_not_the_floor(shared_data):
-    """Hand-held among tables: floor is seen in five frames, table tops in most others."""
+    """Hand-held among tables: floor is visible in five frames, table tops in most others."""
     cells, _, _ = grids(shared_data / "look/kitchen.mcap")
     alone = [find_floor(*one, unknown_plane(1), CONFIG, UNIT) for one in cells]
     assert [n for n, fit in enumerate(alone) if fit.own[0]] == [0, 1, 2, 9, 10]
@@ -77,11 +77,11 @@ def test_kitchen_tables_are_not_the_floor(shared_data):
     assert all(1.2 < height < 1.55 for height in heights)
 
 
-def test_stills_before_walls(shared_data):
-    """README_DATA: set down by hand, low; in frames 1, 5 and 9 the largest plane is a wall.
+def test_still_images_in_front_of_walls(shared_data):
+    """README_DATA: placed by hand, low; in frames 1, 5 and 9 the largest plane is a wall.
 
-    RANSAC on the lower rows of frame 5, of whose floor a fifth is measured: 5 to 7 cm, -6 to -7
-    degrees.
+    RANSAC on the lower rows of frame 5, where a fifth of the floor is measured: height 5 to 7 cm,
+    pitch -6 to -7 degrees.
     """
     config, alone = Config(), []
     with open_log(str(shared_data / "d435_boxes_felixchenfy")) as log:

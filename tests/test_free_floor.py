@@ -1,22 +1,22 @@
-"""free_floor: how far the floor is seen and what ends it."""
+"""free_floor: visible extent of the floor, and what ends it."""
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jaxdet.reference._free import BESIDE, FloorView, floor_ahead, free_floor
+from jaxdet.reference._free import NEIGHBOURS, FloorView, floor_ahead, free_floor
 from jaxdet.reference._notches import notches, with_notches
 from jaxdet.types import FreeEnd
 
 FAR, GAP, DROP = 4000, 500, 60
-WIDE = 2 * BESIDE + 1
+WIDE = 2 * NEIGHBOURS + 1
 
 
 def column(*cells: tuple[int, int] | str | None) -> dict[str, list[int]]:
-    """One column from the nearest cell up: (forward, height), ``"4"`` an obstacle's, None a hole.
+    """Return a column from the nearest cell up: (forward, height), ``"4"`` obstacle, None hole.
 
-    Floor is within 30 mm of the plane, low what is not higher.
+    Floor is within 30 mm of the plane, low everything not higher.
     """
     out: dict[str, list[int]] = {"label": [], "low": [], "floor": [], "forward": [], "height": []}
     for cell in reversed(cells):
@@ -31,16 +31,16 @@ def column(*cells: tuple[int, int] | str | None) -> dict[str, list[int]]:
 
 
 def found(*columns: dict[str, list[int]]) -> tuple[np.ndarray, list[FreeEnd]]:
-    """Lines and ends of columns side by side, a millimetre to the right for each column.
+    """Return lines and ends of adjacent columns, each a millimetre to the right of the last.
 
-    Beside them are columns where nothing is measured.
+    Nothing is measured in the columns next to them.
     """
     empty = column(*[None] * len(columns[0]["label"]))
     return narrow(*columns, *[empty] * WIDE, count=len(columns))
 
 
 def narrow(*columns: dict[str, list[int]], count: int) -> tuple[np.ndarray, list[FreeEnd]]:
-    """Those of the first ``count`` columns, when there are no others."""
+    """Return lines and ends of ``count`` columns, without further columns."""
     arrays = {k: np.array([c[k] for c in columns]).T for k in columns[0]}
     right = np.broadcast_to(np.arange(len(columns)), arrays["label"].shape)
     drop = np.full(right.shape, DROP)
@@ -65,13 +65,13 @@ def floor(*forward: int) -> list[tuple[int, int]]:
 # by hand
 
 
-def test_to_the_end_of_the_range() -> None:
+def test_floor_up_to_the_end_of_the_range() -> None:
     line, end = found(column(*floor(500, 900, 1400, 1900, 2400, 2900, 3400, 3600), None))
     assert end == [FreeEnd.RANGE]
     assert line.tolist() == [[[0, 500], [0, 3600]]]
 
 
-def test_up_to_an_obstacle() -> None:
+def test_floor_up_to_an_obstacle() -> None:
     line, end = found(column(*floor(500, 900, 1300), "1500", "1500", "1500"))
     assert end == [FreeEnd.OBSTACLE]
     assert line.tolist() == [[[0, 500], [0, 1500]]]
@@ -82,13 +82,13 @@ def test_floor_behind_an_obstacle_is_not_free() -> None:
     assert end == [FreeEnd.OBSTACLE] and line[0, 1].tolist() == [0, 1200]
 
 
-def test_the_nearest_obstacle_ends_it_wherever_it_is_in_the_column() -> None:
-    """What hangs over the floor is nearer than the floor below it in the image."""
+def test_the_nearest_obstacle_of_the_column_ends_the_floor() -> None:
+    """An object above the floor is nearer than the floor below it in the image."""
     line, end = found(column(*floor(500, 900, 1300, 1700), "1800", "1000"))
     assert end == [FreeEnd.OBSTACLE] and line[0].tolist() == [[0, 500], [0, 1000]]
 
 
-def test_where_nothing_is_known() -> None:
+def test_floor_ends_for_an_unknown_reason() -> None:
     line, end = found(column(*floor(500, 900, 1300), None, None))
     assert end == [FreeEnd.UNKNOWN] and line[0].tolist() == [[0, 500], [0, 1300]]
     line, end = found(column(*floor(500, 900, 1300), None, *floor(1801, 2000)))
@@ -97,20 +97,20 @@ def test_where_nothing_is_known() -> None:
     assert end == [FreeEnd.UNKNOWN] and line[0, 1].tolist() == [0, 1300]
 
 
-def test_a_hole_shorter_than_the_gap_is_passed_over() -> None:
+def test_a_hole_shorter_than_the_gap_is_ignored() -> None:
     line, end = found(column(*floor(500, 900, 1300), None, *floor(1800, 2000), None, None))
     assert end == [FreeEnd.UNKNOWN] and line[0, 1].tolist() == [0, 2000]
 
 
-def test_only_an_obstacle() -> None:
+def test_a_column_with_only_an_obstacle() -> None:
     line, end = found(column(None, "900", "910"), column(None, None, None))
     assert end == [FreeEnd.OBSTACLE, FreeEnd.UNKNOWN]
     assert line.tolist() == [[[0, 900], [0, 900]], [[0, 0], [0, 0]]]
 
 
 @pytest.mark.parametrize("down", [(0, 8192, 0), (0, -8192, 0), (5000, -5000, 0), (8192, 0, 0)])
-def test_a_camera_mounted_in_any_way(down: tuple[int, int, int]) -> None:
-    """Upside down its image is that of an upright one turned by half; on its side none is read."""
+def test_any_mounting_of_the_camera(down: tuple[int, int, int]) -> None:
+    """Upside down, the image is that of an upright camera rotated by half; on its side, unknown."""
     cells = column(*floor(500, 900, 1400, 1900, 2400, 2900, 3400, 3600), None)
     arrays = {k: np.array([v, v]).T for k, v in cells.items()}
     right, drop = np.array([[-7, 7]] * 9), np.full((9, 2), DROP)
@@ -136,20 +136,20 @@ def test_a_step_down() -> None:
     assert line[3].tolist() == [[3, 500], [3, 1300]]
 
 
-def test_what_stands_below_a_step_reaches_up_to_the_floor() -> None:
-    """A wall of a lower room has cells at the floor's level that are about as far."""
+def test_a_wall_below_a_step_may_reach_the_height_of_the_floor() -> None:
+    """A wall of a lower room has cells at the height of the floor that are about as far."""
     wall = column(*floor(500, 900, 1300), (4200, -300), (4400, -290), (4600, -280), (3900, 0))
     _, end = found(*[wall] * WIDE)
     assert end == [FreeEnd.DROP] * WIDE
 
 
 def test_a_narrow_drop_is_a_reflection() -> None:
-    """Of a column and its neighbours more than half must drop."""
+    """More than half of a column and its neighbours must drop."""
     plain = column(*floor(500, 900, 1300, 1700, 2100, 2500), None)
-    _, end = found(*[plain] * BESIDE, *[STEP_DOWN] * BESIDE, *[plain] * BESIDE)
+    _, end = found(*[plain] * NEIGHBOURS, *[STEP_DOWN] * NEIGHBOURS, *[plain] * NEIGHBOURS)
     assert FreeEnd.DROP not in end
-    assert end[BESIDE : 2 * BESIDE] == [FreeEnd.UNKNOWN] * BESIDE
-    _, end = found(*[plain] * BESIDE, *[STEP_DOWN] * (BESIDE + 1), *[plain] * BESIDE)
+    assert end[NEIGHBOURS : 2 * NEIGHBOURS] == [FreeEnd.UNKNOWN] * NEIGHBOURS
+    _, end = found(*[plain] * NEIGHBOURS, *[STEP_DOWN] * (NEIGHBOURS + 1), *[plain] * NEIGHBOURS)
     assert FreeEnd.DROP in end
 
 
@@ -157,14 +157,14 @@ def test_a_narrow_drop_is_a_reflection() -> None:
     "beyond",
     [
         ((1500, -300), (1700, -300)),  # too few cells
-        ((1500, -40), (1700, -80), (1900, -130)),  # slowly: a far floor that is bowed
-        ((1500, -300), (1501, -500), (1502, -700)),  # upright: a mirrored thing
-        ((1500, -300), "1600", (1700, -300)),  # something stands there
-        ((1500, -300), (1600, -300), (1700, -300), (1750, 0), (1900, 0)),  # floor goes on beyond
+        ((1500, -40), (1700, -80), (1900, -130)),  # gradually: a far floor that is bowed
+        ((1500, -300), (1501, -500), (1502, -700)),  # upright: a mirrored object
+        ((1500, -300), "1600", (1700, -300)),  # there is an obstacle
+        ((1500, -300), (1600, -300), (1700, -300), (1750, 0), (1900, 0)),  # floor continues beyond
         ((7000, -900), (7400, -940), (7900, -980), (2000, 0)),  # floor beyond a gap, but nearer
     ],
 )
-def test_what_is_no_drop(beyond: tuple) -> None:
+def test_cells_that_are_not_a_drop(beyond: tuple) -> None:
     _, end = found(*[column(*floor(500, 900, 1300), *beyond)] * WIDE)
     assert FreeEnd.DROP not in end
 
@@ -207,7 +207,7 @@ def test_mirrored(columns: list) -> None:
 
 
 @given(pictures)
-def test_columns_are_alone_but_for_drops(columns: list) -> None:
+def test_columns_are_independent_except_for_drops(columns: list) -> None:
     line, end = found(*columns)
     for c, one in enumerate(columns):
         alone, (why,) = found(one)
@@ -215,12 +215,12 @@ def test_columns_are_alone_but_for_drops(columns: list) -> None:
         assert why == end[c] or {why, end[c]} <= {FreeEnd.UNKNOWN, FreeEnd.DROP}
 
 
-def test_nothing() -> None:
+def test_no_cells() -> None:
     line, end = found(column(None), column(None))
     assert not line.any() and end == [FreeEnd.UNKNOWN] * 2
 
 
-@pytest.mark.parametrize("count", [1, 2, 2 * BESIDE])
+@pytest.mark.parametrize("count", [1, 2, 2 * NEIGHBOURS])
 def test_narrow_grids(count: int) -> None:
     line, end = narrow(*[column(*floor(500, 900), "1200")] * count, count=count)
     assert end == [FreeEnd.OBSTACLE] * count and line.shape == (count, 2, 2)
@@ -233,9 +233,9 @@ def test_narrow_grids(count: int) -> None:
     ("ahead", "ends", "want"),
     [
         ([900, 500, 550, 950], "uuuu", [-1, 0, 0, -1]),
-        ([900, 500, 550, 850], "uuuu", [-1, -1, -1, -1]),  # no deeper than it must be
-        ([900, 500, 550, 950], "uudu", [-1, -1, -1, -1]),  # a drop tells why
-        ([900, 500, 0, 950], "uuuu", [-1, -1, -1, -1]),  # no floor is seen in one of them
+        ([900, 500, 550, 850], "uuuu", [-1, -1, -1, -1]),  # not deeper than the minimum
+        ([900, 500, 550, 950], "uudu", [-1, -1, -1, -1]),  # a drop is a known reason
+        ([900, 500, 0, 950], "uuuu", [-1, -1, -1, -1]),  # no floor is visible in one of them
         ([500, 100, 100, 500, 900, 590, 950, 900], "uuuuuuuu", [-1, 0, 0, -1, -1, 1, -1, -1]),
         ([900, 500, 500], "uuu", [-1, -1, -1]),  # the image ends
         ([500, 900, 500], "uuu", [-1, -1, -1]),
@@ -250,7 +250,7 @@ def test_notches(ahead: list[int], ends: str, want: list[int]) -> None:
     assert notches(end[::-1], np.array(ahead[::-1]), 300)[::-1].max() == max(want)
 
 
-def test_what_stands_in_notches() -> None:
+def test_obstacles_in_notches() -> None:
     label = np.array([[-1, -1, -1, 0, -1], [-1, -1, -1, -1, -1], [-1, -1, -1, -1, -1]])
     notch, ahead = np.array([0, -1, 1, 1, 2]), np.array([500, 900, 500, 600, 400])
     forward = np.array(

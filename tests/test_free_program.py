@@ -1,4 +1,4 @@
-"""The kernel of free floor: equal to the reference in every column."""
+"""The kernel of the free floor equals the reference in every column."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -32,7 +32,7 @@ pytestmark = pytest.mark.twin
 
 
 def pixels_of(batch: Batch, share: float) -> np.ndarray:
-    """A nearest pixel of a share of the cells: often its depth, now and then less."""
+    """Return nearest pixels for a fraction of the cells: mostly the cell's depth, some nearer."""
     z = batch.grid.z
     rng = np.random.default_rng(z.size)
     part = rng.choice([0.3, 0.9, 1.0], z.shape, p=[0.1, 0.1, 0.8])
@@ -40,7 +40,7 @@ def pixels_of(batch: Batch, share: float) -> np.ndarray:
 
 
 def on_rays(batch: Batch, frame: np.ndarray) -> Batch:
-    """The same cells where their rays and depths put them over a floor."""
+    """Return the same cells, moved to the positions of their rays and depths over a floor."""
     camera = batch.calibration.depth
     found, rays = [], cell_rays(camera, cell_side(camera, SURFACES.surface.cell_rad))
     for one in batch.found:
@@ -53,7 +53,7 @@ def on_rays(batch: Batch, frame: np.ndarray) -> Batch:
 def assert_twins(
     batch: Batch, config: Config = SURFACES, pixel_share: float = 0.95, placed: bool = False
 ) -> set[int]:
-    """Holds the kernel to the reference, for cameras of any roll; the ends that there are."""
+    """Assert that kernel and reference are equal, for any roll; return the kinds of end."""
     pixels, ends = pixels_of(batch, pixel_share), set[int]()
     cells = cell_tables(batch.calibration, config.surface)
     shared = surface_tables(batch.calibration, config) | free_tables(batch.calibration, config)
@@ -81,7 +81,7 @@ def test_random_frames(shape: tuple[int, int, int], reach: int) -> None:
 
 @pytest.mark.parametrize("step", [0, 60, 300])
 @pytest.mark.parametrize("shape", [(3, 40, 61), (1, 160, 213), (2, 57, 512)])
-def test_floors_that_fall(shape: tuple[int, int, int], step: int) -> None:
+def test_floors_that_drop(shape: tuple[int, int, int], step: int) -> None:
     batch = drawn(shape, 2, seed=5, block=3)
     batch = batch._replace(found=[one._replace(label=one.label * 0 - 1) for one in batch.found])
     for far in (1500, 5000):
@@ -91,8 +91,8 @@ def test_floors_that_fall(shape: tuple[int, int, int], step: int) -> None:
 
 
 @pytest.mark.parametrize("times", [1.1, 4.0])
-def test_floors_that_mirror(times: float) -> None:
-    """Between floor cells some lie deep below it and so many times as far; floor goes on beyond."""
+def test_reflections_in_the_floor(times: float) -> None:
+    """Some cells between floor cells are deep below it and farther; floor continues beyond."""
     batch = drawn((3, 60, 90), 2, seed=7, block=3)
     batch = batch._replace(found=[one._replace(label=one.label * 0 - 1) for one in batch.found])
     batch = with_floor(batch, seed=7, far=6000, step=0)
@@ -131,7 +131,7 @@ def test_settings() -> None:
     assert_twins(simulated("room"), near, placed=True)
 
 
-def test_nothing_is_measured() -> None:
+def test_no_depth() -> None:
     depth = np.zeros((2, 60, 80), np.uint16)
     ends = assert_twins(batch_of(depth, small(), unknown_plane(2), SURFACES))
     assert ends == {FreeEnd.UNKNOWN}

@@ -1,4 +1,4 @@
-"""The C++ of kernels: each header is a file that a compiler takes alone, and is shipped."""
+"""C++ of the kernels: each header compiles separately and is shipped."""
 
 import shutil
 import subprocess
@@ -24,15 +24,15 @@ FLAGS += ["-Wno-missing-field-initializers", "-x", "c++", "-"]
 
 
 def faults(source: str) -> str:
-    """What the compiler says of a file, with the headers' folder on its path."""
+    """Return the messages of the compiler for a file, with the headers on its path."""
     command = [str(COMPILER), "-I", str(INCLUDE), *FLAGS]
     return subprocess.run(command, input=source, capture_output=True, text=True).stderr
 
 
 @pytest.mark.skipif(COMPILER is None, reason="no g++ on this machine")
 @pytest.mark.parametrize("header", HEADERS)
-def test_each_header_compiles_alone(header):
-    # Included, as the main file of a compilation has no use for `#pragma once`.
+def test_each_header_compiles_separately(header):
+    # Included, because `#pragma once` causes a warning in the main file.
     assert faults(f'#include "jaxdet/{header}"\n') == ""
 
 
@@ -42,8 +42,8 @@ CORNERS = {"cpu": ["-O1", "-g", "-Wno-psabi", *SANITIZED], "cuda": ["-O2", "-DSI
 
 @pytest.mark.skipif(COMPILER is None, reason="no g++ on this machine")
 @pytest.mark.parametrize("target", CORNERS)
-def test_corners_of_both_sources(tmp_path, target):
-    """The CPU's under sanitizers, CUDA's with threads that take turns (``tests/simt.h``)."""
+def test_corners_of_the_cpu_and_cuda_sources(tmp_path, target):
+    """CPU code runs under sanitizers, CUDA code with threads that take turns (``tests/simt.h``)."""
     program = tmp_path / "corners"
     flags = ["-std=c++17", "-ffp-contract=off", "-Wno-unknown-pragmas", *CORNERS[target]]
     source = str(ROOT / "tests/corners_main.cpp")

@@ -1,6 +1,6 @@
-"""The steps' C++ by itself: CUDA's threads, which take turns, and the CPU's one under sanitizers.
+"""C++ of the steps without Warp: CUDA threads that take turns, and the CPU under sanitizers.
 
-Both write what the compiled kernels do.
+Both return the results of the compiled kernels.
 """
 
 import shutil
@@ -45,7 +45,7 @@ class Case(NamedTuple):
 
 
 def simulated() -> Iterator[Case]:
-    """Ramps, with a prior and without."""
+    """Yield ramps, with and without a prior."""
     shown = list(sample_frames("ramps", 300, 4, width=320, height=240, depth_error=1.0))
     depth, calibration = np.stack([one.depth for one in shown]), calibration_of(shown[0].config)
     for plane in (level(4, 0.4, 0.1), unknown_plane(4)):
@@ -53,7 +53,7 @@ def simulated() -> Iterator[Case]:
 
 
 def odd() -> Iterator[Case]:
-    """Sizes with rests, lenses, another camera for the boxes, noise."""
+    """Yield sizes with remainders, lenses, another camera for the boxes, noise."""
     cameras = [small(263, 195), small(33, 20), small(9, 8)]
     for lens in ("plumb_bob", "rational", "inverse"):
         cameras.append(Calibration(with_lens(resized(D435_DEPTH, 161, 119), lens)))
@@ -65,7 +65,7 @@ def odd() -> Iterator[Case]:
 
 
 def built(folder: Path, *flags: str) -> Path:
-    """``tests/team_main.cpp``."""
+    """Compile ``tests/team_main.cpp``."""
     program, main = folder / "program", str(ROOT / "tests/team_main.cpp")
     command = [str(COMPILER), *FLAGS, *flags, main, "-o", str(program)]
     done = subprocess.run(command, capture_output=True, text=True)
@@ -75,16 +75,16 @@ def built(folder: Path, *flags: str) -> Path:
     return program
 
 
-def test_threads_of_a_block_find_what_one_thread_does(tmp_path: Path) -> None:
+def test_threads_of_a_block_equal_a_single_thread(tmp_path: Path) -> None:
     check(built(tmp_path, "-O1", "-DSIMT"), simulated())
 
 
-def test_steps_stay_in_their_memory(tmp_path: Path) -> None:
+def test_steps_stay_within_their_memory(tmp_path: Path) -> None:
     check(built(tmp_path, "-O1", *SANITIZED), [*simulated(), *odd()])
 
 
 def check(program: Path, cases: Iterator[Case] | list[Case]) -> None:
-    """Holds each step to the compiled kernels, from what these made of the steps before."""
+    """Compare each step with the compiled kernels, on the kernels' results of the steps before."""
     device = device_of_jax(kernels)
     for case in cases:
         config, unit = Config(), case.calibration.depth_unit
@@ -103,7 +103,7 @@ def check(program: Path, cases: Iterator[Case] | list[Case]) -> None:
 
 
 def compiled(arrays: list[np.ndarray], step: int, static: _program.Static) -> list[np.ndarray]:
-    """Record, contours and work after a step."""
+    """Return record, contours and intermediate arrays after a step."""
     given = [wp.array(a, dtype=wp.dtype_from_numpy(a.dtype), device="cpu") for a in arrays]
     _program.launch(given, None, step, step + 1, static)
     return [array.numpy() for array in given[3:]]
@@ -112,7 +112,7 @@ def compiled(arrays: list[np.ndarray], step: int, static: _program.Static) -> li
 def by_itself(
     program: Path, arrays: list[np.ndarray], step: int, static: _program.Static
 ) -> list[np.ndarray]:
-    """The same by the program."""
+    """Return the same arrays from the separate program."""
     depth, case = arrays[0], program.with_name("case")
     head = [step, len(depth), depth[0].size, *static, *(a.nbytes for a in arrays)]
     case.write_bytes(np.array(head, np.int32).tobytes() + b"".join(a.tobytes() for a in arrays))

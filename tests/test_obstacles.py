@@ -1,4 +1,4 @@
-"""obstacles: surfaces that belong together, by number and by distance."""
+"""obstacles: groups of surfaces, sorted by distance."""
 
 from dataclasses import replace
 
@@ -17,7 +17,7 @@ ROWS, COLUMNS = 24, 120
 
 
 class Picture:
-    """A frame of cells: upright things painted over a level floor 0.4 m below the camera."""
+    """Frame of cells: upright objects painted over a level floor 0.4 m below the camera."""
 
     def __init__(self) -> None:
         row, column = np.indices((ROWS, COLUMNS))
@@ -27,13 +27,13 @@ class Picture:
         self.label = np.full(self.z.shape, -1)
 
     def paint(self, rows: slice, columns: slice, z: int) -> "Picture":
-        """One more surface, nearer than what is there."""
+        """Paint another surface, nearer than existing ones."""
         self.z[rows, columns] = z
         self.label[rows, columns] = self.label.max() + 1
         return self
 
     def hole(self, rows: slice, columns: slice) -> "Picture":
-        """Nothing measured."""
+        """Remove measurements."""
         self.z[rows, columns], self.label[rows, columns] = 0, -1
         return self
 
@@ -51,7 +51,7 @@ class Picture:
         return obstacles(self.label, self.free, self.view, FAR, UNIT, config)
 
     def numbers(self, config: ObstacleConfig = CONFIG) -> list[int]:
-        """The obstacle of each surface, in the order painted; all its cells have the same."""
+        """Return the obstacle of each surface, as painted; all cells of a surface have the same."""
         label = self.found(config)
         each = [np.unique(label[self.label == n]) for n in range(self.label.max() + 1)]
         assert all(len(one) == 1 for one in each)
@@ -64,24 +64,24 @@ TALL, LOW = slice(2, 20), slice(14, 20)
 # by hand
 
 
-def test_by_distance() -> None:
+def test_obstacles_are_sorted_by_distance() -> None:
     picture = Picture().paint(TALL, slice(5, 45), 2500).paint(TALL, slice(70, 110), 1500)
     assert picture.numbers() == [1, 0]
 
 
-def test_at_the_same_distance_from_left_to_right() -> None:
+def test_obstacles_at_equal_distance_are_sorted_from_left_to_right() -> None:
     picture = Picture().paint(TALL, slice(70, 110), 1500).paint(TALL, slice(5, 45), 1500)
     assert picture.numbers(replace(CONFIG, lateral_gap_m=0.3)) == [1, 0]
 
 
-def test_a_thing_behind_a_pole_is_one() -> None:
+def test_an_object_behind_a_pole_is_one_obstacle() -> None:
     picture = Picture().paint(TALL, slice(30, 55), 2000).paint(TALL, slice(60, 85), 2000)
     picture.paint(slice(0, 24), slice(55, 60), 1200)
     assert picture.numbers() == [1, 1, 0]
 
 
-def test_what_one_sees_through_parts() -> None:
-    """The same without the pole: floor and wall are seen between the two."""
+def test_visible_background_separates_objects() -> None:
+    """Without the pole, floor and wall are visible between the two."""
     picture = Picture().paint(slice(0, 24), slice(0, 120), 5000)
     picture.paint(TALL, slice(30, 55), 2000).paint(TALL, slice(60, 85), 2000)
     _, left, right = picture.numbers()
@@ -91,20 +91,20 @@ def test_what_one_sees_through_parts() -> None:
     assert left != right
 
 
-def test_two_things_behind_a_pole_at_different_distances() -> None:
+def test_two_objects_behind_a_pole_at_different_distances() -> None:
     picture = Picture().paint(TALL, slice(30, 55), 2000).paint(TALL, slice(60, 85), 2600)
     picture.paint(slice(0, 24), slice(55, 60), 1200)
     assert picture.numbers() == [1, 2, 0]
 
 
-def test_what_is_too_far_apart_is_not_looked_at() -> None:
+def test_surfaces_too_far_apart_are_not_compared() -> None:
     """The two parts are 0.1 m apart behind the pole."""
     picture = Picture().paint(TALL, slice(30, 55), 2000).paint(TALL, slice(60, 85), 2000)
     picture.paint(slice(0, 24), slice(55, 60), 1200)
     assert picture.numbers(replace(CONFIG, lateral_gap_m=0.05)) == [1, 2, 0]
 
 
-def test_a_slanted_thing_behind_a_pole() -> None:
+def test_a_slanted_object_behind_a_pole() -> None:
     picture = Picture()
     line = 2000 + 4 * (np.arange(COLUMNS) - 30)
     for columns in (slice(30, 55), slice(60, 85)):
@@ -115,8 +115,8 @@ def test_a_slanted_thing_behind_a_pole() -> None:
     assert left == right
 
 
-def test_legs_are_one_and_wide_things_are_not() -> None:
-    """Two things 0.15 m apart with floor between them: legs are one, boxes stand on their own."""
+def test_legs_are_one_obstacle_and_wide_objects_are_not() -> None:
+    """Of two objects 0.15 m apart with floor between them, legs are one obstacle, boxes are two."""
     gap = 7
     legs = Picture().paint(TALL, slice(40, 46), 2000).paint(TALL, slice(46 + gap, 59), 2000)
     left, right = legs.numbers()
@@ -136,7 +136,7 @@ def test_legs_too_far_apart() -> None:
 
 
 def contracted_slowly(count: int, weights: dict[tuple[int, int], int]) -> list[int]:
-    """Greedy additive edge contraction on sets."""
+    """Perform greedy additive edge contraction on sets."""
     groups = [{node} for node in range(count)]
 
     def between(a: set[int], b: set[int]) -> int:
@@ -159,20 +159,20 @@ def test_contraction_is_greedy_and_additive(weights: list[int]) -> None:
     assert found.tolist() == contracted_slowly(8, links)
 
 
-def test_many_doubts_outweigh_a_link() -> None:
-    """A chain of strong links is cut where all of the rest speaks against it."""
+def test_many_negative_weights_outweigh_a_link() -> None:
+    """A chain of strong links is cut if all other weights are negative."""
     one, other = np.array([0, 1, 2, 0, 0, 1]), np.array([1, 2, 3, 2, 3, 3])
     weight = np.array([9, 5, 9, -2, -2, -2])
     assert contracted(4, one, other, weight).tolist() == [0, 0, 2, 2]
     assert contracted(4, one, other, np.maximum(weight, -1)).tolist() == [0, 0, 0, 0]
 
 
-def test_a_fragment_joins_what_it_touches() -> None:
+def test_a_fragment_is_merged_with_the_surface_it_touches() -> None:
     picture = Picture().paint(TALL, slice(30, 55), 2000).paint(slice(8, 10), slice(55, 58), 2080)
     assert picture.numbers() == [0, 0]
 
 
-def test_too_small_or_too_far_is_none() -> None:
+def test_objects_too_small_or_too_far_are_not_obstacles() -> None:
     small = Picture().paint(slice(10, 12), slice(30, 32), 1000)
     assert small.numbers() == [-1]
     assert small.numbers(replace(CONFIG, min_size_m=0.0)) == [0]
@@ -183,8 +183,8 @@ def test_too_small_or_too_far_is_none() -> None:
     assert few.numbers(replace(CONFIG, min_cells=31)) == [-1]
 
 
-def test_the_walls_of_a_room_are_parted_at_its_corner() -> None:
-    """A wall to the left, 2 m long, and one across, 1 m behind the chord of their ends."""
+def test_the_walls_of_a_room_are_split_at_its_corner() -> None:
+    """One wall is to the left, 2 m long, and one across, 1 m behind the chord of their ends."""
     picture = Picture()
     side = np.rint(-800 / np.minimum(picture.ray_x[0], -0.16)).astype(np.int64)
     line = np.where(np.arange(COLUMNS) < 36, np.minimum(side, 3000), 3000)
@@ -197,7 +197,7 @@ def test_the_walls_of_a_room_are_parted_at_its_corner() -> None:
     assert picture.found(replace(CONFIG, bend_m=0.0)).max() == 0
 
 
-def test_extents_pass_over_a_twentieth() -> None:
+def test_extents_are_trimmed_by_a_twentieth() -> None:
     picture = Picture().paint(slice(8, 18), slice(40, 80), 1000).paint(TALL, slice(0, 1), 3000)
     known = extents(picture.label, picture.view)
     assert known.cells.tolist() == [400, 18]
@@ -218,7 +218,7 @@ spans = st.lists(
 
 
 def drawn(things: list[tuple]) -> Picture:
-    """Things painted from far to near."""
+    """Return a picture of objects painted from far to near."""
     picture = Picture()
     for row, column, size, z in sorted(things, key=lambda one: -one[3]):
         picture.paint(slice(row, row + size), slice(column, column + size), z)
@@ -228,7 +228,7 @@ def drawn(things: list[tuple]) -> Picture:
 
 
 @given(spans)
-def test_numbers_go_by_the_nearest_point_without_gaps(things: list[tuple]) -> None:
+def test_numbers_are_sorted_by_the_nearest_point_without_gaps(things: list[tuple]) -> None:
     picture = drawn(things)
     label = picture.found()
     count = label.max() + 1
@@ -240,7 +240,7 @@ def test_numbers_go_by_the_nearest_point_without_gaps(things: list[tuple]) -> No
 
 @given(spans)
 def test_mirrored(things: list[tuple]) -> None:
-    """What is to the left might as well be to the right."""
+    """Mirrored frames have mirrored obstacles."""
     picture = drawn(things)
     config = replace(CONFIG, bend_m=0.0)
     label = picture.found(config)
@@ -263,7 +263,7 @@ def test_mirrored(things: list[tuple]) -> None:
 
 
 @given(spans)
-def test_nothing_is_lost_but_what_is_too_small(things: list[tuple]) -> None:
+def test_only_small_objects_are_removed(things: list[tuple]) -> None:
     picture = drawn(things)
     loose = replace(CONFIG, min_size_m=0.0, min_cells=1)
     np.testing.assert_array_equal(picture.found(loose) >= 0, picture.label >= 0)
@@ -272,7 +272,7 @@ def test_nothing_is_lost_but_what_is_too_small(things: list[tuple]) -> None:
 # edges
 
 
-def test_nothing() -> None:
+def test_no_surfaces() -> None:
     picture = Picture()
     assert (picture.found() == -1).all()
     picture.z[:] = 0
@@ -288,7 +288,7 @@ def test_one_cell() -> None:
 
 
 def test_depth_unit() -> None:
-    """The same frame in tenths of a millimetre."""
+    """The same frame has equal obstacles in tenths of a millimetre."""
     picture = Picture().paint(TALL, slice(30, 55), 2000).paint(TALL, slice(60, 85), 2100)
     picture.paint(slice(0, 24), slice(55, 60), 1200).paint(LOW, slice(100, 104), 1800)
     fine = View(*(10 * a for a in picture.view))

@@ -1,4 +1,4 @@
-"""The program of obstacles, a kernel under jit, against the reference."""
+"""The kernel of obstacles under jit equals the reference."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -33,7 +33,7 @@ UNIT = 0.001
 CONFIG = Config().obstacle
 
 
-class Given(NamedTuple):
+class FrameSurfaces(NamedTuple):
     """Surfaces of one frame."""
 
     label: np.ndarray
@@ -42,9 +42,12 @@ class Given(NamedTuple):
 
 
 def assert_twin(
-    given: list[Given], config: ObstacleConfig = CONFIG, farthest: int = 6000, unit: float = UNIT
+    given: list[FrameSurfaces],
+    config: ObstacleConfig = CONFIG,
+    farthest: int = 6000,
+    unit: float = UNIT,
 ) -> list[int]:
-    """The program and the reference find the same; the numbers of obstacles."""
+    """Assert that kernel and reference are equal; return the numbers of obstacles."""
     table = affinity(config.affinity, unit)
     shared = obstacle_tables(farthest, unit, config, table)
     parts = zip(*(one.view for one in given), strict=True)
@@ -60,8 +63,8 @@ def assert_twin(
     return counts
 
 
-def painted(seed: int, rows: int, columns: int, things: int, spread: int = 900) -> Given:
-    """Rectangles of slanted depth, one over the other, with specks of noise in label and depth."""
+def painted(seed: int, rows: int, columns: int, things: int, spread: int = 900) -> FrameSurfaces:
+    """Return overlapping rectangles of slanted depth, with specks of noise in label and depth."""
     rng = np.random.default_rng(seed)
     label, z = np.full((rows, columns), -1), np.full((rows, columns), 4000)
     row, column = np.indices(label.shape)
@@ -80,11 +83,11 @@ def painted(seed: int, rows: int, columns: int, things: int, spread: int = 900) 
     free = (label < 0) & (z > 0) & (rng.random(z.shape) < 0.7)
     x, y = (column - columns // 2) * z // 100, (row - rows // 3) * z // 100
     view = View(x, y, z, x, z + rng.integers(-9, 10, z.shape), 500 - y)
-    return Given(renumbered(label), free, view)
+    return FrameSurfaces(renumbered(label), free, view)
 
 
-def scattered(seed: int, rows: int, columns: int, surfaces: int) -> Given:
-    """Labels and places without any order, as large as they may be."""
+def scattered(seed: int, rows: int, columns: int, surfaces: int) -> FrameSurfaces:
+    """Return random labels and positions over their full ranges."""
     rng = np.random.default_rng(seed)
     shape = (rows, columns)
     z = rng.integers(0, 65536, shape)
@@ -94,16 +97,16 @@ def scattered(seed: int, rows: int, columns: int, surfaces: int) -> Given:
     view = View(x, y, z, right, forward, height)
     label = rng.integers(-1, surfaces, shape)
     label.ravel()[rng.permutation(label.size)[:surfaces]] = np.arange(surfaces)
-    return Given(renumbered(label), free, view)
+    return FrameSurfaces(renumbered(label), free, view)
 
 
 # by hand
 
 
 @pytest.mark.parametrize("columns", [1, 40])
-def test_nothing_is_measured(columns: int) -> None:
+def test_no_depth(columns: int) -> None:
     none = np.zeros((30, columns), np.int64)
-    given = Given(none - 1, none > 0, View(*(6 * [none])))
+    given = FrameSurfaces(none - 1, none > 0, View(*(6 * [none])))
     assert assert_twin([given, given]) == [0, 0]
 
 
@@ -115,13 +118,13 @@ def test_one_surface() -> None:
 
 def test_one_cell() -> None:
     one = np.full((1, 1), 700)
-    given = Given(one * 0, one < 0, View(one, one, one, one, one, one))
+    given = FrameSurfaces(one * 0, one < 0, View(one, one, one, one, one, one))
     assert assert_twin([given], replace(CONFIG, min_size_m=0.0, min_cells=1)) == [1]
     assert assert_twin([given]) == [0]
 
 
-def test_a_room_is_split() -> None:
-    """Two side walls and one across."""
+def test_a_room_is_split_at_its_corners() -> None:
+    """Two side walls are connected by one across."""
     room = painted(0, 20, 120, 1)
     depth = np.tile(
         np.minimum(np.minimum(np.arange(120), np.arange(120)[::-1]) * 80 + 900, 3000), 20
@@ -135,8 +138,8 @@ def test_a_room_is_split() -> None:
     assert assert_twin([given], replace(CONFIG, bend_m=0.0)) == [1]
 
 
-def test_no_more_labels_than_there_is_room_for() -> None:
-    """512 surfaces of 16 columns and 4 rows, each of which bends twice."""
+def test_labels_are_limited_to_max_labels() -> None:
+    """There are 512 surfaces of 16 columns and 4 rows, each of which bends twice."""
     column, row = np.arange(512), np.arange(64)
     label = np.tile(column // 16, (64, 1)) + 32 * (row // 4)[:, None]
     bends = np.array([0, 300, 600, 900, 900, 600, 300, 0] * 2)[column % 16]
@@ -146,20 +149,20 @@ def test_no_more_labels_than_there_is_room_for() -> None:
     view = View(side, -height, z, side, z, height)
     near = replace(CONFIG, lateral_gap_m=0.0, forward_gap_m=0.0, min_cells=1)
     config = replace(near, bend_m=0.02, side_m=0.4)
-    given = Given(renumbered(label), z < 0, view)
+    given = FrameSurfaces(renumbered(label), z < 0, view)
     assert given.label.max() == 511
     counts = assert_twin([given], config, farthest=65535)
     assert counts == [types.MAX_LABELS]
 
 
-def test_a_table_that_could_overflow() -> None:
+def test_an_affinity_table_that_could_overflow_is_an_error() -> None:
     table = affinity("surfaces", UNIT)
     large = table._replace(value=table.value * 1000)
     with pytest.raises(ValueError, match="32767"):
         obstacle_tables(4000, UNIT, CONFIG, large)
 
 
-def test_too_large_a_grid() -> None:
+def test_a_grid_that_is_too_large_is_an_error() -> None:
     none = np.zeros((1, 2, 513), np.int32)
     view = 6 * [none]
     shared = obstacle_tables(4000, UNIT, CONFIG, affinity("surfaces", UNIT))
@@ -194,7 +197,7 @@ def test_scattered(surfaces: int) -> None:
 
 @pytest.mark.parametrize("unit", [0.0001, 0.004])
 def test_other_depth_units(unit: float) -> None:
-    """A millimetre in tenths, and four of them in one."""
+    """Depth units are 0.1 mm and 4 mm."""
     given = [painted(seed, 37, 61, 20) for seed in range(6)]
     if unit < UNIT:
         views = [View(*(10 * a for a in one.view)) for one in given]
@@ -204,15 +207,17 @@ def test_other_depth_units(unit: float) -> None:
     assert_twin(given, unit=unit, farthest=round(6 / unit))
 
 
-def surfaces_of(given: Frames, prior: GroundPlane, config: Config) -> tuple[list[Given], int]:
-    """The surfaces of frames, and the end of the range."""
+def surfaces_of(
+    given: Frames, prior: GroundPlane, config: Config
+) -> tuple[list[FrameSurfaces], int]:
+    """Return the surfaces of frames, and the end of the depth range."""
     unit = given.calibration.depth_unit
     grid = cells(given.depth, given.calibration, config.surface)
     fit = find_floor(grid.x, grid.y, grid.z, prior, config.floor, unit)
     floors, step = floor_frames(fit.plane, unit), step_height(given.calibration, config)
     found = [_surfaces(grid, b, floor, step, unit, config) for b, floor in enumerate(floors)]
     _, farthest = depth_range(config.ground.min_depth_m, config.ground.max_depth_m, unit)
-    return [Given(one.label, one.free, one.view) for one in found], farthest
+    return [FrameSurfaces(one.label, one.free, one.view) for one in found], farthest
 
 
 def test_simulated() -> None:

@@ -1,4 +1,4 @@
-"""Outlines on the floor: contours, their straight parts, and the rectangle that fits."""
+"""Outlines on the floor: contours, their straight parts, and fitted rectangles."""
 
 from dataclasses import replace
 
@@ -27,13 +27,13 @@ FITTED = FootprintConfig(margin_per_m2=0.0)
 
 
 def turned(points: np.ndarray, degrees: float, to: tuple[float, float] = (0, 0)) -> np.ndarray:
-    """Points turned counter-clockwise, then moved, in whole units."""
+    """Rotate points counter-clockwise, then move them, in integer units."""
     c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     return np.rint(points @ np.array([[c, s], [-s, c]]) + to).astype(np.int64)
 
 
 def corner(wide: int, deep: int, step: int = 20) -> np.ndarray:
-    """The two visible sides of a box, from left to right."""
+    """Return the two visible sides of a box, from left to right."""
     side = [(0, y) for y in range(deep, 0, -step)]
     return np.array(side + [(x, 0) for x in range(0, wide + 1, step)])
 
@@ -43,12 +43,12 @@ def degrees_of(direction: np.ndarray) -> float:
 
 
 def lengths(span: np.ndarray, direction: np.ndarray) -> np.ndarray:
-    """Along and across, in the points' unit."""
+    """Return the lengths along and across, in the unit of the points."""
     return (span[1::2] - span[::2]) / np.linalg.norm(direction)
 
 
 def fitted(direction: np.ndarray, span: np.ndarray) -> Obstacles:
-    """One obstacle that has this direction and span."""
+    """Return one obstacle with this direction and span."""
     pair, point = np.zeros((1, 1, 2), np.int32), np.zeros((1, 1, 3), np.int32)
     count, vertex = np.ones((1, 1), np.int32), np.zeros((1, 1), bool)
     outline = direction[None, None].astype(np.int32), span[None, None].astype(np.int32)
@@ -56,12 +56,12 @@ def fitted(direction: np.ndarray, span: np.ndarray) -> Obstacles:
 
 
 def span_of(points: np.ndarray, direction: np.ndarray, long: int = LONG) -> np.ndarray:
-    """The span of cells that are all relied on."""
+    """Return the span of cells that are all reliable."""
     return fitted_span(points, direction, long, np.ones(len(points), bool))
 
 
 def rectangle(points: np.ndarray) -> np.ndarray:
-    """The fitted rectangle of a thing of which these points are seen, ``(4, 2)``."""
+    """Return the fitted rectangle of an object with these visible points, ``(4, 2)``."""
     direction = fitted_direction(points)
     span = span_of(points, direction)
     return metric.rectangles(fitted(direction, span), 1.0, FITTED)[0, 0]
@@ -82,7 +82,7 @@ def test_contour_is_the_nearest_cell_of_each_column() -> None:
     assert points.shape == (3, 4, 2) and points.dtype == np.int32
 
 
-def test_contour_without_room() -> None:
+def test_contours_are_limited_to_the_slots() -> None:
     label = np.array([[0, 1, 2]])
     points, count = contours(label, label, label + 5, 2)
     assert count.tolist() == [1, 1] and points[:, 0].tolist() == [[0, 5], [1, 6]]
@@ -102,7 +102,7 @@ def test_a_line_has_one_part() -> None:
     assert straight_parts(wall[:0], 150, 400, 400) == [0]
 
 
-def test_a_corner_around_free_floor_parts_and_that_of_a_box_does_not() -> None:
+def test_a_corner_around_free_floor_splits_and_that_of_a_box_does_not() -> None:
     room = [(-800, y) for y in range(1000, 3000, 100)] + [(x, 3000) for x in range(-800, 800, 100)]
     assert straight_parts(np.array(room), 150, 400, 400) == [0, 20]
     box = corner(1000, 1200, 50) @ np.array([[1, -1], [1, 1]]) + (0, 2000)
@@ -116,7 +116,7 @@ def test_a_corridor_has_three_parts() -> None:
     assert straight_parts(np.array(left + across + right), 150, 400, 400) == [0, 32, 46]
 
 
-def test_bends_too_small_or_sides_too_short_part_nothing() -> None:
+def test_small_bends_and_short_sides_do_not_split() -> None:
     dent = np.array([(x, 2000 + (140 if 0 <= x < 400 else 0)) for x in range(-800, 800, 50)])
     assert straight_parts(dent, 150, 300, 400) == [0]
     niche = [(-200, y) for y in range(1800, 2100, 50)] + [(x, 2100) for x in range(-200, 200, 50)]
@@ -124,8 +124,8 @@ def test_bends_too_small_or_sides_too_short_part_nothing() -> None:
     assert len(straight_parts(np.array(niche), 50, 200, 400)) == 2
 
 
-def test_a_bend_counts_from_beyond_the_bend_on() -> None:
-    """Behind a chord 1 m long, turned by (3, 4): 150 are not more than 150, 151 are."""
+def test_a_bend_must_exceed_the_threshold() -> None:
+    """Behind a chord 1 m long in direction (3, 4), 150 are not more than 150, 151 are."""
     for deep, parts in ((150, [0]), (151, [0, 10])):
         t = np.arange(21) * 50
         line = np.stack([t, deep - np.abs(t - 500) * deep // 500], axis=1)
@@ -133,15 +133,15 @@ def test_a_bend_counts_from_beyond_the_bend_on() -> None:
         assert straight_parts(line, 5 * 150, 400, 10**6) == parts
 
 
-def test_large_coordinates_part_as_small_ones() -> None:
-    """Lengths and products of a whole 16-bit range stay within 64 bits."""
+def test_large_coordinates_are_split_like_small_ones() -> None:
+    """Lengths and products of the full 16-bit range fit in 64 bits."""
     room = [(-800, y) for y in range(1000, 3000, 100)] + [(x, 3000) for x in range(-800, 800, 100)]
     far = np.array(room, np.int32) * 40
     assert straight_parts(far, 150 * 40, 400 * 40, 400 * 40) == [0, 20]
 
 
 def test_a_jump_is_a_corner_only_when_it_is_deep() -> None:
-    """Something seen between the legs of a table."""
+    """An object is visible between the legs of a table."""
     legs = [(x, 2000) for x in range(-500, 0, 50)] + [(x, 2400) for x in range(0, 500, 50)]
     legs += [(x, 2000) for x in range(500, 1000, 50)]
     assert straight_parts(np.array(legs), 150, 400, 200) == [0]
@@ -165,8 +165,8 @@ def test_span_by_hand() -> None:
     assert span_of(points[:1], np.array([512, 0]), 0).tolist() == [1536, 1536, 4608, 4608]
 
 
-def test_what_is_smeared_before_a_wall_is_passed_over() -> None:
-    """A wall 3 m long and one point in forty 0.5 m before it."""
+def test_smeared_points_in_front_of_a_wall_are_trimmed() -> None:
+    """A wall is 3 m long, and one point in forty is 0.5 m in front of it."""
     x = np.arange(-1500, 1500, 10)
     wall = np.stack([x, np.where(np.arange(300) % 40 == 0, 1500, 2000)], axis=1)
     direction = np.array([1 << DIRECTION_BITS, 0])
@@ -174,8 +174,8 @@ def test_what_is_smeared_before_a_wall_is_passed_over() -> None:
     assert lengths(span_of(wall, direction, 4000), direction).tolist() == [2990, 500]
 
 
-def test_ends_that_bend_in_the_margins_make_a_thing_no_deeper() -> None:
-    """0.9 m wide; its left third, in the margin, bends 0.3 m toward the camera."""
+def test_ends_bent_in_the_margins_do_not_increase_the_depth() -> None:
+    """The object is 0.9 m wide; its left third, in the margin, bends 0.3 m toward the camera."""
     x = np.arange(-450, 450, 10)
     wall = np.stack([x, 2000 + np.minimum(x + 150, 0)], axis=1)
     direction, relied = np.array([1 << DIRECTION_BITS, 0]), inner(x < -150)
@@ -184,13 +184,13 @@ def test_ends_that_bend_in_the_margins_make_a_thing_no_deeper() -> None:
     assert fitted_direction(wall[relied]).tolist() == direction.tolist()
 
 
-def test_what_shows_in_a_margin_only_is_measured_there() -> None:
+def test_an_object_only_in_a_margin_is_measured_there() -> None:
     assert inner(np.array([True, True, False, False])).tolist() == [False, False, True, True]
     assert inner(np.array([True, True, False])).all() and inner(np.ones(5, bool)).all()
 
 
 def test_the_margin_grows_with_the_square_of_z() -> None:
-    """2 m ahead: 1 cm and four times 5 mm."""
+    """At 2 m it is 1 cm plus four times 5 mm."""
     one = fitted(np.array([512, 0]), 512 * np.array([-100, 500, 2000, 2300]))
     one = one._replace(xyz_min=np.array([[[-100, 0, 2000]]], np.int32))
     config = FootprintConfig(margin_m=0.01, margin_per_m2=0.005)
@@ -203,7 +203,7 @@ def test_the_margin_grows_with_the_square_of_z() -> None:
 
 
 def test_fitted_rectangle_by_hand() -> None:
-    """0.6 m wide, from 1.0 to 1.3 m ahead: A and B are the near side, a margin all around."""
+    """For a box 0.6 m wide, 1.0 to 1.3 m ahead, A and B are the near side, with a margin."""
     edge, span = np.array([512, 0]), 512 * np.array([-100, 500, 1000, 1300])
     config = FootprintConfig(margin_m=0.03, margin_per_m2=0.0)
     corners = metric.rectangles(fitted(edge, span), 0.001, config)[0, 0]
@@ -213,7 +213,7 @@ def test_fitted_rectangle_by_hand() -> None:
 
 
 def test_ab_is_the_side_nearest_to_the_camera() -> None:
-    """A thing to the left shows its right side, one to the right its left."""
+    """An object to the left shows its right side, one to the right its left side."""
     left = metric.rectangles(fitted(np.array([1, 0]), np.array([-900, -700, -500, 500])), 1, FITTED)
     right = metric.rectangles(fitted(np.array([1, 0]), np.array([700, 900, -500, 500])), 1, FITTED)
     assert set(left[0, 0, :2, 0]) == {-700} and set(right[0, 0, :2, 0]) == {700}
@@ -253,8 +253,8 @@ def test_a_noisy_box(angle: int) -> None:
 
 
 @given(st.integers(0, 89), st.integers(100, 900), st.integers(100, 900))
-def test_as_the_rectangle_of_opencv(angle: int, wide: int, deep: int) -> None:
-    """Around all four sides of a box, two of which are in sight, the least rectangle is the box."""
+def test_rectangle_equals_opencv(angle: int, wide: int, deep: int) -> None:
+    """The minimum-area rectangle around all sides of a box, two of them visible, is the box."""
     s, t = np.linspace(0, wide, 25), np.linspace(0, deep, 25)
     sight = [(0, b) for b in t] + [(a, 0) for a in s]
     hidden = [(wide, b) for b in t] + [(a, deep) for a in s]
@@ -289,9 +289,9 @@ def test_the_rectangle_holds_all_points(points: np.ndarray) -> None:
 
 
 @given(clouds)
-def test_no_direction_has_the_contour_nearer_to_the_edges_in_sight(points: np.ndarray) -> None:
+def test_no_direction_has_the_contour_nearer_to_the_visible_edges(points: np.ndarray) -> None:
     def cost(c: int, s: int) -> int:
-        """Of the edges that face the camera at the origin; none does where it is inside."""
+        """Return the cost of edges that face the camera at the origin, none if it is inside."""
         away = [[1 << 40] * len(points)]
         for axis in ((c, s), (-s, c)):
             places = [axis[0] * x + axis[1] * y for x, y in points.tolist()]
@@ -307,7 +307,7 @@ def test_no_direction_has_the_contour_nearer_to_the_edges_in_sight(points: np.nd
 
 
 @given(clouds)
-def test_the_order_of_points_is_nothing(points: np.ndarray) -> None:
+def test_the_order_of_points_has_no_influence(points: np.ndarray) -> None:
     direction = fitted_direction(points)
     assert fitted_direction(points[::-1]).tolist() == direction.tolist()
     span = span_of(points, direction)

@@ -1,4 +1,4 @@
-"""The kernel of outlines: equal to the reference, field by field."""
+"""The kernel of outlines equals the reference, field by field."""
 
 from pathlib import Path
 
@@ -29,7 +29,7 @@ pytestmark = pytest.mark.twin
 
 
 def assert_twins(batch: Batch, config: Config = SURFACES) -> int:
-    """Holds the kernel to the reference; how many obstacles there are."""
+    """Assert that kernel and reference are equal; return the number of obstacles."""
     label = batch.label
     count = (label.max(axis=(1, 2)) + 1).astype(np.int32)
     kept = np.minimum(count, MAX_OBSTACLES)
@@ -70,13 +70,13 @@ def test_settings(footprint: dict[str, float]) -> None:
     assert assert_twins(batch, changed(**footprint)) == 12
 
 
-def test_more_obstacles_than_there_are_slots() -> None:
+def test_more_obstacles_than_slots() -> None:
     batch = drawn((2, 80, 90), 200, seed=4, block=4)
     assert batch.label.max() > 150
     assert assert_twins(batch) == 2 * MAX_OBSTACLES
 
 
-def test_no_obstacles_beside_some() -> None:
+def test_batch_with_and_without_obstacles() -> None:
     some, none = drawn((1, 20, 30), 5, seed=1), drawn((1, 20, 30), 5, seed=2)
     empty = none.found[0]._replace(label=np.full((20, 30), -1))
     grid = type(some.grid)(
@@ -86,7 +86,7 @@ def test_no_obstacles_beside_some() -> None:
 
 
 def test_an_obstacle_in_the_margins() -> None:
-    """Its cells in the outer eighths, then with ever more of them between."""
+    """Its cells are in the outer eighths, then more and more of them in between."""
     batch = drawn((1, 12, 40), 1, seed=3, reach=3000)
     column = np.arange(40)
     for inner in range(0, 40, 5):
@@ -98,7 +98,7 @@ def test_an_obstacle_in_the_margins() -> None:
 
 
 def test_sums_beyond_32_bits() -> None:
-    """A wall at 6 m in tenths of a millimetre, over the whole picture."""
+    """A wall at 6 m fills the image, in units of 0.1 mm."""
     batch = drawn((1, 200, 220), 1, seed=6, reach=60000)
     one, z = batch.found[0], np.full((1, 200, 220), 60000, np.int32)
     grid = batch.grid._replace(x=-z, z=z)
@@ -121,7 +121,7 @@ def test_a_large_frame() -> None:
     assert assert_twins(simulated("room", 640)) > 0
 
 
-def test_nothing_is_measured() -> None:
+def test_no_depth() -> None:
     depth = np.zeros((2, 60, 80), np.uint16)
     assert assert_twins(batch_of(depth, small(), unknown_plane(2), SURFACES)) == 0
 

@@ -1,4 +1,4 @@
-"""The one program of the device: depth that is aligned already, borders of the image, repeats."""
+"""The complete program: depth that is already aligned, image borders, repeated calls."""
 
 from dataclasses import replace
 from itertools import product
@@ -45,7 +45,7 @@ def aligned_frames(batch: int, width: int, height: int, lens: str = "pinhole") -
     ("size", "name"),
     [*product([(96, 61), (33, 20), (9, 8)], ["default", "near"]), ((33, 20), "paper")],
 )
-def test_depth_that_is_aligned_already(device, size, lens, name):
+def test_aligned_depth(device, size, lens, name):
     given_ = aligned_frames(3, *size, lens), CONFIGS[name]
     want = detect(*given_, backend="reference")
     assert not want.has_depth[0]
@@ -56,7 +56,7 @@ def test_depth_that_is_aligned_already(device, size, lens, name):
 @given(st.sampled_from([1, 15, 40]), st.sampled_from([1, 16, 33]), st.integers(0, 65535))
 @settings(max_examples=30)
 def test_one_pixel_of_depth(width, height, units):
-    """The depth image as small as can be, and smaller than the tiles whose range is known."""
+    """The depth image has the minimum size, smaller than the tiles of the alignment."""
     calibration = small(48, 36)
     middle = {"cx": (width - 1) / 2, "cy": (height - 1) / 2}
     depth_camera = calibration.depth._replace(width=width, height=height, **middle)
@@ -79,7 +79,7 @@ def test_one_pixel_of_depth(width, height, units):
     ],
 )
 def test_large_images_and_lenses(device, name, lens, depth_size, color_size, corners):
-    """Up to the largest that cameras have, 2^20 pixels and more, some of them odd a side."""
+    """Images are up to 2^20 pixels and more, as large as cameras have, some with odd sides."""
     calibration = small()._replace(
         color=with_lens(small(*color_size).image, lens), depth=small(*depth_size).depth
     )
@@ -93,8 +93,8 @@ def test_large_images_and_lenses(device, name, lens, depth_size, color_size, cor
     assert_equal(detect(given_, config), want)
 
 
-def test_images_in_aligned_memory_are_left_alone():
-    """They are read in place; the results must not change with them afterwards."""
+def test_results_do_not_change_with_images_in_aligned_memory():
+    """Such images are read in place; results must not change when the images do afterwards."""
     made = aligned_frames(2, 96, 61)
     memory = np.zeros(made.depth.nbytes + 64, np.uint8)
     start = -memory.ctypes.data % 64

@@ -1,4 +1,4 @@
-"""rays: the free floor along fixed bearings."""
+"""rays: free floor along fixed bearings."""
 
 import numpy as np
 import pytest
@@ -21,9 +21,9 @@ NOTHING = np.full(RAYS, NONE)
 def fan(
     stop: list[int], end: list[int], start: int = 500, behind: int = 0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Columns a cell apart that begin and end at these distances ahead of where they meet.
+    """Return columns a cell apart that begin and end at these distances from where they meet.
 
-    That is so far behind the foot, as with a camera that looks down.
+    They meet behind the foot, as for a camera that looks down.
     """
     slope = np.tan((np.arange(len(stop)) - (len(stop) - 1) / 2) * 0.0079)
     ahead = np.array([[start] * len(stop), stop])
@@ -32,7 +32,7 @@ def fan(
 
 
 def block(*places: tuple[int, int], wide: int = 1) -> np.ndarray:
-    """Ranges on the rays of places and their neighbours."""
+    """Return ranges on the rays of positions and their neighbours."""
     nearest = NOTHING.copy()
     for right, forward in places:
         ray = AHEAD + round(np.degrees(np.arctan2(right, forward)) * 4)
@@ -63,7 +63,7 @@ def stands_of(
     z: dict[tuple[int, int], int] | None = None,
     frame: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Blocks of pixels, and of cells above the step, by row and column."""
+    """Return the ranges of obstacles from pixels, and from cells above the step, by index."""
     if frame is None:
         frame = floor_frames(flat_plane(np.array([0.25]), np.zeros(1), np.zeros(1)), 0.001)[0]
     pixels, depths = np.zeros((2, ROWS, COLUMNS), np.int64)
@@ -78,7 +78,7 @@ def stands_of(
 
 
 @given(st.integers(-9000, 9000), st.integers(-9000, 9000))
-def test_bearings_as_by_numpy(right: int, forward: int) -> None:
+def test_bearings_equal_numpy(right: int, forward: int) -> None:
     units = int(bearings(np.array([right]), np.array([forward]))[0])
     apart = units - np.arctan2(right, forward) * TURN / (2 * np.pi)
     assert abs((apart + TURN / 2) % TURN - TURN / 2) <= 1 or right == forward == 0
@@ -114,7 +114,7 @@ def test_level_columns_are_rays() -> None:
     assert np.ptp(bearing) == pytest.approx(41 * 0.0079, abs=0.011)
 
 
-def test_a_shorter_column_is_as_wide_as_half_the_way_to_its_neighbours() -> None:
+def test_a_shorter_column_extends_halfway_to_its_neighbours() -> None:
     stop, end = [3000] * 41, [FreeEnd.RANGE] * 41
     stop[20], end[20] = 1000, FreeEnd.UNKNOWN
     free, why = found(fan(stop, end))
@@ -123,8 +123,8 @@ def test_a_shorter_column_is_as_wide_as_half_the_way_to_its_neighbours() -> None
     assert (why[short + AHEAD] == FreeEnd.UNKNOWN).all()
 
 
-def test_a_ray_of_a_camera_that_looks_down_leaves_its_column() -> None:
-    """It meets, farther out, the shadow of what ends the floor of a column next to it."""
+def test_a_ray_of_a_pitched_camera_leaves_its_column() -> None:
+    """Farther out it meets the shadow of what ends the floor of an adjacent column."""
     columns = 81
     stop, end = [3000] * columns, [FreeEnd.RANGE] * columns
     stop[60:70], end[60:70] = [1000] * 10, [FreeEnd.OBSTACLE] * 10
@@ -138,7 +138,7 @@ def test_a_ray_of_a_camera_that_looks_down_leaves_its_column() -> None:
     np.testing.assert_allclose(right / (forward + 500), line, atol=0.006)
 
 
-def test_what_stands_on_the_floor_ends_rays() -> None:
+def test_obstacles_on_the_floor_end_rays() -> None:
     free, end = found(fan([3000] * 41, [FreeEnd.RANGE] * 41), block((0, 1500)))
     ends = np.flatnonzero(end == FreeEnd.OBSTACLE) - AHEAD
     assert ends.tolist() == [-1, 0, 1] and (free[ends + AHEAD, 1] == 1500).all()
@@ -146,7 +146,7 @@ def test_what_stands_on_the_floor_ends_rays() -> None:
     assert behind[AHEAD, 1] == 3000
 
 
-def test_where_no_floor_is_seen_a_ray_ends_at_what_stands() -> None:
+def test_a_ray_without_visible_floor_ends_at_an_obstacle() -> None:
     columns = np.zeros((41, 2, 2), np.int32), np.zeros(41, np.int32)
     free, end = found(columns, block((100, 1600), wide=0))
     at = AHEAD + round(np.degrees(np.arctan2(100, 1600)) * 4)
@@ -154,7 +154,7 @@ def test_where_no_floor_is_seen_a_ray_ends_at_what_stands() -> None:
     assert free[at].tolist() == [1603, 1603]
 
 
-def test_the_nearest_pixel_of_a_tile_stands_in_its_sectors() -> None:
+def test_the_nearest_pixel_of_a_tile_blocks_its_sectors() -> None:
     stands = stands_of({(9, 15): 2000, (10, 15): 1500, (9, 20): 1800})
     ahead = np.flatnonzero(stands < NONE) - AHEAD
     aside = np.degrees(np.arctan([4.5 * 0.0079, 5.5 * 0.0079])) * 4
@@ -163,25 +163,25 @@ def test_the_nearest_pixel_of_a_tile_stands_in_its_sectors() -> None:
     assert stands[AHEAD + 9] == int(np.hypot(1800, 5 * 0.0079 * 1800))
 
 
-def test_a_pixel_on_the_floor_does_not_stand() -> None:
+def test_a_pixel_on_the_floor_does_not_block() -> None:
     place, floor = (18, 15), round(FLOOR_AT)
     assert (stands_of({place: round(floor * 0.97)}) == NONE).all()
     assert stands_of({place: round(floor * 0.6)})[AHEAD] == round(floor * 0.6)
 
 
-def test_a_cell_stands_where_its_nearest_pixel_is_too_near_or_on_the_floor() -> None:
+def test_a_cell_blocks_if_its_nearest_pixel_is_too_near_or_on_the_floor() -> None:
     place, floor = (18, 15), round(FLOOR_AT)
     assert stands_of({place: 20}, {place: 2000})[AHEAD] == 2000
     assert stands_of({place: 1900}, {place: 2000})[AHEAD] == 1900
     assert stands_of({place: floor}, {place: floor})[AHEAD] == floor
 
 
-def test_without_a_floor_all_pixels_stand() -> None:
+def test_all_pixels_block_if_the_floor_is_unknown() -> None:
     frame = floor_frames(unknown_plane(1), 0.001)[0]
     assert stands_of({(18, 15): 3900}, frame=frame)[AHEAD] == 3900
 
 
-def test_what_is_above_the_foot_stands_in_all_sectors() -> None:
+def test_an_object_above_the_foot_blocks_all_sectors() -> None:
     down = flat_plane(np.array([0.9]), np.array([np.pi / 2]), np.zeros(1))
     stands = stands_of({(9, 15): 700}, frame=floor_frames(down, 0.001)[0])
     assert (stands < 20).all()
@@ -194,7 +194,7 @@ def test_floor_on_both_sides_of_the_foot_begins_at_the_foot() -> None:
     assert end[0] == FreeEnd.UNKNOWN
 
 
-def test_nothing() -> None:
+def test_no_columns_and_no_obstacles() -> None:
     free, end = found((np.zeros((9, 2, 2), np.int32), np.zeros(9, np.int32)))
     assert not free.any() and not end.any()
 
@@ -208,7 +208,7 @@ points = st.lists(
 
 
 @given(lengths, points, st.integers(0, 800))
-def test_no_ray_passes_a_point_that_stands(stop: list[int], places: list, behind: int) -> None:
+def test_no_ray_passes_an_obstacle_point(stop: list[int], places: list, behind: int) -> None:
     free, _ = found(fan(stop, [FreeEnd.RANGE] * len(stop), behind=behind), block(*places))
     for right, forward in places:
         ray = AHEAD + round(np.degrees(np.arctan2(right, forward)) * 4)

@@ -1,4 +1,4 @@
-"""Rays on real recordings: they pass nothing, and keep the free floor that columns rightly show."""
+"""Rays on real recordings: they pass no obstacle, and keep the free floor of columns."""
 
 from pathlib import Path
 
@@ -8,7 +8,7 @@ from benchmarks.free_rays import Figures, of_log
 from jaxdet.presets import preset
 
 OTHERS = "mcap_real"
-"""Logs without depth images."""
+"""Folder of logs without depth images."""
 
 
 def figures_of(shared_data: Path, names: list[str]) -> Figures:

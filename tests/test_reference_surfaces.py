@@ -1,4 +1,4 @@
-"""surfaces: connected components of cells, cut along creases; and floor that is bent up."""
+"""surfaces: connected components of cells, cut along creases, and bent floor."""
 
 from dataclasses import replace
 
@@ -24,25 +24,25 @@ from jaxdet.reference._surfaces import (
 
 UNIT = 0.001
 PLAIN = SurfaceConfig(step_m=0.03, step_per_m=0.0, crease_m=1.0, min_cells=1)
-"""A step of 30 mm at any depth, no creases, nothing too small."""
+"""Step of 30 mm at any depth, no creases, no minimum size."""
 CREASED = SurfaceConfig(step_m=0.03, step_per_m=0.0, crease_m=0.01, crease_per_m=0.0, min_cells=6)
 
 
 def found(z: list, keep: list | None = None, config: SurfaceConfig = PLAIN) -> list:
-    """Surfaces of the cells with these depths [mm], all of them kept unless said."""
+    """Return the surfaces of cells with these depths [mm], all kept by default."""
     depth = np.array(z, np.int32)
     kept = depth > 0 if keep is None else np.array(keep, bool) & (depth > 0)
     return surfaces(depth, kept, UNIT, config).tolist()
 
 
 def roof(outward: bool) -> np.ndarray:
-    """Two planes that meet in the middle column, 20 mm a cell, seen from outside or inside."""
+    """Return two planes that meet in the middle column, 20 mm per cell, convex or concave."""
     u = np.abs(np.arange(31) - 15)
     return np.tile(1500 + 20 * u if outward else 1800 - 20 * u, (12, 1))
 
 
 def same_parts(one: np.ndarray, other: np.ndarray) -> bool:
-    """Whether two labelings part the cells in the same way."""
+    """Return whether two labelings divide the cells in the same way."""
     return bool((renumbered(one) == renumbered(other)).all())
 
 
@@ -53,28 +53,28 @@ depths = arrays(np.int32, (9, 12), elements=st.sampled_from([0, 900, 925, 950, 9
 # by hand
 
 
-def test_steps_part() -> None:
+def test_steps_separate_surfaces() -> None:
     assert found([[900, 930, 960, 991, 990]]) == [[0, 0, 0, 1, 1]]
     assert found([[900, 2000], [930, 1999], [961, 2031]]) == [[0, 1], [0, 1], [2, 3]]
 
 
-def test_diagonal_neighbours_do_not_touch() -> None:
+def test_diagonal_neighbours_are_not_connected() -> None:
     assert found([[900, 2000], [2000, 900]]) == [[0, 1], [2, 3]]
 
 
-def test_what_is_not_kept_or_not_measured_parts() -> None:
+def test_cells_not_kept_or_not_measured_separate_surfaces() -> None:
     assert found([[900, 0, 900]]) == [[0, -1, 1]]
     assert found([[900, 900, 900]], [[1, 0, 1]]) == [[0, -1, 1]]
 
 
-def test_the_step_is_that_of_the_nearer() -> None:
-    """10 mm and 10 mm a square metre: 20 mm at 1 m, 50 mm at 2 m."""
+def test_the_step_of_the_nearer_cell_is_used() -> None:
+    """10 mm and 10 mm per square metre: 20 mm at 1 m, 50 mm at 2 m."""
     config = replace(PLAIN, step_m=0.01, step_per_m=0.01)
     assert found([[1000, 1020, 1041]], config=config) == [[0, 0, 1]]
     assert found([[2000, 2050, 2103]], config=config) == [[0, 0, 1]]
 
 
-def test_small_components_are_no_surfaces() -> None:
+def test_small_components_are_not_surfaces() -> None:
     config = replace(PLAIN, min_cells=3)
     assert found([[900, 900, 990, 900, 900, 900]], config=config) == [[-1, -1, -1, 0, 0, 0]]
 
@@ -85,7 +85,7 @@ def test_depth_unit() -> None:
     assert surfaces(z, z > 0, 0.001, PLAIN).tolist() == [[0, 1, 2]]
 
 
-def test_a_concave_edge_parts_and_a_convex_one_does_not() -> None:
+def test_a_concave_edge_separates_and_a_convex_one_does_not() -> None:
     inside, outside = roof(outward=False), roof(outward=True)
     label = surfaces(inside, inside > 0, UNIT, CREASED)
     assert label.max() == 1 and label.min() == 0
@@ -94,8 +94,8 @@ def test_a_concave_edge_parts_and_a_convex_one_does_not() -> None:
     assert not surfaces(inside, inside > 0, UNIT, PLAIN).any()
 
 
-def test_a_thing_against_a_wall() -> None:
-    """A box leans on a wall: its side goes back 25 mm a cell, no step anywhere."""
+def test_an_object_against_a_wall() -> None:
+    """A box leans on a wall: its side recedes by 25 mm per cell, without a step."""
     profile = [1000] * 10 + [1025, 1050, 1075, 1100] + [1125] * 10
     z = np.tile(profile, (12, 1))
     label = surfaces(z, z > 0, UNIT, CREASED)
@@ -103,8 +103,8 @@ def test_a_thing_against_a_wall() -> None:
     assert (label[:, :10] == 0).all() and (label[:, 16:] == 1).all()
 
 
-def test_a_gap_in_a_crease_lets_nothing_through() -> None:
-    """In three rows the box goes on in the wall at 9 mm a cell, without a bend."""
+def test_a_gap_in_a_crease_does_not_connect_surfaces() -> None:
+    """In three rows the box continues into the wall at 9 mm per cell, without a bend."""
     z = np.tile([1000] * 10 + [1025, 1050, 1075, 1100] + [1125] * 10, (12, 1))
     z[5:8, 10:] = 1009 + 9 * np.arange(14)
     label = surfaces(z, z > 0, UNIT, CREASED)
@@ -124,18 +124,18 @@ def test_small_creases_are_noise() -> None:
     assert not creases(z, step, z > 0, UNIT, replace(fine, min_cells=5)).any()
 
 
-def test_a_jump_is_no_crease() -> None:
+def test_a_jump_is_not_a_crease() -> None:
     z = np.tile([1000] * 8 + [1400] * 8, (8, 1))
     assert not creases(z, np.full(z.shape, 30), z > 0, UNIT, CREASED).any()
 
 
-def test_noise_of_single_cells_is_no_crease() -> None:
+def test_noise_of_single_cells_is_not_a_crease() -> None:
     z = 1500 + np.random.default_rng(0).integers(-8, 9, (30, 40))
     assert not surfaces(z, z > 0, UNIT, CREASED).any()
 
 
-def test_bent_floor_has_no_side() -> None:
-    """A low wedge that rises by a fourth of what it goes forward is floor; a curb's face is not."""
+def test_bent_floor_has_no_front() -> None:
+    """A low wedge that rises by a fourth of its distance is floor; the face of a curb is not."""
     forward = np.tile(np.arange(1500, 900, -100)[:, None], (1, 4))
     label = np.full((6, 4), -1)
     label[:3] = 0
@@ -154,7 +154,7 @@ def test_bent_floor_has_no_side() -> None:
 
 
 def test_at_the_margins_floor_measured_too_near_has_no_front() -> None:
-    """A strip at the left margin, in the middle and at the right margin; then an upright one."""
+    """A strip is at the left margin, in the middle and at the right margin; then an upright one."""
     label, height = np.full((4, 24), -1), np.zeros((4, 24), int)
     label[:2, :2], label[:2, 11:13], label[:2, 22:] = 0, 1, 2
     height[label >= 0] = 60
@@ -167,7 +167,7 @@ def test_at_the_margins_floor_measured_too_near_has_no_front() -> None:
         np.testing.assert_array_equal(kept, label)
 
 
-def test_of_several_surfaces_only_the_bent_goes() -> None:
+def test_only_bent_surfaces_are_removed() -> None:
     label = np.array([[0, 0, 1, 1], [0, 0, 1, 1], [-1, -1, -1, -1]])
     height = np.array([[90, 90, 190, 190], [60, 60, 100, 100], [0, 0, 0, 0]])
     forward = np.array([[1400, 1400, 1000, 1000], [1200, 1200, 1000, 1000], [1000] * 4])
@@ -178,8 +178,8 @@ def test_of_several_surfaces_only_the_bent_goes() -> None:
 # somebody else's code
 
 
-def test_a_hole_makes_no_piece_too_small() -> None:
-    """Both sides of unmeasured cells count together; what they are one thing by is seen later."""
+def test_the_size_of_a_surface_includes_parts_behind_a_hole() -> None:
+    """The parts on both sides of unmeasured cells count together; evidence merges them later."""
     small = replace(PLAIN, min_cells=6)
     row = [900, 905, 910, 0, 0, 0, 0, 915, 905, 900]
     assert found([row], config=small) == [[0, 0, 0, -1, -1, -1, -1, 1, 1, 1]]
@@ -196,7 +196,7 @@ def test_a_hole_makes_no_piece_too_small() -> None:
 
 
 @given(masks)
-def test_equal_depths_are_labelled_as_by_scipy(keep: np.ndarray) -> None:
+def test_equal_depths_are_labelled_as_in_scipy(keep: np.ndarray) -> None:
     z = np.full(keep.shape, 1000, np.int32)
     want = np.zeros(keep.shape, np.int32)
     ndimage.label(keep, output=want)
@@ -204,7 +204,7 @@ def test_equal_depths_are_labelled_as_by_scipy(keep: np.ndarray) -> None:
 
 
 @given(depths, masks)
-def test_steps_as_a_graph(z: np.ndarray, keep: np.ndarray) -> None:
+def test_steps_equal_components_of_a_graph(z: np.ndarray, keep: np.ndarray) -> None:
     keep = keep & (z > 0)
     links = [
         (a * 12 + b, c * 12 + d)
@@ -221,7 +221,7 @@ def test_steps_as_a_graph(z: np.ndarray, keep: np.ndarray) -> None:
 
 
 @given(masks, st.integers(1, 8))
-def test_large_components_as_by_scipy(mask: np.ndarray, least: int) -> None:
+def test_large_components_equal_scipy(mask: np.ndarray, least: int) -> None:
     label = np.zeros(mask.shape, np.int32)
     ndimage.label(mask, np.ones((3, 3)), output=label)
     want = mask & (np.bincount(label.ravel())[label] >= least)
@@ -229,12 +229,12 @@ def test_large_components_as_by_scipy(mask: np.ndarray, least: int) -> None:
 
 
 @given(masks)
-def test_dilated_as_by_scipy(mask: np.ndarray) -> None:
+def test_dilation_equals_scipy(mask: np.ndarray) -> None:
     np.testing.assert_array_equal(dilated(mask), ndimage.binary_dilation(mask, np.ones((3, 3))))
 
 
 @given(st.integers(1, 40), st.data())
-def test_components_as_by_scipy(count: int, data: st.DataObject) -> None:
+def test_components_equal_scipy(count: int, data: st.DataObject) -> None:
     node = st.integers(0, count - 1)
     links = data.draw(st.lists(st.tuples(node, node), max_size=60))
     first, second = np.array(links, int).reshape(-1, 2).T
@@ -249,7 +249,9 @@ def test_components_as_by_scipy(count: int, data: st.DataObject) -> None:
 
 
 @given(depths, masks, st.integers(1, 3000))
-def test_a_shift_of_all_depths_is_nothing(z: np.ndarray, keep: np.ndarray, shift: int) -> None:
+def test_a_shift_of_all_depths_has_no_influence(
+    z: np.ndarray, keep: np.ndarray, shift: int
+) -> None:
     keep = keep & (z > 0)
     moved = np.where(z > 0, z + shift, 0).astype(np.int32)
     for config in (PLAIN, replace(CREASED, min_cells=2)):
@@ -289,7 +291,7 @@ def test_all_kept_cells_have_a_surface_when_none_is_too_small(z: np.ndarray) -> 
 
 @pytest.mark.parametrize("margin", range(5))
 def test_no_cell_of_a_crease_is_lost(margin: int) -> None:
-    """A V of two walls; whatever its crease is widened to goes back to them."""
+    """Two walls form a V; all cells of the dilated crease are assigned to them."""
     column = np.arange(41)
     z = np.tile(1500 - 30 * np.abs(column - 20), (20, 1))
     config = replace(SurfaceConfig(), crease_margin=margin, crease_m=0.01, crease_per_m=0.0)
@@ -298,7 +300,7 @@ def test_no_cell_of_a_crease_is_lost(margin: int) -> None:
 
 
 @given(arrays(np.int64, (4, 5), elements=st.integers(-3, 6)))
-def test_renumbered_is_idempotent_and_keeps_the_parts(label: np.ndarray) -> None:
+def test_renumbered_is_idempotent_and_keeps_the_partition(label: np.ndarray) -> None:
     one = renumbered(label)
     np.testing.assert_array_equal(renumbered(one), one)
     np.testing.assert_array_equal(one < 0, label < 0)
@@ -323,7 +325,7 @@ def test_small_grids(shape: tuple, config: SurfaceConfig) -> None:
         assert (without_bent_floor(none, z > 0, z, 0 * z, UNIT, config) == -1).all()
 
 
-def test_a_thing_at_the_lower_edge_of_a_margin_is_no_bent_floor():
+def test_an_object_at_the_lower_edge_of_a_margin_is_not_bent_floor():
     label, height = np.full((4, 24), -1), np.zeros((4, 24), int)
     label[2:, :2], height[2:, :2] = 0, 60
     forward = np.full((4, 24), 1000)
@@ -332,7 +334,7 @@ def test_a_thing_at_the_lower_edge_of_a_margin_is_no_bent_floor():
     np.testing.assert_array_equal(kept, label)
 
 
-def test_a_speck_does_not_join_what_is_far_behind_it():
+def test_a_speck_is_not_merged_with_cells_far_behind_it():
     z = np.array([[500, 1500, 1500, 1500]], np.int32)
     assert surfaces(z, z > 0, 0.001, SurfaceConfig(min_cells=2)).tolist() == [[-1, 0, 0, 0]]
 

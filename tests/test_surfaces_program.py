@@ -1,4 +1,4 @@
-"""Cells on the floor and in surfaces: the program equals the reference."""
+"""The kernel of surfaces equals the reference."""
 
 from dataclasses import replace
 
@@ -30,7 +30,7 @@ def with_surface(**changes: float) -> Config:
 
 
 def camera(unit: float) -> Calibration:
-    """Cells of 3 x 3 pixels."""
+    """Return a camera with cells of 3 x 3 pixels."""
     return Calibration(Intrinsics(640, 480, 384.5, 384.5, 319.5, 239.5), depth_unit=unit)
 
 
@@ -42,7 +42,7 @@ def assert_twin(
     config: Config = SURFACES,
     unit: float = UNIT,
 ) -> Surfaces:
-    """All that the program says of these cells is what the reference does."""
+    """Assert that all results of the kernel equal the reference; return them."""
     floors, step = floor_frames(plane, unit), step_height(camera(unit), config)
     got = surfaces(x, y, z, floors, tables(camera(unit), config))
     grid = Cells(x, y, z)
@@ -58,14 +58,14 @@ def assert_twin(
 
 
 def sideways(z: np.ndarray) -> list[np.ndarray]:
-    """The cells of a camera of 190 columns a radian, from their depths ``(B, R, C)``."""
+    """Return cells of a camera with 190 columns per radian, from depths ``(B, R, C)``."""
     v, u = np.mgrid[: z.shape[1], : z.shape[2]]
     x, y = ((a - (a.max() + 1) / 2) / 190 for a in (u, v))
     return [np.rint(a).astype(np.int32) for a in (x * z, y * z, z)]
 
 
 def slanted(rng: np.random.Generator, shape: tuple[int, int, int], noise: int = 0) -> np.ndarray:
-    """Folded walls with slanted things before them, and a tenth of holes."""
+    """Return folded walls with slanted objects in front of them, and a tenth of holes."""
     _, rows, columns = shape
     z, (v, u) = np.zeros(shape), np.mgrid[:rows, :columns]
     for one in z:
@@ -80,7 +80,7 @@ def slanted(rng: np.random.Generator, shape: tuple[int, int, int], noise: int = 
 
 
 def planes(rng: np.random.Generator, batch: int) -> GroundPlane:
-    """Floors of all tilts, every second one with a ramp, every fourth one not known."""
+    """Return floors of all tilts, every second one with a ramp, every fourth one unknown."""
     tilts = rng.uniform(-0.5, 1.2, batch), rng.uniform(-0.4, 0.4, batch)
     b = np.arange(batch)
     plane = flat_plane(rng.uniform(0.2, 1.2, batch), *tilts, b % 4 != 2)
@@ -108,7 +108,7 @@ SHAPES = [
 
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("noise", [0, 15])
-def test_slanted_things(shape, noise):
+def test_slanted_objects(shape, noise):
     rng = np.random.default_rng(noise)
     assert_twin(*sideways(slanted(rng, shape, noise)), planes(rng, shape[0]))
 
@@ -133,8 +133,8 @@ def test_settings(config):
 
 
 @pytest.mark.parametrize("unit", [0.001, 0.0001])
-def test_depths_and_places_without_sense(unit):
-    """Any depths, and any places up to 2^18 - 1 units sideways."""
+def test_random_depths_and_positions(unit):
+    """Depths are arbitrary, and positions are up to 2^18 - 1 units sideways."""
     rng = np.random.default_rng(2)
     z = rng.integers(0, 65536, (4, 37, 59)).astype(np.int32)
     x, y = (rng.integers(1 - (1 << 18), 1 << 18, z.shape).astype(np.int32) for _ in "xy")
@@ -143,15 +143,15 @@ def test_depths_and_places_without_sense(unit):
 
 
 @pytest.mark.parametrize("depth", [0, 1500])
-def test_all_alike(depth):
-    """Nothing is measured, or a wall over the whole picture."""
+def test_constant_depth(depth):
+    """Nothing is measured, or a wall fills the image."""
     got = assert_twin(*sideways(np.full((2, 31, 45), depth)), unknown_plane(2))
     assert got.num_surfaces.tolist() == [depth > 0] * 2
     assert (got.label == (0 if depth else -1)).all() and (got.keep == (depth > 0)).all()
 
 
-def test_more_surfaces_than_there_is_room_for():
-    """Every cell is one; those from the 513th on have no label but are kept."""
+def test_more_surfaces_than_max_surfaces():
+    """Every cell is a surface; from the 513th on they have no label but are kept."""
     v, u = np.mgrid[:40, :50]
     z = 1000 + 200 * ((u + 2 * v) % 5)
     config = with_surface(step_m=0.01, step_per_m=0.0, min_cells=1, crease_m=1.0)
@@ -164,7 +164,7 @@ def test_more_surfaces_than_there_is_room_for():
 
 
 def test_bent_floor_is_not_kept():
-    """A strip at a margin that rises gently from the floor, and one whose cells are too near."""
+    """A strip at a margin rises gently from the floor, and another one is measured too near."""
     height, z = np.zeros((20, 80), int), np.tile(2000 - 40 * np.arange(20)[:, None], (1, 80))
     height[:15, :9] = 60 + 5 * np.arange(15, 0, -1)[:, None]
     height[15, :9] = 45

@@ -8,13 +8,14 @@ from jaxdet.config import GroundConfig
 from jaxdet.elementary import arctangent, sin_cos
 from jaxdet.types import RAYS, Intrinsics
 
-UNITS = 16  # of a bearing, between neighbouring rays
+UNITS = 16  # units of a bearing between neighbouring rays
 TURN = RAYS * UNITS  # a full turn
-RATIO_BITS = 12  # of the quotient that a bearing is read by
+RATIO_BITS = 12  # fraction bits of the ratio by which bearings are tabulated
 RAY_BITS = 13  # fraction bits of a direction
 TURN_BITS = 13  # fraction bits of the sine of a small turn
 TILE = 4  # rows of cells in a tile
-NOTCH_M = 0.3  # minimum depth of a notch in the free floor, and of what is looked for in it [m]
+# minimum depth of a notch in the free floor, and search depth for obstacles in it [m]
+NOTCH_M = 0.3
 
 
 def half_turn(camera: Intrinsics, side: int) -> int:
@@ -31,14 +32,14 @@ def half_turn(camera: Intrinsics, side: int) -> int:
 def tile_corners(rays: np.ndarray) -> np.ndarray:
     """Compute the rays through the corners of tiles, ``TILE`` rows of a column of cells each.
 
-    Corners of cells are halfway between the middles of cells, or as far outside.
+    Corners of cells are halfway between the centres of cells, or extrapolated by as much.
 
     Args:
-        rays: Rays through the middles of cells, ``(2, R, C)`` int64.
+        rays: Rays through the centres of cells, ``(2, R, C)`` int64.
 
     Returns:
-        Rays in the same units, ``(2, T + 1, C + 1)`` int64, T tiles of a column; the last tile may
-        have fewer rows.
+        Rays in the same units, ``(2, T + 1, C + 1)`` int64, for T tiles per column; the last tile
+        may have fewer rows.
 
     Example:
         >>> tile_corners(np.array([[[0, 10, 20]], [[7, 7, 7]]]))[0].tolist()
@@ -64,7 +65,7 @@ def block_settings(ground: GroundConfig, depth_unit: float) -> np.ndarray:
 
 @lru_cache(maxsize=1)
 def bearing_table() -> np.ndarray:
-    """Angles up to an eighth of a turn, by tangent with ``RATIO_BITS``, in bearing units."""
+    """Tabulate angles up to an eighth of a turn by tangent, in bearing units."""
     tangent = np.append((np.arange(1 << RATIO_BITS) + 0.5) / (1 << RATIO_BITS), 1.0)
     table = np.rint(arctangent(tangent) * (TURN / (2 * np.pi))).astype(np.int64)
     table.setflags(write=False)
@@ -73,7 +74,7 @@ def bearing_table() -> np.ndarray:
 
 @lru_cache(maxsize=1)
 def ray_directions() -> np.ndarray:
-    """Directions of the rays, and of the left edges of their sectors.
+    """Return the directions of the rays, and of the left edges of their sectors.
 
     Returns:
         ``(2, RAYS, 2)`` int64, right and forward with ``RAY_BITS`` fraction bits, read-only.

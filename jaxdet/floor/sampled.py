@@ -28,7 +28,7 @@ class SampledFloor(NamedTuple):
     height_spread_m: float
     """``AGREEING`` quantile of the deviation from the median height [m]; NaN without a floor."""
     angle_spread_rad: float
-    """``AGREEING`` quantile of the larger deviation in pitch or roll [rad]; NaN without one."""
+    """``AGREEING`` quantile of the larger deviation in pitch or roll [rad]; NaN without a floor."""
 
     @property
     def agrees(self) -> bool:

@@ -1,4 +1,4 @@
-"""Images of a camera that is mounted upside down or on its side, turned upright."""
+"""Rotation of images of a camera that is mounted upside down or on its side."""
 
 import math
 
@@ -11,12 +11,13 @@ QUARTER = math.pi / 2
 
 
 def turned_frames(frames: Frames, quarters: int) -> Frames:
-    """Turn depth images counterclockwise by quarters of a turn, with their camera.
+    """Rotate depth images and their camera counterclockwise by quarters of a turn.
 
-    Tangential distortion is left as it is: it matters for pixels, not for where a floor lies.
+    Tangential distortion is not rotated: it matters for pixels, but not for the position of a
+    floor.
 
     Args:
-        frames: ``B`` frames; colour is left out, and so is what is known of their floor.
+        frames: ``B`` frames; colour and floor planes are dropped.
         quarters: 1, 2 or 3.
     """
     depth = np.ascontiguousarray(np.rot90(np.asarray(frames.depth), quarters, axes=(1, 2)))
@@ -28,14 +29,14 @@ def turned_frames(frames: Frames, quarters: int) -> Frames:
 
 
 def turned_back(plane: GroundPlane, quarters: int) -> GroundPlane:
-    """Return the floors of turned images in the camera as it is mounted."""
+    """Return the floors of rotated images in the frame of the camera as it is mounted."""
     roll = np.asarray(plane.roll) - quarters * QUARTER
     roll = np.where(roll < -math.pi, roll + 2 * math.pi, roll)
     return flat_plane(plane.height, plane.pitch, roll, np.asarray(plane.valid, bool))
 
 
 def _turned_camera(camera: Intrinsics) -> Intrinsics:
-    """Turn a camera counterclockwise by a quarter: columns become rows."""
+    """Rotate a camera counterclockwise by a quarter of a turn: columns become rows."""
     return camera._replace(
         width=camera.height,
         height=camera.width,

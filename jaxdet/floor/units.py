@@ -50,7 +50,7 @@ the floor beyond a step; the top or the face of an obstacle is visible in one pl
 RAMP_M = 3.6  # a plane far from the prior is a ramp if it crosses the prior nearer than this
 STEP_M, TABLE_M = 0.05, 0.10
 """Cells this far above a plane are obstacles; cells this far below show it is not the floor."""
-DEEP_M = 0.25  # so far below a plane that ends at a step, if there is no prior
+DEEP_M = 0.25  # the same below a plane that ends at a step, if there is no prior
 
 
 class Tolerance(NamedTuple):

@@ -1,6 +1,6 @@
-"""The specification in plain NumPy, a file a step.
+"""Reference implementation (specification) in plain NumPy, one file per step.
 
-Written to be read and checked, not to be fast. :func:`detect` is the whole method;
+It is written to be read and checked, not to be fast. :func:`detect` is the complete method;
 :mod:`jaxdet.stages` returns equal arrays.
 """
 

@@ -10,25 +10,25 @@ NOTHING = np.uint32(0xFFFFFFFF)
 
 
 def align(depth: np.ndarray, calibration: Calibration) -> AlignedDepth:
-    """Moves each depth pixel into the colour image; the nearest wins (Eq. 1-4).
+    """Project each depth pixel into the colour image; the nearest wins (Eq. 1-4).
 
     Every depth pixel with a measurement ``Z`` is back-projected with the ray of its corner
     (Eq. 1), moved by ``T_color_depth`` (Eq. 2, 3) and projected (Eq. 4):
 
         P_dc = Z K_d^-1 P_uv,   P_cc = R P_dc + t,   P_uv^c = K_c (P_cc / Z_cc)
 
-    in float32, every operation rounded on its own, so that the pixels equal ``rs.align`` of
-    librealsense 2.59. Where colour is finer than depth, the pixel covers the rectangle between
-    the projections of its upper left and lower right corners; else the upper left one only. A
-    point behind the colour camera is dropped.
+    in float32, every operation rounded separately, so that the pixels equal ``rs.align`` of
+    librealsense 2.59. If colour has a higher resolution than depth, the pixel covers the rectangle
+    between the projections of its upper left and lower right corners; otherwise only the pixel of
+    the upper left corner. Points behind the colour camera are dropped.
 
     Args:
         depth: ``(B, Hd, Wd)`` uint16 [depth units], 0 = no measurement.
         calibration: Calibration of the log. Depth that is already aligned is passed through.
 
     Returns:
-        Depth of the nearest hit in the depth camera and, of that hit, z in the colour camera
-        (on a tie of depths the smaller z; at most 65534), both 0 where nothing hits.
+        Depth of the nearest hit in the depth camera and its z in the colour camera (on a tie of
+        depths the smaller z; at most 65534), both 0 for pixels without a hit.
 
     Example:
         >>> from jaxdet.types import Extrinsics, Intrinsics
@@ -47,7 +47,7 @@ def align(depth: np.ndarray, calibration: Calibration) -> AlignedDepth:
 
 
 def _align_frame(depth: np.ndarray, calibration: Calibration) -> np.ndarray:
-    """One frame as keys ``depth << 16 | z``; ``(H, W)`` uint32, the smallest key of each pixel."""
+    """Return the smallest key ``depth << 16 | z`` of each pixel of a frame, ``(H, W)`` uint32."""
     splat = splat_parameters(calibration)
     color = calibration.image
     x, y = corner_rays(calibration.depth)
@@ -69,17 +69,17 @@ def _align_frame(depth: np.ndarray, calibration: Calibration) -> np.ndarray:
 def project_corners(
     x: np.ndarray, y: np.ndarray, units: np.ndarray, splat: SplatParameters
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Projects points on depth rays into the colour image (Eq. 1-4), in float32.
+    """Project points on depth rays into the colour image (Eq. 1-4), in float32.
 
     Args:
-        x: ``(n,)`` float32, the ray's x over z in the depth camera.
-        y: ``(n,)`` float32, y over z.
-        units: ``(n,)`` uint16, depth [depth units].
-        splat: The alignment's constants.
+        x: x over z of the rays in the depth camera, ``(n,)`` float32.
+        y: y over z, ``(n,)`` float32.
+        units: Depth ``(n,)`` uint16 [depth units].
+        splat: Constants of the alignment.
 
     Returns:
-        Colour column and row, z in the colour camera [depth units], and whether it is in front
-        and inside the lens model, each ``(n,)``.
+        Colour column and row, z in the colour camera [depth units], and whether the point is in
+        front of the camera and inside the range of the lens model, each ``(n,)``.
     """
     f32, r, t = np.float32, splat.rotation, splat.translation
     depth = units.astype(f32) * splat.depth_unit
@@ -98,7 +98,7 @@ def project_corners(
 
 
 def _to_int(value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rounds towards zero; False where the value is too large to be near any image."""
+    """Round towards zero; also return whether the value is small enough to be near an image."""
     fits = np.abs(value) < np.float32(1 << 20)
     return np.where(fits, value, np.float32(0)).astype(np.int32), fits
 
@@ -111,7 +111,7 @@ def _splat(
     bottom: np.ndarray,
     key: np.ndarray,
 ) -> None:
-    """Lowers ``keys`` to ``key`` in each rectangle, edges included, clipped to the image."""
+    """Lower ``keys`` to ``key`` in each rectangle, inclusive, clipped to the image."""
     height, width = keys.shape
     left, top = np.maximum(left, 0), np.maximum(top, 0)
     right, bottom = np.minimum(right, width - 1), np.minimum(bottom, height - 1)

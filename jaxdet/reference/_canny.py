@@ -4,7 +4,7 @@ import numpy as np
 
 
 def grey(color: np.ndarray) -> np.ndarray:
-    """Luma of an RGB image, as ``cv2.cvtColor(color, cv2.COLOR_RGB2GRAY)`` rounds it.
+    """Compute the luma of an RGB image, rounded as in ``cv2.cvtColor(color, cv2.COLOR_RGB2GRAY)``.
 
     ``(9798 R + 19235 G + 3735 B + 2^14) >> 15``; holds for all 2^24 colours.
 
@@ -23,16 +23,16 @@ def grey(color: np.ndarray) -> np.ndarray:
 
 
 def canny(image: np.ndarray, low: float, high: float) -> np.ndarray:
-    """Canny edges with a 3x3 Sobel and the L1 norm, as ``cv2.Canny(image, low, high)``.
+    """Detect Canny edges with a 3x3 Sobel and the L1 norm, as ``cv2.Canny(image, low, high)``.
 
-    All integer. The image is not blurred. Pixels whose gradient magnitude ``|dx| + |dy|`` is
-    above ``low`` and a maximum across the edge are candidates; edges are the 8-connected groups
-    of candidates with at least one magnitude above ``high``.
+    All arithmetic is integer, and the image is not blurred. Pixels whose gradient magnitude
+    ``|dx| + |dy|`` is above ``low`` and a maximum across the edge are candidates; edges are the
+    8-connected groups of candidates with at least one magnitude above ``high`` (hysteresis).
 
     Args:
         image: ``(H, W)`` uint8.
-        low: Lower bound; the bounds are swapped if reversed, and rounded down.
-        high: Upper bound.
+        low: Lower threshold; the thresholds are swapped if reversed, and rounded down.
+        high: Upper threshold.
 
     Returns:
         ``(H, W)`` uint8, 255 on edges and 0 elsewhere.
@@ -46,7 +46,7 @@ def canny(image: np.ndarray, low: float, high: float) -> np.ndarray:
 
 
 def _sobel(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The 3x3 Sobel derivatives, borders replicated; ``(H, W)`` int32 each."""
+    """Compute the 3x3 Sobel derivatives with replicated borders; ``(H, W)`` int32 each."""
     p = np.pad(image.astype(np.int32), 1, mode="edge")
     smooth_rows = p[:-2] + 2 * p[1:-1] + p[2:]
     smooth_columns = p[:, :-2] + 2 * p[:, 1:-1] + p[:, 2:]
@@ -54,7 +54,7 @@ def _sobel(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _is_ridge(dx: np.ndarray, dy: np.ndarray, magnitude: np.ndarray) -> np.ndarray:
-    """Non-maximum suppression in three sectors, bounded by 22.5 and 67.5 degrees.
+    """Suppress non-maxima, in three sectors bounded by 22.5 and 67.5 degrees.
 
     The tangents are fixed point with 15 bits (13573 = tan 22.5); ties go to the left or upper
     pixel, except on diagonals, where both neighbours must be strictly smaller.
@@ -77,7 +77,7 @@ def _is_ridge(dx: np.ndarray, dy: np.ndarray, magnitude: np.ndarray) -> np.ndarr
 
 
 def _connected_to(seeds: np.ndarray, allowed: np.ndarray) -> np.ndarray:
-    """Hysteresis: the ``allowed`` pixels 8-connected to a seed, by breadth-first search."""
+    """Return the ``allowed`` pixels 8-connected to a seed (hysteresis), by breadth-first search."""
     width = allowed.shape[1] + 2
     free = np.pad(allowed & ~seeds, 1).reshape(-1)
     reached = np.pad(seeds, 1).reshape(-1)

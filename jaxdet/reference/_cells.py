@@ -1,4 +1,4 @@
-"""Cells: the depth image in square blocks, each with one robust depth and its place in space."""
+"""Cells: square blocks of the depth image, each with one robust depth and a 3D position."""
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from jaxdet.reference._rounding import rounded
 from jaxdet.types import Calibration, Cells
 
 MARGIN = 8
-"""One in MARGIN columns at each side is the image's margin: stereo depth bends up there."""
+"""One in MARGIN columns on each side is the margin of the image: stereo depth is bent there."""
 LEAST = 2
 """At least one in LEAST pixels of a cell must be measured."""
 
@@ -21,20 +21,20 @@ def cells(
 ) -> Cells:
     """Reduce depth images to a regular grid of cells in the depth camera's frame (Eq. 1).
 
-    A cell is a square of s x s depth pixels, ``s = round(f_x cell_rad)``. Its depth is the mean
-    of the measured depths within the surface step of their lower median, rounded, and 0 where
-    fewer than half of the pixels are measured: the mean of 16 pixels has a quarter of their
-    noise, and a cell on a contour is either the thing or the background, never something between.
-    Its centre lies on the ray of its middle, ``P = d K^-1 p``, in fixed point.
+    A cell is a square of s x s depth pixels, ``s = round(f_x cell_rad)``. Its depth is the rounded
+    mean of the measured depths within the surface step of their lower median, or 0 if fewer than
+    half of the pixels are measured. The mean of 16 pixels has a quarter of their noise, and a cell
+    on a contour gets the depth of either the object or the background, never one in between. Its
+    position is on the ray through its centre, ``P = d K^-1 p``, in fixed point.
 
     Args:
         depth: ``(B, Hd, Wd)`` uint16 [depth units], 0 = no measurement.
         calibration: Calibration of the log.
         config: Size of the cells, and the surface step.
-        part: Rows and columns of cells to return; by default all.
+        part: Rows and columns of cells to return; default: all.
 
     Returns:
-        ``(B, R, C)`` cells; pixels right of and below the last complete cell are left out.
+        ``(B, R, C)`` cells; pixels to the right of and below the last complete cell are ignored.
     """
     side = cell_side(calibration.depth, config.cell_rad)
     near = quadratic_table(config.step_m, config.step_per_m, calibration.depth_unit)
@@ -44,13 +44,13 @@ def cells(
 
 
 def margins(columns: int) -> np.ndarray:
-    """The outer ``MARGIN`` of the columns at each side, ``(columns,)`` bool."""
+    """Return which columns are margins, one in ``MARGIN`` on each side, ``(columns,)`` bool."""
     column, width = np.arange(columns), columns // MARGIN
     return (column < width) | (column >= columns - width)
 
 
 def _block_depth(image: np.ndarray, side: int, near: np.ndarray, part: slice) -> np.ndarray:
-    """The depth of each block of a part of the rows and columns, int64 [depth units]."""
+    """Return the depth of each block in a part of the rows and columns, int64 [depth units]."""
     rows, columns = (size // side for size in image.shape)
     blocks = image[: rows * side, : columns * side].reshape(rows, side, columns, side)
     blocks = blocks.transpose(0, 2, 1, 3)[part, part]
@@ -69,14 +69,14 @@ def _block_depth(image: np.ndarray, side: int, near: np.ndarray, part: slice) ->
 
 
 def nearest_depths(depth: np.ndarray, side: int) -> np.ndarray:
-    """The least measured depth of each cell, also of one that has too few for a depth.
+    """Return the smallest measured depth of each cell, even if the cell has no depth.
 
     Args:
         depth: ``(B, Hd, Wd)`` uint16 [depth units], 0 = no measurement.
         side: Side of a cell [pixel].
 
     Returns:
-        ``(B, R, C)`` int64, 0 where nothing is measured.
+        Depth ``(B, R, C)`` int64 [depth units], 0 if no pixel is measured.
 
     Example:
         >>> nearest_depths(np.array([[[0, 7, 0, 0], [9, 8, 0, 0]]], np.uint16), 2).tolist()
@@ -94,18 +94,18 @@ def cell_boxes(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the box of each cell in the image of ``calibration.image``.
 
-    In the depth image it is the cell's square. In another colour image it is spanned by the
-    projections of the cell's upper left and lower right corners (Eq. 2-4), in the arithmetic of
-    :func:`jaxdet.reference.align`, and clipped to the image.
+    If depth is aligned, the box is the square of the cell. Otherwise it is spanned by the
+    projections of the cell's upper left and lower right corners into the colour image (Eq. 2-4), in
+    the arithmetic of :func:`jaxdet.reference.align`, and clipped to the image.
 
     Args:
-        z: ``(B, R, C)`` int32, depth of the cells [depth units].
+        z: Depth of the cells, ``(B, R, C)`` int32 [depth units].
         calibration: Calibration of the log.
         side: Side of a cell [depth pixel].
 
     Returns:
-        First and last column and row, ``(B, R, C, 2)`` int32 each, and ``(B, R, C)`` bool, whether
-        the cell is measured and at least partly in the image. Boxes of other cells are 0.
+        First and last column and row, ``(B, R, C, 2)`` int32 each, and whether the cell is measured
+        and at least partly in the image, ``(B, R, C)`` bool. Boxes of other cells are 0.
     """
     seen = z > 0
     _, row, column = np.nonzero(seen)

@@ -8,21 +8,20 @@ from jaxdet.types import Features, Labels
 
 
 def cluster(features: Features, depth_unit: float, config: Config) -> Labels:
-    """Groups the kept features of each frame into obstacles (Eq. 6, Section 3.4).
+    """Group the kept features of each frame into obstacles (Eq. 6, Section 3.4).
 
-    Sorted by depth, neighbours with ``|P_n - P_n+1| <= d_z`` share a set; sets of N points or
-    fewer are dropped; each set is split the same way along x with ``d_x``, and again sets of N
-    points or fewer are dropped. That is single linkage on a line, twice (Steps 1-5; the printed
-    Algorithm 1 compares with the set's seed only, which contradicts Step 3).
+    Sorted by depth, neighbours with ``|P_n - P_n+1| <= d_z`` share a set; sets of N points or fewer
+    are dropped. Each set is split in the same way along x with ``d_x``, and sets of N points or
+    fewer are dropped again. This is single-linkage clustering on a line, twice (Steps 1-5; the
+    printed Algorithm 1 compares only with the set's seed, which contradicts Step 3).
 
     Args:
-        features: ``(B, N)`` points; only ``kept`` ones take part.
-        depth_unit: Metres in one depth unit.
-        config: The gaps and N of its cluster part.
+        features: ``(B, N)`` points; only ``kept`` ones are clustered.
+        depth_unit: Metres per depth unit.
+        config: Gaps and N in its ``cluster`` part.
 
     Returns:
-        Labels numbered in order of nearest z, then smallest x, then first slot, with -1 for no
-        obstacle.
+        Labels in the order of nearest z, then smallest x, then first slot; -1 for no obstacle.
 
     Example:
         >>> z = np.array([[500, 501, 502, 900, 901, 902]], np.int32)
@@ -51,10 +50,10 @@ def cluster(features: Features, depth_unit: float, config: Config) -> Labels:
 
 
 def _split(points: np.ndarray, axis: np.ndarray, gap: int, min_points: int) -> list[np.ndarray]:
-    """Splits ``points`` (indices) where neighbours along ``axis`` are more than ``gap`` apart.
+    """Split ``points`` (indices) where neighbours along ``axis`` are more than ``gap`` apart.
 
     Returns:
-        The parts of more than ``min_points`` points.
+        Parts of more than ``min_points`` points.
     """
     points = points[np.argsort(axis[points], kind="stable")]
     starts = np.flatnonzero(np.diff(axis[points]) > gap) + 1

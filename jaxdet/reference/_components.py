@@ -1,18 +1,18 @@
-"""Connected components of a graph, written out."""
+"""Connected components of a graph."""
 
 import numpy as np
 
 
 def components(count: int, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """The connected components of a graph, by propagation of the smallest label.
+    """Find the connected components of a graph, by propagation of the smallest label.
 
     Args:
-        count: Nodes.
-        first: ``(L,)`` integer, one end of each link.
-        second: ``(L,)`` integer, the other.
+        count: Number of nodes.
+        first: First node of each link, ``(L,)`` integer.
+        second: Second node of each link, ``(L,)`` integer.
 
     Returns:
-        ``(count,)`` int64, the smallest node of each node's component.
+        Smallest node of each node's component, ``(count,)`` int64.
 
     Example:
         >>> components(5, np.array([1, 4]), np.array([3, 3])).tolist()

@@ -1,21 +1,21 @@
-"""Shi-Tomasi corners of edge images, as OpenCV finds them but for the rounding of sums."""
+"""Shi-Tomasi corners of edge images, equal to OpenCV's except for the rounding of sums."""
 
 import numpy as np
 
 f32, f64 = np.float32, np.float64
 
 STEP = f32(255 * f64(f32(1 / (4 * 3 * 255))))
-"""A step from 0 to 255 with OpenCV's scale of gradients."""
+"""Step from 0 to 255 in OpenCV's scale of gradients."""
 
 
 def corner_strength(edges: np.ndarray) -> np.ndarray:
     """Return the smaller eigenvalue of the gradient's covariance in 3x3 windows.
 
-    The gradients are those of ``cv2.cornerMinEigenVal(edges, 3)``: 3x3 Sobel filters in float32,
-    borders mirrored (101). Products of gradients of an edge image are multiples of 2^-31, so their
-    sums are exact in float64, and a strength depends on its 5x5 pixels only. OpenCV's running sums
-    keep residues of gradients that cancel: their strengths may differ in the last bit, by the
-    processor and by what is above.
+    The gradients are those of ``cv2.cornerMinEigenVal(edges, 3)``: 3x3 Sobel filters in float32
+    with reflect-101 borders. Products of gradients of an edge image are multiples of 2^-31, so
+    their sums are exact in float64, and a strength depends only on its 5x5 pixels. OpenCV's running
+    sums keep residues of gradients that cancel: its strengths may differ in the last bit, depending
+    on the processor and on the rows above.
 
     Args:
         edges: ``(H, W)`` uint8, 0 or 255.
@@ -42,7 +42,7 @@ def corner_strength(edges: np.ndarray) -> np.ndarray:
 
 
 def _window_sum(values: np.ndarray) -> np.ndarray:
-    """Sum over 3x3 windows, borders mirrored (101); ``(H, W)`` float32."""
+    """Sum over 3x3 windows with reflect-101 borders; ``(H, W)`` float32."""
     p = np.pad(values.astype(f64), 1, mode="reflect")
     rows = p[:-2] + p[1:-1] + p[2:]
     return (rows[:, :-2] + rows[:, 1:-1] + rows[:, 2:]).astype(f32)
@@ -53,19 +53,19 @@ def strongest_corners(
 ) -> np.ndarray:
     """Return the strongest local maxima with a minimum distance, as ``cv2.goodFeaturesToTrack``.
 
-    A corner is not on the image border, is stronger than ``quality_level`` times the strongest
-    pixel, and is the maximum of its 3x3 window (all of a plateau are). In order of
-    falling strength, ties by falling raster position, a corner is taken unless one already
-    taken is nearer than ``min_distance``.
+    A corner is not on the image border, exceeds ``quality_level`` times the strongest pixel, and is
+    a maximum of its 3x3 window (as are all pixels of a plateau). In order of decreasing strength,
+    ties in reverse raster order, a corner is accepted unless an accepted one is nearer than
+    ``min_distance``.
 
     Args:
         strength: ``(H, W)`` float32, from :func:`corner_strength`.
         max_corners: Stop after this many; 0 = no limit.
-        quality_level: Share of the strongest corner's strength.
-        min_distance: Least distance of two corners [pixel]; below 1: none.
+        quality_level: Minimum strength as a fraction of the strongest corner's.
+        min_distance: Minimum distance between corners [pixel]; below 1: no minimum.
 
     Returns:
-        ``(n, 2)`` int32, column and row, strongest first.
+        Column and row ``(n, 2)`` int32, strongest first.
     """
     threshold = f32(f64(strength.max()) * quality_level)
     kept = np.where(strength > threshold, strength, f32(0))
@@ -85,7 +85,7 @@ def _window_maximum(values: np.ndarray) -> np.ndarray:
 
 
 def _without_near(corners: np.ndarray, max_corners: int, min_distance: float) -> np.ndarray:
-    """Greedy non-maximum suppression: drops corners near a stronger one that was taken."""
+    """Suppress corners near an accepted stronger one (greedy non-maximum suppression)."""
     limit = max_corners or len(corners)
     if min_distance < 1:
         return corners[:limit]

@@ -1,4 +1,4 @@
-"""The whole method for a batch of frames, step by step."""
+"""Complete method for a batch of frames, step by step."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -47,22 +47,22 @@ from jaxdet.types import (
 
 
 class Found(NamedTuple):
-    """One frame's cells in surfaces or obstacles."""
+    """Cells of one frame, labelled with surfaces or obstacles."""
 
     label: np.ndarray  # (R, C) int64, -1 = none
     keep: np.ndarray  # (R, C) bool, in range and above the floor
-    free: np.ndarray  # (R, C) bool, measured to be free: floor, or beyond the range
+    free: np.ndarray  # (R, C) bool, known to be free: floor, or beyond the range
     view: View
-    low: np.ndarray  # (R, C) bool, measured and no higher than the step
-    overflow: bool  # there are more surfaces than MAX_SURFACES
+    low: np.ndarray  # (R, C) bool, measured, not above the step height
+    overflow: bool  # whether there are more surfaces than MAX_SURFACES
 
 
 class FreeFloor(NamedTuple):
-    """The free floor of ``B`` frames, and their obstacles with those that it shows."""
+    """Free floor of ``B`` frames, and their obstacles including those in its notches."""
 
     found: list[Found]
-    first_notch: np.ndarray  # (B,) int32, number of the first obstacle that only it shows
-    free: np.ndarray  # (B, RAYS, 2) int32, of :func:`jaxdet.reference._rays.rays`
+    first_notch: np.ndarray  # (B,) int32, number of the first obstacle found in a notch
+    free: np.ndarray  # (B, RAYS, 2) int32, from :func:`jaxdet.reference._rays.rays`
     end: np.ndarray  # (B, RAYS) int32
 
 
@@ -77,9 +77,9 @@ def detect(
     Args:
         frames: ``B`` frames; their ``plane`` is not used.
         plane: Prior of the floor in each frame, from the user, TF or the log; corrected by the
-            frame's own depth where that shows enough floor.
+            frame's own depth if that shows enough floor.
         config: Configuration of the method.
-        with_cells: Whether to return the cells with their obstacles as well.
+        with_cells: Whether to return the labels of cells as well.
     """
     if config.cluster.points:
         return clusters(frames, plane, config)
@@ -124,10 +124,10 @@ def find_floors(frames: Frames, prior: GroundPlane, config: Config) -> FloorFit:
 def surface_pairs(
     frames: Frames, prior: GroundPlane, config: Config
 ) -> Iterator[tuple[Cells, np.ndarray, Pairs]]:
-    """What :func:`detect` judges the pairs of surfaces of each frame by, to learn from.
+    """Return the pairs of surfaces that :func:`detect` classifies, as training data.
 
     Yields:
-        For each frame its cells (a batch of one), ``(R, C)`` surfaces and their pairs.
+        For each frame its cells (a batch of one), surfaces ``(R, C)`` and their pairs.
     """
     unit = frames.calibration.depth_unit
     grid = cells(frames.depth, frames.calibration, config.surface)
@@ -136,14 +136,14 @@ def surface_pairs(
     for b, floor in enumerate(floor_frames(fit.plane, unit)):
         found = _surfaces(grid, b, floor, step, unit, config)
         label = whole_surfaces(found.label, found.view, unit, config.obstacle)
-        seen = pairs(label, found.free, found.view, unit, config.obstacle)
-        yield Cells(*(a[b : b + 1] for a in grid)), label, seen
+        found_pairs = pairs(label, found.free, found.view, unit, config.obstacle)
+        yield Cells(*(a[b : b + 1] for a in grid)), label, found_pairs
 
 
 def _group(
     grid: Cells, b: int, floor: np.ndarray, step: StepHeight, unit: float, config: Config
 ) -> Found:
-    """Surfaces and obstacles of one frame."""
+    """Segment the surfaces of one frame and group them into obstacles."""
     found = _surfaces(grid, b, floor, step, unit, config)
     _, farthest = depth_range(config.ground.min_depth_m, config.ground.max_depth_m, unit)
     label = obstacles(found.label, found.free, found.view, farthest, unit, config.obstacle)
@@ -153,7 +153,7 @@ def _group(
 def _surfaces(
     grid: Cells, b: int, floor: np.ndarray, step: StepHeight, unit: float, config: Config
 ) -> Found:
-    """Surfaces of one frame."""
+    """Segment the surfaces of one frame."""
     ground_config, settings = config.ground, config.surface
     view = _view(grid, b, floor)
     nearest, farthest = depth_range(ground_config.min_depth_m, ground_config.max_depth_m, unit)
@@ -170,7 +170,7 @@ def _surfaces(
 
 
 def _view(grid: Cells, b: int, floor: np.ndarray) -> View:
-    """Where the cells of frame ``b`` are, in the camera and on the floor."""
+    """Return the positions of the cells of frame ``b``, in the camera and on the floor."""
     xyz = np.stack([grid.x[b], grid.y[b], grid.z[b]]).astype(np.int64)
     x, y, z = xyz
     return View(x, y, z, *on_floor(floor, xyz))
@@ -179,7 +179,7 @@ def _view(grid: Cells, b: int, floor: np.ndarray) -> View:
 def _outlines(
     grid: Cells, found: list[Found], count: np.ndarray, calibration: Calibration, config: Config
 ) -> tuple[Obstacles, tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """The obstacles, measured and outlined on their cells; ``count`` of each frame."""
+    """Measure and outline the obstacles from their cells; ``count`` of each frame."""
     batch, unit, settings = len(found), calibration.depth_unit, config.footprint
     flat = [axis.reshape(batch, -1) for axis in grid]
     every = np.ones(flat[0].shape, bool)
@@ -220,12 +220,12 @@ def _free(
     calibration: Calibration,
     config: Config,
 ) -> FreeFloor:
-    """The free floor of each frame.
+    """Compute the free floor of each frame.
 
     Args:
         found: Obstacles of ``B`` frames.
-        floors: ``(B, 13)``, of :func:`jaxdet.floor.frame.floor_frames`.
-        pixels: ``(B, R, C)``, of :func:`jaxdet.reference._cells.nearest_depths`.
+        floors: Floor frames ``(B, 13)``, from :func:`jaxdet.floor.frame.floor_frames`.
+        pixels: Nearest depths ``(B, R, C)``, from :func:`jaxdet.reference._cells.nearest_depths`.
         calibration: Calibration of the log.
         config: Configuration of the method.
     """
@@ -246,7 +246,7 @@ def _free(
 def _columns(
     one: Found, frame: np.ndarray, calibration: Calibration, config: Config
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The free floor of each column of cells, of :func:`jaxdet.reference._free.free_floor`."""
+    """Return the free floor per column, see :func:`jaxdet.reference._free.free_floor`."""
     settings, cell, unit = config.floor, one.view, calibration.depth_unit
     far, gap = round(config.ground.max_depth_m / unit), round(settings.gap_m / unit)
     drops = quadratic_table(settings.drop_m, settings.noise_per_m, unit)
@@ -258,7 +258,7 @@ def _columns(
 
 
 def _with_notches(one: Found, frame: np.ndarray, calibration: Calibration, config: Config) -> Found:
-    """The obstacles of a frame with those in the notches of its free floor."""
+    """Add the obstacles in notches of the free floor to those of a frame."""
     unit, cell = calibration.depth_unit, one.view
     line, end = _columns(one, frame, calibration, config)
     if is_upside_down(frame[DOWN]):
@@ -273,7 +273,7 @@ def _with_notches(one: Found, frame: np.ndarray, calibration: Calibration, confi
 
 
 def _in_range(one: Found, frame: np.ndarray, config: Config, unit: float) -> np.ndarray:
-    """Whether each cell is in the depth range and no higher than the maximum height."""
+    """Return whether each cell is within the depth range and not above the maximum height."""
     view, ground = one.view, config.ground
     nearest, farthest = depth_range(ground.min_depth_m, ground.max_depth_m, unit)
     highest = max_height(ground, unit) if frame[IS_KNOWN] else UNKNOWN_HEIGHT

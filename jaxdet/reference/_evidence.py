@@ -1,4 +1,4 @@
-"""What is seen of each pair of surfaces: how near they are, what lies between them, their sizes."""
+"""Features of pairs of surfaces: distances, what lies between them, and their sizes."""
 
 from typing import NamedTuple
 
@@ -10,48 +10,50 @@ from jaxdet.reference._outlines import contours
 from jaxdet.reference._view import Extents, View, extents
 
 MOST_BETWEEN = 11
-"""Surfaces of a line with more runs of cells between them are not looked at together."""
-SLOPE = 10  # surfaces are seen obliquely: depths may differ by a tenth of what lies between them
-CONTACT = 2  # contours so many gaps apart are near, whether or not the surfaces face each other
+"""Maximum number of runs of cells between two surfaces of a line that are compared."""
+# surfaces are viewed obliquely: depths may differ by a tenth of the distance between them
+SLOPE = 10
+# contours are close if at most this many gaps apart, even if the surfaces do not face each other
+CONTACT = 2
 PERCENT = 100
 
 
 class Facing(NamedTuple):
-    """How surfaces face each other along lines (rows, or columns), each ``(S, S)`` int64.
+    """Statistics of surfaces that face each other in lines (rows, columns), each ``(S, S)`` int64.
 
-    Above the diagonal only. Two surfaces face each other where neither of them and at most
-    ``MOST_BETWEEN`` runs of cells lie between; in a line they may do so more than once.
+    Only the upper triangle is used. Two surfaces face each other where neither of them and at most
+    ``MOST_BETWEEN`` runs of cells lie between; this may occur several times in a line.
     """
 
-    places: np.ndarray  # places where they do
-    through: np.ndarray  # of these, those where floor or something farther is seen between them
+    places: np.ndarray  # number of places where they face each other
+    through: np.ndarray  # number of these with floor or something farther between them
     hidden: np.ndarray
-    """Of these, those where something nearer and nothing farther lies between them."""
+    """Number of these with something nearer, and nothing farther, between them."""
     holes: np.ndarray
-    """Of these, the others with something between them: cells without depth, or surfaces of about
-    their depth."""
+    """Number of the remaining ones with something between them: cells without depth, or surfaces at
+    about the same depth."""
     agree: np.ndarray
-    """Of ``hidden`` and ``holes``, those where their depths agree within the gap and the slope."""
-    steps: np.ndarray  # sum of their steps in depth, but for through [depth units]
+    """Number of ``hidden`` and ``holes`` whose depths agree within the gap and the slope."""
+    steps: np.ndarray  # sum of steps in depth, except at ``through`` [depth units]
 
 
 class Pairs(NamedTuple):
-    """The pairs of surfaces of a frame that may be one thing."""
+    """Pairs of surfaces of a frame that may belong to one object."""
 
-    one: np.ndarray  # (P,) int64, a surface
-    other: np.ndarray  # (P,) int64, one with a higher number
-    seen: np.ndarray
-    """``(P, 26)`` int64, in the order of :data:`jaxdet.affinity.PAIR_FEATURES` [depth units, cells,
-    lines, percent]."""
+    one: np.ndarray  # (P,) int64, number of a surface
+    other: np.ndarray  # (P,) int64, a surface with a higher number
+    features: np.ndarray
+    """Features ``(P, 26)`` int64, in the order of :data:`jaxdet.affinity.PAIR_FEATURES` [depth
+    units, cells, lines, percent]."""
 
 
 def pairs(
     label: np.ndarray, free: np.ndarray, view: View, unit: float, config: ObstacleConfig
 ) -> Pairs:
-    """The pairs of surfaces that may be one thing, and what is seen of each.
+    """Find the pairs of surfaces that may belong to one object, and compute their features.
 
-    They are at most ``lateral_gap_m`` and ``forward_gap_m`` apart on the floor (Eq. 6 on both axes
-    at once), and they face each other in some row or column or their contours are near.
+    Their distance on the floor is at most ``lateral_gap_m`` and ``forward_gap_m`` (Eq. 6 on both
+    axes at once), and they face each other in some row or column or their contours are close.
 
     Args:
         label: ``(R, C)`` surfaces, -1 = none.
@@ -60,26 +62,26 @@ def pairs(
         unit: Metres in one depth unit.
         config: The gaps.
     """
-    known, gap = extents(label, view), round(config.depth_gap_m / unit)
+    extent, gap = extents(label, view), round(config.depth_gap_m / unit)
     rows = facing(label, free, view.z, view.x, gap)
     columns = facing(label.T, free.T, view.z.T, view.y.T, gap)
-    aside, ahead = _extent_gaps(known)
-    distance = _contour_gaps(label, view, len(known.cells))
+    aside, ahead = _extent_gaps(extent)
+    distance = _contour_gaps(label, view, len(extent.cells))
     near = (aside <= round(config.lateral_gap_m / unit)) & (
         ahead <= round(config.forward_gap_m / unit)
     )
     near &= (rows.places + columns.places > 0) | (distance <= CONTACT * gap)
     one, other = at = np.nonzero(np.triu(near, 1))
 
-    sizes = known.top, known.bottom, known.depth, known.width, known.cells
+    sizes = extent.top, extent.bottom, extent.depth, extent.width, extent.cells
     rank = np.argsort(np.lexsort(sizes))
     fewer = rank[one] < rank[other]
     less, more = np.where(fewer, one, other), np.where(fewer, other, one)
-    narrower = np.maximum(np.minimum(known.width[one], known.width[other]), 1)
-    shorter = np.minimum(known.rows[one], known.rows[other])
+    narrower = np.maximum(np.minimum(extent.width[one], extent.width[other]), 1)
+    shorter = np.minimum(extent.rows[one], extent.rows[other])
     closed = (rows.places - rows.through)[at]
     step = rows.steps[at] // np.maximum(closed, 1)
-    seen = [
+    features = [
         distance[at],
         np.maximum(ahead[at], 0),
         PERCENT * -aside[at] // narrower,  # rounded down
@@ -90,27 +92,28 @@ def pairs(
         PERCENT * rows.agree[at] // shorter,
         columns.through[at],
         (columns.hidden + columns.holes)[at],
-        np.minimum(known.near[one], known.near[other]),
+        np.minimum(extent.near[one], extent.near[other]),
     ]
-    for size in (known.cells, known.width, known.depth, known.bottom, known.top):
-        seen += [size[less], size[more]]
-    seen += [known.near[less] - known.near[more], rows.places[at], columns.places[at]]
+    for size in (extent.cells, extent.width, extent.depth, extent.bottom, extent.top):
+        features += [size[less], size[more]]
+    features += [extent.near[less] - extent.near[more], rows.places[at], columns.places[at]]
     for lines in (rows, columns):
-        seen.append(PERCENT * lines.through[at] // np.maximum(lines.places[at], 1))
-    return Pairs(one, other, np.stack(seen, axis=1))
+        features.append(PERCENT * lines.through[at] // np.maximum(lines.places[at], 1))
+    return Pairs(one, other, np.stack(features, axis=1))
 
 
 def facing(
     label: np.ndarray, free: np.ndarray, z: np.ndarray, along: np.ndarray, gap: int
 ) -> Facing:
-    """How surfaces face each other along the rows of a frame.
+    """Count how surfaces face each other along the rows of a frame.
 
     Args:
         label: ``(R, C)`` surfaces, -1 = none.
         free: ``(R, C)`` bool, measured to be free.
         z: ``(R, C)`` int64 [depth units].
-        along: ``(R, C)`` int64, place along the row [depth units].
-        gap: Depths agree within this [depth units]; by half of it, things are nearer.
+        along: Position along the row, ``(R, C)`` int64 [depth units].
+        gap: Maximum difference of depths that agree [depth units]; something is nearer by half of
+            it.
 
     Example:
         >>> label, z = np.array([[0, 0, 1, 2, 2]]), np.array([[900, 900, 700, 905, 905]])
@@ -157,7 +160,7 @@ def facing(
 
 
 def _runs(label: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """First and last cell of each run of one surface in a row, as flat indices."""
+    """Return the first and last cell of each run of one surface in a row, as flat indices."""
     beyond = np.full((len(label), 1), -2)
     before = np.concatenate([beyond, label[:, :-1]], axis=1)
     after = np.concatenate([label[:, 1:], beyond], axis=1)
@@ -167,7 +170,7 @@ def _runs(label: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _contour_gaps(label: np.ndarray, view: View, count: int) -> np.ndarray:
-    """Smallest distance on the floor between the contours of each two surfaces, ``(S, S)``."""
+    """Return the smallest distance between the contours of surfaces on the floor, ``(S, S)``."""
     if not count:
         return np.zeros((0, 0), np.int64)
     lines, used = contours(label, view.right, view.forward, count)
@@ -176,14 +179,14 @@ def _contour_gaps(label: np.ndarray, view: View, count: int) -> np.ndarray:
     for number, line in enumerate(np.split(points.astype(np.int64), first[1:])):
         apart = ((line[:, None] - points) ** 2).sum(axis=-1).min(axis=0)
         squared[number] = np.minimum.reduceat(apart, first)
-    # The integer square root: float64 is exact to twice these lengths.
+    # Integer square root: float64 is exact up to twice these lengths.
     return np.floor(np.sqrt(squared)).astype(np.int64)
 
 
-def _extent_gaps(known: Extents) -> tuple[np.ndarray, np.ndarray]:
-    """How far surfaces are apart on the floor, sideways and forward, ``(S, S)``; < 0: overlap."""
-    aside = np.maximum(known.left, known.left[:, None])
-    aside = aside - np.minimum(known.right, known.right[:, None])
-    ahead = np.maximum(known.near, known.near[:, None])
-    ahead = ahead - np.minimum(known.far, known.far[:, None])
+def _extent_gaps(extent: Extents) -> tuple[np.ndarray, np.ndarray]:
+    """Return gaps between surfaces on the floor, sideways and forward, ``(S, S)``; < 0: overlap."""
+    aside = np.maximum(extent.left, extent.left[:, None])
+    aside = aside - np.minimum(extent.right, extent.right[:, None])
+    ahead = np.maximum(extent.near, extent.near[:, None])
+    ahead = ahead - np.minimum(extent.far, extent.far[:, None])
     return aside, ahead

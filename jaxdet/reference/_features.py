@@ -15,17 +15,17 @@ def features(
 ) -> Features:
     """Find the strongest Shi-Tomasi corners of the Canny edge image and look up their depth.
 
-    ``x = (u - c_x) z / f_x`` and y likewise, undistorted, rounded to whole depth units
+    ``x = (u - c_x) z / f_x`` and ``y = (v - c_y) z / f_y``, undistorted, rounded to depth units
     (:func:`lateral`).
 
     Args:
         color: ``(B, H, W, 3)`` uint8, RGB.
         depth: ``(B, Hd, Wd)`` uint16 [depth units], 0 = no measurement.
         calibration: Calibration of the log.
-        config: Canny's bounds and the corner selection.
+        config: Thresholds of Canny and the corner selection.
 
     Returns:
-        ``N = config.max_corners`` slots per frame; empty slots are zero. All are ``kept``.
+        ``N = config.max_corners`` slots per frame; empty slots are zero. All features are ``kept``.
     """
     batch, n = len(color), config.max_corners
     u, v = np.zeros((batch, n), np.int32), np.zeros((batch, n), np.int32)
@@ -44,7 +44,7 @@ def features(
 
 
 def _corners(image: np.ndarray, config: FeaturesConfig) -> np.ndarray:
-    """Corners of one frame, one more than there are slots; ``(n, 2)`` int32 column, row."""
+    """Detect the corners of one frame, up to one more than slots; ``(n, 2)`` int32 column, row."""
     edges = canny(grey(image), config.canny_low, config.canny_high)
     return strongest_corners(
         corner_strength(edges), config.max_corners + 1, config.quality_level, config.min_distance
@@ -52,11 +52,11 @@ def _corners(image: np.ndarray, config: FeaturesConfig) -> np.ndarray:
 
 
 def lateral(ray: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """``ray * z`` in whole depth units, halves up.
+    """Return ``ray * z`` rounded to depth units, halves up.
 
     Args:
-        ray: int32 with ``RAY_BITS`` fraction bits, any shape.
-        z: int32, depth units, same shape.
+        ray: Rays with ``RAY_BITS`` fraction bits, int32, any shape.
+        z: Depth [depth units], int32, same shape.
 
     Returns:
         int32, same shape.

@@ -1,4 +1,4 @@
-"""The floor of each frame, found in its own depth."""
+"""Floor of each frame, estimated from its own depth."""
 
 import math
 from typing import NamedTuple
@@ -34,27 +34,28 @@ from jaxdet.reference._floor_ramp import crossing, ramp_plane
 from jaxdet.reference._floor_search import any_plane, is_usual, least_share, near_planes
 from jaxdet.types import GroundPlane, Refusal
 
-MIN_CELLS = 50  # of fewer cells, nothing is said
+MIN_CELLS = 50  # minimum number of cells for an estimate
 FAR_GAIN = 5
-"""A plane far from the prior is believed where so many percent more of the cells lie on it."""
-OBSTACLE = 95  # largest share of obstacle [percent]
+"""Minimum gain of inliers of a plane far from the prior [percent of all cells]."""
+OBSTACLE = 95  # maximum fraction of obstacle cells [percent]
 UNDER = ((10, 2), (3, 8))
-"""With a prior and without: a plane is a table's where more than so many percent of the cells lie
-under it, and more than one for so many on it: a glossy floor mirrors a few."""
+"""With a prior and without: a plane is a table's if more than this percentage of the cells lies
+below it, and more than one cell below it for this number of inliers; a glossy floor mirrors a
+few."""
 
 
 class _Found(NamedTuple):
-    """The best floor of one frame."""
+    """Floor of one frame."""
 
     plane: Plane
     ahead: Ahead | None
-    on: int  # cells on it
-    total: int  # all cells
+    on: int  # number of inliers
+    total: int  # number of all cells
     refused: Refusal
 
     @property
     def row(self) -> tuple[int, ...]:
-        """As :func:`jaxdet.floor.units.floor_fit` takes it."""
+        """Integers that :func:`jaxdet.floor.units.floor_fit` expects."""
         ramp = self.ahead[:2] if self.ahead and self.ahead.turn else (0, 0)
         return (*self.plane, *ramp, self.on, self.total, self.refused)
 
@@ -67,28 +68,30 @@ def find_floor(
     config: FloorConfig,
     depth_unit: float,
 ) -> FloorFit:
-    """Finds the floor plane of each frame, and a ramp or step ahead, in the frame alone.
+    """Estimate the floor plane of each frame, and a ramp or step ahead, from that frame only.
 
-    Planes on a fixed lattice of pitch, roll and height, around the prior or over all that cameras
-    can have, get the votes of a fourth of the cells: one for each cell within a tolerance that
-    grows with depth, less two for each clearly below. The best few are refined by weighted least
-    squares on the cells near them, in fixed rounds. Planes that only the nearer cells speak for are
-    tried with ramps and steps ahead; one is taken where clearly more cells speak for it.
+    A fourth of the cells vote for planes on a fixed lattice of pitch, roll and height, around the
+    prior or over all usual camera poses: one vote per inlier, within a tolerance that grows with
+    depth, minus two per cell clearly below. The best planes are refined by weighted least squares
+    on the cells near them, in a fixed number of rounds. Planes that get votes mainly from nearer
+    cells are tried with ramps and steps ahead; a ramp or step is accepted if it gets clearly more
+    votes.
 
-    Every decision is made on integers: angles of 1/32 degree and whole depth units. Only tables of
-    sines and tangents are rounded from floating point.
+    Every decision is made on integers: angles of 1/32 degree and integer depth units. Only the
+    tables of sines and tangents are rounded from floating point.
 
     Args:
-        x: ``(B, R, C)`` int32, right of the optical axis [depth units].
-        y: ``(B, R, C)`` int32, below it.
-        z: ``(B, R, C)`` int32, along it, 0 = none; of a regular grid over the image.
-        prior: ``B`` planes; not valid where nothing is known. Its ramps are not used.
-        config: What to correct and what to refuse.
-        depth_unit: Metres in one depth unit.
+        x: Position of the cells to the right of the optical axis, ``(B, R, C)`` int32 [depth
+            units].
+        y: Position below the axis.
+        z: Position along the axis, 0 = none; the cells are a regular grid over the image.
+        prior: ``B`` planes; not valid if there is no prior. Ramps are ignored.
+        config: Limits of corrections and reasons of refusal.
+        depth_unit: Metres per depth unit.
 
     Returns:
-        The planes, and why they are not the frames' own. A camera pitched by more than 85 degrees
-        keeps its prior.
+        The planes, and why frames' own planes were refused. A camera pitched by more than 85
+        degrees keeps its prior.
     """
     part = used_cells(z.shape[1:], config)
     x, y, z = (a[:, part, part] for a in (x, y, z))
@@ -96,7 +99,7 @@ def find_floor(
 
 
 def used_cells(shape: tuple[int, ...], config: FloorConfig) -> slice:
-    """Which rows and columns of a grid of cells ``(R, C)`` are used."""
+    """Return the sampled rows and columns of a grid of cells ``(R, C)``."""
     step = stride(math.prod(shape), config)
     return slice(step // 2, None, step)
 
@@ -109,11 +112,11 @@ def floor_of_cells(
     config: FloorConfig,
     depth_unit: float,
 ) -> FloorFit:
-    """:func:`find_floor` of the cells in :func:`used_cells` alone."""
+    """Run :func:`find_floor` on only the cells of :func:`used_cells`."""
     scale = Scale(depth_unit, config.noise_per_m)
-    given = prior_units(prior, scale).tolist()
+    priors = prior_units(prior, scale).tolist()
     found = np.zeros((len(z), 8), np.int32)
-    for b, (*plane, valid) in enumerate(given):
+    for b, (*plane, valid) in enumerate(priors):
         cells, few = _take(x[b], y[b], z[b], config, scale)
         found[b] = _find(cells, few, Plane(*plane) if valid else None, config, scale).row
     return floor_fit(found, prior, depth_unit)
@@ -122,7 +125,7 @@ def floor_of_cells(
 def _take(
     x: np.ndarray, y: np.ndarray, z: np.ndarray, config: FloorConfig, scale: Scale
 ) -> tuple[Sample, Sample]:
-    """The cells with depth, and every second of them in rows and columns."""
+    """Return the measured cells, and every second of them in rows and columns."""
     x, y, z = (a.astype(np.int64) for a in (x, y, z))
     row, column = np.indices(z.shape)
     inner = np.broadcast_to(~margins(z.shape[1]), z.shape)
@@ -134,7 +137,7 @@ def _take(
 def _find(
     cells: Sample, few: Sample, prior: Plane | None, config: FloorConfig, scale: Scale
 ) -> _Found:
-    """The best floor of one frame."""
+    """Estimate the floor of one frame."""
     if len(few.z) < MIN_CELLS:
         return _Found(prior or Plane(0, 0, 0), None, 0, 0, Refusal.TOO_LITTLE)
     guess = prior or any_plane(few, _permille(config.min_share_alone), scale)
@@ -167,7 +170,7 @@ def _find(
 def _refined(
     plane: Plane, ahead: Ahead | None, cells: Sample, prior: Plane | None, scale: Scale
 ) -> tuple[Plane, Ahead | None]:
-    """A plane refined on all cells, or on those before its ramp or step; and the ramp beyond."""
+    """Refine a plane on all cells, or on those before its ramp or step, and the ramp beyond."""
     if not ahead:
         return refined(plane, cells, (0, 1, 5), prior, scale), None
     beyond = distance(plane, cells) >= ahead.start
@@ -181,7 +184,7 @@ def _refined(
 
 
 def _is_near(plane: Plane, prior: Plane | None, config: FloorConfig, scale: Scale) -> bool:
-    """Whether a plane is below the camera and near the prior, or usual where there is none."""
+    """Return whether a plane is below the camera and near the prior, or usual without a prior."""
     if prior is None:
         return is_usual(plane)
     turn = round(config.max_turn_deg * ANGLES)
@@ -196,7 +199,7 @@ def _is_near(plane: Plane, prior: Plane | None, config: FloorConfig, scale: Scal
 def _as_ramp(
     steep: Plane, prior: Plane, config: FloorConfig, scale: Scale
 ) -> tuple[Plane, Ahead] | None:
-    """A plane far from the prior as a ramp ahead of it, where the two cross."""
+    """Return a plane far from the prior as a ramp ahead of it, if the two cross."""
     level = prior._replace(roll=steep.roll)
     ramp = crossing(level, steep) if _is_near(level, prior, config, scale) else None
     return (level, ramp) if ramp and 0 < ramp.start <= scale.length(RAMP_M) else None
@@ -210,22 +213,22 @@ def _judge(
     config: FloorConfig,
     scale: Scale,
 ) -> _Found:
-    """Says whether a floor is to be believed."""
+    """Count the inliers of a floor and decide whether it is refused."""
     level = below(plane, cells)
     deep = level + ahead.rise(distance(plane, cells)) if ahead else level
     slack, total = scale.fine.of(cells.z, plane.height), len(cells.z)
     on = int(np.count_nonzero(np.abs(deep) <= slack))
     is_low = deep > BELOW * slack + scale.length(TABLE_M)
     if prior is None and ahead and ahead.drop > 0:
-        # With nothing known, a floor beyond a deep step may as well be the one below a table.
+        # Without a prior, a floor beyond a deep step may be the floor below a table.
         is_low |= level > BELOW * slack + scale.length(DEEP_M)
     low = int(np.count_nonzero(is_low))
     high = int(np.count_nonzero(-deep > slack + scale.length(STEP_M)))
-    known = prior is not None
-    share, part = UNDER[not known]
+    has_prior = prior is not None
+    share, part = UNDER[not has_prior]
     enough, least = on, _permille(config.min_share)
-    if not known:
-        # A plane through a table has more of it just below than a floor has dents.
+    if not has_prior:
+        # Below a plane through a table there are more cells than a floor has dents.
         enough -= BELOW_COST * int(np.count_nonzero(2 * deep > 3 * slack))
         least = least_share(plane, _permille(config.min_share_alone))
     refused = Refusal.NONE

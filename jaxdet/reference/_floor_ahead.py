@@ -1,4 +1,4 @@
-"""How a floor goes on ahead: flat, as a ramp, or after a step."""
+"""Shape of the floor ahead of its plane: flat, a ramp, or a step."""
 
 import numpy as np
 
@@ -9,28 +9,28 @@ from jaxdet.reference._floor_ramp import best_ramp, is_seen
 from jaxdet.reference._floor_step import best_step
 
 MIN_GAIN = 5
-"""A ramp or step must explain so many percent more cells than the best plane alone does: of the
-floor, not of the frame, which walls may fill."""
+"""Minimum gain of votes of a ramp or step over the best plane [percent of that plane's votes, not
+of the frame, which walls may fill]."""
 OVER_RAMP = 2
-"""And a step so many percent more than a ramp, of which it may be a part."""
+"""Minimum gain of a step over a ramp [percent]; it may be a part of the ramp."""
 ALIKE = 3
-"""Of planes turned by so much at most [angle steps], whose heights differ by no more than
-``ALIKE_M``, the first is tried with steps."""
+"""Planes that differ by at most this angle [angle steps], and in height by at most ``ALIKE_M``, are
+alike: only the first is tried with steps."""
 
 
 def find_ahead(
     flat: Plane, planes: list[Plane], cells: Sample, scale: Scale, farthest: int | None
 ) -> tuple[Plane, Ahead | None]:
-    """The plane, with a ramp or a step where clearly more cells speak for that than for any plane.
+    """Select the plane, and a ramp or step if that gets clearly more votes than any plane.
 
     Args:
-        flat: The plane where there is neither.
-        planes: Those that may end in one.
-        cells: Their inner ones are used.
-        scale: The depth unit.
-        farthest: How far below the camera its floor may be [depth units]. Beyond a step down the
-            floor is lower: else what stands on it, wide and low, would be the floor before a step.
-            None: nothing is known.
+        flat: Plane that is returned if there is no ramp or step.
+        planes: Planes that may end in a ramp or a step.
+        cells: Cells, of which those inside the margins are used.
+        scale: Depth unit.
+        farthest: Maximum height of the camera above its floor [depth units]. Beyond a step down the
+            floor must be lower; otherwise a wide, low object on the floor would be taken for the
+            floor before a step. None: no prior.
     """
     inner = cells.take(cells.inner)
     alone, ramps, steps, stepped = [], [], [], []

@@ -1,8 +1,7 @@
-"""Planes, and their refinement by least squares, all on integers.
+"""Floor planes, and their refinement by least squares, in integers.
 
-Angles are whole :data:`ANGLES` of a degree and directions have ``DOWN_BITS`` fraction bits, both
-from one table of sines; heights and positions are whole depth units. So every step is a sum, a
-product, a shift or a division of integers.
+Angles are integer multiples of 1/:data:`ANGLES` degree and directions have ``DOWN_BITS`` fraction
+bits, both from tables of sines. Each operation is a sum, product, shift or division of integers.
 """
 
 from typing import NamedTuple
@@ -22,34 +21,34 @@ from jaxdet.floor.units import (
 )
 from jaxdet.reference._rounding import rounded
 
-DOWN_BITS = 12  # fraction bits of a direction: with the largest position its product has 32 bits
+DOWN_BITS = 12  # fraction bits of a direction: products with positions have 32 bits
 RADIAN = round(180 * ANGLES / np.pi)  # angle steps in a radian
-LARGEST_TURN = 8 * ANGLES  # most that a round of refinement turns a plane
-BELOW = 4  # a cell so many tolerances below a plane lies clearly below it
-BELOW_COST = 2  # and counts so many times as much as one on it: nothing is seen through a floor
+LARGEST_TURN = 8 * ANGLES  # maximum rotation of a plane per round of refinement
+BELOW = 4  # cells this many tolerances below a plane are clearly below it
+BELOW_COST = 2  # votes that such a cell costs: nothing is visible through a floor
 TURN_BITS = 24
-"""Bits of the sums that the refinement multiplies: two products and an angle fit into 64."""
-RIDGE = 14  # square of 3 cm in levers of 8 mm: floor seen over a few centimetres tells no tilt
+"""Bits of the sums that the refinement multiplies: two products and an angle fit in 64."""
+RIDGE = 14  # square of 3 cm in levers of 8 mm: a few centimetres of floor do not determine the tilt
 
 
 class Sample(NamedTuple):
-    """Cells with depth, at most some thousands."""
+    """Measured cells, at most some thousands."""
 
     xyz: np.ndarray  # (K, 3) int64, camera optical frame [depth units]
-    inner: np.ndarray  # (K,) bool, not at the left or right margin of the image
+    inner: np.ndarray  # (K,) bool, inside the left and right margins of the image
 
     @property
     def z(self) -> np.ndarray:
-        """``(K,)`` int64, depth [depth units]."""
+        """Depth ``(K,)`` int64 [depth units]."""
         return self.xyz[:, 2]
 
     def take(self, which: np.ndarray) -> "Sample":
-        """Some of them."""
+        """Return a selection of the cells."""
         return Sample(self.xyz[which], self.inner[which])
 
 
 class Plane(NamedTuple):
-    """A plane in whole angle steps and depth units."""
+    """Plane in integer angle steps and depth units."""
 
     pitch: int
     roll: int
@@ -57,7 +56,7 @@ class Plane(NamedTuple):
 
 
 def down_units(pitch: np.ndarray | int, roll: np.ndarray | int) -> np.ndarray:
-    """:func:`jaxdet.floor.plane.down_vector`, ``DOWN_BITS`` fraction bits, ``(..., 3)`` int64."""
+    """Return down vectors ``(..., 3)`` int64 with ``DOWN_BITS`` fraction bits."""
     level = cosine(pitch)
     parts = sine(roll) * level, cosine(roll) * level, sine(pitch) << SINE_BITS
     bits = 2 * SINE_BITS - DOWN_BITS
@@ -65,9 +64,10 @@ def down_units(pitch: np.ndarray | int, roll: np.ndarray | int) -> np.ndarray:
 
 
 def floor_axes(plane: Plane) -> np.ndarray:
-    """Right, down and forward of a plane with ``DOWN_BITS`` fraction bits, ``(3, 3)`` int64.
+    """Return right, down and forward of a plane with ``DOWN_BITS`` fraction bits, ``(3, 3)`` int64.
 
-    Forward is the derivative of down by pitch; right, times the cosine of pitch, that by roll.
+    Forward is the derivative of down with respect to pitch; right times the cosine of pitch is that
+    with respect to roll.
     """
     quarter = 90 * ANGLES
     pitch = np.array([0, plane.pitch, plane.pitch + quarter])
@@ -75,17 +75,17 @@ def floor_axes(plane: Plane) -> np.ndarray:
 
 
 def along(directions: np.ndarray, cells: Sample) -> np.ndarray:
-    """Positions along directions ``(..., 3)``, rounded, ``(..., K)`` int64 [depth units]."""
+    """Return positions along directions ``(..., 3)``, rounded, ``(..., K)`` int64 [depth units]."""
     return (directions @ cells.xyz.T + (1 << (DOWN_BITS - 1))) >> DOWN_BITS
 
 
 def below(plane: Plane, cells: Sample) -> np.ndarray:
-    """How far cells lie below a plane, ``(K,)`` int64 [depth units]."""
+    """Return the distance of cells below a plane, ``(K,)`` int64 [depth units]."""
     return along(down_units(plane.pitch, plane.roll), cells) - plane.height
 
 
 def score(below: np.ndarray, slack: np.ndarray) -> np.ndarray:
-    """Cells on a floor, less ``BELOW_COST`` times those clearly below it; over the last axis."""
+    """Count inliers minus ``BELOW_COST`` times the cells clearly below, over the last axis."""
     on = np.count_nonzero(np.abs(below) <= slack, axis=-1)
     return on - BELOW_COST * np.count_nonzero(below > BELOW * slack, axis=-1)
 
@@ -93,7 +93,7 @@ def score(below: np.ndarray, slack: np.ndarray) -> np.ndarray:
 def refined(
     plane: Plane, cells: Sample, rounds: tuple[int, int, int], prior: Plane | None, scale: Scale
 ) -> Plane:
-    """:func:`refine` in some rounds with a rough tolerance, a fine and a sharp one."""
+    """Apply :func:`refine` with a rough, a fine and a sharp tolerance."""
     for slack, count in zip((scale.rough(ROUGH_DEG), scale.fine, scale.sharp), rounds, strict=True):
         plane = refine(plane, cells, slack, count, prior, scale.bits(LEVER_M))
     return plane
@@ -102,23 +102,23 @@ def refined(
 def refine(
     plane: Plane, cells: Sample, slack: Tolerance, rounds: int, prior: Plane | None, lever_bits: int
 ) -> Plane:
-    """Weighted least squares on the cells near a plane, in fixed rounds.
+    """Refine a plane by weighted least squares on the cells near it, in a fixed number of rounds.
 
-    With ``e`` how far a cell lies below the plane, ``t`` its distance forward and ``s`` to the
-    right, all less their means, the turns a, b that minimise ``sum w (e + a t + b s)^2`` solve two
-    equations by Cramer's rule. To both squares ``RIDGE`` is added, so that a turn that the cells
-    don't tell leads to the prior, or to none. The sums are exact in 64 bits and shifted to
-    ``TURN_BITS`` before they are multiplied, so all products are exact too.
+    Let ``e`` be the distance of a cell below the plane, ``t`` its distance forward and ``s`` to the
+    right, each minus its mean. The rotations a, b that minimise ``sum w (e + a t + b s)^2`` solve
+    two equations by Cramer's rule. ``RIDGE`` is added to both squares, so that a rotation that the
+    cells do not determine leads to the prior, or to none. The sums are exact in 64 bits and shifted
+    to ``TURN_BITS`` before they are multiplied, so all products are exact too.
 
     Args:
-        plane: Where to begin; it stays where fewer than 20 cells are near, or all of them as far
-            away as that allows.
-        cells: ``K`` of them.
-        slack: Cells one and a half times so far away count as near. The weight is its inverse
-            square times Tukey's biweight, so that the feet of walls weigh little.
-        rounds: How often.
-        prior: What is known of the angles; None: nothing.
-        lever_bits: ``t`` and ``s`` are measured in ``2**lever_bits`` depth units.
+        plane: Initial plane; it is returned unchanged if fewer than 20 cells are near, or all of
+            these have weight zero.
+        cells: ``K`` cells.
+        slack: Tolerance; cells within one and a half times the tolerance are used. Their weight is
+            its inverse square times Tukey's biweight, so that the feet of walls have little weight.
+        rounds: Number of rounds.
+        prior: Prior of the angles, or None.
+        lever_bits: Exponent of the unit of ``t`` and ``s``, ``2**lever_bits`` depth units.
     """
     for _ in range(rounds):
         right, down, forward = floor_axes(plane)
@@ -145,7 +145,7 @@ def refine(
 
 
 def _pull(plane: Plane, prior: Plane | None) -> tuple[int, int]:
-    """From a plane to the prior: turns about right and forward in angle steps."""
+    """Return the rotations from a plane to the prior, about right and forward [angle steps]."""
     if prior is None:
         return 0, 0
     side = (prior.roll - plane.roll) * int(cosine(plane.pitch))
@@ -160,7 +160,7 @@ def _turns(
     pull: tuple[int, int],
     lever_bits: int,
 ) -> tuple[int, int]:
-    """The turns about right and forward in angle steps, at most ``LARGEST_TURN``."""
+    """Solve for the rotations about right and forward [angle steps], at most ``LARGEST_TURN``."""
     total = int(weight.sum())
     e, t, s = (a - rounded(int(weight @ a), total) for a in (e, t, s))
     tt, ts, ss, te, se = (

@@ -1,4 +1,4 @@
-"""The floor's profile over a plane: cells by distance and height."""
+"""Profile of the floor above a plane: cells by distance and height."""
 
 from typing import NamedTuple
 
@@ -9,52 +9,53 @@ from jaxdet.reference._floor_planes import BELOW, BELOW_COST, Plane, Sample, alo
 
 
 class Ahead(NamedTuple):
-    """How a floor goes on ahead of its plane: as a ramp, or lower or higher after a step."""
+    """Shape of the floor ahead of its plane: a ramp, or a step down or up."""
 
     start: int  # distance forward at which it begins [depth units]
-    turn: int = 0  # the ramp's pitch against the plane, uphill positive, 0 = none [angle steps]
-    drop: int = 0  # the step, down positive, 0 = none [depth units]
+    # pitch of the ramp relative to the plane, uphill positive, 0 = none [angle steps]
+    turn: int = 0
+    drop: int = 0  # height of the step, down positive, 0 = none [depth units]
 
     def rise(self, run: np.ndarray) -> np.ndarray:
-        """How much higher than the plane it is at distances, ``(T,)`` [depth units]."""
+        """Return the height of the floor above the plane at distances, ``(T,)`` [depth units]."""
         ramp = rises(np.array(self.start), np.array(self.turn), run)
         return ramp - np.where(run >= self.start, self.drop, 0)
 
 
 def rises(starts: np.ndarray, turns: np.ndarray, run: np.ndarray) -> np.ndarray:
-    """Heights of ramps over the plane at distances ``(T,)``, ``(..., T)`` [depth units]."""
+    """Return heights of ramps above the plane at distances ``(T,)``, ``(..., T)`` [depth units]."""
     beyond = np.maximum(run - starts[..., None], 0)
     return (slopes(turns)[..., None] * beyond + (1 << (SLOPE_BITS - 1))) >> SLOPE_BITS
 
 
 class Profile(NamedTuple):
-    """Cumulative counts of cells over their height, by distance forward of the camera."""
+    """Cumulative counts of cells over height, by distance forward of the camera."""
 
     counts: np.ndarray  # (T, rises + 1) int64
-    run: np.ndarray  # (T,) int64, the middles of the distances [depth units]
-    bits: int  # heights are 2**bits depth units apart
+    run: np.ndarray  # (T,) int64, centres of the distance bins [depth units]
+    bits: int  # height bins are 2**bits depth units high
 
     def under(self, height: np.ndarray) -> np.ndarray:
-        """Cells below a height over the plane ``(..., T)`` [depth units], by distance."""
+        """Count the cells below heights over the plane ``(..., T)`` [depth units], by distance."""
         last = self.counts.shape[1] - 1
         index = np.clip((height >> self.bits) + last // 2, 0, last)
         return self.counts[np.arange(len(self.run)), index]
 
     def on(self, rise: np.ndarray, slack: np.ndarray) -> np.ndarray:
-        """Cells within the tolerance of a floor that rises so, by distance."""
+        """Count the inliers of a floor at height ``rise`` above the plane, by distance."""
         return self.under(rise + slack) - self.under(rise - slack)
 
     def each(self, rise: np.ndarray, slack: np.ndarray) -> np.ndarray:
-        """Cells on a floor less ``BELOW_COST`` times those clearly below it, by distance."""
+        """Count inliers minus ``BELOW_COST`` times the cells clearly below, by distance."""
         return self.on(rise, slack) - BELOW_COST * self.under(rise - BELOW * slack)
 
     def votes(self, rise: np.ndarray, slack: np.ndarray) -> np.ndarray:
-        """The same of all distances, ``(...)``."""
+        """Sum :meth:`each` over all distances, ``(...)``."""
         return self.each(rise, slack).sum(axis=-1)
 
 
 def profile(plane: Plane, cells: Sample, scale: Scale) -> Profile:
-    """The profile of cells over a plane."""
+    """Compute the profile of cells above a plane."""
     run_bits, rise_bits, unit = scale.bits(RUN_M), scale.bits(RISE_M), scale.unit
     runs, half = round(FARTHEST_M / unit) >> run_bits, round(HIGHEST_M / unit) >> rise_bits
     _, down, forward = floor_axes(plane)
@@ -68,12 +69,12 @@ def profile(plane: Plane, cells: Sample, scale: Scale) -> Profile:
 
 
 def spread(run: np.ndarray, counts: np.ndarray) -> tuple[int, int]:
-    """Between which distances ``(T,)`` all but a tenth of the cells at each end lie."""
+    """Return the distances ``(T,)`` between which all but a tenth of the cells at each end lie."""
     running = np.cumsum(counts)
     first, last = (int(run[np.argmax(10 * running >= n * running[-1])]) for n in (1, 9))
     return first, last
 
 
 def distance(plane: Plane, cells: Sample) -> np.ndarray:
-    """How far forward of the camera cells are on a plane, ``(K,)`` int64 [depth units]."""
+    """Return the distance of cells forward of the camera, ``(K,)`` int64 [depth units]."""
     return along(floor_axes(plane)[2], cells)

@@ -1,4 +1,4 @@
-"""A ramp ahead of a plane, by votes on the floor's profile."""
+"""Detection of a ramp ahead of a plane, by votes on the profile of the floor."""
 
 import numpy as np
 
@@ -19,27 +19,27 @@ from jaxdet.reference._floor_profile import Ahead, Profile, rises, spread
 
 LEAST_TURN, MOST_TURN = 3 * ANGLES, 12 * ANGLES
 TURNS = np.arange(LEAST_TURN, MOST_TURN + 1, ANGLES // 2)
-"""Slopes tried: a smaller one is no more than a floor's own waves, and robots on wheels drive no
-larger one."""
-FINE_TURN = ANGLES // 4  # step of the finer lattice
+"""Candidate slopes: smaller ones are not distinguishable from a wavy floor, and wheeled robots do
+not drive on steeper ones."""
+FINE_TURN = ANGLES // 4  # spacing of the fine lattice
 MIN_SHARE = 40
-"""Of the cells near the floor that tell the ramp from the plane, it must explain at least so many
-percent anew."""
+"""Minimum fraction of cells that only the ramp explains, among the cells near the floor where ramp
+and plane differ [percent]."""
 
 
 def best_ramp(
     seen: Profile, coarse: np.ndarray, fine: np.ndarray, unit: float
 ) -> tuple[int, Ahead]:
-    """The ramp with most votes, looked for on a lattice and then on a finer one.
+    """Find the ramp with the most votes, on a coarse and then a fine lattice.
 
     Args:
-        seen: The profile over a plane.
-        coarse: ``(T,)`` tolerance at each distance for the lattice [depth units].
-        fine: The same for the finer one.
-        unit: Metres in one depth unit.
+        seen: Profile above a plane.
+        coarse: Tolerance at each distance for the coarse lattice, ``(T,)`` [depth units].
+        fine: Tolerance for the fine lattice.
+        unit: Metres per depth unit.
 
     Returns:
-        Its votes, and the ramp.
+        Votes, and the ramp.
     """
     starts = np.rint(STARTS_M / unit).astype(np.int64)
     first = _best(seen, starts, np.concatenate([-TURNS[::-1], TURNS]), coarse)[1]
@@ -52,14 +52,14 @@ def best_ramp(
 def _best(
     seen: Profile, starts: np.ndarray, turns: np.ndarray, slack: np.ndarray
 ) -> tuple[int, Ahead]:
-    """The best ramp of a lattice of starts and slopes, and its votes."""
+    """Return the votes and the best ramp of a lattice of starts and slopes."""
     votes = seen.votes(rises(starts[:, None], turns[None], seen.run), slack)
     i, j = (int(n) for n in np.unravel_index(np.argmax(votes), votes.shape))
     return int(votes[i, j]), Ahead(int(starts[i]), int(turns[j]))
 
 
 def crossing(level: Plane, steep: Plane) -> Ahead | None:
-    """The ramp that a steeper plane is, ahead of a level one; None where it is none.
+    """Return a steeper plane as a ramp ahead of a level one; None if it is not a ramp.
 
     Along the level floor the plane rises by ``a + b t``: b is the tangent of their difference in
     pitch, a the difference of their heights along the level floor's normal.
@@ -72,7 +72,7 @@ def crossing(level: Plane, steep: Plane) -> Ahead | None:
 
 
 def ramp_plane(level: Plane, ramp: Ahead) -> Plane:
-    """The plane of a ramp, no steeper than planes are; :func:`crossing` gives the ramp back."""
+    """Return the plane of a ramp, with its pitch limited; the inverse of :func:`crossing`."""
     height = level.height + (ramp.start * int(slopes(np.array(ramp.turn))) >> SLOPE_BITS)
     height = height * int(cosine(ramp.turn)) >> SINE_BITS
     pitch = min(max(level.pitch + ramp.turn, -STEEPEST), STEEPEST)
@@ -80,17 +80,17 @@ def ramp_plane(level: Plane, ramp: Ahead) -> Plane:
 
 
 def is_seen(seen: Profile, ramp: Ahead, slack: np.ndarray, unit: float) -> bool:
-    """Whether the ramp shows itself from near its start on, over some distance."""
+    """Return whether the ramp is visible from near its start over some distance."""
     rise = rises(np.array(ramp.start), np.array(ramp.turn), seen.run)
-    telling = np.abs(rise) > slack
-    # Where the tolerances of ramp and plane overlap, a cell is the plane's.
+    distinct = np.abs(rise) > slack
+    # If the tolerances of ramp and plane overlap, a cell belongs to the plane.
     low = np.maximum(rise - slack, slack) if ramp.turn > 0 else rise - slack
     high = rise + slack if ramp.turn > 0 else np.minimum(rise + slack, -slack)
-    anew = np.where(telling, seen.under(high) - seen.under(low), 0)
-    there = np.where(telling, seen.under(np.maximum(rise, 0) + BELOW * slack), 0)
-    total = int(anew.sum())
-    if 100 * total < MIN_SHARE * int(there.sum()) or not total:
+    ramp_cells = np.where(distinct, seen.under(high) - seen.under(low), 0)
+    all_cells = np.where(distinct, seen.under(np.maximum(rise, 0) + BELOW * slack), 0)
+    total = int(ramp_cells.sum())
+    if 100 * total < MIN_SHARE * int(all_cells.sum()) or not total:
         return False
-    first, last = spread(seen.run, anew)
-    begin = int(seen.run[np.argmax(telling)])
+    first, last = spread(seen.run, ramp_cells)
+    begin = int(seen.run[np.argmax(distinct)])
     return first < begin + round(RAMP_NEAR_M / unit) and last - first > round(SPREAD_M / unit)

@@ -1,4 +1,4 @@
-"""Where planes are looked for: near a guess, or in all directions that cameras have."""
+"""Search for floor planes, near a guess or over all usual camera poses."""
 
 import numpy as np
 
@@ -25,18 +25,19 @@ from jaxdet.reference._floor_planes import (
 )
 
 PITCHES_DEG, ROLLS_DEG = (-15, 72), (-30, 30)
-"""Its tilts; a wall in front of a level camera is as a floor at 90 degrees."""
-ROLLED_DEG = 40  # most that a plane found from there may be rolled
+"""Usual tilts of cameras; a wall in front of a level camera looks like a floor at 90 degrees."""
+ROLLED_DEG = 40  # maximum roll of a plane found from there
 FILLS_DEG, FILLS = 35, 12
-"""The more a camera is pitched, the more floor it sees: for each degree beyond, a plane must show
-so much more of the cells [per mille]."""
-WINNERS = 6  # so many of the first planes are looked at more closely
-APART = 12  # planes of neighbouring directions within so many bins are one
+"""Increase of the minimum inlier fraction per degree of pitch beyond ``FILLS_DEG`` [per mille]: the
+more a camera is pitched, the more floor it sees."""
+WINNERS = 6  # number of the first planes that are refined
+APART = 12  # planes of neighbouring directions within this many bins are the same
 NEAR_DEG, STEEP_DEG = 4, 8
-"""Planes are looked for so far in pitch from a guess, in roll within the first, and one so far."""
+"""Search range around a guess: the first in pitch and roll; the second in pitch, for one steep
+plane."""
 LEAST = np.iinfo(np.int64).min  # fewer votes than any plane has
-RINGS = len(RINGS_M) + 1  # planes are also looked for among the cells up to each
-MIN_SHARE = 3  # they must be so many percent of all
+RINGS = len(RINGS_M) + 1  # planes are also searched among the cells up to each ring
+MIN_SHARE = 3  # minimum fraction of these cells [percent of all]
 
 
 def vote(
@@ -47,22 +48,24 @@ def vote(
     ring: np.ndarray,
     rings: int,
 ) -> np.ndarray:
-    """:func:`score` of all planes of some directions and heights, by the cells up to each ring.
+    """Compute :func:`score` of planes by direction and height, with the cells up to each ring.
 
-    But what lies lower than the tolerance counts as clearly below: it has room for the lattice's
-    steps. This is a Hough transform: for a direction a cell votes for a range of heights, so the
-    ends of the ranges are counted, and their prefix sums are the score.
+    In contrast to it, cells lower than the tolerance count as clearly below, because the tolerance
+    has room for the spacing of the lattice. This is a Hough transform: for a direction a cell votes
+    for a range of heights, so the ends of the ranges are counted, and their prefix sums are the
+    score.
 
     Args:
         cells: ``K`` of them.
-        down: ``(D, 3)`` directions.
-        slack: ``(K,)`` tolerance [depth units].
-        heights: The least [depth units], how many, and ``bits``: they are ``2**bits`` apart.
-        ring: ``(K,)`` int64, the ring of each cell.
-        rings: How many there are.
+        down: Directions ``(D, 3)``.
+        slack: Tolerance ``(K,)`` [depth units].
+        heights: Smallest height [depth units], number of heights, and ``bits``: their spacing is
+            ``2**bits``.
+        ring: Ring of each cell, ``(K,)`` int64.
+        rings: Number of rings.
 
     Returns:
-        ``(rings, D, bins)`` int64.
+        Votes ``(rings, D, bins)`` int64.
     """
     lowest, bins, bits = heights
     height = along(down, cells) - lowest
@@ -82,15 +85,16 @@ def vote(
 
 
 def peaks(votes: np.ndarray, count: int, reach: int) -> np.ndarray:
-    """The best planes of a lattice of pitch, roll and height, by non-maximum suppression.
+    """Find the best planes of a lattice of pitch, roll and height, by non-maximum suppression.
 
     Args:
-        votes: ``(P, R, bins)``.
-        count: How many.
-        reach: Planes of neighbouring directions whose heights differ by so many bins are one.
+        votes: Votes ``(P, R, bins)``.
+        count: Number of planes.
+        reach: Planes of neighbouring directions whose heights differ by at most this many bins are
+            the same.
 
     Returns:
-        ``(count, 3)`` indices, best first.
+        Indices ``(count, 3)``, best first.
     """
     left, out = votes.copy(), []
     for _ in range(count):
@@ -106,7 +110,7 @@ def _lattice(center: int, reach: tuple[int, int], step: int) -> np.ndarray:
 
 
 def _heights(low: int, high: int, scale: Scale) -> tuple[int, int, int]:
-    """The least height, how many there are, and the power of two between them."""
+    """Return the smallest height, the number of heights, and the exponent of their spacing."""
     bits = scale.bits(BIN_M)
     return low, ((high - low) >> bits) + 1, bits
 
@@ -118,13 +122,13 @@ class _Lattice:
         self.pitch, self.roll, self.heights = np.clip(pitch, -STEEPEST, STEEPEST), roll, heights
 
     def votes(self, cells: Sample, slack: np.ndarray, ring: np.ndarray, rings: int) -> np.ndarray:
-        """``(rings, P, R, bins)`` int64."""
+        """Return the votes ``(rings, P, R, bins)`` int64."""
         down = down_units(self.pitch[:, None], self.roll[None]).reshape(-1, 3)
         votes = vote(cells, down, slack, self.heights, ring, rings)
         return votes.reshape(rings, len(self.pitch), len(self.roll), -1)
 
     def best(self, votes: np.ndarray, count: int) -> list[Plane]:
-        """The planes with most votes ``(P, R, bins)``."""
+        """Return the planes with the most votes ``(P, R, bins)``."""
         lowest, _, bits = self.heights
         return [
             Plane(int(self.pitch[i]), int(self.roll[j]), lowest + (k << bits))
@@ -133,38 +137,38 @@ class _Lattice:
 
 
 def rings(cells: Sample, scale: Scale) -> np.ndarray:
-    """The ring of each cell, ``(K,)`` int64, by depth."""
+    """Return the ring of each cell, ``(K,)`` int64, by depth."""
     return np.searchsorted([scale.length(m) for m in RINGS_M], cells.z)
 
 
 def shown(ring: np.ndarray) -> np.ndarray:
-    """The rings up to which there are enough cells to tell a plane."""
+    """Return the rings up to which there are enough cells for a plane."""
     count = np.cumsum(np.bincount(ring, minlength=RINGS))
     return np.flatnonzero(100 * count >= MIN_SHARE * len(ring))
 
 
 def is_usual(plane: Plane) -> bool:
-    """Whether a camera on a robot or in a hand can be so tilted: no wall is a floor."""
+    """Return whether the tilt is usual for a camera on a robot or in a hand: no wall is a floor."""
     low, high = (n * ANGLES for n in PITCHES_DEG)
     tilted = low <= plane.pitch <= high and abs(plane.roll) <= ROLLED_DEG * ANGLES
     return tilted and plane.height > 0
 
 
 def least_share(plane: Plane, least: int) -> int:
-    """The share of the cells that a plane must show [per mille], ``least`` of a level camera."""
+    """Return the minimum inlier fraction of a plane [per mille], ``least`` for a level camera."""
     return least + (FILLS * max(plane.pitch - FILLS_DEG * ANGLES, 0)) // ANGLES
 
 
 def near_planes(cells: Sample, guess: Plane, prior: Plane | None, scale: Scale) -> list[Plane]:
-    """Planes near a guess: for each ring the best of the cells up to it, and of all cells three.
+    """Find planes near a guess: the best one of the cells up to each ring, and three of all cells.
 
-    The last of them may be steeper than the others.
+    The last one may be steeper than the others.
 
     Args:
         cells: ``K`` of them.
-        guess: In the middle of what is tried.
-        prior: What is known of the angles; None: nothing.
-        scale: The depth unit.
+        guess: Centre of the search range.
+        prior: Prior of the angles, or None.
+        scale: Depth unit.
     """
     span = scale.length(STEEP_M)
     lattice = _Lattice(
@@ -188,12 +192,12 @@ def near_planes(cells: Sample, guess: Plane, prior: Plane | None, scale: Scale) 
 
 
 def any_plane(cells: Sample, least: int, scale: Scale) -> Plane:
-    """The best floor of any camera that a robot or a hand holds.
+    """Find the best floor without a prior, for any usual pose of the camera.
 
-    For each ring the best plane of the cells up to it is looked at more closely, and of all cells
-    ``WINNERS``: far walls fill the picture of a low camera, and where little of its floor is
-    measured, it has most votes only among the nearest cells. Of these the usual one with most votes
-    beyond what it must show (:func:`least_share`) is the floor.
+    The best plane of the cells up to each ring and the ``WINNERS`` best of all cells are refined:
+    far walls fill the image of a low camera, and if little of its floor is measured, the floor has
+    the most votes only among the nearest cells. The result is the usual plane with the most votes
+    beyond its minimum inlier fraction (:func:`least_share`).
     """
     once, span = np.zeros(len(cells.z), np.int64), scale.length(STEEP_M)
     low, high = (scale.length(m) for m in HEIGHTS_M)

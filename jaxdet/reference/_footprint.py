@@ -1,4 +1,4 @@
-"""Stage 5, footprint: each obstacle's extent and outline on the floor (Section 3.5)."""
+"""Stage 5, footprint: extent and outline of each obstacle on the floor (Section 3.5)."""
 
 import numpy as np
 
@@ -14,25 +14,26 @@ def footprint(
     depth_unit: float,
     config: Config,
 ) -> Obstacles:
-    """Measures each obstacle and finds its points A, B and C on the floor (Eq. 7).
+    """Measure each obstacle and find its points A, B and C on the floor (Eq. 7).
 
-    The points are laid on the floor (:func:`to_ground`), at most MAX_LATERAL away. A is the
-    leftmost, B the rightmost, C the nearest; ties go to the nearer, for C to the one further
-    left. By configuration the outermost and the nearest few are passed over, and each of the three
-    is the median of a band instead (:func:`_outermost`). C is a vertex unless
+    The points are projected onto the floor (:func:`to_ground`), at most MAX_LATERAL away. A is the
+    leftmost, B the rightmost, C the nearest; ties go to the nearer point, for C to the one further
+    left. If the configuration sets a trim and bands, the outermost and nearest points are trimmed,
+    and A, B and C are medians of bands instead (:func:`_outermost`). C is a vertex unless
 
         min(d_A, d_B) - d_C < d_threshold
 
     with d the distance forward. :func:`jaxdet.results.metric.rectangles` draws the rectangle, which
-    need not hold all points: what lies in front of AB, to the side of C or behind is outside. So
-    ``nearest`` is of all points.
+    need not contain all points: points in front of AB, to the side of C or behind are outside.
+    Therefore ``nearest`` is computed from all points.
 
     Args:
         features: ``(B, N)`` points.
         labels: Their obstacles.
-        plane: The floor of each frame, for the ground frame's axes.
+        plane: Floor of each frame, for the axes of the ground frame.
         depth_unit: Metres in one depth unit.
-        config: Its footprint part; with N, ``min_points`` of its cluster part sets ``M``.
+        config: Its ``footprint`` part; ``M`` follows from N and ``min_points`` of its ``cluster``
+            part.
 
     Returns:
         ``(B, M)`` obstacles in the order of their labels.
@@ -44,7 +45,7 @@ def footprint(
 
 
 def _nearest(labels: Labels, floor: np.ndarray, slots: int) -> np.ndarray:
-    """Squared distance of each obstacle's nearest point, ``(B, M, 2)``: over 2^18, and the rest."""
+    """Return squared distances of the obstacles' nearest points, ``(B, M, 2)``: divmod by 2^18."""
     squared = (floor.astype(np.int64) ** 2).sum(axis=-1)
     nearest = np.zeros((len(floor), slots), np.int64)
     for b, count in enumerate(labels.num_obstacles):
@@ -62,14 +63,14 @@ def footprint_on_floor(
     *,
     slots: int,
 ) -> Obstacles:
-    """Measures obstacles whose points' places on the floor are known, see :func:`footprint`.
+    """Measure obstacles from the positions of their points on the floor, see :func:`footprint`.
 
     Args:
         features: ``(B, N)`` points.
         labels: Their obstacles.
-        floor: ``(B, N, 2)`` integer, right and forward, at most MAX_LATERAL [depth units].
+        floor: Right and forward ``(B, N, 2)`` integer, at most MAX_LATERAL [depth units].
         depth_unit: Metres in one depth unit.
-        config: Trim, bands and the vertex's threshold.
+        config: Trim, bands and threshold of the vertex.
         slots: ``M``.
 
     Returns:
@@ -101,10 +102,10 @@ def footprint_on_floor(
 
 
 def to_ground(features: Features, plane: GroundPlane) -> np.ndarray:
-    """The points in the ground frame, in whole depth units.
+    """Transform points to the ground frame, in integer depth units.
 
     Returns:
-        ``(B, N, 2)`` int32: right and forward.
+        Right and forward ``(B, N, 2)`` int32.
     """
     xyz = np.stack([features.x, features.y, features.z], axis=-1).astype(np.int64)
     axes = ground_axes(plane).astype(np.int64)
@@ -115,7 +116,7 @@ def to_ground(features: Features, plane: GroundPlane) -> np.ndarray:
 def _outline(
     points: np.ndarray, trim: int, bands: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A, B and C of an obstacle's points ``(n, 2)``."""
+    """Return A, B and C of an obstacle's points ``(n, 2)``."""
     right, forward = points.T
     side, near = bands[np.clip(forward.min(), 0, len(bands) - 1)]
     a_right, b_right = _outermost(right, trim, side), -_outermost(-right, trim, side)
@@ -127,9 +128,9 @@ def _outline(
 
 
 def _outermost(values: np.ndarray, trim: int, band: int) -> int:
-    """The lower median of the values at most ``band`` above the smallest.
+    """Return the lower median of the values at most ``band`` above the smallest.
 
-    The ``trim`` smallest are passed over first, at most a ``TRIM_SHARE``-th of all.
+    The ``trim`` smallest values are removed first, at most a ``TRIM_SHARE``-th of all.
 
     Example:
         >>> _outermost(np.array([9, 2, 0, 3, 7]), trim=0, band=3)

@@ -1,4 +1,4 @@
-"""Free floor: how far the floor is seen in each direction, and what ends it."""
+"""Free floor: visible extent of the floor in each column of cells, and what ends it."""
 
 from typing import NamedTuple
 
@@ -6,39 +6,40 @@ import numpy as np
 
 from jaxdet.types import FreeEnd
 
-RUN = 3  # so many measured cells one after the other, all a drop lower than the last floor
+RUN = 3  # consecutive measured cells, all lower than the last floor by a drop, that make a drop
 
-BESIDE = 14  # columns on both sides of one that drops, more than half of which must drop too
-SHARE = 5  # no floor farther up may be nearer than what lies lower by more than this part of it
+NEIGHBOURS = 14  # columns on each side of a drop, more than half of which must drop too
+SHARE = 5  # floor farther up must not be nearer than lower cells by more than one part in SHARE
 
 
 class FloorView(NamedTuple):
-    """One frame's cells as the search for free floor sees them, each ``(R, C)``."""
+    """Cells of one frame for the search for free floor, each ``(R, C)``."""
 
     label: np.ndarray  # obstacles, -1 = none
-    low: np.ndarray  # bool, measured, in range or beyond, and no higher than the step
-    floor: np.ndarray  # bool, of these, those near enough to the plane to be floor
+    low: np.ndarray  # bool, measured, in range or beyond, and not above the step height
+    floor: np.ndarray  # bool, ``low`` and close enough to the plane to be floor
     right: np.ndarray  # ground frame [depth units]
     forward: np.ndarray  # ground frame [depth units]
     height: np.ndarray  # above the plane [depth units]
     drop: np.ndarray
-    """How much lower than the floor before it the floor behind an edge lies [depth units]."""
+    """Minimum height of a step down to floor behind an edge [depth units]."""
 
 
 def floor_ahead(
     view: FloorView, down: np.ndarray, far: int, longest_gap: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """:func:`free_floor` of a camera that is mounted in any way.
+    """Compute :func:`free_floor` for any mounting of the camera.
 
-    Of one that is upside down (rolled by 135 degrees or more) the cells are turned by half, so that
-    columns go from left to right and outward is up; of one on its side (45 degrees or more)
-    columns don't lead away from it, and nothing is said.
+    If the camera is upside down (rolled by 135 degrees or more), the cells are rotated by half a
+    turn, so that columns go from left to right and outward is up. If it is on its side (45 degrees
+    or more), columns do not lead away from it, and the result is unknown.
 
     Args:
         view: The cells.
-        down: ``(3,)`` int, down in the colour camera, of :func:`jaxdet.floor.frame.floor_frames`.
+        down: Down vector ``(3,)`` int in the colour camera, from
+            :func:`jaxdet.floor.frame.floor_frames`.
         far: As for :func:`free_floor`.
-        longest_gap: Likewise.
+        longest_gap: As for :func:`free_floor`.
     """
     if abs(int(down[0])) > abs(int(down[1])):
         columns = view.label.shape[1]
@@ -49,36 +50,35 @@ def floor_ahead(
 
 
 def is_upside_down(down: np.ndarray) -> bool:
-    """Whether the image's columns go from right to left, ``(3,)`` int as :func:`floor_ahead`'s."""
+    """Return whether a camera is upside down, from ``(3,)`` int as for :func:`floor_ahead`."""
     return int(down[1]) < 0
 
 
 def free_floor(view: FloorView, far: int, longest_gap: int) -> tuple[np.ndarray, np.ndarray]:
-    """Follows the floor in each column of cells, from the robot outward.
+    """Follow the floor in each column of cells, from the robot outward.
 
-    From the nearest floor cell on, the floor goes on while the next one is at most ``longest_gap``
-    farther and no obstacle of the column is nearer. It is ended by
+    From the nearest floor cell on, the floor continues while the next floor cell is at most
+    ``longest_gap`` farther and no obstacle of the column is nearer. It is ended by
 
-    - a drop, where ``RUN`` measured cells one after the other lie lower than the last floor cell by
-      a drop at once, and flat, and no floor goes on at its level. Stereo cameras bow far floor
-      down, but slowly; reflections in a glossy floor lie below it too, but floor goes on beyond
-      them, nearer than they seem to be (through floor nothing is seen), or they stand upright, and
-      they are narrow: of a column and its ``BESIDE`` neighbours on both sides more than half must
+    - a drop, if the next ``RUN`` measured cells are lower than the last floor cell by a drop at
+      once, lie flat, and no floor continues at its level. Stereo cameras bow far floor down, but
+      gradually. Reflections in a glossy floor lie below it too, but floor continues beyond them,
+      nearer than they seem to be (nothing is visible through a floor), or they stand upright, and
+      they are narrow: more than half of a column and its ``NEIGHBOURS`` columns on each side must
       drop;
-    - an obstacle, where the column's nearest one is at most ``longest_gap`` farther;
-    - the end of the range, at most ``longest_gap`` farther;
-    - else by what is not known.
+    - an obstacle, if the nearest one of the column is at most ``longest_gap`` farther;
+    - the end of the range, if that is at most ``longest_gap`` farther;
+    - otherwise for an unknown reason.
 
     Args:
         view: The cells.
         far: End of the range [depth units].
-        longest_gap: [depth units].
+        longest_gap: Maximum gap between floor cells [depth units].
 
     Returns:
-        ``(C, 2, 2)`` int32, where the floor begins and where it ends, right and forward in the
-        ground frame [depth units], both the same where only an obstacle is seen and zero where
-        nothing is; and ``(C,)`` int32, what ends it (:class:`jaxdet.types.FreeEnd`). Distances are
-        compared forward.
+        Start and end of the floor, ``(C, 2, 2)`` int32, right and forward in the ground frame
+        [depth units], both equal if only an obstacle is visible and zero if nothing is; and the
+        kind of end ``(C,)`` int32 (:class:`jaxdet.types.FreeEnd`). Distances are compared forward.
     """
     columns = view.label.shape[1]
     line, end = np.zeros((columns, 2, 2), np.int32), np.zeros(columns, np.int32)
@@ -104,13 +104,14 @@ def free_floor(view: FloorView, far: int, longest_gap: int) -> tuple[np.ndarray,
         elif close:
             end[column] = FreeEnd.RANGE
     drops = (end == FreeEnd.DROP).astype(np.int64)
-    beside = np.convolve(drops, np.ones(2 * BESIDE + 1, np.int64))[BESIDE : BESIDE + columns]
-    end[(drops > 0) & (beside <= BESIDE)] = FreeEnd.UNKNOWN
+    window = np.ones(2 * NEIGHBOURS + 1, np.int64)
+    dropping = np.convolve(drops, window)[NEIGHBOURS : NEIGHBOURS + columns]
+    end[(drops > 0) & (dropping <= NEIGHBOURS)] = FreeEnd.UNKNOWN
     return line, end
 
 
 def _followed(view: FloorView, column: int, floor: np.ndarray, gap: int) -> tuple[int, bool]:
-    """The last row of the floor that begins at ``floor[0]``, and whether it drops there."""
+    """Return the last row of the floor that begins at ``floor[0]``, and whether it drops there."""
     last = int(floor[0])
     for row in floor[1:].tolist():
         if view.forward[row, column] - view.forward[last, column] > gap:
@@ -123,9 +124,9 @@ def _followed(view: FloorView, column: int, floor: np.ndarray, gap: int) -> tupl
 
 
 def _drops(view: FloorView, column: int, last: int) -> bool:
-    """Whether the next ``RUN`` measured cells up a column are a drop lower, and lie flat.
+    """Return whether the next ``RUN`` measured cells up a column are lower by a drop and lie flat.
 
-    They don't where floor farther up is clearly nearer than they are.
+    It is not a drop if floor farther up is clearly nearer than these cells.
     """
     height, forward, drop, low, label = (
         a[:last, column][::-1] for a in (view.height, view.forward, view.drop, view.low, view.label)

@@ -1,4 +1,4 @@
-"""Stage 3, ground: which features are in range and above the floor (Section 3.3)."""
+"""Stage 3, ground: selection of features in range and above the floor (Section 3.3)."""
 
 import numpy as np
 
@@ -13,13 +13,13 @@ def ground(
     """Keep features whose depth is in range and that are above the floor.
 
     Args:
-        features: ``(B, N)``.
+        features: ``(B, N)`` features.
         plane: Floor of each of the ``B`` frames.
         calibration: For the colour camera and the depth unit.
         config: Range and step height of its ground part.
 
     Returns:
-        The features, with ``kept``.
+        The features with ``kept`` set.
     """
     limits, which = floor_limits(calibration.image, plane, config.ground, calibration.depth_unit)
     limit = limits[which[:, None], features.v, features.u]
@@ -30,15 +30,15 @@ def ground(
 def above_floor(
     z: np.ndarray, plane: GroundPlane, calibration: Calibration, config: Config
 ) -> np.ndarray:
-    """Return which pixels have a depth in range and are above the floor.
+    """Return whether each pixel has a depth in range and is above the floor.
 
-    A pixel is floor when its image row lies below the row of the plane at height
-    ``h_0 = h - step``: for a level camera ``v - c_y >= f h_0 / z`` (Eq. 5), and for any tilt
-    and roll when its height above the plane is less than the step height
-    (:func:`jaxdet.floor.plane.floor_limits`). A frame whose plane is unknown loses no floor.
+    A pixel is floor if its image row is below the row of the plane at height ``h_0 = h - step``:
+    for a level camera ``v - c_y >= f h_0 / z`` (Eq. 5), and for any pitch and roll if its height
+    above the plane is less than the step height (:func:`jaxdet.floor.plane.floor_limits`). In a
+    frame with an unknown plane no pixel is floor.
 
     Args:
-        z: ``(B, H, W)`` uint16, z at the pixels of the colour image [depth units].
+        z: Depth at the pixels of the colour image, ``(B, H, W)`` uint16 [depth units].
         plane: Floor of each of the ``B`` frames.
         calibration: For the colour camera and the depth unit.
         config: Range and step height of its ground part.

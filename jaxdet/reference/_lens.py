@@ -1,4 +1,4 @@
-"""Lens models in the alignment's arithmetic: every operation rounded on its own."""
+"""Lens models in the arithmetic of the alignment: every operation is rounded separately."""
 
 import numpy as np
 
@@ -12,15 +12,15 @@ f32, f64 = np.float32, np.float64
 def project(
     x: np.ndarray, y: np.ndarray, splat: SplatParameters
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Distorts rays by the colour camera's model.
+    """Distort rays by the lens model of the colour camera.
 
     Args:
-        x: ``(n,)`` float32, x over z.
-        y: ``(n,)`` float32, y over z.
-        splat: The alignment's constants.
+        x: x over z, ``(n,)`` float32.
+        y: y over z, ``(n,)`` float32.
+        splat: Constants of the alignment.
 
     Returns:
-        Distorted ``x`` and ``y``, and whether the ray is inside the model's range.
+        Distorted ``x`` and ``y``, and whether the ray is inside the range of the model.
     """
     r2 = x * x + y * y
     inside = r2 <= splat.max_r2
@@ -40,7 +40,7 @@ def project(
 
 
 def _equidistant(x: np.ndarray, y: np.ndarray, k: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Kannala-Brandt: the radius becomes ``theta (1 + k1 theta^2 + ...)``, in float64."""
+    """Apply Kannala-Brandt: the radius becomes ``theta (1 + k1 theta^2 + ...)``, in float64."""
     x, y = x.astype(f64), y.astype(f64)
     r = np.sqrt(x * x + y * y)
     theta = arctangent(r)

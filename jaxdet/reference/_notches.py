@@ -1,4 +1,4 @@
-"""Low things that the free floor shows: notches in its outline."""
+"""Low obstacles that appear as notches in the outline of the free floor."""
 
 import numpy as np
 
@@ -8,17 +8,17 @@ from jaxdet.types import FreeEnd
 def notches(end: np.ndarray, ahead: np.ndarray, length: int) -> np.ndarray:
     """Find the notches in the outline of the free floor.
 
-    A notch is a run of columns whose floor ends for no known reason, between two columns whose
-    floor goes on for more than ``length`` beyond all ends of the run.
+    A notch is a run of columns whose floor ends for an unknown reason, between two columns whose
+    floor continues for more than ``length`` beyond all ends of the run.
 
     Args:
         end: Kind of end of each column, ``(C,)`` int32 (:class:`jaxdet.types.FreeEnd`).
         ahead: Distance forward at which the floor of each column ends, ``(C,)`` int64 [depth
-            units]; not positive where no floor is seen.
+            units]; not positive if no floor is visible.
         length: [depth units].
 
     Returns:
-        Number of the notch of each column from 0, left to right, ``(C,)`` int64; -1 = none.
+        Number of the notch of each column, from 0, left to right, ``(C,)`` int64; -1 = none.
 
     Example:
         >>> end, ahead = np.zeros(5, np.int32), np.array([900, 500, 550, 950, 940])
@@ -48,23 +48,23 @@ def with_notches(
     length: int,
     least: int,
 ) -> np.ndarray:
-    """Add what stands in the notches of the free floor to the obstacles.
+    """Add obstacles in the notches of the free floor to the obstacles.
 
-    What is low, dark or blurred shows too few cells above the step for an obstacle, but the floor
-    does not go on through it. Its cells are those above half of the step, from where the floor ends
-    to ``length`` beyond it, that belong to no obstacle.
+    A low, dark or blurred object has too few cells above the step height for an obstacle, but the
+    floor is interrupted by it. Its cells are those above half of the step height, from the end of
+    the floor to ``length`` beyond it, that belong to no other obstacle.
 
     Args:
         label: Obstacles ``(R, C)``, -1 = none.
-        notch: Notch of each column, ``(C,)``, of :func:`notches`.
+        notch: Notch of each column, ``(C,)``, from :func:`notches`.
         ahead: Distance forward at which the floor of each column ends, ``(C,)`` [depth units].
         forward: Distance forward of the cells, ``(R, C)`` int64 [depth units].
-        high: Whether a cell is in range and above half of the step, ``(R, C)`` bool.
+        high: Whether a cell is in range and above half of the step height, ``(R, C)`` bool.
         length: [depth units].
         least: Minimum number of cells of an obstacle.
 
     Returns:
-        Obstacles ``(R, C)``; those of notches are numbered last, from left to right.
+        Obstacles ``(R, C)``; those in notches are numbered last, from left to right.
     """
     inside = high & (label < 0) & (notch >= 0)
     inside &= (forward >= ahead) & (forward <= ahead + length)

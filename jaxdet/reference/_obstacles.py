@@ -1,4 +1,4 @@
-"""Obstacles from surfaces: which of them are one thing, by all that speaks for it and against."""
+"""Grouping of surfaces into obstacles, by the evidence that they belong to the same object."""
 
 import numpy as np
 
@@ -20,18 +20,19 @@ def obstacles(
     unit: float,
     config: ObstacleConfig,
 ) -> np.ndarray:
-    """Groups the surfaces of a frame into obstacles.
+    """Group the surfaces of a frame into obstacles.
 
-    1. Pieces too small to be an obstacle join the surface they touch (:func:`whole_surfaces`).
+    1. Surfaces too small to be an obstacle are merged into one they touch (:func:`whole_surfaces`).
     2. Each pair of surfaces at most a gap apart on the floor (Eq. 6) has evidence for or against
-       its being one thing (:func:`jaxdet.reference._evidence.pairs`, :mod:`jaxdet.affinity`).
-    3. Surfaces are joined where the evidence between all of their parts, added up, is for it
+       belonging to the same object (:func:`jaxdet.reference._evidence.pairs`,
+       :mod:`jaxdet.affinity`).
+    3. Groups of surfaces are merged while the sum of the evidence between them is positive
        (:func:`contracted`).
-    4. What bends around free floor is split where it does (:func:`straight_parts`).
+    4. Groups that bend around free floor are split at the bends (:func:`straight_parts`).
 
-    What is smaller than ``min_size_m``, shows fewer than ``min_cells`` cells in the colour image or
-    begins beyond the range is no obstacle. Depth images often see more than the colour image: what
-    is beside or above it helps to tell what belongs together.
+    Groups that are smaller than ``min_size_m``, have fewer than ``min_cells`` cells or begin beyond
+    the range are removed. Cells outside the colour image are used too, as they help to decide what
+    belongs together.
 
     Args:
         label: ``(R, C)`` surfaces, -1 = none.
@@ -42,12 +43,12 @@ def obstacles(
         config: The gaps and sizes.
 
     Returns:
-        ``(R, C)`` int64 obstacles in the order of their nearest z, then of their leftmost point,
+        Obstacles ``(R, C)`` int64, in the order of their nearest z, then of their leftmost point,
         then of their first cell; -1 = none.
     """
     label = whole_surfaces(label, view, unit, config)
     found = pairs(label, free, view, unit, config)
-    weight = evidence(found.seen, affinity(config.affinity, unit))
+    weight = evidence(found.features, affinity(config.affinity, unit))
     group = contracted(int(label.max(initial=-1)) + 1, found.one, found.other, weight)
     label = _regrouped(label, group)
     label = _straightened(label, view, unit, config)
@@ -55,21 +56,21 @@ def obstacles(
 
 
 def contracted(count: int, one: np.ndarray, other: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """Groups of a graph whose weights speak for or against its links: correlation clustering.
+    """Partition a graph with positive and negative weights: correlation clustering.
 
-    Greedy additive edge contraction: the two nodes with the largest weight between them become
-    one, their weights to each other node are added, until no weight is above 0. A sum of many
-    weak doubts so outweighs a single link. Keuper et al., *Efficient decomposition of image and
-    mesh graphs by lifted multicuts*, ICCV 2015, algorithm 1.
+    Greedy additive edge contraction: the two nodes with the largest weight between them are merged
+    and their weights to each other node are summed, until no weight is positive. So the sum of many
+    weak negative weights can outweigh one link. Keuper et al., *Efficient decomposition of image
+    and mesh graphs by lifted multicuts*, ICCV 2015, algorithm 1.
 
     Args:
-        count: Nodes.
-        one: ``(P,)`` integer, one end of each link.
-        other: ``(P,)`` integer, the other.
-        weight: ``(P,)`` integer. Of equal weights, that of the smallest nodes counts as larger.
+        count: Number of nodes.
+        one: First node of each link, ``(P,)`` integer.
+        other: Second node of each link, ``(P,)`` integer.
+        weight: Weights ``(P,)`` integer. Ties are resolved in favour of the smallest nodes.
 
     Returns:
-        ``(count,)`` int64, the smallest node of each node's group.
+        Smallest node of each node's group, ``(count,)`` int64.
 
     Example:
         >>> contracted(3, np.array([0, 1, 0]), np.array([1, 2, 2]), np.array([5, 4, -3])).tolist()
@@ -91,17 +92,17 @@ def contracted(count: int, one: np.ndarray, other: np.ndarray, weight: np.ndarra
 def whole_surfaces(
     label: np.ndarray, view: View, unit: float, config: ObstacleConfig
 ) -> np.ndarray:
-    """Surfaces with the pieces smaller than ``min_size_m`` or thinner than three cells joined.
+    """Merge surfaces smaller than ``min_size_m`` or thinner than three cells into others.
 
-    Each joins the surface that most of its cells touch (the next cell or the one after it, in row
-    or column) over a step of at most ``contact_m``.
+    Each is merged into the surface that most of its cells touch (in the next cell or the one after
+    it, in a row or column) with a depth step of at most ``contact_m``.
 
     Returns:
-        ``(R, C)`` int64, numbered anew.
+        Renumbered surfaces ``(R, C)`` int64.
     """
-    known = extents(label, view)
-    size = np.maximum(known.width, known.top - known.bottom)
-    small = (size < round(config.min_size_m / unit)) | (np.minimum(known.rows, known.columns) < 3)
+    extent = extents(label, view)
+    size = np.maximum(extent.width, extent.top - extent.bottom)
+    small = (size < round(config.min_size_m / unit)) | (np.minimum(extent.rows, extent.columns) < 3)
     pair, count = _contacts(label, view, round(config.contact_m / unit))
     both = np.concatenate([pair, pair[::-1]], axis=1)
     order = np.lexsort((both[1], -np.concatenate([count, count]), both[0]))
@@ -112,12 +113,12 @@ def whole_surfaces(
 
 
 def _regrouped(label: np.ndarray, group: np.ndarray) -> np.ndarray:
-    """Labels by the group ``(S,)`` of each, numbered anew; -1 stays."""
+    """Replace labels by their group ``(S,)`` and renumber them; -1 stays."""
     return renumbered(np.append(group, -1)[label])
 
 
 def _contacts(label: np.ndarray, view: View, step: int) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs of surfaces that touch over at most a step in depth, and in how many places."""
+    """Return pairs of surfaces in contact, with at most a step in depth, and their contacts."""
     found = []
     for axis in (0, 1):
         for away in (1, 2):
@@ -131,9 +132,9 @@ def _contacts(label: np.ndarray, view: View, step: int) -> tuple[np.ndarray, np.
 
 
 def _straightened(label: np.ndarray, view: View, unit: float, config: ObstacleConfig) -> np.ndarray:
-    """Obstacles that bend around free floor, split between columns of cells.
+    """Split obstacles that bend around free floor, between columns of cells.
 
-    At most ``MAX_LABELS`` parts are told apart.
+    There are at most ``MAX_LABELS`` parts.
     """
     bend, shortest = (round(a / unit) for a in (config.bend_m, config.side_m))
     if not bend:
@@ -156,15 +157,15 @@ def _straightened(label: np.ndarray, view: View, unit: float, config: ObstacleCo
 def _ordered(
     label: np.ndarray, view: View, farthest: int, unit: float, config: ObstacleConfig
 ) -> np.ndarray:
-    """Obstacles by distance; what is too small or too far becomes -1."""
-    known = extents(label, view)
-    size = np.maximum(known.width, known.top - known.bottom)
-    good = (size >= round(config.min_size_m / unit)) & (known.cells >= config.min_cells)
-    good &= known.nearest <= farthest
+    """Sort obstacles by distance; those that are too small or too far away become -1."""
+    extent = extents(label, view)
+    size = np.maximum(extent.width, extent.top - extent.bottom)
+    good = (size >= round(config.min_size_m / unit)) & (extent.cells >= config.min_cells)
+    good &= extent.nearest <= farthest
     leftmost = np.full(len(good), 1 << 40)
     on = label >= 0
     np.minimum.at(leftmost, label[on], view.x[on])
-    order = np.lexsort((np.arange(len(good)), leftmost, known.nearest))
+    order = np.lexsort((np.arange(len(good)), leftmost, extent.nearest))
     order = order[good[order]]
     number = np.full(len(good) + 1, -1)
     number[order] = np.arange(len(order))

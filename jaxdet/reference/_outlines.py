@@ -1,4 +1,4 @@
-"""Outlines: each obstacle's visible contour on the floor, and the rectangle that fits it."""
+"""Outlines: visible contour of each obstacle on the floor, and the rectangle that fits it."""
 
 from math import isqrt
 
@@ -6,28 +6,28 @@ import numpy as np
 
 from jaxdet.floor.plane import DIRECTION_BITS, direction_table
 
-LONG_TRIM = 20  # one of so many cells of a long thing is passed over at each of its long sides
-FAR_BEHIND = 4  # where a contour jumps, a corner lies so many times the bend behind the chord
+LONG_TRIM = 20  # one in LONG_TRIM cells of a long obstacle is trimmed at each of its long sides
+FAR_BEHIND = 4  # factor of the bend that makes a corner where the contour jumps
 FAR = 1 << 40  # farther than any edge
 
 
 def contours(
     label: np.ndarray, right: np.ndarray, forward: np.ndarray, slots: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The visible edge of each obstacle on the floor: its nearest cell in each column of cells.
+    """Find the contour of each obstacle on the floor: its nearest cell in each column of cells.
 
-    A column of cells is a step of bearing. Nearest is the smallest distance on the floor; of equal
-    ones, the cell farther up.
+    Nearest is the smallest distance on the floor, and of equal ones the cell farther up. Columns of
+    cells correspond to steps of bearing.
 
     Args:
         label: ``(R, C)`` obstacles, -1 = none.
         right: ``(R, C)`` int64, ground frame [depth units].
         forward: ``(R, C)`` int64, ground frame [depth units].
-        slots: ``M``, how many obstacles there is room for.
+        slots: ``M``, maximum number of obstacles.
 
     Returns:
-        ``(M, C, 2)`` int32 right and forward from left to right, and ``(M,)`` int32, how many
-        points of each are used.
+        Right and forward, from left to right, ``(M, C, 2)`` int32, and the number of points of each
+        contour, ``(M,)`` int32.
 
     Example:
         >>> label = np.array([[0, 0], [0, -1]])
@@ -49,25 +49,25 @@ def contours(
 
 
 def straight_parts(contour: np.ndarray, bend: int, shortest: int, jump: int) -> list[int]:
-    """Where a contour bends around free floor: split and merge.
+    """Split a contour where it bends around free floor, by split and merge.
 
-    A contour whose ends lie nearer to the camera than its middle encloses floor, as the walls of a
-    room or a corridor do, and one rectangle would claim it. It is split at the point farthest
-    behind the chord of its ends, if that is more than ``bend`` behind (where the contour jumps, as
-    between the legs of a table, four times that) and at least ``shortest`` from both ends; each
-    part again. Neighbouring parts that together do not bend are merged. All in integers: squared
-    lengths, and cross products against a chord whose length is rounded down. Duda and Hart,
-    *Pattern Classification and Scene Analysis* (1973), 338-339; Pavlidis and Horowitz, IEEE
-    Transactions on Computers C-23 (1974).
+    A contour whose ends are nearer to the camera than its middle encloses floor, as the walls of a
+    room or a corridor do, and a single rectangle would cover that floor. The contour is split at
+    the point farthest behind the chord of its ends, if that is more than ``bend`` behind it (four
+    times that where the contour jumps, as between the legs of a table) and at least ``shortest``
+    from both ends; the parts are split recursively. Neighbouring parts that together do not bend
+    are merged. All arithmetic is in integers: squared lengths, and cross products against a chord
+    whose length is rounded down. Duda and Hart, *Pattern Classification and Scene Analysis* (1973),
+    338-339; Pavlidis and Horowitz, IEEE Transactions on Computers C-23 (1974).
 
     Args:
-        contour: ``(n, 2)`` integer, right and forward, from left to right [depth units].
-        bend: [depth units].
-        shortest: [depth units].
-        jump: Largest distance between neighbouring points at a corner [depth units].
+        contour: Right and forward, from left to right, ``(n, 2)`` integer [depth units].
+        bend: Minimum distance of a corner behind the chord [depth units].
+        shortest: Minimum length of a side [depth units].
+        jump: Maximum distance between neighbouring points at a corner [depth units].
 
     Returns:
-        The first point of each part, from 0 on.
+        First point of each part, beginning with 0.
 
     Example:
         >>> left = [(-600, y) for y in range(1000, 3000, 100)]
@@ -79,7 +79,7 @@ def straight_parts(contour: np.ndarray, bend: int, shortest: int, jump: int) -> 
     near = _squared(np.diff(points, axis=0)) <= jump * jump
 
     def corner(first: int, last: int) -> int | None:
-        """The point to split ``first .. last`` at."""
+        """Return the point at which to split ``first .. last``."""
         area, chord = _behind_chord(points[first : last + 1])
         at = first + int(np.argmax(area))
         smooth = near[max(at - 2, 0) : at + 2].all()
@@ -103,11 +103,11 @@ def straight_parts(contour: np.ndarray, bend: int, shortest: int, jump: int) -> 
 
 
 def _behind_chord(points: np.ndarray) -> tuple[np.ndarray, int]:
-    """How far points lie behind the chord of the first and the last, as seen from the camera.
+    """Compute how far points lie behind the chord of the first and the last, seen from the camera.
 
     Returns:
-        ``(n,)`` int64, twice the areas of the triangles over the chord, positive behind it, and its
-        length, rounded down but at least 1: the distance is their quotient.
+        Twice the areas of the triangles over the chord, positive behind it, ``(n,)`` int64, and the
+        length of the chord, rounded down but at least 1: the distance is their quotient.
     """
     first, chord = points[0], points[-1] - points[0]
     away = points - first
@@ -117,27 +117,27 @@ def _behind_chord(points: np.ndarray) -> tuple[np.ndarray, int]:
 
 
 def _squared(points: np.ndarray) -> np.ndarray:
-    """The squared length of points ``(..., 2)``."""
+    """Return the squared length of points ``(..., 2)``."""
     return (points * points).sum(axis=-1)
 
 
 def fitted_direction(contour: np.ndarray) -> np.ndarray:
-    """The direction of the rectangle that fits a contour best.
+    """Find the direction of the rectangle that fits a contour best.
 
-    Of 90 directions, the one whose bounding rectangle has the contour nearest to those of its edges
-    that face the camera, one or two: the smallest sum of the points' distances to the nearer of
-    them. The other edges are out of sight, no contour lies on them. A wall gives its own direction,
-    the corner of a box that of its sides. Of equal ones, the rectangle with the smaller area, then
-    the smaller angle. Zhang et al., *Efficient L-shape fitting for vehicle detection using laser
-    scanners*, IEEE Intelligent Vehicles 2017 (the closeness criterion, with a sum, and with the
-    facing edges for all four).
+    The result is the one of 90 directions whose bounding rectangle minimises the sum of the
+    distances of the points to the nearer of its one or two edges that face the camera. The other
+    edges are not visible, so no contour lies on them. A wall determines its own direction, the
+    corner of a box that of its sides. Ties go to the rectangle with the smaller area, then to the
+    smaller angle. Zhang et al., *Efficient L-shape fitting for vehicle detection using laser
+    scanners*, IEEE Intelligent Vehicles 2017 (closeness criterion, as a sum, and with the facing
+    edges instead of all four).
 
     Args:
-        contour: ``(n, 2)`` integer, right and forward of the camera [depth units].
+        contour: Right and forward of the camera, ``(n, 2)`` integer [depth units].
 
     Returns:
-        ``(2,)`` int64 with ``DIRECTION_BITS`` fraction bits, the right part positive, the forward
-        part not negative; (1, 0) for a single point.
+        Direction ``(2,)`` int64 with ``DIRECTION_BITS`` fraction bits, the right part positive, the
+        forward part not negative; (1, 0) for a single point.
 
     Example:
         >>> line = np.stack([np.arange(100), 500 + 2 * np.arange(100)], axis=-1)
@@ -152,16 +152,16 @@ def fitted_direction(contour: np.ndarray) -> np.ndarray:
 
 
 def _to_near_edge(places: np.ndarray) -> np.ndarray:
-    """How far places ``(D, n)`` on an axis are from that end of theirs which faces the camera at 0.
+    """Return distances of positions ``(D, n)`` on an axis from the end that faces the camera at 0.
 
-    ``FAR`` where neither end does.
+    The distance is ``FAR`` if neither end faces the camera.
     """
     low, high = places.min(axis=1, keepdims=True), places.max(axis=1, keepdims=True)
     return np.where(low > 0, places - low, np.where(high < 0, high - places, FAR))
 
 
 def _project(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points ``(n, 2)`` along and across each direction, ``(D, n)``, and the directions."""
+    """Project points ``(n, 2)`` along and across each direction, ``(D, n)``; also return these."""
     table = direction_table()
     x, y = points.T
     along = table[:, :1] * x + table[:, 1:] * y
@@ -169,14 +169,13 @@ def _project(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def inner(at_margin: np.ndarray) -> np.ndarray:
-    """Which of an obstacle's cells are relied on: those inside of the image's margins.
+    """Return which cells of an obstacle are reliable: those inside the margins of the image.
 
-    Stereo depth bends toward the camera in the margins
-    (:func:`jaxdet.reference._cells.margins`). Where more than half of the cells are there, all are
-    relied on.
+    Stereo depth is bent toward the camera in the margins (:func:`jaxdet.reference._cells.margins`).
+    If more than half of the cells are in the margins, all are used.
 
     Args:
-        at_margin: ``(n,)`` bool.
+        at_margin: Whether each cell is in a margin, ``(n,)`` bool.
 
     Returns:
         ``(n,)`` bool.
@@ -193,22 +192,22 @@ def inner(at_margin: np.ndarray) -> np.ndarray:
 def fitted_span(
     points: np.ndarray, direction: np.ndarray, long: int, relied: np.ndarray
 ) -> np.ndarray:
-    """The extremes of an obstacle's cells along and across a direction.
+    """Compute the extremes of an obstacle's cells along and across a direction.
 
-    The longer side of a thing's rectangle holds all of its cells, the shorter one those that are
-    relied on: a wall whose ends bend toward the camera in the image's margins is no deeper for
-    that. Walls and the like, longer than ``long``, are smeared and bowed over far more floor than
-    they stand on: of these cells, a twentieth is passed over at each of the two long sides.
+    The longer side of the rectangle contains all cells, the shorter one only the reliable cells:
+    the depth of a wall does not grow if its ends are bent toward the camera in the margins of the
+    image. Walls and other obstacles longer than ``long`` are smeared and bowed over more floor than
+    they stand on: a twentieth of their cells is trimmed at each of the two long sides.
 
     Args:
-        points: ``(n, 2)`` integer, right and forward [depth units].
-        direction: ``(2,)`` integer.
-        long: [depth units].
-        relied: ``(n,)`` bool, at least one, see :func:`inner`.
+        points: Right and forward ``(n, 2)`` integer [depth units].
+        direction: Direction ``(2,)`` integer.
+        long: Length from which the long sides are trimmed [depth units].
+        relied: Whether each cell is reliable, ``(n,)`` bool, at least one, see :func:`inner`.
 
     Returns:
-        ``(4,)`` int64: least and largest along (dot product), least and largest across (cross
-        product with the direction).
+        Smallest and largest coordinate along (dot product), and across the direction (cross
+        product), ``(4,)`` int64.
     """
     x, y = points.astype(np.int64).T
     sides = [direction[0] * x + direction[1] * y, direction[0] * y - direction[1] * x]

@@ -1,4 +1,4 @@
-"""Obstacles made of points: the paper's method, step by step."""
+"""Clustering of points into obstacles: the paper's method, step by step."""
 
 from jaxdet.config import Config
 from jaxdet.floor.plane import depth_range, plane_in_color

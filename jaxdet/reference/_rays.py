@@ -1,4 +1,4 @@
-"""Rays: how far the floor is free along fixed bearings from the camera's foot."""
+"""Rays: free floor along fixed bearings from the ground projection of the camera (its foot)."""
 
 from typing import NamedTuple
 
@@ -22,12 +22,13 @@ from jaxdet.floor.rays import (
 )
 from jaxdet.types import RAYS, FreeEnd
 
-END_BITS = 2  # of a range that what ends it is packed with
-MOST_WIDER = 8  # times that a column is wider at its end than at its neighbour's
+END_BITS = 2  # bits of the kind of end that is packed with a range
+MOST_WIDER = 8  # maximum ratio of a column's width at its end and at its neighbour's end
 NONE = np.iinfo(np.int32).max  # no range
-CORNER_BITS = 12  # fraction bits of the places of tiles' corners, for their bearings
-WIDEST = TURN // 4  # of a tile; one that is wider may have the foot in it, and has all sectors
-RAMP_START, RAMP_SLOPE = 11, 12  # of a floor frame
+CORNER_BITS = 12  # fraction bits of the positions of tiles' corners, for their bearings
+# maximum width of a tile; a wider one may contain the foot and covers all sectors
+WIDEST = TURN // 4
+RAMP_START, RAMP_SLOPE = 11, 12  # indices of a floor frame
 F32 = np.float32
 
 
@@ -39,33 +40,34 @@ class Standing(NamedTuple):
     z: np.ndarray
     """Depth of each cell [depth units], 0 = none."""
     is_cell: np.ndarray
-    """Whether the cell is above the step, bool."""
+    """Whether the cell is above the step height, bool."""
 
 
 def rays(
     line: np.ndarray, end: np.ndarray, block: np.ndarray, turned: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the free floor as a polar scan, from columns of cells and from what stands on it.
+    """Compute the free floor as a polar scan, from columns of cells and from obstacles.
 
-    A ray stands for the sector of bearings nearer to it than to its neighbours, and ends at the
-    least range at which the floor ends anywhere in the sector. A column of a pitched camera is not
-    a ray: its bearing changes with range. So floor is free in the polygon between the near ends and
-    the far ends of neighbouring columns that show floor, a ray goes as far as it stays in there,
-    and nothing that is measured above the step is passed.
+    A ray represents the sector of bearings nearer to it than to its neighbours, and ends at the
+    smallest range at which the floor ends anywhere in the sector. A column of a pitched camera is
+    not a ray: its bearing changes with range. So the free floor is the polygon between the near
+    ends and the far ends of neighbouring columns that show floor; a ray extends as far as it stays
+    inside the polygon, but not beyond anything measured above the step height.
 
-    A column is half as wide as it is far from its neighbours; between two, floor is as long as the
-    shorter one as far as that is wide. Next to one that shows no floor it is half a cell wide.
+    A column extends halfway to its neighbours; between two columns, floor extends to the end of the
+    shorter one as far as that one is wide. Next to a column without floor, a column is half a cell
+    wide.
 
     Args:
-        line: Start and end of the floor in each column, ``(C, 2, 2)`` int32, of
+        line: Start and end of the floor in each column, ``(C, 2, 2)`` int32, from
             :func:`jaxdet.reference._free.free_floor`.
         end: Kind of end of each column, ``(C,)`` int32.
-        block: Range of what stands on each ray, of :func:`blocks`.
-        turned: Half of a cell's angle, of :func:`jaxdet.floor.rays.half_turn`.
+        block: Range of the nearest obstacle on each ray, from :func:`blocks`.
+        turned: Half of a cell's angle, from :func:`jaxdet.floor.rays.half_turn`.
 
     Returns:
-        Ranges at which free floor begins and ends, ``(RAYS, 2)`` int32 [depth units], both the same
-        where only something above the step is seen and zero where nothing is; and its kind of end,
+        Ranges at which free floor begins and ends, ``(RAYS, 2)`` int32 [depth units], both equal if
+        only something above the step height is visible and zero if nothing is; and the kind of end,
         ``(RAYS,)`` int32 (:class:`jaxdet.types.FreeEnd`).
     """
     near, far = line.astype(np.int64).transpose(1, 0, 2)
@@ -103,23 +105,24 @@ def blocks(
     ground: GroundConfig,
     depth_unit: float,
 ) -> np.ndarray:
-    """Compute the range of what stands on each ray: the nearest pixels of cells.
+    """Compute the range of the nearest obstacle on each ray, from the nearest pixels of cells.
 
-    The nearest pixel of a cell above the step stands, or that cell if the pixel is nearer than the
-    depth range; and that of another cell if it is itself above the step height of a single pixel,
-    which has more noise than a cell. The nearest of a tile, some cells of a column, stands in all
-    sectors that the tile is seen in. Float32: each operation is rounded on its own.
+    A cell above the step height contributes its nearest pixel, or itself if that pixel is nearer
+    than the depth range. Another cell contributes its nearest pixel if that is above the step
+    height of a single pixel, which has more noise than a cell. The nearest point of a tile, some
+    cells of a column, blocks all sectors that the tile covers. Float32: each operation is rounded
+    separately.
 
     Args:
         standing: Cells of a frame.
-        frame: Floor frame ``(13,)`` int32, of :func:`jaxdet.floor.frame.floor_frames`.
-        cells: Rays through the middles of cells, ``(2, R, C)``, of
+        frame: Floor frame ``(13,)`` int32, from :func:`jaxdet.floor.frame.floor_frames`.
+        cells: Rays through the centres of cells, ``(2, R, C)``, from
             :func:`jaxdet.camera.cell_rays`.
         ground: Depth range, step height and maximum height.
         depth_unit: Metres per depth unit.
 
     Returns:
-        ``(RAYS,)`` int64 [depth units], ``NONE`` where nothing stands.
+        Ranges ``(RAYS,)`` int64 [depth units], ``NONE`` without an obstacle.
     """
     least = _least_in_tiles(_squares(standing, frame, cells, ground, depth_unit))
     right, forward, _ = _directions(frame, tile_corners(cells)) * F32(1 << CORNER_BITS)
@@ -140,7 +143,7 @@ def blocks(
 
 
 def _directions(frame: np.ndarray, cells: np.ndarray) -> np.ndarray:
-    """Right, forward and down ``(3, ...)`` float32 of rays whose depth is 1."""
+    """Return right, forward and down ``(3, ...)`` float32 of rays whose depth is 1."""
     x, y = cells.astype(F32) * F32(2.0**-CELL_BITS)
     axes = frame[:9].astype(F32).reshape(3, 3) * F32(2.0**-FRAME_BITS)
     return np.stack([a * x + b * y + c for a, b, c in axes])
@@ -153,7 +156,7 @@ def _squares(
     ground: GroundConfig,
     depth_unit: float,
 ) -> np.ndarray:
-    """Squared distance from the foot of what stands in each cell, ``(R, C)`` float32, or inf."""
+    """Return squared distances of obstacles in cells from the foot, ``(R, C)``; infinity: none."""
     pixel, z, is_cell = standing
     nearest, farthest = depth_range(ground.min_depth_m, ground.max_depth_m, depth_unit)
     depth = np.where(is_cell & (pixel < nearest), z, pixel).astype(F32)
@@ -172,21 +175,21 @@ def _squares(
 
 
 def _least_in_tiles(squares: np.ndarray) -> np.ndarray:
-    """The least value of each tile, ``(T, C)``."""
+    """Return the minimum of each tile, ``(T, C)``."""
     rows, columns = squares.shape
     padded = np.pad(squares, ((0, -rows % TILE), (0, 0)), constant_values=np.inf)
     return padded.reshape(-1, TILE, columns).min(axis=1)
 
 
 def bearings(right: np.ndarray, forward: np.ndarray) -> np.ndarray:
-    """Bearings of places on the floor, clockwise from above, 0 ahead.
+    """Compute the bearings of points on the floor, clockwise from above, 0 ahead.
 
     Args:
-        right: Integer [depth units], below 2^19.
-        forward: The same.
+        right: Position to the right, integer [depth units], below 2^19.
+        forward: Position forward.
 
     Returns:
-        int64, sixteenths of the spacing of rays, above -``TURN`` / 2 to ``TURN`` / 2.
+        Bearings, int64, in sixteenths of the spacing of rays, above -``TURN`` / 2 to ``TURN`` / 2.
 
     Example:
         >>> bearings(np.array([0, 5, 5, -5]), np.array([7, 5, 0, 0])).tolist()
@@ -201,17 +204,17 @@ def bearings(right: np.ndarray, forward: np.ndarray) -> np.ndarray:
 
 
 def _packed(length: np.ndarray, why: np.ndarray | int) -> np.ndarray:
-    """Ranges with what ends them; of equal ranges an obstacle is least, then a drop."""
+    """Pack ranges with the kind of end; of equal ranges an obstacle is smallest, then a drop."""
     return (length << END_BITS) | ((why - 1) & 3)
 
 
 def _sector(bearing: np.ndarray) -> np.ndarray:
-    """The sector of a bearing, counted on from 0 without an end."""
+    """Return the sector of a bearing, from 0, not wrapped."""
     return (bearing + TURN // 2 + UNITS // 2) >> (UNITS.bit_length() - 1)
 
 
 def _counted(count: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the index of each count, as often as it says, and numbers from 0 for each index.
+    """Return each index repeated by its count, and numbers from 0 for each index.
 
     Example:
         >>> [a.tolist() for a in _counted(np.array([2, 0, 3]))]
@@ -222,28 +225,28 @@ def _counted(count: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _ranges(points: np.ndarray, bearing: np.ndarray) -> np.ndarray:
-    """The distance of points ``(n, 2)`` from the foot, along the ray of their sector."""
+    """Return the distance of points ``(n, 2)`` from the foot, along the ray of their sector."""
     way = ray_directions()[0][_sector(bearing) % RAYS]
     return np.abs((points * way).sum(axis=-1) + (1 << (RAY_BITS - 1))) >> RAY_BITS
 
 
 def _foot_inside(near: np.ndarray, far: np.ndarray, seen: np.ndarray) -> bool:
-    """Whether the camera sees floor on both sides of its own foot."""
+    """Return whether the camera sees floor on both sides of its foot."""
     passes = seen & (near[:, 1] <= 0) & (far[:, 1] >= 0) & (far[:, 1] > near[:, 1])
     run = np.maximum(far[:, 1] - near[:, 1], 1)
-    beside = near[:, 0] + (far[:, 0] - near[:, 0]) * -near[:, 1] // run
+    crossing = near[:, 0] + (far[:, 0] - near[:, 0]) * -near[:, 1] // run
     both = passes[:-1] & passes[1:]
-    return bool((both & (np.minimum(beside[:-1], beside[1:]) <= 0)
-                 & (np.maximum(beside[:-1], beside[1:]) >= 0)).any())  # fmt: skip
+    return bool((both & (np.minimum(crossing[:-1], crossing[1:]) <= 0)
+                 & (np.maximum(crossing[:-1], crossing[1:]) >= 0)).any())  # fmt: skip
 
 
 def _turned(points: np.ndarray, turn: int) -> np.ndarray:
-    """Points ``(n, 2)`` turned clockwise about the foot by a small angle, with ``TURN_BITS``."""
+    """Rotate points ``(n, 2)`` clockwise about the foot by a small angle, with ``TURN_BITS``."""
     return points + (points[:, ::-1] * np.array([turn, -turn]) >> TURN_BITS)
 
 
 def _sides(seen: np.ndarray, turn: int) -> list[tuple[np.ndarray, int]]:
-    """Columns next to one that shows no floor on their left, and on their right; and the turn."""
+    """Return columns whose left, and whose right neighbour shows no floor; and the rotation."""
     before, after = np.append(False, seen[:-1]), np.append(seen[1:], False)
     return [(np.flatnonzero(seen & ~before), -turn), (np.flatnonzero(seen & ~after), turn)]
 
@@ -251,7 +254,7 @@ def _sides(seen: np.ndarray, turn: int) -> list[tuple[np.ndarray, int]]:
 def _near_edges(
     near: np.ndarray, seen: np.ndarray, turn: int
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Where floor begins: segments from one point to another, ``(n, 2)`` each."""
+    """Return where floor begins: segments from one point to another, ``(n, 2)`` each."""
     both = np.flatnonzero(seen[:-1] & seen[1:])
     ends = [(near[c], _turned(near[c], by)) for c, by in _sides(seen, turn)]
     return [(near[both], near[both + 1]), *ends]
@@ -260,22 +263,22 @@ def _near_edges(
 def _far_edges(
     near: np.ndarray, far: np.ndarray, end: np.ndarray, seen: np.ndarray, turn: int
 ) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Where floor ends: segments from one point to another ``(n, 2)``, and why ``(n,)``.
+    """Return where floor ends: segments from one point to another ``(n, 2)``, and why ``(n,)``.
 
-    From the end of the shorter of two columns halfway to the longer one, along there, and on to the
-    end of the longer one. What is hidden by an obstacle is not known.
+    Segments go from the end of the shorter of two columns halfway to the longer one, along that,
+    and on to the end of the longer one. Floor hidden by an obstacle ends for an unknown reason.
     """
     left = np.flatnonzero(seen[:-1] & seen[1:])
     nearer = far[left, 1] <= far[left + 1, 1]
     short, long = np.where(nearer, left, left + 1), np.where(nearer, left + 1, left)
     run = far[long, 1] - near[long, 1]
     part = np.clip(far[short, 1] - near[long, 1], 0, np.maximum(run, 0))
-    beside = near[long] + (far[long] - near[long]) * part[:, None] // np.maximum(run, 1)[:, None]
-    middle = (far[short] + beside) >> 1
-    ahead, behind = beside[:, 1], far[long, 1]
+    abreast = near[long] + (far[long] - near[long]) * part[:, None] // np.maximum(run, 1)[:, None]
+    middle = (far[short] + abreast) >> 1
+    ahead, behind = abreast[:, 1], far[long, 1]
     wider = (ahead > 0) & (behind > ahead)
     times = np.where(wider, np.minimum(behind, MOST_WIDER * ahead), 1)[:, None]
-    last = far[long] + (middle - beside) * times // np.where(wider, ahead, 1)[:, None]
+    last = far[long] + (middle - abreast) * times // np.where(wider, ahead, 1)[:, None]
     why = end.astype(np.int64)
     hidden = np.where(why == FreeEnd.OBSTACLE, int(FreeEnd.UNKNOWN), why)
     edges = [
@@ -292,16 +295,16 @@ def _far_edges(
 def _swept(
     first: np.ndarray, last: np.ndarray, least: bool
 ) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
-    """The sectors that segments pass, and their least or largest range in each.
+    """Return the sectors that segments cross, and their smallest or largest range in each.
 
     Args:
-        first: ``(n, 2)`` one end of each segment.
-        last: ``(n, 2)`` the other.
-        least: Whether the least is returned.
+        first: First end of each segment, ``(n, 2)``.
+        last: Other end, ``(n, 2)``.
+        least: Whether the smallest range is returned.
 
     Returns:
-        Sector and segment, ``(k,)`` each, and the range ``(k,)``, where a segment crosses the
-        sector's edges or has its ends.
+        Sector and segment, ``(k,)`` each, and the range ``(k,)``, where a segment crosses the edges
+        of the sector or ends in it.
     """
     at, to = (bearings(p[:, 0], p[:, 1]) for p in (first, last))
     turn = (to - at + TURN // 2) % TURN - TURN // 2

@@ -1,8 +1,8 @@
-"""Division of integers as all of the reference rounds it."""
+"""Rounded division of integers, as used by the complete reference."""
 
 from typing import Any
 
 
 def rounded(a: Any, b: Any) -> Any:
-    """``a / b`` rounded, halves up, of integers or arrays of them; b positive."""
+    """Return ``a / b`` rounded, halves up, for integers or arrays of them; b positive."""
     return (2 * a + b) // (2 * b)

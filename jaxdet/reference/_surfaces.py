@@ -14,26 +14,26 @@ FRACTION_BITS = 4  # fraction bits of smoothed depths
 def surfaces(
     z: np.ndarray, keep: np.ndarray, depth_unit: float, config: SurfaceConfig
 ) -> np.ndarray:
-    """Groups the kept cells of a frame into surfaces.
+    """Segment the kept cells of a frame into surfaces.
 
-    Neighbours in a row or column are one surface when their depths differ by at most
-    ``step_m + step_per_m z^2`` (depth discontinuities part things). Cells on both sides of at most
-    ``hole_cells`` unmeasured ones are neighbours, too: what is dark, glossy or blurred has holes
-    that would part it into pieces too small to count. Where two things touch, depth
-    goes on but has a crease: it is larger than halfway between the depths ``crease_cells`` before
-    and after (a concave edge). Those cells take no part in the linking (:func:`creases`) and then
-    go to the neighbouring surface that is nearest in depth, as do components of fewer than
-    ``min_cells`` cells.
+    Neighbours in a row or column belong to the same surface if their depths differ by at most
+    ``step_m + step_per_m z^2``; larger differences are depth discontinuities. Cells on both sides
+    of at most ``hole_cells`` unmeasured ones are neighbours, too: dark, glossy or blurred objects
+    have holes that would divide them into parts that are too small. Where two objects touch, depth
+    is continuous but has a crease (a concave edge): it exceeds the mean of the depths
+    ``crease_cells`` before and after. Those cells (:func:`creases`) are not linked; like components
+    of fewer than ``min_cells`` cells, they are then assigned to the neighbouring surface that is
+    nearest in depth.
 
     Args:
         z: ``(R, C)`` int32 [depth units], 0 = no measurement.
         keep: ``(R, C)`` bool, in range and above the floor.
         depth_unit: Metres in one depth unit.
-        config: The steps and the creases.
+        config: Steps and creases.
 
     Returns:
-        ``(R, C)`` int64, surfaces numbered from 0 in the order of their first cell, row by row; -1
-        where there is none.
+        Surfaces ``(R, C)`` int64, numbered from 0 in the order of their first cells, row by row; -1
+        if there is none.
 
     Example:
         >>> z = np.array([[900, 910, 1500, 1505]], np.int32)
@@ -57,16 +57,18 @@ def surfaces(
 def creases(
     z: np.ndarray, step: np.ndarray, keep: np.ndarray, depth_unit: float, config: SurfaceConfig
 ) -> np.ndarray:
-    """Kept cells on a concave edge: where things touch each other or stand before a wall.
+    """Find kept cells on a concave edge, where objects touch or stand in front of a wall.
 
-    With depth smoothed twice over the 3 x 3 neighbours within two steps (noise of a single cell
-    makes no crease), p is on a crease when, in its row or its column and ``s = crease_cells`` away,
+    Depth is smoothed twice over the 3 x 3 neighbours within two steps, so that noise of a single
+    cell makes no crease. A cell p is on a crease if, in its row or its column and for
+    ``s = crease_cells``,
 
         z(p) - (z(p - s) + z(p + s)) / 2 > crease_m + crease_per_m z^2
 
-    and both differ from z(p) by less than s steps, for a jump in depth is no crease. Of these
-    cells, 8-connected components of fewer than ``min_cells`` are noise. The others are dilated by
-    ``crease_margin`` cells: surfaces are 4-connected, so a single missing cell would join them.
+    and both differ from z(p) by less than s steps, because a jump in depth is not a crease.
+    8-connected components of fewer than ``min_cells`` of these cells are noise. The others are
+    dilated by ``crease_margin`` cells: surfaces are 4-connected, so a single missing cell would
+    join them.
 
     Returns:
         ``(R, C)`` bool.
@@ -96,25 +98,26 @@ def without_bent_floor(
     depth_unit: float,
     config: SurfaceConfig,
 ) -> np.ndarray:
-    """Surfaces without floor that the sensor bends up.
+    """Remove surfaces that are floor, bent up by sensor error.
 
-    Stereo cameras bend flat floor at the margins of the image and far away. A surface at most
-    ``bent_m`` high is floor where it has no front: where, of the lowest cells in its columns that
-    have a floor cell below them in the image, fewer than two thirds rise from it by a third of what
-    they go forward. At the image's :func:`margins` they rise by more than they go forward or back,
-    as depths that are too small put floor nearer and higher. A surface in the margin without such
-    cells, which does not reach the lower edge of the image, has no front either.
+    Stereo cameras bend flat floor up at the margins of the image and far away. A surface at most
+    ``bent_m`` high is floor if it has no front: among the lowest cells of its columns that have a
+    floor cell below them in the image, fewer than two thirds rise from it by a third of their
+    distance forward. In the :func:`margins` of the image a front must rise by more than its
+    distance forward or back, as depths that are too small put floor nearer and higher. A surface in
+    the margin without such cells that does not reach the lower edge of the image has no front
+    either.
 
     Args:
         label: ``(R, C)`` surfaces, -1 = none.
-        low: ``(R, C)`` bool, measured and no higher than the step.
-        forward: ``(R, C)`` int64, on the floor [depth units].
-        height: ``(R, C)`` int64, above the floor [depth units].
+        low: Whether a cell is measured and not above the step height, ``(R, C)`` bool.
+        forward: Distance forward on the floor, ``(R, C)`` int64 [depth units].
+        height: Height above the floor, ``(R, C)`` int64 [depth units].
         depth_unit: Metres in one depth unit.
-        config: The height.
+        config: Maximum height of bent floor.
 
     Returns:
-        ``(R, C)`` int64, numbered anew.
+        Renumbered surfaces ``(R, C)`` int64.
 
     Example:
         >>> label, low = np.array([[0, 1], [-1, -1]]), np.array([[0, 0], [1, 1]], bool)
@@ -140,7 +143,7 @@ def without_bent_floor(
 
 
 def renumbered(label: np.ndarray) -> np.ndarray:
-    """Labels as 0, 1, ... in the order of their first cell; negative ones become -1.
+    """Renumber labels as 0, 1, ... in the order of their first cells; negative ones become -1.
 
     Example:
         >>> renumbered(np.array([7, -1, 3, 7])).tolist()
@@ -153,14 +156,14 @@ def renumbered(label: np.ndarray) -> np.ndarray:
 
 
 def without_small(mask: np.ndarray, least: int) -> np.ndarray:
-    """A mask without its 8-connected components of fewer than ``least`` cells."""
+    """Remove 8-connected components of fewer than ``least`` cells from a mask."""
     first, second = _neighbours(mask, ((0, 1), (1, -1), (1, 0), (1, 1)))
     label = components(mask.size, first, second)
     return mask & (np.bincount(label, minlength=mask.size)[label] >= least).reshape(mask.shape)
 
 
 def _neighbours(mask: np.ndarray, ways: tuple[tuple[int, int], ...]) -> np.ndarray:
-    """Cells of a mask and those so many rows and columns on, as flat indices ``(2, L)``."""
+    """Return pairs of cells of a mask at the offsets ``ways``, as flat indices ``(2, L)``."""
     cell = np.where(mask, np.arange(mask.size).reshape(mask.shape), -1)
     pairs = []
     for dv, du in ways:
@@ -171,14 +174,14 @@ def _neighbours(mask: np.ndarray, ways: tuple[tuple[int, int], ...]) -> np.ndarr
 
 
 def dilated(mask: np.ndarray) -> np.ndarray:
-    """A mask dilated by a square of 3 x 3."""
+    """Dilate a mask by a square of 3 x 3."""
     for axis in (0, 1):
         mask = mask | _shifted(mask, 1, axis) | _shifted(mask, -1, axis)
     return mask
 
 
 def _shifted(a: np.ndarray, by: int, axis: int) -> np.ndarray:
-    """What lies ``by`` cells before each cell along an axis, 0 beyond the edge."""
+    """Shift an array by ``by`` cells along an axis, with 0 beyond the edge."""
     out = np.zeros_like(a)
     size = a.shape[axis]
     if abs(by) < size:
@@ -190,7 +193,7 @@ def _shifted(a: np.ndarray, by: int, axis: int) -> np.ndarray:
 
 
 def _smoothed(values: np.ndarray, measured: np.ndarray, near: np.ndarray) -> np.ndarray:
-    """The rounded mean of the measured 3 x 3 neighbours that differ by at most ``near``."""
+    """Return the rounded mean of the measured 3 x 3 neighbours that differ by at most ``near``."""
     total, count = np.zeros_like(values), np.zeros_like(values)
     for dv in (-1, 0, 1):
         for du in (-1, 0, 1):
@@ -203,7 +206,7 @@ def _smoothed(values: np.ndarray, measured: np.ndarray, near: np.ndarray) -> np.
 
 
 def _components(z: np.ndarray, step: np.ndarray, linked: np.ndarray) -> np.ndarray:
-    """The smallest cell of each cell's component, ``(R, C)``."""
+    """Return the smallest cell of each cell's component, ``(R, C)``."""
     both = _neighbours(linked, ((0, 1), (1, 0)))
     (one, other), most = z.ravel()[both], step.ravel()[both].min(axis=0)
     return components(z.size, *both[:, np.abs(one - other) <= most]).reshape(z.shape)
@@ -212,9 +215,10 @@ def _components(z: np.ndarray, step: np.ndarray, linked: np.ndarray) -> np.ndarr
 def _across_holes(
     label: np.ndarray, z: np.ndarray, step: np.ndarray, linked: np.ndarray, longest: int
 ) -> np.ndarray:
-    """Components ``(R, C)`` with those joined whose depth goes on across unmeasured cells.
+    """Merge components ``(R, C)`` whose depth is continuous across unmeasured cells.
 
-    Linked cells of a row or a column on both sides of 1 to ``longest`` of these are neighbours.
+    Linked cells of a row or a column on both sides of 1 to ``longest`` unmeasured ones are
+    neighbours.
     """
     cell = np.where(linked, np.arange(z.size).reshape(z.shape), -1)
     pairs = [np.zeros((2, 0), np.int64)]
@@ -234,7 +238,7 @@ def _across_holes(
 def _grown(
     label: np.ndarray, z: np.ndarray, step: np.ndarray, keep: np.ndarray, rounds: int
 ) -> np.ndarray:
-    """Region growing: kept cells without a label take that of the neighbour nearest in depth."""
+    """Grow regions: kept cells without a label take that of the neighbour nearest in depth."""
     for _ in range(rounds):
         free = keep & (label < 0)
         best, taken = np.full(z.shape, 1 << 40), label.copy()

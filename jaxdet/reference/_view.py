@@ -1,50 +1,50 @@
-"""The cells of a frame in space, and the extents of surfaces made of them."""
+"""Positions of the cells of a frame, and extents of surfaces."""
 
 from typing import NamedTuple
 
 import numpy as np
 
-TRIM = 20  # one of so many cells of a surface is passed over at each side when it is measured
+TRIM = 20  # one in TRIM cells of a surface is trimmed at each side when it is measured
 
 
 class View(NamedTuple):
-    """The cells of one frame, each ``(R, C)`` int64 [depth units]."""
+    """Positions of the cells of one frame, each ``(R, C)`` int64 [depth units]."""
 
     x: np.ndarray  # to the right in the camera
     y: np.ndarray  # down in the camera
     z: np.ndarray  # forward in the camera, 0 = no measurement
-    right: np.ndarray  # on the floor
-    forward: np.ndarray  # on the floor
+    right: np.ndarray  # on the floor, to the right
+    forward: np.ndarray  # on the floor, forward
     height: np.ndarray  # above the floor
 
 
 class Extents(NamedTuple):
-    """What is known of each surface, each ``(S,)`` int64: cells, or depth units."""
+    """Extents of each surface, each ``(S,)`` int64 [cells or depth units]."""
 
     cells: np.ndarray
-    rows: np.ndarray  # from the first to the last, both counted
+    rows: np.ndarray  # number of rows from the first to the last
     columns: np.ndarray
-    left: np.ndarray  # smallest right, but for a twentieth of the cells: silhouettes are smeared
-    right: np.ndarray  # largest, likewise
-    near: np.ndarray  # smallest forward, likewise
-    far: np.ndarray  # largest, likewise
+    left: np.ndarray  # smallest right, without a twentieth of the cells, as silhouettes are smeared
+    right: np.ndarray  # largest right, trimmed like left
+    near: np.ndarray  # smallest forward, trimmed
+    far: np.ndarray  # largest forward, trimmed
     bottom: np.ndarray  # smallest height above the floor
     top: np.ndarray
     nearest: np.ndarray  # smallest z
 
     @property
     def width(self) -> np.ndarray:
-        """Sideways."""
+        """Trimmed width, sideways."""
         return self.right - self.left
 
     @property
     def depth(self) -> np.ndarray:
-        """Forward."""
+        """Trimmed depth, forward."""
         return self.far - self.near
 
 
 def extents(label: np.ndarray, view: View) -> Extents:
-    """The extents of the surfaces ``0 .. S - 1`` of a frame."""
+    """Measure the extents of the surfaces ``0 .. S - 1`` of a frame."""
     count = int(label.max(initial=-1)) + 1
     on = label >= 0
     index = label[on]

@@ -1,6 +1,6 @@
-"""How a kernel is declared to JAX, compiled and launched, by public interfaces of Warp and JAX.
+"""Declaration, compilation and launch of kernels, by public interfaces of Warp and JAX only.
 
-Compiled for the CPU ahead of time (:mod:`~jaxdet.runtime.compiled`); launched on all cores or by
-teams of CUDA's threads (:mod:`~jaxdet.runtime.launch`); called under ``jax.jit``
-(:mod:`~jaxdet.runtime.calls`); with named arrays in one buffer (:mod:`~jaxdet.runtime.layout`).
+Ahead-of-time compilation for the CPU (:mod:`~jaxdet.runtime.compiled`); launches on all cores or by
+teams of CUDA threads (:mod:`~jaxdet.runtime.launch`); calls under ``jax.jit``
+(:mod:`~jaxdet.runtime.calls`); named arrays in one buffer (:mod:`~jaxdet.runtime.layout`).
 """

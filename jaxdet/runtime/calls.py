@@ -1,4 +1,4 @@
-"""Functions on Warp's arrays that jitted programs call, on the CPU and on CUDA."""
+"""Functions on Warp arrays that jitted programs call, on the CPU and on CUDA."""
 
 from collections.abc import Callable, Mapping, Sequence
 from inspect import signature
@@ -13,27 +13,27 @@ from jaxdet.runtime.launch import MULTIPROCESSORS
 from jaxdet.signals import stops_held_back
 
 SCRATCH_SHARE = 8
-"""Of a CUDA device's memory, the scratch memory of all teams is at most one of so many parts; fewer
-teams work where theirs is larger."""
+"""Maximum scratch memory of all teams on CUDA: one part in ``SCRATCH_SHARE`` of the device's
+memory. If a team needs more, fewer teams are launched."""
 
 
 def jax_callable(
     kernels: ModuleType, types: Sequence[Any], outputs: int
 ) -> Callable[[Callable[..., None]], Any]:
-    """Makes a function that launches kernels callable under ``jax.jit``.
+    """Make a function that launches kernels callable under ``jax.jit``.
 
-    Its arguments are arrays of Warp's, the last ones are outputs, whose shapes a call gives as
-    ``output_dims``. It has no scalars: Warp numbers the values of scalars without a lock,
+    Its arguments are Warp arrays; the last ones are outputs, whose shapes a call passes as
+    ``output_dims``. Scalars are not supported: Warp numbers the values of scalars without a lock,
     so two threads that trace at the same time could get each other's.
 
-    :func:`warp.jax_callable` is experimental. It runs one function at a time in a process. XLA
-    records no CUDA graph of it: from batch to batch the arrays move, and a graph would be made
-    anew.
+    :func:`warp.jax_callable` is experimental. It runs one function at a time per process. XLA
+    records no CUDA graph of it, because arrays move from batch to batch and the graph would have to
+    be recorded again.
 
     Args:
-        kernels: The module whose kernels it launches; Warp loads it before a call.
-        types: Warp's types of the arguments.
-        outputs: How many of its arguments are outputs.
+        kernels: Module whose kernels the function launches; they are loaded before a call.
+        types: Warp types of the arguments.
+        outputs: Number of arguments that are outputs.
     """
 
     def decorate(function: Callable[..., None]) -> Any:
@@ -57,7 +57,7 @@ def jax_callable(
 
 
 def by_device(cpu: Callable[[], Any], cuda: Callable[[], Any]) -> Any:
-    """What one of two functions returns, by the device that a jitted program runs on."""
+    """Return the result of one of two functions, by the platform of a jitted program."""
     return jax.lax.platform_dependent(cpu=cpu, cuda=cuda)
 
 
@@ -74,17 +74,17 @@ def device_of_jax(module: Any) -> Any:
 
 
 def most_teams(frames: int, words: int, blocks: int) -> int:
-    """How many teams of a launch get so many words of scratch memory on the default device."""
+    """Return the number of teams for which there is scratch memory on the default device."""
     stats = jax.local_devices()[0].memory_stats() or {}
     room = stats.get("bytes_limit", SCRATCH_SHARE << 30) // SCRATCH_SHARE
     return min(frames, blocks * MULTIPROCESSORS, max(room // (4 * max(words, 1)), 1))
 
 
 def uninterrupted(program: Callable[..., Any], *arguments: Any) -> Any:
-    """Calls a jitted program; a Ctrl-C waits for it.
+    """Call a jitted program; Ctrl-C is delayed until it returns.
 
-    XLA calls functions of Python in the caller's thread, where Python raises KeyboardInterrupt.
-    Warp takes that for success, and results would be whatever the memory held.
+    XLA calls Python functions in the caller's thread, where Python raises KeyboardInterrupt. Warp
+    treats that as success, and the results would be uninitialized memory.
     """
     with stops_held_back():
         return program(*arguments)

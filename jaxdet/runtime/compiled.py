@@ -1,4 +1,4 @@
-"""Kernels compiled for the CPU ahead of time, once for a version of their sources and a machine."""
+"""Cache of kernels compiled ahead of time for the CPU, per version of their sources and machine."""
 
 import os
 import platform
@@ -24,17 +24,17 @@ _loaded: set[str] = set()
 
 
 def load_for_cpu(module: ModuleType) -> None:
-    """Loads the kernels of a module for the CPU; compiles them if no process has done so yet.
+    """Load the kernels of a module for the CPU; compile them if no process has done so yet.
 
-    They lie in a folder of our own in Warp's cache, which gets its name once it is complete and
-    its code was loaded: a crash or a full disk leaves nothing that a later start would use. A file
-    whose checksum has changed is compiled again. Of processes that start together one compiles,
+    They are stored in a separate folder of Warp's cache, which is renamed to its final name only
+    after its code was loaded: a crash or a full disk leaves nothing that a later start would use. A
+    file with a wrong checksum is compiled again. If several processes start together, one compiles
     and the others wait for it.
     """
     with _lock:
         if module.__name__ in _loaded:
             return
-        start_warp()  # which decides where its cache is
+        start_warp()  # determines the location of the cache
         folder = _folder(module)
         if not _load(module, folder):
             with _alone(folder.parent):
@@ -64,21 +64,21 @@ def _folder(module: ModuleType) -> Path:
 
 
 def _load(module: ModuleType, folder: Path) -> bool:
-    """Return whether the folder is there, undamaged, and could be loaded."""
+    """Return whether the folder exists, is undamaged, and could be loaded."""
     try:
         if (folder / _CHECKSUMS).read_text(encoding="utf-8") != _checksums(folder):
             return False
         wp.load_aot_module(module, device="cpu", module_dir=folder)
-    except Exception:  # a missing file, or whatever Warp says of one of another machine
+    except Exception:  # a missing file, or any error of Warp about code for another machine
         return False
     return True
 
 
 def _compile(module: ModuleType, folder: Path) -> None:
-    """Compiles and loads a module; it is kept where the cache can be written to.
+    """Compile and load a module; it is cached if the cache is writable.
 
     Raises:
-        JaxdetError: The compiler fails, or its code can't be loaded.
+        JaxdetError: The compiler fails, or its code cannot be loaded.
     """
     made = _new_folder(folder.parent)
     try:
@@ -107,16 +107,16 @@ def _new_folder(beside: Path) -> Path:
     try:
         beside.mkdir(parents=True, exist_ok=True)
         return Path(tempfile.mkdtemp(prefix=".compiling-", dir=beside))
-    except OSError:  # code that is loaded needs no file any more
+    except OSError:  # loaded code needs no files
         return Path(tempfile.mkdtemp())
 
 
 @cache
 def _version() -> str:
-    """Name the sources of the kernels, Warp and the processor, whose instructions are used.
+    """Return a hash of the kernels' sources, Warp's version and the processor's instruction set.
 
-    The place of the sources counts too, as it is part of Warp's own name of a compiled module: two
-    installations would otherwise compile into the same folder in turns.
+    It includes the path of the sources, which is part of Warp's name of a compiled module:
+    otherwise two installations would overwrite each other's kernels.
     """
     sources = Path(jaxdet_kernels.__file__ or "").parent
     about = f"{wp.__version__} {platform.machine()} {sources}"
@@ -131,7 +131,7 @@ def _version() -> str:
 
 @contextmanager
 def _alone(folder: Path) -> Iterator[None]:
-    """Waits until no other process compiles into a cache, where the system has locks."""
+    """Hold the lock for compiling into a cache, if the system supports locks."""
     try:
         import fcntl
 
@@ -141,7 +141,7 @@ def _alone(folder: Path) -> Iterator[None]:
         yield
         return
     try:
-        with suppress(OSError):  # a file system without locks
+        with suppress(OSError):  # file system without locks
             fcntl.flock(lock, fcntl.LOCK_EX)
         yield
     finally:

@@ -1,4 +1,4 @@
-"""Named arrays one after the other in rows of 32-bit words, one row per frame or one for all."""
+"""Named arrays packed into rows of 32-bit words, one row per frame or one for all."""
 
 import math
 from collections.abc import Mapping
@@ -14,13 +14,14 @@ LINE = 16
 
 
 class Layout:
-    """Where each of some named arrays begins in a row.
+    """Offsets of named arrays in a row.
 
-    An array of bool takes a byte for each entry, others take a word.
+    An array of bool takes a byte per element, others a word.
 
     Args:
-        shapes: The arrays in the order in which C++ reads their places, without the axis of rows.
-        bools: Those of them that are bool; the others are int32.
+        shapes: Shapes of the arrays, in the order in which C++ reads their offsets, without the
+            axis of rows.
+        bools: Names of bool arrays; the others are int32.
     """
 
     def __init__(self, shapes: Shapes, bools: frozenset[str] = frozenset()) -> None:
@@ -38,11 +39,11 @@ class Layout:
 
     @property
     def places(self) -> list[int]:
-        """Where each array begins, for C++."""
+        """Offset of each array, for C++."""
         return list(self.begin.values())
 
     def take(self, rows: Any, name: str) -> Any:
-        """An array ``(B, ...)`` of rows ``(B, words)`` int32, of NumPy or under ``jax.jit``."""
+        """Return an array ``(B, ...)`` of rows ``(B, words)`` int32, also under ``jax.jit``."""
         shape, first = self.shapes[name], self.begin[name]
         words = rows[:, first : first + self._length(name, shape)]
         if name in self.bools:
@@ -51,7 +52,7 @@ class Layout:
         return words.reshape(len(rows), *shape)
 
     def pack(self, batch: int, arrays: Mapping[str, Array], fill: int = 0) -> np.ndarray:
-        """Rows ``(B, words)`` int32 that have these arrays ``(B, ...)``, and ``fill`` elsewhere."""
+        """Pack arrays ``(B, ...)`` into rows ``(B, words)`` int32, with ``fill`` elsewhere."""
         rows = np.full((batch, self.words), fill, np.int32)
         for name, array in arrays.items():
             flat = np.ascontiguousarray(array).reshape(batch, -1)

@@ -11,13 +11,13 @@ from jaxdet.cores import cores
 
 
 def threads() -> int:
-    """How many threads a kernel may use: ``PJRT_NPROC``, as XLA, or one a core."""
+    """Return the number of threads of a kernel: ``PJRT_NPROC``, as in XLA, or one per core."""
     chosen = os.environ.get("PJRT_NPROC", "")
     return int(chosen) if chosen.isdecimal() and int(chosen) else cores()
 
 
 def on_all_cores(work: Sequence[Callable[[], None]]) -> None:
-    """Does the first in this thread and the others in threads of their own, at the same time."""
+    """Run the first function in this thread and the others in threads of their own, in parallel."""
     own, *others = work
     if not others:
         own()
@@ -29,16 +29,16 @@ def on_all_cores(work: Sequence[Callable[[], None]]) -> None:
         pool.place_caller()
         own()
     finally:
-        wait(started)  # they use the arguments' memory
+        wait(started)  # threads use the memory of the arguments
     for other in started:
         other.result()
 
 
 class _Thread:
-    """A thread that starts each task on the same core, where all cores are used.
+    """Thread that starts each task on the same core, if all cores are used.
 
-    Left alone, the system puts threads that wake each other on one core for milliseconds. Kept
-    there for good, a thread would have to wait where another program has that core.
+    By default, the system places threads that wake each other on one core for milliseconds. A
+    thread pinned permanently would have to wait while another program uses its core.
     """
 
     def __init__(self, core: int | None) -> None:
@@ -47,14 +47,14 @@ class _Thread:
         self._core = core
 
     def start(self, work: Callable[[], None]) -> Future[None]:
-        """Starts it; the thread may be moved once it has been woken."""
+        """Start a task; the thread may be moved once it has been woken."""
         with _on_core(self._id, self._core):
             return self._pool.submit(work)
 
 
 @contextmanager
 def _on_core(thread: int, core: int | None) -> Iterator[None]:
-    """Keeps a thread on a core, if it may use that; it may use the same cores afterwards."""
+    """Pin a thread to a core within the context, if it may use that core."""
     allowed = set() if core is None else os.sched_getaffinity(thread)
     if core is None or core not in allowed:
         yield
@@ -67,7 +67,7 @@ def _on_core(thread: int, core: int | None) -> Iterator[None]:
 
 
 class _Pool:
-    """The threads next to the caller's, :func:`threads` with it."""
+    """Threads in addition to the caller's, :func:`threads` in all."""
 
     def __init__(self) -> None:
         allowed = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()
@@ -77,7 +77,7 @@ class _Pool:
         self.threads = [_Thread(place) for place in places[1:]]
 
     def place_caller(self) -> None:
-        """Moves the calling thread to the core that the others leave; it may be moved again."""
+        """Move the calling thread to the core that the others leave free; it may be moved again."""
         with _on_core(0, self._core):
             pass
 

@@ -1,6 +1,6 @@
-"""The fast programs: the functions of :mod:`jaxdet.reference` over batches, in JAX and Warp.
+"""JAX and Warp implementation of the functions of :mod:`jaxdet.reference`, on batches.
 
-The names are loaded when they are used, so that :func:`find_floors_on_cpu` needs no JAX.
+Names are imported when they are used, so that :func:`find_floors_on_cpu` runs without JAX.
 """
 
 from importlib import import_module

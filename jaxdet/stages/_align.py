@@ -1,4 +1,4 @@
-"""Stage 1, align: a Warp kernel under ``jax.jit``."""
+"""Stage 1, align: depth at pixels of the colour image, by a Warp kernel under ``jax.jit``."""
 
 from functools import lru_cache, partial
 from typing import Any
@@ -25,10 +25,10 @@ Tables = tuple[jax.Array, ...]
 
 
 def align(depth: Array, u: Array, v: Array, calibration: Calibration) -> AlignedDepth:
-    """Return what :func:`jaxdet.reference.align` has at some pixels.
+    """Return depth at pixels of the colour image; twin of :func:`jaxdet.reference.align`.
 
-    On the CPU, images whose memory starts at a multiple of 64 bytes are read in place, so leave
-    them alone until the results are ready. Tables made from the calibration are cached.
+    On the CPU, images whose memory is aligned to 64 bytes are read in place; do not modify them
+    until the results are ready. Tables for the calibration are cached.
 
     Args:
         depth: ``(B, Hd, Wd)`` uint16 [depth units], 0 = no measurement.
@@ -43,8 +43,8 @@ def align(depth: Array, u: Array, v: Array, calibration: Calibration) -> Aligned
         CalibrationError: The images are not of the depth camera's size.
     """
     check_size("depth", np.shape(depth), calibration.depth)
-    given = jax.device_put(depth), jnp.asarray(u), jnp.asarray(v), tables(calibration)
-    return AlignedDepth(*uninterrupted(align_arrays, *given, moved_size(calibration)))
+    inputs = jax.device_put(depth), jnp.asarray(u), jnp.asarray(v), tables(calibration)
+    return AlignedDepth(*uninterrupted(align_arrays, *inputs, moved_size(calibration)))
 
 
 @partial(jax.jit, static_argnames="size")
@@ -71,12 +71,12 @@ def align_arrays(
 def _align(
     depth: Any, rays: Any, tile_rays: Any, parameters: Any, u: Any, v: Any, keys: Any, scratch: Any
 ) -> None:
-    given = [depth, rays, tile_rays, parameters, u, v, keys]
-    by_frame(kernels, kernels.align, given, len(depth), scratch)
+    inputs = [depth, rays, tile_rays, parameters, u, v, keys]
+    by_frame(kernels, kernels.align, inputs, len(depth), scratch)
 
 
 def moved_size(calibration: Calibration) -> tuple[int, int] | None:
-    """Return height and width of the colour image; None where depth is aligned already."""
+    """Return height and width of the colour image; None if depth is already aligned."""
     image = calibration.image
     return None if calibration.is_aligned else (image.height, image.width)
 
@@ -100,13 +100,14 @@ def tile_rays(rays: np.ndarray) -> np.ndarray:
             :func:`jaxdet.camera.corner_rays`.
 
     Returns:
-        Least and largest x, then y, of the corners of each tile's pixels, ``(tiles, 4)`` float32.
+        Smallest and largest x, then y, of the corners of each tile's pixels, ``(tiles, 4)``
+        float32.
     """
     return np.stack([_over_tiles(f, image) for image in rays for f in (np.minimum, np.maximum)], 1)
 
 
 def _over_tiles(extreme: np.ufunc, image: np.ndarray) -> np.ndarray:
-    """Reduce the corners of each tile's pixels, ``(tiles,)``; tiles as in ``alignment.h``."""
+    """Reduce the corners of each tile's pixels, to ``(tiles,)``; tiles as in ``alignment.h``."""
     for axis, size in enumerate(image.shape):
         first = np.minimum(np.arange(0, size - 1, kernels.TILE), max(size - 1 - kernels.TILE, 0))
         corners = [np.minimum(first + i, size - 1) for i in range(kernels.TILE + 1)]

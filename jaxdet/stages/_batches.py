@@ -1,4 +1,4 @@
-"""Batches of any size by programs that are compiled for few sizes."""
+"""Execution of batches of any size by programs compiled for few sizes."""
 
 from collections.abc import Callable, Iterable
 from functools import partial
@@ -11,22 +11,22 @@ from jaxdet.errors import ConfigError
 from jaxdet.types import GroundPlane
 
 PART_BYTES = 96 << 20
-"""Bytes of images that the CPU computes together, 64 frames of 640x480: results take memory in
-proportion, and the fixed time of a call is small compared with that of so many frames."""
+"""Maximum size of the images that the CPU computes together, 64 frames of 640x480: memory for
+results is proportional to it, and the fixed cost of a call is small for this number of frames."""
 STAGED_PART_BYTES = 12 << 20
-"""The same for a program that takes all frames through one stage after the other: the process
-reuses temporaries of that size, and gets larger ones from the system as fresh pages at every
+"""``PART_BYTES`` for a program that runs one stage after the other on all frames: the process
+reuses temporaries of this size, but obtains larger ones as fresh pages from the system in every
 call."""
 PAD_BELOW = 8
-"""Smaller batches are padded."""
+"""Minimum size of batches that are not padded."""
 LEAST_CAPABILITY = 8.0
-"""Compute capability that GPUs need: from 8.0 on a warp adds integers in one instruction."""
+"""Minimum compute capability of GPUs: from 8.0 on a warp sums integers in one instruction."""
 
 
 def check_device(images: Any) -> None:
-    """Refuse images on devices that kernels don't run on.
+    """Raise an error for images on devices that the kernels do not support.
 
-    Images on a device are computed there, those on the host by the default device.
+    Images on a device are processed there, images on the host on the default device.
 
     Raises:
         ConfigError: The GPU is older than kernels are compiled for, or images are spread over
@@ -40,10 +40,10 @@ def check_device(images: Any) -> None:
 
 
 def check_capability(devices: Iterable[Any]) -> None:
-    """Refuse GPUs that are older than kernels are compiled for.
+    """Raise an error for GPUs older than the kernels are compiled for.
 
     Raises:
-        ConfigError: One of the devices is.
+        ConfigError: One of the devices is too old.
     """
     for device in devices:
         capability = getattr(device, "compute_capability", None)
@@ -56,7 +56,7 @@ def check_capability(devices: Iterable[Any]) -> None:
 
 
 def default_device() -> Any:
-    """Return the device that JAX computes on."""
+    """Return the default device of JAX."""
     chosen = getattr(jax.config, "jax_default_device", None)
     return chosen if isinstance(chosen, jax.Device) else jax.local_devices()[0]
 
@@ -76,21 +76,21 @@ def in_parts(
 ) -> Any:
     """Return the results of a program for a batch of any size.
 
-    A batch is computed as a whole, on the CPU in parts of at most ``PART_BYTES`` of images whose
-    number of frames is a power of two. Fewer than ``PAD_BELOW`` images on the host, and any number
-    of them for CUDA, are padded with frames without depth to a power of two; the results of the
-    padding are dropped.
+    A batch is computed at once; on the CPU it is split into parts of at most ``PART_BYTES`` of
+    images, whose number of frames is a power of two. Batches on the host are padded to a power of
+    two with frames without depth if they have fewer than ``PAD_BELOW`` frames or are for CUDA; the
+    results of the padding are dropped.
 
     Args:
-        run: Takes images and planes, and returns a tree of arrays with a row for each frame.
-        images: ``(B, ...)`` of each kind, ``B`` at least 1.
+        run: Function of images and planes that returns a tree of arrays with one row per frame.
+        images: Arrays ``(B, ...)``, one per kind of image, ``B`` at least 1.
         plane: ``B`` planes.
-        staged: Whether the program takes all frames through one stage after the other, see
+        staged: Whether the program runs one stage after the other on all frames, see
             ``STAGED_PART_BYTES``.
 
     Returns:
-        The tree for all ``B`` frames: what ``run`` returned for a batch in one part, NumPy arrays
-        for one in several.
+        The tree for all ``B`` frames: the result of ``run`` for a single part, NumPy arrays for
+        several parts.
 
     Raises:
         ConfigError: See :func:`check_device`.
@@ -127,7 +127,7 @@ def _put(rows: slice, whole: np.ndarray, part: jax.Array) -> None:
 
 
 def _part_size(images: tuple[Any, ...], part_bytes: int) -> int:
-    """The most frames that are computed together."""
+    """Return the maximum number of frames that are computed together."""
     count = len(images[0])
     if on_cuda():
         return count
@@ -136,14 +136,14 @@ def _part_size(images: tuple[Any, ...], part_bytes: int) -> int:
 
 
 def _next_part(left: int, most: int) -> int:
-    """How many of the remaining frames are computed together."""
+    """Return the number of remaining frames that are computed together."""
     if left >= most or left < PAD_BELOW or on_cuda():
         return min(left, most)
     return 1 << left.bit_length() - 1
 
 
 def _bucket(count: int) -> int:
-    """The size that batches of ``count`` frames are padded to."""
+    """Return the size to which batches of ``count`` frames are padded."""
     return 1 << (count - 1).bit_length()
 
 

@@ -1,4 +1,4 @@
-"""The kernels held to a stored answer, once in a process."""
+"""Self-test of the kernels against a stored answer, once per process."""
 
 from collections.abc import Mapping
 from functools import cache
@@ -26,11 +26,11 @@ from jaxdet.types import (
 
 CALIBRATION = Calibration(Intrinsics(96, 72, 80.0, 80.0, 47.5, 35.5))
 ANSWER = "e76c34648f4635c11c8c13222adcb64c"
-"""Digest of what the reference finds in :func:`check_frames`, see :func:`digest`."""
+"""Digest of the reference's results for :func:`check_frames`, see :func:`digest`."""
 
 
 def check_frames() -> tuple[np.ndarray, GroundPlane]:
-    """Depth images ``(2, Hd, Wd)`` of a floor, a box and a wall, and the prior of each floor."""
+    """Return depth images ``(2, Hd, Wd)`` of a floor, a box and a wall, and the floor priors."""
     camera = CALIBRATION.depth
     v, u = np.mgrid[: camera.height, : camera.width]
     below = v - camera.height // 2
@@ -44,7 +44,7 @@ def check_frames() -> tuple[np.ndarray, GroundPlane]:
 
 
 def digest(found: Mapping[str, np.ndarray]) -> str:
-    """Of the arrays of detections by name, as int32."""
+    """Return the digest of arrays of detections, by name, as int32."""
     names = "num_obstacles", "has_depth", *Obstacles._fields, *Scene._fields
     total = blake2b(digest_size=16)
     for name in names:
@@ -54,7 +54,7 @@ def digest(found: Mapping[str, np.ndarray]) -> str:
 
 
 def digest_of(found: Detections) -> str:
-    """:func:`digest` of detections."""
+    """Return the :func:`digest` of detections."""
     assert found.scene is not None
     counts = {"num_obstacles": found.num_obstacles, "has_depth": found.has_depth}
     return digest({**counts, **found.obstacles._asdict(), **found.scene._asdict()})
@@ -62,13 +62,13 @@ def digest_of(found: Detections) -> str:
 
 @cache
 def check_kernels(device: Any = None) -> None:
-    """Run the kernels alone on two small images.
+    """Run only the kernels on two small images.
 
     Args:
-        device: Warp's device, for which they are loaded; None: the one that JAX computes on.
+        device: Warp device for which they are loaded; None: the device that JAX computes on.
 
     Raises:
-        JaxdetError: They don't find what the reference found there.
+        JaxdetError: The results differ from those of the reference.
     """
     depth, planes = check_frames()
     if device is None:

@@ -13,18 +13,18 @@ from jaxdet.floor.plane import depth_gap_units
 from jaxdet.stages._tables import kernel_table
 from jaxdet.types import MAX_LATERAL, Features, Labels
 
-PLACE_BITS, VALUE_BITS = 13, 19  # a frame has at most 2^13 points, and as many runs
-LAST = (1 << VALUE_BITS) - 1  # beyond all values
-NONE = np.uint32(0xFFFFFFFF)  # beyond all keys, as x + MAX_LATERAL is below LAST
-BLOCK = 32  # entries that are summed together, see _running_sum
+PLACE_BITS, VALUE_BITS = 13, 19  # a frame has at most 2^13 points, and at most as many runs
+LAST = (1 << VALUE_BITS) - 1  # larger than all values
+NONE = np.uint32(0xFFFFFFFF)  # larger than all keys, as x + MAX_LATERAL is below LAST
+BLOCK = 32  # number of entries that are summed together, see _running_sum
 
 
 def cluster(features: Features, depth_unit: float, config: Config) -> Labels:
-    """Equals :func:`jaxdet.reference.cluster`.
+    """Cluster points by gaps; twin of :func:`jaxdet.reference.cluster`.
 
     Sorts and segmented scans over all frames: sort by depth, flag gaps, number the runs between
-    them by running sums and count their points; the same by set and x; number the runs that are
-    left. z is below 65536, x at most MAX_LATERAL.
+    them by prefix sums and count their points; the same by set and x; number the remaining runs. z
+    is below 65536, x at most MAX_LATERAL.
 
     Raises:
         ConfigError: There are more than 8192 points per frame.
@@ -36,19 +36,19 @@ def cluster(features: Features, depth_unit: float, config: Config) -> Labels:
 
 
 def gap_settings(config: ClusterConfig, depth_unit: float) -> np.ndarray:
-    """Settings of :func:`labels`: gaps in depth and sideways [depth units], N; ``(3,)`` int32."""
+    """Return the gaps in depth and sideways [depth units] and the minimum number of points."""
     gaps = depth_gap_units(config, depth_unit), round(config.lateral_gap_m / depth_unit)
     return kernel_table([*gaps, config.min_points])
 
 
 def most_obstacles(points: int, config: ClusterConfig) -> int:
-    """``M``, the largest number of obstacles that ``points`` points can make, at least 1."""
+    """Return ``M``, the largest number of obstacles that ``points`` points can form, at least 1."""
     return max(1, points // (config.min_points + 1))
 
 
 @partial(jax.jit, static_argnames="most")
 def labels(features: Features, settings: jax.Array, most: int) -> Labels:
-    """The labels of points, from :func:`gap_settings` and :func:`most_obstacles`."""
+    """Return the labels of points, from :func:`gap_settings` and :func:`most_obstacles`."""
     with jax.named_scope("cluster"):
         depth_gap, lateral_gap, min_points = settings
         x, z, n = features.x, features.z, features.z.shape[1]
@@ -62,7 +62,7 @@ def labels(features: Features, settings: jax.Array, most: int) -> Labels:
         run = _runs((keys & LAST).astype(jnp.int32), keys >> VALUE_BITS, lateral_gap)
         large = _sizes(run, keys < NONE) > min_points
         obstacle = jnp.where(large, _running_sum(large) - 1, most)
-        # Equal keys are neighbours, so the first of them will do.
+        # Equal keys are adjacent, so the first of them is sufficient.
         obstacle = _take(obstacle, _take(run, _first_place(keys, key)))
         return _numbered(obstacle, z, most)
 
@@ -71,28 +71,28 @@ def _runs(values: jax.Array, group: jax.Array, gap: jax.Array) -> jax.Array:
     """Number the runs of ``values`` without a gap (Eq. 6), from 0.
 
     Args:
-        values: ``(B, N)`` int32, rising within each group.
-        group: ``(B, N)``; entries of a group are neighbours, and a new group starts a new run.
-        gap: The largest step from an entry to the next.
+        values: ``(B, N)`` int32, ascending within each group.
+        group: ``(B, N)``; entries of a group are adjacent, and a new group starts a new run.
+        gap: Largest difference between adjacent entries of a run.
 
     Returns:
-        ``(B, N)`` int32, the number of each entry's run.
+        Run of each entry, ``(B, N)`` int32.
     """
     starts = (values[:, 1:] - values[:, :-1] > gap) | (group[:, 1:] != group[:, :-1])
     return _running_sum(jnp.pad(starts, ((0, 0), (1, 0))))
 
 
 def _sizes(run: jax.Array, valid: jax.Array) -> jax.Array:
-    """Number of valid entries of each run, ``(B, N)`` int32."""
+    """Return the number of valid entries of each run, ``(B, N)`` int32."""
     return jnp.zeros_like(run).at[_rows(run), run].add(valid.astype(jnp.int32))
 
 
 def _running_sum(flags: jax.Array) -> jax.Array:
-    """Number of flags up to and including each entry of its row, ``(B, N)`` int32.
+    """Return the number of flags up to and including each entry of its row, ``(B, N)`` int32.
 
-    Within blocks, then over the blocks' sums, each as a product with a triangle of ones: on the
-    CPU a third of ``jnp.cumsum``. Exact in float32 and in TF32, as the factors are 0 to ``BLOCK``
-    and the sums below 2^24.
+    Prefix sums within blocks, then over the sums of blocks, each as a product with a triangular
+    matrix of ones, which takes a third of the time of ``jnp.cumsum`` on the CPU. Exact in float32
+    and in TF32, as the factors are 0 to ``BLOCK`` and the sums below 2^24.
     """
     count = flags.shape[1]
     padded = jnp.pad(flags.astype(jnp.float32), ((0, 0), (0, -count % BLOCK)))
@@ -105,9 +105,9 @@ def _running_sum(flags: jax.Array) -> jax.Array:
 
 
 def _first_place(keys: jax.Array, key: jax.Array) -> jax.Array:
-    """Place of the first of each row's rising ``keys`` that equals ``key``, ``(B, N)`` int32.
+    """Return the position of ``key`` in each row's ascending ``keys``, ``(B, N)``; first if equal.
 
-    A binary search like ``jnp.searchsorted``, in steps of powers of two without bounds to carry,
+    A binary search like ``jnp.searchsorted``, in steps of powers of two and without carried bounds,
     which takes half the time on the CPU.
     """
     count = keys.shape[1]
@@ -124,13 +124,13 @@ def _first_place(keys: jax.Array, key: jax.Array) -> jax.Array:
 def _numbered(obstacle: jax.Array, z: jax.Array, most: int) -> Labels:
     """Number the obstacles by nearest z, then smallest x.
 
-    Obstacles that are equally near are of one set of neighbours in depth, so in the order of x
-    already.
+    Obstacles at equal distance belong to one set of neighbours in depth, so they are already sorted
+    by x.
 
     Args:
-        obstacle: ``(B, N)`` int32, the obstacle of each point, ``most`` for none.
-        z: ``(B, N)`` int32, of the points.
-        most: The largest number of obstacles.
+        obstacle: Obstacle of each point, ``(B, N)`` int32, ``most`` for none.
+        z: Depth of the points, ``(B, N)`` int32.
+        most: Maximum number of obstacles.
     """
     nearest = jnp.full((len(z), most), LAST).at[_rows(z), obstacle].min(z, mode="drop")
     _, order = _sorted(nearest)
@@ -140,9 +140,9 @@ def _numbered(obstacle: jax.Array, z: jax.Array, most: int) -> Labels:
 
 
 def _sorted(values: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Values of each row in rising order, and their places, ``(B, N)`` int32.
+    """Return the sorted values of each row and their original positions, ``(B, N)`` int32.
 
-    Both are one 32-bit key, which is what XLA sorts quickly on every device.
+    Both are packed into one 32-bit key, which XLA sorts quickly on every device.
     """
     key = values.astype(jnp.uint32) << PLACE_BITS | _positions(values).astype(jnp.uint32)
     key = jnp.sort(key, axis=1)
@@ -151,20 +151,20 @@ def _sorted(values: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 def _take(values: jax.Array, place: jax.Array) -> jax.Array:
-    """Of each row, the values at places, ``(B, N)``."""
+    """Return the values at positions of each row, ``(B, N)``."""
     return jnp.take_along_axis(values, place, axis=1, mode="promise_in_bounds")
 
 
 def _put(place: jax.Array, values: jax.Array) -> jax.Array:
-    """Of each row, values put at places that are a permutation, ``(B, N)``."""
+    """Scatter values to positions of each row, which are a permutation, ``(B, N)``."""
     return jnp.zeros_like(values).at[_rows(place), place].set(values, unique_indices=True)
 
 
 def _positions(values: jax.Array) -> jax.Array:
-    """``(B, N)`` int32, the place of each value in its row."""
+    """Return the position of each value in its row, ``(B, N)`` int32."""
     return lax.broadcasted_iota(jnp.int32, values.shape, 1)
 
 
 def _rows(values: jax.Array) -> jax.Array:
-    """``(B, 1)``, the row of each value."""
+    """Return the row of each value, ``(B, 1)``."""
     return jnp.arange(len(values))[:, None]

@@ -1,4 +1,4 @@
-"""The strongest corners of Canny's edges: one kernel for the CPU and CUDA."""
+"""Detection of the strongest corners of Canny edges: one kernel for the CPU and CUDA."""
 
 import math
 import struct
@@ -14,11 +14,11 @@ from jaxdet_kernels import features as kernels
 
 
 def corner_settings(config: FeaturesConfig) -> np.ndarray:
-    """Return the settings as the kernels take them, ``(5,)`` int32.
+    """Return the settings for the kernels, ``(5,)`` int32.
 
-    Canny's thresholds, the square of the distance rounded up (squares of whole distances below it
-    are below the square itself), and the quality level as the two words of a float64, the lower
-    first.
+    Canny's thresholds, the square of the minimum distance rounded up (integer squared distances
+    below that are below the square itself), and the quality level as the two words of a float64,
+    low word first.
     """
     distance, quality = config.min_distance, struct.pack("<d", config.quality_level)
     limit = math.ceil(distance * distance) if distance >= 1 else 0
@@ -29,12 +29,12 @@ def corner_settings(config: FeaturesConfig) -> np.ndarray:
 def strongest_corners(
     color: jax.Array, settings: jax.Array, slots: int
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return the strongest corners of the Canny edge images, as the reference selects them.
+    """Return the strongest corners of the Canny edges of images, as selected by the reference.
 
     Args:
         color: ``(B, H, W, 3)`` uint8, RGB.
         settings: From :func:`corner_settings`.
-        slots: ``N``, the most corners of a frame; static.
+        slots: ``N``, maximum number of corners of a frame; static.
 
     Returns:
         Columns and rows ``(B, N)`` int32, strongest first, zero in empty slots, and the number of
@@ -55,5 +55,5 @@ def strongest_corners(
 def _corners(
     color: Any, settings: Any, u_out: Any, v_out: Any, found_out: Any, scratch: Any
 ) -> None:
-    given = [color, settings, u_out, v_out, found_out]
-    by_frame(kernels, kernels.corners, given, len(color), scratch)
+    inputs = [color, settings, u_out, v_out, found_out]
+    by_frame(kernels, kernels.corners, inputs, len(color), scratch)

@@ -1,4 +1,4 @@
-"""The whole method as one compiled program, for the CPU and CUDA."""
+"""Complete method as one compiled program, for the CPU and CUDA."""
 
 from functools import lru_cache, partial
 from typing import Any, NamedTuple
@@ -38,43 +38,43 @@ from jaxdet_kernels import program as kernels
 def detect(
     frames: Frames, plane: GroundPlane, config: Config, with_cells: bool = False
 ) -> Detections:
-    """Return what :func:`jaxdet.reference.detect` does.
+    """Detect obstacles; twin of :func:`jaxdet.reference.detect`.
 
     Args:
-        frames: ``B`` frames; images on the host or already on a device.
-            On the CPU, images whose memory starts at a multiple of 64 bytes are read in place, so
-            leave them alone until the results are ready.
+        frames: ``B`` frames; images on the host or already on a device. On the CPU, images whose
+            memory is aligned to 64 bytes are read in place; do not modify them until the results
+            are ready.
         plane: Prior of the floor in each frame.
         config: Configuration of the method.
-        with_cells: Whether to return the cells with their obstacles as well.
+        with_cells: Whether to return the labels of cells as well.
 
     Returns:
-        The obstacles, perhaps still being computed, see :func:`_batches.in_parts`.
+        The obstacles, which may still be being computed, see :func:`_batches.in_parts`.
 
     Raises:
-        ConfigError: The kernels don't take images or grids of this size.
+        ConfigError: The kernels do not support images or grids of this size.
     """
     if config.cluster.points:
         return clusters(frames, plane, config)
     tables, static = _tables(frames.calibration, config)
 
-    def run(images: tuple[Any, ...], known: GroundPlane) -> Detections:
-        given = tables, _program.floors(known, config, frames.calibration.depth_unit)
-        return uninterrupted(_detect, *images, given, static, with_cells)
+    def run(images: tuple[Any, ...], planes: GroundPlane) -> Detections:
+        inputs = tables, _program.floors(planes, config, frames.calibration.depth_unit)
+        return uninterrupted(_detect, *images, inputs, static, with_cells)
 
     found = _batches.in_parts(run, (frames.depth,), plane)
     return found._replace(scene=found.scene._replace(prior=plane))
 
 
 def find_floors(frames: Frames, prior: GroundPlane, config: Config) -> FloorFit:
-    """Equals :func:`jaxdet.reference.find_floors`."""
+    """Estimate the floors; twin of :func:`jaxdet.reference.find_floors`."""
     unit = frames.calibration.depth_unit
     tables, static = _tables(frames.calibration, config)
 
-    def run(images: tuple[Any, ...], known: GroundPlane) -> jax.Array:
-        floors = jnp.asarray(_program.floors(known, config, unit))
-        given = jax.device_put(*images), (tables, floors)
-        return uninterrupted(_find_floors, *given, static)
+    def run(images: tuple[Any, ...], planes: GroundPlane) -> jax.Array:
+        floors = jnp.asarray(_program.floors(planes, config, unit))
+        inputs = jax.device_put(*images), (tables, floors)
+        return uninterrupted(_find_floors, *inputs, static)
 
     found = _batches.in_parts(run, (frames.depth,), prior)
     return floor_fit(np.asarray(found), prior, unit)
@@ -82,7 +82,7 @@ def find_floors(frames: Frames, prior: GroundPlane, config: Config) -> FloorFit:
 
 @lru_cache(maxsize=8)
 def _tables(calibration: Calibration, config: Config) -> tuple[jax.Array, Static]:
-    """The tables on the device, and the sizes that a program is compiled for."""
+    """Return the tables on the device, and the sizes that a program is compiled for."""
     check_kernels()
     device = device_of_jax(kernels)
     packed = _program.packed(*_program.host_tables(calibration, config), device)
@@ -90,19 +90,21 @@ def _tables(calibration: Calibration, config: Config) -> tuple[jax.Array, Static
 
 
 @partial(jax.jit, static_argnames="static")
-def _find_floors(depth: jax.Array, given: tuple[jax.Array, jax.Array], static: Static) -> jax.Array:
-    tables, floors = given
+def _find_floors(
+    depth: jax.Array, inputs: tuple[jax.Array, jax.Array], static: Static
+) -> jax.Array:
+    tables, floors = inputs
     return _run_floors(depth, floors, tables, static)
 
 
 @partial(jax.jit, static_argnames=("static", "with_cells"))
 def _detect(
     depth: jax.Array,
-    given: tuple[jax.Array, jax.Array],
+    inputs: tuple[jax.Array, jax.Array],
     static: Static,
     with_cells: bool,
 ) -> Detections:
-    tables, floors = given
+    tables, floors = inputs
     found = _run_steps(depth, floors, tables, static, with_cells)
     record = _program.record_layout()
     fields = {name: record.take(found.record, name) for name in record.shapes}
@@ -127,7 +129,7 @@ def _detect(
 
 
 class Rows(NamedTuple):
-    """What the steps write, a row of words for each frame."""
+    """Results of the steps, one row of words per frame."""
 
     record: Any
     contour: Any
@@ -138,7 +140,7 @@ class Rows(NamedTuple):
 def _run_steps(
     depth: jax.Array, floors: jax.Array, tables: jax.Array, static: Static, keep_work: bool
 ) -> Rows:
-    """All steps on a batch, under ``jax.jit``.
+    """Run all steps on a batch, under ``jax.jit``.
 
     Args:
         depth: ``(B, Hd, Wd)`` uint16 [depth units], 0 = no measurement.
@@ -146,7 +148,7 @@ def _run_steps(
             :func:`jaxdet.floor.frame.floor_frames`.
         tables: From :func:`jaxdet.stages._program.packed`.
         static: Its sizes.
-        keep_work: Whether to return what steps hand on.
+        keep_work: Whether to return the intermediate arrays.
     """
     return _called(len(_program.STEPS), depth, floors, tables, static, keep_work)
 
@@ -154,7 +156,7 @@ def _run_steps(
 def _run_floors(
     depth: jax.Array, floors: jax.Array, tables: jax.Array, static: Static
 ) -> jax.Array:
-    """The floor alone ``(B, 8)`` int32, takes what :func:`_run_steps` takes."""
+    """Estimate only the floor, ``(B, 8)`` int32; arguments as for :func:`_run_steps`."""
     found = _called(2, depth, floors, tables, static, keep_work=False)
     return _program.record_layout().take(found.record, "floor")
 

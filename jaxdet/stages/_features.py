@@ -18,7 +18,7 @@ from jaxdet_kernels.features import MAX_SIZE
 
 
 class Rays(NamedTuple):
-    """The rays of a camera's pixels, from :func:`jaxdet.camera.fixed_rays`."""
+    """Rays of a camera's pixels, from :func:`jaxdet.camera.fixed_rays`."""
 
     x: jax.Array  # (H, W) int32
     y: jax.Array  # (H, W) int32
@@ -26,18 +26,18 @@ class Rays(NamedTuple):
 
 @lru_cache(maxsize=8)
 def rays(camera: Intrinsics) -> Rays:
-    """The rays on the device."""
+    """Return the rays on the device."""
     return Rays(*(jnp.asarray(a) for a in fixed_rays(camera)))
 
 
 def features(
     color: Array, depth: Array, calibration: Calibration, config: FeaturesConfig
 ) -> Features:
-    """Return what :func:`jaxdet.reference.features` does, by one program.
+    """Detect corners and their positions; twin of :func:`jaxdet.reference.features`.
 
     Raises:
-        CalibrationError: The images are not of their cameras' sizes.
-        ConfigError: That size is not one that the kernels take, see :func:`check_kernels_size`.
+        CalibrationError: The size of the images does not match the cameras.
+        ConfigError: The kernels do not support this size, see :func:`check_kernels_size`.
     """
     check_kernels_size(calibration.image)
     check_size("colour", color.shape, calibration.image)
@@ -47,7 +47,7 @@ def features(
 
 
 class Tables(NamedTuple):
-    """What :func:`on_device` takes of a camera and a configuration."""
+    """Arrays for :func:`on_device`, from a camera and a configuration."""
 
     align: _align.Tables
     rays: Rays
@@ -57,8 +57,8 @@ class Tables(NamedTuple):
 class Static(NamedTuple):
     """Sizes that :func:`on_device` is compiled for."""
 
-    moved: tuple[int, int] | None  # the colour image's size; None: depth is aligned already
-    slots: int  # of corners
+    moved: tuple[int, int] | None  # size of the colour image; None: depth is already aligned
+    slots: int  # maximum number of corners
 
 
 def tables(calibration: Calibration, config: FeaturesConfig) -> tuple[Tables, Static]:
@@ -69,7 +69,7 @@ def tables(calibration: Calibration, config: FeaturesConfig) -> tuple[Tables, St
 
 
 def check_kernels_size(camera: Intrinsics) -> None:
-    """Refuses colour images that the kernels have no room for.
+    """Raise an error for colour images of a size that the kernels do not support.
 
     Raises:
         ConfigError: A side is shorter than 3 or longer than ``MAX_SIZE``.
@@ -95,7 +95,7 @@ def on_device(color: jax.Array, depth: jax.Array, shared: Tables, static: Static
 
 
 def lateral(ray: jax.Array, z: jax.Array) -> jax.Array:
-    """``(ray * z + half) >> RAY_BITS`` without leaving 32 bits: ten fraction bits at a time.
+    """Return ``(ray * z + half) >> RAY_BITS`` in 32-bit arithmetic, ten fraction bits at a time.
 
     Holds for rays up to ``MAX_RAY`` and z below 2^16, as the floors nest:
     ``floor((a + 2^19) / 2^20) = floor((floor(a / 2^10) + 2^9) / 2^10)``.

@@ -14,17 +14,18 @@ from jaxdet.stages._tables import kernel_table
 from jaxdet.types import MAX_LATERAL, Features, GroundPlane, Labels, Obstacles
 
 VALUE_BITS = 19
-"""Of a coordinate, moved to 0 and up; the obstacle's number takes the other bits of a key."""
+"""Bits of a coordinate, shifted to be non-negative; the obstacle's number takes the other bits of a
+key."""
 LAST = jnp.iinfo(jnp.int32).max
 
 
 def footprint(
     features: Features, labels: Labels, plane: GroundPlane, depth_unit: float, config: Config
 ) -> Obstacles:
-    """Equals :func:`jaxdet.reference.footprint`; the extents are segment reductions by label.
+    """Measure obstacles, by segment reductions; twin of :func:`jaxdet.reference.footprint`.
 
     Raises:
-        ConfigError: There are more than 8192 points a frame.
+        ConfigError: There are more than 8192 points per frame.
     """
     points = features.z.shape[1]
     check_points(points)
@@ -34,7 +35,7 @@ def footprint(
 
 
 class Tables(NamedTuple):
-    """What :func:`obstacles` takes of the configuration."""
+    """Arrays for :func:`obstacles`, from the configuration."""
 
     bands: jax.Array  # (65536, 2) int32, from jaxdet.floor.plane.band_table
     settings: jax.Array  # (2,) int32: the threshold of a vertex [depth units] and trim
@@ -42,7 +43,7 @@ class Tables(NamedTuple):
 
 @lru_cache(maxsize=8)
 def tables(config: FootprintConfig, depth_unit: float) -> Tables:
-    """The tables on the device."""
+    """Return the tables on the device."""
     threshold = round(config.vertex_threshold_m / depth_unit)
     settings = kernel_table([threshold, config.trim])
     return Tables(jnp.asarray(band_table(config, depth_unit)), jnp.asarray(settings))
@@ -52,11 +53,11 @@ def tables(config: FootprintConfig, depth_unit: float) -> Tables:
 def obstacles(
     features: Features, labels: Labels, axes: jax.Array, shared: Tables, most: int
 ) -> Obstacles:
-    """The obstacles, ``most`` of them.
+    """Return ``most`` obstacles.
 
     Args:
         features: ``(B, N)`` points.
-        labels: Their obstacles.
+        labels: Obstacles of the points.
         axes: ``(B, 2, 3)`` int32, from :func:`jaxdet.floor.plane.ground_axes`.
         shared: From :func:`tables`.
         most: From :func:`jaxdet.stages._cluster.most_obstacles`.
@@ -70,7 +71,7 @@ def obstacles(
 
 
 def to_ground(xyz: jax.Array, axes: jax.Array) -> jax.Array:
-    """``(xyz . axis + half) >> GROUND_BITS`` without leaving 32 bits.
+    """Return ``(xyz . axis + half) >> GROUND_BITS`` in 32-bit arithmetic.
 
     The coordinates are split at ten bits; the floors nest as in ``lateral``.
 
@@ -97,7 +98,7 @@ def _measure(
     shared: Tables,
     m: int,
 ) -> Obstacles:
-    """One frame: ``labels (N,)`` and points ``(N, k)`` to ``(M, ...)``."""
+    """Measure one frame's obstacles ``(M, ...)`` from ``labels (N,)`` and points ``(N, k)``."""
     threshold, trim = shared.settings
     own = jnp.where(labels >= 0, labels, m)
 
@@ -105,7 +106,7 @@ def _measure(
         empty = jnp.full((m, *values.shape[1:]), start, jnp.int32)
         return getattr(empty.at[own], operation)(values, mode="drop")
 
-    # In 32 bits: at most MAX_POINTS coordinates of at most MAX_LATERAL.
+    # 32 bits suffice: at most MAX_POINTS coordinates of at most MAX_LATERAL.
     points, total = reduce("add", jnp.ones_like(labels), 0), reduce("add", xyz, 0)
     some = points > 0
 
@@ -115,7 +116,7 @@ def _measure(
         return jnp.where(some.reshape(-1, *[1] * (out.ndim - 1)), out, 0)
 
     def least(values: jax.Array, best: jax.Array, of: jax.Array) -> jax.Array:
-        """The smallest of ``values`` among the points whose ``of`` is the obstacle's ``best``."""
+        """Return the minimum of ``values`` of each obstacle where ``of`` equals its ``best``."""
         tied = of == best[jnp.minimum(own, m - 1)]
         return extreme("min", jnp.where(tied, values, LAST))
 
@@ -150,9 +151,10 @@ def _measure(
 
 
 def _squared_length(floor: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Squared lengths of ``(N, 2)``, at most MAX_LATERAL each: over 2^18, and the rest, int32.
+    """Return squared lengths of ``(N, 2)`` int32 as quotient and remainder by 2^18.
 
-    Without leaving 32 bits: of ``x = 2^9 h + l`` the square is ``2^18 h^2 + 2^10 h l + l^2``.
+    Coordinates are at most MAX_LATERAL. 32 bits suffice: the square of ``x = 2^9 h + l`` is
+    ``2^18 h^2 + 2^10 h l + l^2``.
     """
     high, low = jnp.abs(floor) >> 9, jnp.abs(floor) & 511
     rest = jnp.sum((high * low << 10) + low * low, axis=-1, dtype=jnp.int32)
@@ -163,14 +165,14 @@ def _squared_length(floor: jax.Array) -> tuple[jax.Array, jax.Array]:
 def _outermost(
     own: jax.Array, values: jax.Array, points: jax.Array, passed: jax.Array, band: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """The medians of each obstacle's values in the bands inside of its smallest and its largest.
+    """Return the medians of the bands at the smallest and largest values of each obstacle.
 
     Args:
-        own: ``(N,)`` int32, each point's obstacle; M for none.
-        values: ``(N,)`` int32, at most MAX_LATERAL.
-        points: ``(M,)`` int32, how many points each obstacle has.
-        passed: ``(M,)`` int32, how many outermost values a band starts from behind.
-        band: ``(M,)`` int32, how deep it is.
+        own: Obstacle of each point, ``(N,)`` int32; M for none.
+        values: Coordinates ``(N,)`` int32, at most MAX_LATERAL.
+        points: Number of points of each obstacle, ``(M,)`` int32.
+        passed: Number of outermost values that are trimmed, ``(M,)`` int32.
+        band: Width of the band, ``(M,)`` int32.
 
     Returns:
         ``(M,)`` int32 each, 0 for obstacles without points.

@@ -15,21 +15,21 @@ from jaxdet.types import Calibration, Features, GroundPlane, Intrinsics
 def ground(
     features: Features, plane: GroundPlane, calibration: Calibration, config: Config
 ) -> Features:
-    """Return what :func:`jaxdet.reference.ground` does.
+    """Mark features above the floor; twin of :func:`jaxdet.reference.ground`.
 
-    What depends on the plane and the calibration is in a table made on the host once
+    The host tabulates a limit of depth per plane and pixel once
     (:func:`jaxdet.floor.plane.floor_limits`); here each feature is compared with it.
     """
     return keep(features, tables(plane, calibration, config))
 
 
 class Tables(NamedTuple):
-    """What :func:`keep` takes of the floors and the configuration."""
+    """Arrays for :func:`keep`, from the floors and the configuration."""
 
     limits: jax.Array
-    """``(P, H, W)`` uint16 [depth units], of the different planes."""
+    """Limits of the distinct planes, ``(P, H, W)`` uint16 [depth units]."""
     which: jax.Array
-    """``(B,)`` int32, the plane of each frame."""
+    """Plane of each frame, ``(B,)`` int32."""
     nearest: jax.Array
     farthest: jax.Array
 
@@ -53,7 +53,7 @@ def tables(plane: GroundPlane, calibration: Calibration, config: Config) -> Tabl
 def _limits(
     camera: Intrinsics, planes: tuple[tuple[float, ...], ...], settings: GroundConfig, unit: float
 ) -> jax.Array:
-    """The limits of planes in order on the device."""
+    """Return the limits of planes, in order, on the device."""
     limits, _ = floor_limits(camera, GroundPlane(*np.array(planes).T), settings, unit)
     spare = (1 << (len(limits) - 1).bit_length()) - len(limits)
     if spare:
@@ -63,7 +63,7 @@ def _limits(
 
 @jax.jit
 def keep(features: Features, floors: Tables) -> Features:
-    """Return the features with ``kept``."""
+    """Return the features with ``kept`` set."""
     with jax.named_scope("ground"):
         z, limit = features.z, floors.limits[floors.which[:, None], features.v, features.u]
         in_range = (z >= floors.nearest) & (z <= floors.farthest)

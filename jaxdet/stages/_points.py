@@ -1,4 +1,4 @@
-"""Obstacles made of points: the paper's method as one compiled program, for the CPU and CUDA."""
+"""Clustering of points into obstacles: the paper's method as one program, for the CPU and CUDA."""
 
 from functools import lru_cache, partial
 from typing import Any, NamedTuple
@@ -14,7 +14,7 @@ from jaxdet.types import Calibration, Detections, Frames, GroundPlane, Points
 
 
 class _Tables(NamedTuple):
-    """What all frames share: arrays, so that no camera and no setting compiles anew."""
+    """Arrays shared by all frames; as arrays, a new camera or setting needs no compilation."""
 
     features: _features.Tables
     gaps: jax.Array
@@ -25,7 +25,7 @@ class _Static(NamedTuple):
     """Sizes that the program is compiled for."""
 
     features: _features.Static
-    most: int  # obstacles that there is room for
+    most: int  # maximum number of obstacles
 
 
 def clusters(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
@@ -37,15 +37,15 @@ def clusters(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
         config: Configuration of the method; ``cluster.points`` is True.
 
     Returns:
-        The obstacles, see :func:`jaxdet.pipeline.detect`, perhaps still being computed.
+        The obstacles, see :func:`jaxdet.pipeline.detect`, which may still be being computed.
     """
     _features.check_kernels_size(frames.calibration.image)
     plane = plane_in_color(plane, frames.calibration)
     shared, static = _tables(frames.calibration, config)
 
-    def run(images: tuple[Any, ...], known: GroundPlane) -> Detections:
-        ground = _ground.tables(known, frames.calibration, config)
-        axes = jnp.asarray(ground_axes(known))
+    def run(images: tuple[Any, ...], planes: GroundPlane) -> Detections:
+        ground = _ground.tables(planes, frames.calibration, config)
+        axes = jnp.asarray(ground_axes(planes))
         return uninterrupted(_detect, *images, (shared, ground, axes), static)
 
     return _batches.in_parts(run, (frames.color, frames.depth), plane, staged=True)
@@ -53,7 +53,7 @@ def clusters(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
 
 @lru_cache(maxsize=8)
 def _tables(calibration: Calibration, config: Config) -> tuple[_Tables, _Static]:
-    """The arrays on the device, and the sizes."""
+    """Return the arrays on the device, and the sizes."""
     unit = calibration.depth_unit
     features, sizes = _features.tables(calibration, config.features)
     gaps = jnp.asarray(_cluster.gap_settings(config.cluster, unit))
@@ -65,15 +65,15 @@ def _tables(calibration: Calibration, config: Config) -> tuple[_Tables, _Static]
 def _detect(
     color: jax.Array,
     depth: jax.Array,
-    given: tuple[_Tables, _ground.Tables, jax.Array],
+    inputs: tuple[_Tables, _ground.Tables, jax.Array],
     static: _Static,
 ) -> Detections:
-    tables, ground, axes = given
+    tables, ground, axes = inputs
     corners = _features.on_device(color, depth, tables.features, static.features)
     corners = _ground.keep(corners, ground)
     labels = _cluster.labels(corners, tables.gaps, static.most)
     obstacles = _footprint.obstacles(corners, labels, axes, tables.footprint, static.most)
-    units = depth.astype(ground.nearest.dtype)  # in fine units the nearest may be above 16 bits
+    units = depth.astype(ground.nearest.dtype)  # int32: ``nearest`` may exceed 16 bits
     in_range = (units >= ground.nearest) & (units <= ground.farthest)
     return Detections(
         labels.num_obstacles,

@@ -1,8 +1,8 @@
-"""The steps on depth images as one call: its arrays, and what launches the kernels. Without JAX.
+"""All steps on depth images in one call: its arrays, and the launches of the kernels, without JAX.
 
-All tables of a camera and a configuration are one buffer, which begins with a header: sizes, then
-where each array begins. ``program.h`` reads it in the same order. All results of a frame but the
-contours are one row of words.
+All tables for a camera and a configuration are packed into one buffer, which begins with a header:
+sizes, then the offset of each array. ``program.h`` reads it in the same order. All results of a
+frame except the contours are one row of words.
 """
 
 from collections.abc import Mapping
@@ -38,28 +38,28 @@ _FIXED = (
     "surface_settings", "outline_settings", "free_settings", "last", "directions", "bearings",
     "ray_directions", "block_settings", "parameters",
 )  # fmt: skip
-"""Tables that are as long for each camera: the header doesn't say where they begin."""
+"""Tables whose length is the same for all cameras, so their offsets are not in the header."""
 _TABLES = (
     *_FIXED, "corner_x", "corner_y", "rays", "tile_corners", "floor_settings",
     "sines", "feature", "threshold", "value", "obstacle_settings",
 )  # fmt: skip
 _HEADER = 32
-"""Words of the header, with room: whole cache lines."""
+"""Words of the header, rounded up to complete cache lines."""
 
 
 class Sizes(NamedTuple):
-    """What the arrays of a program are as large as."""
+    """Sizes of images and grid."""
 
     height: int
     width: int
-    side: int  # of a cell [pixel]
+    side: int  # side of a cell [pixel]
     rows: int
     columns: int
 
 
 @lru_cache(maxsize=64)
 def work_layout(rows: int, columns: int) -> Layout:
-    """What steps hand on: the grid of cells on the floor, and the floor's frame."""
+    """Return the layout of intermediate arrays: cells relative to the floor, and floor frame."""
     by_cell = "x", "y", "z", "nearest_pixel", "right", "forward", "height", "surface", "label"
     bools = "keep", "free_cell", "low"
     shapes = {"frame": (13,), **dict.fromkeys((*by_cell, *bools), (rows, columns))}
@@ -68,7 +68,7 @@ def work_layout(rows: int, columns: int) -> Layout:
 
 @lru_cache(maxsize=1)
 def record_layout() -> Layout:
-    """Results of a frame, see :class:`jaxdet.types.Obstacles` and :class:`jaxdet.types.Scene`."""
+    """Return the layout of a frame's results, fields of ``Obstacles`` and ``Scene``."""
     one, two, three = (MAX_OBSTACLES,), (MAX_OBSTACLES, 2), (MAX_OBSTACLES, 3)
     return Layout(
         {
@@ -87,7 +87,7 @@ def record_layout() -> Layout:
 
 
 def host_tables(calibration: Calibration, config: Config) -> tuple[Sizes, Tables]:
-    """The sizes and tables of all steps, on the host."""
+    """Return the sizes and the tables of all steps, on the host."""
     unit, camera = calibration.depth_unit, calibration.depth
     cells = cell_tables(calibration, config.surface)
     rows, columns = cells["rays"].shape[1:]
@@ -104,19 +104,19 @@ def host_tables(calibration: Calibration, config: Config) -> tuple[Sizes, Tables
     }
 
 
-def floors(known: GroundPlane, config: Config, unit: float) -> np.ndarray:
-    """The prior of each frame's floor as the program takes it, ``(B, 17)`` int32."""
-    prior = prior_units(known, Scale(unit, config.floor.noise_per_m))
-    return np.hstack([prior, floor_frames(known, unit)])
+def floors(planes: GroundPlane, config: Config, unit: float) -> np.ndarray:
+    """Return the prior of each frame's floor in the program's format, ``(B, 17)`` int32."""
+    prior = prior_units(planes, Scale(unit, config.floor.noise_per_m))
+    return np.hstack([prior, floor_frames(planes, unit)])
 
 
 def packed(sizes: Sizes, tables: Mapping[str, Array], device: Any) -> np.ndarray:
-    """The header and all tables of a program, int32; tables of floats bit by bit.
+    """Pack the header and all tables of a program as int32; tables of floats bit by bit.
 
     Args:
-        sizes: Of the images and the grid.
-        tables: By name; those that no step to be run reads may be missing.
-        device: Warp's device that the program runs on.
+        sizes: Sizes of the images and the grid.
+        tables: Tables by name; those that no executed step reads may be missing.
+        device: Warp device that the program runs on.
 
     Raises:
         ValueError: The grid has more than ``MAX_CONTOUR`` rows or columns.
@@ -139,7 +139,7 @@ def packed(sizes: Sizes, tables: Mapping[str, Array], device: Any) -> np.ndarray
 
 
 class Static(NamedTuple):
-    """Sizes that a compiled program is for; the header begins with them."""
+    """Sizes that a program is compiled for; the header begins with them."""
 
     rows: int
     columns: int
@@ -147,30 +147,30 @@ class Static(NamedTuple):
 
     @classmethod
     def of(cls, tables: np.ndarray) -> "Static":
-        """Reads the header."""
+        """Read the header."""
         return cls(*map(int, tables[:3]))
 
     def words(self, keep_work: bool = True) -> tuple[int, int, int]:
-        """Words of a frame's record, contours and work."""
+        """Return the number of words of a frame's record, contours and intermediate arrays."""
         work = work_layout(self.rows, self.columns).words if keep_work else 1
         return record_layout().words, MAX_OBSTACLES * self.columns * 2, work
 
 
 def launch(arrays: list[Any], scratch: Any, first: int, end: int, static: Static) -> None:
-    """Launches the steps ``STEPS[first:end]`` on Warp's arrays, on their device.
+    """Launch the steps ``STEPS[first:end]`` on Warp arrays, on their device.
 
     Args:
         arrays: Depth, floors, tables, record, contour and work, see :mod:`jaxdet_kernels.program`.
         scratch: ``(teams, words)`` int32 on CUDA; not used on the CPU.
-        first: Number of the first step.
-        end: Number of the one after the last.
+        first: Index of the first step.
+        end: Index after the last step.
         static: Sizes of the program.
     """
     depth, rows, columns = arrays[0], static.rows, static.columns
     if depth.device.is_cpu:
-        given = [*arrays, rows, columns, first, end - 1]
+        inputs = [*arrays, rows, columns, first, end - 1]
         words = work_layout(rows, columns).words + static.own_words
-        on_cores(kernels.frames, given, len(depth), words)
+        on_cores(kernels.frames, inputs, len(depth), words)
         return
     for step in _TEAMS[first:end]:
         step.launch([*arrays, scratch, rows, columns], len(depth), len(scratch))

@@ -1,6 +1,6 @@
-"""Tables of the kernels on depth images, of a camera and a configuration, made on the host.
+"""Tables for the kernels on depth images, from a camera and a configuration, made on the host.
 
-Tables and settings are int32, nothing longer than any length; ``program.h`` has their names.
+Tables and settings are int32, and lengths are clipped; ``program.h`` has the same names.
 """
 
 from typing import Any
@@ -32,26 +32,26 @@ from jaxdet.floor.units import Scale, stride
 from jaxdet.types import Array, Calibration, Distortion
 from jaxdet_kernels.align import PARAMETERS
 
-LIMIT = 1 << 30  # of a setting or of an entry of a table: no length is longer
+LIMIT = 1 << 30  # maximum of settings and entries of tables: no length is larger
 MOST_STEP, MOST_LIMIT = 1 << 16, 1 << 17
-"""Depths have 16 bits, bends 17: larger steps and limits mean the same."""
+"""Depths have 16 bits, bends 17: larger steps and limits have the same effect."""
 FARTHEST = 1 << 28
-"""Longer than any length that is compared [depth units]; products with it fit in 64 bits."""
-MOST_EVIDENCE = (1 << 15) - 1  # of a pair; 256 by 256 of them, added up, fit in 32 bits
+"""Larger than any length that is compared [depth units]; products with it fit in 64 bits."""
+MOST_EVIDENCE = (1 << 15) - 1  # maximum per pair; 256 by 256 of them sum up in 32 bits
 _MODELS = Distortion.NONE, Distortion.PLUMB_BOB, Distortion.RATIONAL, Distortion.EQUIDISTANT
-"""In the order of ``projection.h``."""
+"""Lens models in the order of ``projection.h``."""
 
 Tables = dict[str, Array]
-"""The tables and settings of a step, by the names in ``program.h``."""
+"""Tables and settings of a step, by their names in ``program.h``."""
 
 
 def kernel_table(values: ArrayLike) -> np.ndarray:
-    """Return a table or settings as kernels take them."""
+    """Return a table or settings as clipped int32."""
     return np.minimum(values, LIMIT).astype(np.int32)
 
 
 def kernel_tables(**values: ArrayLike) -> Tables:
-    """Return several of them by name."""
+    """Return several tables by name, as clipped int32."""
     return {name: kernel_table(one) for name, one in values.items()}
 
 
@@ -59,7 +59,7 @@ def cell_tables(calibration: Calibration, config: SurfaceConfig) -> Tables:
     """Return the tables of the grid of cells.
 
     Raises:
-        CalibrationError: The calibration can't be used.
+        CalibrationError: The calibration cannot be used.
     """
     side = cell_side(calibration.depth, config.cell_rad)
     steps = quadratic_table(config.step_m, config.step_per_m, calibration.depth_unit)
@@ -67,7 +67,7 @@ def cell_tables(calibration: Calibration, config: SurfaceConfig) -> Tables:
 
 
 def floor_tables(cells: int, config: FloorConfig, unit: float) -> Tables:
-    """Return the tables of the search for the floor in a grid of so many cells."""
+    """Return the tables of the floor search in a grid of ``cells`` cells."""
     settings = np.hstack(list(_floor_settings(cells, config, unit).values()))
     return kernel_tables(floor_settings=settings, sines=units.SINES.astype(np.int32))
 
@@ -76,8 +76,8 @@ def _floor_settings(cells: int, config: FloorConfig, unit: float) -> dict[str, A
     """Return the settings [depth units], in the order of ``floor_planes.h``.
 
     Args:
-        cells: Rows times columns.
-        config: What to correct and what to refuse.
+        cells: Number of cells of the grid, rows times columns.
+        config: Limits of corrections and reasons of refusal.
         unit: Metres in one depth unit.
     """
     scale = Scale(unit, config.noise_per_m)
@@ -85,7 +85,7 @@ def _floor_settings(cells: int, config: FloorConfig, unit: float) -> dict[str, A
     span, bin_bits = scale.length(units.STEEP_M), scale.bits(units.BIN_M)
     run_bits, rise_bits = scale.bits(units.RUN_M), scale.bits(units.RISE_M)
     return {
-        "stride": stride(cells, config),  # of the cells used, in rows and columns
+        "stride": stride(cells, config),  # subsampling of the cells, in rows and columns
         "max_depth": round(config.max_depth_m / unit),
         "noise": rough.noise,
         "rough": (rough.base, rough.per_z),
@@ -94,15 +94,15 @@ def _floor_settings(cells: int, config: FloorConfig, unit: float) -> dict[str, A
         "wide_per_z": scale.rough(units.STEP_DEG / 2).per_z,
         "lever_bits": scale.bits(units.LEVER_M),
         "bin_bits": bin_bits,
-        "span": span,  # heights are tried so far from a guess
-        # Bins at each end that are farther than most planes are looked for.
+        "span": span,  # range of heights around a guess
+        # Bins at each end that only the search for steep planes uses.
         "edge": (span - scale.length(units.NEAR_M)) >> bin_bits,
         "lowest": scale.length(units.HEIGHTS_M[0]),
         "highest": scale.length(units.HEIGHTS_M[1]),
         "rings": tuple(scale.length(m) for m in units.RINGS_M),
         "max_turn": round(config.max_turn_deg * units.ANGLES),
         "max_shift": scale.length(config.max_shift_m),
-        "min_share": round(1000 * config.min_share),  # in thousandths
+        "min_share": round(1000 * config.min_share),  # per mille
         "min_share_alone": round(1000 * config.min_share_alone),
         "table": scale.length(units.TABLE_M),
         "deep": scale.length(units.DEEP_M),
@@ -112,7 +112,7 @@ def _floor_settings(cells: int, config: FloorConfig, unit: float) -> dict[str, A
         "run_bits": run_bits,
         "rise_bits": rise_bits,
         "runs": round(units.FARTHEST_M / unit) >> run_bits,
-        # Heights of the profile above the plane, and below.
+        # Half the number of height bins of the profile: above the plane, and below.
         "half": round(units.HIGHEST_M / unit) >> rise_bits,
         "profile_base": scale.length(units.PROFILE_M),
         "ramp_near": round(units.RAMP_NEAR_M / unit),
@@ -125,7 +125,7 @@ def _floor_settings(cells: int, config: FloorConfig, unit: float) -> dict[str, A
 
 
 def surface_tables(calibration: Calibration, config: Config) -> Tables:
-    """Return the tables of surfaces; what is longer than any length is cut."""
+    """Return the tables of surfaces, clipped."""
     ground, surface, unit = config.ground, config.surface, calibration.depth_unit
     nearest, farthest = depth_range(ground.min_depth_m, ground.max_depth_m, unit)
     steps = quadratic_table(surface.step_m, surface.step_per_m, unit)
@@ -143,16 +143,16 @@ def surface_tables(calibration: Calibration, config: Config) -> Tables:
 
 
 def obstacle_tables(farthest: int, unit: float, config: ObstacleConfig, table: Affinity) -> Tables:
-    """Return the tables of what joins surfaces to obstacles.
+    """Return the tables of the step that groups surfaces into obstacles.
 
     Args:
         farthest: End of the range [depth units].
         unit: Metres in one depth unit.
         config: The gaps and sizes.
-        table: That of the configuration, in the same depth units.
+        table: Affinity table of the configuration, in the same depth units.
 
     Raises:
-        ValueError: The table's evidence could overflow when it is added up.
+        ValueError: Sums of the table's evidence could overflow.
     """
     most = int(np.abs(table.value).max(axis=1).sum()) + abs(table.offset)
     if most > MOST_EVIDENCE:
@@ -170,7 +170,7 @@ def obstacle_tables(farthest: int, unit: float, config: ObstacleConfig, table: A
 
 
 def outline_tables(calibration: Calibration, config: Config) -> Tables:
-    """Return the tables of outlines and measures."""
+    """Return the tables of outlines and measurements."""
     unit, footprint = calibration.depth_unit, config.footprint
     vertex, long = (round(m / unit) for m in (footprint.vertex_threshold_m, footprint.long_m))
     image, camera = calibration.image, calibration.depth
@@ -189,7 +189,7 @@ def outline_tables(calibration: Calibration, config: Config) -> Tables:
 
 
 def free_tables(calibration: Calibration, config: Config) -> Tables:
-    """Return the tables of free floor and of its rays."""
+    """Return the tables of the free floor and its rays."""
     floor, ground, unit = config.floor, config.ground, calibration.depth_unit
     bows = quadratic_table(ground.step_height_m, floor.bow_per_m, unit)
     drops = quadratic_table(floor.drop_m, floor.noise_per_m, unit)

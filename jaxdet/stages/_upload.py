@@ -1,4 +1,4 @@
-"""Batches from page-locked host memory to a CUDA device, while the last batch is computed."""
+"""Transfer of batches from page-locked host memory to a CUDA device during computation."""
 
 import ctypes
 import mmap
@@ -20,23 +20,24 @@ _PORTABLE = 1
 _BLOCKING_SYNC = 4
 """CU_CTX_SCHED_BLOCKING_SYNC: a thread that waits for the device sleeps."""
 _MADV_POPULATE_WRITE = 23
-"""Of ``madvise``."""
+"""Advice of ``madvise`` that allocates pages."""
 _POPULATING = 4
-"""Threads that do it: cores are for the workers, which start meanwhile."""
+"""Threads that allocate pages: most cores are needed by the workers, which start at the same
+time."""
 
 
 class Uploader:
-    """A ring of device buffers, filled on a stream of its own, and the way back on another.
+    """Ring of device buffers, filled on one stream, with downloads on another.
 
-    A buffer is filled again ``buffers`` uploads later; by then the results computed from it must be
-    ready, so wait for the batch before the last before uploading the next. One thread may upload
-    while another downloads.
+    A buffer is overwritten ``buffers`` uploads later; by then the results computed from it must be
+    ready, so wait for the batch before the previous one before uploading the next. One thread may
+    upload while another downloads.
 
     Args:
         arrays: Shape and NumPy type of each array of a batch, ``B`` first: depth images, and colour
             images where the method reads them.
-        device: Where to.
-        buffers: Length of the ring.
+        device: Target device of JAX.
+        buffers: Number of buffers of the ring.
     """
 
     def __init__(
@@ -57,10 +58,10 @@ class Uploader:
         self.uploads = 0
 
     def upload(self, pieces: Sequence[Sequence[np.ndarray]]) -> list[jax.Array]:
-        """Copies pieces of a batch to the device, one after the other.
+        """Copy pieces of a batch to the device, one after the other.
 
-        It waits for the copies, not for what is being computed. What is left of the batch has what
-        was there before.
+        Waits for the copies, not for computations. The rest of the buffer keeps its previous
+        contents.
 
         Args:
             pieces: Arrays of each piece, in the order of ``arrays``.
@@ -80,7 +81,7 @@ class Uploader:
         return [wp.to_jax(buffer) for buffer in buffers]
 
     def download(self, found: jax.Array, rows: Sequence[np.ndarray]) -> None:
-        """Waits for ``found`` ``(B, n)`` int32 and copies its rows, piece by piece."""
+        """Wait for ``found`` ``(B, n)`` int32 and copy its rows to the host, piece by piece."""
         source, start = wp.from_jax(jax.block_until_ready(found)), 0
         for piece in rows:
             to = _on_host(piece, INT32)
@@ -90,23 +91,24 @@ class Uploader:
 
 
 def _on_host(array: np.ndarray, kind: Any) -> wp.array:
-    """Contiguous memory as Warp has it, where it is."""
+    """Return contiguous memory as a Warp array, without a copy."""
     return wp.array(ptr=array.ctypes.data, dtype=kind, shape=(array.size,), device="cpu")
 
 
 class PageLock:
-    """Page-locked memory: all devices copy from and to it at the bus' full rate.
+    """Page-locked memory: all devices copy from and to it at the full rate of the bus.
 
-    CUDA does nothing else for this process while it locks memory, so blocks of it are locked one
-    by one, and threads ask the system for their pages before.
+    CUDA is blocked for this process while it locks memory, so memory is locked block by block, and
+    threads allocate the pages beforehand.
 
     Args:
-        memory: To be unlocked before it is closed.
+        memory: Memory map; unlock it before it is closed.
         device: One of the devices.
-        block: Bytes that are locked together, whole pages; a copy stays in one block. None: all.
+        block: Bytes that are locked together, a multiple of the page size; a copy must not cross
+            blocks. None: all.
 
     Raises:
-        OSError: CUDA can't lock it.
+        OSError: CUDA cannot lock the memory.
     """
 
     def __init__(self, memory: mmap.mmap, device: Any, block: int | None = None) -> None:
@@ -120,40 +122,40 @@ class PageLock:
             try:
                 for populated, (address, length) in zip(there, blocks, strict=True):
                     populated.result()
-                    given = ctypes.c_void_p(address), ctypes.c_size_t(length), portable
-                    _call(self._device, "cuMemHostRegister_v2", *given)
-                    self._locked.append(given[0])
+                    arguments = ctypes.c_void_p(address), ctypes.c_size_t(length), portable
+                    _call(self._device, "cuMemHostRegister_v2", *arguments)
+                    self._locked.append(arguments[0])
             except OSError:
                 self.unlock()
                 raise
 
     def unlock(self) -> None:
-        """Makes it usual memory again."""
+        """Unlock the memory."""
         while self._locked:
             _call(self._device, "cuMemHostUnregister", self._locked.pop())
 
 
 def _populate(address: int, size: int) -> None:
-    """Gets the pages of memory from the system, if it knows how (Linux 5.14); without the GIL."""
+    """Allocate the pages of memory without the GIL, if the system supports it (Linux 5.14)."""
     libc = ctypes.CDLL(None)
     libc.madvise(ctypes.c_void_p(address), ctypes.c_size_t(size), _MADV_POPULATE_WRITE)
 
 
 def wait_asleep(device: Any) -> None:
-    """Makes threads that wait for a device sleep: by default each keeps a core busy.
+    """Let threads that wait for a device sleep; by default each keeps a core busy.
 
     Raises:
-        OSError: CUDA refuses it.
+        OSError: CUDA rejects the setting.
     """
     of, number = wp.device_from_jax(device), ctypes.c_int()
     with registering:
-        _ = of.context  # which Warp makes when it is asked for
+        _ = of.context  # created by Warp on first access
     _call(of, "cuCtxGetDevice", ctypes.byref(number))
     _call(of, "cuDevicePrimaryCtxSetFlags_v2", number, ctypes.c_uint(_BLOCKING_SYNC))
 
 
 def _call(device: wp.Device, name: str, *arguments: Any) -> None:
-    """Calls CUDA's driver."""
+    """Call a function of the CUDA driver."""
     with device.context_guard:
         code = getattr(ctypes.CDLL("libcuda.so.1"), name)(*arguments)
     if code:

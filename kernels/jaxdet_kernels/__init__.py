@@ -1,1 +1,1 @@
-"""Warp kernels; they import Warp and nothing of jaxdet. ``native`` has C++ that several share."""
+"""Warp kernels; the package imports only Warp, and their C++ code is in ``include/jaxdet``."""

@@ -1,6 +1,7 @@
 """Stage 1, align: depth at pixels of the colour image. Twin of ``jaxdet/reference/_align.py``.
 
-A thread of the CPU or a team of threads on CUDA takes a frame; see ``include/jaxdet/alignment.h``.
+On the CPU a thread processes a frame, on CUDA a team of threads; see
+``include/jaxdet/alignment.h``.
 """
 
 import warp as wp
@@ -10,21 +11,21 @@ from jaxdet_kernels.build import options
 wp.set_module_options(options("alignment.h"))
 
 WIDTH, BLOCKS = 256, 4
-"""Threads of a team on CUDA, and how many teams are on a multiprocessor at once."""
+"""Threads per team on CUDA, and teams that are resident on a multiprocessor at once."""
 
 TILE = 8
 """Rows and columns of a tile of depth pixels, as in ``alignment.h``."""
 
 PARAMETERS = 26
-"""Length of the projection's parameters, see ``projection.h``; then come the colour camera's lens,
-whether a depth pixel covers all colour pixels between its corners, and height and width of the
-colour image, as floats."""
+"""Number of parameters of the projection, see ``projection.h``. They are followed by the colour
+camera's lens model, whether a depth pixel covers all colour pixels between its corners, and height
+and width of the colour image, as floats."""
 
 Depth, Keys = wp.array3d[wp.uint16], wp.array2d[wp.uint32]
 Rays, Bounds = wp.array3d[wp.float32], wp.array2d[wp.float32]
 Floats, Pixels, Words = wp.array[wp.float32], wp.array2d[wp.int32], wp.array[wp.int32]
 TYPES = Depth, Rays, Bounds, Floats, Pixels, Pixels, Keys, Pixels
-"""Of the arrays of a call, those of :func:`align`."""
+"""Types of the arrays of a call of :func:`align`."""
 
 
 @wp.func_native("""
@@ -58,15 +59,16 @@ def _align(
 def align(
     depth: Depth,  # (B, Hd, Wd) [depth units], 0 = no measurement
     rays: Rays,  # (2, Hd + 1, Wd + 1) x and y of the rays of the depth pixels' corners
-    tile_rays: Bounds,  # (tiles, 4) least and largest x, then y, of the rays of each tile's corners
+    # (tiles, 4) smallest and largest x, then y, of the rays of each tile's corners
+    tile_rays: Bounds,
     parameters: Floats,  # (PARAMETERS + 4,)
     u: Pixels,  # (B, N) columns of pixels of the colour image
     v: Pixels,  # rows
-    keys_out: Keys,  # (B, N) depth << 16 | z [depth units], 0 where nothing hits
-    scratch: Words,  # of a thread on the CPU, of all teams on CUDA
-    next: Words,  # (1,) first frame that no thread of the CPU has taken
+    keys_out: Keys,  # (B, N) depth << 16 | z [depth units], 0 if no depth pixel covers the pixel
+    scratch: Words,  # scratch memory of one thread on the CPU, of all teams on CUDA
+    next: Words,  # (1,) index of the first frame that no CPU thread has taken
 ):
-    """Take frames until none is left; teams on CUDA take them in turn."""
+    """Process frames until none is left; on CUDA, frames are assigned to teams in turn."""
     _align(wp.tid(), depth, rays, tile_rays, parameters, u, v, keys_out, scratch, next)
 
 
@@ -76,5 +78,5 @@ def _scratch_words(height: int, width: int, words: Words): ...
 
 @wp.kernel
 def scratch_words(height: int, width: int, words: Words):
-    """Words of scratch memory of a thread or a team; launched by one thread."""
+    """Write the number of scratch words per thread or team; launched with one thread."""
     _scratch_words(height, width, words)

@@ -1,8 +1,8 @@
 """Options of modules whose kernels call the C++ in ``include/jaxdet``.
 
-A kernel is a function of Warp's that passes its arguments to a native one, which has C++ as its
-text: a line or two that call what the headers declare. There a 2D array ``a`` of Warp's is
-``a.data`` and ``a.shape``.
+A kernel is a Warp function that passes its arguments to a native function, whose body is a line or
+two of C++ that call the headers. In it, a 2D Warp array ``a`` is accessed as ``a.data`` and
+``a.shape``.
 """
 
 from pathlib import Path
@@ -13,23 +13,23 @@ import warp as wp
 INCLUDE = Path(__file__).parent / "include"
 HEADERS = sorted(INCLUDE.glob("jaxdet/*.h"))
 CPU_FLAGS = "-march=native"
-"""Clang's flags of modules: the same, so that they share a compiled header of Warp's.
+"""Clang flags of all modules; equal flags let modules share a precompiled header of Warp.
 
-Warp's own also raise LLVM's limits of inlining, for all that a process compiles from then on. With
-them the floor takes four times as long to compile, and of all kernels the corners alone gain.
-"""
+Warp's default flags also raise LLVM's inlining limits for everything that the process compiles
+afterwards. With them the floor takes four times as long to compile, and only the corners run
+faster."""
 
 
 def options(*headers: str, cpu_flags: str | None = CPU_FLAGS) -> dict[str, Any]:
-    """Options for :func:`warp.set_module_options`: these headers come before the kernels.
+    """Return options for :func:`warp.set_module_options` that include headers before the kernels.
 
-    Every operation on floats is rounded on its own. ``block_dim`` is that of the CPU, for which
-    Warp's ahead-of-time functions take it from here; launches on CUDA say their own.
+    Every floating-point operation is rounded separately. ``block_dim`` is that of the CPU, where
+    Warp's ahead-of-time functions take it from here; launches on CUDA pass their own.
     ``extra_build_options`` are experimental in Warp.
 
     Args:
         headers: Names in ``include/jaxdet``.
-        cpu_flags: Clang's flags; None: Warp's own.
+        cpu_flags: Clang flags; None: Warp's defaults.
     """
     preamble = "".join(f'#include "jaxdet/{name}"\n' for name in headers)
     return {

@@ -1,7 +1,7 @@
 """Kernels that decode depth images of logs: PNG, RVL, metres. For the CPU only.
 
-One thread does a whole image, as threads of a CPU kernel run one after the other; images are
-decoded side by side because a launch does not hold Python's lock. Arrays are contiguous.
+One thread decodes a complete image, because the threads of a CPU kernel run one after the other;
+images are decoded in parallel because launches release the GIL. Arrays are contiguous.
 """
 
 import warp as wp
@@ -19,10 +19,10 @@ def _png_depth(lines: wp.array2d[wp.uint8], depth_out: wp.array2d[wp.uint16]): .
 
 @wp.kernel
 def png_depth(
-    lines: wp.array2d[wp.uint8],  # (H, 1 + 2 W) each begins with its filter
+    lines: wp.array2d[wp.uint8],  # (H, 1 + 2 W) lines, each preceded by its filter
     depth_out: wp.array2d[wp.uint16],  # (H, W)
 ):
-    """The lines of a 16-bit grey PNG to depth; filters are 0 to 4."""
+    """Decode the filtered lines of a 16-bit grey PNG; filters are 0 to 4."""
     _png_depth(lines, depth_out)
 
 
@@ -38,11 +38,11 @@ def _rvl(
 
 @wp.kernel
 def rvl(
-    stream: wp.array[wp.uint8],  # (N,) what follows the last pixel is not read
-    pixels_out: wp.array2d[wp.uint16],  # (H, W) partly written where the status is not 0
-    status_out: wp.array[wp.int32],  # (1,) 0 where all is well, else see RvlDecoder
+    stream: wp.array[wp.uint8],  # (N,) bytes after the last pixel are not read
+    pixels_out: wp.array2d[wp.uint16],  # (H, W) partly written if the status is not 0
+    status_out: wp.array[wp.int32],  # (1,) 0 on success, otherwise see RvlDecoder
 ):
-    """An RVL stream to its pixels."""
+    """Decode an RVL stream."""
     _rvl(stream, pixels_out, status_out)
 
 
@@ -61,8 +61,8 @@ def _depth_units(
 @wp.kernel
 def depth_units(
     metres: wp.array2d[wp.float32],  # (H, W)
-    unit_m: wp.float64,  # metres in a unit
+    unit_m: wp.float64,  # metres per depth unit
     units_out: wp.array2d[wp.uint16],  # (H, W)
 ):
-    """Metres to the nearest depth unit, halves to even; 0 where that is not of 1 to 65535."""
+    """Convert metres to the nearest depth unit, halves to even; 0 if that is not in 1 to 65535."""
     _depth_units(metres, unit_m, units_out)

@@ -1,6 +1,6 @@
 """Canny edges and Shi-Tomasi corners. Twin of the reference's ``_canny.py`` and ``_corners.py``.
 
-A thread of the CPU or a team of threads on CUDA takes a frame from its colours to its corners; see
+On the CPU a thread processes a frame from colours to corners, on CUDA a team of threads; see
 ``include/jaxdet/corners.h``.
 """
 
@@ -11,14 +11,14 @@ from jaxdet_kernels.build import options
 wp.set_module_options(options("corners.h"))
 
 WIDTH, BLOCKS = 256, 4
-"""Threads of a team on CUDA, and how many teams are on a multiprocessor at once."""
+"""Threads per team on CUDA, and teams that are resident on a multiprocessor at once."""
 
 Color, Rows, Words = wp.array4d[wp.uint8], wp.array2d[wp.int32], wp.array[wp.int32]
 TYPES = Color, Words, Rows, Rows, Words, Rows
-"""Of the arrays of a call, those of :func:`corners`."""
+"""Types of the arrays of a call of :func:`corners`."""
 
 MAX_SIZE = 4096  # a row and a column fit in 32 bits
-"""Most columns and rows of a colour image: places have 24 bits."""
+"""Maximum number of columns and rows of a colour image: pixel indices have 24 bits."""
 
 
 @wp.func_native("""
@@ -49,13 +49,13 @@ def _corners(
 def corners(
     color: Color,  # (B, H, W, 3) RGB
     settings: Words,  # (5,) see corners.h
-    u_out: Rows,  # (B, N) columns, strongest corner first; 0 where there is none
+    u_out: Rows,  # (B, N) columns, strongest corner first; 0 in empty slots
     v_out: Rows,  # rows
     found_out: Words,  # (B,) number of corners, at most N + 1
-    scratch: Words,  # of a thread on the CPU, of all teams on CUDA
-    next: Words,  # (1,) first frame that no thread of the CPU has taken
+    scratch: Words,  # scratch memory of one thread on the CPU, of all teams on CUDA
+    next: Words,  # (1,) index of the first frame that no CPU thread has taken
 ):
-    """Take frames until none is left; teams on CUDA take them in turn."""
+    """Process frames until none is left; on CUDA, frames are assigned to teams in turn."""
     _corners(wp.tid(), color, settings, u_out, v_out, found_out, scratch, next)
 
 
@@ -65,5 +65,5 @@ def _scratch_words(height: int, width: int, words: Words): ...
 
 @wp.kernel
 def scratch_words(height: int, width: int, words: Words):
-    """Words of scratch memory of a thread or a team; launched by one thread."""
+    """Write the number of scratch words per thread or team; launched with one thread."""
     _scratch_words(height, width, words)

@@ -1,6 +1,6 @@
-"""The method on depth images: a kernel for the CPU that does all steps, one for each step on CUDA.
+"""Method on depth images: one kernel with all steps for the CPU, one kernel per step for CUDA.
 
-``include/jaxdet/program.h`` calls the steps; ``jaxdet/stages/_program.py`` makes the arrays.
+``include/jaxdet/program.h`` calls the steps; ``jaxdet/stages/_program.py`` allocates the arrays.
 """
 
 from typing import Any
@@ -11,12 +11,12 @@ from jaxdet_kernels.build import options
 
 wp.set_module_options(options("program.h"))
 
-WIDTH = 256  # threads of a team on CUDA
+WIDTH = 256  # threads per team on CUDA
 Depth = wp.array3d[wp.uint16]
 Rows = wp.array2d[wp.int32]
 Words = wp.array[wp.int32]
 TYPES = Depth, Rows, Words, Rows, Rows, Rows, Rows
-"""Of the arrays of a call, those of a step's kernel."""
+"""Types of the arrays of a call of a step's kernel."""
 
 _BATCH = """
     const jaxdet::Batch batch{
@@ -51,19 +51,19 @@ def _frames(
 @wp.kernel
 def frames(
     depth: Depth,  # (B, Hd, Wd) [depth units], 0 = no measurement
-    floors: Rows,  # (B, 17) prior floors, then the floor frames where none is found
-    tables: Words,  # header, then the tables of a camera and a configuration
-    record: Rows,  # (B, words) results
-    contour: Rows,  # (B, M C 2) results, from left to right, right and forward
-    work: Rows,  # (B, work_words) what steps hand on, or (1, 1): not kept
-    rows: int,  # of the grid of cells
+    floors: Rows,  # (B, 17) prior floors, then the floor frames used if no floor is found
+    tables: Words,  # header, then the tables for a camera and a configuration
+    record: Rows,  # (B, words) records of results
+    contour: Rows,  # (B, M C 2) contours from left to right, right and forward
+    work: Rows,  # (B, work_words) intermediate arrays, or (1, 1) if they are not kept
+    rows: int,  # rows of the grid of cells
     columns: int,
-    first: int,  # step, see STEPS
+    first: int,  # index of the first step, see STEPS
     last: int,
-    scratch: Words,  # what steps hand on, then their scratch memory
+    scratch: Words,  # intermediate arrays, then scratch memory
     next: Words,
 ):
-    """Takes frames until none is left, on the CPU."""
+    """Process frames until none is left, on the CPU."""
     _frames(depth, floors, tables, record, contour, work, rows, columns, first, last, scratch, next)
 
 
@@ -77,12 +77,12 @@ def _scratch_words(tables: Words, rows: int, columns: int, words: Words): ...
 
 @wp.kernel
 def scratch_words(tables: Words, rows: int, columns: int, words: Words):
-    """Words of scratch memory of a thread or a team; launched by one thread."""
+    """Write the number of scratch words per thread or team; launched with one thread."""
     _scratch_words(tables, rows, columns, words)
 
 
 def _step(name: str, blocks: int) -> Any:
-    """The kernel of a step on CUDA: teams take the frames of a batch in turn."""
+    """Return the CUDA kernel of a step; the frames of a batch are assigned to teams in turn."""
 
     def native(
         tid: int,
@@ -130,7 +130,7 @@ def _step(name: str, blocks: int) -> Any:
 
 
 BLOCKS = 4
-"""Blocks that are on a multiprocessor of CUDA at once: a thread has up to 64 registers."""
+"""Blocks that are resident on a CUDA multiprocessor at once: a thread has up to 64 registers."""
 
 STEPS = {
     name: _step(name, BLOCKS)
@@ -144,4 +144,5 @@ STEPS = {
         "find_outlines",
     )
 }
-"""Kernels in the order in which they run; on CUDA, where :func:`frames` does nothing."""
+"""Kernels of the steps, in the order in which they run, for CUDA; on the CPU :func:`frames`
+runs."""

@@ -1,12 +1,12 @@
-"""The simulator's views: camera rays cast on triangle meshes, texture, light and shadow.
+"""Views of the simulator: camera rays cast on triangle meshes, texture, light and shadow.
 
-A view is a camera at a pose in a world; views of one or of different worlds go through one
-launch. Which triangle a ray meets is found in float32 by Warp's bounding volume hierarchy; the
-depth is then computed in float64 from the triangle's plane, so it is exact to rounding.
+A view is a camera at a pose in a world; views of one world or of several are rendered in one
+launch. The triangle that a ray hits is found in float32 by Warp's bounding volume hierarchy; the
+depth is then computed in float64 from the triangle's plane, so it is exact up to rounding.
 
-Triangles of all worlds lie one after the other; world ``w`` begins at ``first[w]``. A row of
-``looks`` is: pattern 0, colour 1-3, accent 4-6, period 7, grain 8, gloss 9, shift 10-11.
-A row of ``lamps`` is: direction to the lamp 0-2, radius of its disc at distance one 3.
+The triangles of all worlds are concatenated; those of world ``w`` begin at ``first[w]``. A row of
+``looks`` (surface appearance) is: pattern 0, colour 1-3, accent 4-6, period 7, grain 8, gloss 9,
+shift 10-11. A row of ``lamps`` is: direction to the lamp 0-2, radius of its disc at distance one 3.
 """
 
 import warp as wp
@@ -16,18 +16,18 @@ from jaxdet_kernels.build import CPU_FLAGS
 wp.set_module_options({"fuse_fp": False, "enable_backward": False, "cpu_compiler_flags": CPU_FLAGS})
 
 FAR = 200.0
-"""Nothing farther is seen [m]."""
+"""Maximum range of rays [m]."""
 SIZE = wp.constant(512)
-"""Side of a texture's finest image [texel]."""
+"""Side of the finest level of a texture [texel]."""
 LEVELS = wp.constant(8)
-"""Images of a texture, each half as wide as the one before."""
+"""Number of mipmap levels of a texture, each half as wide as the one before."""
 PERIODS = wp.constant(4.0)
-"""Periods of the pattern in an image."""
+"""Number of periods of the pattern per texture."""
 
 
 @wp.func
 def raycast_texel(patterns: wp.array2d[wp.vec3], row: int, level: int, s: float, t: float):
-    """Bilinear look-up in one image; ``s t`` in periods of the whole image."""
+    """Look up a texel bilinearly in one mipmap level; ``s t`` in units of the complete image."""
     n = SIZE >> level
     start = (SIZE * SIZE - n * n) * 4 // 3
     x = (s - wp.floor(s)) * float(n) - 0.5
@@ -53,7 +53,7 @@ def raycast_texture(
     st: wp.vec2,
     pixel: float,
 ):
-    """Colour of a place on a surface [grey levels]; ``pixel`` is what a pixel covers [m]."""
+    """Return the colour of a point on a surface [grey levels]; ``pixel`` is its footprint [m]."""
     span = PERIODS * looks[look, 7]
     s = st[0] / span + looks[look, 10]
     t = st[1] / span + looks[look, 11]
@@ -71,7 +71,7 @@ def raycast_texture(
 
 @wp.func
 def raycast_lamp(mesh: wp.uint64, lamp: wp.vec3, radius: float, samples: int, point: wp.vec3):
-    """Share of the lamp's disc that a point sees."""
+    """Return the fraction of the lamp's disc that is visible from a point."""
     side = wp.normalize(wp.cross(lamp, wp.vec3(0.31, 0.87, -0.38)))
     other = wp.cross(lamp, side)
     lit = wp.float32(0.0)
@@ -96,7 +96,7 @@ def raycast_light(
     eye: wp.vec3,
     gloss: float,
 ):
-    """The lamp's cosine times its seen share (Lambert), and its mirror image (Blinn)."""
+    """Return diffuse (Lambert, times the lamp's visible fraction) and specular light (Blinn)."""
     lamp = wp.vec3(lamps[b, 0], lamps[b, 1], lamps[b, 2])
     cosine = wp.dot(normal, lamp)
     if cosine <= 0.0 or wp.dot(flat, lamp) <= 0.0:
@@ -110,7 +110,7 @@ def raycast_light(
 def raycast_ray(
     poses: wp.array2d[wp.float64], pinholes: wp.array2d[wp.float64], b: int, v: int, u: int
 ):
-    """Direction of a pixel's ray in the world, 1 along the optical axis."""
+    """Return the direction of a pixel's ray in the world, with length 1 along the optical axis."""
     x = (wp.float64(u) - pinholes[b, 2]) / pinholes[b, 0]
     y = (wp.float64(v) - pinholes[b, 3]) / pinholes[b, 1]
     return wp.vec3d(
@@ -140,11 +140,10 @@ def raycast_view(
     color_out: wp.array3d[wp.vec3],
     light_out: wp.array3d[wp.vec3],
 ):
-    """A thread a pixel of a view.
+    """Render views, one thread per pixel.
 
-    ``face`` is the triangle (-1: none), ``depth`` z in the camera (inf: none), ``color`` the
-    surface's, ``light`` the lamp's cosine times the share of it that is seen, the mirrored lamp,
-    and the cosine between surface and view.
+    ``face`` is the triangle (-1: none), ``depth`` z in the camera (inf: none), ``color`` that of
+    the surface; ``light`` is diffuse light, specular light, and the cosine between normal and view.
     """
     b, v, u = wp.tid()
     world = world_of[b]
@@ -175,7 +174,8 @@ def raycast_view(
     eye = -wp.normalize(ray)
     facing = wp.max(wp.dot(normal, eye), 0.02)
     st = places[face, 0] * a + places[face, 1] * c + places[face, 2] * rest
-    # A pixel covers more where the surface is slanted; the root is between its two widths.
+    # The footprint of a pixel grows on slanted surfaces; the root is a compromise between its two
+    # widths.
     pixel = float(depth / pinholes[b, 0]) / wp.sqrt(facing)
     look = look_of[face]
     color_out[b, v, u] = raycast_texture(patterns, looks, look, st, pixel)
