@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from jaxdet.errors import CalibrationError, TopicError
-from jaxdet.io import LogOptions, RescanError, mcap_scan, open_log, store
+from jaxdet.io import LogOptions, RescanError, mcap_scan, open_log, opening, store
 from jaxdet.io import log as log_module
 from jaxdet.io.chunks import DamageError
 from jaxdet.io.mcap_file import McapFile
@@ -208,7 +208,7 @@ def test_memory_does_not_grow_with_the_log(tmp_path):
                 log.ros(DEPTH, image, at)
                 log.ros(COLOR, ros_image(scene.color[i % 8], "rgb8", at, COLOR_FRAME), at)
         tracemalloc.start()
-        with open_log(str(path)) as log:
+        with opening.open_log(str(path)) as log:
             assert sum(batch.frames.valid.sum() for batch in log.batches(4)) == count
             _, most = tracemalloc.get_traced_memory()
         tracemalloc.stop()

@@ -9,7 +9,7 @@ From the bytes of files to frames, by module::
     files, splits                   paths -> the files of each log
       formats, container            a file of any format: chunks of MCAP records by position, and
                                       its index
-        mcap_file, chunks             MCAP: mcap_summary, mcap_index; without these mcap_scan
+        mcap_file, chunks             MCAP: mcap_index; if that is damaged, mcap_scan
         bag                           ROS 1
         message_file                  messages one by one: sqlite (ROS 2), image_folder
       file_index                    where every message is: arrays, the same for all formats, by

@@ -21,15 +21,15 @@ from jaxdet.io.limits import ReadMemory, check_chunk, check_count, check_index
 _MAX_PARTS = 512
 """Buffers filled by one call, fewer than any system's limit."""
 _PASSING = errno.EIO, errno.ETIMEDOUT
-"""What disks and file servers say that may come back."""
+"""Errors of disks and file servers that may pass."""
 _WAITS_S = 0.1, 0.5, 2.0
-"""Before a read that failed so is tried again."""
+"""Pauses before a read that failed so is repeated."""
 _PATIENCE_S = 30.0
-"""So long in all for each file: one that has many bad places is not waited for at each of them."""
+"""Sum of the pauses per file, which may have many bad places."""
 
 
 class FileState(NamedTuple):
-    """By what a file is known again."""
+    """Properties by which a changed file is recognised."""
 
     device: int
     inode: int
@@ -48,18 +48,18 @@ class LogFile(ABC):
     Args:
         path: The file.
         max_bytes: Largest chunk or message, before and after decompression.
-        state: What it must still be; default: as it is found.
+        state: State that the file must still have; default: its present one.
 
     Raises:
         InputError: It can't be opened, has another format, or is not as ``state`` says.
     """
 
     magic: bytes
-    """What it begins with."""
+    """First bytes of the file."""
     kind: str
-    """The format's name, for people."""
+    """Name of the format, for messages."""
     memory: ReadMemory = ReadMemory()
-    """What takes more is refused."""
+    """Limits of the memory for reading."""
 
     def __init__(self, path: Path, max_bytes: int, state: FileState | None = None) -> None:
         self.path, self.max_bytes = path, max_bytes

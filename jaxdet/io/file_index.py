@@ -21,26 +21,26 @@ MAX_CHANNEL = 0xFFFF
 
 
 class FileIntegrity(NamedTuple):
-    """What was read of a file, and what was lost."""
+    """Result of the checks of a file: what was read of it, and what was lost."""
 
     path: Path
     messages: int = 0
-    """Messages found."""
+    """Number of messages found."""
     declared_messages: int | None = None
-    """Messages the file's statistics speak of; None without."""
+    """Number of messages by the file's statistics; None without."""
     has_end: bool = True
     """Whether the data end and the file's closing magic are there."""
     chunks: int = 0
     chunks_with_crc: int = 0
     lost: Mapping[str, int] = {}
-    """How many records or chunks were rejected, by reason."""
+    """Number of rejected records and chunks by reason."""
     lost_bytes: int = 0
     lost_spans_ns: tuple[tuple[int, int], ...] = ()
-    """Log times of the rejected chunks, by their own word."""
+    """Log times that the heads of rejected chunks state."""
     last_log_time_ns: int = 0
-    """Of the messages found."""
+    """Last log time of the messages found."""
     missing: Mapping[str, int] = {}
-    """How many messages of each topic statistics or message indexes count that were not found."""
+    """Number of messages by topic that statistics or message indexes count, but that are lost."""
     summary_problem: str = ""
     """Why the file has no summary that can be read; empty if it has one."""
     by_index: bool = False
@@ -104,11 +104,11 @@ class FileIndex(NamedTuple):
     log_ns: np.ndarray
     """Log time [ns]."""
     position: np.ndarray
-    """Of the message's chunk, see :meth:`jaxdet.io.container.LogFile.chunk_head`."""
+    """Position of the message's chunk, see :meth:`jaxdet.io.container.LogFile.chunk_head`."""
     length: np.ndarray
-    """Of the chunk's content."""
+    """Length of the chunk's content."""
     offset: np.ndarray
-    """Of the message's record in the decompressed chunk."""
+    """Offset of the message's record in the decompressed chunk."""
 
 
 def file_index(

@@ -20,9 +20,9 @@ from jaxdet.io.mcap_scan import rebuild_mcap_index
 
 _HEAD_BYTES = 128
 _BEGIN_BYTES = 192 << 10
-"""Of a packed chunk, enough for the first block of zstd."""
+"""Bytes of a packed chunk that hold the first block of zstd."""
 _PACKED_BYTES = 16 << 20
-"""Of a packed chunk that is read into memory which its thread keeps."""
+"""Maximum size of a packed chunk that is read into memory of its thread."""
 _of_thread = local()
 
 
@@ -83,7 +83,7 @@ class McapFile(LogFile):
 
 
 def _packed_memory(size: int) -> memoryview:
-    """Memory for a packed chunk, until the thread's next call.
+    """Return memory for a packed chunk, until the thread's next call.
 
     It stays in a core's cache, where fresh memory would be fetched, written and read once more.
     """

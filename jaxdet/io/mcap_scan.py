@@ -32,7 +32,7 @@ from jaxdet.io.container import LogFile
 from jaxdet.io.declarations import ChannelInfo, Declarations
 from jaxdet.io.file_index import FileIndex
 from jaxdet.io.limits import MAX_ODD_RECORDS
-from jaxdet.io.mcap_summary import Summary, read_summary
+from jaxdet.io.mcap_index import Summary, read_summary
 from jaxdet.io.walk import Walk
 
 _INDEX_HEAD = struct.Struct("<HI")

@@ -11,7 +11,7 @@ from jaxdet.io.messages import Kind
 from jaxdet.io.store import ChunkStore, Place
 
 _FIRST_BYTES = 1024
-"""Read at once of a message of unknown size."""
+"""Bytes that are read first of a message of unknown size."""
 
 
 class IndexedMessages(NamedTuple):
@@ -22,11 +22,11 @@ class IndexedMessages(NamedTuple):
     file: np.ndarray
     """Number of the log's file."""
     position: np.ndarray
-    """Of the chunk in the file, see :meth:`jaxdet.io.container.LogFile.chunk_head`."""
+    """Position of the chunk in the file, see :meth:`jaxdet.io.container.LogFile.chunk_head`."""
     length: np.ndarray
-    """Of the chunk's content in the file."""
+    """Length of the chunk's content in the file."""
     offset: np.ndarray
-    """Of the message's record in the decompressed chunk."""
+    """Offset of the message's record in the decompressed chunk."""
     channel: np.ndarray
     """Number of the channel in the file."""
     decoder: np.ndarray

@@ -25,10 +25,10 @@ class Walk:
     def __init__(self, file: LogFile) -> None:
         self._file = file
         self.lost: Counter[str] = Counter()
-        """What could not be used, by reason."""
+        """Number of parts that could not be used, by reason."""
         self.lost_bytes = self.last_ns = 0
         self.read: Counter[int] = Counter()
-        """Messages, by the number of their channel."""
+        """Number of messages by channel."""
         self._infos: dict[int, ChannelInfo] = {}
         self._messages = tuple(array("q") for _ in range(5))
 
