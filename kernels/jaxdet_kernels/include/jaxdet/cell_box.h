@@ -13,7 +13,7 @@ struct CellBoxes {
     const int* last;                   // the image's last column and row
     bool aligned;
 
-    // Extends the extents of columns and rows by cell k, measured at depth d.
+    // Extends `across` (columns) and `down` (rows) by cell k, measured at depth d.
     void add(int k, int d, Extremes* across, Extremes* down) const {
         const int row = k / columns, column = k - row * columns;
         if (aligned) {
