@@ -65,7 +65,8 @@ def read_depth(path: Path, unit_m: float, coding: str = "") -> np.ndarray:
     if image is None or image.ndim != 2:
         raise InputError("no depth image can be read", path=str(path))
     if coding == "sunrgbd":
-        image = (image >> SUN_TURN) | (image << (16 - SUN_TURN))
+        turned = np.asarray(image, np.uint16)
+        image = np.right_shift(turned, SUN_TURN) | np.left_shift(turned, 16 - SUN_TURN)
     millimetres = np.nan_to_num(image * (unit_m / 0.001), posinf=0, neginf=0)
     return np.clip(np.rint(millimetres), 0, 65535).astype(np.uint16)
 
