@@ -59,6 +59,8 @@ class Lab:
         self.store, self.pool = Store(folder, pool), pool
         self.sections: dict[str, Section] = {}
         self.recordings: tuple[Path, ...] = ()
+        self.sunrgbd: Path | None = None
+        self.scenes = 0
         self.quiet, self.rehearsal = False, rehearsal
         self.rivals = tuple(rivals)
         self.start = time.perf_counter()
