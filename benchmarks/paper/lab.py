@@ -61,6 +61,7 @@ class Lab:
         self.recordings: tuple[Path, ...] = ()
         self.sunrgbd: Path | None = None
         self.scenes = 0
+        self.detector: Path | None = None
         self.quiet, self.rehearsal = False, rehearsal
         self.rivals = tuple(rivals)
         self.start = time.perf_counter()

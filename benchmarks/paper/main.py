@@ -105,6 +105,8 @@ class Options:
     """Folder of SUN RGB-D, or of some of its scenes, for the experiment ``sunrgbd``."""
     scenes: int = 0
     """How many scenes of it are scored, evenly over all; 0: all."""
+    detector: Path | None = None
+    """Folder of centernet.json and centernet.bin, for the experiment ``table3`` (TensorFlow)."""
     frames: Path | None = None
     """Keeps the simulated frames here for the next run of the same code; by default they go."""
     workers: int = 0
@@ -129,6 +131,7 @@ def main(options: Options) -> int:
         lab = Lab(counts, folder, pool, rehearsal=rehearsal, rivals=options.rivals or RIVALS)
         lab.recordings = options.recordings or (BESIDE,)
         lab.sunrgbd, lab.scenes = options.sunrgbd, options.scenes
+        lab.detector = options.detector
         sections = run(lab, options.only or tuple(EXPERIMENTS))
         for number, place in enumerate(options.recordings):
             lab.log(f"pictures of {place.name}")
