@@ -196,7 +196,7 @@ def labels_of_scene(scene: SunScene, standing: bool) -> FrameLabels:
     for polygon, mask in zip(scene.polygons, masks, strict=True):
         floor &= ~mask | polygon.is_floor
     seen = (floor & (z_m > 0)).sum() >= MIN_PLANE_PIXELS
-    height_m = heights(z_m, floor, camera) if seen else np.full(z_m.shape, np.inf)
+    height_m = heights(z_m, floor, camera) if seen else z_m
     boxes, distance, known = [], [], floor.copy()
     for polygon, mask in zip(scene.polygons, masks, strict=True):
         v, u = np.nonzero(mask)
@@ -205,7 +205,7 @@ def labels_of_scene(scene: SunScene, standing: bool) -> FrameLabels:
             continue
         box, near = (u.min(), v.min(), u.max(), v.max()), near_surface(z_m[measured])
         large = min(box[2] - box[0], box[3] - box[1]) + 1 >= MIN_SIDE * width
-        stands = np.quantile(height_m[measured], LOWEST) <= STANDS_M
+        stands = seen and np.quantile(height_m[measured], LOWEST) <= STANDS_M
         if near <= MAX_DEPTH_M and large and (stands or not standing):
             boxes.append(box)
             distance.append(near)

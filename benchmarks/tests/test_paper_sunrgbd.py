@@ -1,12 +1,16 @@
 """SUN RGB-D in the report: a made scene folder, read, judged and pictured."""
 
+import importlib.machinery
+import importlib.util
 import json
 import math
+import shutil
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from scipy.io import savemat
 
 pytest.importorskip("matplotlib")
 
@@ -160,3 +164,37 @@ def test_labels_that_are_none(tmp_path, text):
     path.write_text(text)
     with pytest.raises(InputError, match="no labels of SUN RGB-D"):
         sun_scenes.read_polygons(path)
+
+
+def test_scenes_are_assembled_of_parts(made, tmp_path):
+    """A scene whose points are those that VoteNet's preparation makes is the scene again."""
+    path = Path(__file__).parents[2] / "scripts/sunrgbd_scenes"
+    loader = importlib.machinery.SourceFileLoader("sunrgbd_scenes", str(path))
+    spec = importlib.util.spec_from_loader(loader.name, loader)
+    assert spec is not None
+    script = importlib.util.module_from_spec(spec)
+    loader.exec_module(script)
+    expected = read_scene(made / "kv1/a", made).frames
+    camera, z = expected.calibration.image, expected.depth[0] / 1000
+    v, u = np.nonzero(z)
+    x, y = (u + 1 - camera.cx) / camera.fx, (v + 1 - camera.cy) / camera.fy
+    lean = math.radians(10)
+    turned = [[1, 0, 0], [0, math.cos(lean), math.sin(lean)], [0, -math.sin(lean), math.cos(lean)]]
+    points = (np.stack([x, np.ones(len(x)), -y]) * z[v, u]).T @ np.array(turned).T
+    savemat(tmp_path / "points.mat", {"instance": np.hstack([points, np.zeros_like(points)])})
+    columns = [np.array(turned).T.ravel(), camera.K.T.ravel()]
+    np.savetxt(tmp_path / "calib.txt", columns)
+    (tmp_path / "boxes.txt").write_text("chair 10 20 30 40 1 2 3\n")
+    (tmp_path / "image").mkdir()
+    shutil.copy(made / "kv1/a/image/0001.jpg", tmp_path / "image")
+    source = {"commit": "abc", "files": {"image": "image"}, "size": [WIDTH, HEIGHT]}
+    source |= {"points": "points.mat", "calibration": "calib.txt", "boxes": "boxes.txt"}
+    script.copy_files(source, tmp_path, tmp_path / "scene")
+    script.convert_points(source, tmp_path, tmp_path / "scene")
+    scene = read_scene(tmp_path / "scene", tmp_path)
+    assert (scene.frames.depth == expected.depth).all()
+    assert scene.polygons is not None and scene.polygons[0].name == "chair"
+    assert scene.polygons[0].points.tolist() == [[10, 20], [40, 20], [40, 60], [10, 60]]
+    assert scene.down == pytest.approx([0, math.cos(lean), math.sin(lean)])
+    with pytest.raises(InputError, match="the recipe wants commit abc"):
+        script.copy_files({**source, "files": {"image": "none"}}, tmp_path, tmp_path / "other")
