@@ -159,6 +159,16 @@ template <class T> T __shfl_xor_sync(unsigned mask, T value, int by) {
     check_complete(mask);
     return shuffled("xor", value, (threadIdx.x % 32) ^ by);
 }
+inline int __float_as_int(float value) {
+    int bits;
+    memcpy(&bits, &value, sizeof bits);
+    return bits;
+}
+inline float __int_as_float(int bits) {
+    float value;
+    memcpy(&value, &bits, sizeof value);
+    return value;
+}
 inline unsigned __ballot_sync(unsigned mask, int mine) {
     check_complete(mask);
     const auto& all = Simt::one().warp("ballot", mine != 0);

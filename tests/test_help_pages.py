@@ -49,7 +49,7 @@ OTHERS = ("--dst", "--dst-storage", "--src", "--system-site-packages", "--only",
 OTHERS += ("--array", "--array-properties", "--container-properties", "--cpus-per-task", "--gres")
 OTHERS += ("--job-definition", "--job-definition-name", "--job-name", "--job-queue", "--requeue")
 OTHERS += ("--retry-strategy", "--type")
-OTHERS += ("--judge", "--laws", "--rivals")
+OTHERS += ("--detector", "--judge", "--laws", "--rivals", "--scenes", "--sunrgbd")
 OTHERS += ("--launch-file", "--ros-args")
 """Flags of other programs, and of ``python -m jaxdet.ros2``."""
 

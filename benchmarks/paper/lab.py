@@ -59,6 +59,9 @@ class Lab:
         self.store, self.pool = Store(folder, pool), pool
         self.sections: dict[str, Section] = {}
         self.recordings: tuple[Path, ...] = ()
+        self.sunrgbd: Path | None = None
+        self.scenes = 0
+        self.detector: Path | None = None
         self.quiet, self.rehearsal = False, rehearsal
         self.rivals = tuple(rivals)
         self.start = time.perf_counter()

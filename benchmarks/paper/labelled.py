@@ -152,3 +152,13 @@ def _arrays(
     )
     distance = np.array([metres for _, metres, kind in rows if kind == "obstacle"], np.float64)
     return boxes, distance, ignored
+
+
+def read_names(path: Path) -> dict[int, list[str]]:
+    """Return the names of the obstacles of a recording's frames, in the order of their boxes."""
+    names: dict[int, list[str]] = {}
+    for line in path.read_text(encoding="utf-8").splitlines():
+        if line.strip() and not line.startswith("#"):
+            frame, *_, kind, name = line.split(None, 7)
+            names.setdefault(int(frame), []).extend([name] * (kind == "obstacle"))
+    return names

@@ -36,6 +36,7 @@ from benchmarks.paper import (
     mounts,
     realdata,
     realframes,
+    sunrgbd,
     table1_indices,
     table2_detection,
     table3_detectors,
@@ -70,6 +71,7 @@ EXPERIMENTS: dict[str, Callable[[Lab], Section]] = {
     "cases": cases.run,
     "failures": failures.run,
     "realframes": realframes.run,
+    "sunrgbd": sunrgbd.run,
     "goals": goals.run,
 }
 """In the order in which they run; the goals are judged last and stand first."""
@@ -99,6 +101,12 @@ class Options:
     recordings: tuple[Path, ...] = ()
     """Folders of real recordings, to be pictured; labelled ones are also looked for in and beside
     them, by default in ../shared/data, for the experiment ``realframes``."""
+    sunrgbd: Path | None = None
+    """Folder of SUN RGB-D, or of some of its scenes, for the experiment ``sunrgbd``."""
+    scenes: int = 0
+    """How many scenes of it are scored, evenly over all; 0: all."""
+    detector: Path | None = None
+    """Folder of centernet.json and centernet.bin, for the experiment ``table3`` (TensorFlow)."""
     frames: Path | None = None
     """Keeps the simulated frames here for the next run of the same code; by default they go."""
     workers: int = 0
@@ -122,6 +130,8 @@ def main(options: Options) -> int:
             counts = replace(counts, test_seeds=options.seeds)
         lab = Lab(counts, folder, pool, rehearsal=rehearsal, rivals=options.rivals or RIVALS)
         lab.recordings = options.recordings or (BESIDE,)
+        lab.sunrgbd, lab.scenes = options.sunrgbd, options.scenes
+        lab.detector = options.detector
         sections = run(lab, options.only or tuple(EXPERIMENTS))
         for number, place in enumerate(options.recordings):
             lab.log(f"pictures of {place.name}")

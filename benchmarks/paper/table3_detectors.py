@@ -7,6 +7,7 @@ import numpy as np
 from benchmarks.paper import paper_figures
 from benchmarks.paper.lab import Lab
 from benchmarks.paper.measure import Measured, measured
+from benchmarks.paper.people import add_people
 from benchmarks.paper.plan import SCENES
 from benchmarks.paper.section import Section, percent
 from benchmarks.paper.shots import Shot
@@ -35,6 +36,7 @@ def run(lab: Lab) -> Section:
             rows.append([name, "not run: weights not public", "", "", "", "", *_paper(paper)])
     header = ["Method", "ACC", "Precision", "Recall", "F1", "Time here [s]"]
     section.table([*header, "paper: ACC, P, R, F1", "paper: time, TX2 [s]"], rows)
+    add_people(lab, section)
     return section
 
 

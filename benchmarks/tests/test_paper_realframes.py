@@ -13,7 +13,7 @@ from scipy.io import savemat
 
 pytest.importorskip("matplotlib")
 
-from benchmarks.paper import labelled, realframes, section
+from benchmarks.paper import labelled, realframes, section, stills
 from benchmarks.paper.lab import Lab
 from benchmarks.paper.labelled import BOXES, RECORDINGS, Recording, find_recordings, read_boxes
 from benchmarks.paper.plan import Counts
@@ -200,3 +200,46 @@ def test_stills_of_repositories_become_logs(tmp_path):
     command[2] = str(tmp_path / "rooms")
     run = subprocess.run(command, check=False, capture_output=True, text=True, env=environment)
     assert run.returncode == 2 and run.stderr.count("\n") == 1 and "no clone" in run.stderr
+
+
+def test_public_recipe():
+    recipe = stills.read_recipe(stills.PUBLIC)
+    rooms = stills.read_recipe(stills.ROOMS)
+    names = [room["name"] for room in recipe]
+    assert len(set(names)) == len(names) and not set(names) & {room["name"] for room in rooms}
+    assert not {room["repository"] for room in recipe} & {room["repository"] for room in rooms}
+    splits: dict[str, set[str]] = {}
+    for room in recipe:
+        assert room["place"] in ("room", "corridor", "outdoor", "table")
+        assert len(room["color"]) == 4 and len(room["size"]) == 2 and 1 <= len(room["frames"]) <= 8
+        assert len(room["commit"]) == 40 and 0.0001 <= room["depth_unit_m"] <= 0.001
+        splits.setdefault(room["repository"], set()).add(room["split"])
+    assert all(split in ({"learn"}, {"last"}) for split in splits.values())
+
+
+def test_pictures_for_labels(tmp_path):
+    clone = tmp_path / "clones" / "some+one"
+    clone.mkdir(parents=True)
+    color = np.full((120, 200, 3), (10, 20, 30), np.uint8)
+    cv2.imwrite(str(clone / "color.png"), color)
+    millimetres = np.zeros((60, 100), np.uint16)
+    millimetres[10:50, 20:70] = 1501
+    cv2.imwrite(str(clone / "depth.png"), (millimetres << 3) | (millimetres >> 13))
+    room = {"name": "one", "repository": "some/one", "size": [100, 60], "split": "last"}
+    room |= {
+        "depth_unit_m": 0.001,
+        "depth_coding": "sunrgbd",
+        "frames": [["color.png", "depth.png"]],
+    }
+    (tmp_path / "recipe.json").write_text(json.dumps([room]))
+    script = str(Path(__file__).parents[2] / "scripts" / "rooms_to_mcap")
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    command = [sys.executable, script, str(tmp_path / "clones"), str(tmp_path / "out"), "--look"]
+    command += ["--recipe", str(tmp_path / "recipe.json")]
+    subprocess.run(command, check=True, capture_output=True, env=environment)
+    frame = tmp_path / "out" / "frames" / "one_0"
+    np.testing.assert_array_equal(np.load(frame / "depth.npy"), millimetres)
+    assert (cv2.imread(str(frame / "color.png")) == (10, 20, 30)).all()
+    assert "split" not in json.loads((frame / "meta.json").read_text())
+    look = cv2.imread(str(tmp_path / "out" / "look" / "one_0.png"))
+    assert look.shape[0] == stills.PICTURE_HEIGHT + stills.MARGIN
