@@ -14,7 +14,7 @@ import pytest
 from jaxdet import engine
 from jaxdet.cli.truth import TruthScore
 from jaxdet.config import ClusterConfig, Config, GroundConfig
-from jaxdet.engine import decide_planes, log_job
+from jaxdet.engine import decide_planes, process_log
 from jaxdet.engine.floors import evenly
 from jaxdet.engine.unit import _ahead
 from jaxdet.errors import FrameStatus, InputError, Interrupted
@@ -157,7 +157,7 @@ def fake_logs(
             raise InputError("not an MCAP file", path="broken.mcap")
         return FakeLog()
 
-    monkeypatch.setattr(log_job, "open_log", fake_open)
+    monkeypatch.setattr(process_log, "open_log", fake_open)
     folder, names = tmp_path_factory.mktemp("fake"), ("fake", "broken", "a/b")
     paths = [folder / f"{name.replace('/', '_')}.mcap" for name in names]
     for path in paths:
