@@ -22,7 +22,7 @@ from jaxdet.sim import SimConfig, write_log
 from tests.pools import same_results
 from tests.runs import run_logs
 
-HOW = {"backend": "reference", "pictures": 1, "preset": "wheeled"}
+HOW = {"pictures": 1, "preset": "wheeled"}
 
 
 @pytest.fixture(scope="module")
