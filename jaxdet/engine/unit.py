@@ -160,44 +160,44 @@ class _InFlight(NamedTuple):
 
 
 class _ResultBuilder:
-    """The part of a unit, batch by batch; its rows are made at once, as arrays of all frames."""
+    """Collects the batches of a unit; its rows are made at once, as arrays of all frames."""
 
     def __init__(self, plan: LogPlan) -> None:
         self.plan = plan
         self.held: list[tuple[Batch, GroundPlane, RowInputs]] = []
         """What rows need of each batch."""
-        seen = {name: [] for name in plan.observers}
-        none = Tables.joined(())
-        self.part = UnitResult(Counts(), none, OccupancyMap(), [], [], seen, [])
+        self.errors: list[str] = []
+        self.pictures: list[str] = []
+        self.seen: dict[str, list[Any]] = {name: [] for name in plan.observers}
 
     def add(self, one: _InFlight, found: Found) -> None:
-        """Uses what was found in a batch."""
-        plan, part, batch = self.plan, self.part, one.batch
-        count = len(batch.status)
-        plane = GroundPlane(*(known[:count] for known in one.plane))
+        """Add a batch and what was found in it."""
+        batch, count = one.batch, len(one.batch.status)
+        plane = GroundPlane(*(part[:count] for part in one.plane))
         self.held.append((batch.without_images(), plane, used_slots(found.inputs, count)))
         errors = zip(one.numbers, batch.errors, strict=True)
-        part.errors.extend(f"frame {number}: {error}" for number, error in errors if error)
+        self.errors += [f"frame {number}: {error}" for number, error in errors if error]
         if found.whole is not None:
             shown = shown_planes(found.inputs, one.plane, batch.frames.calibration)
-            part.pictures.extend(self._draw(one, found.whole, shown))
-            for name, observer in plan.observers.items():
-                part.seen[name].append(observer(batch, found.whole))
+            self.pictures += self._draw(one, found.whole, shown)
+            for name, observer in self.plan.observers.items():
+                self.seen[name].append(observer(batch, found.whole))
 
     def complete(self) -> UnitResult:
-        """Return the part, when all batches are in it."""
-        plan, part = self.plan, self.part
+        """Return the result of the unit, when all batches are added."""
+        plan, counts, occupancy = self.plan, Counts(), OccupancyMap()
         batches, planes, inputs = zip(*self.held, strict=True)
         batch = batches[0].joined(batches)
         sources = plan.planes.sources(batch.frames.stamp_ns)
         given = batch, join_planes(planes), sources, joined_inputs(inputs), plan.config
         rows = batch_rows(plan.log, plan.camera, *given)
-        part.counts.count(rows.frames, rows.obstacles)
+        counts.count(rows.frames, rows.obstacles)
         if plan.maps:
-            part.map.add_path(rows.T_world_camera)
-            part.map.add(rows.obstacles["corners_world"])
-            part.map.add_free(rows.free_world)
-        return part._replace(rows=Tables.of(rows.frames, rows.obstacles), notes=[batch.notes])
+            occupancy.add_path(rows.T_world_camera)
+            occupancy.add(rows.obstacles["corners_world"])
+            occupancy.add_free(rows.free_world)
+        tables, notes = Tables.of(rows.frames, rows.obstacles), [batch.notes]
+        return UnitResult(counts, tables, occupancy, self.errors, self.pictures, self.seen, notes)
 
     def _draw(self, one: _InFlight, found: Detections, plane: GroundPlane) -> Iterator[str]:
         plan, frames = self.plan, one.batch.frames._replace(plane=plane)
