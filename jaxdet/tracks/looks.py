@@ -19,6 +19,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from jaxdet.io.motion import motion_matrix
+from jaxdet.results.arrow import list_array, vectors
 from jaxdet.results.free_floor import RAY_RAD, FreeFloor, ray_bearings
 from jaxdet.results.metric import TILT, tilted, to_world
 from jaxdet.results.occupancy import CELL_M, TILE
@@ -173,7 +174,7 @@ def free_floor(frames: pa.Table) -> FreeFloor:
     names = "free_bearing_rad", "free_from_m", "free_to_m", "free_end"
     count = _lengths(frames[names[0]])
     frame = np.repeat(np.arange(len(count)), count)
-    columns = [_lists(frames[name]).flatten().to_numpy() for name in names]
+    columns = [list_array(frames[name]).flatten().to_numpy() for name in names]
     ray = np.rint(columns[0].astype(np.float64) / RAY_RAD).astype(np.int64) + RAYS // 2
     bearing, way = (np.broadcast_to(row, (len(count), RAYS)) for row in ray_bearings())
     seen, end = np.zeros((2, len(count), RAYS), np.int8)
@@ -186,7 +187,7 @@ def free_floor(frames: pa.Table) -> FreeFloor:
 def contours(chunk: Chunk, T_world_camera: np.ndarray) -> Lines:
     """Return the contours of all obstacles of a chunk."""
     count = _lengths(chunk.obstacles["contour"]) // 2
-    values = _lists(chunk.obstacles["contour"]).flatten().to_numpy().astype(np.float64)
+    values = list_array(chunk.obstacles["contour"]).flatten().to_numpy().astype(np.float64)
     frame = np.repeat(np.arange(len(T_world_camera)), np.diff(chunk.first))
     T = T_world_camera[np.repeat(frame, count)]
     return Lines(_in_world(values.reshape(-1, 2), T), count)
@@ -202,20 +203,6 @@ def _falling(values: np.ndarray) -> list[int]:
     return np.unique(values)[::-1].tolist()
 
 
-def _lists(column: pa.ChunkedArray) -> pa.ListArray:
-    """Return a column of lists as one array."""
-    array = column.combine_chunks()
-    return array.chunk(0) if isinstance(array, pa.ChunkedArray) else array
-
-
 def _lengths(column: pa.ChunkedArray) -> np.ndarray:
     """Return the lengths of lists ``(N,)`` int64; 0 for null."""
-    return pc.fill_null(_lists(column).value_lengths(), 0).to_numpy().astype(np.int64)
-
-
-def vectors(column: pa.ChunkedArray, size: int) -> np.ndarray:
-    """Return vectors ``(N, size)`` of the column's type, NaN for null."""
-    values = _lists(column).flatten().to_numpy().reshape(-1, size)
-    found = np.full((len(column), size), np.nan, values.dtype)
-    found[column.is_valid().to_numpy()] = values
-    return found
+    return pc.fill_null(list_array(column).value_lengths(), 0).to_numpy().astype(np.int64)
