@@ -23,8 +23,8 @@ from jaxdet.results.arrow import list_array, vectors
 from jaxdet.results.free_floor import RAY_RAD, FreeFloor, ray_bearings
 from jaxdet.results.metric import TILT, tilted, to_world
 from jaxdet.results.occupancy import CELL_M, TILE
+from jaxdet.results.raster import Layer, rasterize
 from jaxdet.results.reading import Chunk
-from jaxdet.results.sheet import Layer, draw_sheet
 from jaxdet.types import RAYS, FreeEnd
 
 CHUNK_FRAMES = 64
@@ -88,15 +88,15 @@ class Looks:
             for t in _falling(wide):
                 shapes = [points[own][i] for i in np.flatnonzero(wide == t)]
                 layers.append(Layer(1 + FOUND, "lines", [s for s in shapes if len(s)], t))
-            if sheet := draw_sheet(layers):
-                self._count(sheet.cells, *sheet.low.tolist())
+            if raster := rasterize(layers):
+                self._count(raster.cells, *raster.low.tolist())
 
     def _count(self, cells: np.ndarray, x: int, y: int) -> None:
-        """Count a sheet whose first cell has column ``x`` and row ``y``."""
+        """Count a raster whose first cell has column ``x`` and row ``y``."""
         rows, columns = cells.shape
         for row in range(y // TILE, (y + rows - 1) // TILE + 1):
             for column in range(x // TILE, (x + columns - 1) // TILE + 1):
-                top, left = row * TILE - y, column * TILE - x  # of the tile on the sheet
+                top, left = row * TILE - y, column * TILE - x  # of the tile on the raster
                 part = cells[max(top, 0) : top + TILE, max(left, 0) : left + TILE]
                 tile = self._tiles.setdefault((row, column), np.zeros((3, TILE, TILE), np.int32))
                 up, aside = max(-top, 0), max(-left, 0)
