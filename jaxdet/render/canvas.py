@@ -99,7 +99,8 @@ def blend(image: np.ndarray, color: Color, opacity: np.ndarray) -> None:
     """Lay a colour over an image with an opacity for each pixel, ``(H, W)`` float32."""
     if image.size:
         below = image.astype(np.float32)
-        step = cv2.multiply(cv2.subtract((*color, 0), below), cv2.merge((opacity,) * 3))
+        shade = np.array([*color, 0], np.float64)  # OpenCV's scalars have four channels
+        step = cv2.multiply(cv2.subtract(shade, below), cv2.merge((opacity,) * 3))
         image[:] = cv2.convertScaleAbs(cv2.add(below, step))
 
 
