@@ -6,7 +6,7 @@ makes what an unbroken run makes.
 
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from shutil import copytree, rmtree
@@ -62,19 +62,35 @@ def kinds(output: Path) -> set[tuple[str, ...]]:
     return {tuple(a["sha256"] for n, a in t.items() if n not in TIMES) for t in told}
 
 
-def main(folder: Path, every: int, way: str) -> None:
-    """Ends a command at every so many-th call, and the same one after it at others."""
+def main(folder: Path, ways: Sequence[str]) -> None:
+    """Ends commands at their system calls.
+
+    Args:
+        folder: Empty folder.
+        ways: ``run:17`` and the like: the command, and between which of its calls it is ended; the
+            same command after it is ended at others.
+    """
     device.detect = remembered(device.detect)
     # A run after one that was killed leaves its logs to worker processes, which take seconds to
     # start; tests/test_killed.py kills commands with workers.
     OutputFolder.taken_over = property(lambda output: False, lambda output, value: None)  # pyright: ignore
-    if way.endswith("-slow"):
-        publish.exchange = lambda one, other: False
     (logs := folder / "logs").mkdir()
     for seed, name in enumerate("ab"):
         write_log(logs / f"{name}.mcap", SimConfig(frames=4, width=96, height=72, seed=seed))
     run(logs, folder / "old")
-    before = folder / "old"
+    exchange = publish.exchange
+    for way in ways:
+        name, _, every = way.partition(":")
+        publish.exchange = (lambda one, other: False) if name.endswith("-slow") else exchange
+        (own := folder / way).mkdir()
+        kills = end_at_each_call(logs, folder / "old", own, name, int(every))
+        print(f"{way}: killed {kills} times")
+        rmtree(own)
+
+
+def end_at_each_call(logs: Path, old: Path, folder: Path, way: str, every: int) -> int:
+    """Return how often a command was ended."""
+    before = copytree(old, folder / "before")
     if way.startswith("track"):
         track_results(before, TrackConfig(min_frames=1))
         rewrite: Callable[[Path], Any] = partial(track_results, config=TrackConfig(min_frames=3))
@@ -85,6 +101,7 @@ def main(folder: Path, every: int, way: str) -> None:
         before.mkdir()
     rewrite(copytree(before, folder / "new"))
     want, wanted = files(folder / "new"), kinds(folder / "new")
+    assert RUN in want
     wanted |= kinds(before) if is_run(before) else set()
     call, kills, ended = 0, 0, True
     while ended:
@@ -98,8 +115,7 @@ def main(folder: Path, every: int, way: str) -> None:
         assert found == want, (call, [n for n in {*found, *want} if found.get(n) != want.get(n)])
         rmtree(output)
         ended, call, kills = tries > 0, call + every, kills + tries
-    print(f"killed {kills} times")
-    assert RUN in want
+    return kills
 
 
 def remembered(detect: Callable[..., Any]) -> Callable[..., Any]:
@@ -116,5 +132,5 @@ def remembered(detect: Callable[..., Any]) -> Callable[..., Any]:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), int(sys.argv[2]), sys.argv[3])
+    main(Path(sys.argv[1]), sys.argv[2:])
     os._exit(0)

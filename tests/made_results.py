@@ -8,7 +8,7 @@ import numpy as np
 import pyarrow as pa
 
 from jaxdet.config import Config
-from jaxdet.engine.log_job import write_failure
+from jaxdet.engine.process_log import write_failure
 from jaxdet.errors import printable
 from jaxdet.io import LogOptions
 from jaxdet.results.manifest import write_manifest

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from jaxdet.config import Config, GroundConfig
-from jaxdet.engine import device, log_job
+from jaxdet.engine import device, process_log
 from jaxdet.io import Batch, LogFiles
 from jaxdet.pipeline import detect
 from tests.runs import only_log, run_logs
@@ -53,7 +53,7 @@ def slow(frames: Any, config: Config, backend: str, with_cells: bool) -> Any:
 
 
 def main(output: Path, memory: str | None) -> None:
-    log_job.open_log = lambda files, options, memory: LargeLog()
+    process_log.open_log = lambda files, options, memory: LargeLog()
     device.detect = slow
     how = {"backend": "reference", "memory": memory, "pictures": 0, "workers": 1}
     file = output.with_suffix(".mcap")

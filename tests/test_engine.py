@@ -14,7 +14,7 @@ import pytest
 from jaxdet import engine
 from jaxdet.cli.truth import TruthScore
 from jaxdet.config import ClusterConfig, Config, GroundConfig
-from jaxdet.engine import decide_planes, log_job
+from jaxdet.engine import decide_planes, process_log
 from jaxdet.engine.floors import evenly
 from jaxdet.engine.unit import _ahead
 from jaxdet.errors import FrameStatus, InputError, Interrupted
@@ -55,7 +55,7 @@ def test_bytes_depend_on_neither_backend_nor_batch(sim_log: Path, tmp_path: Path
 
 
 def test_rows_pictures_map_and_scores(sim_log: Path, tmp_path: Path) -> None:
-    summary = run(sim_log, tmp_path, backend="reference", pictures=3, truth=sim_log)
+    summary = run(sim_log, tmp_path, pictures=3, truth=sim_log)
     tmp_path = tmp_path / "log"
     frames = pq.read_table(tmp_path / "frames.parquet").to_pylist()
     obstacles = pq.read_table(tmp_path / "obstacles.parquet").to_pylist()
@@ -83,7 +83,7 @@ def test_rows_pictures_map_and_scores(sim_log: Path, tmp_path: Path) -> None:
 
 
 def test_world_corners_are_where_the_truth_is(sim_log: Path, tmp_path: Path) -> None:
-    summary = run(sim_log, tmp_path, backend="reference", pictures=0)
+    summary = run(sim_log, tmp_path, pictures=0)
     grid = np.load(tmp_path / "log" / "map.npz")
     with open_log(find_logs([str(sim_log)])[0]) as log:
         poses = log.read(range(7)).frames.T_world_camera
@@ -157,7 +157,7 @@ def fake_logs(
             raise InputError("not an MCAP file", path="broken.mcap")
         return FakeLog()
 
-    monkeypatch.setattr(log_job, "open_log", fake_open)
+    monkeypatch.setattr(process_log, "open_log", fake_open)
     folder, names = tmp_path_factory.mktemp("fake"), ("fake", "broken", "a/b")
     paths = [folder / f"{name.replace('/', '_')}.mcap" for name in names]
     for path in paths:
@@ -166,7 +166,7 @@ def fake_logs(
 
 
 def run_fake(logs: list[LogFiles], output: Path, size: int = 4, **kwargs: Any) -> Summary:
-    return run_logs(logs, output, backend="reference", batch_size=size, **kwargs)
+    return run_logs(logs, output, batch_size=size, **kwargs)
 
 
 def test_every_frame_has_a_row_and_its_status(fake_logs: list, tmp_path: Path) -> None:
@@ -224,7 +224,7 @@ def test_sources_of_the_ground() -> None:
     log.T_base_camera = np.array([[0, 0, 1, 0.1], [-1, 0, 0, 0], [0, -1, 0, 0.4], [0, 0, 0, 1.0]])
 
     def source(**ground: Any) -> engine.GroundRecord:
-        return decide_planes(log, Config(ground=GroundConfig(**ground)), "reference").records[0]
+        return decide_planes(log, Config(ground=GroundConfig(**ground)), "jax").records[0]
 
     assert source().source == "tf"
     assert source().height_m == pytest.approx(0.4)

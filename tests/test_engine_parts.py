@@ -41,7 +41,7 @@ def two_cameras(sim_log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path
 
 
 def run(log: Path, output: Path, options: LogOptions | None = None, **run: Any) -> Summary:
-    how = {"backend": "reference", "pictures": 0, **run}
+    how = {"pictures": 0, **run}
     return run_log(log, output / "log", log=options, **how)
 
 
@@ -103,7 +103,7 @@ def test_a_camera_that_can_not_be_used_is_said(sim_log, tmp_path, capsys):
         tmp_path / "log.mcap",
         without=lambda topic: topic.startswith("/side") and topic.endswith("camera_info"),
     )
-    command = ["run", str(path), "--backend", "reference", "--pictures", "0", "--quiet"]
+    command = ["run", str(path), "--pictures", "0", "--quiet"]
     assert main([*command, "--output", str(tmp_path / "out")]) == 1
     said = "jaxdet: error: log: left out: camera side, see the warning; --camera takes others alone"
     assert capsys.readouterr().err == f"{said}\n"
@@ -170,7 +170,7 @@ def test_info_and_lines_name_the_cameras(two_cameras, sim_log, tmp_path, capsys)
     about = json.loads(capsys.readouterr().out)["logs"]
     assert [log["camera"] for log in about] == ["rear"]
     assert about[0]["description"]["part"].startswith("3 of 12 frames, 0 to 10, multiples of 5, ")
-    given = ["--output", str(tmp_path / "out"), "--backend", "reference", "--pictures", "0"]
+    given = ["--output", str(tmp_path / "out"), "--pictures", "0"]
     assert main(["run", str(two_cameras), *given, "--stop", "0.5"]) == 0
     said = capsys.readouterr()
     assert "two, front\n  frames     3" in said.out and "two, rear\n" in said.out

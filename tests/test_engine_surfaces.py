@@ -53,7 +53,7 @@ def results(sim_log: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Pa
 
 def run(log: Path, output: Path, config: Config | None = None, **options: Any) -> LogSummary:
     config = config or Config()
-    how = {"backend": "reference", "pictures": 0, **options}
+    how = {"pictures": 0, **options}
     return run_logs(log, output, config, **how).logs[0]
 
 
@@ -108,7 +108,7 @@ def test_each_frame_equals_a_single_detection(
     """A run with the prior of the log equals ``detect`` with that prior."""
     config = Config()
     with open_log(find_logs([str(sim_log)])[0]) as log:
-        planes = engine.decide_planes(log, config, "reference")
+        planes = engine.decide_planes(log, config, "jax")
         frames = log.read(range(FRAMES)).frames
     frames = frames._replace(plane=planes.of(frames.stamp_ns), T_world_camera=None)
     want = detect(frames, config, backend="reference")

@@ -48,7 +48,7 @@ def copy(path: Path, folder: Path) -> Path:
 
 
 def run(log: Path, output: Path) -> list[bytes]:
-    run_logs(log, output, backend="reference", pictures=0, workers=1)
+    run_logs(log, output, pictures=0, workers=1)
     return [(only_log(output) / name).read_bytes() for name in TABLES]
 
 

@@ -207,7 +207,7 @@ def test_results_of_a_folder(tmp_path):
     folder = write_tum(tmp_path / "room")
 
     def results(output: Path) -> Path:
-        run_logs(folder, output, log=GIVEN, backend="reference", pictures=0)
+        run_logs(folder, output, log=GIVEN, pictures=0)
         return output
 
     found = verify(results(tmp_path / "out"))

@@ -20,28 +20,30 @@ from tests.runs import run_logs
 ROOT = Path(__file__).resolve().parents[1]
 
 
-WAYS = ("run", "overwrite", "overwrite-slow", "track", "track-slow")
-EVERY = {"run": 17, "overwrite": 61, "overwrite-slow": 61, "track": 31, "track-slow": 31}
-EACH = [pytest.param(way, 3, marks=pytest.mark.slow, id=f"{way}-each") for way in WAYS]
+WAYS = ("run:17", "overwrite:61", "overwrite-slow:61", "track:31", "track-slow:31")
+EACH = [pytest.param((f"{way.partition(':')[0]}:3",), marks=pytest.mark.slow) for way in WAYS]
 
 
-@pytest.mark.parametrize(("way", "every"), [*EVERY.items(), *EACH])
+@pytest.mark.parametrize(
+    "ways", [WAYS, *EACH], ids=lambda ways: ways[0] if len(ways) == 1 else "all"
+)
 def test_results_are_complete_whichever_system_call_was_the_last(
-    tmp_path: Path, way: str, every: int
+    tmp_path: Path, ways: tuple[str, ...]
 ) -> None:
-    command = [sys.executable, "-m", "tests.killed_runs", str(tmp_path), str(every), way]
+    command = [sys.executable, "-m", "tests.killed_runs", str(tmp_path), *ways]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     assert not done.returncode, done.stderr
-    assert int(re.findall(r"killed (\d+) times", done.stdout)[0]) > 5
+    kills = dict(re.findall(r"(\S+): killed (\d+) times", done.stdout))
+    assert tuple(kills) == ways and all(int(count) > 5 for count in kills.values())
 
 
-STOPS = (signal.SIGKILL, signal.SIGINT, signal.SIGTERM)
-MANY = [pytest.param(stop, 7, marks=pytest.mark.slow) for stop in STOPS]
+KILL, INT, TERM = signal.SIGKILL, signal.SIGINT, signal.SIGTERM
+MANY = [pytest.param([stop] * 7, marks=pytest.mark.slow) for stop in (KILL, INT, TERM)]
 
 
-@pytest.mark.parametrize(("number", "times"), [(signal.SIGKILL, 2), (signal.SIGINT, 1), *MANY])
+@pytest.mark.parametrize("stops", [[KILL, INT, KILL], *MANY])
 def test_a_command_that_was_killed_with_its_workers_goes_on(
-    tmp_path: Path, number: signal.Signals, times: int
+    tmp_path: Path, stops: list[signal.Signals]
 ) -> None:
     """The next command leaves nothing of the killed one, which ended at a random moment."""
     (logs := tmp_path / "logs").mkdir()
@@ -51,8 +53,8 @@ def test_a_command_that_was_killed_with_its_workers_goes_on(
     run_logs(logs, tmp_path / "plain", workers=1, **how)
     command = [sys.executable, "-m", "jaxdet", "run", str(logs), "-o", str(tmp_path / "out")]
     command += ["--backend", "reference", "--pictures", "0", "--workers", "2"]
-    draw = random.Random(int(number))
-    for _ in range(times):
+    draw = random.Random(len(stops))
+    for number in stops:
         process = subprocess.Popen(command, start_new_session=True, stderr=subprocess.DEVNULL)
         time.sleep(draw.uniform(1.0, 5.0))
         os.killpg(process.pid, number)

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from jaxdet import engine
-from jaxdet.engine import log_job, run_one, runner
+from jaxdet.engine import process_log, run_one, scheduler
 from jaxdet.errors import ConfigError, Interrupted, JaxdetError, OutputError, ResultsError
 from jaxdet.io import Batch
 from jaxdet.results import publish as publishing
@@ -22,7 +22,7 @@ from jaxdet.sim import SimConfig, write_log
 from tests.pools import same_results
 from tests.runs import run_logs
 
-HOW = {"backend": "reference", "pictures": 1, "preset": "wheeled"}
+HOW = {"pictures": 1, "preset": "wheeled"}
 
 
 @pytest.fixture(scope="module")
@@ -58,12 +58,12 @@ def made(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Return a list that gets the names of the logs that are done."""
     names: list[str] = []
 
-    def make_log(job: Any, log: Any, *given: Any, **how: Any) -> Any:
+    def process_log(settings: Any, log: Any, *given: Any, **how: Any) -> Any:
         names.append(log.name)
-        return real(job, log, *given, **how)
+        return real(settings, log, *given, **how)
 
-    real = runner.make_log
-    monkeypatch.setattr(runner, "make_log", make_log)
+    real = scheduler.process_log
+    monkeypatch.setattr(scheduler, "process_log", process_log)
     return names
 
 
@@ -226,9 +226,9 @@ def test_a_failed_log_is_tried_again_by_an_update_alone(
 def test_a_log_that_changes_or_cannot_be_read_when_it_is_opened_fails(
     logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, now: dict[str, Any], says: str
 ):
-    before, found = log_job.fingerprint, dict[Path, Any]()
+    before, found = process_log.fingerprint, dict[Path, Any]()
     later = lambda path: now if path in found else found.setdefault(path, before(path))  # noqa: E731
-    monkeypatch.setattr(log_job, "fingerprint", later)
+    monkeypatch.setattr(process_log, "fingerprint", later)
     (failed,) = run_logs(logs / "a.mcap", tmp_path, **HOW).failed
     assert says in (failed.error or "")
 
@@ -299,10 +299,10 @@ def test_no_code_of_a_received_folder_runs(copy: Path, logs: Path, tmp_path: Pat
 def test_a_runner_keeps_its_processes_between_runs(logs: Path, tmp_path: Path) -> None:
     with engine.Runner("reference", workers=2) as one:
         first = one.run(logs / "a.mcap", tmp_path / "out", preset="wheeled")
-        assert one._pool is not None and one._pool.started
-        workers = [worker.process.pid for worker in one._pool._workers]
+        assert one._processes._pool is not None and one._processes._pool.started
+        workers = [worker.process.pid for worker in one._processes._pool._workers]
         second = one.run(logs, tmp_path / "out", preset="wheeled")
-        assert workers == [worker.process.pid for worker in one._pool._workers]
+        assert workers == [worker.process.pid for worker in one._processes._pool._workers]
     assert not first.failed and not second.failed and second.kept == {"a"}
 
 

@@ -39,7 +39,7 @@ def run(output: Path, logs: Path, **more: Any) -> Summary:
     height = more.pop("height", None)
     pitch = None if height is None else 0.0
     config = Config(GroundConfig(camera_height_m=height, camera_pitch_rad=pitch))
-    return run_logs(logs, output, config, backend="reference", workers=1, **more)
+    return run_logs(logs, output, config, workers=1, **more)
 
 
 def test_a_working_folder_that_is_a_link_is_left_alone(two, tmp_path):

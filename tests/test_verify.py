@@ -41,7 +41,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for seed, name in enumerate("ab"):
         write_log(folder / f"{name}.mcap", SimConfig(frames=FRAMES, width=96, height=72, seed=seed))
     config = Config(ground=GroundConfig(sample_frames=3, window_s=0.2))
-    run_logs(folder, folder / "out", config, backend="reference", batch_size=4, pictures=1)
+    run_logs(folder, folder / "out", config, batch_size=4, pictures=1)
     track_results(folder / "out")
     return folder / "out"
 
@@ -119,7 +119,7 @@ def test_what_a_run_wrote_is_as_it_should_be(whole: Path) -> None:
 def test_parts_of_logs_are_as_they_should_be(whole: Path, tmp_path: Path) -> None:
     log = whole.parent / "a.mcap"
     options = LogOptions(start="0.1", every=3)
-    run_logs(log, tmp_path, log=options, backend="reference", pictures=0)
+    run_logs(log, tmp_path, log=options, pictures=0)
     report = verify(tmp_path, sample=1)
     assert report.findings == report.notes == [] and 1 < report.frames < FRAMES / 2
 
@@ -134,7 +134,7 @@ def test_a_log_that_was_read_as_a_whole_is_as_it_should_be(tmp_path: Path) -> No
     data = bytearray(log.read_bytes())
     data[chunk.chunk_start_offset + chunk.chunk_length - 9] ^= 0xFF
     log.write_bytes(data)
-    run_logs(log, tmp_path / "out", backend="reference", pictures=0)
+    run_logs(log, tmp_path / "out", pictures=0)
     report = verify(tmp_path / "out", sample=1)
     assert report.findings == [] and report.frames == 2 * FRAMES - 1
 
@@ -321,7 +321,7 @@ def test_a_folder_of_images_is_found_where_it_was(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     logs = find_logs([str(write_open3d(Path("drive")))])
-    run_logs(logs, tmp_path / "out", backend="reference", pictures=0)
+    run_logs(logs, tmp_path / "out", pictures=0)
     monkeypatch.chdir("/")
     report = verify(tmp_path / "out", sample=1)
     assert report.findings == report.notes == [] and report.frames_of_logs == report.frames == 3

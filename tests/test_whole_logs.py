@@ -10,8 +10,8 @@ from typing import Any
 import jax
 import pytest
 
-from jaxdet.engine import runner
-from jaxdet.engine.whole_logs import OPENING_BYTES, choose_whole
+from jaxdet.engine import resources, scheduler
+from jaxdet.engine.log_per_worker import OPENING_BYTES, choose_logs
 from jaxdet.errors import ConfigError, Interrupted
 from jaxdet.io import Batch, LogFiles
 from jaxdet.results.summary import Summary
@@ -61,8 +61,8 @@ def shared(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         names.append(log.name)
         return real(one, log, memory)
 
-    real = runner._Run._choose
-    monkeypatch.setattr(runner._Run, "_choose", choose)
+    real = resources.Resources.choose
+    monkeypatch.setattr(resources.Resources, "choose", choose)
     return names
 
 
@@ -90,17 +90,17 @@ def test_a_gpu_computes_for_workers_that_do_logs_whole(
 ):
     with jax.default_device(jax.devices("cpu")[0]):
         on_this_machine(monkeypatch)
-        monkeypatch.setattr(runner, "choose_whole", lambda sizes, _: set(sizes))
+        monkeypatch.setattr(scheduler, "choose_logs", lambda sizes, _: set(sizes))
         summary = run(folder, tmp_path / "a", workers=2)
     assert not summary.failed and summary.workers == 2
-    assert len(shared) == 2  # one of each camera: the station begins to serve it
+    assert len(shared) == 2  # one of each camera: the device server begins to serve it
     same_results(alone, tmp_path / "a")
 
 
 def test_a_worker_that_dies_costs_no_log(folder, alone, shared, tmp_path):
     observers = {"odd": Killer(tmp_path / "once")}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(runner, "choose_whole", lambda sizes, _: set(sizes))
+        patch.setattr(scheduler, "choose_logs", lambda sizes, _: set(sizes))
         summary = run(folder, tmp_path / "a", workers=2, observers=observers)
     assert (tmp_path / "once").exists()
     assert not summary.failed and not any(log.lost for log in summary.logs)
@@ -113,7 +113,7 @@ def test_what_workers_cannot_do_is_said_by_this_process(folder, shared, tmp_path
     broken = shutil.copytree(folder, tmp_path / "logs")
     (broken / "log_b.mcap").write_bytes(b"not a log")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(runner, "choose_whole", lambda sizes, _: set(sizes))
+        patch.setattr(scheduler, "choose_logs", lambda sizes, _: set(sizes))
         summary = run(broken, tmp_path / "a", workers=2)
     assert [log.log for log in summary.failed] == ["log_b"] and shared == []
     plain = run(broken, tmp_path / "b", workers=1)
@@ -123,7 +123,7 @@ def test_what_workers_cannot_do_is_said_by_this_process(folder, shared, tmp_path
 
 def test_a_stopped_run_goes_on_with_what_workers_did(folder, alone, shared, tmp_path):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(runner, "choose_whole", lambda sizes, _: set(sizes))
+        patch.setattr(scheduler, "choose_logs", lambda sizes, _: set(sizes))
         done = []
 
         def take(one: Any, log: LogFiles, found: Any) -> None:
@@ -132,8 +132,8 @@ def test_a_stopped_run_goes_on_with_what_workers_did(folder, alone, shared, tmp_
             if len(done) == 2:
                 os.kill(os.getpid(), signal.SIGINT)
 
-        real = runner._Run._take
-        patch.setattr(runner._Run, "_take", take)
+        real = scheduler.Scheduler._take
+        patch.setattr(scheduler.Scheduler, "_take", take)
         with pytest.raises(Interrupted):
             run(folder, tmp_path / "a", workers=2)
     assert not shared
@@ -154,13 +154,13 @@ def test_a_stopped_run_goes_on_with_what_workers_did(folder, alone, shared, tmp_
     ],
 )
 def test_as_many_logs_are_done_whole_as_keep_all_workers_busy(sizes, workers, count):
-    chosen = choose_whole({str(i): size for i, size in enumerate(sizes)}, workers)
+    chosen = choose_logs({str(i): size for i, size in enumerate(sizes)}, workers)
     assert len(chosen) == count
 
 
 def test_large_logs_are_shared_out():
     sizes = {"large": 100 * OPENING_BYTES, **{str(i): OPENING_BYTES for i in range(50)}}
-    chosen = choose_whole(sizes, 16)
+    chosen = choose_logs(sizes, 16)
     assert "large" not in chosen and 48 <= len(chosen) <= 50
 
 
@@ -174,7 +174,7 @@ def test_each_camera_of_a_gpu_has_images_of_its_own(tmp_path, monkeypatch):
     run(folder, tmp_path / "a", workers=1)
     with jax.default_device(jax.devices("cpu")[0]):
         on_this_machine(monkeypatch)
-        monkeypatch.setattr(runner, "choose_whole", lambda sizes, _: set(sizes))
+        monkeypatch.setattr(scheduler, "choose_logs", lambda sizes, _: set(sizes))
         assert not run(folder, tmp_path / "b", workers=2).failed
     same_results(tmp_path / "a", tmp_path / "b")
 
@@ -182,15 +182,15 @@ def test_each_camera_of_a_gpu_has_images_of_its_own(tmp_path, monkeypatch):
 def test_a_gpu_computes_after_a_log_that_fewer_workers_share(
     folder, alone, shared, tmp_path, monkeypatch
 ):
-    def plan(job: Any, log: Any, *given: Any) -> Any:
-        found = real(job, log, *given)
+    def plan(settings: Any, log: Any, *given: Any) -> Any:
+        found = real(settings, log, *given)
         return found._replace(workers=1) if log.name == "log_e" else found
 
-    real = runner.memory_plan
-    monkeypatch.setattr(runner, "memory_plan", plan)
+    real = resources.memory_plan
+    monkeypatch.setattr(resources, "memory_plan", plan)
     with jax.default_device(jax.devices("cpu")[0]):
         on_this_machine(monkeypatch)
-        monkeypatch.setattr(runner, "choose_whole", lambda sizes, _: set(sizes))
+        monkeypatch.setattr(scheduler, "choose_logs", lambda sizes, _: set(sizes))
         summary = run(folder, tmp_path / "a", workers=2)
     assert not summary.failed
     assert shared[0] == "log_e" and len(shared) == 3  # the pool that served the first has ended
@@ -203,7 +203,7 @@ def test_logs_of_several_cameras_are_among_others(folder, shared, tmp_path, monk
     join_cameras(cameras, logs / "log_bb.mcap")
     run(logs, tmp_path / "alone", workers=1)
     shared.clear()
-    monkeypatch.setattr(runner, "choose_whole", lambda sizes, _: set(sizes))
+    monkeypatch.setattr(scheduler, "choose_logs", lambda sizes, _: set(sizes))
     summary = run(logs, tmp_path / "a", workers=2)
     assert not summary.failed and len(summary.logs) == 7
     assert not shared
@@ -214,7 +214,7 @@ def test_whole_logs_are_brought_up_to_date(folder, alone, shared, tmp_path, monk
     logs = shutil.copytree(folder, tmp_path / "logs")
     (logs / "log_b.mcap").write_bytes(b"not a log")
     (logs / "log_d.mcap").unlink()
-    monkeypatch.setattr(runner, "choose_whole", lambda sizes, _: set(sizes))
+    monkeypatch.setattr(scheduler, "choose_logs", lambda sizes, _: set(sizes))
     assert len(run(logs, tmp_path / "a", workers=2).failed) == 1
     for name in "bd":
         shutil.copy2(folder / f"log_{name}.mcap", logs)

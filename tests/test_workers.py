@@ -23,9 +23,9 @@ import pytest
 from jaxdet import engine
 from jaxdet.cli.truth import TruthScore
 from jaxdet.config import Config, GroundConfig
-from jaxdet.engine import lane, log_job, pool, station, worker
+from jaxdet.engine import device_queue, device_server, pool, process_log, worker
 from jaxdet.engine.plan import LogPlan
-from jaxdet.engine.slots import SLOTS, attached
+from jaxdet.engine.shared_slots import SLOTS, attached
 from jaxdet.engine.tasks import TaskQueue
 from jaxdet.engine.worker import decide_floors
 from jaxdet.errors import ConfigError, FrameError, FrameStatus, InputError, Interrupted
@@ -188,8 +188,8 @@ def test_a_log_that_is_not_as_its_index_says_is_scanned(
         odd.way = "" if options.scan else "rescan"
         return real(files, options, memory)
 
-    real = log_job.open_log
-    monkeypatch.setattr(log_job, "open_log", open_log)
+    real = process_log.open_log
+    monkeypatch.setattr(process_log, "open_log", open_log)
     options = {"workers": workers, "batch_size": 4, "backend": "reference"}
     summary = run(sim_logs[:1], tmp_path / "a", observers={"odd": odd}, **options)
     assert opened == [False, True]
@@ -301,17 +301,17 @@ def test_nothing_waits_for_a_worker_while_another_has_nothing_to_do():
 
 
 def test_units_keep_all_workers_busy():
-    most = log_job.UNIT_FRAMES
-    assert log_job._unit_sizes(10**6, 16, 8, "jax") == (most, 8 * most, most // 4)
-    assert log_job._unit_sizes(600, 16, 8, "jax") == (16, 8 * 16, 16)
-    assert log_job._unit_sizes(3, 16, 1, "jax") == (16, 0, 16)
-    assert log_job._unit_sizes(10**6, 16, 8, "reference") == (16, 8 * 16, 16)
+    most = process_log.UNIT_FRAMES
+    assert process_log._unit_sizes(10**6, 16, 8, "jax") == (most, 8 * most, most // 4)
+    assert process_log._unit_sizes(600, 16, 8, "jax") == (16, 8 * 16, 16)
+    assert process_log._unit_sizes(3, 16, 1, "jax") == (16, 0, 16)
+    assert process_log._unit_sizes(10**6, 16, 8, "reference") == (16, 8 * 16, 16)
 
 
 @pytest.mark.parametrize("frames", [range(1), range(5, 900, 3), range(20_040)])
 @pytest.mark.parametrize("workers", [1, 2, 15])
 def test_units_hold_each_frame_once(frames, workers):
-    sizes = log_job._unit_sizes(len(frames), 16, workers, "jax")
+    sizes = process_log._unit_sizes(len(frames), 16, workers, "jax")
     plan: Any = SimpleNamespace(frames=frames, sizes=sizes)
     units = list(LogPlan.units(plan))
     held = [number for unit in units for number in frames if unit.start <= number < unit.stop]
@@ -357,11 +357,11 @@ def test_one_process_that_computes_for_all_gives_the_same_bytes(
 def test_the_memory_is_bounded(width, height, asked, want):
     camera = Intrinsics(width, height, 600.0, 600.0, width / 2, height / 2)
     log: Any = SimpleNamespace(depth_shape=(height, width), calibration=Calibration(camera))
-    served = station.how_to_serve(log, Config(), asked, station.PIECE_FRAMES, 2)
-    there = station.Station(served, [], ["gpu"])
+    served = device_server.server_config(log, Config(), asked, device_server.PIECE_FRAMES, 2)
+    there = device_server.DeviceServer(served, [], ["gpu"])
     slots = there.memory.slots
     assert (slots.frames, served.pieces * slots.frames) == want
-    assert slots.nbytes <= 2 * SLOTS * max(station.PIECE_BYTES + 8192, 2 * width * height)
+    assert slots.nbytes <= 2 * SLOTS * max(device_server.PIECE_BYTES + 8192, 2 * width * height)
     first, last = slots.views(attached(slots.path))[:: 2 * SLOTS - 1]
     assert first.depth.shape == (want[0], height, width) and first.color is None
     assert last.depth.ctypes.data % 4096 == 0
@@ -378,8 +378,10 @@ def test_the_preset_paper_has_memory_for_colour():
         (Calibration(camera, wide, still), (50, 80, 3)),
     ):
         log: Any = SimpleNamespace(depth_shape=(48, 64), calibration=calibration)
-        served = station.how_to_serve(log, PRESETS["paper"], 3, station.PIECE_FRAMES, 1)
-        there = station.Station(served, [], ["gpu"])
+        served = device_server.server_config(
+            log, PRESETS["paper"], 3, device_server.PIECE_FRAMES, 1
+        )
+        there = device_server.DeviceServer(served, [], ["gpu"])
         slots = there.memory.slots
         for number, images in enumerate(slots.views(attached(slots.path))):
             assert images.color is not None and images.color.shape == (3, *shape)
@@ -395,7 +397,7 @@ def test_an_error_of_the_process_that_computes_reaches_the_log(sim_logs, tmp_pat
     def fails(*_: Any) -> None:
         raise ArithmeticError("out of memory")
 
-    monkeypatch.setattr(lane.Lane, "start", fails)
+    monkeypatch.setattr(device_queue.DeviceQueue, "start", fails)
     summary = run(sim_logs, tmp_path / "b", workers=2)
     assert len(summary.failed) == 2
     for log in summary.failed:
@@ -414,9 +416,9 @@ def test_a_device_without_memory_computes_smaller_batches(
             raise RuntimeError("RESOURCE_EXHAUSTED: Out of memory while trying to allocate")
         return real(small, *given)
 
-    real = lane.Lane.start
-    monkeypatch.setattr(lane.Lane, "start", start)
-    monkeypatch.setattr(station, "PIECE_FRAMES", 2)
+    real = device_queue.DeviceQueue.start
+    monkeypatch.setattr(device_queue.DeviceQueue, "start", start)
+    monkeypatch.setattr(device_server, "PIECE_FRAMES", 2)
     with jax.default_device(jax.devices("cpu")[0]):
         summary = run(sim_logs[:1], tmp_path / "a", workers=2, batch_size=16, pictures=0)
     assert not summary.failed and not summary.logs[0].lost and sizes[:3] == [16, 8, 4]
@@ -437,9 +439,9 @@ def test_a_device_that_runs_out_of_memory_on_the_way_goes_on_with_smaller_batche
             raise RuntimeError("RESOURCE_EXHAUSTED: Out of memory while trying to allocate")
         return real(small, pieces, *given)
 
-    real = lane.Lane.finish
-    monkeypatch.setattr(lane.Lane, "finish", finish)
-    monkeypatch.setattr(station, "PIECE_FRAMES", 2)
+    real = device_queue.DeviceQueue.finish
+    monkeypatch.setattr(device_queue.DeviceQueue, "finish", finish)
+    monkeypatch.setattr(device_server, "PIECE_FRAMES", 2)
     with jax.default_device(jax.devices("cpu")[0]):
         summary = run(sim_logs[:1], tmp_path / "a", workers=2, batch_size=16, pictures=0)
     assert not summary.failed and not summary.logs[0].lost and sizes[:4] == [16, 16, 8, 4]

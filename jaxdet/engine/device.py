@@ -10,7 +10,16 @@ import numpy as np
 from jaxdet.config import Config
 from jaxdet.engine.color import method_frames
 from jaxdet.engine.floors import find_here
-from jaxdet.engine.slots import SLOTS, Packing, Piece, Piped, Reply, Sample, Slots, attached
+from jaxdet.engine.shared_slots import (
+    SLOTS,
+    Packing,
+    Piece,
+    Reply,
+    Sample,
+    ServerPipe,
+    Slots,
+    attached,
+)
 from jaxdet.engine.startup import computing
 from jaxdet.pipeline import BackendName, detect
 from jaxdet.results.rows import RowInputs, joined_inputs, row_inputs, to_host
@@ -157,14 +166,14 @@ class SharedDevice:
 
     Args:
         slots: What :meth:`jaxdet.engine.pool.Pool.serve` returned.
-        piped: The worker's way to the station.
+        server_pipe: The worker's way to the device server.
     """
 
     ahead, doing = SLOTS - 1, "wait"
 
-    def __init__(self, slots: Slots, piped: Piped) -> None:
-        self._slots, self._piped = slots, piped
-        self._first = piped.number * SLOTS
+    def __init__(self, slots: Slots, server_pipe: ServerPipe) -> None:
+        self._slots, self._server_pipe = slots, server_pipe
+        self._first = server_pipe.number * SLOTS
         self._views = slots.views(attached(slots.path))
         self._turn = 0
         self._replies: dict[int, Reply] = {}
@@ -177,9 +186,9 @@ class SharedDevice:
         return depth if color is None else (depth, color)
 
     def start(self, batch: "Batch", plane: GroundPlane, *, whole: bool) -> int:
-        """Gives the batch, whose images are in the memory of the last call, to the station."""
+        """Starts the batch whose images are in the memory of the last call."""
         slot = self._first + self._turn
-        self._piped.pipe.send(Piece(self._piped.number, slot, plane, whole))
+        self._server_pipe.pipe.send(Piece(self._server_pipe.number, slot, plane, whole))
         return slot
 
     def finish(self, started: int) -> Found:
@@ -196,15 +205,15 @@ class SharedDevice:
         count, slot = len(frames.valid), self._first + self._turn
         self._views[slot].depth[:count] = frames.depth
         assert frames.plane is not None
-        self._piped.pipe.send(Sample(self._piped.number, slot, frames.plane))
+        self._server_pipe.pipe.send(Sample(self._server_pipe.number, slot, frames.plane))
         floors = self._reply(slot).floors
         assert floors is not None
         return floors
 
     def _reply(self, slot: int) -> Reply:
-        """The station's reply to what was sent in a slot; raises its error."""
+        """The device server's reply to what was sent in a slot; raises its error."""
         while slot not in self._replies:
-            reply: Reply = self._piped.pipe.recv()
+            reply: Reply = self._server_pipe.pipe.recv()
             self._replies[reply.slot] = reply
         reply = self._replies.pop(slot)
         if reply.error:

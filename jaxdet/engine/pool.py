@@ -12,12 +12,12 @@ from multiprocessing.connection import wait
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from jaxdet.config import Config
-from jaxdet.engine.part import Part
+from jaxdet.engine.device_server import DeviceServer, server_config
 from jaxdet.engine.plan import LogPlan, Unit
-from jaxdet.engine.slots import Piped, Slots
+from jaxdet.engine.shared_slots import ServerPipe, Slots
 from jaxdet.engine.startup import may_use_gpus, start_cuda, start_up
-from jaxdet.engine.station import Station, how_to_serve
 from jaxdet.engine.tasks import TaskQueue, UnitQueue
+from jaxdet.engine.unit_result import UnitResult
 from jaxdet.engine.worker import (
     Context,
     Failure,
@@ -32,15 +32,15 @@ from jaxdet.pipeline import BackendName
 from jaxdet.signals import STOPS, stops_held_back
 
 if TYPE_CHECKING:
-    from jaxdet.engine.lane import Served
+    from jaxdet.engine.device_queue import ServerConfig
     from jaxdet.io import Log
 
 WAITING = 2
 """Units that a worker has been given: the one it works on, and the next."""
 NO_PROGRESS_S = 600.0
 """A worker that finishes no batch for so long hangs; the first one may have to be compiled."""
-LOADED = ["jaxdet.engine.whole_logs", "jaxdet.io.opening", "numpy.ma", "jaxdet_kernels.decode"]
-LOADED_TO_COMPUTE = ["jaxdet.stages"]
+LOADED = ["jaxdet.engine.log_per_worker", "jaxdet.io.opening", "numpy.ma", "jaxdet_kernels.decode"]
+LOADED_TO_COMPUTE = ["jaxdet.stages._detect", "jaxdet.stages._points"]
 """What the fork server loads once for all workers, with what pyarrow and decoders would load in
 each of them; none of it may start a thread, or Warp."""
 _LOOK_S = 1.0
@@ -96,7 +96,7 @@ class Pool:
     """Worker processes; a context manager that ends them.
 
     On the CPU each does the whole of a unit. For GPUs they read and make rows, and this process
-    computes for all of them, see :mod:`jaxdet.engine.station`.
+    computes for all of them, see :mod:`jaxdet.engine.device_server`.
 
     They start when they are first needed and stay for the next log. On Linux and macOS they are
     forked from a server that has loaded JAX and Warp once, elsewhere each loads them itself.
@@ -113,7 +113,7 @@ class Pool:
     def __init__(self, count: int, backend: BackendName, devices: Sequence[Any] = ()) -> None:
         self.count, self.devices = count, devices
         self._backend: BackendName = backend
-        self._station: Station | None = None
+        self._server: DeviceServer | None = None
         self._pipes: list[Any] = []
         """With GPUs: to each worker, and the worker's end of it."""
         self._context: Any = multiprocessing.get_context(_start_method())
@@ -143,9 +143,9 @@ class Pool:
         _start_server(LOADED + LOADED_TO_COMPUTE * compute)
         with stops_held_back():  # close() waits for the thread
             self._pipes = [multiprocessing.Pipe() for _ in range(self.count) if self.devices]
-            piped = [Piped(number, theirs) for number, (_, theirs) in enumerate(self._pipes)]
+            ends = [ServerPipe(number, theirs) for number, (_, theirs) in enumerate(self._pipes)]
             self._workers = [
-                Worker(self._context, self._backend, end) for end in piped or [None] * self.count
+                Worker(self._context, self._backend, end) for end in ends or [None] * self.count
             ]
             self._ended, self._started = threading.Event(), threading.Event()
             # In a thread, as the fork server takes a while to load what it loads, and so that a
@@ -178,22 +178,22 @@ class Pool:
             WorkerError: There is not as much memory.
         """
         self.start()
-        served = how_to_serve(log, config, batch_size, piece_frames, self.count)
-        if self._station is None or self._station.served != served:
-            self._end_station()
-            self._station = Station(served, [ours for ours, _ in self._pipes], self.devices)
-        return self._station.memory.slots, served.pieces * served.slots.frames
+        served = server_config(log, config, batch_size, piece_frames, self.count)
+        if self._server is None or self._server.served != served:
+            self._end_server()
+            self._server = DeviceServer(served, [ours for ours, _ in self._pipes], self.devices)
+        return self._server.memory.slots, served.pieces * served.slots.frames
 
     @property
-    def serving(self) -> "Served | None":
+    def serving(self) -> "ServerConfig | None":
         """What workers are served in: slots, camera and configuration."""
-        one = self._station
+        one = self._server
         return one and one.served._replace(slots=one.memory.slots)
 
-    def _end_station(self) -> None:
-        if self._station:
-            self._station.close()
-        self._station = None
+    def _end_server(self) -> None:
+        if self._server:
+            self._server.close()
+        self._server = None
 
     def close(self) -> None:
         """Ends the processes."""
@@ -203,7 +203,7 @@ class Pool:
                 self._started.wait()
             for worker in self._workers:
                 worker.end()
-            self._end_station()
+            self._end_server()
             for end in chain(*self._pipes):
                 end.close()
             self._workers, self._pipes = [], []
@@ -223,9 +223,9 @@ class Pool:
             raise answer.as_raised(where)
         return answer
 
-    def work_through(
+    def process_units(
         self, plan: LogPlan, make_context: MakeContext
-    ) -> Generator[tuple[Unit, Part], None, None]:
+    ) -> Generator[tuple[Unit, UnitResult], None, None]:
         """Yield the units of a log with their parts, as they come.
 
         A unit whose worker dies, hangs or runs out of memory is tried once more, alone and, where
@@ -257,7 +257,9 @@ class Pool:
         if failure:
             raise failure
 
-    def _retry(self, plan: LogPlan, unit: Unit, lost: "Lost", make_context: MakeContext) -> Part:
+    def _retry(
+        self, plan: LogPlan, unit: Unit, lost: "Lost", make_context: MakeContext
+    ) -> UnitResult:
         """Return the part of a lost unit, which is done alone; its frames get a status if not."""
         batch = plan.batch_size if self.devices else max(1, plan.batch_size // 2)
         where = plan.where(unit)

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from jaxdet.engine.color import shown_color
 from jaxdet.engine.device import Device, Found
-from jaxdet.engine.part import Part
 from jaxdet.engine.plan import LogPlan, Unit
+from jaxdet.engine.unit_result import UnitResult
 from jaxdet.errors import FrameStatus
 from jaxdet.floor.plane import join_planes
 from jaxdet.render import draw_frame, write_png
@@ -37,7 +37,7 @@ Item = TypeVar("Item")
 _END: Any = object()
 
 
-class LogWork:
+class UnitProcessor:
     """An open log and its plan.
 
     Args:
@@ -56,9 +56,9 @@ class LogWork:
         """Close the log."""
         self.log.close()
 
-    def work_through(
+    def process_units(
         self, units: Iterable[Unit], read_ahead: int = 0
-    ) -> Generator[tuple[Unit, Part], None, None]:
+    ) -> Generator[tuple[Unit, UnitResult], None, None]:
         """Yield each unit with its part, in order.
 
         Args:
@@ -66,7 +66,7 @@ class LogWork:
             read_ahead: Batches that are read ahead in a thread; changes no result.
         """
         in_flight: deque[_InFlight] = deque()
-        building: list[_PartBuilder] = []
+        building: list[_ResultBuilder] = []
         try:
             with closing(_ahead(self._batches(units), read_ahead)) as batches:
                 for unit, batch in batches:
@@ -80,7 +80,7 @@ class LogWork:
                 with suppress(Exception):
                     self.device.finish(one.started)
 
-    def mark_failed(self, unit: Unit, status: FrameStatus, reason: str) -> Part:
+    def mark_failed(self, unit: Unit, status: FrameStatus, reason: str) -> UnitResult:
         """Return the part of a unit that can't be worked on: rows with a status, no results.
 
         No image is read.
@@ -90,7 +90,7 @@ class LogWork:
             status: Status of its frames.
             reason: Why, for people.
         """
-        plan, building = self.plan, _PartBuilder(self.plan)
+        plan, building = self.plan, _ResultBuilder(self.plan)
         numbers = [number for number in plan.frames if unit.start <= number < unit.stop]
         for first in range(0, len(numbers), plan.batch_size):
             some = numbers[first : first + plan.batch_size]
@@ -123,17 +123,17 @@ class LogWork:
         return _InFlight(unit, numbers, batch, plane, started)
 
     def _finish(
-        self, one: "_InFlight", building: list["_PartBuilder"]
-    ) -> Iterator[tuple[Unit, Part]]:
+        self, one: "_InFlight", building: list["_ResultBuilder"]
+    ) -> Iterator[tuple[Unit, UnitResult]]:
         """Wait for a batch; yield the part of its unit with the last one of it."""
         if not building:
-            building.append(_PartBuilder(self.plan))
+            building.append(_ResultBuilder(self.plan))
         found = self._timed(self.device.doing, self.device.finish, one.started)
         self._busy.update(found.busy_s)
         self._timed("write", building[0].add, one, found)
         self.batch_done()
         if one.numbers[-1] + 1 == one.unit.stop:
-            part: Part = self._timed("write", building.pop().complete)
+            part: UnitResult = self._timed("write", building.pop().complete)
             busy, self._busy = self._busy, Counter()
             part.counts.busy_s.update(busy)
             yield one.unit, part
@@ -159,45 +159,45 @@ class _InFlight(NamedTuple):
     """What the device knows it by."""
 
 
-class _PartBuilder:
-    """The part of a unit, batch by batch; its rows are made at once, as arrays of all frames."""
+class _ResultBuilder:
+    """Collects the batches of a unit; its rows are made at once, as arrays of all frames."""
 
     def __init__(self, plan: LogPlan) -> None:
         self.plan = plan
         self.held: list[tuple[Batch, GroundPlane, RowInputs]] = []
         """What rows need of each batch."""
-        seen = {name: [] for name in plan.observers}
-        none = Tables.joined(())
-        self.part = Part(Counts(), none, OccupancyMap(), [], [], seen, [])
+        self.errors: list[str] = []
+        self.pictures: list[str] = []
+        self.seen: dict[str, list[Any]] = {name: [] for name in plan.observers}
 
     def add(self, one: _InFlight, found: Found) -> None:
-        """Uses what was found in a batch."""
-        plan, part, batch = self.plan, self.part, one.batch
-        count = len(batch.status)
-        plane = GroundPlane(*(known[:count] for known in one.plane))
+        """Add a batch and what was found in it."""
+        batch, count = one.batch, len(one.batch.status)
+        plane = GroundPlane(*(part[:count] for part in one.plane))
         self.held.append((batch.without_images(), plane, used_slots(found.inputs, count)))
         errors = zip(one.numbers, batch.errors, strict=True)
-        part.errors.extend(f"frame {number}: {error}" for number, error in errors if error)
+        self.errors += [f"frame {number}: {error}" for number, error in errors if error]
         if found.whole is not None:
             shown = shown_planes(found.inputs, one.plane, batch.frames.calibration)
-            part.pictures.extend(self._draw(one, found.whole, shown))
-            for name, observer in plan.observers.items():
-                part.seen[name].append(observer(batch, found.whole))
+            self.pictures += self._draw(one, found.whole, shown)
+            for name, observer in self.plan.observers.items():
+                self.seen[name].append(observer(batch, found.whole))
 
-    def complete(self) -> Part:
-        """Return the part, when all batches are in it."""
-        plan, part = self.plan, self.part
+    def complete(self) -> UnitResult:
+        """Return the result of the unit, when all batches are added."""
+        plan, counts, occupancy = self.plan, Counts(), OccupancyMap()
         batches, planes, inputs = zip(*self.held, strict=True)
         batch = batches[0].joined(batches)
         sources = plan.planes.sources(batch.frames.stamp_ns)
         given = batch, join_planes(planes), sources, joined_inputs(inputs), plan.config
         rows = batch_rows(plan.log, plan.camera, *given)
-        part.counts.count(rows.frames, rows.obstacles)
+        counts.count(rows.frames, rows.obstacles)
         if plan.maps:
-            part.map.add_path(rows.T_world_camera)
-            part.map.add(rows.obstacles["corners_world"])
-            part.map.add_free(rows.free_world)
-        return part._replace(rows=Tables.of(rows.frames, rows.obstacles), notes=[batch.notes])
+            occupancy.add_path(rows.T_world_camera)
+            occupancy.add(rows.obstacles["corners_world"])
+            occupancy.add_free(rows.free_world)
+        tables, notes = Tables.of(rows.frames, rows.obstacles), [batch.notes]
+        return UnitResult(counts, tables, occupancy, self.errors, self.pictures, self.seen, notes)
 
     def _draw(self, one: _InFlight, found: Detections, plane: GroundPlane) -> Iterator[str]:
         plan, frames = self.plan, one.batch.frames._replace(plane=plane)

@@ -17,11 +17,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from jaxdet.engine.device import OwnDevice, SharedDevice, out_of_memory
 from jaxdet.engine.floors import Planes, decide_planes
-from jaxdet.engine.part import Part, rows_path
 from jaxdet.engine.plan import LogPlan, Unit
-from jaxdet.engine.slots import Piped, Slots
+from jaxdet.engine.shared_slots import ServerPipe, Slots
 from jaxdet.engine.startup import start_reading, start_up
-from jaxdet.engine.unit import LogWork
+from jaxdet.engine.unit import UnitProcessor
+from jaxdet.engine.unit_result import UnitResult, rows_path
 from jaxdet.errors import FrameStatus, JaxdetError, WorkerError
 from jaxdet.pipeline import BackendName
 from jaxdet.signals import ignore_stops
@@ -80,13 +80,13 @@ class Worker:
     Args:
         context: How processes are started.
         backend: What it computes with.
-        piped: Its way to the process that computes for it; None: it computes itself.
+        server_pipe: Its way to the process that computes for it; None: it computes itself.
     """
 
-    def __init__(self, context: Any, backend: BackendName, piped: Piped | None) -> None:
+    def __init__(self, context: Any, backend: BackendName, server_pipe: ServerPipe | None) -> None:
         self.pipe, self._theirs = multiprocessing.Pipe()
-        self._piped = piped
-        given = backend, self._theirs, piped
+        self._server_pipe = server_pipe
+        given = backend, self._theirs, server_pipe
         self.process = context.Process(target=_work, args=given, daemon=True)
         self.given: deque[Any] = deque()
         """What it has been given and has not answered, the oldest first."""
@@ -103,8 +103,8 @@ class Worker:
             self.process.start()
         finally:
             self._theirs.close()
-            if self._piped:
-                self._piped.pipe.close()  # so that the station sees when the worker is gone
+            if self._server_pipe:
+                self._server_pipe.pipe.close()  # so that the server sees when the worker ends
 
     def give(
         self, label: Any, function: Callable[..., Any], *args: Any, context: PackedContext | None
@@ -185,13 +185,13 @@ class _Answer(NamedTuple):
     value: Any
 
 
-_piped: Piped | None = None
+_server_pipe: ServerPipe | None = None
 """In a worker: its way to the process that computes for it."""
 _progress: Callable[[], Any] = int
 """In a worker: tells its parent that it is alive."""
 
 
-def tell_alive() -> None:
+def report_alive() -> None:
     """In a worker: tells its parent that there is progress."""
     _progress()
 
@@ -199,8 +199,8 @@ def tell_alive() -> None:
 @lru_cache(maxsize=1)
 def shared_device(slots: Slots) -> SharedDevice:
     """In a worker: the process that computes for it."""
-    assert _piped is not None
-    return SharedDevice(slots, _piped)
+    assert _server_pipe is not None
+    return SharedDevice(slots, _server_pipe)
 
 
 class UnitContext(NamedTuple):
@@ -212,16 +212,16 @@ class UnitContext(NamedTuple):
     slots: Slots | None
     """With GPUs: where images go."""
 
-    def open(self) -> LogWork:
+    def open(self) -> UnitProcessor:
         """Return the work on the log."""
         own = OwnDevice(self.plan.config, self.plan.backend, ahead=0)
         device = shared_device(self.slots) if self.slots else own
-        work = LogWork(self.log, self.plan, device)
-        work.batch_done = tell_alive
+        work = UnitProcessor(self.log, self.plan, device)
+        work.batch_done = report_alive
         return work
 
 
-def run_unit(work: LogWork, batch_size: int, unit: Unit) -> Part:
+def run_unit(work: UnitProcessor, batch_size: int, unit: Unit) -> UnitResult:
     """In a worker: return the part of a unit, with its rows in a temporary file.
 
     Args:
@@ -234,35 +234,37 @@ def run_unit(work: LogWork, batch_size: int, unit: Unit) -> Part:
         OutputError: The disk is full or broken.
     """
     work.plan = work.plan._replace(batch_size=batch_size)
-    ((_, part),) = work.work_through([unit])
+    ((_, part),) = work.process_units([unit])
     return part.saved(rows_path(work.plan.scratch, unit))
 
 
-def mark_unit_failed(work: LogWork, unit: Unit, status: FrameStatus, reason: str) -> Part:
-    """In a worker: return a part of rows without results, see :meth:`LogWork.mark_failed`."""
+def mark_unit_failed(
+    work: UnitProcessor, unit: Unit, status: FrameStatus, reason: str
+) -> UnitResult:
+    """In a worker: return a part of rows without results, see :meth:`UnitProcessor.mark_failed`."""
     part = work.mark_failed(unit, status, reason)
     return part.saved(rows_path(work.plan.scratch, unit))
 
 
 def decide_floors(*args: Any) -> Planes:
     """In a worker: :func:`jaxdet.engine.floors.decide_planes`."""
-    return decide_planes(*args, alive=tell_alive)
+    return decide_planes(*args, alive=report_alive)
 
 
-def _work(backend: BackendName, pipe: Any, piped: Piped | None) -> None:
+def _work(backend: BackendName, pipe: Any, server_pipe: ServerPipe | None) -> None:
     """What a worker does, until its parent ends it or has ended."""
-    global _piped, _progress
+    global _server_pipe, _progress
     ignore_stops()
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    _begin(backend, reads_only=piped is not None)
-    _piped, _progress = piped, _Alive(pipe)
+    _begin(backend, reads_only=server_pipe is not None)
+    _server_pipe, _progress = server_pipe, _Alive(pipe)
     context: Any = None
     with suppress(EOFError, OSError):
         pipe.send(_ALIVE)
         while True:
             message = pickle.loads(pipe.recv_bytes())
             if message == _NEW_CONTEXT:
-                if isinstance(context, LogWork):
+                if isinstance(context, UnitProcessor):
                     context.close()
                 context = _Lazy(pipe.recv_bytes())
                 continue

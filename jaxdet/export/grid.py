@@ -14,8 +14,8 @@ import numpy as np
 from jaxdet.export.shapes import FREE_COLUMNS, T_world_upright, contour, free_floor
 from jaxdet.results.map_file import FREE, OCCUPIED, UNKNOWN, Grid, KnownPlaces
 from jaxdet.results.metric import to_world
+from jaxdet.results.raster import Layer, Raster, rasterize
 from jaxdet.results.reading import Frame, ResultLog, Results
-from jaxdet.results.sheet import Layer, Sheet, draw_sheet
 from jaxdet.tracks.folder import tracking
 from jaxdet.tracks.looks import OBSTACLE_COLUMNS, POSE_COLUMNS
 from jaxdet.tracks.places import IN_MAP, is_lasting, shares_in_map
@@ -26,7 +26,7 @@ LEAST, MOST = -200, 350
 """Bounds of the log-odds [1/100], as in OctoMap; nine frames of free floor clear any cell."""
 
 _FLOOR, _OUTLINE, _EDGE = 1, 2, 3
-"""Values of cells on the sheet of a frame: free floor, outlines, and contours in them."""
+"""Values of cells on the raster of a frame: free floor, outlines, and contours in them."""
 _ADDED = np.array([0, MISS, HIT, HIT], np.int16)
 _FRAME_COLUMNS = (*POSE_COLUMNS, *FREE_COLUMNS)
 
@@ -53,9 +53,9 @@ def last_grid(results: Results, log: ResultLog, known: KnownPlaces | None = None
     looks = np.zeros((3, *counted.counts.shape), np.int32)
     seen_floor = np.zeros(counted.counts.shape, bool)
     for frame in _frames(results, log, most_floor, known):
-        if (sheet := _sheet(frame)) is None:
+        if (raster := _raster(frame)) is None:
             continue
-        cells, (x, y) = sheet.cells, (sheet.low - first).tolist()
+        cells, (x, y) = raster.cells, (raster.low - first).tolist()
         rows, columns = counted.counts.shape
         top, left = max(y, 0), max(x, 0)
         part = cells[top - y : max(rows - y, 0), left - x : max(columns - x, 0)]
@@ -102,7 +102,7 @@ def _frames(
             yield Frame(frame.row, [obstacle for obstacle, shown in own if shown])
 
 
-def _sheet(frame: Frame) -> Sheet | None:
+def _raster(frame: Frame) -> Raster | None:
     """Return the cells that a frame updates; an outline without a contour counts as one."""
     T = T_world_upright(frame.row)
     if T is None:
@@ -116,4 +116,4 @@ def _sheet(frame: Frame) -> Sheet | None:
     free = free_floor(frame.row).in_world(T[None])
     areas = np.split(free.points, np.cumsum(free.corners)[:-1]) if len(free.corners) else []
     layers = [Layer(_FLOOR, "areas", areas), Layer(_OUTLINE, "outlines", outlines)]
-    return draw_sheet([*layers, Layer(_EDGE, "outlines", bare), Layer(_EDGE, "lines", edges)])
+    return rasterize([*layers, Layer(_EDGE, "outlines", bare), Layer(_EDGE, "lines", edges)])

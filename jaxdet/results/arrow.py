@@ -1,4 +1,4 @@
-"""NumPy columns as Arrow arrays, from their memory.
+"""NumPy columns as Arrow arrays, from their memory, and columns of lists as NumPy arrays.
 
 ``pa.array`` of a NumPy array and, in earlier versions, ``to_pandas_dtype`` import pandas where that
 is installed: a third of a second and 40 MB in each process.
@@ -94,3 +94,17 @@ def _array(
     count = int(np.count_nonzero(null))
     valid = pa.py_buffer(np.packbits(~null, bitorder="little")) if count else None
     return pa.Array.from_buffers(kind, len(null), [valid, *buffers], count, children=children)
+
+
+def list_array(column: pa.ChunkedArray) -> pa.ListArray:
+    """Return a column of lists as one array."""
+    array = column.combine_chunks()
+    return array.chunk(0) if isinstance(array, pa.ChunkedArray) else array
+
+
+def vectors(column: pa.ChunkedArray, size: int) -> np.ndarray:
+    """Return vectors ``(N, size)`` of the column's type, NaN for null."""
+    values = list_array(column).flatten().to_numpy().reshape(-1, size)
+    found = np.full((len(column), size), np.nan, values.dtype)
+    found[column.is_valid().to_numpy()] = values
+    return found

@@ -217,7 +217,7 @@ class LogSummary(Counts):
     def rates(self) -> dict[str, float]:
         """Frames a second of each step, if all that do it did nothing else."""
         return {
-            what: self.frames * self._lanes(what) / self.busy_s[what]
+            what: self.frames * self._in_parallel(what) / self.busy_s[what]
             for what in STEPS
             if self.busy_s[what] > 0 and self.frames
         }
@@ -230,13 +230,15 @@ class LogSummary(Counts):
         """
         groups = (ON_DEVICES, tuple(what for what in STEPS if what not in ON_DEVICES))
         groups = [*((what,) for what in groups[0]), groups[1]] if self.devices else [STEPS]
-        taken = [sum(self.busy_s[what] / self._lanes(what) for what in group) for group in groups]
+        taken = [
+            sum(self.busy_s[what] / self._in_parallel(what) for what in group) for group in groups
+        ]
         busiest = groups[taken.index(max(taken))]
         slowest = max(busiest, key=lambda what: self.busy_s[what])
         return slowest if self.busy_s[slowest] > 0 else ""
 
-    def _lanes(self, what: str) -> int:
-        """How many do a step at a time."""
+    def _in_parallel(self, what: str) -> int:
+        """Return the number of workers or GPUs that do a step at the same time."""
         return self.devices if self.devices and what in ON_DEVICES else self.workers
 
     @property

@@ -6,7 +6,7 @@ of a fixed size whatever the batch, and the writer's settings are fixed here.
 
 import contextlib
 from collections import deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from io import BytesIO
 from pathlib import Path
@@ -49,13 +49,6 @@ class Tables(NamedTuple):
     def of(cls, frames: Mapping[str, Any], obstacles: Mapping[str, Any]) -> "Tables":
         """Rows from columns, see :func:`to_table`."""
         return cls(to_table(frames, FRAMES_SCHEMA), to_table(obstacles, OBSTACLES_SCHEMA))
-
-    @classmethod
-    def joined(cls, parts: Iterable["Tables"]) -> "Tables":
-        """Rows one after the other."""
-        none = [pa.Table.from_batches([], s) for s in (FRAMES_SCHEMA, OBSTACLES_SCHEMA)]
-        tables = zip(none, *parts, strict=True)
-        return cls(*map(pa.concat_tables, tables))
 
     def save(self, path: Path) -> None:
         """Write the rows to a temporary file, which needs not survive this run.

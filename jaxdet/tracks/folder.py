@@ -20,7 +20,7 @@ import pyarrow.parquet as pq
 
 from jaxdet.errors import ConfigError, InputError
 from jaxdet.render import draw_map, write_png
-from jaxdet.results.arrow import open_file
+from jaxdet.results.arrow import open_file, vectors
 from jaxdet.results.durable import writing
 from jaxdet.results.layout import MANIFEST, WORKING, check_folder, is_complete
 from jaxdet.results.lock import Lock
@@ -32,7 +32,7 @@ from jaxdet.results.reading import LINKS, TRACKS, Chunk, ResultLog, Results
 from jaxdet.results.schemas import LINKS_SCHEMA, TRACKS_SCHEMA
 from jaxdet.results.writer import parquet_writer
 from jaxdet.tracks.config import TrackConfig
-from jaxdet.tracks.looks import OBSTACLE_COLUMNS, POSE_COLUMNS, vectors
+from jaxdet.tracks.looks import OBSTACLE_COLUMNS, POSE_COLUMNS
 from jaxdet.tracks.observations import observations_of
 from jaxdet.tracks.places import PlaceRows, Places, is_lasting, with_outlines
 from jaxdet.tracks.rows import TrackRows

@@ -19,11 +19,12 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from jaxdet.io.motion import motion_matrix
+from jaxdet.results.arrow import list_array, vectors
 from jaxdet.results.free_floor import RAY_RAD, FreeFloor, ray_bearings
 from jaxdet.results.metric import TILT, tilted, to_world
 from jaxdet.results.occupancy import CELL_M, TILE
+from jaxdet.results.raster import Layer, rasterize
 from jaxdet.results.reading import Chunk
-from jaxdet.results.sheet import Layer, draw_sheet
 from jaxdet.types import RAYS, FreeEnd
 
 CHUNK_FRAMES = 64
@@ -87,15 +88,15 @@ class Looks:
             for t in _falling(wide):
                 shapes = [points[own][i] for i in np.flatnonzero(wide == t)]
                 layers.append(Layer(1 + FOUND, "lines", [s for s in shapes if len(s)], t))
-            if sheet := draw_sheet(layers):
-                self._count(sheet.cells, *sheet.low.tolist())
+            if raster := rasterize(layers):
+                self._count(raster.cells, *raster.low.tolist())
 
     def _count(self, cells: np.ndarray, x: int, y: int) -> None:
-        """Count a sheet whose first cell has column ``x`` and row ``y``."""
+        """Count a raster whose first cell has column ``x`` and row ``y``."""
         rows, columns = cells.shape
         for row in range(y // TILE, (y + rows - 1) // TILE + 1):
             for column in range(x // TILE, (x + columns - 1) // TILE + 1):
-                top, left = row * TILE - y, column * TILE - x  # of the tile on the sheet
+                top, left = row * TILE - y, column * TILE - x  # of the tile on the raster
                 part = cells[max(top, 0) : top + TILE, max(left, 0) : left + TILE]
                 tile = self._tiles.setdefault((row, column), np.zeros((3, TILE, TILE), np.int32))
                 up, aside = max(-top, 0), max(-left, 0)
@@ -173,7 +174,7 @@ def free_floor(frames: pa.Table) -> FreeFloor:
     names = "free_bearing_rad", "free_from_m", "free_to_m", "free_end"
     count = _lengths(frames[names[0]])
     frame = np.repeat(np.arange(len(count)), count)
-    columns = [_lists(frames[name]).flatten().to_numpy() for name in names]
+    columns = [list_array(frames[name]).flatten().to_numpy() for name in names]
     ray = np.rint(columns[0].astype(np.float64) / RAY_RAD).astype(np.int64) + RAYS // 2
     bearing, way = (np.broadcast_to(row, (len(count), RAYS)) for row in ray_bearings())
     seen, end = np.zeros((2, len(count), RAYS), np.int8)
@@ -186,7 +187,7 @@ def free_floor(frames: pa.Table) -> FreeFloor:
 def contours(chunk: Chunk, T_world_camera: np.ndarray) -> Lines:
     """Return the contours of all obstacles of a chunk."""
     count = _lengths(chunk.obstacles["contour"]) // 2
-    values = _lists(chunk.obstacles["contour"]).flatten().to_numpy().astype(np.float64)
+    values = list_array(chunk.obstacles["contour"]).flatten().to_numpy().astype(np.float64)
     frame = np.repeat(np.arange(len(T_world_camera)), np.diff(chunk.first))
     T = T_world_camera[np.repeat(frame, count)]
     return Lines(_in_world(values.reshape(-1, 2), T), count)
@@ -202,20 +203,6 @@ def _falling(values: np.ndarray) -> list[int]:
     return np.unique(values)[::-1].tolist()
 
 
-def _lists(column: pa.ChunkedArray) -> pa.ListArray:
-    """Return a column of lists as one array."""
-    array = column.combine_chunks()
-    return array.chunk(0) if isinstance(array, pa.ChunkedArray) else array
-
-
 def _lengths(column: pa.ChunkedArray) -> np.ndarray:
     """Return the lengths of lists ``(N,)`` int64; 0 for null."""
-    return pc.fill_null(_lists(column).value_lengths(), 0).to_numpy().astype(np.int64)
-
-
-def vectors(column: pa.ChunkedArray, size: int) -> np.ndarray:
-    """Return vectors ``(N, size)`` of the column's type, NaN for null."""
-    values = _lists(column).flatten().to_numpy().reshape(-1, size)
-    found = np.full((len(column), size), np.nan, values.dtype)
-    found[column.is_valid().to_numpy()] = values
-    return found
+    return pc.fill_null(list_array(column).value_lengths(), 0).to_numpy().astype(np.int64)

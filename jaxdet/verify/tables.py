@@ -6,6 +6,7 @@ from dataclasses import fields
 import numpy as np
 
 from jaxdet.errors import InputError
+from jaxdet.results.arrow import vectors
 from jaxdet.results.layout import FRAMES, OBSTACLES
 from jaxdet.results.metadata import INPUTS_KEY, VERSION_KEY, Inputs, table_metadata
 from jaxdet.results.reading import Chunk, ResultLog, Results
@@ -65,29 +66,21 @@ def _columns(chunk: Chunk) -> dict[str, np.ndarray]:
     columns = {name: np.array(chunk.frames[name].to_pylist(), object) for name in _WORDS}
     refused = columns["floor_refused"]
     columns["floor_refused"] = np.ma.array(refused, mask=[word is None for word in refused])
-    poses = chunk.frames["camera_orientation_world"].to_pylist()
-    columns["camera_orientation_world"] = np.array([q or [np.nan] * 4 for q in poses]).reshape(
-        -1, 4
-    )
-    return columns | {name: chunk.frames[name].to_numpy() for name in _NUMBERS}
+    poses = vectors(chunk.frames["camera_orientation_world"], 4)
+    numbers = {name: chunk.frames[name].to_numpy() for name in _NUMBERS}
+    return {**columns, **numbers, "camera_orientation_world": poses}
 
 
 def _outlines(chunk: Chunk) -> dict[str, np.ndarray]:
     """Columns of the obstacles that :meth:`jaxdet.results.summary.Counts.count` takes."""
-    corners = chunk.obstacles["corners_ground"].combine_chunks().flatten()
     return {
-        "corners_ground": corners.to_numpy().reshape(-1, 8),
+        "corners_ground": vectors(chunk.obstacles["corners_ground"], 8),
         "distance_m": chunk.obstacles["distance_m"].to_numpy(),
     }
 
 
 _WORDS = ("status", "floor_source", "floor_refused")
-_NUMBERS = (
-    "num_obstacles",
-    "overflow",
-    "camera_pitch_rad",
-    "camera_roll_rad",
-)
+_NUMBERS = ("num_obstacles", "overflow", "camera_pitch_rad", "camera_roll_rad")
 
 
 def _problems(chunk: Chunk) -> set[str]:

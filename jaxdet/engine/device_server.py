@@ -1,8 +1,8 @@
 """One process computes for many: images and results in shared memory, which the GPU reads itself.
 
-The station collects the pieces that wait, of any workers and in any order, and a lane copies them
-to its GPU as one batch and the packed results back to the slots. No frame depends on another, so no
-result depends on who shares a batch.
+The device server collects the pieces that wait, of any workers and in any order; the queue of a
+device copies them to its GPU as one batch and the packed results back to the slots. No frame
+depends on another, so no result depends on who shares a batch.
 """
 
 import queue
@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from jaxdet.config import Config
 from jaxdet.engine.device import out_of_memory
-from jaxdet.engine.lane import Lane, LogMemory, Served
-from jaxdet.engine.slots import Piece, Reply, Sample, Slots
+from jaxdet.engine.device_queue import DeviceQueue, ServerConfig, ServerMemory
+from jaxdet.engine.shared_slots import Piece, Reply, Sample, Slots
 
 if TYPE_CHECKING:
     from jaxdet.io import Log
@@ -29,9 +29,9 @@ BATCH_PIECES = 16
 """A batch: 256 frames of 640x480."""
 
 
-def how_to_serve(
+def server_config(
     log: "Log", config: Config, batch_size: int | None, piece_frames: int, workers: int
-) -> Served:
+) -> ServerConfig:
     """Return slots and batches for a log; arguments as of :meth:`jaxdet.engine.pool.Pool.serve`."""
     depth, color = log.depth_shape, None
     if config.cluster.points:
@@ -40,7 +40,7 @@ def how_to_serve(
     fits = PIECE_BYTES // (2 * prod(depth) + (prod(color) if color else 0))
     frames = max(1, min(PIECE_FRAMES, fits, piece_frames, batch_size or PIECE_FRAMES))
     pieces = BATCH_PIECES if batch_size is None else -(-batch_size // frames)
-    return Served(Slots("", frames, depth, color, workers), pieces, log.calibration, config)
+    return ServerConfig(Slots("", frames, depth, color, workers), pieces, log.calibration, config)
 
 
 class _Batch(NamedTuple):
@@ -54,7 +54,7 @@ class _Batch(NamedTuple):
 _NOTHING = _Batch([], None)
 
 
-class Station:
+class DeviceServer:
     """Computes what workers decode, a thread for each GPU: of a log, and others of the same kind.
 
     Memory, page-locked: for each worker ``SLOTS`` times ``PIECE_BYTES``, or one frame where that is
@@ -69,9 +69,9 @@ class Station:
         WorkerError: There is not as much memory.
     """
 
-    def __init__(self, served: Served, pipes: list[Any], devices: Sequence[Any]) -> None:
+    def __init__(self, served: ServerConfig, pipes: list[Any], devices: Sequence[Any]) -> None:
         self.served, self.pipes, self.devices = served, pipes, devices
-        self.memory = LogMemory(served)
+        self.memory = ServerMemory(served)
         self.waiting: queue.SimpleQueue[Piece | None] = queue.SimpleQueue()
         self.samples: queue.SimpleQueue[Sample | None] = queue.SimpleQueue()
         self.sending = threading.Lock()
@@ -93,7 +93,8 @@ class Station:
         self.memory.close()
 
     def _run(self, target: Any, *args: Any) -> None:
-        thread = threading.Thread(target=target, args=args, name="jaxdet-station", daemon=True)
+        name = "jaxdet-device-server"
+        thread = threading.Thread(target=target, args=args, name=name, daemon=True)
         self.threads.append(thread)
         thread.start()
 
@@ -134,26 +135,26 @@ class Station:
 
         Where it runs out of memory, what is on it is copied again, half as much at a time.
         """
-        size, lane, more = self.served.pieces, None, True
+        size, device_queue, more = self.served.pieces, None, True
         left: deque[Piece] = deque()
         copying = computing = _NOTHING
         while more or left or copying.pieces or computing.pieces:
             new: list[Piece] = []
             try:
-                if lane is None:
-                    lane = Lane(self.memory, device, size)
-                    lane.compile()  # while workers read
+                if device_queue is None:
+                    device_queue = DeviceQueue(self.memory, device, size)
+                    device_queue.compile()  # while workers read
                 if more and not left:
                     idle = not (copying.pieces or computing.pieces)
                     more = self._collect(left, size, block=idle)
                 new = [left.popleft() for _ in range(min(size, len(left)))]
-                copying, computing = self._step(lane, new, copying, computing)
+                copying, computing = self._step(device_queue, new, copying, computing)
             except Exception as error:
                 left.extendleft(reversed([*computing.pieces, *copying.pieces, *new]))
                 copying = computing = _NOTHING
-                if lane:
-                    lane.close()
-                lane = None
+                if device_queue:
+                    device_queue.close()
+                device_queue = None
                 if out_of_memory(error) and size > 1:
                     size //= 2
                     continue
@@ -161,20 +162,20 @@ class Station:
                 while left:
                     piece = left.popleft()
                     self._send(piece, Reply(piece.slot, b"", None, error, {}))
-        if lane:
-            lane.close()
+        if device_queue:
+            device_queue.close()
 
     def _step(
-        self, lane: Lane, new: list[Piece], copying: _Batch, computing: _Batch
+        self, device_queue: DeviceQueue, new: list[Piece], copying: _Batch, computing: _Batch
     ) -> tuple[_Batch, _Batch]:
         """Send the results of a batch, compute the next one, and copy the one after that."""
-        copied = _Batch(new, lane.copy(new)) if new else _NOTHING
+        copied = _Batch(new, device_queue.copy(new)) if new else _NOTHING
         started = _NOTHING
         if copying.pieces:
-            state = lane.start(copying.pieces, copying.state.result())
+            state = device_queue.start(copying.pieces, copying.state.result())
             started = copying._replace(state=state)
         if computing.pieces:
-            for piece, reply in zip(computing.pieces, lane.finish(*computing), strict=True):
+            for piece, reply in zip(computing.pieces, device_queue.finish(*computing), strict=True):
                 self._send(piece, reply)
         return copied, started
 

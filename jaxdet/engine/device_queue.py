@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxdet.config import Config
 from jaxdet.engine.floors import find_here
-from jaxdet.engine.slots import (
+from jaxdet.engine.shared_slots import (
     SLOTS,
     Leaf,
     Packing,
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from jaxdet.floor.units import FloorFit
 
 
-class Served(NamedTuple):
+class ServerConfig(NamedTuple):
     """What logs have in common that are served by the same threads, one after the other."""
 
     slots: Slots
@@ -42,7 +42,7 @@ class Served(NamedTuple):
     config: Config
 
 
-class LogMemory:
+class ServerMemory:
     """The memory of a log's images and results, for all devices.
 
     Args:
@@ -52,7 +52,7 @@ class LogMemory:
         WorkerError: There is not as much.
     """
 
-    def __init__(self, served: Served) -> None:
+    def __init__(self, served: ServerConfig) -> None:
         self.served, self.images = served, SharedMemory(served.slots.nbytes)
         where = {"path": self.images.path, "number": self.images.number}
         self.slots = served.slots._replace(**where)
@@ -111,7 +111,7 @@ class _Results(NamedTuple):
     """See :meth:`Packing.view`."""
 
 
-def _frames(depth: Any, color: Any, served: Served, plane: GroundPlane) -> Frames:
+def _frames(depth: Any, color: Any, served: ServerConfig, plane: GroundPlane) -> Frames:
     """Return frames with what the method reads."""
     nothing = np.zeros(len(depth), np.int64)
     known = nothing, nothing, nothing > 0
@@ -127,7 +127,7 @@ class _Copied(NamedTuple):
 
 
 class _Started(NamedTuple):
-    """A batch that a lane's device computes."""
+    """A batch that a device computes."""
 
     found: Detections
     packed: Any
@@ -139,7 +139,7 @@ class _Started(NamedTuple):
     """Time when it is computed."""
 
 
-class Lane:
+class DeviceQueue:
     """One device and what belongs to it: a batch is copied to it while one is computed.
 
     Args:
@@ -148,7 +148,7 @@ class Lane:
         pieces: Most pieces of a batch.
     """
 
-    def __init__(self, log: LogMemory, device: Any, pieces: int) -> None:
+    def __init__(self, log: ServerMemory, device: Any, pieces: int) -> None:
         from jaxdet.stages._upload import Uploader, wait_asleep
 
         wait_asleep(device)  # cores are for the workers
@@ -230,7 +230,7 @@ def _time_when_ready(found: Any) -> float:
 
 
 _packing = threading.Lock()
-"""All lanes get one function, which is compiled for each device once."""
+"""All devices get one function, which is compiled for each device once."""
 
 
 @lru_cache(maxsize=1)

@@ -159,8 +159,8 @@ class Reply(NamedTuple):
     """To a :class:`Sample`."""
 
 
-class Piped(NamedTuple):
-    """A worker's way to the station."""
+class ServerPipe(NamedTuple):
+    """A worker's way to the device server."""
 
     number: int
     pipe: Any

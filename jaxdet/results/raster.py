@@ -21,7 +21,7 @@ class Layer(NamedTuple):
     """Thickness of lines and dots [cell]."""
 
 
-class Sheet(NamedTuple):
+class Raster(NamedTuple):
     """Cells around the shapes of a frame."""
 
     cells: np.ndarray
@@ -30,14 +30,14 @@ class Sheet(NamedTuple):
     """Column and row of the first cell, counted from the world's origin, ``(2,)`` int64."""
 
 
-def draw_sheet(layers: Sequence[Layer]) -> Sheet | None:
+def rasterize(layers: Sequence[Layer]) -> Raster | None:
     """Draw layers, each over those before it.
 
     Args:
         layers: Shapes; those that are too large or too far for a map are left out.
 
     Returns:
-        The smallest sheet around them; None if there are none, or it would be too large.
+        The smallest raster around them; None if there are none, or it would be too large.
     """
     shapes = [shape for layer in layers for shape in layer.shapes]
     if not shapes:
@@ -57,7 +57,7 @@ def draw_sheet(layers: Sequence[Layer]) -> Sheet | None:
     of = np.repeat(np.arange(len(layers)), [len(layer.shapes) for layer in layers])[fits]
     for layer, first, last in zip(layers, *_bounds(of, len(layers)), strict=True):
         _draw(cells, layer, places[first:last])
-    return Sheet(cells, together.low[0])
+    return Raster(cells, together.low[0])
 
 
 def _bounds(of: np.ndarray, count: int) -> np.ndarray:

@@ -12,12 +12,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from jaxdet.engine.crew import Job, OneProcess, memory_plan
 from jaxdet.engine.device import OwnDevice
-from jaxdet.engine.log_job import make_log, no_report
+from jaxdet.engine.executors import InProcess, memory_plan
 from jaxdet.engine.memory import Memory
-from jaxdet.engine.slots import Slots
-from jaxdet.engine.worker import shared_device, tell_alive
+from jaxdet.engine.process_log import no_report, process_log
+from jaxdet.engine.settings import RunSettings
+from jaxdet.engine.shared_slots import Slots
+from jaxdet.engine.worker import report_alive, shared_device
 from jaxdet.results.summary import LogSummary
 from jaxdet.types import Calibration
 
@@ -30,10 +31,10 @@ FEW_BYTES = 256 << 20
 """Less is done sooner by one process than workers have started."""
 
 
-class WorkerJob(NamedTuple):
+class LogContext(NamedTuple):
     """What the logs have in common that workers do."""
 
-    job: Job
+    settings: RunSettings
     memory: Memory
     devices: int
     """GPUs."""
@@ -42,12 +43,12 @@ class WorkerJob(NamedTuple):
     batch: int
     """With GPUs: frames computed together."""
 
-    def open(self) -> "WorkerJob":
+    def open(self) -> "LogContext":
         """Return itself, in the worker."""
         return self
 
-    def choose(self, log: "Log", memory: Memory) -> OneProcess:
-        """Return the crew of a worker, with its share of the memory.
+    def choose(self, log: "Log", memory: Memory) -> InProcess:
+        """Return the executor of a worker, with its share of the memory.
 
         Raises:
             MemoryError: The log needs more.
@@ -55,18 +56,17 @@ class WorkerJob(NamedTuple):
         if self.served and log.calibration != self.served[1]:
             raise _OtherCameraError(log.calibration)
         workers = memory.workers
-        plan = memory_plan(self.job, log, memory, workers, packing=workers)
+        plan = memory_plan(self.settings, log, memory, workers, packing=workers)
         together = self.served[0].frames if self.served else 1
         if plan.workers < workers or plan.batch < together:
             raise MemoryError("not enough for as many at a time")
-        config, backend = self.job.config, self.job.options.backend
+        config, backend = self.settings.config, self.settings.options.backend
         own = OwnDevice(config, backend, ahead=0)
         device = shared_device(self.served[0]) if self.served else own
         plan = plan._replace(batch=self.batch or plan.batch, read_ahead=0)
-        crew = OneProcess(self.job, plan, device, alive=tell_alive)
-        crew.others, crew.devices = workers - 1, self.devices
-        crew.together = together if self.served else plan.batch
-        return crew
+        together = together if self.served else plan.batch
+        counts = {"together": together, "devices": self.devices, "others": workers - 1}
+        return InProcess(self.settings, plan, device, alive=report_alive, **counts)
 
 
 class OtherCamera(NamedTuple):
@@ -81,24 +81,24 @@ class _OtherCameraError(Exception):
         self.calibration = calibration
 
 
-def do_log(
-    given: WorkerJob, files: "LogFiles", folder: Path
+def process_log_in_worker(
+    given: LogContext, files: "LogFiles", folder: Path
 ) -> list[LogSummary] | OtherCamera | None:
-    """In a worker: write the results of a log, see :func:`jaxdet.engine.log_job.make_log`.
+    """In a worker: write the results of a log, see :func:`jaxdet.engine.process_log.process_log`.
 
     Returns:
         Its summaries; None: the first process has to do it.
     """
     try:
         more = given.choose, no_report
-        return make_log(given.job, files, folder, given.memory, *more, keep_memory=True)
+        return process_log(given.settings, files, folder, given.memory, *more, keep_memory=True)
     except _OtherCameraError as error:
         return OtherCamera(error.calibration)
     except Exception:  # which is met again by the first process, which reports it
         return None
 
 
-def choose_whole(sizes: Mapping[str, int], workers: int) -> set[str]:
+def choose_logs(sizes: Mapping[str, int], workers: int) -> set[str]:
     """Return the logs to be done one per worker, so that all are done soonest.
 
     These are the smallest: as many as it pays to do before the others are shared out one by one.

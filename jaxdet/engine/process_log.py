@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxdet.engine.crew import Choose, Crew, Job
+from jaxdet.engine.executors import ChooseExecutor, Executor
 from jaxdet.engine.floors import Planes, evenly
 from jaxdet.engine.memory import Memory
-from jaxdet.engine.part import Assembly
 from jaxdet.engine.plan import LogPlan, UnitSizes
 from jaxdet.engine.progress import Clock, Report
+from jaxdet.engine.settings import RunSettings
+from jaxdet.engine.unit_result import Assembly
 from jaxdet.errors import (
     CamerasError,
     ChunkMemoryError,
@@ -50,12 +51,12 @@ REPORT = "report.txt"
 Inputs = list[dict[str, Any]]
 
 
-def make_log(
-    job: Job,
+def process_log(
+    settings: RunSettings,
     files: "LogFiles",
     folder: Path,
     memory: Memory,
-    choose: Choose,
+    choose: ChooseExecutor,
     report: Report,
     *,
     keep_memory: bool = False,
@@ -66,7 +67,7 @@ def make_log(
     where every camera of the log failed.
 
     Args:
-        job: What it has in common with other logs.
+        settings: What it has in common with other logs.
         files: The log.
         folder: New folder; ``NAME~CAMERA.rows`` next to it hold temporary files.
         memory: The memory of the run; a log with large chunks is shared by fewer processes.
@@ -83,7 +84,7 @@ def make_log(
     with writing(folder):
         folder.mkdir()
     inputs = [fingerprint(path) for path in files.paths]
-    given = job, files, folder, memory, choose, report, keep_memory, inputs
+    given = settings, files, folder, memory, choose, report, keep_memory, inputs
     with ExitStack() as stack:
 
         def run(options: "LogOptions", camera: str = "") -> CameraRun:
@@ -92,7 +93,7 @@ def make_log(
             one.run(options)
             return one
 
-        options = job.log_options
+        options = settings.log_options
         try:
             cameras = [run(options)]
         except CamerasError as error:
@@ -102,12 +103,12 @@ def make_log(
             for about in (one.about for one in done if one.about.description):
                 about.cameras_left_out = list(about.description.cameras_left_out)
         abouts = [one.about for one in cameras]
-        summary = Summary(job.options.backend, max(one.batch for one in cameras), abouts)
+        summary = Summary(settings.options.backend, max(one.batch for one in cameras), abouts)
         summary.seconds = sum(about.seconds for about in abouts)
         summary.workers = max(about.workers for about in abouts)
-        about = {"log": files.name, "inputs": inputs, **job.about}
+        about = {"log": files.name, "inputs": inputs, **settings.about}
         if done:
-            _write_results(folder, job, summary, done, about)
+            _write_results(folder, settings, summary, done, about)
         else:
             remove(folder / "pictures")
             write_failure(folder, about, abouts)
@@ -130,10 +131,17 @@ def write_failure(folder: Path, about: dict[str, Any], logs: list[LogSummary]) -
 
 
 def _write_results(
-    folder: Path, job: Job, summary: Summary, cameras: list["CameraRun"], about: dict[str, Any]
+    folder: Path,
+    settings: RunSettings,
+    summary: Summary,
+    cameras: list["CameraRun"],
+    about: dict[str, Any],
 ) -> None:
     """Write tables, JSON files and the manifest."""
-    told, config = summary.to_dict(), {**job.described, "batch_size": summary.batch_size}
+    told, config = (
+        summary.to_dict(),
+        {**settings.record["config"], "batch_size": summary.batch_size},
+    )
     with TableWriter(folder) as writer:
         for one in cameras:
             for rows in one.rows():
@@ -147,13 +155,13 @@ def _write_results(
 
 @dataclass
 class CameraRun:
-    """One camera of a log, worked through; fields as the arguments of :func:`make_log`."""
+    """One camera of a log, worked through; fields as the arguments of :func:`process_log`."""
 
-    job: Job
+    settings: RunSettings
     files: "LogFiles"
     folder: Path
     memory: Memory
-    choose: Choose
+    choose: ChooseExecutor
     report: Report
     keep_memory: bool
     inputs: Inputs
@@ -268,29 +276,29 @@ class CameraRun:
         about.description, about.calibration = log.description, log.calibration
         about.warnings += log.description.warnings
         about.notes += log.description.notes
-        crew = self.choose(log, self.memory)
-        about.workers, about.devices = crew.workers, crew.devices
+        executor = self.choose(log, self.memory)
+        about.workers, about.devices = executor.workers, executor.devices
         self.report(about, log.label, len(log.frames), "looking for the floor")
-        together = crew.start(log)
-        self.batch = crew.memory.batch
-        plan = self._plan(log, together, crew.find_planes(log, together))
+        together = executor.start(log)
+        self.batch = executor.memory.batch
+        plan = self._plan(log, together, executor.find_planes(log, together))
         about.ground = plan.planes.records
         about.warnings += plan.planes.warnings
-        self._work(log, plan, crew)
+        self._work(log, plan, executor)
         notes = self._assembly.finish(plan.observers)
         if plan.maps:
-            self._write_map(self._assembly.map, log, crew.others)
+            self._write_map(self._assembly.map, log, executor.others)
         before = len(log.description.warnings)
         about.description = log.described(total(notes))
         about.warnings += about.description.warnings[before:]
         own = about.color_warning, about.depth_warning, about.floor_warning, about.tilt_warning
         about.warnings += filter(None, own)
 
-    def _work(self, log: "Log", plan: LogPlan, crew: Crew) -> None:
-        about, clock = self.about, Clock(self.about, crew.workers)
+    def _work(self, log: "Log", plan: LogPlan, executor: Executor) -> None:
+        about, clock = self.about, Clock(self.about, executor.workers)
         count = len(log.frames)
         self.report(about, log.label, count, "starting")
-        with closing(crew.work(log, plan)) as parts:
+        with closing(executor.work(log, plan)) as parts:
             for unit, part in parts:
                 self._assembly.add(unit, part)
                 clock.tick()
@@ -299,24 +307,24 @@ class CameraRun:
 
     def _plan(self, log: "Log", batch: int, planes: Planes) -> LogPlan:
         """Return how the log is worked through, ``batch`` frames at a time."""
-        job, count = self.job, self.job.options.pictures
+        settings, count = self.settings, self.settings.options.pictures
         drawn = evenly(np.array(log.frames), count) if count else np.zeros(0, int)
         return LogPlan(
             self.files.name,
             log.camera,
             log.label,
             log.frames,
-            job.config,
-            job.options.backend,
+            settings.config,
+            settings.options.backend,
             batch,
-            _unit_sizes(len(log.frames), batch, self.about.workers, job.options.backend),
+            _unit_sizes(len(log.frames), batch, self.about.workers, settings.options.backend),
             planes,
             frozenset(drawn.tolist()),
             self.folder,
             self.scratch,
             self._prefix,
-            job.options.map,
-            job.observers,
+            settings.options.map,
+            settings.observers,
         )
 
     def _write_map(self, occupancy: OccupancyMap, log: "Log", others: int) -> None:
@@ -346,7 +354,7 @@ class CameraRun:
         about, floors = self.about, self.about.floor_sources
         if occupancy.cells:
             about.warnings.append("no map: what was seen is too far apart for one")
-        elif self.job.config.ground.source == "none":
+        elif self.settings.config.ground.source == "none":
             about.notes.append("no map: no floor was looked for (--ground.source none)")
         elif floors and floors.total() == floors["none"]:
             about.warnings.append("no map: no frame's floor is known")

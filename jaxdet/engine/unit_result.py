@@ -20,7 +20,7 @@ HELD_FRAMES = 16384
 """Frames whose rows are held in memory; those of more go to temporary files."""
 
 
-class Part(NamedTuple):
+class UnitResult(NamedTuple):
     """Results of a unit."""
 
     counts: Counts
@@ -38,7 +38,7 @@ class Part(NamedTuple):
     lost: str = ""
     """Why its frames have no results, where the processes that worked on it failed."""
 
-    def saved(self, path: Path) -> "Part":
+    def saved(self, path: Path) -> "UnitResult":
         """Return the part with its rows in a temporary file.
 
         Raises:
@@ -67,11 +67,11 @@ class Assembly:
     def __init__(self, scratch: Path, about: LogSummary) -> None:
         self.map = OccupancyMap()
         self._scratch, self._about = scratch, about
-        self._parts: dict[int, Part] = {}
+        self._parts: dict[int, UnitResult] = {}
         self._paths: dict[int, list[Any]] = {}
         self._held = 0
 
-    def add(self, unit: Unit, part: Part) -> None:
+    def add(self, unit: Unit, part: UnitResult) -> None:
         """Take in the part of a unit.
 
         Raises:

@@ -8,12 +8,12 @@ from typing import Any
 
 from jaxdet.config import Config
 from jaxdet.config_changes import changed
-from jaxdet.engine.options import OF_RUN, OF_RUNNER
+from jaxdet.engine.options import OF_RUN, OF_RUNNER, RunOptions
 from jaxdet.engine.runner import Runner
+from jaxdet.engine.settings import RunSettings, make_settings
 from jaxdet.errors import InputError
 from jaxdet.io import LogOptions, find_logs
 from jaxdet.presets import DEFAULT_PRESET, preset
-from jaxdet.results.record import make_record
 
 
 def run_one(log_path: str, folder: str | Path, how: Mapping[str, Any]) -> dict[str, Any]:
@@ -40,9 +40,8 @@ def run_one(log_path: str, folder: str | Path, how: Mapping[str, Any]) -> dict[s
         OutputError: The disk is full or broken.
         Interrupted: A signal ended it.
     """
-    config, log_options, name = _settings(how)
+    settings = _settings(how)
     runner = _runner(*(how.get(key) for key in OF_RUNNER))
-    options = {key: how[key] for key in OF_RUN if key in how}
     try:
         logs = find_logs([log_path])
         if len(logs) != 1:
@@ -51,9 +50,7 @@ def run_one(log_path: str, folder: str | Path, how: Mapping[str, Any]) -> dict[s
         found = {"name": how.get("name") or log_path, "frames": 0, "obstacles": 0, "seconds": 0.0}
         return {"status": "failed", **found, "warnings": [], "lost": [], "error": str(error)}
     given = logs[0]._replace(name=how.get("name") or logs[0].name)
-    folder = Path(folder)
-    options["about"] = how.get("about") or {}
-    summary = runner.run_alone(given, folder, config, log_options, preset=name, **options)
+    summary = runner.run_alone(settings, given, Path(folder))
     errors = "; ".join(log.error for log in summary.failed if log.error)
     return {
         "status": "done" if summary.whole else "failed",
@@ -67,14 +64,12 @@ def run_one(log_path: str, folder: str | Path, how: Mapping[str, Any]) -> dict[s
     }
 
 
-def record_of(how: Mapping[str, Any]) -> dict[str, Any]:
+def record_of(how: Mapping[str, Any]) -> Mapping[str, Any]:
     """Return the content of the ``run.json`` of logs that :func:`run_one` runs like this."""
-    drawn = {"pictures": how.get("pictures", 8), "map": how.get("map", True)}
-    return make_record(*_settings(how), backend=how.get("backend") or "jax", **drawn, observers={})
+    return _settings(how).record
 
 
-def _settings(how: Mapping[str, Any]) -> tuple[Config, LogOptions, str]:
-    """Return the configuration, how to read logs, and the name of the preset."""
+def _settings(how: Mapping[str, Any]) -> RunSettings:
     name = how.get("preset") or DEFAULT_PRESET
     config = preset(name)
     sections = {
@@ -82,7 +77,11 @@ def _settings(how: Mapping[str, Any]) -> tuple[Config, LogOptions, str]:
         for key, values in (how.get("config") or {}).items()
     }
     log_options = changed(LogOptions(), how.get("log") or {}, "log", "how")
-    return Config(**{**vars(config), **sections}), log_options, name
+    chosen = {key: how[key] for key in (*OF_RUNNER, *OF_RUN) if how.get(key) is not None}
+    config = Config(**{**vars(config), **sections})
+    return make_settings(
+        config, log_options, RunOptions(Path(), **chosen), name, about=how.get("about")
+    )
 
 
 @cache

@@ -1,0 +1,264 @@
+"""A run over many logs: each log in, a folder of results out."""
+
+import logging
+import os
+import signal
+import time
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from jaxdet.engine.log_per_worker import (
+    FEW_BYTES,
+    LogContext,
+    OtherCamera,
+    choose_logs,
+    process_log_in_worker,
+)
+from jaxdet.engine.options import RunOptions
+from jaxdet.engine.output import OutputFolder
+from jaxdet.engine.process_log import process_log
+from jaxdet.engine.progress import Progress, ProgressCallback
+from jaxdet.engine.resources import Processes, Resources
+from jaxdet.engine.settings import RunSettings
+from jaxdet.engine.tasks import TaskQueue
+from jaxdet.errors import ConfigError, InputError, Interrupted, OutputError
+from jaxdet.io import LogFiles
+from jaxdet.results.manifest import fingerprint
+from jaxdet.results.publish import remove
+from jaxdet.results.summary import LogSummary, Summary
+from jaxdet.signals import stops_held_back, stops_raised
+
+if TYPE_CHECKING:
+    from jaxdet.types import Calibration
+
+LOGGER = logging.getLogger("jaxdet")
+
+
+def run_logs(
+    settings: RunSettings,
+    logs: Sequence[LogFiles],
+    processes: Processes,
+    progress: ProgressCallback | None,
+) -> Summary:
+    """Do all logs of a run that are not done yet.
+
+    Args:
+        settings: The run.
+        logs: Its logs.
+        processes: Worker processes.
+        progress: Called after each unit and each log.
+    """
+    start, options, resources = time.perf_counter(), settings.options, None
+    with OutputFolder(options.output, settings.record, options) as output:
+        done = output.begin(logs)
+        kept = frozenset(done)
+        left = {log.name: log for log in logs if log.name not in kept}
+        if kept and left:
+            LOGGER.info("continuing: %d of %d logs are done", len(kept), len(logs))
+        try:
+            with stops_raised():
+                if left:
+                    resources = Resources(settings, processes, apart=output.taken_over)
+                    Scheduler(settings, logs, output, resources, done, progress).run(left)
+        except KeyboardInterrupt as stop:
+            processes.close()
+            number = getattr(stop, "signal", signal.SIGINT)
+            text = f"interrupted; {_standing(done, logs, options)}"
+            raise Interrupted(number, text) from None
+        except BaseException as error:
+            processes.close()
+            if isinstance(error, InputError | OutputError) and done:
+                error.add_remedy(_standing(done, logs, options))
+            raise
+    found = [about for log in logs for about in done[log.name]]
+    return make_summary(settings, resources, found, start, kept)
+
+
+def _standing(done: Collection[str], logs: Sequence[LogFiles], options: RunOptions) -> str:
+    """Return how many logs are done, and how to continue."""
+    some = "no log is done" if not done else f"{len(done)} of {len(logs)} logs are done"
+    but = " without --overwrite" if options.overwrite else ""
+    return f"{some}; the same command{but} goes on"
+
+
+class Scheduler:
+    """Hands out logs, and puts their results in place.
+
+    Args:
+        settings: The run.
+        logs: All its logs.
+        output: Folder of the results.
+        resources: Memory and worker processes.
+        done: Summaries of the cameras of logs that are done, by the logs' names; is added to.
+        progress: Called after each unit and each log.
+    """
+
+    def __init__(
+        self,
+        settings: RunSettings,
+        logs: Sequence[LogFiles],
+        output: OutputFolder,
+        resources: Resources,
+        done: dict[str, list[LogSummary]],
+        progress: ProgressCallback | None,
+    ) -> None:
+        self.settings, self.logs, self.output, self.done = settings, logs, output, done
+        self.resources, self.memory, self.pool = resources, resources.memory, resources.pool
+        self.progress = progress
+        self.numbers = {log.name: number for number, log in enumerate(logs)}
+
+    def run(self, left: dict[str, LogFiles]) -> None:
+        """Do logs: small ones one per worker, the others shared by all workers, one by one."""
+        alone = self._for_workers(left)
+        cameras: dict[str, Calibration] = {}
+        while left:
+            ready = [name for name in alone if self._ready(cameras.get(name))]
+            if ready:
+                for name, answer in self._by_workers({name: left[name] for name in ready}):
+                    if isinstance(answer, OtherCamera):
+                        cameras[name] = answer.calibration
+                    elif isinstance(answer, list):
+                        alone.remove(name)
+                        self._take(left.pop(name), answer)
+                    else:
+                        alone.remove(name)
+                continue
+            name = next((name for name in left if name not in alone), None) or alone.pop(0)
+            self._do_here(left.pop(name))
+
+    def _for_workers(self, left: Mapping[str, LogFiles]) -> list[str]:
+        """Return the logs that are done one per worker, the largest first."""
+        if self.memory.workers == 1 or len(left) == 1:
+            return []
+        sizes = {name: sum(map(_size, log.paths)) for name, log in left.items()}
+        if sum(sizes.values()) < FEW_BYTES and not self.resources.workers_wanted:
+            return []
+        return sorted(choose_logs(sizes, self.memory.workers), key=lambda name: -sizes[name])
+
+    def _ready(self, camera: "Calibration | None") -> bool:
+        """Whether a worker can do a log of a camera by itself, as the pool is now."""
+        if not self.pool.devices:
+            return True
+        served = self.pool.serving
+        if served is None or self.pool.count != self.memory.workers:
+            return False  # the next log that is shared out makes all workers be served
+        return served.config == self.settings.config and camera in (None, served.calibration)
+
+    def _by_workers(
+        self, logs: Mapping[str, LogFiles]
+    ) -> Iterator[tuple[str, list[LogSummary] | OtherCamera | None]]:
+        """Yield logs as workers have done them, one per worker, each with the answer."""
+        self.pool.resize(self.memory.workers)
+        self.resources.workers = self.pool.count
+        served = self.pool.serving
+        slots = served and (served.slots, served.calibration)
+        batch = served.pieces * served.slots.frames if served else 0
+        context = LogContext(self.settings, self.memory, len(self.pool.devices), slots, batch)
+        tasks = {name: (log, self.output.staged(name)) for name, log in logs.items()}
+        for _, staged in tasks.values():
+            remove(staged)  # of a worker that was ended
+        first = next(iter(logs))
+        self._report(LogSummary(first, ()), first, 0, "opening")
+        given = context, process_log_in_worker, TaskQueue(tasks), tasks.__getitem__
+        for name, answer in self.pool.each(*given):
+            if not isinstance(answer, list):
+                remove(tasks[name][1])
+            yield name, answer
+
+    def _do_here(self, log: LogFiles) -> None:
+        """Do a log by this process, or by all workers together."""
+        staged = self.output.staged(log.name)
+        remove(staged)  # of a worker that was lost
+        given = self.memory, self.resources.choose, self._report
+        done = process_log(self.settings, log, staged, *given)
+        if any(about.error for about in done):
+            self._check_there(log)
+        self._take(log, done)
+
+    def _take(self, log: LogFiles, done: list[LogSummary]) -> None:
+        """Put the results of a log in their place."""
+        with stops_held_back():
+            self.output.publish(log.name)
+            self.done[log.name] = done
+        for about in done:
+            self._report(about, about.log, about.frames, "")
+            if about.error:
+                LOGGER.info("%s: failed: %s", about.log, about.error)
+            else:
+                counts = about.frames, about.obstacles
+                LOGGER.info("%s: done, %d frames, %d obstacles", about.log, *counts)
+
+    def _report(self, about: LogSummary, label: str, total: int, doing: str) -> None:
+        """Tell the log and the callback where the run stands."""
+        stands = doing or f"{about.frames} of {total} frames"
+        LOGGER.debug("%s: %s", label, stands)
+        if self.progress:
+            state = about.frames, total, about.num_bad, about.frames_per_s, about.bottleneck
+            number, count = self.numbers[about.log], len(self.logs)
+            failed = sum(any(one.error for one in done) for done in self.done.values())
+            logs = len(self.done), failed
+            self.progress(Progress(label, number, count, *state, about.rates, doing, *logs))
+
+    def _check_there(self, failed: LogFiles) -> None:
+        """Make sure that the disk of a log that failed is still there.
+
+        It is gone where other logs are gone with it. A single log that is gone was removed, and
+        costs no other.
+
+        Raises:
+            InputError: It is gone; nothing that is done is lost.
+        """
+        others = [log for log in self.logs if log is not failed and log.name not in self.done]
+        if _gone(failed) and (not others or any(map(_gone, others))):
+            path, remedy = str(failed.paths[0]), "see that its disk is there"
+            raise InputError("is not there any more", path=path, remedy=remedy)
+
+
+def make_summary(
+    settings: RunSettings,
+    resources: Resources | None,
+    logs: list[LogSummary],
+    start: float,
+    kept: frozenset[str] = frozenset(),
+) -> Summary:
+    """Return the summary of a run.
+
+    Args:
+        settings: The run.
+        resources: What it took; None if there was nothing to do.
+        logs: Summaries of the cameras of all logs.
+        start: Time when it began, by ``time.perf_counter`` [s].
+        kept: Names of the logs that were done before.
+    """
+    batch = resources.batch if resources else settings.options.batch_size or 0
+    seconds = time.perf_counter() - start
+    summary = Summary(settings.options.backend, batch, logs, seconds, kept=kept)
+    shared = resources.workers if resources else 1
+    summary.workers = max([shared, *(log.workers for log in logs)])
+    return summary
+
+
+def _gone(log: LogFiles) -> bool:
+    return not all(map(os.path.exists, log.paths))
+
+
+def _size(path: Path) -> int:
+    """Return the size of a file, or of a folder's files [bytes]; 0 where it can't be read."""
+    with suppress(OSError):
+        return fingerprint(path).get("size", 0) if path.is_dir() else path.stat().st_size
+    return 0
+
+
+def check_outside(output: Path, logs: Sequence[LogFiles]) -> None:
+    """Make sure that results don't change a log that is a folder.
+
+    Raises:
+        ConfigError: The output is in one.
+    """
+    place = output.resolve()
+    for folder in (path for log in logs for path in log.paths if path.is_dir()):
+        if place.is_relative_to(folder.resolve()):
+            problem, remedy = f"is in the log {folder}", "give an --output beside it"
+            raise ConfigError(problem, path=str(output), remedy=remedy)
