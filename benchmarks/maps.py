@@ -145,7 +145,7 @@ def _obstacles(results: Results, log: ResultLog, room: "Room") -> tuple[np.ndarr
     for chunk in results.chunks(log, FRAME_COLUMNS, (*OBSTACLE_COLUMNS, "in_map")):
         lines = contours(chunk, poses(chunk.frames))
         points = np.split(lines.points, np.cumsum(lines.lengths)[:-1])
-        distance = chunk.obstacles["distance_m"].to_pylist()
+        distance = chunk.obstacles["distance_m"].to_numpy()
         of += [room.thing_of(p, d) for p, d in zip(points, distance, strict=True)]
         in_map += chunk.obstacles["in_map"].to_pylist()
     return np.array(of), np.array(in_map, bool)

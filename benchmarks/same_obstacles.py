@@ -426,4 +426,4 @@ def pair_up(old: Sequence[Thing], new: Sequence[Thing]) -> list[tuple[int, int]]
 def _text(row: dict[str, Any]) -> str:
     box = f"{row['u_min']}..{row['u_max']} x {row['v_min']}..{row['v_max']}"
     place = f"{row['x']:.2f} {row['y']:.2f} {row['z']:.2f}"
-    return f"{row['num_points']} points at {place}, {row['distance_m']:.3f} m, box {box}"
+    return f"{row['num_points']} points at {place}, {row['z_min']:.3f} m deep, box {box}"

@@ -189,6 +189,7 @@ def tracks() -> Iterator[object]:
             "bottom_m": numbers(len(frame)).astype(np.float32),
             "top_m": 1 + numbers(len(frame)).astype(np.float32),
             "distance_m": (3 + 2 * numbers(len(frame))).astype(np.float32),
+            "z_min": np.full(len(frame), 2.5, np.float32),
             "u_min": u,
             "u_max": u + 39,
             "x_min": numbers(len(frame)).astype(np.float32) - 1,

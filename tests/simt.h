@@ -165,10 +165,10 @@ inline unsigned __ballot_sync(unsigned mask, int mine) {
     for (int i = 0; i < 32; ++i) bits |= (unsigned)all[i] << i;
     return bits;
 }
-template <class Combine> int reduced(const char* kind, int mine, Combine combine) {
+template <class T, class Combine> T reduced(const char* kind, T mine, Combine combine) {
     const auto& all = Simt::one().warp(kind, as_word(mine));
-    int found = from_word<int>(all[0]);
-    for (int i = 1; i < 32; ++i) found = combine(found, from_word<int>(all[i]));
+    T found = from_word<T>(all[0]);
+    for (int i = 1; i < 32; ++i) found = combine(found, from_word<T>(all[i]));
     return found;
 }
 inline int __reduce_add_sync(unsigned mask, int mine) {
@@ -178,6 +178,10 @@ inline int __reduce_add_sync(unsigned mask, int mine) {
 inline int __reduce_min_sync(unsigned mask, int mine) {
     whole(mask);
     return reduced("min", mine, [](int a, int b) { return a < b ? a : b; });
+}
+inline unsigned __reduce_min_sync(unsigned mask, unsigned mine) {
+    whole(mask);
+    return reduced("min", mine, [](unsigned a, unsigned b) { return a < b ? a : b; });
 }
 inline int __reduce_max_sync(unsigned mask, int mine) {
     whole(mask);

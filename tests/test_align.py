@@ -235,6 +235,31 @@ def test_twin_at_a_few_pixels(device, lens, color_size):
 
 
 @pytest.mark.twin
+@pytest.mark.parametrize("lens", LENSES)
+def test_twin_skips_no_tile_that_covers_a_wanted_pixel(device, lens):
+    """Surfaces from near to far under cameras turned and moved by a little or a lot.
+
+    Smooth depth makes the intervals of a tile narrow, so that most tiles are skipped.
+    """
+    rng, hits = np.random.default_rng(7), 0
+    for distance in (2, 20, 200, 2000, 20000):
+        for spread in (0.1, 1.0):
+            turn = rotation(*spread * rng.uniform(-40, 40, 3))
+            motion = Extrinsics(turn, tuple(spread * rng.uniform(-0.3, 0.3, 3)))
+            base = small(97, 61)
+            color = with_lens(base.color, lens)
+            calibration = base._replace(color=color, color_from_depth=motion)
+            depth = smooth_depth(4, base.depth).astype(np.float64) / 1000 * distance
+            depth = np.minimum(depth, 65535).astype(np.uint16)
+            whole = reference.align(depth, calibration)
+            u, v = (rng.integers(0, n, (4, 9)).astype(np.int32) for n in (97, 61))
+            want = AlignedDepth(*(image[np.arange(4)[:, None], v, u] for image in whole))
+            assert_equal(stages.align(depth, u, v, calibration), want)
+            hits += np.count_nonzero(want.z)
+    assert hits > 50
+
+
+@pytest.mark.twin
 def test_twin_without_any_measurement(device):
     depth = np.zeros((2, 60, 80), np.uint16)
     assert_equal(align_all(depth, small()), reference.align(depth, small()))

@@ -339,7 +339,8 @@ def test_a_mask_shows_the_nearer_of_two_things():
     depth[:, 60:100] = 1000
     found = Detector([120, 120, 80, 60])(depth, COLOR[0])
     pillar, *walls = found
-    assert pillar.distance_m < 1.1 and walls and min(wall.distance_m for wall in walls) > 2.5
+    assert pillar.xyz_min[2] < 1.1 and walls and min(wall.xyz_min[2] for wall in walls) > 2.5
+    assert pillar.distance_m is None and "~1.00 m away" in repr(pillar)
     assert (found.labels[:, 62:98] == 0).all()
     assert (found.labels[:, 2:58] > 0).all() and (found.labels[:, 102:158] > 0).all()
 

@@ -27,7 +27,7 @@ def test_values_are_escaped_and_rows_counted():
 
 def test_a_batch_is_a_table_of_frames(found):
     html = found._repr_html_()
-    assert "<td>no_depth</td>" in html and "<td>2.00</td>" in html
+    assert "<td>no_depth</td>" in html and "<td>~2.00 m</td>" in html
 
 
 def test_obstacles_are_a_pandas_table(found):

@@ -119,7 +119,7 @@ def test_surfaces_have_contours_heights_and_free_floor() -> None:
     assert ahead.all() and (np.diff(frame[0]["free_bearing_rad"]) > 0).all()
 
 
-def test_without_a_floor_there_are_no_heights() -> None:
+def test_without_a_floor_there_are_no_distances_heights_and_contours() -> None:
     batch, config = boxes(), Config()
     config = replace(config, ground=replace(config.ground, source="none"))
     given = batch.frames._replace(plane=unknown_plane(3))
@@ -132,10 +132,11 @@ def test_without_a_floor_there_are_no_heights() -> None:
     )
     assert frame["floor_source"].to_pylist() == ["none"] * 3
     assert frame["floor_refused"].null_count == 3 == frame["camera_height_m"].null_count
-    assert obstacle["bottom_m"].null_count == obstacle.num_rows > 0
+    for name in ("bottom_m", "top_m", "distance_m", "contour"):
+        assert obstacle[name].null_count == obstacle.num_rows > 0
     assert obstacle["corners_world"].null_count == obstacle.num_rows
     assert rows.free_world is not None and not len(rows.free_world.frame)
-    assert obstacle["distance_m"].null_count == 0
+    assert obstacle["z_min"].null_count == 0
 
 
 def test_a_frame_that_cant_be_used_says_nothing_of_what_was_found_in_it() -> None:

@@ -64,6 +64,7 @@ def sightings(
         "bottom_m": np.zeros(count, np.float32),
         "top_m": np.full(count, 1.7, np.float32),
         "distance_m": np.hypot(boxes[:, ::2], boxes[:, 1::2]).min(axis=1, initial=99),
+        "z_min": np.full(count, 1.5),
         **in_picture(boxes),
         "roll_rad": np.zeros(count),
     } | {name: np.asarray(values) for name, values in other.items()}
@@ -360,7 +361,7 @@ def test_a_standing_camera_keeps_little_in_memory():
         there[:, 4] = frame % (6 * window) > 60
         at, which = np.nonzero(there)
         found = np.full(len(at), 1, np.float32)
-        columns = dict.fromkeys(("bottom_m", "top_m", "distance_m"), found)
+        columns = dict.fromkeys(("bottom_m", "top_m", "distance_m", "z_min"), found)
         columns |= in_picture(boxes[which])
         columns |= dict.fromkeys(("corners_ground", "corners_world"), boxes[which])
         seen = observations_of(frame[at], stamps[at], np.zeros(len(at)), columns, None)

@@ -38,7 +38,7 @@ def test_sightings_by_hand():
     turned = [corners_of(5, 5, yaw=np.pi / 3)] * 3 + [[np.nan] * 8]
     u_min, u_max = [0, 1, 2, 320], [637, 638, 639, 640]
     seen = in_frames(
-        [boxes], u_min=u_min, u_max=u_max, corners_world=turned, distance_m=[0, 3, 6, 1.5]
+        [boxes], u_min=u_min, u_max=u_max, corners_world=turned, distance_m=[0, 3, 6, np.nan]
     )
     assert seen.in_world.tolist() == [True, True, True, False]
     np.testing.assert_allclose(seen.columns, np.stack([u_min, u_max], 1) / 640)

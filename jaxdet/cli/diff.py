@@ -147,7 +147,10 @@ def _brief(column: str) -> str:
 
 
 def _metres(obstacles: Sequence["Found"]) -> str:
-    return _some([f"{one.obstacle} at {one.distance_m:.2f} m" for one in obstacles])
+    from jaxdet.results.metric import distance_text
+
+    texts = [distance_text(one.distance_m, one.depth_m) for one in obstacles]
+    return _some([f"{one.obstacle} at {text}" for one, text in zip(obstacles, texts, strict=True)])
 
 
 def _some(names: Sequence[str]) -> str:

@@ -15,7 +15,7 @@ from jaxdet.errors import ConfigError, FrameStatus
 from jaxdet.floor.mount import Mount
 from jaxdet.notebook import table
 from jaxdet.results.masks import label_image, obstacle_points
-from jaxdet.results.metric import rectangles
+from jaxdet.results.metric import distance_text, rectangles
 from jaxdet.results.rows import Rows
 from jaxdet.types import Detections, Frames
 
@@ -47,7 +47,8 @@ class Obstacle:
         label: Number in its frame, in the order of smallest depth, so that 0 is not always the
             nearest; those whose evidence is ``free_floor`` come last. Its pixels have this value in
             :attr:`FrameResult.labels`.
-        distance_m: Distance from the camera's ground projection to its nearest point [m].
+        distance_m: Distance from the camera's ground projection to its nearest point [m]; None if
+            the floor is unknown. ``xyz_min[2]``, its depth, is always known.
         box: First column and row, last column and row [pixel], in the colour image of a calibrated
             colour camera, else in the depth image; None if outside of the colour image.
         xyz_min: Minimum x, y and z in the camera's optical frame, ``(3,)`` float32 [m].
@@ -57,8 +58,9 @@ class Obstacle:
             objects that stand on it; None if the floor is unknown.
         top_m: Height of its highest cell above the floor [m]; None if the floor is unknown.
         contour: Its visible edge on the floor from left to right, ``(P, 2)`` float32, right and
-            forward of the camera [m]; None for clusters of points.
-        corners: Its outline on the floor, ``(4, 2)`` float32, right and forward [m].
+            forward of the camera [m]; None for clusters of points and if the floor is unknown.
+        corners: Its outline on the floor, ``(4, 2)`` float32, right and forward [m]; as seen from
+            a level camera if the floor is unknown.
         corners_world: The outline in the world, ``(4, 2)`` float64, X and Y [m]; None without a
             pose or a floor.
         num_points: Number of its depth cells; in the preset ``paper`` of its corners.
@@ -67,7 +69,7 @@ class Obstacle:
     """
 
     label: int
-    distance_m: float
+    distance_m: float | None
     box: tuple[int, int, int, int] | None
     xyz_min: np.ndarray
     xyz_max: np.ndarray
@@ -83,7 +85,8 @@ class Obstacle:
 
     def __repr__(self) -> str:
         high = "" if self.top_m is None else f", {self.bottom_m:.2f} to {self.top_m:.2f} m high"
-        return f"<Obstacle {self.label}: {self.distance_m:.2f} m away{high}, box {self.box}>"
+        away = distance_text(self.distance_m, float(self.xyz_min[2]))
+        return f"<Obstacle {self.label}: {away} away{high}, box {self.box}>"
 
     @property
     def points(self) -> np.ndarray:
@@ -120,7 +123,7 @@ class FrameResult(Sequence[Obstacle]):
         return self._batch.counts[self._row]
 
     def __repr__(self) -> str:
-        near = "" if self.nearest_m is None else f", the nearest at {self.nearest_m:.2f} m"
+        near = f", the nearest at {self.nearest_text}" if len(self) else ""
         return f"<FrameResult {self.number}: {self.status}, {len(self)} obstacles{near}>"
 
     def _repr_png_(self) -> bytes:
@@ -174,8 +177,15 @@ class FrameResult(Sequence[Obstacle]):
 
     @property
     def nearest_m(self) -> float | None:
-        """Distance of the nearest obstacle [m], or None."""
-        return min((obstacle.distance_m for obstacle in self.obstacles), default=None)
+        """Distance of the nearest obstacle [m]; None without one, or if the floor is unknown."""
+        distances = (obstacle.distance_m for obstacle in self.obstacles)
+        return min((d for d in distances if d is not None), default=None)
+
+    @property
+    def nearest_text(self) -> str:
+        """Distance of the nearest obstacle, or after ``~`` its depth if the floor is unknown."""
+        depths = [float(obstacle.xyz_min[2]) for obstacle in self.obstacles]
+        return distance_text(self.nearest_m, min(depths)) if depths else ""
 
     @property
     def floor(self) -> Mount | None:
@@ -318,7 +328,7 @@ class BatchResult(Sequence[FrameResult]):
             "frame": [one.number for one in self],
             "status": [one.status for one in self],
             "obstacles": self.counts,
-            "nearest [m]": [one.nearest_m for one in self],
+            "nearest": [one.nearest_text for one in self],
             "floor from": [one.floor_source for one in self],
         }
         return table(repr(self).strip("<>"), columns)
@@ -359,7 +369,7 @@ class BatchResult(Sequence[FrameResult]):
             world = columns["corners_world"][at].reshape(4, 2)
             yield Obstacle(
                 label=int(columns["obstacle"][at]),
-                distance_m=float(columns["distance_m"][at]),
+                distance_m=_known(columns["distance_m"][at]),
                 box=None if outside else (int(box[0]), int(box[1]), int(box[2]), int(box[3])),
                 xyz_min=low,
                 xyz_max=high,

@@ -268,7 +268,7 @@ def _series(stream: rr.RecordingStream, chunk: Chunk) -> None:
     distance, first = chunk.obstacles["distance_m"].to_numpy(), chunk.first[:-1][count > 0]
     nearest = np.full(len(count), np.nan)
     if first.size:
-        nearest[count > 0] = np.minimum.reduceat(distance, first)
+        nearest[count > 0] = np.fmin.reduceat(distance, first)
     drop = chunk.frames["drop_m"].to_numpy()
     good = chunk.frames["status"].to_numpy() == FrameStatus.OK
     for path, values in (

@@ -14,7 +14,7 @@ import numpy as np
 from jaxdet.floor.plane import down_vector, forward_vector
 from jaxdet.io.motion import motion_matrix, quaternions
 from jaxdet.results.free_floor import RAY_RAD, FreeFloor
-from jaxdet.results.metric import TILT, tilted
+from jaxdet.results.metric import TILT, distance_text, tilted
 from jaxdet.results.reading import ResultLog
 
 Row = Mapping[str, Any]
@@ -153,4 +153,5 @@ def label(obstacle: Row) -> str:
     track = obstacle.get("track")
     followed = "" if track is None else f"   #{track}"
     new = "   new" if obstacle.get("in_map") is False else ""
-    return f"{obstacle['obstacle']}   {obstacle['distance_m']:.2f} m{followed}{new}"
+    away = distance_text(obstacle["distance_m"], obstacle["z_min"])
+    return f"{obstacle['obstacle']}   {away}{followed}{new}"

@@ -11,7 +11,7 @@ from jaxdet.camera import cell_side
 from jaxdet.config import Config
 from jaxdet.reference._cells import cell_boxes
 from jaxdet.results.masks import label_image
-from jaxdet.results.metric import distances
+from jaxdet.results.metric import distance_text, distances
 from jaxdet.types import Calibration, CellLabels, Detections, Features, Frames, Labels
 
 Box = tuple[float, float, float, float]
@@ -85,7 +85,13 @@ def depth_picture(depth: np.ndarray, unit: float, near_m: float, far_m: float) -
 
 
 def camera_view(
-    shown: Shown, found: Detections, row: int, config: Config, scale: float
+    shown: Shown,
+    found: Detections,
+    row: int,
+    config: Config,
+    scale: float,
+    *,
+    on_floor: bool = True,
 ) -> np.ndarray:
     """Draw the detections of a frame on its image.
 
@@ -95,6 +101,7 @@ def camera_view(
         row: Row of the frame.
         config: Configuration with the size of cells.
         scale: Scale factor.
+        on_floor: Whether the floor is known; else depths stand in place of distances.
 
     Returns:
         Picture ``(H * scale, W * scale, 3)`` uint8, RGB.
@@ -121,8 +128,12 @@ def camera_view(
         canvas.polygon(image, corners, canvas.color_of(label))
     if shown.depth_range_m is not None:
         _draw_scale(image, *shown.depth_range_m)
-    nearest = distances(found)[row] * shown.calibration.depth_unit
-    texts = {label: f"{label}   {nearest[label]:.2f} m" for label in boxes}
+    unit = shown.calibration.depth_unit
+    nearest, depths = distances(found)[row] * unit, found.obstacles.xyz_min[row, :, 2] * unit
+    texts = {
+        label: f"{label}   {distance_text(nearest[label] if on_floor else None, depths[label])}"
+        for label in boxes
+    }
     for chip in _chips(boxes, texts, image.shape[1], image.shape[0]):
         _draw_chip(image, chip)
     return image

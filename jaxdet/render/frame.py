@@ -47,7 +47,7 @@ def draw_frame(
     shown = shown_image(frames, row, config)
     height, width = shown.image.shape[:2]
     scale = min(PANEL_HEIGHT / height, MAX_CAMERA_WIDTH / width)
-    left = camera_view(shown, found, row, config, scale)
+    left = camera_view(shown, found, row, config, scale, on_floor=bool(plane.valid[row]))
     size = (PANEL_HEIGHT, TOP_WIDTH)
     reach = config.ground.max_depth_m
     right = top_view(size, found, corners, row, plane, frames.calibration, reach)
@@ -65,7 +65,7 @@ def draw_frame(
 def _camera_text(frames: Frames, row: int) -> str:
     plane = frames.plane
     if plane is None or not plane.valid[row]:
-        return "floor unknown"
+        return "floor unknown; ~ is depth"
     pitch, roll = np.degrees([plane.pitch[row], plane.roll[row]])
     return f"camera {plane.height[row]:.2f} m up, {pitch:.1f}° down, roll {roll:+.1f}°"
 

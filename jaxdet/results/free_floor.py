@@ -28,7 +28,7 @@ class Polygons(NamedTuple):
 
 
 class FreeFloor(NamedTuple):
-    """By frame and ray, each ``(B, N)``; 0 where nothing is seen."""
+    """Free floor per frame and ray, each ``(B, N)``; 0 where nothing is seen."""
 
     seen: np.ndarray
     """bool, the floor or an obstacle."""
@@ -102,7 +102,7 @@ def _scaled(way: np.ndarray, length: np.ndarray) -> np.ndarray:
 
 
 def free_floor(free: Array, free_end: Array, depth_unit: float) -> FreeFloor:
-    """The free floor of a batch in metres.
+    """Return the free floor of a batch in metres, of the rays that any of its frames shows.
 
     Args:
         free: ``(B, RAYS, 2)`` int32 [depth units], of :class:`jaxdet.types.Scene`.
@@ -110,11 +110,12 @@ def free_floor(free: Array, free_end: Array, depth_unit: float) -> FreeFloor:
         depth_unit: Metres in one depth unit.
     """
     start, stop = np.moveaxis(np.asarray(free), 2, 0)
-    bearing, way = ray_bearings()
-    shape = stop.shape
-    end = np.asarray(free_end, np.int8)
-    ways = np.broadcast_to(way, shape), np.broadcast_to(bearing, shape)
-    return FreeFloor(stop > 0, *ways, start * depth_unit, stop * depth_unit, end)
+    used = np.flatnonzero((stop > 0).any(axis=0))
+    view = slice(used[0], used[-1] + 1) if used.size else slice(0)
+    start, stop, end = start[:, view], stop[:, view], np.asarray(free_end)[:, view]
+    bearing, way = (np.broadcast_to(table[view], stop.shape) for table in ray_bearings())
+    metres = start * depth_unit, stop * depth_unit
+    return FreeFloor(stop > 0, way, bearing, *metres, end.astype(np.int8))
 
 
 @lru_cache(maxsize=1)

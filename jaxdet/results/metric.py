@@ -129,6 +129,16 @@ def point_distances(obstacles: Obstacles) -> np.ndarray:
     return np.sqrt(np.minimum(np.minimum(*squared[:2]), squared[2]))
 
 
+def distance_text(distance_m: float | None, depth_m: float) -> str:
+    """Return a distance for people, or where the floor is unknown, the depth after ``~``.
+
+    Example:
+        >>> distance_text(1.234, 1.1), distance_text(None, 1.1)
+        ('1.23 m', '~1.10 m')
+    """
+    return f"~{depth_m:.2f} m" if distance_m is None else f"{distance_m:.2f} m"
+
+
 def rectangle_distances(corners: np.ndarray) -> np.ndarray:
     """Distance from the camera's foot to the nearest point of rectangles.
 

@@ -370,22 +370,28 @@ def _shape_columns(
     slot: np.ndarray,
     unit: float,
 ) -> dict[str, Any]:
-    """Distances, and of obstacles made of surfaces contours and heights above the floor."""
+    """Return distances, heights above the floor and contours; unknown without a floor.
+
+    Clusters of points have no heights and no contours.
+    """
+    known = plane.valid[row]
     if scene is None:
         distance = point_distances(obstacles)
         bottom = top = np.full(row.size, np.nan)
         contours = Lists.nulls(row.size)
     else:
         turned = np.abs(plane.roll) > 0.75 * np.pi  # upside down: columns go to the left
-        lines = contour_lines(scene.contour, scene.contour_points, row, slot, turned[row])
-        points, count = lines
+        placed = np.where(plane.valid[:, None], scene.contour_points, 0)
+        points, count = contour_lines(scene.contour, placed, row, slot, turned[row])
         distance = nearest(points, count)
-        heights = np.where(plane.valid[row, None], scene.bottom_top[row, slot] * unit, np.nan)
-        bottom, top = heights.T
+        bottom, top = (scene.bottom_top[row, slot] * unit).T
         values = (points * unit).astype(np.float32).ravel()
-        contours = Lists.of_lengths(values, 2 * count, np.zeros(row.size, bool))
+        contours = Lists.of_lengths(values, 2 * count, ~known)
     metres = {"distance_m": distance * unit, "bottom_m": bottom, "top_m": top}
-    return {k: a.astype(np.float32) for k, a in metres.items()} | {"contour": contours}
+    return {
+        **{name: np.where(known, a, np.nan).astype(np.float32) for name, a in metres.items()},
+        "contour": contours,
+    }
 
 
 def _world_corners(

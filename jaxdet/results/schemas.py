@@ -128,7 +128,14 @@ OBSTACLES_SCHEMA = _schema(
         "the same in the world, x and y in turn; null without a pose or a floor level in it",
         True,
     ),
-    _Column("distance_m", _F32, "m", "on the floor, camera's foot to nearest point of the contour"),
+    _Column(
+        "distance_m",
+        _F32,
+        "m",
+        "on the floor, from below the camera to the nearest point of the contour; null without a "
+        "floor",
+        True,
+    ),
     _Column("bottom_m", _F32, "m", "its lowest cell above the floor", True),
     _Column("top_m", _F32, "m", "its highest cell above the floor", True),
     _Column("contour", _LIST, "m", "visible edge on the floor, right and forward in turn", True),

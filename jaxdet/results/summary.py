@@ -149,7 +149,7 @@ class LogSummary(Counts):
         others = [f"{n} have that of {name}" for name, n in self.floor_sources.items() if n]
         others = [text for text in others if not text.endswith((" frame", " none"))]
         if nothing:
-            others.append(f"in {nothing} no floor is known, distances are as of a level camera")
+            others.append(f"in {nothing} no floor is known, so their obstacles have no distance")
         remedy = "give the camera's true --ground.camera-height-m, --ground.camera-pitch and "
         remedy += "--ground.camera-roll"
         if self.floor_sources["flags"]:

@@ -54,7 +54,7 @@ def align_arrays(
         words = reported_words(kernels, size)
 
         def call(teams: int) -> jax.Array:
-            dims = {"keys_out": u.shape, "scratch": (teams, words)}
+            dims = {"keys": u.shape, "scratch": (teams, words)}
             return _align(depth, *tables, u, v, output_dims=dims)[0]
 
         most = most_teams(len(depth), words, kernels.BLOCKS)
@@ -64,9 +64,9 @@ def align_arrays(
 
 @jax_callable(kernels, kernels.TYPES, outputs=2)
 def _align(
-    depth: Any, x: Any, y: Any, parameters: Any, u: Any, v: Any, keys_out: Any, scratch: Any
+    depth: Any, rays: Any, tile_rays: Any, parameters: Any, u: Any, v: Any, keys: Any, scratch: Any
 ) -> None:
-    given = [depth, x, y, parameters, u, v, keys_out]
+    given = [depth, rays, tile_rays, parameters, u, v, keys]
     by_frame(kernels, kernels.align, given, len(depth), scratch)
 
 
@@ -82,9 +82,31 @@ def tables(calibration: Calibration) -> Tables:
     size = moved_size(calibration)
     if size is None:
         return ()
-    x, y = corner_rays(calibration.depth)
+    rays = np.stack(corner_rays(calibration.depth))
     numbers = np.concatenate([parameters(calibration), np.array(size, np.float32)])
-    return jnp.asarray(x), jnp.asarray(y), jnp.asarray(numbers)
+    return tuple(jnp.asarray(a) for a in (rays, tile_rays(rays), numbers))
+
+
+def tile_rays(rays: np.ndarray) -> np.ndarray:
+    """Return bounds of the corner rays of each tile of depth pixels.
+
+    Args:
+        rays: ``(2, Hd + 1, Wd + 1)`` float32, x and y over z, see
+            :func:`jaxdet.camera.corner_rays`.
+
+    Returns:
+        Least and largest x, then y, of the corners of each tile's pixels, ``(tiles, 4)`` float32.
+    """
+    return np.stack([_over_tiles(f, image) for image in rays for f in (np.minimum, np.maximum)], 1)
+
+
+def _over_tiles(extreme: np.ufunc, image: np.ndarray) -> np.ndarray:
+    """Reduce the corners of each tile's pixels, ``(tiles,)``; tiles as in ``alignment.h``."""
+    for axis, size in enumerate(image.shape):
+        first = np.minimum(np.arange(0, size - 1, kernels.TILE), max(size - 1 - kernels.TILE, 0))
+        corners = [np.minimum(first + i, size - 1) for i in range(kernels.TILE + 1)]
+        image = extreme.reduce([np.take(image, c, axis) for c in corners])
+    return image.ravel()
 
 
 def parameters(calibration: Calibration) -> np.ndarray:

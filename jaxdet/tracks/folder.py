@@ -47,7 +47,7 @@ KNOWN = "known_map"
 _STAGING = "tracks"
 """Folder in the working folder, for folders of logs with their new tracks."""
 
-_COLUMNS = ("bottom_m", "top_m", "distance_m", "u_min", "u_max", "x_min", "x_max")
+_COLUMNS = ("bottom_m", "top_m", "distance_m", "z_min", "u_min", "u_max", "x_min", "x_max")
 _PLACE = ("floor_source", "camera_position_world")
 _FRAME = tuple(dict.fromkeys(("stamp_ns", "camera_roll_rad", *_PLACE, *POSE_COLUMNS)))
 _READ = ("obstacle", "num_points", "corners_ground", "corners_world", *_COLUMNS)

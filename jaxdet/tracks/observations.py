@@ -81,8 +81,8 @@ def observations_of(
         stamp_ns: Timestamps ``(N,)``.
         roll_rad: Camera roll ``(N,)``, NaN if unknown.
         columns: Columns of ``obstacles.parquet``: ``corners_ground``, ``corners_world`` (NaN
-            without a pose), ``bottom_m``, ``top_m``, ``distance_m``, ``u_min``, ``u_max``,
-            ``x_min``, ``x_max``.
+            without a pose), ``bottom_m``, ``top_m``, ``distance_m`` (NaN without a floor),
+            ``z_min``, ``u_min``, ``u_max``, ``x_min``, ``x_max``.
         width: Width of the image that contains the boxes, None if unknown [pixel]. Obstacles
             outside of it have NaN in ``u_min`` and ``u_max``, and no hidden side.
     """
@@ -99,7 +99,8 @@ def observations_of(
     rightwards = (
         _rightwards(columns["corners_ground"], world, in_world) * _across(roll_rad)[:, None]
     )
-    distance = columns["distance_m"].astype(np.float64)
+    distance, depth = (columns[name].astype(np.float64) for name in ("distance_m", "z_min"))
+    distance = np.where(np.isnan(distance), depth, distance)
     weight = 1 / (1 + ((distance / NOISE_M) ** 2) ** 2)
     bottom, top = (columns[name].astype(np.float64) for name in ("bottom_m", "top_m"))
     one = np.ones(len(frame), np.int64)

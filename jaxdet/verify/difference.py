@@ -23,8 +23,10 @@ class Found(NamedTuple):
 
     obstacle: int
     """Number in its frame."""
-    distance_m: float
-    """Distance on the floor [m]."""
+    distance_m: float | None
+    """Distance on the floor [m]; None if the floor is unknown."""
+    depth_m: float
+    """Smallest depth [m]."""
 
 
 class FrameDifference(NamedTuple):
@@ -49,8 +51,11 @@ class FrameDifference(NamedTuple):
 
     @property
     def moved_m(self) -> float:
-        """Largest change of the distance of an obstacle of both [m]."""
-        return max((abs(a.distance_m - b.distance_m) for a, b in self.changed), default=0.0)
+        """Largest change of the distance of an obstacle of both [m].
+
+        It is that of the depth where the floor is unknown to one of them.
+        """
+        return max((_moved(a, b) for a, b in self.changed), default=0.0)
 
 
 @dataclass
@@ -205,7 +210,14 @@ def _frame_difference(a: Frame, b: Frame) -> FrameDifference | None:
 
 
 def _found(row: Mapping[str, Any]) -> Found:
-    return Found(row["obstacle"], row["distance_m"])
+    return Found(row["obstacle"], row["distance_m"], row["z_min"])
+
+
+def _moved(a: Found, b: Found) -> float:
+    """Return the change of the distance between two runs [m], or else of the depth."""
+    if a.distance_m is None or b.distance_m is None:
+        return abs(a.depth_m - b.depth_m)
+    return abs(a.distance_m - b.distance_m)
 
 
 def _overlap(a: np.ndarray, b: np.ndarray) -> float:

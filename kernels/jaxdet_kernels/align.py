@@ -12,15 +12,18 @@ wp.set_module_options(options("alignment.h"))
 WIDTH, BLOCKS = 256, 4
 """Threads of a team on CUDA, and how many teams are on a multiprocessor at once."""
 
+TILE = 8
+"""Rows and columns of a tile of depth pixels, as in ``alignment.h``."""
+
 PARAMETERS = 26
 """Length of the projection's parameters, see ``projection.h``; then come the colour camera's lens,
 whether a depth pixel covers all colour pixels between its corners, and height and width of the
 colour image, as floats."""
 
 Depth, Keys = wp.array3d[wp.uint16], wp.array2d[wp.uint32]
-Rays, Floats = wp.array2d[wp.float32], wp.array[wp.float32]
-Pixels, Words = wp.array2d[wp.int32], wp.array[wp.int32]
-TYPES = Depth, Rays, Rays, Floats, Pixels, Pixels, Keys, Pixels
+Rays, Bounds = wp.array3d[wp.float32], wp.array2d[wp.float32]
+Floats, Pixels, Words = wp.array[wp.float32], wp.array2d[wp.int32], wp.array[wp.int32]
+TYPES = Depth, Rays, Bounds, Floats, Pixels, Pixels, Keys, Pixels
 """Of the arrays of a call, those of :func:`align`."""
 
 
@@ -31,7 +34,7 @@ TYPES = Depth, Rays, Rays, Floats, Pixels, Pixels, Keys, Pixels
     const auto find = [&](size_t b, const Team& team, unsigned* near, int* own) {
         const size_t at = b * points;
         Alignment::of(parameters.data, depth.data + b * rows * columns, rows, columns,
-                      corner_x.data, corner_y.data, near, own)
+                      rays.data, tile_rays.data, near, own)
             .run(team, points, u.data + at, v.data + at, keys_out.data + at);
     };
 #if defined(__CUDA_ARCH__)
@@ -50,8 +53,8 @@ TYPES = Depth, Rays, Rays, Floats, Pixels, Pixels, Keys, Pixels
 def _align(
     tid: int,
     depth: Depth,
-    corner_x: Rays,
-    corner_y: Rays,
+    rays: Rays,
+    tile_rays: Bounds,
     parameters: Floats,
     u: Pixels,
     v: Pixels,
@@ -64,8 +67,8 @@ def _align(
 @wp.kernel(launch_bounds=(WIDTH, BLOCKS))
 def align(
     depth: Depth,  # (B, Hd, Wd) [depth units], 0 = no measurement
-    corner_x: Rays,  # (Hd + 1, Wd + 1) rays of the depth pixels' corners
-    corner_y: Rays,
+    rays: Rays,  # (2, Hd + 1, Wd + 1) x and y of the rays of the depth pixels' corners
+    tile_rays: Bounds,  # (tiles, 4) least and largest x, then y, of the rays of each tile's corners
     parameters: Floats,  # (PARAMETERS + 4,)
     u: Pixels,  # (B, N) columns of pixels of the colour image
     v: Pixels,  # rows
@@ -74,7 +77,7 @@ def align(
     next: Words,  # (1,) first frame that no thread of the CPU has taken
 ):
     """Take frames until none is left; teams on CUDA take them in turn."""
-    _align(wp.tid(), depth, corner_x, corner_y, parameters, u, v, keys_out, scratch, next)
+    _align(wp.tid(), depth, rays, tile_rays, parameters, u, v, keys_out, scratch, next)
 
 
 @wp.func_native("words.data[0] = jaxdet::Alignment::scratch_words(height, width);")

@@ -238,7 +238,7 @@ def _shown(
                     "place": passed + row,
                     "kinds": chosen[key],
                     "reason": reasons.get(values["frame"], ""),
-                    "nearest": round(float(distances.min()), DIGITS) if len(distances) else None,
+                    "nearest": next(iter(_numbers(np.sort(distances)[:1], DIGITS)), None),
                 }
             passed += len(numbers)
     return frames

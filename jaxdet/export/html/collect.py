@@ -40,16 +40,17 @@ class Columns(NamedTuple):
     obstacles: np.ndarray
     """Number of obstacles, ``(n,)`` int64."""
     distance_m: np.ndarray
-    """Distances of all obstacles, frame by frame, ``(sum of obstacles,)`` float32."""
+    """Distances of all obstacles, frame by frame, ``(sum of obstacles,)`` float32; NaN if the floor
+    is unknown."""
 
     @property
     def nearest_m(self) -> np.ndarray:
-        """Distance of the nearest obstacle, ``(n,)`` float64; inf without one."""
+        """Distance of the nearest obstacle, ``(n,)`` float64; inf without a known one."""
         nearest, some = np.full(len(self.frame), np.inf), self.obstacles > 0
         first = (np.cumsum(self.obstacles) - self.obstacles)[some]
         if first.size:
-            nearest[some] = np.minimum.reduceat(self.distance_m, first)
-        return nearest
+            nearest[some] = np.fmin.reduceat(self.distance_m, first)
+        return np.where(np.isnan(nearest), np.inf, nearest)
 
 
 class Timeline:
@@ -158,7 +159,7 @@ class LogFigures:
             self.start_ns = int(rows.stamp_ns[0])
         self.stop_ns = int(rows.stamp_ns[-1])
         nearest = rows.nearest_m
-        self.per_frame += self._histogram(nearest[np.isfinite(nearest)])
+        self.per_frame += self._histogram(nearest)
         self.per_obstacle += self._histogram(rows.distance_m)
         self.near_frames += [np.count_nonzero(nearest < limit) for limit in NEAR_M]
         self.near_obstacles += [np.count_nonzero(rows.distance_m < limit) for limit in NEAR_M]
@@ -169,6 +170,7 @@ class LogFigures:
             kept += rows.frame[which][: LOST_KEPT - len(kept)].tolist()
 
     def _histogram(self, distance_m: np.ndarray) -> np.ndarray:
+        distance_m = distance_m[np.isfinite(distance_m)]
         number = np.minimum(distance_m / self.width_m, HISTOGRAM_BINS - 1).astype(np.int64)
         return np.bincount(number, minlength=HISTOGRAM_BINS)
 

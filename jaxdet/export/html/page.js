@@ -77,7 +77,7 @@
     card("Without a result", (frames - ok).toLocaleString("en"), frames - ok ? share(frames - ok, frames) : "none lost");
     card("Obstacles", obstacles.toLocaleString("en"), ok ? `${(obstacles / ok).toFixed(1)} per frame` : "");
     card("Nearest", nearest ? metres(nearest.nearest[0]) : "–", nearest ? `${data.logs.length > 1 ? nearest.log + ", " : ""}frame ${nearest.nearest[1]}` : "");
-    if (floorless) card("No floor", floorless.toLocaleString("en"), "frames; their distances assume a level camera");
+    if (floorless) card("No floor", floorless.toLocaleString("en"), "frames; their obstacles have no distance");
     card("Overflow", overflow.toLocaleString("en"), overflow ? "frames in which obstacles may be lost" : "no frame");
   }
 
@@ -377,7 +377,7 @@
   const secondsOf = (f) => seconds(f.time);
   function line(f) {
     if (f.status !== "ok") return f.reason || data.reasons[f.status] || f.status;
-    const near = f.nearest === null ? "no obstacle" : `nearest ${metres(f.nearest)} · ${many(f.count, "obstacle")}`;
+    const near = f.nearest === null ? (f.count ? many(f.count, "obstacle") : "no obstacle") : `nearest ${metres(f.nearest)} · ${many(f.count, "obstacle")}`;
     return [near, f.drop !== null ? `drop at ${metres(f.drop)}` : ""].filter(Boolean).join(" · ");
   }
   const where = (f) => `${data.logs.length > 1 ? data.logs[f.log].log + " · " : ""}frame ${f.frame}`;

@@ -3,28 +3,32 @@
 //
 // A key is `depth << 16 | z` (depth in the depth camera, z in the colour camera), so one unsigned
 // minimum decides on both, whatever the order of the writes. z stays below 65535, so that no key
-// equals NOTHING.
+// equals NOTHING. A tile of depth pixels is projected only if bounds of where its pixels fall, from
+// its least and largest depth, contain a wanted pixel.
 #pragma once
-#include "arena.h"
+#include "bits.h"
 #include "pixel_bits.h"
 #include "projection.h"
+#include "warp.h"
 
 namespace jaxdet { namespace {
 
 struct Alignment {
+    typedef Projection::Bounds Bounds;
     enum : unsigned { NOTHING = 0xFFFFFFFFu };
     enum {
         NEAR_WORDS = 480 * 640 / 32,  // words of an image of bits in the nearest memory
-        REACH = 4  // a box that covers no more columns and rows is looked up by its first pixel
+        TILE = 8,                     // rows and columns of a tile of depth pixels
+        PIXELS = TILE * TILE
     };
     const unsigned short* depth;       // (rows, columns)
     int rows, columns;
     const float *corner_x, *corner_y;  // (rows + 1, columns + 1)
+    const float* tile_rays;            // (tiles, 4), the least and largest x, then y of a tile's corners
     Projection projection;
     int fills;                         // 1 where a pixel covers all between its corners, else 0.
     int height, width;                 // Of the colour image.
-    // Scratch memory: a bit for pixels up to REACH before a wanted one, in both directions; and the
-    // keys, which are valid for wanted pixels alone.
+    // Scratch memory: a bit for each wanted pixel; and the keys, valid for wanted pixels alone.
     unsigned *wanted, *keys;           // (height, PixelBits::words(width)), (height, width)
 
     static int scratch_words(int height, int width) {
@@ -35,14 +39,15 @@ struct Alignment {
     // NEAR_WORDS.
     static Alignment of(
         const float* parameters, const unsigned short* depth, int rows, int columns,
-        const float* corner_x, const float* corner_y, unsigned* near, int* own
+        const float* rays, const float* tile_rays, unsigned* near, int* own
     ) {
         const float* const more = parameters + Projection::PARAMETERS + 1;
         const int fills = (int)more[0], height = (int)more[1], width = (int)more[2];
         const int words = height * PixelBits::words(width);
         unsigned *const wanted = (unsigned*)own, *const keys = wanted + words;
-        return {depth, rows, columns, corner_x, corner_y, Projection::of(parameters), fills, height,
-                width, words <= NEAR_WORDS ? near : wanted, keys};
+        const float* const corner_y = rays + (size_t)(rows + 1) * (columns + 1);
+        return {depth, rows, columns, rays, corner_y, tile_rays, Projection::of(parameters), fills,
+                height, width, words <= NEAR_WORDS ? near : wanted, keys};
     }
 
     // Writes the keys of `points` pixels (u, v), 0 where nothing hits.
@@ -51,14 +56,17 @@ struct Alignment {
         for (int i = team.rank; i < height * words; i += team.size) wanted[i] = 0;
         team.sync();
         for (int i = team.rank; i < points; i += team.size) {
-            const int left = u[i] > REACH ? u[i] - REACH : 0, top = v[i] > REACH ? v[i] - REACH : 0;
-            for (int y = top; y <= v[i]; ++y)
-                for (int w = left / 32; w <= u[i] / 32; ++w)
-                    team.atomic_or((int*)wanted + y * words + w, (int)PixelBits::part(w, left, u[i]));
+            team.atomic_or((int*)wanted + v[i] * words + u[i] / 32, 1 << (u[i] & 31));
             keys[(size_t)v[i] * width + u[i]] = NOTHING;
         }
         team.sync();
-        lower_all(team);
+        const Warp warp(team);
+        const int tiles = (rows + TILE - 1) / TILE * tiles_across();
+        for (int first = warp.index * warp.size; first < tiles; first += warp.count * warp.size) {
+            const int own = first + warp.lane;
+            unsigned some = warp.ballot(own < tiles && may_cover(own));
+            for (; some; some &= some - 1) lower(team, warp, first + BitRows::lowest(some));
+        }
         team.sync();
         for (int i = team.rank; i < points; i += team.size) {
             const unsigned key = keys[(size_t)v[i] * width + u[i]];
@@ -66,95 +74,190 @@ struct Alignment {
         }
     }
 
-    // The colour pixels that a depth pixel covers, inside of the image; the key is NOTHING where there
-    // are none.
-    struct Box {
-        int left, top, right, bottom;
-        unsigned key;
-    };
-
-    // `bends` where the colour camera's lens does. There is no branch but for that.
-    __attribute__((always_inline)) Box box(int v, int u, int units, bool bends) const {
-        const long long one = (long long)v * (columns + 1) + u;
-        const long long two = one + fills * (columns + 2);
-        Projection::Point first, last;
-        projection.through(units, corner_x[one], corner_y[one], bends, &first);
-        projection.through(units, corner_x[two], corner_y[two], bends, &last);
-        const int left = first.u > 0 ? first.u : 0, top = first.v > 0 ? first.v : 0;
-        const int right = last.u < width - 1 ? last.u : width - 1;
-        const int bottom = last.v < height - 1 ? last.v : height - 1;
-        const bool seen =
-            (units > 0) & first.seen & last.seen & (left <= right) & (top <= bottom);
-        const unsigned key = (unsigned)units << 16 | (unsigned)first.z;
-        return {left, top, right, bottom, seen ? key : (unsigned)NOTHING};
+    // Tiles at the right and bottom edge overlap others, so that all are whole; they are smaller only
+    // where the image is.
+    int tiles_across() const { return (columns + TILE - 1) / TILE; }
+    int tile_row(int tile) const { return begin(tile / tiles_across(), rows); }
+    int tile_column(int tile) const { return begin(tile % tiles_across(), columns); }
+    static int begin(int tile, int size) {
+        const int last = size > TILE ? size - TILE : 0;
+        return tile * TILE < last ? tile * TILE : last;
     }
 
-    // Lowers the keys of a box, if it may cover a wanted pixel.
-    __attribute__((always_inline)) void lower(const Team& team, const Box& box) const {
-        if (box.key == NOTHING) return;
-        const bool large = (box.right - box.left > REACH) | (box.bottom - box.top > REACH);
-        const unsigned bits = wanted[box.top * PixelBits::words(width) + box.left / 32];
-        if (!(large | (bits >> (box.left & 31) & 1))) return;
-        for (int y = box.top; y <= box.bottom; ++y)
-            for (int x = box.left; x <= box.right; ++x)
-                team.atomic_min(keys + (size_t)y * width + x, box.key);
+    // Whether depth pixels of a tile may cover a wanted pixel.
+    bool may_cover(int tile) const {
+        Depths all;
+        const unsigned short* const first = depth + (size_t)tile_row(tile) * columns + tile_column(tile);
+        for (int r = 0; r < TILE && r < rows; ++r)
+            if (columns >= TILE) all.add(first + (size_t)r * columns, TILE);
+            else all.add(first + (size_t)r * columns, columns);
+        const Interval units = all.interval();
+        if (units.high == 0) return false;
+        const float* const rays = tile_rays + 4 * (size_t)tile;
+        const Interval x(rays[0], rays[1]), y(rays[2], rays[3]);
+        return any_wanted(clipped(projection.bounds(units, x, y)));
+    }
+
+    // The least and the largest depth of the columns of a tile.
+    struct Depths {
+        unsigned short less[TILE] = {NONE, NONE, NONE, NONE, NONE, NONE, NONE, NONE};  // by one
+        unsigned short most[TILE] = {};
+        enum : unsigned short { NONE = 0xffff };  // 0, less one
+
+        __attribute__((always_inline)) void add(const unsigned short* line, int count) {
+            for (int c = 0; c < count; ++c) {
+                const unsigned short units = line[c], below = units - 1;
+                less[c] = below < less[c] ? below : less[c];
+                most[c] = units > most[c] ? units : most[c];
+            }
+        }
+        Interval interval() const {
+            int low = NONE, high = 0;
+            for (int c = 0; c < TILE; ++c) {
+                low = less[c] < low ? less[c] : low;
+                high = most[c] > high ? most[c] : high;
+            }
+            return {(float)(low + 1), (float)high};
+        }
+    };
+
+    Bounds clipped(Bounds box) const {
+        return {box.left > 0 ? box.left : 0, box.top > 0 ? box.top : 0,
+                box.right < width - 1 ? box.right : width - 1,
+                box.bottom < height - 1 ? box.bottom : height - 1};
+    }
+
+    // True for large boxes.
+    bool any_wanted(Bounds box) const {
+        if (box.left > box.right || box.top > box.bottom) return false;
+        const int left = box.left / 32, right = box.right / 32;
+        if (right - left > 1 || box.bottom - box.top > 64) return true;
+        const unsigned first = PixelBits::part(left, box.left, box.right);
+        const unsigned last = PixelBits::part(right, box.left, box.right);
+        unsigned some = 0;
+        for (int y = box.top; y <= box.bottom; ++y) {
+            const unsigned* const row = wanted + y * PixelBits::words(width);
+            some |= (row[left] & first) | (row[right] & last);
+        }
+        return some;
+    }
+
+    // The colour pixels that a lane's depth pixels of a tile cover, and their keys.
+    struct Boxes {
+        enum { COUNT = PIXELS / Warp::size };
+        int left[COUNT], top[COUNT], right[COUNT], bottom[COUNT];
+        unsigned key[COUNT];
+    };
+
+    // Lowers the keys of the wanted pixels that depth pixels of a tile cover.
+    void lower(const Team& team, const Warp& warp, int tile) const {
+        Boxes boxes;
+        cover(warp, tile, boxes);
+        Extremes columns, rows;
+        for (int k = 0; k < Boxes::COUNT; ++k) {
+            columns.add(boxes.left[k], boxes.right[k]);
+            rows.add(boxes.top[k], boxes.bottom[k]);
+        }
+        columns.join(warp);
+        rows.join(warp);
+        if (rows.low > rows.high) return;
+        const int left = columns.low / 32, across = columns.high / 32 - left + 1;
+        const int words = across * (rows.high - rows.low + 1);
+        for (int start = 0; start < words; start += warp.size) {
+            const int i = start + warp.lane;
+            const unsigned mine = i < words ? wanted_of(columns, rows.low + i / across, left + i % across) : 0;
+            for (unsigned some = warp.ballot(mine); some; some &= some - 1) {
+                const int lane = BitRows::lowest(some), word = start + lane;
+                const int x = 32 * (left + word % across), y = rows.low + word / across;
+                for (unsigned bits = warp.broadcast(mine, lane); bits; bits &= bits - 1)
+                    lower(team, warp, boxes, x + BitRows::lowest(bits), y);
+            }
+        }
+    }
+
+    unsigned wanted_of(const Extremes& columns, int y, int w) const {
+        return wanted[y * PixelBits::words(width) + w] & PixelBits::part(w, columns.low, columns.high);
+    }
+
+    void lower(const Team& team, const Warp& warp, const Boxes& boxes, int x, int y) const {
+        unsigned least = NOTHING;
+        for (int k = 0; k < Boxes::COUNT; ++k) {
+            const bool covers = (boxes.left[k] <= x) & (x <= boxes.right[k]) & (boxes.top[k] <= y) &
+                                (y <= boxes.bottom[k]);
+            least = covers & (boxes.key[k] < least) ? boxes.key[k] : least;
+        }
+        least = warp.min(least);
+        if (warp.lane == 0 && least != NOTHING)
+            team.atomic_min(keys + (size_t)y * width + x, least);
+    }
+
+    // Box `k` of a depth pixel on the rays of its first and last corner, which is empty where no
+    // colour pixel is covered. `bends` where the colour camera's lens does. There is no branch but
+    // for that.
+    __attribute__((always_inline)) void cover(
+        Boxes& boxes, int k, int units, float x0, float y0, float x1, float y1, bool bends) const {
+        Projection::Point first, last;
+        projection.through(units, x0, y0, bends, &first);
+        projection.through(units, x1, y1, bends, &last);
+        const Bounds pixels = clipped({first.u, first.v, last.u, last.v});
+        const bool seen = (units > 0) & first.seen & last.seen & (pixels.left <= pixels.right) &
+                          (pixels.top <= pixels.bottom);
+        boxes.left[k] = seen ? pixels.left : (int)Extremes::MOST;
+        boxes.top[k] = seen ? pixels.top : (int)Extremes::MOST;
+        boxes.right[k] = seen ? pixels.right : -1;
+        boxes.bottom[k] = seen ? pixels.bottom : -1;
+        boxes.key[k] = (unsigned)units << 16 | (unsigned)first.z;
     }
 
 #if defined(__CUDA_ARCH__)
-    void lower_all(const Team& team) const {
-        const bool bends = projection.model != Projection::PINHOLE;
-        for (int i = team.rank; i < rows * columns; i += team.size) {
-            const int units = __ldg(depth + i);
-            if (units) lower(team, box(i / columns, i % columns, units, bends));
+    void cover(const Warp& warp, int tile, Boxes& boxes) const {
+        for (int k = 0; k < Boxes::COUNT; ++k) {
+            const int i = k * warp.size + warp.lane;
+            const int row = tile_row(tile) + i / TILE, column = tile_column(tile) + i % TILE;
+            const bool inside = row < rows && column < columns;
+            const int units = inside ? depth[row * columns + column] : 0;
+            const int one = inside ? row * (columns + 1) + column : 0, two = one + fills * (columns + 2);
+            cover(boxes, k, units, corner_x[one], corner_y[one], corner_x[two], corner_y[two],
+                  projection.model != Projection::PINHOLE);
         }
     }
 #else
-    // Boxes of some depth pixels of a row.
-    enum { CHUNK = 512 };
-
-    struct Boxes {
-        int left[CHUNK], top[CHUNK], right[CHUNK], bottom[CHUNK];
-        unsigned key[CHUNK];
-
-        void set(int i, const Box& box) {
-            left[i] = box.left;
-            top[i] = box.top;
-            right[i] = box.right;
-            bottom[i] = box.bottom;
-            key[i] = box.key;
-        }
-        Box at(int i) const { return {left[i], top[i], right[i], bottom[i], key[i]}; }
+    // Depth pixels of a tile, 0 outside of the image, and the rays of their corners.
+    struct Tile {
+        unsigned short units[PIXELS];
+        float x0[PIXELS], y0[PIXELS], x1[PIXELS], y1[PIXELS];
     };
 
-    void lower_all(const Team& team) const {
-        Boxes boxes;
-        for (int v = 0; v < rows; ++v)
-            for (int u = 0; u < columns; u += CHUNK) {
-                const int count = columns - u < CHUNK ? columns - u : (int)CHUNK;
-                project(v, u, count, boxes);
-                for (int i = 0; i < count; ++i) lower(team, boxes.at(i));
-            }
+    void cover(const Warp&, int number, Boxes& boxes) const {
+        Tile tile = {};
+        for (int r = 0; r < TILE && r < rows; ++r) {
+            const int row = tile_row(number) + r, column = tile_column(number), i = r * TILE;
+            const int count = columns < TILE ? columns : (int)TILE;
+            const size_t one = (size_t)row * (columns + 1) + column, two = one + fills * (columns + 2);
+            __builtin_memcpy(tile.units + i, depth + (size_t)row * columns + column, 2 * count);
+            __builtin_memcpy(tile.x0 + i, corner_x + one, 4 * count);
+            __builtin_memcpy(tile.y0 + i, corner_y + one, 4 * count);
+            __builtin_memcpy(tile.x1 + i, corner_x + two, 4 * count);
+            __builtin_memcpy(tile.y1 + i, corner_y + two, 4 * count);
+        }
+        typedef Projection Lens;
+        const int model = projection.model;
+        if (model == Lens::PINHOLE) cover_by(Lens::PINHOLE, tile, boxes);
+        else if (model == Lens::PLUMB_BOB) cover_by(Lens::PLUMB_BOB, tile, boxes);
+        else if (model == Lens::RATIONAL) cover_by(Lens::RATIONAL, tile, boxes);
+        else cover_by(Lens::EQUIDISTANT, tile, boxes);
     }
 
     // A loop for each lens model, which the compiler turns into vector instructions.
-    void project(int v, int u, int count, Boxes& __restrict__ boxes) const {
-        typedef Projection Lens;
-        const int model = projection.model;
-        if (model == Lens::PINHOLE) project_by(Lens::PINHOLE, v, u, count, boxes);
-        else if (model == Lens::PLUMB_BOB) project_by(Lens::PLUMB_BOB, v, u, count, boxes);
-        else if (model == Lens::RATIONAL) project_by(Lens::RATIONAL, v, u, count, boxes);
-        else project_by(Lens::EQUIDISTANT, v, u, count, boxes);
-    }
-
-    __attribute__((always_inline)) void project_by(
-        int model, int v, int u, int count, Boxes& __restrict__ boxes) const {
+    __attribute__((always_inline)) void cover_by(
+        int model, const Tile& tile, Boxes& __restrict__ boxes) const {
         Alignment here = *this;
         float parameters[Projection::PARAMETERS];
         for (int i = 0; i < Projection::PARAMETERS; ++i) parameters[i] = projection.p[i];
         here.projection = {parameters, model};
-        const unsigned short* const line = depth + (size_t)v * columns;
-        for (int i = 0; i < count; ++i)
-            boxes.set(i, here.box(v, u + i, line[u + i], model != Projection::PINHOLE));
+        for (int i = 0; i < PIXELS; ++i)
+            here.cover(boxes, i, tile.units[i], tile.x0[i], tile.y0[i], tile.x1[i], tile.y1[i],
+                       model != Projection::PINHOLE);
     }
 #endif
 };

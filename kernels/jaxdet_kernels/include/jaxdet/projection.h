@@ -2,12 +2,14 @@
 // Twin of `project_corners` in jaxdet/reference/_align.py and of jaxdet/reference/_lens.py, operation
 // by operation: compile without fused multiply-add, so that every operation is rounded on its own.
 #pragma once
+#include "interval.h"
 #include "square_root.h"
 
 namespace jaxdet { namespace {
 
 struct Projection {
     enum { PINHOLE, PLUMB_BOB, RATIONAL, EQUIDISTANT, PARAMETERS = 26 };
+    enum { FAR = 1 << 20 };  // a column or row that is near no image
     // Rotation 0-8, translation 9-11, fx fy cx cy 12-15, lens 16-23, largest squared slope 24,
     // metres in a depth unit 25.
     const float* p;
@@ -54,16 +56,30 @@ struct Projection {
         y = (float)(wy * scale);
     }
 
-    // OpenCV's radial and tangential model.
-    __attribute__((always_inline)) void brown_conrady(float& x, float& y, float r2) const {
-        float radial = 1.0f + r2 * (p[16] + r2 * (p[17] + r2 * p[20]));
+    // OpenCV's radial and tangential model, of floats or intervals.
+    template <class T>
+    __attribute__((always_inline)) void brown_conrady(T& x, T& y, T r2) const {
+        T radial = 1.0f + r2 * (p[16] + r2 * (p[17] + r2 * p[20]));
         if (model == RATIONAL)
             radial = radial / (1.0f + r2 * (p[21] + r2 * (p[22] + r2 * p[23])));
-        const float xy = 2.0f * (x * y);
-        const float dx = x * radial + (p[18] * xy + p[19] * (r2 + 2.0f * (x * x)));
-        const float dy = y * radial + (p[19] * xy + p[18] * (r2 + 2.0f * (y * y)));
+        const T xy = 2.0f * (x * y);
+        const T dx = x * radial + (p[18] * xy + p[19] * (r2 + 2.0f * (x * x)));
+        const T dy = y * radial + (p[19] * xy + p[18] * (r2 + 2.0f * (y * y)));
         x = dx;
         y = dy;
+    }
+
+    // A point in the colour camera [m], of floats or intervals.
+    template <class T> struct Moved {
+        T x, y, z;
+    };
+
+    template <class T>
+    __attribute__((always_inline)) Moved<T> moved(T depth, T x, T y) const {
+        const T px = depth * x, py = depth * y;
+        return {p[0] * px + (p[1] * py + (p[2] * depth + p[9])),
+                p[3] * px + (p[4] * py + (p[5] * depth + p[10])),
+                p[6] * px + (p[7] * py + (p[8] * depth + p[11]))};
     }
 
     // The pixel of the point at `units` on the ray (x, y) of the depth camera; `bends` where the
@@ -73,13 +89,10 @@ struct Projection {
     __attribute__((always_inline)) void through(
         int units, float x, float y, bool bends, Point* at) const {
         const float depth = (float)units * p[25];
-        const float px = depth * x, py = depth * y;
-        const float cx = p[0] * px + (p[1] * py + (p[2] * depth + p[9]));
-        const float cy = p[3] * px + (p[4] * py + (p[5] * depth + p[10]));
-        const float cz = p[6] * px + (p[7] * py + (p[8] * depth + p[11]));
-        const bool ahead = cz > 0.0f;
-        const float over = ahead ? cz : 1.0f;
-        float bx = cx / over, by = cy / over;
+        const Moved<float> point = moved(depth, x, y);
+        const bool ahead = point.z > 0.0f;
+        const float over = ahead ? point.z : 1.0f;
+        float bx = point.x / over, by = point.y / over;
         const float r2 = bx * bx + by * by;
         bool seen = ahead & (r2 <= p[24]);
         if (bends && model == EQUIDISTANT) {
@@ -88,13 +101,37 @@ struct Projection {
             brown_conrady(bx, by, r2);
         }
         const float column = bx * p[12] + p[14] + 0.5f, row = by * p[13] + p[15] + 0.5f;
-        const float limit = 1048576.0f;
+        const float limit = FAR;
         seen = seen & (column < limit) & (column > -limit) & (row < limit) & (row > -limit);
         const float z = over / p[25] + 0.5f;
         at->u = (int)(seen ? column : 0.0f);
         at->v = (int)(seen ? row : 0.0f);
         at->z = (int)(z < 65534.0f ? z : 65534.0f);
         at->seen = seen;
+    }
+
+    // Pixels from (left, top) to (right, bottom).
+    struct Bounds {
+        int left, top, right, bottom;
+    };
+
+    // Bounds of the pixels that `through` computes for points at `units` on rays (x, y).
+    Bounds bounds(Interval units, Interval x, Interval y) const {
+        const Bounds unbounded{-FAR, -FAR, FAR, FAR};
+        const Moved<Interval> point = moved(units * p[25], x, y);
+        Interval bx = point.x / point.z, by = point.y / point.z;
+        if (model != PINHOLE) {
+            const Interval r2 = bx * bx + by * by;
+            if (model == EQUIDISTANT || !(r2.high < 1e6f)) return unbounded;
+            brown_conrady(bx, by, r2);
+        }
+        const Interval column = bx * p[12] + p[14] + 0.5f, row = by * p[13] + p[15] + 0.5f;
+        return {whole(column.low), whole(row.low), whole(column.high), whole(row.high)};
+    }
+
+    static int whole(float value) {
+        const float limit = FAR;
+        return (int)(value > limit ? limit : value < -limit ? -limit : value);
     }
 };
 

@@ -31,6 +31,7 @@ struct Warp {
     // From compute capability 8.0 on.
     int sum(int value) const { return __reduce_add_sync(ALL, value); }
     int min(int value) const { return __reduce_min_sync(ALL, value); }
+    unsigned min(unsigned value) const { return __reduce_min_sync(ALL, value); }
     long long sum(long long value) const {
         for (int away = 16; away; away >>= 1) value += __shfl_xor_sync(ALL, value, away);
         return value;
@@ -69,6 +70,7 @@ struct Warp {
     unsigned ballot(bool mine) const { return mine; }
     int sum(int value) const { return value; }
     int min(int value) const { return value; }
+    unsigned min(unsigned value) const { return value; }
     long long sum(long long value) const { return value; }
     unsigned long long min(unsigned long long value) const { return value; }
     int inclusive_sum(int value) const { return value; }
