@@ -59,6 +59,7 @@ class Lab:
         self.store, self.pool = Store(folder, pool), pool
         self.sections: dict[str, Section] = {}
         self.recordings: tuple[Path, ...] = ()
+        self.labelled: tuple[str, ...] = ()
         self.quiet, self.rehearsal = False, rehearsal
         self.rivals = tuple(rivals)
         self.start = time.perf_counter()

@@ -99,6 +99,9 @@ class Options:
     recordings: tuple[Path, ...] = ()
     """Folders of real recordings, to be pictured; labelled ones are also looked for in and beside
     them, by default in ../shared/data, for the experiment ``realframes``."""
+    labelled: tuple[str, ...] = ()
+    """Which labelled recordings ``realframes`` scores, by how their names or groups begin, such as
+    ``mosd`` or ``public.learn``; by default all."""
     frames: Path | None = None
     """Keeps the simulated frames here for the next run of the same code; by default they go."""
     workers: int = 0
@@ -121,7 +124,7 @@ def main(options: Options) -> int:
         if options.seeds:
             counts = replace(counts, test_seeds=options.seeds)
         lab = Lab(counts, folder, pool, rehearsal=rehearsal, rivals=options.rivals or RIVALS)
-        lab.recordings = options.recordings or (BESIDE,)
+        lab.recordings, lab.labelled = options.recordings or (BESIDE,), options.labelled
         sections = run(lab, options.only or tuple(EXPERIMENTS))
         for number, place in enumerate(options.recordings):
             lab.log(f"pictures of {place.name}")
