@@ -31,6 +31,7 @@ from benchmarks.paper.labelled import (
     BESIDE,
     BOXES,
     RECORDINGS,
+    FrameBoxes,
     Recording,
     find_recordings,
     read_boxes,
@@ -54,8 +55,6 @@ from jaxdet.reference import surface_pairs
 from jaxdet.reference._cells import cell_boxes
 from jaxdet.types import Calibration, CellLabels, Cells, Features, Frames
 
-Labels = dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]]
-"""Of :func:`benchmarks.paper.labelled.read_boxes`."""
 TABLES = Path(__file__).parents[1] / "jaxdet" / "tables"
 OLD = (*SCENES, "mixed")
 OLD_SEEDS = (*range(900, 960), *range(2000, 2060))
@@ -230,7 +229,9 @@ def learnt_boxes() -> Examples:
     return found._replace(weight=REAL * found.weight)
 
 
-def in_recording(recording: Recording, path: Path, boxes: Labels) -> Iterator[Examples]:
+def in_recording(
+    recording: Recording, path: Path, boxes: dict[int, FrameBoxes]
+) -> Iterator[Examples]:
     """Pairs of the frames of a log that are not held out."""
     wheeled = preset("wheeled")
     with open_log(str(path)) as log:
@@ -240,7 +241,7 @@ def in_recording(recording: Recording, path: Path, boxes: Labels) -> Iterator[Ex
             if recording.holds_out(number) or number not in boxes:
                 continue
             frames = batch.frames._replace(plane=planes.of(batch.frames.stamp_ns))
-            outlined, distance, _ = boxes[number]
+            outlined, distance = boxes[number].boxes, boxes[number].distance_m
             side = cell_side(frames.calibration.depth, wheeled.surface.cell_rad)
             camera = frames.calibration, side
             seen_by = functools.partial(in_boxes, outlined, distance, *camera)

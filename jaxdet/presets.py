@@ -7,6 +7,7 @@ from jaxdet.config import (
     ClusterConfig,
     Config,
     FeaturesConfig,
+    FloorConfig,
     FootprintConfig,
     GroundConfig,
     ObstacleConfig,
@@ -26,6 +27,7 @@ PRESETS: dict[str, Config] = {
     "wheeled": Config(),
     "tabletop": Config(
         ground=GroundConfig(max_depth_m=2.0, step_height_m=0.008, step_height_per_m=0.016),
+        floor=FloorConfig(max_depth_m=1.5),
         footprint=FootprintConfig(margin_m=0.005, margin_per_m2=0.0),
         surface=SurfaceConfig(
             step_m=0.008,
@@ -62,7 +64,8 @@ PRESETS: dict[str, Config] = {
     "orbbec": _with(min_depth_m=0.25, max_depth_m=5.0),
 }
 """Presets: ``wheeled``, the default, for robots on wheels that climb steps of 5 cm; ``tabletop``,
-for objects on a table, steps of 8 mm plus 4 mm per metre with a Kinect's cells of 4 pixels;
+for objects on a table, whose top is looked for within 1.5 m, and steps of 8 mm plus 4 mm per metre
+with a Kinect's cells of 4 pixels;
 ``paper``, the method of the paper, with clusters of corners as obstacles (what the paper leaves
 open was chosen by ``python -m benchmarks.paper.choose``); others: the default with the depth range
 of a camera, by its data sheet."""

@@ -115,6 +115,20 @@ def test_a_box_in_exact_depth() -> None:
     assert floors(scene, UNIT).plane.height[0] == pytest.approx(POSE.height, abs=0.004)
 
 
+def test_a_table_in_a_room_is_the_ground_of_tabletop() -> None:
+    """The far third of the image shows the room's floor, 0.7 m below the table."""
+    pose, box = Pose(0.5, 40.0, 0.0), ((-0.05, 0.5, 0.0), (0.05, 0.6, 0.1))
+    depth = cast(pose, [box])
+    rows = depth.shape[0] // 3
+    depth[:rows] = cast(pose._replace(height=1.2), [])[:rows]
+    detections = found(made(depth[None], None), preset("tabletop"))
+    scene = detections.scene
+    assert scene and floors(scene, UNIT).own[0]
+    assert floors(scene, UNIT).plane.height[0] == pytest.approx(0.5, abs=0.01)
+    assert count(detections) == 1
+    assert metric.distances(detections)[0, 0] == pytest.approx(500, abs=15)
+
+
 def test_free_floor_in_front_of_and_next_to_a_box() -> None:
     scene = found(made(cast(POSE, [BOX])[None], POSE.plane())).scene
     assert scene

@@ -62,6 +62,7 @@ class Lab:
         self.sunrgbd: Path | None = None
         self.scenes = 0
         self.detector: Path | None = None
+        self.labelled: tuple[str, ...] = ()
         self.quiet, self.rehearsal = False, rehearsal
         self.rivals = tuple(rivals)
         self.start = time.perf_counter()

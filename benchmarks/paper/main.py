@@ -107,6 +107,9 @@ class Options:
     """How many scenes of it are scored, evenly over all; 0: all."""
     detector: Path | None = None
     """Folder of centernet.json and centernet.bin, for the experiment ``table3`` (TensorFlow)."""
+    labelled: tuple[str, ...] = ()
+    """Which labelled recordings ``realframes`` scores, by how their names or groups begin, such as
+    ``mosd`` or ``public.learn``; by default all."""
     frames: Path | None = None
     """Keeps the simulated frames here for the next run of the same code; by default they go."""
     workers: int = 0
@@ -129,7 +132,7 @@ def main(options: Options) -> int:
         if options.seeds:
             counts = replace(counts, test_seeds=options.seeds)
         lab = Lab(counts, folder, pool, rehearsal=rehearsal, rivals=options.rivals or RIVALS)
-        lab.recordings = options.recordings or (BESIDE,)
+        lab.recordings, lab.labelled = options.recordings or (BESIDE,), options.labelled
         lab.sunrgbd, lab.scenes = options.sunrgbd, options.scenes
         lab.detector = options.detector
         sections = run(lab, options.only or tuple(EXPERIMENTS))

@@ -36,6 +36,8 @@ class FrameLabels(NamedTuple):
     """``(H, W)`` bool."""
     known: np.ndarray
     """``(H, W)`` bool, where a detection is right or wrong."""
+    tags: tuple[frozenset[str], ...]
+    """Tags of each object, such as ``low``."""
 
 
 class BoxTally(NamedTuple):
@@ -55,6 +57,12 @@ class BoxTally(NamedTuple):
     """Of those, the ones taken as above the floor."""
     errors_m: tuple[float, ...] = ()
     """Distance of each matched detection less the object's [m], where known."""
+    tagged: tuple[tuple[str, bool], ...] = ()
+    """Each tag of each object, and whether the object is matched."""
+
+
+COUNTS = tuple(name for name, default in BoxTally._field_defaults.items() if default == 0)
+"""Fields of a tally that are added."""
 
 
 class BoxScore(NamedTuple):
@@ -112,6 +120,11 @@ def tally_boxes(
         floor_pixels=int(ground.sum()),
         floor_kept=int((ground & kept).sum()),
         errors_m=tuple(errors[~np.isnan(errors)].tolist()),
+        tagged=tuple(
+            (tag, hit)
+            for tags, hit in zip(labels.tags, matched.tolist(), strict=True)
+            for tag in sorted(tags)
+        ),
     )
 
 
@@ -127,7 +140,7 @@ def _pixels(mask: np.ndarray, boxes: np.ndarray) -> np.ndarray:
 
 def score_boxes(tallies: Sequence[BoxTally]) -> BoxScore:
     """The figures of several frames together."""
-    total = {k: sum(getattr(t, k) for t in tallies) for k in BoxTally._fields[:-1]}
+    total = {k: sum(getattr(t, k) for t in tallies) for k in COUNTS}
     errors = np.abs([error for tally in tallies for error in tally.errors_m])
     middle, high = np.quantile(errors, [0.5, 0.9]).tolist() if errors.size else (np.nan, np.nan)
     return BoxScore(
@@ -141,12 +154,27 @@ def score_boxes(tallies: Sequence[BoxTally]) -> BoxScore:
     )
 
 
+def count_tagged(tallies: Sequence[BoxTally], tag: str) -> tuple[int, int]:
+    """How many objects with a tag are matched, and how many there are.
+
+    >>> count_tagged([BoxTally(tagged=(("low", True), ("cut", True), ("low", False)))], "low")
+    (1, 2)
+    """
+    hits = [hit for tally in tallies for name, hit in tally.tagged if name == tag]
+    return sum(hits), len(hits)
+
+
 def _ratio(part: int, whole: int) -> float:
     return part / whole if whole else float("nan")
 
 
 def labels_of_boxes(
-    boxes: np.ndarray, distance_m: np.ndarray, ignored: np.ndarray, width: int, height: int
+    boxes: np.ndarray,
+    distance_m: np.ndarray,
+    ignored: np.ndarray,
+    width: int,
+    height: int,
+    tags: tuple[frozenset[str], ...] = (),
 ) -> FrameLabels:
     """Labels of a frame whose obstacles have boxes; what has no box is floor.
 
@@ -158,9 +186,11 @@ def labels_of_boxes(
         ignored: ``(I, 4)`` integer, regions whose detections are neither right nor wrong.
         width: Of the image [pixel].
         height: Of the image [pixel].
+        tags: Of each object; by default none has any.
     """
+    tags = tags or (frozenset(),) * len(boxes)
     objects, hidden = (_filled(each, width, height) for each in (boxes, ignored))
-    return FrameLabels(boxes, distance_m, ~(objects | hidden), objects | ~hidden)
+    return FrameLabels(boxes, distance_m, ~(objects | hidden), objects | ~hidden, tags)
 
 
 def _filled(boxes: np.ndarray, width: int, height: int) -> np.ndarray:
@@ -202,7 +232,8 @@ def labels_of_image(
             boxes.append((u.min(), v.min(), u.max(), v.max()))
             distance.append(near_surface(z_m[measured]))
     shaped = np.array(boxes, np.int64).reshape(-1, 4)
-    return FrameLabels(shaped, np.array(distance, np.float64), image == FLOOR, known)
+    tags = (frozenset[str](),) * len(boxes)
+    return FrameLabels(shaped, np.array(distance, np.float64), image == FLOOR, known, tags)
 
 
 def _top(height_m: np.ndarray) -> float:

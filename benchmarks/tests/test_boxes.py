@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from benchmarks.scores.boxes import (
     BoxTally,
     FrameLabels,
+    count_tagged,
     heights,
     labels_of_boxes,
     labels_of_image,
@@ -63,7 +64,8 @@ def labels() -> FrameLabels:
     """A post before a wall and a box on the floor, 40 pixels wide and 20 high."""
     objects = np.array([[4, 2, 7, 11], [30, 8, 35, 13]])
     wall = np.array([[0, 0, 19, 9]])
-    return labels_of_boxes(objects, np.array([1.0, np.nan]), wall, 40, 20)
+    tags = frozenset({"path"}), frozenset({"low", "path"})
+    return labels_of_boxes(objects, np.array([1.0, np.nan]), wall, 40, 20, tags)
 
 
 def tally(found: list[tuple[int, int, int, int]], nearest: list[float]) -> BoxTally:
@@ -92,6 +94,11 @@ def test_a_wall_is_neither_right_nor_wrong():
 def test_a_piece_of_an_object_before_a_wall_is_wrong():
     one = tally([(4, 2, 7, 4)], [1.0])
     assert (one.detections, one.matched, one.on_floor) == (1, 0, 0)
+
+
+def test_objects_are_counted_by_their_tags():
+    each = [tally([(4, 2, 7, 11)], [1.0]), tally([(30, 8, 35, 13)], [2.0])]
+    assert [count_tagged(each, tag) for tag in ("path", "low", "thin")] == [(2, 4), (1, 2), (0, 0)]
 
 
 def test_a_box_over_the_floor_swamps_it():

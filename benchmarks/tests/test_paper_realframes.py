@@ -31,7 +31,7 @@ FRAMES = {"aims_slam": 18, "d435_boxes_felixchenfy": 10}
 def test_labels_of_the_project(name):
     boxes = read_boxes(BOXES / f"{name}.txt")
     assert sorted(boxes) == list(range(FRAMES[name]))
-    for objects, distance, ignored in boxes.values():
+    for objects, distance, ignored, _ in boxes.values():
         assert len(objects) == len(distance) >= 1
         assert ((distance > 0.2) & (distance < 4)).all()
         every = np.concatenate([objects, ignored])
@@ -42,11 +42,11 @@ def test_labels_of_the_project(name):
 
 def test_a_line_that_is_no_label(tmp_path):
     path = tmp_path / "one.txt"
-    good = "3 0 1 8 9 0.50 obstacle a box, open\n\n# ignored\n3 2 2 4 4 - ignore wall\n"
+    good = "3 0 1 8 9 0.50 obstacle a box, open [low, cut]\n\n# no\n3 2 2 4 4 - ignore wall\n"
     path.write_text(good)
-    objects, distance, ignored = read_boxes(path)[3]
+    objects, distance, ignored, tags = read_boxes(path)[3]
     assert (objects.tolist(), distance.tolist()) == ([[0, 1, 8, 9]], [0.5])
-    assert ignored.tolist() == [[2, 2, 4, 4]]
+    assert ignored.tolist() == [[2, 2, 4, 4]] and tags == ({"low", "cut"},)
     for bad in ("3 0 1 8 9 0.5 box it", "3 0 1 8 9 - obstacle it", "3 5 1 4 9 1 obstacle it", "3"):
         path.write_text(good + bad)
         with pytest.raises(InputError, match="line 5 is no label"):
@@ -66,7 +66,6 @@ def made(tmp_path, monkeypatch) -> Path:
         )
     one = Recording("row", "row.mcap", 0.5, "labels", least_pixels=20, held_out=3)
     monkeypatch.setattr(labelled, "RECORDINGS", (one,))
-    monkeypatch.setattr(realframes, "TITLES", realframes.TITLES[:2])
     return tmp_path
 
 
@@ -87,8 +86,8 @@ def test_a_made_recording(made):
     assert [row[:3] for row in table.rows] == [
         ("row.tuning", "wheeled", "2"),
         ("row.held_out", "wheeled", "1"),
-        ("row.tuning", realframes.TITLES[1][0], "2"),
-        ("row.held_out", realframes.TITLES[1][0], "1"),
+        ("row.tuning", "paper", "2"),
+        ("row.held_out", "paper", "1"),
     ]
     assert {len(row) for row in table.rows} == {len(table.header)}
     pictures = [block.name for block in found.blocks if isinstance(block, section.Picture)]
@@ -122,7 +121,7 @@ def test_distances_are_in_the_depth_images(shared_data, name):
         for batch in log.batches(1):
             frames = batch.frames
             z_m = reference.align(frames.depth, frames.calibration).z[0] * 1e-3
-            objects, distance, _ = boxes[int(frames.number[0])]
+            objects, distance, _, _ = boxes[int(frames.number[0])]
             for (u, v, right, bottom), metres in zip(objects, distance, strict=True):
                 part = z_m[v : bottom + 1, u : right + 1]
                 assert (np.abs(part - metres) < 0.05).mean() > 0.02
@@ -142,19 +141,47 @@ def test_the_figures_are_those_of_a_run(shared_data, tmp_path):
     assert swamped == theirs["swamped_frames"]
 
 
-def test_rooms_have_labels_of_their_frames():
-    rooms = json.loads((BOXES / "rooms.json").read_text(encoding="utf-8"))
-    assert {room["name"]: room["untouched"] for room in rooms} == labelled.ROOMS
-    files = {path.stem.removeprefix("rooms_") for path in BOXES.glob("rooms_*.txt")}
-    assert files == set(labelled.ROOMS)
+TAGS = {"low", "thin", "glass", "dark", "shiny", "path", "cut"}
+
+
+@pytest.mark.parametrize(
+    ("recipe", "tags"), [(stills.ROOMS, set()), (stills.PUBLIC, TAGS)], ids=("rooms", "public")
+)
+def test_stills_have_labels_of_their_frames(recipe, tags):
+    rooms, used = stills.read_recipe(recipe), set()
+    files = {path.stem for path in BOXES.glob(f"{recipe.stem}_*.txt")}
+    assert files == {f"{recipe.stem}_{room['name']}" for room in rooms}
     for room in rooms:
-        for frame, (boxes, distance, ignored) in read_boxes(
-            BOXES / f"rooms_{room['name']}.txt"
-        ).items():
+        labels = read_boxes(BOXES / f"{recipe.stem}_{room['name']}.txt")
+        for frame, mine in labels.items():
             assert 0 <= frame < len(room["frames"])
-            assert (distance > 0.2).all() and (distance < 4.3).all()
-            every = np.concatenate([boxes, ignored])
+            assert (mine.distance_m > 0.2).all() and (mine.distance_m < 4.3).all()
+            every = np.concatenate([mine.boxes, mine.ignored])
             assert (every[:, 2:] < room["size"]).all() and (every[:, 2:] > every[:, :2]).all()
+            used.update(*mine.tags)
+    assert used <= tags and bool(used) == bool(tags)
+
+
+def test_recordings_of_a_part_are_found_by_their_group(tmp_path):
+    """Each recording of public.json is in one of two parts, by its repository."""
+    for room in stills.read_recipe(stills.PUBLIC):
+        path = tmp_path / "public" / f"{room['name']}.mcap"
+        path.parent.mkdir(exist_ok=True)
+        path.touch()
+    learn, last = (
+        [one for one, _ in find_recordings([tmp_path], [f"public.{part}"])]
+        for part in ("learn", "last")
+    )
+    assert {one.name for one in learn} | {one.name for one in last} == {
+        one.name for one, _ in find_recordings([tmp_path])
+    }
+    assert not set(learn) & set(last) and not any(one.learnt for one in last)
+    assert {one.group for one in learn} == {
+        f"public.learn.{place}" for place in ("room", "corridor", "table")
+    }
+    tables = [one for one in learn if one.group.endswith("table")]
+    assert {one.presets for one in tables} == {("tabletop", "wheeled")}
+    assert [one.name for one, _ in find_recordings([tmp_path], ["public_den"])] == ["public_den"]
 
 
 def test_stills_of_repositories_become_logs(tmp_path):
