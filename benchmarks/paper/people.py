@@ -9,13 +9,16 @@ import numpy as np
 from benchmarks.paper.detector import CLASSES, MIN_SCORE, load_detector, why_absent
 from benchmarks.paper.lab import Lab
 from benchmarks.paper.labelled import BOXES, Recording, find_recordings, read_boxes, read_names
-from benchmarks.paper.realframes import TITLES, find_obstacles
+from benchmarks.paper.realframes import find_obstacles
 from benchmarks.paper.section import Section, percent, wilson
 from benchmarks.scores.boxes import FrameLabels, labels_of_boxes, on_known_ground
 from jaxdet.eval.boxes import match_boxes
 from jaxdet.io import open_log
+from jaxdet.presets import PRESETS
 
 DETECTOR = "centernet"
+METHODS = ("wheeled", "paper")
+"""Presets that are compared with it."""
 PEOPLE = frozenset({"man", "woman", "person"})
 AFTER = frozenset({"with", "on", "behind", "in", "under", "of", "at", "bent"})
 """Words after which a label's name says no more what the thing is."""
@@ -90,7 +93,7 @@ def add_people(lab: Lab, section: Section) -> None:
     )
     section.add(f"{DETECTOR}.time", float(np.median(seconds or [np.nan])), "s", "lower")
     rows = []
-    for method in (DETECTOR, *(title for title, _ in TITLES)):
+    for method in (DETECTOR, *METHODS):
         row = [method]
         for name in CLASSES:
             every = [one.counts[method, name] for one in judged if (method, name) in one.counts]
@@ -126,13 +129,16 @@ def judge(task: Task) -> Judgement:
     least, counts, seconds = task.recording.least_iou, {}, []
     boxes = read_boxes(BOXES / f"{task.recording.name}.txt")
     with open_log(str(task.folder / task.recording.place)) as log:
-        for title, config in TITLES:
+        for title in METHODS:
+            config = PRESETS[title]
             for found in find_obstacles(log, config):
                 frames, number = found.frames, int(found.frames.number[0])
                 if number not in wanted:
                     continue
                 image = frames.calibration.image
-                labels = labels_of_boxes(*boxes[number], image.width, image.height)
+                known = boxes[number]
+                sides = image.width, image.height
+                labels = labels_of_boxes(known.boxes, known.distance_m, known.ignored, *sides)
                 _add(counts, title, wanted[number], labels, found.boxes, least)
                 if not config.cluster.points or frames.color is None:
                     continue  # only the preset paper has the colour images read

@@ -22,7 +22,7 @@ from jaxdet.sim import SimConfig, load_obstacle_ids, write_log
 @pytest.mark.parametrize("path", sorted(BOXES.glob("*.txt")), ids=lambda path: path.stem)
 def test_each_box_of_a_label_file_has_a_name(path):
     boxes, names = read_boxes(path), read_names(path)
-    assert {k: len(objects) for k, (objects, _, _) in boxes.items()} == {
+    assert {k: len(objects) for k, (objects, *_) in boxes.items()} == {
         k: len(mine) for k, mine in names.items()
     }
 
