@@ -211,7 +211,8 @@ def labels_of_scene(scene: SunScene, standing: bool) -> FrameLabels:
             distance.append(near)
             known |= mask
     shaped = np.array(boxes, np.int64).reshape(-1, 4)
-    return FrameLabels(shaped, np.array(distance, np.float64), floor, known)
+    tags = (frozenset[str](),) * len(boxes)
+    return FrameLabels(shaped, np.array(distance, np.float64), floor, known, tags)
 
 
 def _mask(points: np.ndarray, height: int, width: int) -> np.ndarray:
