@@ -61,3 +61,15 @@ def test_tracks_are_not_written_through_a_broken_link(tracked, tmp_path):
     write_manifest(results / "a", {k: v for k, v in manifest.items() if k not in own})
     main(["track", str(results), "-q"])
     assert not outside.exists()
+
+
+def test_inputs_of_a_received_manifest_are_checked(tracked, tmp_path, capsys):
+    results = tmp_path / "results"
+    shutil.copytree(tracked, results)
+    manifest = json.loads((results / "a/manifest.json").read_text("utf-8"))
+    own = ("files", "format", "sha256")
+    content = {name: value for name, value in manifest.items() if name not in own}
+    write_manifest(results / "a", content | {"inputs": ["drive.mcap"]})
+    assert main(["verify", str(results)]) == 1
+    said = capsys.readouterr()
+    assert "inputs[0] must be dict" in said.out and "jaxdet itself" not in said.err

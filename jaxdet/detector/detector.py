@@ -74,7 +74,7 @@ class Detector:
     Example:
         >>> detector = Detector([500.0, 500.0, 40.0, 30.0], backend="reference")
         >>> depth = np.full((60, 80), 3.0)  # a wall, 3 m away
-        >>> [round(obstacle.distance_m, 2) for obstacle in detector(depth)]
+        >>> [round(float(obstacle.xyz_min[2]), 2) for obstacle in detector(depth)]
         [3.0]
     """
 

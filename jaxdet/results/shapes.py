@@ -43,7 +43,7 @@ LOG = {
 """Entry of a log's camera in ``summary.json`` and ``failed.json``."""
 LOGS = {"logs": [LOG]}
 SUMMARY = {"jaxdet": TEXT, "backend": TEXT, "seconds": NUMBER, "frames": COUNT, "obstacles": COUNT}
-MANIFEST = {"files": {TEXT: {"size": COUNT, "sha256": TEXT}}, "log": TEXT}
+MANIFEST = {"files": {TEXT: {"size": COUNT, "sha256": TEXT}}, "log": TEXT, "inputs": [dict]}
 
 
 def check_shape(value: Any, shape: Any, path: Path, where: str = "") -> None:
