@@ -1,4 +1,4 @@
-"""Small files that ask for much: what each does to a program that believes it."""
+"""Decompression bombs: small files whose headers demand much memory, and their effect."""
 
 import struct
 from collections.abc import Callable

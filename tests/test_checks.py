@@ -338,7 +338,7 @@ def test_cameras_that_do_not_exist(part, value, said):
 
 
 @pytest.mark.parametrize(("focal", "view"), [(309_000.0, "0.0593"), (1.0, "179.")])
-def test_views_that_no_camera_has(focal, view):
+def test_impossible_fields_of_view_are_rejected(focal, view):
     """Micrometres for pixels, or a matrix that is none."""
     camera = Intrinsics(320, 240, focal, focal, 159.0, 123.0)
     said = f"is {view}.* 320x240 pixels.*1° to 179°; give --log.depth-intrinsics fx fy cx cy"

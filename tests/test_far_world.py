@@ -86,7 +86,9 @@ def test_exports_have_the_same_shapes(drives: tuple[Path, Path], tmp_path: Path)
     np.testing.assert_allclose(grids[1] - OFFSET, grids[0], rtol=0, atol=1e-7)
 
 
-def test_rerun_counts_from_a_place_nearby(drives: tuple[Path, Path], tmp_path: Path) -> None:
+def test_rerun_positions_are_relative_to_a_local_origin(
+    drives: tuple[Path, Path], tmp_path: Path
+) -> None:
     near, far = (recording_of(f, tmp_path / f.parent.name) for f in drives)
     assert np.ravel(near["/world"]["translation"][-1]).tolist() == [0, 0, 0]
     assert np.ravel(far["/world"]["translation"][-1]).tolist() == [*OFFSET, 0]

@@ -150,7 +150,7 @@ def test_links_lead_somewhere(name, target):
     assert (DOCUMENTS[name].parent / target).exists()
 
 
-def test_flags_that_are_named_are_there(capsys, monkeypatch):
+def test_flags_named_in_help_exist(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "200")
     flag = r"(?<![\w-])--[a-z](?:[\w.-]*\w)?"
     for command in (

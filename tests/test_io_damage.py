@@ -206,7 +206,7 @@ def head(data: bytes, size: int, compression: str = "", crc: int = 0) -> ChunkHe
 
 def test_chunks_that_lie_are_rejected():
     bomb = zstandard.compress(b"\0" * (1 << 26))
-    with pytest.raises(DamageError, match="another size"):
+    with pytest.raises(DamageError, match="size that differs"):
         decompress(head(bomb, 100, "zstd"), bomb)
     with pytest.raises(DamageError, match="unknown"):
         decompress(head(b"x", 1, "bz2"), b"x")
@@ -218,7 +218,7 @@ def test_chunks_that_lie_are_rejected():
     for compression, data in packed.items():
         assert decompress(head(data, 3, compression), data) == good
         for size in (2, 4):
-            with pytest.raises(DamageError, match="another size"):
+            with pytest.raises(DamageError, match="size that differs"):
                 decompress(head(data, size, compression), data)
     assert decompress(head(good, 3, crc=zlib.crc32(good)), good) == good
 

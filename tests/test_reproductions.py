@@ -74,7 +74,7 @@ def test_an_overflow_names_its_page(log: Path, tmp_path: Path, capsys: Captured)
     assert "`overflow`" in capsys.readouterr().out
 
 
-def test_how_many_logs_failed_is_said(log: Path, tmp_path: Path, capsys: Captured) -> None:
+def test_number_of_failed_logs_is_reported(log: Path, tmp_path: Path, capsys: Captured) -> None:
     bad = tmp_path / "bad.mcap"
     bad.write_bytes(b"x")
     run = ["run", str(bad), str(log), "--output", str(tmp_path / "out"), "--backend", "reference"]

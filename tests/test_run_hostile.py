@@ -136,7 +136,7 @@ def test_a_lock_that_many_race_for(tmp_path):
 
 @pytest.mark.parametrize("since", [4e9, -1.0, 1e300])
 def test_a_clock_that_jumped(tmp_path, since):
-    """Only the system says whether a lock is held; the time is for people."""
+    """Only the lock of the operating system decides who holds it; the time is informational."""
     path = tmp_path / ".jaxdet" / "lock"
     path.parent.mkdir()
     owner = {"pid": 1, "host": "here", "since": since}

@@ -74,7 +74,7 @@ def test_a_stop_is_not_swallowed_by_a_callback_of_the_garbage_collector() -> Non
         wait_in_jaxdet()
 
 
-def test_a_stop_is_raised_where_a_thread_waits() -> None:
+def test_a_stop_interrupts_a_waiting_thread() -> None:
     condition, start = threading.Condition(), time.monotonic()
     other = threading.Thread(target=time.sleep, args=(5,), daemon=True)
     other.start()

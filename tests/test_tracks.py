@@ -530,7 +530,7 @@ def test_tables_of_a_folder(folder: Path, capsys: pytest.CaptureFixture):
     assert (folder / "tracks.png").exists() and not list(folder.glob(".jaxdet*"))
 
 
-def test_the_same_bytes(folder: Path, tmp_path: Path):
+def test_repeated_runs_write_identical_bytes(folder: Path, tmp_path: Path):
     """Again, and whatever the batch of the run."""
     track_results(folder)
     other = results(tmp_path, "log", SIM, batch_size=5)

@@ -40,7 +40,7 @@ IMAGE = "sensor_msgs/msg/Image"
         (b"x" * 99, "not an MCAP"),
     ],
 )
-def test_files_that_are_no_logs_are_refused_by_name(tmp_path, data, said):
+def test_errors_for_files_that_are_not_logs_name_the_file(tmp_path, data, said):
     (tmp_path / "one.mcap").write_bytes(data)
     with pytest.raises(InputError, match=rf"one\.mcap: .*{said}"):
         open_log(str(tmp_path / "one.mcap"))

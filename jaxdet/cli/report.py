@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 MANY_LOGS = 12
 """Of more logs only the worst are listed."""
 MOST_WORST = 12
-"""Logs that are listed of many."""
+"""Maximum number of worst logs listed in a report."""
 MOST_REMARKS = 12
 """Warnings, and notes, that are listed of many logs."""
 MOST_NAMED = 3

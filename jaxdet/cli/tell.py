@@ -11,6 +11,6 @@ def on_terminal() -> bool:
 
 
 def tell(text: str) -> None:
-    """Writes a line, if it can."""
+    """Write a line to stderr, ignoring write errors."""
     with suppress(OSError):  # nobody reads it, or its disk is full: what the command does goes on
         print(text, file=sys.stderr, flush=True)

@@ -59,7 +59,7 @@ def main(args: list[str]) -> int:
 
 
 def report_lines(report: "Report") -> list[str]:
-    """What a person wants to read after a check."""
+    """Return the lines of the report for people."""
     lines = [str(finding) for finding in report.findings]
     lines += [f"note: {note}" for note in report.notes]
     lines.append(

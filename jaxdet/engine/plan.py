@@ -41,7 +41,7 @@ class Unit(NamedTuple):
 
 
 class UnitSizes(NamedTuple):
-    """How the frames of a log are shared out."""
+    """Sizes of the units into which the frames of a log are divided."""
 
     size: int
     """Frames of a unit."""

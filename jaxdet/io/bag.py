@@ -275,7 +275,7 @@ def _decompress(head: ChunkHead, data: bytes) -> bytes:
     except (RuntimeError, EOFError, OSError, ValueError) as error:
         raise DamageError("chunk can't be decompressed") from error
     if len(found) != size:
-        raise DamageError("chunk has another size than declared")
+        raise DamageError("chunk has a size that differs from the declared one")
     return found
 
 
@@ -287,7 +287,7 @@ def _read_end(file: BagFile) -> _End:
     """
     head, start = file.head, file.index
     if not head.end <= start < file.size:
-        raise DamageError("index leaves the file")
+        raise DamageError("index points beyond the end of the file")
     file.check_size(file.size - start, "index")
     data = file.read(start, file.size - start)
     found, used = _End({}, {}), 0
@@ -305,7 +305,7 @@ def _read_end(file: BagFile) -> _End:
         elif record.op == CHUNK_INFO:
             position = record.number(b"chunk_pos", 8)
             if not head.end <= position < start or len(content) % _COUNT.itemsize:
-                raise DamageError("index leaves the file")
+                raise DamageError("index points beyond the end of the file")
             found.counts[position] = dict(np.frombuffer(content, _COUNT).tolist())
     if len(found.counts) != head.number(b"chunk_count"):
         raise DamageError("index lacks chunks")

@@ -24,7 +24,7 @@ from jaxdet.types import Calibration, Extrinsics, Intrinsics
 DEPTH_UNIT_M = 0.001
 """Metres in one depth unit, where nothing else is said."""
 _ASSUMED = "the default"
-"""Where that depth unit comes from."""
+"""Source that is reported for the default depth unit."""
 _NEAR_M, _FAR_M = 0.05, 65.535
 """Between these is the median depth of an image."""
 _AS_FOLDERS = "as in TUM's and Open3D's folders"

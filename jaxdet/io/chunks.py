@@ -103,10 +103,12 @@ def decompress(head: ChunkHead, data: bytes | memoryview) -> bytes | memoryview:
         try:
             records = _unpacked(head.compression, data, size)
         except (RuntimeError, EOFError, OSError) as error:
-            problem = "chunk can't be decompressed, or has another size than declared"
+            problem = (
+                "chunk can't be decompressed, or has a size that differs from the declared one"
+            )
             raise DamageError(problem) from error
     if len(records) != size or (not head.crc and not _fills(head.compression, data, size)):
-        raise DamageError("chunk has another size than declared")
+        raise DamageError("chunk has a size that differs from the declared one")
     if head.crc and deflate.crc32(records) != head.crc:
         raise DamageError("chunk has a wrong CRC")
     return records

@@ -63,7 +63,7 @@ class LogFiles(NamedTuple):
     """Its path under the folder that was named, without the suffix; printable."""
     paths: tuple[Path, ...]
     note: str = ""
-    """Warning about their choice."""
+    """Warning about the selection of files."""
     about: str = ""
     """Note about their choice: what was joined."""
 

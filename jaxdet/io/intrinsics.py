@@ -62,7 +62,7 @@ class CameraSource(NamedTuple):
 
 
 class Found(NamedTuple):
-    """Intrinsics, where they come from, and what is odd about them."""
+    """Intrinsics with their source and warnings."""
 
     intrinsics: Intrinsics
     origin: str

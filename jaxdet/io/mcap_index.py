@@ -256,7 +256,7 @@ def _check(file: LogFile, summary: Summary) -> None:
         raise DamageError("summary has no statistics that fit its chunks")
     columns = chunks.start, chunks.length, chunks.index_length, chunks.stored
     if any((column > file.size).any() for column in (*columns, summary.offsets.position)):
-        raise DamageError("index leaves the file")
+        raise DamageError("index points beyond the end of the file")
     beyond = np.append(chunks.start[1:], summary.start)
     end = chunks.start + chunks.length + chunks.index_length
     if (end > beyond).any() or (chunks.stored > chunks.length).any():

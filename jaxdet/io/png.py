@@ -56,9 +56,9 @@ def read_png_head(data: bytes | memoryview) -> PngHead:
     """
     start = len(MAGIC) + _CHUNK.size
     if len(data) < start + _HEAD.size or bytes(data[: len(MAGIC)]) != MAGIC:
-        raise ValueError("no PNG head")
+        raise ValueError("not a PNG: its signature or IHDR chunk is missing")
     if _CHUNK.unpack_from(data, len(MAGIC)) != (_HEAD.size, b"IHDR"):
-        raise ValueError("no PNG head")
+        raise ValueError("not a PNG: its signature or IHDR chunk is missing")
     return PngHead(*_HEAD.unpack_from(data, start))
 
 

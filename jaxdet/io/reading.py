@@ -200,7 +200,7 @@ class ImageReader:
         head, file = self._store.head(chunk), self._store.files[chunk.file]
         start, size = chunk.position + head.data_offset, head.uncompressed_size
         if head.data_size != size:
-            raise DamageError("chunk has another size than declared")
+            raise DamageError("chunk has a size that differs from the declared one")
         file.check_size(size)
         spans = [self._span(chunk, item, (depth if item.depth else color)) for item in requests]
         if not head.crc or chunk in self._store.checked:

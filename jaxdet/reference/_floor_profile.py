@@ -1,4 +1,4 @@
-"""Profile of the floor above a plane: cells by distance and height."""
+"""Histogram of cells by distance and height above a plane."""
 
 from typing import NamedTuple
 

@@ -1,4 +1,4 @@
-"""Shapes of a frame drawn into cells of the world's floor."""
+"""Rasterise the shapes of a frame onto a floor grid fixed in the world."""
 
 from collections.abc import Sequence
 from typing import Literal, NamedTuple

@@ -15,7 +15,7 @@ from jaxdet.results.summary import plain
 MIN_OVERLAP = 0.2
 """Minimum intersection over union of the outlines of an obstacle in both runs."""
 _FROM_ELSEWHERE = {"log", "track", "tracks"}
-"""Columns that are not what a run found in a frame."""
+"""Columns that are not results of a frame, and are not compared."""
 
 
 class Found(NamedTuple):

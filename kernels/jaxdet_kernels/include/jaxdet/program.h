@@ -13,7 +13,7 @@
 #if defined(__CUDA_ARCH__)
 #define JAXDET_STEP __forceinline__
 #else
-#define JAXDET_STEP __attribute__((noinline))  // each on its own compiles faster
+#define JAXDET_STEP __attribute__((noinline))  // separate functions compile faster
 #endif
 
 namespace jaxdet { namespace {
