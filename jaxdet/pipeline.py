@@ -122,10 +122,7 @@ def find_floors(
         CalibrationError: The calibration can't be used, or images are not of its cameras' sizes.
         InputError: Numbers of images and planes differ.
     """
-    config = _checked(config)
-    check_frames(frames, config, floor_only=True)
-    prior = floor_prior(frames, config)
-    return load_backend(backend).find_floors(frames, prior, config)
+    return load_backend(backend).find_floors(*_floor_arguments(frames, config))
 
 
 def find_floors_without_jax(frames: Frames, config: Config | None = None) -> "FloorFit":
@@ -144,11 +141,15 @@ def find_floors_without_jax(frames: Frames, config: Config | None = None) -> "Fl
     """
     from jaxdet.stages import find_floors_on_cpu
 
+    arguments = _floor_arguments(frames, config)
+    return find_floors_on_cpu(*arguments) or load_backend("reference").find_floors(*arguments)
+
+
+def _floor_arguments(frames: Frames, config: Config | None) -> tuple[Frames, GroundPlane, Config]:
+    """Check the frames, and return the arguments of a backend's ``find_floors``."""
     config = _checked(config)
     check_frames(frames, config, floor_only=True)
-    prior = floor_prior(frames, config)
-    found = find_floors_on_cpu(frames, prior, config)
-    return found or load_backend("reference").find_floors(frames, prior, config)
+    return frames, floor_prior(frames, config), config
 
 
 def _checked(config: Config | None) -> Config:

@@ -36,6 +36,8 @@ class Shown(NamedTuple):
     """Calibration whose :attr:`Calibration.image` is the camera of the image."""
     depth_range_m: tuple[float, float] | None
     """Range of the depth image's colour map [m]; None: it is a colour image."""
+    on_floor: bool
+    """Whether distances on the floor are shown; False: depths, as the floor is unknown."""
 
 
 class Chip(NamedTuple):
@@ -58,13 +60,15 @@ def shown_image(frames: Frames, row: int, config: Config) -> Shown:
         row: Row of the frame.
         config: Configuration with the depth range of the colour map.
     """
-    calibration = frames.calibration
+    calibration, plane = frames.calibration, frames.plane
+    on_floor = plane is None or bool(plane.valid[row])
     if has_color(frames, row):
         assert frames.color is not None
-        return Shown(frames.color[row], calibration, None)
+        return Shown(frames.color[row], calibration, None, on_floor)
     in_depth = calibration._replace(color=None, color_from_depth=None)
     reach = config.ground.min_depth_m, config.ground.max_depth_m
-    return Shown(depth_picture(frames.depth[row], calibration.depth_unit, *reach), in_depth, reach)
+    image = depth_picture(frames.depth[row], calibration.depth_unit, *reach)
+    return Shown(image, in_depth, reach, on_floor)
 
 
 def has_color(frames: Frames, row: int) -> bool:
@@ -85,13 +89,7 @@ def depth_picture(depth: np.ndarray, unit: float, near_m: float, far_m: float) -
 
 
 def camera_view(
-    shown: Shown,
-    found: Detections,
-    row: int,
-    config: Config,
-    scale: float,
-    *,
-    on_floor: bool = True,
+    shown: Shown, found: Detections, row: int, config: Config, scale: float
 ) -> np.ndarray:
     """Draw the detections of a frame on its image.
 
@@ -101,7 +99,6 @@ def camera_view(
         row: Row of the frame.
         config: Configuration with the size of cells.
         scale: Scale factor.
-        on_floor: Whether the floor is known; else depths stand in place of distances.
 
     Returns:
         Picture ``(H * scale, W * scale, 3)`` uint8, RGB.
@@ -130,10 +127,8 @@ def camera_view(
         _draw_scale(image, *shown.depth_range_m)
     unit = shown.calibration.depth_unit
     nearest, depths = distances(found)[row] * unit, found.obstacles.xyz_min[row, :, 2] * unit
-    texts = {
-        label: f"{label}   {distance_text(nearest[label] if on_floor else None, depths[label])}"
-        for label in boxes
-    }
+    away = [float(distance) if shown.on_floor else None for distance in nearest]
+    texts = {label: f"{label}   {distance_text(away[label], depths[label])}" for label in boxes}
     for chip in _chips(boxes, texts, image.shape[1], image.shape[0]):
         _draw_chip(image, chip)
     return image

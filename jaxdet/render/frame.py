@@ -47,7 +47,7 @@ def draw_frame(
     shown = shown_image(frames, row, config)
     height, width = shown.image.shape[:2]
     scale = min(PANEL_HEIGHT / height, MAX_CAMERA_WIDTH / width)
-    left = camera_view(shown, found, row, config, scale, on_floor=bool(plane.valid[row]))
+    left = camera_view(shown, found, row, config, scale)
     size = (PANEL_HEIGHT, TOP_WIDTH)
     reach = config.ground.max_depth_m
     right = top_view(size, found, corners, row, plane, frames.calibration, reach)

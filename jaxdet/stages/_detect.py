@@ -157,7 +157,7 @@ def _run_floors(
     depth: jax.Array, floors: jax.Array, tables: jax.Array, static: Static
 ) -> jax.Array:
     """Estimate only the floor, ``(B, 8)`` int32; arguments as for :func:`_run_steps`."""
-    found = _called(2, depth, floors, tables, static, keep_work=False)
+    found = _called(_program.FLOOR_STEPS, depth, floors, tables, static, keep_work=False)
     return _program.record_layout().take(found.record, "floor")
 
 
@@ -187,7 +187,7 @@ def _called(
 
 @lru_cache(maxsize=64)
 def _compiled(steps: int, static: Static) -> Any:
-    """Does the first so many steps, with what does not change as numbers."""
+    """Return a program of the first ``steps`` steps, with the constant arguments as numbers."""
 
     def program(
         depth: Any, floors: Any, tables: Any, record: Any, contour: Any, work: Any, scratch: Any

@@ -13,12 +13,9 @@ from jaxdet.stages._check import check_kernels
 from jaxdet.stages._program import Static, record_layout
 from jaxdet.types import Calibration, Frames, GroundPlane
 
-_STEPS = 2
-"""Cells and floor, the first steps of the program."""
-
 
 def find_floors_on_cpu(frames: Frames, prior: GroundPlane, config: Config) -> FloorFit | None:
-    """Return what :func:`jaxdet.reference.find_floors` does, if the kernels are compiled.
+    """Estimate the floors if the kernels are compiled; twin of ``reference.find_floors``.
 
     Returns:
         The floors; None if no process has compiled the kernels yet, which takes 15 s.
@@ -35,7 +32,7 @@ def find_floors_on_cpu(frames: Frames, prior: GroundPlane, config: Config) -> Fl
         wp.array(a, dtype=wp.dtype_from_numpy(a.dtype), device="cpu", copy=False)
         for a in map(np.ascontiguousarray, (*given, *made))
     ]
-    _program.launch(arrays, None, 0, _STEPS, static)
+    _program.launch(arrays, None, 0, _program.FLOOR_STEPS, static)
     return floor_fit(record_layout().take(found, "floor"), prior, unit)
 
 

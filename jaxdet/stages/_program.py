@@ -32,6 +32,8 @@ from jaxdet.types import MAX_CONTOUR, MAX_OBSTACLES, RAYS, Array, Calibration, G
 from jaxdet_kernels import program as kernels
 
 STEPS = tuple(kernels.STEPS)
+FLOOR_STEPS = STEPS.index("find_floor") + 1
+"""Number of the first steps that estimate the floor."""
 _TEAMS = [TeamKernel(kernel, kernels.WIDTH, kernels.BLOCKS) for kernel in kernels.STEPS.values()]
 _FIXED = (
     "near", "steps", "limits", "rises", "bows", "drops", "bands",

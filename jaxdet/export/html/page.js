@@ -158,7 +158,7 @@
     const title = add(box, "h3");
     title.append(log.log);
     add(title, "span", {}, `${many(log.frames, "frame")}${log.stride > 1 ? `, ${log.stride} to a point` : ""}`);
-    const least = log.nearest ? `nearest ${metres(log.nearest[0])} in frame ${log.nearest[1]}` : "no obstacle";
+    const least = log.nearest ? `nearest ${metres(log.nearest[0])} in frame ${log.nearest[1]}` : log.obstacles ? "no distance" : "no obstacle";
     const svg = add(box, "svg", { viewBox: `0 0 ${W} ${H}`, tabindex: "0", role: "application", "aria-roledescription": "timeline",
       "aria-label": `Distance to the nearest obstacle in ${log.log}: ${many(log.frames, "frame")}, ${least}. Arrow keys move, Enter opens a frame.` });
     const steps = reach > 60 ? 20 : reach > 24 ? 10 : reach > 12 ? 4 : reach > 4 ? 2 : reach > 2 ? 1 : 0.5;
@@ -209,7 +209,7 @@
     const spot = add(svg, "circle", { class: "spot", r: 3.5, visibility: "hidden" });
     let at = -1;
     const say = (b) => {
-      const parts = [`frame ${frame[b]}`, seconds(time[b]), nearest[b] === null ? "no obstacle" : metres(nearest[b])];
+      const parts = [`frame ${frame[b]}`, seconds(time[b]), nearest[b] === null ? (most[b] > 0 ? "no distance" : "no obstacle") : metres(nearest[b])];
       if (most[b] > 0) parts.push(log.stride > 1 ? `up to ${most[b]} obstacles` : many(most[b], "obstacle"));
       if (lost[b]) parts.push(log.stride > 1 ? `${lost[b]} without a result` : "no result");
       if (target(b) >= 0) parts.push("picture");
