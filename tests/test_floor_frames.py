@@ -207,6 +207,13 @@ def test_the_floor_before_a_step_down_is_found(pose, drop, start):
         assert np.isinf(fit.plane.ramp_start[0])
 
 
+def test_a_step_without_a_prior_is_a_drop_only_if_the_camera_is_too_high_above_a_table():
+    pose = Pose(1.3, 25.0, 0.0)
+    table, drop = (measured(cast_step(pose, down, 2.4), noise=0.002) for down in (0.6, 0.9))
+    assert_refused(found(table, unknown_plane(1)), Refusal.TABLE, unknown_plane(1))
+    assert_found(found(drop, unknown_plane(1)), pose)
+
+
 @pytest.mark.parametrize(
     ("pose", "start"),
     [

@@ -51,6 +51,9 @@ RAMP_M = 3.6  # a plane far from the prior is a ramp if it crosses the prior nea
 STEP_M, TABLE_M = 0.05, 0.10
 """Cells this far above a plane are obstacles; cells this far below show it is not the floor."""
 DEEP_M = 0.25  # the same below a plane that ends at a step, if there is no prior
+OVER_TABLE_M = 2.0
+"""Maximum height of a camera above the floor on which a table stands; where the floor beyond a step
+is farther below the camera, the step is a drop and not the edge of a table."""
 
 
 class Tolerance(NamedTuple):

@@ -9,6 +9,7 @@ from jaxdet.config import FloorConfig
 from jaxdet.floor.units import (
     ANGLES,
     DEEP_M,
+    OVER_TABLE_M,
     RAMP_M,
     STEP_M,
     TABLE_M,
@@ -219,7 +220,8 @@ def _judge(
     slack, total = scale.fine.of(cells.z, plane.height), len(cells.z)
     on = int(np.count_nonzero(np.abs(deep) <= slack))
     is_low = deep > BELOW * slack + scale.length(TABLE_M)
-    if prior is None and ahead and ahead.drop > 0:
+    over_table = scale.length(OVER_TABLE_M)
+    if prior is None and ahead and 0 < ahead.drop <= over_table - plane.height:
         # Without a prior, a floor beyond a deep step may be the floor below a table.
         is_low |= level > BELOW * slack + scale.length(DEEP_M)
     low = int(np.count_nonzero(is_low))

@@ -106,6 +106,7 @@ def _floor_settings(cells: int, config: FloorConfig, unit: float) -> dict[str, A
         "min_share_alone": round(1000 * config.min_share_alone),
         "table": scale.length(units.TABLE_M),
         "deep": scale.length(units.DEEP_M),
+        "over_table": scale.length(units.OVER_TABLE_M),
         "step": scale.length(units.STEP_M),
         "ramps": int(config.ramps),
         "farthest_ramp": scale.length(units.RAMP_M),

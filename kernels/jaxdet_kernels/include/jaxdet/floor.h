@@ -301,7 +301,9 @@ struct Floor {
         const bool is_flat = !ahead.turn && !ahead.drop;
         const int table_depth = settings[FloorSetting::TABLE], step = settings[FloorSetting::STEP];
         // Without a prior, a floor beyond a deep step may be the floor below a table.
-        const bool may_be_table = !has_prior && ahead.drop > 0;
+        const bool may_be_table =
+            !has_prior && ahead.drop > 0 &&
+            plane.height + ahead.drop <= settings[FloorSetting::OVER_TABLE];
         int on = 0, low = 0, high = 0, dents = 0;
         for (int i = group.rank(); i < all.count; i += group.size()) {
             const int x = all.x[i], y = all.y[i], z = all.z[i];
