@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from jaxdet.io import Batch, Log, LogDescription, LogFiles, LogOptions, RescanError, open_log
+from jaxdet.errors import RescanError
+from jaxdet.io import Batch, Log, LogDescription, LogFiles, LogOptions, open_log
 from jaxdet.io.notes import Notes, total
 
 _ARRAYS = ("color", "depth", "number", "stamp_ns", "color_stamp_ns", "valid", "T_world_camera")

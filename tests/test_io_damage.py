@@ -16,8 +16,8 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 
 from jaxdet import io
-from jaxdet.errors import JaxdetError, TopicError
-from jaxdet.io import LogOptions, RescanError, mcap_scan, open_log
+from jaxdet.errors import JaxdetError, RescanError, TopicError
+from jaxdet.io import LogOptions, mcap_scan, open_log
 from jaxdet.io.chunks import MAGIC, RECORD_HEAD, ChunkHead, DamageError, chunk_records, decompress
 from jaxdet.io.mcap_file import McapFile
 from tests.io_both_ways import is_indexed

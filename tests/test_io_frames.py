@@ -8,8 +8,8 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from jaxdet.errors import CalibrationError, TopicError
-from jaxdet.io import LogOptions, RescanError, mcap_scan, open_log, opening, store
+from jaxdet.errors import CalibrationError, RescanError, TopicError
+from jaxdet.io import LogOptions, mcap_scan, open_log, opening, store
 from jaxdet.io import log as log_module
 from jaxdet.io.chunks import DamageError
 from jaxdet.io.mcap_file import McapFile

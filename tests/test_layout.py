@@ -1,11 +1,12 @@
 """The house rules that a machine can check: names, lazy imports, no addresses."""
 
-import ast
 import os
 import re
 import subprocess
 import sys
 from pathlib import Path
+
+from jaxdet import config, reference, stages
 
 ROOT = Path(__file__).resolve().parents[1]
 STAGES = ("align", "ground", "features", "cluster", "footprint")
@@ -29,24 +30,14 @@ def named_files() -> list[str]:
     return twins + tests + [f"benchmarks/bench_{name}.py" for name in sorted(BENCHMARKS)]
 
 
-def exported(package: Path) -> set[str]:
-    """The names that a package's ``__init__.py`` imports, read without importing it."""
-    init = package / "__init__.py"
-    module = ast.parse(init.read_text(encoding="utf-8") if init.is_file() else "")
-    imports = [node for node in ast.walk(module) if isinstance(node, ast.ImportFrom)]
-    return {alias.asname or alias.name for node in imports for alias in node.names}
-
-
 def layout_faults(root: Path) -> list[str]:
     """What breaks "one name everywhere" in the tree at ``root``."""
     faults = [f"{file} is missing" for file in named_files() if not (root / file).is_file()]
-    config = ast.parse((root / "jaxdet/config.py").read_text(encoding="utf-8"))
-    classes = {node.name for node in config.body if isinstance(node, ast.ClassDef)}
     wanted = {f"{name.capitalize()}Config" for name in SECTIONS}
-    faults += [f"jaxdet/config.py lacks {name}" for name in sorted(wanted - classes)]
-    for package in ("reference", "stages"):
-        hidden = EXPORTS - exported(root / "jaxdet" / package)
-        faults += [f"jaxdet.{package} does not export {name}" for name in sorted(hidden)]
+    faults += [f"jaxdet/config.py lacks {name}" for name in sorted(wanted - set(dir(config)))]
+    for package in (reference, stages):
+        hidden = EXPORTS - set(dir(package))
+        faults += [f"{package.__name__} does not export {name}" for name in sorted(hidden)]
     timed = {path.stem.removeprefix("bench_") for path in root.glob("benchmarks/bench_*.py")}
     return faults + [f"bench_{name}.py is of no stage" for name in sorted(timed - BENCHMARKS)]
 

@@ -28,8 +28,8 @@ from jaxdet.engine.plan import LogPlan
 from jaxdet.engine.shared_slots import SLOTS, attached
 from jaxdet.engine.tasks import TaskQueue
 from jaxdet.engine.worker import decide_floors
-from jaxdet.errors import ConfigError, FrameError, FrameStatus, InputError, Interrupted
-from jaxdet.io import Batch, LogOptions, RescanError
+from jaxdet.errors import ConfigError, FrameError, FrameStatus, InputError, Interrupted, RescanError
+from jaxdet.io import Batch, LogOptions
 from jaxdet.presets import PRESETS
 from jaxdet.results.summary import Summary
 from jaxdet.signals import stops_raised

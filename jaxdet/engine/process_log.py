@@ -21,9 +21,10 @@ from jaxdet.errors import (
     InputError,
     JaxdetError,
     OutputError,
+    RescanError,
     WorkerStartError,
 )
-from jaxdet.io import RescanError, open_log
+from jaxdet.io import open_log
 from jaxdet.io.notes import total
 from jaxdet.memory import size_text
 from jaxdet.pipeline import BackendName

@@ -1,8 +1,8 @@
 """Logs of depth cameras: recordings to arrays, and arrays to files.
 
 ``find_logs`` turns names of files and folders into logs, ``open_log`` reads the index and the first
-messages of a log, and :class:`Log` reads its frames in batches. The names are loaded when they are
-used, so that the options alone cost no import of a decoder.
+messages of a log, and :class:`Log` reads its frames in batches. Names are loaded on first use, so
+that the options alone import no decoder.
 
 From the bytes of files to frames, by module::
 
@@ -29,47 +29,6 @@ From the bytes of files to frames, by module::
     log, batch                      arrays of images, stamps and poses, and the status of each
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+import lazy_loader
 
-if TYPE_CHECKING:
-    from jaxdet.errors import RescanError
-    from jaxdet.io.batch import Batch, LogFrame
-    from jaxdet.io.description import LogDescription
-    from jaxdet.io.files import LogFiles, find_logs
-    from jaxdet.io.log import Log
-    from jaxdet.io.notes import Notes
-    from jaxdet.io.opening import open_log
-    from jaxdet.io.options import LogOptions
-
-_MODULES = {
-    "Batch": "io.batch",
-    "Log": "io.log",
-    "LogDescription": "io.description",
-    "LogFiles": "io.files",
-    "LogFrame": "io.batch",
-    "LogOptions": "io.options",
-    "Notes": "io.notes",
-    "RescanError": "errors",
-    "find_logs": "io.files",
-    "open_log": "io.opening",
-}
-__all__ = [
-    "Batch",
-    "Log",
-    "LogDescription",
-    "LogFiles",
-    "LogFrame",
-    "LogOptions",
-    "Notes",
-    "RescanError",
-    "find_logs",
-    "open_log",
-]
-
-
-def __getattr__(name: str) -> Any:
-    """Load a public name with its module."""
-    if name not in _MODULES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"jaxdet.{_MODULES[name]}"), name)
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,18 +1,5 @@
 """Results checked against their manifest, their logs and the reference: ``jaxdet verify``."""
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+import lazy_loader
 
-if TYPE_CHECKING:
-    from jaxdet.verify.folder import verify
-    from jaxdet.verify.report import Finding, Report
-
-_HOMES = {"Finding": "report", "Report": "report", "verify": "folder"}
-
-__all__ = ["Finding", "Report", "verify"]
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

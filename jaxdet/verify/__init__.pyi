@@ -1,0 +1,8 @@
+__all__ = [
+    "Finding",
+    "Report",
+    "verify",
+]
+
+from .folder import verify
+from .report import Finding, Report
