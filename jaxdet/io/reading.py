@@ -1,8 +1,7 @@
 """Reads images of a log into the rows of arrays, a chunk at a time.
 
-Of a chunk that isn't packed the pixels go straight into their rows where they are what the rows
-hold, everything else into other memory, and all of it through the CRC while it is in the core's
-cache.
+Pixels of an uncompressed chunk are read straight into their rows where they have the form of the
+rows, other messages into memory of their own; the rest is only read for the CRC.
 """
 
 import time
@@ -16,6 +15,7 @@ import numpy as np
 from jaxdet.errors import FrameError, FrameStatus
 from jaxdet.io.chunks import PAYLOAD_OFFSET, PIECE_BYTES, DamageError
 from jaxdet.io.compressed import decode_compressed_color, decode_compressed_depth
+from jaxdet.io.container import LogFile
 from jaxdet.io.decode_messages import MessageDecoder
 from jaxdet.io.images import decode_color, decode_depth
 from jaxdet.io.messages import (
@@ -203,8 +203,8 @@ class ImageReader:
             raise DamageError("chunk has a size that differs from the declared one")
         file.check_size(size)
         spans = [self._span(chunk, item, (depth if item.depth else color)) for item in requests]
+        payloads: list[memoryview | None] = []
         if not head.crc or chunk in self._store.checked:
-            payloads: list[memoryview | None] = []
             for item, span in zip(requests, spans, strict=True):
                 if span is None:
                     payload = file.read(start + item.offset, item.size)
@@ -213,34 +213,24 @@ class ImageReader:
                     file.read_into(start + span.start, [span.row])
                     payloads.append(None)
             return payloads
-        parts: list[memoryview] = []
-        left = size - sum(len(span.row) for span in spans if span)
-        file.check_memory(left)
-        rest = memoryview(bytearray(left))
-        done = used = 0
-        moved = []
+        checked = _CheckedRead(file, start)
+        message: Request | None = None
+        payload = memoryview(b"")
         for item, span in zip(requests, spans, strict=True):
-            moved.append(item.offset - (done - used))
             if span is not None:
-                before = span.start - done
-                if before < 0:
-                    raise DamageError("messages overlap")
-                parts += [rest[used : used + before], span.row]
-                used, done = used + before, span.start + len(span.row)
-        parts.append(rest[used:])
-        crc = 0
-        for part in parts:
-            for begin in range(0, len(part), PIECE_BYTES):
-                piece = part[begin : begin + PIECE_BYTES]
-                file.read_into(start, [piece])
-                start, crc = start + len(piece), deflate.crc32(piece, crc)
-        if crc != head.crc:
+                checked.skip_to(span.start)
+                checked.read_into(span.row)
+            elif message is None or (item.offset, item.size) != (message.offset, message.size):
+                file.check_memory(item.size)
+                message, payload = item, memoryview(bytearray(item.size))
+                checked.skip_to(item.offset)
+                checked.read_into(payload)
+            payloads.append(None if span else payload)
+        checked.skip_to(size)
+        if checked.crc != head.crc:
             raise DamageError("chunk has a wrong CRC")
         self._store.checked.add(chunk)
-        return [
-            rest[place : place + item.size] if span is None else None
-            for item, span, place in zip(requests, spans, moved, strict=True)
-        ]
+        return payloads
 
     def _span(self, chunk: Place, request: Request, rows: np.ndarray) -> Span | None:
         """Return the part of a chunk that can be read straight into its row."""
@@ -294,6 +284,39 @@ class ImageReader:
             decode_compressed_depth(message, row, self._unit, self._max_pixels)
         elif isinstance(message, ImageMessage):
             decode_depth(message, row, self._unit, self._max_pixels)
+
+
+class _CheckedRead:
+    """Reading of a chunk's records from first to last, with their CRC.
+
+    Args:
+        file: File of the chunk.
+        start: Position of the records in the file.
+    """
+
+    def __init__(self, file: LogFile, start: int) -> None:
+        self.crc = 0
+        self._file, self._start, self._done = file, start, 0
+        self._unused = memoryview(bytearray(PIECE_BYTES))
+
+    def read_into(self, memory: memoryview) -> None:
+        """Fill memory with the next records; the CRC is computed while they are in the cache."""
+        for begin in range(0, len(memory), PIECE_BYTES):
+            piece = memory[begin : begin + PIECE_BYTES]
+            self._file.read_into(self._start + self._done, [piece])
+            self._done += len(piece)
+            self.crc = deflate.crc32(piece, self.crc)
+
+    def skip_to(self, offset: int) -> None:
+        """Read up to an offset in the records for the CRC alone.
+
+        Raises:
+            DamageError: More has been read already.
+        """
+        if offset < self._done:
+            raise DamageError("messages overlap")
+        while left := offset - self._done:
+            self.read_into(self._unused[:left])
 
 
 def _other_calibration() -> FrameError:
