@@ -185,28 +185,33 @@ struct CellRow {
                 for (int u = 0; u < side; ++u)
                     pixel[v * side + u][k] = (unsigned short)(first[v * stride + k * side + u] - 1);
         Words low = (Words){} - 1, high = {}, count = {};
-        Wide sum = {};
         for (int p = 0; p < all; ++p) {
             const Words depth = at(p) + 1;
             low = low < at(p) ? low : at(p);
             high = high > depth ? high : depth;
-            add(depth, &count, &sum);
+            count -= (Words)(depth != 0);
         }
         *(Wide*)nearest = __builtin_convertvector((Words)(low + 1), Wide);
         const Words enough = (Words)(count * 2 >= (unsigned short)all);
+        Wide sum = {};
         if (are_uneven(low, high)) {
             sort(all);
             Words median = at(0);
             for (int p = 1; p <= (all - 1) / 2; ++p)
                 median = (count - 1) / 2 == (unsigned short)p ? at(p) : median;
-            Words most_apart;
-            for (int k = 0; k < LANES; ++k) most_apart[k] = (unsigned short)reach(median[k]);
+            unsigned short reaches[LANES];
+            for (int k = 0; k < LANES; ++k) reaches[k] = (unsigned short)reach(median[k]);
+            const Words most_apart = *(Words*)reaches;
             count = (Words){};
-            sum = (Wide){};
             for (int p = 0; p < all; ++p) {
                 const Words apart = at(p) > median ? at(p) - median : median - at(p);
-                add(apart <= most_apart ? at(p) + 1 : (Words){}, &count, &sum);
+                const Words depth = apart <= most_apart ? at(p) + 1 : (Words){};
+                count -= (Words)(depth != 0);
+                sum += __builtin_convertvector(depth, Wide);
             }
+        } else {
+            for (int p = 0; p < all; ++p)
+                sum += __builtin_convertvector((Words)(at(p) + 1), Wide);
         }
         // Rounded half up. Such quotients are at least 2^-7 below the next integer, so float32 never
         // rounds them up to it.
@@ -216,12 +221,6 @@ struct CellRow {
             / __builtin_convertvector(parts ? parts * 2 : 1, Vectors::WideFloats);
         const Wide depth = __builtin_convertvector(mean, Wide);
         *(Wide*)out = __builtin_convertvector(enough, Wide) ? depth : (Wide){};
-    }
-
-    // Adds depths to counts and sums; 0 = not measured.
-    static void add(const Words& depth, Words* count, Wide* sum) {
-        *count -= (Words)(depth != 0);
-        *sum += __builtin_convertvector(depth, Wide);
     }
 
     // Whether some depths of a cell may lie outside the tolerance of its median. If the farthest depth

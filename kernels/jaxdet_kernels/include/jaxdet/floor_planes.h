@@ -52,7 +52,12 @@ struct FloorSlack {
     FloorSlack(int base, int per_z, int noise, int height)
         : base(base), rate(per_z + (long long)noise * (height > 0 ? height : 0)) {}
 
+#if defined(__CUDA_ARCH__)
     int at(int z) const { return base + (int)((z * rate) >> BITS); }
+#else
+    // The product is below 2^46, so it is exact as a double.
+    int at(int z) const { return base + (int)(z * ((double)rate / (1 << BITS))); }
+#endif
 };
 
 struct FloorAngles {
@@ -151,17 +156,26 @@ struct FloorRefine {
         return plane;
     }
 
-    // n / d rounded down. n is at most 64 times the square of two tolerances, and d is below 2^46, so
-    // both are exact as doubles, and no quotient is rounded up to an integer: it is at least 1 / d
-    // below it.
-    int ratio(long long n, long long d) const {
+    // Quotients by an integer, rounded down, between 0 and 64.
+    struct Quotients {
 #if defined(__CUDA_ARCH__)
-        if ((n | d) >> 32 == 0) return (int)((unsigned)n / (unsigned)d);
-        return (int)(n / d);
+        typedef long long Whole;
+        Whole divisor;
+        explicit Quotients(Whole divisor) : divisor(divisor) {}
+        int of(Whole n) const {
+            if ((n | divisor) >> 32 == 0) return (int)((unsigned)n / (unsigned)divisor);
+            return (int)(n / divisor);
+        }
 #else
-        return (int)((double)n / (double)d);
+        // A division costs more than several products. For divisors below 2^44 the rounding error of
+        // the product, at most 2^-46, is smaller than the distance of (n + 1/2) / divisor from the next
+        // integer.
+        typedef double Whole;
+        double inverse;
+        explicit Quotients(Whole divisor) : inverse(1.0 / divisor) {}
+        int of(Whole n) const { return (int)((n + 0.5) * inverse); }
 #endif
-    }
+    };
 
     // Performs one step of weighted least squares; returns false if too few cells are within the
     // tolerance.
@@ -171,33 +185,35 @@ struct FloorRefine {
         const FloorDirection right = angles.right(plane), forward = angles.forward(plane);
         const FloorSlack slack(base, per_z, settings[FloorSetting::NOISE], plane.height);
         const int height = plane.height, lever = settings[FloorSetting::LEVER_BITS];
-        const long long squares = 64 * 9 * (long long)base * base;
+        const Quotients::Whole squares = 64 * 9 * (Quotients::Whole)base * base;
         const int *__restrict__ xs = cells.x, *__restrict__ ys = cells.y, *__restrict__ zs = cells.z;
         int* __restrict__ out = weights;
         const int first = group.rank(), step = group.size(), last = cells.count;
-        long long count = 0, w0 = 0, we = 0, wt = 0, ws = 0, tt = 0, ts = 0, ss = 0, te = 0, se = 0;
+        int count = 0, w0 = 0;
+        long long we = 0, wt = 0, ws = 0, tt = 0, ts = 0, ss = 0, te = 0, se = 0;
         for (int i = first; i < last; i += step) {
             const int x = xs[i], y = ys[i], z = zs[i];
             const int off = down.along(x, y, z) - height, allowed = slack.at(z);
             const bool near = 2 * off <= 3 * allowed && -2 * off <= 3 * allowed;
             const int e = near ? off : 0;
-            const long long gate = 9 * (long long)allowed * allowed;
-            const int taper = 64 - ratio(256 * (long long)e * e, gate);
-            const int part = ratio(squares, gate) + 1;
-            const int w = near ? (int)((long long)(taper * taper) * part >> 6) : 0;
+            const Quotients by_gate(9 * (Quotients::Whole)allowed * allowed);
+            const int taper = 64 - by_gate.of(256 * (Quotients::Whole)e * e);
+            const int part = by_gate.of(squares) + 1;
+            // At most 4160, so products with distances have 32 bits.
+            const int w = near ? taper * taper * part >> 6 : 0;
             const int t = forward.along(x, y, z) >> lever, s = right.along(x, y, z) >> lever;
             out[i] = w;
-            const long long at = (long long)w * t, as = (long long)w * s;
+            const int at = w * t, as = w * s;
             count += near;
             w0 += w;
             we += (long long)w * e;
             wt += at;
             ws += as;
-            tt += at * t;
-            ts += at * s;
-            ss += as * s;
-            te += at * e;
-            se += as * e;
+            tt += (long long)at * t;
+            ts += (long long)at * s;
+            ss += (long long)as * s;
+            te += (long long)at * e;
+            se += (long long)as * e;
         }
         long long sums[10] = {count, w0, we, wt, ws, tt, ts, ss, te, se};
         group.sum(sums, 10);

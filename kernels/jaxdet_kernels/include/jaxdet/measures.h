@@ -9,6 +9,8 @@ namespace jaxdet { namespace {
 
 struct Measures {
     enum { MOST_LATERAL = (1 << 18) - 1, DEPTHS = 65536, TRIM_SHARE = 16 };
+    // Number of cells whose boxes are computed in a vectorized loop on the CPU.
+    enum { ABREAST = Warp::size > 1 ? 1 : 64 };
     // Measurements that are separate units of work.
     enum { PLACE, BOX, HEIGHT, LEFT, RIGHT, NEAR, KINDS };
 
@@ -94,15 +96,34 @@ struct Measures {
 
     // Writes the bounding box in the image of boxes.
     void put_box(int number, ObstacleCells::Range range) const {
-        Extremes sides[2];
-        for (int i = range.first + warp.lane; i < range.end; i += warp.size) {
-            const int k = cells.cell[i];
-            boxes.add(k, xyz[2][k], sides, sides + 1);
+        Extremes across, down;
+        // The image is a constant in each call, so that the loops are vectorized.
+        switch (boxes.image()) {
+            case CellBoxes::ALIGNED: add_boxes(range, CellBoxes::ALIGNED, across, down); break;
+            case CellBoxes::PINHOLE: add_boxes(range, CellBoxes::PINHOLE, across, down); break;
+            default: add_boxes(range, CellBoxes::DISTORTED, across, down);
         }
-        for (int j = 0; j < 2; ++j) {
-            sides[j].join(warp);
-            CellBoxes::put(sides[j], boxes.last[j], uv_min_out + 2 * number + j,
-                           uv_max_out + 2 * number + j);
+        across.join(warp);
+        down.join(warp);
+        CellBoxes::put(across, boxes.last[0], uv_min_out + 2 * number, uv_max_out + 2 * number);
+        CellBoxes::put(down, boxes.last[1], uv_min_out + 2 * number + 1, uv_max_out + 2 * number + 1);
+    }
+
+    __attribute__((always_inline)) void add_boxes(ObstacleCells::Range range, CellBoxes::Image image, Extremes& across, Extremes& down) const {
+        const int *cell = cells.cell, *depth = xyz[2];
+        const CellBoxes boxes = this->boxes;
+        for (int from = range.first + warp.lane * ABREAST; from < range.end;
+             from += warp.size * ABREAST) {
+            int left[ABREAST], right[ABREAST], top[ABREAST], bottom[ABREAST];
+            const int n = range.end - from < ABREAST ? range.end - from : (int)ABREAST;
+#if defined(__clang__)
+#pragma clang loop vectorize(assume_safety)
+#endif
+            for (int i = 0; i < n; ++i) {
+                const int k = cell[from + i];
+                boxes.box(k, depth[k], image, left + i, right + i, top + i, bottom + i);
+            }
+            for (int i = 0; i < n; ++i) across.add(left[i], right[i]), down.add(top[i], bottom[i]);
         }
     }
 

@@ -70,16 +70,16 @@ struct Notches {
 
     // Calls `use` with the notch and the index of each cell above the step in a notch.
     template <class Use> void each_cell(Use use) const {
-        const int all = floor.rows * floor.columns;
-        for (int k = floor.team.rank; k < all; k += floor.team.size) {
-            const int c = k % floor.columns, n = notch[c], z = floor.z[k], high = floor.height[k];
-            if (n < 0 || label[k] >= 0) continue;
-            const int rise = Surfaces::higher(rises[z], z * slope >> Surfaces::SLOPE_BITS);
-            const int beyond = floor.forward[k] - ahead(c);
-            if (z >= settings[FreeFloor::NEAREST] && z <= settings[FreeFloor::IN_RANGE] &&
-                high <= settings[FreeFloor::HIGHEST] && 2 * high > rise && beyond >= 0 &&
-                beyond <= settings[FreeFloor::NOTCH])
-                use(n, k);
+        for (int c = floor.team.rank; c < floor.columns; c += floor.team.size) {
+            const int n = notch[c], end = floor.rows * floor.columns, from = ahead(c);
+            for (int k = c; n >= 0 && k < end; k += floor.columns) {
+                const int z = floor.z[k], high = floor.height[k], beyond = floor.forward[k] - from;
+                const int rise = Surfaces::higher(rises[z], z * slope >> Surfaces::SLOPE_BITS);
+                if (label[k] < 0 && z >= settings[FreeFloor::NEAREST] &&
+                    z <= settings[FreeFloor::IN_RANGE] && high <= settings[FreeFloor::HIGHEST] &&
+                    2 * high > rise && beyond >= 0 && beyond <= settings[FreeFloor::NOTCH])
+                    use(n, k);
+            }
         }
     }
 };

@@ -87,11 +87,11 @@ struct Surfaces {
     // Transforms the cell at (a, b, d) to the floor frame and classifies it; returns whether it is
     // kept. Cells no higher than `rise` are floor.
     __attribute__((always_inline)) bool place(
-        const FloorFrame& frame, int k, int a, int b, int d, int rise
+        const FloorFrame& frame, bool has_ramp, int k, int a, int b, int d, int rise
     ) const {
         const int ahead = frame.forward(a, b, d);
         int high = frame.level(a, b, d);
-        if (frame.has_ramp()) high -= frame.rise(ahead);
+        if (has_ramp) high -= frame.rise(ahead);
         const bool above = high > rise;
         const bool below = (high <= settings[HIGHEST]) | !frame.valid;
         const bool on = (d >= settings[NEAREST]) & (d <= settings[FARTHEST]) & above & below;
@@ -136,7 +136,7 @@ struct Surfaces {
             }
             for (int k = 0; k < AHEAD; ++k) rise[k] = higher(rises[d[k]], d[k] * slope >> SLOPE_BITS);
             for (int k = 0; k < AHEAD; ++k) {
-                const bool on = at[k] >= 0 && place(frame, at[k], a[k], b[k], d[k], rise[k]);
+                const bool on = at[k] >= 0 && place(frame, frame.has_ramp(), at[k], a[k], b[k], d[k], rise[k]);
                 some |= (at[k] >= 0) & in_range(d[k]);
                 const unsigned those = warp.ballot(on);
                 const int i = first + k;
@@ -147,25 +147,38 @@ struct Surfaces {
 #else
         in.grid.frame(team, in.other, Creases::NONE);
         for (int r = 0; r < rows; ++r) {
-            const int first = r * columns;
-            int* const depth = in.depth + in.grid.row(r);
-#if defined(__clang__)
-#pragma clang loop vectorize(assume_safety)
-#endif
-            for (int c = 0; c < columns; ++c) {
-                const int k = first + c, d = z[k];
-                place(frame, k, x[k], y[k], d, higher(rises[d], d * slope >> SLOPE_BITS));
-                depth[c] = d > 0 ? d << Creases::BITS : (int)Creases::NONE;
-                some |= in_range(d);
-            }
+            // The ramp is a constant in each call, so that the loop has no branch.
+            some |= frame.has_ramp() ? place_row(in, frame, true, slope, r)
+                                     : place_row(in, frame, false, slope, r);
             for (int i = in.kept.at(r, 0); i < in.kept.at(r + 1, 0); ++i) {
                 const int c = in.kept.column(i);
-                in.kept[i] = BitRows::packed(keep + first + c, 0, columns - c);
+                in.kept[i] = BitRows::packed(keep + r * columns + c, 0, columns - c);
             }
         }
 #endif
         return some;
     }
+
+#if !defined(__CUDA_ARCH__)
+    // Transforms and classifies a row of cells; returns whether the depth of any is in range.
+    __attribute__((always_inline)) int place_row(
+        const Parts& in, const FloorFrame& frame, bool has_ramp, int slope, int r
+    ) const {
+        const int first = r * columns;
+        int* const depth = in.depth + in.grid.row(r);
+        int some = 0;
+#if defined(__clang__)
+#pragma clang loop vectorize(assume_safety)
+#endif
+        for (int c = 0; c < columns; ++c) {
+            const int k = first + c, d = z[k];
+            place(frame, has_ramp, k, x[k], y[k], d, higher(rises[d], d * slope >> SLOPE_BITS));
+            depth[c] = d > 0 ? d << Creases::BITS : (int)Creases::NONE;
+            some |= in_range(d);
+        }
+        return some;
+    }
+#endif
 
     static bool is_near(int z_one, int z_other, int step_one, int step_other) {
         return Creases::apart(z_one, z_other) <= (step_one < step_other ? step_one : step_other);
@@ -573,14 +586,13 @@ struct Surfaces {
         for (int i = warp.index; i < has.count(); i += warp.count) {
             if (!has[i]) continue;
             const int first = has.row(i) * columns + has.column(i);
-            for (int k = warp.lane; k < BitRows::WIDTH; k += Warp::size) {
-                if (!(has[i] >> k & 1)) continue;
+            warp.each_bit(has[i], [&](int k) {
                 const int number = numbers[label_out[first + k]];
                 label_out[first + k] = number < MOST ? number : -1;
-                if (number >= 0) continue;
+                if (number >= 0) return;
                 keep[first + k] = 0;
                 free[first + k] = 1;
-            }
+            });
         }
         team.sync();
     }

@@ -89,6 +89,15 @@ struct Warp {
 #endif
     }
 
+    // Calls `use(i)` for each bit i of a word that is set.
+    template <class Use> void each_bit(unsigned word, Use use) const {
+#if defined(__CUDA_ARCH__)
+        if (word >> lane & 1) use(lane);
+#else
+        for (; word; word &= word - 1) use(BitRows::lowest(word));
+#endif
+    }
+
     // Rank of this lane among those whose argument is true, and their number; a collective call.
     int ballot_rank(bool mine, int* all) const {
         const unsigned who = ballot(mine);
