@@ -32,14 +32,19 @@ if TYPE_CHECKING:
 
 
 class ServerConfig(NamedTuple):
-    """What logs have in common that are served by the same threads, one after the other."""
+    """Properties that logs must share to be computed by one device server."""
 
     slots: Slots
     """Without a path."""
     pieces: int
-    """Of a batch."""
+    """Number of pieces in a batch."""
     calibration: Calibration
     config: Config
+
+    @property
+    def batch(self) -> int:
+        """Number of frames that are computed together."""
+        return self.pieces * self.slots.frames
 
 
 class ServerMemory:

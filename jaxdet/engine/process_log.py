@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from jaxdet.engine.device import out_of_memory
 from jaxdet.engine.executors import ChooseExecutor, Executor
 from jaxdet.engine.floors import Planes, evenly
 from jaxdet.engine.memory import Memory
@@ -193,6 +194,9 @@ class CameraRun:
         except Exception as error:
             if self.keep_memory:
                 raise
+            if out_of_memory(error):
+                remedy = "give a smaller --batch-size or --memory, or end other programs"
+                error = InputError("not enough memory", path=self.files.name, remedy=remedy)
             self._fail(error)
 
     def rows(self) -> Iterator[Any]:

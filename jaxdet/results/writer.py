@@ -51,15 +51,17 @@ class Tables(NamedTuple):
         return cls(to_table(frames, FRAMES_SCHEMA), to_table(obstacles, OBSTACLES_SCHEMA))
 
     def save(self, path: Path) -> None:
-        """Write the rows to a temporary file, which needs not survive this run.
+        """Write the rows to a temporary file, whose folder is made if it is missing.
 
         Raises:
             OutputError: The disk is full or broken.
         """
-        with writing(path), open_file(path, "wb") as file:
-            for table in self:
-                with pa.ipc.new_stream(file, table.schema) as stream:
-                    stream.write_table(table)
+        with writing(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with open_file(path, "wb") as file:
+                for table in self:
+                    with pa.ipc.new_stream(file, table.schema) as stream:
+                        stream.write_table(table)
 
     @classmethod
     def load(cls, path: Path) -> "Tables":
