@@ -26,7 +26,7 @@ from jaxdet.results.rows import (
     used_slots,
 )
 from jaxdet.results.summary import Counts
-from jaxdet.results.writer import Tables
+from jaxdet.results.tables import Tables
 from jaxdet.types import Detections, GroundPlane
 
 if TYPE_CHECKING:

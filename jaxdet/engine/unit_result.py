@@ -9,7 +9,7 @@ from jaxdet.engine.plan import Observer, Unit
 from jaxdet.errors import OutputError
 from jaxdet.results.occupancy import OccupancyMap
 from jaxdet.results.summary import Counts, LogSummary
-from jaxdet.results.writer import Tables
+from jaxdet.results.tables import Tables
 
 if TYPE_CHECKING:
     from jaxdet.io import Notes
@@ -22,7 +22,7 @@ class UnitResult(NamedTuple):
 
     counts: Counts
     rows: Path
-    """Temporary file with its rows, see :meth:`jaxdet.results.writer.Tables.save`."""
+    """Temporary file with its rows, see :meth:`jaxdet.results.tables.Tables.save`."""
     map: OccupancyMap
     errors: list[str]
     """Frames that could not be used, with the reason."""

@@ -5,7 +5,6 @@ import typing
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from functools import cached_property
-from itertools import pairwise
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -45,7 +44,8 @@ from jaxdet.results.occupancy import MapImage, load_map
 from jaxdet.results.record import digest
 from jaxdet.results.schemas import FRAMES_SCHEMA, LINKS_SCHEMA, OBSTACLES_SCHEMA, TRACKS_SCHEMA
 from jaxdet.results.shapes import check_shape
-from jaxdet.results.tracked import Mover, TracksInFrames
+from jaxdet.results.tables import Frame, Tables
+from jaxdet.results.tracked import TracksInFrames
 
 CHUNK_FRAMES = 1024
 """Frames of a chunk, unless another number is requested."""
@@ -120,50 +120,6 @@ class ResultLog(NamedTuple):
         """The topic of the ``color`` or the ``depth`` images; empty where it isn't known."""
         topics = (self.summary["description"] or {}).get("topics", ())
         return next((t["topic"] for t in topics if role in t["chosen_as"].split()), "")
-
-
-class Chunk(NamedTuple):
-    """Whole frames of one log with all their obstacles, in order."""
-
-    frames: pa.Table
-    obstacles: pa.Table
-
-    @property
-    def first(self) -> np.ndarray:
-        """``(F + 1,)`` int64, frame ``i`` has the obstacles ``first[i]`` to ``first[i + 1]``."""
-        return np.append(0, np.cumsum(self.frames["num_obstacles"].to_numpy(), dtype=np.int64))
-
-    def each(self) -> Iterator["Frame"]:
-        """The frames one by one."""
-        rows, parts = self.frames.to_pylist(), self.obstacles.to_pylist()
-        for row, (start, stop) in zip(rows, pairwise(self.first.tolist()), strict=True):
-            yield Frame(row, parts[start:stop])
-
-    def take(self, rows: np.ndarray) -> "Chunk":
-        """Some of the frames ``(n,)``, ascending, with all their obstacles."""
-        chosen = np.zeros(self.frames.num_rows, bool)
-        chosen[rows] = True
-        of = np.repeat(chosen, self.frames["num_obstacles"].to_numpy())
-        return Chunk(self.frames.take(rows), self.obstacles.take(np.flatnonzero(of)))
-
-
-class Frame(NamedTuple):
-    """A row of ``frames.parquet`` and its rows of ``obstacles.parquet``, null as None."""
-
-    row: dict[str, Any]
-    obstacles: list[dict[str, Any]]
-
-    @property
-    def tracks(self) -> Sequence[Mover]:
-        """The tracks that it has, of :meth:`Results.frames` where ``jaxdet track`` found some."""
-        return self.row.get("tracks", ())
-
-
-class Tables(NamedTuple):
-    """Rows of both tables; of tracked logs obstacles have the columns :data:`LINKED`."""
-
-    frames: pa.Table
-    obstacles: pa.Table
 
 
 class LogFailure(NamedTuple):
@@ -374,7 +330,7 @@ class Results:
         frames: Sequence[str] | None = None,
         obstacles: Sequence[str] | None = None,
         size: int = CHUNK_FRAMES,
-    ) -> Iterator[Chunk]:
+    ) -> Iterator[Tables]:
         """The rows, some frames at a time, each chunk of one log.
 
         Memory: a row group's chosen columns, and the chunk.
@@ -399,7 +355,7 @@ class Results:
         frames: Sequence[str] | None,
         obstacles: Sequence[str] | None,
         size: int,
-    ) -> Iterator[Chunk]:
+    ) -> Iterator[Tables]:
         own = obstacles and [name for name in obstacles if name not in LINKED]
         wanted = LINKED if obstacles is None else [name for name in LINKED if name in obstacles]
         linked = self.tracked(log) and wanted
@@ -421,7 +377,7 @@ class Results:
                     raise InputError(problem, path=str(log.folder), remedy=AGAIN)
                 left -= taken.num_rows
                 count = taken["num_obstacles"].to_numpy()
-                chunk = Chunk(taken, parts.take(int(count.sum(dtype=np.int64))))
+                chunk = Tables(taken, parts.take(int(count.sum(dtype=np.int64))))
                 _check(log, chunk, count)
                 yield chunk if links is None else _linked(log, chunk, links)
 
@@ -538,7 +494,7 @@ def _has_nulls(table: pq.ParquetFile, column: str) -> bool:
     return any(batch.column(0).null_count for batch in table.iter_batches(columns=[column]))
 
 
-def _linked(log: ResultLog, chunk: Chunk, links: "_Rows") -> Chunk:
+def _linked(log: ResultLog, chunk: Tables, links: "_Rows") -> Tables:
     """Return a chunk whose obstacles have their tracks."""
     taken = links.take(chunk.obstacles.num_rows)
     if not taken["frame"].equals(chunk.obstacles["frame"]):
@@ -550,7 +506,7 @@ def _linked(log: ResultLog, chunk: Chunk, links: "_Rows") -> Chunk:
     return chunk._replace(obstacles=obstacles)
 
 
-def _check(log: ResultLog, chunk: Chunk, count: np.ndarray) -> None:
+def _check(log: ResultLog, chunk: Tables, count: np.ndarray) -> None:
     """Make sure that a chunk is of a log, and its obstacles are of its frames."""
     frame, of = chunk.frames["frame"].to_numpy(), chunk.obstacles["frame"].to_numpy()
     named = all(

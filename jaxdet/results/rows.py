@@ -176,7 +176,7 @@ def batch_rows(
         config: For the outlines.
 
     Returns:
-        Columns for :meth:`jaxdet.results.writer.Tables.of`, and the arrays behind them.
+        Columns for :meth:`jaxdet.results.tables.Tables.of`, and the arrays behind them.
 
     Raises:
         ValueError: A frame has more obstacles than there are slots.

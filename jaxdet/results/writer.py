@@ -10,64 +10,21 @@ from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from io import BytesIO
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from jaxdet.results.arrow import map_file, open_file, to_array
+from jaxdet.results.arrow import open_file
 from jaxdet.results.durable import writing
 from jaxdet.results.layout import FRAMES, OBSTACLES
 from jaxdet.results.metadata import Inputs, table_metadata
 from jaxdet.results.schemas import DICTIONARIES, FRAMES_SCHEMA, OBSTACLES_SCHEMA
 from jaxdet.results.summary import to_json
+from jaxdet.results.tables import Tables
 
 ROWS_PER_GROUP = 65536
 """Rows in a row group; part of the format, as it decides the bytes."""
-
-
-def to_table(columns: Mapping[str, Any], schema: pa.Schema) -> pa.Table:
-    """Rows as an Arrow table.
-
-    Args:
-        columns: One for each field, see :func:`jaxdet.results.arrow.to_array`.
-        schema: One of :mod:`jaxdet.results.schemas`.
-
-    Returns:
-        A table of R rows.
-    """
-    return pa.Table.from_arrays([to_array(columns[f.name], f) for f in schema], schema=schema)
-
-
-class Tables(NamedTuple):
-    """Rows of both tables."""
-
-    frames: pa.Table
-    obstacles: pa.Table
-
-    @classmethod
-    def of(cls, frames: Mapping[str, Any], obstacles: Mapping[str, Any]) -> "Tables":
-        """Rows from columns, see :func:`to_table`."""
-        return cls(to_table(frames, FRAMES_SCHEMA), to_table(obstacles, OBSTACLES_SCHEMA))
-
-    def save(self, path: Path) -> None:
-        """Write the rows to a temporary file, whose folder is made if it is missing.
-
-        Raises:
-            OutputError: The disk is full or broken.
-        """
-        with writing(path):
-            path.parent.mkdir(parents=True, exist_ok=True)
-            with open_file(path, "wb") as file:
-                for table in self:
-                    with pa.ipc.new_stream(file, table.schema) as stream:
-                        stream.write_table(table)
-
-    @classmethod
-    def load(cls, path: Path) -> "Tables":
-        """Map the rows that :meth:`save` wrote into memory."""
-        file = map_file(path)
-        return cls(*(pa.ipc.open_stream(file).read_all() for _ in cls._fields))
 
 
 class _Table:
