@@ -256,13 +256,13 @@ def test_what_is_not_of_a_run_is_refused_before_anything_is_done(
     output = tmp_path / "out"
     (output / "b").mkdir(parents=True)
     (output / "b" / "mine.txt").write_text("mine")
-    with pytest.raises(ConfigError, match="b: is there, and no run wrote it; move it"):
+    with pytest.raises(ConfigError, match="b: was not written by a run; move it"):
         run_logs(logs, output, **HOW)
     assert not (output / "a").exists()
     shutil.rmtree(output)
     shutil.copytree(done, output)
     (output / "a" / "mine.txt").write_text("mine")
-    with pytest.raises(ConfigError, match=r"mine.txt: is no file of the results that are replaced"):
+    with pytest.raises(ConfigError, match=r"mine.txt: is not a file of the results"):
         run_logs(logs, output, overwrite=True, **HOW)
     with pytest.raises(ConfigError, match="holds results of an older version, or of one log"):
         run_logs(logs, output / "b", **HOW)
