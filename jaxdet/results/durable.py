@@ -34,9 +34,8 @@ def writing(path: Path, remedy: str = MAKE_ROOM) -> Iterator[None]:
 
 def write_whole(path: Path, content: bytes) -> None:
     """Write a file next to its place, wait until it is on the disk, and rename it to its place."""
-    new = path.with_name(
-        f"{path.name}.{secrets.token_hex(8)}"
-    )  # processes in containers have equal numbers
+    # A random name, as processes in different containers may have the same number.
+    new = path.with_name(f"{path.name}.{secrets.token_hex(8)}")
     with writing(path):
         try:
             with new.open("wb") as file:
