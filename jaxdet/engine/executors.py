@@ -97,7 +97,7 @@ def _color_bytes(settings: RunSettings, log: "Log", batch: int) -> int:
 
 
 class InProcess:
-    """The process that the executor is in does the log.
+    """Executor by which the process that it is in does the log.
 
     Args:
         settings: The run.
@@ -144,7 +144,7 @@ class InProcess:
 
 
 class InPool:
-    """The workers of a pool share the frames of a log.
+    """Executor by which the workers of a pool share the frames of a log.
 
     Args:
         settings: The run.

@@ -344,7 +344,7 @@ def _sample_text(found: SampledFloor) -> str:
 
 
 def _said(known: GroundRecord, text: str) -> str:
-    """A message with what is known beside it."""
+    """Return a text after the message of a record."""
     if known.height_m is None:
         return text
     pitch, roll = np.degrees([known.pitch_rad or 0.0, known.roll_rad or 0.0])

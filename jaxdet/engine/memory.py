@@ -47,14 +47,14 @@ temporaries take as much as two."""
 
 
 class Needs(NamedTuple):
-    """What a log takes [bytes]."""
+    """Memory that a log needs [bytes]."""
 
     frame: int
-    """A frame's images."""
+    """Images of a frame."""
     known: int
-    """What is known of its messages, which each process has."""
+    """Index of its messages, which each process holds."""
     rows: int
-    """Rows of the tables that wait in this process."""
+    """Rows of the tables that are packed together in this process."""
 
 
 class MemoryPlan(NamedTuple):
@@ -69,7 +69,7 @@ class MemoryPlan(NamedTuple):
 
 
 class Memory:
-    """The memory of a run.
+    """Memory of a run.
 
     Args:
         asked: Value of ``--memory``; by default a share of the machine's memory.
@@ -133,17 +133,17 @@ class Memory:
         """Return the most processes, frames and batches read ahead that fit for a log.
 
         Args:
-            needs: What it takes.
-            batch: Frames that would be computed together.
-            workers: Processes that would be of use.
-            where: The log, for the error.
+            needs: Memory that the log needs.
+            batch: Largest number of frames computed together.
+            workers: Largest number of processes.
+            where: Name of the log, for the error.
 
         Raises:
             InputError: There is no room for one frame.
         """
         for count in range(min(workers, self.workers), 0, -1):
             left = self._left(count) - self.chunks
-            # With workers the index is on its way to them once more.
+            # If there are workers, a copy of the index is made to be sent to them.
             left -= (needs.known * (count + 1 + (count > 1)) + needs.rows) // count
             ahead = READ_AHEAD if count == 1 and not self._devices else 0
             size = batch

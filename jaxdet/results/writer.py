@@ -1,4 +1,4 @@
-"""The tables of a log as Parquet files, and its JSON files.
+"""Writers of the tables of a log as Parquet files, and of its JSON files.
 
 The bytes of the tables are a function of their rows alone: rows are buffered into row groups
 of a fixed size whatever the batch, and the writer's settings are fixed here.
@@ -57,7 +57,7 @@ class _Table:
         self.file.close()
 
     def drop(self) -> None:
-        """Closes what is open."""
+        """Close open files."""
         for file in (self.writer, self.file):
             with contextlib.suppress(OSError):
                 file.close()
@@ -66,7 +66,7 @@ class _Table:
 def parquet_writer(
     file: pa.NativeFile | BytesIO, schema: pa.Schema, **more: Any
 ) -> pq.ParquetWriter:
-    """Writes a table whose bytes are a function of its rows and of what the schema says."""
+    """Return a writer of a table whose bytes are a function of its rows and its schema."""
     return pq.ParquetWriter(
         file,
         schema,
@@ -79,7 +79,7 @@ def parquet_writer(
 
 
 def table_bytes(table: pa.Table) -> bytes:
-    """Rows as they are written; tables of the same bytes hold the same to the bit."""
+    """Return the bytes of a table in a file; they are equal if all values are, to the bit."""
     file = BytesIO()
     with parquet_writer(file, table.schema, store_schema=False) as writer:
         writer.write_table(table.combine_chunks())
@@ -90,10 +90,10 @@ class TableWriter:
     """Writes the two tables of a log; a context manager that closes them.
 
     Args:
-        folder: Where; the files are complete when :meth:`close` returns.
+        folder: Folder of the files, which are complete when :meth:`close` returns.
 
     Raises:
-        OutputError: The disk is full, or the folder can't be written to; so do all methods.
+        OutputError: The disk is full, or the folder can't be written to; all methods raise it.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -119,7 +119,7 @@ class TableWriter:
             self._obstacles.add(rows.obstacles)
 
     def close(self, config: Mapping[str, Any], summary: Mapping[str, Any]) -> None:
-        """Write the remaining rows, and in each table's metadata what it was made of.
+        """Write the remaining rows and the metadata of both tables.
 
         Args:
             config: Content of ``config.json``.
