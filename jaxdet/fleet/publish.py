@@ -11,8 +11,8 @@ In a bucket::
     RESULTS/LOG/VERSION/failed.json           why there are no results
 
 ``VERSION`` is a checksum of input, configuration, jaxdet's version and the last ``--overwrite``.
-Each attempt writes under its own name, so that two never mix, even if their files differ. An
-attempt that finds a manifest, or another ``current.json`` than when it began, removes its own files.
+Each attempt writes under its own name, so two never mix, even if their files differ. An attempt
+that finds a manifest, or another ``current.json`` than when it began, removes its own files.
 
 In a folder, a log has the layout of local runs, renamed into place; ``.fleet`` holds attempts.
 """
