@@ -299,10 +299,10 @@ def test_no_code_of_a_received_folder_runs(copy: Path, logs: Path, tmp_path: Pat
 def test_a_runner_keeps_its_processes_between_runs(logs: Path, tmp_path: Path) -> None:
     with engine.Runner("reference", workers=2) as one:
         first = one.run(logs / "a.mcap", tmp_path / "out", preset="wheeled")
-        assert one._processes._pool is not None and one._processes._pool.started
-        workers = [worker.process.pid for worker in one._processes._pool._workers]
+        assert one._pool.started
+        workers = [worker.process.pid for worker in one._pool._workers]
         second = one.run(logs, tmp_path / "out", preset="wheeled")
-        assert workers == [worker.process.pid for worker in one._processes._pool._workers]
+        assert workers == [worker.process.pid for worker in one._pool._workers]
     assert not first.failed and not second.failed and second.kept == {"a"}
 
 
