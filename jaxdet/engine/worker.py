@@ -234,6 +234,7 @@ class _OpenJob:
             if self._function is None:
                 job: Job = pickle.loads(self._packed)
                 self._function = self._context.enter_context(job.open(self._process))
+                self._packed = b""  # an index of a log may be large
             return self._function(task)
         except Exception as error:
             known = isinstance(error, JaxdetError)
