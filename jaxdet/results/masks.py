@@ -9,9 +9,9 @@ from jaxdet.types import Calibration, CellLabels, Detections
 def label_image(found: CellLabels, row: int, calibration: Calibration, side: int) -> np.ndarray:
     """Return the obstacle at each pixel of a frame.
 
-    Its resolution is that of the depth cells, 3 to 4 pixels of a depth image: a cell covers a box in
-    the image of ``calibration.image``. A pixel in several boxes belongs to the nearest cell, whether
-    that is part of an obstacle or not.
+    Its resolution is that of the depth cells, 3 to 4 pixels of a depth image: a cell covers a box
+    in the image of ``calibration.image``. A pixel in several boxes belongs to the nearest cell,
+    whether that is part of an obstacle or not.
 
     Args:
         found: NumPy arrays, with the cells of the frame.
