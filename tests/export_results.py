@@ -12,7 +12,8 @@ from jaxdet.results.lists import Lists
 from jaxdet.results.manifest import write_manifest
 from jaxdet.results.occupancy import MapImage, save_map
 from jaxdet.results.summary import LogSummary, Summary
-from jaxdet.results.writer import Tables, TableWriter, write_json
+from jaxdet.results.tables import Tables
+from jaxdet.results.writer import TableWriter, write_json
 from jaxdet.sim import SimConfig, write_log
 from tests.runs import run_log
 

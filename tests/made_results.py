@@ -16,7 +16,8 @@ from jaxdet.results.names import log_name
 from jaxdet.results.record import digest, make_record
 from jaxdet.results.schemas import FRAMES_SCHEMA, OBSTACLES_SCHEMA
 from jaxdet.results.summary import LogSummary, Summary
-from jaxdet.results.writer import Tables, TableWriter, write_json
+from jaxdet.results.tables import Tables
+from jaxdet.results.writer import TableWriter, write_json
 from jaxdet.types import Calibration, Intrinsics
 
 LOST = ("no_color", "decode_error")

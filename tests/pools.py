@@ -8,7 +8,7 @@ import jax
 import pytest
 import warp as wp
 
-from jaxdet.engine import resources
+from jaxdet.engine import pool
 from jaxdet.stages import _upload
 
 
@@ -43,5 +43,5 @@ def on_this_machine(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     lock = SimpleNamespace(unlock=lambda: None)
     monkeypatch.setattr(_upload, "PageLock", lambda memory, device, block: lock)
     monkeypatch.setattr(_upload, "wait_asleep", lambda device: None)
-    monkeypatch.setattr(resources, "gpus", lambda: (jax.devices("cpu")[0],))
+    monkeypatch.setattr(pool, "gpus", lambda: (jax.devices("cpu")[0],))
     return copies

@@ -18,7 +18,8 @@ from jaxdet.export import export
 from jaxdet.export.grid import last_grid
 from jaxdet.io import LogOptions
 from jaxdet.results.map_file import FREE, OCCUPIED
-from jaxdet.results.reading import Frame, Results
+from jaxdet.results.reading import Results
+from jaxdet.results.tables import Frame
 from tests.camera_logs import join_cameras
 from tests.export_results import run
 from tests.runs import run_logs

@@ -16,7 +16,8 @@ from jaxdet.export.grid import last_grid
 from jaxdet.export.recordings import find, images, look_again
 from jaxdet.export.shapes import box, heights
 from jaxdet.io import LogFiles, LogOptions
-from jaxdet.results.reading import Frame, Results
+from jaxdet.results.reading import Results
+from jaxdet.results.tables import Frame
 from jaxdet.types import RAYS
 from tests.export_results import run, sim_log
 

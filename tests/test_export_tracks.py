@@ -226,7 +226,7 @@ def test_tracks_of_other_results_are_refused(tmp_path: Path) -> None:
     for name in ("tracks", "track_links"):
         shutil.copy2(folder / "a" / f"{name}.parquet", folder / "b")
     with Results(folder) as results:
-        with pytest.raises(InputError, match="is not of the results that it lies beside"):
+        with pytest.raises(InputError, match="belongs to other results than those"):
             list(results.tracks(results.logs[1]))
-        with pytest.raises(InputError, match="is not of the results that it lies beside"):
+        with pytest.raises(InputError, match="belongs to other results than those"):
             list(results.chunks(results.logs[1]))

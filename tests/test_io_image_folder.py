@@ -224,7 +224,7 @@ def test_results_of_a_folder(tmp_path):
     assert note.endswith("the log is not at its original path; name it with --against")
     write_tum(folder)
     for inside in (folder, folder / "out"):
-        with pytest.raises(ConfigError, match=r"is in the log .*; give an --output beside it"):
+        with pytest.raises(ConfigError, match=r"is in the log .*; give an --output next to it"):
             results(inside)
     assert not (folder / ".jaxdet").exists()
 

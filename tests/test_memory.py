@@ -168,7 +168,7 @@ def test_as_large_a_chunk_as_the_user_allows():
 
 
 def test_a_worker_beside_this_process_is_counted():
-    """After a run that ended without a word, where there is room for one."""
+    """After a run that was killed, if there is memory for one."""
     whole, apart = Memory("1GiB", 1), Memory("1GiB", 1, apart=True)
     assert apart.apart and whole.room - apart.room == PARENT + WORKER - ALONE
     assert not Memory("704MiB", 1, apart=True).apart

@@ -256,13 +256,13 @@ def test_what_is_not_of_a_run_is_refused_before_anything_is_done(
     output = tmp_path / "out"
     (output / "b").mkdir(parents=True)
     (output / "b" / "mine.txt").write_text("mine")
-    with pytest.raises(ConfigError, match="b: is there, and no run wrote it; move it"):
+    with pytest.raises(ConfigError, match="b: was not written by a run; move it"):
         run_logs(logs, output, **HOW)
     assert not (output / "a").exists()
     shutil.rmtree(output)
     shutil.copytree(done, output)
     (output / "a" / "mine.txt").write_text("mine")
-    with pytest.raises(ConfigError, match=r"mine.txt: is no file of the results that are replaced"):
+    with pytest.raises(ConfigError, match=r"mine.txt: is not a file of the results"):
         run_logs(logs, output, overwrite=True, **HOW)
     with pytest.raises(ConfigError, match="holds results of an older version, or of one log"):
         run_logs(logs, output / "b", **HOW)
@@ -299,10 +299,10 @@ def test_no_code_of_a_received_folder_runs(copy: Path, logs: Path, tmp_path: Pat
 def test_a_runner_keeps_its_processes_between_runs(logs: Path, tmp_path: Path) -> None:
     with engine.Runner("reference", workers=2) as one:
         first = one.run(logs / "a.mcap", tmp_path / "out", preset="wheeled")
-        assert one._processes._pool is not None and one._processes._pool.started
-        workers = [worker.process.pid for worker in one._processes._pool._workers]
+        assert one._pool.started
+        workers = [worker.process.pid for worker in one._pool._workers]
         second = one.run(logs, tmp_path / "out", preset="wheeled")
-        assert workers == [worker.process.pid for worker in one._processes._pool._workers]
+        assert workers == [worker.process.pid for worker in one._pool._workers]
     assert not first.failed and not second.failed and second.kept == {"a"}
 
 

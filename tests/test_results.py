@@ -14,7 +14,8 @@ from jaxdet.results import writer
 from jaxdet.results.lists import Lists
 from jaxdet.results.schemas import FRAMES_SCHEMA, OBSTACLES_SCHEMA
 from jaxdet.results.summary import problems
-from jaxdet.results.writer import Tables, TableWriter, write_json
+from jaxdet.results.tables import Tables
+from jaxdet.results.writer import TableWriter, write_json
 from tests.conftest import ROOT
 
 
@@ -129,7 +130,7 @@ import sys
 from pathlib import Path
 from tests.test_results import frame_rows, obstacle_rows
 from jaxdet.results.metadata import Inputs
-from jaxdet.results.writer import Tables
+from jaxdet.results.tables import Tables
 tables, path = Tables.of(frame_rows(0, 9), obstacle_rows(0, 9)), Path(sys.argv[1])
 tables.save(path)
 assert Tables.load(path).frames.num_rows == 9

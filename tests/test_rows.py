@@ -20,7 +20,7 @@ from jaxdet.results.metric import rectangle_distances
 from jaxdet.results.rows import batch_rows, joined_inputs, map_leaves, row_inputs, used_slots
 from jaxdet.results.schemas import FRAMES_SCHEMA, OBSTACLES_SCHEMA
 from jaxdet.results.summary import Counts
-from jaxdet.results.writer import to_table
+from jaxdet.results.tables import to_table
 from jaxdet.types import Calibration, Refusal
 from tests.scenes import frames, level, small
 

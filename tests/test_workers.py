@@ -10,7 +10,8 @@ import sys
 import tempfile
 import threading
 import time
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -23,11 +24,11 @@ import pytest
 from jaxdet import engine
 from jaxdet.cli.truth import TruthScore
 from jaxdet.config import Config, GroundConfig
-from jaxdet.engine import device_queue, device_server, pool, process_log, worker
+from jaxdet.engine import device_queue, device_server, executors, pool, process_log, worker
 from jaxdet.engine.plan import LogPlan
 from jaxdet.engine.shared_slots import SLOTS, attached
 from jaxdet.engine.tasks import TaskQueue
-from jaxdet.engine.worker import decide_floors
+from jaxdet.engine.worker import WorkerProcess
 from jaxdet.errors import ConfigError, FrameError, FrameStatus, InputError, Interrupted, RescanError
 from jaxdet.io import Batch, LogOptions
 from jaxdet.presets import PRESETS
@@ -214,8 +215,8 @@ def test_a_worker_that_dies_or_stops_costs_nothing(sim_logs, plain_run, tmp_path
         monkeypatch.setattr(pool, "NO_PROGRESS_S", 600.0)
         return real(*args)
 
-    real = pool.Pool._retry
-    monkeypatch.setattr(pool.Pool, "_retry", once_more)
+    real = executors.InPool._retry
+    monkeypatch.setattr(executors.InPool, "_retry", once_more)
     sent, others = [], multiprocessing.active_children()
 
     def send(now: engine.Progress) -> None:
@@ -245,10 +246,11 @@ class SlowLog:
 
 def test_floors_of_many_time_windows_are_progress(monkeypatch):
     config = Config(ground=GroundConfig(source="estimate", window_s=1.0))
-    with pool.Pool(1, "reference") as workers:
-        workers.call(len, "")  # it has started
+    job = executors.FloorJob(SlowLog(), config, "reference")
+    with pool.Pool("reference") as workers:
+        workers.call(Sleep(), 0.0, "")  # it has started
         monkeypatch.setattr(pool, "NO_PROGRESS_S", 7.0)
-        planes = workers.call(decide_floors, SlowLog(), config, "reference")
+        planes = workers.call(job, 1, "")
     assert len(planes.windows) == 32
 
 
@@ -256,8 +258,8 @@ def test_time_in_which_the_machine_was_asleep_is_no_hang(monkeypatch):
     times = iter((0.0, 5000.0))
     monkeypatch.setattr(pool, "time", SimpleNamespace(monotonic=lambda: next(times)))
     monkeypatch.setattr(pool, "wait", lambda pipes, seconds: [])
-    one: Any = SimpleNamespace(pipe=None, given=["a unit"], idle_s=0.0)
-    found = pool.Pool(1, "reference")
+    one: Any = SimpleNamespace(pipe=None, pending=["a unit"], idle_s=0.0)
+    found = pool.Pool("reference")
     found._workers = [one]
     assert not list(found._poll()) and 0 < one.idle_s <= 2
 
@@ -265,39 +267,39 @@ def test_time_in_which_the_machine_was_asleep_is_no_hang(monkeypatch):
 def test_a_worker_that_is_heard_of_does_not_hang():
     process: Any = SimpleNamespace(Process=lambda **given: None)
     found = worker.Worker(process, "reference", None)
-    found.given.append("a unit")
+    found.pending.append("a unit")
     found.idle_s = 599.0
     found._theirs.send("alive")
     assert found.receive() == [] and found.idle_s == 0 and found.ready
-    assert list(found.given) == ["a unit"]
+    assert list(found.pending) == ["a unit"]
 
 
 def test_workers_that_are_killed_while_they_start_far_apart():
-    with pool.Pool(1, "reference") as workers:
+    with pool.Pool("reference") as workers:
         for _ in range(3):
             workers.start()
             workers._started.wait()
             workers._workers[0].process.kill()
-            assert workers.call(len, "abc") == 3
+            assert workers.call(Sleep(), 0.0, "", tries=2) == 0.0
             workers.close()
 
 
-class Nothing:
-    """A context without content."""
+class Sleep:
+    """A job whose tasks are times to sleep [s]."""
 
-    def open(self) -> None:
-        """Nothing is opened."""
+    @contextmanager
+    def open(self, process: WorkerProcess) -> Iterator[Callable[[float], float]]:
+        yield self._sleep
 
-
-def sleep(_: None, seconds: float) -> None:
-    time.sleep(seconds)
+    def _sleep(self, seconds: float) -> float:
+        time.sleep(seconds)
+        return seconds
 
 
 def test_nothing_waits_for_a_worker_while_another_has_nothing_to_do():
-    with pool.Pool(2, "reference") as workers:
-        seconds = {"long": (1.5,), "short": (0.01,), "last": (0.01,)}
-        tasks = workers.each(Nothing(), sleep, TaskQueue(seconds), seconds.__getitem__)
-        assert [name for name, _ in tasks] == ["short", "last", "long"]
+    with pool.Pool("reference", 2) as workers:
+        answers = workers.each(Sleep(), TaskQueue([1.5, 0.01, 0.02]))
+        assert list(answers) == [(0.01, 0.01), (0.02, 0.02), (1.5, 1.5)]
 
 
 def test_units_keep_all_workers_busy():
@@ -567,7 +569,7 @@ def test_a_signal_just_before_the_processes_start_does_not_hang(monkeypatch):
             super().start()
 
     monkeypatch.setattr(pool, "threading", SimpleNamespace(**{**vars(threading), "Thread": Late}))
-    with pytest.raises(Interrupted), stops_raised(), pool.Pool(1, "reference") as some:
+    with pytest.raises(Interrupted), stops_raised(), pool.Pool("reference") as some:
         some.start()
     assert not some.started
 

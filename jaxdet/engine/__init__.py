@@ -1,19 +1,24 @@
 """Runs the method over logs and writes a folder of results for each.
 
-A run goes one way, each module calling those below it::
+Each module calls those below it::
 
-    runner, single_log          arguments; worker processes that outlive a run
-    settings                    what all logs of the run share, and its record
-    scheduler, output           which logs are done, in which order, and where results go
-    resources, memory           how many processes and frames fit in memory
-    process_log, log_per_worker a log, from its files to its folder: by this process, or by a worker
-    executors, plan, floors     the plan of a log and who works on its units
-    pool, worker, tasks         processes that do units or logs, and what happens if one dies
-    unit, device                a unit of frames: read, compute, make rows
-    device_server, device_queue, shared_slots   with GPUs: this process computes for all workers
-    unit_result                 results of units, joined in the order of the frames
+    runner, single_log           arguments of a run; worker processes that outlive it
+    settings, options            configuration and options of a run, and their record in run.json
+    scheduler, output            order of the logs; which are done already; where results go
+    resources, memory            numbers of processes and frames that fit into memory
+    process_log, log_per_worker  a log, from its files to its folder, in any process
+    executors, plan, floors      floors and plan of a log, and the processes that do its units
+    pool, worker, tasks          worker processes, which do tasks of a job: units of a log, or logs
+    unit, unit_result            a unit: frames are read, computed and made into rows
+    device                       where a batch is computed: in this process, or by the device server
+    device_server, device_queue, shared_slots   the process with the GPUs, which serves all workers
 
-Names are loaded when they are used, so that options alone cost no import of JAX.
+A small log is done by one worker, a large one by all of them::
+
+    scheduler > pool > worker > LogJob  > process_log > InProcess > UnitProcessor
+    scheduler > process_log > InPool > pool > worker > UnitJob > UnitProcessor
+
+Names are loaded on first use, so that options alone cost no import of JAX.
 """
 
 import lazy_loader

@@ -13,10 +13,10 @@ if TYPE_CHECKING:
 
 
 def method_frames(frames: Frames, config: Config) -> Frames:
-    """Return frames with what the method reads.
+    """Return frames with the images that the method reads.
 
-    The default reads depth alone. The preset ``paper`` reads colour, which is black in a log that
-    has none: its frames have the status ``no_color``.
+    By default the method reads only depth. The preset ``paper`` reads colour too; it is black if
+    the log has none, whose frames have the status ``no_color``.
     """
     if not config.cluster.points:
         return frames._replace(color=None)
@@ -33,9 +33,9 @@ def shown_color(
     """Return the frames whose colour images are read.
 
     Args:
-        config: The preset ``paper`` reads all.
-        observers: One with a true attribute ``needs_color`` is passed all.
-        drawn: Numbers of the frames that pictures show.
+        config: Configuration; the preset ``paper`` reads all.
+        observers: Observers; one with a true attribute ``needs_color`` gets all.
+        drawn: Numbers of the frames in pictures.
 
     Returns:
         True for all frames, or their numbers.

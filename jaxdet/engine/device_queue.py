@@ -1,4 +1,4 @@
-"""A device that computes batches of pieces for workers, one copied to it while one is computed."""
+"""Queue of a device: a batch of pieces is copied to it while another one is computed."""
 
 import pickle
 import threading
@@ -32,24 +32,29 @@ if TYPE_CHECKING:
 
 
 class ServerConfig(NamedTuple):
-    """What logs have in common that are served by the same threads, one after the other."""
+    """Properties that logs must share to be computed by one device server."""
 
     slots: Slots
     """Without a path."""
     pieces: int
-    """Of a batch."""
+    """Number of pieces in a batch."""
     calibration: Calibration
     config: Config
 
+    @property
+    def batch(self) -> int:
+        """Number of frames that are computed together."""
+        return self.pieces * self.slots.frames
+
 
 class ServerMemory:
-    """The memory of a log's images and results, for all devices.
+    """Memory of images and results, for all devices.
 
     Args:
-        served: What the log is like.
+        served: Properties that all logs share.
 
     Raises:
-        WorkerError: There is not as much.
+        WorkerError: There is too little memory.
     """
 
     def __init__(self, served: ServerConfig) -> None:
@@ -60,10 +65,10 @@ class ServerMemory:
         self._results: _Results | None = None
         self._lock = threading.Lock()
         self._page_locks: dict[str, Any] = {}
-        """By the path of the memory."""
+        """Locks by the path of the memory."""
 
     def close(self) -> None:
-        """Frees it; no device reads or writes it any more."""
+        """Free the memory, which no device uses any more."""
         for lock in self._page_locks.values():
             lock.unlock()
         self.images.close()
@@ -71,7 +76,7 @@ class ServerMemory:
             self._results.memory.close()
 
     def page_lock(self, memory: SharedMemory, device: Any) -> None:
-        """Page-locks images, a slot after the other, or results, once."""
+        """Page-lock the images, slot by slot, or the results, unless that is done."""
         from jaxdet.stages._upload import PageLock
 
         block = sum(self.slots.sizes) if memory is self.images else None
@@ -80,13 +85,13 @@ class ServerMemory:
                 self._page_locks[memory.path] = PageLock(memory.map, device, block)
 
     def find_floors(self, sample: Sample) -> "FloorFit":
-        """The floors of a sample, on whatever JAX computes on."""
+        """Return the floors of a sample, found on JAX's default device."""
         depth = self.views[sample.slot].depth[: len(sample.plane.valid)]
         frames = _frames(depth, None, self.served, sample.plane)
         return find_here(self.served.config, "jax", frames)
 
     def results(self, found: Detections) -> "_Results":
-        """The memory of the results, made when the first are there."""
+        """Return the memory of results, which is made with the first ones."""
         from jax import eval_shape
 
         with self._lock:
@@ -102,7 +107,7 @@ class ServerMemory:
 
 
 class _Results(NamedTuple):
-    """The memory of a log's results."""
+    """Memory of results."""
 
     memory: SharedMemory
     packing: bytes
@@ -112,7 +117,7 @@ class _Results(NamedTuple):
 
 
 def _frames(depth: Any, color: Any, served: ServerConfig, plane: GroundPlane) -> Frames:
-    """Return frames with what the method reads."""
+    """Return frames with the images that the method reads."""
     nothing = np.zeros(len(depth), np.int64)
     known = nothing, nothing, nothing > 0
     return Frames(depth, served.calibration, *known, color=color, plane=plane)
@@ -123,27 +128,27 @@ class _Copied(NamedTuple):
 
     images: Any
     seconds: float
-    """How long copying took [s]."""
+    """Time of copying [s]."""
 
 
 class _Started(NamedTuple):
-    """A batch that a device computes."""
+    """A batch that has been started."""
 
     found: Detections
     packed: Any
     begin: float
     """Time when it was started, by ``time.perf_counter`` [s]."""
     copying_s: float
-    """How long its images were copied [s]."""
+    """Time of copying its images [s]."""
     ready: "Future[float]"
-    """Time when it is computed."""
+    """Time when it was computed, by ``time.perf_counter`` [s]."""
 
 
 class DeviceQueue:
-    """One device and what belongs to it: a batch is copied to it while one is computed.
+    """Copies batches to a device, computes them and copies their results back.
 
     Args:
-        log: Memory of the images and results.
+        log: Memory of images and results.
         device: The device.
         pieces: Most pieces of a batch.
     """
@@ -159,25 +164,25 @@ class DeviceQueue:
         self._watch = ThreadPoolExecutor(1, "jaxdet-watch")
         self._ready = 0.0
         """Time when the last batch was computed."""
-        # Pages of a gigabyte are made and locked while the program is traced and loaded.
+        # A gigabyte of pages is made and locked while the program is traced and loaded.
         self._copier = ThreadPoolExecutor(1, "jaxdet-copier")
         self._locked = self._copier.submit(log.page_lock, log.images, device)
 
     def compile(self) -> None:
-        """Compute nothing, for which the program is compiled and takes its memory."""
+        """Compute an empty batch, so that the program is compiled and takes its memory."""
         self.finish([], self.start([], self._copied([])))
 
     def close(self) -> None:
-        """Ends its threads."""
+        """End the threads."""
         self._copier.shutdown()
         self._watch.shutdown()
 
     def copy(self, pieces: list[Piece]) -> "Future[_Copied]":
-        """Begins to copy the pieces to the device."""
+        """Begin to copy pieces to the device."""
         return self._copier.submit(self._copied, pieces)
 
     def _copied(self, pieces: list[Piece]) -> _Copied:
-        """Copies the pieces to the device."""
+        """Copy pieces to the device."""
         if pieces:
             self._locked.result()
         begin = time.perf_counter()
@@ -186,7 +191,7 @@ class DeviceQueue:
         return _Copied(images, time.perf_counter() - begin)
 
     def start(self, pieces: list[Piece], copied: _Copied) -> _Started:
-        """Starts to compute the pieces."""
+        """Begin to compute pieces."""
         log, begin = self.log, time.perf_counter()
         missing = self.rows - len(pieces) * log.slots.frames
         plane = join_planes([*(piece.plane for piece in pieces), unknown_plane(missing)])
@@ -202,13 +207,13 @@ class DeviceQueue:
         return _Started(found, packed, begin, copied.seconds, ready)
 
     def finish(self, pieces: list[Piece], started: _Started) -> list[Reply]:
-        """Waits for the results and copies them to the slots."""
+        """Wait for the results and copy them to the slots; return the replies."""
         results = self.log.results(started.found)
         self.log.page_lock(results.memory, self.device)
         ready, begin = started.ready.result(), time.perf_counter()
         self.uploader.download(started.packed, [results.rows[piece.slot] for piece in pieces])
         copying_s = started.copying_s + time.perf_counter() - begin
-        # A batch is computed after the one before.
+        # A batch waits for the one before it, which is not part of its time.
         computing_s = ready - max(self._ready, started.begin)
         self._ready = ready
         times = {"transfer": copying_s, "compute": computing_s}
@@ -224,18 +229,18 @@ class DeviceQueue:
 
 
 def _time_when_ready(found: Any) -> float:
-    """Waits for an array; now, by ``time.perf_counter`` [s]."""
+    """Wait for an array; return the time, by ``time.perf_counter`` [s]."""
     found.block_until_ready()
     return time.perf_counter()
 
 
 _packing = threading.Lock()
-"""All devices get one function, which is compiled for each device once."""
+"""Held while the function for all devices is made, which is compiled for each device once."""
 
 
 @lru_cache(maxsize=1)
 def _pack() -> Any:
-    """What rows need of detections, as ``(B, ints)`` int32; compiled."""
+    """Return the compiled function that packs inputs of rows as ``(B, ints)`` int32."""
     import jax
     import jax.numpy as jnp
 
@@ -249,5 +254,5 @@ def _pack() -> Any:
 
 
 def _without_prior(found: Detections) -> Any:
-    """The prior stays on the host."""
+    """Return detections without the prior, which stays on the host."""
     return found if found.scene is None else found._replace(scene=found.scene._replace(prior=None))

@@ -1,8 +1,8 @@
-"""One process computes for many: images and results in shared memory, which the GPU reads itself.
+"""Device server: the process with the GPUs computes for all workers.
 
-The device server collects the pieces that wait, of any workers and in any order; the queue of a
-device copies them to its GPU as one batch and the packed results back to the slots. No frame
-depends on another, so no result depends on who shares a batch.
+Images and results are in memory that it shares with the workers. It collects pieces of any workers
+in any order; the queue of a device copies them to its GPU as one batch, and the packed results
+back. Frames don't depend on each other, so neither do results on the pieces of a batch.
 """
 
 import queue
@@ -24,15 +24,15 @@ if TYPE_CHECKING:
     from jaxdet.io import Log
 
 PIECE_FRAMES, PIECE_BYTES = 16, 24 << 20
-"""Frames of a slot: so many, or as many as take so much memory, but one."""
+"""Most frames and bytes of a slot; it has at least one frame."""
 BATCH_PIECES = 16
-"""A batch: 256 frames of 640x480."""
+"""Pieces of a batch, which has 256 frames of 640x480."""
 
 
 def server_config(
     log: "Log", config: Config, batch_size: int | None, piece_frames: int, workers: int
 ) -> ServerConfig:
-    """Return slots and batches for a log; arguments as of :meth:`jaxdet.engine.pool.Pool.serve`."""
+    """Return slots and batches for a log; see :meth:`jaxdet.engine.pool.Pool.serve`."""
     depth, color = log.depth_shape, None
     if config.cluster.points:
         camera = log.calibration.image
@@ -48,25 +48,25 @@ class _Batch(NamedTuple):
 
     pieces: list[Piece]
     state: Any
-    """Their copy on its way, or what was started."""
+    """Future of their copy on the device, or the handle of their computation."""
 
 
 _NOTHING = _Batch([], None)
 
 
 class DeviceServer:
-    """Computes what workers decode, a thread for each GPU: of a log, and others of the same kind.
+    """Computes images that workers decode, in a thread for each GPU, until :meth:`close`.
 
-    Memory, page-locked: for each worker ``SLOTS`` times ``PIECE_BYTES``, or one frame where that is
-    more, and as many results (0.25 MB for a frame of 640x480).
+    It has page-locked memory for each worker: ``SLOTS`` times ``PIECE_BYTES`` of images, or
+    ``SLOTS`` frames if that is more, and their results (0.25 MB per frame of 640x480).
 
     Args:
-        served: What the logs have in common.
-        pipes: To each worker.
-        devices: GPUs, whose threads end with :meth:`close`.
+        served: Properties that all logs share.
+        pipes: Connections to the workers.
+        devices: GPUs.
 
     Raises:
-        WorkerError: There is not as much memory.
+        WorkerError: There is too little memory.
     """
 
     def __init__(self, served: ServerConfig, pipes: list[Any], devices: Sequence[Any]) -> None:
@@ -75,7 +75,7 @@ class DeviceServer:
         self.waiting: queue.SimpleQueue[Piece | None] = queue.SimpleQueue()
         self.samples: queue.SimpleQueue[Sample | None] = queue.SimpleQueue()
         self.sending = threading.Lock()
-        """Two threads may have results for one worker."""
+        """Held while a reply is sent, as two threads may have replies for one worker."""
         self.threads: list[threading.Thread] = []
         self.woken, self.waker = Pipe(duplex=False)
         self._run(self._receive)
@@ -84,7 +84,7 @@ class DeviceServer:
             self._run(self._compute, device)
 
     def close(self) -> None:
-        """Ends the threads and frees the memory."""
+        """End the threads and free the memory."""
         self.waker.send(None)
         for thread in self.threads:
             thread.join()
@@ -99,7 +99,7 @@ class DeviceServer:
         thread.start()
 
     def _receive(self) -> None:
-        """Takes what workers send until the end."""
+        """Sort what workers send into the queues, until the end."""
         with selectors.DefaultSelector() as ends:
             for end in (*self.pipes, self.woken):
                 ends.register(end, selectors.EVENT_READ)
@@ -112,17 +112,17 @@ class DeviceServer:
                             self.waiting.put(None)
                         return
                     try:
-                        told: Piece | Sample = end.recv()
-                    except (EOFError, OSError):  # the worker has died, which its pool says
+                        message: Piece | Sample = end.recv()
+                    except (EOFError, OSError):  # the worker has died, which its pool reports
                         ends.unregister(end)
                         continue
-                    if isinstance(told, Sample):
-                        self.samples.put(told)
+                    if isinstance(message, Sample):
+                        self.samples.put(message)
                     else:
-                        self.waiting.put(told)
+                        self.waiting.put(message)
 
     def _find_floors(self) -> None:
-        """Finds the floors of samples, beside the batches."""
+        """Find the floors of samples, at the same time as batches are computed."""
         while (sample := self.samples.get()) is not None:
             try:
                 reply = Reply(sample.slot, b"", None, None, {}, self.memory.find_floors(sample))
@@ -131,9 +131,9 @@ class DeviceServer:
             self._send(sample, reply)
 
     def _compute(self, device: Any) -> None:
-        """Compute batches on one device, while the next one is copied to it.
+        """Compute batches on one device while the next one is copied to it.
 
-        Where it runs out of memory, what is on it is copied again, half as much at a time.
+        If the device runs out of memory, the batches on it are copied again, half as large.
         """
         size, device_queue, more = self.served.pieces, None, True
         left: deque[Piece] = deque()
@@ -180,7 +180,7 @@ class DeviceServer:
         return copied, started
 
     def _collect(self, left: deque[Piece], most: int, *, block: bool) -> bool:
-        """Take pieces that wait, at most a batch; return whether more may come."""
+        """Add waiting pieces to ``left``, at most a batch; return whether more may come."""
         while len(left) < most:
             try:
                 piece = self.waiting.get(block=block and not left)
@@ -192,5 +192,5 @@ class DeviceServer:
         return True
 
     def _send(self, to: Piece | Sample, reply: Reply) -> None:
-        with self.sending, suppress(OSError):  # the worker has died, which its pool says
+        with self.sending, suppress(OSError):  # the worker has died, which its pool reports
             self.pipes[to.worker].send(reply)

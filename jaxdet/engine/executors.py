@@ -1,70 +1,75 @@
-"""Who works on a log: one process, or the workers of a pool together."""
+"""Executors of a log: one process, or the workers of a pool together."""
 
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Iterator
+from contextlib import closing, contextmanager
 from functools import partial
 from math import prod
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
+from jaxdet.config import Config
 from jaxdet.engine.device import Device, OwnDevice
 from jaxdet.engine.floors import Planes, decide_planes
 from jaxdet.engine.memory import BATCH, BATCHES_IN_FLIGHT, READ_AHEAD, Memory, MemoryPlan, Needs
 from jaxdet.engine.plan import LogPlan, Unit
 from jaxdet.engine.pool import Pool
 from jaxdet.engine.settings import RunSettings
+from jaxdet.engine.shared_slots import Slots
 from jaxdet.engine.startup import start_up
+from jaxdet.engine.tasks import UnitQueue
 from jaxdet.engine.unit import UnitProcessor
 from jaxdet.engine.unit_result import UnitResult
-from jaxdet.engine.worker import UnitContext, decide_floors
+from jaxdet.engine.worker import Failure, Lost, WorkerProcess
+from jaxdet.pipeline import BackendName
 from jaxdet.results.writer import ROWS_PER_GROUP
 
 if TYPE_CHECKING:
     from jaxdet.io import Log
 
 _ROW_BYTES, _COLUMN_BYTES = 4096, 9
-"""Of a frame's rows, with the free floor of each pixel column, while they are packed: some are in
-memory twice."""
+"""Memory of a frame's rows while they are packed, and of the free floor per pixel column, where
+some are in memory twice [bytes]."""
 
 
 class Executor(Protocol):
     """Works on one camera's log."""
 
     memory: MemoryPlan
-    """Processes, frames computed together and batches that are read ahead."""
+    """Numbers of processes, of frames computed together and of batches read ahead."""
     workers: int
-    """Processes that share the frames."""
+    """Number of processes that share the frames."""
     devices: int
-    """GPUs that compute for them."""
+    """Number of GPUs that compute for them."""
     others: int
-    """Processes that do other logs in the same memory."""
+    """Number of processes that do other logs in the same memory."""
 
     def start(self, log: "Log") -> int:
-        """Start what computes, if it isn't there; return the frames that are read together."""
+        """Start processes that are not there yet; return how many frames are read together."""
         ...
 
     def find_planes(self, log: "Log", at_once: int) -> Planes:
-        """Return the priors of the floors, before the frames are worked on."""
+        """Return the priors of the floors, before any frame is worked on."""
         ...
 
     def work(self, log: "Log", plan: LogPlan) -> Generator[tuple[Unit, UnitResult], None, None]:
-        """Yield all units of the plan with their parts, in any order."""
+        """Yield all units of the plan with their results, in any order."""
         ...
 
 
 ChooseExecutor = Callable[["Log", Memory], Executor]
-"""Chooses who works on an open log."""
+"""Returns the executor of an open log."""
 
 
 def memory_plan(
     settings: RunSettings, log: "Log", memory: Memory, workers: int, packing: int = 1
 ) -> MemoryPlan:
-    """Return how a log is worked on within the memory.
+    """Return how many processes and frames at a time fit into the memory.
 
     Args:
         settings: The run.
         log: Open log.
         memory: The memory of the run.
-        workers: Processes that share it.
-        packing: Processes that pack rows at a time.
+        workers: Largest number of processes.
+        packing: Number of processes that pack rows at the same time.
 
     Raises:
         InputError: There is no room for one frame.
@@ -77,7 +82,7 @@ def memory_plan(
 
 
 def _color_bytes(settings: RunSettings, log: "Log", batch: int) -> int:
-    """Return how much memory colour images take, per frame that is in memory [bytes].
+    """Return the memory of colour images per frame in memory [bytes].
 
     All frames of the preset ``paper`` have one, else all of a batch in which one is drawn.
     """
@@ -92,16 +97,16 @@ def _color_bytes(settings: RunSettings, log: "Log", batch: int) -> int:
 
 
 class InProcess:
-    """The process that it is in does the log itself.
+    """Executor by which the process that it is in does the log.
 
     Args:
         settings: The run.
-        memory: What it may take.
-        device: What computes.
-        alive: Called after each batch; None: in the first process.
-        together: Frames that are read together; by default those that are computed together.
-        devices: GPUs that compute for it.
-        others: Processes that do other logs in the same memory.
+        memory: Memory plan for one process.
+        device: Device that computes.
+        alive: Called after each batch; None in the process of the run, which is not a worker.
+        together: Number of frames read together; by default as many as are computed together.
+        devices: See :class:`Executor`.
+        others: See :class:`Executor`.
     """
 
     def __init__(
@@ -121,7 +126,7 @@ class InProcess:
         self._alive = alive
 
     def start(self, log: "Log") -> int:
-        """Load what computes."""
+        """Load JAX and Warp, if this process computes and is not a worker."""
         if self.settings.options.backend == "jax" and self._alive is None:
             start_up()
         return min(self._together, max(1, len(log.frames)))
@@ -134,18 +139,17 @@ class InProcess:
 
     def work(self, log: "Log", plan: LogPlan) -> Generator[tuple[Unit, UnitResult], None, None]:
         """Work through all units in order."""
-        work = UnitProcessor(log, plan, self.device)
-        work.batch_done = self._alive or work.batch_done
+        work = UnitProcessor(log, plan, self.device, self._alive or (lambda: None))
         return work.process_units(plan.units(), self.memory.read_ahead)
 
 
 class InPool:
-    """The workers of a pool share the frames of a log.
+    """Executor by which the workers of a pool share the frames of a log.
 
     Args:
         settings: The run.
         pool: The workers.
-        memory: What they may take.
+        memory: Memory plan for as many workers.
     """
 
     def __init__(self, settings: RunSettings, pool: Pool, memory: MemoryPlan) -> None:
@@ -163,21 +167,95 @@ class InPool:
         return min(self.memory.batch, max(1, len(log.frames)))
 
     def find_planes(self, log: "Log", at_once: int) -> Planes:
-        """Find the floors where they are computed: this process may have no need of JAX."""
-        given = log, self.settings.config, self.settings.options.backend, None, at_once
+        """Find the floors with the GPU of this process, else in a worker.
+
+        Without a GPU this process may not have loaded JAX.
+        """
+        config, backend = self.settings.config, self.settings.options.backend
         if self.pool.devices:
-            device = OwnDevice(self.settings.config, self.settings.options.backend, ahead=1)
-            return decide_planes(*given, find=device.find_floors)
-        return self.pool.call(decide_floors, *given)
+            device = OwnDevice(config, backend, ahead=1)
+            return decide_planes(log, config, backend, None, at_once, find=device.find_floors)
+        where = "before the first frame"
+        found = self.pool.call(FloorJob(log, config, backend), at_once, where, tries=2)
+        if isinstance(found, Lost):
+            raise found.as_raised(where)
+        return found
 
     def work(self, log: "Log", plan: LogPlan) -> Generator[tuple[Unit, UnitResult], None, None]:
-        """Share out all units."""
-        return self.pool.process_units(plan, partial(self._context, log, plan))
+        """Let workers do all units of the plan.
 
-    def _context(self, log: "Log", plan: LogPlan) -> UnitContext:
-        return UnitContext(log, plan, self._serve(log)[0] if self.pool.devices else None)
+        A unit whose worker is lost is tried once more while no other is worked on and, if workers
+        compute, in smaller batches. If that worker is lost too, the unit's frames get a status.
+        """
+        todo, failure = UnitQueue(plan.units(), self.pool.count), None
+        while todo:
+            with closing(self.pool.each(self._job(log, plan), todo)) as answers:
+                for unit, answer in answers:
+                    if failure:
+                        continue  # workers that end what they do can be used again
+                    if isinstance(answer, Lost):
+                        answer = self._retry(log, plan, unit, answer)
+                    if isinstance(answer, Failure):
+                        failure = answer.as_raised(plan.where(unit))
+                        todo.clear()
+                    else:
+                        yield unit, answer
+        if failure:
+            raise failure
 
-    def _serve(self, log: "Log"):  # noqa: ANN202 (as Pool.serve)
-        return self.pool.serve(
-            log, self.settings.config, self.settings.options.batch_size, self.memory.batch
-        )
+    def _retry(self, log: "Log", plan: LogPlan, unit: Unit, lost: Lost) -> UnitResult:
+        """Return the result of a unit whose worker was lost."""
+        where = plan.where(unit)
+        batch = plan.batch_size if self.pool.devices else max(1, plan.batch_size // 2)
+        smaller = plan._replace(batch_size=batch)
+        found = self.pool.call(self._job(log, smaller), unit, where)
+        if not isinstance(found, Lost):
+            return found
+        reason = f"{found.reason}, twice" if found.reason == lost.reason else found.reason
+        job = self._job(log, plan)._replace(lost=found._replace(reason=reason))
+        found = self.pool.call(job, unit, where)
+        if isinstance(found, Lost):
+            raise found.as_raised(where)
+        return found
+
+    def _job(self, log: "Log", plan: LogPlan) -> "UnitJob":
+        """Return the job of units, with the slots of the workers that are there now."""
+        return UnitJob(log, plan, self._serve(log)[0] if self.pool.devices else None)
+
+    def _serve(self, log: "Log") -> tuple[Slots, int]:
+        options = self.settings.options
+        return self.pool.serve(log, self.settings.config, options.batch_size, self.memory.batch)
+
+
+class FloorJob(NamedTuple):
+    """Estimate of a log's floors by a worker; the task is the size of batches."""
+
+    log: "Log"
+    config: Config
+    backend: BackendName
+
+    @contextmanager
+    def open(self, process: WorkerProcess) -> Iterator[Callable[[int], Planes]]:
+        """Return the function that finds the floors."""
+        given = self.log, self.config, self.backend, None
+        yield partial(decide_planes, *given, alive=process.report_progress)
+
+
+class UnitJob(NamedTuple):
+    """Units of a log for workers; a task is a unit."""
+
+    log: "Log"
+    """Open log; it is sent with its index but without the content of its files."""
+    plan: LogPlan
+    slots: Slots | None
+    """Memory shared with the device server; None if workers compute."""
+    lost: Lost | None = None
+    """Status that all frames get, without results, instead of being worked on."""
+
+    @contextmanager
+    def open(self, process: WorkerProcess) -> Iterator[Callable[[Unit], UnitResult]]:
+        """Return the function that does a unit."""
+        device = process.device(self.slots, self.plan.config, self.plan.backend)
+        work = UnitProcessor(self.log, self.plan, device, process.report_progress)
+        with closing(self.log):
+            yield partial(work.mark_lost, lost=self.lost) if self.lost else work.process_unit

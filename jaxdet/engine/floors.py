@@ -1,10 +1,10 @@
-"""What is known of the floor of a log's frames before they are looked at, and where it is from.
+"""Prior of the floor of a log's frames, and its source.
 
-The user's flags or the robot (TF) say it, and a sample of the log, each frame for itself, corrects
-it, as mounts are not always as they are said to be. It is decided before the frames of a log (or of
-a fixed time window of it) are worked on, and never carried from frame to frame, so results do not
-depend on how a run is split. Each frame's own depth then corrects it; for clusters of points it is
-the floor.
+Flags or the robot's transforms (TF) give a first prior. The floors of a sample of frames, each
+found for itself, replace it, as mounts are often described wrongly. The prior is decided before the
+frames of a log (or of a fixed time window of it) are worked on, and is never carried from frame to
+frame, so results don't depend on how a run is divided. Each frame's own depth corrects it later;
+only for clusters of points (preset ``paper``) the prior is the floor.
 """
 
 import math
@@ -37,49 +37,50 @@ if TYPE_CHECKING:
 FindFloors = Callable[[Frames], "FloorFit"]
 
 _FEW, _MOST = 0.25, 0.75
-"""Shares of a sample that show their floor: of a camera that is turned, and turned upright."""
+"""Most frames of a sample that show a floor if the camera is turned, and fewest if images are
+turned upright, as shares."""
 _TURNS = (2, 1, 3)
-"""Quarter turns of cameras: upside down, and on each side."""
+"""Quarter turns of cameras that are mounted upside down, and on either side."""
 _LOW_M = 1.0
-"""Cameras lower than this that see no floor but a plane above them are upside down."""
+"""A camera that sees no floor but a plane above it is upside down if it is lower than this [m]."""
 MIN_HEIGHT_M, MAX_HEIGHT_M = 0.02, 20.0
-"""Camera heights that a TF tree is believed for; a base frame in the camera has none."""
+"""Range of camera heights that are accepted from TF [m]; a base frame in the camera gives 0."""
 
 
 @dataclass(frozen=True)
 class GroundRecord:
-    """A plane and where it comes from, for the summary."""
+    """Prior of a log or a time window, and its source, for the summary."""
 
     source: str
     """``flags``, ``tf``, ``estimate`` or ``none``."""
     window_start_ns: int | None = None
-    """First stamp of the time window; None: the whole log."""
+    """First stamp of the time window; None for the whole log."""
     height_m: float | None = None
     pitch_rad: float | None = None
     roll_rad: float | None = None
     height_spread_m: float | None = None
-    """How much the height differs between the sampled frames (estimate) [m]."""
+    """Spread of the heights of the sampled frames, if the source is ``estimate`` [m]."""
     frames_used: int | None = None
     message: str = ""
 
 
 @dataclass(frozen=True)
 class Planes:
-    """The planes of a log."""
+    """Priors of a log's floors."""
 
     records: tuple[GroundRecord, ...]
     windows: dict[int, GroundPlane]
-    """Window number to plane (``B = 1``); one window, 0, for the whole log."""
+    """Plane (``B = 1``) of each window by its number; the whole log is window 0."""
     window_ns: int = 0
-    """Length of the windows; 0: the whole log."""
+    """Length of the windows; 0 for the whole log."""
     warnings: tuple[str, ...] = ()
     otherwise: GroundPlane = field(default_factory=lambda: unknown_plane(1), repr=False)
-    """Of frames in no window, ``B = 1``."""
+    """Plane of frames in no window, ``B = 1``."""
     otherwise_source: str = "none"
-    """Where that comes from."""
+    """Source of that plane."""
 
     def of(self, stamp_ns: np.ndarray) -> GroundPlane:
-        """The plane of each frame with these stamps ``(B,)`` int64."""
+        """Return the planes of frames with these stamps ``(B,)`` int64."""
         if not self.window_ns:
             return repeat_plane(self.windows[0], stamp_ns.size)
         keys = (stamp_ns // self.window_ns).tolist()
@@ -87,10 +88,10 @@ class Planes:
         return join_planes(each)
 
     def sources(self, stamp_ns: np.ndarray) -> list[str]:
-        """Where the plane of each frame with these stamps comes from.
+        """Return the sources of the planes of frames with these stamps.
 
-        ``flags``, ``tf``, ``log`` (an estimate from frames of the whole log), ``window`` (from
-        those of the frame's time window) or ``none``.
+        These are ``flags``, ``tf``, ``log`` (an estimate from frames of the whole log), ``window``
+        (from those of the frame's time window) or ``none``.
         """
         if not self.window_ns:
             return [_word(self.records[0], "log")] * stamp_ns.size
@@ -116,24 +117,24 @@ def decide_planes(
     alive: Callable[[], object] = lambda: None,
     find: FindFloors | None = None,
 ) -> Planes:
-    """What is known of the floor of a log's frames, in the order flags, TF, none.
+    """Return the priors of a log's floors.
 
-    A sample of the frames is looked at first, each for itself, and the median of the floors that
-    they show takes the place of what flags or TF say. Where neither says anything it is the prior
-    only of a camera that keeps its place, see :class:`jaxdet.floor.sampled.SampledFloor`; else each
-    frame is searched alone. Samples are spread evenly over the frames by number.
-    They are of all frames of the log, or of each window with a frame of the part that is read, so
-    that the plane of a frame doesn't depend on the part.
+    The median of the floors that a sample of frames show takes the place of the prior from flags
+    or, if there are none, from TF. Without either it is only used for a camera that keeps its place
+    on the robot, see :class:`jaxdet.floor.sampled.SampledFloor`; otherwise the floor of each frame
+    is searched without a prior. Samples are spread evenly over all frames of the log, or of each
+    time window with a frame that is read, so that the prior of a frame doesn't depend on which
+    others are read.
 
     Args:
         log: An open log.
-        config: ``config.ground`` says which source is wanted, and whether each time window has a
-            sample of its own (which takes the stamps of all frames).
+        config: ``config.ground`` selects the source, and the length of time windows with samples
+            of their own.
         backend: Backend that finds the floors.
-        frames: Numbers of the frames whose planes are wanted; None: all that are read.
-        at_once: Most frames of a sample that are in memory together; None: all.
+        frames: Numbers of the frames that need a prior; by default all that are read.
+        at_once: Most frames of a sample in memory at a time; by default all.
         alive: Called after each part of a sample.
-        find: What finds the floors; None: the backend, in this process.
+        find: Finds the floors of frames; by default the backend does, in this process.
 
     Returns:
         The planes, with records and warnings for the summary.
@@ -175,26 +176,26 @@ def decide_planes(
 
 
 def find_here(config: Config, backend: BackendName, frames: Frames) -> "FloorFit":
-    """The floors of frames, found by this process."""
+    """Return the floors of frames, found by this process."""
     with computing():
         return find_floors(frames, config, backend=backend)
 
 
 def find_without_jax(config: Config, frames: Frames) -> "FloorFit":
-    """Find the same floors in a process that computes nothing else, without its start-up."""
+    """Return the same in a process that computes nothing else, without loading JAX."""
     with computing():
         return find_floors_without_jax(frames, config)
 
 
 def evenly(values: np.ndarray, count: int) -> np.ndarray:
-    """At most ``count`` of ``values``, evenly spaced, the first and the last among them."""
+    """Return at most ``count`` of ``values``, evenly spaced, with the first and the last."""
     if values.size <= count:
         return values
     return values[np.linspace(0, values.size - 1, count).round().astype(np.int64)]
 
 
 def _windows(log: "Log", window_ns: int, wanted: np.ndarray) -> list[tuple[int, np.ndarray]]:
-    """All frames of each time window with a wanted one, or of the whole log."""
+    """Return the number and all frames of each window with a wanted one, or of the whole log."""
     frames = np.arange(log.num_frames)
     if not window_ns:
         return [(0, frames)] if frames.size else []
@@ -204,7 +205,7 @@ def _windows(log: "Log", window_ns: int, wanted: np.ndarray) -> list[tuple[int, 
 
 
 def _stated(log: "Log", ground: GroundConfig) -> tuple[GroundRecord, GroundPlane, tuple[str, ...]]:
-    """What flags or TF say, with warnings; of source ``none`` where they say nothing."""
+    """Return the prior from flags or TF, with warnings; its source is ``none`` without both."""
     if ground.camera_height_m is not None and ground.source in ("auto", "flags"):
         plane = flagged_plane(ground)
         return _record("flags", plane), plane, ()
@@ -230,7 +231,7 @@ def _plane_from_tf(log: "Log") -> tuple[GroundPlane | None, str]:
 
 
 class _Samples(NamedTuple):
-    """How samples of a log are looked at; attributes as of :func:`decide_planes`."""
+    """Reader of samples of a log; attributes are arguments of :func:`decide_planes`."""
 
     log: "Log"
     find: FindFloors
@@ -240,7 +241,7 @@ class _Samples(NamedTuple):
     def floors(
         self, sample: np.ndarray, plane: GroundPlane, turns: Sequence[int] = (0,)
     ) -> list[SampledFloor | None]:
-        """Return the floor of a sample, for each way in which its images may be turned.
+        """Return the floor of a sample for each turn of its images.
 
         Args:
             sample: Numbers of frames.
@@ -248,7 +249,7 @@ class _Samples(NamedTuple):
             turns: Quarter turns of the images.
 
         Returns:
-            A floor for each; None where no frame can be read.
+            A floor for each turn; None if no frame can be read.
         """
         shown: list[list[GroundPlane]] = [[] for _ in turns]
         own: list[list[np.ndarray]] = [[] for _ in turns]
@@ -270,13 +271,13 @@ class _Samples(NamedTuple):
 def _prior(
     found: SampledFloor | None, known: GroundRecord, plane: GroundPlane, *, alone: bool
 ) -> tuple[GroundRecord, GroundPlane]:
-    """Return the prior that a sample gives: what its frames show, else what is known.
+    """Return the prior after a sample: the floor that its frames show, else the prior before.
 
     Args:
-        found: What they show.
-        known: Where the plane that is known comes from.
-        plane: That plane.
-        alone: Whether a frame can be searched alone, without a prior.
+        found: Floor of the sample.
+        known: Record of the prior before.
+        plane: That prior.
+        alone: Whether a frame can be searched without a prior.
     """
     if found is None:
         return replace(known, message=_said(known, "no sampled frame could be read")), plane
@@ -297,15 +298,16 @@ def _prior(
 def _turned_prior(
     each: Sequence[SampledFloor | None], record: GroundRecord, plane: GroundPlane
 ) -> tuple[GroundRecord, GroundPlane, str]:
-    """Return the prior of a camera whose mount nobody states, and a warning or nothing.
+    """Return the prior of a camera that may be turned, and a warning or an empty text.
 
-    An upside-down one is believed where its floor is near: else it may be an upright camera that
-    sees a ceiling. Of one on its side the flags are named, as walls look like its floor.
+    A camera whose images, turned over, show a near floor is taken as upside down; a far one may be
+    the ceiling above an upright camera. For a camera on its side only the flags are named, as
+    walls look like its floor.
 
     Args:
         each: Floors of the sample for each of :data:`_TURNS`.
-        record: What the sample gives as it is.
-        plane: Its prior.
+        record: Record of the prior without turning images.
+        plane: That prior.
     """
     for quarters, found in zip(_TURNS, each, strict=True):
         if found is None or not found.agrees:
@@ -328,7 +330,7 @@ def _turned_prior(
 
 
 def _record(source: str, plane: GroundPlane, message: str = "") -> GroundRecord:
-    """The record of a plane, ``B = 1``."""
+    """Return the record of a plane, ``B = 1``."""
     height, pitch, roll = (float(part[0]) for part in (plane.height, plane.pitch, plane.roll))
     return GroundRecord(source, None, height, pitch, roll, message=message)
 
@@ -342,7 +344,7 @@ def _sample_text(found: SampledFloor) -> str:
 
 
 def _said(known: GroundRecord, text: str) -> str:
-    """A message with what is known beside it."""
+    """Return a text after the message of a record."""
     if known.height_m is None:
         return text
     pitch, roll = np.degrees([known.pitch_rad or 0.0, known.roll_rad or 0.0])

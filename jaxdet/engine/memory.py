@@ -1,11 +1,11 @@
-"""One number of bytes, divided among all that holds memory in a run.
+"""Division of the memory of a run among its processes.
 
-The libraries and programs of each process come first, in figures measured with frames of 640x480.
-What is left is shared by the processes: a part for chunks of the log, which bounds what a file may
-ask for, and the rest for images. So it decides how many processes there are, how many frames they
-compute together, and how far they read ahead. None of these changes a byte of the two tables.
+Each process needs memory for libraries and programs, measured with frames of 640x480. The processes
+share the rest: a part is for chunks of the log, which limits the chunks that a file may have, and
+the other part for images. The memory thus decides the number of processes, how many frames they
+compute together and how far they read ahead; none of these changes a byte of the two tables.
 
-Counted is resident memory, pages that processes share once.
+All figures are resident memory; pages that processes share count once.
 """
 
 from typing import NamedTuple
@@ -17,75 +17,78 @@ from jaxdet.memory import machine_memory, parse_size, size_text
 
 MIB = 1 << 20
 SHARE = 0.75
-"""Of the machine's memory, where the user says nothing."""
+"""Share of the machine's memory that a run takes by default."""
 ALONE = 608 * MIB
-"""A process that does all: JAX, Warp, their programs and temporaries; 520 MiB, of which 280 are
-pages of libraries, and 70 more while kernels are compiled."""
+"""Memory of a process that does everything: JAX, Warp, their programs and temporaries. Measured are
+520 MiB, of which 280 are pages of libraries, and 70 more while kernels are compiled."""
 PARENT = 448 * MIB
-"""The process that hands out units, the server that workers are forked from, and what all share;
-440 MiB."""
+"""Memory of the process that hands out units, of the server that workers are forked from, and pages
+that all share. Measured are 440 MiB."""
 WORKER = 192 * MIB
-"""A worker that computes, beside that; 145 to 180 MiB."""
+"""Memory of a worker that computes, in addition. Measured are 145 to 180 MiB."""
 ON_GPUS = 4096 * MIB
-"""A process that computes on GPUs; not measured."""
+"""Memory of a process that computes on GPUs; not measured."""
 READER = 160 * MIB
-"""A worker that reads for it."""
+"""Memory of a worker that reads for it."""
 TABLES = 640 * MIB
-"""The rows of 65,536 frames of 640x480, which wait for each other and are packed together."""
+"""Memory of the rows of 65,536 frames of 640x480, which are packed together."""
 LEAST_CHUNKS = 64 * MIB
-"""For chunks in a process, of which the largest may take half, as it is there packed too."""
+"""Least memory for chunks in a process. The largest chunk may take half of it, as its packed form
+is in memory too."""
 LEAST_IMAGES = 32 * MIB
-"""For images in a process; four frames of 1920x1080."""
+"""Least memory for images in a process: four frames of 1920x1080."""
 BATCH = 16
-"""Frames computed together by a process of the CPU, unless the user says."""
+"""Number of frames computed together on the CPU, by default."""
 READ_AHEAD = 2
-"""Batches that wait, read, where one process has all cores."""
+"""Number of batches read ahead by a process that has all cores."""
 BATCHES_IN_FLIGHT = 5
-"""Batches in a process beside those: filled, started, finished, and as much for temporaries."""
+"""Number of other batches in a process: one is filled, one is computed and one finished, and
+temporaries take as much as two."""
 
 
 class Needs(NamedTuple):
-    """What a log takes [bytes]."""
+    """Memory that a log needs [bytes]."""
 
     frame: int
-    """A frame's images."""
+    """Images of a frame."""
     known: int
-    """What is known of its messages, which each process has."""
+    """Index of its messages, which each process holds."""
     rows: int
-    """Rows of the tables that wait in this process."""
+    """Rows of the tables that are packed together in this process."""
 
 
 class MemoryPlan(NamedTuple):
-    """How a log is worked on, so that the memory is enough."""
+    """Numbers of processes and frames for a log, so that the memory is enough."""
 
     workers: int
-    """Processes; 1: this one alone."""
+    """Number of processes; 1 is this one alone."""
     batch: int
-    """Frames read together by a process; on the CPU they are computed together."""
+    """Number of frames read together by a process; on the CPU they are also computed together."""
     read_ahead: int
-    """Batches that wait, read, in a process that is alone."""
+    """Number of batches read ahead by a process that is alone."""
 
 
 class Memory:
-    """The memory of a run.
+    """Memory of a run.
 
     Args:
-        asked: What the user gave; None: a share of the machine.
-        workers: Processes that would be of use.
-        devices: GPUs.
-        apart: Logs are to be left to workers, be it one, where there is room for it.
+        asked: Value of ``--memory``; by default a share of the machine's memory.
+        workers: Most processes that would be of use.
+        devices: Number of GPUs.
+        apart: Whether this process leaves all logs to workers, even to a single one, if there is
+            memory for both.
         largest: Bytes of the largest chunk that a log may have.
 
     Attributes:
-        total: Bytes.
-        workers: Processes that there is room for, at most as many.
-        chunks: Bytes for chunks in each process.
-        reading: What reading a log may take.
-        room: Bytes beside what processes take at rest.
-        apart: One worker is beside this process, not in its place.
+        total: Memory of the run [bytes].
+        workers: Number of processes that fit, at most as many as would be of use.
+        chunks: Memory for chunks in each process [bytes].
+        reading: Limits for reading a log.
+        room: Memory besides that of libraries and programs [bytes].
+        apart: Whether a single worker is there besides this process, not in its place.
 
     Raises:
-        ConfigError: The user gave too little.
+        ConfigError: ``asked`` is too little for any log.
     """
 
     def __init__(
@@ -117,27 +120,30 @@ class Memory:
         self.reading = ReadMemory(self.chunks // 2, index)
 
     def with_fewer_workers(self) -> "Memory | None":
-        """The same for half as many, who may read larger chunks; None: there is one."""
+        """Return the same for half as many processes, which may read larger chunks.
+
+        None is returned if there is only one.
+        """
         if self.workers == 1:
             return None
         given = self._asked, self.workers // 2, self._devices
         return Memory(*given, apart=self.apart, largest=self._largest)
 
     def allot(self, needs: Needs, batch: int, workers: int, where: str) -> MemoryPlan:
-        """How a log is worked on, with the most of everything that there is room for.
+        """Return the most processes, frames and batches read ahead that fit for a log.
 
         Args:
-            needs: What it takes.
-            batch: Frames that would be computed together.
-            workers: Processes that would be of use.
-            where: The log, for the error.
+            needs: Memory that the log needs.
+            batch: Largest number of frames computed together.
+            workers: Largest number of processes.
+            where: Name of the log, for the error.
 
         Raises:
             InputError: There is no room for one frame.
         """
         for count in range(min(workers, self.workers), 0, -1):
             left = self._left(count) - self.chunks
-            # With workers the index is on its way to them once more.
+            # If there are workers, a copy of the index is made to be sent to them.
             left -= (needs.known * (count + 1 + (count > 1)) + needs.rows) // count
             ahead = READ_AHEAD if count == 1 and not self._devices else 0
             size = batch
@@ -153,7 +159,7 @@ class Memory:
         raise InputError(problem, path=where, remedy=f"give --memory {least} or more")
 
     def _left(self, workers: int) -> int:
-        """Bytes for the chunks and images of each process."""
+        """Return the memory for chunks and images of each process [bytes]."""
         return (self.total - self._fixed(workers)) // workers
 
     def _fixed(self, workers: int) -> int:

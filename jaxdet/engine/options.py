@@ -1,4 +1,4 @@
-"""How a run is made; every field is a flag of ``jaxdet run``."""
+"""Options of a run; every field is a flag of ``jaxdet run``."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -8,13 +8,13 @@ from jaxdet.errors import ConfigError
 from jaxdet.memory import parse_size
 
 MAX_WORKERS = 1024
-"""Most processes; more than machines have cores."""
+"""Largest number of processes; no machine has as many cores."""
 OF_RUNNER = ("backend", "workers", "memory")
 """Options that are arguments of :class:`jaxdet.Runner`."""
 OF_RUN = ("batch_size", "pictures", "map")
-"""Options that are arguments of :meth:`jaxdet.Runner.run`; others say what is done again."""
+"""Options that are arguments of :meth:`jaxdet.Runner.run`."""
 AGAIN = ("overwrite", "update")
-"""Those others."""
+"""More of these, which choose the logs that are done again."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""The output folder of a run: which logs are done, and where others are made."""
+"""Output folder of a run: logs that are done, and the place where others are made."""
 
 import logging
 import os
@@ -38,16 +38,16 @@ LOGGER = logging.getLogger("jaxdet")
 
 
 class OutputFolder:
-    """An output folder that this run has locked; a context manager that unlocks it.
+    """An output folder, locked for this run; a context manager that unlocks it.
 
     Args:
-        output: The folder; made when missing.
+        output: The folder, which is made if it is missing.
         record: Configuration and versions, see :func:`jaxdet.results.record.make_record`.
-        options: ``overwrite`` and ``update`` are looked at.
+        options: Of these, ``overwrite`` and ``update`` are used.
 
     Attributes:
-        staging: Folder for logs that are being made.
-        taken_over: Whether the run before this one ended without releasing its lock.
+        staging: Folder for results that are not complete.
+        taken_over: Whether the last run was killed, as it did not release its lock.
 
     Raises:
         ConfigError: Another run works there, or it is a file.
@@ -66,7 +66,7 @@ class OutputFolder:
         try:
             if self._lock.before:
                 before = self._lock.before
-                LOGGER.warning("taken over from a run that ended without a word (%s)", before)
+                LOGGER.warning("taken over from a run that was killed (%s)", before)
             finish(output)
             self._clear()
         except BaseException:
@@ -80,19 +80,19 @@ class OutputFolder:
         self._leave()
 
     def begin(self, logs: Sequence["LogFiles"]) -> dict[str, list[LogSummary]]:
-        """Make sure that logs can be added, and find those that need not be done.
+        """Check that logs can be added, and return those that are done.
 
         Args:
-            logs: Those of the run.
+            logs: Logs of the run.
 
         Returns:
-            Summaries of the cameras of logs that are there, by their names.
+            Summaries of the cameras of each log that is done, by its name.
 
         Raises:
             ResultsError: There are results of another configuration or version, or of a log that
-                has changed since.
-            ConfigError: Something else is where a log's folder would be, or two logs would have
-                the same one.
+                was changed later.
+            ConfigError: Something else is in the place of a log's folder, or two logs would have
+                the same folder.
             InputError: Results can't be read.
         """
         names = self._names(logs)
@@ -108,20 +108,20 @@ class OutputFolder:
         return found
 
     def _write_record(self) -> None:
-        """Write ``run.json``, where it is not there."""
+        """Write ``run.json`` unless that of the same record is there."""
         place = self.output / RUN
         if not place.exists() or self._reason(place):
             write_whole(self.staging / RUN, to_json(dict(self.record)).encode())
             os.replace(self.staging / RUN, place)
 
     def staged(self, log: str) -> Path:
-        """Return the new folder in which the results of a log are made."""
+        """Return the folder in which the results of a log are to be made."""
         return self.staging / log_name(log)
 
     def publish(self, log: str) -> None:
-        """Make the folder of :meth:`staged` the log's.
+        """Move the folder of :meth:`staged` to the log's place.
 
-        One without results takes no place of one with results, which stay as they are.
+        If the log failed and complete results are there, those stay.
 
         Raises:
             OutputError: The disk is full or broken.
@@ -134,7 +134,7 @@ class OutputFolder:
             remove(staged)
 
     def _names(self, logs: Sequence["LogFiles"]) -> dict[str, str]:
-        """Return the names of the logs' folders."""
+        """Return the names of the logs' folders by the names of the logs."""
         found: dict[str, LogFiles] = {}
         for log in logs:
             name = log_name(log.name)
@@ -148,7 +148,7 @@ class OutputFolder:
         return {log.name: name for name, log in found.items()}
 
     def _check_run(self, names: set[str]) -> None:
-        """Make sure that the results that are there are of this configuration and version."""
+        """Check that results in the folder are of this configuration and version."""
         if is_complete(self.output) or (self.output / FRAMES).exists():
             problem = "holds results of an older version, or of one log"
             raise ConfigError(problem, path=str(self.output), remedy="give another --output")
@@ -166,18 +166,18 @@ class OutputFolder:
             raise ConfigError(problem, path=str(self.output), remedy=remedy)
 
     def _reason(self, path: Path) -> str | None:
-        """Return why a run.json is not of this run, for people; None: it is."""
+        """Return how a ``run.json`` differs from this run's, for people; None if it doesn't."""
         try:
             return difference(read_json(path), self.record)
         except InputError as error:
             return f"{RUN} {error.problem}"
 
     def _standing(self, log: "LogFiles", folder: Path) -> list[LogSummary] | None:
-        """Return the summaries of a log that need not be done; None: it is to be done."""
+        """Return the summaries of a log if it is done, else None."""
         if not folder.exists():
             return None
         if not folder.is_dir():
-            self._refuse(folder, "is no folder, where a log's results would be")
+            self._refuse(folder, "is not a folder, but in the place of a log's results")
         if is_complete(folder):
             return self._complete(log, folder)
         if (folder / FAILED).is_file():
@@ -185,14 +185,14 @@ class OutputFolder:
             again = self.options.update or self.options.overwrite or told.get("run") != self.run
             return None if again else _summaries(folder / FAILED)
         if any(folder.iterdir()):
-            self._refuse(folder, "is there, and no run wrote it")
+            self._refuse(folder, "was not written by a run")
         return None
 
     def _complete(self, log: "LogFiles", folder: Path) -> list[LogSummary] | None:
-        """Return the same of a log that has results."""
+        """Return the same for a folder with complete results."""
         update = self.options.update
         manifest = {} if self.options.overwrite else read_manifest(folder)
-        if manifest.get("run") != self.run:  # else of before an --overwrite that was stopped
+        if manifest.get("run") != self.run:  # an --overwrite before may have been stopped
             if not (self.options.overwrite or (self.output / RUN).exists()):
                 raise ResultsError(str(self.output), folder.name, reason=f"{RUN} is missing")
             self._check_own(folder)
@@ -207,17 +207,17 @@ class OutputFolder:
         return None if update and any(one.lost or one.error for one in about) else about
 
     def _check_own(self, folder: Path) -> None:
-        """Make sure that nothing of the user's goes with a folder that is replaced."""
+        """Check that a folder that is replaced holds nothing but results."""
         try:
             files = read_manifest(folder)["files"]
         except InputError:
-            return  # of another version, or changed: it doesn't say which files are its own
+            return  # it is of another version or changed, and doesn't list the files of results
         found = (p.relative_to(folder).as_posix() for p in folder.rglob("*") if not p.is_dir())
         if other := next((name for name in sorted(found) if name not in {*files, MANIFEST}), None):
-            self._refuse(folder / other, "is no file of the results that are replaced")
+            self._refuse(folder / other, "is not a file of the results that are replaced")
 
     def _count_attempts(self, staged: Path, place: Path) -> None:
-        """Count on from the attempts of a log that has failed before."""
+        """Add the attempts at a log that failed before."""
         if is_complete(staged) or not (place / FAILED).is_file():
             return
         told, before = read_json(staged / FAILED), read_json(place / FAILED).get("attempts", 0)
@@ -229,7 +229,7 @@ class OutputFolder:
         raise ConfigError(problem, path=str(path), remedy="move it or give another --output")
 
     def _clear(self) -> None:
-        """Remove what runs that ended without a word have left."""
+        """Remove files that killed runs have left."""
         for path in self._working.iterdir():
             if path.name != "lock":
                 remove(path)

@@ -1,4 +1,4 @@
-"""Finds parts of a robot in view of its own camera: near, above the floor, of constant depth."""
+"""Parts of a robot in view of its own camera: near, above the floor, of constant depth."""
 
 from functools import partial
 from typing import TYPE_CHECKING

@@ -1,4 +1,4 @@
-"""What is to be done with a log: decided before its frames are worked on, and then only read."""
+"""Plan of a log: all that is decided before its frames are worked on."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
@@ -15,44 +15,44 @@ if TYPE_CHECKING:
 
 
 class Observer(Protocol):
-    """Sees each batch with what was found in it, for instance to compare it with the truth.
+    """Callback that gets each batch with its detections, for instance to compare them with truth.
 
-    It is pickled into the processes that work on a log. What it says depends on the log and on its
-    public attributes alone, which are part of the run's record. Where it has an attribute
+    It is pickled into the processes that work on a log. Its answers may depend on nothing but the
+    log and its public attributes, which are part of the run's record. If it has an attribute
     ``needs_color`` that is True, colour images are read for every frame.
     """
 
     def __call__(self, batch: "Batch", found: Detections, /) -> Any:
-        """What it makes of a batch, picklable; ``found`` are NumPy arrays."""
+        """Return a picklable answer to a batch, whose detections ``found`` are NumPy arrays."""
         ...
 
     def summary(self, seen: Sequence[Any], /) -> Any:
-        """What it says of a log, from all that it made of its batches; JSON can hold it."""
+        """Return the entry of a log in ``summary.json``, from the answers to its batches."""
         ...
 
 
 class Unit(NamedTuple):
-    """Frames of a log, those of the plan in a range: what a process takes at a time."""
+    """Range of frames of a log, of which a process takes those in the plan at a time."""
 
     number: int
     start: int
     stop: int
-    """The frame after the last."""
+    """Number after that of the last frame."""
 
 
 class UnitSizes(NamedTuple):
     """Sizes of the units into which the frames of a log are divided."""
 
     size: int
-    """Frames of a unit."""
+    """Number of frames in a unit."""
     end_frames: int
-    """About so many frames at the end are in smaller units, so that all workers end together."""
+    """Approximate number of last frames in smaller units, so that all workers end together."""
     end_size: int
-    """Frames of those."""
+    """Number of frames in each of those."""
 
 
 def units_of(frames: range, sizes: UnitSizes) -> Iterator[Unit]:
-    """The units that frames are shared out in, in order."""
+    """Yield the units of frames, in order."""
     count, (size, end_frames, end_size) = len(frames), sizes
     whole = max(0, count - end_frames) // size * size
     ends = [*range(0, whole, size), *range(whole, count, end_size), count]
@@ -62,40 +62,40 @@ def units_of(frames: range, sizes: UnitSizes) -> Iterator[Unit]:
 
 
 class LogPlan(NamedTuple):
-    """What holds for all frames of a log. No unit's results depend on another's."""
+    """Plan of a log, which is the same for all frames; units don't depend on each other."""
 
     log: str
-    """The log's name."""
+    """Name of the log."""
     camera: str
-    """The camera's."""
+    """Name of the camera."""
     label: str
-    """The log's name, and the camera's where the log has several."""
+    """Name of the log, followed by that of the camera if the log has several."""
     frames: range
     """Numbers of the frames."""
     config: Config
     backend: BackendName
     batch_size: int
-    """Frames that are read and computed together."""
+    """Number of frames that are read and computed together."""
     sizes: UnitSizes
     planes: Planes
     drawn: frozenset[int]
-    """Frames to draw."""
+    """Numbers of the frames to draw."""
     folder: Path
-    """Folder of the log's results, in which pictures are drawn."""
+    """Folder of the log's results, for pictures."""
     scratch: Path
     """Folder for temporary files."""
     picture: str
-    """What names of pictures begin with."""
+    """Prefix of the names of pictures."""
     maps: bool
-    """Whether there is to be a map."""
+    """Whether to make a map."""
     observers: Mapping[str, Observer]
 
     def units(self) -> Iterator[Unit]:
-        """The units, in the order of their frames."""
+        """Yield the units in the order of their frames."""
         return units_of(self.frames, self.sizes)
 
     def where(self, unit: Unit) -> str:
-        """The log and the frames of a unit."""
+        """Return the log and the frames of a unit, for people."""
         first, last = unit.start, unit.stop - 1
         return f"{self.label}, " + (
             f"frames {first} to {last}" if last > first else f"frame {last}"

@@ -1,4 +1,4 @@
-"""One log, from its files to the folder of its results."""
+"""A log, from its files to the folder of its results."""
 
 from collections.abc import Iterator
 from contextlib import ExitStack, closing
@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from jaxdet.engine.device import out_of_memory
 from jaxdet.engine.executors import ChooseExecutor, Executor
 from jaxdet.engine.floors import Planes, evenly
 from jaxdet.engine.memory import Memory
@@ -43,11 +44,12 @@ if TYPE_CHECKING:
     from jaxdet.io import Log, LogFiles, LogOptions
 
 UNIT_FRAMES = 256
-"""Most frames of a unit; neighbouring frames share chunks of the log."""
+"""Most frames of a unit, which are neighbours, as these share chunks of the log."""
 _CELL_BYTES = 28
-"""Of a map that is made and drawn: four numbers of 4 bytes, cut out once more, and a pixel."""
+"""Memory per cell of a map that is made and drawn: four numbers of 4 bytes, of which a part is
+copied, and a pixel."""
 REPORT = "report.txt"
-"""Crash report in the folder of a log that failed for a fault of jaxdet."""
+"""Crash report in the folder of a log that failed by a fault of jaxdet."""
 
 Inputs = list[dict[str, Any]]
 
@@ -64,17 +66,17 @@ def process_log(
 ) -> list[LogSummary]:
     """Write the results of a log into a new folder.
 
-    The folder is on the disk when this returns: with ``manifest.json``, or with ``failed.json``
-    where every camera of the log failed.
+    When this returns, the folder is on the disk with ``manifest.json``, or with ``failed.json`` if
+    every camera of the log failed.
 
     Args:
-        settings: What it has in common with other logs.
+        settings: Settings of the run.
         files: The log.
-        folder: New folder; ``NAME~CAMERA.rows`` next to it hold temporary files.
-        memory: The memory of the run; a log with large chunks is shared by fewer processes.
-        choose: Chooses who works on it.
-        report: Gets where it stands.
-        keep_memory: Raise :class:`ChunkMemoryError` rather than take fewer processes.
+        folder: New folder; temporary files are in ``FOLDER~CAMERA.rows`` next to it.
+        memory: Memory of the run; if chunks are large, fewer processes share the log.
+        choose: Returns the executor of the log.
+        report: Called with the progress.
+        keep_memory: Raise an error if the log doesn't fit, instead of taking fewer processes.
 
     Returns:
         Summaries of its cameras.
@@ -156,7 +158,7 @@ def _write_results(
 
 @dataclass
 class CameraRun:
-    """One camera of a log, worked through; fields as the arguments of :func:`process_log`."""
+    """Work on one camera of a log; fields are arguments of :func:`process_log`."""
 
     settings: RunSettings
     files: "LogFiles"
@@ -168,24 +170,24 @@ class CameraRun:
     inputs: Inputs
     """Fingerprints of the log's files."""
     camera: str = ""
-    """The camera, where the log has several."""
+    """Name of the camera if the log has several."""
     batch: int = 0
-    """Frames computed together."""
+    """Number of frames computed together."""
 
     def __post_init__(self) -> None:
         self.part = camera_name(self.camera) if self.camera else ""
-        """Part of the names of its files, where the log has several cameras."""
+        """Part of the names of its files if the log has several cameras."""
         self.scratch = self.folder.with_name(f"{self.folder.name}~{self.part}.rows")
         self.about = self._new()
         self._assembly = Assembly(self.scratch, self.about)
 
     def run(self, options: "LogOptions") -> None:
-        """Work through the log; what is wrong with it is an error in the summary.
+        """Do all frames of the camera; an error of the log is noted in the summary.
 
         Raises:
-            CamerasError: There are several cameras, and the options choose none.
+            CamerasError: There are several cameras, and the options don't choose one.
             OutputError: The disk is full or broken.
-            WorkerStartError: There are no workers.
+            WorkerStartError: Workers can't be started.
         """
         try:
             self._run_with_retries(options)
@@ -194,6 +196,9 @@ class CameraRun:
         except Exception as error:
             if self.keep_memory:
                 raise
+            if out_of_memory(error):
+                remedy = "give a smaller --batch-size or --memory, or end other programs"
+                error = InputError("not enough memory", path=self.files.name, remedy=remedy)
             self._fail(error)
 
     def rows(self) -> Iterator[Any]:
@@ -215,7 +220,7 @@ class CameraRun:
         return self.part and f"{self.part}_"
 
     def _fail(self, error: Exception) -> None:
-        """Note why the log failed; a fault of jaxdet leaves a report."""
+        """Note why the log failed, with a crash report if it is a fault of jaxdet."""
         text = str(error)
         if not isinstance(error, JaxdetError):
             text = f"{self.files.name}: {type(error).__name__}: {error}"
@@ -228,7 +233,7 @@ class CameraRun:
         self.about.error = text
 
     def _run_with_retries(self, options: "LogOptions") -> None:
-        """Scan a log whose index is wrong, and take fewer workers where its chunks are large."""
+        """Scan the log if its index is wrong; take fewer workers if its chunks are large."""
         while True:
             self._assembly.close()
             self.about = self._new()
@@ -250,14 +255,14 @@ class CameraRun:
         camera = f", {self.camera}" if self.camera else ""
         self.report(self.about, f"{self.files.name}{camera}", 0, "opening")
         with open_log(self.files, options, self.memory.reading) as log:
-            self._check_unchanged()  # from now on the open log sees a change itself
+            self._check_unchanged()  # later changes are noticed by the open log
             self._run(log)
 
     def _check_unchanged(self) -> None:
-        """Make sure that the files are those that the manifest names.
+        """Check that the files are those whose fingerprints the manifest has.
 
         Raises:
-            InputError: One is not.
+            InputError: A file was changed or can't be read.
         """
         for path, was in zip(self.files.paths, self.inputs, strict=True):
             now = fingerprint(path)
@@ -307,7 +312,7 @@ class CameraRun:
         about.seconds = clock.seconds
 
     def _plan(self, log: "Log", batch: int, planes: Planes) -> LogPlan:
-        """Return how the log is worked through, ``batch`` frames at a time."""
+        """Return the plan of the log, with ``batch`` frames at a time."""
         settings, count = self.settings, self.settings.options.pictures
         drawn = evenly(np.array(log.frames), count) if count else np.zeros(0, int)
         return LogPlan(
@@ -351,7 +356,7 @@ class CameraRun:
             write_png(self.folder / f"{about.map}.png", draw_map(image, log.label))
 
     def _say_why(self, occupancy: OccupancyMap) -> None:
-        """Note why there is no map, though frames have poses."""
+        """Note why there is no map although frames have poses."""
         about, floors = self.about, self.about.floor_sources
         if occupancy.cells:
             about.warnings.append("no map: what was seen is too far apart for one")
@@ -364,7 +369,7 @@ class CameraRun:
 
 
 def _unit_sizes(frames: int, batch: int, workers: int, backend: BackendName) -> UnitSizes:
-    """Return sizes of whole batches, with enough units to keep all workers busy to the end."""
+    """Return sizes, multiples of ``batch``, of units that keep all workers busy to the end."""
     most = UNIT_FRAMES if backend == "jax" else batch
     batches = max(1, min(most, frames // (4 * workers)) // batch)
     end_frames = workers * batches * batch if workers > 1 else 0
@@ -372,4 +377,4 @@ def _unit_sizes(frames: int, batch: int, workers: int, backend: BackendName) -> 
 
 
 def no_report(*_: object) -> None:
-    """Report nothing of where a log stands."""
+    """Ignore the progress of a log."""

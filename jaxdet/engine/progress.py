@@ -1,4 +1,4 @@
-"""Where a run stands, for people: what is done of a log, and how fast it goes."""
+"""Progress of a run: frames that are done, and their rate."""
 
 import time
 from collections.abc import Callable, Mapping
@@ -10,56 +10,56 @@ from jaxdet.results.summary import LogSummary
 
 
 class Progress(NamedTuple):
-    """Where a run stands, given to the progress callback after each unit, and before the first."""
+    """Progress of a run, passed to the progress callback before the first unit and after each."""
 
     log: str
-    """The log's name, and the camera's where the log has several."""
+    """Name of the log, followed by that of the camera if the log has several."""
     log_number: int
     num_logs: int
     done: int
-    """Frames of this log."""
+    """Number of frames of this log that are done."""
     total: int
-    """Frames of this log."""
+    """Number of frames of this log."""
     bad: int
-    """Frames of this log that are not ok."""
+    """Number of frames of this log with another status than ok."""
     frames_per_s: float | None
     bottleneck: str = ""
-    """The step that others wait for, see :attr:`jaxdet.results.summary.LogSummary.bottleneck`."""
+    """Slowest step, see :attr:`jaxdet.results.summary.LogSummary.bottleneck`."""
     rates: Mapping[str, float] = MappingProxyType({})
-    """Frames a second of each step alone."""
+    """Frames per second of each step if it were the only one."""
     doing: str = ""
-    """What goes on before the first unit is through."""
+    """Description of the work before the first unit is done."""
     logs_done: int = 0
-    """Logs whose results are there."""
+    """Number of logs that are done."""
     logs_failed: int = 0
-    """Logs that failed, of these."""
+    """Number of these that failed."""
 
 
 ProgressCallback = Callable[[Progress], None]
 
 
 Report = Callable[[LogSummary, str, int, str], None]
-"""Gets where a log stands: summary, label, frames, and what goes on."""
+"""Called with the progress of a log: summary, label, number of frames, description of the work."""
 
 
 @dataclass
 class Clock:
-    """Times of a log: the first units, and the rate after them."""
+    """Times of a log: that of the first units, and the rate of frames after them."""
 
     about: LogSummary
     workers: int
     start: float = field(default_factory=time.perf_counter)
     units: int = 0
     first: int = 0
-    """Frames of the first unit of each worker."""
+    """Number of frames in the first unit of each worker."""
 
     @property
     def seconds(self) -> float:
-        """Since the start."""
+        """Time since the start [s]."""
         return time.perf_counter() - self.start
 
     def tick(self) -> None:
-        """A unit has been counted."""
+        """Update the times after a unit whose frames ``about`` has counted."""
         about, seconds = self.about, self.seconds
         rest, self.units = about.frames - self.first, self.units + 1
         if self.units <= self.workers:

@@ -1,4 +1,4 @@
-"""Memory and worker processes of a run, and the choice of who works on a log."""
+"""Memory and worker processes of a run, and the choice of the executor of a log."""
 
 import logging
 from typing import TYPE_CHECKING
@@ -7,37 +7,16 @@ from jaxdet.cores import cores
 from jaxdet.engine.device import OwnDevice
 from jaxdet.engine.executors import Executor, InPool, InProcess, memory_plan
 from jaxdet.engine.memory import Memory
-from jaxdet.engine.pool import Pool, gpus
+from jaxdet.engine.pool import Pool
 from jaxdet.engine.settings import RunSettings
 from jaxdet.memory import size_text
-from jaxdet.pipeline import BackendName
 
 if TYPE_CHECKING:
     from jaxdet.io import Log
 
 LOGGER = logging.getLogger("jaxdet")
 FRAMES_WORTH_WORKERS = 500
-"""A log of fewer frames is done sooner by this process than workers have started."""
-
-
-class Processes:
-    """Worker processes that outlive a run."""
-
-    def __init__(self) -> None:
-        self._pool: Pool | None = None
-
-    def pool(self, count: int, backend: BackendName, devices: tuple[object, ...]) -> Pool:
-        """Return the pool, whose processes may not have started yet."""
-        if self._pool is None:
-            self._pool = Pool(count, backend, devices)
-        self._pool.resize(count)
-        return self._pool
-
-    def close(self) -> None:
-        """End the processes."""
-        if self._pool:
-            self._pool.close()
-        self._pool = None
+"""This process is done with a log of fewer frames before workers have started."""
 
 
 class Resources:
@@ -45,24 +24,23 @@ class Resources:
 
     Args:
         settings: The run.
-        processes: Worker processes of this and other runs.
+        pool: Worker processes of this and other runs.
         apart: Whether this process leaves all logs to workers, even if there is only one.
 
     Attributes:
-        memory: Memory and the number of processes that fit in it.
+        memory: Memory and the number of processes that fit into it.
         pool: Worker processes.
         batch: Largest number of frames computed together so far.
         workers: Largest number of processes that shared the logs so far.
     """
 
-    def __init__(self, settings: RunSettings, processes: Processes, *, apart: bool = False) -> None:
-        options = settings.options
-        devices = gpus() if options.backend == "jax" else ()
+    def __init__(self, settings: RunSettings, pool: Pool, *, apart: bool = False) -> None:
+        options, devices = settings.options, pool.devices
         workers = options.workers or max(1, cores() - bool(devices))
         largest = settings.log_options.max_chunk_mib << 20
-        self.settings = settings
+        self.settings, self.pool = settings, pool
         self.memory = Memory(options.memory, workers, len(devices), apart=apart, largest=largest)
-        self.pool = processes.pool(self.memory.workers, options.backend, devices)
+        pool.resize(self.memory.workers)
         self.batch, self.workers = options.batch_size or 0, 1
         if options.workers and self.memory.workers < options.workers:
             room = f"{size_text(self.memory.total)} of memory have no room for more"
@@ -70,11 +48,11 @@ class Resources:
 
     @property
     def workers_wanted(self) -> bool:
-        """Whether workers are to be used for few and short logs too."""
+        """Whether workers also do few or short logs, as the user chose or as they are there."""
         return bool(self.settings.options.workers or self.pool.devices or self.pool.started)
 
     def choose(self, log: "Log", memory: Memory) -> Executor:
-        """Choose who works on an open log: this process if it has few frames, else all workers.
+        """Return the executor of an open log: this process if it has few frames, else all workers.
 
         Args:
             log: Open log.
@@ -83,7 +61,7 @@ class Resources:
         Raises:
             InputError: There is no room for one frame.
         """
-        # With ``apart`` the run before this one was killed, maybe by one of the logs.
+        # With ``apart`` the run before this one was killed, maybe by one of these logs.
         apart = bool(self.pool.devices) or memory.apart
         short = len(log.frames) < FRAMES_WORTH_WORKERS
         few = short and not apart and not self.workers_wanted

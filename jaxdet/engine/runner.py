@@ -12,9 +12,10 @@ from jaxdet.config_file import find_config
 from jaxdet.engine.memory import Memory
 from jaxdet.engine.options import RunOptions
 from jaxdet.engine.plan import Observer
+from jaxdet.engine.pool import Pool
 from jaxdet.engine.process_log import no_report, process_log
 from jaxdet.engine.progress import ProgressCallback
-from jaxdet.engine.resources import Processes, Resources
+from jaxdet.engine.resources import Resources
 from jaxdet.engine.scheduler import check_outside, make_summary, run_logs
 from jaxdet.engine.settings import RunSettings, make_settings
 from jaxdet.io import LogFiles, LogOptions, find_logs
@@ -114,7 +115,7 @@ class Runner:
     ) -> None:
         self._options = RunOptions(Path(), backend=backend, workers=workers, memory=memory)
         Memory(memory, 1)  # too little is refused before anything is touched
-        self._processes = Processes()
+        self._pool = Pool(backend)
 
     def __enter__(self) -> "Runner":
         return self
@@ -124,7 +125,7 @@ class Runner:
 
     def close(self) -> None:
         """End the processes."""
-        self._processes.close()
+        self._pool.close()
 
     def run(
         self,
@@ -156,7 +157,7 @@ class Runner:
         if preset is None and isinstance(config, str) and config in PRESETS:
             preset = config
         given = find_config(config), log or LogOptions(), chosen, preset, options.get("observers")
-        return run_logs(make_settings(*given), found, self._processes, progress)
+        return run_logs(make_settings(*given), found, self._pool, progress)
 
     def run_alone(self, settings: RunSettings, files: LogFiles, folder: Path) -> Summary:
         """Write the results of one log into a new folder outside of any results folder.
@@ -168,7 +169,7 @@ class Runner:
         """
         start = time.perf_counter()
         check_outside(folder, [files])
-        resources = Resources(settings, self._processes)
+        resources = Resources(settings, self._pool)
         try:
             with stops_raised():
                 given = resources.memory, resources.choose, no_report

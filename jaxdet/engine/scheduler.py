@@ -1,4 +1,4 @@
-"""A run over many logs: each log in, a folder of results out."""
+"""Order of the logs of a run, and who does each: one worker, or all together."""
 
 import logging
 import os
@@ -11,16 +11,17 @@ from typing import TYPE_CHECKING
 
 from jaxdet.engine.log_per_worker import (
     FEW_BYTES,
-    LogContext,
+    LogJob,
+    LogTask,
     OtherCamera,
     choose_logs,
-    process_log_in_worker,
 )
 from jaxdet.engine.options import RunOptions
 from jaxdet.engine.output import OutputFolder
+from jaxdet.engine.pool import Pool
 from jaxdet.engine.process_log import process_log
 from jaxdet.engine.progress import Progress, ProgressCallback
-from jaxdet.engine.resources import Processes, Resources
+from jaxdet.engine.resources import Resources
 from jaxdet.engine.settings import RunSettings
 from jaxdet.engine.tasks import TaskQueue
 from jaxdet.errors import ConfigError, InputError, Interrupted, OutputError
@@ -39,7 +40,7 @@ LOGGER = logging.getLogger("jaxdet")
 def run_logs(
     settings: RunSettings,
     logs: Sequence[LogFiles],
-    processes: Processes,
+    pool: Pool,
     progress: ProgressCallback | None,
 ) -> Summary:
     """Do all logs of a run that are not done yet.
@@ -47,7 +48,7 @@ def run_logs(
     Args:
         settings: The run.
         logs: Its logs.
-        processes: Worker processes.
+        pool: Worker processes.
         progress: Called after each unit and each log.
     """
     start, options, resources = time.perf_counter(), settings.options, None
@@ -60,15 +61,15 @@ def run_logs(
         try:
             with stops_raised():
                 if left:
-                    resources = Resources(settings, processes, apart=output.taken_over)
+                    resources = Resources(settings, pool, apart=output.taken_over)
                     Scheduler(settings, logs, output, resources, done, progress).run(left)
         except KeyboardInterrupt as stop:
-            processes.close()
+            pool.close()
             number = getattr(stop, "signal", signal.SIGINT)
             text = f"interrupted; {_standing(done, logs, options)}"
             raise Interrupted(number, text) from None
         except BaseException as error:
-            processes.close()
+            pool.close()
             if isinstance(error, InputError | OutputError) and done:
                 error.add_remedy(_standing(done, logs, options))
             raise
@@ -77,21 +78,21 @@ def run_logs(
 
 
 def _standing(done: Collection[str], logs: Sequence[LogFiles], options: RunOptions) -> str:
-    """Return how many logs are done, and how to continue."""
+    """Return how many logs are done, and how to continue, for people."""
     some = "no log is done" if not done else f"{len(done)} of {len(logs)} logs are done"
     but = " without --overwrite" if options.overwrite else ""
     return f"{some}; the same command{but} goes on"
 
 
 class Scheduler:
-    """Hands out logs, and puts their results in place.
+    """Does the logs of a run and moves their results to their place.
 
     Args:
         settings: The run.
         logs: All its logs.
         output: Folder of the results.
         resources: Memory and worker processes.
-        done: Summaries of the cameras of logs that are done, by the logs' names; is added to.
+        done: Summaries of the cameras of logs that are done, by the logs' names; logs are added.
         progress: Called after each unit and each log.
     """
 
@@ -110,7 +111,7 @@ class Scheduler:
         self.numbers = {log.name: number for number, log in enumerate(logs)}
 
     def run(self, left: dict[str, LogFiles]) -> None:
-        """Do logs: small ones one per worker, the others shared by all workers, one by one."""
+        """Do logs: small ones one per worker, then the others one by one, shared by all workers."""
         alone = self._for_workers(left)
         cameras: dict[str, Calibration] = {}
         while left:
@@ -138,34 +139,30 @@ class Scheduler:
         return sorted(choose_logs(sizes, self.memory.workers), key=lambda name: -sizes[name])
 
     def _ready(self, camera: "Calibration | None") -> bool:
-        """Whether a worker can do a log of a camera by itself, as the pool is now."""
+        """Whether a worker can do a log of a camera now; None is a camera that isn't known yet."""
         if not self.pool.devices:
             return True
         served = self.pool.serving
         if served is None or self.pool.count != self.memory.workers:
-            return False  # the next log that is shared out makes all workers be served
+            return False  # the next shared log starts a device server for all workers
         return served.config == self.settings.config and camera in (None, served.calibration)
 
     def _by_workers(
         self, logs: Mapping[str, LogFiles]
     ) -> Iterator[tuple[str, list[LogSummary] | OtherCamera | None]]:
-        """Yield logs as workers have done them, one per worker, each with the answer."""
+        """Let each worker do one log after the other; yield the logs' names with the answers."""
         self.pool.resize(self.memory.workers)
         self.resources.workers = self.pool.count
-        served = self.pool.serving
-        slots = served and (served.slots, served.calibration)
-        batch = served.pieces * served.slots.frames if served else 0
-        context = LogContext(self.settings, self.memory, len(self.pool.devices), slots, batch)
-        tasks = {name: (log, self.output.staged(name)) for name, log in logs.items()}
-        for _, staged in tasks.values():
-            remove(staged)  # of a worker that was ended
-        first = next(iter(logs))
+        job = LogJob(self.settings, self.memory, len(self.pool.devices), self.pool.serving)
+        tasks = [LogTask(log, self.output.staged(name)) for name, log in logs.items()]
+        for task in tasks:
+            remove(task.folder)  # of a worker that was ended
+        first = tasks[0].files.name
         self._report(LogSummary(first, ()), first, 0, "opening")
-        given = context, process_log_in_worker, TaskQueue(tasks), tasks.__getitem__
-        for name, answer in self.pool.each(*given):
+        for task, answer in self.pool.each(job, TaskQueue(tasks)):
             if not isinstance(answer, list):
-                remove(tasks[name][1])
-            yield name, answer
+                remove(task.folder)
+            yield task.files.name, answer
 
     def _do_here(self, log: LogFiles) -> None:
         """Do a log by this process, or by all workers together."""
@@ -178,7 +175,7 @@ class Scheduler:
         self._take(log, done)
 
     def _take(self, log: LogFiles, done: list[LogSummary]) -> None:
-        """Put the results of a log in their place."""
+        """Move the results of a log to their place."""
         with stops_held_back():
             self.output.publish(log.name)
             self.done[log.name] = done
@@ -191,7 +188,7 @@ class Scheduler:
                 LOGGER.info("%s: done, %d frames, %d obstacles", about.log, *counts)
 
     def _report(self, about: LogSummary, label: str, total: int, doing: str) -> None:
-        """Tell the log and the callback where the run stands."""
+        """Report progress to the log and to the callback."""
         stands = doing or f"{about.frames} of {total} frames"
         LOGGER.debug("%s: %s", label, stands)
         if self.progress:
@@ -202,13 +199,13 @@ class Scheduler:
             self.progress(Progress(label, number, count, *state, about.rates, doing, *logs))
 
     def _check_there(self, failed: LogFiles) -> None:
-        """Make sure that the disk of a log that failed is still there.
+        """Check that the disk of a log that failed is still there.
 
-        It is gone where other logs are gone with it. A single log that is gone was removed, and
-        costs no other.
+        If other logs are gone too, the disk is. A single log that is gone was removed, which is no
+        reason to end the run.
 
         Raises:
-            InputError: It is gone; nothing that is done is lost.
+            InputError: The disk is gone; logs that are done are kept.
         """
         others = [log for log in self.logs if log is not failed and log.name not in self.done]
         if _gone(failed) and (not others or any(map(_gone, others))):
@@ -227,7 +224,7 @@ def make_summary(
 
     Args:
         settings: The run.
-        resources: What it took; None if there was nothing to do.
+        resources: Memory and processes; None if there was nothing to do.
         logs: Summaries of the cameras of all logs.
         start: Time when it began, by ``time.perf_counter`` [s].
         kept: Names of the logs that were done before.
@@ -252,13 +249,13 @@ def _size(path: Path) -> int:
 
 
 def check_outside(output: Path, logs: Sequence[LogFiles]) -> None:
-    """Make sure that results don't change a log that is a folder.
+    """Check that results are not written into a log that is a folder.
 
     Raises:
-        ConfigError: The output is in one.
+        ConfigError: The output folder is in one.
     """
     place = output.resolve()
     for folder in (path for log in logs for path in log.paths if path.is_dir()):
         if place.is_relative_to(folder.resolve()):
-            problem, remedy = f"is in the log {folder}", "give an --output beside it"
+            problem, remedy = f"is in the log {folder}", "give an --output next to it"
             raise ConfigError(problem, path=str(output), remedy=remedy)

@@ -1,4 +1,4 @@
-"""What all logs of a run share: configuration, options, and the record of both."""
+"""Settings of a run: configuration, options, and the record of both."""
 
 import pickle
 from collections.abc import Mapping
@@ -17,7 +17,7 @@ _VERSIONS = ("jaxdet", "source", "versions")
 
 
 class RunSettings(NamedTuple):
-    """Settings of a run; they are sent to worker processes."""
+    """Settings that all logs of a run share; they are sent to worker processes."""
 
     config: Config
     log_options: "LogOptions"
@@ -26,7 +26,7 @@ class RunSettings(NamedTuple):
     record: Mapping[str, Any]
     """Content of ``run.json``, see :func:`jaxdet.results.record.make_record`."""
     about: Mapping[str, Any]
-    """Part of each log's manifest: versions, and the digest of the record as ``run``."""
+    """Entries of each log's manifest: versions, and the digest of the record as ``run``."""
 
 
 def make_settings(
@@ -41,11 +41,11 @@ def make_settings(
 
     Args:
         config: Configuration.
-        log_options: How logs are read.
-        options: How the run is made.
+        log_options: Options of reading logs.
+        options: Options of the run.
         preset: Name of the preset that the configuration started from.
         observers: See :meth:`jaxdet.Runner.run`.
-        about: What the manifests of logs say besides.
+        about: More entries of the logs' manifests.
 
     Raises:
         ConfigError: Observers can't be sent to other processes.

@@ -1,7 +1,7 @@
-"""Memory that workers share with the process that computes, and what they tell each other.
+"""Memory that workers share with the device server, and their messages.
 
-Each worker has a few slots of it: it decodes a piece of its unit into one while the pieces in the
-others are computed, and finds their results in memory that is divided alike.
+Each worker has a few slots: it decodes a piece of its unit into one of them while the pieces in the
+others are computed. Results are in a second memory, which is divided into the same slots.
 """
 
 import itertools
@@ -22,45 +22,45 @@ if TYPE_CHECKING:
     from jaxdet.floor.units import FloorFit
 
 SLOTS = 4
-"""Of each worker: one that it decodes to, and three that are copied, computed, sent back or wait
+"""Slots of each worker: it decodes into one while three are copied, computed, copied back or wait
 for it."""
 _PAGE = 4096
 _numbers = itertools.count(1)
 
 
 class Images(NamedTuple):
-    """The images of a slot."""
+    """Images of a slot."""
 
     depth: np.ndarray
     """``(n, Hd, Wd)`` uint16."""
     color: np.ndarray | None
-    """``(n, H, W, 3)`` uint8; None: the method reads depth alone."""
+    """``(n, H, W, 3)`` uint8; None if the method reads only depth."""
 
 
 class Slots(NamedTuple):
-    """The shared memory of a log's images and how it is divided; goes to the workers."""
+    """Shared memory of images, and its division into slots; it is sent to the workers."""
 
     path: str
-    """Where other processes find it."""
+    """Path by which other processes map the memory."""
     frames: int
-    """Frames of a slot."""
+    """Number of frames in a slot."""
     depth: tuple[int, ...]
     """Shape of a depth image, ``(Hd, Wd)`` uint16."""
     color: tuple[int, ...] | None
-    """Shape of a colour image, ``(H, W, 3)`` uint8; None: the method reads depth alone."""
+    """Shape of a colour image, ``(H, W, 3)`` uint8; None if the method reads only depth."""
     workers: int
     number: int = 0
-    """Of the memory: what has been freed leaves its path to the next one."""
+    """Number of the memory; its path alone may be that of another one that was freed."""
 
     @property
     def sizes(self) -> tuple[int, int]:
-        """Bytes of a slot's depth and colour images, in whole pages."""
+        """Size of a slot's depth and colour images, in whole pages [bytes]."""
         depth, color = 2 * prod(self.depth), prod(self.color) if self.color else 0
         return _pages(depth * self.frames), _pages(color * self.frames)
 
     @property
     def nbytes(self) -> int:
-        """Of all slots."""
+        """Size of all slots [bytes]."""
         return self.workers * SLOTS * sum(self.sizes)
 
     def views(self, memory: mmap.mmap) -> list[Images]:
@@ -85,12 +85,12 @@ class Leaf:
     """An array of :class:`jaxdet.results.rows.RowInputs` in the packed results."""
 
     shape: tuple[int, ...]
-    """Of a frame."""
+    """Shape of a frame's part."""
     kind: np.dtype
 
 
 class Packing(NamedTuple):
-    """The shared memory of the results: a row of int32 for each frame of each slot."""
+    """Shared memory of results: a row of int32 for each frame of each slot."""
 
     path: str
     inputs: Any
@@ -98,16 +98,16 @@ class Packing(NamedTuple):
 
     @property
     def ints(self) -> int:
-        """int32 of a frame."""
+        """Number of int32 per frame."""
         return sum(int(np.prod(leaf.shape)) for leaf in _leaves(self.inputs))
 
     def view(self, memory: mmap.mmap, slots: Slots) -> np.ndarray:
-        """``(slots, frames, ints)`` int32."""
+        """Return the results as ``(slots, frames, ints)`` int32."""
         shape = slots.workers * SLOTS, slots.frames, self.ints
         return np.ndarray(shape, np.int32, memory)
 
     def unpacked(self, rows: np.ndarray) -> RowInputs:
-        """What ``rows`` ``(B, ints)`` hold, without a copy but of what is boolean."""
+        """Return the arrays in ``rows`` ``(B, ints)``; only boolean ones are copied."""
         start = 0
 
         def unpack(leaf: Leaf) -> np.ndarray:
@@ -126,41 +126,41 @@ def _leaves(tree: Any) -> list[Any]:
 
 
 class Piece(NamedTuple):
-    """A slot that a worker has filled."""
+    """Message of a worker: a slot with images to compute."""
 
     worker: int
     slot: int
-    """Among all slots."""
+    """Number of the slot among those of all workers."""
     plane: GroundPlane
     whole: bool
 
 
 class Sample(NamedTuple):
-    """A slot that a worker has filled with depth images, whose floors are wanted."""
+    """Message of a worker: a slot with depth images whose floors are to be found."""
 
     worker: int
     slot: int
-    """Among all slots."""
+    """Number of the slot among those of all workers."""
     plane: GroundPlane
-    """The prior of each; as many as there are images."""
+    """Prior of each image."""
 
 
 class Reply(NamedTuple):
-    """Its results are there, or why not."""
+    """Message to a worker: the results of a slot, or an error."""
 
     slot: int
     packing: bytes
-    """:class:`Packing`, pickled: all replies have the same one."""
+    """Pickled :class:`Packing`, the same in all replies."""
     whole: Detections | None
     error: Exception | None
     busy_s: Mapping[str, float]
-    """Its share of the times of its batch."""
+    """Its share of the times of its batch [s]."""
     floors: "FloorFit | None" = None
-    """To a :class:`Sample`."""
+    """Reply to a :class:`Sample`."""
 
 
 class ServerPipe(NamedTuple):
-    """A worker's way to the device server."""
+    """Connection of a worker to the device server."""
 
     number: int
     pipe: Any
@@ -168,7 +168,11 @@ class ServerPipe(NamedTuple):
 
 
 class SharedMemory:
-    """Shared memory without a name, which is freed with the last process that has it."""
+    """Anonymous shared memory, which is freed when the last process that maps it ends.
+
+    Named memory of :mod:`multiprocessing.shared_memory` would outlive a killed run, and containers
+    limit it.
+    """
 
     def __init__(self, nbytes: int) -> None:
         self._file = os.memfd_create("jaxdet")
@@ -183,12 +187,12 @@ class SharedMemory:
         self.number = next(_numbers)
 
     def close(self) -> None:
-        """Frees this process' part."""
+        """Close the file; the memory lives as long as it is mapped."""
         os.close(self._file)
 
 
 def attached(path: str) -> mmap.mmap:
-    """Another process' memory."""
+    """Map the memory of another process."""
     file = os.open(path, os.O_RDWR)
     try:
         return mmap.mmap(file, os.fstat(file).st_size)

@@ -1,4 +1,4 @@
-"""What each process does before it computes: caches between runs, and a quiet Warp."""
+"""Start of a process that computes: caches of compiled programs, environment, memory."""
 
 import ctypes
 import importlib.util
@@ -20,34 +20,34 @@ from jaxdet.signals import stops_held_back
 from jaxdet.warp_start import start_warp
 
 ENVIRONMENT = "JAXDET_CACHE"
-"""Environment variable: the folder, or ``off``."""
+"""Environment variable with the folder of caches, or ``off``."""
 NOT_KEPT = "can't be written to; set JAXDET_CACHE to a folder that can be, or to off"
-"""What is wrong with a folder, and the remedy."""
+"""Problem and remedy of a folder that is not used."""
 UNSAFE = "can be written to by other users, so its compiled programs are not used"
-"""Likewise."""
+"""Problem of a folder that is not used."""
 
 
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
-"""Of ``mallopt``."""
+"""Parameters of ``mallopt``."""
 
 
 class Caches(NamedTuple):
-    """Two folders; None: not kept."""
+    """Folders of compiled programs; None where they are not kept."""
 
     jax: Path | None
-    """Programs that XLA compiled."""
+    """Folder of programs that XLA compiled."""
     warp: Path | None
-    """Kernels that Warp compiled; without a folder Warp uses its own."""
+    """Folder of kernels that Warp compiled; if it is None, Warp uses its own."""
 
 
 def cache_folders() -> Caches:
     """Return the folders that the environment selects, without making them.
 
-    ``JAXDET_CACHE`` names another folder than ``jaxdet`` in the user's cache folder, or is
-    ``off``. ``JAX_COMPILATION_CACHE_DIR`` and ``WARP_CACHE_PATH`` go before it. As both caches
-    hold machine code, each kind of processor has a folder of its own, so that a home folder may
-    be shared; and a folder that other users can write to is replaced by the one in the user's
-    cache folder, see :func:`unsafe_caches`.
+    The default is ``jaxdet`` in the user's cache folder. ``JAXDET_CACHE`` names another folder, or
+    is ``off``; ``JAX_COMPILATION_CACHE_DIR`` and ``WARP_CACHE_PATH`` have priority over it. As both
+    caches hold machine code, each kind of processor has a folder of its own, so that machines can
+    share a home folder. A folder that other users can write to is replaced by the default, see
+    :func:`unsafe_caches`.
     """
     chosen, own = _chosen_folders(), _folders_in(_user_cache())
     return Caches(
@@ -59,7 +59,7 @@ def cache_folders() -> Caches:
 
 
 def unsafe_caches() -> list[Path]:
-    """Return the folders of the environment that are not used: other users can write to them."""
+    """Return folders of the environment that are not used, as other users can write to them."""
     return [folder for folder in _chosen_folders() if folder and _is_unsafe(folder)]
 
 
@@ -83,11 +83,12 @@ def _folders_in(base: Path | None) -> Caches:
 def _is_unsafe(folder: Path | None) -> bool:
     """Return whether another user could have put code into a folder.
 
-    It belongs to another user, or others than the user's own group can write to it.
+    This is so if it belongs to another user, or if users outside of the user's own group can write
+    to it.
     """
     try:
         status = folder.stat() if folder and hasattr(os, "geteuid") else None
-    except OSError:  # not there yet, or not to be had
+    except OSError:  # it does not exist yet, or can't be read
         return False
     if status is None:
         return False
@@ -96,10 +97,10 @@ def _is_unsafe(folder: Path | None) -> bool:
 
 
 def use_caches() -> Caches:
-    """Makes JAX and Warp keep what they compile; to be called before Warp starts.
+    """Make JAX and Warp keep compiled programs; call it before Warp starts.
 
     Returns:
-        The folders in use; None where it is switched off or the folder can't be written to.
+        The folders in use; None if a cache is off or its folder can't be written to.
     """
     import jax
 
@@ -110,7 +111,7 @@ def use_caches() -> Caches:
         jax.config.update("jax_compilation_cache_dir", str(folders.jax))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
         jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
-        # A torn entry, of a process that was killed, costs a compilation and no warning.
+        # Entries of a process that was killed may be damaged; they are compiled again.
         warnings.filterwarnings("ignore", "Error (reading|writing) persistent compilation cache")
     if folders.warp:
         os.environ["WARP_CACHE_PATH"] = str(folders.warp)  # read when Warp starts
@@ -118,9 +119,9 @@ def use_caches() -> Caches:
 
 
 def _remove_damaged(folder: Path) -> None:
-    """Remove programs that have changed since they were first found; JAX would run them.
+    """Remove programs that have changed since they were first found, as JAX would run them.
 
-    JAX keeps no checksums, so a file next to the folder holds one of each program.
+    JAX keeps no checksums, so a folder next to this one has a file with that of each program.
     """
     sums = folder.with_name(f"{folder.name}-checksums")
     with suppress(OSError):
@@ -137,10 +138,10 @@ def _remove_damaged(folder: Path) -> None:
 
 @cache
 def start_up() -> None:
-    """Prepare this process for computing, in the order that it needs; once.
+    """Prepare this process for computing; does nothing from the second call on.
 
     Raises:
-        ConfigError: JAX has no device of the platform that the environment asks for.
+        ConfigError: JAX has no device of the platform in ``JAX_PLATFORMS``.
     """
     keep_memory()
     _check_platforms()
@@ -150,13 +151,12 @@ def start_up() -> None:
 
 @contextmanager
 def computing() -> Iterator[None]:
-    """Around each call of the method.
+    """Hold back signals during a call of the method, the first of which compiles.
 
-    XLA calls kernels back in this thread, where an exception would leave a batch half computed, so
-    signals wait. The first call compiles.
+    XLA calls kernels back in this thread, where an exception would leave a batch half computed.
 
     Raises:
-        OutputError: What is compiled can't be written to its cache.
+        OutputError: Compiled programs can't be written to their cache.
     """
     try:
         with stops_held_back():
@@ -169,7 +169,7 @@ def computing() -> Iterator[None]:
 
 
 def _check_platforms() -> None:
-    """The stages need the CPU beside any other platform, and all that are asked for."""
+    """Add the CPU to the platforms of JAX, which the stages need, and check the others."""
     asked = os.environ.get("JAX_PLATFORMS", "")
     if asked in ("", "cpu"):
         return
@@ -187,19 +187,19 @@ def _check_platforms() -> None:
 
 
 def may_use_gpus() -> bool:
-    """Whether JAX has a plugin for GPUs and is not kept from them; loads nothing."""
+    """Whether JAX has a plugin for GPUs and may use it; loads nothing."""
     kept = os.environ.get("JAX_PLATFORMS") == "cpu"
     return not kept and importlib.util.find_spec("jax_plugins") is not None
 
 
 @cache
 def start_cuda() -> bool:
-    """Begins to load the driver's part of CUDA in a thread, while this one imports what uses it.
+    """Begin to load the CUDA driver in a thread, while this thread imports modules that use it.
 
-    It takes a quarter of a second, without Python's lock. What goes wrong is said by who uses it.
+    This takes a quarter of a second, without Python's lock. Errors are reported by later users.
 
     Returns:
-        Whether there is a device that JAX may use.
+        Whether there is a GPU that JAX may use.
     """
     there = may_use_gpus() and next(Path("/dev").glob("nvidia[0-9]*"), None) is not None
     if there:
@@ -208,7 +208,7 @@ def start_cuda() -> bool:
 
 
 def _make_contexts() -> None:
-    """Makes the primary context of each device, which libraries share."""
+    """Make the primary context of each GPU, which libraries share."""
     with suppress(OSError, AttributeError):  # no driver
         cuda = ctypes.CDLL("libcuda.so.1")
         cuda.cuInit(0)
@@ -220,10 +220,10 @@ def _make_contexts() -> None:
 
 
 def start_reading() -> None:
-    """What a process does that reads for another that computes.
+    """Prepare a process that reads images for another one that computes.
 
-    Where images are decoded by kernels Warp is loaded, for the CPU alone: a CUDA context in each
-    process would take memory of the GPU.
+    Warp, which decodes some images, may only use the CPU here: a CUDA context in each process would
+    take memory of the GPU.
     """
     keep_memory()
     os.environ["CUDA_VISIBLE_DEVICES"] = ""
@@ -231,16 +231,16 @@ def start_reading() -> None:
 
 
 def use_warp_cache() -> None:
-    """Make Warp keep what it compiles where runs do; to be called before Warp starts."""
+    """Make Warp use the cache of runs; call it before Warp starts."""
     folder = cache_folders().warp
     if is_writable(folder):
         os.environ["WARP_CACHE_PATH"] = str(folder)
 
 
 def keep_memory() -> None:
-    """Makes glibc keep the memory of freed arrays of up to 32 MiB for the next ones.
+    """Make glibc keep the memory of freed arrays of up to 32 MiB for the next ones.
 
-    Else each gets fresh pages of the system, which cost more than what is done with them.
+    Otherwise each array gets new pages of the system, which take longer than the work on them.
     """
     with suppress(AttributeError, OSError, TypeError):  # another C library, another system
         libc = ctypes.CDLL(None)
@@ -257,7 +257,7 @@ def _user_cache() -> Path | None:
 
 @cache
 def _processor() -> str:
-    """A name for what machine code made here runs on."""
+    """Return a name of the kind of processor that machine code made here runs on."""
     features = platform.processor()
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
@@ -268,7 +268,7 @@ def _processor() -> str:
 
 
 def is_writable(folder: Path | None) -> bool:
-    """Whether a folder is there, made if need be, and can be written to."""
+    """Make a folder if it is missing; return whether it can be written to."""
     if folder is None:
         return False
     try:

@@ -1,4 +1,4 @@
-"""What is still to be done by workers, and which of it a worker takes next."""
+"""Queues of tasks for workers."""
 
 from collections import deque
 from collections.abc import Iterable, Sequence
@@ -8,10 +8,10 @@ from jaxdet.engine.plan import Unit
 
 
 class TaskQueue:
-    """Tasks in order, for whichever worker is free.
+    """Tasks that free workers take in order.
 
     Args:
-        tasks: In order.
+        tasks: The tasks.
     """
 
     def __init__(self, tasks: Iterable[Any]) -> None:
@@ -21,25 +21,24 @@ class TaskQueue:
         return len(self._left)
 
     def take(self, worker: int) -> Any:
-        """Return the next task of a worker, by its number; there is one."""
+        """Return the next task for the worker of this number; the queue may not be empty."""
         return self._left.popleft()
 
     def put_back(self, tasks: Iterable[Any]) -> None:
-        """Take in tasks that were taken and not done."""
+        """Add tasks at the front that were taken and not done."""
         self._left.extendleft(tasks)
 
 
 class UnitQueue:
-    """Shares out units so that a worker goes on where it is.
+    """Units of a log, of which each worker takes neighbours (work stealing).
 
-    Neighbouring units share chunks of a log, and what frames are is only known with the messages
-    around them: of packed chunks, a worker that takes a unit elsewhere decompresses some twice.
-    So each has a run of units; one that has none left takes the later half of the longest run
-    (work stealing). Large units go first, so that the small ones let all workers end together.
+    Neighbouring units share chunks of the log, which only one worker should decompress. So each
+    worker has a run of units, and one without any takes the later half of the longest run. Large
+    units are taken first; small ones let all workers end together.
 
     Args:
-        units: In order.
-        workers: How many there are.
+        units: Units in order.
+        workers: Number of workers.
     """
 
     def __init__(self, units: Iterable[Unit], workers: int) -> None:
@@ -51,11 +50,11 @@ class UnitQueue:
         return sum(len(run) for runs in self._runs for run in runs)
 
     def clear(self) -> None:
-        """Forget what is left."""
+        """Remove all units."""
         self._runs = []
 
     def take(self, worker: int) -> Unit:
-        """Return the next unit of a worker, by its number; there is one."""
+        """Return the next unit for the worker of this number; the queue may not be empty."""
         runs = next(runs for runs in self._runs if any(runs))
         own, longest = runs[worker], max(runs, key=len)
         if not own:
@@ -64,7 +63,7 @@ class UnitQueue:
         return own.popleft()
 
     def put_back(self, tasks: Iterable[Unit]) -> None:
-        """Share out again what is left, with units that were taken and not done."""
+        """Add units that were taken and not done, and divide all units among the workers again."""
         left = sorted([*tasks, *(unit for runs in self._runs for run in runs for unit in run)])
         most = max((unit.stop - unit.start for unit in left), default=0)
         kinds: list[list[Unit]] = [[], []]

@@ -1,4 +1,4 @@
-"""A unit of work: a range of a log's frames in, its part of the results out."""
+"""Work on a unit: a range of a log's frames is read, computed and made into rows."""
 
 import time
 from collections import Counter, deque
@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 from jaxdet.engine.color import shown_color
 from jaxdet.engine.device import Device, Found
 from jaxdet.engine.plan import LogPlan, Unit
-from jaxdet.engine.unit_result import UnitResult
-from jaxdet.errors import FrameStatus
+from jaxdet.engine.unit_result import UnitResult, rows_path
 from jaxdet.floor.plane import join_planes
 from jaxdet.render import draw_frame, write_png
 from jaxdet.results.durable import writing
@@ -27,10 +26,11 @@ from jaxdet.results.rows import (
     used_slots,
 )
 from jaxdet.results.summary import Counts
-from jaxdet.results.writer import Tables
+from jaxdet.results.tables import Tables
 from jaxdet.types import Detections, GroundPlane
 
 if TYPE_CHECKING:
+    from jaxdet.engine.worker import Lost
     from jaxdet.io import Batch, Log
 
 Item = TypeVar("Item")
@@ -38,32 +38,40 @@ _END: Any = object()
 
 
 class UnitProcessor:
-    """An open log and its plan.
+    """Works on units of an open log.
 
     Args:
-        log: The log, which this owns from now on.
-        plan: What to do with it.
-        device: What computes.
+        log: The log.
+        plan: Plan of the log.
+        device: Device that computes.
+        batch_done: Called after each batch.
     """
 
-    def __init__(self, log: "Log", plan: LogPlan, device: Device) -> None:
+    def __init__(
+        self, log: "Log", plan: LogPlan, device: Device, batch_done: Callable[[], object]
+    ) -> None:
         self.log, self.plan, self.device = log, plan, device
-        self.batch_done: Callable[[], object] = lambda: None
-        """Called after each batch."""
+        self._batch_done = batch_done
         self._busy: Counter[str] = Counter()
 
-    def close(self) -> None:
-        """Close the log."""
-        self.log.close()
+    def process_unit(self, unit: Unit) -> UnitResult:
+        """Return the result of a unit.
+
+        Raises:
+            JaxdetError: The log can't be read any more, or its index is wrong.
+            OutputError: The disk is full or broken.
+        """
+        ((_, result),) = self.process_units([unit])
+        return result
 
     def process_units(
         self, units: Iterable[Unit], read_ahead: int = 0
     ) -> Generator[tuple[Unit, UnitResult], None, None]:
-        """Yield each unit with its part, in order.
+        """Yield units with their results, in order.
 
         Args:
-            units: Which.
-            read_ahead: Batches that are read ahead in a thread; changes no result.
+            units: The units.
+            read_ahead: Number of batches that a thread reads ahead; changes no result.
         """
         in_flight: deque[_InFlight] = deque()
         building: list[_ResultBuilder] = []
@@ -80,26 +88,25 @@ class UnitProcessor:
                 with suppress(Exception):
                     self.device.finish(one.started)
 
-    def mark_failed(self, unit: Unit, status: FrameStatus, reason: str) -> UnitResult:
-        """Return the part of a unit that can't be worked on: rows with a status, no results.
+    def mark_lost(self, unit: Unit, lost: "Lost") -> UnitResult:
+        """Return the result of a unit that can't be worked on: rows with a status, no obstacles.
 
         No image is read.
 
         Args:
-            unit: Which.
-            status: Status of its frames.
-            reason: Why, for people.
+            unit: The unit.
+            lost: Status of its frames, and the reason.
         """
         plan, building = self.plan, _ResultBuilder(self.plan)
         numbers = [number for number in plan.frames if unit.start <= number < unit.stop]
         for first in range(0, len(numbers), plan.batch_size):
             some = numbers[first : first + plan.batch_size]
-            batch = self.log.without_images(some, status, reason)
+            batch = self.log.without_images(some, lost.status, lost.reason)
             plane = plan.planes.of(batch.frames.stamp_ns)
             nothing = Found(no_inputs(len(some)), None)
             building.add(_InFlight(unit, some, batch, plane, None), nothing)
-        lost = f"{plan.where(unit)}: {status} ({reason})"
-        return building.complete()._replace(errors=[], lost=lost)
+        text = f"{plan.where(unit)}: {lost.status} ({lost.reason})"
+        return building.complete(unit)._replace(errors=[], lost=text)
 
     def _batches(self, units: Iterable[Unit]) -> Iterator[tuple[Unit, "Batch"]]:
         plan = self.plan
@@ -125,18 +132,18 @@ class UnitProcessor:
     def _finish(
         self, one: "_InFlight", building: list["_ResultBuilder"]
     ) -> Iterator[tuple[Unit, UnitResult]]:
-        """Wait for a batch; yield the part of its unit with the last one of it."""
+        """Wait for a batch; if it is the last of its unit, yield the unit's result."""
         if not building:
             building.append(_ResultBuilder(self.plan))
         found = self._timed(self.device.doing, self.device.finish, one.started)
         self._busy.update(found.busy_s)
         self._timed("write", building[0].add, one, found)
-        self.batch_done()
+        self._batch_done()
         if one.numbers[-1] + 1 == one.unit.stop:
-            part: UnitResult = self._timed("write", building.pop().complete)
+            result: UnitResult = self._timed("write", building.pop().complete, one.unit)
             busy, self._busy = self._busy, Counter()
-            part.counts.busy_s.update(busy)
-            yield one.unit, part
+            result.counts.busy_s.update(busy)
+            yield one.unit, result
 
     def _timed(self, what: str, function: Callable[..., Any], *args: Any) -> Any:
         start = time.perf_counter()
@@ -151,27 +158,27 @@ class _InFlight(NamedTuple):
 
     unit: Unit
     numbers: list[int]
-    """Of its frames."""
+    """Numbers of its frames."""
     batch: "Batch"
     plane: GroundPlane
-    """The floor given to each frame."""
+    """Prior of each frame's floor."""
     started: Any
-    """What the device knows it by."""
+    """Handle that :meth:`jaxdet.engine.device.Device.start` returned."""
 
 
 class _ResultBuilder:
-    """Collects the batches of a unit; its rows are made at once, as arrays of all frames."""
+    """Collects the batches of a unit and makes its rows together, as arrays of all frames."""
 
     def __init__(self, plan: LogPlan) -> None:
         self.plan = plan
         self.held: list[tuple[Batch, GroundPlane, RowInputs]] = []
-        """What rows need of each batch."""
+        """Inputs of the rows of each batch."""
         self.errors: list[str] = []
         self.pictures: list[str] = []
         self.seen: dict[str, list[Any]] = {name: [] for name in plan.observers}
 
     def add(self, one: _InFlight, found: Found) -> None:
-        """Add a batch and what was found in it."""
+        """Add a batch and its detections."""
         batch, count = one.batch, len(one.batch.status)
         plane = GroundPlane(*(part[:count] for part in one.plane))
         self.held.append((batch.without_images(), plane, used_slots(found.inputs, count)))
@@ -183,8 +190,12 @@ class _ResultBuilder:
             for name, observer in self.plan.observers.items():
                 self.seen[name].append(observer(batch, found.whole))
 
-    def complete(self) -> UnitResult:
-        """Return the result of the unit, when all batches are added."""
+    def complete(self, unit: Unit) -> UnitResult:
+        """Return the result of the unit after its last batch; its rows are in a temporary file.
+
+        Raises:
+            OutputError: The disk is full or broken.
+        """
         plan, counts, occupancy = self.plan, Counts(), OccupancyMap()
         batches, planes, inputs = zip(*self.held, strict=True)
         batch = batches[0].joined(batches)
@@ -196,8 +207,11 @@ class _ResultBuilder:
             occupancy.add_path(rows.T_world_camera)
             occupancy.add(rows.obstacles["corners_world"])
             occupancy.add_free(rows.free_world)
-        tables, notes = Tables.of(rows.frames, rows.obstacles), [batch.notes]
-        return UnitResult(counts, tables, occupancy, self.errors, self.pictures, self.seen, notes)
+        path = rows_path(plan.scratch, unit)
+        Tables.of(rows.frames, rows.obstacles).save(path)
+        return UnitResult(
+            counts, path, occupancy, self.errors, self.pictures, self.seen, batch.notes
+        )
 
     def _draw(self, one: _InFlight, found: Detections, plane: GroundPlane) -> Iterator[str]:
         plan, frames = self.plan, one.batch.frames._replace(plane=plane)
@@ -215,10 +229,10 @@ class _ResultBuilder:
 
 
 def _ahead(items: Iterator[Item], depth: int) -> Generator[Item, None, None]:
-    """Yields items in order, ``depth`` of them taken ahead in a thread.
+    """Yield items in order; a thread takes ``depth`` of them ahead.
 
-    An exception is raised after the items before it. When the generator is closed the thread has
-    ended, so that the source can be closed afterwards.
+    An exception is raised after the items before it. Closing the generator waits for the thread to
+    end, so that the source can be closed afterwards.
     """
     if not depth:
         yield from items

@@ -1,6 +1,9 @@
-"""A process that works on units, and this side of it."""
+"""Worker processes: the code that runs in them, and their handles in the process that starts them.
 
-import itertools
+A worker gets a job, which holds what several tasks share (an open log, for instance), then tasks
+one by one, and answers each. It ends with its parent, whatever ends that.
+"""
+
 import multiprocessing
 import os
 import pickle
@@ -10,41 +13,44 @@ import time
 import traceback
 from collections import deque
 from collections.abc import Callable
-from contextlib import suppress
-from functools import lru_cache
+from contextlib import AbstractContextManager, ExitStack, suppress
 from multiprocessing.connection import wait
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
-from jaxdet.engine.device import OwnDevice, SharedDevice, out_of_memory
-from jaxdet.engine.floors import Planes, decide_planes
-from jaxdet.engine.plan import LogPlan, Unit
+from jaxdet.config import Config
+from jaxdet.engine.device import Device, OwnDevice, SharedDevice, out_of_memory
 from jaxdet.engine.shared_slots import ServerPipe, Slots
 from jaxdet.engine.startup import start_reading, start_up
-from jaxdet.engine.unit import UnitProcessor
-from jaxdet.engine.unit_result import UnitResult, rows_path
 from jaxdet.errors import FrameStatus, JaxdetError, WorkerError
 from jaxdet.pipeline import BackendName
 from jaxdet.signals import ignore_stops
 
-if TYPE_CHECKING:
-    from jaxdet.io import Log
-
 _ALIVE, _ALIVE_S = "alive", 1.0
-"""What a worker says, and how often at most."""
-_NEW_CONTEXT = "context"
-"""Sent to a worker before a context."""
+"""Message that reports progress, and the shortest time between two of them [s]."""
+
+
+class Job(Protocol):
+    """Tasks of one kind and what they share; it is pickled and sent to each worker once."""
+
+    def open(self, process: "WorkerProcess") -> AbstractContextManager[Callable[[Any], Any]]:
+        """Return the function that does a task, in a context that lasts until the next job.
+
+        Args:
+            process: The worker that it is opened in.
+        """
+        ...
 
 
 class Failure(NamedTuple):
-    """Instead of what a function returns."""
+    """Answer to a task that raised an exception."""
 
     error: Exception
     trace: str
-    memory: bool
-    """There was not enough."""
+    """Traceback in the worker."""
+    out_of_memory: bool
 
     def as_raised(self, where: str) -> Exception:
-        """The error with where it happened."""
+        """Return the exception; an unforeseen one names the task, ``where``."""
         if type(self.error) is not WorkerError:
             return self.error
         error = WorkerError(f"{where}: {self.error}")
@@ -52,53 +58,55 @@ class Failure(NamedTuple):
         return error
 
 
-class Context(Protocol):
-    """What several calls in a worker need; it is sent to each worker once."""
+class Lost(NamedTuple):
+    """Answer to a task whose worker died, made no progress or ran out of memory."""
 
-    def open(self) -> Any:
-        """Return the first argument of the calls, in the worker."""
-        ...
+    status: FrameStatus
+    """Status of frames that are lost with it."""
+    reason: str
+
+    def as_raised(self, where: str) -> WorkerError:
+        """Return an error that names the task, ``where``."""
+        remedy = "if memory ran out, take fewer workers (--workers) or smaller batches"
+        return WorkerError(f"{where}: {self.reason}", remedy=remedy)
 
 
-_numbers = itertools.count(1)
+class _Task(NamedTuple):
+    """Message to a worker."""
+
+    task: Any
 
 
-class PackedContext:
-    """A context on its way to workers.
+class _Answer(NamedTuple):
+    """Message from a worker."""
 
-    Args:
-        context: It, as it is now.
-    """
-
-    def __init__(self, context: Context) -> None:
-        self.number, self.data = next(_numbers), pickle.dumps(context, 5)
+    value: Any
 
 
 class Worker:
-    """A process that is given functions, one after the other.
+    """Handle of a worker process, in the process that starts it.
 
     Args:
-        context: How processes are started.
-        backend: What it computes with.
-        server_pipe: Its way to the process that computes for it; None: it computes itself.
+        context: Context of :mod:`multiprocessing`, which decides how processes start.
+        backend: Backend that computes in the worker.
+        server_pipe: The worker's connection to the device server; None if it computes itself.
+
+    Attributes:
+        pending: Tasks without an answer, the oldest first.
+        ready: Whether the process has started up.
+        idle_s: Time without a sign of progress while tasks are pending [s].
     """
 
     def __init__(self, context: Any, backend: BackendName, server_pipe: ServerPipe | None) -> None:
         self.pipe, self._theirs = multiprocessing.Pipe()
         self._server_pipe = server_pipe
         given = backend, self._theirs, server_pipe
-        self.process = context.Process(target=_work, args=given, daemon=True)
-        self.given: deque[Any] = deque()
-        """What it has been given and has not answered, the oldest first."""
-        self.ready = False
-        """It has begun."""
-        self.idle_s = 0.0
-        """Time without a sign of progress, while it has something to do [s]."""
-        self._context = 0
-        """Number of the context that it has."""
+        self.process = context.Process(target=_run_worker, args=given, daemon=True)
+        self.pending: deque[Any] = deque()
+        self.ready, self.idle_s = False, 0.0
 
     def start(self) -> None:
-        """Starts the process; takes a while."""
+        """Start the process, which takes a while."""
         try:
             self.process.start()
         finally:
@@ -106,41 +114,36 @@ class Worker:
             if self._server_pipe:
                 self._server_pipe.pipe.close()  # so that the server sees when the worker ends
 
-    def give(
-        self, label: Any, function: Callable[..., Any], *args: Any, context: PackedContext | None
-    ) -> None:
-        """Give it a function to call.
+    def send_job(self, packed: bytes) -> None:
+        """Send a pickled :class:`Job`, to which all further tasks belong.
 
-        Args:
-            label: Returned with the answer.
-            function: Of the module level.
-            args: Its arguments, small ones where the worker has something to do.
-            context: Makes its first argument; None: it has none. A new one is sent only to a
-                worker that has nothing to do, which therefore reads it.
+        Sending waits until the worker has read it, so no task may be pending.
         """
-        new = context is not None and context.number != self._context
-        assert not (new and self.given)
-        self.given.append(label)
-        with suppress(OSError):  # it has died, which receive() says
-            if context is not None and new:
-                self._context = context.number
-                self.pipe.send_bytes(pickle.dumps(_NEW_CONTEXT, 5))
-                self.pipe.send_bytes(context.data)
-            self.pipe.send_bytes(pickle.dumps((function, args, context is not None), 5))
+        assert not self.pending
+        self._send(packed)
+
+    def send_task(self, task: Any) -> None:
+        """Send a small task of the last job."""
+        self.pending.append(task)
+        self._send(_Task(task))
+
+    def _send(self, message: Any) -> None:
+        with suppress(OSError):  # it has died, which receive() reports
+            self.pipe.send(message)
 
     def receive(self) -> list[tuple[Any, Any]]:
-        """What it has answered since, with the labels.
+        """Return tasks and their answers since the last call.
 
         Raises:
-            EOFError: It has died.
+            EOFError: The process has died.
         """
         answers = []
         try:
             while self.pipe.poll():
-                told = self.pipe.recv()
+                message = self.pipe.recv()
                 self.idle_s = 0.0
-                if isinstance(told, _Answer):
-                    answers.append((self.given.popleft(), told.value))
+                if isinstance(message, _Answer):
+                    answers.append((self.pending.popleft(), message.value))
                 else:
                     self.ready = True
         except (EOFError, OSError):
@@ -149,7 +152,7 @@ class Worker:
         return answers
 
     def end(self) -> None:
-        """Kill it."""
+        """Kill the process."""
         if self.process.pid is not None:
             self.process.kill()
             self.process.join()
@@ -158,13 +161,13 @@ class Worker:
 
     @property
     def by_signal(self) -> bool:
-        """Whether a signal ended it."""
-        return (self._code() or 0) < 0
+        """Whether a signal ended the process."""
+        return (self._exit_code() or 0) < 0
 
     @property
     def death(self) -> str:
-        """How it ended."""
-        code = self._code()
+        """How the process ended, for people."""
+        code = self._exit_code()
         if code is None:
             return "a worker process can't be started"
         if code >= 0:
@@ -174,132 +177,91 @@ class Worker:
             name = signal.Signals(-code).name
         return f"{name} ended a worker process"
 
-    def _code(self) -> int | None:
+    def _exit_code(self) -> int | None:
         if self.process.pid is None:
             return None
         self.process.join(5)
         return self.process.exitcode
 
 
-class _Answer(NamedTuple):
-    value: Any
-
-
-_server_pipe: ServerPipe | None = None
-"""In a worker: its way to the process that computes for it."""
-_progress: Callable[[], Any] = int
-"""In a worker: tells its parent that it is alive."""
-
-
-def report_alive() -> None:
-    """In a worker: tells its parent that there is progress."""
-    _progress()
-
-
-@lru_cache(maxsize=1)
-def shared_device(slots: Slots) -> SharedDevice:
-    """In a worker: the process that computes for it."""
-    assert _server_pipe is not None
-    return SharedDevice(slots, _server_pipe)
-
-
-class UnitContext(NamedTuple):
-    """What :func:`run_unit` needs in another process."""
-
-    log: "Log"
-    """Open log; the content of its files does not go with it."""
-    plan: LogPlan
-    slots: Slots | None
-    """With GPUs: where images go."""
-
-    def open(self) -> UnitProcessor:
-        """Return the work on the log."""
-        own = OwnDevice(self.plan.config, self.plan.backend, ahead=0)
-        device = shared_device(self.slots) if self.slots else own
-        work = UnitProcessor(self.log, self.plan, device)
-        work.batch_done = report_alive
-        return work
-
-
-def run_unit(work: UnitProcessor, batch_size: int, unit: Unit) -> UnitResult:
-    """In a worker: return the part of a unit, with its rows in a temporary file.
+class WorkerProcess:
+    """The worker process that a job is opened in, with its connections.
 
     Args:
-        work: See :class:`UnitContext`.
-        batch_size: Frames computed together, where not as many as planned.
-        unit: One of the plan's.
-
-    Raises:
-        JaxdetError: The log can't be read any more, or needs to be scanned as a whole.
-        OutputError: The disk is full or broken.
+        pipe: Connection to the parent.
+        server_pipe: Connection to the device server; None if this process computes itself.
     """
-    work.plan = work.plan._replace(batch_size=batch_size)
-    ((_, part),) = work.process_units([unit])
-    return part.saved(rows_path(work.plan.scratch, unit))
+
+    def __init__(self, pipe: Any, server_pipe: ServerPipe | None) -> None:
+        self._pipe, self._server_pipe = pipe, server_pipe
+        self._next_report = 0.0
+        self._shared: tuple[Slots, SharedDevice] | None = None
+
+    def report_progress(self) -> None:
+        """Tell the parent that the task makes progress; does nothing if called too often."""
+        now = time.monotonic()
+        if now >= self._next_report:
+            self._next_report = now + _ALIVE_S
+            self._pipe.send(_ALIVE)
+
+    def device(self, slots: Slots | None, config: Config, backend: BackendName) -> Device:
+        """Return the device that computes.
+
+        Args:
+            slots: Memory shared with the device server; None if this process computes itself.
+            config: The method's parameters.
+            backend: Backend of this process.
+        """
+        if slots is None:
+            return OwnDevice(config, backend, ahead=0)
+        if self._shared is None or self._shared[0] != slots:
+            assert self._server_pipe is not None
+            self._shared = slots, SharedDevice(slots, self._server_pipe)
+        return self._shared[1]
 
 
-def mark_unit_failed(
-    work: UnitProcessor, unit: Unit, status: FrameStatus, reason: str
-) -> UnitResult:
-    """In a worker: return a part of rows without results, see :meth:`UnitProcessor.mark_failed`."""
-    part = work.mark_failed(unit, status, reason)
-    return part.saved(rows_path(work.plan.scratch, unit))
+class _OpenJob:
+    """A job in a worker, opened by its first task, whose answer tells if that fails."""
+
+    def __init__(self, packed: bytes, process: WorkerProcess) -> None:
+        self._packed, self._process = packed, process
+        self._function: Callable[[Any], Any] | None = None
+        self._context = ExitStack()
+
+    def answer(self, task: Any) -> Any:
+        """Return what the job returns for a task, or a :class:`Failure`."""
+        try:
+            if self._function is None:
+                job: Job = pickle.loads(self._packed)
+                self._function = self._context.enter_context(job.open(self._process))
+                self._packed = b""  # an index of a log may be large
+            return self._function(task)
+        except Exception as error:
+            known = isinstance(error, JaxdetError)
+            shown = error if known else WorkerError(f"{type(error).__name__}: {error}")
+            return Failure(shown, traceback.format_exc(), out_of_memory(error))
+
+    def close(self) -> None:
+        """Leave the job's context."""
+        self._context.close()
 
 
-def decide_floors(*args: Any) -> Planes:
-    """In a worker: :func:`jaxdet.engine.floors.decide_planes`."""
-    return decide_planes(*args, alive=report_alive)
-
-
-def _work(backend: BackendName, pipe: Any, server_pipe: ServerPipe | None) -> None:
-    """What a worker does, until its parent ends it or has ended."""
-    global _server_pipe, _progress
+def _run_worker(backend: BackendName, pipe: Any, server_pipe: ServerPipe | None) -> None:
+    """Do tasks until the parent ends this process or has ended itself."""
     ignore_stops()
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    _begin(backend, reads_only=server_pipe is not None)
-    _server_pipe, _progress = server_pipe, _Alive(pipe)
-    context: Any = None
+    _prepare(backend, reads_only=server_pipe is not None)
+    process = WorkerProcess(pipe, server_pipe)
+    job = _OpenJob(b"", process)
     with suppress(EOFError, OSError):
-        pipe.send(_ALIVE)
+        process.report_progress()
         while True:
-            message = pickle.loads(pipe.recv_bytes())
-            if message == _NEW_CONTEXT:
-                if isinstance(context, UnitProcessor):
-                    context.close()
-                context = _Lazy(pipe.recv_bytes())
-                continue
-            function, args, with_context = message
-            if with_context and isinstance(context, _Lazy):
-                opened = _guarded(context.open, ())
-                if isinstance(opened, Failure):
-                    pipe.send(_Answer(opened))
-                    continue
-                context = opened
-            pipe.send(_Answer(_guarded(function, (context, *args) if with_context else args)))
-
-
-class _Lazy(NamedTuple):
-    """A context that is not open yet."""
-
-    data: bytes
-
-    def open(self) -> Any:
-        """Return what calls need of it."""
-        context: Context = pickle.loads(self.data)
-        return context.open()
-
-
-class _Alive:
-    """Tells the parent that this process makes progress, at most once a second."""
-
-    def __init__(self, pipe: Any) -> None:
-        self._pipe, self._next = pipe, 0.0
-
-    def __call__(self) -> None:
-        now = time.monotonic()
-        if now >= self._next:
-            self._next = now + _ALIVE_S
-            self._pipe.send(_ALIVE)
+            message = pipe.recv()
+            if isinstance(message, _Task):
+                pipe.send(_Answer(job.answer(message.task)))
+            else:
+                job.close()
+                job = _OpenJob(message, process)
 
 
 def _end_with_parent() -> None:
@@ -308,7 +270,8 @@ def _end_with_parent() -> None:
         os._exit(1)
 
 
-def _begin(backend: BackendName, *, reads_only: bool) -> None:
+def _prepare(backend: BackendName, *, reads_only: bool) -> None:
+    """Limit libraries to one thread, and load what computes or reads."""
     os.environ["PJRT_NPROC"] = "1"  # threads of XLA
     import cv2
 
@@ -317,13 +280,3 @@ def _begin(backend: BackendName, *, reads_only: bool) -> None:
         start_reading()
     elif backend == "jax":
         start_up()
-
-
-def _guarded(function: Callable[..., Any], args: tuple) -> Any:
-    """What a function returns or raises, as something that can be sent."""
-    try:
-        return function(*args)
-    except Exception as error:
-        known = isinstance(error, JaxdetError)
-        told = error if known else WorkerError(f"{type(error).__name__}: {error}")
-        return Failure(told, traceback.format_exc(), out_of_memory(error))

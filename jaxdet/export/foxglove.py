@@ -58,7 +58,8 @@ from jaxdet.io import LogFiles
 from jaxdet.io.writer import Transform
 from jaxdet.render.canvas import color_of
 from jaxdet.results.map_file import FREE, OCCUPIED, Grid
-from jaxdet.results.reading import Frame, ResultLog, Results
+from jaxdet.results.reading import ResultLog, Results
+from jaxdet.results.tables import Frame
 from jaxdet.results.tracked import Mover
 
 SCENE, BOXES, MAP, TF = "obstacles", "boxes", "map", "tf"

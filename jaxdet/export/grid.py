@@ -15,7 +15,8 @@ from jaxdet.export.shapes import FREE_COLUMNS, T_world_upright, contour, free_fl
 from jaxdet.results.map_file import FREE, OCCUPIED, UNKNOWN, Grid, KnownPlaces
 from jaxdet.results.metric import to_world
 from jaxdet.results.raster import Layer, Raster, rasterize
-from jaxdet.results.reading import Frame, ResultLog, Results
+from jaxdet.results.reading import ResultLog, Results
+from jaxdet.results.tables import Frame
 from jaxdet.tracks.folder import tracking
 from jaxdet.tracks.looks import OBSTACLE_COLUMNS, POSE_COLUMNS
 from jaxdet.tracks.places import IN_MAP, is_lasting, shares_in_map

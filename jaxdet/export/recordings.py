@@ -13,8 +13,9 @@ from jaxdet.errors import CalibrationError, FrameStatus, InputError, RescanError
 from jaxdet.io import Batch, Log, LogFiles, LogOptions, find_logs, open_log
 from jaxdet.pipeline import detect
 from jaxdet.results.manifest import fingerprint
-from jaxdet.results.reading import MOST_NAMED, Chunk, ResultLog, Results
+from jaxdet.results.reading import MOST_NAMED, ResultLog, Results
 from jaxdet.results.rows import to_host
+from jaxdet.results.tables import Tables
 from jaxdet.types import Detections
 
 BATCH = 16
@@ -29,7 +30,7 @@ class Seen(NamedTuple):
     as padding."""
     found: Detections
     """Detections of these frames, NumPy arrays."""
-    chunk: Chunk
+    chunk: Tables
     """Rows of the results of these frames."""
 
 
@@ -114,7 +115,7 @@ def images(
     wanted: np.ndarray | None = None,
     *,
     color: bool = False,
-) -> Iterator[tuple[Batch, Chunk]]:
+) -> Iterator[tuple[Batch, Tables]]:
     """Yield the frames of a log with their rows, :data:`BATCH` at a time, see :class:`Seen`.
 
     Args:
@@ -193,7 +194,7 @@ def some(
     log: ResultLog,
     wanted: np.ndarray,
     obstacles: Sequence[str] | None = None,
-) -> Iterator[Chunk]:
+) -> Iterator[Tables]:
     """Yield the rows of some frames, with these obstacle columns, up to :data:`BATCH` at a time."""
     for chunk in results.chunks(log, None, obstacles):
         rows = np.flatnonzero(np.isin(chunk.frames["frame"].to_numpy(), wanted))

@@ -48,7 +48,8 @@ from jaxdet.render.canvas import FREE, PALETTE
 from jaxdet.results.masks import obstacle_points
 from jaxdet.results.metric import TILT, world_angle
 from jaxdet.results.occupancy import MapImage
-from jaxdet.results.reading import Chunk, Frame, ResultLog, Results
+from jaxdet.results.reading import ResultLog, Results
+from jaxdet.results.tables import Frame, Tables
 from jaxdet.types import Detections, Extrinsics
 
 FLOOR, CAMERA = "world/floor", "world/floor/camera"
@@ -261,7 +262,7 @@ def _encoded(kind: str, image: np.ndarray, *how: int) -> bytes:
     return cv2.imencode(kind, image, how)[1].tobytes()
 
 
-def _series(stream: rr.RecordingStream, chunk: Chunk) -> None:
+def _series(stream: rr.RecordingStream, chunk: Tables) -> None:
     """Write the distances and counts of some frames."""
     numbers, stamps = (chunk.frames[name].to_numpy() for name in ("frame", "stamp_ns"))
     count = chunk.frames["num_obstacles"].to_numpy()

@@ -29,7 +29,8 @@ from jaxdet.io.writer import Ros2LogWriter
 from jaxdet.io.writer_cdr import header, pose_of, xyz
 from jaxdet.results.map_file import Grid
 from jaxdet.results.masks import obstacle_points
-from jaxdet.results.reading import Frame, ResultLog, Results
+from jaxdet.results.reading import ResultLog, Results
+from jaxdet.results.tables import Frame
 
 DETECTIONS, POINTS, MAP, SCAN, LOCAL = "detections", "points", "map", "scan", "local_map"
 """Topics, see :func:`jaxdet.export.shapes.topic`."""

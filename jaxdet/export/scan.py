@@ -12,7 +12,7 @@ from jaxdet.export.shapes import FREE_COLUMNS, LEVEL, Row, corners, free_floor
 from jaxdet.results.free_floor import RAY_RAD
 from jaxdet.results.map_file import FREE, OCCUPIED, UNKNOWN, Grid
 from jaxdet.results.occupancy import CELL_M, SHIFT
-from jaxdet.results.reading import Frame
+from jaxdet.results.tables import Frame
 from jaxdet.types import RAYS, FreeEnd
 
 SCAN_COLUMNS = (*FREE_COLUMNS, "free_end")

@@ -21,7 +21,8 @@ from jaxdet.export.shapes import (
 )
 from jaxdet.io.writer import Transform
 from jaxdet.results.map_file import Grid
-from jaxdet.results.reading import Frame, ResultLog, Results
+from jaxdet.results.reading import ResultLog, Results
+from jaxdet.results.tables import Frame
 
 
 class SidecarFrame(NamedTuple):

@@ -1,4 +1,4 @@
-"""What ``jaxdet run`` does with addresses of buckets, ``--on`` and ``--share``."""
+"""Runs of ``jaxdet run`` with addresses of buckets, ``--on`` or ``--share``."""
 
 import sys
 import time
@@ -25,15 +25,15 @@ def run_fleet(
     join: bool = True,
     progress: ProgressCallback | None = None,
 ) -> list[dict[str, Any]]:
-    """Run logs at places into a place; what is done there already is skipped.
+    """Run logs at addresses and publish their results at an address; logs done there are skipped.
 
     Args:
         inputs: Addresses, folders or files.
         output: Address of the results.
-        how: As of :func:`jaxdet.fleet.run_log`.
-        on: ``ray``: on a Ray cluster; by default on this machine.
-        share: ``K/N``: only the logs of the K-th of N shares.
-        join: As of :func:`jaxdet.find_logs`.
+        how: See :func:`jaxdet.fleet.run_log`.
+        on: ``ray`` for a Ray cluster; by default this machine.
+        share: ``K/N`` for only the logs of the K-th of N shares.
+        join: See :func:`jaxdet.find_logs`.
         progress: Called after each log.
 
     Returns:

@@ -1,9 +1,9 @@
 """Places for logs and results: a folder, or a prefix of a bucket in S3, Google Cloud or Azure.
 
 A :class:`Folder` and a :class:`Bucket` have the same methods. Two of them decide races: ``create``
-writes a file only if there is none, ``swap`` only if it is still the one that was read. Keys of a
-bucket come from the environment, by the names that the services' own programs use; an address that
-holds some is refused, so that none can get into a file, a log line or an error.
+writes a file only if there is none, ``swap`` only if it is still the one that was read. Credentials
+come from the environment, by the names that the services' own programs use. An address with
+credentials is refused, so that none get into a file, a log line or an error.
 """
 
 import fcntl
@@ -29,10 +29,10 @@ CONNECTIONS = 16
 _PIECE_BYTES = 4 << 20
 """Bytes of a response held in memory."""
 _MULTIPART_BYTES = 1 << 30
-"""Files above it are uploaded in parts, which stay invisible until the last one is there."""
+"""Larger files are uploaded in parts, which stay invisible until the last one is there [bytes]."""
 _URL = re.compile(r"(s3|gs|az):/+(.*)", re.DOTALL | re.IGNORECASE)
 _SECRET = re.compile(r"(?<=:/)(/*)(?:[^/\s@]*@|[^/\s]*:\S*@)|[?#][^\s\"')]*")
-"""User parts, whose secrets may hold slashes, and queries."""
+"""User parts of addresses, whose secrets may hold slashes, and queries."""
 _REMEDY = "check the address, the keys in the environment, and who may read and write there"
 
 Tag = Mapping[str, str]
@@ -48,7 +48,7 @@ class Entry(NamedTuple):
 
 
 def input_entry(about: Mapping[str, Any]) -> Entry:
-    """Return the entry of a file by what a manifest says of it in ``fetched`` or ``inputs``.
+    """Return the entry of a file in ``fetched`` or ``inputs`` of a manifest.
 
     Args:
         about: ``path``, ``size`` and the tag of a file of a bucket, or a
@@ -62,7 +62,7 @@ def input_entry(about: Mapping[str, Any]) -> Entry:
 
 
 def scrub(text: str) -> str:
-    """Remove what may be credentials from an address or an error: user parts and queries.
+    """Remove possible credentials from an address or an error: user parts and queries.
 
     >>> scrub("GET s3://key:secret@bucket/logs?sig=123 failed")
     'GET s3://bucket/logs failed'
@@ -109,7 +109,7 @@ def open_place(url: str) -> "Place":
 
 
 def probe(place: "Place") -> None:
-    """Check that a place honours conditions.
+    """Check that a place honours conditional writes.
 
     Raises:
         ConfigError: It ignores them, so two machines could both believe they were first.
@@ -143,7 +143,7 @@ class Bucket:
                 yield from (Entry(one["path"], one["size"], _tag_of(one)) for one in page)
 
     def get(self, key: str) -> tuple[bytes, Tag] | None:
-        """Return a small file and its tag; None: there is none."""
+        """Return a small file and its tag; None if it is missing."""
         import obstore
 
         with self._reached(key):
@@ -154,7 +154,7 @@ class Bucket:
                 return None
 
     def put(self, key: str, content: bytes | Path) -> None:
-        """Write a file, complete or not at all."""
+        """Write a file completely or not at all."""
         import obstore
 
         large = isinstance(content, Path) and content.stat().st_size > _MULTIPART_BYTES

@@ -1,20 +1,20 @@
-"""Publishing: complete results of a log or none, never mixed, however many attempts race or die.
+"""Publishing of complete results of a log, never mixed, however many attempts race or die.
 
 In a bucket::
 
     RESULTS/run.json                          configuration and versions, created once
-    RESULTS/LOG/current.json                  which version holds, swapped by If-Match
-    RESULTS/LOG/VERSION/manifest.json         which attempt holds: put last, if absent
+    RESULTS/LOG/current.json                  the current version, swapped by If-Match
+    RESULTS/LOG/VERSION/manifest.json         the attempt whose results hold: put last, if absent
     RESULTS/LOG/VERSION/ATTEMPT/...           a results folder as on one machine
     RESULTS/LOG/VERSION/tracks.json, tracks-ATTEMPT/...    the same for its tracks
     RESULTS/LOG/VERSION/attempts/ATTEMPT      begun and not ended
     RESULTS/LOG/VERSION/failed.json           why there are no results
 
 ``VERSION`` is a checksum of input, configuration, jaxdet's version and the last ``--overwrite``.
-Each attempt writes under its own name, so two can't mix even where their files differ, and one that
-finds the manifest or another ``current.json`` than at its begin removes its own files.
+Each attempt writes under its own name, so two never mix, even if their files differ. An attempt
+that finds a manifest, or another ``current.json`` than when it began, removes its own files.
 
-In a folder a log has the one layout of local runs, renamed into place; ``.fleet`` holds attempts.
+In a folder, a log has the layout of local runs, renamed into place; ``.fleet`` holds attempts.
 """
 
 import hashlib
@@ -34,9 +34,9 @@ from jaxdet.results.publish import finish, publish, remove
 
 TRACKS, CURRENT = "tracks.json", "current.json"
 MOST_KILLED = 3
-"""Processes that a log may kill."""
+"""Number of processes that a log may kill."""
 MOST_LOST = 9
-"""Attempts without an end that nobody saw die, as their machine was lost with them, in a day."""
+"""Number of attempts in a day that may be lost with their machines."""
 _DAY_S = 86400.0
 _NOTES = f"{FLEET}/"
 _UPLOADS = 8
@@ -46,24 +46,24 @@ class Target(NamedTuple):
     """One version of the results of a log."""
 
     name: str
-    """Of the log's results."""
+    """Name of the log's results."""
     version: str
     record: str
     """Checksum of configuration, versions and the last ``--overwrite``."""
 
     @property
     def base(self) -> str:
-        """Where its objects lie."""
+        """Prefix of its objects."""
         return f"{self.name}/{self.version}"
 
 
 class Standing(NamedTuple):
-    """What a place holds of a log."""
+    """Results of a log at a place."""
 
     state: str
-    """``new``; of this version ``whole`` or ``failed``; ``other``: results of another one."""
+    """``new`` without results, ``whole`` or ``failed`` in this version, or ``other`` version."""
     current: Mapping[str, Any] | None = None
-    """Content of ``current.json``, or the part of it that a folder has."""
+    """Content of ``current.json``, or the part of it that is known in a folder."""
     failure: Mapping[str, Any] = {}
     """Content of ``failed.json``."""
 
@@ -81,10 +81,10 @@ def version_of(record: str, files: Iterable[Entry]) -> str:
 
 
 class _Attempts:
-    """What results at any place have: attempts that are noted while they go on."""
+    """Notes of attempts while they are computed, at any place."""
 
     notes = ""
-    """Where."""
+    """Prefix of their keys."""
     place: Place
 
     def begin(self, target: Target, attempt: str, command: str) -> str:
@@ -95,11 +95,11 @@ class _Attempts:
         return key
 
     def end(self, key: str) -> None:
-        """Forget an attempt that ended, with results or without."""
+        """Remove the note of an attempt that ended, with results or without."""
         self.place.delete([key])
 
     def deaths(self, target: Target, command: str | None = None) -> tuple[int, int]:
-        """Count the processes that a log killed, and attempts that were lost with a machine.
+        """Return the numbers of processes that a log killed, and of attempts lost with machines.
 
         Args:
             target: Log and version.
@@ -126,7 +126,7 @@ class BucketResults(_Attempts):
         self.place = place
 
     def standing(self, target: Target) -> Standing:
-        """Return what there is of a log."""
+        """Return the results of a log."""
         current = self._json(f"{target.name}/{CURRENT}")
         same = bool(current and current["version"] == target.version)
         if current and same and current["state"] == "whole":
@@ -139,21 +139,21 @@ class BucketResults(_Attempts):
         return Standing("other" if current and not same else "new", current)
 
     def stage(self, attempt: str, spool: Path) -> Path:
-        """Return where an attempt makes its results folder."""
+        """Return the path at which an attempt makes its results folder."""
         return spool / "results"
 
     def publish(self, target: Target, attempt: str, staged: Path, seen: Standing) -> str:
-        """Make a complete folder that of a log.
+        """Publish a complete folder as the results of a log.
 
         Args:
             target: Log and version.
             attempt: Name of the attempt.
             staged: Folder with ``manifest.json``.
-            seen: What there was when the attempt began.
+            seen: Results of the log when the attempt began.
 
         Returns:
-            ``done``; ``there``: another attempt was first; ``replaced``: a run of another version
-            was.
+            ``done``; ``there`` if another attempt was first; ``replaced`` if a run of another
+            version was.
         """
         first = self._upload(target.base, attempt, staged, None, MANIFEST)
         if not self._point(target, seen.current):
@@ -166,7 +166,7 @@ class BucketResults(_Attempts):
         return "done" if first else "there"
 
     def publish_tracks(self, target: Target, attempt: str, staged: Path) -> None:
-        """Add the tracks of a log, with the ``manifest.json`` that lists them too."""
+        """Add the tracks of a log, with a ``manifest.json`` that lists them too."""
         known = (self._json(f"{target.base}/{MANIFEST}") or {"files": {}})["files"]
         names = [name for name in _files(staged) if name not in known or name == MANIFEST]
         self._upload(target.base, f"tracks-{attempt}", staged, names, TRACKS)
@@ -176,17 +176,17 @@ class BucketResults(_Attempts):
         return self._json(f"{target.base}/{TRACKS}") is not None
 
     def fail(self, target: Target, failure: Mapping[str, Any], seen: Standing) -> None:
-        """Note why a log has no results, unless it has some."""
+        """Publish why a log has no results, unless it has some."""
         self.place.put(f"{target.base}/{FAILED}", _bytes(failure))
         self._point(target, seen.current)
 
     def reopen(self, target: Target) -> None:
-        """Forget that a log failed, and its attempts."""
+        """Remove the failure of a log and the notes of its attempts."""
         noted = [entry.key for entry in self.place.list(f"{target.base}/attempts/")]
         self.place.delete([*noted, f"{target.base}/{FAILED}"])
 
     def files(self, name: str) -> dict[str, str]:
-        """Return the keys of a log's files by their names in its folder; empty: it has none."""
+        """Return the keys of a log's files by their names in its folder; empty without results."""
         current = self._json(f"{name}/{CURRENT}")
         if not current or current["state"] != "whole":
             return {}
@@ -200,7 +200,7 @@ class BucketResults(_Attempts):
     def _upload(
         self, base: str, attempt: str, staged: Path, names: list[str] | None, manifest: str
     ) -> bool:
-        """Put files and, last and if absent, their manifest; else remove them again."""
+        """Put files, then their manifest if there is none; otherwise remove the files again."""
         names = _files(staged) if names is None else names
         about = {
             name: {"size": (staged / name).stat().st_size, "sha256": sha256(staged / name)}
@@ -220,7 +220,7 @@ class BucketResults(_Attempts):
         return False
 
     def _point(self, target: Target, seen: Mapping[str, Any] | None) -> bool:
-        """Swap ``current.json`` to a version; False: it is of neither this one nor ``seen``."""
+        """Swap ``current.json`` to a version; False if it is neither of this one nor ``seen``."""
         key = f"{target.name}/{CURRENT}"
         while True:
             found = self.place.get(key)
@@ -246,7 +246,7 @@ class BucketResults(_Attempts):
 
 
 class FolderResults(_Attempts):
-    """The same in a folder that several processes or machines share."""
+    """Results of logs in a folder that several processes or machines share."""
 
     notes = _NOTES
 
@@ -320,7 +320,7 @@ def download(url: str, name: str, folder: Path) -> Path:
     """Copy the results of one log from a bucket into ``folder``, as a local run leaves them.
 
     Raises:
-        InputError: There are none, or they were replaced meanwhile.
+        InputError: There are no results, or they were replaced meanwhile.
     """
     results = open_results(url)
     assert isinstance(results, BucketResults)

@@ -16,7 +16,7 @@ _LEAST_WINDOW = 32
 _MOST_LOGS = 8
 """Logs of a task; the next is fetched while one is computed."""
 _PARTS = 16
-"""A task has no more than this part of a slot's fair share of all bytes."""
+"""A task has at most 1 / _PARTS of a slot's share of all bytes."""
 
 
 def run_on_ray(

@@ -1,4 +1,4 @@
-"""One log from a place to a place: fetch, run, publish; what every engine calls."""
+"""Run of a log from one address to another: fetch, run, publish; the function for all engines."""
 
 import json
 import secrets
@@ -35,7 +35,7 @@ ENGINE_KEYS = ("preset", "config", "log", *OF_RUNNER, *OF_RUN)
 
 
 def run_log(log: Log, place: str, how: Mapping[str, Any]) -> dict[str, Any]:
-    """Find the obstacles of one log, unless its results are there; safe to repeat and to race.
+    """Find the obstacles of one log, unless it has results; calls may be repeated and may race.
 
     Args:
         log: One of :func:`jaxdet.fleet.list_logs`.
@@ -58,9 +58,9 @@ def run_log(log: Log, place: str, how: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def run_logs(logs: Sequence[Log], place: str, how: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
-    """Run logs one after the other, as :func:`run_log`, the next one fetched meanwhile.
+    """Run logs one after the other by :func:`run_log`, while the next one is fetched.
 
-    At most two logs are on local disk, and never more than ``spool_size`` bytes of them.
+    At most two logs, of ``spool_size`` bytes together, are on local disk.
     """
     how = prepare(place, how) if "record" in how else _prepared(place, json.dumps(how))
     work = _Work(open_results(address(place)), how, Event())
@@ -69,7 +69,7 @@ def run_logs(logs: Sequence[Log], place: str, how: Mapping[str, Any]) -> Iterato
     with ThreadPoolExecutor(1) as ahead:
         try:
             for number, log in enumerate(logs):
-                # None was fetched ahead if there was no room.
+                # Without room for two logs, none was fetched ahead.
                 one = (following.result() if following else None) or work.fetched(log)
                 assert one
                 following = None
@@ -92,7 +92,7 @@ _OUTCOME |= {"fetch_s": 0.0, "run_s": 0.0, "publish_s": 0.0}
 
 
 class _Fetched(NamedTuple):
-    """A log on local disk, or an outcome without one."""
+    """Log on local disk, or the outcome of a log that is not needed there."""
 
     log: Log
     target: Target
@@ -115,7 +115,7 @@ class _Fetched(NamedTuple):
         return text.replace(str(self.path), f"{log['url']}/{first}") if log["url"] else text
 
     def about(self, how: Mapping[str, Any]) -> dict[str, Any]:
-        """Return what a manifest says besides: where a log was fetched from, and of the run."""
+        """Return more entries of the manifest: the address of the log, and of the run."""
         log, overwrites = self.log, how["overwrites"]
         about: dict[str, Any] = {"overwrites": overwrites} if overwrites else {}
         if log["url"]:
@@ -131,18 +131,18 @@ class _Fetched(NamedTuple):
 
 
 class _Work(NamedTuple):
-    """What the logs of a run share."""
+    """Work on logs with the same place and options."""
 
     results: Results
     how: Mapping[str, Any]
     stop: Event
 
     def fetched(self, log: Log, held: int = 0) -> _Fetched | None:
-        """Fetch a log, unless that is not needed.
+        """Fetch a log, unless it has an outcome already.
 
         Args:
             log: The log.
-            held: Bytes of another one on local disk; None is returned if there is no room besides.
+            held: Bytes of another log on local disk; None is returned if there is no room for both.
         """
         record, where = self.how["record"], self.how.get("spool")
         target = Target(log["name"], version_of(record, entries_of(log)), record)
@@ -167,7 +167,7 @@ class _Work(NamedTuple):
         return one._replace(spool=spool, path=path, held=size, seconds=time.monotonic() - begin)
 
     def _standing(self, one: _Fetched) -> dict[str, Any] | None:
-        """Return the outcome of a log that has one already."""
+        """Return the outcome of a log that needs no work; else None."""
         target, seen, how = one.target, one.seen, self.how
         if seen.state == "whole":
             return one.as_outcome("there", error=self._add_tracks(target))
@@ -215,11 +215,11 @@ class _Work(NamedTuple):
                 self.results.end(key)
 
     def _deaths(self, target: Target) -> tuple[int, int]:
-        """Count deaths; an engine that repeats tasks ends them all when its driver dies."""
+        """Count deaths, of one command if a driver ends all tasks with itself, as Ray's does."""
         return self.results.deaths(target, self.how["command"] if self.how.get("driven") else None)
 
     def _fail(self, one: _Fetched, error: str, staged: Path | None) -> None:
-        """Note why a log has no results, as the engine does in ``staged`` if it got so far."""
+        """Publish why a log has no results, with ``failed.json`` in ``staged`` if it is there."""
         killed, lost = self._deaths(one.target)
         noted = {"attempts": max(1, killed + lost), "command": self.how["command"]}
         path = staged / FAILED if staged else None
@@ -237,7 +237,7 @@ class _Work(NamedTuple):
         self.results.fail(one.target, {**content, **noted}, one.seen)
 
     def _add_tracks(self, target: Target) -> str | None:
-        """Add tracks to results in a bucket that lack them; return why there are none."""
+        """Add tracks to results in a bucket that lack them; return the error if that fails."""
         results = self.results
         if not (self.how.get("tracks") and isinstance(results, BucketResults)):
             return None
@@ -258,7 +258,7 @@ class _Work(NamedTuple):
 
 
 def _link(folder: Path) -> str | None:
-    """Add tracks to results on local disk; return why there are none."""
+    """Add tracks to results on local disk; return the error if that fails."""
     from jaxdet.tracks import TrackConfig
     from jaxdet.tracks.folder import add_tracks
 
@@ -289,7 +289,7 @@ def _fetch(log: Log, folder: Path, stop: Event) -> Path:
 
 
 def _run_one(one: _Fetched, staged: Path, how: Mapping[str, Any]) -> dict[str, Any]:
-    """Run the engine on one log; what goes wrong with the log is in ``error``."""
+    """Run the engine on one log; errors of the log are in ``error``."""
     from jaxdet import engine
 
     chosen = {key: how[key] for key in ENGINE_KEYS if how.get(key) is not None}
@@ -347,5 +347,5 @@ def prepare(place: str, how: Mapping[str, Any]) -> dict[str, Any]:
 
 @cache
 def _prepared(place: str, how: str) -> dict[str, Any]:
-    """Prepare a run that is a process."""
+    """Prepare a run once in this process."""
     return prepare(place, json.loads(how))

@@ -1,8 +1,8 @@
-"""Local disk for logs that are fetched: bounded, and empty again whatever ended a process.
+"""Local disk for fetched logs: limited in size, and cleared however a process ends.
 
-A process has a folder per log, whose name holds machine, process and the process's start. What a
-killed process leaves is removed by the next one on that machine, which also testifies in the store
-that a log killed it: seen from elsewhere it could be a lost machine.
+A process has a folder per log, with the machine, the process and its start in its name. If it is
+killed, the next process on that machine removes the folder and notes in the store that the log
+killed a process; seen from other machines, the whole machine could have been lost.
 """
 
 import hashlib
@@ -36,13 +36,13 @@ def process() -> str:
 
 
 def is_dead(name: str) -> bool | None:
-    """Whether a process has ended; None: it ran on another machine."""
+    """Whether a process has ended; None if it ran on another machine."""
     on, pid, start = name.split("-")[:3]
     return None if on != machine() else _start(int(pid)) != start
 
 
 def _start(pid: int) -> str:
-    """Return the time of a process's start, where the system tells it; empty: it has ended."""
+    """Return the time of a process's start, if the system tells it; empty if it has ended."""
     try:
         text = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace")
         state, *fields = text.rpartition(")")[2].split()
@@ -55,10 +55,10 @@ def _start(pid: int) -> str:
 
 
 class Spool:
-    """A folder on local disk for one log.
+    """Folder on local disk for one log.
 
     Args:
-        base: Where; by default the folder for temporary files.
+        base: Parent folder; by default that of temporary files.
     """
 
     def __init__(self, base: str | None = None) -> None:
@@ -86,13 +86,13 @@ def check_room(base: str | None, size: int, bound: int | None, held: int) -> Non
     """Check that a log fits on the disk.
 
     Args:
-        base: As of :class:`Spool`.
+        base: See :class:`Spool`.
         size: Bytes of the log.
         bound: Most bytes of logs per process; by default three quarters of the disk's free space.
-        held: Bytes of logs that this process has there already.
+        held: Bytes of logs of this process that are there.
 
     Raises:
-        InputError: It doesn't.
+        InputError: It doesn't fit.
     """
     folder = base_folder(base)
     with writing(folder):
@@ -105,7 +105,7 @@ def check_room(base: str | None, size: int, bound: int | None, held: int) -> Non
 
 
 def sweep(base: str | None = None) -> int:
-    """Remove what killed processes of this machine left; return how many folders those were."""
+    """Remove folders of killed processes of this machine; return how many there were."""
     dead = [path for path in base_folder(base).glob("*-*-*-*") if is_dead(path.name)]
     for folder in dead:
         with suppress(OSError, ValueError, KeyError, JaxdetError):
@@ -116,7 +116,7 @@ def sweep(base: str | None = None) -> int:
 
 
 def testify(url: str, key: str) -> None:
-    """Mark an attempt as one whose process died while its machine went on."""
+    """Note that the process of an attempt died, but not its machine."""
     place = open_place(url)
     if found := place.get(key):
         record = {**json.loads(found[0]), "killed": True}

@@ -2,12 +2,16 @@
 
 import math
 import os
+import struct
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import cv2
+import deflate
 import numpy as np
+
+from jaxdet.io.png import MAGIC
 
 Color = tuple[int, int, int]
 
@@ -169,14 +173,40 @@ def write(
     cv2.putText(image, text, place, color, _font(), size, 700 if bold else 400)
 
 
-_PNG = (
-    *(cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE),
-    *(cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_PAETH),
-)
-"""PNG settings for camera images: smaller files than zlib level 6, six times as fast."""
+_DEFLATE_LEVEL = 1
+"""Fastest level of libdeflate: half the time of OpenCV, and files that are a seventh larger."""
+_UP = 2
+"""PNG filter type: each byte is stored as the difference from the byte above it."""
 
 
 def write_png(path: Path, image: np.ndarray) -> None:
-    """Write an RGB picture."""
-    encoded = cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), _PNG)[1]
-    Path(os.fspath(path)).write_bytes(encoded.tobytes())
+    """Write a picture ``(h, w, 3)`` uint8, RGB, as a PNG file."""
+    Path(os.fspath(path)).write_bytes(_png_bytes(np.ascontiguousarray(image)))
+
+
+def _png_bytes(image: np.ndarray) -> bytes:
+    """Return a PNG file of a contiguous RGB picture.
+
+    OpenCV takes more than twice as long: its zlib is slower than libdeflate.
+    """
+    height, width, channels = image.shape
+    rows = image.reshape(height, width * channels)
+    filtered = np.empty((height, 1 + width * channels), np.uint8)
+    filtered[:, 0] = _UP
+    filtered[0, 1:] = rows[0]
+    np.subtract(rows[1:], rows[:-1], out=filtered[1:, 1:])
+    # Eight bits per channel, RGB; the only methods of compression and filtering; not interlaced.
+    header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+    parts = {
+        b"IHDR": header,
+        b"IDAT": deflate.zlib_compress(filtered, _DEFLATE_LEVEL),
+        b"IEND": b"",
+    }
+    return MAGIC + b"".join(_png_chunk(kind, bytes(data)) for kind, data in parts.items())
+
+
+def _png_chunk(kind: bytes, data: bytes) -> bytes:
+    """Return a chunk of a PNG file: length, type, data and CRC."""
+    return (
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", deflate.crc32(kind + data))
+    )

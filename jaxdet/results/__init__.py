@@ -1,1 +1,1 @@
-"""The results contract: metric values, rows, tables, summary and map of a run."""
+"""Results of a run: metric values, rows, tables, summary and map."""

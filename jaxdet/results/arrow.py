@@ -23,7 +23,7 @@ _NUMPY = {
 
 
 def open_file(path: Path, mode: Literal["rb", "wb"]) -> pa.NativeFile:
-    """A file for Arrow, which itself opens no path that isn't UTF-8.
+    """Open a file for Arrow, whose own functions refuse paths that aren't UTF-8.
 
     Raises:
         OSError: It can't be opened.
@@ -32,7 +32,7 @@ def open_file(path: Path, mode: Literal["rb", "wb"]) -> pa.NativeFile:
 
 
 def map_file(path: Path) -> pa.NativeFile:
-    """A file mapped into memory for Arrow to read, likewise.
+    """Map a file into memory for Arrow, also if its path isn't UTF-8.
 
     Raises:
         OSError: It can't be opened.
@@ -41,12 +41,12 @@ def map_file(path: Path) -> pa.NativeFile:
 
 
 def to_array(values: Any, field: pa.Field) -> pa.Array:
-    """A column.
+    """Return a column as an Arrow array.
 
     Args:
         values: ``(R,)`` numbers, booleans or strings, ``(R, n)`` for lists of n, or
-            :class:`jaxdet.results.lists.Lists`. In a nullable field masked values and NaN, a list
-            with any of them too, are null.
+            :class:`jaxdet.results.lists.Lists`. In a nullable field, masked values, NaN and lists
+            with any of them are null.
         field: Its type and whether it is nullable.
     """
     if isinstance(values, Lists):

@@ -1,4 +1,4 @@
-"""Files that are complete or absent, whatever ends the process."""
+"""Files that are complete or absent, however the process ends."""
 
 import hashlib
 import os
@@ -16,11 +16,11 @@ MAKE_ROOM = "make room or give another --output"
 
 @contextmanager
 def writing(path: Path, remedy: str = MAKE_ROOM) -> Iterator[None]:
-    """What the system says against writing becomes an error that ends the run, not its log.
+    """Turn errors of the system into one that ends the run and not only its log.
 
     Args:
-        path: What is written to, where the system doesn't say it.
-        remedy: What the user can do.
+        path: The path in the error, if the system gives none.
+        remedy: Remedy in the error.
 
     Raises:
         OutputError: The disk is full, read-only or broken.
@@ -34,7 +34,8 @@ def writing(path: Path, remedy: str = MAKE_ROOM) -> Iterator[None]:
 
 def write_whole(path: Path, content: bytes) -> None:
     """Write a file next to its place, wait until it is on the disk, and rename it to its place."""
-    new = path.with_name(f"{path.name}.{secrets.token_hex(8)}")  # containers have equal numbers
+    # A random name, as processes in different containers may have the same number.
+    new = path.with_name(f"{path.name}.{secrets.token_hex(8)}")
     with writing(path):
         try:
             with new.open("wb") as file:
@@ -49,13 +50,13 @@ def write_whole(path: Path, content: bytes) -> None:
 
 
 def sha256(path: Path) -> str:
-    """Of a whole file, in hexadecimal digits."""
+    """Return the SHA-256 of a file, in hexadecimal digits."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def flush(*paths: Path) -> None:
-    """Waits until files, or what folders list, are on the disk."""
+    """Wait until files, and the lists of files of folders, are on the disk."""
     with ThreadPoolExecutor() as disk:
         deque(disk.map(_flush, paths), 0)
 

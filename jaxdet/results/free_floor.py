@@ -1,4 +1,4 @@
-"""The free floor of a batch in metres: columns of the result table, and its place in the world."""
+"""Free floor of a batch in metres, in columns of the result table and in the world."""
 
 from functools import lru_cache, reduce
 from typing import Any, NamedTuple
@@ -11,44 +11,44 @@ from jaxdet.results.metric import world_angle
 from jaxdet.types import RAYS, Array, FreeEnd
 
 RAY_RAD = 2 * np.pi / RAYS
-"""Between neighbouring rays [rad]."""
+"""Angle between neighbouring rays [rad]."""
 DROP_RAYS = 5
-"""So many neighbouring rays must show a drop, some three columns of cells."""
+"""Number of neighbouring rays that must show a drop; they cover about three columns of cells."""
 
 
 class Polygons(NamedTuple):
     """Areas of the floor, each a polygon in the world."""
 
     points: np.ndarray
-    """``(P, 2)`` float64, world X and Y of all corners, polygon after polygon [m]."""
+    """World X and Y of all corners, polygon after polygon, ``(P, 2)`` float64 [m]."""
     corners: np.ndarray
-    """``(Q,)`` integer, how many corners each polygon has."""
+    """Number of corners of each polygon, ``(Q,)`` integer."""
     frame: np.ndarray
-    """``(Q,)`` integer, the frame that each belongs to, ascending."""
+    """Frame of each polygon, ascending, ``(Q,)`` integer."""
 
 
 class FreeFloor(NamedTuple):
     """Free floor per frame and ray, each ``(B, N)``; 0 where nothing is seen."""
 
     seen: np.ndarray
-    """bool, the floor or an obstacle."""
+    """bool, whether the ray shows the floor or an obstacle."""
     way: np.ndarray
     """complex128, unit vector along the ray: right, and forward times 1j."""
     bearing_rad: np.ndarray
-    """float64, of the ray, clockwise from above, 0 ahead [rad]."""
+    """float64, bearing of the ray, clockwise from above, 0 ahead [rad]."""
     from_m: np.ndarray
-    """float64, distance from the camera's foot on the floor to where the free floor begins [m]."""
+    """float64, distance from below the camera to the beginning of the free floor [m]."""
     to_m: np.ndarray
-    """float64, and to where it ends [m]; the same where only an obstacle is seen."""
+    """float64, distance to its end [m]; the same if the ray shows only an obstacle."""
     end: np.ndarray
-    """int8, what ends it, see :class:`jaxdet.types.FreeEnd`."""
+    """int8, cause of the end, see :class:`jaxdet.types.FreeEnd`."""
 
     @property
     def drop_m(self) -> np.ndarray:
-        """``(B,)`` float64, distance of the nearest drop that ``DROP_RAYS`` rays show [m].
+        """Distance of the nearest drop that ``DROP_RAYS`` rays show, ``(B,)`` float64 [m].
 
-        The farthest of so many neighbouring rays that all end in a drop, and of these the
-        nearest; NaN where there are none.
+        The distance of a drop is that of the farthest of as many neighbouring rays that all end in
+        it. It is NaN without a drop.
         """
         to = np.where(self.end == FreeEnd.DROP, self.to_m, np.inf)
         last = to.shape[1] - DROP_RAYS + 1
@@ -97,7 +97,7 @@ class FreeFloor(NamedTuple):
 
 
 def _scaled(way: np.ndarray, length: np.ndarray) -> np.ndarray:
-    """Complex numbers ``(n,)`` times real ones; NumPy's product of both depends on the CPU."""
+    """Multiply complex numbers ``(n,)`` by real ones; NumPy's product depends on the CPU."""
     return (way.view(np.float64).reshape(-1, 2) * length[:, None]).view(np.complex128).ravel()
 
 
@@ -120,7 +120,7 @@ def free_floor(free: Array, free_end: Array, depth_unit: float) -> FreeFloor:
 
 @lru_cache(maxsize=1)
 def ray_bearings() -> tuple[np.ndarray, np.ndarray]:
-    """The bearings of the rays ``(RAYS,)`` float64 [rad], and unit vectors as in FreeFloor."""
+    """Return the bearings of the rays, ``(RAYS,)`` float64 [rad], and unit vectors along them."""
     bearing = (np.arange(RAYS) - RAYS // 2) * RAY_RAD
     way = np.empty(RAYS, np.complex128)
     way.real, way.imag = sin_cos(bearing)
@@ -130,7 +130,7 @@ def ray_bearings() -> tuple[np.ndarray, np.ndarray]:
 
 
 def free_columns(free: FreeFloor, good: np.ndarray) -> dict[str, Any]:
-    """Columns of ``frames.parquet``, null where ``good`` ``(n,)`` bool is False."""
+    """Return columns of ``frames.parquet``, null where ``good`` ``(n,)`` bool is False."""
     used = free.seen & good[:, None]
     at, length = np.flatnonzero(used), used.sum(axis=1, dtype=np.int32)
     kinds = {
@@ -147,6 +147,6 @@ def free_columns(free: FreeFloor, good: np.ndarray) -> dict[str, Any]:
 
 
 def no_free_columns(count: int) -> dict[str, Any]:
-    """The same columns where no free floor is looked for."""
+    """Return the same columns with nulls, if no free floor is estimated."""
     names = ("free_bearing_rad", "free_from_m", "free_to_m", "free_end")
     return {name: Lists.nulls(count) for name in names} | {"drop_m": np.full(count, np.nan)}

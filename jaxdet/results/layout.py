@@ -1,4 +1,4 @@
-"""Where results lie: a folder for each log, and what of them is complete.
+"""Layout of results: a folder for each log; what marks it as complete.
 
 ::
 
@@ -11,11 +11,11 @@
         manifest.json     size and SHA-256 of the others: without it the folder is no result
       drive_2/
         failed.json       why the log has no results, and how often it was tried
-      .jaxdet/            what a command that writes here needs while it runs
+      .jaxdet/            files of a command that writes here, while it runs
         lock
-        ready/drive_1/    complete, and in the place of RESULTS/drive_1 from now on
+        ready/drive_1/    complete; replaces RESULTS/drive_1
 
-A reader takes a log's folder from ``ready`` where it is there (:mod:`jaxdet.results.publish`).
+Readers prefer a log's folder in ``ready``, see :mod:`jaxdet.results.publish`.
 """
 
 import json
@@ -32,7 +32,7 @@ SUMMARY, CONFIG = "summary.json", "config.json"
 FRAMES, OBSTACLES = "frames.parquet", "obstacles.parquet"
 WORKING, READY = ".jaxdet", "ready"
 FLEET = ".fleet"
-"""Folder in results for what machines that share a run note, see jaxdet.fleet.publish."""
+"""Folder in results for notes of machines that share a run, see jaxdet.fleet.publish."""
 
 
 def log_folders(results: Path) -> dict[str, Path]:
@@ -63,10 +63,10 @@ def is_run(folder: Path) -> bool:
 
 
 def check_folder(folder: Path) -> None:
-    """Raise an error where there is no folder that could hold results.
+    """Check that there is a folder, which may hold results.
 
     Raises:
-        InputError: There is none, or a file.
+        InputError: It is missing, or a file.
     """
     if not folder.is_dir():
         problem = "a file, not a folder of results" if folder.exists() else "no such folder"
@@ -95,7 +95,7 @@ def read_json(path: Path) -> dict[str, Any]:
 
 
 def unread(path: Path, error: OSError) -> InputError:
-    """Return the error of a file that the system doesn't give, whatever is in it."""
+    """Return the error of a file that can't be read, whatever its content."""
     problem = f"can't be read ({os.strerror(error.errno or 0)})"
     return InputError(problem, path=str(path), remedy="check its permissions and its disk")
 
@@ -121,10 +121,10 @@ def entries_of(told: Mapping[str, Any], where: Path) -> list[dict[str, Any]]:
 
 
 def check_regular(folder: Path) -> None:
-    """Raise an error where a folder of results holds what can't be read like a file.
+    """Check that a folder of results holds files and folders only.
 
     Raises:
-        InputError: It is a pipe, a device or a socket, or leads to one.
+        InputError: It holds a pipe, a device or a socket, or a link to one.
     """
     for path in folder.rglob("*"):
         if path.exists() and not (path.is_file() or path.is_dir()):

@@ -1,4 +1,4 @@
-"""Lists of any length in a column of a result table, as Arrow holds them."""
+"""Lists of different lengths in a column of a result table, as Arrow stores them."""
 
 from typing import NamedTuple
 
@@ -6,23 +6,23 @@ import numpy as np
 
 
 class Lists(NamedTuple):
-    """R lists one after the other."""
+    """R lists, one after the other."""
 
     values: np.ndarray
-    """``(n,)``, of all lists."""
+    """Values of all lists, ``(n,)``."""
     offsets: np.ndarray
-    """``(R + 1,)`` int32, where each begins in ``values``, and where the last ends."""
+    """First index in ``values`` of each list, and the end of the last one, ``(R + 1,)`` int32."""
     null: np.ndarray
-    """``(R,)`` bool, there is none; such have no values."""
+    """Whether each list is null and has no values, ``(R,)`` bool."""
 
     @classmethod
     def of_lengths(cls, values: np.ndarray, length: np.ndarray, null: np.ndarray) -> "Lists":
-        """Lists of known lengths.
+        """Return lists of given lengths.
 
         Args:
-            values: ``(n,)``, of all lists.
-            length: ``(R,)`` integer, of each; their sum is n, and of nulls it is 0.
-            null: ``(R,)`` bool, there is none.
+            values: Values of all lists, ``(n,)``.
+            length: Length of each list, ``(R,)`` integer; their sum is n, and nulls have 0.
+            null: Whether each list is null, ``(R,)`` bool.
         """
         offsets = np.zeros(len(length) + 1, np.int32)
         np.cumsum(length, out=offsets[1:])
@@ -30,5 +30,5 @@ class Lists(NamedTuple):
 
     @classmethod
     def nulls(cls, count: int) -> "Lists":
-        """``count`` rows without a list."""
+        """Return ``count`` nulls."""
         return cls(np.zeros(0), np.zeros(count + 1, np.int32), np.ones(count, bool))

@@ -1,4 +1,4 @@
-"""One process at a time works in a folder of results."""
+"""Lock of a folder of results, in which one process at a time works."""
 
 import fcntl
 import json
@@ -13,20 +13,21 @@ from typing import Any
 from jaxdet.errors import ConfigError, InputError, printable
 
 _TRIES = 100
-"""To make the folder and the file; some file systems never let one."""
+"""Tries to make the folder and the file, which some file systems never allow."""
 _MOST_BYTES = 4096
-"""That a file says."""
+"""Longest content of the file."""
 
 
 class Lock:
-    """A file that this process has locked, and that says who it is.
+    """A file that this process has locked, with the process, machine and time in it.
 
-    The system unlocks it when the process ends, however it ends. What the file then still says is
-    the owner that ended without a word.
+    The system unlocks the file when the process ends. If the process was killed, the content stays.
 
     Args:
-        path: The file; its folder is made, and removed again by :meth:`release` where nothing else
-            is in it.
+        path: The file; its folder is made, and :meth:`release` removes it if nothing else is in it.
+
+    Attributes:
+        before: Owner that was killed, for people; None if there was none.
 
     Raises:
         ConfigError: Another run has it.
@@ -38,7 +39,6 @@ class Lock:
         self.path = path
         self._file = _locked(path)
         self.before = _owner(os.pread(self._file, _MOST_BYTES, 0))
-        """The owner that ended without a word; None: nobody did."""
         owner = path.parent.stat().st_uid
         if owner != os.geteuid():  # what is in the folder is trusted
             os.close(self._file)
@@ -58,15 +58,15 @@ class Lock:
             raise InputError(problem, path=str(path.parent.parent), remedy="make room") from error
 
     def release(self) -> None:
-        """Let others in."""
+        """Unlock and remove the file."""
         with suppress(OSError):
             self.path.unlink(missing_ok=True)
-            self.path.parent.rmdir()  # where nothing else is in it
+            self.path.parent.rmdir()  # fails if anything else is in it
         os.close(self._file)
 
 
 def _locked(path: Path) -> int:
-    """The descriptor of the file, when it is locked and still at its place."""
+    """Return the descriptor of the file, which is locked and still at its place."""
     if path.parent.is_symlink():  # what is in it is removed
         raise InputError("is a link", path=str(path.parent), remedy="remove it")
     tries = 0
@@ -85,7 +85,7 @@ def _locked(path: Path) -> int:
             if os.path.samestat(os.fstat(file), path.stat()):
                 return file
         except FileNotFoundError:
-            pass  # likewise
+            pass  # its last owner has just removed it
         except BlockingIOError:
             owner = _owner(os.pread(file, _MOST_BYTES, 0))
             os.close(file)
@@ -103,7 +103,7 @@ def _locked(path: Path) -> int:
 
 
 def _owner(text: bytes) -> str | None:
-    """Who a lock's file speaks of, in words."""
+    """Return the owner in the content of a lock's file, for people."""
     try:
         found: dict[str, Any] = json.loads(text)
         since = datetime.fromtimestamp(found["since"], UTC).strftime("%Y-%m-%d %H:%M:%S UTC")

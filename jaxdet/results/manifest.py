@@ -1,4 +1,4 @@
-"""``manifest.json``: the files of a log's results and what they were made of, with checksums.
+"""``manifest.json``: files of a log's results, with checksums, and the inputs of the results.
 
 It is written last, so a folder without it holds no complete results.
 """
@@ -21,19 +21,19 @@ _ENDS_BYTES = 64 << 10
 
 
 def fingerprint(path: Path) -> dict[str, Any]:
-    """What tells an input file from another: path, size, time of the last change, a checksum.
+    """Return path, size, time of the last change and a checksum of an input file.
 
     The checksum is SHA-256 of the size, the first and the last 64 KiB, where MCAP has its header,
-    first messages, chunk index and statistics. It sees another recording, a file cut or gone on
-    with, and chunks that moved. Bytes changed in the middle it does not see: those the time of
-    the last change may tell, and the chunks' own checksums. Of a folder of images it is that of
-    its files' names and sizes.
+    first messages, chunk index and statistics. It differs for another recording, and after the file
+    was cut, continued or had chunks moved. It does not show bytes that changed in the middle; the
+    time of the last change and the chunks' own checksums may. The checksum of a folder of images is
+    that of its files' names and sizes.
 
     Args:
         path: The file or folder.
 
     Returns:
-        What JSON can hold; without size, time and checksum where the file can't be read.
+        Values for JSON, without size, time and checksum if the file can't be read.
     """
     found: dict[str, Any] = {"path": os.fsencode(path).decode("utf-8", "backslashreplace")}
     try:
@@ -56,7 +56,7 @@ def fingerprint(path: Path) -> dict[str, Any]:
 
 
 def _folder(path: Path) -> dict[str, Any]:
-    """Bytes, latest change and checksum of a folder's files and those of the folders in it."""
+    """Return size, latest change and checksum of the files in a folder and its subfolders."""
     hashed, size, latest = hashlib.sha256(), 0, 0
     for file in sorted([*path.glob("*"), *path.glob("*/*")]):
         if not file.is_file():
@@ -69,17 +69,17 @@ def _folder(path: Path) -> dict[str, Any]:
 
 
 def same_inputs(one: object, other: object) -> bool:
-    """Whether files are the same by size, time of the last change and checksum, wherever they lie.
+    """Whether files are the same by size, time of the last change and checksum, at any path.
 
     Args:
         one: Fingerprints of a log's files, see :func:`fingerprint`.
-        other: Those of the same log at another time.
+        other: Fingerprints of the same log at another time.
     """
     return _contents(one) == _contents(other) is not None
 
 
 def _contents(inputs: object) -> list[tuple[Any, ...]] | None:
-    """What tells files apart; None where one could not be read."""
+    """Return the parts of fingerprints that are compared; None if a file could not be read."""
     which = ("size", "mtime_ns", "fingerprint")
     try:
         return [tuple(file[name] for name in which) for file in inputs]  # pyright: ignore
@@ -88,13 +88,13 @@ def _contents(inputs: object) -> list[tuple[Any, ...]] | None:
 
 
 def write_manifest(folder: Path, about: Mapping[str, Any], leave_out: Collection[str] = ()) -> None:
-    """Write the manifest of the files that are in a folder.
+    """Write the manifest of the files in a folder.
 
     Args:
         folder: Folder of a log's results, not yet in its place.
-        about: What the results were made of: versions, ``log``, ``inputs`` and ``run``, the digest
-            of the configuration.
-        leave_out: Names of files that are no results.
+        about: More entries: versions, ``log``, ``inputs`` and ``run``, the digest of the
+            configuration.
+        leave_out: Names of files that are not results.
 
     Raises:
         OutputError: The disk is full or broken.
@@ -114,8 +114,8 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     """Read the manifest of a log's folder.
 
     Raises:
-        InputError: It is missing, or not as it was written, to the byte; or the folder holds what
-            is not a regular file.
+        InputError: It is missing or differs by a byte from what was written, or the folder holds
+            something that is not a regular file.
     """
     check_regular(folder)
     found = read_json(folder / MANIFEST)

@@ -1,4 +1,4 @@
-"""Pixels and points of obstacles."""
+"""Pixels and points of obstacles in a frame."""
 
 import numpy as np
 
@@ -7,11 +7,11 @@ from jaxdet.types import Calibration, CellLabels, Detections
 
 
 def label_image(found: CellLabels, row: int, calibration: Calibration, side: int) -> np.ndarray:
-    """Return the obstacle on each pixel of a frame.
+    """Return the obstacle at each pixel of a frame.
 
-    It is as fine as the depth cells, 3 to 4 pixels of a depth image: a cell covers its box in the
-    image of ``calibration.image``. Where several cells cover a pixel it is the nearest one's,
-    obstacle or not.
+    Its resolution is that of the depth cells, 3 to 4 pixels of a depth image: a cell covers a box
+    in the image of ``calibration.image``. A pixel in several boxes belongs to the nearest cell,
+    whether that is part of an obstacle or not.
 
     Args:
         found: NumPy arrays, with the cells of the frame.
@@ -25,15 +25,17 @@ def label_image(found: CellLabels, row: int, calibration: Calibration, side: int
     z, camera = found.cells.z[row : row + 1], calibration.image
     low, high, used = (part[0] for part in cell_boxes(z, calibration, side))
     label, low, high = (a[used] for a in (found.label[row], low, high))
-    # From far to near: of several values for a pixel the last one stays.
+    # From far to near, as the last of several values for a pixel stays.
     order = np.lexsort((label, z[0][used]))[::-1]
-    label, low, size = label[order], low[order], (high - low)[order] + 1
-    area = size.prod(axis=1)
-    cell = np.repeat(np.arange(len(label)), area)
-    place = np.arange(len(cell)) - np.repeat(np.cumsum(area) - area, area)
-    v, u = np.divmod(place, size[cell, 0])
+    label, low, (width, height) = label[order], low[order], (high - low)[order].T + 1
+    # Each row of a box is a run of pixels of the flattened image.
+    cell = np.repeat(np.arange(len(label)), height)
+    v = low[cell, 1] + np.arange(cell.size) - np.repeat(np.cumsum(height) - height, height)
+    length = width[cell]
+    start = v * camera.width + low[cell, 0] - (np.cumsum(length) - length)
+    pixel = np.arange(length.sum(), dtype=np.int32) + np.repeat(start.astype(np.int32), length)
     image = np.full((camera.height, camera.width), -1, np.int32)
-    image[low[cell, 1] + v, low[cell, 0] + u] = label[cell]
+    image.ravel()[pixel] = np.repeat(label[cell], length)
     return image
 
 

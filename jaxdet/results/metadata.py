@@ -1,7 +1,7 @@
-"""What a result table says of itself: format, version, configuration and inputs.
+"""Metadata of the result tables: format, version, configuration and inputs.
 
-It stands in the Parquet files' key-value metadata as text. Nothing of it depends on the time,
-the machine, the device, the batch or where files lie, since the tables' bytes must not.
+It is text in the Parquet files' key-value metadata. As the tables' bytes must not, it does not
+depend on the time, the machine, the device, the batch or the paths of files.
 """
 
 import hashlib
@@ -16,7 +16,7 @@ import pyarrow as pa
 import jaxdet
 
 FORMAT = 5
-"""Number of the tables' format; another one has other columns, or some of another meaning."""
+"""Number of the tables' format; it changes with the columns or their meaning."""
 
 FORMAT_KEY, VERSION_KEY = "jaxdet.format", "jaxdet.version"
 CONFIG_KEY, INPUTS_KEY = "jaxdet.config", "jaxdet.inputs"
@@ -27,14 +27,14 @@ _CHANGES_NO_ROW = ("preset", "backend", "batch_size")
 
 
 class Inputs:
-    """What the rows are of: for each camera of each log a digest of its stamps and calibration."""
+    """Digest of the stamps and the calibration of each camera of each log in a table."""
 
     def __init__(self) -> None:
         self._frames: dict[tuple[str, str], int] = {}
         self._digests: dict[tuple[str, str], Any] = {}
 
     def add(self, frames: pa.Table) -> None:
-        """Takes in rows of ``frames.parquet``, in order."""
+        """Add rows of ``frames.parquet``, in order."""
         # As lists: Arrow's groups and arrays for NumPy import pandas.
         columns = [frames[name].to_pylist() for name in (*_KEYS, "stamp_ns")]
         for name, same in groupby(zip(*columns, strict=True), key=lambda row: row[:2]):
@@ -44,10 +44,10 @@ class Inputs:
             digest.update(np.array(rows, "<i8").tobytes())
 
     def fingerprints(self, summary: Mapping[str, Any]) -> list[dict[str, Any]]:
-        """Each log and camera, its frames and the digest, which takes in the calibration.
+        """Return each log and camera with its number of frames and its digest.
 
         Args:
-            summary: What ``summary.json`` holds; of it only the calibrations are used.
+            summary: Content of ``summary.json``, of which only the calibrations are used.
         """
         known = {(log["log"], log["camera"]): log["calibration"] for log in summary.get("logs", ())}
         found = []
@@ -62,12 +62,12 @@ class Inputs:
 def table_metadata(
     config: Mapping[str, Any], summary: Mapping[str, Any], inputs: Inputs
 ) -> dict[str, str]:
-    """The key-value metadata of both tables.
+    """Return the key-value metadata of both tables.
 
     Args:
-        config: What ``config.json`` holds; of it only what can change a row is used.
-        summary: What ``summary.json`` holds; of it only the logs' calibrations are used.
-        inputs: What was read.
+        config: Content of ``config.json``, of which only values that can change a row are used.
+        summary: Content of ``summary.json``, of which only the logs' calibrations are used.
+        inputs: Inputs of the rows.
     """
     method = {key: value for key, value in config.items() if key not in _CHANGES_NO_ROW}
     if "log" in method:  # how a log is opened changes none of its frames
@@ -81,5 +81,5 @@ def table_metadata(
 
 
 def _canonical(value: Any) -> str:
-    """JSON of which there is one way to write it."""
+    """Return a value as JSON in its one canonical form."""
     return json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=False, default=str)

@@ -1,9 +1,8 @@
-"""From integers to metres, once, on the host, for all backends.
+"""Metric values of obstacles, computed from integers on the host, for all backends.
 
-The stages return integers in depth units; the metric values are computed from them here in
-NumPy float64, so that the numbers of the results do not depend on the backend, the batch or
-the device. This is also the one place where Eq. 8-9 and the ROS yaw meet, see
-:func:`world_angle`.
+The stages return integers in depth units. Metric values are computed from them here, in NumPy
+float64, so that results don't depend on the backend, the batch or the device. The yaw of ROS is
+related to Eq. 8-9 only here, see :func:`world_angle`.
 """
 
 import math
@@ -22,14 +21,14 @@ from jaxdet.io.motion import motion_matrix
 from jaxdet.types import Array, Detections, Obstacles, Scene
 
 MOST_TILT_DEG = 30.0
-"""Of floors in a world whose z is up: ramps are up to 20° steep."""
+"""Largest tilt of floors in a world whose z is up; ramps are up to 20° steep [degree]."""
 _LEAST_UP = float(cos(np.radians(MOST_TILT_DEG)))
 TILT = "camera_orientation_world", "camera_pitch_rad", "camera_roll_rad"
 """Columns of ``frames.parquet`` that :func:`tilted` takes."""
 
 
 class Extents(NamedTuple):
-    """Boxes and centroids in the camera's optical frame; empty slots are zero."""
+    """Boxes and centroids in the camera's optical frame; 0 in empty slots."""
 
     minimum: np.ndarray
     """``(..., 3)`` float32, x y z [m]."""
@@ -40,7 +39,7 @@ class Extents(NamedTuple):
 
 
 def extents(obstacles: Obstacles, depth_unit: float) -> Extents:
-    """The boxes and centroids of a batch of obstacles.
+    """Return the boxes and centroids of a batch of obstacles.
 
     Args:
         obstacles: Integer outlines, ``(B, M)`` slots or any others, ``(...)``.
@@ -50,7 +49,7 @@ def extents(obstacles: Obstacles, depth_unit: float) -> Extents:
         The same in metres, computed in float64 and rounded once.
 
     Raises:
-        InputError: The arrays are not those of obstacles, or the unit is no number.
+        InputError: The arrays are not those of obstacles, or the unit is not a number.
     """
     _check(obstacles, depth_unit, ("num_points", "xyz_min", "xyz_max", "xyz_sum"))
     points = np.maximum(np.asarray(obstacles.num_points), 1).astype(np.float64)
@@ -64,7 +63,7 @@ def extents(obstacles: Obstacles, depth_unit: float) -> Extents:
 
 
 def _check(obstacles: Obstacles, depth_unit: float, parts: Sequence[str]) -> None:
-    """Refuses what are no arrays of obstacles; the first part has their number of axes."""
+    """Check that arrays are those of obstacles; the first part has one value per slot."""
     of_type("obstacles", obstacles, Obstacles)
     if not 0 < number("depth_unit", depth_unit) < math.inf:
         problem, remedy = f"{depth_unit:g} m", "give the metres of a depth unit"
@@ -85,11 +84,11 @@ _PARTS = dict.fromkeys(("a", "b", "c", "direction"), (2,)) | {
     "xyz_sum": (3, 2),
     "span": (4,),
 }
-"""Axes of an obstacle's part behind those of the slots."""
+"""Shape of a part of one obstacle, if it is not a number."""
 
 
 def floors(scene: Scene, depth_unit: float) -> FloorFit:
-    """The floor of each frame in metres and radians, its own or the one given.
+    """Return the floor of each frame in metres and radians, its own or its prior.
 
     Args:
         scene: NumPy or JAX arrays.
@@ -99,14 +98,14 @@ def floors(scene: Scene, depth_unit: float) -> FloorFit:
 
 
 def distances(detections: Detections) -> np.ndarray:
-    """How far each obstacle is from the camera's foot on the floor.
+    """Return the distance on the floor from below the camera to each obstacle.
 
     Args:
         detections: NumPy or JAX arrays.
 
     Returns:
-        ``(B, M)`` float64 [depth units], to the nearest point of the contour, or without one to
-        the nearest of all points; 0 in empty slots.
+        Distance to the nearest point of the contour, or of all points if there is no contour,
+        ``(B, M)`` float64 [depth units]; 0 in empty slots.
     """
     scene = detections.scene
     if scene is None:
@@ -118,10 +117,10 @@ def distances(detections: Detections) -> np.ndarray:
 
 
 def point_distances(obstacles: Obstacles) -> np.ndarray:
-    """Distance of the nearest point of clusters of points, ``(...)`` float64 [depth units].
+    """Return the distance of the nearest point of clusters of points, ``(...)`` [depth units].
 
-    Of obstacles by other methods, which lack ``nearest``, the nearest of A, B and C, which are
-    often not the nearest points.
+    If obstacles of other methods lack ``nearest``, the nearest of A, B and C is used, which is
+    often not the nearest point.
     """
     if obstacles.nearest is not None:
         return np.sqrt(dot(obstacles.nearest, np.array([262144.0, 1.0])))
@@ -140,13 +139,13 @@ def distance_text(distance_m: float | None, depth_m: float) -> str:
 
 
 def rectangle_distances(corners: np.ndarray) -> np.ndarray:
-    """Distance from the camera's foot to the nearest point of rectangles.
+    """Return the distance from below the camera to the nearest point of rectangles.
 
     Args:
         corners: ``(..., 4, 2)``, in order around the rectangle, ground frame [m].
 
     Returns:
-        ``(...)`` float64 [m]; 0 where the camera stands on it.
+        ``(...)`` float64 [m]; 0 if the camera is above the rectangle.
 
     Example:
         >>> float(rectangle_distances(np.array([[-1, 2], [1, 2], [1, 3], [-1, 3]])))
@@ -169,17 +168,17 @@ def contour_lines(
     slot: np.ndarray,
     backward: np.ndarray | bool = False,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The contours of some obstacles without their padding, one after the other.
+    """Return the contours of some obstacles without padding, one after the other.
 
     Args:
-        contour: ``(B, M, C, 2)`` int32, of :class:`jaxdet.types.Scene`.
-        contour_points: ``(B, M)`` int32, of the same.
-        row: ``(R,)`` the obstacles' frames.
-        slot: ``(R,)`` and their slots.
-        backward: ``(R,)`` bool, which are given from their last point to the first.
+        contour: Contours of :class:`jaxdet.types.Scene`, ``(B, M, C, 2)`` int32.
+        contour_points: Numbers of their points, ``(B, M)`` int32.
+        row: Frames of the obstacles, ``(R,)``.
+        slot: Slots of the obstacles, ``(R,)``.
+        backward: Whether to reverse each contour, ``(R,)`` bool.
 
     Returns:
-        ``(P, 2)`` int32 points [depth units], and ``(R,)`` int32, how many each obstacle has.
+        Points ``(P, 2)`` int32 [depth units], and the number of each obstacle's, ``(R,)`` int32.
     """
     count = np.asarray(contour_points)[row, slot]
     contour = np.ascontiguousarray(contour, np.int32)
@@ -190,16 +189,16 @@ def contour_lines(
     if np.any(backward):
         order = np.repeat(2 * first + count - 1, count) - np.arange(at.size)
         at = np.where(np.repeat(backward, count), at[order], at)
-    pairs = contour.view(np.int64).ravel()  # a point is read at once
+    pairs = contour.view(np.int64).ravel()  # both coordinates of a point are copied together
     return pairs[at].view(np.int32).reshape(-1, 2), count
 
 
 def nearest(points: np.ndarray, count: np.ndarray) -> np.ndarray:
-    """How far the nearest point of each line is.
+    """Return the distance of the nearest point of each line.
 
     Args:
-        points: ``(P, 2)``, of all lines, one after the other.
-        count: ``(R,)`` integer, how many each line has.
+        points: Points of all lines, one after the other, ``(P, 2)``.
+        count: Number of points of each line, ``(R,)`` integer.
 
     Returns:
         ``(R,)`` float64, 0 for lines without points.
@@ -210,13 +209,13 @@ def nearest(points: np.ndarray, count: np.ndarray) -> np.ndarray:
 
 
 def _squared(points: np.ndarray) -> np.ndarray:
-    """The squared length of points ``(..., 2)``, float64."""
+    """Return the squared distances of points ``(..., 2)``, float64."""
     x, y = points[..., 0].astype(np.float64), points[..., 1].astype(np.float64)
     return x * x + y * y
 
 
 def rectangles(obstacles: Obstacles, depth_unit: float, config: FootprintConfig) -> np.ndarray:
-    """The outline of each obstacle on the floor (Section 3.5, Eq. 7).
+    """Return the outline of each obstacle on the floor (Section 3.5, Eq. 7).
 
     AB is one edge. Without a vertex it is extended backward, away from the camera, by the
     fixed ``extension_m``. With one, the opposite edge lies on the parallel to AB through C,
@@ -242,7 +241,7 @@ def rectangles(obstacles: Obstacles, depth_unit: float, config: FootprintConfig)
         corner beyond B, the corner beyond A.
 
     Raises:
-        InputError: The arrays are not those of obstacles, or the unit is no number.
+        InputError: The arrays are not those of obstacles, or the unit is not a number.
     """
     of_type("config", config, FootprintConfig)
     _check(obstacles, depth_unit, ("has_vertex", "a", "b", "c"))
@@ -271,7 +270,7 @@ def rectangles(obstacles: Obstacles, depth_unit: float, config: FootprintConfig)
 def _fitted_rectangles(
     obstacles: Obstacles, depth_unit: float, config: FootprintConfig
 ) -> np.ndarray:
-    """The rectangles of direction and span, margin added; ``(..., 4, 2)`` float64 [m]."""
+    """Return rectangles of direction and span with a margin, ``(..., 4, 2)`` float64 [m]."""
     edge = np.asarray(obstacles.direction).astype(np.float64)
     length = norm(edge)[..., None]
     scale = np.where(length > 0, length, 1.0)
@@ -290,7 +289,7 @@ def _fitted_rectangles(
 
 
 def _margin(obstacles: Obstacles, depth_unit: float, config: FootprintConfig) -> np.ndarray:
-    """What is added on all sides of rectangles [depth units]: float64, ``(...)`` or for all."""
+    """Return the margin of rectangles, ``(...)`` float64 or one for all [depth units]."""
     margin = np.asarray(config.margin_m)
     if config.margin_per_m2:
         z = np.asarray(obstacles.xyz_min, np.float64)[..., 2] * depth_unit
@@ -299,13 +298,13 @@ def _margin(obstacles: Obstacles, depth_unit: float, config: FootprintConfig) ->
 
 
 def _sides(ring: np.ndarray) -> np.ndarray:
-    """How far the middle of each side of rectangles is from the camera, squared."""
+    """Return the squared distances of the middles of the sides of rectangles."""
     middle = ring + np.roll(ring, -1, axis=-2)
     return dot(middle, middle)
 
 
 def _backward_normal(a: np.ndarray, along: np.ndarray) -> np.ndarray:
-    """The unit normals of edges of direction ``along`` that point away from the camera."""
+    """Return the unit normals of edges of direction ``along`` that point away from the camera."""
     normal = np.stack([-along[..., 1], along[..., 0]], axis=-1)
     sideways = np.where(a[..., 0] >= 0, 1.0, -1.0) * normal[..., 0]
     outward = np.where(normal[..., 1] != 0, normal[..., 1], sideways)
@@ -313,15 +312,15 @@ def _backward_normal(a: np.ndarray, along: np.ndarray) -> np.ndarray:
 
 
 def tilted(orientation: np.ndarray, pitch: np.ndarray, roll: np.ndarray) -> np.ndarray:
-    """Whether floors are tilted by more than ``MOST_TILT_DEG`` in the world: its z is not up.
+    """Whether floors are tilted by more than ``MOST_TILT_DEG`` in the world, so its z is not up.
 
     Args:
         orientation: ``(B, 4)`` float64, ``camera_orientation_world`` of ``frames.parquet``.
-        pitch: ``(B,)`` of the camera above the floor [rad].
-        roll: ``(B,)`` likewise.
+        pitch: Pitch of the camera above the floor, ``(B,)`` [rad].
+        roll: Roll of the camera, ``(B,)`` [rad].
 
     Returns:
-        ``(B,)`` bool; False where one of them is NaN, unknown.
+        ``(B,)`` bool; False if a value is NaN (unknown).
     """
     T = motion_matrix(np.zeros((len(orientation), 3)), orientation)
     up = -dot(T[:, 2, :3], down_vector(pitch, roll))
@@ -329,12 +328,12 @@ def tilted(orientation: np.ndarray, pitch: np.ndarray, roll: np.ndarray) -> np.n
 
 
 def world_angle(T_world_camera: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The angle θ of Eq. 8-9 as its sine and cosine.
+    """Return sine and cosine of the angle θ of Eq. 8-9.
 
     θ is the clockwise angle, seen from above, from the world's Y axis to the camera's forward
-    direction: the optical axis laid on the world's xy plane (for a camera that looks straight
-    down or up, the image's up direction). ROS measures yaw counter-clockwise from the X axis
-    (REP 103), so θ = π/2 - yaw of the forward direction.
+    direction, which is the optical axis projected on the world's xy plane (or the up direction of
+    the image, if the camera looks straight down or up). ROS measures yaw counter-clockwise from
+    the X axis (REP 103), so θ = π/2 - yaw of the forward direction.
 
     Args:
         T_world_camera: ``(..., 4, 4)`` float64, camera's optical frame to world; world z is up.
@@ -350,7 +349,7 @@ def world_angle(T_world_camera: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def to_world(corners: np.ndarray, T_world_camera: np.ndarray) -> np.ndarray:
-    """Ground-frame corners in the world (Eq. 8-9).
+    """Return corners from the ground frame in the world (Eq. 8-9).
 
     ``X = y sin θ + x cos θ + X0`` and ``Y = y cos θ - x sin θ + Y0`` with θ of
     :func:`world_angle` and the camera at ``(X0, Y0)``.
@@ -364,7 +363,7 @@ def to_world(corners: np.ndarray, T_world_camera: np.ndarray) -> np.ndarray:
         ``(B, M, P, 2)`` float64, world X and Y [m]; NaN where the pose is unknown.
 
     Raises:
-        InputError: They are no such arrays.
+        InputError: The arrays have other shapes or types.
     """
     poses = numeric("T_world_camera", T_world_camera)
     corners = numeric("corners", corners)

@@ -5,20 +5,20 @@ import re
 import zlib
 
 MOST_BYTES = 80
-"""Longest name of a log or a camera in the name of a file [bytes]; file systems take 255 in all."""
+"""Longest name of a log or a camera in the name of a file, which may have 255 in all [bytes]."""
 RESERVED = ("run.json", "failed.json")
-"""Names that no log's folder has, as files of a run have them."""
+"""Names of a run's files, which no log's folder may have."""
 _MARK = "~"
-"""Before the checksum in a folder's name; no other name has one."""
+"""Separator before the checksum in a folder's name; names without a checksum don't have it."""
 
 
 def log_name(path_under_root: str) -> str:
     """Return the name of the folder for the results of a log.
 
-    It is a function of the log's name alone: letters, digits, ``_``, ``.`` and ``-`` stay, ``/``
-    becomes ``--``. A name that can't be read back from that, is long, begins with a dot or has
-    capital letters ends in a checksum, so that different logs have different folders on any disk,
-    also where the case of letters does not count.
+    It depends on nothing but the log's name: letters, digits, ``_``, ``.`` and ``-`` stay, ``/``
+    becomes ``--``. It ends in a checksum if the log's name can't be read back from it, is long,
+    begins with a dot or has capital letters. So different logs have different folders on any disk,
+    even if its file system ignores the case of letters.
 
     Args:
         path_under_root: Path of the log under the folder that was named, without its suffix.
@@ -41,7 +41,7 @@ def log_name(path_under_root: str) -> str:
 def camera_name(camera: str) -> str:
     """Return the name of one of several cameras of a log in the names of its files.
 
-    Different cameras have different names: what can't be read back from the name has a checksum.
+    Different cameras have different names: one that can't be read back ends in a checksum.
     """
     name = _plain(camera.replace("/", "-"))
     if name.replace("-", "/") != camera:
@@ -50,11 +50,11 @@ def camera_name(camera: str) -> str:
 
 
 def export_name(log: str, camera: str = "") -> str:
-    """Return what the names of a log's files in an export begin with.
+    """Return the prefix of the names of a log's files in an export.
 
     Args:
         log: Name of the log.
-        camera: Camera, where the log has several.
+        camera: Camera, if the log has several.
     """
     return f"{log_name(log)}@{camera_name(camera)}" if camera else log_name(log)
 

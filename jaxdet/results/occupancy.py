@@ -1,4 +1,4 @@
-"""The map of a whole log: how often each cell was an obstacle's, and how often free."""
+"""Occupancy map of a log: how often each cell was occupied by an obstacle, and how often free."""
 
 from collections import defaultdict
 from pathlib import Path
@@ -18,7 +18,7 @@ MAX_CELLS = 1 << 26
 MAX_OUTLINE_CELLS = 1 << 22
 
 Tiles = defaultdict[tuple[int, int], np.ndarray]
-"""By row and column of the tile, its counts, ``(TILE, TILE)`` int32."""
+"""Counts ``(TILE, TILE)`` int32 by row and column of the tile."""
 
 SHIFT = 6
 """Fraction bits of places in cells, as OpenCV's drawing functions take them."""
@@ -26,26 +26,26 @@ UNITS = 1 << SHIFT
 
 
 class MapImage(NamedTuple):
-    """An occupancy map; row 0 is the lowest Y."""
+    """Occupancy map; row 0 is the lowest Y."""
 
     counts: np.ndarray
-    """``(rows, columns)`` int32, outlines that cover each cell."""
+    """Number of outlines that cover each cell, ``(rows, columns)`` int32."""
     free: np.ndarray
-    """``(rows, columns)`` int32, frames that saw it free; not known where both are 0."""
+    """Number of frames that saw each cell free, ``(rows, columns)`` int32; both 0: unknown."""
     origin: tuple[float, float]
     """World X and Y of the outer corner of cell (0, 0) [m]."""
     cell_m: float
     """Side of a cell [m]."""
     path: np.ndarray
-    """``(F, 2)`` float64, world X and Y of the camera, in frame order [m]."""
+    """World X and Y of the camera in the order of the frames, ``(F, 2)`` float64 [m]."""
 
 
 class OccupancyMap:
-    """Integer counts on tiles, so neither the order of the frames nor the path's length matters.
+    """Integer counts on tiles, which don't depend on the order of the frames.
 
-    A cell is occupied where an outline covers it, free where it was only seen free, else not known.
-    What has no place on the map (further than a 32-bit cell number, or absurdly large), outlines
-    and the free floor of frames, is counted in ``skipped``.
+    A cell is occupied if an outline covers it, free if it was only seen free, otherwise unknown.
+    Outlines and free floors that are too far away for 32-bit numbers of cells, or too large, are
+    counted in ``skipped``.
     """
 
     def __init__(self) -> None:
@@ -55,19 +55,19 @@ class OccupancyMap:
         self.skipped = 0
 
     def add_path(self, T_world_camera: np.ndarray | None) -> None:
-        """Appends the cameras' positions of poses ``(B, 4, 4)``; unknown ones are left out."""
+        """Append the positions of poses ``(B, 4, 4)``; unknown ones are left out."""
         if T_world_camera is not None:
             xy = T_world_camera[:, :2, 3]
             self.path.append(xy[np.isfinite(xy).all(axis=1)])
 
     def add(self, corners: np.ndarray) -> None:
-        """Counts outlines ``(R, 8)``, world X and Y [m]; NaN ones are left out."""
+        """Count outlines ``(R, 8)``, world X and Y [m]; those with NaN are left out."""
         known = corners[np.isfinite(corners).all(axis=1)].reshape(-1, 2)
         outlines, low, size, fits = placed(known, np.full(len(known) // 4, 4))
         self.skipped += int((~fits).sum())
         (used,) = np.nonzero(fits)
         outlines = outlines.reshape(-1, 4, 2)
-        # By tile, as what is counted together should lie together.
+        # Outlines are counted tile by tile, as those counted together should be near each other.
         column, row = low[used].T // TILE
         tiles, tile = np.unique((column << 32) + row, return_inverse=True)
         for number in range(len(tiles)):
@@ -75,10 +75,7 @@ class OccupancyMap:
             _add_outlines(self.tiles, outlines[part], low[part], size[part])
 
     def add_free(self, free: Polygons | None) -> None:
-        """Counts free floor.
-
-        A cell that several polygons of a frame cover is counted once for the frame.
-        """
+        """Count free floor; a cell counts once per frame, even if several polygons cover it."""
         if free is None:
             return
         first = np.flatnonzero(np.diff(free.frame, prepend=-1))
@@ -94,7 +91,7 @@ class OccupancyMap:
             _add_to_tiles(self.free_tiles, mask, *low[g].tolist())
 
     def merge(self, later: "OccupancyMap") -> None:
-        """Adds the counts of another map, whose path goes on from this one's."""
+        """Add the counts of another map, whose path continues this one's."""
         self.path += later.path
         self.skipped += later.skipped
         for mine, more in ((self.tiles, later.tiles), (self.free_tiles, later.free_tiles)):
@@ -103,12 +100,12 @@ class OccupancyMap:
 
     @property
     def cells(self) -> int:
-        """Of the rectangle of tiles around all that is on it."""
+        """Number of cells of the rectangle of tiles around all counts."""
         _, shape = self._place()
         return int(shape[0]) * int(shape[1])
 
     def _place(self) -> tuple[np.ndarray, np.ndarray]:
-        """The lowest tile, and rows and columns of cells."""
+        """Return the lowest tile, and the numbers of rows and columns of cells."""
         keys = np.array([*self.tiles, *self.free_tiles])
         if not len(keys):
             return np.zeros(2, int), np.zeros(2, int)
@@ -116,7 +113,7 @@ class OccupancyMap:
         return low, (keys.max(axis=0) - low + 1) * TILE
 
     def image(self) -> MapImage | None:
-        """The map as one array, or None when nothing is on it or it would be too large."""
+        """Return the map as one array; None if it is empty or would be too large."""
         path = np.concatenate(self.path) if self.path else np.zeros((0, 2))
         if not 0 < self.cells <= MAX_CELLS:
             return None
@@ -130,21 +127,21 @@ class Placed(NamedTuple):
     """Groups of points, each in the smallest box of cells around it."""
 
     points: np.ndarray
-    """``(P, 2)`` int32, from the middle of the box's first cell [``UNITS`` to a cell]."""
+    """Points from the middle of the box's first cell, ``(P, 2)`` int32 [``UNITS`` per cell]."""
     low: np.ndarray
-    """``(G, 2)`` int64, column and row of the first cell."""
+    """Column and row of the first cell, ``(G, 2)`` int64."""
     size: np.ndarray
-    """``(G, 2)`` int64, columns and rows."""
+    """Numbers of columns and rows, ``(G, 2)`` int64."""
     fits: np.ndarray
-    """``(G,)`` bool, it has a place on the map."""
+    """Whether the group has a place on the map, ``(G,)`` bool."""
 
 
 def placed(points: np.ndarray, count: np.ndarray) -> Placed:
-    """Points in cells, whose middles are whole numbers.
+    """Return points in units of cells, whose middles have integer coordinates.
 
     Args:
-        points: ``(P, 2)``, world X and Y of all groups, one after the other [m].
-        count: ``(G,)`` integer, how many each group has, at least one.
+        points: World X and Y of all groups, one after the other, ``(P, 2)`` [m].
+        count: Number of points of each group, at least one, ``(G,)`` integer.
     """
     cells, start = points.T.astype(np.float64, order="C"), np.cumsum(count) - count
     cells /= CELL_M
@@ -162,9 +159,9 @@ def placed(points: np.ndarray, count: np.ndarray) -> Placed:
 
 
 def _add_outlines(tiles: Tiles, outlines: np.ndarray, low: np.ndarray, size: np.ndarray) -> None:
-    """Counts convex outlines ``(R, 4, 2)`` that are near to each other; see :class:`Placed`.
+    """Count convex outlines ``(R, 4, 2)`` that are near each other; see :class:`Placed`.
 
-    All are drawn on one sheet, their boxes one below the other.
+    All are drawn into one image, with their boxes one below the other.
     """
     below = np.cumsum(size[:, 1])
     top = below - size[:, 1]
@@ -187,7 +184,7 @@ def _empty_tile() -> np.ndarray:
 
 
 def _add_to_tiles(tiles: Tiles, counts: np.ndarray, x: int, y: int) -> None:
-    """Adds ``(rows, columns)`` of which the first is cell ``(x, y)``."""
+    """Add counts ``(rows, columns)``, the first of which is cell ``(x, y)``."""
     rows, columns = counts.shape
     for row in range(y // TILE, (y + rows - 1) // TILE + 1):
         for column in range(x // TILE, (x + columns - 1) // TILE + 1):
@@ -199,7 +196,7 @@ def _add_to_tiles(tiles: Tiles, counts: np.ndarray, x: int, y: int) -> None:
 
 
 def _joined(tiles: Tiles, low: np.ndarray, shape: np.ndarray) -> np.ndarray:
-    """Tiles as one array, whose first tile is ``low``."""
+    """Return tiles as one array, whose first tile is ``low``."""
     counts = np.zeros((int(shape[0]), int(shape[1])), np.int32)
     for (row, column), tile in tiles.items():
         top, left = (row - int(low[0])) * TILE, (column - int(low[1])) * TILE
@@ -208,10 +205,10 @@ def _joined(tiles: Tiles, low: np.ndarray, shape: np.ndarray) -> np.ndarray:
 
 
 def save_map(path: Path, image: MapImage) -> None:
-    """Writes the map as npz.
+    """Write the map as npz.
 
-    ``counts`` and ``free`` (H, W) int32, ``origin`` (2,), ``cell_m`` and ``path`` (F, 2), see
-    :class:`MapImage`.
+    Its arrays are ``counts`` and ``free`` (H, W) int32, ``origin`` (2,), ``cell_m`` and ``path``
+    (F, 2), see :class:`MapImage`.
     """
     np.savez_compressed(
         path,
@@ -224,10 +221,10 @@ def save_map(path: Path, image: MapImage) -> None:
 
 
 def load_map(path: Path) -> MapImage:
-    """The map that :func:`save_map` wrote.
+    """Return the map that :func:`save_map` wrote.
 
     Raises:
-        InputError: It is missing, or no map.
+        InputError: The file is missing, or not a map.
     """
     try:
         with path.open("rb") as file, np.load(file) as parts:  # NumPy leaves a damaged one open
@@ -241,7 +238,7 @@ def load_map(path: Path) -> MapImage:
 
 
 def _check_map(image: MapImage) -> None:
-    """Raise ValueError where arrays of a map have other shapes, types or values than they may."""
+    """Raise ValueError if an array of a map has a wrong shape, type or value."""
     shape = image.counts.shape
     good = len(shape) == 2 and min(shape) > 0 and image.free.shape == shape
     good = good and image.counts.dtype.kind == image.free.dtype.kind == "i"

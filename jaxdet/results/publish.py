@@ -1,9 +1,9 @@
-"""How a log's folder gets to its place: the old one or the new one is there, complete.
+"""Replacement of a log's folder: at any time the old or the new one is in place, complete.
 
-A folder is made in the working folder and renamed when it is complete. Where there is one already
-the two are exchanged in one step, where the system can do that. Where it can't, the new folder is
-renamed into ``ready``, from which moment it is the log's: readers take it from there, and whichever
-command works here next moves it to its place (:func:`finish`).
+A folder is made in the working folder and renamed when it is complete. If there is one already, the
+two are exchanged in one step. On systems that can't do that, the new folder is renamed into
+``ready`` and holds from then on: readers take it from there, and the next command that works in the
+results moves it to its place (:func:`finish`).
 """
 
 import ctypes
@@ -32,10 +32,10 @@ def publish(
             (:func:`flush_folder`).
         results: Results folder.
         name: Name of the log's folder.
-        unless: Called where there is a folder already: returns whether that stays.
+        unless: Called if there is a folder already; returns whether that one stays.
 
     Returns:
-        Whether it is the log's; else it is where it was.
+        Whether the folder was moved to its place.
 
     Raises:
         OutputError: The disk is full or broken. The old folder or the new one is there.
@@ -85,7 +85,7 @@ def finish(results: Path) -> int:
 
 
 def _move(ready: Path, place: Path) -> None:
-    """Move a folder to its place, where another process hasn't; what is there is removed."""
+    """Move a folder to its place, unless another process has; remove the old one."""
     old = ready.parents[1] / f"old-{secrets.token_hex(4)}"
     if os.path.lexists(place):
         os.rename(place, old)
@@ -98,7 +98,7 @@ def _move(ready: Path, place: Path) -> None:
 
 
 def rename_if_absent(staged: Path, place: Path) -> bool:
-    """Rename a folder; False: something is at its place, and nothing has changed."""
+    """Rename a folder; return False, and change nothing, if something is at its place."""
     try:
         os.rename(staged, place)
     except OSError:
@@ -109,7 +109,7 @@ def rename_if_absent(staged: Path, place: Path) -> bool:
 
 
 def exchange(one: Path, other: Path) -> bool:
-    """Exchange two folders in one step; False: the system can't, and nothing has changed."""
+    """Exchange two folders in one step; return False, and change nothing, if that can't be done."""
     try:
         rename = ctypes.CDLL(None, use_errno=True).renameat2
     except (AttributeError, OSError, TypeError):  # no such function in this C library
@@ -124,7 +124,7 @@ def exchange(one: Path, other: Path) -> bool:
 
 
 def remove(path: Path) -> None:
-    """Remove a folder or a link, as far as that can be done."""
+    """Remove a folder or a link, without an error if that fails."""
     if path.is_symlink() or not path.is_dir():
         with suppress(OSError):
             path.unlink()
@@ -139,7 +139,7 @@ def flush_folder(folder: Path) -> None:
 
 
 def link_folder(folder: Path, copy: Path) -> None:
-    """Make a new folder with links to the files of another; copies where there are no links."""
+    """Make a new folder with hard links to the files of another one, or copies of them."""
     copy.mkdir(parents=True)
     for path in sorted(folder.rglob("*")):
         to = copy / path.relative_to(folder)

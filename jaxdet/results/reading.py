@@ -1,11 +1,10 @@
-"""Results read back: what ``jaxdet run`` wrote, log by log and without holding all of it."""
+"""Reader of the results of ``jaxdet run``, log by log, without all of them in memory."""
 
 import dataclasses
 import typing
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from functools import cached_property
-from itertools import pairwise
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -45,36 +44,37 @@ from jaxdet.results.occupancy import MapImage, load_map
 from jaxdet.results.record import digest
 from jaxdet.results.schemas import FRAMES_SCHEMA, LINKS_SCHEMA, OBSTACLES_SCHEMA, TRACKS_SCHEMA
 from jaxdet.results.shapes import check_shape
-from jaxdet.results.tracked import Mover, TracksInFrames
+from jaxdet.results.tables import Frame, Tables
+from jaxdet.results.tracked import TracksInFrames
 
 CHUNK_FRAMES = 1024
-"""Frames of a chunk, unless another number is requested."""
+"""Number of frames read together, by default."""
 
 TRACKS, LINKS = "tracks.parquet", "track_links.parquet"
 """Tables that ``jaxdet track`` adds to a log's folder."""
 LINKED = tuple(LINKS_SCHEMA.names[4:])
-"""Columns of ``track_links.parquet`` that obstacles have after ``jaxdet track``."""
+"""Columns of ``track_links.parquet`` that ``jaxdet track`` adds to obstacles."""
 TABLES = {
     FRAMES: FRAMES_SCHEMA, OBSTACLES: OBSTACLES_SCHEMA, TRACKS: TRACKS_SCHEMA, LINKS: LINKS_SCHEMA
 }  # fmt: skip
 """Columns of each table."""
 MOST_NAMED = 6
-"""Logs that an error names."""
+"""Most logs that an error names."""
 
 
 class ResultLog(NamedTuple):
-    """A log whose rows are in the tables."""
+    """A log, or a camera of a log, whose rows are in the tables."""
 
     name: str
     camera: str
     label: str
-    """The name, and the camera's where the log has several."""
+    """Name of the log, followed by that of the camera if the log has several."""
     folder: Path
     """Folder of its results."""
     several: bool
     """Whether the log has several cameras in the tables."""
     summary: Mapping[str, Any]
-    """Its entry in ``summary.json``."""
+    """Entry in ``summary.json``."""
     first_frame: int
     """Row of its first frame in ``frames.parquet``."""
     first_obstacle: int
@@ -82,34 +82,34 @@ class ResultLog(NamedTuple):
 
     @property
     def file_name(self) -> str:
-        """What names of its files in an export begin with, different for each log of a run."""
+        """Prefix of the names of its files in an export, different for each log of a run."""
         return export_name(self.name, self.camera if self.several else "")
 
     @property
     def suffix(self) -> str:
-        """End of the names of its map and picture of tracks."""
+        """Suffix of the names of its map and of its picture of tracks."""
         return f"_{camera_name(self.camera)}" if self.several else ""
 
     @property
     def num_frames(self) -> int:
-        """Rows of ``frames.parquet``."""
+        """Number of its rows in ``frames.parquet``."""
         return self.summary["frames"]
 
     @property
     def num_obstacles(self) -> int:
-        """Rows of ``obstacles.parquet``."""
+        """Number of its rows in ``obstacles.parquet``."""
         return self.summary["obstacles"]
 
     @property
     def paths(self) -> tuple[Path, ...]:
-        """The files that it was read from, as they were named then."""
+        """Files that it was read from, by the names that they had."""
         return tuple(map(Path, self.summary["paths"]))
 
     @property
     def poses_from_tf(self) -> bool:
-        """Whether the log's own transforms join the camera to the world.
+        """Whether the log has transforms from the camera to the world, for other programs.
 
-        Those of a folder of images are made of ``groundtruth.txt``: no other program sees any.
+        Poses of a folder of images come from ``groundtruth.txt`` instead.
         """
         about = self.summary["description"] or {}
         known = any(path.suffix.lower() in SUFFIXES for path in self.paths)
@@ -117,69 +117,25 @@ class ResultLog(NamedTuple):
         return about.get("pose_source", "").startswith("poses: TF") and not is_folder
 
     def topic(self, role: str) -> str:
-        """The topic of the ``color`` or the ``depth`` images; empty where it isn't known."""
+        """Return the topic of the ``color`` or the ``depth`` images; empty if it is unknown."""
         topics = (self.summary["description"] or {}).get("topics", ())
         return next((t["topic"] for t in topics if role in t["chosen_as"].split()), "")
 
 
-class Chunk(NamedTuple):
-    """Whole frames of one log with all their obstacles, in order."""
-
-    frames: pa.Table
-    obstacles: pa.Table
-
-    @property
-    def first(self) -> np.ndarray:
-        """``(F + 1,)`` int64, frame ``i`` has the obstacles ``first[i]`` to ``first[i + 1]``."""
-        return np.append(0, np.cumsum(self.frames["num_obstacles"].to_numpy(), dtype=np.int64))
-
-    def each(self) -> Iterator["Frame"]:
-        """The frames one by one."""
-        rows, parts = self.frames.to_pylist(), self.obstacles.to_pylist()
-        for row, (start, stop) in zip(rows, pairwise(self.first.tolist()), strict=True):
-            yield Frame(row, parts[start:stop])
-
-    def take(self, rows: np.ndarray) -> "Chunk":
-        """Some of the frames ``(n,)``, ascending, with all their obstacles."""
-        chosen = np.zeros(self.frames.num_rows, bool)
-        chosen[rows] = True
-        of = np.repeat(chosen, self.frames["num_obstacles"].to_numpy())
-        return Chunk(self.frames.take(rows), self.obstacles.take(np.flatnonzero(of)))
-
-
-class Frame(NamedTuple):
-    """A row of ``frames.parquet`` and its rows of ``obstacles.parquet``, null as None."""
-
-    row: dict[str, Any]
-    obstacles: list[dict[str, Any]]
-
-    @property
-    def tracks(self) -> Sequence[Mover]:
-        """The tracks that it has, of :meth:`Results.frames` where ``jaxdet track`` found some."""
-        return self.row.get("tracks", ())
-
-
-class Tables(NamedTuple):
-    """Rows of both tables; of tracked logs obstacles have the columns :data:`LINKED`."""
-
-    frames: pa.Table
-    obstacles: pa.Table
-
-
 class LogFailure(NamedTuple):
-    """A log without results."""
+    """Log without results."""
 
     log: str
-    """Its name."""
+    """Name of the log."""
     reason: str
     summary: Mapping[str, Any]
-    """Its entry, as of logs with results."""
+    """Entry as in ``summary.json``."""
 
 
 def open_results(folder: str | PathLike[str]) -> "Results":
     """Open results of ``jaxdet run``: all logs of a run, or one log.
 
-    Logs are taken by their manifests, so what a run has not completed is not among them. Opening
+    Only logs with a manifest are opened, so logs that a run has not completed are left out. Opening
     reads no rows.
 
     >>> with jaxdet.open_results("results") as results:           # doctest: +SKIP
@@ -205,8 +161,8 @@ class Results:
         config: Content of ``config.json``, which holds for all logs.
         logs: Logs with results, by name; of a log with several cameras one for each.
         failed: Logs that failed as a whole.
-        stale: Folders of logs of another configuration or version than ``run.json``, which are
-            left out: an --overwrite is not complete.
+        stale: Folders of logs of another configuration or version than that of ``run.json``, which
+            are left out; an --overwrite has not replaced them yet.
     """
 
     def __init__(self, folder: str | PathLike[str]) -> None:
@@ -214,14 +170,14 @@ class Results:
         check_folder(folder)
         self.stale: list[str] = []
         self.manifests: dict[Path, dict[str, Any]] = {}
-        """By the folder of each log with results."""
+        """Manifest by the folder of each log with results."""
         self.summaries: dict[Path, dict[str, Any]] = {}
         """Content of ``summary.json``, by the same folders."""
         self.failed: list[LogFailure] = []
         self.logs = tuple(self._find())
         self.config = self._read_config()
         self.version = str(self.config_source.get("jaxdet", ""))
-        """The jaxdet that made them."""
+        """Version of jaxdet that made them."""
         self._open: list[pq.ParquetFile] = []
 
     def __enter__(self) -> "Results":
@@ -285,7 +241,7 @@ class Results:
             self.failed.append(LogFailure(str(entry["log"]), str(entry["error"]), entry))
 
     def _read_config(self) -> dict[str, Any]:
-        """Return the configuration of the logs, and note where it is from."""
+        """Return the configuration of the logs; note the file that it is from."""
         one = next(iter(self.manifests), None)
         if one is not None:
             self.config_source = self.manifests[one]
@@ -306,13 +262,13 @@ class Results:
             obstacles.append(chunk.obstacles)
         if not frames:
             return Tables(FRAMES_SCHEMA.empty_table(), OBSTACLES_SCHEMA.empty_table())
-        # Logs without tracks have null there, where others have some.
+        # Logs without tracks get null in the columns of tracks.
         return Tables(
             pa.concat_tables(frames), pa.concat_tables(obstacles, promote_options="default")
         )
 
     def metadata(self, log: ResultLog, table: str = OBSTACLES) -> dict[str, str]:
-        """Return what a table of a log says of itself, see :mod:`jaxdet.results.metadata`."""
+        """Return the metadata of a table of a log, see :mod:`jaxdet.results.metadata`."""
         with self._table(log, table) as file:
             return _metadata(file)
 
@@ -322,7 +278,7 @@ class Results:
         return TRACKS in files and LINKS in files
 
     def tracks(self, log: ResultLog) -> Iterator[dict[str, Any]]:
-        """Yield the rows of ``tracks.parquet`` of a log; none where there are no tracks.
+        """Yield the rows of ``tracks.parquet`` of a log; none if it has no tracks.
 
         Raises:
             InputError: They can't be read, or are those of other results.
@@ -335,12 +291,12 @@ class Results:
 
     @cached_property
     def method(self) -> Config:
-        """The configuration that the obstacles were found with."""
+        """Configuration that the obstacles were found with."""
         return self._restored(Config, self.config)
 
     @cached_property
     def log_options(self) -> LogOptions:
-        """How the logs were read."""
+        """Options that the logs were read with."""
         return self._restored(LogOptions, self.config.get("log"))
 
     def _restored(self, kind: type, values: Any) -> Any:
@@ -352,14 +308,14 @@ class Results:
             raise InputError(problem, path=path, remedy=AGAIN) from error
 
     def options_of(self, log: ResultLog) -> LogOptions:
-        """How to open the log, or the camera of a log, that some rows are of."""
+        """Return options that open the log, or the camera of it, again."""
         return dataclasses.replace(self.log_options, camera=log.camera)
 
     def log(self, name: str) -> ResultLog:
-        """The log of this label, or of this name where one camera of it is in the tables.
+        """Return the log with a label, or with a name if only one of its cameras is in the tables.
 
         Raises:
-            InputError: There is none.
+            InputError: There is no such log.
         """
         found = [log for log in self.logs if name in (log.label, log.name)]
         if len(found) != 1:
@@ -374,18 +330,18 @@ class Results:
         frames: Sequence[str] | None = None,
         obstacles: Sequence[str] | None = None,
         size: int = CHUNK_FRAMES,
-    ) -> Iterator[Chunk]:
-        """The rows, some frames at a time, each chunk of one log.
+    ) -> Iterator[Tables]:
+        """Yield the rows of logs, some frames of one log at a time.
 
-        Memory: a row group's chosen columns, and the chunk.
+        The chosen columns of a row group are in memory, besides the rows that are yielded.
 
         Args:
-            log: Of this log; None: of all, one after the other.
-            frames: Columns of the frames; None: all. ``log``, ``camera``, ``frame`` and
-                ``num_obstacles`` come always.
-            obstacles: Columns of the obstacles; None: all, with :data:`LINKED` where they are
-                :meth:`tracked`. ``log``, ``camera`` and ``frame`` come always.
-            size: Most frames of a chunk.
+            log: The log; by default all, one after the other.
+            frames: Columns of the frames, by default all; ``log``, ``camera``, ``frame`` and
+                ``num_obstacles`` are always there.
+            obstacles: Columns of the obstacles, by default all, with :data:`LINKED` if the log is
+                :meth:`tracked`; ``log``, ``camera`` and ``frame`` are always there.
+            size: Most frames at a time.
 
         Raises:
             InputError: The tables can't be read, or don't belong together.
@@ -399,7 +355,7 @@ class Results:
         frames: Sequence[str] | None,
         obstacles: Sequence[str] | None,
         size: int,
-    ) -> Iterator[Chunk]:
+    ) -> Iterator[Tables]:
         own = obstacles and [name for name in obstacles if name not in LINKED]
         wanted = LINKED if obstacles is None else [name for name in LINKED if name in obstacles]
         linked = self.tracked(log) and wanted
@@ -421,7 +377,7 @@ class Results:
                     raise InputError(problem, path=str(log.folder), remedy=AGAIN)
                 left -= taken.num_rows
                 count = taken["num_obstacles"].to_numpy()
-                chunk = Chunk(taken, parts.take(int(count.sum(dtype=np.int64))))
+                chunk = Tables(taken, parts.take(int(count.sum(dtype=np.int64))))
                 _check(log, chunk, count)
                 yield chunk if links is None else _linked(log, chunk, links)
 
@@ -431,7 +387,7 @@ class Results:
         frames: Sequence[str] | None = None,
         obstacles: Sequence[str] | None = None,
     ) -> Iterator[Frame]:
-        """The frames one by one, each with its obstacles; see :meth:`chunks`."""
+        """Yield the frames one by one, each with its obstacles; see :meth:`chunks`."""
         for one in self.logs if log is None else (log,):
             tracks = TracksInFrames(self.tracks(one))
             for chunk in self.chunks(one, frames, obstacles):
@@ -441,16 +397,16 @@ class Results:
                     yield frame
 
     def world_frame(self, log: ResultLog) -> str:
-        """The frame that poses, outlines in the world and the map are in; empty without poses."""
+        """Return the frame of poses, outlines in the world and the map; empty without poses."""
         first = next(self.chunks(log, ["world_frame"], [], size=1), None)
         return (first.frames["world_frame"][0].as_py() or "") if first else ""
 
     def map(self, log: ResultLog) -> MapImage | None:
-        """Return the map of a log; None where it has none."""
+        """Return the map of a log; None if it has none."""
         return load_map(log.folder / f"map{log.suffix}.npz") if log.summary["map"] else None
 
     def pictures(self, log: ResultLog) -> dict[int, Path]:
-        """Return the pictures that were drawn, by frame."""
+        """Return the pictures by the numbers of their frames."""
         names = [name for name in log.summary["pictures"] if not leads_out(name)]
         paths = (log.folder / name for name in names)
         numbers = [(path.stem.rpartition("_")[2], path) for path in paths if path.is_file()]
@@ -458,7 +414,7 @@ class Results:
 
     @contextmanager
     def _table(self, log: ResultLog, name: str) -> Iterator[pq.ParquetFile]:
-        """Open a table of a log, whose rows must be as many as its summary says."""
+        """Open a table of a log; check that it has as many rows as the summary says."""
         table = open_table(log.folder / name)
         self._open.append(table)
         try:
@@ -476,18 +432,18 @@ class Results:
 
     @contextmanager
     def _table_of_tracks(self, log: ResultLog, name: str) -> Iterator[pq.ParquetFile]:
-        """Open a table that ``jaxdet track`` wrote of these results."""
+        """Open a table of ``jaxdet track``; check that it belongs to these results."""
         expected = self.metadata(log)
         with self._table(log, name) as table:
             about = _metadata(table)
             if {key: about.get(key) for key in expected} != expected:
-                problem = "is not of the results that it lies beside"
+                problem = "belongs to other results than those in its folder"
                 raise InputError(problem, path=str(log.folder / name), remedy=_TRACK_AGAIN)
             yield table
 
     @contextmanager
     def _reading(self, log: ResultLog) -> Iterator[None]:
-        """Tables that are damaged are errors of the input."""
+        """Turn errors of damaged tables into errors of the input."""
         try:
             yield
         except (pa.ArrowException, OSError) as error:
@@ -534,11 +490,11 @@ def open_table(path: Path) -> pq.ParquetFile:
 
 
 def _has_nulls(table: pq.ParquetFile, column: str) -> bool:
-    """Return whether a column of a table that somebody else wrote has nulls."""
+    """Return whether a column has nulls."""
     return any(batch.column(0).null_count for batch in table.iter_batches(columns=[column]))
 
 
-def _linked(log: ResultLog, chunk: Chunk, links: "_Rows") -> Chunk:
+def _linked(log: ResultLog, chunk: Tables, links: "_Rows") -> Tables:
     """Return a chunk whose obstacles have their tracks."""
     taken = links.take(chunk.obstacles.num_rows)
     if not taken["frame"].equals(chunk.obstacles["frame"]):
@@ -550,8 +506,8 @@ def _linked(log: ResultLog, chunk: Chunk, links: "_Rows") -> Chunk:
     return chunk._replace(obstacles=obstacles)
 
 
-def _check(log: ResultLog, chunk: Chunk, count: np.ndarray) -> None:
-    """Make sure that a chunk is of a log, and its obstacles are of its frames."""
+def _check(log: ResultLog, chunk: Tables, count: np.ndarray) -> None:
+    """Check that rows belong to a log, and the obstacles to the frames."""
     frame, of = chunk.frames["frame"].to_numpy(), chunk.obstacles["frame"].to_numpy()
     named = all(
         {*table[column].unique().to_pylist()} <= {expected}
@@ -564,7 +520,7 @@ def _check(log: ResultLog, chunk: Chunk, count: np.ndarray) -> None:
 
 
 class _Rows:
-    """Rows of a table one after the other."""
+    """Rows of a table, which are taken one after the other."""
 
     def __init__(
         self,
@@ -585,7 +541,7 @@ class _Rows:
         self._skip = start - int(ends[group - 1]) if group else start
 
     def take(self, count: int) -> pa.Table:
-        """The next ``count`` rows, fewer where the table ends."""
+        """Return the next ``count`` rows, or fewer at the end of the table."""
         found: list[pa.RecordBatch] = []
         while count:
             batch = self._waiting.pop() if self._waiting else next(self._batches, None)
@@ -608,9 +564,9 @@ def _batches(
     columns: Sequence[str] | None = None,
     size: int = 2048,
 ) -> Iterator[pa.RecordBatch]:
-    """The rows of some row groups, at most ``size`` together, each by a reader of its own.
+    """Yield the rows of row groups, at most ``size`` at a time.
 
-    One of them all would keep some of what it has read of each.
+    Each row group has a reader of its own, as a single one would keep parts of all in memory.
     """
     for group in groups:
         yield from file.iter_batches(size, [group], columns)
@@ -622,7 +578,7 @@ def _metadata(table: pq.ParquetFile) -> dict[str, str]:
 
 
 def restored(kind: type, values: Mapping[str, Any]) -> Any:
-    """A dataclass from what JSON holds of it."""
+    """Return a dataclass from its values in JSON."""
     hints, found = typing.get_type_hints(kind), {}
     for field in dataclasses.fields(kind):
         if field.name in values:

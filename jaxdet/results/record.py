@@ -1,4 +1,4 @@
-"""What decides the results of all logs of a run: configuration and versions, in ``run.json``."""
+"""Record of a run in ``run.json``: the configuration and versions that decide all results."""
 
 import hashlib
 import json
@@ -29,8 +29,8 @@ def make_record(
     Workers and batches are not in it, as they change no result.
 
     Returns:
-        What JSON can hold: ``about`` with versions, pictures, map and what results are compared
-        with, and ``config``, the content of ``config.json`` but for the batch size.
+        Values for JSON: ``about`` with versions, pictures, map and observers, and ``config``, the
+        content of ``config.json`` without the batch size.
     """
     which = {"jaxdet": jaxdet.__version__, "source": source_digest(), "versions": versions()}
     chosen = {"preset": preset, "backend": backend, **plain(config)}
@@ -42,17 +42,17 @@ def make_record(
 
 
 def _public(observer: object) -> dict[str, Any]:
-    """Return the attributes of an observer that decide what it says."""
+    """Return the attributes of an observer that decide its answers."""
     return {name: value for name, value in vars(observer).items() if not name.startswith("_")}
 
 
 def digest(record: Mapping[str, Any]) -> str:
-    """Return a checksum of a record: of the same logs two runs with it make the same results."""
+    """Return a checksum of a record; runs with the same one make equal results of equal logs."""
     return hashlib.sha256(json.dumps(_own(record), sort_keys=True).encode()).hexdigest()
 
 
 def difference(before: Mapping[str, Any], now: Mapping[str, Any]) -> str | None:
-    """Return the first thing in which two records differ, for people; None: in nothing."""
+    """Return the first difference of two records, for people; None if they are equal."""
     old, new = dict(_flat(_own(before))), dict(_flat(_own(now)))
     keys = [key for key in {**old, **new} if old.get(key, _NOT) != new.get(key, _NOT)]
     if not keys:
@@ -68,7 +68,7 @@ _NOT = object()
 
 
 def _own(record: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what decides results; a fleet notes more in its ``run.json``."""
+    """Return the part that decides results; the ``run.json`` of a fleet has more."""
     return {name: record.get(name) for name in ("about", "config")}
 
 

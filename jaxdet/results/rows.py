@@ -1,4 +1,4 @@
-"""From the detections of a batch to the rows of the two result tables."""
+"""Conversion of the detections of a batch to rows of the two result tables."""
 
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -41,7 +41,7 @@ _REFUSALS = np.array([reason.name.lower() for reason in Refusal], object)
 
 
 class RowInputs(NamedTuple):
-    """What the rows of a batch need of its detections, NumPy or JAX arrays."""
+    """Part of the detections of a batch that rows are made of, NumPy or JAX arrays."""
 
     num_obstacles: Array
     """``(B,)`` int32."""
@@ -52,28 +52,28 @@ class RowInputs(NamedTuple):
     obstacles: Obstacles
     """M slots, at least the largest of ``num_obstacles``."""
     scene: Scene | None
-    """Without its prior, which stays on the host; None where obstacles are clusters of points."""
+    """Scene without its prior, which stays on the host; None for clusters of points."""
 
 
 class Rows(NamedTuple):
-    """A batch's results on the host."""
+    """Results of a batch on the host."""
 
     frames: dict[str, Any]
     """Columns of ``frames.parquet``."""
     obstacles: dict[str, Any]
     """Columns of ``obstacles.parquet``."""
     plane: GroundPlane
-    """The floor of each frame, ``(B,)``, seen from the camera that lengths refer to."""
+    """Floor of each frame, ``(B,)``, relative to the camera that lengths refer to."""
     T_world_camera: np.ndarray | None
-    """``(B, 4, 4)`` poses of that camera; None without poses."""
+    """Poses of that camera, ``(B, 4, 4)``; None without poses."""
     free_world: Polygons | None
-    """The free floor of each frame in the world; None without poses."""
+    """Free floor of each frame in the world; None without poses."""
 
 
 def row_inputs(found: Detections) -> RowInputs:
-    """Return what :func:`batch_rows` needs of detections: neither points nor cells.
+    """Return the part of detections that :func:`batch_rows` needs, without points and cells.
 
-    It can run where the detections are, under ``jax.jit``.
+    It can be compiled by ``jax.jit``.
 
     Args:
         found: NumPy or JAX arrays.
@@ -89,7 +89,7 @@ def row_inputs(found: Detections) -> RowInputs:
 
 
 def no_inputs(count: int) -> RowInputs:
-    """Those of ``count`` frames of which nothing is known."""
+    """Return inputs of ``count`` frames without detections."""
     numbers, no = np.zeros(count, np.int32), np.zeros(count, bool)
     shapes = {"uv_min": 2, "uv_max": 2, "xyz_min": 3, "xyz_max": 3, "a": 2, "b": 2, "c": 2}
     shapes |= {"direction": 2, "span": 4}
@@ -104,9 +104,9 @@ def no_inputs(count: int) -> RowInputs:
 
 
 def used_slots(inputs: RowInputs, count: int) -> RowInputs:
-    """A copy of those of the first ``count`` frames, with as many slots as the fullest one uses.
+    """Return a copy of the first ``count`` frames, with as many slots as any of them uses.
 
-    Most of a device's slots are empty: a frame's inputs take 240 KB, what is used of them 20.
+    Most slots are empty: of 240 KB per frame, about 20 are used.
     """
     found: RowInputs = _first(inputs, count)
     slots = int(found.num_obstacles.max(initial=0))
@@ -123,7 +123,7 @@ def used_slots(inputs: RowInputs, count: int) -> RowInputs:
 
 
 def joined_inputs(parts: Sequence[Any]) -> Any:
-    """Trees of frames' arrays one after the other, with the slots of whoever has most."""
+    """Concatenate trees of frames' arrays, with as many slots as the largest has."""
     first = parts[0]
     if first is None:
         return None
@@ -141,7 +141,7 @@ def joined_inputs(parts: Sequence[Any]) -> Any:
 
 
 def map_leaves(function: Callable[[Any], Any], tree: Any) -> Any:
-    """A tree of named tuples and None with ``function`` of each leaf, in order."""
+    """Return a tree of named tuples and None, with ``function`` applied to each leaf in order."""
     if tree is None:
         return None
     if isinstance(tree, tuple):
@@ -150,7 +150,7 @@ def map_leaves(function: Callable[[Any], Any], tree: Any) -> Any:
 
 
 def to_host(part: Any) -> Any:
-    """Detections, or what rows need of them, as NumPy arrays; waits for the device."""
+    """Return detections, or a part of them, as NumPy arrays; waits for the device."""
     return map_leaves(np.asarray, part)
 
 
@@ -163,20 +163,20 @@ def batch_rows(
     inputs: RowInputs,
     config: Config,
 ) -> Rows:
-    """The rows of a batch, in frame order.
+    """Return the rows of a batch, in the order of the frames.
 
     Args:
-        log: The log's name.
-        camera: The camera's.
-        batch: What was read, with or without its images; its padding gives no rows.
-        plane: Prior of each frame's floor, ``(B,)``, seen from the depth camera, as the detections
-            were made with; where frames show their own floor, that is used.
-        sources: Where that comes from, ``B`` words, see :meth:`jaxdet.engine.Planes.sources`.
-        inputs: What was found, see :func:`row_inputs`; NumPy or JAX arrays.
-        config: For the outlines.
+        log: Name of the log.
+        camera: Name of the camera.
+        batch: Frames, with or without images; padding has no rows.
+        plane: Prior of each frame's floor that the detections were made with, ``(B,)``, relative to
+            the depth camera; frames that show their own floor use that.
+        sources: Sources of the priors, ``B`` words, see :meth:`jaxdet.engine.Planes.sources`.
+        inputs: Detections, see :func:`row_inputs`; NumPy or JAX arrays.
+        config: Configuration of the outlines.
 
     Returns:
-        Columns for :meth:`jaxdet.results.writer.Tables.of`, and the arrays behind them.
+        Columns for :meth:`jaxdet.results.tables.Tables.of`, and the arrays behind them.
 
     Raises:
         ValueError: A frame has more obstacles than there are slots.
@@ -229,7 +229,7 @@ def _of_color_camera(batch: "Batch") -> "Batch":
 
 
 def shown_planes(inputs: RowInputs, plane: GroundPlane, calibration: Calibration) -> GroundPlane:
-    """Return the floor of each frame, its own where it shows one, else its prior.
+    """Return the floor of each frame: its own if it shows one, else its prior.
 
     Args:
         inputs: Inputs of ``B`` frames, see :func:`row_inputs`.
@@ -245,7 +245,7 @@ def shown_planes(inputs: RowInputs, plane: GroundPlane, calibration: Calibration
 
 
 def _first(part: Any, count: int) -> Any:
-    """The first ``count`` rows of named tuples of arrays, on the host."""
+    """Return the first ``count`` rows of named tuples of arrays, on the host."""
     return map_leaves(lambda a: np.asarray(a)[:count], part)
 
 
@@ -272,9 +272,9 @@ def _frame_columns(
 
 
 def _color_stamps(batch: "Batch", count: int) -> np.ndarray:
-    """Return the stamps of the frames' colour images, masked where there is none.
+    """Return the stamps of the frames' colour images, masked for frames without one.
 
-    They are the same whether colour was read or not.
+    They don't depend on whether colour is read.
     """
     if batch.nearest_color_ns is None:
         return np.ma.masked_less(np.full(count, -1, np.int64), 0)
@@ -288,7 +288,7 @@ def _log_times(batch: "Batch", count: int) -> np.ndarray:
 
 
 def _pose_columns(batch: "Batch", count: int) -> dict[str, Any]:
-    """Where each frame's camera stands in the world."""
+    """Return the pose of the camera in the world, and the names of both frames."""
     poses = batch.frames.T_world_camera
     T = np.full((count, 4, 4), np.nan) if poses is None else poses[:count]
 
@@ -306,7 +306,7 @@ def _pose_columns(batch: "Batch", count: int) -> dict[str, Any]:
 def _floor_columns(
     fit: FloorFit | None, sources: Sequence[str], good: np.ndarray, config: Config
 ) -> dict[str, Any]:
-    """Where each frame's floor comes from, and why not from its own depth."""
+    """Return the source of each frame's floor, and why its own depth was refused."""
     own, refused = np.zeros_like(good), np.zeros(good.size, int)
     if fit is not None and config.ground.source != "none":
         own, refused = good & fit.own, fit.refused
@@ -355,7 +355,7 @@ def _obstacle_columns(
 
 
 def _evidence(scene: Scene | None, row: np.ndarray, slot: np.ndarray) -> np.ndarray:
-    """What shows each obstacle, ``(R,)`` object."""
+    """Return the evidence of each obstacle, ``(R,)`` object."""
     if scene is None:
         return np.full(row.size, "corners", object)
     is_notch = slot >= np.asarray(scene.first_notch)[row]
@@ -370,7 +370,7 @@ def _shape_columns(
     slot: np.ndarray,
     unit: float,
 ) -> dict[str, Any]:
-    """Return distances, heights above the floor and contours; unknown without a floor.
+    """Return distances, heights above the floor and contours, null without a floor.
 
     Clusters of points have no heights and no contours.
     """
@@ -397,7 +397,7 @@ def _shape_columns(
 def _world_corners(
     corners: np.ndarray, T_world_camera: np.ndarray | None, row: np.ndarray
 ) -> np.ndarray:
-    """``(R, 8)`` float64, outlines ``(R, 4, 2)`` of frames ``row`` ``(R,)`` in the world."""
+    """Return outlines ``(R, 4, 2)`` of frames ``row`` ``(R,)`` in the world, ``(R, 8)`` float64."""
     if T_world_camera is None:
         return np.full((row.size, 8), np.nan)
     return to_world(corners[:, None], T_world_camera[row]).reshape(-1, 8)

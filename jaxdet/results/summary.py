@@ -1,4 +1,4 @@
-"""What a run reports beside its tables: ``summary.json`` and ``config.json``."""
+"""Summary of a run and of its logs, for ``summary.json``, and the format of JSON files."""
 
 import dataclasses
 import json
@@ -19,43 +19,43 @@ from jaxdet.results.versions import version, versions
 
 STEPS = ("read", "decode", "transfer", "compute", "write")
 ON_DEVICES = ("transfer", "compute")
-"""What GPUs do, where there are any."""
+"""Steps of GPUs, if there are any."""
 _DERIVED = ("bottleneck", "rates")
-"""What a log's entry has beside its fields and what observers say."""
+"""Keys of a log's entry that are neither fields nor answers of observers."""
 SHORT_M = 0.02
-"""A rectangle that begins more than this behind its obstacle's nearest point is counted [m]."""
+"""Rectangles that begin further than this behind their obstacle's nearest point are counted [m]."""
 MANY_REFUSED = 0.1
-"""More of the frames without a floor of their own are worth a warning."""
+"""Largest share of frames without a floor of their own that causes no warning."""
 ROLL_FLAG = "--ground.camera-roll"
 STEEP_DEG = 60.0
-"""A mount of more pitch or roll may be of another frame than the camera's."""
+"""Pitch or roll from which on a mount may be that of another frame than the camera's."""
 MOSTLY_FAR = 0.9
-"""Where more have a floor far from what was expected, depth itself may be wrong."""
+"""Share of frames with a floor far from the prior from which on depth may be wrong."""
 
 
 @dataclass(kw_only=True)
 class Counts:
-    """Figures of some frames that add up."""
+    """Counts and times of some frames, which can be added."""
 
     frames: int = 0
-    """Depth images; of a log that failed on the way, those before the failure."""
+    """Number of depth images; if the log failed, those before the failure."""
     status: Counter[str] = field(default_factory=Counter)
     obstacles: int = 0
     short_rectangles: int = 0
-    """Obstacles whose nearest point lies more than ``SHORT_M`` in front of their rectangle."""
+    """Number of obstacles with a point more than ``SHORT_M`` in front of their rectangle."""
     overflow_frames: int = 0
     floor_sources: Counter[str] = field(default_factory=Counter)
-    """Of the frames that are ok, see ``floor_source`` of ``frames.parquet``."""
+    """Number of ok frames per ``floor_source`` of ``frames.parquet``."""
     floor_refused: Counter[str] = field(default_factory=Counter)
-    """Likewise, where a frame's own depth does not decide its floor."""
+    """Number of ok frames per ``floor_refused`` of ``frames.parquet``."""
     tilted_frames: int = 0
-    """Those that are ok and have no place in the world, as its z is not up."""
+    """Number of ok frames without a place in the world, as its z is not up."""
     busy_s: Counter[str] = field(default_factory=Counter)
-    """How long all together took to ``read`` (and unpack), ``decode`` images, ``transfer`` to GPUs
-    and back, ``compute``, ``write`` rows, and to ``wait`` for those who compute [s]."""
+    """Time of all processes to ``read`` and unpack, ``decode`` images, ``transfer`` to GPUs and
+    back, ``compute``, ``write`` rows, and to ``wait`` for the process that computes [s]."""
 
     def count(self, rows: Mapping[str, Any], obstacles: Mapping[str, Any]) -> None:
-        """Adds the columns of ``frames.parquet`` and of ``obstacles.parquet`` of a batch."""
+        """Count the columns of ``frames.parquet`` and of ``obstacles.parquet`` of some frames."""
         self.frames += len(rows["status"])
         self.status.update(rows["status"].tolist())
         self.obstacles += int(rows["num_obstacles"].sum())
@@ -68,7 +68,7 @@ class Counts:
         self.tilted_frames += int(tilted(*(rows[name][good] for name in TILT)).sum())
 
     def add(self, other: "Counts") -> None:
-        """Adds those of other frames."""
+        """Add the counts and times of other frames."""
         for part in dataclasses.fields(Counts):
             mine, more = getattr(self, part.name), getattr(other, part.name)
             if isinstance(mine, Counter):
@@ -79,48 +79,48 @@ class Counts:
 
 @dataclass
 class LogSummary(Counts):
-    """One log of a run, or of a log with several cameras one of them."""
+    """Summary of a log, or of one camera if the log has several."""
 
     log: str
     paths: tuple[str, ...]
     workers: int = 1
-    """Processes that share the frames."""
+    """Number of processes that share the frames."""
     devices: int = 0
-    """GPUs that compute for them; 0: each computes itself."""
+    """Number of GPUs that compute for them; 0 if they compute themselves."""
     camera: str | None = None
-    """The camera's name; None: the log could not be opened."""
+    """Name of the camera; None if the log could not be opened."""
     file_name: str | None = None
-    """What the names of its files begin with."""
+    """Prefix of the names of its files."""
     seconds: float = 0.0
-    """From the first batch asked for to the last row [s]."""
+    """Time from the request of the first batch to the last row [s]."""
     first_batch_s: float = 0.0
-    """Until the first batches were through, compilation included [s]."""
+    """Time until the first batches were done, with compilation [s]."""
     frames_per_s: float | None = None
-    """Without the first batches; None when there is too little after them to say."""
+    """Rate after the first batches; None if there are too few frames after them."""
     ground: tuple[Any, ...] = ()
-    """The planes used and their sources, see ``jaxdet.engine.GroundRecord``."""
+    """Priors of the floor and their sources, see ``jaxdet.engine.GroundRecord``."""
     calibration: Any = None
     description: Any = None
-    """What the reader found: topics, calibration sources, pairing, integrity, warnings."""
+    """Description by the reader: topics, calibration sources, pairing, integrity, warnings."""
     cameras_left_out: list[str] = field(default_factory=list)
-    """Cameras of the log that were not chosen by anybody, and can't be used."""
+    """Cameras of the log that can't be used and that nobody chose."""
     map: str | None = None
     pictures: list[str] = field(default_factory=list)
     observed: dict[str, Any] = field(default_factory=dict)
-    """What each observer says of the log; ``score`` is the comparison with the truth."""
+    """Answer of each observer to the log; ``score`` is the comparison with ground truth."""
     warnings: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
-    """What is worth knowing and as it should be."""
+    """Remarks that are not warnings."""
     frame_errors: list[str] = field(default_factory=list)
-    """The first few frames that could not be used, with the reason."""
+    """Some frames that could not be used, with the reason."""
     lost: list[str] = field(default_factory=list)
-    """Ranges of frames without results, as the processes that worked on them failed, twice."""
+    """Ranges of frames without results, as the processes that worked on them failed twice."""
     error: str | None = None
-    """Why the log failed as a whole; it then has no rows."""
+    """Why the log failed and has no rows."""
 
     @classmethod
     def from_dict(cls, told: Mapping[str, Any]) -> "LogSummary":
-        """A summary from what :meth:`to_dict` made of it, which it makes of this again."""
+        """Return the summary that :meth:`to_dict` turned into a dictionary."""
         kinds = {part.name: part for part in dataclasses.fields(cls)}
         counters = {part.name for part in dataclasses.fields(Counts) if part.type is not int}
         values: dict[str, Any] = {
@@ -132,7 +132,7 @@ class LogSummary(Counts):
         return cls(**values, observed=observed)
 
     def to_dict(self) -> dict[str, Any]:
-        """As JSON has it, what observers say under their names."""
+        """Return values for JSON; answers of observers are under the observers' names."""
         values = {"log": self.log, "bottleneck": self.bottleneck, "rates": plain(self.rates)}
         values |= plain(self)
         seen = values.pop("observed")
@@ -140,7 +140,7 @@ class LogSummary(Counts):
 
     @property
     def floor_warning(self) -> str | None:
-        """A line where many frames don't show their floor themselves."""
+        """Warning if many frames don't show their floor themselves."""
         refused, good = self.floor_refused.total(), self.status[FrameStatus.OK]
         if refused <= MANY_REFUSED * good:
             return None
@@ -165,7 +165,7 @@ class LogSummary(Counts):
         )
 
     def _floor_cause(self) -> str:
-        """Why frames don't show their floor, as far as the mount tells, with the remedy."""
+        """Return why frames don't show their floor, judged by the mount, with the remedy."""
         if any(ROLL_FLAG in text for text in self.warnings):
             return f"the camera looks turned, as the warning with {ROLL_FLAG} says"
         if not self.floor_sources["tf"]:
@@ -181,7 +181,7 @@ class LogSummary(Counts):
 
     @property
     def depth_warning(self) -> str | None:
-        """A line where most frames that can be decoded have no depth in range."""
+        """Warning if most frames that can be decoded have no depth in range."""
         none, good = self.status[FrameStatus.NO_DEPTH], self.status[FrameStatus.OK]
         if none <= good:
             return None
@@ -192,7 +192,7 @@ class LogSummary(Counts):
 
     @property
     def tilt_warning(self) -> str | None:
-        """A line where frames have no place in the world."""
+        """Warning if frames have no place in the world."""
         if not self.tilted_frames:
             return None
         return (
@@ -203,7 +203,7 @@ class LogSummary(Counts):
 
     @property
     def color_warning(self) -> str | None:
-        """A line where half of the depth images or more lack the colour that ``paper`` needs."""
+        """Warning if half of the depth images or more lack the colour that ``paper`` needs."""
         without = self.status[FrameStatus.NO_COLOR]
         if not without or 2 * without < self.frames:
             return None
@@ -215,7 +215,7 @@ class LogSummary(Counts):
 
     @property
     def rates(self) -> dict[str, float]:
-        """Frames a second of each step, if all that do it did nothing else."""
+        """Frames per second of each step if it were the only one."""
         return {
             what: self.frames * self._in_parallel(what) / self.busy_s[what]
             for what in STEPS
@@ -224,9 +224,9 @@ class LogSummary(Counts):
 
     @property
     def bottleneck(self) -> str:
-        """The step that others wait for; empty at first.
+        """Slowest step of the processes or GPUs that are busy longest; empty at first.
 
-        That is the longest of those that the busiest do: the workers all steps but those of GPUs.
+        GPUs do the steps ``ON_DEVICES``, workers all others.
         """
         groups = (ON_DEVICES, tuple(what for what in STEPS if what not in ON_DEVICES))
         groups = [*((what,) for what in groups[0]), groups[1]] if self.devices else [STEPS]
@@ -243,22 +243,22 @@ class LogSummary(Counts):
 
     @property
     def num_bad(self) -> int:
-        """Frames that are not ok."""
+        """Number of frames with another status than ok."""
         return self.frames - self.status[FrameStatus.OK]
 
 
 @dataclass
 class Summary:
-    """A whole run."""
+    """Summary of a run."""
 
     backend: str
     batch_size: int
     logs: list[LogSummary] = field(default_factory=list)
     seconds: float = 0.0
     workers: int = 1
-    """Processes that shared the frames."""
+    """Number of processes that shared the frames."""
     kept: frozenset[str] = frozenset()
-    """Names of the logs that stay as results that were there have them."""
+    """Names of logs that were done before this run."""
 
     @property
     def frames(self) -> int:
@@ -272,16 +272,16 @@ class Summary:
 
     @property
     def whole(self) -> list[LogSummary]:
-        """The logs whose rows are in the tables."""
+        """Logs with rows in the tables."""
         return [log for log in self.logs if not log.error]
 
     @property
     def failed(self) -> list[LogSummary]:
-        """The logs that failed as a whole."""
+        """Logs that failed and have no rows."""
         return [log for log in self.logs if log.error]
 
     def to_dict(self) -> dict[str, Any]:
-        """The content of ``summary.json``: strings, numbers, lists, mappings and null only."""
+        """Return the content of ``summary.json``: strings, numbers, lists, mappings and null."""
         status = Counter({str(s): 0 for s in FrameStatus})
         for log in self.whole:
             status.update(log.status)
@@ -304,10 +304,10 @@ class Summary:
 
 
 def problems(told: Mapping[str, Any]) -> list[str]:
-    """What a run ends with an error for, a line each.
+    """Return the problems for which a run ends with an error, a line each.
 
     Args:
-        told: The content of ``summary.json``.
+        told: Content of ``summary.json``.
     """
     whole = [log for log in told["logs"] if not log["error"]]
     found = [failure(log) for log in told["logs"] if log["error"]]
@@ -324,10 +324,10 @@ def problems(told: Mapping[str, Any]) -> list[str]:
 
 
 def failure(log: Mapping[str, Any]) -> str:
-    """Why a log failed, with its name where the error is not about one of its files.
+    """Return why a log failed, with its name unless the error names one of its files.
 
     Args:
-        log: Its entry in ``summary.json``.
+        log: Entry in ``summary.json``.
     """
     error, name = log["error"], log["log"]
     about = os.path.abspath(error.partition(": ")[0])
@@ -350,7 +350,7 @@ def _unusable(log: Mapping[str, Any]) -> str:
 def to_json(value: Mapping[str, Any]) -> str:
     """Return a mapping as JSON with a final newline; paths and enums become strings.
 
-    What fits into a line stands in one, else each of its parts is indented by two spaces.
+    A value that doesn't fit into a line has a line for each of its parts, indented by two spaces.
     """
     return _json_text(value, "") + "\n"
 
@@ -374,7 +374,7 @@ def _json_text(value: Any, indent: str) -> str:
 
 
 def plain(value: Any) -> Any:
-    """A value as JSON has it: dataclasses and named tuples become mappings, NaN becomes null."""
+    """Return a value for JSON: dataclasses and named tuples become mappings, NaN becomes null."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         pairs = {f.name: getattr(value, f.name) for f in dataclasses.fields(value)}
         return {k: plain(v) for k, v in pairs.items() if not k.startswith("_")}

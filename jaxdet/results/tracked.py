@@ -1,4 +1,4 @@
-"""What ``jaxdet track`` says of each frame: which tracks it has, where they are, how they move."""
+"""Tracks in each frame, by ``jaxdet track``: their places and motions."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, NamedTuple
@@ -9,23 +9,23 @@ from jaxdet.elementary import hypot
 
 
 class Mover(NamedTuple):
-    """A track in a frame, shown or not."""
+    """A track in a frame, whether the frame shows it or not."""
 
     track: int
     in_world: bool
-    """Whether its path is in the world, else in the camera's ground frame."""
+    """Whether its path is in the world, otherwise it is in the camera's ground frame."""
     moving: bool
     path: np.ndarray
-    """``(n, 2)`` float64, its way up to this frame; where it does not move, its place [m]."""
+    """Its path up to this frame, or its place if it stands, ``(n, 2)`` float64 [m]."""
     velocity: np.ndarray
     """``(2,)`` float64 [m/s]."""
 
 
 class TracksInFrames:
-    """The tracks of a log's frames, asked for one frame after the other.
+    """Tracks of the frames of a log, which are requested one after the other.
 
     Args:
-        tracks: Rows of ``tracks.parquet``, as they stand there.
+        tracks: Rows of ``tracks.parquet``, in order.
     """
 
     def __init__(self, tracks: Iterable[Mapping[str, Any]]) -> None:
@@ -35,7 +35,7 @@ class TracksInFrames:
         self._row = -1
 
     def at(self, frame: int) -> list[Mover]:
-        """Those of the next frame, which has this number."""
+        """Return the tracks in the next frame, which has this number."""
         self._row += 1
         while self._next is not None and self._next["first_frame"] <= frame:
             path = np.reshape(self._next["path"], (-1, 2)).astype(np.float64)

@@ -1,4 +1,4 @@
-"""Which jaxdet this is, for records and reports: versions of what results depend on, its source."""
+"""Versions of jaxdet, of its source and of packages that results depend on, for records."""
 
 import hashlib
 import os
@@ -12,19 +12,19 @@ from jaxdet.errors import printable
 
 PACKAGES = ("jax", "jaxlib", "warp-lang", "numpy", "opencv-python-headless", "pyarrow", "mcap")
 _CODE = (".py", ".h", ".json")
-"""Python, the kernels' C++, and the tables that were learnt."""
+"""Suffixes of Python, of the kernels' C++ and of learnt tables."""
 
 
 @cache
 def versions() -> dict[str, str | None]:
-    """Versions of Python and of the packages that results depend on; None: not installed."""
+    """Return versions of Python and of packages that results depend on; None if not installed."""
     found = {name: version(name) for name in PACKAGES}
     return {"python": platform.python_version(), **found}
 
 
 @cache
 def version(name: str) -> str | None:
-    """Of a package; None: not installed."""
+    """Return the version of a package; None if it is not installed."""
     from importlib.metadata import PackageNotFoundError
     from importlib.metadata import version as installed  # loads much
 
@@ -36,7 +36,7 @@ def version(name: str) -> str | None:
 
 @cache
 def source_digest() -> str:
-    """A checksum of jaxdet's own code, as two builds of a version may differ.
+    """Return a checksum of jaxdet's own code, as two builds of a version may differ.
 
     Returns:
         16 hexadecimal digits of the SHA-256 of the names and contents of all files that decide

@@ -1,4 +1,4 @@
-"""The tables of a log as Parquet files, and its JSON files.
+"""Writers of the tables of a log as Parquet files, and of its JSON files.
 
 The bytes of the tables are a function of their rows alone: rows are buffered into row groups
 of a fixed size whatever the batch, and the writer's settings are fixed here.
@@ -10,62 +10,21 @@ from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from io import BytesIO
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from jaxdet.results.arrow import map_file, open_file, to_array
+from jaxdet.results.arrow import open_file
 from jaxdet.results.durable import writing
 from jaxdet.results.layout import FRAMES, OBSTACLES
 from jaxdet.results.metadata import Inputs, table_metadata
 from jaxdet.results.schemas import DICTIONARIES, FRAMES_SCHEMA, OBSTACLES_SCHEMA
 from jaxdet.results.summary import to_json
+from jaxdet.results.tables import Tables
 
 ROWS_PER_GROUP = 65536
 """Rows in a row group; part of the format, as it decides the bytes."""
-
-
-def to_table(columns: Mapping[str, Any], schema: pa.Schema) -> pa.Table:
-    """Rows as an Arrow table.
-
-    Args:
-        columns: One for each field, see :func:`jaxdet.results.arrow.to_array`.
-        schema: One of :mod:`jaxdet.results.schemas`.
-
-    Returns:
-        A table of R rows.
-    """
-    return pa.Table.from_arrays([to_array(columns[f.name], f) for f in schema], schema=schema)
-
-
-class Tables(NamedTuple):
-    """Rows of both tables."""
-
-    frames: pa.Table
-    obstacles: pa.Table
-
-    @classmethod
-    def of(cls, frames: Mapping[str, Any], obstacles: Mapping[str, Any]) -> "Tables":
-        """Rows from columns, see :func:`to_table`."""
-        return cls(to_table(frames, FRAMES_SCHEMA), to_table(obstacles, OBSTACLES_SCHEMA))
-
-    def save(self, path: Path) -> None:
-        """Write the rows to a temporary file, which needs not survive this run.
-
-        Raises:
-            OutputError: The disk is full or broken.
-        """
-        with writing(path), open_file(path, "wb") as file:
-            for table in self:
-                with pa.ipc.new_stream(file, table.schema) as stream:
-                    stream.write_table(table)
-
-    @classmethod
-    def load(cls, path: Path) -> "Tables":
-        """Map the rows that :meth:`save` wrote into memory."""
-        file = map_file(path)
-        return cls(*(pa.ipc.open_stream(file).read_all() for _ in cls._fields))
 
 
 class _Table:
@@ -98,7 +57,7 @@ class _Table:
         self.file.close()
 
     def drop(self) -> None:
-        """Closes what is open."""
+        """Close open files."""
         for file in (self.writer, self.file):
             with contextlib.suppress(OSError):
                 file.close()
@@ -107,7 +66,7 @@ class _Table:
 def parquet_writer(
     file: pa.NativeFile | BytesIO, schema: pa.Schema, **more: Any
 ) -> pq.ParquetWriter:
-    """Writes a table whose bytes are a function of its rows and of what the schema says."""
+    """Return a writer of a table whose bytes are a function of its rows and its schema."""
     return pq.ParquetWriter(
         file,
         schema,
@@ -120,7 +79,7 @@ def parquet_writer(
 
 
 def table_bytes(table: pa.Table) -> bytes:
-    """Rows as they are written; tables of the same bytes hold the same to the bit."""
+    """Return the bytes of a table in a file; they are equal if all values are, to the bit."""
     file = BytesIO()
     with parquet_writer(file, table.schema, store_schema=False) as writer:
         writer.write_table(table.combine_chunks())
@@ -131,10 +90,10 @@ class TableWriter:
     """Writes the two tables of a log; a context manager that closes them.
 
     Args:
-        folder: Where; the files are complete when :meth:`close` returns.
+        folder: Folder of the files, which are complete when :meth:`close` returns.
 
     Raises:
-        OutputError: The disk is full, or the folder can't be written to; so do all methods.
+        OutputError: The disk is full, or the folder can't be written to; all methods raise it.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -160,7 +119,7 @@ class TableWriter:
             self._obstacles.add(rows.obstacles)
 
     def close(self, config: Mapping[str, Any], summary: Mapping[str, Any]) -> None:
-        """Write the remaining rows, and in each table's metadata what it was made of.
+        """Write the remaining rows and the metadata of both tables.
 
         Args:
             config: Content of ``config.json``.

@@ -28,8 +28,7 @@ from jaxdet.io.options import LogOptions
 from jaxdet.io.streams import ImageSize
 from jaxdet.io.writer import transforms_message
 from jaxdet.io.writer_cdr import encode_cdr
-from jaxdet.results.reading import Chunk
-from jaxdet.results.writer import Tables
+from jaxdet.results.tables import Tables
 from jaxdet.types import Intrinsics
 
 Publish = Callable[[Mapping[str, Any]], None]
@@ -193,7 +192,7 @@ class ObstacleNode:
         if found[0].status is not FrameStatus.OK:
             problem = f"the image has no measurement in range ({found[0].status})"
             raise InputError(problem, topic=self._depth_topic)
-        (frame,) = Chunk(*Tables.of(found.rows.frames, found.rows.obstacles)).each()
+        (frame,) = Tables.of(found.rows.frames, found.rows.obstacles).each()
         frame = frame._replace(row=frame.row | {"camera_frame": frame_id})
         if (floor := floor_transform(frame.row)) is not None:
             self._publishers[TF](transforms_message(depth.stamp_ns, [floor]))

@@ -28,8 +28,9 @@ from jaxdet.results.manifest import read_manifest, write_manifest
 from jaxdet.results.map_file import Grid, read_map, write_map
 from jaxdet.results.occupancy import MapImage, OccupancyMap
 from jaxdet.results.publish import finish, flush_folder, link_folder, publish, remove
-from jaxdet.results.reading import LINKS, TRACKS, Chunk, ResultLog, Results
+from jaxdet.results.reading import LINKS, TRACKS, ResultLog, Results
 from jaxdet.results.schemas import LINKS_SCHEMA, TRACKS_SCHEMA
+from jaxdet.results.tables import Tables
 from jaxdet.results.writer import parquet_writer
 from jaxdet.tracks.config import TrackConfig
 from jaxdet.tracks.looks import OBSTACLE_COLUMNS, POSE_COLUMNS
@@ -298,7 +299,7 @@ def _track_log(
     return LogTracks(log.label, *found, why)
 
 
-def _blind(chunk: Chunk) -> Iterator[str]:
+def _blind(chunk: Tables) -> Iterator[str]:
     """Why each of these frames has no place in the world."""
     for source, place in zip(*(chunk.frames[name].to_pylist() for name in _PLACE), strict=True):
         floor = "no floor" if source == "none" else "the world's z is not up"

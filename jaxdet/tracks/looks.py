@@ -24,7 +24,7 @@ from jaxdet.results.free_floor import RAY_RAD, FreeFloor, ray_bearings
 from jaxdet.results.metric import TILT, tilted, to_world
 from jaxdet.results.occupancy import CELL_M, TILE
 from jaxdet.results.raster import Layer, rasterize
-from jaxdet.results.reading import Chunk
+from jaxdet.results.tables import Tables
 from jaxdet.types import RAYS, FreeEnd
 
 CHUNK_FRAMES = 64
@@ -55,7 +55,7 @@ class Looks:
         self._tiles: dict[tuple[int, int], np.ndarray] = {}
         """By row and column of the tile, looks of each kind ``(3, TILE, TILE)`` int32."""
 
-    def add(self, chunk: Chunk) -> None:
+    def add(self, chunk: Tables) -> None:
         """Add the next frames.
 
         Args:
@@ -106,7 +106,7 @@ class Looks:
                 area[FLOOR] += known & (part == 1 + FLOOR)
                 area[OTHER] += known & (part == 1 + OTHER)
 
-    def of(self, chunk: Chunk) -> np.ndarray:
+    def of(self, chunk: Tables) -> np.ndarray:
         """Return the looks at the places of obstacles, summed over their cells.
 
         Args:
@@ -184,7 +184,7 @@ def free_floor(frames: pa.Table) -> FreeFloor:
     return FreeFloor(seen.astype(bool), way, bearing, start, stop, end)
 
 
-def contours(chunk: Chunk, T_world_camera: np.ndarray) -> Lines:
+def contours(chunk: Tables, T_world_camera: np.ndarray) -> Lines:
     """Return the contours of all obstacles of a chunk."""
     count = _lengths(chunk.obstacles["contour"]) // 2
     values = list_array(chunk.obstacles["contour"]).flatten().to_numpy().astype(np.float64)

@@ -12,8 +12,9 @@ from jaxdet.results.free_floor import RAY_RAD, FreeFloor
 from jaxdet.results.map_file import Grid, KnownPlaces
 from jaxdet.results.metric import world_angle
 from jaxdet.results.occupancy import MapImage, OccupancyMap
-from jaxdet.results.reading import Chunk, ResultLog, Results
+from jaxdet.results.reading import ResultLog, Results
 from jaxdet.results.schemas import LINKS_SCHEMA, TRACKS_SCHEMA
+from jaxdet.results.tables import Tables
 from jaxdet.results.tracked import TracksInFrames
 from jaxdet.tracks.looks import (
     CHUNK_FRAMES,
@@ -72,7 +73,7 @@ class Places:
         for chunk in results.chunks(log, FRAME_COLUMNS, OBSTACLE_COLUMNS, CHUNK_FRAMES):
             self._looks.add(chunk)
 
-    def of(self, chunk: Chunk, corners_world: np.ndarray) -> PlaceRows:
+    def of(self, chunk: Tables, corners_world: np.ndarray) -> PlaceRows:
         """Return the places of the obstacles of a chunk.
 
         Args:
@@ -132,7 +133,7 @@ class Places:
         return with_outlines(image, self._lasting)
 
 
-def shares_in_map(chunk: Chunk, known: KnownPlaces) -> np.ndarray:
+def shares_in_map(chunk: Tables, known: KnownPlaces) -> np.ndarray:
     """Return the share of each contour that is near something of a map.
 
     Args:

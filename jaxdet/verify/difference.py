@@ -9,8 +9,9 @@ from scipy.optimize import linear_sum_assignment
 
 from jaxdet.errors import InputError
 from jaxdet.eval.polygon import overlap
-from jaxdet.results.reading import MOST_NAMED, Frame, ResultLog, Results
+from jaxdet.results.reading import MOST_NAMED, ResultLog, Results
 from jaxdet.results.summary import plain
+from jaxdet.results.tables import Frame
 
 MIN_OVERLAP = 0.2
 """Minimum intersection over union of the outlines of an obstacle in both runs."""

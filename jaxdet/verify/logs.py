@@ -14,10 +14,11 @@ from jaxdet.floor.plane import unknown_plane
 from jaxdet.io import Log, LogFiles, open_log
 from jaxdet.pipeline import detect
 from jaxdet.results.manifest import fingerprint
-from jaxdet.results.reading import Chunk, ResultLog, Results
+from jaxdet.results.reading import ResultLog, Results
 from jaxdet.results.rows import batch_rows, no_inputs, row_inputs
 from jaxdet.results.schemas import OBSTACLES_SCHEMA
-from jaxdet.results.writer import Tables, table_bytes
+from jaxdet.results.tables import Tables
+from jaxdet.results.writer import table_bytes
 from jaxdet.verify.report import Report
 
 if TYPE_CHECKING:
@@ -135,11 +136,11 @@ def _check_sample(
         given = plane, planes.sources(stamps), found, config
         rows = batch_rows(log.name, log.camera, batch, *given)
         want = Tables.of(rows.frames, rows.obstacles)
-        _compare(log, Chunk(*want), chunk, report)
+        _compare(log, want, chunk, report)
         report.frames_again += len(again)
 
 
-def _compare(log: ResultLog, want: Chunk, found: Chunk, report: Report) -> None:
+def _compare(log: ResultLog, want: Tables, found: Tables, report: Report) -> None:
     """Names the frames and columns that are not those of the reference."""
     if not any(_different(*tables) for tables in zip(want, found, strict=True)):
         return

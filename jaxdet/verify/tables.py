@@ -9,9 +9,10 @@ from jaxdet.errors import InputError
 from jaxdet.results.arrow import vectors
 from jaxdet.results.layout import FRAMES, OBSTACLES
 from jaxdet.results.metadata import INPUTS_KEY, VERSION_KEY, Inputs, table_metadata
-from jaxdet.results.reading import Chunk, ResultLog, Results
+from jaxdet.results.reading import ResultLog, Results
 from jaxdet.results.schemas import OBSTACLES_SCHEMA
 from jaxdet.results.summary import Counts
+from jaxdet.results.tables import Tables
 from jaxdet.verify.report import Report
 
 
@@ -61,7 +62,7 @@ def _check_log(results: Results, log: ResultLog, read: Inputs, report: Report) -
             report.add("tables", log.label, problem)
 
 
-def _columns(chunk: Chunk) -> dict[str, np.ndarray]:
+def _columns(chunk: Tables) -> dict[str, np.ndarray]:
     """Columns of the frames that :meth:`jaxdet.results.summary.Counts.count` takes."""
     columns = {name: np.array(chunk.frames[name].to_pylist(), object) for name in _WORDS}
     refused = columns["floor_refused"]
@@ -71,7 +72,7 @@ def _columns(chunk: Chunk) -> dict[str, np.ndarray]:
     return {**columns, **numbers, "camera_orientation_world": poses}
 
 
-def _outlines(chunk: Chunk) -> dict[str, np.ndarray]:
+def _outlines(chunk: Tables) -> dict[str, np.ndarray]:
     """Columns of the obstacles that :meth:`jaxdet.results.summary.Counts.count` takes."""
     return {
         "corners_ground": vectors(chunk.obstacles["corners_ground"], 8),
@@ -83,7 +84,7 @@ _WORDS = ("status", "floor_source", "floor_refused")
 _NUMBERS = ("num_obstacles", "overflow", "camera_pitch_rad", "camera_roll_rad")
 
 
-def _problems(chunk: Chunk) -> set[str]:
+def _problems(chunk: Tables) -> set[str]:
     """In what the obstacles are not those of the frames."""
     found, count = set(), chunk.frames["num_obstacles"].to_numpy()
     labels = np.arange(chunk.obstacles.num_rows) - np.repeat(chunk.first[:-1], count)
