@@ -113,7 +113,7 @@ def test_the_command_says_how_to_see_it(
         output = tmp_path / to
         assert main(["export", str(parts / "results"), "--to", to, "--output", str(output)]) == 0
         written, see = capsys.readouterr().err.splitlines()
-        assert written == f"written: {output}" and see.startswith("to see it: ")
+        assert written == f"written: {output}" and see.startswith("to view it: ")
         for name in re.findall(rf"{output}/[\w.]+", see):
             pattern = Path(name).name.replace("LOG", "both@front")
             assert (output / pattern).is_file()

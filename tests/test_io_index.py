@@ -418,7 +418,7 @@ def test_info_counts_pairs_where_it_is_told_to_check(tmp_path, capsys):
     path = str(write_log(tmp_path / "x.mcap", make_scene(20), chunk_size=6000))
     assert info.main([path]) == 0
     text = capsys.readouterr().out
-    assert "20 frames" in text and "not counted; see --check" in text
+    assert "20 frames" in text and "not counted; pass --check to count" in text
     assert info.main([path, "--check"]) == 0
     text = capsys.readouterr().out
     assert "colour for all 20 frames, the nearest up to 4.0 ms away" in text

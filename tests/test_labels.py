@@ -163,13 +163,15 @@ def test_labels_in_a_run(drive: Path, tmp_path: Path, capsys: pytest.CaptureFixt
     path = str(write(tmp_path, coco))
     args = ["--output", out, "--workers", "1", "--pictures", "0", "--truth", path]
     assert main(["run", log, *args]) == 1
-    problem = "labels.json: the labels are of images of 640 x 480 pixels, the log's have 320 x 240"
+    problem = (
+        "labels.json: the labels are for images of 640 x 480 pixels, but the log has 320 x 240"
+    )
     assert problem in capsys.readouterr().err
     other = tmp_path / "other.mcap"
     other.write_bytes((drive / "drive.mcap").read_bytes())
     assert main(["run", log, str(other), *args, "-y"]) == 2
-    said = "labels are of one log, but there are 2; run the logs one by one"
+    said = "labels refer to one log, got 2 logs; run the logs one by one"
     assert said in capsys.readouterr().err
     write(tmp_path, [{"frame": 0, "box": [100, 100, 140, 160]}])
     assert main(["run", log, *args, "-y"]) == 0
-    assert "distance_m not compared: no true distance is known" in capsys.readouterr().out
+    assert "distance_m not compared: the true distances are unknown" in capsys.readouterr().out
