@@ -72,12 +72,14 @@ def test_sidecars_are_no_logs(to: str, parts: Path, tmp_path: Path) -> None:
     """Beside a log they are left out; named themselves, or alone, they are called what they are."""
     folder = exported(parts, to, tmp_path / "out")
     name = "both@rear.jaxdet.mcap"
-    with pytest.raises(InputError, match=r"front\.jaxdet\.mcap: an export of jaxdet.*name the log"):
+    with pytest.raises(
+        InputError, match=r"front\.jaxdet\.mcap: an export of jaxdet.*pass the original log"
+    ):
         find_logs([str(folder)])
     (folder / "both.mcap").symlink_to(parts / "both.mcap")
     [log] = find_logs([str(folder)])
     assert log.name == "both" and log.note.endswith(f"{name} is left out: an export of jaxdet")
-    with pytest.raises(TopicError, match=f"{name}: an export of jaxdet.*name the log"):
+    with pytest.raises(TopicError, match=f"{name}: an export of jaxdet.*pass the original log"):
         open_log(str(folder / name))
 
 

@@ -205,7 +205,7 @@ def test_mount_from_tf(frames, monkeypatch):
 @pytest.mark.parametrize(
     ("parameters", "problem"),
     [
-        ({"config": "wheeld"}, "no preset 'wheeld'"),
+        ({"config": "wheeld"}, "unknown preset 'wheeld'"),
         ({"config": "paper"}, "config: this method needs colour images"),
         ({"depth_unit_m": 1}, "depth_unit_m: a depth unit of 1 m"),
         ({"depth_unit_m": "mm"}, "depth_unit_m: expected"),
