@@ -445,9 +445,15 @@ REFUSED_ARGUMENTS = {
     "unit of text": ({"depth_unit_m": "mm"}, "depth_unit_m: expected an array of numbers, got str"),
     "unit 0": ({"depth_unit_m": 0.0}, "depth_unit_m: .* 0.001 for millimetres"),
     "unit in mm": ({"depth_unit_m": 1.0}, "depth_unit_m: "),
-    "unknown order": ({"color_order": "rgba"}, "color_order: 'rgba'; use one of rgb, bgr"),
-    "unknown backend": ({"backend": "torch"}, "backend: 'torch'; use one of reference, jax"),
-    "a height": ({"mount": 0.4}, r"mount: must be a jaxdet.Mount, got 0.4; give jaxdet.Mount"),
+    "unknown order": (
+        {"color_order": "rgba"},
+        "color_order: unknown value 'rgba'; use one of rgb, bgr",
+    ),
+    "unknown backend": (
+        {"backend": "torch"},
+        "backend: unknown value 'torch'; use one of reference, jax",
+    ),
+    "a height": ({"mount": 0.4}, r"mount: must be a jaxdet.Mount, got 0.4; pass jaxdet.Mount"),
 }
 
 
@@ -464,21 +470,36 @@ REFUSED_IMAGES = {
     "a batch": ("call", DEPTH[0], COLOR, "color: expected a frame of shape .* Detector.batch"),
     "a batch of depth": ("call", DEPTH, None, r"depth: expected a frame of shape \(Hd, Wd\)"),
     "RGBA": ("call", DEPTH[0], np.zeros((120, 160, 4), np.uint8), r"color: .*\[..., :3\]"),
-    "float colour": ("call", DEPTH[0], COLOR[0] / 255.0, "color: images are float64; give uint8"),
-    "depth in bytes": ("call", DEPTH[0].astype(np.uint8), None, "depth: it is uint8, .* first"),
-    "depths in bytes": ("batch", DEPTH.astype(np.uint8), None, "depth: images are uint8, .* first"),
-    "depth in int32": ("call", DEPTH[0].astype(np.int32), None, "depth: images are int32"),
-    "millimetres in floats": ("call", DEPTH[0] * 1.0, None, "depth: the nearest .* metres"),
-    "other colour": ("call", DEPTH[0], COLOR[0][:60], "color: images of 160x60 .* 160x120"),
-    "fewer colours": ("batch", DEPTH, COLOR[:2], "color: 2 for 3 depth images"),
+    "float colour": (
+        "call",
+        DEPTH[0],
+        COLOR[0] / 255.0,
+        "color: expected uint8 images, got float64",
+    ),
+    "depth in bytes": (
+        "call",
+        DEPTH[0].astype(np.uint8),
+        None,
+        "depth: expected a depth image, got uint8; .* first",
+    ),
+    "depths in bytes": (
+        "batch",
+        DEPTH.astype(np.uint8),
+        None,
+        "depth: expected depth images, .* first",
+    ),
+    "depth in int32": ("call", DEPTH[0].astype(np.int32), None, "depth: expected .*, got int32"),
+    "millimetres in floats": ("call", DEPTH[0] * 1.0, None, "depth: the smallest .* metres"),
+    "other colour": ("call", DEPTH[0], COLOR[0][:60], "color: images have 160x60 .* 160x120"),
+    "fewer colours": ("batch", DEPTH, COLOR[:2], "color: expected 3 entries as for depth, got 2"),
     "too large": (
         "call",
         DEPTH[0],
         np.broadcast_to(np.uint8(0), (1 << 13, (1 << 12) + 1, 3)),
-        "color: an image of shape .* maximum of 33554432 pixels; scale it",
+        "color: an image of shape .* maximum of 33554432 pixels; scale the image",
     ),
-    "no frames": ("batch", DEPTH[:0], None, "depth: there are no frames"),
-    "an empty list": ("batch", [], [], "depth: there are no frames"),
+    "no frames": ("batch", DEPTH[:0], None, "depth: expected at least one frame, got none"),
+    "an empty list": ("batch", [], [], "depth: expected at least one frame, got none"),
     "frames of two sizes": ("batch", DEPTH[:2], [COLOR[0], COLOR[0][:60]], "color: frames differ"),
     "a generator": (
         "batch",
@@ -496,10 +517,20 @@ REFUSED_IMAGES = {
         "call",
         COLOR[0],
         DEPTH[0],
-        r"depth: it is uint8, as colour images are; depth comes first: detector\(depth, color\)",
+        r"depth: expected a depth image, got uint8; pass depth first: detector\(depth, color\)",
     ),
-    "colour first, a batch": ("batch", COLOR, DEPTH, "depth: images are uint8, .* depth comes fir"),
-    "depth twice": ("call", DEPTH[0], DEPTH[0], "color: images are uint16; depth comes first"),
+    "colour first, a batch": (
+        "batch",
+        COLOR,
+        DEPTH,
+        "depth: expected depth images, .* depth first",
+    ),
+    "depth twice": (
+        "call",
+        DEPTH[0],
+        DEPTH[0],
+        "color: expected uint8 images, got uint16; .* depth first",
+    ),
     "None": ("call", None, DEPTH[0], "depth: expected a frame"),
     "text": ("call", "image.png", DEPTH[0], "depth: expected a frame"),
 }
@@ -516,10 +547,10 @@ REFUSED_IMAGES = {
             {"stamp_ns": 1714557600.25},
             "stamps_ns: expected integers .* in nanoseconds, got float64",
         ),
-        ({"T_world_camera": np.eye(3)}, "T_world_camera: shape"),
+        ({"T_world_camera": np.eye(3)}, "T_world_camera: got shape"),
         ({"T_world_camera": "T"}, "T_world_camera: .*numbers"),
-        ({"T_world_camera": 2 * np.eye(4)}, "T_world_camera: is not a rigid transform"),
-        ({"T_world_camera": np.diag([1, 1, -1, 1])}, "T_world_camera: is not a rigid transform"),
+        ({"T_world_camera": 2 * np.eye(4)}, "T_world_camera: expected rigid transforms"),
+        ({"T_world_camera": np.diag([1, 1, -1, 1])}, "T_world_camera: expected rigid transforms"),
         ({"mount": 0.3}, "mount: must be a jaxdet.Mount, got 0.3"),
     ],
 )
@@ -538,12 +569,12 @@ def test_images_that_are_none_name_their_argument(name):
 
 def test_the_calibration_is_of_the_first_images():
     given = Detector([600.0, 600.0, 320.0, 240.0], backend="reference")
-    with pytest.raises(CalibrationError, match=r"K: the optical centre \(320, 240\) lies outside"):
+    with pytest.raises(CalibrationError, match=r"K: the optical centre \(320, 240\) is outside"):
         given(smooth_depth(1, CALIBRATION.color)[0], COLOR[0])
     given = Detector([6e4, 6e4, 80.0, 60.0], backend="reference")
     with pytest.raises(CalibrationError, match=r"K: the field of view .* is 0.153° .* in pixels$"):
         given(smooth_depth(1, CALIBRATION.color)[0], COLOR[0])
-    with pytest.raises(CalibrationError, match=r"color: .* not aligned .* give color_K"):
+    with pytest.raises(CalibrationError, match=r"color: .* not aligned .* pass color_K"):
         Detector(K, backend="reference")(DEPTH[0][:60], COLOR[0])
     with pytest.raises(CalibrationError, match=r"color_K: the size .*Intrinsics.from_matrix"):
         detector(color_K=K, backend="reference")(DEPTH[0])
@@ -553,9 +584,9 @@ def test_the_calibration_is_of_the_first_images():
         Detector(K, config="paper", backend="reference")(DEPTH[0])
     given = Detector(K, backend="reference")
     given(smooth_depth(1, CALIBRATION.color)[0], COLOR[0])
-    with pytest.raises(CalibrationError, match=r"depth: images of 80x60 .* each image size"):
+    with pytest.raises(CalibrationError, match=r"depth: images have 80x60 .* per image size"):
         given(DEPTH[0][::2, ::2], COLOR[0][::2, ::2])
-    with pytest.raises(InputError, match="not made from a log"):
+    with pytest.raises(InputError, match="not created from a log"):
         next(given.run([]))
 
 
@@ -575,10 +606,10 @@ def test_mounts_that_no_camera_has():
     for wrong, said in (
         ({"height_m": 300}, "height_m: .*metres"),
         ({"height_m": 0}, "height_m"),
-        ({"height_m": 10**400}, "height_m: number is too large; give metres"),
+        ({"height_m": 10**400}, "height_m: number is too large; pass metres"),
         ({"height_m": "0.3"}, "height_m: expected a number .*, got '0.3'"),
         ({"height_m": float("nan")}, "height_m"),
-        ({"height_m": 0.3, "pitch_rad": 10}, "pitch_rad: 10 rad are 573°; .*math.radians"),
+        ({"height_m": 0.3, "pitch_rad": 10}, "pitch_rad: expected radians .* got 10; .*math.radians"),
         ({"height_m": 0.3, "roll_rad": float("nan")}, "roll_rad"),
     ):
         with pytest.raises(ConfigError, match=said):
@@ -590,7 +621,7 @@ def test_mounts_that_no_camera_has():
         Mount.from_gravity(10**400, [0, 1, 0])
     assert Mount.from_gravity(0.3, [0, 1e300, 1e300]).pitch_rad == pytest.approx(np.pi / 4)
     for T in (np.eye(3), np.zeros((4, 4)), np.diag([2.0, 2, 2, 1]), np.full((4, 4), np.nan)):
-        with pytest.raises(InputError, match=r"T_base_camera: .*give a \(4, 4\) matrix"):
+        with pytest.raises(InputError, match=r"T_base_camera: .*pass a \(4, 4\) matrix"):
             Mount.from_transform(T)
 
 

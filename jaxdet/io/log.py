@@ -350,7 +350,7 @@ class Log:
         """
         windows = [self._window(start, stop) for _, start, stop in _runs(indices, self._at_once)]
         count, none = len(indices), np.zeros((0, *self.depth_shape), np.uint16)
-        return self._made(indices, windows, (none, None), (status,) * count, (error,) * count)
+        return self._assembled(indices, windows, (none, None), (status,) * count, (error,) * count)
 
     def _batch(
         self,
@@ -391,7 +391,7 @@ class Log:
             if need_color and not failure and not (there[i] and wanted[i] and not bad[i]):
                 status[-1], text = FrameStatus.NO_COLOR, self._why_no_color(failures.color[i])
             errors.append(" ".join(text.split()))
-        made = self._made(indices, windows, (depths, colors), tuple(status), tuple(errors))
+        made = self._assembled(indices, windows, (depths, colors), tuple(status), tuple(errors))
         stamps = made.frames.color_stamp_ns
         assert stamps is not None
         stamps[:count][bad] = -1
