@@ -23,7 +23,7 @@ from jaxdet.results.occupancy import CELL_M, SHIFT, UNITS
 from jaxdet.results.reading import ResultLog, Results
 from jaxdet.sim import Truth, load_truth
 from jaxdet.tracks import TrackConfig, track_results
-from jaxdet.tracks.looks import FRAME_COLUMNS, OBSTACLE_COLUMNS, contours, poses
+from jaxdet.tracks.sightings import FRAME_COLUMNS, OBSTACLE_COLUMNS, contours, poses
 
 NEAR_M = 0.25
 """Cells farther than this from anything real are phantoms [m]."""

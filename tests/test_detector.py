@@ -609,7 +609,10 @@ def test_mounts_that_no_camera_has():
         ({"height_m": 10**400}, "height_m: number is too large; pass metres"),
         ({"height_m": "0.3"}, "height_m: expected a number .*, got '0.3'"),
         ({"height_m": float("nan")}, "height_m"),
-        ({"height_m": 0.3, "pitch_rad": 10}, "pitch_rad: expected radians .* got 10; .*math.radians"),
+        (
+            {"height_m": 0.3, "pitch_rad": 10},
+            "pitch_rad: expected radians .* got 10; .*math.radians",
+        ),
         ({"height_m": 0.3, "roll_rad": float("nan")}, "roll_rad"),
     ):
         with pytest.raises(ConfigError, match=said):

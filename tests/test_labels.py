@@ -60,15 +60,18 @@ def test_plain_list(tmp_path: Path) -> None:
 
 
 BAD = {
-    "not JSON": ("{", r"is not JSON \(.*; give a COCO file, or a list \[\{.frame.: 12"),
-    "deep": ("[" * 100_000, "is not JSON"),
-    "a number": ("3", "is not a list of labels"),
+    "not JSON": ("{", r"invalid JSON \(.*; pass a COCO file, or a list \[\{.frame.: 12"),
+    "deep": ("[" * 100_000, "invalid JSON"),
+    "a number": ("3", "not a list of labels"),
     "no images": ({"annotations": []}, "key 'images' is missing"),
     "no such image": (
         {"images": [], "annotations": [{"image_id": 4, "bbox": [0, 0, 1, 1]}]},
-        "annotation 0: there is no image 4",
+        "annotation 0: unknown image 4",
     ),
-    "no frame": ([{"image": "left.png", "box": [0, 0, 1, 1]}], 'label 0: no number .*add "frame"'),
+    "no frame": (
+        [{"image": "left.png", "box": [0, 0, 1, 1]}],
+        'label 0: the frame number .*add the key "frame"',
+    ),
     "three numbers": ([{"frame": 0, "box": [0, 0, 1]}], r"label 0: box must be 4 numbers, got \[0"),
     "not finite": ('[{"frame": 0, "box": [0, 0, 1, NaN]}]', "box must be 4 numbers"),
     "no area": ([{"frame": 0, "box": [5, 0, 1, 4]}], "label 0: box has no area"),

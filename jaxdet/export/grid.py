@@ -17,8 +17,8 @@ from jaxdet.results.metric import to_world
 from jaxdet.results.raster import Layer, Raster, rasterize
 from jaxdet.results.reading import Frame, ResultLog, Results
 from jaxdet.tracks.folder import tracking
-from jaxdet.tracks.looks import OBSTACLE_COLUMNS, POSE_COLUMNS
 from jaxdet.tracks.places import IN_MAP, is_lasting, shares_in_map
+from jaxdet.tracks.sightings import OBSTACLE_COLUMNS, POSE_COLUMNS
 
 HIT, MISS = 85, -40
 """Log-odds that an outline and free floor add to a cell [1/100], as in OctoMap."""
@@ -50,7 +50,7 @@ def last_grid(results: Results, log: ResultLog, known: KnownPlaces | None = None
     odds = np.zeros(counted.counts.shape, np.int16)
     most_floor = tracking(log.folder).most_floor if results.tracked(log) else 1.0
     # Frame counts of floor, outlines and contours per cell; floor counts after the first outline.
-    looks = np.zeros((3, *counted.counts.shape), np.int32)
+    sightings = np.zeros((3, *counted.counts.shape), np.int32)
     seen_floor = np.zeros(counted.counts.shape, bool)
     for frame in _frames(results, log, most_floor, known):
         if (raster := _raster(frame)) is None:
@@ -62,13 +62,13 @@ def last_grid(results: Results, log: ResultLog, known: KnownPlaces | None = None
         here = slice(top, top + part.shape[0]), slice(left, left + part.shape[1])
         odds[here] = np.clip(odds[here] + _ADDED[part], LEAST, MOST)
         seen_floor[here] |= part == _FLOOR
-        floor, outlines, contours = (looks[kind][here] for kind in range(3))
+        floor, outlines, contours = (sightings[kind][here] for kind in range(3))
         outlines += part >= _OUTLINE
         contours += part == _EDGE
         floor += (part == _FLOOR) & (outlines > 0)
     occupied = odds > 0
     if results.tracked(log):
-        floor, outlines, contours = looks
+        floor, outlines, contours = sightings
         lasting = (contours > 0) & is_lasting(floor / np.maximum(floor + outlines, 1), most_floor)
         occupied = _groups_with(lasting, occupied)
     free = (seen_floor | (odds < 0)) & ~occupied
