@@ -670,7 +670,7 @@ def test_low_level_calls_say_what_is_wrong():
     with pytest.raises(ConfigError, match=r"expected a Config, got 'wheeled'; .*jaxdet.preset"):
         jaxdet.detect(given, "wheeled")
     assert jaxdet.flat_plane(0.63, 0.34, 0.18).height.tolist() == [0.63]
-    with pytest.raises(InputError, match=r"the shapes \(2,\), \(1,\), \(1,\), \(2,\); give \(B,\)"):
+    with pytest.raises(InputError, match=r"the shapes \(2,\), \(1,\), \(1,\), \(2,\); pass \(B,\)"):
         jaxdet.flat_plane([0.3, 0.4], 0.1, 0.0)
     with pytest.raises(InputError, match="have the shapes"):
         jaxdet.flat_plane([0.3, 0.4], [0.1, 0.1], [0.0, 0.0], np.ones(1, bool))

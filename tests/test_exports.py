@@ -73,7 +73,7 @@ def test_sidecars_are_no_logs(to: str, parts: Path, tmp_path: Path) -> None:
     folder = exported(parts, to, tmp_path / "out")
     name = "both@rear.jaxdet.mcap"
     with pytest.raises(
-        InputError, match=r"front\.jaxdet\.mcap: an export of jaxdet.*pass the original log"
+        InputError, match=r"front\.jaxdet\.mcap: this is an export of jaxdet.*pass the original log"
     ):
         find_logs([str(folder)])
     (folder / "both.mcap").symlink_to(parts / "both.mcap")

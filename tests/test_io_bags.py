@@ -228,7 +228,7 @@ def test_a_folder_is_searched_through_links_and_whatever_the_case(mcap, tmp_path
     )
     for name in ("A.MCAP", "day2"):
         (folder / name).unlink()
-    with pytest.raises(InputError, match=r"lost\.mcap: a broken link.*correct the link"):
+    with pytest.raises(InputError, match=r"lost\.mcap: this is a broken link.*correct the link"):
         find_logs([str(folder)])
 
 
@@ -287,7 +287,7 @@ def test_db3_that_was_not_closed(db3, tmp_path):
     path = copy(db3, tmp_path)
     beside = tmp_path / "sim.db3-wal"
     beside.write_bytes(b"x")
-    with pytest.raises(InputError, match=r"not closed: sim\.db3-wal"):
+    with pytest.raises(InputError, match=r"not closed, sim\.db3-wal"):
         open_log(str(path))
 
 

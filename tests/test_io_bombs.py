@@ -17,7 +17,7 @@ SAID = {
     "schema_memory": "",
     "schema_text": "its schema has 14155787 bytes",
     "schema_comment": "messages can't be decoded",
-    "schema_fields": "at most 10000 are taken",
+    "schema_fields": "more than the maximum of 10000",
     "many_topics": "InputError.*at least 60005 topics",
     "empty_images": "InputError.* messages or more in",
     "tiny_images": "InputError.* messages or more in",

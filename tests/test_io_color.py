@@ -264,7 +264,7 @@ def test_video_is_a_note(tmp_path, schema, said):
     path, scene = write_depth(tmp_path / "x.mcap", more=more)
     with open_both_ways(path) as log:
         assert not log.has_color
-        text = f"no colour (not read: {said} of /cam/color/video): pictures show depth"
+        text = f"no colour (unsupported: {said} of /cam/color/video): pictures show depth"
         assert log.description.notes.count(text) == 1
         np.testing.assert_array_equal(log.read(range(8)).frames.depth, scene.depth)
     with pytest.raises(TopicError, match="/cam/color/video"):
