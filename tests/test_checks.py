@@ -66,7 +66,7 @@ def test_a_batch_has_one_of_each(backend):
 def test_the_stages_refuse_other_sizes():
     given = made()
     pixels = np.zeros((2, 2, 1), np.int32)
-    with pytest.raises(CalibrationError, match="depth images of 96x20"):
+    with pytest.raises(CalibrationError, match="depth images have 96x20 pixels"):
         stages.align(given.depth[:, :20], *pixels, given.calibration)
     for color, depth in ((given.color[:, :30], given.depth), (given.color, given.depth[:, :30])):
         with pytest.raises(CalibrationError, match="images of 96x30"):
@@ -325,7 +325,7 @@ def test_damaged_calibrations_are_refused_or_used_alike():
         ("fx", 1e-45, "not calibrated.*--log.color-intrinsics"),
         ("cy", math.nan, "optical centre.*--log.color-intrinsics"),
         ("cy", -1e4, "optical centre.*far outside of the colour.*--log.color-intrinsics"),
-        ("fx", 1e5, "fx 100000 and fy .* a factor of 4; give --log.color-intrinsics"),
+        ("fx", 1e5, "fx 100000 and fy .* a factor of 4; pass --log.color-intrinsics"),
         ("coefficients", (math.inf,), "are implausible"),
         ("coefficients", (0.0, -1e5), "coefficients 0 -100000 are implausible"),
         ("coefficients", (0.1,) * 9, "are implausible"),
@@ -343,7 +343,7 @@ def test_cameras_that_do_not_exist(part, value, said):
 def test_impossible_fields_of_view_are_rejected(focal, view):
     """Micrometres for pixels, or a matrix that is none."""
     camera = Intrinsics(320, 240, focal, focal, 159.0, 123.0)
-    said = f"is {view}.* 320x240 pixels.*1° to 179°; give --log.depth-intrinsics fx fy cx cy"
+    said = f"is {view}.* 320x240 pixels.*1° to 179°; pass --log.depth-intrinsics fx fy cx cy"
     with pytest.raises(CalibrationError, match=said):
         check_calibration(Calibration(camera))
 
@@ -398,7 +398,7 @@ def test_motions_and_units_that_no_cameras_have():
             mirror,
             "rotation from depth to colour camera is not a rotation matrix",
         ),
-        ("depth_unit", 1e-9, "depth unit of 1e-09 m.*--log.depth-unit-m"),
+        ("depth_unit", 1e-9, "got 1e-09 m.*--log.depth-unit-m"),
         ("depth_unit", math.nan, "--log.depth-unit-m"),
     ):
         wrong = given.calibration._replace(**{part: value})
@@ -421,9 +421,17 @@ def test_motions_and_units_that_no_cameras_have():
 def test_images_are_arrays_of_their_kind(backend):
     given = made(1)
     for part, value, said in (
-        ("color", given.color.astype(np.float32), r"float32 .*give \(B, H, W, 3\) uint8"),
+        (
+            "color",
+            given.color.astype(np.float32),
+            r"expected colour images \(B, H, W, 3\) uint8, got float32",
+        ),
         ("color", given.color[..., 0], "give"),
-        ("depth", given.depth.astype(np.int32), r"int32 .*give \(B, H, W\) uint16"),
+        (
+            "depth",
+            given.depth.astype(np.int32),
+            r"expected depth images \(B, H, W\) uint16, got int32",
+        ),
         ("depth", given.depth.tolist(), "list"),
         ("depth", np.ma.masked_equal(given.depth, 0), r"masked.*pass images\.filled\(0\)"),
     ):

@@ -119,7 +119,7 @@ def test_a_detector_is_of_its_log(sim_log, tmp_path):
     path.write_bytes(sim_log.read_bytes())
     with jaxdet.open_log(sim_log) as log, jaxdet.open_log(path) as other:
         detector = Detector.from_log(log, config=config, backend="reference")
-        with pytest.raises(InputError, match="made from 'sim', not from 'other'"):
+        with pytest.raises(InputError, match="created from 'sim', got 'other'"):
             next(detector.run(other))
         with jaxdet.open_log(sim_log) as again:
             assert next(detector.run(again, 1)).number == 0
@@ -417,11 +417,14 @@ TURNED[:3, :3] *= 2
 REFUSED_ARGUMENTS = {
     "translation in mm": ({"T_color_depth": MM}, r"T_color_depth: .*maximum of 10 m .*metres"),
     "no rotation": ({"T_color_depth": TURNED}, "T_color_depth: the rotation .* rigid transform"),
-    "three by four": ({"T_color_depth": T[:3]}, r"T_color_depth: expected a homogeneous \(3, 4\)"),
+    "three by four": (
+        {"T_color_depth": T[:3]},
+        r"T_color_depth: expected a homogeneous \(4, 4\) matrix, got shape \(3, 4\)",
+    ),
     "NaN": ({"T_color_depth": np.full((4, 4), np.nan)}, "T_color_depth: "),
     "T of text": ({"T_color_depth": "T"}, "T_color_depth: "),
-    "T alone": ({"color_K": None}, "T_color_depth without color_K"),
-    "color_K alone": ({"T_color_depth": None}, "color_K without T_color_depth"),
+    "T alone": ({"color_K": None}, "T_color_depth needs color_K"),
+    "color_K alone": ({"T_color_depth": None}, "color_K needs T_color_depth"),
     "transposed": ({"K": K.T}, "K: .* is not a camera matrix"),
     "scaled": ({"K": 2 * K}, "K: .* is not a camera matrix"),
     "fx NaN": ({"K": [np.nan, 1, 2, 3]}, "K: .* not calibrated .* pixels$"),
@@ -432,7 +435,7 @@ REFUSED_ARGUMENTS = {
         {"K": [600, 80, 60]},
         r"K: expected a camera matrix of shape \(3, 3\), got \(3,\)",
     ),
-    "a file name": ({"K": "camera.json"}, "K: expected a matrix, got str; give a"),
+    "a file name": ({"K": "camera.json"}, "K: expected a matrix, got str; pass a"),
     "K of text": ({"K": "600"}, "K: "),
     "size in floats": (
         {"K": CALIBRATION.depth._replace(width=160.0)},

@@ -129,7 +129,9 @@ def test_images_of_one_frame_are_of_one_place_where_they_are_of_one_lens(tmp_pat
             assert "frame" in log.description.extrinsics_source
         return
     with open_log(str(path)) as log:
-        text = f"both images are in TF frame {COLOR_FRAME!r}, but their camera matrices differ; pass "
+        text = (
+            f"both images are in TF frame {COLOR_FRAME!r}, but their camera matrices differ; pass "
+        )
         assert not log.has_color and f"{text}--log.color-from-d" in log.color_problem
     for given in ({"camera_frame": COLOR_FRAME}, {"depth_aligned": True}):
         with open_log(str(path), LogOptions(**given)) as log:

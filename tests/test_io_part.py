@@ -124,7 +124,7 @@ def test_nothing_in_the_range_names_the_span(log_path):
             open_only(str(log_path), LogOptions(**part))
         text = str(caught.value)
         assert all(f"--{name} {value}" in text for name, value in part.items())
-        assert "its 60 depth images are from 0 to 1.967 s, 2023-11-14T22:13:19.996Z to " in text
+        assert "the log has 60 depth images from 0 to 1.967 s, 2023-11-14T22:13:19.996Z to " in text
     with pytest.raises(InputError, match=r"no depth image matches --start 1.9 --every 100"):
         open_only(str(log_path), LogOptions(start="1.9", every=100))
 
