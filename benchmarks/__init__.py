@@ -1,1 +1,1 @@
-"""Benchmarks of the five stages; ``python -m benchmarks --help``."""
+"""Benchmarks of the processing stages; see ``python -m benchmarks --help``."""

@@ -1,10 +1,9 @@
-"""``python -m benchmarks cpu --json FILE``: time the stages on a device, write the metrics.
+"""``python -m benchmarks cpu --json FILE``: time the stages on a device and write the metrics.
 
-``python -m benchmarks feed --json FILE`` times whole logs, see :mod:`benchmarks.feed`;
-``python -m benchmarks tracks`` scores tracks, see :mod:`benchmarks.tracks`;
-``python -m benchmarks maps`` scores maps of simulated drives, see :mod:`benchmarks.maps`;
-``python -m benchmarks scale`` simulates runs on many nodes, see :mod:`benchmarks.scale`;
-``python -m benchmarks same`` compares the obstacles of two commits, see
+Other benchmarks: ``python -m benchmarks feed --json FILE`` times whole logs, see
+:mod:`benchmarks.feed`; ``tracks`` scores tracks, see :mod:`benchmarks.tracks`; ``maps`` scores maps
+of simulated drives, see :mod:`benchmarks.maps`; ``scale`` simulates runs on many nodes, see
+:mod:`benchmarks.scale`; ``same`` compares the obstacles of two commits, see
 :mod:`benchmarks.same_obstacles`.
 """
 
@@ -27,22 +26,22 @@ from benchmarks.sweep import AXES, points_of
 
 @dataclass(frozen=True)
 class Options:
-    """Times each stage on a device beside its peers, in one run."""
+    """Time each stage on a device, next to the implementations it is compared with."""
 
     device: tyro.conf.Positional[Literal["cpu", "gpu"]]
-    """Where the stages run."""
+    """Device on which the stages run."""
     only: tuple[str, ...] = tuple(AXES)
-    """The stages to time, and the whole pipeline."""
+    """Stages to time; ``pipeline`` is all of them together."""
     seconds: float = 1.0
-    """How long each case is repeated; the points of the sweep half of it."""
+    """Time for the repetitions of each case [s]; each point of the sweep gets half of it."""
     json_file: Annotated[Path | None, tyro.conf.arg(name="json")] = None
-    """Where to write the metrics, a list of key, value, unit, direction, tolerance."""
+    """File for the metrics: a JSON list of key, value, unit, direction, tolerance."""
     gate: Path | None = None
-    """A file written earlier on the same device; metrics worse than its tolerance fail."""
+    """Baseline file of the same kind of device; metrics worse than its tolerances fail."""
 
 
 class Run:
-    """The metrics of one run so far, and the peers that were missing."""
+    """Metrics measured in one run, and the peers that could not be imported."""
 
     def __init__(self, options: Options) -> None:
         self.options = options
@@ -50,7 +49,7 @@ class Run:
         self.missing: dict[str, Missing] = {}
 
     def stage(self, stage: str) -> Iterator[list[Metric]]:
-        """Times a stage beside its peers, then along its axes; yields what is new."""
+        """Time a stage against its peers, then along its axes; yield the metrics of each case."""
         options, module = self.options, import_module(f"benchmarks.bench_{stage}")
         rate = copy_rate(options.seconds / 2)  # again for each stage: others use the machine too
         yield [Metric(f"{stage}.copy_rate", rate / 1e9, "GB/s", "info", 0.0)]
@@ -68,7 +67,7 @@ class Run:
 
 
 def main(options: Options) -> int:
-    """Returns the exit code: 1 where the gate failed."""
+    """Run the benchmarks; return the exit code, 1 if the gate fails."""
     wp.config.log_level = wp.LOG_WARNING
     start, device = time.perf_counter(), jax.devices(options.device)[0]
     with jax.default_device(device):

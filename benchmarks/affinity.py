@@ -1,14 +1,15 @@
-"""Learns what of two surfaces speaks for their being one thing: the tables of the package.
+"""Train the weights of the pairwise evidence, :data:`TABLES`, for ``jaxdet.affinity``.
 
     python -m benchmarks.affinity surfaces      from simulated scenes, and real frames with
                                                 labelled boxes
     python -m benchmarks.affinity tabletop      from labelled frames of mOSD
 
-The scenes are 16,570 frames, a second each to draw and look at: hours on a few cores.
+The scenes have 16,570 frames, each of which takes about a second to render and process: hours on a
+few cores.
 
-Gradient boosting of the log-loss over pairs of surfaces (scikit-learn), monotonic where sense says
-so; two are one where most of their cells show one object. Seeds of the report's tests and held-out
-frames take no part.
+The model is gradient boosting of the log-loss over pairs of surfaces (scikit-learn), with monotonic
+constraints. Two surfaces belong together if most of their cells show the same object. The seeds of
+the report's tests and the held-out frames are not used.
 """
 
 import functools
@@ -60,36 +61,40 @@ OLD = (*SCENES, "mixed")
 OLD_SEEDS = (*range(900, 960), *range(2000, 2060))
 HARD_SEEDS = (*range(900, 950), *range(2000, 2025))
 CLOSE = ("room", "tables")
-"""Families where most stands close together: more of them is learnt from."""
+"""Families in which objects stand close together; more of their scenes are used."""
 CLOSE_SEEDS, CLOSE_ONCE = range(2025, 2060), range(2150, 2200)
-"""With both cameras; with one of them in turn."""
+"""Seeds rendered with both cameras, and seeds rendered with one of them in turn."""
 ROUNDS, FIRST = 395, 10_000
-"""Rounds of scenes with one camera each, three of each close family, and their first seed."""
+"""Number of rounds of scenes with one camera each, with three scenes of each close family, and the
+first seed."""
 ROUND_LIGHTS = ("strong", "normal", "weaker", "dim", "strong")
-"""Of old scenes, by what is left of their seed when divided by their number."""
+"""Light of the scenes of ``SCENES``, by seed modulo the number of entries."""
 NOISE_PER_M = 0.004
-"""mOSD's frames are learnt from with this noise over z squared as well, as a D435 has it [1/m]."""
+"""Noise of a D435, added to the frames of mOSD as a second variant: standard deviation divided by z
+squared [1/m]."""
 REAL = 20.0
-"""Weight of a pair of a real frame: few as they are, they still get a say."""
+"""Weight of a pair from a real frame, relative to simulated pairs, which are far more numerous."""
 IN_FRONT_M, BEHIND_M = 0.15, 0.5
-"""Cells in a box are of its object where they begin so much nearer or farther than it does."""
+"""Cells in a box belong to its object if they are at most this much nearer or farther than it
+[m]."""
 ENOUGH = 100
-"""Cells from which on a surface counts no more."""
+"""Number of cells above which the weight of a surface is constant."""
 MONOTONIC = [GROWS.get(name, 0) for name in PAIR_FEATURES]
 
 
 class Learning(NamedTuple):
-    """How a table is learnt; each was chosen by cross-validation over seeds or frames."""
+    """Parameters of the training, chosen by cross-validation over seeds or frames."""
 
     trees: int
     depth: int
     rate: float
     leaf: int
-    """Least pairs of a leaf."""
+    """Minimum number of pairs in a leaf."""
     ridge: float
-    """Penalty of the squared values of the leaves: keeps those of few pairs small."""
+    """L2 penalty of the leaf values, which reduces those of leaves with few pairs."""
     bias: float
-    """Log-odds added to the evidence: pairs far apart are many, and mean little."""
+    """Log-odds added to the evidence, because pairs that are far apart are numerous but carry
+    little information."""
 
 
 LEARNING = {
@@ -99,26 +104,28 @@ LEARNING = {
 
 
 class Examples(NamedTuple):
-    """Pairs of surfaces of frames."""
+    """Labelled pairs of surfaces."""
 
     seen: np.ndarray
-    """``(P, 26)`` int64."""
+    """Features of the pairs, ``(P, 26)`` int64."""
     same: np.ndarray
-    """``(P,)`` bool, one object."""
+    """Whether both surfaces belong to one object, ``(P,)`` bool."""
     weight: np.ndarray
-    """``(P,)`` float64: the smaller surface's cells, over the pairs of its frame, rooted."""
+    """Weight, ``(P,)`` float64: square root of the cells of the smaller surface over the pairs in
+    its frame."""
 
 
 def examples(
     config: Config, frames: Frames, objects: Callable[[Cells, int], np.ndarray], walls: np.ndarray
 ) -> Examples:
-    """The pairs of each frame of which something is known.
+    """Return the labelled pairs of surfaces of some frames.
 
     Args:
-        config: Whose surfaces.
-        frames: With the floor that is known of them.
-        objects: Of the cells of a frame: ``(R, C)`` int64 objects, 0 = floor, -1 = not known.
-        walls: ``(J + 1,)`` bool. Whether two walls are one is not asked.
+        config: Configuration of the surfaces.
+        frames: Depth images, with the known floor of each frame if there is one.
+        objects: Function that returns the object of each cell of a frame, ``(R, C)`` int64,
+            0 = floor, -1 = unknown.
+        walls: Whether an object is a wall, ``(J + 1,)`` bool; pairs of walls are left out.
     """
     parts = []
     for b, (grid, label, pairs) in enumerate(
@@ -139,12 +146,12 @@ def examples(
 
 
 def joined(parts: Sequence[Examples]) -> Examples:
-    """Examples one after the other."""
+    """Concatenate examples."""
     return Examples(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
 def simulated(spec: Spec) -> Examples:
-    """Pairs of simulated scenes, which are drawn and forgotten."""
+    """Render the scenes of a spec and return their pairs."""
     parts = []
     for shot in drawn(spec):
         walls = np.append(False, np.asarray(shot.truth.is_wall))
@@ -154,7 +161,7 @@ def simulated(spec: Spec) -> Examples:
 
 
 def scenes() -> Iterator[Spec]:
-    """The simulated scenes that are learnt from."""
+    """Yield the simulated scenes used for training."""
     for seed, family in product(OLD_SEEDS, OLD):
         yield Spec(family, seed, 2)
     for seed, family, error in product(HARD_SEEDS, FAMILIES, ERRORS):
@@ -169,7 +176,7 @@ def scenes() -> Iterator[Spec]:
 
 
 def of_round(number: int) -> Iterator[Spec]:
-    """Two scenes of each family, six of those in which most stands close together."""
+    """Yield two scenes of each family, and six of each close family."""
     seed = FIRST + number
     for family in FAMILIES:
         close = family in CLOSE
@@ -180,19 +187,19 @@ def of_round(number: int) -> Iterator[Spec]:
 
 
 def with_error(family: str, seed: int, error: float) -> Spec:
-    """Two hard scenes, seen by a camera of this depth error."""
+    """Return the spec of two hard scenes with a depth error."""
     return Spec(family, seed, 2, changes=(("depth_error", error),))
 
 
 def learnt_scenes() -> Examples:
-    """Pairs of all simulated scenes."""
+    """Return the pairs of all simulated scenes."""
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(cores(), context, initializer=start_worker) as pool:
         return joined(list(pool.map(simulated, scenes(), chunksize=8)))
 
 
 def learnt_frames() -> Examples:
-    """Pairs of the labelled frames of mOSD that are not held out, as they are and with noise."""
+    """Return the pairs of the mOSD frames that are not held out, with and without added noise."""
     recording = next(one for one in RECORDINGS if one.name == "mosd")
     rng, parts, tabletop = np.random.default_rng(0), [], preset("tabletop")
     with open_log(str(BESIDE / recording.place)) as log:
@@ -219,7 +226,7 @@ def learnt_frames() -> Examples:
 
 
 def learnt_boxes() -> Examples:
-    """Pairs of the real frames with labelled boxes that are not held out."""
+    """Return the pairs of the real frames with labelled boxes that are not held out."""
     parts = []
     for recording, folder in find_recordings([BESIDE]):
         path = BOXES / f"{recording.name}.txt"
@@ -232,7 +239,7 @@ def learnt_boxes() -> Examples:
 def in_recording(
     recording: Recording, path: Path, boxes: dict[int, FrameBoxes]
 ) -> Iterator[Examples]:
-    """Pairs of the frames of a log that are not held out."""
+    """Yield the pairs of each frame of a log that is labelled and not held out."""
     wheeled = preset("wheeled")
     with open_log(str(path)) as log:
         planes = decide_planes(log, wheeled, "reference")
@@ -256,10 +263,10 @@ def in_boxes(
     grid: Cells,
     b: int,
 ) -> np.ndarray:
-    """The object, from 1, whose box shows each cell at about its distance, 0 = none, -1 = unknown.
+    """Return the object of each cell: the one whose box contains it at about its distance.
 
-    Of several it is that of the smallest box. Not known is what is not in view, or lies in a box
-    before or behind its object.
+    Of several boxes, the smallest counts. Numbers start at 1; 0 means no object; -1 means unknown:
+    outside of the image, or in a box but too near or too far for its object.
     """
     z = grid.z[b] * calibration.depth_unit
     u, v, in_view = middles(grid, b, calibration, side)
@@ -276,7 +283,7 @@ def in_boxes(
 def in_image(
     image: np.ndarray, calibration: Calibration, side: int, grid: Cells, b: int
 ) -> np.ndarray:
-    """What an image of objects shows at the middle of each cell, -1 = not known."""
+    """Return the value of a label image at the middle of each cell, -1 = unknown."""
     u, v, in_view = middles(grid, b, calibration, side)
     return np.where(in_view, image[v, u], -1)
 
@@ -284,14 +291,14 @@ def in_image(
 def middles(
     grid: Cells, b: int, calibration: Calibration, side: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Column and row of the cells' middles in the colour image, and whether they are in it."""
+    """Return column and row of the middles of cells, and whether they are in the image."""
     low, high, in_view = (part[0] for part in cell_boxes(grid.z[b : b + 1], calibration, side))
     u, v = np.moveaxis((low + high) // 2, -1, 0)
     return u, v, in_view
 
 
 def in_truth(shot: Shot, grid: Cells, b: int) -> np.ndarray:
-    """The object that each cell of a simulated frame was measured on, -1 = not known."""
+    """Return the object on which each cell of a simulated frame was measured, -1 = unknown."""
     calibration, none = shot.calibration, np.zeros(grid.z.shape, np.int32)
     side = cell_side(calibration.depth, Config().surface.cell_rad)
     points = cell_points(CellLabels(none, none > 0, grid), b, calibration, side)
@@ -302,7 +309,7 @@ def in_truth(shot: Shot, grid: Cells, b: int) -> np.ndarray:
 
 
 def learn(found: Examples, how: Learning) -> dict[str, Any]:
-    """A table of :func:`jaxdet.affinity.affinity`."""
+    """Train a table for :func:`jaxdet.affinity.affinity`."""
     model = HistGradientBoostingClassifier(
         max_iter=how.trees,
         learning_rate=how.rate,
@@ -328,7 +335,7 @@ def learn(found: Examples, how: Learning) -> dict[str, Any]:
 
 
 def complete(nodes: np.ndarray, depth: int) -> tuple[list[int], list[int], list[int]]:
-    """A tree with all nodes down to a depth: features, thresholds and values of the leaves."""
+    """Expand a tree to full depth; return features and thresholds of its nodes, and leaf values."""
     inner = (1 << depth) - 1
     feature, threshold, value = [0] * inner, [BEYOND] * inner, [0] * (inner + 1)
 
@@ -349,7 +356,7 @@ def complete(nodes: np.ndarray, depth: int) -> tuple[list[int], list[int], list[
 
 
 def write(name: str, table: dict[str, Any]) -> None:
-    """Writes a table, a line for each tree."""
+    """Write a table to its JSON file, with one line per tree."""
     lines = [f'"{key}": {json.dumps(table[key])}' for key in ("seen", "offset")]
     for key in ("feature", "threshold", "value"):
         rows = ",\n".join(json.dumps(row) for row in table[key])
@@ -359,7 +366,7 @@ def write(name: str, table: dict[str, Any]) -> None:
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Learns the table that is asked for."""
+    """Train the table named on the command line."""
     if len(arguments) != 1 or arguments[0] not in LEARNING:
         sys.exit("usage: python -m benchmarks.affinity surfaces | tabletop")
     (name,) = arguments

@@ -22,7 +22,7 @@ ORACLE = "install the extra oracle; the system needs libusb-1.0-0 and libudev1"
 
 
 def cases() -> list[Case | Missing]:
-    """Depth images from the host, to colour; librealsense's results are equal."""
+    """Align depth images from the host to colour; librealsense's results are equal."""
     first = _case("640x480")
     found: list[Case | Missing] = [
         first._replace(
@@ -52,7 +52,7 @@ def cases() -> list[Case | Missing]:
 
 
 def at(point: Point) -> Case:
-    """Depth images on the device."""
+    """Align depth images that are on the device."""
     given = inputs(point.size)
     depth = jax.device_put(repeated(given.depth, point.batch))
     return Case(
@@ -64,7 +64,7 @@ def at(point: Point) -> Case:
 
 
 def _straightened(size: str, batch: int) -> Callable[[], AlignedDepth]:
-    """Our alignment of the same images by cameras without a lens that bends."""
+    """Return our alignment of the same images with lens distortion disabled."""
     given = inputs(size)
     depth = jax.device_put(repeated(given.depth, batch))
     calibration = given.calibration
@@ -90,7 +90,7 @@ def _at_pixels(size: str, images: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def register_depth(size: str) -> list[np.ndarray]:
-    """OpenCV's alignment: a point a depth pixel, so it leaves holes that librealsense fills."""
+    """Align with OpenCV: one point per depth pixel, which leaves holes that librealsense fills."""
     calibration = CALIBRATIONS[size]
     color = calibration.color
     assert color is not None and calibration.color_from_depth is not None

@@ -1,4 +1,4 @@
-"""Cells of the depth image, against the reference."""
+"""Benchmark of the cells of the depth image, against the reference."""
 
 from benchmarks.program_steps import against_reference, step_at
 from benchmarks.run import Case
@@ -10,12 +10,12 @@ STEP, MADE = "find_cells", ("x", "y", "z")
 
 
 def cases() -> list[Case]:
-    """Depth images on the device; no other library has this step."""
+    """Process depth images on the device; no other library has this step."""
     given = inputs(SIZES[0])
     settings = given.depth, given.calibration, CONFIG.surface
     return [against_reference(STEP, lambda: list(reference.cells(*settings)), MADE)]
 
 
 def at(point: Point) -> Case:
-    """Depth images on the device."""
+    """Process depth images on the device."""
     return step_at(point, STEP, MADE, images=True)

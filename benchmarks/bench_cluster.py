@@ -1,4 +1,4 @@
-"""Clusters of points, against a NumPy loop, scikit-learn, SciPy and RSC (our reading)."""
+"""Benchmark of point clustering, against a NumPy loop, scikit-learn, SciPy and our RSC."""
 
 from collections.abc import Callable
 from functools import partial
@@ -20,7 +20,7 @@ PAPER = preset("paper")
 COUNT = 1000
 BATCHES = {"cpu": 64, "gpu": 1024}
 PEER_FRAMES = 4
-"""Of the slow peers."""
+"""Number of frames for the slow peers."""
 UNIT = camera().depth_unit
 PEERS = {
     "ward": "hierarchical_ward",
@@ -30,7 +30,7 @@ PEERS = {
     "scipy": "scipy_single",
     "rsc": "rsc",
 }
-"""Cases ``vs_<name>`` and the baselines they stand for, at their default parameters."""
+"""Names of cases, ``vs_<name>``, and the baselines they run with default parameters."""
 
 
 def cases() -> list[Case | Missing]:

@@ -1,4 +1,4 @@
-"""Features of the preset ``paper``, against OpenCV frame by frame, and kornia-rs's Canny."""
+"""Benchmark of the features of the preset ``paper``, against OpenCV and kornia-rs's Canny."""
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -21,7 +21,7 @@ Canny = Callable[[np.ndarray], np.ndarray]
 
 
 def cases() -> list[Case | Missing]:
-    """Colour images from the host; every peer's corners are equal to ours, in order."""
+    """Process colour images from the host; the corners of all peers equal ours, in order."""
     found: list[Case | Missing] = []
     for size in ("640x480", "1280x720"):
         given, case = inputs(size), _case(size)
@@ -37,7 +37,7 @@ def cases() -> list[Case | Missing]:
 
 
 def at(point: Point) -> Case:
-    """Colour images and aligned depth on the device, ``slots`` corner slots."""
+    """Process colour images and aligned depth on the device, with ``slots`` corner slots."""
     given, config = inputs(point.size), replace(CORNERS, max_corners=point.slots)
     color, z = jax.device_put(repeated((given.color, _aligned(given)), point.batch))
     return Case(
@@ -49,18 +49,18 @@ def at(point: Point) -> Case:
 
 
 def opencv(given: Inputs) -> list[np.ndarray]:
-    """Grey, Canny, Shi-Tomasi, frame by frame; OpenCV uses its own threads."""
+    """Compute grey image, Canny and Shi-Tomasi frame by frame; OpenCV uses its own threads."""
     return [_one_frame(color, cv2_canny) for color in given.color]
 
 
 def opencv_threads(given: Inputs) -> list[np.ndarray]:
-    """The same with a thread a frame."""
+    """Compute the same with one thread per frame."""
     with ThreadPoolExecutor() as pool:
         return list(pool.map(partial(_one_frame, canny=cv2_canny), given.color))
 
 
 def cv2_canny(grey: np.ndarray) -> np.ndarray:
-    """OpenCV's edges."""
+    """Return the edges found by OpenCV."""
     return cv2.Canny(grey, CORNERS.canny_low, CORNERS.canny_high)
 
 
@@ -72,7 +72,7 @@ def corners_of(features: Features) -> list[np.ndarray]:
 
 
 def in_raster_order(corners: np.ndarray) -> np.ndarray:
-    """Return corners by row and column: equally strong ones have another order in OpenCV."""
+    """Return corners sorted by row and column; OpenCV orders equally strong ones differently."""
     return corners[np.lexsort(corners.T)]
 
 
@@ -105,7 +105,7 @@ def _case(size: str) -> Case:
 
 
 def _kornia(case: Case, imgproc: Any) -> Case:
-    """kornia-rs has the edges only: grey and corners come from OpenCV."""
+    """Use kornia-rs for the edges, its only step; grey image and corners come from OpenCV."""
 
     def canny(grey: np.ndarray) -> np.ndarray:
         edges = imgproc.canny(grey[..., None], CORNERS.canny_low, CORNERS.canny_high)

@@ -1,4 +1,4 @@
-"""The floor of each frame, against the reference."""
+"""Benchmark of the floor fit of each frame, against the reference."""
 
 from functools import partial
 
@@ -12,7 +12,7 @@ STEP, MADE = "find_floor", ("floor",)
 
 
 def cases() -> list[Case]:
-    """Cells on the device, the mount known; no other library has this step."""
+    """Process cells on the device with a known mount; no other library has this step."""
     given, seen = inputs(SIZES[0]), on_cells(SIZES[0])
     settings = given.plane, CONFIG.floor, given.calibration.depth_unit
     found = partial(reference.find_floor, *seen.cells, *settings)
@@ -20,5 +20,5 @@ def cases() -> list[Case]:
 
 
 def at(point: Point) -> Case:
-    """Cells on the device."""
+    """Process cells on the device."""
     return step_at(point, STEP, ("x", "y", "z", *MADE))

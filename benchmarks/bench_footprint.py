@@ -1,4 +1,4 @@
-"""Outlines of clusters of points, against the reference."""
+"""Benchmark of the outlines of point clusters, against the reference."""
 
 import jax
 
@@ -14,7 +14,7 @@ UNIT = camera().depth_unit
 
 
 def cases() -> list[Case]:
-    """One batch of labelled features on the device; no other library has this step."""
+    """Process one batch of labelled features on the device; no other library has this step."""
     host, plane = points(BATCH, DEFAULT_SLOTS), plane_of(BATCH)
     config = settings(PAPER, DEFAULT_SLOTS)
     labels = reference.cluster(host, UNIT, config)
@@ -29,7 +29,7 @@ def cases() -> list[Case]:
 
 
 def at(point: Point) -> Case:
-    """``slots`` labelled points a frame, on the device."""
+    """Process frames of ``slots`` labelled points on the device."""
     features, plane = jax.device_put(points(point.batch, point.slots)), plane_of(point.batch)
     config = settings(PAPER, point.slots)
     labels = jax.block_until_ready(stages.cluster(features, UNIT, config))

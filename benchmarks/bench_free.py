@@ -1,4 +1,4 @@
-"""The free floor along rays, against the reference."""
+"""Benchmark of the free floor along rays, against the reference."""
 
 from benchmarks.program_steps import against_reference, step_at
 from benchmarks.run import Case
@@ -13,7 +13,7 @@ READ = ("label", "low", "z", "nearest_pixel", "right", "forward", "height", "fra
 
 
 def cases() -> list[Case]:
-    """Obstacles on the device; no other library has this step."""
+    """Process obstacles on the device; no other library has this step."""
     seen, frames = on_cells(SIZES[0]), inputs(SIZES[0])
     side = cell_side(frames.calibration.depth, CONFIG.surface.cell_rad)
     pixels = nearest_depths(frames.depth, side)
@@ -22,5 +22,5 @@ def cases() -> list[Case]:
 
 
 def at(point: Point) -> Case:
-    """Obstacles on the device."""
+    """Process obstacles on the device."""
     return step_at(point, STEP, (*READ, *MADE))

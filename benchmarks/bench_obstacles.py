@@ -1,4 +1,4 @@
-"""Obstacles from surfaces, against the reference."""
+"""Benchmark of the clustering of surfaces into obstacles, against the reference."""
 
 import numpy as np
 
@@ -14,7 +14,7 @@ READ = ("x", "y", "z", "right", "forward", "height", "surface", "free_cell")
 
 
 def cases() -> list[Case]:
-    """Surfaces on the device; no other library has this step."""
+    """Process surfaces on the device; no other library has this step."""
     seen, unit = on_cells(SIZES[0]), inputs(SIZES[0]).calibration.depth_unit
     _, far = depth_range(CONFIG.ground.min_depth_m, CONFIG.ground.max_depth_m, unit)
     shared = far, unit, CONFIG.obstacle
@@ -27,5 +27,5 @@ def cases() -> list[Case]:
 
 
 def at(point: Point) -> Case:
-    """Surfaces on the device."""
+    """Process surfaces on the device."""
     return step_at(point, STEP, (*READ, *MADE))

@@ -1,4 +1,4 @@
-"""Outlines of obstacles made of surfaces, against the reference."""
+"""Benchmark of the outlines of obstacles made of surfaces, against the reference."""
 
 import numpy as np
 
@@ -20,7 +20,7 @@ MADE = (
 
 
 def cases() -> list[Case]:
-    """Obstacles on the device; no other library has this step."""
+    """Process obstacles on the device; no other library has this step."""
     seen, calibration = on_cells(SIZES[0]), inputs(SIZES[0]).calibration
     count = seen.of("label", seen.obstacles).max(axis=(1, 2)) + 1
 
@@ -32,5 +32,5 @@ def cases() -> list[Case]:
 
 
 def at(point: Point) -> Case:
-    """Obstacles on the device."""
+    """Process obstacles on the device."""
     return step_at(point, STEP, (*READ, *MADE))

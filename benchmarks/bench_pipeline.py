@@ -1,4 +1,4 @@
-"""The whole pipeline: against the NumPy reference and two others, and its throughput."""
+"""Benchmark of the complete pipeline: throughput, and comparison with three others."""
 
 import os
 import time
@@ -29,15 +29,15 @@ from jaxdet.types import Detections, Frames
 
 SIZE = "640x480"
 BATCHES = {SIZE: 1024, "1080p": 256, "lens": 512}
-"""Frames of a batch on a GPU."""
+"""Frames per batch on a GPU."""
 VOXEL_M = 0.05
-"""Voxels of Open3D: as wide as the step height [m]."""
+"""Voxel size for Open3D, equal to the step height [m]."""
 
 
 def cases() -> list[Case | Missing]:
-    """Frames in memory: the default and the paper's setting, next to their peers.
+    """Detect obstacles in frames in memory with the default and ``paper``, against their peers.
 
-    Only the preset ``paper`` and the hand-written pipeline get colour images.
+    Only the preset ``paper`` and the hand-written pipeline use colour images.
     """
     found: list[Case | Missing] = []
     for name, config in (("default", CONFIG), ("paper", preset("paper"))):
@@ -61,7 +61,7 @@ def cases() -> list[Case | Missing]:
 
 
 def at(point: Point) -> Case:
-    """Depth images on the device."""
+    """Detect obstacles in depth images on the device."""
     frames = frames_of(point.size, point.batch)
     frames = frames._replace(depth=jax.device_put(frames.depth))
     return Case(
@@ -73,7 +73,7 @@ def at(point: Point) -> Case:
 
 
 def _at_size(size: str) -> Case:
-    """The default on a larger image or a lens; the reference takes two of the frames."""
+    """Run the default on larger or distorted images; the reference processes two frames."""
     frames = frames_of(size, BATCH)
     few = frames_of(size, 2)
     return Case(
@@ -88,7 +88,7 @@ def _at_size(size: str) -> Case:
 
 
 def handwritten(frames: Frames) -> list[np.ndarray]:
-    """What a good engineer would write: OpenCV and scikit-learn, frame by frame, on all cores."""
+    """Run a straightforward pipeline of OpenCV and scikit-learn, frame by frame, on all cores."""
     assert frames.color is not None
     work = list(zip(frames.color, frames.depth, strict=True))
     return list(_pool().map(_one_frame, work, chunksize=2))
@@ -112,7 +112,7 @@ def _pool() -> ProcessPoolExecutor:
 
 @cache
 def _open3d_pool() -> ProcessPoolExecutor:
-    """Processes with a thread of OpenMP each, which reads its setting when they start."""
+    """Return a pool of processes with one OpenMP thread each, which is set at their start."""
     with mock.patch.dict(os.environ, {"OMP_NUM_THREADS": "1"}):
         pool = ProcessPoolExecutor(cores(), get_context("spawn"))
         list(pool.map(_import_open3d, range(4 * cores())))
@@ -120,14 +120,14 @@ def _open3d_pool() -> ProcessPoolExecutor:
 
 
 def _import_open3d(_: int) -> None:
-    """Imports Open3D in this process."""
+    """Import Open3D in this process."""
     import_module("open3d")
 
 
 def _one_cloud(depth: np.ndarray) -> np.ndarray:
-    """Voxels of 5 cm within the default's range, the floor by RANSAC, clusters by DBSCAN.
+    """Cluster a depth image: voxels of 5 cm within the default range, RANSAC for the floor, DBSCAN.
 
-    Every second pixel of every second row is enough: within the range they are 2 cm apart.
+    Every second pixel of every second row is sufficient: within the range they are 2 cm apart.
     """
     o3d: Any = import_module("open3d")
     camera, ground = CALIBRATIONS[SIZE].depth, CONFIG.ground
@@ -172,9 +172,9 @@ def _one_frame(images: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
 
 
 def throughput(seconds: float) -> list[Metric]:
-    """Frames per second of the default and the paper's setting, of 1080p and of a lens.
+    """Return rates of the default, ``paper``, 1080p images and lens distortion [frames/s].
 
-    On a GPU frames lie in its memory or come from page-locked host memory.
+    On a GPU, frames are either in its memory or come from page-locked host memory.
     """
     runs = {
         "pipeline": (SIZE, CONFIG),
@@ -196,7 +196,7 @@ def _on_cpu(size: str, config: Config, seconds: float) -> Iterator[tuple[str, fl
 
 
 def _on_gpu(size: str, config: Config, seconds: float) -> Iterator[tuple[str, float]]:
-    """Images on the GPU and in page-locked memory: depth, and colour only for ``paper``."""
+    """Yield rates with images in GPU memory and in page-locked memory; colour for ``paper``."""
     device = jax.local_devices()[0]
     frames = frames_of(size, BATCHES[size], color=config.cluster.points)
     images = [frames.depth] if frames.color is None else [frames.depth, frames.color]
@@ -216,7 +216,7 @@ def _on_gpu(size: str, config: Config, seconds: float) -> Iterator[tuple[str, fl
 def _frames_per_s(
     step: Callable[[], Detections], batch: int, seconds: float, ahead: int = 1
 ) -> float:
-    """Steady rate with a batch in flight while the next is uploaded, as a long run has them."""
+    """Return the steady rate with one batch in flight while the next is uploaded [frames/s]."""
     jax.block_until_ready([step() for _ in range(2)])
     flying, done, start = [], 0, time.perf_counter()
     while time.perf_counter() - start < seconds or done < 5:

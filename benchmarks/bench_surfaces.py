@@ -1,4 +1,4 @@
-"""Cells on the floor and in surfaces, against the reference."""
+"""Benchmark of cell positions on the floor and of surfaces, against the reference."""
 
 import numpy as np
 
@@ -14,7 +14,7 @@ FIELDS = ("right", "forward", "height", "label", "keep", "low")
 
 
 def cases() -> list[Case]:
-    """Cells and floors on the device; no other library has this step."""
+    """Process cells and floors on the device; no other library has this step."""
     seen, calibration = on_cells(SIZES[0]), inputs(SIZES[0]).calibration
     shared = step_height(calibration, CONFIG), calibration.depth_unit, CONFIG
 
@@ -26,5 +26,5 @@ def cases() -> list[Case]:
 
 
 def at(point: Point) -> Case:
-    """Cells and floors on the device."""
+    """Process cells and floors on the device."""
     return step_at(point, STEP, ("x", "y", "z", *MADE))

@@ -1,10 +1,12 @@
-"""Drops cut into real depth: whether their edge ends the free floor, and the floor stays right.
+"""Evaluate free floor and floor fit on drops inserted into real depth images.
+
+A correct result ends the free floor at the edge of the drop and keeps the plane of the floor.
 
     python -m benchmarks.cut_drops ../shared/data/labelled/wheelchair.mcap ...
 
-In each frame that shows its floor, the floor beyond a straight edge ahead is lowered: its pixels
-are moved along their rays to a parallel plane, with the noise that they have. Each drop is searched
-for with a mount, the plane of the frame as it is, and without one.
+In each frame with a visible floor, the floor beyond a straight edge ahead is lowered: its pixels
+are moved along their rays to a parallel plane, keeping their noise. Each frame is then processed
+with a mount (the original plane of the frame) and without one.
 """
 
 import sys
@@ -26,11 +28,11 @@ from jaxdet.types import Frames, FreeEnd, GroundPlane
 EDGES_M = (2.0, 2.3)
 DROPS_M = (0.08, 0.15, 0.3, 1.0)
 ON_FLOOR_M, ON_FLOOR_PER_M = 0.03, 0.015
-"""Pixels so near to the plane are floor [m], and so much more per metre of depth."""
+"""Pixels within this distance of the plane are floor [m]; it grows with depth [m/m]."""
 LEAST_SHARE = 0.04
-"""Minimum share of the pixels that a cut moves."""
+"""Minimum share of pixels that a drop must move."""
 TURN_DEG = 1.5
-"""Largest error of a plane that is right [degree]."""
+"""Maximum angle between a correct plane and the original one [degree]."""
 PAST_M = 0.15
 """A ray passes an edge if it ends more than this beyond it [m]."""
 
@@ -39,19 +41,19 @@ class Cut(NamedTuple):
     """Result of one cut."""
 
     is_own: bool
-    """Whether the frame's own depth shows a floor."""
+    """Whether the floor is fitted to the frame's own depth."""
     turn_deg: float
     """Angle between the planes before and after the cut [degree]."""
     ahead: int
     """Number of rays that passed the edge before the cut."""
     passing: int
-    """Number of these that still do."""
+    """Number of these that still pass it."""
     as_drop: int
     """Number of these that end at a drop."""
 
     @property
     def is_right(self) -> bool:
-        """Whether the plane is the one before the cut."""
+        """Whether the plane equals the one before the cut, within ``TURN_DEG``."""
         return self.is_own and self.turn_deg <= TURN_DEG
 
 
@@ -114,7 +116,7 @@ def cuts(frames: Frames, config: Config, edge_m: float, drop_m: float) -> list[C
 def _searched(
     frames: Frames, config: Config, prior: GroundPlane
 ) -> tuple[FloorFit, tuple[np.ndarray, np.ndarray]]:
-    """The floor of a frame, and its rays [m]."""
+    """Return the floor of a frame, and range and end of its rays [m]."""
     unit = frames.calibration.depth_unit
     scene = jaxdet.detect(frames._replace(plane=prior), config).scene
     assert scene

@@ -31,18 +31,18 @@ FLOORS = (WET, TILES, EPOXY, CARPET, POLISHED, WOOD, WET, SCREED, LINOLEUM, MOSA
 """Floors by the last digit of the seed."""
 THINGS = ("box", "box", "bin", "bucket", "chair", "cone", "pole", "brick")
 ADDED = "added"
-"""Name of things that were not there when the room was mapped."""
+"""Name of objects that are added after the room is mapped."""
 WEAVE_M, CLEAR_M = 0.25, 0.5
-"""Amplitude of the robot's path, and distance of things from it [m]."""
+"""Amplitude of the robot's path, and minimum distance of objects from it [m]."""
 THING_M = 0.3
-"""Radius that a thing is given [m]."""
+"""Radius reserved for each object [m]."""
 RATE_HZ = 3.0
 
 
 def drive_scene(seed: int) -> Scene:
-    """Draw a room with furniture along its walls, and things on both sides of a robot's path.
+    """Create a room with furniture along its walls, and objects on both sides of a robot's path.
 
-    Half of the things are :data:`ADDED`.
+    Half of the objects are :data:`ADDED`.
     """
     draft = Draft(seed, "drive")
     rng = draft.rng
@@ -73,7 +73,7 @@ def _put_by_wall(draft: Draft, x: float, side: int, distance: float) -> None:
 
 
 def _put_thing(draft: Draft, size: tuple[float, float, float], path: Path, name: str) -> None:
-    """Place a thing next to the path or beyond its end, if there is room for one."""
+    """Place an object next to the path or beyond its end, if there is space for one."""
     rng, (left, right, front) = draft.rng, size
     for _ in range(100):
         x, y = rng.uniform((0.8, 0.5 - right), (front - 0.5, left - 0.5)).tolist()
@@ -91,7 +91,7 @@ def _put_thing(draft: Draft, size: tuple[float, float, float], path: Path, name:
 
 
 def write_drive(folder: File, seed: int, frames: int, width: int) -> File:
-    """Return the log of a drive, which is simulated unless it is there.
+    """Return the path of the log of a drive; simulate it if it does not exist.
 
     Args:
         folder: Folder of the log, its truth and its scene.

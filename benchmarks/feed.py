@@ -1,8 +1,8 @@
-"""``python -m benchmarks feed --json FILE``: logs at the machine's speed, by form and by part.
+"""``python -m benchmarks feed --json FILE``: throughput of whole logs, by format and by step.
 
-``jaxdet run`` as a command, each part of it alone, and what others need to read the same depth
-images, or colour and depth, and do nothing with them, in turns. A log is made on the spot and lies
-in the page cache.
+Measured in turns are ``jaxdet run`` as a command, each of its steps alone, and how fast other
+libraries read the same depth images, or colour and depth, without processing them. The logs are
+written by the benchmark and are in the page cache.
 """
 
 import json
@@ -45,12 +45,12 @@ from jaxdet.io.mcap_file import McapFile
 from jaxdet.io.messages import CompressedImageMessage, ImageMessage
 from jaxdet.results.rows import batch_rows, row_inputs
 from jaxdet.results.schemas import FRAMES_SCHEMA, OBSTACLES_SCHEMA
-from jaxdet.results.writer import to_table
+from jaxdet.results.tables import to_table
 
 BATCHES = {"cpu": 16, "gpu": 256}
-"""Frames of a batch, where parts are timed alone."""
+"""Frames per batch when steps are timed alone."""
 _CHECKED = 8
-"""Frames of a log whose images must equal the peers'."""
+"""Number of frames of a log whose images are compared with those of the peers."""
 _RECORD_HEAD = 9
 _MAX_BYTES = 1 << 30
 _SAMPLE_S = 0.1
@@ -58,34 +58,34 @@ _SAMPLE_S = 0.1
 
 @dataclass(frozen=True)
 class Options:
-    """Times ``jaxdet run``, its parts and its peers on logs made on the spot."""
+    """Time ``jaxdet run``, its steps and its peers on logs written by this benchmark."""
 
     frames: int = 300
-    """Frames of each log."""
+    """Number of frames in each log."""
     rounds: int = 3
-    """How often all of them take their turn; medians are reported."""
+    """Number of rounds in which all are timed; medians are reported."""
     forms: tuple[str, ...] = tuple(FORMS)
-    """raw, lz4, zstd, jpeg_png, jpeg_rvl."""
+    """Log formats: raw, lz4, zstd, jpeg_png, jpeg_rvl."""
     folder: Path | None = None
-    """Where the logs are written; by default a folder for temporary files, removed afterwards."""
+    """Folder for the logs; default: a temporary folder, which is removed afterwards."""
     json_file: Annotated[Path | None, tyro.conf.arg(name="json")] = None
-    """Where to write the metrics."""
+    """File for the metrics."""
 
 
 class Run(NamedTuple):
-    """One run of the command."""
+    """Measurements of one run of the command."""
 
     fps: float
-    """Steady, after the first batch."""
+    """Steady rate after the first batch [frames/s]."""
     start_s: float
-    """From the command to the end of the first batch."""
+    """Time from the start of the command to the end of the first batch [s]."""
     wall_s: float
     rss_mib: float
-    """Peak of all its processes; memory that several share counts once."""
+    """Peak memory of all processes, with shared memory counted once [MiB]."""
 
 
 def main(options: Options) -> int:
-    """Returns the exit code."""
+    """Run the benchmark; return the exit code."""
     wp.config.log_level = wp.LOG_WARNING
     frames, metrics = drive(), []
     with tempfile.TemporaryDirectory() as temporary:
@@ -104,7 +104,7 @@ def main(options: Options) -> int:
 
 
 def form_metrics(name: str, log: Path, results: Path, rounds: int) -> list[Metric]:
-    """The metrics of a form."""
+    """Return the metrics of a log format."""
     topics = topics_of(FORMS[name])
     check(log, topics, _CHECKED)
     runs, rates = [], defaultdict(list)
@@ -133,7 +133,7 @@ def form_metrics(name: str, log: Path, results: Path, rounds: int) -> list[Metri
 
 
 def _frames_read(read: Read, log: Path, topics: Sequence[str]) -> int:
-    """Reads all images of some topics with a peer; returns the number of frames."""
+    """Read all images of some topics with a peer; return the number of frames."""
     return sum(1 for _ in read(log, topics)) // len(topics)
 
 
@@ -157,7 +157,7 @@ def _metrics(key: str, runs: list[Run], rates: dict[str, float]) -> list[Metric]
 
 
 def run_command(log: Path, results: Path) -> Run:
-    """``jaxdet run`` on a log."""
+    """Run ``jaxdet run`` on a log."""
     command = [sys.executable, "-m", "jaxdet", "run", str(log), "--output", str(results)]
     start = time.perf_counter()
     command += ["--overwrite", "--quiet", "--pictures", "0"]
@@ -174,7 +174,7 @@ def run_command(log: Path, results: Path) -> Run:
 
 
 class PeakMemory:
-    """Samples the memory of a process and its descendants; 0 where there is no ``/proc``."""
+    """Sample the memory of a process and its descendants; 0 without ``/proc``."""
 
     def __init__(self, pid: int) -> None:
         self.mib, self._pid, self._done = 0.0, pid, Event()
@@ -194,7 +194,7 @@ class PeakMemory:
 
 
 def _tree(pid: int) -> Iterator[int]:
-    """A process and its descendants."""
+    """Yield the process ids of a process and its descendants."""
     yield pid
     try:
         tasks = list(Path(f"/proc/{pid}/task").iterdir())
@@ -206,7 +206,7 @@ def _tree(pid: int) -> Iterator[int]:
 
 
 def _pss_kib(pid: int) -> int:
-    """Resident memory; what several processes share is shared out among them."""
+    """Return the proportional set size (PSS) of a process [KiB]."""
     try:
         lines = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()
     except OSError:
@@ -215,7 +215,7 @@ def _pss_kib(pid: int) -> int:
 
 
 class Reading:
-    """Chunks read, decompressed and their CRC checked, on a thread a core."""
+    """Read and decompress chunks and check their CRC, with one thread per core."""
 
     def __init__(self, log: Path) -> None:
         self._file = McapFile(log, _MAX_BYTES)
@@ -228,7 +228,7 @@ class Reading:
         self._frames = sum(counts[number] for number in depth)
 
     def run(self) -> int:
-        """Returns the number of frames."""
+        """Read all chunks; return the number of frames."""
         with ThreadPoolExecutor(cores()) as pool:
             for _ in pool.map(lambda position: len(self._file.chunk(position)), self._chunks):
                 pass
@@ -236,7 +236,7 @@ class Reading:
 
 
 class Decoding:
-    """Depth messages in memory decoded into the rows of a batch, on a thread a core."""
+    """Decode depth messages in memory into the rows of a batch, with one thread per core."""
 
     def __init__(self, log: Path, form: Form, opened: Log) -> None:
         self._pool = ThreadPoolExecutor(cores())
@@ -256,7 +256,7 @@ class Decoding:
         self._turns = max(1, opened.num_frames // CONFIG.frames)
 
     def run(self) -> int:
-        """Returns the number of frames."""
+        """Decode the messages; return the number of frames."""
         for _ in range(self._turns):
             list(self._pool.map(self._one, self._messages))
         return self._turns * CONFIG.frames
@@ -271,7 +271,7 @@ class Decoding:
 
 
 class Detecting:
-    """Frames in memory, in batches."""
+    """Detect obstacles in batches of frames in memory."""
 
     def __init__(self, opened: Log, batch: int) -> None:
         frames = next(opened.batches(batch)).frames
@@ -279,14 +279,14 @@ class Detecting:
         self._batch, self._turns = batch, max(1, opened.num_frames // batch)
 
     def run(self) -> int:
-        """Returns the number of frames."""
+        """Detect obstacles; return the number of frames."""
         for _ in range(self._turns):
             jax.block_until_ready(detect(self.frames))
         return self._turns * self._batch
 
 
 class Writing:
-    """The rows of a batch that was detected, and these as Parquet, on one thread."""
+    """Convert the results of a batch to rows and write them as Parquet, on one thread."""
 
     def __init__(self, opened: Log, detecting: Detecting, folder: Path) -> None:
         size = len(detecting.frames.depth)
@@ -296,7 +296,7 @@ class Writing:
         self._folder, self._turns = folder, max(1, opened.num_frames // size)
 
     def run(self) -> int:
-        """Returns the number of frames."""
+        """Write the tables; return the number of frames."""
         count = len(self._batch.status)
         for _ in range(self._turns):
             given = "log", "camera", self._batch, self._plane, ("tf",) * count
@@ -311,7 +311,7 @@ class Writing:
 
 
 def check(log: Path, topics: Topics, count: int) -> None:
-    """The first ``count`` frames are the same images for the peers.
+    """Check that the peers read the same images for the first ``count`` frames.
 
     Raises:
         AssertionError: They are not.

@@ -1,4 +1,4 @@
-"""Logs of one simulated drive in the forms in which cameras are recorded."""
+"""Logs of one simulated drive in common recording formats."""
 
 import struct
 from collections.abc import Callable, Iterator
@@ -16,18 +16,19 @@ from jaxdet.sim.config import calibration_of
 from jaxdet.sim.record import COLOR_FRAME, DEPTH_FRAME, NAMESPACE, static_transforms
 
 CONFIG = SimConfig(scene="demo", frames=16)
-"""What is seen; the frames are repeated, as the simulator is slower than what is timed."""
+"""Simulated scene; its frames are repeated, because the simulator is slower than the code under
+test."""
 _PERIOD_NS = 33_333_333
 _DEPTH_HEAD = struct.Struct("<iff")
 
 
 class Form(NamedTuple):
-    """How a log is written."""
+    """Format of a log."""
 
     color: str
-    """``rgb8`` or ``jpeg``."""
+    """Encoding of colour, ``rgb8`` or ``jpeg``."""
     depth: str
-    """``16UC1``, ``png`` or ``rvl``."""
+    """Encoding of depth, ``16UC1``, ``png`` or ``rvl``."""
     compression: Compression
 
 
@@ -41,14 +42,14 @@ FORMS = {
 
 
 class Topics(NamedTuple):
-    """Topics of the images of a form."""
+    """Topics of the images of a log format."""
 
     color: str
     depth: str
 
 
 def topics_of(form: Form) -> Topics:
-    """The names that ``image_transport`` gives them."""
+    """Return the topic names used by ``image_transport``."""
     color, depth = f"{NAMESPACE}/color/image_raw", f"{NAMESPACE}/depth/image_rect_raw"
     if form.color == "jpeg":
         return Topics(f"{color}/compressed", f"{depth}/compressedDepth")
@@ -56,12 +57,12 @@ def topics_of(form: Form) -> Topics:
 
 
 def drive() -> list[SimFrame]:
-    """The frames that all logs repeat."""
+    """Return the frames that all logs repeat."""
     return list(simulate(CONFIG))
 
 
 def write(path: Path, form: Form, frames: list[SimFrame], count: int) -> None:
-    """Writes ``count`` frames, 30 a second; depth is a millisecond early."""
+    """Write ``count`` frames at 30 Hz; depth is stamped one millisecond before colour."""
     calibration, topics = calibration_of(CONFIG), topics_of(form)
     assert calibration.color is not None
     payloads = [tuple(_payloads(form, frame)) for frame in frames]
@@ -80,11 +81,11 @@ def write(path: Path, form: Form, frames: list[SimFrame], count: int) -> None:
 
 
 Put = Callable[[Ros2LogWriter, str, int, str], None]
-"""Writes an image: log, topic, stamp [ns], frame."""
+"""Function that writes an image, with arguments log, topic, stamp [ns] and frame."""
 
 
 def _payloads(form: Form, frame: SimFrame) -> Iterator[Put]:
-    """Colour and depth, encoded once."""
+    """Yield functions that write the colour and the depth image, each encoded once."""
     assert frame.depth is not None
     if form.color == "jpeg":
         data = simplejpeg.encode_jpeg(frame.color, quality=90, colorsubsampling="420")
@@ -115,7 +116,7 @@ def _compressed(form: str, data: bytes) -> Put:
 
 
 def encode_rvl(depth: np.ndarray) -> bytes:
-    """The RVL stream of an image ``(H, W)`` uint16."""
+    """Encode an image ``(H, W)`` uint16 as an RVL stream."""
     pixels = depth.reshape(-1).astype(np.int64)
     filled = pixels > 0
     values = pixels[filled]
@@ -132,7 +133,7 @@ def encode_rvl(depth: np.ndarray) -> bytes:
 
 
 def _nibbles(numbers: np.ndarray) -> bytes:
-    """Numbers in words of eight nibbles."""
+    """Pack numbers into words of eight nibbles."""
     lengths = np.ones(len(numbers), np.int64)
     for place in range(1, 11):
         lengths += numbers >= 8**place

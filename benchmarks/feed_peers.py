@@ -1,6 +1,6 @@
-"""What others would read images with: they decode each, and do nothing with it.
+"""Image readers of other libraries: they decode each image and discard it.
 
-Each takes the topics to read: depth alone, as the default reads, or colour and depth.
+Each takes the topics to read: only depth, as the default method, or colour and depth.
 """
 
 from collections import deque
@@ -23,7 +23,7 @@ Images = Iterator[tuple[str, np.ndarray]]
 
 
 def mcap_ros2(log: Path, topics: Sequence[str]) -> Images:
-    """A loop over ``mcap-ros2-support``."""
+    """Read in a loop over ``mcap-ros2-support``."""
     with log.open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
         for _, channel, _, message in reader.iter_decoded_messages(topics=list(topics)):
@@ -31,7 +31,7 @@ def mcap_ros2(log: Path, topics: Sequence[str]) -> Images:
 
 
 def rosbags(log: Path, topics: Sequence[str]) -> Images:
-    """A loop over ``rosbags``."""
+    """Read in a loop over ``rosbags``."""
     with AnyReader([log], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
         wanted = [item for item in reader.connections if item.topic in topics]
         for connection, _, data in reader.messages(connections=wanted):
@@ -39,7 +39,7 @@ def rosbags(log: Path, topics: Sequence[str]) -> Images:
 
 
 def threads(log: Path, topics: Sequence[str]) -> Images:
-    """``mcap`` reads, a pool with a thread a core decodes: a few messages are on their way."""
+    """Read with ``mcap`` and decode in a pool with one thread per core and a short queue."""
     factory = DecoderFactory()
     waiting: deque[tuple[str, Future[np.ndarray]]] = deque()
     with log.open("rb") as file, ThreadPoolExecutor(cores()) as pool:
@@ -68,7 +68,7 @@ def _decoded(decode: Callable[[bytes], Any], data: bytes) -> np.ndarray:
 
 
 def image(message: Any) -> np.ndarray:
-    """The pixels of an Image or a CompressedImage, by OpenCV where they are compressed."""
+    """Return the pixels of an Image or a CompressedImage; compressed ones are decoded by OpenCV."""
     if hasattr(message, "encoding"):
         dtype, shape = (np.uint8, (-1, 3)) if message.encoding == "rgb8" else (np.uint16, (-1,))
         pixels = np.frombuffer(message.data, dtype)
@@ -89,7 +89,7 @@ def _opencv(data: np.ndarray, mode: int) -> np.ndarray:
 
 
 def rvl(data: np.ndarray, height: int, width: int) -> np.ndarray:
-    """An RVL stream to ``(height, width)`` uint16, all of it as arrays but the list of runs."""
+    """Decode an RVL stream to ``(height, width)`` uint16; only the runs are found in a loop."""
     numbers = _numbers(data)
     pixels = np.zeros(height * width, np.int64)
     counts, starts, at, position = [], [], 0, 0
@@ -108,7 +108,7 @@ def rvl(data: np.ndarray, height: int, width: int) -> np.ndarray:
 
 
 def _numbers(data: np.ndarray) -> np.ndarray:
-    """All numbers of a stream; the zero padding at its end gives extra ones."""
+    """Return all numbers of a stream; the zero padding at its end results in extra numbers."""
     words = data.reshape(-1, 4)[:, ::-1].reshape(-1)
     nibbles = np.stack([words >> 4, words & 15], axis=1).reshape(-1)
     last = np.flatnonzero(nibbles < 8)

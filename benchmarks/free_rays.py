@@ -1,10 +1,11 @@
-"""Whether rays of the free floor pass anything, and how much of the free floor they keep.
+"""Check how often free-floor rays extend beyond obstacles, and how much floor they keep.
 
     python -m benchmarks.free_rays ../shared/data/labelled/wheelchair.mcap ...
 
-A ray passes what lies on it more than 15 cm before its end: a point of an obstacle's contour, or a
-measured pixel above the step height of a single pixel. The free floor of a column of cells, taken
-at the bearing of its end, is right up to the nearest of these; it is kept where the ray is free.
+A ray is too long if it ends more than 15 cm behind a point on it: a point of an obstacle's contour,
+or a measured pixel above the step height of a single pixel. The free floor of a column of cells, at
+the bearing of its end, is correct up to the nearest such point, and it is kept where the ray is
+free.
 """
 
 import sys
@@ -27,11 +28,11 @@ from jaxdet.types import MAX_OBSTACLES, RAYS, Frames
 
 INSIDE_M = 0.15
 STEP_M = 0.02
-"""Distance of the points of a column at which its free floor is compared."""
+"""Spacing of the points of a column at which its free floor is compared [m]."""
 
 
 class Figures(NamedTuple):
-    """Figures of frames; those of several are their sums."""
+    """Results for some frames; those of several are their sums."""
 
     frames: int
     rays: int
@@ -39,13 +40,13 @@ class Figures(NamedTuple):
     past_contour: int
     past_pixel: int
     right_m: float
-    """Length of the free floor of columns that is right [m]."""
+    """Length of the correct free floor of columns [m]."""
     kept_m: float
-    """Its part in which a ray is free [m]."""
+    """Length of its part in which the ray is free [m]."""
 
 
 def figures(frames: Frames, config: Config) -> Figures:
-    """Compute the figures of a batch, each frame by itself and without a mount."""
+    """Compute the results of a batch; each frame is processed alone and without a mount."""
     total = np.zeros(len(Figures._fields))
     calibration, unit = frames.calibration, frames.calibration.depth_unit
     grid = cells(frames.depth, calibration, config.surface)
@@ -80,7 +81,7 @@ def _rays_of(right: np.ndarray, forward: np.ndarray) -> np.ndarray:
 
 
 def _nearest(right: np.ndarray, forward: np.ndarray) -> np.ndarray:
-    """Return the minimum range of the points on each ray, ``(RAYS,)``, inf for rays without any."""
+    """Return the minimum range of the points on each ray, ``(RAYS,)``; inf if it has none."""
     least = np.full(RAYS, np.inf)
     np.minimum.at(least, _rays_of(right, forward), np.hypot(right, forward))
     return least
@@ -89,7 +90,7 @@ def _nearest(right: np.ndarray, forward: np.ndarray) -> np.ndarray:
 def _pixels_above(
     depth: np.ndarray, floor: np.ndarray, frames: Frames, config: Config
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Right and forward of the pixels above the step, of none without a floor."""
+    """Return right and forward of the pixels above the step; empty without a floor."""
     unit, ground = frames.calibration.depth_unit, config.ground
     z = depth.astype(np.float64)
     xyz = np.stack([ray * z for ray in pixel_rays(frames.calibration.depth)] + [z])
@@ -103,7 +104,7 @@ def _pixels_above(
 
 
 def _points(line: np.ndarray, step: int) -> tuple[np.ndarray, np.ndarray]:
-    """Ray and range of points of columns, ``step`` apart, at the bearings of their ends."""
+    """Return ray and range of points on columns, ``step`` apart, at the bearings of their ends."""
     rays, lengths = [], []
     for near, far in line.astype(np.float64):
         start, stop = np.hypot(*near) * (near @ far > 0), np.hypot(*far)
@@ -114,7 +115,7 @@ def _points(line: np.ndarray, step: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def of_log(path: str, config: Config) -> Figures:
-    """Sum the figures of the frames of a log."""
+    """Sum the results of the frames of a log."""
     every = []
     with jaxdet.open_log(path) as log:
         for batch in log.batches(1):
@@ -123,16 +124,16 @@ def of_log(path: str, config: Config) -> Figures:
 
 
 def main(paths: list[str]) -> None:
-    """Print the figures of logs."""
+    """Print the results of logs."""
     total = []
     for path in paths:
         config = preset("tabletop" if "mosd" in path else "wheeled")
         total.append(of_log(path, config))
-        _say(path, total[-1])
-    _say("all", Figures(*(sum(column) for column in zip(*total, strict=True))))
+        _print_row(path, total[-1])
+    _print_row("all", Figures(*(sum(column) for column in zip(*total, strict=True))))
 
 
-def _say(name: str, found: Figures) -> None:
+def _print_row(name: str, found: Figures) -> None:
     kept = 100 * found.kept_m / found.right_m if found.right_m else 100.0
     print(
         f"{name}: {found.frames} frames, {found.rays} rays, {found.past_contour} past a contour, "

@@ -1,4 +1,4 @@
-"""The gate: a run against a committed baseline, and the baseline from several runs.
+"""Comparison of a run with a committed baseline, and creation of the baseline from several runs.
 
 ``python -m benchmarks.gate BASELINE RUN RUN RUN`` writes a baseline from the JSON files of runs.
 """
@@ -14,12 +14,12 @@ from benchmarks.run import Metric, Missing
 
 
 def read(path: Path) -> list[Metric]:
-    """The metrics of a JSON file."""
+    """Read the metrics from a JSON file."""
     return [Metric(**row) for row in json.loads(path.read_text("utf-8"))]
 
 
 def write(path: Path, metrics: list[Metric]) -> None:
-    """Writes metrics as a JSON list of key, value, unit, direction, tolerance."""
+    """Write metrics as a JSON list of key, value, unit, direction, tolerance."""
     path.parent.mkdir(parents=True, exist_ok=True)
     rows = [metric._asdict() for metric in metrics]
     path.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
@@ -28,12 +28,12 @@ def write(path: Path, metrics: list[Metric]) -> None:
 def regressions(
     metrics: list[Metric], baseline: list[Metric], missing: dict[str, Missing] | None = None
 ) -> list[str]:
-    """A line for each gated metric that is worse than the baseline allows, or is gone.
+    """Return a line for each gated metric that is worse than the baseline allows, or is missing.
 
     Args:
-        metrics: Of this run.
-        baseline: What to compare with; its tolerances count.
-        missing: Peers that this machine lacks, by metric key: their lines say why.
+        metrics: Metrics of this run.
+        baseline: Baseline; its tolerances apply.
+        missing: Peers that could not be imported, by metric key; their lines contain the reason.
     """
     now = {metric.key: metric for metric in metrics}
     lines = []
@@ -52,13 +52,13 @@ def regressions(
 
 
 def baseline_of(runs: list[list[Metric]]) -> list[Metric]:
-    """The gated metrics' medians; their tolerance is at least twice what the worst run lost.
+    """Return the medians of the gated metrics, with tolerances of at least twice the largest loss.
 
     Args:
-        runs: The metrics of at least one run each on the same kind of device.
+        runs: Metrics of one or more runs on the same kind of device.
 
     Returns:
-        The metrics that all runs have and that are gated, in the first run's order.
+        The gated metrics that all runs have, in the order of the first run.
     """
     tables = [{metric.key: metric for metric in run} for run in runs]
     found = []
@@ -74,11 +74,11 @@ def baseline_of(runs: list[list[Metric]]) -> list[Metric]:
 
 
 def main(baseline: tyro.conf.Positional[Path], runs: tyro.conf.Positional[tuple[Path, ...]]) -> int:
-    """Writes a baseline from the JSON files of several runs on one kind of device.
+    """Write a baseline from the JSON files of several runs on one kind of device.
 
     Args:
-        baseline: The file to write.
-        runs: What ``python -m benchmarks DEVICE --json FILE`` wrote, at least one.
+        baseline: File to write.
+        runs: Files of ``python -m benchmarks DEVICE --json FILE``, at least one.
     """
     write(baseline, baseline_of([read(run) for run in runs]))
     return 0

@@ -1,8 +1,8 @@
-"""How long one frame takes: ``python -m benchmarks.latency [LOG]``.
+"""Latency of single frames: ``python -m benchmarks.latency [LOG]``.
 
-``jaxdet.Detector`` on depth images one by one, from NumPy arrays to objects, next to OpenCV's
-features of the same frames (grey, Canny, Shi-Tomasi): both take turns, so that a busy machine
-treats them alike, and what counts is their ratio.
+Times ``jaxdet.Detector`` on single depth images, from NumPy arrays to obstacles, and OpenCV's
+features of the same frames (grey image, Canny, Shi-Tomasi). Both are timed in turns, so that other
+load on the machine affects both; the result is their ratio.
 """
 
 import sys
@@ -21,14 +21,14 @@ CALLS, WARM = 300, 10
 
 
 def features(color: np.ndarray) -> None:
-    """The paper's features by OpenCV, as the reference has them."""
+    """Compute the features of the paper with OpenCV."""
     grey = cv2.cvtColor(color, cv2.COLOR_RGB2GRAY)
     edges = cv2.Canny(grey, 50, 100)
     cv2.goodFeaturesToTrack(edges, 1024, 0.01, 3)
 
 
 def measure(path: Path) -> None:
-    """Prints median and 95 % of both, and their ratio."""
+    """Print minimum, median and 95th percentile of both, and of their ratio."""
     with jaxdet.open_log(path) as log:
         frames = [frame for frame in log[:20] if frame.status == "ok"]
         detector = jaxdet.Detector.from_log(log)
@@ -61,7 +61,7 @@ def measure(path: Path) -> None:
 
 
 def main() -> None:
-    """Measures on a log, or on a simulated one."""
+    """Measure on a log, or on a simulated one."""
     if len(sys.argv) > 1:
         measure(Path(sys.argv[1]))
         return

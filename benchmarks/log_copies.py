@@ -1,7 +1,7 @@
-"""``python -m benchmarks.log_copies FOLDER LOG...``: copies of logs without colour.
+"""``python -m benchmarks.log_copies FOLDER LOG...``: copy logs without colour.
 
-A copy has neither colour images nor the colour camera's info, as a depth camera alone records, and
-the log's own name, in FOLDER.
+A copy contains neither colour images nor the CameraInfo of the colour camera, like a log of a depth
+camera. It has the name of the log and is written to FOLDER.
 """
 
 import sys
@@ -13,11 +13,11 @@ from mcap.writer import CompressionType, Writer
 
 IMAGES = ("Image", "CompressedImage", "CameraInfo")
 COLOR = ("/color/", "/rgb/")
-"""Parts of the topics of colour images and of their camera's info."""
+"""Parts of the names of colour topics and their CameraInfo."""
 
 
 def copy_without_color(log: Path, target: Path) -> None:
-    """Writes a copy of an MCAP file, message by message."""
+    """Copy an MCAP file without its colour messages."""
     with log.open("rb") as source, target.open("wb") as sink:
         writer = Writer(sink, compression=CompressionType.ZSTD)
         writer.start("ros2", "jaxdet benchmarks")
@@ -40,7 +40,7 @@ def copy_without_color(log: Path, target: Path) -> None:
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Writes the copies."""
+    """Write the copies."""
     if len(arguments) < 2:
         sys.exit("usage: python -m benchmarks.log_copies FOLDER LOG...")
     folder = Path(arguments[0])

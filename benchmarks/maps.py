@@ -1,10 +1,10 @@
-"""``python -m benchmarks maps``: maps of simulated drives against the truth.
+"""``python -m benchmarks maps``: maps of simulated drives against the ground truth.
 
-Phantoms on the map before and after ``jaxdet track``, real things that are lost from it, and
-which obstacles are found to be in a map of the room that a lidar made before things were added.
+Counts phantoms on the map before and after ``jaxdet track``, real objects lost from the map, and
+obstacles matched with a lidar map of the room made before objects were added.
 
-A phantom is a group of adjacent occupied cells inside of the room, none of which is near anything
-real. A thing is lost if it has occupied cells on the map before only.
+A phantom is a group of adjacent occupied cells inside the room that are all far from real objects.
+An object is lost if it has occupied cells only on the map before ``jaxdet track``.
 """
 
 from dataclasses import dataclass
@@ -23,33 +23,33 @@ from jaxdet.results.occupancy import CELL_M, SHIFT, UNITS
 from jaxdet.results.reading import ResultLog, Results
 from jaxdet.sim import Truth, load_truth
 from jaxdet.tracks import TrackConfig, track_results
-from jaxdet.tracks.looks import FRAME_COLUMNS, OBSTACLE_COLUMNS, contours, poses
+from jaxdet.tracks.sightings import FRAME_COLUMNS, OBSTACLE_COLUMNS, contours, poses
 
 NEAR_M = 0.25
-"""Cells farther than this from anything real are phantoms [m]."""
+"""Minimum distance of the cells of a phantom from real objects [m]."""
 LIDAR_M, LIDAR_HEIGHT_M, LIDAR_NOISE_M = 12.0, 0.2, 0.02
-"""Range, height and noise of the lidar that made the map [m]."""
+"""Range, height and noise of the simulated lidar [m]."""
 BEAMS = 1440
 AT_M, AT_PER_M = 0.15, 0.02
-"""Distance within which a point of a contour is a thing's, and its growth with the square of the
-obstacle's distance [m], [1/m]."""
+"""Maximum distance of the points of a contour from their object [m], and its growth with the square
+of the obstacle's distance [1/m]."""
 PURE = 0.8
-"""Minimum share of an obstacle's points that are of one thing."""
+"""Minimum share of the points of an obstacle that belong to one object."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """Scores maps of simulated drives."""
+    """Score maps of simulated drives."""
 
     seeds: tuple[int, int] = (200, 220)
     """First seed, and the one after the last."""
     frames: int = 40
-    """Of each drive."""
+    """Frames of each drive."""
     width: int = 640
-    """Of the images [pixel]."""
+    """Width of the images [pixel]."""
     most_floor: float = TrackConfig.most_floor
     folder: Path = Path("out/maps")
-    """Where logs and results are kept; those that are there are not made again."""
+    """Folder of logs and results; existing ones are reused."""
 
 
 class Score(NamedTuple):
@@ -60,18 +60,18 @@ class Score(NamedTuple):
     left: int
     """Phantoms on the map after ``jaxdet track``."""
     things: int
-    """Real things on the map without tracks."""
+    """Real objects on the map without tracks."""
     lost: int
     added: int
-    """Obstacles of added things."""
+    """Obstacles of added objects."""
     new: int
-    """Those that are not in the known map."""
+    """Those not in the known map."""
     added_things: int
-    """Added things with obstacles."""
+    """Added objects with obstacles."""
     new_things: int
-    """Those most of whose obstacles are not in the known map."""
+    """Those of which most obstacles are not in the known map."""
     mapped: int
-    """Obstacles of the known map's things."""
+    """Obstacles of objects in the known map."""
     in_map: int
     mapped_things: int
     in_map_things: int
@@ -81,7 +81,7 @@ _TITLES = "phantoms before, after   things lost   added new, things   mapped in_
 
 
 def main(options: Options) -> int:
-    """Returns the exit code."""
+    """Run the benchmark; return the exit code."""
     seeds = range(*options.seeds)
     logs = [write_drive(options.folder, s, options.frames, options.width) for s in seeds]
     results = options.folder / f"results{seeds[0]}-{seeds[-1]}"
@@ -113,7 +113,7 @@ def _line(name: str, s: Score) -> str:
 
 
 class _Untracked(Results):
-    """Results as they are before ``jaxdet track``."""
+    """Results without their tracks."""
 
     def tracked(self, log: ResultLog) -> bool:
         return False
@@ -140,7 +140,7 @@ def score_drive(folder: Path, log: Path, most_floor: float) -> Score:
 
 
 def _obstacles(results: Results, log: ResultLog, room: "Room") -> tuple[np.ndarray, np.ndarray]:
-    """Return the thing of each obstacle, -1 if it is not one alone, and whether the map has it."""
+    """Return the object of each obstacle (-1 = none or several), and whether it is in the map."""
     of, in_map = [], []
     for chunk in results.chunks(log, FRAME_COLUMNS, (*OBSTACLE_COLUMNS, "in_map")):
         lines = contours(chunk, poses(chunk.frames))
@@ -152,7 +152,7 @@ def _obstacles(results: Results, log: ResultLog, room: "Room") -> tuple[np.ndarr
 
 
 class Room:
-    """Things of a drive, in cells of the world."""
+    """Objects of a drive, rasterised into cells of the world."""
 
     def __init__(self, truth: Truth) -> None:
         rings = [
@@ -166,7 +166,7 @@ class Room:
             cv2.fillPoly(mask, [cells], (1,), cv2.LINE_8, SHIFT)
         self.masks = np.stack(masks)
         self.away = np.stack([self._distance(mask) for mask in masks])
-        """Distance from each thing ``(J, H, W)`` [m]."""
+        """Distance from each object, ``(J, H, W)`` [m]."""
         low = (truth.height_m[0] < LIDAR_HEIGHT_M) & ~truth.is_wall
         self.is_added = truth.names == ADDED
         self.is_mapped = ~self.is_added & ~low
@@ -188,7 +188,7 @@ class Room:
         return cell[..., 1], cell[..., 0]
 
     def thing_of(self, points: np.ndarray, distance_m: float) -> int:
-        """Return the thing that nearly all points of a contour are of, else -1."""
+        """Return the object to which nearly all points of a contour belong, else -1."""
         row, column = self.cells(points)
         away = self.away[:, row, column]
         near = away.argmin(axis=0)[away.min(axis=0) <= AT_M + AT_PER_M * distance_m**2]
@@ -196,7 +196,7 @@ class Room:
         return int(count.argmax()) if count.max() >= PURE * len(points) else -1
 
     def _occupied(self, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
-        """Return the mask of a grid's occupied cells, and the middles of all ``(h, w, 2)``."""
+        """Return the mask of occupied cells of a grid, and the centres of all, ``(h, w, 2)``."""
         rows, columns = grid.states.shape
         at = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1) + 0.5
         return grid.states == OCCUPIED, grid.world(at)
@@ -216,7 +216,7 @@ class Room:
         return np.any(self.away[:, row, column] <= 0.1, axis=1)
 
     def lidar_map(self) -> Grid:
-        """Return the map of a lidar on the robot's path, made before things were added."""
+        """Simulate the map of a lidar on the robot's path, made before objects were added."""
         things = self.masks[self.is_mapped].max(axis=0)
         rng = np.random.default_rng(len(self.path))
         states = np.full(things.shape, UNKNOWN, np.int8)

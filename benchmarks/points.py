@@ -1,4 +1,4 @@
-"""Feature frames of any size, for the stages that work on points alone."""
+"""Feature frames of any size, for the stages that process points."""
 
 from dataclasses import replace
 
@@ -13,31 +13,31 @@ OBSTACLES = 8
 
 
 def camera() -> Calibration:
-    """The camera that sees the points."""
+    """Return the calibration of the camera of the points."""
     return CALIBRATIONS["640x480"]
 
 
 def plane_of(batch: int) -> GroundPlane:
-    """The floor of each frame."""
+    """Return the floor of each frame."""
     one = flat_plane(*(np.array([a]) for a in (HEIGHT_M, PITCH_RAD, 0.0)))
     return repeat_plane(one, batch)
 
 
 def settings(config: Config, n: int) -> Config:
-    """A configuration of ``n`` corner slots."""
+    """Return the configuration with ``n`` corner slots."""
     return replace(config, features=replace(config.features, max_corners=n))
 
 
 def points(batch: int, n: int, seed: int = 0) -> Features:
-    """Frames whose ``n`` slots all hold a kept point.
+    """Create frames in which all ``n`` slots contain a kept point.
 
-    Nearly all lie on eight upright boards, 0.1 to 0.6 m wide and up to 6 cm deep; one in a hundred
-    lies anywhere from 0.3 to 4 m, as clutter does.
+    Nearly all points lie on eight upright boards, 0.1 to 0.6 m wide and up to 6 cm deep; one in a
+    hundred is clutter at any depth from 0.3 m to the maximum.
 
     Args:
-        batch: ``B``.
-        n: ``N``.
-        seed: Equal seeds give equal points.
+        batch: Number of frames ``B``.
+        n: Number of points ``N`` per frame.
+        seed: Random seed.
     """
     rng, color, shape = np.random.default_rng(seed), camera().image, (batch, n)
     near, far = 300, round(CONFIG.ground.max_depth_m * 1000)

@@ -1,4 +1,4 @@
-"""The steps of the default one at a time, on the arrays that the steps before them leave."""
+"""Single steps of the default, on arrays computed by the steps before them."""
 
 from functools import partial
 from typing import Any, NamedTuple
@@ -24,7 +24,7 @@ from jaxdet_kernels import program as kernels
 
 
 class Program(NamedTuple):
-    """Arrays of the program on the default device, all steps done once."""
+    """Arrays of the program on the default device, after all steps have run once."""
 
     arrays: list[wp.array]
     """Depth, floors, tables, record, contour and work."""
@@ -32,13 +32,13 @@ class Program(NamedTuple):
     static: Static
 
     def run(self, step: str) -> None:
-        """Does a step again and waits for it."""
+        """Run a step again and wait for it."""
         number = STEPS.index(step)
         launch(self.arrays, self.scratch, number, number + 1, self.static)
         wp.synchronize_device(self.arrays[0].device)
 
     def take(self, name: str) -> np.ndarray:
-        """An array of all frames by its name, on the host."""
+        """Return an array of all frames by its name, on the host."""
         static, (depth, *_, record, contour, work) = self.static, self.arrays
         if name == "contour":
             return contour.numpy().reshape(len(depth), -1, static.columns, 2)
@@ -47,7 +47,7 @@ class Program(NamedTuple):
 
 
 def program(point: Point) -> Program:
-    """The program on depth images of the scene, on the device."""
+    """Run the program on depth images of the scene; return its arrays on the device."""
     frames = frames_of(point.size, point.batch)
     unit, plane = frames.calibration.depth_unit, frames.plane
     assert plane is not None
@@ -65,13 +65,13 @@ def program(point: Point) -> Program:
 
 
 def step_at(point: Point, step: str, names: tuple[str, ...], images: bool = False) -> Case:
-    """A step on the device.
+    """Return a case for one step on the device.
 
     Args:
-        point: Where it is timed.
-        step: Of :data:`jaxdet.stages._program.STEPS`.
+        point: Sizes.
+        step: Name in :data:`jaxdet.stages._program.STEPS`.
         names: Arrays that it reads and writes; their bytes are counted.
-        images: Whether it reads the depth images too.
+        images: Whether it also reads the depth images.
     """
     own = program(point)
     moved = sum(own.take(name).nbytes for name in names)
@@ -81,7 +81,7 @@ def step_at(point: Point, step: str, names: tuple[str, ...], images: bool = Fals
 
 
 def against_reference(step: str, peer: Any, names: tuple[str, ...]) -> Case:
-    """A step whose arrays of these names equal the reference's, in order."""
+    """Return a case for one step, in which the named arrays must equal those of the reference."""
     point = Point(SIZES[0], 0, BATCH)
     own = program(point)
 

@@ -1,11 +1,11 @@
-"""How far measured floors lie about their plane: a recording with labels, and the simulator.
+"""Deviation of measured floors from their plane: a labelled recording, and the simulator.
 
-    python -m benchmarks.real_floor                 the simulated depth camera, clean and D435-like
-    python -m benchmarks.real_floor LOG LABELS      and a log with a PNG a frame, 1 = floor
+    python -m benchmarks.real_floor                 simulated depth camera, without and with errors
+    python -m benchmarks.real_floor LOG LABELS      also a log with one PNG per frame, 1 = floor
 
-The labelled frames that ``DepthSensor.with_errors`` is held against are those of a wheelchair's
-D415 in SSLG (Wang et al., "Self-supervised drivable area and road anomaly segmentation using RGB-D
-data for robotic wheelchairs", IEEE RA-L 4(4), 2019; its ``examples`` folder).
+The parameters of ``DepthSensor.with_errors`` were compared with the labelled frames of a
+wheelchair's D415 in SSLG (Wang et al., "Self-supervised drivable area and road anomaly segmentation
+using RGB-D data for robotic wheelchairs", IEEE RA-L 4(4), 2019; its ``examples`` folder).
 """
 
 import sys
@@ -23,27 +23,27 @@ from jaxdet.types import Intrinsics
 
 RANGES_M = ((1.5, 2.0), (2.5, 3.0), (3.0, 4.0))
 MARGIN = 0.11
-"""Share of the width at each side that the second figures leave out."""
+"""Share of the width at each side that is excluded from the second result."""
 
 
 class Spread(NamedTuple):
-    """A floor against the plane fitted to it."""
+    """Deviation of a floor from the plane fitted to it."""
 
     no_depth: float
-    """Share of the floor's pixels without a depth."""
+    """Share of the floor's pixels without depth."""
     deviation_m: tuple[float, ...]
-    """Standard deviation of the heights in each of ``RANGES_M`` [m]; NaN where nothing is."""
+    """Standard deviation of the heights in each of ``RANGES_M`` [m]; NaN without enough pixels."""
     above_step: float
-    """Share of the measured pixels to 4 m that lie more than 5 cm above the plane."""
+    """Share of the measured pixels within 4 m that are more than 5 cm above the plane."""
 
 
 def spread_of(z: np.ndarray, floor: np.ndarray, camera: Intrinsics) -> Spread:
-    """Measure a floor.
+    """Compute the deviation of a floor.
 
     Args:
-        z: ``(H, W)`` float, measured depth on the camera's rays [m], 0 where there is none.
-        floor: ``(H, W)`` bool, the pixels that truly show the floor.
-        camera: The camera.
+        z: ``(H, W)`` float, measured depth [m], 0 = no measurement.
+        floor: ``(H, W)`` bool, pixels that show the floor.
+        camera: Intrinsics of the camera.
     """
     v, u = np.nonzero(floor & (z > 0) & (z < RANGES_M[-1][1]))
     near = z[v, u]
@@ -56,7 +56,7 @@ def spread_of(z: np.ndarray, floor: np.ndarray, camera: Intrinsics) -> Spread:
 
 
 def _heights(points: np.ndarray) -> np.ndarray:
-    """Heights above the plane that most of the points ``(n, 3)`` lie on."""
+    """Return the heights of points ``(n, 3)`` above the plane on which most of them lie."""
     kept = np.ones(len(points), bool)
     height = np.zeros(len(points))
     for _ in range(8):
@@ -69,7 +69,7 @@ def _heights(points: np.ndarray) -> np.ndarray:
 
 
 def simulated(depth_error: float, seeds: Sequence[int], width: int = 640) -> Iterator[list[Spread]]:
-    """Floors of the simulator as the wheelchair's camera sees them, with and without margins."""
+    """Yield results for simulated floors with the wheelchair's mount, with and without margins."""
     for seed in seeds:
         for family in ("corridor", "low_clutter", "wall_in_range", "mixed"):
             (frame,) = sample_frames(
@@ -77,7 +77,7 @@ def simulated(depth_error: float, seeds: Sequence[int], width: int = 640) -> Ite
                 height=width * 3 // 4, camera_height_m=0.52, camera_pitch_rad=0.15,
             )  # fmt: skip
             assert frame.aligned is not None
-            # The labels of things are 4 pixels of 1280 too large.
+            # The labels of objects are 4 pixels of 1280 too large.
             drivable = floor_truth(frame).drivable.astype(np.uint8)
             floor = cv2.erode(drivable, np.ones((7, 7), np.uint8), borderValue=1) > 0
             camera = calibration_of(frame.config).image
@@ -85,7 +85,7 @@ def simulated(depth_error: float, seeds: Sequence[int], width: int = 640) -> Ite
 
 
 def recorded(log: str, labels: str) -> Iterator[list[Spread]]:
-    """Floors of a recording whose depth is aligned to colour, with and without margins."""
+    """Yield results for a recording with depth aligned to colour, with and without margins."""
     files = sorted(Path(labels).glob("*.png"))
     with jaxdet.open_log(log) as source:
         camera, unit = source.calibration.depth, source.calibration.depth_unit
@@ -103,7 +103,7 @@ def _both(z: np.ndarray, floor: np.ndarray, camera: Intrinsics) -> list[Spread]:
     return [spread_of(z, floor, camera), spread_of(z, inner, camera)]
 
 
-def _say(name: str, every: list[list[Spread]]) -> None:
+def _print_row(name: str, every: list[list[Spread]]) -> None:
     for k, part in enumerate(("whole image", "without margins")):
         rows = [one[k] for one in every]
         values = [[r.no_depth * 100 for r in rows]]
@@ -117,9 +117,9 @@ def main(args: list[str]) -> None:
     """Print the table: 10th, 50th and 90th percentile over the frames."""
     print("no depth [%] | height deviation [cm] at 1.5-2 m | 2.5-3 m | 3-4 m | above step [%]")
     if args:
-        _say("recorded", list(recorded(*args)))
+        _print_row("recorded", list(recorded(*args)))
     for error in (0.0, 1.0, 2.0):
-        _say(f"depth_error {error:g}", list(simulated(error, range(6))))
+        _print_row(f"depth_error {error:g}", list(simulated(error, range(6))))
 
 
 if __name__ == "__main__":

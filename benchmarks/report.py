@@ -1,4 +1,4 @@
-"""The report: a table of all cases in Markdown, and what this machine lacks."""
+"""Report: a Markdown table of all cases, and the peers that could not be imported."""
 
 from benchmarks.run import Metric, Missing
 
@@ -14,7 +14,7 @@ COLUMNS = (
     ("byte/frame", "bytes"),
     ("copy share", "copy_share"),
 )
-"""Heading and last part of the metric's key."""
+"""Headings, and the last parts of the metric keys."""
 HEADER = "\n".join(
     [
         "| case | " + " | ".join(name for name, _ in COLUMNS) + " |",
@@ -24,7 +24,7 @@ HEADER = "\n".join(
 
 
 def rows(metrics: list[Metric]) -> list[str]:
-    """A row for each case; ratios above 1 mean that ours is faster.
+    """Return a row for each case; ratios above 1 mean that jaxdet is faster.
 
     >>> rows([Metric("cluster.b8.time", 0.25, "ms/frame", "info", 0.0)])
     ['| cluster.b8 |  | 0.25 |  |  |  |  |  |  |  |  |']
@@ -39,13 +39,13 @@ def rows(metrics: list[Metric]) -> list[str]:
 
 
 def others(metrics: list[Metric]) -> list[str]:
-    """The metrics that are no part of a case: throughputs."""
+    """Return lines for metrics that are not part of a case, such as throughputs."""
     cases = set(_cases(metrics))
     return [str(m) for m in metrics if not {m.key, m.key.rpartition(".")[0]} & cases]
 
 
 def absent(missing: dict[str, Missing]) -> list[str]:
-    """A line for each peer that this machine lacks."""
+    """Return a line for each peer that could not be imported."""
     return [f"not measured: {key}: {m.reason}; {m.remedy}" for key, m in missing.items()]
 
 

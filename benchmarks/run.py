@@ -1,4 +1,4 @@
-"""The runner: warm up, block until ready, compile time apart, ratio to the peer of the same run."""
+"""Timing of cases: warm-up, separate compile time, ratio to a peer timed in the same run."""
 
 import math
 import os
@@ -15,32 +15,32 @@ import jax.numpy as jnp
 import numpy as np
 
 TURN_S = 0.02
-"""How long a function is called before another's turn [s]."""
+"""Duration of the calls of one function before the next function's turn [s]."""
 
 
 class Case(NamedTuple):
-    """One thing to time."""
+    """A function to time, with an optional peer."""
 
     name: str
     """Last part of the metric keys, for instance ``640x480.b8`` or ``vs_cv2``."""
     run: Callable[[], Any]
-    """Ours; may return JAX arrays, which are waited for."""
+    """Function under test; returned JAX arrays are waited for."""
     frames: int
-    """Frames that one call works on."""
+    """Frames processed by one call."""
     peer: Callable[[], Any] | None = None
-    """Somebody else's code, or the reference, on the same frames."""
+    """Another implementation, or the reference, on the same frames."""
     equal: bool = False
-    """The peer must return equal arrays; checked before anything is timed."""
+    """Whether the peer must return equal arrays; checked before the timing."""
     peer_frames: int = 0
-    """Frames that one call of the peer works on; 0: as many as ours."""
+    """Frames processed by one call of the peer; 0: as many as ``frames``."""
     compared: Callable[[Any], Any] = lambda result: result
-    """The part of our result that must equal the peer's."""
+    """Function that selects the part of our result that must equal the peer's."""
     bytes_read: int = 0
-    """Bytes that one call has to read at least; 0: bandwidth is not of interest."""
+    """Minimum number of bytes that one call reads; 0: bandwidth is not reported."""
 
 
 class Missing(NamedTuple):
-    """A case whose peer this machine lacks; it is listed, never dropped silently."""
+    """A case whose peer can't be imported; it is listed in the report."""
 
     name: str
     reason: str
@@ -48,43 +48,43 @@ class Missing(NamedTuple):
 
 
 class Metric(NamedTuple):
-    """One number of the report; the gate reads the same list."""
+    """One value of the report, which is also checked by the gate."""
 
     key: str
     value: float
     unit: str
     direction: Literal["lower", "higher", "info"]
-    """Which way is better; ``info`` is not gated."""
+    """Direction of improvement; ``info`` is not gated."""
     tolerance: float
-    """Relative change for the worse that the gate lets pass."""
+    """Relative deterioration that the gate allows."""
 
     def __str__(self) -> str:
         return f"{self.key:<52} {self.value:>12.4g} {self.unit}"
 
 
 class Timing(NamedTuple):
-    """One function's times."""
+    """Times of one function."""
 
     first: float
-    """The first call, compilation included [s]."""
+    """Duration of the first call, including compilation [s]."""
     median: float
-    """[s]"""
+    """Median duration of a call [s]."""
     spread: float
-    """Half the distance of the quartiles [s]."""
+    """Half of the interquartile range [s]."""
     cpu: float
-    """Mean CPU time of a call, all threads and worker processes [s]."""
+    """Mean CPU time of a call, with all threads and worker processes [s]."""
     result_bytes: int
-    """Size of the arrays it returned."""
+    """Size of the returned arrays [byte]."""
 
 
 def with_peer(name: str, module: str, remedy: str, make: Callable[[Any], Case]) -> Case | Missing:
-    """The case that ``make`` builds from a module, or a note that the machine lacks it.
+    """Return the case that ``make`` builds from a module, or a note if it can't be imported.
 
     Args:
-        name: Of the case.
-        module: What the peer imports.
-        remedy: What to do where it can't be imported.
-        make: Takes the module.
+        name: Name of the case.
+        module: Module that the peer needs.
+        remedy: How to install it.
+        make: Function of the imported module that returns the case.
     """
     try:
         found = import_module(module)
@@ -94,14 +94,14 @@ def with_peer(name: str, module: str, remedy: str, make: Callable[[Any], Case]) 
 
 
 def call(function: Callable[[], Any]) -> tuple[float, Any]:
-    """Seconds until the result is ready, and the result."""
+    """Call a function; return the seconds until the result is ready, and the result."""
     start = time.perf_counter()
     result = jax.block_until_ready(function())
     return time.perf_counter() - start, result
 
 
 def cpu_seconds() -> float:
-    """CPU time of all threads so far; worker processes count where the system has ``/proc``."""
+    """Return the CPU time of all threads and, with ``/proc``, of worker processes [s]."""
     total = time.process_time()
     for child in active_children():
         stat = Path(f"/proc/{child.pid}/stat")
@@ -112,10 +112,10 @@ def cpu_seconds() -> float:
 
 
 def timed(functions: list[Callable[[], Any]], seconds: float) -> list[Timing]:
-    """Times functions in turns, so that a busy machine treats them alike; at least 5 rounds.
+    """Time functions in turns, so that other load affects all of them; at least 5 rounds.
 
-    A turn is as many calls as take ``TURN_S``: after a turn of another, caches are cold and
-    threads asleep, and a single short call would tell of that more than of itself.
+    A turn has as many calls as fit into ``TURN_S``: after another function's turn, caches are cold
+    and threads are asleep, which would dominate the time of a single short call.
     """
     first = [call(function) for function in functions]
     sizes = [_nbytes(result) for _, result in first]
@@ -140,7 +140,7 @@ def _nbytes(tree: Any) -> int:
 
 
 def copy_rate(seconds: float) -> float:
-    """Bytes per second, read and written, of a plain pass over memory of the default device."""
+    """Return the copy bandwidth of the default device, reads plus writes [byte/s]."""
     size = 1 << 28
     increment = jax.jit(lambda a: a + 1, donate_argnums=0)
     array = jnp.zeros(size // 4, jnp.float32)
@@ -154,7 +154,7 @@ def copy_rate(seconds: float) -> float:
 
 
 def check_equal(name: str, ours: object, theirs: object) -> None:
-    """Raises AssertionError where two trees of arrays differ in structure or value."""
+    """Raise AssertionError if two trees of arrays differ in structure or value."""
     mine, peers = jax.tree.leaves(ours), jax.tree.leaves(theirs)
     assert len(mine) == len(peers), f"{name}: {len(mine)} arrays against the peer's {len(peers)}"
     for number, (a, b) in enumerate(zip(mine, peers, strict=True)):
@@ -162,13 +162,13 @@ def check_equal(name: str, ours: object, theirs: object) -> None:
 
 
 def metrics_of(key: str, case: Case, seconds: float, rate: float) -> list[Metric]:
-    """The metrics of a case; the ratio's key is the case's own, the others' begin with it.
+    """Return the metrics of a case; the key of the ratio is a prefix of the others.
 
     Args:
         key: ``<stage>.<case>``.
-        case: What to time.
-        seconds: How long to repeat it.
-        rate: The device's copy rate [byte/s].
+        case: Case to time.
+        seconds: Time for its repetitions [s].
+        rate: Copy rate of the device [byte/s].
 
     Returns:
         The metrics, most important first.
@@ -193,12 +193,12 @@ def metrics_of(key: str, case: Case, seconds: float, rate: float) -> list[Metric
 
 
 def sweep_metrics(cases: dict[str, Case], seconds: float, rate: float) -> list[list[Metric]]:
-    """The metrics of cases that take turns, so that a curve through them means something.
+    """Return the metrics of cases timed in turns, so that they can be compared with each other.
 
     Args:
-        cases: By metric key; peers are left out.
-        seconds: How long all of them together are repeated.
-        rate: The device's copy rate [byte/s].
+        cases: Cases by metric key; their peers are not timed.
+        seconds: Total time for their repetitions [s].
+        rate: Copy rate of the device [byte/s].
 
     Returns:
         The metrics of each case, its time first.

@@ -1,13 +1,13 @@
-"""``python -m benchmarks same OLD NEW``: the obstacles of two commits on the same logs.
+"""``python -m benchmarks same OLD NEW``: compare the obstacles of two commits on the same logs.
 
 Rows of ``OLD`` belong to colour images and their lengths refer to the colour camera; those of
-``NEW`` belong to depth images and refer to the depth camera. A depth image's frame is found by its
-stamp. Where depth is aligned to colour both cameras are one, and every column must be equal.
-Elsewhere the old obstacles are moved to the depth camera by the log's extrinsics and paired one to
-one with the new ones, the nearest first. Distance, lowest and highest point, contour and rectangle
-are compared, which both commits measure on all cells of an obstacle; each that is not the same
-within a tolerance is counted with a reason. Boxes and centroids are not: the old ones are of the
-cells in the colour image alone.
+``NEW`` belong to depth images and refer to the depth camera. Frames are matched by the timestamp of
+the depth image. If depth is aligned to colour, both cameras are the same and all columns must be
+equal. Otherwise the old obstacles are transformed to the depth camera with the extrinsics of the
+log and matched one to one with the new ones, nearest first. Compared are distance, lowest and
+highest point, contour and rectangle, which both commits compute from all cells of an obstacle;
+differences beyond a tolerance are counted by reason. Boxes and centroids are not compared, because
+the old ones cover only the cells in the colour image.
 """
 
 import json
@@ -28,16 +28,16 @@ EXACT = (
     *("u_min", "u_max", "v_min", "v_max"),
     *("x_min", "x_max", "y_min", "y_max", "z_min", "z_max"),
 )
-"""Columns that must be equal where depth is aligned to colour."""
+"""Columns that must be equal if depth is aligned to colour."""
 PAIRED_M = 0.05
-"""Contours that lie farther apart than this are of different obstacles [m]."""
+"""Maximum distance between the contours of matched obstacles [m]."""
 EDGE_PX = 12
-"""A box this near to the edge of the colour image, a cell of the depth image or two, is cut by
-it [pixel]."""
+"""Maximum distance of a cut box from the edge of the colour image: one or two depth cells
+[pixel]."""
 LEAST_M = 0.08
-"""Obstacles of less width and height are near the least size, which is 5 cm [m]."""
+"""Obstacles with a smaller width and height are close to the minimum size of 5 cm [m]."""
 FLOOR_M, FLOOR_RAD = 0.005, 0.005
-"""Floors that differ by more are different ones [m, rad]."""
+"""Maximum differences in height and angle of floors that count as equal [m, rad]."""
 OUTSIDE = "outside of the colour image"
 CUT = "cut by the edge of the colour image"
 FLOOR = "another floor was found"
@@ -46,78 +46,78 @@ JOINED = "cells are joined otherwise"
 SMALL = "near the least size"
 OTHER = "none of these"
 FEW = 0.1
-"""Share of a contour's points that count as single cells; two always do."""
+"""Share of the points of a contour that count as single cells; two always do."""
 RECTANGLE = "the rectangle alone"
 CELLS = "single cells of the contour"
 
 
 @dataclass(frozen=True)
 class Options:
-    """Compares the obstacles of two results folders, log by log."""
+    """Compare the obstacles of two results folders, log by log."""
 
     old: tyro.conf.Positional[Path]
     """Results of the earlier commit."""
     new: tyro.conf.Positional[Path]
     """Results of the later commit, on the same logs."""
     tolerance_m: float = 0.03
-    """Obstacles are the same where lengths differ by no more [m]."""
+    """Maximum difference of the lengths of equal obstacles [m]."""
     boxes: bool = True
-    """Whether boxes in the image must be equal too, where depth is aligned to colour."""
+    """Whether boxes in the image must be equal too, if depth is aligned to colour."""
     json_file: Annotated[Path | None, tyro.conf.arg(name="json")] = None
-    """Where to write the counts, with every difference."""
+    """File for the counts and all differences."""
 
 
 class Frame(NamedTuple):
-    """A row of ``frames`` and its rows of ``obstacles``."""
+    """A row of ``frames`` with its rows of ``obstacles``."""
 
     row: dict[str, Any]
     obstacles: list[dict[str, Any]]
 
 
 class LogResult(NamedTuple):
-    """The results of a log."""
+    """Results of a log."""
 
     frames: dict[int, Frame]
-    """By the stamp of the depth image."""
+    """Frames by the timestamp of the depth image [ns]."""
     calibration: dict[str, Any]
-    """Of the summary."""
+    """Calibration in the summary."""
 
 
 class Difference(NamedTuple):
-    """An obstacle that is not the same in both."""
+    """An obstacle that differs between the results."""
 
     stamp_ns: int
     side: str
-    """``old``, ``new``, or ``both`` for one that changed."""
+    """``old`` or ``new`` if it exists only there, ``both`` if it changed."""
     reason: str
     text: str
 
 
 class Comparison(NamedTuple):
-    """The obstacles of a log in both results."""
+    """Comparison of the obstacles of a log."""
 
     aligned: bool
     frames: int
-    """In both."""
+    """Number of frames in both results."""
     only_old: int
-    """Frames of the old results alone."""
+    """Number of frames only in the old results."""
     only_new: int
-    """Frames of the new results alone."""
+    """Number of frames only in the new results."""
     old: int
-    """Obstacles in the frames of both."""
+    """Number of old obstacles in the frames of both results."""
     new: int
     same: int
-    """Equal, or within the tolerance."""
+    """Number of obstacles that are equal, or equal within the tolerance."""
     differences: tuple[Difference, ...]
 
     @property
     def reasons(self) -> Counter[str]:
-        """How many obstacles differ, by side and reason."""
+        """Number of different obstacles by side and reason."""
         return Counter(f"{one.side}: {one.reason}" for one in self.differences)
 
 
 def main(options: Options) -> int:
-    """Prints a line for each log; returns 1 where an aligned log differs at all."""
+    """Print a line for each log; return 1 if a log with aligned depth differs."""
     old, new = load(options.old), load(options.new)
     names = [name for name in old if name in new]
     for name in sorted(old.keys() ^ new.keys()):
@@ -134,7 +134,7 @@ def main(options: Options) -> int:
 
 
 def row_of(name: str, one: Comparison) -> str:
-    """A row of the table."""
+    """Return a row of the table."""
     frames = f"{one.frames}"
     frames += f", {one.only_old} old only" if one.only_old else ""
     frames += f", {one.only_new} new only" if one.only_new else ""
@@ -155,7 +155,7 @@ def _totals(found: dict[str, Comparison]) -> Iterator[tuple[str, Comparison]]:
 
 
 def load(folder: Path) -> dict[str, LogResult]:
-    """The results in a folder, by the log's name; rows without a depth stamp are left out."""
+    """Return the results in a folder by log name; rows without a depth timestamp are left out."""
     summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
     cameras = {one["log"]: one.get("calibration") for one in summary["logs"]}
     obstacles: dict[tuple[str, int], list[dict[str, Any]]] = {}
@@ -174,13 +174,13 @@ def load(folder: Path) -> dict[str, LogResult]:
 def compare(
     old: LogResult, new: LogResult, tolerance_m: float, columns: Sequence[str]
 ) -> Comparison:
-    """The obstacles of a log by both commits.
+    """Compare the obstacles of a log.
 
     Args:
-        old: Of the earlier commit.
-        new: Of the later one.
+        old: Results of the earlier commit.
+        new: Results of the later commit.
         tolerance_m: See :class:`Options`.
-        columns: What must be equal where depth is aligned to colour.
+        columns: Columns that must be equal if depth is aligned to colour.
     """
     T = extrinsics_of(old.calibration)
     size = old.calibration["color"]
@@ -204,7 +204,7 @@ def compare(
 
 
 def extrinsics_of(calibration: dict[str, Any]) -> np.ndarray | None:
-    """``T_color_depth`` ``(4, 4)``, None where depth is aligned to colour."""
+    """Return ``T_color_depth`` ``(4, 4)``, None if depth is aligned to colour."""
     motion = calibration.get("color_from_depth")
     if motion is None:
         return None
@@ -216,7 +216,7 @@ def extrinsics_of(calibration: dict[str, Any]) -> np.ndarray | None:
 def _exactly(
     stamp: int, before: Frame, after: Frame, columns: Sequence[str]
 ) -> tuple[int, list[Difference]]:
-    """Obstacles whose columns are equal, in order."""
+    """Return the number of obstacles with equal columns, in order, and the differences."""
     pairs = zip(before.obstacles, after.obstacles, strict=False)
     differences, same = [], 0
     for one, other in pairs:
@@ -232,22 +232,22 @@ def _exactly(
     return same, differences
 
 
-class Thing(NamedTuple):
-    """An obstacle, seen from the depth camera."""
+class GroundObstacle(NamedTuple):
+    """An obstacle in the ground frame of the depth camera."""
 
     row: dict[str, Any]
     contour: np.ndarray
-    """``(n, 2)``, on the floor, right and forward [m]."""
+    """Contour on the floor, ``(n, 2)``, right and forward [m]."""
     corners: np.ndarray
-    """``(4, 2)``, of its rectangle on the floor [m]."""
+    """Corners of its rectangle on the floor, ``(4, 2)`` [m]."""
 
-    def moved(self, turn: np.ndarray, shift: np.ndarray) -> "Thing":
-        """The same seen from another camera, see :func:`ground_motion`."""
+    def moved(self, turn: np.ndarray, shift: np.ndarray) -> "GroundObstacle":
+        """Transform it to another camera, see :func:`ground_motion`."""
         contour, corners = (a @ turn.T + shift for a in (self.contour, self.corners))
         return self._replace(contour=contour, corners=corners)
 
-    def off_m(self, other: "Thing") -> dict[str, float]:
-        """How much two obstacles differ, by what is compared [m]."""
+    def off_m(self, other: "GroundObstacle") -> dict[str, float]:
+        """Return the differences between two obstacles by attribute [m]."""
         distances = [float(np.linalg.norm(one.contour, axis=1).min()) for one in (self, other)]
         heights = {
             name: abs(_number(self.row[name]) - _number(other.row[name]))
@@ -266,7 +266,7 @@ def _number(value: float | None) -> float:
 
 
 def hausdorff_m(one: np.ndarray, other: np.ndarray) -> float:
-    """The largest distance of a point of either set to the other set.
+    """Return the Hausdorff distance: the maximum distance of a point of either set to the other.
 
     Example:
         >>> hausdorff_m(np.array([[0.0, 0.0]]), np.array([[0.0, 0.0], [3.0, 4.0]]))
@@ -284,11 +284,11 @@ def _moved(
     size: tuple[int, int],
     tolerance_m: float,
 ) -> tuple[int, list[Difference]]:
-    """Obstacles that are the same within the tolerance, after the move to the depth camera."""
+    """Compare obstacles within the tolerance, after the transform to the depth camera."""
     own = _plane(before.row)
     turn, shift = ground_motion(own[0], T)
-    old = [one.moved(turn, shift) for one in things_of(before)]
-    new = things_of(after)
+    old = [one.moved(turn, shift) for one in ground_obstacles(before)]
+    new = ground_obstacles(after)
     pairs = pair_up(old, new)
     floor = _floor_reason(before, after, T)
     same, differences = 0, []
@@ -313,8 +313,10 @@ def _moved(
     return same, differences
 
 
-def _little(one: Thing, other: Thing, parts: dict[str, float], tolerance_m: float) -> str | None:
-    """The reason where a pair differs in a part of its outline alone, else None."""
+def _little(
+    one: GroundObstacle, other: GroundObstacle, parts: dict[str, float], tolerance_m: float
+) -> str | None:
+    """Return the reason if only a part of the outline of a pair differs, else None."""
     if max(parts["distance"], parts["bottom_m"], parts["top_m"]) > tolerance_m:
         return None
     if parts["contour"] <= tolerance_m:
@@ -324,8 +326,8 @@ def _little(one: Thing, other: Thing, parts: dict[str, float], tolerance_m: floa
     return CELLS if max(off) <= max(2, FEW * max(way.shape)) else None
 
 
-def _reason(one: Thing, size: tuple[int, int], floor: str, *, near: bool) -> str:
-    """Why an obstacle is in one of the results alone; ``near`` where others are close to it."""
+def _reason(one: GroundObstacle, size: tuple[int, int], floor: str, *, near: bool) -> str:
+    """Return why an obstacle is in only one of the results; ``near``: others are close to it."""
     row = one.row
     if row["u_min"] is None:
         return OUTSIDE
@@ -349,7 +351,7 @@ def _is_small(row: dict[str, Any]) -> bool:
 
 
 def _floor_reason(before: Frame, after: Frame, T: np.ndarray) -> str:
-    """The reason where the floors of a frame are not the same plane, else empty."""
+    """Return the reason if the floors of a frame are different planes, else an empty text."""
     if before.row["camera_height_m"] is None or after.row["camera_height_m"] is None:
         return LEVEL
     (down, height), (found, found_height) = _plane(before.row), _plane(after.row)
@@ -361,16 +363,16 @@ def _floor_reason(before: Frame, after: Frame, T: np.ndarray) -> str:
 
 
 def _plane(row: dict[str, Any]) -> tuple[np.ndarray, float]:
-    """Down in the camera and its height above the floor; a level camera where it is not known."""
+    """Return down in the camera, and its height above the floor; level if unknown."""
     pitch, roll = (np.array([row[f"camera_{name}_rad"] or 0.0]) for name in ("pitch", "roll"))
     return down_vector(pitch, roll)[0], row["camera_height_m"] or 0.0
 
 
 def ground_motion(down: np.ndarray, T_color_depth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The motion on the floor from the colour camera's ground frame to the depth camera's.
+    """Return the motion from the ground frame of the colour camera to the depth camera's.
 
     Args:
-        down: ``(3,)``, down in the colour camera.
+        down: Down in the colour camera, ``(3,)``.
         T_color_depth: ``(4, 4)``.
 
     Returns:
@@ -378,7 +380,7 @@ def ground_motion(down: np.ndarray, T_color_depth: np.ndarray) -> tuple[np.ndarr
 
     Example:
         >>> T = np.eye(4)
-        >>> T[0, 3] = 0.015  # the depth camera stands 15 mm to the right of the colour camera
+        >>> T[0, 3] = 0.015  # the depth camera is 15 mm to the right of the colour camera
         >>> ground_motion(np.array([0.0, 1.0, 0.0]), T)[1].tolist()
         [-0.015, 0.0]
     """
@@ -393,31 +395,31 @@ def _axes(down: np.ndarray) -> np.ndarray:
     return np.stack([np.cross(down, forward), forward])
 
 
-def things_of(frame: Frame) -> list[Thing]:
-    """The obstacles of a frame; one without a contour has its corners."""
+def ground_obstacles(frame: Frame) -> list[GroundObstacle]:
+    """Return the obstacles of a frame; the corners replace a missing contour."""
     found = []
     for row in frame.obstacles:
         corners = np.reshape(row["corners_ground"], (4, 2)).astype(float)
         line = np.reshape(row["contour"] or row["corners_ground"], (-1, 2)).astype(float)
-        found.append(Thing(row, line, corners))
+        found.append(GroundObstacle(row, line, corners))
     return found
 
 
-def gap_m(one: Thing, other: Thing) -> float:
-    """Least distance of two contours [m]."""
+def gap_m(one: GroundObstacle, other: GroundObstacle) -> float:
+    """Return the minimum distance between two contours [m]."""
     return float(np.linalg.norm(one.contour[:, None] - other.contour[None], axis=-1).min())
 
 
-def pair_up(old: Sequence[Thing], new: Sequence[Thing]) -> list[tuple[int, int]]:
-    """Pairs one to one, those that differ least first."""
-    ways = [
+def pair_up(old: Sequence[GroundObstacle], new: Sequence[GroundObstacle]) -> list[tuple[int, int]]:
+    """Match obstacles one to one, smallest difference first; return pairs of indices."""
+    candidates = [
         (sum(one.off_m(other).values()), i, j)
         for i, one in enumerate(old)
         for j, other in enumerate(new)
         if gap_m(one, other) <= PAIRED_M
     ]
     pairs: list[tuple[int, int]] = []
-    for _, i, j in sorted(ways):
+    for _, i, j in sorted(candidates):
         if all(i != a and j != b for a, b in pairs):
             pairs.append((i, j))
     return pairs

@@ -1,8 +1,8 @@
-"""``python -m benchmarks scale``: nodes, network and hours to a petabyte, simulated.
+"""``python -m benchmarks scale``: simulate the time for a petabyte of logs by nodes and network.
 
-A node fetches a log while it computes the one before; the largest logs go first; a node that is
-lost loses the log that it computes and is replaced. Rates and overheads are arguments, measured
-elsewhere (``python -m benchmarks feed``); what is simulated is how they come together.
+A node fetches a log while it processes the previous one; the largest logs go first; a node that is
+lost loses the log in progress and is replaced. Rates and overheads are arguments, measured
+elsewhere (``python -m benchmarks feed``); only their combination is simulated.
 """
 
 import heapq
@@ -19,38 +19,38 @@ REPLACED_S = 180.0
 
 @dataclass(frozen=True)
 class Options:
-    """Simulates runs over many logs on many nodes."""
+    """Simulate runs over many logs on many nodes."""
 
     terabytes: float = 1000.0
     """Size of all logs."""
     mean_gb: float = 14.9
     """Mean size of a log; sizes are log-normal from 1 to 100 GB."""
     frame_mb: float = 1.536
-    """Size of a frame with all that the log holds of it: 640x480 raw depth and colour."""
+    """Size of a frame with all its data in the log: 640x480 raw depth and colour [MB]."""
     frames_per_s: float = 14_000.0
-    """Frames per second that a node computes, the log on local disk."""
+    """Rate at which a node processes frames of a log on its local disk [frames/s]."""
     overhead_s: float = 1.0
-    """Time that a log adds, whatever its size."""
+    """Additional time for each log, independent of its size [s]."""
     nodes: tuple[int, ...] = (1, 8, 64, 256)
     network_gb: tuple[float, ...] = (2.5, 10.0)
-    """Network of a node [GB/s]."""
+    """Network bandwidth of a node [GB/s]."""
     bucket_gb: float = math.inf
-    """What the bucket gives to all nodes together [GB/s]."""
+    """Total bandwidth of the bucket for all nodes [GB/s]."""
     life_h: float = math.inf
     """Mean time until a node is lost [h]."""
     prefetch: bool = True
-    """Fetch the next log while one is computed."""
+    """Fetch the next log while the current one is processed."""
     seed: int = 0
 
 
 class Outcome(NamedTuple):
-    """A simulated run."""
+    """Result of a simulated run."""
 
     hours: float
     busy: float
-    """Share of the nodes' time in which they compute."""
+    """Share of the nodes' time spent on processing."""
     lost: int
-    """Logs that were begun on a node that was lost."""
+    """Number of logs started on a node that was lost."""
 
 
 def log_sizes(options: Options) -> np.ndarray:
@@ -63,12 +63,12 @@ def log_sizes(options: Options) -> np.ndarray:
 
 
 def simulate(sizes: np.ndarray, nodes: int, network: float, options: Options) -> Outcome:
-    """Return what a run on some nodes takes.
+    """Simulate a run.
 
     Args:
-        sizes: Sizes of the logs [GB], in the order in which they are given out.
+        sizes: Sizes of the logs [GB], in the order in which they are processed.
         nodes: Number of nodes.
-        network: Network of a node [GB/s]; all together get no more than the bucket gives.
+        network: Network bandwidth of a node [GB/s]; the bucket limits the total.
         options: Rates and overheads.
     """
     draw = np.random.default_rng(options.seed)
@@ -80,7 +80,7 @@ def simulate(sizes: np.ndarray, nodes: int, network: float, options: Options) ->
         return math.inf if math.isinf(hours) else float(draw.exponential(hours * 3600))
 
     waiting, lost, computing, end = deque(sizes.tolist()), 0, 0.0, 0.0
-    # Of each node: when it takes a log, when it has computed those before, when it is lost.
+    # For each node: when it takes its next log, when it has finished its logs, when it is lost.
     ready = [(0.0, 0.0, life()) for _ in range(nodes)]
     while waiting:
         now, free, death = heapq.heappop(ready)

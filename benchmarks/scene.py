@@ -1,4 +1,4 @@
-"""What the stages are timed on: the simulator's demo room, seen by a D435-like camera."""
+"""Inputs of the stage benchmarks: the simulator's demo room, seen by a D435-like camera."""
 
 from functools import cache
 from typing import Any, NamedTuple
@@ -28,16 +28,16 @@ from jaxdet.types import (
 )
 
 RENDERER = "cuda" if wp.is_cuda_available() else "cpu"
-"""Where the scene is rendered; the depth is the same."""
+"""Device on which the scene is rendered; the depth does not depend on it."""
 BATCH = 8
 HEIGHT_M = 0.35
 PITCH_RAD = 0.15
 BASELINE_M = 0.015
 COS_LAMP = 0.82
-"""Of the room's lamp on the floor."""
+"""Cosine of the angle of incidence of the room's lamp on the floor."""
 CONFIG = Config()
 KINECT = (0.51, -2.69, 0.0007, 0.0001, 1.55, 0.39, -2.50, 1.47)
-"""Coefficients of a rational lens, near an Azure Kinect's."""
+"""Coefficients of a rational distortion model, similar to an Azure Kinect's."""
 CALIBRATIONS = {
     "640x480": Calibration(
         Intrinsics(640, 480, 380.0, 380.0, 319.5, 239.5),
@@ -65,9 +65,9 @@ CALIBRATIONS = {
         Extrinsics((1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), (BASELINE_M, 0.0, 0.0)),
     ),
 }
-"""By the size of both images, or of the depth image and the colour image; ``1080p`` is a colour
-image of 1920x1080, ``lens`` an Azure Kinect's. Scenes are rendered as if lenses bent nothing, which
-changes what is seen at the margins and not how it is worked on."""
+"""Calibrations by the size of both images, or of the depth image and the colour image; ``1080p``
+has colour images of 1920x1080, ``lens`` is an Azure Kinect's. Scenes are rendered without
+distortion, which affects the content of the image margins but not the computation."""
 
 
 class Inputs(NamedTuple):
@@ -80,7 +80,7 @@ class Inputs(NamedTuple):
 
 
 class OnCells(NamedTuple):
-    """What the stages on cells get, by the reference."""
+    """Inputs of the stages on cells, computed by the reference."""
 
     cells: Cells
     fit: FloorFit
@@ -90,7 +90,7 @@ class OnCells(NamedTuple):
     obstacles: list[Found]
 
     def of(self, name: str, found: list[Found]) -> np.ndarray:
-        """A field of :class:`Found` or of its view for all frames, ``(B, R, C)``, int32 or bool."""
+        """Return a field of :class:`Found` or its view for all frames, ``(B, R, C)``."""
         every = [
             getattr(one, name) if hasattr(one, name) else getattr(one.view, name) for one in found
         ]
@@ -99,13 +99,13 @@ class OnCells(NamedTuple):
 
     @property
     def places(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Right, forward and height of the cells on the floor, each ``(B, R, C)`` int32."""
+        """Return right, forward and height of the cells on the floor, each ``(B, R, C)`` int32."""
         right, forward, height = (self.of(k, self.surfaces) for k in ("right", "forward", "height"))
         return right, forward, height
 
 
 def _pose(x: float, right: float) -> np.ndarray:
-    """``T_world_camera`` ``(4, 4)`` of a camera that looks along x, slightly down."""
+    """Return ``T_world_camera`` ``(4, 4)`` of a camera that looks along x, slightly down."""
     sin, cos = np.sin(PITCH_RAD), np.cos(PITCH_RAD)
     T = np.eye(4)
     T[:3, :3] = [[0.0, -sin, cos], [-1.0, 0.0, 0.0], [0.0, -cos, -sin]]
@@ -115,13 +115,13 @@ def _pose(x: float, right: float) -> np.ndarray:
 
 @cache
 def inputs(size: str) -> Inputs:
-    """The inputs of all stages for a batch of ``BATCH`` frames, a few centimetres apart.
+    """Return the inputs of all stages for ``BATCH`` frames, a few centimetres apart.
 
     Args:
         size: A key of ``CALIBRATIONS``.
 
     Returns:
-        NumPy arrays; the same on every machine and at every call.
+        NumPy arrays; the same on every machine and for every call.
     """
     calibration = CALIBRATIONS[size]
     assert calibration.color is not None
@@ -144,7 +144,7 @@ def inputs(size: str) -> Inputs:
 
 @cache
 def on_cells(size: str) -> OnCells:
-    """The inputs of the stages on cells, for the same frames.
+    """Return the inputs of the stages on cells, for the same frames.
 
     Args:
         size: A key of ``CALIBRATIONS``.
@@ -160,15 +160,15 @@ def on_cells(size: str) -> OnCells:
 
 
 def repeated(tree: Any, batch: int) -> Any:
-    """Arrays of ``BATCH`` frames made into arrays of ``batch`` frames, in turns."""
+    """Repeat arrays of ``BATCH`` frames cyclically to ``batch`` frames."""
     turns = np.arange(batch) % BATCH
     return jax.tree.map(lambda a: a[turns], tree)
 
 
 def frames_of(size: str, batch: int, *, color: bool = False) -> Frames:
-    """``batch`` frames in host memory, those of the scene in turns, with their floor.
+    """Return ``batch`` frames in host memory: the scene's, repeated cyclically, with their floor.
 
-    Images begin with a cache line, as those read from a log do.
+    Images are aligned to cache lines, like those read from a log.
 
     Args:
         size: A key of ``CALIBRATIONS``.
@@ -186,7 +186,7 @@ def frames_of(size: str, batch: int, *, color: bool = False) -> Frames:
 
 
 def _on_lines(images: np.ndarray) -> np.ndarray:
-    """A copy whose memory starts at a multiple of 64 bytes; XLA copies others at each call."""
+    """Return a copy aligned to 64 bytes; XLA copies arrays with another alignment at each call."""
     memory = np.empty(images.nbytes + 64, np.uint8)
     start = -memory.ctypes.data % 64
     copy = memory[start : start + images.nbytes].view(images.dtype).reshape(images.shape)
@@ -195,7 +195,7 @@ def _on_lines(images: np.ndarray) -> np.ndarray:
 
 
 def pin(images: np.ndarray) -> np.ndarray:
-    """Copies a batch's images into page-locked memory, which the bus reads at its full rate.
+    """Copy images into page-locked memory, for transfers at the full rate of the bus.
 
     Args:
         images: uint8 or uint16.

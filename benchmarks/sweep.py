@@ -1,4 +1,4 @@
-"""Each stage and the whole pipeline over batch sizes, image sizes and feature slots."""
+"""Parameter sweep: batch sizes, image sizes and feature slots for each stage and the pipeline."""
 
 from typing import NamedTuple
 
@@ -22,35 +22,35 @@ AXES = {
     "footprint": ("batch", "slots"),
     "pipeline": ("batch", "size"),
 }
-"""The stages, and what the cost of each can depend on. Only the preset ``paper`` has ``align``,
-``features``, ``cluster`` and ``footprint``, only the default what is on cells: ``cells``,
-``floor``, ``surfaces``, ``obstacles``, ``outlines`` and ``free``."""
+"""Stages, and the parameters on which their cost can depend. ``align``, ``features``, ``cluster``
+and ``footprint`` belong to the preset ``paper``; the stages on cells (``cells``, ``floor``,
+``surfaces``, ``obstacles``, ``outlines`` and ``free``) belong to the default."""
 
 
 class Point(NamedTuple):
-    """Where a stage is timed."""
+    """Parameters of one timing."""
 
     size: str
-    """A key of ``benchmarks.scene.CALIBRATIONS``; empty where it doesn't matter."""
+    """A key of ``benchmarks.scene.CALIBRATIONS``; empty if irrelevant."""
     slots: int
-    """Feature slots N of a frame; 0 where it doesn't matter."""
+    """Feature slots N of a frame; 0 if irrelevant."""
     batch: int
-    """Frames of a call."""
+    """Frames per call."""
 
     @property
     def name(self) -> str:
-        """Last part of the metric keys, for instance ``640x480.n1024.b8``."""
+        """Return the last part of the metric keys, for instance ``640x480.n1024.b8``."""
         parts = self.size, f"n{self.slots}" if self.slots else "", f"b{self.batch}"
         return ".".join(part for part in parts if part)
 
 
 def kind() -> str:
-    """``cpu`` or ``gpu``, the kind of JAX's default device."""
+    """Return ``cpu`` or ``gpu``, the kind of JAX's default device."""
     return "gpu" if on_cuda() else "cpu"
 
 
 def points_of(stage: str, device: str) -> list[Point]:
-    """The points at which a stage is timed: along each of its axes through the default.
+    """Return the points at which a stage is timed: along each of its axes through the default.
 
     Args:
         stage: A key of :data:`AXES`.

@@ -1,8 +1,8 @@
-"""``python -m benchmarks tracks``: tracks of simulated logs against the truth.
+"""``python -m benchmarks tracks``: evaluate tracks of simulated logs against the ground truth.
 
-People walk and carts cross (the family ``moving``); MOTA, MOTP and IDF1 are those of
-``motmetrics``, on every thing that had to be found. As in MOTChallenge, tracks of what need not be
-found (walls, hedges, things out of range or hardly in sight) count neither way.
+The scenes contain walking people and crossing carts (the family ``moving``). MOTA, MOTP and IDF1
+are computed by ``motmetrics`` over all required objects. As in MOTChallenge, tracks of objects that
+need not be found (walls, hedges, objects out of range or hardly visible) are ignored.
 """
 
 import json
@@ -30,51 +30,52 @@ from jaxdet.tracks import track_results
 from jaxdet.tracks.folder import LINKS, TRACKS
 
 MATCH_M = 0.5
-"""A track is a thing's within this distance of its middle [m]."""
+"""Maximum distance of a track from the centre of its object [m]."""
 MIN_PIXELS = 400
-"""Things with fewer visible pixels, at 640 columns, need not be found."""
+"""Objects with fewer visible pixels, at 640 columns, need not be found."""
 RANGE_M = (0.15, 4.0)
 LONG_M = 1.6
-"""Longer things (hedges) need not be found: what is seen of them has no middle [m]."""
+"""Longer objects (hedges) need not be found, because their visible part has no defined centre
+[m]."""
 MERGED_M = 0.15
-"""A thing whose middle is within an outline, or this near to it, is in it [m]."""
+"""An outline contains an object if its centre is inside or at most this far away [m]."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """Scores the tracks of simulated logs, and times the tracking."""
+    """Evaluate the tracks of simulated logs, and time the tracking."""
 
     seeds: tuple[int, int] = (3000, 3020)
     """First seed, and the one after the last."""
     frames: int = 150
-    """Of each log."""
+    """Frames of each log."""
     rate_hz: float = 15.0
-    """Frames a second."""
+    """Frames per second."""
     width: int = 640
-    """Of the images; the height is three quarters of it [pixel]."""
+    """Width of the images; the height is three quarters of it [pixel]."""
     depth_error: float = 0.0
-    """1: a real camera's errors."""
+    """Scale of the depth errors; 1: those of a real camera."""
     folder: Path = Path("out/tracks")
-    """Where logs and results are kept; those that are there are not made again."""
+    """Folder of logs and results; existing ones are reused."""
 
 
 class Score(NamedTuple):
-    """What was found of a log."""
+    """Evaluation of a log."""
 
     mot: motmetrics.MOTAccumulator
     speed_errors: list[float]
-    """Of things that move, in each frame that shows them [m/s]."""
+    """Speed errors of moving objects, in each frame that shows them [m/s]."""
     standing_errors: list[float]
-    """Of things that stand [m/s]."""
+    """Speed errors of static objects [m/s]."""
     off: list[tuple[float, float, float]]
-    """Of each frame and thing that is one outline: from the outline's middle to that of what is in
-    sight, from there to that of the whole thing, and from the outline's to the whole's [m]."""
+    """For each frame and object with a single outline: distance between the centres of outline and
+    visible part, of visible part and whole object, and of outline and whole object [m]."""
     missed: Counter
-    """Frames in which a thing has no track, by cause."""
+    """Number of frames in which an object has no track, by cause."""
 
 
 def main(options: Options) -> int:
-    """Returns the exit code."""
+    """Run the benchmark; return the exit code."""
     names = _simulate(options)
     results = options.folder / "results"
     if not (results / "run.json").exists():
@@ -126,7 +127,7 @@ def _config(options: Options, seed: int) -> SimConfig:
 
 
 def _rate(options: Options, results: Path) -> float:
-    """Frames a second of a log of 20,000 frames, its tables read, linked and written."""
+    """Return the rate of tracking a log of 20,000 frames, with file access [frames/s]."""
     folder, repeats = options.folder / "long", 20_000 // max(1, _rows(results, "frames")) + 1
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
@@ -150,13 +151,13 @@ def _rows(results: Path, name: str) -> int:
 
 
 def _read(results: Path, name: str, **how: Any) -> pa.Table:
-    """Returns a table of all logs."""
+    """Read a table of all logs."""
     paths = sorted(results.glob(f"*/{name}"))
     return pa.concat_tables([pq.read_table(path, **how) for path in paths])
 
 
 def _write_long(results: Path, folder: Path, name: str, repeats: int) -> int:
-    """All logs one after the other, again and again, as one; returns the rows."""
+    """Write all logs repeatedly as one long log; return the number of rows."""
     table = _read(results, f"{name}.parquet")
     frames = _read(results, "frames.parquet", columns=["log", "frame", "stamp_ns"])
     logs = frames["log"].unique().to_pylist()
@@ -181,7 +182,7 @@ def _write_long(results: Path, folder: Path, name: str, repeats: int) -> int:
 
 
 class _Log:
-    """A log's truth and tracks."""
+    """Ground truth and tracks of a log."""
 
     def __init__(self, options: Options, results: Path, name: str) -> None:
         config = _config(options, int(name[1:]))
@@ -196,7 +197,7 @@ class _Log:
         links = _read(results, LINKS, columns=["track"], filters=here)
         self.outlines: dict[int, list[np.ndarray]] = {}
         self.outlines_of: dict[tuple[int, int | None], list[np.ndarray]] = {}
-        """Those of a frame and a track."""
+        """Outlines by frame and track."""
         frames, corners = (rows[c].to_pylist() for c in columns)
         for frame, ring, track in zip(frames, corners, links["track"].to_pylist(), strict=True):
             outline = np.array(ring, np.float32).reshape(4, 2)
@@ -205,7 +206,7 @@ class _Log:
 
     @cached_property
     def motion(self) -> tuple[np.ndarray, np.ndarray]:
-        """Middles ``(F, J, 2)`` [m] and speeds ``(F, J)`` [m/s] of all things."""
+        """Centres ``(F, J, 2)`` [m] and speeds ``(F, J)`` [m/s] of all objects."""
         place = self.truth.box_world[:, :, :4, :2].mean(axis=2).astype(np.float64)
         speed = np.zeros(place.shape[:2])
         for j, thing in enumerate(self.scene.objects):
@@ -217,8 +218,8 @@ class _Log:
         return place, speed
 
     @cached_property
-    def asked(self) -> np.ndarray:
-        """``(F, J)`` bool, what has to be found."""
+    def required(self) -> np.ndarray:
+        """Objects that must be found, ``(F, J)`` bool."""
         truth = self.truth
         box = truth.box_world[:, :, :4, :2].astype(np.float64)
         sides = np.linalg.norm(box - np.roll(box, 1, axis=2), axis=-1).max(axis=(0, 2))
@@ -228,7 +229,7 @@ class _Log:
 
     @property
     def _inside(self) -> np.ndarray:
-        """``(J,)`` bool, what the scene put into a higher thing: no picture tells the two apart."""
+        """Objects placed inside a taller one, ``(J,)`` bool; no image can separate the two."""
         things = self.scene.objects
         stand = [j for j, o in enumerate(things) if not isinstance(o, Model) or o.path is None]
         box, high = self.truth.box_world[0, :, :4, :2], self.truth.box_world[0, :, :, 2].max(axis=1)
@@ -241,7 +242,7 @@ class _Log:
         return inside
 
     def there(self, frame: int) -> tuple[list[int], np.ndarray, np.ndarray]:
-        """The tracks of a frame, where they are ``(K, 2)`` and how fast ``(K,)``."""
+        """Return the tracks of a frame, their positions ``(K, 2)`` and speeds ``(K,)``."""
         found, places, speeds = [], [], []
         for k, track in enumerate(self.tracks):
             if track["first_frame"] <= frame <= track["last_frame"]:
@@ -253,7 +254,7 @@ class _Log:
 
     @cached_property
     def in_sight(self) -> np.ndarray:
-        """Middles ``(F, J, 2)`` of what is in sight of all things [m]."""
+        """Centres of the visible parts of all objects, ``(F, J, 2)`` [m]."""
         camera = self.truth.T_world_camera
         forward = camera[:, :2, 2] / np.linalg.norm(camera[:, :2, 2], axis=1, keepdims=True)
         right = np.stack([forward[:, 1], -forward[:, 0]], axis=1)
@@ -262,7 +263,7 @@ class _Log:
         return camera[:, None, :2, 3] + shift
 
     def off(self, frame: int, j: int, track: int) -> tuple[float, float, float] | None:
-        """See :class:`Score`."""
+        """Return the distances of :attr:`Score.off`, None unless the track has a single outline."""
         outlines = self.outlines_of.get((frame, track), [])
         if len(outlines) != 1:
             return None
@@ -273,14 +274,14 @@ class _Log:
         return first, second, both
 
     def ignored(self, frame: int, place: np.ndarray) -> bool:
-        """Whether a track is at something that need not be found."""
+        """Return whether a track is at an object that need not be found."""
         return any(
             _distance(self.truth.footprint_world[frame, j], place) < MATCH_M
-            for j in np.flatnonzero(~self.asked[frame])
+            for j in np.flatnonzero(~self.required[frame])
         )
 
     def cause(self, frame: int, j: int) -> str:
-        """Why a thing has no track in a frame."""
+        """Return why an object has no track in a frame."""
         place = self.motion[0][frame]
         holding = [o for o in self.outlines.get(frame, ()) if _distance(o, place[j]) < MERGED_M]
         if not holding:
@@ -292,7 +293,7 @@ class _Log:
 
 
 def _distance(outline: np.ndarray, place: np.ndarray) -> float:
-    """Of a point from an outline ``(V, 2)``, NaN after the last corner; negative inside [m]."""
+    """Return the distance of a point from an outline ``(V, 2)``, negative inside [m]."""
     corners = outline[~np.isnan(outline[:, 0])].astype(np.float32)
     return -cv2.pointPolygonTest(corners[:, None], (float(place[0]), float(place[1])), True)
 
@@ -303,7 +304,7 @@ def _score(log: _Log) -> Score:
     place, speed = log.motion
     fast: dict[tuple[int, int], float] = {}
     for frame in range(len(log.truth.stamp_ns)):
-        things = np.flatnonzero(log.asked[frame])
+        things = np.flatnonzero(log.required[frame])
         tracks, places, speeds = log.there(frame)
         away = np.linalg.norm(place[frame, things][:, None] - places[None], axis=-1)
         away[away > MATCH_M] = np.nan

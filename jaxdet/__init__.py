@@ -1,6 +1,6 @@
 """Obstacle detection with RGB-D cameras: ``Detector`` for frames, ``run`` for logs.
 
-Names are loaded on first use, so that ``import jaxdet`` loads no heavy package.
+Names are imported on first use, so that ``import jaxdet`` imports no heavy package.
 """
 
 import lazy_loader

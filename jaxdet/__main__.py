@@ -11,7 +11,7 @@ from jaxdet.signals import end_guard, guard_process
 def command() -> NoReturn:
     """Run the command, then exit immediately.
 
-    All files are complete by then, and the shutdown of JAX, CUDA and Warp would take a second or
+    All files are complete by then, and the regular shutdown of JAX, CUDA and Warp takes a second or
     two.
     """
     guard_process()
@@ -25,7 +25,7 @@ def command() -> NoReturn:
         sys.stdout.flush()
     except OSError:  # the pipe is closed, or the disk is full
         code = code or 1
-    with suppress(OSError):  # lost progress and warnings are not an error
+    with suppress(OSError):  # a closed stderr is not an error
         sys.stderr.flush()
     os._exit(code)
 
@@ -42,7 +42,7 @@ def _open_streams() -> None:
 
 
 def _remove_temporary() -> None:
-    """Remove the folder of the fork server's socket, as Python would at exit."""
+    """Remove the fork server's socket folder, as Python does at exit."""
     if used := sys.modules.get("multiprocessing.util"):
         used._run_finalizers()
 

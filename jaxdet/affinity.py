@@ -61,7 +61,7 @@ GROWS = {
     "agree": 1,
     "agree_share": 1,
 }
-"""Monotonic constraints: evidence never decreases (1) or never increases (-1) with the feature."""
+"""Monotonic constraints: evidence never decreases (1) or never increases (-1) with a feature."""
 NO_STEP = 10_000
 """``step`` of two surfaces that do not face each other in any row [mm]."""
 BEYOND = 1 << 30
@@ -105,8 +105,8 @@ def affinity(name: str, depth_unit: float) -> Affinity:
     """
     text = resources.files("jaxdet").joinpath("tables", f"{name}.json").read_text("utf-8")
     table = json.loads(text)
-    weighed = np.array([PAIR_FEATURES.index(one) for one in table["seen"]])
-    feature = weighed[np.array(table["feature"], np.int64)]
+    used = np.array([PAIR_FEATURES.index(one) for one in table["seen"]])
+    feature = used[np.array(table["feature"], np.int64)]
     threshold = np.array(table["threshold"], np.int64)
     lengths = np.isin(feature, [PAIR_FEATURES.index(one) for one in LENGTHS])
     scaled = np.rint(threshold / (1000 * depth_unit)).astype(np.int64)

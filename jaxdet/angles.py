@@ -1,4 +1,4 @@
-"""Angles as users write them: a number and its unit."""
+"""Angles as users write them: a number with its unit."""
 
 import math
 import re
@@ -23,5 +23,5 @@ def parse_angle(text: Any) -> float:
     except ValueError:
         number = math.nan
     if not match or not math.isfinite(number):
-        raise ValueError("give an angle with its unit, for instance 10deg or 0.17rad")
+        raise ValueError("expected an angle with its unit, for instance 10deg or 0.17rad")
     return number if match["unit"] == "rad" else math.radians(number)

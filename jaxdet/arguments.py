@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 Kind = TypeVar("Kind")
 _MOST = 1 << 24
-"""Maximum number of entries of an array that is converted: a pose each for a million frames."""
+"""Maximum number of entries in a converted array: one pose each for a million frames."""
 _WORDS = {bool: "True or False", float: "a number", int: "an integer", str: "a string"}
 _NAMES: dict[type, str] = {Integral: "integer", Real: "number"}
 
@@ -21,7 +21,7 @@ def of_type(name: str, value: Any, kind: type[Kind], error: type[JaxdetError] = 
     """Return the value if it has the type.
 
     Raises:
-        JaxdetError: It has another type; by default an InputError.
+        JaxdetError: The value has another type; an InputError by default.
     """
     if not isinstance(value, kind):
         expected = _NAMES.get(kind, kind.__name__)
@@ -33,7 +33,7 @@ def number(name: str, value: Any) -> float:
     """Return a real number as a float.
 
     Raises:
-        InputError: It is not a number, or exceeds 64 bits.
+        InputError: The value is not a number, or exceeds 64 bits.
     """
     try:
         return float(of_type(name, value, Real))
@@ -45,13 +45,13 @@ def whole_number(name: str, value: Any) -> int:
     """Return an integer.
 
     Raises:
-        InputError: It is not an integer.
+        InputError: The value is not an integer.
     """
     return int(of_type(name, value, Integral))
 
 
 def named_type(value: Any) -> str:
-    """Describe a wrong value in an error: a text by itself, others by their type."""
+    """Describe an invalid value for an error: strings by their text, other values by their type."""
     return repr(value[:40]) if isinstance(value, str) else f"of type {type(value).__name__}"
 
 
@@ -59,7 +59,7 @@ def numeric(name: str, values: Any) -> "np.ndarray":
     """Return values as an array of numbers or booleans, without copying arrays.
 
     Raises:
-        InputError: They are neither.
+        InputError: The values are neither.
     """
     import numpy as np
 
@@ -73,16 +73,16 @@ def numeric(name: str, values: Any) -> "np.ndarray":
 
 
 def numbers(name: str, values: Any, kind: type) -> "np.ndarray":
-    """Return values as an array of a type.
+    """Return values as an array of the given type.
 
     Raises:
-        InputError: They are not numbers, or too many.
+        InputError: The values are not numbers, or there are too many.
     """
     import numpy as np
 
     try:
         size = getattr(values, "size", 0)
-        if not isinstance(size, Integral) or size <= _MOST:  # of a tensor it is a method
+        if not isinstance(size, Integral) or size <= _MOST:  # the size of a tensor is a method
             return np.asarray(values, kind)
     except Exception as error:  # see numeric()
         raise _no_numbers(name, values) from error
@@ -108,7 +108,7 @@ def check_fields(part: Any) -> None:
         value = getattr(part, field.name)
         if not fits(value, field.type):
             raise ConfigError(
-                f"expected {_words(field.type)}, got {type(value).__name__}",
+                f"expected {_type_text(field.type)}, got {type(value).__name__}",
                 topic=f"{section}.{field.name.replace('_', '-')}".lstrip("."),
             )
 
@@ -128,10 +128,10 @@ def fits(value: Any, kind: Any) -> bool:
     return isinstance(value, kind)
 
 
-def _words(kind: Any) -> str:
+def _type_text(kind: Any) -> str:
     """Return a type in words."""
     if isinstance(kind, UnionType):
-        return " or ".join(_words(one) for one in get_args(kind))
+        return " or ".join(_type_text(one) for one in get_args(kind))
     if get_origin(kind) is tuple:
         return f"{len(get_args(kind))} numbers"
     return "None" if kind is NoneType else _WORDS.get(kind, f"a {kind.__name__}")

@@ -68,7 +68,7 @@ def coefficients(camera: Intrinsics) -> np.ndarray:
     if len(camera.coefficients) > NUM_COEFFICIENTS:
         raise CalibrationError(
             f"{len(camera.coefficients)} distortion coefficients for {camera.distortion}",
-            remedy="at most 8 are supported; give --log.color-distortion or --log.depth-distortion",
+            remedy="at most 8 are supported; pass --log.color-distortion or --log.depth-distortion",
         )
     return np.array([*camera.coefficients, *[0.0] * (8 - len(camera.coefficients))])
 
@@ -152,7 +152,7 @@ def check_steepness(rays: np.ndarray, flag: str) -> None:
     if np.abs(rays).max(initial=0.0) > MAX_RAY:
         raise CalibrationError(
             "the field of view is too wide for the pinhole geometry",
-            remedy=f"check the focal length, or give {flag}",
+            remedy=f"check the focal length, or pass {flag}",
         )
 
 
@@ -160,8 +160,8 @@ def _extrinsics(calibration: Calibration) -> Extrinsics:
     """Return the transform from the depth camera to the colour camera."""
     if calibration.color_from_depth is None:
         raise CalibrationError(
-            "no extrinsics for the alignment",
-            remedy="give --log.color-from-depth, or --log.depth-aligned if depth is aligned",
+            "no extrinsics between depth and colour camera",
+            remedy="pass --log.color-from-depth, or --log.depth-aligned if depth is aligned",
         )
     return calibration.color_from_depth
 
@@ -244,7 +244,8 @@ class SplatParameters(NamedTuple):
     lens: np.ndarray  # (8,) float32, the colour camera's distortion coefficients
     max_r2: np.float32
     """Maximum squared slope of rays in the colour image; beyond it a lens polynomial folds back
-    and would project rays into the image from far outside of the field of view."""
+    Maximum squared slope of rays in the colour image. Beyond it a lens polynomial folds back and
+    would project rays from far outside the field of view into the image."""
     depth_unit: np.float32  # metres in one depth unit
     model: Distortion
     """Lens model of the colour camera; inverse Brown-Conrady is ignored, as in ``rs.align``."""

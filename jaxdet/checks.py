@@ -1,6 +1,6 @@
 """Validation of arrays and calibrations before kernels read them.
 
-All input from logs, flags and callers is checked here once; kernels don't check again.
+All input from logs, flags and callers is checked here once; the kernels do not check it again.
 """
 
 import math
@@ -123,17 +123,17 @@ def _check_ranges(calibration: Calibration) -> None:
             _check_camera(name, camera)
     check_depth_unit(calibration.depth_unit)
     motion = calibration.color_from_depth
-    remedy = "give --log.color-from-depth tx ty tz qx qy qz qw"
+    remedy = "pass --log.color-from-depth tx ty tz qx qy qz qw"
     if motion is None:
         if calibration.color is not None:
-            problem = "a colour camera without the transform from depth to colour"
-            raise CalibrationError(problem, remedy=f"{remedy}, or leave the colour camera out")
+            problem = "the transform from depth to colour camera is missing"
+            raise CalibrationError(problem, remedy=f"{remedy}, or omit the colour camera")
         return
     if calibration.color is None:
-        problem = "a transform from depth to colour without a colour camera"
-        raise CalibrationError(problem, remedy="leave color_from_depth out, or give color")
+        problem = "a transform from depth to colour camera needs a colour camera"
+        raise CalibrationError(problem, remedy="omit color_from_depth, or set color")
     if not is_rotation(motion.rotation):
-        problem = "the rotation from depth to colour is not a rotation"
+        problem = "the rotation from depth to colour camera is not a rotation matrix"
         raise CalibrationError(problem, remedy=remedy)
     distance = float(reduce(hypot, motion.translation, 0.0))
     farthest = min(MAX_BASELINE_M, 65535 * calibration.depth_unit)
@@ -149,23 +149,24 @@ def check_depth_unit(unit: float) -> None:
     """Check a depth unit [m].
 
     Raises:
-        CalibrationError: It is out of ``DEPTH_UNITS_M``.
+        CalibrationError: The unit is outside of ``DEPTH_UNITS_M``.
     """
     smallest, largest = DEPTH_UNITS_M
     if not smallest <= unit <= largest:
         raise CalibrationError(
-            f"a depth unit of {unit:g} m is out of the range of {smallest:g} to {largest:g} m",
-            remedy="give --log.depth-unit-m",
+            f"the depth unit must be from {smallest:g} to {largest:g} m, got {unit:g} m",
+            remedy="pass --log.depth-unit-m",
         )
 
 
 def _check_view(name: str, camera: Intrinsics) -> None:
     """Check the field of view and the optical centre against the image size.
 
-    The optical centre may be outside of the image by its size, as in cropped images.
+    The optical centre may be outside of the image by up to its width and height, as in cropped
+    images.
     """
     width, height, fx, fy, cx, cy = camera[:6]
-    remedy = f"give --log.{name}-intrinsics fx fy cx cy"
+    remedy = f"pass --log.{name}-intrinsics fx fy cx cy"
     name, size = _spelled(name), f"images of {width}x{height} pixels"
     if not (-width <= cx <= 2 * width and -height <= cy <= 2 * height):
         problem = f"the optical centre ({cx:g}, {cy:g}) is far outside of the {name} {size}"
@@ -194,17 +195,17 @@ def _check_camera(name: str, camera: Intrinsics) -> None:
     name = _spelled(name)
     if min(width, height) < 1:
         problem = f"the {name} camera's image size is {width}x{height} pixels"
-        raise CalibrationError(problem, remedy="give the size of its images")
+        raise CalibrationError(problem, remedy="set the size of its images")
     shortest, longest = FOCAL_LENGTHS
     if not all(shortest <= focal <= longest for focal in (fx, fy)):
         problem = f"the {name} camera is not calibrated (fx {fx:g}, fy {fy:g})"
-        raise CalibrationError(problem, remedy=f"give {flag}")
+        raise CalibrationError(problem, remedy=f"pass {flag}")
     if max(fx, fy) > MAX_PIXEL_ASPECT * min(fx, fy):
         problem = f"fx {fx:g} and fy {fy:g} of the {name} camera differ by more than a factor of"
-        raise CalibrationError(f"{problem} {MAX_PIXEL_ASPECT:g}", remedy=f"give {flag}")
+        raise CalibrationError(f"{problem} {MAX_PIXEL_ASPECT:g}", remedy=f"pass {flag}")
     if not (abs(cx) <= longest and abs(cy) <= longest):
         problem = f"the optical centre ({cx:g}, {cy:g}) is far outside of the {name} image"
-        raise CalibrationError(problem, remedy=f"give {flag}")
+        raise CalibrationError(problem, remedy=f"pass {flag}")
     if model not in tuple(Distortion):
         models = ", ".join(Distortion)
         problem = f"the {name} camera's lens model {str(model)[:60]!a} is unknown"
@@ -225,8 +226,9 @@ def check_frames(frames: Frames, config: Config, *, floor_only: bool = False) ->
 
     Args:
         frames: Frames.
-        config: Configuration; ``paper`` needs colour images, others depth cells of a valid size.
-        floor_only: Whether only the floor is estimated, which needs cells but no colour.
+        config: Configuration. ``paper`` requires colour images, the others depth cells of a valid
+            size.
+        floor_only: Whether only the floor is estimated, which requires cells but no colour.
 
     Raises:
         CalibrationError: See :func:`check_calibration`; or the size of a camera differs from that
@@ -245,13 +247,13 @@ def check_frames(frames: Frames, config: Config, *, floor_only: bool = False) ->
         check_size("colour", frames.color.shape, frames.calibration.image)
         rows["colour images"] = len(frames.color)
     elif config.cluster.points and not floor_only:
-        problem = "no colour images, which the preset paper needs to find corners"
-        raise InputError(problem, remedy="give colour images, or use another preset")
+        problem = "the preset paper needs colour images, got none"
+        raise InputError(problem, remedy="pass colour images, or use another preset")
     ground = config.ground
     stated = frames.plane is not None or ground.camera_height_m is not None
     if config.cluster.points and not (floor_only or stated or ground.source == "none"):
-        problem = "no floor plane, which the preset paper needs"
-        remedy = "give frames.plane, for instance of jaxdet.estimate_plane(frames)"
+        problem = "the preset paper needs a floor plane, got none"
+        remedy = "set frames.plane, for instance by jaxdet.estimate_plane(frames)"
         raise InputError(problem, remedy=remedy)
     if floor_only or not config.cluster.points:
         _check_cells(frames.calibration.depth, config.surface)
@@ -259,13 +261,14 @@ def check_frames(frames: Frames, config: Config, *, floor_only: bool = False) ->
         rows["planes"] = _check_planes(frames.plane)
     rows["entries of valid"] = len(_column("valid", frames.valid, "b"))
     if not any(rows.values()):
-        raise InputError("there are no frames", remedy="give at least one")
+        raise InputError("the batch is empty", remedy="pass at least one frame")
     if len(frames.depth) > MAX_FRAMES:
-        problem = f"a batch of {len(frames.depth)} frames exceeds the maximum of {MAX_FRAMES}"
-        raise InputError(problem, remedy="give smaller batches")
+        problem = f"a batch has at most {MAX_FRAMES} frames, got {len(frames.depth)}"
+        raise InputError(problem, remedy="pass smaller batches")
     if len(set(rows.values())) > 1:
         counts = ", ".join(f"{count} {name}" for name, count in rows.items())
-        raise InputError(f"a batch with {counts}", remedy="give one of each per frame")
+        problem = f"the arrays of the batch differ in length ({counts})"
+        raise InputError(problem, remedy="pass one entry per frame")
 
 
 _checked_calibrations: deque[Calibration] = deque(maxlen=16)
@@ -291,44 +294,42 @@ def _check_planes(planes: GroundPlane) -> int:
     *pose, valid, start, slope = columns
     if not np.isfinite(np.stack([*pose, slope])[:, valid]).all() or np.isnan(start[valid]).any():
         raise InputError(
-            "a valid plane with a height, pitch, roll or ramp that is not finite",
-            remedy="set valid to False where the floor is unknown",
+            "the height, pitch, roll or ramp of a valid plane is not finite",
+            remedy="set valid to False if the floor is unknown",
         )
     return len(valid)
 
 
-_PLANES = "give (B,) numbers each, for instance with jaxdet.flat_plane"
+_PLANES = "pass (B,) numbers each, for instance with jaxdet.flat_plane"
 
 
 def _column(name: str, values: Any, kinds: str) -> np.ndarray:
-    """Return a one-dimensional array of these NumPy kinds."""
+    """Return a one-dimensional array whose dtype is of one of the NumPy kinds."""
     array = np.asarray(values) if hasattr(values, "dtype") else np.zeros((), object)
     if array.dtype.kind not in kinds or array.ndim != 1:
         kind = str(getattr(values, "dtype", type(values).__name__))
-        problem = f"{kind} of shape {np.shape(array)}"
-        remedy = "give a (B,) array of bool" if kinds == "b" else _PLANES
+        problem = f"got {kind} of shape {np.shape(array)}"
+        remedy = "pass a (B,) array of bool" if kinds == "b" else _PLANES
         raise InputError(problem, topic=name, remedy=remedy)
     return array
 
 
 def _check_images(what: str, images: Any, kind: str, axes: int) -> None:
-    """Check that images are a NumPy or JAX array with values, not a masked or traced one."""
+    """Check that images are a NumPy or JAX array with values, not a masked or traced array."""
     jax = sys.modules.get("jax")
     is_array = isinstance(images, np.ndarray) or (jax is not None and isinstance(images, jax.Array))
     actual = str(images.dtype) if is_array else type(images).__name__
     shape: Any = getattr(images, "shape", ())
     if actual != kind or len(shape) != axes or (axes == 4 and shape[-1] != 3):
         wanted = "(B, H, W, 3)" if axes == 4 else "(B, H, W)"
-        raise InputError(
-            f"{what} images are {actual} of shape {shape}", remedy=f"give {wanted} {kind}"
-        )
+        raise InputError(f"expected {what} images {wanted} {kind}, got {actual} of shape {shape}")
     if isinstance(images, np.ma.MaskedArray):
-        remedy = "give images.filled(0): a pixel of 0 has no depth"
+        remedy = "pass images.filled(0); 0 means no depth"
         raise InputError(f"{what} images are a masked array", remedy=remedy)
     if jax is not None and isinstance(images, jax.core.Tracer):
         raise InputError(
             f"{what} images are traced arrays without values",
-            remedy="give a whole batch; detect can't be called under jax.jit, jax.vmap or jax.grad",
+            remedy="call detect outside of jax.jit, jax.vmap and jax.grad",
         )
 
 
@@ -341,18 +342,19 @@ def check_size(what: str, shape: tuple[int, ...], camera: Intrinsics) -> None:
     if tuple(shape[1:3]) != (camera.height, camera.width):
         size = "x".join(str(n) for n in shape[2:0:-1])
         raise CalibrationError(
-            f"{what} images of {size} pixels, but the calibration has {camera.width}x"
+            f"{what} images have {size} pixels, but their calibration is for {camera.width}x"
             f"{camera.height}",
-            remedy="give the calibration of these images",
+            remedy="pass the calibration of these images",
         )
 
 
 def _check_cells(camera: Intrinsics, config: SurfaceConfig) -> None:
-    """Check that depth images have at least one cell and no more than contours and kernels hold.
+    """Check the number and size of cells in a depth image against the limits of the kernels.
 
     Raises:
-        ConfigError: No cell fits, or there are more than ``MAX_CONTOUR`` cells per side, more than
-            ``MAX_CELL_SIDE`` pixels per side of a cell, or more than ``MAX_DEPTH_COLUMNS`` columns.
+        ConfigError: No cell fits, or there are more than ``MAX_CONTOUR`` cells along a side, more
+            than ``MAX_CELL_SIDE`` pixels along a side of a cell, or more than ``MAX_DEPTH_COLUMNS``
+            columns.
     """
     side = cell_side(camera, config.cell_rad)
     rows, columns = camera.height // side, camera.width // side
@@ -364,19 +366,19 @@ def _check_cells(camera: Intrinsics, config: SurfaceConfig) -> None:
         )
     if side > MAX_CELL_SIDE or not min(rows, columns):
         raise ConfigError(
-            f"{size} in cells of {side}x{side}: at least one must fit, with at most "
+            f"{size} do not fit cells of {side}x{side}: at least one must fit, with at most "
             f"{MAX_CELL_SIDE} pixels per side",
             remedy="lower --surface.cell-rad, the angular size of a cell",
         )
     if max(rows, columns) > MAX_CONTOUR:
         raise ConfigError(
-            f"{size} in {columns}x{rows} cells exceed the maximum of {MAX_CONTOUR} per side",
+            f"{size} have {columns}x{rows} cells, more than the maximum of {MAX_CONTOUR} per side",
             remedy="raise --surface.cell-rad, the angular size of a cell",
         )
 
 
 def check_points(points: int) -> None:
-    """Check the number of points per frame, which keys, sums and the kernels' memory limit.
+    """Check the number of points per frame against the limits of keys, sums and kernel memory.
 
     Raises:
         ConfigError: There are more than ``MAX_POINTS``.

@@ -20,7 +20,8 @@ TRIM_SHARE = 16
 """At most one in this many of an obstacle's points is trimmed at each side, and in front."""
 
 LARGEST_STEP_M = 1.0
-"""Largest step, margin or error in a configuration [m]; larger values are millimetres."""
+"""Largest step, margin or error in a configuration [m]; a larger value is probably in millimetres.
+"""
 
 LARGEST_SIZE_M = 5.0
 """Largest object size and gap in depth in a configuration [m]."""
@@ -37,11 +38,12 @@ DEPTH_UNITS_M = 1e-5, 0.1
 
 def _require(condition: bool, field_name: str, rule: str) -> None:
     if not condition:
-        raise ConfigError(f"{field_name} must be {rule}", remedy=f"see --{field_name} in --help")
+        remedy = f"see --{field_name} in --help-all"
+        raise ConfigError(f"{field_name} must be {rule}", remedy=remedy)
 
 
 def _require_within(part: Any, low: float, high: float, *names: str) -> None:
-    """Raise ConfigError if one of these fields of a part is outside the bounds."""
+    """Raise ConfigError if one of the named fields of a section is outside the bounds."""
     section, rule = type(part).__name__.removesuffix("Config").lower(), f"from {low:g} to {high:g}"
     for name in names:
         unit = " m" if name.endswith("_m") and "_per_" not in name else ""
@@ -56,34 +58,34 @@ class GroundConfig:
     min_depth_m: float = 0.15
     """Minimum depth [m]."""
     max_depth_m: float = 4.0
-    """Maximum depth [m]; every obstacle begins nearer than this, see surface.beyond."""
+    """Maximum depth of the near end of an obstacle [m], see surface.beyond."""
     step_height_m: float = 0.05
-    """Height that the wheels can climb [m]; lower points are floor."""
+    """Maximum height that the wheels can climb [m]; lower points are floor."""
     step_height_per_m: float = 0.003
-    """Added to the step height per metre of depth, for noise; averages over cells of s x s pixels
-    need 1/s of it. For paper, which uses one plane, it is the uncertainty of the floor's tilt
-    (0.003 is 0.2 degrees); the publication has 0."""
+    """Increase of the step height per metre of depth, for noise; averages over cells of s x s
+    pixels need 1/s of it. For paper, which uses one plane, it is the uncertainty of the floor's
+    tilt (0.003 is 0.2 degrees). The paper itself has 0."""
     noise_per_m: float = 0.07
     """Depth noise on the floor [1/m]: the step height is at least this times the camera's height
     times the depth, 1/s of it with cells of s x s pixels. 0 disables it."""
     max_height_m: float = 2.0
-    """Maximum obstacle height, the robot's clearance [m]. Objects that hang higher are ignored,
-    taller ones are cut off there. 0: no limit. Not used by paper."""
+    """Maximum obstacle height, the robot's clearance [m]. Objects that hang higher are ignored, and
+    taller ones are clipped. 0: no limit. Not used by paper."""
     camera_height_m: float | None = None
-    """Camera mounting height above the floor [m]. Unset: from the log's TF, else estimated from a
-    sample of its frames. The depth of each frame corrects it."""
+    """Camera mounting height above the floor [m]. Unset: taken from the log's TF, else estimated
+    from a sample of its frames. The depth of each frame corrects it."""
     camera_pitch_rad: float | None = None
     """Downward tilt of the camera [rad], required with camera_height_m; 0 for a level camera."""
     camera_roll_rad: float = 0.0
     """Roll of the camera [rad], clockwise seen from behind; used with camera_height_m."""
     source: str = "auto"
     """Prior of the floor estimate of each frame: auto (flags, then tf), flags, tf, or estimate
-    (neither). The median floor of a sample of the log's frames replaces it if enough of them show
-    one. none: no floor is estimated, and nothing is dropped as floor."""
+    (neither). If enough frames of a sample show the floor, their median floor replaces it. none: no
+    floor is estimated, and no points are removed as floor."""
     sample_frames: int = 24
-    """Number of frames in that sample, evenly spaced over the log or the window."""
+    """Number of sample frames, evenly spaced over the log or the window."""
     window_s: float = 0.0
-    """Length of time windows with a sample each [s]. 0: one sample for the whole log."""
+    """Length of time windows with one sample each [s]. 0: one sample for the whole log."""
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -115,7 +117,7 @@ class GroundConfig:
         _require_within(self, 0, 1e9, "window_s")
         for angle, most in (("pitch", math.pi / 2), ("roll", math.pi)):
             value = getattr(self, f"camera_{angle}_rad") or 0.0
-            rule = f"within {math.degrees(most):.0f}°, not {math.degrees(value):.0f}°"
+            rule = f"within {math.degrees(most):.0f}°, got {math.degrees(value):.0f}°"
             _require(abs(value) <= most + 1e-9, f"ground.camera-{angle}", rule)
             _require(
                 not value or self.camera_height_m is not None,
@@ -158,7 +160,7 @@ class FeaturesConfig:
     def canny_bounds(self) -> tuple[int, int]:
         """Canny's thresholds as integers from -1 to 2047, the lower first.
 
-        The L1 gradient of a 3x3 Sobel filter is from 0 to 2040, so clipping changes nothing.
+        The L1 gradient of a 3x3 Sobel filter is between 0 and 2040, so clipping changes nothing.
         """
         low, high = sorted((self.canny_low, self.canny_high))
         return math.floor(min(max(low, -1), 2047)), math.floor(min(max(high, -1), 2047))
@@ -184,17 +186,17 @@ class FloorConfig:
     min_share: float = 0.04
     """Minimum inlier fraction of the cells."""
     min_share_alone: float = 0.06
-    """Minimum inlier fraction without a prior, for a pitch of up to 35 degrees; 1.2 % more per
-    additional degree. Cells clearly below the plane are penalised twice."""
+    """Minimum inlier fraction without a prior, for a pitch of up to 35 degrees; it rises by 1.2
+    percentage points per additional degree. Cells clearly below the plane are penalised twice."""
     ramps: bool = True
-    """Search for a ramp ahead, or for a step if there is a prior."""
+    """Whether to search for a ramp ahead; with a prior, also for a step."""
     bow_per_m: float = 0.01
-    """Tolerance for stereo bowing of far floors [1/m]: depth below the plane by up to the step
-    height plus this times z squared still counts as floor."""
+    """Tolerance for stereo bowing of distant floors [1/m]: depth below the plane by up to the step
+    height plus this times z squared is still floor."""
     drop_m: float = 0.05
-    """Minimum height of a drop [m], in addition to the noise."""
+    """Minimum height of a drop [m], on top of the noise."""
     gap_m: float = 0.5
-    """Longest stretch of floor without measurements that free floor continues over [m]."""
+    """Maximum length of unmeasured floor across which the free floor continues [m]."""
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -218,24 +220,24 @@ class SurfaceConfig:
     step_m: float = 0.03
     """Maximum depth difference between neighbouring cells of a surface [m]."""
     step_per_m: float = 0.011
-    """Added to the difference in proportion to z squared [1/m]: about four standard deviations of a
-    D435's depth."""
+    """Increase of the depth difference, in proportion to z squared [1/m]: about four standard
+    deviations of a D435's depth."""
     crease_cells: int = 3
     """Number of cells on each side over which a crease (a bend in depth) is measured."""
     crease_m: float = 0.010
     """Minimum depth of a crease that separates surfaces [m]."""
     crease_per_m: float = 0.004
-    """Added to the depth of a crease in proportion to z squared [1/m]."""
+    """Increase of the crease depth, in proportion to z squared [1/m]."""
     crease_margin: int = 1
     """Number of cells by which creases are dilated, to close gaps in them."""
     min_cells: int = 6
-    """Minimum number of cells of a separate surface, or of a crease."""
+    """Minimum number of cells of a surface or of a crease."""
     hole_cells: int = 8
     """Maximum number of unmeasured cells in a row or column across which cells count as connected
-    for min_cells, if their depth continues. 0: off."""
+    for min_cells, if their depth continues. 0 disables it."""
     bent_m: float = 0.20
-    """Maximum height of stereo bowing [m]: lower surfaces without a steep side, at the margins of
-    the image or far away, are floor. 0: off."""
+    """Maximum height of stereo bowing [m]: lower surfaces without a steep side that are far away or
+    at the image border are floor. 0 disables it."""
     beyond: float = 1.15
     """Factor by which surfaces extend beyond the maximum depth, so that the end of the range does
     not cut objects into pieces; objects that begin beyond the range are ignored."""
@@ -253,32 +255,32 @@ class SurfaceConfig:
 
 
 AFFINITIES = ("surfaces", "tabletop")
-"""Names of the tables of :mod:`jaxdet.affinity`."""
+"""Names of the models in :mod:`jaxdet.affinity`."""
 
 
 @dataclass(frozen=True)
 class ObstacleConfig:
-    """Merging of surfaces into obstacles, by gaps on the floor and other features of pairs."""
+    """Merging of surfaces into obstacles, by their gaps on the floor and other pair features."""
 
     affinity: str = "surfaces"
     """Learned model for merging pairs of surfaces: surfaces (rooms and streets) or tabletop. It
-    assumes cells of the default size."""
+    assumes the default cell size."""
     lateral_gap_m: float = 1.5
     """Maximum lateral gap between surfaces that may be merged, d_x [m]."""
     forward_gap_m: float = 0.8
     """Maximum forward gap between surfaces that may be merged, on the floor, d_z [m]."""
     depth_gap_m: float = 0.12
-    """Maximum depth difference between two parts of one surface on both sides of an occluder or a
-    hole [m], plus a tenth of the distance between them."""
+    """Maximum depth difference between two parts of a surface on both sides of an occluder or a
+    hole [m]; a tenth of the distance between them is added."""
     contact_m: float = 0.10
-    """Maximum depth difference at which a piece that is too small for an obstacle joins the surface
-    that it touches [m]."""
+    """Maximum depth difference at which a piece too small for an obstacle joins a touching surface
+    [m]."""
     bend_m: float = 0.15
-    """Obstacles whose contour lies this far behind the chord between its ends are split there, as
-    two walls of a room are [m]. 0: off."""
+    """Maximum distance of an obstacle's contour behind the chord between its ends [m]; beyond it
+    the obstacle is split there, like two walls at a corner of a room. 0 disables it."""
     side_m: float = 1.0
-    """Minimum length of the sides of such a split, and maximum distance between neighbouring points
-    of the contour at the corner [m]."""
+    """Minimum length of both sides of such a split [m], and maximum distance between neighbouring
+    contour points at the corner."""
     min_size_m: float = 0.05
     """Minimum width or height of an obstacle [m]."""
     min_cells: int = 6
@@ -298,14 +300,14 @@ class ClusterConfig:
     """Clustering of points by gaps in depth, then sideways (Section 3.4, Eq. 6); preset paper."""
 
     points: bool = False
-    """Make obstacles of points, as the paper does; off: of surfaces. The other settings of this
-    part apply to points only."""
+    """Cluster points, as in the paper, instead of merging surfaces. The other settings of this
+    section apply to points only."""
     depth_gap_m: float = 0.10
-    """d_z [m]: a larger gap between neighbours in depth starts a new cluster."""
+    """d_z, depth gap between neighbouring points above which a new cluster starts [m]."""
     lateral_gap_m: float = 0.40
-    """d_x [m]: a larger sideways gap starts a new cluster; the robot's width."""
+    """d_x, lateral gap above which a new cluster starts, the robot's width [m]."""
     min_points: int = 10
-    """N: clusters of this many points or fewer are dropped."""
+    """N, number of points up to which a cluster is dropped."""
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -319,29 +321,29 @@ class FootprintConfig:
     """Outline on the floor (Section 3.5, Eq. 7-9)."""
 
     vertex_threshold_m: float = 0.03
-    """d_threshold of Eq. 7 [m], about the sensor's error: C is a vertex if it is nearer than A and
-    B by at least this."""
+    """d_threshold of Eq. 7 [m], about the sensor's error. C is a vertex if it is nearer than A and
+    B by at least this distance."""
     trim: int = 2
     """Number of outermost points on each side, and of nearest points, that are ignored as outliers
-    in A, B and C; at most a sixteenth of the obstacle's points. The publication has 0."""
+    in A, B and C; at most a sixteenth of the obstacle's points. The paper has 0."""
     side_band_per_m: float = 0.006
-    """A and B are medians of the points within this band from the outermost point [m per metre of
-    distance], as silhouettes blur over about three pixels. The publication has 0."""
+    """Width of the band behind the outermost points whose medians are A and B, per metre of
+    distance [m/m], since silhouettes blur over about three pixels. The paper has 0."""
     near_band_per_m2: float = 0.012
-    """C is the median of the points within this times the distance squared behind the nearest
-    point [1/m]: the minimum of noisy depths is biased, and stereo noise grows with the square;
-    0.012 is about four standard deviations of a D435. The publication has 0."""
+    """Depth of the band behind the nearest point whose median is C, divided by the distance squared
+    [1/m], since the minimum of noisy depths is biased and stereo noise grows with the square; 0.012
+    is about four standard deviations of a D435. The paper has 0."""
     extension_m: float = 0.20
-    """Distance by which the edge AB is extended backward if there is no vertex [m]; fitted
+    """Distance by which the edge AB is extended backward if there is no vertex [m]. Fitted
     rectangles end with their obstacle's cells."""
     margin_m: float = 0.0
     """Margin added to the rectangle on all sides [m]."""
     margin_per_m2: float = 0.007
-    """Margin in proportion to the square of the obstacle's smallest z [1/m], as stereo noise grows;
-    0.007 is nearly two standard deviations of a D435."""
+    """Increase of the margin in proportion to the square of the obstacle's smallest z [1/m], as
+    stereo noise grows; 0.007 is nearly two standard deviations of a D435."""
     long_m: float = 3.0
-    """Fitted rectangles longer than this ignore a twentieth of their cells at each long side, as
-    depth of walls spreads over the floor in front of them [m]."""
+    """Length above which a fitted rectangle ignores a twentieth of its cells at each long side [m],
+    since the depth of walls spreads over the floor in front of them."""
 
     def __post_init__(self) -> None:
         check_fields(self)

@@ -1,4 +1,4 @@
-"""Configurations with other values for some of their parameters."""
+"""Copies of configurations with some values changed."""
 
 import dataclasses
 import types
@@ -14,7 +14,7 @@ from jaxdet.errors import ConfigError, meant
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
-_WORDS = {str: "text in quotes", int: "an integer", float: "a number", bool: "true or false"}
+_WORDS = {str: "a string", int: "an integer", float: "a number", bool: "true or false"}
 
 Section = TypeVar("Section", bound="DataclassInstance")
 
@@ -23,7 +23,7 @@ def with_changes(config: Config, changes: Mapping[str, Any]) -> Config:
     """Return a configuration with changes of sections or parameters, see :func:`jaxdet.preset`.
 
     Raises:
-        ConfigError: A parameter is unknown or in several sections, or a value doesn't fit.
+        ConfigError: A parameter is unknown or in several sections, or a value is invalid.
     """
     sections, grouped = vars(config), dict[str, dict[str, Any]]()
     for key, value in changes.items():
@@ -32,8 +32,8 @@ def with_changes(config: Config, changes: Mapping[str, Any]) -> Config:
             homes = [part for part in sections if {key, f"{key}_rad"} & vars(sections[part]).keys()]
             name, values = _home(key, homes), {key: value}
         if not isinstance(values, Mapping):
-            problem = f"{name} = {value!r} is no dictionary of parameters"
-            raise ConfigError(problem, remedy=f"give {name}={{...}}, or the parameter itself")
+            problem = f"{name}: expected a dictionary of parameters, got {value!r}"
+            raise ConfigError(problem, remedy=f"pass {name}={{...}}, or the parameter itself")
         grouped[name] = grouped.get(name, {}) | {**values}
     parts = {name: changed(sections[name], values, name, "") for name, values in grouped.items()}
     return dataclasses.replace(config, **parts)
@@ -50,11 +50,11 @@ def _home(key: str, homes: list[str]) -> str:
         raise ConfigError(f"{key} is a parameter of several sections", remedy=remedy)
     known = [name for part in parts.values() for name in vars(part)]
     remedy = f"{meant(key, known)}`jaxdet run --help-all` lists them"
-    raise ConfigError(f"no parameter or section {key!r}", remedy=remedy)
+    raise ConfigError(f"unknown parameter or section {key!r}", remedy=remedy)
 
 
 def changed(section: Section, values: Mapping[str, Any], name: str, path: str) -> Section:
-    """Return a configuration section with these values.
+    """Return a copy of a configuration section with the given values.
 
     The key of an angle may lack its ``_rad`` if the value has a unit: ``camera_pitch = "10deg"``.
 
@@ -72,28 +72,29 @@ def changed(section: Section, values: Mapping[str, Any], name: str, path: str) -
                 raise ConfigError(f"[{name}] {key} = {value!r}: {error}", path=path) from None
         if field not in hints:
             keys = ", ".join(hints) or "nothing"
-            problem = f"no key {key!r} in [{name}]"
-            raise ConfigError(problem, path=path, remedy=f"{meant(key, hints)}it takes {keys}")
+            problem = f"unknown key {key!r} in [{name}]"
+            raise ConfigError(problem, path=path, remedy=f"{meant(key, hints)}use one of {keys}")
         if field in clean:
             raise ConfigError(f"[{name}] {key} is given twice, as {field}", path=path)
         if not fits(parsed, hints[field]):
-            raise ConfigError(f"[{name}] {key} = {value!r} is not {_said(hints[field])}", path=path)
-        clean[field] = _as(parsed, hints[field])
+            expected = _type_text(hints[field])
+            raise ConfigError(f"[{name}] {key} must be {expected}, got {value!r}", path=path)
+        clean[field] = _converted(parsed, hints[field])
     try:
         return dataclasses.replace(section, **clean)
     except ConfigError as error:
         raise ConfigError(error.problem, path=path, remedy=error.remedy) from error
 
 
-def _said(hint: Any) -> str:
-    """Return a type in words."""
+def _type_text(hint: Any) -> str:
+    """Return the description of a type for an error."""
     parts = [part for part in typing.get_args(hint) or (hint,) if part is not types.NoneType]
     if len(parts) == 1 and typing.get_origin(parts[0]) is tuple:
         return f"a list of {len(typing.get_args(parts[0]))} numbers"
     return " or ".join(_WORDS[part] for part in parts)
 
 
-def _as(value: Any, hint: Any) -> Any:
+def _converted(value: Any, hint: Any) -> Any:
     if isinstance(value, list):
         return tuple(float(part) for part in value)
     wants_float = hint is float or float in typing.get_args(hint)

@@ -22,7 +22,7 @@ ConfigSource = Config | Mapping[str, Any] | str | PathLike[str]
 
 
 class Settings(NamedTuple):
-    """Settings of a file, on top of its preset."""
+    """Settings from a file and its preset."""
 
     config: Config
     log: LogOptions
@@ -38,7 +38,7 @@ def find_config(source: ConfigSource) -> Config:
             dictionary: ``{"preset": "d435", "ground": {"max_depth_m": 3.0}}``.
 
     Raises:
-        ConfigError: There is no such preset or file, or a setting is invalid.
+        ConfigError: The preset or file does not exist, or a setting is invalid.
     """
     if isinstance(source, Config):
         return source
@@ -65,12 +65,12 @@ def read_settings(path: Path | None, preset_name: str | None = None) -> Settings
     """Read the settings of a file.
 
     Args:
-        path: TOML with the sections ``[ground]``, ``[surface]``, ... and ``[log]`` and perhaps a
-            ``preset``, or the ``config.json`` of results; None: only the preset.
+        path: TOML file with the sections ``[ground]``, ``[surface]``, ... and ``[log]`` and
+            optionally ``preset``, or the ``config.json`` of results; None: only the preset.
         preset_name: Base preset, which overrides the file's.
 
     Raises:
-        ConfigError: The preset or a key of the file is unknown, or a value doesn't fit.
+        ConfigError: The preset or a key in the file is unknown, or a value is invalid.
     """
     return _settings(read_table(path) if path else {}, str(path), preset_name)
 
@@ -104,38 +104,39 @@ def read_table(path: Path) -> dict[str, Any]:
     except OSError as error:
         raise ConfigError(f"can't be read ({error.strerror})", path=where) from error
     except UnicodeDecodeError as error:
-        raise ConfigError(f"is not text: {error}", path=where) from error
+        raise ConfigError(f"not a text file: {error}", path=where) from error
     if path.suffix.lower() == ".json":
         return _of_results(text, where)
     try:
         table = tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # e.g. numbers of 5,000 digits, nested lists
-        raise ConfigError(f"is not TOML: {error}", path=where) from error
+        raise ConfigError(f"invalid TOML: {error}", path=where) from error
     return _checked_table(table, where)
 
 
 def _checked_table(table: dict[str, Any], where: str) -> dict[str, Any]:
-    """Return a table whose keys are sections, and perhaps ``preset``."""
+    """Return the table after checking that its keys are sections or ``preset``."""
     for key, value in table.items():
         if key == "preset" and isinstance(value, str):
             continue
         if key == "preset":
             problem, remedy = (
-                f"preset = {value!r} is not text in quotes",
+                f"preset must be a string, got {value!r}",
                 f'preset = "{DEFAULT_PRESET}"',
             )
             raise ConfigError(problem, path=where, remedy=f"write {remedy}")
         if not isinstance(value, dict):
-            raise ConfigError(f"{key} = {value!r} is in no section", path=where, remedy=_place(key))
+            problem = f"{key} = {value!r} is outside of a section"
+            raise ConfigError(problem, path=where, remedy=_place(key))
         if key not in SECTIONS:
             sections = ", ".join(f"[{name}]" for name in SECTIONS)
             remedy = f"{meant(key, SECTIONS)}use {sections}"
-            raise ConfigError(f"no section [{key}]", path=where, remedy=remedy)
+            raise ConfigError(f"unknown section [{key}]", path=where, remedy=remedy)
     return table
 
 
 def _place(key: str) -> str:
-    """Return the remedy for a key outside of a section: the sections that have such a key."""
+    """Return the remedy for a key outside of a section: the sections that have it."""
     if key in SECTIONS:
         return f"write [{key}] and its keys below"
     parts = vars(Config()) | {"log": LogOptions()}
@@ -150,12 +151,12 @@ def _of_results(text: str, where: str) -> dict[str, Any]:
     try:
         table = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise ConfigError(f"is not JSON: {error}", path=where) from error
+        raise ConfigError(f"invalid JSON: {error}", path=where) from error
     if not isinstance(table, dict) or not all(
         isinstance(table.get(name), dict) for name in SECTIONS
     ):
         raise ConfigError(
-            "is not the config.json of a run", path=where, remedy="give that, or a TOML file"
+            "not the config.json of a run", path=where, remedy="pass a config.json or a TOML file"
         )
     sections: dict[str, Any] = {
         name: {key: value for key, value in table[name].items() if value is not None}

@@ -17,11 +17,11 @@ from numpy.typing import ArrayLike
 _HALF_PI = 1.5707963267341256, 6.077100506303966e-11, 2.0222662487959506e-21
 """π/2 as a sum; the first two terms have 33 bits, so that products with 20 bits are exact."""
 _FARTHEST = 2.0**20 * 1.57
-"""Maximum angle of this argument reduction [rad]."""
+"""Maximum angle of the argument reduction [rad]."""
 _SIGNS = np.array([1.0, 1.0, -1.0, -1.0, 1.0])
 """Signs of the sine by quadrant; those of the cosine begin at the second entry."""
 _PI_LOW = 1.2246467991473532e-16
-"""π minus its float64."""
+"""π minus its float64 value."""
 _LN2 = 0.6931471803691238, 1.9082149292705877e-10
 """ln 2 as a sum; the first term has 32 bits."""
 _SIN = tuple((-1) ** k / math.factorial(2 * k + 1) for k in range(8, 0, -1))
@@ -32,8 +32,8 @@ _LOG = tuple(2 / (2 * k + 1) for k in range(10, 0, -1))
 def sin(x: ArrayLike) -> np.ndarray:
     """Sine of angles [rad], within 1 ulp.
 
-    Angles beyond 1.6 million are first reduced modulo 2π as rounded to float64. Infinities give
-    NaN, zeros of both signs 0.
+    Angles beyond 1.6 million are first reduced modulo the float64 value of 2π. The result is NaN
+    for infinities, and 0 for zeros of both signs.
 
     Example:
         >>> sin([0.0, np.pi / 6, np.pi / 2]).round(15).tolist()
@@ -43,15 +43,15 @@ def sin(x: ArrayLike) -> np.ndarray:
 
 
 def cos(x: ArrayLike) -> np.ndarray:
-    """Cosine of angles [rad], within 1.1 ulp, see :func:`sin`."""
+    """Cosine of angles [rad], within 1.1 ulp, with the same reduction as :func:`sin`."""
     return sin_cos(x)[1]
 
 
 def sin_cos(x: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
     """Sine and cosine of angles [rad], see :func:`sin`.
 
-    The angle is reduced to at most π/4, as a sum of two numbers (Cody and Waite 1980), where both
-    functions are evaluated by their Taylor series.
+    The angle is reduced to at most π/4, as a sum of two numbers (Cody and Waite 1980), for which
+    the Taylor series of both functions are evaluated.
     """
     x = np.asarray(x, np.float64)
     if not np.all(np.abs(x) <= _FARTHEST):
@@ -124,7 +124,8 @@ def arctan2(y: ArrayLike, x: ArrayLike) -> np.ndarray:
     rise, run = np.abs(y), np.abs(x)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore", under="ignore"):
         slope = rise / run
-    slope = np.where(rise == run, np.where(rise > 0, 1.0, 0.0), slope)  # both 0 or infinite too
+    # also if both are 0 or infinite
+    slope = np.where(rise == run, np.where(rise > 0, 1.0, 0.0), slope)
     angle = arctangent(slope)
     return np.copysign(np.where(np.signbit(x), np.pi - (angle - _PI_LOW), angle), y)
 
@@ -146,7 +147,7 @@ def hypot(x: ArrayLike, y: ArrayLike) -> np.ndarray:
 def log(x: ArrayLike) -> np.ndarray:
     """Natural logarithm, within 1 ulp; -infinity for 0, NaN for negative numbers.
 
-    For the fraction ``1 + f`` between √½ and √2 it is the series in ``s = f / (2 + f)``.
+    The logarithm of the fraction ``1 + f`` between √½ and √2 is a series in ``s = f / (2 + f)``.
 
     Example:
         >>> log([1.0, 2.0, 0.0]).tolist()
@@ -210,16 +211,16 @@ def mean(values: np.ndarray, weights: np.ndarray | None = None) -> np.ndarray:
 
 
 def median(values: np.ndarray, axis: int | None = None) -> np.ndarray:
-    """Median, the mean of both middle values of an even number; never a negative zero.
+    """Median, with the mean of both middle values for an even count; never a negative zero.
 
-    Zeros of both signs are equal, so NumPy's sorting algorithm decides which one is in the middle;
-    the sign is removed.
+    Zeros of both signs compare equal, so which of them is in the middle depends on NumPy's sorting
+    algorithm; the sign is therefore removed.
     """
     return np.median(values, axis=axis) + 0.0
 
 
 def _polynomial(coefficients: tuple[float, ...], x: np.ndarray) -> np.ndarray:
-    """Value of a polynomial by Horner's rule, the coefficient of the highest power first."""
+    """Evaluate a polynomial by Horner's rule, with the highest-order coefficient first."""
     value = coefficients[0] * x + coefficients[1]
     for c in coefficients[2:]:
         value = value * x + c

@@ -33,17 +33,17 @@ def meant(word: str, known: Iterable[str]) -> str:
 
 
 class JaxdetError(Exception):
-    """Base class of all expected errors, each with a message of one line.
+    """Base class of all expected errors; the message is a single line.
 
     Args:
-        problem: Problem, in one clause.
-        path: File or folder.
-        topic: Topic or argument.
+        problem: Description of the problem, in one clause.
+        path: File or folder concerned.
+        topic: Topic or argument concerned.
         remedy: Action for the user, for instance the flag that supplies a missing value.
     """
 
     topics: tuple[Any, ...] = ()
-    """Of the log that it is about, where these are known (``jaxdet info`` shows them)."""
+    """Topics of the log concerned, if they are known; ``jaxdet info`` lists them."""
 
     def __init__(self, problem: str, *, path: str = "", topic: str = "", remedy: str = "") -> None:
         self.problem, self.path, self.topic, self.remedy = problem, path, topic, remedy
@@ -58,7 +58,7 @@ class JaxdetError(Exception):
         self.args = (printable(f"{self.args[0]}; {remedy}"),)
 
     def __reduce__(self) -> tuple:
-        """Pickle subclasses with other constructors completely."""
+        """Make subclasses with other constructors picklable."""
         return _restored, (type(self), self.args, vars(self))
 
 
@@ -73,7 +73,7 @@ class InputError(JaxdetError):
 
 
 class ChunkMemoryError(InputError):
-    """A chunk exceeds the memory of this process; fewer workers leave more for each."""
+    """A chunk needs more memory than this process may use; fewer workers leave more for each."""
 
 
 class TopicError(JaxdetError):
@@ -99,7 +99,7 @@ class CalibrationError(JaxdetError):
 
 
 class TransformError(CalibrationError):
-    """The transforms read so far don't connect two frames; others of the log might."""
+    """The transforms read so far do not connect two frames; later ones in the log might."""
 
 
 class ConfigError(JaxdetError):
@@ -107,16 +107,16 @@ class ConfigError(JaxdetError):
 
 
 class ResultsError(ConfigError):
-    """The output folder already contains results that the run would not produce.
+    """The output folder already contains results of another run.
 
     Args:
         path: Output folder.
         log: Folder of a log in it.
-        reason: Reason why it would not.
+        reason: Difference between that run and this one.
     """
 
     def __init__(self, path: str, log: str, *, reason: str) -> None:
-        remedy = "give another --output, or --overwrite to replace them"
+        remedy = "choose another --output, or pass --overwrite to replace them"
         super().__init__(f"holds results of {log}, but {reason}", path=path, remedy=remedy)
 
 
@@ -124,11 +124,11 @@ class RescanError(JaxdetError):
     """A log contradicts its index; a complete scan (``--log.scan``) can read it."""
 
     def __init__(self, problem: str, *, path: str = "", topic: str = "") -> None:
-        super().__init__(problem, path=path, topic=topic, remedy="read it with --log.scan")
+        super().__init__(problem, path=path, topic=topic, remedy="pass --log.scan")
 
 
 class OutputError(JaxdetError):
-    """Results can't be written, as the disk is full or the folder read-only; it ends the run."""
+    """Results can't be written: the disk is full or the folder read-only. This ends the run."""
 
 
 class WorkerError(JaxdetError):
@@ -136,11 +136,11 @@ class WorkerError(JaxdetError):
 
 
 class WorkerStartError(WorkerError):
-    """Worker processes can't be started. It ends the run, as it is no log's fault."""
+    """Worker processes can't be started. This ends the run, as the logs are not the cause."""
 
 
 class Interrupted(KeyboardInterrupt):
-    """A signal ended the run; the message of one line explains how to resume.
+    """A signal ended the run. The message is a line that explains how to resume.
 
     Args:
         signal: Signal number.
@@ -153,7 +153,7 @@ class Interrupted(KeyboardInterrupt):
 
 
 class FrameError(JaxdetError):
-    """A frame can't be used; it gets ``status``, and the run continues."""
+    """A frame is unusable; it gets ``status``, and the run continues."""
 
     def __init__(self, problem: str, *, status: "FrameStatus", **where: str) -> None:
         super().__init__(problem, **where)
@@ -161,7 +161,7 @@ class FrameError(JaxdetError):
 
 
 class FrameStatus(StrEnum):
-    """Outcome of a frame, that is of a depth image (the ``status`` column of the results)."""
+    """Outcome of a frame, i.e. of a depth image (column ``status`` of the results)."""
 
     OK = "ok"
     """Processed; its obstacle rows are complete."""
@@ -172,8 +172,8 @@ class FrameStatus(StrEnum):
     DECODE_ERROR = "decode_error"
     """The depth image could not be decoded."""
     BAD_CALIBRATION = "bad_calibration"
-    """The image size or the calibration of this frame contradicts the log's calibration."""
+    """The image size or the calibration of the frame contradicts the log's calibration."""
     WORKER_CRASHED = "worker_crashed"
-    """The process that worked on this frame and its neighbours died, in two attempts."""
+    """The process that worked on the frame and its neighbours died twice."""
     TIMEOUT = "timeout"
-    """The process made no progress, in two attempts."""
+    """The process made no progress, twice."""

@@ -16,7 +16,7 @@ _SIZE = re.compile(r"(\d{1,18}(?:\.\d+)?) ?([kmgt]?(?:i?b)?)", re.IGNORECASE | r
 
 
 def machine_memory() -> int:
-    """Return the memory of this machine or the limit of its control groups, if lower [byte]."""
+    """Return the machine's memory, or the limit of its control groups if that is lower [byte]."""
     total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     return min(total, *_group_limits(), total)
 
@@ -25,7 +25,7 @@ def _group_limits() -> Iterator[int]:
     """Yield the memory limits of this process's control group and its parents [byte]."""
     try:
         lines = _OWN.read_text(encoding="utf-8").splitlines()
-    except OSError:  # another system
+    except OSError:  # not Linux
         return
     for line in lines:
         _, kinds, name = line.split(":", 2)
@@ -43,23 +43,23 @@ def _group_limits() -> Iterator[int]:
 
 
 def parse_size(text: str, flag: str) -> int:
-    """Parse a size in bytes: ``800MiB``, ``1.5G``, ``2GB``; K, M, G and T are powers of 1024.
+    """Parse a size: ``800MiB``, ``1.5G``, ``2GB``; K, M, G and T alone are powers of 1024.
 
     Args:
         text: Number with its unit.
-        flag: Flag, for the error.
+        flag: Name of the flag, for the error.
 
     Raises:
-        ConfigError: The text is not a size.
+        ConfigError: The text is not a valid size.
     """
     match = _SIZE.fullmatch(text.strip())
     unit = match and match[2].lower()
     if not match or unit not in _UNITS:
-        remedy = f"give {flag} a number with a unit, for instance 800MiB or 4GiB"
-        raise ConfigError(f"{flag} {text!r} is not a size", remedy=remedy)
+        remedy = "pass a number with a unit, for instance 800MiB or 4GiB"
+        raise ConfigError(f"{flag}: expected a size, got {text!r}", remedy=remedy)
     return int(float(match[1]) * _UNITS[unit])
 
 
 def size_text(nbytes: int) -> str:
-    """Format a size in bytes for :func:`parse_size`, rounded up to MiB."""
+    """Format a size for :func:`parse_size`, rounded up to MiB."""
     return f"{-(-nbytes >> 20)}MiB"

@@ -1,20 +1,20 @@
-"""HTML that notebooks show in place of the text of an object."""
+"""HTML representations of objects in notebooks."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from typing import Any
 
 MOST_ROWS = 20
-"""Rows of a table; a last line counts the others."""
+"""Maximum number of rows in a table; a last line has the number of further rows."""
 
 
 def table(title: str, columns: Mapping[str, Sequence[Any]]) -> str:
-    """Return a table as HTML, with at most ``MOST_ROWS`` rows.
+    """Format a table as HTML, with at most ``MOST_ROWS`` rows.
 
     Args:
         title: Text above the table.
-        columns: Values by their headings, equally many in each; floats get two decimals, and None
-            an empty cell.
+        columns: Values by column heading, of equal length; floats have two decimals, and None is an
+            empty cell.
     """
     rows = list(zip(*columns.values(), strict=True))
     lines = [_row("th", columns)]

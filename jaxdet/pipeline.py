@@ -24,9 +24,9 @@ BackendName = Literal["reference", "jax"]
 
 
 class Backend(Protocol):
-    """A program for a batch; :mod:`jaxdet.reference` and :mod:`jaxdet.stages` both are one.
+    """Interface of a backend, implemented by :mod:`jaxdet.reference` and :mod:`jaxdet.stages`.
 
-    Their results are equal to the bit.
+    The results of both are equal to the bit.
     """
 
     def detect(
@@ -39,26 +39,24 @@ def load_backend(name: BackendName) -> Backend:
     """Return the module that implements a backend.
 
     Raises:
-        ConfigError: The backend is unknown, or it is JAX in a process that can't use it.
+        ConfigError: The backend is unknown, or JAX can't be used in this process.
     """
     modules = {"reference": "jaxdet.reference", "jax": "jaxdet.stages"}
     if not isinstance(name, str) or name not in modules:
         remedy = f"use one of {', '.join(modules)}"
-        raise ConfigError(f"no backend {named_type(name)}", remedy=remedy)
+        raise ConfigError(f"unknown backend {named_type(name)}", remedy=remedy)
     if name == "jax":
         if _process_of_jax() != os.getpid():
-            problem = (
-                "this process was forked from one that computed with JAX, and lacks its threads"
-            )
+            problem = "JAX can't be used in a process forked from one that used it"
             remedy = "start processes with spawn, or use the backend reference"
             raise ConfigError(problem, remedy=remedy)
-        start_warp()  # standard output is the caller's
+        start_warp()  # keeps Warp's banner out of standard output
     return cast(Backend, import_module(modules[name]))
 
 
 @cache
 def _process_of_jax() -> int:
-    """The first process that computes; where it is forked, the child has it too."""
+    """Return the id of the first process that computed; forked children inherit the value."""
     return os.getpid()
 
 
@@ -69,33 +67,37 @@ def detect(
     backend: BackendName = "jax",
     with_cells: bool = False,
 ) -> Detections:
-    """Find the obstacles in a batch of frames.
+    """Detect the obstacles in a batch of frames.
 
-    Only depth is read. The preset ``paper`` (``config.cluster.points``) reads colour too.
+    Only depth is used, except by the preset ``paper`` (``config.cluster.points``), which also uses
+    colour.
 
     Args:
-        frames: ``B`` frames, see :class:`jaxdet.types.Frames`. Their ``plane`` is the prior of each
-            frame's floor; where it is None, the configuration's camera height, pitch and roll are.
-            The frame's own depth corrects it, and finds the floor where there is no prior; the
-            preset ``paper`` takes the plane as it is (:func:`estimate_plane` makes one). With
-            ``config.ground.source`` ``none`` there is no floor.
+        frames: ``B`` frames, see :class:`jaxdet.types.Frames`. Their ``plane`` is the prior of the
+            floor; if it is None, the camera height, pitch and roll of the configuration are. The
+            depth of each frame corrects the prior, or determines the floor if there is no prior.
+            The preset ``paper`` uses the plane unchanged (:func:`estimate_plane` computes one). If
+            ``config.ground.source`` is ``none``, no floor is estimated.
         config: Configuration of the method; by default the preset ``wheeled``.
-        backend: ``jax`` for the compiled program or ``reference`` for plain NumPy; both return
-            equal arrays.
-        with_cells: Whether to return the depth cells with their obstacles as well
-            (:attr:`jaxdet.types.Detections.cells`); the preset ``paper`` has none.
+        backend: ``jax`` for the compiled program, ``reference`` for NumPy. Both return equal
+            arrays.
+        with_cells: Whether to also return the depth cells with their obstacles
+            (:attr:`jaxdet.types.Detections.cells`); not available in the preset ``paper``.
 
     Returns:
-        The obstacles of each frame, see :class:`jaxdet.types.Detections`; with ``jax`` they are JAX
+        Obstacles of each frame, see :class:`jaxdet.types.Detections`. With ``jax`` they are JAX
+        arrays that may still be computed asynchronously. On the CPU, large batches, and those of 9
+        or more frames whose number is not a power of two, are computed in several calls
+        (:func:`jaxdet.stages._batches.in_parts`) and return NumPy arrays.
         arrays, perhaps still being computed, or on the CPU NumPy arrays of batches that are
         computed in parts, see :func:`jaxdet.stages._batches.in_parts`: larger ones, and those of 9
         frames or more whose number is no power of two.
 
     Raises:
-        CalibrationError: The calibration can't be used, or images are not of its cameras' sizes.
-        InputError: Numbers of images and planes differ, or the preset ``paper`` lacks colour or a
-            plane.
-        ConfigError: The backend is unknown, or images have a size that the kernels don't take.
+        CalibrationError: The calibration is invalid, or images differ in size from their camera.
+        InputError: The numbers of images and planes differ, or the preset ``paper`` lacks colour or
+            a plane.
+        ConfigError: The backend is unknown, or the kernels do not support the image size.
     """
     config = _checked(config)
     of_type("with_cells", with_cells, bool)
@@ -107,37 +109,38 @@ def detect(
 def find_floors(
     frames: Frames, config: Config | None = None, *, backend: BackendName = "jax"
 ) -> "FloorFit":
-    """Find the floor in each frame's own depth, as :func:`detect` does.
+    """Estimate the floor from the depth of each frame, as :func:`detect` does.
 
     Args:
-        frames: ``B`` frames; where ``plane`` is None, the prior is the configuration's.
+        frames: ``B`` frames; if ``plane`` is None, the prior is the configuration's.
         config: Configuration of the method; by default the preset ``wheeled``.
-        backend: Either; the results are equal.
+        backend: Backend; the results are equal.
 
     Returns:
-        The planes, and why a frame's own depth does not decide them, see
+        Planes, and the reason if a frame's own depth does not determine its plane, see
+        :class:`jaxdet.floor.units.FloorFit`.
         :class:`jaxdet.floor.units.FloorFit`.
 
     Raises:
-        CalibrationError: The calibration can't be used, or images are not of its cameras' sizes.
-        InputError: Numbers of images and planes differ.
+        CalibrationError: The calibration is invalid, or images differ in size from their camera.
+        InputError: The numbers of images and planes differ.
     """
     return load_backend(backend).find_floors(*_floor_arguments(frames, config))
 
 
 def find_floors_without_jax(frames: Frames, config: Config | None = None) -> "FloorFit":
-    """Find the same floors in a process that computes nothing else, without loading JAX.
+    """Estimate the same floors without importing JAX, for processes that compute nothing else.
 
     Args:
         frames: ``B`` frames; if ``plane`` is None, the prior is the configuration's.
         config: Configuration of the method; by default the preset ``wheeled``.
 
     Returns:
-        The planes, computed by the kernels if they are compiled already, else by the reference.
+        Planes, computed by the kernels if they are already compiled, else by the reference.
 
     Raises:
-        CalibrationError: The calibration can't be used, or images are not of its cameras' sizes.
-        InputError: Numbers of images and planes differ.
+        CalibrationError: The calibration is invalid, or images differ in size from their camera.
+        InputError: The numbers of images and planes differ.
     """
     from jaxdet.stages import find_floors_on_cpu
 
@@ -155,11 +158,12 @@ def _floor_arguments(frames: Frames, config: Config | None) -> tuple[Frames, Gro
 def _checked(config: Config | None) -> Config:
     """Return the configuration, or the default.
 
-    With ``ground.source`` none no floor is searched: no cell is near enough to be part of it.
+    If ``ground.source`` is none, the depth range of the floor estimate is set to 0, which disables
+    it.
     """
     if config is not None and not isinstance(config, Config):
-        remedy = "give a Config, for instance jaxdet.preset('wheeled')"
-        raise ConfigError(f"config is {named_type(config)}", remedy=remedy)
+        remedy = "pass a Config, for instance jaxdet.preset('wheeled')"
+        raise ConfigError(f"expected a Config, got {named_type(config)}", remedy=remedy)
     config = config or Config()
     if config.ground.source != "none":
         return config
@@ -169,16 +173,16 @@ def _checked(config: Config | None) -> Config:
 def estimate_plane(
     frames: Frames, config: Config | None = None, *, backend: BackendName = "jax"
 ) -> SampledFloor:
-    """Estimate the one floor that all these frames see, from their depth alone.
+    """Estimate one floor plane for all frames from their depth.
 
     Args:
-        frames: ``B`` frames of one camera that keeps its place on the robot; their plane is not
-            used.
-        config: How floors are searched.
-        backend: Either; the estimate is the same.
+        frames: ``B`` frames of one camera in a fixed pose on the robot; their plane is ignored.
+        config: Configuration of the floor estimate; by default the preset ``wheeled``.
+        backend: Backend; the results are equal.
 
     Returns:
-        The median of the floors that the frames show, see
+        Median of the floors found in the frames, see :class:`jaxdet.floor.sampled.SampledFloor`;
+        not valid if too few frames show the floor.
         :class:`jaxdet.floor.sampled.SampledFloor`; not valid where too few do.
     """
     check_frames(frames, _checked(config), floor_only=True)

@@ -63,12 +63,11 @@ PRESETS: dict[str, Config] = {
     "azure-kinect": _with(min_depth_m=0.30, max_depth_m=5.0),
     "orbbec": _with(min_depth_m=0.25, max_depth_m=5.0),
 }
-"""Presets: ``wheeled``, the default, for robots on wheels that climb steps of 5 cm; ``tabletop``,
-for objects on a table, whose top is looked for within 1.5 m, and steps of 8 mm plus 4 mm per metre
-with a Kinect's cells of 4 pixels;
-``paper``, the method of the paper, with clusters of corners as obstacles (what the paper leaves
-open was chosen by ``python -m benchmarks.paper.choose``); others: the default with the depth range
-of a camera, by its data sheet."""
+"""Presets. ``wheeled``, the default, is for wheeled robots that climb steps of 5 cm. ``tabletop``
+is for objects on a table with its top within 1.5 m, and steps of 8 mm plus 4 mm per metre for a
+Kinect's cells of 4 pixels. ``paper`` is the method of the paper, with clusters of corners as
+obstacles; ``python -m benchmarks.paper.choose`` chose the parameters that the paper does not
+specify. The others are the default with the depth range of a camera, from its data sheet."""
 
 
 def preset(name: str, **changes: Any) -> Config:
@@ -76,11 +75,12 @@ def preset(name: str, **changes: Any) -> Config:
 
     Args:
         name: Name of the preset.
-        **changes: A section with its changes, ``ground={"max_depth_m": 3.0}``, or a parameter
-            alone, ``max_depth_m=3.0``: the one in ``ground`` where several sections have it.
+        **changes: A section with its changes, such as ``ground={"max_depth_m": 3.0}``, or a single
+            parameter, such as ``max_depth_m=3.0``. If several sections have the parameter, the one
+            in ``ground`` is changed.
 
     Raises:
-        ConfigError: There is no such preset or parameter, or a value doesn't fit.
+        ConfigError: The preset or parameter is unknown, or a value is invalid.
 
     Example:
         >>> preset("d435", max_depth_m=3.0).ground.max_depth_m
@@ -91,5 +91,5 @@ def preset(name: str, **changes: Any) -> Config:
         raise ConfigError(problem, topic="name", remedy=f"use one of {', '.join(PRESETS)}")
     if name not in PRESETS:
         remedy = f"{meant(name, PRESETS)}use one of {', '.join(PRESETS)}"
-        raise ConfigError(f"no preset {name[:40]!r}", remedy=remedy)
+        raise ConfigError(f"unknown preset {name[:40]!r}", remedy=remedy)
     return with_changes(PRESETS[name], changes) if changes else PRESETS[name]

@@ -1,10 +1,10 @@
-"""Signals that end a run: Ctrl-C, SIGTERM, and SIGHUP where it isn't ignored.
+"""Signals that end a run: Ctrl-C, SIGTERM, and SIGHUP unless it is ignored.
 
-An exception that a handler raises while a module is imported, or in a callback of the garbage
-collector or of native code, is swallowed or ends the process with a crash. So a stop is raised
-only where code of jaxdet runs or waits, and is tried again until it does. Besides, the command has
-a guard (:func:`guard_process`) that ends the process if that takes too long. Whatever a run writes
-gets its name when it is complete, so a process may end anywhere.
+An exception raised by a handler during an import, or in a callback of the garbage collector or of
+native code, is swallowed or crashes the process. A signal is therefore raised only while jaxdet's
+own code runs or waits, and is retried until then. In addition, the command has a guard
+(:func:`guard_process`), which ends the process if that takes too long. Output files get their final
+name only when they are complete, so the process may end at any time.
 """
 
 import linecache
@@ -26,30 +26,30 @@ STOPS = tuple(
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
 )
 GRACE_S = 1.5
-"""How long the guard waits for a command to end by itself [s]."""
+"""Time that the guard gives a command to end by itself [s]."""
 _RETRY = getattr(signal, "SIGALRM", None)
 _RETRY_S = 0.02
 _WAITS = {"threading", "multiprocessing.connection", "selectors", "queue", "subprocess"}
-"""Modules of Python in which code of jaxdet waits."""
+"""Standard library modules in which jaxdet's code waits."""
 _BLOCKS = re.compile(r"waiter\.acquire\(|\block\.acquire\(block|_handle\.join\(")
-"""Lines of :mod:`threading` that block. An exception elsewhere in it may leave a lock that a
-``with`` around it holds unlocked, whose end then raises another one."""
+"""Blocking lines of :mod:`threading`. An exception elsewhere in that module may release a lock
+inside its ``with`` block, whose end then raises another exception."""
 _IMPORTS = {"importlib._bootstrap", "importlib._bootstrap_external", "_frozen_importlib"}
 _Handler = Callable[[int, FrameType | None], None]
 
 
 @contextmanager
 def stops_raised() -> Iterator[None]:
-    """Raise each of the signals as :class:`jaxdet.errors.Interrupted` inside the block.
+    """Raise the signals as :class:`jaxdet.errors.Interrupted` inside the block.
 
-    One that is ignored (nohup) stays so. In other threads than the main one nothing changes.
+    Ignored signals (nohup) stay ignored. Nothing changes in threads other than the main one.
     """
     pending = 0
     outer = signal.getsignal(_RETRY) if _RETRY is not None else None
 
     def stop(number: int, frame: FrameType | None) -> None:
         nonlocal pending
-        if number == _RETRY and not pending:  # an alarm of a block around this one
+        if number == _RETRY and not pending:  # the timer of an enclosing block
             if callable(outer):
                 outer(number, frame)
             return
@@ -65,13 +65,13 @@ def stops_raised() -> Iterator[None]:
         finally:
             if pending:
                 signal.setitimer(signal.ITIMER_REAL, 0)
-    if pending:  # the block ended before it could be raised
+    if pending:  # the block ended before the signal could be raised
         raise Interrupted(pending)
 
 
 @contextmanager
 def stops_held_back() -> Iterator[None]:
-    """Let a signal wait until the end of the block."""
+    """Delay signals until the end of the block."""
     held: list[int] = []
     try:
         with _handled(lambda number, _: held.append(number)):
@@ -82,17 +82,16 @@ def stops_held_back() -> Iterator[None]:
 
 
 def ignore_stops() -> None:
-    """Ignore the signals, in processes that another one ends."""
+    """Ignore the signals, in processes that are ended by their parent."""
     for number in STOPS:
         signal.signal(number, signal.SIG_IGN)
 
 
 def guard_process() -> None:
-    """Make sure that a signal ends this process with the exit code 128 + number of the signal.
+    """Make sure that a signal ends this process, with the exit code 128 + signal number.
 
-    Until :func:`stops_raised` takes over it ends at once; afterwards when it has not ended
-    :data:`GRACE_S` after the signal, or at the second signal. The guard is off after
-    :func:`end_guard`.
+    Outside of :func:`stops_raised` the process ends immediately. Inside, it ends :data:`GRACE_S`
+    after the signal, or at the second signal. :func:`end_guard` turns the guard off.
     """
     for number in STOPS:
         if signal.getsignal(number) != signal.SIG_IGN:
@@ -104,7 +103,7 @@ def guard_process() -> None:
 
 
 def end_guard() -> None:
-    """Ignore signals from now on: what the command had to do is done."""
+    """Ignore signals from now on, since the command is complete."""
     signal.set_wakeup_fd(-1)
     _done.set()
     ignore_stops()
@@ -114,7 +113,7 @@ _done = threading.Event()
 
 
 def _watch(receives: int) -> None:
-    """End the process some time after the first signal, or at the second one."""
+    """End the process :data:`GRACE_S` after the first signal, or at the second one."""
     first, deadline = 0, 0.0
     while not _done.is_set():
         left = max(0.0, deadline - time.monotonic()) if first else None
@@ -131,14 +130,14 @@ def _end(number: int) -> None:
     with suppress(OSError):
         os.write(2, b"\njaxdet: error: interrupted\n")
     if processes := sys.modules.get("multiprocessing"):
-        with suppress(Exception):  # whatever state they are in
+        with suppress(Exception):  # in any state
             for child in processes.active_children():
                 child.kill()
     os._exit(128 + number)
 
 
 def _handle(number: int) -> None:
-    """Do what a signal does; the guard, which has seen it, does not count it again."""
+    """Run the handler of a held-back signal, without notifying the guard a second time."""
     handler = signal.getsignal(number)
     if callable(handler):
         handler(number, sys._getframe())
@@ -147,7 +146,7 @@ def _handle(number: int) -> None:
 
 
 def _may_raise(frame: FrameType | None) -> bool:
-    """Return whether code of jaxdet runs or waits, and no module is being imported."""
+    """Return whether jaxdet's code runs or waits, and no module is being imported."""
     name = str(frame.f_globals.get("__name__")) if frame else ""
     if name.partition(".")[0] != "jaxdet" and name not in _WAITS:
         return False
@@ -164,7 +163,7 @@ def _may_raise(frame: FrameType | None) -> bool:
 
 @contextmanager
 def _handled(handler: _Handler) -> Iterator[None]:
-    """Use another handler inside the block, in the main thread."""
+    """Replace the signal handlers inside the block, in the main thread only."""
     before: dict[int, Any] = {}
     if threading.current_thread() is threading.main_thread():
         for number in STOPS:

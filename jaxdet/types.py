@@ -28,7 +28,7 @@ from jaxdet.elementary import dot, matmul
 from jaxdet.errors import CalibrationError, InputError
 
 Array = Any
-"""NumPy or JAX array, for use by their common interface (``shape``, ``dtype``, indices, sums);
+"""NumPy or JAX array, used through their common interface (``shape``, ``dtype``, indices, sums);
 ``np.asarray`` converts it. ``np.ndarray`` in a signature means a NumPy array."""
 
 
@@ -36,17 +36,17 @@ MAX_CONTOUR = 512
 """Maximum number of points of an obstacle's contour, that is of columns of cells."""
 
 MAX_SURFACES = 512
-"""Maximum number of surfaces per frame; cells of further ones have no surface."""
+"""Maximum number of surfaces per frame; cells of additional surfaces are not labelled."""
 
 MAX_LABELS = 1024
 """Maximum number of obstacle parts per frame, after bent obstacles are split."""
 
 MAX_OBSTACLES = 128
-"""``M`` for obstacles made of surfaces; more set the overflow flag."""
+"""``M`` for obstacles made of surfaces; additional ones set the overflow flag."""
 
 RAYS = 1440
-"""Bearings of the free floor: a full turn, a quarter of a degree apart. The ray ``i`` has the
-bearing ``(i - RAYS / 2) / 4`` degrees, clockwise from above, 0 ahead."""
+"""Number of bearings of the free floor: a full turn in steps of a quarter of a degree. Ray ``i``
+has the bearing ``(i - RAYS / 2) / 4`` degrees, clockwise seen from above, 0 is forward."""
 
 MAX_LATERAL = (1 << 18) - 1
 """Maximum lateral distance [depth units]: four times the maximum depth."""
@@ -93,21 +93,22 @@ def focal_and_center(K: ArrayLike) -> tuple[float, float, float, float]:
     """Return ``fx fy cx cy`` of a camera matrix ``(3, 3)``.
 
     Raises:
-        CalibrationError: It has another shape, skew, or is transposed or scaled.
+        CalibrationError: The matrix has another shape, has skew, or is transposed or scaled.
     """
-    remedy = "give a (3, 3) array of numbers"
+    remedy = "pass a (3, 3) array of numbers"
     try:
         matrix = numbers("K", K, np.float64)
     except InputError:
         problem = f"expected a matrix, got {type(K).__name__}"
         raise CalibrationError(problem, remedy=remedy) from None
     if matrix.shape != (3, 3):
-        raise CalibrationError(f"a camera matrix of shape {matrix.shape}", remedy=remedy)
+        problem = f"expected a camera matrix of shape (3, 3), got {matrix.shape}"
+        raise CalibrationError(problem, remedy=remedy)
     fx, skew, cx, low, fy, cy, *last = matrix.ravel().tolist()
     if skew or low or last != [0.0, 0.0, 1.0]:
         raise CalibrationError(
             f"{matrix.tolist()} is not a camera matrix",
-            remedy="give [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]",
+            remedy="pass [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]",
         )
     return fx, fy, cx, cy
 
@@ -144,10 +145,10 @@ class Intrinsics(NamedTuple):
             K: Camera matrix ``(3, 3)`` [pixel].
             width: Image width [pixel].
             height: Image height [pixel].
-            distortion: Lens coefficients, at most 8 (further ones, as of OpenCV's 12 or 14, must be
-                zero); None: images without distortion.
-            model: A :class:`Distortion`; by default ``plumb_bob`` for 4 or 5 coefficients and
-                ``rational_polynomial`` for 8.
+            distortion: Lens coefficients, at most 8. Additional ones, as in OpenCV's models with 12
+                or 14, must be zero. None: images without distortion.
+            model: Name of a :class:`Distortion`; by default ``plumb_bob`` for 4 or 5 coefficients
+                and ``rational_polynomial`` for 8.
 
         Raises:
             CalibrationError: ``K`` is not a camera matrix, the model is unknown, or there are too
@@ -200,7 +201,7 @@ class Extrinsics(NamedTuple):
         """Build extrinsics from a matrix ``(4, 4)`` with its translation in metres.
 
         Raises:
-            CalibrationError: It is not a homogeneous matrix.
+            CalibrationError: The matrix is not a homogeneous matrix.
 
         Example:
             >>> Extrinsics.from_matrix(np.eye(4)).translation
@@ -213,8 +214,8 @@ class Extrinsics(NamedTuple):
         if matrix.shape != (4, 4) or matrix[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
             row = f" and last row {matrix[3].tolist()}" if matrix.shape == (4, 4) else ""
             raise CalibrationError(
-                f"a transform of shape {matrix.shape}{row}",
-                remedy="give a (4, 4) array whose last row is 0 0 0 1",
+                f"expected a homogeneous (4, 4) matrix, got shape {matrix.shape}{row}",
+                remedy="pass a (4, 4) array whose last row is 0 0 0 1",
             )
         x, y, z = matrix[:3, 3].tolist()
         return cls(tuple(matrix[:3, :3].ravel().tolist()), (x, y, z))
@@ -223,14 +224,14 @@ class Extrinsics(NamedTuple):
 class Calibration(NamedTuple):
     """Cameras of a log and the transform between them; hashable.
 
-    ``Calibration(camera)`` describes depth images without colour as well as depth aligned to
-    colour: ``color`` is None unless the colour camera has pixels of its own.
+    ``Calibration(camera)`` describes depth images without colour, and depth aligned to colour:
+    ``color`` is None unless the colour image has other pixels than the depth image.
     """
 
     depth: Intrinsics
     """Camera of the depth images; the colour camera if depth is aligned to colour."""
     color: Intrinsics | None = None
-    """Colour camera, if it is calibrated and not the camera of the depth images."""
+    """Colour camera; None if it is uncalibrated or has the pixels of the depth images."""
     color_from_depth: Extrinsics | None = None
     """``T_color_depth``; None if ``color`` is None."""
     depth_unit: float = 0.001
@@ -272,7 +273,7 @@ class GroundPlane(NamedTuple):
 
 
 class Frames(NamedTuple):
-    """A batch of depth images on the host, with their colour images if these are used."""
+    """A batch of depth images on the host, optionally with colour images."""
 
     depth: np.ndarray
     """Depth images ``(B, Hd, Wd)`` uint16 [depth units], 0 = no measurement."""
@@ -282,7 +283,7 @@ class Frames(NamedTuple):
     stamp_ns: np.ndarray
     """Timestamp in the header of each depth image, ``(B,)`` int64."""
     valid: np.ndarray
-    """Whether each frame is real, ``(B,)`` bool; results of padding are dropped."""
+    """Whether each frame is real rather than padding, ``(B,)`` bool."""
     color: np.ndarray | None = None
     """Colour images ``(B, H, W, 3)`` uint8, RGB, zeros for a frame without one; None: not read.
     Only pictures and the preset ``paper`` use colour."""
@@ -353,24 +354,26 @@ class Obstacles(NamedTuple):
 
     Slots from ``num_obstacles`` on are zero. ``a b c`` are the points A, B, C of Eq. 7 in the
     ground frame: ``[..., 0]`` to the right, ``[..., 1]`` forward, both at most MAX_LATERAL. They
-    are the outermost and the nearest points of the paper, or the medians of bands behind those, see
-    ``FootprintConfig``. Points are the cells of an obstacle; in the preset ``paper`` its corners.
+    are the outermost points and the nearest point, or medians of bands behind these, see
+    ``FootprintConfig``. The points of an obstacle are its cells; in the preset ``paper`` its
+    corners.
     """
 
     num_points: Array
     """Number of points, ``(B, M)`` int32."""
     uv_min: Array
-    """First column and row in the image of :attr:`Calibration.image`, ``(B, M, 2)`` int32 [pixel];
-    0 if the obstacle is outside of the colour image."""
+    """First column and row of the obstacle in the image of :attr:`Calibration.image`, ``(B, M, 2)``
+    int32 [pixel]; 0 if the obstacle is outside of it."""
     uv_max: Array
-    """Last column and row, ``(B, M, 2)`` int32 [pixel]; -1 if outside of the colour image."""
+    """Last column and row in that image, ``(B, M, 2)`` int32 [pixel]; -1 if the obstacle is
+    outside."""
     xyz_min: Array
     """Minimum in the camera optical frame, ``(B, M, 3)`` int32 [depth units]."""
     xyz_max: Array
     """Maximum in the camera optical frame, ``(B, M, 3)`` int32 [depth units]."""
     xyz_sum: Array
-    """Sum in the camera optical frame, as quotient (rounded down) and remainder of 2^16, ``(B, M,
-    3, 2)`` int32 [depth units]; the centroid is sum / points."""
+    """Sum in the camera optical frame, ``(B, M, 3, 2)`` int32 [depth units], as quotient (rounded
+    down) and remainder of 2^16; the centroid is sum / num_points."""
     a: Array
     """Leftmost point, the nearest in a tie, ``(B, M, 2)`` int32 [depth units]."""
     b: Array
@@ -386,22 +389,22 @@ class Obstacles(NamedTuple):
     """Extent of the rectangle, ``(B, M, 4)`` int32: minimum and maximum along ``direction`` (dot
     product), minimum and maximum across (cross product)."""
     nearest: Array | None = None
-    """Squared distance on the floor from the camera to the nearest of all points, as quotient
-    (rounded down) and remainder of 2^18, ``(B, M, 2)`` int32 [depth units squared]; None if
-    obstacles are made of surfaces, whose contours have it."""
+    """Squared distance on the floor from the camera to the nearest point, ``(B, M, 2)`` int32
+    [depth units squared], as quotient (rounded down) and remainder of 2^18; None for obstacles made
+    of surfaces, whose contours contain the nearest point."""
 
 
 class FreeEnd(IntEnum):
-    """End of the free floor in a direction."""
+    """Reason why the free floor ends in a direction."""
 
     UNKNOWN = 0
-    """No measurement beyond, or no floor seen at all."""
+    """No measurement beyond, or no visible floor at all."""
     OBSTACLE = 1
-    """An obstacle, or what is measured above the step and too small for one."""
+    """An obstacle, or points above the step height that are too few for one."""
     DROP = 2
     """Points beyond are clearly below the floor: a step down or a hole."""
     RANGE = 3
-    """End of the depth range."""
+    """The end of the depth range."""
 
 
 class Refusal(IntEnum):
@@ -412,10 +415,10 @@ class Refusal(IntEnum):
     TOO_LITTLE = 1
     """Too few inliers of any plane."""
     MOSTLY_OBSTACLE = 2
-    """The best plane makes most of the image an obstacle."""
+    """The best plane would make most of the image an obstacle."""
     FAR = 3
-    """The best plane is too far from the prior and not a ramp ahead of it; without a prior, it is
-    too tilted for a floor."""
+    """The best plane is too far from the prior and not a ramp ahead; without a prior, its tilt is
+    too large for a floor."""
     TABLE = 4
     """Too many cells are below the best plane."""
 
@@ -437,14 +440,14 @@ class Scene(NamedTuple):
     """Height of the lowest and of the highest cell above the floor, ``(B, M, 2)`` int32 [depth
     units]."""
     free: Array
-    """Range from the camera's ground projection at which the free floor of each ray starts and
-    ends, ``(B, RAYS, 2)`` int32 [depth units]; both are equal where only an obstacle is seen, and
-    zero where nothing is."""
+    """Range at which the free floor of each ray starts and ends, measured from the ground
+    projection of the camera, ``(B, RAYS, 2)`` int32 [depth units]. Both are equal if only an
+    obstacle is visible, and zero if nothing is."""
     free_end: Array
     """End of the free floor of each ray, ``(B, RAYS)`` int32, see :class:`FreeEnd`."""
     first_notch: Array
-    """Label of the first obstacle that only a notch in the free floor shows, ``(B,)`` int32; those
-    are labelled last, from left to right."""
+    """Label of the first obstacle that was found only as a notch in the free floor, ``(B,)`` int32.
+    These are labelled last, from left to right."""
 
 
 class CellLabels(NamedTuple):
@@ -453,8 +456,8 @@ class CellLabels(NamedTuple):
     label: Array
     """Label ``(B, R, C)`` int32, -1 = none."""
     keep: Array
-    """Whether the cell is in range and above the floor, ``(B, R, C)`` bool; it may belong to no
-    obstacle, if it is in a surface too small for one."""
+    """Whether the cell is in range and above the floor, ``(B, R, C)`` bool; such a cell has no
+    label if its surface is too small for an obstacle."""
     cells: Cells
 
 
@@ -471,8 +474,8 @@ class Detections(NamedTuple):
     num_obstacles: Array
     """Number of obstacles, ``(B,)`` int32."""
     overflow: Array
-    """Whether obstacles may be lost, ``(B,)`` bool: there are more surfaces than ``MAX_SURFACES``
-    or more obstacles than ``MAX_OBSTACLES``; in the preset ``paper``, more corners than slots."""
+    """Whether obstacles may be missing, ``(B,)`` bool, because there are more than ``MAX_SURFACES``
+    surfaces or ``MAX_OBSTACLES`` obstacles or, in the preset ``paper``, more corners than slots."""
     has_depth: Array
     """Whether any depth of the frame is in range, ``(B,)`` bool."""
     obstacles: Obstacles

@@ -74,7 +74,9 @@ def test_pictures_are_side_by_side(
     left = both[-len(own) :, : own.shape[1]]
     assert (left == own).all() and (both[-len(own) :, own.shape[1] :] != own).any()
     assert main(args) == 2
-    assert capsys.readouterr().err.endswith("pictures: exists already; name a new folder\n")
+    assert capsys.readouterr().err.endswith(
+        "pictures: the folder exists already; choose a new folder\n"
+    )
 
 
 def test_frames_of_one_run_only(
@@ -94,7 +96,7 @@ def test_runs_on_different_logs(
     one = make_results(tmp_path / "one", {"a": 5})
     two = make_results(tmp_path / "two", {"b": 5, "c": 5})
     for other, problem in (
-        (one, "frame 1 of drive has another time in"),
+        (one, "frame 1 of drive has another timestamp in"),
         (two, "no log of .*out is in .*two; they hold drive and b, c"),
         (tmp_path, "holds no results"),
         (tmp_path / "gone", "gone"),

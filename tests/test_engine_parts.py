@@ -177,7 +177,9 @@ def test_info_and_lines_name_the_cameras(two_cameras, sim_log, tmp_path, capsys)
     assert "two, front: 3/3 frames" in said.err
     given[1] = str(tmp_path / "none")
     assert main(["run", str(sim_log), *given, "--start", "100"]) == 1
-    assert "no depth image is in --start 100; its 12 depth images are" in capsys.readouterr().err
+    assert (
+        "no depth image matches --start 100; the log has 12 depth images" in capsys.readouterr().err
+    )
 
 
 def test_info_goes_on_after_a_camera_that_fails(two_cameras, capsys):
@@ -185,7 +187,7 @@ def test_info_goes_on_after_a_camera_that_fails(two_cameras, capsys):
     assert info.main([str(two_cameras), "--json", "--start", "1.9"]) == 1
     said = capsys.readouterr()
     front, rear = json.loads(said.out)["logs"]
-    assert front["camera"] == "front" and "no depth image is in" in front["error"]
+    assert front["camera"] == "front" and "no depth image matches" in front["error"]
     assert rear["camera"] == "rear" and rear["frames"] == 12
     assert said.err.count("\n") == 1
 

@@ -121,10 +121,10 @@ def test_two_cameras(drive: Path, tmp_path: Path) -> None:
 def test_other_log_and_no_log(drive: Path, tmp_path: Path) -> None:
     other = tmp_path / "drive.mcap"
     write_log(other, SimConfig(frames=5, width=160, height=120, rate_hz=7))
-    with pytest.raises(InputError, match=r"is not the log 'drive'.*--log"):
+    with pytest.raises(InputError, match=r"not the log 'drive'.*--log"):
         coco_of(drive / "out", tmp_path / "set", str(other))
     renamed = join_cameras({"front": other}, tmp_path / "front.mcap")
-    with pytest.raises(InputError, match=r"front.mcap: is not the log 'drive'.*--log"):
+    with pytest.raises(InputError, match=r"front.mcap: not the log 'drive'.*--log"):
         coco_of(drive / "out", tmp_path / "set", str(renamed))
     gone = make_results(tmp_path / "out", {"gone": 3})
     with pytest.raises(InputError, match=r"gone.mcap: .* original path.*with --log"):

@@ -218,7 +218,7 @@ def test_pictures_are_drawn_from_the_log(drive: Path, tmp_path: Path) -> None:
     assert without["logs"][0]["floor"] == "its own depth (5)"
     (line,) = without["undrawn"]
     assert line.startswith("/gone/drive.mcap: the log is not at its original path")
-    assert line.endswith("name it with --log")
+    assert line.endswith("pass it with --log")
     assert without["logs"][0]["map"]["picture"].startswith("data:image/webp;base64,")
     given = page_of(moved, tmp_path / "given.html", (str(drive / "drive.mcap"),))
     assert given["frames"] == drawn["frames"]

@@ -72,19 +72,21 @@ def test_sidecars_are_no_logs(to: str, parts: Path, tmp_path: Path) -> None:
     """Beside a log they are left out; named themselves, or alone, they are called what they are."""
     folder = exported(parts, to, tmp_path / "out")
     name = "both@rear.jaxdet.mcap"
-    with pytest.raises(InputError, match=r"front\.jaxdet\.mcap: an export of jaxdet.*name the log"):
+    with pytest.raises(
+        InputError, match=r"front\.jaxdet\.mcap: this is an export of jaxdet.*pass the original log"
+    ):
         find_logs([str(folder)])
     (folder / "both.mcap").symlink_to(parts / "both.mcap")
     [log] = find_logs([str(folder)])
     assert log.name == "both" and log.note.endswith(f"{name} is left out: an export of jaxdet")
-    with pytest.raises(TopicError, match=f"{name}: an export of jaxdet.*name the log"):
+    with pytest.raises(TopicError, match=f"{name}: an export of jaxdet.*pass the original log"):
         open_log(str(folder / name))
 
 
 def test_a_name_that_several_cameras_have_names_none(parts: Path) -> None:
     with Results(parts / "results") as results:
         assert [results.log(f"both, {camera}").camera for camera in CAMERAS] == [*CAMERAS]
-        with pytest.raises(InputError, match="no log 'both'; it holds both, front, both, rear"):
+        with pytest.raises(InputError, match="no log 'both', but both, front, both, rear"):
             results.log("both")
 
 
@@ -113,7 +115,7 @@ def test_the_command_says_how_to_see_it(
         output = tmp_path / to
         assert main(["export", str(parts / "results"), "--to", to, "--output", str(output)]) == 0
         written, see = capsys.readouterr().err.splitlines()
-        assert written == f"written: {output}" and see.startswith("to see it: ")
+        assert written == f"written: {output}" and see.startswith("to view it: ")
         for name in re.findall(rf"{output}/[\w.]+", see):
             pattern = Path(name).name.replace("LOG", "both@front")
             assert (output / pattern).is_file()
@@ -125,13 +127,13 @@ def test_a_page_is_a_file(parts: Path, tmp_path: Path, capsys: pytest.CaptureFix
     (tmp_path / "folder").mkdir()
     assert main([*command, str(tmp_path / "folder")]) == 2
     said = capsys.readouterr().err
-    assert f"is a folder; name a file, such as {tmp_path / 'folder' / 'report.html'}" in said
+    assert f"got a folder; choose a file, such as {tmp_path / 'folder' / 'report.html'}" in said
     assert (tmp_path / "folder").is_dir() and not any((tmp_path / "folder").iterdir())
     assert main([*command, str(tmp_path / "folder" / "report")]) == 0
     assert "a name that ends in .html" in capsys.readouterr().err
     assert (tmp_path / "folder" / "report").is_file()
     assert main([*command, str(tmp_path / "folder" / "report" / "page.html")]) == 1
-    assert "report: is a file, not a folder" in capsys.readouterr().err
+    assert "report: expected a folder, got a file" in capsys.readouterr().err
 
 
 def test_commands_that_show_it_take_any_name(tmp_path: Path) -> None:
@@ -197,7 +199,7 @@ def test_training_sets_have_the_images_of_both(parts: Path, tmp_path: Path) -> N
 def test_a_log_that_is_not_looked_at_is_refused(to: str, parts: Path, tmp_path: Path) -> None:
     with (
         Results(parts / "results") as results,
-        pytest.raises(ConfigError, match=f"--to {to} does not use --log; leave --log out"),
+        pytest.raises(ConfigError, match=f"--to {to} does not use --log; omit --log"),
     ):
         export(results, to, tmp_path / "out", find(results, [str(parts / "both.mcap")]))
     assert not (tmp_path / "out").exists()

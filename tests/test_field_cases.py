@@ -122,8 +122,8 @@ def test_aligned_depth_of_half_the_size(made, run, flags):
 @pytest.mark.parametrize(
     ("case", "file", "text"),
     [
-        ("03", "disparity.mcap", "holds disparity in pixels, not depth in metres"),
-        ("12", "jpeg_depth.mcap", "recorded as JPEG (8 bits, lossy), its distances are lost"),
+        ("03", "disparity.mcap", "the topic has disparity in pixels, not depth in metres"),
+        ("12", "jpeg_depth.mcap", "recorded as JPEG (8 bits, lossy), so its distances are lost"),
     ],
 )
 @pytest.mark.parametrize("command", ["info", "run"])

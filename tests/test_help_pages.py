@@ -21,7 +21,7 @@ import pytest
 from rich.console import Console
 
 from jaxdet.cli import main
-from jaxdet.cli.help import laid_out, pages, title_of
+from jaxdet.cli.help import formatted, pages, title_of
 from jaxdet.engine import executors
 from jaxdet.errors import FrameStatus
 from jaxdet.presets import preset
@@ -59,7 +59,7 @@ def test_a_terminal_cuts_nothing_off(columns):
     """Flags in tables go on in the next line, where they were cut."""
     for name, text in pages().items():
         shown = io.StringIO()
-        Console(file=shown, width=columns).print(laid_out(text))
+        Console(file=shown, width=columns).print(formatted(text))
         assert shown.getvalue().count("…") == text.count("…"), name
 
 

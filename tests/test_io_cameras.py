@@ -86,7 +86,7 @@ def test_one_is_to_be_chosen(path):
 
 
 def test_a_camera_that_is_asked_for_gives_its_own_error(path):
-    with pytest.raises(TopicError, match=r"there is no camera 'left'.*can be: front, rear, side"):
+    with pytest.raises(TopicError, match=r"unknown camera 'left'.*one of: front, rear, side"):
         open_log(path, LogOptions(camera="left"))
     with pytest.raises(CalibrationError, match=r"--log\.color-info"):
         open_log(path, LogOptions(camera="side"))
@@ -101,7 +101,7 @@ def test_topics_choose_a_camera_as_well(path):
 def test_what_is_of_one_camera_asks_for_it(path):
     options = {"color_intrinsics": (50.0, 50.0, 20.0, 15.0)}
     with pytest.raises(
-        TopicError, match=r"--log\.color-intrinsics is of one; choose it with --cam"
+        TopicError, match=r"--log\.color-intrinsics applies to one camera.*; choose one with --cam"
     ):
         open_log(path, LogOptions(**options))
     with open_log(path, LogOptions(**options, camera="side")) as log:

@@ -191,7 +191,7 @@ def test_depth_alone(tmp_path):
         assert not log.has_color and not log.has_color_camera and log.color_shape is None
         assert log.calibration.color is None and log.calibration.depth[2:6] == DEPTH_K
         assert (log.camera, log.camera_frame, log.color_frame) == ("cam", DEPTH_FRAME, "")
-        note = "no colour (no colour image topic): pictures show depth"
+        note = "no colour (no topic with colour images): pictures show depth"
         assert note in log.description.notes and not log.description.warnings
         for batch in log.batches(5, color=True):
             assert batch.frames.color is None and set(batch.status) == {FrameStatus.OK}
@@ -264,7 +264,7 @@ def test_video_is_a_note(tmp_path, schema, said):
     path, scene = write_depth(tmp_path / "x.mcap", more=more)
     with open_both_ways(path) as log:
         assert not log.has_color
-        text = f"no colour (not read: {said} of /cam/color/video): pictures show depth"
+        text = f"no colour (unsupported: {said} of /cam/color/video): pictures show depth"
         assert log.description.notes.count(text) == 1
         np.testing.assert_array_equal(log.read(range(8)).frames.depth, scene.depth)
     with pytest.raises(TopicError, match="/cam/color/video"):
@@ -321,7 +321,7 @@ def test_several_colour_topics_are_a_note(tmp_path):
 
     path, scene = write_depth(tmp_path / "x.mcap", more=more)
     with open_both_ways(path) as log:
-        assert not log.has_color and "several topics can be colour" in log.color_problem
+        assert not log.has_color and "several topics may be colour" in log.color_problem
         assert "choose one with --log.color" in log.color_problem
         np.testing.assert_array_equal(log.read(range(8)).frames.depth, scene.depth)
 
@@ -336,7 +336,7 @@ def test_an_uncalibrated_colour_camera_is_a_note_but_where_flags_are_about_it(tm
             log.ros(DEPTH, ros_image(depth, "16UC1", at, DEPTH_FRAME), at)
     with open_both_ways(path) as log:
         assert not log.has_color and "no calibration of the colour camera" in log.color_problem
-        note = "the colour camera's calibration is not known: pictures show depth"
+        note = "colour camera without calibration: pictures show depth"
         assert any(text.startswith(note) for text in log.description.notes)
     with pytest.raises(CalibrationError, match=r"--log\.color-from-depth"):
         open_both_ways(path, LogOptions(color_intrinsics=COLOR_K))

@@ -83,7 +83,7 @@ def test_no_camera_takes_the_extrinsics_of_another(tmp_path, with_tf):
     if not with_tf:
         with open_log(str(path), LogOptions(camera="rear")) as log:
             assert log.calibration.color is None and not log.has_color
-            assert "no transform from depth to colour" in log.color_problem
+            assert "no extrinsics from depth to colour" in log.color_problem
         return
     with open_log(str(path), LogOptions(camera="rear")) as log:
         assert log.calibration.color_from_depth is not None
@@ -99,7 +99,7 @@ def test_missing_extrinsics_name_the_flag_which_supplies_them(tmp_path):
         assert log.calibration.color is None and log.calibration.depth[2:6] == DEPTH_K
         assert not log.has_color and not log.has_color_camera and log.color_shape is None
         assert "--log.color-from-depth" in log.color_problem
-        note = "the colour camera's place relative to the depth camera is not known: pictures show "
+        note = "colour camera without extrinsics: pictures show "
         assert any(text.startswith(f"{note}depth") for text in log.description.notes)
         assert log.read([0, 1, 2], color=True).status == (FrameStatus.OK,) * 3
         batch = log.read([0, 1, 2], color=True, need_color=True)
@@ -129,7 +129,9 @@ def test_images_of_one_frame_are_of_one_place_where_they_are_of_one_lens(tmp_pat
             assert "frame" in log.description.extrinsics_source
         return
     with open_log(str(path)) as log:
-        text = f"both images are in frame {COLOR_FRAME!r}, but their camera matrices differ; give "
+        text = (
+            f"both images are in TF frame {COLOR_FRAME!r}, but their camera matrices differ; pass "
+        )
         assert not log.has_color and f"{text}--log.color-from-d" in log.color_problem
     for given in ({"camera_frame": COLOR_FRAME}, {"depth_aligned": True}):
         with open_log(str(path), LogOptions(**given)) as log:
@@ -165,7 +167,7 @@ def test_calibrations_with_the_names_of_ros1(tmp_path):
 def test_aligned_depth_has_no_use_for_a_camera_of_its_own(name):
     value = (0, 0, 0, 0, 0, 0, 1) if name == "color_from_depth" else (50, 50, 20, 15)
     flag = name.replace("_", "-")
-    with pytest.raises(ConfigError, match=rf"log\.depth-aligned with log\.{flag}, which"):
+    with pytest.raises(ConfigError, match=rf"log\.depth-aligned and log\.{flag} exclude"):
         LogOptions(depth_aligned=True, **{name: value})
     LogOptions(depth_aligned=False, **{name: value})
 
@@ -226,6 +228,6 @@ def test_topics_that_several_cameras_have_are_not_guessed(tmp_path):
     with open_log(str(tmp_path / "log.mcap"), LogOptions(color="/b/color/image_raw")) as log:
         assert log.description.choices[0].startswith("depth: /b/depth/image_raw")
     for kind, images in (("color", "color/image_raw"), ("depth", "depth/image_raw")):
-        known = rf"--log\.{kind} can be: /a/{images}, /b/{images}$"
+        known = rf"--log\.{kind} to one of: /a/{images}, /b/{images}$"
         with pytest.raises(TopicError, match=known):
             open_log(str(tmp_path / "log.mcap"), LogOptions(**{kind: "/c"}))

@@ -136,9 +136,9 @@ def test_first_frames_of_another_size_cost_no_others(tmp_path, odd, infos, of_de
         np.testing.assert_array_equal(batch.frames.depth[odd:], scene.depth[odd:])
         (text,) = (text for text in log.description.warnings if "changes" in text)
         if of_depth:
-            assert "frames with another calibration than the one used are left out" in text
+            assert "frames with another calibration are skipped" in text
         else:
-            assert "boxes and pictures of later frames may be off" in text
+            assert "boxes and pictures of later frames may be misplaced" in text
             assert not batch.frames.color[:odd].any() and batch.notes.bad_color == odd
         calibration = log.calibration
     with open_log(str(tmp_path / "log.mcap")) as log:
@@ -165,12 +165,14 @@ def test_an_encoding_that_is_not_read_is_named(tmp_path, encoding):
             log.ros(COLOR, ros_image(color[..., 0], encoding, at, COLOR_FRAME), at)
             log.ros(DEPTH, ros_image(depth, "16UC1", at, DEPTH_FRAME), at)
     with open_log(str(tmp_path / "log.mcap")) as log:
-        assert not log.has_color and f"not read: '{encoding}' of {COLOR}; " in log.color_problem
+        assert not log.has_color and f"unsupported: '{encoding}' of {COLOR}; " in log.color_problem
         assert any(f"'{encoding}' of {COLOR}" in text for text in log.description.notes)
         np.testing.assert_array_equal(log.read([0, 1], color=True).frames.depth, scene.depth)
-    with pytest.raises(TopicError, match=f"encoding '{encoding}' is not a colour image that can"):
+    with pytest.raises(TopicError, match=f"encoding '{encoding}' is not a supported colour"):
         open_log(str(tmp_path / "log.mcap"), LogOptions(color=COLOR))
-    with pytest.raises(TopicError, match=rf"{DEPTH}: a topic of depth images .*change --log.color"):
+    with pytest.raises(
+        TopicError, match=rf"{DEPTH}: the topic has depth images .*change --log.color"
+    ):
         open_log(str(tmp_path / "log.mcap"), LogOptions(color=DEPTH))
 
 

@@ -112,7 +112,7 @@ def test_open3d_has_a_camera_and_numbers(tmp_path, scan):
         assert_frames(log, [10**9 + number * 10**9 // 30 for number in (8, 9, 10)])
         assert log.calibration.depth[:6] == (*SIZE, *K)
         assert log.calibration.depth_unit == 0.0002
-        assert files.note in log.description.warnings and "30 frames a second" in files.note
+        assert files.note in log.description.warnings and "30 frames per second" in files.note
 
 
 def test_images_that_are_missing_or_torn_are_frames_with_an_error(tmp_path):
@@ -162,7 +162,7 @@ def test_what_a_folder_lacks_is_an_error_that_says_it(tmp_path):
     with pytest.raises(InputError, match=r"camera\.json.*column-major"):
         open_log(str(folder))
     (folder / "color" / "8.png").rename(folder / "color" / "first.png")
-    with pytest.raises(InputError, match=r"first\.png.*neither a stamp.*number"):
+    with pytest.raises(InputError, match=r"first\.png.*neither a timestamp.*number"):
         open_log(str(folder), GIVEN)
 
 
@@ -234,7 +234,7 @@ def test_recordings_go_before_images_beside_them(tmp_path):
     (tmp_path / "drive.mcap").write_bytes(b"x")
     [log] = find_logs([str(tmp_path)])
     assert [path.name for path in log.paths] == ["drive.mcap"]
-    assert "frames is left out: images beside a recording" in log.note
+    assert "frames is left out: images next to a recording" in log.note
 
 
 def test_images_elsewhere_are_logs_of_their_own(tmp_path):
@@ -243,12 +243,12 @@ def test_images_elsewhere_are_logs_of_their_own(tmp_path):
     (tmp_path / "a" / "drive.mcap").write_bytes(b"x")
     logs = find_logs([str(tmp_path)])
     assert [log.name for log in logs] == ["a/drive", "b/one"]
-    assert "a/two is left out: images beside a recording" in logs[0].note
-    assert "one has no stamps" in logs[1].note
+    assert "a/two is left out: images next to a recording" in logs[0].note
+    assert "one has no timestamps" in logs[1].note
 
 
 def test_depth_that_only_the_layout_says_is_aligned(tmp_path):
-    text = "depth is taken to be aligned to colour, as in TUM's and Open3D's folders; else give "
+    text = "depth is assumed to be aligned to colour, as in TUM's and Open3D's folders; otherwise"
     for folder, said in (
         (write_tum(tmp_path / "tum"), True),
         (write_open3d(tmp_path / "o"), False),
@@ -284,7 +284,9 @@ def test_stamps_that_are_none(tmp_path, stamp):
     folder = write_tum(tmp_path / "desk")
     with (folder / "rgb.txt").open("a") as file:
         file.write(f"{stamp} rgb/{STAMPS[0]}.png\n")
-    with pytest.raises(InputError, match=r"rgb\.txt.*(no stamp|out of range)") as caught:
+    with pytest.raises(
+        InputError, match=r"rgb\.txt.*(expected a timestamp|out of range)"
+    ) as caught:
         open_log(str(folder), GIVEN)
     assert len(str(caught.value)) < 200 + len(str(folder))
 
@@ -423,7 +425,7 @@ def test_record3d_with_depth_as_png(tmp_path):
         assert_phone_poses(log)
     for path in (tmp_path / "depth").iterdir():
         path.rename(path.with_suffix(".exr"))
-    with pytest.raises(InputError, match=r"OpenEXR .* is not read; convert it to 16-bit PNG"):
+    with pytest.raises(InputError, match=r"OpenEXR .* is not supported; convert it to 16-bit PNG"):
         open_log(str(tmp_path))
 
 
@@ -433,4 +435,4 @@ def test_redwoods_scans_have_times_in_their_names(tmp_path, color):
     write(tmp_path, [f"{color}/{n}.jpg" for n in names], [f"depth/{n}.png" for n in names])
     with open_log(str(tmp_path), LogOptions(color_intrinsics=K)) as log:
         assert np.diff(log.stamps_ns).tolist() == [33_369_000] * 2
-        assert not any("no stamps" in text for text in log.description.warnings)
+        assert not any("no timestamps" in text for text in log.description.warnings)

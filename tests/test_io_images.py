@@ -299,7 +299,7 @@ def test_images_of_another_size_than_calibrated():
     jpeg = compressed(simplejpeg.encode_jpeg(RGB), "jpeg")
     for message in (image(RGB, "rgb8"), jpeg, compressed(png(RGB), "png")):
         decode = decode_color if isinstance(message, ImageMessage) else decode_compressed_color
-        with pytest.raises(FrameError, match="colour image is 8x6, calibrated is 8x5"):
+        with pytest.raises(FrameError, match="colour image is 8x6, but the calibration is for 8x5"):
             decode(message, np.zeros((5, 8, 3), np.uint8), LIMIT)
     huge = struct.pack("<iffII", 0, 0, 0, 5700, 5700) + bytes(99)
     for message in (compressed(huge, "16UC1; compressedDepth rvl"), compressed(png(DEPTH), "png")):

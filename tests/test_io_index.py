@@ -255,7 +255,7 @@ def test_stamps_out_of_order_are_ordered_or_ask_for_the_scan(tmp_path, apart):
             assert_same_log(log, scanned)
             return
         for size in (1, 7, 100):
-            with pytest.raises(RescanError, match=r"header stamps.*--log\.scan"):
+            with pytest.raises(RescanError, match=r"header timestamps.*--log\.scan"):
                 list(log.batches(size))
         assert_same_batch(log.read([70]), scanned.read([70]))
 
@@ -283,7 +283,7 @@ def test_clocks_that_differ_are_allowed_for(tmp_path, ahead_s):
         assert (log.color_stamps_ns + ahead_ns == log.stamps_ns).all()
         assert not any("offset" in text for text in log.description.notes)
     with open_only(path, LogOptions(color_offset_s=0.0)) as log:
-        text = "colour and depth images of one stamp were recorded"
+        text = "colour and depth images with equal timestamps were recorded"
         warnings = log.described(total(b.notes for b in log.batches(64))).warnings
         assert any(text in item for item in warnings) == other
 
@@ -418,8 +418,8 @@ def test_info_counts_pairs_where_it_is_told_to_check(tmp_path, capsys):
     path = str(write_log(tmp_path / "x.mcap", make_scene(20), chunk_size=6000))
     assert info.main([path]) == 0
     text = capsys.readouterr().out
-    assert "20 frames" in text and "not counted; see --check" in text
+    assert "20 frames" in text and "not counted; pass --check to count" in text
     assert info.main([path, "--check"]) == 0
     text = capsys.readouterr().out
-    assert "colour for all 20 frames, the nearest up to 4.0 ms away" in text
+    assert "colour for all 20 frames, up to 4.0 ms apart" in text
     assert "CRC checked in" in text

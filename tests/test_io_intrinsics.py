@@ -93,11 +93,11 @@ def test_flags_go_before_the_message():
     assert result.intrinsics[2:6] == (1.0, 2.0, 3.0, 4.0)
     several = tuple(f"/{letter}/camera_info" for letter in "abcdefghijklmn")
     named = (
-        r"-info \(/a/camera_info, .*, /l/camera_info, and 2 more\) or give --log\.color-intrinsics"
+        r"-info \(/a/camera_info, .*, /l/camera_info, and 2 more\) or pass --log\.color-intrinsics"
     )
     with pytest.raises(CalibrationError, match=named):
         find_intrinsics(SOURCE._replace(info=None, known=several))
-    with pytest.raises(CalibrationError, match=r"colour camera; give --log\.color-intrinsics"):
+    with pytest.raises(CalibrationError, match=r"colour camera; pass --log\.color-intrinsics"):
         find_intrinsics(SOURCE._replace(info=None))
     bare = find_intrinsics(SOURCE._replace(info=None, matrix=(1.0, 2.0, 3.0, 4.0)))
     assert bare.intrinsics.distortion is Distortion.NONE

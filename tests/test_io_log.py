@@ -57,9 +57,9 @@ def test_the_same_scene_in_each_serialisation(tmp_path, form):
         with pytest.raises(IndexError):
             log.read([3])
         for wrong in ("all", 1.5, None):
-            with pytest.raises(InputError, match="neither a bool nor a collection"):
+            with pytest.raises(InputError, match="expected a bool or a collection"):
                 log.read([0], color=wrong)
-            with pytest.raises(InputError, match="neither a bool nor a collection"):
+            with pytest.raises(InputError, match="expected a bool or a collection"):
                 next(log.batches(1, color=wrong))
 
 

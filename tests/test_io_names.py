@@ -12,7 +12,7 @@ import pytest
 from jaxdet.errors import InputError, TopicError
 from jaxdet.io import LogFiles, LogOptions, files, find_logs, open_log
 from jaxdet.io.files import missing_splits, siblings
-from jaxdet.io.splits import Sketch, sketch
+from jaxdet.io.splits import Signature, signature
 from tests.io_helpers import (
     COLOR_FRAME,
     COLOR_INFO,
@@ -118,7 +118,7 @@ def test_metadata_says_what_is_one_recording(tmp_path):
     list_files(tmp_path, "run_0.mcap", "bag/run_1.mcap", "'run_2.mcap'")
     logs = find_logs([str(tmp_path)])
     assert [len(log.paths) for log in logs] == [3, 1]
-    assert logs[0].about == "joined 3 files that metadata.yaml lists"
+    assert logs[0].about == "joined 3 files listed in metadata.yaml"
 
 
 def test_files_whose_times_cant_be_told_stay_apart(tmp_path):
@@ -126,7 +126,7 @@ def test_files_whose_times_cant_be_told_stay_apart(tmp_path):
     (tmp_path / "run_1.mcap").write_bytes((tmp_path / "run_1.mcap").read_bytes()[:2000])
     logs = find_logs([str(tmp_path)])
     assert [len(log.paths) for log in logs] == [1, 1]
-    assert "can't be told by their indexes" in logs[0].about
+    assert "don't have the times of the images" in logs[0].about
 
 
 def test_links_are_called_by_their_own_names(tmp_path):
@@ -188,7 +188,9 @@ def test_recordings_that_are_numbered_are_not_all_looked_at_for_each(tmp_path, m
     for number in range(10):
         write_log(tmp_path / f"run_{number}.mcap", moved(make_scene(2), number * hour))
     logs, looked = find_logs([str(tmp_path)]), []
-    monkeypatch.setattr("jaxdet.io.files.sketch", lambda path: looked.append(path) or sketch(path))
+    monkeypatch.setattr(
+        "jaxdet.io.files.signature", lambda path: looked.append(path) or signature(path)
+    )
     assert [siblings(log) for log in logs] == [()] * 10
     assert len(looked) <= 4 * len(logs)
 
@@ -212,12 +214,12 @@ def test_a_split_is_left_out_where_it_is_there_in_another_format(
     Split ``n`` is of the second ``n``, the MCAP file ``y_0`` of the first three.
     """
 
-    def sketched(path: Path) -> Sketch:
+    def fake_signature(path: Path) -> Signature:
         second = int(path.stem.partition("_")[2] or 0)
         span = 0 if path.name == "y_0.mcap" else second, 2.9 if path.name == "y_0.mcap" else second
-        return Sketch({}, frozenset(), (int(span[0] * 1e9), int(span[1] * 1e9 + 9e8)), {})
+        return Signature({}, frozenset(), (int(span[0] * 1e9), int(span[1] * 1e9 + 9e8)), {})
 
-    monkeypatch.setattr(files, "sketch", sketched)
+    monkeypatch.setattr(files, "signature", fake_signature)
     touch(tmp_path, *names.split())
     found = [path.name for log in find_logs([str(tmp_path)]) for path in log.paths]
     assert sorted(found) == taken.split()
@@ -280,13 +282,13 @@ def test_splits_beside_go_with_the_log_and_all_nearer_ones(
 ):
     """Of one without images or calibration that is known of those nearer; a clock is set back."""
 
-    def sketched(path: Path) -> Sketch:
+    def fake_signature(path: Path) -> Signature:
         number = int(path.stem.partition("_")[2])
         span = spans[number] and tuple(second * 10**9 for second in spans[number])
         known = {} if matrices[number] == "-" else {"info": (matrices[number],)}
-        return Sketch({}, frozenset(), span, known)
+        return Signature({}, frozenset(), span, known)
 
-    monkeypatch.setattr(files, "sketch", sketched)
+    monkeypatch.setattr(files, "signature", fake_signature)
     paths = [tmp_path / f"x_{number}.mcap" for number in range(len(spans))]
     touch(tmp_path, *(path.name for path in paths))
     log = LogFiles("x", tuple(paths[number] for number in own))
@@ -296,7 +298,7 @@ def test_splits_beside_go_with_the_log_and_all_nearer_ones(
 def test_no_name_is_not_this_folder(tmp_path, monkeypatch):
     touch(tmp_path, "x.mcap")
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(InputError, match="a log without a name"):
+    with pytest.raises(InputError, match="path of a log is empty"):
         find_logs([""])
     assert [log.name for log in find_logs(["."])] == ["x"]
 
@@ -306,7 +308,7 @@ def test_other_compressed_files_and_several_logs_are_refused_by_name(tmp_path):
     with pytest.raises(InputError, match=r"run_0\.zstd.*NAME\.mcap\.zstd"):
         find_logs([str(tmp_path)])
     touch(tmp_path, "y/a.mcap", "y/b.mcap")
-    with pytest.raises(InputError, match="2 logs"):
+    with pytest.raises(InputError, match="expected one log, found 2"):
         open_log(str(tmp_path / "y"))
 
 
@@ -345,7 +347,7 @@ def test_big_endian_cdr(tmp_path):
 
 def test_a_topic_that_is_no_depth_is_refused(tmp_path):
     path = str(write_log(tmp_path / "x.mcap"))
-    with pytest.raises(TopicError, match="not a depth image"):
+    with pytest.raises(TopicError, match="is not a supported depth encoding"):
         open_log(path, LogOptions(depth="/cam/color/image_raw"))
 
 

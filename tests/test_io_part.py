@@ -70,12 +70,14 @@ def test_moments(text, moment):
     "text", ["", "-1", "5 m", "nan", "1e3", "today", "10:00", "१२", "9" * 13, "9" * 400]
 )
 def test_what_is_no_moment_is_said_with_its_flag(text):
-    with pytest.raises(ConfigError, match=r"--stop .* is no time; give it as 12.5, 90s, 2024"):
+    with pytest.raises(
+        ConfigError, match=r"--stop: invalid time .*; use a form like 12.5, 90s, 2024"
+    ):
         LogOptions(stop=text)
 
 
 def test_every_is_at_least_one():
-    with pytest.raises(ConfigError, match="--every 1 or more"):
+    with pytest.raises(ConfigError, match="--every must be at least 1"):
         LogOptions(every=0)
 
 
@@ -122,8 +124,8 @@ def test_nothing_in_the_range_names_the_span(log_path):
             open_only(str(log_path), LogOptions(**part))
         text = str(caught.value)
         assert all(f"--{name} {value}" in text for name, value in part.items())
-        assert "its 60 depth images are from 0 to 1.967 s, 2023-11-14T22:13:19.996Z to " in text
-    with pytest.raises(InputError, match=r"no depth image is in --start 1.9 --every 100"):
+        assert "the log has 60 depth images from 0 to 1.967 s, 2023-11-14T22:13:19.996Z to " in text
+    with pytest.raises(InputError, match=r"no depth image matches --start 1.9 --every 100"):
         open_only(str(log_path), LogOptions(start="1.9", every=100))
 
 

@@ -130,7 +130,7 @@ def test_the_world_is_where_poses_are_known(tmp_path, first, world, lacking):
         assert log.world_frame == world and log.T_world_camera is not None
         assert np.isnan(log.T_world_camera[:, 0, 0]).sum() == lacking
         warnings = log.described(next(log.batches(20)).notes).warnings
-    said = f"{lacking} of 20 frames have no pose: see --log.world-frame and --log.odom"
+    said = f"{lacking} of 20 frames have no pose; see --log.world-frame and --log.odom"
     assert (said in warnings) == (lacking > 0)
     for part in ({"start": "0.6"}, {"stop": "0.2"}, {"every": 7}):
         with open_log(path, LogOptions(**part)) as log:
@@ -160,7 +160,7 @@ def test_a_transform_that_is_none_costs_the_others_of_its_message_nothing(
             x = np.interp(scene.depth_ns - START, scene.color_ns - START, np.arange(20)) + 0.015
             np.testing.assert_allclose(log.T_world_camera[:, 0, 3], x, atol=1e-9)
             (text,) = (text for text in log.description.warnings if "finger" in text)
-            assert "'finger': 21 transforms are ignored: quaternion (" in text
+            assert "'finger': 21 transforms were ignored: quaternion (" in text
 
 
 def test_quaternions_are_those_of_scipy() -> None:

@@ -119,10 +119,10 @@ def test_flags_that_do_not_fit_are_errors_of_one_line(
     out = ["--output", str(tmp_path / "out")]
     nav2 = ["export", folder, "--to", "nav2", *out]
     cases = {
-        "its poses are in map, the map is in site": ["track", folder, "--map", known],
-        "give it by --map": ["track", folder],
-        "poses are in map, the map is in site; run": [*nav2, "--map", known],
-        "--clear and --map-frame are of a map": nav2,
+        "the poses are in map, but the map is in site": ["track", folder, "--map", known],
+        "pass it as --map FILE": ["track", folder],
+        "poses are in map, but the map is in site; run": [*nav2, "--map", known],
+        "--clear and --map-frame need a map": nav2,
     }
     for text, command in cases.items():
         assert main([*command, "--map-frame", "site"]) == 2

@@ -60,15 +60,18 @@ def test_plain_list(tmp_path: Path) -> None:
 
 
 BAD = {
-    "not JSON": ("{", r"is not JSON \(.*; give a COCO file, or a list \[\{.frame.: 12"),
-    "deep": ("[" * 100_000, "is not JSON"),
-    "a number": ("3", "is not a list of labels"),
+    "not JSON": ("{", r"invalid JSON \(.*; pass a COCO file, or a list \[\{.frame.: 12"),
+    "deep": ("[" * 100_000, "invalid JSON"),
+    "a number": ("3", "not a list of labels"),
     "no images": ({"annotations": []}, "key 'images' is missing"),
     "no such image": (
         {"images": [], "annotations": [{"image_id": 4, "bbox": [0, 0, 1, 1]}]},
-        "annotation 0: there is no image 4",
+        "annotation 0: unknown image 4",
     ),
-    "no frame": ([{"image": "left.png", "box": [0, 0, 1, 1]}], 'label 0: no number .*add "frame"'),
+    "no frame": (
+        [{"image": "left.png", "box": [0, 0, 1, 1]}],
+        'label 0: the frame number .*add the key "frame"',
+    ),
     "three numbers": ([{"frame": 0, "box": [0, 0, 1]}], r"label 0: box must be 4 numbers, got \[0"),
     "not finite": ('[{"frame": 0, "box": [0, 0, 1, NaN]}]', "box must be 4 numbers"),
     "no area": ([{"frame": 0, "box": [5, 0, 1, 4]}], "label 0: box has no area"),
@@ -163,13 +166,15 @@ def test_labels_in_a_run(drive: Path, tmp_path: Path, capsys: pytest.CaptureFixt
     path = str(write(tmp_path, coco))
     args = ["--output", out, "--workers", "1", "--pictures", "0", "--truth", path]
     assert main(["run", log, *args]) == 1
-    problem = "labels.json: the labels are of images of 640 x 480 pixels, the log's have 320 x 240"
+    problem = (
+        "labels.json: the labels are for images of 640 x 480 pixels, but the log has 320 x 240"
+    )
     assert problem in capsys.readouterr().err
     other = tmp_path / "other.mcap"
     other.write_bytes((drive / "drive.mcap").read_bytes())
     assert main(["run", log, str(other), *args, "-y"]) == 2
-    said = "labels are of one log, but there are 2; run the logs one by one"
+    said = "labels refer to one log, got 2 logs; run the logs one by one"
     assert said in capsys.readouterr().err
     write(tmp_path, [{"frame": 0, "box": [100, 100, 140, 160]}])
     assert main(["run", log, *args, "-y"]) == 0
-    assert "distance_m not compared: no true distance is known" in capsys.readouterr().out
+    assert "distance_m not compared: the true distances are unknown" in capsys.readouterr().out

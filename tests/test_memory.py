@@ -70,7 +70,9 @@ NO_SIZES = ["", "x", "-1G", "1.2.3G", "1EiB", "nan", "1e9", "12 parsec", "9" * 4
 
 @pytest.mark.parametrize("text", NO_SIZES)
 def test_what_is_no_size(tmp_path, text):
-    with pytest.raises(ConfigError, match=r"--memory .* is not a size; give --memory .* 4GiB"):
+    with pytest.raises(
+        ConfigError, match=r"--memory: expected a size, got .*; pass a number .* 4GiB"
+    ):
         RunOptions(tmp_path, memory=text)
 
 

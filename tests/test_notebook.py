@@ -52,9 +52,9 @@ def test_a_preset_takes_parameters_and_sections():
     [
         ({"max_dept_m": 3}, "max_depth_m"),
         ({"min_cells": 3}, "name the section"),
-        ({"ground": 3}, "no dictionary"),
-        ({"max_depth_m": "far"}, "is not a number"),
-        ({"ground": {"colour": 1}}, "no key 'colour'"),
+        ({"ground": 3}, "expected a dictionary"),
+        ({"max_depth_m": "far"}, "must be a number"),
+        ({"ground": {"colour": 1}}, "unknown key 'colour'"),
     ],
 )
 def test_changes_that_do_not_fit_are_named(changes, says):
@@ -66,7 +66,7 @@ def test_a_dictionary_is_a_configuration():
     given = {"preset": "d435", "ground": {"max_depth_m": 3.0}}
     assert find_config(given) == preset("d435", max_depth_m=3.0)
     assert find_config({}) == Config() and given["preset"] == "d435"
-    with pytest.raises(ConfigError, match="no section"):
+    with pytest.raises(ConfigError, match="unknown section"):
         find_config({"grund": {}})
     detector = jaxdet.Detector([500.0, 500.0, 40.0, 30.0], config=given, backend="reference")
     assert detector.config.ground.max_depth_m == 3.0

@@ -119,12 +119,12 @@ def test_many_logs_have_a_line_each_and_their_warnings_once() -> None:
     few = Summary("jax", 16, logs[:MANY_LOGS], 20.0)
     assert "  frames     10 (9 ok, 1 no_color)" in summary_lines(few, Path("out"))
     (line,) = [line for line in summary_lines(few, Path("out")) if "rectangles" in line]
-    assert line.startswith("  rectangles 3 of 8 with their obstacle more than 2 cm in front")
+    assert line.startswith("  rectangles 3 of 8 start more than 2 cm behind the nearest point")
 
 
 def test_a_floor_that_frames_show_but_the_log_has_not_is_not_unknown() -> None:
     searched = "each frame is searched alone; %d of 18 sampled frames show their floor"
-    for count, said in ((18, "not one for all frames"), (0, "unknown")):
+    for count, said in ((18, "estimated per frame"), (0, "unknown")):
         record = GroundRecord("none", message=searched % count, frames_used=count)
         assert ground_text([record]) == f"{said} ({searched % count})"
 

@@ -120,7 +120,7 @@ def test_low_level_calls_with_what_is_no_batch_of_frames() -> None:
             given._replace(calibration=arrays),
             "rotation of color_from_depth: expected tuple, got ndarray",
         ),
-        (none, "there are no frames"),
+        (none, "the batch is empty"),
     ):
         for backend in ("reference", "jax"):
             with pytest.raises((InputError, CalibrationError), match=said):

@@ -96,7 +96,8 @@ def bad_images(camera: Any, depth: np.ndarray) -> dict[str, tuple[Any, Any]]:
     huge.height = huge.width = 60_000
     huge.step = 120_000
     color = image_message(7, "camera", np.zeros((*depth.shape, 3), np.uint8), "rgb8")
-    size = "the depth images are 160x60, its calibration for 160x120; remap camera_info to the"
+    size = "the depth images are 160x60, but their calibration is for 160x120; "
+    size += "remap camera_info to the"
     return {
         "encoding 'rgb8' is not depth; remap depth": (color, info_message(7, camera)),
         f"{size} calibration of {DEPTH}": (small, info_message(7, camera)),
@@ -205,7 +206,7 @@ def test_mount_from_tf(frames, monkeypatch):
 @pytest.mark.parametrize(
     ("parameters", "problem"),
     [
-        ({"config": "wheeld"}, "no preset 'wheeld'"),
+        ({"config": "wheeld"}, "unknown preset 'wheeld'"),
         ({"config": "paper"}, "config: this method needs colour images"),
         ({"depth_unit_m": 1}, "depth_unit_m: a depth unit of 1 m"),
         ({"depth_unit_m": "mm"}, "depth_unit_m: expected"),

@@ -166,7 +166,7 @@ def test_the_floor_steps_down():
     assert np.isnan(floor_edge(level_floor)[0]).all() and not floor_edge(level_floor)[1].any()
     (behind,) = floor_edge(frame, np.array([np.pi]))[0]
     assert np.isnan(behind)
-    with pytest.raises(ConfigError, match="steps must go down"):
+    with pytest.raises(ConfigError, match="drop_tread_m is out of range"):
         Ground(drop_m=-0.1)
 
 

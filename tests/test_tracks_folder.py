@@ -84,13 +84,15 @@ def test_a_run_that_is_stopped_while_it_links_goes_on(tmp_path: Path, monkeypatc
             code, _, said = run("a", *["--quiet"] * (number == signal.SIGINT))
         assert code == 128 + number
         assert said.splitlines()[-1] == (
-            "jaxdet: error: interrupted while linking; the same command goes on"
+            "jaxdet: error: interrupted while linking; run the same command again to resume"
         )
     code, out, said = run("a")
-    assert (code, said) == (0, "") and "1 log done before" in out and "are in one" in out
+    assert (
+        (code, said) == (0, "") and "1 log processed earlier" in out and "obstacles linked" in out
+    )
     same_results(tmp_path / "a", tmp_path / "whole")
     code, out, said = run("a")
-    assert (code, said) == (0, "") and "nothing new" in out and "are in one" not in out
+    assert (code, said) == (0, "") and "nothing new" in out and "obstacles linked" not in out
     assert run("a", "--quiet") == (0, "", "")
     assert json.loads(run("a", "--json")[1])["frames"] == 6
     code, _, said = run("a", "--quiet", "--ground.max-depth-m", "3")

@@ -167,16 +167,16 @@ def test_files_that_are_missing_or_too_many_are_named(results: Path) -> None:
     for mine in ("map_mine.txt", "mine.txt", "pictures/mine.txt"):
         (results / mine).touch()
     report = verify(results, sample=0)
-    assert found(report)[0] == "map.npz: is missing"
-    assert found(report)[1].startswith("map.png: has 0 bytes, ")
+    assert found(report)[0] == "map.npz: missing"
+    assert found(report)[1].startswith("map.png: expected ")
     others = ("map_mine.txt", "pictures/c_000000.png", "pictures/mine.txt")
-    assert found(report)[2:] == [f"{name}: is not in the manifest" for name in others]
-    assert report.notes == ["mine.txt is no file of the results"]
+    assert found(report)[2:] == [f"{name}: not in the manifest" for name in others]
+    assert report.notes == ["mine.txt is not part of the results"]
     (results / "scenes").mkdir()  # an export
     for number in range(100):
         (results / "scenes" / f"{number}.jpg").touch()
     *_, last = verify(results, sample=0).notes
-    assert last == "scenes/ has 100 files that are none of the results"
+    assert last == "scenes/ has 100 files that are not part of the results"
     (results / "manifest.json").unlink()
     (finding,) = found(verify(results, sample=0))
     assert finding.startswith("manifest.json: has no complete results")
@@ -190,8 +190,8 @@ def test_exchanged_units_are_found(results: Path) -> None:
         tables[name] = table.take([*second, *first, *rest])
     rewrite(results, tables)
     assert found(verify(results)) == [
-        "a: begins with frame 4, not 0",
-        *[f"{name}: stamps and calibrations are not those of its rows and of summary.json"
+        "a: expected frame 0 first, got 4",
+        *[f"{name}: timestamps and calibrations differ from its rows or summary.json"
           for name in TABLES],
     ]  # fmt: skip
 
@@ -241,7 +241,7 @@ def test_a_changed_value_is_found_by_the_reference(results: Path) -> None:
     tables["obstacles.parquet"] = raised(obstacles, "distance_m", row, 0.001)
     rewrite(results, tables)
     assert found(verify(results, sample=2), but="tracks") == [
-        "a: frame 11: distance_m of obstacles.parquet is not what the reference finds"
+        "a: frame 11: distance_m of obstacles.parquet differs from the reference"
     ]
     assert {finding.check for finding in verify(results, sample=0).findings} == {"tracks"}
 
@@ -250,7 +250,7 @@ def test_a_changed_value_is_found_by_the_reference(results: Path) -> None:
     ("column", "problem"),
     [
         ("obstacle", "a: obstacles of a frame are not numbered from 0"),
-        ("stamp_ns", "a: stamp_ns of obstacles is not that of their frames"),
+        ("stamp_ns", "a: stamp_ns of obstacles differs from their frames"),
     ],
 )
 def test_obstacles_that_are_not_their_frames_are_found(
@@ -268,7 +268,7 @@ def test_obstacles_that_are_not_their_frames_are_found(
     ("frame", "problem"),
     [
         (5, "a: frame 5 is missing: frame 6 follows 4"),
-        (11, "a: the log has 12 frames, the results 11"),
+        (11, "a: the log has 12 frames, but the results have 11"),
     ],
 )
 def test_a_missing_frame_is_found(results: Path, frame: int, problem: str) -> None:
@@ -294,7 +294,7 @@ def test_figures_that_are_not_those_of_the_rows_are_found(results: Path) -> None
     sealed(results)
     report = verify(results)
     (problem,) = found(report)
-    assert problem.startswith("a: status of its rows is {'ok': 12}, summary.json says {'ok': 11")
+    assert problem.startswith("a: status is {'ok': 12} in the rows, but {'ok': 11")
     assert report.notes[0] == "lost in the run: a, frames 0 to 3: timeout (twice)"
 
 
@@ -308,7 +308,7 @@ def test_another_log_is_found(whole: Path, tmp_path: Path) -> None:
     }
     write_log(tmp_path / "a.mcap", SimConfig(frames=FRAMES - 1, width=96, height=72))
     problems = found(verify(whole, [str(tmp_path / "a.mcap")], sample=0))
-    assert problems[-1] == "a: the log has 11 frames, the results 12"
+    assert problems[-1] == "a: the log has 11 frames, but the results have 12"
     (tmp_path / "a.mcap").write_bytes(b"no log")
     assert "a.mcap" in found(verify(whole, [str(tmp_path / "a.mcap")], sample=0))[-1]
     with pytest.raises(InputError, match="no log 'c'"):
@@ -337,9 +337,9 @@ def test_logs_that_moved_are_given_or_noted(whole: Path, tmp_path: Path) -> None
     report = verify(out)
     assert not report.findings and not report.frames_of_logs
     assert report.notes[0].startswith("a was not compared: /gone/a.mcap: the log is not at its")
-    assert report.notes[0].endswith("name it with --against")
+    assert report.notes[0].endswith("pass it with --against")
     assert report_lines(report)[-1] == (
-        f"nothing wrong, but {2 * FRAMES} frames were not compared with their logs"
+        f"no problems, but {2 * FRAMES} frames were not compared with their logs"
     )
     report = verify(out, [str(tmp_path / "all" / "*.mcap")], sample=1)
     assert report.findings == report.notes == [] and report.frames_of_logs == 2 * FRAMES
@@ -355,7 +355,7 @@ def test_logs_with_other_names_now_are_known_by_what_is_in_them(
     assert not report.findings and report.frames_of_logs == 2 * FRAMES
     content = (folder / "c.mcap").read_bytes()
     (folder / "c.mcap").write_bytes(content[:-1])
-    known = "no log 'c'; it holds a, b; logs are identified by name, else by content"
+    known = "no log 'c', but a, b; logs are identified by name, else by content"
     with pytest.raises(InputError, match=known):
         verify(folder / "out", [str(folder / "*.mcap")], sample=1)
 
@@ -372,9 +372,12 @@ def test_a_run_of_which_not_all_is_complete(whole: Path, tmp_path: Path) -> None
     (copy / "c" / "failed.json").write_text(json.dumps(told))
     report = verify(copy, sample=0)
     first, second = found(report)
-    assert first.startswith("a/map.npz: has 0 bytes")
-    assert second == "b: has results and no manifest: they are not complete"
-    assert report.notes == ["c failed in the run and has no results", "mine is no log's results"]
+    assert first.startswith("a/map.npz: expected ")
+    assert second == "b: the results are incomplete: there is no manifest"
+    assert report.notes == [
+        "c failed in the run and has no results",
+        "mine is not the results of a log",
+    ]
 
 
 def test_tracks_are_linked_again(results: Path, capsys: Any) -> None:
@@ -407,9 +410,9 @@ def test_tracks_of_other_obstacles_are_found(results: Path, tmp_path: Path) -> N
     (results / "tracks.png").rename(results / "tracks_c.png")
     sealed(results)
     assert found(verify(results, sample=0)) == [
-        "track_links.parquet: is not what linking the obstacles gives",
-        "tracks.png: is missing: linking the obstacles gives it",
-        "tracks_c.png: is no file that linking the obstacles gives",
+        "track_links.parquet: differs from linking the obstacles again",
+        "tracks.png: missing, but created by linking the obstacles again",
+        "tracks_c.png: not created by linking the obstacles again",
     ]
 
 
@@ -425,12 +428,12 @@ def test_tracks_on_a_damaged_map_are_one_finding(results: Path) -> None:
 
 def test_the_command(results: Path, capsys: Any) -> None:
     assert main(["verify", str(results), "--sample", "1"]) == 0
-    assert capsys.readouterr().out.endswith("all as it should be\n")
+    assert capsys.readouterr().out.endswith("no problems found\n")
     (results / "config.json").unlink()
     assert main(["verify", str(results), "--json"]) == 1
     told = json.loads(capsys.readouterr().out)
     assert told["findings"][0] == {
-        "check": "files", "where": "config.json", "problem": "is missing"
+        "check": "files", "where": "config.json", "problem": "missing"
     }  # fmt: skip
     assert main(["verify", str(results / "missing")]) == 1
     assert "no such folder" in capsys.readouterr().err

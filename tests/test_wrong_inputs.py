@@ -35,7 +35,7 @@ IMAGE = "sensor_msgs/msg/Image"
     ("data", "said"),
     [
         (b"", "is empty"),
-        (MAGIC, "holds no records"),
+        (MAGIC, "has no records"),
         (MAGIC[:5], "not an MCAP"),
         (b"x" * 99, "not an MCAP"),
     ],

@@ -1,4 +1,4 @@
-"""The command line; ``jaxdet --help`` loads nothing heavy."""
+"""The command line. ``jaxdet --help`` imports no heavy package."""
 
 from jaxdet.cli.main import main
 

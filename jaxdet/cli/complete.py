@@ -1,8 +1,8 @@
 """``jaxdet complete``: tab completion for bash, zsh and fish.
 
-``jaxdet complete bash`` prints the line for the shell's start-up file. What it sets up calls
-``jaxdet complete`` with the line in ``COMP_LINE`` and, in bash, the place of the cursor in
-``COMP_POINT``, and reads a candidate per line.
+``jaxdet complete bash`` prints the line to add to the shell's start-up file. The shell then calls
+``jaxdet complete`` with the command line in ``COMP_LINE`` and, in bash, the cursor position in
+``COMP_POINT``, and reads one candidate per line.
 """
 
 import os
@@ -32,54 +32,54 @@ compdef _jaxdet jaxdet
 complete -c jaxdet -a '(env COMP_LINE=(commandline -cp) jaxdet complete)'
 """,
 }
-"""Set-up for each shell. Where there are no candidates, files are offered."""
+"""Set-up code by shell. The shell completes file names if there are no candidates."""
 
 
 def main(args: list[str]) -> int:
-    """Print the set-up for a shell, or the candidates; return 0."""
+    """Print the set-up code of a shell, or the candidates; return 0."""
     if args and args[0] in SCRIPTS:
         print(SCRIPTS[args[0]], end="")
         return 0
     line = os.environ.get("COMP_LINE", "")
     line = line[: int(os.environ.get("COMP_POINT", len(line)))]
-    *before, begun = re.split("[ =]", line)  # shells begin a word after = too
-    for word in candidates([word for word in before if word], begun):
+    *words, typed = re.split("[ =]", line)  # shells also start a new word after "="
+    for word in candidates([word for word in words if word], typed):
         print(word)
     return 0
 
 
-def candidates(before: list[str], begun: str) -> list[str]:
-    """What the word that was begun may become; nothing where it is a file or a value.
+def candidates(words: list[str], typed: str) -> list[str]:
+    """Return the completions of a partly typed word; empty if it is a file name or another value.
 
     Args:
-        before: The words before it, from ``jaxdet`` on.
-        begun: Its first letters, or none.
+        words: Preceding words, starting with ``jaxdet``.
+        typed: The letters typed so far; may be empty.
     """
-    match before:
+    match words:
         case [] | [_]:
-            known = [*COMMANDS, "--help", "--version"]
+            choices = [*COMMANDS, "--help", "--version"]
         case [_, "help"]:
-            known = [*pages(), *COMMANDS]
+            choices = [*pages(), *COMMANDS]
         case [_, command, *_] if command in COMMANDS and command != "help":
-            known = _of_command(command, before[-1], begun)
+            choices = _command_choices(command, words[-1], typed)
         case _:
-            known = []
-    return [word for word in known if word.startswith(begun)]
+            choices = []
+    return [word for word in choices if word.startswith(typed)]
 
 
-def _of_command(command: str, last: str, begun: str) -> list[str]:
-    """Values of the flag before, else flags where one was begun."""
+def _command_choices(command: str, last: str, typed: str) -> list[str]:
+    """Return the values of the preceding flag, or the flags of the command if a flag is typed."""
     kind = getattr(import_module(f"jaxdet.cli.{command}"), f"{command.capitalize()}Command")
     options = list(options_of(kind, {}))
     for option in options:
         if last == option.flag and not option.switches:
             return list(map(str, _values(option)))
     flags = [f for option in options for f in (*(option.switches or [option.flag]), option.letter)]
-    return [*filter(None, flags), "--help", "--help-all"] if begun.startswith("-") else []
+    return [*filter(None, flags), "--help", "--help-all"] if typed.startswith("-") else []
 
 
 def _values(option: Option) -> tuple[object, ...]:
-    """All that an option may be, where these are a few names."""
+    """Return the possible values of an option if they are a fixed set of names."""
     if option.flag == "--preset":
         return tuple(PRESETS)
     return typing.get_args(option.kind) if typing.get_origin(option.kind) is typing.Literal else ()

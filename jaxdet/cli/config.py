@@ -1,4 +1,4 @@
-"""``jaxdet config``: all parameters as a TOML file to be edited."""
+"""``jaxdet config``: writes all parameters as a TOML file for editing."""
 
 import json
 import textwrap
@@ -13,7 +13,7 @@ from jaxdet.errors import ConfigError
 from jaxdet.presets import DEFAULT_PRESET, PRESETS
 
 DESCRIPTION = """\
-Writes all parameters of a preset or of an earlier run as TOML, with their meaning: a file to edit
+Writes all parameters of a preset or of an earlier run as TOML, each with a comment: a file to edit
 for jaxdet run --config.
 """
 
@@ -25,7 +25,7 @@ class ConfigCommand:
     source: str | None = field(
         default=None, metadata={"positional": True, "takes": "PRESET or FILE"}
     )
-    """Preset, TOML file, or the config.json of results; by default the preset ``wheeled``."""
+    """Preset, TOML file, or config.json of earlier results; by default the preset ``wheeled``."""
     output: Path | None = None
     """File to write; by default the text is printed."""
 
@@ -34,7 +34,7 @@ def main(args: list[str]) -> int:
     """Run the command; return the exit code.
 
     Raises:
-        ConfigError: The source is no preset or file, or the output exists.
+        ConfigError: The source is neither a preset nor a file, or the output file exists.
     """
     command = parse_flags(ConfigCommand, args, "jaxdet config", DESCRIPTION)
     text = to_toml(command.source or DEFAULT_PRESET)
@@ -45,13 +45,13 @@ def main(args: list[str]) -> int:
         with command.output.open("x", encoding="utf-8") as file:
             file.write(text)
     except FileExistsError:
-        remedy = "name another file, or remove it first"
-        raise ConfigError("exists", path=str(command.output), remedy=remedy) from None
+        problem, remedy = "the file exists already", "choose another file, or remove this one first"
+        raise ConfigError(problem, path=str(command.output), remedy=remedy) from None
     return 0
 
 
 def to_toml(source: str) -> str:
-    """Return the parameters of a configuration as TOML, each below its meaning."""
+    """Return a configuration as TOML, with the description of each parameter as a comment."""
     config = find_config(source)
     lines = [f"# Parameters of {source}, for jaxdet run --config."]
     if source in PRESETS:
@@ -70,7 +70,7 @@ _COMMENT: dict[str, Any] = {"initial_indent": "# ", "subsequent_indent": "# "}
 
 
 def _line(name: str, value: Any) -> str:
-    """Return a line of TOML; a parameter that is not set has no value there."""
+    """Return a TOML line; a parameter without a value is commented out."""
     if value is None:
         return f"# {name} ="
     return f"{name} = {json.dumps(list(value) if isinstance(value, tuple) else value)}"

@@ -1,4 +1,4 @@
-"""``jaxdet diff``: what two runs found differently."""
+"""``jaxdet diff``: compares the detections of two runs."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from jaxdet.verify.difference import Difference, Found, FrameDifference, LogDifference
 
 DESCRIPTION = """\
-Compares two runs on the same logs, for instance before and after a change of a parameter. Obstacles
-of a frame are matched by the overlap of their outlines on the floor. Prints the parameters that
+Compares two runs on the same logs, for instance before and after a parameter change. Obstacles
+are matched per frame by the overlap of their footprints. Prints the parameters that
 differ, and the frames that differ most; with --pictures both runs are drawn side by side.
 
 Exit code: 0 if both found the same, 1 if not, 2 if they can't be compared.
@@ -37,13 +37,13 @@ class DiffCommand:
     """Arguments of ``jaxdet diff``."""
 
     a: Path = field(metadata={"positional": True, "takes": "A"})
-    """Results of jaxdet run, or those of one log in them."""
+    """Results of jaxdet run, or the folder of one log in them."""
     b: Path = field(metadata={"positional": True, "takes": "B"})
-    """Results to compare with."""
+    """Results to compare with A."""
     pictures: Path | None = field(default=None, metadata={"takes": "DIR"})
-    """Draw the frames that are printed side by side into this new folder."""
+    """New folder for pictures of the listed frames of both runs, side by side."""
     log: tuple[str, ...] = field(default=(), metadata={"takes": "LOG..."})
-    """The logs, if they were moved, to draw frames that a run did not draw."""
+    """Current paths of the logs, if they were moved. Needed to draw frames without a picture."""
 
 
 def main(args: list[str]) -> int:
@@ -52,7 +52,7 @@ def main(args: list[str]) -> int:
     try:
         with SPINNER.shown("comparing"):
             found, problems = _compare(command)
-    except InputError as error:  # whose exit code 1 would mean that the runs differ
+    except InputError as error:  # exit code 1 of an InputError would mean that the runs differ
         raise ConfigError(error.problem, path=error.path, remedy=error.remedy) from error
     for problem in problems:
         tell(f"jaxdet: warning: {problem}")
@@ -61,7 +61,7 @@ def main(args: list[str]) -> int:
 
 
 def _compare(command: DiffCommand) -> tuple["Difference", list[str]]:
-    """Return the differences, and why some could not be drawn."""
+    """Return the differences, and the problems that occurred while drawing."""
     from jaxdet.results.reading import Results
     from jaxdet.verify.difference import difference
 
@@ -77,7 +77,7 @@ def _compare(command: DiffCommand) -> tuple["Difference", list[str]]:
 
 
 def difference_lines(found: "Difference") -> list[str]:
-    """Return the differences as lines for a person."""
+    """Return the differences as lines of text."""
     lines = [f"{name}: {one} in A, {other} in B" for name, one, other in found.settings]
     lines += [f"only in A: {log}" for log in found.only_a]
     lines += [f"only in B: {log}" for log in found.only_b]
@@ -87,7 +87,7 @@ def difference_lines(found: "Difference") -> list[str]:
 
 
 def most_different(log: "LogDifference") -> list["FrameDifference"]:
-    """Return the frames that differ most: in obstacles, then in distances; in order."""
+    """Return the frames that differ most, in frame order: by obstacles first, then by distance."""
 
     def size(frame: "FrameDifference") -> tuple[int, float]:
         lost = frame.status[0] != frame.status[1]
@@ -141,7 +141,7 @@ def _row(frame: "FrameDifference") -> tuple[str, str, str, str, str, str]:
 
 
 def _brief(column: str) -> str:
-    """Return what a column is about."""
+    """Return the group of a column for display, else the column's name."""
     about = {"free_": "free floor", "floor_": "floor", "camera_": "camera pose"}
     return next((text for start, text in about.items() if column.startswith(start)), column)
 

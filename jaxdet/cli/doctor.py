@@ -1,4 +1,4 @@
-"""``jaxdet doctor``: versions, devices, and whether both backends agree on a small case."""
+"""``jaxdet doctor``: reports versions and devices, and compares the backends on a small case."""
 
 import shutil
 from dataclasses import dataclass
@@ -13,23 +13,23 @@ from jaxdet.cli.spinner import SPINNER
 from jaxdet.cli.tell import tell
 
 DESCRIPTION = """\
-Checks this installation: versions, the devices that JAX and Warp find, and whether the compiled
-program gives the same arrays as the NumPy reference on a small built-in case.
+Checks this installation: versions, the devices of JAX and Warp, and whether the compiled
+program returns the same arrays as the NumPy reference on a small built-in case.
 """
 
 
 @dataclass(frozen=True)
 class DoctorCommand:
-    """What ``jaxdet doctor`` takes."""
+    """Arguments of ``jaxdet doctor``."""
 
     json: bool = False
-    """Print JSON."""
+    """Print the report as JSON."""
 
 
 def main(args: list[str]) -> int:
-    """Runs the command; returns 0 when all checks pass, else 1."""
+    """Run the command; return 0 if all checks pass, else 1."""
     command = parse_flags(DoctorCommand, args, "jaxdet doctor", DESCRIPTION)
-    with SPINNER.shown("comparing; the first time it is compiled"):
+    with SPINNER.shown("comparing; the first run compiles the kernels"):
         from jaxdet.engine import start_up
         from jaxdet.results.summary import to_json
         from jaxdet.results.versions import versions
@@ -59,23 +59,23 @@ def _checked(check: Any) -> tuple[bool, str]:
 
 
 def jax_devices() -> tuple[bool, str]:
-    """What JAX computes on."""
+    """List the devices of JAX."""
     import jax
 
     found = jax.devices()
     text = ", ".join(f"{d.platform}:{d.id} {d.device_kind}" for d in found)
     if gpu_is_visible() and all(device.platform == "cpu" for device in found):
-        text += "; there is an NVIDIA GPU, to use it: pip install 'jaxdet[cuda13]'"
+        text += "; an NVIDIA GPU is present but unused; install jaxdet[cuda13] to use it"
     return True, text
 
 
 def gpu_is_visible() -> bool:
-    """Whether the system shows an NVIDIA GPU."""
+    """Return whether the system has an NVIDIA GPU."""
     return Path("/dev/nvidia0").exists() or shutil.which("nvidia-smi") is not None
 
 
 def warp_devices() -> tuple[bool, str]:
-    """What Warp computes on."""
+    """List the devices of Warp."""
     import warp
 
     warp.init()
@@ -83,7 +83,7 @@ def warp_devices() -> tuple[bool, str]:
 
 
 def backends_agree() -> tuple[bool, str]:
-    """Both backends on a small case, array by array."""
+    """Compare the arrays of both backends on a small case."""
     from jax import tree
 
     from jaxdet.pipeline import detect
@@ -101,15 +101,15 @@ def backends_agree() -> tuple[bool, str]:
 
 
 def kernels_answer() -> tuple[bool, str]:
-    """The kernels alone, on images whose result is stored."""
+    """Run the kernels on test images and compare with the stored result."""
     from jaxdet.stages import check_kernels
 
     check_kernels()
-    return True, "as stored"
+    return True, "equal to the stored result"
 
 
 def small_case() -> "jaxdet.Frames":
-    """Two depth images of 160 x 120 pixels: a box before a wall, camera level."""
+    """Return two 160 x 120 depth images of a box in front of a wall, with a level camera."""
     v, u = np.mgrid[0:120, 0:160]
     box = (u >= 50) & (u < 110) & (v >= 30) & (v < 80)
     depth = np.where(box, 1200, 3000).astype(np.uint16)
@@ -128,16 +128,17 @@ def small_case() -> "jaxdet.Frames":
 
 
 def caches() -> tuple[bool, str]:
-    """Where compiled programs stay between runs."""
+    """Check the folders in which compiled programs are cached."""
     from jaxdet.engine.startup import NOT_KEPT, UNSAFE, cache_folders, unsafe_caches, use_caches
 
     found, used = cache_folders(), use_caches()
     for folder in unsafe_caches():
         return False, f"{folder} {UNSAFE}"
-    lost = next((folder for folder in found if folder and folder not in used), None)
-    if lost:
-        return False, f"{lost} {NOT_KEPT}"
-    return True, ", ".join(f"{name} {path or 'not kept'}" for name, path in used._asdict().items())
+    unusable = next((folder for folder in found if folder and folder not in used), None)
+    if unusable:
+        return False, f"{unusable} {NOT_KEPT}"
+    named = (f"{name} {path or 'not cached'}" for name, path in used._asdict().items())
+    return True, ", ".join(named)
 
 
 CHECKS = {

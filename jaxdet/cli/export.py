@@ -1,4 +1,4 @@
-"""``jaxdet export``: results in the formats of other programs."""
+"""``jaxdet export``: converts results to the formats of other programs."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from jaxdet.results.reading import Results
 
 DESCRIPTION = """\
-Writes the results of jaxdet run for another program.
+Converts the results of jaxdet run for another program.
 
 {formats}
 
@@ -29,27 +29,27 @@ Examples:
 """
 
 MOST_LINES = 12
-"""That are said of what is left out."""
+"""Maximum number of warnings that are printed."""
 
 
 @dataclass(frozen=True)
 class ExportCommand:
-    """What ``jaxdet export`` takes."""
+    """Arguments of ``jaxdet export``."""
 
     results: Path = field(metadata={"positional": True, "takes": "RESULTS"})
-    """Folder that jaxdet run wrote, or that of one log in it."""
+    """Folder written by jaxdet run, or the folder of one log in it."""
     to: Literal["foxglove", "ros2", "nav2", "html", "rerun", "coco"]
-    """The format, see above."""
+    """Format, see above."""
     output: Path = field(metadata={"takes": "PATH"})
-    """What to write; must not be there yet."""
+    """File or folder to write; must not exist yet."""
     log: tuple[str, ...] = field(default=(), metadata={"takes": "LOG..."})
-    """The logs of the results, for formats that look at them, see above."""
+    """The logs of the results, for formats that use them, see above."""
     map: Path | None = field(default=None, metadata={"takes": "FILE"})
-    """YAML file of a map for nav2's map_server; nav2 adds the obstacles that it lacks."""
+    """YAML file of a map for nav2's map_server; nav2 adds the obstacles missing from it."""
     map_frame: str | None = field(default=None, metadata={"takes": "NAME"})
-    """Frame that the map is in; unset: the world that the poses are in."""
+    """TF frame of the map; by default the world frame of the poses."""
     clear: bool = False
-    """Make free what was seen free, in the map of --map."""
+    """Clear cells of the map of --map that the cameras saw as free floor."""
 
 
 def _format_lines() -> Iterator[str]:
@@ -62,7 +62,7 @@ def _format_lines() -> Iterator[str]:
 def _known_map(command: ExportCommand, results: "Results") -> "KnownMap | None":
     if command.map is None:
         if command.clear or command.map_frame:
-            raise ConfigError("--clear and --map-frame are of a map", remedy="give it by --map")
+            raise ConfigError("--clear and --map-frame need a map", remedy="pass it as --map FILE")
         return None
     from jaxdet.export.nav2 import KnownMap
     from jaxdet.results.map_file import read_map
@@ -73,7 +73,7 @@ def _known_map(command: ExportCommand, results: "Results") -> "KnownMap | None":
 
 
 def main(args: list[str]) -> int:
-    """Runs the command; returns the exit code."""
+    """Run the command; return the exit code."""
     description = DESCRIPTION.format(formats="\n".join(_format_lines()))
     command = parse_flags(ExportCommand, args, "jaxdet export", description)
     with SPINNER.shown("writing"):
@@ -85,10 +85,10 @@ def main(args: list[str]) -> int:
             recordings = find(results, command.log)
             known = _known_map(command, results)
             left_out = export(results, command.to, command.output, recordings, known)
-            left_out += [f"{name} is of another configuration" for name in results.stale]
+            left_out += [f"{name} has results of another configuration" for name in results.stale]
     more = len(left_out) - MOST_LINES
     for line in left_out[:MOST_LINES] + ([f"and {more} more logs"] if more > 0 else []):
         tell(f"jaxdet: warning: {line}")
     tell(f"written: {command.output}")
-    tell(f"to see it: {FORMATS[command.to].seen(command.output)}")
+    tell(f"to view it: {FORMATS[command.to].seen(command.output)}")
     return 0

@@ -1,8 +1,9 @@
-"""The flags of a command: every field of its dataclass, and of the dataclasses in it.
+"""Command-line flags from the fields of a command's dataclass and of the dataclasses in it.
 
-``max_depth_m`` in ``ground`` is ``--ground.max-depth-m``. Metadata of a field changes that:
-``positional``, it has no flag; ``short``, the flag (of a dataclass: its flags) lacks the names of
-what it is in; ``takes``, what help calls its value. Fields without a default must be given.
+The field ``max_depth_m`` in ``ground`` becomes ``--ground.max-depth-m``. Field metadata change
+this: ``positional`` makes an argument without a flag; ``short`` leaves the names of the enclosing
+fields out of the flag, or out of all flags of a nested dataclass; ``takes`` sets the name of the
+value in help texts. Fields without a default are required.
 """
 
 import ast
@@ -24,56 +25,57 @@ LETTERS = {
     "--quiet": "-q",
     "--overwrite": "-y",
 }
-"""Short forms, in every command that has the flag: as in ffmpeg, ``rosbag`` and ``mcap``."""
+"""Short flags, in every command that has the long flag; the same as in ffmpeg, ``rosbag``,
+``mcap``."""
 
 
 class Option(NamedTuple):
-    """A field that the command line can set."""
+    """A field that can be set on the command line."""
 
     path: tuple[str, ...]
-    """Names of the fields that lead to it."""
+    """Field names from the command's dataclass to this field."""
     section: str
-    """The part of the command that help counts it to; empty: to the command itself."""
+    """Section in which help lists the option; empty for the command's own options."""
     flag: str
-    """``--ground.max-depth-m``; empty where it is positional. Of angles without ``-rad``."""
+    """Flag such as ``--ground.max-depth-m``, for angles without ``-rad``; empty if positional."""
     kind: Any
-    """Its type without None."""
+    """Type, without None."""
     optional: bool
-    """Whether None is a value."""
+    """Whether None is a valid value."""
     default: Any
-    """``dataclasses.MISSING``: it must be given."""
+    """Default value; ``dataclasses.MISSING`` if the option is required."""
     owner: type
-    """The dataclass that it is a field of."""
+    """Dataclass of the field."""
     takes: str
-    """What help calls its value; empty: by its name and type."""
+    """Name of the value in help texts; if empty, it follows from the name and type."""
 
     @property
     def name(self) -> str:
-        """Of the field."""
+        """Name of the field."""
         return self.path[-1]
 
     @property
     def letter(self) -> str:
-        """The short form of its flag; mostly empty."""
+        """Short form of the flag; mostly empty."""
         return LETTERS.get(self.flag, "")
 
     @property
     def text(self) -> str:
-        """What its docstring says."""
+        """Docstring of the field."""
         return field_texts(self.owner).get(self.name, "")
 
     @property
     def angle(self) -> bool:
-        """Whether it is in radians: its flag takes a number with a unit."""
+        """Whether the value is an angle, passed as a number with a unit."""
         return self.name.endswith("_rad") and self.kind is float
 
     @property
     def switches(self) -> dict[str, bool]:
-        """The flags of a truth value, and what each sets."""
+        """The two flags of a boolean option and the values they set; empty for other options."""
         if self.kind is not bool:
             return {}
-        before, dot, name = self.flag.rpartition(".")
-        off = f"{before}.no-{name}" if dot else f"--no-{self.flag.removeprefix('--')}"
+        prefix, dot, name = self.flag.rpartition(".")
+        off = f"{prefix}.no-{name}" if dot else f"--no-{self.flag.removeprefix('--')}"
         return {self.flag: True, off: False}
 
 
@@ -82,25 +84,25 @@ def options_of(
     defaults: Mapping[str, Any],
     path: tuple[str, ...] = (),
     section: str = "",
-    before: str = "--",
+    prefix: str = "--",
 ) -> Iterator[Option]:
-    """The options of a dataclass, in the order of its fields.
+    """Yield the options of a dataclass, in the order of its fields.
 
     Args:
         kind: The dataclass.
-        defaults: Values of fields, in place of their own defaults.
-        path: The fields that lead to it.
-        section: The part of the command that it is in.
-        before: What its flags begin with.
+        defaults: Default values by field name, which override those of the dataclass.
+        path: Field names from the command's dataclass to ``kind``.
+        section: Section of the command in which help lists the options.
+        prefix: Prefix of the flags.
     """
     hints = typing.get_type_hints(kind)
     for field in dataclasses.fields(kind):
         hint, here = hints[field.name], (*path, field.name)
         default, short = default_of(field, defaults), field.metadata.get("short", False)
-        flag = ("--" if short else before) + field.name.replace("_", "-")
+        flag = ("--" if short else prefix) + field.name.replace("_", "-")
         if dataclasses.is_dataclass(hint):
             inner = dict(vars(default)) if default is not MISSING else {}
-            start = before if short else f"{flag}."
+            start = prefix if short else f"{flag}."
             part = typing.cast(type, hint)
             yield from options_of(part, inner, here, field.name, start)
             continue
@@ -116,7 +118,7 @@ def options_of(
 
 
 def default_of(field: dataclasses.Field, defaults: Mapping[str, Any]) -> Any:
-    """What a field is where it isn't given; ``dataclasses.MISSING``: it must be."""
+    """Return the default of a field; ``dataclasses.MISSING`` if the field is required."""
     if field.name in defaults:
         return defaults[field.name]
     return field.default if field.default_factory is MISSING else field.default_factory()
@@ -124,7 +126,7 @@ def default_of(field: dataclasses.Field, defaults: Mapping[str, Any]) -> Any:
 
 @cache
 def field_texts(kind: type) -> dict[str, str]:
-    """The string after each annotated name in the class body, without its line breaks."""
+    """Return the docstrings of a dataclass's fields by name, each on one line."""
     try:
         source = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0]
     except (OSError, TypeError, SyntaxError):

@@ -1,4 +1,4 @@
-"""From the words of the command line to a dataclass, with one line for each way to be wrong."""
+"""Parsing of command-line arguments into a dataclass, with one-line errors."""
 
 import argparse
 import dataclasses
@@ -18,9 +18,9 @@ from jaxdet.errors import ConfigError, meant
 Command = TypeVar("Command")
 _KINDS = {int: "a whole number", float: "a number"}
 _ALIKE = 0.75
-"""Of two words, as :mod:`difflib` has it: of shorter ones fewer letters may differ."""
+"""Similarity threshold of :func:`difflib.get_close_matches` for suggested flags."""
 _ELSEWHERE = {"duration": "stop", "end": "stop", "force": "overwrite", "jobs": "workers"}
-"""Flags of other programs, and ours for it."""
+"""Flags of other programs, and their equivalents here."""
 
 
 def parse_flags(
@@ -32,33 +32,33 @@ def parse_flags(
     defaults: Mapping[str, Any] | None = None,
     groups: Mapping[str, Sequence[str]] | None = None,
 ) -> Command:
-    """Return the dataclass of the flags, see :mod:`jaxdet.cli.fields`.
+    """Parse arguments into the dataclass of a command, see :mod:`jaxdet.cli.fields`.
 
-    A flag may be given as ``--flag value`` or ``--flag=value``, with ``_`` for ``-``, some as a
-    letter (``-o value``); the last one counts. Angles take a number with its unit, ``10deg`` or
-    ``0.17rad``; their flags with ``-rad`` at the end take plain radians as well. ``None`` unsets
-    what may be unset. After ``--`` nothing is a flag.
+    A flag is written ``--flag value`` or ``--flag=value``, with ``-`` or ``_`` in its name; some
+    have a letter (``-o value``). If a flag is repeated, the last value counts. Angles are numbers
+    with a unit, ``10deg`` or ``0.17rad``; their flags with the ending ``-rad`` also accept plain
+    radians. ``None`` unsets an optional value. Arguments after ``--`` are never flags.
 
     Args:
-        kind: The command's dataclass.
-        args: The words.
-        prog: The command's name in the help.
-        description: What it does.
-        common: What ``--help`` shows of its sections (:func:`jaxdet.cli.usage.usage`), where
-            ``--help-all`` shows all; None: both show all.
-        defaults: Values of fields, in place of their own defaults.
-        groups: Flags by the headings of ``--help`` (:func:`jaxdet.cli.usage.usage`).
+        kind: Dataclass of the command.
+        args: Command-line arguments.
+        prog: Name of the command in help texts.
+        description: Description of the command for its help.
+        common: Options listed by ``--help`` (:func:`jaxdet.cli.usage.usage`), while ``--help-all``
+            lists all; None lists all in both.
+        defaults: Default values by field name, which override those of the dataclass.
+        groups: Flags by heading of ``--help`` (:func:`jaxdet.cli.usage.usage`).
 
     Raises:
-        ConfigError: A flag is unknown or missing, or a value is none or out of its range.
-        SystemExit: Help was asked for.
+        ConfigError: A flag is unknown or missing, or a value is invalid.
+        SystemExit: Help was printed.
     """
     defaults = defaults or {}
     options = list(options_of(kind, defaults))
     words = args[: args.index("--")] if "--" in args else args
-    asked = [word for word in words if word in ("-h", "--help", "--help-all")]
-    if asked:
-        everything = "--help-all" in asked
+    help_flags = [word for word in words if word in ("-h", "--help", "--help-all")]
+    if help_flags:
+        everything = "--help-all" in help_flags
         print(usage(options, prog, description, common, groups, whole=everything), end="")
         raise SystemExit(0)
     see = f"see {prog} --help"
@@ -66,17 +66,17 @@ def parse_flags(
     missing = [option for option in options if option.default is MISSING]
     missing = [option for option in missing if given.get(".".join(option.path)) in (None, [], ())]
     if missing:
-        lacks = ", ".join(f"{option.flag} {takes(option)}".strip() for option in missing)
-        raise ConfigError(f"missing: {lacks}", remedy=see)
-    return _made(kind, defaults, given)
+        names = ", ".join(f"{option.flag} {takes(option)}".strip() for option in missing)
+        raise ConfigError(f"missing: {names}", remedy=see)
+    return _build(kind, defaults, given)
 
 
 class _Parser(argparse.ArgumentParser):
-    """Reads the words; what is wrong with them is one line.
+    """Argument parser that raises each error as a one-line ConfigError.
 
     Args:
-        options: What they may say.
-        see: What the errors end with.
+        options: Options of the command.
+        see: Reference to the help, at the end of each error.
     """
 
     def __init__(self, options: Sequence[Option], see: str) -> None:
@@ -102,23 +102,23 @@ class _Parser(argparse.ArgumentParser):
         self.letters = {option.letter: option.flag for option in options if option.letter}
 
     def read(self, args: Sequence[str]) -> dict[str, Any]:
-        """What is given, by the path of its option."""
+        """Parse the arguments; return the values by option path, joined with dots."""
         end = args.index("--") if "--" in args else len(args)
         words = [_for_argparse(word, self.letters) for word in args[:end]]
         found, unknown = self.parse_known_intermixed_args([*words, *args[end:]])
         if unknown:
             name = unknown[0].partition("=")[0]
             if name.startswith("-"):
-                raise ConfigError(f"no flag {name}", remedy=f"{self._meant(name)}{self.see}")
-            raise ConfigError(f"{name!r} is one argument too many", remedy=self.see)
+                raise ConfigError(f"unknown flag {name}", remedy=f"{self._meant(name)}{self.see}")
+            raise ConfigError(f"unexpected argument {name!r}", remedy=self.see)
         return vars(found)
 
     def error(self, message: str) -> typing.NoReturn:
-        """Says what argparse found."""
+        """Raise an error of argparse as a ConfigError."""
         raise ConfigError(message.removeprefix("argument "), remedy=self.see)
 
     def _meant(self, name: str) -> str:
-        """``did you mean X or Y? `` where known flags are near."""
+        """Return ``did you mean X or Y? `` if there are similar flags, else an empty string."""
         section, _, word = name.lstrip("-").rpartition(".")
         word = _ELSEWHERE.get(word, word)
         tails = {flag: flag.lstrip("-").rpartition(".") for flag in filter(None, self.flags)}
@@ -132,7 +132,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _for_argparse(word: str, letters: Mapping[str, str]) -> str:
-    """Whole flags with ``-`` for ``_``; with a space before it ``-10deg`` or ``-1e-3`` is none."""
+    """Return a word for argparse: flags with ``-`` for ``_``, negative numbers after a space."""
     flag, equals, value = word.partition("=")
     flag = letters.get(flag, flag)
     if flag.startswith("--"):
@@ -149,11 +149,11 @@ def _many(option: Option) -> bool:
 
 
 def _reader(option: Option, *, plain: bool = False) -> Callable[[str], Any]:
-    """What reads a word that is a value of an option, or a part of it.
+    """Return the function that converts a command-line word to a value of an option.
 
     Args:
         option: The option.
-        plain: An angle may be a number without a unit, in radians.
+        plain: Accept an angle without a unit, in radians.
     """
     kind = typing.get_args(option.kind)[0] if _is_tuple(option) else option.kind
     choices = typing.get_args(kind) if typing.get_origin(kind) is typing.Literal else ()
@@ -163,10 +163,10 @@ def _reader(option: Option, *, plain: bool = False) -> Callable[[str], Any]:
         if option.optional and word == "None":
             return None
         if choices and word not in choices:
-            known = f"{meant(word, choices)}it takes {', '.join(choices)}"
-            raise argparse.ArgumentTypeError(f"{word!r} is unknown; {known}")
+            known = f"{meant(word, choices)}use one of {', '.join(choices)}"
+            raise argparse.ArgumentTypeError(f"unknown value {word!r}; {known}")
         if kind is Path and not word:
-            raise argparse.ArgumentTypeError("'' is no path")
+            raise argparse.ArgumentTypeError("expected a path, got ''")
         try:
             if option.angle and not (plain and _is_number(word)):
                 return parse_angle(word)
@@ -186,19 +186,19 @@ def _is_number(word: str) -> bool:
     return True
 
 
-def _made(
+def _build(
     kind: type[Command],
     defaults: Mapping[str, Any],
     given: Mapping[str, Any],
     path: tuple[str, ...] = (),
 ) -> Command:
-    """The dataclass with what is given, else its defaults."""
+    """Build the dataclass from the parsed values and the defaults."""
     values, hints = {}, typing.get_type_hints(kind)
     for field in dataclasses.fields(typing.cast(Any, kind)):
         here, default = (*path, field.name), default_of(field, defaults)
         if dataclasses.is_dataclass(hints[field.name]):
             inner = dict(vars(default)) if default is not MISSING else {}
-            values[field.name] = _made(hints[field.name], inner, given, here)
+            values[field.name] = _build(hints[field.name], inner, given, here)
         else:
             value = given.get(".".join(here), default)
             values[field.name] = tuple(value) if isinstance(value, list) else value

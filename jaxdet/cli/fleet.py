@@ -1,4 +1,4 @@
-"""``jaxdet run`` with buckets, on other machines, or a share of the logs."""
+"""``jaxdet run`` on buckets, on a cluster, or on a share of the logs."""
 
 import json
 from collections import Counter
@@ -16,16 +16,17 @@ STATES = ("done", "there", "failed", "replaced")
 
 @dataclass(frozen=True)
 class FleetOptions:
-    """Where logs of a bucket are run, see jaxdet help fleets."""
+    """Distribution of the logs over machines, see jaxdet help fleets."""
 
     on: str | None = field(default=None, metadata={"takes": "ENGINE"})
-    """ray: run on the Ray cluster of RAY_ADDRESS, or a local one."""
+    """ray: run on the Ray cluster of RAY_ADDRESS, or on a local one."""
     share: str | None = field(default=None, metadata={"takes": "K/N"})
-    """Do the K-th of N shares of the logs, in job arrays; all have the same --output."""
+    """Process the K-th of N shares of the logs, for job arrays. All shares use the same --output.
+    """
     spool: Path | None = field(default=None, metadata={"takes": "DIR"})
-    """Local disk for logs of a bucket; by default the folder for temporary files."""
+    """Local folder for logs downloaded from a bucket; by default the folder for temporary files."""
     spool_size: str | None = field(default=None, metadata={"takes": "SIZE"})
-    """Most bytes of them there per process; by default three quarters of what is free."""
+    """Maximum size of downloaded logs per process; by default three quarters of the free space."""
 
     def __post_init__(self) -> None:
         if self.spool_size is not None:
@@ -46,8 +47,8 @@ def run_on_machines(
 
     Args:
         logs: Addresses, folders or files.
-        options: How to run.
-        fleet: Where to run.
+        options: Options of the run.
+        fleet: Options of the distribution over machines.
         how: ``preset``, ``config``, ``log`` and ``tracks``, see :func:`jaxdet.fleet.run_log`.
         join: See :func:`jaxdet.find_logs`.
         quiet: Report errors only.
@@ -77,12 +78,12 @@ def run_on_machines(
     elif not quiet:
         print(_closing(outcomes))
     if any(one["state"] == "failed" for one in wrong) and not options.update:
-        tell("jaxdet: --update does again what failed or was lost")
+        tell("jaxdet: pass --update to process failed and incomplete logs again")
     return 1 if wrong else 0
 
 
 def _closing(outcomes: list[dict[str, Any]]) -> str:
-    """Return a line about a run."""
+    """Return the closing line of a run."""
     counts = Counter(one["state"] for one in outcomes)
     frames, found = (sum(one[name] for one in outcomes) for name in ("frames", "obstacles"))
     states = ", ".join(f"{counts[state]} {state}" for state in STATES if counts[state])

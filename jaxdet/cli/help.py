@@ -1,4 +1,4 @@
-"""``jaxdet help``: pages about jaxdet, which are in the package."""
+"""``jaxdet help``: shows the pages of the documentation, which are part of the package."""
 
 import os
 import sys
@@ -18,14 +18,14 @@ KINDS = {
     "reference": ("tables", "queries", "runs", "api"),
     "background": ("method", "paper"),
 }
-"""All pages, by kind and in the order of need."""
+"""All pages, by kind, in the order in which users need them."""
 
 
 def main(args: list[str]) -> int:
-    """Shows a page, or a command's options, or lists them; returns the exit code.
+    """Show a page or the options of a command, or list all pages; return the exit code.
 
     Raises:
-        ConfigError: There is no such page.
+        ConfigError: The page does not exist.
     """
     texts = pages()
     if args and args[0] in COMMANDS and args[0] not in texts:
@@ -40,40 +40,40 @@ def main(args: list[str]) -> int:
         print("\n".join(f"  {name:<12} {text}" for name, text in COMMANDS.items()))
         return 0
     if args[0] not in texts:
-        known = ", ".join(texts)
-        problem = f"no page {args[0]!r}"
-        raise ConfigError(problem, remedy=f"{meant(args[0], [*texts, *COMMANDS])}there are {known}")
+        remedy = f"{meant(args[0], [*texts, *COMMANDS])}choose one of {', '.join(texts)}"
+        raise ConfigError(f"unknown page {args[0]!r}", remedy=remedy)
     show(texts[args[0]])
     return 0
 
 
 def pages() -> dict[str, str]:
-    """The pages as Markdown, by name."""
+    """Return all pages as Markdown, by name."""
     folder = files("jaxdet") / "help"
     names = (name for kind in KINDS.values() for name in kind)
     return {name: (folder / f"{name}.md").read_text(encoding="utf-8") for name in names}
 
 
 def title_of(text: str) -> str:
-    """The first line of a page, without its mark."""
+    """Return the first line of a page, without "#"."""
     return text.partition("\n")[0].lstrip("# ")
 
 
 def show(text: str) -> None:
-    """Writes a page: laid out and in the user's pager on a terminal, as it is elsewhere."""
+    """Print a page: formatted and in the user's pager on a terminal, else as Markdown."""
     if not sys.stdout.isatty():
         print(text, end="")
         return
     from rich.console import Console
 
     console = Console(width=min(100, Console().width))
-    os.environ.setdefault("LESS", "-FRX")  # as git does: colours, and no paging of a short page
+    # the defaults of git: colours, and no pager for short pages
+    os.environ.setdefault("LESS", "-FRX")
     with console.pager(styles=True):
-        console.print(laid_out(text))
+        console.print(formatted(text))
 
 
-def laid_out(text: str) -> "Markdown":
-    """A page for a terminal; in tables words that are too long go on in the next line."""
+def formatted(text: str) -> "Markdown":
+    """Format a page for a terminal; long words in tables are wrapped."""
     from rich.markdown import Markdown, TableElement
 
     class Table(TableElement):

@@ -1,4 +1,4 @@
-"""``jaxdet info``: what is in a log, and what a run would use of it and why."""
+"""``jaxdet info``: describes a log, and what a run would use of it and why."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -21,12 +21,12 @@ if TYPE_CHECKING:
     from jaxdet.io import Log, LogFiles
     from jaxdet.io.description import LogDescription, TopicDescription
 
-_UNCOUNTED = "not counted; see --check"
+_UNCOUNTED = "not counted; pass --check to count"
 
 DESCRIPTION = """\
-Says what is in logs: topics and rates, the calibration and the floor that were found, what a
-run would use and why, and, with --check, whether the file is whole. Takes the flags of jaxdet
-run for reading.
+Describes logs: topics and rates, calibration and floor, which topics and frames a run would use
+and why, and, with --check, whether the files are intact. Accepts the flags of jaxdet run for
+reading logs.
 
 Example:
   jaxdet info drive.mcap
@@ -41,34 +41,35 @@ COMMON = (
     "log.depth",
     "log.color_from_depth",
 )
-"""What ``--help`` shows of the settings."""
+"""Settings listed by ``--help``."""
 
 
 @dataclass(frozen=True)
 class InfoCommand:
-    """What ``jaxdet info`` takes."""
+    """Arguments of ``jaxdet info``."""
 
     logs: tuple[str, ...] = field(metadata={"positional": True, "takes": "LOG..."})
-    """MCAP, .bag or .db3 files, folders of them or of images, or globs."""
+    """MCAP, .bag or .db3 files, folders of such files or of images, or globs."""
     preset: str = DEFAULT_PRESET
-    """Configuration to start from, as for jaxdet run."""
+    """Initial configuration, as for jaxdet run."""
     config: Path | None = field(default=None, metadata={"takes": "FILE"})
     """TOML file or config.json, as for jaxdet run."""
     json: bool = False
     """Print JSON."""
     check: bool = False
-    """Read the logs as a whole: check every CRC, pair all frames, count all poses."""
+    """Read the logs completely: check every CRC, pair all frames, count all poses."""
     suggest_mask: Path | None = field(default=None, metadata={"takes": "FILE"})
-    """Write a PNG for --log.mask: black where the camera sees its own robot, which is what stays
-    less than 1 m away above the floor while the camera moves. Takes one camera."""
+    """Write a PNG for --log.mask, in which the robot's own body is black: everything above the
+    floor that stays less than 1 m from the camera while it moves. Requires a log with one camera.
+    """
     join: bool = True
-    """Make one log of the split files of a recording."""
+    """Join split files into one log per recording."""
     ground: GroundConfig = field(default_factory=GroundConfig)
     log: LogOptions = field(default_factory=LogOptions)
 
 
 def main(args: list[str]) -> int:
-    """Runs the command; returns the exit code."""
+    """Run the command; return the exit code."""
     config, log_options, name = defaults(args)
     start = {"preset": name, "ground": config.ground, "log": log_options}
     command = parse_flags(InfoCommand, args, "jaxdet info", DESCRIPTION, COMMON, start)
@@ -99,7 +100,7 @@ def main(args: list[str]) -> int:
             known = {"topics": plain(error.topics)} if error.topics else {}
             found.append({"log": files.name, **camera, **known, "error": str(error)})
             if error.topics and not command.json:
-                print("\n".join([f"{files.name}: can't be used", *_topic_lines(error.topics)]))
+                print("\n".join([f"{files.name}: not usable", *_topic_lines(error.topics)]))
             tell(f"jaxdet: error: {error}")
         else:
             found.append(about)
@@ -111,9 +112,10 @@ def main(args: list[str]) -> int:
 
 
 def _suggest_mask(files: "LogFiles", options: LogOptions, config: Config, path: Path) -> int:
-    """Write what a camera sees of its own robot as a mask, if it sees something."""
+    """Write a mask of the robot's own body in the camera image, if any of it is visible."""
     if path.suffix.lower() != ".png":
-        raise ConfigError(f"--suggest-mask {path} is not a PNG file", remedy="end it with .png")
+        problem = f"--suggest-mask {path} is not a .png file"
+        raise ConfigError(problem, remedy="choose a name that ends with .png")
     import cv2
     import numpy as np
 
@@ -124,23 +126,24 @@ def _suggest_mask(files: "LogFiles", options: LogOptions, config: Config, path: 
     with SPINNER.shown(f"reading {files.name}"), open_log(files, options) as log:
         body = find_own_body(log, config)
     if not body.any():
-        print(f"{log.label}: nothing stays less than {NEAR_M:g} m away; no mask is needed")
+        seen = f"no part of the robot is visible (nothing stays within {NEAR_M:g} m)"
+        print(f"{log.label}: {seen}; no mask is needed")
         return 0
     write_whole(path, cv2.imencode(".png", np.where(body, 0, 255).astype(np.uint8))[1].tobytes())
     share = f"{100 * body.mean():.1f} % of the depth image"
-    print(f"{log.label}: {share} may show the robot itself; look at {path}")
-    print(f"to leave it out: --log.mask {path}")
+    print(f"{log.label}: {share} may show the robot's own body; check {path}")
+    print(f"to exclude it: --log.mask {path}")
     return 0
 
 
 def describe(
     files: "LogFiles", config: Config, options: LogOptions
 ) -> tuple[dict[str, Any], list[str]]:
-    """All that is known of a camera of a log, as JSON has it and as lines to read.
+    """Describe a camera of a log, as a JSON-compatible dict and as lines of text.
 
     Raises:
-        CamerasError: The log has several, and none is chosen.
-        JaxdetError: The log can't be used.
+        CamerasError: The log has several cameras, and none is selected.
+        JaxdetError: The log is not usable.
     """
     from jaxdet.engine.floors import decide_planes, find_without_jax
     from jaxdet.io import open_log
@@ -161,7 +164,7 @@ def describe(
 
 
 def _color(log: "Log") -> str:
-    """Which frames have colour, or why none has."""
+    """Return which frames have colour, or why none has."""
     if log.color_problem:
         return f"{log.color_problem}; pictures show depth"
     pairing = log.description.pairing

@@ -1,4 +1,4 @@
-"""The logger ``jaxdet`` shown as lines on standard error."""
+"""Output of the logger ``jaxdet`` as lines on standard error."""
 
 import logging
 
@@ -10,16 +10,16 @@ LOGGER = logging.getLogger("jaxdet")
 
 
 class _Lines(logging.Handler):
-    """Writes a line for each record."""
+    """Handler that writes one line per record."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Write the line."""
+        """Write a record as a line."""
         SPINNER.stop()
         tell(f"jaxdet: {printable(record.getMessage())}")
 
 
 def show_log(level: int) -> None:
-    """Show the records from a level on."""
+    """Show log records of the given level and above."""
     LOGGER.setLevel(level)
     if not any(isinstance(handler, _Lines) for handler in LOGGER.handlers):
         LOGGER.addHandler(_Lines())

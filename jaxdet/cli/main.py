@@ -1,4 +1,4 @@
-"""Which command is meant, and how each ending becomes an exit code."""
+"""Entry point of the command line: calls a command and converts errors to exit codes."""
 
 import os
 import sys
@@ -15,16 +15,16 @@ from jaxdet.results.versions import crash_report
 from jaxdet.signals import stops_raised
 
 COMMANDS = {
-    "run": "find the obstacles in every frame of logs, and write tables and pictures",
-    "track": "link the obstacles of results over time: paths, speeds, what moves",
-    "export": "write results for other programs, or as a page: foxglove, ros2, html ...",
+    "run": "find the obstacles in every frame of logs; write tables and pictures",
+    "track": "link obstacles over time: trajectories, speeds, which objects move",
+    "export": "convert results for other programs: foxglove, ros2, nav2, html, ...",
     "verify": "check results: every file, frame and table, and a sample against the reference",
     "diff": "compare two runs on the same logs, as a table and as pictures side by side",
-    "info": "say what is in a log, and what would be used of it and why",
-    "config": "write all parameters with their meaning, as a file for run --config",
+    "info": "describe a log, and what a run would use of it and why",
+    "config": "write all parameters with comments, as a file for run --config",
     "sim": "simulate a log with known obstacles",
-    "help": "show a page: logs, calibration, tuning, recipes, ...; without a name their list",
-    "doctor": "check this installation: versions, devices, and a small comparison",
+    "help": "show a page of the documentation; without a name, list all pages",
+    "doctor": "check this installation: versions, devices, agreement of the backends",
 }
 
 HELP = """\
@@ -36,12 +36,12 @@ commands:
 {commands}
 
 examples:
-  jaxdet info drive.mcap                       what the log holds
-  jaxdet run drive.mcap --output results       obstacles of every frame
-  jaxdet export results --to html --output report.html    a page to look at
-  jaxdet sim sim.mcap                          a simulated log to try it on
-  jaxdet run --help                            its options; --help-all has every setting
-  jaxdet help calibration                      how the camera's calibration is found or given
+  jaxdet info drive.mcap                       contents of the log
+  jaxdet run drive.mcap --output results       obstacles in every frame
+  jaxdet export results --to html --output report.html    an HTML report
+  jaxdet sim sim.mcap                          a simulated log for a first try
+  jaxdet run --help                            options of run; --help-all lists all
+  jaxdet help calibration                      how the calibration is found or passed
 
 options:
   -h, --help   this text
@@ -52,34 +52,35 @@ tab completion, in the start-up file of bash, zsh (after compinit), fish:
   eval "$(jaxdet complete zsh)"
   jaxdet complete fish | source
 
-exit codes: 0 all fine, 1 some inputs failed, 2 bad usage, 130 interrupted (143 by SIGTERM)
+exit codes: 0 success, 1 some inputs failed, 2 usage error, 130 interrupted (143 by SIGTERM)
 """
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Runs a command.
+    """Run a command.
 
     Args:
-        argv: The arguments; by default those of this process.
+        argv: Arguments; by default those of the process.
 
     Returns:
-        0 all fine, 1 some inputs failed, 2 bad usage, 130 interrupted.
+        0 on success, 1 if some inputs failed, 2 for a usage error, 130 if interrupted.
     """
     args = list(sys.argv[1:] if argv is None else argv)
     for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, TextIOWrapper):  # whatever a terminal or a pipe can show
+        # escape characters that the terminal or pipe can't encode
+        if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     try:
-        with stops_raised():  # so that what a command has begun to write is removed
+        with stops_raised():  # so that partly written output is removed
             return _guarded(_do, args)
-    except Interrupted as stop:  # while an error was reported
+    except Interrupted as stop:  # while an error was being reported
         return _fail(str(stop), 128 + stop.signal)
     finally:
         SPINNER.stop()
 
 
 def _do(args: list[str]) -> int:
-    """The command that the first argument names."""
+    """Run the command named by the first argument."""
     if not args or args[0] in ("-h", "--help"):
         lines = (f"  {name:<8} {text}" for name, text in COMMANDS.items())
         print(HELP.format(commands="\n".join(lines)), end="")
@@ -90,7 +91,7 @@ def _do(args: list[str]) -> int:
     if args[0] not in (*COMMANDS, "complete"):
         near = meant(args[0], [*COMMANDS, "--version"])
         remedy = f"{near}use one of {', '.join(COMMANDS)}, see jaxdet --help"
-        return _fail(f"no command {args[0]!r}; {remedy}", 2)
+        return _fail(f"unknown command {args[0]!r}; {remedy}", 2)
     silent = {"-h", "--help", "--help-all", "-q", "--quiet", "--json"}
     if args[0] == "run" and not silent & set(args):
         SPINNER.start("loading")
@@ -115,14 +116,14 @@ def _guarded(command: Callable[[list[str]], int], args: list[str]) -> int:
     except Exception as error:
         if not isinstance(error, OSError):
             return _fail(_reported(error), 1)
-        # a full or failing disk
+        # for example a full disk
         return _fail(f"{error.filename or 'input or output'}: {error.strerror or error}", 1)
     except SystemExit as exit:
         return exit.code if isinstance(exit.code, int) else int(exit.code is not None)
 
 
 def _reported(error: Exception) -> str:
-    """A line about an error of our own, and a file with the rest."""
+    """Write a crash report to a file; return an error message that names it."""
     kind = type(error).__name__
     try:
         with NamedTemporaryFile(

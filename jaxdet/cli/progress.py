@@ -1,4 +1,4 @@
-"""Progress while a run goes on: a bar on a terminal, plain lines elsewhere."""
+"""Progress of a run: a bar on a terminal, plain lines elsewhere."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -13,14 +13,14 @@ if TYPE_CHECKING:
 
 LINE_EVERY_S = 10.0
 FEW_LOGS = 12
-"""Of so many logs each has a line of its own, where lines are written."""
+"""Maximum number of logs that get their own lines in plain output."""
 MAX_NAME = 20
-"""Columns for a log's name, so that all fits in 80."""
+"""Maximum columns for a log's name, so that the line fits in 80 columns."""
 
 
 @contextmanager
 def reporting(silent: bool) -> Iterator["ProgressCallback | None"]:
-    """The callback for a run's progress, on standard error; None when silent."""
+    """Yield the progress callback of a run, which writes to standard error; None if silent."""
     if silent:
         yield None
     elif on_terminal():
@@ -39,7 +39,7 @@ def _bars() -> Iterator["ProgressCallback"]:
     name = Column(no_wrap=True, overflow="ellipsis", max_width=MAX_NAME)
     columns = (
         TextColumn("{task.description}", markup=False, table_column=name),
-        BarColumn(bar_width=None, table_column=Column(ratio=1)),  # what the others leave
+        BarColumn(bar_width=None, table_column=Column(ratio=1)),  # the remaining columns
         TextColumn("{task.fields[text]}", markup=False, table_column=Column(no_wrap=True)),
         TimeRemainingColumn(compact=True),
     )
@@ -47,7 +47,7 @@ def _bars() -> Iterator["ProgressCallback"]:
     task = bars.add_task("", total=None, text="")
 
     def show(now: "Progress") -> None:
-        with suppress(OSError):  # the terminal is gone
+        with suppress(OSError):  # the terminal may be closed
             SPINNER.stop()
             bars.start()
             if now.num_logs > 1:
@@ -64,7 +64,7 @@ def _bars() -> Iterator["ProgressCallback"]:
 
 
 class _Lines:
-    """A line at most every few seconds, and one at the end of each of a few logs."""
+    """Plain-text progress: a line at most every few seconds, and one at the end of each log."""
 
     def __init__(self) -> None:
         self.last = time.monotonic()
@@ -78,7 +78,7 @@ class _Lines:
         self.last = time.monotonic()
         if now.num_logs > FEW_LOGS:
             tell(_logs_text(now))
-        elif now.doing or now.total:  # else it failed, which an error says
+        elif now.doing or now.total:  # otherwise the log failed, which is reported as an error
             tell(f"{_which(now)}{now.log}: {_text(now, _steps)}")
 
 
@@ -87,7 +87,7 @@ def _which(now: "Progress") -> str:
 
 
 def _logs_text(now: "Progress") -> str:
-    """Return how many logs are done and failed, and where the log stands that is worked on."""
+    """Return the numbers of finished and failed logs, and the progress of the current log."""
     failed = f", {now.logs_failed} failed" if now.logs_failed else ""
     name = now.log if len(now.log) <= MAX_NAME else f"{now.log[: MAX_NAME - 1]}…"
     doing = now.doing or f"{now.done}/{now.total} frames"
@@ -95,7 +95,7 @@ def _logs_text(now: "Progress") -> str:
 
 
 def _text(now: "Progress", steps: Callable[["Progress"], str]) -> str:
-    """Frames, rate, which step is the slowest, and frames that are not ok."""
+    """Return frame count, rate, slowest step and the number of frames that are not ok."""
     if now.doing:
         return now.doing
     parts = [
@@ -108,12 +108,12 @@ def _text(now: "Progress", steps: Callable[["Progress"], str]) -> str:
 
 
 def _slowest(now: "Progress") -> str:
-    """The step that the others wait for."""
+    """Return the name of the step that limits the rate."""
     return f"slowest: {now.bottleneck}"
 
 
 def _steps(now: "Progress") -> str:
-    """That step, and how many frames a second each would do alone."""
+    """Return the slowest step, with the rate of each step by itself."""
     others = [
         f"{what} {_thousands(rate)}" for what, rate in now.rates.items() if what != now.bottleneck
     ]
@@ -122,7 +122,7 @@ def _steps(now: "Progress") -> str:
 
 
 def _thousands(rate: float) -> str:
-    """A rate in two or three digits."""
+    """Format a rate with two or three digits."""
     if rate < 1000:
         return f"{rate:.1f}" if rate < 10 else f"{rate:.0f}"
     return f"{rate / 1000:.{1 if rate < 10_000 else 0}f}k"

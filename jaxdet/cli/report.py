@@ -1,4 +1,4 @@
-"""Results as lines for a person."""
+"""Summary of a run as lines of text."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -11,22 +11,22 @@ if TYPE_CHECKING:
 
 
 MANY_LOGS = 12
-"""Of more logs only the worst are listed."""
+"""If more logs were processed, only the worst are listed."""
 MOST_WORST = 12
 """Maximum number of worst logs listed in a report."""
 MOST_REMARKS = 12
-"""Warnings, and notes, that are listed of many logs."""
+"""Maximum number of different warnings, and of notes, listed for many logs."""
 MOST_NAMED = 3
-"""Logs named of those that have one."""
+"""Maximum number of log names per remark."""
 
 
 def summary_lines(summary: "Summary", output: Path, *, every: bool = False) -> list[str]:
-    """Return what a person wants to read after a run.
+    """Return the lines that are printed after a run.
 
     Args:
-        summary: The run.
-        output: Where the results are.
-        every: Say something of each of many logs, too.
+        summary: Summary of the run.
+        output: Folder of the results.
+        every: List every log, even if there are many.
     """
     done = [log for log in summary.logs if log.log not in summary.kept]
     brief, text = len(done) > MANY_LOGS, []
@@ -34,7 +34,7 @@ def summary_lines(summary: "Summary", output: Path, *, every: bool = False) -> l
         text += _worst(done)
     for log in done if every or not brief else ():
         if log.error:
-            if log.frames or len(summary.logs) > 1:  # else there is no more than the error
+            if log.frames or len(summary.logs) > 1:  # otherwise the error is reported already
                 text.append(f"{_label(log)}: failed after {many(log.frames, 'frame')}")
         elif brief:
             counts = many(log.frames, "frame"), many(log.obstacles, "obstacle")
@@ -52,7 +52,7 @@ def summary_lines(summary: "Summary", output: Path, *, every: bool = False) -> l
     if summary.kept:
         stay = [log for log in summary.whole if log.log in summary.kept]
         count = len({log.log for log in stay})
-        text.append(f"{many(count, 'log')} done before: {_counts(stay)}")
+        text.append(f"{many(count, 'log')} processed earlier: {_counts(stay)}")
     done = [log for log in done if not log.error]
     frames, found = sum(log.frames for log in done), _counts(done)
     timed = frames and summary.seconds
@@ -86,7 +86,7 @@ def _counts(logs: Sequence["LogSummary"]) -> str:
 
 
 def _results_line(summary: "Summary", output: Path) -> str:
-    """Where the results are, and what is there."""
+    """Return the line that names the results folder and its contents."""
     counts = {
         "picture": sum(len(log.pictures) for log in summary.logs),
         "map": sum(bool(log.map) for log in summary.logs),
@@ -96,7 +96,7 @@ def _results_line(summary: "Summary", output: Path) -> str:
 
 
 def _remarks(kind: str, each: Sequence[tuple["LogSummary", Sequence[str]]]) -> list[str]:
-    """What is remarked of many logs, each remark once, those of most logs first."""
+    """Return each distinct remark once with the logs that have it, the most common first."""
     found: dict[str, list[str]] = {}
     for log, remarks in each:
         for remark in dict.fromkeys(remarks):
@@ -108,24 +108,24 @@ def _remarks(kind: str, each: Sequence[tuple["LogSummary", Sequence[str]]]) -> l
 
 
 def _named(labels: Sequence[str]) -> str:
-    """Some logs, the first by name."""
+    """Join the first labels, with the number of the others."""
     left = len(labels) - MOST_NAMED
     return ", ".join(labels[:MOST_NAMED]) + (f" and {left} more" if left > 0 else "")
 
 
 def many(count: int, what: str) -> str:
-    """A count of things."""
+    """Return a count with its noun, in the plural unless the count is 1."""
     return f"{count} {what}" if count == 1 else f"{count} {what}s"
 
 
 def _label(log: "LogSummary") -> str:
-    """The log, and the camera where it has several."""
+    """Return the log's name, with the camera if the log has several."""
     several = log.description is not None and log.description.cameras
     return f"{log.log}, {log.camera}" if several else log.log
 
 
 def _states(log: "LogSummary") -> str:
-    """Of its frames, how many have each status."""
+    """Return the number of frames per status."""
     return ", ".join(f"{count} {n}" for n, count in log.status.most_common()) or "none"
 
 
@@ -141,7 +141,7 @@ def _log_lines(log: "LogSummary") -> list[str]:
     if log.floor_sources["frame"] or log.floor_refused:
         text.append(f"floor      {_floor_text(log)}")
     if log.short_rectangles:
-        what = "with their obstacle more than 2 cm in front; distance_m is to its nearest point"
+        what = "start more than 2 cm behind the nearest point, to which distance_m refers"
         text.append(f"rectangles {log.short_rectangles} of {log.obstacles} {what}")
     if log.overflow_frames:
         frames = many(log.overflow_frames, "frame")
@@ -155,7 +155,7 @@ def _log_lines(log: "LogSummary") -> list[str]:
 
 
 def _floor_text(log: "LogSummary") -> str:
-    """Which frames show their floor themselves, and whose floor the others have."""
+    """Return how many frames have an own floor, and the source of the floor of the others."""
 
     def whose(name: str) -> str:
         return "none" if name == "none" else f"that of {name}"
@@ -166,16 +166,16 @@ def _floor_text(log: "LogSummary") -> str:
         if count and name != "frame"
     ]
     own = log.floor_sources["frame"]
-    shows = "1 frame shows its own" if own == 1 else f"{own} frames show their own"
+    shows = f"found in {many(own, 'frame')}"
     text = ", ".join([shows, *others])
     reasons = ", ".join(f"{count} {name}" for name, count in log.floor_refused.most_common())
     return f"{text} (refused: {reasons})" if reasons else text
 
 
 def _score_lines(score: Mapping[str, Any] | None, frames: int) -> list[str]:
-    """The comparison with the truth, with the number of frames where it is not of all."""
+    """Return the comparison with the ground truth; the first line has the number of frames."""
     if score is None:
-        return [f"truth      compared in none of {many(frames, 'frame')}"]
+        return [f"truth      not compared in any of {many(frames, 'frame')}"]
     if "error" in score:
         return [f"truth      not compared: {score['error']}"]
     compared = "" if score["frames"] == frames else f"in {score['frames']} of {frames} frames "
@@ -192,18 +192,18 @@ def _score_lines(score: Mapping[str, Any] | None, frames: int) -> list[str]:
 
 
 def _off(score: Mapping[str, Any]) -> str:
-    """By how much distances are off, and to which side."""
+    """Return the error of the distances, and its sign."""
     middle, most, bias = (
         score[name] * 100 for name in ("nearest_error_m", "nearest_error_p90_m", "nearest_bias_m")
     )
     if math.isnan(middle):
-        return "not compared: no true distance is known"
-    side = f"too {'near' if bias < 0 else 'far'} by {abs(bias):.1f} cm"
-    return f"off by {middle:.1f} cm (median), {most:.1f} cm (90 %), {side}"
+        return "not compared: the true distances are unknown"
+    side = f"bias {bias:+.1f} cm"
+    return f"error {middle:.1f} cm (median), {most:.1f} cm (90th percentile), {side}"
 
 
 def _claimed_lines(share: float, worst: float) -> list[str]:
-    """How much floor to drive on the outlines take."""
+    """Return the share of the drivable floor that lies inside outlines."""
     if math.isnan(share):
         return []
     text = f"           {share:.1%} of the drivable floor is in outlines"
@@ -211,13 +211,13 @@ def _claimed_lines(share: float, worst: float) -> list[str]:
 
 
 def ground_text(records: Sequence["GroundRecord"]) -> str:
-    """The plane or planes of a log in one line."""
+    """Return the floor plane, or the planes, of a log in one line."""
     known = [record for record in records if record.height_m is not None]
     if not known:
         if not records:
             return "unknown"
         shown = any(record.frames_used for record in records)
-        return f"{'not one for all frames' if shown else 'unknown'} ({records[0].message})"
+        return f"{'estimated per frame' if shown else 'unknown'} ({records[0].message})"
     first = known[0]
     degrees = [math.degrees(angle or 0.0) for angle in (first.pitch_rad, first.roll_rad)]
     spread = first.height_spread_m
@@ -226,5 +226,5 @@ def ground_text(records: Sequence["GroundRecord"]) -> str:
     text += f", roll {degrees[1]:+.1f}°"
     text += f", from {first.source}"
     if len(records) > 1:
-        text += f"; {len(known)} of {len(records)} time windows have one"
+        text += f"; found in {len(known)} of {len(records)} time windows"
     return text

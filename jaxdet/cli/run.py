@@ -1,4 +1,4 @@
-"""``jaxdet run``: logs in, a results folder out."""
+"""``jaxdet run``: detects obstacles in logs and writes a folder of results."""
 
 import logging
 import signal
@@ -25,16 +25,16 @@ if TYPE_CHECKING:
     from jaxdet.results.summary import Summary
 
 DESCRIPTION = """\
-Finds the obstacles in every frame of logs and writes for each a folder of tables, pictures and a
-map. Logs that are done are left as they are: the same command continues a run.
+Finds the obstacles in every frame of logs and writes a folder per log with tables, pictures and a
+map. Finished logs are skipped: the same command resumes an interrupted run.
 
 Examples:
   jaxdet run drive.mcap --output results
   jaxdet run bags/ --output results --preset d435 --config mine.toml --ground.step-height-m 0.03
   jaxdet run drive.mcap --output results --ground.camera-height-m 0.3 --ground.camera-pitch 10deg
 
-A value comes from the flag, else from the file of --config (section [ground], key max_depth_m),
-else from the preset. M are metres, S seconds, ANGLE is a number with its unit: 10deg or 0.17rad.
+Flags override the file of --config (section [ground], key max_depth_m), which overrides the
+preset. M is in metres, S in seconds; ANGLE is a number with its unit: 10deg or 0.17rad.
 """
 
 COMMON = (
@@ -51,7 +51,7 @@ COMMON = (
     "log.color",
     "log.depth",
 )
-"""Settings that ``--help`` shows."""
+"""Settings listed by ``--help``."""
 GROUPS = {
     "input": (
         "--camera",
@@ -90,36 +90,36 @@ GROUPS = {
     ),
     "machine": ("--backend", "--batch-size", "--workers", "--memory", "--on", "--share"),
 }
-"""Flags by the headings of ``--help``."""
+"""Flags by heading of ``--help``."""
 
 
 @dataclass(frozen=True)
 class RunCommand:
-    """What ``jaxdet run`` takes."""
+    """Arguments of ``jaxdet run``."""
 
     logs: tuple[str, ...] = field(metadata={"positional": True, "takes": "LOG..."})
-    """MCAP, .bag or .db3 files, folders of them or of images, globs, or s3://BUCKET/PATH."""
+    """MCAP, .bag or .db3 files, folders of such files or of images, globs, or s3://BUCKET/PATH."""
     run: RunOptions = field(metadata={"short": True})
     fleet: FleetOptions = field(default_factory=FleetOptions, metadata={"short": True})
     preset: str = DEFAULT_PRESET
-    """Configuration to start from: wheeled, tabletop, paper, d435, d455, oak-d, zed, azure-kinect,
-    orbbec. wheeled is for robots on wheels, tabletop for a camera over a table; paper has clusters
-    of corners; the others are wheeled with the depth range of a camera."""
+    """Initial configuration: wheeled, tabletop, paper, d435, d455, oak-d, zed, azure-kinect,
+    orbbec. wheeled is for wheeled robots, tabletop for a camera above a table, paper detects
+    clusters of corner features; the others are wheeled with the depth range of that camera."""
     config: Path | None = field(default=None, metadata={"takes": "FILE"})
     """TOML file with sections as below, or the config.json of results."""
     truth: Path | None = field(default=None, metadata={"takes": "TRUTH"})
-    """Compare with a simulated log's ground truth, or with labelled boxes. These are a JSON file,
-    COCO or a list, see jaxdet help tuning."""
+    """Compare with the ground truth of a simulated log, or with labelled boxes in a JSON file (COCO
+    or a list), see jaxdet help tuning."""
     join: bool = True
-    """Make one log of the split files of a recording."""
+    """Join split files into one log per recording."""
     tracks: bool = False
-    """Link the obstacles over time, as jaxdet track does."""
+    """Link obstacles over time, as jaxdet track does."""
     verbose: bool = False
-    """Report each log that is done. Level INFO of Python's logging."""
+    """Report each finished log. Level INFO of Python's logging."""
     debug: bool = False
     """Report each step of each log. Level DEBUG of Python's logging."""
     quiet: bool = False
-    """Say nothing but errors."""
+    """Print errors only."""
     json: bool = False
     """Print the summary as JSON on standard output, and nothing else there."""
     method: Config = field(default_factory=Config, metadata={"short": True})
@@ -127,15 +127,15 @@ class RunCommand:
 
 
 def parse(args: list[str]) -> RunCommand:
-    """The command with preset, TOML file and flags resolved, in that order."""
+    """Parse the arguments on top of the preset and the TOML file."""
     config, log, name = defaults(args)
     start = {"preset": name, "method": config, "log": log}
     return parse_flags(RunCommand, args, "jaxdet run", DESCRIPTION, COMMON, start, GROUPS)
 
 
 def main(args: list[str]) -> int:
-    """Runs the command; returns the exit code."""
-    SPINNER.stop()  # whatever is said of the arguments
+    """Run the command; return the exit code."""
+    SPINNER.stop()  # before errors about the arguments are printed
     command = parse(args)
     show_log(_level(command))
     if not (command.quiet or command.json):
@@ -144,14 +144,14 @@ def main(args: list[str]) -> int:
 
 
 def _level(command: RunCommand) -> int:
-    """Return the level from which on log records are shown."""
+    """Return the minimum level of the log records that are shown."""
     if command.quiet or command.json:
         return logging.ERROR
     return logging.DEBUG if command.debug else logging.INFO if command.verbose else logging.WARNING
 
 
 def _run(command: RunCommand) -> int:
-    """Make the results; return the exit code."""
+    """Process the logs; return the exit code."""
     from jaxdet.engine.startup import cache_folders, start_cuda
 
     options, fleet = command.run, command.fleet
@@ -167,7 +167,7 @@ def _run(command: RunCommand) -> int:
     logs = find_logs(command.logs, join=command.join)
     observers = {}
     if command.truth:
-        from jaxdet.cli.truth import score_against  # which loads the simulator
+        from jaxdet.cli.truth import score_against  # imports the simulator
 
         observers["score"] = score_against(command.truth, command.method, len(logs))
     silent = command.quiet or command.json
@@ -199,11 +199,12 @@ def _run(command: RunCommand) -> int:
 
 
 def _run_on_machines(command: RunCommand) -> int:
-    """Do the same with buckets, on other machines, or with a share of the logs."""
+    """Process the logs with :mod:`jaxdet.fleet`: from buckets, on a cluster, or a share of them."""
     from jaxdet.results.summary import plain
 
     if command.truth:
-        raise ConfigError("--truth needs local logs", remedy="run it on one machine")
+        remedy = "run without --on, --share and bucket addresses"
+        raise ConfigError("--truth needs local logs", remedy=remedy)
     how = {"config": plain(command.method), "log": plain(command.log)}
     how |= {"preset": command.preset, "tracks": command.tracks}
     shown = {"quiet": command.quiet, "as_json": command.json}
@@ -212,7 +213,7 @@ def _run_on_machines(command: RunCommand) -> int:
 
 
 def first_time(caches: "Caches") -> str:
-    """Return what to say where no compiled programs are kept yet, or can't be; else nothing."""
+    """Return a note that kernels are compiled first, or can't be cached; else an empty string."""
     from jaxdet.engine.startup import NOT_KEPT, UNSAFE, is_writable, unsafe_caches
 
     folder = caches.jax
@@ -222,14 +223,17 @@ def first_time(caches: "Caches") -> str:
     if folder is None:
         return ""
     if not is_writable(folder):
-        return f"this run compiles, up to half a minute, and keeps nothing: {folder} {NOT_KEPT}"
+        return (
+            "kernels are compiled in this run (up to half a minute), and not cached: "
+            f"{folder} {NOT_KEPT}"
+        )
     if any(folder.iterdir()):
         return ""
-    return f"the first run compiles for this machine, up to half a minute; kept in {folder}"
+    return f"compiling kernels for this machine (up to half a minute, once); cached in {folder}"
 
 
 def _exit_code(summary: "Summary", *, updated: bool) -> int:
-    """Report what went wrong in a run; return the exit code."""
+    """Report the problems of a run; return the exit code."""
     from jaxdet.results.summary import problems
 
     errors = problems(summary.to_dict())
@@ -237,19 +241,19 @@ def _exit_code(summary: "Summary", *, updated: bool) -> int:
         tell(f"jaxdet: error: {error}")
     again = any(log.error or log.lost for log in summary.logs if log.log in summary.kept)
     if again and not updated:
-        tell("jaxdet: --update does again what failed or was lost")
+        tell("jaxdet: pass --update to process failed and incomplete logs again")
     return 1 if errors else 0
 
 
 def _link(command: RunCommand) -> None:
-    """Makes the tracks, if they are not there."""
+    """Make the tracks that are missing."""
     from jaxdet.cli.track import track_lines
     from jaxdet.tracks import track_results
 
     try:
         found = track_results(command.run.output, missing=True)
     except KeyboardInterrupt as stop:
-        text = "interrupted while linking; the same command goes on"
+        text = "interrupted while linking; run the same command again to resume"
         raise Interrupted(getattr(stop, "signal", signal.SIGINT), text) from None
     if not (command.quiet or command.json):
         print("\n".join(track_lines(found)))

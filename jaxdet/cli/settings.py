@@ -1,4 +1,4 @@
-"""Where a configuration comes from: preset, then a file, then flags."""
+"""Configuration of a command: preset, then file, then flags."""
 
 import argparse
 from collections.abc import Sequence
@@ -9,13 +9,13 @@ from jaxdet.errors import ConfigError
 
 
 def defaults(args: Sequence[str]) -> Settings:
-    """The configuration that the flags then change.
+    """Return the configuration of preset and file, to which the flags are applied afterwards.
 
     Args:
-        args: The command's arguments; only ``--preset`` and ``--config`` are looked at.
+        args: Arguments of the command, of which only ``--preset`` and ``--config`` are read.
 
     Raises:
-        ConfigError: The preset or a key of the file is unknown, or a value doesn't fit.
+        ConfigError: The preset or a key in the file is unknown, or a value is invalid.
     """
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
     parser.add_argument("--preset")
@@ -25,5 +25,5 @@ def defaults(args: Sequence[str]) -> Settings:
     except argparse.ArgumentError as error:
         raise ConfigError(str(error).removeprefix("argument "), remedy="see --help") from error
     if found.config == "":
-        raise ConfigError("--config: '' is no file", remedy="see --help")
+        raise ConfigError("--config: expected a file, got ''", remedy="see --help")
     return read_settings(Path(found.config) if found.config else None, found.preset)

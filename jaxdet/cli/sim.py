@@ -1,4 +1,4 @@
-"""``jaxdet sim``: a simulated log with its truth beside it."""
+"""``jaxdet sim``: simulates a log with its ground truth."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -12,8 +12,8 @@ from jaxdet.errors import ConfigError, InputError
 from jaxdet.sim import SimConfig
 
 DESCRIPTION = """\
-Simulates a robot with a depth camera and writes a ROS 2 log (MCAP), with the truth beside it as
-PATH.truth.npz, for jaxdet run --truth PATH. More scenes (rooms, ramps, moving): --help-all.
+Simulates a robot with a depth camera and writes a ROS 2 log (MCAP), with its ground truth in
+PATH.truth.npz, for jaxdet run --truth PATH. --help-all lists more scenes.
 
 Example:
   jaxdet sim sim.mcap --scene demo --frames 60
@@ -27,30 +27,30 @@ COMMON = tuple(
         *("camera_height_m", "camera_pitch_rad", "camera_roll_rad", "depth_error", "light"),
     )
 )
-"""What ``--help`` shows of the simulator's settings."""
+"""Settings of the simulator listed by ``--help``."""
 
 
 @dataclass(frozen=True)
 class SimCommand:
-    """What ``jaxdet sim`` takes."""
+    """Arguments of ``jaxdet sim``."""
 
     path: Path = field(metadata={"positional": True, "takes": "PATH"})
-    """The log to write, for instance sim.mcap."""
+    """Log to write, for instance sim.mcap."""
     sim: SimConfig = field(default_factory=SimConfig, metadata={"short": True})
     overwrite: bool = False
-    """Replace the log when it is there."""
+    """Replace the log if it exists."""
     quiet: bool = False
-    """Say nothing but errors."""
+    """Print errors only."""
 
 
 def main(args: list[str]) -> int:
-    """Runs the command; returns the exit code."""
+    """Run the command; return the exit code."""
     command = parse_flags(SimCommand, args, "jaxdet sim", DESCRIPTION, COMMON)
     if command.path.exists() and not command.overwrite:
-        remedy = "give --overwrite to replace it"
-        raise ConfigError("there is a file already", path=str(command.path), remedy=remedy)
+        remedy = "pass --overwrite to replace it"
+        raise ConfigError("the file exists already", path=str(command.path), remedy=remedy)
     try:
-        with SPINNER.shown("simulating; the first time it is compiled"):
+        with SPINNER.shown("simulating; the first run compiles the kernels"):
             from jaxdet.engine import start_up
             from jaxdet.sim import truth_path, write_log
 
@@ -68,12 +68,12 @@ def main(args: list[str]) -> int:
     if not command.quiet:
         objects = int((~truth.is_wall).sum())
         tell(f"{command.path}: {len(truth.stamp_ns)} frames, {objects} obstacles")
-        tell(f"{truth_path(command.path)}: the truth")
+        tell(f"{truth_path(command.path)}: ground truth")
     return 0
 
 
 def _progress(frames: int) -> Callable[[int], None]:
-    """Shows how many frames of all are written."""
+    """Return a callback that shows the number of frames written."""
 
     def show(done: int) -> None:
         SPINNER.text = f"simulating, {done} of {frames} frames"

@@ -1,4 +1,4 @@
-"""What goes on before anything can be shown; loads nothing."""
+"""Activity indicator on a terminal; imports no heavy package."""
 
 import sys
 import threading
@@ -13,16 +13,16 @@ _ERASE = "\r\x1b[2K"
 
 
 class Spinner:
-    """A line on standard error, where that is a terminal, until :meth:`stop`."""
+    """A spinning character with a text on standard error, shown only on a terminal."""
 
     def __init__(self) -> None:
         self._stopped = threading.Event()
         self._thread: threading.Thread | None = None
         self.text = ""
-        """What it shows; may change meanwhile."""
+        """Text next to the character; may be changed at any time."""
 
     def start(self, text: str) -> None:
-        """Shows the text."""
+        """Show the text until :meth:`stop`."""
         self.stop()
         self.text = text
         if on_terminal():
@@ -32,7 +32,7 @@ class Spinner:
 
     @contextmanager
     def shown(self, text: str) -> Iterator[None]:
-        """Shows the text while something is done that says nothing."""
+        """Show the text during the ``with`` block."""
         self.start(text)
         try:
             yield
@@ -40,7 +40,7 @@ class Spinner:
             self.stop()
 
     def stop(self) -> None:
-        """Takes the line away."""
+        """Erase the line."""
         if self._thread is not None:
             self._stopped.set()
             self._thread.join()
@@ -48,7 +48,7 @@ class Spinner:
 
     def _turn(self) -> None:
         number = 0
-        with suppress(OSError):  # the terminal is gone
+        with suppress(OSError):  # the terminal may be closed
             while True:
                 sys.stderr.write(f"{_ERASE}{_FRAMES[number % len(_FRAMES)]} {self.text}")
                 sys.stderr.flush()
@@ -60,4 +60,4 @@ class Spinner:
 
 
 SPINNER = Spinner()
-"""There is one terminal."""
+"""The only instance, since there is one terminal."""

@@ -1,4 +1,4 @@
-"""Lines for people, on standard error; loads nothing."""
+"""Lines for the user on standard error; imports no heavy package."""
 
 import os
 import sys
@@ -6,11 +6,11 @@ from contextlib import suppress
 
 
 def on_terminal() -> bool:
-    """Whether standard error is a terminal on which lines can be written anew."""
+    """Return whether standard error is a terminal that can overwrite lines."""
     return sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
 
 
 def tell(text: str) -> None:
     """Write a line to stderr, ignoring write errors."""
-    with suppress(OSError):  # nobody reads it, or its disk is full: what the command does goes on
+    with suppress(OSError):  # a closed or full stderr must not stop the command
         print(text, file=sys.stderr, flush=True)

@@ -1,4 +1,4 @@
-"""``jaxdet track``: the obstacles of results linked over time."""
+"""``jaxdet track``: links the obstacles of results over time."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -15,10 +15,10 @@ if TYPE_CHECKING:
     from jaxdet.tracks import LogTracks
 
 DESCRIPTION = """\
-Links the obstacles of each log over time: in the world where the log has poses, else in the
-camera's floor frame. Writes tracks.parquet (one row a track: path, speed, whether it moves),
-track_links.parquet (the track of each row of obstacles.parquet, in its order) and a picture of
-the map with the paths, into the folder of each log; tracks that are there are replaced.
+Links the obstacles of each log over time: in the world frame if the log has poses, else in the
+camera's floor frame. Writes tracks.parquet (one row per track: path, speed, whether it moves),
+track_links.parquet (the track of each row of obstacles.parquet, in the same order) and a picture of
+the map with the paths into the folder of each log; existing tracks are replaced.
 
 Examples:
   jaxdet track results
@@ -27,33 +27,34 @@ Examples:
 
 
 COMMON = tuple(f"track.{name}" for name in ("max_speed_mps", "max_gap_s", "min_frames", "moving_m"))
-"""What ``--help`` shows of the settings."""
+"""Settings listed by ``--help``."""
 
 
 @dataclass(frozen=True)
 class TrackCommand:
-    """What ``jaxdet track`` takes."""
+    """Arguments of ``jaxdet track``."""
 
     results: Path = field(metadata={"positional": True, "takes": "RESULTS"})
-    """Folder that jaxdet run wrote, or that of one log in it."""
+    """Folder written by jaxdet run, or the folder of one log in it."""
     map: Path | None = field(default=None, metadata={"takes": "FILE"})
-    """YAML file of a map for nav2's map_server: says which obstacles and tracks it has (in_map)."""
+    """YAML file of a map for nav2's map_server. The column in_map marks obstacles and tracks in it.
+    """
     map_frame: str | None = field(default=None, metadata={"takes": "NAME"})
-    """Frame that the map is in; unset: the world that the poses are in."""
+    """TF frame of the map; by default the world frame of the poses."""
     track: TrackConfig = field(default_factory=TrackConfig, metadata={"short": True})
     quiet: bool = False
-    """Say nothing but errors."""
+    """Print errors only."""
 
 
 def main(args: list[str]) -> int:
-    """Runs the command; returns the exit code."""
+    """Run the command; return the exit code."""
     command = parse_flags(TrackCommand, args, "jaxdet track", DESCRIPTION, COMMON)
     with SPINNER.shown("linking"):
         from jaxdet.results.map_file import read_map
         from jaxdet.tracks import track_results
 
         if command.map is None and command.map_frame:
-            raise ConfigError("--map-frame is of a map", remedy="give it by --map")
+            raise ConfigError("--map-frame needs a map", remedy="pass it as --map FILE")
         known = None if command.map is None else read_map(command.map)
         config, frame = command.track, command.map_frame
         found = track_results(command.results, config, known=known, frame=frame)
@@ -63,12 +64,12 @@ def main(args: list[str]) -> int:
 
 
 def track_lines(found: Sequence["LogTracks"]) -> list[str]:
-    """Return what is said of the tracks: a line for each log, or one for many."""
+    """Return a line per log about its tracks, or one line for many logs."""
     if len(found) > MANY_LOGS:
         tracks, moving = sum(log.tracks for log in found), sum(log.moving for log in found)
         linked, obstacles = sum(log.linked for log in found), sum(log.obstacles for log in found)
         text = f"{len(found)} logs: {tracks} tracks, {moving} moving"
-        return [f"{text}; {linked} of {obstacles} obstacles are in one"]
+        return [f"{text}; {linked} of {obstacles} obstacles linked"]
     lines = []
     for log in found:
         blind = log.tracks - log.in_world
@@ -78,6 +79,6 @@ def track_lines(found: Sequence["LogTracks"]) -> list[str]:
         new = "" if log.new is None else f", {log.new} not in the map"
         lines.append(
             f"{log.log}: {log.tracks} tracks, {log.moving} moving{new}{where}; "
-            f"{log.linked} of {log.obstacles} obstacles are in one"
+            f"{log.linked} of {log.obstacles} obstacles linked"
         )
     return lines

@@ -35,10 +35,10 @@ if TYPE_CHECKING:
 
 _SUFFIX = ".truth.npz"
 _MIN_PIXELS = 1000
-"""Of obstacles in a batch; fewer don't say whose truth it is."""
+"""Minimum number of obstacle pixels per batch for the check that log and ground truth match."""
 _MAX_OFF = 0.2
-"""How far depth on obstacles may be from the truth's, median of ``|ln(z / true z)|``: with a D435's
-errors it is at most 0.06 in a log's own scene, and in nine of ten others 0.21 or more."""
+"""Maximum median of ``|ln(z / z_true)|`` on obstacles. With a D435's noise it is at most 0.06 for
+the log's own scene, and at least 0.21 for nine of ten other scenes."""
 
 
 def _identity(path: Path) -> dict[str, Any]:
@@ -47,11 +47,11 @@ def _identity(path: Path) -> dict[str, Any]:
 
 
 Observed = Sequence[Tally | str]
-"""Counts of batches; a text says why one can't be compared."""
+"""Counts per batch; a string is the reason why a batch can't be compared."""
 
 
 def _summary(seen: Observed) -> dict[str, Any] | None:
-    """Return the metrics of a log, or why there are none; None if no frame is compared."""
+    """Return the metrics of a log, or an error; None if no frame was compared."""
     tallies = [one for one in seen if isinstance(one, Tally)]
     if len(tallies) < len(seen):
         return {"error": next(one for one in seen if isinstance(one, str))}
@@ -60,15 +60,15 @@ def _summary(seen: Observed) -> dict[str, Any] | None:
 
 
 def score_against(truth: Path, config: Config, logs: int) -> "TruthScore | LabelScore":
-    """Return the observer that compares a run's detections with a ground truth.
+    """Return the observer that compares a run's detections with ground truth.
 
     Args:
-        truth: Simulated log, or its ground truth, or a JSON file of labelled boxes.
+        truth: Simulated log, its ground truth file, or a JSON file of labelled boxes.
         config: Configuration of the run.
         logs: Number of logs of the run.
 
     Raises:
-        ConfigError: Labels of one log are given for several.
+        ConfigError: A file of labels is passed for several logs.
         InputError: The ground truth can't be read.
     """
     if truth.suffix.lower() != ".json":
@@ -76,23 +76,23 @@ def score_against(truth: Path, config: Config, logs: int) -> "TruthScore | Label
         simulated.check()
         return simulated
     if logs != 1:
-        problem = f"labels are of one log, but there are {logs}"
+        problem = f"labels refer to one log, got {logs} logs"
         raise ConfigError(problem, path=str(truth), remedy="run the logs one by one")
     return LabelScore(truth, config)
 
 
 class LabelScore:
-    """Compares image boxes with labelled ones; a :class:`jaxdet.engine.Observer`.
+    """Observer that compares image boxes with labelled ones (:class:`jaxdet.engine.Observer`).
 
-    A labelled object is required if its box shows depth in the range of the method. Frames without
-    a label are not compared.
+    A labelled object is required if the depth in its box is within the method's range. Frames
+    without labels are skipped.
 
     Args:
         path: JSON file (:func:`jaxdet.eval.labels.read_labels`).
         config: Configuration with the depth range.
 
     Raises:
-        InputError: The file can't be read, or is not one of labels.
+        InputError: The file can't be read, or is not a file of labels.
     """
 
     summary = staticmethod(_summary)
@@ -104,7 +104,7 @@ class LabelScore:
         """Identifies the labels in the record of the results."""
 
     def __call__(self, batch: "Batch", found: Detections) -> Tally | str:
-        """Evaluate a batch, ``found`` as NumPy arrays; a text says why it can't be compared."""
+        """Evaluate a batch, ``found`` as NumPy arrays; return a string if it can't be compared."""
         frames, numbers = batch.frames, np.asarray(batch.frames.number).tolist()
         labels = [
             self._labels.get(("frame", number), self._labels.get(("stamp_ns", stamp)))
@@ -123,7 +123,7 @@ class LabelScore:
             if own is None:
                 continue
             if own.size not in (None, (image.width, image.height)):
-                size = "the labels are of images of {} x {} pixels, the log's have {} x {}"
+                size = "the labels are for images of {} x {} pixels, but the log has {} x {}"
                 problem = size.format(*own.size, image.width, image.height)
                 return str(InputError(problem, path=self._path))
             required = np.array([self._is_in_range(z_m[b], box) for box in own.boxes], bool)
@@ -140,19 +140,20 @@ class LabelScore:
 
 
 class TruthScore:
-    """Compares the frames whose depth stamps the truth knows; a :class:`jaxdet.engine.Observer`.
+    """Observer that compares detections with ground truth (:class:`jaxdet.engine.Observer`).
 
-    A log that the truth contradicts has no score, but why; its results stay.
+    Frames are matched by the timestamp of the depth image. If log and ground truth don't match, the
+    log gets an error instead of a score; its results are kept.
 
     Args:
-        path: The simulated log, or the truth file beside it.
-        config: Its depth range says which obstacles are asked for.
+        path: Simulated log, or its ground truth file.
+        config: Configuration of the run; its depth range determines the required obstacles.
     """
 
     def __init__(self, path: Path, config: Config) -> None:
         self._log = Path(str(path).removesuffix(_SUFFIX))
         self.file = _identity(Path(f"{self._log}{_SUFFIX}"))
-        """Tells the results' record of another truth in its place."""
+        """Size and fingerprint of the ground truth file; the results record them."""
         ground = config.ground
         self._method = config
         self.config = EvalConfig(
@@ -163,15 +164,15 @@ class TruthScore:
         )
 
     def check(self) -> None:
-        """Reads all of the truth but its images.
+        """Read the ground truth, without its images.
 
         Raises:
-            InputError: There is none, or it can't be read.
+            InputError: The file does not exist or can't be read.
         """
         load_truth(self._log)
 
     def __call__(self, batch: "Batch", found: Detections) -> Tally | str:
-        """Compares a batch, ``found`` as NumPy arrays; a text says why it can't be compared."""
+        """Evaluate a batch, ``found`` as NumPy arrays; return a string if it can't be compared."""
         try:
             return self._compare(batch, found)
         except InputError as error:
@@ -189,9 +190,12 @@ class TruthScore:
         calibration = frames.calibration
         size = calibration.image.height, calibration.image.width
         if images[0].shape[1:] != size or images[0].max(initial=0) > len(truth.is_wall):
-            problem, remedy = "the truth is of other images", "give the log's own truth"
+            problem, remedy = (
+                "the ground truth belongs to other images",
+                "pass the ground truth of this log",
+            )
             raise InputError(problem, path=str(self._log), remedy=remedy)
-        # Lengths of the preset paper refer to the colour camera.
+        # In the preset paper, lengths refer to the colour camera.
         lengths = Calibration(calibration.image) if self._method.cluster.points else calibration
         unit, valid = calibration.depth_unit, frames.valid & known
         z_m = align(np.asarray(frames.depth), calibration).z * unit
@@ -211,15 +215,15 @@ class TruthScore:
         return total([right, *claimed_floor(found, floor_m, unit, self.config, valid)])
 
     def _check_depth(self, z_m: np.ndarray, ids: np.ndarray, true_m: np.ndarray) -> None:
-        """Makes sure that obstacles are where the truth has them: its stamps are any log's."""
+        """Check the depth on obstacles against the ground truth; equal timestamps prove nothing."""
         low, high = self.config.min_depth_m, self.config.max_depth_m
         seen = (ids > 0) & (z_m > 0) & (true_m >= low) & (true_m <= high)
         if np.count_nonzero(seen) < _MIN_PIXELS:
             return
         off = np.median(np.abs(np.log(z_m[seen] / true_m[seen])))
         if off > _MAX_OFF:
-            problem = "the truth has other obstacles than the log's depth shows"
-            remedy = "give the log's own truth, and its own depth unit and calibration"
+            problem = "the log's depth does not match the obstacles of the ground truth"
+            remedy = "pass the ground truth, depth unit and calibration of this log"
             raise InputError(problem, path=str(self._log), remedy=remedy)
 
     summary = staticmethod(_summary)

@@ -1,4 +1,4 @@
-"""The help of a command: its options in a line or two, or all of them in full."""
+"""Help texts of commands: a selection of the options in short form, or all in full."""
 
 import math
 import re
@@ -13,7 +13,7 @@ from jaxdet.cli.fields import Option
 
 WIDTH, INDENT = 100, 31
 NARROW, NARROWEST, NARROW_INDENT = 72, 32, 8
-"""Where fewer columns are shown, what is said of a flag is below it."""
+"""Narrower terminals show the description of a flag below it."""
 _UNITS = {"_m": "M", "_s": "S", "_hz": "HZ", "_mib": "MIB"}
 
 
@@ -29,16 +29,16 @@ def usage(
     """Return the help of a command.
 
     Args:
-        options: All its options.
-        prog: Its name.
-        description: What it does, and examples.
-        common: The options of its sections that are shown, ``ground.max_depth_m``, or sections all
-            of whose options are, ``run``; None: all. The command's own come first.
-        groups: Flags by the headings that short help puts them below; others come last.
-        whole: Show all, with all that is said of them.
+        options: All options of the command.
+        prog: Name of the command.
+        description: Description and examples.
+        common: Options to list, such as ``ground.max_depth_m``, or sections to list completely,
+            such as ``run``; None lists all. The command's own options come first.
+        groups: Flags by heading of the short help; other flags come last.
+        whole: List all options with their full descriptions.
 
     Returns:
-        Lines of at most ``WIDTH`` columns, fewer where a terminal or ``COLUMNS`` has fewer.
+        Text of at most ``WIDTH`` columns, fewer on a narrower terminal or if ``COLUMNS`` is less.
     """
     shown = [option.section for option in options] if common is None else common
     own = [o for o in options if o.flag and (not o.section or o.section in shown)]
@@ -51,29 +51,29 @@ def usage(
     if positional:
         lines += ["arguments:", *(_row(takes(o), o.text) for o in positional), ""]
     if whole or common is None:
-        lines += ["options:", *(_row(_flags(o), _said(o, whole=True)) for o in own)]
+        lines += ["options:", *(_row(_flags(o), _described(o, whole=True)) for o in own)]
         lines.append(_row("-h, --help", "This text"))
         for name in dict.fromkeys(o.section for o in rest):
             members = [o for o in rest if o.section == name]
             about = " ".join((members[0].owner.__doc__ or "").split("\n\n")[0].split())
             lines += ["", _wrapped(f"{name}: {about}", "  ")]
-            lines += [_row(_flags(o), _said(o, whole=True)) for o in members]
+            lines += [_row(_flags(o), _described(o, whole=True)) for o in members]
         return "\n".join(lines) + "\n"
     chosen = [o for name in common for o in rest if f"{o.section}.{o.name}" == name]
     left = {o.flag: o for o in [*own, *chosen]}
     for heading, flags in (groups or {}).items():
         lines.append(f"{heading}:")
-        lines += [*(_row(_flags(o), _said(o), 2) for o in map(left.pop, flags)), ""]
-    lines += ["options:", *(_row(_flags(o), _said(o), 2) for o in left.values())]
+        lines += [*(_row(_flags(o), _described(o), 2) for o in map(left.pop, flags)), ""]
+    lines += ["options:", *(_row(_flags(o), _described(o), 2) for o in left.values())]
     hidden = ", ".join(sorted({o.section for o in rest}))
     if len(rest) > len(chosen):
-        text = f"Its other {len(rest) - len(chosen)} settings, of {hidden}"
+        text = f"The other {len(rest) - len(chosen)} settings: {hidden}"
         lines.append(_row("--help-all", text))
     return "\n".join(lines) + "\n"
 
 
 def takes(option: Option) -> str:
-    """What help calls the value of an option; empty for a switch."""
+    """Return the name of an option's value in help texts; empty for a switch."""
     kind, name = option.kind, option.name
     if option.takes or kind is bool:
         return option.takes
@@ -90,14 +90,14 @@ def takes(option: Option) -> str:
 
 
 def _flags(option: Option) -> str:
-    """The flag, or where it is on by default the one that turns it off as well."""
+    """Return the flag; if the option is on by default, also the flag that turns it off."""
     names = list(option.switches) if option.default is not False else []
     names = names or [f"{option.flag} {takes(option)}".strip()]
     return ", ".join(filter(None, [option.letter, *names]))
 
 
-def _said(option: Option, *, whole: bool = False) -> str:
-    """What the docstring says, or its first sentence, and the default."""
+def _described(option: Option, *, whole: bool = False) -> str:
+    """Return the docstring of an option, or its first sentence, with the default."""
     text = re.sub(r" \(:\w+:`[^`]*`\)| \[rad\]|`", "", option.text)
     text = text.removesuffix(".")
     if not whole:
@@ -113,7 +113,7 @@ def _said(option: Option, *, whole: bool = False) -> str:
 
 
 def _row(flag: str, text: str, most: int | None = None) -> str:
-    """A flag, and beside it what is said of it in at most so many lines of ``WIDTH`` columns."""
+    """Return a flag and its description in at most ``most`` lines of ``WIDTH`` columns."""
     columns = _columns()
     indent = INDENT if columns >= NARROW else NARROW_INDENT
     flag, start = f"  {flag}", " " * indent
@@ -125,7 +125,7 @@ def _row(flag: str, text: str, most: int | None = None) -> str:
 
 
 def _about(description: str) -> str:
-    """What a command does, its paragraphs as wide as there is room; lists stay as they are."""
+    """Wrap the paragraphs of a description; lists keep their lines."""
     parts = description.rstrip().split("\n\n")
     return "\n\n".join(part if "\n  " in f"\n{part}" else _wrapped(part) for part in parts)
 
@@ -139,5 +139,5 @@ def _lines(text: str, columns: int, **how: Any) -> list[str]:
 
 
 def _columns() -> int:
-    """How many are shown, or taken to be."""
+    """Return the width of the help: that of the terminal, within limits."""
     return min(WIDTH, max(NARROWEST, shutil.get_terminal_size((WIDTH, 24)).columns))

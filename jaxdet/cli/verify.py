@@ -1,4 +1,4 @@
-"""``jaxdet verify``: whether results are whole, unchanged, of their logs and right."""
+"""``jaxdet verify``: checks that results are complete, unchanged and reproducible."""
 
 import json
 from dataclasses import asdict, dataclass, field
@@ -14,12 +14,11 @@ if TYPE_CHECKING:
     from jaxdet.verify import Report
 
 DESCRIPTION = """\
-Checks results: every file against its checksum in the manifest.json of its log; the tables, which
-must be in order, belong together and have a row for every frame; tracks, which linking the
-obstacles once more must give again; stamps and poses of all frames against the logs; and of each
-log some frames, whose rows the NumPy reference must find again, byte for byte. The logs are looked
-for where the run found them. Says a line for each thing that is not as it should be, and ends with
-exit code 1 where there is one.
+Checks results: each file against its checksum in the manifest.json of its log; order, references
+and completeness of the tables; tracks, by linking the obstacles again; timestamps and poses of all
+frames against the logs; and a sample of frames per log, whose rows the NumPy reference must
+reproduce byte for byte. The logs are expected where the run found them. Prints a line per problem;
+the exit code is 1 if there is one.
 
 Examples:
   jaxdet verify results
@@ -29,23 +28,23 @@ Examples:
 
 @dataclass(frozen=True)
 class VerifyCommand:
-    """What ``jaxdet verify`` takes."""
+    """Arguments of ``jaxdet verify``."""
 
     results: Path = field(metadata={"positional": True, "takes": "RESULTS"})
-    """Folder that jaxdet run wrote, or that of one log in it."""
+    """Folder written by jaxdet run, or the folder of one log in it."""
     against: tuple[str, ...] = field(default=(), metadata={"takes": "LOG..."})
-    """Where the logs are now: MCAP files, folders or globs."""
+    """Current paths of the logs: MCAP files, folders or globs."""
     sample: int = 8
-    """Frames of each log that are computed again, spread evenly; 0: none."""
+    """Number of frames per log to compute again, evenly spaced; 0 disables this."""
     json: bool = False
-    """Print what was found as JSON, and nothing else."""
+    """Print the report as JSON, and nothing else."""
 
 
 def main(args: list[str]) -> int:
-    """Runs the command; returns the exit code."""
+    """Run the command; return the exit code."""
     command = parse_flags(VerifyCommand, args, "jaxdet verify", DESCRIPTION)
     if command.sample < 0:
-        raise ConfigError("--sample is a number of frames, at least 0")
+        raise ConfigError("--sample must be at least 0 frames")
     with SPINNER.shown("checking"):
         from jaxdet.verify import verify
 
@@ -59,7 +58,7 @@ def main(args: list[str]) -> int:
 
 
 def report_lines(report: "Report") -> list[str]:
-    """Return the lines of the report for people."""
+    """Return the report as lines of text."""
     lines = [str(finding) for finding in report.findings]
     lines += [f"note: {note}" for note in report.notes]
     lines.append(
@@ -71,5 +70,5 @@ def report_lines(report: "Report") -> list[str]:
     if count := len(report.findings):
         return [*lines, many(count, "finding")]
     if left := report.frames - report.frames_of_logs:
-        return [*lines, f"nothing wrong, but {left} frames were not compared with their logs"]
-    return [*lines, "all as it should be"]
+        return [*lines, f"no problems, but {left} frames were not compared with their logs"]
+    return [*lines, "no problems found"]

@@ -1,4 +1,4 @@
-"""``Detector``: obstacle detection in frames in memory, one or many at a time."""
+"""``Detector``: obstacle detection in frames in memory, singly or in batches."""
 
 from jaxdet.detector.detector import Detector
 from jaxdet.detector.result import BatchResult, FrameResult, FreeFloorLine, Obstacle

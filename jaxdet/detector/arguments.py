@@ -1,4 +1,4 @@
-"""Conversion of a detector's arguments to the arrays and calibrations of the pipeline.
+"""Conversion of a detector's arguments to arrays and calibrations of the pipeline.
 
 All arguments are checked here, and errors name the argument.
 """
@@ -34,7 +34,7 @@ MAX_PIXELS = 1 << 25
 
 @contextmanager
 def named(argument: str, remedy: str = "") -> Iterator[None]:
-    """Make errors in the block name an argument; ``remedy`` replaces remedies that name a flag."""
+    """Add the argument's name to errors in the block; ``remedy`` replaces remedies with flags."""
     try:
         yield
     except JaxdetError as error:
@@ -45,10 +45,10 @@ def named(argument: str, remedy: str = "") -> Iterator[None]:
 
 @contextmanager
 def untraced() -> Iterator[None]:
-    """Report in one line that the block is traced by JAX, so that arrays have no values.
+    """Raise a one-line error if the block is traced by JAX, so that arrays have no values.
 
     Raises:
-        InputError: It is traced.
+        InputError: The block is traced.
     """
     try:
         yield
@@ -56,15 +56,15 @@ def untraced() -> Iterator[None]:
         if not type(error).__module__.startswith("jax."):
             raise
         problem = "a Detector can't be called under jax.jit, jax.vmap or jax.grad"
-        raise InputError(problem, remedy="call it outside, and pass its results") from None
+        raise InputError(problem, remedy="call it outside of the transformed function") from None
 
 
 class Cameras:
-    """Calibration of a detector, complete as soon as the image sizes are known.
+    """Calibration of a detector, which is complete once the image sizes are known.
 
     Args:
         K: Depth camera, see :class:`jaxdet.detector.Detector`.
-        color_K: Colour camera; None: colour is aligned with depth, or not used.
+        color_K: Colour camera; None: colour is aligned with depth, or unused.
         T_color_depth: Transform from depth to colour camera; required with ``color_K``.
         depth_unit_m: Metres per unit of a uint16 depth image.
 
@@ -81,7 +81,7 @@ class Cameras:
     ) -> None:
         unit = numbers("depth_unit_m", depth_unit_m, float)
         if unit.ndim:
-            raise InputError(f"shape {unit.shape}", topic="depth_unit_m", remedy="give one number")
+            raise InputError(f"expected a number, got shape {unit.shape}", topic="depth_unit_m")
         self.depth_unit_m = float(unit)
         self._depth, self._color = _camera("K", K), None
         self._motion = None
@@ -89,15 +89,14 @@ class Cameras:
         if (color_K is None) != (T_color_depth is None):
             present, missing = ("color_K", "T_color_depth")[:: 1 if T_color_depth is None else -1]
             raise CalibrationError(
-                f"{present} without {missing}",
-                remedy="give both for a colour camera that is not aligned with depth, neither "
-                "otherwise",
+                f"{present} needs {missing}",
+                remedy="pass both if colour is not aligned with depth, neither otherwise",
             )
         if color_K is not None and T_color_depth is not None:
             self._color = _camera("color_K", color_K)
             with named("T_color_depth", _TRANSFORM):
                 self._motion = _motion(T_color_depth)
-        # All checks that do not depend on the image size.
+        # Checks that do not depend on the image size.
         small = [_sized(camera, (2, 2)) for camera in (self._depth, self._color)]
         whole = Calibration(small[0] or _NOTHING, small[1], self._motion, self.depth_unit_m)
         self._check(whole, check_numbers)
@@ -131,17 +130,17 @@ class Cameras:
                 continue
             if (camera.height, camera.width) != shape[1:3]:
                 raise CalibrationError(
-                    f"images of {shape[2]}x{shape[1]} pixels, but the calibration has "
+                    f"images have {shape[2]}x{shape[1]} pixels, but the calibration is for "
                     f"{camera.width}x{camera.height}",
                     topic=name,
-                    remedy="make a Detector for each image size",
+                    remedy="create a Detector per image size",
                 )
         if self._color is None and color is not None and color[1:3] != depth[1:3]:
             raise CalibrationError(
                 f"colour images of {color[2]}x{color[1]} pixels are not aligned with depth images "
                 f"of {depth[2]}x{depth[1]}",
                 topic="color",
-                remedy="give color_K and T_color_depth",
+                remedy="pass color_K and T_color_depth",
             )
         if self._known is None:
             self._known = self._complete(depth, color)
@@ -154,17 +153,17 @@ class Cameras:
                     raise CalibrationError(
                         "the size of the colour images is unknown",
                         topic=name,
-                        remedy="give jaxdet.Intrinsics.from_matrix(K, width, height), or a colour "
+                        remedy="pass jaxdet.Intrinsics.from_matrix(K, width, height), or a colour "
                         "image with the first frame",
                     )
                 height, width = shape[1:3]
                 _, _, cx, cy = camera
                 if not (0 <= cx < width and 0 <= cy < height):
                     raise CalibrationError(
-                        f"the optical centre ({cx:g}, {cy:g}) lies outside of images of "
+                        f"the optical centre ({cx:g}, {cy:g}) is outside of images of "
                         f"{width}x{height} pixels",
                         topic=name,
-                        remedy="give the camera matrix of images of this size",
+                        remedy="pass the camera matrix for this image size",
                     )
         whole = Calibration(
             _sized(self._depth, depth[1:3]) or _NOTHING,
@@ -183,7 +182,7 @@ class Cameras:
 
     def _check(self, whole: Calibration, check: Callable[[Calibration], None]) -> None:
         """Check the parts of the calibration, argument by argument."""
-        pinhole = "give (3, 3), or fx fy cx cy, or jaxdet.Intrinsics, in pixels"
+        pinhole = "pass a (3, 3) matrix, fx fy cx cy, or jaxdet.Intrinsics, in pixels"
         with named("K", pinhole):
             check(Calibration(whole.depth))
         if whole.color is not None:
@@ -191,14 +190,14 @@ class Cameras:
                 check(Calibration(whole.color))
             with named("T_color_depth", _TRANSFORM):
                 check(whole._replace(depth_unit=0.001))
-        with named("depth_unit_m", "give metres, 0.001 for millimetres"):
+        with named("depth_unit_m", "pass metres, for example 0.001 for millimetres"):
             check(whole)
 
 
 _NOTHING = Intrinsics(0, 0, 0.0, 0.0, 0.0, 0.0)
-_ORDER = "depth comes first: detector(depth, color)"
-_LENS = "give the focal length and lens of these images"
-_TRANSFORM = "give the (4, 4) matrix of a rigid transform, in metres"
+_ORDER = "pass depth first: detector(depth, color)"
+_LENS = "pass the focal length and lens model of these images"
+_TRANSFORM = "pass the (4, 4) matrix of a rigid transform, in metres"
 
 
 def _camera(name: str, value: ArrayLike | Intrinsics) -> Intrinsics | Pinhole:
@@ -227,7 +226,8 @@ def color_images(images: Any, order: ColorOrder) -> np.ndarray:
     """Return a copy of colour images, ``(B, H, W, 3)`` uint8, RGB.
 
     Args:
-        images: Colour ``(B, H, W, 3)`` or grey images ``(B, H, W)``, uint8; or a sequence of them.
+        images: Colour ``(B, H, W, 3)`` or grey images ``(B, H, W)``, uint8, or a sequence of
+            images.
         order: Channel order, ``rgb`` or ``bgr``.
 
     Raises:
@@ -235,16 +235,16 @@ def color_images(images: Any, order: ColorOrder) -> np.ndarray:
     """
     array = _stacked("color", images)
     if array.dtype == np.uint16:
-        raise InputError("images are uint16", topic="color", remedy=_ORDER)
+        raise InputError("expected uint8 images, got uint16", topic="color", remedy=_ORDER)
     if array.dtype != np.uint8:
-        raise InputError(f"images are {array.dtype}", topic="color", remedy="give uint8, 0 to 255")
+        raise InputError(f"expected uint8 images, got {array.dtype}", topic="color")
     if array.ndim == 3:
         return np.repeat(array[..., None], 3, axis=-1)
     if array.ndim != 4 or array.shape[-1] not in (1, 3):
-        remedy = "give (H, W, 3) or grey (H, W), with a leading axis for Detector.batch"
+        remedy = "pass (H, W, 3) or grey (H, W), with a leading axis for Detector.batch"
         if array.ndim == 4 and array.shape[-1] == 4:
-            remedy = "leave out the fourth channel: image[..., :3]"
-        raise InputError(f"a frame of shape {array.shape[1:]}", topic="color", remedy=remedy)
+            remedy = "remove the fourth channel: image[..., :3]"
+        raise InputError(f"unexpected frame shape {array.shape[1:]}", topic="color", remedy=remedy)
     if array.shape[-1] == 1:
         return np.repeat(array, 3, axis=-1)
     return np.array(array[..., ::-1] if order == "bgr" else array, order="C")
@@ -254,8 +254,8 @@ def depth_images(images: Any, unit_m: float) -> np.ndarray:
     """Return a copy of depth images, ``(B, Hd, Wd)`` uint16 in units of ``unit_m``.
 
     Args:
-        images: Depth images ``(B, Hd, Wd)`` uint16, or float32 or float64 in metres; or a sequence
-            of them. NaN, infinity, 0 and masked values of :mod:`numpy.ma` mean "no measurement".
+        images: Depth images ``(B, Hd, Wd)`` uint16, or float32 or float64 in metres, or a sequence
+            of images. NaN, infinity, 0 and masked values of :mod:`numpy.ma` mean "no measurement".
         unit_m: Metres per unit.
 
     Raises:
@@ -263,22 +263,22 @@ def depth_images(images: Any, unit_m: float) -> np.ndarray:
     """
     array = _stacked("depth", images)
     if array.dtype == np.uint8:
-        raise InputError("images are uint8, as colour images are", topic="depth", remedy=_ORDER)
+        raise InputError("expected depth images, got uint8", topic="depth", remedy=_ORDER)
     if array.ndim == 4 and array.shape[-1] == 1:
         array = array[..., 0]
     if array.ndim != 3:
         raise InputError(
-            f"a frame of shape {array.shape[1:]}",
+            f"unexpected frame shape {array.shape[1:]}",
             topic="depth",
-            remedy="give (Hd, Wd), with a leading axis for Detector.batch",
+            remedy="pass (Hd, Wd), with a leading axis for Detector.batch",
         )
     if array.dtype.newbyteorder("=") == np.uint16:  # some cameras are big-endian
         return np.array(array, np.uint16, order="C")
     if not np.issubdtype(array.dtype, np.floating):
         raise InputError(
-            f"images are {array.dtype}",
+            f"expected uint16 or float images, got {array.dtype}",
             topic="depth",
-            remedy="give uint16 in units of depth_unit_m, or float32 in metres",
+            remedy="pass uint16 in units of depth_unit_m, or float32 in metres",
         )
     return _from_metres(array.astype(np.float32), unit_m)
 
@@ -290,9 +290,9 @@ def _from_metres(metres: np.ndarray, unit_m: float) -> np.ndarray:
     farthest = MAX_UNITS * unit_m
     if measured.size and measured.min() > farthest:
         raise InputError(
-            f"the nearest depth is {measured.min():g} m",
+            f"the smallest depth is {measured.min():g} m",
             topic="depth",
-            remedy=f"give floats in metres, at most {farthest:g}, or uint16 with depth_unit_m",
+            remedy=f"pass floats in metres, at most {farthest:g}, or uint16 with depth_unit_m",
         )
     units = np.empty(metres.shape, np.uint16)
     for row, frame in zip(units, metres, strict=True):
@@ -301,31 +301,31 @@ def _from_metres(metres: np.ndarray, unit_m: float) -> np.ndarray:
 
 
 def one_frame(name: str, image: Any) -> np.ndarray:
-    """Return a frame as a batch of one.
+    """Add a batch axis to a single frame.
 
     Raises:
-        InputError: It is not an image, or several.
+        InputError: The argument is not an image, or has several.
     """
     array = _array(name, image)
     if name == "depth" and array.dtype == np.uint8:
-        raise InputError("it is uint8, as colour images are", topic=name, remedy=_ORDER)
+        raise InputError("expected a depth image, got uint8", topic=name, remedy=_ORDER)
     if array.ndim not in (2, 3) or (name == "depth" and array.ndim == 3 and array.shape[2] != 1):
         expected = "(H, W, 3) or (H, W)" if name == "color" else "(Hd, Wd)"
         color = array.ndim == 3 and array.shape[2] in (3, 4)
         several = array.ndim > 2 and not color
-        remedy = "give several frames to Detector.batch" if several else "give an image"
+        remedy = "pass several frames to Detector.batch" if several else "pass an image"
         problem = f"expected a frame of shape {expected}, got {array.shape}"
         raise InputError(problem, topic=name, remedy=remedy)
     return array[None]
 
 
 def _stacked(name: str, images: Any) -> np.ndarray:
-    """Return an array whose first axis is the frames."""
+    """Return an array whose first axis is the frame."""
     if isinstance(images, Sequence) and not isinstance(images, str | bytes | memoryview):
         frames = [_array(name, frame) for frame in images]
         if len({(frame.shape, frame.dtype) for frame in frames}) > 1:
             raise InputError(
-                "frames differ in size or type", topic=name, remedy="give them one by one"
+                "frames differ in size or type", topic=name, remedy="pass them one by one"
             )
         images = np.stack(frames) if frames else np.zeros(0)
     array = _array(name, images)
@@ -333,13 +333,13 @@ def _stacked(name: str, images: Any) -> np.ndarray:
         problem = f"expected an array or a list of frames, got {type(images).__name__}"
         raise InputError(problem, topic=name)
     if not array.size:
-        raise InputError("there are no frames", topic=name, remedy="give at least one")
+        raise InputError("expected at least one frame, got none", topic=name)
     if len(array) > MAX_FRAMES:
-        problem = f"{len(array)} frames exceed the maximum of {MAX_FRAMES}"
-        raise InputError(problem, topic=name, remedy="give smaller batches")
+        problem = f"a batch has at most {MAX_FRAMES} frames, got {len(array)}"
+        raise InputError(problem, topic=name, remedy="pass smaller batches")
     if math.prod(array.shape[1:3]) > MAX_PIXELS:
         problem = f"an image of shape {array.shape[1:]} exceeds the maximum of {MAX_PIXELS} pixels"
-        raise InputError(problem, topic=name, remedy="scale it")
+        raise InputError(problem, topic=name, remedy="scale the image")
     return array
 
 
@@ -353,7 +353,7 @@ def _array(name: str, images: Any) -> np.ndarray:
             return np.from_dlpack(images)
         return np.asarray(images)
     except Exception as error:  # e.g. a traced JAX array, or an array on a GPU
-        remedy = "give NumPy arrays"
+        remedy = "pass NumPy arrays"
         if kind.__module__.startswith("jax"):
             remedy += "; a Detector can't be called under jax.jit, jax.vmap or jax.grad"
         elif reason := str(error).partition("\n")[0]:
@@ -363,19 +363,19 @@ def _array(name: str, images: Any) -> np.ndarray:
 
 
 def world_poses(values: Any, count: int) -> np.ndarray:
-    """Return poses ``(count, 4, 4)`` float64; those with a NaN are unknown.
+    """Return poses ``(count, 4, 4)`` float64; poses that contain NaN are unknown.
 
     Raises:
         InputError: They have another type or shape, or are not rigid transforms.
     """
     poses = numbers("T_world_camera", values, np.float64)
     if poses.shape != (count, 4, 4):
-        problem, remedy = f"shape {poses.shape}", "give a (4, 4) matrix per frame"
+        problem, remedy = f"got shape {poses.shape}", "pass a (4, 4) matrix per frame"
         raise InputError(problem, topic="T_world_camera", remedy=remedy)
     for T in poses[~np.isnan(poses).any(axis=(1, 2))]:
         if not is_rigid(T):
-            remedy = "give (4, 4) matrices in metres, NaN where unknown"
-            raise InputError("is not a rigid transform", topic="T_world_camera", remedy=remedy)
+            remedy = "pass (4, 4) matrices in metres, NaN if unknown"
+            raise InputError("expected rigid transforms", topic="T_world_camera", remedy=remedy)
     return poses
 
 
@@ -388,24 +388,24 @@ def times(name: str, values: Any) -> np.ndarray:
     array = _array(name, values)
     if array.dtype.kind == "M":
         if np.isnat(array).any():
-            raise InputError("must not be NaT", topic=name, remedy="leave the frame out")
+            raise InputError("must not be NaT", topic=name, remedy="omit the frame")
         array = array.astype("M8[ns]").astype(np.int64)
     whole = array.dtype.kind in "iu" or not array.size
     if not whole or array.max(initial=0) > np.iinfo(np.int64).max:
         problem = f"expected integers of 64 bits in nanoseconds, got {array.dtype}"
         raise InputError(problem, topic=name)
     if array.ndim != 1:
-        raise InputError(f"shape {array.shape}", topic=name, remedy="give (B,)")
+        raise InputError(f"expected shape (B,), got {array.shape}", topic=name)
     return array.astype(np.int64)
 
 
 def one_of(name: str, value: Any, literal: Any) -> None:
-    """Check that a value is one of a Literal's.
+    """Check that a value is one of those of a Literal type.
 
     Raises:
-        ConfigError: It is not.
+        ConfigError: The value is not.
     """
     allowed = get_args(literal)
     if not isinstance(value, str) or value not in allowed:
         remedy = f"use one of {', '.join(allowed)}"
-        raise ConfigError(named_type(value), topic=name, remedy=remedy)
+        raise ConfigError(f"unknown value {named_type(value)}", topic=name, remedy=remedy)

@@ -1,6 +1,6 @@
 """Detector of obstacles in frames in memory."""
 
-# So that help() shows ArrayLike, not its union.
+# With this import, help() shows ArrayLike instead of its union.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
@@ -50,11 +50,11 @@ class Detector:
 
     Args:
         K: Camera of the depth images: a matrix ``(3, 3)`` or ``fx fy cx cy`` [pixel] for images
-            without distortion, or :class:`jaxdet.Intrinsics` with a lens model. For depth that is
-            aligned to colour it is the colour camera.
+            without distortion, or :class:`jaxdet.Intrinsics` with a lens model. If depth is aligned
+            to colour, this is the colour camera.
         color_K: Colour camera in the same form, if colour images are not aligned with depth; boxes
-            are then in the colour image. :class:`jaxdet.Intrinsics`, unless the first frame has a
-            colour image. None: colour is aligned with depth, or not used.
+            then refer to the colour image. It must be :class:`jaxdet.Intrinsics` unless the first
+            frame has a colour image. None: colour is aligned with depth, or unused.
         T_color_depth: Transform ``(4, 4)`` from the depth camera's optical frame to the colour
             camera's [m], or :class:`jaxdet.Extrinsics`; required with ``color_K``.
         depth_unit_m: Metres per unit of a uint16 depth image; float depth is in metres and rounded
@@ -69,7 +69,7 @@ class Detector:
 
     Raises:
         CalibrationError: The calibration is implausible; the error names the argument.
-        ConfigError: There is no such preset, file, order or backend.
+        ConfigError: The preset, file, order or backend is unknown.
 
     Example:
         >>> detector = Detector([500.0, 500.0, 40.0, 30.0], backend="reference")
@@ -79,7 +79,7 @@ class Detector:
     """
 
     config: Config
-    """Parameters of the method."""
+    """Configuration of the method."""
 
     def __init__(
         self,
@@ -158,18 +158,19 @@ class Detector:
             color: Colour ``(H, W, 3)`` or grey image ``(H, W)``, uint8, for
                 :meth:`FrameResult.draw`; the preset ``paper`` finds corners in it.
             mount: Prior of this frame's floor, for instance from an IMU
-                (:meth:`Mount.from_gravity`); None: the detector's.
+                mount: Prior of this frame's floor, for instance from an IMU
+                    (:meth:`Mount.from_gravity`); None: the detector's mount.
             stamp_ns: Timestamp of the frame, an integer [ns], copied to the result; it selects the
                 time window's floor if the detector is from a log with ``ground.window_s``.
             T_world_camera: Pose ``(4, 4)`` of the depth camera's optical frame in the world [m],
                 for :attr:`Obstacle.corners_world`.
 
         Returns:
-            The obstacles, in the order of their labels. The images may be overwritten afterwards.
+            Obstacles in the order of their labels. The images may be overwritten after the call.
 
         Raises:
             InputError: The images have another type or shape.
-            CalibrationError: Their size differs from the calibration.
+            CalibrationError: The image sizes differ from the calibration.
         """
         poses = None
         if T_world_camera is not None:
@@ -193,7 +194,8 @@ class Detector:
             depth: Depth images ``(B, Hd, Wd)``, uint16 or floats in metres, or a sequence of them.
             color: Colour ``(B, H, W, 3)`` or grey images ``(B, H, W)``, uint8, or a sequence of
                 them; None: no images.
-            mounts: Prior of each frame's floor; None, for one or all: the detector's.
+            mounts: Prior of each frame's floor; None, for all or single frames: the detector's
+                mount.
             stamps_ns: Timestamps ``(B,)``, integers [ns] or datetime64; None: 0.
             T_world_camera: Poses ``(B, 4, 4)``, NaN if unknown; None: all unknown.
 
@@ -202,7 +204,7 @@ class Detector:
 
         Raises:
             InputError: The images have another type or shape, or the numbers of frames differ.
-            CalibrationError: Their size differs from the calibration.
+            CalibrationError: The image sizes differ from the calibration.
         """
         depths = depth_images(depth, self._cameras.depth_unit_m)
         colors = None if color is None else color_images(color, self._order)
@@ -215,9 +217,9 @@ class Detector:
         for name, values in (("color", colors), ("stamps_ns", stamps), ("mounts", mounts)):
             if values is not None and len(values) != count:
                 raise InputError(
-                    f"{len(values)} for {count} depth images",
+                    f"expected {count} entries as for depth, got {len(values)}",
                     topic=name,
-                    remedy="give one per frame",
+                    remedy="pass one per frame",
                 )
         shape = None if colors is None else colors.shape
         calibration = self._cameras.calibration(depths.shape, shape)
@@ -250,18 +252,18 @@ class Detector:
             InputError: The detector is for another log, or the batch size is below 1.
             RescanError: The log contradicts its index.
         """
-        remedy = "make it with Detector.from_log"
+        remedy = "create it with Detector.from_log"
         from jaxdet.engine.color import method_frames
         from jaxdet.io import Log
 
         if self._log is None:
-            raise InputError("the detector was not made from a log", topic="log", remedy=remedy)
+            raise InputError("the detector was not created from a log", topic="log", remedy=remedy)
         of_type("log", log, Log)
         size = whole_number("batch_size", batch_size)
         if size < 1:
-            raise InputError(f"must be at least 1, not {size}", topic="batch_size")
+            raise InputError(f"must be at least 1, got {size}", topic="batch_size")
         if self._log != (log.label, log.calibration):
-            problem = f"the detector was made from {self._log[0]!r}, not from {log.label!r}"
+            problem = f"the detector was created from {self._log[0]!r}, got {log.label!r}"
             raise InputError(problem, topic="log", remedy=remedy)
         of_type("color", color, bool)
         paper = self.config.cluster.points
@@ -317,7 +319,7 @@ def _checked(mount: Mount | None) -> Mount | None:
     if mount is not None and not isinstance(mount, Mount):
         got = f"{mount!r}" if isinstance(mount, int | float) else type(mount).__name__
         problem = f"must be a jaxdet.Mount, got {got}"
-        raise ConfigError(problem, topic="mount", remedy="give jaxdet.Mount(height_m, pitch_rad)")
+        raise ConfigError(problem, topic="mount", remedy="pass jaxdet.Mount(height_m, pitch_rad)")
     return mount
 
 

@@ -1,4 +1,4 @@
-"""Results as objects: a batch, its frames, their obstacles."""
+"""Results as objects: batches, frames and obstacles."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -27,10 +27,10 @@ if TYPE_CHECKING:
 
 
 class FreeFloorLine(NamedTuple):
-    """Free floor per ray that shows anything, from left to right."""
+    """Free floor along the rays that show any, from left to right."""
 
     bearing_rad: np.ndarray
-    """Bearing of the ray, ``(C,)`` float32, clockwise from above, 0 ahead [rad]."""
+    """Bearing of the ray, ``(C,)`` float32 [rad], clockwise seen from above, 0 is forward."""
     from_m: np.ndarray
     """Distance of its start from the camera's ground projection, ``(C,)`` float32 [m]."""
     to_m: np.ndarray
@@ -44,28 +44,28 @@ class Obstacle:
     """An obstacle, with the values of its row in ``obstacles.parquet``.
 
     Attributes:
-        label: Number in its frame, in the order of smallest depth, so that 0 is not always the
-            nearest; those whose evidence is ``free_floor`` come last. Its pixels have this value in
-            :attr:`FrameResult.labels`.
-        distance_m: Distance from the camera's ground projection to its nearest point [m]; None if
-            the floor is unknown. ``xyz_min[2]``, its depth, is always known.
+        label: Number in the frame, in order of the smallest depth, so 0 is not always the nearest
+            obstacle; obstacles with the evidence ``free_floor`` come last. Its pixels have this
+            value in :attr:`FrameResult.labels`.
+        distance_m: Distance from the camera's ground projection to the nearest point [m]; None if
+            the floor is unknown. The depth ``xyz_min[2]`` is always known.
         box: First column and row, last column and row [pixel], in the colour image of a calibrated
-            colour camera, else in the depth image; None if outside of the colour image.
+            colour camera, else in the depth image; None if it is outside of the colour image.
         xyz_min: Minimum x, y and z in the camera's optical frame, ``(3,)`` float32 [m].
         xyz_max: Maximum x, y and z, ``(3,)`` float32 [m].
         centroid: Centroid x, y and z, ``(3,)`` float32 [m].
-        bottom_m: Height of its lowest visible cell above the floor [m], about the step height for
-            objects that stand on it; None if the floor is unknown.
-        top_m: Height of its highest cell above the floor [m]; None if the floor is unknown.
-        contour: Its visible edge on the floor from left to right, ``(P, 2)`` float32, right and
-            forward of the camera [m]; None for clusters of points and if the floor is unknown.
-        corners: Its outline on the floor, ``(4, 2)`` float32, right and forward [m]; as seen from
-            a level camera if the floor is unknown.
-        corners_world: The outline in the world, ``(4, 2)`` float64, X and Y [m]; None without a
-            pose or a floor.
-        num_points: Number of its depth cells; in the preset ``paper`` of its corners.
-        evidence: What shows it: ``surface``, ``free_floor`` for what is low and stands in a notch
-            of the free floor, or ``corners`` in the preset ``paper``.
+        bottom_m: Height of the lowest visible cell above the floor [m], about the step height for
+            objects that stand on the floor; None if the floor is unknown.
+        top_m: Height of the highest cell above the floor [m]; None if the floor is unknown.
+        contour: Visible edge on the floor from left to right, ``(P, 2)`` float32, right and forward
+            of the camera [m]; None in the preset ``paper`` and if the floor is unknown.
+        corners: Outline on the floor, ``(4, 2)`` float32, right and forward [m]; a level camera is
+            assumed if the floor is unknown.
+        corners_world: Outline in the world, ``(4, 2)`` float64, X and Y [m]; None without a pose or
+            a floor.
+        num_points: Number of depth cells; in the preset ``paper`` number of corners.
+        evidence: How it was detected: ``surface``; ``free_floor`` for a low object in a notch of
+            the free floor; ``corners`` in the preset ``paper``.
     """
 
     label: int
@@ -90,11 +90,11 @@ class Obstacle:
 
     @property
     def points(self) -> np.ndarray:
-        """Its points in the camera's optical frame, ``(num_points, 3)`` float32 [m]."""
+        """Points in the camera optical frame, ``(num_points, 3)`` float32 [m]."""
         return self.frame.points[self.frame.point_labels == self.label]
 
     def mask(self) -> np.ndarray:
-        """Return the mask of its pixels, ``(H, W)`` bool, see :attr:`FrameResult.labels`."""
+        """Return the mask of the obstacle, ``(H, W)`` bool, see :attr:`FrameResult.labels`."""
         return self.frame.labels == self.label
 
 
@@ -103,9 +103,9 @@ _SIDES = "u_min", "v_min", "u_max", "v_max"
 
 
 class FrameResult(Sequence[Obstacle]):
-    """Result of a frame: a sequence of its obstacles, in the order of their labels.
+    """Result of a frame: a sequence of obstacles in the order of their labels.
 
-    It keeps the arrays of its batch, including images: 1.3 MB per frame without colour.
+    It keeps the arrays of the batch in memory, including images: 1.3 MB per frame without colour.
     """
 
     def __init__(self, batch: "BatchResult", row: int) -> None:
@@ -127,14 +127,14 @@ class FrameResult(Sequence[Obstacle]):
         return f"<FrameResult {self.number}: {self.status}, {len(self)} obstacles{near}>"
 
     def _repr_png_(self) -> bytes:
-        """Return the picture that notebooks show."""
+        """Return the picture shown in notebooks."""
         import cv2
 
         picture = cv2.cvtColor(self.draw(), cv2.COLOR_RGB2BGR)
         return cv2.imencode(".png", picture)[1].tobytes()
 
     def to_pandas(self) -> "pd.DataFrame":
-        """Return a table of the obstacles, one row each, with pandas.
+        """Return a pandas table with one row per obstacle.
 
         Columns are ``obstacle``, ``distance_m``, ``bottom_m``, ``top_m``, ``num_points``, the box
         ``u_min`` ... ``v_max`` and the centroid ``x y z`` in the camera's optical frame [m].
@@ -177,19 +177,19 @@ class FrameResult(Sequence[Obstacle]):
 
     @property
     def nearest_m(self) -> float | None:
-        """Distance of the nearest obstacle [m]; None without one, or if the floor is unknown."""
+        """Distance of the nearest obstacle [m]; None if there is none, or the floor is unknown."""
         distances = (obstacle.distance_m for obstacle in self.obstacles)
         return min((d for d in distances if d is not None), default=None)
 
     @property
     def nearest_text(self) -> str:
-        """Distance of the nearest obstacle, or after ``~`` its depth if the floor is unknown."""
+        """Distance of the nearest obstacle, or its depth after ``~`` if the floor is unknown."""
         depths = [float(obstacle.xyz_min[2]) for obstacle in self.obstacles]
         return distance_text(self.nearest_m, min(depths)) if depths else ""
 
     @property
     def floor(self) -> Mount | None:
-        """Camera pose relative to the floor that was used; None if the floor is unknown."""
+        """Camera pose relative to the floor in use; None if the floor is unknown."""
         plane = self._batch.rows.plane
         if not plane.valid[self._row]:
             return None
@@ -211,12 +211,12 @@ class FrameResult(Sequence[Obstacle]):
 
     @property
     def overflow(self) -> bool:
-        """Whether obstacles may be lost, as there were too many; see the table."""
+        """Whether obstacles may be missing because there were too many; see the table."""
         return bool(self._column("overflow"))
 
     @property
     def free_floor(self) -> FreeFloorLine | None:
-        """Free floor; None for clusters of points and unusable frames."""
+        """Free floor; None in the preset ``paper`` and for unusable frames."""
         names = ("free_bearing_rad", "free_from_m", "free_to_m", "free_end")
         lists: list[Lists] = [self._batch.rows.frames[name] for name in names]
         if lists[0].null[self._row]:
@@ -232,19 +232,17 @@ class FrameResult(Sequence[Obstacle]):
 
     @cached_property
     def labels(self) -> np.ndarray:
-        """Obstacle label of each pixel of the image that boxes refer to, ``(H, W)`` int32, or -1.
+        """Obstacle label per pixel, ``(H, W)`` int32, -1 = none, in the image of the boxes.
 
         Labels have the resolution of depth cells (3 to 4 pixels of a depth image). If several cells
-        cover a pixel, the nearest one wins.
+        cover a pixel, the nearest one is used.
 
         Raises:
-            ConfigError: Obstacles are clusters of points.
+            ConfigError: The preset is ``paper``, which has no masks.
         """
         cells = self._batch.found.cells
         if cells is None:
-            raise ConfigError(
-                "clusters of points have no masks", remedy="use another preset than paper"
-            )
+            raise ConfigError("the preset paper has no masks", remedy="use another preset")
         calibration, config = self._batch.frames.calibration, self._batch.config
         if not len(self):
             camera = calibration.image
@@ -298,12 +296,12 @@ class FrameResult(Sequence[Obstacle]):
 
 
 class BatchResult(Sequence[FrameResult]):
-    """Result of a batch: a sequence of frame results, and their arrays.
+    """Result of a batch: a sequence of frame results, with their arrays.
 
     Attributes:
-        frames: Frames; ``frames.plane`` is the floor of each.
+        frames: Frames; ``frames.plane`` is the floor of each frame.
         found: Detections as NumPy arrays with a padded axis, see :class:`jaxdet.Detections`.
-        rows: Columns of the two tables.
+        rows: Columns of the tables of frames and obstacles.
     """
 
     def __init__(
@@ -323,7 +321,7 @@ class BatchResult(Sequence[FrameResult]):
         return f"<BatchResult: {len(self)} frames, {sum(self.counts)} obstacles>"
 
     def _repr_html_(self) -> str:
-        """Return the table of frames that notebooks show."""
+        """Return the table of frames shown in notebooks."""
         columns = {
             "frame": [one.number for one in self],
             "status": [one.status for one in self],
@@ -334,7 +332,7 @@ class BatchResult(Sequence[FrameResult]):
         return table(repr(self).strip("<>"), columns)
 
     def to_pandas(self) -> "pd.DataFrame":
-        """Return a table of all obstacles with pandas: that of each frame, after its ``frame``."""
+        """Return a pandas table of the obstacles of all frames, with the column ``frame``."""
         import pandas as pd
 
         each = [one.to_pandas() for one in self]

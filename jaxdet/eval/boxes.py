@@ -1,7 +1,7 @@
 """Evaluation of image boxes against labelled boxes of real images, frame by frame.
 
-A box is ``u_min v_min u_max v_max``, its first and last column and row [pixel], as in the table
-``obstacles``. A detection and an object match if their boxes overlap by enough, intersection over
+A box is ``u_min v_min u_max v_max``, its first and last column and row [pixel], as in the obstacle
+table. A detection and an object match if their boxes overlap sufficiently, by intersection over
 union (IoU; Everingham et al., IJCV 88 (2010), 303-338), one to one, the largest overlap first.
 """
 
@@ -12,7 +12,7 @@ import numpy as np
 from jaxdet.eval.tally import Case, Tally
 
 MIN_IOU = 0.5
-"""Minimum IoU of a labelled box and that of its detection."""
+"""Minimum IoU of the boxes of an object and its detection."""
 NEAR_M = 0.08
 """Depth of the near surface of an object [m]."""
 
@@ -25,7 +25,7 @@ class BoxLabels(NamedTuple):
     distance_m: np.ndarray
     """Distances of the objects on the floor, ``(T,)`` float64 [m]; NaN if unknown."""
     ignored: np.ndarray
-    """Regions in which detections are neither right nor wrong, ``(I, 4)`` float64 [pixel]."""
+    """Regions in which detections are not evaluated, ``(I, 4)`` float64 [pixel]."""
     size: tuple[int, int] | None = None
     """Width and height of the image [pixel], if known."""
 
@@ -76,7 +76,7 @@ def evaluate_boxes(
 
 
 def _error(labels: BoxLabels, distance_m: np.ndarray, j: int, detection: int) -> float:
-    """Return the error of the distance of a detection [m], NaN without one."""
+    """Return the error of a detection's distance [m], NaN if there is none."""
     return float(distance_m[detection] - labels.distance_m[j]) if detection >= 0 else np.nan
 
 
@@ -115,7 +115,8 @@ def match_boxes(boxes: np.ndarray, found: np.ndarray, least_iou: float) -> np.nd
         least_iou: Minimum IoU of a pair.
 
     Returns:
-        Detection of each object, ``(T,)`` int64, -1 = none. Of equal pairs the one with the larger
+        Detection of each object, ``(T,)`` int64, -1 = none. In a tie, the pair with the larger
+        object number, then detection number, is taken first.
         object number, then detection number, is taken first.
 
     Example:
@@ -134,9 +135,9 @@ def match_boxes(boxes: np.ndarray, found: np.ndarray, least_iou: float) -> np.nd
 
 
 def near_surface(z_m: np.ndarray) -> float:
-    """Return the forward depth of an object's near surface, from those of its pixels ``(n,)`` [m].
+    """Return the depth of an object's near surface from the depths of its pixels ``(n,)`` [m].
 
-    It is the median of those at most ``NEAR_M`` behind their 5th percentile; NaN without any.
+    It is the median of the depths at most ``NEAR_M`` behind their 5th percentile; NaN without any.
 
     Example:
         >>> near_surface(np.array([1.0, 1.0, 1.02, 1.5, 1.5]))

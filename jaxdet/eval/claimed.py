@@ -1,4 +1,4 @@
-"""Fraction of the drivable floor that detected outlines claim."""
+"""Fraction of the drivable floor covered by detected outlines."""
 
 import numpy as np
 
@@ -46,16 +46,17 @@ def floor_positions(
 def measured_floor(
     positions_m: np.ndarray, true_depth_m: np.ndarray, z_m: np.ndarray, config: EvalConfig
 ) -> np.ndarray:
-    """Return the drivable floor that was measured.
+    """Return the part of the drivable floor that was measured correctly.
 
     Args:
         positions_m: Right and forward ``(..., H, W, 2)``, NaN outside of drivable floor [m].
         true_depth_m: True z ``(..., H, W)`` [m].
         z_m: Measured z at each colour pixel, ``(..., H, W)`` [m], 0 = none.
-        config: Range and tolerance.
+        config: Range and tolerance of the evaluation.
 
     Returns:
-        The positions, NaN also beyond ``floor_range_m`` and where the measured depth is missing or
+        Positions, NaN also beyond ``floor_range_m`` and where the measured depth is missing or not
+        that of the floor.
         not that of the floor.
     """
     slack = config.depth_slack(z_m)
@@ -73,8 +74,8 @@ def claimed_floor(
 ) -> list[Tally]:
     """Count the pixels of drivable floor inside of any outline.
 
-    Obstacles that hang higher than ``hanging_m`` above the floor don't count; without a scene, all
-    outlines do.
+    Obstacles higher than ``hanging_m`` above the floor are excluded if there is a scene with
+    heights.
 
     Args:
         detections: Detections of ``B`` frames.
@@ -85,7 +86,8 @@ def claimed_floor(
         valid: Mask ``(B,)`` bool, False for padding; None: all frames count.
 
     Returns:
-        A tally per frame without padding, for :func:`jaxdet.eval.score`. Frames with fewer than
+        A tally per frame without padding, for :func:`jaxdet.eval.score`. Frames with fewer pixels
+        than ``min_visible_pixels`` have no fraction of their own.
         ``min_visible_pixels`` have no fraction of their own.
     """
     config = config or EvalConfig()
@@ -110,9 +112,9 @@ def claimed_floor(
 def _standing(
     detections: Detections, b: int, floor_known: np.ndarray | None, unit: float, config: EvalConfig
 ) -> np.ndarray:
-    """Return the obstacles of frame ``b`` that the robot can't drive under, ``(L,)``.
+    """Return the obstacles of frame ``b`` under which the robot can't drive, ``(L,)``.
 
-    ``known`` is whether each frame's floor is known, ``(B,)`` bool; None without heights.
+    ``floor_known`` has whether each frame's floor is known, ``(B,)`` bool; None without heights.
     """
     numbers = np.arange(int(detections.num_obstacles[b]))
     scene = detections.scene

@@ -1,13 +1,13 @@
 """Evaluation of detections against ground truth, frame by frame.
 
-Each kept point votes for the object in its pixel, or for the one whose depth it has
+Each kept point votes for the object in its pixel, or for the one with its depth
 (:func:`objects_of`). Points are the corners of the preset ``paper``, otherwise the depth cells
-(``detect(..., with_cells=True)``) in the colour image, for which there is ground truth. A detection
-and an obstacle may match if at least half of the detection's votes are for the obstacle; matches
-are one to one, with the most votes (:func:`jaxdet.eval.match.match`). Then
+(``detect(..., with_cells=True)``) in the colour image, to which the ground truth refers. A
+detection and an obstacle may match if at least half of the detection's votes are for the obstacle;
+matches are one to one and maximise the votes (:func:`jaxdet.eval.match.match`). Then
 
-- a required obstacle is *found* (true positive) if it is matched, else *missed*;
-- an unmatched detection is *false*, also if it is a second one on an obstacle;
+- a required obstacle is *found* (true positive) if it is matched, otherwise *missed*;
+- an unmatched detection is *false*, even if it is a second one on an obstacle;
 - an unmatched detection is *ignored* if half of its votes are on walls, if it could match an
   obstacle that is not required (too far, mostly hidden, lower than the step), or if its cells are
   outside of the colour image.
@@ -141,7 +141,7 @@ def points_of(
 def cell_points(found: CellLabels, b: int, calibration: Calibration, side: int) -> Features:
     """Return the cells of frame ``b`` as points ``(R, C)`` in the colour camera.
 
-    Their pixel is the middle of their box; those in the colour image are valid.
+    A cell's pixel is the centre of its box; cells inside the colour image are valid.
     """
     xyz = np.stack([np.asarray(axis[b]) for axis in found.cells]).astype(np.int32)
     low, high, inside = (part[0] for part in cell_boxes(xyz[2:], calibration, side))

@@ -1,7 +1,7 @@
 """Internal cluster validity indices, which need no ground truth.
 
-Points without a label (-1) are ignored, so that dropping points is not penalised here, but by the
-scores against ground truth.
+Points without a label (-1) are ignored. Dropped points therefore affect only the scores against
+ground truth.
 """
 
 import numpy as np

@@ -13,7 +13,7 @@ from jaxdet.errors import InputError, JaxdetError
 from jaxdet.eval.boxes import BoxLabels
 
 _LIST = '[{"frame": 12, "box": [u_min, v_min, u_max, v_max]}, ...]'
-_REMEDY = f"give a COCO file, or a list {_LIST}"
+_REMEDY = f"pass a COCO file, or a list {_LIST}"
 
 
 class _Row(NamedTuple):
@@ -27,12 +27,12 @@ class _Row(NamedTuple):
 def read_labels(path: Path) -> dict[tuple[str, int], BoxLabels]:
     """Read the labelled boxes of images.
 
-    COCO: an image belongs to the frame of its key ``frame``, else to the depth image of its key
-    ``stamp_ns`` (``jaxdet export --to coco`` writes both), else to the frame whose number ends its
-    ``file_name``; boxes with ``iscrowd`` are ignored regions. An image without boxes has no
-    obstacles. A plain list has objects with ``frame`` (or ``stamp_ns``, or ``image``, a file name
-    as above), ``box`` as in the table ``obstacles``, and optionally ``distance_m`` and ``ignore``;
-    without ``box`` the frame has no obstacles.
+    In COCO files, an image belongs to the frame of its key ``frame``, else to the depth image of
+    its key ``stamp_ns`` (``jaxdet export --to coco`` writes both), else to the frame whose number
+    is at the end of its ``file_name``. Boxes with ``iscrowd`` are ignored regions, and an image
+    without boxes has no obstacles. A plain list has objects with ``frame`` (or ``stamp_ns``, or
+    ``image``, a file name as above), ``box`` as in the obstacle table, and optionally
+    ``distance_m`` and ``ignore``; without ``box`` the frame has no obstacles.
 
     Returns:
         Labels by ``("frame", number)`` or ``("stamp_ns", timestamp)``.
@@ -45,13 +45,13 @@ def read_labels(path: Path) -> dict[tuple[str, int], BoxLabels]:
     except OSError as error:
         raise InputError(f"cannot read labels ({error.strerror})", path=str(path)) from error
     except (ValueError, RecursionError) as error:
-        problem = f"is not JSON ({error})"
+        problem = f"invalid JSON ({error})"
         raise InputError(problem, path=str(path), remedy=_REMEDY) from error
     try:
         return _of_coco(data) if isinstance(data, dict) else _of_list(data)
     except (KeyError, TypeError, ValueError) as error:
         missing = isinstance(error, KeyError)
-        problem = f"key {error} is missing" if missing else f"is not a list of labels ({error})"
+        problem = f"key {error} is missing" if missing else f"not a list of labels ({error})"
         raise InputError(problem, path=str(path), remedy=_REMEDY) from error
     except JaxdetError as error:
         raise InputError(error.problem, path=str(path), remedy=error.remedy) from error
@@ -67,7 +67,7 @@ def _of_coco(data: Mapping[str, Any]) -> dict[tuple[str, int], BoxLabels]:
     for n, label in enumerate(data["annotations"]):
         where = f"annotation {n}"
         if label["image_id"] not in images:
-            raise InputError(f"{where}: there is no image {label['image_id']!r}")
+            raise InputError(f"{where}: unknown image {label['image_id']!r}")
         u, v, width, height = _numbers(label["bbox"], f"{where}: bbox")
         box = _box([u, v, u + width - 1, v + height - 1], f"{where}: bbox")
         row = _Row(box, _distance(label, where), bool(label.get("iscrowd")))
@@ -87,14 +87,14 @@ def _of_list(data: list[Mapping[str, Any]]) -> dict[tuple[str, int], BoxLabels]:
 
 
 def _key(entry: Mapping[str, Any], name: str, where: str) -> tuple[str, int]:
-    """Return which frame an entry is about."""
+    """Return the frame to which an entry belongs."""
     for key in ("frame", "stamp_ns"):
         if key in entry:
             return key, int(entry[key])
     number = re.search(r"(\d+)(?:\.\w+)?$", str(entry.get(name, "")))
     if number is None:
-        remedy = 'add "frame": its number'
-        raise InputError(f"{where}: no number of its frame", remedy=remedy)
+        remedy = 'add the key "frame" with the number'
+        raise InputError(f"{where}: the frame number is missing", remedy=remedy)
     return "frame", int(number[1])
 
 
@@ -107,7 +107,7 @@ def _numbers(values: Any, where: str) -> list[float]:
 
 def _box(box: list[float], where: str) -> list[float]:
     if box[2] < box[0] or box[3] < box[1]:
-        raise InputError(f"{where} has no area", remedy="give u_min v_min u_max v_max, or COCO")
+        raise InputError(f"{where} has no area", remedy="use u_min v_min u_max v_max, or COCO")
     return box
 
 

@@ -1,4 +1,4 @@
-"""Matching of detections and ground truth obstacles: votes of points, then one-to-one pairs."""
+"""Matching of detections and ground truth obstacles: points vote, and pairs are one to one."""
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -9,9 +9,9 @@ def feature_objects(
 ) -> np.ndarray:
     """Return the object that each feature votes for.
 
-    It is the object in the feature's pixel, or the nearest one within ``tolerance`` (a square), as
-    corners of a contour fall next to the object. Obstacles take priority over walls, walls over
-    floor.
+    It is the object in the feature's pixel, or the nearest one within ``tolerance`` (a square),
+    since corners of a contour may be next to the object. Obstacles take priority over walls, and
+    walls over floor.
 
     Args:
         obstacle_id: Object numbers ``(H, W)`` integer.

@@ -1,4 +1,4 @@
-"""Agreement of two partitions of points, by pair counts that can be summed over frames."""
+"""Agreement of two partitions of points, by pair counts that can be added up over frames."""
 
 import math
 from typing import NamedTuple
@@ -20,7 +20,7 @@ class PairCounts(NamedTuple):
 def pair_counts(labels: np.ndarray, truth: np.ndarray) -> PairCounts:
     """Count the pairs of points that share a cluster.
 
-    Each point without a label (negative) is a cluster of its own, in both partitions.
+    In both partitions, each point without a label (negative) is a separate cluster.
 
     Args:
         labels: Detected clusters ``(n,)`` integer.
@@ -55,7 +55,7 @@ def fowlkes_mallows(counts: PairCounts) -> float:
     ``sklearn.metrics.fowlkes_mallows_score`` if each noise point has a label of its own.
 
     Args:
-        counts: Counts of a frame, or summed over many.
+        counts: Counts of one or several frames.
 
     Returns:
         0 to 1; 0 if only one of the partitions has pairs; NaN if neither has.

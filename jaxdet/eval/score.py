@@ -9,7 +9,7 @@ from jaxdet.eval.tally import COUNTS, Case, Tally, total
 
 
 class Score(NamedTuple):
-    """Metrics of a log; NaN where there was nothing to count.
+    """Metrics of a log; NaN if there was nothing to count.
 
     TP are found obstacles, FN missed ones, FP false detections (:mod:`jaxdet.eval.frame`).
     """
@@ -21,13 +21,14 @@ class Score(NamedTuple):
     f1: float
     """``2 TP / (2 TP + FP + FN)``."""
     accuracy: float
-    """ACC in our interpretation, ``TP / (TP + FP + FN)``. The paper labels "ground shadows, noise,
-    or other non-existent situations" as negative samples, so its ACC is
-    ``(TP + TN) / (TP + TN + FP + FN)``; true negatives, objects that neither exist nor were
-    detected, can't be counted, and without them the value can only be lower."""
+    """ACC in our interpretation, ``TP / (TP + FP + FN)``. The paper calls "ground shadows, noise,
+    or other non-existent situations" negative samples, so its ACC is ``(TP + TN) / (TP + TN + FP +
+    FN)``. True negatives, i.e. objects that neither exist nor were detected, can't be counted;
+    without them the value can only be lower."""
     point_accuracy: float
     """ACC of the clustering literature: fraction of points with the correct label, after one-to-one
-    matching of labels and obstacles; on floor and nothing, "no label" is correct."""
+    matching of labels and obstacles. For points on the floor or without an object, no label is
+    correct."""
     fmi: float
     """Mean over frames of the Fowlkes-Mallows index of points, see
     :func:`jaxdet.eval.partition.fowlkes_mallows`."""
@@ -42,21 +43,21 @@ class Score(NamedTuple):
     davies_bouldin: float
     """Mean over frames of the Davies-Bouldin index."""
     coverage: float
-    """Fraction of the visible sides of found obstacles inside of their detection's rectangle, with
-    the margin ``coverage_margin_m``. The sides are sampled every centimetre along the edges of the
+    """Fraction of the visible sides of found obstacles inside their detection's rectangle, with the
+    margin ``coverage_margin_m``. The sides are sampled every centimetre along the edges of the
     footprint's convex hull that face the camera, within ``coverage_range_m`` and the extent of the
     visible surface."""
     safe_coverage: float
     """Fraction of the visible sides of all required obstacles inside of any rectangle."""
     floor_kept: float
-    """Fraction of floor pixels that the ground stage keeps."""
+    """Fraction of floor pixels kept by the ground stage."""
     obstacle_kept: float
-    """Fraction of obstacle pixels above the step that the ground stage keeps."""
+    """Fraction of obstacle pixels above the step height kept by the ground stage."""
     free_claimed: float
-    """Fraction of the pixels of drivable floor, in range and measured as floor, inside of any
-    outline, without hanging obstacles; see :func:`jaxdet.eval.claimed_floor`."""
+    """Fraction of the pixels of drivable floor, in range and measured as floor, inside any outline
+    except those of hanging obstacles; see :func:`jaxdet.eval.claimed_floor`."""
     free_claimed_worst: float
-    """``free_claimed`` of the worst frame."""
+    """``free_claimed`` in the worst frame."""
     nearest_error_m: float
     """Median absolute error of ``distance_m`` relative to the nearest visible point [m]."""
     nearest_error_p90_m: float

@@ -1,4 +1,4 @@
-"""Counts per frame; they can be summed, so that a run can stream."""
+"""Counts per frame, which can be added up while a run streams."""
 
 from collections.abc import Iterable
 from typing import NamedTuple
@@ -7,7 +7,7 @@ import numpy as np
 
 
 class Case(NamedTuple):
-    """A required obstacle in a frame; NaN if it was missed or the ground truth is unknown."""
+    """A required obstacle in a frame; values are NaN if it was missed or are unknown."""
 
     number: int
     """Number of the object in the ground truth images."""
@@ -46,14 +46,14 @@ class Tally(NamedTuple):
     on_wall: int = 0
     """Ignored detections on walls."""
     splits: int = 0
-    """False positives that could match an obstacle which a better detection has."""
+    """False positives that could match an obstacle which is matched by a better detection."""
     merges: int = 0
-    """Further obstacles that are part of the same detection."""
+    """Additional obstacles covered by the same detection."""
     points: int = 0
     """Kept points that are not on a wall."""
     points_right: int = 0
-    """Correct points: on an obstacle with the label of its matched detection, or on the floor or
-    nothing without a label."""
+    """Correct points: on an obstacle with the label of its matched detection, or without a label on
+    the floor or without an object."""
     pairs_both: int = 0
     """Pairs of these points that share a detection and an obstacle."""
     pairs_detected: int = 0
@@ -81,12 +81,12 @@ class Tally(NamedTuple):
     obstacle_pixels: int = 0
     obstacle_pixels_kept: int = 0
     drivable_pixels: int = 0
-    """Pixels of drivable floor in range and measured as floor."""
+    """Pixels of drivable floor that are in range and measured as floor."""
     drivable_claimed: int = 0
-    """Pixels of ``drivable_pixels`` inside of an outline."""
+    """Pixels of ``drivable_pixels`` inside an outline."""
     cases: tuple[Case, ...] = ()
     claims: tuple[float, ...] = ()
-    """Fraction of such pixels inside of an outline, per frame with enough of them."""
+    """Fraction of ``drivable_pixels`` inside an outline, for each frame with enough of them."""
 
     @property
     def counts(self) -> tuple[float, ...]:

@@ -31,24 +31,25 @@ class EvalConfig:
     depth_slack_m: float = 0.05
     """Tolerance of a measured depth [m]."""
     depth_slack_per_m2: float = 0.01
-    """Added in proportion to z squared [1/m], about four standard deviations of a D435."""
+    """Increase of the tolerance in proportion to z squared [1/m], about four standard deviations of
+    a D435."""
     merge_share: float = 0.2
     """Minimum fraction of a detection's votes for an object that is part of it."""
     match_share: float = 0.5
     """Minimum fraction of a detection's votes for an obstacle that it can match."""
     step_height_m: float = 0.05
-    """Required obstacles are higher than this, which the wheels climb [m]."""
+    """Minimum height of required obstacles, exclusive [m]: the height that the wheels can climb."""
     footprint: FootprintConfig = field(default_factory=FootprintConfig)
     """Parameters of the rectangles on the floor."""
     coverage_range_m: float = 3.0
     """Maximum distance of footprint points for the coverage [m]."""
     coverage_margin_m: float = 0.02
-    """Maximum distance of covered footprint points from the rectangle [m]: the accuracy stated in
+    """Maximum distance of covered footprint points from the rectangle [m], the accuracy stated in
     the paper."""
     floor_range_m: float = 4.0
-    """Maximum distance of evaluated floor from the camera's ground projection [m]."""
+    """Maximum distance of the evaluated floor from the camera's ground projection [m]."""
     hanging_m: float = 0.5
-    """Obstacles whose lowest cell is higher above the floor claim no floor [m]."""
+    """Height of the lowest cell above the floor from which an obstacle covers no floor [m]."""
     indices: bool = False
     """Whether to compute the silhouette and the Davies-Bouldin index, which take longer."""
 
@@ -60,8 +61,9 @@ class EvalConfig:
 class FrameTruth(NamedTuple):
     """Ground truth of ``B`` frames with ``J`` objects; object ``j`` has the number ``j + 1``.
 
-    If an optional field is None, the metrics that need it are NaN. Extents of an object out of
-    sight are NaN. The ground frame is that of the camera that lengths refer to: right, forward [m].
+    If an optional field is None, the metrics that depend on it are NaN. Extents of an object that
+    is not visible are NaN. The ground frame is that of the camera to which lengths refer: right,
+    forward [m].
     """
 
     obstacle_id: np.ndarray
@@ -69,26 +71,27 @@ class FrameTruth(NamedTuple):
     visible_pixels: np.ndarray
     """Number of colour pixels that show the object, ``(B, J)`` integer."""
     nearest_m: np.ndarray
-    """Minimum z of its visible surface in the colour camera, ``(B, J)`` float [m]."""
+    """Minimum z of the object's visible surface in the colour camera, ``(B, J)`` float [m]."""
     nearest_forward_m: np.ndarray
-    """Distance of its nearest face: minimum forward coordinate of its visible surface in the ground
-    frame, ``(B, J)`` float [m]."""
+    """Distance of the object's nearest face: minimum forward coordinate of its visible surface in
+    the ground frame, ``(B, J)`` float [m]."""
     is_wall: np.ndarray
     """Whether the object is a wall, ``(J,)`` bool; walls are not required, and detections on them
     are ignored."""
     ground_min: np.ndarray | None = None
-    """Minimum right, forward of its visible surface, ``(B, J, 2)`` float."""
+    """Minimum right and forward coordinates of the visible surface, ``(B, J, 2)`` float [m]."""
     ground_max: np.ndarray | None = None
-    """Maximum right, forward of its visible surface, ``(B, J, 2)`` float."""
+    """Maximum right and forward coordinates of the visible surface, ``(B, J, 2)`` float [m]."""
     footprint: np.ndarray | None = None
-    """Outline on the floor in the ground frame, ``(B, J, V, 2)`` float, NaN after the last."""
+    """Outline on the floor in the ground frame, ``(B, J, V, 2)`` float [m], NaN after the last
+    point."""
     height_m: np.ndarray | None = None
     """Height of the object, ``(B, J)`` float [m]."""
     depth_m: np.ndarray | None = None
-    """True z in each colour pixel, ``(B, H, W)`` float [m], inf where nothing is hit; without it,
-    features vote by their pixel only, not by the measured depth."""
+    """True z in each colour pixel, ``(B, H, W)`` float [m], inf without a surface. If it is None,
+    features vote only by their pixel, not by the measured depth."""
     drivable: np.ndarray | None = None
-    """Whether the pixel shows drivable floor, outside of all footprints, ``(B, H, W)`` bool."""
+    """Whether the pixel shows drivable floor, outside all footprints, ``(B, H, W)`` bool."""
     nearest_floor_m: np.ndarray | None = None
     """Distance on the floor from the camera's ground projection to the nearest point of its visible
     surface, ``(B, J)`` float [m], NaN if unknown, see :func:`nearest_on_floor`."""
@@ -110,7 +113,7 @@ class FrameTruth(NamedTuple):
 
 
 class LogTruth(Protocol):
-    """Ground truth of a log with ``F`` frames, as the simulator's ``Truth``."""
+    """Ground truth of a log with ``F`` frames, implemented by the simulator's ``Truth``."""
 
     @property
     def T_world_camera(self) -> np.ndarray:
@@ -161,7 +164,7 @@ def truth_of(
     drivable: np.ndarray | None = None,
     calibration: Calibration | None = None,
 ) -> FrameTruth:
-    """Return the ground truth of some frames of a simulated log, with outlines in the ground frame.
+    """Return the ground truth of selected frames of a log, with outlines in the ground frame.
 
     Args:
         log: Ground truth of the log.
@@ -201,7 +204,7 @@ def in_depth_camera(
     Args:
         truth: Ground truth of ``B`` frames, with outlines.
         T_world_color: Exact poses of the colour camera, ``(B, 4, 4)`` float64.
-        calibration: Calibration of the log; without a colour camera nothing changes.
+        calibration: Calibration of the log; without a colour camera nothing is changed.
     """
     if calibration.color_from_depth is None:
         return truth
@@ -241,8 +244,8 @@ def nearest_on_floor(
     """Return the distance of each object from the depth camera's ground projection.
 
     It is the minimum over the object's colour pixels of the distance on the floor plane, like
-    ``distance_m``. Points at most as high as the step are ignored if there are higher ones. It is
-    unknown for objects that the left, right or lower image border cuts off, as the depth camera may
+    ``distance_m``. Points not higher than the step are ignored if there are higher ones. It is
+    unknown for objects cut off by the left, right or lower image border, as the depth camera may
     see nearer parts, which ``distance_m`` includes.
 
     Args:
@@ -255,7 +258,7 @@ def nearest_on_floor(
         step_height_m: Height that the wheels can climb [m].
 
     Returns:
-        Distances ``(B, J)`` float64 [m], NaN for objects that are out of sight or cut off.
+        Distances ``(B, J)`` float64 [m], NaN for objects that are not visible or cut off.
 
     Raises:
         ValueError: The ground truth has no depth.

@@ -26,31 +26,31 @@ CATEGORY = {"id": 1, "name": "obstacle", "supercategory": "obstacle"}
 def export(results: Results, output: Path, recordings: Mapping[str, LogFiles]) -> list[str]:
     """Write a folder with ``images/`` and ``annotations.json``.
 
-    Images are the colour images, or depth images in false colours for frames without one, with
-    their boxes and masks; ``info`` in ``annotations.json`` counts the latter. Frames without a
-    result are omitted and counted in ``info``. A log that was not given and can't be read at its
-    original path is omitted, with a line in ``info``.
+    Images are the colour images, or depth images in false colours for frames without colour, with
+    boxes and masks. Frames without a result are omitted; ``info`` in ``annotations.json`` counts
+    them and the depth images. A log that was not passed and can't be read at its original path is
+    omitted, with a line in ``info``.
 
-    Masks are detected again from the logs; it is an error if the obstacles differ from the results.
-    Annotations have a ``track_id``, or null, if ``jaxdet track`` was run.
+    Masks are computed again from the logs; it is an error if the obstacles differ from the results.
+    If ``jaxdet track`` was run, annotations have a ``track_id``, which may be null.
 
     Args:
-        results: Results.
-        output: Folder.
-        recordings: Logs of the results; others are read from their original paths.
+        results: Results of a run.
+        output: Folder to write.
+        recordings: Logs of the results by name; others are read from their original paths.
 
     Returns:
         A line for each omitted log.
 
     Raises:
-        ConfigError: The results are clusters of points, which have no masks.
-        InputError: A given log is not that of the results, or no log can be read.
+        ConfigError: The results are from the preset ``paper``, which has no masks.
+        InputError: A passed log is not that of the results, or no log can be read.
     """
     if results.method.cluster.points:
         raise ConfigError(
-            "clusters of points have no masks",
+            "the preset paper has no masks",
             path=str(results.folder),
-            remedy="run jaxdet run with another preset than paper",
+            remedy="run jaxdet run with another preset",
         )
     (output / "images").mkdir(parents=True)
     failed: dict[str, JaxdetError] = {}
@@ -107,7 +107,7 @@ class _Annotations:
         self._objects.file.close()
 
     def begin(self) -> None:
-        """Begin a log."""
+        """Start a log."""
         self._before = self.images, self.objects, self.lost, self.of_depth
         self._names: list[str] = []
         self._images.mark()
@@ -151,7 +151,7 @@ class _Annotations:
             self._objects.add({**place, **_annotation(obstacle, seen, box)})
 
     def finish(self, results: Results, left_out: Sequence[str]) -> None:
-        """Write the file; ``left_out`` has a line for each omitted log."""
+        """Write the file; ``left_out`` has one line per omitted log."""
         info = {
             "description": "obstacles found by jaxdet",
             "version": results.version,
@@ -170,7 +170,7 @@ class _Annotations:
 
 
 class _Lines:
-    """JSON values in a temporary file."""
+    """JSON values in a temporary file, one per line."""
 
     def __init__(self) -> None:
         self.file: IO[str] = tempfile.TemporaryFile("w+", encoding="utf-8")  # noqa: SIM115
@@ -193,10 +193,10 @@ class _Lines:
 
 
 def _box(obstacle: Mapping[str, Any], mask: np.ndarray, *, of_depth: bool) -> list[int] | None:
-    """Return left, top, width and height of an obstacle in its image, or None if it is outside.
+    """Return left, top, width and height of an obstacle in its image; None if it is outside.
 
-    With a colour camera, the table's box refers to the colour image; in the depth image of a frame
-    without colour it is the bounding box of the mask.
+    If there is a colour camera, the box in the table refers to the colour image. In the depth image
+    of a frame without colour, the bounding box of the mask is used instead.
     """
     if of_depth and obstacle["box_image"] == "color":
         rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))

@@ -1,7 +1,7 @@
 """Scenes for Foxglove: an MCAP file to open together with each log, and layouts.
 
-Obstacles are in the frame of the camera that lengths refer to, the map is in the world frame, and a
-transform adds the camera's floor frame, x right, y forward, z up. Each message replaces the
+Obstacles are in the frame of the camera to which lengths refer, the map is in the world frame, and
+a transform adds the floor frame of the camera (x right, y forward, z up). Each message replaces the
 previous one, so that seeking works.
 """
 
@@ -68,13 +68,13 @@ SCENE, BOXES, MAP, TF = "obstacles", "boxes", "map", "tf"
 _TEXT = Color(r=1.0, g=1.0, b=1.0, a=1.0)
 _DARK = Color(r=0.0, g=0.0, b=0.0, a=0.6)
 _CELL_COLORS = {OCCUPIED: (200, 40, 40, 200), FREE: (160, 190, 170, 110)}
-"""Colours of cells (RGBA); unknown ones are transparent."""
+"""Colours of cells (RGBA); unknown cells are transparent."""
 _ABOUT = ("obstacle", "track", "distance_m", "bottom_m", "top_m", "num_points")
 """Columns shown for a selected obstacle."""
 HEAD_M = 0.15
 """Length of an arrow's head [m]."""
 PATH_POINTS = 300
-"""Number of the last frames of a track's path that are shown."""
+"""Maximum number of trajectory points shown per track; the latest ones are kept."""
 TEXT_PX, LINE_PX = 14.0, 18.0
 """Font size and line height of a label in the image [pixel]."""
 _CELL_FIELDS = ("red", "green", "blue", "alpha")
@@ -88,7 +88,7 @@ def export(results: Results, output: Path, recordings: Mapping[str, LogFiles]) -
     Args:
         results: Results of a run.
         output: Folder.
-        recordings: Not used.
+        recordings: Unused.
     """
     cameras: dict[str, list[tuple[ResultLog, str]]] = {}
     for log, path in sidecars(results, output):
@@ -109,7 +109,7 @@ def _write_layout(path: Path, content: Mapping[str, Any]) -> None:
 
 
 def _write_log(writer: Writer, results: Results, log: ResultLog) -> str:
-    """Write the messages; return the frame that the view follows: world, or camera's floor."""
+    """Write the messages; return the frame that the view follows: the world or the floor frame."""
     follow = ""
     for sequence, entry in enumerate(sidecar_frames(results, log)):
         frame, at = entry.frame, entry.log_time_ns
@@ -196,7 +196,7 @@ def _trajectory(row: Row, track: Mover) -> SceneEntity:
     return SceneEntity(
         timestamp=_stamp(row["stamp_ns"]),
         frame_id=name,
-        id=f"way of track {track.track}",
+        id=f"trajectory of track {track.track}",
         metadata=[KeyValuePair(key="speed_mps", value=f"{speed:.6g}")],
         arrows=[arrow],
         lines=[line],

@@ -1,9 +1,9 @@
-"""Occupancy grid at the end of a log: cells that an obstacle has left are free.
+"""Occupancy grid at the end of a log, in which cells that an obstacle has left are free.
 
-The map of a run counts outlines; this grid updates clamped log-odds in the order of frames, as
-OctoMap does (Hornung et al. 2013, "OctoMap: an efficient probabilistic 3D mapping framework",
-Section 4.2): outlines raise a cell's occupancy, free floor lowers it, and a few frames suffice to
-change its state.
+The map of a run counts outlines. This grid instead updates clamped log-odds in the order of frames,
+as OctoMap does (Hornung et al. 2013, "OctoMap: an efficient probabilistic 3D mapping framework",
+Section 4.2): outlines raise the occupancy of a cell, free floor lowers it, and a few frames suffice
+to change its state.
 """
 
 from collections.abc import Iterator
@@ -18,16 +18,16 @@ from jaxdet.results.raster import Layer, Raster, rasterize
 from jaxdet.results.reading import ResultLog, Results
 from jaxdet.results.tables import Frame
 from jaxdet.tracks.folder import tracking
-from jaxdet.tracks.looks import OBSTACLE_COLUMNS, POSE_COLUMNS
 from jaxdet.tracks.places import IN_MAP, is_lasting, shares_in_map
+from jaxdet.tracks.sightings import OBSTACLE_COLUMNS, POSE_COLUMNS
 
 HIT, MISS = 85, -40
 """Log-odds that an outline and free floor add to a cell [1/100], as in OctoMap."""
 LEAST, MOST = -200, 350
-"""Bounds of the log-odds [1/100], as in OctoMap; nine frames of free floor clear any cell."""
+"""Bounds of the log-odds [1/100], as in OctoMap; nine frames with free floor clear any cell."""
 
 _FLOOR, _OUTLINE, _EDGE = 1, 2, 3
-"""Values of cells on the raster of a frame: free floor, outlines, and contours in them."""
+"""Cell values in the raster of a frame: free floor, outlines, and contours inside outlines."""
 _ADDED = np.array([0, MISS, HIT, HIT], np.int16)
 _FRAME_COLUMNS = (*POSE_COLUMNS, *FREE_COLUMNS)
 
@@ -35,14 +35,14 @@ _FRAME_COLUMNS = (*POSE_COLUMNS, *FREE_COLUMNS)
 def last_grid(results: Results, log: ResultLog, known: KnownPlaces | None = None) -> Grid | None:
     """Return the occupancy grid at the end of a log; None if the run made no map.
 
-    After ``jaxdet track`` obstacles at whose place floor was seen too often are left out
-    (``track.most_floor``), and so are groups of cells, mostly corners of rectangles, none of which
-    has a contour and so little floor.
+    After ``jaxdet track``, obstacles at places where floor was often seen are omitted
+    (``track.most_floor``). So are groups of adjacent cells without any lasting contour cell, which
+    are mostly corners of rectangles.
 
     Args:
         results: Results of a run.
-        log: One of its logs.
-        known: Map; obstacles that are in it are left out. None: all are drawn.
+        log: Log in the results.
+        known: Known map, whose obstacles are omitted; None: all obstacles are drawn.
     """
     counted = results.map(log)
     if counted is None:
@@ -50,8 +50,8 @@ def last_grid(results: Results, log: ResultLog, known: KnownPlaces | None = None
     first = np.rint(np.array(counted.origin) / counted.cell_m).astype(np.int64)
     odds = np.zeros(counted.counts.shape, np.int16)
     most_floor = tracking(log.folder).most_floor if results.tracked(log) else 1.0
-    # Frames that show floor, an outline and a contour; floor counts from the first outline on.
-    looks = np.zeros((3, *counted.counts.shape), np.int32)
+    # Frame counts of floor, outlines and contours per cell; floor counts after the first outline.
+    sightings = np.zeros((3, *counted.counts.shape), np.int32)
     seen_floor = np.zeros(counted.counts.shape, bool)
     for frame in _frames(results, log, most_floor, known):
         if (raster := _raster(frame)) is None:
@@ -63,13 +63,13 @@ def last_grid(results: Results, log: ResultLog, known: KnownPlaces | None = None
         here = slice(top, top + part.shape[0]), slice(left, left + part.shape[1])
         odds[here] = np.clip(odds[here] + _ADDED[part], LEAST, MOST)
         seen_floor[here] |= part == _FLOOR
-        floor, outlines, contours = (looks[kind][here] for kind in range(3))
+        floor, outlines, contours = (sightings[kind][here] for kind in range(3))
         outlines += part >= _OUTLINE
         contours += part == _EDGE
         floor += (part == _FLOOR) & (outlines > 0)
     occupied = odds > 0
     if results.tracked(log):
-        floor, outlines, contours = looks
+        floor, outlines, contours = sightings
         lasting = (contours > 0) & is_lasting(floor / np.maximum(floor + outlines, 1), most_floor)
         occupied = _groups_with(lasting, occupied)
     free = (seen_floor | (odds < 0)) & ~occupied
@@ -78,7 +78,7 @@ def last_grid(results: Results, log: ResultLog, known: KnownPlaces | None = None
 
 
 def _groups_with(lasting: np.ndarray, occupied: np.ndarray) -> np.ndarray:
-    """Return the cells of groups of adjacent occupied cells that have a lasting one, bool."""
+    """Return the occupied cells of connected groups that contain a lasting cell, bool."""
     count, labels = cv2.connectedComponents(occupied.astype(np.uint8), connectivity=8)
     group = labels.astype(np.int32)
     has_one = np.zeros(count, bool)
@@ -89,7 +89,7 @@ def _groups_with(lasting: np.ndarray, occupied: np.ndarray) -> np.ndarray:
 def _frames(
     results: Results, log: ResultLog, most_floor: float, known: KnownPlaces | None
 ) -> Iterator[Frame]:
-    """Yield the frames of a log, each with the obstacles that are drawn."""
+    """Yield the frames of a log, each with the obstacles to draw."""
     tracked = results.tracked(log)
     columns = ("corners_world", *OBSTACLE_COLUMNS, *(["floor_seen"] * tracked))
     for chunk in results.chunks(log, _FRAME_COLUMNS, columns):
@@ -104,7 +104,7 @@ def _frames(
 
 
 def _raster(frame: Frame) -> Raster | None:
-    """Return the cells that a frame updates; an outline without a contour counts as one."""
+    """Return the cells that a frame updates; an outline without a contour counts as a contour."""
     T = T_world_upright(frame.row)
     if T is None:
         return None

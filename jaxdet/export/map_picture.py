@@ -1,4 +1,4 @@
-"""Map of a log as a small picture with alpha."""
+"""Map of a log as a small RGBA picture."""
 
 import cv2
 import numpy as np
@@ -6,19 +6,20 @@ import numpy as np
 from jaxdet.results.occupancy import MapImage
 
 MOST_CELLS = 720
-"""Maximum side of a picture [pixel]; a pixel is the maximum of several cells of larger maps."""
+"""Maximum side of a picture [pixel]; in larger maps a pixel is the maximum of several cells."""
 FREE = (122, 150, 140)
 FREE_ALPHA = 70
 
 
 def map_picture(image: MapImage) -> tuple[np.ndarray, float]:
-    """Draw cells covered by outlines in the colours of ``inferno``, and free cells in grey.
+    """Draw cells covered by outlines in the colour map ``inferno``, and free cells in grey.
 
     Args:
         image: Map.
 
     Returns:
-        Picture ``(h, w, 4)`` uint8, RGB and alpha, row 0 the lowest Y, transparent where unknown;
+        Picture ``(h, w, 4)`` uint8, RGBA, with the lowest Y in row 0 and transparent unknown cells;
+        and the side of a pixel [m]. The outer corner of pixel (0, 0) is the map's origin.
         and the side of a pixel [m]. Its outer corner is the map's origin.
     """
     side = -(-max(image.counts.shape) // MOST_CELLS)

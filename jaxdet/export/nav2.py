@@ -15,7 +15,7 @@ from jaxdet.results.occupancy import MAX_CELLS
 from jaxdet.results.reading import Results
 
 KEPT_M = 0.15
-"""What a map has this near to an obstacle that was seen is not cleared [m]."""
+"""Distance around observed obstacles within which a map is not cleared [m]."""
 
 
 class KnownMap(NamedTuple):
@@ -23,7 +23,7 @@ class KnownMap(NamedTuple):
 
     grid: Grid
     clear: bool
-    """Whether cells that were seen free become free."""
+    """Whether to clear cells that were seen as free floor."""
 
 
 def export(
@@ -35,19 +35,19 @@ def export(
     """Write ``LOG.pgm`` and ``LOG.yaml`` of each log with a map into a folder.
 
     A cell is occupied if outlines of obstacles outweigh later free floor, see
-    :mod:`jaxdet.export.grid`, free if floor was seen, and else unknown.
+    :mod:`jaxdet.export.grid`; free if floor was seen; otherwise unknown.
 
     Args:
         results: Results of a run.
         output: Folder.
-        recordings: Not used.
-        known: Map to which the obstacles that it lacks are added.
+        recordings: Unused.
+        known: Map to which missing obstacles are added.
 
     Returns:
         A line for each log without a map.
 
     Raises:
-        InputError: No log has a map, or one would be too large.
+        InputError: No log has a map, or a map would be too large.
     """
     output.mkdir()
     left_out = []
@@ -69,15 +69,16 @@ def export(
 
 
 def merged(known: Grid, new: Grid, seen: Grid | None = None) -> Grid:
-    """Return a map with new obstacles, extended where they lie outside of it.
+    """Return a map with new obstacles, extended if they lie outside of it.
 
     Args:
         known: Map.
         new: Grid whose occupied cells are added.
-        seen: Grid whose free cells are cleared, except near its occupied ones; None: none are.
+        seen: Grid whose free cells are cleared, except near its occupied cells; None: nothing is
+            cleared.
 
     Raises:
-        InputError: It would be too large.
+        InputError: The map would be too large.
     """
     rows, columns = np.nonzero(new.states == OCCUPIED)
     added = known.places(new.world(np.stack([columns, rows], axis=1) + 0.5))
@@ -92,19 +93,19 @@ def merged(known: Grid, new: Grid, seen: Grid | None = None) -> Grid:
         states[here] = np.where(found == FREE, FREE, states[here])
     here, found = _sampled(grid, new)
     states[here] = np.where(found == OCCUPIED, OCCUPIED, states[here])
-    x, y = np.floor(added + shift).astype(np.int64).T  # cells that are larger than those of new
+    x, y = np.floor(added + shift).astype(np.int64).T  # for map cells larger than those of the grid
     states[y, x] = OCCUPIED
     return grid
 
 
 def _extended(known: Grid, places: np.ndarray) -> tuple[Grid, np.ndarray]:
-    """Return a copy of a map that has these columns and rows, and what these are shifted by."""
+    """Return a copy of a map that contains the given cells, and the offset of its cell indices."""
     size = np.array(known.states.shape[::-1])
     low = np.minimum(np.floor(places).min(axis=0, initial=0), 0).astype(np.int64)
     high = np.maximum(np.floor(places).max(axis=0, initial=0) + 1, size).astype(np.int64)
     if int(np.prod(high - low)) > MAX_CELLS:
         problem = "obstacles are too far from the map"
-        raise InputError(problem, topic="--map", remedy="give the map of the frame of the poses")
+        raise InputError(problem, topic="--map", remedy="pass a map in the frame of the poses")
     pad = [(-low[1], high[1] - size[1]), (-low[0], high[0] - size[0])]
     states = np.pad(known.states, pad, constant_values=UNKNOWN)
     x, y = known.world(low.astype(np.float64)).tolist()
@@ -112,7 +113,7 @@ def _extended(known: Grid, places: np.ndarray) -> tuple[Grid, np.ndarray]:
 
 
 def _sampled(grid: Grid, other: Grid) -> tuple[tuple[slice, slice], np.ndarray]:
-    """Return the part of a grid that another one covers, and the other's states at its cells."""
+    """Return the part of a grid that another grid covers, and the other's states at its cells."""
     rows, columns = other.states.shape
     ring = np.array([[0, 0], [columns, 0], [columns, rows], [0, rows]], np.float64)
     places = grid.places(other.world(ring))

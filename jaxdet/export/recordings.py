@@ -1,4 +1,4 @@
-"""Logs of results, read and detected in again for formats with images or points."""
+"""Logs of results, read again for formats with images or points."""
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -23,22 +23,22 @@ BATCH = 16
 
 
 class Seen(NamedTuple):
-    """A batch of frames of a log, and their detections."""
+    """A batch of frames with their detections."""
 
     batch: Batch
-    """:data:`BATCH` frames, with the prior of their floor; the last frame of the chunk is repeated
-    as padding."""
+    """Batch of :data:`BATCH` frames with their floor priors; the last frame is repeated as padding.
+    """
     found: Detections
     """Detections of these frames, NumPy arrays."""
     chunk: Tables
-    """Rows of the results of these frames."""
+    """Rows of the results for these frames."""
 
 
 def find(results: Results, given: Sequence[str]) -> dict[str, LogFiles]:
-    """Find the logs of the results among files, folders and globs.
+    """Find the logs of the results in files, folders and globs.
 
-    They are identified by name, else by content; a single log needs no identification if the
-    results are of a single one. Logs that failed in the run are ignored.
+    Logs are identified by name, else by content. A single log is not checked if the results have
+    only one. Logs that failed in the run are ignored.
 
     Returns:
         Logs by their names in the results.
@@ -59,7 +59,7 @@ def find(results: Results, given: Sequence[str]) -> dict[str, LogFiles]:
         name = _by_content(results, log)
         if name is None or name in found:
             some = ", ".join(sorted(names)[:MOST_NAMED]) or "none"
-            problem = f"no log {log.name!r}; it holds {some}"
+            problem = f"the results have no log {log.name!r}, but {some}"
             remedy = "logs are identified by name, else by content"
             raise InputError(problem, path=str(results.folder), remedy=remedy)
         found[name] = log
@@ -67,7 +67,7 @@ def find(results: Results, given: Sequence[str]) -> dict[str, LogFiles]:
 
 
 def _best(given: Sequence[str], names: Collection[str]) -> list[LogFiles]:
-    """Return the logs that are named, with splits joined or not, as the results have them."""
+    """Find the logs with splits joined or not, whichever matches the names in the results."""
     if not given:
         return []
     logs = find_logs(given)
@@ -79,7 +79,7 @@ def _best(given: Sequence[str], names: Collection[str]) -> list[LogFiles]:
 
 
 def _by_content(results: Results, log: LogFiles) -> str | None:
-    """Return the log of the results that has the content of another one's files; None: none."""
+    """Return the name of the log in the results with the same content; None if there is none."""
 
     def contents(inputs: Iterable[Mapping[str, Any]]) -> list[tuple[Any, Any]]:
         return [(file.get("size"), file.get("fingerprint")) for file in inputs]
@@ -99,12 +99,12 @@ def recorded(log: ResultLog, flag: str = "--log") -> LogFiles:
         flag: Flag that names a moved log, for the error.
 
     Raises:
-        InputError: A file does not exist any more.
+        InputError: A file no longer exists.
     """
     for path in log.paths:
         if not path.exists():  # a file, or a folder of images
             problem = "the log is not at its original path"
-            raise InputError(problem, path=str(path), remedy=f"name it with {flag}")
+            raise InputError(problem, path=str(path), remedy=f"pass it with {flag}")
     return LogFiles(log.name, log.paths)
 
 
@@ -120,13 +120,13 @@ def images(
 
     Args:
         results: Results of a run.
-        log: One of its logs.
+        log: Log in the results.
         files: Files of the log.
         wanted: Frame numbers ``(n,)``; None: all.
         color: Whether to read colour images; the preset ``paper`` always does.
 
     Raises:
-        InputError: The files are another log, or unreadable.
+        InputError: The files are not this log, or are unreadable.
     """
     chunks = results.chunks(log, size=BATCH) if wanted is None else some(results, log, wanted)
     waiting, paper = next(chunks, None), results.method.cluster.points
@@ -161,18 +161,18 @@ def look_again(
     with_cells: bool = False,
     color: bool = False,
 ) -> Iterator[Seen]:
-    """Detect the obstacles in frames of a log again, with the same results as in the run.
+    """Detect the obstacles in the frames of a log again, with the same results as in the run.
 
     Args:
         results: Results of a run.
-        log: One of its logs.
+        log: Log in the results.
         files: Files of the log.
         wanted: Frame numbers ``(n,)``; None: all.
         with_cells: Whether to return the depth cells with their labels.
         color: Whether to read colour images.
 
     Raises:
-        InputError: The files are another log, or unreadable.
+        InputError: The files are not this log, or are unreadable.
     """
     start_up()
     config = results.method
@@ -195,7 +195,7 @@ def some(
     wanted: np.ndarray,
     obstacles: Sequence[str] | None = None,
 ) -> Iterator[Tables]:
-    """Yield the rows of some frames, with these obstacle columns, up to :data:`BATCH` at a time."""
+    """Yield the rows of selected frames, up to :data:`BATCH` at a time."""
     for chunk in results.chunks(log, None, obstacles):
         rows = np.flatnonzero(np.isin(chunk.frames["frame"].to_numpy(), wanted))
         for start in range(0, len(rows), BATCH):
@@ -203,7 +203,7 @@ def some(
 
 
 def _planes(results: Results, log: ResultLog, files: LogFiles) -> Planes:
-    """Return the floor priors of the run."""
+    """Compute the floor priors of the run."""
     by_index, by_scan = open_modes(results, log)
     try:
         with _opened(log, files, by_index) as opened:
@@ -214,7 +214,7 @@ def _planes(results: Results, log: ResultLog, files: LogFiles) -> Planes:
 
 
 def open_modes(results: Results, log: ResultLog) -> Iterator[LogOptions]:
-    """Yield the options to open a log: by its index, and as a fallback by a complete scan."""
+    """Yield the options to open a log: by its index, and as a fallback by a scan."""
     options = results.options_of(log)
     yield options
     yield replace(options, scan=True)
@@ -222,7 +222,7 @@ def open_modes(results: Results, log: ResultLog) -> Iterator[LogOptions]:
 
 @contextmanager
 def _opened(log: ResultLog, files: LogFiles, options: LogOptions) -> Iterator[Log]:
-    """Open the log as in the run; without its topics it is another log."""
+    """Open a log as in the run; a log without its topics is a different log."""
     try:
         opened = open_log(files, options)
     except (TopicError, CalibrationError) as error:
@@ -232,5 +232,5 @@ def _opened(log: ResultLog, files: LogFiles, options: LogOptions) -> Iterator[Lo
 
 
 def _other(log: ResultLog, files: LogFiles) -> InputError:
-    problem = f"is not the log {log.label!r} that the results are of"
-    return InputError(problem, path=str(files.paths[0]), remedy="name the right one with --log")
+    problem = f"the file is not the log {log.label!r} of the results"
+    return InputError(problem, path=str(files.paths[0]), remedy="pass the right one with --log")

@@ -69,12 +69,12 @@ def export(results: Results, output: Path, recordings: Mapping[str, LogFiles]) -
     """Write a folder with a recording of each log.
 
     Args:
-        results: Results.
-        output: Folder.
-        recordings: Logs of the results, whose images, depth and points are added.
+        results: Results of a run.
+        output: Folder to write.
+        recordings: Logs of the results by name, whose images, depth and points are added.
 
     Raises:
-        InputError: A log is not that of the results.
+        InputError: A passed log is not that of the results.
     """
     output.mkdir()
     for log in results.logs:
@@ -93,20 +93,20 @@ def export(results: Results, output: Path, recordings: Mapping[str, LogFiles]) -
 
 
 def _has_color(log: ResultLog) -> bool:
-    """Return whether boxes are in colour images: of a calibrated camera, or aligned with depth."""
+    """Return whether boxes refer to colour images, separate or aligned with depth."""
     camera = log.summary["calibration"] or {}
     return bool(camera.get("color") or log.topic("color"))
 
 
 def _blueprint(images: Sequence[tuple[str, str]]) -> rrb.Blueprint:
-    """Return the layout of the viewer; ``images`` are names and entities."""
+    """Return the layout of the viewer; ``images`` has names and entities."""
     flat = [rrb.Spatial2DView(origin=path, name=name) for name, path in images]
     series = [
         rrb.TimeSeriesView(origin="distance", name="Distance [m]"),
         rrb.TimeSeriesView(origin="obstacles", name="Obstacles"),
         rrb.TextLogView(origin="frames", name="Frames without a result"),
     ]
-    # The points of the depth image would hide those of the obstacles.
+    # Points of the depth image would hide those of the obstacles.
     shown = ["$origin/**", f"- {DEPTH}/**"]
     space = rrb.Spatial3DView(origin="world", contents=shown, name="Space")
     upper = rrb.Horizontal(space, rrb.Vertical(*flat), column_shares=[3, 2])
@@ -121,15 +121,15 @@ class _Recording:
         self.stream, self.results, self.log = stream, results, log
         self.origin = _origin(results, log)
         self.in_world = _in_world(results, log)
-        """Whether any frame has a pose in the world; then frames without one are not shown in
-        space, as they would be at the pose of the previous frame."""
+        """Whether any frame has a pose in the world. If so, frames without a pose are not shown in
+        space, where they would appear at the pose of the previous frame."""
         self.boxes = COLOR if _has_color(log) else DEPTH
-        """Image in which boxes are shown."""
+        """Entity of the image in which boxes are shown."""
         self.floor_z = 0.0
         """Height of the floor in the last frame with a pose, relative to the origin [m]."""
 
     def write(self, files: LogFiles | None) -> None:
-        """Write the recording, with images and points if the log's files are given."""
+        """Write the recording, with images and points if the files of the log are passed."""
         self._start()
         for chunk in self.results.chunks(self.log):
             _series(self.stream, chunk)
@@ -137,7 +137,7 @@ class _Recording:
                 self._at(frame.row)
                 self._frame(frame)
                 if number % FLUSH_FRAMES == 0:
-                    self.stream.flush()  # limits the queue
+                    self.stream.flush()  # limits the size of the queue
         if files is not None:
             for seen in look_again(self.results, self.log, files, with_cells=True, color=True):
                 for b, frame in enumerate(seen.chunk.each()):
@@ -157,7 +157,8 @@ class _Recording:
         log("world", rr.Transform3D(translation=self.origin), static=True)
         if motion := camera["color_from_depth"]:
             T = Extrinsics(tuple(motion["rotation"]), tuple(motion["translation"])).T
-            paper = self.results.method.cluster.points  # whose camera is the colour camera
+            # the lengths of the preset paper refer to the colour camera
+            paper = self.results.method.cluster.points
             path, T = (DEPTH, T) if paper else (COLOR, np.linalg.inv(T))
             log(path, rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3]), static=True)
         if self.boxes == COLOR:
@@ -172,7 +173,7 @@ class _Recording:
         self.stream.set_time("stamp", timestamp=np.datetime64(row["stamp_ns"], "ns"))
 
     def _frame(self, frame: Frame) -> None:
-        """Write the tables' data of a frame."""
+        """Write the data of a frame from the tables."""
         row, log = frame.row, self.stream.log
         pose = T_world_upright(row)
         if pose is not None:
@@ -193,7 +194,7 @@ class _Recording:
             log("frames", rr.TextLog(text, level=rr.TextLogLevel.WARN))
 
     def _has_place(self, row: Mapping[str, Any]) -> bool:
-        """Return whether the pose of a frame's floor is known, or those of all are unknown."""
+        """Return whether a frame can be shown in space: it has a pose, or no frame has one."""
         return not self.in_world or _is_placed(row)
 
     def _tracks(self) -> None:
@@ -214,7 +215,7 @@ class _Recording:
                 self.stream.log(place, rr.Clear(recursive=False))
 
     def _images(self, seen: Seen, b: int, frame: Frame) -> None:
-        """Write the log's data of a frame."""
+        """Write the data of a frame from the log."""
         row, log, frames = frame.row, self.stream.log, seen.batch.frames
         if row["status"] == FrameStatus.DECODE_ERROR:
             for path in (COLOR, DEPTH, f"{CAMERA}/points"):
@@ -240,7 +241,7 @@ class _Recording:
 def _origin(results: Results, log: ResultLog) -> np.ndarray:
     """Return the origin of the entity ``world`` [m]: the first position, rounded to kilometres.
 
-    Rerun uses float32, and coordinates in frames as UTM are millions of metres.
+    Rerun uses float32, while coordinates in frames such as UTM are millions of metres.
     """
     name = "camera_position_world"
     places = (frame.row[name] for frame in results.frames(log, (name,), ()))
@@ -263,7 +264,7 @@ def _encoded(kind: str, image: np.ndarray, *how: int) -> bytes:
 
 
 def _series(stream: rr.RecordingStream, chunk: Tables) -> None:
-    """Write the distances and counts of some frames."""
+    """Write the distances and counts of a chunk of frames."""
     numbers, stamps = (chunk.frames[name].to_numpy() for name in ("frame", "stamp_ns"))
     count = chunk.frames["num_obstacles"].to_numpy()
     distance, first = chunk.obstacles["distance_m"].to_numpy(), chunk.first[:-1][count > 0]

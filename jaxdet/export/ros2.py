@@ -1,6 +1,6 @@
 """ROS 2 messages: detections, points, free floor, map and TF in an MCAP file per log.
 
-It can be played together with the recording, see :mod:`jaxdet.export.sidecar`.
+The file can be played together with the recording, see :mod:`jaxdet.export.sidecar`.
 """
 
 from collections.abc import Iterator, Mapping
@@ -42,7 +42,7 @@ MESSAGES = {
 """Type of the messages of each frame, by topic; see :func:`frame_messages`."""
 
 POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("obstacle", "<u4")])
-"""Point of the cloud, in the camera's optical frame [m], and the obstacle's label."""
+"""Point of the cloud in the camera optical frame [m], with the label of its obstacle."""
 _DATATYPES = {"<f4": 7, "<u4": 6}
 """Data types of ``sensor_msgs/PointField``."""
 
@@ -53,8 +53,8 @@ def export(results: Results, output: Path, recordings: Mapping[str, LogFiles]) -
     Args:
         results: Results of a run.
         output: Folder.
-        recordings: Logs whose clouds are the obstacles' points; other clouds are the corners of
-            contours at the bottom and the top.
+        recordings: Logs by name, whose clouds are the points of obstacles; the clouds of other logs
+            are the contour points at the bottom and the top of obstacles.
     """
     for log, path in sidecars(results, output):
         with Ros2LogWriter(path) as writer:
@@ -82,11 +82,11 @@ def _write_log(
 def frame_messages(frame: Frame, range_m: float) -> Iterator[tuple[str, dict[str, Any]]]:
     """Yield the messages of a frame, each with its key in :data:`MESSAGES`.
 
-    If the floor is unknown there are only the detections.
+    If the floor is unknown, there are only detections.
 
     Args:
         frame: Frame with :data:`jaxdet.export.scan.SCAN_COLUMNS`.
-        range_m: Maximum depth [m], the extent of scan and grid.
+        range_m: Maximum depth [m], which limits scan and grid.
     """
     row = frame.row
     if (own := scan(row)) is not None:
@@ -119,7 +119,7 @@ def detections(frame: Frame) -> dict[str, Any]:
 
 
 def _contours(results: Results, log: ResultLog) -> Iterator[np.ndarray]:
-    """Yield per frame the corners of contours, else of outlines, at the bottom and the top."""
+    """Yield per frame the contours, else outlines, at the bottom and the top of obstacles."""
     for row, obstacles in results.frames(log, FRAME_COLUMNS):
         T, parts = T_camera_floor(row), [np.zeros(0, POINT)]
         for obstacle in obstacles:
@@ -170,9 +170,9 @@ def grid_message(grid: Grid, row: Row, frame_id: str | None = None) -> dict[str,
     """Return a ``nav_msgs/OccupancyGrid`` with the timestamp of a row: 100, 0, or -1 (unknown).
 
     Args:
-        grid: The grid.
-        row: The frame's row.
-        frame_id: Frame of the grid; the world frame by default.
+        grid: Grid.
+        row: Row of the frame.
+        frame_id: TF frame of the grid; by default the world frame.
     """
     head = header(row["stamp_ns"], frame_id or row["world_frame"] or "")
     rows, columns = grid.states.shape

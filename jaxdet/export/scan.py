@@ -1,6 +1,6 @@
-"""The free floor of a frame around the camera's foot: as a laser scan, and as a grid.
+"""Free floor of a frame as a laser scan, and as a local occupancy grid.
 
-Both are in the floor frame, see :mod:`jaxdet.export.shapes`: x right, y forward, z up.
+Both are in the floor frame (:mod:`jaxdet.export.shapes`: x right, y forward, z up).
 """
 
 from typing import Any, NamedTuple
@@ -16,26 +16,27 @@ from jaxdet.results.tables import Frame
 from jaxdet.types import RAYS, FreeEnd
 
 SCAN_COLUMNS = (*FREE_COLUMNS, "free_end")
-"""Columns of frames that are read here."""
+"""Columns of the frame table that this module needs."""
 ANGLE_MIN = -np.pi
-"""Angle of the first range, counter-clockwise from x [rad]; the others are ``RAY_RAD`` apart."""
+"""Angle of the first range, counter-clockwise from x [rad]; ranges are ``RAY_RAD`` apart."""
 
 
 class Scan(NamedTuple):
-    """Ranges by angle."""
+    """Laser scan: ranges by angle."""
 
     ranges: np.ndarray
-    """``(RAYS,)`` float32 [m]: to an obstacle or a drop; inf where the floor goes on to the end of
-    the depth range, NaN where nothing is known beyond the floor that is seen, or none is seen."""
+    """Distance to an obstacle or drop, ``(RAYS,)`` float32 [m]; inf if the floor extends to the end
+    of the depth range, NaN if the end of the floor is unknown or no floor is visible."""
     range_min_m: float
-    """Least range at which the frame shows floor or an obstacle; what is nearer is not seen."""
+    """Minimum range at which the frame shows floor or obstacles; nearer ones are out of view [m].
+    """
 
 
 def scan(row: Row) -> Scan | None:
-    """The scan of a frame; None where its floor is not known or its free floor was not found.
+    """Return the scan of a frame; None if the floor is unknown or has no free floor.
 
     Args:
-        row: A row of frames with :data:`SCAN_COLUMNS`.
+        row: Row of the frame with :data:`SCAN_COLUMNS`.
     """
     if row["camera_height_m"] is None or row["free_end"] is None:
         return None
@@ -49,14 +50,15 @@ def scan(row: Row) -> Scan | None:
 
 
 def local_grid(frame: Frame, reach_m: float) -> Grid | None:
-    """What a frame alone shows around the camera's foot: outlines over free floor.
+    """Draw the outlines and the free floor of a single frame as a grid around the camera.
 
     Args:
-        frame: With :data:`SCAN_COLUMNS`.
-        reach_m: How far the grid goes to each side [m].
+        frame: Frame with :data:`SCAN_COLUMNS`.
+        reach_m: Extent of the grid in each direction [m].
 
     Returns:
-        Cells of :data:`jaxdet.results.occupancy.CELL_M` in the floor frame; None like
+        Grid with cells of :data:`jaxdet.results.occupancy.CELL_M` in the floor frame; None in the
+        same cases as :func:`scan`.
         :func:`scan`.
     """
     if frame.row["camera_height_m"] is None or frame.row["free_end"] is None:
@@ -79,7 +81,7 @@ def local_grid(frame: Frame, reach_m: float) -> Grid | None:
 
 
 def scan_message(found: Scan, head: dict[str, Any], range_max_m: float) -> dict[str, Any]:
-    """A ``sensor_msgs/LaserScan``."""
+    """Build a ``sensor_msgs/LaserScan``."""
     return {
         "header": head,
         "angle_min": ANGLE_MIN,

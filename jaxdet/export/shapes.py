@@ -1,8 +1,8 @@
-"""Geometry from rows of the tables: poses of camera and floor, shapes of obstacles.
+"""Geometry from table rows: poses of camera and floor, shapes of obstacles.
 
-The *floor frame* of a camera has its origin on the floor below the optical centre, x right,
-y forward, z up: contours and outlines of the tables are in its x and y, heights in its z. If the
-floor is unknown, it is level at the height of the camera.
+The *floor frame* of a camera has its origin at the ground projection of the optical centre: x
+right, y forward, z up. Contours and outlines in the tables are in its x and y, heights in its z. If
+the floor is unknown, a level floor at the height of the camera is assumed.
 """
 
 from collections.abc import Mapping
@@ -23,21 +23,21 @@ FRAME_COLUMNS = (
     *("stamp_ns", "log_time_ns", "camera_frame", "world_frame", "camera_position_world"),
     *("camera_orientation_world", "camera_height_m", "camera_pitch_rad", "camera_roll_rad"),
 )
-"""Columns of frames for the functions of this module, except :func:`free_floor`."""
+"""Columns of the frame table needed by this module, except by :func:`free_floor`."""
 FREE_COLUMNS = ("free_bearing_rad", "free_from_m", "free_to_m")
-"""Columns of frames for :func:`free_floor`."""
+"""Columns of the frame table needed by :func:`free_floor`."""
 LEVEL = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
-"""Pose of a level camera in its floor frame, for functions that take a pose in the world."""
+"""Pose of a level camera in its floor frame, for functions that expect a pose in the world."""
 LEVEL.setflags(write=False)
 
 
 def topic(log: ResultLog, name: str) -> str:
-    """Return the topic of exported data; each camera of a log with several has its own."""
+    """Return the topic of exported data; the cameras of a log have separate topics."""
     return f"/jaxdet/{name}" if log.label == log.name else f"/jaxdet/{log.camera}/{name}"
 
 
 def camera_name(row: Row) -> str:
-    """Return the frame of the camera that lengths refer to; ``camera`` if the log names none."""
+    """Return the frame of the camera to which lengths refer; ``camera`` if the log names none."""
     return row["camera_frame"] or "camera"
 
 
@@ -95,9 +95,10 @@ def contour(obstacle: Row) -> np.ndarray:
 
 
 def heights(row: Row, obstacle: Row) -> tuple[float, float]:
-    """Return the height of the lowest and the highest point in the floor frame [m].
+    """Return the heights of the lowest and the highest point in the floor frame [m].
 
-    If the table has no heights, they are those of the box in the camera, at its centroid.
+    If the table has no heights, they are computed from the box in the camera frame, at its
+    centroid.
     """
     if obstacle["bottom_m"] is not None:
         return obstacle["bottom_m"], obstacle["top_m"]
@@ -108,7 +109,7 @@ def heights(row: Row, obstacle: Row) -> tuple[float, float]:
 
 
 def free_floor(row: Row) -> FreeFloor:
-    """Return the free floor of a frame, with an empty ray between rays that are not neighbours.
+    """Return the free floor of a frame, with an empty ray between non-adjacent rays.
 
     Args:
         row: Row with :data:`FREE_COLUMNS`.
@@ -123,10 +124,11 @@ def free_floor(row: Row) -> FreeFloor:
 
 
 def box(obstacle: Row, bottom: float, top: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the outline as a box.
+    """Convert the outline to a box.
 
     Returns:
-        Transform from the box's frame to the floor frame, ``(4, 4)`` float64: its origin is the
+        Transform from the box's frame to the floor frame, ``(4, 4)`` float64, with the origin in
+        the centre and x from A to B; and the size ``(3,)`` float64 [m].
         middle, x points from A to B; and its size ``(3,)`` float64 [m].
     """
     ring = corners(obstacle)
@@ -148,7 +150,7 @@ def number_of(obstacle: Row) -> int:
 def label(obstacle: Row) -> str:
     """Return a text with label and distance, as in the pictures, and the track after ``#``.
 
-    It ends with ``new`` if the obstacle is not in the known map.
+    The text ends with ``new`` if the obstacle is not in the known map.
     """
     track = obstacle.get("track")
     followed = "" if track is None else f"   #{track}"

@@ -1,7 +1,7 @@
 """Sidecar files, opened or played together with a log.
 
-Messages have the header timestamps of the log's depth images, and the log times at which these were
-recorded, so that both files share a timeline for any clock of the camera.
+Messages have the header timestamps of the log's depth images, and the log times of these, so that
+both files share a timeline regardless of the camera's clock.
 """
 
 from collections.abc import Iterator
@@ -29,14 +29,15 @@ class SidecarFrame(NamedTuple):
     """A frame in a sidecar."""
 
     frame: Frame
-    """Rows of the frame. Its camera frame is ``CAMERA_FRAME_jaxdet`` if ``transforms`` has its
-    pose, as a TF frame has one parent, which is in the log for the log's own camera."""
+    """Rows of the frame. If ``transforms`` has the pose of the camera, its frame is renamed to
+    ``CAMERA_FRAME_jaxdet``, since a TF frame has one parent, and the log has that of the camera's
+    own frame."""
     log_time_ns: int
     """Log time of its messages [ns]."""
     transforms: tuple[Transform, ...]
     """Floor frame, and pose of the camera in the world if the log's TF lacks it."""
     grid: Grid | None
-    """Map in the world frame, with the first frame of a log that has one."""
+    """Map in the world frame; only in the first frame, and only if the log has one."""
 
 
 def sidecars(results: Results, folder: Path) -> Iterator[tuple[ResultLog, Path]]:
@@ -49,7 +50,7 @@ def sidecars(results: Results, folder: Path) -> Iterator[tuple[ResultLog, Path]]
 def sidecar_frames(
     results: Results, log: ResultLog, columns: tuple[str, ...] = ()
 ) -> Iterator[SidecarFrame]:
-    """Yield the frames of a log, with further columns."""
+    """Yield the frames of a log, with additional columns."""
     for number, frame in enumerate(results.frames(log, (*FRAME_COLUMNS, *columns))):
         grid = None if number else last_grid(results, log)
         named = frame.row["world_frame"] and not log.poses_from_tf

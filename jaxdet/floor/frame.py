@@ -1,4 +1,4 @@
-"""Floor of each frame in integers: position of points on it, and height above it.
+"""Floor frames in integers: position of points on the floor, and height above it.
 
 Angles are integer steps, :data:`ANGLES` per degree, and sines come from a table, so that all
 further operations are sums, products and shifts of integers.
@@ -11,11 +11,11 @@ from jaxdet.types import GroundPlane
 
 FRAME_BITS = 13  # fraction bits of the axes of a floor frame
 FLOOR_VALUES = 13
-"""Number of integers of a floor frame: right, forward and down in the camera (three each,
+"""Number of integers of a floor frame: right, forward and down in the camera frame (three each,
 ``FRAME_BITS`` fraction bits), height of the optical centre [depth units], whether the floor is
 known, start of a ramp [depth units], and its slope (``FRAME_BITS`` fraction bits)."""
 DOWN, CAMERA_HEIGHT, IS_KNOWN = slice(6, 9), 9, 10
-"""Indices of down, the height and whether the floor is known."""
+"""Indices of the down vector, the height, and whether the floor is known."""
 UNKNOWN_HEIGHT = 1 << 20  # height of every point if the floor is unknown [depth units]
 STEEPEST_SLOPE = 8  # maximum slope of a ramp, rise over run
 
@@ -53,7 +53,7 @@ def floor_frames(plane: GroundPlane, depth_unit: float) -> np.ndarray:
 
 
 def axes(pitch: np.ndarray, roll: np.ndarray) -> list[np.ndarray | int]:
-    """Return right, forward and down in the camera, nine numbers with ``FRAME_BITS`` fraction bits.
+    """Return right, forward and down in the camera frame, with ``FRAME_BITS`` fraction bits.
 
     Args:
         pitch: Pitch ``(B,)`` integer [angle steps].

@@ -1,4 +1,4 @@
-"""Camera mounting, given by the user as the prior of the floor."""
+"""Camera mounting, passed by the user as the prior of the floor."""
 
 import math
 from dataclasses import dataclass
@@ -44,22 +44,21 @@ class Mount:
             try:
                 float(value)
             except OverflowError as error:
-                problem, remedy = "number is too large", "give metres or radians"
+                problem, remedy = "number is too large", "pass metres or radians"
                 raise ConfigError(problem, topic=name, remedy=remedy) from error
         if not 0 < self.height_m < HIGHEST_M:
             raise ConfigError(
-                f"a camera {self.height_m:g} m above the floor",
+                f"expected above 0 and below 20 m, got {self.height_m:g} m",
                 topic="height_m",
-                remedy="give metres, above 0 and below 20",
+                remedy="pass the height in metres",
             )
         for name, most in (("pitch_rad", math.pi / 2), ("roll_rad", math.pi)):
             angle = getattr(self, name)
             if not abs(angle) <= most + 1e-9:
                 raise ConfigError(
-                    f"{angle:g} rad are {math.degrees(angle):.0f}°",
+                    f"expected radians from {-most:.2f} to {most:.2f}, got {angle:g}",
                     topic=name,
-                    remedy=f"give radians from {-most:.2f} to {most:.2f}; math.radians takes "
-                    "degrees",
+                    remedy="convert degrees with math.radians",
                 )
 
     @classmethod
@@ -81,8 +80,8 @@ class Mount:
         down = numbers("gravity", gravity, np.float64)
         length = float(hypot(hypot(*down[:2]), down[2])) if down.shape == (3,) else math.nan
         if not 0 < length < math.inf:
-            problem = f"a vector of shape {down.shape} and length {length:g} is not a direction"
-            raise ConfigError(problem, topic="gravity", remedy="give three numbers, x y z")
+            problem = f"expected a direction, got shape {down.shape} and length {length:g}"
+            raise ConfigError(problem, topic="gravity", remedy="pass three numbers, x y z")
         height = np.array([number("height_m", height_m)])
         return cls._of(plane_from_down(down[None] / length, height))
 
@@ -94,13 +93,13 @@ class Mount:
             T_base_camera: Transform ``(4, 4)`` from the camera optical frame to the base [m].
 
         Raises:
-            InputError: It is not a rigid transform.
+            InputError: The matrix is not a rigid transform.
             ConfigError: The camera is not between 0 and 20 m above the floor.
         """
         T = numbers("T_base_camera", T_base_camera, np.float64)
         if T.shape != (4, 4) or not is_rigid(T):
-            problem = f"shape {T.shape}" if T.shape != (4, 4) else "is not a rigid transform"
-            remedy = "give a (4, 4) matrix, in metres"
+            problem = f"got shape {T.shape}" if T.shape != (4, 4) else "not a rigid transform"
+            remedy = "pass a (4, 4) matrix, in metres"
             raise InputError(problem, topic="T_base_camera", remedy=remedy)
         return cls._of(plane_from_transform(T))
 

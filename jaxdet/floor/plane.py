@@ -1,4 +1,4 @@
-"""Floor plane on the host: its directions, and the depth at which a pixel becomes floor.
+"""Floor planes on the host: directions, and the depth at which a pixel becomes floor.
 
 With pitch ``p`` and roll ``r`` (see :class:`jaxdet.types.GroundPlane`) the direction *down* in
 the camera optical frame is ``(sin r cos p, cos r cos p, sin p)``.
@@ -26,14 +26,14 @@ DIRECTION_BITS = 9  # fraction bits of a direction, few enough for 32-bit produc
 def flat_plane(
     height: ArrayLike, pitch: ArrayLike, roll: ArrayLike, valid: np.ndarray | None = None
 ) -> GroundPlane:
-    """Return a floor without ramps.
+    """Build a floor without ramps.
 
     Args:
         height: Height of the optical centre above the floor, ``(B,)`` float64, or a number for one
             frame [m].
         pitch: Pitch ``(B,)`` float64 [rad], positive looks down.
         roll: Roll ``(B,)`` float64 [rad], positive clockwise seen from behind.
-        valid: Whether each floor is known, ``(B,)`` bool; None: all are.
+        valid: Whether each floor is known, ``(B,)`` bool; None: all are known.
 
     Raises:
         InputError: An argument is not an array of numbers, or their lengths differ.
@@ -44,7 +44,7 @@ def flat_plane(
     if not height.shape == pitch.shape == roll.shape == valid.shape or height.ndim != 1:
         shapes = ", ".join(str(a.shape) for a in (height, pitch, roll, valid))
         problem = f"height, pitch, roll and valid have the shapes {shapes}"
-        raise InputError(problem, remedy="give (B,) each, or a number each")
+        raise InputError(problem, remedy="pass (B,) arrays, or a number each")
     return GroundPlane(height, pitch, roll, valid, np.full(height.shape, np.inf), 0 * height)
 
 
@@ -63,14 +63,14 @@ def down_vector(pitch: np.ndarray, roll: np.ndarray) -> np.ndarray:
 
 
 def plane_from_down(down: np.ndarray, height: np.ndarray) -> GroundPlane:
-    """Return the planes with these unit down vectors ``(B, 3)`` and heights ``(B,)`` [m]."""
+    """Return the planes with the given unit down vectors ``(B, 3)`` and heights ``(B,)`` [m]."""
     pitch = arctan2(down[:, 2], hypot(down[:, 0], down[:, 1]))
     roll = arctan2(down[:, 0], down[:, 1])
     return flat_plane(height, pitch, roll, np.isfinite(height))
 
 
 def plane_from_transform(T_base_camera: np.ndarray) -> GroundPlane:
-    """Return the floor of a camera with pose ``(4, 4)`` in a base frame whose z = 0 is the floor.
+    """Return the floor for a camera pose ``(4, 4)`` in a base frame with z = 0 on the floor.
 
     Returns:
         A :class:`GroundPlane` with ``B = 1``.
@@ -98,7 +98,7 @@ def flagged_plane(config: GroundConfig) -> GroundPlane:
 
 
 def floor_prior(frames: Frames, config: Config) -> GroundPlane:
-    """Return the prior of each frame's floor: the frames', else the configuration's, else none."""
+    """Return the floor priors: those of the frames, else of the configuration, else none."""
     batch = len(frames.depth)
     if config.ground.source == "none":
         return unknown_plane(batch)
@@ -110,7 +110,7 @@ def floor_prior(frames: Frames, config: Config) -> GroundPlane:
 
 
 def unknown_plane(batch: int) -> GroundPlane:
-    """Return planes of ``batch`` frames with unknown floor: level camera, nothing is dropped."""
+    """Return ``batch`` unknown planes, for a level camera and without points on the floor."""
     zeros = np.zeros(batch)
     return flat_plane(zeros, zeros, zeros, np.zeros(batch, bool))
 

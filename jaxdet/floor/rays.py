@@ -1,4 +1,4 @@
-"""Tables of the rays of the free floor, for both backends: bearings and directions in integers."""
+"""Tables for the rays of the free floor, for both backends: bearings and directions in integers."""
 
 from functools import lru_cache
 
@@ -32,13 +32,14 @@ def half_turn(camera: Intrinsics, side: int) -> int:
 def tile_corners(rays: np.ndarray) -> np.ndarray:
     """Compute the rays through the corners of tiles, ``TILE`` rows of a column of cells each.
 
-    Corners of cells are halfway between the centres of cells, or extrapolated by as much.
+    Corners of cells are halfway between cell centres, or extrapolated by half a cell.
 
     Args:
         rays: Rays through the centres of cells, ``(2, R, C)`` int64.
 
     Returns:
         Rays in the same units, ``(2, T + 1, C + 1)`` int64, for T tiles per column; the last tile
+        may have fewer rows.
         may have fewer rows.
 
     Example:
@@ -53,10 +54,11 @@ def tile_corners(rays: np.ndarray) -> np.ndarray:
 
 
 def block_settings(ground: GroundConfig, depth_unit: float) -> np.ndarray:
-    """Return the step height of a single pixel, in the terms of ``StepHeight``.
+    """Return the step height of a single pixel, as in ``StepHeight``.
 
     Returns:
-        ``(3,)`` float32: the part that is the same at all depths [depth units], the growth with
+        Coefficients ``(3,)`` float32: constant [depth units], growth with depth, and growth with
+        depth and camera height [1/depth unit].
         depth, and the growth with depth and with the camera's height [1/depth unit].
     """
     step, noise = ground.step_height_m / depth_unit, ground.noise_per_m * depth_unit
@@ -77,7 +79,8 @@ def ray_directions() -> np.ndarray:
     """Return the directions of the rays, and of the left edges of their sectors.
 
     Returns:
-        ``(2, RAYS, 2)`` int64, right and forward with ``RAY_BITS`` fraction bits, read-only.
+        Directions ``(2, RAYS, 2)`` int64, right and forward with ``RAY_BITS`` fraction bits,
+        read-only.
     """
     angle = (np.arange(RAYS) - RAYS // 2 - np.array([[0.0], [0.5]])) * (2 * np.pi / RAYS)
     table = np.rint(np.stack(sin_cos(angle), axis=-1) * (1 << RAY_BITS)).astype(np.int64)

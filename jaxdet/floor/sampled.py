@@ -9,11 +9,11 @@ from jaxdet.floor.plane import flat_plane, unknown_plane
 from jaxdet.types import GroundPlane
 
 ENOUGH = 3
-"""Minimum number of sampled frames with a floor of their own, or all if there are fewer."""
+"""Minimum number of sampled frames whose own floor was found, or all if there are fewer frames."""
 AGREEING = 0.9
 """Minimum fraction of floors near the median for a camera that is fixed to the robot."""
 NEAR_M, NEAR_RAD = 0.03, float(np.radians(2.0))
-"""Maximum deviation of near floors in height [m], and in pitch and roll [rad]."""
+"""Maximum deviation from the median in height [m], and in pitch and roll [rad]."""
 
 
 class SampledFloor(NamedTuple):
@@ -22,7 +22,7 @@ class SampledFloor(NamedTuple):
     plane: GroundPlane
     """Median height, pitch and roll, ``B = 1``; not valid if too few frames show a floor."""
     decided: int
-    """Number of frames whose own depth shows the floor."""
+    """Number of frames whose own floor was found."""
     looked_at: int
     """Number of sampled frames."""
     height_spread_m: float
@@ -32,13 +32,13 @@ class SampledFloor(NamedTuple):
 
     @property
     def agrees(self) -> bool:
-        """Whether the camera is fixed to the robot."""
+        """Whether the camera has a fixed pose on the robot."""
         near = self.height_spread_m <= NEAR_M and self.angle_spread_rad <= NEAR_RAD
         return bool(self.plane.valid[0]) and near
 
 
 def sampled_floor(planes: GroundPlane, own: np.ndarray) -> SampledFloor:
-    """Compute the median of the floors that frames show.
+    """Compute the median of the floors found in frames.
 
     Args:
         planes: ``B`` planes, whose ramps are ignored.
@@ -63,5 +63,5 @@ def sampled_floor(planes: GroundPlane, own: np.ndarray) -> SampledFloor:
 
 
 def _quantile(values: np.ndarray) -> float:
-    """Return the smallest value that is not exceeded by the fraction ``AGREEING`` of them."""
+    """Return the ``AGREEING`` quantile, without interpolation."""
     return float(np.quantile(values, AGREEING, method="inverted_cdf"))

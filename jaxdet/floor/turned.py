@@ -1,4 +1,4 @@
-"""Rotation of images of a camera that is mounted upside down or on its side."""
+"""Rotation of images from a camera mounted upside down or on its side."""
 
 import math
 
@@ -13,8 +13,7 @@ QUARTER = math.pi / 2
 def turned_frames(frames: Frames, quarters: int) -> Frames:
     """Rotate depth images and their camera counterclockwise by quarters of a turn.
 
-    Tangential distortion is not rotated: it matters for pixels, but not for the position of a
-    floor.
+    Tangential distortion is not rotated; it affects pixels, but hardly the floor.
 
     Args:
         frames: ``B`` frames; colour and floor planes are dropped.
@@ -29,7 +28,7 @@ def turned_frames(frames: Frames, quarters: int) -> Frames:
 
 
 def turned_back(plane: GroundPlane, quarters: int) -> GroundPlane:
-    """Return the floors of rotated images in the frame of the camera as it is mounted."""
+    """Convert the floors of rotated images to the frame of the original camera."""
     roll = np.asarray(plane.roll) - quarters * QUARTER
     roll = np.where(roll < -math.pi, roll + 2 * math.pi, roll)
     return flat_plane(plane.height, plane.pitch, roll, np.asarray(plane.valid, bool))

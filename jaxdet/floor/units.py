@@ -1,4 +1,4 @@
-"""Integer units of the floor search: lengths in depth units, angles in steps, tolerances.
+"""Integer units of the floor estimation: lengths in depth units, angles in steps, tolerances.
 
 Both backends use them, see ``jaxdet/reference/_floor.py``.
 """
@@ -32,10 +32,10 @@ HEIGHTS_M = (0.05, 3.0)  # minimum and maximum height of a robot's or a hand-hel
 STEP_DEG = 3  # first spacing of directions without a prior; the next one is a degree
 BIN_M = 0.008  # spacing of heights, a power of two of the depth unit
 NEAR_M, STEEP_M = 0.10, 0.20
-"""Search range of a plane's height: for the rocking of a robot and errors of the mount; and for
-frames that show only a ramp, whose plane it is."""
+"""Search range of a plane's height [m]: for a rocking robot and errors of the mount; and for frames
+that show only a ramp."""
 RINGS_M = (0.6, 0.8, 1.1, 1.5, 2.0, 2.7)
-"""Maximum distances of the cells for the plane in front of a ramp."""
+"""Maximum distances of the cells used for the plane in front of a ramp [m]."""
 STARTS_M = np.arange(0.4, 3.5, 0.2)  # candidate distances at which a ramp begins
 FINE_START_M = 0.05  # spacing of the finer lattice
 DROP_SPACING_M = 0.04  # spacing of candidate steps
@@ -43,13 +43,15 @@ ALIKE_M = 0.004  # planes whose heights differ by less are not both searched for
 RUN_M, RISE_M = 0.064, 0.004
 """Size of a profile bin; both are rounded to powers of two of the depth unit."""
 FARTHEST_M, HIGHEST_M = 6.0, 1.3
-"""End of the profile; lower cells are counted at its lower edge."""
+"""Maximum distance of the profile and its lower edge [m]; lower cells are counted at that edge."""
 RAMP_NEAR_M, SPREAD_M = 0.5, 0.4
-"""A ramp must be visible this near to where it leaves the plane, and over this distance, as must
-the floor beyond a step; the top or the face of an obstacle is visible in one place."""
+"""Maximum distance from the start of a ramp at which it must be visible, and minimum length over
+which it must be visible [m]; the same holds for the floor beyond a step. The top or the face of an
+obstacle is visible only in one place."""
 RAMP_M = 3.6  # a plane far from the prior is a ramp if it crosses the prior nearer than this
 STEP_M, TABLE_M = 0.05, 0.10
-"""Cells this far above a plane are obstacles; cells this far below show it is not the floor."""
+"""Height above a plane from which cells are obstacles, and depth below it from which cells show
+that it is not the floor [m]."""
 DEEP_M = 0.25  # the same below a plane that ends at a step, if there is no prior
 OVER_TABLE_M = 2.0
 """Maximum height of a camera above the floor on which a table stands; where the floor beyond a step
@@ -62,7 +64,7 @@ class Tolerance(NamedTuple):
     base: int  # roughness of a floor [depth units]
     per_z: int  # errors of direction and bowed floors, TOLERANCE_BITS fraction bits
     noise: int
-    """Stereo noise ``c z^2`` along a ray that meets the floor at the angle whose sine is h / z,
+    """Stereo noise ``c z^2`` along a ray that meets the floor at an angle with the sine h / z;
     ``TOLERANCE_BITS`` fraction bits."""
 
     def of(self, z: np.ndarray, height: int) -> np.ndarray:
@@ -107,7 +109,7 @@ class Scale(NamedTuple):
 
     @property
     def sharp(self) -> Tolerance:
-        """Tolerance of the last steps."""
+        """Tolerance in the last steps of the search."""
         return self.tolerance(SHARP_M, SHARP_PER_Z)
 
 
@@ -115,7 +117,7 @@ class FloorFit(NamedTuple):
     """Floor of each frame."""
 
     plane: GroundPlane
-    """``B`` planes: the frame's own, or the prior if that was refused."""
+    """Planes of ``B`` frames: the frame's own, or the prior if that was refused."""
     own: np.ndarray
     """Whether the frame's own depth determined the plane, ``(B,)`` bool."""
     share: np.ndarray
@@ -123,7 +125,7 @@ class FloorFit(NamedTuple):
     refused: np.ndarray
     """Reason of refusal, ``(B,)`` int32, a :class:`Refusal`."""
     found: np.ndarray
-    """Integers ``(B, 8)`` int32 that the fields are computed from, see :func:`floor_fit`."""
+    """Integers ``(B, 8)`` int32 from which the other fields are computed, see :func:`floor_fit`."""
 
 
 def sine(angle: np.ndarray | int) -> np.ndarray:
@@ -170,7 +172,7 @@ def prior_units(prior: GroundPlane, scale: Scale) -> np.ndarray:
 
 
 def floor_fit(found: np.ndarray, prior: GroundPlane, unit: float) -> FloorFit:
-    """Return the floor of each frame in metres and radians.
+    """Convert the floor of each frame to metres and radians.
 
     Args:
         found: Result of the search, ``(B, 8)`` int32: pitch and roll [angle steps] and height

@@ -1,32 +1,32 @@
-"""Logs of depth cameras: recordings to arrays, and arrays to files.
+"""Reading and writing of depth camera logs.
 
-``find_logs`` turns names of files and folders into logs, ``open_log`` reads the index and the first
-messages of a log, and :class:`Log` reads its frames in batches. Names are loaded on first use, so
-that the options alone import no decoder.
+``find_logs`` finds the logs in files and folders, ``open_log`` reads the index and the first
+messages of a log, and :class:`Log` reads its frames in batches. Names are imported on first use,
+so that ``LogOptions`` alone imports no decoder.
 
-From the bytes of files to frames, by module::
+The modules, from files to frames::
 
     files, splits                   paths -> the files of each log
-      formats, container            a file of any format: chunks of MCAP records by position, and
-                                      its index
+      formats, container            a file of any format: its index, and chunks of MCAP records by
+                                      position
         mcap_file, chunks             MCAP: mcap_index; if that is damaged, mcap_scan
         bag                           ROS 1
-        message_file                  messages one by one: sqlite (ROS 2), image_folder
-      file_index                    where every message is: arrays, the same for all formats, by
-                                      the file's own index or rebuilt from all that is whole (walk)
-      opening, indexed              messages by topic (records), the first of each decoded
-                                      (contents); or all small ones and all stamps
+        message_file                  single messages: sqlite (ROS 2), image_folder
+      file_index                    positions of all messages as arrays, in the same form for all
+                                      formats; from the file's own index, or rebuilt (walk)
+      opening, indexed              messages by topic (records); the first of each topic are decoded
+                                      (contents), or all small messages and all timestamps
       findings                      cameras, topics, calibration (intrinsics, extrinsics), poses,
                                       transforms, motion
-      windows                       any range of frames: order, nearest colour, poses
+      windows                       any range of frames: order, nearest colour image, poses
                                       (motion_windows), calibration (validity)
-    timeline.Window                 where the images of some frames lie
-      reading, store                  chunks, each read and checked once, by threads
-        raw_messages                  pixels that go straight into their arrays; transforms
+    timeline.Window                 positions of the images of some frames
+      reading, store                  chunks, each read and checked once, in threads
+        raw_messages                  raw pixels, copied directly into arrays; transforms
         decode_messages               CDR, ROS 1, protobuf and JSON -> messages
         images, compressed            their pixels: raw, jpeg, png, rvl, zstd_images
-        body_mask                     pixels of the robot itself, which are not measured
-    log, batch                      arrays of images, stamps and poses, and the status of each
+        body_mask                     mask of the robot's own body
+    log, batch                      arrays of images, timestamps and poses, and each frame's status
 """
 
 import lazy_loader

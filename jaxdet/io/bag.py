@@ -1,15 +1,16 @@
-"""ROS 1's bags, version 2.0: their records, and chunks as MCAP has them.
+"""ROS 1 bags, version 2.0: records, index, and chunks converted to MCAP records.
 
-A record is a head of named fields and data, each with its length before it. A chunk holds
-connections and messages; at the file's end are all connections and the places of the chunks.
-The index of a chunk follows it. Source: the ROS wiki's page "Bags/Format/2.0". A bag is read by
-its index alone; ``rosbag reindex`` makes one where a recording was not closed.
+A record consists of a header of named fields and of data, each preceded by its length. A chunk
+contains connections and messages, and is followed by its index; all connections and the positions
+of the chunks are at the end of the file. Source: the ROS wiki's page "Bags/Format/2.0". A bag is
+read only by its index; if the recording was not closed, ``rosbag reindex`` creates one.
 
-The messages are decoded by ``rosbags``, but the file is read here: the reader of ``rosbags`` takes
-150 bytes a message, parses its index entry by entry, and decompresses chunks of any size.
+``rosbags`` decodes the messages, but not the file: its reader needs 150 bytes per message, parses
+the index entry by entry, and decompresses chunks of any size.
 
-A message's head takes more bytes in a bag (46) than in MCAP (31). So a chunk as MCAP has it is as
-long as the bag's, and every message begins where the bag's index says; between them is padding.
+The header of a message is larger in a bag (46 bytes) than in MCAP (31). The converted chunk
+therefore has the length of the original, each message starts at the offset in the bag's index, and
+the gaps are padding.
 """
 
 import bz2
@@ -34,42 +35,42 @@ from jaxdet.io.messages import kind_of
 from jaxdet.io.ros1 import require_rosbags
 
 MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 4, 5, 6, 7
-"""Kinds of records (their field ``op``)."""
+"""Record types (field ``op``)."""
 MAGIC = b"#ROSBAG V2.0\n"
 MAX_CONNECTION = 0xFFFF
 _LENGTH = struct.Struct("<I")
 _PADDING = 0x80
-"""Opcode of MCAP's records that programs may use as they like."""
+"""Opcode of MCAP records reserved for applications."""
 _MAX_HEAD_BYTES = 1 << 16
 _FIRST_BYTES = 256
-"""Read at once of a record's head."""
+"""Number of bytes of a record header that are read first."""
 _ENTRY = np.dtype([("sec", "<u4"), ("nanosec", "<u4"), ("offset", "<u4")])
 _COUNT = np.dtype([("connection", "<u4"), ("messages", "<u4")])
 _INDEX_VERSION = 1
 
 
 class BagRecord(NamedTuple):
-    """A record of a bag."""
+    """A record of a bag and its position in the file."""
 
     op: int
     fields: dict[bytes, bytes]
     start: int
-    """Where it begins."""
+    """Position of the record [byte]."""
     data: int
-    """Where its data begin."""
+    """Position of its data [byte]."""
     size: int
-    """Of its data."""
+    """Size of its data [byte]."""
 
     @property
     def end(self) -> int:
-        """Where the next one begins."""
+        """Position of the next record [byte]."""
         return self.data + self.size
 
     def number(self, name: bytes, size: int = 4) -> int:
-        """Return a field of so many bytes as an integer.
+        """Return a field of ``size`` bytes as an integer.
 
         Raises:
-            DamageError: It isn't there, or has another size.
+            DamageError: The field is missing, or has another size.
         """
         value = self.fields.get(name, b"")
         if len(value) != size:
@@ -78,18 +79,18 @@ class BagRecord(NamedTuple):
 
 
 class _End(NamedTuple):
-    """What stands at the end of a bag."""
+    """Contents of the index at the end of a bag."""
 
     connections: dict[int, ChannelInfo]
     counts: dict[int, dict[int, int]]
-    """The messages of each connection in each chunk, by its position."""
+    """Number of messages per connection, by position of the chunk."""
 
 
 class BagFile(LogFile):
-    """A ROS 1 bag; the position of a chunk is where its record begins.
+    """A ROS 1 bag; chunks are identified by the position of their record.
 
     Raises:
-        InputError: It has no index.
+        InputError: The bag has no index.
     """
 
     magic = MAGIC
@@ -108,12 +109,14 @@ class BagFile(LogFile):
             raise self.without_index("the bag was not closed")
 
     def without_index(self, why: str) -> InputError:
-        """Return the error of a bag without an index that can be used."""
-        remedy = "on a copy, run rosbag reindex"
-        return InputError(f"it has no index ({why})", path=str(self.path), remedy=remedy)
+        """Return the error of a bag whose index is missing or damaged."""
+        remedy = "run rosbag reindex on a copy"
+        return InputError(
+            f"the bag has no usable index ({why})", path=str(self.path), remedy=remedy
+        )
 
     def read_index(self) -> FileIndex:
-        """See :meth:`LogFile.read_index`."""
+        """Read the index of the bag, see :meth:`LogFile.read_index`."""
         end = _read_end(self)
         parts = [np.zeros((5, 0), np.int64)]
         for position, after in pairwise([*sorted(end.counts), self.index]):
@@ -124,10 +127,10 @@ class BagFile(LogFile):
         return file_index(dict(sorted(end.connections.items())), messages, about)
 
     def rebuild_index(self) -> FileIndex:
-        """Return the same index, if it holds messages that can't be read.
+        """Return the bag's own index again, for a bag with unreadable messages.
 
         Raises:
-            InputError: The bag's own index is torn or wrong.
+            InputError: The bag's own index is incomplete or wrong.
         """
         try:
             found = self.read_index()
@@ -136,14 +139,14 @@ class BagFile(LogFile):
         return found._replace(integrity=found.integrity._replace(by_index=False))
 
     def record(self, position: int, end: int | None = None) -> BagRecord:
-        """Return the record at a position of the file.
+        """Return the record at a position in the file.
 
         Args:
-            position: Where it begins.
-            end: Where it must have ended; default: the file's end.
+            position: Start of the record [byte].
+            end: Upper limit for its end [byte]; by default the size of the file.
 
         Raises:
-            DamageError: There is none.
+            DamageError: There is no complete record.
         """
         end = self.size if end is None else min(end, self.size)
         known = self.read(position, max(0, min(_FIRST_BYTES, end - position)))
@@ -157,10 +160,10 @@ class BagFile(LogFile):
         return found
 
     def chunk_head(self, position: int) -> ChunkHead:
-        """Return the head of the chunk whose record begins at ``position``; it has no times.
+        """Return the header of the chunk whose record starts at ``position``; its times are 0.
 
         Raises:
-            DamageError: There is none.
+            DamageError: There is no chunk.
         """
         record = self.record(position)
         if record.op != CHUNK:
@@ -171,10 +174,10 @@ class BagFile(LogFile):
         return ChunkHead(0, 0, size, 0, f"bag {name}", place, record.size, record.size)
 
     def chunk(self, position: int) -> memoryview:
-        """Return the chunk at ``position``, with each message as a record of MCAP where it was.
+        """Return the chunk at ``position``, each message converted to an MCAP record at its offset.
 
         Raises:
-            DamageError: It can't be read, or a record overruns it.
+            DamageError: The chunk is unreadable, or a record exceeds it.
         """
         head = self.chunk_head(position)
         self.check_memory(max(head.uncompressed_size, head.data_size))
@@ -197,10 +200,10 @@ class BagFile(LogFile):
 
 
 def records(data: bytes) -> Iterator[BagRecord]:
-    """Return the records in some data, such as a decompressed chunk.
+    """Yield the records in data such as a decompressed chunk.
 
     Raises:
-        DamageError: One overruns the data.
+        DamageError: A record exceeds the data.
     """
     position = 0
     while position < len(data):
@@ -212,10 +215,10 @@ def records(data: bytes) -> Iterator[BagRecord]:
 
 
 def read_record(data: bytes, place: int, start: int = 0) -> BagRecord:
-    """Return the record whose head is at ``place`` in some data, which begin at ``start``.
+    """Parse the record header at offset ``place`` of data, which begin at file position ``start``.
 
     Raises:
-        DamageError: There is none; whether its data are there isn't looked at.
+        DamageError: There is no header. The data of the record may be incomplete.
     """
     try:
         (size,) = _LENGTH.unpack_from(data, place)
@@ -234,17 +237,17 @@ def nanoseconds(record: BagRecord) -> int:
     """Return the log time of a message record [ns].
 
     Raises:
-        DamageError: It has none.
+        DamageError: The record has no time.
     """
     nanosec, sec = divmod(record.number(b"time", 8), 1 << 32)
     return sec * 1_000_000_000 + nanosec
 
 
 def fields(head: bytes | memoryview) -> dict[bytes, bytes]:
-    """Return the named fields of a record's head, or of the data of a connection.
+    """Parse the named fields of a record header, or of a connection's data.
 
     Raises:
-        DamageError: They are damaged.
+        DamageError: The fields are damaged.
     """
     found: dict[bytes, bytes] = {}
     place = 0
@@ -280,10 +283,10 @@ def _decompress(head: ChunkHead, data: bytes) -> bytes:
 
 
 def _read_end(file: BagFile) -> _End:
-    """Return the connections and chunks that the end of a bag lists.
+    """Read the connections and chunks listed at the end of a bag.
 
     Raises:
-        DamageError: It is missing or damaged.
+        DamageError: The list is missing or damaged.
     """
     head, start = file.head, file.index
     if not head.end <= start < file.size:
@@ -323,10 +326,12 @@ def _connection(record: BagRecord, about: dict[bytes, bytes]) -> ChannelInfo:
 def _chunk_index(
     file: BagFile, position: int, end: int, counts: dict[int, int]
 ) -> Iterator[np.ndarray]:
-    """Connection, log time, chunk, its length and offset ``(5, N)`` of a chunk's messages.
+    """Yield the index of a chunk: connection, log time, chunk position, chunk length and offset.
+
+    The arrays are ``(5, N)`` int64 for ``N`` messages.
 
     Raises:
-        DamageError: The index of the chunk isn't what it should be.
+        DamageError: The index of the chunk is invalid.
     """
     chunk = file.record(position, end)
     size = chunk.number(b"size")

@@ -1,4 +1,4 @@
-"""The frames of a log, decoded: some of them as arrays, or one by one."""
+"""Decoded frames of a log: batches of arrays, or single frames."""
 
 from collections.abc import Iterator, Sequence
 from itertools import chain
@@ -11,28 +11,30 @@ from jaxdet.io.notes import Notes, total
 from jaxdet.types import Frames
 
 _PER_FRAME = ("number", "stamp_ns", "color_stamp_ns", "valid")
-"""Of :class:`jaxdet.types.Frames`, what is small, without the poses."""
+"""Small fields of :class:`jaxdet.types.Frames`, without the poses."""
 
 
 class LogFrame(NamedTuple):
-    """A frame of a log, decoded."""
+    """A decoded frame of a log."""
 
     number: int
     """Number of the depth image in the log, from 0."""
     depth: np.ndarray
-    """``(Hd, Wd)`` uint16 [depth units], 0 = no measurement; zeros where it can't be decoded."""
+    """Depth image ``(Hd, Wd)`` uint16 [depth units], 0 = no measurement; all 0 if it can't be
+    decoded."""
     color: np.ndarray | None
-    """``(H, W, 3)`` uint8, RGB, the nearest colour image; None if none was read."""
+    """Nearest colour image ``(H, W, 3)`` uint8, RGB; None if none was read."""
     status: FrameStatus
-    """``ok``, or why the frame can't be used."""
+    """``ok``, or the reason why the frame is unusable."""
     error: str
-    """One line on that; empty if it is ok."""
+    """Explanation of the status in one line; empty if it is ok."""
     stamp_ns: int
-    """Depth header stamp."""
+    """Timestamp in the header of the depth image [ns]."""
     color_stamp_ns: int
-    """Colour header stamp, -1 = none."""
+    """Timestamp in the header of the colour image [ns], -1 = none."""
     T_world_camera: np.ndarray | None
-    """``(4, 4)`` float64, depth optical frame to world, NaN where unknown; None: no poses."""
+    """Pose of the depth optical frame in the world, ``(4, 4)`` float64, NaN if unknown; None if the
+    log has no poses."""
 
     def __repr__(self) -> str:
         high, wide = self.depth.shape
@@ -43,34 +45,35 @@ class LogFrame(NamedTuple):
 
 
 class Batch(NamedTuple):
-    """Decoded frames, and what became of each."""
+    """A batch of decoded frames, with the status of each."""
 
     frames: Frames
-    """Padded to the batch size. Padding has zero images, ``valid`` False, ``number`` and stamps -1;
-    so has the depth image of a frame that can't be decoded. ``color_stamp_ns`` is -1 also where
-    the colour image was read and can't be decoded."""
+    """Frames, padded to the batch size. Padding has zero images, ``valid`` False, and -1 as number
+    and timestamps. The depth image of a frame that can't be decoded is zero, too.
+    ``color_stamp_ns`` is also -1 if the colour image can't be decoded."""
     status: tuple[FrameStatus, ...]
-    """One for each requested frame; at most the batch size."""
+    """Status of each requested frame; at most the batch size."""
     errors: tuple[str, ...]
-    """One line for each of them, empty if the status is OK."""
+    """Explanation of each status in one line; empty if it is OK."""
     notes: Notes = Notes()
-    """What else was seen, for :meth:`Log.described`."""
+    """Further observations, for :meth:`Log.described`."""
     decoding_s: float = 0.0
-    """How long its images were decoded [s]; the rest of the time they were read."""
+    """Time spent on decoding images [s]; the rest of the time was spent on reading."""
     camera_frame: str = ""
     """Name of the depth camera's optical frame; empty if the log has none."""
     world_frame: str = ""
-    """Name of the frame that poses are in; empty if there are none."""
+    """Name of the world frame of the poses; empty if there are none."""
     log_time_ns: np.ndarray | None = None
-    """When the log received the depth image of each of them, int64 [ns]; None: of no log."""
+    """Log time of the depth image of each frame, int64 [ns]; None if the frames are not of a log.
+    """
     color_frame: str = ""
     """Name of the colour camera's optical frame; empty if the log has none."""
     nearest_color_ns: np.ndarray | None = None
-    """Header stamp of the colour image that belongs to each of them, int64 [ns], -1 = none; the
-    same whether colour was read or not. None: of no log."""
+    """Timestamp in the header of the colour image nearest to each frame, int64 [ns], -1 = none; it
+    does not depend on whether colour was read. None if the frames are not of a log."""
 
     def one_by_one(self) -> Iterator[LogFrame]:
-        """Return the frames without the padding."""
+        """Yield the frames without the padding."""
         frames, poses = self.frames, self.frames.T_world_camera
         color, stamps = frames.color, frames.color_stamp_ns
         for row, (status, error) in enumerate(zip(self.status, self.errors, strict=True)):
@@ -87,7 +90,7 @@ class Batch(NamedTuple):
             )
 
     def without_images(self) -> "Batch":
-        """Return the batch without images and padding; the rest stays when memory is reused."""
+        """Return the batch without images and padding; its other arrays remain valid."""
         count, frames = len(self.status), self.frames
         poses = frames.T_world_camera
         known = {name: _rows(getattr(frames, name), count) for name in _PER_FRAME}
@@ -98,7 +101,7 @@ class Batch(NamedTuple):
 
     @classmethod
     def joined(cls, parts: Sequence["Batch"]) -> "Batch":
-        """Batches of a log as one; they are :meth:`without_images`, and at least one."""
+        """Concatenate batches of a log, at least one, each :meth:`without_images`."""
         frames = [part.frames for part in parts]
         names = (*_PER_FRAME, "T_world_camera")
         known = {name: _joined([getattr(item, name) for item in frames]) for name in names}

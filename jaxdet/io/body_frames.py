@@ -1,9 +1,9 @@
-"""Images whose frame is a body frame, with x forward, where an optical one has z forward (REP 103).
+"""Images in a body frame (x forward) instead of an optical frame (z forward, REP 103).
 
-Drivers of Gazebo and Webots name such frames. Between two cameras the rotation tells: nobody
-mounts one camera turned against the other by what turns body axes into optical ones. On a robot
-the depth images tell: through the frame as it stands they show no floor, and with the optical
-rotation they do.
+Drivers in Gazebo and Webots report such frames. Between two cameras they are recognised by the
+rotation, as nobody mounts two cameras with the rotation between body and optical axes. On a robot
+they are recognised by the depth images, which show a floor with the optical rotation but not
+without it.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,27 +21,28 @@ from jaxdet.types import Frames, Intrinsics
 T_BODY_OPTICAL = np.array(
     [[0.0, 0.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
 )
-"""From optical axes (x right, y down, z forward) to body axes (x forward, y left, z up)."""
+"""Transform from optical axes (x right, y down, z forward) to body axes (x forward, y left, z up).
+"""
 _NEAR_RAD = 0.26
-"""How much two cameras that see the same may be turned against each other."""
+"""Maximum angle between two cameras that see the same scene [rad]."""
 _LOOKS = 8
-"""Frames whose floor is looked for."""
+"""Number of frames in which a floor is searched."""
 _STEEP = 0.5
-"""Vertical part of the optical axis from which a mount is doubted."""
+"""Vertical component of the optical axis above which a mount is checked."""
 _LEAST = 0.05
-"""Share of the points that must be floor."""
+"""Minimum fraction of floor points."""
 _MUCH_MORE = 5
-"""How many times more floor the optical rotation must show."""
+"""Minimum ratio of floor points with and without the optical rotation."""
 _UNDER = 0.1
-"""Largest share of the points that may be below a floor: noise, and reflections."""
+"""Maximum fraction of points below the floor: noise and reflections."""
 _FLOOR_M, _FLOOR_SHARE = 0.03, 0.02
-"""How far floor may be from its plane: at any distance, and for each metre."""
+"""Tolerance of floor points: a constant [m], plus this per metre of distance."""
 _BELOW_M = 0.05
-"""A floor of unknown height is at least this far below the camera."""
+"""Minimum distance of a floor of unknown height below the camera [m]."""
 
 
 class Turned(NamedTuple):
-    """A transform between two cameras, in optical axes."""
+    """Transform between two cameras in optical axes."""
 
     T_color_depth: np.ndarray
     depth_is_body: bool
@@ -49,11 +50,11 @@ class Turned(NamedTuple):
 
 
 def in_optical_axes(T_color_depth: np.ndarray, depth_is_body: bool) -> Turned:
-    """Return the transform from depth to colour between optical frames.
+    """Convert the transform from depth to colour camera to optical frames.
 
     Args:
-        T_color_depth: ``(4, 4)`` float64, between the frames that the images name.
-        depth_is_body: Whether depth's frame is known to be a body frame.
+        T_color_depth: Transform ``(4, 4)`` float64 between the frames named by the images.
+        depth_is_body: Whether the frame of the depth images is known to be a body frame.
     """
     to_color = inverse(T_BODY_OPTICAL)
     depth = matmul(T_color_depth, T_BODY_OPTICAL)
@@ -70,7 +71,7 @@ def in_optical_axes(T_color_depth: np.ndarray, depth_is_body: bool) -> Turned:
 def body_frame_text(frame: str) -> str:
     """Return the warning about a body frame."""
     about = f"frame {printable(frame)!r} of the images is a body frame (x forward)"
-    return f"{about}: the rotation to optical axes is applied; --log.camera-frame names another"
+    return f"{about}: its rotation to optical axes is added; --log.camera-frame sets another frame"
 
 
 def optical_frame(tree: TransformTree, frame: str) -> str:
@@ -87,14 +88,15 @@ def optical_frame(tree: TransformTree, frame: str) -> str:
 def is_body_frame(
     num_frames: int, T_base: np.ndarray | None, read: Callable[[Sequence[int]], Frames]
 ) -> bool:
-    """Return whether the depth images show a floor only with the optical rotation.
+    """Return whether the depth images show a floor with the optical rotation only.
 
-    A sample of frames is read where the optical axis, as it stands, looks steeply up or down.
+    Frames are read only if the optical axis, without that rotation, points steeply up or down.
 
     Args:
-        num_frames: Frames of the log.
-        T_base: ``(4, 4)`` float64, the camera on the robot; None: its poses in the world count.
-        read: Reads the frames of some numbers.
+        num_frames: Number of frames in the log.
+        T_base: Mount of the camera on the robot, ``(4, 4)`` float64; None: its poses in the world
+            are used instead.
+        read: Function that reads the frames with the given numbers.
     """
     if not num_frames or (T_base is not None and abs(T_base[2, 2]) < _STEEP):
         return False
@@ -127,7 +129,7 @@ def _is_small(T: np.ndarray) -> bool:
 
 
 def _points(depth: np.ndarray, camera: Intrinsics, unit_m: float) -> np.ndarray:
-    """Return some measured points ``(N, 3)`` in the camera's optical frame [m]."""
+    """Return a sample of measured points ``(N, 3)`` in the camera optical frame [m]."""
     step = max(1, min(depth.shape) // 60)
     v, u = np.mgrid[0 : camera.height : step, 0 : camera.width : step].astype(np.float64)
     x, y = undistort((u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, camera)
@@ -137,9 +139,10 @@ def _points(depth: np.ndarray, camera: Intrinsics, unit_m: float) -> np.ndarray:
 
 
 def _floor_share(points: np.ndarray, T: np.ndarray, height_is_known: bool) -> float:
-    """Return the share of the points that are floor, where the camera is placed by ``T``.
+    """Return the fraction of floor points for a camera with the pose ``T``.
 
-    Where its height is not known, floor is where the lowest points are. Nothing is below a floor.
+    If the camera height is unknown, the floor is at the lowest points. The fraction is 0 if too
+    many points are below the floor.
     """
     if not len(points):
         return 0.0

@@ -1,4 +1,4 @@
-"""The calibration of the chosen topics, each part with where it comes from."""
+"""Calibration for the chosen topics, with the source of each part."""
 
 from collections.abc import Mapping
 from contextlib import suppress
@@ -22,111 +22,111 @@ from jaxdet.io.topics import Choice, camera_name, is_color_name, listed
 from jaxdet.types import Calibration, Extrinsics, Intrinsics
 
 DEPTH_UNIT_M = 0.001
-"""Metres in one depth unit, where nothing else is said."""
+"""Default metres per depth unit."""
 _ASSUMED = "the default"
-"""Source that is reported for the default depth unit."""
+"""Source reported for the default depth unit."""
 _NEAR_M, _FAR_M = 0.05, 65.535
-"""Between these is the median depth of an image."""
+"""Range of plausible median depths of an image [m]."""
 _AS_FOLDERS = "as in TUM's and Open3D's folders"
 _ONE_LENS = 0.01
-"""How much camera matrices of one lens may differ, in widths and heights of their images."""
+"""Maximum difference between camera matrices of the same lens, as a fraction of the image size."""
 _CROPPED = 1e-3
-"""How much the focal lengths of a cropped image may differ from a whole multiple of another's."""
+"""Maximum relative deviation of the focal lengths of a cropped image from an integer multiple."""
 
 
 class Calibrated(NamedTuple):
-    """A log's calibration and how it was found."""
+    """Calibration of a log, and how it was found."""
 
     calibration: Calibration
     unit_in_floats: float
-    """A depth unit, in the unit of recorded 32FC1 depth."""
+    """Depth unit, expressed in the unit of recorded 32FC1 depth."""
     camera_frame: str
-    """TF frame of the depth camera; of aligned depth, that of the colour camera."""
+    """TF frame of the depth camera; for aligned depth, that of the colour camera."""
     tf_frame: str
-    """The same as the images name it, which may be a body frame."""
+    """The same frame as named by the images, which may be a body frame."""
     T_frame_camera: np.ndarray | None
-    """``(4, 4)`` float64, from the camera to that frame; None if they are the same."""
+    """Transform ``(4, 4)`` float64 from the camera to ``tf_frame``; None if they are the same."""
     color_frame: str
     """TF frame of the colour images; empty if none are used."""
     has_color: bool
     """Whether colour images have the pixels of ``calibration.image``."""
     has_color_camera: bool
-    """Whether that image is a colour camera's."""
+    """Whether ``calibration.image`` is a colour camera."""
     color_problem: str
-    """Why ``has_color`` is False, and what to do; else empty."""
+    """Why ``has_color`` is False, and the remedy; else empty."""
     color_error: CalibrationError | None
-    """What the colour camera lacks; None if it lacks nothing, or there is none."""
+    """Error in the calibration of the colour camera; None if it is usable or does not exist."""
     origins: tuple[str, ...]
-    """Sentences."""
+    """Descriptions of the cameras and the depth unit with their sources, for users."""
     extrinsics_source: str
     used: dict[str, CameraInfoMessage]
-    """The calibrations used, by topic."""
+    """Calibration messages used, by topic."""
     of_depth: str
-    """The topic of these that describes depth; empty if flags do."""
+    """Topic of the calibration of depth among them; empty if flags supply it."""
     warnings: tuple[str, ...]
     notes: tuple[str, ...]
 
     @property
     def used_for_depth(self) -> dict[str, CameraInfoMessage]:
-        """The calibration without which a frame can't be judged."""
+        """Calibration messages without which frames are unusable, by topic."""
         return {name: info for name, info in self.used.items() if name == self.of_depth}
 
 
 class _Sources(NamedTuple):
-    """Both cameras before their calibration is settled."""
+    """Sources of the calibration of both cameras."""
 
     depth: CameraSource
     color: CameraSource | None
-    """None: there are no colour images."""
+    """Source for the colour camera; None if there are no colour images."""
     depth_frame: str
     color_frame: str
 
     @property
     def same_frame(self) -> bool:
-        """Whether both images are in one and the same frame."""
+        """Whether both images have the same TF frame."""
         return bool(self.color_frame) and self.color_frame == self.depth_frame
 
 
 class _Color(NamedTuple):
-    """What colour images are to depth images."""
+    """Relation of the colour images to the depth images."""
 
     usable: bool
     camera: Found | None = None
-    """Their camera, where it is not that of the depth images."""
+    """Camera of the colour images, if they have other pixels than the depth images."""
     extrinsics: Extrinsics | None = None
     origin: str = ""
-    """Of the extrinsics."""
+    """Source of the extrinsics."""
     warnings: tuple[str, ...] = ()
     error: CalibrationError | None = None
-    """Why they can't be used."""
+    """Error because of which the colour images are unusable."""
     depth_is_body: bool = False
-    """Whether depth's frame is a body frame by its place to colour's."""
+    """Whether the extrinsics show that the TF frame of depth is a body frame."""
 
 
 def calibrate(
     contents: LogContents, choice: Choice, options: LogOptions, *, is_body: bool = False
 ) -> Calibrated:
-    """Return the calibration for the chosen topics: depth's, and the pose of colour to it.
+    """Return the calibration of the chosen topics.
 
-    Depth that is aligned to colour has the calibration of the colour camera, or, where that has
-    none, its own. A colour camera that isn't calibrated, or whose place isn't known, is an error
-    only where options are about its calibration; else its images aren't used.
+    Depth that is aligned to colour uses the calibration of the colour camera or, if that has none,
+    its own. If the colour camera has no calibration or extrinsics, its images are not used; this is
+    an error only if options for its calibration are set.
 
     Args:
-        contents: What is in the log.
-        choice: The topics.
-        options: What the user says.
+        contents: Contents of the log.
+        choice: Chosen topics.
+        options: Options of the user.
         is_body: Whether the depth images show that their frame is a body frame.
 
     Raises:
-        CalibrationError: A part of depth's is missing, unknown or contradicts another; the text
-            names the flag that supplies it.
+        CalibrationError: A part of the calibration of depth is missing, unknown or contradicts
+            another. The message names the flag that supplies it.
     """
     sources = _sources(contents, choice, options)
     stream = contents.streams[choice.depth]
     unit, unit_source, recorded = _units(contents, options, stream)
     aligned, why = _aligned(sources, choice, options)
-    if aligned and choice.infrared:  # which has other pixels
+    if aligned and choice.infrared:  # infrared images have other pixels
         sources = sources._replace(color=None, color_frame="")
     source = _of_depth(contents, sources, options) if aligned else sources.depth
     found = find_intrinsics(source)
@@ -136,8 +136,8 @@ def calibrate(
         color = _aligned_color(sources, source, found.intrinsics, choice.depth)
         if source is sources.color:
             warnings += _aligned_doubts(sources.depth, found.intrinsics)
-        if why == _AS_FOLDERS and source.matrix is not None:  # no camera as Open3D's
-            text = f"depth is taken to be aligned to colour, {why}; else give "
+        if why == _AS_FOLDERS and source.matrix is not None:  # calibrations of Open3D are exact
+            text = f"depth is assumed to be aligned to colour, {why}; otherwise pass "
             warnings.append(f"{text}--log.depth-intrinsics and --log.color-from-depth")
     elif choice.infrared:
         color = _Color(_same_pixels(sources, found.intrinsics))
@@ -177,7 +177,7 @@ def calibrate(
 
 
 def _calibration(found: Found, color: _Color, unit: float, path: str) -> Calibration:
-    """Return the calibration of both cameras, checked."""
+    """Assemble and check the calibration of both cameras."""
     other = color.camera and color.camera.intrinsics
     calibration = Calibration(found.intrinsics, other, color.extrinsics, unit)
     try:
@@ -190,7 +190,7 @@ def _calibration(found: Found, color: _Color, unit: float, path: str) -> Calibra
 def _units(
     contents: LogContents, options: LogOptions, stream: ImageStream
 ) -> tuple[float, str, float]:
-    """Return metres in a depth unit, where that is from, and metres in a unit of 32FC1 depth."""
+    """Return metres per depth unit, its source, and metres per unit of 32FC1 depth."""
     if not stream.has_floats:
         return *_depth_unit(contents, options, stream.topic), 1.0
     recorded = options.depth_unit_m or 1.0
@@ -201,7 +201,7 @@ def _units(
 def _camera_frame(
     contents: LogContents, options: LogOptions, frame: str, turned: bool
 ) -> tuple[str, np.ndarray | None]:
-    """Return the name of the optical frame, and the transform from it to ``frame`` if turned."""
+    """Return the name of the optical frame, and its transform to a body frame ``frame``."""
     if not turned or options.camera_frame:
         return frame, None
     return optical_frame(contents.tree, frame) or f"{frame}_optical", T_BODY_OPTICAL
@@ -219,7 +219,7 @@ def _sources(contents: LogContents, choice: Choice, options: LogOptions) -> _Sou
 
 
 def _of_depth(contents: LogContents, sources: _Sources, options: LogOptions) -> CameraSource:
-    """Return the source of the calibration of depth that is aligned to colour."""
+    """Return the source of calibration for depth that is aligned to colour."""
     depth, color = sources.depth, sources.color
     if color is None:
         color = _without_images(contents, depth, options)
@@ -233,7 +233,7 @@ def _of_depth(contents: LogContents, sources: _Sources, options: LogOptions) -> 
 def _without_images(
     contents: LogContents, depth: CameraSource, options: LogOptions
 ) -> CameraSource:
-    """Return the colour camera of aligned depth without colour images: by flags, or the log's."""
+    """Return the colour camera of aligned depth in a log without colour images."""
     known = [
         topic
         for topic in contents.calibrations
@@ -257,14 +257,14 @@ def _without_images(
 def _aligned_color(
     sources: _Sources, source: CameraSource, camera: Intrinsics, topic: str
 ) -> _Color:
-    """Return colour to which depth is aligned, of the same or of another number of pixels."""
+    """Return the relation of colour to aligned depth, whose size may differ."""
     color, size = sources.color, (camera.width, camera.height)
     if color is None:
         return _Color(False)
     if source is color and sources.depth.size not in (None, size):
         width, height = sources.depth.size or size
-        problem = f"aligned depth is {width}x{height} but colour is {camera.width}x{camera.height}"
-        remedy = "say --log.no-depth-aligned or choose another --log.depth"
+        problem = f"aligned depth is {width}x{height}, but colour is {camera.width}x{camera.height}"
+        remedy = "pass --log.no-depth-aligned, or choose another topic with --log.depth"
         raise CalibrationError(problem, path=color.path, topic=topic, remedy=remedy)
     if color.size in (None, size):
         return _Color(True)
@@ -284,10 +284,10 @@ def _other_color(
     depth: Intrinsics,
     is_body: bool,
 ) -> _Color:
-    """Colour of a camera of its own.
+    """Return the relation of the images of a separate colour camera.
 
     Raises:
-        CalibrationError: Its calibration or place isn't known, though options are about it.
+        CalibrationError: Its calibration or extrinsics are missing, and options for them are set.
     """
     if sources.color is None:
         return _Color(False)
@@ -315,23 +315,23 @@ def _other_color(
 
 
 def _without_color(choice: Choice, color: _Color) -> tuple[str, str]:
-    """Return why a log has no colour, with a remedy, and a note."""
+    """Return why a log has no colour, with a remedy, and a note for the user."""
     if color.usable:
         return "", f"no colour: pictures show infrared ({choice.color})" * choice.infrared
     if color.error is not None:
         unplaced = isinstance(color.error, TransformError)
-        text = "place relative to the depth camera" if unplaced else "calibration"
-        note = f"the colour camera's {text} is not known: pictures show depth"
+        text = "extrinsics" if unplaced else "calibration"
+        note = f"colour camera without {text}: pictures show depth"
         return str(color.error), f"{note} ({color.error.problem})"
     if choice.infrared:
-        why, remedy = "no colour image topic", "name a topic with --log.color"
+        why, remedy = "no topic with colour images", "set one with --log.color"
     else:
         why, remedy = choice.why_no_color, choice.remedy
     return f"{why}; {remedy}", f"no colour ({why}): pictures show depth"
 
 
 def _same_pixels(sources: _Sources, camera: Intrinsics) -> bool:
-    """Return whether infrared images have the depth camera's pixels: size, and matrix or frame."""
+    """Return whether infrared images have the pixels of depth: same size, and matrix or frame."""
     color = sources.color
     if color is None or color.size not in (None, (camera.width, camera.height)):
         return False
@@ -344,14 +344,14 @@ def _same_pixels(sources: _Sources, camera: Intrinsics) -> bool:
 
 
 def _depth_unit(contents: LogContents, options: LogOptions, depth_topic: str) -> tuple[float, str]:
-    """Return metres in a depth unit, and where that comes from."""
+    """Return metres per depth unit, and their source."""
     if options.depth_unit_m:
         return options.depth_unit_m, "--log.depth-unit-m"
     near = [name for name in sorted(contents.depth_units) if affinity(name, depth_topic) > 1]
     if not near:
         return DEPTH_UNIT_M, _ASSUMED
     topic = max(near, key=lambda name: affinity(name, depth_topic))
-    # The shortest decimal that is this float32: 0.001, not 0.0010000000475.
+    # Use the shortest decimal of the float32: 0.001, not 0.0010000000475.
     unit = float(str(np.float32(contents.depth_units[topic])))
     try:
         check_depth_unit(unit)
@@ -362,37 +362,37 @@ def _depth_unit(contents: LogContents, options: LogOptions, depth_topic: str) ->
 
 
 def _unit_doubts(source: str, path: str) -> list[str]:
-    """Return a warning if the depth unit of what looks like TUM's benchmark is unknown."""
+    """Return a warning if the depth unit of a folder like TUM's benchmark is unknown."""
     if source != _ASSUMED or not Path(path, LISTED_DEPTH).is_file():
         return []
     return [
-        f"the depth unit is not told, and taken to be {DEPTH_UNIT_M:g} m: for TUM's benchmark give "
+        f"the depth unit is unknown, {DEPTH_UNIT_M:g} m is assumed; for TUM's benchmark pass "
         "--log.depth-unit-m 0.0002"
     ]
 
 
 def _float_doubts(stream: ImageStream, recorded: float) -> list[str]:
-    """Return a warning if the values of 32FC1 depth don't fit their unit."""
+    """Return a warning if the values of 32FC1 depth are implausible in their unit."""
     values = [value for value in stream.typical if np.isfinite(value)]
     if not values:
         return []
     middle = float(np.median(values))
     text = f"{printable(stream.topic)}: 32FC1 depth of about {middle:.3g}"
     if middle * recorded > _FAR_M and _NEAR_M < middle * 0.001 < _FAR_M:
-        return [f"{text} looks like millimetres: give --log.depth-unit-m 0.001"]
+        return [f"{text} looks like millimetres; pass --log.depth-unit-m 0.001"]
     if recorded < 1 and middle * recorded < _NEAR_M < middle < _FAR_M:
-        return [f"{text} looks like metres: leave --log.depth-unit-m out"]
+        return [f"{text} looks like metres; omit --log.depth-unit-m"]
     return []
 
 
 def _aligned(sources: _Sources, choice: Choice, options: LogOptions) -> tuple[bool, str]:
-    """Return whether depth is aligned to colour, and why."""
+    """Return whether depth is aligned to colour, and the reason."""
     depth, color = sources.depth, sources.color
     if options.depth_aligned is not None:
         flag = "--log.depth-aligned" if options.depth_aligned else "--log.no-depth-aligned"
-        return options.depth_aligned, f"given by {flag}"
+        return options.depth_aligned, f"set by {flag}"
     if options.color_from_depth is not None or options.depth_intrinsics is not None:
-        return False, "depth's own calibration is given"
+        return False, "depth has its own calibration"
     if choice.aligned_by_name:
         return True, _AS_FOLDERS if Path(depth.path).is_dir() else "by the topic's name"
     if color is None or choice.infrared or not sources.same_frame or depth.size != color.size:
@@ -408,7 +408,7 @@ def _aligned(sources: _Sources, choice: Choice, options: LogOptions) -> tuple[bo
 
 
 def _one_lens(color: Intrinsics, depth: Intrinsics) -> bool:
-    """Return whether two images can be of one lens, scaled or cropped."""
+    """Return whether two images can be from the same lens, scaled or cropped."""
     values = [
         (one.fx / one.width, one.fy / one.height, one.cx / one.width, one.cy / one.height)
         for one in (color, depth)
@@ -421,7 +421,7 @@ def _one_lens(color: Intrinsics, depth: Intrinsics) -> bool:
 
 
 def _aligned_doubts(depth: CameraSource, color: Intrinsics) -> list[str]:
-    """Return a warning if aligned depth has another camera matrix; P counts if rectified."""
+    """Return a warning if aligned depth has another camera matrix (K, or P if rectified)."""
     if depth.info is None or depth.matrix is not None:
         return []
     own = []
@@ -430,7 +430,7 @@ def _aligned_doubts(depth: CameraSource, color: Intrinsics) -> list[str]:
             own.append(find_intrinsics(depth._replace(rectified=rectified)).intrinsics[2:6])
     if not own or any(np.allclose(one, color[2:6], rtol=0, atol=0.5) for one in own):
         return []
-    text = "depth counts as aligned but has another camera matrix than colour"
+    text = "depth is treated as aligned, but its camera matrix differs from colour's"
     return [f"{printable(depth.topic)}: {text}"]
 
 
@@ -460,13 +460,13 @@ def _source(
 def _info_topic(
     contents: LogContents, stream: ImageStream, depth: bool, override: str | None
 ) -> str:
-    """Return the flag's topic, else that next to the images, else the only one of their frame."""
+    """Return the calibration topic: by flag, else next to the images, else of the same frame."""
     known = contents.calibrations
     if override:
         if override not in known:
             flag = "--log.depth-info" if depth else "--log.color-info"
-            remedy = f"{flag} can be: {listed(sorted(known)) or 'none'}"
-            problem = "no calibration on this topic"
+            remedy = f"set {flag} to one of: {listed(sorted(known)) or 'none'}"
+            problem = "topic has no calibration"
             raise CalibrationError(problem, path=contents.path, topic=override, remedy=remedy)
         return override
     if stream.kind is Kind.RGBD:
@@ -474,7 +474,7 @@ def _info_topic(
         return topic if topic in known else ""
     parts = stream.topic.split("/")
     for end in range(len(parts) - 1, max(len(parts) - 3, 0), -1):
-        for name in ("camera_info", "info/camera_info"):  # the second is librealsense's
+        for name in ("camera_info", "info/camera_info"):  # the second is used by librealsense
             topic = "/".join([*parts[:end], name])
             if topic in known:
                 return topic
@@ -482,7 +482,7 @@ def _info_topic(
     same = [name for name, item in known.items() if frame and item.frame_id == frame]
     best = max((affinity(name, stream.topic) for name in same), default=0)
     nearest = [name for name in same if affinity(name, stream.topic) == best]
-    if stream.kind is Kind.DISPARITY:  # which is of the left image
+    if stream.kind is Kind.DISPARITY:  # the TF frame is that of the left image
         nearest = [name for name in nearest if "left" in name.split("/")] or nearest
     return nearest[0] if len(nearest) == 1 else ""
 
@@ -490,8 +490,8 @@ def _info_topic(
 def _changes(
     contents: LogContents, used: Mapping[str, CameraInfoMessage], of_depth: str
 ) -> list[str]:
-    lost = "frames with another calibration than the one used are left out"
-    kept = "boxes and pictures of later frames may be off"
+    lost = "frames with another calibration are skipped"
+    kept = "boxes and pictures of later frames may be misplaced"
     return [
         f"{printable(name)} changes: {lost if name == of_depth else kept}"
         for name in sorted(used)

@@ -1,4 +1,4 @@
-"""The cameras of a log, and the one that is read."""
+"""Cameras of a log, and the selection of the one to read."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -11,49 +11,50 @@ from jaxdet.io.topics import Choice, choose_topics
 
 _OF_ONE = ("color_info", "depth_info", "color_from_depth", "color_intrinsics", "depth_intrinsics")
 _OF_ONE += ("camera_frame",)
-"""Options that hold for one camera only."""
+"""Options that apply to a single camera."""
 
 
 class Cameras(NamedTuple):
-    """The cameras of a log by name, in order."""
+    """Cameras of a log by name, in order."""
 
     complete: Mapping[str, Choice]
-    """With depth and its calibration."""
+    """Cameras with depth images and their calibration."""
     incomplete: Mapping[str, TopicError | CalibrationError]
-    """What the others lack; empty if there is one camera."""
+    """Errors of the other cameras; empty if there is only one camera."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of all."""
+        """Names of all cameras."""
         return tuple(sorted({**self.complete, **self.incomplete}))
 
     def chosen(self, options: LogOptions, path: str) -> Choice:
-        """Return the camera that the user wants, or the only one that can be used.
+        """Return the camera selected by the user, or the only usable one.
 
         Raises:
-            CamerasError: There are several.
-            TopicError: There is none of this name, or several of its topics qualify.
-            CalibrationError: What it lacks.
+            CamerasError: There are several cameras.
+            TopicError: There is no camera of this name, or several of its topics qualify.
+            CalibrationError: The camera has no valid calibration.
         """
         wanted = options.camera or "".join(list(self.complete or self.incomplete)[:1])
         if wanted in self.incomplete:
             raise self.incomplete[wanted]
         if wanted not in self.complete:
             names = ", ".join(self.names)
-            remedy = f"--camera can be: {names}"
-            raise TopicError(f"there is no camera {wanted!r}", path=path, remedy=remedy)
+            remedy = f"set --camera to one of: {names}"
+            raise TopicError(f"unknown camera {wanted!r}", path=path, remedy=remedy)
         if options.camera or len(self.complete) == 1:
             return self.complete[wanted]
         given = [name for name in _OF_ONE if getattr(options, name) is not None]
         if given:
             flag = f"--log.{given[0].replace('_', '-')}"
-            problem = f"the log has several cameras ({', '.join(self.names)}), {flag} is of one"
-            raise TopicError(problem, path=path, remedy="choose it with --camera")
+            names = ", ".join(self.names)
+            problem = f"{flag} applies to one camera, but the log has several ({names})"
+            raise TopicError(problem, path=path, remedy="choose one with --camera")
         raise CamerasError(tuple(self.complete), path=path)
 
     @property
     def lines(self) -> tuple[str, ...]:
-        """The cameras for a person; empty if there is one."""
+        """Descriptions of the cameras for users; empty if there is only one."""
         found = {
             name: ", ".join(dict.fromkeys(filter(None, (item.depth, item.color))))
             for name, item in self.complete.items()
@@ -63,17 +64,17 @@ class Cameras(NamedTuple):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What is to be said of those that are not complete."""
+        """Warnings about the unusable cameras."""
         return tuple(
             f"camera {printable(name)} is left out: {e}" for name, e in self.incomplete.items()
         )
 
 
 def find_cameras(contents: LogContents, options: LogOptions) -> Cameras:
-    """Return the cameras of a log; if there are several, with their calibration checked.
+    """Find the cameras of a log; if there are several, check their calibrations.
 
     Raises:
-        TopicError: No or several topics can be depth of the only camera.
+        TopicError: The only camera has no depth topic, or several that qualify.
     """
     complete: dict[str, Choice] = {}
     incomplete: dict[str, TopicError | CalibrationError] = {}

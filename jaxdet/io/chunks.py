@@ -1,7 +1,7 @@
-"""Chunks of an MCAP file: decompression within bounds, and the records inside.
+"""Chunks of an MCAP file: decompression with a size limit, and the records inside.
 
-``mcap``'s own chunk reader trusts declared sizes and returns short data for a message that
-overruns its chunk; here every length is checked before it is used.
+``mcap``'s own chunk reader trusts declared sizes, and returns incomplete data for a message that
+exceeds its chunk. Here every length is checked before use.
 """
 
 import struct
@@ -17,44 +17,44 @@ from mcap.opcode import Opcode
 from jaxdet.io.limits import MAX_ODD_RECORDS
 
 MAGIC = b"\x89MCAP0\r\n"
-"""How an MCAP file begins and ends."""
+"""First and last bytes of an MCAP file."""
 RECORD_HEAD = struct.Struct("<BQ")
-"""Opcode and length, before every record."""
+"""Opcode and length, at the start of every record."""
 MESSAGE_HEAD = struct.Struct("<HIQQ")
-"""Channel, sequence, log time [ns], publish time [ns]; the payload follows."""
+"""Channel, sequence number, log time [ns] and publish time [ns], followed by the payload."""
 PAYLOAD_OFFSET = RECORD_HEAD.size + MESSAGE_HEAD.size
-"""From where a message's record begins to its payload."""
+"""Offset of a message's payload from the start of its record [byte]."""
 _CHUNK_HEAD = struct.Struct("<QQQII")
 MAX_TIME_NS = (1 << 63) - 1
-"""Log times beyond this count as this [ns]."""
+"""Maximum log time; later ones are clipped to it [ns]."""
 
 PIECE_BYTES = 1 << 18
-"""Of a chunk, worked on at a time: they stay in a core's cache."""
+"""Number of bytes of a chunk that are processed at a time, to stay in a core's cache."""
 
 
 class DamageError(Exception):
-    """A part of a file can't be used; the text says why."""
+    """A part of a file is unusable; the message is the reason."""
 
 
 class ChunkHead(NamedTuple):
-    """What a chunk record says of itself; none of it is checked yet."""
+    """Header of a chunk record, not yet checked."""
 
     start_ns: int
-    """Log time of its first message."""
+    """Log time of the first message [ns]."""
     end_ns: int
     uncompressed_size: int
     crc: int
-    """0 = none."""
+    """CRC-32 of the records; 0 = none."""
     compression: str
     data_offset: int
-    """Where its data begin, from the start of the record's content."""
+    """Offset of the data from the start of the record's content [byte]."""
     data_size: int
     length: int = 0
-    """Of the record's content, by its own word."""
+    """Declared length of the record's content [byte]."""
 
     @property
     def is_plain(self) -> bool:
-        """Whether its data are the records themselves."""
+        """Whether the data are uncompressed records."""
         return self.compression in ("", "none")
 
 
@@ -63,15 +63,15 @@ class Record(NamedTuple):
 
     opcode: int
     offset: int
-    """Where its content begins in the decompressed chunk."""
+    """Offset of the content in the decompressed chunk [byte]."""
     size: int
 
 
 def read_chunk_head(content: bytes, length: int) -> ChunkHead:
-    """Return the head of a chunk record with ``length`` bytes of content, which begins so.
+    """Parse the start of a chunk record, whose content has ``length`` bytes.
 
     Raises:
-        DamageError: It doesn't fit.
+        DamageError: The header is invalid.
     """
     try:
         start, end, size, crc, name_size = _CHUNK_HEAD.unpack_from(content)
@@ -89,12 +89,13 @@ def read_chunk_head(content: bytes, length: int) -> ChunkHead:
 
 
 def decompress(head: ChunkHead, data: bytes | memoryview) -> bytes | memoryview:
-    """Return the records of a chunk, checked against its CRC if it has one.
+    """Decompress the records of a chunk, and check their CRC if there is one.
 
-    Those of a packed chunk are in memory of their own, others are ``data``.
+    Uncompressed records are returned without a copy.
 
     Raises:
-        DamageError: Unknown compression, a size other than declared, or a wrong CRC.
+        DamageError: The compression is unknown, the size differs from the declared one, or the CRC
+            is wrong.
     """
     size, records = head.uncompressed_size, data
     if not head.is_plain:
@@ -115,7 +116,7 @@ def decompress(head: ChunkHead, data: bytes | memoryview) -> bytes | memoryview:
 
 
 def decompress_begin(head: ChunkHead, data: bytes, size: int) -> bytes:
-    """Return up to ``size`` bytes of a packed chunk's records, unchecked; data may be cut off."""
+    """Decompress up to ``size`` bytes of a chunk's records, unchecked; data may be truncated."""
     with suppress(zstandard.ZstdError, RuntimeError, EOFError):
         if head.compression == "zstd":
             return zstandard.ZstdDecompressor().stream_reader(data).read(size)
@@ -125,7 +126,7 @@ def decompress_begin(head: ChunkHead, data: bytes, size: int) -> bytes:
 
 
 def _unpacked(compression: str, data: bytes | memoryview, size: int) -> memoryview:
-    """``size`` bytes that are decompressed to where they stay."""
+    """Decompress ``size`` bytes into a new buffer."""
     import pyarrow as pa
 
     if not len(data) and not size:
@@ -134,7 +135,7 @@ def _unpacked(compression: str, data: bytes | memoryview, size: int) -> memoryvi
 
 
 def _fills(compression: str, data: bytes | memoryview, size: int) -> bool:
-    """Return whether packed data are ``size`` bytes; for lz4, pyarrow does not report that."""
+    """Return whether data decompress to ``size`` bytes, which pyarrow does not check for lz4."""
     if compression != "lz4" or not len(data):
         return True
     context, left = lz4.frame.create_decompression_context(), memoryview(data)
@@ -146,10 +147,10 @@ def _fills(compression: str, data: bytes | memoryview, size: int) -> bool:
 
 
 def chunk_records(records: bytes | memoryview) -> Iterator[Record]:
-    """Return the records of a decompressed chunk in order.
+    """Yield the records of a decompressed chunk in order.
 
     Raises:
-        DamageError: A record overruns the chunk or can't be one; those before it are good.
+        DamageError: A record exceeds the chunk or is invalid; the records before it are valid.
     """
     position, odd = 0, 0
     while position < len(records):
@@ -162,7 +163,7 @@ def chunk_records(records: bytes | memoryview) -> Iterator[Record]:
         useful = opcode in (Opcode.MESSAGE, Opcode.CHANNEL, Opcode.SCHEMA)
         odd += not useful or size == 0
         if opcode == 0 or odd > MAX_ODD_RECORDS:
-            raise DamageError("chunk holds what is no record")
+            raise DamageError("chunk has invalid records")
         if useful:
             yield Record(opcode, position, size)
         position += size

@@ -1,7 +1,7 @@
-"""Clocks of a log: how far the stamps of its topics are apart, and where its seconds begin.
+"""Clocks of a log: offsets between the timestamps of its topics, and the start of its time axis.
 
-What a recorder receives together was measured together, so the log times say how far the clocks of
-two topics differ: by the difference of their medians of header stamp less log time.
+Messages that arrive together were measured together. The offset between the clocks of two topics is
+therefore the difference of their median delays, i.e. of header timestamp minus log time.
 """
 
 from bisect import bisect_left
@@ -17,20 +17,20 @@ from jaxdet.io.options import LogOptions
 from jaxdet.io.streams import ImageStream
 
 _LEAST_S = 0.5
-"""Clocks that differ by less are one clock: images are delayed, and transforms dated ahead."""
+"""Minimum offset between different clocks [s]: images are delayed, and transforms future-dated."""
 _STEADY = 0.2
-"""Share of the difference by which single delays may be off their median."""
+"""Maximum deviation of single delays from their median, as a fraction of the offset."""
 _AGREE_NS = 2_000_000
-"""Stamps of one exposure are equal to within this."""
+"""Tolerance for timestamps of the same exposure [ns]."""
 _YEAR_NS = 365 * 24 * 3600 * 1_000_000_000
 
 
 class Offset(NamedTuple):
-    """How far a topic's stamps are ahead of depth's."""
+    """Offset of the timestamps of a topic relative to those of depth."""
 
     ns: int = 0
     text: str = ""
-    """What to tell of it; empty if nothing is to be told."""
+    """Note for the user; empty if there is nothing to report."""
 
 
 def color_offset(
@@ -40,17 +40,17 @@ def color_offset(
     color_topic: str,
     last_delay_ns: int,
 ) -> Offset:
-    """Return how far colour's stamps are ahead of depth's.
+    """Return the offset of the timestamps of colour relative to depth.
 
-    Where the stamps of both agree, their log times don't matter: one was written later. Where the
-    clock of depth was set while the log was recorded, there is no one offset.
+    If the timestamps of both agree, different log times don't matter: one topic was written later.
+    If the clock of depth was adjusted during the recording, there is no constant offset.
 
     Args:
-        contents: The log's.
-        options: What the user says.
+        contents: Contents of the log.
+        options: Options of the user.
         depth_topic: Topic of the depth images.
         color_topic: Topic of the colour images; may be empty.
-        last_delay_ns: Stamp less log time of the last depth image.
+        last_delay_ns: Timestamp minus log time of the last depth image.
     """
     if options.color_offset_s is not None:
         return Offset(round(options.color_offset_s * 1e9))
@@ -72,15 +72,15 @@ def pose_offset(
     color_topic: str,
     sources: list[tuple[str, str]],
 ) -> Offset:
-    """Return how far the stamps of poses are ahead of depth's.
+    """Return the offset of the timestamps of poses relative to depth.
 
     Args:
-        contents: The log's.
-        options: What the user says.
+        contents: Contents of the log.
+        options: Options of the user.
         depth_topic: Topic of the depth images.
         color_topic: Topic of the colour images; may be empty.
-        sources: Topic and frame of each transform that moves, or a topic with poses and nothing.
-            One of them that is of depth's clock is enough: others may be dated ahead.
+        sources: Topic and TF frame of each moving transform, or a pose topic and an empty frame.
+            The offset is 0 if any of them has depth's clock, as others may be future-dated.
     """
     if options.pose_offset_s is not None:
         return Offset(round(options.pose_offset_s * 1e9))
@@ -102,15 +102,15 @@ def pose_offset(
 def first_stamp(
     count: int, stamp_ns: Callable[[int], int], log_ns: Callable[[int], int]
 ) -> tuple[int, int]:
-    """Return from when the seconds of a log count [ns], and how many frames have older stamps.
+    """Return the start of a log's time axis [ns], and the number of frames with older timestamps.
 
-    That is the first stamp, but for those of a clock that was not set yet: zeros, and stamps years
-    before most of the others. Then it is when the first image was recorded.
+    The start is the first timestamp. If the clock was not set at first (timestamps of zero, or
+    years before most others), it is the time at which the first image was recorded.
 
     Args:
-        count: Frames.
-        stamp_ns: The stamp of a frame; they are in order.
-        log_ns: The log time of a frame.
+        count: Number of frames.
+        stamp_ns: Function that returns the timestamp of a frame; timestamps are in order.
+        log_ns: Function that returns the log time of a frame.
     """
     if not count:
         return 0, 0
@@ -129,22 +129,22 @@ def first_stamp(
 
 
 def unset_clock_text(topic: str, count: int, first_ns: int) -> str:
-    """Return the warning about stamps of a clock that was not set yet."""
+    """Return the warning about timestamps from before the clock was set."""
     when = f"{EPOCH + first_ns // 1000 * MICROSECOND:%Y-%m-%d}"
     which = "first stamp is" if count == 1 else f"first {count} stamps are"
     text = f"{printable(topic)}: the {which} years before the others ({when})"
-    return f"{text}: the clock was not set yet; --start counts from when the first was recorded"
+    return f"{text}: the clock was not set yet; --start counts from the first recorded image"
 
 
 def _delays(stream: ImageStream) -> np.ndarray:
-    """Return header stamp less log time of the first images [ns]; none if a stamp is zero."""
+    """Return timestamp minus log time of the first images [ns]; empty if all stamps are zero."""
     if not any(image.stamp_ns for image in stream.first):
         return np.zeros(0, np.int64)
     return np.array([image.stamp_ns - image.log_ns for image in stream.first], np.int64)
 
 
 def _difference(first: np.ndarray, second: np.ndarray) -> int:
-    """Return the difference of two clocks by their delays [ns]; 0 where they are one."""
+    """Return the offset between two clocks from their delays [ns]; 0 if they are the same clock."""
     if not len(first) or not len(second):
         return 0
     middles = [int(np.median(delays)) for delays in (first, second)]
@@ -155,7 +155,7 @@ def _difference(first: np.ndarray, second: np.ndarray) -> int:
 
 
 def _stamps_agree(depth: ImageStream, color: ImageStream) -> bool:
-    """Return whether most of the first images of both have the same stamps."""
+    """Return whether most of the first images of both topics have equal timestamps."""
     one, other = (
         np.array([image.stamp_ns for image in stream.first], np.int64) for stream in (depth, color)
     )
@@ -168,5 +168,5 @@ def _stamps_agree(depth: ImageStream, color: ImageStream) -> bool:
 def _text(topic: str, offset_ns: int, flag: str) -> str:
     way = "ahead of" if offset_ns > 0 else "behind"
     seconds = abs(offset_ns) / 1e9
-    text = f"{printable(topic)}: by the log times its clock is {seconds:.3f} s {way} depth's"
-    return f"{text}; that is allowed for, {flag} 0 takes the stamps as they are"
+    text = f"{printable(topic)}: its clock is {seconds:.3f} s {way} depth's, by the log times"
+    return f"{text}; this is corrected ({flag} 0 disables the correction)"

@@ -1,12 +1,12 @@
 """Compressed images: JPEG and PNG colour, PNG depth, ROS's ``compressedDepth`` and ``zstd``.
 
-``compressedDepth`` is a head of 12 bytes (format, then the quantisation's A and B), then a PNG,
-or two counts (columns, rows) and an RVL stream. For 32FC1 the 16-bit numbers q in it are
-inverse depths: z = A / (q - B) metres, q = 0 unknown. Source: image_transport_plugins,
-``compressed_depth_image_transport``.
+``compressedDepth`` has a header of 12 bytes (format, then the parameters A and B of the
+quantisation), followed by a PNG, or by two counts (columns, rows) and an RVL stream. For 32FC1 its
+16-bit numbers q are inverse depths: z = A / (q - B) metres; q = 0 is unknown. Source:
+image_transport_plugins, ``compressed_depth_image_transport``.
 
-Depth of a folder may be followed by a PNG with its confidences (ARKit's, 0 to 2), where its format
-says so: what has a lower one than ``MIN_CONFIDENCE`` is no measurement.
+In folders of images, a depth image may be followed by a PNG with its confidences (ARKit's, 0 to 2),
+as noted in its format string; pixels with a confidence below ``MIN_CONFIDENCE`` are unmeasured.
 """
 
 import struct
@@ -37,12 +37,12 @@ _CONFIDENCE = "; confidence at "
 
 
 def with_confidence(place: int) -> str:
-    """Return what ``format`` has at its end where confidences begin at this byte of the data."""
+    """Return the suffix of ``format`` for data with confidences from this byte offset on."""
     return f"{_CONFIDENCE}{place}"
 
 
 def is_compressed_depth(format_text: str, topic: str) -> bool:
-    """Return whether a CompressedImage holds depth, by its ``format`` and its topic."""
+    """Return whether a CompressedImage contains depth, by its ``format`` and topic."""
     encoding = format_text.partition(";")[0].strip().lower()
     if "compresseddepth" in format_text.lower() or topic.lower().endswith("/compresseddepth"):
         return True
@@ -50,7 +50,7 @@ def is_compressed_depth(format_text: str, topic: str) -> bool:
 
 
 def is_png16(data: bytes | memoryview) -> bool:
-    """Return whether a file is a 16-bit grey PNG, by its head."""
+    """Return whether a file is a 16-bit grey PNG, by its header."""
     try:
         return read_png_head(data).is_grey16
     except ValueError:
@@ -58,7 +58,7 @@ def is_png16(data: bytes | memoryview) -> bool:
 
 
 def is_color_file(image: CompressedImageMessage) -> bool:
-    """Return whether a CompressedImage can become RGB, by its ``format`` or its own head."""
+    """Return whether a CompressedImage can be decoded to RGB, by its ``format`` or file header."""
     if is_zstd(image.format):
         head = read_zstd_head(image.data)
         return head is None or is_color_encoding(head.encoding)
@@ -67,7 +67,7 @@ def is_color_file(image: CompressedImageMessage) -> bool:
 
 
 def is_depth_file(image: CompressedImageMessage, topic: str) -> bool:
-    """Return whether a CompressedImage holds depth, by ``format``, its own head or its topic."""
+    """Return whether a CompressedImage contains depth, by its ``format``, file header or topic."""
     if is_zstd(image.format):
         head = read_zstd_head(image.data)
         return head is not None and is_depth_encoding(head.encoding)
@@ -76,15 +76,15 @@ def is_depth_file(image: CompressedImageMessage, topic: str) -> bool:
 
 
 def is_jpeg(image: CompressedImageMessage) -> bool:
-    """Return whether a CompressedImage is a JPEG, by its own head."""
+    """Return whether a CompressedImage is a JPEG, by its file header."""
     return _begins(memoryview(image.data), JPEG)
 
 
 def compressed_size(image: CompressedImageMessage) -> tuple[int, int]:
-    """Return width and height [pixel] by the file's own head, without decoding.
+    """Return width and height [pixel] from the file header, without decoding.
 
     Raises:
-        FrameError: It is empty, or neither JPEG, PNG nor ``compressedDepth``.
+        FrameError: The image is empty, or neither JPEG, PNG nor ``compressedDepth``.
     """
     data = memoryview(image.data)
     if not len(data):
@@ -92,13 +92,13 @@ def compressed_size(image: CompressedImageMessage) -> tuple[int, int]:
     if is_zstd(image.format):
         found = read_zstd_head(data)
         if found is None:
-            raise bad_frame("the image has no head")
+            raise bad_frame("the image has no header")
         return found.width, found.height
     if _begins(data, JPEG):
         try:
             return jpeg_size(data)
         except ValueError as error:
-            raise bad_frame(f"JPEG head is damaged ({error})") from error
+            raise bad_frame(f"JPEG header is damaged ({error})") from error
     if not _begins(data, MAGIC):
         data = data[_DEPTH_HEAD.size :]
         if _is_rvl(image.format) and len(data) >= _RVL_HEAD.size:
@@ -114,15 +114,16 @@ def compressed_size(image: CompressedImageMessage) -> tuple[int, int]:
 def decode_compressed_color(
     image: CompressedImageMessage, row: np.ndarray, max_pixels: int
 ) -> None:
-    """Decode a JPEG, a PNG or an image packed by zstd to RGB; grey is repeated.
+    """Decode a JPEG, PNG or zstd image to RGB; grey is repeated in the three channels.
 
     Args:
-        image: The message.
-        row: ``(H, W, 3)`` uint8, contiguous, written to.
-        max_pixels: Largest image decoded.
+        image: Message.
+        row: Output ``(H, W, 3)`` uint8, contiguous.
+        max_pixels: Maximum number of pixels.
 
     Raises:
-        FrameError: Another format or size, damaged, or larger than ``max_pixels``.
+        FrameError: The format or size is another, the data are damaged, or there are more pixels
+            than ``max_pixels``.
     """
     if is_zstd(image.format):
         decode_color(_unpacked("colour", image, row, max_pixels), row, max_pixels)
@@ -142,16 +143,17 @@ def decode_compressed_color(
 def decode_compressed_depth(
     image: CompressedImageMessage, row: np.ndarray, unit_m: float, max_pixels: int
 ) -> None:
-    """Decode ``compressedDepth``, a 16-bit PNG or a zstd image to units of ``unit_m``.
+    """Decode ``compressedDepth``, a 16-bit PNG or a zstd image to depth units.
 
     Args:
-        image: The message.
-        row: ``(H, W)`` uint16, contiguous, written to.
-        unit_m: Metres in a depth unit.
-        max_pixels: Largest image decoded.
+        image: Message.
+        row: Output ``(H, W)`` uint16, contiguous.
+        unit_m: Metres per depth unit.
+        max_pixels: Maximum number of pixels.
 
     Raises:
-        FrameError: Another format or size, damaged, or larger than ``max_pixels``.
+        FrameError: The format or size is another, the data are damaged, or there are more pixels
+            than ``max_pixels``.
     """
     if is_zstd(image.format):
         decode_depth(_unpacked("depth", image, row, max_pixels), row, unit_m, max_pixels)
@@ -179,7 +181,7 @@ def decode_compressed_depth(
 
 
 def _decode_masked(data: memoryview, place_text: str, row: np.ndarray) -> None:
-    """Decode depth of a PNG, 0 if the PNG after it has a low confidence."""
+    """Decode a depth PNG, and set pixels to 0 where the following PNG has a low confidence."""
     confidence = np.empty((*row.shape, 3), np.uint8)
     try:
         place = int(place_text)
@@ -195,7 +197,7 @@ def _decode_masked(data: memoryview, place_text: str, row: np.ndarray) -> None:
 
 @lru_cache(maxsize=4)
 def _inverse_depths(a: float, b: float, unit_m: float) -> np.ndarray:
-    """Return the depth ``A / (q - B)`` of each ``q`` in units, computed in float32."""
+    """Return the depth ``A / (q - B)`` of each ``q`` in depth units, computed in float32."""
     codes, units = np.arange(1 << 16), np.empty((1, 1 << 16), np.uint16)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         metres = np.float32(a) / (codes.astype(np.float32) - np.float32(b))

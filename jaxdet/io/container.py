@@ -1,7 +1,7 @@
-"""The files of a log: bytes by position, whole chunks and their heads.
+"""Files of a log: bytes by position, decompressed chunks, and chunk headers.
 
-Whatever a file's format is, its messages are read as those of an MCAP file: from chunks whose
-records, once decompressed, are MCAP's.
+Messages of all formats are read like those of an MCAP file: each format presents its messages as
+chunks that contain MCAP records after decompression.
 """
 
 import errno
@@ -19,17 +19,17 @@ from jaxdet.io.file_index import FileIndex
 from jaxdet.io.limits import ReadMemory, check_chunk, check_count, check_index
 
 _MAX_PARTS = 512
-"""Buffers filled by one call, fewer than any system's limit."""
+"""Maximum number of buffers per system call, below the limit of any system."""
 _PASSING = errno.EIO, errno.ETIMEDOUT
-"""Errors of disks and file servers that may pass."""
+"""Errors of disks and file servers that may be temporary."""
 _WAITS_S = 0.1, 0.5, 2.0
-"""Pauses before a read that failed so is repeated."""
+"""Pauses before a failed read is retried [s]."""
 _PATIENCE_S = 30.0
-"""Sum of the pauses per file, which may have many bad places."""
+"""Maximum total of the pauses per file [s], as it may have many damaged places."""
 
 
 class FileState(NamedTuple):
-    """Properties by which a changed file is recognised."""
+    """Properties by which a change of a file is detected."""
 
     device: int
     inode: int
@@ -38,24 +38,24 @@ class FileState(NamedTuple):
 
     @classmethod
     def of(cls, found: os.stat_result) -> "FileState":
-        """Return the state that the system reports."""
+        """Return the state from a result of ``os.stat``."""
         return cls(found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns)
 
 
 class LogFile(ABC):
-    """One open file; threads may share it, since no read moves its position.
+    """An open file. Threads may share it, since reads do not move its position.
 
     Args:
-        path: The file.
-        max_bytes: Largest chunk or message, before and after decompression.
-        state: State that the file must still have; default: its present one.
+        path: File.
+        max_bytes: Maximum size of a chunk or message, before and after decompression.
+        state: State that the file must have; by default its current state.
 
     Raises:
-        InputError: It can't be opened, has another format, or is not as ``state`` says.
+        InputError: The file can't be opened, has another format, or another state.
     """
 
     magic: bytes
-    """First bytes of the file."""
+    """Magic bytes at the start of the file."""
     kind: str
     """Name of the format, for messages."""
     memory: ReadMemory = ReadMemory()
@@ -79,12 +79,12 @@ class LogFile(ABC):
             if magic != self.magic or self.size <= 2 * len(self.magic):
                 problem = "the file is empty" if not self.size else f"not {self.kind} file"
                 if magic == self.magic:
-                    problem = f"the {self.kind.partition(' ')[2]} file holds no records"
-                raise InputError(problem, path=str(path), remedy="record it again or leave it out")
+                    problem = f"the {self.kind.partition(' ')[2]} file has no records"
+                raise InputError(problem, path=str(path), remedy="record it again or exclude it")
             failed.pop_all()
 
     def __reduce__(self) -> tuple:
-        """In another process the file is opened again."""
+        """Pickle the arguments; another process opens the file again."""
         arguments = self.path, self.max_bytes, self.state
         return type(self), arguments, {"memory": self.memory}
 
@@ -94,10 +94,10 @@ class LogFile(ABC):
         self._descriptor = -1
 
     def check_unchanged(self) -> None:
-        """Check that the file is what it was when it was opened.
+        """Check that the file has not changed since it was opened.
 
         Raises:
-            InputError: It has another size or time of change, or another file has its name.
+            InputError: Size or modification time differ, or another file has this name.
         """
         try:
             states = self._call(os.fstat, self._descriptor), self._call(os.stat, self.path)
@@ -106,75 +106,75 @@ class LogFile(ABC):
             found = set()
         if found != {self.state}:
             problem = "the file was changed while it was read"
-            remedy = "read it again when nothing writes to it"
+            remedy = "wait until nothing writes to it, then run again"
             raise InputError(problem, path=str(self.path), remedy=remedy)
 
     def check_size(self, size: int, what: str = "chunk") -> None:
-        """Check that a chunk, or anything else read at once, has at most ``max_bytes``.
+        """Check that a chunk, or other data read at once, has at most ``max_bytes``.
 
         Raises:
-            DamageError: It is larger.
+            DamageError: The chunk is larger.
         """
         if size > self.max_bytes:
             raise DamageError(f"{what} is larger than --log.max-chunk-mib")
 
     def check_memory(self, size: int, what: str = "chunk") -> None:
-        """Check that a chunk has at most ``max_bytes``, and that there is memory for it.
+        """Check that a chunk has at most ``max_bytes``, and that there is enough memory for it.
 
         Raises:
-            DamageError: It is larger.
-            ChunkMemoryError: There isn't.
+            DamageError: The chunk is larger.
+            ChunkMemoryError: There is too little memory.
         """
         self.check_size(size, what)
         check_chunk(size, str(self.path), self.memory)
 
     def check_messages(self, count: int) -> None:
-        """Check that so many messages fit into the file, and their index into memory.
+        """Check that the file can have so many messages, and that their index fits in memory.
 
         Raises:
-            InputError: One hasn't.
+            InputError: There are too many messages.
         """
         check_count("messages", count, self.size, str(self.path))
         check_index(count, str(self.path), self.memory)
 
     @abstractmethod
     def read_index(self) -> FileIndex:
-        """Return the index of the file's messages by its own index, without reading a message.
+        """Read the file's own index of its messages, without reading any message.
 
         Raises:
-            DamageError: The file's own index is missing, torn or wrong.
+            DamageError: The index is missing, incomplete or wrong.
         """
 
     @abstractmethod
     def rebuild_index(self) -> FileIndex:
-        """Return the index of every readable message by reading all of the file.
+        """Build an index of all readable messages by reading the complete file.
 
         Raises:
-            InputError: The file was changed meanwhile, or holds more messages than fit into it.
+            InputError: The file was changed meanwhile, or has an impossible number of messages.
         """
 
     @abstractmethod
     def chunk_head(self, position: int) -> ChunkHead:
-        """Return the head of the chunk at ``position``, a number by which the index names it.
+        """Return the header of the chunk at ``position``, an identifier used in the index.
 
         Raises:
-            DamageError: There is none.
+            DamageError: There is no chunk.
         """
 
     @abstractmethod
     def chunk(self, position: int) -> bytes | memoryview:
-        """Return the decompressed chunk at ``position``; its messages are MCAP's records.
+        """Return the decompressed chunk at ``position``, which consists of MCAP records.
 
         Raises:
-            DamageError: It can't be read any more.
+            DamageError: The chunk is no longer readable.
         """
 
     def chunk_begin(self, position: int, size: int) -> bytes:
-        """Return up to ``size`` bytes of a packed chunk's records, not checked; perhaps none."""
+        """Return up to ``size`` bytes of a compressed chunk's records, unchecked; may be empty."""
         return b""
 
     def chunk_bytes(self, position: int) -> int:
-        """Return how much memory :meth:`chunk` may take there; 0 if there is no chunk."""
+        """Return the maximum memory :meth:`chunk` needs there [byte]; 0 if there is no chunk."""
         try:
             head = self.chunk_head(position)
         except DamageError:
@@ -182,15 +182,15 @@ class LogFile(ABC):
         return min(max(head.uncompressed_size, head.data_size), self.max_bytes)
 
     def name_of(self, position: int) -> str:
-        """Return the name of the image that the chunk is; empty if it is not a file of its own."""
+        """Return the file name of the image in the chunk; empty if it is not a file of its own."""
         return ""
 
     def read(self, position: int, size: int) -> bytes:
-        """Return exactly ``size`` bytes at ``position``.
+        """Return exactly ``size`` bytes from ``position``.
 
         Raises:
-            DamageError: The file ends before, or can't be read there.
-            InputError: It was changed since it was opened.
+            DamageError: The file ends before, or is unreadable there.
+            InputError: The file was changed since it was opened.
         """
         try:
             data = self._call(os.pread, self._descriptor, size, position)
@@ -207,11 +207,11 @@ class LogFile(ABC):
         return bytes(whole)
 
     def read_into(self, position: int, parts: Sequence[memoryview]) -> None:
-        """Fill writable byte views, one after the other, with what begins at ``position``.
+        """Fill writable byte views one after the other with the bytes from ``position`` on.
 
         Raises:
-            DamageError: The file ends before, or can't be read there.
-            InputError: It was changed since it was opened.
+            DamageError: The file ends before, or is unreadable there.
+            InputError: The file was changed since it was opened.
         """
         left = list(parts)
         while left := [part for part in left if len(part)]:
@@ -232,10 +232,10 @@ class LogFile(ABC):
                 left[0] = left[0][count:]
 
     def _call(self, function: Callable[..., Any], *args: Any) -> Any:
-        """Call a function of the system; try again after errors that may pass.
+        """Call a system function; retry after errors that may be temporary.
 
         Raises:
-            OSError: It fails for good.
+            OSError: The call still fails.
         """
         for wait_s in _WAITS_S:
             try:

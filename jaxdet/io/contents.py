@@ -1,6 +1,6 @@
-"""What is in a log, by taking in messages: the first images of each topic, and everything small.
+"""Contents of a log from its messages: the first images of each topic, and all small messages.
 
-A transform or a pose costs 64 bytes; image data are never held.
+A transform or pose takes 64 bytes; pixels are not stored.
 """
 
 from contextlib import suppress
@@ -32,13 +32,13 @@ from jaxdet.io.transforms import TransformTree
 from jaxdet.io.validity import CalibrationChange, values_of
 
 FIRST_MOTIONS = 64
-"""Messages of a topic with transforms or poses that are read in any case."""
+"""Minimum number of messages read per topic with transforms or poses."""
 DEPTH_UNIT_TOPIC = "/option/Depth Units/value"
-"""How librealsense's recorder ends the topic with the metres in a depth unit."""
+"""Last part of the topic in which librealsense's recorder stores the metres per depth unit."""
 
 
 class TopicInfo:
-    """What is known of any topic."""
+    """Statistics of a topic."""
 
     def __init__(self, channel: ChannelInfo) -> None:
         self.channel = channel
@@ -47,9 +47,9 @@ class TopicInfo:
         self.last_ns = 0
         self.undecodable = 0
         self.why = ""
-        """Why the first of those can't be decoded."""
+        """Reason why the first of these messages can't be decoded."""
         self.problem = ""
-        """Why its messages can't be used; empty when they can."""
+        """Reason why the messages are unusable; empty if they are usable."""
 
     def add_undecodable(self, why: str) -> None:
         """Count a message that can't be decoded."""
@@ -58,25 +58,25 @@ class TopicInfo:
 
     @property
     def trouble(self) -> str:
-        """What is wrong with its messages, and why; empty when nothing is."""
+        """Problem with the messages of the topic; empty if there is none."""
         if self.problem or not self.undecodable:
             return self.problem
         return f"{self.undecodable} of {self.count} messages can't be decoded: {self.why}"
 
 
 class CalibrationTopic:
-    """The calibrations on one topic."""
+    """Calibrations on one topic."""
 
     def __init__(self) -> None:
         self.first: CameraInfoMessage | None = None
-        """The first that is calibrated (K[0] is not 0), else the first of all."""
+        """First calibration with K[0] other than 0, else the first of all."""
         self._of_size: dict[ImageSize, CameraInfoMessage] = {}
         self.changes: list[CalibrationChange] = []
-        """In the order of the files."""
+        """Changes of the calibration, in file order."""
         self.last_payload = b""
 
     def add(self, info: CameraInfoMessage, log_ns: int) -> None:
-        """Add a calibration."""
+        """Add a calibration message."""
         values = values_of(info)
         if values is not None and (not self.changes or self.changes[-1].values != values):
             self.changes.append(CalibrationChange(info.stamp_ns, log_ns, values))
@@ -91,12 +91,12 @@ class CalibrationTopic:
 
     @property
     def frame_id(self) -> str:
-        """TF frame of the first; empty if there is none."""
+        """TF frame of the first calibration; empty if there is none."""
         return self.first.frame_id if self.first else ""
 
 
 class PoseTrack:
-    """The robot's poses on one topic."""
+    """Poses of the robot on one topic."""
 
     def __init__(self, first: TransformMessage) -> None:
         self.parent, self.child = first.parent, first.child
@@ -104,25 +104,25 @@ class PoseTrack:
 
 
 class Delays:
-    """Header stamps less log times [ns] of a pose topic or of a frame's transforms."""
+    """Header timestamps minus log times [ns], for a pose topic or the transforms of a frame."""
 
     def __init__(self, delay_ns: int) -> None:
         self.first: list[int] = []
-        """Those of the topic's first ``FIRST_MOTIONS`` messages."""
+        """Delays of the topic's first ``FIRST_MOTIONS`` messages."""
         self.least = self.most = delay_ns
 
     def add(self, delay_ns: int, *, is_first: bool) -> None:
-        """Add one."""
+        """Add a delay."""
         self.least, self.most = min(self.least, delay_ns), max(self.most, delay_ns)
         if is_first:
             self.first.append(delay_ns)
 
 
 class LogContents:
-    """What is in a log: what its messages tell, but for the pixels of images.
+    """Contents of a log, without the pixels of its images.
 
     Args:
-        path: The log's, for errors.
+        path: Path of the log, for errors.
     """
 
     def __init__(self, path: str) -> None:
@@ -131,26 +131,26 @@ class LogContents:
         self.streams: dict[str, ImageStream] = {}
         self.calibrations: dict[str, CalibrationTopic] = {}
         self.extrinsics: dict[str, np.ndarray] = {}
-        """The first of each topic, ``(4, 4)`` float64."""
+        """First extrinsics per topic, ``(4, 4)`` float64."""
         self.depth_units: dict[str, float] = {}
-        """What :data:`DEPTH_UNIT_TOPIC` says first [m], by its topic."""
+        """First value on each :data:`DEPTH_UNIT_TOPIC`, by topic [m]."""
         self.poses: dict[str, PoseTrack] = {}
         self.delays: dict[tuple[str, str], Delays] = {}
-        """By topic and transformed frame, which is empty for poses; of what may move."""
+        """Delays of moving transforms and poses, by topic and child frame (empty for poses)."""
         self.trees: dict[str, TransformTree] = {}
-        """The transforms of each namespace."""
+        """Transforms by namespace."""
         self.tree = TransformTree()
-        """Those of the camera's robot, see :meth:`of_camera`."""
+        """Transforms of the camera's robot, see :meth:`of_camera`."""
         self.integrity: list[FileIntegrity] = []
         self.warnings: list[str] = []
         self.notes: list[str] = []
-        """What is worth knowing and as it should be."""
+        """Remarks that need no action."""
 
     def of_camera(self, topic: str) -> "LogContents":
-        """Return the same contents with the transforms of the robot that carries a camera.
+        """Return a copy with the transforms of the robot that carries a camera.
 
         Args:
-            topic: The camera's depth images.
+            topic: Topic of the camera's depth images.
         """
         own, others = namespaces_of_camera(self.trees, topic, self.streams)
         found = copy(self)
@@ -161,23 +161,23 @@ class LogContents:
 
     @property
     def has_static(self) -> bool:
-        """Whether a static transform was seen."""
+        """Whether there are static transforms."""
         return any(tree.has_static for tree in self.trees.values())
 
     @property
     def tracks(self) -> dict[str, MotionSamples]:
-        """The samples of each pose topic."""
+        """Samples of each pose topic."""
         return {name: track.samples for name, track in self.poses.items()}
 
 
 class ContentsBuilder:
-    """Takes in messages of one file after the other.
+    """Collects the messages of one file after the other.
 
     Args:
-        contents: Where they go.
-        use_tf: Whether transforms are read.
-        images: Whether images are recorded and topics counted; off for the sibling files of a
-            log, of which only calibration and static transforms are wanted.
+        contents: Contents to add to.
+        use_tf: Whether transforms are used.
+        images: Whether images are recorded and topics counted. Off for the sibling files of a log,
+            of which only calibration and static transforms are used.
     """
 
     def __init__(self, contents: LogContents, use_tf: bool, images: bool = True) -> None:
@@ -187,12 +187,12 @@ class ContentsBuilder:
         self._decoders: dict[ChannelInfo, MessageDecoder | None] = {}
 
     def decoder(self, channel: ChannelInfo) -> MessageDecoder | None:
-        """Return the decoder of a channel's messages; None, noted, if they are of no use."""
+        """Return the decoder of a channel; None if its messages are unused or not decodable."""
         self._topic(channel)
         return self._decoders[channel] if channel in self._decoders else self._decoder(channel)
 
     def wants(self, decoder: MessageDecoder) -> bool:
-        """Return whether messages of this kind are used."""
+        """Return whether messages of this decoder are used."""
         if decoder.kind in IMAGE_KINDS:
             return self.images
         if decoder.kind is Kind.NUMBER:
@@ -200,7 +200,7 @@ class ContentsBuilder:
         return self.use_tf or decoder.kind is not Kind.TRANSFORM
 
     def count(self, channel: ChannelInfo, messages: int, first_ns: int, last_ns: int) -> None:
-        """Count messages without looking at them."""
+        """Count messages without reading them."""
         if self.images:
             topic = self._topic(channel)
             topic.count += messages
@@ -208,12 +208,12 @@ class ContentsBuilder:
             topic.last_ns = max(topic.last_ns, last_ns)
 
     def next_file(self, file: LogFile) -> None:
-        """Call before the channels of each file."""
+        """Start the next file, before its channels."""
         self.path = str(file.path)
         self.bytes += file.size
 
     def take(self, decoder: MessageDecoder, log_ns: int, payload: memoryview) -> None:
-        """Take in a message of a kind that is used; images without their pixels."""
+        """Add a message of a kind that is used; images without their pixels."""
         topic = decoder.channel.topic
         try:
             if decoder.kind in IMAGE_KINDS:
@@ -224,7 +224,7 @@ class ContentsBuilder:
             self.contents.topics[topic].add_undecodable(error.problem)
 
     def is_probe(self, decoder: MessageDecoder) -> bool:
-        """Return whether the next image of a topic is taken in: a first one, or any of RGBD."""
+        """Return whether the next image of a topic is decoded: a first one, or any RGBD message."""
         stream = self.contents.streams.get(decoder.channel.topic)
         return decoder.kind is Kind.RGBD or stream is None or len(stream.probes) < NUM_PROBES
 
@@ -255,7 +255,7 @@ class ContentsBuilder:
         stream = self.contents.streams.get(topic)
         if stream is None:
             stream = self.contents.streams[topic] = ImageStream(topic, decoder.kind)
-        # What can't be decoded stays a frame, at its log time, and fails when it is read.
+        # An image that can't be decoded remains a frame, with its log time as timestamp.
         stamp = log_ns
         try:
             stamp = decoder.stamp_ns(payload)
@@ -340,7 +340,7 @@ class ContentsBuilder:
 
 
 def image_stamps(decoder: MessageDecoder, payload: memoryview) -> tuple[int, int]:
-    """Return the stamps of depth and colour in a message [ns]; equal for a single image.
+    """Return the timestamps of depth and colour in a message [ns]; equal for a single image.
 
     Raises:
         FrameError: The message can't be decoded.

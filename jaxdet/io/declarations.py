@@ -1,4 +1,4 @@
-"""The schema and channel records of an MCAP file, each within its record and within bounds.
+"""Schema and channel records of an MCAP file, parsed with bounds checks.
 
 Source: MCAP's specification, records ``Schema`` (0x03) and ``Channel`` (0x04).
 """
@@ -16,18 +16,18 @@ _CHANNEL = struct.Struct("<HH")
 
 
 class Schema(NamedTuple):
-    """A schema as the file declares it."""
+    """A schema declared in the file."""
 
     name: str
     encoding: str
     data: bytes
-    """Empty if it is of no use here, or too large."""
+    """Schema text; empty if it is not needed or too large."""
     size: int
-    """Of the data in the file."""
+    """Size of the schema text in the file [byte]."""
 
 
 class Channel(NamedTuple):
-    """A channel as the file declares it."""
+    """A channel declared in the file."""
 
     topic: str
     message_encoding: str
@@ -42,18 +42,18 @@ class ChannelInfo(NamedTuple):
     schema_name: str
     schema_encoding: str
     schema_data: bytes
-    """Empty if it is of no use here, or too large."""
+    """Schema text; empty if it is not needed or too large."""
     schema_size: int = 0
-    """Of the schema in the file."""
+    """Size of the schema text in the file [byte]."""
 
     @property
     def schema_text(self) -> str:
-        """The schema as text."""
+        """Schema as a string."""
         return self.schema_data.decode("utf-8", "replace")
 
 
 class Declarations:
-    """The schemas and channels of a file, or of its summary; of one number the first counts."""
+    """Schemas and channels of a file or its summary; the first record of each id counts."""
 
     def __init__(self) -> None:
         self.schemas: dict[int, Schema] = {}
@@ -61,10 +61,10 @@ class Declarations:
         self._bytes = 0
 
     def add_schema(self, content: bytes | memoryview) -> None:
-        """Take in the content of a schema record.
+        """Add the content of a schema record.
 
         Raises:
-            DamageError: It overruns its record, or the schemas take too much memory.
+            DamageError: A length exceeds the record, or the schemas need too much memory.
         """
         (number,), place = _unpack(_SCHEMA, content, 0)
         name, place = _text(content, place)
@@ -82,10 +82,10 @@ class Declarations:
         self.schemas[number] = Schema(name, encoding, data, size)
 
     def add_channel(self, content: bytes | memoryview) -> None:
-        """Take in the content of a channel record; its metadata are not read.
+        """Add the content of a channel record; its metadata are ignored.
 
         Raises:
-            DamageError: It overruns its record.
+            DamageError: A length exceeds the record.
         """
         (number, schema), place = _unpack(_CHANNEL, content, 0)
         topic, place = _text(content, place)
@@ -100,11 +100,11 @@ class Declarations:
             self.channels[number] = Channel(topic, encoding, schema)
 
     def info(self, number: int, more: "Declarations | None" = None) -> ChannelInfo | None:
-        """Return a channel with its schema, if it has one; None if it is not declared.
+        """Return a channel with its schema, if any; None if the channel is not declared.
 
         Args:
-            number: Of the channel.
-            more: What is looked up where these lack it.
+            number: Channel id.
+            more: Declarations to search for channels and schemas that are missing here.
         """
         channels = (self.channels, more.channels if more else {})
         channel = next((part[number] for part in channels if number in part), None)

@@ -1,6 +1,6 @@
-"""CDR, ROS 1, protobuf and JSON to the messages of :mod:`jaxdet.io.messages`.
+"""Decoding of CDR, ROS 1, protobuf and JSON into the messages of :mod:`jaxdet.io.messages`.
 
-All are decoded by the schema that stands in the log, never by offsets known beforehand.
+Messages are decoded by the schema in the log, never by fixed offsets.
 """
 
 import json
@@ -44,25 +44,25 @@ from jaxdet.io.raw_messages import read_motions
 from jaxdet.io.ros1 import ros1_decoder
 
 _STAMP_BYTES = 12
-"""In which a stamp that leads is."""
+"""Number of bytes that contain a leading timestamp."""
 _ZSTD = b"\x28\xb5\x2f\xfd"
-"""How a message begins that rosbag2 compressed alone (``compression_mode: message``)."""
+"""First bytes of a message compressed by rosbag2 (``compression_mode: message``)."""
 _IN_PLACE = (Kind.TRANSFORM, Kind.ODOMETRY)
 
 
 class MessageDecoder:
-    """Decodes the messages of one channel.
+    """Decoder of the messages of one channel.
 
     Raises:
-        ValueError: The encoding or the schema is not supported; the text says which.
+        ValueError: The encoding or the schema is not supported; the message says which.
     """
 
     def __init__(self, channel: ChannelInfo) -> None:
         kind = kind_of(channel.schema_name)
         if kind is None:
-            raise ValueError(f"schema {channel.schema_name!r} is of no use here")
+            raise ValueError(f"schema {channel.schema_name!r} is not used")
         if channel.schema_size > MAX_SCHEMA_BYTES:
-            size = f"{channel.schema_size} bytes, but at most {MAX_SCHEMA_BYTES} are read"
+            size = f"{channel.schema_size} bytes, more than the maximum of {MAX_SCHEMA_BYTES}"
             raise ValueError(f"its schema has {size}")
         self.channel = channel
         self.kind: Kind = kind
@@ -70,7 +70,7 @@ class MessageDecoder:
         self.is_foxglove: bool = self._name.startswith("foxglove.")
         static = channel.topic.rstrip("/").endswith("tf_static")
         self.is_static: bool = static and kind is Kind.TRANSFORM
-        """Whether its messages are transforms that hold at all times."""
+        """Whether the messages are static transforms."""
         self._raw = _raw_decoder(channel.message_encoding, *channel[2:5])
         self._in_place = kind in _IN_PLACE and is_standard(channel)
         self.stamp_leads: bool = stamp_leads(channel)
@@ -79,19 +79,21 @@ class MessageDecoder:
         self._most_bytes = min(MAX_SMALL_BYTES if small else sys.maxsize, json_bytes)
 
     def __reduce__(self) -> tuple:
-        """In another process the decoder is made again from the schema."""
+        """Pickle the channel; another process builds the decoder again from its schema."""
         return MessageDecoder, (self.channel,)
 
     def decode(self, payload: bytes | memoryview) -> Message:
-        """Return the message in a payload.
+        """Decode a payload.
 
         Raises:
-            FrameError: It can't be decoded.
+            FrameError: The payload can't be decoded.
         """
         payload = self._expanded(payload)
         if len(payload) > self._most_bytes:
-            problem = f"{self.kind.value} message of {len(payload)} bytes, but at most "
-            problem += f"{self._most_bytes} are read"
+            problem = (
+                f"{self.kind.value} message of {len(payload)} bytes, more than the maximum of "
+            )
+            problem += f"{self._most_bytes}"
             raise bad_frame(problem)
         readable = self._readable(payload)
         try:
@@ -99,41 +101,41 @@ class MessageDecoder:
             return found or parse(self.kind, self._raw(readable), self._name)
         except MemoryError:
             raise
-        except Exception as error:  # the decoders raise what they like
+        except Exception as error:  # the decoders may raise any exception
             raise bad_frame(
                 f"{self.kind.value} message can't be decoded ({_short(error)})"
             ) from error
 
     def motions(self, payload: bytes | memoryview) -> tuple[TransformMessage, ...]:
-        """Return the transforms or poses in a payload.
+        """Decode the transforms or poses in a payload.
 
         Raises:
-            FrameError: It can't be decoded.
+            FrameError: The payload can't be decoded.
         """
         found = self.decode(payload)
         assert isinstance(found, tuple)
         return tuple(item for item in found if isinstance(item, TransformMessage))
 
     def reads_stamp(self, head: bytes | memoryview) -> bool:
-        """Return whether the header stamp is within a message's first bytes.
+        """Return whether the header timestamp is within the first bytes of a message.
 
-        CDR has it after its own 4 bytes, of which one says the order; ROS 1 after the header's
-        number, little-endian.
+        In CDR it follows the 4-byte encapsulation header, which contains the byte order. In ROS 1
+        it follows the header's sequence number and is little-endian.
         """
         if not self.stamp_leads or len(head) < _STAMP_BYTES:
             return False
         return self.channel.message_encoding == "ros1" or head[1] in (0, 1)
 
     def after_stamp(self, payload: bytes | memoryview) -> bytes:
-        """Return a message without a leading stamp; all of it if the stamp does not lead."""
+        """Return a message without its leading timestamp; unchanged if it does not lead."""
         payload = self._expanded(payload)
         return bytes(payload[_STAMP_BYTES:] if self.stamp_leads else payload)
 
     def _expanded(self, payload: bytes | memoryview, most: int | None = None) -> bytes | memoryview:
-        """Return a message, or its first bytes, decompressed where rosbag2 compressed it alone.
+        """Decompress a message, or its first ``most`` bytes, if rosbag2 compressed it.
 
         Raises:
-            FrameError: It is damaged or too large.
+            FrameError: The message is damaged or too large.
         """
         if payload[:4] != _ZSTD or self.channel.message_encoding != "cdr":
             return payload
@@ -147,7 +149,7 @@ class MessageDecoder:
         return found
 
     def _readable(self, payload: bytes | memoryview) -> Any:
-        """Return the payload for the decoder: a copy, but of ROS's images a view."""
+        """Return the payload as the decoder needs it: a view for ROS images, otherwise a copy."""
         if self.kind in IMAGE_KINDS and self.channel.message_encoding == "ros1":
             return payload
         if self.kind in IMAGE_KINDS and self.channel.message_encoding == "cdr":
@@ -155,10 +157,10 @@ class MessageDecoder:
         return bytes(payload)
 
     def stamp_ns(self, payload: memoryview) -> int:
-        """Return the header stamp [ns]; read in place if the schema's first field is the header.
+        """Return the header timestamp [ns], read in place if the header is the first field.
 
         Raises:
-            FrameError: It can't be decoded.
+            FrameError: The payload can't be decoded.
         """
         begin = self._expanded(payload, _STAMP_BYTES) if self.stamp_leads else payload
         if self.reads_stamp(begin):
@@ -170,10 +172,10 @@ class MessageDecoder:
 
 
 class _Payload(np.ndarray):
-    """CDR as ``mcap_ros2`` reads it; slices are views, for it takes arrays of bytes by slicing."""
+    """CDR buffer for ``mcap_ros2``, which slices byte arrays; its slices are views."""
 
     def decode(self, encoding: str) -> str:
-        """Return the text in a slice, as of bytes."""
+        """Decode the text in a slice, like ``bytes.decode``."""
         return self.tobytes().decode(encoding)
 
 
@@ -186,7 +188,7 @@ def _short(error: Exception) -> str:
 def _raw_decoder(
     message_encoding: str, name: str, schema_encoding: str, data: bytes
 ) -> Callable[[bytes], Any]:
-    """Return a decoder of a schema, cached, as a log may have many topics of one schema."""
+    """Return a decoder for a schema; cached, as a log may have many topics of one schema."""
     if message_encoding == "json":
         return lambda data: json.loads(data, object_hook=lambda fields: SimpleNamespace(**fields))
     if message_encoding == "ros1" and schema_encoding == "ros1msg":
@@ -195,7 +197,7 @@ def _raw_decoder(
         except ImportError as error:
             problem = "ROS 1 messages need the package rosbags; install jaxdet[rosbag]"
             raise ValueError(problem) from error
-        except Exception as error:  # parsers of foreign text raise what they like
+        except Exception as error:  # parsers may raise any exception
             raise ValueError(f"its schema can't be read ({_short(error)})") from error
     decode = None
     try:
@@ -207,10 +209,11 @@ def _raw_decoder(
 
             decode = ProtobufFactory().decoder_for(message_encoding, schema)
         elif message_encoding == "cdr":
-            # mcap_ros2 prints what it can't parse; the error says it too.
+            # mcap_ros2 prints definitions that it can't parse; the exception contains the same
+            # text.
             with redirect_stderr(StringIO()), redirect_stdout(StringIO()):
                 decode = Ros2Factory().decoder_for(message_encoding, schema)
-    except Exception as error:  # parsers of foreign text raise what they like
+    except Exception as error:  # parsers may raise any exception
         raise ValueError(f"its schema can't be read ({_short(error)})") from error
     if decode is None:
         what = f"{message_encoding} with {schema_encoding} schema"

@@ -1,7 +1,7 @@
-"""Message definitions of ROS: those of ROS 2 that we know, and what one in a log says.
+"""ROS message definitions: the supported ROS 2 types, and parsing of definitions in logs.
 
-A definition is the text of a ``.msg`` file, then those of the types in it, each behind a line of
-``=`` and a line ``MSG: package/Type``.
+A definition is the text of a ``.msg`` file, followed by the definitions of its member types, each
+after a line of ``=`` and a line ``MSG: package/Type``.
 """
 
 from functools import cache, lru_cache
@@ -62,18 +62,18 @@ DEFINITIONS = {
     "sensor_msgs/CameraInfo rgb_camera_info\nsensor_msgs/CameraInfo depth_camera_info\n"
     "sensor_msgs/Image rgb\nsensor_msgs/Image depth",
 }
-"""Fields by type, a line each: ROS 2 Jazzy's common_interfaces and geometry2, vision_msgs and
+"""Fields by type, one per line: ROS 2 Jazzy's common_interfaces and geometry2, vision_msgs and
 realsense-ros."""
 _LEADING: dict[str, dict[str, tuple[str, ...]]] = {
     "cdr": {"Header": ("Time stamp",), "Time": ("int32 sec", "uint32 nanosec")},
     "ros1": {"Header": ("uint32 seq", "time stamp")},
 }
-"""With which fields a header, and a stamp where it is declared, begin."""
+"""First fields of a header, and of a timestamp if its type is declared, by encoding."""
 
 
 @cache
 def schema_text(type_name: str) -> str:
-    """Return a definition and those of the types inside it, as ROS 2 concatenates them."""
+    """Return a definition with those of its member types, concatenated as in ROS 2."""
     order = [type_name]
     for name in order:
         kinds = (line.split()[0].partition("[")[0] for line in DEFINITIONS[name].splitlines())
@@ -84,13 +84,13 @@ def schema_text(type_name: str) -> str:
 
 
 def bare_definition(text: str) -> str:
-    """Return a definition's types and names, without comments, constants and default values.
+    """Reduce a definition to types and names, without comments, constants and default values.
 
-    These say nothing of the bytes of a message, and the parser takes time that grows with the
-    square of their length.
+    Those do not affect the serialised message, and the parser's time grows with the square of their
+    length.
 
     Raises:
-        ValueError: It has more than ``MAX_SCHEMA_LINES``.
+        ValueError: The definition has more than ``MAX_SCHEMA_LINES`` lines.
     """
     lines = []
     for line in text.splitlines():
@@ -99,14 +99,14 @@ def bare_definition(text: str) -> str:
             continue
         lines.append(f"{kind} {''.join(rest.split()[:1])}".rstrip())
     if len(lines) > MAX_SCHEMA_LINES:
-        raise ValueError(f"it has {len(lines)} fields, but at most {MAX_SCHEMA_LINES} are taken")
+        raise ValueError(f"it has {len(lines)} fields, more than the maximum of {MAX_SCHEMA_LINES}")
     return "\n".join(lines)
 
 
 def with_ros2_names(definition: str) -> str:
-    """Return a bare definition with fields named as in ROS 2, in lower case.
+    """Convert the field names of a bare definition to lower case, as in ROS 2.
 
-    Converters of ROS 1 recordings keep the names that fields have there, as CameraInfo's ``K``.
+    Converters of ROS 1 recordings keep the original names, such as CameraInfo's ``K``.
     """
     lines = (line.partition(" ") for line in definition.splitlines())
     return "\n".join(
@@ -116,13 +116,13 @@ def with_ros2_names(definition: str) -> str:
 
 @lru_cache(16)
 def fields_of(text: str) -> dict[str, tuple[str, ...]]:
-    """Return the fields of each type in a definition, as ``type name``, by the type's name.
+    """Return the fields of each type in a definition, as ``type name``, by type name.
 
-    The name of the message itself is empty. Packages are left out; of types of several packages
-    that differ and have one name nothing is said.
+    The message itself has the empty name. Packages are omitted; if types of the same name in
+    several packages differ, their fields are empty.
 
     Raises:
-        ValueError: It has more than ``MAX_SCHEMA_LINES``.
+        ValueError: The definition has more than ``MAX_SCHEMA_LINES`` lines.
     """
     found: dict[str, tuple[str, ...]] = {}
     name, fields = "", []
@@ -139,9 +139,9 @@ def fields_of(text: str) -> dict[str, tuple[str, ...]]:
 
 @lru_cache(64)
 def is_standard(channel: ChannelInfo) -> bool:
-    """Return whether a channel's messages are CDR of a type as ROS 2 defines it.
+    """Return whether the messages of a channel are CDR with the standard ROS 2 definition.
 
-    What counts is the definition that stands in the log.
+    The definition in the log is compared, not only the type name.
     """
     name = plain_schema_name(channel.schema_name)
     if channel.message_encoding != "cdr" or name not in DEFINITIONS:
@@ -150,7 +150,7 @@ def is_standard(channel: ChannelInfo) -> bool:
 
 
 def stamp_leads(channel: ChannelInfo) -> bool:
-    """Return whether a channel's messages begin with a header that begins with its stamp."""
+    """Return whether the messages of a channel start with a header that starts with a timestamp."""
     if channel.message_encoding not in _LEADING:
         return False
     known = fields_of(channel.schema_text)

@@ -1,4 +1,4 @@
-"""What ``jaxdet info`` shows of a log; plain data, no arrays of images."""
+"""Description of a log for ``jaxdet info``, as plain data."""
 
 from typing import NamedTuple
 
@@ -13,104 +13,105 @@ from jaxdet.io.notes import Notes
 from jaxdet.io.windows import IndexedFrames
 
 _SLOW_S = 0.05
-"""How far the nearest colour image is at most before it is noted."""
+"""Distance of the nearest colour image above which it is reported [s]."""
 _FEW = 0.1
-"""Of a log's frames, to have no pose."""
+"""Fraction of frames without a pose above which it is reported."""
 _TWO_CLOCKS_S = 0.5
-"""Recorded so much farther apart than their stamps are, images may have stamps of two clocks."""
+"""Minimum difference between recording interval and timestamp interval that suggests two clocks
+[s]."""
 
 
 class TopicDescription(NamedTuple):
-    """One topic."""
+    """Description of a topic."""
 
     topic: str
     schema: str
     message_encoding: str
-    """cdr, protobuf, json, ..."""
+    """Message encoding: cdr, protobuf, json, ..."""
     image_encoding: str
-    """Of image topics, else empty."""
+    """Encoding of the images; empty for other topics."""
     num_messages: int
-    """Messages."""
+    """Number of messages."""
     rate_hz: float
-    """Mean rate by log time; 0 for fewer than two messages."""
+    """Mean rate by log time [Hz]; 0 for fewer than two messages."""
     chosen_as: str
     """color, depth, or empty."""
     problem: str
-    """Why its messages can't be used; empty when nothing is wrong."""
+    """Reason why the messages are unusable; empty if they are usable."""
 
 
 class PairingDescription(NamedTuple):
-    """How far colour images are from the frames that they are shown with."""
+    """Time differences between frames and their colour images."""
 
     tolerance_s: float
     num_frames: int
     num_with_color: int
-    """Frames with a colour image within the tolerance."""
+    """Number of frames with a colour image within the tolerance."""
     median_dt_s: float
-    """Of ``|colour - depth|`` of these; 0 without any."""
+    """Median of ``|colour - depth|`` of these frames [s]; 0 without any."""
     max_dt_s: float
 
     @property
     def text(self) -> str:
-        """A line for people."""
+        """Summary in one line."""
         count, missing = self.num_frames, self.num_frames - self.num_with_color
         if not self.num_with_color:
             return f"no colour within {self.tolerance_s:g} s of the {count} frames"
         found = f"colour missing for {missing} of {count} frames"
         found = found if missing else f"colour for all {count} frames"
         median, most = self.median_dt_s * 1000, self.max_dt_s * 1000
-        return f"{found}, the nearest up to {most:.1f} ms away (median {median:.1f} ms)"
+        return f"{found}, up to {most:.1f} ms apart (median {median:.1f} ms)"
 
 
 class LogDescription(NamedTuple):
-    """What a log holds, before its images are decoded."""
+    """Description of a log before its images are decoded."""
 
     name: str
     paths: tuple[str, ...]
     is_folder: bool
-    """Whether it is a folder of images."""
+    """Whether the log is a folder of images."""
     camera: str
-    """The camera's name."""
+    """Name of the camera."""
     cameras: tuple[str, ...]
-    """Of a log with several: each with its topics, or why it is not used."""
+    """Cameras of a log with several, each with its topics or the reason why it is unusable."""
     cameras_left_out: tuple[str, ...]
-    """Those that can't be used, by their names; why is among the warnings."""
+    """Names of the unusable cameras; the warnings contain the reasons."""
     num_frames: int
-    """Depth images of the log."""
+    """Number of depth images in the log."""
     part: str
-    """Which of them are used; empty: all."""
+    """Description of the selected frames; empty if all are."""
     duration_s: float
-    """From the first to the last depth stamp."""
+    """Time from the first to the last depth image [s], by header timestamps."""
     topics: tuple[TopicDescription, ...]
     choices: tuple[str, ...]
-    """Which topics are used and why."""
+    """Topics used, with the reasons."""
     calibration: tuple[str, ...]
-    """Each part and where it comes from."""
+    """Parts of the calibration, with their sources."""
     extrinsics_source: str
     base_source: str
     pose_source: str
     num_poses: int | None
-    """Frames with a known pose; None if the log was opened by its index."""
+    """Number of frames with a known pose; None if the log was opened by its index."""
     pairing: PairingDescription | None
-    """Of colour to depth; None if the log was opened by its index."""
+    """Pairing of colour with depth; None if the log was opened by its index."""
     integrity: tuple[FileIntegrity, ...]
-    """One for each file; its ``text`` is a line."""
+    """Integrity of each file; its ``text`` is a line."""
     warnings: tuple[str, ...]
     notes: tuple[str, ...]
-    """What is worth knowing and as it should be."""
+    """Remarks that need no action."""
 
 
 def describe(
     files: LogFiles, contents: LogContents, found: Findings, numbers: range, first_ns: int
 ) -> LogDescription:
-    """Return the description of a log.
+    """Describe a log.
 
     Args:
-        files: Its files.
-        contents: What is in them.
-        found: What is used.
-        numbers: The frames that are used.
-        first_ns: From when its seconds count [ns].
+        files: Files of the log.
+        contents: Contents of the files.
+        found: Topics, calibration and frames used.
+        numbers: Numbers of the selected frames.
+        first_ns: Start of the log's time axis [ns].
     """
     warnings = [*contents.warnings, *found.warnings]
     warnings += [*found.calibrated.warnings, *found.poses.warnings, *found.cameras.warnings]
@@ -142,28 +143,29 @@ def describe(
 def complete(
     about: LogDescription, notes: Notes, tolerance_s: float, *, has_poses: bool
 ) -> LogDescription:
-    """Return a description with what all frames show.
+    """Add to a description what was found while reading all frames.
 
     Args:
-        about: What was known at opening.
-        notes: Of all frames.
-        tolerance_s: The pairing's [s].
-        has_poses: Whether the log has poses, of whatever time.
+        about: Description at the opening of the log.
+        notes: Observations of all frames.
+        tolerance_s: Tolerance of the pairing [s].
+        has_poses: Whether the log has poses at any time.
     """
     pairing = _pairing(notes, tolerance_s)
     warnings, counts = [], notes.depth
     topic = next((item.topic for item in about.topics if "depth" in item.chosen_as.split()), "")
     texts = (
-        (counts.backward, "stamps run backward; frames are ordered by stamp"),
-        (counts.double, "stamps occur twice"),
-        (counts.zero, "header stamps are zero"),
+        (counts.backward, "timestamps run backward; frames are ordered by timestamp"),
+        (counts.double, "timestamps occur twice"),
+        (counts.zero, "header timestamps are zero"),
         (counts.undecodable, "messages can't be decoded"),
     )
     warnings += [f"{topic}: {count} {text}" for count, text in texts if count]
     if (seconds := _recorded_apart(notes)) > _TWO_CLOCKS_S:
         warnings.append(
-            f"colour and depth images of one stamp were recorded {seconds:.1f} s apart (median): "
-            "where they have stamps of two clocks, pictures show colour of another time"
+            "colour and depth images with equal timestamps were recorded "
+            f"{seconds:.1f} s apart (median); "
+            "if their timestamps are from two clocks, pictures show colour of another time"
         )
     more = []
     has_color = any("color" in item.chosen_as.split() for item in about.topics)
@@ -171,9 +173,11 @@ def complete(
         more.append(f"{pairing.text}; see --log.pair-tolerance-s")
     frames = pairing.num_frames
     if has_poses and not notes.poses:
-        warnings.append("no frame has a pose: the poses' stamps are of another time or clock")
+        warnings.append(
+            "no frame has a pose: the timestamps of the poses are from another time or clock"
+        )
     elif has_poses and (lacking := frames - notes.poses) > _FEW * frames:
-        text = f"{lacking} of {frames} frames have no pose: see --log.world-frame and --log.odom"
+        text = f"{lacking} of {frames} frames have no pose; see --log.world-frame and --log.odom"
         warnings.append(text)
     return about._replace(
         num_poses=notes.poses,
@@ -184,7 +188,7 @@ def complete(
 
 
 def with_bad_color(about: LogDescription, notes: Notes) -> LogDescription:
-    """Return a description with a note on colour images that can't be decoded."""
+    """Add a note on colour images that can't be decoded."""
     if not notes.bad_color:
         return about
     text = f"{notes.bad_color} colour images can't be decoded: {notes.why_bad_color}"
@@ -194,7 +198,7 @@ def with_bad_color(about: LogDescription, notes: Notes) -> LogDescription:
 def describe_topics(
     contents: LogContents, color: str = "", depth: str = ""
 ) -> tuple[TopicDescription, ...]:
-    """Return the topics by name; ``color`` and ``depth`` are those that are used."""
+    """Describe the topics in order of their names; ``color`` and ``depth`` are the ones used."""
     found = []
     for name, info in sorted(contents.topics.items()):
         span = (info.last_ns - info.first_ns) / 1e9
@@ -216,7 +220,7 @@ def describe_topics(
 
 
 def _part_text(numbers: range, frames: IndexedFrames, first_ns: int) -> str:
-    """Numbers and times of the frames that are used; empty if these are all."""
+    """Return numbers and times of the selected frames as text; empty if all are selected."""
     if len(numbers) == frames.num_frames:
         return ""
     which = f"{len(numbers)} of {frames.num_frames} frames, {numbers[0]} to {numbers[-1]}"
@@ -239,6 +243,6 @@ def _pairing(notes: Notes, tolerance_s: float) -> PairingDescription:
 
 
 def _recorded_apart(notes: Notes) -> float:
-    """Return how much farther colour is from depth by log time than by stamp, the median [s]."""
+    """Return the median of log time minus timestamp difference between colour and depth [s]."""
     more = (notes.recorded_apart_ns - notes.apart_ns) / 1e9
     return float(np.median(more)) if len(more) else 0.0

@@ -1,4 +1,4 @@
-"""Where the depth camera stands to the colour camera: flags, extrinsics topic, or TF."""
+"""Extrinsics from depth to colour camera: from flags, an extrinsics topic, or TF."""
 
 from typing import NamedTuple
 
@@ -18,13 +18,13 @@ _AGREE_M, _AGREE_RAD = 0.001, 0.002
 
 
 class FoundExtrinsics(NamedTuple):
-    """``T_color_depth``, where it comes from, and what contradicts it."""
+    """``T_color_depth``, with its source and contradictions."""
 
     extrinsics: Extrinsics
     origin: str
     warnings: tuple[str, ...]
     depth_is_body: bool = False
-    """Whether depth's frame lacks the rotation to optical axes."""
+    """Whether the TF frame of depth is a body frame."""
 
 
 def find_extrinsics(
@@ -37,24 +37,24 @@ def find_extrinsics(
     one_lens: bool,
     depth_is_body: bool = False,
 ) -> FoundExtrinsics:
-    """``T_color_depth`` from the flag, else equal frames, the extrinsics topic, or TF.
+    """Return ``T_color_depth``: from the flag, else equal frames, the extrinsics topic, or TF.
 
-    Two images of one lens in one and the same frame have none between them, whatever their sizes
-    and whatever a topic says of the cameras; drivers that give every camera the same frame are
-    known by the lenses. A difference between topic and TF is a
-    warning; never is a missing motion taken for none.
+    Two images in the same TF frame have no transform between them if they are from the same lens,
+    regardless of their sizes and of any topic. The lenses are compared because some drivers use the
+    same frame for all cameras. A difference between topic and TF is a warning. If no source is
+    found, this is an error; the identity is never assumed.
 
     Args:
-        contents: The log's.
-        options: What the user says.
-        topics: Those of the colour and of the depth images.
-        color_frame: Of the colour images; empty if unknown.
-        depth_frame: Of the depth images.
-        one_lens: The camera matrices are the same but for the size of the images.
-        depth_is_body: Depth's frame is a body frame, see :mod:`jaxdet.io.body_frames`.
+        contents: Contents of the log.
+        options: Options of the user.
+        topics: Topics of the colour and of the depth images.
+        color_frame: TF frame of the colour images; empty if unknown.
+        depth_frame: TF frame of the depth images.
+        one_lens: Whether the camera matrices are equal, apart from the image size.
+        depth_is_body: Whether depth's frame is a body frame, see :mod:`jaxdet.io.body_frames`.
 
     Raises:
-        CalibrationError: Nothing in the log tells it, or the transforms form a cycle.
+        CalibrationError: The log contains no extrinsics, or the transforms form a cycle.
     """
     given = options.color_from_depth
     if given is not None:
@@ -80,25 +80,25 @@ def find_extrinsics(
         return FoundExtrinsics(_extrinsics(T), origin, (*warnings, *turned), is_body)
     if tf is None:
         frames = f"{printable(depth_frame)!r} to {printable(color_frame)!r}"
-        problem = f"no transform from depth to colour (frames {frames})"
-        remedy = "give --log.color-from-depth tx ty tz qx qy qz qw"
+        problem = f"no extrinsics from depth to colour camera (TF frames {frames})"
+        remedy = "pass --log.color-from-depth tx ty tz qx qy qz qw"
         raise TransformError(problem, path=contents.path, topic=topics[1], remedy=remedy)
     if color_frame != depth_frame:
         origin = f"TF, {printable(depth_frame)!r} to {printable(color_frame)!r}"
         return FoundExtrinsics(_extrinsics(tf), origin, turned, is_body)
     if not (one_lens or options.camera_frame):
-        problem = f"no transform from depth to colour: both images are in frame {color_frame!r}, "
+        problem = f"no extrinsics: both images are in TF frame {color_frame!r}, "
         problem += "but their camera matrices differ"
-        remedy = "give --log.color-from-depth tx ty tz qx qy qz qw (0 0 0 0 0 0 1: none), or "
-        remedy += "--log.depth-aligned where depth lies on the colour camera's pixels"
+        remedy = "pass --log.color-from-depth tx ty tz qx qy qz qw (0 0 0 0 0 0 1: identity), or "
+        remedy += "--log.depth-aligned if depth has the pixels of the colour images"
         raise TransformError(problem, path=contents.path, topic=topics[1], remedy=remedy)
     return FoundExtrinsics(_extrinsics(tf), f"both images are in frame {color_frame!r}", ())
 
 
 def _topic(contents: LogContents, topics: tuple[str, str]) -> str:
-    """Return the ``depth_to_color`` topic that shares most of its name with the depth images'.
+    """Return the ``depth_to_color`` topic whose name is most similar to that of the depth images.
 
-    Those of the log's other cameras are left out.
+    Topics of other cameras are ignored.
     """
     others = {camera_name(name) for name in contents.streams} - {
         camera_name(name) for name in topics
@@ -114,10 +114,10 @@ def _topic(contents: LogContents, topics: tuple[str, str]) -> str:
 def _between_streams(
     contents: LogContents, color_topic: str, depth_topic: str
 ) -> np.ndarray | None:
-    """``T_color_depth`` of a recording of librealsense; None if it is none.
+    """Return ``T_color_depth`` from a recording of librealsense; None for other recordings.
 
-    It has ``STREAM/image/data`` beside ``STREAM/tf/N``, the motion from the reference stream of
-    group N to the stream. Source: librealsense, ``media/ros/ros_file_format.h``.
+    Such a recording has ``STREAM/image/data`` and ``STREAM/tf/N``, the motion from the reference
+    stream of group N to the stream. Source: librealsense, ``media/ros/ros_file_format.h``.
     """
     color, depth = (
         topic.removesuffix("image/data") + "tf/" for topic in (color_topic, depth_topic)
@@ -130,7 +130,7 @@ def _between_streams(
 
 
 def _contradiction(T: np.ndarray, tf: np.ndarray | None, topic: str) -> tuple[str, ...]:
-    if tf is None or not np.isfinite(T).all():  # which is an error of its own
+    if tf is None or not np.isfinite(T).all():  # such values are reported as an error later
         return ()
     metres, radians = difference(T, tf)
     if metres <= _AGREE_M and radians <= _AGREE_RAD:

@@ -1,8 +1,8 @@
-"""The index of a file: what and where its messages are, whatever the file's format is.
+"""Index of a file: positions of its messages, in the same form for all formats.
 
-A format reads it from the file's own index, without a look at a message, or rebuilds it by a walk
-over the whole file (:mod:`jaxdet.io.walk`). All that reads messages stands on these arrays, and
-does not know which of the two they come from.
+The index is read from the file's own index, without reading messages, or rebuilt by a scan of the
+complete file (:mod:`jaxdet.io.walk`). All readers of messages use these arrays and do not depend on
+their source.
 """
 
 from collections.abc import Mapping
@@ -21,49 +21,48 @@ MAX_CHANNEL = 0xFFFF
 
 
 class FileIntegrity(NamedTuple):
-    """Result of the checks of a file: what was read of it, and what was lost."""
+    """Result of a file's integrity check: what was read, and what was lost."""
 
     path: Path
     messages: int = 0
     """Number of messages found."""
     declared_messages: int | None = None
-    """Number of messages by the file's statistics; None without."""
+    """Number of messages in the file's statistics; None without."""
     has_end: bool = True
-    """Whether the data end and the file's closing magic are there."""
+    """Whether the end of the data and the closing magic bytes exist."""
     chunks: int = 0
     chunks_with_crc: int = 0
     lost: Mapping[str, int] = {}
     """Number of rejected records and chunks by reason."""
     lost_bytes: int = 0
     lost_spans_ns: tuple[tuple[int, int], ...] = ()
-    """Log times that the heads of rejected chunks state."""
+    """Log times in the headers of rejected chunks."""
     last_log_time_ns: int = 0
     """Last log time of the messages found."""
     missing: Mapping[str, int] = {}
-    """Number of messages by topic that statistics or message indexes count, but that are lost."""
+    """Number of lost messages by topic, according to statistics or message indexes."""
     summary_problem: str = ""
-    """Why the file has no summary that can be read; empty if it has one."""
+    """Reason why the file has no readable summary; empty if it has one."""
     by_index: bool = False
-    """Whether the messages are those of the file's own index, not of a walk over the whole file.
-    Then the chunks are checked when frames are read from them, and the first one's CRC stands for
-    all."""
+    """Whether the messages are from the file's own index, not from a scan. Then chunks are checked
+    when frames are read from them, and ``chunks_with_crc`` assumes that all are like the first."""
 
     @property
     def recovered(self) -> bool:
-        """Whether something is missing."""
+        """Whether data are missing."""
         declared = self.declared_messages
         counted = declared in (None, self.messages) and not self.missing
         return bool(self.lost) or not self.has_end or not counted
 
     @property
     def text(self) -> str:
-        """One line for people."""
+        """Summary in one line."""
         if self.by_index and self.chunks_with_crc:
             return "has an index; the CRC of each chunk is checked when it is read"
         crc = f"CRC checked in {self.chunks_with_crc} of {self.chunks} chunks"
         crc = crc if self.chunks_with_crc else "not checkable (no CRC in file)"
         if self.summary_problem:
-            crc += f"; nothing tells what is missing ({self.summary_problem})"
+            crc += f"; missing messages can't be counted ({self.summary_problem})"
         if not self.recovered:
             return crc
         parts = [f"{self.messages} messages"]
@@ -84,7 +83,7 @@ class FileIntegrity(NamedTuple):
 
 
 class ChannelCount(NamedTuple):
-    """The messages of one channel."""
+    """Number and time range of the messages of a channel."""
 
     messages: int
     first_ns: int
@@ -92,13 +91,16 @@ class ChannelCount(NamedTuple):
 
 
 class FileIndex(NamedTuple):
-    """The messages of a file; the arrays, ``(N,)`` int64, hold those of use, in file order."""
+    """Index of a file.
+
+    The arrays ``(N,)`` int64 have the messages of useful kinds in file order.
+    """
 
     infos: dict[int, ChannelInfo]
-    """All channels."""
+    """All channels by id."""
     counts: dict[int, ChannelCount]
-    """Of all channels that have messages; where the chunks of an MCAP file aren't in the order of
-    log times, the span of those of no use is about right."""
+    """Counts of all channels that have messages. If the chunks of an MCAP file are not in order of
+    log time, the time ranges of unused channels are approximate."""
     integrity: FileIntegrity
     channel: np.ndarray
     log_ns: np.ndarray
@@ -117,18 +119,18 @@ def file_index(
     integrity: FileIntegrity,
     counts: dict[int, ChannelCount] | None = None,
 ) -> FileIndex:
-    """Return the index of a file.
+    """Assemble the index of a file.
 
     Args:
-        infos: Its channels.
-        messages: ``(5, N)`` int64, the last five fields of the index of messages in any order;
-            those of no use are left out.
-        integrity: What is known of the file beside its messages. By the file's own index the
-            numbers of messages are filled in.
-        counts: What else is known of the channels, where ``messages`` lacks some of no use.
+        infos: Channels of the file.
+        messages: ``(5, N)`` int64, the last five fields of :class:`FileIndex` for messages in any
+            order; unused messages are dropped.
+        integrity: Other results for the file. Message counts are added if it comes from the own
+            index.
+        counts: Counts of channels whose messages are not in ``messages``.
 
     Raises:
-        DamageError: A message is of no channel, or of one whose number has more than 16 bits.
+        DamageError: A message has an undeclared channel, or one whose id exceeds 16 bits.
     """
     if messages.shape[1] and not 0 <= messages[0].min() <= messages[0].max() <= MAX_CHANNEL:
         raise DamageError("number of a channel is out of range")
@@ -144,13 +146,13 @@ def file_index(
 
 
 def useful_channels(infos: dict[int, ChannelInfo]) -> np.ndarray:
-    """Return the numbers of the channels with messages of use, int64."""
+    """Return the ids of the channels with messages of useful kinds, int64."""
     useful = [number for number, info in infos.items() if kind_of(info.schema_name) is not None]
     return np.array(useful, np.int64)
 
 
 def _counts(channel: np.ndarray, log_ns: np.ndarray) -> dict[int, ChannelCount]:
-    """Return the messages by channel."""
+    """Count the messages by channel."""
     count = np.bincount(channel)
     first, last = np.full(len(count), MAX_TIME_NS), np.zeros(len(count), np.int64)
     np.minimum.at(first, channel, log_ns)

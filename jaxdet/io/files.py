@@ -1,4 +1,4 @@
-"""From what the user names (files, folders, globs) to logs."""
+"""Search for logs in files, folders and globs."""
 
 import glob
 import os
@@ -11,30 +11,31 @@ from typing import NamedTuple
 
 from jaxdet.errors import InputError, printable
 from jaxdet.io.image_folder import BESIDE, image_folders, stamp_note
-from jaxdet.io.splits import Recording, Sketch, difference, gap, joined, recordings, sketch
+from jaxdet.io.splits import Recording, Signature, difference, gap, joined, recordings, signature
 from jaxdet.io.unpacking import PACKED, is_packed
 
 _RECORDINGS = (".mcap", ".db3", ".bag")
 SUFFIXES = (*_RECORDINGS, *PACKED)
-"""Of the files that are read; of one recording in several formats the first is taken. A compressed
-file has the suffix of its recording before its own."""
+"""Suffixes of the files that are read, by priority among several formats of the same recording. A
+compressed file has the suffix of its recording before its own."""
 _SPLIT = re.compile(
     r"(?P<stem>.+)_(?P<number>\d{1,5}|00\d{4,})\.(?i:mcap|db3|bag)(?i:\.zstd|\.zst|\.bz2)?"
 )
-"""What has more digits, and does not begin with two zeros, is a time or a date, but for
-:data:`_LATE` ones."""
+"""Numbers with more digits that do not start with two zeros are times or dates, except for those of
+:data:`_LATE`."""
 _LATE = re.compile(
     r"(?P<stem>.+)_(?P<number>(?!00)\d{6})\.(?i:mcap|db3|bag)(?i:\.zstd|\.zst|\.bz2)?"
 )
-"""Splits too, where the one of :data:`_BEFORE_LATE` is there, which is no time of day."""
+"""Splits with six-digit numbers, if the split :data:`_BEFORE_LATE` exists, which is not a valid
+time."""
 _BEFORE_LATE = "009999"
 _OTHERS = {
-    ".zstd": "name a recording, as NAME.mcap.zstd",
-    ".zst": "name a recording, as NAME.mcap.zst",
-    ".bz2": "name a recording, as NAME.bag.bz2",
-    ".mcap.active": "take .active off its name when nothing writes to it any more",
-    ".db3.active": "take .active off its name when nothing writes to it any more",
-    ".active": "run rosbag reindex on it and name it .bag",
+    ".zstd": "rename the recording to NAME.mcap.zstd",
+    ".zst": "rename the recording to NAME.mcap.zst",
+    ".bz2": "rename the recording to NAME.bag.bz2",
+    ".mcap.active": "remove .active from its name once nothing writes to it",
+    ".db3.active": "remove .active from its name once nothing writes to it",
+    ".active": "run rosbag reindex on it and rename it to .bag",
     ".svo": "play it to ROS 2 topics and record them as MCAP",
     ".svo2": "play it to ROS 2 topics and record them as MCAP",
     ".mkv": "play it to ROS 2 topics and record them as MCAP",
@@ -42,57 +43,57 @@ _OTHERS = {
     ".r3d": "in Record3D, export it as EXR + JPG sequence, and convert its depth to PNG as jaxdet "
     "help logs shows",
 }
-"""How names of recordings end that are not read, and what can be done; the first that fits."""
+"""Unsupported recordings by the end of their names, with remedies; the first match counts."""
 _DATASET = "write its frames as PNG to color/ and depth/ with a camera.json, see jaxdet help logs"
-"""What can be done with a LeRobot dataset: its depth is video of 12 bits, TIFF or Parquet, by
-version, and nowhere has it the camera's calibration."""
+"""Remedy for a LeRobot dataset, whose depth is video of 12 bits, TIFF or Parquet, depending on the
+version, and which has no camera calibration."""
 _PNG = "convert it to 16-bit PNG in millimetres, as jaxdet help logs shows (the Python package "
 _PNG += "OpenEXR reads it)"
 EXPORTED = ".jaxdet.mcap"
-"""How files for Foxglove and ROS 2 are named that jaxdet exports, for beside the log. The name says
-so, as their headers are those of any writer."""
+"""End of the names of files exported for Foxglove and ROS 2. They are recognised by name, since
+their headers are those of any MCAP file."""
 _MAX_LISTED, _MAX_MISSING = 4, 1000
 MAX_FOLDERS = 100_000
-"""Folders that are searched for logs."""
+"""Maximum number of folders that are searched."""
 
 
 class LogFiles(NamedTuple):
-    """One log: a file, or the split files of one recording in order."""
+    """A log: a file, or the split files of a recording in order."""
 
     name: str
-    """Its path under the folder that was named, without the suffix; printable."""
+    """Path relative to the input folder, without the suffix; printable."""
     paths: tuple[Path, ...]
     note: str = ""
-    """Warning about the selection of files."""
+    """Warning about files that were left out."""
     about: str = ""
-    """Note about their choice: what was joined."""
+    """Note about files that were joined."""
 
 
 def find_logs(
     inputs: Sequence[str | PathLike[str]] | str | PathLike[str], *, join: bool = True
 ) -> list[LogFiles]:
-    """Find the logs in files, folders (searched with their subfolders) and globs.
+    """Find the logs in files, folders (with their subfolders) and globs.
 
-    Files ``NAME_0.mcap``, ``NAME_1.mcap``, ... of one folder are one log called ``NAME``, in the
-    order of their numbers, where ``metadata.yaml`` lists them or their numbers, topics,
-    calibration and times follow on (:mod:`jaxdet.io.splits`); one that begins with a later number
-    than 1 is called by its first file. Every other ``.mcap`` file is a log.
-    So are ``.db3`` and ``.bag`` files; of a recording that a folder holds in several of these
-    formats one is taken, MCAP first. A folder of colour and depth images
-    (:mod:`jaxdet.io.image_folder`) is a log, but where a recording lies in it or beside it, whose
-    images they are. So is a folder that can't be listed, which fails when it is opened. Exports of
-    jaxdet are left out, unless they are named themselves.
+    Files ``NAME_0.mcap``, ``NAME_1.mcap``, ... in a folder are one log named ``NAME`` if
+    ``metadata.yaml`` lists them, or if their numbers, topics, calibrations and times are
+    consecutive (:mod:`jaxdet.io.splits`). If the first number is above 1, the log has the name of
+    its first file. All other ``.mcap`` files, and ``.db3`` and ``.bag`` files, are separate logs.
+    If a folder has a recording in several of these formats, one of them is used, preferably MCAP. A
+    folder of colour and depth images (:mod:`jaxdet.io.image_folder`) is a log, unless a recording
+    is in it or next to it, whose images they are. A folder that can't be listed is a log, too;
+    opening it fails. Exports of jaxdet are left out unless they are inputs themselves.
 
-    A log is called by its path under the folder that was named (of a glob: under the folder before
-    the first ``*``), so its name does not depend on other logs. A file named twice counts once, by
-    its longest name; the order is by path and does not depend on the order of ``inputs``.
+    The name of a log is its path relative to the input folder (for a glob: relative to the folder
+    before the first ``*``), so it does not depend on other logs. A file that several inputs contain
+    counts once, with its longest name. The order is by path and does not depend on the order of
+    ``inputs``.
 
     Args:
-        inputs: What is looked through.
-        join: Join the splits of a recording; else every file is a log.
+        inputs: Files, folders and globs.
+        join: Whether to join the splits of a recording; otherwise every file is a log.
 
     Raises:
-        InputError: An input doesn't exist or holds nothing that is read.
+        InputError: An input does not exist or contains no log.
     """
     named = [inputs] if isinstance(inputs, str | PathLike) else inputs
     if not isinstance(named, Iterable):
@@ -100,8 +101,8 @@ def find_logs(
     named = list(named)
     for item in named:
         if not isinstance(item, str | PathLike):
-            problem = f"{type(item).__name__} is no path"
-            raise InputError(problem, topic="inputs", remedy="give texts or paths")
+            problem = f"expected a path, got {type(item).__name__}"
+            raise InputError(problem, topic="inputs", remedy="pass strings or paths")
     chosen: dict[Path, Path] = {}
     said: dict[Path, str] = {}
     for item in named:
@@ -130,7 +131,7 @@ def find_logs(
 
 
 def _root(text: str) -> Path:
-    """Return the folder under which the logs of an input have their names."""
+    """Return the folder relative to which the logs of an input are named."""
     path = Path(text)
     if path.is_dir():
         return path
@@ -141,9 +142,9 @@ def _root(text: str) -> Path:
 
 
 def _name(file: "_Named", root: Path, *, joined: bool) -> str:
-    """Return the name of a log by its first file and the folder that was named."""
+    """Return the name of a log from its first file and the folder of its input."""
     path = file.path
-    if path == root:  # a folder that is a log, named itself
+    if path == root:  # the input folder is a log itself
         return printable(path.resolve().name or "log")
     own = path.name if path.is_dir() else _bare_name(path)
     if joined and 0 <= (split := _split(path))[1] <= 1:
@@ -153,20 +154,20 @@ def _name(file: "_Named", root: Path, *, joined: bool) -> str:
 
 
 class _Named(NamedTuple):
-    """A file or folder that was named."""
+    """A file or folder from the inputs."""
 
     place: Path
     """See :func:`place_of`."""
     target: Path
-    """The same, a link's own name followed as well."""
+    """The same path with a link at its end resolved as well."""
     path: Path
-    """As it was named."""
+    """Path as in the inputs."""
 
 
 def _once(found: Iterable[Path]) -> dict[Path, _Named]:
-    """Each file once, by its place; one that is named by links as well, by its own name.
+    """Return each file once, by its place; a file with links to it has its own name.
 
-    Links of files are not followed for names: caches of data sets link to files named by a hash.
+    Links of files are not resolved for names, as caches of data sets link to files named by a hash.
     """
     folders: dict[Path, Path] = {}
     named = []
@@ -180,12 +181,12 @@ def _once(found: Iterable[Path]) -> dict[Path, _Named]:
 
 
 def place_of(path: Path) -> Path:
-    """Return the path of a file with links of its folders followed, but not its own."""
+    """Return the path of a file with links of its folders resolved, but not its own."""
     return _place(path, {})
 
 
 def _place(path: Path, folders: dict[Path, Path]) -> Path:
-    """Return the same; folders that were looked up already are taken from ``folders``."""
+    """Return :func:`place_of` a path; ``folders`` caches resolved folders."""
     if path.is_dir():
         return path.resolve()
     parent = path.parent
@@ -195,7 +196,7 @@ def _place(path: Path, folders: dict[Path, Path]) -> Path:
 
 
 def missing_splits(log: LogFiles) -> tuple[int, ...]:
-    """Return the first numbers that lack between the first and the last split of a log."""
+    """Return the first missing numbers between the first and the last split of a log."""
     numbers = {_split(path)[1] for path in log.paths}
     if len(log.paths) < 2 or -1 in numbers:
         return ()
@@ -206,7 +207,7 @@ def missing_splits(log: LogFiles) -> tuple[int, ...]:
 def siblings(log: LogFiles) -> tuple[Path, ...]:
     """Return the splits of the same recording that are not part of the log, in order.
 
-    rosbag2 writes static transforms to the first split only, so they are looked for there.
+    rosbag2 writes static transforms only to the first split, so they are searched in all splits.
     """
     begin = log.paths[0]
     stem, first = _split(begin)
@@ -218,18 +219,18 @@ def siblings(log: LogFiles) -> tuple[Path, ...]:
     after = [path for path in splits[len(before) :] if path.resolve() != begin.resolve()]
     if not (before or after):
         return ()
-    own = sketch(begin)
+    own = signature(begin)
     return (*reversed([*_going_on(log, own, before[::-1])]), *_going_on(log, own, after))
 
 
-def _going_on(log: LogFiles, known: Sketch | None, splits: Iterable[Path]) -> Iterator[Path]:
-    """Splits beside a log's files, farther and farther, that go with all nearer ones.
+def _going_on(log: LogFiles, known: Signature | None, splits: Iterable[Path]) -> Iterator[Path]:
+    """Yield neighbouring splits of the same recording, from near to far.
 
-    What does not go with them is passed over; but where it is too far in time, so is the rest.
+    Splits that do not match are skipped; the first one with a gap in time ends the search.
     """
     own, near = {path.resolve() for path in log.paths}, _split(log.paths[0])[1]
     for path in splits:
-        number, found = _split(path)[1], sketch(path)
+        number, found = _split(path)[1], signature(path)
         if path.resolve() not in own:
             steps = number - near
             pair = (known, found) if steps > 0 else (found, known)
@@ -243,32 +244,32 @@ def _going_on(log: LogFiles, known: Sketch | None, splits: Iterable[Path]) -> It
 
 
 def _seen(text: str, skipped: list[Path]) -> list[Path]:
-    """Return the files of any kind that an input names, in order, and unreadable folders.
+    """Return all files of an input in order, and folders that can't be listed.
 
-    Links to folders above go to ``skipped``.
+    Links to parent folders are added to ``skipped``.
     """
     path = Path(text)
     _check_path(path)
-    if not text:  # a shell's variable that is not set is not this folder
-        raise InputError("a log without a name", remedy="check the arguments")
+    if not text:  # an unset shell variable does not mean the current folder
+        raise InputError("the path of a log is empty", remedy="check the arguments")
     if path.exists():
         return sorted(_within(path, skipped))
     if "://" in text:
-        problem, remedy = "addresses are not read", "copy it to a disk, or mount the storage"
+        problem, remedy = "addresses can't be opened", "download the log, or mount the storage"
         raise InputError(problem, path=text, remedy=remedy)
     if not glob.has_magic(text):
         raise InputError("no such file or folder", path=text, remedy="check the path")
     matches = [Path(match) for match in sorted(glob.glob(text, recursive=True))]
     for match in matches:
         _check_path(match)
-    # A folder may match, and what is in it.
+    # A folder may match as well as its contents.
     return list(dict.fromkeys(file for match in matches for file in _within(match, skipped)))
 
 
 def _files(text: str) -> tuple[list[Path], dict[Path, str]]:
-    """Return the files of an input that are read, at least one, and notes by file."""
+    """Return the readable files of an input, at least one, and notes by file."""
     if Path(text).name == "metadata.yaml" and Path(text).is_file():
-        text = str(Path(text).parent)  # of rosbag2: its files are named in it
+        text = str(Path(text).parent)  # metadata.yaml of rosbag2 names the files in its folder
     path, seen, rest, above = Path(text), list[Path](), list[Path](), list[Path]()
     for item in _seen(text, above):
         (seen if item.is_file() else rest).append(item)
@@ -281,7 +282,7 @@ def _files(text: str) -> tuple[list[Path], dict[Path, str]]:
     found = [file for file in seen if _is_recording(file) and not _is_export(file)]
     if path.is_file():
         if others:
-            problem = f"{path.suffix} files are not read"
+            problem = f"{path.suffix} files are not supported"
             raise InputError(problem, path=text, remedy=_advice(path))
         return seen, {}
     places = {file.parent for file in found}
@@ -293,19 +294,19 @@ def _files(text: str) -> tuple[list[Path], dict[Path, str]]:
         return [*folders, *shut], stamps
     exr = [file for file in seen if file.suffix.lower() == ".exr"]
     if not found and exr:
-        problem = "depth in OpenEXR files, as of Record3D, is not read"
+        problem = "depth in OpenEXR files (for example from Record3D) is not supported"
         raise InputError(problem, path=str(exr[0].parent), remedy=_PNG)
     if not found and datasets:
-        problem = "is a LeRobot dataset, which holds no camera's calibration"
+        problem = "LeRobot datasets are not supported, as they contain no camera calibration"
         raise InputError(problem, path=str(datasets[0]), remedy=_DATASET)
     if not found:
         raise _nothing(text, others, exports, gone)
     taken, left = _preferred(found)
     left += [(file, _advice(file)) for file in others]
-    left += [(file, "a link to nothing") for file in gone]
-    left += [(item, "a link to a folder above it") for item in above]
+    left += [(file, "a broken link") for file in gone]
+    left += [(item, "a link to a parent folder") for item in above]
     left += [(file, "an export of jaxdet") for file in exports]
-    left += [(item, "images beside a recording") for item in sorted(copies)]
+    left += [(item, "images next to a recording") for item in sorted(copies)]
     left += [(item, "a LeRobot dataset") for item in datasets]
     notes = [f"{_within_input(item, path)} is left out: {why}" for item, why in left[:_MAX_LISTED]]
     more = [f"and {len(left) - _MAX_LISTED} more"] if len(left) > _MAX_LISTED else []
@@ -313,12 +314,12 @@ def _files(text: str) -> tuple[list[Path], dict[Path, str]]:
 
 
 def _within_input(file: Path, named: Path) -> str:
-    """Return a file's path relative to the input; for a glob its name."""
+    """Return a file's path relative to the input; for a glob, its name."""
     return printable(str(file.relative_to(named) if file.is_relative_to(named) else file.name))
 
 
 def _advice(file: Path) -> str:
-    """Return the remedy for a recording that is not read; empty for all other files."""
+    """Return the remedy for an unsupported recording; empty for all other files."""
     if _is_recording(file):
         return ""
     name = file.name.lower()
@@ -328,29 +329,29 @@ def _advice(file: Path) -> str:
 def _nothing(
     text: str, others: Sequence[Path], exports: Sequence[Path], gone: Sequence[Path]
 ) -> InputError:
-    """Return the error of an input without logs, by what else it holds."""
-    where, remedy = text, "name an MCAP file or a folder; jaxdet help logs has the layouts of "
+    """Return the error for an input without logs, depending on its other contents."""
+    where, remedy = text, "pass an MCAP file or a folder; see jaxdet help logs for the layouts of "
     remedy += "folders of images"
     problem = "no .mcap, .bag or .db3 file and no folder of images found"
     if others:
         where, remedy = str(others[0]), _advice(others[0])
-        problem = f"{others[0].suffix} files are not read, and there is nothing else here"
+        problem = f"{others[0].suffix} files are not supported, and the input has no others"
     elif exports:
-        where, remedy = str(exports[0]), "name the log that it was made of"
-        problem = "an export of jaxdet, and there is nothing else here"
+        where, remedy = str(exports[0]), "pass the log from which it was exported"
+        problem = "this is an export of jaxdet, and the input has no other files"
     elif gone:
-        where, remedy = str(gone[0]), "mend the link"
-        problem = "a link to nothing, and there is nothing else here"
+        where, remedy = str(gone[0]), "correct the link"
+        problem = "this is a broken link, and the input has no other files"
     return InputError(problem, path=where, remedy=remedy)
 
 
 def _is_recording(file: Path) -> bool:
-    """Return whether a file is of a format that is read, by its name."""
+    """Return whether the format of a file is supported, by its name."""
     return (file.with_suffix("") if is_packed(file) else file).suffix.lower() in _RECORDINGS
 
 
 def _bare_name(file: Path) -> str:
-    """Return a file's name without the suffixes of its format."""
+    """Return the name of a file without the suffixes of its format."""
     return (file.with_suffix("") if is_packed(file) else file).stem
 
 
@@ -359,7 +360,7 @@ def _is_export(file: Path) -> bool:
 
 
 def _is_dataset(file: Path) -> bool:
-    """Return whether a file describes a LeRobot dataset."""
+    """Return whether a file is the description of a LeRobot dataset."""
     if file.name != "info.json" or file.parent.name != "meta":
         return False
     try:
@@ -369,14 +370,14 @@ def _is_dataset(file: Path) -> bool:
 
 
 def _check_path(path: Path) -> None:
-    """Refuse a path that the system does not accept; there may be nothing at it.
+    """Check that the system accepts a path; it need not exist.
 
     Raises:
-        InputError: It is too long, has a zero byte, or may not be looked at.
+        InputError: The path is too long, has a zero byte, or may not be accessed.
     """
     try:
         path.stat()
-    except (FileNotFoundError, NotADirectoryError):  # perhaps a glob
+    except (FileNotFoundError, NotADirectoryError):  # may be a glob
         return
     except (OSError, ValueError) as error:
         problem = f"can't be read ({getattr(error, 'strerror', None) or error})"
@@ -384,11 +385,11 @@ def _check_path(path: Path) -> None:
 
 
 def _preferred(found: Sequence[Path]) -> tuple[list[Path], list[tuple[Path, str]]]:
-    """Return the files that are read of those found, and the others, each with the reason.
+    """Return the files to read, and the others, each with the reason.
 
-    A file is left out where its recording is there in a format that is read rather. A split is not
-    where that has other numbers alone, and images of other times: it may be half converted, or
-    another recording.
+    If a recording exists in several formats, only the file with the preferred one is read. A split
+    is read nevertheless if the preferred format has only splits with other numbers and times: the
+    recording may be partly converted, or another one.
     """
     known: dict[tuple[Path, str], dict[str, list[Path]]] = {}
     of = [known.setdefault(recording_of(file), {}) for file in found]
@@ -402,16 +403,16 @@ def _preferred(found: Sequence[Path]) -> tuple[list[Path], list[tuple[Path, str]
         same = [one for one in better if number < 0 or _split(one)[1] in (number, -1)]
         if better and (same or _has_times_of(file, formats[format_of(better[0])])):
             suffix = format_of((same or better)[0])
-            left.append((file, f"its recording is there as {suffix}"))
+            left.append((file, f"the same recording exists as {suffix}"))
         else:
             taken.append(file)
     return taken, left
 
 
 def _has_times_of(file: Path, others: Sequence[Path]) -> bool:
-    """Return whether images of a file may be of the same times as those of others."""
-    known = sketch(file)
-    spans = [one.span_ns for one in map(sketch, others) if one and one.span_ns]
+    """Return whether the images of a file may overlap in time with those of others."""
+    known = signature(file)
+    spans = [one.span_ns for one in map(signature, others) if one and one.span_ns]
     if known is None or known.span_ns is None or not spans:
         return True
     first, last = zip(*spans, strict=True)
@@ -419,20 +420,20 @@ def _has_times_of(file: Path, others: Sequence[Path]) -> bool:
 
 
 def recording_of(path: Path) -> tuple[Path, str]:
-    """Return what all files of a recording have in common, whatever their format."""
+    """Return a key that all files of a recording share, regardless of format."""
     return path.parent, _split(path)[0]
 
 
 def format_of(path: Path) -> str:
-    """Return the suffix that names the format of a file, one of :data:`SUFFIXES`."""
+    """Return the suffix of a file's format, one of :data:`SUFFIXES`."""
     return path.suffix.lower()
 
 
 def _within(path: Path, skipped: list[Path]) -> Iterable[Path]:
-    """Yield a file, or all files in a folder and its subfolders but :data:`BESIDE`.
+    """Yield a file, or all files in a folder and its subfolders except :data:`BESIDE`.
 
-    Of a folder that can't be listed, or whose files can't be looked at, it is the folder itself.
-    Links to folders above are not followed: they go to ``skipped``.
+    A folder that can't be listed, or whose files can't be accessed, is yielded itself. Links to
+    parent folders are not followed but added to ``skipped``.
 
     Raises:
         InputError: There are more than ``MAX_FOLDERS`` folders.
@@ -456,8 +457,8 @@ def _within(path: Path, skipped: list[Path]) -> Iterable[Path]:
             continue
         walked.add((about.st_dev, about.st_ino))
         if len(walked) > MAX_FOLDERS:
-            problem = f"there are more than {MAX_FOLDERS} folders in it"
-            raise InputError(problem, path=str(path), remedy="name a smaller folder")
+            problem = f"the folder has more than {MAX_FOLDERS} subfolders"
+            raise InputError(problem, path=str(path), remedy="pass a smaller folder")
         links = [name for name in folders if os.path.islink(os.path.join(folder, name))]
         up = [name for name in links if own.is_relative_to(Path(folder, name).resolve())]
         skipped += [Path(folder, n) for n in up if Path(folder, n).resolve() != own]
@@ -467,7 +468,7 @@ def _within(path: Path, skipped: list[Path]) -> Iterable[Path]:
 
 
 def _split(path: Path) -> tuple[str, int]:
-    """Return the common name of the splits of a recording, and the number; -1: not a split."""
+    """Return the common name of a recording's splits, and the split number; -1: not a split."""
     match = _SPLIT.fullmatch(path.name) or _late_split(path)
     return (match["stem"], int(match["number"])) if match else (_bare_name(path), -1)
 

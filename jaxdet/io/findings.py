@@ -1,4 +1,4 @@
-"""All that is found in a log before an image is decoded."""
+"""Topics, calibration, poses and frames of a log, determined before images are decoded."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -32,11 +32,11 @@ from jaxdet.io.validity import CalibrationWindows
 from jaxdet.io.windows import IndexedFrames
 
 _POSE_SAMPLE = 8
-"""Frames looked at to see how many have a pose."""
+"""Number of frames sampled to estimate how many have a pose."""
 
 
 class Findings(NamedTuple):
-    """Topics, calibration, floor, poses and frames."""
+    """Topics, calibration, floor, poses and frames of a log."""
 
     cameras: Cameras
     choice: Choice
@@ -45,28 +45,28 @@ class Findings(NamedTuple):
     poses: PoseSource
     frames: IndexedFrames
     depth: Sequence[MessageDecoder]
-    """Of the depth topic; a message has the one of its ``decoder``."""
+    """Decoders of the depth topic; ``decoder`` of a message is an index into them."""
     color: Sequence[MessageDecoder]
-    """Of the colour topic, which may be the same; empty if no colour is used."""
+    """Decoders of the colour topic, which may be the same topic; empty if colour is not used."""
     warnings: tuple[str, ...]
-    """About the transforms and the frames."""
+    """Warnings about the transforms and the frames."""
     notes: tuple[str, ...] = ()
-    """About the frames."""
+    """Notes about the frames."""
 
 
 def find(log: IndexedLog, options: LogOptions, *, is_body: bool = False) -> Findings:
-    """Return the topics, calibration, poses and frames of a log.
+    """Determine the topics, calibration, poses and frames of a log.
 
     Args:
-        log: What its indexes tell, and the messages that were read at opening.
-        options: What the user says.
+        log: Indexes of the log, with the messages read at opening.
+        options: Options of the user.
         is_body: Whether the depth images show that their frame is a body frame.
 
     Raises:
         CamerasError: There are several cameras.
-        TopicError: No or several topics can be depth, or there is no such camera.
+        TopicError: None or several topics can be depth, or the camera does not exist.
         CalibrationError: A part of the calibration is missing, unknown or contradictory.
-        RescanError: The first messages are such that all have to be read.
+        RescanError: The first messages show that all messages must be read.
         DamageError: The file contradicts its index.
     """
     contents = log.contents
@@ -99,7 +99,7 @@ def find(log: IndexedLog, options: LogOptions, *, is_body: bool = False) -> Find
     if not log.motions.whole and contents.tree.sampled_once() & {
         above for frame in frames_used for above in contents.tree.above(frame)
     }:
-        raise RescanError("a transform is too rare for a sample", path=contents.path)
+        raise RescanError("a transform is too rare to be found in a sample", path=contents.path)
     return Findings(
         cameras,
         choice,
@@ -117,13 +117,13 @@ def find(log: IndexedLog, options: LogOptions, *, is_body: bool = False) -> Find
 def _frames(
     log: IndexedLog, choice: Choice, calibrated: Calibrated, options: LogOptions
 ) -> tuple[IndexedFrames, list[str]]:
-    """Return the frames of the chosen topics, without poses, and what to tell of them.
+    """Return the frames of the chosen topics, without poses, and warnings about them.
 
-    Where all stamps of a stream are zero, log times stand for its stamps, and decide which colour
-    image is nearest.
+    If all timestamps of a stream are zero, log times replace them, also for the pairing with
+    colour.
 
     Raises:
-        RescanError: The first messages are such that all have to be read.
+        RescanError: The first messages show that all messages must be read.
     """
     path, warnings, zero = log.contents.path, list[str](), set[str]()
     topics = dict.fromkeys((choice.depth, *((choice.color,) if calibrated.has_color else ())))
@@ -134,7 +134,7 @@ def _frames(
         _check_stamps(log, topics)
     for topic, stream in streams.items():
         if topic in zero:
-            text = "header stamps are all zero; log times are used"
+            text = "all header timestamps are zero; log times are used"
             warnings.append(f"{printable(topic)}: {text}")
         warnings += log_time_warnings(topic, stream.backward)
         if log.is_complete:
@@ -157,12 +157,13 @@ def _frames(
 
 
 def _share_known(frames: IndexedFrames, source: PoseSource, *, is_complete: bool) -> float:
-    """Return the share of a sample of frames whose pose a source knows, 0 to 1.
+    """Return the fraction of sampled frames for which a source has the pose, 0 to 1.
 
-    Where the sample has none, any in the sample of another source go before all.
+    If the sample has none, the fraction of all frames is returned, reduced so that any source with
+    poses in its sample is preferred.
 
     Raises:
-        RescanError: No frame of the sample has a pose, and not all messages were read.
+        RescanError: No sampled frame has a pose, and not all messages were read.
     """
     looked, count = frames._replace(source=source, color=None), frames.num_frames
     sample = np.unique(np.linspace(0, count - 1, _POSE_SAMPLE).astype(np.int64)).tolist()
@@ -175,21 +176,21 @@ def _share_known(frames: IndexedFrames, source: PoseSource, *, is_complete: bool
 
 
 def _last_delay(frames: IndexedFrames) -> int:
-    """Return stamp less log time of the last frame [ns]; 0 without one."""
+    """Return timestamp minus log time of the last frame [ns]; 0 if there are no frames."""
     last = frames.num_frames - 1
     return frames.stamp_ns(last) - frames.log_ns(last) if last >= 0 else 0
 
 
 def _check_stamps(log: IndexedLog, topics: Iterable[str]) -> None:
-    """Make sure that the images of some topics can be told apart and ordered by their stamps.
+    """Check that the images of some topics can be distinguished and ordered by timestamps.
 
     Raises:
-        RescanError: The first stamps are zero, or images may occur twice.
+        RescanError: The first timestamps are zero, or images may occur twice.
     """
     for topic in topics:
         stream, path = log.contents.streams[topic], log.contents.path
         if not any(image.stamp_ns for image in stream.first):
-            raise RescanError("the first header stamps are zero", path=path, topic=topic)
+            raise RescanError("the first header timestamps are zero", path=path, topic=topic)
         if may_repeat(stream, log.streams[topic].messages.log_ns):
             raise RescanError("images may occur twice", path=path, topic=topic)
 
@@ -201,7 +202,7 @@ def _calibrations(
     infos = [log.calibrations[topic] for topic in sorted(used) if topic in log.calibrations]
     if log.is_complete:
         of_depth = calibrated.used_for_depth.items()
-        if log.streams[choice.depth].is_rgbd:  # whose images are read with their calibrations
+        if log.streams[choice.depth].is_rgbd:  # RGBD messages contain their own calibration
             of_depth = ()
         changes = [(log.contents.calibrations[topic].changes, info) for topic, info in of_depth]
     path = log.contents.path
@@ -222,7 +223,7 @@ def _find(
     options: LogOptions,
     share_known: Callable[[PoseSource], float],
 ) -> tuple[Base, PoseSource]:
-    """Floor and poses of the depth camera; of the colour camera's frame where TF has that alone."""
+    """Return floor and poses of the depth camera, through the colour frame if TF has only that."""
     frame, T_frame_camera = calibrated.tf_frame, calibrated.T_frame_camera
     motion, frames = calibrated.calibration.color_from_depth, contents.tree.frames
     if motion is not None and frame not in frames and calibrated.color_frame in frames:
@@ -250,7 +251,7 @@ def _find(
 
 @contextmanager
 def _naming_tree(contents: LogContents) -> Iterator[None]:
-    """Add file and topic to errors of the tree of transforms, which knows neither."""
+    """Add file and topic to errors of the transform tree, which has neither."""
     try:
         yield
     except TransformError as error:
@@ -264,13 +265,13 @@ def _naming_tree(contents: LogContents) -> Iterator[None]:
 
 
 def _check_sampled(log: IndexedLog, error: JaxdetError) -> None:
-    """Check that messages that were not read can't change an error.
+    """Check that unread messages could not change an error.
 
     Raises:
-        RescanError: They can.
+        RescanError: They could.
     """
     if not log.is_complete and (not log.motions.whole or _is_of_first(log, error)):
-        problem = f"not found in a sample: {error.problem}"
+        problem = f"not found in a sample of messages: {error.problem}"
         raise RescanError(problem, path=log.contents.path) from error
 
 

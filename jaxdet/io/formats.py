@@ -1,4 +1,4 @@
-"""The formats of logs: MCAP, ROS 1's bags, ROS 2's SQLite files and folders of images."""
+"""Formats of logs: MCAP, ROS 1 bags, ROS 2 SQLite files and folders of images."""
 
 from pathlib import Path
 
@@ -10,18 +10,18 @@ from jaxdet.io.sqlite import SqliteFile
 from jaxdet.io.unpacking import is_packed, unpacked
 
 _SUFFIXES: dict[str, type[LogFile]] = {".bag": BagFile, ".db3": SqliteFile}
-"""Any other file is taken for MCAP."""
+"""File classes by suffix; files with other suffixes are opened as MCAP."""
 
 
 def open_file(path: Path, max_bytes: int) -> LogFile:
-    """Open a file of a log; one that is compressed as a whole through a temporary file.
+    """Open a file of a log; compressed files are decompressed to a temporary file.
 
     Args:
-        path: The file or folder.
-        max_bytes: Largest chunk or message, before and after decompression.
+        path: File or folder.
+        max_bytes: Maximum size of a chunk or message, before and after decompression.
 
     Raises:
-        InputError: It can't be opened, or isn't of the format that its name says.
+        InputError: The file can't be opened, or does not have the format of its suffix.
     """
     if is_packed(path) and path.is_file():
         path = unpacked(path)

@@ -1,20 +1,20 @@
-"""A folder of colour and depth images as a log, as data sets and Open3D lay it out.
+"""Folders of colour and depth images as logs, in the layouts of common data sets and of Open3D.
 
-In it are a folder of colour images (``rgb color colour``: PNG, JPEG) and one of depth images
-(``depth``: 16-bit PNG, aligned to colour). Stamps [s] and names are in ``rgb.txt`` and
-``depth.txt``, or the names are stamps with a decimal point, or their last numbers are frames'
-numbers: then :data:`RATE_HZ` of them make a second. ``groundtruth.txt`` has the camera's poses
-(stamp, tx ty tz, qx qy qz qw), and a JSON file the camera matrix: ``intrinsic_matrix`` (nine
-numbers, column-major), ``width``, ``height`` and, perhaps, ``depth_scale`` (depth units in a
-metre). So is TUM's RGB-D benchmark laid out, and what Open3D writes. Others differ:
+The basic layout is that of TUM's RGB-D benchmark and of Open3D: a folder of colour images (``rgb
+color colour``: PNG, JPEG) and one of depth images (``depth``: 16-bit PNG, aligned to colour).
+Timestamps [s] and names are in ``rgb.txt`` and ``depth.txt``. Without these files, names with a
+decimal point are timestamps, and the last number in other names is a frame number at
+:data:`RATE_HZ`. ``groundtruth.txt`` has the camera's poses (timestamp, tx ty tz, qx qy qz qw), and
+a JSON file the camera matrix: ``intrinsic_matrix`` (nine numbers, column-major), ``width``,
+``height`` and optionally ``depth_scale`` (depth units per metre). Other layouts:
 
-- ScanNet has camera matrices of both images in ``intrinsic`` and poses in ``pose``;
-- 7-Scenes has all in one folder, ``frame-000000.color.png``, ``.depth.png`` and ``.pose.txt``;
-- Redwood's scans have ``image`` or ``rgb``, and microseconds in the names, ``NUMBER-TIME.png``;
-- recordings of an iPhone's LiDAR have confidences too, see :mod:`jaxdet.io.phone_folder`.
+- ScanNet has the camera matrices of both images in ``intrinsic``, and poses in ``pose``;
+- 7-Scenes has all files in one folder: ``frame-000000.color.png``, ``.depth.png``, ``.pose.txt``;
+- Redwood has ``image`` or ``rgb``, and microseconds in the names, ``NUMBER-TIME.png``;
+- recordings of an iPhone's LiDAR have confidences, see :mod:`jaxdet.io.phone_folder`.
 
-Sources: the benchmark's page "File Formats"; Open3D's ``PinholeCameraIntrinsic`` and
-``RGBDVideoMetadata``; ScanNet's ``SensReader``; the pages of 7-Scenes and of Redwood's scans.
+Sources: "File Formats" of the TUM benchmark; Open3D's ``PinholeCameraIntrinsic`` and
+``RGBDVideoMetadata``; ScanNet's ``SensReader``; the web pages of 7-Scenes and Redwood.
 """
 
 import json
@@ -53,21 +53,21 @@ from jaxdet.types import Intrinsics, is_rigid
 RATE_HZ = 30
 COLOR_NAMES = ("rgb", "color", "colour", "image")
 FLAT = ".color", ".depth"
-"""How names without their suffix end where colour and depth lie in one folder, as of 7-Scenes."""
+"""Ends of the file names, without suffix, if colour and depth are in one folder, as in 7-Scenes."""
 DEPTH_NAMES = ("depth",)
 COLOR_SUFFIXES = (".png", ".jpg", ".jpeg")
 DEPTH_SUFFIXES = (".png",)
 CONFIDENCE = "confidence"
-"""Folder with a PNG for each depth image, of the same name."""
+"""Folder with a confidence PNG per depth image, with the same name."""
 BESIDE = "._"
-"""How the files begin that macOS writes beside others on other systems' disks and in archives."""
+"""Prefix of the files that macOS adds on disks of other systems and in archives."""
 LISTED_COLOR, LISTED_DEPTH = "rgb.txt", "depth.txt"
 _SECOND = 1_000_000_000
 _FIRST_S = 1
-"""Stamp of frame 0 where frames have numbers only [s]; 0 would count as none."""
+"""Timestamp of frame 0 if frames only have numbers [s]; 0 would mean that there is none."""
 _MAX_TEXT_BYTES = 64 << 20
 _WITH_TIME = re.compile(r"\d{7}-(\d{12})")
-"""A frame's number and its time [us]."""
+"""Frame number and time [us]."""
 _NUMBER = re.compile(r"(\d+)\D*$")
 _FRAME = "camera_color_optical_frame"
 _TYPES = {
@@ -82,22 +82,23 @@ _COLOR, _DEPTH, _INFO, _UNIT, _TF, _DEPTH_INFO = range(len(_TYPES))
 
 
 class _Message(NamedTuple):
-    """A message: some bytes, then files."""
+    """A message, consisting of bytes followed by the contents of files."""
 
     log_ns: int
     channel: int
     head: bytes
     files: tuple[tuple[Path, int], ...] = ()
-    """An image, and of depth perhaps its confidences; each with its size, 0 where it is missing."""
+    """An image, and for depth optionally its confidences, each with its size; 0 if the file is
+    missing."""
 
     @property
     def size(self) -> int:
-        """Bytes of all."""
+        """Total size [byte]."""
         return len(self.head) + sum(size for _, size in self.files)
 
     @property
     def path(self) -> Path | None:
-        """The image."""
+        """Path of the image; None for other messages."""
         return self.files[0][0] if self.files else None
 
 
@@ -105,7 +106,7 @@ class ImageFolder(MessageFile):
     """A folder of colour and depth images.
 
     Attributes:
-        infos: Its channels.
+        infos: Channels by id.
     """
 
     magic = b""
@@ -127,13 +128,13 @@ class ImageFolder(MessageFile):
         }
 
     def read_index(self) -> FileIndex:
-        """Return the index of the messages by the names and sizes of the files."""
+        """Build the index of the messages from the names and sizes of the files."""
         channel, log_ns, size = np.array(self._rows(), np.int64).reshape(-1, 3).T
         messages = indexed_messages(np.arange(len(channel)), channel, log_ns, size)
         return file_index(self.infos, messages, FileIntegrity(self.path, by_index=True))
 
     def rebuild_index(self) -> FileIndex:
-        """Return the same index by reading all files; an unreadable image stays a frame without.
+        """Build the same index while reading all files; an unreadable image remains a frame.
 
         Raises:
             InputError: The folder was changed meanwhile.
@@ -149,31 +150,34 @@ class ImageFolder(MessageFile):
         return walk.index(declared_messages=len(rows))
 
     def _rows(self) -> list[MessageRow]:
-        """Return what is known of the messages, in order of time."""
+        """Return channel, log time and size of the messages, in order of time."""
         return [self.row(number) for number in range(len(self._messages))]
 
     def close(self) -> None:
-        """Does nothing: an image is open while it is read."""
+        """Do nothing, since image files are opened only while they are read."""
 
     def check_unchanged(self) -> None:
         """Check that no image was added, removed or renamed since the folder was opened.
 
         Raises:
-            InputError: One did, or the folder is not there any more.
+            InputError: The folder has changed, or no longer exists.
         """
         try:
             now = _state(self.path)
         except OSError:
             now = None
         if now != self.state:
-            problem, remedy = "the folder was changed while it was read", "read it again"
+            problem, remedy = (
+                "the folder was changed while it was read",
+                "run again once it is complete",
+            )
             raise InputError(problem, path=str(self.path), remedy=remedy)
 
     def row(self, number: int) -> MessageRow:
         """Return channel, log time and size of a message.
 
         Raises:
-            DamageError: There is none.
+            DamageError: The message does not exist.
         """
         if not 0 <= number < len(self._messages):
             raise DamageError("no message where one should be")
@@ -181,15 +185,15 @@ class ImageFolder(MessageFile):
         return MessageRow(item.channel, item.log_ns, item.size)
 
     def name_of(self, position: int) -> str:
-        """Return the image's path relative to the folder; empty for other messages."""
+        """Return the path of an image relative to the folder; empty for other messages."""
         path = self._messages[position >> POSITION_BITS].path
         return "" if path is None else os.path.relpath(path, self.path)
 
     def read_payload(self, number: int, start: int, parts: Sequence[memoryview]) -> None:
-        """Fill writable byte views, one after the other, with a message's data from ``start``.
+        """Fill writable byte views one after the other with a message's data from ``start`` on.
 
         Raises:
-            DamageError: They end before, or can't be read.
+            DamageError: The data end before, or can't be read.
         """
         item, left = self._messages[number], list(parts)
         head = BytesIO(item.head)
@@ -206,7 +210,7 @@ class ImageFolder(MessageFile):
     def _read_file(
         self, path: Path, start: int, size: int, parts: list[memoryview]
     ) -> list[memoryview]:
-        """Fill views with a file from ``start``; return those that are left.
+        """Fill views with the contents of a file from ``start`` on; return the unfilled rest.
 
         Raises:
             DamageError: The file is missing, ends early, or can't be read.
@@ -226,10 +230,10 @@ class ImageFolder(MessageFile):
 
 
 def _fill(file: RawIOBase | BytesIO, size: int, parts: list[memoryview]) -> list[memoryview]:
-    """Fill views with the next bytes of a file, at most ``size``; return those that are left.
+    """Fill views with the next bytes of a file, at most ``size``; return the unfilled rest.
 
     Raises:
-        EOFError: It has fewer.
+        EOFError: The file has fewer bytes.
     """
     left = []
     for part in parts:
@@ -242,7 +246,7 @@ def _fill(file: RawIOBase | BytesIO, size: int, parts: list[memoryview]) -> list
 
 
 def image_folders(files: Iterable[Path]) -> list[Path]:
-    """Return the folders with colour and depth images among some files, in order."""
+    """Return the folders that contain both colour and depth images, in order."""
     found: dict[Path, set[bool]] = {}
     for file in files:
         name, suffix = file.parent.name.lower(), file.suffix.lower()
@@ -250,7 +254,7 @@ def image_folders(files: Iterable[Path]) -> list[Path]:
             found.setdefault(file.parent.parent, set()).add(True)
         elif name in COLOR_NAMES and suffix in COLOR_SUFFIXES:
             found.setdefault(file.parent.parent, set()).add(False)
-        elif file.name == ODOMETRY:  # of Stray Scanner, whose colour is video
+        elif file.name == ODOMETRY:  # file of Stray Scanner, whose colour is video
             found.setdefault(file.parent, set()).add(False)
         elif suffix in COLOR_SUFFIXES and Path(file.stem).suffix in FLAT:
             found.setdefault(file.parent, set()).add(Path(file.stem).suffix == FLAT[1])
@@ -258,9 +262,9 @@ def image_folders(files: Iterable[Path]) -> list[Path]:
 
 
 def stamp_note(folder: Path) -> str:
-    """Return a note on the stamps of a folder's images; empty if they are recorded.
+    """Return a note if the images of a folder have no recorded timestamps, else an empty string.
 
-    Nothing is said of a folder that can't be opened, which says why then.
+    Nothing is reported for a folder that can't be opened, as opening it raises the error.
     """
     if (folder / LISTED_COLOR).exists() and (folder / LISTED_DEPTH).exists():
         return ""
@@ -272,7 +276,7 @@ def stamp_note(folder: Path) -> str:
         return ""
     if all("." in name or _WITH_TIME.fullmatch(name) for name in names) and names:
         return ""
-    return f"{folder.name} has no stamps; its frames' numbers count as {RATE_HZ} frames a second"
+    return f"{folder.name} has no timestamps; {RATE_HZ} frames per second are assumed"
 
 
 def _messages(folder: Path) -> list[_Message]:
@@ -293,7 +297,7 @@ def _messages(folder: Path) -> list[_Message]:
 
 
 def _of_phone(phone: PhoneRecording, images: Sequence[_Message], first: int) -> list[_Message]:
-    """Return the cameras of both images, each by the size of its first one, and the poses."""
+    """Return the calibrations of both images, with the size of their first image, and the poses."""
     found = []
     for kind, channel in ((_COLOR, _INFO), (_DEPTH, _DEPTH_INFO)):
         path = next((item.path for item in images if item.channel == kind), None)
@@ -334,7 +338,7 @@ def _image_messages(
 
 
 def _frame_name(path: Path) -> str:
-    """Return the name of an image's frame, without suffix and kind of image."""
+    """Return the name of an image's frame, without suffix and image type."""
     stem = Path(path.stem)
     return stem.stem if stem.suffix in FLAT else path.stem
 
@@ -360,12 +364,12 @@ def _images(folder: Path, names: Sequence[str], suffixes: Sequence[str]) -> list
 
 
 def _stamp_of(path: Path, is_stamp: bool, phone: PhoneRecording | None) -> int:
-    """Nanoseconds of an image by its name."""
+    """Return the timestamp in the name of an image [ns]."""
     name = _frame_name(path)
     if phone:
         if not name.isdecimal() or int(name[-9:]) not in phone.stamps_ns:
             problem = "the recording has no timestamp of this frame"
-            raise InputError(problem, path=str(path), remedy="leave the image out")
+            raise InputError(problem, path=str(path), remedy="remove the image")
         return phone.stamps_ns[int(name[-9:])]
     if is_stamp:
         return _nanoseconds(name, path)
@@ -373,13 +377,13 @@ def _stamp_of(path: Path, is_stamp: bool, phone: PhoneRecording | None) -> int:
         return _FIRST_S * _SECOND + int(timed[1]) * 1000
     match = _NUMBER.search(name)
     if match is None or len(match[1]) > 9:
-        problem = "the name has neither a stamp in seconds nor a frame's number"
+        problem = "the name has neither a timestamp in seconds nor a frame number"
         raise InputError(problem, path=str(path), remedy="number the images, or write rgb.txt")
     return _FIRST_S * _SECOND + int(match[1]) * _SECOND // RATE_HZ
 
 
 def _calibration(folder: Path, log_ns: int) -> list[_Message]:
-    """Return calibration and depth unit of the camera, by a JSON file or ScanNet's folder."""
+    """Return calibration and depth unit of the camera, from a JSON file or ScanNet's folder."""
     if (folder / "intrinsic").is_dir():
         return _scannet_calibration(folder, log_ns)
     found = [(path, value) for path in sorted(folder.glob("*.json")) if (value := _camera(path))]
@@ -400,13 +404,13 @@ def _calibration(folder: Path, log_ns: int) -> list[_Message]:
         head = encode_cdr("sensor_msgs/CameraInfo", info)
     except (ArithmeticError, KeyError, TypeError, ValueError, struct.error) as error:
         problem = f"the calibration can't be read ({type(error).__name__}: {error})"
-        remedy = "give intrinsic_matrix (nine numbers, column-major), width and height"
+        remedy = "it must have intrinsic_matrix (nine numbers, column-major), width and height"
         raise InputError(problem, path=str(path), remedy=remedy) from error
     return [_Message(log_ns, _INFO, head), _Message(log_ns, _UNIT, unit)]
 
 
 def _scannet_calibration(folder: Path, log_ns: int) -> list[_Message]:
-    """Return the camera matrices of both images, each with the size of its first image."""
+    """Return the calibrations of both images, each with the size of its first image."""
     found = []
     for kind, channel, names, suffixes in (
         ("color", _INFO, COLOR_NAMES, COLOR_SUFFIXES),
@@ -424,29 +428,29 @@ def _scannet_calibration(folder: Path, log_ns: int) -> list[_Message]:
 
 
 def _image_size(path: Path) -> tuple[int, int]:
-    """Return width and height of an image by its head.
+    """Return width and height of an image from its header.
 
     Raises:
-        InputError: It is damaged.
+        InputError: The image is damaged.
     """
     message = CompressedImageMessage(0, "", "", path.read_bytes()[: 1 << 20])
     try:
         return compressed_size(message)
     except FrameError as error:
-        raise InputError(error.problem, path=str(path), remedy="leave it out") from error
+        raise InputError(error.problem, path=str(path), remedy="remove it") from error
 
 
 def _matrix(path: Path) -> np.ndarray:
-    """Return a ``(4, 4)`` matrix in a text file."""
+    """Read a ``(4, 4)`` matrix from a text file."""
     try:
         return np.array(_table(path, 4), np.float64).reshape(4, 4)
     except ValueError as error:
-        problem = "is no matrix of four rows of four numbers"
+        problem = "expected four rows of four numbers"
         raise InputError(problem, path=str(path), remedy="correct it") from error
 
 
 def _matrix_poses(folder: Path, images: Sequence[_Message]) -> list[_Message]:
-    """Return the poses of ScanNet and 7-Scenes, a file per depth image; lost ones are infinite."""
+    """Return the valid poses of ScanNet and 7-Scenes, from one file per depth image."""
     found = []
     for item in images:
         if item.path is None:
@@ -473,7 +477,7 @@ def _transform(stamp_ns: int, motion: dict[str, Any]) -> _Message:
 
 
 def _camera(path: Path) -> dict[str, Any] | None:
-    """Return the camera in a JSON file; None if it is about something else."""
+    """Return the camera in a JSON file; None if the file is about something else."""
     if path.stat().st_size > 1 << 20:
         return None
     try:
@@ -484,7 +488,7 @@ def _camera(path: Path) -> dict[str, Any] | None:
 
 
 def _poses(folder: Path) -> list[_Message]:
-    """Return the camera's poses in the world."""
+    """Return the poses of the camera in the world."""
     path, found = folder / "groundtruth.txt", []
     if not path.exists():
         return []
@@ -493,7 +497,9 @@ def _poses(folder: Path) -> list[_Message]:
         try:
             tx, ty, tz, qx, qy, qz, qw = map(float, numbers)
         except ValueError as error:
-            raise InputError("a pose is no number", path=str(path), remedy="correct it") from error
+            raise InputError(
+                "a pose is not numeric", path=str(path), remedy="correct it"
+            ) from error
         motion = {
             "translation": {"x": tx, "y": ty, "z": tz},
             "rotation": {"x": qx, "y": qy, "z": qz, "w": qw},
@@ -503,34 +509,34 @@ def _poses(folder: Path) -> list[_Message]:
 
 
 def _table(path: Path, columns: int) -> list[list[str]]:
-    """Return the lines of a text file, split into words; ``#`` begins a comment."""
+    """Return the lines of a text file, split into words; comments start with ``#``."""
     if path.stat().st_size > _MAX_TEXT_BYTES:
         raise InputError("the file is too large", path=str(path), remedy="split the recording")
     lines = path.read_text("utf-8", "replace").replace(",", " ").splitlines()
     rows = [words for line in lines if (words := line.partition("#")[0].split())]
     for words in rows:
         if len(words) < columns:
-            problem = f"a line has {len(words)} columns, not {columns}"
+            problem = f"expected lines of {columns} columns, got {len(words)}"
             raise InputError(problem, path=str(path), remedy="correct it")
     return [words[:columns] for words in rows]
 
 
 def _nanoseconds(text: str, path: Path) -> int:
-    """Return a stamp in seconds, exactly."""
+    """Convert a timestamp in seconds to nanoseconds, exactly."""
     try:
         found = Decimal(text)
         in_range = 0 <= found < MAX_STAMP_S
-    except InvalidOperation as error:  # no number, or NaN
-        problem = f"{text[:40]!a} is no stamp in seconds"
+    except InvalidOperation as error:  # not a number, or NaN
+        problem = f"expected a timestamp in seconds, got {text[:40]!a}"
         raise InputError(problem, path=str(path), remedy="correct it") from error
     if not in_range:
-        problem = f"stamp {text[:40]!a} is out of range"
+        problem = f"timestamp {text[:40]!a} is out of range"
         raise InputError(problem, path=str(path), remedy="correct it")
     return int(found * _SECOND)
 
 
 def _state(folder: Path) -> FileState:
-    """Return the state of the folder and of those in it, with the latest change."""
+    """Return the state of a folder, with the latest modification of it and its subfolders."""
     about = os.stat(folder)
     parts = [os.stat(part) for part in sorted(folder.iterdir()) if part.is_dir()]
     latest = max(item.st_mtime_ns for item in (about, *parts))

@@ -1,4 +1,4 @@
-"""Raw images of ROS and Foxglove messages to RGB and to depth units, in the rows of a batch."""
+"""Conversion of raw ROS and Foxglove images to RGB and depth units, into rows of a batch."""
 
 from typing import NamedTuple
 
@@ -24,18 +24,18 @@ _ALIASES = {
 
 
 class _Conversion(NamedTuple):
-    """How pixels of an encoding become RGB."""
+    """Conversion of an encoding to RGB."""
 
     channels: int
-    """Samples of a pixel as they lie in the image."""
+    """Samples per pixel in the image."""
     code: int | None
-    """OpenCV's conversion; None: there is nothing to convert."""
+    """OpenCV's conversion code; None if no conversion is needed."""
     bits: int = 8
-    """Of a sample; of 16 the higher 8 are taken."""
+    """Bits per sample; of 16-bit samples the upper 8 bits are used."""
     even: tuple[int, int] = (1, 1)
-    """Width and height must be multiples of these."""
+    """Numbers of which width and height must be multiples."""
     half_plane: bool = False
-    """Whether half as many rows of chroma follow the rows of brightness."""
+    """Whether the rows of brightness are followed by half as many rows of chroma."""
 
 
 _LAYOUTS = {
@@ -63,18 +63,18 @@ _DEPTH_TYPES = {"16uc1": "u2", "32fc1": "f4"}
 
 
 def canonical_encoding(encoding: str) -> str:
-    """One lower-case name for each encoding, for instance ``mono16`` is ``16uc1``."""
+    """Return one lower-case name per encoding; for example, ``mono16`` becomes ``16uc1``."""
     name = encoding.strip().lower()
     return _ALIASES.get(name, name)
 
 
 def is_depth_encoding(encoding: str) -> bool:
-    """Return whether raw images of this encoding can be depth."""
+    """Return whether raw images with this encoding can be depth."""
     return canonical_encoding(encoding) in _DEPTH_TYPES
 
 
 def is_color_encoding(encoding: str) -> bool:
-    """Return whether raw images of this encoding can become RGB; mono16 may also be depth."""
+    """Return whether raw images with this encoding can become RGB; mono16 may also be depth."""
     name = encoding.strip().lower()
     return name == "mono16" or canonical_encoding(name) in _TO_RGB
 
@@ -85,10 +85,10 @@ def _color_name(encoding: str) -> str:
 
 
 def check_size(width: int, height: int, max_pixels: int) -> None:
-    """Refuse an image before memory is taken for it.
+    """Check the size of an image before memory is allocated.
 
     Raises:
-        FrameError: It has no pixels or too many.
+        FrameError: The image has no pixels or too many.
     """
     if width <= 0 or height <= 0:
         raise bad_frame(f"image of {width}x{height} pixels")
@@ -97,10 +97,10 @@ def check_size(width: int, height: int, max_pixels: int) -> None:
 
 
 def check_pixels(image: ImageMessage) -> None:
-    """Refuse an image with fewer bytes than pixels, before its size is believed.
+    """Check that an image has enough bytes for its declared size.
 
     Raises:
-        FrameError: They are.
+        FrameError: The image has too few bytes.
     """
     _check_data(image, 1, image.step or image.width)
 
@@ -113,30 +113,30 @@ def _check_data(image: ImageMessage, pixel_bytes: int, step: int) -> None:
 
 
 def check_row(what: str, width: int, height: int, row: np.ndarray) -> None:
-    """Refuse an image whose size differs from the calibrated one, that of ``row``.
+    """Check that an image has the calibrated size, i.e. that of ``row``.
 
     Raises:
-        FrameError: It differs.
+        FrameError: The sizes differ.
     """
     if (height, width) != row.shape[:2]:
-        sizes = f"{width}x{height}, calibrated is {row.shape[1]}x{row.shape[0]}"
+        sizes = f"{width}x{height}, but the calibration is for {row.shape[1]}x{row.shape[0]}"
         raise FrameError(f"{what} image is {sizes}", status=FrameStatus.BAD_CALIBRATION)
 
 
 def decode_color(image: ImageMessage, row: np.ndarray, max_pixels: int) -> None:
     """Decode a raw colour or grey image to RGB.
 
-    Encodings are ``rgb bgr rgba bgra mono`` and the four Bayer patterns, each of 8 or 16 bits, of
-    which the higher 8 are taken; ``yuyv uyvy nv12 nv21`` are converted by OpenCV (BT.601). Grey is
-    repeated in the three channels; 8UC1 is mono8 and 8UC3 is bgr8, as Foxglove has it.
+    Supported encodings are ``rgb bgr rgba bgra mono`` and the four Bayer patterns, with 8 or 16
+    bits, of which the upper 8 are used; OpenCV converts ``yuyv uyvy nv12 nv21`` (BT.601). Grey is
+    repeated in the three channels. As in Foxglove, 8UC1 is mono8 and 8UC3 is bgr8.
 
     Args:
-        image: The message.
-        row: ``(H, W, 3)`` uint8, contiguous, written to.
-        max_pixels: Largest image decoded.
+        image: Message.
+        row: Output ``(H, W, 3)`` uint8, contiguous.
+        max_pixels: Maximum number of pixels.
 
     Raises:
-        FrameError: Another encoding or size, or data that don't fit the size.
+        FrameError: The encoding or size is another, or the data don't fit the size.
     """
     name = _color_name(image.encoding)
     if name not in _TO_RGB:
@@ -159,18 +159,18 @@ def decode_color(image: ImageMessage, row: np.ndarray, max_pixels: int) -> None:
 
 
 def decode_depth(image: ImageMessage, row: np.ndarray, unit_m: float, max_pixels: int) -> None:
-    """Decode 16UC1, mono16 or 32FC1 to depth in units of ``unit_m``.
+    """Decode 16UC1, mono16 or 32FC1 to depth units.
 
-    16-bit images are taken as they are; 32FC1 is in metres, see :func:`metres_to_units`.
+    16-bit images are copied unchanged; 32FC1 is in metres, see :func:`metres_to_units`.
 
     Args:
-        image: The message.
-        row: ``(H, W)`` uint16, contiguous, written to.
-        unit_m: Metres in a depth unit.
-        max_pixels: Largest image decoded.
+        image: Message.
+        row: Output ``(H, W)`` uint16, contiguous.
+        unit_m: Metres per depth unit.
+        max_pixels: Maximum number of pixels.
 
     Raises:
-        FrameError: Another encoding or size, or data that don't fit the size.
+        FrameError: The encoding or size is another, or the data don't fit the size.
     """
     name = canonical_encoding(image.encoding)
     if name not in _DEPTH_TYPES:
@@ -185,23 +185,23 @@ def decode_depth(image: ImageMessage, row: np.ndarray, unit_m: float, max_pixels
 
 
 def metres_to_units(depth_m: np.ndarray, unit_m: float, row: np.ndarray) -> None:
-    """Convert depth in metres to the nearest unit.
+    """Convert depth in metres to depth units, rounded to nearest.
 
-    NaN, infinity, what is 0 or less, and what rounds to more than 65535 units become 0.
+    NaN, infinity, values of 0 or less, and values above 65535 units become 0.
 
     Args:
-        depth_m: ``(H, W)`` float32.
-        unit_m: Metres in a depth unit.
-        row: ``(H, W)`` uint16, contiguous, written to.
+        depth_m: Depth ``(H, W)`` float32 [m].
+        unit_m: Metres per depth unit.
+        row: Output ``(H, W)`` uint16, contiguous.
     """
     launch("depth_units", np.ascontiguousarray(depth_m, np.float32), unit_m, row)
 
 
 def typical_float(image: ImageMessage) -> float:
-    """Return the median of the positive values of a 32FC1 image, in its own unit; NaN without.
+    """Return the median of the positive values of a 32FC1 image, in its own unit; NaN if none.
 
     Raises:
-        FrameError: Its data don't fit its size.
+        FrameError: The data don't fit the size.
     """
     kind = np.dtype((">" if image.big_endian else "<") + "f4")
     pixels = _pixels(image, kind, 1, image.width * image.height)[::4, ::4]

@@ -1,7 +1,7 @@
-"""Opens a log by the indexes of its files.
+"""Opening of a log by the indexes of its files.
 
-Of images the first few are read, and of messages that are many a sample. Where this is not enough
-to know the log's frames, a RescanError says so; then all stamps and all small messages are read.
+Only the first images are read, and a sample of message types with many messages. If this is not
+sufficient, a RescanError is raised; the caller then reads all timestamps and all small messages.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -26,24 +26,25 @@ from jaxdet.io.windows import StreamWindows
 
 _MOTIONS = (Kind.TRANSFORM, Kind.ODOMETRY, Kind.POSE)
 _MAX_MOTIONS = 1000
-"""So many transforms and poses are all read at opening; of more the first and a sample."""
+"""Maximum number of transforms and poses that are all read at opening; otherwise a sample is read.
+"""
 _MOTION_SAMPLE = 192
 _STATIC = 256
-"""Messages of static transforms read at opening, where there are many."""
+"""Number of static transforms read at opening if there are many."""
 
 
 class IndexedLog(NamedTuple):
-    """What the indexes of a log's files tell, and the messages that were read."""
+    """Indexes of a log's files, with the messages read at opening."""
 
     contents: LogContents
     streams: dict[str, StreamWindows]
     """Image topics."""
     motions: MotionWindows
     calibrations: dict[str, TopicMessages]
-    """In the order of log time."""
+    """Calibration messages by topic, in order of log time."""
     store: ChunkStore
     is_complete: bool
-    """Whether all small messages and the stamps of all images were read."""
+    """Whether all small messages and the timestamps of all images were read."""
 
 
 def open_index(
@@ -55,19 +56,19 @@ def open_index(
     *,
     complete: bool,
 ) -> IndexedLog:
-    """Return what the indexes of a log's files and its first messages, or all, contain.
+    """Read the first messages of a log, or all small messages, by the indexes of its files.
 
     Args:
-        files: The open files.
-        indexes: Theirs.
-        store: Their chunks.
-        use_tf: Whether transforms are read.
-        path: The log's, for errors.
-        complete: Whether to read all small messages, and the stamps of all images.
+        files: Open files of the log.
+        indexes: Indexes of the files.
+        store: Chunks of the files.
+        use_tf: Whether transforms are used.
+        path: Path of the log, for errors.
+        complete: Whether to read all small messages, and the timestamps of all images.
 
     Raises:
         DamageError: An index is wrong.
-        RescanError: The first messages are such that all have to be read.
+        RescanError: The first messages show that all messages must be read.
     """
     contents = LogContents(path)
     builder = ContentsBuilder(contents, use_tf)
@@ -90,7 +91,7 @@ def open_index(
 
 
 def search_index(file: LogFile, index: FileIndex, builder: ContentsBuilder) -> None:
-    """Calibration and static transforms of a file, by its index.
+    """Read the calibrations and static transforms of a file by its index.
 
     Raises:
         DamageError: The index is wrong.
@@ -109,17 +110,17 @@ def search_index(file: LogFile, index: FileIndex, builder: ContentsBuilder) -> N
 def _read_first(
     topics: Sequence[TopicMessages], store: ChunkStore, builder: ContentsBuilder, *, whole: bool
 ) -> None:
-    """Read the first messages of each topic, and of many transforms and poses a sample.
+    """Read the first messages of each topic, and a sample if there are many transforms and poses.
 
     Args:
-        topics: The topics.
-        store: The log's chunks.
-        builder: Takes in the messages.
-        whole: Whether all transforms and poses are read.
+        topics: Topics.
+        store: Chunks of the log.
+        builder: Collects the messages.
+        whole: Whether to read all transforms and poses.
 
     Raises:
-        DamageError: A message isn't where the index says.
-        RescanError: The first messages are such that all have to be read.
+        DamageError: A message is not where the index says.
+        RescanError: The first messages show that all messages must be read.
     """
     contents = builder.contents
     probes = [(topic, _probes(topic, whole)) for topic in topics]
@@ -129,7 +130,7 @@ def _read_first(
             problem = "one of the first messages can't be decoded"
             raise RescanError(problem, path=contents.path, topic=topic.topic)
         if not whole and any(tree.ignored for tree in contents.trees.values()):
-            raise RescanError("a transform is none", path=contents.path, topic=topic.topic)
+            raise RescanError("a transform is invalid", path=contents.path, topic=topic.topic)
     for topic in topics:
         known = contents.calibrations.get(topic.topic)
         more = topic.num_messages > NUM_PROBES
@@ -144,13 +145,12 @@ def _read_all(
     store: ChunkStore,
     builder: ContentsBuilder,
 ) -> None:
-    """Read all messages; of images only the stamps, and the first ones.
+    """Read all small messages, the timestamps of all images, and the first images.
 
-    A message that can't be read, as the file of an image that is gone, is one that can't be
-    decoded.
+    Messages that can't be read, such as missing image files, count as not decodable.
 
     Raises:
-        DamageError: The index is the files' own, and a message isn't where it says.
+        DamageError: The file's own index is used, and a message is not where it says.
     """
     trusted = any(file.by_index for file in builder.contents.integrity)
     parts = [(topic, np.arange(topic.num_messages)) for topic in topics]
@@ -161,7 +161,7 @@ def _read_all(
         try:
             problem = stream.read(rank) if stream else ""
             if stream is None or builder.is_probe(topic.decoder(number)):
-                problem = ""  # which is found again
+                problem = ""  # the same problem is found again
                 _take(builder, topic, number, read_message(store, topic.messages, number)[1])
         except DamageError as error:
             if trusted:
@@ -176,7 +176,7 @@ def _read_all(
 def _in_file_order(
     store: ChunkStore, parts: Sequence[tuple[TopicMessages, np.ndarray]]
 ) -> Iterator[tuple[TopicMessages, int]]:
-    """Yield topics and numbers of messages in the order of the files, with chunks loaded."""
+    """Yield topics and message numbers in file order, with their chunks loaded."""
     which = np.repeat(np.arange(len(parts)), [len(numbers) for _, numbers in parts])
     numbers = np.concatenate([np.zeros(0, np.int64), *(numbers for _, numbers in parts)])
     messages = _joined([topic.messages.rows(numbers) for topic, numbers in parts], in_order=False)
@@ -197,7 +197,7 @@ def _take(builder: ContentsBuilder, topic: TopicMessages, number: int, payload: 
 def _find_topics(
     files: Sequence[LogFile], indexes: Sequence[FileIndex], builder: ContentsBuilder
 ) -> list[TopicMessages]:
-    """Return the topics that are of use; the others are only noted and counted."""
+    """Return the topics with useful messages; the others are only recorded and counted."""
     found: dict[tuple[str, str], tuple[list[MessageDecoder], list[IndexedMessages]]] = {}
     for number, (file, entries) in enumerate(zip(files, indexes, strict=True)):
         builder.next_file(file)
@@ -213,7 +213,7 @@ def _find_topics(
             if decoder is None or not builder.wants(decoder):
                 continue
             mine = entries.channel == key
-            # A topic may have messages of several kinds.
+            # A topic may have messages of several types.
             kind = "image" if decoder.kind in IMAGE_KINDS else decoder.kind.value
             decoders, messages = found.setdefault((info.topic, kind), ([], []))
             same = np.full(int(mine.sum()), 0, np.int64)
@@ -254,7 +254,7 @@ def _probes(topic: TopicMessages, whole: bool) -> np.ndarray:
 def _motion_windows(
     contents: LogContents, topics: Sequence[TopicMessages], store: ChunkStore, whole: bool
 ) -> MotionWindows:
-    """Return the windows on the messages of all these topics."""
+    """Return the windows on the messages of all topics with transforms and poses."""
     parts, decoders = [], []
     for topic in topics:
         parts.append(topic.messages._replace(decoder=topic.messages.decoder + len(decoders)))
@@ -266,7 +266,7 @@ def _motion_windows(
 
 
 def _joined(parts: Sequence[IndexedMessages], *, in_order: bool = True) -> IndexedMessages:
-    """Messages of topics or channels together, in the order of the files or one after the other."""
+    """Concatenate messages of several topics or channels, optionally sorted by file position."""
     if len(parts) == 1:
         return parts[0]
     none = IndexedMessages(*[np.zeros(0, np.int64)] * 7)

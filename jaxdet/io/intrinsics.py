@@ -1,4 +1,4 @@
-"""CameraInfo and CameraCalibration messages to :class:`jaxdet.types.Intrinsics`."""
+"""Intrinsics from CameraInfo and CameraCalibration messages."""
 
 from typing import NamedTuple
 
@@ -27,33 +27,34 @@ _COUNTS = {
     Distortion.INVERSE_BROWN_CONRADY: 5,
 }
 OFF_MIDDLE = 0.2
-"""An optical centre is doubted that is farther from an image's middle than this share of it."""
+"""Distance of the optical centre from the image centre, as a fraction of the image size, above
+which a warning is given."""
 
 
 class CameraSource(NamedTuple):
-    """What is known of one camera before its calibration is settled."""
+    """Sources for the intrinsics of a camera."""
 
     name: str
     """``color`` or ``depth``, as in the flags."""
     topic: str
-    """Of the calibration; empty when there is none."""
+    """Topic of the calibration; empty if there is none."""
     info: CameraInfoMessage | None
     size: ImageSize | None
-    """Of the images; None when none could be decoded."""
+    """Size of the images; None if none could be decoded."""
     rectified: bool
-    """The image topic's name says that the images are rectified."""
+    """Whether the name of the image topic says that the images are rectified."""
     matrix: tuple[float, float, float, float] | None
-    """fx fy cx cy given by a flag."""
+    """fx fy cx cy from a flag."""
     model: str | None
-    """Distortion model given by a flag."""
+    """Distortion model from a flag."""
     path: str
     max_pixels: int = LogOptions.max_pixels
     known: tuple[str, ...] = ()
-    """Topics of the log with calibrations."""
+    """Topics in the log with calibrations."""
 
     @property
     def camera(self) -> str:
-        """What sentences call it."""
+        """Name of the camera in messages."""
         return {"color": "colour"}.get(self.name, self.name)
 
     def error(self, problem: str, remedy: str) -> CalibrationError:
@@ -70,22 +71,22 @@ class Found(NamedTuple):
 
 
 def find_intrinsics(source: CameraSource) -> Found:
-    """Return a camera's intrinsics from its flags and its message.
+    """Determine the intrinsics of a camera from flags and its calibration message.
 
-    A flag goes before the message. Images that their topic calls rectified, with a message that
-    has distortion coefficients, are described by the projection matrix P without distortion.
+    Flags override the message. If the topic name says that images are rectified but the message has
+    distortion coefficients, the projection matrix P is used, without distortion.
 
     Raises:
-        CalibrationError: There is no calibration, it is one that no camera has, its size
-            contradicts the images', or its distortion can't be understood; the text names the flag.
+        CalibrationError: There is no calibration, it is implausible, its size differs from the
+            images, or its distortion is not supported. The message names the flag.
     """
     info, flag = source.info, f"--log.{source.name}-intrinsics"
     if info is None and source.matrix is None:
         problem = f"no calibration of the {source.camera} camera"
-        remedy = f"give {flag} fx fy cx cy"
+        remedy = f"pass {flag} fx fy cx cy"
         if source.known:
             topics = listed(source.known)
-            remedy = f"name its topic with --log.{source.name}-info ({topics}) or {remedy}"
+            remedy = f"set its topic with --log.{source.name}-info ({topics}) or {remedy}"
         raise source.error(problem, remedy)
     warnings: list[str] = []
     size = _size(source, flag, warnings)
@@ -102,7 +103,7 @@ def find_intrinsics(source: CameraSource) -> Found:
         fx, fy, cx, cy = _of_images(info, size, (info.K[0], info.K[4], info.K[2], info.K[5]))
         origin += _part_text(info, size)
     else:
-        raise source.error("K does not have nine numbers", f"give {flag}")
+        raise source.error("K does not have nine numbers", f"pass {flag}")
     model, coefficients = (Distortion.NONE, ()) if use_p else _distortion(source, warnings)
     found = Intrinsics(size.width, size.height, fx, fy, cx, cy, model, coefficients)
     try:
@@ -112,8 +113,8 @@ def find_intrinsics(source: CameraSource) -> Found:
     off = max(abs((cx + 0.5) / size.width - 0.5), abs((cy + 0.5) / size.height - 0.5))
     if off > OFF_MIDDLE and not (info and _part_text(info, size)):
         warnings.append(
-            f"the optical centre ({cx:g}, {cy:g}) is far from the middle of the {source.camera} "
-            f"images, {size.width}x{size.height}: is it that of another image size?"
+            f"the optical centre ({cx:g}, {cy:g}) is far from the centre of the {source.camera} "
+            f"images ({size.width}x{size.height}); it may belong to another image size"
         )
     return Found(found, origin, tuple(warnings))
 
@@ -121,7 +122,7 @@ def find_intrinsics(source: CameraSource) -> Found:
 def _of_images(
     info: CameraInfoMessage, size: ImageSize, matrix: tuple[float, float, float, float]
 ) -> tuple[float, float, float, float]:
-    """Return fx fy cx cy of images that are binned or a part of the sensor, as ROS has it.
+    """Return fx fy cx cy of binned or cropped images, by the conventions of ROS.
 
     The centre of the first pixel stays at 0, as in ``image_geometry::PinholeCameraModel``.
     """
@@ -131,7 +132,7 @@ def _of_images(
 
 
 def _part_text(info: CameraInfoMessage, size: ImageSize) -> str:
-    """Return what was applied of the binning and the region of interest."""
+    """Return a description of the applied binning and region of interest."""
     x, y, bx, by = info.image_sizes().get(size, (0, 0, 1, 1))
     binned = f", binned {bx}x{by}" if (bx, by) != (1, 1) else ""
     cut = f", region of interest at ({x}, {y})" if (x, y) != (0, 0) else ""
@@ -142,22 +143,24 @@ def _size(source: CameraSource, flag: str, warnings: list[str]) -> ImageSize:
     info = source.info
     declared = ImageSize(info.width, info.height) if info else ImageSize(0, 0)
     if source.size is None and (not info or 0 in declared):
-        raise source.error("neither images nor calibration tell the image size", "record it again")
+        raise source.error(
+            "neither images nor calibration have an image size", "record the log again"
+        )
     size = source.size or declared
     if size.width * size.height > source.max_pixels:
-        problem = f"the {source.camera} images are {size.width}x{size.height}"
-        raise source.error(problem, "allow it with --log.max-pixels")
+        problem = f"the {source.camera} images have too many pixels ({size.width}x{size.height})"
+        raise source.error(problem, "allow them with --log.max-pixels")
     if info and source.size and 0 in declared:
-        warnings.append(f"{printable(source.topic)} has no image size; the images' is taken")
+        warnings.append(f"{printable(source.topic)} has no image size; that of the images is used")
     elif info and size not in info.image_sizes() and source.matrix is None:
-        sizes = f"{size.width}x{size.height}, its calibration for "
+        sizes = f"{size.width}x{size.height}, but their calibration is for "
         problem = f"the {source.camera} images are {sizes}{declared.width}x{declared.height}"
         if info.binning != (1, 1) or any(info.roi):
             x, y, width, height = info.roi
             part = f"{width}x{height} at ({x}, {y})" if width else "all of it"
             binning = f"binning {info.binning[0]}x{info.binning[1]}"
             problem += f" (region of interest: {part}, {binning})"
-        raise source.error(problem, f"name the right topic with --log.{source.name}-info or {flag}")
+        raise source.error(problem, f"set the topic with --log.{source.name}-info, or pass {flag}")
     return size
 
 
@@ -173,10 +176,10 @@ def _distortion(source: CameraSource, warnings: list[str]) -> tuple[Distortion, 
             )
         return Distortion.NONE, ()
     if not np.isfinite(D).all():
-        raise source.error("a distortion coefficient is not a number", f"give {flag} none")
+        raise source.error("a distortion coefficient is not a number", f"pass {flag} none")
     model = _model(source, named, flag)
     if model is Distortion.PLUMB_BOB and len(D) == 8 and any(D[5:]) and source.model is None:
-        text = "says plumb_bob with eight coefficients; they are read as rational_polynomial"
+        text = "has the model plumb_bob with eight coefficients; rational_polynomial is assumed"
         warnings.append(f"{printable(source.topic)} {text}")
         model = Distortion.RATIONAL
     count = _COUNTS[model]
@@ -184,7 +187,7 @@ def _distortion(source: CameraSource, warnings: list[str]) -> tuple[Distortion, 
         D = (*D, 0.0)
     if len(D) < count or any(D[count:]):
         problem = f"{len(D)} distortion coefficients don't fit {model.value} ({count})"
-        raise source.error(problem, f"give the right model with {flag}")
+        raise source.error(problem, f"set the model with {flag}")
     return model, tuple(D[:count])
 
 
@@ -201,4 +204,4 @@ def _model(source: CameraSource, name: str, flag: str) -> Distortion:
     except ValueError as error:
         known = ", ".join(model.value for model in Distortion)
         problem = f"distortion model {name[:60]!a} is unknown"
-        raise source.error(problem, f"give {flag}, one of {known}") from error
+        raise source.error(problem, f"set {flag} to one of {known}") from error

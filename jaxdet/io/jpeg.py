@@ -1,7 +1,7 @@
-"""JPEG files to RGB, with no more work than the image is worth.
+"""Decoding of JPEG to RGB, with a limit on the work per image.
 
-Source: ITU-T T.81. A file may have any number of scans, of a few bytes each, and each goes over the
-whole image: a megabyte could keep a decoder busy for hours.
+Source: ITU-T T.81. A file may have any number of scans of a few bytes, each of which covers the
+whole image, so a file of a megabyte could keep a decoder busy for hours.
 """
 
 import numpy as np
@@ -9,34 +9,35 @@ import simplejpeg
 
 MAGIC = b"\xff\xd8"
 MOST_SCANS = 64
-"""Of an image; encoders write up to 12, and one for each component where they don't interleave."""
+"""Maximum number of scans. Encoders write up to 12, or one per component without interleaving."""
 _SAMPLE_BYTES, _FREE_BYTES = 4, 1 << 20
-"""Most of a file: so much for each sample, which no code exceeds, and for text and previews."""
+"""Maximum file size: bytes per sample, which no code exceeds, plus a constant for text and
+previews."""
 _START_OF_SCAN = 0xDA
 _FRAMES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}
-"""Markers that say what the image is."""
+"""Markers of frame headers."""
 _SEQUENTIAL = {0xC0, 0xC1, 0xC9}
 
 
 def jpeg_size(data: bytes | memoryview) -> tuple[int, int]:
-    """Return width and height [pixel] by the head.
+    """Return width and height [pixel] from the file header.
 
     Raises:
-        ValueError: It is damaged.
+        ValueError: The file is damaged.
     """
     height, width = simplejpeg.decode_jpeg_header(data)[:2]
     return int(width), int(height)
 
 
 def decode_jpeg(data: memoryview, row: np.ndarray) -> None:
-    """Decode to RGB; grey is repeated.
+    """Decode a JPEG to RGB; grey is repeated in the three channels.
 
     Args:
-        data: The file.
-        row: ``(H, W, 3)`` uint8, contiguous, written to; of the size that the head says.
+        data: Contents of the file.
+        row: Output ``(H, W, 3)`` uint8, contiguous, with the size in the file header.
 
     Raises:
-        ValueError: It is damaged, or asks for more work than an image of this size is worth.
+        ValueError: The file is damaged, or would need excessive work for an image of this size.
     """
     if len(data) > _SAMPLE_BYTES * row.size + _FREE_BYTES:
         raise ValueError(f"{len(data)} bytes are too many for its size")
@@ -48,7 +49,7 @@ def decode_jpeg(data: memoryview, row: np.ndarray) -> None:
 
 
 def _has_one_scan(data: memoryview) -> bool:
-    """Return whether the first scan is all of the image, after which a decoder stops."""
+    """Return whether the first scan has all components; the decoder then stops after it."""
     place, components = len(MAGIC), 0
     while place + 10 <= len(data) and data[place] == 0xFF:
         marker = data[place + 1]

@@ -1,6 +1,6 @@
-"""Launches the kernels that decode images, on the CPU.
+"""Launches of image decoding kernels on the CPU.
 
-Warp is loaded with the first image that needs it: opening a log does without.
+Warp is imported only when an image needs it, not for opening a log.
 """
 
 from functools import cache
@@ -15,11 +15,11 @@ _loading = Lock()
 
 
 def launch(name: str, *arguments: Any) -> None:
-    """Launch a kernel of ``jaxdet_kernels.decode``, which does not hold Python's lock.
+    """Launch a kernel of ``jaxdet_kernels.decode``; Python's GIL is released meanwhile.
 
     Args:
-        name: Of the kernel.
-        arguments: Its arguments; NumPy arrays are passed as they are.
+        name: Name of the kernel.
+        arguments: Arguments of the kernel; NumPy arrays are passed without a copy.
 
     Raises:
         ValueError: An array is not contiguous.
@@ -41,7 +41,7 @@ def launch(name: str, *arguments: Any) -> None:
 
 @cache
 def _kernels() -> Any:
-    start_warp()  # standard output may be a table's
+    start_warp()  # keeps Warp's banner out of standard output
     from jaxdet.runtime.compiled import load_for_cpu
     from jaxdet_kernels import decode
 

@@ -1,9 +1,9 @@
-"""What a file may ask for. All that a log declares is held against these before it is done.
+"""Limits on the contents of files, checked before memory or time is spent on them.
 
-A file is not trusted: a few kilobytes can declare gigabytes, or work for hours. Each bound is far
-above what recordings hold (their figures are beside it) and low enough that whatever is within all
-of them is read in seconds and within a gigabyte. Chunks and messages have their bound in
-``LogOptions.max_chunk_mib``, images in ``LogOptions.max_pixels``.
+Files are not trusted: a few kilobytes can declare gigabytes of data, or hours of work. Each limit
+is far above the values in real recordings, which are given next to it, and low enough that a file
+within all limits is read in seconds with less than a gigabyte. Chunks and messages are limited by
+``LogOptions.max_chunk_mib``, images by ``LogOptions.max_pixels``.
 """
 
 from typing import NamedTuple
@@ -12,49 +12,53 @@ from jaxdet.errors import ChunkMemoryError, InputError
 from jaxdet.memory import size_text
 
 MAX_SCHEMA_BYTES = 1 << 20
-"""Of one schema. ROS definitions have up to 30 kB, sets of protobuf descriptors up to 300 kB."""
+"""Maximum size of a schema [byte]. ROS definitions have up to 30 kB, protobuf descriptors 300 kB.
+"""
 MAX_SCHEMAS_BYTES = 64 << 20
-"""Of all schemas of a file that are of use."""
+"""Maximum total size of the useful schemas in a file [byte]."""
 MAX_SCHEMA_LINES = 10_000
-"""Of a ROS definition, comments and constants left out; an Image with all its parts has 11."""
+"""Maximum lines of a ROS definition without comments and constants; an Image and its members have
+11."""
 MAX_DECLARATIONS = 200_000
-"""Schema and channel records in a summary; both have numbers of 16 bits."""
+"""Maximum number of schema and channel records in a summary; ids have 16 bits."""
 MAX_TOPICS = 10_000
-"""Of a log. Large robots have some 500."""
+"""Maximum number of topics in a log; large robots have some 500."""
 MAX_FRAMES_TF = 10_000
-"""TF frames of a log. Robots with hands have some 200."""
+"""Maximum number of TF frames in a log; robots with hands have some 200."""
 MAX_ODD_RECORDS = 1000
-"""Empty records and those of unknown kinds, in a chunk, a summary or between chunks."""
+"""Maximum number of empty or unknown records in a chunk, in a summary or between chunks."""
 MAX_SMALL_BYTES = 1 << 20
-"""Of a message of calibration, transforms or poses. A thousand transforms take 150 kB."""
+"""Maximum size of a calibration, transform or pose message [byte]; a thousand transforms have 150
+kB."""
 MAX_MESSAGE_BYTES = 256 << 20
-"""Of a message that was compressed alone. An image of 32 megapixels takes 128 MiB."""
+"""Maximum size of a decompressed message [byte]; an image of 32 megapixels has 128 MiB."""
 MAX_JSON_BYTES = 16 << 20
-"""Of a JSON message: Python takes up to 50 times as much for it."""
+"""Maximum size of a JSON message [byte]; Python needs up to 50 times as much memory."""
 MAX_TRANSLATION_M = 1e8
-"""Of a transform or pose [m]: coordinates with their origin in the Earth's middle are within."""
+"""Maximum translation of a transform or pose [m]; coordinates relative to the Earth's centre are
+within."""
 
 _INDEX_BYTES = 64
-"""Of a message that is known."""
+"""Memory per message in an index [byte]."""
 _FIT = {"messages": (250_000, 8), "small messages": (100_000, 32), "images": (10_000, 64)}
-"""A file may have so many of them, and one more per so many bytes. Small messages are transforms,
-poses and calibrations."""
+"""Maximum number of messages in a file: a constant, plus one per this many bytes of the file. Small
+messages are transforms, poses and calibrations."""
 
 
 class ReadMemory(NamedTuple):
-    """How much memory reading a log may take in a process [bytes]; by default any amount."""
+    """Memory that reading a log may use in a process [byte]; practically unlimited by default."""
 
     chunk: int = 1 << 40
-    """For the largest chunk or message, and as much for those that are kept."""
+    """Memory for the largest chunk or message, and as much again for cached ones."""
     messages: int = 1 << 40
-    """For what is known of messages while a file is opened."""
+    """Memory for the index while a file is opened."""
 
 
 def check_index(count: int, path: str, memory: ReadMemory) -> None:
-    """Refuse more messages than there is memory for in an index.
+    """Check that there is enough memory for an index of ``count`` messages.
 
     Raises:
-        InputError: There are more.
+        InputError: There is too little memory.
     """
     if count * _INDEX_BYTES > memory.messages:
         what, most = f"an index of {count} messages", memory.messages
@@ -62,10 +66,10 @@ def check_index(count: int, path: str, memory: ReadMemory) -> None:
 
 
 def check_chunk(nbytes: int, path: str, memory: ReadMemory) -> None:
-    """Refuse a chunk that takes more memory than there is for one.
+    """Check that there is enough memory for a chunk.
 
     Raises:
-        ChunkMemoryError: It does.
+        ChunkMemoryError: There is too little memory.
     """
     if nbytes > memory.chunk:
         what = f"a chunk of {nbytes} bytes"
@@ -73,32 +77,32 @@ def check_chunk(nbytes: int, path: str, memory: ReadMemory) -> None:
 
 
 def _too_large(kind: type[InputError], what: str, nbytes: int, most: int, path: str) -> InputError:
-    problem = f"{what} takes {size_text(nbytes)}, where {size_text(most)} are allowed"
-    # A chunk gets a quarter of what there is for a process, and the index half.
-    remedy = f"give --memory {size_text(4 * (nbytes - most))} more"
+    problem = f"{what} needs {size_text(nbytes)}, but only {size_text(most)} are available"
+    # A chunk gets a quarter of the memory of a process, and the index half.
+    remedy = f"raise --memory by {size_text(4 * (nbytes - most))}"
     return kind(problem, path=path, remedy=remedy)
 
 
 def check_topics(count: int, path: str) -> None:
-    """Refuse more topics than ``MAX_TOPICS``.
+    """Check that a log has at most ``MAX_TOPICS`` topics.
 
     Raises:
         InputError: There are more.
     """
     if count > MAX_TOPICS:
-        problem = f"the log has {count} topics or more, but at most {MAX_TOPICS} are taken"
+        problem = f"the log has at least {count} topics, more than the maximum of {MAX_TOPICS}"
         raise InputError(problem, path=path, remedy="no recorder writes so many; check the file")
 
 
 def check_count(what: str, count: int, file_bytes: int, path: str, topic: str = "") -> None:
-    """Refuse more messages than a recorder writes into files of this size.
+    """Check that a file of this size can have so many messages.
 
     Args:
-        what: A key of ``_FIT``.
+        what: Key of ``_FIT``.
         count: Number of messages.
-        file_bytes: Size of the files.
-        path: The log, for errors.
-        topic: The topic, for errors.
+        file_bytes: Size of the files [byte].
+        path: Path of the log, for errors.
+        topic: Topic, for errors.
 
     Raises:
         InputError: There are more.

@@ -1,4 +1,4 @@
-"""A log: calibration, stamps, poses, and its frames in batches."""
+"""A log with its calibration, timestamps and poses, which reads its frames in batches."""
 
 import math
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
@@ -33,62 +33,64 @@ _LINE_BYTES = 64
 _MESSAGE_BYTES = 96
 _MAX_AT_ONCE = 32
 _BYTES_AT_ONCE = 24 << 20
-"""Of images that are read together."""
+"""Maximum size of images that are read together."""
 _LOOKED_AT = 256
-"""Frames whose messages are looked at together, where no chunk has to be unpacked for that."""
+"""Number of consecutive frames whose messages are looked up together, if no chunk needs to be
+decompressed for that."""
 _FRAMES_KEPT = 14
-"""Of which the chunks are kept: those read together, or of large images one, and those that are
-looked at to know which come next."""
+"""Number of frames whose chunks are cached: those read together (a single one if images are large),
+and those read to find the order of the next ones."""
 
 
 ImageMemory = Callable[[], np.ndarray | tuple[np.ndarray, np.ndarray | None]]
-"""Returns depth images ``(B, Hd, Wd)`` uint16 to be written to; or these and colour images
-``(B, H, W, 3)`` uint8, where colour is read into memory of the caller as well."""
+"""Function that returns depth images ``(B, Hd, Wd)`` uint16 to write to, or a pair of these and
+colour images ``(B, H, W, 3)`` uint8 or None."""
 WhichColor = bool | Container[int]
-"""Of which frames the nearest colour image is decoded: all, none, or those of some numbers."""
+"""Frames whose nearest colour image is decoded: all, none, or those with the numbers in a
+container."""
 
 
 class Log:
-    """A recorded log; use :func:`open_log`, and ``with`` to close it.
+    """A recorded log; open it with :func:`open_log`, and close it with ``with``.
 
-    A log is read by the index of its files. What frames are made of is read with them, each chunk
-    once, and checked. Where this shows that messages would have had to be looked at before, or the
-    file is damaged, reading raises a RescanError. With ``LogOptions(scan=True)`` the index is
-    rebuilt from all that is whole in the files, and all small messages and all stamps are read at
-    opening. The frames are the same.
+    A log is read by the index of its files. The messages of frames are read with the frames, each
+    chunk once, and are checked. If these show that other messages should have been read at opening,
+    or the file is damaged, reading raises a RescanError. With ``LogOptions(scan=True)`` the index
+    is rebuilt from all intact parts of the files, and all small messages and all timestamps are
+    read at opening. The frames are the same.
 
-    Memory: 80 bytes for an image, 48 for a pose or transform (64 more where all are read); 64 MiB
-    of decompressed chunks, more where some ten frames take more; and the images of the batch
-    being read. One thread may read at a time; threads of the log's own help it, one for each
-    core. A log can be pickled: another process opens the files again, but not their indexes, and
-    has no threads.
+    Memory: 80 bytes per image, 48 per pose or transform (64 more if all are read); 64 MiB of
+    decompressed chunks, more if some ten frames need more; and the images of the current batch.
+    Only one thread may read at a time; it is helped by a thread pool of the log with one thread per
+    core. A log can be pickled: another process opens the files again, but does not read their
+    indexes, and has no threads.
 
-    A frame is a depth image. Colour is read where it is requested: a frame has the colour image
-    that is nearest by stamp, within the tolerance of the options. Colour that is missing or can't
-    be decoded costs no frame.
+    A frame is a depth image. If colour is requested, a frame has the colour image with the nearest
+    timestamp within the tolerance of the options. A missing or undecodable colour image does not
+    invalidate the frame.
 
     Attributes:
-        name: The log's name.
-        camera: Name of the camera that is read.
-        label: The log's name, and the camera's where the log has several.
-        calibration: Of the chosen topics.
-        T_base_camera: ``(4, 4)`` float64, depth optical frame to the robot's base frame, whose
-            z = 0 is the floor; None when the log's transforms don't hold it.
-        base_frame: Name of that frame, or None.
-        camera_frame: Name of the depth camera's optical frame; empty if the log has none. Of
-            depth that is aligned to colour it is that of the colour camera.
+        name: Name of the log.
+        camera: Name of the selected camera.
+        label: Name of the log, with the camera if the log has several.
+        calibration: Calibration of the chosen topics.
+        T_base_camera: ``(4, 4)`` float64, from the depth optical frame to the robot's base frame,
+            whose z = 0 is the floor; None if the log has no such transform.
+        base_frame: Name of the base frame, or None.
+        camera_frame: Name of the depth camera's optical frame, or of the colour camera's if depth
+            is aligned to colour; empty if the log has none.
         color_frame: Name of the colour camera's optical frame; empty if the log has none.
-        world_frame: Name of the frame that poses are in; empty if there are none.
-        num_frames: Depth images, all of them.
-        frames: Numbers of those in the part of the log that is read; by default all.
-        has_color: Whether the log has colour images that can be decoded and whose pixels are
-            those of the image of ``calibration.image``; grey ones count.
-        has_color_camera: Whether that image is a colour camera's, else it is the depth camera's.
-        color_problem: Why ``has_color`` is False, with what to do; else empty.
-        depth_shape: ``(Hd, Wd)`` of the depth images.
-        color_shape: ``(H, W, 3)`` of the colour images; None where ``has_color`` is False.
-        has_poses: Whether the log knows where the camera stands in the world.
-        description: What ``jaxdet info`` shows.
+        world_frame: Name of the world frame of the poses; empty if there are none.
+        num_frames: Number of depth images in the log.
+        frames: Numbers of the selected frames; by default all.
+        has_color: Whether the log has decodable colour or grey images with the pixels of
+            ``calibration.image``.
+        has_color_camera: Whether ``calibration.image`` is a colour camera, not the depth camera.
+        color_problem: Why ``has_color`` is False, with a remedy; else empty.
+        depth_shape: Shape ``(Hd, Wd)`` of the depth images.
+        color_shape: Shape ``(H, W, 3)`` of the colour images; None if ``has_color`` is False.
+        has_poses: Whether the log has poses of the camera in the world.
+        description: Description shown by ``jaxdet info``.
     """
 
     def __init__(
@@ -141,7 +143,7 @@ class Log:
         store.keep(_FRAMES_KEPT * frame_bytes)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Without the stamps and poses of all messages."""
+        """Return the state without the timestamps and poses of all messages."""
         return {name: value for name, value in self.__dict__.items() if name != "_all"}
 
     def __enter__(self) -> Self:
@@ -157,7 +159,7 @@ class Log:
         self._store.close()
 
     def __len__(self) -> int:
-        """Frames of the part that is read."""
+        """Return the number of selected frames."""
         return len(self.frames)
 
     def __repr__(self) -> str:
@@ -174,7 +176,7 @@ class Log:
         return table(f"Log {self.label}", {"": [*facts], "value": [*facts.values()]})
 
     def __iter__(self) -> Iterator[LogFrame]:
-        """Yield the frames of the part that is read, with colour; some are read at a time."""
+        """Yield the selected frames with colour; several are read at a time."""
         for batch in self.batches(self._at_once, color=True):
             yield from batch.one_by_one()
 
@@ -183,11 +185,11 @@ class Log:
     @overload
     def __getitem__(self, index: slice) -> list[LogFrame]: ...
     def __getitem__(self, index: Any) -> Any:
-        """Return a frame or a slice of the part that is read, by place in it, with colour.
+        """Return a selected frame or a slice of them, by position in the selection, with colour.
 
         Raises:
             IndexError: There is no such frame.
-            RescanError: The log isn't as its index lets expect.
+            RescanError: The log contradicts its index.
         """
         if isinstance(index, slice):
             return list(self.read(self.frames[index], color=True).one_by_one())
@@ -198,19 +200,19 @@ class Log:
 
     @property
     def stamps_ns(self) -> np.ndarray:
-        """``(F,)`` int64, depth header stamps [ns], in order; looks at every message."""
+        """Header timestamps of all depth images, ``(F,)`` int64 [ns]; reads every message."""
         return self._all.depth.stamps_ns
 
     @property
     def color_stamps_ns(self) -> np.ndarray:
-        """``(F,)`` int64, stamp of the nearest colour image of each frame [ns], -1 = none."""
+        """Timestamp of the nearest colour image of each frame, ``(F,)`` int64 [ns], -1 = none."""
         return _colors_of(self._all)
 
     @property
     def T_world_camera(self) -> np.ndarray | None:
-        """``(F, 4, 4)`` float64, depth optical frame to world at each depth stamp.
+        """Poses of the depth optical frame in the world, ``(F, 4, 4)`` float64.
 
-        NaN where unknown; None when the log has no poses.
+        NaN if unknown; None if the log has no poses.
         """
         return self._all.T_world_camera
 
@@ -224,10 +226,10 @@ class Log:
 
     @contextmanager
     def _by_index(self) -> Iterator[None]:
-        """Damage that shows here contradicts the index, unless the files were changed.
+        """Convert damage inside the block to a RescanError, unless the files were changed.
 
         Raises:
-            RescanError: There is some.
+            RescanError: The file contradicts its index.
             InputError: A file was changed.
         """
         try:
@@ -236,19 +238,19 @@ class Log:
             self._store.check_unchanged()
             if isinstance(error, RescanError):
                 raise
-            problem = f"the file isn't as its index says ({error})"
+            problem = f"the file contradicts its index ({error})"
             raise RescanError(problem, path=self._path) from error
 
     @property
     def index_bytes(self) -> int:
-        """About how much memory the log's messages take in each process."""
+        """Approximate memory of the index of the log in each process [byte]."""
         return _MESSAGE_BYTES * sum(topic.num_messages for topic in self.description.topics)
 
     def described(self, notes: Notes) -> LogDescription:
-        """Return the log's description, with what reading all frames showed.
+        """Return the description with the observations from reading all frames.
 
         Args:
-            notes: Of batches that hold each frame once, see :func:`jaxdet.io.notes.total`.
+            notes: Sum over batches that contain each frame once, see :func:`jaxdet.io.notes.total`.
         """
         about = self.description
         if about.pairing is None:
@@ -265,23 +267,25 @@ class Log:
         color: WhichColor = False,
         need_color: bool = False,
     ) -> Iterator[Batch]:
-        """Yield the frames of the part that is read, or of a range of it, in batches, in order.
+        """Yield the selected frames, or those in a range, in batches and in order.
 
-        Where no frame of a batch has its colour read ``frames.color`` is None.
+        ``frames.color`` of a batch is None if no colour image was requested.
 
         Args:
-            batch_size: Frames of each batch; the last is padded.
-            start: Least number of a frame.
-            stop: Greater than the numbers of all frames; None: there is no such bound.
-            images: Where to decode to; by default new arrays.
-            color: Frames whose nearest colour image is decoded: all, none, or some numbers.
-            need_color: Give frames without a colour image that can be used the status ``no_color``;
-                ``color`` is True then.
+            batch_size: Number of frames per batch; the last is padded.
+            start: Lower bound of the frame numbers.
+            stop: Upper bound of the frame numbers, exclusive; None: no bound.
+            images: Memory for the decoded images; by default new arrays.
+            color: Frames whose nearest colour image is decoded: all, none, or a container of
+                numbers.
+            need_color: Whether frames without a usable colour image get the status ``no_color``;
+                requires ``color`` to be True.
 
         Raises:
-            ValueError: ``batch_size`` is below 1 or very large, or the range leaves the log.
+            ValueError: ``batch_size`` is out of range, or ``start`` or ``stop`` is outside of the
+                log.
             InputError: ``color`` is neither a bool nor a collection of frame numbers.
-            RescanError: The log isn't as its index lets expect.
+            RescanError: The log contradicts its index.
         """
         start, size = whole_number("start", start), whole_number("batch_size", batch_size)
         stop = self.num_frames if stop is None else whole_number("stop", stop)
@@ -303,10 +307,10 @@ class Log:
             yield self._batch(some, batch_size, color, need_color, memory, known)
 
     def _together(self, numbers: range, batch_size: int) -> int:
-        """Frames in a row, a multiple of the batch, that are looked at together; 0: each batch."""
+        """Return the number of frames to look up together, a multiple of the batch; 0: none."""
         if len(numbers) <= batch_size or numbers.step != 1:
             return 0
-        with suppress(DamageError):  # which the window says
+        with suppress(DamageError):  # the window reports this error
             if self._frames.is_plain(numbers[0]):
                 return max(1, _LOOKED_AT // batch_size) * batch_size
         return 0
@@ -314,39 +318,39 @@ class Log:
     def read(
         self, indices: Sequence[int], *, color: WhichColor = False, need_color: bool = False
     ) -> Batch:
-        """Return the frames with these numbers, in the order given, without padding.
+        """Read the frames with the given numbers, in the given order, without padding.
 
         Args:
-            indices: The numbers.
-            color: As for :meth:`batches`.
-            need_color: Likewise.
+            indices: Frame numbers.
+            color: Frames whose colour image is decoded, see :meth:`batches`.
+            need_color: Whether colour is required, see :meth:`batches`.
 
         Raises:
-            IndexError: A number is not of the log.
-            RescanError: The log isn't as its index lets expect.
+            IndexError: A number is not in the log.
+            RescanError: The log contradicts its index.
         """
         if not isinstance(indices, Sequence | np.ndarray):
-            problem = f"{type(indices).__name__} is no sequence of numbers"
-            raise InputError(problem, topic="indices", remedy="give a list")
+            problem = f"expected a sequence of numbers, got {type(indices).__name__}"
+            raise InputError(problem, topic="indices", remedy="pass a list")
         indices = [whole_number("indices", index) for index in indices]
         if not all(0 <= index < self.num_frames for index in indices):
             raise IndexError(f"frames {list(indices)[:20]} of {self.num_frames}")
         return self._batch(indices, len(indices), _which_color(color), need_color)
 
     def without_images(self, indices: Sequence[int], status: FrameStatus, error: str) -> Batch:
-        """Return the frames with these numbers with stamps and poses, without reading an image.
+        """Return frames with timestamps and poses, without reading an image.
 
         Args:
-            indices: The numbers.
-            status: Of each of them.
-            error: Why, for each of them.
+            indices: Frame numbers.
+            status: Status of each frame.
+            error: Explanation of the status.
 
         Raises:
-            RescanError: The log isn't as its index lets expect.
+            RescanError: The log contradicts its index.
         """
         windows = [self._window(start, stop) for _, start, stop in _runs(indices, self._at_once)]
         count, none = len(indices), np.zeros((0, *self.depth_shape), np.uint16)
-        return self._made(indices, windows, (none, None), (status,) * count, (error,) * count)
+        return self._assembled(indices, windows, (none, None), (status,) * count, (error,) * count)
 
     def _batch(
         self,
@@ -366,7 +370,7 @@ class Log:
             colors = _aligned((size, *self.color_shape), np.uint8)
         for images in (depths, colors):
             if images is not None:
-                images[count:] = 0  # all other rows are written, or zeroed where that fails
+                images[count:] = 0  # all other rows are written, or zeroed if decoding fails
         windows, failures = [], Failures([], [])
         for row, start, stop in _runs(indices, self._at_once):
             window = known.window(start, stop) if known else self._window(start, stop)
@@ -387,7 +391,7 @@ class Log:
             if need_color and not failure and not (there[i] and wanted[i] and not bad[i]):
                 status[-1], text = FrameStatus.NO_COLOR, self._why_no_color(failures.color[i])
             errors.append(" ".join(text.split()))
-        made = self._made(indices, windows, (depths, colors), tuple(status), tuple(errors))
+        made = self._assembled(indices, windows, (depths, colors), tuple(status), tuple(errors))
         stamps = made.frames.color_stamp_ns
         assert stamps is not None
         stamps[:count][bad] = -1
@@ -400,7 +404,7 @@ class Log:
             return str(failure)
         return self.color_problem or f"no colour image within {self._tolerance_s:g} s"
 
-    def _made(
+    def _assembled(
         self,
         indices: Sequence[int],
         windows: Sequence[Window],
@@ -441,13 +445,13 @@ class Log:
 
 
 class _Known(NamedTuple):
-    """Frames in a row whose messages have been looked at."""
+    """Consecutive frames whose messages were looked up."""
 
     first: int
     whole: Window
 
     def window(self, start: int, stop: int) -> Window:
-        """Return the frames ``start`` to ``stop``."""
+        """Return the window of the frames from ``start`` to ``stop``."""
         return self.whole.part(start - self.first, stop - self.first)
 
 
@@ -457,12 +461,12 @@ def _which_color(color: WhichColor) -> WhichColor:
         return color
     if isinstance(color, bool):
         return color
-    problem = f"{type(color).__name__} is neither a bool nor a collection of frame numbers"
-    raise InputError(problem, topic="color", remedy="give True, False or a set of numbers")
+    problem = f"expected a bool or a collection of frame numbers, got {type(color).__name__}"
+    raise InputError(problem, topic="color", remedy="pass True, False or a set of numbers")
 
 
 def _runs(indices: Sequence[int], most: int) -> Iterator[tuple[int, int, int]]:
-    """Numbers as ranges of at most ``most``: place of the first, first, and after the last."""
+    """Yield ranges of at most ``most`` consecutive numbers as (index of the first, first, stop)."""
     row = 0
     while row < len(indices):
         count = 1
@@ -477,7 +481,7 @@ def _runs(indices: Sequence[int], most: int) -> Iterator[tuple[int, int, int]]:
 
 
 def _colors_of(window: Window) -> np.ndarray:
-    """Stamps of the colour images of a window's frames ``(n,)``, -1 = none."""
+    """Return the timestamps of the colour images of a window's frames ``(n,)``, -1 = none."""
     table = window.color
     return np.full(len(window.depth.stamps_ns), -1, np.int64) if table is None else table.stamps_ns
 
@@ -487,7 +491,7 @@ def _joined(columns: Iterable[np.ndarray]) -> np.ndarray:
 
 
 def _aligned(shape: tuple[int, ...], kind: type[np.unsignedinteger]) -> np.ndarray:
-    """Return an array that begins at a cache line; XLA copies others."""
+    """Return an array that starts at a cache line; XLA would copy others."""
     nbytes = math.prod(shape) * np.dtype(kind).itemsize
     memory = np.empty(nbytes + _LINE_BYTES, np.uint8)
     start = -memory.ctypes.data % _LINE_BYTES

@@ -1,4 +1,4 @@
-"""MCAP files."""
+"""MCAP files as log files."""
 
 from threading import local
 
@@ -20,35 +20,34 @@ from jaxdet.io.mcap_scan import rebuild_mcap_index
 
 _HEAD_BYTES = 128
 _BEGIN_BYTES = 192 << 10
-"""Bytes of a packed chunk that hold the first block of zstd."""
+"""Number of bytes of a compressed chunk that contain its first zstd block."""
 _PACKED_BYTES = 16 << 20
-"""Maximum size of a packed chunk that is read into memory of its thread."""
+"""Maximum size of a compressed chunk that is read into its thread's buffer."""
 _of_thread = local()
 
 
 class McapFile(LogFile):
-    """An MCAP file; the position of a chunk is where its record's content begins.
+    """An MCAP file; chunks are identified by the position of their record's content.
 
-    A message record outside chunks is a chunk of its own that isn't packed: its records are that
-    one record.
+    A message record outside of chunks is treated as an uncompressed chunk with a single record.
     """
 
     magic = MAGIC
     kind = "an MCAP"
 
     def read_index(self) -> FileIndex:
-        """See :meth:`LogFile.read_index`."""
+        """Read the file's own index, see :meth:`LogFile.read_index`."""
         return read_mcap_index(self)
 
     def rebuild_index(self) -> FileIndex:
-        """See :meth:`LogFile.rebuild_index`."""
+        """Rebuild the index by a scan, see :meth:`LogFile.rebuild_index`."""
         return rebuild_mcap_index(self)
 
     def chunk_head(self, position: int) -> ChunkHead:
-        """Return the head of the chunk or message record whose content begins at ``position``.
+        """Return the header of the chunk or message record whose content starts at ``position``.
 
         Raises:
-            DamageError: It isn't one.
+            DamageError: There is no such record.
         """
         start = position - RECORD_HEAD.size
         known = self.read(start, min(RECORD_HEAD.size + _HEAD_BYTES, self.size - start))
@@ -61,16 +60,16 @@ class McapFile(LogFile):
         return read_chunk_head(known[RECORD_HEAD.size :][:length], length)
 
     def chunk_begin(self, position: int, size: int) -> bytes:
-        """See :meth:`LogFile.chunk_begin`."""
+        """Return the first records of a chunk, see :meth:`LogFile.chunk_begin`."""
         head = self.chunk_head(position)
         data = self.read(position + head.data_offset, min(head.data_size, _BEGIN_BYTES))
         return decompress_begin(head, data, size)
 
     def chunk(self, position: int) -> bytes | memoryview:
-        """Return the decompressed chunk whose record's content begins at ``position``.
+        """Return the decompressed chunk whose record's content starts at ``position``.
 
         Raises:
-            DamageError: It can't be read any more.
+            DamageError: The chunk is no longer readable.
         """
         head = self.chunk_head(position)
         self.check_memory(max(head.uncompressed_size, head.data_size))
@@ -83,9 +82,9 @@ class McapFile(LogFile):
 
 
 def _packed_memory(size: int) -> memoryview:
-    """Return memory for a packed chunk, until the thread's next call.
+    """Return a buffer for a compressed chunk, valid until the thread's next call.
 
-    It stays in a core's cache, where fresh memory would be fetched, written and read once more.
+    The buffer is reused because it stays in a core's cache.
     """
     memory: bytearray = getattr(_of_thread, "memory", bytearray())
     if len(memory) < size:

@@ -1,9 +1,9 @@
-"""The own index of an MCAP file: when and where each message is, without reading one.
+"""Own index of an MCAP file: time and position of each message, without reading messages.
 
-The summary at the end of the file lists channels, counts and chunks; the message indexes stand
-behind each chunk. Both are parsed with arrays, not record by record: a file of 100 GB has 100,000
-chunks, and the indexes of a million messages are parsed in a fraction of a second. The message
-indexes are compared with the summary here, and with each message when it is read.
+The summary at the end of the file lists channels, counts and chunks; each chunk is followed by its
+message indexes. Both are parsed with array operations: a file of 100 GB has 100,000 chunks, and the
+indexes of a million messages take a fraction of a second. The message indexes are checked against
+the summary here, and against each message when it is read.
 """
 
 import struct
@@ -43,41 +43,41 @@ _PART_BYTES = 32 << 20
 
 
 class ChunkTable(NamedTuple):
-    """The chunks by the summary, ``(C,)`` int64 each, in file order."""
+    """Chunks listed in the summary, ``(C,)`` int64 each, in file order."""
 
     start: np.ndarray
-    """Begin of the chunk's record in the file."""
+    """Start of the chunk's record in the file [byte]."""
     length: np.ndarray
-    """Length of the complete record."""
+    """Length of the complete record [byte]."""
     index_length: np.ndarray
-    """Length of the message indexes that follow it."""
+    """Length of the message indexes that follow it [byte]."""
     stored: np.ndarray
-    """Size of its data in the file."""
+    """Size of the data in the file [byte]."""
     size: np.ndarray
-    """Size of its records."""
+    """Size of the decompressed records [byte]."""
     first_ns: np.ndarray
-    """Log time of its first message."""
+    """Log time of the first message [ns]."""
     last_ns: np.ndarray
-    """Log time of its last message."""
+    """Log time of the last message [ns]."""
 
 
 class IndexOffsets(NamedTuple):
-    """Places of the message indexes, one per channel of a chunk, ``(T,)`` int64 each."""
+    """Positions of the message indexes, one per channel of a chunk, ``(T,)`` int64 each."""
 
     chunk: np.ndarray
     """Number of the chunk."""
     channel: np.ndarray
     position: np.ndarray
-    """Position of the record in the file."""
+    """Position of the record in the file [byte]."""
 
 
 class Summary(NamedTuple):
-    """A file's summary."""
+    """Summary of a file."""
 
     start: int
-    """Begin of the summary in the file."""
+    """Start of the summary in the file [byte]."""
     crc_is_right: bool
-    """Whether the CRC is right; true if there is none."""
+    """Whether the CRC is correct; also True if there is none."""
     declared: Declarations
     """Schemas and channels."""
     statistics: Statistics | None
@@ -86,14 +86,14 @@ class Summary(NamedTuple):
 
 
 def read_summary(file: LogFile, at: int | None = None) -> Summary:
-    """Return the summary of a file.
+    """Read the summary of a file.
 
     Args:
-        file: The file.
-        at: Begin of the summary; by default the footer's. If given, the CRC must be right.
+        file: File.
+        at: Start of the summary; by default from the footer. If set, the CRC must be correct.
 
     Raises:
-        DamageError: It has none, or it can't be parsed.
+        DamageError: The file has no summary, or it can't be parsed.
     """
     place = file.size - len(MAGIC) - _FOOTER.size
     if place < len(MAGIC) or file.read(file.size - len(MAGIC), len(MAGIC)) != MAGIC:
@@ -115,12 +115,12 @@ def read_summary(file: LogFile, at: int | None = None) -> Summary:
         return _parse(data, start, right)
     except DamageError:
         raise
-    except Exception as error:  # mcap's reader raises what it likes
+    except Exception as error:  # mcap's reader may raise any exception
         raise DamageError("summary is damaged") from error
 
 
 class FileBytes:
-    """Little-endian numbers at any position of some bytes, as arrays."""
+    """Little-endian integers at any positions of a buffer, as arrays."""
 
     def __init__(self, data: bytes | bytearray | memoryview) -> None:
         self.size = len(data)
@@ -132,10 +132,10 @@ class FileBytes:
         }
 
     def at(self, position: np.ndarray, kind: str) -> np.ndarray:
-        """Return the numbers of a kind (``<u1`` to ``<u8``) at some positions, int64.
+        """Return the integers of a type (``<u1`` to ``<u8``) at the given positions, int64.
 
         Raises:
-            DamageError: A position is outside, or a number beyond int64.
+            DamageError: A position is outside of the buffer, or a number exceeds int64.
         """
         if len(position) and not (position.min() >= 0 and position.max() < self.size):
             raise DamageError("index leaves its record")
@@ -156,7 +156,7 @@ def _parse(data: bytes, start: int, crc_is_right: bool) -> Summary:
         odd += not length or not Opcode.SCHEMA <= opcode <= Opcode.SUMMARY_OFFSET
         count += opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS)
         if odd > MAX_ODD_RECORDS or count > MAX_DECLARATIONS:
-            raise DamageError("summary holds what is no record, or too many")
+            raise DamageError("summary has invalid records, or too many")
         if opcode == Opcode.CHUNK_INDEX:
             chunks.append((place, length))
         elif opcode == Opcode.SCHEMA:
@@ -194,21 +194,21 @@ def _chunk_indexes(data: FileBytes, records: np.ndarray) -> tuple[ChunkTable, In
 
 
 class _Records(NamedTuple):
-    """The message indexes, one per channel of a chunk, ``(T,)`` int64 each."""
+    """Message indexes, one per channel of a chunk, ``(T,)`` int64 each."""
 
     messages: np.ndarray
     """Number of messages."""
     first: np.ndarray
-    """Log time of the first or the last message, the smaller one [ns]."""
+    """Smaller log time of the first and the last message [ns]."""
     last: np.ndarray
-    """The larger one [ns]."""
+    """Larger log time of the two [ns]."""
 
 
 def read_mcap_index(file: LogFile) -> FileIndex:
-    """Return the index of a file by its summary and message indexes.
+    """Read the index of a file from its summary and message indexes.
 
     Raises:
-        DamageError: Something is missing, or the indexes contradict the summary.
+        DamageError: A part is missing, or the indexes contradict the summary.
     """
     summary = read_summary(file)
     _check(file, summary)
@@ -248,7 +248,7 @@ def read_mcap_index(file: LogFile) -> FileIndex:
 
 
 def _check(file: LogFile, summary: Summary) -> None:
-    """Check that the summary is complete and fits the file."""
+    """Check that the summary is complete and matches the file."""
     statistics, chunks = summary.statistics, summary.chunks
     if not summary.crc_is_right:
         raise DamageError("summary has a wrong CRC")
@@ -268,7 +268,7 @@ def _check(file: LogFile, summary: Summary) -> None:
 
 
 def _check_counts(summary: Summary, counts: dict[int, ChannelCount]) -> None:
-    """Check that the numbers of messages of each channel equal the statistics."""
+    """Check that the number of messages per channel equals the statistics."""
     statistics = summary.statistics
     assert statistics is not None
     declared = {key: count for key, count in statistics.channel_message_counts.items() if count}
@@ -285,14 +285,14 @@ def _entries(
     channel: np.ndarray,
     length: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return where the entries of message indexes begin in the data, and their bytes.
+    """Locate and check message indexes; return the position and the size of their entries.
 
     Args:
-        data: The indexes of some chunks.
-        position: Where each begins among those of its chunk.
-        base: Where those of its chunk begin in the data.
-        channel: What channel it should be of.
-        length: Of all indexes of its chunk.
+        data: Message indexes of some chunks.
+        position: Position of each index relative to the first of its chunk.
+        base: Position in ``data`` of the first index of its chunk.
+        channel: Expected channel of each index.
+        length: Total length of the indexes of its chunk.
     """
     if (position < 0).any() or (position + _HEAD_BYTES > length).any():
         raise DamageError("message index lies elsewhere")
@@ -308,7 +308,7 @@ def _entries(
 
 
 def _parts(file: LogFile, summary: Summary) -> Iterator[tuple[slice, FileBytes, np.ndarray]]:
-    """Yield ranges of ``IndexOffsets``, their bytes, and where the indexes of a chunk begin."""
+    """Yield slices of ``IndexOffsets``, their bytes, and where the indexes of each chunk start."""
     chunks, offsets = summary.chunks, summary.offsets
     total = np.append(0, np.cumsum(chunks.index_length))
     first = 0

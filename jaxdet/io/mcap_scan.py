@@ -1,11 +1,11 @@
-"""The index of an MCAP file by a walk over all of it, tolerant of damage.
+"""Index of an MCAP file from a scan of the complete file, tolerant of damage.
 
-A file is walked from its first record to its last, whole chunks at a time; those ahead are
-decompressed on threads, and all is taken in by the caller's, in order. What is damaged is dropped
-and counted, and its neighbours are used: a chunk with a wrong CRC, a message longer than its
-chunk, a torn end. A missing summary does no harm. Where a record's length is damaged the walk goes
-on at the next chunk that the summary's index knows. What the summary and the message indexes speak
-of and the walk did not find is lost, and said.
+The file is read from the first record to the last, in whole chunks; following chunks are
+decompressed in threads ahead of time. Damaged parts are dropped and counted, and their neighbours
+are used: a chunk with a wrong CRC, a message longer than its chunk, a truncated end. The summary is
+optional. If the length of a record is damaged, the scan continues at the next chunk listed in the
+summary. Chunks and messages that the summary or the message indexes list, but the scan did not
+find, are reported as lost.
 """
 
 import struct
@@ -36,45 +36,45 @@ from jaxdet.io.mcap_index import Summary, read_summary
 from jaxdet.io.walk import Walk
 
 _INDEX_HEAD = struct.Struct("<HI")
-"""Channel and bytes of the entries of a message index."""
+"""Channel and size of the entries of a message index."""
 _ENTRY_BYTES = 16
 _ODD_BYTES = 64
-"""Records of unknown kinds that are shorter are odd, see ``MAX_ODD_RECORDS``."""
+"""Size below which records of unknown types count as odd, see ``MAX_ODD_RECORDS``."""
 
 
 AHEAD_BYTES = 64 << 20
-"""Of decompressed chunks."""
+"""Maximum total size of chunks decompressed ahead of time."""
 AHEAD_RECORDS = 256
 TORN = 0
-"""Opcode, which no record has."""
+"""Opcode for parts of the file that are not records."""
 
 
 class FileRecord(NamedTuple):
-    """A record of a file's data section."""
+    """A record in the data section of a file."""
 
     opcode: int
-    """``TORN``: what can't be walked over."""
+    """Opcode, or ``TORN`` for a part that can't be parsed."""
     position: int
-    """Where its content begins in the file."""
+    """Position of the content in the file [byte]."""
     length: int
-    """Of its content, by its own word."""
+    """Declared length of the content [byte]."""
 
 
 class Ahead(NamedTuple):
-    """A record that is to be taken in."""
+    """A record that is ready to be processed."""
 
     record: FileRecord
     chunk: Future[bytes | memoryview] | None = None
-    """What a chunk will be decompressed."""
+    """Future of the decompressed chunk."""
     size: int = 0
-    """Of that."""
+    """Size of the decompressed chunk [byte]."""
 
 
 def rebuild_mcap_index(file: LogFile) -> FileIndex:
-    """Return the index of every readable message, with what was lost.
+    """Build an index of all readable messages, with statistics of what was lost.
 
     Raises:
-        InputError: The file was changed meanwhile, or holds more messages than it has room for.
+        InputError: The file was changed meanwhile, or has an impossible number of messages.
     """
     scan = _Scan(file)
     with ThreadPoolExecutor(cores(), "jaxdet-open") as pool:
@@ -83,19 +83,21 @@ def rebuild_mcap_index(file: LogFile) -> FileIndex:
                 scan.take(*item[:2])
             except DamageError as error:
                 scan.walk.lose(str(error), item.record.length)
-            del item  # and its chunk, before the next is decompressed
+            del item  # free its chunk before the next is decompressed
     return scan.index()
 
 
 def ahead(
     file: LogFile, records: Iterable[FileRecord], pool: ThreadPoolExecutor
 ) -> Iterator[Ahead]:
-    """Yield the records in order, up to 64 MiB of chunks (or one larger chunk) ahead.
+    """Yield the records in order, with chunks decompressed ahead.
+
+    At most 64 MiB of chunks, or one larger chunk, are decompressed at a time.
 
     Args:
-        file: The file.
-        records: Its records.
-        pool: Decompresses.
+        file: File.
+        records: Records of the file.
+        pool: Thread pool for decompression.
     """
     waiting: deque[Ahead] = deque()
     size_ahead, most = 0, min(AHEAD_BYTES, file.memory.chunk)
@@ -117,7 +119,7 @@ def ahead(
 
 
 class _Scan:
-    """The state of one walk over a file."""
+    """State of a scan."""
 
     def __init__(self, file: LogFile) -> None:
         self.file, self.walk = file, Walk(file)
@@ -133,14 +135,14 @@ class _Scan:
         self.chunks = self.chunks_with_crc = 0
         self.lost_spans: list[tuple[int, int]] = []
         self.indexed: Counter[int] = Counter()
-        """Messages of the message indexes, by channel."""
+        """Number of messages in message indexes, by channel."""
         self.torn: list[tuple[int, int]] = []
-        """Parts of the file that were passed over."""
+        """Parts of the file that were skipped."""
         self.seen: Counter[tuple[int, int, int, int]] = Counter()
-        """Chunks, as the summary knows them."""
+        """Keys of the chunks found, as they are in the summary."""
 
     def records(self) -> Iterator[FileRecord]:
-        """Yield the records up to the end of the data; what can't be a record is ``TORN``."""
+        """Yield the records up to the end of the data; unparsable parts are ``TORN`` records."""
         file, position, odd = self.file, len(MAGIC), 0
         while True:
             start, content = position, position + RECORD_HEAD.size
@@ -163,10 +165,10 @@ class _Scan:
                 return
 
     def take(self, record: FileRecord, chunk: Future[bytes | memoryview] | None) -> None:
-        """Take in one record, a chunk decompressed.
+        """Process a record, with its chunk decompressed.
 
         Raises:
-            DamageError: It can't be used.
+            DamageError: The record is unusable.
         """
         opcode, position, length = record
         if opcode == TORN:
@@ -181,7 +183,7 @@ class _Scan:
             self._content(opcode, content, position, length, 0)
 
     def index(self) -> FileIndex:
-        """Return the index of what was found, and what the file declares besides."""
+        """Return the index of the messages found, with the counts declared by the file."""
         missing = self._missing()
         statistics = self.summary.statistics if self.summary else None
         if missing or (self.summary and not statistics):
@@ -197,7 +199,7 @@ class _Scan:
         )
 
     def _record_head(self, position: int) -> tuple[int, int]:
-        """Return opcode and length; ``TORN`` if the file ends or can't be read there."""
+        """Return opcode and length; ``TORN`` if the file ends or is unreadable there."""
         if position + RECORD_HEAD.size > self.file.size:
             return TORN, 0
         try:
@@ -207,7 +209,7 @@ class _Scan:
         return opcode, length
 
     def _end(self, position: int) -> None:
-        """Note the end of the data; the summary follows, wherever the footer expects it."""
+        """Record the end of the data, and read a summary there if the footer's can't be read."""
         try:
             magic = self.file.read(self.file.size - len(MAGIC), len(MAGIC))
         except DamageError:
@@ -242,7 +244,7 @@ class _Scan:
     def _content(
         self, opcode: int, content: memoryview, position: int, length: int, offset: int
     ) -> None:
-        """Take in the record at an offset in the records of a chunk."""
+        """Process the record at an offset in the records of a chunk."""
         if opcode == Opcode.SCHEMA:
             self.declared.add_schema(content)
             return
@@ -272,7 +274,7 @@ class _Scan:
         self.indexed[channel] += size // _ENTRY_BYTES
 
     def _missing(self) -> dict[str, int]:
-        """Messages by topic that statistics or message indexes count and the walk did not find."""
+        """Return the number of messages per topic that are declared but were not found."""
         statistics = self.summary.statistics if self.summary else None
         declared = statistics.channel_message_counts if statistics else {}
         missing: Counter[str] = Counter()
@@ -284,7 +286,7 @@ class _Scan:
         return dict(missing)
 
     def _lose_missing_chunks(self) -> None:
-        """Count chunks of the summary of which nothing was found as lost."""
+        """Count chunks of the summary that were not found as lost."""
         if self.summary is None:
             return
         left, chunks = Counter(self.seen), self.summary.chunks
@@ -297,7 +299,7 @@ class _Scan:
             self.lost_spans.append((key[0], key[1]))
             place = bisect_right(self.torn, start, key=lambda span: span[0])
             if not place or start >= self.torn[place - 1][1]:
-                self.walk.lose("chunk of the index isn't there", key[3])
+                self.walk.lose("chunk of the index is missing", key[3])
 
 
 def _chunk_key(head: ChunkHead) -> tuple[int, int, int, int]:

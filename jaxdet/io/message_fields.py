@@ -1,7 +1,7 @@
-"""From the fields of ROS 2 and Foxglove messages to the messages of :mod:`jaxdet.io.messages`.
+"""Conversion of decoded ROS 2 and Foxglove messages to those of :mod:`jaxdet.io.messages`.
 
-The two families name their fields differently; what was a CDR, protobuf or JSON message comes
-here as an object with attributes.
+Decoded CDR, protobuf and JSON messages are objects with attributes, whose names differ between ROS
+2 and Foxglove.
 """
 
 import base64
@@ -28,19 +28,19 @@ from jaxdet.io.motion import motion_matrix
 
 MAX_STAMP_S = 9_000_000_000
 UNIT_TOLERANCE = 0.01
-"""How far the squared length of a quaternion may be from 1; as tf2 has it."""
+"""Tolerance for the squared norm of a quaternion, as in tf2."""
 
 
 def nanoseconds(sec: int, nanosec: int) -> int:
-    """Return a stamp in nanoseconds.
+    """Return a timestamp in nanoseconds.
 
     Raises:
-        FrameError: It is negative or beyond what int64 nanoseconds hold.
+        FrameError: The timestamp is negative or too large for int64 nanoseconds.
     """
-    # A schema may call them anything; whole numbers they are.
+    # Field types differ between schemas, but the values are integers.
     sec, nanosec = int(sec), int(nanosec)
     if not (0 <= sec <= MAX_STAMP_S and 0 <= nanosec < 1 << 32):
-        problem = f"header stamp ({sec} s, {nanosec} ns) is not between the years 1970 and 2255"
+        problem = f"header timestamp ({sec} s, {nanosec} ns) is not between the years 1970 and 2255"
         raise bad_frame(problem)
     return sec * 1_000_000_000 + nanosec
 
@@ -49,9 +49,9 @@ def parse(kind: Kind, message: Any, schema_name: str) -> Message:
     """Convert a decoded ROS 2 or Foxglove message to one of :mod:`jaxdet.io.messages`.
 
     Args:
-        kind: What the schema holds.
-        message: An object with the schema's fields as attributes.
-        schema_name: As :func:`jaxdet.io.messages.plain_schema_name` gives it.
+        kind: Kind of message.
+        message: Object with the fields of the schema as attributes.
+        schema_name: Name of the schema from :func:`jaxdet.io.messages.plain_schema_name`.
 
     Raises:
         Exception: A field is missing or has another type.
@@ -60,7 +60,7 @@ def parse(kind: Kind, message: Any, schema_name: str) -> Message:
 
 
 def _head(message: Any) -> tuple[int, str]:
-    """Stamp [ns] and frame of a ROS header, a Foxglove protobuf or a Foxglove JSON message."""
+    """Return timestamp [ns] and TF frame of a ROS, Foxglove protobuf or Foxglove JSON message."""
     if hasattr(message, "header"):
         stamp = message.header.stamp
         return nanoseconds(stamp.sec, stamp.nanosec), message.header.frame_id.lstrip("/")
@@ -95,12 +95,12 @@ def _image(message: Any, name: str) -> ImageMessage:
 def _disparity(message: Any, name: str) -> ImageMessage:
     """Return the depth in metres of a stereo_msgs/DisparityImage: f T / disparity.
 
-    Disparities that are not positive, below ``min_disparity`` or no number are unknown.
+    Depth is unknown for disparities that are not positive, below ``min_disparity`` or NaN.
     """
     stamp, frame = _head(message)
     image = _image(message.image, name)
     if image.encoding.upper() != "32FC1":
-        raise ValueError(f"disparity has the encoding {image.encoding!a}, not 32FC1")
+        raise ValueError(f"expected a disparity image with encoding 32FC1, got {image.encoding!a}")
     check_pixels(image)
     baseline = float(message.t if hasattr(message, "t") else message.T)
     kind = np.dtype(">f4" if image.big_endian else "<f4")
@@ -154,25 +154,25 @@ def _rgbd(message: Any, name: str) -> RgbdMessage:
 def motion(
     stamp: int, parent: str, child: str, translation: Iterable[Any], rotation: Iterable[Any]
 ) -> TransformMessage:
-    """Return a transform or pose.
+    """Build a transform or pose.
 
     Args:
-        stamp: [ns].
-        parent: Frame that it is in.
-        child: Frame that it is of.
-        translation: x y z [m].
+        stamp: Timestamp [ns].
+        parent: TF frame in which the pose is expressed.
+        child: TF frame of the pose.
+        translation: Translation x y z [m].
         rotation: Quaternion x y z w.
 
     Raises:
-        ValueError: The translation is none of a robot, or the quaternion not of unit length.
+        ValueError: The translation is implausibly large, or the quaternion is not of unit length.
     """
     tx, ty, tz = map(float, translation)
-    if not all(abs(value) <= MAX_TRANSLATION_M for value in (tx, ty, tz)):  # NaN neither
-        raise ValueError(f"translation ({tx:g}, {ty:g}, {tz:g}) m is none that a robot has")
+    if not all(abs(value) <= MAX_TRANSLATION_M for value in (tx, ty, tz)):  # also for NaN
+        raise ValueError(f"translation ({tx:g}, {ty:g}, {tz:g}) m is implausible")
     given = tuple(map(float, rotation))
     bounded = all(abs(value) <= 2 for value in given)
     x, y, z, w = given if bounded else (math.inf,) * 4
-    square = x * x + y * y + z * z + w * w  # sum() compensates from Python 3.12 on
+    square = x * x + y * y + z * z + w * w  # from Python 3.12 on, sum() uses compensated summation
     if not abs(square - 1) <= UNIT_TOLERANCE:
         text = ", ".join(f"{value:g}" for value in given)
         raise ValueError(f"quaternion ({text}) is not of unit length")
@@ -184,7 +184,7 @@ def motion(
 def transform(
     stamp: int, parent: str, child: str, translation: Iterable[Any], rotation: Iterable[Any]
 ) -> TransformMessage:
-    """Return the same as :func:`motion`, with a ``problem`` instead of an error."""
+    """Build a transform like :func:`motion`, but with a ``problem`` instead of an error."""
     try:
         return motion(stamp, parent, child, translation, rotation)
     except ValueError as error:

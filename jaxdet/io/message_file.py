@@ -1,8 +1,8 @@
-"""Files whose messages are reached one by one: each is a chunk of its own that isn't packed.
+"""Files with separately accessible messages, each of which is an uncompressed chunk.
 
-The position of message ``number`` is ``number << 32``, and its bytes follow from there: first the
-head that it would have in an MCAP file, then its payload. So any part of it can be read, and
-pixels straight into their arrays.
+Message ``number`` has the position ``number << 32``. The bytes from there on are the header it
+would have in an MCAP file, then its payload. Any part of it can be read, and pixels are read
+directly into their arrays.
 """
 
 from abc import abstractmethod
@@ -22,19 +22,19 @@ _MAX_CHANNEL = 0xFFFF
 
 
 class MessageRow(NamedTuple):
-    """What is known of a message without its payload."""
+    """Header data of a message, without its payload."""
 
     channel: int
     log_ns: int
     """Log time [ns]."""
     size: int
-    """Of the payload."""
+    """Size of the payload [byte]."""
 
     def check(self) -> "MessageRow":
-        """Return the row itself, checked.
+        """Check the row and return it.
 
         Raises:
-            DamageError: Channel or log time are out of range.
+            DamageError: Channel or log time is out of range.
         """
         if not isinstance(self.channel, int) or not 0 <= self.channel <= _MAX_CHANNEL:
             raise DamageError("number of a topic is out of range")
@@ -47,7 +47,7 @@ def position_of(number: int) -> int:
     """Return the position of a message.
 
     Raises:
-        DamageError: Its number is out of range.
+        DamageError: The message number is out of range.
     """
     if not 0 <= number <= _MAX_NUMBER:
         raise DamageError("number of a message is out of range")
@@ -57,45 +57,45 @@ def position_of(number: int) -> int:
 def indexed_messages(
     number: np.ndarray, channel: np.ndarray, log_ns: np.ndarray, size: np.ndarray
 ) -> np.ndarray:
-    """Messages ``(N,)`` as :func:`jaxdet.io.file_index.file_index` takes them, ``(5, N)`` int64."""
+    """Assemble the input of :func:`jaxdet.io.file_index.file_index` from ``(N,)`` columns."""
     place = number << POSITION_BITS
     return np.stack([channel, log_ns, place, size + PAYLOAD_OFFSET, np.zeros_like(place)])
 
 
 class MessageFile(LogFile):
-    """A file whose messages have numbers."""
+    """A file of numbered messages."""
 
     @abstractmethod
     def row(self, number: int) -> MessageRow:
         """Return channel, log time and size of a message.
 
         Raises:
-            DamageError: There is none, or it can't be read.
+            DamageError: The message does not exist, or can't be read.
         """
 
     @abstractmethod
     def read_payload(self, number: int, start: int, parts: Sequence[memoryview]) -> None:
-        """Fill writable byte views, one after the other, with a message's payload from ``start``.
+        """Fill writable byte views one after the other with a message's payload from ``start`` on.
 
         Raises:
-            DamageError: It ends before, or can't be read.
+            DamageError: The payload ends before, or can't be read.
         """
 
     def chunk_head(self, position: int) -> ChunkHead:
-        """Return the head of the chunk that a message is.
+        """Return the header of the chunk that represents a message.
 
         Raises:
-            DamageError: There is none.
+            DamageError: There is no such message.
         """
         _, log_ns, size = self.row(position >> POSITION_BITS)
         size += PAYLOAD_OFFSET
         return ChunkHead(log_ns, log_ns, size, 0, "", 0, size, size)
 
     def chunk(self, position: int) -> bytes:
-        """Return a message with its head.
+        """Return a message with its header.
 
         Raises:
-            DamageError: It can't be read.
+            DamageError: The message can't be read.
         """
         head = self.chunk_head(position)
         self.check_memory(head.uncompressed_size)
@@ -105,14 +105,14 @@ class MessageFile(LogFile):
         """Return exactly ``size`` bytes of a message.
 
         Raises:
-            DamageError: It ends before, or can't be read.
+            DamageError: The message ends before, or can't be read.
         """
         found = bytearray(size)
         self.read_into(position, [memoryview(found)])
         return bytes(found)
 
     def read_into(self, position: int, parts: Sequence[memoryview]) -> None:
-        """Fill writable byte views, one after the other, with what begins at ``position``.
+        """Fill writable byte views one after the other with the bytes from ``position`` on.
 
         Raises:
             DamageError: The message ends before, or can't be read.

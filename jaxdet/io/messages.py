@@ -1,4 +1,4 @@
-"""The few messages the program understands, whatever they were written with."""
+"""Message types used by jaxdet, independent of format and encoding."""
 
 from enum import Enum
 from typing import NamedTuple
@@ -9,7 +9,7 @@ from jaxdet.errors import FrameError, FrameStatus
 
 
 class Kind(Enum):
-    """What a schema holds."""
+    """Kind of message, by its schema."""
 
     IMAGE = "image"
     COMPRESSED = "compressed image"
@@ -48,23 +48,23 @@ _KINDS = {
 
 
 def plain_schema_name(name: str) -> str:
-    """Return a schema's name without ``/msg/``; Foxglove's ROS package counts as Foxglove."""
+    """Return a schema name without ``/msg/``; Foxglove's ROS package is mapped to Foxglove."""
     plain = name.replace("/msg/", "/")
     return plain.replace("foxglove_msgs/", "foxglove.", 1)
 
 
 def kind_of(schema_name: str) -> Kind | None:
-    """Return the kind of messages of this schema; None if they are of no use."""
+    """Return the kind of messages of a schema; None if they are not used."""
     return _KINDS.get(plain_schema_name(schema_name))
 
 
 def bad_frame(problem: str) -> FrameError:
-    """Return the error of a message or image that can't be decoded."""
+    """Return the error for a message or image that can't be decoded."""
     return FrameError(problem, status=FrameStatus.DECODE_ERROR)
 
 
 class ImageMessage(NamedTuple):
-    """An image as rows of bytes."""
+    """A raw image."""
 
     stamp_ns: int
     frame_id: str
@@ -72,10 +72,10 @@ class ImageMessage(NamedTuple):
     height: int
     encoding: str
     step: int
-    """Bytes in a row, padding included."""
+    """Number of bytes per row, including padding."""
     big_endian: bool
     data: bytes | memoryview
-    """A view of the message that it was decoded from, where it can be one."""
+    """Pixels; if possible a view of the encoded message."""
 
 
 class CompressedImageMessage(NamedTuple):
@@ -85,11 +85,11 @@ class CompressedImageMessage(NamedTuple):
     frame_id: str
     format: str
     data: bytes | memoryview
-    """Likewise."""
+    """File contents; if possible a view of the encoded message."""
 
 
 class CameraInfoMessage(NamedTuple):
-    """A camera's calibration as it stands in the log."""
+    """Calibration of a camera, as in the log."""
 
     stamp_ns: int
     frame_id: str
@@ -98,20 +98,21 @@ class CameraInfoMessage(NamedTuple):
     model: str
     D: tuple[float, ...]
     K: tuple[float, ...]
-    """Nine numbers, row-major."""
+    """Camera matrix: nine numbers, row-major."""
     P: tuple[float, ...]
-    """Twelve numbers, row-major: the projection of the rectified image; may be empty."""
+    """Projection matrix of the rectified image: twelve numbers, row-major; may be empty."""
     binning: tuple[int, int] = (1, 1)
-    """Columns and rows of the sensor that one pixel of the images covers."""
+    """Number of sensor columns and rows per image pixel."""
     roi: tuple[int, int, int, int] = (0, 0, 0, 0)
-    """Part of the sensor that the images show: x, y, width, height; width 0 is all of it."""
+    """Region of the sensor shown in the images: x, y, width, height; width 0 means the whole
+    sensor."""
 
     def image_sizes(self) -> dict[tuple[int, int], tuple[int, int, int, int]]:
-        """Return the image sizes that the message describes, each with x, y and binning.
+        """Return the image sizes that the message allows, each with x and y offset and binning.
 
-        Width, height, K and P are those of the full sensor, from which the region of interest is
-        cut before pixels are binned (sensor_msgs/CameraInfo). Drivers that state the size of their
-        images instead have K for these; so the size itself comes first, with nothing to apply.
+        By definition width, height, K and P refer to the full sensor; the region of interest is cut
+        out before binning (sensor_msgs/CameraInfo). Some drivers put the size of their images there
+        instead, with K for it, so this size comes first and needs no correction.
         """
         (bx, by), (x, y, width, height) = self.binning, self.roi
         full, part = (self.width, self.height), (width, height) if width and height else None
@@ -136,18 +137,18 @@ class RgbdMessage(NamedTuple):
 
 
 class TransformMessage(NamedTuple):
-    """``T_parent_child`` at a time; also a robot's pose (child in parent)."""
+    """``T_parent_child`` at a time; also the pose of a robot (child in parent)."""
 
     stamp_ns: int
     parent: str
     child: str
-    """Empty if the message doesn't say what the pose is of."""
+    """TF frame of the pose; empty if the message does not contain it."""
     translation: tuple[float, float, float]
-    """Metres."""
+    """Translation x y z [m]."""
     rotation: tuple[float, float, float, float]
     """Unit quaternion x y z w."""
     problem: str = ""
-    """Why it is no motion, whatever its numbers here; empty when it is one."""
+    """Reason why the values are not a rigid motion; empty if they are."""
 
 
 Message = (
@@ -159,8 +160,9 @@ Message = (
     | np.ndarray
     | float
 )
-"""What :class:`jaxdet.io.decode_messages.MessageDecoder` returns.
+"""Result of :class:`jaxdet.io.decode_messages.MessageDecoder`.
 
-Extrinsics are a motion ``(4, 4)`` float64: RealSense's ``depth_to_color`` takes points of the depth
-camera to the colour camera; in recordings of librealsense, a reference stream's to the topic's.
+Extrinsics are a motion ``(4, 4)`` float64. RealSense's ``depth_to_color`` maps points from the
+depth to the colour camera; in recordings of librealsense it maps from a reference stream to that of
+the topic.
 """

@@ -1,4 +1,4 @@
-"""Moments as a user gives them; loads nothing, as options are made of them."""
+"""Time arguments of the command line; imports no heavy package, as options are built from them."""
 
 import re
 from datetime import UTC, datetime, timedelta
@@ -7,35 +7,35 @@ from typing import NamedTuple
 from jaxdet.errors import ConfigError
 
 _SECONDS = re.compile(r"(\d{1,12}(?:\.\d*)?|\.\d+)s?", re.ASCII)
-"""Of more digits there is no such time; stamps in milliseconds are none either."""
+"""Seconds with up to 12 digits; longer numbers are not valid, in particular not milliseconds."""
 _NANOSECONDS = re.compile(r"\d{16,19}", re.ASCII)
-"""As seconds after the begin of a log they would be 30 million years."""
+"""Timestamps in nanoseconds; as seconds they would be 30 million years."""
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 MICROSECOND = timedelta(microseconds=1)
 
 
 class Moment(NamedTuple):
-    """A point in time, of the log or absolute."""
+    """A point in time, relative to the start of a log or absolute."""
 
     ns: int
     is_stamp: bool
-    """A header stamp; else counted from the log's first depth image."""
+    """Whether it is a header timestamp rather than a time since the log's first depth image."""
 
     def stamp_ns(self, first_ns: int) -> int:
-        """Return the moment as a header stamp [ns] of a log whose first is ``first_ns``."""
+        """Return the moment as a header timestamp [ns] for a log that starts at ``first_ns``."""
         return self.ns if self.is_stamp else first_ns + self.ns
 
 
 def parse_moment(text: str, flag: str) -> Moment:
-    """Parse a moment: ``12.5``, ``90s``, ``2024-05-01T10:00:00Z``, or a stamp in nanoseconds.
+    """Parse a time: ``12.5``, ``90s``, ``2024-05-01T10:00:00Z``, or a timestamp in nanoseconds.
 
     Args:
-        text: Seconds after the log's first depth image; or a header stamp, as ISO 8601 (without
-            a zone UTC) or as an integer of 16 to 19 digits [ns].
-        flag: Where it was given, for errors.
+        text: Seconds since the log's first depth image, or a header timestamp: in ISO 8601 (UTC by
+            default) or as an integer with 16 to 19 digits [ns].
+        flag: Name of the flag, for errors.
 
     Raises:
-        ConfigError: It is none of these.
+        ConfigError: The text is not a valid time.
     """
     if _NANOSECONDS.fullmatch(str(text)):
         return Moment(int(text), True)
@@ -45,6 +45,7 @@ def parse_moment(text: str, flag: str) -> Moment:
         time = datetime.fromisoformat(str(text))
     except ValueError:
         forms = "12.5, 90s, 2024-05-01T10:00:00Z or 1714557600000000000 (ns)"
-        raise ConfigError(f"{flag} {text!r} is no time", remedy=f"give it as {forms}") from None
+        problem = f"{flag}: invalid time {text!r}"
+        raise ConfigError(problem, remedy=f"use a form like {forms}") from None
     time = time if time.tzinfo else time.replace(tzinfo=UTC)
     return Moment((time - EPOCH) // MICROSECOND * 1000, True)

@@ -1,4 +1,4 @@
-"""Rigid motions over time: quaternions and matrices, and interpolation between samples."""
+"""Rigid motions over time: quaternions, matrices, and interpolation between samples."""
 
 from array import array
 
@@ -8,13 +8,13 @@ from jaxdet.elementary import arctan2, dot, matmul, norm, sin
 from jaxdet.io.messages import TransformMessage
 
 MARGIN_S = 0.05
-"""How far before the first and after the last sample the nearest one is held [s]."""
+"""Maximum time before the first or after the last sample at which it is still used [s]."""
 MAX_GAP_S = 1.0
-"""Between samples farther apart than this the motion is unknown [s]."""
+"""Maximum time between two samples for interpolation [s]."""
 
 
 class MotionSamples:
-    """Timed motions of one frame in another: 64 bytes a sample, any order of arrival."""
+    """Samples of the motion of one frame in another, in any order; 64 bytes per sample."""
 
     def __init__(self) -> None:
         self._stamps = array("q")
@@ -30,7 +30,7 @@ class MotionSamples:
         translation: tuple[float, float, float],
         rotation: tuple[float, float, float, float],
     ) -> None:
-        """Add a sample: metres, and a unit quaternion x y z w."""
+        """Add a sample: translation [m] and unit quaternion x y z w."""
         self._in_order = None
         self._stamps.append(stamp_ns)
         self._values.extend(translation)
@@ -38,26 +38,26 @@ class MotionSamples:
 
     @property
     def values(self) -> np.ndarray:
-        """``(N, 7)`` float64, tx ty tz qx qy qz qw in order of arrival."""
+        """Samples in order of arrival, ``(N, 7)`` float64: tx ty tz qx qy qz qw."""
         return np.array(self._values, np.float64).reshape(-1, 7)
 
     def is_constant(self) -> bool:
-        """Return whether there are two samples or more, and all are the same motion."""
+        """Return whether there are two or more samples, which are all equal."""
         values = self.values
         return len(values) > 1 and bool(np.allclose(values, values[0], rtol=0, atol=1e-9))
 
     def is_like_first(self, message: TransformMessage) -> bool:
-        """Return whether a transform is the same motion as the first sample."""
+        """Return whether a transform equals the first sample."""
         value = np.array([*message.translation, *message.rotation])
         return bool(np.allclose(value, self._values[:7], rtol=0, atol=1e-9))
 
     @property
     def stamps_ns(self) -> np.ndarray:
-        """``(N,)`` int64 in order of arrival."""
+        """Timestamps in order of arrival, ``(N,)`` int64 [ns]."""
         return np.array(self._stamps, np.int64)
 
     def at(self, stamps_ns: np.ndarray) -> np.ndarray:
-        """Interpolate, see :func:`interpolate`; of samples with equal stamps the last counts."""
+        """Interpolate, see :func:`interpolate`; of samples with equal times, the last is used."""
         if self._in_order is None:
             stamps = self.stamps_ns
             order = np.argsort(stamps, kind="stable")
@@ -68,18 +68,18 @@ class MotionSamples:
 
 
 def interpolate(stamps_ns: np.ndarray, sample_ns: np.ndarray, samples: np.ndarray) -> np.ndarray:
-    """Interpolate timed motions: translation linear, rotation on the shortest arc (slerp).
+    """Interpolate motions: linearly in translation, on the shortest arc in rotation (slerp).
 
-    Never extrapolated: up to ``MARGIN_S`` beyond the ends the nearest sample is held, farther
-    out, and between samples more than ``MAX_GAP_S`` apart, the motion is unknown.
+    There is no extrapolation. Up to ``MARGIN_S`` beyond the ends the nearest sample is returned;
+    farther away, and between samples more than ``MAX_GAP_S`` apart, the motion is unknown.
 
     Args:
-        stamps_ns: ``(F,)`` int64, where the motion is wanted [ns].
-        sample_ns: ``(N,)`` int64, strictly increasing [ns].
-        samples: ``(N, 7)`` float64, tx ty tz [m] and unit quaternion qx qy qz qw.
+        stamps_ns: Query times ``(F,)`` int64 [ns].
+        sample_ns: Times of the samples ``(N,)`` int64, strictly increasing [ns].
+        samples: Samples ``(N, 7)`` float64, tx ty tz [m] and unit quaternion qx qy qz qw.
 
     Returns:
-        ``(F, 4, 4)`` float64; NaN where unknown.
+        Motions ``(F, 4, 4)`` float64; NaN if unknown.
     """
     if not len(sample_ns):
         return np.full((len(stamps_ns), 4, 4), np.nan)
@@ -101,9 +101,9 @@ def interpolate(stamps_ns: np.ndarray, sample_ns: np.ndarray, samples: np.ndarra
 
 
 def motion_matrix(translation: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
-    """``(..., 4, 4)`` float64 of translations ``(..., 3)`` [m] and quaternions ``(..., 4)``.
+    """Return ``(..., 4, 4)`` float64 matrices for translations ``(..., 3)`` [m] and quaternions.
 
-    The quaternions are x y z w and need not have exactly unit length.
+    The quaternions ``(..., 4)`` are x y z w and need not have exactly unit length.
     """
     translation, q = np.asarray(translation, np.float64), np.asarray(quaternion, np.float64)
     x, y, z, w = np.moveaxis(q / norm(q)[..., None], -1, 0)
@@ -120,23 +120,23 @@ def motion_matrix(translation: np.ndarray, quaternion: np.ndarray) -> np.ndarray
 
 
 def quaternions(rotations: np.ndarray) -> np.ndarray:
-    """Return unit quaternions of rotation matrices.
+    """Convert rotation matrices to unit quaternions.
 
-    The largest of the four parts is taken from the diagonal, so that nothing small is divided by
+    The largest component is computed from the diagonal, to avoid division by small numbers
     (Shepperd 1978).
 
     Args:
-        rotations: ``(..., 3, 3)`` float64, NaN where unknown.
+        rotations: Rotation matrices ``(..., 3, 3)`` float64, NaN if unknown.
 
     Returns:
-        ``(..., 4)`` float64, x y z w with w at least 0; NaN where unknown.
+        Quaternions ``(..., 4)`` float64, x y z w with w at least 0; NaN if unknown.
     """
     R = rotations
     xx, yy, zz = R[..., 0, 0], R[..., 1, 1], R[..., 2, 2]
     x = R[..., 2, 1] - R[..., 1, 2], R[..., 1, 0] + R[..., 0, 1], R[..., 0, 2] + R[..., 2, 0]
     y = R[..., 0, 2] - R[..., 2, 0], x[1], R[..., 2, 1] + R[..., 1, 2]
     z = R[..., 1, 0] - R[..., 0, 1], x[2], y[2]
-    # Row i is the quaternion times four times its part i.
+    # Row i is the quaternion times four times its component i.
     rows = [
         [1 + xx - yy - zz, x[1], x[2], x[0]],
         [x[1], 1 - xx + yy - zz, y[2], y[0]],
@@ -161,7 +161,7 @@ def inverse(T: np.ndarray) -> np.ndarray:
 
 
 def difference(first: np.ndarray, second: np.ndarray) -> tuple[float, float]:
-    """Return how far two rigid motions ``(4, 4)`` are apart: metres and radians."""
+    """Return the distance [m] and the angle [rad] between two rigid motions ``(4, 4)``."""
     delta = matmul(inverse(first), second)
     skew = delta[:3, :3] - delta[:3, :3].T
     sine = norm([skew[2, 1], skew[0, 2], skew[1, 0]]) / 2

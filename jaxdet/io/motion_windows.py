@@ -1,9 +1,8 @@
-"""Transforms and poses about some frames, by the index.
+"""Transforms and poses near given frames, read by the index.
 
-Either all messages were read at opening, or only those near the frames are read. Then what the
-log's transforms look like (which frame stands in which, and what never changes) is known from the
-first messages and an even sample, and each window holds every message that it answers for against
-that.
+Either all messages were read at opening, or only those near the frames are read. In the second case
+the structure of the transform tree (parents, and which transforms are constant) is known from the
+first messages and an even sample, and each window checks its messages against it.
 """
 
 from collections import OrderedDict
@@ -24,32 +23,32 @@ from jaxdet.io.store import ChunkStore, Place
 from jaxdet.io.transforms import TransformTree
 
 _SLACK_NS = 250_000_000
-"""How much later or earlier stamps may come than those seen at opening."""
+"""Allowed deviation of delays from those found at opening [ns]."""
 _BESIDE = 8
-"""Messages looked at to either side, at first."""
+"""Initial number of extra messages on both sides."""
 _MAX_MESSAGES = 20_000
-"""About one window; where more are needed all are read at opening."""
+"""Maximum number of messages per window; if more are needed, all messages are read at opening."""
 _MAX_DECODED = 1 << 15
 
 
 class MotionMessages(NamedTuple):
-    """All transforms and poses, in the order of log time, then of arrival."""
+    """All transforms and poses, in order of log time, then of arrival."""
 
     messages: IndexedMessages
     arrival: np.ndarray
-    """``(N,)`` int64, their order in the files."""
+    """Order of arrival in the files, ``(N,)`` int64."""
     decoders: tuple[MessageDecoder, ...]
-    """A message has the one of its ``decoder``."""
+    """Decoders; ``decoder`` of a message is an index into them."""
 
 
 class MotionWindows:
-    """The transforms and poses of a log, read where they are asked for.
+    """Transforms and poses of a log, read on demand.
 
     Args:
-        found: The messages.
-        store: The log's chunks.
-        contents: The messages that were read at opening.
-        whole: Whether these are all.
+        found: Messages.
+        store: Chunks of the log.
+        contents: Messages read at opening.
+        whole: Whether these are all messages.
     """
 
     def __init__(
@@ -61,28 +60,28 @@ class MotionWindows:
         self._decoded: OrderedDict[int, list[tuple[str, TransformMessage]]] = OrderedDict()
 
     def of_tree(self, tree: TransformTree) -> "MotionWindows":
-        """Return the same windows on the transforms of one robot, as they were seen at opening."""
+        """Return the same windows for the transforms of one robot."""
         found = copy(self)
         found._tree, found._decoded = tree, OrderedDict()
         return found
 
     def __getstate__(self) -> dict[str, Any]:
-        """Without what was decoded."""
+        """Return the state without the cache of decoded messages."""
         return self.__dict__ | {"_decoded": OrderedDict()}
 
     def window(
         self, source: PoseSource, stamps_ns: np.ndarray, begin: int | None, end: int | None
     ) -> tuple[np.ndarray | None, set[Place]]:
-        """Return the camera's poses at some stamps, and the chunks that they were read from.
+        """Return the camera poses at given times, and the chunks from which they were read.
 
         Args:
-            source: Where the poses come from.
-            stamps_ns: ``(n,)`` int64 [ns].
-            begin: Log time of the first message that this window answers for, None = the first.
-            end: Of the message after the last, None = of none.
+            source: Source of the poses.
+            stamps_ns: Query times ``(n,)`` int64 [ns].
+            begin: Log time of the first message of this window; None: the first message.
+            end: Log time of the message after the last one of this window; None: the last message.
 
         Raises:
-            RescanError: The messages are not as those seen at opening.
+            RescanError: The messages differ from those found at opening.
             DamageError: The file contradicts its index.
         """
         log_ns, own = self._messages.log_ns, self._messages.between(begin, end)
@@ -112,7 +111,7 @@ class MotionWindows:
         return source.at(stamps_ns, tree, samples), chunks
 
     def _delays(self, moving: Sequence[str]) -> tuple[int, int]:
-        """Return the least and the largest difference of stamps from log times to expect [ns]."""
+        """Return the minimum and maximum expected difference of timestamps and log times [ns]."""
         found = [seen for (topic, child), seen in self._seen.items() if (child or topic) in moving]
         if not found:
             return 0, 0
@@ -122,7 +121,7 @@ class MotionWindows:
     def _samples(
         self, bound: Sequence[int], moving: Sequence[str], low: int, high: int
     ) -> dict[str, MotionSamples]:
-        """Return the samples of moving frames in some messages, in order of arrival."""
+        """Return the samples of moving frames in a range of messages, in order of arrival."""
         samples = {name: MotionSamples() for name in moving}
         wanted = [
             decoder.kind is Kind.TRANSFORM or decoder.channel.topic in samples
@@ -140,7 +139,7 @@ class MotionWindows:
                 if name not in samples:
                     continue
                 if not low <= item.stamp_ns - at_ns <= high:
-                    raise self._odd(f"stamps of {name!r} are far from their log times")
+                    raise self._odd(f"timestamps of {name!r} are far from their log times")
                 samples[name].add(item.stamp_ns, item.translation, item.rotation)
         return samples
 
@@ -151,17 +150,17 @@ class MotionWindows:
         found = []
         try:
             items = decoder.motions(payload)
-        except FrameError as error:  # which is counted where all are read
+        except FrameError as error:  # counted when all messages are read
             raise self._odd(f"a message of {decoder.channel.topic} can't be decoded") from error
         for item in items:
-            if item.problem:  # likewise
-                raise self._odd(f"a transform of {item.child!r} is none")
+            if item.problem:  # also counted when all messages are read
+                raise self._odd(f"a transform of {item.child!r} is invalid")
             if decoder.kind is not Kind.TRANSFORM:
                 found.append((decoder.channel.topic, item))
             elif not self._tree.uses(decoder.channel.topic, item.child):
                 continue
             elif not self._tree.agrees(item, decoder.is_static):
-                raise self._odd(f"frame {item.child!r} has transforms unlike the first ones")
+                raise self._odd(f"transforms of frame {item.child!r} differ from the first ones")
             elif not decoder.is_static and item.parent == self._tree.parent(item.child):
                 found.append((item.child, item))
         self._decoded[number] = found
@@ -178,7 +177,7 @@ class MotionWindows:
         low: int,
         high: int,
     ) -> set[int]:
-        """To which sides more messages are needed: each motion has a sample before and after."""
+        """Return the sides (0 before, 1 after) on which a motion lacks a sample."""
         log_ns, sides = self._messages.log_ns, set()
         first, last = int(stamps_ns.min()), int(stamps_ns.max())
         for name in moving:

@@ -1,7 +1,7 @@
-"""Which topics belong to the robot that carries a camera, by the namespaces of their names.
+"""Assignment of topics to the robot that carries a camera, by namespaces.
 
-Robots that share a recording have equal frame names and a namespace each: ``/robot1/tf`` moves the
-camera of ``/robot1/camera/depth/image_raw``, and ``/robot2/tf`` doesn't.
+Robots in the same recording have the same frame names, but each has a namespace: ``/robot1/tf``
+moves the camera of ``/robot1/camera/depth/image_raw``, and ``/robot2/tf`` does not.
 """
 
 from collections.abc import Collection, Iterable
@@ -9,16 +9,17 @@ from typing import NamedTuple
 
 
 class Namespaces(NamedTuple):
-    """Namespaces in the order in which a camera looks into them."""
+    """Namespaces in the order in which they are searched for a camera."""
 
     own: tuple[str, ...]
-    """Of the camera's robot, the longest first; the global one is empty and comes last."""
+    """Namespaces of the camera's robot, the longest first; the global one is empty and comes last.
+    """
     others: tuple[str, ...]
-    """Of no camera's robot; they may hold what the own ones lack."""
+    """Namespaces without a camera; they are searched if the own ones are not sufficient."""
 
     @property
     def has_robot(self) -> bool:
-        """Whether the camera's robot has a namespace of its own."""
+        """Whether the camera's robot has a namespace."""
         return bool(self.own and self.own[0])
 
 
@@ -34,15 +35,15 @@ def namespace_of(topic: str) -> str:
 def namespaces_of_camera(
     namespaces: Iterable[str], camera_topic: str, image_topics: Collection[str]
 ) -> Namespaces:
-    """Return which of some namespaces a camera belongs to.
+    """Return the namespaces that belong to a camera.
 
-    A namespace above the camera's topic is its robot's, and so is one that branches off below it.
-    Where none is above it, the namespaces that share the longest beginning with the topic are. A
-    namespace that shares its beginning with another camera is that camera's.
+    A namespace above the camera's topic belongs to its robot, as does one that branches off below
+    it. If there is none, the namespaces with the longest common prefix with the topic do. A
+    namespace with a common prefix with another camera belongs to that camera.
 
     Args:
-        namespaces: Of the topics with transforms, or of those with poses.
-        camera_topic: The camera's depth images.
+        namespaces: Namespaces of the topics with transforms or with poses.
+        camera_topic: Topic of the camera's depth images.
         image_topics: All image topics of the log.
 
     >>> namespaces_of_camera(["", "a", "b"], "/a/camera/depth", ["/a/camera/depth"])
@@ -63,7 +64,7 @@ def namespaces_of_camera(
 
 
 def affinity(first: str, second: str) -> int:
-    """Return how many leading parts two names share.
+    """Return the number of leading components that two names have in common.
 
     >>> affinity("/front/camera/depth", "/front/camera/color")
     2

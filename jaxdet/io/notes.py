@@ -1,4 +1,4 @@
-"""What reading a range of frames shows besides the frames; adds up over the ranges of a log."""
+"""Observations made while reading frames; those of several ranges can be added up."""
 
 from collections.abc import Iterable
 from typing import NamedTuple
@@ -9,42 +9,43 @@ _NONE = np.zeros(0, np.int64)
 
 
 class StreamNotes(NamedTuple):
-    """Odd things in the depth images."""
+    """Irregularities of the depth images."""
 
     backward: int = 0
-    """Messages with an earlier stamp than the one before them."""
+    """Number of messages with an earlier timestamp than the previous one."""
     double: int = 0
-    """Stamps equal to the one before."""
+    """Number of timestamps equal to the previous one."""
     zero: int = 0
-    """Stamps that are zero."""
+    """Number of timestamps of zero."""
     undecodable: int = 0
-    """Messages whose stamp can't be read."""
+    """Number of messages whose timestamp can't be read."""
 
 
 class Notes(NamedTuple):
-    """What reading a range of frames of a log shows that was opened by its index.
+    """Observations from a range of frames of a log that was opened by its index.
 
-    Each depth image of the log is counted in exactly one range of a division of its frames. Of a
-    log that was scanned all but ``bad_color`` is known at opening, and the rest is empty.
+    If the frames of a log are divided into ranges, each depth image is counted in exactly one of
+    them. For a log that was scanned, everything except ``bad_color`` is known at opening, and the
+    other fields are empty.
     """
 
     depth: StreamNotes = StreamNotes()
     apart_ns: np.ndarray = _NONE
-    """``(P,)`` int64, ``|colour - depth|`` of the frames that have a colour image [ns]."""
+    """``|colour - depth|`` of the frames with a colour image, ``(P,)`` int64 [ns]."""
     recorded_apart_ns: np.ndarray = _NONE
-    """``(P,)`` int64, the same of their log times [ns]."""
+    """The same difference of their log times, ``(P,)`` int64 [ns]."""
     without_color: int = 0
-    """Frames without a colour image near enough in time."""
+    """Number of frames without a colour image within the tolerance."""
     poses: int = 0
-    """Frames with a known pose."""
+    """Number of frames with a known pose."""
     bad_color: int = 0
-    """Colour images that were read and can't be decoded."""
+    """Number of colour images that could not be decoded."""
     why_bad_color: str = ""
-    """Why the first of them can't."""
+    """Reason for the first of them."""
 
 
 def total(notes: Iterable[Notes]) -> Notes:
-    """Return the notes of several ranges together."""
+    """Add up the notes of several ranges."""
     items = list(notes) or [Notes()]
     return Notes(
         depth=StreamNotes(*map(sum, zip(*(item.depth for item in items), strict=True))),

@@ -1,4 +1,4 @@
-"""Opens a log, by the own indexes of its files or by rebuilt ones."""
+"""Opening of a log, by its files' own indexes or by rebuilt ones."""
 
 from collections.abc import Sequence
 from contextlib import closing, suppress
@@ -36,28 +36,28 @@ def open_log(
     options: LogOptions | None = None,
     memory: ReadMemory | None = None,
 ) -> Log:
-    """Open a camera of a log by its index, which is rebuilt if it is missing or wrong.
+    """Open one camera of a log by its index, which is rebuilt if it is missing or wrong.
 
     Args:
-        source: A file, a folder or a glob with exactly one log, or a log of :func:`find_logs`.
-        options: Options of the user; by default everything is found in the log.
-        memory: Limits of the memory for reading, which change no frame.
+        source: File, folder or glob with exactly one log, or a log from :func:`find_logs`.
+        options: Options of the user; by default everything is determined from the log.
+        memory: Limits of the memory for reading, which do not affect the frames.
 
     Raises:
-        InputError: No file can be read, there are several logs, no frame is in the part, or a
-            chunk or the index takes more memory.
-        CamerasError: The log has several cameras, and the options choose none.
-        TopicError: No or several topics can be depth, or one that the options name is not there.
+        InputError: No file can be read, there are several logs, no frame is selected, or a chunk or
+            the index needs more memory.
+        CamerasError: The log has several cameras, and none is selected.
+        TopicError: No or several topics can be depth, or a topic in the options does not exist.
         CalibrationError: A part of the calibration is missing, unknown or contradictory.
     """
     options = of_type("options", LogOptions() if options is None else options, LogOptions)
     if not isinstance(source, LogFiles):
         if not isinstance(source, str | PathLike):
-            problem, remedy = f"{type(source).__name__} is no path", "give a file or a folder"
-            raise InputError(problem, topic="source", remedy=remedy)
+            problem = f"expected a path, got {type(source).__name__}"
+            raise InputError(problem, topic="source", remedy="pass a file or a folder")
         logs = find_logs([source])
         if len(logs) > 1:
-            problem, remedy = f"there are {len(logs)} logs here", "name one of them"
+            problem, remedy = f"expected one log, found {len(logs)}", "pass one of them"
             raise InputError(problem, path=str(source), remedy=remedy)
         source = logs[0]
     memory = memory or ReadMemory()
@@ -82,10 +82,10 @@ def open_log(
 
 
 def _opened(files: LogFiles, known: IndexedLog, options: LogOptions) -> Log:
-    """Return the log; its depth frame counts as a body frame if the depth images show it.
+    """Create the log; repeat with a body frame for depth if the depth images show one.
 
     Raises:
-        JaxdetError: As :func:`open_log`; the error names what is damaged.
+        JaxdetError: See :func:`open_log`; the error lists damaged files and topics.
     """
     contents, store = known.contents, known.store
     try:
@@ -110,7 +110,7 @@ def _opened(files: LogFiles, known: IndexedLog, options: LogOptions) -> Log:
 
 
 class OpenedFiles(NamedTuple):
-    """The open files of a log, and what is wrong with the others."""
+    """Open files of a log, with warnings about the others."""
 
     files: tuple[LogFile, ...]
     warnings: tuple[str, ...]
@@ -127,7 +127,7 @@ def open_files(log: LogFiles, options: LogOptions, memory: ReadMemory) -> Opened
         memory: Limits of the memory for reading.
 
     Raises:
-        InputError: None of its files can be read.
+        InputError: None of the files can be read.
     """
     files: list[LogFile] = []
     failures: list[InputError] = []
@@ -157,19 +157,19 @@ def _find_contents(
     *,
     complete: bool,
 ) -> IndexedLog:
-    """Return what is in a log, by the indexes of its files.
+    """Read the contents of a log by the indexes of its files.
 
     Args:
-        opened: The files.
-        indexes: Their indexes.
-        store: Their chunks.
-        log: Their names.
+        opened: Open files.
+        indexes: Indexes of the files.
+        store: Chunks of the files.
+        log: Paths of the files.
         options: Options of the user.
-        complete: Whether to read all small messages, and the stamps of all images.
+        complete: Whether to read all small messages, and the timestamps of all images.
 
     Raises:
         DamageError: An index is wrong.
-        RescanError: The first messages are such that all have to be read.
+        RescanError: The first messages show that all messages must be read.
     """
     path = str(log.paths[0])
     found = open_index(opened.files, indexes, store, options.tf, path, complete=complete)
@@ -186,7 +186,7 @@ def _find_contents(
 def _search_siblings(
     contents: LogContents, memory: ReadMemory, log: LogFiles, options: LogOptions
 ) -> None:
-    """Take static transforms and calibration from the recording's other splits, in order."""
+    """Read static transforms and calibration from the other splits of the recording, in order."""
     for path in siblings(log):
         try:
             with closing(_open(path, options, memory)) as file:
@@ -196,11 +196,11 @@ def _search_siblings(
                 except DamageError:
                     search_index(file, file.rebuild_index(), builder)
         except ChunkMemoryError:
-            raise  # else the memory would decide what is found
+            raise  # otherwise the result would depend on the available memory
         except (InputError, DamageError) as error:
             contents.warnings.append(f"{error}; the split is not searched for static transforms")
         if contents.has_static:
-            contents.warnings.append(f"static transforms are taken from the split {path.name}")
+            contents.warnings.append(f"static transforms were read from the split {path.name}")
             return
 
 
@@ -219,7 +219,7 @@ def _note(contents: LogContents, log: LogFiles) -> None:
     unchecked = sum(not integrity.chunks_with_crc for integrity in contents.integrity)
     if unchecked:
         files = f"{unchecked} of {len(contents.integrity)} files"
-        contents.notes.append(f"integrity not checkable in {files}: they hold no CRC")
+        contents.notes.append(f"no integrity check of {files}, which have no CRCs")
     for name, topic in sorted(contents.topics.items()):
         if topic.trouble:
             contents.warnings.append(f"{printable(name)}: {printable(topic.trouble)}")

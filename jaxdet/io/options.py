@@ -1,6 +1,6 @@
-"""What a user can say about a log; every field is a flag and a TOML key of ``[log]``.
+"""Options for reading logs; every field is a flag and a TOML key in ``[log]``.
 
-The flags are ``--log.*``, but those of what is worked on: ``--camera --start --stop --every``.
+The flags start with ``--log.``, except for the selection: ``--camera --start --stop --every``.
 """
 
 from dataclasses import dataclass, field
@@ -11,100 +11,102 @@ from jaxdet.errors import ConfigError
 from jaxdet.io.moments import parse_moment
 
 NO_COLOR = "none"
-"""In place of the colour topic."""
+"""Value in place of a colour topic."""
 MAX_OFFSET_S = 4e9
 SHORT = {"short": True}
-"""Of fields whose flags have no ``log.`` before them."""
+"""Metadata of fields whose flags do not start with ``log.``."""
 
 
 @dataclass(frozen=True)
 class LogOptions:
-    """How to read a log. Everything is found in the log itself unless it is given here."""
+    """How to read a log. What is not set here is determined from the log."""
 
     camera: str | None = field(default=None, metadata=SHORT)
-    """The camera, where a log has several; unset: all of them, one after the other. Its name is
-    what its topics have before colour and depth; jaxdet info lists the names."""
+    """Camera of a log with several; unset: all of them, one after the other. Its name is the prefix
+    of its topics before colour and depth; jaxdet info lists the names."""
     start: str | None = field(default=None, metadata=SHORT)
-    """Begin 12.5s into the log, at 2024-05-01T10:00:00Z, or at a stamp [ns]. Seconds, with s or
-    without, count from the log's first depth image. A time without a zone is UTC, and a stamp in
-    nanoseconds has 16 to 19 digits (1714557600000000000); both are header stamps. Frame numbers
-    stay those of the whole log."""
+    """Start at 12.5s into the log, at 2024-05-01T10:00:00Z, or at a timestamp [ns]. Seconds (the s
+    is optional) count from the log's first depth image. Times are UTC unless they have a time zone,
+    and timestamps in nanoseconds have 16 to 19 digits (1714557600000000000); both refer to header
+    timestamps. Frames keep their numbers in the log."""
     stop: str | None = field(default=None, metadata=SHORT)
-    """End likewise; a frame with this very stamp is not among them."""
+    """End before this time, in the same forms as --start."""
     every: int = field(default=1, metadata=SHORT)
-    """Take the frames whose number in the log is a multiple of this."""
+    """Select the frames whose number in the log is a multiple of this."""
     color: str | None = None
-    """Topic of the colour images, or none: no colour is used; unset: found by schema, encoding and
-    name. Colour is only for pictures, boxes and the preset paper."""
+    """Topic of the colour images, or none to ignore colour; unset: determined by schema, encoding
+    and name. Colour is only used for pictures, boxes and the preset paper."""
     depth: str | None = None
-    """Topic of the depth images; unset: found by encoding and name, aligned depth preferred."""
+    """Topic of the depth images; unset: determined by encoding and name, preferably aligned depth.
+    """
     color_info: str | None = None
     """Topic of the colour camera's calibration; unset: the one next to the colour images."""
     depth_info: str | None = None
     """Topic of the depth camera's calibration; unset: the one next to the depth images."""
     tf: bool = True
-    """Use the log's transforms (extrinsics, floor, poses)."""
+    """Use the transforms of the log (extrinsics, floor, poses)."""
     odom: str | None = None
-    """Topic with the robot's pose (Odometry, PoseStamped, PoseInFrame); unset: TF, else the
-    only Odometry or PoseInFrame topic."""
+    """Topic of the robot's pose (Odometry, PoseStamped, PoseInFrame); unset: TF, else the only
+    Odometry or PoseInFrame topic."""
     pair_tolerance_s: float = 0.15
-    """Greatest difference of the header stamps of a depth image and the colour image that is shown
-    with it, the nearest one [s]; 0.15 s allows for the long exposures of a dim room (0.10 s on a
-    real D435)."""
+    """Maximum difference between the header timestamps of a depth image and its colour image, the
+    nearest one [s]. 0.15 s allows for long exposures in dim rooms (0.10 s on a real D435)."""
     color_offset_s: float | None = None
-    """How far the clock of colour's stamps is ahead of depth's [s]; unset: measured by the log
-    times where it is more than 0.5 s."""
+    """Offset of the clock of colour relative to depth [s], positive if colour is ahead; unset:
+    measured from the log times if it is more than 0.5 s."""
     pose_offset_s: float | None = None
-    """How far the clock of transforms or odometry is ahead of depth's [s]; unset: likewise."""
+    """Offset of the clock of transforms or odometry relative to depth [s], positive if they are
+    ahead; unset: measured from the log times if it is more than 0.5 s."""
     depth_unit_m: float | None = None
-    """Metres in one unit of the recorded depth; unset: 0.001 for 16-bit images, 1 for 32FC1 (0.001
-    where it is in millimetres). From 0.00001 to 0.1, or 1."""
+    """Metres per unit of the recorded depth; unset: 0.001 for 16-bit images, 1 for 32FC1 (0.001 if
+    it is in millimetres). From 0.00001 to 0.1, or 1."""
     color_from_depth: tuple[float, float, float, float, float, float, float] | None = None
-    """T_color_depth, from depth to colour camera: tx ty tz qx qy qz qw [m]; goes before what
-    the log says."""
+    """T_color_depth, the transform from depth to colour camera: tx ty tz qx qy qz qw [m]. It
+    overrides the log."""
     color_intrinsics: tuple[float, float, float, float] | None = None
-    """fx fy cx cy of the colour camera [pixel]; goes before what the log says."""
+    """fx fy cx cy of the colour camera [pixel]; overrides the log."""
     depth_intrinsics: tuple[float, float, float, float] | None = None
-    """fx fy cx cy of the depth camera [pixel]; goes before what the log says."""
+    """fx fy cx cy of the depth camera [pixel]; overrides the log."""
     color_distortion: str | None = None
     """Lens model of the colour camera: none, plumb_bob, rational_polynomial, equidistant,
-    inverse_brown_conrady; the coefficients are the log's."""
+    inverse_brown_conrady. The coefficients are those in the log."""
     depth_distortion: str | None = None
-    """Lens model of the depth camera, one of the same names."""
+    """Lens model of the depth camera; the same names."""
     depth_aligned: bool | None = None
-    """Whether the depth images are aligned to colour; unset: by topic name, frame and
+    """Whether the depth images are aligned to colour; unset: determined by topic name, frame and
     calibration."""
     camera_frame: str | None = None
-    """TF frame of the depth camera (optical), or of the colour camera where depth is aligned to it;
-    unset: the one in the image's header."""
+    """TF frame of the depth camera (optical), or of the colour camera if depth is aligned to it;
+    unset: the frame in the header of the images."""
     base_frame: str | None = None
     """TF frame of the robot, whose z = 0 is the floor; unset: base_footprint, else base_link."""
     world_frame: str | None = None
     """TF frame of the world; unset: map, else odom."""
     mask: str | None = field(default=None, metadata={"takes": "FILE"})
-    """PNG as large as the depth images, black where the camera sees its own robot: depth counts as
-    not measured there. CAMERA=FILE,CAMERA=FILE for several cameras; jaxdet info --suggest-mask FILE
-    makes one. Results hold the pixels, not the file."""
+    """PNG of the size of the depth images, black where the camera sees the robot's own body; depth
+    there is ignored. For several cameras: CAMERA=FILE,CAMERA=FILE. jaxdet info --suggest-mask FILE
+    makes one. Results contain the pixels, not the file name."""
     max_chunk_mib: int = 256
-    """Largest chunk or message read [MiB], before and after decompression; larger ones are
-    rejected, which bounds memory and stops decompression bombs."""
+    """Maximum size of a chunk or message [MiB], before and after decompression. Larger ones are
+    rejected, which limits memory and stops decompression bombs."""
     max_pixels: int = 1 << 25
-    """Largest image decoded [pixel]; a larger one is a bad frame."""
+    """Maximum size of an image [pixel]; frames with larger ones get an error status."""
 
     scan: bool = False
-    """Read the whole log at opening, instead of trusting its index."""
+    """Read the complete log at opening instead of trusting its index."""
 
     def __post_init__(self) -> None:
         check_fields(self)
         if self.mask is not None:
-            from jaxdet.io.body_mask import masks_text  # which loads NumPy
+            from jaxdet.io.body_mask import masks_text  # imports NumPy
 
             object.__setattr__(self, "mask", masks_text(self.mask))
         for name in ("start", "stop"):
             if getattr(self, name) is not None:
                 parse_moment(getattr(self, name), f"--{name}")
         if self.every < 1:
-            raise ConfigError(f"every {self.every}", remedy="give --every 1 or more")
+            problem = f"--every must be at least 1, got {self.every}"
+            raise ConfigError(problem, remedy="see --every in --help")
         _require(0 <= self.pair_tolerance_s < 1e6, "pair-tolerance-s", "at least 0")
         for name in ("color_offset_s", "pose_offset_s"):
             known = getattr(self, name) is None or abs(getattr(self, name)) < MAX_OFFSET_S
@@ -121,8 +123,8 @@ class LogOptions:
         of_depth = self.color_from_depth or self.depth_intrinsics
         if self.depth_aligned and of_depth:
             flag = "color-from-depth" if self.color_from_depth else "depth-intrinsics"
-            problem = f"log.depth-aligned with log.{flag}, which aligned depth has no use for"
-            raise ConfigError(problem, remedy="give one of them")
+            problem = f"log.depth-aligned and log.{flag} exclude each other"
+            raise ConfigError(problem, remedy="pass only one of them")
         rotation = self.color_from_depth[3:] if self.color_from_depth else (0, 0, 0, 1)
         norm = sum(part * part for part in rotation)
         _require(0.98 < norm < 1.02, "color-from-depth", "tx ty tz qx qy qz qw, a unit quaternion")
@@ -130,4 +132,4 @@ class LogOptions:
 
 def _require(condition: bool, flag: str, rule: str) -> None:
     if not condition:
-        raise ConfigError(f"log.{flag} must be {rule}", remedy=f"see --log.{flag} in --help")
+        raise ConfigError(f"log.{flag} must be {rule}", remedy=f"see --log.{flag} in --help-all")

@@ -1,4 +1,4 @@
-"""A part of a log: the frames between two moments, found with few looks at the log."""
+"""Selection of the frames between two times, with few reads of the log."""
 
 from bisect import bisect_left
 from collections.abc import Callable
@@ -18,20 +18,20 @@ def find_part(
     every: int,
     path: str,
 ) -> range:
-    """Return the numbers of the frames from one moment to another.
+    """Return the numbers of the frames in a time range.
 
     Args:
-        begin_ns: From when seconds count [ns], see :func:`jaxdet.io.clocks.first_stamp`.
-        about_ns: ``(F,)`` int64, a time of each of the log's frames, in order [ns], which differs
-            by about the same from all stamps: it says where to look first.
-        stamp_ns: The stamp of a frame by its number [ns]; they are in order.
-        start: See :func:`jaxdet.io.moments.parse_moment`; None: the log's begin.
-        stop: Likewise, the first moment that is not in the part; None: after the last frame.
-        every: Only multiples of this number.
-        path: The log's, for errors.
+        begin_ns: Start of the log's time axis [ns], see :func:`jaxdet.io.clocks.first_stamp`.
+        about_ns: Approximate times of the log's frames, ``(F,)`` int64, in order [ns]. Their offset
+            from the timestamps is about constant; they determine where the search starts.
+        stamp_ns: Function that returns the timestamp of a frame [ns]; timestamps are in order.
+        start: Start time, see :func:`jaxdet.io.moments.parse_moment`; None: the start of the log.
+        stop: End time, exclusive, in the same forms; None: the end of the log.
+        every: Only multiples of this number are selected.
+        path: Path of the log, for errors.
 
     Raises:
-        InputError: There is no frame.
+        InputError: No frame is selected.
     """
     count = len(about_ns)
     if not count:
@@ -46,15 +46,15 @@ def find_part(
         asked = f"--start {start}" * (start is not None), f"--stop {stop}" * (stop is not None)
         each = f"--every {every}" if every > 1 else ""
         asked = " ".join(part for part in (*asked, each) if part)
-        remedy = f"its {count} depth images are {_span(begin_ns, stamp_ns(count - 1))}"
-        raise InputError(f"no depth image is in {asked}", path=path, remedy=remedy)
+        remedy = f"the log has {count} depth images {_span(begin_ns, stamp_ns(count - 1))}"
+        raise InputError(f"no depth image matches {asked}", path=path, remedy=remedy)
     return found
 
 
 def _first_from(
     wanted: int, begin_ns: int, about_ns: np.ndarray, stamp_ns: Callable[[int], int]
 ) -> int:
-    """Return the first frame with a stamp of ``wanted`` or later; reads few, and near ones."""
+    """Return the first frame with a timestamp of ``wanted`` or later, by an exponential search."""
     count = len(about_ns)
     guess = int(np.searchsorted(about_ns, wanted - begin_ns + int(about_ns[0])))
     low = high = min(guess, count - 1)

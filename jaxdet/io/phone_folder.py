@@ -1,16 +1,17 @@
-"""Folders of iPhone recordings: calibration, stamps and poses of Stray Scanner and Record3D.
+"""Folders of iPhone recordings: calibration, timestamps and poses of Stray Scanner and Record3D.
 
-Stray Scanner has depth (16-bit PNG in millimetres) and ``confidence`` (0, 1, 2), each with a file
-for a frame; ``camera_matrix.csv`` of the colour video, of 1920x1440 pixels; and ``odometry.csv``
-with timestamp, frame, position and quaternion of the optical frame. Its colour is video, which is
-not read.
+Stray Scanner writes depth (16-bit PNG in millimetres) and ``confidence`` (0, 1, 2), one file per
+frame; ``camera_matrix.csv`` for the colour video with 1920x1440 pixels; and ``odometry.csv`` with
+timestamp, frame, position and quaternion of the optical frame. Its colour is a video, which is not
+supported.
 
-Record3D's export has ``metadata.json``: ``K`` (column-major) of images of ``w`` x ``h`` pixels,
-``frameTimestamps`` or ``fps``, and ``poses`` (quaternion, position) of ARKit's camera, whose y is
-up and whose z is backward. Its depth is OpenEXR, which is not read, or PNG made of that.
+Record3D's export has ``metadata.json`` with ``K`` (column-major) for images of ``w`` x ``h``
+pixels, ``frameTimestamps`` or ``fps``, and ``poses`` (quaternion, position) of ARKit's camera,
+whose y axis is up and whose z axis is backward. Its depth is OpenEXR, which is not supported, or
+PNG converted from that.
 
-The y of ARKit's world is up; here z is. Sources: "Data Specification" of Stray Scanner's
-documentation and its ``OdometryEncoder``; Record3D's page on its formats.
+The y axis of ARKit's world is up; here it is z. Sources: "Data Specification" in Stray Scanner's
+documentation and its ``OdometryEncoder``; Record3D's web page on its formats.
 """
 
 import csv
@@ -28,35 +29,36 @@ from jaxdet.types import Intrinsics
 
 ODOMETRY, MATRIX, METADATA = "odometry.csv", "camera_matrix.csv", "metadata.json"
 _VIDEO_SIZE = 1920, 1440
-"""Columns and rows of the images that Stray Scanner's camera matrix is of."""
+"""Image size of Stray Scanner's camera matrix [pixel]."""
 _MAX_BYTES = 64 << 20
 _Z_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
-"""From ARKit's world to one whose z is up."""
+"""Transform from ARKit's world to a world with z up."""
 _ARKIT_OPTICAL = np.diag([1.0, -1, -1, 1])
-"""From the optical frame to ARKit's camera."""
+"""Transform from the optical frame to ARKit's camera frame."""
 
 
 class PhoneRecording(NamedTuple):
-    """What an iPhone recorded beside its images; frame numbers are those in their names."""
+    """Metadata of an iPhone recording; frame numbers are those in the file names."""
 
     stamps_ns: dict[int, int]
-    """By frame number."""
+    """Timestamps by frame number [ns]."""
     poses: dict[int, np.ndarray]
-    """``T_world_camera`` ``(4, 4)`` float64 of the optical frame by frame number; z is up."""
+    """Poses ``T_world_camera`` of the optical frame by frame number, ``(4, 4)`` float64; z is up.
+    """
     K: np.ndarray
-    """``(3, 3)`` float64, camera matrix of an image of ``size``."""
+    """Camera matrix ``(3, 3)`` float64 for images of ``size``."""
     size: tuple[int, int]
-    """Columns and rows."""
+    """Image width and height [pixel]."""
 
     def camera(self, size: tuple[int, int]) -> Intrinsics:
-        """Return the camera of images with other columns and rows, which show the same."""
+        """Return the camera for images of another size with the same field of view."""
         x, y = (mine / own for mine, own in zip(size, self.size, strict=True))
         K = self.K
         return Intrinsics(*size, K[0, 0] * x, K[1, 1] * y, K[0, 2] * x, K[1, 2] * y)
 
 
 def read_phone(folder: Path) -> PhoneRecording | None:
-    """Return what a folder's recording says; None if it is not of an iPhone.
+    """Read the metadata of a folder; None if it is not from an iPhone.
 
     Raises:
         InputError: A file is damaged.
@@ -102,14 +104,14 @@ def _recording(
     K: np.ndarray,
     size: tuple[int, int],
 ) -> PhoneRecording:
-    """Return a recording, checked."""
+    """Check and assemble the metadata."""
     known = [bool(np.isfinite(T).all()) for T in poses]
     in_range = (times_s >= 0) & (times_s < MAX_STAMP_S)
     if not (np.isfinite(K).all() and min(size) > 0 and K[0, 0] > 0 and K[1, 1] > 0):
-        raise ValueError("the camera matrix is none")
+        raise ValueError("the camera matrix is invalid")
     if not in_range.all():
         raise ValueError("a timestamp is out of range")
-    # A stamp of zero counts as none.
+    # A timestamp of zero would mean that there is none.
     stamps = np.round(times_s * 1e9).astype(np.int64) + (1_000_000_000 if not times_s.all() else 0)
     world = _Z_UP @ poses
     return PhoneRecording(

@@ -1,9 +1,9 @@
-"""PNG files to RGB, by OpenCV, and to 16-bit depth, within the bounds of the expected image.
+"""Decoding of PNG files to RGB (by OpenCV) and to 16-bit depth, with limits on the work.
 
-Source: Portable Network Graphics Specification, Second Edition. Every chunk's CRC and the
-Adler-32 of the pixels are checked. Palettes, fewer than 8 bits a sample and interlaced files are
-refused: no camera driver writes them. Chunks that do not change the samples (gamma,
-transparency, text) are passed over, as OpenCV does.
+Source: Portable Network Graphics Specification, Second Edition. The CRC of each chunk and the
+Adler-32 of the pixels are checked. Palettes, fewer than 8 bits per sample and interlaced files are
+rejected, as no camera driver writes them. Chunks that do not change the samples (gamma,
+transparency, text) are ignored, as in OpenCV.
 """
 
 import struct
@@ -18,25 +18,26 @@ from jaxdet.io.kernels import launch
 MAGIC = b"\x89PNG\r\n\x1a\n"
 _GREY = 0
 _SAMPLES = {_GREY: 1, 2: 3, 4: 2, 6: 4}
-"""Samples of a pixel, by colour type: grey, RGB, grey with alpha, RGB with alpha."""
+"""Samples per pixel by colour type: grey, RGB, grey with alpha, RGB with alpha."""
 _CHUNK = struct.Struct(">I4s")
 _CRC_BYTES = 4
 _HEAD = struct.Struct(">IIBBBBB")
 _RGB = cv2.IMREAD_COLOR_RGB | cv2.IMREAD_IGNORE_ORIENTATION
 _ANCILLARY = 0x20
-"""A bit of a chunk's name: it may be passed over."""
+"""Bit of a chunk's name that marks it as optional."""
 _LAST_FILTER = 4
 _FREE_BYTES, _FREE_CHUNKS, _CHUNK_BYTES = 1 << 10, 64, 256
-"""A file has so many chunks, and one for each so many bytes; libpng's have 8 KiB."""
+"""Maximum number of chunks: a constant, plus one per this many bytes; libpng's chunks have 8 KiB.
+"""
 
 
 class PngHead(NamedTuple):
-    """What the first chunk says; not checked yet but for its place."""
+    """Header chunk of a PNG; only its position is checked."""
 
     width: int
     height: int
     bits: int
-    """Of a sample."""
+    """Bits per sample."""
     color_type: int
     compression: int
     filters: int
@@ -44,15 +45,15 @@ class PngHead(NamedTuple):
 
     @property
     def is_grey16(self) -> bool:
-        """Whether it can be depth."""
+        """Whether the image can be depth."""
         return self.bits == 16 and self.color_type == _GREY
 
 
 def read_png_head(data: bytes | memoryview) -> PngHead:
-    """Return the head of a file, which may be cut off after it.
+    """Parse the header of a file, which may be truncated after it.
 
     Raises:
-        ValueError: It is no PNG, or cut off before.
+        ValueError: The file is not a PNG, or is truncated before.
     """
     start = len(MAGIC) + _CHUNK.size
     if len(data) < start + _HEAD.size or bytes(data[: len(MAGIC)]) != MAGIC:
@@ -66,11 +67,11 @@ def decode_png_depth(data: bytes | memoryview, row: np.ndarray) -> None:
     """Decode a 16-bit grey PNG.
 
     Args:
-        data: The file.
-        row: ``(H, W)`` uint16, contiguous, written to.
+        data: Contents of the file.
+        row: Output ``(H, W)`` uint16, contiguous.
 
     Raises:
-        ValueError: It is damaged, or another kind of image, or of another size.
+        ValueError: The file is damaged, another kind of image, or of another size.
     """
     head = read_png_head(data)
     if not head.is_grey16:
@@ -79,16 +80,17 @@ def decode_png_depth(data: bytes | memoryview, row: np.ndarray) -> None:
 
 
 def decode_png_color(data: bytes | memoryview, row: np.ndarray) -> None:
-    """Decode a PNG to RGB: alpha is dropped, grey repeated, 16 bits cut to the higher 8.
+    """Decode a PNG to RGB: alpha is dropped, grey repeated, 16 bits reduced to the upper 8.
 
     Args:
-        data: The file.
-        row: ``(H, W, 3)`` uint8, contiguous, written to.
+        data: Contents of the file.
+        row: Output ``(H, W, 3)`` uint8, contiguous.
 
     Raises:
-        ValueError: It is damaged, or another kind of image, or of another size.
+        ValueError: The file is damaged, another kind of image, or of another size.
     """
-    _lines(data, read_png_head(data), row)  # OpenCV shows what is left of a damaged file
+    # check first, as OpenCV returns the intact part of damaged files
+    _lines(data, read_png_head(data), row)
     pixels = cv2.imdecode(np.frombuffer(data, np.uint8), _RGB)
     if pixels is None or pixels.shape != row.shape:
         raise ValueError("OpenCV can't decode it")
@@ -96,7 +98,7 @@ def decode_png_color(data: bytes | memoryview, row: np.ndarray) -> None:
 
 
 def _lines(data: bytes | memoryview, head: PngHead, row: np.ndarray) -> np.ndarray:
-    """Return the lines ``(H, 1 + bytes)`` uint8, each with its filter before it."""
+    """Return the rows ``(H, 1 + bytes)`` uint8, each preceded by its filter type."""
     if head.color_type not in _SAMPLES or head.bits not in (8, 16):
         raise ValueError("palettes and fewer than 8 bits a sample are not supported")
     if head.interlace or head.compression or head.filters:
@@ -105,8 +107,8 @@ def _lines(data: bytes | memoryview, head: PngHead, row: np.ndarray) -> np.ndarr
         raise ValueError(f"its size is {head.width}x{head.height}")
     line = 1 + head.width * _SAMPLES[head.color_type] * head.bits // 8
     compressed = _compressed(memoryview(data))
-    # What encoders can't compress they store. The rest could be blocks that inflate to nothing,
-    # each of which takes as long as a thousand pixels.
+    # Incompressible data are stored with little overhead. More bytes could be blocks that inflate
+    # to nothing, each of which takes as long as a thousand pixels.
     if len(compressed) > head.height * line * 5 // 4 + _FREE_BYTES:
         raise ValueError(f"{len(compressed)} bytes are too many for its size")
     try:
@@ -122,7 +124,7 @@ def _lines(data: bytes | memoryview, head: PngHead, row: np.ndarray) -> np.ndarr
 
 
 def _compressed(data: memoryview) -> bytes | memoryview:
-    """Return the content of all IDAT chunks."""
+    """Return the concatenated contents of the IDAT chunks."""
     parts: list[memoryview] = []
     left = _FREE_CHUNKS + len(data) // _CHUNK_BYTES
     position, name, known = len(MAGIC), b"", {b"IHDR"}

@@ -1,4 +1,4 @@
-"""Where the camera stands on the robot and in the world."""
+"""Pose of the camera on the robot and in the world."""
 
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
@@ -17,39 +17,40 @@ from jaxdet.io.transforms import TransformTree
 _BASES = ("base_footprint", "base_link")
 _WORLDS = ("map", "odom")
 _ENOUGH = 0.5
-"""Of a log's poses, for a world frame to go before those after it."""
+"""Fraction of known poses above which a world frame is used without trying the next one."""
 
 
 class Base(NamedTuple):
-    """The robot's frame whose z = 0 is the floor."""
+    """Base frame of the robot, whose z = 0 is the floor."""
 
     T_base_camera: np.ndarray | None
-    """``(4, 4)`` float64, depth optical frame to base; None when TF doesn't hold it."""
+    """Transform ``(4, 4)`` float64 from depth optical frame to base frame; None if TF lacks it."""
     frame: str | None
     source: str
-    """A sentence."""
+    """Description for users."""
 
 
 class PoseSource(NamedTuple):
-    """Where the camera's poses over a log come from: a world frame, or a topic, or nowhere."""
+    """Source of the camera's poses: a world frame, a topic, or none."""
 
     text: str
-    """A sentence."""
+    """Description for users."""
     warnings: tuple[str, ...] = ()
     camera: str = ""
     """TF frame of the camera, or one fixed to it."""
     world: str = ""
-    """TF frame; empty: not from TF."""
+    """TF frame of the world; empty if the poses are not from TF."""
     topic: str = ""
-    """Topic with poses; empty: not from one."""
+    """Topic with poses; empty if the poses are not from a topic."""
     parent: str = ""
-    """TF frame that the topic's poses are in."""
+    """TF frame in which the topic's poses are expressed."""
     T_child_camera: np.ndarray | None = None
-    """``(4, 4)`` float64, from that frame to the one that the topic's poses are of."""
+    """Transform ``(4, 4)`` float64 from the camera to the child frame of the topic's poses."""
     T_frame_camera: np.ndarray | None = None
-    """``(4, 4)`` float64, from the depth camera to ``camera``; None: they are the same."""
+    """Transform ``(4, 4)`` float64 from the depth camera to ``camera``; None if they are the same.
+    """
     offset_ns: int = 0
-    """How far the clock of the poses is ahead of depth's [ns]."""
+    """Offset of the clock of the poses relative to depth [ns], positive if it is ahead."""
 
     @property
     def known(self) -> bool:
@@ -58,7 +59,7 @@ class PoseSource(NamedTuple):
 
     @property
     def world_frame(self) -> str:
-        """The frame that poses are in; empty if there are none."""
+        """World frame of the poses; empty if there are none."""
         return self.world or self.parent
 
     def moving(self, tree: TransformTree) -> list[str]:
@@ -68,11 +69,13 @@ class PoseSource(NamedTuple):
     def at(
         self, stamps_ns: np.ndarray, tree: TransformTree, tracks: Mapping[str, MotionSamples]
     ) -> np.ndarray | None:
-        """``T_world_camera`` ``(F, 4, 4)`` at each stamp, NaN where unknown; None without poses.
+        """Return ``T_world_camera`` at given times, ``(F, 4, 4)``; NaN if unknown.
+
+        The result is None if the log has no poses.
 
         Args:
-            stamps_ns: ``(F,)`` int64, in the clock of the poses [ns].
-            tree: Transforms with the samples about these stamps.
+            stamps_ns: Query times ``(F,)`` int64, in the clock of the poses [ns].
+            tree: Transforms, with samples near these times.
             tracks: Samples of the pose topics.
 
         Raises:
@@ -87,10 +90,10 @@ class PoseSource(NamedTuple):
 
 
 def find_base(contents: LogContents, options: LogOptions, camera_frame: str) -> Base:
-    """``T_base_camera`` from static transforms: base_footprint, else base_link, or the flag's.
+    """Find the robot's base frame in TF: the flag's, else base_footprint, else base_link.
 
     Raises:
-        CalibrationError: The frame that the flag names isn't joined to the camera, or the
+        CalibrationError: The frame set by the flag is not connected to the camera, or the
             transforms form a cycle.
     """
     names = [options.base_frame] if options.base_frame else _named(contents, _BASES)
@@ -100,9 +103,9 @@ def find_base(contents: LogContents, options: LogOptions, camera_frame: str) -> 
             frame = printable(name)
             return Base(T, name, f"camera over the floor: TF, z = 0 of frame {frame!r}")
     if options.base_frame:
-        problem = f"no static transform joins {options.base_frame!r} and {camera_frame!r}"
+        problem = f"no static transforms connect {options.base_frame!r} and {camera_frame!r}"
         raise CalibrationError(problem, path=contents.path, remedy="change --log.base-frame")
-    return Base(None, None, "camera over the floor: not in the log's transforms")
+    return Base(None, None, "camera over the floor: not in TF")
 
 
 def find_poses(
@@ -114,28 +117,28 @@ def find_poses(
     share_known: Callable[[PoseSource], float],
     on_clock: Callable[[PoseSource], PoseSource] = lambda source: source,
 ) -> PoseSource:
-    """Return the source of the camera's poses.
+    """Determine the source of the camera's poses.
 
-    The topic of ``--log.odom`` goes first, then moving transforms up to the world frame, then
-    the robot's only Odometry or PoseInFrame topic. A frame given by ``--log.world-frame`` is taken
-    whatever it is, so the robot's base frame gives robot coordinates. Of the frames map and odom
-    the first is taken in which half of the poses are known, else the one in which most are. A pose
-    topic holds the robot's base, which static transforms join to the camera; where they don't,
-    there are no poses and a warning.
+    In order of priority: the topic of ``--log.odom``, moving transforms up to a world frame, the
+    robot's only Odometry or PoseInFrame topic. The frame of ``--log.world-frame`` is always used,
+    so the robot's base frame yields robot coordinates. Of the frames map and odom, the first with
+    at least half of the poses is used, else the one with most. A pose topic contains poses of the
+    robot's base, which static transforms connect to the camera; if they don't, there are no poses
+    but a warning.
 
     Args:
-        contents: What is in the log.
-        options: What the user says.
+        contents: Contents of the log.
+        options: Options of the user.
         depth_topic: Topic of the camera's depth images.
         camera_frame: TF frame of the camera.
         base_frame: TF frame of the robot.
-        share_known: Of how many frames a source knows the pose, 0 to 1.
-        on_clock: Adds how far the clock of a source is from depth's.
+        share_known: Function that returns the fraction of frames for which a source has the pose.
+        on_clock: Function that adds the clock offset of a source.
 
     Raises:
-        TopicError: ``--log.odom`` names no topic with poses.
-        CalibrationError: The frame that ``--log.world-frame`` names isn't joined to the camera, or
-            the transforms form a cycle.
+        TopicError: ``--log.odom`` is not a topic with poses.
+        CalibrationError: The frame of ``--log.world-frame`` is not connected to the camera, or the
+            transforms form a cycle.
     """
     if options.odom:
         source = _given_track(contents, options, options.odom, camera_frame, base_frame)
@@ -143,7 +146,7 @@ def find_poses(
     if options.world_frame and not (
         camera_frame and contents.tree.joins(options.world_frame, camera_frame)
     ):
-        problem = f"no transforms join {options.world_frame!r} and {camera_frame!r}"
+        problem = f"no transforms connect {options.world_frame!r} and {camera_frame!r}"
         raise CalibrationError(problem, path=contents.path, remedy="change --log.world-frame")
     if options.world_frame:
         text = f"poses: TF, frame {printable(options.world_frame)!r}"
@@ -155,7 +158,7 @@ def find_poses(
             continue
         text = f"poses: TF, frame {printable(world)!r}"
         if best:
-            text += f", where more are known than in {printable(best.world)!r}"
+            text += f", which has more poses than {printable(best.world)!r}"
         source = PoseSource(text, camera=camera_frame, world=world)
         source = _on_clock(source, share_known, on_clock)
         share = share_known(source)
@@ -170,7 +173,7 @@ def find_poses(
         source = _from_track(contents, topics[0], camera_frame, base_frame)
         return _on_clock(source, share_known, on_clock)
     if topics:
-        text = f"several topics hold poses ({listed(topics)}); choose one with --log.odom"
+        text = f"several topics have poses ({listed(topics)}); choose one with --log.odom"
         return PoseSource("poses: none chosen", (text,))
     return PoseSource("poses: none in the log")
 
@@ -180,9 +183,10 @@ def _on_clock(
     share_known: Callable[[PoseSource], float],
     on_clock: Callable[[PoseSource], PoseSource],
 ) -> PoseSource:
-    """Return the source with the offset of its clock.
+    """Return the source with its clock offset.
 
-    An offset with which fewer poses are known is none: a clock was set while the log was recorded.
+    The offset is ignored if fewer poses are known with it, since then a clock was adjusted during
+    the recording.
     """
     found = on_clock(source) if source.known else source
     measured = found.offset_ns and found.warnings != source.warnings
@@ -196,14 +200,14 @@ def _given_track(
     camera_frame: str,
     base_frame: str | None,
 ) -> PoseSource:
-    """Return the poses of the topic that ``--log.odom`` names."""
+    """Return the poses of the topic set by ``--log.odom``."""
     if topic not in contents.poses:
-        remedy = f"--log.odom can be: {listed(sorted(contents.poses)) or 'none'}"
-        raise TopicError("no poses on the topic", path=contents.path, topic=topic, remedy=remedy)
+        remedy = f"set --log.odom to one of: {listed(sorted(contents.poses)) or 'none'}"
+        raise TopicError("topic has no poses", path=contents.path, topic=topic, remedy=remedy)
     parent = contents.poses[topic].parent
     if options.world_frame and options.world_frame != parent:
         problem = f"its poses are in frame {parent!r}, not in {options.world_frame!r}"
-        remedy = "give --log.odom or --log.world-frame, not both"
+        remedy = "pass either --log.odom or --log.world-frame"
         raise TopicError(problem, path=contents.path, topic=topic, remedy=remedy)
     return _from_track(contents, topic, camera_frame, base_frame)
 
@@ -216,15 +220,15 @@ def _from_track(
     T_child_camera = contents.tree.fixed(child, camera_frame) if child and camera_frame else None
     if T_child_camera is None:
         frames = f"{printable(child)!r} and camera {printable(camera_frame)!r}"
-        text = f"{printable(topic)} is not used: no static transform joins its frame {frames}"
-        return PoseSource("poses: none that can be used", (text,))
+        text = f"{printable(topic)} is not used: no static transforms connect its frame {frames}"
+        return PoseSource("poses: none usable", (text,))
     text = f"poses: topic {printable(topic)} of frame {printable(child)!r}"
     given = {"topic": topic, "parent": track.parent, "T_child_camera": T_child_camera}
     return PoseSource(text, camera=camera_frame, **given)
 
 
 def _robot_poses(contents: LogContents, depth_topic: str) -> list[str]:
-    """Return the topics with poses of the robot that carries a camera."""
+    """Return the pose topics of the robot that carries a camera."""
     topics = [name for name in sorted(contents.poses) if _is_robot_pose(contents, name)]
     spaces = {name: namespace_of(name) for name in topics}
     found = namespaces_of_camera(spaces.values(), depth_topic, contents.streams)
@@ -238,6 +242,6 @@ def _is_robot_pose(contents: LogContents, topic: str) -> bool:
 
 
 def _named(contents: LogContents, names: tuple[str, ...]) -> list[str]:
-    """Return the tree's frames of these names in this order, with any namespace before them."""
+    """Return the tree's frames with these names, in this order, with or without a namespace."""
     frames = sorted(contents.tree.frames)
     return [frame for name in names for frame in frames if frame.split("/")[-1] == name]

@@ -1,8 +1,8 @@
-"""Messages of ROS 2 that are read in place: the pixels of raw images, and transforms and poses.
+"""ROS 2 messages parsed in place: pixels of raw images, and transforms and poses.
 
-Only messages whose definition in the log is the one of ROS 2 can be read so; all others are decoded
-by their definition. Pixels go from the file to their arrays without a copy. Of transforms a robot
-sends some hundred per second, and a decoder that follows the definition takes 0.1 ms for each.
+This is only possible if the definition in the log is the standard one; other messages are decoded
+by their definition. Pixels are copied from the file directly into their arrays. Robots send some
+hundred transforms per second, and a generic decoder takes 0.1 ms for each.
 """
 
 import struct
@@ -15,7 +15,7 @@ from jaxdet.io.message_fields import MAX_STAMP_S, motion, nanoseconds, transform
 from jaxdet.io.messages import Kind, TransformMessage, kind_of
 
 HEAD_BYTES = 512
-"""Bytes of an image message that are enough to find its pixels."""
+"""Number of bytes of an image message in which its pixels are certain to start."""
 _COUNT = struct.Struct("<I")
 _STAMP = struct.Struct("<iI")
 _SIZE = struct.Struct("<II")
@@ -24,11 +24,11 @@ _MOTION = struct.Struct("<7d")
 _MAX_AT_ONCE = 1000
 """Maximum number of transforms in a message."""
 _ODOMETRY_REST = 8 * (36 + 6 + 36)
-"""Bytes after the pose."""
+"""Number of bytes after the pose."""
 
 
 class Pixels(NamedTuple):
-    """Pixels of a raw image in its message."""
+    """Position and format of the pixels of a raw image in its message."""
 
     offset: int
     """Offset in the payload [byte]."""
@@ -39,16 +39,16 @@ class Pixels(NamedTuple):
 
 
 def is_standard_image(channel: ChannelInfo) -> bool:
-    """Return whether a channel holds sensor_msgs/Image in CDR as ROS 2 defines it."""
+    """Return whether a channel has sensor_msgs/Image in CDR with the standard definition."""
     return kind_of(channel.schema_name) is Kind.IMAGE and is_standard(channel)
 
 
 def find_pixels(head: bytes | memoryview, size: int) -> Pixels | None:
-    """Return the pixels of a little-endian CDR sensor_msgs/Image; None if they need decoding.
+    """Locate the pixels of a little-endian CDR sensor_msgs/Image; None if it must be decoded.
 
     Args:
-        head: The first bytes of the payload, at least ``HEAD_BYTES`` if it has as many.
-        size: Of the payload.
+        head: First bytes of the payload, at least ``HEAD_BYTES`` unless it is shorter.
+        size: Size of the payload [byte].
     """
     try:
         if head[0] or head[1] != 1:
@@ -71,15 +71,15 @@ def find_pixels(head: bytes | memoryview, size: int) -> Pixels | None:
 
 
 def read_motions(kind: Kind, payload: bytes) -> tuple[TransformMessage, ...] | None:
-    """Return the motions in a little-endian CDR message; None if they need decoding.
+    """Parse the motions in a little-endian CDR message; None if it must be decoded.
 
     Args:
-        kind: ``TRANSFORM`` or ``ODOMETRY``; its definition is ROS 2's.
-        payload: The whole message.
+        kind: ``TRANSFORM`` or ``ODOMETRY``, with the standard definition of ROS 2.
+        payload: Complete message.
 
     Raises:
-        FrameError: A stamp is out of range.
-        ValueError: A pose is not a rigid motion; a transform has that as its ``problem``.
+        FrameError: A timestamp is out of range.
+        ValueError: A pose is not a rigid motion. A transform has that as its ``problem``.
     """
     if payload[:2] != b"\0\1":
         return None
@@ -108,10 +108,10 @@ def read_motions(kind: Kind, payload: bytes) -> tuple[TransformMessage, ...] | N
 
 
 def _text(payload: bytes | memoryview, place: int) -> tuple[str, int]:
-    """Return a string, and where it ends.
+    """Return a string and the offset of its end.
 
     Raises:
-        IndexError: It is longer than the message.
+        IndexError: The string exceeds the message.
     """
     (size,) = _COUNT.unpack_from(payload, place)
     place += _COUNT.size

@@ -1,7 +1,7 @@
-"""Reads images of a log into the rows of arrays, a chunk at a time.
+"""Reading of a log's images into arrays, chunk by chunk.
 
-Pixels of an uncompressed chunk are read straight into their rows where they have the form of the
-rows, other messages into memory of their own; the rest is only read for the CRC.
+Pixels in an uncompressed chunk are read directly into their rows if they have the right format,
+other messages into buffers of their own; the rest is only read for the CRC.
 """
 
 import time
@@ -33,52 +33,52 @@ from jaxdet.io.validity import says_other
 
 
 class Request(NamedTuple):
-    """One message to read, for one row of a batch; sorts into the order of the files."""
+    """A message to read into a row of a batch; sorts in file order."""
 
     chunk: Place
     offset: int
-    """Begin of its payload in the chunk's records."""
+    """Offset of the payload in the chunk's records [byte]."""
     size: int
-    """Bytes of its payload."""
+    """Size of the payload [byte]."""
     row: int
     depth: bool
     decoder: MessageDecoder
 
 
 class Span(NamedTuple):
-    """A part of a chunk that goes straight into a row."""
+    """A part of a chunk that is read directly into a row."""
 
     start: int
-    """In the chunk's records."""
+    """Offset in the chunk's records [byte]."""
     row: memoryview
-    """As many bytes."""
+    """Destination, which has the size of the part."""
 
 
 Failure = tuple[int, bool, FrameError]
-"""Row, whether it is the depth image, and what went wrong."""
+"""Row, whether it is the depth image, and the error."""
 
 
 class Failures(NamedTuple):
-    """What went wrong in each row, or None: ``n`` each."""
+    """Error of each row, or None; ``n`` entries each."""
 
     depth: list[FrameError | None]
     color: list[FrameError | None]
-    """Of rows whose colour was to be read."""
+    """Errors of the rows whose colour was requested."""
 
 
 class ImageReader:
-    """Reads depth images, and colour images where requested, into arrays.
+    """Reader of depth images, and colour images if requested, into arrays.
 
     Args:
-        store: The log's chunks.
-        depth: Decoders of the depth topic; a message has the one of its ``decoder``.
-        color: Decoders of the colour topic, which may be the same; empty without one.
-        depth_unit: A depth unit in the unit of 32FC1 depth, metres as a rule.
-        max_pixels: Largest image decoded.
-        strict: Whether damage of the file is raised. If not it costs the frames in it only.
-        used: The calibrations used, by topic.
-        hidden: Pixels ``(Hd, Wd)`` bool that show the robot itself, where depth becomes 0 (not
-            measured); None: none do.
+        store: Chunks of the log.
+        depth: Decoders of the depth topic; ``decoder`` of a message is an index into them.
+        color: Decoders of the colour topic, which may be the same topic; empty without colour.
+        depth_unit: Depth unit, expressed in the unit of 32FC1 depth (usually metres).
+        max_pixels: Maximum number of pixels per image.
+        strict: Whether damage of the file is raised; otherwise only the frames in it fail.
+        used: Calibrations used, by topic.
+        hidden: Pixels ``(Hd, Wd)`` bool of the robot's own body, whose depth becomes 0
+            (unmeasured); None: none.
     """
 
     def __init__(
@@ -97,7 +97,7 @@ class ImageReader:
         self._used = used
         self._unit, self._max_pixels, self._hidden = depth_unit, max_pixels, hidden
         self._took: list[float] = []
-        """Times of threads since :meth:`decoding_s` was called [s]."""
+        """Times measured in threads since the last call of :meth:`decoding_s` [s]."""
 
     def read(
         self,
@@ -109,14 +109,14 @@ class ImageReader:
         """Decode the frames of a window into the rows of ``depth`` and ``color``.
 
         Args:
-            window: ``n`` frames.
-            depth: ``(n, Hd, Wd)`` uint16, depth units, written to. A row with an error is all zero.
-            color: ``(n, H, W, 3)`` uint8, RGB, written to; None: no colour is read. A row with an
-                error, without a colour image or not wanted is all zero.
-            wanted: ``(n,)`` bool, rows whose colour is read.
+            window: Window of ``n`` frames.
+            depth: Output ``(n, Hd, Wd)`` uint16 [depth units]. Rows with an error are zero.
+            color: Output ``(n, H, W, 3)`` uint8, RGB; None: no colour is read. Rows that have an
+                error, no colour image or are not wanted are zero.
+            wanted: Rows whose colour is read, ``(n,)`` bool.
 
         Raises:
-            DamageError: The reader is strict, and a chunk isn't what it should be.
+            DamageError: The reader is strict, and a chunk is damaged.
         """
         count = len(depth)
         other = window.other_calibration
@@ -124,7 +124,7 @@ class ImageReader:
         errors = Failures([_other_calibration() if bad else None for bad in other], [None] * count)
         requests = _requests(window.depth, self._depth, ~other, True)
         same: dict[int, int] = {}
-        """Rows with the colour image of an earlier row, and that row."""
+        """Rows with the same colour image as an earlier row, with that row."""
         there = np.zeros(count, bool) if wanted is None else wanted.copy()
         if color is not None:
             if window.color is None:
@@ -138,12 +138,12 @@ class ImageReader:
         rows = [depth, color]
         requests.sort(key=lambda request: request[:5])
         parts = {chunk: list(group) for chunk, group in groupby(requests, lambda r: r.chunk)}
-        for wave in self._store.waves(parts):
-            jobs = [(chunk, parts[chunk], rows) for chunk in wave]
+        for group in self._store.groups_that_fit(parts):
+            jobs = [(chunk, parts[chunk], rows) for chunk in group]
             for failures in self._store.map(self._read_chunk, jobs):
                 for row, is_depth, error in failures:
                     errors[0 if is_depth else 1][row] = error
-        rows.clear()  # a thread may hold its last job
+        rows.clear()  # a thread may still hold its last job
         of_color = window.color_chunks if wanted is not None and wanted.any() else ()
         for chunk in (*window.chunks, *of_color) if self._strict else ():
             self._store.check(chunk)
@@ -159,7 +159,7 @@ class ImageReader:
         return errors
 
     def decoding_s(self) -> float:
-        """Return the time for decoding since the last call, divided by the threads [s]."""
+        """Return the decoding time since the last call, divided by the number of threads [s]."""
         took, self._took = self._took, []
         return sum(took) / self._store.threads
 
@@ -175,14 +175,14 @@ class ImageReader:
         except DamageError as error:
             if self._strict:
                 raise
-            lost = bad_frame(f"the file can't be read any more ({error})")
+            lost = bad_frame(f"the file can no longer be read ({error})")
             return [(request.row, request.depth, lost) for request in requests]
         failures, start = [], time.perf_counter()
         for request, payload in zip(requests, payloads, strict=True):
             try:
                 if payload is not None:
                     self._decode(request, payload, *images)
-            except FrameError as error:  # whose traceback would hold the images
+            except FrameError as error:  # its traceback would keep the images in memory
                 name = self._store.files[chunk.file].name_of(chunk.position)
                 lost = FrameError(error.problem, status=error.status, path=name)
                 failures.append((request.row, request.depth, lost))
@@ -192,10 +192,10 @@ class ImageReader:
     def _read_plain(
         self, chunk: Place, requests: Sequence[Request], depth: np.ndarray, color: np.ndarray
     ) -> list[memoryview | None]:
-        """Return the payloads of messages, None if the pixels are in their row already.
+        """Return the payloads of messages; None if the pixels were read into their row.
 
         Raises:
-            DamageError: The chunk can't be read, or is not as its CRC says.
+            DamageError: The chunk can't be read, or its CRC is wrong.
         """
         head, file = self._store.head(chunk), self._store.files[chunk.file]
         start, size = chunk.position + head.data_offset, head.uncompressed_size
@@ -233,7 +233,7 @@ class ImageReader:
         return payloads
 
     def _span(self, chunk: Place, request: Request, rows: np.ndarray) -> Span | None:
-        """Return the part of a chunk that can be read straight into its row."""
+        """Return the part of a chunk that can be read directly into its row, if any."""
         if not is_standard_image(request.decoder.channel):
             return None
         head = self._store.peek(chunk, request.offset, min(request.size, HEAD_BYTES))
@@ -243,7 +243,10 @@ class ImageReader:
     def _memory(
         self, head: memoryview, size: int, row: np.ndarray, depth: bool
     ) -> tuple[int, memoryview] | None:
-        """Offset of pixels in a payload, and the row that holds exactly these."""
+        """Return the offset of pixels in a payload and the matching row.
+
+        The result is None if the pixels need conversion.
+        """
         pixels = find_pixels(head, size)
         if pixels is None or (pixels.encoding == "16uc1") != depth:
             return None
@@ -320,7 +323,7 @@ class _CheckedRead:
 
 
 def _other_calibration() -> FrameError:
-    problem = "the camera's calibration is another one than the log's first"
+    problem = "the calibration of this frame differs from the first one in the log"
     return FrameError(problem, status=FrameStatus.BAD_CALIBRATION)
 
 
@@ -339,7 +342,7 @@ def _requests(
 
 
 def _repeated(table: FrameTable, wanted: np.ndarray) -> dict[int, int]:
-    """Return the rows, of those wanted, with the same message as an earlier row, and that row."""
+    """Return the wanted rows with the same message as an earlier row, with that row."""
     first: dict[tuple[Place, int], int] = {}
     found = {}
     rows = np.flatnonzero(wanted)

@@ -1,4 +1,4 @@
-"""Messages by their place in the index, each held against what the index says of it."""
+"""Reading of messages by the index, with a check of each against the index."""
 
 from typing import NamedTuple
 
@@ -11,74 +11,75 @@ from jaxdet.io.messages import Kind
 from jaxdet.io.store import ChunkStore, Place
 
 _FIRST_BYTES = 1024
-"""Bytes that are read first of a message of unknown size."""
+"""Number of bytes read first of a message of unknown size."""
 
 
 class IndexedMessages(NamedTuple):
-    """Messages of some channels, ``(N,)`` each, all int64."""
+    """Positions of messages, ``(N,)`` int64 each."""
 
     log_ns: np.ndarray
     """Log time [ns]."""
     file: np.ndarray
-    """Number of the log's file."""
+    """Number of the file in the log."""
     position: np.ndarray
     """Position of the chunk in the file, see :meth:`jaxdet.io.container.LogFile.chunk_head`."""
     length: np.ndarray
     """Length of the chunk's content in the file."""
     offset: np.ndarray
-    """Offset of the message's record in the decompressed chunk."""
+    """Offset of the message's record in the decompressed chunk [byte]."""
     channel: np.ndarray
-    """Number of the channel in the file."""
+    """Id of the channel in the file."""
     decoder: np.ndarray
-    """Number of the decoder."""
+    """Index of the decoder."""
 
     def rows(self, which: np.ndarray | slice) -> "IndexedMessages":
-        """Return some of them."""
+        """Return a selection of the messages."""
         return IndexedMessages(*(column[which] for column in self))
 
     def between(self, begin: int | None, end: int | None) -> slice:
-        """Return those from one log time to another, exclusive; None: from the first, to the last.
+        """Return the messages in a range of log times, end exclusive; None: unbounded.
 
-        They are in the order of log time.
+        The messages must be in order of log time.
         """
         first, last = np.searchsorted(self.log_ns, [begin or 0, end or 0]).tolist()
         return slice(0 if begin is None else first, len(self.log_ns) if end is None else last)
 
     def places(self, which: np.ndarray | slice = slice(None)) -> list[Place]:
-        """Return the chunk of each of some messages; by default of all."""
+        """Return the chunk of each selected message; by default of all."""
         pairs = zip(self.file[which].tolist(), self.position[which].tolist(), strict=True)
         return [Place(*pair) for pair in pairs]
 
     def chunks(self, which: np.ndarray | slice) -> set[Place]:
-        """Return the chunks of some messages."""
+        """Return the chunks of the selected messages."""
         return set(self.places(which))
 
 
 class TopicMessages(NamedTuple):
-    """The messages of a topic, of one kind."""
+    """Messages of one kind on a topic."""
 
     decoders: tuple[MessageDecoder, ...]
-    """All of one kind, or all of images; a message has the one of its ``decoder``."""
+    """Decoders, all of one kind or all of images; ``decoder`` of a message is an index into them.
+    """
     messages: IndexedMessages
 
     @property
     def topic(self) -> str:
-        """The topic's name."""
+        """Name of the topic."""
         return self.decoders[0].channel.topic
 
     @property
     def kind(self) -> Kind:
-        """What its messages hold."""
+        """Kind of the messages."""
         return self.decoders[0].kind
 
     @property
     def is_static(self) -> bool:
-        """Whether they are transforms that hold at all times."""
+        """Whether the messages are static transforms."""
         return self.decoders[0].is_static
 
     @property
     def num_messages(self) -> int:
-        """How many there are."""
+        """Number of messages."""
         return len(self.messages.log_ns)
 
     def decoder(self, number: int) -> MessageDecoder:
@@ -86,7 +87,7 @@ class TopicMessages(NamedTuple):
         return self.decoders[int(self.messages.decoder[number])]
 
     def in_time(self) -> "TopicMessages":
-        """Return the same messages by log time, then in the order of the files."""
+        """Return the messages in order of log time, then of the files."""
         order = np.argsort(self.messages.log_ns, kind="stable")
         return self._replace(messages=self.messages.rows(order))
 
@@ -102,7 +103,7 @@ def read_message(
     """Return size and payload of a message, or its first ``most`` bytes.
 
     Raises:
-        DamageError: It isn't there.
+        DamageError: The message is not there.
     """
     place = Place(int(messages.file[number]), int(messages.position[number]))
     offset = int(messages.offset[number])
@@ -114,11 +115,11 @@ def read_message(
     channel, _, log_ns, _ = MESSAGE_HEAD.unpack_from(known, RECORD_HEAD.size)
     expected = int(messages.channel[number]), int(messages.log_ns[number])
     if opcode != Opcode.MESSAGE or (channel, min(log_ns, MAX_TIME_NS)) != expected:
-        raise DamageError("no such message there")
+        raise DamageError("no message where the index says")
     size = length - MESSAGE_HEAD.size
     head = store.head(place)
     if head.length != messages.length[number]:
-        raise DamageError("chunk has another length than its index says")
+        raise DamageError("chunk has another length than in its index")
     if size < 0 or offset + PAYLOAD_OFFSET + size > head.uncompressed_size:
         raise DamageError("message is longer than its chunk")
     wanted = size if most is None else min(size, most)

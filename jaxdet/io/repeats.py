@@ -1,4 +1,4 @@
-"""Images that a log holds twice, as where a recording was merged with itself: each counts once."""
+"""Removal of repeated images, for example from a recording that was merged with itself."""
 
 from collections import Counter
 from collections.abc import Iterable
@@ -15,11 +15,11 @@ from jaxdet.io.windows import StreamWindows
 
 
 def may_repeat(stream: ImageStream, log_ns: np.ndarray) -> bool:
-    """Return whether images may occur twice, by the first ones and by all log times.
+    """Return whether images may occur twice, judging by the first images and all log times.
 
     Args:
-        stream: The first images.
-        log_ns: ``(N,)`` int64, log times of all images in order.
+        stream: First images.
+        log_ns: Log times of all images in order, ``(N,)`` int64 [ns].
     """
     first = Counter((image.stamp_ns, image.size) for image in stream.first)
     several = any(count > 1 for (stamp, _), count in first.items() if stamp)
@@ -27,16 +27,16 @@ def may_repeat(stream: ImageStream, log_ns: np.ndarray) -> bool:
 
 
 def drop_repeated(streams: Iterable[StreamWindows], store: ChunkStore) -> list[str]:
-    """Drop images that are equal to an earlier one of their topic, in stamp and in content.
+    """Drop images that are equal to an earlier one of their topic in timestamp and content.
 
-    Only messages of equal stamps and sizes are read and compared.
+    Only messages with equal timestamps and sizes are read and compared.
 
     Args:
-        streams: The images of each topic; all stamps have been read.
-        store: The log's chunks.
+        streams: Images by topic, with all timestamps read.
+        store: Chunks of the log.
 
     Returns:
-        What to tell of it.
+        Warnings for the user.
     """
     warnings = []
     for stream in sorted(streams, key=lambda stream: stream.topic):
@@ -44,13 +44,13 @@ def drop_repeated(streams: Iterable[StreamWindows], store: ChunkStore) -> list[s
         if not keep.all():
             stream.keep(keep)
             count = int((~keep).sum())
-            text = f"{count} images occur twice, equal in stamp and content; each counts once"
+            text = f"{count} images occur twice (same timestamp and content); each counts once"
             warnings.append(f"{printable(stream.topic)}: {text}")
     return warnings
 
 
 def _first_ones(stream: StreamWindows, store: ChunkStore) -> np.ndarray:
-    """Return ``(N,)`` bool, images that are not equal to an earlier one in the files."""
+    """Return which images are not equal to an earlier one in the files, ``(N,)`` bool."""
     keys = np.stack([stream.stamp, stream.color_stamp, stream.size], axis=1)
     keep = np.ones(len(keys), bool)
     if not len(keys):

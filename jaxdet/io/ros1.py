@@ -1,4 +1,4 @@
-"""ROS 1's messages, decoded by ``rosbags`` from the definition that stands in the log."""
+"""ROS 1 messages, decoded by ``rosbags`` from the definition in the log."""
 
 from collections.abc import Callable
 from importlib.util import find_spec
@@ -12,24 +12,25 @@ def require_rosbags(path: Path) -> None:
     """Check that ROS 1 messages can be decoded.
 
     Raises:
-        InputError: ``rosbags`` isn't installed.
+        InputError: ``rosbags`` is not installed.
     """
     if find_spec("rosbags") is None:
-        remedy = "install jaxdet[rosbag], or convert it: "
+        remedy = "install jaxdet[rosbag], or convert the bag: "
         remedy += f"rosbags-convert --src {path} --dst NEW --dst-storage mcap"
         raise InputError("ROS 1 bags need the package rosbags", path=str(path), remedy=remedy)
 
 
 def ros1_decoder(name: str, definition: str) -> Callable[[bytes], Any]:
-    """Return a decoder of messages of a type.
+    """Return a function that decodes messages of a type.
 
     Args:
-        name: The type's.
-        definition: Its fields, then those of the types in it, as ROS 1 concatenates them.
+        name: Name of the type.
+        definition: Fields of the type, followed by the definitions of its member types, as in ROS
+            1.
 
     Raises:
-        ImportError: ``rosbags`` isn't installed.
-        Exception: The definition can't be read.
+        ImportError: ``rosbags`` is not installed.
+        Exception: The definition can't be parsed.
     """
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 

@@ -1,14 +1,14 @@
-"""RVL, the lossless depth code of ROS's ``compressedDepth``.
+"""RVL, the lossless depth compression of ROS's ``compressedDepth``.
 
 Source: A. Wilson, *Fast Lossless Depth Image Compression*, ISS 2017.
 
-The stream is little-endian 32-bit words of eight nibbles, the most significant first. Numbers
-are variable-length: three bits a nibble, lowest first, the nibble's top bit says that more
-follow. They are, over and over: a count of zero pixels, a count of non-zero pixels, and for
-each of these the difference to the non-zero pixel before it, with the sign in the lowest bit.
+The stream consists of little-endian 32-bit words of eight nibbles, the most significant first.
+Numbers have variable length: three bits per nibble, lowest first, and the top bit of the nibble is
+set if more follow. They repeat: a count of zero pixels, a count of non-zero pixels, and for each of
+the latter the difference from the previous non-zero pixel, with the sign in the lowest bit.
 
-A number has at most 11 nibbles and two counts fill at least one pixel, so no stream takes more than
-33 nibbles a pixel, whatever follows.
+A number has at most 11 nibbles, and two counts fill at least one pixel, so a stream needs at most
+33 nibbles per pixel.
 """
 
 import numpy as np
@@ -22,18 +22,18 @@ _ERRORS = (
     "RVL number is longer than 32 bits",
     "RVL value is not 16 bits",
 )
-"""By the kernel's status."""
+"""Error messages by status of the kernel."""
 
 
 def decode_rvl(data: bytes | memoryview, row: np.ndarray) -> None:
     """Decode an RVL stream.
 
     Args:
-        data: The stream, without any header; what follows the last pixel is not read.
-        row: ``(H, W)`` uint16, contiguous, written to.
+        data: Stream without header; bytes after the last pixel are ignored.
+        row: Output ``(H, W)`` uint16, contiguous.
 
     Raises:
-        ValueError: The stream is short, its counts overrun the image, or a value leaves uint16.
+        ValueError: The stream is too short, its counts exceed the image, or a value exceeds uint16.
     """
     status = np.zeros(1, np.int32)
     launch("rvl", np.frombuffer(data, np.uint8), row, status)

@@ -1,10 +1,10 @@
-"""Which files numbered one after the other are splits of one recording.
+"""Grouping of numbered files into recordings.
 
-rosbag2 calls the files of a recording ``NAME_0.mcap``, ``NAME_1.mcap``, ...; so do people who
-number their recordings. Files that ``metadata.yaml`` beside them lists are one recording. Others
-are only where one can be sure of it: their numbers follow on, they have the same topics with the
-same schemas and the same calibration, and the images of each begin within about a second of the
-end of those before, without an overlap.
+rosbag2 names the files of a recording ``NAME_0.mcap``, ``NAME_1.mcap``, ...; so do people who
+number their recordings. Files listed in a ``metadata.yaml`` next to them are one recording. Other
+files are joined only if that is certain: their numbers are consecutive, they have the same topics,
+schemas and calibration, and the images of each begin within about a second of the end of the
+previous ones, without overlap.
 """
 
 import re
@@ -24,44 +24,45 @@ from jaxdet.io.options import LogOptions
 from jaxdet.io.validity import values_of
 
 _MAX_OVERLAP_NS = 100_000_000
-"""Images of two splits may overlap by this: a recorder has several queues."""
+"""Maximum overlap of the images of two splits, since a recorder has several queues [ns]."""
 _MAX_GAP_NS = 1_000_000_000
-"""Longest pause between the images of a split and of the next, or two periods of the images."""
+"""Maximum pause between the images of two splits [ns], or two image periods if that is longer."""
 _MOST_STEPS = 10
-"""Where more splits lack, the pause may be no longer: their numbers may be times."""
+"""Maximum number of missing splits for which a longer pause is accepted; larger numbers may be
+times."""
 METADATA = "metadata.yaml"
 """File in which rosbag2 lists the files of a recording."""
 _LISTED = re.compile(r"^[ \t]*relative_file_paths:[ \t]*\n((?:[ \t]*-[^\n]*\n?)+)", re.MULTILINE)
 _MOST_BYTES = 1 << 20
 
 
-class Sketch(NamedTuple):
-    """What of a file tells which recording it is of."""
+class Signature(NamedTuple):
+    """Properties of a file by which its recording is recognised."""
 
     schemas: dict[str, str]
-    """Of the topics of use."""
+    """Schemas of the useful topics."""
     images: frozenset[str]
     """Image topics with messages."""
     span_ns: tuple[int, int] | None
-    """Log times of the first and the last image; None without."""
+    """Log times of the first and the last image [ns]; None without images."""
     calibrations: dict[str, tuple[object, ...] | None]
-    """By topic, see :func:`jaxdet.io.validity.values_of`."""
+    """Calibrations by topic, see :func:`jaxdet.io.validity.values_of`."""
     period_ns: int = 0
-    """Mean time between images of the topic that has fewest; 0 where there are too few."""
+    """Mean interval of the images on the slowest topic [ns]; 0 if there are too few."""
 
 
-def sketch(path: Path) -> Sketch | None:
-    """Return the sketch of a file by its index; None if that can't be read."""
+def signature(path: Path) -> Signature | None:
+    """Return the signature of a file from its index; None if that can't be read."""
     with suppress(InputError, DamageError):
         file = open_file(path, LogOptions.max_chunk_mib << 20)
         try:
-            return _sketch(file)
+            return _signature_of(file)
         finally:
             file.close()
     return None
 
 
-def _sketch(file: LogFile) -> Sketch:
+def _signature_of(file: LogFile) -> Signature:
     entries = file.read_index()
     counts = entries.counts
     useful = {key: info for key, info in entries.infos.items() if kind_of(info.schema_name)}
@@ -73,7 +74,7 @@ def _sketch(file: LogFile) -> Sketch:
     builder = ContentsBuilder(LogContents(str(file.path)), use_tf=False, images=False)
     search_index(file, entries, builder)
     known = builder.contents.calibrations.items()
-    return Sketch(
+    return Signature(
         {info.topic: info.schema_name for info in useful.values()},
         frozenset(useful[key].topic for key in seen),
         (min(first for first, _ in spans), max(last for _, last in spans)) if spans else None,
@@ -82,20 +83,20 @@ def _sketch(file: LogFile) -> Sketch:
     )
 
 
-def difference(first: Sketch | None, second: Sketch | None, steps: int) -> str:
-    """Return why two files, in this order, can't be of one recording; empty if they can.
+def difference(first: Signature | None, second: Signature | None, steps: int) -> str:
+    """Return why two files can't be of the same recording; empty if they can.
 
     Args:
-        first: The earlier file.
-        second: The later file.
-        steps: How many numbers it is later.
+        first: Signature of the earlier file.
+        second: Signature of the later file.
+        steps: Difference of their numbers.
     """
     if first is None or second is None:
         return ""
     return _other_kind(first, second) or _overlap(first, second) or gap(first, second, steps)
 
 
-def _other_kind(first: Sketch, second: Sketch) -> str:
+def _other_kind(first: Signature, second: Signature) -> str:
     for topic in sorted(first.schemas.keys() & second.schemas.keys()):
         if first.schemas[topic] != second.schemas[topic]:
             return f"{topic} has another schema"
@@ -108,31 +109,31 @@ def _other_kind(first: Sketch, second: Sketch) -> str:
     return ""
 
 
-def _overlap(first: Sketch, second: Sketch) -> str:
+def _overlap(first: Signature, second: Signature) -> str:
     spans = first.span_ns, second.span_ns
     if spans[0] and spans[1] and spans[1][0] - spans[0][1] < -_MAX_OVERLAP_NS:
         return "their images overlap in time or are in the wrong order"
     return ""
 
 
-def gap(first: Sketch | None, second: Sketch | None, steps: int) -> str:
-    """Return why the time between two files is too long for one recording, or an empty text."""
+def gap(first: Signature | None, second: Signature | None, steps: int) -> str:
+    """Return why the pause between two files is too long for one recording; empty if it is not."""
     if first and second and first.span_ns and second.span_ns:
         pause, steps = second.span_ns[0] - first.span_ns[1], min(steps, _MOST_STEPS)
         longest = max(last - begin for begin, last in (first.span_ns, second.span_ns))
         short = max(_MAX_GAP_NS, 2 * max(first.period_ns, second.period_ns))
         if pause > steps * short + 4 * (steps - 1) * longest:
-            return f"there are {pause / 1e9:.1f} s between them"
+            return f"they are {pause / 1e9:.1f} s apart"
     return ""
 
 
-def joined(first: Sketch | None, second: Sketch | None) -> Sketch | None:
-    """Return the sketch of a recording with another file of it, ``second``."""
+def joined(first: Signature | None, second: Signature | None) -> Signature | None:
+    """Return the signature of a recording after adding the file ``second``."""
     if first is None or second is None:
         return second or first
     schemas, calibrations = first.schemas | second.schemas, first.calibrations | second.calibrations
     span, period = second.span_ns or first.span_ns, max(first.period_ns, second.period_ns)
-    return Sketch(schemas, second.images, span, calibrations, period)
+    return Signature(schemas, second.images, span, calibrations, period)
 
 
 class Recording(NamedTuple):
@@ -140,26 +141,26 @@ class Recording(NamedTuple):
 
     paths: tuple[Path, ...]
     note: str
-    """What was joined and why, or why the numbered files before or after are not of it."""
+    """What was joined and why, or why neighbouring numbered files are not part of it."""
 
 
 def recordings(files: Sequence[tuple[int, Path]]) -> list[Recording]:
-    """Return numbered files of one name and folder, in order, as the recordings that they are of.
+    """Group numbered files with the same name and folder into recordings, in order.
 
     Args:
-        files: Each with its number; at least one.
+        files: Files with their numbers; at least one.
     """
     names = listed_files(files[0][1].parent)
     listed = [path for _, path in files if path.name in names]
     if len(listed) > 1:
-        note = f"joined {len(listed)} files that {METADATA} lists"
+        note = f"joined {len(listed)} files listed in {METADATA}"
         rest = [one for one in files if one[1] not in listed]
         return [Recording(tuple(listed), note), *(recordings(rest) if rest else ())]
     found: list[list[Path]] = []
     notes: list[list[str]] = []
-    before: tuple[int, Sketch | None] = (0, None)
+    before: tuple[int, Signature | None] = (0, None)
     for number, path in files:
-        now = sketch(path)
+        now = signature(path)
         why = _why_apart(*before, number, now) if found else ""
         if why or not found:
             found.append([])
@@ -173,23 +174,24 @@ def recordings(files: Sequence[tuple[int, Path]]) -> list[Recording]:
     for paths, about in zip(found, notes, strict=True):
         if len(paths) > 1:
             text = f"joined {len(paths)} files, {paths[0].name} to {paths[-1].name}"
-            about.insert(0, f"{text}, whose topics and times follow on; --no-join keeps them apart")
+            text += ", whose topics and times are consecutive"
+            about.insert(0, f"{text}; --no-join keeps them separate")
     return [
         Recording(tuple(one), "; ".join(about)) for one, about in zip(found, notes, strict=True)
     ]
 
 
-def _why_apart(first: int, before: Sketch | None, second: int, now: Sketch | None) -> str:
-    """Return why a file does not go on with the recording before it; empty if it does."""
+def _why_apart(first: int, before: Signature | None, second: int, now: Signature | None) -> str:
+    """Return why a file is not the continuation of the recording before it; empty if it is."""
     if second != first + 1:
-        return "their numbers do not follow on"
+        return "their numbers are not consecutive"
     if before is None or now is None or not (before.span_ns and now.span_ns):
-        return "the times of their images can't be told by their indexes"
+        return "their indexes don't have the times of the images"
     return difference(before, now, 1)
 
 
 def listed_files(folder: Path) -> frozenset[str]:
-    """Return the names of the files that ``metadata.yaml`` in a folder lists as one recording."""
+    """Return the names of the files listed in the ``metadata.yaml`` of a folder."""
     try:
         with (folder / METADATA).open("rb") as file:
             text = file.read(_MOST_BYTES).decode(errors="replace")

@@ -1,8 +1,8 @@
-"""ROS 2's SQLite recordings (``.db3`` of rosbag2).
+"""ROS 2 recordings in SQLite (``.db3`` of rosbag2).
 
-A message's number is its ``id``; SQLite gives any part of a blob without reading all of it. The
-tables are the file's own index; around damage they are read row by row.
-Source: rosbag2's ``rosbag2_storage_sqlite3``, schemas 1 to 4.
+The number of a message is its ``id``; SQLite can read any part of a blob separately. The tables are
+the file's own index; if pages are damaged, they are read row by row. Source: rosbag2's
+``rosbag2_storage_sqlite3``, schemas 1 to 4.
 """
 
 import math
@@ -32,20 +32,23 @@ from jaxdet.io.walk import Walk
 _ROW = "SELECT topic_id, timestamp, length(data), typeof(data) FROM messages WHERE id = ?"
 _TABLES = "SELECT name FROM sqlite_master WHERE type = 'table' AND rootpage > 0"
 _XINFO = "table_xinfo"
-"""Pragma that lists the columns of a table, the generated ones too."""
+"""Pragma that lists the columns of a table, including generated ones."""
 _HIDDEN = 6
 _READ = {"sqlite_master", "messages", "topics", "message_definitions"}
 _FUNCTIONS = {"length", "typeof", "count", "max"}
 _MAX_BYTES = (1 << 31) - 1
 _STEPS = 1_000_000
-"""Instructions of SQLite's virtual machine between two looks at the clock, some milliseconds."""
+"""Number of virtual machine instructions between two checks of the time limit, some milliseconds.
+"""
 _PATIENCE_S, _BYTES_PER_S = 5.0, 50 << 20
-"""The next row of a query may take so long, and a second more for so many bytes of the file."""
+"""Time limit for the next row of a query [s]: a constant, plus one second per this many bytes of
+the file."""
 _NEEDED = {"messages", "topics"}
 _ROWS_AT_ONCE = 1 << 14
 _DAMAGED = "page is damaged"
 _MAX_LOST = 100_000
-"""Numbers tried one by one where pages are damaged; a few seconds."""
+"""Maximum number of ids that are tried one by one if pages are damaged; this takes a few seconds.
+"""
 _INDEX = "SELECT id, topic_id, timestamp, length(data) FROM messages ORDER BY id"
 _DATA = """SELECT id, topic_id, timestamp,
 CASE WHEN length(data) <= :most THEN data END, length(data)
@@ -60,12 +63,12 @@ FROM message_definitions WHERE length(encoded_message_definition) <= ? ORDER BY 
 
 
 class SqliteFile(MessageFile):
-    """A rosbag2 recording in SQLite; it is never written to."""
+    """A rosbag2 recording in SQLite, opened read-only."""
 
     magic = b"SQLite format 3\0"
     kind = "a rosbag2 SQLite"
     tables: frozenset[str] | set[str] = frozenset()
-    """Tables of a recording that the file has; views are none."""
+    """Tables of a recording that exist in the file, without views."""
 
     def __init__(self, path: Path, max_bytes: int, state: FileState | None = None) -> None:
         super().__init__(path, max_bytes, state)
@@ -85,7 +88,7 @@ class SqliteFile(MessageFile):
         super().close()
 
     def read_index(self) -> FileIndex:
-        """See :meth:`LogFile.read_index`."""
+        """Read the index from the tables, see :meth:`LogFile.read_index`."""
         if self.declared_bytes > self.size:
             raise DamageError("file ends early")
         infos = _channels(self)
@@ -109,13 +112,13 @@ class SqliteFile(MessageFile):
         return file_index(infos, messages, FileIntegrity(self.path, by_index=True))
 
     def rebuild_index(self) -> FileIndex:
-        """Return the index of every readable message, with what was lost.
+        """Build an index of all readable messages, with statistics of what was lost.
 
-        If SQLite finds a page damaged, the walk continues at the next message that it can reach. Of
-        a message whose data are damaged the topic is known mostly; else its number counts as lost.
+        If a page is damaged, the scan continues at the next reachable message. The topic of a
+        message with damaged data is usually known; otherwise its id counts as lost.
 
         Raises:
-            InputError: The file was changed meanwhile, or holds more messages than fit into it.
+            InputError: The file was changed meanwhile, or has an impossible number of messages.
         """
         problem, infos = "", {}
         try:
@@ -149,7 +152,7 @@ class SqliteFile(MessageFile):
         """Yield the rows of a query.
 
         Raises:
-            DamageError: SQLite can't go on.
+            DamageError: SQLite reports an error.
         """
         patience_s = _PATIENCE_S + self.size / _BYTES_PER_S
         try:
@@ -164,10 +167,10 @@ class SqliteFile(MessageFile):
             raise _damage(error) from error
 
     def read_payload(self, number: int, start: int, parts: Sequence[memoryview]) -> None:
-        """Fill writable byte views, one after the other, with a message's data from ``start``.
+        """Fill writable byte views one after the other with a message's data from ``start`` on.
 
         Raises:
-            DamageError: They end before, or can't be read.
+            DamageError: The data end before, or can't be read.
         """
         try:
             with self._connection().blobopen("messages", "data", number, readonly=True) as blob:
@@ -182,7 +185,7 @@ class SqliteFile(MessageFile):
 
     @property
     def declared_bytes(self) -> int:
-        """Bytes of the file, by its own head."""
+        """Size of the file according to its header [byte]."""
         page, pages = LogFile.read(self, 16, 2), LogFile.read(self, 28, 4)
         size = int.from_bytes(page, "big")
         return int.from_bytes(pages, "big") * (65536 if size == 1 else size)
@@ -191,7 +194,7 @@ class SqliteFile(MessageFile):
         """Return channel, log time and size of a message.
 
         Raises:
-            DamageError: There is none, or it can't be read.
+            DamageError: The message does not exist, or can't be read.
         """
         row = next(self.query(_ROW, (number,)), None)
         if row is None or row[3] != "blob":
@@ -199,7 +202,7 @@ class SqliteFile(MessageFile):
         return MessageRow(*row[:3]).check()
 
     def _connection(self) -> sqlite3.Connection:
-        """This thread's connection."""
+        """Return the connection of this thread."""
         try:
             return self._of_thread.connection
         except AttributeError:
@@ -209,7 +212,7 @@ class SqliteFile(MessageFile):
         try:
             found = sqlite3.connect(address, uri=True, check_same_thread=False)
             self._connections.append(found)
-            # Of a file that ends early what is there can be read.
+            # so that the available part of a truncated file can be read
             found.execute("PRAGMA writable_schema = ON")
             found.execute("PRAGMA trusted_schema = OFF")
             found.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, min(self.max_bytes, _MAX_BYTES))
@@ -221,23 +224,23 @@ class SqliteFile(MessageFile):
         return found
 
     def _takes_too_long(self) -> bool:
-        """Return whether this thread's query takes too long; SQLite ends it then."""
+        """Return whether the query of this thread exceeds its time limit; SQLite then aborts it."""
         return time.monotonic() > getattr(self._of_thread, "until", math.inf)
 
     def _check(self) -> None:
-        """Check that this is a recording, and closed.
+        """Check that the file is a recording, and was closed.
 
         Raises:
-            InputError: It isn't.
+            InputError: It is not.
         """
         for suffix in ("-wal", "-journal"):
             beside = self.path.with_name(self.path.name + suffix)
             if beside.exists() and beside.stat().st_size:
-                problem = f"the recording was not closed: {beside.name} holds part of it"
+                problem = f"the recording was not closed, {beside.name} has part of it"
                 raise InputError(
                     problem,
                     path=str(self.path),
-                    remedy="on a copy, run sqlite3 FILE 'PRAGMA wal_checkpoint(TRUNCATE)'",
+                    remedy="run sqlite3 FILE 'PRAGMA wal_checkpoint(TRUNCATE)' on a copy",
                 )
         try:
             tables = {row[0] for row in self.query(_TABLES)}
@@ -249,18 +252,18 @@ class SqliteFile(MessageFile):
                 if row[_HIDDEN]
             }
         except DamageError as error:
-            remedy = "recover it with sqlite3 FILE .recover, or leave it out"
+            remedy = "recover it with sqlite3 FILE .recover, or exclude it"
             raise InputError(str(error), path=str(self.path), remedy=remedy) from error
         if not tables >= _NEEDED:
-            problem = "not a rosbag2 recording: it has no tables messages and topics"
-            raise InputError(problem, path=str(self.path), remedy="leave it out")
+            problem = "not a rosbag2 recording: the tables messages and topics are missing"
+            raise InputError(problem, path=str(self.path), remedy="exclude it")
         if made:
-            problem = f"not a rosbag2 recording: columns are generated ({', '.join(sorted(made))})"
-            raise InputError(problem, path=str(self.path), remedy="leave it out")
+            problem = f"not a rosbag2 recording: generated columns ({', '.join(sorted(made))})"
+            raise InputError(problem, path=str(self.path), remedy="exclude it")
 
 
 def _authorize(action: int, first: str | None, second: str | None, *_: object) -> int:
-    """Allow reading a recording's tables, and nothing else: no views, no functions of theirs."""
+    """Allow only reading of a recording's tables: no views, and no functions other than listed."""
     allowed = {
         sqlite3.SQLITE_SELECT: True,
         sqlite3.SQLITE_READ: first in _READ,
@@ -271,12 +274,12 @@ def _authorize(action: int, first: str | None, second: str | None, *_: object) -
 
 
 def _damage(error: Exception) -> DamageError:
-    """Return an error of SQLite as damage."""
+    """Convert an error of SQLite to a DamageError."""
     return DamageError(f"the SQLite file can't be read ({error})")
 
 
 def _rows(file: SqliteFile, lost: Counter[str]) -> Iterator[tuple[Any, ...]]:
-    """Number, topic, log time, data and their bytes of all messages that can be reached.
+    """Yield id, topic, log time, data and data size of all reachable messages.
 
     The data are None if they can't be read.
     """
@@ -286,7 +289,7 @@ def _rows(file: SqliteFile, lost: Counter[str]) -> Iterator[tuple[Any, ...]]:
         values = {"most": file.max_bytes, "before": before, "count": count}
         return file.query(text, values)
 
-    def comes_next(row: tuple[Any, ...]) -> bool:  # a damaged page may lead back
+    def comes_next(row: tuple[Any, ...]) -> bool:  # a damaged page may lead back to earlier rows
         return isinstance(row[0], int) and row[0] > before
 
     while before < last and lost[_DAMAGED] < _MAX_LOST:
@@ -296,7 +299,7 @@ def _rows(file: SqliteFile, lost: Counter[str]) -> Iterator[tuple[Any, ...]]:
                     yield row
                     before = row[0]
             return
-        # The next one may be whole: what SQLite could not read can come after it.
+        # The next row may be intact even if SQLite could not reach it.
         for text in (_DATA, _WITHOUT_DATA):
             with suppress(DamageError):
                 row = next(iter([*after(text, 1)]), None)
@@ -310,7 +313,7 @@ def _rows(file: SqliteFile, lost: Counter[str]) -> Iterator[tuple[Any, ...]]:
 
 
 def _last_number(file: SqliteFile) -> int:
-    """Return the largest number of a message, by the messages or the index of their times."""
+    """Return the largest message id, from the messages or the index of their times."""
     numbers = [0]
     for text in ("SELECT max(id) FROM messages", _GREATEST):
         with suppress(DamageError):
@@ -319,7 +322,7 @@ def _last_number(file: SqliteFile) -> int:
 
 
 def _declared(file: SqliteFile) -> int | None:
-    """Return how many messages the index of their times has; None if it can't be read."""
+    """Return the number of messages in the index of their times; None if it can't be read."""
     with suppress(DamageError):
         for (count,) in file.query(_COUNT):
             return int(count)
@@ -327,7 +330,7 @@ def _declared(file: SqliteFile) -> int | None:
 
 
 def _channels(file: SqliteFile) -> dict[int, ChannelInfo]:
-    """Return the topics with their definitions, or ROS 2's in files from before ROS 2 Iron.
+    """Return the topics with their definitions; before ROS 2 Iron those known to jaxdet.
 
     Raises:
         DamageError: The table can't be read.

@@ -1,4 +1,4 @@
-"""The chunks of a log's files: decompressed once, checked once, the latest kept."""
+"""Cache of a log's decompressed chunks, each of which is decompressed and checked once."""
 
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -16,30 +16,30 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 CACHE_BYTES = 64 << 20
-"""Of decompressed chunks that are kept, or one if it is larger."""
+"""Size of the cache of decompressed chunks [byte]; a single larger chunk is kept as well."""
 BEGIN_BYTES = 4096
-"""Of a large packed chunk's records, which may be read alone."""
+"""Size of the beginning of a large compressed chunk that can be read separately [byte]."""
 LARGE_BYTES = 1 << 18
 _MAX_HEADS = 4096
 
 
 class Place(NamedTuple):
-    """A chunk of a log."""
+    """Identifier of a chunk in a log."""
 
     file: int
     """Number of the file."""
     position: int
-    """Of the chunk, see :meth:`jaxdet.io.container.LogFile.chunk_head`."""
+    """Position of the chunk, see :meth:`jaxdet.io.container.LogFile.chunk_head`."""
 
 
 class ChunkStore:
-    """Gives bytes of chunks; threads may share it.
+    """Thread-safe access to the bytes of chunks.
 
     Args:
-        files: The log's open files.
-        threads: How many load and decode; 1: only the caller's. None: one a core.
-        cache_bytes: Of decompressed chunks that are kept, or one if it is larger.
-        most_bytes: Of these, whatever :meth:`keep` asks for.
+        files: Open files of the log.
+        threads: Number of threads that load and decode; 1: only the caller's; None: one per core.
+        cache_bytes: Size of the cache [byte]; a single larger chunk is kept as well.
+        most_bytes: Upper limit for the cache [byte], also for :meth:`keep`.
     """
 
     def __init__(
@@ -52,7 +52,7 @@ class ChunkStore:
         self.files, self._most_bytes = files, most_bytes
         self.cache_bytes = min(cache_bytes, most_bytes)
         self.checked: set[Place] = set()
-        """Chunks that were read as a whole, and are as their CRC says."""
+        """Chunks that were read completely and have the right CRC."""
         self.threads = threads or cores()
         several = self.threads > 1
         self._pool = ThreadPoolExecutor(self.threads, "jaxdet-read") if several else None
@@ -63,11 +63,11 @@ class ChunkStore:
         self._lock = Lock()
 
     def __reduce__(self) -> tuple:
-        """In another process one thread loads and decodes, as processes share the cores."""
+        """Pickle for another process, with a single thread, since processes share the cores."""
         return ChunkStore, (self.files, 1, self.cache_bytes, self._most_bytes)
 
     def keep(self, nbytes: int) -> None:
-        """Keep at least so many bytes of chunks, if there is room."""
+        """Enlarge the cache to at least ``nbytes``, up to its limit."""
         self.cache_bytes = min(max(self.cache_bytes, nbytes), self._most_bytes)
 
     def close(self) -> None:
@@ -78,41 +78,41 @@ class ChunkStore:
             file.close()
 
     def check_unchanged(self) -> None:
-        """Check that the files are what they were when they were opened.
+        """Check that the files have not changed since they were opened.
 
         Raises:
-            InputError: One isn't.
+            InputError: A file has changed.
         """
         for file in self.files:
             file.check_unchanged()
 
     def map(self, function: Callable[[T], R], items: Sequence[T]) -> Iterable[R]:
-        """``function`` of each item, in order, by all threads."""
+        """Apply ``function`` to all items in threads; return the results in order."""
         return (
             self._pool.map(function, items)
             if self._pool and len(items) > 1
             else map(function, items)
         )
 
-    def waves(self, places: Iterable[Place]) -> Iterator[list[Place]]:
-        """Chunks in order, as many together as are kept in memory."""
-        wave: list[Place] = []
+    def groups_that_fit(self, places: Iterable[Place]) -> Iterator[list[Place]]:
+        """Yield consecutive chunks in groups that fit into the cache."""
+        group: list[Place] = []
         total = 0
         for place in places:
             size = self._size(place)
-            if wave and total + size > self.cache_bytes:
-                yield wave
-                wave, total = [], 0
-            wave.append(place)
+            if group and total + size > self.cache_bytes:
+                yield group
+                group, total = [], 0
+            group.append(place)
             total += size
-        if wave:
-            yield wave
+        if group:
+            yield group
 
     def head(self, place: Place) -> ChunkHead:
-        """Return the head of a chunk.
+        """Return the header of a chunk.
 
         Raises:
-            DamageError: There is none.
+            DamageError: There is no chunk.
         """
         head = self._heads.get(place)
         if head is None:
@@ -124,14 +124,14 @@ class ChunkStore:
         return head
 
     def data(self, place: Place, ahead: bool = False) -> bytes | memoryview:
-        """Return the records of a chunk, checked against its CRC.
+        """Return the decompressed records of a chunk, checked against its CRC.
 
         Args:
-            place: The chunk.
-            ahead: It is only looked at, and kept until it is used.
+            place: Chunk.
+            ahead: Whether the chunk is only prefetched; it is then kept until it is used.
 
         Raises:
-            DamageError: It can't be read.
+            DamageError: The chunk can't be read.
         """
         size = self._size(place)
         with self._lock:
@@ -153,14 +153,14 @@ class ChunkStore:
         return data
 
     def loaded(self, places: Iterable[Place]) -> Iterator[Place]:
-        """Chunks in order; those of a wave that are packed are decompressed by all threads.
+        """Yield the chunks in order, after decompressing groups of them in threads.
 
-        One that can't be read raises a DamageError where its bytes are used.
+        An unreadable chunk raises a DamageError only when its bytes are used.
         """
-        for wave in self.waves(places):
-            for _ in self.map(self._load, [place for place in wave if self._is_packed(place)]):
+        for group in self.groups_that_fit(places):
+            for _ in self.map(self._load, [place for place in group if self._is_packed(place)]):
                 pass
-            yield from wave
+            yield from group
 
     def _is_packed(self, place: Place) -> bool:
         try:
@@ -169,12 +169,12 @@ class ChunkStore:
             return False
 
     def _load(self, place: Place) -> None:
-        """Decompresses a packed chunk, which is kept until it is used."""
+        """Decompress a compressed chunk, which is kept until it is used."""
         with suppress(DamageError):
             self.data(place, ahead=True)
 
     def _drop_one(self) -> None:
-        """Drop the least recently used chunk; one that waits for its use only if all do."""
+        """Drop the least recently used chunk, preferably not a prefetched but unused one."""
         used = (place for place in self._chunks if place not in self._ahead)
         place = next(used, next(iter(self._chunks)))
         self._ahead.discard(place)
@@ -184,7 +184,7 @@ class ChunkStore:
         """Check a chunk against its CRC, if it has one.
 
         Raises:
-            DamageError: It is not.
+            DamageError: The CRC is wrong.
         """
         if place in self.checked:
             return
@@ -196,14 +196,14 @@ class ChunkStore:
             self.checked.add(place)
 
     def peek(self, place: Place, offset: int, size: int, *, whole: bool = True) -> memoryview:
-        """Return up to ``size`` bytes of a chunk's records, without the CRC if it isn't packed.
+        """Return up to ``size`` bytes of a chunk's records; uncompressed ones are not checked.
 
         Args:
-            place: The chunk.
-            offset: In its records.
-            size: Of what is read.
-            whole: Whether a packed chunk is read whole. If not, bytes near its begin are read
-                without its CRC, where it isn't in memory.
+            place: Chunk.
+            offset: Offset in its records [byte].
+            size: Maximum number of bytes.
+            whole: Whether a compressed chunk is decompressed completely. Otherwise bytes near its
+                start are decompressed separately, without CRC, if the chunk is not in the cache.
 
         Raises:
             DamageError: The chunk can't be read.

@@ -1,4 +1,4 @@
-"""What the first messages of an image topic look like."""
+"""First messages of an image topic."""
 
 from collections import Counter
 from contextlib import suppress
@@ -10,9 +10,9 @@ from jaxdet.io.messages import CompressedImageMessage, ImageMessage, Kind, RgbdM
 from jaxdet.io.zstd_images import is_zstd, read_zstd_head
 
 NUM_PROBES = 8
-"""How many of a stream's first messages are looked at."""
+"""Number of messages examined per stream."""
 PROBE_BYTES = 1 << 16
-"""How much of a compressed image is kept of these, for its head."""
+"""Size of the part of a compressed image that is kept for its header [byte]."""
 
 
 class ImageSize(NamedTuple):
@@ -23,13 +23,13 @@ class ImageSize(NamedTuple):
 
 
 class FirstImage(NamedTuple):
-    """What is known of one of the first messages, also where it can't be decoded."""
+    """Data of one of the first messages, even if it can't be decoded."""
 
     stamp_ns: int
-    """Header stamp, of RGBD that of the depth image; the log time where it can't be decoded."""
+    """Header timestamp [ns], for RGBD that of depth; the log time if it can't be decoded."""
     log_ns: int
     size: int
-    """Bytes of the payload."""
+    """Size of the payload [byte]."""
 
 
 class ImageStream:
@@ -38,30 +38,33 @@ class ImageStream:
     def __init__(self, topic: str, kind: Kind) -> None:
         self.topic, self.kind = topic, kind
         self.first: list[FirstImage] = []
-        """The first ``NUM_PROBES`` messages."""
+        """First ``NUM_PROBES`` messages."""
         self.probes: list[ImageMessage | CompressedImageMessage | RgbdMessage] = []
-        """Of the first that can be decoded as many, without their pixels."""
+        """First ``NUM_PROBES`` decodable messages, without pixels."""
         self.typical: list[float] = []
-        """Of 32FC1 images among them, the median value."""
+        """Median value of each 32FC1 image among them."""
 
     def images(self, depth: bool) -> list[ImageMessage | CompressedImageMessage]:
-        """Return the first images, depth or colour ones, without their pixels."""
+        """Return the first depth or colour images, without pixels."""
         return [
             (probe.depth if depth else probe.color) if isinstance(probe, RgbdMessage) else probe
             for probe in self.probes
         ]
 
     def first_image(self, depth: bool) -> ImageMessage | CompressedImageMessage | None:
-        """Return the first of them; None if none of the first messages can be decoded."""
+        """Return the first depth or colour image.
+
+        The result is None if none of the first messages can be decoded.
+        """
         return next(iter(self.images(depth)), None)
 
     def frame_id(self, depth: bool) -> str:
-        """TF frame of the first image; empty when unknown."""
+        """Return the TF frame of the first image; empty if unknown."""
         image = self.first_image(depth)
         return image.frame_id if image else ""
 
     def encoding(self, depth: bool) -> str:
-        """Encoding or format of the first image; empty when unknown."""
+        """Return the encoding or format of the first image; empty if unknown."""
         image = self.first_image(depth)
         if isinstance(image, CompressedImageMessage):
             return image.format
@@ -69,7 +72,7 @@ class ImageStream:
 
     @property
     def has_floats(self) -> bool:
-        """Whether its depth images are 32FC1, whatever they are compressed with."""
+        """Whether the depth images are 32FC1, compressed or not."""
         image = self.first_image(True)
         text = self.encoding(True).partition(";")[0].strip().lower()
         if isinstance(image, CompressedImageMessage) and is_zstd(image.format):

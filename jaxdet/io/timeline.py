@@ -1,4 +1,4 @@
-"""Frames in time: the nearest colour images, and where each image lies."""
+"""Frames in time: nearest colour images, and positions of the images in the files."""
 
 from typing import NamedTuple
 
@@ -11,14 +11,15 @@ from jaxdet.io.store import Place
 
 
 class FrameTable(NamedTuple):
-    """The images of some frames."""
+    """Images of consecutive frames."""
 
     stamps_ns: np.ndarray
-    """Header stamps, ``(N,)`` int64; log times if all header stamps are zero; -1: no image."""
+    """Header timestamps, or log times if all header timestamps are zero, ``(N,)`` int64 [ns]; -1:
+    no image."""
     size: np.ndarray
-    """Bytes of the payloads, ``(N,)`` int64."""
+    """Payload sizes, ``(N,)`` int64 [byte]."""
     messages: IndexedMessages
-    """Where the images are; any message if there is no image."""
+    """Positions of the images; arbitrary if there is no image."""
 
     @property
     def log_ns(self) -> np.ndarray:
@@ -26,32 +27,32 @@ class FrameTable(NamedTuple):
         return self.messages.log_ns
 
     def rows(self, which: slice) -> "FrameTable":
-        """Return the images of some of the frames."""
+        """Return a range of the images."""
         return FrameTable(self.stamps_ns[which], self.size[which], self.messages.rows(which))
 
 
 class Window(NamedTuple):
-    """Some frames in a row, ``n`` of them."""
+    """A range of ``n`` consecutive frames."""
 
     depth: FrameTable
-    """Their depth images, in the order of the stamps."""
+    """Depth images in order of timestamps."""
     color: FrameTable | None
-    """Their nearest colour images, within the tolerance; None if the log has no colour."""
+    """Nearest colour images within the tolerance; None if the log has no colour."""
     T_world_camera: np.ndarray | None
-    """``(n, 4, 4)`` float64, NaN where unknown; None when the log has no poses."""
+    """Poses ``(n, 4, 4)`` float64, NaN if unknown; None if the log has no poses."""
     notes: Notes = Notes()
     other_calibration: np.ndarray | None = None
-    """``(n,)`` bool, frames to which another calibration belongs than the one used; None: none."""
+    """Frames with another calibration than the one used, ``(n,)`` bool; None: no frame."""
     chunks: tuple[Place, ...] = ()
-    """What this window answers for: chunks that must be as their CRC says."""
+    """Chunks whose CRC must be checked for this window."""
     color_chunks: tuple[Place, ...] = ()
-    """The same, where colour is decoded."""
+    """Chunks that must also be checked if colour is decoded."""
 
     def part(self, first: int, last: int) -> "Window":
-        """Return the frames ``first`` to ``last`` of these.
+        """Return the frames from ``first`` to ``last``, exclusive.
 
-        What is to be noted goes with the first part, what is to be checked with the last one,
-        when most of it has been read.
+        The notes are in the first part only, and the chunks to check in the last part, when most of
+        their bytes have been read.
         """
         rows = slice(first, last)
         depth, color = self.depth.rows(rows), self.color and self.color.rows(rows)
@@ -65,14 +66,14 @@ class Window(NamedTuple):
 
 
 def nearest(stamps_ns: np.ndarray, others_ns: np.ndarray, tolerance_s: float) -> np.ndarray:
-    """Return the number of the nearest other stamp for each stamp, ``(n,)`` int64, -1 = none.
+    """Return the index of the nearest other timestamp of each timestamp, ``(n,)``, -1 = none.
 
-    A tie goes to the earlier one, and of equal ones to the first.
+    In a tie the earlier one is returned, and the first of equal ones.
 
     Args:
-        stamps_ns: ``(n,)`` int64 [ns].
-        others_ns: ``(m,)`` int64, sorted [ns].
-        tolerance_s: Greatest difference [s].
+        stamps_ns: Timestamps ``(n,)`` int64 [ns].
+        others_ns: Other timestamps ``(m,)`` int64, sorted [ns].
+        tolerance_s: Maximum difference [s].
 
     >>> nearest(np.array([0, 50, 90]), np.array([40, 60]), 3e-8).tolist()
     [-1, 0, 1]
@@ -90,12 +91,12 @@ def nearest(stamps_ns: np.ndarray, others_ns: np.ndarray, tolerance_s: float) ->
 def apart(
     depth: FrameTable, color: FrameTable | None, color_offset_ns: int = 0
 ) -> tuple[np.ndarray, np.ndarray, int]:
-    """Return how far images are apart by stamp and by log time, and frames without colour.
+    """Return timestamp and log time differences, and the number of frames without colour.
 
     Args:
-        depth: Images of ``n`` frames.
-        color: Their colour images.
-        color_offset_ns: How far colour's clock is ahead of depth's.
+        depth: Depth images of ``n`` frames.
+        color: Colour images of these frames.
+        color_offset_ns: Offset of colour's clock relative to depth [ns].
     """
     if color is None:
         return np.zeros(0, np.int64), np.zeros(0, np.int64), len(depth.stamps_ns)
@@ -106,6 +107,6 @@ def apart(
 
 
 def log_time_warnings(topic: str, backward: int) -> list[str]:
-    """Return a warning about messages that come after a later one."""
-    text = f"{printable(topic)}: {backward} log times run backward; images are ordered by stamp"
+    """Return a warning about messages that are after a message with a later log time."""
+    text = f"{printable(topic)}: {backward} log times run backward; images are ordered by timestamp"
     return [text] if backward else []

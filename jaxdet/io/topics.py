@@ -1,10 +1,10 @@
-"""Which topics are depth and colour: by schema, by encoding, then by name.
+"""Selection of the depth and colour topics: by schema, then encoding, then name.
 
-A log without depth is refused. Colour is optional: where it is missing, can't be read or isn't
-certain, the log is used without it.
+A log without depth is an error. Colour is optional: if it is missing, unreadable or ambiguous, the
+log is used without it.
 
-Names are matched by their parts, never as a whole, since drivers put any namespace before
-them (RealSense old and new, OAK-D, ZED, Azure Kinect, Orbbec).
+Only the components of names are matched, since drivers add various namespaces (RealSense old and
+new, OAK-D, ZED, Azure Kinect, Orbbec).
 """
 
 import re
@@ -25,7 +25,8 @@ _ALIGNED = ("aligned_depth", "depth_to_rgb", "depth_to_color", "depth_registered
 _COLOR_WORDS = {"color", "colour", "rgb"}
 _DEPTH_WORDS = {"depth", "stereo"}
 _INFRARED = {"ir", "infra", "infra1"}
-"""Of the depth camera's own pixels; infra2 is the other eye's."""
+"""Words for images with the depth camera's own pixels; infra2 is the other camera of the stereo
+pair."""
 _NOT_COLOR = {"depth", "confidence", "infra2", "mask"} | _INFRARED
 _NOT_DEPTH = {"confidence", "infra2", "amplitude"} | _INFRARED
 _DISPARITY_WORDS = {"disparity", "disp", "disparities"}
@@ -42,12 +43,12 @@ _IMAGE_WORDS = (
     | {"extrinsics", "zstd", "infra2", "disparity"}
     | _INFRARED
 )
-"""Of topics, no part of a camera's name."""
+"""Words in topics that are not part of a camera's name."""
 _MAX_LISTED = 12
 
 
 class Candidate(NamedTuple):
-    """A topic that may be used; the smallest ``rank`` goes first."""
+    """A topic that may be chosen; smaller ranks are preferred."""
 
     topic: str
     rank: tuple[int, int, int]
@@ -55,41 +56,42 @@ class Candidate(NamedTuple):
 
 
 class Choice(NamedTuple):
-    """The topics used, and why."""
+    """Chosen topics, with reasons."""
 
     camera: str
-    """Its name."""
+    """Name of the camera."""
     depth: str
     color: str
-    """Empty if there is none."""
+    """Colour topic; empty if there is none."""
     aligned_by_name: bool
     reasons: tuple[str, ...]
     why_no_color: str = ""
-    """A clause; empty if there is a colour topic."""
+    """Reason in one clause; empty if there is a colour topic."""
     remedy: str = ""
-    """What gives the log colour; empty likewise."""
+    """Action that gives the log colour; empty if there is a colour topic."""
     infrared: bool = False
-    """Whether the colour topic is the depth camera's own grey."""
+    """Whether the colour topic is the infrared image of the depth camera."""
 
 
 def choose_topics(contents: LogContents, options: LogOptions) -> dict[str, Choice | TopicError]:
-    """Return the depth and the colour topic of each camera, by its name, in order.
+    """Choose the depth and the colour topic of each camera; return them by camera name, in order.
 
-    There are several cameras where depth topics have several names (see :func:`camera_name`), and
-    the user chooses neither topic. Depth that its name says is aligned to colour goes before other
-    depth, raw images before compressed ones, separate images before RGBD messages.
+    There are several cameras if the names of depth topics differ (see :func:`camera_name`) and the
+    user selects no topic. Priorities: depth that is aligned to colour, according to its name; raw
+    before compressed images; separate images before RGBD messages.
 
-    Where there is one camera, its colour topic may have another name: the one that shares its
-    namespace with depth is taken; if that leaves several, none is. Without colour the infrared
-    image of the depth camera serves.
+    If there is only one camera, its colour topic may have another name; the one with the closest
+    namespace is used, or none if that is ambiguous. Without colour, the infrared image of the depth
+    camera is used.
 
     Returns:
-        At least one entry; of a camera with several depth topics that qualify, among others, the
+        At least one entry. If several depth topics of one of several cameras qualify, its entry is
+        the error.
         error.
 
     Raises:
-        TopicError: No depth or, of the only camera, several qualify; the text lists them. A topic
-            of the options can't be used.
+        TopicError: No topic can be depth, several topics of the only camera can, or a topic set in
+            the options is unusable.
     """
     depths = _candidates(contents, options.depth, True)
     prefer_rect = any("depth_registered" in item.topic for item in depths)
@@ -98,7 +100,7 @@ def choose_topics(contents: LogContents, options: LogOptions) -> dict[str, Choic
     colors = [] if without else _candidates(contents, given, False, prefer_rect)
     if not depths:
         raise _missing(contents)
-    if any(not item.rank[1] for item in depths):  # mono16 may also be of a thermal camera
+    if any(not item.rank[1] for item in depths):  # mono16 may also be a thermal image
         streams = contents.streams
         depths = [d for d in depths if not (d.rank[1] and _is_kind(streams[d.topic], False))]
     names = {camera_name(depth.topic) for depth in depths}
@@ -119,24 +121,24 @@ def choose_topics(contents: LogContents, options: LogOptions) -> dict[str, Choic
 
 
 def camera_name(topic: str) -> str:
-    """Return the name of the camera that an image topic is of: its namespace.
+    """Return the name of an image topic's camera, i.e. its namespace.
 
-    That is the topic without the words that say what is in an image, for instance ``front`` of
-    ``/front/camera/color/image_raw``; ``camera`` where nothing is left.
+    This is the topic without words that describe image types, for instance ``front`` for
+    ``/front/camera/color/image_raw``; ``camera`` if nothing is left.
     """
     parts: list[str] = []
     for part in printable(topic).strip("/").split("/"):
         words = [word for word in part.split("_") if word.lower() not in _IMAGE_WORDS]
         kept = "_".join(words)
         if len(words) < len(part.split("_")) and kept.replace("_", "").isdigit():
-            continue  # sensor_0, Color_0
+            continue  # for example sensor_0 or Color_0
         if kept and not (parts and kept in (parts[-1], f"{parts[-1]}_node")):
-            parts.append(kept)  # once of camera/camera and zed/zed_node
+            parts.append(kept)  # avoids repetition in camera/camera and zed/zed_node
     return "/".join([part for part in parts if part != "camera"]) or "camera"
 
 
 def is_color_name(topic: str) -> bool:
-    """Return whether a topic's name says colour, and not that it is aligned depth."""
+    """Return whether a topic's name indicates colour, and not aligned depth."""
     words = _words(topic)
     return bool(words & _COLOR_WORDS) and not words & _DEPTH_WORDS
 
@@ -147,13 +149,13 @@ def _choose(
     colors: Sequence[Candidate],
     depths: Sequence[Candidate],
 ) -> Choice:
-    """Return the depth and the colour topic among some candidates."""
+    """Choose the depth and the colour topic from the candidates."""
     color_best, depth_best = _best(colors), _best(depths)
     if len(depth_best) > 1 and len(color_best) == 1:
         depth_best = _nearest(depth_best, color_best[0].topic)
     if len(depth_best) > 1:
         names = listed([item.topic for item in depth_best])
-        problem, remedy = f"several topics can be depth: {names}", "choose one with --log.depth"
+        problem, remedy = f"several topics may be depth: {names}", "choose one with --log.depth"
         raise TopicError(problem, path=contents.path, remedy=remedy)
     depth = depth_best[0]
     if len(color_best) > 1:
@@ -180,26 +182,29 @@ def _why_no_color(
     contents: LogContents, options: LogOptions, several: Sequence[Candidate]
 ) -> tuple[str, str]:
     """Return why a camera has no colour topic, and the remedy."""
-    remedy = "name a topic with --log.color"
+    remedy = "set one with --log.color"
     if options.color == NO_COLOR:
-        return "--log.color none", "leave --log.color none out"
+        return "--log.color none", "omit --log.color none"
     if several:
         names = listed([item.topic for item in several])
-        return f"several topics can be colour ({names})", "choose one with --log.color"
+        return f"several topics may be colour ({names})", "choose one with --log.color"
     if unread := [*_unread(contents), *_videos(contents)]:
-        return f"not read: {listed(unread)}", "record colour in a form that jaxdet help logs names"
-    return "no colour image topic", remedy
+        return (
+            f"unsupported: {listed(unread)}",
+            "record colour in an encoding listed by jaxdet help logs",
+        )
+    return "no topic with colour images", remedy
 
 
 def _videos(contents: LogContents) -> list[str]:
-    """Return the topics with video, each with its kind."""
+    """Return the topics with video, each with its type."""
     schemas = {name: info.channel.schema_name for name, info in sorted(contents.topics.items())}
     plain = {name: plain_schema_name(schema) for name, schema in schemas.items()}
     return [f"{_VIDEOS[kind]} of {name}" for name, kind in plain.items() if kind in _VIDEOS]
 
 
 def _infrared(contents: LogContents, depth_topic: str) -> list[Candidate]:
-    """Return the infrared image of the depth camera's own pixels."""
+    """Return the infrared image with the depth camera's pixels, if any."""
     name = camera_name(depth_topic)
     found = []
     for topic, stream in sorted(contents.streams.items()):
@@ -207,12 +212,12 @@ def _infrared(contents: LogContents, depth_topic: str) -> list[Candidate]:
             continue
         if stream.kind is not Kind.RGBD and (_is_kind(stream, False) or _is_kind(stream, True)):
             rank = 0, int(stream.kind is Kind.COMPRESSED), 0
-            found.append(Candidate(topic, rank, "infrared, as there is no colour"))
+            found.append(Candidate(topic, rank, "infrared, since there is no colour"))
     return _best(sorted(found, key=lambda item: (item.rank, item.topic)))[:1]
 
 
 def listed(names: Sequence[str]) -> str:
-    """Return names as text: the first ones, and how many more there are."""
+    """Join the first names; append the number of others."""
     more = f", and {len(names) - _MAX_LISTED} more" if len(names) > _MAX_LISTED else ""
     return ", ".join(printable(name) for name in names[:_MAX_LISTED]) + more
 
@@ -240,7 +245,7 @@ def _candidates(
 
 
 def _is_eye(topic: str, contents: LogContents) -> bool:
-    """Return whether this is the left or right image of a stereo camera with a colour one (ZED)."""
+    """Return whether a topic is the left or right image of a ZED with a colour image."""
     color = re.sub("/(left|right)/", "/rgb/", topic)
     return color != topic and color in contents.streams
 
@@ -252,19 +257,19 @@ def _overridden(contents: LogContents, topic: str, depth: bool) -> Candidate:
         raise TopicError(reason[0], path=contents.path, topic=topic, remedy=reason[1])
     if stream is None:
         known = contents.topics.get(topic)
-        reason = (known and known.trouble) or "there are no images on the topic"
+        reason = (known and known.trouble) or "the topic has no images"
         streams = sorted(contents.streams.items())
         names = [name for name, one in streams if not one.probes or _is_kind(one, depth)]
-        remedy = f"{flag} can be: {listed(names) or f'nothing, it has no {what} images'}"
+        remedy = f"set {flag} to one of: {listed(names) or f'none, the log has no {what} images'}"
         raise TopicError(reason, path=contents.path, topic=topic, remedy=remedy)
     mistaken = not depth and _is_kind(stream, True) and bool(_words(topic) & _DEPTH_WORDS)
     if stream.probes and stream.kind is not Kind.RGBD and (mistaken or not _is_kind(stream, depth)):
         encoding = printable(stream.encoding(depth))
-        problem = f"encoding {encoding!r} is not a {what} image that can be read"
+        problem = f"encoding {encoding!r} is not a supported {what} encoding"
         if mistaken:
-            problem = f"a topic of depth images ({encoding}), not of colour"
+            problem = f"the topic has depth images ({encoding}), not colour"
         raise TopicError(problem, path=contents.path, topic=topic, remedy=f"change {flag}")
-    return Candidate(topic, (0, 0, 0), f"given by {flag}")
+    return Candidate(topic, (0, 0, 0), f"set by {flag}")
 
 
 def _is_kind(stream: ImageStream, depth: bool) -> bool:
@@ -280,16 +285,19 @@ def _is_kind(stream: ImageStream, depth: bool) -> bool:
 
 
 def _why_not_depth(stream: ImageStream) -> tuple[str, str] | None:
-    """Return why images that look like depth are none, and the remedy; None if they may be."""
+    """Return why images that look like depth are not, with the remedy.
+
+    The result is None if the images may be depth.
+    """
     image, words = stream.first_image(True), _words(stream.topic)
     named = "disparity" in stream.topic.lower() or bool(words & _DISPARITY_WORDS)
     if named and stream.kind in (Kind.IMAGE, Kind.COMPRESSED):
         remedy = "record the depth image, or stereo_msgs/DisparityImage (it has focal length and "
-        return "holds disparity in pixels, not depth in metres", f"{remedy}baseline)"
+        return "the topic has disparity in pixels, not depth in metres", f"{remedy}baseline)"
     if not isinstance(image, CompressedImageMessage) or not is_jpeg(image):
         return None
     if is_compressed_depth(image.format, stream.topic) or "depth" in words:
-        problem = "depth was recorded as JPEG (8 bits, lossy), its distances are lost"
+        problem = "depth was recorded as JPEG (8 bits, lossy), so its distances are lost"
         remedy = "record the compressedDepth topic, or set the format of image_transport's "
         return problem, f"{remedy}compressed transport to png (now {image.format.strip()!a})"
     return None
@@ -306,11 +314,11 @@ def _depth_candidate(stream: ImageStream) -> Candidate | None:
     if stream.kind is Kind.RGBD:
         return Candidate(stream.topic, (2, 0, 0), "an RGBD message")
     if stream.kind is Kind.DISPARITY:
-        return Candidate(stream.topic, (3, 0, 0), "depth of its disparity, focal length, baseline")
+        return Candidate(stream.topic, (3, 0, 0), "depth from disparity, focal length and baseline")
     aligned = _says_aligned(stream.topic)
     rank = (0 if aligned else 1, 0 if named else 1, int(stream.kind is Kind.COMPRESSED))
     encoding = printable(stream.encoding(True))
-    why = "its name says that it is aligned to colour" if aligned else "its encoding is depth's"
+    why = "aligned to colour by its name" if aligned else "matched by encoding"
     return Candidate(stream.topic, rank, f"{why} ({encoding})")
 
 
@@ -323,16 +331,16 @@ def _color_candidate(stream: ImageStream, prefer_rect: bool) -> Candidate | None
     encoding = stream.encoding(False)
     named = bool(words & _COLOR_WORDS)
     if _is_kind(stream, True) and not named:
-        return None  # 16 bits may be of a thermal camera, a confidence or depth
+        return None  # 16-bit images may be thermal, confidence or depth
     grey = encoding.lower() in ("mono8", "8uc1", "mono16", "16uc1")
     tier = 2 if grey else 0 if named else 1
     rank = (tier, int(stream.kind is Kind.COMPRESSED), int(("rect" in words) != prefer_rect))
-    why = "its name says colour" if named else "its encoding is colour's"
+    why = "matched by name" if named else "matched by encoding"
     return Candidate(stream.topic, rank, f"{why} ({printable(encoding)})")
 
 
 def _best(candidates: Sequence[Candidate]) -> list[Candidate]:
-    """Return the candidates of the smallest rank."""
+    """Return the candidates with the smallest rank."""
     return [item for item in candidates if item.rank == candidates[0].rank]
 
 
@@ -343,7 +351,7 @@ def _nearest(candidates: Sequence[Candidate], topic: str) -> list[Candidate]:
 
 def _missing(contents: LogContents) -> TopicError:
     if not contents.streams and any(name.startswith("/jaxdet/") for name in contents.topics):
-        problem, remedy = "an export of jaxdet, without images", "name the log that it was made of"
+        problem, remedy = "an export of jaxdet, without images", "pass the original log"
         return TopicError(problem, path=contents.path, remedy=remedy)
     names = []
     topics = sorted(contents.topics.items(), key=lambda it: (it[0] not in contents.streams, it))
@@ -351,21 +359,21 @@ def _missing(contents: LogContents) -> TopicError:
         kind = "" if info.problem else info.channel.schema_name or "no schema"
         encoding = contents.streams[name].encoding(False) if name in contents.streams else ""
         names.append(f"{name} ({', '.join(filter(None, (kind, encoding, info.trouble)))})")
-    known = f"its topics are {listed(names)}" if names else "it has no messages"
+    known = f"the log has the topics {listed(names)}" if names else "the log has no messages"
     wrong = {name: _why_not_depth(one) for name, one in sorted(contents.streams.items())}
     for name, reason in wrong.items():
         if reason:
-            problem = f"no depth image topic: {reason[0]}"
+            problem = f"no topic with depth images: {reason[0]}"
             raise TopicError(problem, path=contents.path, topic=name, remedy=reason[1])
     if unread := _unread(contents):
-        known = f"encodings not read: {listed(unread)}; {known}"
-    remedy = "record depth in an encoding that jaxdet help logs names, or give --log.depth TOPIC"
+        known = f"unsupported encodings: {listed(unread)}; {known}"
+    remedy = "record depth in an encoding listed by jaxdet help logs, or pass --log.depth TOPIC"
     clouds = [name for name, info in topics if _is_cloud(info.channel.schema_name)]
     if clouds:
-        known = f"PointCloud2 ({listed(clouds)}) is not read; {known}"
-        remedy = "record the depth images that the clouds were made of"
-    remedy = remedy if names else "copy or record it again"
-    return TopicError(f"no depth image topic; {known}", path=contents.path, remedy=remedy)
+        known = f"PointCloud2 ({listed(clouds)}) is not supported; {known}"
+        remedy = "record the depth images from which the clouds were computed"
+    remedy = remedy if names else "copy or record the log again"
+    return TopicError(f"no topic with depth images; {known}", path=contents.path, remedy=remedy)
 
 
 def _is_cloud(schema_name: str) -> bool:
@@ -373,7 +381,7 @@ def _is_cloud(schema_name: str) -> bool:
 
 
 def _unread(contents: LogContents) -> list[str]:
-    """Image encodings that are neither colour's nor depth's, each with its topic."""
+    """Return the image encodings that are neither colour nor depth, each with its topic."""
     return [
         f"{stream.encoding(False)!a} of {topic}"
         for topic, stream in sorted(contents.streams.items())
@@ -383,4 +391,4 @@ def _unread(contents: LogContents) -> list[str]:
 
 def _others(candidates: Sequence[Candidate], chosen: Candidate) -> str:
     names = [item.topic for item in candidates if item.topic != chosen.topic]
-    return f"; goes before {listed(names)}" if names else ""
+    return f"; preferred over {listed(names)}" if names else ""

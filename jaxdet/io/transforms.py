@@ -1,4 +1,4 @@
-"""The tree of a log's transforms, and the motion between any two of its frames."""
+"""Transform tree of a log, and motions between any two of its frames."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -12,11 +12,11 @@ from jaxdet.io.messages import TransformMessage
 from jaxdet.io.motion import MotionSamples, difference, inverse, motion_matrix
 from jaxdet.io.namespaces import namespace_of
 
-_REMEDY = "give --log.color-from-depth and --log.no-tf, or repair the transforms"
+_REMEDY = "pass --log.color-from-depth and --log.no-tf, or correct the transforms"
 
 
 class _Edge:
-    """A frame's motion in its parent."""
+    """Motion of a frame in its parent."""
 
     def __init__(self, parent: str, topic: str) -> None:
         self.parent, self.topic = parent, topic
@@ -24,17 +24,18 @@ class _Edge:
         self.samples = MotionSamples()
         self.once_is_static = False
         self.settled = False
-        """Static by what it does, not by its topic."""
+        """Whether the transform is static because its samples are equal, not because of its topic.
+        """
 
 
 class TransformTree:
-    """Static and moving transforms; each frame has one parent, the first that is seen.
+    """Static and moving transforms; each frame has one parent, the first one found.
 
-    A static transform goes before moving ones of the same frame. What contradicts, or is no
-    motion, is not used and noted in ``warnings``.
+    A static transform takes precedence over moving ones of the same frame. Contradictory
+    transforms, and those that are not rigid motions, are ignored and reported in ``warnings``.
 
     Attributes:
-        ignored: How many transforms of each frame are no motions.
+        ignored: Number of invalid transforms by frame.
     """
 
     def __init__(self) -> None:
@@ -43,29 +44,29 @@ class TransformTree:
         self.warnings: list[str] = []
         self.ignored: Counter[str] = Counter()
         self._problems: dict[str, str] = {}
-        """Of the first of them."""
+        """Reason for the first of them, by frame."""
         self._topics: set[str] = set()
 
     @property
     def frames(self) -> set[str]:
-        """All frames."""
+        """Names of all frames."""
         return set(self._edges) | {edge.parent for edge in self._edges.values()}
 
     @property
     def has_static(self) -> bool:
-        """Whether a static transform was seen."""
+        """Whether there is a static transform."""
         return any(edge.fixed is not None for edge in self._edges.values())
 
     @classmethod
     def joined(
         cls, trees: Sequence["TransformTree"], others: Sequence["TransformTree"] = ()
     ) -> "TransformTree":
-        """Join the trees of several namespaces; of a frame in several, the first tree's counts.
+        """Merge the trees of several namespaces; for a frame in several, the first tree is used.
 
         Args:
-            trees: Of the robot's namespaces, in the order in which they are searched.
-            others: Of other namespaces. One whose frames contradict those before it is of another
-                robot, and is left out.
+            trees: Trees of the robot's namespaces, in search order.
+            others: Trees of other namespaces. Those that contradict the frames found so far belong
+                to another robot and are skipped.
         """
         found = cls()
         for tree in trees:
@@ -79,7 +80,7 @@ class TransformTree:
         for frame, edge in tree._edges.items():
             if self._contradicts(frame, edge):
                 used = self._edges[frame].topic
-                text = f"comes from {used} and from {edge.topic}; {used} is used"
+                text = f"is on {used} and on {edge.topic}; {used} is used"
                 self._warn(frame, text)
             self._edges.setdefault(frame, edge)
         self.warnings += [text for text in tree.warnings if text not in self.warnings]
@@ -88,7 +89,7 @@ class TransformTree:
         self._topics |= tree._topics
 
     def _contradicts(self, frame: str, edge: _Edge) -> bool:
-        """Return whether another tree has this frame elsewhere."""
+        """Return whether another tree has a different transform for this frame."""
         known = self._edges.get(frame)
         if known is None:
             return False
@@ -97,7 +98,7 @@ class TransformTree:
         return max(difference(known.fixed, edge.fixed)) > 1e-6
 
     def uses(self, topic: str, frame: str) -> bool:
-        """Return whether transforms of this frame are taken from this topic."""
+        """Return whether transforms of this frame on this topic are used."""
         edge = self._edges.get(frame)
         if edge is not None and namespace_of(edge.topic) != namespace_of(topic):
             return False
@@ -113,11 +114,11 @@ class TransformTree:
         """Add transforms.
 
         Args:
-            messages: The transforms.
-            static: They hold at all times (``/tf_static``).
-            once_is_static: A frame that gets one transform only has a static one (Foxglove,
-                which doesn't tell them apart).
-            topic: The topic that they come from.
+            messages: Transforms.
+            static: Whether they are valid at all times (``/tf_static``).
+            once_is_static: Whether a frame with a single transform is static (Foxglove, which does
+                not distinguish them).
+            topic: Topic of the transforms.
         """
         self._topics.add(topic)
         for message in messages:
@@ -141,9 +142,10 @@ class TransformTree:
                 self._warn(message.child, text)
 
     def settle(self) -> None:
-        """Call when all is added: a transform that never changes counts as static, at all times.
+        """Finish the tree: transforms that never change become static.
 
-        Many repeat their mounts on ``/tf``, at any rate, and end a little before the images.
+        Many robots publish their mounts on ``/tf``, at any rate, and stop shortly before the images
+        do.
         """
         for edge in self._edges.values():
             once = edge.once_is_static and len(edge.samples) == 1
@@ -152,11 +154,13 @@ class TransformTree:
                 edge.fixed = motion_matrix(value[:3], value[3:])
                 edge.settled = True
         for frame, problem in sorted(self._problems.items()):
-            text = f"TF frame {frame!r}: {self.ignored[frame]} transforms are ignored: {problem}"
+            text = f"TF frame {frame!r}: {self.ignored[frame]} transforms were ignored: {problem}"
             self.warnings.append(text)
 
     def fixed(self, target: str, source: str) -> np.ndarray | None:
-        """``T_target_source`` ``(4, 4)`` of static transforms; None if there is none.
+        """Return ``T_target_source`` ``(4, 4)`` from static transforms.
+
+        The result is None if static transforms don't connect the frames.
 
         Raises:
             TransformError: The transforms form a cycle.
@@ -168,9 +172,9 @@ class TransformTree:
         return None if up is None or down is None else matmul(inverse(up), down)
 
     def at(self, target: str, source: str, stamps_ns: np.ndarray) -> np.ndarray | None:
-        """``T_target_source`` at each stamp ``(F, 4, 4)``, NaN where unknown.
+        """Return ``T_target_source`` at given times, ``(F, 4, 4)``, NaN if unknown.
 
-        None if no chain of transforms, static or moving, joins the frames.
+        The result is None if no chain of static or moving transforms connects the frames.
 
         Raises:
             TransformError: The transforms form a cycle.
@@ -182,7 +186,7 @@ class TransformTree:
         return matmul(inverse(up), down)
 
     def joins(self, target: str, source: str) -> bool:
-        """Return whether a chain of transforms, static or moving, joins two frames.
+        """Return whether a chain of static or moving transforms connects two frames.
 
         Raises:
             TransformError: The transforms form a cycle.
@@ -190,7 +194,7 @@ class TransformTree:
         return self._paths(target, source) is not None
 
     def moving(self, target: str, source: str) -> list[str]:
-        """Return the frames between two that move in their parents."""
+        """Return the moving frames on the path between two frames."""
         paths = self._paths(target, source) or ([], [])
         return [frame for path in paths for frame in path if self._edges[frame].fixed is None]
 
@@ -211,7 +215,7 @@ class TransformTree:
         return path
 
     def sampled_once(self) -> set[str]:
-        """Return the frames with a single moving transform, which may change or not."""
+        """Return the frames with a single moving transform, which may or may not change."""
         return {
             frame
             for frame, edge in self._edges.items()
@@ -219,7 +223,7 @@ class TransformTree:
         }
 
     def topic(self, frame: str) -> str:
-        """Return the topic that a frame's transforms come from; empty if it is unknown."""
+        """Return the topic of a frame's transforms; empty if unknown."""
         return self._edges[frame].topic if frame in self._edges else ""
 
     def parent(self, frame: str) -> str | None:
@@ -227,22 +231,22 @@ class TransformTree:
         return self._edges[frame].parent if frame in self._edges else None
 
     def agrees(self, message: TransformMessage, static: bool) -> bool:
-        """Return whether a transform would change nothing but the samples of moving frames."""
+        """Return whether a transform would change nothing except samples of moving frames."""
         edge = self._edges.get(message.child)
         if edge is None:
             return False
-        told = message.child in self._warned
+        was_warned = message.child in self._warned
         if edge.parent != message.parent:
-            return told and (not static or (edge.fixed is not None and not edge.settled))
+            return was_warned and (not static or (edge.fixed is not None and not edge.settled))
         if edge.fixed is None or (static and edge.settled):
             return not static
         if static:
             T = motion_matrix(np.array(message.translation), np.array(message.rotation))
-            return told or max(difference(edge.fixed, T)) <= 1e-6
+            return was_warned or max(difference(edge.fixed, T)) <= 1e-6
         return not edge.settled or edge.samples.is_like_first(message)
 
     def with_samples(self, samples: dict[str, MotionSamples]) -> "TransformTree":
-        """Return the same tree with other samples of what moves."""
+        """Return a copy with other samples of the moving frames."""
         tree = TransformTree()
         for frame, edge in self._edges.items():
             tree._edges[frame] = copy = _Edge(edge.parent, edge.topic)
@@ -250,7 +254,7 @@ class TransformTree:
         return tree
 
     def _edge(self, message: TransformMessage, static: bool, topic: str) -> _Edge | None:
-        """Return the edge of a transform; None if it contradicts the existing one."""
+        """Return the edge for a transform; None if it contradicts the existing edge."""
         edge = self._edges.get(message.child)
         if edge is None and len(self._edges) >= MAX_FRAMES_TF:
             text = f"there are more than {MAX_FRAMES_TF} TF frames; the first ones are used"
@@ -271,7 +275,7 @@ class TransformTree:
         return self._edges[message.child] if used == message.parent else None
 
     def _paths(self, target: str, source: str) -> tuple[list[str], list[str]] | None:
-        """Return the frames from each of the two up to their common ancestor, exclusive."""
+        """Return the paths from both frames up to their common ancestor, exclusive."""
         above_target, above_source = self.above(target), self.above(source)
         known = set(above_source)
         common = next((frame for frame in above_target if frame in known), None)

@@ -1,8 +1,8 @@
-"""Recordings that are compressed as a whole, read through a temporary file.
+"""Decompression of recordings (whole files) to temporary files.
 
-rosbag2 names them ``NAME_0.mcap.zstd``; ``zstd`` and ``bzip2`` append ``.zst`` and ``.bz2``. The
-decompressed file lies in a folder of the user under the system's temporary folder (``TMPDIR``) and
-is removed when the process that made it ends.
+rosbag2 names such files ``NAME_0.mcap.zstd``; ``zstd`` and ``bzip2`` append ``.zst`` and ``.bz2``.
+The decompressed file is in a folder of the user under the system's temporary folder (``TMPDIR``),
+and is removed when the process that created it ends.
 """
 
 import atexit
@@ -22,28 +22,29 @@ from jaxdet.errors import InputError
 from jaxdet.memory import size_text
 
 PACKED = (".zstd", ".zst", ".bz2")
-"""How the names of compressed files end."""
+"""Suffixes of compressed files."""
 MAX_UNPACKED_BYTES = 64 << 30
-"""Of a decompressed recording."""
+"""Maximum size of a decompressed recording [byte]."""
 _MAX_RATIO, _FREE_BYTES = 200, 64 << 20
-"""Largest ratio of decompressed to compressed bytes, beyond the first; recordings reach 20."""
+"""Maximum compression ratio, and number of decompressed bytes without a limit; recordings reach 20.
+"""
 _SPARE_BYTES = 1 << 30
-"""Of the disk, that stay free."""
+"""Disk space that is left free [byte]."""
 _PIECE_BYTES = 4 << 20
 _OLD_S = 7 * 24 * 3600
-"""Age of files that were left behind by processes that were killed."""
+"""Age from which files left behind by killed processes are removed [s]."""
 
 
 def is_packed(path: Path) -> bool:
-    """Return whether a file is compressed as a whole, by its name."""
+    """Return whether the suffix of a file is that of a compressed file."""
     return path.suffix.lower() in PACKED
 
 
 def unpacked(path: Path) -> Path:
-    """Return a decompressed copy of a recording, which is made where it isn't there yet.
+    """Return the path of a decompressed copy of a recording, which is created if necessary.
 
     Raises:
-        InputError: It is damaged or too large, or there is no room for it.
+        InputError: The file is damaged or too large, or there is too little disk space.
     """
     try:
         state = path.stat()
@@ -58,18 +59,18 @@ def unpacked(path: Path) -> Path:
             _unpack(path, target, state.st_size)
     except (OSError, EOFError, zstandard.ZstdError) as error:
         problem = f"can't be decompressed ({getattr(error, 'strerror', None) or error})"
-        remedy = "check the file, or decompress it yourself"
+        remedy = "check the file, or decompress it manually"
         raise InputError(problem, path=str(path), remedy=remedy) from error
     return target
 
 
 def _own_folder() -> Path:
-    """Return a folder that only this user can write to."""
+    """Return a folder that is writable only by this user."""
     folder = Path(tempfile.gettempdir(), f"jaxdet-{os.getuid()}")
     folder.mkdir(mode=0o700, exist_ok=True)
     about = folder.lstat()
     if about.st_uid != os.getuid() or about.st_mode & 0o077 or folder.is_symlink():
-        raise PermissionError(None, f"{folder} is not this user's own")
+        raise PermissionError(None, f"{folder} belongs to another user or is accessible to others")
     return folder
 
 
@@ -112,7 +113,7 @@ def _pieces(path: Path) -> Iterator[bytes]:
 
 def _too_large(path: Path, most: int, room: int) -> InputError:
     if room < most:
-        problem = f"no room to decompress it: {size_text(max(room, 0))} are left"
-        return InputError(problem, path=str(path), remedy="set TMPDIR to a folder with more room")
-    problem = f"decompressed it has more than {size_text(most)}"
-    return InputError(problem, path=str(path), remedy="check the file, or decompress it yourself")
+        problem = f"too little disk space to decompress it ({size_text(max(room, 0))} free)"
+        return InputError(problem, path=str(path), remedy="set TMPDIR to a folder with more space")
+    problem = f"the decompressed file exceeds {size_text(most)}"
+    return InputError(problem, path=str(path), remedy="check the file, or decompress it manually")

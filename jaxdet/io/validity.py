@@ -1,8 +1,8 @@
-"""Where in a log its calibration holds.
+"""Validity of the calibration over the frames of a log.
 
-A log is computed with one calibration for each camera, the first that is one. A frame to which
-another one belongs, by its stamp, can't be used: it gets the status ``bad_calibration``. Messages
-of a camera that is not calibrated yet (K[0] = 0) say nothing.
+All frames of a camera are processed with the same calibration, the first valid one. Frames with
+another calibration, according to their timestamp, get the status ``bad_calibration``. Messages of
+an uncalibrated camera (K[0] = 0) are ignored.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,21 +19,21 @@ _MAX_VARIANTS = 16
 
 
 class CalibrationChange(NamedTuple):
-    """A calibration that differs from the one before it."""
+    """A calibration that differs from the previous one."""
 
     stamp_ns: int
     log_ns: int
     values: tuple[object, ...]
-    """See :func:`values_of`."""
+    """Values from :func:`values_of`."""
 
 
 def values_of(info: CameraInfoMessage) -> tuple[object, ...] | None:
-    """Return what must stay the same: size, lens model, D, K and P; None if not calibrated."""
+    """Return the values that must not change: size, lens model, D, K, P; None if not calibrated."""
     return None if info.K[:1] == (0.0,) else info[2:]
 
 
 def says_other(info: CameraInfoMessage, used: CameraInfoMessage | None) -> bool:
-    """Return whether a calibration contradicts the one that is used."""
+    """Return whether a calibration contradicts the one in use."""
     values = values_of(info)
     return used is not None and values is not None and values != values_of(used)
 
@@ -44,15 +44,15 @@ def other_calibration(
     used: CameraInfoMessage,
     by_log_time: bool,
 ) -> np.ndarray:
-    """Return which frames have another calibration than the one that is used, ``(F,)`` bool.
+    """Return which frames have another calibration than the one in use, ``(F,)`` bool.
 
-    To a frame belongs the last calibration that is not later than it, else the first.
+    The calibration of a frame is the last one that is not later, else the first one.
 
     Args:
-        stamps_ns: ``(F,)`` int64, of the frames.
-        changes: Of the camera's topic, in the order of the files.
-        used: The calibration used.
-        by_log_time: Whether the frames' stamps are log times.
+        stamps_ns: Timestamps of the frames, ``(F,)`` int64 [ns].
+        changes: Changes on the camera's topic, in file order.
+        used: Calibration in use.
+        by_log_time: Whether the timestamps of the frames are log times.
     """
     known = sorted(changes, key=lambda item: item.log_ns if by_log_time else item.stamp_ns)
     if not known:
@@ -63,19 +63,19 @@ def other_calibration(
 
 
 class CalibrationWindows:
-    """Says to which frames another calibration belongs than the one that is used.
+    """Determines the frames whose calibration differs from the one in use.
 
-    Where only the first messages were read at opening, it makes sure, window by window, that the
-    calibration never changes.
+    If only the first messages were read at opening, each window checks that the calibration does
+    not change.
 
     Args:
-        topics: The messages of the topics used, in the order of log time.
-        used: The calibration of each that is used.
-        store: The log's chunks.
-        path: The log's, for errors.
-        changes: All calibrations of the topic that describes depth, with the one used, where all
-            messages were read; else None.
-        by_log_time: Whether the frames' stamps are log times.
+        topics: Messages of the calibration topics in use, in order of log time.
+        used: Calibration in use by topic.
+        store: Chunks of the log.
+        path: Path of the log, for errors.
+        changes: Changes of the calibration of depth, with the one in use, if all messages were
+            read; otherwise None.
+        by_log_time: Whether the timestamps of the frames are log times.
     """
 
     def __init__(
@@ -92,12 +92,12 @@ class CalibrationWindows:
         self._topics, self._used = tuple(topics), dict(used)
         self._store, self._path = store, path
         self._good: set[tuple[str, bytes]] = set()
-        """What follows the stamp in messages that were compared."""
+        """Topics and contents, without timestamps, of messages that were compared."""
         self._last: dict[str, int] = {}
-        """The message of each topic before the end of the latest span: it was compared."""
+        """Last compared message of each topic."""
 
     def other(self, stamps_ns: np.ndarray) -> np.ndarray | None:
-        """Return which frames have another calibration by their stamps; None if none has."""
+        """Return which frames have another calibration, by their timestamps; None if none has."""
         found = None
         for changes, used in self._changes or ():
             other = other_calibration(stamps_ns, changes, used, self._by_log_time)
@@ -105,19 +105,19 @@ class CalibrationWindows:
         return found
 
     def check(self, begin: int | None, end: int | None) -> set[Place]:
-        """Compare the messages of a span of log times, and the one before it, which holds there.
+        """Compare the messages in a range of log times, and the one before it, with those in use.
 
-        Of a part of a log no other window may have looked at that one.
+        If only a part of a log is read, that message is in no other window.
 
         Args:
-            begin: Log time of the first, None = the log's.
-            end: After the last, None = the log's.
+            begin: Log time of the first message; None: the start of the log.
+            end: Log time after the last message; None: the end of the log.
 
         Returns:
-            The chunks that were looked at.
+            Chunks that were read.
 
         Raises:
-            RescanError: A calibration is another one.
+            RescanError: A calibration differs.
             DamageError: The file contradicts its index.
         """
         chunks: set[Place] = set()

@@ -1,7 +1,7 @@
-"""The index of a file by a walk over all of it, for files whose own index is missing or wrong.
+"""Index of a file from a scan of all of it, for files whose own index is missing or wrong.
 
-The walk takes in what is whole and counts what is lost. Its result is the same
-:class:`jaxdet.io.file_index.FileIndex` that the file's own index gives; no message is decoded.
+The scan collects intact messages and counts losses. Its result is a
+:class:`jaxdet.io.file_index.FileIndex` like that from the file's own index; no message is decoded.
 """
 
 from array import array
@@ -16,16 +16,16 @@ from jaxdet.io.file_index import FileIndex, FileIntegrity, file_index
 
 
 class Walk:
-    """The state of a walk over a file.
+    """State of a scan of a file.
 
     Args:
-        file: The file.
+        file: File.
     """
 
     def __init__(self, file: LogFile) -> None:
         self._file = file
         self.lost: Counter[str] = Counter()
-        """Number of parts that could not be used, by reason."""
+        """Number of unusable parts by reason."""
         self.lost_bytes = self.last_ns = 0
         self.read: Counter[int] = Counter()
         """Number of messages by channel."""
@@ -35,18 +35,18 @@ class Walk:
     def add(
         self, number: int, info: ChannelInfo, log_ns: int, position: int, length: int, offset: int
     ) -> None:
-        """Add a message of the channel with this number.
+        """Add a message.
 
         Args:
-            number: Of the channel.
-            info: The channel.
+            number: Id of the channel.
+            info: Channel.
             log_ns: Log time [ns].
-            position: Of the message's chunk.
-            length: Of the chunk's content.
-            offset: Of the message's record in the decompressed chunk.
+            position: Position of the message's chunk [byte].
+            length: Length of the chunk's content [byte].
+            offset: Offset of the message's record in the decompressed chunk [byte].
 
         Raises:
-            InputError: The file holds more messages than it has room for.
+            InputError: The file has an impossible number of messages.
         """
         self.read[number] += 1
         self._infos.setdefault(number, info)
@@ -57,16 +57,15 @@ class Walk:
         self.last_ns = max(self.last_ns, log_ns)
 
     def lose(self, reason: str, size: int) -> None:
-        """Count something that can't be used."""
+        """Count an unusable part."""
         self.lost[reason] += 1
         self.lost_bytes += size
 
     def index(self, **more: Any) -> FileIndex:
-        """Return the index of the messages found, with what was lost.
+        """Return the index of the messages found, with the losses.
 
         Args:
-            more: What the format tells of the file's integrity; by default the file has no chunks,
-                and nothing of which it speaks is missing.
+            more: Further fields of :class:`FileIntegrity`, depending on the format.
 
         Raises:
             InputError: The file was changed meanwhile.

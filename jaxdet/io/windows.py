@@ -1,19 +1,20 @@
-"""The frames of a log by its index.
+"""Frames of a log by its index.
 
-A frame's number is the rank of its depth image by header stamp. Where all stamps have been read,
-the ranks follow from them. Else only messages near the requested frames are looked at: a stream's
-messages are nearly in the order of their stamps already. It is checked that no two that are
-``REACH`` or more messages apart (by log time) are in the wrong order, so that ranks follow from
-messages near by. It is enough to compare messages ``REACH`` to ``2 REACH - 1`` apart: of two in the
-wrong order that are farther apart, one in between is in the wrong order with one of them. Both are
-known to the window that holds the message ``REACH`` after the first of them, and each message of a
-log belongs to one window of any division of its frames. So whoever reads all frames either gets the
-ranks of all stamps or an error.
+The number of a frame is the rank of its depth image by header timestamp. If all timestamps have
+been read, the ranks follow from them. Otherwise only messages near the requested frames are read,
+since the messages of a stream are nearly in order of timestamps. It is checked that no two messages
+that are ``REACH`` or more apart (by log time) are in the wrong order; then ranks follow from nearby
+messages. It is sufficient to compare messages ``REACH`` to ``2 REACH - 1`` apart: of two messages
+in the wrong order that are farther apart, one in between is in the wrong order with one of them.
+Both are known to the window with the message ``REACH`` after the first of them, and each message of
+a log belongs to one window of any division of its frames. Reading all frames thus yields either the
+correct ranks or an error.
 
-The stamps of colour images are read whether colour is decoded or not: of a chunk that isn't packed
-64 bytes of each message (0.02 ms); of a large packed one its begin where the message is there
-(0.1 ms, where all of it is 1 ms), else all of it, which is to be read for depth anyway. Chunks with
-colour alone are checked against their CRC only with frames whose colour is decoded.
+The timestamps of colour images are read even if colour is not decoded. In an uncompressed chunk
+this takes 64 bytes per message (0.02 ms). A large compressed chunk is decompressed only at its
+start if the message is there (0.1 ms instead of 1 ms), otherwise completely; it must be read for
+depth anyway. Chunks that contain only colour are checked against their CRC only if colour is
+decoded.
 """
 
 from copy import copy
@@ -35,31 +36,32 @@ from jaxdet.io.timeline import FrameTable, Window, apart, nearest
 from jaxdet.io.validity import CalibrationWindows
 
 REACH = 4
-"""Messages this far apart by log time are in the order of their stamps."""
+"""Minimum distance of messages, by log time, whose order by timestamps is checked."""
 _LOOKS = 64
-"""Messages whose stamps are looked at before a part is taken."""
+"""Number of messages whose timestamps are read before a part of a log is selected."""
 _BESIDE = 2
-"""Colour images looked at to either side, at first."""
+"""Initial number of extra colour images on both sides."""
 _MAX_BESIDE = 4096
 _STAMP_BYTES = 64
-"""Of a payload, enough for a stamp that leads."""
+"""Number of bytes of a payload that contain a leading timestamp."""
 
 
 class StreamWindows:
-    """The messages of one image topic; stamps are read when they are needed, or all at opening.
+    """Messages of an image topic; timestamps are read on demand, or all at opening.
 
     Args:
-        found: The messages, in the order of the files.
-        store: The log's chunks.
-        path: The log's, for errors.
+        found: Messages in file order.
+        store: Chunks of the log.
+        path: Path of the log, for errors.
 
     Attributes:
-        messages: The messages in the order of log time, then of arrival.
-        backward: How many come after one with a later log time in the files.
-        whole: Whether chunks are read whole for stamps; else, of packed ones, perhaps the begin.
-        stamp: ``(N,)`` int64, header stamps of the messages read, of RGBD those of depth [ns].
-        color_stamp: ``(N,)`` int64, the same but for RGBD, of which it is that of colour [ns].
-        size: ``(N,)`` int64, bytes of their payloads; -1 where a message has not been read.
+        messages: Messages in order of log time, then of arrival.
+        backward: Number of messages that follow one with a later log time in the files.
+        whole: Whether compressed chunks are decompressed completely for timestamps, or only their
+            start if possible.
+        stamp: Header timestamps of the messages read, of RGBD those of depth, ``(N,)`` int64 [ns].
+        color_stamp: The same, but of RGBD those of colour, ``(N,)`` int64 [ns].
+        size: Payload sizes, ``(N,)`` int64 [byte]; -1 if a message has not been read.
     """
 
     def __init__(self, found: TopicMessages, store: ChunkStore, path: str) -> None:
@@ -78,23 +80,23 @@ class StreamWindows:
 
     @property
     def is_rgbd(self) -> bool:
-        """Whether a message holds both images."""
+        """Whether a message contains both images."""
         return self.decoders[0].kind is Kind.RGBD
 
     @property
     def is_complete(self) -> bool:
-        """Whether all stamps have been read at opening."""
+        """Whether all timestamps were read at opening."""
         return self._order is not None
 
     def in_file_order(self) -> np.ndarray:
-        """``(N,)`` int64, the numbers of the messages in the order of the files."""
+        """Return the numbers of the messages in file order, ``(N,)`` int64."""
         return np.argsort(self._arrival)
 
     def read(self, number: int) -> str:
-        """Read the stamps of a message; return why it can't be decoded, else an empty text.
+        """Read the timestamps of a message; return why it can't be decoded, else an empty string.
 
         Raises:
-            DamageError: It is not where the index says.
+            DamageError: The message is not where the index says.
         """
         decoder = self.decoders[self.messages.decoder[number]]
         leads = decoder.stamp_leads and decoder.kind is not Kind.RGBD
@@ -117,12 +119,12 @@ class StreamWindows:
         return problem
 
     def lose(self, number: int) -> None:
-        """Keep a message that can't be read as a frame at its log time."""
+        """Keep a message that can't be read as a frame with its log time."""
         self.stamp[number] = self.color_stamp[number] = self.messages.log_ns[number]
         self.size[number] = 0
 
     def keep(self, which: np.ndarray) -> None:
-        """Keep some of the messages, by ``(N,)`` bool."""
+        """Keep the messages selected by ``(N,)`` bool."""
         self.messages, self._arrival = self.messages.rows(which), self._arrival[which]
         self.backward = int((np.diff(self.messages.log_ns[self.in_file_order()]) < 0).sum())
         self.stamp, self.color_stamp, self.size, self._undecodable = (
@@ -130,10 +132,10 @@ class StreamWindows:
         )
 
     def complete(self, *, by_log_time: bool = False) -> "StreamWindows":
-        """Return the same messages, whose stamps have all been read, with their order known.
+        """Return a copy with the order of the messages, after all timestamps have been read.
 
         Args:
-            by_log_time: Take the log times for stamps.
+            by_log_time: Whether log times replace the timestamps.
         """
         found = copy(self)
         if by_log_time:
@@ -142,20 +144,21 @@ class StreamWindows:
         return found
 
     def between(self, first_ns: int, last_ns: int) -> np.ndarray:
-        """Return the messages of a span of stamps and one to either side, in order."""
+        """Return the messages in a range of timestamps, and one on both sides, in order."""
         assert self._order is not None
         ends = np.searchsorted(self.stamp, [first_ns, last_ns + 1], sorter=self._order)
         return self._order[max(0, int(ends[0]) - 1) : int(ends[1]) + 1]
 
     def check_clock(self) -> None:
-        """Check that stamps follow log times, by some messages spread over the log.
+        """Check on a sample of messages that timestamps follow log times.
 
-        A clock that steps changes how far stamps are from log times, for all that comes after.
-        Where that differs by as much as messages in another order may be apart, all are looked at.
+        If a clock is adjusted, the difference between timestamps and log times changes for all
+        later messages. If the differences vary by more than allowed for the order of messages, all
+        are read.
 
         Raises:
-            RescanError: Messages are too far from the order of their stamps.
-            DamageError: One of them is not where the index says.
+            RescanError: The messages are too far from the order of their timestamps.
+            DamageError: A message is not where the index says.
         """
         if self.is_complete:
             return
@@ -167,11 +170,11 @@ class StreamWindows:
             self.ranked(0, len(self))
 
     def ranked(self, first: int, last: int) -> np.ndarray:
-        """Return the messages of the frames ``first`` to ``last``.
+        """Return the messages of the frames from ``first`` to ``last``, exclusive.
 
         Raises:
-            RescanError: Messages are too far from the order of their stamps.
-            DamageError: One of them is not where the index says.
+            RescanError: The messages are too far from the order of their timestamps.
+            DamageError: A message is not where the index says.
         """
         if self._order is not None:
             return self._order[first:last]
@@ -181,18 +184,18 @@ class StreamWindows:
         if len(stamps) > REACH:
             latest = np.maximum.accumulate(stamps[:-REACH])
             if (stamps[REACH:] < latest).any():
-                problem = "header stamps are far from the order of log times"
+                problem = "header timestamps are far from the order of log times"
                 raise RescanError(problem, path=self._path, topic=self.topic)
         order = start + np.argsort(stamps, kind="stable")
         return order[first - start : last - start]
 
     def notes(self, first: int, last: int, ranked: np.ndarray) -> StreamNotes:
-        """Return what is odd about messages and frames ``first`` to ``last``.
+        """Count irregularities of the messages and frames from ``first`` to ``last``, exclusive.
 
         Args:
-            first: Of the messages, whose stamps are known.
-            last: The message after the last.
-            ranked: The messages of the frames ``first - 1`` (if there is one) to ``last``.
+            first: First message; the timestamps are known.
+            last: Message after the last one.
+            ranked: Messages of the frames ``first - 1`` (if it exists) to ``last``.
         """
         stamps = self.stamp[max(first - 1, 0) : last]
         return StreamNotes(
@@ -203,17 +206,17 @@ class StreamWindows:
         )
 
     def table(self, numbers: np.ndarray, color: bool = False) -> FrameTable:
-        """Return the messages of some numbers; the number -1 stands for no image."""
+        """Return a table of messages by number; the number -1 means no image."""
         stamps = (self.color_stamp if color else self.stamp)[numbers]
         stamps = np.where(numbers < 0, -1, stamps)
         return FrameTable(stamps, self.size[numbers], self.messages.rows(numbers))
 
     def _load(self, numbers: np.ndarray) -> None:
-        """Read the stamps of messages that aren't known yet."""
+        """Read the timestamps of messages that are not known yet."""
         missing = numbers[self.size[numbers] < 0]
         if not len(missing):
             return
-        if not self.whole:  # they are read one by one
+        if not self.whole:  # messages are read one by one
             near = self.messages.offset[missing] < BEGIN_BYTES - PAYLOAD_OFFSET - _STAMP_BYTES
             for number in missing[near].tolist():
                 self._look(number)
@@ -234,38 +237,38 @@ class StreamWindows:
 
 
 class IndexedFrames(NamedTuple):
-    """The frames of a log by its index."""
+    """Frames of a log by its index."""
 
     depth: StreamWindows
     color: StreamWindows | None
-    """The same object for RGBD messages; None if the log has no colour."""
+    """Colour messages, the same object as depth for RGBD; None if the log has no colour."""
     motions: MotionWindows
     """Transforms and poses."""
     source: PoseSource
-    """Where the poses come from."""
+    """Source of the poses."""
     tolerance_s: float
-    """How far colour images may be from their frames [s]."""
+    """Maximum time between a colour image and its frame [s]."""
     path: str
-    """The log's, for errors."""
+    """Path of the log, for errors."""
     calibrations: CalibrationWindows | None = None
-    """Which calibration belongs to each frame; None: not looked at."""
+    """Calibration of each frame; None: not checked."""
     color_offset_ns: int = 0
-    """How far colour's clock is ahead of depth's [ns]."""
+    """Offset of colour's clock relative to depth [ns]."""
     by_log_time: bool = False
-    """Whether the log times say which colour image is nearest, as the header stamps are zero."""
+    """Whether colour is paired by log time, since header timestamps are zero."""
 
     @property
     def num_frames(self) -> int:
-        """Depth images."""
+        """Number of depth images."""
         return len(self.depth)
 
     def about_ns(self) -> np.ndarray:
-        """``(F,)`` int64, a time of each frame that differs by about the same from all stamps [ns].
+        """Approximate times of the frames in order, ``(F,)`` int64 [ns].
 
-        The times are in order.
+        Their offset from the timestamps is about constant.
 
         Raises:
-            RescanError: The stamps of some images are far from the order of these.
+            RescanError: Timestamps of some images are far from their order.
             DamageError: The file contradicts its index.
         """
         for stream in (self.depth, self.color):
@@ -276,7 +279,7 @@ class IndexedFrames(NamedTuple):
         return self.depth.messages.log_ns
 
     def is_plain(self, number: int) -> bool:
-        """Return whether the chunk of a frame is not packed; its messages can be read one by one.
+        """Return whether a frame's chunk is uncompressed, so that messages can be read separately.
 
         Raises:
             DamageError: There is no such chunk.
@@ -285,10 +288,10 @@ class IndexedFrames(NamedTuple):
         return self.depth.store.head(place).is_plain
 
     def stamp_ns(self, number: int) -> int:
-        """Return the stamp of a frame [ns].
+        """Return the timestamp of a frame [ns].
 
         Raises:
-            RescanError: The index isn't enough.
+            RescanError: The index is not sufficient.
             DamageError: The file contradicts its index.
         """
         return int(self.depth.stamp[self.depth.ranked(number, number + 1)[0]])
@@ -297,16 +300,16 @@ class IndexedFrames(NamedTuple):
         """Return the log time of a frame [ns].
 
         Raises:
-            RescanError: The index isn't enough.
+            RescanError: The index is not sufficient.
             DamageError: The file contradicts its index.
         """
         return int(self.depth.messages.log_ns[self.depth.ranked(number, number + 1)[0]])
 
     def window(self, start: int, stop: int) -> Window:
-        """Return the frames ``start`` to ``stop``.
+        """Return the frames from ``start`` to ``stop``, exclusive.
 
         Raises:
-            RescanError: The index isn't enough.
+            RescanError: The index is not sufficient.
             DamageError: The file contradicts its index.
         """
         before = max(start - 1, 0)
@@ -339,10 +342,11 @@ class IndexedFrames(NamedTuple):
     def _colors(
         self, color: StreamWindows, stamps_ns: np.ndarray, start: int, stop: int
     ) -> tuple[FrameTable, set[Place]]:
-        """Return the nearest colour images of some frames, and the chunks to check with them.
+        """Return the nearest colour images of some frames, and the chunks to check for them.
 
-        Where not all stamps are known, all messages are looked at that come between the frames by
-        log time, so that those of a log are, and further ones until no other can be nearer.
+        If not all timestamps are known, all messages between the frames by log time are read, so
+        that each message of a log is read in some window, and further ones until no other can be
+        nearer.
         """
         own_ns, log_ns, count = self.depth.messages.log_ns, color.messages.log_ns, len(color)
         first = int(np.searchsorted(log_ns, own_ns[start])) if start else 0
@@ -359,7 +363,7 @@ class IndexedFrames(NamedTuple):
             ranked = color.ranked(begin, end)
             found = color.stamp[ranked]
             earlier = found[found <= stamps_ns[0]]
-            # Of the outermost stamp there may be more images.
+            # More images may have the same timestamp as the outermost one.
             enough = (
                 begin == 0 or found[0] < low or bool(len(earlier) and earlier[-1] > found[0]),
                 end == count or found[-1] >= stamps_ns[-1],
@@ -368,7 +372,7 @@ class IndexedFrames(NamedTuple):
                 break
             beside = [n if known else 2 * n for n, known in zip(beside, enough, strict=True)]
             if max(beside) > _MAX_BESIDE:
-                problem = "colour and depth stamps are too far apart"
+                problem = "timestamps of colour and depth are too far apart"
                 raise RescanError(problem, path=self.path)
         numbers = np.append(ranked, -1)[nearest(stamps_ns, found, self.tolerance_s)]
         return color.table(numbers), of_color

@@ -1,7 +1,7 @@
-"""Writing ROS 2 logs: MCAP files with CDR messages, as ``realsense2_camera`` 4.x records them.
+"""Writer of ROS 2 logs: MCAP files with CDR messages, as recorded by ``realsense2_camera`` 4.x.
 
-Frame names, topics and the direction of each transform are the caller's; see
-:mod:`jaxdet.sim.record` for a log like a RealSense's.
+Frame names, topics and the direction of each transform are up to the caller;
+:mod:`jaxdet.sim.record` writes a log like that of a RealSense.
 """
 
 from collections.abc import Mapping, Sequence
@@ -31,20 +31,20 @@ _LATCHED = f"""\
   liveliness_lease_duration: {_FOREVER}
   avoid_ros_namespace_conventions: false
 """
-"""Reliable and transient local, as rosbag2 records it."""
+"""Reliable and transient-local QoS, as recorded by rosbag2."""
 
 
 class Transform(NamedTuple):
-    """A transform of the TF tree: ``T_parent_child``."""
+    """A transform of the TF tree, ``T_parent_child``."""
 
     parent: str
     child: str
     T: np.ndarray
-    """``(4, 4)`` float64 [m]."""
+    """Matrix ``(4, 4)`` float64 [m]."""
 
 
 def transforms_message(stamp_ns: int, transforms: Sequence[Transform]) -> dict[str, Any]:
-    """Return transforms as a ``tf2_msgs/TFMessage``."""
+    """Build a ``tf2_msgs/TFMessage``."""
     stamped = [
         {
             "header": header(stamp_ns, parent), "child_frame_id": child,
@@ -56,11 +56,11 @@ def transforms_message(stamp_ns: int, transforms: Sequence[Transform]) -> dict[s
 
 
 class Ros2LogWriter:
-    """Writes one MCAP file with the ``ros2`` profile; a context manager.
+    """Context manager that writes one MCAP file with the ``ros2`` profile.
 
     Args:
-        path: The file to write; an existing one is replaced.
-        compression: How the chunks are compressed.
+        path: File to write; an existing one is replaced.
+        compression: Compression of the chunks.
     """
 
     def __init__(self, path: str | Path, compression: Compression = "zstd") -> None:
@@ -81,7 +81,7 @@ class Ros2LogWriter:
     def close(self) -> None:
         """Write the summary and close the file; safe to call twice."""
         if not self._stream.closed:
-            with self._stream:  # it is closed on a full disk, too
+            with self._stream:  # closes the file also if the disk is full
                 self._writer.finish()
 
     def write(
@@ -93,14 +93,14 @@ class Ros2LogWriter:
         *,
         latched: bool = False,
     ) -> None:
-        """Write one message.
+        """Write a message.
 
         Args:
-            topic: The topic.
-            stamp_ns: Its log and publish time [ns].
-            type_name: Such as ``sensor_msgs/Image``.
-            message: See :func:`jaxdet.io.writer_cdr.encode_cdr`.
-            latched: A player offers the topic's last message to those who subscribe later.
+            topic: Topic.
+            stamp_ns: Log and publish time [ns].
+            type_name: Message type such as ``sensor_msgs/Image``.
+            message: Fields by name, see :func:`jaxdet.io.writer_cdr.encode_cdr`.
+            latched: Whether players resend the topic's last message to later subscribers.
         """
         if topic not in self._channels:
             if type_name not in self._schemas:
@@ -121,11 +121,11 @@ class Ros2LogWriter:
         """Write a ``sensor_msgs/Image``.
 
         Args:
-            topic: The topic.
-            stamp_ns: Header stamp [ns].
-            frame_id: Optical frame.
-            array: ``(H, W)`` or ``(H, W, C)``; uint8, uint16 or float32.
-            encoding: Its ROS name, such as ``rgb8``, ``16UC1``, ``32FC1``.
+            topic: Topic.
+            stamp_ns: Header timestamp [ns].
+            frame_id: TF frame, optical.
+            array: Image ``(H, W)`` or ``(H, W, C)``; uint8, uint16 or float32.
+            encoding: ROS name of the encoding, such as ``rgb8``, ``16UC1``, ``32FC1``.
         """
         pixels = np.ascontiguousarray(array, array.dtype.newbyteorder("<"))
         message = {
@@ -153,10 +153,10 @@ class Ros2LogWriter:
         """Write a ``tf2_msgs/TFMessage`` on ``/tf_static`` or ``/tf``.
 
         Args:
-            stamp_ns: Header stamp [ns].
-            transforms: What it says.
-            static: It holds always.
-            log_ns: Log and publish time [ns]; None: the stamp.
+            stamp_ns: Header timestamp [ns].
+            transforms: Transforms.
+            static: Whether the transforms are static.
+            log_ns: Log and publish time [ns]; by default the header timestamp.
         """
         topic = "/tf_static" if static else "/tf"
         at = stamp_ns if log_ns is None else log_ns
@@ -168,9 +168,9 @@ class Ros2LogWriter:
         """Write a ``nav_msgs/Odometry``.
 
         Args:
-            topic: The topic.
-            stamp_ns: Header stamp [ns].
-            pose: The base in the odometry frame.
+            topic: Topic.
+            stamp_ns: Header timestamp [ns].
+            pose: Pose of the base in the odometry frame.
             velocity: Forward speed [m/s] and turn rate to the left [rad/s], in the base's frame.
         """
         place = pose_of(pose.T)

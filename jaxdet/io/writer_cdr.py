@@ -1,8 +1,8 @@
-"""ROS 2 messages and their encoding as CDR.
+"""ROS 2 messages as dictionaries, and their encoding as CDR.
 
-Messages are plain dictionaries; the definitions that say how they are encoded also go into a log
-as its schemas (:func:`jaxdet.io.definition.schema_text`), so the two cannot disagree. The writer of
-``mcap_ros2`` fills in fields that are missing and takes a second for a map of a million cells.
+The definitions used for the encoding are also written into logs as schemas
+(:func:`jaxdet.io.definition.schema_text`), so both always agree. The writer of ``mcap_ros2`` is not
+used, as it replaces missing fields by defaults, and takes a second for a map of a million cells.
 """
 
 import struct
@@ -31,7 +31,7 @@ class _Field(NamedTuple):
     type: str
     name: str
     length: int | None
-    """None: a single value; 0: a sequence; else a fixed array of that many."""
+    """Array length; None: a single value; 0: a sequence of any length."""
 
 
 @cache
@@ -45,7 +45,7 @@ def _fields(type_name: str) -> tuple[_Field, ...]:
 
 
 def _append(out: bytearray, kind: str, value: Any) -> None:
-    """Append one value, aligned to its size after the 4-byte header as CDR asks."""
+    """Append a value, aligned to its size as CDR requires (after the 4-byte header)."""
     if kind in DEFINITIONS:
         for field in _fields(kind):
             _append_field(out, field, value[field.name])
@@ -66,7 +66,7 @@ def _append_field(out: bytearray, field: _Field, value: Any) -> None:
     if field.length == 0:
         _append(out, "uint32", len(value))
     elif len(value) != field.length:
-        raise ValueError(f"{field.name} has {len(value)} values, not {field.length}")
+        raise ValueError(f"{field.name}: expected {field.length} values, got {len(value)}")
     if isinstance(value, bytes | memoryview):
         out += value
         return
@@ -83,12 +83,12 @@ def encode_cdr(type_name: str, message: Mapping[str, Any]) -> bytes:
     """Encode a message as little-endian plain CDR (OMG DDSI-RTPS, XCDR1).
 
     Args:
-        type_name: A type of this module, such as ``"sensor_msgs/Image"``.
-        message: Its fields by name, nested types as dictionaries, ``uint8[]`` and ``int8[]`` as
-            bytes.
+        type_name: Type defined in :mod:`jaxdet.io.definition`, such as ``"sensor_msgs/Image"``.
+        message: Fields by name, with nested types as dictionaries, and ``uint8[]`` and ``int8[]``
+            as bytes.
 
     Raises:
-        KeyError: The type is unknown or a field is missing.
+        KeyError: The type is unknown, or a field is missing.
         ValueError: A fixed array has the wrong length.
     """
     out = bytearray(b"\0\1\0\0")
@@ -97,13 +97,13 @@ def encode_cdr(type_name: str, message: Mapping[str, Any]) -> bytes:
 
 
 def header(stamp_ns: int, frame_id: str) -> dict[str, Any]:
-    """Return a ``std_msgs/Header``."""
+    """Build a ``std_msgs/Header``."""
     sec, nanosec = divmod(int(stamp_ns), 10**9)
     return {"stamp": {"sec": sec, "nanosec": nanosec}, "frame_id": frame_id}
 
 
 def camera_info(stamp_ns: int, frame_id: str, camera: Intrinsics) -> dict[str, Any]:
-    """Return a ``sensor_msgs/CameraInfo``; no distortion is ``plumb_bob`` with zeros."""
+    """Build a ``sensor_msgs/CameraInfo``; no distortion is ``plumb_bob`` with zeros."""
     plain = camera.distortion is Distortion.NONE
     fx, fy, cx, cy = camera.fx, camera.fy, camera.cx, camera.cy
     return {
@@ -119,15 +119,15 @@ def camera_info(stamp_ns: int, frame_id: str, camera: Intrinsics) -> dict[str, A
 
 
 def quaternion(R: np.ndarray) -> dict[str, float]:
-    """Return the rotation ``(3, 3)`` as a ``geometry_msgs/Quaternion``."""
+    """Convert a rotation ``(3, 3)`` to a ``geometry_msgs/Quaternion``."""
     return dict(zip("xyzw", quaternions(np.asarray(R, np.float64)).tolist(), strict=True))
 
 
 def xyz(vector: np.ndarray | Sequence[float]) -> dict[str, float]:
-    """Return the three numbers of a vector as a ``geometry_msgs/Point`` or ``Vector3``."""
+    """Convert a vector of three numbers to a ``geometry_msgs/Point`` or ``Vector3``."""
     return dict(zip("xyz", np.asarray(vector, np.float64).tolist(), strict=True))
 
 
 def pose_of(T: np.ndarray) -> dict[str, Any]:
-    """Return the rigid motion ``(4, 4)`` as a ``geometry_msgs/Pose``."""
+    """Convert a rigid motion ``(4, 4)`` to a ``geometry_msgs/Pose``."""
     return {"position": xyz(T[:3, 3]), "orientation": quaternion(T[:3, :3])}

@@ -1,9 +1,10 @@
-"""Raw images that ROS's transport ``zstd`` compresses.
+"""Raw images compressed by ROS's ``zstd`` transport.
 
-A head of 17 bytes, little-endian: height and width, whether samples are big-endian, bytes of a row,
-length of the encoding's name; then that name, then a stream of zstd, or of gzip as the transport
-wrote until 2026. Some writers leave the head out: then the image has the calibrated size, and its
-bytes per pixel stand for the encoding. Source: ``zstd_image_transport`` of image_transport_plugins.
+The header has 17 bytes, little-endian: height and width, whether samples are big-endian, bytes per
+row, length of the encoding's name. It is followed by the name, then a zstd stream (or gzip, as the
+transport wrote until 2026). Some writers omit the header; such images have the calibrated size, and
+their bytes per pixel determine the encoding. Source: ``zstd_image_transport`` of
+image_transport_plugins.
 """
 
 import struct
@@ -18,13 +19,13 @@ _HEAD = struct.Struct("<IIBII")
 _MAX_NAME = 64
 _ZSTD, _GZIP = b"\x28\xb5\x2f\xfd", b"\x1f\x8b"
 _BARE = {1: "mono8", 3: "rgb8", 4: "rgba8"}
-"""Encodings by bytes per pixel, where no head tells."""
+"""Encodings by bytes per pixel, for images without a header."""
 _MAX_BYTES = 8
-"""Of a pixel."""
+"""Maximum number of bytes per pixel."""
 
 
 class ZstdHead(NamedTuple):
-    """What stands before the stream."""
+    """Header before the stream."""
 
     height: int
     width: int
@@ -32,16 +33,16 @@ class ZstdHead(NamedTuple):
     step: int
     encoding: str
     start: int
-    """Where the stream begins."""
+    """Offset of the stream [byte]."""
 
 
 def is_zstd(format_text: str) -> bool:
-    """Return whether a CompressedImage is of this transport, by its ``format``."""
+    """Return whether a CompressedImage is from this transport, by its ``format``."""
     return format_text.partition(";")[0].strip().lower() == "zstd"
 
 
 def read_zstd_head(data: bytes | memoryview) -> ZstdHead | None:
-    """Return the head of an image, which may be cut off behind it; None if there is none."""
+    """Parse the header of an image, which may be truncated after it; None if there is none."""
     if len(data) < _HEAD.size or data[: len(_ZSTD)] == _ZSTD:
         return None
     height, width, big_endian, step, length = _HEAD.unpack_from(data)
@@ -56,12 +57,12 @@ def unpack(image: CompressedImageMessage, width: int, height: int) -> ImageMessa
     """Decompress an image.
 
     Args:
-        image: The message, of this transport.
-        width: Of the image, and of one without a head [pixel].
-        height: Likewise.
+        image: Message from this transport.
+        width: Width of the image, used if there is no header [pixel].
+        height: Height of the image, used if there is no header [pixel].
 
     Raises:
-        FrameError: It is damaged, or holds more than an image of this size does.
+        FrameError: The image is damaged, or has more data than an image of this size.
     """
     data = memoryview(image.data)
     head = read_zstd_head(data)
@@ -78,7 +79,8 @@ def unpack(image: CompressedImageMessage, width: int, height: int) -> ImageMessa
         return ImageMessage(*about, *size, pixels)
     channels, rest = divmod(len(pixels), width * height)
     if rest or channels not in _BARE:
-        raise bad_frame(f"zstd image of {len(pixels)} bytes, but the camera's is {width}x{height}")
+        size = f"{width}x{height} pixels"
+        raise bad_frame(f"zstd image of {len(pixels)} bytes does not fit the camera's {size}")
     return ImageMessage(*about, width, height, _BARE[channels], 0, False, pixels)
 
 

@@ -22,7 +22,7 @@ LOOSE_LABEL = 1 << 20
 _CHIP_TEXT = 16
 _CHIP_HEIGHT = 24
 _TINT, _LOOSE_TINT = 0.42, 0.30
-"""Opacity of the colours of cells."""
+"""Opacity of cell colours: of obstacles, and without an obstacle."""
 _BAR = 10, 180
 """Width and height of the depth scale [pixel]."""
 
@@ -35,9 +35,9 @@ class Shown(NamedTuple):
     calibration: Calibration
     """Calibration whose :attr:`Calibration.image` is the camera of the image."""
     depth_range_m: tuple[float, float] | None
-    """Range of the depth image's colour map [m]; None: it is a colour image."""
+    """Range of the colour map of a depth image [m]; None for a colour image."""
     on_floor: bool
-    """Whether distances on the floor are shown; False: depths, as the floor is unknown."""
+    """Whether distances are on the floor; False if they are depths, as the floor is unknown."""
 
 
 class Chip(NamedTuple):
@@ -53,7 +53,7 @@ def shown_image(frames: Frames, row: int, config: Config) -> Shown:
     """Return the background image of a frame.
 
     It is the colour image if there is one and it is calibrated, else the depth image in false
-    colours: near is warm, no measurement is black.
+    colours, with near pixels warm and unmeasured ones black.
 
     Args:
         frames: Batch.
@@ -109,7 +109,7 @@ def camera_view(
     image = cv2.resize(shown.image, size, interpolation=method)
     if shown.depth_range_m is None:
         image = cv2.addWeighted(image, 0.82, np.zeros_like(image), 0, 0)
-    else:  # less saturated than the obstacles' colours
+    else:  # less saturated than obstacle colours
         grey = np.repeat(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)[..., None], 3, axis=2)
         image = cv2.addWeighted(image, 0.42, grey, 0.28, 0)
     if found.points is not None:
@@ -140,7 +140,7 @@ def _draw_points(
     uv = (np.stack([features.u[row], features.v[row]], axis=1) + 0.5) * scale - 0.5
     valid, kept = features.valid[row], features.kept[row]
     label = np.where(valid, labels.labels[row], -1)
-    # Small, so that the object stays visible.
+    # small, so that the object remains visible
     canvas.dots(image, uv[valid & ~kept], canvas.DROPPED, 1.6)
     canvas.dots(image, uv[valid & kept & (label < 0)], canvas.LOOSE, 2.0)
     for number in reversed(range(int(labels.num_obstacles[row]))):
@@ -161,7 +161,7 @@ def _draw_cells(
     marked = found.cells._replace(z=np.where(label < 0, 0, z)[None])
     labels = label_image(found._replace(cells=marked, label=label[None]), 0, calibration, side)
     size = image.shape[1], image.shape[0]
-    # Wide enough to hide the steps between cells.
+    # hides the steps between cells
     blur = max(0.5, 0.45 * side * scale * calibration.image.fx / calibration.depth.fx)
     labels = cv2.resize(labels, size, interpolation=cv2.INTER_NEAREST)
     for number in np.unique(label[label >= 0]).tolist()[::-1]:
@@ -169,7 +169,7 @@ def _draw_cells(
 
 
 def _tint(image: np.ndarray, mask: np.ndarray, number: int, blur: float) -> None:
-    """Tint the pixels of a mask ``(H, W)`` bool, whose edge is blurred, and outline obstacles."""
+    """Tint the pixels of a mask ``(H, W)`` bool with a blurred edge, and outline obstacles."""
     x, y, width, height = cv2.boundingRect(mask.astype(np.uint8))
     reach = math.ceil(4 * blur)
     left, top = max(0, x - reach), max(0, y - reach)
@@ -187,7 +187,7 @@ def _tint(image: np.ndarray, mask: np.ndarray, number: int, blur: float) -> None
 
 
 def _boxes(found: Detections, row: int, shown: Shown, side: int, scale: float) -> dict[int, Box]:
-    """Return the boxes of the obstacles inside of the picture, by label."""
+    """Return the boxes of the obstacles inside the picture, by label."""
     count = int(found.num_obstacles[row])
     low, high = found.obstacles.uv_min[row, :count], found.obstacles.uv_max[row, :count]
     if shown.depth_range_m is not None and found.cells is not None:
@@ -213,7 +213,7 @@ def _depth_boxes(
 
 
 def _draw_scale(image: np.ndarray, near_m: float, far_m: float) -> None:
-    """Draw the depth scale, from near at the bottom to far at the top."""
+    """Draw the scale of depth colours, near at the bottom and far at the top."""
     width, height = _BAR
     height = min(height, image.shape[0] // 2)
     left, bottom = image.shape[1] - width - 14, image.shape[0] - 24
@@ -229,7 +229,7 @@ def _draw_scale(image: np.ndarray, near_m: float, far_m: float) -> None:
 
 
 def _chips(boxes: dict[int, Box], texts: dict[int, str], width: int, height: int) -> list[Chip]:
-    """Place labels above their boxes, moved down where they would overlap."""
+    """Place labels above their boxes, or lower if they would overlap."""
     placed: list[Chip] = []
     for label, box in boxes.items():
         text = texts[label]

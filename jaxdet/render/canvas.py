@@ -52,7 +52,7 @@ def canvas(height: int, width: int, color: Color = BACKGROUND) -> np.ndarray:
     """Return an empty picture ``(height, width, 3)`` uint8 RGB."""
     image = np.empty((height, width, 3), np.uint8)
     image[:1] = color
-    image[1:] = image[:1]  # rows at once: a pixel at a time takes 25 times as long
+    image[1:] = image[:1]  # copying rows is 25 times as fast as setting pixels
     return image
 
 
@@ -70,7 +70,7 @@ def line(image: np.ndarray, points: np.ndarray, color: Color, width: int = 1) ->
 def polygon(
     image: np.ndarray, points: np.ndarray, color: Color, fill: float = 0.0, width: int = 2
 ) -> None:
-    """Draw a convex outline through ``points`` ``(P, 2)`` [pixel], filled with this opacity."""
+    """Draw a convex outline through ``points`` ``(P, 2)`` [pixel], filled with an opacity."""
     if fill > 0:
         part, first = _part(image, points, 1)
         layer = part.copy()
@@ -85,7 +85,7 @@ def dots(
 ) -> None:
     """Draw filled discs with a dark rim around the pixels nearest to ``points`` ``(P, 2)``.
 
-    All rims lie under all discs.
+    Discs are drawn over the rims of all others.
     """
     reach = math.ceil(radius + rim) + 1
     part, first = _part(image, points, reach)
@@ -100,7 +100,7 @@ def dots(
 
 
 def blend(image: np.ndarray, color: Color, opacity: np.ndarray) -> None:
-    """Lay a colour over an image with an opacity for each pixel, ``(H, W)`` float32."""
+    """Blend a colour over an image with an opacity per pixel, ``(H, W)`` float32."""
     if image.size:
         below = image.astype(np.float32)
         shade = np.array([*color, 0], np.float64)  # OpenCV's scalars have four channels
@@ -120,7 +120,7 @@ def _part(image: np.ndarray, points: np.ndarray, reach: int) -> tuple[np.ndarray
 
 @cache
 def _disc(radius: float) -> np.ndarray:
-    """Return the share of each pixel that a disc around the middle one covers, float32."""
+    """Return the fraction of each pixel covered by a disc around the central pixel, float32."""
     reach = math.ceil(radius)
     away = np.hypot(*np.mgrid[-reach : reach + 1, -reach : reach + 1])
     return np.clip(radius + 0.5 - away, 0, 1).astype(np.float32)
@@ -132,7 +132,7 @@ def _font() -> Any:
 
 
 _HAS_FONTS = hasattr(cv2, "FontFace")
-"""Whether OpenCV has fonts: OpenCV 5. OpenCV 4, of another package, has ASCII stroke fonts."""
+"""Whether OpenCV has fonts (OpenCV 5). OpenCV 4 has ASCII stroke fonts only."""
 _STROKES, _STROKE_HEIGHT = cv2.FONT_HERSHEY_SIMPLEX, 21
 """Stroke font of OpenCV 4, and the height of its capitals at scale 1 [pixel]."""
 
@@ -162,7 +162,7 @@ def write(
     bold: bool = False,
     align: str = "left",
 ) -> None:
-    """Write text whose baseline starts, ends (``right``) or is centred (``center``) at ``at``."""
+    """Write text; its baseline starts, ends (``right``) or is centred (``center``) at ``at``."""
     width, height = text_size(text, size, bold)
     x = at[0] - {"left": 0.0, "center": width / 2, "right": width}[align]
     place = round(x), round(at[1])

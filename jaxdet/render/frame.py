@@ -1,4 +1,4 @@
-"""Picture of a frame: camera view next to top view."""
+"""Picture of a frame: camera view and top view."""
 
 import numpy as np
 
@@ -27,12 +27,12 @@ def draw_frame(
 ) -> np.ndarray:
     """Draw the detections of a frame.
 
-    On the left is the colour image, or the depth image in false colours, with the cells of each
-    obstacle in its colour, boxes and distances; on the right the top view with outlines, contours,
-    free floor and drops. The preset ``paper`` has corners instead of cells.
+    On the left is the colour image, or the depth image in false colours, with coloured cells, boxes
+    and distances of the obstacles. On the right is the top view with outlines, contours, free floor
+    and drops. The preset ``paper`` has corners instead of cells.
 
     Args:
-        frames: Batch; its planes are relative to the camera that lengths refer to.
+        frames: Batch; its planes are relative to the camera to which lengths refer.
         found: Detections, as NumPy arrays, with cells.
         corners: Outlines in the ground frame, ``(B, M, 4, 2)`` float64 [m].
         row: Row of the frame in the batch.
@@ -71,7 +71,7 @@ def _camera_text(frames: Frames, row: int) -> str:
 
 
 def _legend(found: Detections, row: int) -> list[tuple[list[canvas.Color], str]]:
-    """Return the colours of the legend and their meaning."""
+    """Return the legend: colours and text of each entry."""
     count = int(found.num_obstacles[row])
     obstacles = f"{count} obstacle" + "s" * (count != 1)
     several = [canvas.color_of(n) for n in range(min(max(count, 1), _COLORS_SHOWN))]
@@ -80,7 +80,7 @@ def _legend(found: Detections, row: int) -> list[tuple[list[canvas.Color], str]]
         valid, kept = features.valid[row], features.kept[row]
         inside = valid & (labels.labels[row] >= 0)
         dropped = f"{int((valid & ~kept).sum())} corners on the floor or out of range"
-        loose = f"{int((valid & kept & ~inside).sum())} above it, in no obstacle"
+        loose = f"{int((valid & kept & ~inside).sum())} above it, without an obstacle"
         return [
             ([canvas.DROPPED], dropped),
             ([canvas.LOOSE], loose),
@@ -88,7 +88,7 @@ def _legend(found: Detections, row: int) -> list[tuple[list[canvas.Color], str]]
         ]
     return [
         (several, obstacles),
-        ([canvas.LOOSE], "above the floor, in no obstacle"),
+        ([canvas.LOOSE], "above the floor, without an obstacle"),
         ([canvas.FREE], "free floor"),
         ([canvas.DROP], "drop"),
     ]

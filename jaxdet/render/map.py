@@ -1,4 +1,4 @@
-"""Map of a log: outline counts, free floor, the camera's path, a scale bar."""
+"""Picture of the map of a log: outline counts, free floor, camera path, scale bar."""
 
 import math
 from collections.abc import Sequence
@@ -25,8 +25,8 @@ def draw_map(
     Args:
         image: Map.
         title: Title of the picture.
-        tracks: Paths ``(P, 2)`` of tracks in the world [m], and whether they move: a line that ends
-            in a dot, or a small square. The map is darker under them.
+        tracks: World paths ``(P, 2)`` of tracks [m], and whether they move; None: no tracks. Moving
+            tracks are lines that end in a dot, stationary ones small squares, on a darker map.
 
     Returns:
         Picture ``(h, w, 3)`` uint8, RGB.
@@ -68,7 +68,7 @@ def _draw_track(panel: np.ndarray, way: np.ndarray, color: canvas.Color, moves: 
 
 
 def _bounds(image: MapImage) -> tuple[np.ndarray, np.ndarray]:
-    """Return the world corners of the picture: all cells and the path, plus a margin."""
+    """Return the world corners of the picture, around all cells and the path with a margin."""
     low = np.array(image.origin)
     high = low + np.array(image.counts.shape[::-1]) * image.cell_m
     if len(image.path):
@@ -79,7 +79,7 @@ def _bounds(image: MapImage) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _paint_counts(panel: np.ndarray, image: MapImage, low: np.ndarray, scale: float) -> None:
-    """Paint each pixel with the cell under its centre."""
+    """Colour each pixel by the cell under its centre."""
     height, width = panel.shape[:2]
     x = low[0] + (np.arange(width) + 0.5) / scale
     y = low[1] + (height - np.arange(height) - 0.5) / scale
@@ -99,7 +99,7 @@ def _paint_counts(panel: np.ndarray, image: MapImage, low: np.ndarray, scale: fl
 
 
 def _heat(most: int) -> np.ndarray:
-    """Return a colour for each count, ``(most + 1, 3)``: logarithmic, dark purple to yellow."""
+    """Return colours by count, ``(most + 1, 3)``, logarithmic from dark purple to yellow."""
     counts = np.arange(most + 1)
     share = np.log1p(np.maximum(counts - 1, 0)) / max(np.log1p(most - 1), 1e-9)
     level = (70 + 170 * np.clip(share, 0, 1)).astype(np.uint8)
@@ -143,7 +143,8 @@ def _framed(
     about = f"path {length:.1f} m, cells of {image.cell_m:g} m, X right, Y up"
     if tracks is not None:
         moving = sum(moves for _, moves in tracks)
-        about = f"{moving} move (lines, dot at the end), {len(tracks) - moving} stand (squares)"
+        stationary = len(tracks) - moving
+        about = f"{moving} moving (lines, dot at the end), {stationary} stationary (squares)"
     canvas.write(framed, about, (total - MARGIN, 30), canvas.FAINT, align="right")
     y = height + HEADER + 28
     bar = np.array([[0, -6], [0, 0], [step * scale, 0], [step * scale, -6]]) + (MARGIN, y)
@@ -155,8 +156,8 @@ def _framed(
 
 def _draw_legend(framed: np.ndarray, image: MapImage, right: int, y: int) -> None:
     most = max(int(image.counts.max()), 1)
-    canvas.write(framed, f"{most} outlines on a cell", (right, y + 2), canvas.FAINT, align="right")
-    right -= canvas.text_size(f"{most} outlines on a cell", 15)[0] + 8
+    canvas.write(framed, f"{most} outlines per cell", (right, y + 2), canvas.FAINT, align="right")
+    right -= canvas.text_size(f"{most} outlines per cell", 15)[0] + 8
     ramp = np.rint(np.expm1(np.linspace(0, np.log1p(most - 1), 110)) + 1).astype(np.int64)
     framed[y - 10 : y + 2, right - 110 : right] = _heat(most)[ramp]
     canvas.write(framed, "1", (right - 116, y + 2), canvas.FAINT, align="right")

@@ -12,7 +12,7 @@ from jaxdet.types import Calibration, Detections, FreeEnd, GroundPlane, Scene
 
 _MARGIN = 34
 _AHEAD = np.array([[[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]]])
-"""Pose of a camera at the origin of a world whose y axis is its forward direction."""
+"""Pose of a camera at the origin of a world, with its forward direction along y."""
 
 
 class View(NamedTuple):
@@ -38,7 +38,7 @@ def top_view(
     calibration: Calibration,
     max_depth_m: float,
 ) -> np.ndarray:
-    """Draw the ground in front of the camera, which is at the bottom.
+    """Draw the ground in front of the camera, with the camera at the bottom.
 
     Args:
         size: Height and width of the picture [pixel].
@@ -85,16 +85,15 @@ def ground_points(
     """Project points of a frame onto the ground.
 
     Args:
-        x: Points in the camera's optical frame, ``(N,)`` integer [depth units]; ``y`` and ``z``
-            likewise.
-        y: See ``x``.
-        z: See ``x``.
+        x: x of points in the camera optical frame, ``(N,)`` integer [depth units].
+        y: y of the points.
+        z: z of the points.
         row: Row of the frame.
         plane: Planes ``(B,)``.
-        unit: Metres in a depth unit.
+        unit: Metres per depth unit.
 
     Returns:
-        Right and forward, ``(N, 2)`` float64 [m].
+        Right and forward coordinates, ``(N, 2)`` float64 [m].
     """
     xyz = np.stack([x, y, z], axis=1).astype(np.float64)
     return xyz @ ground_axes(plane)[row].T.astype(np.float64) / (1 << GROUND_BITS) * unit
@@ -152,7 +151,7 @@ def _draw_marks(image: np.ndarray, view: View, found: Detections, row: int, unit
         )
         spots = view.pixels(marks * unit)
         canvas.dots(image, spots, canvas.color_of(label), 3.5)
-        # Letters that don't overlap: A to the left of the outline, B right, C below.
+        # The letters don't overlap: A is left of the outline, B right, C below.
         aligned = ("right", (-7, 4)), ("left", (7, 4)), ("center", (0, 18))
         for name, at, (align, shift) in zip("ABC", spots.tolist(), aligned, strict=True):
             place = (at[0] + shift[0], at[1] + shift[1])
@@ -172,7 +171,7 @@ def _draw_contours(
 
 
 def _ray_places(scene: Scene, row: int) -> np.ndarray:
-    """Where free floor begins and ends on each ray, ``(RAYS, 2, 2)`` right and forward [units]."""
+    """Return start and end of the free floor per ray, ``(RAYS, 2, 2)``, right, forward [units]."""
     _, way = ray_bearings()
     return (
         np.asarray(scene.free[row])[..., None] * np.stack([np.real(way), np.imag(way)], -1)[:, None]
@@ -180,7 +179,7 @@ def _ray_places(scene: Scene, row: int) -> np.ndarray:
 
 
 def _draw_free(image: np.ndarray, view: View, scene: Scene, row: int, unit: float) -> None:
-    """Draw the free floor between neighbouring rays that both have some, as far as both do."""
+    """Draw the free floor between neighbouring rays, as far as both have some."""
     rows = slice(row, row + 1)
     free = free_floor(scene.free[rows], scene.free_end[rows], unit).in_world(_AHEAD)
     rings = np.split(view.pixels(free.points), np.cumsum(free.corners))[:-1]

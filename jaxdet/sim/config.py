@@ -45,7 +45,7 @@ class SimConfig:
     """Form of depth images: raw, uint16 mm in the depth camera; aligned, in the colour camera;
     both; metres, as raw but float32 metres."""
     mount_tf: bool = True
-    """Write the camera's mounting to TF; off: the floor must be estimated."""
+    """Write the mount of the camera to TF; if off, the floor must be estimated."""
     extrinsics: Literal["tf", "topic", "both", "none"] = "both"
     """Messages with the extrinsics from depth to colour camera."""
     compression: Literal["zstd", "lz4", "none"] = "zstd"
@@ -106,8 +106,8 @@ class SimConfig:
             "odometry-hz": self.odometry_hz >= 0,
             "start-ns": 10**9 <= self.start_ns <= (2**31 - 86_400) * 10**9,
         }
-        for name, kept in rules.items():
-            if not kept:
+        for name, valid in rules.items():
+            if not valid:
                 raise ConfigError(f"{name} is out of range", remedy="see jaxdet sim --help")
 
 

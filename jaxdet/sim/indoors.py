@@ -45,7 +45,7 @@ def corridor(draft: Draft) -> Scene:
     if closing is CLEAR_GLASS:
         walls.append(_across(yaw, end + 2.5, left + 2, right + 2, texture, "beyond"))
     for _ in range(int(rng.integers(1, 4))):
-        _thing_in_corridor(draft, yaw, left, right, min(end - 0.4, 3.6))
+        _object_in_corridor(draft, yaw, left, right, min(end - 0.4, 3.6))
     return draft.enclosed("corridor", tuple(walls), hard_floor(rng, outdoors=False))
 
 
@@ -76,7 +76,7 @@ def _side(
     return [before, door, *jambs, piece(recess + wide, end + 0.1, y, texture, name)]
 
 
-def _thing_in_corridor(draft: Draft, yaw: float, left: float, right: float, far: float) -> None:
+def _object_in_corridor(draft: Draft, yaw: float, left: float, right: float, far: float) -> None:
     """Place a box, person or bin, at a wall or in the middle."""
     rng = draft.rng
     kind = str(rng.choice(["box", "box", "person", "bin", "cone", "chair"]))

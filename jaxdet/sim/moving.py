@@ -27,7 +27,7 @@ def moving(draft: Draft) -> Scene:
     if rng.random() < 0.5:
         length, speed = rng.uniform((0.8, 0.25), (1.6, 0.6)).tolist()
         path = Path(length=length, speed=speed, weave=float(rng.uniform(0, 0.06)))
-    ways = [(_way(path), _ROBOT_M)]
+    trajectories = [(_trajectory(path), _ROBOT_M)]
     for _ in range(int(rng.integers(1, 3))):
         kind = str(rng.choice(["bin", "box", "bucket", "cone", "chair", "person"]))
         draft.add_object(kind, *draft.place(2.6, 4.0, 0.3))
@@ -36,29 +36,29 @@ def moving(draft: Draft) -> Scene:
         side, turn = float(rng.uniform(0.2, 0.4)), float(rng.normal(0, 0.3))
         texture = pick(rng, CONCRETE, WOOD)
         draft.boxes.append(Box((x, y), (side, side, 1.9), turn, texture, name="pillar"))
-    ways += [(np.array([[x, y]]), radius) for x, y, radius in draft.taken]
+    trajectories += [(np.array([[x, y]]), radius) for x, y, radius in draft.taken]
     kinds = ["cart"] * int(rng.integers(0, 3)) + ["walker"] * int(rng.integers(1, 4))
     for kind in kinds:
-        _send(draft, kind, ways)
+        _send(draft, kind, trajectories)
     scene = draft.finish("moving", outdoors=bool(rng.random() < 0.3))
     return replace(scene, path=path)
 
 
-def _way(path: Path) -> np.ndarray:
+def _trajectory(path: Path) -> np.ndarray:
     """Return the trajectory of a path, ``(T, 2)`` [m]."""
     poses = [pose_at(path, float(t)) for t in _TIMES_S]
     return np.array([[pose.x, pose.y] for pose in poses])
 
 
-def _send(draft: Draft, kind: str, ways: list[tuple[np.ndarray, float]]) -> None:
+def _send(draft: Draft, kind: str, trajectories: list[tuple[np.ndarray, float]]) -> None:
     """Add a moving model on a collision-free path; none if no such path is found."""
     radius = _RADIUS_M[kind]
     for _ in range(60):
         path = _crossing(draft.rng, kind)
-        way = _way(path)
-        gaps = [np.hypot(*(way - other).T).min() - r for other, r in ways]
+        trajectory = _trajectory(path)
+        gaps = [np.hypot(*(trajectory - other).T).min() - r for other, r in trajectories]
         if min(gaps) > radius + _CLEAR_M:
-            ways.append((way, radius))
+            trajectories.append((trajectory, radius))
             seed = int(draft.rng.integers(1 << 30))
             draft.models.append(Model(kind, seed=seed, path=path))
             return

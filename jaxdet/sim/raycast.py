@@ -33,7 +33,7 @@ class Hits(NamedTuple):
     face: np.ndarray
     """Index of the triangle over all worlds, ``(B, H, W)`` int32; -1: none."""
     depth: np.ndarray
-    """z in the camera, ``(B, H, W)`` float64 [m]; inf where nothing is hit."""
+    """z in the camera, ``(B, H, W)`` float64 [m]; inf without a hit."""
     color: np.ndarray
     """Colour of the surface, ``(B, H, W, 3)`` float32 [grey levels], not clipped."""
     light: np.ndarray

@@ -35,25 +35,25 @@ class Rendering(NamedTuple):
     gloss: np.ndarray
     """Gloss of the surface, ``(H, W)`` float32."""
     depth: np.ndarray
-    """z in the camera, ``(H, W)`` float64 [m]; inf where nothing is hit."""
+    """z in the camera, ``(H, W)`` float64 [m]; inf without a hit."""
     obstacle_id: np.ndarray
     """Number of the object (also of walls), ``(H, W)`` uint8, 0 = floor or nothing."""
     kind: np.ndarray
     """Kind of surface, ``(H, W)`` uint8, :class:`PixelKind`."""
     points: np.ndarray
-    """World points ``(H, W, 3)`` float64 [m]; not finite where nothing is hit."""
+    """World points ``(H, W, 3)`` float64 [m]; not finite without a hit."""
     ground: Ground
     """Shape of the floor."""
     mirrored: np.ndarray | None = None
     """z of the mirror image in a glossy floor, as if it were below the floor, ``(H, W)`` float64
     [m]; inf where it is empty, NaN outside of the floor; None: the floor doesn't mirror."""
     behind: np.ndarray | None = None
-    """z behind clear panes, ``(H, W)`` float64 [m]; inf where nothing is hit, NaN outside of panes;
+    """z behind clear panes, ``(H, W)`` float64 [m]; inf without a hit, NaN outside of panes;
     None: no clear panes. All other arrays refer to the pane."""
 
     @property
     def height(self) -> np.ndarray:
-        """Height above the floor beneath, ``(H, W)`` float32 [m], NaN where nothing is hit."""
+        """Height above the floor beneath, ``(H, W)`` float32 [m], NaN without a hit."""
         height = np.full(self.depth.shape, np.nan, np.float32)
         solid = self.kind >= PixelKind.WALL
         x, y, z = self.points[solid].T

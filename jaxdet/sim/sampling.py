@@ -43,7 +43,7 @@ def sample_frames(
         ConfigError: The family is unknown, or a value is out of range.
     """
     if family not in (*FAMILIES, *SCENES):
-        raise ConfigError(f"no family {family!r}", remedy=f"use {', '.join(FAMILIES)}")
+        raise ConfigError(f"unknown family {family!r}", remedy=f"use {', '.join(FAMILIES)}")
     start = replace(base or SimConfig(), scene=family, light=light, **changes)
     for index in range(count):
         drawn = int(np.random.SeedSequence([seed, index]).generate_state(1)[0])

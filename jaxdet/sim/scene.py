@@ -111,7 +111,7 @@ class Ground:
     def __post_init__(self) -> None:
         if self.drop_m < 0 or self.drop_steps < 1 or self.drop_tread_m <= 0:
             raise ConfigError(
-                "the floor must have at least one step, and steps must go down",
+                "drop_m, drop_steps or drop_tread_m is out of range",
                 remedy="use drop_m >= 0, drop_steps >= 1, drop_tread_m > 0",
             )
 
@@ -186,13 +186,13 @@ class Scene:
     light: Light = field(default_factory=Light)
     path: Path = field(default_factory=Path)
     background: Color = (205, 210, 215)
-    """Colour where nothing is hit."""
+    """Colour of pixels without a hit."""
 
     def __post_init__(self) -> None:
         if len(self.objects) > MAX_OBSTACLES:
             raise ConfigError(
-                f"the scene {self.name!r} has {len(self.objects)} objects",
-                remedy=f"use at most {MAX_OBSTACLES}",
+                f"scene {self.name!r} has {len(self.objects)} objects, more than {MAX_OBSTACLES}",
+                remedy="remove objects",
             )
 
     @property

@@ -71,5 +71,6 @@ def _build(kind: Any, data: Any, where: str) -> Any:
     if isinstance(data, list):
         return tuple(_build(get_args(kind)[0], item, where) for item in data)
     if isinstance(data, dict) or is_dataclass(kind):
-        raise ConfigError("a table where a value is expected, or vice versa", path=where)
+        expected = "a table" if is_dataclass(kind) else "a value"
+        raise ConfigError(f"expected {expected}, got {type(data).__name__}", path=where)
     return data

@@ -129,7 +129,7 @@ def load_scene(name: str, seed: int = 0, distance_m: float = 2.0) -> Scene:
         return make_scene(name, seed, distance_m)
     if not name.endswith((".toml", ".json")):
         names = ", ".join([*SCENES, *FAMILIES])
-        raise ConfigError(f"no scene {name!r}", remedy=f"use {names} or a TOML file")
+        raise ConfigError(f"unknown scene {name!r}", remedy=f"use {names} or a TOML file")
     return read_scene(name)
 
 

@@ -29,7 +29,7 @@ def measure_depth(
     """Simulate the measurement of an ideal depth image.
 
     Args:
-        z: Ideal depth ``(H, W)`` float [m], inf where nothing is hit.
+        z: Ideal depth ``(H, W)`` float [m], inf without a hit.
         camera: Depth camera (its left imager).
         sensor: Error model.
         rng: Random generator.

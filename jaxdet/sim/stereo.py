@@ -101,5 +101,5 @@ class Surface(NamedTuple):
     """z of the mirror image in a floor, ``(H, W)`` float64 [m]; inf where it is empty, NaN outside
     of mirroring floors."""
     behind: np.ndarray | None = None
-    """z behind a clear pane, ``(H, W)`` float64 [m]; inf where nothing is hit, NaN outside of
+    """z behind a clear pane, ``(H, W)`` float64 [m]; inf without a hit, NaN outside of
     panes."""

@@ -2,7 +2,7 @@
 
 The file holds the arrays of :class:`Truth` by name, and for each frame ``i`` three images in the
 colour camera: the object number, ``(H, W)`` uint8, as ``obstacle_id_<i, six digits>``; the depth,
-``(H, W)`` float16 [m], inf where nothing is hit, as ``depth_<i, six digits>``; and whether the
+``(H, W)`` float16 [m], inf without a hit, as ``depth_<i, six digits>``; and whether the
 pixel shows drivable floor, ``(H, W)`` bool, as ``drivable_<i, six digits>``. NumPy reads it:
 ``np.load("demo.mcap.truth.npz")["obstacle_id_000000"]``.
 """
@@ -33,7 +33,7 @@ MAX_ARRAY_BYTES = 1 << 28
 class Truth(NamedTuple):
     """Ground truth of ``F`` frames and ``J`` objects, without images.
 
-    Object ``j`` has the number ``j + 1`` in the images. An object out of sight has 0 visible pixels
+    Object ``j`` has the number ``j + 1`` in the images. An object that is not visible has 0 pixels
     and NaN extents.
     """
 

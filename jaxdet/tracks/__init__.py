@@ -1,4 +1,4 @@
-"""Tracking of the obstacles of a log: :func:`track_results` is ``jaxdet track``."""
+"""Tracking of the obstacles of a log. :func:`track_results` implements ``jaxdet track``."""
 
 import lazy_loader
 

@@ -13,36 +13,37 @@ class TrackConfig:
     """Data association, and the classification of tracks as moving or stationary."""
 
     max_speed_mps: float = 3.0
-    """Maximum speed of an object [m/s]; tracks that seem faster are stationary."""
+    """Maximum speed of an object [m/s]; tracks that seem faster count as stationary."""
     gate_m: float = 0.3
-    """Gate on the motion of an outline's nearest edges between frames, in addition to the maximum
-    speed [m]."""
+    """Gate on the motion of an outline's nearest edges between two frames [m], added to the motion
+    at maximum speed."""
     max_gap_frames: int = 3
-    """Maximum number of frames between outlines that are linked by their edges only."""
+    """Maximum number of frames between two observations linked by their edges alone."""
     max_gap_s: float = 2.5
     """Maximum time without an observation before a track ends [s]."""
     overlap: float = 0.4
-    """Minimum overlap, as a fraction of the smaller outline along every side, at which obstacles of
-    a frame are merged; long ones are not."""
+    """Minimum overlap at which obstacles of a frame are merged, as a fraction of the smaller
+    outline along every side. Long obstacles are not merged."""
     floats_m: float = 0.25
-    """Minimum height above the floor of a floating obstacle [m], which is merged into a larger one
+    """Minimum height above the floor of a floating obstacle [m], which is merged with a larger one
     that it touches."""
     touch_m: float = 0.1
     """Maximum gap between outlines that touch [m]."""
     long_m: float = 1.6
-    """Minimum length of long objects [m]: walls, hedges or shelves, in front of which others
-    stand."""
+    """Minimum length of long objects [m], such as walls, hedges or shelves, in front of which
+    others may stand."""
     min_frames: int = 4
     """Minimum number of frames in which a track is observed."""
     moving_m: float = 0.3
-    """Minimum displacement of a moving object's middle [m]; its ends must move by half of it."""
+    """Minimum displacement of a moving object's centre [m]; its ends must move by at least half of
+    it."""
     noise_m: float = 0.25
     """Maximum RMS residual of the ends of a moving long object [m]."""
     smooth_s: float = 0.7
     """Half-width of the time window over which positions and speeds are fitted [s]."""
     most_floor: float = 0.3
-    """Maximum share of the frames with floor at an obstacle's place (floor_seen) with which the
-    obstacle is drawn on maps."""
+    """Maximum fraction of frames that show floor at an obstacle's place (floor_seen); above it the
+    obstacle is not drawn on maps."""
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -64,4 +65,4 @@ class TrackConfig:
         for name, kept in rules.items():
             most = FARTHEST_M if name.endswith("-m") else math.inf
             if not (kept and getattr(self, name.replace("-", "_")) < most):
-                raise ConfigError(f"{name} is out of its range", remedy="see jaxdet track --help")
+                raise ConfigError(f"{name} is out of range", remedy="see jaxdet track --help")

@@ -1,8 +1,8 @@
-"""The folder of a log gets its tracks: tables beside its own, which stay as they are.
+"""Adds tracks to the folder of a log, as separate tables next to those of the run.
 
-The track of each obstacle is a table of its own, ``track_links.parquet``, whose rows are those of
-``obstacles.parquet`` in the same order: so the tables of a run stay the bytes that it wrote, and
-tracking again with other settings replaces two small files.
+The track of each obstacle is in ``track_links.parquet``, whose rows correspond to those of
+``obstacles.parquet``. The tables of the run thus remain unchanged, and tracking again with other
+settings replaces two small files.
 """
 
 import dataclasses
@@ -33,20 +33,21 @@ from jaxdet.results.schemas import LINKS_SCHEMA, TRACKS_SCHEMA
 from jaxdet.results.tables import Tables
 from jaxdet.results.writer import parquet_writer
 from jaxdet.tracks.config import TrackConfig
-from jaxdet.tracks.looks import OBSTACLE_COLUMNS, POSE_COLUMNS
 from jaxdet.tracks.observations import observations_of
 from jaxdet.tracks.places import PlaceRows, Places, is_lasting, with_outlines
 from jaxdet.tracks.rows import TrackRows
+from jaxdet.tracks.sightings import OBSTACLE_COLUMNS, POSE_COLUMNS
 from jaxdet.tracks.tracker import Tracker
 
 WINDOW_FRAMES = 1024
-"""Frames that are linked together; part of the method, as it may decide a link. Memory grows with
-it and with the square of the obstacles in a frame: 0.2 GB with 30 of them, 1.6 with 100."""
+"""Number of frames linked together. It affects the results, as it may decide a link. Memory grows
+with it and with the square of the number of obstacles per frame: 0.2 GB for 30 obstacles, 1.6 GB
+for 100."""
 TRACKING_KEY = "jaxdet.tracking"
 KNOWN = "known_map"
-"""Name of the copy of the map that obstacles were compared with, without its suffix."""
+"""Name, without suffix, of the copy of the map with which obstacles were compared."""
 _STAGING = "tracks"
-"""Folder in the working folder, for folders of logs with their new tracks."""
+"""Subfolder of the working folder for copies of logs with their new tracks."""
 
 _COLUMNS = ("bottom_m", "top_m", "distance_m", "z_min", "u_min", "u_max", "x_min", "x_max")
 _PLACE = ("floor_source", "camera_position_world")
@@ -56,21 +57,22 @@ _OBSTACLE = tuple(dict.fromkeys((*_READ, *OBSTACLE_COLUMNS)))
 
 
 class LogTracks(NamedTuple):
-    """What was found in a log."""
+    """Summary of the tracks of a log."""
 
     log: str
-    """Its name, and the camera's where it has several."""
+    """Name of the log, with the camera if it has several."""
     tracks: int
     moving: int
     in_world: int
-    """Tracks in the world; the others are in the camera's ground frame."""
+    """Number of tracks in the world frame; the others are in the camera's ground frame."""
     obstacles: int
     linked: int
-    """Obstacles that are in a track."""
+    """Number of obstacles in tracks."""
     blind: tuple[str, ...]
-    """Why obstacles have no place in the world, the commonest first; empty: all have one."""
+    """Reasons why obstacles have no position in the world, the most common first; empty if all have
+    one."""
     new: int | None = None
-    """Number of tracks that are not in the known map; None without one."""
+    """Number of tracks that are not in the known map; None without a map."""
 
 
 def track_results(
@@ -83,24 +85,26 @@ def track_results(
 ) -> list[LogTracks]:
     """Link the obstacles of each log of results over time.
 
-    Writes ``tracks.parquet`` and ``track_links.parquet`` (:mod:`jaxdet.results.schemas`) and,
-    where there is a map, ``tracks.png`` into the folder of each log: all of them or none, whatever
-    ends the process. Logs are done one after the other, so some may have new tracks after a stop.
+    Writes ``tracks.parquet`` and ``track_links.parquet`` (:mod:`jaxdet.results.schemas`) and, if
+    there is a map, ``tracks.png`` into the folder of each log, atomically. Logs are processed one
+    by one, so after an interruption only some may have new tracks.
 
     Args:
-        folder: What ``jaxdet run`` wrote, or the folder of one log in it; tracks that are there
-            are replaced.
-        config: What links obstacles.
-        missing: Leave logs as they are that have tracks.
-        known: Map that obstacles are compared with (``in_map``); a copy is kept with the tracks.
-        frame: Frame that it is in, which must be the world of all logs with poses; None: it is.
+        folder: Results of ``jaxdet run``, or the folder of one log in them; existing tracks are
+            replaced.
+        config: Tracking parameters.
+        missing: Whether to skip logs that have tracks.
+        known: Known map with which obstacles are compared (``in_map``); a copy is stored with the
+            tracks.
+        frame: TF frame of the map, which must be the world frame of all logs with poses; None: no
+            check.
 
     Returns:
-        What was found, by log.
+        Summaries of all logs.
 
     Raises:
-        InputError: It holds no complete results, or can't be written to.
-        ConfigError: A run or another tracking works there.
+        InputError: The folder has no complete results, or can't be written to.
+        ConfigError: A run or another tracking process uses the folder.
         OutputError: The disk is full or broken.
     """
     check_folder(folder)
@@ -123,31 +127,31 @@ def track_results(
 
 
 def check_frame(results: Results, frame: str | None) -> None:
-    """Make sure that the world of all logs with poses is the frame of a map.
+    """Check that the frame of a map is the world frame of all logs with poses.
 
     Raises:
-        ConfigError: That of a log is another.
+        ConfigError: A log has another world frame.
     """
     for log in results.logs if frame else ():
         if (world := results.world_frame(log)) not in ("", frame):
             remedy = f"run jaxdet run again with --log.world-frame {frame}"
-            problem = f"its poses are in {world}, the map is in {frame}"
+            problem = f"the poses are in {world}, but the map is in {frame}"
             raise ConfigError(problem, path=log.label, remedy=remedy)
 
 
 def add_tracks(folder: Path, config: TrackConfig, known: Grid | None = None) -> list[LogTracks]:
-    """Write the tracks of a log into its folder, in which nobody else works, and its manifest.
+    """Write the tracks of a log and its manifest into its folder, which no other process uses.
 
     Args:
         folder: Complete folder of a log.
-        config: What links obstacles.
-        known: Map that obstacles are compared with.
+        config: Tracking parameters.
+        known: Known map with which obstacles are compared.
     """
     manifest = read_manifest(folder)
     about = {key: value for key, value in manifest.items() if key not in ("files", "sha256")}
     paths = [path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()]
     others = [name for name in paths if name not in manifest["files"]]
-    for path in [*folder.rglob("*")]:  # not those of the manifest, which lists no broken link
+    for path in [*folder.rglob("*")]:  # includes broken links, which are not in the manifest
         is_folder = path.is_dir() and not path.is_symlink()
         if not is_folder and is_track_file(path.relative_to(folder).as_posix()):
             path.unlink()
@@ -163,12 +167,12 @@ def add_tracks(folder: Path, config: TrackConfig, known: Grid | None = None) -> 
 
 
 def write_tracks(results: Results, config: TrackConfig, folder: Path) -> list[LogTracks]:
-    """Write the files of :func:`track_results` into a folder, and nothing else there.
+    """Write the files of :func:`track_results` for one log into a folder.
 
     Args:
-        results: Those of one log; if they hold a known map, obstacles are compared with it.
-        config: What links obstacles.
-        folder: Gets the files.
+        results: Results of one log; if they contain a known map, obstacles are compared with it.
+        config: Tracking parameters.
+        folder: Folder for the files.
     """
     metadata, found = _metadata(results, config), []
     known = known_map(results.folder)
@@ -195,10 +199,10 @@ def write_tracks(results: Results, config: TrackConfig, folder: Path) -> list[Lo
 
 
 def lasting_map(results: Results, log: ResultLog) -> MapImage | None:
-    """Return the map of a log, after ``jaxdet track`` with the outlines of lasting obstacles only.
+    """Return the map of a log, after ``jaxdet track`` without obstacles that are not lasting.
 
     Raises:
-        InputError: Map or tracks can't be read.
+        InputError: The map or the tracks can't be read.
     """
     image = results.map(log)
     if image is None or not results.tracked(log):
@@ -211,10 +215,10 @@ def lasting_map(results: Results, log: ResultLog) -> MapImage | None:
 
 
 def known_map(folder: Path) -> Grid | None:
-    """Return the map that the obstacles of a log's folder were compared with; None: with none.
+    """Return the known map with which a log's obstacles were compared; None if there is none.
 
     Raises:
-        InputError: It can't be read.
+        InputError: The map can't be read.
     """
     path = folder / f"{KNOWN}.yaml"
     return read_map(path) if path.exists() else None
@@ -222,27 +226,27 @@ def known_map(folder: Path) -> Grid | None:
 
 def _write_known(results: Results, known: Grid, folder: Path) -> None:
     frame = next((f for log in results.logs if (f := results.world_frame(log))), "")
-    write_map(folder / f"{KNOWN}.png", known, "what was known", frame)
+    write_map(folder / f"{KNOWN}.png", known, "known map", frame)
 
 
 def tracking(folder: Path) -> TrackConfig:
-    """What linked the obstacles of a results folder, as ``tracks.parquet`` says.
+    """Return the tracking parameters of a results folder, from ``tracks.parquet``.
 
     Raises:
-        InputError: It doesn't say.
+        InputError: The file does not contain valid parameters.
     """
     path = folder / TRACKS
     try:
         with open_file(path, "rb") as file:
-            told = pq.read_schema(file).metadata[TRACKING_KEY.encode()]
-        return TrackConfig(**json.loads(told))
+            parameters = pq.read_schema(file).metadata[TRACKING_KEY.encode()]
+        return TrackConfig(**json.loads(parameters))
     except (OSError, KeyError, TypeError, ValueError, pa.ArrowException, ConfigError) as error:
-        problem = "doesn't say what linked the obstacles"
+        problem = "the tracking parameters are missing or invalid"
         raise InputError(problem, path=str(path), remedy="run jaxdet track again") from error
 
 
 def is_track_file(name: str) -> bool:
-    """Whether a result of this name is of ``jaxdet track``."""
+    """Return whether a file in a results folder is written by ``jaxdet track``."""
     own = (TRACKS, LINKS, "tracks.png", f"{KNOWN}.yaml", f"{KNOWN}.png")
     return name in own or fnmatch(name, "tracks_*.png")
 
@@ -255,7 +259,7 @@ def _track_log(
     links: "_Writer",
     places: Places,
 ) -> LogTracks:
-    """Finds the tracks of a log, and writes its rows of ``track_links.parquet``."""
+    """Track the obstacles of a log, and write its rows of ``track_links.parquet``."""
     cameras = log.summary["calibration"] or {}
     image = cameras.get("color") or cameras.get("depth") or {}
     keys = list(LINKS_SCHEMA.names[:4])
@@ -300,14 +304,14 @@ def _track_log(
 
 
 def _blind(chunk: Tables) -> Iterator[str]:
-    """Why each of these frames has no place in the world."""
+    """Yield the reason why each of these frames has no position in the world."""
     for source, place in zip(*(chunk.frames[name].to_pylist() for name in _PLACE), strict=True):
         floor = "no floor" if source == "none" else "the world's z is not up"
         yield floor if place else "no poses"
 
 
 def _paths(tracks: pa.Table, most_floor: float) -> list[tuple[np.ndarray, bool]]:
-    """Paths in the world ``(P, 2)`` [m], and whether the things move, of lasting tracks."""
+    """Return the world paths ``(P, 2)`` [m] of lasting tracks, and whether the objects move."""
     columns = (tracks[name].to_pylist() for name in ("in_world", "moving"))
     paths = [np.reshape(path.values.to_numpy(), (-1, 2)) for path in tracks["path"]]
     lasting = is_lasting(tracks["floor_seen"].to_numpy(), most_floor).tolist()
@@ -316,7 +320,7 @@ def _paths(tracks: pa.Table, most_floor: float) -> list[tuple[np.ndarray, bool]]
 
 
 class _Writer:
-    """A Parquet file whose bytes are a function of its rows and of the metadata."""
+    """A Parquet file whose bytes depend only on its rows and metadata."""
 
     def __init__(self, path: Path, schema: pa.Schema, metadata: dict[str, str]) -> None:
         self.sink = open_file(path, "wb")
@@ -330,12 +334,12 @@ class _Writer:
         self.sink.close()
 
     def write(self, table: pa.Table) -> None:
-        """Appends the rows of a log."""
+        """Append the rows of a log."""
         self.file.write_table(table.cast(self.file.schema))
 
 
 def _metadata(results: Results, config: TrackConfig) -> dict[str, str]:
-    """What the tables are made of: the obstacles' own metadata, and how they were linked."""
+    """Return the metadata of the tables: those of the obstacles, and the tracking parameters."""
     tracking = json.dumps(dataclasses.asdict(config), sort_keys=True, separators=(",", ":"))
     about = results.metadata(results.logs[0]) if results.logs else {}
     return about | {TRACKING_KEY: tracking}
@@ -343,7 +347,7 @@ def _metadata(results: Results, config: TrackConfig) -> dict[str, str]:
 
 @contextmanager
 def _locked(root: Path) -> Iterator[Path]:
-    """Lock a results folder; what another process left half moved is in its place then."""
+    """Lock a results folder, after completing file moves that another process left unfinished."""
     lock = Lock(root / WORKING / "lock")
     try:
         finish(root)

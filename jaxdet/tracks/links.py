@@ -1,4 +1,4 @@
-"""Data association in two passes: outlines of nearby frames, then tracklets over gaps."""
+"""Data association in two passes: outlines of nearby frames, then tracklets across gaps."""
 
 from typing import NamedTuple
 
@@ -12,14 +12,14 @@ from jaxdet.tracks.outlines import Outlines, displacement, gap
 from jaxdet.tracks.pairs import chain_starts, greedy_matching, pairs_of_frames, ranges
 
 FIT_S = 0.5
-"""Time over which the velocity at an end of a tracklet is fitted [s]; at least the next observation
-is used."""
+"""Time over which the velocity at an end of a tracklet is fitted [s]; at least one further
+observation is used."""
 _STEADY_S = 0.1
 """Regularisation: velocities fitted over less time than this shrink toward zero [s]."""
 _STRETCH = 0.1
 """Cost of a change in area by a factor of e [m]."""
 _LOST_M, _LOST_MPS = 0.35, 0.5
-"""Gate on the prediction error after a gap: constant [m], and per second of the gap [m/s]."""
+"""Gate on the prediction error after a gap: a constant [m], plus this per second [m/s]."""
 
 
 def link_frames(
@@ -32,7 +32,7 @@ def link_frames(
 
     Args:
         obs: ``N`` observations.
-        before: ``(N,)`` int64, index of the previous observation of each, -1 for none.
+        before: Index of the previous observation of each, ``(N,)`` int64, -1 for none.
         first: Index of the first observation to link, to earlier ones or to each other.
         config: Gate.
 
@@ -75,19 +75,19 @@ def _stretch(a: Outlines, b: Outlines) -> np.ndarray:
 def end_pieces(
     obs: Observations, before: np.ndarray, first: int, config: TrackConfig
 ) -> np.ndarray:
-    """End tracklets where another begins next to them and outlasts them.
+    """End tracklets at a split, if the other fragment outlasts them.
 
-    A detection may split. If the fragment that its tracklet follows is lost within
-    ``max_gap_frames``, the object continues as the other fragment, whose tracklet began next to it.
+    If a detection splits and the fragment followed by its tracklet is lost within
+    ``max_gap_frames``, the object continues as the other fragment, whose tracklet started next to
+    it.
 
     Args:
         obs: ``N`` observations.
-        before: ``(N,)`` int64, result of the first pass.
+        before: Result of the first pass, ``(N,)`` int64.
         first: Index of the first observation at which new tracklets are examined.
         config: Limits of distance and time.
 
-    Returns:
-        ``before`` without the links from the split on.
+    ``before`` without the links after the split.
     """
     root = chain_starts(before)
     end = np.zeros(len(before), np.int64)  # last frame of each chain, at its first row
@@ -109,16 +109,16 @@ class Tracklets(NamedTuple):
     """``K`` chains of linked observations."""
 
     start: np.ndarray
-    """First observation of each, ``(K,)`` int64."""
+    """First observation of each chain, ``(K,)`` int64."""
     end: np.ndarray
-    """Last observation of each, ``(K,)`` int64."""
+    """Last observation of each chain, ``(K,)`` int64."""
     length: np.ndarray
     """Number of observations, ``(K,)`` int64."""
     velocity: np.ndarray
     """Velocities at the start and at the end, ``(K, 2, 2)`` float64 [m/s]."""
     position: np.ndarray
-    """Middles at the start and at the end, corrected for hidden sides, ``(K, 2, 2)`` float64
-    [m]."""
+    """Centres at the start and at the end, corrected for hidden sides, ``(K, 2, 2)`` float64 [m].
+    """
 
 
 def tracklets_of(obs: Observations, before: np.ndarray) -> Tracklets:
@@ -169,13 +169,13 @@ def link_tracklets(
     config: TrackConfig,
     late: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Link ends of tracklets to starts of later ones where both predictions agree (second pass).
+    """Link ends of tracklets to starts of later ones if both predictions agree (second pass).
 
     Args:
         obs: ``N`` observations.
-        before: ``(N,)`` int64, result of the first pass.
+        before: Result of the first pass, ``(N,)`` int64.
         first: Index of the first observation at which tracklets are linked.
-        config: Longest gap.
+        config: Tracking parameters; the maximum gap is used.
         late: Additional earlier observations at which tracklets are linked.
 
     Returns:
@@ -204,7 +204,7 @@ def link_tracklets(
 def _gap_cost(
     obs: Observations, track: Tracklets, a: np.ndarray, b: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the cost of continuing tracklets ``a`` as ``b`` [m], and whether it is gated in."""
+    """Return the cost of linking tracklets ``a`` to ``b`` [m], and whether it passes the gate."""
     end, start = track.end[a], track.start[b]
     time = ((obs.stamp_ns[start] - obs.stamp_ns[end]) * 1e-9)[:, None]
     one, other = obs.outline.take(end), obs.outline.take(start)

@@ -12,14 +12,16 @@ from jaxdet.tracks.pairs import components, pairs_in_frames
 def merge_overlapping(
     obs: Observations, size: np.ndarray, config: TrackConfig
 ) -> tuple[Observations, np.ndarray]:
-    """Merge obstacles of a frame that are one object, as their outlines overlap.
+    """Merge obstacles of a frame that belong to the same object, as their outlines overlap.
 
-    A walking person may be detected as two legs with overlapping outlines, or with an arm that
-    floats next to the body. An obstacle that seems to float behind a nearer one may stand.
+    For example, a walking person may be detected as two legs with overlapping outlines, or with a
+    separate arm next to the body. Obstacles that seem to float because a nearer one hides their
+    lower part are not merged for that reason.
 
     Args:
         obs: ``N`` obstacles.
-        size: Number of cells of each, ``(N,)``; the largest obstacle sets the orientation.
+        size: Number of cells of each obstacle, ``(N,)``; the largest one determines the
+            orientation.
         config: Limits of overlap and contact.
 
     Returns:
@@ -50,7 +52,7 @@ def merge_overlapping(
 
 
 def _is_before(obs: Observations, one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Return whether ``one`` is nearer than ``other`` and covers at least half of its columns."""
+    """Return whether ``one`` is nearer than ``other`` and covers half of its columns or more."""
     columns = obs.columns
     width = np.minimum(columns[one, 1], columns[other, 1])
     width -= np.maximum(columns[one, 0], columns[other, 0])
@@ -59,7 +61,7 @@ def _is_before(obs: Observations, one: np.ndarray, other: np.ndarray) -> np.ndar
 
 
 def _joined(obs: Observations, group: np.ndarray, lead: np.ndarray) -> Observations:
-    """Return the rectangle around all obstacles of each group, oriented as its largest one."""
+    """Return the bounding rectangle of each group, oriented like its largest obstacle."""
     count = len(lead)
     axis, middle = obs.outline.axis[lead], obs.outline.center[lead]
     shift = obs.outline.center - middle[group]

@@ -13,7 +13,8 @@ from jaxdet.tracks.pairs import ranges
 GUESSED = 0.05
 """Weight of a frame without an observation, whose edges are interpolated."""
 LONGER, MERGED = 1.6, 0.1
-"""Outlines longer than the median by this factor are merged with another object; their weight."""
+"""Ratio to the median length above which an outline counts as merged with another object, and the
+weight of such outlines."""
 STEADY_S = 0.02
 """Regularisation: velocities fitted over less time than this shrink toward zero [s]."""
 
@@ -25,7 +26,7 @@ class Motion(NamedTuple):
     """First point of each track, ``(K,)`` int64; it has a point for each frame from its first to
     its last."""
     position: np.ndarray
-    """Middle of the outline, ``(P, 2)`` float64 [m]."""
+    """Centre of the outline, ``(P, 2)`` float64 [m]."""
     velocity: np.ndarray
     """Velocity ``(P, 2)`` float64 [m/s], 0 for stationary tracks."""
     moving: np.ndarray
@@ -37,15 +38,15 @@ def motion_of(
 ) -> Motion:
     """Fit the trajectories of tracks.
 
-    Outlines are corrected for hidden sides. Their edges are interpolated between observations and
-    smoothed by a line fitted over ``smooth_s`` before and after each frame.
+    Outlines are corrected for hidden sides. Their edges are interpolated between observations, and
+    smoothed by a line fit over ``smooth_s`` before and after each frame.
 
     Args:
         obs: Observations by track, then by frame.
         first: First observation of each track, ``(K,)``.
         stamps: Timestamps of the log's frames from ``start`` on [ns].
-        start: Index of the first of these frames.
-        config: Times and limits.
+        start: Index of the first of these frames in the log.
+        config: Tracking parameters.
     """
     last = np.append(first[1:], len(obs.frame)) - 1
     count = obs.frame[last] - obs.frame[first] + 1
@@ -70,7 +71,7 @@ def motion_of(
 
 
 def _middle(edges: np.ndarray) -> np.ndarray:
-    """Return the middles ``(N, 2)`` of edges ``(N, 4)``."""
+    """Return the centres ``(N, 2)`` of edges ``(N, 4)``."""
     return (edges[:, :2] + edges[:, 2:]) / 2
 
 
@@ -90,7 +91,7 @@ def _lengths(obs: Observations, first: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def _medians(values: np.ndarray, track: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """Return the upper median of the values ``(N,)`` per track; ``first`` ``(K,)`` splits them."""
+    """Return the upper median of values ``(N,)`` per track; tracks start at ``first`` ``(K,)``."""
     count = np.diff(np.append(first, len(values)))
     return values[np.lexsort((values, track))][first + count // 2]
 
@@ -104,10 +105,10 @@ def _is_moving(
     usual: np.ndarray,
     config: TrackConfig,
 ) -> np.ndarray:
-    """Return which tracks move ``(K,)``: both ends and the middle are displaced beyond the noise.
+    """Return which tracks move, ``(K,)``: both ends and the centre are displaced beyond noise.
 
-    The limits are stricter for long objects, by their median length ``usual`` ``(K,)`` [m]: pieces
-    of a wall come and go, so its ends jump.
+    The limits are stricter for objects with a large median length ``usual`` ``(K,)`` [m], because
+    pieces of a wall appear and disappear, so its ends jump.
     """
     shift = line - line[starts][track]
     low, high = shift[:, :2], shift[:, 2:]
@@ -143,8 +144,8 @@ def _fitted_lines(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Fit a line to the values within ``reach_s`` of each point: value and slope, ``(P, V)``.
 
-    At both ends of a track the window is shifted inward, so that it never covers less than three
-    quarters of its length. A point without others in its window is fitted with its neighbours.
+    At both ends of a track the window is shifted inward, so that it covers at least three quarters
+    of its length. A point without others in its window is fitted with its neighbours.
     """
     ends = np.flatnonzero(np.diff(track, append=-1))
     first, last = time[np.append(0, ends[:-1] + 1)][track], time[ends][track]

@@ -1,4 +1,4 @@
-"""Observations of objects, one per obstacle or merged from several of a frame."""
+"""Observations of objects, each from one obstacle or merged from several obstacles of a frame."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -9,9 +9,9 @@ from jaxdet.elementary import cos, dot
 from jaxdet.tracks.outlines import Outlines
 
 BORDER_PX = 1
-"""Boxes that end this near to the image border are cut off by it [pixel]."""
+"""Distance from the image border within which a box counts as cut off [pixel]."""
 NOISE_M = 3.0
-"""Distance at which depth noise, which grows with its square, equals the noise nearby [m]."""
+"""Distance at which depth noise, which grows with its square, equals the constant noise [m]."""
 
 
 class Observations(NamedTuple):
@@ -28,7 +28,8 @@ class Observations(NamedTuple):
     top_m: np.ndarray
     """Height of the highest point above the floor, ``(N,)`` float64, NaN if unknown [m]."""
     weight: np.ndarray
-    """Weight of the outline in position fits, ``(N,)`` float64: 1 nearby, less far away."""
+    """Weight of the outline in position fits, ``(N,)`` float64: 1 near the camera, less far away.
+    """
     columns: np.ndarray
     """First and last image column, ``(N, 2)`` float64 [image widths]."""
     across_m: np.ndarray
@@ -36,8 +37,8 @@ class Observations(NamedTuple):
     distance_m: np.ndarray
     """Distance of the nearest point from the camera's ground projection, ``(N,)`` float64 [m]."""
     rightwards: np.ndarray
-    """Direction of increasing image columns on the floor, ``(N, 2)`` float64, a unit vector in the
-    outline's frame; 0 if the camera is on its side."""
+    """Direction of increasing image columns on the floor, in the outline's frame, ``(N, 2)``
+    float64, unit vector; 0 if the camera is on its side."""
     hidden: np.ndarray
     """Whether the left and the right side are hidden, by the image border or a nearer object,
     ``(N, 2)`` bool."""
@@ -48,7 +49,7 @@ class Observations(NamedTuple):
     """Number of merged obstacles, ``(N,)`` int64."""
 
     def take(self, rows: np.ndarray) -> "Observations":
-        """Return the observations of these rows or of a mask."""
+        """Return the observations selected by indices or a mask."""
         names = [name for name in self._fields if name != "outline"]
         rest = {name: getattr(self, name)[rows] for name in names}
         return Observations(outline=self.outline.take(rows), **rest)
@@ -72,9 +73,9 @@ def observations_of(
     columns: Mapping[str, np.ndarray],
     width: int | None,
 ) -> Observations:
-    """Make one observation of each obstacle, in the world frame if there is a pose.
+    """Build one observation per obstacle, in the world frame if the pose is known.
 
-    Without a pose it is in the camera's ground frame.
+    Without a pose the camera's ground frame is used.
 
     Args:
         frame: Frame indices ``(N,)``.
@@ -83,8 +84,8 @@ def observations_of(
         columns: Columns of ``obstacles.parquet``: ``corners_ground``, ``corners_world`` (NaN
             without a pose), ``bottom_m``, ``top_m``, ``distance_m`` (NaN without a floor),
             ``z_min``, ``u_min``, ``u_max``, ``x_min``, ``x_max``.
-        width: Width of the image that contains the boxes, None if unknown [pixel]. Obstacles
-            outside of it have NaN in ``u_min`` and ``u_max``, and no hidden side.
+        width: Width of the image of the boxes [pixel], None if unknown. Obstacles outside of it
+            have NaN in ``u_min`` and ``u_max``, and no hidden side.
     """
     world = columns["corners_world"]
     in_world = np.asarray(np.isfinite(world).all(axis=1))
@@ -111,17 +112,17 @@ def observations_of(
 
 
 def _rightwards(ground: np.ndarray, world: np.ndarray, in_world: np.ndarray) -> np.ndarray:
-    """Return the ground frame's right in the outlines' frame, ``(N, 2)``, from their diagonals."""
+    """Return the right axis of the ground frame in the frame of the outlines, ``(N, 2)``."""
     one, other = (c.astype(np.float64)[:, 4:6] - c[:, :2] for c in (ground, world))
     length = np.maximum(dot(one, one), 1e-12)
-    # In the ground frame x is right and y forward; the rotation maps one diagonal to the other.
+    # In the ground frame x is right and y is forward; the rotation maps one diagonal to the other.
     cos = dot(one, other) / length
     sin = (one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]) / length
     return np.where(in_world[:, None], np.stack([cos, sin], axis=1), (1.0, 0.0))
 
 
 def _across(roll_rad: np.ndarray) -> np.ndarray:
-    """Return the direction of image columns, ``(N,)``: 1 right, -1 left, 0 neither.
+    """Return the direction of increasing image columns, ``(N,)``: 1 right, -1 left, 0 neither.
 
     It is left for an upside-down camera (roll of 135 degrees or more), and neither for a camera on
     its side (45 degrees or more).

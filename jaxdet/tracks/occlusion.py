@@ -1,4 +1,4 @@
-"""Hidden sides of objects: which sides are occluded, and where they would be."""
+"""Hidden sides of objects: which sides are occluded, and where they are expected."""
 
 import numpy as np
 
@@ -6,14 +6,14 @@ from jaxdet.tracks.observations import Observations
 from jaxdet.tracks.pairs import pairs_in_frames
 
 TOUCHES = 0.015
-"""Maximum gap in the image between an object and one that may hide it [image widths]."""
+"""Maximum gap in the image between an object and a possible occluder [image widths]."""
 NARROWER = 0.3
-"""Quantile of an object's unoccluded widths that is its usual width; outlines merged with another
-object are wider."""
+"""Quantile of the unoccluded widths that is taken as an object's width, since outlines merged with
+another object are wider."""
 
 
 def mark_hidden_sides(obs: Observations) -> Observations:
-    """Mark sides that a nearer object hides, one that overlaps or touches them in the image."""
+    """Mark the sides that a nearer object hides, i.e. overlaps or touches in the image."""
     a, b = pairs_in_frames(obs.frame)
     a, b = np.append(a, b), np.append(b, a)
     nearer = obs.distance_m[b] < obs.distance_m[a]
@@ -28,14 +28,14 @@ def mark_hidden_sides(obs: Observations) -> Observations:
 
 
 def hidden_shift(obs: Observations, track: np.ndarray, count: int) -> np.ndarray:
-    """Compute the shift from the middle of the visible part to the middle of the complete outline.
+    """Compute the shift from the centre of the visible part to the centre of the complete outline.
 
-    An object has its usual width across the view, measured where both sides are visible, but at
-    most twice its visible width. There is no shift if both sides are hidden.
+    The width of an object across the view is measured where both sides are visible, and assumed
+    elsewhere, but at most twice the visible width. If both sides are hidden, there is no shift.
 
     Args:
         obs: ``N`` observations.
-        track: ``(N,)`` int64, track indices from 0.
+        track: Track indices from 0, ``(N,)`` int64.
         count: Number of tracks.
 
     Returns:

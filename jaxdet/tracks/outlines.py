@@ -1,4 +1,4 @@
-"""Rectangles on the floor: overlap, gap and displacement of two of them."""
+"""Rectangles on the floor: overlap, gap and displacement of pairs."""
 
 from typing import NamedTuple
 
@@ -15,10 +15,10 @@ class Outlines(NamedTuple):
     axis: np.ndarray
     """Unit vectors along the first side, ``(N, 2)`` float64."""
     half: np.ndarray
-    """Half lengths of the first side and of the second, ``(N, 2)`` float64 [m]."""
+    """Half lengths of the first and the second side, ``(N, 2)`` float64 [m]."""
 
     def take(self, rows: np.ndarray) -> "Outlines":
-        """Return the outlines of these rows or of a mask."""
+        """Return the outlines selected by indices or a mask."""
         return Outlines(*(part[rows] for part in self))
 
     @classmethod
@@ -39,7 +39,7 @@ class Outlines(NamedTuple):
         return 4 * self.half[:, 0] * self.half[:, 1]
 
     def reach(self, direction: np.ndarray) -> np.ndarray:
-        """Return half the extent ``(N,)`` along unit vectors ``(N, 2)`` [m]."""
+        """Return half the extent along unit vectors ``(N, 2)``, ``(N,)`` [m]."""
         along = np.abs(dot(self.axis, direction))
         across = np.abs(self.axis[:, 0] * direction[:, 1] - self.axis[:, 1] * direction[:, 0])
         return self.half[:, 0] * along + self.half[:, 1] * across
@@ -48,8 +48,8 @@ class Outlines(NamedTuple):
 def overlap(a: Outlines, b: Outlines) -> np.ndarray:
     """Compute the overlap of rectangle pairs by the separating axis test.
 
-    It is the minimum over the sides of both of the shared length divided by the smaller extent: 1
-    if one contains the other, negative if a line separates them.
+    It is the minimum, over the sides of both, of the shared length divided by the smaller extent: 1
+    if one rectangle contains the other, negative if a line separates them.
 
     Args:
         a: ``N`` rectangles.
@@ -67,7 +67,7 @@ def overlap(a: Outlines, b: Outlines) -> np.ndarray:
 
 
 def gap(a: Outlines, b: Outlines) -> np.ndarray:
-    """Compute the largest gap along any side of two rectangles; negative if they overlap.
+    """Compute the maximum gap along any side of two rectangles; negative if they overlap.
 
     Returns:
         Gaps ``(N,)`` float64 [m]; less than the distance if two corners face each other.
@@ -80,10 +80,10 @@ def gap(a: Outlines, b: Outlines) -> np.ndarray:
 
 
 def displacement(a: Outlines, b: Outlines) -> np.ndarray:
-    """Compute the motion from ``a`` to ``b``, whose visible parts may differ.
+    """Compute the motion from ``a`` to ``b``, robust against changes of the visible part.
 
-    Along each side of ``a`` it is the minimum over its two ends and its middle: a change of
-    visibility moves one end and the middle, motion moves all three.
+    Along each side of ``a`` it is the minimum over both ends and the centre: a change of visibility
+    moves one end and the centre, while motion moves all three.
 
     Returns:
         Larger displacement of both sides, ``(N,)`` float64 [m].

@@ -7,7 +7,7 @@ import numpy as np
 
 
 def pairs_of_frames(frame: np.ndarray, later: np.ndarray, apart: int) -> tuple[np.ndarray, ...]:
-    """Pair each of the rows ``later`` with all rows of the frame ``apart`` frames before.
+    """Pair the rows ``later`` with all rows ``apart`` frames before.
 
     Args:
         frame: ``(N,)`` int64, ascending.
@@ -40,8 +40,8 @@ def ranges(first: np.ndarray, count: np.ndarray) -> np.ndarray:
 def greedy_matching(a: np.ndarray, b: np.ndarray, cost: np.ndarray, size: int) -> np.ndarray:
     """Match rows one to one, greedily in order of cost.
 
-    Each round takes all pairs that are the cheapest of both of their rows, which gives the same
-    result as one pair at a time; so it does not depend on the other frames in the arrays.
+    Each round takes all pairs that are the cheapest for both of their rows. The result is the same
+    as with one pair at a time, so it does not depend on other frames in the arrays.
 
     Args:
         a: Rows ``(P,)``.
@@ -82,7 +82,10 @@ def components(size: int, a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def chain_starts(before: np.ndarray) -> np.ndarray:
-    """Return the first row of each row's chain, ``(N,)`` int64; ``before`` links rows, -1: none."""
+    """Return the first row of each row's chain, ``(N,)`` int64.
+
+    ``before`` has the previous row in the chain, -1 if there is none.
+    """
     root = np.where(before < 0, np.arange(len(before)), before)
     while True:
         further = root[root]

@@ -1,4 +1,4 @@
-"""Places of obstacles and tracks of a log: how lasting they are, and whether a map has them."""
+"""Places of obstacles and tracks in a log: their persistence, and whether a map contains them."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -16,49 +16,50 @@ from jaxdet.results.reading import ResultLog, Results
 from jaxdet.results.schemas import LINKS_SCHEMA, TRACKS_SCHEMA
 from jaxdet.results.tables import Tables
 from jaxdet.results.tracked import TracksInFrames
-from jaxdet.tracks.looks import (
+from jaxdet.tracks.rows import TrackRows
+from jaxdet.tracks.sightings import (
     CHUNK_FRAMES,
     FRAME_COLUMNS,
     OBSTACLE_COLUMNS,
-    Looks,
+    Sightings,
     contours,
     free_floor,
     poses,
     shares,
 )
-from jaxdet.tracks.rows import TrackRows
 from jaxdet.types import RAYS
 
 COLUMNS = ("persistence", "floor_seen", "in_map")
 MAP_NEAR_M, MAP_PER_M = 0.10, 0.015
-"""Distance within which a map has a point of a contour [m], and its growth with the square of the
+"""Maximum distance of a contour point from the map [m], and its growth with the square of the
 obstacle's distance [1/m]."""
 IN_MAP = 0.5
-"""Minimum share of a contour's points in the map, and of a track's obstacles."""
+"""Minimum fraction of a contour's points in the map, and of a track's obstacles."""
 
 
 class PlaceRows(NamedTuple):
     """Places of ``N`` obstacles."""
 
-    looks: np.ndarray
-    """Looks at each place, ``(N, 3)`` int64, see :meth:`jaxdet.tracks.looks.Looks.of`."""
+    sightings: np.ndarray
+    """Sightings of each place, ``(N, 3)`` int64, see :meth:`jaxdet.tracks.sightings.Sightings.of`.
+    """
     in_map: np.ndarray
-    """Share of the points in the map, ``(N,)`` float64, NaN without a map or a contour in the
+    """Fraction of the points in the map, ``(N,)`` float64, NaN without a map or a contour in the
     world."""
 
     def columns(self) -> list[pa.Array]:
         """Return the columns :data:`COLUMNS` of ``track_links.parquet``."""
-        return _columns(*shares(self.looks), self.in_map)
+        return _columns(*shares(self.sightings), self.in_map)
 
 
 class Places:
-    """Places of a log. Memory grows with the area that was seen.
+    """Places of obstacles and tracks in a log. Memory grows with the area seen.
 
     Args:
-        results: Results of the log.
-        log: Log, whose frames are read.
-        most_floor: Maximum share of floor of what is drawn on maps.
-        known: Map that obstacles are compared with.
+        results: Results with the log.
+        log: Log whose frames are read.
+        most_floor: Maximum fraction of floor of obstacles drawn on maps.
+        known: Known map with which obstacles are compared.
     """
 
     def __init__(
@@ -66,37 +67,39 @@ class Places:
     ) -> None:
         self._results, self._log, self._most_floor = results, log, most_floor
         self._known = None if known is None else KnownPlaces(known)
-        self._looks, self._lasting = Looks(), OccupancyMap()
+        self._sightings, self._lasting = Sightings(), OccupancyMap()
         self._of_tracks = np.zeros((0, 5), np.int64)
-        """Looks by kind, obstacles compared with the map, and those in it, of each track."""
+        """Per track: sightings by kind, obstacles compared with the map, and obstacles in the map.
+        """
         self._floor_of_moving: Counter[int] = Counter()
         for chunk in results.chunks(log, FRAME_COLUMNS, OBSTACLE_COLUMNS, CHUNK_FRAMES):
-            self._looks.add(chunk)
+            self._sightings.add(chunk)
 
     def of(self, chunk: Tables, corners_world: np.ndarray) -> PlaceRows:
         """Return the places of the obstacles of a chunk.
 
         Args:
-            chunk: With ``POSE_COLUMNS`` and ``OBSTACLE_COLUMNS`` of :mod:`jaxdet.tracks.looks`.
-            corners_world: Outlines ``(N, 8)``, NaN where unknown [m].
+            chunk: Tables with ``POSE_COLUMNS`` and ``OBSTACLE_COLUMNS`` of
+                :mod:`jaxdet.tracks.sightings`.
+            corners_world: Outlines ``(N, 8)`` [m], NaN if unknown.
         """
-        looks = self._looks.of(chunk)
-        self._lasting.add(corners_world[is_lasting(shares(looks)[1], self._most_floor)])
+        sightings = self._sightings.of(chunk)
+        self._lasting.add(corners_world[is_lasting(shares(sightings)[1], self._most_floor)])
         if self._known is None:
-            return PlaceRows(looks, np.full(len(looks), np.nan))
-        return PlaceRows(looks, shares_in_map(chunk, self._known))
+            return PlaceRows(sightings, np.full(len(sightings), np.nan))
+        return PlaceRows(sightings, shares_in_map(chunk, self._known))
 
     def count(self, tracks: np.ndarray, places: PlaceRows) -> None:
-        """Add places to those of their tracks ``(N,)``, -1 for none."""
+        """Add places of obstacles to those of their tracks ``(N,)``, -1 for none."""
         if (more := int(tracks.max(initial=-1)) + 1 - len(self._of_tracks)) > 0:
             self._of_tracks = np.concatenate([self._of_tracks, np.zeros((more, 5), np.int64)])
         compared = np.stack([~np.isnan(places.in_map), places.in_map >= IN_MAP], axis=1)
         linked = tracks >= 0
-        each = np.concatenate([places.looks, compared], axis=1)
+        each = np.concatenate([places.sightings, compared], axis=1)
         np.add.at(self._of_tracks, tracks[linked], each[linked])
 
     def follow(self, rows: TrackRows) -> None:
-        """Count the frames that show floor where a moving track is at that time."""
+        """Count the frames that show floor at the current position of a moving track."""
         tracks = TracksInFrames(row for part in rows.ordered() for row in part.to_pylist())
         for chunk in self._results.chunks(self._log, FRAME_COLUMNS, (), CHUNK_FRAMES):
             T, free = poses(chunk.frames), free_floor(chunk.frames)
@@ -117,11 +120,11 @@ class Places:
             sums = self._of_tracks[number]
             floor = np.array([self._floor_of_moving[n] for n in number.tolist()], np.int64)
             along = np.stack([frames, floor, np.zeros_like(floor)], axis=1)
-            looks = np.where(moving[:, None], along, sums[:, :3])
-            looks[~in_world | (sums[:, 0] == 0)] = 0
+            sightings = np.where(moving[:, None], along, sums[:, :3])
+            sightings[~in_world | (sums[:, 0] == 0)] = 0
             with np.errstate(invalid="ignore"):
                 in_map = sums[:, 4] / sums[:, 3]
-            columns = zip(COLUMNS, _columns(*shares(looks), in_map), strict=True)
+            columns = zip(COLUMNS, _columns(*shares(sightings), in_map), strict=True)
             for name, column in columns:
                 part = part.set_column(
                     part.schema.get_field_index(name), TRACKS_SCHEMA.field(name), column
@@ -129,19 +132,21 @@ class Places:
             yield part
 
     def lasting_map(self, image: MapImage) -> MapImage:
-        """Return the map of the run with the outlines of lasting obstacles only."""
+        """Return the map of the run with only the outlines of lasting obstacles."""
         return with_outlines(image, self._lasting)
 
 
 def shares_in_map(chunk: Tables, known: KnownPlaces) -> np.ndarray:
-    """Return the share of each contour that is near something of a map.
+    """Return the fraction of each contour that is near occupied cells of a map.
 
     Args:
-        chunk: With ``POSE_COLUMNS`` and ``OBSTACLE_COLUMNS`` of :mod:`jaxdet.tracks.looks`.
-        known: Map.
+        chunk: Tables with ``POSE_COLUMNS`` and ``OBSTACLE_COLUMNS`` of
+            :mod:`jaxdet.tracks.sightings`.
+        known: Known map.
 
     Returns:
-        ``(N,)`` float64, NaN without a contour in the world; from :data:`IN_MAP` on the obstacle is
+        Fractions ``(N,)`` float64, NaN without a contour in the world; an obstacle is in the map
+        from :data:`IN_MAP` on.
         in the map.
     """
     count = chunk.obstacles.num_rows
@@ -156,7 +161,7 @@ def shares_in_map(chunk: Tables, known: KnownPlaces) -> np.ndarray:
 
 
 def is_lasting(floor_seen: np.ndarray, most_floor: float) -> np.ndarray:
-    """Return whether obstacles are drawn on maps; those without a place in the world are.
+    """Return whether obstacles are drawn on maps; those without a position in the world are.
 
     Example:
         >>> is_lasting(np.array([0.1, 0.9, np.nan]), 0.3).tolist()
@@ -166,7 +171,7 @@ def is_lasting(floor_seen: np.ndarray, most_floor: float) -> np.ndarray:
 
 
 def with_outlines(image: MapImage, outlines: OccupancyMap) -> MapImage:
-    """Return a map whose counts are those of some of its outlines."""
+    """Return a map with the counts of other outlines."""
     counts, own = np.zeros_like(image.counts), outlines.image()
     if own is not None:
         shift = np.subtract(own.origin, image.origin) / image.cell_m
@@ -179,7 +184,7 @@ def with_outlines(image: MapImage, outlines: OccupancyMap) -> MapImage:
 
 
 def _shows_floor(free: FreeFloor, frame: int, T: np.ndarray, place: np.ndarray) -> bool:
-    """Return whether a frame shows floor at a place in the world, False without a pose."""
+    """Return whether a frame shows floor at a world position; False without a pose."""
     if not np.isfinite(T).all():
         return False
     sin, cos = (float(part[0]) for part in world_angle(T[None]))
@@ -191,7 +196,7 @@ def _shows_floor(free: FreeFloor, frame: int, T: np.ndarray, place: np.ndarray) 
 
 
 def _columns(persistence: np.ndarray, floor_seen: np.ndarray, in_map: np.ndarray) -> list[pa.Array]:
-    """Return Arrow columns of floats ``(N,)``, whose NaN are null."""
+    """Return Arrow columns of ``(N,)`` values, with null for NaN."""
     types = [LINKS_SCHEMA.field(name).type for name in COLUMNS]
     values = (persistence.astype(np.float32), floor_seen.astype(np.float32), in_map >= IN_MAP)
     nulls = (np.isnan(persistence), np.isnan(floor_seen), np.isnan(in_map))

@@ -1,7 +1,6 @@
 """Rows of ``tracks.parquet`` of a log, sorted by track number on disk.
 
-Tracks arrive in the order in which they end: one that is visible all the time has the number 0 and
-arrives last.
+Tracks arrive when they end: a track that is visible throughout has the number 0 but arrives last.
 """
 
 from collections.abc import Iterator, Sequence
@@ -22,7 +21,7 @@ PART_ROWS = 1024
 
 
 class TrackRows:
-    """Tracks of a log in a temporary file, which leaving the context removes.
+    """Tracks of a log in a temporary file, which is removed at the end of the context.
 
     Args:
         path: Temporary file.
@@ -63,7 +62,7 @@ class TrackRows:
         self.in_world += sum(track.in_world for track in tracks)
 
     def ordered(self) -> Iterator[pa.Table]:
-        """Yield the rows sorted by track number, in parts; no track can be added afterwards."""
+        """Yield the rows in parts, sorted by track number; no track can be added afterwards."""
         with writing(self._path):
             self._close()
         with map_file(self._path) as file, pa.ipc.open_file(file) as reader:
@@ -90,7 +89,7 @@ def _batch(log: ResultLog, tracks: Sequence[Track]) -> pa.RecordBatch:
         [t.length_m for t in tracks], [t.width_m for t in tracks],
         [None if np.isnan(t.top_m) else t.top_m for t in tracks],
         [t.path.ravel() for t in tracks], [t.speed for t in tracks],
-        *[[None] * len(tracks)] * 3,  # filled in later, see jaxdet.tracks.places
+        *[[None] * len(tracks)] * 3,  # filled in by jaxdet.tracks.places
     ]  # fmt: skip
     arrays = [pa.array(c, f.type) for c, f in zip(columns, TRACKS_SCHEMA, strict=True)]
     return pa.RecordBatch.from_arrays(arrays, schema=TRACKS_SCHEMA)

@@ -1,4 +1,4 @@
-"""A track, and the pieces in which the trajectory of a long track is fitted."""
+"""Tracks, and the pieces in which long trajectories are fitted."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -25,7 +25,7 @@ class Track(NamedTuple):
     frames: int
     """Number of frames with an observation."""
     obstacles: int
-    """Number of rows of ``obstacles.parquet`` in the track."""
+    """Number of obstacles (rows of ``obstacles.parquet``) in the track."""
     moving: bool
     mean_speed_mps: float
     """Mean speed, 0 for a stationary track [m/s]."""
@@ -38,14 +38,14 @@ class Track(NamedTuple):
     top_m: float
     """Median height of the highest point above the floor, NaN if unknown [m]."""
     path: np.ndarray
-    """Middle of the outline in each frame from the first to the last, ``(P, 2)`` float64; one point
-    for a stationary track [m]."""
+    """Centre of the outline in each frame from the first to the last, ``(P, 2)`` float64 [m]; a
+    single point for a stationary track."""
     speed: np.ndarray
     """Speed at each point of the path, ``(P,)`` float32 [m/s]."""
 
 
 class Piece(NamedTuple):
-    """Consecutive frames of a track, with the fields that :class:`Track` has for all frames."""
+    """Consecutive frames of a track, with fields as in :class:`Track`."""
 
     in_world: bool
     first_frame: int
@@ -79,7 +79,7 @@ def piece_of(
         speed: Speed in each frame, ``(P,)``, all 0 if stationary [m/s].
     """
     moving = bool(speed.any())
-    # An outline's first side may be its longer or its shorter one, depending on the frame.
+    # Depending on the frame, an outline's first side may be the longer or the shorter one.
     shorter, longer = 2 * median(np.sort(obs.outline.half, axis=1), axis=0)
     top = obs.top_m[~np.isnan(obs.top_m)]
     return Piece(
@@ -103,7 +103,8 @@ def piece_of(
 def track_of(number: int, pieces: Sequence[Piece]) -> Track:
     """Join pieces to a track.
 
-    It moves if any piece moves. Its sizes, and its position if stationary, are means over pieces.
+    The track moves if any piece does. Its size, and its position if stationary, are means over
+    pieces.
     """
     first, last = pieces[0], pieces[-1]
     moving = any(piece.moving for piece in pieces)

@@ -1,4 +1,4 @@
-"""Track numbers, assigned as soon as it is certain which chains of observations are tracks."""
+"""Track numbers, assigned once it is certain which chains of observations are tracks."""
 
 from collections import deque
 from collections.abc import Iterable
@@ -9,8 +9,9 @@ import numpy as np
 class TrackIds:
     """Number the tracks of a log in the order of their first observations.
 
-    A chain, identified by its first observation, becomes a track once it has enough observations,
-    and is dropped if it ends with fewer. Chains that are undecided or still open are kept.
+    A chain is identified by its first observation. It becomes a track when it has enough
+    observations, and is dropped if it ends with fewer. Chains that are undecided or open are kept
+    in memory.
 
     Args:
         min_observations: Minimum number of observations of a track.
@@ -44,7 +45,7 @@ class TrackIds:
         self._number()
 
     def join(self, chain: int, earlier: int) -> None:
-        """Append a chain without a track number to an earlier chain."""
+        """Append a chain without a track number to an earlier one."""
         self._open.remove(chain)
         self._counts[earlier] += self._counts.pop(chain)
         for rows in self._rows:
@@ -55,7 +56,7 @@ class TrackIds:
         return self._counts[chain] >= self.min_observations
 
     def end(self, chains: Iterable[int]) -> None:
-        """End chains: they get no more observations."""
+        """End chains, which get no further observations."""
         for chain in chains:
             if not self.is_track(chain):
                 self.ids[chain] = -1
@@ -63,7 +64,7 @@ class TrackIds:
         self._number()
 
     def take(self) -> list[np.ndarray]:
-        """Return the track of each obstacle, int32, -1 for none, per :meth:`add` now decided."""
+        """Return the track of each obstacle, int32, -1 for none, for each decided :meth:`add`."""
         decided = []
         while self._rows and (not self._open or self._rows[0].max(initial=-1) < self._open[0]):
             rows = self._rows.popleft()

@@ -1,4 +1,4 @@
-"""Tracks of a log, from its obstacles window by window."""
+"""Multi-object tracking of a log, window by window."""
 
 from collections.abc import Iterator
 
@@ -16,16 +16,16 @@ from jaxdet.tracks.track import Piece, Track, piece_of, track_of
 from jaxdet.tracks.track_ids import TrackIds
 
 PIECE_FRAMES = 1024
-"""Minimum number of frames per piece in which a track longer than twice this is fitted. Part of the
-method, as size and motion are decided piece by piece."""
+"""Minimum number of frames per piece, for tracks longer than twice this. It affects the results, as
+size and motion are determined per piece."""
 
 
 class Tracker:
     """Multi-object tracker of a log.
 
-    It keeps the observations of the last 2048 frames and a window, the paths of open moving tracks,
-    and results that :meth:`take` has not returned. So memory does not grow with the log, only with
-    the paths of open moving tracks.
+    In memory are the observations of the last 2048 frames and a window, the paths of open moving
+    tracks, and results not yet returned by :meth:`take`. Memory therefore grows only with the paths
+    of open moving tracks, not with the log.
 
     Args:
         config: Tracking parameters.
@@ -34,9 +34,10 @@ class Tracker:
     def __init__(self, config: TrackConfig) -> None:
         self.config = config
         self.observations: Observations | None = None
-        """Observations in memory; their frame is an index into the log's frames."""
+        """Observations in memory; their ``frame`` is an index into the log's frames."""
         self.chain = np.zeros(0, np.int64)
-        """Chain of each observation: the index in the log of its first observation."""
+        """Chain of each observation, identified by the index in the log of its first observation.
+        """
         self.before = np.zeros(0, np.int64)
         self.count = 0
         """Number of observations so far."""
@@ -47,12 +48,12 @@ class Tracker:
         self.stamps = np.zeros(0, np.int64)
         """Timestamps of the frames in memory [ns]."""
         self.pieces: dict[int, list[Piece]] = {}
-        """Fitted pieces of open chains."""
+        """Pieces fitted so far, by open chain."""
         self.begin: dict[int, int] = {}
         """Index of the first frame after these pieces, by chain."""
         self.track_ids = TrackIds(config.min_frames)
         self.done: list[tuple[int, list[Piece]]] = []
-        """Ended chains that are tracks."""
+        """Chains that have ended and are tracks."""
 
     def add(
         self, frames: np.ndarray, stamps: np.ndarray, obs: Observations, size: np.ndarray
@@ -89,7 +90,7 @@ class Tracker:
             self._fold()
 
     def _late_singles(self) -> np.ndarray:
-        """Return rows of chains with one observation, so recent that they may continue."""
+        """Return the rows of recent chains with one observation, which may still continue."""
         if self.observations is None:
             return np.zeros(0, np.int64)
         _, row, count = np.unique(self.chain, return_index=True, return_counts=True)
@@ -100,14 +101,15 @@ class Tracker:
         return rows[~np.array(tracks, bool)]
 
     def finish(self) -> None:
-        """End the log: the next :meth:`take` returns the rest."""
+        """End the log; the next :meth:`take` returns the remaining results."""
         self._close(None)
 
     def take(self) -> tuple[list[Track], list[np.ndarray]]:
         """Return the results decided since the last call.
 
         Returns:
-            Numbered tracks that ended, and for each :meth:`add`, in order, the track of each
+            Tracks that have ended, and the track of each obstacle for each :meth:`add`, int32, -1
+            for none.
             obstacle, -1 for none, int32.
         """
         number, waiting = self.track_ids.ids, []
@@ -121,7 +123,7 @@ class Tracker:
         return tracks, self.track_ids.take()
 
     def _close(self, until_ns: int | None) -> None:
-        """End and forget chains last observed before a timestamp; None: all chains."""
+        """End and drop chains last observed before a timestamp; None: all chains."""
         obs = self.observations
         if obs is None:
             return
@@ -139,7 +141,7 @@ class Tracker:
     def _fold(self) -> None:
         """Fit the older part of long chains.
 
-        Its observations are forgotten, except the last, which the next fit needs.
+        Its observations are dropped, except those needed by the next fit.
         """
         obs, end = self.observations, self.start + len(self.frames)
         if obs is None or not len(self.before):
@@ -171,7 +173,7 @@ class Tracker:
 
         Args:
             chosen: Observations of these chains, ``(N,)`` bool.
-            stop: Index of the first frame to leave out, by chain; None: all frames are fitted.
+            stop: Index of the first frame to exclude, by chain; None: all frames are fitted.
         """
         rows = np.flatnonzero(chosen)
         if not len(rows):
@@ -194,7 +196,7 @@ class Tracker:
             yield chain, piece_of(obs.take(shown), *about, motion.position[points], speed[points])
 
     def _forget(self, gone: np.ndarray) -> None:
-        """Forget observations ``(N,)`` bool, and frames before all others."""
+        """Drop observations ``(N,)`` bool, and frames before all remaining observations."""
         assert self.observations is not None
         left = ~gone
         row = np.append(np.where(left, np.cumsum(left) - 1, -1), -1)

@@ -1,4 +1,4 @@
-"""Results checked against their manifest, their logs and the reference: ``jaxdet verify``."""
+"""Checks of results against their manifest, their logs and the reference (``jaxdet verify``)."""
 
 import lazy_loader
 

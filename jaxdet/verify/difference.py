@@ -1,4 +1,4 @@
-"""Differences between two runs on the same logs: obstacles of each frame, matched by overlap."""
+"""Differences between two runs on the same logs; obstacles are matched by overlap per frame."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -16,14 +16,14 @@ from jaxdet.results.tables import Frame
 MIN_OVERLAP = 0.2
 """Minimum intersection over union of the outlines of an obstacle in both runs."""
 _FROM_ELSEWHERE = {"log", "track", "tracks"}
-"""Columns that are not results of a frame, and are not compared."""
+"""Columns that are not results of a frame and are not compared."""
 
 
 class Found(NamedTuple):
     """An obstacle of a run."""
 
     obstacle: int
-    """Number in its frame."""
+    """Number in the frame."""
     distance_m: float | None
     """Distance on the floor [m]; None if the floor is unknown."""
     depth_m: float
@@ -31,7 +31,7 @@ class Found(NamedTuple):
 
 
 class FrameDifference(NamedTuple):
-    """A frame in which two runs found something different."""
+    """A frame with differences between two runs."""
 
     frame: int
     """Number of the frame."""
@@ -52,9 +52,9 @@ class FrameDifference(NamedTuple):
 
     @property
     def moved_m(self) -> float:
-        """Largest change of the distance of an obstacle of both [m].
+        """Largest change of the distance of a matched obstacle [m].
 
-        It is that of the depth where the floor is unknown to one of them.
+        If the floor is unknown to one of the runs, the change of its depth is used.
         """
         return max((_moved(a, b) for a, b in self.changed), default=0.0)
 
@@ -66,19 +66,19 @@ class LogDifference:
     a: ResultLog
     b: ResultLog
     frames: int = 0
-    """Number of frames that both have."""
+    """Number of frames in both results."""
     only_a: int = 0
-    """Number of frames of the first only."""
+    """Number of frames only in the first result."""
     only_b: int = 0
-    """Number of frames of the second only."""
+    """Number of frames only in the second result."""
     obstacles: tuple[int, int] = (0, 0)
-    """Number of obstacles of each in the frames that both have."""
+    """Number of obstacles of each result in the common frames."""
     different: list[FrameDifference] = field(default_factory=list)
     """Frames with differences, in order."""
 
     @property
     def equal(self) -> bool:
-        """Whether both have the same frames with the same values."""
+        """Whether both results have the same frames with the same values."""
         return not (self.only_a or self.only_b or self.different)
 
 
@@ -87,29 +87,29 @@ class Difference:
     """Differences between two runs."""
 
     settings: list[tuple[str, Any, Any]]
-    """Parameters that differ: name, value of the first and of the second run."""
+    """Parameters that differ: name, value in the first and in the second run."""
     only_a: list[str]
-    """Logs of the first run only."""
+    """Logs only in the first run."""
     only_b: list[str]
-    """Logs of the second run only."""
+    """Logs only in the second run."""
     logs: list[LogDifference]
 
     @property
     def equal(self) -> bool:
-        """Whether both runs found the same in the same logs, with whatever parameters."""
+        """Whether both runs have equal results for the same logs, regardless of parameters."""
         return not (self.only_a or self.only_b) and all(log.equal for log in self.logs)
 
 
 def difference(a: Results, b: Results) -> Difference:
     """Compare two runs.
 
-    Logs are paired by name, or if each run has a single one, whatever its name; their frames by
-    number. Obstacles of a frame are matched one to one, so that the overlaps of their outlines on
-    the floor (intersection over union, at least ``MIN_OVERLAP``) have the greatest sum.
+    Logs are paired by name, or regardless of name if each run has only one; frames are paired by
+    number. Obstacles of a frame are matched one to one, so that the sum of the overlaps of their
+    footprints (intersection over union, at least ``MIN_OVERLAP``) is maximal.
 
     Raises:
-        InputError: The runs have no log in common, logs of a name are different recordings, or
-            tables are damaged.
+        InputError: The runs have no log in common, logs with the same name are different
+            recordings, or tables are damaged.
     """
     logs = {log.label: log for log in a.logs}, {log.label: log for log in b.logs}
     common = [name for name in logs[0] if name in logs[1]]
@@ -118,7 +118,7 @@ def difference(a: Results, b: Results) -> Difference:
         pairs = [(a.logs[0], b.logs[0])]
     if not pairs:
         some = (", ".join([*names][:MOST_NAMED]) or "no log" for names in logs)
-        problem = "no log of {} is in {}; they hold {} and {}"
+        problem = "no log of {} is in {}; they have {} and {}"
         raise InputError(problem.format(a.folder, b.folder, *some))
     paired = {log.label for pair in pairs for log in pair}
     only_a, only_b = ([name for name in names if name not in paired] for names in logs)
@@ -148,7 +148,7 @@ def _log_difference(a: Results, b: Results, log_a: ResultLog, log_b: ResultLog) 
             continue
         if one.row["stamp_ns"] != other.row["stamp_ns"]:
             number = one.row["frame"]
-            problem = f"frame {number} of {log_a.label} has another time in {b.folder}"
+            problem = f"frame {number} of {log_a.label} has another timestamp in {b.folder}"
             remedy = "compare results of the same recording"
             raise InputError(problem, path=str(a.folder), remedy=remedy)
         found.frames += 1
@@ -166,7 +166,7 @@ def _log_difference(a: Results, b: Results, log_a: ResultLog, log_b: ResultLog) 
 def _by_number(
     a: Iterator[Frame], b: Iterator[Frame]
 ) -> Iterator[tuple[Frame | None, Frame | None]]:
-    """Yield the frames of two logs side by side; None where a log lacks the other's frame."""
+    """Yield the frames of two logs side by side; None if a log lacks the other's frame."""
     one, other = next(a, None), next(b, None)
     while one is not None or other is not None:
         numbers = [np.inf if frame is None else frame.row["frame"] for frame in (one, other)]
@@ -182,7 +182,7 @@ def _changes(a: Mapping[str, Any], b: Mapping[str, Any]) -> list[str]:
 
 
 def _frame_difference(a: Frame, b: Frame) -> FrameDifference | None:
-    """Match the obstacles of a frame; None if all is equal."""
+    """Compare a frame of both runs, with its obstacles matched; None if all values are equal."""
     columns = _changes(a.row, b.row)
     same = len(a.obstacles) == len(b.obstacles) and not any(map(_changes, a.obstacles, b.obstacles))
     if same and not columns:
@@ -215,14 +215,14 @@ def _found(row: Mapping[str, Any]) -> Found:
 
 
 def _moved(a: Found, b: Found) -> float:
-    """Return the change of the distance between two runs [m], or else of the depth."""
+    """Return the change of the distance [m], or of the depth if the floor of a run is unknown."""
     if a.distance_m is None or b.distance_m is None:
         return abs(a.depth_m - b.depth_m)
     return abs(a.distance_m - b.distance_m)
 
 
 def _overlap(a: np.ndarray, b: np.ndarray) -> float:
-    """Return the intersection over union of two outlines ``(4, 2)``; 0 if they are apart."""
+    """Return the intersection over union of two outlines ``(4, 2)``; 0 if they are disjoint."""
     if (a.max(axis=0) < b.min(axis=0)).any() or (b.max(axis=0) < a.min(axis=0)).any():
         return 0.0
     return 1.0 if np.array_equal(a, b) else float(np.nan_to_num(overlap(a, b)))

@@ -1,4 +1,4 @@
-"""The files of a log's results against its manifest."""
+"""Check of the files of a log's results against its manifest."""
 
 from collections.abc import Iterator
 from itertools import groupby
@@ -12,18 +12,19 @@ from jaxdet.results.manifest import read_manifest
 from jaxdet.verify.report import Report
 
 MOST_NAMED = 3
-"""Files of a folder in the results that are named each; of more their number is said."""
+"""Maximum number of foreign files per folder that are listed by name; otherwise they are counted.
+"""
 
 
 def check_files(folder: Path, report: Report) -> dict[str, Any]:
-    """Finds files that are missing, changed, or among the results and not of them.
+    """Report files that are missing, changed, or not in the manifest.
 
     Args:
         folder: Folder of a log.
-        report: Gets what is found.
+        report: Report to add to.
 
     Returns:
-        The manifest; empty where it can't be trusted.
+        The manifest; empty if it is missing or invalid.
     """
     try:
         manifest = read_manifest(folder)
@@ -35,7 +36,7 @@ def check_files(folder: Path, report: Report) -> dict[str, Any]:
     others = []
     for name in sorted(_files(folder) - manifest["files"].keys() - {MANIFEST}):
         if name.endswith(".parquet") or name.startswith(("map", "pictures/", "tracks")):
-            report.add("files", printable(name), "is not in the manifest")
+            report.add("files", printable(name), "not in the manifest")
         else:
             others.append(printable(name))
     report.notes += _notes(others)
@@ -43,13 +44,13 @@ def check_files(folder: Path, report: Report) -> dict[str, Any]:
 
 
 def _notes(others: list[str]) -> Iterator[str]:
-    """A line for each file that is none of the results, or for a folder of many (an export)."""
+    """Yield a line per foreign file, or per folder with many of them (an export)."""
     for top, names in groupby(others, lambda name: name.partition("/")[0]):
         inside = list(names)
         if len(inside) > MOST_NAMED:
-            yield f"{top}/ has {len(inside)} files that are none of the results"
+            yield f"{top}/ has {len(inside)} files that are not part of the results"
         else:
-            yield from (f"{name} is no file of the results" for name in inside)
+            yield from (f"{name} is not part of the results" for name in inside)
 
 
 def _check_file(folder: Path, name: str, about: dict[str, Any], report: Report) -> None:
@@ -57,15 +58,15 @@ def _check_file(folder: Path, name: str, about: dict[str, Any], report: Report) 
     try:
         size, digest = path.stat().st_size, sha256(path)
     except FileNotFoundError:
-        report.add("files", name, "is missing")
+        report.add("files", name, "missing")
     except OSError as error:
         report.add("files", name, f"can't be read ({error.strerror})")
     else:
         report.files += 1
         if size != about["size"]:
-            report.add("files", name, f"has {size} bytes, {about['size']} were written")
+            report.add("files", name, f"expected {about['size']} bytes, got {size}")
         elif digest != about["sha256"]:
-            report.add("files", name, "was changed: its SHA-256 is not that of the manifest")
+            report.add("files", name, "changed: its SHA-256 differs from the manifest")
 
 
 def _files(folder: Path) -> set[str]:

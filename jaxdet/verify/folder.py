@@ -1,4 +1,4 @@
-"""All checks of results: of the folder of a run, or of one log."""
+"""All checks of results, for the folder of a run or of a single log."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -15,29 +15,30 @@ from jaxdet.verify.tables import check_tables
 from jaxdet.verify.tracks import check_tracks
 
 SAMPLE = 8
-"""Frames of each log that are computed again, unless another number is requested."""
+"""Default number of frames per log that are computed again."""
 
 
 def verify(folder: Path, against: Sequence[str] = (), sample: int = SAMPLE) -> Report:
-    """Check that results are complete, unchanged, of their logs and right.
+    """Check that results are complete, unchanged, consistent with their logs, and reproducible.
 
-    Each file is compared with its checksum in the manifest of its log. All rows are read: the
-    tables must be in order, belong together and agree with ``summary.json``, with a row for every
-    frame. Tracks are made once more, and must be the same to the byte. Where the logs are found,
-    their files must be those that were read, and stamps and poses of all frames the same. Some
-    frames are computed again by the NumPy reference: their rows must be equal to the byte.
+    Each file is compared with its checksum in the manifest of its log. All table rows are read: the
+    tables must be in order, refer to each other correctly, agree with ``summary.json``, and have a
+    row for every frame. Tracks are computed again and must be equal byte for byte. If a log is
+    available, its files must be those that were read in the run, and the timestamps and poses of
+    all frames must be equal. A sample of frames is computed again by the NumPy reference, and their
+    rows must be equal byte for byte.
 
     Args:
-        folder: What a run wrote, or the folder of one log in it.
-        against: Files, folders and globs where the logs are now; those not among them are looked
-            for where the run found them.
-        sample: Frames of each log that are computed again, spread evenly.
+        folder: Results of a run, or the folder of one log in them.
+        against: Files, folders and globs with the logs; other logs are expected at their original
+            paths.
+        sample: Number of frames per log to compute again, evenly spaced.
 
     Returns:
-        What was found. Errors in the results are findings too.
+        Report; errors in the results are findings, too.
 
     Raises:
-        InputError: There is no such folder, or ``against`` names something else than its logs.
+        InputError: The folder does not exist, or ``against`` has a log that is not in the results.
     """
     check_folder(folder)
     report = Report()
@@ -54,18 +55,17 @@ def verify(folder: Path, against: Sequence[str] = (), sample: int = SAMPLE) -> R
             report.notes.append(f"{path.name} failed in the run and has no results")
         elif path.is_dir() and ({*path.glob("*.parquet")} or (path / "summary.json").exists()):
             report.of("").add(
-                "files", path.name, "has results and no manifest: they are not complete"
+                "files", path.name, "the results are incomplete: there is no manifest"
             )
         else:
-            report.notes.append(f"{path.name} is no log's results")
+            report.notes.append(f"{path.name} is not the results of a log")
     report.of("")
     if (folder / WORKING).is_dir():
-        report.notes.append("a run works here, or was stopped; the same command goes on")
+        report.notes.append("a run is active here or was interrupted; the same command resumes it")
     try:
         with Results(folder) as results:
             report.notes += [
-                f"{name} is of another configuration or version than {RUN}"
-                for name in results.stale
+                f"{name} has another configuration or version than {RUN}" for name in results.stale
             ]
     except InputError as error:
         if not report.findings:
@@ -74,7 +74,7 @@ def verify(folder: Path, against: Sequence[str] = (), sample: int = SAMPLE) -> R
 
 
 def _given(folder: Path, against: Sequence[str]) -> Mapping[str, LogFiles]:
-    """Return the logs that are named, by their names in the results."""
+    """Return the logs that were passed, by their names in the results."""
     if not against:
         return {}
     with Results(folder) as results:
@@ -89,14 +89,14 @@ def _verify_log(folder: Path, given: Mapping[str, LogFiles], sample: int, report
     except InputError as error:
         if manifest:
             report.add("tables", error.path, error.problem)
-        else:  # which has been said
+        else:  # already reported
             report.notes.append(f"the tables were not read: {error}")
         return
     with results:
         before = len(report.findings)
         check_tables(results, report)
         if len(report.findings) > before:
-            report.notes.append("the log was not looked at, as the tables are damaged")
+            report.notes.append("the log was not checked, as the tables are damaged")
             return
         check_tracks(results, manifest.get("files", ()), report)
         seen = False
@@ -104,7 +104,7 @@ def _verify_log(folder: Path, given: Mapping[str, LogFiles], sample: int, report
             try:
                 files = given.get(log.name) or recorded(log, "--against")
             except InputError as error:
-                text = f"{error.path}: {error.problem}; name it with --against"
+                text = f"{error.path}: {error.problem}; pass it with --against"
                 report.notes.append(f"{log.label} was not compared: {text}")
                 continue
             if not seen and manifest:

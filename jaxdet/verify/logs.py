@@ -1,4 +1,4 @@
-"""Rows against the log that they are of: which frames there are, and a sample computed again."""
+"""Check of table rows against the log: all frames, and a sample computed again."""
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -34,29 +34,29 @@ _OF_LOG = [
     "camera_position_world",
     "camera_orientation_world",
 ]
-"""Columns that need no image."""
+"""Columns that do not depend on images."""
 _LOST = (FrameStatus.WORKER_CRASHED, FrameStatus.TIMEOUT)
 _NAMES = ("frames.parquet", "obstacles.parquet")
 
 
-def check_inputs(files: LogFiles, told: Sequence[Mapping[str, Any]], report: Report) -> None:
-    """Finds files of a log that are not those that were read.
+def check_inputs(files: LogFiles, recorded: Sequence[Mapping[str, Any]], report: Report) -> None:
+    """Report files of a log that differ from those read in the run.
 
     Args:
-        files: The log.
-        told: What the manifest says of its files, see
-            :func:`jaxdet.results.manifest.fingerprint`. Their paths and times may differ.
-        report: Gets what is found.
+        files: Files of the log.
+        recorded: Description of the files in the manifest, see
+            :func:`jaxdet.results.manifest.fingerprint`. Paths and modification times may differ.
+        report: Report to add to.
     """
-    if len(files.paths) != len(told):
-        problem = f"has {len(files.paths)} files, {len(told)} were read"
+    if len(files.paths) != len(recorded):
+        problem = f"expected {len(recorded)} files as in the run, got {len(files.paths)}"
         report.add("log", files.name, problem)
-    for path, before in zip(files.paths, told, strict=False):
+    for path, before in zip(files.paths, recorded, strict=False):
         now = fingerprint(path)
         if now.get("size") != before.get("size"):
-            problem = f"has {now.get('size')} bytes, the file that was read {before.get('size')}"
+            problem = f"expected {before.get('size')} bytes as in the run, got {now.get('size')}"
         elif now.get("fingerprint") != before.get("fingerprint"):
-            problem = "is not the file that was read: the checksum of its ends differs"
+            problem = "not the file of the run: the checksum of its ends differs"
         else:
             continue
         report.add("log", str(path), problem)
@@ -65,14 +65,14 @@ def check_inputs(files: LogFiles, told: Sequence[Mapping[str, Any]], report: Rep
 def check_log(
     results: Results, log: ResultLog, files: LogFiles, sample: int, report: Report
 ) -> None:
-    """Compares all frames with those of the log, and some with what the reference finds in them.
+    """Compare all frames with those of the log, and a sample with results of the reference.
 
     Args:
-        results: The results.
-        log: One of its logs.
-        files: Where that is.
-        sample: So many frames are computed again, spread evenly.
-        report: Gets what is found.
+        results: Results.
+        log: Log in the results.
+        files: Files of the log.
+        sample: Number of frames to compute again, evenly spaced.
+        report: Report to add to.
     """
     found = Report()
     for options in open_modes(results, log):
@@ -84,7 +84,7 @@ def check_log(
                     _check_sample(results, log, opened, sample, found)
         except JaxdetError as error:
             found.add("log", log.label, str(error))
-        if not found.findings:  # else the run may have found the index not to be enough
+        if not found.findings:  # with findings, repeat by a scan, as the run may have needed one
             break
     report.findings += found.findings
     report.frames_of_logs += found.frames_of_logs
@@ -92,10 +92,10 @@ def check_log(
 
 
 def _check_frames(results: Results, log: ResultLog, opened: Log, report: Report) -> bool:
-    """Whether the rows are of the log's frames."""
+    """Compare timestamps and poses of all frames with the log; return whether they are equal."""
     count, done = len(opened.frames), 0
     if count != log.num_frames:
-        problem = f"the log has {count} frames, the results {log.num_frames}"
+        problem = f"the log has {count} frames, but the results have {log.num_frames}"
         report.add("log", log.label, problem)
         return False
     for chunk in results.chunks(log, _OF_LOG, ()):
@@ -107,7 +107,7 @@ def _check_frames(results: Results, log: ResultLog, opened: Log, report: Report)
         frames = Tables.of(want.frames, want.obstacles).frames
         if columns := _different(frames, chunk.frames.select(_OF_LOG)):
             where = f"in frames {numbers[0]} to {numbers[-1]}"
-            report.add("log", log.label, f"{', '.join(columns)} {where} are not the log's")
+            report.add("log", log.label, f"{', '.join(columns)} {where} differ from the log")
             return False
         done += rows
     report.frames_of_logs += done
@@ -117,7 +117,7 @@ def _check_frames(results: Results, log: ResultLog, opened: Log, report: Report)
 def _check_sample(
     results: Results, log: ResultLog, opened: Log, sample: int, report: Report
 ) -> None:
-    """Computes the rows of some frames again; those without results in the run are left out."""
+    """Compute the rows of some frames again; frames without results in the run are skipped."""
     numbers = [np.zeros(0, np.int64)]
     for chunk in results.chunks(log, ["status"], ()):
         there = ~np.isin(np.array(chunk.frames["status"].to_pylist(), object), _LOST)
@@ -126,7 +126,8 @@ def _check_sample(
     if not wanted.size:
         return
     planes = decide_planes(opened, config, "reference", wanted)
-    for chunk in some(results, log, wanted, OBSTACLES_SCHEMA.names):  # without tracks
+    # obstacle columns without tracks
+    for chunk in some(results, log, wanted, OBSTACLES_SCHEMA.names):
         again = chunk.frames["frame"].to_pylist()
         batch = opened.read(again, color=config.cluster.points, need_color=config.cluster.points)
         stamps = batch.frames.stamp_ns
@@ -141,19 +142,19 @@ def _check_sample(
 
 
 def _compare(log: ResultLog, want: Tables, found: Tables, report: Report) -> None:
-    """Names the frames and columns that are not those of the reference."""
+    """Report the frames and columns that differ from the reference."""
     if not any(_different(*tables) for tables in zip(want, found, strict=True)):
         return
     for row, number in enumerate(found.frames["frame"].to_pylist()):
         one = zip(_NAMES, want.take(np.array([row])), found.take(np.array([row])), strict=True)
         for name, *tables in one:
             if columns := _different(*tables):
-                problem = f"{', '.join(columns)} of {name} is not what the reference finds"
+                problem = f"{', '.join(columns)} of {name} differs from the reference"
                 report.add("sample", log.label, f"frame {number}: {problem}")
 
 
 def _different(want: "pa.Table", found: "pa.Table") -> list[str]:
-    """The columns that would not be written as the same bytes, of those of ``found``."""
+    """Return the columns of ``found`` that would be written as other bytes."""
     if want.num_rows != found.num_rows:
         return ["number of rows"]
     if table_bytes(want.select(found.column_names)) == table_bytes(found):

@@ -1,16 +1,16 @@
-"""What a check of results has found."""
+"""Report of a check of results."""
 
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 
 class Finding(NamedTuple):
-    """Something that is not as it should be."""
+    """A problem found in the results."""
 
     check: str
     """``files``, ``tables``, ``tracks``, ``log`` or ``sample``."""
     where: str
-    """A file of the results, a log or a file of it."""
+    """File of the results, log, or file of a log."""
     problem: str
 
     def __str__(self) -> str:
@@ -19,34 +19,34 @@ class Finding(NamedTuple):
 
 @dataclass
 class Report:
-    """What was looked at, and what was found."""
+    """Findings of a check, with counts of what was checked."""
 
     findings: list[Finding] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
-    """What could not be looked at, and what is worth knowing."""
+    """Remarks, and parts that could not be checked."""
     files: int = 0
-    """Files whose checksums were computed."""
+    """Number of files whose checksums were computed."""
     frames: int = 0
-    """Rows of ``frames.parquet`` that were read."""
+    """Number of rows read from ``frames.parquet``."""
     obstacles: int = 0
-    """Rows of ``obstacles.parquet`` that were read."""
+    """Number of rows read from ``obstacles.parquet``."""
     linked: int = 0
-    """Obstacles that were linked again."""
+    """Number of obstacles that were linked again."""
     frames_of_logs: int = 0
-    """Frames whose stamps and poses were compared with their log's."""
+    """Number of frames whose timestamps and poses were compared with the log."""
     frames_again: int = 0
-    """Frames whose rows were computed again."""
+    """Number of frames that were computed again."""
 
     prefix: str = ""
-    """What names of files begin with: the folder of a log."""
+    """Prefix of file names: the folder of the current log."""
 
     def add(self, check: str, where: str, problem: str) -> None:
-        """Note something that is not as it should be."""
+        """Add a finding."""
         named = check in ("files", "tracks") or where.endswith(".parquet")
         inside = named and self.prefix and not where.startswith("/")
         self.findings.append(Finding(check, f"{self.prefix}/{where}" if inside else where, problem))
 
     def of(self, log: str) -> "Report":
-        """Return the report itself, from now on of the folder of a log."""
+        """Set the folder of the current log, and return the report."""
         self.prefix = log
         return self

@@ -1,4 +1,4 @@
-"""Pictures of frames in which two runs differ, next to each other."""
+"""Pictures of frames with differences between two runs, side by side."""
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
@@ -26,20 +26,21 @@ def draw_differences(
     """Draw frames of two runs side by side, as ``LOG_000012.png``, the first run on the left.
 
     Args:
-        runs: Both runs. Pictures that they drew are used.
-        chosen: Logs and the numbers of their frames.
-        folder: Folder that is made.
-        given: Logs that were moved: files, folders or globs.
+        runs: Both runs, whose existing pictures are used.
+        chosen: Logs, each with the frame numbers to draw.
+        folder: Folder to create.
+        given: Files, folders or globs with logs that were moved.
 
     Returns:
         A line for each log that can't be drawn.
 
     Raises:
         ConfigError: The folder exists.
-        InputError: It can't be written, or a moved log is not one of the results.
+        InputError: The folder can't be written, or a moved log is not in the results.
     """
     if folder.exists():
-        raise ConfigError("exists already", path=str(folder), remedy="name a new folder")
+        problem = "the folder exists already"
+        raise ConfigError(problem, path=str(folder), remedy="choose a new folder")
     recordings = [find(results, given) for results in runs]
     problems = []
     try:
@@ -69,7 +70,7 @@ def _pictures(
     files: Mapping[str, LogFiles],
     numbers: Collection[int],
 ) -> dict[int, np.ndarray]:
-    """Return the pictures of frames, ``(h, w, 3)`` uint8 RGB, by number."""
+    """Return pictures of frames by number, ``(h, w, 3)`` uint8 RGB each."""
     there = results.pictures(log)
     found = {n: read_picture(there[n])[..., ::-1] for n in numbers if n in there}
     missing = [n for n in numbers if n not in there]
@@ -81,7 +82,7 @@ def _pictures(
 
 
 def _titled(picture: np.ndarray, title: str) -> np.ndarray:
-    """Return a picture below the name of its results."""
+    """Add the folder of the results above a picture."""
     image = canvas.canvas(HEADER + picture.shape[0], picture.shape[1])
     image[HEADER:] = picture
     canvas.write(image, title, (12, 25), size=16, bold=True)
@@ -89,7 +90,7 @@ def _titled(picture: np.ndarray, title: str) -> np.ndarray:
 
 
 def _same_height(pictures: list[np.ndarray]) -> list[np.ndarray]:
-    """Return pictures padded at the bottom to one height."""
+    """Pad pictures at the bottom to the same height."""
     height = max(len(picture) for picture in pictures)
     rows = [(0, height - len(picture)) for picture in pictures]
     return [np.pad(p, (below, (0, 0), (0, 0))) for p, below in zip(pictures, rows, strict=True)]

@@ -1,4 +1,4 @@
-"""The tables by themselves: readable, in order, belonging together, every frame accounted for."""
+"""Check of the tables: readable, in order, consistent with each other, and complete."""
 
 from collections import Counter
 from dataclasses import fields
@@ -17,11 +17,11 @@ from jaxdet.verify.report import Report
 
 
 def check_tables(results: Results, report: Report) -> None:
-    """Read all rows.
+    """Read and check all rows of the tables of a log.
 
     Args:
         results: Results of one log.
-        report: Gets what is found.
+        report: Report to add to.
     """
     read, complete = Inputs(), True
     for log in results.logs:
@@ -41,7 +41,8 @@ def check_tables(results: Results, report: Report) -> None:
 
 def _check_log(results: Results, log: ResultLog, read: Inputs, report: Report) -> None:
     counts, numbers, problems = Counts(), [], set[str]()
-    for chunk in results.chunks(log, None, OBSTACLES_SCHEMA.names):  # without tracks
+    # obstacle columns without tracks
+    for chunk in results.chunks(log, None, OBSTACLES_SCHEMA.names):
         read.add(chunk.frames)
         counts.count(_columns(chunk), _outlines(chunk))
         numbers.append(chunk.frames["frame"].to_numpy())
@@ -54,16 +55,18 @@ def _check_log(results: Results, log: ResultLog, read: Inputs, report: Report) -
         report.add("tables", log.label, problem)
     for part in fields(Counts):
         if part.name not in log.summary:
-            continue  # of an older version
-        found, told = getattr(counts, part.name), log.summary[part.name]
-        if part.name != "busy_s" and found != (Counter(told) if isinstance(told, dict) else told):
+            continue  # older versions lack some counts
+        found, stored = getattr(counts, part.name), log.summary[part.name]
+        if part.name != "busy_s" and found != (
+            Counter(stored) if isinstance(stored, dict) else stored
+        ):
             found = dict(found) if isinstance(found, Counter) else found
-            problem = f"{part.name} of its rows is {found}, summary.json says {told}"
+            problem = f"{part.name} is {found} in the rows, but {stored} in summary.json"
             report.add("tables", log.label, problem)
 
 
 def _columns(chunk: Tables) -> dict[str, np.ndarray]:
-    """Columns of the frames that :meth:`jaxdet.results.summary.Counts.count` takes."""
+    """Return the frame columns needed by :meth:`jaxdet.results.summary.Counts.count`."""
     columns = {name: np.array(chunk.frames[name].to_pylist(), object) for name in _WORDS}
     refused = columns["floor_refused"]
     columns["floor_refused"] = np.ma.array(refused, mask=[word is None for word in refused])
@@ -73,7 +76,7 @@ def _columns(chunk: Tables) -> dict[str, np.ndarray]:
 
 
 def _outlines(chunk: Tables) -> dict[str, np.ndarray]:
-    """Columns of the obstacles that :meth:`jaxdet.results.summary.Counts.count` takes."""
+    """Return the obstacle columns needed by :meth:`jaxdet.results.summary.Counts.count`."""
     return {
         "corners_ground": vectors(chunk.obstacles["corners_ground"], 8),
         "distance_m": chunk.obstacles["distance_m"].to_numpy(),
@@ -85,24 +88,24 @@ _NUMBERS = ("num_obstacles", "overflow", "camera_pitch_rad", "camera_roll_rad")
 
 
 def _problems(chunk: Tables) -> set[str]:
-    """In what the obstacles are not those of the frames."""
+    """Return inconsistencies between obstacles and frames."""
     found, count = set(), chunk.frames["num_obstacles"].to_numpy()
     labels = np.arange(chunk.obstacles.num_rows) - np.repeat(chunk.first[:-1], count)
     if not np.array_equal(chunk.obstacles["obstacle"].to_numpy(), labels):
         found.add("obstacles of a frame are not numbered from 0")
     stamps = np.repeat(chunk.frames["stamp_ns"].to_numpy(), count)
     if not np.array_equal(chunk.obstacles["stamp_ns"].to_numpy(), stamps):
-        found.add("stamp_ns of obstacles is not that of their frames")
+        found.add("stamp_ns of obstacles differs from their frames")
     return found
 
 
 def _gap(results: Results, numbers: np.ndarray) -> str:
-    """Where a frame is missing, comes twice or is out of order; empty: nowhere."""
+    """Return the first missing, repeated or misplaced frame; empty if there is none."""
     options = results.log_options
     if not numbers.size:
         return ""
     if options.start is None and numbers[0]:
-        return f"begins with frame {numbers[0]}, not 0"
+        return f"expected frame 0 first, got {numbers[0]}"
     for at in np.flatnonzero(np.diff(numbers) != options.every)[:1]:
         this, following = numbers[at], numbers[at + 1]
         missing = following > this + options.every
@@ -112,18 +115,18 @@ def _gap(results: Results, numbers: np.ndarray) -> str:
 
 
 def _check_metadata(results: Results, read: Inputs, report: Report) -> None:
-    """Check what both tables say of their configuration and inputs."""
+    """Check configuration and inputs in the metadata of both tables."""
     log = results.logs[0]
     summary = results.summaries[log.folder]
     expected = table_metadata(results.config, summary, read)
     expected[VERSION_KEY] = summary["jaxdet"]
     for name in (FRAMES, OBSTACLES):
-        told = results.metadata(log, name)
+        stored = results.metadata(log, name)
         for key, value in expected.items():
-            if told.get(key) != value:
+            if stored.get(key) != value:
                 what = (
-                    "stamps and calibrations are not those of its rows and of summary.json"
+                    "timestamps and calibrations differ from its rows or summary.json"
                     if key == INPUTS_KEY
-                    else f"{key} in its metadata is not that of config.json and summary.json"
+                    else f"{key} in its metadata differs from config.json or summary.json"
                 )
                 report.add("tables", name, what)

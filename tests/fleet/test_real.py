@@ -67,7 +67,7 @@ def test_shares_of_one_folder_are_a_run_of_one_machine(tmp_path, capsys):
         assert main([*command, "--share", share]) == 0
     capsys.readouterr()
     assert main(command) == 0
-    assert "3 logs done before" in capsys.readouterr().out
+    assert "3 logs processed earlier" in capsys.readouterr().out
     assert main([*command, "--share", "1/1"]) == 0
     assert "3 logs: 3 there" in capsys.readouterr().out
     assert main([*command, "--ground.max-depth-m", "3", "--share", "1/1"]) == 2

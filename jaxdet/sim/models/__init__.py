@@ -58,7 +58,7 @@ def build_model(kind: str, seed: int, phase: float = 0.0) -> Mesh:
         ConfigError: There is no such model.
     """
     if kind not in KINDS:
-        raise ConfigError(f"no model {kind!r}", remedy=f"use {', '.join(KINDS)}")
+        raise ConfigError(f"unknown model {kind!r}", remedy=f"use {', '.join(KINDS)}")
     rng = np.random.default_rng([seed, KINDS.index(kind)])
     if kind in LOW_THINGS:
         return low_thing(kind, rng)

@@ -91,7 +91,7 @@ def test_what_moves_counts_at_its_own_places(tmp_path: Path) -> None:
     assert max(link["persistence"] for link in rows_of(folder, "track_links")) < 0.3
 
 
-def test_a_standing_track_has_the_looks_of_all_its_obstacles(tmp_path: Path) -> None:
+def test_a_stationary_track_has_the_sightings_of_all_its_obstacles(tmp_path: Path) -> None:
     folder = by_hand(tmp_path / "r", [FOUND] * 6 + [FLOOR] * 2)
     track_results(folder, ANY)
     (track,) = rows_of(folder, "tracks")

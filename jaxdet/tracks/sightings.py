@@ -1,15 +1,16 @@
-"""Looks at places of the world: in which frames an obstacle or floor was seen there.
+"""Counts of what frames show at places of the world: an obstacle, or floor.
 
-The place of an obstacle is the cells along its contour, the edge that the camera saw. A frame looks
-at a cell if it shows there
+The place of an obstacle is the cells along its contour, i.e. its visible edge. A frame is a
+sighting of a cell if it shows there
 
-- the contour of an obstacle,
-- floor, by its rays of free floor, or
-- the end of such a ray at something above the step that is too small for an obstacle.
+- the contour of an obstacle;
+- floor, along its rays of free floor; or
+- the end of such a ray at points above the step height that are too few for an obstacle.
 
-What is hidden by something nearer, out of view or not measured is none of these. Contours and ends
-count within their noise, :func:`thickness`. Looks at a cell begin with the first frame that shows
-an obstacle there, so what is put down later has as many as what was there before.
+Cells that are hidden by a nearer object, out of view or unmeasured are not sighted. Contours and
+ray ends have the width of their noise, see :func:`thickness`. Sightings of a cell count from the
+first frame that shows an obstacle there, so that an object put down later has the same fraction as
+one that was there before.
 """
 
 from typing import NamedTuple
@@ -28,13 +29,13 @@ from jaxdet.results.tables import Tables
 from jaxdet.types import RAYS, FreeEnd
 
 CHUNK_FRAMES = 64
-"""Number of frames that are looked at together."""
+"""Number of frames that are processed together."""
 NEAR_M, PER_M = 0.05, 0.01
-"""Noise of a contour [m], and its growth with the square of the distance [1/m]."""
+"""Noise of a contour: a constant [m], plus this times the distance squared [1/m]."""
 FOUND, FLOOR, OTHER = 0, 1, 2
-"""Kinds of looks: an obstacle, floor, and something above the step."""
+"""Kinds of sightings: an obstacle, floor, and other points above the step height."""
 POSE_COLUMNS = ("camera_position_world", *TILT, "floor_source")
-"""Columns of frames for :func:`poses`."""
+"""Columns of the frame table for :func:`poses`."""
 FRAME_COLUMNS = (*POSE_COLUMNS, "free_bearing_rad", "free_from_m", "free_to_m", "free_end")
 OBSTACLE_COLUMNS = ("contour", "distance_m")
 
@@ -43,23 +44,23 @@ class Lines(NamedTuple):
     """Contours of obstacles in the world."""
 
     points: np.ndarray
-    """Points of all contours, ``(P, 2)`` float64, NaN without a pose or a floor [m]."""
+    """Points of all contours, ``(P, 2)`` float64 [m], NaN without a pose or a floor."""
     lengths: np.ndarray
-    """Number of points of each obstacle, ``(N,)`` int64."""
+    """Number of contour points of each obstacle, ``(N,)`` int64."""
 
 
-class Looks:
-    """Looks at the cells of a log, in tiles, so that memory grows with the area that was seen."""
+class Sightings:
+    """Sightings of the cells of a log, stored in tiles, so that memory grows with the area seen."""
 
     def __init__(self) -> None:
         self._tiles: dict[tuple[int, int], np.ndarray] = {}
-        """By row and column of the tile, looks of each kind ``(3, TILE, TILE)`` int32."""
+        """Sightings by kind, ``(3, TILE, TILE)`` int32, by row and column of the tile."""
 
     def add(self, chunk: Tables) -> None:
-        """Add the next frames.
+        """Add the frames of a chunk.
 
         Args:
-            chunk: With :data:`FRAME_COLUMNS` and :data:`OBSTACLE_COLUMNS`.
+            chunk: Tables with :data:`FRAME_COLUMNS` and :data:`OBSTACLE_COLUMNS`.
         """
         T = poses(chunk.frames)
         known = np.flatnonzero(np.isfinite(T).all(axis=(1, 2)))
@@ -92,11 +93,11 @@ class Looks:
                 self._count(raster.cells, *raster.low.tolist())
 
     def _count(self, cells: np.ndarray, x: int, y: int) -> None:
-        """Count a raster whose first cell has column ``x`` and row ``y``."""
+        """Add a raster whose first cell has column ``x`` and row ``y``."""
         rows, columns = cells.shape
         for row in range(y // TILE, (y + rows - 1) // TILE + 1):
             for column in range(x // TILE, (x + columns - 1) // TILE + 1):
-                top, left = row * TILE - y, column * TILE - x  # of the tile on the raster
+                top, left = row * TILE - y, column * TILE - x  # position of the tile in the raster
                 part = cells[max(top, 0) : top + TILE, max(left, 0) : left + TILE]
                 tile = self._tiles.setdefault((row, column), np.zeros((3, TILE, TILE), np.int32))
                 up, aside = max(-top, 0), max(-left, 0)
@@ -107,13 +108,13 @@ class Looks:
                 area[OTHER] += known & (part == 1 + OTHER)
 
     def of(self, chunk: Tables) -> np.ndarray:
-        """Return the looks at the places of obstacles, summed over their cells.
+        """Return the sightings of the places of obstacles, summed over the cells of each place.
 
         Args:
-            chunk: With the columns of :meth:`add`.
+            chunk: Tables with the columns of :meth:`add`.
 
         Returns:
-            ``(N, 3)`` int64, by kind; 0 without a place in the world.
+            Counts ``(N, 3)`` int64, by kind; 0 without a position in the world.
         """
         lines = contours(chunk, poses(chunk.frames))
         found = np.zeros((len(lines.points), 3), np.int64)
@@ -130,23 +131,23 @@ class Looks:
         return total[last] - total[last - lines.lengths]
 
 
-def shares(looks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return persistence and the share of floor, ``(N,)`` float64 each, NaN without looks.
+def shares(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return persistence and fraction of floor, ``(N,)`` float64 each, NaN without sightings.
 
     Args:
-        looks: ``(N, 3)`` integer, by kind.
+        counts: Sightings ``(N, 3)`` integer, by kind.
 
     Example:
         >>> [share.tolist() for share in shares(np.array([[3, 1, 0]]))]
         [[0.75], [0.25]]
     """
-    total = looks.sum(axis=1)
+    total = counts.sum(axis=1)
     with np.errstate(invalid="ignore"):
-        return looks[:, FOUND] / total, looks[:, FLOOR] / total
+        return counts[:, FOUND] / total, counts[:, FLOOR] / total
 
 
 def thickness(distance_m: np.ndarray) -> np.ndarray:
-    """Return the thickness of contours with their noise to both sides, int64 [cell].
+    """Return the width of contours, with their noise on both sides, int64 [cell].
 
     Example:
         >>> thickness(np.array([0.5, 2.0, 4.0])).tolist()
@@ -158,7 +159,7 @@ def thickness(distance_m: np.ndarray) -> np.ndarray:
 
 
 def poses(frames: pa.Table) -> np.ndarray:
-    """Return ``T_world_camera`` ``(F, 4, 4)`` of frames, NaN without a pose or a level floor."""
+    """Return ``T_world_camera`` of frames, ``(F, 4, 4)``, NaN without a pose or a level floor."""
     place, turn = (vectors(frames[name], size) for name, size in zip(_POSE, (3, 4), strict=True))
     tilt = (frames[name].to_numpy().astype(np.float64) for name in TILT[1:])
     known = np.isfinite(place).all(axis=1) & np.isfinite(turn).all(axis=1)
@@ -170,7 +171,7 @@ _POSE = POSE_COLUMNS[:2]
 
 
 def free_floor(frames: pa.Table) -> FreeFloor:
-    """Return the free floor of frames from their columns, ``(F, RAYS)``."""
+    """Return the free floor of frames, ``(F, RAYS)``, from their columns."""
     names = "free_bearing_rad", "free_from_m", "free_to_m", "free_end"
     count = _lengths(frames[names[0]])
     frame = np.repeat(np.arange(len(count)), count)
@@ -194,12 +195,12 @@ def contours(chunk: Tables, T_world_camera: np.ndarray) -> Lines:
 
 
 def _in_world(points: np.ndarray, T_world_camera: np.ndarray) -> np.ndarray:
-    """Return points ``(P, 2)``, right and forward, in the world, each by its own pose."""
+    """Transform points ``(P, 2)`` (right, forward) to the world, each by its own pose."""
     return to_world(points[:, None, None], T_world_camera).reshape(-1, 2)
 
 
 def _falling(values: np.ndarray) -> list[int]:
-    """Return the different values, the largest first."""
+    """Return the distinct values in descending order."""
     return np.unique(values)[::-1].tolist()
 
 
