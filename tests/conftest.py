@@ -1,4 +1,4 @@
-"""Settings and fixtures of every test."""
+"""Settings and fixtures for all tests."""
 
 import os
 from collections.abc import Iterator
@@ -27,9 +27,9 @@ hypothesis.settings.load_profile("jaxdet")
 
 @pytest.fixture(scope="session", autouse=True)
 def started() -> None:
-    """What is compiled is kept, as by commands; Warp reports warnings and errors only.
+    """Use the caches of compiled programs, and let Warp report only warnings and errors.
 
-    One of the CPU's devices is JAX's default, as where there is one, so that tests share programs;
+    JAX has two CPU devices, of which the first is the default, so that tests share programs;
     ``test_batches.py`` uses both.
     """
     import jax
@@ -44,7 +44,7 @@ def started() -> None:
 
 
 def present_devices() -> list:
-    """The kinds of device that JAX finds here, as parameters; CUDA's is marked ``gpu``."""
+    """Return the kinds of device that JAX finds, as parameters; CUDA is marked ``gpu``."""
     import jax
 
     try:
@@ -61,7 +61,7 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 @pytest.fixture
 def device(request: pytest.FixtureRequest) -> Iterator[Any]:
-    """One device of each kind that is present, as JAX's default while the test runs."""
+    """Device of each kind that is present, as the default of JAX during the test."""
     import jax
 
     chosen = jax.devices(request.param)[0]
@@ -71,10 +71,10 @@ def device(request: pytest.FixtureRequest) -> Iterator[Any]:
 
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
-    """The folder of recorded logs beside the repository; skips where it is absent."""
+    """Folder of recorded logs next to the repository; skip if it is missing."""
     folder = ROOT.parent / "shared" / "data"
     if not folder.is_dir():
-        pytest.skip("no folder shared/data beside the repository")
+        pytest.skip("no folder shared/data next to the repository")
     return folder
 
 
@@ -88,7 +88,7 @@ def _results_beside(log: Path, folder: Path, pictures: int) -> Path:
 
 @pytest.fixture(scope="session")
 def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a simulated log, ``drive.mcap``, and its results with two pictures, ``out``."""
+    """Folder with a simulated log, ``drive.mcap``, and its results with two pictures, ``out``."""
     from jaxdet.sim import SimConfig, write_log
 
     folder = tmp_path_factory.mktemp("drive")
@@ -99,14 +99,14 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def aims(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    """A recorded log without poses, and its results with one picture."""
+    """Recorded log without poses, and its results with one picture."""
     log = shared_data / "aims_slam" / "aims_slam_18frames.mcap"
     return log, _results_beside(log, tmp_path_factory.mktemp("aims") / "out", 1)
 
 
 @pytest.fixture(autouse=True)
 def both_ways(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """In the tests of ``jaxdet.io`` each log that is opened by its index is scanned as well."""
+    """In tests of ``jaxdet.io``, compare each log opened by its index with a scan."""
     if hasattr(request.module, "open_log") and request.path.name.startswith("test_io"):
         from tests.io_both_ways import open_both_ways
 
@@ -115,7 +115,7 @@ def both_ways(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -
 
 @pytest.fixture(scope="session")
 def aims_results(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The results of a recording of a hand-held camera, which has no poses and no transforms."""
+    """Results of a recording of a hand-held camera, without poses and transforms."""
     from tests.runs import run_log
 
     folder = tmp_path_factory.mktemp("aims") / "results"
@@ -125,7 +125,7 @@ def aims_results(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) ->
 
 @pytest.fixture(scope="session")
 def driven_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A small simulated log, ``sim.mcap``, of a robot that drives."""
+    """Small simulated log, ``sim.mcap``, of a driving robot."""
     from tests.export_results import sim_log
 
     return sim_log(tmp_path_factory.mktemp("driven") / "sim.mcap")
@@ -133,7 +133,7 @@ def driven_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def driven_results(driven_log: Path) -> Path:
-    """Its results."""
+    """Results of :func:`driven_log`."""
     from tests.export_results import run
 
     return run(driven_log, driven_log.parent / "results")

@@ -1,4 +1,4 @@
-"""Kernels compile for CUDA, also where there is no GPU: NVRTC comes with Warp."""
+"""Kernels compile for CUDA. No GPU is required, because Warp includes NVRTC."""
 
 import re
 import sys
@@ -11,7 +11,7 @@ import warp as wp
 from jaxdet.stages._batches import LEAST_CAPABILITY
 
 FOR_CPU = {"decode"}
-"""Modules that CUDA has no use for."""
+"""Modules with kernels only for the CPU."""
 FOLDER = Path(import_module("jaxdet_kernels").__file__ or "").parent
 MODULES = sorted(
     path.stem

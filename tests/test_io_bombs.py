@@ -1,4 +1,4 @@
-"""Files that ask for more than they have end soon, in little memory, with a clear line."""
+"""Decompression bombs end quickly, with little memory and a clear error."""
 
 import re
 import subprocess
@@ -12,7 +12,7 @@ from tests.bombs import BOMBS
 from tests.io_helpers import write_log
 
 MOST_S, MOST_MIB = 10, 1024
-"""Of all of the process's threads together, as others use the machine."""
+"""Limit of the CPU time of the process [s]."""
 SAID = {
     "schema_memory": "",
     "schema_text": "its schema has 14155787 bytes",
@@ -34,7 +34,7 @@ SAID = {
     "wide_json": "messages can't be decoded",
     "jpeg_scans": "no_color",
 }
-"""What a user reads."""
+"""Patterns of the expected errors."""
 
 READ = """
 import sys, time
@@ -64,7 +64,7 @@ for path in paths:
     print(time.process_time() - start, peak() - before, said)
 """
 LARGE = {"schema_memory", "empty_transforms", "many_messages", "rvl_tail"}
-"""Bombs that take seconds all the same."""
+"""Bombs that take seconds in spite of the limits."""
 
 
 def check(folder: Path, names: Iterable[str]) -> None:
@@ -80,11 +80,11 @@ def check(folder: Path, names: Iterable[str]) -> None:
         assert "\n" not in said and said.isprintable()
 
 
-def test_bombs(tmp_path):
+def test_bombs_end_quickly_with_an_error(tmp_path):
     check(tmp_path, BOMBS.keys() - LARGE)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(LARGE))
-def test_large_bomb(tmp_path, name):
+def test_large_bombs_end_within_seconds(tmp_path, name):
     check(tmp_path, [name])

@@ -1,4 +1,4 @@
-"""Compiled programs stay between runs, where the environment says."""
+"""Caches of compiled programs between runs, in folders set by the environment."""
 
 import os
 import subprocess
@@ -38,7 +38,7 @@ print(jax.jit(lambda x: x * 3 + 1)(jax.numpy.arange(4)).tolist())
 @pytest.fixture
 def no_caches(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("JAXDET_CACHE", "JAX_COMPILATION_CACHE_DIR", "WARP_CACHE_PATH", "XDG_CACHE_HOME"):
-        monkeypatch.setenv(name, "")  # so that it is put back
+        monkeypatch.setenv(name, "")  # restored after the test
         monkeypatch.delenv(name)
 
 
@@ -109,7 +109,7 @@ def test_made_folders_are_private(no_caches, monkeypatch, tmp_path):
 
 
 def start(cache: Path, script: Path) -> dict[Path, int]:
-    """Start a process that compiles; return what is kept and when it was written."""
+    """Start a process that compiles; return the cached files and their times."""
     script.write_text(CODE, encoding="utf-8")
     done = subprocess.run(
         [sys.executable, str(script)],

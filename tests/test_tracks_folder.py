@@ -1,4 +1,4 @@
-"""How tracks get into a results folder: one command at a time, all files or none."""
+"""Writing of tracks into a results folder: one command at a time, all files or none."""
 
 import json
 import shutil
@@ -32,8 +32,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return results(tmp_path_factory.mktemp("tracks"), "log", sim)
 
 
-def test_one_at_a_time_works_in_a_folder(folder: Path, tmp_path: Path, monkeypatch):
-    """Neither another ``jaxdet track`` nor a run."""
+def test_only_one_command_at_a_time_writes_to_a_folder(folder: Path, tmp_path: Path, monkeypatch):
+    """Neither another ``jaxdet track`` nor a run starts meanwhile."""
     copy, refused = shutil.copytree(folder.parent, tmp_path / "copy"), []
     log, how = folder.parents[1] / "log.mcap", {"backend": "reference", "overwrite": True}
     others = {"track": lambda: track_results(copy), "run": lambda: run_logs(log, copy, **how)}
@@ -57,7 +57,7 @@ def test_one_at_a_time_works_in_a_folder(folder: Path, tmp_path: Path, monkeypat
     lock.release()
 
 
-def test_two_commands_at_once(folder: Path, tmp_path: Path):
+def test_two_simultaneous_commands_leave_valid_results(folder: Path, tmp_path: Path):
     copy = shutil.copytree(folder.parent, tmp_path / "copy")
     command = [sys.executable, "-m", "jaxdet", "track", str(copy)]
     both = [subprocess.Popen(command, stderr=subprocess.PIPE, text=True) for _ in range(2)]
@@ -68,8 +68,8 @@ def test_two_commands_at_once(folder: Path, tmp_path: Path):
     assert not verify(copy, sample=0).findings
 
 
-def test_a_run_that_is_stopped_while_it_links_goes_on(tmp_path: Path, monkeypatch, capsys):
-    """The results are whole by then; the same command links them, and says so when all is there."""
+def test_a_run_stopped_while_tracking_is_resumed(tmp_path: Path, monkeypatch, capsys):
+    """The results are complete, so the same command only tracks, and reports when it is done."""
     write_log(tmp_path / "log.mcap", SimConfig(frames=6, width=96, height=72))
     command = ["run", str(tmp_path / "log.mcap"), "--backend", "reference", "--pictures", "0"]
     command += ["--tracks", "--output"]
@@ -98,8 +98,8 @@ def test_a_run_that_is_stopped_while_it_links_goes_on(tmp_path: Path, monkeypatc
     assert not verify(tmp_path / "a", sample=0).findings
 
 
-def test_other_files_stay(folder: Path, tmp_path: Path):
-    """Whatever they are called."""
+def test_other_files_are_kept(folder: Path, tmp_path: Path):
+    """Their names do not matter."""
     copy = shutil.copytree(folder.parent, tmp_path / "copy")
     own = copy / folder.name / "mine.png"
     own.write_bytes(b"mine")
