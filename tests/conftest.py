@@ -78,8 +78,8 @@ def shared_data() -> Path:
     return folder
 
 
-def _results_beside(log: Path, folder: Path, pictures: int) -> Path:
-    """Finds the obstacles of a log, with what the command has as defaults."""
+def _results_of(log: Path, folder: Path, pictures: int) -> Path:
+    """Run a log with the defaults of the command and a number of pictures."""
     from tests.runs import run_log
 
     run_log(log, folder, pictures=pictures, preset="wheeled")
@@ -93,7 +93,7 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     folder = tmp_path_factory.mktemp("drive")
     write_log(folder / "drive.mcap", SimConfig(frames=5, width=320, height=240))
-    _results_beside(folder / "drive.mcap", folder / "out", 2)
+    _results_of(folder / "drive.mcap", folder / "out", 2)
     return folder
 
 
@@ -101,7 +101,7 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def aims(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """Recorded log without poses, and its results with one picture."""
     log = shared_data / "aims_slam" / "aims_slam_18frames.mcap"
-    return log, _results_beside(log, tmp_path_factory.mktemp("aims") / "out", 1)
+    return log, _results_of(log, tmp_path_factory.mktemp("aims") / "out", 1)
 
 
 @pytest.fixture(autouse=True)

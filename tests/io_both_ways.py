@@ -43,9 +43,9 @@ def assert_same_log(found: Log, scanned: Log, sizes: Sequence[int] = (1, 7, 64))
         for one, other in pairs:
             assert_same_batch(one, other)
             notes.append(one.notes)
-        told = [found.described(total(notes)), scanned.described(Notes())]
+        descriptions = [found.described(total(notes)), scanned.described(Notes())]
         if not total(notes).bad_color:
-            _assert_same_description(*told)
+            _assert_same_description(*descriptions)
     order = np.random.default_rng(0).integers(0, max(found.num_frames, 1), 5).tolist()
     if found.num_frames:
         assert_same_batch(found.read(order), scanned.read(order))

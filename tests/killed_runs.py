@@ -49,17 +49,17 @@ def check(output: Path, wanted: set[tuple[str, ...]]) -> None:
     with open_results(output) as results:
         for folder, manifest in results.manifests.items():
             assert read_manifest(folder) == manifest
-            told = manifest["files"]
-            assert all(sha256(folder / name) == about["sha256"] for name, about in told.items())
-            own = tuple(about["sha256"] for n, about in told.items() if n not in TIMES)
+            files_of = manifest["files"]
+            assert all(sha256(folder / name) == about["sha256"] for name, about in files_of.items())
+            own = tuple(about["sha256"] for n, about in files_of.items() if n not in TIMES)
             assert own in wanted, folder
 
 
 def kinds(output: Path) -> set[tuple[str, ...]]:
     """Return the logs of results, as checksums of their files."""
     with open_results(output) as results:
-        told = [manifest["files"] for manifest in results.manifests.values()]
-    return {tuple(a["sha256"] for n, a in t.items() if n not in TIMES) for t in told}
+        files_of = [manifest["files"] for manifest in results.manifests.values()]
+    return {tuple(a["sha256"] for n, a in t.items() if n not in TIMES) for t in files_of}
 
 
 def main(folder: Path, ways: Sequence[str]) -> None:

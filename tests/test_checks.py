@@ -192,7 +192,7 @@ BACKENDS = pytest.mark.parametrize("backend", ["jax", "reference"])
 
 @BACKENDS
 @pytest.mark.parametrize(
-    ("size", "focal", "cell_rad", "said"),
+    ("size", "focal", "cell_rad", "error"),
     [
         ((600, 10), 300.0, 0.0033, "600x10 cells.*raise --surface.cell-rad"),
         ((64, 8), 2000.0, 0.0078, "cells of 16x16.*lower --surface.cell-rad"),
@@ -200,7 +200,7 @@ BACKENDS = pytest.mark.parametrize("backend", ["jax", "reference"])
         ((4097, 31), 4000.0, 0.0078, "maximum of 4096 columns"),
     ],
 )
-def test_more_cells_than_kernels_support_are_refused(backend, size, focal, cell_rad, said):
+def test_more_cells_than_kernels_support_are_refused(backend, size, focal, cell_rad, error):
     width, height = size
     camera = Intrinsics(width, height, focal, focal, width / 2, height / 2)
     color, depth = (
@@ -209,14 +209,14 @@ def test_more_cells_than_kernels_support_are_refused(backend, size, focal, cell_
     )
     given = frames(Calibration(camera), color, depth)
     config = Config(surface=SurfaceConfig(cell_rad=cell_rad))
-    with pytest.raises(ConfigError, match=said):
+    with pytest.raises(ConfigError, match=error):
         detect(given, config, backend=backend)
-    with pytest.raises(ConfigError, match=said):
+    with pytest.raises(ConfigError, match=error):
         find_floors(given, config, backend=backend)
 
 
 @BACKENDS
-def test_backends_agree_on_the_widest_depth_image(backend):
+def test_the_widest_depth_image_is_accepted(backend):
     camera = Intrinsics(4096, 33, 4000.0, 4000.0, 2048.0, 16.5)
     depth = np.full((1, 33, 4096), 2000, np.uint16)
     given = frames(Calibration(camera), np.zeros((1, 33, 4096, 3), np.uint8), depth)
@@ -318,7 +318,7 @@ def test_randomly_damaged_calibrations_are_refused_or_give_equal_results():
 
 
 @pytest.mark.parametrize(
-    ("part", "value", "said"),
+    ("part", "value", "error"),
     [
         ("fx", 1e-45, "not calibrated.*--log.color-intrinsics"),
         ("cy", math.nan, "optical centre.*--log.color-intrinsics"),
@@ -330,10 +330,10 @@ def test_randomly_damaged_calibrations_are_refused_or_give_equal_results():
         ("distortion", "thin_prism", "'thin_prism' is unknown; use one of"),
     ],
 )
-def test_implausible_intrinsics_are_refused(part, value, said):
+def test_implausible_intrinsics_are_refused(part, value, error):
     given = made(1)
     camera = given.calibration.color._replace(**{part: value})
-    with pytest.raises(CalibrationError, match=said):
+    with pytest.raises(CalibrationError, match=error):
         detect(given._replace(calibration=given.calibration._replace(color=camera)))
 
 
@@ -341,8 +341,8 @@ def test_implausible_intrinsics_are_refused(part, value, said):
 def test_impossible_fields_of_view_are_rejected(focal, view):
     """The focal length is in micrometres, or the camera matrix is the identity."""
     camera = Intrinsics(320, 240, focal, focal, 159.0, 123.0)
-    said = f"is {view}.* 320x240 pixels.*1° to 179°; give --log.depth-intrinsics fx fy cx cy"
-    with pytest.raises(CalibrationError, match=said):
+    error = f"is {view}.* 320x240 pixels.*1° to 179°; give --log.depth-intrinsics fx fy cx cy"
+    with pytest.raises(CalibrationError, match=error):
         check_calibration(Calibration(camera))
 
 
@@ -389,32 +389,32 @@ def test_implausible_extrinsics_and_depth_units_are_refused():
     assert motion is not None
     far = motion._replace(translation=(1e39, 0.0, 0.0))
     mirror = motion._replace(rotation=(-1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0))
-    for part, value, said in (
+    for part, value, error in (
         ("color_from_depth", far, "1e.39 m from the colour camera.*--log.color-from-depth"),
         ("color_from_depth", mirror, "rotation from depth to colour is not a rotation"),
         ("depth_unit", 1e-9, "depth unit of 1e-09 m.*--log.depth-unit-m"),
         ("depth_unit", math.nan, "--log.depth-unit-m"),
     ):
         wrong = given.calibration._replace(**{part: value})
-        with pytest.raises(CalibrationError, match=said):
+        with pytest.raises(CalibrationError, match=error):
             detect(given._replace(calibration=wrong))
     apart = motion._replace(translation=(0.0, 0.66, 0.0))
     wrong = given.calibration._replace(color_from_depth=apart, depth_unit=1e-5)
     with pytest.raises(CalibrationError, match=r"maximum of 0\.65535 m with a depth"):
         detect(given._replace(calibration=wrong))
-    for part, said in (
+    for part, error in (
         ("color", "without a colour camera"),
         ("color_from_depth", "without the transform"),
     ):
         wrong = given.calibration._replace(**{part: None})
-        with pytest.raises(CalibrationError, match=said):
+        with pytest.raises(CalibrationError, match=error):
             detect(given._replace(calibration=wrong, color=None))
 
 
 @BACKENDS
 def test_images_must_be_arrays_of_the_right_dtype(backend):
     given = made(1)
-    for part, value, said in (
+    for part, value, error in (
         ("color", given.color.astype(np.float32), r"float32 .*give \(B, H, W, 3\) uint8"),
         ("color", given.color[..., 0], "give"),
         ("depth", given.depth.astype(np.int32), r"int32 .*give \(B, H, W\) uint16"),
@@ -422,12 +422,12 @@ def test_images_must_be_arrays_of_the_right_dtype(backend):
         ("depth", np.ma.masked_equal(given.depth, 0), r"masked.*give images\.filled\(0\)"),
     ):
         wrong = given._replace(**{part: value})
-        with pytest.raises(InputError, match=said):
+        with pytest.raises(InputError, match=error):
             detect(wrong, backend=backend)
         if part == "depth":
-            with pytest.raises(InputError, match=said):
+            with pytest.raises(InputError, match=error):
                 find_floors(wrong, backend=backend)
-            with pytest.raises(InputError, match=said):
+            with pytest.raises(InputError, match=error):
                 estimate_plane(wrong, backend=backend)
 
 

@@ -210,7 +210,7 @@ def detector(**options: Any) -> Detector:
     return Detector(**given | options)
 
 
-def told(found: FrameResult) -> list[dict[str, Any]]:
+def attributes(found: FrameResult) -> list[dict[str, Any]]:
     assert found.status == "ok" and len(found) > 0
     return rows_of(found)
 
@@ -237,8 +237,8 @@ class OnGpu:
 
 def test_frames_of_common_array_types_are_accepted():
     plain = detector()
-    want = [told(found) for found in plain.batch(DEPTH, COLOR)]
-    assert [told(plain(*pair)) for pair in zip(DEPTH, COLOR, strict=True)] == [
+    want = [attributes(found) for found in plain.batch(DEPTH, COLOR)]
+    assert [attributes(plain(*pair)) for pair in zip(DEPTH, COLOR, strict=True)] == [
         [row | {"frame": 0} for row in rows] for rows in want
     ]
     forms = {
@@ -259,7 +259,7 @@ def test_frames_of_common_array_types_are_accepted():
     }
     for name, found in forms.items():
         if name != "another unit":
-            assert [told(one) for one in found] == want, name
+            assert [attributes(one) for one in found] == want, name
     assert forms["another unit"][0][0].distance_m == pytest.approx(
         want[0][0]["distance_m"], abs=0.01
     )
@@ -305,8 +305,8 @@ def test_aligned_depth_and_lens_models_are_accepted():
     aligned = Detector(camera.K, mount=Mount(0.4))
     lens = Intrinsics.from_matrix(camera.K, 160, 120, [0.1, -0.2, 0.001, 0.002, 0.05])
     bent = Detector(lens, mount=Mount(0.4))
-    flat, curved = told(aligned(depth, COLOR[0])), told(bent(depth))
-    assert flat != curved and flat == told(aligned(depth))
+    flat, curved = attributes(aligned(depth, COLOR[0])), attributes(bent(depth))
+    assert flat != curved and flat == attributes(aligned(depth))
 
 
 def test_points_and_masks_belong_to_their_obstacle():
@@ -362,7 +362,7 @@ def test_results_do_not_change_if_images_are_overwritten():
     depth[:] = DEPTH[0]
     found = compiled(depth, COLOR[0])
     depth[:] = 0
-    assert told(found) == told(detector(backend="reference")(DEPTH[0], COLOR[0]))
+    assert attributes(found) == attributes(detector(backend="reference")(DEPTH[0], COLOR[0]))
 
 
 def test_drawn_pictures_equal_those_of_the_run():
@@ -450,8 +450,8 @@ REFUSED_ARGUMENTS = {
 
 @pytest.mark.parametrize("name", REFUSED_ARGUMENTS)
 def test_invalid_camera_arguments_are_named(name):
-    options, said = REFUSED_ARGUMENTS[name]
-    with pytest.raises(JaxdetError, match=said) as caught:
+    options, message = REFUSED_ARGUMENTS[name]
+    with pytest.raises(JaxdetError, match=message) as caught:
         detector(**options)
     assert "--" not in str(caught.value)
 
@@ -503,7 +503,7 @@ REFUSED_IMAGES = {
 
 
 @pytest.mark.parametrize(
-    ("given", "said"),
+    ("given", "message"),
     [
         ({"stamp_ns": "now"}, "stamps_ns: expected integers"),
         ({"stamp_ns": 1 << 70}, "stamps_ns: expected integers"),
@@ -520,16 +520,16 @@ REFUSED_IMAGES = {
         ({"mount": 0.3}, "mount: must be a jaxdet.Mount, got 0.3"),
     ],
 )
-def test_invalid_frame_arguments_are_named(given, said):
-    with pytest.raises(JaxdetError, match=said):
+def test_invalid_frame_arguments_are_named(given, message):
+    with pytest.raises(JaxdetError, match=message):
         detector()(DEPTH[0], COLOR[0], **given)
 
 
 @pytest.mark.parametrize("name", REFUSED_IMAGES)
 def test_invalid_images_are_named(name):
-    how, depth, color, said = REFUSED_IMAGES[name]
+    how, depth, color, message = REFUSED_IMAGES[name]
     given = detector()
-    with pytest.raises(JaxdetError, match=said):
+    with pytest.raises(JaxdetError, match=message):
         (given if how == "call" else given.batch)(depth, color)
 
 
@@ -560,16 +560,16 @@ def test_the_calibration_must_fit_the_images():
 def test_lens_coefficients_that_cannot_be_inverted_are_named(name):
     lens = Intrinsics.from_matrix(CALIBRATION.color.K, 160, 120, [50.0, 0, 0, 0])
     wide = Intrinsics(160, 120, 19.0, 19.0, 80.0, 60.0)
-    for camera, said in ((lens, "can't be inverted"), (wide, "too wide")):
+    for camera, message in ((lens, "can't be inverted"), (wide, "too wide")):
         given = detector(**{"backend": "reference", name: camera})
         depth = smooth_depth(1, CALIBRATION.color)[0]
-        with pytest.raises(CalibrationError, match=f"^{name}: .*{said}") as caught:
+        with pytest.raises(CalibrationError, match=f"^{name}: .*{message}") as caught:
             given(depth, COLOR[0])
         assert "--" not in str(caught.value)
 
 
 def test_implausible_mounts_are_refused():
-    for wrong, said in (
+    for wrong, message in (
         ({"height_m": 300}, "height_m: .*metres"),
         ({"height_m": 0}, "height_m"),
         ({"height_m": 10**400}, "height_m: number is too large; give metres"),
@@ -578,7 +578,7 @@ def test_implausible_mounts_are_refused():
         ({"height_m": 0.3, "pitch_rad": 10}, "pitch_rad: 10 rad are 573°; .*math.radians"),
         ({"height_m": 0.3, "roll_rad": float("nan")}, "roll_rad"),
     ):
-        with pytest.raises(ConfigError, match=said):
+        with pytest.raises(ConfigError, match=message):
             Mount(**wrong)
     for gravity in ([0, 0, 0], [1, 2], [np.nan, 0, 1]):
         with pytest.raises(ConfigError, match="gravity"):

@@ -105,8 +105,10 @@ def test_an_unusable_camera_is_reported(sim_log, tmp_path, capsys):
     )
     command = ["run", str(path), "--pictures", "0", "--quiet"]
     assert main([*command, "--output", str(tmp_path / "out")]) == 1
-    said = "jaxdet: error: log: left out: camera side, see the warning; --camera takes others alone"
-    assert capsys.readouterr().err == f"{said}\n"
+    printed = (
+        "jaxdet: error: log: left out: camera side, see the warning; --camera takes others alone"
+    )
+    assert capsys.readouterr().err == f"{printed}\n"
     summary = json.loads((tmp_path / "out" / "log" / "summary.json").read_text("utf-8"))
     assert [log["cameras_left_out"] for log in summary["logs"]] == [["side"], ["side"]]
     assert main([*command, "--output", str(tmp_path / "one"), "--camera", "front"]) == 0
@@ -172,9 +174,9 @@ def test_info_and_progress_name_the_cameras(two_cameras, sim_log, tmp_path, caps
     assert about[0]["description"]["part"].startswith("3 of 12 frames, 0 to 10, multiples of 5, ")
     given = ["--output", str(tmp_path / "out"), "--pictures", "0"]
     assert main(["run", str(two_cameras), *given, "--stop", "0.5"]) == 0
-    said = capsys.readouterr()
-    assert "two, front\n  frames     3" in said.out and "two, rear\n" in said.out
-    assert "two, front: 3/3 frames" in said.err
+    printed = capsys.readouterr()
+    assert "two, front\n  frames     3" in printed.out and "two, rear\n" in printed.out
+    assert "two, front: 3/3 frames" in printed.err
     given[1] = str(tmp_path / "none")
     assert main(["run", str(sim_log), *given, "--start", "100"]) == 1
     assert "no depth image is in --start 100; its 12 depth images are" in capsys.readouterr().err
@@ -183,11 +185,11 @@ def test_info_and_progress_name_the_cameras(two_cameras, sim_log, tmp_path, caps
 def test_info_continues_after_a_failed_camera(two_cameras, capsys):
     """The camera front has no frame in this range."""
     assert info.main([str(two_cameras), "--json", "--start", "1.9"]) == 1
-    said = capsys.readouterr()
-    front, rear = json.loads(said.out)["logs"]
+    printed = capsys.readouterr()
+    front, rear = json.loads(printed.out)["logs"]
     assert front["camera"] == "front" and "no depth image is in" in front["error"]
     assert rear["camera"] == "rear" and rear["frames"] == 12
-    assert said.err.count("\n") == 1
+    assert printed.err.count("\n") == 1
 
 
 @pytest.mark.parametrize("logs", [1, 3])

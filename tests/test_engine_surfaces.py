@@ -138,15 +138,15 @@ def test_floors_far_from_the_mount_are_refused_with_a_warning(tf_log: Path, tmp_
     assert f"{FRAMES} have that of flags: give" in warning and "--ground.camera-height-m" in warning
 
 
-@pytest.mark.parametrize("far, told", [(10, True), (8, False)])
+@pytest.mark.parametrize("far, names_unit", [(10, True), (8, False)])
 def test_the_floor_warning_names_the_depth_unit_if_most_floors_are_far_off(
-    far: int, told: bool
+    far: int, names_unit: bool
 ) -> None:
     log = LogSummary("a", (), status=Counter(ok=10), floor_sources=Counter(tf=10))
     log.floor_refused = Counter(far=far, too_little=10 - far)
     warning = log.floor_warning
     assert warning and "give the camera's true" in warning
-    assert ("check the depth unit (--log.depth-unit-m), the intrinsics" in warning) is told
+    assert ("check the depth unit (--log.depth-unit-m), the intrinsics" in warning) is names_unit
 
 
 @pytest.mark.parametrize(

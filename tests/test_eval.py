@@ -95,7 +95,7 @@ def test_a_feature_belongs_to_the_object_at_its_depth():
     depth[:, 10:30, 5:15] = 1.0
     known = truth(depth_m=depth)
     depth[:, 10:30, 18:] = 1.1
-    # On it, beside it with its depth, too far beside it, on the floor beside it with a depth that
+    # On it, next to it with its depth, too far from it, on the floor next to it with a depth that
     # both have, and on it and on the floor with a depth that nothing there has.
     columns = [(10, 1000), (17, 1010), (19, 500), (18, 1050), (10, 3000), (17, 3000)]
     u, z = (np.array(values, np.int32) for values in zip(*columns, strict=True))
@@ -154,12 +154,12 @@ def test_floor_and_wall_are_false_and_splits_and_merges_are_counted():
 
 
 def test_half_of_the_points_must_be_on_the_obstacle():
-    beside = [(0, 35, 0), (0, 36, 0)]
-    assert evaluate(detections(on(1, 0, 2) + beside, [1000]), truth()).found == 1
-    got = evaluate(detections(on(1, 0, 2) + [*beside, (0, 37, 0)], [1000]), truth())
+    nearby = [(0, 35, 0), (0, 36, 0)]
+    assert evaluate(detections(on(1, 0, 2) + nearby, [1000]), truth()).found == 1
+    got = evaluate(detections(on(1, 0, 2) + [*nearby, (0, 37, 0)], [1000]), truth())
     assert counted(got) == (3, 0, 1, 0, 1, 0) and got.on_floor == 1 and got.splits == 0
     loose = EvalConfig(match_share=0.4)
-    points = on(1, 0, 2) + [*beside, (0, 37, 0)]
+    points = on(1, 0, 2) + [*nearby, (0, 37, 0)]
     assert evaluate(detections(points, [1000]), truth(), config=loose).found == 1
 
 
@@ -183,10 +183,10 @@ def test_detections_with_half_of_their_points_on_ignored_objects():
 
 
 def test_features_next_to_an_object_count_within_the_tolerance():
-    beside = [(3, 20, 0), (15 + 1, 20, 0), (10, 31, 0)]
-    assert evaluate(detections(beside, [1000]), truth()).found == 1
+    nearby = [(3, 20, 0), (15 + 1, 20, 0), (10, 31, 0)]
+    assert evaluate(detections(nearby, [1000]), truth()).found == 1
     strict = EvalConfig(tolerance_px=1)
-    assert evaluate(detections(beside, [1000]), truth(), config=strict).on_floor == 1
+    assert evaluate(detections(nearby, [1000]), truth(), config=strict).on_floor == 1
     near_wall = truth()
     near_wall.obstacle_id[0, 4:9] = 4
     corner = [(7, 8, 0), (8, 9, 0)]

@@ -84,8 +84,8 @@ def test_nearest_obstacle_on_the_floor_by_hand():
     np.testing.assert_allclose(level[0, 0], math.hypot(0.9, 0.45), atol=1e-3)
     # The depth camera is 0.1 m to the left of the colour camera and 0.2 m above it.
     turn = (1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0)
-    beside = Calibration(camera.depth, camera.depth, Extrinsics(turn, (-0.1, 0.0, -0.2)))
-    moved = nearest_on_floor(truth, beside, np.ones(1), down, np.zeros(1), 0.05)
+    apart = Calibration(camera.depth, camera.depth, Extrinsics(turn, (-0.1, 0.0, -0.2)))
+    moved = nearest_on_floor(truth, apart, np.ones(1), down, np.zeros(1), 0.05)
     np.testing.assert_allclose(moved, [[0.35, 0.191, 0.02, NAN]], atol=1e-3)
     with pytest.raises(ValueError, match="depth_m"):
         nearest_on_floor(frame_truth(), camera, np.ones(1), down, down, 0.05)
@@ -114,8 +114,8 @@ def test_ground_truth_of_a_log_is_read():
     assert got.nearest_forward_m[0, 0] == 2.1 and got.visible_pixels[0, 0] == 6
     camera = Intrinsics(7, 3, 10.0, 10.0, 6.0, 1.0)
     turn = (1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0)
-    beside = Calibration(camera, camera, Extrinsics(turn, (0.1, 0.0, -0.3)))
-    moved = truth_of(log, [1, 0], np.zeros((2, 2, 2), int), calibration=beside)
+    apart = Calibration(camera, camera, Extrinsics(turn, (0.1, 0.0, -0.3)))
+    moved = truth_of(log, [1, 0], np.zeros((2, 2, 2), int), calibration=apart)
     shift = np.array([-0.1, 0.3])  # the depth camera is to the right and behind
     np.testing.assert_allclose(moved.footprint, [[local + shift]] * 2)
     np.testing.assert_allclose(moved.ground_min, [[[0.5, 2.4]], [[0.4, 2.3]]])

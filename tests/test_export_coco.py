@@ -150,15 +150,17 @@ def test_missing_and_truncated_logs_are_left_out(
 
     monkeypatch.setattr("jaxdet.export.coco.look_again", torn)
     assert main(["export", str(folder), "--to", "coco", "--output", str(output)]) == 0
-    said = capsys.readouterr().err.splitlines()
-    assert said[0].startswith(f"jaxdet: warning: a is left out: {logs[0]}: the log is not at its")
-    assert said[1] == f"jaxdet: warning: b is left out: {logs[1]}: is torn"
-    told = json.loads((output / "annotations.json").read_text("utf-8"))
-    assert [f"jaxdet: warning: {line}" for line in told["info"]["left_out"]] == said[:2]
-    assert [image["log"] for image in told["images"]] == ["c", "c"] and told["annotations"]
-    for entries in (told["images"], told["annotations"]):
+    warnings = capsys.readouterr().err.splitlines()
+    assert warnings[0].startswith(
+        f"jaxdet: warning: a is left out: {logs[0]}: the log is not at its"
+    )
+    assert warnings[1] == f"jaxdet: warning: b is left out: {logs[1]}: is torn"
+    dataset = json.loads((output / "annotations.json").read_text("utf-8"))
+    assert [f"jaxdet: warning: {line}" for line in dataset["info"]["left_out"]] == warnings[:2]
+    assert [image["log"] for image in dataset["images"]] == ["c", "c"] and dataset["annotations"]
+    for entries in (dataset["images"], dataset["annotations"]):
         assert [entry["id"] for entry in entries] == [*range(1, 1 + len(entries))]
-    kept = {image["file_name"] for image in told["images"]}
+    kept = {image["file_name"] for image in dataset["images"]}
     assert {f"images/{path.name}" for path in (output / "images").iterdir()} == kept
     with pytest.raises(InputError, match="is torn"):
         coco_of(folder, tmp_path / "given", str(logs[1]), str(logs[2]))
@@ -195,8 +197,8 @@ def test_images_of_a_log_without_colour_show_depth(tmp_path: Path) -> None:
     run_log(depth, folder, pictures=0)
     coco = coco_of(folder, tmp_path / "set")
     assert len(check(coco, folder, tmp_path / "set")) > 2
-    told = json.loads((tmp_path / "set" / "annotations.json").read_text("utf-8"))
-    assert told["info"]["images_of_depth"] == len(told["images"]) == 2
+    dataset = json.loads((tmp_path / "set" / "annotations.json").read_text("utf-8"))
+    assert dataset["info"]["images_of_depth"] == len(dataset["images"]) == 2
     rows = pq.read_table(folder / "obstacles.parquet").to_pylist()
     assert {row["box_image"] for row in rows} == {"depth"}
     with Results(folder) as results:

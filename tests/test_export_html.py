@@ -260,17 +260,17 @@ class Opened:
 
     def __init__(self, browser: Any, path: Path, **how: Any) -> None:
         context = browser.new_context(offline=True, **how)
-        self.page, self.asked, self.said = context.new_page(), [], []
-        self.page.on("request", lambda request: self.asked.append(request.url))
-        self.page.on("console", lambda message: self.said.append(message.text))
-        self.page.on("pageerror", lambda error: self.said.append(str(error)))
+        self.page, self.requests, self.errors = context.new_page(), [], []
+        self.page.on("request", lambda request: self.requests.append(request.url))
+        self.page.on("console", lambda message: self.errors.append(message.text))
+        self.page.on("pageerror", lambda error: self.errors.append(str(error)))
         self.page.goto(path.as_uri())
         self.path = path
 
     def check(self) -> None:
         """Assert that only the page was requested, without errors."""
-        asked = [url for url in self.asked if not url.startswith("data:")]
-        assert asked == [self.path.as_uri()] and self.said == []
+        requests = [url for url in self.requests if not url.startswith("data:")]
+        assert requests == [self.path.as_uri()] and self.errors == []
         assert self.page.evaluate("typeof boom") == "undefined"
 
 

@@ -297,26 +297,28 @@ def test_another_log_is_refused(driven_log: Path, driven_results: Path, tmp_path
 def test_the_command_explains_errors(
     driven_results: Path, tmp_path: Path, capsys: Captured
 ) -> None:
-    def said(*args: str) -> str:
+    def errors_of(*args: str) -> str:
         code = main(["export", *args])
         error = capsys.readouterr().err
         assert code in (1, 2) and error.count("\n") == 1
         return error
 
     out = str(tmp_path / "out")
-    assert "no such folder" in said(str(tmp_path / "x"), "--to", "nav2", "--output", out)
-    message = said(str(tmp_path), "--to", "nav2", "--output", out)
+    assert "no such folder" in errors_of(str(tmp_path / "x"), "--to", "nav2", "--output", out)
+    message = errors_of(str(tmp_path), "--to", "nav2", "--output", out)
     assert "manifest.json and run.json are missing" in message
     with pytest.MonkeyPatch.context() as patch:
         patch.delitem(sys.modules, "jaxdet.export.foxglove", raising=False)
         patch.setitem(sys.modules, "mcap_protobuf.writer", None)
-        message = said(str(driven_results), "--to", "foxglove", "--output", out)
+        message = errors_of(str(driven_results), "--to", "foxglove", "--output", out)
     assert "--to foxglove needs the package mcap_protobuf" in message
     taken = tmp_path / "taken"
     taken.write_text("mine")
-    assert "exists already" in said(str(driven_results), "--to", "ros2", "--output", str(taken))
+    assert "exists already" in errors_of(
+        str(driven_results), "--to", "ros2", "--output", str(taken)
+    )
     assert taken.read_text() == "mine"
-    assert "no such file" in said(
+    assert "no such file" in errors_of(
         str(driven_results), "--to", "ros2", "--output", out, "--log", "x.mcap"
     )
     assert main(["export", str(driven_results), "--to", "pdf", "--output", out]) == 2

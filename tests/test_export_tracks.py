@@ -137,12 +137,12 @@ def test_points_in_rerun_have_the_colours_of_their_boxes(walkers: Path, tmp_path
     found = recording_of(walkers / "out", tmp_path / "rerun", str(log))
     points = found["/world/floor/camera/points"]["colors"]
     boxes = found["/world/floor/boxes"]
-    told = 0
+    numbered = 0
     for number, colors in points.items():
         if colors:
             assert {*map(int, colors)} <= {*map(int, boxes["colors"][number])}
-            told += any("#" in text for text in boxes["labels"][number])
-    assert told > 5
+            numbered += any("#" in text for text in boxes["labels"][number])
+    assert numbered > 5
 
 
 def test_report_lists_tracks_and_draws_their_trajectories(

@@ -126,8 +126,8 @@ def test_a_report_is_a_file(
     command = ["export", str(parts / "results"), "--to", "html", "--output"]
     (tmp_path / "folder").mkdir()
     assert main([*command, str(tmp_path / "folder")]) == 2
-    said = capsys.readouterr().err
-    assert f"is a folder; name a file, such as {tmp_path / 'folder' / 'report.html'}" in said
+    printed = capsys.readouterr().err
+    assert f"is a folder; name a file, such as {tmp_path / 'folder' / 'report.html'}" in printed
     assert (tmp_path / "folder").is_dir() and not any((tmp_path / "folder").iterdir())
     assert main([*command, str(tmp_path / "folder" / "report")]) == 0
     assert "a name that ends in .html" in capsys.readouterr().err
@@ -152,13 +152,13 @@ def test_logs_left_out_by_a_format_are_named(
         log["paths"] = ["/gone/both.mcap"]
     summary["logs"][1] |= {"map": None, "pictures": []}
     (results / "summary.json").write_text(json.dumps(summary), "utf-8")
-    for to, said in (
+    for to, printed in (
         ("nav2", "jaxdet: warning: both, rear is left out: it has no map"),
         ("html", "jaxdet: warning: no pictures of some frames: /gone/both.mcap: the log is not"),
     ):
         command = ["export", str(results), "--to", to, "--output", str(tmp_path / to)]
         assert main(command) == 0
-        assert capsys.readouterr().err.startswith(said)
+        assert capsys.readouterr().err.startswith(printed)
 
 
 def test_the_report_distinguishes_cameras_and_frames(parts: Path, tmp_path: Path) -> None:

@@ -222,8 +222,8 @@ def test_folders_are_searched_through_links_and_in_any_case(mcap, tmp_path):
     assert [log.note for log in found if log.note] == ["lost.mcap is left out: a link to nothing"]
     for number in range(20):
         (folder / f"lost_{number:02}.mcap").symlink_to(tmp_path / "nothing.mcap")
-    said = [log.note for log in find_logs([str(folder)]) if log.note]
-    assert len(said) == 1 and said[0].endswith(
+    message = [log.note for log in find_logs([str(folder)]) if log.note]
+    assert len(message) == 1 and message[0].endswith(
         "lost_02.mcap is left out: a link to nothing; and 17 more"
     )
     for name in ("A.MCAP", "day2"):
@@ -249,9 +249,9 @@ def test_a_lerobot_dataset_is_an_error_that_names_a_remedy(mcap, tmp_path):
     (folder / "videos").mkdir()
     (folder / "videos" / "file-000.mp4").write_bytes(b"x")
     (folder / "meta" / "info.json").write_text('{"codebase_version": "v3.0", "fps": 30}')
-    said = r"pick: is a LeRobot dataset, which holds no camera's calibration; write its frames"
+    message = r"pick: is a LeRobot dataset, which holds no camera's calibration; write its frames"
     for given in (folder, tmp_path):
-        with pytest.raises(InputError, match=said):
+        with pytest.raises(InputError, match=message):
             find_logs([str(given)])
     copy(mcap, tmp_path)
     [log] = find_logs([str(tmp_path)])
@@ -285,8 +285,8 @@ def test_files_that_are_not_recordings_are_refused(tmp_path, name, content, prob
 
 def test_an_unclosed_db3_is_an_error(db3, tmp_path):
     path = copy(db3, tmp_path)
-    beside = tmp_path / "sim.db3-wal"
-    beside.write_bytes(b"x")
+    journal = tmp_path / "sim.db3-wal"
+    journal.write_bytes(b"x")
     with pytest.raises(InputError, match=r"not closed: sim\.db3-wal"):
         open_log(str(path))
 

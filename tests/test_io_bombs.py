@@ -47,21 +47,21 @@ def peak():
 
 def read(path):
     with open_log(path) as log:
-        said = [*log.description.warnings, *(f.text for f in log.description.integrity)]
-        said += [topic.problem for topic in log.description.topics]
+        message = [*log.description.warnings, *(f.text for f in log.description.integrity)]
+        message += [topic.problem for topic in log.description.topics]
         for batch in log.batches(8, color=True, need_color=True):
-            said += [f"{status} {text}" for status, text in zip(batch.status, batch.errors)]
-    return " | ".join(dict.fromkeys(said))
+            message += [f"{status} {text}" for status, text in zip(batch.status, batch.errors)]
+    return " | ".join(dict.fromkeys(message))
 
 plain, *paths = sys.argv[1:]
 read(plain)
 for path in paths:
     before, start = peak(), time.process_time()
     try:
-        said = read(path)
+        message = read(path)
     except JaxdetError as error:
-        said = f"{type(error).__name__} {error}"
-    print(time.process_time() - start, peak() - before, said)
+        message = f"{type(error).__name__} {error}"
+    print(time.process_time() - start, peak() - before, message)
 """
 LARGE = {"schema_memory", "empty_transforms", "many_messages", "rvl_tail"}
 """Bombs that take seconds in spite of the limits."""
@@ -74,10 +74,10 @@ def check(folder: Path, names: Iterable[str]) -> None:
     done = subprocess.run(command, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
     for name, line in zip(names, done.stdout.splitlines(), strict=True):
-        seconds, mib, said = line.split(" ", 2)
+        seconds, mib, message = line.split(" ", 2)
         assert float(seconds) < MOST_S and float(mib) < MOST_MIB, (name, line)
-        assert re.search(SAID[name], said), (name, said)
-        assert "\n" not in said and said.isprintable()
+        assert re.search(SAID[name], message), (name, message)
+        assert "\n" not in message and message.isprintable()
 
 
 def test_bombs_end_quickly_with_an_error(tmp_path):

@@ -250,21 +250,21 @@ def test_infrared_is_not_shown_with_depth_aligned_to_colour(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("schema", "said"),
+    ("schema", "reason"),
     [
         ("foxglove.CompressedVideo", "video"),
         ("ffmpeg_image_transport_msgs/msg/FFMPEGPacket", "video of FFmpeg"),
         ("theora_image_transport/msg/Packet", "video (Theora)"),
     ],
 )
-def test_colour_as_video_is_a_note(tmp_path, schema, said):
+def test_colour_as_video_is_a_note(tmp_path, schema, reason):
     def more(log, i, at):
         log.json("/cam/color/video", schema, {"data": ""}, at)
 
     path, scene = write_depth(tmp_path / "x.mcap", more=more)
     with open_both_ways(path) as log:
         assert not log.has_color
-        text = f"no colour (not read: {said} of /cam/color/video): pictures show depth"
+        text = f"no colour (not read: {reason} of /cam/color/video): pictures show depth"
         assert log.description.notes.count(text) == 1
         np.testing.assert_array_equal(log.read(range(8)).frames.depth, scene.depth)
     with pytest.raises(TopicError, match="/cam/color/video"):

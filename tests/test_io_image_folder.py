@@ -92,8 +92,8 @@ def test_tum_folders_have_timestamps_and_poses(tmp_path, scan):
 def test_tum_folders_with_an_implausible_depth_unit_cause_a_warning(tmp_path, unit):
     options = LogOptions(color_intrinsics=K, depth_unit_m=unit)
     with open_log(str(write_tum(tmp_path / "desk")), options) as log:
-        said = [text for text in log.description.warnings if "--log.depth-unit-m 0.0002" in text]
-        assert len(said) == (unit is None)
+        warning = [text for text in log.description.warnings if "--log.depth-unit-m 0.0002" in text]
+        assert len(warning) == (unit is None)
 
 
 def test_without_lists_file_names_are_timestamps(tmp_path):
@@ -214,9 +214,9 @@ def test_results_record_the_image_folder(tmp_path):
     assert not (found.findings or found.notes) and found.frames_of_logs == len(STAMPS)
     (tmp_path / "copy").mkdir()
     copy = shutil.copytree(folder, tmp_path / "copy" / "room", copy_function=shutil.copyfile)
-    told, known = fingerprint(copy), fingerprint(folder)
-    assert {**told, "path": 0, "mtime_ns": 0} == {**known, "path": 0, "mtime_ns": 0}
-    assert told["mtime_ns"] != known["mtime_ns"]
+    copied, known = fingerprint(copy), fingerprint(folder)
+    assert {**copied, "path": 0, "mtime_ns": 0} == {**known, "path": 0, "mtime_ns": 0}
+    assert copied["mtime_ns"] != known["mtime_ns"]
     shutil.rmtree(folder)
     found = verify(tmp_path / "out", [str(copy)])
     assert not (found.findings or found.notes) and found.frames_of_logs == len(STAMPS)
@@ -249,14 +249,14 @@ def test_images_in_other_folders_are_separate_logs(tmp_path):
 
 def test_depth_is_aligned_by_the_layout_of_the_folder(tmp_path):
     text = "depth is taken to be aligned to colour, as in TUM's and Open3D's folders; else give "
-    for folder, said in (
+    for folder, warning in (
         (write_tum(tmp_path / "tum"), True),
         (write_open3d(tmp_path / "o"), False),
     ):
-        with open_log(str(folder), GIVEN if said else LogOptions()) as log:
+        with open_log(str(folder), GIVEN if warning else LogOptions()) as log:
             found = [line for line in log.description.warnings if line.startswith(text)]
             assert (len(found), log.description.extrinsics_source) == (
-                said,
+                warning,
                 "not needed: depth is aligned to colour (as in TUM's and Open3D's folders)",
             )
 

@@ -136,21 +136,21 @@ def test_random_logs_are_equal_by_index_and_by_scan(tmp_path, monkeypatch, few):
     if few:
         monkeypatch.setattr(indexed, "_MAX_MOTIONS", 0)
     monkeypatch.setattr(windows, "_BESIDE", 1)
-    same = asked = 0
+    same = rescans = 0
     for seed in range(16):
         path = tmp_path / "x.mcap"
         options = write_random(path, seed)
         try:
             with open_only(str(path), options) as found:
                 if not is_indexed(found):
-                    asked += 1
+                    rescans += 1
                     continue
                 with open_only(str(path), scanning(options)) as scanned:
                     assert_same_log(found, scanned, (3, 16))
                     same += 1
         except RescanError:
-            asked += 1
-    assert same >= 10, asked
+            rescans += 1
+    assert same >= 10, rescans
 
 
 def long_log(path: Path, count: int = 60, **options: object) -> Path:
@@ -370,13 +370,13 @@ def test_notes_of_batches_add_up_for_any_batch_size(tmp_path):
             if not is_indexed(log):
                 continue
             try:
-                told = [
+                totals = [
                     str(log.described(total(batch.notes for batch in log.batches(size))))
                     for size in (1, 5, 100)
                 ]
             except RescanError:
                 continue
-            assert told[0] == told[1] == told[2]
+            assert totals[0] == totals[1] == totals[2]
 
 
 def test_transforms_that_change_late_or_are_rare_are_not_constant(tmp_path, monkeypatch):

@@ -26,7 +26,7 @@ def decoders(name: str, text: str | None = None) -> tuple[MessageDecoder, Messag
     return MessageDecoder(channel), by_definition
 
 
-def told(decoder: MessageDecoder, payload: bytes) -> Any:
+def decoded(decoder: MessageDecoder, payload: bytes) -> Any:
     try:
         return decoder.decode(payload)
     except FrameError as error:
@@ -65,12 +65,12 @@ def test_transforms_equal_those_read_by_the_definition(parts, change):
     assert quick._in_place
     found: Any = quick.decode(payload) if all(part[0] >= 0 for part in parts) else ()
     assert [item.parent for item in found] == [part[1].lstrip("/") for part in parts if found]
-    assert told(quick, bytes(payload)) == told(general, bytes(payload))
+    assert decoded(quick, bytes(payload)) == decoded(general, bytes(payload))
     place, value = change
     if place < len(payload):
         payload[place] = value
-        assert told(quick, bytes(payload)) == told(general, bytes(payload))
-        assert told(quick, bytes(payload[:place])) == told(general, bytes(payload[:place]))
+        assert decoded(quick, bytes(payload)) == decoded(general, bytes(payload))
+        assert decoded(quick, bytes(payload[:place])) == decoded(general, bytes(payload[:place]))
 
 
 def test_odometry_equals_that_read_by_the_definition():
@@ -82,7 +82,7 @@ def test_odometry_equals_that_read_by_the_definition():
     assert (item.stamp_ns, item.parent, item.child) == (3_000_000_007, "odom", "base")
     assert np.linalg.norm(item.rotation) == pytest.approx(1, abs=1e-15)
     for size in range(0, len(payload) + 1, 5):
-        assert told(quick, payload[:size]) == told(general, payload[:size])
+        assert decoded(quick, payload[:size]) == decoded(general, payload[:size])
 
 
 def test_another_definition_is_not_read_in_place():

@@ -265,7 +265,7 @@ def test_neighbouring_splits_continue_where_the_log_ends(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("own", "spans", "matrices", "beside"),
+    ("own", "spans", "matrices", "neighbours"),
     [
         ([2], [(0, 1), None, (86400, 86401)], "KKK", [1]),
         ([2], [(0, 1), (1, 2), (2, 3)], "K-L", [1]),
@@ -274,7 +274,7 @@ def test_neighbouring_splits_continue_where_the_log_ends(tmp_path):
     ],
 )
 def test_neighbouring_splits_are_used_with_all_nearer_ones(
-    tmp_path, monkeypatch, own, spans, matrices, beside
+    tmp_path, monkeypatch, own, spans, matrices, neighbours
 ):
     """Splits without images or calibration take it from nearer ones; a clock may be set back."""
 
@@ -288,7 +288,7 @@ def test_neighbouring_splits_are_used_with_all_nearer_ones(
     paths = [tmp_path / f"x_{number}.mcap" for number in range(len(spans))]
     touch(tmp_path, *(path.name for path in paths))
     log = LogFiles("x", tuple(paths[number] for number in own))
-    assert siblings(log) == tuple(paths[number] for number in beside)
+    assert siblings(log) == tuple(paths[number] for number in neighbours)
 
 
 def test_an_empty_name_is_an_error(tmp_path, monkeypatch):

@@ -105,9 +105,9 @@ def test_missing_checksums_are_reported_once(tmp_path):
         part = part._replace(depth_ns=SCENE.depth_ns[2 * number :][:2])
         write_log(tmp_path / f"x_{number}.mcap", part, crc=False)
     with open_log(str(tmp_path)) as log:
-        said = "integrity not checkable in 2 of 2 files: they hold no CRC"
+        expected = "integrity not checkable in 2 of 2 files: they hold no CRC"
         assert not log.description.warnings
-        assert [text for text in log.description.notes if "joined" not in text] == [said]
+        assert [text for text in log.description.notes if "joined" not in text] == [expected]
 
 
 def test_a_chunk_missing_in_the_index_is_reported(tmp_path):
@@ -512,5 +512,5 @@ def test_undecodable_transforms_are_counted(tmp_path, monkeypatch, bad):
         with open_log(str(path)) as log, pytest.raises(RescanError, match=text):
             list(log.batches(8))
     with open_log(str(path), LogOptions(scan=bad[0] > 4)) as log:
-        said = "/tf: 2 of 42 messages can't be decoded"
-        assert any(said in text for text in log.description.warnings)
+        expected = "/tf: 2 of 42 messages can't be decoded"
+        assert any(expected in text for text in log.description.warnings)

@@ -172,8 +172,8 @@ def test_a_run_reports_the_score_on_labels(
     other = tmp_path / "other.mcap"
     other.write_bytes((drive / "drive.mcap").read_bytes())
     assert main(["run", log, str(other), *args, "-y"]) == 2
-    said = "labels are of one log, but there are 2; run the logs one by one"
-    assert said in capsys.readouterr().err
+    message = "labels are of one log, but there are 2; run the logs one by one"
+    assert message in capsys.readouterr().err
     write(tmp_path, [{"frame": 0, "box": [100, 100, 140, 160]}])
     assert main(["run", log, *args, "-y"]) == 0
     assert "distance_m not compared: no true distance is known" in capsys.readouterr().out

@@ -232,8 +232,8 @@ def test_too_little_memory_is_an_error(tmp_path, capsys):
     log = write_log(tmp_path / "a.mcap", make_scene(2))
     given = ["run", str(log), "--output", str(tmp_path / "out"), "--memory", "100MiB", "--quiet"]
     assert main(given) == 2
-    said = capsys.readouterr().err
-    assert said.splitlines()[-1].endswith("too little for any log; give --memory 704MiB or more")
+    message = capsys.readouterr().err
+    assert message.splitlines()[-1].endswith("too little for any log; give --memory 704MiB or more")
     assert not (tmp_path / "out").exists()
 
 

@@ -43,9 +43,9 @@ def made(tmp_path_factory):
 def ended(capsys, arguments: list[str], code: int) -> str:
     """Run a command that fails; return its only line on standard error, which is printable."""
     assert main(arguments) == code
-    said = capsys.readouterr()
-    lines = [line for line in said.err.splitlines() if line.startswith("jaxdet: error: ")]
-    assert len(lines) == 1 and "Traceback" not in said.err + said.out
+    message = capsys.readouterr()
+    lines = [line for line in message.err.splitlines() if line.startswith("jaxdet: error: ")]
+    assert len(lines) == 1 and "Traceback" not in message.err + message.out
     assert lines[0].isprintable()
     return lines[0]
 
@@ -108,8 +108,8 @@ def test_names_of_files_are_escaped_in_errors(capsys, tmp_path, made):
     shutil.copy(made, name)
     run = ["run", str(name), "--backend", "reference", "--pictures", "1"]
     assert main([*run, "--output", str(tmp_path / "out")]) == 0
-    said = capsys.readouterr()
-    assert r"a\xff\x1b[31m" in said.out and "\x1b" not in said.out + said.err
+    message = capsys.readouterr()
+    assert r"a\xff\x1b[31m" in message.out and "\x1b" not in message.out + message.err
     folder = only_log(tmp_path / "out")
     assert folder.name.isascii() and folder.name.isprintable()
     assert "\\\\xff" in (folder / "summary.json").read_text(encoding="utf-8")

@@ -87,15 +87,20 @@ def test_the_folder_of_a_log_is_named_after_its_path(done: Path) -> None:
 
 
 def test_results_of_a_log_do_not_depend_on_other_logs(logs: Path, done: Path, tmp_path: Path):
-    told = run_one(str(logs / "b.mcap"), tmp_path / "one", {**HOW, "name": "b"})
-    assert (told["status"], told["name"], told["frames"], told["error"]) == ("done", "b", 3, None)
-    assert json.loads(json.dumps(told)) == told
+    record = run_one(str(logs / "b.mcap"), tmp_path / "one", {**HOW, "name": "b"})
+    assert (record["status"], record["name"], record["frames"], record["error"]) == (
+        "done",
+        "b",
+        3,
+        None,
+    )
+    assert json.loads(json.dumps(record)) == record
     same_results(tmp_path / "one", done / "b")
     assert [path.name for path in tmp_path.iterdir()] == ["one"]
     bad = tmp_path / "bad.mcap"
     bad.write_bytes(b"no log")
-    told = run_one(str(bad), tmp_path / "two", HOW)
-    assert told["status"] == "failed" and "not an MCAP file" in told["error"]
+    record = run_one(str(bad), tmp_path / "two", HOW)
+    assert record["status"] == "failed" and "not an MCAP file" in record["error"]
     assert (tmp_path / "two" / "failed.json").is_file()
     assert not (tmp_path / "two" / "manifest.json").exists()
 
@@ -205,13 +210,13 @@ def test_a_failed_log_is_run_again_only_by_an_update(
     output = tmp_path / "out"
     (own / "b.mcap").write_bytes(b"no log")
     assert [log.log for log in run_logs(own, output, **HOW).failed] == ["b"]
-    told = json.loads((output / "b" / "failed.json").read_text("utf-8"))
-    assert told["attempts"] == 1 and "not an MCAP file" in told["reason"]
+    record = json.loads((output / "b" / "failed.json").read_text("utf-8"))
+    assert record["attempts"] == 1 and "not an MCAP file" in record["reason"]
     names = made(monkeypatch)
     assert [log.log for log in run_logs(own, output, **HOW).failed] == ["b"] and not names
     run_logs(own, output, update=True, **HOW)
-    told = json.loads((output / "b" / "failed.json").read_text("utf-8"))
-    assert told["attempts"] == 2 and names == ["b"]
+    record = json.loads((output / "b" / "failed.json").read_text("utf-8"))
+    assert record["attempts"] == 2 and names == ["b"]
     with open_results(output) as results:
         assert [(one.log, "MCAP" in one.reason) for one in results.failed] == [("b", True)]
     shutil.copy2(logs / "b.mcap", own / "b.mcap")

@@ -192,11 +192,11 @@ def test_no_mask_is_suggested_if_body_and_scene_look_alike(logs, tmp_path, capsy
     first = next(m for m in messages if m.kind == "sensor_msgs/Image" and "depth" in m.topic)
     still = changed(messages, in_depth(lambda depth: np.copyto(depth, first.pixels)))
     log = write_messages(tmp_path / "still.mcap", still)
-    asked = ["--suggest-mask", str(tmp_path / "mask.png")]
-    assert main(["info", str(log), *asked]) == 1
+    suggest = ["--suggest-mask", str(tmp_path / "mask.png")]
+    assert main(["info", str(log), *suggest]) == 1
     assert "the camera keeps still" in capsys.readouterr().err
     how = ["--ground.source", "none"]
-    assert main(["info", str(logs / "arm.mcap"), *asked, *how]) == 1
+    assert main(["info", str(logs / "arm.mcap"), *suggest, *how]) == 1
     assert "the floor is not known" in capsys.readouterr().err
-    assert main(["info", str(logs), *asked]) == 2
+    assert main(["info", str(logs), *suggest]) == 2
     assert main(["info", str(log), "--suggest-mask", str(log)]) == 2

@@ -124,9 +124,9 @@ def test_each_log_has_a_line_and_equal_warnings_are_printed_once() -> None:
 
 def test_floors_found_only_per_frame_are_not_reported_as_unknown() -> None:
     searched = "each frame is searched alone; %d of 18 sampled frames show their floor"
-    for count, said in ((18, "not one for all frames"), (0, "unknown")):
+    for count, text in ((18, "not one for all frames"), (0, "unknown")):
         record = GroundRecord("none", message=searched % count, frames_used=count)
-        assert ground_text([record]) == f"{said} ({searched % count})"
+        assert ground_text([record]) == f"{text} ({searched % count})"
 
 
 @pytest.mark.parametrize(
@@ -137,7 +137,7 @@ def test_rates_are_rounded(rate: float, shown: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("error", "said"),
+    ("error", "text"),
     [
         ("/d/drive.mcap: torn", "/d/drive.mcap: torn"),
         ("/d/images/depth/1.png: torn", "/d/images/depth/1.png: torn"),
@@ -147,6 +147,6 @@ def test_rates_are_rounded(rate: float, shown: str) -> None:
         ("workers can't be started", "d/drive: workers can't be started"),
     ],
 )
-def test_a_failure_names_its_log(error: str, said: str) -> None:
+def test_a_failure_names_its_log(error: str, text: str) -> None:
     paths = ["/d/drive.mcap", "/d/images"]
-    assert failure({"log": "d/drive", "paths": paths, "error": error}) == said
+    assert failure({"log": "d/drive", "paths": paths, "error": error}) == text

@@ -149,8 +149,8 @@ def test_metadata_of_tables_has_units_configuration_and_inputs(folder: Path) -> 
 def test_incomplete_results_are_refused(folder: Path, tmp_path: Path, name: str) -> None:
     half = copied(folder, tmp_path / "half")
     (half / name).unlink()
-    said = f"no (complete )?results .{name}"
-    with pytest.raises(InputError, match=said):
+    message = f"no (complete )?results .{name}"
+    with pytest.raises(InputError, match=message):
         Results(half).tables()
     for damaged in (b"{", b"[]", b"[" * 100_000):
         (half / name).write_bytes(damaged)
@@ -190,11 +190,11 @@ def test_an_unreadable_file_is_not_reported_as_damaged(
     def shut(path: Path, mode: str) -> None:
         raise PermissionError(errno.EACCES, "Failed to open", str(path))
 
-    said = r"%s: can't be read \(%s\); check its permissions"
+    message = r"%s: can't be read \(%s\); check its permissions"
     with monkeypatch.context() as patch, pytest.raises(InputError) as caught:
         patch.setattr(reading, "open_file", shut)
         Results(folder).tables()
-    assert caught.match(said % ("frames.parquet", "Permission denied"))
+    assert caught.match(message % ("frames.parquet", "Permission denied"))
     new = copied(folder, tmp_path / "new")
     (new / "frames.parquet").unlink()
     os.mkfifo(new / "frames.parquet")
@@ -203,7 +203,7 @@ def test_an_unreadable_file_is_not_reported_as_damaged(
     (new / "frames.parquet").unlink()
     (new / "summary.json").unlink()
     (new / "summary.json").mkdir()
-    with pytest.raises(InputError, match=said % ("summary.json", "Is a directory")):
+    with pytest.raises(InputError, match=message % ("summary.json", "Is a directory")):
         Results(new)
 
 
@@ -262,8 +262,8 @@ def test_results_of_older_versions_do_not_record_image_folders(
     path: str, described: dict[str, bool], expected: bool
 ) -> None:
     about = {"pose_source": "poses: TF from map", **described}
-    told = {"paths": [path], "description": about}
-    log = ResultLog("a", "c", "a", Path(), False, told, 0, 0)
+    entry = {"paths": [path], "description": about}
+    log = ResultLog("a", "c", "a", Path(), False, entry, 0, 0)
     assert log.poses_from_tf is expected
 
 

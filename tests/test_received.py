@@ -73,5 +73,5 @@ def test_inputs_in_a_received_manifest_are_checked(tracked, tmp_path, capsys):
     content = {name: value for name, value in manifest.items() if name not in own}
     write_manifest(results / "a", content | {"inputs": ["drive.mcap"]})
     assert main(["verify", str(results)]) == 1
-    said = capsys.readouterr()
-    assert "inputs[0] must be dict" in said.out and "jaxdet itself" not in said.err
+    message = capsys.readouterr()
+    assert "inputs[0] must be dict" in message.out and "jaxdet itself" not in message.err

@@ -161,8 +161,8 @@ def test_at_the_margins_floor_measured_too_near_has_no_front() -> None:
     forward = np.tile(np.array([2650, 2630, 2700, 2600])[:, None], (1, 24))
     gone = without_bent_floor(label, label < 0, forward, height, UNIT, CREASED) < 0
     np.testing.assert_array_equal(gone, label != 1)
-    for beside in (-59, 0, 59):
-        forward[1] = forward[2] + beside
+    for sideways in (-59, 0, 59):
+        forward[1] = forward[2] + sideways
         kept = without_bent_floor(label, label < 0, forward, height, UNIT, CREASED)
         np.testing.assert_array_equal(kept, label)
 

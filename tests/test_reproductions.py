@@ -51,9 +51,9 @@ def test_commands_show_progress(log: Path) -> None:
     run = [sys.executable, "-m", "jaxdet", "info", str(log)]
     subprocess.run(run, stdout=subprocess.DEVNULL, stderr=child, check=True, timeout=300)
     os.close(child)
-    said = os.read(parent, 1 << 16).decode()
+    printed = os.read(parent, 1 << 16).decode()
     os.close(parent)
-    assert "reading s" in said
+    assert "reading s" in printed
 
 
 def test_a_truncated_log_without_a_calibration_reports_both(tmp_path: Path) -> None:
@@ -81,8 +81,8 @@ def test_number_of_failed_logs_is_reported(log: Path, tmp_path: Path, capsys: Ca
     assert main([*run, "--pictures", "0"]) == 1
     assert "; 1 of 2 logs failed" in capsys.readouterr().out
     assert main(["run", str(bad), "--output", str(tmp_path / "none")]) == 1
-    said = capsys.readouterr()  # for a single log only its error is printed
-    assert said.out == "no results\n" and said.err.count("\n") == 1
+    printed = capsys.readouterr()  # for a single log only its error is printed
+    assert printed.out == "no results\n" and printed.err.count("\n") == 1
 
 
 @pytest.mark.parametrize("name, value", [("z", -5), ("x", 400_000)])
@@ -114,7 +114,7 @@ def test_low_level_functions_refuse_arguments_that_are_not_batches() -> None:
     )
     arrays = given.calibration._replace(color_from_depth=Extrinsics(np.eye(3), [0, 0, 0]))
     none = given._replace(color=given.color[:0], depth=given.depth[:0], valid=given.valid[:0])
-    for wrong, said in (
+    for wrong, message in (
         ([given, given], "frames: expected Frames, got list"),
         (
             given._replace(calibration=arrays),
@@ -123,5 +123,5 @@ def test_low_level_functions_refuse_arguments_that_are_not_batches() -> None:
         (none, "there are no frames"),
     ):
         for backend in ("reference", "jax"):
-            with pytest.raises((InputError, CalibrationError), match=said):
+            with pytest.raises((InputError, CalibrationError), match=message):
                 jaxdet.detect(wrong, backend=backend)

@@ -120,9 +120,9 @@ def test_nothing_is_published_for_unusable_images(frames, monkeypatch):
     for warning, (image, info) in bad_images(camera, images[0].depth).items():
         node.warnings.clear()
         deliver(node, image, info)
-        (said,) = node.warnings
-        assert warning in said and said.startswith("nothing is published: /cam/depth/")
-        assert "--" not in said and set(node.counts().values()) == {0}
+        (reported,) = node.warnings
+        assert warning in reported and reported.startswith("nothing is published: /cam/depth/")
+        assert "--" not in reported and set(node.counts().values()) == {0}
     deliver(node, image_message(8, "camera", images[0].depth), info_message(8, camera))
     assert set(node.counts().values()) == {1}
     assert str(obstacles) == "7 depth images, 1 with published obstacles"
@@ -135,8 +135,8 @@ def test_images_without_calibration_are_a_warning(frames, monkeypatch):
     for number in range(UNPAIRED + 1):
         assert node.warnings == []
         node.deliver(DEPTH, image_message(number * 10**8, "camera", images[0].depth))
-    (said,) = node.warnings
-    assert said.startswith(f"{INFO}: no CameraInfo within slop_s of the last 31 depth images")
+    (reported,) = node.warnings
+    assert reported.startswith(f"{INFO}: no CameraInfo within slop_s of the last 31 depth images")
     node.deliver(INFO, info_message(UNPAIRED * 10**8 + 4 * 10**7, camera))
     (message,) = node.published["/jaxdet/detections"]
     assert (message.header.stamp.sec, message.header.stamp.nanosec) == (3, 0)
@@ -186,8 +186,8 @@ def test_the_mount_comes_from_tf(frames, monkeypatch):
     ObstacleNode(node)
     pair = image_message(0, "camera", images[0].depth), info_message(0, camera)
     deliver(node, *pair)
-    (said,) = node.warnings
-    assert "base_frame base_link: no transform to 'camera'" in said
+    (reported,) = node.warnings
+    assert "base_frame base_link: no transform to 'camera'" in reported
     level = np.array([[0, 0, 1, 0.1], [-1, 0, 0, 0], [0, -1, 0, 0.3], [0, 0, 0, 1.0]])
     node.transforms["base_link", "camera"] = level
     deliver(node, *pair)

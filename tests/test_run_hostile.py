@@ -63,11 +63,11 @@ def test_results_replaced_while_they_are_opened_are_read_again(two, tmp_path, mo
     run(tmp_path, two)
     real, opened = reading.entries_of, []
 
-    def entries(told: Any, where: Path) -> Any:
+    def entries(root: Any, where: Path) -> Any:
         if not opened:
             opened.append(where)
             run(tmp_path, two, overwrite=True, height=0.5)
-        return real(told, where)
+        return real(root, where)
 
     monkeypatch.setattr(reading, "entries_of", entries)
     with Results(tmp_path) as results:
@@ -129,9 +129,9 @@ def test_a_lock_is_held_by_one_of_many_processes(tmp_path):
     command = [sys.executable, "-c", RACE, str(tmp_path / "out"), end]
     ends = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     many = [subprocess.Popen(command, **ends, text=True, cwd=ROOT) for _ in range(3)]
-    said = [process.communicate() for process in many]
-    assert [process.returncode for process in many] == [0] * 3, said
-    assert sum(int(out) for out, _ in said) > 20
+    outputs = [process.communicate() for process in many]
+    assert [process.returncode for process in many] == [0] * 3, outputs
+    assert sum(int(out) for out, _ in outputs) > 20
 
 
 @pytest.mark.parametrize("since", [4e9, -1.0, 1e300])

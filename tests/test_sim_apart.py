@@ -136,12 +136,12 @@ def test_boxes_may_touch_hang_and_contain_others():
     base = solid_of(box((1.0, 1.0, 0.5), WOOD))
     inside = solid_of(cylinder(0.1, 0.3, WOOD).moved(shift(z=0.1)))
     on_top = solid_of(box((0.5, 0.5, 0.5), WOOD, (0.0, 0.0, 0.5)))
-    beside = solid_of(box((1.0, 1.0, 0.5), WOOD, (1.0, 0.0, 0.0)))
+    adjacent = solid_of(box((1.0, 1.0, 0.5), WOOD, (1.0, 0.0, 0.0)))
     into = solid_of(box((1.0, 1.0, 0.5), WOOD, (0.99, 0.0, 0.0)))
-    assert [intersect(base, one) for one in (inside, on_top, beside, into)] == [
+    assert [intersect(base, one) for one in (inside, on_top, adjacent, into)] == [
         True, False, False, True
     ]  # fmt: skip
-    assert intersect(base, beside, CLEAR_M) and not intersect(base, on_top, CLEAR_M)
+    assert intersect(base, adjacent, CLEAR_M) and not intersect(base, on_top, CLEAR_M)
 
 
 def test_distance_of_polygons_by_hand():

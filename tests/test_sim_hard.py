@@ -191,8 +191,8 @@ def test_a_wrong_mount_is_in_the_log_but_not_in_the_ground_truth(tmp_path):
         "mount_pitch_error_rad": 0.03, "mount_roll_error_rad": -0.02, "mount_height_error_m": 0.03,
     }  # fmt: skip
     (frame,) = sample_frames("corridor", 2, 1, sensor=EXACT, **wrong, **SMALL)
-    told, true = frame.plane, flat_plane(*frame.mount)
-    assert (told.height[0], told.pitch[0], told.roll[0]) == (0.30, 0.1745, 0.0175)
+    given, true = frame.plane, flat_plane(*frame.mount)
+    assert (given.height[0], given.pitch[0], given.roll[0]) == (0.30, 0.1745, 0.0175)
     np.testing.assert_allclose([true.height, true.pitch, true.roll], [[0.33], [0.2045], [-0.0025]])
     truth = frame_truth(frame)
     assert (truth.camera_height, truth.camera_pitch) == (true.height, true.pitch)

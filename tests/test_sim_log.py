@@ -110,10 +110,10 @@ def test_tf_has_mount_and_extrinsics(log):
     np.testing.assert_allclose(link @ color, expected, atol=1e-12)
     T_color_depth = calibration_of(CONFIG).color_from_depth.T
     np.testing.assert_allclose(np.linalg.inv(color) @ depth, T_color_depth, atol=1e-12)
-    told = topics["/camera/camera/extrinsics/depth_to_color"][0]
-    rotation = np.reshape(told.rotation, (3, 3)).T
+    extrinsics = topics["/camera/camera/extrinsics/depth_to_color"][0]
+    rotation = np.reshape(extrinsics.rotation, (3, 3)).T
     np.testing.assert_array_equal(rotation, T_color_depth[:3, :3])
-    np.testing.assert_array_equal(told.translation, T_color_depth[:3, 3])
+    np.testing.assert_array_equal(extrinsics.translation, T_color_depth[:3, 3])
 
 
 def test_odometry_brackets_the_frames(log):

@@ -80,8 +80,8 @@ def test_a_folder_that_others_can_write_to_is_not_used(no_caches, monkeypatch, t
     assert found.warp == private.warp
     assert found.jax and found.jax.is_relative_to(tmp_path / "xdg" / "jaxdet")
     assert unsafe_caches() == [private.jax]
-    said = f"{private.jax} can be written to by other users"
-    assert first_time(found).startswith(said) and str(found.jax) in first_time(found)
+    message = f"{private.jax} can be written to by other users"
+    assert first_time(found).startswith(message) and str(found.jax) in first_time(found)
     assert doctor.caches() == (False, f"{private.jax} {UNSAFE}")
     found.jax.mkdir(parents=True, exist_ok=True)
     found.jax.chmod(mode)

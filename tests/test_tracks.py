@@ -718,7 +718,7 @@ def test_metadata_of_tracks_names_their_settings_and_files(folder: Path, tmp_pat
     assert all(one.items() > obstacles.items() for one in own)
     table, key = pq.read_table(copy / "tracks.parquet"), tracks_folder.TRACKING_KEY
     wrong = "{", "[1]", '{"speed": 1}', '{"gate_m": -1}', '{"gate_m": "1"}'
-    for own in (None, {"jaxdet.format": "2"}, *({key: told} for told in wrong)):
+    for own in (None, {"jaxdet.format": "2"}, *({key: value} for value in wrong)):
         pq.write_table(table.replace_schema_metadata(own), copy / "tracks.parquet")
         with pytest.raises(InputError, match="doesn't say what linked the obstacles"):
             tracks_folder.tracking(copy)

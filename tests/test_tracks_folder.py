@@ -61,8 +61,8 @@ def test_two_simultaneous_commands_leave_valid_results(folder: Path, tmp_path: P
     copy = shutil.copytree(folder.parent, tmp_path / "copy")
     command = [sys.executable, "-m", "jaxdet", "track", str(copy)]
     both = [subprocess.Popen(command, stderr=subprocess.PIPE, text=True) for _ in range(2)]
-    said = [process.communicate()[1] for process in both]
-    ends = sorted((process.returncode, text) for process, text in zip(both, said, strict=True))
+    printed = [process.communicate()[1] for process in both]
+    ends = sorted((process.returncode, text) for process, text in zip(both, printed, strict=True))
     assert ends[0] == (0, "")
     assert ends[1] == (0, "") or (ends[1][0] == 2 and "another run works here" in ends[1][1])
     assert not verify(copy, sample=0).findings
@@ -81,20 +81,20 @@ def test_a_run_stopped_while_tracking_is_resumed(tmp_path: Path, monkeypatch, ca
     for number in (signal.SIGINT, signal.SIGTERM):
         with monkeypatch.context() as patch:
             patch.setattr(tracks_folder, "write_tracks", lambda *_, n=number: stop(n))
-            code, _, said = run("a", *["--quiet"] * (number == signal.SIGINT))
+            code, _, printed = run("a", *["--quiet"] * (number == signal.SIGINT))
         assert code == 128 + number
-        assert said.splitlines()[-1] == (
+        assert printed.splitlines()[-1] == (
             "jaxdet: error: interrupted while linking; the same command goes on"
         )
-    code, out, said = run("a")
-    assert (code, said) == (0, "") and "1 log done before" in out and "are in one" in out
+    code, out, printed = run("a")
+    assert (code, printed) == (0, "") and "1 log done before" in out and "are in one" in out
     same_results(tmp_path / "a", tmp_path / "whole")
-    code, out, said = run("a")
-    assert (code, said) == (0, "") and "nothing new" in out and "are in one" not in out
+    code, out, printed = run("a")
+    assert (code, printed) == (0, "") and "nothing new" in out and "are in one" not in out
     assert run("a", "--quiet") == (0, "", "")
     assert json.loads(run("a", "--json")[1])["frames"] == 6
-    code, _, said = run("a", "--quiet", "--ground.max-depth-m", "3")
-    assert code == 2 and "ground.max_depth_m was 4.0 and is 3.0 now" in said
+    code, _, printed = run("a", "--quiet", "--ground.max-depth-m", "3")
+    assert code == 2 and "ground.max_depth_m was 4.0 and is 3.0 now" in printed
     assert not verify(tmp_path / "a", sample=0).findings
 
 

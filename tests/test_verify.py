@@ -365,9 +365,9 @@ def test_an_incomplete_run_is_a_finding(whole: Path, tmp_path: Path) -> None:
     (copy / "b" / "manifest.json").unlink()
     (copy / "mine").mkdir()
     (copy / "c").mkdir()
-    told = {"logs": [{"log": "c", "camera": None, "paths": [], "error": "no", "lost": []}]}
-    told["logs"][0] |= {"frames": 0, "obstacles": 0}
-    (copy / "c" / "failed.json").write_text(json.dumps(told))
+    record = {"logs": [{"log": "c", "camera": None, "paths": [], "error": "no", "lost": []}]}
+    record["logs"][0] |= {"frames": 0, "obstacles": 0}
+    (copy / "c" / "failed.json").write_text(json.dumps(record))
     report = verify(copy, sample=0)
     first, second = found(report)
     assert first.startswith("a/map.npz: has 0 bytes")
@@ -426,8 +426,8 @@ def test_the_command_prints_findings_and_exits_with_1(results: Path, capsys: Any
     assert capsys.readouterr().out.endswith("all as it should be\n")
     (results / "config.json").unlink()
     assert main(["verify", str(results), "--json"]) == 1
-    told = json.loads(capsys.readouterr().out)
-    assert told["findings"][0] == {
+    record = json.loads(capsys.readouterr().out)
+    assert record["findings"][0] == {
         "check": "files", "where": "config.json", "problem": "is missing"
     }  # fmt: skip
     assert main(["verify", str(results / "missing")]) == 1

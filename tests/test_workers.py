@@ -345,7 +345,7 @@ def test_a_device_server_gives_equal_bytes(sim_logs, tmp_path, monkeypatch, pres
 
 
 @pytest.mark.parametrize(
-    ("width", "height", "asked", "want"),
+    ("width", "height", "batch_size", "want"),
     [
         (640, 480, None, (16, 256)),
         (640, 480, 24, (16, 32)),
@@ -354,10 +354,10 @@ def test_a_device_server_gives_equal_bytes(sim_logs, tmp_path, monkeypatch, pres
         (4096, 3072, None, (1, 16)),
     ],
 )
-def test_memory_of_batches_is_bounded(width, height, asked, want):
+def test_memory_of_batches_is_bounded(width, height, batch_size, want):
     camera = Intrinsics(width, height, 600.0, 600.0, width / 2, height / 2)
     log: Any = SimpleNamespace(depth_shape=(height, width), calibration=Calibration(camera))
-    served = device_server.server_config(log, Config(), asked, device_server.PIECE_FRAMES, 2)
+    served = device_server.server_config(log, Config(), batch_size, device_server.PIECE_FRAMES, 2)
     there = device_server.DeviceServer(served, [], ["gpu"])
     slots = there.memory.slots
     assert (slots.frames, served.pieces * slots.frames) == want

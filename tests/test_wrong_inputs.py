@@ -32,7 +32,7 @@ IMAGE = "sensor_msgs/msg/Image"
 
 
 @pytest.mark.parametrize(
-    ("data", "said"),
+    ("data", "error"),
     [
         (b"", "is empty"),
         (MAGIC, "holds no records"),
@@ -40,9 +40,9 @@ IMAGE = "sensor_msgs/msg/Image"
         (b"x" * 99, "not an MCAP"),
     ],
 )
-def test_errors_for_files_that_are_not_logs_name_the_file(tmp_path, data, said):
+def test_errors_for_files_that_are_not_logs_name_the_file(tmp_path, data, error):
     (tmp_path / "one.mcap").write_bytes(data)
-    with pytest.raises(InputError, match=rf"one\.mcap: .*{said}"):
+    with pytest.raises(InputError, match=rf"one\.mcap: .*{error}"):
         open_log(str(tmp_path / "one.mcap"))
 
 
@@ -57,8 +57,8 @@ def test_unknown_encodings_are_named_and_other_topics_are_read(tmp_path, encodin
         log.raw("/other/image", message, (IMAGE, schema, text), b"\0" * 40, START)
     with open_log(str(tmp_path / "x.mcap")) as log:
         assert_holds(log, scene)
-        [said] = [text for text in log.description.warnings if "/other/image" in text]
-        assert "smoke" in said or "ros2idl" in said
+        [error] = [text for text in log.description.warnings if "/other/image" in text]
+        assert "smoke" in error or "ros2idl" in error
 
 
 @pytest.mark.parametrize("little", [True, False])
@@ -97,8 +97,8 @@ def test_timestamps_before_1970_are_reported(tmp_path, given):
             early = at - START - 10**12
             log.ros(COLOR, ros_image(color, "rgb8", early, COLOR_FRAME), at)
             log.ros(DEPTH, ros_image(depth, "16UC1", early, DEPTH_FRAME), at)
-    said = r"3 of 3 messages can't be decoded: header stamp \(-\d+ s, .*1970"
-    with pytest.raises(TopicError, match=said):
+    error = r"3 of 3 messages can't be decoded: header stamp \(-\d+ s, .*1970"
+    with pytest.raises(TopicError, match=error):
         open_log(str(tmp_path / "x.mcap"), LogOptions(**given))
 
 

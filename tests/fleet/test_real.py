@@ -47,8 +47,8 @@ def test_results_equal_those_of_one_machine(bucket, tmp_path, capsys):
         ]
     capsys.readouterr()
     assert main([*command, "--json"]) == 1
-    told = json.loads(capsys.readouterr().out)["logs"]
-    assert {log["log"]: log["state"] for log in told} == {
+    reports = json.loads(capsys.readouterr().out)["logs"]
+    assert {log["log"]: log["state"] for log in reports} == {
         "day/bad": "failed",
         "day/run_a": "there",
         "day/run_b": "there",
