@@ -21,7 +21,9 @@ os.environ.setdefault("HYPOTHESIS_STORAGE_DIRECTORY", str(ROOT / ".cache" / "hyp
 
 import hypothesis  # noqa: E402  (it reads its folder when it is imported)
 
-hypothesis.settings.register_profile("jaxdet", derandomize=True, database=None, deadline=None)
+hypothesis.settings.register_profile(
+    "jaxdet", derandomize=True, database=None, deadline=None, max_examples=50
+)
 hypothesis.settings.load_profile("jaxdet")
 
 
@@ -97,13 +99,6 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.fixture(scope="session")
-def aims(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    """Recorded log without poses, and its results with one picture."""
-    log = shared_data / "aims_slam" / "aims_slam_18frames.mcap"
-    return log, _results_of(log, tmp_path_factory.mktemp("aims") / "out", 1)
-
-
 @pytest.fixture(autouse=True)
 def both_ways(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """In tests of ``jaxdet.io``, compare each log opened by its index with a scan."""
@@ -114,13 +109,15 @@ def both_ways(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -
 
 
 @pytest.fixture(scope="session")
-def aims_results(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Results of a recording of a hand-held camera, without poses and transforms."""
-    from tests.runs import run_log
+def aims_log(shared_data: Path) -> Path:
+    """Recorded log of a hand-held camera, without poses and transforms."""
+    return shared_data / "aims_slam" / "aims_slam_18frames.mcap"
 
-    folder = tmp_path_factory.mktemp("aims") / "results"
-    run_log(shared_data / "aims_slam", folder, pictures=2, preset="wheeled")
-    return folder
+
+@pytest.fixture(scope="session")
+def aims_results(aims_log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Results of :func:`aims_log` with two pictures."""
+    return _results_of(aims_log, tmp_path_factory.mktemp("aims") / "results", 2)
 
 
 @pytest.fixture(scope="session")

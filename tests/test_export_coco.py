@@ -89,10 +89,8 @@ def test_annotations_of_a_simulated_log_cover_its_obstacles(drive: Path, tmp_pat
     assert np.median(share) > 0.8 and np.min(share) > 0.6  # stereo smears depth over contours
 
 
-def test_annotations_of_a_recorded_log_equal_the_table(
-    aims: tuple[Path, Path], tmp_path: Path
-) -> None:
-    folder = aims[1]
+def test_annotations_of_a_recorded_log_equal_the_table(aims_results: Path, tmp_path: Path) -> None:
+    folder = aims_results
     found = check(coco_of(folder, tmp_path / "set"), folder, tmp_path / "set")
     boxes = [one["bbox"][2] * one["bbox"][3] for _, one, _ in found]
     around = [cv2.boundingRect(mask.astype(np.uint8)) for *_, mask in found]

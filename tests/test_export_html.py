@@ -235,9 +235,9 @@ def test_a_missing_map_is_named(
 
 
 def test_page_of_a_recorded_log_agrees_with_its_tables(
-    aims: tuple[Path, Path], tmp_path: Path
+    aims_log: Path, aims_results: Path, tmp_path: Path
 ) -> None:
-    log, folder = aims
+    log, folder = aims_log, aims_results
     data = page_of(folder, tmp_path / "page.html", (str(log),))
     assert all(frame["picture"] for frame in data["frames"]) and data["logs"][0]["map"] is None
     assert (tmp_path / "page.html").stat().st_size < 2_500_000

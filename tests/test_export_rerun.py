@@ -132,9 +132,9 @@ def test_recording_without_the_log_agrees_with_the_tables(drive: Path, tmp_path:
 
 
 def test_recording_of_a_recorded_log_agrees_with_its_tables(
-    aims: tuple[Path, Path], tmp_path: Path
+    aims_log: Path, aims_results: Path, tmp_path: Path
 ) -> None:
-    log, folder = aims
+    log, folder = aims_log, aims_results
     found = recording_of(folder, tmp_path / "out", str(log))
     check(folder, found)
     check_points(folder, found)

@@ -66,6 +66,12 @@ def shared(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return names
 
 
+@pytest.fixture
+def complete(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let workers process all logs completely."""
+    monkeypatch.setattr(scheduler, "choose_logs", lambda sizes, _: set(sizes))
+
+
 @pytest.fixture(scope="module")
 def alone(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     output = tmp_path_factory.mktemp("alone")
@@ -85,23 +91,22 @@ def test_workers_process_complete_logs(folder, alone, shared, tmp_path):
     same_results(alone, tmp_path / "a")
 
 
+@pytest.mark.usefixtures("complete")
 def test_a_gpu_computes_for_workers_with_complete_logs(
     folder, alone, shared, tmp_path, monkeypatch
 ):
     with jax.default_device(jax.devices("cpu")[0]):
         on_this_machine(monkeypatch)
-        monkeypatch.setattr(scheduler, "choose_logs", lambda sizes, _: set(sizes))
         summary = run(folder, tmp_path / "a", workers=2)
     assert not summary.failed and summary.workers == 2
     assert len(shared) == 2  # the first log of each camera
     same_results(alone, tmp_path / "a")
 
 
+@pytest.mark.usefixtures("complete")
 def test_a_killed_worker_loses_no_log(folder, alone, shared, tmp_path):
     observers = {"odd": Killer(tmp_path / "once")}
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(scheduler, "choose_logs", lambda sizes, _: set(sizes))
-        summary = run(folder, tmp_path / "a", workers=2, observers=observers)
+    summary = run(folder, tmp_path / "a", workers=2, observers=observers)
     assert (tmp_path / "once").exists()
     assert not summary.failed and not any(log.lost for log in summary.logs)
     assert len(shared) == 1  # the log of the killed worker
@@ -109,12 +114,11 @@ def test_a_killed_worker_loses_no_log(folder, alone, shared, tmp_path):
         same_tables(alone / f"log_{log}", tmp_path / "a" / f"log_{log}")
 
 
+@pytest.mark.usefixtures("complete")
 def test_failures_in_workers_are_reported_by_the_main_process(folder, shared, tmp_path):
     broken = shutil.copytree(folder, tmp_path / "logs")
     (broken / "log_b.mcap").write_bytes(b"not a log")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(scheduler, "choose_logs", lambda sizes, _: set(sizes))
-        summary = run(broken, tmp_path / "a", workers=2)
+    summary = run(broken, tmp_path / "a", workers=2)
     assert [log.log for log in summary.failed] == ["log_b"] and shared == []
     plain = run(broken, tmp_path / "b", workers=1)
     assert plain.failed[0].error == summary.failed[0].error
@@ -164,6 +168,7 @@ def test_large_logs_are_split_among_workers():
     assert "large" not in chosen and 48 <= len(chosen) <= 50
 
 
+@pytest.mark.usefixtures("complete")
 def test_a_gpu_keeps_the_images_of_cameras_apart(tmp_path, monkeypatch):
     """Images have one size, and memory of one camera is reused for the other."""
     (folder := tmp_path / "logs").mkdir()
@@ -174,11 +179,11 @@ def test_a_gpu_keeps_the_images_of_cameras_apart(tmp_path, monkeypatch):
     run(folder, tmp_path / "a", workers=1)
     with jax.default_device(jax.devices("cpu")[0]):
         on_this_machine(monkeypatch)
-        monkeypatch.setattr(scheduler, "choose_logs", lambda sizes, _: set(sizes))
         assert not run(folder, tmp_path / "b", workers=2).failed
     same_results(tmp_path / "a", tmp_path / "b")
 
 
+@pytest.mark.usefixtures("complete")
 def test_a_gpu_computes_after_a_log_that_fewer_workers_share(
     folder, alone, shared, tmp_path, monkeypatch
 ):
@@ -190,31 +195,30 @@ def test_a_gpu_computes_after_a_log_that_fewer_workers_share(
     monkeypatch.setattr(resources, "memory_plan", plan)
     with jax.default_device(jax.devices("cpu")[0]):
         on_this_machine(monkeypatch)
-        monkeypatch.setattr(scheduler, "choose_logs", lambda sizes, _: set(sizes))
         summary = run(folder, tmp_path / "a", workers=2)
     assert not summary.failed
     assert shared[0] == "log_e" and len(shared) == 3  # the pool of the first log has ended
     same_results(alone, tmp_path / "a")
 
 
-def test_logs_of_several_cameras_may_be_among_others(folder, shared, tmp_path, monkeypatch):
+@pytest.mark.usefixtures("complete")
+def test_logs_of_several_cameras_may_be_among_others(folder, shared, tmp_path):
     logs = shutil.copytree(folder, tmp_path / "logs")
     cameras = {"rear": folder / "log_a.mcap", "front": folder / "log_c.mcap"}
     join_cameras(cameras, logs / "log_bb.mcap")
     run(logs, tmp_path / "alone", workers=1)
     shared.clear()
-    monkeypatch.setattr(scheduler, "choose_logs", lambda sizes, _: set(sizes))
     summary = run(logs, tmp_path / "a", workers=2)
     assert not summary.failed and len(summary.logs) == 7
     assert not shared
     same_results(tmp_path / "alone", tmp_path / "a")
 
 
-def test_complete_logs_are_updated(folder, alone, shared, tmp_path, monkeypatch):
+@pytest.mark.usefixtures("complete")
+def test_complete_logs_are_updated(folder, alone, shared, tmp_path):
     logs = shutil.copytree(folder, tmp_path / "logs")
     (logs / "log_b.mcap").write_bytes(b"not a log")
     (logs / "log_d.mcap").unlink()
-    monkeypatch.setattr(scheduler, "choose_logs", lambda sizes, _: set(sizes))
     assert len(run(logs, tmp_path / "a", workers=2).failed) == 1
     for name in "bd":
         shutil.copy2(folder / f"log_{name}.mcap", logs)
