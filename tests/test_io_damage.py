@@ -83,19 +83,22 @@ def test_any_truncation_gives_frames_or_a_clear_error(tmp_path):
             assert "\n" not in str(error)
 
 
-def test_a_chunk_with_a_wrong_crc_is_dropped_and_its_neighbours_are_used(tmp_path):
+def test_chunks_with_a_wrong_crc_are_dropped_and_their_neighbours_used(tmp_path):
     path = write_log(tmp_path / "x.mcap", SCENE, compression="none", chunk_size=6000)
     data, chunks = bytearray(path.read_bytes()), chunk_index(path)
-    data[chunks[5].chunk_start_offset + 1500] ^= 4
+    damaged = chunks[3], chunks[5]
+    for chunk in damaged:
+        data[chunk.chunk_start_offset + 1500] ^= 4
     path.write_bytes(data)
     with open_log(str(path)) as log, pytest.raises(RescanError, match=r"CRC.*--log\.scan"):
         frames_right(log)
     with open_log(str(path), LogOptions(scan=True)) as log:
         [integrity] = log.description.integrity
-        assert integrity.lost == {"chunk has a wrong CRC": 1} and integrity.recovered
-        lost = chunks[5].message_start_time, chunks[5].message_end_time
-        assert integrity.lost_spans_ns == (lost,)
-        assert 9 <= frames_right(log) < 12
+        assert integrity.lost == {"chunk has a wrong CRC": 2} and integrity.recovered
+        assert integrity.lost_bytes > sum(chunk.uncompressed_size for chunk in damaged)
+        spans = tuple((chunk.message_start_time, chunk.message_end_time) for chunk in damaged)
+        assert integrity.lost_spans_ns == spans
+        assert 7 <= frames_right(log) < 12
 
 
 def test_flipped_bits_are_always_reported_if_there_are_crcs(tmp_path):

@@ -86,6 +86,23 @@ def test_the_folder_of_a_log_is_named_after_its_path(done: Path) -> None:
             assert rows == results.tables(results.log("b")).obstacles.num_rows > 0
 
 
+def test_all_files_are_flushed_to_the_disk(
+    logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Otherwise a power failure could leave empty files under their final names."""
+    flushed, fsync = set(), os.fsync
+
+    def recorded(file: int) -> None:
+        fsync(file)
+        flushed.add(os.fstat(file).st_ino)
+
+    monkeypatch.setattr(os, "fsync", recorded)
+    output = tmp_path / "out"
+    assert not run_logs(logs / "a.mcap", output, **HOW).failed
+    missing = {path for path in output.rglob("*") if path.stat().st_ino not in flushed}
+    assert not missing and output.stat().st_ino in flushed
+
+
 def test_results_of_a_log_do_not_depend_on_other_logs(logs: Path, done: Path, tmp_path: Path):
     record = run_one(str(logs / "b.mcap"), tmp_path / "one", {**HOW, "name": "b"})
     assert (record["status"], record["name"], record["frames"], record["error"]) == (

@@ -1,6 +1,8 @@
 """Runs under adverse conditions: replaced folders, links, races, full disks, clock changes."""
 
+import fcntl
 import json
+import os
 import re
 import resource
 import subprocess
@@ -125,13 +127,30 @@ print(had)
 
 def test_a_lock_is_held_by_one_of_many_processes(tmp_path):
     """Each process removes the folder afterwards, as a run does."""
-    end = str(time.monotonic() + 3)
+    end = str(time.monotonic() + 1)
     command = [sys.executable, "-c", RACE, str(tmp_path / "out"), end]
     ends = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     many = [subprocess.Popen(command, **ends, text=True, cwd=ROOT) for _ in range(3)]
     outputs = [process.communicate() for process in many]
     assert [process.returncode for process in many] == [0] * 3, outputs
-    assert sum(int(out) for out, _ in outputs) > 20
+    assert sum(int(out) for out, _ in outputs) > 5
+
+
+def test_a_lock_file_replaced_before_it_is_locked_is_not_used(tmp_path, monkeypatch):
+    """The previous owner removes its file between opening and locking by the next one."""
+    path, files, flock = tmp_path / ".jaxdet" / "lock", [], fcntl.flock
+
+    def replaced(file: int, how: int) -> None:
+        if not files:
+            path.unlink()
+            path.touch()
+        files.append(os.fstat(file).st_ino)
+        flock(file, how)
+
+    monkeypatch.setattr(fcntl, "flock", replaced)
+    lock = Lock(path)
+    assert len(files) == 2 and path.stat().st_ino == files[1] and path.read_bytes()
+    lock.release()
 
 
 @pytest.mark.parametrize("since", [4e9, -1.0, 1e300])
