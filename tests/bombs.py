@@ -34,14 +34,14 @@ def definition(name: str) -> bytes:
 
 
 def beside_a_log(path: Path, records: bytes) -> Path:
-    """A log of three frames with more records at the end of its data."""
+    """Write a log of three frames with more records at the end of its data."""
     plain = without_end(write_log(path, make_scene(3)))
     path.write_bytes(plain + records + end())
     return path
 
 
 def schema_memory(path: Path) -> Path:
-    """Chunks of some kB, a schema of 200 MiB in each."""
+    """Write chunks of some kB, with a schema of 200 MiB in each."""
     large = bytes(200 << 20)
     parts = [chunk(schema(900 + i, IMAGE, large)) for i in range(1)]
     parts += [parts[0]] * 5
@@ -49,28 +49,28 @@ def schema_memory(path: Path) -> Path:
 
 
 def schema_text(path: Path) -> Path:
-    """A definition of 16 MB, mostly spaces in comments and constants."""
+    """Write a definition of 16 MB, mostly spaces in comments and constants."""
     lines = b"uint8 a # " + b" " * (8 << 20) + b"\n" + b"uint8 A=1 \n" * (1 << 19)
     records = schema(900, IMAGE, lines) + channel(900, "/bomb", 900)
     return beside_a_log(path, records + message(900, START, bytes(40)))
 
 
 def schema_comment(path: Path) -> Path:
-    """One of 1 MB, within the bound: the parser looks for units in comments."""
+    """Write a definition of 1 MB, the limit; the parser searches comments for units."""
     lines = b"uint8 a # " + b" " * 1_000_000 + b"[\n"
     records = schema(900, IMAGE, lines) + channel(900, "/bomb", 900)
     return beside_a_log(path, records + message(900, START, bytes(40)))
 
 
 def schema_fields(path: Path) -> Path:
-    """One of 900 kB with 100,000 fields."""
+    """Write a definition of 900 kB with 100,000 fields."""
     lines = b"".join(b"uint8 a%d\n" % i for i in range(80_000))
     records = schema(900, IMAGE, lines) + channel(900, "/bomb", 900)
     return beside_a_log(path, records + message(900, START, bytes(40)))
 
 
 def many_topics(path: Path) -> Path:
-    """60,000 topics with an image each."""
+    """Write 60,000 topics with an image each."""
     records = [schema(900, IMAGE, definition(IMAGE))]
     for i in range(2000, 62_000):
         records.append(channel(i, f"/t{i}", 900) + message(i, START, bytes(8)))
@@ -78,13 +78,13 @@ def many_topics(path: Path) -> Path:
 
 
 def empty_images(path: Path) -> Path:
-    """3 million images without a byte, in one chunk."""
+    """Write 3 million empty images in one chunk."""
     head = schema(900, IMAGE, definition(IMAGE)) + channel(900, "/bomb", 900)
     return beside_a_log(path, chunk(head + message(900, START, b"") * 3_000_000))
 
 
 def tiny_images(path: Path) -> Path:
-    """A million colour images with stamps and no pixels, on the topic that is used."""
+    """Write a million colour images with timestamps but without pixels, on the used topic."""
     with LogFile(path) as log:
         write_calibration(log)
         write_images(log, make_scene(2))
@@ -100,36 +100,36 @@ def tiny_images(path: Path) -> Path:
 
 
 def empty_transforms(path: Path) -> Path:
-    """3 million TF messages, in one chunk."""
+    """Write 3 million TF messages in one chunk."""
     head = schema(900, TF, definition(TF)) + channel(900, "/tf", 900)
     return beside_a_log(path, chunk(head + message(900, START, bytes(8)) * 3_000_000))
 
 
 def one_large_transform(path: Path) -> Path:
-    """A TF message with a million transforms."""
+    """Write a TF message with a million transforms."""
     head = schema(900, TF, definition(TF)) + channel(900, "/tf", 900)
     body = b"\0\1\0\0" + struct.pack("<I", 1_000_000) + bytes(88_000_000)
     return beside_a_log(path, chunk(head + message(900, START, body)))
 
 
 def many_messages(path: Path) -> Path:
-    """4 million messages of no use."""
+    """Write 4 million messages that are not used."""
     head = schema(900, "a/b", b"uint8 x") + channel(900, "/bomb", 900)
     return beside_a_log(path, chunk(head + message(900, START, b"") * 4_000_000))
 
 
 def empty_records(path: Path) -> Path:
-    """A million empty records between the chunks."""
+    """Write a million empty records between the chunks."""
     return beside_a_log(path, record(0x80, b"") * 1_000_000)
 
 
 def empty_records_inside(path: Path) -> Path:
-    """4 million empty records in a chunk."""
+    """Write 4 million empty records in a chunk."""
     return beside_a_log(path, chunk(record(0x80, b"") * 4_000_000))
 
 
 def summary_bomb(path: Path) -> Path:
-    """A summary of a million empty records."""
+    """Write a summary of a million empty records."""
     data = without_end(write_log(path, make_scene(3)))
     summary = record(0x80, b"") * 1_000_000
     start = len(data) + 13
@@ -139,7 +139,7 @@ def summary_bomb(path: Path) -> Path:
 
 
 def rvl(path: Path, size: tuple[int, int], stream: bytes) -> Path:
-    """Compressed depth of RVL whose head says ``size``, in a log of small images."""
+    """Write RVL depth whose header has ``size``, in a log of small images."""
     scene = make_scene(2)
     with LogFile(path) as log:
         write_calibration(log)
@@ -152,17 +152,17 @@ def rvl(path: Path, size: tuple[int, int], stream: bytes) -> Path:
 
 
 def rvl_tail(path: Path) -> Path:
-    """An image of the right size with 200 MB behind it."""
+    """Write an image of the right size, followed by 200 MB."""
     return rvl(path, (32, 24), bytes(200 << 20))
 
 
 def rvl_pixels(path: Path) -> Path:
-    """5700x5700 pixels in runs of one."""
+    """Write 5700x5700 pixels in runs of one."""
     return rvl(path, (5700, 5700), b"\x11" * (5700 * 5700))
 
 
 def image_pixels(path: Path) -> Path:
-    """Images and calibration of 5700x5700 pixels, which are not there."""
+    """Write images and a calibration of 5700x5700 pixels, without the pixels."""
     with LogFile(path) as log:
         log.ros("/cam/color/camera_info", ros_info((5700, 5700), COLOR_K, START, "a"), START)
         for at in range(START, START + 40):
@@ -174,7 +174,7 @@ def image_pixels(path: Path) -> Path:
 
 
 def deep_json(path: Path) -> Path:
-    """An image in JSON that is 500,000 arrays deep."""
+    """Write an image in JSON that is 500,000 arrays deep."""
     with LogFile(path) as log:
         write_calibration(log)
         write_images(log, make_scene(2))
@@ -183,7 +183,7 @@ def deep_json(path: Path) -> Path:
 
 
 def wide_json(path: Path) -> Path:
-    """An image in JSON of 60 MB of empty objects."""
+    """Write an image in JSON of 60 MB of empty objects."""
     with LogFile(path) as log:
         write_calibration(log)
         write_images(log, make_scene(2))
@@ -193,7 +193,7 @@ def wide_json(path: Path) -> Path:
 
 
 def jpeg_scans(path: Path) -> Path:
-    """A progressive JPEG with a thousand scans over every pixel."""
+    """Write a progressive JPEG with a thousand scans over every pixel."""
     import cv2
 
     scene = make_scene(1)

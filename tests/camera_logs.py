@@ -7,7 +7,7 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 
 NAMESPACE = "/camera/camera/"
-"""Of the topics of a simulated log."""
+"""Prefixes of the topics of a simulated log."""
 
 
 def join_cameras(
@@ -16,9 +16,9 @@ def join_cameras(
     late_ns: int = 0,
     without: Callable[[str], bool] = lambda topic: False,
 ) -> Path:
-    """Writes a log with the cameras of several, each under its name; transforms are the first's.
+    """Write a log with the cameras of several logs under new names, and transforms of the first.
 
-    Its log times are by so much later than theirs, and some topics are left out.
+    Log times are delayed, and some topics are left out.
     """
     with path.open("wb") as stream:
         writer = Writer(stream)

@@ -1,4 +1,4 @@
-"""Settings and fixtures of every test."""
+"""Settings and fixtures for all tests."""
 
 import os
 from collections.abc import Iterator
@@ -21,15 +21,17 @@ os.environ.setdefault("HYPOTHESIS_STORAGE_DIRECTORY", str(ROOT / ".cache" / "hyp
 
 import hypothesis  # noqa: E402  (it reads its folder when it is imported)
 
-hypothesis.settings.register_profile("jaxdet", derandomize=True, database=None, deadline=None)
+hypothesis.settings.register_profile(
+    "jaxdet", derandomize=True, database=None, deadline=None, max_examples=50
+)
 hypothesis.settings.load_profile("jaxdet")
 
 
 @pytest.fixture(scope="session", autouse=True)
 def started() -> None:
-    """What is compiled is kept, as by commands; Warp reports warnings and errors only.
+    """Use the caches of compiled programs, and let Warp report only warnings and errors.
 
-    One of the CPU's devices is JAX's default, as where there is one, so that tests share programs;
+    JAX has two CPU devices, of which the first is the default, so that tests share programs;
     ``test_batches.py`` uses both.
     """
     import jax
@@ -44,7 +46,7 @@ def started() -> None:
 
 
 def present_devices() -> list:
-    """The kinds of device that JAX finds here, as parameters; CUDA's is marked ``gpu``."""
+    """Return the kinds of device that JAX finds, as parameters; CUDA is marked ``gpu``."""
     import jax
 
     try:
@@ -61,7 +63,7 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 @pytest.fixture
 def device(request: pytest.FixtureRequest) -> Iterator[Any]:
-    """One device of each kind that is present, as JAX's default while the test runs."""
+    """Device of each kind that is present, as the default of JAX during the test."""
     import jax
 
     chosen = jax.devices(request.param)[0]
@@ -71,15 +73,15 @@ def device(request: pytest.FixtureRequest) -> Iterator[Any]:
 
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
-    """The folder of recorded logs beside the repository; skips where it is absent."""
+    """Folder of recorded logs next to the repository; skip if it is missing."""
     folder = ROOT.parent / "shared" / "data"
     if not folder.is_dir():
-        pytest.skip("no folder shared/data beside the repository")
+        pytest.skip("no folder shared/data next to the repository")
     return folder
 
 
-def _results_beside(log: Path, folder: Path, pictures: int) -> Path:
-    """Finds the obstacles of a log, with what the command has as defaults."""
+def _results_of(log: Path, folder: Path, pictures: int) -> Path:
+    """Run a log with the defaults of the command and a number of pictures."""
     from tests.runs import run_log
 
     run_log(log, folder, pictures=pictures, preset="wheeled")
@@ -88,25 +90,18 @@ def _results_beside(log: Path, folder: Path, pictures: int) -> Path:
 
 @pytest.fixture(scope="session")
 def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a simulated log, ``drive.mcap``, and its results with two pictures, ``out``."""
+    """Folder with a simulated log, ``drive.mcap``, and its results with two pictures, ``out``."""
     from jaxdet.sim import SimConfig, write_log
 
     folder = tmp_path_factory.mktemp("drive")
     write_log(folder / "drive.mcap", SimConfig(frames=5, width=320, height=240))
-    _results_beside(folder / "drive.mcap", folder / "out", 2)
+    _results_of(folder / "drive.mcap", folder / "out", 2)
     return folder
-
-
-@pytest.fixture(scope="session")
-def aims(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    """A recorded log without poses, and its results with one picture."""
-    log = shared_data / "aims_slam" / "aims_slam_18frames.mcap"
-    return log, _results_beside(log, tmp_path_factory.mktemp("aims") / "out", 1)
 
 
 @pytest.fixture(autouse=True)
 def both_ways(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """In the tests of ``jaxdet.io`` each log that is opened by its index is scanned as well."""
+    """In tests of ``jaxdet.io``, compare each log opened by its index with a scan."""
     if hasattr(request.module, "open_log") and request.path.name.startswith("test_io"):
         from tests.io_both_ways import open_both_ways
 
@@ -114,18 +109,20 @@ def both_ways(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -
 
 
 @pytest.fixture(scope="session")
-def aims_results(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The results of a recording of a hand-held camera, which has no poses and no transforms."""
-    from tests.runs import run_log
+def aims_log(shared_data: Path) -> Path:
+    """Recorded log of a hand-held camera, without poses and transforms."""
+    return shared_data / "aims_slam" / "aims_slam_18frames.mcap"
 
-    folder = tmp_path_factory.mktemp("aims") / "results"
-    run_log(shared_data / "aims_slam", folder, pictures=2, preset="wheeled")
-    return folder
+
+@pytest.fixture(scope="session")
+def aims_results(aims_log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Results of :func:`aims_log` with two pictures."""
+    return _results_of(aims_log, tmp_path_factory.mktemp("aims") / "results", 2)
 
 
 @pytest.fixture(scope="session")
 def driven_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A small simulated log, ``sim.mcap``, of a robot that drives."""
+    """Small simulated log, ``sim.mcap``, of a driving robot."""
     from tests.export_results import sim_log
 
     return sim_log(tmp_path_factory.mktemp("driven") / "sim.mcap")
@@ -133,7 +130,7 @@ def driven_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def driven_results(driven_log: Path) -> Path:
-    """Its results."""
+    """Results of :func:`driven_log`."""
     from tests.export_results import run
 
     return run(driven_log, driven_log.parent / "results")

@@ -21,28 +21,28 @@ START_NS = 1_700_000_000_000_000_000
 
 
 def sim_log(path: Path, **options: Any) -> Path:
-    """A simulated log whose robot drives, so that each frame's pose is another."""
+    """Write a simulated log of a driving robot, so that poses of frames differ."""
     given = {"frames": 6, "width": 160, "height": 120, "rate_hz": 2.0, "start_ns": START_NS}
     write_log(path, SimConfig(**(given | options)))
     return path
 
 
 def run(log: Path, output: Path, name: str = "wheeled", options: LogOptions | None = None) -> Path:
-    """The results of a log."""
+    """Run a log and return its results."""
     how = {"backend": "reference", "pictures": 1, "preset": name}
     run_log(log, output, preset(name), log=options, **how)
     return output
 
 
 def by_hand(folder: Path, frames: list[tuple], ends: int = 0) -> Path:
-    """Results of a camera at the origin of the world that looks along X, 1 m up.
+    """Write results of a camera at the origin of the world, 1 m up, that looks along X.
 
     Args:
         folder: Where to write.
-        frames: For each frame the middles of obstacles, right and forward [m], each 0.2 m wide,
-            and how far the floor is free ahead, 0.5 m to each side at 1 m; and optionally columns
+        frames: For each frame, the centres of obstacles, right and forward [m], each 0.2 m wide,
+            and the distance of free floor ahead, 0.5 m to each side at 1 m; and optionally columns
             in place of others.
-        ends: What ends the free floor, ``free_end``.
+        ends: Kind of end of the free floor, ``free_end``.
     """
     folder.mkdir(parents=True, exist_ok=True)
     with TableWriter(folder) as writer:

@@ -1,4 +1,4 @@
-"""A log opened by its index holds what it holds when it is scanned, however it is read."""
+"""Comparison of logs opened by their index with scanned ones, in any order of reading."""
 
 from collections.abc import Sequence
 from contextlib import suppress
@@ -14,7 +14,7 @@ _ARRAYS = ("color", "depth", "number", "stamp_ns", "color_stamp_ns", "valid", "T
 
 
 def assert_same_batch(found: Batch, expected: Batch) -> None:
-    """All but the notes."""
+    """Assert that batches are equal except for their notes."""
     assert (found.status, found.errors) == (expected.status, expected.errors)
     for name in ("log_time_ns", "nearest_color_ns"):
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
@@ -28,10 +28,10 @@ def assert_same_batch(found: Batch, expected: Batch) -> None:
 
 
 def assert_same_log(found: Log, scanned: Log, sizes: Sequence[int] = (1, 7, 64)) -> None:
-    """Everything, with batches of several sizes.
+    """Assert that logs are equal, with batches of several sizes.
 
     Raises:
-        RescanError: ``found`` can't be read by its index.
+        RescanError: ``found`` cannot be read by its index.
     """
     assert found.num_frames == scanned.num_frames
     assert found.calibration == scanned.calibration and found.base_frame == scanned.base_frame
@@ -44,9 +44,9 @@ def assert_same_log(found: Log, scanned: Log, sizes: Sequence[int] = (1, 7, 64))
         for one, other in pairs:
             assert_same_batch(one, other)
             notes.append(one.notes)
-        told = [found.described(total(notes)), scanned.described(Notes())]
+        descriptions = [found.described(total(notes)), scanned.described(Notes())]
         if not total(notes).bad_color:
-            _assert_same_description(*told)
+            _assert_same_description(*descriptions)
     order = np.random.default_rng(0).integers(0, max(found.num_frames, 1), 5).tolist()
     if found.num_frames:
         assert_same_batch(found.read(order), scanned.read(order))
@@ -77,12 +77,12 @@ def _assert_same_description(found: LogDescription, expected: LogDescription) ->
 
 
 def is_indexed(log: Log) -> bool:
-    """Whether a log was opened by its index."""
+    """Return whether a log was opened by its index."""
     return log.description.integrity[0].by_index
 
 
 def open_both_ways(source: str | LogFiles, options: LogOptions | None = None) -> Log:
-    """``open_log``; what it opens by the index is compared with what a scan finds."""
+    """Open a log; if by its index, compare it with a scan."""
     found = open_log(source, options)
     if is_indexed(found) and _can_be_read(source, options):
         with open_log(source, options) as again, open_log(source, scanning(options)) as scanned:
@@ -97,5 +97,5 @@ def _can_be_read(source: str | LogFiles, options: LogOptions | None) -> bool:
 
 
 def scanning(options: LogOptions | None = None) -> LogOptions:
-    """The same options, for reading the log as a whole."""
+    """Return the same options, for a scan."""
     return replace(options or LogOptions(), scan=True)

@@ -1,4 +1,4 @@
-"""The logs of ``io_helpers`` in Foxglove's schemas, protobuf and JSON."""
+"""Logs of ``io_helpers`` in the schemas of Foxglove, protobuf and JSON."""
 
 import base64
 from pathlib import Path
@@ -31,7 +31,7 @@ from tests.io_helpers import (
 
 
 def write_foxglove(path: Path, scene: Scene, form: str, pose: bool = False) -> Path:
-    """The same log as :func:`write_log` in Foxglove's schemas, ``form`` proto or json."""
+    """Write the log of :func:`write_log` in the schemas of Foxglove; ``form`` is proto or json."""
     with LogFile(path) as log:
         put = put_proto if form == "proto" else _put_json
         cameras = (

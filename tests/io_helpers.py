@@ -1,4 +1,4 @@
-"""Logs for the tests of ``jaxdet.io``, written with rosbags, mcap and Foxglove's schemas."""
+"""Logs for tests of ``jaxdet.io``, written with rosbags, mcap and the schemas of Foxglove."""
 
 import json
 from pathlib import Path
@@ -40,7 +40,7 @@ START = 1_700_000_000 * SECOND
 
 
 class LogFile:
-    """One MCAP file being written; a context manager."""
+    """Writer of an MCAP file; a context manager."""
 
     def __init__(
         self, path: Path, compression: str = "zstd", crc: bool = True, **options: Any
@@ -109,7 +109,7 @@ def ros_image(
     padding: int = 0,
     big: bool = False,
 ) -> Any:
-    """An Image of rows of any dtype; ``big`` only labels and swaps what has two bytes or more."""
+    """Return an Image of any dtype; ``big`` sets the byte order and swaps multi-byte pixels."""
     height, width = pixels.shape[:2]
     rows = pixels.astype(pixels.dtype.newbyteorder(">" if big else "<")).reshape(height, -1)
     data = np.ascontiguousarray(rows).view(np.uint8).reshape(height, -1)
@@ -126,7 +126,7 @@ def ros_compressed(data: bytes, form: str, stamp_ns: int, frame: str) -> Any:
 
 
 def encode_rvl(pixels: np.ndarray) -> bytes:
-    """An RVL stream by Wilson's encoder, pixel by pixel."""
+    """Return an RVL stream by Wilson's encoder, pixel by pixel."""
     nibbles: list[int] = []
 
     def number(value: int) -> None:
@@ -179,7 +179,7 @@ def _ros_motion(t: Any, q: Any, point: str) -> tuple[Any, Any]:
 
 
 def ros_tf(*edges: tuple[str, str, Any, Any], stamp_ns: int = START) -> Any:
-    """A TFMessage of (parent, child, translation, quaternion)."""
+    """Return a TFMessage of (parent, child, translation, quaternion)."""
     transform = ros_type("geometry_msgs/msg/Transform")
     stamped = ros_type("geometry_msgs/msg/TransformStamped")
     items = [
@@ -204,7 +204,7 @@ def ros_odometry(parent: str, child: str, t: Any, q: Any, stamp_ns: int) -> Any:
 
 
 class Scene(NamedTuple):
-    """Random images with stamps; depth is some milliseconds early."""
+    """Random images with timestamps; depth is some milliseconds early."""
 
     color: np.ndarray
     depth: np.ndarray
@@ -237,7 +237,7 @@ def write_images(log: LogFile, scene: Scene, depth_topic: str = DEPTH) -> None:
 
 
 def write_log(path: Path, scene: Scene | None = None, **options: Any) -> Path:
-    """A plain, unaligned RealSense-like log."""
+    """Write an unaligned log like that of a RealSense."""
     with LogFile(path, **options) as log:
         write_calibration(log)
         write_images(log, scene or make_scene())
@@ -245,7 +245,7 @@ def write_log(path: Path, scene: Scene | None = None, **options: Any) -> Path:
 
 
 def convert_log(source: Path, target: Path, compress: str | None = None) -> Path:
-    """What ``rosbags-convert`` makes of a log; the file in it. Bags get a chunk for each image."""
+    """Convert a log by rosbags; return the file. Bags have a chunk per image."""
 
     def small(writer: BagWriter, path: Path) -> None:
         init(writer, path)
@@ -260,7 +260,7 @@ def convert_log(source: Path, target: Path, compress: str | None = None) -> Path
 
 
 def assert_holds(log: Log, scene: Scene, batch_size: int = 2) -> None:
-    """The log gives the scene's frames, each with its colour, whatever the batch size."""
+    """Assert that the log gives the frames of the scene, each with its colour."""
     count = len(scene.depth)
     assert log.num_frames == count
     np.testing.assert_array_equal(log.stamps_ns, scene.depth_ns)

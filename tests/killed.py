@@ -1,7 +1,7 @@
-"""Runs a function again and again in processes that end at one system call after the other.
+"""Run a function repeatedly in processes that end at one system call after the other.
 
-Not a test: ``tests/killed_runs.py`` uses it, as a process without threads can fork. Nothing is
-flushed to the disk, which outlives the processes and is slow.
+``tests/killed_runs.py`` uses it, as only a process without threads can fork. Nothing is flushed to
+the disk, which is slow and not needed to survive the end of a process.
 """
 
 import os
@@ -15,7 +15,7 @@ CALLS = ("replace", "rename", "fsync", "mkdir", "unlink", "rmdir")
 
 
 def killed_at(call: int, function: Callable[[], Any]) -> bool:
-    """Whether a process that ends right before its so many-th call ended there."""
+    """End a process right before a system call; return whether it got so far."""
     child = os.fork()
     if not child:
         count = 0

@@ -1,7 +1,7 @@
-"""Ends runs at their system calls, one after the other; started by ``tests/test_killed.py``.
+"""End runs at their system calls, one after the other; started by ``tests/test_killed.py``.
 
-After each a reader finds complete results or none of a log, old or new ones; the same command then
-makes what an unbroken run makes.
+After each end, a reader finds complete results of a log or none, old or new ones. The same command
+then writes the results of an uninterrupted run.
 """
 
 import os
@@ -29,41 +29,41 @@ TIMES = ("summary.json", "manifest.json")
 
 
 def run(logs: Path, output: Path, **more: Any) -> None:
-    """Runs logs in this process."""
+    """Run logs in this process."""
     config = Config(GroundConfig(source="none"))
     how = {"backend": "reference", "batch_size": 4, "workers": 1, "pictures": 1, **more}
     assert not run_logs(logs, output, config, **how).failed
 
 
 def files(output: Path) -> dict[str, bytes]:
-    """What a run writes, but its times."""
+    """Return the files of a run, without times."""
     found = {str(p.relative_to(output)): p for p in output.rglob("*") if p.is_file()}
     return {n: b"" if p.name in TIMES else p.read_bytes() for n, p in found.items()}
 
 
 def check(output: Path, wanted: set[tuple[str, ...]]) -> None:
-    """Each log that a reader finds is complete, and one of those that are wanted."""
+    """Assert that each log found by a reader is complete and one of the wanted ones."""
     if not is_run(output):
         assert not [*output.glob("*/manifest.json")]
         return
     with open_results(output) as results:
         for folder, manifest in results.manifests.items():
             assert read_manifest(folder) == manifest
-            told = manifest["files"]
-            assert all(sha256(folder / name) == about["sha256"] for name, about in told.items())
-            own = tuple(about["sha256"] for n, about in told.items() if n not in TIMES)
+            files_of = manifest["files"]
+            assert all(sha256(folder / name) == about["sha256"] for name, about in files_of.items())
+            own = tuple(about["sha256"] for n, about in files_of.items() if n not in TIMES)
             assert own in wanted, folder
 
 
 def kinds(output: Path) -> set[tuple[str, ...]]:
-    """The logs of results, by the checksums of their files."""
+    """Return the logs of results, as checksums of their files."""
     with open_results(output) as results:
-        told = [manifest["files"] for manifest in results.manifests.values()]
-    return {tuple(a["sha256"] for n, a in t.items() if n not in TIMES) for t in told}
+        files_of = [manifest["files"] for manifest in results.manifests.values()]
+    return {tuple(a["sha256"] for n, a in t.items() if n not in TIMES) for t in files_of}
 
 
 def main(folder: Path, ways: Sequence[str]) -> None:
-    """Ends commands at their system calls.
+    """End commands at their system calls.
 
     Args:
         folder: Empty folder.
@@ -119,7 +119,7 @@ def end_at_each_call(logs: Path, old: Path, folder: Path, way: str, every: int) 
 
 
 def remembered(detect: Callable[..., Any]) -> Callable[..., Any]:
-    """Computes a batch once: the first run does, and what is forked from here has all of them."""
+    """Cache results of batches, computed by the first run, for the processes forked later."""
     known: dict[Any, Any] = {}
 
     def found(frames: Any, config: Config, **how: Any) -> Any:

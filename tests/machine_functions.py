@@ -1,7 +1,7 @@
-"""Prints a digest of what each group of functions makes of the same numbers, one per line.
+"""Print a digest of the results of each group of functions on the same numbers, one per line.
 
-Run in several environments by ``tests/test_machines.py``. The numbers come from integers by exact
-operations, so that they are the same on every machine.
+``tests/test_machines.py`` runs it in several environments. Numbers are made from integers by exact
+operations, so they are the same on every machine.
 """
 
 import hashlib
@@ -48,12 +48,12 @@ UNIT = 0.001
 
 
 def numbers(*shape: int) -> np.ndarray:
-    """Random numbers from -1 to 1 with 52 bits."""
+    """Return random numbers from -1 to 1 with 52 bits."""
     return RNG.integers(-(1 << 52), 1 << 52, shape) / (1 << 52)
 
 
 def unit_quaternions(count: int) -> np.ndarray:
-    """Random rotations, some of them nearly the same as the one before."""
+    """Return random rotations, some nearly equal to the previous one."""
     q = numbers(count, 4)
     q[1::3] = q[::3][: len(q[1::3])] + numbers(len(q[1::3]), 4) / 1e4
     x, y, z, w = q.T
@@ -61,12 +61,12 @@ def unit_quaternions(count: int) -> np.ndarray:
 
 
 def poses(count: int) -> np.ndarray:
-    """Random cameras in the world."""
+    """Return random poses of cameras in the world."""
     return motion_matrix(numbers(count, 3) * 9, unit_quaternions(count))
 
 
 def motions() -> Iterator[object]:
-    """What becomes of poses and transforms of logs."""
+    """Yield results for poses and transforms of logs."""
     count = 300
     stamps = np.cumsum(RNG.integers(1, 90_000_000, count))
     samples = np.hstack([numbers(count, 3) * 9, unit_quaternions(count)])
@@ -88,7 +88,7 @@ def motions() -> Iterator[object]:
 
 
 def planes() -> Iterator[object]:
-    """Floors, their axes and the tables of integers."""
+    """Yield floors, their axes and integer tables."""
     yield from (SINES, direction_table(), quadratic_table(0.02, 0.003, UNIT))
     yield band_table(FootprintConfig(), UNIT)
     angles = numbers(2, 400)
@@ -102,7 +102,7 @@ def planes() -> Iterator[object]:
 
 
 def calibration(model: Distortion, coefficients: tuple[float, ...]) -> Calibration:
-    """Depth with a lens, and a colour camera turned from it."""
+    """Return a depth camera with a lens and a rotated colour camera."""
     depth = Intrinsics(80, 60, 61.3, 60.9, 40.2, 29.4, model, coefficients)
     color = Intrinsics(96, 72, 78.1, 78.4, 47.1, 35.8, model, coefficients)
     T = motion_matrix(np.array([0.05, 0.001, -0.002]), np.array([0.01, -0.02, 0.005, 1.0]))
@@ -112,7 +112,7 @@ def calibration(model: Distortion, coefficients: tuple[float, ...]) -> Calibrati
 
 
 def lenses() -> Iterator[object]:
-    """Rays of all lens models."""
+    """Yield rays of all lens models."""
     brown = (0.11, -0.23, 0.0007, -0.0004, 0.09)
     models = {
         Distortion.PLUMB_BOB: brown,
@@ -127,7 +127,7 @@ def lenses() -> Iterator[object]:
 
 
 def outlines() -> Iterator[object]:
-    """Obstacles in metres, in the world and on the map, and the free floor."""
+    """Yield obstacles in metres, in the world and on the map, and the free floor."""
     frames, slots = 40, 9
 
     def integers(*shape: int, low: int = -3000, high: int = 3000) -> np.ndarray:
@@ -169,7 +169,7 @@ def outlines() -> Iterator[object]:
 
 
 def tracks() -> Iterator[object]:
-    """Tracks of boxes that move, turn and are partly hidden."""
+    """Yield tracks of boxes that move, rotate and are partly hidden."""
     tracker, frames, boxes = Tracker(TrackConfig()), 120, 12
     place, way = numbers(boxes, 2) * 6, numbers(boxes, 2) * 0.06
     half = 0.3 + numbers(boxes, 2) / 5
@@ -208,7 +208,7 @@ def tracks() -> Iterator[object]:
 
 
 def digest(part: object) -> str:
-    """Digest of arrays and numbers in any nesting."""
+    """Return a digest of nested arrays and numbers."""
     if isinstance(part, (tuple, list)):
         text = " ".join(map(digest, part)).encode()
     else:

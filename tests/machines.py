@@ -1,4 +1,4 @@
-"""Other machines, imitated by the variables that libraries read their CPU's features from.
+"""Imitation of other machines, by the variables from which libraries read CPU features.
 
 Run as a script it prints one line per environment: digests of tables, or the columns that differ
 from those of the first one.
@@ -24,7 +24,7 @@ BLAS = ("Prescott", "Nehalem", "Haswell", "SkylakeX")
 """Kernels of OpenBLAS, from SSE3 to AVX-512."""
 V4 = ("X86_V4", "AVX512_ICL", "AVX512_SPR")
 V3 = ("X86_V3", *V4)
-"""Features that NumPy chooses loops by, above its own least ones."""
+"""CPU features that select loops of NumPy, above its baseline."""
 LIBC = {"GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA,-FMA4,-AVX512F"}
 OPENCV = {"OPENCV_CPU_DISABLE": "AVX2,AVX512F,AVX512-SKX,FP16,SSE4_2"}
 PLAINEST: Environment = {
@@ -33,7 +33,7 @@ PLAINEST: Environment = {
     **LIBC,
     **OPENCV,
 }
-"""The least machine that all libraries run on."""
+"""The smallest machine on which all libraries run."""
 
 
 def environments() -> list[Environment]:
@@ -64,7 +64,7 @@ def run(arguments: list[str], environment: Environment) -> subprocess.CompletedP
 
 
 def tables(folder: Path) -> dict[str, str]:
-    """Return digests of tables and maps of all logs, and of each column and array of theirs."""
+    """Return digests of tables and maps of all logs, and of each of their columns and arrays."""
     found = {}
     for path in sorted(folder.glob("*/*.parquet")):
         file = f"{path.parent.name}/{path.name}"
@@ -100,7 +100,7 @@ def results(
 
 
 def main() -> int:
-    """Compare all environments; exit status 1 where one differs."""
+    """Compare all environments; return exit status 1 if one differs."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("logs", nargs="+")
     parser.add_argument("--backend", default="reference")

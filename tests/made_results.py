@@ -1,4 +1,4 @@
-"""Results folders of any size, as a run would write them, with numbers made up."""
+"""Results folders of any size with invented numbers, in the format of a run."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -27,9 +27,9 @@ DELAY_NS = 5_000_000
 
 
 def make_results(folder: Path, logs: Mapping[str, int], config: Config | None = None) -> Path:
-    """Results of logs with so many frames; about one in 50 is lost, one in 200 overflows.
+    """Write results of logs with given numbers of frames, one in 50 lost, one in 200 overflowing.
 
-    A frame has up to 4 obstacles, whose distances are anything up to 6 m. One more log has failed.
+    A frame has up to 4 obstacles at distances up to 6 m. An additional log has failed.
     """
     folder.mkdir(parents=True, exist_ok=True)
     method = config or Config()
@@ -39,7 +39,7 @@ def make_results(folder: Path, logs: Mapping[str, int], config: Config | None = 
     about |= {"run": digest(record), "inputs": []}
     write_json(folder / "run.json", record)
     for seed, (given, count) in enumerate(logs.items()):
-        name = printable(given)  # as find_logs does
+        name = printable(given)  # like find_logs
         _make_log(folder / log_name(name), name, count, seed, record["config"], about)
     failed = LogSummary("torn", ("/nowhere/torn.mcap",), error="torn: no <b>images</b> in it")
     (folder / "torn").mkdir()
@@ -102,7 +102,7 @@ def _rows(name: str, start: int, stop: int, rng: np.random.Generator) -> tuple[A
 
 
 def _table(columns: Mapping[str, Any], schema: pa.Schema) -> pa.Table:
-    """What isn't given is null, else zero or empty."""
+    """Return a table; missing columns are null, or else zero or empty."""
     rows = len(columns["log"])
     return pa.Table.from_arrays([_column(columns, f, rows) for f in schema], schema=schema)
 

@@ -1,4 +1,4 @@
-"""MCAP files made byte by byte, for what no writer writes."""
+"""MCAP files made byte by byte, which no writer would write."""
 
 import struct
 import zlib
@@ -36,7 +36,7 @@ def message(channel_id: int, log_ns: int, payload: bytes) -> bytes:
 
 
 def chunk(records: bytes, first_ns: int = 0, last_ns: int = 0, crc: bool = True) -> bytes:
-    """A chunk packed by zstd."""
+    """Return a chunk compressed by zstd."""
     packed = zstandard.compress(records, 3)
     head = struct.pack("<QQQI", first_ns, last_ns, len(records), zlib.crc32(records) if crc else 0)
     return record(6, head + text("zstd") + struct.pack("<Q", len(packed)) + packed)
@@ -47,7 +47,7 @@ def end() -> bytes:
 
 
 def without_end(path: Path) -> bytes:
-    """The records of a file up to the end of its data, with the magic before them."""
+    """Return the magic and the records of a file up to the end of its data."""
     data = path.read_bytes()
     start = struct.unpack_from("<Q", data, len(data) - 8 - 20)[0]
     return data[: start - 13]

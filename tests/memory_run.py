@@ -1,6 +1,6 @@
-"""A run over large images; started by ``tests/test_memory.py``, says the most memory it had.
+"""Run on large images that prints its peak memory; started by ``tests/test_memory.py``.
 
-Nothing is looked for in the images, which are made instead of read.
+The images are synthetic, and detection is skipped.
 """
 
 import json
@@ -47,7 +47,7 @@ def nothing(count: int) -> Any:
 
 
 def slow(frames: Any, config: Config, backend: str, with_cells: bool) -> Any:
-    """Takes longer than reading, so that as much waits as may."""
+    """Sleep longer than reading takes, so that the queue is full."""
     time.sleep(0.03 * len(frames.valid))
     return nothing(len(frames.valid))
 

@@ -1,6 +1,6 @@
-"""Logs with one property of real recordings: a simulated log whose messages are changed.
+"""Simulated logs whose messages are changed, to have a property of real recordings.
 
-All else stays as it was, so what is right for the simulated log is right for the changed one.
+Everything else is kept, so results of the simulated log are right for the changed one.
 """
 
 import copy
@@ -31,7 +31,7 @@ class Message:
 
     @property
     def pixels(self) -> np.ndarray:
-        """Of an Image, ``(H, W)`` or ``(H, W, 3)``."""
+        """Return the pixels of an Image, ``(H, W)`` or ``(H, W, 3)``."""
         body = self.body
         flat = np.frombuffer(body["data"], DTYPES.get(body["encoding"], np.uint8))
         return flat.reshape(body["height"], body["width"], -1).squeeze()
@@ -59,7 +59,7 @@ Change = Callable[[Message], Iterable[Message] | None]
 
 
 def read_messages(path: Path) -> list[Message]:
-    """All messages of a log."""
+    """Return all messages of a log."""
     found = []
     with path.open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
@@ -85,7 +85,7 @@ def write_messages(path: Path, messages: Iterable[Message]) -> Path:
 
 
 def changed(messages: Iterable[Message], *changes: Change) -> list[Message]:
-    """Copies of messages, with the changes done one after the other."""
+    """Return copies of messages, with the changes applied one after the other."""
     found = copy.deepcopy(list(messages))
     for change in changes:
         some = [(item, change(item)) for item in found]

@@ -1,4 +1,4 @@
-"""Runs as tests make them."""
+"""Runs of logs for tests."""
 
 from pathlib import Path
 from typing import Any

@@ -1,4 +1,4 @@
-"""Arrays that the stage tests share: calibrations, hostile and plausible images."""
+"""Arrays for tests of stages: calibrations, random and plausible images."""
 
 from pathlib import Path
 
@@ -22,7 +22,7 @@ IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 
 
 def rotation(x: float, y: float, z: float) -> tuple[float, ...]:
-    """Nine numbers, row-major, of turns about x, then y, then z [degrees]."""
+    """Return the rotation by angles about x, then y, then z [degrees], 9 numbers, row-major."""
     R = np.eye(3)
     for axis, degrees in enumerate((x, y, z)):
         vector = np.zeros(3)
@@ -38,14 +38,14 @@ D435 = Calibration(D435_DEPTH, D435_COLOR, D435_MOTION)
 
 
 def resized(camera: Intrinsics, width: int, height: int) -> Intrinsics:
-    """The same camera with another image size."""
+    """Return the camera with another image size."""
     sx, sy = width / camera.width, height / camera.height
     scaled = camera.fx * sx, camera.fy * sy, camera.cx * sx, camera.cy * sy
     return Intrinsics(width, height, *scaled, camera.distortion, camera.coefficients)
 
 
 def small(width: int = 80, height: int = 60, color_scale: float = 1.0) -> Calibration:
-    """A D435-like calibration of small images."""
+    """Return a calibration like that of a D435, for small images."""
     color = resized(D435_COLOR, round(width * color_scale), round(height * color_scale))
     return Calibration(resized(D435_DEPTH, width, height), color, D435_MOTION)
 
@@ -60,13 +60,13 @@ LENSES = {
 
 
 def with_lens(camera: Intrinsics, lens: str) -> Intrinsics:
-    """The camera with one of ``LENSES``."""
+    """Return the camera with one of ``LENSES``."""
     model, coefficients = LENSES[lens]
     return camera._replace(distortion=model, coefficients=coefficients)
 
 
 def noise_depth(batch: int, camera: Intrinsics, seed: int = 0) -> np.ndarray:
-    """Random depth with 30 % holes, ``(B, Hd, Wd)`` uint16."""
+    """Return random depth with 30 % holes, ``(B, Hd, Wd)`` uint16."""
     rng = np.random.default_rng(seed)
     depth = rng.integers(0, 8000, (batch, camera.height, camera.width)).astype(np.uint16)
     depth[rng.random(depth.shape) < 0.3] = 0
@@ -75,7 +75,7 @@ def noise_depth(batch: int, camera: Intrinsics, seed: int = 0) -> np.ndarray:
 
 
 def smooth_depth(batch: int, camera: Intrinsics) -> np.ndarray:
-    """A slanted wall with a nearer box, ``(B, Hd, Wd)`` uint16."""
+    """Return depth of a slanted wall and a nearer box, ``(B, Hd, Wd)`` uint16."""
     v, u = np.mgrid[: camera.height, : camera.width]
     depth = np.stack([1000 + 3 * u + 2 * v + 50 * b for b in range(batch)]).astype(np.uint16)
     depth[:, camera.height // 3 : camera.height // 2, camera.width // 4 : camera.width // 2] = 700
@@ -83,7 +83,7 @@ def smooth_depth(batch: int, camera: Intrinsics) -> np.ndarray:
 
 
 def blocks(batch: int, height: int, width: int, seed: int = 0) -> np.ndarray:
-    """Colour images of overlapping flat rectangles with some noise, ``(B, H, W, 3)`` uint8."""
+    """Return colour images of overlapping rectangles with noise, ``(B, H, W, 3)`` uint8."""
     rng = np.random.default_rng(seed)
     images = np.zeros((batch, height, width, 3), np.uint8)
     for image in images:
@@ -97,20 +97,20 @@ def blocks(batch: int, height: int, width: int, seed: int = 0) -> np.ndarray:
 
 
 def level(batch: int, height: float = 0.4, pitch: float = 0.0, roll: float = 0.0) -> GroundPlane:
-    """The same known floor for each of ``batch`` frames."""
+    """Return the same floor for each of ``batch`` frames."""
     full = [np.full(batch, value, np.float64) for value in (height, pitch, roll)]
     return flat_plane(*full)
 
 
 def frames(calibration: Calibration, color: np.ndarray, depth: np.ndarray, **rest) -> Frames:
-    """A batch without poses."""
+    """Return a batch without poses."""
     number = np.arange(len(depth), dtype=np.int64)
     valid = np.ones(len(depth), bool)
     return Frames(depth, calibration, number, number, valid, color, **rest)
 
 
 def points(x, z, kept=None) -> Features:
-    """Features ``(B, N)`` at given x and z [depth units], on the optical axis' row."""
+    """Return features ``(B, N)`` at given x and z [depth units], in the row of the optical axis."""
     x, z = np.atleast_2d(np.asarray(x, np.int32)), np.atleast_2d(np.asarray(z, np.int32))
     valid = np.ones(z.shape, bool)
     kept = valid if kept is None else np.atleast_2d(np.asarray(kept, bool))
@@ -119,20 +119,20 @@ def points(x, z, kept=None) -> Features:
 
 
 def every_pixel(batch: int, height: int, width: int) -> tuple[np.ndarray, np.ndarray]:
-    """Columns and rows ``(B, H W)`` int32 of all pixels, in raster order."""
+    """Return columns and rows ``(B, H W)`` int32 of all pixels, in raster order."""
     v, u = np.indices((height, width), np.int32).reshape(2, -1)
     return np.broadcast_to(u, (batch, u.size)), np.broadcast_to(v, (batch, v.size))
 
 
 def align_all(depth: np.ndarray, calibration: Calibration) -> AlignedDepth:
-    """Aligned depth ``(B, H, W)`` of all pixels of the colour image, by the kernel."""
+    """Return aligned depth ``(B, H, W)`` of all pixels of the colour image, by the kernel."""
     shape = len(depth), calibration.image.height, calibration.image.width
     found = stages.align(depth, *every_pixel(*shape), calibration)
     return AlignedDepth(*(np.asarray(a).reshape(shape) for a in found))
 
 
 def at_every_pixel(z: np.ndarray) -> Features:
-    """A feature at every pixel of images of z ``(B, H, W)``."""
+    """Return features at all pixels of images of z ``(B, H, W)``."""
     u, v = every_pixel(*z.shape)
     flat = z.reshape(len(z), -1).astype(np.int32)
     valid = np.ones(flat.shape, bool)
@@ -140,7 +140,7 @@ def at_every_pixel(z: np.ndarray) -> Features:
 
 
 def assert_equal(twin, reference) -> None:
-    """Every array of two (nested) NamedTuples is equal, in dtype and shape too."""
+    """Assert that arrays of two nested NamedTuples are equal, including dtype and shape."""
     for name, want, got in zip(reference._fields, reference, twin, strict=True):
         if hasattr(want, "_fields"):
             assert_equal(got, want)
@@ -154,7 +154,7 @@ def assert_equal(twin, reference) -> None:
 
 
 def recorded_colors(shared_data: Path) -> list[np.ndarray]:
-    """Some recorded colour images, RGB."""
+    """Return some recorded colour images, RGB."""
     files = sorted((shared_data / "aims_slam/data/rgb").glob("*.png"))[::16]
     files += sorted((shared_data / "d435_boxes_felixchenfy/data/color").glob("*.png"))[::4]
     return [cv2.cvtColor(cv2.imread(str(file)), cv2.COLOR_BGR2RGB) for file in files]

@@ -1,4 +1,4 @@
-"""Depths of a floor, a box and a cylinder by their equations, one thing at a time."""
+"""Depth of a floor, a box or a cylinder, by its equation."""
 
 import numpy as np
 
@@ -6,21 +6,21 @@ from jaxdet.types import Intrinsics
 
 
 def rays_of(camera: Intrinsics, T_world_camera: np.ndarray) -> np.ndarray:
-    """Directions ``(H, W, 3)`` in the world, 1 along the optical axis."""
+    """Return directions ``(H, W, 3)`` in the world, 1 along the optical axis."""
     u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
     local = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(u.shape)])
     return np.moveaxis(local, 0, -1) @ T_world_camera[:3, :3].T
 
 
 def floor_depth(origin: np.ndarray, rays: np.ndarray) -> np.ndarray:
-    """Depth of z = 0."""
+    """Return the depth of z = 0."""
     with np.errstate(divide="ignore"):
         depth = -origin[2] / rays[..., 2]
     return np.where(depth > 0, depth, np.inf)
 
 
 def box_depth(origin: np.ndarray, rays: np.ndarray, center, size, yaw: float) -> np.ndarray:
-    """Depth of an upright box on the floor."""
+    """Return the depth of an upright box on the floor."""
     c, s = np.cos(yaw), np.sin(yaw)
     R = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
     start, way = (origin - [*center, size[2] / 2]) @ R, rays @ R
@@ -32,7 +32,7 @@ def box_depth(origin: np.ndarray, rays: np.ndarray, center, size, yaw: float) ->
 
 
 def cylinder_depth(origin: np.ndarray, rays: np.ndarray, center, radius: float) -> np.ndarray:
-    """Depth of an endless upright cylinder."""
+    """Return the depth of an infinite upright cylinder."""
     x, y = origin[:2] - center
     a = rays[..., 0] ** 2 + rays[..., 1] ** 2
     b = x * rays[..., 0] + y * rays[..., 1]

@@ -1,4 +1,4 @@
-"""Signals sent where a test says, and raised where code of jaxdet runs."""
+"""Signals sent by tests, and raised in code of jaxdet."""
 
 import signal
 import time
@@ -13,7 +13,7 @@ def stop(number: int) -> None:
 
 
 def wait_in_jaxdet() -> None:
-    """Wait, at most 10 s, where code of jaxdet runs again and again."""
+    """Wait, at most 10 s, in code of jaxdet."""
     end = time.monotonic() + 10
     while time.monotonic() < end:
         with stops_held_back():

@@ -1,4 +1,4 @@
-"""Frames of cells in obstacles, that the programs of what comes after the obstacles are held to."""
+"""Frames of cells with obstacles, for tests of the steps after the obstacles."""
 
 from dataclasses import replace
 from functools import lru_cache
@@ -26,7 +26,7 @@ SURFACES = Config()
 
 
 class Batch(NamedTuple):
-    """Frames up to their obstacles."""
+    """Frames and the results of the steps up to obstacles."""
 
     grid: Cells
     found: list[Found]
@@ -34,22 +34,22 @@ class Batch(NamedTuple):
 
     @property
     def unit(self) -> float:
-        """Metres in one depth unit."""
+        """Depth unit [m]."""
         return self.calibration.depth_unit
 
     @property
     def label(self) -> np.ndarray:
-        """``(B, R, C)`` int32."""
+        """Obstacle of each cell, ``(B, R, C)`` int32."""
         return np.stack([one.label for one in self.found]).astype(np.int32)
 
     @property
     def low(self) -> np.ndarray:
-        """``(B, R, C)`` bool."""
+        """Mask of cells below the step height, ``(B, R, C)`` bool."""
         return np.stack([one.low for one in self.found])
 
     @property
     def floor(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Right, forward and height, each ``(B, R, C)`` int32."""
+        """Right, forward and height of cells, each ``(B, R, C)`` int32."""
         names = ("right", "forward", "height")
         parts = ([getattr(one.view, name) for one in self.found] for name in names)
         right, forward, height = (np.stack(part).astype(np.int32) for part in parts)
@@ -57,7 +57,7 @@ class Batch(NamedTuple):
 
 
 def batch_of(depth: np.ndarray, calibration: Calibration, plane: GroundPlane, config: Config):
-    """The obstacles that the reference finds."""
+    """Return the obstacles found by the reference."""
     unit, grid = calibration.depth_unit, cells(depth, calibration, config.surface)
     fit = find_floor(grid.x, grid.y, grid.z, plane, config.floor, unit)
     floors, step = floor_frames(fit.plane, unit), step_height(calibration, config)
@@ -67,7 +67,7 @@ def batch_of(depth: np.ndarray, calibration: Calibration, plane: GroundPlane, co
 
 @lru_cache(maxsize=16)
 def simulated(family: str, width: int = 320, seed: int = 700) -> Batch:
-    """A frame of a family; of the hard ones with the depth of a stereo camera."""
+    """Return a frame of a family; hard families have the depth of a stereo camera."""
     changes = {"depth_error": 1.0} if family in HARD_FAMILIES else {}
     size = {"width": width, "height": width * 3 // 4}
     (frame,) = sample_frames(family, seed, 1, **size, **changes)
@@ -77,7 +77,7 @@ def simulated(family: str, width: int = 320, seed: int = 700) -> Batch:
 
 @lru_cache(maxsize=4)
 def recorded(shared_data: Path, name: str, frames: int) -> list[Batch]:
-    """The first frames of a labelled recording, none where it is not there."""
+    """Return the first frames of a labelled recording, none if it is missing."""
     recording = next(r for r in RECORDINGS if r.name == name)
     path, batches = shared_data / recording.place, []
     if not path.is_file():
@@ -91,12 +91,12 @@ def recorded(shared_data: Path, name: str, frames: int) -> list[Batch]:
 
 
 def recorded_config(name: str) -> Config:
-    """Of a recording's frames."""
+    """Return the configuration of a recording."""
     return preset("tabletop" if name == "mosd" else "wheeled")
 
 
 def grid_calibration(rows: int, columns: int) -> Calibration:
-    """A camera with so many cells, and a colour camera that sees a part of them."""
+    """Return a camera with a number of cells, and a colour camera that sees a part of them."""
     side, focal = 3, 3 / SURFACES.surface.cell_rad
     width, height = columns * side, rows * side
     depth = Intrinsics(width, height, focal, focal, width / 2, height / 2)
@@ -111,9 +111,9 @@ def drawn(
 
     Args:
         shape: ``(B, R, C)``.
-        obstacles: Most that a frame has; as many where there are blocks enough.
-        seed: Draws them.
-        reach: Largest position, to all sides [depth units].
+        obstacles: Largest number of obstacles per frame.
+        seed: Seed of labels and positions.
+        reach: Largest coordinate [depth units].
         block: Side of a block.
     """
     rng = np.random.default_rng(seed)
@@ -136,13 +136,13 @@ def drawn(
 
 
 def with_floor(batch: Batch, seed: int, far: int, step: int) -> Batch:
-    """The same with places and heights as of a floor that falls now and then, up the image.
+    """Return the batch with positions on a floor that has steps down, from bottom to top.
 
     Args:
         batch: Frames.
-        seed: Draws heights.
-        far: Of the top row [depth units].
-        step: How far it falls at a time [depth units].
+        seed: Seed of heights.
+        far: Distance of the top row [depth units].
+        step: Height of the steps [depth units].
     """
     rng, found = np.random.default_rng(seed), []
     for one in batch.found:
@@ -160,5 +160,5 @@ def with_floor(batch: Batch, seed: int, far: int, step: int) -> Batch:
 
 
 def changed(**footprint: float) -> Config:
-    """The default with another footprint part."""
+    """Return the default configuration with other parameters of footprints."""
     return replace(SURFACES, footprint=replace(SURFACES.footprint, **footprint))

@@ -1,4 +1,4 @@
-"""affinity: tables of boosted trees that weigh what is seen of two surfaces."""
+"""affinity: boosted trees that turn the features of a pair of surfaces into evidence."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ LARGE = 4000
 
 
 def walked(seen: np.ndarray, table: Affinity) -> int:
-    """The evidence of one pair, a tree and a node at a time."""
+    """Return the evidence of one pair, computed tree by tree and node by node."""
     total = table.offset
     for feature, threshold, value in zip(table.feature, table.threshold, table.value, strict=True):
         node = 0
@@ -36,8 +36,8 @@ NUM_FEATURES = len(PAIR_FEATURES)
 pairs_seen = st.lists(st.integers(-200, LARGE), min_size=NUM_FEATURES, max_size=NUM_FEATURES)
 
 
-def test_by_hand() -> None:
-    """Two trees of one node."""
+def test_evidence_is_the_offset_plus_the_leaves_reached() -> None:
+    """The table has two trees of one node each."""
     table = Affinity(np.array([[0], [3]]), np.array([[50], [9]]), np.array([[7, -7], [2, -1]]), 100)
     seen = np.zeros((3, NUM_FEATURES), np.int64)
     seen[1, 0], seen[2, 0], seen[2, 3] = 50, 51, 10
@@ -46,15 +46,17 @@ def test_by_hand() -> None:
 
 @pytest.mark.parametrize("name", AFFINITIES)
 @given(seen=pairs_seen)
-def test_as_walked(name: str, seen: list[int]) -> None:
+def test_evidence_equals_walking_each_tree(name: str, seen: list[int]) -> None:
     table = affinity(name, UNIT)
     assert evidence(np.array([seen]), table).tolist() == [walked(np.array(seen), table)]
 
 
 @pytest.mark.parametrize("name", AFFINITIES)
 @given(seen=pairs_seen, what=st.sampled_from(sorted(GROWS)), by=st.integers(1, LARGE))
-def test_sense(name: str, seen: list[int], what: str, by: int) -> None:
-    """A larger gap, a larger step, more lines one sees through never speak for a pair."""
+def test_evidence_is_monotonic_in_gaps_steps_and_lines_of_sight(
+    name: str, seen: list[int], what: str, by: int
+) -> None:
+    """A larger gap or step, or more lines of sight between surfaces, never add evidence."""
     table = affinity(name, UNIT)
     before, after = np.array([seen]), np.array([seen])
     after[0, PAIR_FEATURES.index(what)] += by
@@ -63,7 +65,7 @@ def test_sense(name: str, seen: list[int], what: str, by: int) -> None:
 
 
 @pytest.mark.parametrize("name", AFFINITIES)
-def test_lengths_follow_the_depth_unit(name: str) -> None:
+def test_thresholds_of_lengths_scale_with_the_depth_unit(name: str) -> None:
     rng = np.random.default_rng(0)
     seen = rng.integers(0, 1000, (200, NUM_FEATURES))
     fine = np.where([one in LENGTHS for one in PAIR_FEATURES], 10 * seen, seen)
@@ -73,7 +75,7 @@ def test_lengths_follow_the_depth_unit(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", AFFINITIES)
-def test_complete_trees(name: str) -> None:
+def test_trees_are_complete_and_their_values_bounded(name: str) -> None:
     table = affinity(name, UNIT)
     trees, nodes = table.feature.shape
     assert nodes == 2**table.depth - 1 and table.threshold.shape == (trees, nodes)
@@ -82,11 +84,11 @@ def test_complete_trees(name: str) -> None:
     assert abs(table.offset) < 20 << FRACTION_BITS
 
 
-def test_a_table_weighs_what_it_names() -> None:
-    """That of ``tabletop`` is older than the last five of what is seen."""
+def test_only_the_newer_table_uses_the_last_five_features() -> None:
+    """The table of ``tabletop`` was trained before the last five features existed."""
     assert affinity("tabletop", UNIT).feature.max() < PAIR_FEATURES.index("behind")
     assert affinity("surfaces", UNIT).feature.max() >= PAIR_FEATURES.index("behind")
 
 
-def test_nothing() -> None:
+def test_no_pairs_have_no_evidence() -> None:
     assert len(evidence(np.zeros((0, NUM_FEATURES), np.int64), affinity("surfaces", UNIT))) == 0

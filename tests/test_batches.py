@@ -1,4 +1,4 @@
-"""Batches of any size, in parts, on one of several devices: equal to the reference."""
+"""Batches of any size, split or not, on any device, equal the reference."""
 
 from pathlib import Path
 from typing import Any
@@ -34,12 +34,12 @@ def scene(batch: int, lens: str = "pinhole", size: tuple[int, int] = (80, 60)) -
     ("name", "batch"),
     [("wheeled", 1), ("wheeled", 2), ("wheeled", 5), ("wheeled", 23), ("paper", 5)],
 )
-def test_any_number_of_frames_equals_the_reference(name, batch):
+def test_batches_of_any_size_equal_the_reference(name, batch):
     given, config = scene(batch), PRESETS[name]
     assert_equal(detect(given, config), detect(given, config, backend="reference"))
 
 
-def test_images_on_a_device_are_computed_there():
+def test_images_on_a_device_are_processed_on_it():
     given, second = scene(2), jax.devices("cpu")[1]
     found = detect(given._replace(depth=jax.device_put(given.depth, second)))
     assert found.num_obstacles.devices() == {second}
@@ -57,7 +57,7 @@ def test_images_spread_over_devices_are_refused():
     ("name", "batches", "compiled"),
     [("wheeled", (5, 4, 3, 2, 1), 4), ("paper", (6, 5), 1)],  # 8, 4, 2 and 1
 )
-def test_batches_of_all_sizes_are_compiled_for_few(name, batches, compiled):
+def test_batch_sizes_are_rounded_up_to_few_compiled_sizes(name, batches, compiled):
     program: Any = {"wheeled": _detect._detect, "paper": _points._detect}[name]
     given, config = scene(batches[0]), PRESETS[name]
     want = detect(given, config, backend="reference")
@@ -70,7 +70,7 @@ def test_batches_of_all_sizes_are_compiled_for_few(name, batches, compiled):
 
 
 @pytest.mark.parametrize("name", ["wheeled", "paper"])
-def test_a_batch_in_parts_equals_the_whole(name, monkeypatch):
+def test_a_batch_uploaded_in_parts_equals_the_reference(name, monkeypatch):
     given, config = scene(7), PRESETS[name]
     frame = given.depth[0].nbytes + (given.color[0].nbytes if name == "paper" else 0)
     for part in "PART_BYTES", "STAGED_PART_BYTES":
@@ -81,14 +81,14 @@ def test_a_batch_in_parts_equals_the_whole(name, monkeypatch):
 
 
 def first(given: Frames, count: int) -> Frames:
-    """The first frames of a batch."""
+    """Return the first frames of a batch."""
     fields = {k: a[:count] for k, a in given._asdict().items() if isinstance(a, np.ndarray)}
     plane = None if given.plane is None else GroundPlane(*(a[:count] for a in given.plane))
     return given._replace(**fields, plane=plane)
 
 
 def runs(path: Path, output: Path, ways: list[tuple[Any, int]]) -> None:
-    """Runs of each backend and batch size give the same bytes."""
+    """Run each backend and batch size, and assert that the results are equal bytes."""
     for backend, size in ways:
         how = {"backend": backend, "batch_size": size, "workers": 1}
         run_logs(path, output / f"{backend}{size}", **how)
@@ -99,7 +99,7 @@ def runs(path: Path, output: Path, ways: list[tuple[Any, int]]) -> None:
 
 @pytest.fixture
 def gpus() -> list:
-    """All CUDA devices, which are JAX's default then."""
+    """Return all CUDA devices; skip if there are none."""
     try:
         return jax.devices("cuda")
     except RuntimeError:

@@ -1,4 +1,4 @@
-"""camera: lens models and rays against OpenCV, and the errors."""
+"""camera: lens models and rays compared with OpenCV, and errors for invalid calibrations."""
 
 import cv2
 import numpy as np
@@ -31,7 +31,7 @@ def test_rays_project_back_to_their_pixels_by_opencv(lens):
     assert np.abs(pixels - np.stack([u, v], axis=1)).max() < 1e-6
 
 
-def test_inverse_brown_conrady_is_a_formula():
+def test_inverse_brown_conrady_equals_its_formula():
     camera = with_lens(D435_COLOR, "inverse")
     x, y = undistort(np.array([0.2]), np.array([-0.1]), camera)
     k1, k2, p1, p2, k3 = camera.coefficients
@@ -59,8 +59,8 @@ def test_corners_are_half_a_pixel_from_the_centres(lens):
     assert max(np.abs(a - b).max() for a, b in zip(corner_rays(camera), want, strict=True)) < 1e-6
 
 
-def test_the_ray_of_a_cell_goes_through_its_middle():
-    """Of 4 x 4 pixels that is between the second and the third."""
+def test_the_ray_of_a_cell_goes_through_its_centre():
+    """The centre of 4 x 4 pixels is between the second and the third."""
     camera = Intrinsics(9, 8, 64.0, 32.0, 4.0, 4.0)
     rays = cell_rays(camera, 4)
     assert rays.shape == (2, 2, 2)
@@ -73,13 +73,13 @@ def test_the_ray_of_a_cell_goes_through_its_middle():
     [
         ((640, 480, 400.0, 400.0), (640, 480, 400.0, 400.0), False),
         ((640, 480, 400.0, 400.0), (1280, 960, 800.0, 800.0), True),
-        ((640, 480, 400.0, 400.0), (640, 480, 350.0, 500.0), True),  # finer in rows alone
+        ((640, 480, 400.0, 400.0), (640, 480, 350.0, 500.0), True),  # finer only in rows
         ((640, 480, 800.0, 800.0), (320, 240, 200.0, 200.0), False),
         ((640, 480, 800.0, 800.0), (640, 360, 300.0, 300.0), True),  # librealsense's exceptions
         ((640, 240, 800.0, 800.0), (320, 180, 150.0, 150.0), True),
     ],
 )
-def test_where_a_depth_pixel_covers_all_between_its_corners(depth, color, fills):
+def test_depth_pixels_fill_the_colour_pixels_between_their_corners_if_coarser(depth, color, fills):
     cameras = [Intrinsics(w, h, fx, fy, w / 2, h / 2) for w, h, fx, fy in (depth, color)]
     calibration = Calibration(*cameras, D435.color_from_depth)
     assert splat_parameters(calibration).fills_corners is fills
@@ -98,7 +98,7 @@ def test_tables_are_cached_and_read_only():
         x[0, 0] = 1
 
 
-def test_a_folding_lens_can_not_project_far_rays_into_the_image():
+def test_rays_beyond_the_fold_of_a_lens_are_not_projected():
     narrow = D435_COLOR._replace(
         distortion=Distortion.PLUMB_BOB, coefficients=(-0.28, 0.05, 0.0, 0.0, 0.0)
     )
@@ -120,7 +120,7 @@ def test_a_folding_lens_can_not_project_far_rays_into_the_image():
         (Intrinsics(640, 480, 20.0, 20.0, 320.0, 240.0), "too wide"),
     ],
 )
-def test_impossible_calibrations_are_errors(camera, message):
+def test_invalid_calibrations_are_errors(camera, message):
     with pytest.raises(CalibrationError, match=message):
         fixed_rays(camera)
 

@@ -1,4 +1,4 @@
-"""cells: square blocks of depth with one robust depth, a position and a box each."""
+"""cells: square blocks of depth pixels, each with a robust depth, a position and a box."""
 
 import numpy as np
 import pytest
@@ -44,7 +44,7 @@ def one_cell(block: object, config: SurfaceConfig = TWO) -> int:
 # by hand
 
 
-def test_grid_of_complete_cells() -> None:
+def test_only_complete_cells_are_in_the_grid() -> None:
     depth = np.array(
         [[100, 101, 700, 700, 9], [102, 105, 700, 700, 9], [500, 0, 0, 0, 9], [0, 504, 0, 400, 9]],
         np.uint16,
@@ -73,11 +73,13 @@ def test_grid_of_complete_cells() -> None:
         ([[65535, 65535], [65535, 65534]], 65535),
     ],
 )
-def test_robust_depth(block: list[list[int]], depth: int) -> None:
+def test_depth_of_a_cell_is_the_mean_near_its_lower_median(
+    block: list[list[int]], depth: int
+) -> None:
     assert one_cell(block) == depth
 
 
-def test_step_grows_with_the_square_of_depth() -> None:
+def test_step_grows_with_depth_squared() -> None:
     config = SurfaceConfig(cell_rad=0.02, step_m=0.01, step_per_m=0.01)
     assert one_cell([[1000, 1020], [1021, 1021]], config) == 1016  # 20 mm at 1.02 m, 31 used
     assert one_cell([[3000, 3100], [3100, 3100]], config) == 3075  # 106 mm at 3.1 m
@@ -102,8 +104,8 @@ def test_the_step_height_grows_less_for_cells_with_more_pixels(
     assert (tenths[0], tenths[40_000]) == (500, round(500 + 120 / side))
 
 
-def test_the_step_height_over_a_table() -> None:
-    """4 mm per metre for a Kinect's cells of 4 pixels, the camera of the training data."""
+def test_step_height_of_tabletop_grows_with_distance() -> None:
+    """It grows by 4 mm per metre for cells of a Kinect, the camera of the training data."""
     kinect = Calibration(Intrinsics(640, 480, 525.0, 525.0, 319.5, 239.5))
     expected = np.rint(8 + 0.004 * np.arange(65536)).astype(np.int64)
     np.testing.assert_array_equal(step_height(kinect, preset("tabletop")).table, expected)
@@ -111,7 +113,7 @@ def test_the_step_height_over_a_table() -> None:
 
 @pytest.mark.parametrize("unit", [0.001, 0.0001, 0.01])
 @pytest.mark.parametrize(("focal", "side"), [(192.25, 1), (384.5, 3)])
-def test_noise_lifts_floor_by_depth_and_the_camera_s_height(
+def test_step_height_includes_noise_by_depth_and_camera_height(
     unit: float, focal: float, side: int
 ) -> None:
     ground = GroundConfig(step_height_m=0.05, step_height_per_m=0.0, noise_per_m=0.06)
@@ -126,7 +128,7 @@ def test_noise_lifts_floor_by_depth_and_the_camera_s_height(
     assert 0 < high[0] <= 65535 * 2
 
 
-def test_depth_unit() -> None:
+def test_steps_are_in_metres_whatever_the_depth_unit() -> None:
     """The step is in metres, the depths are in depth units."""
     camera = Intrinsics(2, 2, 100.0, 100.0, 0.5, 0.5)
     depth = np.array([[[9000, 9050], [9100, 9140]]], np.uint16)
@@ -135,7 +137,7 @@ def test_depth_unit() -> None:
     assert cells(depth, coarse, TWO).z[0, 0, 0] == 9050
 
 
-def test_centre_lies_on_the_ray_of_the_middle() -> None:
+def test_position_lies_on_the_ray_through_the_centre() -> None:
     """It equals ``P = d K^-1 p`` in floating point to the nearest unit, for any colour camera."""
     depth = smooth_depth(1, D435_DEPTH)
     depth[0, :200] = 2000
@@ -193,7 +195,7 @@ def test_cells_outside_of_the_colour_image() -> None:
 
 
 @pytest.mark.parametrize("lens", ["pinhole", "inverse", "plumb_bob", "rational", "equidistant"])
-def test_cells_outside_of_the_lens_have_no_box(lens: str) -> None:
+def test_cells_outside_of_the_lens_model_have_no_box(lens: str) -> None:
     """As in ``align``, rays outside the range of the lens model are not in the colour image."""
     assert lens in LENSES
     calibration = D435._replace(color=with_lens(D435_COLOR, lens))
@@ -256,14 +258,14 @@ def test_a_mirrored_image_has_mirrored_cells() -> None:
 
 
 @pytest.mark.parametrize("calibration", [D435, Calibration(D435_COLOR)])
-def test_no_depth_at_all(calibration: Calibration) -> None:
+def test_without_depth_all_cells_are_empty(calibration: Calibration) -> None:
     grid = cells(np.zeros((2, 480, 640), np.uint16), calibration, THREE)
     assert not np.concatenate(grid).any()
     assert not cell_boxes(grid.z, calibration, 3)[2].any()
 
 
 @pytest.mark.parametrize(("width", "height"), [(1280, 720), (639, 479), (7, 5), (1, 1)])
-def test_sizes(width: int, height: int) -> None:
+def test_grid_of_any_image_size_has_complete_cells_only(width: int, height: int) -> None:
     camera = Intrinsics(width, height, 640.0, 640.0, width / 2, height / 2)
     side = cell_side(camera, THREE.cell_rad)
     assert side == 5

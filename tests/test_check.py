@@ -1,4 +1,4 @@
-"""The stored answer is the reference's, and kernels that find something else are refused."""
+"""The self-check: its stored answer is the reference's, and kernels that differ are refused."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from jaxdet.stages import _check
 from jaxdet.types import Frames
 
 
-def test_the_stored_answer_is_what_the_reference_finds() -> None:
+def test_the_stored_answer_equals_the_reference() -> None:
     depth, planes = _check.check_frames()
     number, valid = np.arange(len(depth)), np.ones(len(depth), bool)
     given = Frames(depth, _check.CALIBRATION, number, number, valid, plane=planes)
@@ -18,7 +18,9 @@ def test_the_stored_answer_is_what_the_reference_finds() -> None:
     assert _check.digest_of(found) == _check.ANSWER
 
 
-def test_kernels_that_find_something_else_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_kernels_that_differ_from_the_stored_answer_are_refused(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     _check.check_kernels.cache_clear()
     _check.check_kernels()
     _check.check_kernels.cache_clear()

@@ -1,4 +1,4 @@
-"""What is refused before a kernel reads it."""
+"""Checks of arguments before kernels read them: images, calibrations, planes, settings."""
 
 import math
 import random
@@ -43,7 +43,7 @@ def made(batch: int = 2) -> Frames:
 
 
 @pytest.mark.parametrize("backend", ["reference", "jax"])
-def test_images_must_be_of_their_cameras_sizes(backend):
+def test_images_must_have_the_size_of_their_camera(backend):
     given = made()
     for part, size in (("color", (2, 30, 48, 3)), ("depth", (2, 61, 48))):
         kind = getattr(given, part).dtype
@@ -56,14 +56,14 @@ def test_images_must_be_of_their_cameras_sizes(backend):
 
 
 @pytest.mark.parametrize("backend", ["reference", "jax"])
-def test_a_batch_has_one_of_each(backend):
+def test_arrays_of_a_batch_must_have_equal_length(backend):
     given = made(3)
     for wrong in (given._replace(depth=given.depth[:2]), given._replace(plane=level(1))):
         with pytest.raises(InputError, match="one entry per frame"):
             detect(wrong, backend=backend)
 
 
-def test_the_stages_refuse_other_sizes():
+def test_stages_refuse_images_of_another_size():
     given = made()
     pixels = np.zeros((2, 2, 1), np.int32)
     with pytest.raises(CalibrationError, match="depth images have 96x20 pixels"):
@@ -74,7 +74,7 @@ def test_the_stages_refuse_other_sizes():
 
 
 @pytest.mark.parametrize(("width", "height"), [(4097, 3), (3, 4097), (2, 60), (60, 2)])
-def test_images_smaller_or_larger_than_the_kernels_take(width, height):
+def test_images_smaller_or_larger_than_kernels_support_are_refused(width, height):
     focal = float(max(width, height))
     camera = Intrinsics(width, height, focal, focal, width / 2, height / 2)
     z = np.zeros((1, height, width), np.uint16)
@@ -87,7 +87,7 @@ def test_images_smaller_or_larger_than_the_kernels_take(width, height):
         detect(frames(Calibration(camera), color, z, plane=level(1)), config)
 
 
-def test_more_points_than_the_kernels_hold():
+def test_more_points_than_kernels_support_are_refused():
     many = points(np.zeros(8193, int), np.full(8193, 1000))
     with pytest.raises(ConfigError, match="8193 points"):
         stages.cluster(many, 0.001, Config())
@@ -105,7 +105,7 @@ def test_more_points_than_the_kernels_hold():
         (FeaturesConfig, ("min_distance",)),
     ],
 )
-def test_numbers_that_no_integer_holds(settings, names):
+def test_settings_that_overflow_integers_are_refused(settings, names):
     for name in names:
         for value in (1e10, float("inf"), float("nan"), -1):
             with pytest.raises(ConfigError, match=name.replace("_", "-")):
@@ -125,8 +125,8 @@ def test_numbers_that_no_integer_holds(settings, names):
         (FootprintConfig, {"margin_m": 30, "long_m": 3000}),
     ],
 )
-def test_lengths_in_millimetres(settings, given):
-    """Of the defaults' size, they don't pass for metres."""
+def test_lengths_given_in_millimetres_are_refused(settings, given):
+    """The default lengths in millimetres are outside of the ranges in metres."""
     for name, value in given.items():
         with pytest.raises(ConfigError, match=rf"{name.replace('_', '-')} must be .* m; see --"):
             settings(**{name: float(value)})
@@ -156,7 +156,7 @@ def test_lengths_in_millimetres(settings, given):
         (FootprintConfig, "extension_m", 5e-324, 5.0),
     ],
 )
-def test_settings_hold_at_their_bounds_and_not_beyond(settings, name, least, largest):
+def test_settings_are_accepted_up_to_their_bounds(settings, name, least, largest):
     for bound, side in ((least, -1), (largest, 1)):
         settings(**{name: bound})
         beyond = bound + side if isinstance(bound, int) else math.nextafter(bound, side * math.inf)
@@ -168,12 +168,12 @@ def test_settings_hold_at_their_bounds_and_not_beyond(settings, name, least, lar
     ("low", "high", "bounds"),
     [(50.0, 100.0, (50, 100)), (100.9, 50.9, (50, 100)), (-math.inf, math.inf, (-1, 2047))],
 )
-def test_bounds_of_canny_are_whole_and_in_order(low, high, bounds):
+def test_bounds_of_canny_must_be_integers_in_order(low, high, bounds):
     assert FeaturesConfig(canny_low=low, canny_high=high).canny_bounds == bounds
 
 
-def test_the_largest_numbers_work():
-    """For points and for surfaces."""
+def test_backends_agree_at_the_largest_accepted_settings():
+    """This holds for obstacles made of points and of surfaces."""
     config = Config(
         features=FeaturesConfig(min_distance=8192.0),
         cluster=ClusterConfig(True, 5.0, 10.0, 8192),
@@ -192,7 +192,7 @@ BACKENDS = pytest.mark.parametrize("backend", ["jax", "reference"])
 
 @BACKENDS
 @pytest.mark.parametrize(
-    ("size", "focal", "cell_rad", "said"),
+    ("size", "focal", "cell_rad", "error"),
     [
         ((600, 10), 300.0, 0.0033, "600x10 cells.*raise --surface.cell-rad"),
         ((64, 8), 2000.0, 0.0078, "cells of 16x16.*lower --surface.cell-rad"),
@@ -200,7 +200,7 @@ BACKENDS = pytest.mark.parametrize("backend", ["jax", "reference"])
         ((4097, 31), 4000.0, 0.0078, "maximum of 4096 columns"),
     ],
 )
-def test_cells_that_there_is_no_room_for(backend, size, focal, cell_rad, said):
+def test_more_cells_than_kernels_support_are_refused(backend, size, focal, cell_rad, error):
     width, height = size
     camera = Intrinsics(width, height, focal, focal, width / 2, height / 2)
     color, depth = (
@@ -209,14 +209,14 @@ def test_cells_that_there_is_no_room_for(backend, size, focal, cell_rad, said):
     )
     given = frames(Calibration(camera), color, depth)
     config = Config(surface=SurfaceConfig(cell_rad=cell_rad))
-    with pytest.raises(ConfigError, match=said):
+    with pytest.raises(ConfigError, match=error):
         detect(given, config, backend=backend)
-    with pytest.raises(ConfigError, match=said):
+    with pytest.raises(ConfigError, match=error):
         find_floors(given, config, backend=backend)
 
 
 @BACKENDS
-def test_the_widest_depth_image_works(backend):
+def test_the_widest_depth_image_is_accepted(backend):
     camera = Intrinsics(4096, 33, 4000.0, 4000.0, 2048.0, 16.5)
     depth = np.full((1, 33, 4096), 2000, np.uint16)
     given = frames(Calibration(camera), np.zeros((1, 33, 4096, 3), np.uint8), depth)
@@ -224,7 +224,7 @@ def test_the_widest_depth_image_works(backend):
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_planes_that_are_no_number(value):
+def test_planes_that_are_not_finite_are_refused(value):
     plane = level(2)._replace(height=np.array([0.4, value]))
     with pytest.raises(InputError, match="is not finite"):
         detect(made()._replace(plane=plane))
@@ -241,7 +241,7 @@ def test_planes_that_are_no_number(value):
         ("ramp_start", np.nan),  # infinity: no ramp
     ],
 )
-def test_parts_of_planes_that_are_no_number(part, value):
+def test_a_plane_with_one_value_that_is_not_finite_is_refused(part, value):
     given, plane = made(), level(2)
     wrong = plane._replace(**{part: np.array([0.0, value])})
     with pytest.raises(
@@ -270,7 +270,7 @@ ANY = math.nan, math.inf, -math.inf, 0.0, -1.0, 1e-45, 1e39, 1e308, -1e9, 1e5, 3
 
 
 def mutated(calibration: Calibration, rng: random.Random) -> Calibration:
-    """The calibration with one to three numbers changed, by much or by little."""
+    """Return the calibration with one to three numbers changed, by much or by little."""
 
     def other(value: float) -> float:
         return rng.choice([rng.choice(ANY), value * rng.choice([-1, 0.1, 0.5, 2, 10]), value + 1])
@@ -300,8 +300,8 @@ def mutated(calibration: Calibration, rng: random.Random) -> Calibration:
     return calibration
 
 
-def test_damaged_calibrations_are_refused_or_used_alike():
-    """A number that no camera has never reaches a kernel, where it would become an index."""
+def test_randomly_damaged_calibrations_are_refused_or_give_equal_results():
+    """Otherwise kernels would compute indices outside of their arrays from such numbers."""
     rng, count = random.Random(1), {"refused": 0, "used": 0}
     given = made(1)
     for _ in range(150):
@@ -320,7 +320,7 @@ def test_damaged_calibrations_are_refused_or_used_alike():
 
 
 @pytest.mark.parametrize(
-    ("part", "value", "said"),
+    ("part", "value", "error"),
     [
         ("fx", 1e-45, "not calibrated.*--log.color-intrinsics"),
         ("cy", math.nan, "optical centre.*--log.color-intrinsics"),
@@ -332,19 +332,19 @@ def test_damaged_calibrations_are_refused_or_used_alike():
         ("distortion", "thin_prism", "'thin_prism' is unknown; use one of"),
     ],
 )
-def test_cameras_that_do_not_exist(part, value, said):
+def test_implausible_intrinsics_are_refused(part, value, error):
     given = made(1)
     camera = given.calibration.color._replace(**{part: value})
-    with pytest.raises(CalibrationError, match=said):
+    with pytest.raises(CalibrationError, match=error):
         detect(given._replace(calibration=given.calibration._replace(color=camera)))
 
 
 @pytest.mark.parametrize(("focal", "view"), [(309_000.0, "0.0593"), (1.0, "179.")])
 def test_impossible_fields_of_view_are_rejected(focal, view):
-    """Micrometres for pixels, or a matrix that is none."""
+    """The focal length is in micrometres, or the camera matrix is the identity."""
     camera = Intrinsics(320, 240, focal, focal, 159.0, 123.0)
-    said = f"is {view}.* 320x240 pixels.*1° to 179°; pass --log.depth-intrinsics fx fy cx cy"
-    with pytest.raises(CalibrationError, match=said):
+    error = f"is {view}.* 320x240 pixels.*1° to 179°; pass --log.depth-intrinsics fx fy cx cy"
+    with pytest.raises(CalibrationError, match=error):
         check_calibration(Calibration(camera))
 
 
@@ -359,13 +359,13 @@ def test_impossible_fields_of_view_are_rejected(focal, view):
     ],
     ids=["binned", "part", "rows", "fisheye", "narrow"],
 )
-def test_unusual_cameras_pass(camera):
+def test_unusual_cameras_are_accepted(camera):
     check_calibration(Calibration(camera))
 
 
 @pytest.mark.parametrize("axis", ["cx", "cy"])
-def test_optical_centres_may_be_an_image_away(axis):
-    """And no farther: of a part of an image that is a third of it, at a side."""
+def test_optical_centres_may_lie_one_image_size_outside(axis):
+    """A crop of the outer third of an image has such a centre; farther ones are refused."""
     camera = Intrinsics(200, 480, 613.0, 613.0, 100.0, 240.0)
     size = camera.width if axis == "cx" else camera.height
     for center, off in ((-size, -1), (2 * size, 1)):
@@ -374,7 +374,7 @@ def test_optical_centres_may_be_an_image_away(axis):
             check_calibration(Calibration(camera._replace(**{axis: float(center + off)})))
 
 
-def test_a_view_is_that_of_the_part_that_is_seen():
+def test_field_of_view_is_that_of_the_cropped_image():
     part = Intrinsics(100, 100, 1.0, 1.0, 200.0, 200.0)  # of a view of 180°, at its edge
     with pytest.raises(CalibrationError, match=r"is 0\.286°"):
         check_calibration(Calibration(part))
@@ -385,13 +385,13 @@ def test_a_view_is_that_of_the_part_that_is_seen():
         check_calibration(Calibration(squeezed._replace(fy=149.0)))
 
 
-def test_motions_and_units_that_no_cameras_have():
+def test_implausible_extrinsics_and_depth_units_are_refused():
     given = made(1)
     motion = given.calibration.color_from_depth
     assert motion is not None
     far = motion._replace(translation=(1e39, 0.0, 0.0))
     mirror = motion._replace(rotation=(-1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0))
-    for part, value, said in (
+    for part, value, error in (
         ("color_from_depth", far, "1e.39 m from the colour camera.*--log.color-from-depth"),
         (
             "color_from_depth",
@@ -402,25 +402,25 @@ def test_motions_and_units_that_no_cameras_have():
         ("depth_unit", math.nan, "--log.depth-unit-m"),
     ):
         wrong = given.calibration._replace(**{part: value})
-        with pytest.raises(CalibrationError, match=said):
+        with pytest.raises(CalibrationError, match=error):
             detect(given._replace(calibration=wrong))
     apart = motion._replace(translation=(0.0, 0.66, 0.0))
     wrong = given.calibration._replace(color_from_depth=apart, depth_unit=1e-5)
     with pytest.raises(CalibrationError, match=r"maximum of 0\.65535 m with a depth"):
         detect(given._replace(calibration=wrong))
-    for part, said in (
+    for part, error in (
         ("color", "needs a colour camera"),
         ("color_from_depth", "transform from depth to colour camera is missing"),
     ):
         wrong = given.calibration._replace(**{part: None})
-        with pytest.raises(CalibrationError, match=said):
+        with pytest.raises(CalibrationError, match=error):
             detect(given._replace(calibration=wrong, color=None))
 
 
 @BACKENDS
-def test_images_are_arrays_of_their_kind(backend):
+def test_images_must_be_arrays_of_the_right_dtype(backend):
     given = made(1)
-    for part, value, said in (
+    for part, value, error in (
         (
             "color",
             given.color.astype(np.float32),
@@ -436,28 +436,28 @@ def test_images_are_arrays_of_their_kind(backend):
         ("depth", np.ma.masked_equal(given.depth, 0), r"masked.*pass images\.filled\(0\)"),
     ):
         wrong = given._replace(**{part: value})
-        with pytest.raises(InputError, match=said):
+        with pytest.raises(InputError, match=error):
             detect(wrong, backend=backend)
         if part == "depth":
-            with pytest.raises(InputError, match=said):
+            with pytest.raises(InputError, match=error):
                 find_floors(wrong, backend=backend)
-            with pytest.raises(InputError, match=said):
+            with pytest.raises(InputError, match=error):
                 estimate_plane(wrong, backend=backend)
 
 
-def test_frames_are_frames():
+def test_detect_refuses_objects_that_are_not_frames():
     for function in (detect, find_floors, estimate_plane):
         with pytest.raises(InputError, match="frames: expected Frames"):
             function("frames")
 
 
-def test_rectangles_take_any_depth_unit():
+def test_footprints_are_computed_in_any_depth_unit():
     obstacles = detect(made(1)).obstacles
     assert np.isfinite(metric.rectangles(obstacles, 2**40, preset("wheeled").footprint)).all()
 
 
 @BACKENDS
-def test_paper_needs_a_plane(backend):
+def test_preset_paper_requires_a_plane(backend):
     given = made(1)._replace(plane=None)
     with pytest.raises(InputError, match=r"needs a floor plane.*jaxdet\.estimate_plane"):
         detect(given, preset("paper"), backend=backend)
@@ -466,14 +466,14 @@ def test_paper_needs_a_plane(backend):
 
 
 @BACKENDS
-def test_paper_needs_colour(backend):
+def test_preset_paper_requires_colour(backend):
     given = made(1)._replace(color=None)
     assert detect(given, backend=backend).num_obstacles.shape == (1,)
     with pytest.raises(InputError, match="the preset paper needs colour images"):
         detect(given, preset("paper"), backend=backend)
 
 
-def test_detect_is_not_for_transformations():
+def test_detect_refuses_transformations_of_jax():
     import jax
 
     given = made(2)
@@ -487,14 +487,14 @@ def test_detect_is_not_for_transformations():
 
 
 @pytest.mark.parametrize("height", [1e4, 1e9])
-def test_planes_of_any_height(height):
+def test_planes_of_any_height_are_accepted(height):
     given = made()._replace(plane=level(2, height))
     assert_equal(detect(given), detect(given, backend="reference"))
 
 
 @BACKENDS
-def test_no_floor_is_no_floor(backend):
-    """Whatever is given or configured."""
+def test_with_source_none_no_floor_is_removed(backend):
+    """This holds whatever plane is given or configured."""
     config = Config(GroundConfig(source="none", camera_height_m=0.5, camera_pitch_rad=0.0))
     given = made()._replace(plane=level(2))
     found = detect(given, config, backend=backend)

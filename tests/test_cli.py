@@ -1,4 +1,4 @@
-"""The command line as a user meets it: help, exit codes, precedence, what goes where."""
+"""Command line: help, exit codes, precedence of settings, standard output and error."""
 
 import gc
 import json
@@ -56,7 +56,7 @@ def test_each_command_has_help(command: str, flag: str, capsys: Captured) -> Non
     assert f"usage: jaxdet {command}" in capsys.readouterr().out
 
 
-def test_help_of_run_names_presets_and_every_field(capsys: Captured) -> None:
+def test_help_of_run_lists_presets_and_every_parameter(capsys: Captured) -> None:
     main(["run", "--help-all"])
     text = " ".join(capsys.readouterr().out.replace("│", " ").split())
     assert ", ".join(PRESETS) in text
@@ -66,7 +66,7 @@ def test_help_of_run_names_presets_and_every_field(capsys: Captured) -> None:
 
 @pytest.fixture(autouse=True)
 def wide(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A terminal in which help has its full width."""
+    """Make the terminal wide enough for the full width of the help."""
     monkeypatch.setenv("COLUMNS", "120")
 
 
@@ -96,7 +96,7 @@ def test_help_is_as_wide_as_the_terminal(
     assert "Number of colour frames" in text and text.startswith("usage: jaxdet sim PATH [OPTIONS]")
 
 
-def test_some_flags_have_a_letter(tmp_path: Path, capsys: Captured) -> None:
+def test_short_flags_equal_long_ones(tmp_path: Path, capsys: Captured) -> None:
     command = parse(["-q", "a", "-o", "x", "-y", "b", "--", "-o", "--c_d"])
     assert command.logs == ("a", "b", "-o", "--c_d")
     assert (command.run.output, command.run.overwrite, command.quiet) == (Path("x"), True, True)
@@ -116,8 +116,8 @@ def test_some_flags_have_a_letter(tmp_path: Path, capsys: Captured) -> None:
     assert "unknown flag -qy; see" in capsys.readouterr().err
 
 
-def test_a_dumb_terminal_gets_whole_lines(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As of Emacs' shell: nothing there can be written anew."""
+def test_progress_on_a_dumb_terminal_is_complete_lines(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Terminals such as Emacs' shell cannot overwrite a line."""
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
     monkeypatch.setenv("TERM", "xterm")
     assert on_terminal()
@@ -127,12 +127,12 @@ def test_a_dumb_terminal_gets_whole_lines(monkeypatch: pytest.MonkeyPatch) -> No
         assert type(progress).__name__ == "_Lines"
 
 
-def test_short_help_of_sim_says_where_the_other_scenes_are(capsys: Captured) -> None:
+def test_short_help_of_sim_refers_to_the_list_of_scenes(capsys: Captured) -> None:
     main(["sim", "--help"])
     assert re.search(r"--help-all lists more scenes", capsys.readouterr().out)
 
 
-def test_help_of_run_says_what_a_moment_is(capsys: Captured) -> None:
+def test_help_of_run_explains_the_formats_of_times(capsys: Captured) -> None:
     main(["run", "--help"])
     said = capsys.readouterr().out
     assert "12.5s into the log, at 2024-05-01T10:00:00Z, or at a stamp [ns]" in said
@@ -144,7 +144,7 @@ def test_help_shows_angles_in_degrees(capsys: Captured) -> None:
     assert "[10deg]" in text and "rad]" not in text
 
 
-def test_help_shows_a_command_as_well_as_a_page(capsys: Captured) -> None:
+def test_help_command_shows_commands_and_pages(capsys: Captured) -> None:
     assert main(["track", "--help"]) == 0
     want = capsys.readouterr().out
     assert main(["help", "track"]) == 0
@@ -172,7 +172,7 @@ def test_help_shows_a_command_as_well_as_a_page(capsys: Captured) -> None:
         ("jaxdet fly --", set()),
     ],
 )
-def test_a_shell_is_told_what_a_word_may_become(
+def test_completions_of_a_word(
     line: str, offered: set[str], capsys: Captured, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COMP_LINE", line + " --quiet")
@@ -222,7 +222,7 @@ def test_completion_in_a_shell(shell: str, tmp_path: Path) -> None:
     assert done.stdout.split() == offered, done.stderr
 
 
-def test_the_page_on_tuning_has_the_ranges_of_cameras() -> None:
+def test_page_on_tuning_has_the_depth_ranges_of_the_presets() -> None:
     rows = re.findall(r"(?m)^\| (`.*?) \| .* \| ([\d.]+) to ([\d.]+) \|$", pages()["tuning"])
     told = {name: row[1:] for row in rows for name in re.findall(r"`(\S+)`", row[0])}
     assert set(told) == set(PRESETS)
@@ -232,7 +232,9 @@ def test_the_page_on_tuning_has_the_ranges_of_cameras() -> None:
 
 
 @pytest.mark.parametrize("flag", ["--ground.camera-pitch", "--ground.camera-pitch-rad"])
-def test_angles_have_units(flag: str, tmp_path: Path, capsys: Captured) -> None:
+def test_angles_are_given_in_degrees_or_radians(
+    flag: str, tmp_path: Path, capsys: Captured
+) -> None:
     def pitch(*words: str) -> float | None:
         height = ["--ground.camera-height-m", "0.3", "--ground.camera-pitch", "0deg"]
         return parse(["a", "--output", "x", *height, *words]).method.ground.camera_pitch_rad
@@ -258,8 +260,8 @@ MAY_BE_NEGATIVE |= {"color_offset_s", "pose_offset_s"}
 
 
 @pytest.mark.parametrize("section", SECTIONS)
-def test_numbers_that_can_not_be_meant_are_usage_errors(section: str) -> None:
-    """Flags, files and Python alike: -1, infinity and no number are no lengths and no counts."""
+def test_implausible_numbers_are_usage_errors(section: str) -> None:
+    """Flags, files and Python refuse -1, infinity and NaN for lengths and counts."""
     make = SECTIONS[section]
     height = {"camera_height_m": 0.3, "camera_pitch_rad": 0.0} if section == "ground" else {}
     hints = typing.get_type_hints(getattr(make, "func", make))
@@ -284,7 +286,7 @@ def test_a_run_can_be_repeated_from_its_results(
     config = str(first / "sim" / "config.json")
     args = ["run", str(sim_log), "--output", str(again), "--config", config]
     assert parse(args[1:]).log.pair_tolerance_s == 0.2
-    assert parse(args[1:]).preset == "d455"  # what results say they were made with
+    assert parse(args[1:]).preset == "d455"  # the preset that the results record
     assert main([*args, "--pictures", "0"]) == 0
     for name in ("frames.parquet", "obstacles.parquet"):
         assert (first / "sim" / name).read_bytes() == (again / "sim" / name).read_bytes()
@@ -294,7 +296,7 @@ def test_a_run_can_be_repeated_from_its_results(
     assert "not the config.json of a run" in capfd.readouterr().err
 
 
-def test_doctor_hints_at_the_extra_where_a_gpu_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_doctor_names_the_extra_if_a_gpu_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
     import jax
 
     from jaxdet.cli import doctor
@@ -315,7 +317,7 @@ def test_help_and_version_load_nothing_heavy() -> None:
     assert run.stdout.splitlines()[-1] == ""
 
 
-def test_version(capsys: Captured) -> None:
+def test_version_is_printed(capsys: Captured) -> None:
     assert main(["--version"]) == 0
     assert capsys.readouterr().out.startswith("jaxdet 0.")
 
@@ -421,12 +423,12 @@ def test_errors_are_one_line(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_wrong_flag_names_the_nearest(capsys: Captured) -> None:
+def test_an_unknown_flag_is_an_error_that_suggests_the_nearest(capsys: Captured) -> None:
     assert main(["run", "a", "--output", "x", "--cluster.depth-gap", "1"]) == 2
     assert "--cluster.depth-gap-m" in capsys.readouterr().err
 
 
-def test_values_that_look_like_flags(tmp_path: Path) -> None:
+def test_values_may_begin_with_a_minus_sign(tmp_path: Path) -> None:
     T = ["-0.1", "0", "-1e-3", "0", "0", "0", "1"]
     words = ["--output=x", "--log.color_from_depth", *T, *PITCH, "-10deg", "--pictures", "3"]
     command = parse(["a", *words, "--log.no-tf", "--pictures", "2", "b", "--", "--c.mcap"])
@@ -443,7 +445,7 @@ def test_values_that_look_like_flags(tmp_path: Path) -> None:
     assert (parse(unset[:-2]).log.odom, parse(unset).log.odom) == ("/odom", None)
 
 
-def test_flags_go_before_the_file_before_the_preset(tmp_path: Path) -> None:
+def test_flags_override_the_file_which_overrides_the_preset(tmp_path: Path) -> None:
     file = tmp_path / "mine.toml"
     file.write_text(
         'preset = "d455"\n[cluster]\ndepth_gap_m = 1\nmin_points = 4\n'
@@ -500,15 +502,17 @@ def test_flags_go_before_the_file_before_the_preset(tmp_path: Path) -> None:
         ("[cluster\n", "bad.toml: invalid TOML"),
     ],
 )
-def test_bad_files_name_the_key_and_the_file(text: str, said: str, tmp_path: Path) -> None:
+def test_errors_in_configuration_files_name_file_and_key(
+    text: str, said: str, tmp_path: Path
+) -> None:
     file = tmp_path / "bad.toml"
-    for encoding in ("utf-8", "utf-8-sig"):  # the second as Windows' editors write
+    for encoding in ("utf-8", "utf-8-sig"):  # editors on Windows write the second
         file.write_text(text, encoding)
         with pytest.raises(ConfigError, match=said):
             defaults(["--config", str(file)])
 
 
-def test_run_prints_json_only_when_asked(sim_log: Path, tmp_path: Path, capfd: Captured) -> None:
+def test_run_prints_json_only_with_the_flag(sim_log: Path, tmp_path: Path, capfd: Captured) -> None:
     args = ["run", str(sim_log), "--output", str(tmp_path / "a"), "--backend", "reference"]
     assert main([*args, "--json", "--pictures", "1", "--truth", str(sim_log)]) == 0
     captured = capfd.readouterr()
@@ -531,10 +535,10 @@ def test_run_prints_json_only_when_asked(sim_log: Path, tmp_path: Path, capfd: C
     assert capfd.readouterr() == ("", "")
 
 
-def test_a_comparison_says_how_many_frames_it_is_of(
+def test_score_states_how_many_frames_were_compared(
     sim_log: Path, tmp_path: Path, capfd: Captured
 ) -> None:
-    part = tmp_path / "part.mcap"  # its truth knows the first of the two frames
+    part = tmp_path / "part.mcap"  # its ground truth has only the first of the two frames
     write_log(part, SimConfig(frames=1, width=160, height=120))
     for truth, said in ((part, "truth      in 1 of 2 frames "), (sim_log, "truth      ")):
         args = ["--output", str(tmp_path / truth.stem), "--backend", "reference", "--pictures", "0"]
@@ -547,17 +551,17 @@ def test_a_comparison_says_how_many_frames_it_is_of(
     args = ["--output", str(tmp_path / "none"), "--backend", "reference", "--pictures", "0"]
     assert main(["run", str(sim_log), *args, "--truth", str(tmp_path / "other.mcap")]) == 0
     assert "truth      not compared in any of 2 frames\n" in capfd.readouterr().out
-    size = {"width": 80, "height": 60}  # of other images too, but of none of these stamps
+    size = {"width": 80, "height": 60}  # other images, with other timestamps
     write_log(tmp_path / "small.mcap", SimConfig(frames=1, start_ns=10**18, **size))
     args[1] = str(tmp_path / "small")
     assert main(["run", str(sim_log), *args, "--truth", str(tmp_path / "small.mcap")]) == 0
     assert "truth      not compared in any of 2 frames\n" in capfd.readouterr().out
 
 
-def test_the_truth_of_another_log_gives_no_score(
+def test_ground_truth_of_another_log_is_not_compared(
     sim_log: Path, tmp_path: Path, capfd: Captured
 ) -> None:
-    """Its stamps and sizes are those of the log, its obstacles are not. The results stay."""
+    """Timestamps and sizes match, but not the obstacles. The results are kept."""
     other = tmp_path / "other.mcap"
     write_log(other, SimConfig(scene="corridor", frames=2, width=160, height=120))
     args = ["--output", str(tmp_path / "out"), "--backend", "reference", "--pictures", "0"]
@@ -571,7 +575,7 @@ def test_the_truth_of_another_log_gives_no_score(
     assert main(["verify", str(tmp_path / "out"), "--sample", "0"]) == 0
 
 
-def test_a_truth_that_is_not_there_is_said_before_the_run(
+def test_missing_ground_truth_is_an_error_before_the_run(
     sim_log: Path, tmp_path: Path, capfd: Captured
 ) -> None:
     command = ["run", str(sim_log), "--output", str(tmp_path / "out"), "--truth", "nothing.mcap"]
@@ -582,7 +586,9 @@ def test_a_truth_that_is_not_there_is_said_before_the_run(
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full on this system")
 @pytest.mark.parametrize("way", ["full", "gone"])
-def test_progress_that_nobody_takes_costs_nothing(sim_log: Path, tmp_path: Path, way: str) -> None:
+def test_a_run_succeeds_if_its_progress_cannot_be_written(
+    sim_log: Path, tmp_path: Path, way: str
+) -> None:
     args = ["run", str(sim_log), "--backend", "reference", "--pictures", "0", "--output"]
     assert main([*args, str(tmp_path / "quiet"), "--quiet"]) == 0
     if way == "full":
@@ -599,8 +605,10 @@ def test_progress_that_nobody_takes_costs_nothing(sim_log: Path, tmp_path: Path,
 
 
 @pytest.mark.skipif(os.name == "nt", reason="descriptors are inherited otherwise")
-@pytest.mark.parametrize("closed", [(2,), (1, 2), (0, 1, 2)])
-def test_closed_streams_cost_nothing(sim_log: Path, tmp_path: Path, closed: tuple) -> None:
+@pytest.mark.parametrize("closed", [(2,), (0, 1, 2)])
+def test_a_run_succeeds_with_closed_standard_streams(
+    sim_log: Path, tmp_path: Path, closed: tuple
+) -> None:
     args = ["run", str(sim_log), "--backend", "reference", "--pictures", "0", "--output"]
     assert main([*args, str(tmp_path / "quiet"), "--quiet"]) == 0
     closing = "import os, sys; [os.close(int(n)) for n in sys.argv[1].split()]; "
@@ -611,7 +619,9 @@ def test_closed_streams_cost_nothing(sim_log: Path, tmp_path: Path, closed: tupl
     same_results(tmp_path / "closed", tmp_path / "quiet")
 
 
-def test_a_bad_log_among_good_ones(sim_log: Path, tmp_path: Path, capfd: Captured) -> None:
+def test_a_failed_log_sets_exit_status_1_and_the_others_are_done(
+    sim_log: Path, tmp_path: Path, capfd: Captured
+) -> None:
     bad = tmp_path / "bad.mcap"
     bad.write_bytes(b"not a log")
     args = ["run", str(bad), str(sim_log), "--output", str(tmp_path / "out")]
@@ -622,7 +632,7 @@ def test_a_bad_log_among_good_ones(sim_log: Path, tmp_path: Path, capfd: Capture
     assert "2 frames" in captured.out
 
 
-def test_a_log_that_fails_is_said_whatever_tracking_does(
+def test_a_failed_log_is_reported_even_if_tracking_fails(
     sim_log: Path, tmp_path: Path, capfd: Captured, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "bad.mcap").write_bytes(b"nothing")
@@ -638,7 +648,7 @@ def test_a_log_that_fails_is_said_whatever_tracking_does(
     assert "bad.mcap" in first and second.endswith("out: can't be written")
 
 
-def test_info_says_what_is_used_and_why(sim_log: Path, capsys: Captured) -> None:
+def test_info_shows_which_topics_are_used_and_why(sim_log: Path, capsys: Captured) -> None:
     assert main(["info", str(sim_log)]) == 0
     text = capsys.readouterr().out
     for part in ("topics", "<- color", "<- depth", "calibration", "from estimate"):
@@ -657,7 +667,7 @@ def test_sim_draws_hard_scenes(tmp_path: Path, capsys: Captured) -> None:
     assert truth.is_wall.sum() >= 3 and truth.camera_pitch[0] != pytest.approx(0.1745)
 
 
-def test_the_first_run_says_that_it_compiles(tmp_path: Path) -> None:
+def test_the_first_run_reports_that_it_compiles(tmp_path: Path) -> None:
     caches = Caches(tmp_path / "jax", tmp_path / "warp")
     for _ in range(2):
         said = "compiling kernels for this machine (up to half a minute, once)"
@@ -666,7 +676,7 @@ def test_the_first_run_says_that_it_compiles(tmp_path: Path) -> None:
     assert first_time(caches) == first_time(Caches(None, None)) == ""
 
 
-def test_a_cache_that_cant_be_written_to_is_told(
+def test_a_cache_that_cannot_be_written_is_a_warning(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from jaxdet.cli import doctor
@@ -684,7 +694,7 @@ def test_a_cache_that_cant_be_written_to_is_told(
     assert doctor.caches() == (True, "jax not kept, warp not kept")
 
 
-def test_sim_tells_how_far_it_is(tmp_path: Path) -> None:
+def test_sim_reports_its_progress(tmp_path: Path) -> None:
     told = []
     write_log(tmp_path / "x.mcap", SimConfig(frames=3, width=64, height=48), told.append)
     assert told == [1, 2, 3]
@@ -711,12 +721,12 @@ def test_sim_writes_a_log_and_its_truth(tmp_path: Path, monkeypatch, capsys: Cap
         assert main([*args, "--overwrite"]) == 1
     assert "can't be written (No space left on device)" in capsys.readouterr().err
     kept = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, kept[1]))  # no file closes well
+    resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, kept[1]))  # closing any file fails
     try:
         assert main([*args, "--overwrite"]) == 1
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, kept)
-    gc.collect()  # nothing is said when files are let go
+    gc.collect()  # closing the files prints nothing
     assert capsys.readouterr().err.endswith("can't be written (File too large)\n")
     assert sorted(path.parent.iterdir()) == before and path.read_bytes() == b"precious"
     assert main([*args, "--overwrite"]) == 0
@@ -731,7 +741,7 @@ def test_doctor_compares_the_backends(capfd: Captured) -> None:
     assert "equal arrays" in report["checks"]["backends agree"]["found"]
 
 
-def test_doctor_fails_when_a_check_does(monkeypatch: pytest.MonkeyPatch, capsys: Captured) -> None:
+def test_doctor_fails_if_a_check_fails(monkeypatch: pytest.MonkeyPatch, capsys: Captured) -> None:
     from jaxdet.cli import doctor
 
     monkeypatch.setattr(doctor, "CHECKS", {"broken": lambda: 1 / 0})
@@ -739,7 +749,9 @@ def test_doctor_fails_when_a_check_does(monkeypatch: pytest.MonkeyPatch, capsys:
     assert "FAILED: ZeroDivisionError" in capsys.readouterr().out
 
 
-def test_a_full_disk_is_one_line(monkeypatch: pytest.MonkeyPatch, capsys: Captured) -> None:
+def test_a_full_disk_is_an_error_of_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: Captured
+) -> None:
     from jaxdet.cli import doctor
 
     def full(args: list[str]) -> int:
@@ -751,7 +763,9 @@ def test_a_full_disk_is_one_line(monkeypatch: pytest.MonkeyPatch, capsys: Captur
     assert capsys.readouterr().err == said
 
 
-def test_interrupt_is_one_line(monkeypatch: pytest.MonkeyPatch, capsys: Captured) -> None:
+def test_an_interrupt_is_reported_in_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: Captured
+) -> None:
     from jaxdet.cli import doctor
 
     def interrupt(args: list[str]) -> int:

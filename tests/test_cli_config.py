@@ -1,4 +1,4 @@
-"""``jaxdet config``: parameters as TOML."""
+"""``jaxdet config`` prints parameters as TOML."""
 
 import pytest
 
@@ -8,7 +8,7 @@ from jaxdet.presets import PRESETS, preset
 
 
 @pytest.mark.parametrize("name", PRESETS)
-def test_the_file_of_a_preset_is_that_preset(tmp_path, capsys, name):
+def test_the_file_of_a_preset_loads_as_that_preset(tmp_path, capsys, name):
     path = tmp_path / "mine.toml"
     assert main(["config", name, "--output", str(path)]) == 0
     assert find_config(path) == preset(name)
@@ -17,7 +17,7 @@ def test_the_file_of_a_preset_is_that_preset(tmp_path, capsys, name):
     assert set(values[1:]) <= set(capsys.readouterr().out.splitlines())
 
 
-def test_parameters_have_their_meaning_and_files_are_kept(tmp_path, capsys):
+def test_parameters_are_explained_and_existing_files_are_kept(tmp_path, capsys):
     path = tmp_path / "mine.toml"
     path.write_text("mine", "utf-8")
     assert main(["config", "-o", str(path)]) == 2

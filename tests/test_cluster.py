@@ -1,4 +1,4 @@
-"""cluster: by hand, against SciPy's single linkage, and the twin."""
+"""cluster: by hand, compared with SciPy's single linkage, and the twin."""
 
 from dataclasses import replace
 
@@ -19,7 +19,7 @@ BACKENDS = pytest.mark.parametrize("backend", [reference, stages], ids=["referen
 
 
 def config(depth_gap: int = 100, lateral_gap: int = 400, min_points: int = 2) -> Config:
-    """Gaps in depth units of 1 mm."""
+    """Return a configuration with gaps in depth units of 1 mm."""
     return replace(
         Config(),
         cluster=ClusterConfig(
@@ -31,7 +31,7 @@ def config(depth_gap: int = 100, lateral_gap: int = 400, min_points: int = 2) ->
 
 
 def labels(backend, features: Features, settings_: Config) -> list:
-    """Of all points but padding, with which all of these cases are one program."""
+    """Return the labels of the points, padded so that all cases share one program."""
     count = features.z.shape[1]
     padded = padding(features, SLOTS - count)
     found = np.asarray(backend.cluster(padded, 0.001, settings_).labels)
@@ -40,7 +40,7 @@ def labels(backend, features: Features, settings_: Config) -> list:
 
 
 def padding(features: Features, count: int) -> Features:
-    """The points of each frame and after them some that are none."""
+    """Append points that are not valid to each frame."""
     pad = [(0, 0), (0, count)]
     return Features(*(np.pad(a, pad) if a.ndim == 2 else a for a in features))
 
@@ -49,7 +49,7 @@ def padding(features: Features, count: int) -> Features:
 
 
 @BACKENDS
-def test_gaps_in_depth(backend):
+def test_gaps_in_depth_separate_sets(backend):
     z = [1000, 1100, 1200, 1301, 1401, 1501]
     assert labels(backend, points([0] * 6, z), config()) == [[0, 0, 0, 1, 1, 1]]
     assert labels(backend, points([0] * 6, z), config(depth_gap=101)) == [[0] * 6]
@@ -63,7 +63,7 @@ def test_a_chain_longer_than_the_gap_is_one_set(backend):
 
 
 @BACKENDS
-def test_gaps_sideways_within_a_set(backend):
+def test_lateral_gaps_separate_points_of_a_set(backend):
     x = [-500, -450, -400, 1, 50, 100, 700]
     z = [1000, 1010, 1020, 990, 1000, 1010, 1000]
     assert labels(backend, points(x, z), config()) == [[1, 1, 1, 0, 0, 0, -1]]
@@ -92,7 +92,7 @@ def test_only_kept_points_take_part(backend):
     assert np.asarray(found.num_obstacles).tolist() == [0]
 
 
-def test_gaps_follow_the_depth_unit():
+def test_gaps_scale_with_the_depth_unit():
     z = [5000, 6000, 7000]
     found = reference.cluster(points([0] * 3, z), 0.0001, config())
     assert found.labels.tolist() == [[0, 0, 0]]
@@ -100,7 +100,7 @@ def test_gaps_follow_the_depth_unit():
     assert found.labels.tolist() == [[-1] * 3]
 
 
-def test_bad_values_name_the_flag():
+def test_values_out_of_range_are_errors_that_name_the_flag():
     with pytest.raises(ConfigError, match=r"cluster\.depth-gap-m"):
         ClusterConfig(depth_gap_m=-1)
 
@@ -163,7 +163,7 @@ def test_twin(device, batch, n, spread, min_points):
 @pytest.mark.parametrize("share", [1.0, 0.9])
 @pytest.mark.parametrize("lateral_gap", [5, 10**4])
 def test_twin_of_as_many_parts_as_points(device, lateral_gap, share):
-    """The last part's last point is as far right as a point can be."""
+    """The last point of the last part has the largest x possible."""
     x = MAX_LATERAL - 9 * np.arange(8192)[::-1]
     features = points(x, 7 * np.arange(8192), np.random.default_rng(0).random(8192) < share)
     given_ = features, 0.001, config(5, lateral_gap, 0)
@@ -181,7 +181,7 @@ hostile = st.lists(
 @pytest.mark.twin
 @given(hostile, st.integers(0, 60), st.integers(0, 60), st.sampled_from([0, 3]))
 @settings(max_examples=80)
-def test_twin_on_anything(rows, depth_gap, lateral_gap, min_points):
+def test_twin_on_random_points(rows, depth_gap, lateral_gap, min_points):
     x, z, kept = (np.array(column) for column in zip(*rows, strict=True))
     given_ = points(x, z, kept), 0.001, config(depth_gap, lateral_gap, min_points)
     assert_equal(stages.cluster(*given_), reference.cluster(*given_))

@@ -1,4 +1,4 @@
-"""Kernels are compiled for the CPU once, by one of the processes that start together."""
+"""Kernels are compiled for the CPU once, even if several processes start together."""
 
 import os
 import shutil
@@ -37,7 +37,7 @@ wp.compile_aot_module = stopped
 
 
 def start(cache: Path, code: str = LOAD + LAUNCH, cwd: Path | None = None) -> subprocess.Popen[str]:
-    """Start a process with a cache of its own."""
+    """Start a process that loads kernels from its own cache."""
     named = {"WARP_CACHE_PATH": str(cache), "PYTHONPATH": os.pathsep.join(sys.path)}
     command, env = [sys.executable, "-P", "-c", code], {**os.environ, **named}
     pipe = subprocess.PIPE
@@ -57,14 +57,14 @@ def code_in(cache: Path) -> dict[Path, int]:
 
 @pytest.fixture(scope="module")
 def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A cache that two processes filled that started together."""
+    """Return a cache that two processes filled at the same time."""
     folder = tmp_path_factory.mktemp("compiled")
     both = [start(folder) for _ in range(2)]
     assert [ended(process) for process in both] == ["1500\n"] * 2
     return folder
 
 
-def test_of_processes_that_start_together_only_one_compiles(cache: Path) -> None:
+def test_only_one_of_two_simultaneous_processes_compiles(cache: Path) -> None:
     assert len(code_in(cache)) == 1
 
 
@@ -81,16 +81,12 @@ def test_a_compilation_that_is_stopped_leaves_no_code(tmp_path: Path) -> None:
     assert not code_in(tmp_path)
 
 
-@pytest.mark.parametrize("damage", ["gone", "flipped"])
-def test_damaged_code_is_compiled_again(cache: Path, tmp_path: Path, damage: str) -> None:
+def test_damaged_code_is_compiled_again(cache: Path, tmp_path: Path) -> None:
     shutil.copytree(cache, tmp_path, dirs_exist_ok=True)
     (file,) = code_in(tmp_path)
     original = file.read_bytes()
-    if damage == "gone":
-        file.unlink()
-    else:
-        middle = len(original) // 2
-        file.write_bytes(original[:middle] + bytes([original[middle] ^ 1]) + original[middle + 1 :])
+    middle = len(original) // 2
+    file.write_bytes(original[:middle] + bytes([original[middle] ^ 1]) + original[middle + 1 :])
     assert ended(start(tmp_path)) == "1500\n"
     (made,) = code_in(tmp_path)
     assert made.read_bytes() == original

@@ -1,4 +1,4 @@
-"""The three ways to give depth agree on the same scene: raw, 32FC1 metres, aligned."""
+"""Raw depth, depth in metres (32FC1) and aligned depth of a scene give the same obstacles."""
 
 import pyarrow.parquet as pq
 import pytest
@@ -24,14 +24,14 @@ def tables(tmp_path_factory):
     return found
 
 
-def test_metres_are_the_same_rows(tables):
+def test_depth_in_metres_gives_the_rows_of_depth_in_millimetres(tables):
     for raw, metres in zip(tables["raw"], tables["metres"], strict=True):
         assert raw.num_rows > 0
         assert raw.drop(["log"]).equals(metres.drop(["log"]))
 
 
 def test_aligned_depth_finds_the_same_obstacles(tables):
-    """Its noise is drawn anew on the colour camera's rays, so places differ by the sensor's."""
+    """Its noise is drawn separately, so positions differ by the noise of the sensor."""
     raw, aligned = (tables[form][1].to_pylist() for form in ("raw", "aligned"))
     assert abs(len(raw) - len(aligned)) <= 0.15 * len(raw)
     matched = 0

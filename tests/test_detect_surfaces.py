@@ -98,7 +98,7 @@ BOX = ((-0.3, 1.2, 0.0), (0.1, 1.5, 0.3))
 # made by hand: exact depth of boxes on a floor
 
 
-def test_a_box_in_exact_depth() -> None:
+def test_a_box_in_exact_depth_is_found_with_its_size() -> None:
     detections = found(made(cast(POSE, [BOX])[None], POSE.plane()))
     scene = detections.scene
     assert count(detections) == 1 and scene
@@ -172,7 +172,7 @@ def test_nothing_is_above_the_robot_if_the_floor_is_unknown() -> None:
     assert_equal(*(found(given, replace(unknown, ground=limit)) for limit in limits))
 
 
-def test_cells_of_twice_the_pixels_add_half_to_the_step() -> None:
+def test_cells_with_twice_the_side_raise_the_step_height_by_half_as_much() -> None:
     """A box is 9 cm high and 2.6 m away, in cells of one pixel and of 2 x 2 equal ones."""
     fine_camera = Intrinsics(320, 240, 304.0, 304.0, 159.5, 119.5)
     coarse = made(cast(POSE, [((-0.5, 2.6, 0.0), (0.5, 3.4, 0.09))])[None], POSE.plane())
@@ -230,7 +230,7 @@ def test_colour_has_no_influence(backend: BackendName) -> None:
         assert_equal(detect(given._replace(color=color), backend=backend), want)
 
 
-def test_a_low_bend_of_the_floor_at_the_margin() -> None:
+def test_floor_bent_at_the_margin_is_not_an_obstacle() -> None:
     """The outer tenth of the columns is nearer by up to 8 percent."""
     u = np.arange(160)
     bend = np.maximum(16 - u, u - 143).clip(0)
@@ -244,7 +244,7 @@ def test_a_low_bend_of_the_floor_at_the_margin() -> None:
 
 
 @pytest.mark.parametrize(("family", "things"), [("empty", 0), ("single_box", 1), ("row", 4)])
-def test_families(family: str, things: int) -> None:
+def test_simulated_families_have_the_expected_obstacles(family: str, things: int) -> None:
     for frame in sample_frames(family, 0, 1, width=320, height=240):
         detections = found(of(frame))
         assert count(detections) == things
@@ -261,7 +261,7 @@ POLE = (Cylinder((1.2, 0.0), 0.03, 0.8, POST),)
 LOOKING_DOWN = {"camera_height_m": 0.6, "camera_pitch_rad": 0.45}
 
 
-def test_sizes_without_noise() -> None:
+def test_sizes_without_noise_are_within_3_cm() -> None:
     """The front of a tall box, and width and depth of one seen from above, are within 3 cm."""
     sensor = DepthSensor(enabled=False)
     wide, _, high = sizes(found(of(simulated(CARTON_BOX, sensor=sensor))))[0]
@@ -270,7 +270,7 @@ def test_sizes_without_noise() -> None:
     np.testing.assert_allclose(low, [[0.4, 0.3, 0.15]], atol=0.03)
 
 
-def test_size_with_the_noise_of_a_stereo_camera() -> None:
+def test_sizes_with_stereo_noise_are_smeared_by_few_pixels() -> None:
     """Silhouettes are smeared over three of 192 pixels per radian, on each side."""
     detections = found(of(simulated(CARTON_BOX)))
     wide, _, high = sizes(detections)[0]
@@ -310,7 +310,7 @@ def test_a_box_behind_a_pole_is_one_obstacle() -> None:
     assert wide[0] < 0.15 and wide[1] == pytest.approx(0.7, abs=0.1)
 
 
-def test_a_step_down() -> None:
+def test_a_step_down_ends_the_free_floor() -> None:
     floor = Ground(drop_m=0.3, drop_start_m=1.5)
     frame = simulated(floor=floor, camera_height_m=0.5, camera_pitch_rad=0.35)
     detections = found(of(frame))
@@ -348,7 +348,7 @@ def test_batch_is_the_stack_of_singles() -> None:
         assert_equal(part(whole, b), found(single))
 
 
-def test_mirrored() -> None:
+def test_mirrored_images_have_mirrored_obstacles() -> None:
     boxes = [BOX, ((0.4, 1.8, 0.0), (0.8, 2.0, 0.5))]
     depth = cast(POSE, boxes)[None]
     one, other = (found(made(d, POSE.plane())) for d in (depth, depth[:, :, ::-1]))
@@ -381,7 +381,7 @@ def test_the_depth_unit_has_little_influence() -> None:
 
 @pytest.mark.parametrize("calibration", [D435, Calibration(D435.depth)])
 @pytest.mark.parametrize("known", [True, False])
-def test_no_depth_at_all(calibration: Calibration, known: bool) -> None:
+def test_without_depth_there_are_no_obstacles(calibration: Calibration, known: bool) -> None:
     plane = POSE.plane() if known else unknown_plane(1)
     color, depth = np.zeros((1, 480, 640, 3), np.uint8), np.zeros((1, 480, 640), np.uint16)
     detections = found(frames(calibration, color, depth, plane=plane))
@@ -397,7 +397,7 @@ def test_no_depth_at_all(calibration: Calibration, known: bool) -> None:
     assert not any(np.any(part) for part in jax.tree.leaves(detections.obstacles))
 
 
-def test_nothing_is_floor_if_the_floor_is_refused() -> None:
+def test_floor_is_not_removed_if_it_is_refused() -> None:
     """Floor and box are obstacles if the floor is refused."""
     config = replace(SURFACES, floor=replace(SURFACES.floor, min_share_alone=1.0))
     given = made(cast(POSE, [BOX])[None], None)
@@ -415,7 +415,7 @@ def test_the_floor_search_can_be_disabled() -> None:
     assert scene and not floors(scene, UNIT).own[0] and not floors(scene, UNIT).plane.valid[0]
 
 
-def test_more_obstacles_than_max_obstacles() -> None:
+def test_surplus_obstacles_are_counted_as_overflow() -> None:
     """17 x 13 squares hang in the air, each a centimetre behind the previous one."""
     depth = np.zeros((1, 120, 160))
     for row in range(13):
@@ -432,7 +432,7 @@ def test_more_obstacles_than_max_obstacles() -> None:
 
 
 @pytest.mark.parametrize("backend", ["reference", "jax"])
-def test_more_surfaces_than_max_surfaces(backend: BackendName) -> None:
+def test_surplus_surfaces_are_not_obstacles(backend: BackendName) -> None:
     """35 x 26 squares hang in the air, all of them too small for obstacles."""
     row, column = np.indices((26, 35))
     z = 1.5 + 0.01 * ((17 * row + column) % 200)
@@ -445,12 +445,12 @@ def test_more_surfaces_than_max_surfaces(backend: BackendName) -> None:
 
 
 @pytest.mark.parametrize(("height", "width"), [(119, 157), (60, 160), (120, 40)])
-def test_parts_of_an_image(height: int, width: int) -> None:
+def test_a_box_is_found_in_any_part_of_an_image(height: int, width: int) -> None:
     detections = found(made(cast(POSE, [BOX])[None, :height, :width], POSE.plane()))
     assert count(detections) == int(width > 50)
 
 
-def test_a_large_image() -> None:
+def test_a_box_in_a_large_image_is_found_with_its_width() -> None:
     camera = Intrinsics(1280, 720, 912.0, 912.0, 639.5, 359.5)
     v = (np.arange(720) - camera.cy) / camera.fy
     floor = np.tile(np.where(v > 0.07, 400 / np.maximum(v, 0.07), 65535)[:, None], (1, 1280))
@@ -465,7 +465,7 @@ def test_a_large_image() -> None:
     assert sizes(detections)[0, 0] == pytest.approx(200 / 912 * 1.1, abs=0.03)
 
 
-def test_saturated_depth() -> None:
+def test_saturated_depth_has_no_obstacles() -> None:
     """Some drivers send 65535 for missing measurements; a rotated camera increases it."""
     depth = np.full((1, 480, 640), 65535, np.uint16)
     color = np.zeros((1, 480, 640, 3), np.uint8)
@@ -504,7 +504,7 @@ def judged(shared_data: Path, name: str, config: Config, **changes: Any) -> list
     return tallies
 
 
-def test_objects_on_a_table(shared_data: Path) -> None:
+def test_labelled_objects_on_a_table_are_found(shared_data: Path) -> None:
     tallies = judged(shared_data, "mosd", preset("tabletop"))
     assert len(tallies) == 36
     score = score_boxes(tallies)
@@ -513,7 +513,7 @@ def test_objects_on_a_table(shared_data: Path) -> None:
     assert score.swamped == 0
 
 
-def test_a_moving_wheelchair(shared_data: Path) -> None:
+def test_labelled_obstacles_of_a_moving_wheelchair_are_found(shared_data: Path) -> None:
     """Labelled objects above 6.5 cm are required; lower ones are neither missed nor false."""
     tallies = judged(shared_data, "wheelchair", SURFACES, least_height_m=0.065)
     score = score_boxes(tallies)

@@ -1,4 +1,4 @@
-"""Detector: the rows of ``jaxdet run``, whatever frames come as; what can't be meant is refused."""
+"""Detector: it returns the rows of ``jaxdet run`` for any type of input, and refuses bad input."""
 
 import inspect
 import os
@@ -24,7 +24,7 @@ from tests.runs import only_log, run_logs
 from tests.scenes import assert_equal, blocks, frames, level, small, smooth_depth
 
 BATCH = 5
-"""Frames at a time, in most tests, as each number of them is a program to compile."""
+"""Frames per batch in most tests, as each batch size is compiled separately."""
 
 
 @pytest.fixture(scope="module")
@@ -113,7 +113,7 @@ def test_a_recorded_log_gives_the_rows_of_jaxdet_run(shared_data, tmp_path):
     assert_rows_of_run(path, tmp_path / "results", Config())
 
 
-def test_a_detector_is_of_its_log(sim_log, tmp_path):
+def test_a_detector_made_from_a_log_refuses_other_logs(sim_log, tmp_path):
     config = Config(ground=GroundConfig(source="none"))
     path = tmp_path / "other.mcap"
     path.write_bytes(sim_log.read_bytes())
@@ -129,13 +129,13 @@ def test_a_detector_is_of_its_log(sim_log, tmp_path):
                     next(detector.run(again, size))
 
 
-def test_time_windows_have_their_floors(sim_log, tmp_path):
+def test_detections_use_the_floor_of_their_time_window(sim_log, tmp_path):
     config = replace(Config(), ground=GroundConfig(window_s=0.5, sample_frames=2))
     config = replace(config, floor=FloorConfig(min_share=0.9))  # no frame shows its own
     assert_rows_of_run(sim_log, tmp_path / "results", config)
 
 
-def test_frames_one_by_one_are_those_of_a_run(sim_log):
+def test_frames_detected_one_by_one_equal_those_of_a_run(sim_log):
     with jaxdet.open_log(str(sim_log)) as log:
         detector = Detector.from_log(log)
         together = list(detector.run(log, BATCH))
@@ -177,7 +177,7 @@ def test_a_log_is_a_sequence_of_frames(sim_log):
         assert [one.number for one in found] == [0, 3, 6]
 
 
-def test_what_a_notebook_shows_is_a_line(sim_log):
+def test_reprs_are_one_line(sim_log):
     with jaxdet.open_log(sim_log) as log:
         detector = Detector.from_log(log)
         found = next(detector.run(log, BATCH))
@@ -188,12 +188,12 @@ def test_what_a_notebook_shows_is_a_line(sim_log):
     assert "ArrayLike" in str(inspect.signature(Detector))
 
 
-def test_the_nearest_obstacle_is_told_by_its_distance(shared_data):
+def test_the_nearest_obstacle_has_the_smallest_distance(shared_data):
     with jaxdet.open_log(shared_data / "aims_slam" / "aims_slam_18frames.mcap") as log:
         frames = list(Detector.from_log(log).run(log))
     nearest = [min(found, key=lambda one: one.distance_m) for found in frames]
     assert [one.distance_m for one in nearest] == [found.nearest_m for found in frames]
-    assert any(one.label != 0 for one in nearest)  # so no page may call 0 the nearest
+    assert any(one.label != 0 for one in nearest)  # label 0 is not always the nearest
 
 
 CALIBRATION = small(160, 120)
@@ -210,13 +210,13 @@ def detector(**options: Any) -> Detector:
     return Detector(**given | options)
 
 
-def told(found: FrameResult) -> list[dict[str, Any]]:
+def attributes(found: FrameResult) -> list[dict[str, Any]]:
     assert found.status == "ok" and len(found) > 0
     return rows_of(found)
 
 
 class Exchanged:
-    """An array of a library that knows DLPack and nothing of NumPy."""
+    """Array of a library that supports DLPack but not NumPy."""
 
     def __init__(self, values: np.ndarray) -> None:
         self.values = values
@@ -229,16 +229,16 @@ class Exchanged:
 
 
 class OnGpu:
-    """A tensor of torch that NumPy can't read."""
+    """Tensor on a GPU, which NumPy cannot read."""
 
     def __array__(self, dtype: Any = None, copy: Any = None) -> np.ndarray:
         raise TypeError("can't convert cuda:0 device type tensor to numpy. Use Tensor.cpu()")
 
 
-def test_frames_come_as_people_have_them():
+def test_frames_of_common_array_types_are_accepted():
     plain = detector()
-    want = [told(found) for found in plain.batch(DEPTH, COLOR)]
-    assert [told(plain(*pair)) for pair in zip(DEPTH, COLOR, strict=True)] == [
+    want = [attributes(found) for found in plain.batch(DEPTH, COLOR)]
+    assert [attributes(plain(*pair)) for pair in zip(DEPTH, COLOR, strict=True)] == [
         [row | {"frame": 0} for row in rows] for rows in want
     ]
     forms = {
@@ -259,7 +259,7 @@ def test_frames_come_as_people_have_them():
     }
     for name, found in forms.items():
         if name != "another unit":
-            assert [told(one) for one in found] == want, name
+            assert [attributes(one) for one in found] == want, name
     assert forms["another unit"][0][0].distance_m == pytest.approx(
         want[0][0]["distance_m"], abs=0.01
     )
@@ -273,7 +273,7 @@ def test_frames_come_as_people_have_them():
 
 
 class Tensor:
-    """An array of another library, as torch has them."""
+    """Array of another library, with the interface of torch."""
 
     def __init__(self, values: Any) -> None:
         self.values = np.asarray(values)
@@ -285,7 +285,7 @@ class Tensor:
         return self.values.astype(dtype)
 
 
-def test_matrices_of_other_libraries_are_taken():
+def test_camera_matrices_of_other_libraries_are_accepted():
     K = [[60.0, 0, 48], [0, 60, 30], [0, 0, 1]]
     assert Intrinsics.from_matrix(Tensor(K), 96, 60) == Intrinsics.from_matrix(K, 96, 60)
     motion = np.eye(4)
@@ -299,17 +299,17 @@ def test_matrices_of_other_libraries_are_taken():
         Intrinsics.from_matrix(K, 96, 60, [*eight, 0.1, *[0.0] * 5])
 
 
-def test_aligned_depth_and_lenses():
+def test_aligned_depth_and_lens_models_are_accepted():
     camera = CALIBRATION.color
     depth = smooth_depth(1, camera)[0]
     aligned = Detector(camera.K, mount=Mount(0.4))
     lens = Intrinsics.from_matrix(camera.K, 160, 120, [0.1, -0.2, 0.001, 0.002, 0.05])
     bent = Detector(lens, mount=Mount(0.4))
-    flat, curved = told(aligned(depth, COLOR[0])), told(bent(depth))
-    assert flat != curved and flat == told(aligned(depth))
+    flat, curved = attributes(aligned(depth, COLOR[0])), attributes(bent(depth))
+    assert flat != curved and flat == attributes(aligned(depth))
 
 
-def test_points_and_masks_are_those_of_the_obstacles():
+def test_points_and_masks_belong_to_their_obstacle():
     found = detector()(DEPTH[0], COLOR[0])
     covered = np.zeros((120, 160), bool)
     for obstacle in found:
@@ -333,8 +333,8 @@ def test_points_and_masks_are_those_of_the_obstacles():
         paper[0].mask()
 
 
-def test_a_mask_shows_the_nearer_of_two_things():
-    """A pillar before a wall: its pixels are the pillar's, those around it the wall's."""
+def test_overlapping_masks_go_to_the_nearer_obstacle():
+    """Pixels of a pillar belong to the pillar, those around it to the wall behind."""
     depth = np.full((120, 160), 3000, np.uint16)
     depth[:, 60:100] = 1000
     found = Detector([120, 120, 80, 60])(depth, COLOR[0])
@@ -345,7 +345,7 @@ def test_a_mask_shows_the_nearer_of_two_things():
     assert (found.labels[:, 2:58] > 0).all() and (found.labels[:, 102:158] > 0).all()
 
 
-def test_the_cells_of_both_backends_are_equal(device):
+def test_cells_of_both_backends_are_equal(device):
     given = frames(CALIBRATION, COLOR, DEPTH, plane=level(3))
     want = jaxdet.detect(given, backend="reference", with_cells=True)
     found = jaxdet.detect(given, with_cells=True)
@@ -353,8 +353,8 @@ def test_the_cells_of_both_backends_are_equal(device):
     assert_equal(found, want)
 
 
-def test_images_may_be_written_to_again():
-    """A camera's driver reuses its memory; XLA reads aligned arrays where they are."""
+def test_results_do_not_change_if_images_are_overwritten():
+    """Camera drivers reuse memory, and XLA does not copy aligned arrays."""
     compiled = detector()
     memory = np.zeros(DEPTH[0].nbytes + 64, np.uint8)
     start = -memory.ctypes.data % 64
@@ -362,10 +362,10 @@ def test_images_may_be_written_to_again():
     depth[:] = DEPTH[0]
     found = compiled(depth, COLOR[0])
     depth[:] = 0
-    assert told(found) == told(detector(backend="reference")(DEPTH[0], COLOR[0]))
+    assert attributes(found) == attributes(detector(backend="reference")(DEPTH[0], COLOR[0]))
 
 
-def test_pictures_are_those_of_the_run():
+def test_drawn_pictures_equal_those_of_the_run():
     found = detector()(DEPTH[0], COLOR[0])
     picture = found.draw()
     assert picture.dtype == np.uint8 and picture.shape[2] == 3 and picture.std() > 10
@@ -378,7 +378,7 @@ def test_pictures_are_those_of_the_run():
     assert np.array_equal(bgr.draw(COLOR[0][..., ::-1]), picture)
 
 
-def test_mounts():
+def test_mounts_are_used_as_prior_of_the_floor():
     assert Mount.from_gravity(0.5, [0, 3.0, 3.0]).pitch_rad == pytest.approx(np.pi / 4)
     assert Mount.from_gravity(0.5, [1e-3, 0.0, 0.0]).roll_rad == pytest.approx(np.pi / 2)
     T = np.eye(4)
@@ -394,7 +394,7 @@ def test_mounts():
     assert unasked(DEPTH[0], COLOR[0]).floor is None
 
 
-def test_configurations_come_by_name_and_file(tmp_path):
+def test_configurations_are_given_by_preset_file_or_object(tmp_path):
     file = tmp_path / "mine.toml"
     file.write_text('preset = "d455"\n[ground]\nmax_depth_m = 3\n')
     for source in (file, str(file)):
@@ -461,9 +461,9 @@ REFUSED_ARGUMENTS = {
 
 
 @pytest.mark.parametrize("name", REFUSED_ARGUMENTS)
-def test_what_no_camera_has_names_its_argument(name):
-    options, said = REFUSED_ARGUMENTS[name]
-    with pytest.raises(JaxdetError, match=said) as caught:
+def test_invalid_camera_arguments_are_named(name):
+    options, message = REFUSED_ARGUMENTS[name]
+    with pytest.raises(JaxdetError, match=message) as caught:
         detector(**options)
     assert "--" not in str(caught.value)
 
@@ -540,7 +540,7 @@ REFUSED_IMAGES = {
 
 
 @pytest.mark.parametrize(
-    ("given", "said"),
+    ("given", "message"),
     [
         ({"stamp_ns": "now"}, "stamps_ns: expected integers"),
         ({"stamp_ns": 1 << 70}, "stamps_ns: expected integers"),
@@ -557,20 +557,20 @@ REFUSED_IMAGES = {
         ({"mount": 0.3}, "mount: must be a jaxdet.Mount, got 0.3"),
     ],
 )
-def test_what_comes_with_a_frame_names_its_argument(given, said):
-    with pytest.raises(JaxdetError, match=said):
+def test_invalid_frame_arguments_are_named(given, message):
+    with pytest.raises(JaxdetError, match=message):
         detector()(DEPTH[0], COLOR[0], **given)
 
 
 @pytest.mark.parametrize("name", REFUSED_IMAGES)
-def test_images_that_are_none_name_their_argument(name):
-    how, depth, color, said = REFUSED_IMAGES[name]
+def test_invalid_images_are_named(name):
+    how, depth, color, message = REFUSED_IMAGES[name]
     given = detector()
-    with pytest.raises(JaxdetError, match=said):
+    with pytest.raises(JaxdetError, match=message):
         (given if how == "call" else given.batch)(depth, color)
 
 
-def test_the_calibration_is_of_the_first_images():
+def test_the_calibration_must_fit_the_images():
     given = Detector([600.0, 600.0, 320.0, 240.0], backend="reference")
     with pytest.raises(CalibrationError, match=r"K: the optical centre \(320, 240\) is outside"):
         given(smooth_depth(1, CALIBRATION.color)[0], COLOR[0])
@@ -594,19 +594,19 @@ def test_the_calibration_is_of_the_first_images():
 
 
 @pytest.mark.parametrize("name", ["K", "color_K"])
-def test_a_lens_that_can_not_be_inverted_names_its_argument(name):
+def test_lens_coefficients_that_cannot_be_inverted_are_named(name):
     lens = Intrinsics.from_matrix(CALIBRATION.color.K, 160, 120, [50.0, 0, 0, 0])
     wide = Intrinsics(160, 120, 19.0, 19.0, 80.0, 60.0)
-    for camera, said in ((lens, "can't be inverted"), (wide, "too wide")):
+    for camera, message in ((lens, "can't be inverted"), (wide, "too wide")):
         given = detector(**{"backend": "reference", name: camera})
         depth = smooth_depth(1, CALIBRATION.color)[0]
-        with pytest.raises(CalibrationError, match=f"^{name}: .*{said}") as caught:
+        with pytest.raises(CalibrationError, match=f"^{name}: .*{message}") as caught:
             given(depth, COLOR[0])
         assert "--" not in str(caught.value)
 
 
-def test_mounts_that_no_camera_has():
-    for wrong, said in (
+def test_implausible_mounts_are_refused():
+    for wrong, message in (
         ({"height_m": 300}, "height_m: .*metres"),
         ({"height_m": 0}, "height_m"),
         ({"height_m": 10**400}, "height_m: number is too large; pass metres"),
@@ -618,7 +618,7 @@ def test_mounts_that_no_camera_has():
         ),
         ({"height_m": 0.3, "roll_rad": float("nan")}, "roll_rad"),
     ):
-        with pytest.raises(ConfigError, match=said):
+        with pytest.raises(ConfigError, match=message):
             Mount(**wrong)
     for gravity in ([0, 0, 0], [1, 2], [np.nan, 0, 1]):
         with pytest.raises(ConfigError, match="gravity"):
@@ -631,8 +631,8 @@ def test_mounts_that_no_camera_has():
             Mount.from_transform(T)
 
 
-def test_a_mount_may_be_known_of_some_frames():
-    """As from an IMU that is slower than the camera; others have the detector's own, or none."""
+def test_mounts_may_be_given_for_some_frames_only():
+    """An IMU may be slower than the camera; other frames use the mount of the detector, if any."""
     both = [Mount(0.4), Mount(0.9, 0.3)]
     for own in (None, Mount(0.4)):
         given = detector(mount=own)
@@ -655,8 +655,8 @@ def test_transformations_of_jax_are_refused(transform):
 
 
 @pytest.mark.parametrize(("config", "frames"), [("wheeled", 1), ("wheeled", 3), ("paper", 1)])
-def test_a_caller_that_jax_traces_is_refused(config, frames):
-    """Its images are NumPy's, but what is computed of them is traced too."""
+def test_calls_from_traced_functions_are_refused(config, frames):
+    """Results computed from NumPy images inside of a traced function would be traced as well."""
     given = detector(mount=None, config=config)
 
     def scaled(scale: jax.Array) -> jax.Array:
@@ -668,7 +668,7 @@ def test_a_caller_that_jax_traces_is_refused(config, frames):
     assert scaled(2) > 0
 
 
-def test_low_level_calls_say_what_is_wrong():
+def test_low_level_functions_name_the_wrong_argument():
     given = frames(CALIBRATION, COLOR, DEPTH)
     with pytest.raises(ConfigError, match=r"expected a Config, got 'wheeled'; .*jaxdet.preset"):
         jaxdet.detect(given, "wheeled")
@@ -686,8 +686,8 @@ def test_low_level_calls_say_what_is_wrong():
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no fork")
-def test_a_forked_process_says_that_it_can_not_compute():
-    """It would wait for threads that it lacks, for ever."""
+def test_detection_in_a_forked_process_is_an_error():
+    """Otherwise it would wait forever for threads that fork does not copy."""
     code = """
 import os, numpy as np, jaxdet
 images = (np.full((120, 160), 2.0),)

@@ -1,4 +1,4 @@
-"""``jaxdet diff``: two runs are compared, obstacle by obstacle."""
+"""``jaxdet diff`` compares two runs, obstacle by obstacle."""
 
 import re
 import shutil
@@ -16,7 +16,7 @@ from tests.made_results import make_results
 
 @pytest.fixture(scope="module")
 def shorter(drive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Results of the same log as ``drive / "out"`` with a shorter range."""
+    """Return results of the log of ``drive`` with a shorter depth range."""
     folder = tmp_path_factory.mktemp("shorter") / "out"
     log = str(drive / "drive.mcap")
     args = ["--output", str(folder), "--ground.max-depth-m", "2.5", "--pictures", "2", "-q"]
@@ -24,7 +24,9 @@ def shorter(drive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_equal_runs(drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_equal_runs_have_no_differences(
+    drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     other = shutil.copytree(drive / "out", tmp_path / "copy")
     assert main(["diff", str(drive / "out"), str(other)]) == 0
     assert capsys.readouterr().out.splitlines()[-1] == "equal"
@@ -49,7 +51,7 @@ def test_every_obstacle_is_counted_once(drive: Path, shorter: Path) -> None:
         assert equal == len(b) - len(frame.only_b) - len(frame.changed) >= 1
 
 
-def test_table_and_exit_code(
+def test_the_command_prints_a_table_and_exits_with_1_if_runs_differ(
     drive: Path, shorter: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["diff", str(drive / "out"), str(shorter)]) == 1
@@ -79,7 +81,7 @@ def test_pictures_are_side_by_side(
     )
 
 
-def test_frames_of_one_run_only(
+def test_frames_in_only_one_run_are_listed(
     drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     some = str(tmp_path / "some")
@@ -90,7 +92,7 @@ def test_frames_of_one_run_only(
     assert "drive: 3 frames, 0 different" in out and "  2 frames only in B" in out
 
 
-def test_runs_on_different_logs(
+def test_runs_on_different_logs_are_refused(
     drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     one = make_results(tmp_path / "one", {"a": 5})

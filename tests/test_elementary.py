@@ -17,7 +17,7 @@ needs_wide = pytest.mark.skipif(not wide, reason="long double is no wider than f
 
 
 def ulps(found, true):
-    """Largest error of float64 values in units of the last place, against long doubles."""
+    """Return the largest error of float64 values in units in the last place (long double truth)."""
     spacing = np.spacing(np.abs(true.astype(np.float64)))
     return float(np.max(np.abs((found.astype(np.longdouble) - true) / spacing)))
 
@@ -31,7 +31,7 @@ ANGLES = np.concatenate(
     [
         np.linspace(-7, 7, 50_001),
         np.linspace(-1e6, 1e6, 50_001),
-        np.arange(-720, 721) * np.pi / 360,  # and next to where they vanish
+        np.arange(-720, 721) * np.pi / 360,  # near the zeros
         np.nextafter(np.arange(-8, 9) * np.pi / 2, 1),
         np.array([1e-300, -1e-9, -(2.0**20) * 1.57]),
     ]
@@ -51,18 +51,18 @@ LENGTHS = np.exp(np.concatenate([np.linspace(-700, 700, 50_001), np.linspace(-1e
         (elementary.log, np.log, [LENGTHS], 1.0),
     ],
 )
-def test_error_is_a_few_units_of_the_last_place(function, true, arguments, most):
+def test_errors_are_a_few_units_in_the_last_place(function, true, arguments, most):
     assert ulps(function(*arguments), true(*(np.longdouble(a) for a in arguments))) <= most
 
 
 def assert_same(found, want):
-    """Equal, NaN where NaN is wanted, and zeros of the same sign."""
+    """Assert that values are equal, including NaN and the sign of zeros."""
     np.testing.assert_array_equal(found, want)
     given = ~np.isnan(want)
     assert (np.signbit(found) == np.signbit(want))[given].all()
 
 
-def test_special_angles():
+def test_special_angles_are_exact():
     x = np.array([0.0, -0.0, INF, -INF, NAN])
     assert_same(elementary.sin(x), np.array([0.0, 0.0, NAN, NAN, NAN]))
     assert_same(elementary.cos(x), np.array([1.0, 1.0, NAN, NAN, NAN]))
@@ -71,7 +71,7 @@ def test_special_angles():
 def test_huge_angles_are_reduced_by_whole_turns():
     found = np.array(elementary.sin_cos(np.array([1e9, -1e300])))
     assert np.abs(found[0] ** 2 + found[1] ** 2 - 1).max() < 1e-15
-    angles = np.array([1e9, 1e5, np.nan, 0.3])  # each by itself
+    angles = np.array([1e9, 1e5, np.nan, 0.3])  # reduced independently
     assert_same(elementary.sin(angles), np.array([float(elementary.sin(a)) for a in angles]))
 
 
@@ -84,20 +84,20 @@ def test_arctan2_treats_special_values_as_numpy_does():
     assert (np.signbit(found) == np.signbit(want))[given].all()
 
 
-def test_special_values_of_the_other_functions():
+def test_other_functions_treat_special_values_as_numpy_does():
     x = np.array([1.0, 0.0, -0.0, -1.0, INF, -INF, NAN, 2.0])
     assert_same(elementary.log(x), np.array([0, -INF, -INF, NAN, INF, NAN, NAN, math.log(2)]))
     found = elementary.hypot([0.0, INF, NAN, 3e-320, 3e307], [-0.0, 1.0, 1.0, 4e-320, -4e307])
     np.testing.assert_allclose(found, [0.0, INF, NAN, 5e-320, 5e307], rtol=1e-3)
 
 
-def test_numbers_are_taken_as_well_as_arrays():
+def test_scalars_are_accepted():
     assert float(elementary.sin(0.5)) == math.sin(0.5)
     assert float(elementary.hypot(3, 4)) == 5.0
     assert float(elementary.arctan2(1, 1)) == math.pi / 4
 
 
-def test_products_are_those_of_matrices():
+def test_matmul_equals_the_product_of_matrices():
     rng = np.random.default_rng(0)
     a, b, v = rng.normal(size=(5, 3, 4)), rng.normal(size=(4, 2)), rng.normal(size=4)
     np.testing.assert_allclose(elementary.matmul(a, b), a @ b, rtol=1e-13)
@@ -105,15 +105,15 @@ def test_products_are_those_of_matrices():
     np.testing.assert_allclose(elementary.norm(a), np.linalg.norm(a, axis=-1), rtol=1e-15)
 
 
-def test_sums_go_from_the_first_term_to_the_last():
-    terms = [1.0, 1e17, -1e17]  # in this order the 1 is lost
+def test_sums_are_computed_in_order():
+    terms = [1.0, 1e17, -1e17]  # the 1 is lost in this order
     assert elementary.dot(np.array(terms), np.ones(3)) == 0.0
     assert elementary.matmul(np.array([terms]), np.ones((3, 1)))[0, 0] == 0.0
     assert elementary.mean(np.array(terms)) == 0.0
     assert elementary.mean(np.array(terms), np.ones(3)) == 0.0
 
 
-def test_means_and_medians():
+def test_means_and_medians_equal_numpy():
     values = np.array([[1.0, 4.0], [3.0, -4.0], [2.0, 0.0]])
     assert elementary.mean(values).tolist() == [2.0, 0.0]
     assert elementary.mean(values, np.array([1, 0, 3])).tolist() == [1.75, 1.0]
@@ -128,11 +128,11 @@ def test_means_and_medians():
         (direction_table(), "558ea341aae6e5c632bcc02060b34ae9c52c1a4cf71372319ff565e57f0e59c7"),
     ],
 )
-def test_integer_tables_are_those_that_results_were_made_with(table, digest):
+def test_integer_tables_have_not_changed(table, digest):
     assert hashlib.sha256(np.ascontiguousarray(table, np.int64).tobytes()).hexdigest() == digest
 
 
-def test_powers_of_two_and_strides_are_the_nearest():
+def test_strides_and_powers_of_two_are_rounded_to_the_nearest():
     for metres in np.exp(np.linspace(-12, 3, 4001)).tolist():
         assert Scale(0.001, 0.0).bits(metres) == max(round(math.log2(metres / 0.001)), 0)
     config = FloorConfig()

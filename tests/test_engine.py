@@ -1,4 +1,4 @@
-"""The local loop: every frame a row, bytes that depend on nothing but the frames, clean ends."""
+"""Runs on one machine: a row per frame, reproducible bytes, failed logs and interrupts."""
 
 import json
 import threading
@@ -54,7 +54,7 @@ def test_bytes_depend_on_neither_backend_nor_batch(sim_log: Path, tmp_path: Path
         assert len(found) == 1, name
 
 
-def test_rows_pictures_map_and_scores(sim_log: Path, tmp_path: Path) -> None:
+def test_results_hold_rows_pictures_map_and_score(sim_log: Path, tmp_path: Path) -> None:
     summary = run(sim_log, tmp_path, pictures=3, truth=sim_log)
     tmp_path = tmp_path / "log"
     frames = pq.read_table(tmp_path / "frames.parquet").to_pylist()
@@ -82,7 +82,7 @@ def test_rows_pictures_map_and_scores(sim_log: Path, tmp_path: Path) -> None:
     assert config["log"]["pair_tolerance_s"] == LogOptions().pair_tolerance_s
 
 
-def test_world_corners_are_where_the_truth_is(sim_log: Path, tmp_path: Path) -> None:
+def test_corners_in_the_world_agree_with_the_ground_truth(sim_log: Path, tmp_path: Path) -> None:
     summary = run(sim_log, tmp_path, pictures=0)
     grid = np.load(tmp_path / "log" / "map.npz")
     with open_log(find_logs([str(sim_log)])[0]) as log:
@@ -94,7 +94,7 @@ def test_world_corners_are_where_the_truth_is(sim_log: Path, tmp_path: Path) -> 
 
 
 class FakeLog:
-    """Ten frames of a floorless scene, some of them bad, 100 ms apart."""
+    """Ten frames without a floor, 100 ms apart, some of them unreadable."""
 
     name, base_frame, T_base_camera = "fake", "base_link", None
     description = SimpleNamespace(warnings=("odd",), notes=(), cameras_left_out=())
@@ -169,7 +169,7 @@ def run_fake(logs: list[LogFiles], output: Path, size: int = 4, **kwargs: Any) -
     return run_logs(logs, output, batch_size=size, **kwargs)
 
 
-def test_every_frame_has_a_row_and_its_status(fake_logs: list, tmp_path: Path) -> None:
+def test_every_frame_has_a_row_with_its_status(fake_logs: list, tmp_path: Path) -> None:
     summary = run_fake(fake_logs[:1], tmp_path)
     rows = pq.read_table(tmp_path / "fake" / "frames.parquet").to_pylist()
     expected = [str(s) for s in FakeLog.status]
@@ -193,16 +193,14 @@ def test_a_failed_log_does_not_stop_the_others(fake_logs: list, tmp_path: Path) 
     assert summary.to_dict()["failed_logs"] == 1
 
 
-def test_a_log_that_fails_has_its_reason_in_its_place(fake_logs: list, tmp_path: Path) -> None:
+def test_the_summary_has_the_error_of_a_failed_log(fake_logs: list, tmp_path: Path) -> None:
     summary = run_fake(fake_logs[1:2], tmp_path / "new")
     assert len(summary.failed) == 1
     assert sorted(path.name for path in (tmp_path / "new").iterdir()) == ["broken", "run.json"]
     assert [path.name for path in (tmp_path / "new" / "broken").iterdir()] == ["failed.json"]
 
 
-def test_an_interrupt_leaves_nothing_of_the_log_that_is_worked_on(
-    fake_logs: list, tmp_path: Path
-) -> None:
+def test_an_interrupt_leaves_no_results_of_the_current_log(fake_logs: list, tmp_path: Path) -> None:
     def interrupt(now: engine.Progress) -> None:
         seen.append(now.doing)
         if not now.doing:
@@ -219,7 +217,7 @@ def test_an_interrupt_leaves_nothing_of_the_log_that_is_worked_on(
     assert seen == ["opening", "looking for the floor", "starting", ""]
 
 
-def test_sources_of_the_ground() -> None:
+def test_summary_names_the_source_of_the_floor() -> None:
     log: Any = FakeLog()
     log.T_base_camera = np.array([[0, 0, 1, 0.1], [-1, 0, 0, 0], [0, -1, 0, 0.4], [0, 0, 0, 1.0]])
 
@@ -238,7 +236,7 @@ def test_sources_of_the_ground() -> None:
         source(source="tf")
 
 
-def test_windows_are_by_absolute_time() -> None:
+def test_time_windows_of_the_floor_are_aligned_to_absolute_time() -> None:
     def by_first_frame(frames: Frames) -> FloorFit:
         own = frames.valid
         height = np.full(len(own), 0.5 + int(frames.number[0]) / 100)
@@ -252,20 +250,20 @@ def test_windows_are_by_absolute_time() -> None:
     assert starts == [500_000_000, 1_000_000_000, 1_500_000_000]
     found = planes.of(log.stamps_ns)
     np.testing.assert_allclose(found.height[:6], [0.5] + [0.51] * 5)
-    assert found.valid.tolist() == [True] * 6 + [False] * 4  # no readable pair in the last one
+    assert found.valid.tolist() == [True] * 6 + [False] * 4  # the last window has no valid frame
     assert "1 of 3 time windows" in planes.warnings[0]
     assert not planes.of(np.array([0])).valid.any()
     plain = Config(config.ground)
     assert not decide_planes(log, plain, "reference", find=by_first_frame).warnings
 
 
-def test_evenly_takes_both_ends() -> None:
+def test_evenly_spaced_samples_include_both_ends() -> None:
     assert evenly(np.arange(10), 4).tolist() == [0, 3, 6, 9]
     assert evenly(np.arange(3), 4).tolist() == [0, 1, 2]
 
 
 @pytest.mark.parametrize("depth", [0, 1, 2])
-def test_reading_ahead_keeps_order_and_passes_errors_on(depth: int) -> None:
+def test_reading_ahead_keeps_the_order_and_raises_errors(depth: int) -> None:
     def items() -> Iterator[int]:
         yield from range(5)
         raise InputError("torn")

@@ -34,7 +34,7 @@ def sim_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def two_cameras(sim_log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The cameras rear and front of one log; the second sees other things and fewer frames."""
+    """Return a log with the cameras rear and front; front has another scene and fewer frames."""
     folder = tmp_path_factory.mktemp("two")
     write_log(folder / "other.mcap", replace(SIM, frames=9, seed=5))
     return join_cameras({"rear": sim_log, "front": folder / "other.mcap"}, folder / "two.mcap")
@@ -55,7 +55,7 @@ def rows_of(table: pa.Table, column: str, values: Collection) -> pa.Table:
 
 @pytest.fixture(scope="module")
 def both(two_cameras: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The results of both cameras, with a picture of each."""
+    """Return results of both cameras, with a picture of each."""
     folder = tmp_path_factory.mktemp("both")
     summary = run(two_cameras, folder, pictures=1)
     assert [(log.log, log.camera) for log in summary.logs] == [("two", "front"), ("two", "rear")]
@@ -77,7 +77,7 @@ def whole(sim_log: Path, tmp_path_factory: pytest.TempPathFactory) -> list[pa.Ta
         ({"start": "1.0", "every": 2}, range(6, 12, 2)),
     ],
 )
-def test_rows_of_a_part_are_those_of_the_whole(sim_log, whole, tmp_path, part, numbers):
+def test_rows_of_a_part_equal_those_of_the_complete_log(sim_log, whole, tmp_path, part, numbers):
     summary = run(sim_log, tmp_path, LogOptions(**part), batch_size=2, pictures=2)
     assert summary.frames == len(numbers)
     for found, all_rows in zip(tables(tmp_path), whole, strict=True):
@@ -89,15 +89,15 @@ def test_rows_of_a_part_are_those_of_the_whole(sim_log, whole, tmp_path, part, n
     assert {name: written["log"][name] for name in part} == part
 
 
-def test_a_part_in_units_of_several_workers(sim_log, whole, tmp_path):
+def test_a_part_run_by_several_workers_has_equal_rows(sim_log, whole, tmp_path):
     summary = run(sim_log, tmp_path, LogOptions(start="0.1", every=2), batch_size=1, workers=2)
     assert summary.workers == 2 and summary.frames == 5
     for found, all_rows in zip(tables(tmp_path), whole, strict=True):
         assert found.equals(rows_of(all_rows, "frame", range(2, 12, 2)))
 
 
-def test_a_camera_that_can_not_be_used_is_said(sim_log, tmp_path, capsys):
-    """Its frames have no rows."""
+def test_an_unusable_camera_is_reported(sim_log, tmp_path, capsys):
+    """Frames of that camera have no rows."""
     path = join_cameras(
         dict.fromkeys(("front", "rear", "side"), sim_log),
         tmp_path / "log.mcap",
@@ -105,14 +105,16 @@ def test_a_camera_that_can_not_be_used_is_said(sim_log, tmp_path, capsys):
     )
     command = ["run", str(path), "--pictures", "0", "--quiet"]
     assert main([*command, "--output", str(tmp_path / "out")]) == 1
-    said = "jaxdet: error: log: left out: camera side, see the warning; --camera takes others alone"
-    assert capsys.readouterr().err == f"{said}\n"
+    printed = (
+        "jaxdet: error: log: left out: camera side, see the warning; --camera takes others alone"
+    )
+    assert capsys.readouterr().err == f"{printed}\n"
     summary = json.loads((tmp_path / "out" / "log" / "summary.json").read_text("utf-8"))
     assert [log["cameras_left_out"] for log in summary["logs"]] == [["side"], ["side"]]
     assert main([*command, "--output", str(tmp_path / "one"), "--camera", "front"]) == 0
 
 
-def test_cameras_are_run_one_after_the_other(both, two_cameras, whole, tmp_path):
+def test_all_cameras_of_a_log_are_run(both, two_cameras, whole, tmp_path):
     for camera in ("front", "rear"):
         run(two_cameras, tmp_path / camera, LogOptions(camera=camera))
     for number, name in enumerate(TABLES):
@@ -149,8 +151,8 @@ def test_results_of_several_cameras_are_read_back(both, two_cameras):
             assert opened.stamps_ns.tolist() == [row["stamp_ns"] for row in rows]
 
 
-def test_results_of_one_of_several_cameras_tell_it_apart(two_cameras, tmp_path):
-    """So the exports of another one can lie beside these."""
+def test_results_of_one_of_several_cameras_name_it(two_cameras, tmp_path):
+    """Exports of another camera can be written next to these."""
     run(two_cameras, tmp_path, LogOptions(camera="rear"))
     with Results(tmp_path / "log") as results:
         (log,) = results.logs
@@ -159,7 +161,7 @@ def test_results_of_one_of_several_cameras_tell_it_apart(two_cameras, tmp_path):
         assert topic(log, "obstacles") == "/jaxdet/rear/obstacles"
 
 
-def test_info_and_lines_name_the_cameras(two_cameras, sim_log, tmp_path, capsys):
+def test_info_and_progress_name_the_cameras(two_cameras, sim_log, tmp_path, capsys):
     assert info.main([str(two_cameras)]) == 0
     lines = capsys.readouterr().out.splitlines()
     heads = [line for line in lines if line.startswith("two, ")]
@@ -172,9 +174,9 @@ def test_info_and_lines_name_the_cameras(two_cameras, sim_log, tmp_path, capsys)
     assert about[0]["description"]["part"].startswith("3 of 12 frames, 0 to 10, multiples of 5, ")
     given = ["--output", str(tmp_path / "out"), "--pictures", "0"]
     assert main(["run", str(two_cameras), *given, "--stop", "0.5"]) == 0
-    said = capsys.readouterr()
-    assert "two, front\n  frames     3" in said.out and "two, rear\n" in said.out
-    assert "two, front: 3/3 frames" in said.err
+    printed = capsys.readouterr()
+    assert "two, front\n  frames     3" in printed.out and "two, rear\n" in printed.out
+    assert "two, front: 3/3 frames" in printed.err
     given[1] = str(tmp_path / "none")
     assert main(["run", str(sim_log), *given, "--start", "100"]) == 1
     assert (
@@ -182,18 +184,18 @@ def test_info_and_lines_name_the_cameras(two_cameras, sim_log, tmp_path, capsys)
     )
 
 
-def test_info_goes_on_after_a_camera_that_fails(two_cameras, capsys):
-    """The camera front has no frame so late."""
+def test_info_continues_after_a_failed_camera(two_cameras, capsys):
+    """The camera front has no frame in this range."""
     assert info.main([str(two_cameras), "--json", "--start", "1.9"]) == 1
-    said = capsys.readouterr()
-    front, rear = json.loads(said.out)["logs"]
+    printed = capsys.readouterr()
+    front, rear = json.loads(printed.out)["logs"]
     assert front["camera"] == "front" and "no depth image matches" in front["error"]
     assert rear["camera"] == "rear" and rear["frames"] == 12
-    assert said.err.count("\n") == 1
+    assert printed.err.count("\n") == 1
 
 
 @pytest.mark.parametrize("logs", [1, 3])
-def test_one_bar_for_all(monkeypatch, logs):
+def test_progress_is_one_bar_of_frames_or_of_logs(monkeypatch, logs):
     monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
     seen = []
     with progress.reporting(False) as show:

@@ -1,4 +1,4 @@
-"""Runs with obstacles made of surfaces: results are complete, and independent of the split."""
+"""Runs with the preset wheeled: complete results, which do not depend on batches and workers."""
 
 import json
 import re
@@ -76,7 +76,7 @@ def test_bytes_depend_on_neither_batch_nor_workers(
             assert (only_log(output) / name).read_bytes() == (folder / name).read_bytes(), name
 
 
-def test_rows_and_summary(results: tuple[Path, LogSummary]) -> None:
+def test_rows_and_summary_are_complete(results: tuple[Path, LogSummary]) -> None:
     folder, about = results
     frames, obstacles = tables(folder)
     assert [row["floor_source"] for row in frames] == ["frame"] * FRAMES
@@ -124,9 +124,7 @@ def test_a_wrong_mount_is_corrected(tmp_path: Path) -> None:
     assert "tf: 0.299 m up, 9.8° down" in about.ground[0].message
 
 
-def test_far_from_the_mount_every_frame_is_refused_with_a_warning(
-    tf_log: Path, tmp_path: Path
-) -> None:
+def test_floors_far_from_the_mount_are_refused_with_a_warning(tf_log: Path, tmp_path: Path) -> None:
     config = Config()
     flags = replace(config.ground, camera_height_m=0.7, camera_pitch_rad=0.5)
     about = run(tf_log, tmp_path, replace(config, ground=flags))
@@ -140,13 +138,15 @@ def test_far_from_the_mount_every_frame_is_refused_with_a_warning(
     assert f"{FRAMES} have that of flags: give" in warning and "--ground.camera-height-m" in warning
 
 
-@pytest.mark.parametrize("far, told", [(10, True), (8, False)])
-def test_floors_far_from_the_mount_may_be_errors_of_the_depth(far: int, told: bool) -> None:
+@pytest.mark.parametrize("far, names_unit", [(10, True), (8, False)])
+def test_the_floor_warning_names_the_depth_unit_if_most_floors_are_far_off(
+    far: int, names_unit: bool
+) -> None:
     log = LogSummary("a", (), status=Counter(ok=10), floor_sources=Counter(tf=10))
     log.floor_refused = Counter(far=far, too_little=10 - far)
     warning = log.floor_warning
     assert warning and "give the camera's true" in warning
-    assert ("check the depth unit (--log.depth-unit-m), the intrinsics" in warning) is told
+    assert ("check the depth unit (--log.depth-unit-m), the intrinsics" in warning) is names_unit
 
 
 @pytest.mark.parametrize(
@@ -180,7 +180,7 @@ def test_source_none_removes_no_floor(tf_log: Path, tmp_path: Path) -> None:
     assert about.floor_warning is None
 
 
-def test_on_a_table(tf_log: Path, tmp_path: Path) -> None:
+def test_a_log_on_a_table_is_run_with_tabletop(tf_log: Path, tmp_path: Path) -> None:
     run(tf_log, tmp_path, preset("tabletop"), batch_size=2)
     frames, obstacles = tables(tmp_path)
     assert len(frames) == FRAMES and obstacles

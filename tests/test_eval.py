@@ -1,4 +1,4 @@
-"""The comparison by hand: three objects on a 40 x 60 picture, and a wall."""
+"""Evaluation by hand: an image of 40 x 60 pixels with three objects and a wall."""
 
 import math
 
@@ -48,7 +48,7 @@ def truth(**changes):
 
 
 def detections(points, forward_mm, **outline):
-    """One frame: ``points`` (u, v, label), ``forward_mm`` of each detection's point C."""
+    """Return detections of a frame: ``points`` (u, v, label), forward distance of each C [mm]."""
     u, v, labels = (np.array([column], np.int32) for column in zip(*points, strict=True))
     used = np.ones(u.shape, bool)
     features = Features(u, v, u, v, v, used, used, np.zeros(1, bool))
@@ -74,7 +74,7 @@ def counted(tally):
     return tuple(getattr(tally, name) for name in names)
 
 
-def test_all_found():
+def test_three_detected_objects_are_three_matches():
     points = on(1, 0) + on(2, 1) + on(3, 2) + [(0, 39, -1)]
     tally = evaluate(detections(points, [1100, 2090, 3130]), truth())
     assert counted(tally) == (3, 3, 3, 3, 0, 0) and tally.frames == 1
@@ -89,13 +89,13 @@ def test_all_found():
     assert figures.tally.frames == 2
 
 
-def test_a_feature_is_of_the_object_whose_depth_it_has():
-    """Object 1 is 1 m away, the floor 5 m; the smear of its depth reaches 4 pixels."""
+def test_a_feature_belongs_to_the_object_at_its_depth():
+    """Object 1 is at 1 m, the floor at 5 m; depth is smeared by up to 4 pixels."""
     depth = np.full((1, 40, 60), 5.0)
     depth[:, 10:30, 5:15] = 1.0
     known = truth(depth_m=depth)
     depth[:, 10:30, 18:] = 1.1
-    # On it, beside it with its depth, too far beside it, on the floor beside it with a depth that
+    # On it, next to it with its depth, too far from it, on the floor next to it with a depth that
     # both have, and on it and on the floor with a depth that nothing there has.
     columns = [(10, 1000), (17, 1010), (19, 500), (18, 1050), (10, 3000), (17, 3000)]
     u, z = (np.array(values, np.int32) for values in zip(*columns, strict=True))
@@ -106,7 +106,7 @@ def test_a_feature_is_of_the_object_whose_depth_it_has():
 
 
 def cells(label, z, count):
-    """Detections of one frame whose cells have these labels and depths ``(R, C)`` [mm]."""
+    """Return detections of a frame whose cells have these labels and depths ``(R, C)`` [mm]."""
     label, z = (np.array(a, np.int32)[None] for a in (label, z))
     forward = [1000] * count
     grid = Cells(np.zeros_like(z), np.zeros_like(z), z)
@@ -114,8 +114,8 @@ def cells(label, z, count):
     return found._replace(cells=CellLabels(label, z > 0, grid))
 
 
-def test_cells_vote_for_what_the_colour_image_shows_in_their_box():
-    """Cells of 10 pixels: the first object is in the first column and half of the second."""
+def test_cells_vote_for_the_object_in_their_box():
+    """With cells of 10 pixels, object 1 is in the first column and half of the second."""
     label = np.full((4, 6), -1)
     label[1:3, 0], label[1:3, 4] = 0, 1
     found = cells(label, np.full((4, 6), 1000), 2)
@@ -125,18 +125,18 @@ def test_cells_vote_for_what_the_colour_image_shows_in_their_box():
         evaluate(found, truth(), Calibration(CAMERA))
 
 
-def test_cells_are_moved_into_the_colour_camera():
-    """Its image is one object's width, 20 pixels, to the right at 1 m."""
+def test_cells_are_transformed_to_the_colour_camera():
+    """The transform shifts pixels by 20, the width of an object, to the right at 1 m."""
     label = np.full((4, 6), -1)
     label[1:3, 0], label[1:3, 5] = 0, 1
     motion = Extrinsics((1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0), (0.4, 0.0, 0.0))
     calibration = Calibration(CAMERA, CAMERA, motion)
     got = evaluate(cells(label, np.full((4, 6), 1000), 2), truth(), calibration, side=10)
-    # The second is outside of the colour image, so that nobody can say whether it is right.
+    # The second is outside of the colour image, so it is neither right nor wrong.
     assert counted(got) == (3, 1, 2, 1, 0, 1)
 
 
-def test_floor_wall_split_merge():
+def test_floor_and_wall_are_false_and_splits_and_merges_are_counted():
     floor = [(20, 37, 0), (21, 37, 0), (22, 37, 0)]
     wall = [(30, 1, 1), (31, 1, 1)]
     split = [*on(1, 2, 3), (10, 25, 3), (11, 25, 3)]
@@ -154,16 +154,16 @@ def test_floor_wall_split_merge():
 
 
 def test_half_of_the_points_must_be_on_the_obstacle():
-    beside = [(0, 35, 0), (0, 36, 0)]
-    assert evaluate(detections(on(1, 0, 2) + beside, [1000]), truth()).found == 1
-    got = evaluate(detections(on(1, 0, 2) + [*beside, (0, 37, 0)], [1000]), truth())
+    nearby = [(0, 35, 0), (0, 36, 0)]
+    assert evaluate(detections(on(1, 0, 2) + nearby, [1000]), truth()).found == 1
+    got = evaluate(detections(on(1, 0, 2) + [*nearby, (0, 37, 0)], [1000]), truth())
     assert counted(got) == (3, 0, 1, 0, 1, 0) and got.on_floor == 1 and got.splits == 0
     loose = EvalConfig(match_share=0.4)
-    points = on(1, 0, 2) + [*beside, (0, 37, 0)]
+    points = on(1, 0, 2) + [*nearby, (0, 37, 0)]
     assert evaluate(detections(points, [1000]), truth(), config=loose).found == 1
 
 
-def test_not_asked_for_is_not_wrong():
+def test_objects_that_are_not_required_are_not_false_positives():
     far = truth(nearest_m=np.array([[5.0, 2.0, 3.0, 8.0]]))
     points = on(1, 0) + [(10, 25, 1), (11, 25, 1)] + on(2, 2)
     got = evaluate(detections(points, [1000, 1000, 2000]), far)
@@ -172,8 +172,8 @@ def test_not_asked_for_is_not_wrong():
     assert evaluate(detections(points, [1000, 1000, 2000]), low).ignored == 2
 
 
-def test_half_of_the_points_on_what_is_not_asked_for():
-    """What is found is not left out as well; what is half a wall is one."""
+def test_detections_with_half_of_their_points_on_ignored_objects():
+    """A match is not ignored as well; a detection that is half on a wall is ignored."""
     far = truth(nearest_m=np.array([[1.0, 5.0, 3.0, 8.0]]))
     got = evaluate(detections(on(1, 0) + on(2, 0), [1100]), far)
     assert counted(got) == (2, 1, 1, 1, 0, 0)
@@ -182,11 +182,11 @@ def test_half_of_the_points_on_what_is_not_asked_for():
     assert (got.on_wall, got.false, got.on_floor) == (1, 0, 0)
 
 
-def test_tolerance():
-    beside = [(3, 20, 0), (15 + 1, 20, 0), (10, 31, 0)]
-    assert evaluate(detections(beside, [1000]), truth()).found == 1
+def test_features_next_to_an_object_count_within_the_tolerance():
+    nearby = [(3, 20, 0), (15 + 1, 20, 0), (10, 31, 0)]
+    assert evaluate(detections(nearby, [1000]), truth()).found == 1
     strict = EvalConfig(tolerance_px=1)
-    assert evaluate(detections(beside, [1000]), truth(), config=strict).on_floor == 1
+    assert evaluate(detections(nearby, [1000]), truth(), config=strict).on_floor == 1
     near_wall = truth()
     near_wall.obstacle_id[0, 4:9] = 4
     corner = [(7, 8, 0), (8, 9, 0)]
@@ -203,11 +203,11 @@ def test_tolerance():
         ({"height_m": np.array([[0.05, 0.06, 0.02, 1.0]])}, 1),
     ],
 )
-def test_what_is_asked_for(change, visible):
+def test_required_objects(change, visible):
     assert evaluate(detections(on(1, 0), [1100]), truth(**change)).visible == visible
 
 
-def test_nothing():
+def test_empty_frames_have_no_matches():
     none = evaluate(detections([(0, 0, -1)], []), truth())
     assert counted(none) == (3, 0, 0, 0, 0, 0) and score([none]).recall == 0
     assert math.isnan(score([none]).precision) and math.isnan(score([]).position_error_m)
@@ -218,7 +218,7 @@ def test_nothing():
         evaluate(detections(on(1, 0), [1]), truth(obstacle_id=np.zeros((2, 40, 60), int)))
 
 
-def test_units():
+def test_position_errors_are_in_metres():
     tally = evaluate(detections(on(1, 0), [11000]), truth(), Calibration(CAMERA, depth_unit=0.0001))
     assert position_errors(tally)[0] == pytest.approx(0)
 
@@ -227,8 +227,8 @@ def box(left, right, near, far):
     return [[left, near], [right, near], [right, far], [left, far]]
 
 
-def test_shapes():
-    """Object 1 is the square [0, 1] x [1, 2]; its detection is [0, 0.8] x [1, 1.5]."""
+def test_shape_errors_by_hand():
+    """Object 1 is the square [0, 1] x [1, 2], its detection the rectangle [0, 0.8] x [1, 1.5]."""
     low = np.array([[[0, 1], [np.nan, np.nan], [np.nan, np.nan], [9, 9]]])
     high = np.array([[[1, 1], [np.nan, np.nan], [np.nan, np.nan], [9, 9]]])
     outline = np.full((1, 4, 16, 2), np.nan)
@@ -266,7 +266,7 @@ def test_shapes():
     assert score([got]).safe_coverage == 0 and math.isnan(score([got]).coverage)
 
 
-def test_internal_indices():
+def test_internal_indices_by_hand():
     points = on(1, 0) + on(2, 1)
     config = EvalConfig(indices=True)
     got = evaluate_frames(detections(points, [1, 2]), truth(), config=config)[0]
@@ -281,15 +281,15 @@ points_anywhere = st.lists(
 
 
 @given(points_anywhere, st.randoms(use_true_random=False))
-def test_laws(points, random):
-    """The order of the points doesn't matter, that of the labels hardly; the counts fit."""
+def test_order_of_points_and_labels_does_not_change_the_counts(points, random):
+    """Points may have any order. Labels matter only for ties, and the counts add up."""
     forward = [1000, 2000, 2500, 3000]
     one = evaluate(detections(points, forward), truth())
     shuffled = random.sample(points, len(points))
     assert evaluate(detections(shuffled, forward), truth()) == one
     turned = [(u, v, label if label < 0 else 3 - label) for u, v, label in points]
     other = evaluate(detections(turned, forward[::-1]), truth())
-    # Of two equally good detections one is false, whichever; the rest is the same.
+    # One of two equally good detections is false, either one.
     same = ("found", "matched", "visible", "points_right", "pairs_both", "pairs_true", "merges")
     assert all(getattr(other, name) == getattr(one, name) for name in same)
     assert one.found + one.false + one.ignored == one.detections == 4
@@ -300,8 +300,8 @@ def test_laws(points, random):
 
 
 @given(st.lists(st.tuples(st.integers(0, 59), st.integers(0, 39)), min_size=1, max_size=30))
-def test_the_truth_scores_best(pixels):
-    """Labels made from the picture itself have nothing wrong."""
+def test_ground_truth_as_detections_has_no_errors(pixels):
+    """Labels taken from the image itself have neither misses nor false positives."""
     ids = picture()
     points = [(u, v, int(ids[v, u]) - 1) for u, v in pixels if ids[v, u] != 4]
     strict = EvalConfig(tolerance_px=0)

@@ -1,4 +1,4 @@
-"""Drivable floor inside of outlines: by hand, and its places against the simulator's."""
+"""Drivable floor inside of outlines, by hand and compared with the simulator."""
 
 import math
 
@@ -28,7 +28,7 @@ CONFIG = EvalConfig(footprint=Config().footprint, min_visible_pixels=3)
 
 
 def found() -> Detections:
-    """Two frames; the first has a square from (0, 1) to (1, 2) and one a metre to the right."""
+    """Return two frames; the first has a square from (0, 1) to (1, 2) and one 1 m to its right."""
     calibration = small()
     color = np.zeros((2, 60, 80, 3), np.uint8)
     plane = flat_plane(*np.full((3, 2), [[0.4], [0.0], [0.0]]))
@@ -56,7 +56,7 @@ FLOOR = np.array([[[[0.5, 1.5], [0.9, 1.9], [1.5, 1.5], [0.5, 2.5]]]] * 2)
 """Two pixels in the first square, one in the second, one behind."""
 
 
-def test_by_hand() -> None:
+def test_claimed_floor_by_hand() -> None:
     detections = found()
     heights = np.zeros_like(detections.scene.bottom_top)
     low = with_scene(detections, bottom_top=heights)
@@ -78,7 +78,7 @@ def test_by_hand() -> None:
     assert claimed_floor(points, FLOOR, 0.001, CONFIG)[0].drivable_claimed == 3
 
 
-def test_a_frame_with_little_floor_has_no_share_of_its_own() -> None:
+def test_frames_with_little_floor_have_no_share() -> None:
     floor = FLOOR.copy()
     floor[0, 0, 1:3] = np.nan
     tallies = claimed_floor(found()._replace(scene=None), floor, 0.001, CONFIG)
@@ -88,14 +88,14 @@ def test_a_frame_with_little_floor_has_no_share_of_its_own() -> None:
     assert math.isnan(score([Tally()]).free_claimed)
 
 
-def test_what_was_measured_as_floor() -> None:
+def test_floor_is_measured_only_where_depth_agrees_with_it() -> None:
     positions = np.array([[[0.0, 1.0], [0.0, 1.0], [0.0, 1.0], [3.0, 3.0], [np.nan, 1.0]]])
     true = np.array([[1.0, 1.0, 1.0, 3.0, 1.0]], np.float16)
     got = measured_floor(positions, true, np.array([[1.05, 0.0, 0.9, 3.0, 1.0]]), EvalConfig())
     assert np.isfinite(got).all(axis=-1).tolist() == [[True, False, False, False, False]]
 
 
-def test_places_are_those_of_the_simulator() -> None:
+def test_positions_equal_those_of_the_simulator() -> None:
     (frame,) = sample_frames("corridor", 0, 1, width=160, height=120)
     truth = floor_truth(frame)
     calibration = calibration_of(frame.config)
@@ -112,7 +112,7 @@ def test_places_are_those_of_the_simulator() -> None:
     assert np.nanmedian(np.abs(moved - got)[..., 0]) > 0.005
 
 
-def test_a_run_counts_it(tmp_path) -> None:
+def test_a_run_reports_claimed_floor(tmp_path) -> None:
     from jaxdet.cli.truth import TruthScore
     from jaxdet.sim import SimConfig, write_log
     from tests.runs import run_logs

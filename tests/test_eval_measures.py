@@ -1,4 +1,4 @@
-"""Indices, partitions, matches and outlines: by hand, against sklearn and SciPy, and laws."""
+"""Indices, partitions, matches and outlines: by hand, compared with sklearn, and laws."""
 
 import math
 
@@ -31,7 +31,7 @@ def test_indices_equal_sklearn(seed, n, clusters, axes):
         assert ours == (0.0, 0.0)
 
 
-def test_indices_at_the_edges():
+def test_indices_of_degenerate_partitions():
     twice = np.array([[0.0, 0.0], [0.0, 0.0], [1.0, 0.0], [1.0, 0.0]])
     labels = np.array([0, 0, 7, 7])
     assert silhouette(twice, labels) == 1 and davies_bouldin(twice, labels) == 0
@@ -51,7 +51,7 @@ def test_indices_do_not_depend_on_place_and_scale(seed, shift, scale):
 
 
 def alone(labels, first):
-    """Each point of noise with a number of its own."""
+    """Return labels in which each noise point has its own number."""
     noise = labels < 0
     return np.where(noise, first + np.cumsum(noise), labels)
 
@@ -92,7 +92,7 @@ def test_match_by_hand():
 
 
 @given(seeds, st.integers(3, 9))
-def test_outlines_laws(seed, n):
+def test_overlap_is_symmetric_and_bounded(seed, n):
     rng = np.random.default_rng(seed)
     a, b = rng.normal(size=(n, 2)), rng.normal(size=(n, 2))
     assert 0 <= overlap(a, b) <= 1
@@ -124,7 +124,7 @@ def test_outlines_by_hand():
     assert inside(dot, np.array([[0.0, 0.0], [0.1, 0.0]]), 0.05).tolist() == [True, False]
 
 
-def test_near_side():
+def test_near_side_of_an_outline_by_hand():
     assert len(near_side(SQUARE - 1)) == 0
     assert len(near_side(np.full((4, 2), np.nan))) == 0
     corner = near_side(SQUARE + 1, 0.5)

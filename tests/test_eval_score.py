@@ -31,7 +31,7 @@ counts = st.lists(
 
 
 @given(counts)
-def test_figures_hang_together(rows):
+def test_figures_of_a_score_are_consistent(rows):
     figures = score(tallies(rows))
     tp, fp, fn = (sum(column) for column in zip(*rows, strict=True))
     if tp:
@@ -44,7 +44,7 @@ def test_figures_hang_together(rows):
     assert score([total(tallies(rows))]).to_dict() == pytest.approx(figures.to_dict(), nan_ok=True)
 
 
-def test_totals():
+def test_totals_are_sums_over_frames():
     case = Case(1, 2.0, True, 0.1, -0.2, 0.5, -0.05)
     one = Tally(frames=1, fmi_sum=0.5, fmi_frames=1, cases=(case,))
     both = total([one, one])
@@ -57,7 +57,7 @@ def test_totals():
     assert score([Tally(pairs_true=3)]).fmi_pooled == 0 and math.isnan(score([one]).fmi_pooled)
 
 
-def test_keep_shares():
+def test_kept_shares_count_measured_pixels_of_floor_and_obstacles():
     ids = np.array([[0, 0, 0, 0, 1, 1, 1, 2]])
     heights = np.array([[0, 0, 0, NAN, 0.03, 0.2, 0.3, 1.0]])
     z = np.array([[1, 1, 0, 1, 1, 1, 1, 1.0]])
@@ -68,8 +68,8 @@ def test_keep_shares():
     assert score([got]).floor_kept == 0.5 == score([got]).obstacle_kept
 
 
-def test_nearest_on_floor():
-    """A camera 1 m up that looks straight down: a pixel is a tenth of the depth to the side."""
+def test_nearest_obstacle_on_the_floor_by_hand():
+    """The camera is 1 m up and looks straight down; a pixel is 0.1 times the depth wide."""
     ids, depth = np.zeros((1, 3, 7), int), np.ones((1, 3, 7), np.float16)
     ids[0, 1] = [4, 1, 1, 2, 0, 3, 0]
     depth[0, 1] = [0.5, 0.9, 0.96, 0.97, 1.0, 0.8, 1.0]
@@ -77,21 +77,21 @@ def test_nearest_on_floor():
     camera = Calibration(Intrinsics(7, 3, 10.0, 10.0, 6.0, 1.0))
     down = np.full(1, math.pi / 2)
     got = nearest_on_floor(truth, camera, np.ones(1), down, np.zeros(1), 0.05)
-    # Of the first the nearer pixel is low, of the second nothing is higher than the step, and the
+    # The nearer pixel of the first is low, no pixel of the second is above the step, and the
     # fourth is cut by the picture's left edge.
     np.testing.assert_allclose(got, [[0.45, 0.291, 0.08, NAN]], atol=1e-3)
     level = nearest_on_floor(truth, camera, np.ones(1), np.zeros(1), np.zeros(1), 0.05)
     np.testing.assert_allclose(level[0, 0], math.hypot(0.9, 0.45), atol=1e-3)
     # The depth camera is 0.1 m to the left of the colour camera and 0.2 m above it.
     turn = (1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0)
-    beside = Calibration(camera.depth, camera.depth, Extrinsics(turn, (-0.1, 0.0, -0.2)))
-    moved = nearest_on_floor(truth, beside, np.ones(1), down, np.zeros(1), 0.05)
+    apart = Calibration(camera.depth, camera.depth, Extrinsics(turn, (-0.1, 0.0, -0.2)))
+    moved = nearest_on_floor(truth, apart, np.ones(1), down, np.zeros(1), 0.05)
     np.testing.assert_allclose(moved, [[0.35, 0.191, 0.02, NAN]], atol=1e-3)
     with pytest.raises(ValueError, match="depth_m"):
         nearest_on_floor(frame_truth(), camera, np.ones(1), down, down, 0.05)
 
 
-def test_truth_of_a_log():
+def test_ground_truth_of_a_log_is_read():
     T = np.repeat(np.eye(4)[None], 2, axis=0)
     T[:, :3, :3] = [[0, 0, 1], [-1, 0, 0], [0, -1, 0]]
     T[1, :3, :3] = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]
@@ -114,8 +114,8 @@ def test_truth_of_a_log():
     assert got.nearest_forward_m[0, 0] == 2.1 and got.visible_pixels[0, 0] == 6
     camera = Intrinsics(7, 3, 10.0, 10.0, 6.0, 1.0)
     turn = (1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0)
-    beside = Calibration(camera, camera, Extrinsics(turn, (0.1, 0.0, -0.3)))
-    moved = truth_of(log, [1, 0], np.zeros((2, 2, 2), int), calibration=beside)
+    apart = Calibration(camera, camera, Extrinsics(turn, (0.1, 0.0, -0.3)))
+    moved = truth_of(log, [1, 0], np.zeros((2, 2, 2), int), calibration=apart)
     shift = np.array([-0.1, 0.3])  # the depth camera is to the right and behind
     np.testing.assert_allclose(moved.footprint, [[local + shift]] * 2)
     np.testing.assert_allclose(moved.ground_min, [[[0.5, 2.4]], [[0.4, 2.3]]])
@@ -123,7 +123,7 @@ def test_truth_of_a_log():
     np.testing.assert_allclose(moved.nearest_forward_m, [[2.4], [2.3]])
 
 
-def test_quantiles_of_errors():
+def test_quantiles_of_errors_by_hand():
     cases = np.repeat(np.arange(11.0)[:, None], 7, axis=1)
     cases[::2, 3:] *= -1
     figures = errors(cases)

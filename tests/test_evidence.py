@@ -1,4 +1,4 @@
-"""pairs: what is seen of two surfaces, against the same written with loops."""
+"""pairs: features of pairs of surfaces, compared with an implementation by loops."""
 
 from dataclasses import replace
 
@@ -17,7 +17,7 @@ CONFIG = ObstacleConfig()
 
 
 def facing_slowly(label: np.ndarray, floor: np.ndarray, z: np.ndarray, along: np.ndarray) -> dict:
-    """Line by line, cell by cell."""
+    """Compute the facing cells of each pair line by line, cell by cell."""
     found: dict[tuple[int, int], list[int]] = {}
     for row in range(len(label)):
         cells = [int(n) for n in label[row]]
@@ -59,7 +59,9 @@ frames = st.integers(0, 2**32 - 1).map(np.random.default_rng)
 
 
 @given(frames, st.integers(1, 5), st.integers(1, 40))
-def test_facing_as_written_with_loops(rng: np.random.Generator, rows: int, columns: int) -> None:
+def test_facing_cells_equal_those_found_by_loops(
+    rng: np.random.Generator, rows: int, columns: int
+) -> None:
     label = np.repeat(rng.integers(-1, 6, (rows, columns)), 2, axis=1)
     depth = np.where(label >= 0, 1000 + rng.integers(0, 4, label.shape) * 45, 0)
     floor = (label < 0) & (rng.random(label.shape) < 0.1)
@@ -71,8 +73,8 @@ def test_facing_as_written_with_loops(rng: np.random.Generator, rows: int, colum
         assert votes == expected.get((int(one), int(other)), [0] * 6)
 
 
-def test_facing_by_hand() -> None:
-    """A pole before a wall; beside it one sees through."""
+def test_facing_cells_by_hand() -> None:
+    """A pole stands in front of a wall, which is visible next to it."""
     label = np.array([[0, 0, 1, 2, -1, 3], [0, 0, -1, 2, -1, -1]])
     z = np.array([[900, 900, 700, 905, 1500, 910], [900, 900, 0, 1000, 0, 0]])
     floor = z == 1500
@@ -83,7 +85,7 @@ def test_facing_by_hand() -> None:
 
 
 def upright(columns: list[tuple[int, int, int]]) -> tuple[np.ndarray, View]:
-    """Upright things ``(first column, width, z)``, ten rows high, 10 mrad a column."""
+    """Return upright objects ``(first column, width, z)``, 10 rows high, 10 mrad per column."""
     shape = (12, 120)
     label, z = np.full(shape, -1), np.zeros(shape, np.int64)
     for number, (first, width, depth) in enumerate(columns):
@@ -100,8 +102,8 @@ def seen_of(things: list[tuple[int, int, int]], config: ObstacleConfig = CONFIG)
     return [dict(zip(PAIR_FEATURES, one.tolist(), strict=True)) for one in found.features]
 
 
-def test_what_is_seen_by_hand() -> None:
-    """20 columns and 10, 10 columns apart at 1 m and 1.1 m, without depth between."""
+def test_features_of_a_pair_by_hand() -> None:
+    """Objects of 20 and 10 columns at 1 m and 1.1 m, with 10 columns without depth between them."""
     (seen,) = seen_of([(30, 20, 1000), (60, 10, 1100)])
     assert seen["gap"] == int(np.hypot(110, 100)) and seen["ahead"] == 100
     assert seen["step"] == 100 and seen["through"] == 0
@@ -114,16 +116,16 @@ def test_what_is_seen_by_hand() -> None:
     assert seen["through_share"] == seen["through_share_in_columns"] == 0
 
 
-def test_less_and_more_go_by_size_not_by_number() -> None:
-    """Equal numbers of cells: the narrower one, nearer here, is the lesser."""
+def test_lesser_and_greater_surface_are_ordered_by_size() -> None:
+    """Both have as many cells, so the narrower one, which is nearer, is the lesser."""
     one, other = ([(20, 10, 1000), (60, 10, 1500)], [(60, 10, 1500), (20, 10, 1000)])
     assert seen_of(one) == seen_of(other)
     (seen,) = seen_of(one)
     assert seen["cells_less"] == seen["cells_more"] and seen["width_less"] < seen["width_more"]
 
 
-def test_columns_and_depth_unit() -> None:
-    """A thing over another, nothing measured between, in millimetres and in tenths of them."""
+def test_features_do_not_depend_on_the_depth_unit() -> None:
+    """One object is above another, without depth between them, in units of 1 mm and 0.1 mm."""
     label, view = upright([(30, 20, 1000)])
     label[4:7], view.z[4:7] = -1, 0
     label[7:] = np.where(label[7:] == 0, 1, label[7:])
@@ -140,14 +142,14 @@ def test_columns_and_depth_unit() -> None:
     assert through[PAIR_FEATURES.index("through_in_columns")] == 20
 
 
-def test_pairs_out_of_reach() -> None:
+def test_surfaces_too_far_apart_are_not_pairs() -> None:
     things = [(5, 20, 1000), (90, 20, 1000)]
     assert len(seen_of(things)) == 1
     assert not seen_of(things, replace(CONFIG, lateral_gap_m=0.5))
     assert not seen_of([(5, 20, 1000), (40, 20, 2000)])
 
 
-def test_nothing() -> None:
+def test_no_surfaces_are_no_pairs() -> None:
     label, view = upright([])
     assert pairs(label, (view.z > 0) & (label < 0), view, UNIT, CONFIG).features.shape == (
         0,

@@ -1,4 +1,4 @@
-"""scripts/examples run on recorded frames."""
+"""The examples of ``scripts/examples`` and the demo run."""
 
 import ast
 import json
@@ -27,7 +27,7 @@ def aligned_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_a_live_camera(aligned_log, capsys):
+def test_the_example_of_a_live_camera_runs(aligned_log, capsys):
     example = runpy.run_path(str(EXAMPLES / "live_camera.py"))
     with jaxdet.open_log(aligned_log) as log:
         source = [frame.depth for frame in log]
@@ -38,8 +38,8 @@ def test_a_live_camera(aligned_log, capsys):
     assert all("nearest 1." in line and line.endswith("STOP") for line in lines)
 
 
-def test_the_notebook(tmp_path, monkeypatch):
-    """Each cell runs, and what notebooks show of its last expression is there."""
+def test_the_notebook_runs_and_displays_its_results(tmp_path, monkeypatch):
+    """Each cell runs, and its last expression has a representation for notebooks."""
     pytest.importorskip("pandas")
     monkeypatch.chdir(tmp_path)
     notebook = json.loads((EXAMPLES / "first_look.ipynb").read_text("utf-8"))
@@ -58,8 +58,8 @@ def test_the_notebook(tmp_path, monkeypatch):
     log.close()
 
 
-def test_the_demo_replaces_what_an_earlier_one_left(tmp_path):
-    """Without its set-up, and with a smaller log."""
+def test_the_demo_replaces_the_output_of_an_earlier_one(tmp_path):
+    """The demo runs without its set-up and on a smaller log."""
     scripts, program = tmp_path / "clone/scripts", tmp_path / "venv/bin/jaxdet"
     for folder in (scripts, program.parent, tmp_path / "out"):
         folder.mkdir(parents=True)

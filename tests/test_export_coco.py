@@ -1,4 +1,4 @@
-"""The training set: read by pycocotools, its masks beside the boxes of the table and the truth."""
+"""COCO export: read by pycocotools, compared with the boxes of the table and the ground truth."""
 
 import json
 from collections.abc import Iterator
@@ -27,7 +27,7 @@ from tests.export_results import sim_log
 from tests.made_results import make_results
 from tests.runs import run_log, run_logs
 
-# pycocotools' own arrays don't know NumPy 2's copy.
+# Arrays of pycocotools do not support the copy argument of NumPy 2.
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
 
 
@@ -39,7 +39,7 @@ def coco_of(folder: Path, output: Path, *logs: str) -> Any:
 
 
 def check(coco: Any, folder: Path, output: Path) -> list[tuple[dict, dict, np.ndarray]]:
-    """Each row of the table is an annotation; returns image, annotation and mask of each."""
+    """Assert that each row is an annotation; return image, annotation and mask of each."""
     frames = pq.read_table(folder / "frames.parquet").to_pylist()
     rows = pq.read_table(folder / "obstacles.parquet").to_pylist()
     images = coco.loadImgs(coco.getImgIds())
@@ -67,7 +67,7 @@ def check(coco: Any, folder: Path, output: Path) -> list[tuple[dict, dict, np.nd
     return found
 
 
-def test_simulated_log(drive: Path, tmp_path: Path) -> None:
+def test_annotations_of_a_simulated_log_cover_its_obstacles(drive: Path, tmp_path: Path) -> None:
     folder, truth = drive / "out", np.load(drive / "drive.mcap.truth.npz")
     found = check(coco_of(folder, tmp_path / "set"), folder, tmp_path / "set")
     with open_log(str(drive / "drive.mcap")) as log:
@@ -89,8 +89,8 @@ def test_simulated_log(drive: Path, tmp_path: Path) -> None:
     assert np.median(share) > 0.8 and np.min(share) > 0.6  # stereo smears depth over contours
 
 
-def test_recorded_log(aims: tuple[Path, Path], tmp_path: Path) -> None:
-    folder = aims[1]
+def test_annotations_of_a_recorded_log_equal_the_table(aims_results: Path, tmp_path: Path) -> None:
+    folder = aims_results
     found = check(coco_of(folder, tmp_path / "set"), folder, tmp_path / "set")
     boxes = [one["bbox"][2] * one["bbox"][3] for _, one, _ in found]
     around = [cv2.boundingRect(mask.astype(np.uint8)) for *_, mask in found]
@@ -98,8 +98,8 @@ def test_recorded_log(aims: tuple[Path, Path], tmp_path: Path) -> None:
     assert len(found) > 40 and share.mean() > 0.98
 
 
-def test_two_cameras(drive: Path, tmp_path: Path) -> None:
-    """Each has its own images, and recordings and reports tell them apart."""
+def test_each_camera_has_its_own_images(drive: Path, tmp_path: Path) -> None:
+    """Recordings and reports distinguish them as well."""
     write_log(tmp_path / "rear.mcap", SimConfig(frames=2, width=320, height=240, seed=5))
     both = {"front": drive / "drive.mcap", "rear": tmp_path / "rear.mcap"}
     log, folder = join_cameras(both, tmp_path / "two.mcap"), tmp_path / "out"
@@ -118,7 +118,7 @@ def test_two_cameras(drive: Path, tmp_path: Path) -> None:
     assert names == ["two@front.rrd", "two@rear.rrd"]
 
 
-def test_other_log_and_no_log(drive: Path, tmp_path: Path) -> None:
+def test_a_missing_log_and_another_log_are_errors(drive: Path, tmp_path: Path) -> None:
     other = tmp_path / "drive.mcap"
     write_log(other, SimConfig(frames=5, width=160, height=120, rate_hz=7))
     with pytest.raises(InputError, match=r"not the log 'drive'.*--log"):
@@ -132,10 +132,10 @@ def test_other_log_and_no_log(drive: Path, tmp_path: Path) -> None:
     assert not (tmp_path / "set").exists()
 
 
-def test_a_log_that_is_gone_or_torn_is_left_out(
+def test_missing_and_truncated_logs_are_left_out(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The others are written, and what is missing is said; logs that are given must be right."""
+    """The other logs are exported and the missing ones named; logs given by name are required."""
     logs = [sim_log(tmp_path / f"{name}.mcap", frames=2, seed=3) for name in "abc"]
     folder, output = tmp_path / "out", tmp_path / "set"
     run_logs(logs, folder, pictures=0)
@@ -148,15 +148,17 @@ def test_a_log_that_is_gone_or_torn_is_left_out(
 
     monkeypatch.setattr("jaxdet.export.coco.look_again", torn)
     assert main(["export", str(folder), "--to", "coco", "--output", str(output)]) == 0
-    said = capsys.readouterr().err.splitlines()
-    assert said[0].startswith(f"jaxdet: warning: a is left out: {logs[0]}: the log is not at its")
-    assert said[1] == f"jaxdet: warning: b is left out: {logs[1]}: is torn"
-    told = json.loads((output / "annotations.json").read_text("utf-8"))
-    assert [f"jaxdet: warning: {line}" for line in told["info"]["left_out"]] == said[:2]
-    assert [image["log"] for image in told["images"]] == ["c", "c"] and told["annotations"]
-    for entries in (told["images"], told["annotations"]):
+    warnings = capsys.readouterr().err.splitlines()
+    assert warnings[0].startswith(
+        f"jaxdet: warning: a is left out: {logs[0]}: the log is not at its"
+    )
+    assert warnings[1] == f"jaxdet: warning: b is left out: {logs[1]}: is torn"
+    dataset = json.loads((output / "annotations.json").read_text("utf-8"))
+    assert [f"jaxdet: warning: {line}" for line in dataset["info"]["left_out"]] == warnings[:2]
+    assert [image["log"] for image in dataset["images"]] == ["c", "c"] and dataset["annotations"]
+    for entries in (dataset["images"], dataset["annotations"]):
         assert [entry["id"] for entry in entries] == [*range(1, 1 + len(entries))]
-    kept = {image["file_name"] for image in told["images"]}
+    kept = {image["file_name"] for image in dataset["images"]}
     assert {f"images/{path.name}" for path in (output / "images").iterdir()} == kept
     with pytest.raises(InputError, match="is torn"):
         coco_of(folder, tmp_path / "given", str(logs[1]), str(logs[2]))
@@ -168,8 +170,8 @@ def test_clusters_of_points_have_no_masks(tmp_path: Path) -> None:
         coco_of(folder, tmp_path / "set")
 
 
-def test_nearest_cell_has_the_pixel() -> None:
-    """Three cells of two pixels; the nearer one in the middle is shown farther to the right."""
+def test_pixels_belong_to_the_nearest_cell() -> None:
+    """Of three cells of two pixels, the nearer one in the middle is shifted to the right."""
     depth = Intrinsics(6, 2, 10.0, 10.0, 3.0, 1.0)
     color = Intrinsics(9, 2, 10.0, 10.0, 3.0, 1.0)
     beside = Extrinsics((1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0), (0.1, 0.0, 0.0))
@@ -187,14 +189,14 @@ def test_nearest_cell_has_the_pixel() -> None:
     assert aligned.tolist() == [[0, 0, -1, -1, 2, 2]] * 2
 
 
-def test_a_log_without_colour_has_pictures_of_depth(tmp_path: Path) -> None:
+def test_images_of_a_log_without_colour_show_depth(tmp_path: Path) -> None:
     log, folder = sim_log(tmp_path / "a.mcap", frames=2, seed=3), tmp_path / "out"
     depth = join_cameras({"front": log}, tmp_path / "depth.mcap", without=lambda t: "/color/" in t)
     run_log(depth, folder, pictures=0)
     coco = coco_of(folder, tmp_path / "set")
     assert len(check(coco, folder, tmp_path / "set")) > 2
-    told = json.loads((tmp_path / "set" / "annotations.json").read_text("utf-8"))
-    assert told["info"]["images_of_depth"] == len(told["images"]) == 2
+    dataset = json.loads((tmp_path / "set" / "annotations.json").read_text("utf-8"))
+    assert dataset["info"]["images_of_depth"] == len(dataset["images"]) == 2
     rows = pq.read_table(folder / "obstacles.parquet").to_pylist()
     assert {row["box_image"] for row in rows} == {"depth"}
     with Results(folder) as results:
@@ -204,6 +206,6 @@ def test_a_log_without_colour_has_pictures_of_depth(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("first", [0, 1])
-def test_run_lengths(first: int) -> None:
+def test_run_length_encoding_equals_pycocotools(first: int) -> None:
     mask = np.array([[first, 0], [1, 0], [1, 1]], bool)
     assert run_lengths(mask) == ([0, 3, 2, 1] if first else [1, 2, 2, 1])

@@ -1,4 +1,4 @@
-"""The sidecar for Foxglove, read by MCAP's own library, and its transforms resolved."""
+"""Foxglove export: the sidecar is read by the mcap library, and its transforms are resolved."""
 
 import json
 import shutil
@@ -30,7 +30,7 @@ Topics = dict[str, list[tuple[int, Any]]]
 
 
 def messages(path: Path) -> Topics:
-    """The messages of a file with their log times."""
+    """Return the messages of a file with their log times, by topic."""
     found = defaultdict(list)
     with path.open("rb") as stream:
         factories = [DecoderFactory(), Ros2DecoderFactory()]
@@ -42,7 +42,7 @@ def messages(path: Path) -> Topics:
 
 
 def exported(folder: Path, to: Path) -> tuple[Topics, list[Frame]]:
-    """What the sidecar of a log holds, and the frames of the results."""
+    """Export results; return the messages of the sidecar and the frames of the results."""
     with Results(folder) as results:
         export(results, "foxglove", to, {})
         frames = list(results.frames())
@@ -61,7 +61,7 @@ def moved(T: np.ndarray, points: Any) -> np.ndarray:
 
 
 def recorded_camera(topics: Topics, stamp_ns: int, camera: str) -> np.ndarray:
-    """odom to camera by the recording's own TF, interpolated between its samples."""
+    """Return odom to camera from the TF of the recording, interpolated between its samples."""
     edges: dict[str, tuple[str, list]] = {}
     for topic in ("/tf_static", "/tf"):
         for _, message in topics[topic]:
@@ -89,7 +89,7 @@ def interpolated(samples: list, stamp_ns: int) -> np.ndarray:
 
 
 def outside(points: np.ndarray, corners: list[float]) -> float:
-    """How far the farthest point is out of an outline [m]."""
+    """Return the largest distance of the points outside of an outline [m]."""
     ring = np.reshape(corners, (4, 2))
     sides = np.roll(ring, -1, axis=0) - ring
     inward = ring.mean(axis=0) - ring
@@ -101,7 +101,7 @@ def outside(points: np.ndarray, corners: list[float]) -> float:
 
 
 def in_world(obstacle: dict[str, Any]) -> np.ndarray:
-    """The contour in the world, to where the table says that its outline's corners lie there."""
+    """Return the contour in the world, by the transform of the corners of its outline."""
     ground, world = (
         np.reshape(obstacle[f"corners_{where}"], (4, 2)) for where in ("ground", "world")
     )
@@ -110,7 +110,7 @@ def in_world(obstacle: dict[str, Any]) -> np.ndarray:
     return np.c_[contour, np.ones(len(contour))] @ affine
 
 
-def test_every_frame_replaces_the_one_before(driven_results: Path, tmp_path: Path) -> None:
+def test_each_frame_replaces_the_previous_one(driven_results: Path, tmp_path: Path) -> None:
     topics, frames = exported(driven_results, tmp_path / "out")
     stamps = [frame.row["stamp_ns"] for frame in frames]
     for topic in (TF, SCENE, BOXES):
@@ -128,7 +128,7 @@ def test_every_frame_replaces_the_one_before(driven_results: Path, tmp_path: Pat
             assert entity.texts[0].text.endswith(f"{obstacle['distance_m']:.2f} m")
 
 
-def test_contours_stand_in_the_world_beside_the_recording(
+def test_contours_have_their_position_in_the_world_of_the_recording(
     driven_log: Path, driven_results: Path, tmp_path: Path
 ) -> None:
     topics, frames = exported(driven_results, tmp_path / "out")
@@ -157,7 +157,7 @@ def test_contours_stand_in_the_world_beside_the_recording(
     assert walls > 0.8 * sum(len(frame.obstacles) for frame in frames)
 
 
-def test_without_the_log_s_tf_the_sidecar_has_the_poses(driven_log: Path, tmp_path: Path) -> None:
+def test_the_sidecar_has_the_poses_if_the_log_has_no_tf(driven_log: Path, tmp_path: Path) -> None:
     found = run(driven_log, tmp_path / "results", "paper", LogOptions(odom="/odom"))
     topics, frames = exported(found, tmp_path / "out")
     recording = messages(driven_log)
@@ -187,8 +187,8 @@ def test_without_the_log_s_tf_the_sidecar_has_the_poses(driven_log: Path, tmp_pa
     assert count >= 6
 
 
-def test_a_folder_of_images_has_no_tf_of_its_own(tmp_path: Path) -> None:
-    """Its poses, in groundtruth.txt, are in the sidecar."""
+def test_the_sidecar_of_an_image_folder_has_its_poses(tmp_path: Path) -> None:
+    """The poses come from groundtruth.txt, as an image folder has no TF."""
     found = run(write_tum(tmp_path / "room"), tmp_path / "results", options=GIVEN)
     topics, frames = exported(found, tmp_path / "out")
     assert len(frames) == len(STAMPS)
@@ -199,8 +199,8 @@ def test_a_folder_of_images_has_no_tf_of_its_own(tmp_path: Path) -> None:
         np.testing.assert_allclose(place, row["camera_position_world"], atol=1e-6)
 
 
-def test_a_log_is_no_folder_of_images_by_its_topics(driven_log: Path, tmp_path: Path) -> None:
-    """A file without a suffix may call its colour images as those of folders are called."""
+def test_topics_do_not_make_a_log_an_image_folder(driven_log: Path, tmp_path: Path) -> None:
+    """A file without a suffix may use the topic names of image folders."""
     log = tmp_path / "drive"
     with driven_log.open("rb") as old, log.open("wb") as new:
         writer = Writer(new)
@@ -217,14 +217,14 @@ def test_a_log_is_no_folder_of_images_by_its_topics(driven_log: Path, tmp_path: 
         assert results.logs[0].poses_from_tf
 
 
-def test_the_floor_frame_is_where_the_table_says(driven_results: Path, tmp_path: Path) -> None:
+def test_the_floor_frame_agrees_with_the_table(driven_results: Path, tmp_path: Path) -> None:
     topics, frames = exported(driven_results, tmp_path / "out")
     for (_, tree), (row, _) in zip(topics[TF], frames, strict=True):
         (edge,) = tree.transforms  # the log's own TF joins the camera to the world
         T = motion(edge.translation, edge.rotation)
         assert np.linalg.norm(T[:3, 3]) == pytest.approx(row["camera_height_m"], abs=1e-6)
-        # The optical axis dips below the floor's horizon by the pitch, and the image's x axis
-        # by the roll.
+        # The optical axis points below the horizon of the floor by the pitch, and the x axis of
+        # the image by the roll.
         axis, right = np.linalg.inv(T)[:3, 2], np.linalg.inv(T)[:3, 0]
         assert -np.arcsin(axis[2]) == pytest.approx(row["camera_pitch_rad"], abs=1e-6)
         down = np.sin(row["camera_roll_rad"]) * np.cos(row["camera_pitch_rad"])
@@ -232,7 +232,7 @@ def test_the_floor_frame_is_where_the_table_says(driven_results: Path, tmp_path:
         assert axis[0] == pytest.approx(0.0, abs=1e-6) and axis[1] > 0.9
 
 
-def test_boxes_are_in_the_colour_image(driven_results: Path, tmp_path: Path) -> None:
+def test_boxes_are_inside_of_the_colour_image(driven_results: Path, tmp_path: Path) -> None:
     topics, frames = exported(driven_results, tmp_path / "out")
     tops = [text for _, shown in topics[BOXES] for text in shown.texts]
     assert min(text.position.y - text.font_size for text in tops) >= 0  # its lower left corner
@@ -249,7 +249,7 @@ def test_boxes_are_in_the_colour_image(driven_results: Path, tmp_path: Path) -> 
             assert box.type == box.LINE_LOOP and text.text == f"{o['obstacle']}   " + text.text[-6:]
 
 
-def test_the_map_is_a_grid_in_the_world(driven_results: Path, tmp_path: Path) -> None:
+def test_the_map_is_a_grid_with_its_pose_in_the_world(driven_results: Path, tmp_path: Path) -> None:
     topics, frames = exported(driven_results, tmp_path / "out")
     ((at, grid),) = topics[MAP]
     assert at == frames[0].row["stamp_ns"] and grid.frame_id == "odom"
@@ -268,7 +268,7 @@ def test_the_map_is_a_grid_in_the_world(driven_results: Path, tmp_path: Path) ->
     assert grid.cell_size.x == grid.cell_size.y == want.cell_m
 
 
-def test_the_layout_shows_what_is_there(
+def test_the_layout_has_panels_for_the_existing_topics(
     driven_log: Path, driven_results: Path, tmp_path: Path
 ) -> None:
     topics, _ = exported(driven_results, tmp_path / "out")
@@ -280,7 +280,7 @@ def test_the_layout_shows_what_is_there(
     assert image["imageTopic"] in messages(driven_log) and scene["followTf"] == "odom"
 
 
-def test_logs_with_other_topics_have_layouts_of_their_own(driven_log: Path, tmp_path: Path) -> None:
+def test_logs_with_other_topics_have_separate_layouts(driven_log: Path, tmp_path: Path) -> None:
     logs = [tmp_path / f"{name}.mcap" for name in ("a", "b", "c")]
     for log in logs[:2]:
         shutil.copy(driven_log, log)
@@ -295,7 +295,7 @@ def test_logs_with_other_topics_have_layouts_of_their_own(driven_log: Path, tmp_
         assert panels["Image!jaxdet"]["imageMode"]["imageTopic"] in messages(log)
 
 
-def test_a_recording_without_poses(aims_results: Path, tmp_path: Path) -> None:
+def test_without_poses_results_are_in_the_floor_frame(aims_results: Path, tmp_path: Path) -> None:
     topics, frames = exported(aims_results, tmp_path / "out")
     assert MAP not in topics and len(frames) == 18
     entities = [entity for _, update in topics[SCENE] for entity in update.entities]
@@ -308,7 +308,7 @@ def test_a_recording_without_poses(aims_results: Path, tmp_path: Path) -> None:
         for entity, obstacle in zip(update.entities, obstacles, strict=True):
             middle = T @ [obstacle["x"], obstacle["y"], obstacle["z"], 1.0]
             assert outside(middle[None, :2], obstacle["corners_ground"]) < 0.05
-            # One frame has a ramp, 5 % downhill, above which its heights are.
+            # One frame has a ramp of 5 % downhill; its heights are above the ramp.
             assert obstacle["bottom_m"] - 0.08 < middle[2] < obstacle["top_m"] + 0.02
             for wall in entity.triangles:
                 points = moved(T @ motion(wall.pose.position, wall.pose.orientation), wall.points)

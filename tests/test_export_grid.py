@@ -1,4 +1,4 @@
-"""The map at the end of a log, and nav2's files of it, read as its map_server reads them."""
+"""nav2 export: the map at the end of a log, read by the rules of nav2's map_server."""
 
 from pathlib import Path
 
@@ -16,7 +16,7 @@ from tests.export_results import by_hand
 
 
 def map_server(path: Path) -> tuple[np.ndarray, float, list[float]]:
-    """States, resolution and origin of a map, by the rules of nav2_map_server's trinary mode."""
+    """Return states, resolution and origin of a map, by the trinary mode of nav2_map_server."""
     lines = path.read_text().splitlines()
     about = dict(line.split(": ", 1) for line in lines if not line.startswith("#"))
     assert about["mode"] == "trinary" and about["negate"] == "0"
@@ -32,7 +32,7 @@ def map_server(path: Path) -> tuple[np.ndarray, float, list[float]]:
 
 
 def state_at(folder: Path, frames: list, x: float, y: float) -> int:
-    """What the map says of a place in the world after these frames."""
+    """Return the state of a position in the world after these frames."""
     with Results(by_hand(folder, frames)) as results:
         grid = last_grid(results, results.logs[0])
     assert grid is not None
@@ -58,11 +58,13 @@ AHEAD = [(0.0, 1.5)]
         ([([(0.0, 1e9)], 2.0)] * 3, FREE),  # an outline too far for any map
     ],
 )
-def test_what_is_seen_free_later_is_free(tmp_path: Path, frames: list, state: int) -> None:
+def test_the_latest_observation_decides_whether_a_cell_is_free(
+    tmp_path: Path, frames: list, state: int
+) -> None:
     assert state_at(tmp_path / "r", frames, 1.5, 0.0) == state
 
 
-def test_free_floor_is_not_joined_over_rays_that_show_nothing(tmp_path: Path) -> None:
+def test_free_floor_is_not_interpolated_over_unknown_rays(tmp_path: Path) -> None:
     frames = [([], 1.5)]
     assert state_at(tmp_path / "a", frames, 1.0, 0.0) == FREE
     with pytest.MonkeyPatch.context() as patch:
@@ -85,11 +87,11 @@ def test_nav2_loads_the_map_of_a_log(
     assert grid is not None and counted is not None
     np.testing.assert_array_equal(states, grid.states)
     assert cell == 0.05 and origin[:2] == pytest.approx(grid.origin, abs=1e-9)
-    # What the map of the run counts is not unknown, but for rounding at edges of the free floor.
+    # Counted cells are not unknown, except for rounding at the edges of the free floor.
     counts = (counted.counts > 0) | (counted.free > 0)
     assert ((states != UNKNOWN) != counts).sum() <= 0.01 * counts.sum()
     assert {FREE, OCCUPIED, UNKNOWN} == set(np.unique(states).tolist())
-    # The obstacles of the last frame stand on it, and the robot's path is not blocked.
+    # The obstacles of the last frame are on the map, and the path of the robot is free.
     for obstacle in frames[-1].obstacles:
         middle = np.reshape(obstacle["corners_world"], (4, 2)).mean(axis=0)
         column, row = np.floor((middle - origin[:2]) / cell).astype(int)

@@ -1,4 +1,4 @@
-"""The page: what it says is what the tables say, it needs no network, and nothing in it runs."""
+"""HTML report: it agrees with the tables, needs no network, and runs no text of a log."""
 
 import json
 import re
@@ -25,7 +25,7 @@ HOSTILE = "</script><img src=x onerror=boom()>\u2028<!--"
 
 
 def page_of(folder: Path, output: Path, logs: tuple[str, ...] = ()) -> dict[str, Any]:
-    """Exports results; returns what the page's script draws."""
+    """Export results; return the data that the script of the page draws."""
     with Results(folder) as results:
         export(results, "html", output, find(results, logs))
     text = output.read_text("utf-8")
@@ -41,7 +41,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return make_results(folder / "out", {HOSTILE: 3000, "b": 400, "short": 1}, config)
 
 
-def test_figures_are_those_of_the_tables(made: Path, tmp_path: Path) -> None:
+def test_figures_equal_those_of_the_tables(made: Path, tmp_path: Path) -> None:
     data = page_of(made, tmp_path / "page.html")
     frames = open_results(made).tables().frames.to_pandas()
     obstacles = open_results(made).tables().obstacles.to_pandas()
@@ -68,13 +68,13 @@ def test_figures_are_those_of_the_tables(made: Path, tmp_path: Path) -> None:
     assert data["logs"][3]["error"] and not data["logs"][3]["bins"]
     assert data["near"] == [1.0, 0.5]
     farthest = max(distance or 0 for log in data["logs"][:3] for distance in log["bins"]["nearest"])
-    assert 5 < farthest <= data["reach"] == 6  # farther than depth is used, at the side
+    assert 5 < farthest <= data["reach"] == 6  # beyond the depth range, to the side
     assert data["settings"] == [["ground.max_depth_m", "5.0", "4.0"]]
 
 
 @pytest.mark.parametrize("max_depth_m", [2.0, 3.0, 6.0, 8.0])
-def test_what_is_near_is_counted_whatever_the_bins(max_depth_m: float) -> None:
-    """With 3 or 6 m 1 m is in the middle of a bin, with 8 m 0.5 m is."""
+def test_near_obstacles_are_counted_whatever_the_bins(max_depth_m: float) -> None:
+    """With a range of 3 or 6 m, 1 m is in the middle of a bin; with 8 m, 0.5 m is."""
     distance = np.array([0.2, 0.49, 0.5, 0.95, 0.999, 1.0, 1.7], np.float32)
     n = len(distance)
     names, flags = np.full(n, "ok", object), np.zeros(n, bool)
@@ -84,7 +84,7 @@ def test_what_is_near_is_counted_whatever_the_bins(max_depth_m: float) -> None:
     assert figures.near_frames.tolist() == figures.near_obstacles.tolist() == [5, 2]
 
 
-def test_rows_of_a_full_frame_are_its_nearest(
+def test_a_frame_with_many_obstacles_lists_the_nearest(
     made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("jaxdet.export.html.MOST_ROWS", 2)
@@ -100,7 +100,7 @@ def test_rows_of_a_full_frame_are_its_nearest(
         assert min(one[1] for one in frame["rows"]) == frame["nearest"]
 
 
-def test_gallery_has_what_is_worth_a_look(made: Path, tmp_path: Path) -> None:
+def test_gallery_shows_near_full_and_failed_frames(made: Path, tmp_path: Path) -> None:
     data = page_of(made, tmp_path / "page.html")
     frames = open_results(made).tables().frames.to_pandas()
     obstacles = open_results(made).tables().obstacles.to_pandas()
@@ -135,7 +135,7 @@ def test_few_frames_are_marked_as_near_or_full(tmp_path: Path) -> None:
     }
     assert marked["nearest"] == set(obstacles.groupby("frame").distance_m.min().nsmallest(3).index)
     assert len(marked["most"]) == 3 and counts[list(marked["most"])].min() == counts.max()
-    assert sum("sample" in frame["kinds"] for frame in data["frames"]) > 8  # shown all the same
+    assert sum("sample" in frame["kinds"] for frame in data["frames"]) > 8
 
 
 def test_frames_with_equally_many_obstacles_are_not_marked_as_full() -> None:
@@ -147,11 +147,11 @@ def test_frames_with_equally_many_obstacles_are_not_marked_as_full() -> None:
     assert kinds.count("nearest") == 3 and "most" not in kinds
 
 
-def test_each_status_has_a_reason() -> None:
+def test_each_status_is_explained() -> None:
     assert {str(status) for status in FrameStatus} <= {"ok", *REASONS}
 
 
-def test_timeline_is_the_same_however_it_is_fed() -> None:
+def test_timeline_does_not_depend_on_the_chunks() -> None:
     rng = np.random.default_rng(3)
     n = 5 * MOST_BINS + 17
     count = rng.integers(0, 4, n)
@@ -171,14 +171,14 @@ def test_timeline_is_the_same_however_it_is_fed() -> None:
             np.testing.assert_array_equal(getattr(parts, name), values, name)
 
 
-def test_logs_that_failed_are_passed_over(made: Path, tmp_path: Path) -> None:
+def test_failed_logs_are_skipped(made: Path, tmp_path: Path) -> None:
     for name in ("b", "torn"):
         (tmp_path / f"{name}.mcap").touch()
     with Results(made) as results:
         assert list(find(results, [str(tmp_path)])) == ["b"]
 
 
-def test_nothing_from_a_log_is_markup(made: Path, tmp_path: Path) -> None:
+def test_texts_of_a_log_are_escaped(made: Path, tmp_path: Path) -> None:
     page_of(made, tmp_path / "page.html")
     text = (tmp_path / "page.html").read_text("utf-8")
     assert "onerror" in text and "<img src=x" not in text and text.count("</script>") == 2
@@ -187,7 +187,7 @@ def test_nothing_from_a_log_is_markup(made: Path, tmp_path: Path) -> None:
     )
 
 
-def test_page_stays_small(tmp_path: Path) -> None:
+def test_page_size_is_bounded(tmp_path: Path) -> None:
     folder = make_results(tmp_path / "out", {f"log {i}": 20_000 for i in range(5)})
     page_of(folder, tmp_path / "page.html")
     assert (tmp_path / "page.html").stat().st_size < 500_000
@@ -202,11 +202,11 @@ def test_a_damaged_picture_is_named(
     picture.write_bytes(content)
     with pytest.raises(InputError, match=f"{picture.name}: the picture is damaged; remove it"):
         page_of(folder, tmp_path / "page.html")
-    assert not capfd.readouterr().err  # nothing of OpenCV's
+    assert not capfd.readouterr().err  # no messages of OpenCV
 
 
 def test_pictures_are_drawn_from_the_log(drive: Path, tmp_path: Path) -> None:
-    drawn = page_of(drive / "out", tmp_path / "page.html")  # where the run found it
+    drawn = page_of(drive / "out", tmp_path / "page.html")  # the log has not moved
     assert len(drawn["frames"]) == 5 and not drawn["undrawn"]
     assert all(f["picture"] and f["size"][0] <= 1024 for f in drawn["frames"])
     moved = tmp_path / "moved"
@@ -224,7 +224,7 @@ def test_pictures_are_drawn_from_the_log(drive: Path, tmp_path: Path) -> None:
     assert given["frames"] == drawn["frames"]
 
 
-def test_a_map_that_is_left_out_is_named(
+def test_a_missing_map_is_named(
     drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (log,) = page_of(drive / "out", tmp_path / "page.html")["logs"]
@@ -234,8 +234,10 @@ def test_a_map_that_is_left_out_is_named(
     assert log["map"] is None and log["map_file"] == "out/map"
 
 
-def test_recorded_log(aims: tuple[Path, Path], tmp_path: Path) -> None:
-    log, folder = aims
+def test_page_of_a_recorded_log_agrees_with_its_tables(
+    aims_log: Path, aims_results: Path, tmp_path: Path
+) -> None:
+    log, folder = aims_log, aims_results
     data = page_of(folder, tmp_path / "page.html", (str(log),))
     assert all(frame["picture"] for frame in data["frames"]) and data["logs"][0]["map"] is None
     assert (tmp_path / "page.html").stat().st_size < 2_500_000
@@ -254,25 +256,25 @@ def browser() -> Iterator[Any]:
 
 
 class Opened:
-    """A page in a browser that has no network."""
+    """Page in a browser without a network."""
 
     def __init__(self, browser: Any, path: Path, **how: Any) -> None:
         context = browser.new_context(offline=True, **how)
-        self.page, self.asked, self.said = context.new_page(), [], []
-        self.page.on("request", lambda request: self.asked.append(request.url))
-        self.page.on("console", lambda message: self.said.append(message.text))
-        self.page.on("pageerror", lambda error: self.said.append(str(error)))
+        self.page, self.requests, self.errors = context.new_page(), [], []
+        self.page.on("request", lambda request: self.requests.append(request.url))
+        self.page.on("console", lambda message: self.errors.append(message.text))
+        self.page.on("pageerror", lambda error: self.errors.append(str(error)))
         self.page.goto(path.as_uri())
         self.path = path
 
     def check(self) -> None:
-        """Nothing was asked for but the page, and nothing went wrong."""
-        asked = [url for url in self.asked if not url.startswith("data:")]
-        assert asked == [self.path.as_uri()] and self.said == []
+        """Assert that only the page was requested, without errors."""
+        requests = [url for url in self.requests if not url.startswith("data:")]
+        assert requests == [self.path.as_uri()] and self.errors == []
         assert self.page.evaluate("typeof boom") == "undefined"
 
 
-def test_browser_with_lost_frames(made: Path, tmp_path: Path, browser: Any) -> None:
+def test_browser_shows_lost_frames(made: Path, tmp_path: Path, browser: Any) -> None:
     data = page_of(made, tmp_path / "page.html")
     opened = Opened(browser, tmp_path / "page.html", viewport={"width": 1280, "height": 900})
     page = opened.page
@@ -288,7 +290,7 @@ def test_browser_with_lost_frames(made: Path, tmp_path: Path, browser: Any) -> N
 
     assert cards() == len(data["frames"])
     found = [frame for frame in data["frames"] if frame["status"] == "ok"]
-    assert page.locator(".card .plan").count() == len(found)  # as nothing has a picture
+    assert page.locator(".card .plan").count() == len(found)  # there are no pictures
     outlines = sum(len(frame["rows"]) for frame in found)
     assert page.locator(".card .plan polygon").count() == outlines > len(found)
     shown = page.locator("#shown").inner_text()
@@ -330,7 +332,7 @@ def test_browser_opens_frames(drive: Path, tmp_path: Path, browser: Any) -> None
     page.keyboard.press("Escape")
     assert not dialog.is_visible()
     assert line.evaluate("node => node === document.activeElement")
-    page.wait_for_timeout(100)  # the pointer rests on the line, which does not follow it
+    page.wait_for_timeout(100)  # the line must not move under a resting pointer
     assert not page.locator("#tip").is_visible()
     page.keyboard.press("End")
     page.keyboard.press("Enter")
@@ -366,7 +368,9 @@ def test_browser_shows_round_numbers_on_axes(drive: Path, tmp_path: Path, browse
     opened.check()
 
 
-def test_browser_narrow_dark_print(drive: Path, tmp_path: Path, browser: Any) -> None:
+def test_browser_shows_narrow_dark_and_printed_pages(
+    drive: Path, tmp_path: Path, browser: Any
+) -> None:
     page_of(drive / "out", tmp_path / "page.html")
     grounds = set()
     for scheme in ("light", "dark"):
@@ -374,7 +378,7 @@ def test_browser_narrow_dark_print(drive: Path, tmp_path: Path, browser: Any) ->
         opened = Opened(browser, tmp_path / "page.html", **how)
         page = opened.page
         assert page.evaluate("document.documentElement.scrollWidth") <= 360
-        name = page.locator("#logs tbody td").first  # words are not broken letter by letter
+        name = page.locator("#logs tbody td").first  # lines do not break inside of words
         assert name.inner_text() == "drive" and name.bounding_box()["width"] > 36
         grounds.add(page.evaluate("getComputedStyle(document.body).backgroundColor"))
         page.emulate_media(media="print")
@@ -384,7 +388,9 @@ def test_browser_narrow_dark_print(drive: Path, tmp_path: Path, browser: Any) ->
     assert len(grounds) == 2
 
 
-def test_browser_on_a_phone(driven_results: Path, tmp_path: Path, browser: Any) -> None:
+def test_browser_enlarges_pictures_on_a_phone(
+    driven_results: Path, tmp_path: Path, browser: Any
+) -> None:
     page_of(driven_results, tmp_path / "page.html")
     how = {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobile": True}
     opened = Opened(browser, tmp_path / "page.html", **how)
@@ -411,7 +417,7 @@ def test_browser_on_a_phone(driven_results: Path, tmp_path: Path, browser: Any) 
     opened.check()
 
 
-def test_browser_shows_no_picture_larger_than_it_is(
+def test_browser_does_not_upscale_pictures(
     driven_results: Path, tmp_path: Path, browser: Any
 ) -> None:
     page_of(driven_results, tmp_path / "page.html")
@@ -421,7 +427,7 @@ def test_browser_shows_no_picture_larger_than_it_is(
     opened.check()
 
 
-def test_browser_sizes_outlines_in_place_of_pictures(
+def test_browser_shows_outlines_in_place_of_missing_pictures(
     made: Path, tmp_path: Path, browser: Any
 ) -> None:
     page_of(made, tmp_path / "page.html")

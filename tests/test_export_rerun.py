@@ -1,4 +1,4 @@
-"""Recordings for Rerun, read back with its own reader and compared with the tables."""
+"""Rerun export: recordings are read with Rerun and compared with the tables."""
 
 import json
 import shutil
@@ -25,7 +25,7 @@ FLOOR, CAMERA = "/world/floor", "/world/floor/camera"
 
 
 def recording_of(folder: Path, output: Path, *logs: str) -> dict[str, dict[str, dict[int, Any]]]:
-    """By entity and component what is known at each frame; of static ones at -1."""
+    """Return values by entity, component and frame; static ones are at frame -1."""
     chunk = pytest.importorskip("rerun.chunk")
     with Results(folder) as results:
         export(results, "rerun", output, find(results, logs))
@@ -44,7 +44,7 @@ def recording_of(folder: Path, output: Path, *logs: str) -> dict[str, dict[str, 
 
 
 def motion(found: Any, entity: str, frame: int) -> np.ndarray:
-    """``T_parent_entity`` ``(4, 4)``."""
+    """Return ``T_parent_entity`` ``(4, 4)``."""
     T = np.eye(4)
     T[:3, :3] = np.reshape(found[entity]["mat3x3"][frame], (3, 3), order="F")
     T[:3, 3] = np.ravel(found[entity]["translation"][frame])
@@ -52,7 +52,7 @@ def motion(found: Any, entity: str, frame: int) -> np.ndarray:
 
 
 def check(folder: Path, found: Any) -> None:
-    """The recording says what the tables say."""
+    """Assert that the recording agrees with the tables."""
     frames = pq.read_table(folder / "frames.parquet").to_pylist()
     rows = defaultdict(list)
     for row in pq.read_table(folder / "obstacles.parquet").to_pylist():
@@ -88,7 +88,7 @@ def check(folder: Path, found: Any) -> None:
 
 
 def check_points(folder: Path, found: Any) -> None:
-    """The points of the nearest obstacle lie in its box on the floor."""
+    """Assert that the points of the nearest obstacle lie in its box on the floor."""
     for row in pq.read_table(folder / "obstacles.parquet").to_pylist():
         number = row["frame"]
         if row["obstacle"]:
@@ -102,7 +102,7 @@ def check_points(folder: Path, found: Any) -> None:
         np.testing.assert_allclose(height.max(), row["top_m"], atol=0.01)
 
 
-def test_with_the_log(drive: Path, tmp_path: Path) -> None:
+def test_recording_with_the_log_has_images_points_and_map(drive: Path, tmp_path: Path) -> None:
     log = str(drive / "drive.mcap")
     found = recording_of(drive / "out", tmp_path / "out", log)
     check(drive / "out", found)
@@ -125,14 +125,16 @@ def test_with_the_log(drive: Path, tmp_path: Path) -> None:
         subprocess.run([program, "rrd", "verify", str(file)], check=True, env=env, timeout=60)
 
 
-def test_without_the_log(drive: Path, tmp_path: Path) -> None:
+def test_recording_without_the_log_agrees_with_the_tables(drive: Path, tmp_path: Path) -> None:
     found = recording_of(drive / "out", tmp_path / "out")
     check(drive / "out", found)
     assert "blob" not in found[f"{CAMERA}/color"] and f"{CAMERA}/points" not in found
 
 
-def test_recorded_log(aims: tuple[Path, Path], tmp_path: Path) -> None:
-    log, folder = aims
+def test_recording_of_a_recorded_log_agrees_with_its_tables(
+    aims_log: Path, aims_results: Path, tmp_path: Path
+) -> None:
+    log, folder = aims_log, aims_results
     found = recording_of(folder, tmp_path / "out", str(log))
     check(folder, found)
     check_points(folder, found)
@@ -140,7 +142,7 @@ def test_recorded_log(aims: tuple[Path, Path], tmp_path: Path) -> None:
 
 
 def rewrite(path: Path, change: Callable[[list[dict[str, Any]]], list[dict[str, Any]]]) -> int:
-    """Replaces the rows of a table; returns how many there are then."""
+    """Replace the rows of a table; return their new number."""
     about = pq.read_metadata(path).metadata
     own = {key: value for key, value in about.items() if key.startswith(b"jaxdet.")}
     table = pq.read_table(path)
@@ -172,11 +174,10 @@ FLOOR_OF_FRAME = "camera_height_m", "camera_pitch_rad", "camera_roll_rad"
 
 
 @pytest.mark.parametrize("columns", [POSE, FLOOR_OF_FRAME])
-def test_a_frame_without_a_place_is_not_in_space(
+def test_frames_without_pose_or_floor_have_no_position(
     drive: Path, tmp_path: Path, columns: tuple[str, ...]
 ) -> None:
-    """Without a pose it is not where the one before was, without a floor not on one; its boxes in
-    the image stay."""
+    """Positions of the previous frame are cleared; the boxes in the image stay."""
     folder = shutil.copytree(drive, tmp_path / "drive") / "out"
     pose = dict.fromkeys(columns)
 
@@ -199,7 +200,7 @@ def test_a_frame_without_a_place_is_not_in_space(
     assert sorted(found[f"{FLOOR}/boxes"]["centers"]) == [0, 1, 2, 3, 4]
 
 
-def test_each_log_and_lost_frames(tmp_path: Path) -> None:
+def test_each_log_has_a_recording_with_its_lost_frames(tmp_path: Path) -> None:
     pytest.importorskip("rerun")
     folder = make_results(tmp_path / "results", {"a/b": 60, "c": 5})
     with Results(folder) as results:
@@ -207,8 +208,8 @@ def test_each_log_and_lost_frames(tmp_path: Path) -> None:
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["a--b.rrd", "c.rrd"]
 
 
-def test_free_floor_is_that_of_the_map() -> None:
-    """It is not joined over columns that show nothing, and ends at the nearer of neighbours."""
+def test_free_floor_equals_that_of_the_map() -> None:
+    """It is not interpolated over unknown columns, and ends at the nearer of two neighbours."""
     show = pytest.importorskip("jaxdet.export.rerun")._free
     bearing = [RAY_RAD * i for i in (-5, -4, -3, 3, 4, 5)]
     row = {"free_bearing_rad": bearing, "free_from_m": [0.5] * 6, "free_to_m": [2.0] * 5 + [1.0]}

@@ -1,4 +1,4 @@
-"""ROS 2 messages of results, read by rosbags; and the recordings that exports look at again."""
+"""ROS 2 export: messages are read by rosbags, and the log is read again as in the run."""
 
 import sys
 from pathlib import Path
@@ -29,7 +29,7 @@ Captured = pytest.CaptureFixture[str]
 
 
 def exported(folder: Path, to: Path, *logs: Path) -> tuple[dict[str, list], list[Frame]]:
-    """By topic what rosbags reads, with its time; and the frames of the results."""
+    """Export results; return the messages with their times by topic, and the frames."""
     given = ["--log", *map(str, logs)] if logs else []
     assert main(["export", str(folder), "--to", "ros2", "--output", str(to), *given]) == 0
     with Results(folder) as results:
@@ -73,7 +73,7 @@ def cloud_of(message: Any) -> np.ndarray:
     return cloud
 
 
-def test_detections_are_the_outlines_in_the_world(driven_results: Path, tmp_path: Path) -> None:
+def test_detections_are_outlines_in_the_world(driven_results: Path, tmp_path: Path) -> None:
     topics, frames = exported(driven_results, tmp_path / "out")
     assert [at for at, _ in topics[DETECTIONS]] == [f.row["stamp_ns"] for f in frames]
     for (at, message), (row, obstacles) in zip(topics[DETECTIONS], frames, strict=True):
@@ -97,7 +97,7 @@ def test_detections_are_the_outlines_in_the_world(driven_results: Path, tmp_path
             assert T[2, 3] == pytest.approx(middle, abs=0.03)
 
 
-def test_scans_are_the_rays_of_the_table(driven_results: Path, tmp_path: Path) -> None:
+def test_scans_equal_the_rays_of_the_table(driven_results: Path, tmp_path: Path) -> None:
     topics, frames = exported(driven_results, tmp_path / "out")
     assert len(topics[SCAN]) == len(frames)
     for (at, message), (row, _) in zip(topics[SCAN], frames, strict=True):
@@ -119,7 +119,9 @@ def test_scans_are_the_rays_of_the_table(driven_results: Path, tmp_path: Path) -
         assert message.range_min <= np.nanmin(message.ranges)
 
 
-def test_a_frame_has_a_grid_around_its_foot(driven_results: Path, tmp_path: Path) -> None:
+def test_each_frame_has_a_grid_around_its_ground_projection(
+    driven_results: Path, tmp_path: Path
+) -> None:
     topics, frames = exported(driven_results, tmp_path / "out")
     for (_, message), (row, obstacles) in zip(topics[LOCAL], frames, strict=True):
         info, states = message.info, np.reshape(message.data, (message.info.height, -1))
@@ -142,7 +144,7 @@ def test_a_frame_has_a_grid_around_its_foot(driven_results: Path, tmp_path: Path
         y = info.origin.position.y + (np.arange(rows)[:, None] + 0.5) * info.resolution
         sector = np.floor(np.arctan2(x, y) / (2 * np.pi / RAYS) + RAYS / 2).astype(int) % RAYS
         away, margin = np.hypot(x, y), info.resolution
-        # Inside: as far as three neighbouring pairs of rays show it. Outside: two cells from any.
+        # Inside: free in three neighbouring pairs of rays. Outside: two cells away from any.
         first, last = (
             f([np.roll(a, i) for i in (-1, 0, 1)], axis=0)[sector]
             for f, a in ((np.max, least), (np.min, most))
@@ -158,7 +160,7 @@ def test_a_frame_has_a_grid_around_its_foot(driven_results: Path, tmp_path: Path
 
 
 def free_between_rays(row: dict[str, Any]) -> tuple[np.ndarray, np.ndarray]:
-    """Range at which free floor begins and ends between each ray and the next one."""
+    """Return the ranges at which free floor begins and ends between adjacent rays."""
     start, stop = np.full(RAYS, np.inf), np.zeros(RAYS)
     number = np.rint(np.degrees(row["free_bearing_rad"]) * 4).astype(int) + RAYS // 2
     start[number], stop[number] = row["free_from_m"], row["free_to_m"]
@@ -166,7 +168,7 @@ def free_between_rays(row: dict[str, Any]) -> tuple[np.ndarray, np.ndarray]:
     return np.where(least < most, least, np.inf), np.where(least < most, most, 0.0)
 
 
-def test_points_are_the_contours(driven_results: Path, tmp_path: Path) -> None:
+def test_points_equal_the_contours(driven_results: Path, tmp_path: Path) -> None:
     topics, frames = exported(driven_results, tmp_path / "out")
     for (_, message), (row, obstacles) in zip(topics[POINTS], frames, strict=True):
         cloud = cloud_of(message)
@@ -182,21 +184,21 @@ def test_points_are_the_contours(driven_results: Path, tmp_path: Path) -> None:
             assert near == pytest.approx(obstacle["distance_m"], abs=0.02)
 
 
-def test_heights_of_clusters_seen_by_a_camera_upside_down() -> None:
+def test_points_of_clusters_have_heights_with_a_camera_upside_down() -> None:
     row = {"camera_height_m": 1.0, "camera_pitch_rad": 0.0, "camera_roll_rad": np.pi}
     cluster = {"bottom_m": None, "x": 0.0, "z": 2.0, "y_min": -0.5, "y_max": 0.25}
     assert heights(row, cluster) == pytest.approx((0.5, 1.25))
     assert heights(row | {"camera_roll_rad": 0.0}, cluster) == pytest.approx((0.75, 1.5))
 
 
-def test_a_box_of_an_outline_without_a_length() -> None:
-    """It lies as the floor does."""
+def test_an_outline_without_length_has_a_box_on_the_floor() -> None:
+    """The box has the orientation of the floor."""
     T, size = box({"corners_ground": [1.0, 2.0] * 4}, 0.0, 0.5)
     np.testing.assert_allclose(T, [[1, 0, 0, 1], [0, 1, 0, 2], [0, 0, 1, 0.25], [0, 0, 0, 1]])
     assert size.tolist() == [0, 0, 0.5]
 
 
-def test_points_are_the_obstacles_own_where_the_log_is_given(
+def test_points_come_from_the_depth_images_if_the_log_is_given(
     driven_log: Path, driven_results: Path, tmp_path: Path
 ) -> None:
     topics, frames = exported(driven_results, tmp_path / "out", driven_log)
@@ -225,7 +227,9 @@ def test_the_map_is_an_occupancy_grid(driven_results: Path, tmp_path: Path) -> N
     assert (info.origin.position.x, info.origin.position.y) == grid.origin
 
 
-def test_a_recording_without_poses(aims_results: Path, shared_data: Path, tmp_path: Path) -> None:
+def test_without_poses_messages_are_in_the_floor_frame(
+    aims_results: Path, shared_data: Path, tmp_path: Path
+) -> None:
     topics, frames = exported(aims_results, tmp_path / "out", shared_data / "aims_slam")
     assert MAP not in topics and len(topics[DETECTIONS]) == len(frames) == 18
     for (_, message), (row, obstacles) in zip(topics[POINTS], frames, strict=True):
@@ -236,7 +240,7 @@ def test_a_recording_without_poses(aims_results: Path, shared_data: Path, tmp_pa
         assert edge.child_frame_id == "camera_depth_optical_frame_floor"
 
 
-def test_frames_have_one_parent_beside_a_recording_with_odometry(
+def test_frames_have_one_parent_next_to_a_recording_with_odometry(
     driven_log: Path, tmp_path: Path
 ) -> None:
     found = run(driven_log, tmp_path / "results", "paper", LogOptions(odom="/odom"))
@@ -252,7 +256,9 @@ def test_frames_have_one_parent_beside_a_recording_with_odometry(
     )
 
 
-def test_the_log_is_seen_again_as_the_run_saw_it(driven_log: Path, driven_results: Path) -> None:
+def test_the_log_is_read_again_with_the_options_of_the_run(
+    driven_log: Path, driven_results: Path
+) -> None:
     with Results(driven_results) as results:
         of, files = results.logs[0], find(results, [str(driven_log)])["sim"]
         for batch, chunk in images(results, of, files):
@@ -289,29 +295,31 @@ def test_another_log_is_refused(driven_log: Path, driven_results: Path, tmp_path
     assert not (tmp_path / "out").exists() and not list(tmp_path.glob(".jaxdet-*"))
 
 
-def test_the_command_says_what_is_wrong(
+def test_the_command_explains_errors(
     driven_results: Path, tmp_path: Path, capsys: Captured
 ) -> None:
-    def said(*args: str) -> str:
+    def errors_of(*args: str) -> str:
         code = main(["export", *args])
         error = capsys.readouterr().err
         assert code in (1, 2) and error.count("\n") == 1
         return error
 
     out = str(tmp_path / "out")
-    assert "no such folder" in said(str(tmp_path / "x"), "--to", "nav2", "--output", out)
-    message = said(str(tmp_path), "--to", "nav2", "--output", out)
+    assert "no such folder" in errors_of(str(tmp_path / "x"), "--to", "nav2", "--output", out)
+    message = errors_of(str(tmp_path), "--to", "nav2", "--output", out)
     assert "manifest.json and run.json are missing" in message
     with pytest.MonkeyPatch.context() as patch:
         patch.delitem(sys.modules, "jaxdet.export.foxglove", raising=False)
         patch.setitem(sys.modules, "mcap_protobuf.writer", None)
-        message = said(str(driven_results), "--to", "foxglove", "--output", out)
+        message = errors_of(str(driven_results), "--to", "foxglove", "--output", out)
     assert "--to foxglove needs the package mcap_protobuf" in message
     taken = tmp_path / "taken"
     taken.write_text("mine")
-    assert "exists already" in said(str(driven_results), "--to", "ros2", "--output", str(taken))
+    assert "exists already" in errors_of(
+        str(driven_results), "--to", "ros2", "--output", str(taken)
+    )
     assert taken.read_text() == "mine"
-    assert "no such file" in said(
+    assert "no such file" in errors_of(
         str(driven_results), "--to", "ros2", "--output", out, "--log", "x.mcap"
     )
     assert main(["export", str(driven_results), "--to", "pdf", "--output", out]) == 2

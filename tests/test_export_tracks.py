@@ -1,4 +1,4 @@
-"""Tracks in the exports: who is who in each format, and where what moves goes."""
+"""Tracks in the exports: track numbers in each format, and trajectories of moving tracks."""
 
 import shutil
 from collections import defaultdict
@@ -29,7 +29,7 @@ __all__ = ["browser"]  # a fixture
 
 @pytest.fixture(scope="module")
 def walkers(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A log with somebody who walks, its results and its tracks."""
+    """Return a folder with a log of a pedestrian, its results and its tracks."""
     folder = tmp_path_factory.mktemp("walkers")
     about = {"scene": "moving", "frames": 10, "seed": SEED, "rate_hz": 8.0, "camera_height_m": 0.5}
     log = sim_log(folder / "walkers.mcap", **about)
@@ -39,14 +39,14 @@ def walkers(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def linked(folder: Path) -> dict[int, list[int | None]]:
-    """The tracks of the obstacles of each frame."""
+    """Return the tracks of the obstacles of each frame."""
     found = defaultdict(list)
     for row in pq.read_table(folder / "track_links.parquet").to_pylist():
         found[row["frame"]].append(row["track"])
     return found
 
 
-def test_foxglove_names_things_by_their_tracks(walkers: Path, tmp_path: Path) -> None:
+def test_foxglove_labels_obstacles_with_their_tracks(walkers: Path, tmp_path: Path) -> None:
     folder = walkers / "out"
     tracks, of = pq.read_table(folder / "tracks.parquet").to_pylist(), linked(folder)
     topics, frames = exported(folder, tmp_path / "to")
@@ -93,8 +93,8 @@ def test_foxglove_names_things_by_their_tracks(walkers: Path, tmp_path: Path) ->
     assert headed
 
 
-def test_a_way_in_the_world_needs_the_cameras_pose(walkers: Path) -> None:
-    """Without one its points would be taken for those of the camera's floor."""
+def test_trajectories_in_the_world_require_poses(walkers: Path) -> None:
+    """Without a pose, points would be in the floor frame of the camera."""
     with Results(walkers / "out") as results:
         frame = next(f for f in results.frames(results.logs[0]) if any(t.moving for t in f.tracks))
     assert any(entity.id.startswith("way") for entity in foxglove.scene(frame).entities)
@@ -111,7 +111,7 @@ def test_ros2_and_coco_have_the_tracks(walkers: Path, tmp_path: Path) -> None:
         assert ids == ["" if t is None else str(t) for t in of[frame.row["frame"]]]
     coco = coco_of(folder, tmp_path / "coco", str(log))
     found = [one["track_id"] for one in coco.loadAnns(coco.getAnnIds())]
-    inside = [  # of the colour image
+    inside = [  # rows with a box in the colour image
         [o["u_min"] is not None for o in frame.obstacles] for frame in frames
     ]
     tracks = [zip(of[number], inside[at], strict=True) for at, number in enumerate(sorted(of))]
@@ -119,7 +119,7 @@ def test_ros2_and_coco_have_the_tracks(walkers: Path, tmp_path: Path) -> None:
 
 
 def test_rerun_has_an_entity_for_each_moving_track(walkers: Path, tmp_path: Path) -> None:
-    """It is shown from the track's first frame to its last."""
+    """The entity is shown from the first frame of the track to the last one."""
     folder = walkers / "out"
     found = recording_of(folder, tmp_path / "rerun")
     tracks = pq.read_table(folder / "tracks.parquet").to_pylist()
@@ -138,15 +138,15 @@ def test_points_in_rerun_have_the_colours_of_their_boxes(walkers: Path, tmp_path
     found = recording_of(walkers / "out", tmp_path / "rerun", str(log))
     points = found["/world/floor/camera/points"]["colors"]
     boxes = found["/world/floor/boxes"]
-    told = 0
+    numbered = 0
     for number, colors in points.items():
         if colors:
             assert {*map(int, colors)} <= {*map(int, boxes["colors"][number])}
-            told += any("#" in text for text in boxes["labels"][number])
-    assert told > 5
+            numbered += any("#" in text for text in boxes["labels"][number])
+    assert numbered > 5
 
 
-def test_report_lists_tracks_and_draws_their_ways(
+def test_report_lists_tracks_and_draws_their_trajectories(
     walkers: Path, tmp_path: Path, browser: Any
 ) -> None:
     folder = walkers / "out"
@@ -172,7 +172,7 @@ def test_report_lists_tracks_and_draws_their_ways(
     opened.check()
 
 
-def test_results_without_tracks_and_with_those_of_others(
+def test_missing_and_foreign_tracks_are_reported(
     walkers: Path, driven_results: Path, tmp_path: Path
 ) -> None:
     with Results(driven_results) as results:
@@ -195,13 +195,13 @@ def test_results_without_tracks_and_with_those_of_others(
         list(results.frames())
 
 
-def test_obstacles_of_each_log_have_its_tracks(tmp_path: Path) -> None:
+def test_obstacles_have_the_tracks_of_their_log(tmp_path: Path) -> None:
     folder = make_results(tmp_path / "many", {"a": 30, "b": 50, "c": 20})
     track_results(folder, TrackConfig(min_frames=1))
     links = {n: pq.read_table(folder / n / "track_links.parquet").to_pylist() for n in "abc"}
     wanted = {name: [row["track"] for row in links[name]] for name in "abc"}
     with Results(folder) as results:
-        for log in reversed(results.logs):  # so that none is read on from the one before
+        for log in reversed(results.logs):  # each log requires a seek
             (chunk,) = results.chunks(log)
             assert chunk.obstacles["track"].to_pylist() == wanted[log.name]
             (chunk,) = results.chunks(log, [], ["track", "distance_m"])
@@ -212,7 +212,7 @@ def test_obstacles_of_each_log_have_its_tracks(tmp_path: Path) -> None:
     assert len({*map(tuple, wanted.values())}) == 3
 
 
-def test_a_table_of_tracks_that_is_missing_is_named(tmp_path: Path) -> None:
+def test_a_missing_table_of_tracks_is_named(tmp_path: Path) -> None:
     folder = make_results(tmp_path / "out", {"a": 10})
     track_results(folder, TrackConfig(min_frames=1))
     (folder / "a" / "track_links.parquet").unlink()
@@ -221,7 +221,7 @@ def test_a_table_of_tracks_that_is_missing_is_named(tmp_path: Path) -> None:
 
 
 def test_tracks_of_other_results_are_refused(tmp_path: Path) -> None:
-    """Of the same version and configuration, but another log."""
+    """Version and configuration are the same, but not the log."""
     folder = make_results(tmp_path / "one", {"a": 10, "b": 12})
     track_results(folder, TrackConfig(min_frames=1))
     for name in ("tracks", "track_links"):

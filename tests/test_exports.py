@@ -1,4 +1,4 @@
-"""What holds for every format: cameras, parts of a log, the log's own times, bounded memory."""
+"""All export formats: cameras, parts of a log, log times, bounded memory."""
 
 import json
 import re
@@ -24,14 +24,14 @@ from tests.export_results import run, sim_log
 from tests.made_results import make_results
 
 LATE_NS = 3_600_123_456_789
-"""The recorder's clock is so much ahead of the camera's."""
+"""Offset of the clock of the recorder from that of the camera."""
 CAMERAS = ("front", "rear")
 FRAMES = [2, 4, 6]
 
 
 @pytest.fixture(scope="module")
 def parts(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with ``both.mcap`` of two cameras, and the results of a part of it."""
+    """Return a folder with ``both.mcap`` of two cameras, and results of a part of it."""
     folder = tmp_path_factory.mktemp("parts")
     logs = {"front": 0, "rear": 3}
     logs = {n: sim_log(folder / f"{n}.mcap", frames=7, seed=seed) for n, seed in logs.items()}
@@ -68,8 +68,8 @@ def test_sidecars_have_the_log_times_of_the_recording(
 
 
 @pytest.mark.parametrize("to", ["foxglove", "ros2"])
-def test_sidecars_are_no_logs(to: str, parts: Path, tmp_path: Path) -> None:
-    """Beside a log they are left out; named themselves, or alone, they are called what they are."""
+def test_sidecars_are_not_read_as_logs(to: str, parts: Path, tmp_path: Path) -> None:
+    """Next to a log they are left out; given by name or alone, the error says what they are."""
     folder = exported(parts, to, tmp_path / "out")
     name = "both@rear.jaxdet.mcap"
     with pytest.raises(
@@ -83,14 +83,14 @@ def test_sidecars_are_no_logs(to: str, parts: Path, tmp_path: Path) -> None:
         open_log(str(folder / name))
 
 
-def test_a_name_that_several_cameras_have_names_none(parts: Path) -> None:
+def test_a_name_shared_by_several_cameras_is_an_error(parts: Path) -> None:
     with Results(parts / "results") as results:
         assert [results.log(f"both, {camera}").camera for camera in CAMERAS] == [*CAMERAS]
         with pytest.raises(InputError, match="no log 'both', but both, front, both, rear"):
             results.log("both")
 
 
-def test_ros2_points_are_of_the_part(parts: Path) -> None:
+def test_ros2_points_belong_to_the_exported_part(parts: Path) -> None:
     with Results(parts / "results") as results:
         found = find(results, [str(parts / "both.mcap")])
         for log in results.logs:
@@ -98,7 +98,7 @@ def test_ros2_points_are_of_the_part(parts: Path) -> None:
             assert seen.chunk.frames["frame"].to_pylist() == FRAMES
 
 
-def test_nav2_has_a_map_of_each_camera(parts: Path, tmp_path: Path) -> None:
+def test_nav2_export_has_a_map_per_camera(parts: Path, tmp_path: Path) -> None:
     folder = exported(parts, "nav2", tmp_path / "out")
     for camera in CAMERAS:
         name = f"both@{camera}"
@@ -108,7 +108,7 @@ def test_nav2_has_a_map_of_each_camera(parts: Path, tmp_path: Path) -> None:
         assert {0, 254} <= {*cells.tolist()}
 
 
-def test_the_command_says_how_to_see_it(
+def test_the_command_prints_how_to_open_the_export(
     parts: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for to in ("foxglove", "nav2", "html"):
@@ -121,13 +121,15 @@ def test_the_command_says_how_to_see_it(
             assert (output / pattern).is_file()
 
 
-def test_a_page_is_a_file(parts: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A folder is not replaced by it, not even an empty one; a name without suffix is said."""
+def test_a_report_is_a_file(
+    parts: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It never replaces a folder, even an empty one; a name without suffix is reported."""
     command = ["export", str(parts / "results"), "--to", "html", "--output"]
     (tmp_path / "folder").mkdir()
     assert main([*command, str(tmp_path / "folder")]) == 2
-    said = capsys.readouterr().err
-    assert f"got a folder; choose a file, such as {tmp_path / 'folder' / 'report.html'}" in said
+    printed = capsys.readouterr().err
+    assert f"got a folder; choose a file, such as {tmp_path / 'folder' / 'report.html'}" in printed
     assert (tmp_path / "folder").is_dir() and not any((tmp_path / "folder").iterdir())
     assert main([*command, str(tmp_path / "folder" / "report")]) == 0
     assert "a name that ends in .html" in capsys.readouterr().err
@@ -136,13 +138,13 @@ def test_a_page_is_a_file(parts: Path, tmp_path: Path, capsys: pytest.CaptureFix
     assert "report: expected a folder, got a file" in capsys.readouterr().err
 
 
-def test_commands_that_show_it_take_any_name(tmp_path: Path) -> None:
+def test_printed_commands_quote_any_name(tmp_path: Path) -> None:
     for to in ("ros2", "nav2", "rerun"):
         last = shlex.split(FORMATS[to].seen(tmp_path / "a b's"))[-1]
         assert str(Path(last.removeprefix("yaml_filename:=")).parent) == str(tmp_path / "a b's")
 
 
-def test_logs_that_a_format_leaves_out_are_named(
+def test_logs_left_out_by_a_format_are_named(
     parts: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     results = tmp_path / "results"
@@ -152,16 +154,16 @@ def test_logs_that_a_format_leaves_out_are_named(
         log["paths"] = ["/gone/both.mcap"]
     summary["logs"][1] |= {"map": None, "pictures": []}
     (results / "summary.json").write_text(json.dumps(summary), "utf-8")
-    for to, said in (
+    for to, printed in (
         ("nav2", "jaxdet: warning: both, rear is left out: it has no map"),
         ("html", "jaxdet: warning: no pictures of some frames: /gone/both.mcap: the log is not"),
     ):
         command = ["export", str(results), "--to", to, "--output", str(tmp_path / to)]
         assert main(command) == 0
-        assert capsys.readouterr().err.startswith(said)
+        assert capsys.readouterr().err.startswith(printed)
 
 
-def test_the_page_tells_cameras_and_frames_apart(parts: Path, tmp_path: Path) -> None:
+def test_the_report_distinguishes_cameras_and_frames(parts: Path, tmp_path: Path) -> None:
     text = exported(parts, "html", tmp_path / "page.html").read_text("utf-8")
     match = re.search(r'<script type="application/json" id="data">(.*?)</script>', text, re.DOTALL)
     assert match
@@ -173,7 +175,7 @@ def test_the_page_tells_cameras_and_frames_apart(parts: Path, tmp_path: Path) ->
         assert sorted(frame["frame"] for frame in shown) == FRAMES
 
 
-def test_recordings_of_each_camera(parts: Path, tmp_path: Path) -> None:
+def test_rerun_has_a_recording_per_camera(parts: Path, tmp_path: Path) -> None:
     chunk = pytest.importorskip("rerun.chunk")
     folder = exported(parts, "rerun", tmp_path / "out")
     paths = sorted(folder.iterdir())
@@ -186,7 +188,7 @@ def test_recordings_of_each_camera(parts: Path, tmp_path: Path) -> None:
         assert sorted(seen) == FRAMES
 
 
-def test_training_sets_have_the_images_of_both(parts: Path, tmp_path: Path) -> None:
+def test_coco_has_the_images_of_both_cameras(parts: Path, tmp_path: Path) -> None:
     folder = exported(parts, "coco", tmp_path / "out")
     images = json.loads((folder / "annotations.json").read_text())["images"]
     assert [(one["camera"], one["frame"]) for one in images] == [
@@ -196,7 +198,9 @@ def test_training_sets_have_the_images_of_both(parts: Path, tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("to", [name for name, form in FORMATS.items() if not form.of_logs])
-def test_a_log_that_is_not_looked_at_is_refused(to: str, parts: Path, tmp_path: Path) -> None:
+def test_a_log_for_a_format_that_reads_none_is_refused(
+    to: str, parts: Path, tmp_path: Path
+) -> None:
     with (
         Results(parts / "results") as results,
         pytest.raises(ConfigError, match=f"--to {to} does not use --log; omit --log"),
@@ -206,7 +210,7 @@ def test_a_log_that_is_not_looked_at_is_refused(to: str, parts: Path, tmp_path: 
 
 
 @pytest.mark.parametrize("to", ["foxglove", "html"])
-def test_a_full_disk_is_said_and_leaves_nothing(to: str, tmp_path: Path) -> None:
+def test_a_full_disk_is_reported_and_leaves_no_files(to: str, tmp_path: Path) -> None:
     make_results(tmp_path / "results", {"a": 200})
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     with Results(tmp_path / "results") as results:
@@ -237,7 +241,7 @@ sys.exit(main(sys.argv[1:]))
 
 
 @pytest.mark.parametrize("command", ["export --to html --output", "track"])
-def test_a_signal_leaves_nothing_half(command: str, tmp_path: Path) -> None:
+def test_a_signal_leaves_no_partial_export(command: str, tmp_path: Path) -> None:
     make_results(tmp_path / "results", {"a": 20})
     name, *more = command.split()
     given = [str(tmp_path / "results"), *more, *[str(tmp_path / "out")] * bool(more)]
@@ -263,8 +267,8 @@ print(next(line.split()[1] for line in status.splitlines() if line.startswith("V
 
 @pytest.mark.slow
 @pytest.mark.parametrize("to", ["foxglove", "ros2", "rerun", "html"])
-def test_memory_has_a_bound(to: str, tmp_path: Path) -> None:
-    """100,000 frames take no more than 66,000 do, which fill two row groups of the tables."""
+def test_memory_of_exports_is_bounded(to: str, tmp_path: Path) -> None:
+    """100,000 frames use no more than 66,000, which fill two row groups of the tables."""
     peaks = []
     for count in (66_000, 100_000):
         folder = tmp_path / str(count)

@@ -1,4 +1,4 @@
-"""A world whose origin is far away, as UTM's, and results of before it had float64."""
+"""Worlds with a distant origin, such as UTM coordinates."""
 
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from tests.test_export_foxglove import exported
 from tests.test_export_rerun import motion, recording_of
 
 OFFSET = np.array([500_000.0, 5_000_000.0])
-"""Whole cells of the map [m]."""
+"""Offset of the world, a multiple of the cells of the map [m]."""
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +39,7 @@ def column(folder: Path, table: str, name: str) -> Any:
     return pq.read_table(folder / f"{table}.parquet")[name].to_pylist()
 
 
-def test_results_are_those_of_the_drive_near_the_origin(drives: tuple[Path, Path]) -> None:
+def test_results_equal_those_near_the_origin(drives: tuple[Path, Path]) -> None:
     near, far = drives
     one, other = (np.array(column(f, "obstacles", "corners_world")) for f in drives)
     assert len(one) > 10
@@ -61,8 +61,8 @@ def test_results_are_those_of_the_drive_near_the_origin(drives: tuple[Path, Path
     np.testing.assert_allclose(other.origin, one.origin + OFFSET, rtol=0, atol=1e-6)
 
 
-def test_exports_have_the_same_shapes(drives: tuple[Path, Path], tmp_path: Path) -> None:
-    """What a viewer draws in float32 is near to what it is counted from."""
+def test_exports_draw_the_same_shapes(drives: tuple[Path, Path], tmp_path: Path) -> None:
+    """Viewers draw in float32, so coordinates are relative to a nearby origin."""
     lines = []
     for folder in drives:
         topics, frames = exported(folder, tmp_path / f"foxglove_{folder.parent.name}")

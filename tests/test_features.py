@@ -1,4 +1,4 @@
-"""features: compared with OpenCV on many images, by hand, and the twin."""
+"""features: compared with OpenCV, by hand, and the twin."""
 
 from dataclasses import replace
 from typing import Any, cast
@@ -135,7 +135,7 @@ def test_overflow_is_flagged(device):
         assert np.asarray(found.valid).sum(1).tolist() == [5, 0]
 
 
-def test_undistorted_coordinates():
+def test_coordinates_are_undistorted():
     camera = D435_COLOR._replace(
         distortion=Distortion.PLUMB_BOB, coefficients=(-0.3, 0.1, 0.001, -0.002, 0.0)
     )

@@ -96,11 +96,11 @@ OF_THE_LONGEST = ("default", "full", "weak corners", "far apart")
     ("size", "name"),
     [*product(SIZES[:1], SETTINGS), *product(SIZES[1:] + LONGEST, OF_THE_LONGEST)],
 )
-def test_hostile_images(device, size, name):
+def test_twin_on_adversarial_images(device, size, name):
     compare(np.stack(list(hostile(*size).values())), SETTINGS[name])
 
 
-def test_recordings(device, shared_data):
+def test_twin_on_recordings(device, shared_data):
     rng = np.random.default_rng(2)
     for image in recorded_colors(shared_data)[::4]:
         color = image[None]
@@ -120,7 +120,7 @@ def test_recordings(device, shared_data):
     coarse=st.integers(1, 6),
 )
 @settings(max_examples=60)
-def test_random_images(seed, levels, width, quality, distance, coarse):
+def test_twin_on_random_images(seed, levels, width, quality, distance, coarse):
     rng = np.random.default_rng(seed)
     size = 2, 24 + seed % 2 * 13, width
     grey = rng.integers(0, levels, size) * (255 // (levels - 1))

@@ -1,4 +1,4 @@
-"""The cases of ``shared/cases/field``: obstacles equal those of the log they were made of."""
+"""Failing inputs of ``shared/cases/field``: obstacles equal those of the original log."""
 
 import runpy
 import sys
@@ -46,7 +46,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
         runpy.run_path(str(script))["main"](folder)
         return folder
 
-    fl.simulate = simulate  # in this process; many cases begin with the same log
+    fl.simulate = simulate  # in this process, and once per log
     return make
 
 
@@ -87,9 +87,7 @@ def columns(results: Path, table: str, camera: str = "") -> dict[str, list]:
         ("14", "boot_1970.mcap", "base.mcap", ("--start", "0.2s")),
     ],
 )
-def test_obstacles_are_those_of_the_log_that_the_case_was_made_of(
-    made, run, case, file, base, flags
-):
+def test_obstacles_equal_those_of_the_original_log(made, run, case, file, base, flags):
     folder = made(case)
     found, expected = (run(folder / name, *flags) for name in (file, base))
     for table in ("obstacles", "frames"):
@@ -97,7 +95,7 @@ def test_obstacles_are_those_of_the_log_that_the_case_was_made_of(
 
 
 @pytest.mark.parametrize("log", ["two_equal_robots", "two_robots"])
-def test_two_robots_in_a_log_have_the_results_of_separate_logs(made, run, log):
+def test_two_robots_in_a_log_give_the_results_of_separate_logs(made, run, log):
     folder = made("01")
     found, expected = (run(folder / f"{name}.mcap") for name in (log, "robot1"))
     for table in ("obstacles", "frames"):
@@ -109,7 +107,7 @@ def test_two_robots_in_a_log_have_the_results_of_separate_logs(made, run, log):
 
 
 @pytest.mark.parametrize("flags", [(), ("--log.no-depth-aligned",)])
-def test_aligned_depth_of_half_the_size(made, run, flags):
+def test_aligned_depth_of_half_the_size_is_used(made, run, flags):
     results = run(made("07") / "aligned_half.mcap", *flags)
     found = pq.read_table(next(results.glob("*/obstacles.parquet"))).to_pylist()
     assert len(found) == 108

@@ -18,7 +18,7 @@ from jaxdet.floor.units import Scale, prior_units
 UNIT = 0.001
 
 
-def test_a_level_camera() -> None:
+def test_floor_frame_of_a_level_camera() -> None:
     plane = flat_plane(np.array([0.4, 1.0]), np.zeros(2), np.zeros(2))
     frame, fine = floor_frames(plane, UNIT), floor_frames(plane, UNIT / 10)
     xyz = np.array([[-100, 20], [400, -50], [1000, 3000]])
@@ -34,7 +34,7 @@ def test_a_level_camera() -> None:
     st.integers(-180 * ANGLES, 180 * ANGLES),
     st.lists(st.tuples(*[st.integers(-4000, 4000)] * 3), min_size=1, max_size=5),
 )
-def test_a_rotation(pitch: int, roll: int, points: list) -> None:
+def test_floor_frame_of_a_rotated_camera(pitch: int, roll: int, points: list) -> None:
     angles = np.radians(np.array([[pitch], [roll]]) / ANGLES)
     plane = flat_plane(np.array([0.5]), *angles)
     xyz = np.array(points).T
@@ -56,14 +56,14 @@ def test_axes_are_those_of_the_plane(pitch: float, roll: float) -> None:
     assert np.abs(axes - known).max() <= np.radians(1 / ANGLES) * (1 << FRAME_BITS) + 1
 
 
-def test_a_camera_looking_straight_down() -> None:
+def test_floor_frame_of_a_camera_looking_straight_down() -> None:
     plane = flat_plane(np.array([0.5]), np.array([np.pi / 2]), np.zeros(1))
     right, forward, height = on_floor(floor_frames(plane, UNIT)[0], np.array([[100], [-50], [400]]))
     assert (right.tolist(), forward.tolist(), height.tolist()) == ([100], [50], [100])
 
 
-def test_without_a_floor() -> None:
-    """The camera is level, and all points are high above the floor."""
+def test_without_a_floor_the_frame_is_that_of_a_level_camera() -> None:
+    """All points are high above the floor."""
     frame = floor_frames(unknown_plane(1), UNIT)[0]
     right, forward, height = on_floor(frame, np.array([[5], [700], [900]]))
     assert (right.tolist(), forward.tolist(), height.tolist()) == ([5], [900], [UNKNOWN_HEIGHT])

@@ -42,7 +42,7 @@ def test_plane_is_found_next_to_boxes(pose, wrong):
 
 @pytest.mark.parametrize("pose", [POSES[0], POSES[2]])
 @pytest.mark.parametrize("wrong", [None, (0.0, 0.0, 0.0), (0.03, 2.0, -1.0), (0.0, -1.0, 2.5)])
-def test_corridor(pose, wrong):
+def test_plane_is_found_in_a_corridor(pose, wrong):
     """Walls are 60 cm away on both sides, with low boxes between them."""
     walls: list[Box] = [((-0.7, -1, 0), (-0.6, 9, 2.5)), ((0.6, -1, 0), (0.7, 9, 2.5))]
     low: list[Box] = [((x, y, 0), (x + 0.2, y + 0.3, 0.08)) for x, y in ((-0.5, 1.0), (0.2, 1.7))]
@@ -57,7 +57,7 @@ def test_noise_has_little_influence_on_the_plane(noise):
     assert_found(fit, pose, angle=0.25, height=6.0)
 
 
-def test_level_floor_by_hand():
+def test_level_floor_is_exact():
     """For a level camera 500 mm up, floor cells are 500 below it at any depth."""
     z = np.zeros((120, 160), np.int32)
     v = np.arange(61, 120)
@@ -68,7 +68,7 @@ def test_level_floor_by_hand():
 
 
 @pytest.mark.parametrize("known", [True, False])
-def test_walls_are_not_a_floor(known):
+def test_walls_are_refused_as_floor(known):
     walls: list[Box] = [((-4, 1.5, 0), (4, 1.6, 3)), ((-1.0, 0, 0), (-0.9, 1.5, 3))]
     pose = Pose(1.2, 0.0, 0.0)
     prior = pose.plane() if known else unknown_plane(1)
@@ -78,7 +78,7 @@ def test_walls_are_not_a_floor(known):
 
 
 @pytest.mark.parametrize(("pose", "measured_share"), [((0.06, -6, 1.4), 0.5), ((0.1, -5, 2), 0.5)])
-def test_a_wall_has_more_cells_than_the_floor(pose, measured_share):
+def test_floor_is_found_though_a_wall_has_more_cells(pose, measured_share):
     """A camera just above a glossy floor, half of which is measured, sees walls at a metre."""
     pose = Pose(*pose)
     walls: list[Box] = [((-3, 1.0, 0), (-0.35, 1.1, 2)), ((-0.35, 1.7, 0), (0.4, 1.8, 2))]
@@ -144,7 +144,7 @@ def test_reflections_do_not_lead_to_refusal(known, columns):
     assert_found(fit, pose)
 
 
-def test_too_few_cells():
+def test_too_few_cells_are_refused():
     z = np.zeros((120, 160), np.uint16)
     z[100:104, 20:60] = 1000
     for prior in (POSES[0].plane(), unknown_plane(1)):
@@ -162,7 +162,7 @@ def test_a_floor_below_nearly_all_cells_is_refused():
     assert_found(found(measured(more), pose.plane()), pose, angle=0.5)
 
 
-def test_a_camera_on_its_side_is_unusual():
+def test_a_camera_on_its_side_is_refused_without_a_prior():
     """Without a prior, a floor to the right of the image is taken for a wall."""
     pose = Pose(0.6, 20.0, 60.0)
     z = measured(cast(pose, []))
@@ -260,7 +260,7 @@ def test_floor_beyond_a_step_counts_as_floor():
 
 @pytest.mark.parametrize("slope", [-8.0, -4.0, 4.0, 8.0])
 @pytest.mark.parametrize("wrong", [(0.0, 0.0, 0.0), (0.02, 1.0, 0.5), None])
-def test_ramp_is_found_or_is_the_plane(slope, wrong):
+def test_visible_ramps_are_found(slope, wrong):
     """The surface, plane or ramp, is within 2 cm + 1.5 cm/m of the true visible floor."""
     pose, start = Pose(0.4, 15.0, 2.0), 1.3
     z = cast(pose, BOXES[:1], ramp=(start, float(np.tan(np.radians(slope)))))

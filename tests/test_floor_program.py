@@ -79,7 +79,7 @@ def random_cells(seed: int, batch: int, rows: int, columns: int, part: float = 0
 # made by hand
 
 
-def test_boxes_and_ramps() -> None:
+def test_twin_on_boxes_and_ramps() -> None:
     """Ramps up, down and none are found, and planes too far from the prior are refused."""
     depths, known = [], []
     for pose in POSES:
@@ -95,7 +95,7 @@ def test_boxes_and_ramps() -> None:
     assert set(refused.tolist()) >= {0, 3}
 
 
-def test_steps() -> None:
+def test_twin_on_steps() -> None:
     """Steps down and up are found from any height, with correct, wrong and no priors."""
     depths, known = [], []
     for pose in (Pose(0.3, 10.0, 1.0), Pose(0.8, 20.0, 1.0), Pose(1.3, 30.0, -2.0)):
@@ -111,7 +111,7 @@ def test_steps() -> None:
     assert (found != flat).any(axis=1).sum() > 20
 
 
-def test_tables_walls_and_few_cells() -> None:
+def test_twin_on_tables_walls_and_few_cells() -> None:
     pose = POSES[3]
     things = [
         ([((-2.0, 0.2, 0.5), (2.0, 1.1, 0.54)), ((-4.0, 2.0, 0.0), (4.0, 2.1, 2.5))], False),
@@ -140,7 +140,7 @@ def test_tables_walls_and_few_cells() -> None:
         FloorConfig(noise_per_m=0.05, max_depth_m=65.0),
     ],
 )
-def test_settings(config: FloorConfig) -> None:
+def test_twin_with_any_settings(config: FloorConfig) -> None:
     depths, known = [], []
     for pose, slope in zip(POSES, (0.0, 6.0, -6.0, 4.0), strict=True):
         ramp = (1.3, float(np.tan(np.radians(slope)))) if slope else None
@@ -151,7 +151,7 @@ def test_settings(config: FloorConfig) -> None:
 
 
 @pytest.mark.parametrize("unit", [0.0001, 0.01, 0.1])
-def test_depth_units(unit: float) -> None:
+def test_twin_in_any_depth_unit(unit: float) -> None:
     pose = POSES[1]
     shown = cast(pose, BOXES, ramp=(1.3, 0.1)), cast_step(pose, 0.25, 1.8)
     grid = positions(np.stack([measured(z) for z in shown]), CAMERA)
@@ -171,7 +171,7 @@ def test_cells_at_the_edge_of_the_tolerance_do_not_move_the_plane() -> None:
         assert found[:3].tolist() == [0, 0, 50]
 
 
-def test_ramps_seen_from_straight_above() -> None:
+def test_twin_on_ramps_seen_from_straight_above() -> None:
     """The plane of a ramp ahead of a steep one is pitched by up to 97 degrees, 90 among them."""
     depths, known = [], []
     for pitch, turn, start in ((80.0, 7.0, 0.15), (80.0, 9.0, 0.25), (82.0, 8.0, 0.15)):
@@ -206,7 +206,7 @@ def test_tolerance_is_not_smaller_for_a_plane_above_the_camera(low: float) -> No
 @pytest.mark.parametrize(
     ("batch", "rows", "columns"), [(1, 1, 1), (1, 7, 5), (3, 61, 83), (2, 160, 213), (5, 24, 31)]
 )
-def test_random_cells(batch: int, rows: int, columns: int) -> None:
+def test_twin_on_random_cells(batch: int, rows: int, columns: int) -> None:
     one = flat_plane(*(np.array([a]) for a in (0.5, 0.0, 0.02)))
     for part in (0.0, 0.05, 0.7, 1.0):
         grid = random_cells(rows, batch, rows, columns, part)
@@ -214,7 +214,7 @@ def test_random_cells(batch: int, rows: int, columns: int) -> None:
             assert_same(grid, prior)
 
 
-def test_fewer_cells_than_in_the_grid() -> None:
+def test_twin_on_fewer_cells_than_in_the_grid() -> None:
     config = replace(CONFIG, max_cells=300)
     plane = flat_plane(*(np.array([a]) for a in (0.5, 0.0, 0.02)))
     for prior in priors(plane):
@@ -222,7 +222,7 @@ def test_fewer_cells_than_in_the_grid() -> None:
 
 
 @pytest.mark.parametrize("roll_deg", [-180.0, -177.0, 90.0, 178.0])
-def test_any_roll(roll_deg: float) -> None:
+def test_twin_at_any_roll(roll_deg: float) -> None:
     """The camera may have any roll, for instance hang upside down."""
     plane = flat_plane(*(np.array([a]) for a in (0.5, 0.2, np.radians(roll_deg))))
     for grid in (random_cells(5, 1, 40, 50), [-a for a in random_cells(6, 1, 40, 50)]):
@@ -243,7 +243,7 @@ def test_any_roll(roll_deg: float) -> None:
         ("drops", 1.0),
     ],
 )
-def test_simulated(family: str, depth_error: float) -> None:
+def test_twin_on_simulated_frames(family: str, depth_error: float) -> None:
     frames = list(sample_frames(family, 300, 1, depth_error=depth_error))
     calibration = calibration_of(frames[0].config)
     depth = np.stack([f.depth for f in frames if f.depth is not None])
@@ -253,7 +253,7 @@ def test_simulated(family: str, depth_error: float) -> None:
         assert_same([grid.x, grid.y, grid.z], prior)
 
 
-def test_a_steep_plane_through_a_hedge_is_not_a_floor() -> None:
+def test_a_steep_plane_through_a_hedge_is_not_the_floor() -> None:
     """A plane through a hedge and objects in front of it has more inliers than the level floor."""
     level = {"camera_pitch_rad": 0.0, "camera_roll_rad": 0.0, "width": 320, "height": 240}
     (frame,) = sample_frames("mixed", 2102, 1, **level)
@@ -269,7 +269,7 @@ def test_a_steep_plane_through_a_hedge_is_not_a_floor() -> None:
     [one for one in RECORDINGS if one.place.endswith(".mcap") and one.learnt],
     ids=lambda one: one.name,
 )
-def test_recorded(recording: Recording, shared_data: Path) -> None:
+def test_twin_on_recorded_frames(recording: Recording, shared_data: Path) -> None:
     with open_log(str(shared_data / recording.place)) as log:
         batch = next(iter(log.batches(4)))
     frames, unit = batch.frames, batch.frames.calibration.depth_unit

@@ -30,7 +30,7 @@ def grids(path: Path) -> tuple[list[list[np.ndarray]], list[np.ndarray], Calibra
         return cells, depths, log.calibration
 
 
-def test_a_recorded_cart(shared_data):
+def test_floor_of_a_recorded_cart_agrees_with_ransac(shared_data):
     """RANSAC in README_DATA: height 0.62-0.63 m, pitch 19-20 degrees, roll 9-13 degrees."""
     cells, _, _ = grids(shared_data / "aims_slam/aims_slam_18frames.mcap")
     assert len(cells) == 18
@@ -77,8 +77,8 @@ def test_kitchen_tables_are_not_the_floor(shared_data):
     assert all(1.2 < height < 1.55 for height in heights)
 
 
-def test_still_images_in_front_of_walls(shared_data):
-    """README_DATA: placed by hand, low; in frames 1, 5 and 9 the largest plane is a wall.
+def test_floor_in_front_of_walls_agrees_with_ransac_or_is_refused(shared_data):
+    """README_DATA: a camera placed low by hand; a wall is the largest plane in frames 1, 5 and 9.
 
     RANSAC on the lower rows of frame 5, where a fifth of the floor is measured: height 5 to 7 cm,
     pitch -6 to -7 degrees.

@@ -1,4 +1,4 @@
-"""footprint: by hand and the twin; the rectangles are in test_metric.py."""
+"""footprint: by hand and the twin. Rectangles are tested in ``test_metric.py``."""
 
 from dataclasses import replace
 
@@ -27,7 +27,7 @@ SLOTS = 32
 
 
 def measure(backend, x, z, labels, config=CONFIG):
-    """Of a frame; points of no obstacle fill its slots, so that all cases are one program."""
+    """Return the obstacles of a frame, padded with points so that all cases share one program."""
     x, z = (np.pad(values, (0, SLOTS - len(values))) for values in (x, z))
     labels = np.pad(np.array(labels, np.int32), (0, SLOTS - len(labels)), constant_values=-1)
     found = Labels(labels[None], np.array([labels.max() + 1], np.int32))
@@ -38,7 +38,7 @@ def measure(backend, x, z, labels, config=CONFIG):
 
 
 @BACKENDS
-def test_extent_and_points(backend):
+def test_extents_and_points_by_hand(backend):
     found = measure(backend, [-300, 0, 200, 999], [1500, 1000, 1400, 700], [0, 0, 0, -1])
     assert np.asarray(found.num_points)[0].tolist() == [3, *[0] * (SLOTS - 1)]
     assert np.asarray(found.xyz_min)[0, 0].tolist() == [-300, 0, 1000]
@@ -53,7 +53,7 @@ def test_extent_and_points(backend):
 
 
 @BACKENDS
-def test_vertex_needs_the_threshold(backend):
+def test_a_vertex_must_exceed_the_threshold(backend):
     """Eq. 7: no vertex while min(d_A, d_B) - d_C < d_threshold (30 mm)."""
     for nearest, vertex in ((971, False), (970, True)):
         found = measure(backend, [-100, 0, 100], [1000, nearest, 1200], [0, 0, 0])
@@ -61,7 +61,7 @@ def test_vertex_needs_the_threshold(backend):
 
 
 @BACKENDS
-def test_ties_go_to_the_nearer_and_the_left(backend):
+def test_ties_are_resolved_to_the_nearer_and_left_point(backend):
     x, z = [-100, -100, 100, 100, 0, -50], [900, 800, 700, 950, 600, 600]
     found = measure(backend, x, z, [0] * 6)
     assert np.asarray(found.a)[0, 0].tolist() == [-100, 800]
@@ -70,7 +70,7 @@ def test_ties_go_to_the_nearer_and_the_left(backend):
 
 
 @BACKENDS
-def test_the_nearest_point_need_not_be_a_b_or_c(backend):
+def test_the_nearest_point_may_differ_from_a_b_and_c(backend):
     x, z = [-300, 300, 290, 0], [1500, 1400, 1000, 1010]
     found = measure(backend, x, z, [0] * 4)
     assert np.asarray(found.c)[0, 0].tolist() == [290, 1000]
@@ -79,17 +79,17 @@ def test_the_nearest_point_need_not_be_a_b_or_c(backend):
 
 
 @BACKENDS
-def test_the_nearest_point_is_exact_as_far_away_as_a_point_can_be(backend):
+def test_the_nearest_point_is_exact_at_the_largest_coordinates(backend):
     x, z = [MAX_LATERAL, MAX_LATERAL - 1], [65535, 65535]
     found = measure(backend, x, z, [0, 0])
     high, low = np.asarray(found.nearest)[0, 0].tolist()
     assert (high << 18) + low == (MAX_LATERAL - 1) ** 2 + 65535**2
 
 
-def test_a_tilted_camera_lays_points_on_the_floor():
+def test_points_of_a_tilted_camera_are_projected_to_the_floor():
     pitch = np.radians(25.0)
     plane = level(1, 0.6, pitch)
-    # A vertical pole 1.5 m ahead, from the floor to 1 m: all at the same place on the floor.
+    # A vertical pole 1.5 m ahead, from the floor to 1 m, projects to one point on the floor.
     height = np.linspace(0.0, 1.0, 11)
     forward, down = 1500.0, 600.0 - 1000 * height
     y = -forward * np.sin(pitch) + down * np.cos(pitch)
@@ -98,12 +98,12 @@ def test_a_tilted_camera_lays_points_on_the_floor():
     assert np.abs(to_ground(features, plane)[0] - [0, 1500]).max() <= 1
 
 
-def test_bad_values_name_the_flag():
+def test_values_out_of_range_are_errors_that_name_the_flag():
     with pytest.raises(ConfigError, match=r"footprint\.extension-m"):
         FootprintConfig(extension_m=0)
 
 
-def test_it_is_the_papers_rectangle():
+def test_defaults_give_the_rectangle_of_the_paper():
     found = measure(reference, [-300, 0, 200], [1500, 1000, 1400], [0, 0, 0])
     plain = rectangles(found, 0.001, PRESETS["paper"].footprint)[0, 0]
     assert np.allclose(plain[:2], [[-0.3, 1.5], [0.2, 1.4]])
@@ -119,14 +119,14 @@ def outline(trim=0, side=0.0, near=0.0):
     [
         (outline(), -160, 150, 1000),
         (outline(trim=1), -150, 140, 1010),
-        # Of 32 points a sixteenth.
+        # A sixteenth of 32 points.
         (outline(trim=9), -140, 130, 1020),
-        # Distance 1 m: five points of each side, three of the front; their medians.
+        # At 1 m, medians of five points per side and three in front.
         (outline(side=0.04, near=0.025), -140, 130, 1010),
         (outline(trim=2, side=0.04, near=0.035), -120, 110, 1030),
     ],
 )
-def test_outliers_and_bands(backend, settings, a, b, c):
+def test_trimming_and_medians_by_hand(backend, settings, a, b, c):
     x = np.arange(32) * 10 - 160
     z = 1000 + 10 * ((np.arange(32) * 7) % 32)
     found = measure(backend, x, z, [0] * 32, config=replace(CONFIG, footprint=settings))
@@ -137,7 +137,7 @@ def test_outliers_and_bands(backend, settings, a, b, c):
 
 @BACKENDS
 def test_the_band_in_front_grows_with_distance_squared(backend):
-    """Eleven points 10 mm apart: 12 mm at 1 m hold two of them, 48 mm at 2 m five."""
+    """Of points 10 mm apart, 12 mm at 1 m contain two, 48 mm at 2 m five."""
     config = replace(CONFIG, footprint=outline(near=0.012))
     for z, c in ((1000, 1000), (2000, 2020)):
         found = measure(backend, np.arange(11), z + 10 * np.arange(11), [0] * 11, config=config)
@@ -196,7 +196,7 @@ def test_ground_coordinates_stay_in_32_bits(seed, pitch, roll):
 # laws
 
 
-def test_relabelling_moves_rows(device):
+def test_permuting_labels_permutes_rows(device):
     features, labels = hostile_features(7, 3, 300)
     swap = np.array([3, 1, 2, 0, -1], np.int32)
     moved = Labels(swap[labels.labels], labels.num_obstacles)

@@ -65,13 +65,13 @@ def floor(*forward: int) -> list[tuple[int, int]]:
 # by hand
 
 
-def test_floor_up_to_the_end_of_the_range() -> None:
+def test_floor_ends_at_the_end_of_the_range() -> None:
     line, end = found(column(*floor(500, 900, 1400, 1900, 2400, 2900, 3400, 3600), None))
     assert end == [FreeEnd.RANGE]
     assert line.tolist() == [[[0, 500], [0, 3600]]]
 
 
-def test_floor_up_to_an_obstacle() -> None:
+def test_floor_ends_at_an_obstacle() -> None:
     line, end = found(column(*floor(500, 900, 1300), "1500", "1500", "1500"))
     assert end == [FreeEnd.OBSTACLE]
     assert line.tolist() == [[[0, 500], [0, 1500]]]
@@ -102,14 +102,14 @@ def test_a_hole_shorter_than_the_gap_is_ignored() -> None:
     assert end == [FreeEnd.UNKNOWN] and line[0, 1].tolist() == [0, 2000]
 
 
-def test_a_column_with_only_an_obstacle() -> None:
+def test_a_column_with_only_an_obstacle_has_no_free_floor() -> None:
     line, end = found(column(None, "900", "910"), column(None, None, None))
     assert end == [FreeEnd.OBSTACLE, FreeEnd.UNKNOWN]
     assert line.tolist() == [[[0, 900], [0, 900]], [[0, 0], [0, 0]]]
 
 
 @pytest.mark.parametrize("down", [(0, 8192, 0), (0, -8192, 0), (5000, -5000, 0), (8192, 0, 0)])
-def test_any_mounting_of_the_camera(down: tuple[int, int, int]) -> None:
+def test_free_floor_does_not_depend_on_the_roll_of_the_camera(down: tuple[int, int, int]) -> None:
     """Upside down, the image is that of an upright camera rotated by half; on its side, unknown."""
     cells = column(*floor(500, 900, 1400, 1900, 2400, 2900, 3400, 3600), None)
     arrays = {k: np.array([v, v]).T for k, v in cells.items()}
@@ -130,7 +130,7 @@ def test_any_mounting_of_the_camera(down: tuple[int, int, int]) -> None:
 STEP_DOWN = column(*floor(500, 900, 1300), (2000, -300), (2200, -300), (2400, -305), None)
 
 
-def test_a_step_down() -> None:
+def test_floor_ends_at_a_step_down() -> None:
     line, end = found(*[STEP_DOWN] * WIDE)
     assert end == [FreeEnd.DROP] * WIDE
     assert line[3].tolist() == [[3, 500], [3, 1300]]
@@ -199,7 +199,7 @@ def test_lines_begin_at_the_nearest_row_and_end_before_obstacles(columns: list) 
 
 
 @given(pictures)
-def test_mirrored(columns: list) -> None:
+def test_mirrored_columns_have_mirrored_lines(columns: list) -> None:
     line, end = found(*columns)
     other, turned = found(*columns[::-1])
     assert turned == end[::-1]
@@ -215,13 +215,13 @@ def test_columns_are_independent_except_for_drops(columns: list) -> None:
         assert why == end[c] or {why, end[c]} <= {FreeEnd.UNKNOWN, FreeEnd.DROP}
 
 
-def test_no_cells() -> None:
+def test_no_cells_have_no_free_floor() -> None:
     line, end = found(column(None), column(None))
     assert not line.any() and end == [FreeEnd.UNKNOWN] * 2
 
 
 @pytest.mark.parametrize("count", [1, 2, 2 * NEIGHBOURS])
-def test_narrow_grids(count: int) -> None:
+def test_narrow_grids_are_supported(count: int) -> None:
     line, end = narrow(*[column(*floor(500, 900), "1200")] * count, count=count)
     assert end == [FreeEnd.OBSTACLE] * count and line.shape == (count, 2, 2)
 
@@ -243,7 +243,7 @@ def test_narrow_grids(count: int) -> None:
         ([900], "u", [-1]),
     ],
 )
-def test_notches(ahead: list[int], ends: str, want: list[int]) -> None:
+def test_deep_notches_are_found(ahead: list[int], ends: str, want: list[int]) -> None:
     kinds = {"u": FreeEnd.UNKNOWN, "d": FreeEnd.DROP, "r": FreeEnd.RANGE}
     end = np.array([kinds[e] for e in ends])
     assert notches(end, np.array(ahead), 300).tolist() == want

@@ -74,14 +74,14 @@ def assert_twins(
 
 @pytest.mark.parametrize("reach", [40, 3000, 300000])
 @pytest.mark.parametrize("shape", [(1, 1, 1), (1, 40, 1), (3, 31, 45), (2, 7, 19), (5, 64, 22)])
-def test_random_frames(shape: tuple[int, int, int], reach: int) -> None:
+def test_twin_on_random_frames(shape: tuple[int, int, int], reach: int) -> None:
     ends = assert_twins(drawn(shape, 9, seed=sum(shape), reach=reach), placed=True)
     assert FreeEnd.OBSTACLE in ends or shape == (1, 1, 1)  # its cell is out of range
 
 
 @pytest.mark.parametrize("step", [0, 60, 300])
 @pytest.mark.parametrize("shape", [(3, 40, 61), (1, 160, 213), (2, 57, 512)])
-def test_floors_that_drop(shape: tuple[int, int, int], step: int) -> None:
+def test_twin_on_floors_with_drops(shape: tuple[int, int, int], step: int) -> None:
     batch = drawn(shape, 2, seed=5, block=3)
     batch = batch._replace(found=[one._replace(label=one.label * 0 - 1) for one in batch.found])
     for far in (1500, 5000):
@@ -91,8 +91,8 @@ def test_floors_that_drop(shape: tuple[int, int, int], step: int) -> None:
 
 
 @pytest.mark.parametrize("times", [1.1, 4.0])
-def test_reflections_in_the_floor(times: float) -> None:
-    """Some cells between floor cells are deep below it and farther; floor continues beyond."""
+def test_twin_on_reflections(times: float) -> None:
+    """Some cells are deep below the floor and farther away; the floor continues beyond them."""
     batch = drawn((3, 60, 90), 2, seed=7, block=3)
     batch = batch._replace(found=[one._replace(label=one.label * 0 - 1) for one in batch.found])
     batch = with_floor(batch, seed=7, far=6000, step=0)
@@ -114,12 +114,12 @@ def test_reflections_in_the_floor(times: float) -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_floors_with_obstacles(seed: int) -> None:
+def test_twin_on_floors_with_obstacles(seed: int) -> None:
     batch = with_floor(drawn((2, 50, 60), 4, seed, block=12), seed, far=4500, step=80)
     assert FreeEnd.OBSTACLE in assert_twins(batch, pixel_share=0.0)
 
 
-def test_settings() -> None:
+def test_twin_with_any_settings() -> None:
     batch = with_floor(drawn((2, 50, 60), 3, 9, block=12), 9, far=4500, step=60)
     floors = ({"gap_m": 0.0}, {"gap_m": 10.0}, {"drop_m": 0.0}, {"drop_m": 5.0},
               {"noise_per_m": 1.0, "bow_per_m": 1.0}, {"bow_per_m": 0.0})  # fmt: skip
@@ -131,20 +131,20 @@ def test_settings() -> None:
     assert_twins(simulated("room"), near, placed=True)
 
 
-def test_no_depth() -> None:
+def test_twin_without_depth() -> None:
     depth = np.zeros((2, 60, 80), np.uint16)
     ends = assert_twins(batch_of(depth, small(), unknown_plane(2), SURFACES))
     assert ends == {FreeEnd.UNKNOWN}
 
 
 @pytest.mark.parametrize("family", ["mixed", "drops", "ramps", "corridor", "room", "tables"])
-def test_simulated_frames(family: str) -> None:
+def test_twin_on_simulated_frames(family: str) -> None:
     ends = assert_twins(simulated(family), placed=True)
     assert FreeEnd.OBSTACLE in ends or family in ("drops", "ramps")
 
 
 @pytest.mark.parametrize(("name", "frames"), [("mosd", 4), ("wheelchair", 2), ("aims_slam", 2)])
-def test_recorded_frames(shared_data: Path, name: str, frames: int) -> None:
+def test_twin_on_recorded_frames(shared_data: Path, name: str, frames: int) -> None:
     batches = recorded(shared_data, name, frames)
     if not batches:
         pytest.skip(f"no {name}")

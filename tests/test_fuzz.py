@@ -1,4 +1,4 @@
-"""A few hundred logs damaged at random; ``scripts/fuzz logs`` goes on with other seeds."""
+"""Logs damaged at random, a few hundred; ``scripts/fuzz logs`` continues with other seeds."""
 
 import subprocess
 import sys
@@ -22,7 +22,7 @@ def fuzzer(tmp_path_factory):
     return Logs(tmp_path_factory.mktemp("fuzz"))
 
 
-def test_damaged_logs_end_in_right_frames_or_one_clear_line(fuzzer):
+def test_damaged_logs_give_right_frames_or_a_clear_error(fuzzer):
     found, failed, tried = Counter(), [], set()
     for seed in range(SEEDS):
         title, verdict, _ = fuzzer.one(seed)
@@ -32,11 +32,11 @@ def test_damaged_logs_end_in_right_frames_or_one_clear_line(fuzzer):
             failed.append((title, verdict))
     assert not failed
     assert tried == {*FORMATS, *(name for ways in MUTATIONS.values() for name in ways)}
-    kinds = {"clean", "lost", "error", "unseen", "frames"}  # images that occur twice count once
+    kinds = {"clean", "lost", "error", "unseen", "frames"}  # repeated images count once
     assert kinds <= found.keys() <= {*kinds, "unchanged", "doubled"}
 
 
-def test_a_wrong_pixel_and_a_frame_lost_in_silence_are_failures(fuzzer, monkeypatch):
+def test_a_wrong_pixel_or_a_frame_lost_silently_is_a_failure(fuzzer, monkeypatch):
     with monkeypatch.context() as patch:
         plain = mcap_file.read_chunk_head
         unchecked = lambda data, size: plain(data, size)._replace(crc=0)  # noqa: E731
@@ -56,8 +56,8 @@ def test_a_wrong_pixel_and_a_frame_lost_in_silence_are_failures(fuzzer, monkeypa
         ("stops", 6, ("interrupted",)),
     ],
 )
-def test_what_else_is_hostile(tmp_path, subject, count, ways):
-    """In processes of their own, where one that dies is seen; compiled programs are kept."""
+def test_fuzzing_of_other_inputs_finds_no_failures(tmp_path, subject, count, ways):
+    """Each subject runs in its own process, so that crashes are noticed."""
     command = ["tests.fuzz.run", subject, "--count", f"{count}", "--corpus", str(tmp_path)]
     done = subprocess.run(
         [sys.executable, "-m", *command], cwd=ROOT, capture_output=True, text=True

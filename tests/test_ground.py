@@ -1,4 +1,4 @@
-"""ground: Eq. 5 in exact arithmetic, tilt by geometry, and the twin."""
+"""ground: Eq. 5 in exact arithmetic, tilted cameras by geometry, and the twin."""
 
 from dataclasses import replace
 from fractions import Fraction
@@ -31,7 +31,7 @@ CALIBRATION = Calibration(CAMERA)
 
 
 def kept(backend: ModuleType, z: np.ndarray, plane: GroundPlane, *given: Any) -> np.ndarray:
-    """Where a stage keeps features, of one at every pixel of images of z ``(B, H, W)``."""
+    """Return the mask of features kept, given one at every pixel of images of z ``(B, H, W)``."""
     found = backend.ground(at_every_pixel(z), plane, *given)
     return np.asarray(found.kept).reshape(z.shape)
 
@@ -54,7 +54,7 @@ def test_range_bounds_are_inclusive(backend):
 
 
 @BACKENDS
-def test_all_depths_of_fine_units_may_be_too_near(backend):
+def test_in_fine_units_all_depths_may_be_too_near(backend):
     z = np.full((1, 48, 64), 65535, np.uint16)
     for nearest, some in ((0.65, True), (0.8, False)):
         config = replace(Config(), ground=GroundConfig(min_depth_m=nearest))
@@ -78,7 +78,7 @@ def test_level_camera_equals_equation_5_on_every_pixel(backend):
 
 @BACKENDS
 def test_an_exact_tie_is_floor(backend):
-    # Row 39 is 19 px under the axis: 60 * 0.57 / 19 = 1.8 m, and 1.799 m is still above.
+    # Row 39 is 19 px below the axis: 60 * 0.57 / 19 = 1.8 m, and 1.799 m is still above.
     z = np.zeros((2, 48, 64), np.uint16)
     z[0, 39], z[1, 39] = 1800, 1799
     found = kept(backend, z, level(2, 0.62), CALIBRATION, WIDE)
@@ -122,7 +122,7 @@ def test_tilted_floor_is_dropped_and_higher_points_are_kept(pitch, roll):
 @pytest.mark.parametrize("slope", [0.1, 0.4, -0.1, -0.4])
 @pytest.mark.parametrize(("pitch", "roll"), [(0.1, 0.0), (0.3, -0.1), (0.7, 0.05)])
 def test_a_ramp_begins_where_rays_meet_it(pitch, roll, slope):
-    """The first of all depths at which a pixel lies at most a step above the plane or the ramp."""
+    """The limit is the smallest depth at most a step above the plane or the ramp."""
     start, step = 0.9, 0.05
     ramp = {"ramp_start": np.array([start]), "ramp_slope": np.array([slope])}
     (limits,), _ = floor_limits(
@@ -136,19 +136,19 @@ def test_a_ramp_begins_where_rays_meet_it(pitch, roll, slope):
     rise = slope * np.maximum(z * ahead[..., None] - start, 0.0)
     is_floor = 0.6 - z * falls[..., None] - rise <= step
     found, none = limits[::3, ::5].astype(int), ~is_floor.any(axis=-1)
-    crest = np.abs(0.6 * ahead - start * falls) < 0.15  # falling ramps: the step counts there
+    crest = np.abs(0.6 * ahead - start * falls) < 0.15  # the step matters at falling ramps
     clear = ~crest if slope < 0 else np.ones_like(crest)
     assert clear.mean() > 0.6 and (~none & clear).any()
     assert (found[none & clear] >= 8999).all()
     assert np.array_equal(found[~none & clear], is_floor.argmax(axis=-1)[~none & clear])
 
 
-def test_a_camera_that_looks_straight_down_has_the_top_of_its_image_ahead():
+def test_forward_of_a_camera_looking_straight_down_is_the_top_of_its_image():
     down = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
     assert forward_vector(down).tolist() == [[0, -1, 0], [0, -1, 0], [0, 0, 1]]
 
 
-def test_a_range_has_no_depth_that_is_none():
+def test_depth_0_is_outside_of_any_range():
     assert depth_range(0.0, 65.535, 0.001) == (1, 65535)
     assert depth_range(0.0004, 70.0, 0.001) == (1, 65535)
     assert depth_range(0.15, 4.0, 0.00025) == (600, 16000)
@@ -180,7 +180,7 @@ def test_ground_axes_are_right_and_forward():
     assert np.allclose(ground_axes(unknown_plane(1))[0] / 8192, [[1, 0, 0], [0, 0, 1]])
 
 
-def test_limits_are_shared_by_equal_planes():
+def test_equal_planes_share_their_table_of_limits():
     plane = GroundPlane(
         *(np.concatenate([a, a, b]) for a, b in zip(level(1), level(1, 0.7), strict=True))
     )
@@ -189,7 +189,7 @@ def test_limits_are_shared_by_equal_planes():
     assert which.tolist() == [0, 0, 1]
 
 
-def test_bad_values_name_the_flag():
+def test_values_out_of_range_are_errors_that_name_the_flag():
     with pytest.raises(ConfigError, match=r"ground\.min-depth-m"):
         GroundConfig(min_depth_m=3, max_depth_m=2)
     with pytest.raises(ConfigError, match=r"ground\.camera-height-m"):

@@ -1,4 +1,4 @@
-"""The pages of jaxdet help and the README: every snippet runs, every link leads somewhere.
+"""Pages of ``jaxdet help`` and the README: all snippets run, links and names are right.
 
 ``tests/test_queries.py`` runs those of the page on queries, ``tests/test_readme.py`` the README's
 example in Python.
@@ -44,7 +44,7 @@ CONSOLE = (
     "scripts/",
     ".venv/bin/",
 )
-"""What a block that is not run may hold: installing, what needs a log, and other programs."""
+"""Commands of blocks that are not run: installation, other programs, commands for given logs."""
 OTHERS = ("--dst", "--dst-storage", "--src", "--system-site-packages", "--only", "--seeds")
 OTHERS += ("--array", "--array-properties", "--container-properties", "--cpus-per-task", "--gres")
 OTHERS += ("--job-definition", "--job-definition-name", "--job-name", "--job-queue", "--requeue")
@@ -55,8 +55,8 @@ OTHERS += ("--launch-file", "--ros-args")
 
 
 @pytest.mark.parametrize("columns", [40, 80, 100])
-def test_a_terminal_cuts_nothing_off(columns):
-    """Flags in tables go on in the next line, where they were cut."""
+def test_tables_are_not_cut_at_the_width_of_the_terminal(columns):
+    """Long flags in tables continue in the next line."""
     for name, text in pages().items():
         shown = io.StringIO()
         Console(file=shown, width=columns).print(formatted(text))
@@ -64,19 +64,19 @@ def test_a_terminal_cuts_nothing_off(columns):
 
 
 UNLESS_THERE = "test -e drive.mcap || "
-"""What pages that need a log, but are not the first to make it, have before the command."""
+"""Prefix of commands that make the log unless an earlier page made it."""
 SIM = "sim drive.mcap --frames 8 --width 320"
-"""How pages make the log that others take as given; one page does, the others get that."""
+"""Command of the page that makes the log which other pages use."""
 
 
 def blocks(text: str) -> Iterator[tuple[str, str]]:
-    """Language and text of each fenced block."""
+    """Yield the language and text of each fenced block."""
     for match in re.finditer(r"^```([^\n]*)\n(.*?)^```$", text, re.S | re.M):
         yield match[1], match[2]
 
 
 def commands(block: str) -> list[list[str]]:
-    """The command lines of a shell block, as words."""
+    """Return the command lines of a shell block, split into words."""
     joined = block.replace("\\\n", " ").replace(UNLESS_THERE, "")
     return [words for line in joined.splitlines() if (words := shlex.split(line, comments=True))]
 
@@ -118,14 +118,14 @@ def test_every_snippet_runs(name, drive, tmp_path, monkeypatch, capsys):
             assert language == "text", f"a block of {language or 'no language'}"
 
 
-def test_a_page_is_shown_in_the_users_pager():
+def test_pages_are_shown_in_the_pager_of_the_user():
     ours, theirs = pty.openpty()
     environment = {**os.environ, "TERM": "xterm", "PAGER": "sed s/^/paged:/", "COLUMNS": "80"}
     command = [sys.executable, "-m", "jaxdet", "help", "tracks"]
     with subprocess.Popen(command, stdin=theirs, stdout=theirs, env=environment):
         os.close(theirs)
         shown = b""
-        with suppress(OSError):  # the end, as Linux tells it
+        with suppress(OSError):  # end of the terminal on Linux
             while read := os.read(ours, 1 << 16):
                 shown += read
     os.close(ours)
@@ -133,7 +133,7 @@ def test_a_page_is_shown_in_the_users_pager():
     assert b"Tracks: obstacles over time" in shown and b"# Tracks" not in shown
 
 
-def test_snippets_are_found():
+def test_snippets_of_all_languages_are_found():
     found = dict(blocks("x\n```sh\njaxdet run a \\\n  --output b  # why\n```\n"))
     assert commands(found["sh"]) == [["jaxdet", "run", "a", "--output", "b"]]
 
@@ -146,11 +146,11 @@ LINKS = [
 
 
 @pytest.mark.parametrize(("name", "target"), LINKS)
-def test_links_lead_somewhere(name, target):
+def test_links_have_targets(name, target):
     assert (DOCUMENTS[name].parent / target).exists()
 
 
-def test_flags_named_in_help_exist(capsys, monkeypatch):
+def test_flags_on_pages_exist(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "200")
     flag = r"(?<![\w-])--[a-z](?:[\w.-]*\w)?"
     for command in (
@@ -169,7 +169,7 @@ def test_flags_named_in_help_exist(capsys, monkeypatch):
         assert {*re.findall(flag, path.read_text(encoding="utf-8"))} <= known, path.name
 
 
-def test_the_papers_parameters_are_those_of_the_preset():
+def test_parameters_of_the_paper_equal_those_of_the_preset():
     paper = preset("paper")
     now = {
         cells[0].split(":")[0].split(",")[0]: cells[3] for cells in rows("paper", "Every parameter")
@@ -192,7 +192,7 @@ SCHEMAS = {
 
 
 def rows(name: str, section: str) -> list[list[str]]:
-    """The cells of the table in a section of a page, without its head."""
+    """Return the cells of the table in a section of a page, without the heading."""
     text = DOCUMENTS[name].read_text(encoding="utf-8")
     (found,) = re.findall(rf"^## {section}\n(.*?)(?=^## |\Z)", text, re.S | re.M)
     lines = [line for line in found.splitlines() if line.startswith("|")]
@@ -200,7 +200,7 @@ def rows(name: str, section: str) -> list[list[str]]:
 
 
 def type_name(field: pa.Field) -> str:
-    """A type as the page calls it."""
+    """Return the name of a type on the page."""
     kind, null = field.type, ", nullable" if field.nullable else ""
     many = ""
     if pa.types.is_fixed_size_list(kind):
@@ -218,7 +218,7 @@ def test_every_column_is_explained(table):
     assert explained == {field.name: type_name(field) for field in SCHEMAS[table]}
 
 
-def test_columns_that_the_readme_names_are_there():
+def test_columns_in_the_readme_exist():
     named = {
         *re.findall(r"`(\w+)`", " ".join(cells[0] for cells in rows("README", "What you get")))
     }
@@ -237,7 +237,7 @@ def test_each_key_of_the_summary_is_explained():
     assert [key for key in keys if f"`{key}`" not in text] == []
 
 
-def test_pages_that_are_named_are_there():
+def test_pages_referred_to_exist():
     found = pages()
     assert {*found} == {path.stem for path in (ROOT / "jaxdet/help").glob("*.md")}
     for path in DOCUMENTS.values():

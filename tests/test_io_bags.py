@@ -1,4 +1,4 @@
-"""Recordings of ROS 1 and of rosbag2 in SQLite: the same frames as from MCAP, whole or damaged."""
+"""ROS 1 bags and SQLite bags of rosbag2: they give the frames of MCAP, damaged or not."""
 
 import bz2
 import importlib.util
@@ -53,7 +53,7 @@ def run(log: Path, output: Path) -> list[bytes]:
 
 
 def assert_same(found: Log, expected: Log) -> None:
-    """Two logs give the same frames."""
+    """Assert that two logs give the same frames."""
     assert found.num_frames == expected.num_frames
     assert found.calibration == expected.calibration
     assert np.array_equal(found.T_base_camera, expected.T_base_camera)
@@ -70,7 +70,7 @@ def by_index(log: Log) -> bool:
     return all(file.by_index for file in log.description.integrity)
 
 
-def test_tables_are_the_bytes_of_the_mcap_file(mcap, bag, db3, tmp_path):
+def test_tables_equal_those_of_the_mcap_file(mcap, bag, db3, tmp_path):
     expected = run(mcap, tmp_path / "mcap")
     assert run(bag, tmp_path / "bag") == expected
     assert run(db3, tmp_path / "db3") == expected
@@ -92,7 +92,7 @@ def test_db3_gives_the_frames_of_the_mcap_file(mcap, db3, scan):
         assert_same(log, expected)
 
 
-def test_db3_without_definitions_has_those_of_ros(mcap, db3, tmp_path):
+def test_db3_without_definitions_uses_those_of_ros(mcap, db3, tmp_path):
     path = copy(db3, tmp_path)
     with closing(sqlite3.connect(path)) as file, file:
         file.execute("DROP TABLE message_definitions")
@@ -101,7 +101,7 @@ def test_db3_without_definitions_has_those_of_ros(mcap, db3, tmp_path):
         assert_same(log, expected)
 
 
-def test_real_recording_of_librealsense(shared_data):
+def test_a_recording_of_librealsense_is_read(shared_data):
     folder = shared_data / "realsense_d435_bag"
     source = folder / "unit-tests" / "resources" / "single_depth_color_640x480.bag"
     other = str(folder / "realsense_d435_1pair.mcap")
@@ -118,7 +118,7 @@ def test_real_recording_of_librealsense(shared_data):
         assert np.array_equal(found.frames.depth, other.frames.depth)
 
 
-def test_bag_that_was_not_closed_names_what_mends_it(bag, tmp_path):
+def test_an_unclosed_bag_is_an_error_that_names_the_repair(bag, tmp_path):
     data, path = bag.read_bytes(), tmp_path / "torn.bag"
     end = int.from_bytes(next(records(data[13:])).fields[b"index_pos"], "little")
     for torn in (data[:end], data[: end + 100], data[:5000]):
@@ -127,7 +127,7 @@ def test_bag_that_was_not_closed_names_what_mends_it(bag, tmp_path):
             open_log(str(path))
 
 
-def test_bag_with_a_damaged_chunk_says_what_is_missing(mcap, tmp_path):
+def test_a_damaged_chunk_of_a_bag_is_reported(mcap, tmp_path):
     path = convert_log(mcap, tmp_path / "sim.bag", "bz2")
     data = bytearray(path.read_bytes())
     chunks = [item for item in records(bytes(data[13:])) if item.op == 5]
@@ -151,7 +151,7 @@ def count_messages(path: Path) -> int:
 @pytest.mark.parametrize("where", [0.25, 0.5, 0.75])
 @pytest.mark.parametrize("torn", [False, True])
 def test_damaged_db3_accounts_for_every_message(db3, tmp_path, where, torn):
-    """One page is zero or the file ends there; the index of times still counts all messages."""
+    """A page is zeroed or the file truncated; the index of times still counts all messages."""
     data, path = bytearray(db3.read_bytes()), tmp_path / "sim.db3"
     leaves = [at for at in range(0, len(data), 4096) if data[at] == 0x0D]
     page = leaves[int(where * len(leaves))]
@@ -169,8 +169,8 @@ def test_damaged_db3_accounts_for_every_message(db3, tmp_path, where, torn):
 
 
 @pytest.mark.parametrize("answer", ["SELECT 1 WHERE 0", "SELECT -1, 1, 1, NULL, 1"])
-def test_a_damaged_db3_that_ends_or_leads_back(db3, monkeypatch, answer):
-    """All rows are asked for, which fails, then each by itself, which gives none or an old one."""
+def test_queries_of_a_damaged_db3_end(db3, monkeypatch, answer):
+    """The query for all rows fails, those for single rows return none or an earlier one."""
     query = SqliteFile.query
 
     def damaged(self: SqliteFile, text: str, values: Any = ()) -> Any:
@@ -187,7 +187,7 @@ def test_a_damaged_db3_that_ends_or_leads_back(db3, monkeypatch, answer):
     assert lost["page is damaged"] == count_messages(db3) + 1
 
 
-def test_formats_of_one_recording_and_others_beside_it(mcap, bag, db3, tmp_path):
+def test_a_recording_in_several_formats_is_one_log(mcap, bag, db3, tmp_path):
     for path in (mcap, bag, db3):
         copy(path, tmp_path)
     (tmp_path / "other.svo2").write_bytes(b"x")
@@ -207,8 +207,8 @@ def test_formats_of_one_recording_and_others_beside_it(mcap, bag, db3, tmp_path)
     assert [path.name for path in named.paths] == ["sim.bag"]
 
 
-def test_a_folder_is_searched_through_links_and_whatever_the_case(mcap, tmp_path):
-    """A link to a folder above is followed once; what a link has lost is said."""
+def test_folders_are_searched_through_links_and_in_any_case(mcap, tmp_path):
+    """A link to a parent folder is followed once; a broken link is reported."""
     folder, elsewhere = tmp_path / "logs", tmp_path / "elsewhere"
     folder.mkdir()
     elsewhere.mkdir()
@@ -222,8 +222,8 @@ def test_a_folder_is_searched_through_links_and_whatever_the_case(mcap, tmp_path
     assert [log.note for log in found if log.note] == ["lost.mcap is left out: a broken link"]
     for number in range(20):
         (folder / f"lost_{number:02}.mcap").symlink_to(tmp_path / "nothing.mcap")
-    said = [log.note for log in find_logs([str(folder)]) if log.note]
-    assert len(said) == 1 and said[0].endswith(
+    message = [log.note for log in find_logs([str(folder)]) if log.note]
+    assert len(message) == 1 and message[0].endswith(
         "lost_02.mcap is left out: a broken link; and 17 more"
     )
     for name in ("A.MCAP", "day2"):
@@ -232,7 +232,7 @@ def test_a_folder_is_searched_through_links_and_whatever_the_case(mcap, tmp_path
         find_logs([str(folder)])
 
 
-def test_folder_without_anything_to_read(tmp_path):
+def test_a_folder_without_logs_is_an_error(tmp_path):
     (tmp_path / "run.bag.active").write_bytes(b"x")
     with pytest.raises(InputError, match=r"run\.bag\.active.*rosbag reindex"):
         find_logs([str(tmp_path)])
@@ -243,15 +243,15 @@ def test_folder_without_anything_to_read(tmp_path):
         find_logs([str(tmp_path / "run.mcap.active")])
 
 
-def test_a_lerobot_dataset_says_what_can_be_done(mcap, tmp_path):
+def test_a_lerobot_dataset_is_an_error_that_names_a_remedy(mcap, tmp_path):
     folder = tmp_path / "pick"
     (folder / "meta").mkdir(parents=True)
     (folder / "videos").mkdir()
     (folder / "videos" / "file-000.mp4").write_bytes(b"x")
     (folder / "meta" / "info.json").write_text('{"codebase_version": "v3.0", "fps": 30}')
-    said = "pick: LeRobot datasets are not supported, .* no camera calibration; write its frames"
+    message = "pick: LeRobot datasets are not supported, .* no camera calibration; write its frames"
     for given in (folder, tmp_path):
-        with pytest.raises(InputError, match=said):
+        with pytest.raises(InputError, match=message):
             find_logs([str(given)])
     copy(mcap, tmp_path)
     [log] = find_logs([str(tmp_path)])
@@ -276,23 +276,23 @@ def test_bag_without_rosbags_names_the_extra(bag, monkeypatch):
         ("a.db3", b"", "is empty"),
     ],
 )
-def test_what_is_no_recording_is_refused(tmp_path, name, content, problem):
+def test_files_that_are_not_recordings_are_refused(tmp_path, name, content, problem):
     path = tmp_path / name
     path.write_bytes(content)
     with pytest.raises(Exception, match=problem):
         open_log(str(path))
 
 
-def test_db3_that_was_not_closed(db3, tmp_path):
+def test_an_unclosed_db3_is_an_error(db3, tmp_path):
     path = copy(db3, tmp_path)
-    beside = tmp_path / "sim.db3-wal"
-    beside.write_bytes(b"x")
+    journal = tmp_path / "sim.db3-wal"
+    journal.write_bytes(b"x")
     with pytest.raises(InputError, match=r"not closed, sim\.db3-wal"):
         open_log(str(path))
 
 
 @pytest.mark.parametrize("suffix", ["-wal", "-journal"])
-def test_a_database_with_a_journal_was_not_closed(tmp_path, suffix):
+def test_a_database_with_a_journal_is_an_error(tmp_path, suffix):
     path = convert_log(write_made(tmp_path / "x.mcap"), tmp_path / "db")
     path.with_name(path.name + suffix).write_bytes(b"x")
     with pytest.raises(InputError, match=f"was not closed, .*{suffix} has part of it"):

@@ -1,4 +1,4 @@
-"""Files that ask for more than they have end soon, in little memory, with a clear line."""
+"""Decompression bombs end quickly, with little memory and a clear error."""
 
 import re
 import subprocess
@@ -12,7 +12,7 @@ from tests.bombs import BOMBS
 from tests.io_helpers import write_log
 
 MOST_S, MOST_MIB = 10, 1024
-"""Of all of the process's threads together, as others use the machine."""
+"""Limit of the CPU time of the process [s]."""
 SAID = {
     "schema_memory": "",
     "schema_text": "its schema has 14155787 bytes",
@@ -34,7 +34,7 @@ SAID = {
     "wide_json": "messages can't be decoded",
     "jpeg_scans": "no_color",
 }
-"""What a user reads."""
+"""Patterns of the expected errors."""
 
 READ = """
 import sys, time
@@ -47,24 +47,24 @@ def peak():
 
 def read(path):
     with open_log(path) as log:
-        said = [*log.description.warnings, *(f.text for f in log.description.integrity)]
-        said += [topic.problem for topic in log.description.topics]
+        message = [*log.description.warnings, *(f.text for f in log.description.integrity)]
+        message += [topic.problem for topic in log.description.topics]
         for batch in log.batches(8, color=True, need_color=True):
-            said += [f"{status} {text}" for status, text in zip(batch.status, batch.errors)]
-    return " | ".join(dict.fromkeys(said))
+            message += [f"{status} {text}" for status, text in zip(batch.status, batch.errors)]
+    return " | ".join(dict.fromkeys(message))
 
 plain, *paths = sys.argv[1:]
 read(plain)
 for path in paths:
     before, start = peak(), time.process_time()
     try:
-        said = read(path)
+        message = read(path)
     except JaxdetError as error:
-        said = f"{type(error).__name__} {error}"
-    print(time.process_time() - start, peak() - before, said)
+        message = f"{type(error).__name__} {error}"
+    print(time.process_time() - start, peak() - before, message)
 """
 LARGE = {"schema_memory", "empty_transforms", "many_messages", "rvl_tail"}
-"""Bombs that take seconds all the same."""
+"""Bombs that take seconds in spite of the limits."""
 
 
 def check(folder: Path, names: Iterable[str]) -> None:
@@ -74,17 +74,17 @@ def check(folder: Path, names: Iterable[str]) -> None:
     done = subprocess.run(command, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
     for name, line in zip(names, done.stdout.splitlines(), strict=True):
-        seconds, mib, said = line.split(" ", 2)
+        seconds, mib, message = line.split(" ", 2)
         assert float(seconds) < MOST_S and float(mib) < MOST_MIB, (name, line)
-        assert re.search(SAID[name], said), (name, said)
-        assert "\n" not in said and said.isprintable()
+        assert re.search(SAID[name], message), (name, message)
+        assert "\n" not in message and message.isprintable()
 
 
-def test_bombs(tmp_path):
+def test_bombs_end_quickly_with_an_error(tmp_path):
     check(tmp_path, BOMBS.keys() - LARGE)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(LARGE))
-def test_large_bomb(tmp_path, name):
+def test_large_bombs_end_within_seconds(tmp_path, name):
     check(tmp_path, [name])

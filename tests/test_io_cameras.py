@@ -1,4 +1,4 @@
-"""Several cameras in one log: their names, the one that is read, and what is said of others."""
+"""Several cameras in a log: names, choice of the camera, notes on the others."""
 
 import pytest
 
@@ -41,12 +41,12 @@ from tests.io_helpers import (
         ("rgb", "camera"),
     ],
 )
-def test_names(topic, name):
+def test_names_of_cameras_come_from_their_topics(topic, name):
     assert camera_name(topic) == name
 
 
 def add_camera(log: LogFile, name: str, scene: Scene, info: bool = True) -> None:
-    """Colour and aligned depth of a camera, calibrated or not."""
+    """Write colour and aligned depth of a camera, calibrated or not."""
     if info:
         message = ros_info(COLOR_SIZE, COLOR_K, START, COLOR_FRAME)
         log.ros(f"/{name}/color/camera_info", message, START)
@@ -59,14 +59,14 @@ def add_camera(log: LogFile, name: str, scene: Scene, info: bool = True) -> None
 
 @pytest.fixture
 def path(tmp_path):
-    """A log of the cameras rear, front, and one without a calibration."""
+    """Return a log of the cameras rear, front and one without a calibration."""
     with LogFile(tmp_path / "log.mcap") as log:
         for number, name in enumerate(("rear", "front", "side")):
             add_camera(log, name, make_scene(3 + number, number, COLOR_SIZE), name != "side")
     return str(tmp_path / "log.mcap")
 
 
-def test_one_is_to_be_chosen(path):
+def test_several_cameras_require_a_choice(path):
     with pytest.raises(CamerasError) as caught:
         open_log(path)
     assert caught.value.cameras == ("front", "rear")
@@ -85,20 +85,20 @@ def test_one_is_to_be_chosen(path):
             assert (log.read([1], color=True).frames.color[0] == image).all()
 
 
-def test_a_camera_that_is_asked_for_gives_its_own_error(path):
+def test_choosing_a_camera_that_is_missing_or_uncalibrated_is_an_error(path):
     with pytest.raises(TopicError, match=r"unknown camera 'left'.*one of: front, rear, side"):
         open_log(path, LogOptions(camera="left"))
     with pytest.raises(CalibrationError, match=r"--log\.color-info"):
         open_log(path, LogOptions(camera="side"))
 
 
-def test_topics_choose_a_camera_as_well(path):
+def test_topics_choose_the_camera(path):
     with open_log(path, LogOptions(color="/rear/color/image_raw")) as log:
         assert (log.camera, log.label) == ("rear", "log")
         assert "/rear/aligned" in log.description.choices[0]
 
 
-def test_what_is_of_one_camera_asks_for_it(path):
+def test_flags_for_one_camera_require_a_choice(path):
     options = {"color_intrinsics": (50.0, 50.0, 20.0, 15.0)}
     with pytest.raises(
         TopicError, match=r"--log\.color-intrinsics applies to one camera.*; choose one with --cam"
@@ -108,7 +108,7 @@ def test_what_is_of_one_camera_asks_for_it(path):
         assert log.camera == "side"
 
 
-def test_of_two_cameras_the_complete_one_is_taken(tmp_path):
+def test_the_complete_one_of_two_cameras_is_used(tmp_path):
     path = tmp_path / "log.mcap"
     with LogFile(path) as log:
         add_camera(log, "front", make_scene(3, 0, COLOR_SIZE))
@@ -118,8 +118,8 @@ def test_of_two_cameras_the_complete_one_is_taken(tmp_path):
         assert any("camera side is left out" in text for text in log.description.warnings)
 
 
-def test_a_camera_without_calibration_asks_for_no_scan(tmp_path, monkeypatch):
-    """Transforms that are not in the sample can't help it; what lacks extrinsics they can."""
+def test_a_camera_without_calibration_does_not_cause_a_scan(tmp_path, monkeypatch):
+    """A scan for transforms could only supply missing extrinsics."""
     monkeypatch.setattr(indexed, "_MAX_MOTIONS", 10)
     scene = make_scene(3, size=COLOR_SIZE)
     for name, info, by_index in (("side", None, True), ("rear", COLOR_K, False)):

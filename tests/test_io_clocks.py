@@ -1,4 +1,4 @@
-"""Clocks of topics: an offset is estimated only if it is steady."""
+"""Clocks of topics: only a constant offset is applied."""
 
 from pathlib import Path
 
@@ -20,7 +20,7 @@ from tests.io_helpers import (
 
 
 @pytest.mark.parametrize(("jumps_s", "steady"), [((2.0, 2.0, 2.0), True), ((0.0, 2.0, 4.0), False)])
-def test_only_a_steady_offset_of_colour_is_applied(
+def test_only_a_constant_offset_of_colour_is_applied(
     tmp_path: Path, jumps_s: tuple[float, ...], steady: bool
 ) -> None:
     scene = make_scene(3)

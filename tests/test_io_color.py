@@ -1,4 +1,4 @@
-"""Logs whose colour is coded in any way, is missing or comes seldom: depth decides."""
+"""Colour in any encoding, missing, or at a lower rate: each depth image is a frame."""
 
 import struct
 import zlib
@@ -40,7 +40,7 @@ BAYER = {"rggb": (0, 1, 1, 2), "bggr": (2, 1, 1, 0), "gbrg": (1, 2, 0, 1), "grbg
 
 
 def smooth(seed: int) -> np.ndarray:
-    """An image whose neighbouring pixels are alike."""
+    """Return an image whose neighbouring pixels are similar."""
     coarse = np.random.default_rng(seed).integers(40, 200, (3, 4, 3), np.uint8)
     return cv2.resize(coarse, COLOR_SIZE, interpolation=cv2.INTER_CUBIC)
 
@@ -54,12 +54,12 @@ def mosaic(image: np.ndarray, pattern: str) -> np.ndarray:
 
 
 def wide(image: np.ndarray) -> np.ndarray:
-    """16 bits a sample, the lower ones of no use."""
+    """Return the image with 16 bits per sample, of which the lower 8 are noise."""
     return image.astype(np.uint16) * 256 + 99
 
 
 def semi_planar(image: np.ndarray, v_first: bool) -> np.ndarray:
-    """NV12, or NV21, by OpenCV's I420."""
+    """Return NV12 or NV21, made from the I420 of OpenCV."""
     planes = cv2.cvtColor(image, cv2.COLOR_RGB2YUV_I420).reshape(-1)
     size = COLOR_SIZE[0] * COLOR_SIZE[1]
     u, v = planes[size : size + size // 4], planes[size + size // 4 :]
@@ -68,7 +68,7 @@ def semi_planar(image: np.ndarray, v_first: bool) -> np.ndarray:
 
 
 def interleaved(image: np.ndarray, u_first: bool) -> np.ndarray:
-    """UYVY or YUY2, with the chroma of the left pixel of each pair."""
+    """Return UYVY or YUY2, with the chroma of the left pixel of each pair."""
     planes = cv2.cvtColor(image, cv2.COLOR_RGB2YUV_I420).reshape(-1)
     y = planes[: COLOR_SIZE[0] * COLOR_SIZE[1]].reshape(COLOR_SIZE[1], COLOR_SIZE[0])
     u, v = (
@@ -80,7 +80,7 @@ def interleaved(image: np.ndarray, u_first: bool) -> np.ndarray:
 
 
 def packed(image: np.ndarray, form: str) -> bytes:
-    """As the transport zstd packs it, before and after 2026, or without a head."""
+    """Compress as the zstd transport did before and after 2026, or without a header."""
     height, width = image.shape[:2]
     head = struct.pack("<IIBII", height, width, 0, 3 * width, 4) + b"rgb8"
     if form == "gzip":
@@ -118,7 +118,7 @@ def coded(image: np.ndarray, coding: str, at: int):
 
 @pytest.mark.parametrize("aligned", [False, True])
 @pytest.mark.parametrize("coding", [*CODINGS, "zstd", "gzip", "bare"])
-def test_colour_of_every_coding(tmp_path, coding, aligned):
+def test_colour_in_every_encoding_is_read(tmp_path, coding, aligned):
     scene = make_scene(3, size=COLOR_SIZE if aligned else DEPTH_SIZE)
     images = [smooth(seed) for seed in range(3)]
     path = tmp_path / "x.mcap"
@@ -142,7 +142,7 @@ def test_colour_of_every_coding(tmp_path, coding, aligned):
 
 
 def write_depth(path, color=lambda i: False, count=8, more=None):
-    """Depth at 30 Hz, and colour with it where ``color`` of its number is true."""
+    """Write depth at 30 Hz, with colour for frames whose number satisfies ``color``."""
     scene = make_scene(count)
     with LogFile(path) as log:
         write_calibration(log)
@@ -163,7 +163,7 @@ def write_depth(path, color=lambda i: False, count=8, more=None):
         (lambda i: i == 7, [None, None, None, 7, 7, 7, 7, 7]),
     ],
 )
-def test_colour_that_is_dropped_or_slower_costs_no_frame(tmp_path, kept, shown):
+def test_dropped_or_slower_colour_loses_no_frames(tmp_path, kept, shown):
     path, scene = write_depth(tmp_path / "x.mcap", kept)
     with open_both_ways(path, LogOptions(pair_tolerance_s=0.14)) as log:
         assert log.num_frames == 8
@@ -185,7 +185,7 @@ def test_colour_that_is_dropped_or_slower_costs_no_frame(tmp_path, kept, shown):
         assert [status == "no_color" for status in batch.status] == [i is None for i in shown]
 
 
-def test_depth_alone(tmp_path):
+def test_a_log_of_depth_only_is_read(tmp_path):
     path, scene = write_depth(tmp_path / "x.mcap")
     with open_both_ways(path) as log:
         assert not log.has_color and not log.has_color_camera and log.color_shape is None
@@ -209,7 +209,7 @@ def test_colour_can_be_left_out(tmp_path):
 
 @pytest.mark.parametrize("encoding", ["mono8", "mono16", "16UC1"])
 @pytest.mark.parametrize("own_info", [True, False])
-def test_infrared_is_the_picture_where_there_is_no_colour(tmp_path, encoding, own_info):
+def test_infrared_is_shown_if_there_is_no_colour(tmp_path, encoding, own_info):
     grey = make_scene(8, seed=5).depth
 
     def more(log, i, at):
@@ -235,7 +235,7 @@ def test_infrared_is_the_picture_where_there_is_no_colour(tmp_path, encoding, ow
         assert_holds(log, scene)
 
 
-def test_infrared_does_not_show_depth_that_is_aligned_to_colour(tmp_path):
+def test_infrared_is_not_shown_with_depth_aligned_to_colour(tmp_path):
     scene = make_scene(3, size=COLOR_SIZE)
     with LogFile(tmp_path / "x.mcap") as log:
         write_calibration(log, aligned=True)
@@ -250,21 +250,21 @@ def test_infrared_does_not_show_depth_that_is_aligned_to_colour(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("schema", "said"),
+    ("schema", "reason"),
     [
         ("foxglove.CompressedVideo", "video"),
         ("ffmpeg_image_transport_msgs/msg/FFMPEGPacket", "video of FFmpeg"),
         ("theora_image_transport/msg/Packet", "video (Theora)"),
     ],
 )
-def test_video_is_a_note(tmp_path, schema, said):
+def test_colour_as_video_is_a_note(tmp_path, schema, reason):
     def more(log, i, at):
         log.json("/cam/color/video", schema, {"data": ""}, at)
 
     path, scene = write_depth(tmp_path / "x.mcap", more=more)
     with open_both_ways(path) as log:
         assert not log.has_color
-        text = f"no colour (unsupported: {said} of /cam/color/video): pictures show depth"
+        text = f"no colour (unsupported: {reason} of /cam/color/video): pictures show depth"
         assert log.description.notes.count(text) == 1
         np.testing.assert_array_equal(log.read(range(8)).frames.depth, scene.depth)
     with pytest.raises(TopicError, match="/cam/color/video"):
@@ -272,7 +272,7 @@ def test_video_is_a_note(tmp_path, schema, said):
 
 
 @pytest.mark.parametrize("form", ["h264", "webp", "zstd"])
-def test_files_that_are_not_read_are_a_note(tmp_path, form):
+def test_unsupported_colour_formats_are_a_note(tmp_path, form):
     data = struct.pack("<IIBII", 3, 4, 0, 12, 7) + b"of_mars" if form == "zstd" else b"\0" * 90
 
     def more(log, i, at):
@@ -285,7 +285,7 @@ def test_files_that_are_not_read_are_a_note(tmp_path, form):
 
 
 @pytest.mark.parametrize("data", [b"", b"\x1f\x8b" + bytes(9), zstandard.compress(b"\0" * 10**8)])
-def test_damaged_zstd_costs_no_frame(tmp_path, data):
+def test_damaged_zstd_colour_loses_no_frames(tmp_path, data):
     head = struct.pack("<IIBII", COLOR_SIZE[1], COLOR_SIZE[0], 0, 120, 4) + b"rgb8"
 
     def more(log, i, at):
@@ -301,7 +301,7 @@ def test_damaged_zstd_costs_no_frame(tmp_path, data):
         np.testing.assert_array_equal(batch.frames.depth, scene.depth)
 
 
-def test_depth_packed_by_zstd(tmp_path):
+def test_depth_compressed_by_zstd_is_read(tmp_path):
     scene = make_scene(3)
     with LogFile(tmp_path / "x.mcap") as log:
         write_calibration(log)
@@ -326,7 +326,7 @@ def test_several_colour_topics_are_a_note(tmp_path):
         np.testing.assert_array_equal(log.read(range(8)).frames.depth, scene.depth)
 
 
-def test_an_uncalibrated_colour_camera_is_a_note_but_where_flags_are_about_it(tmp_path):
+def test_an_uncalibrated_colour_camera_is_a_note_unless_flags_refer_to_it(tmp_path):
     scene = make_scene(3)
     path = str(tmp_path / "x.mcap")
     with LogFile(tmp_path / "x.mcap") as log:
@@ -346,7 +346,7 @@ def test_an_uncalibrated_colour_camera_is_a_note_but_where_flags_are_about_it(tm
         np.testing.assert_array_equal(log.read(range(3), color=True).frames.color, scene.color)
 
 
-def test_aligned_depth_of_half_the_size_has_a_camera_of_its_own(tmp_path):
+def test_aligned_depth_of_half_the_size_has_scaled_intrinsics(tmp_path):
     scene = make_scene(3, size=(20, 15))
     half = tuple(value / 2 for value in COLOR_K)
     with LogFile(tmp_path / "x.mcap") as log:
@@ -365,7 +365,7 @@ def test_aligned_depth_of_half_the_size_has_a_camera_of_its_own(tmp_path):
         np.testing.assert_array_equal(frames.color, scene.color)
 
 
-def test_the_floor_is_found_through_the_colour_camera_where_transforms_have_that_alone(tmp_path):
+def test_the_mount_comes_from_the_colour_camera_if_tf_has_only_that(tmp_path):
     scene = make_scene(3)
     with LogFile(tmp_path / "x.mcap") as log:
         write_calibration(log, tf=False)
@@ -395,7 +395,7 @@ def test_the_floor_is_found_through_the_colour_camera_where_transforms_have_that
             np.testing.assert_allclose(T, T_odom_base @ log.T_base_camera, atol=1e-12)
 
 
-def test_a_thermal_camera_is_no_second_depth_camera(tmp_path):
+def test_a_thermal_camera_is_not_a_depth_camera(tmp_path):
     def more(log, i, at):
         log.ros("/flir/image_raw", ros_image(smooth(i)[..., 0].astype("u2"), "mono16", at, "f"), at)
 
@@ -404,7 +404,7 @@ def test_a_thermal_camera_is_no_second_depth_camera(tmp_path):
         assert (log.camera, log.label) == ("cam", "x") and not log.description.cameras
 
 
-def test_two_depth_cameras_without_colour(tmp_path):
+def test_two_depth_cameras_without_colour_require_a_choice(tmp_path):
     scene = make_scene(3)
     with LogFile(tmp_path / "x.mcap") as log:
         for name in ("front", "rear"):

@@ -1,4 +1,4 @@
-"""Damaged files: what is whole is used, what is lost is said, nothing else gets out."""
+"""Damaged files: intact frames are used, losses are reported, and no other error is raised."""
 
 import os
 import struct
@@ -34,7 +34,7 @@ def chunk_index(path):
 
 
 def frames_right(log) -> int:
-    """How many frames are valid with their own colour; each must be the scene's of its stamp."""
+    """Return the number of valid frames with colour; assert that each equals the scene's."""
     count = 0
     for batch in log.batches(4, color=True):
         frames = batch.frames
@@ -49,7 +49,7 @@ def frames_right(log) -> int:
 
 
 @pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
-def test_truncated_file(tmp_path, compression):
+def test_a_truncated_file_gives_the_frames_before_the_end(tmp_path, compression):
     path = write_log(tmp_path / "x.mcap", SCENE, compression=compression, chunk_size=6000)
     whole, third = path.read_bytes(), chunk_index(path)[6]
     path.write_bytes(whole[: third.chunk_start_offset + 200])
@@ -59,20 +59,20 @@ def test_truncated_file(tmp_path, compression):
         assert 3 <= frames_right(log) < 12
 
 
-def test_that_no_images_are_left_is_said_with_the_damage(tmp_path):
+def test_the_error_for_no_images_names_the_damage(tmp_path):
     path = write_log(tmp_path / "x.mcap", SCENE)
     path.write_bytes(path.read_bytes()[:3000])
     with pytest.raises(TopicError, match=r"no messages; .*; x.mcap is recovered: .* bytes lost"):
         open_log(str(path))
 
 
-def test_that_chunks_are_larger_than_what_is_taken_is_said(tmp_path):
+def test_chunks_over_the_limit_are_reported(tmp_path):
     path = write_log(tmp_path / "x.mcap", make_scene(400), chunk_size=5 << 20)
     with pytest.raises(TopicError, match=r"larger than --log.max-chunk-mib \(1\)"):
         open_log(str(path), LogOptions(max_chunk_mib=1))
 
 
-def test_any_truncation_ends_in_frames_or_one_clear_line(tmp_path):
+def test_any_truncation_gives_frames_or_a_clear_error(tmp_path):
     whole = write_log(tmp_path / "x.mcap", SCENE, chunk_size=6000).read_bytes()
     for size in np.random.default_rng(0).integers(0, len(whole), 40):
         (tmp_path / "cut.mcap").write_bytes(whole[:size])
@@ -83,22 +83,25 @@ def test_any_truncation_ends_in_frames_or_one_clear_line(tmp_path):
             assert "\n" not in str(error)
 
 
-def test_a_chunk_with_a_wrong_crc_is_dropped_and_its_neighbours_are_used(tmp_path):
+def test_chunks_with_a_wrong_crc_are_dropped_and_their_neighbours_used(tmp_path):
     path = write_log(tmp_path / "x.mcap", SCENE, compression="none", chunk_size=6000)
     data, chunks = bytearray(path.read_bytes()), chunk_index(path)
-    data[chunks[5].chunk_start_offset + 1500] ^= 4
+    damaged = chunks[3], chunks[5]
+    for chunk in damaged:
+        data[chunk.chunk_start_offset + 1500] ^= 4
     path.write_bytes(data)
     with open_log(str(path)) as log, pytest.raises(RescanError, match=r"CRC.*--log\.scan"):
         frames_right(log)
     with open_log(str(path), LogOptions(scan=True)) as log:
         [integrity] = log.description.integrity
-        assert integrity.lost == {"chunk has a wrong CRC": 1} and integrity.recovered
-        lost = chunks[5].message_start_time, chunks[5].message_end_time
-        assert integrity.lost_spans_ns == (lost,)
-        assert 9 <= frames_right(log) < 12
+        assert integrity.lost == {"chunk has a wrong CRC": 2} and integrity.recovered
+        assert integrity.lost_bytes > sum(chunk.uncompressed_size for chunk in damaged)
+        spans = tuple((chunk.message_start_time, chunk.message_end_time) for chunk in damaged)
+        assert integrity.lost_spans_ns == spans
+        assert 7 <= frames_right(log) < 12
 
 
-def test_flipped_bits_with_crc_are_never_silent(tmp_path):
+def test_flipped_bits_are_always_reported_if_there_are_crcs(tmp_path):
     path = write_log(tmp_path / "x.mcap", SCENE, chunk_size=6000)
     whole, end = path.read_bytes(), chunk_index(path)[-1]
     random = np.random.default_rng(1)
@@ -118,7 +121,7 @@ def test_flipped_bits_with_crc_are_never_silent(tmp_path):
 
 
 @pytest.mark.parametrize("use_chunking", [True, False])
-def test_flipped_bytes_without_crc_end_in_frames_or_one_clear_line(tmp_path, use_chunking):
+def test_flipped_bytes_without_crc_give_frames_or_a_clear_error(tmp_path, use_chunking):
     path = tmp_path / "x.mcap"
     options = {"compression": "none", "crc": False, "use_chunking": use_chunking}
     whole = write_log(path, SCENE, **options).read_bytes()
@@ -141,12 +144,12 @@ def test_a_damaged_length_is_skipped_by_the_index(tmp_path):
     struct.pack_into("<Q", data, chunks[4].chunk_start_offset + 1, 2**64 - 1)
     path.write_bytes(data)
     with open_log(str(path)) as log:
-        assert not is_indexed(log)  # the first messages showed it
+        assert not is_indexed(log)  # the first messages revealed the damage
         assert "damaged or torn record" in log.description.integrity[0].lost
         assert 9 <= frames_right(log) < 12
 
 
-def test_many_damaged_lengths_take_no_square_of_their_number(tmp_path):
+def test_time_is_linear_in_the_number_of_damaged_lengths(tmp_path):
     with (tmp_path / "x.mcap").open("wb") as stream:
         writer = Writer(stream, chunk_size=1)
         writer.start()
@@ -165,7 +168,7 @@ def test_many_damaged_lengths_take_no_square_of_their_number(tmp_path):
     assert time.perf_counter() - start < 6
 
 
-def test_what_is_lost_does_not_depend_on_how_far_threads_are_ahead(tmp_path, monkeypatch):
+def test_losses_do_not_depend_on_reading_ahead(tmp_path, monkeypatch):
     path = write_log(tmp_path / "x.mcap", SCENE, compression="none", chunk_size=6000)
     data, chunks = bytearray(path.read_bytes()), chunk_index(path)
     starts = [chunk.chunk_start_offset for chunk in chunks]
@@ -182,7 +185,7 @@ def test_what_is_lost_does_not_depend_on_how_far_threads_are_ahead(tmp_path, mon
     assert found[0] == found[1] == found[2] and list(found[0][0].lost.values()) == [2, 1]
 
 
-def test_missing_summary_loses_nothing(tmp_path):
+def test_a_missing_summary_loses_no_frames(tmp_path):
     options = {"use_statistics": False, "repeat_channels": False, "repeat_schemas": False}
     path = write_log(tmp_path / "x.mcap", SCENE, **options, use_summary_offsets=False)
     with open_log(str(path)) as log:
@@ -195,7 +198,7 @@ def test_missing_summary_loses_nothing(tmp_path):
         assert "no end of file" in log.description.integrity[0].text
 
 
-def test_no_crc_is_said(tmp_path):
+def test_missing_crcs_are_a_note(tmp_path):
     with open_log(str(write_log(tmp_path / "x.mcap", SCENE, crc=False))) as log:
         assert log.description.integrity[0].text == "not checkable (no CRC in file)"
 
@@ -204,7 +207,7 @@ def head(data: bytes, size: int, compression: str = "", crc: int = 0) -> ChunkHe
     return ChunkHead(0, 0, size, crc, compression, 0, len(data))
 
 
-def test_chunks_that_lie_are_rejected():
+def test_chunks_with_wrong_sizes_are_rejected():
     bomb = zstandard.compress(b"\0" * (1 << 26))
     with pytest.raises(DamageError, match="size that differs"):
         decompress(head(bomb, 100, "zstd"), bomb)
@@ -225,7 +228,7 @@ def test_chunks_that_lie_are_rejected():
 
 @pytest.mark.parametrize("sizes", [(1 << 33, 8), (8, 1 << 25)])
 def test_chunks_that_are_too_large_are_not_read(tmp_path, sizes):
-    """Whether it is their records or what they are packed to."""
+    """The limit applies to the compressed and to the uncompressed size."""
     size, packed = sizes
     content = struct.pack("<QQQII4sQ", 0, 0, size, 0, 4, b"zstd", packed)
     record = struct.pack("<BQ", Opcode.CHUNK, len(content) + packed) + content
@@ -243,7 +246,7 @@ def test_chunks_that_are_too_large_are_not_read(tmp_path, sizes):
             tracemalloc.stop()
 
 
-def test_records_that_overrun_their_chunk_are_rejected_and_those_before_are_kept():
+def test_records_beyond_the_end_of_their_chunk_are_dropped():
     good = struct.pack("<BQ", 5, 22) + b"\0" * 22
     for tail in (struct.pack("<BQ", 5, 10**6) + b"x", b"\5\1", b"\0" * 90):
         found = []
@@ -256,7 +259,7 @@ def test_records_that_overrun_their_chunk_are_rejected_and_those_before_are_kept
         list(chunk_records(flood))
 
 
-def test_a_large_chunk_is_rejected_by_name_of_the_flag(tmp_path):
+def test_a_large_chunk_is_rejected_with_the_name_of_the_flag(tmp_path):
     scene = make_scene(260)
     path = write_log(tmp_path / "x.mcap", scene, compression="none", chunk_size=1 << 22)
     with open_log(str(path)) as log:

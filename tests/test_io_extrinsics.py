@@ -1,4 +1,4 @@
-"""Extrinsics, floor, poses and topics of whole logs."""
+"""Extrinsics, mount, poses and topics of logs."""
 
 import re
 
@@ -34,7 +34,7 @@ from tests.io_helpers import (
 )
 
 
-def test_extrinsics_topic_is_column_major_and_goes_before_tf(tmp_path):
+def test_the_extrinsics_topic_is_column_major_and_overrides_tf(tmp_path):
     path = tmp_path / "log.mcap"
     with LogFile(path) as log:
         write_calibration(log)
@@ -60,7 +60,7 @@ def test_extrinsics_topic_is_column_major_and_goes_before_tf(tmp_path):
 
 
 @pytest.mark.parametrize("with_tf", [True, False])
-def test_no_camera_takes_the_extrinsics_of_another(tmp_path, with_tf):
+def test_extrinsics_of_another_camera_are_not_used(tmp_path, with_tf):
     path = tmp_path / "log.mcap"
     with LogFile(path) as log:
         for name in ("front", "rear"):
@@ -90,7 +90,7 @@ def test_no_camera_takes_the_extrinsics_of_another(tmp_path, with_tf):
         assert log.calibration.color_from_depth.translation == (0.05, 0.0, 0.0)
 
 
-def test_missing_extrinsics_name_the_flag_which_supplies_them(tmp_path):
+def test_missing_extrinsics_are_an_error_that_names_the_flag(tmp_path):
     path = str(tmp_path / "log.mcap")
     with LogFile(tmp_path / "log.mcap") as log:
         write_calibration(log, tf=False)
@@ -112,8 +112,8 @@ def test_missing_extrinsics_name_the_flag_which_supplies_them(tmp_path):
 
 
 @pytest.mark.parametrize("scale", [None, 1, 2])
-def test_images_of_one_frame_are_of_one_place_where_they_are_of_one_lens(tmp_path, scale):
-    """Drivers give all cameras of a device the same frame."""
+def test_images_with_one_frame_and_lens_have_no_extrinsics(tmp_path, scale):
+    """Some drivers set the same frame for all cameras of a device."""
     path = tmp_path / "log.mcap"
     size = tuple(side // (scale or 1) for side in COLOR_SIZE)
     K = tuple(value / scale for value in COLOR_K) if scale else DEPTH_K
@@ -138,8 +138,8 @@ def test_images_of_one_frame_are_of_one_place_where_they_are_of_one_lens(tmp_pat
             assert log.has_color
 
 
-def test_calibrations_with_the_names_of_ros1(tmp_path):
-    """As rosbags-convert writes them."""
+def test_calibrations_with_field_names_of_ros_1_are_read(tmp_path):
+    """rosbags-convert writes such messages."""
 
     class Converted(LogFile):
         def raw(self, topic, encoding, schema, data, log_ns):
@@ -164,7 +164,7 @@ def test_calibrations_with_the_names_of_ros1(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["color_from_depth", "depth_intrinsics"])
-def test_aligned_depth_has_no_use_for_a_camera_of_its_own(name):
+def test_aligned_depth_uses_the_colour_camera(name):
     value = (0, 0, 0, 0, 0, 0, 1) if name == "color_from_depth" else (50, 50, 20, 15)
     flag = name.replace("_", "-")
     with pytest.raises(ConfigError, match=rf"log\.depth-aligned and log\.{flag} exclude"):
@@ -172,7 +172,7 @@ def test_aligned_depth_has_no_use_for_a_camera_of_its_own(name):
     LogOptions(depth_aligned=False, **{name: value})
 
 
-def test_floor_and_poses_from_transforms_and_odometry(tmp_path):
+def test_mount_and_poses_come_from_tf_and_odometry(tmp_path):
     static = ros_tf(
         ("base_footprint", "base_link", (0, 0, 0.1), (0, 0, 0, 1)),
         ("base_link", COLOR_FRAME, (0.1, 0.0, 0.4), (-0.5, 0.5, -0.5, 0.5)),
@@ -197,7 +197,7 @@ def test_floor_and_poses_from_transforms_and_odometry(tmp_path):
             poses = next(log.batches(5)).frames.T_world_camera
             assert poses is not None and np.isnan(poses[4]).all()
             np.testing.assert_allclose(poses[0, :3, 3], [1.1, -0.015, 0.5])
-            part = (scene.depth_ns[3] - START) * 1e-8  # of the way from the first pose to the last
+            part = (scene.depth_ns[3] - START) * 1e-8  # fraction between first and last pose
             turned = Rotation.from_rotvec([0, 0, 0.4 * part]).apply([0.1, -0.015, 0.5])
             np.testing.assert_allclose(poses[3, :3, 3], turned + [1 + part, 0, 0], atol=1e-6)
             assert form in log.description.pose_source.lower()
@@ -212,7 +212,7 @@ def test_floor_and_poses_from_transforms_and_odometry(tmp_path):
             open_log(str(tmp_path / "log.mcap"), LogOptions(world_frame="nope"))
 
 
-def test_topics_that_several_cameras_have_are_not_guessed(tmp_path):
+def test_ambiguous_topics_of_several_cameras_are_an_error(tmp_path):
     with LogFile(tmp_path / "log.mcap") as log:
         for name in ("a", "b"):
             image = ros_image(make_scene().color[0], "rgb8", START, COLOR_FRAME)

@@ -1,4 +1,4 @@
-"""Logs with properties of real recordings: each reads as the log it was made of."""
+"""Logs with properties of real recordings: each is read as the log it was made from."""
 
 import bz2
 import json
@@ -35,7 +35,7 @@ SECOND = 1_000_000_000
 
 @pytest.fixture(scope="module")
 def aligned(tmp_path_factory: pytest.TempPathFactory) -> list[Message]:
-    """Messages of a simulated log with aligned depth."""
+    """Return messages of a simulated log with aligned depth."""
     path = tmp_path_factory.mktemp("sim") / "sim.mcap"
     write_log(path, SimConfig(frames=6, width=160, height=120, depth_form="aligned"))
     return read_messages(path)
@@ -43,7 +43,7 @@ def aligned(tmp_path_factory: pytest.TempPathFactory) -> list[Message]:
 
 @pytest.fixture(scope="module")
 def raw(tmp_path_factory: pytest.TempPathFactory) -> list[Message]:
-    """Messages of a simulated log with depth of a camera of its own, whose place TF holds."""
+    """Return messages of a simulated log whose depth camera differs, with its pose in TF."""
     path = tmp_path_factory.mktemp("sim") / "raw.mcap"
     config = SimConfig(frames=6, width=160, height=120, depth_form="raw", extrinsics="tf")
     write_log(path, config)
@@ -67,7 +67,7 @@ def same(found: np.ndarray | None, expected: np.ndarray | None, atol: float = 1e
 
 
 def moved_by(number: int) -> Change:
-    """Moves a robot's odometry, as of another robot."""
+    """Move the odometry of a robot, so that it is that of another robot."""
 
     def change(message: Message) -> None:
         if message.topic == "/tf":
@@ -99,7 +99,7 @@ def under(namespace: str, keep: tuple[str, ...] = ()) -> Change:
         ([""], "/camera/depth", [], ("",), ()),
     ],
 )
-def test_namespaces_of_a_cameras_robot(spaces, camera, images, own, others):
+def test_transforms_come_from_the_namespace_of_the_camera(spaces, camera, images, own, others):
     assert namespaces_of_camera(spaces, camera, images) == (own, others)
 
 
@@ -127,7 +127,7 @@ def test_each_robot_has_its_own_transforms(tmp_path, aligned, first, second, kee
 
 
 @pytest.mark.parametrize("prefix", ["/robot1", "/fleet/robot1"])
-def test_odometry_is_the_robots_own_too(tmp_path, aligned, prefix):
+def test_odometry_comes_from_the_robot_of_the_camera(tmp_path, aligned, prefix):
     def without_moving(message: Message) -> list[Message] | None:
         return [] if message.topic == "/tf" else None
 
@@ -144,7 +144,7 @@ def test_odometry_is_the_robots_own_too(tmp_path, aligned, prefix):
         assert not log.has_poses
 
 
-def test_a_frame_on_two_topics_is_named_with_both(tmp_path, aligned):
+def test_a_frame_with_parents_on_two_topics_is_an_error_that_names_both(tmp_path, aligned):
     def elsewhere(message: Message) -> list[Message] | None:
         if message.topic != "/tf_static":
             return []
@@ -167,7 +167,7 @@ def test_the_world_may_be_any_frame_of_the_tree(tmp_path, aligned, frame):
             same(other.T_base_camera, base)
 
 
-def test_the_world_is_not_taken_from_a_topic_of_other_poses(tmp_path, aligned):
+def test_the_world_is_not_taken_from_unrelated_poses(tmp_path, aligned):
     with pytest.raises(CalibrationError, match=r"--log\.world-frame"):
         opened(tmp_path, aligned, world_frame="nowhere")
     with pytest.raises(TopicError, match=r"either --log\.odom or"):
@@ -224,7 +224,7 @@ def test_binning_and_regions_of_interest_are_applied(
         assert log.has_color and not log.description.warnings
 
 
-def test_images_that_no_region_explains_are_refused_with_all_that_is_known(tmp_path, aligned):
+def test_images_that_fit_no_region_are_refused_with_all_sizes(tmp_path, aligned):
     def other(message: Message) -> None:
         if message.kind == INFO:
             message.body |= {"width": 640, "height": 480, "binning_x": 3, "binning_y": 3}
@@ -234,7 +234,7 @@ def test_images_that_no_region_explains_are_refused_with_all_that_is_known(tmp_p
 
 
 def resized(factor: float) -> Change:
-    """Aligned depth at another size, with the calibration of that."""
+    """Return a change that resizes aligned depth and its calibration."""
 
     def change(message: Message) -> None:
         if "aligned" not in message.topic:
@@ -265,7 +265,7 @@ def renamed(old: str, new: str) -> Change:
 @pytest.mark.parametrize("change", [resized(0.5), resized(0.25), resized(2), part_of_depth])
 @pytest.mark.parametrize("name", ["aligned_depth_to_color", "depth"])
 @pytest.mark.parametrize("given", [None, False])
-def test_depth_in_colours_frame_is_aligned_whatever_its_size(
+def test_depth_in_the_frame_of_colour_is_aligned_at_any_size(
     tmp_path, aligned, change, name, given
 ):
     messages = changed(aligned, change, renamed("aligned_depth_to_color", name))
@@ -299,7 +299,7 @@ def as_disparity(topic: str, encoding: str = "32FC1") -> Change:
         ("/oak/stereo/disp", "16UC1"),
     ],
 )
-def test_disparity_is_no_depth(tmp_path, aligned, topic, encoding):
+def test_disparity_is_not_read_as_depth(tmp_path, aligned, topic, encoding):
     messages = changed(aligned, as_disparity(topic, encoding))
     for options in ({}, {"depth": topic}):
         with pytest.raises(TopicError, match=f"{topic}: .*disparity in pixels"):
@@ -309,7 +309,7 @@ def test_disparity_is_no_depth(tmp_path, aligned, topic, encoding):
 
 
 @pytest.mark.parametrize(("baseline", "least"), [(0.05, 0.0), (-0.12, 6.0)])
-def test_disparity_with_focal_length_and_baseline_is_depth(tmp_path, aligned, baseline, least):
+def test_disparity_with_focal_length_and_baseline_is_converted(tmp_path, aligned, baseline, least):
     with opened(tmp_path, aligned) as whole:
         expected, focal = depths(whole).astype(int), whole.calibration.depth.fx
 
@@ -342,7 +342,7 @@ def in_floats(factor: float) -> Change:
 
 
 def compressed_floats(factor: float) -> Change:
-    """Inverse depths A / (q - B) in a PNG, as compressedDepth has them, of depth in units."""
+    """Return a change to compressedDepth with inverse depths A / (q - B) in a PNG."""
 
     def change(message: Message) -> list[Message] | None:
         if message.topic != ALIGNED:
@@ -362,7 +362,7 @@ def compressed_floats(factor: float) -> Change:
 
 
 @pytest.mark.parametrize("make", [in_floats, compressed_floats])
-def test_floats_in_millimetres_have_a_flag(tmp_path, aligned, make):
+def test_floats_in_millimetres_are_an_error_that_names_the_flag(tmp_path, aligned, make):
     slack = 0 if make is in_floats else 40
     with opened(tmp_path, aligned) as whole:
         expected = depths(whole).astype(int)
@@ -379,7 +379,7 @@ def test_floats_in_millimetres_have_a_flag(tmp_path, aligned, make):
             assert "looks like metres; omit --log.depth-unit-m" in log.description.warnings[0]
 
 
-def test_pixels_without_depth_do_not_hide_millimetres(tmp_path, aligned):
+def test_millimetres_are_noticed_in_sparse_depth(tmp_path, aligned):
     def mostly_empty(message: Message) -> None:
         if message.topic == ALIGNED:
             image = message.pixels.copy()
@@ -425,9 +425,7 @@ def packed_file(source: Path, ending: str) -> Path:
 
 @pytest.mark.parametrize("ending", [".zstd", ".zst", ".bz2"])
 @pytest.mark.parametrize("form", ["mcap", "db3", "bag"])
-def test_recordings_that_are_compressed_as_a_whole_are_read(
-    tmp_path, monkeypatch, aligned, form, ending
-):
+def test_compressed_files_are_read(tmp_path, monkeypatch, aligned, form, ending):
     elsewhere = tmp_path.with_name(f"{tmp_path.name}-elsewhere")
     elsewhere.mkdir()
     monkeypatch.setenv("TMPDIR", str(elsewhere))
@@ -447,7 +445,7 @@ def test_recordings_that_are_compressed_as_a_whole_are_read(
     assert found.paths == (packed,) and found.name == whole.name
 
 
-def test_splits_that_are_compressed_are_one_recording(tmp_path, aligned):
+def test_compressed_splits_are_one_recording(tmp_path, aligned):
     middle = len(aligned) // 2
     ordered = sorted(aligned, key=lambda item: item.log_ns)
     for number, part in enumerate((ordered[:middle], ordered[middle:])):
@@ -457,7 +455,7 @@ def test_splits_that_are_compressed_are_one_recording(tmp_path, aligned):
 
 
 @pytest.mark.parametrize("ending", [".zstd", ".bz2"])
-def test_compressed_files_that_are_damaged_or_bombs_end_in_a_line(tmp_path, aligned, ending):
+def test_damaged_compressed_files_and_bombs_are_clear_errors(tmp_path, aligned, ending):
     packed = packed_file(write_messages(tmp_path / "x.mcap", aligned), ending)
     packed.write_bytes(packed.read_bytes()[: packed.stat().st_size // 2])
     with pytest.raises(JaxdetError, match=r"x\.mcap.*(decompress|no end of file)"):
@@ -474,7 +472,7 @@ def test_compressed_files_that_are_damaged_or_bombs_end_in_a_line(tmp_path, alig
 
 @pytest.mark.parametrize("scan", [False, True])
 @pytest.mark.parametrize("which", ["aligned", "raw"])
-def test_messages_that_are_compressed_one_by_one_are_read(tmp_path, request, which, scan):
+def test_compressed_messages_are_read(tmp_path, request, which, scan):
     messages = request.getfixturevalue(which)
     source, packed = write_messages(tmp_path / "x.mcap", messages), tmp_path / "packed.mcap"
     with source.open("rb") as file, packed.open("wb") as target:
@@ -515,7 +513,7 @@ def without_frames(word: str) -> Change:
 
 
 @pytest.mark.parametrize("named", [False, True])
-def test_a_body_frame_is_turned_into_an_optical_one(tmp_path, aligned, named):
+def test_body_frames_are_converted_to_optical_frames(tmp_path, aligned, named):
     body = in_frame("camera_color_frame", "/camera")
     changes: list[Change] = [body] if named else [body, without_frames("optical")]
     with opened(tmp_path, aligned) as whole, opened(tmp_path, changed(aligned, *changes)) as log:
@@ -527,8 +525,8 @@ def test_a_body_frame_is_turned_into_an_optical_one(tmp_path, aligned, named):
         assert is_indexed(log)
 
 
-def test_a_body_frame_of_a_camera_in_the_world_alone_is_found(tmp_path, raw):
-    """A tracked camera: TF has no robot, the world is all that says where up is."""
+def test_a_body_frame_is_recognized_from_poses_in_the_world(tmp_path, raw):
+    """TF of a tracked camera has no robot, so only the world gives the vertical."""
     with opened(tmp_path, raw) as whole:
         expected = whole.T_world_camera
     assert expected is not None
@@ -557,7 +555,7 @@ def test_a_body_frame_of_a_camera_in_the_world_alone_is_found(tmp_path, raw):
 @pytest.mark.parametrize(
     "bodies", [{"depth"}, {"color"}, {"depth", "color"}], ids=lambda names: "-".join(sorted(names))
 )
-def test_body_frames_between_two_cameras_are_turned(tmp_path, raw, bodies):
+def test_extrinsics_between_body_frames_are_converted(tmp_path, raw, bodies):
     changes = [in_frame(f"camera_{name}_frame", f"/camera/camera/{name}") for name in bodies]
     with opened(tmp_path, raw) as whole, opened(tmp_path, changed(raw, *changes)) as log:
         one, other = log.calibration.color_from_depth, whole.calibration.color_from_depth
@@ -569,8 +567,8 @@ def test_body_frames_between_two_cameras_are_turned(tmp_path, raw, bodies):
         assert len(texts) == len(bodies)
 
 
-def test_a_camera_that_looks_up_is_none_in_a_body_frame(tmp_path, aligned):
-    """Nothing lies on the floor that either reading of the frame expects."""
+def test_a_camera_that_looks_up_is_not_in_a_body_frame(tmp_path, aligned):
+    """No points lie on the floor for either interpretation of the frame."""
 
     def walls(message: Message) -> None:
         if message.topic == ALIGNED:
@@ -593,7 +591,7 @@ def late(seconds: float, *topics: str) -> Change:
 @pytest.mark.parametrize(
     "topics", [("/tf", "/odom"), ("/camera/camera/aligned",), ("/camera/camera/color",)]
 )
-def test_clocks_are_measured_against_the_log_times(tmp_path, aligned, topics, seconds):
+def test_offsets_of_clocks_are_estimated_from_log_times(tmp_path, aligned, topics, seconds):
     with (
         opened(tmp_path, aligned) as whole,
         opened(tmp_path, changed(aligned, late(seconds, *topics))) as log,
@@ -624,7 +622,7 @@ def first_stamps(count: int, at_s: int, kinds: tuple[str, ...] = (ALIGNED, COLOR
 @pytest.mark.parametrize(
     "change", [(1, 5), (2, 5), (2, 946_684_800), (1, 5, (ALIGNED,))], ids=lambda args: str(args)
 )
-def test_seconds_do_not_count_from_a_clock_that_was_not_set(tmp_path, aligned, change, scan):
+def test_start_in_seconds_ignores_stamps_of_an_unset_clock(tmp_path, aligned, change, scan):
     start = {"start": "0.08s", "scan": scan}
     with (
         opened(tmp_path, aligned, **start) as whole,
@@ -639,8 +637,8 @@ def test_seconds_do_not_count_from_a_clock_that_was_not_set(tmp_path, aligned, c
 
 @pytest.mark.parametrize("scan", [False, True])
 @pytest.mark.parametrize("topics", [("/camera",), ("/tf", "/odom"), ("/camera", "/tf", "/odom")])
-def test_a_clock_that_is_set_within_the_log_has_no_offset(tmp_path, aligned, topics, scan):
-    """Half of the stamps, or nearly so, are of 1970: the others have their poses."""
+def test_a_clock_set_during_the_log_has_no_offset(tmp_path, aligned, topics, scan):
+    """About half of the timestamps are of 1970; the others have poses."""
     middle = sorted(item.log_ns for item in aligned if item.topic == ALIGNED)[2]
 
     def change(message: Message) -> None:
@@ -658,7 +656,7 @@ def test_a_clock_that_is_set_within_the_log_has_no_offset(tmp_path, aligned, top
 
 @pytest.mark.parametrize("late_ns", [0, 7_000_000, 60 * SECOND])
 @pytest.mark.parametrize("part", [1.0, 0.5])
-def test_a_recording_merged_with_itself_counts_once(tmp_path, aligned, late_ns, part):
+def test_duplicates_in_a_merged_recording_count_once(tmp_path, aligned, late_ns, part):
     again = changed(aligned)[: round(len(aligned) * part)]
     for message in again:
         message.log_ns += late_ns
@@ -671,7 +669,7 @@ def test_a_recording_merged_with_itself_counts_once(tmp_path, aligned, late_ns, 
         )
 
 
-def test_images_of_equal_stamps_that_differ_both_count(tmp_path, aligned):
+def test_different_images_with_equal_timestamps_both_count(tmp_path, aligned):
     def other(message: Message) -> list[Message] | None:
         if message.topic != ALIGNED:
             return []
@@ -683,7 +681,7 @@ def test_images_of_equal_stamps_that_differ_both_count(tmp_path, aligned):
 
 
 @pytest.mark.parametrize("without", [ALIGNED, "/camera/camera/aligned_depth_to_color/camera_info"])
-def test_info_shows_the_topics_of_a_log_without_a_camera(tmp_path, aligned, without, capsys):
+def test_info_lists_the_topics_of_a_log_without_a_camera(tmp_path, aligned, without, capsys):
     some = [item for item in aligned if item.topic != without and not item.topic.endswith("info")]
     path = write_messages(tmp_path / "x.mcap", some)
     assert main(["info", str(path)]) == 1
@@ -695,7 +693,7 @@ def test_info_shows_the_topics_of_a_log_without_a_camera(tmp_path, aligned, with
     assert {item["topic"] for item in log["topics"]} == {item.topic for item in some}
 
 
-def test_a_folder_that_links_to_a_folder_above_it_is_searched_once(tmp_path, aligned):
+def test_a_link_to_a_parent_folder_is_followed_once(tmp_path, aligned):
     folder = tmp_path / "logs"
     (folder / "deep").mkdir(parents=True)
     write_messages(folder / "x.mcap", aligned)
@@ -705,7 +703,7 @@ def test_a_folder_that_links_to_a_folder_above_it_is_searched_once(tmp_path, ali
     assert log.name == "x" and "deep/all is left out: a link to a parent folder" in log.note
 
 
-def test_a_tree_of_very_many_folders_is_refused(tmp_path, monkeypatch):
+def test_a_tree_of_too_many_folders_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(files, "MAX_FOLDERS", 20)
     for number in range(30):
         (tmp_path / f"{number}").mkdir()

@@ -1,4 +1,4 @@
-"""Frames that fail, stamps that lie, and memory."""
+"""Unreadable frames, wrong timestamps, and bounded memory."""
 
 import gc
 import tracemalloc
@@ -45,7 +45,7 @@ BAD = ["ok"] * 4 + ["decode_error", "bad_calibration", "ok"]
 
 @pytest.fixture(params=[False, True], ids=["index", "scan"])
 def bad_log(tmp_path, request):
-    """Colour of frames 1 and 2 is bad, of 3 missing; depth of 4 and 5 is bad."""
+    """Return a log with bad colour in frames 1 and 2, none in 3, bad depth in 4 and 5."""
     scene = make_scene(7)
     with LogFile(tmp_path / "log.mcap") as log:
         write_calibration(log)
@@ -69,7 +69,7 @@ def statuses(batch):
     return [str(status) for status in batch.status]
 
 
-def test_bad_frames_get_their_status_and_the_rest_goes_on(bad_log):
+def test_bad_frames_have_their_status_and_the_others_are_read(bad_log):
     log, scene = bad_log
     [batch] = log.batches(8)
     assert statuses(batch) == BAD and batch.frames.color is None
@@ -79,7 +79,7 @@ def test_bad_frames_get_their_status_and_the_rest_goes_on(bad_log):
     assert not batch.notes.bad_color and not batch.frames.depth[4:6].any()
 
 
-def test_bad_colour_is_a_note(bad_log):
+def test_bad_colour_is_only_a_note(bad_log):
     log, scene = bad_log
     [batch] = log.batches(8, color=True)
     assert statuses(batch) == BAD and not batch.frames.color[1:4].any()
@@ -94,7 +94,7 @@ def test_bad_colour_is_a_note(bad_log):
     assert "colour missing for 1 of 7 frames" in " ".join(about.notes)
 
 
-def test_bad_colour_costs_frames_where_it_is_needed(bad_log):
+def test_bad_colour_loses_frames_if_colour_is_required(bad_log):
     log, scene = bad_log
     [batch] = log.batches(8, color=True, need_color=True)
     assert statuses(batch) == ["ok", *["no_color"] * 3, *BAD[4:]]
@@ -109,7 +109,7 @@ def repeated(image, scale):
 @pytest.mark.parametrize("infos", [1, 9])
 @pytest.mark.parametrize("odd", [1, 3])
 @pytest.mark.parametrize("of_depth", [False, True])
-def test_first_frames_of_another_size_cost_no_others(tmp_path, odd, infos, of_depth):
+def test_first_frames_of_another_size_do_not_affect_the_others(tmp_path, odd, infos, of_depth):
     scene = make_scene(12)
     with LogFile(tmp_path / "log.mcap") as log:
         log.ros("/tf_static", ros_tf((DEPTH_FRAME, COLOR_FRAME, *T_DEPTH_COLOR)), START)
@@ -145,7 +145,7 @@ def test_first_frames_of_another_size_cost_no_others(tmp_path, odd, infos, of_de
         assert log.calibration == calibration
 
 
-def test_errors_say_what_could_not_be_decoded(tmp_path):
+def test_errors_name_the_image_that_was_not_decoded(tmp_path):
     with LogFile(tmp_path / "log.mcap") as log:
         info = ros_info(COLOR_SIZE, COLOR_K, START, COLOR_FRAME)
         name = info.__msgtype__
@@ -157,7 +157,7 @@ def test_errors_say_what_could_not_be_decoded(tmp_path):
 
 
 @pytest.mark.parametrize("encoding", ["of_mars", "8UC2", "32FC3"])
-def test_an_encoding_that_is_not_read_is_named(tmp_path, encoding):
+def test_unsupported_encodings_are_named(tmp_path, encoding):
     scene = make_scene(2)
     with LogFile(tmp_path / "log.mcap") as log:
         write_calibration(log)
@@ -176,7 +176,7 @@ def test_an_encoding_that_is_not_read_is_named(tmp_path, encoding):
         open_log(str(tmp_path / "log.mcap"), LogOptions(color=DEPTH))
 
 
-def test_zero_stamps_fall_back_to_log_time_and_backward_stamps_are_ordered(tmp_path):
+def test_zero_timestamps_become_log_times_and_frames_are_sorted(tmp_path):
     scene = make_scene(3)
     with LogFile(tmp_path / "zero.mcap") as log:
         write_calibration(log)
@@ -217,12 +217,12 @@ def test_memory_does_not_grow_with_the_log(tmp_path):
         path.unlink()
         return most
 
-    # 600 frames are 90 MB of depth; the cache of chunks is full (64 MiB) from 440 frames on.
+    # 600 frames have 90 MB of depth; the cache of chunks (64 MiB) is full after 440 frames.
     assert peak(900) < peak(600) + 1_000_000
 
 
-def test_chunks_in_memory_are_bounded_whatever_is_read(tmp_path, monkeypatch):
-    """One chunk at a time, read by several threads, out of order: the same images."""
+def test_chunks_in_memory_are_bounded_in_any_order_of_reading(tmp_path, monkeypatch):
+    """With one chunk in memory, several threads read the same images out of order."""
     scene = make_scene(12)
     path = write_log(tmp_path / "log.mcap", scene, chunk_size=6000)
     monkeypatch.setattr(log_module, "_FRAMES_KEPT", 0)
@@ -249,7 +249,7 @@ def test_chunks_in_memory_are_bounded_whatever_is_read(tmp_path, monkeypatch):
     assert most == 1
 
 
-def test_a_failed_frame_does_not_hold_its_batch(tmp_path):
+def test_an_error_does_not_keep_its_batch_in_memory(tmp_path):
     scene = make_scene(4)
     with LogFile(tmp_path / "log.mcap") as log:
         write_calibration(log)
@@ -268,8 +268,8 @@ def test_a_failed_frame_does_not_hold_its_batch(tmp_path):
 
 
 @pytest.mark.parametrize("whole", [True, False])
-def test_a_chunk_that_could_not_be_read_is_tried_again(tmp_path, monkeypatch, whole):
-    plain, failures = McapFile.chunk, [1] if whole else [1, 1]  # it is looked at, then read
+def test_an_unreadable_chunk_is_read_again(tmp_path, monkeypatch, whole):
+    plain, failures = McapFile.chunk, [1] if whole else [1, 1]  # first scanned, then read
 
     def failing(file: McapFile, position: int) -> bytes | memoryview:
         if failures:
@@ -290,7 +290,7 @@ def test_a_chunk_that_could_not_be_read_is_tried_again(tmp_path, monkeypatch, wh
 
 
 @pytest.mark.parametrize("use_chunking", [False, True])
-def test_records_are_taken_in_while_the_file_is_walked(tmp_path, use_chunking):
+def test_records_are_processed_while_the_file_is_scanned(tmp_path, use_chunking):
     path = write_log(tmp_path / "log.mcap", make_scene(12), use_chunking=use_chunking)
     walked = 0
 
@@ -308,7 +308,7 @@ def test_records_are_taken_in_while_the_file_is_walked(tmp_path, use_chunking):
     assert walked > 12 or use_chunking
 
 
-def test_one_chunk_is_in_memory_where_more_are_too_many(tmp_path, monkeypatch):
+def test_one_chunk_is_in_memory_if_two_exceed_the_limit(tmp_path, monkeypatch):
     size = 4 << 20
     scene = make_scene(6, size=(1024, 1024))
     path = write_log(tmp_path / "log.mcap", scene, compression="zstd", chunk_size=size)

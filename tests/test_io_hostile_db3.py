@@ -1,4 +1,4 @@
-"""Files of rosbag2's SQLite that are made to cost time or memory end in a line."""
+"""Crafted SQLite bags that would take much time or memory are clear errors."""
 
 import sqlite3
 import time
@@ -44,7 +44,7 @@ HOSTILE = {
 
 
 @pytest.mark.parametrize("name", HOSTILE)
-def test_made_up_tables_end_in_a_line(tmp_path: Path, name: str):
+def test_crafted_tables_are_clear_errors(tmp_path: Path, name: str):
     path = tmp_path / "x.db3"
     with closing(sqlite3.connect(path)) as file, file:
         for text in HOSTILE[name]:
@@ -60,7 +60,7 @@ def test_made_up_tables_end_in_a_line(tmp_path: Path, name: str):
         None,
     ],
 )
-def test_definitions_that_are_no_table_are_passed_over(tmp_path: Path, definitions: str | None):
+def test_malformed_definitions_are_ignored(tmp_path: Path, definitions: str | None):
     path = convert_log(write_log(tmp_path / "x.mcap"), tmp_path / "db")
     with closing(sqlite3.connect(path)) as file, file:
         file.execute("DROP TABLE message_definitions")
@@ -70,7 +70,7 @@ def test_definitions_that_are_no_table_are_passed_over(tmp_path: Path, definitio
         assert log.num_frames == 3
 
 
-def test_a_huge_message_is_damage(tmp_path: Path):
+def test_a_huge_message_is_reported_as_damage(tmp_path: Path):
     path = convert_log(write_log(tmp_path / "x.mcap"), tmp_path / "db")
     with closing(sqlite3.connect(path)) as file, file:
         file.execute("UPDATE messages SET data = zeroblob(300000000) WHERE id = 3")

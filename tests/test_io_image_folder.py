@@ -1,4 +1,4 @@
-"""Folders of colour and depth images as logs, as TUM's benchmark and Open3D lay them out."""
+"""Image folders as logs: layouts of TUM, Open3D, ScanNet, 7-Scenes, Stray Scanner, Record3D."""
 
 import errno
 import json
@@ -75,7 +75,7 @@ def assert_frames(log, stamps_ns: list[int]) -> None:
 
 
 @pytest.mark.parametrize("scan", [False, True])
-def test_tum_has_stamps_and_poses(tmp_path, scan):
+def test_tum_folders_have_timestamps_and_poses(tmp_path, scan):
     folder = write_tum(tmp_path / "desk.1")
     options = LogOptions(color_intrinsics=K, depth_unit_m=0.0002, scan=scan)
     with open_log(str(folder), options) as log:
@@ -89,14 +89,14 @@ def test_tum_has_stamps_and_poses(tmp_path, scan):
 
 
 @pytest.mark.parametrize("unit", [None, 0.0002])
-def test_tum_without_a_depth_unit_is_doubted(tmp_path, unit):
+def test_tum_folders_with_an_implausible_depth_unit_cause_a_warning(tmp_path, unit):
     options = LogOptions(color_intrinsics=K, depth_unit_m=unit)
     with open_log(str(write_tum(tmp_path / "desk")), options) as log:
-        said = [text for text in log.description.warnings if "--log.depth-unit-m 0.0002" in text]
-        assert len(said) == (unit is None)
+        warning = [text for text in log.description.warnings if "--log.depth-unit-m 0.0002" in text]
+        assert len(warning) == (unit is None)
 
 
-def test_names_are_stamps_where_nothing_lists_them(tmp_path):
+def test_without_lists_file_names_are_timestamps(tmp_path):
     folder = write_tum(tmp_path / "desk")
     for name in ("rgb.txt", "depth.txt", "groundtruth.txt"):
         (folder / name).unlink()
@@ -105,7 +105,7 @@ def test_names_are_stamps_where_nothing_lists_them(tmp_path):
 
 
 @pytest.mark.parametrize("scan", [False, True])
-def test_open3d_has_a_camera_and_numbers(tmp_path, scan):
+def test_open3d_folders_have_a_camera_and_frame_numbers(tmp_path, scan):
     folder = write_open3d(tmp_path / "room", depth_scale=5000)
     [files] = find_logs([str(folder)])
     with open_log(files, LogOptions(scan=scan)) as log:
@@ -115,7 +115,7 @@ def test_open3d_has_a_camera_and_numbers(tmp_path, scan):
         assert files.note in log.description.warnings and "30 frames per second" in files.note
 
 
-def test_images_that_are_missing_or_torn_are_frames_with_an_error(tmp_path):
+def test_missing_and_truncated_images_are_frames_with_an_error(tmp_path):
     folder = write_tum(tmp_path)
     (folder / "rgb" / f"{STAMPS[1]}.png").unlink()
     (folder / "depth" / f"{STAMPS[2]}.png").write_bytes(b"\x89PNG\r\n\x1a\n")
@@ -135,7 +135,7 @@ def test_images_that_are_missing_or_torn_are_frames_with_an_error(tmp_path):
 
 
 @pytest.mark.parametrize("scan", [False, True])
-def test_an_image_that_cant_be_read_is_a_frame_with_an_error(tmp_path, monkeypatch, scan):
+def test_an_unreadable_image_is_a_frame_with_an_error(tmp_path, monkeypatch, scan):
     folder, bad = write_tum(tmp_path), f"{STAMPS[1]}.png"
     opened = Path.open
 
@@ -152,7 +152,7 @@ def test_an_image_that_cant_be_read_is_a_frame_with_an_error(tmp_path, monkeypat
         assert any(f"{bad} can't be read" in text for text in log.description.warnings)
 
 
-def test_what_a_folder_lacks_is_an_error_that_says_it(tmp_path):
+def test_missing_files_of_a_folder_are_named(tmp_path):
     folder = write_open3d(tmp_path / "room")
     (folder / "camera.json").write_text("{}")
     with pytest.raises(CalibrationError, match=r"--log\.color-intrinsics"):
@@ -166,7 +166,7 @@ def test_what_a_folder_lacks_is_an_error_that_says_it(tmp_path):
         open_log(str(folder), GIVEN)
 
 
-def test_a_folder_that_cant_be_opened_costs_no_other(tmp_path):
+def test_an_unreadable_folder_does_not_affect_others(tmp_path):
     write_open3d(tmp_path / "a")
     write_open3d(tmp_path / "b")
     (tmp_path / "a" / "rgb").mkdir()
@@ -178,7 +178,7 @@ def test_a_folder_that_cant_be_opened_costs_no_other(tmp_path):
         assert log.num_frames == 3
 
 
-def test_what_macos_writes_beside_files_is_none_of_them(tmp_path):
+def test_metadata_files_of_macos_are_ignored(tmp_path):
     folder = write_open3d(tmp_path / "room")
     for path in [*folder.glob("*/*.png"), folder / "drive.mcap", folder / "camera.json"]:
         path.with_name(f"._{path.name}").write_bytes(b"\0\5\26\7")
@@ -188,7 +188,7 @@ def test_what_macos_writes_beside_files_is_none_of_them(tmp_path):
         assert_frames(log, [10**9 + number * 10**9 // 30 for number in (8, 9, 10)])
 
 
-def test_folder_that_changes_is_said(tmp_path):
+def test_changes_of_a_folder_while_reading_are_reported(tmp_path):
     folder = write_open3d(tmp_path / "room")
     before = fingerprint(folder)
     with open_log(str(folder)) as log:
@@ -202,8 +202,8 @@ def test_folder_that_changes_is_said(tmp_path):
             list(log.batches(3))
 
 
-def test_results_of_a_folder(tmp_path):
-    """Their log is found where it was; a copy is the same log; no results are written into it."""
+def test_results_record_the_image_folder(tmp_path):
+    """The folder is found again, a copy is the same log, and results cannot be written into it."""
     folder = write_tum(tmp_path / "room")
 
     def results(output: Path) -> Path:
@@ -214,9 +214,9 @@ def test_results_of_a_folder(tmp_path):
     assert not (found.findings or found.notes) and found.frames_of_logs == len(STAMPS)
     (tmp_path / "copy").mkdir()
     copy = shutil.copytree(folder, tmp_path / "copy" / "room", copy_function=shutil.copyfile)
-    told, known = fingerprint(copy), fingerprint(folder)
-    assert {**told, "path": 0, "mtime_ns": 0} == {**known, "path": 0, "mtime_ns": 0}
-    assert told["mtime_ns"] != known["mtime_ns"]
+    copied, known = fingerprint(copy), fingerprint(folder)
+    assert {**copied, "path": 0, "mtime_ns": 0} == {**known, "path": 0, "mtime_ns": 0}
+    assert copied["mtime_ns"] != known["mtime_ns"]
     shutil.rmtree(folder)
     found = verify(tmp_path / "out", [str(copy)])
     assert not (found.findings or found.notes) and found.frames_of_logs == len(STAMPS)
@@ -229,7 +229,7 @@ def test_results_of_a_folder(tmp_path):
     assert not (folder / ".jaxdet").exists()
 
 
-def test_recordings_go_before_images_beside_them(tmp_path):
+def test_recordings_take_precedence_over_images_next_to_them(tmp_path):
     write_open3d(tmp_path / "frames")
     (tmp_path / "drive.mcap").write_bytes(b"x")
     [log] = find_logs([str(tmp_path)])
@@ -237,7 +237,7 @@ def test_recordings_go_before_images_beside_them(tmp_path):
     assert "frames is left out: images next to a recording" in log.note
 
 
-def test_images_elsewhere_are_logs_of_their_own(tmp_path):
+def test_images_in_other_folders_are_separate_logs(tmp_path):
     write_open3d(tmp_path / "b" / "one")
     write_open3d(tmp_path / "a" / "two")
     (tmp_path / "a" / "drive.mcap").write_bytes(b"x")
@@ -247,21 +247,21 @@ def test_images_elsewhere_are_logs_of_their_own(tmp_path):
     assert "one has no timestamps" in logs[1].note
 
 
-def test_depth_that_only_the_layout_says_is_aligned(tmp_path):
+def test_depth_is_aligned_by_the_layout_of_the_folder(tmp_path):
     text = "depth is assumed to be aligned to colour, as in TUM's and Open3D's folders; otherwise"
-    for folder, said in (
+    for folder, warning in (
         (write_tum(tmp_path / "tum"), True),
         (write_open3d(tmp_path / "o"), False),
     ):
-        with open_log(str(folder), GIVEN if said else LogOptions()) as log:
+        with open_log(str(folder), GIVEN if warning else LogOptions()) as log:
             found = [line for line in log.description.warnings if line.startswith(text)]
             assert (len(found), log.description.extrinsics_source) == (
-                said,
+                warning,
                 "not needed: depth is aligned to colour (as in TUM's and Open3D's folders)",
             )
 
 
-def test_real_folder_of_open3d(shared_data):
+def test_a_recorded_folder_of_open3d_is_read(shared_data):
     folder = shared_data / "d435_boxes_felixchenfy" / "data"
     with open_log(str(folder)) as log:
         assert log.num_frames == 10 and log.calibration.is_aligned
@@ -274,13 +274,13 @@ def test_real_folder_of_open3d(shared_data):
 
 
 @pytest.mark.parametrize("camera", [{"width": -5}, {"height": 1e39}, {"depth_scale": 0}])
-def test_cameras_that_are_none(tmp_path, camera):
+def test_invalid_camera_files_are_errors(tmp_path, camera):
     with pytest.raises(InputError, match=r"camera\.json.*can't be read"):
         open_log(str(write_open3d(tmp_path / "room", **camera)))
 
 
 @pytest.mark.parametrize("stamp", ["nan", "inf", "-1", "1e999999999", "9" * 5000, "x"])
-def test_stamps_that_are_none(tmp_path, stamp):
+def test_invalid_timestamps_are_errors(tmp_path, stamp):
     folder = write_tum(tmp_path / "desk")
     with (folder / "rgb.txt").open("a") as file:
         file.write(f"{stamp} rgb/{STAMPS[0]}.png\n")
@@ -291,12 +291,12 @@ def test_stamps_that_are_none(tmp_path, stamp):
     assert len(str(caught.value)) < 200 + len(str(folder))
 
 
-def test_a_camera_file_without_a_scale_is_in_millimetres(tmp_path):
+def test_depth_without_a_scale_is_in_millimetres(tmp_path):
     with open_log(str(write_open3d(tmp_path / "room"))) as log:
         assert log.calibration.depth_unit == 0.001
 
 
-def test_images_of_other_sizes_are_another_folder(tmp_path):
+def test_the_fingerprint_depends_on_the_size_of_each_file(tmp_path):
     sizes = {"a.png": 1, "b.png": 2}
     found = []
     for _ in range(2):
@@ -314,7 +314,7 @@ def depth_poses(count: int = 3) -> np.ndarray:
 
 
 @pytest.mark.parametrize("lost", [False, True])
-def test_scannet_has_matrices_of_both_images_and_a_pose_for_each(tmp_path, lost):
+def test_scannet_folders_have_both_calibrations_and_poses(tmp_path, lost):
     write(tmp_path, [f"color/{i}.jpg" for i in (0, 1, 10)], [])
     for image, number in zip(images()[1], (0, 1, 10), strict=True):
         (tmp_path / "depth").mkdir(exist_ok=True)
@@ -335,11 +335,11 @@ def test_scannet_has_matrices_of_both_images_and_a_pose_for_each(tmp_path, lost)
         assert log.depth_shape == (15, 20) and log.color_shape == (30, 40, 3)
         np.testing.assert_array_equal(log[0].depth, images()[1][0][::2, ::2])
         assert log.T_world_camera is not None
-        some = [0, 2] if lost else [0, 1, 2]  # a lost one lies between its neighbours
+        some = [0, 2] if lost else [0, 1, 2]  # a lost pose is interpolated
         np.testing.assert_allclose(log.T_world_camera[some], poses[some], atol=1e-12)
 
 
-def test_seven_scenes_has_all_images_in_one_folder(tmp_path):
+def test_seven_scenes_folders_are_read(tmp_path):
     names = [f"frame-{i:06d}" for i in range(3)]
     write(tmp_path, [f"{n}.color.png" for n in names], [f"{n}.depth.png" for n in names])
     for T, name in zip(depth_poses(), names, strict=True):
@@ -353,11 +353,11 @@ def test_seven_scenes_has_all_images_in_one_folder(tmp_path):
 
 
 ARKIT_POSES = [(0.1 * i, 1.5, -0.2 * i) for i in range(3)]
-"""Positions in ARKit's world, whose y is up, of a camera that looks along -z."""
+"""Positions of a camera that looks along -z, in the world of ARKit, whose y is up."""
 
 
 def assert_phone_poses(log: Log) -> None:
-    """The camera looks along the world's +y, its x stays, and z is up."""
+    """Assert that the camera looks along +y of the world, keeps its x, and z is up."""
     assert log.T_world_camera is not None
     rotation = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]
     for T, (x, y, z) in zip(log.T_world_camera, ARKIT_POSES, strict=True):
@@ -366,7 +366,7 @@ def assert_phone_poses(log: Log) -> None:
 
 
 def write_stray(folder: Path) -> np.ndarray:
-    """A recording of Stray Scanner without its video; returns its confidences."""
+    """Write a recording of Stray Scanner without its video; return the confidences."""
     depths = images()[1]
     confidence = np.random.default_rng(1).integers(0, 3, depths.shape).astype(np.uint8)
     for name, stack in (("depth", depths), ("confidence", confidence)):
@@ -376,14 +376,14 @@ def write_stray(folder: Path) -> np.ndarray:
     matrix = [[1400.0, 0, 960.0], [0, 1400.0, 720.0], [0, 0, 1]]
     np.savetxt(folder / "camera_matrix.csv", matrix, delimiter=",")
     lines = ["timestamp, frame, x, y, z, qx, qy, qz, qw"]
-    for i, (x, y, z) in enumerate(ARKIT_POSES):  # q is ARKit's, turned by half around x
+    for i, (x, y, z) in enumerate(ARKIT_POSES):  # q is that of ARKit, turned 180° about x
         lines.append(f"{100 + i / 60}, {i:06d}, {x}, {y}, {z}, 1.0, 0.0, 0.0, 0.0")
     (folder / "odometry.csv").write_text("\n".join(lines))
     return confidence
 
 
 @pytest.mark.parametrize("scan", [False, True])
-def test_stray_scanner_has_confidences_and_poses(tmp_path, scan):
+def test_stray_scanner_folders_have_confidences_and_poses(tmp_path, scan):
     confidence = write_stray(tmp_path)
     with open_log(str(tmp_path), LogOptions(scan=scan)) as log:
         depths = images()[1]
@@ -410,7 +410,7 @@ def test_a_depth_image_without_its_confidences_is_a_frame_with_an_error(tmp_path
         open_log(str(tmp_path))
 
 
-def test_record3d_with_depth_as_png(tmp_path):
+def test_record3d_folders_with_depth_in_png_are_read(tmp_path):
     write(tmp_path, [f"rgb/{i}.png" for i in range(3)], [f"depth/{i}.png" for i in range(3)])
     color, depths = images()
     poses = [(0.0, 0.0, 0.0, 1.0, *place) for place in ARKIT_POSES]
@@ -430,7 +430,7 @@ def test_record3d_with_depth_as_png(tmp_path):
 
 
 @pytest.mark.parametrize("color", ["image", "rgb"])
-def test_redwoods_scans_have_times_in_their_names(tmp_path, color):
+def test_redwood_folders_have_timestamps_in_file_names(tmp_path, color):
     names = [f"{i + 1:07d}-{i * 33_369:012d}" for i in range(3)]
     write(tmp_path, [f"{color}/{n}.jpg" for n in names], [f"depth/{n}.png" for n in names])
     with open_log(str(tmp_path), LogOptions(color_intrinsics=K)) as log:

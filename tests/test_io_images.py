@@ -1,4 +1,4 @@
-"""Every encoding there and back: padding, both byte orders, JPEG, PNG, compressedDepth, RVL."""
+"""Decoding of images: encodings, padding, byte orders, JPEG, PNG, compressedDepth, RVL."""
 
 import struct
 import tracemalloc
@@ -48,7 +48,7 @@ def png(pixels: np.ndarray) -> bytes:
 
 
 def color(message: ImageMessage | CompressedImageMessage, limit: int = LIMIT) -> np.ndarray:
-    """What it is decoded to, in a row of its own size."""
+    """Return the decoded colour image."""
     row = np.full((*size(message), 3), 99, np.uint8)
     decode = decode_color if isinstance(message, ImageMessage) else decode_compressed_color
     decode(message, row, limit)
@@ -63,7 +63,7 @@ def depth(message: ImageMessage | CompressedImageMessage, limit: int = LIMIT) ->
 
 
 def size(message: ImageMessage | CompressedImageMessage) -> tuple[int, int]:
-    """Rows and columns, of damaged and huge images those of DEPTH."""
+    """Return rows and columns; for damaged and huge images those of DEPTH."""
     if isinstance(message, ImageMessage):
         found = message.width, message.height
     else:
@@ -94,12 +94,12 @@ def rvl(stream: bytes, height: int, width: int) -> np.ndarray:
         ("8UC1", RGB[..., 0], np.repeat(RGB[..., :1], 3, axis=2)),
     ],
 )
-def test_colour(encoding, pixels, expected, padding):
+def test_colour_of_each_encoding_is_decoded(encoding, pixels, expected, padding):
     np.testing.assert_array_equal(color(image(pixels, encoding, padding)), expected)
 
 
 @pytest.mark.parametrize("encoding", ["yuyv", "yuv422_yuy2", "uyvy", "yuv422"])
-def test_yuv(encoding):
+def test_yuv_is_decoded(encoding):
     flat = np.full((4, 6, 3), (200, 60, 90), np.uint8)
     y, cr, cb = cv2.cvtColor(flat[:1, :1], cv2.COLOR_RGB2YCrCb)[0, 0].astype(float)
     y, u, v = y * 219 / 255 + 16, (cb - 128) * 224 / 255 + 128, (cr - 128) * 224 / 255 + 128
@@ -112,13 +112,13 @@ def test_yuv(encoding):
 @pytest.mark.parametrize("big", [False, True])
 @pytest.mark.parametrize("padding", [0, 3])
 @pytest.mark.parametrize("encoding", ["16UC1", "mono16", "32FC1"])
-def test_depth(encoding, padding, big):
+def test_depth_of_each_encoding_is_decoded(encoding, padding, big):
     pixels = (DEPTH * 0.001).astype(np.float32) if encoding == "32FC1" else DEPTH
     message = image(pixels, encoding, padding, big)
     np.testing.assert_array_equal(depth(message), DEPTH)
 
 
-def test_metres_are_rounded_and_what_is_no_depth_is_zero():
+def test_metres_are_rounded_and_invalid_depth_is_zero():
     metres = np.array([[np.nan, np.inf, -np.inf, 0, -1, 0.0004, 0.0006, 1.2344, 65.535, 65.536]])
     expected = [[0, 0, 0, 0, 0, 0, 1, 1234, 65535, 0]]
     units = np.full((1, 10), 99, np.uint16)
@@ -144,13 +144,13 @@ def test_colour_that_does_not_fit_is_a_bad_frame(message):
         color(message)
 
 
-def test_the_last_row_may_lack_its_padding():
+def test_padding_of_the_last_row_is_optional():
     message = image(DEPTH, "16UC1", padding=4)
     cut = message._replace(data=message.data[:-4])
     np.testing.assert_array_equal(depth(cut), DEPTH)
 
 
-def test_jpeg_and_png_colour():
+def test_jpeg_and_png_colour_are_decoded():
     smooth = cv2.resize(RGB, (64, 48), interpolation=cv2.INTER_CUBIC)
     jpeg = simplejpeg.encode_jpeg(smooth, quality=100, colorsubsampling="444")
     decoded = color(compressed(jpeg, "rgb8; jpeg compressed bgr8"))
@@ -162,20 +162,20 @@ def test_jpeg_and_png_colour():
 
 
 @pytest.mark.parametrize("form", ["16UC1; compressedDepth png", "16UC1; compressedDepth", "16UC1"])
-def test_compressed_depth_png(form):
+def test_compressed_depth_in_png_is_decoded(form):
     message = compressed(struct.pack("<iff", 0, 0, 0) + png(DEPTH), form)
     assert is_compressed_depth(form, "/d/compressedDepth") and compressed_size(message) == (8, 6)
     np.testing.assert_array_equal(depth(message), DEPTH)
 
 
-def test_plain_16_bit_png_depth():
+def test_depth_in_plain_16_bit_png_is_decoded():
     message = compressed(png(DEPTH), "png")
     np.testing.assert_array_equal(depth(message), DEPTH)
 
 
 @pytest.mark.parametrize("codec", ["png", "rvl"])
-def test_compressed_depth_of_metres(codec):
-    """The encoder's rule: q = A / z + B, for depths up to 10 m in steps of 1 cm at 1 m."""
+def test_compressed_depth_of_metres_is_decoded(codec):
+    """The encoder stores q = A / z + B, with depths up to 10 m and steps of 1 cm at 1 m."""
     metres = RANDOM.uniform(0.3, 9.0, (6, 8)).astype(np.float32)
     metres[0, :3] = 0
     a = 100.0 * (100.0 + 1)
@@ -197,12 +197,12 @@ def test_compressed_depth_of_metres(codec):
         elements=st.integers(0, 65535) | st.just(0),
     )
 )
-def test_rvl_there_and_back(pixels):
+def test_rvl_images_survive_a_round_trip(pixels):
     np.testing.assert_array_equal(rvl(encode_rvl(pixels), *pixels.shape), pixels)
 
 
 def test_rvl_by_hand():
-    """Two zeros, then 5 and 3: counts 2 and 2, differences +5 (10) and -2 (3)."""
+    """Two zeros, 5 and 3 are coded as counts 2 and 2, differences +5 (10) and -2 (3)."""
     nibbles = [2, 2, 0b1010, 1, 3, 0, 0, 0]
     word = sum(nibble << (28 - 4 * place) for place, nibble in enumerate(nibbles))
     stream = struct.pack("<I", word)
@@ -210,7 +210,7 @@ def test_rvl_by_hand():
 
 
 def slow_rvl(stream: bytes, size: int) -> list[int] | None:
-    """The pixels, nibble by nibble; None where the stream is no image of this size."""
+    """Decode nibble by nibble; return None if the stream is not an image of this size."""
     words = struct.unpack(f"<{len(stream) // 4}I", stream[: len(stream) // 4 * 4])
     nibbles = [word >> shift & 15 for word in words for shift in range(28, -1, -4)]
     numbers, value, place = [], 0, 0
@@ -239,7 +239,7 @@ def slow_rvl(stream: bytes, size: int) -> list[int] | None:
 
 
 def assert_rvl(stream: bytes, height: int, width: int) -> None:
-    """Decodes as nibble by nibble, or is refused as it is there, and writes to nothing else."""
+    """Assert that RVL is decoded or refused as by :func:`slow_rvl`, within its memory."""
     expected = slow_rvl(stream, height * width)
     batch = np.full((3, height, width), 99, np.uint16)
     if expected is None:
@@ -275,7 +275,7 @@ def test_rvl_of_images_with_changed_bits_is_an_image_or_an_error(seed, start, st
     assert_rvl(bytes(stream), 13, 20)
 
 
-def test_what_follows_an_rvl_image_costs_nothing():
+def test_bytes_after_an_rvl_image_are_ignored_quickly():
     stream = encode_rvl(np.full((120, 160), 700, np.uint16)) + bytes(64 << 20)
     tracemalloc.start()
     try:
@@ -286,7 +286,7 @@ def test_what_follows_an_rvl_image_costs_nothing():
 
 
 @pytest.mark.parametrize("encoding", ["rgb8", "bgr8", "rgba8", "bgra8", "mono8", "yuyv", "uyvy"])
-def test_colour_is_written_to_its_row_of_a_batch_alone(encoding):
+def test_colour_is_written_only_to_its_row_of_the_batch(encoding):
     channels = {"rgb8": 3, "bgr8": 3, "rgba8": 4, "bgra8": 4, "mono8": 1}.get(encoding, 2)
     pixels = RANDOM.integers(0, 256, (6, 8, channels)).astype(np.uint8)
     batch = np.full((3, 6, 8, 3), 99, np.uint8)
@@ -295,7 +295,7 @@ def test_colour_is_written_to_its_row_of_a_batch_alone(encoding):
     assert (batch[::2] == 99).all()
 
 
-def test_images_of_another_size_than_calibrated():
+def test_images_of_another_size_than_the_calibration_are_refused():
     jpeg = compressed(simplejpeg.encode_jpeg(RGB), "jpeg")
     for message in (image(RGB, "rgb8"), jpeg, compressed(png(RGB), "png")):
         decode = decode_color if isinstance(message, ImageMessage) else decode_compressed_color
@@ -308,8 +308,8 @@ def test_images_of_another_size_than_calibrated():
 
 
 @pytest.mark.parametrize("little", [False, True])
-def test_pixels_of_cdr_stay_where_they_are(little):
-    """Fields as the schema says, texts of any length; pixels are a view of the payload."""
+def test_pixels_of_cdr_messages_are_not_copied(little):
+    """Fields are read by the schema, with texts of any length; pixels are a view."""
     name = "sensor_msgs/msg/Image"
     text = STORE.generate_msgdef(name, ros_version=2)[0]
     decoder = MessageDecoder(ChannelInfo("/c", "cdr", name, "ros2msg", text.encode()))
@@ -324,7 +324,7 @@ def test_pixels_of_cdr_stay_where_they_are(little):
         np.testing.assert_array_equal(color(found), RGB)
 
 
-def test_compressed_images_that_lie_or_are_cut():
+def test_compressed_images_with_wrong_or_truncated_data_are_refused():
     big = struct.pack("<iff", 0, 0, 0) + struct.pack("<II", 1 << 31, 1 << 31) + b"\0" * 8
     with pytest.raises(FrameError, match="max-pixels"):
         depth(compressed(big, "16UC1; compressedDepth rvl"))

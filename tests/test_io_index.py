@@ -1,4 +1,4 @@
-"""Logs opened by their index: the same as scanned, or an error that asks for the scan."""
+"""Logs opened by their index: equal to a scan, or an error that causes a scan."""
 
 import pickle
 import struct
@@ -37,11 +37,11 @@ from tests.io_helpers import (
 MS = 1_000_000
 NO_TURN = (0.0, 0.0, 0.0, 1.0)
 LEVEL = (-0.5, 0.5, -0.5, 0.5)
-"""Of a camera that looks ahead."""
+"""Rotation of a camera that looks ahead."""
 
 
 class Sender:
-    """Writes messages of few contents with many stamps."""
+    """Writer of messages with few contents and many timestamps."""
 
     def __init__(self, log: LogFile) -> None:
         scene = make_scene(3)
@@ -66,7 +66,7 @@ class Sender:
 
 
 def random_images(random: np.random.Generator) -> list[tuple[int, str, int, int]]:
-    """Log time, topic, number and stamp of images, with jitter, gaps and double stamps."""
+    """Return log time, topic, number and timestamp of images, with jitter, gaps and duplicates."""
     count, period = int(random.integers(1, 70)), int(random.choice([10, 33, 100])) * MS
     events: list[tuple[int, str, int, int]] = []
     for topic, offset in ((COLOR, 0), (DEPTH, int(random.integers(-40, 40)) * MS)):
@@ -86,7 +86,7 @@ def random_images(random: np.random.Generator) -> list[tuple[int, str, int, int]
 
 
 def random_events(random: np.random.Generator) -> list[tuple[int, str, int, int]]:
-    """Images and poses, not always in the order of their log times."""
+    """Return images and poses, partly out of the order of log times."""
     events = random_images(random)
     last = max(event[0] for event in events) + SECOND
     for at in range(START, last, int(random.choice([5, 20, 300, 1500])) * MS):
@@ -102,7 +102,7 @@ def random_events(random: np.random.Generator) -> list[tuple[int, str, int, int]
 
 
 def write_random(path: Path, seed: int) -> LogOptions:
-    """A log of random events in a random form, and options for it."""
+    """Write a log of random events in a random form; return options for it."""
     random = np.random.default_rng(seed)
     events = random_events(random)
     compression = str(random.choice(["none", "lz4", "zstd"]))
@@ -131,30 +131,30 @@ def write_random(path: Path, seed: int) -> LogOptions:
 
 
 @pytest.mark.parametrize("few", [False, True])
-def test_random_logs_are_the_same_both_ways(tmp_path, monkeypatch, few):
-    """``few``: transforms are read about frames only, not all at opening."""
+def test_random_logs_are_equal_by_index_and_by_scan(tmp_path, monkeypatch, few):
+    """With ``few``, transforms are read only around frames, not all at opening."""
     if few:
         monkeypatch.setattr(indexed, "_MAX_MOTIONS", 0)
     monkeypatch.setattr(windows, "_BESIDE", 1)
-    same = asked = 0
+    same = rescans = 0
     for seed in range(16):
         path = tmp_path / "x.mcap"
         options = write_random(path, seed)
         try:
             with open_only(str(path), options) as found:
                 if not is_indexed(found):
-                    asked += 1
+                    rescans += 1
                     continue
                 with open_only(str(path), scanning(options)) as scanned:
                     assert_same_log(found, scanned, (3, 16))
                     same += 1
         except RescanError:
-            asked += 1
-    assert same >= 10, asked
+            rescans += 1
+    assert same >= 10, rescans
 
 
 def long_log(path: Path, count: int = 60, **options: object) -> Path:
-    """A log whose later messages nobody looks at to open it."""
+    """Write a log whose later messages are not read when it is opened."""
     return write_log(path, make_scene(count), chunk_size=4000, **options)
 
 
@@ -193,7 +193,7 @@ def test_opening_reads_little_and_each_chunk_is_read_once(tmp_path, monkeypatch,
         chunks.append(position)
         return plain_chunk(file, position)
 
-    # As with large images: few are read at once, and few chunks are kept.
+    # As for large images, few are read at once, and few chunks are kept.
     monkeypatch.setattr(log_module, "_BYTES_AT_ONCE", 2 * 5136)
     monkeypatch.setattr(ChunkStore.__init__, "__defaults__", (1, 1, 1 << 30))
     monkeypatch.setattr(McapFile, "read", counted)
@@ -210,7 +210,7 @@ def test_opening_reads_little_and_each_chunk_is_read_once(tmp_path, monkeypatch,
 
 
 @pytest.mark.parametrize("size", [1, 5, 16])
-def test_how_many_frames_are_looked_at_together_changes_nothing(tmp_path, monkeypatch, size):
+def test_the_number_of_frames_read_together_has_no_influence(tmp_path, monkeypatch, size):
     path = str(long_log(tmp_path / "x.mcap", 90, compression="none"))
     found, looked_at = [], []
     plain = windows.IndexedFrames.window
@@ -238,7 +238,7 @@ def test_how_many_frames_are_looked_at_together_changes_nothing(tmp_path, monkey
 
 
 @pytest.mark.parametrize("apart", [1, windows.REACH - 1, windows.REACH, 30])
-def test_stamps_out_of_order_are_ordered_or_ask_for_the_scan(tmp_path, apart):
+def test_timestamps_out_of_order_are_sorted_or_cause_a_scan(tmp_path, apart):
     with LogFile(tmp_path / "x.mcap", chunk_size=9000) as log:
         write_calibration(log)
         sender = Sender(log)
@@ -261,8 +261,8 @@ def test_stamps_out_of_order_are_ordered_or_ask_for_the_scan(tmp_path, apart):
 
 
 @pytest.mark.parametrize("ahead_s", [0.4, 0.0, -1.0, 3.3])
-def test_clocks_that_differ_are_allowed_for(tmp_path, ahead_s):
-    """Depth is stamped by a clock of its own: images of one time have stamps of two clocks."""
+def test_offsets_between_clocks_are_applied(tmp_path, ahead_s):
+    """Timestamps of depth are from another clock than those of colour."""
     ahead_ns = round(ahead_s * SECOND)
     with LogFile(tmp_path / "x.mcap", chunk_size=9000) as log:
         write_calibration(log)
@@ -289,7 +289,7 @@ def test_clocks_that_differ_are_allowed_for(tmp_path, ahead_s):
 
 
 @pytest.mark.parametrize("field", ["log time", "offset", "count", "channel", "opcode", "summary"])
-def test_an_index_that_lies_is_not_believed(tmp_path, field):
+def test_a_wrong_index_causes_a_scan(tmp_path, field):
     path = long_log(tmp_path / "x.mcap", 60, compression="lz4")
     chunk = chunks_of(path)[40]
     place = chunk.chunk_start_offset + chunk.chunk_length
@@ -310,8 +310,8 @@ def test_an_index_that_lies_is_not_believed(tmp_path, field):
 
 
 @pytest.mark.parametrize("damaged", [COLOR, "/tf", DEPTH])
-def test_damage_of_what_is_not_decoded_asks_for_the_scan(tmp_path, damaged):
-    """Only a whole reading drops what is damaged; chunks of colour alone need not be whole."""
+def test_damage_of_chunks_that_are_not_decoded_causes_a_scan(tmp_path, damaged):
+    """Only a scan drops damaged chunks; chunks with colour only may be damaged."""
     path = tmp_path / "x.mcap"
     with LogFile(path, compression="none", chunk_size=1) as log:
         write_calibration(log)
@@ -341,7 +341,7 @@ def test_damage_of_what_is_not_decoded_asks_for_the_scan(tmp_path, damaged):
             read_all(log)
 
 
-def test_a_sent_log_reads_no_index(tmp_path, monkeypatch):
+def test_a_log_opened_in_a_worker_does_not_read_the_index(tmp_path, monkeypatch):
     path = long_log(tmp_path / "x.mcap", 60)
     with open_only(str(path)) as log:
         expected = read_all(log)
@@ -352,7 +352,7 @@ def test_a_sent_log_reads_no_index(tmp_path, monkeypatch):
             assert_same_batch(one, other)
 
 
-def test_pixels_read_in_place_are_those_decoded(tmp_path, monkeypatch):
+def test_pixels_read_in_place_equal_decoded_ones(tmp_path, monkeypatch):
     for compression in ("none", "lz4"):
         path = long_log(tmp_path / "x.mcap", 20, compression=compression)
         with open_only(str(path)) as log, open_only(str(path)) as other:
@@ -363,24 +363,24 @@ def test_pixels_read_in_place_are_those_decoded(tmp_path, monkeypatch):
                     assert_same_batch(one, two)
 
 
-def test_what_batches_tell_adds_up_whatever_the_split(tmp_path):
+def test_notes_of_batches_add_up_for_any_batch_size(tmp_path):
     for seed in range(8):
         options = write_random(tmp_path / "x.mcap", seed)
         with open_only(str(tmp_path / "x.mcap"), options) as log:
             if not is_indexed(log):
                 continue
             try:
-                told = [
+                totals = [
                     str(log.described(total(batch.notes for batch in log.batches(size))))
                     for size in (1, 5, 100)
                 ]
             except RescanError:
                 continue
-            assert told[0] == told[1] == told[2]
+            assert totals[0] == totals[1] == totals[2]
 
 
-def test_robots_that_stand_still_at_first_and_rare_transforms(tmp_path, monkeypatch):
-    """A sample of the transforms shows them to be constant, or one of them once: it is not so."""
+def test_transforms_that_change_late_or_are_rare_are_not_constant(tmp_path, monkeypatch):
+    """A sample of the transforms would show them as constant, or one of them only once."""
     monkeypatch.setattr(indexed, "_MAX_MOTIONS", 10)
     monkeypatch.setattr(indexed, "FIRST_MOTIONS", 4)
     monkeypatch.setattr(indexed, "_MOTION_SAMPLE", 3)
@@ -408,13 +408,13 @@ def test_robots_that_stand_still_at_first_and_rare_transforms(tmp_path, monkeypa
                 assert scanned.T_world_camera is not None
 
 
-def test_whole_logs_are_never_scanned(tmp_path):
+def test_opening_intact_logs_never_scans(tmp_path):
     for options in ({}, {"compression": "none"}, {"crc": False}, {"chunk_size": 3000}):
         with open_only(str(write_log(tmp_path / "x.mcap", make_scene(20), **options))) as log:
             assert is_indexed(log)
 
 
-def test_info_counts_pairs_where_it_is_told_to_check(tmp_path, capsys):
+def test_info_counts_pairs_with_check(tmp_path, capsys):
     path = str(write_log(tmp_path / "x.mcap", make_scene(20), chunk_size=6000))
     assert info.main([path]) == 0
     text = capsys.readouterr().out

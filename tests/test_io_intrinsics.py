@@ -1,4 +1,4 @@
-"""Calibration messages that are incomplete, unknown or contradict the images."""
+"""Calibration messages: lens models, and incomplete or contradictory values."""
 
 import numpy as np
 import pytest
@@ -36,7 +36,7 @@ def found(lens_model="plumb_bob", D=INFO.D, **source):
         ("no_such_model", (0.0,) * 5, Distortion.NONE, 0),
     ],
 )
-def test_models(model, D, expected, count):
+def test_lens_models_of_messages_are_read(model, D, expected, count):
     lens = found(model, D).intrinsics
     assert lens.distortion is expected and len(lens.coefficients) == count
 
@@ -44,7 +44,7 @@ def test_models(model, D, expected, count):
 @pytest.mark.parametrize(
     ("shares", "doubts"), [((0.5, 0.5), 0), ((0.25, 0.25), 1), ((0.65, 0.4), 0)]
 )
-def test_a_matrix_of_smaller_images_is_doubted(shares, doubts):
+def test_a_camera_matrix_of_smaller_images_causes_a_warning(shares, doubts):
     matrix = (600.0, 600.0, 640 * shares[0], 480 * shares[1])
     warnings = found(matrix=matrix).warnings
     assert len(warnings) == doubts and all("another image size" in text for text in warnings)
@@ -66,19 +66,19 @@ def test_plumb_bob_with_eight_coefficients_is_rational_with_a_warning():
         ("plumb_bob", (0.1, np.nan, 0, 0, 0)),
     ],
 )
-def test_distortion_that_is_not_understood_names_its_flag(model, D):
+def test_unknown_distortion_is_an_error_that_names_the_flag(model, D):
     with pytest.raises(CalibrationError, match=r"/info.*--log\.color-distortion"):
         found(model, D)
 
 
 @pytest.mark.parametrize("matrix", [(0.0, *K[1:]), (np.nan, *K[1:]), K[:4]])
-def test_a_camera_matrix_that_is_none_names_its_flag(matrix):
+def test_an_invalid_camera_matrix_is_an_error_that_names_the_flag(matrix):
     info = INFO._replace(K=matrix)
     with pytest.raises(CalibrationError, match=r"--log\.color-intrinsics"):
         find_intrinsics(SOURCE._replace(info=info))
 
 
-def test_sizes_must_agree():
+def test_calibration_and_images_must_have_equal_sizes():
     with pytest.raises(CalibrationError, match=r"320x240.*640x480"):
         found(size=ImageSize(320, 240))
     assert found(size=ImageSize(320, 240), matrix=(1.0, 1.0, 2.0, 2.0)).intrinsics.width == 320
@@ -88,7 +88,7 @@ def test_sizes_must_agree():
     assert zero.intrinsics.height == 480 and zero.warnings
 
 
-def test_flags_go_before_the_message():
+def test_flags_override_the_message():
     result = found(matrix=(1.0, 2.0, 3.0, 4.0), model="none")
     assert result.intrinsics[2:6] == (1.0, 2.0, 3.0, 4.0)
     several = tuple(f"/{letter}/camera_info" for letter in "abcdefghijklmn")
@@ -103,7 +103,7 @@ def test_flags_go_before_the_message():
     assert bare.intrinsics.distortion is Distortion.NONE
 
 
-def test_rectified_images_are_described_by_the_projection():
+def test_rectified_images_use_the_projection_matrix():
     lens = found(rectified=True).intrinsics
     assert lens[2:6] == (500.0, 501.0, 310.0, 230.0) and lens.distortion is Distortion.NONE
     assert found(rectified=True, D=(0.0,) * 5).intrinsics.fx == 600.0
@@ -119,6 +119,6 @@ def test_rectified_images_are_described_by_the_projection():
         {"max_chunk_mib": 0},
     ],
 )
-def test_options_out_of_range(bad):
+def test_options_out_of_range_are_errors(bad):
     with pytest.raises(ConfigError, match=r"--log\."):
         LogOptions(**bad)

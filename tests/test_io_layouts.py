@@ -1,6 +1,6 @@
-"""Topics, frames, encodings and rates as drivers publish them, from simulated logs.
+"""Logs in the layouts of drivers: topics, frames, encodings and rates, from simulated logs.
 
-Each log reads as the simulated one that it was made of. The names are those of the drivers'
+Each log is read as the simulated one that it was made from. Names are from the drivers'
 documentation, sources and issue threads.
 """
 
@@ -26,36 +26,36 @@ COLOR_FRAME, DEPTH_FRAME = "camera_color_optical_frame", "camera_depth_optical_f
 
 
 class Layout(NamedTuple):
-    """What a driver publishes."""
+    """Topics, frames and encodings that a driver publishes."""
 
     form: str
-    """Depth of the simulated log: ``raw``, with a camera of its own, ``aligned`` or ``both``."""
+    """Depth of the simulated log: ``raw`` (of another camera), ``aligned`` or ``both``."""
     color: str
     depth: str
-    """Topics of images; of ``both`` the aligned ones."""
+    """Topics of images; for ``both`` the aligned ones."""
     camera: str
     """Name of the camera."""
     frame: str
-    """Optical frame of colour, and of aligned depth."""
+    """Optical frame of colour and of aligned depth."""
     depth_frame: str = ""
     color_encoding: str = "rgb8"
     depth_encoding: str = "16UC1"
     missing: float = float("nan")
-    """Of depth in metres where nothing is measured."""
+    """Value of missing measurements in metres."""
     model: str = "plumb_bob"
     coefficients: int = 5
     raw_depth: str = ""
-    """Topic of depth that is not aligned, next to aligned depth."""
+    """Topic of raw depth, in addition to aligned depth."""
     info: str = ""
-    """Topic of the only calibration; empty: each image topic has one next to it."""
+    """Topic of the only calibration; if empty, each image topic has one."""
     others: tuple[tuple[str, str], ...] = ()
     """Topics and encodings of images that are neither colour nor depth."""
     rate_hz: float = 30.0
     colors: int = 1
-    """One of so many colour images was recorded."""
+    """Every how many colour images one was recorded."""
     odom: str = "/odom"
     poses: str = "TF"
-    """Where poses come from: TF or a topic of odometry; empty: nowhere."""
+    """Source of poses: TF or a topic of odometry; empty if there are none."""
 
 
 LAYOUTS = {
@@ -230,7 +230,7 @@ LAYOUTS = {
 
 @pytest.fixture(scope="module")
 def simulated(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, float], Path]:
-    """Path of the simulated log of a form and a rate."""
+    """Return a function that makes the simulated log of a form and a rate once."""
     folder = tmp_path_factory.mktemp("layouts")
 
     def path_of(form: str, rate_hz: float) -> Path:
@@ -245,7 +245,7 @@ def simulated(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, float]
 
 
 def renamed(body: Any, frames: dict[str, str]) -> Any:
-    """A message with other names of frames."""
+    """Return a message with renamed frames."""
     if isinstance(body, dict):
         return {name: renamed(value, frames) for name, value in body.items()}
     if isinstance(body, list):
@@ -258,7 +258,7 @@ def info_topic(image: str) -> str:
 
 
 def published(layout: Layout, messages: Iterable[Message]) -> list[Message]:
-    """Messages of a simulated log as a driver publishes them."""
+    """Return the messages of a simulated log as a driver publishes them."""
     frames = {COLOR_FRAME: layout.frame, DEPTH_FRAME: layout.depth_frame or DEPTH_FRAME}
     shown = ALIGNED if layout.form in ("aligned", "both") else DEPTH
     topics = {
@@ -305,7 +305,7 @@ def show_color(message: Message, encoding: str) -> None:
 
 
 def decoys(layout: Layout, like: Message) -> Iterable[Message]:
-    """Images of other kinds at the time of a colour image, each with a calibration."""
+    """Yield images of other kinds at the time of a colour image, each with a calibration."""
     grey = like.pixels[..., 0]
     images = {"mono8": grey, "mono16": grey.astype(np.uint16) << 8, "32FC1": grey / np.float32(2)}
     for topic, encoding in layout.others:
@@ -316,7 +316,7 @@ def decoys(layout: Layout, like: Message) -> Iterable[Message]:
 
 
 def same_log(found: Log, expected: Log) -> None:
-    """Frames, colour, calibration, mount and poses are the same."""
+    """Assert that frames, colour, calibration, mount and poses are equal."""
     assert found.calibration == expected.calibration
     batches = [log.read(range(log.num_frames), color=True).frames for log in (found, expected)]
     for name in ("depth", "color", "stamp_ns", "color_stamp_ns", "valid", "T_world_camera"):
@@ -325,7 +325,7 @@ def same_log(found: Log, expected: Log) -> None:
 
 
 @pytest.mark.parametrize("driver", LAYOUTS)
-def test_logs_of_a_driver_read_as_the_simulated_one(simulated, tmp_path, driver):
+def test_logs_of_each_driver_equal_the_simulated_one(simulated, tmp_path, driver):
     layout = LAYOUTS[driver]
     path = simulated(layout.form, layout.rate_hz)
     messages = read_messages(path)
@@ -347,8 +347,8 @@ def test_logs_of_a_driver_read_as_the_simulated_one(simulated, tmp_path, driver)
 
 
 @pytest.mark.parametrize("form", ["raw", "aligned"])
-def test_logs_of_the_foxglove_sdk_read_as_the_simulated_one(simulated, tmp_path, form):
-    """Protobuf messages; each transform is a message of its own."""
+def test_logs_of_the_foxglove_sdk_equal_the_simulated_one(simulated, tmp_path, form):
+    """The messages are protobuf, and each transform is a separate message."""
     path = simulated(form, 30.0)
     with LogFile(tmp_path / "log.mcap") as log:
         for message in read_messages(path):
@@ -359,7 +359,7 @@ def test_logs_of_the_foxglove_sdk_read_as_the_simulated_one(simulated, tmp_path,
 
 
 def write_foxglove(log: LogFile, message: Message) -> None:
-    """Write a message in Foxglove's schemas; odometry has none."""
+    """Write a message in the schemas of Foxglove, which has none for odometry."""
     body, at = message.body, message.log_ns
     if message.kind == "tf2_msgs/TFMessage":
         for item in body["transforms"]:
@@ -382,7 +382,7 @@ def write_foxglove(log: LogFile, message: Message) -> None:
     put_proto(log, message.topic, kind, fields, stamp["sec"] * 10**9 + stamp["nanosec"])
 
 
-def test_two_cameras_of_a_spot_are_read_one_by_one(simulated, tmp_path):
+def test_the_two_front_cameras_of_a_spot_are_separate_cameras(simulated, tmp_path):
     layout = LAYOUTS["Spot"]
     path = simulated(layout.form, layout.rate_hz)
     left = published(layout, read_messages(path))

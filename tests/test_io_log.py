@@ -1,4 +1,4 @@
-"""Whole logs: every serialisation and every way to give depth, splits, and real recordings."""
+"""Logs in every serialization, container and form of depth, and split logs."""
 
 import pickle
 
@@ -34,7 +34,7 @@ from tests.io_helpers import (
 
 
 @pytest.mark.parametrize("form", ["ros", "proto", "json"])
-def test_the_same_scene_in_each_serialisation(tmp_path, form):
+def test_each_serialization_gives_the_same_frames(tmp_path, form):
     scene = make_scene()
     path = tmp_path / "log.mcap"
     if form == "ros":
@@ -65,14 +65,14 @@ def test_the_same_scene_in_each_serialisation(tmp_path, form):
 
 @pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
 @pytest.mark.parametrize("options", [{}, {"use_chunking": False}, {"chunk_size": 3000}])
-def test_each_container_form(tmp_path, compression, options):
+def test_each_form_of_container_gives_the_same_frames(tmp_path, compression, options):
     scene = make_scene(5)
     path = write_log(tmp_path / "log.mcap", scene, compression=compression, **options)
     with open_log(str(path)) as log:
         assert_holds(log, scene)
 
 
-def test_aligned_depth_goes_before_raw_depth(tmp_path):
+def test_aligned_depth_takes_precedence_over_raw_depth(tmp_path):
     raw, aligned = make_scene(), make_scene(size=COLOR_SIZE)
     topic = "/cam/aligned_depth_to_color/image_raw"
     with LogFile(tmp_path / "log.mcap") as log:
@@ -118,7 +118,7 @@ def test_rgbd_messages_are_pairs_whatever_their_stamps(tmp_path):
         assert_holds(log, scene)
 
 
-def test_splits_are_one_log_and_share_static_transforms(tmp_path):
+def test_splits_are_one_log_with_common_static_transforms(tmp_path):
     scene = make_scene(24)
     halves = [Scene(*(part[:10] for part in scene)), Scene(*(part[10:] for part in scene))]
     names = ["bag_2.mcap", "bag_10.mcap"]
@@ -138,7 +138,7 @@ def test_splits_are_one_log_and_share_static_transforms(tmp_path):
         assert any("split bag_2.mcap" in text for text in log.description.warnings)
 
 
-def test_images_are_decoded_where_the_caller_says(tmp_path):
+def test_images_are_decoded_into_given_arrays(tmp_path):
     scene = make_scene(5)
     path = write_log(tmp_path / "log.mcap", scene)
     with open_log(str(path)) as log:

@@ -1,4 +1,4 @@
-"""The nearest colour image, by hand and its law; motions against SciPy."""
+"""Pairing of colour and depth, interpolation of poses, and the tree of transforms."""
 
 import numpy as np
 import pytest
@@ -47,7 +47,7 @@ STAMPS = st.lists(st.integers(0, 60), max_size=12).map(lambda s: np.array(sorted
             [0, 33, 66, 99],
             [0, 66],
             [0, 0, 1, 1],
-        ),  # colour at half the rate: a tie, then the nearest
+        ),  # colour at half the rate gives a tie, then the nearest
         ([0], [101, 268], [0]),
         ([0], [151], [-1]),
         ([50], [40, 60], [0]),
@@ -56,13 +56,15 @@ STAMPS = st.lists(st.integers(0, 60), max_size=12).map(lambda s: np.array(sorted
         ([], [1], []),
     ],
 )
-def test_nearest_by_hand(depth, color, expected):
+def test_nearest_colour_image_by_hand(depth, color, expected):
     stamps = [np.array(items, np.int64) * MS for items in (depth, color)]
     assert nearest(*stamps, 0.15).tolist() == expected
 
 
 @given(STAMPS, STAMPS, st.integers(0, 40))
-def test_nearest_is_the_least_difference_within_the_tolerance(depth, color, tolerance_ms):
+def test_the_nearest_image_has_the_smallest_time_difference_within_the_tolerance(
+    depth, color, tolerance_ms
+):
     found = nearest(depth, color, tolerance_ms / 1e3)
     for stamp, number in zip(depth, found, strict=True):
         apart = np.abs(color - stamp)
@@ -89,7 +91,7 @@ def test_interpolation_equals_slerp():
     np.testing.assert_allclose(exact, motion_matrix(samples[:, :3], samples[:, 3:]), atol=1e-12)
 
 
-def test_motion_is_held_at_the_margin_and_unknown_beyond_and_in_gaps():
+def test_poses_are_held_at_the_ends_and_unknown_beyond_and_in_gaps():
     second, margin = 1000 * MS, round(MARGIN_S * 1e9)
     sample_ns = np.array([0, second, second + round((MAX_GAP_S + 1) * 1e9)])
     samples = np.array([[0, 0, 0, 0, 0, 0, 1], [1, 0, 0, 0, 0, 0, 1], [5, 0, 0, 0, 0, 0, 1.0]])
@@ -98,7 +100,7 @@ def test_motion_is_held_at_the_margin_and_unknown_beyond_and_in_gaps():
     np.testing.assert_array_equal(x, [np.nan, 0, 0.25, np.nan, 5])
 
 
-def test_samples_as_far_apart_as_the_longest_gap_are_joined_and_no_farther():
+def test_poses_are_interpolated_up_to_the_longest_gap():
     longest = round(MAX_GAP_S * 1e9)
     samples = np.array([[0, 0, 0, 0, 0, 0, 1], [2, 0, 0, 0, 0, 0, 1.0]])
     for gap, middle in ((longest - 1, 1.0), (longest, 1.0), (longest + 1, np.nan)):
@@ -110,7 +112,7 @@ def edge(parent, child, x, stamp_ns=0):
     return TransformMessage(stamp_ns, parent, child, (x, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 
 
-def test_tree_chains_cycles_and_contradictions():
+def test_transforms_are_chained_and_cycles_and_contradictions_are_errors():
     tree = TransformTree()
     tree.add([edge("base", "a", 1), edge("a", "b", 2), edge("base", "c", 10)], static=True)
     T = tree.fixed("c", "b")
@@ -122,7 +124,7 @@ def test_tree_chains_cycles_and_contradictions():
         tree.fixed("c", "b")
 
 
-def test_moving_transforms_are_no_calibration_but_poses():
+def test_moving_transforms_are_poses_and_not_calibration():
     tree = TransformTree()
     tree.add([edge("base", "camera", 1)], static=True)
     for step in range(3):
@@ -133,8 +135,8 @@ def test_moving_transforms_are_no_calibration_but_poses():
     assert T is not None and T[0, 0, 3] == 1.5 and np.isnan(T[1]).all()
 
 
-def test_transforms_that_are_repeated_hold_at_all_times():
-    """A mount on ``/tf``; what moves by a millimetre is known about its samples alone."""
+def test_repeated_equal_transforms_hold_at_all_times():
+    """A mount may be on ``/tf``; a transform that moves by 1 mm holds only near its samples."""
     stamps = np.array([-5000, 100, 700, 60_000]) * MS
     for last, known in ((1.0, [True] * 4), (1.001, [False, True, False, False])):
         tree = TransformTree()
@@ -147,7 +149,7 @@ def test_transforms_that_are_repeated_hold_at_all_times():
         assert np.isfinite(T).all(axis=(1, 2)).tolist() == known
 
 
-def test_inverse_and_difference():
+def test_inverse_and_difference_of_transforms():
     first = motion_matrix(np.array([1.0, 2, 3]), Rotation.from_euler("z", 0.2).as_quat())
     second = motion_matrix(np.array([1.0, 2, 3.5]), Rotation.from_euler("z", -0.1).as_quat())
     np.testing.assert_allclose(inverse(first) @ first, np.eye(4), atol=1e-12)
@@ -157,7 +159,7 @@ def test_inverse_and_difference():
 NO_TURN = (0.0, 0.0, 0.0, 1.0)
 
 
-def test_of_equal_stamps_the_last_motion_counts():
+def test_the_last_of_several_transforms_with_one_timestamp_counts():
     samples = MotionSamples()
     for x in (1.0, 2.0):
         samples.add(START, (x, 0.0, 0.0), NO_TURN)
@@ -168,7 +170,7 @@ def transform(parent, child, x=0.0, at=START):
     return TransformMessage(at, parent, child, (x, 0.0, 0.0), NO_TURN)
 
 
-def test_a_static_transform_goes_before_a_moving_one_of_another_parent():
+def test_static_transforms_override_moving_ones_with_another_parent():
     tree = TransformTree()
     tree.add([transform("odom", "camera")], static=False)
     tree.add([transform("base", "camera", 2.0)], static=True)
@@ -179,14 +181,14 @@ def test_a_static_transform_goes_before_a_moving_one_of_another_parent():
 
 
 @pytest.mark.parametrize("once", [False, True])
-def test_one_moving_transform_is_static_only_where_nothing_tells(once):
+def test_a_single_moving_transform_is_static_only_if_requested(once):
     tree = TransformTree()
     tree.add([transform("base", "camera")], static=False, once_is_static=once)
     tree.settle()
     assert (tree.fixed("base", "camera") is not None) is once
 
 
-def test_images_of_equal_stamps_go_by_log_time(tmp_path):
+def test_images_with_equal_timestamps_are_ordered_by_log_time(tmp_path):
     scene, path = make_scene(2), tmp_path / "x.mcap"
     with LogFile(path) as log:
         write_calibration(log)
@@ -209,7 +211,7 @@ def raw(log, topic, data, at):
     log.raw(topic, "cdr", (name, "ros2msg", text), data, at)
 
 
-def test_an_image_whose_stamp_cannot_be_read_keeps_its_place(tmp_path):
+def test_an_image_with_an_unreadable_timestamp_keeps_its_position(tmp_path):
     scene, path = make_scene(5), tmp_path / "x.mcap"
     with LogFile(path) as log:
         write_calibration(log)
@@ -228,7 +230,7 @@ def test_an_image_whose_stamp_cannot_be_read_keeps_its_place(tmp_path):
 
 
 @pytest.mark.parametrize("scan", [False, True])
-def test_a_clock_that_begins_at_zero(tmp_path, scan):
+def test_a_clock_that_begins_at_zero_is_used(tmp_path, scan):
     scene = make_scene(4)
     scene = scene._replace(
         color_ns=np.arange(4) * 33_333_333 + 4_000_000, depth_ns=np.arange(4) * 33_333_333

@@ -1,4 +1,4 @@
-"""Motions that are read in place: the same as by the definition, whatever the bytes."""
+"""Transforms and odometry read in place equal those read by the message definition."""
 
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from jaxdet.io.writer_cdr import encode_cdr
 
 
 def decoders(name: str, text: str | None = None) -> tuple[MessageDecoder, MessageDecoder]:
-    """One that may read in place, and one that works by the definition alone."""
+    """Return a decoder that may read in place and one that uses only the definition."""
     data = (schema_text(name) if text is None else text).encode()
     package, kind = name.split("/")
     channel = ChannelInfo("/t", "cdr", f"{package}/msg/{kind}", "ros2msg", data, len(data))
@@ -26,7 +26,7 @@ def decoders(name: str, text: str | None = None) -> tuple[MessageDecoder, Messag
     return MessageDecoder(channel), by_definition
 
 
-def told(decoder: MessageDecoder, payload: bytes) -> Any:
+def decoded(decoder: MessageDecoder, payload: bytes) -> Any:
     try:
         return decoder.decode(payload)
     except FrameError as error:
@@ -58,22 +58,22 @@ CHANGE = st.tuples(st.integers(0, 400), st.integers(0, 255))
 
 @settings(max_examples=40, deadline=None)
 @given(parts=st.lists(PARTS, max_size=3), change=CHANGE)
-def test_transforms_are_as_by_their_definition(parts, change):
+def test_transforms_equal_those_read_by_the_definition(parts, change):
     message = {"transforms": [stamped(*part) for part in parts]}
     payload = bytearray(encode_cdr("tf2_msgs/TFMessage", message))
     quick, general = decoders("tf2_msgs/TFMessage")
     assert quick._in_place
     found: Any = quick.decode(payload) if all(part[0] >= 0 for part in parts) else ()
     assert [item.parent for item in found] == [part[1].lstrip("/") for part in parts if found]
-    assert told(quick, bytes(payload)) == told(general, bytes(payload))
+    assert decoded(quick, bytes(payload)) == decoded(general, bytes(payload))
     place, value = change
     if place < len(payload):
         payload[place] = value
-        assert told(quick, bytes(payload)) == told(general, bytes(payload))
-        assert told(quick, bytes(payload[:place])) == told(general, bytes(payload[:place]))
+        assert decoded(quick, bytes(payload)) == decoded(general, bytes(payload))
+        assert decoded(quick, bytes(payload[:place])) == decoded(general, bytes(payload[:place]))
 
 
-def test_odometry_is_as_by_its_definition():
+def test_odometry_equals_that_read_by_the_definition():
     quick, general = decoders("nav_msgs/Odometry")
     assert quick._in_place
     payload = encode_cdr("nav_msgs/Odometry", odometry(3, "/odom", "base", 0.4))
@@ -82,7 +82,7 @@ def test_odometry_is_as_by_its_definition():
     assert (item.stamp_ns, item.parent, item.child) == (3_000_000_007, "odom", "base")
     assert np.linalg.norm(item.rotation) == pytest.approx(1, abs=1e-15)
     for size in range(0, len(payload) + 1, 5):
-        assert told(quick, payload[:size]) == told(general, payload[:size])
+        assert decoded(quick, payload[:size]) == decoded(general, payload[:size])
 
 
 def test_another_definition_is_not_read_in_place():
@@ -90,10 +90,10 @@ def test_another_definition_is_not_read_in_place():
     assert not decoders("tf2_msgs/TFMessage", text)[0]._in_place
     longer = schema_text("tf2_msgs/TFMessage") + "====\nMSG: a/Header\nstring frame_id\n"
     quick, _ = decoders("tf2_msgs/TFMessage", longer)
-    assert not quick._in_place  # there are two types Header, and one is another
+    assert not quick._in_place  # the definition has two different types Header
 
 
-def test_which_stamps_lead():
+def test_timestamps_of_messages_that_begin_with_a_header_are_read_in_place():
     def leads(name: str, text: str, encoding: str = "cdr") -> bool:
         schema = "ros1msg" if encoding == "ros1" else "ros2msg"
         data = text.encode()
@@ -114,7 +114,7 @@ def test_which_stamps_lead():
     assert not leads("sensor_msgs/Image", older.replace("uint32 seq\n", ""), "ros1")
 
 
-def test_recorded_transforms(shared_data: Path):
+def test_recorded_transforms_equal_those_read_by_the_definition(shared_data: Path):
     seen = 0
     for path in sorted(shared_data.rglob("*.mcap")):
         with path.open("rb") as file:

@@ -1,4 +1,4 @@
-"""Files to logs, and names of topics."""
+"""Logs of files and folders: names, splits, links; and names of topics."""
 
 import errno
 import os
@@ -48,20 +48,20 @@ def moved(scene: Scene, later_ns: int) -> Scene:
 
 
 def splits(folder: Path, *later_s: float, name: str = "run") -> None:
-    """Writes numbered files of two frames, 0.1 s apart, each so much later."""
+    """Write numbered files of two frames, 0.1 s apart, with these delays [s]."""
     folder.mkdir(exist_ok=True)
     for number, later in enumerate(later_s):
         write_log(folder / f"{name}_{number}.mcap", moved(make_scene(2), int(later * 10**9)))
 
 
 def list_files(folder: Path, *names: str) -> None:
-    """Writes what rosbag2 says of a recording."""
+    """Write the ``metadata.yaml`` of rosbag2 for a recording."""
     files = "".join(f"    - {name}\n" for name in names)
     text = f"rosbag2_bagfile_information:\n  version: 9\n  relative_file_paths:\n{files}"
     (folder / "metadata.yaml").write_text(f"{text}  message_count: 4\n")
 
 
-def test_names_are_paths_under_the_folder_that_was_named(tmp_path):
+def test_names_are_paths_relative_to_the_given_folder(tmp_path):
     touch(tmp_path, "a/run_0.mcap", "a/one.mcap", "b/run_0.mcap", "b/solo_3.mcap", "b/readme.txt")
     list_files(tmp_path / "a", "run_0.mcap", "run_9.mcap", "run_10.mcap")
     touch(tmp_path, "a/run_10.mcap", "a/run_9.mcap")
@@ -79,7 +79,7 @@ def test_names_are_paths_under_the_folder_that_was_named(tmp_path):
         assert [log.name for log in find_logs([str(tmp_path / named)])] == names
 
 
-def test_folders_of_images_are_called_as_they_are(tmp_path, monkeypatch):
+def test_image_folders_are_logs_with_the_name_of_the_folder(tmp_path, monkeypatch):
     for name in ("attic/data", "hall/run7/data", "hall/run8"):
         touch(tmp_path, *(f"{name}/{kind}/000001.png" for kind in ("rgb", "depth")))
     names = {log.name for log in find_logs([str(tmp_path)])}
@@ -89,8 +89,8 @@ def test_folders_of_images_are_called_as_they_are(tmp_path, monkeypatch):
     assert [log.name for log in find_logs(["."])] == ["run8"]
 
 
-def test_numbered_recordings_stay_apart(tmp_path):
-    """As those of trials: 45 s, 5 s or 1.5 s apart, or with a number that is missing."""
+def test_numbered_recordings_are_separate_logs(tmp_path):
+    """Trials are 45 s, 5 s or 1.5 s apart, or a number is missing between them."""
     splits(tmp_path / "far", 0, 45, 90)
     splits(tmp_path / "near", 0, 1.6, 3.2)
     splits(tmp_path / "gap", 0, 0.2, 0.4)
@@ -101,7 +101,7 @@ def test_numbered_recordings_stay_apart(tmp_path):
         assert all("different recordings" in log.about and not log.note for log in logs)
 
 
-def test_splits_that_follow_on_are_one_recording_and_said_to_be(tmp_path):
+def test_consecutive_splits_are_one_recording_and_reported(tmp_path):
     splits(tmp_path, 0, 0.2, 0.4)
     [log] = find_logs([str(tmp_path)])
     assert log.name == "run" and len(log.paths) == 3
@@ -112,8 +112,8 @@ def test_splits_that_follow_on_are_one_recording_and_said_to_be(tmp_path):
     assert [one.name for one in apart] == ["run_0", "run_1", "run_2"]
 
 
-def test_metadata_says_what_is_one_recording(tmp_path):
-    """Whatever is between the files; one that it does not list is another."""
+def test_metadata_defines_the_files_of_a_recording(tmp_path):
+    """Pauses between the files do not matter; a file that is not listed is another recording."""
     splits(tmp_path, 0, 45, 90, 90.2)
     list_files(tmp_path, "run_0.mcap", "bag/run_1.mcap", "'run_2.mcap'")
     logs = find_logs([str(tmp_path)])
@@ -121,7 +121,7 @@ def test_metadata_says_what_is_one_recording(tmp_path):
     assert logs[0].about == "joined 3 files listed in metadata.yaml"
 
 
-def test_files_whose_times_cant_be_told_stay_apart(tmp_path):
+def test_files_with_unreadable_times_are_separate_logs(tmp_path):
     splits(tmp_path, 0, 0.2)
     (tmp_path / "run_1.mcap").write_bytes((tmp_path / "run_1.mcap").read_bytes()[:2000])
     logs = find_logs([str(tmp_path)])
@@ -129,7 +129,7 @@ def test_files_whose_times_cant_be_told_stay_apart(tmp_path):
     assert "don't have the times of the images" in logs[0].about
 
 
-def test_links_are_called_by_their_own_names(tmp_path):
+def test_links_have_their_own_names(tmp_path):
     touch(tmp_path, "blobs/a0", "blobs/b1", "drives/one.mcap")
     for number, blob in enumerate(("a0", "b1")):
         (tmp_path / f"drives/run_{number}.mcap").symlink_to(tmp_path / "blobs" / blob)
@@ -144,8 +144,8 @@ def test_links_are_called_by_their_own_names(tmp_path):
     assert find_logs([one, str(tmp_path / "drives/latest.mcap")]) == find_logs([one])
 
 
-def test_a_folder_that_cant_be_listed_is_a_log_that_fails(tmp_path, monkeypatch):
-    """Shut as its content can't be listed, or as its files can't be looked at."""
+def test_an_unreadable_folder_is_a_failed_log(tmp_path, monkeypatch):
+    """Either its content cannot be listed or its files cannot be accessed."""
     touch(tmp_path, "a.mcap", "unlisted/b.mcap", "unsearched/c.mcap", "z.mcap")
 
     def refusing(call, *shut):
@@ -168,22 +168,22 @@ def test_a_folder_that_cant_be_listed_is_a_log_that_fails(tmp_path, monkeypatch)
 
 
 @pytest.mark.parametrize("pattern", ["x/*", "**", "x/**"])
-def test_what_a_glob_names_twice_is_said_once(tmp_path, pattern):
+def test_files_matched_twice_by_a_glob_are_read_once(tmp_path, pattern):
     touch(tmp_path, "x/a.mcap", "x/a.db3", "x/b.svo", "x/y/c.mcap")
     logs = find_logs([str(tmp_path / pattern)])
     assert [log.name.rpartition("/")[2] for log in logs] == ["a", "c"]
     assert logs[0].note.count("a.db3 is left out") == logs[0].note.count("b.svo is left out") == 1
 
 
-def test_siblings_of_a_single_split(tmp_path):
+def test_splits_next_to_a_single_one_are_found(tmp_path):
     touch(tmp_path, "run_0.mcap", "run_2.mcap", "run_1.mcap", "other_0.mcap")
     [log] = find_logs([str(tmp_path / "run_1.mcap")])
     assert log.name == "run_1"
     assert [path.name for path in siblings(log)] == ["run_0.mcap", "run_2.mcap"]
 
 
-def test_recordings_that_are_numbered_are_not_all_looked_at_for_each(tmp_path, monkeypatch):
-    """A log's own file, and those beside it: beyond another recording none is of it."""
+def test_opening_one_of_many_numbered_recordings_reads_few_files(tmp_path, monkeypatch):
+    """Only the file itself and its neighbours are read, up to the first other recording."""
     hour = 3600 * 10**9
     for number in range(10):
         write_log(tmp_path / f"run_{number}.mcap", moved(make_scene(2), number * hour))
@@ -206,12 +206,10 @@ def test_recordings_that_are_numbered_are_not_all_looked_at_for_each(tmp_path, m
         ("y_0.db3 y_1.db3 y_2.db3 y_5.db3 y_0.mcap", "y_0.mcap y_5.db3"),
     ],
 )
-def test_a_split_is_left_out_where_it_is_there_in_another_format(
-    tmp_path, monkeypatch, names, taken
-):
-    """Not where others alone are, of other times: half converted, or another recording.
+def test_a_split_that_exists_in_another_format_is_left_out(tmp_path, monkeypatch, names, taken):
+    """It is kept if only files of other times are in the other format.
 
-    Split ``n`` is of the second ``n``, the MCAP file ``y_0`` of the first three.
+    Split ``n`` covers second ``n``, the MCAP file ``y_0`` the first three seconds.
     """
 
     def fake_signature(path: Path) -> Signature:
@@ -225,8 +223,8 @@ def test_a_split_is_left_out_where_it_is_there_in_another_format(
     assert sorted(found) == taken.split()
 
 
-def test_times_and_dates_in_names_are_no_numbers_of_splits(tmp_path):
-    """300 s apart by their images, as by their names: with 500 numbers between, they could be."""
+def test_times_and_dates_in_names_are_not_numbers_of_splits(tmp_path):
+    """The files are 300 s apart both by their images and by their names."""
     for name, later_s in (("100000", 0), ("100500", 300)):
         scene = moved(make_scene(2), later_s * 10**9)
         write_log(tmp_path / f"drive_2024-05-01_{name}.mcap", scene)
@@ -243,8 +241,8 @@ def test_numbers_of_splits_may_begin_with_zeros(tmp_path):
     assert [path.stem for path in log.paths] == [f"run_00000{number}" for number in range(3)]
 
 
-def test_numbers_of_splits_with_zeros_go_on_beyond_them(tmp_path):
-    """There is no minute 99: what follows is no time of day. Without it 01:00 may be one."""
+def test_numbers_of_splits_may_exceed_their_zero_padding(tmp_path):
+    """A file 0099 shows that numbers are not times of day; without it, 0100 may be 01:00."""
     touch(tmp_path, *(f"x_{number:06d}.mcap" for number in (9998, 9999, 10000, 10001)))
     touch(tmp_path, "y_005959.mcap", "y_010000.mcap", "run_100000.mcap", "run_100500.mcap")
     list_files(tmp_path, *(f"x_{number:06d}.mcap" for number in (9998, 9999, 10000, 10001)))
@@ -258,7 +256,7 @@ def test_numbers_of_splits_with_zeros_go_on_beyond_them(tmp_path):
     assert len(siblings(one)) == 3 and not missing_splits(logs[2])
 
 
-def test_splits_beside_are_those_that_go_on_where_the_log_ends(tmp_path):
+def test_neighbouring_splits_continue_where_the_log_ends(tmp_path):
     for number in range(6):
         scene = moved(make_scene(2), (number + 100 * (number > 3)) * 10**9)
         write_log(tmp_path / f"run_{number}.mcap", scene)
@@ -269,7 +267,7 @@ def test_splits_beside_are_those_that_go_on_where_the_log_ends(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("own", "spans", "matrices", "beside"),
+    ("own", "spans", "matrices", "neighbours"),
     [
         ([2], [(0, 1), None, (86400, 86401)], "KKK", [1]),
         ([2], [(0, 1), (1, 2), (2, 3)], "K-L", [1]),
@@ -277,10 +275,10 @@ def test_splits_beside_are_those_that_go_on_where_the_log_ends(tmp_path):
         ([0], [(0, 1), (1, 2), (2000, 2001), (2001, 2002)], "KKKK", [1]),
     ],
 )
-def test_splits_beside_go_with_the_log_and_all_nearer_ones(
-    tmp_path, monkeypatch, own, spans, matrices, beside
+def test_neighbouring_splits_are_used_with_all_nearer_ones(
+    tmp_path, monkeypatch, own, spans, matrices, neighbours
 ):
-    """Of one without images or calibration that is known of those nearer; a clock is set back."""
+    """Splits without images or calibration take it from nearer ones; a clock may be set back."""
 
     def fake_signature(path: Path) -> Signature:
         number = int(path.stem.partition("_")[2])
@@ -292,10 +290,10 @@ def test_splits_beside_go_with_the_log_and_all_nearer_ones(
     paths = [tmp_path / f"x_{number}.mcap" for number in range(len(spans))]
     touch(tmp_path, *(path.name for path in paths))
     log = LogFiles("x", tuple(paths[number] for number in own))
-    assert siblings(log) == tuple(paths[number] for number in beside)
+    assert siblings(log) == tuple(paths[number] for number in neighbours)
 
 
-def test_no_name_is_not_this_folder(tmp_path, monkeypatch):
+def test_an_empty_name_is_an_error(tmp_path, monkeypatch):
     touch(tmp_path, "x.mcap")
     monkeypatch.chdir(tmp_path)
     with pytest.raises(InputError, match="path of a log is empty"):
@@ -303,7 +301,7 @@ def test_no_name_is_not_this_folder(tmp_path, monkeypatch):
     assert [log.name for log in find_logs(["."])] == ["x"]
 
 
-def test_other_compressed_files_and_several_logs_are_refused_by_name(tmp_path):
+def test_unsupported_archives_and_several_logs_are_refused(tmp_path):
     touch(tmp_path, "x/run_0.zstd")
     with pytest.raises(InputError, match=r"run_0\.zstd.*NAME\.mcap\.zstd"):
         find_logs([str(tmp_path)])
@@ -312,7 +310,7 @@ def test_other_compressed_files_and_several_logs_are_refused_by_name(tmp_path):
         open_log(str(tmp_path / "y"))
 
 
-def test_compressed_topics(tmp_path):
+def test_topics_of_compressed_images_are_read(tmp_path):
     scene = make_scene(2)
     with LogFile(tmp_path / "x.mcap") as log:
         write_calibration(log)
@@ -329,7 +327,7 @@ def test_compressed_topics(tmp_path):
         np.testing.assert_array_equal(frames.depth, scene.depth)
 
 
-def test_big_endian_cdr(tmp_path):
+def test_big_endian_cdr_is_read(tmp_path):
     scene = make_scene(1)
     with LogFile(tmp_path / "x.mcap") as log:
         for topic, message in (
@@ -345,13 +343,13 @@ def test_big_endian_cdr(tmp_path):
         np.testing.assert_array_equal(log.read([0]).frames.depth[0], scene.depth[0])
 
 
-def test_a_topic_that_is_no_depth_is_refused(tmp_path):
+def test_a_topic_that_is_not_depth_is_refused(tmp_path):
     path = str(write_log(tmp_path / "x.mcap"))
     with pytest.raises(TopicError, match="is not a supported depth encoding"):
         open_log(path, LogOptions(depth="/cam/color/image_raw"))
 
 
-def test_hostile_topic_names_stay_on_one_line(tmp_path):
+def test_control_characters_in_topic_names_are_escaped(tmp_path):
     with LogFile(tmp_path / "x.mcap") as log:
         image = ros_image(make_scene().color[0], "rgb8", START, COLOR_FRAME)
         log.ros("/a\n\x1b[31m../../b", image, START)

@@ -1,4 +1,4 @@
-"""Parts of a log: moments as a user gives them, and frames with the numbers of the whole log."""
+"""Parts of a log: formats of times, and frames with the numbers of the complete log."""
 
 from itertools import pairwise
 from pathlib import Path
@@ -36,7 +36,7 @@ def log_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def numbers(path: Path, **part: Any) -> list[int]:
-    """Of the frames read, by the index and scanned."""
+    """Return the numbers of the frames of a part, read by the index and by a scan."""
     options = LogOptions(**part)
     with open_only(str(path), options) as log, open_only(str(path), scanning(options)) as scanned:
         assert is_indexed(log) and not is_indexed(scanned)
@@ -62,26 +62,26 @@ def numbers(path: Path, **part: Any) -> list[int]:
         ("2024-05-01 10:00:00", Moment(1714557600000000000, True)),
     ],
 )
-def test_moments(text, moment):
+def test_times_are_parsed(text, moment):
     assert parse_moment(text, "--start") == moment
 
 
 @pytest.mark.parametrize(
     "text", ["", "-1", "5 m", "nan", "1e3", "today", "10:00", "१२", "9" * 13, "9" * 400]
 )
-def test_what_is_no_moment_is_said_with_its_flag(text):
+def test_invalid_times_are_errors_that_name_the_flag(text):
     with pytest.raises(
         ConfigError, match=r"--stop: invalid time .*; use a form like 12.5, 90s, 2024"
     ):
         LogOptions(stop=text)
 
 
-def test_every_is_at_least_one():
+def test_every_must_be_at_least_1():
     with pytest.raises(ConfigError, match="--every must be at least 1"):
         LogOptions(every=0)
 
 
-def test_frames_between_two_moments(log_path):
+def test_start_is_inclusive_and_stop_exclusive(log_path):
     assert numbers(log_path) == list(range(60))
     assert numbers(log_path, start="1.0") == list(range(31, 60))  # frame 30 is at 0.99999999 s
     assert numbers(log_path, start="1", stop="1.5s") == list(range(31, 46))
@@ -93,7 +93,7 @@ def test_frames_between_two_moments(log_path):
     assert numbers(log_path, stop="1000") == list(range(60))
 
 
-def test_parts_join_to_the_whole(log_path):
+def test_consecutive_parts_cover_the_log(log_path):
     ends = ["0", "0.4", "1.1", "9"]
     for every in (1, 7):
         parts = [
@@ -103,7 +103,7 @@ def test_parts_join_to_the_whole(log_path):
         assert joined == numbers(log_path, every=every) == list(range(0, 60, every))
 
 
-def test_a_part_has_the_images_stamps_and_partners_of_the_whole(log_path):
+def test_a_part_has_the_images_timestamps_and_pairs_of_the_complete_log(log_path):
     with open_only(str(log_path)) as whole:
         for part in ({"start": "0.5", "stop": "1.2"}, {"every": 9}):
             with open_only(str(log_path), LogOptions(**part)) as log:
@@ -111,14 +111,14 @@ def test_a_part_has_the_images_stamps_and_partners_of_the_whole(log_path):
                 assert_same_batch(batch, whole.read(log.frames))
 
 
-def test_units_of_a_part(log_path):
+def test_units_cover_a_part(log_path):
     with open_only(str(log_path), LogOptions(start="0.5", every=4)) as log:
         assert list(log.frames) == list(range(16, 60, 4))
         found = [batch.frames.number.tolist() for batch in log.batches(2, 17, 30)]
         assert found == [[20, 24], [28, -1]]
 
 
-def test_nothing_in_the_range_names_the_span(log_path):
+def test_an_empty_range_is_an_error_that_names_the_span_of_the_log(log_path):
     for part in ({"start": "5"}, {"stop": "0"}, {"start": "1", "stop": "0.5"}):
         with pytest.raises(InputError) as caught:
             open_only(str(log_path), LogOptions(**part))
@@ -130,7 +130,7 @@ def test_nothing_in_the_range_names_the_span(log_path):
 
 
 def test_only_the_chunks_of_a_part_are_read(log_path, tmp_path, monkeypatch):
-    monkeypatch.setattr("jaxdet.io.windows._LOOKS", 8)  # none of them at frame 40
+    monkeypatch.setattr("jaxdet.io.windows._LOOKS", 8)  # no samples at frame 40
     with log_path.open("rb") as file:
         summary = make_reader(file).get_summary()
     assert summary is not None
@@ -151,7 +151,7 @@ def test_only_the_chunks_of_a_part_are_read(log_path, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
 @pytest.mark.parametrize("topic", [COLOR, DEPTH])
-def test_a_clock_that_steps_back_anywhere_is_seen(tmp_path, compression, topic):
+def test_a_clock_that_steps_back_is_noticed(tmp_path, compression, topic):
     with LogFile(tmp_path / "log.mcap", compression, chunk_size=5000) as file:
         write_calibration(file)
         sender = Sender(file)
@@ -179,7 +179,7 @@ def test_a_clock_that_steps_back_anywhere_is_seen(tmp_path, compression, topic):
 
 @pytest.mark.parametrize("scan", [False, True])
 @pytest.mark.parametrize("zero", [0, 40])
-def test_seconds_count_from_the_first_stamp_that_is_told(tmp_path, scan, zero):
+def test_seconds_count_from_the_first_valid_timestamp(tmp_path, scan, zero):
     scene = make_scene(FRAMES)
     scene.depth_ns[zero] = 0
     with LogFile(tmp_path / "log.mcap") as file:
@@ -197,7 +197,7 @@ def test_seconds_count_from_the_first_stamp_that_is_told(tmp_path, scan, zero):
         assert log.description.duration_s == (stamps[-1] - begin) / 1e9
 
 
-def test_the_search_looks_at_few_frames():
+def test_the_search_for_a_time_reads_few_frames():
     seen = []
 
     def stamp_ns(number):

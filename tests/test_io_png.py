@@ -1,4 +1,4 @@
-"""PNG: each kind that is read equals OpenCV's, what is damaged or of another kind is refused."""
+"""PNG decoder: equal to OpenCV, errors for damaged and unsupported images."""
 
 import contextlib
 import struct
@@ -16,12 +16,12 @@ from jaxdet.io.png import MAGIC, decode_png_color, decode_png_depth, read_png_he
 
 RANDOM = np.random.default_rng(5)
 KINDS = {"grey": (0, 1), "rgb": (2, 3), "grey alpha": (4, 2), "rgb alpha": (6, 4)}
-"""Colour type and samples of a pixel."""
+"""Colour type and samples per pixel."""
 NO_DATA = [(b"IEND", b"")]
 
 
 def predicted(left: int, above: int, corner: int, kind: int) -> int:
-    """What a filter subtracts, as the specification writes it."""
+    """Return the prediction of a filter, by the specification."""
     if kind < 3:
         return (0, left, above)[kind]
     if kind == 3:
@@ -31,7 +31,7 @@ def predicted(left: int, above: int, corner: int, kind: int) -> int:
 
 
 def filtered(samples: bytes, height: int, step: int, filters: list[int]) -> bytes:
-    """The lines of a PNG: ``height`` of them, the filters in turns."""
+    """Return the filtered lines of a PNG, using the filters in turns."""
     width = len(samples) // height
     lines = bytearray()
     for v in range(height):
@@ -46,7 +46,7 @@ def filtered(samples: bytes, height: int, step: int, filters: list[int]) -> byte
 
 
 def chunks(items: list[tuple[bytes, bytes]]) -> bytes:
-    """A file of these chunks."""
+    """Return a file of these chunks."""
     parts = (struct.pack(">I", len(data)) + name + data for name, data in items)
     checks = (struct.pack(">I", zlib.crc32(name + data)) for name, data in items)
     return MAGIC + b"".join(a + b for a, b in zip(parts, checks, strict=True))
@@ -57,7 +57,7 @@ def head(width: int, height: int, bits: int, kind: int, *rest: int) -> tuple[byt
 
 
 def encode(pixels: np.ndarray, filters: list[int], kind: str, pieces: int = 1) -> bytes:
-    """A PNG of ``(H, W, C)`` uint8 or uint16, its data in several chunks."""
+    """Return a PNG of ``(H, W, C)`` uint8 or uint16, with its data in several chunks."""
     height, width = pixels.shape[:2]
     samples = pixels.astype(pixels.dtype.newbyteorder(">")).tobytes()
     lines = filtered(samples, height, pixels.itemsize * pixels.shape[2], filters)
@@ -69,7 +69,7 @@ def encode(pixels: np.ndarray, filters: list[int], kind: str, pieces: int = 1) -
 
 
 def random_pixels(shape: tuple[int, int], kind: str, dtype: type) -> np.ndarray:
-    """Half of them noise, half smooth, so that all ways through a filter are taken."""
+    """Return half noise and half smooth pixels, which take all branches of the filters."""
     limit = np.iinfo(dtype).max
     noise = RANDOM.integers(0, limit, (*shape, KINDS[kind][1]), endpoint=True)
     smooth = np.cumsum(RANDOM.integers(0, 3, noise.shape), axis=1)
@@ -77,7 +77,7 @@ def random_pixels(shape: tuple[int, int], kind: str, dtype: type) -> np.ndarray:
 
 
 def color(data: bytes) -> np.ndarray:
-    """RGB, between rows that must stay as they are."""
+    """Decode RGB; assert that adjacent memory is unchanged."""
     width, height = read_png_head(data)[:2]
     batch = np.full((3, height, width, 3), 99, np.uint8)
     decode_png_color(data, batch[1])
@@ -116,8 +116,8 @@ def test_each_kind_and_filter_equals_opencv(kind, dtype, shape, filters):
 
 
 @pytest.mark.parametrize("shape", [(1, 40), (16, 16), (15, 33), (17, 31), (33, 15), (50, 70)])
-def test_depth_of_any_size_and_filters(shape):
-    """Sixteen lines are undone together, each a pixel behind the one above it."""
+def test_depth_of_any_size_and_filters_equals_opencv(shape):
+    """The decoder processes sixteen lines together, each a pixel behind the previous one."""
     for _ in range(20):
         pixels = random_pixels(shape, "grey", np.uint16)
         data = encode(pixels, RANDOM.integers(0, 5, shape[0]).tolist(), "grey")
@@ -125,14 +125,14 @@ def test_depth_of_any_size_and_filters(shape):
 
 
 @pytest.mark.parametrize("level", [0, 1, 9])
-def test_what_opencv_writes(level):
+def test_images_written_by_opencv_are_decoded(level):
     rows = np.linspace(400, 9000, 480)[:, None] + RANDOM.normal(0, 8, (480, 640))
     pixels = np.where(RANDOM.random(rows.shape) < 0.1, 0, rows).astype(np.uint16)
     data = cv2.imencode(".png", pixels, [cv2.IMWRITE_PNG_COMPRESSION, level])[1].tobytes()
     np.testing.assert_array_equal(depth(data), pixels)
 
 
-def test_chunks_that_do_not_change_the_samples_are_passed_over():
+def test_ancillary_chunks_are_ignored():
     pixels = random_pixels((5, 6), "rgb", np.uint8)
     first, text, *rest = split(encode(pixels, [4], "rgb"))
     extra = [(b"gAMA", struct.pack(">I", 45455)), (b"tRNS", bytes(6)), (b"PLTE", bytes(9))]
@@ -141,7 +141,7 @@ def test_chunks_that_do_not_change_the_samples_are_passed_over():
 
 
 def split(data: bytes) -> list[tuple[bytes, bytes]]:
-    """The chunks of a whole file."""
+    """Return the chunks of a file."""
     found, at = [], len(MAGIC)
     while at < len(data):
         size = int.from_bytes(data[at : at + 4])
@@ -151,12 +151,12 @@ def split(data: bytes) -> list[tuple[bytes, bytes]]:
 
 
 LINES = bytes(6 * (1 + 2 * 8))
-"""Of 8x6 zeros, 16-bit grey."""
+"""Chunks of a 16-bit grey image of 8x6 zeros."""
 GREY16 = head(8, 6, 16, 0)
 
 
 def damaged() -> dict[str, tuple[list[tuple[bytes, bytes]], str]]:
-    """Chunks, and what is said of them."""
+    """Return damaged chunks and the expected error, by name."""
     data = (b"IDAT", zlib.compress(LINES))
     bomb = (b"IDAT", zlib.compress(bytes(64 << 20), 9))
     wrong = (b"IDAT", zlib.compress(b"\5" + LINES[1:]))
@@ -181,7 +181,7 @@ def damaged() -> dict[str, tuple[list[tuple[bytes, bytes]], str]]:
 
 
 @pytest.mark.parametrize("name", damaged())
-def test_what_is_damaged_or_not_supported_is_refused_in_bounded_memory(name):
+def test_damaged_and_unsupported_images_are_refused_in_bounded_memory(name):
     items, problem = damaged()[name]
     data = chunks(items)
     for decode, row in (
@@ -197,14 +197,14 @@ def test_what_is_damaged_or_not_supported_is_refused_in_bounded_memory(name):
             tracemalloc.stop()
 
 
-def test_depth_of_another_kind_is_refused():
+def test_depth_of_another_pixel_type_is_refused():
     for kind, dtype in (("grey", np.uint8), ("rgb", np.uint16), ("grey alpha", np.uint16)):
         data = encode(random_pixels((6, 8), kind, dtype), [0], kind)
         with pytest.raises(ValueError, match="16-bit grey"):
             depth(data)
 
 
-def test_any_cut_and_any_changed_bit_is_found():
+def test_any_truncation_and_any_changed_bit_is_detected():
     pixels = random_pixels((6, 8), "grey", np.uint16)
     data = encode(pixels, [1, 4], "grey")
     row = np.zeros((6, 8), np.uint16)
@@ -225,8 +225,8 @@ def test_any_cut_and_any_changed_bit_is_found():
     st.integers(1, 12),
     st.randoms(use_true_random=False),
 )
-def test_any_lines_are_what_opencv_makes_of_them(kind, size, height, width, random):
-    """Lines that no encoder writes, with a right sum."""
+def test_random_lines_are_decoded_as_by_opencv(kind, size, height, width, random):
+    """No encoder writes such lines; their checksum is right."""
     count = KINDS[kind][1] * size * width
     lines = b"".join(bytes([random.randrange(5)]) + random.randbytes(count) for _ in range(height))
     first = head(width, height, 8 * size, KINDS[kind][0])
@@ -235,7 +235,7 @@ def test_any_lines_are_what_opencv_makes_of_them(kind, size, height, width, rand
 
 
 @given(st.binary(max_size=80), st.lists(st.integers(0, 400), max_size=4))
-def test_any_bytes_end_in_an_error_or_in_what_opencv_reads(noise, places):
+def test_random_bytes_are_an_error_or_decoded_as_by_opencv(noise, places):
     row = np.zeros((6, 8), np.uint16)
     stream = bytearray(zlib.compress(LINES[:50] + noise + LINES[50 + len(noise) :]))
     for place in places:

@@ -1,4 +1,4 @@
-"""Poses of whole logs: where they come from, and what can't be used."""
+"""Poses of logs: their sources, and poses that cannot be used."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ NO_TURN = (0.0, 0.0, 0.0, 1.0)
 
 
 @pytest.mark.parametrize("form", ["proto", "json"])
-def test_pose_in_frame_needs_the_frame_it_is_of(tmp_path, form):
+def test_poses_in_frame_messages_require_the_name_of_their_frame(tmp_path, form):
     path = str(write_foxglove(tmp_path / "x.mcap", make_scene(), form, pose=True))
     with open_log(path) as log:
         assert log.T_world_camera is None
@@ -57,7 +57,7 @@ def write(path, topics, base=True, late_ns=0):
     return str(path)
 
 
-def test_poses_of_another_clock_are_allowed_for(tmp_path):
+def test_offsets_of_the_clock_of_poses_are_applied(tmp_path):
     for late_s in (0, 3, -100_000):
         path = write(tmp_path / f"{late_s}.mcap", ["/odom"], late_ns=late_s * 1_000_000_000)
         with open_both_ways(path) as log:
@@ -69,7 +69,7 @@ def test_poses_of_another_clock_are_allowed_for(tmp_path):
     assert about.num_poses == 0 and any("no frame has a pose" in item for item in about.warnings)
 
 
-def test_several_pose_topics_are_not_guessed(tmp_path):
+def test_several_pose_topics_are_an_error(tmp_path):
     path = write(tmp_path / "x.mcap", ["/a/odom", "/b/odom"])
     with open_log(path) as log:
         assert log.T_world_camera is None
@@ -81,19 +81,19 @@ def test_several_pose_topics_are_not_guessed(tmp_path):
         open_log(path, LogOptions(odom="/c"))
 
 
-def test_odometry_that_nothing_joins_to_the_camera_is_not_used(tmp_path):
+def test_odometry_that_is_not_connected_to_the_camera_is_not_used(tmp_path):
     with open_log(write(tmp_path / "x.mcap", ["/odom"], base=False)) as log:
         assert log.T_world_camera is None and log.T_base_camera is None
         assert any("'base_link'" in text for text in log.description.warnings)
 
 
-def test_a_base_frame_that_is_not_there_is_an_error(tmp_path):
+def test_a_missing_base_frame_is_an_error(tmp_path):
     path = write(tmp_path / "x.mcap", [])
     with pytest.raises(CalibrationError, match=r"--log\.base-frame"):
         open_log(path, LogOptions(base_frame="nowhere"))
 
 
-def test_a_cycle_is_said_of_its_file_and_topic(tmp_path):
+def test_a_cycle_is_an_error_that_names_file_and_topic(tmp_path):
     with LogFile(tmp_path / "x.mcap") as log:
         write_calibration(log, tf=False)
         names = (DEPTH_FRAME, "base_link"), ("base_link", DEPTH_FRAME)
@@ -103,7 +103,7 @@ def test_a_cycle_is_said_of_its_file_and_topic(tmp_path):
         open_log(str(tmp_path / "x.mcap"))
 
 
-def test_without_tf_the_extrinsics_must_be_given(tmp_path):
+def test_extrinsics_are_required_without_tf(tmp_path):
     path = write(tmp_path / "x.mcap", ["/odom"])
     with open_log(path, LogOptions(tf=False)) as log:
         assert not log.has_color and "--log.color-from-depth" in log.color_problem
@@ -115,7 +115,7 @@ def test_without_tf_the_extrinsics_must_be_given(tmp_path):
 @pytest.mark.parametrize(
     ("first", "world", "lacking"), [(15, "odom", 0), (8, "map", 7), (0, "map", 0), (18, "odom", 0)]
 )
-def test_the_world_is_where_poses_are_known(tmp_path, first, world, lacking):
+def test_the_world_is_a_frame_in_which_poses_are_known(tmp_path, first, world, lacking):
     scene = make_scene(20)
     with LogFile(tmp_path / "x.mcap") as log:
         write_calibration(log)
@@ -130,8 +130,8 @@ def test_the_world_is_where_poses_are_known(tmp_path, first, world, lacking):
         assert log.world_frame == world and log.T_world_camera is not None
         assert np.isnan(log.T_world_camera[:, 0, 0]).sum() == lacking
         warnings = log.described(next(log.batches(20)).notes).warnings
-    said = f"{lacking} of 20 frames have no pose; see --log.world-frame and --log.odom"
-    assert (said in warnings) == (lacking > 0)
+    warning = f"{lacking} of 20 frames have no pose; see --log.world-frame and --log.odom"
+    assert (warning in warnings) == (lacking > 0)
     for part in ({"start": "0.6"}, {"stop": "0.2"}, {"every": 7}):
         with open_log(path, LogOptions(**part)) as log:
             assert log.world_frame == world
@@ -139,7 +139,7 @@ def test_the_world_is_where_poses_are_known(tmp_path, first, world, lacking):
 
 @pytest.mark.parametrize("whole", [True, False])
 @pytest.mark.parametrize("turn", [(0.0, 0.0, 0.0, 0.0), (np.nan, 0.0, 0.0, np.nan)])
-def test_a_transform_that_is_none_costs_the_others_of_its_message_nothing(
+def test_an_invalid_transform_does_not_affect_others_in_its_message(
     tmp_path, monkeypatch, turn, whole
 ):
     if not whole:
@@ -163,7 +163,7 @@ def test_a_transform_that_is_none_costs_the_others_of_its_message_nothing(
             assert "'finger': 21 transforms were ignored: quaternion (" in text
 
 
-def test_quaternions_are_those_of_scipy() -> None:
+def test_quaternions_equal_scipy() -> None:
     turns = Rotation.random(200, random_state=1)
     half = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1], [0.6, 0.8, 0, 0]]
     turns = Rotation.concatenate([turns, Rotation.from_quat(half)])

@@ -1,4 +1,4 @@
-"""Recordings made by others, and files that are none."""
+"""Recordings of others, and files that are not recordings."""
 
 from pathlib import Path
 
@@ -11,7 +11,7 @@ from jaxdet.io.motion import motion_matrix
 from tests.io_both_ways import is_indexed
 
 
-def test_real_unaligned_log(shared_data):
+def test_a_recorded_unaligned_log_is_read(shared_data):
     with open_log(str(shared_data / "aims_slam" / "aims_slam_18frames.mcap")) as log:
         color, depth = log.calibration.color, log.calibration.depth
         assert log.num_frames == 18 and depth is not None
@@ -23,7 +23,7 @@ def test_real_unaligned_log(shared_data):
         assert is_indexed(log)
 
 
-def test_real_pair_with_factory_calibration(shared_data):
+def test_a_recorded_pair_with_factory_calibration_is_read(shared_data):
     path = shared_data / "realsense_d435_bag" / "realsense_d435_1pair.mcap"
     with open_log(str(path)) as log:
         pairing = log.described(next(log.batches(2)).notes).pairing
@@ -39,7 +39,7 @@ def test_real_pair_with_factory_calibration(shared_data):
         assert log.read([0]).frames.valid.all()
 
 
-def test_real_logs_without_depth_end_in_one_clear_line(shared_data):
+def test_recorded_logs_without_depth_are_clear_errors(shared_data):
     files = sorted((shared_data / "mcap_real").glob("*.mcap"))
     assert files
     for path in files:
@@ -48,8 +48,8 @@ def test_real_logs_without_depth_end_in_one_clear_line(shared_data):
         assert str(path) in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_real_logs_are_the_same_by_their_index_and_scanned(shared_data):
-    """But for the one of ``test_real_unaligned_log``."""
+def test_recorded_logs_are_equal_by_index_and_by_scan(shared_data):
+    """``test_a_recorded_unaligned_log_is_read`` covers the remaining one."""
     found = 0
     for path in sorted(shared_data.rglob("*.mcap")):
         if path.parent.name not in ("mcap_real", "aims_slam"):
@@ -60,13 +60,13 @@ def test_real_logs_are_the_same_by_their_index_and_scanned(shared_data):
 
 
 @pytest.mark.parametrize("content", [b"", b"\x89MCAP0\r\n", b"\x89MCAP0\r\n" * 2, b"not mcap" * 99])
-def test_what_is_no_log_ends_in_one_clear_line(tmp_path: Path, content: bytes):
+def test_files_that_are_not_logs_are_clear_errors(tmp_path: Path, content: bytes):
     (tmp_path / "x.mcap").write_bytes(content)
     with pytest.raises(InputError, match=r"x\.mcap"):
         open_log(str(tmp_path / "x.mcap"))
 
 
-def test_inputs_that_hold_nothing(tmp_path: Path):
+def test_empty_inputs_are_errors(tmp_path: Path):
     for text in (str(tmp_path), str(tmp_path / "no.mcap"), str(tmp_path / "*.mcap")):
         with pytest.raises(JaxdetError, match=str(tmp_path)):
             find_logs([text])

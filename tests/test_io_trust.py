@@ -1,4 +1,4 @@
-"""What a log says of itself is held against what is read of it, and what changes is said."""
+"""Consistency of logs: index against content, changing files and calibrations, read errors."""
 
 import errno
 import os
@@ -59,13 +59,13 @@ SCENE = make_scene(8)
 
 
 def drop(path: Path, item) -> None:
-    """Removes a record of a file."""
+    """Remove a record from a file."""
     data = path.read_bytes()
     path.write_bytes(data[: item.start] + data[item.end :])
 
 
 @pytest.mark.parametrize("name", ["raw", "zstd", "no_crc"])
-def test_a_chunk_that_the_index_counts_is_missed(tmp_path, name):
+def test_a_missing_chunk_is_reported_by_the_index(tmp_path, name):
     path = write_format(name, tmp_path / "x.mcap")
     drop(path, chunks(path.read_bytes())[2])
     with open_log(str(path)) as log:
@@ -77,17 +77,17 @@ def test_a_chunk_that_the_index_counts_is_missed(tmp_path, name):
         assert "missing messages can't" not in file.text
 
 
-def test_message_indexes_alone_tell_what_is_missing(tmp_path):
+def test_missing_messages_are_reported_by_message_indexes(tmp_path):
     path = write_format("raw", tmp_path / "x.mcap")
     data = path.read_bytes()
     drop(path, chunks(data)[1])
-    path.write_bytes(path.read_bytes()[:-500])  # and there is no summary either
+    path.write_bytes(path.read_bytes()[:-500])  # without a summary
     with open_log(str(path)) as log:
         [file] = log.description.integrity
         assert file.missing and "missing messages can't be counted" in file.text
 
 
-def test_a_summary_that_cannot_be_read_is_mentioned(tmp_path):
+def test_an_unreadable_summary_is_reported(tmp_path):
     path = write_log(tmp_path / "x.mcap", SCENE)
     data = bytearray(path.read_bytes())
     footer = len(data) - 8 - 20
@@ -99,19 +99,19 @@ def test_a_summary_that_cannot_be_read_is_mentioned(tmp_path):
         assert any("missing messages can't be counted" in text for text in log.description.warnings)
 
 
-def test_that_nothing_can_be_checked_is_said_once(tmp_path):
+def test_missing_checksums_are_reported_once(tmp_path):
     for number in range(2):
         part = make_scene(2)._replace(color_ns=SCENE.color_ns[2 * number :][:2])
         part = part._replace(depth_ns=SCENE.depth_ns[2 * number :][:2])
         write_log(tmp_path / f"x_{number}.mcap", part, crc=False)
     with open_log(str(tmp_path)) as log:
-        said = "no integrity check of 2 of 2 files, which have no CRCs"
+        expected = "no integrity check of 2 of 2 files, which have no CRCs"
         assert not log.description.warnings
-        assert [text for text in log.description.notes if "joined" not in text] == [said]
+        assert [text for text in log.description.notes if "joined" not in text] == [expected]
 
 
-def test_a_chunk_that_the_index_does_not_know(tmp_path):
-    """Between two that it knows: statistics that count it and the walk contradict each other."""
+def test_a_chunk_missing_in_the_index_is_reported(tmp_path):
+    """The chunk is between two known ones; the statistics count it."""
     path = write_format("raw", tmp_path / "x.mcap")
     data = path.read_bytes()
     item = chunks(data)[3]
@@ -123,7 +123,7 @@ def test_a_chunk_that_the_index_does_not_know(tmp_path):
 
 @pytest.mark.parametrize("scan", [False, True])
 @pytest.mark.parametrize("how", ["grown", "cut", "emptied", "replaced", "rewritten", "removed"])
-def test_a_file_that_changes_while_it_is_read(tmp_path, how, scan):
+def test_a_file_that_changes_while_reading_is_an_error(tmp_path, how, scan):
     path = write_log(tmp_path / "x.mcap", SCENE, compression="none", chunk_size=6000)
     with open_log(str(path), LogOptions(scan=scan)) as log:
         log.read([0])
@@ -146,7 +146,7 @@ def test_a_file_that_changes_while_it_is_read(tmp_path, how, scan):
             list(log.batches(2))
 
 
-def test_a_file_that_changes_before_another_process_opens_it(tmp_path):
+def test_a_file_that_changes_before_a_worker_opens_it_is_an_error(tmp_path):
     path = write_log(tmp_path / "x.mcap", SCENE)
     with open_log(str(path)) as log:
         work = pickle.dumps(log)
@@ -155,7 +155,7 @@ def test_a_file_that_changes_before_another_process_opens_it(tmp_path):
             pickle.loads(work)
 
 
-def test_a_file_that_is_cut_while_it_is_scanned(tmp_path):
+def test_a_file_truncated_while_scanning_is_an_error(tmp_path):
     path = write_log(tmp_path / "x.mcap", SCENE, compression="none", chunk_size=6000)
     [source] = find_logs([str(path)])
     opened = open_files(source, LogOptions(), ReadMemory())
@@ -166,7 +166,7 @@ def test_a_file_that_is_cut_while_it_is_scanned(tmp_path):
         file.close()
 
 
-def test_a_topic_may_have_messages_of_several_kinds(tmp_path):
+def test_a_topic_may_have_messages_of_several_types(tmp_path):
     path = tmp_path / "x.mcap"
     with LogFile(path, chunk_size=6000) as log:
         write_calibration(log)
@@ -179,7 +179,7 @@ def test_a_topic_may_have_messages_of_several_kinds(tmp_path):
 
 
 def other_calibration(path: Path, changed: range, K: tuple[float, ...]) -> Path:
-    """A log with a CameraInfo next to each depth image, in a range another one."""
+    """Write a log with a CameraInfo per depth image, which differs in a range."""
     with LogFile(path, chunk_size=9000) as log:
         write_calibration(log)
         for number in range(8):
@@ -191,7 +191,7 @@ def other_calibration(path: Path, changed: range, K: tuple[float, ...]) -> Path:
     return path
 
 
-def test_frames_of_another_calibration_are_not_used(tmp_path):
+def test_frames_with_another_calibration_are_not_used(tmp_path):
     path = other_calibration(tmp_path / "x.mcap", range(4, 6), (60.0, 51.0, 15.5, 11.5))
     with open_log(str(path)) as log, pytest.raises(RescanError, match="the calibration changes"):
         list(log.batches(3))
@@ -205,8 +205,8 @@ def test_frames_of_another_calibration_are_not_used(tmp_path):
 
 
 @pytest.mark.parametrize("part", [{"start": "1"}, {"every": 15}])
-def test_a_calibration_that_changes_before_the_part_that_is_read(tmp_path, part):
-    """And is recorded where it changes only."""
+def test_a_calibration_that_changes_before_a_part_causes_a_scan(tmp_path, part):
+    """The calibration is recorded only when it changes."""
     scene = make_scene(36)
     path = tmp_path / "x.mcap"
     with LogFile(path, chunk_size=9000) as log:
@@ -220,20 +220,20 @@ def test_a_calibration_that_changes_before_the_part_that_is_read(tmp_path, part)
         list(log.batches(3))
 
 
-def test_a_camera_that_is_not_calibrated_for_a_while_says_nothing(tmp_path):
+def test_empty_calibrations_are_ignored(tmp_path):
     path = other_calibration(tmp_path / "x.mcap", range(4, 6), (0.0, 0.0, 0.0, 0.0))
     with open_log(str(path)) as log:
         assert all(status is FrameStatus.OK for b in log.batches(3) for status in b.status)
 
 
-def test_given_intrinsics_go_before_calibrations_that_change(tmp_path):
+def test_given_intrinsics_override_changing_calibrations(tmp_path):
     path = other_calibration(tmp_path / "x.mcap", range(4, 8), (60.0, 51.0, 15.5, 11.5))
     with open_log(str(path), LogOptions(depth_intrinsics=DEPTH_K)) as log:
         assert all(status is FrameStatus.OK for b in log.batches(3) for status in b.status)
 
 
 def drive(path: Path, start: int, K: tuple[float, ...] = COLOR_K, count: int = 3) -> None:
-    """A log that begins at a time."""
+    """Write a log that begins at a time."""
     shift = start - START
     scene = make_scene(count)
     with LogFile(path) as log:
@@ -246,7 +246,7 @@ def names_of(folder: Path) -> list[tuple[str, int]]:
     return [(log.name, len(log.paths)) for log in find_logs([str(folder)])]
 
 
-def test_numbered_files_are_one_log_only_if_they_belong_together(tmp_path):
+def test_numbered_files_are_one_log_only_with_equal_calibrations_and_short_pauses(tmp_path):
     for number in range(3):
         drive(tmp_path / f"x_{number}.mcap", START + number * SECOND)
     assert names_of(tmp_path) == [("x", 3)]
@@ -267,7 +267,7 @@ def test_numbered_files_are_one_log_only_if_they_belong_together(tmp_path):
     ("start", "why"),
     [(-SECOND, "overlap in time"), (SECOND // 40, ""), (100 * SECOND, " s apart")],
 )
-def test_numbered_files_follow_one_another(tmp_path, start, why):
+def test_splits_must_be_consecutive_in_time(tmp_path, start, why):
     drive(tmp_path / "x_1.mcap", START)
     drive(tmp_path / "x_2.mcap", START + (3 * SECOND if start < 0 else 0) + start)
     if start < 0:
@@ -276,7 +276,7 @@ def test_numbered_files_follow_one_another(tmp_path, start, why):
     assert len(logs) == (2 if why else 1) and why in logs[0].about
 
 
-def test_a_drive_does_not_take_the_calibration_of_another(tmp_path):
+def test_calibrations_of_other_recordings_are_not_used(tmp_path):
     with LogFile(tmp_path / "drive_1.mcap") as log:
         write_images(log, make_scene(3))
     drive(tmp_path / "drive_2.mcap", START + 100_000 * SECOND)
@@ -296,7 +296,7 @@ def test_a_drive_does_not_take_the_calibration_of_another(tmp_path):
         ((0, 0, 0), (1e200, 0, 0, 0), "not of unit length"),
     ],
 )
-def test_poses_that_no_robot_has_are_refused(t, q, why):
+def test_implausible_poses_are_refused(t, q, why):
     def decoded(message: Any) -> Any:
         name = message.__msgtype__
         text = STORE.generate_msgdef(name, ros_version=2)[0].encode()
@@ -309,7 +309,7 @@ def test_poses_that_no_robot_has_are_refused(t, q, why):
     assert why in bad.problem and not good.problem and good.translation == (1, 2, 3)
 
 
-def test_a_tree_has_no_end_of_frames_nor_of_time():
+def test_the_number_of_tf_frames_is_limited():
     tree = TransformTree()
     chain = [
         TransformMessage(0, f"f{i}", f"f{i + 1}", (0, 0, 0), (0, 0, 0, 1)) for i in range(11_000)
@@ -319,7 +319,7 @@ def test_a_tree_has_no_end_of_frames_nor_of_time():
     assert tree.joins("f0", "f9000")
 
 
-def test_names_are_printable_everywhere(tmp_path):
+def test_names_are_escaped_everywhere(tmp_path):
     path = tmp_path / os.fsdecode(b"a\xff\x1b[31m\n.mcap")
     shutil.copy(write_log(tmp_path / "x.mcap", make_scene(2)), path)
     [log] = find_logs([str(path)])
@@ -335,14 +335,14 @@ def test_names_are_printable_everywhere(tmp_path):
 
 
 @given(st.text())
-def test_what_is_printable_is_kept_and_all_else_escaped(text):
+def test_printable_characters_are_kept_and_others_escaped(text):
     shown = printable(text)
     assert shown.isprintable() and shown.encode("utf-8").isascii() >= text.isascii()
     assert shown == text or not text.isprintable()
 
 
 @given(st.binary(max_size=200))
-def test_declarations_of_any_bytes(data):
+def test_random_bytes_as_declarations_are_errors_or_parsed(data):
     declared = Declarations()
     for add in (declared.add_schema, declared.add_channel):
         try:
@@ -363,7 +363,7 @@ GOOD = bytes(STORE.serialize_cdr(ros_image(SCENE.color[0], "rgb8", START, COLOR_
 
 
 @given(st.binary(max_size=80), st.integers(0, 70))
-def test_cdr_of_any_bytes(data, place):
+def test_random_bytes_as_cdr_are_errors_or_decoded(data, place):
     for payload in (data, GOOD[:place] + data, GOOD[:place] + data + GOOD[place + len(data) :]):
         try:
             DECODER.decode(memoryview(payload))
@@ -373,8 +373,8 @@ def test_cdr_of_any_bytes(data, place):
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_index_of_any_bytes(tmp_path, seed):
-    """The summary and message indexes with wrong numbers, and CRCs that don't mind."""
+def test_random_changes_of_the_index_are_errors_or_lose_no_frames(tmp_path, seed):
+    """Summary and message indexes have wrong numbers, and their CRCs match."""
     path, random = write_format("raw", tmp_path / "x.mcap"), Random(seed)
     data = bytearray(path.read_bytes())
     places = [item for item in records(bytes(data)) if item.opcode in (7, 8, 11)]
@@ -393,7 +393,7 @@ def test_index_of_any_bytes(tmp_path, seed):
         assert str(error).isprintable()
 
 
-def test_definitions_lose_what_says_nothing_of_bytes():
+def test_definitions_are_reduced_to_the_layout_of_fields():
     text = (
         "# a [m] comment\nuint8 A=1\nuint8[<=3] a 1 # b\nstring<=10 b\n====\nMSG: x/Y\nint8 c -1\n"
     )
@@ -402,7 +402,7 @@ def test_definitions_lose_what_says_nothing_of_bytes():
 
 @pytest.fixture
 def fail(monkeypatch) -> Callable[..., list[float]]:
-    """Makes so many of the next calls fail that read; returns what is waited for them [s]."""
+    """Return a function that makes the next reads fail; it returns the waits [s]."""
     left, waited, number = 0, [], errno.EIO
 
     def flaky(call: Callable[..., Any]) -> Callable[..., Any]:
@@ -426,8 +426,8 @@ def fail(monkeypatch) -> Callable[..., list[float]]:
     return begin
 
 
-def test_errors_that_pass_cost_nothing(tmp_path, fail):
-    """A disk or a file server that is gone for a moment: each read is tried four times."""
+def test_temporary_read_errors_are_retried(tmp_path, fail):
+    """Each read is tried four times, as a disk or file server may be absent for a moment."""
     path = write_log(tmp_path / "x.mcap", SCENE, compression="none", chunk_size=6000)
     with open_log(str(path)) as log:
         want, waited = list(log.batches(3)), fail(0)
@@ -442,7 +442,7 @@ def test_errors_that_pass_cost_nothing(tmp_path, fail):
         assert (one.frames.depth == other.frames.depth).all()
 
 
-def test_a_file_that_is_bad_for_good_is_not_waited_for_at_each_place(tmp_path, fail):
+def test_permanent_read_errors_are_not_retried_at_each_position(tmp_path, fail):
     path = write_log(tmp_path / "x.mcap", SCENE)
     file = McapFile(path, 1 << 20)
     waited = fail(1 << 20)
@@ -453,7 +453,7 @@ def test_a_file_that_is_bad_for_good_is_not_waited_for_at_each_place(tmp_path, f
     file.close()
 
 
-def test_only_errors_that_may_pass_are_waited_for(tmp_path, fail):
+def test_only_temporary_errors_are_retried(tmp_path, fail):
     file = McapFile(write_log(tmp_path / "x.mcap", SCENE), 1 << 20)
     for error in (errno.EACCES, errno.EISDIR, errno.EBADF):
         waited = fail(1, error)
@@ -463,7 +463,7 @@ def test_only_errors_that_may_pass_are_waited_for(tmp_path, fail):
     file.close()
 
 
-def test_partial_reads_and_errors_of_the_file_system(tmp_path, monkeypatch):
+def test_partial_reads_are_continued_and_errors_reported(tmp_path, monkeypatch):
     monkeypatch.setattr(container, "_WAITS_S", ())
     path = write_log(tmp_path / "x.mcap", SCENE, compression="none", chunk_size=6000)
     plain, plain_into, failing = os.pread, os.preadv, False
@@ -486,7 +486,7 @@ def test_partial_reads_and_errors_of_the_file_system(tmp_path, monkeypatch):
         assert FrameStatus.DECODE_ERROR in statuses and len(statuses) == 8
 
 
-def test_video_is_refused_by_name(tmp_path):
+def test_video_is_refused_with_its_format(tmp_path):
     with LogFile(tmp_path / "x.mcap") as log:
         log.json("/cam/color/video", "foxglove.CompressedVideo", {"data": ""}, START)
     with pytest.raises(JaxdetError, match=r"/cam/color/video \(foxglove.CompressedVideo\)"):
@@ -494,8 +494,8 @@ def test_video_is_refused_by_name(tmp_path):
 
 
 @pytest.mark.parametrize("bad", [(20, 30), (1, 30)], ids=["later", "looked_at"])
-def test_a_transform_that_cannot_be_decoded_is_counted(tmp_path, monkeypatch, bad):
-    """Be it beyond those that opening looks at: the log is scanned then."""
+def test_undecodable_transforms_are_counted(tmp_path, monkeypatch, bad):
+    """If it is not read when the log is opened, the log is scanned."""
     monkeypatch.setattr(indexed, "_MAX_MOTIONS", 0)
     monkeypatch.setattr(indexed, "FIRST_MOTIONS", 4)
     monkeypatch.setattr(indexed, "_MOTION_SAMPLE", 2)
@@ -514,5 +514,5 @@ def test_a_transform_that_cannot_be_decoded_is_counted(tmp_path, monkeypatch, ba
         with open_log(str(path)) as log, pytest.raises(RescanError, match=text):
             list(log.batches(8))
     with open_log(str(path), LogOptions(scan=bad[0] > 4)) as log:
-        said = "/tf: 2 of 42 messages can't be decoded"
-        assert any(said in text for text in log.description.warnings)
+        expected = "/tf: 2 of 42 messages can't be decoded"
+        assert any(expected in text for text in log.description.warnings)

@@ -1,4 +1,4 @@
-"""Which frames a calibration holds for."""
+"""Frames for which a calibration is valid."""
 
 import numpy as np
 
@@ -19,7 +19,7 @@ def info(width=640, fx=500.0, stamp=0):
     )
 
 
-def test_before_the_first_calibration_that_one_holds():
+def test_the_first_calibration_is_valid_for_earlier_frames():
     used, other = info(), info(fx=400.0)
     changes = [
         CalibrationChange(10, 10, values_of(used)),
@@ -33,7 +33,7 @@ def test_before_the_first_calibration_that_one_holds():
     ]
 
 
-def test_another_size_or_lens_is_another_calibration():
+def test_another_size_or_lens_is_a_change_of_calibration():
     assert says_other(info(width=848), info())
     assert says_other(info()._replace(height=400), info())
     assert says_other(info()._replace(P=(1.0,) * 12), info())

@@ -1,4 +1,4 @@
-"""The images that take longest to decode: how much longer than a plain one of their size."""
+"""Images that take longest to decode: their time is bounded by their size."""
 
 import struct
 import time
@@ -38,12 +38,12 @@ def png(height: int, idat: list[bytes]) -> bytes:
 
 
 def bits(*fields: tuple[int, int]) -> list[int]:
-    """Numbers of so many bits, the lowest first."""
+    """Return the bits of numbers, lowest first, from pairs of number and bit count."""
     return [value >> i & 1 for value, count in fields for i in range(count)]
 
 
 def empty_blocks(count: int) -> bytes:
-    """Blocks of 90 bits with codes of their own, and nothing in them."""
+    """Return empty deflate blocks of 90 bits, each with its own codes."""
     lengths = [int(symbol in (1, 18)) for symbol in (16, 17, 18, *[0] * 14, 1)]
     codes = (1, 1), (138 - 11, 7), (1, 1), (118 - 11, 7), (0, 1), (0, 1)
     kind = (0, 1), (2, 2), (0, 5), (0, 5), (14, 4)
@@ -59,14 +59,14 @@ def lines(height: int) -> bytes:
 
 
 def worst_png(height: int, share: float = 1.2) -> bytes:
-    """As much of what inflates to nothing as is taken."""
+    """Return a PNG with as many empty blocks as are accepted."""
     plain = lines(height)
     many = int(share * height * (1 + 3 * W)) * 8 // 90 // 8 * 8
     return png(height, [plain[:2] + empty_blocks(many) + plain[2:]])
 
 
 def worst_rvl(height: int) -> bytes:
-    """Each number in 11 nibbles: no zeros, one pixel, no difference."""
+    """Return RVL with numbers of 11 nibbles each: no zeros, one pixel, no difference."""
     numbers = [[8] * 10 + [0], [9] + [8] * 9 + [0], [8] * 10 + [0]]
     nibbles = np.array([n for number in numbers for n in number] * (height * W), np.uint32)
     nibbles = np.pad(nibbles, (0, -len(nibbles) % 8)).reshape(-1, 8)
@@ -74,7 +74,7 @@ def worst_rvl(height: int) -> bytes:
 
 
 def worst_jpeg(height: int, scans: int = MOST_SCANS) -> bytes:
-    """Noise, and the last scan again and again."""
+    """Return a progressive JPEG of noise that repeats the last scan."""
     noise = np.random.default_rng(0).integers(0, 256, (height, W, 3), np.uint8)
     how = [cv2.IMWRITE_JPEG_PROGRESSIVE, 1, cv2.IMWRITE_JPEG_QUALITY, 95]
     data = cv2.imencode(".jpg", noise, how)[1].tobytes()
@@ -90,7 +90,7 @@ def plain(height: int, kind: str) -> bytes:
 
 
 def seconds(decode: Decode, data: bytes, height: int) -> float:
-    """Of this thread, as others use the machine; the shortest of a few."""
+    """Return the shortest CPU time of a few trials in this thread [s]."""
     shape = (height, W) if decode is decode_rvl else (height, W, 3)
     row, times = np.zeros(shape, np.uint16 if decode is decode_rvl else np.uint8), []
     for _ in range(4):
@@ -98,7 +98,7 @@ def seconds(decode: Decode, data: bytes, height: int) -> float:
         try:
             decode(memoryview(data), row)
         except ValueError as error:
-            assert "progression" in str(error)  # said when all scans are through
+            assert "progression" in str(error)  # raised after all scans
         times.append(time.thread_time() - start)
     return min(times)
 
@@ -111,7 +111,7 @@ def seconds(decode: Decode, data: bytes, height: int) -> float:
         (decode_jpeg, worst_jpeg, ".jpg"),
     ],
 )
-def test_the_worst_image_takes_a_bounded_time_for_its_size(decode, worst, kind):
+def test_decoding_time_is_linear_in_the_size_of_the_worst_images(decode, worst, kind):
     seconds(decode, plain(H, kind), H)
     small, large = (seconds(decode, worst(height), height) for height in (H, 4 * H))
     assert small < MOST_TIMES * seconds(decode, plain(H, kind), H)
@@ -127,15 +127,15 @@ def test_the_worst_image_takes_a_bounded_time_for_its_size(decode, worst, kind):
         (decode_jpeg, plain(H, ".jpg") + bytes(3 << 20), "bytes are too many for its size"),
     ],
 )
-def test_more_work_than_an_image_is_worth_is_refused_at_once(decode, data, text):
+def test_images_with_excessive_work_are_refused_at_once(decode, data, text):
     start = time.perf_counter()
     with pytest.raises(ValueError, match=text):
         decode(memoryview(data), np.zeros((H, W, 3), np.uint8))
     assert time.perf_counter() - start < 0.5
 
 
-def test_scans_of_single_components_are_decoded():
-    """Some encoders don't interleave."""
+def test_jpegs_with_a_scan_per_component_are_decoded():
+    """Some encoders do not interleave components."""
     plain = cv2.imencode(".jpg", color(), [cv2.IMWRITE_JPEG_PROGRESSIVE, 1])[1].tobytes()
     row = np.zeros((H, W, 3), np.uint8)
     decode_jpeg(memoryview(plain), row)

@@ -1,4 +1,4 @@
-"""Commands that are killed: complete results or none, old or new ones, never a mixture."""
+"""Killed commands leave complete results or none, old or new ones, never a mixture."""
 
 import os
 import random
@@ -27,7 +27,7 @@ EACH = [pytest.param((f"{way.partition(':')[0]}:3",), marks=pytest.mark.slow) fo
 @pytest.mark.parametrize(
     "ways", [WAYS, *EACH], ids=lambda ways: ways[0] if len(ways) == 1 else "all"
 )
-def test_results_are_complete_whichever_system_call_was_the_last(
+def test_results_are_complete_if_killed_before_any_system_call(
     tmp_path: Path, ways: tuple[str, ...]
 ) -> None:
     command = [sys.executable, "-m", "tests.killed_runs", str(tmp_path), *ways]
@@ -42,10 +42,10 @@ MANY = [pytest.param([stop] * 7, marks=pytest.mark.slow) for stop in (KILL, INT,
 
 
 @pytest.mark.parametrize("stops", [[KILL, INT, KILL], *MANY])
-def test_a_command_that_was_killed_with_its_workers_goes_on(
+def test_a_command_killed_with_its_workers_is_resumed(
     tmp_path: Path, stops: list[signal.Signals]
 ) -> None:
-    """The next command leaves nothing of the killed one, which ended at a random moment."""
+    """The command is killed at a random time; the next one removes its temporary files."""
     (logs := tmp_path / "logs").mkdir()
     for seed in range(4):
         write_log(logs / f"{seed}.mcap", SimConfig(frames=8, width=96, height=72, seed=seed))

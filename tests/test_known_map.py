@@ -1,4 +1,4 @@
-"""Obstacles compared with a known map, and added to it."""
+"""Obstacles compared with a known map and added to it."""
 
 from pathlib import Path
 
@@ -17,13 +17,13 @@ from tests.export_results import by_hand
 from tests.test_export_grid import map_server
 
 LEFT, RIGHT = (-0.5, 1.5), (0.5, 1.5)
-"""A thing that the map has, and a new one: right and forward of a camera that looks along X."""
+"""An object on the map and a new one: right and forward of a camera that looks along X [m]."""
 FRAMES: list = [([LEFT, RIGHT], 1.4)] * 6
 ANY = ["--min-frames", "1"]
 
 
 def save_map(folder: Path, yaw: float = 0.0) -> Path:
-    """A map of a room of 6 x 6 m, unknown from 4 m on, with the left thing and a cabinet."""
+    """Write a map of a room of 6 x 6 m, unknown beyond 4 m, with the left object and a cabinet."""
     grid = Grid(np.full((60, 60), FREE, np.int8), (-1.0, -3.0), 0.1, yaw)
     grid.states[:, 50:] = UNKNOWN
     for x, y in (1.45, -LEFT[0]), (0.55, 0.05):
@@ -39,7 +39,7 @@ def state_at(grid: Grid, x: float, y: float) -> int:
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.3])
-def test_obstacles_and_tracks_say_whether_the_map_has_them(
+def test_obstacles_and_tracks_record_whether_they_are_on_the_map(
     tmp_path: Path, yaw: float, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder, known = by_hand(tmp_path / "r", FRAMES), save_map(tmp_path, yaw)
@@ -55,17 +55,17 @@ def test_obstacles_and_tracks_say_whether_the_map_has_them(
     assert shown is not None and shown["new"] == 1
     assert [row[-1] for row in shown["rows"]] == [True, False]
     assert [text.endswith("   new") for text in labels] == [False, True]
-    # The results hold a copy of the map, so that they can be verified without it.
+    # The results contain a copy of the map, so they can be verified without the original.
     known.unlink()
     assert not [f for f in verify(folder, sample=0).findings if f.check == "tracks"]
     np.testing.assert_allclose(read_map(folder / "known_map.yaml").yaw, yaw)
-    # Tracking without a map forgets it.
+    # Tracking without a map removes the comparison.
     track_results(folder, TrackConfig(min_frames=1))
     assert not list(folder.glob("known_map*"))
     assert pq.read_table(folder / "track_links.parquet")["in_map"].null_count == 12
 
 
-def test_a_changed_copy_of_the_map_is_found(tmp_path: Path) -> None:
+def test_a_changed_copy_of_the_map_is_a_finding(tmp_path: Path) -> None:
     folder, known = by_hand(tmp_path / "r", FRAMES), save_map(tmp_path)
     track_results(folder, TrackConfig(min_frames=1), known=read_map(known))
     grid = read_map(folder / "known_map.yaml")
@@ -89,7 +89,7 @@ def test_new_obstacles_are_added_to_the_map(tmp_path: Path, yaw: float, tracked:
         np.testing.assert_array_equal(map_server(tmp_path / "added/hand.yaml")[0], added.states)
     assert state_at(before, 1.5, -0.5) == FREE
     assert state_at(added, 1.5, -0.5) == state_at(cleared, 1.5, -0.5) == OCCUPIED
-    # What the map had is still there; but for the cabinet, where the floor was seen.
+    # The content of the map is kept, except for the cabinet, where floor was visible.
     assert state_at(added, 0.55, 0.05) == OCCUPIED and state_at(cleared, 0.55, 0.05) == FREE
     assert state_at(cleared, 1.45, 0.5) == state_at(added, 1.45, 0.5) == OCCUPIED
     assert (added.states == before.states).mean() > 0.97
@@ -97,7 +97,7 @@ def test_new_obstacles_are_added_to_the_map(tmp_path: Path, yaw: float, tracked:
     assert (added.yaw, added.cell_m, added.origin) == (before.yaw, before.cell_m, before.origin)
 
 
-def test_a_map_grows_where_obstacles_lie_outside_of_it(tmp_path: Path) -> None:
+def test_a_map_grows_to_contain_obstacles_outside_of_it(tmp_path: Path) -> None:
     folder = by_hand(tmp_path / "r", FRAMES)
     grid = Grid(np.full((10, 10), FREE, np.int8), (0.0, 0.0), 0.02, 0.5)
     write_map(tmp_path / "small.pgm", grid, "by hand", "map")
@@ -110,7 +110,7 @@ def test_a_map_grows_where_obstacles_lie_outside_of_it(tmp_path: Path) -> None:
         assert state_at(grown, *place.tolist()) == FREE
 
 
-def test_flags_that_do_not_fit_are_errors_of_one_line(
+def test_conflicting_flags_are_clear_errors(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder, known = str(by_hand(tmp_path / "r", FRAMES)), str(save_map(tmp_path))

@@ -1,4 +1,4 @@
-"""``--truth labels.json``: boxes that a user labelled, in COCO or as a plain list."""
+"""``--truth labels.json``: labelled boxes, in COCO format or as a plain list."""
 
 import json
 from collections.abc import Callable
@@ -35,7 +35,7 @@ def write(folder: Path, content: Any) -> Path:
     return path
 
 
-def test_coco(tmp_path: Path) -> None:
+def test_labels_in_coco_format_are_read(tmp_path: Path) -> None:
     labels = read_labels(write(tmp_path, COCO))
     assert labels.keys() == {("frame", 12), ("frame", 3), ("stamp_ns", 1_700_000_000_000_000_000)}
     first = labels["frame", 12]
@@ -45,7 +45,7 @@ def test_coco(tmp_path: Path) -> None:
     assert labels["stamp_ns", 1_700_000_000_000_000_000].boxes.shape == (0, 4)
 
 
-def test_plain_list(tmp_path: Path) -> None:
+def test_labels_in_a_plain_list_are_read(tmp_path: Path) -> None:
     rows = [
         {"frame": 1, "box": [10, 20, 39, 59], "distance_m": 2},
         {"image": "rgb/frame-000001.png", "box": [0, 0, 4, 4]},
@@ -88,12 +88,12 @@ def test_errors_name_the_file_and_the_entry(name: str, tmp_path: Path) -> None:
     assert str(raised.value).startswith(str(tmp_path)) and "\n" not in str(raised.value)
 
 
-def test_detections_are_found_false_or_ignored() -> None:
+def test_detections_are_matches_false_positives_or_ignored() -> None:
     boxes = np.array([[0, 0, 9, 9], [20, 0, 29, 9], [40, 0, 49, 9]], float)
     ignored = np.array([[100, 0, 119, 9]], float)
     labels = BoxLabels(boxes, np.array([1.0, 2.0, 3.0]), ignored)
     found = np.array([
-        [0, 0, 9, 9],  # right
+        [0, 0, 9, 9],  # match
         [20, 0, 29, 9],  # matches an object that is not required
         [42, 0, 60, 9],  # IoU 8 / 21
         [110, 0, 125, 9],  # 10 of 16 columns ignored
@@ -122,7 +122,9 @@ def scored(drive: Path, tmp_path: Path) -> Callable[[Any], dict[str, Any]]:
     return run
 
 
-def test_labels_that_are_the_results(drive: Path, scored: Callable[[Any], dict[str, Any]]) -> None:
+def test_results_as_labels_have_a_perfect_score(
+    drive: Path, scored: Callable[[Any], dict[str, Any]]
+) -> None:
     with open_results(drive / "out") as results:
         obstacles = results.tables().obstacles.to_pandas()
     shown = obstacles[obstacles.u_min.notna()]
@@ -149,7 +151,7 @@ def test_far_and_unmeasured_objects_are_not_required(
     drive: Path, scored: Callable[[Any], dict[str, Any]]
 ) -> None:
     depths = load_depths(drive / "drive.mcap", np.array([0]))[0]
-    far = (depths[10:20] > 7).all(axis=0)  # columns that show the wall at the end
+    far = (depths[10:20] > 7).all(axis=0)  # columns of the far wall
     u = int(np.median(np.flatnonzero(np.convolve(far, np.ones(5), "same") == 5)))
     wall = [u - 2, 10, u + 2, 19]
     outside = [400, 300, 420, 320]
@@ -157,7 +159,9 @@ def test_far_and_unmeasured_objects_are_not_required(
     assert score["visible"] == 0 and score["recall"] is None and score["false"] > 0
 
 
-def test_labels_in_a_run(drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_run_reports_the_score_on_labels(
+    drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     log, out = str(drive / "drive.mcap"), str(tmp_path / "out")
     coco = {
         "images": [{"id": 1, "frame": 0, "width": 640, "height": 480}],
@@ -173,8 +177,8 @@ def test_labels_in_a_run(drive: Path, tmp_path: Path, capsys: pytest.CaptureFixt
     other = tmp_path / "other.mcap"
     other.write_bytes((drive / "drive.mcap").read_bytes())
     assert main(["run", log, str(other), *args, "-y"]) == 2
-    said = "labels refer to one log, got 2 logs; run the logs one by one"
-    assert said in capsys.readouterr().err
+    message = "labels refer to one log, got 2 logs; run the logs one by one"
+    assert message in capsys.readouterr().err
     write(tmp_path, [{"frame": 0, "box": [100, 100, 140, 160]}])
     assert main(["run", log, *args, "-y"]) == 0
     assert "distance_m not compared: the true distances are unknown" in capsys.readouterr().out

@@ -1,4 +1,4 @@
-"""The house rules that a machine can check: names, lazy imports, no addresses."""
+"""Structure of the repository: names of files, lazy imports, no addresses."""
 
 import os
 import re
@@ -10,19 +10,19 @@ from jaxdet import config, reference, stages
 
 ROOT = Path(__file__).resolve().parents[1]
 STAGES = ("align", "ground", "features", "cluster", "footprint")
-"""Of obstacles made of points; features are corners on cells too."""
+"""Stages of obstacles made of points."""
 STEPS = ("cells", "floor", "surfaces", "obstacles", "outlines", "free")
-"""Steps on depth cells: the program's are headers of kernels, with tables of ``_tables.py``."""
+"""Steps on depth cells, whose programs are headers of kernels."""
 BENCHMARKS = {*STAGES, *STEPS, "pipeline"} - {"ground"}
 SECTIONS = ("ground", "features", "cluster", "footprint", "floor", "surface", "obstacle")
-"""Parts of the configuration; a step's has its name in the singular."""
+"""Sections of the configuration; that of a step has its name in the singular."""
 EXPORTS = {"detect", "find_floors", *STAGES}
 HEAVY = ("cv2", "jax", "matplotlib", "mcap", "numba", "pyarrow", "warp")
 SKIPPED_FOLDERS = {"__pycache__", "dist", "out"}
 
 
 def named_files() -> list[str]:
-    """The files that stages and steps consist of, relative to the root."""
+    """Return the files of stages and steps, relative to the root."""
     twins = [f"jaxdet/reference/_{name}.py" for name in STAGES + STEPS]
     twins += [f"jaxdet/stages/_{name}.py" for name in STAGES]
     tests = [f"tests/test_{name}.py" for name in STAGES]
@@ -31,7 +31,7 @@ def named_files() -> list[str]:
 
 
 def layout_faults(root: Path) -> list[str]:
-    """What breaks "one name everywhere" in the tree at ``root``."""
+    """Return violations of "one name everywhere" in the tree at ``root``."""
     faults = [f"{file} is missing" for file in named_files() if not (root / file).is_file()]
     wanted = {f"{name.capitalize()}Config" for name in SECTIONS}
     faults += [f"jaxdet/config.py lacks {name}" for name in sorted(wanted - set(dir(config)))]
@@ -43,7 +43,7 @@ def layout_faults(root: Path) -> list[str]:
 
 
 def tree(root: Path) -> list[Path]:
-    """Every file of the working tree but caches and outputs; needs no git."""
+    """Return all files of the working tree except caches and outputs, without git."""
     files = []
     for folder, names, leaves in os.walk(root):
         hidden = {name for name in names if name.startswith(".") and name != ".ci"}
@@ -56,7 +56,7 @@ def test_each_stage_and_step_has_its_files_config_and_exports() -> None:
     assert layout_faults(ROOT) == []
 
 
-def test_kernels_is_a_source_root() -> None:
+def test_kernels_is_a_source_root_and_not_a_package() -> None:
     assert not (ROOT / "kernels/__init__.py").exists()
     assert (ROOT / "kernels/jaxdet_kernels/__init__.py").is_file()
 

@@ -1,4 +1,4 @@
-"""What a run logs under Python's name ``jaxdet``, and which of it the command shows."""
+"""Logging of runs under the name ``jaxdet``, and the level shown by the command."""
 
 import logging
 from collections.abc import Iterator
@@ -12,7 +12,7 @@ from jaxdet.cli import main
 
 @pytest.fixture(autouse=True)
 def level() -> Iterator[None]:
-    """The level of the logger, which the command sets, is restored."""
+    """Restore the level of the logger, which the command sets."""
     logger = logging.getLogger("jaxdet")
     before = logger.level
     yield
@@ -28,7 +28,7 @@ def level() -> Iterator[None]:
         (["-q", "-vv"], False, False),
     ],
 )
-def test_flags_choose_the_level(
+def test_flags_set_the_level(
     flags: list[str],
     info: bool,
     debug: bool,
@@ -44,7 +44,7 @@ def test_flags_choose_the_level(
     assert len(done) == info and ("jaxdet: drive: 5 of 5 frames" in lines) == debug
 
 
-def test_a_program_stores_the_records(
+def test_programs_receive_the_records(
     drive: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     (tmp_path / "empty.mcap").write_bytes(b"")

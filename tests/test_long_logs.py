@@ -1,4 +1,4 @@
-"""Memory does not grow with the log: ``pytest -m slow tests/test_long_logs.py``, a minute."""
+"""Memory does not grow with the log: ``pytest -m slow tests/test_long_logs.py``, one minute."""
 
 import subprocess
 import sys
@@ -11,11 +11,11 @@ from benchmarks.feed import PeakMemory
 from jaxdet.sim import SimConfig
 
 SHORT, TIMES = 640, 5
-"""Frames of 0.4 MB; fewer would not fill what is kept of packed chunks."""
+"""Number of frames of 0.4 MB; fewer would not fill the cache of chunks."""
 
 
 def peak_mib(log: Path, output: Path) -> float:
-    """Of all processes of ``jaxdet run``; memory that several share counts once."""
+    """Return the memory of all processes of ``jaxdet run``; shared memory counts once."""
     command = [sys.executable, "-m", "jaxdet", "run", str(log), "--output", str(output)]
     command += ["--quiet", "--pictures", "0", "--workers", "2"]
     with subprocess.Popen(command) as process, PeakMemory(process.pid) as peak:
@@ -25,7 +25,7 @@ def peak_mib(log: Path, output: Path) -> float:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("form", ["raw", "zstd"])
-def test_a_log_five_times_as_long_takes_no_more(form, tmp_path, monkeypatch):
+def test_a_log_five_times_as_long_uses_no_more_memory(form, tmp_path, monkeypatch):
     monkeypatch.setattr(feed_logs, "CONFIG", SimConfig(frames=4, width=320, height=240))
     frames, found = feed_logs.drive(), []
     for count in (SHORT, TIMES * SHORT):

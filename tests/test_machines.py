@@ -1,4 +1,4 @@
-"""Tables are the same bytes on every CPU, as far as one CPU can imitate others."""
+"""Tables are equal bytes on every CPU, as far as one CPU can imitate others."""
 
 from pathlib import Path
 
@@ -9,8 +9,8 @@ from tests.machines import BLAS, PLAINEST, V4, can_run, environments, results, r
 
 FUNCTIONS = str(Path(__file__).with_name("machine_functions.py"))
 GOLDEN = Path(__file__).parent / "goldens" / "machine_functions.txt"
-"""What ``python tests/machine_functions.py`` prints; the same with an EPYC (AVX2), NumPy 2.4 and
-Python 3.11 and with a Xeon (AVX-512), NumPy 2.5 and Python 3.12. Written anew when a method
+"""Output of ``python tests/machine_functions.py``. It is the same on an EPYC (AVX2), NumPy 2.4 and
+Python 3.11 and on a Xeon (AVX-512), NumPy 2.5 and Python 3.12, and is updated when a method
 changes."""
 CONTROL = """
 import zlib

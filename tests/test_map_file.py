@@ -1,4 +1,4 @@
-"""Maps for nav2's map_server: read by its rules, written, and compared with obstacles."""
+"""Maps of nav2's map_server: read by its rules, written, and compared with obstacles."""
 
 from pathlib import Path
 
@@ -30,7 +30,7 @@ ABOUT = {
 
 
 def save(folder: Path, picture: np.ndarray = GREYS, **about: str | None) -> Path:
-    """Write a map; a key whose value is None is left out."""
+    """Write a map, without the keys whose value is None."""
     values = ABOUT | about
     lines = [f"{key}: {value}" for key, value in values.items() if value is not None]
     path = folder / "map.yaml"
@@ -41,7 +41,7 @@ def save(folder: Path, picture: np.ndarray = GREYS, **about: str | None) -> Path
 
 
 def nav2_states(greys: np.ndarray, negate: bool, occupied: float, free: float) -> list[list[int]]:
-    """The rules of nav2_map_server's trinary mode, pixel by pixel."""
+    """Return the states by the trinary mode of nav2_map_server, pixel by pixel."""
     rows = []
     for line in greys[::-1].tolist():
         rows.append([])
@@ -68,7 +68,7 @@ def test_trinary_maps_are_read_as_nav2_reads_them(
     assert (grid.origin, grid.cell_m, grid.yaw) == ((-1.0, 2.0), 0.05, 0.0)
 
 
-def test_colour_transparency_and_the_other_modes(tmp_path: Path) -> None:
+def test_colour_and_transparent_pictures_are_read_and_other_modes_refused(tmp_path: Path) -> None:
     pixels = np.zeros((1, 4, 4), np.uint8)
     pixels[0, :, :3] = [[0, 0, 0], [255, 255, 255], [0, 0, 0], [0, 255, 0]]
     pixels[0, :, 3] = 255, 255, 0, 255
@@ -82,8 +82,8 @@ def test_colour_transparency_and_the_other_modes(tmp_path: Path) -> None:
     assert read_map(save(tmp_path, deep, image="map.png")).states.tolist() == [[o, f, u]]
 
 
-def test_yaml_of_other_writers(tmp_path: Path) -> None:
-    """Comments, quotes, lists in lines of their own, other keys."""
+def test_yaml_of_other_programs_is_read(tmp_path: Path) -> None:
+    """It has comments, quotes, multi-line lists and other keys."""
     save(tmp_path)
     (tmp_path / "map.yaml").write_text(
         "# a map\nimage: 'map.pgm'  # next to it\nresolution: 0.05\norigin:\n  - -1.0\n"
@@ -94,7 +94,7 @@ def test_yaml_of_other_writers(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", [".pgm", ".png"])
-def test_what_is_written_is_read(tmp_path: Path, suffix: str) -> None:
+def test_written_maps_are_read_back(tmp_path: Path, suffix: str) -> None:
     states = np.random.default_rng(0).choice([OCCUPIED, FREE, UNKNOWN], (7, 11)).astype(np.int8)
     grid = Grid(states, (-3.25, 1e3), 0.02, -2.5)
     write_map(tmp_path / f"m{suffix}", grid, "log\nimage: other", "odom")
@@ -115,7 +115,7 @@ HEADS = {
 
 
 @pytest.mark.parametrize("data", HEADS)
-def test_bad_pictures_are_errors_of_one_line(tmp_path: Path, data: bytes) -> None:
+def test_bad_pictures_are_clear_errors(tmp_path: Path, data: bytes) -> None:
     path = save(tmp_path)
     (tmp_path / "map.pgm").write_bytes(data + b"\0\0\0\0\0" * (data[-2:] == b"\0\0"))
     with pytest.raises(InputError, match=HEADS[data]) as caught:
@@ -141,7 +141,7 @@ def test_bad_pictures_are_errors_of_one_line(tmp_path: Path, data: bytes) -> Non
         ({"occupied_thresh": "nan"}, "occupied_thresh and free_thresh"),
     ],
 )
-def test_bad_yaml_is_an_error_of_one_line(tmp_path: Path, about: dict, problem: str) -> None:
+def test_bad_yaml_is_a_clear_error(tmp_path: Path, about: dict, problem: str) -> None:
     path = save(tmp_path, **about)
     with pytest.raises(InputError, match=problem) as caught:
         read_map(path)
@@ -167,8 +167,8 @@ def test_missing_files_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[s
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.7, -2.0])
-def test_places_near_something_of_a_map(yaw: float) -> None:
-    """Against a search over all occupied cells, within one cell."""
+def test_distances_to_the_map_equal_a_search_over_all_cells(yaw: float) -> None:
+    """They agree within one cell."""
     rng = np.random.default_rng(1)
     states = np.where(rng.random((30, 40)) < 0.01, OCCUPIED, FREE).astype(np.int8)
     grid = Grid(states, (2.0, -3.0), 0.05, yaw)

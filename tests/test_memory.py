@@ -1,4 +1,4 @@
-"""One number of bytes for a whole run: how it is said, how it is divided, and that it holds."""
+"""Memory limit of a run: its notation, its division among processes, and that it holds."""
 
 import json
 import pickle
@@ -60,7 +60,7 @@ FRAME = 640 * 480 * 5
         ("5B", 5),
     ],
 )
-def test_sizes(text, size):
+def test_sizes_of_memory_are_parsed(text, size):
     assert parse_size(text, "--memory") == size
     assert parse_size(size_text(size), "--memory") in range(size, size + MIB)
 
@@ -69,7 +69,7 @@ NO_SIZES = ["", "x", "-1G", "1.2.3G", "1EiB", "nan", "1e9", "12 parsec", "9" * 4
 
 
 @pytest.mark.parametrize("text", NO_SIZES)
-def test_what_is_no_size(tmp_path, text):
+def test_invalid_sizes_are_errors(tmp_path, text):
     with pytest.raises(
         ConfigError, match=r"--memory: expected a size, got .*; pass a number .* 4GiB"
     ):
@@ -86,7 +86,7 @@ def test_what_is_no_size(tmp_path, text):
         ("0::/../..", {}, None),
     ],
 )
-def test_control_groups_count(tmp_path, monkeypatch, groups, files, expected):
+def test_limits_of_control_groups_are_used(tmp_path, monkeypatch, groups, files, expected):
     (tmp_path / "own").write_text(groups, encoding="utf-8")
     for name, text in files.items():
         (tmp_path / "groups" / name).parent.mkdir(parents=True, exist_ok=True)
@@ -98,7 +98,7 @@ def test_control_groups_count(tmp_path, monkeypatch, groups, files, expected):
 
 
 def used(memory: Memory, allotted: MemoryPlan, needs: Needs) -> int:
-    """By the figures that the module gives, but in its own words."""
+    """Compute the memory of a plan independently, from the constants of the module."""
     processes = ALONE if allotted.workers == 1 else PARENT + allotted.workers * WORKER
     images = (5 + allotted.read_ahead) * allotted.batch * needs.frame
     all_images = allotted.workers * (images + memory.chunks)
@@ -114,7 +114,7 @@ def used(memory: Memory, allotted: MemoryPlan, needs: Needs) -> int:
     batch=st.integers(1, 300),
     workers=st.integers(1, 40),
 )
-def test_what_is_given_out_is_never_more_than_there_is(total, needs, batch, workers):
+def test_the_plan_never_exceeds_the_memory(total, needs, batch, workers):
     memory = Memory(f"{total}MiB", workers)
     assert 1 <= memory.workers <= workers
     try:
@@ -130,7 +130,7 @@ def test_what_is_given_out_is_never_more_than_there_is(total, needs, batch, work
     assert used(memory, allotted, needs) <= memory.total
 
 
-def test_enough_memory_changes_nothing():
+def test_enough_memory_keeps_all_workers_and_the_batch():
     memory = Memory("64GiB", 16)
     needs = Needs(FRAME, 10 * MIB, TABLES)
     assert memory.allot(needs, BATCH, 16, "a") == (16, BATCH, 0)
@@ -138,7 +138,7 @@ def test_enough_memory_changes_nothing():
     assert memory.reading.chunk == 256 * MIB
 
 
-def test_less_memory_is_fewer_processes_then_smaller_batches():
+def test_less_memory_reduces_workers_first_and_batches_second():
     found = []
     for size in ("8GiB", "4GiB", "2GiB", "1GiB", "800MiB"):
         memory = Memory(size, 8)
@@ -148,8 +148,8 @@ def test_less_memory_is_fewer_processes_then_smaller_batches():
     assert found[0][0] == 8 and found[-1][0] == 1
 
 
-def test_larger_chunks_take_fewer_workers():
-    """Down to one, who may read the largest."""
+def test_larger_chunks_reduce_the_workers():
+    """The last worker may read the largest chunks."""
     memory = Memory("2GiB", 8)
     seen = [(memory.workers, memory.reading.chunk)]
     while memory := memory.with_fewer_workers():
@@ -159,8 +159,8 @@ def test_larger_chunks_take_fewer_workers():
     assert chunks == sorted(set(chunks)) and chunks[0] == 32 * MIB
 
 
-def test_as_large_a_chunk_as_the_user_allows():
-    """Where there is room for it; more memory is of use until then."""
+def test_the_limit_of_chunks_follows_the_memory():
+    """More memory allows larger chunks, up to the configured limit."""
     for largest in (1 * MIB, 256 * MIB, 1024 * MIB):
         memory = Memory("64GiB", 2, largest=largest)
         assert memory.reading.chunk == max(largest, 32 * MIB)
@@ -169,8 +169,8 @@ def test_as_large_a_chunk_as_the_user_allows():
     assert 256 * MIB < little.reading.chunk < more.reading.chunk
 
 
-def test_a_worker_beside_this_process_is_counted():
-    """After a run that was killed, if there is memory for one."""
+def test_a_worker_in_addition_to_this_process_is_counted():
+    """Such a worker is used after a run that crashed, if memory permits."""
     whole, apart = Memory("1GiB", 1), Memory("1GiB", 1, apart=True)
     assert apart.apart and whole.room - apart.room == PARENT + WORKER - ALONE
     assert not Memory("704MiB", 1, apart=True).apart
@@ -178,13 +178,13 @@ def test_a_worker_beside_this_process_is_counted():
 
 @pytest.mark.parametrize("early", [False, True])
 def test_a_log_of_large_chunks_is_read_by_fewer_workers(tmp_path, monkeypatch, early):
-    """Whether one is met when the log is opened, or by a worker."""
+    """The chunk is read when the log is opened or by a worker."""
     monkeypatch.setattr("jaxdet.engine.memory.LEAST_CHUNKS", 60_000)
     scene, text = make_scene(30), ("std_msgs/msg/String", "ros2msg", b"string data")
     with LogFile(tmp_path / "a.mcap", chunk_size=12_000) as log:
         write_calibration(log)
         write_images(log, Scene(*(part[:26] for part in scene)))
-        # In a chunk with a depth image, as chunks of colour alone are not read.
+        # The chunk has a depth image, as chunks with colour only are not read.
         log.raw("/note", "cdr", text, bytes(2 if early else 50_000), START)
         write_images(log, Scene(*(part[26:] for part in scene)))
     if early:
@@ -205,8 +205,8 @@ def test_a_log_of_large_chunks_is_read_by_fewer_workers(tmp_path, monkeypatch, e
     )
 
 
-def test_a_split_that_is_only_searched_is_bounded_too(tmp_path):
-    """For static transforms; it does not depend on the memory what is found."""
+def test_splits_read_only_for_transforms_have_the_same_limit(tmp_path):
+    """Static transforms that are found do not depend on the memory."""
     scene = make_scene(12)
     for number in (0, 1):
         with LogFile(tmp_path / f"a_{number}.mcap", chunk_size=100_000) as log:
@@ -218,11 +218,11 @@ def test_a_split_that_is_only_searched_is_bounded_too(tmp_path):
     with pytest.raises(InputError, match=r"a_0.mcap: a chunk of .* give --memory"):
         open_log(second, memory=ReadMemory(30_000))
     (tmp_path / "a_0.mcap").write_bytes(b"no log")
-    with open_log(second) as log:  # depth is enough; nothing relates colour to it
+    with open_log(second) as log:  # depth only, as there are no extrinsics
         assert not log.has_color and log.color_problem
 
 
-def test_a_default_is_never_too_little(monkeypatch):
+def test_the_default_is_always_sufficient(monkeypatch):
     monkeypatch.setattr("jaxdet.engine.memory.machine_memory", lambda: 400 * MIB)
     assert Memory(None, 4).workers == 1
     with pytest.raises(ConfigError, match="100M is too little for any log; give --memory 704MiB"):
@@ -230,17 +230,17 @@ def test_a_default_is_never_too_little(monkeypatch):
     assert Memory("704MiB", 4).total == 704 * MIB
 
 
-def test_too_little_is_said(tmp_path, capsys):
+def test_too_little_memory_is_an_error(tmp_path, capsys):
     log = write_log(tmp_path / "a.mcap", make_scene(2))
     given = ["run", str(log), "--output", str(tmp_path / "out"), "--memory", "100MiB", "--quiet"]
     assert main(given) == 2
-    said = capsys.readouterr().err
-    assert said.splitlines()[-1].endswith("too little for any log; give --memory 704MiB or more")
+    message = capsys.readouterr().err
+    assert message.splitlines()[-1].endswith("too little for any log; give --memory 704MiB or more")
     assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("scan", [False, True])
-def test_a_chunk_that_takes_more_memory_is_refused(tmp_path, scan):
+def test_a_chunk_that_exceeds_the_memory_is_refused(tmp_path, scan):
     log = write_log(tmp_path / "a.mcap", make_scene(4))
     options = LogOptions(scan=scan)
 
@@ -258,7 +258,7 @@ def test_a_chunk_that_takes_more_memory_is_refused(tmp_path, scan):
 
 
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="no procfs")
-def test_a_run_stays_below_what_it_was_given(tmp_path):
+def test_a_run_stays_within_its_memory(tmp_path):
     def run(memory: str) -> dict[str, Any]:
         command = [sys.executable, "-m", "tests.memory_run", str(tmp_path / f"o{memory}"), memory]
         done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False)

@@ -1,4 +1,4 @@
-"""Integers to metres: rectangles by hand, Eq. 8-9 against a plain transform."""
+"""Conversion from integers to metres: rectangles by hand, Eq. 8-9 against a rigid transform."""
 
 from typing import Any
 
@@ -16,7 +16,7 @@ CONFIG = FootprintConfig(extension_m=0.2, margin_per_m2=0.0)
 
 
 def outline(a: tuple, b: tuple, c: tuple, has_vertex: bool = False) -> Obstacles:
-    """One obstacle with these points, one point in it."""
+    """Return an obstacle with these points A, B and C."""
     point = np.array([[[3, -6, 9]]], np.int32)
     uv = np.zeros((1, 1, 2), np.int32)
     pa, pb, pc = (np.array([[p]], np.int32) for p in (a, b, c))
@@ -31,7 +31,7 @@ def corners(*args: Any) -> np.ndarray:
     return metric.rectangles(outline(*args), 0.001, CONFIG)[0, 0]
 
 
-def test_centroid_is_sum_over_points() -> None:
+def test_centroid_is_the_mean_of_the_points() -> None:
     one = outline((0, 0), (0, 0), (0, 0))
     found = metric.extents(one._replace(num_points=np.array([[2]], np.int32)), 0.001)
     assert found.centroid.dtype == np.float32
@@ -39,7 +39,7 @@ def test_centroid_is_sum_over_points() -> None:
     np.testing.assert_array_equal(found.minimum[0, 0], np.float32([0.003, -0.006, 0.009]))
 
 
-def test_nearest_point_of_each_line() -> None:
+def test_distance_of_the_nearest_point_of_each_contour() -> None:
     points, count = np.array([[6, 8], [-3, 4], [5, 12]], np.int32), np.array([0, 2, 0, 1, 0])
     assert metric.nearest(points, count).tolist() == [0, 5, 0, 13, 0]
     assert metric.nearest(points[:0], count[:1]).tolist() == [0]
@@ -108,7 +108,7 @@ def test_rectangles_are_rectangles(a: tuple, b: tuple, c: tuple) -> None:
 
 
 def pose(yaw: float, pitch: float, roll: float, position: tuple) -> np.ndarray:
-    """A camera whose forward direction has this ROS yaw, tilted down and rolled."""
+    """Return the pose of a camera with this ROS yaw, tilted down and rolled."""
     down = down_vector(np.array([pitch]), np.array([roll]))
     plane = flat_plane(np.ones(1), np.array([pitch]), np.array([roll]))
     right, forward = ground_axes(plane)[0] / 8192
@@ -145,7 +145,7 @@ def test_unknown_pose_is_nan() -> None:
     assert np.isnan(found).all()
 
 
-def test_the_nearest_of_a_b_and_c_is_the_distance():
+def test_distance_is_that_of_the_nearest_point():
     near = [(300, 400), (0, 1000), (0, 900)]
     for turn in range(3):
         points = near[turn:] + near[:turn]
@@ -156,19 +156,19 @@ def test_the_nearest_of_a_b_and_c_is_the_distance():
     ("corners", "distance"),
     [
         ([(-1, 2), (1, 2), (1, 3), (-1, 3)], 2.0),
-        ([(1, 3), (1, 2), (-1, 2), (-1, 3)], 2.0),  # the other way round
+        ([(1, 3), (1, 2), (-1, 2), (-1, 3)], 2.0),  # reversed
         ([(3, 4), (5, 4), (5, 6), (3, 6)], 5.0),  # a corner
         ([(-1, -1), (1, -1), (1, 1), (-1, 1)], 0.0),  # the camera stands on it
         ([(3, 4)] * 4, 5.0),  # a point
         ([(-2, 0), (2, 4), (0, 6), (-4, 2)], 2**0.5),
     ],
 )
-def test_a_rectangle_is_as_near_as_its_nearest_point(corners, distance):
+def test_distance_of_a_rectangle_is_that_of_its_nearest_point(corners, distance):
     found = metric.rectangle_distances(np.array([corners], np.float32))
     np.testing.assert_allclose(found, [distance])
 
 
-def test_the_margin_goes_outward_where_the_vertex_is_nearer_than_ab():
+def test_margin_extends_outward_if_the_vertex_is_nearer_than_ab():
     config = FootprintConfig(extension_m=0.2, margin_m=0.1, margin_per_m2=0.0)
     given = outline((-200, 1000), (200, 1000), (0, 800), True)
     found = metric.rectangles(given, 0.001, config)[0, 0]

@@ -1,4 +1,4 @@
-"""C++ of the kernels: each header compiles separately and is shipped."""
+"""C++ of the kernels: each header compiles separately, and corners run under sanitizers."""
 
 import shutil
 import subprocess
@@ -42,7 +42,7 @@ CORNERS = {"cpu": ["-O1", "-g", "-Wno-psabi", *SANITIZED], "cuda": ["-O2", "-DSI
 
 @pytest.mark.skipif(COMPILER is None, reason="no g++ on this machine")
 @pytest.mark.parametrize("target", CORNERS)
-def test_corners_of_the_cpu_and_cuda_sources(tmp_path, target):
+def test_corners_of_the_cpu_and_cuda_sources_equal_the_reference(tmp_path, target):
     """CPU code runs under sanitizers, CUDA code with threads that take turns (``tests/simt.h``)."""
     program = tmp_path / "corners"
     flags = ["-std=c++17", "-ffp-contract=off", "-Wno-unknown-pragmas", *CORNERS[target]]

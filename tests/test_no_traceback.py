@@ -1,4 +1,4 @@
-"""Whatever a user gives, the program ends with one line that says what to do."""
+"""Wrong input of any kind ends in an error of one line that names the remedy."""
 
 import io
 import os
@@ -41,11 +41,11 @@ def made(tmp_path_factory):
 
 
 def ended(capsys, arguments: list[str], code: int) -> str:
-    """What the command says on standard error: one line that can be shown, the error."""
+    """Run a command that fails; return its only line on standard error, which is printable."""
     assert main(arguments) == code
-    said = capsys.readouterr()
-    lines = [line for line in said.err.splitlines() if line.startswith("jaxdet: error: ")]
-    assert len(lines) == 1 and "Traceback" not in said.err + said.out
+    message = capsys.readouterr()
+    lines = [line for line in message.err.splitlines() if line.startswith("jaxdet: error: ")]
+    assert len(lines) == 1 and "Traceback" not in message.err + message.out
     assert lines[0].isprintable()
     return lines[0]
 
@@ -64,7 +64,7 @@ FLAGS = {
 
 
 @pytest.mark.parametrize("flags", FLAGS)
-def test_flags(capsys, tmp_path, made, flags):
+def test_wrong_flags_are_errors_of_one_line(capsys, tmp_path, made, flags):
     run = ["run", str(made), "--output", str(tmp_path / "out"), *flags.split()]
     assert FLAGS[flags] in ended(capsys, run, 2)
 
@@ -79,7 +79,7 @@ LOG_FLAGS = {
 
 
 @pytest.mark.parametrize("flags", LOG_FLAGS)
-def test_what_no_camera_has(capsys, tmp_path, made, flags):
+def test_implausible_cameras_are_errors_of_one_line(capsys, tmp_path, made, flags):
     run = ["run", str(made), "--output", str(tmp_path / "out"), *flags.split()]
     assert LOG_FLAGS[flags] in ended(capsys, run, 1)
 
@@ -96,20 +96,20 @@ TOML = {
 
 
 @pytest.mark.parametrize("name", TOML)
-def test_configuration_files(capsys, tmp_path, made, name):
+def test_bad_configuration_files_are_errors_of_one_line(capsys, tmp_path, made, name):
     path = tmp_path / "c.toml"
     path.write_bytes(TOML[name])
     run = ["run", str(made), "--output", str(tmp_path / "out"), "--config", str(path)]
     assert "c.toml" in ended(capsys, run, 2) or name == "nan"
 
 
-def test_names_that_are_not_utf8_and_control_characters(capsys, tmp_path, made):
+def test_names_of_files_are_escaped_in_errors(capsys, tmp_path, made):
     name = tmp_path / os.fsdecode(b"a\xff\x1b[31m.mcap")
     shutil.copy(made, name)
     run = ["run", str(name), "--backend", "reference", "--pictures", "1"]
     assert main([*run, "--output", str(tmp_path / "out")]) == 0
-    said = capsys.readouterr()
-    assert r"a\xff\x1b[31m" in said.out and "\x1b" not in said.out + said.err
+    message = capsys.readouterr()
+    assert r"a\xff\x1b[31m" in message.out and "\x1b" not in message.out + message.err
     folder = only_log(tmp_path / "out")
     assert folder.name.isascii() and folder.name.isprintable()
     assert "\\\\xff" in (folder / "summary.json").read_text(encoding="utf-8")
@@ -121,7 +121,7 @@ def test_names_that_are_not_utf8_and_control_characters(capsys, tmp_path, made):
     assert r"no\x1b[1m" in ended(capsys, ["no\x1b[1m"], 2)
 
 
-def test_a_terminal_that_shows_ascii_only(monkeypatch, made):
+def test_errors_are_shown_on_terminals_with_ascii_only(monkeypatch, made):
     shown = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
     monkeypatch.setattr(sys, "stdout", shown)
     assert main(["info", str(made)]) == 0
@@ -129,7 +129,7 @@ def test_a_terminal_that_shows_ascii_only(monkeypatch, made):
     assert rb"\xb0" in shown.buffer.getvalue()
 
 
-def test_exit_code_1_where_no_frame_can_be_used(capsys, tmp_path):
+def test_a_run_without_usable_frames_exits_with_1(capsys, tmp_path):
     scene, path = make_scene(3), tmp_path / "x.mcap"
     png = cv2.imencode(".png", scene.depth[0])[1].tobytes()
     with LogFile(path) as log:
@@ -141,12 +141,12 @@ def test_exit_code_1_where_no_frame_can_be_used(capsys, tmp_path):
             log.ros(DEPTH + "/compressedDepth", damaged, at)
             log.ros(COLOR, ros_image(color, "rgb8", at, COLOR_FRAME), at)
     run = ["run", str(path), "--backend", "reference", "--output", str(tmp_path / "out")]
-    for _ in range(2):  # whoever repeats the command, whose results are there, is told again
+    for _ in range(2):  # repeating the command repeats the error
         text = ended(capsys, run, 1)
         assert "none of its 3 frames could be used (3 decode_error); frame 0: " in text
 
 
-def test_images_in_json_without_width(capsys, tmp_path):
+def test_images_in_json_without_width_are_errors_of_one_line(capsys, tmp_path):
     path = tmp_path / "x.mcap"
     with LogFile(path) as log:
         stamp = {"timestamp": {"sec": 1, "nsec": 0}, "frame_id": "a"}
@@ -160,7 +160,7 @@ def test_images_in_json_without_width(capsys, tmp_path):
 
 
 def broken_truth(made: Path, folder: Path, how: str) -> Path:
-    """A log with a truth that is damaged."""
+    """Return a log with damaged ground truth."""
     path = folder / "s.mcap"
     shutil.copy(made, path)
     good = truth_path(made).read_bytes()
@@ -194,7 +194,7 @@ def broken_truth(made: Path, folder: Path, how: str) -> Path:
 
 
 @pytest.mark.parametrize("how", ["cut", "flipped", "missing", "shape", "kind", "other size"])
-def test_truth_files(tmp_path, made, how):
+def test_damaged_ground_truth_is_an_error_of_one_line(tmp_path, made, how):
     path = broken_truth(made, tmp_path, how)
     with pytest.raises(InputError, match="cannot read ground truth"):
         load_truth(path)
@@ -202,14 +202,14 @@ def test_truth_files(tmp_path, made, how):
 
 
 @pytest.mark.filterwarnings("ignore:Duplicate name")
-def test_a_truth_file_with_an_image_of_4_gib(tmp_path, made, monkeypatch):
+def test_ground_truth_with_an_image_of_4_gib_is_refused(tmp_path, made, monkeypatch):
     monkeypatch.setattr(truth, "MAX_ARRAY_BYTES", 2 << 20)
     path = broken_truth(made, tmp_path, "4 GiB")
     with pytest.raises(InputError, match="cannot read ground truth"):
         load_depths(path, [0, 1])
 
 
-def test_platforms_that_are_not_there(tmp_path, made):
+def test_unavailable_platforms_are_errors_of_one_line(tmp_path, made):
     command = [sys.executable, "-m", "jaxdet", "run", str(made), "--output", str(tmp_path / "o")]
     environment = {**os.environ, "JAX_PLATFORMS": "rocm"}
     done = subprocess.run(command, env=environment, capture_output=True, text=True)
@@ -217,7 +217,7 @@ def test_platforms_that_are_not_there(tmp_path, made):
     assert "no device for JAX_PLATFORMS=rocm; unset" in done.stderr
 
 
-def test_an_error_of_our_own_is_one_line_and_a_file(capsys, monkeypatch, tmp_path):
+def test_internal_errors_are_one_line_and_a_report(capsys, monkeypatch, tmp_path):
     def broken(args: list[str]) -> int:
         raise ZeroDivisionError("not foreseen\n\x1b[31m")
 
@@ -239,7 +239,7 @@ def test_a_map_of_any_extent_is_drawn(far_m):
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full on this system")
 @pytest.mark.parametrize("words", [["--help"], ["run", "--help"], ["doctor", "--help"]])
-def test_output_that_nobody_takes(words):
+def test_output_that_cannot_be_written_ends_the_command_without_a_traceback(words):
     command = [sys.executable, "-m", "jaxdet", *words]
     with Path("/dev/full").open("w", encoding="utf-8") as full:
         found = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True)

@@ -1,4 +1,4 @@
-"""Tables for notebooks and pandas, and settings as dictionaries and keywords."""
+"""Representations for notebooks, pandas tables, and configurations from dictionaries."""
 
 import numpy as np
 import pytest
@@ -19,18 +19,18 @@ def found() -> jaxdet.BatchResult:
     return detector.batch(np.stack([NOTHING, WALL]))
 
 
-def test_values_are_escaped_and_rows_counted():
+def test_html_tables_are_escaped_and_limited():
     html = table("<b>", {"a": ["<script>"] * (MOST_ROWS + 3), "b": [0.5] * (MOST_ROWS + 3)})
     assert "<script>" not in html and "&lt;script&gt;" in html
     assert html.count("<td>0.50</td>") == MOST_ROWS and "and 3 more" in html
 
 
-def test_a_batch_is_a_table_of_frames(found):
+def test_a_batch_is_shown_as_a_table_of_frames(found):
     html = found._repr_html_()
     assert "<td>no_depth</td>" in html and "<td>~2.00 m</td>" in html
 
 
-def test_obstacles_are_a_pandas_table(found):
+def test_obstacles_convert_to_a_pandas_table(found):
     pytest.importorskip("pandas")
     rows = found.to_pandas()
     assert rows.frame.tolist() == [1] * len(found[1]) and len(rows) > 0
@@ -39,7 +39,7 @@ def test_obstacles_are_a_pandas_table(found):
     assert found[0].to_pandas().columns.tolist() == rows.columns.tolist()[1:]
 
 
-def test_a_preset_takes_parameters_and_sections():
+def test_a_preset_accepts_parameters_and_sections():
     one = preset("d435", max_depth_m=3, cell_rad=0.01)
     assert one.ground.max_depth_m == 3.0 and one.surface.cell_rad == 0.01
     assert one.ground.min_depth_m == preset("d435").ground.min_depth_m
@@ -57,12 +57,12 @@ def test_a_preset_takes_parameters_and_sections():
         ({"ground": {"colour": 1}}, "unknown key 'colour'"),
     ],
 )
-def test_changes_that_do_not_fit_are_named(changes, says):
+def test_invalid_parameters_are_named(changes, says):
     with pytest.raises(ConfigError, match=says):
         preset("d435", **changes)
 
 
-def test_a_dictionary_is_a_configuration():
+def test_a_dictionary_is_accepted_as_configuration():
     given = {"preset": "d435", "ground": {"max_depth_m": 3.0}}
     assert find_config(given) == preset("d435", max_depth_m=3.0)
     assert find_config({}) == Config() and given["preset"] == "d435"

@@ -104,7 +104,7 @@ def test_surfaces_too_far_apart_are_not_compared() -> None:
     assert picture.numbers(replace(CONFIG, lateral_gap_m=0.05)) == [1, 2, 0]
 
 
-def test_a_slanted_object_behind_a_pole() -> None:
+def test_a_slanted_object_behind_a_pole_is_one_obstacle() -> None:
     picture = Picture()
     line = 2000 + 4 * (np.arange(COLUMNS) - 30)
     for columns in (slice(30, 55), slice(60, 85)):
@@ -115,7 +115,7 @@ def test_a_slanted_object_behind_a_pole() -> None:
     assert left == right
 
 
-def test_legs_are_one_obstacle_and_wide_objects_are_not() -> None:
+def test_narrow_legs_are_one_obstacle_and_wide_objects_are_two() -> None:
     """Of two objects 0.15 m apart with floor between them, legs are one obstacle, boxes are two."""
     gap = 7
     legs = Picture().paint(TALL, slice(40, 46), 2000).paint(TALL, slice(46 + gap, 59), 2000)
@@ -126,7 +126,7 @@ def test_legs_are_one_obstacle_and_wide_objects_are_not() -> None:
     assert left != right
 
 
-def test_legs_too_far_apart() -> None:
+def test_legs_too_far_apart_are_separate_obstacles() -> None:
     apart = Picture().paint(LOW, slice(10, 16), 2000).paint(LOW, slice(76, 82), 2000)
     left, right = apart.numbers()
     assert left != right
@@ -239,8 +239,8 @@ def test_numbers_are_sorted_by_the_nearest_point_without_gaps(things: list[tuple
 
 
 @given(spans)
-def test_mirrored(things: list[tuple]) -> None:
-    """Mirrored frames have mirrored obstacles."""
+def test_mirrored_frames_have_mirrored_obstacles(things: list[tuple]) -> None:
+    """They are equal except for the order of ties."""
     picture = drawn(things)
     config = replace(CONFIG, bend_m=0.0)
     label = picture.found(config)
@@ -272,14 +272,14 @@ def test_only_small_objects_are_removed(things: list[tuple]) -> None:
 # edges
 
 
-def test_no_surfaces() -> None:
+def test_no_surfaces_have_no_obstacles() -> None:
     picture = Picture()
     assert (picture.found() == -1).all()
     picture.z[:] = 0
     assert (picture.found() == -1).all()
 
 
-def test_one_cell() -> None:
+def test_one_cell_is_too_small_for_an_obstacle() -> None:
     one = np.zeros((1, 1), np.int64)
     view = View(one, one, one + 900, one, one + 900, one + 100)
     assert obstacles(one, one > 0, view, FAR, UNIT, CONFIG).tolist() == [[-1]]
@@ -287,7 +287,7 @@ def test_one_cell() -> None:
     assert obstacles(one, one > 0, view, FAR, UNIT, loose).tolist() == [[0]]
 
 
-def test_depth_unit() -> None:
+def test_obstacles_do_not_depend_on_the_depth_unit() -> None:
     """The same frame has equal obstacles in tenths of a millimetre."""
     picture = Picture().paint(TALL, slice(30, 55), 2000).paint(TALL, slice(60, 85), 2100)
     picture.paint(slice(0, 24), slice(55, 60), 1200).paint(LOW, slice(100, 104), 1800)

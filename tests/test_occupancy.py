@@ -1,4 +1,4 @@
-"""The map of a log: integer counts that depend on no order."""
+"""Map of a log: integer counts that do not depend on the order of frames."""
 
 from pathlib import Path
 
@@ -30,8 +30,8 @@ def test_map_counts_do_not_depend_on_order() -> None:
     assert a.counts.max() == 3
 
 
-def test_a_map_that_is_damaged_anywhere_is_no_map_or_another(tmp_path: Path) -> None:
-    """Zip files say themselves what is needed to read them: versions, encryption, methods."""
+def test_a_map_with_a_changed_byte_is_refused_or_differs(tmp_path: Path) -> None:
+    """Fields of zip files, such as versions and encryption, raise various errors in Python."""
     drawn, path = OccupancyMap(), tmp_path / "map.npz"
     drawn.add(square(0.0, 0.0))
     image = drawn.image()
@@ -47,7 +47,7 @@ def test_a_map_that_is_damaged_anywhere_is_no_map_or_another(tmp_path: Path) -> 
     assert refused > len(content) // 2
 
 
-def test_map_cell_positions() -> None:
+def test_positions_of_map_cells() -> None:
     grid = OccupancyMap()
     grid.add(square(1.0, 2.0))
     image = grid.image()
@@ -56,7 +56,7 @@ def test_map_cell_positions() -> None:
     np.testing.assert_allclose(image.origin, (1.0, 2.0), atol=CELL_M)
 
 
-def test_map_leaves_out_what_has_no_place() -> None:
+def test_obstacles_without_a_position_are_not_on_the_map() -> None:
     grid = OccupancyMap()
     grid.add(np.full((1, 8), np.nan, np.float32))
     grid.add(square(1e12, 0))
@@ -65,7 +65,7 @@ def test_map_leaves_out_what_has_no_place() -> None:
     assert grid.skipped == 2
 
 
-def test_outlines_count_as_each_does_alone() -> None:
+def test_outlines_together_count_as_separate_ones() -> None:
     rng = np.random.default_rng(3)
     middle = rng.uniform(-15, 15, (60, 1, 2))
     turn, side = rng.uniform(0, 7, (60, 1)), rng.uniform(0.0, 2.0, (60, 1, 2))
@@ -88,19 +88,19 @@ def test_outlines_count_as_each_does_alone() -> None:
 
 
 def fan(x: float, y: float, far: float) -> Polygons:
-    """Two parts of one frame's free floor that share an edge, of 0.5 m and ``far``."""
+    """Return two adjacent parts of the free floor of a frame, up to 0.5 m and ``far``."""
     near = [[x, y], [x + 0.5, y], [x + 0.5, y + 0.5], [x, y + 0.5]]
     next_ = [[x, y + 0.5], [x + 0.5, y + 0.5], [x + far, y + 1.0], [x, y + 1.0]]
     return Polygons(np.array([*near, *next_]), np.array([4, 4]), np.array([0, 0]))
 
 
 def joined(views: list[Polygons]) -> Polygons:
-    """The views as frames one after the other; the second has nothing free."""
+    """Return views as successive frames, of which the second has no free floor."""
     points, corners, _ = (np.concatenate(parts) for parts in zip(*views, strict=True))
     return Polygons(points, corners, np.repeat([0, 2, 3], 2)[: len(corners)])
 
 
-def test_free_cells_are_counted_once_a_frame_in_any_order() -> None:
+def test_free_cells_are_counted_once_per_frame_in_any_order() -> None:
     views = [fan(0.0, 0.0, 0.5), fan(0.0, 0.0, 0.8), fan(-14.0, 13.0, 0.6)]
     one, other = OccupancyMap(), OccupancyMap()
     one.add_free(joined(views))
@@ -140,7 +140,7 @@ def test_counts_of_merged_maps_add_up():
     np.testing.assert_array_equal(merged.counts, wanted.counts)
 
 
-def test_what_two_maps_left_out_adds_up():
+def test_skipped_frames_of_merged_maps_add_up():
     maps = [OccupancyMap(), OccupancyMap()]
     for one in maps:
         one.add(np.full((1, 8), 1e15))

@@ -233,7 +233,7 @@ def test_a_single_point_has_the_margin() -> None:
 
 @pytest.mark.parametrize("angle", [0, 10, 27, 45, 63, 80])
 @pytest.mark.parametrize(("wide", "deep"), [(600, 300), (300, 600), (1200, 200)])
-def test_a_turned_box(angle: int, wide: int, deep: int) -> None:
+def test_rectangle_of_a_rotated_box_is_exact(angle: int, wide: int, deep: int) -> None:
     points = turned(corner(wide, deep), angle, (150, 1800))
     direction = fitted_direction(points)
     assert degrees_of(direction) == pytest.approx(angle, abs=1.0)
@@ -245,7 +245,7 @@ def test_a_turned_box(angle: int, wide: int, deep: int) -> None:
 
 
 @pytest.mark.parametrize("angle", [3, 27, 61, 88])
-def test_a_noisy_box(angle: int) -> None:
+def test_rectangle_of_a_noisy_box_is_within_the_noise(angle: int) -> None:
     noise = np.random.default_rng(angle).normal(0, 6, (46, 2))
     points = turned(corner(600, 300), angle, (-150, 1800))
     points = np.rint(points + noise[: len(points)]).astype(np.int64)

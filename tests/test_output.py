@@ -1,4 +1,4 @@
-"""The output folder of runs: what is there is done, and what is not of the run is refused."""
+"""Output folder of runs: finished logs are kept, and results of other runs refused."""
 
 import json
 import os
@@ -55,7 +55,7 @@ def own(logs: Path, tmp_path: Path) -> Path:
 
 
 def made(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Return a list that gets the names of the logs that are done."""
+    """Return a list to which the names of processed logs are appended."""
     names: list[str] = []
 
     def process_log(settings: Any, log: Any, *given: Any, **how: Any) -> Any:
@@ -67,7 +67,7 @@ def made(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return names
 
 
-def test_each_log_has_a_folder_named_by_its_path_alone(done: Path) -> None:
+def test_the_folder_of_a_log_is_named_after_its_path(done: Path) -> None:
     folder = log_name("Day 2/c")
     assert folder.startswith("Day_2--c~") and {path.name for path in done.iterdir()} == {
         *("run.json", "a", "b", folder)
@@ -86,21 +86,43 @@ def test_each_log_has_a_folder_named_by_its_path_alone(done: Path) -> None:
             assert rows == results.tables(results.log("b")).obstacles.num_rows > 0
 
 
-def test_a_log_alone_has_the_bytes_that_it_has_among_others(logs: Path, done: Path, tmp_path: Path):
-    told = run_one(str(logs / "b.mcap"), tmp_path / "one", {**HOW, "name": "b"})
-    assert (told["status"], told["name"], told["frames"], told["error"]) == ("done", "b", 3, None)
-    assert json.loads(json.dumps(told)) == told
+def test_all_files_are_flushed_to_the_disk(
+    logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Otherwise a power failure could leave empty files under their final names."""
+    flushed, fsync = set(), os.fsync
+
+    def recorded(file: int) -> None:
+        fsync(file)
+        flushed.add(os.fstat(file).st_ino)
+
+    monkeypatch.setattr(os, "fsync", recorded)
+    output = tmp_path / "out"
+    assert not run_logs(logs / "a.mcap", output, **HOW).failed
+    missing = {path for path in output.rglob("*") if path.stat().st_ino not in flushed}
+    assert not missing and output.stat().st_ino in flushed
+
+
+def test_results_of_a_log_do_not_depend_on_other_logs(logs: Path, done: Path, tmp_path: Path):
+    record = run_one(str(logs / "b.mcap"), tmp_path / "one", {**HOW, "name": "b"})
+    assert (record["status"], record["name"], record["frames"], record["error"]) == (
+        "done",
+        "b",
+        3,
+        None,
+    )
+    assert json.loads(json.dumps(record)) == record
     same_results(tmp_path / "one", done / "b")
     assert [path.name for path in tmp_path.iterdir()] == ["one"]
     bad = tmp_path / "bad.mcap"
     bad.write_bytes(b"no log")
-    told = run_one(str(bad), tmp_path / "two", HOW)
-    assert told["status"] == "failed" and "not an MCAP file" in told["error"]
+    record = run_one(str(bad), tmp_path / "two", HOW)
+    assert record["status"] == "failed" and "not an MCAP file" in record["error"]
     assert (tmp_path / "two" / "failed.json").is_file()
     assert not (tmp_path / "two" / "manifest.json").exists()
 
 
-def test_the_same_command_leaves_what_is_done_and_does_the_rest(
+def test_repeating_the_command_runs_only_the_remaining_logs(
     logs: Path, done: Path, copy: Path, monkeypatch: pytest.MonkeyPatch
 ):
     names = made(monkeypatch)
@@ -112,14 +134,14 @@ def test_the_same_command_leaves_what_is_done_and_does_the_rest(
     assert names == ["b"] and not (copy / ".jaxdet").exists()
 
 
-def test_logs_are_added_to_results(logs: Path, done: Path, tmp_path: Path) -> None:
+def test_further_logs_are_added_to_the_results(logs: Path, done: Path, tmp_path: Path) -> None:
     for name in ("b.mcap", "a.mcap"):
         run_logs(logs / name, tmp_path / "out", **HOW)
     run_logs(logs, tmp_path / "out", **HOW)
     same_results(tmp_path / "out", done)
 
 
-def test_a_run_that_is_stopped_goes_on(
+def test_a_stopped_run_is_resumed(
     logs: Path, done: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     def stop(now: engine.Progress) -> None:
@@ -156,10 +178,10 @@ def test_overwriting_replaces_the_results_of_another_configuration(
     same_results(copy, done)
 
 
-def test_an_overwriting_run_that_was_stopped_goes_on(
+def test_a_stopped_overwriting_run_is_resumed(
     logs: Path, done: Path, copy: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    """It does no log twice; meanwhile readers take those of the new configuration alone."""
+    """Each log is run once, and readers see only results of the new configuration."""
 
     def stop(now: engine.Progress) -> None:
         if now.logs_done == 1:
@@ -179,7 +201,7 @@ def test_an_overwriting_run_that_was_stopped_goes_on(
     assert names[2:] == ["Day 2/c", "a", "b"]
 
 
-def test_a_changed_log_is_refused_and_done_again_by_an_update(
+def test_a_changed_log_is_refused_and_run_again_by_an_update(
     own: Path, done: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     output = tmp_path / "out"
@@ -195,23 +217,23 @@ def test_a_changed_log_is_refused_and_done_again_by_an_update(
     assert run_logs(own, output, update=True, **HOW).kept == {"a", "b", "Day 2/c"}
     (own / "a.mcap").write_bytes(b"torn")
     assert len(run_logs(own, output, update=True, **HOW).failed) == 1
-    with open_results(output) as results:  # of the log as it was: they are not replaced by nothing
+    with open_results(output) as results:  # the results of the original log are kept
         assert len(results.logs) == 3
 
 
-def test_a_failed_log_is_tried_again_by_an_update_alone(
+def test_a_failed_log_is_run_again_only_by_an_update(
     own: Path, logs: Path, done: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     output = tmp_path / "out"
     (own / "b.mcap").write_bytes(b"no log")
     assert [log.log for log in run_logs(own, output, **HOW).failed] == ["b"]
-    told = json.loads((output / "b" / "failed.json").read_text("utf-8"))
-    assert told["attempts"] == 1 and "not an MCAP file" in told["reason"]
+    record = json.loads((output / "b" / "failed.json").read_text("utf-8"))
+    assert record["attempts"] == 1 and "not an MCAP file" in record["reason"]
     names = made(monkeypatch)
     assert [log.log for log in run_logs(own, output, **HOW).failed] == ["b"] and not names
     run_logs(own, output, update=True, **HOW)
-    told = json.loads((output / "b" / "failed.json").read_text("utf-8"))
-    assert told["attempts"] == 2 and names == ["b"]
+    record = json.loads((output / "b" / "failed.json").read_text("utf-8"))
+    assert record["attempts"] == 2 and names == ["b"]
     with open_results(output) as results:
         assert [(one.log, "MCAP" in one.reason) for one in results.failed] == [("b", True)]
     shutil.copy2(logs / "b.mcap", own / "b.mcap")
@@ -234,7 +256,7 @@ def test_a_log_that_changes_or_cannot_be_read_when_it_is_opened_fails(
 
 
 class Odd:
-    """An observer that fails."""
+    """Observer that fails."""
 
     def __call__(self, batch: Batch, found: Any) -> Any:
         raise ZeroDivisionError("by nothing")
@@ -243,14 +265,14 @@ class Odd:
         return None
 
 
-def test_a_fault_of_jaxdet_leaves_a_report(logs: Path, tmp_path: Path) -> None:
+def test_an_internal_error_leaves_a_report(logs: Path, tmp_path: Path) -> None:
     summary = run_logs(logs / "a.mcap", tmp_path, observers={"odd": Odd()}, **HOW)
     assert (summary.failed[0].error or "").endswith("please send its developers a/report.txt")
     text = (tmp_path / "a" / "report.txt").read_text("utf-8")
     assert 'raise ZeroDivisionError("by nothing")' in text
 
 
-def test_what_is_not_of_a_run_is_refused_before_anything_is_done(
+def test_folders_that_are_not_results_are_refused_before_the_run(
     logs: Path, done: Path, tmp_path: Path
 ):
     output = tmp_path / "out"
@@ -271,14 +293,14 @@ def test_what_is_not_of_a_run_is_refused_before_anything_is_done(
         run_logs(logs, tmp_path / "file", **HOW)
 
 
-def test_two_logs_of_one_name_are_refused(logs: Path, tmp_path: Path) -> None:
+def test_two_logs_with_one_name_are_refused(logs: Path, tmp_path: Path) -> None:
     shutil.copy(logs / "a.mcap", tmp_path)
     with pytest.raises(ConfigError, match=r"a.mcap: has the name of .*name the folder that both"):
         run_logs([logs / "a.mcap", tmp_path / "a.mcap"], tmp_path / "out", **HOW)
     run_logs([tmp_path / "a.mcap"], tmp_path / "out", **HOW)
 
 
-def test_no_code_of_a_received_folder_runs(copy: Path, logs: Path, tmp_path: Path) -> None:
+def test_code_in_received_results_is_never_executed(copy: Path, logs: Path, tmp_path: Path) -> None:
     class Evil:
         def __reduce__(self) -> Any:
             return os.mkdir, (str(tmp_path / "evil"),)
@@ -307,7 +329,7 @@ def test_a_runner_keeps_its_processes_between_runs(logs: Path, tmp_path: Path) -
 
 
 @pytest.mark.parametrize("exchanged", [True, False])
-def test_a_folder_is_replaced_at_once(
+def test_a_folder_is_replaced_atomically(
     logs: Path, done: Path, copy: Path, monkeypatch: pytest.MonkeyPatch, exchanged: bool
 ):
     if not exchanged:
@@ -317,10 +339,10 @@ def test_a_folder_is_replaced_at_once(
     assert not (copy / ".jaxdet").exists()
 
 
-def test_a_folder_that_waits_for_its_place_is_read_and_moved_there(
+def test_a_folder_whose_replacement_was_interrupted_is_read_and_moved(
     logs: Path, done: Path, copy: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    """Where two folders can't be exchanged, and the process ends in between."""
+    """The file system cannot exchange folders, and the process ends during the replacement."""
 
     def broken(*_: Path) -> None:
         raise OSError(5, "Input/output error")

@@ -1,4 +1,4 @@
-"""What a camera sees of its own robot: masks of it, and their suggestion."""
+"""Masks of the robot's own body, and their suggestion."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -20,7 +20,7 @@ from tests.rewritten import Change, Message, changed, read_messages, write_messa
 from tests.runs import run_log
 
 ARM = np.s_[90:, 60:100]
-"""Pixels of the robot's arm in depth images of 160x120."""
+"""Pixels of the arm of the robot in depth images of 160x120."""
 TABLES = "frames.parquet", "obstacles.parquet"
 
 
@@ -49,7 +49,7 @@ def nothing(depth: np.ndarray) -> None:
 
 @pytest.fixture(scope="module")
 def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a drive, plain, with an arm in view, and with a hole where that is."""
+    """Return a folder with logs of a drive: plain, with an arm, with a hole in place of it."""
     folder = tmp_path_factory.mktemp("drives")
     config = SimConfig(frames=16, width=160, height=120, rate_hz=4, depth_form="aligned")
     write_log(folder / "plain.mcap", config)
@@ -61,7 +61,7 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def mask(tmp_path: Path) -> Path:
-    """The arm as an image in colour."""
+    """Return the mask of the arm, an image."""
     image = np.full((120, 160, 3), (0, 0, 255), np.uint8)
     image[ARM] = 0
     cv2.imwrite(str(path := tmp_path / "mask.png"), image)
@@ -94,7 +94,7 @@ def test_all_forms_of_depth_are_masked(tmp_path, mask, form):
 
 
 @pytest.mark.parametrize("backend", ["reference", "jax"])
-def test_a_masked_body_is_no_obstacle_and_hides_no_floor(logs, mask, tmp_path, backend):
+def test_a_masked_body_is_not_an_obstacle_and_hides_no_floor(logs, mask, tmp_path, backend):
     how = {"backend": backend, "pictures": 0, "workers": 1}
     run_log(logs / "arm.mcap", tmp_path / "arm", log=LogOptions(mask=str(mask)), **how)
     run_log(logs / "hole.mcap", tmp_path / "hole", **how)
@@ -108,7 +108,7 @@ def test_a_masked_body_is_no_obstacle_and_hides_no_floor(logs, mask, tmp_path, b
     assert (nearest[0] > 0.35).all() and (nearest[1] < 0.35).sum() >= 16
 
 
-def test_results_hold_the_mask_and_not_its_file(logs, mask, tmp_path, monkeypatch):
+def test_results_contain_the_mask(logs, mask, tmp_path, monkeypatch):
     monkeypatch.chdir(logs)
     results = tmp_path / "results"
     quiet = ["-q", "--backend", "reference", "--pictures", "0"]
@@ -123,7 +123,7 @@ def test_results_hold_the_mask_and_not_its_file(logs, mask, tmp_path, monkeypatc
         assert (again / "arm" / table).read_bytes() == (results / "arm" / table).read_bytes()
 
 
-def test_each_camera_has_a_mask_of_its_own(logs, mask, tmp_path):
+def test_each_camera_has_its_own_mask(logs, mask, tmp_path):
     both = join_cameras(
         {"left": logs / "arm.mcap", "right": logs / "arm.mcap"}, tmp_path / "both.mcap"
     )
@@ -151,14 +151,14 @@ def test_a_mask_of_another_size_is_refused(logs, tmp_path):
         *("4x4:15", "4x4:17", "0x4:0", "4x4:-1 17", f"{MAX_PIXELS}x1:1"),
     ],
 )
-def test_what_is_no_mask_is_refused(given, tmp_path, monkeypatch):
+def test_invalid_masks_are_refused(given, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ConfigError, match="mask") as caught:
         LogOptions(mask=given)
     assert str(caught.value).isprintable()
 
 
-def test_damaged_images_and_other_files_are_refused(mask):
+def test_damaged_images_and_other_files_are_refused_as_masks(mask):
     whole = mask.read_bytes()
     for data in (b"", b"P5 1 1 255 \x00", whole[:-30], whole[:40] + b"\x00" * 8 + whole[48:]):
         mask.write_bytes(data)
@@ -166,7 +166,7 @@ def test_damaged_images_and_other_files_are_refused(mask):
             LogOptions(mask=str(mask))
 
 
-def test_text_of_a_mask_by_hand():
+def test_text_form_of_a_mask_by_hand():
     hidden = np.array([[True, True, False], [False, False, True]])
     assert as_text(hidden) == "3x2:0 2 3 1"
     assert LogOptions(mask=as_text(hidden)).mask == "3x2:0 2 3 1"
@@ -187,16 +187,16 @@ def test_no_mask_is_suggested_for_a_floor(logs, tmp_path, capsys):
     assert "no mask is needed" in capsys.readouterr().out and not path.exists()
 
 
-def test_no_mask_is_suggested_where_body_and_scene_look_alike(logs, tmp_path, capsys):
+def test_no_mask_is_suggested_if_body_and_scene_look_alike(logs, tmp_path, capsys):
     messages = read_messages(logs / "arm.mcap")
     first = next(m for m in messages if m.kind == "sensor_msgs/Image" and "depth" in m.topic)
     still = changed(messages, in_depth(lambda depth: np.copyto(depth, first.pixels)))
     log = write_messages(tmp_path / "still.mcap", still)
-    asked = ["--suggest-mask", str(tmp_path / "mask.png")]
-    assert main(["info", str(log), *asked]) == 1
+    suggest = ["--suggest-mask", str(tmp_path / "mask.png")]
+    assert main(["info", str(log), *suggest]) == 1
     assert "the camera keeps still" in capsys.readouterr().err
     how = ["--ground.source", "none"]
-    assert main(["info", str(logs / "arm.mcap"), *asked, *how]) == 1
+    assert main(["info", str(logs / "arm.mcap"), *suggest, *how]) == 1
     assert "the floor is not known" in capsys.readouterr().err
-    assert main(["info", str(logs), *asked]) == 2
+    assert main(["info", str(logs), *suggest]) == 2
     assert main(["info", str(log), "--suggest-mask", str(log)]) == 2

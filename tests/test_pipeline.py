@@ -1,4 +1,4 @@
-"""detect: both backends return equal arrays, on made and recorded frames, for any batch."""
+"""detect: both backends return equal arrays, on synthetic and recorded frames, in any batch."""
 
 import subprocess
 import sys
@@ -83,7 +83,7 @@ def test_a_batch_is_a_stack_of_singles(device):
     [(1, "wheeled"), (7, "wheeled"), (512, "wheeled"), (1, "paper"), (512, "paper")],
 )
 def test_any_batch_equals_the_reference_twice(device, batch, name):
-    """Made frames over and over; two runs give the same bytes."""
+    """Synthetic frames are repeated; two runs give equal bytes."""
     few, config = min(batch, 16), PRESETS[name]
     given = made_frames(few)
     rows = np.arange(batch) % few
@@ -94,7 +94,7 @@ def test_any_batch_equals_the_reference_twice(device, batch, name):
         assert_equal(detect(many, config), want)
 
 
-def test_the_plane_comes_from_the_configuration_when_the_frames_have_none():
+def test_the_plane_comes_from_the_configuration_if_frames_have_none():
     ground = GroundConfig(camera_height_m=0.4, camera_pitch_rad=0.0)
     given = made_frames(2)._replace(plane=None)
     assert_equal(detect(given, replace(Config(), ground=ground)), detect_numpy(made_frames(2)))
@@ -106,7 +106,7 @@ def detect_numpy(given: Frames):
     return detect(given, backend="reference")
 
 
-def test_empty_depth_is_told_apart_from_no_obstacle():
+def test_frames_without_depth_differ_from_frames_without_obstacles():
     given = made_frames(2)
     given.depth[1] = 0
     found = detect(given)
@@ -114,7 +114,7 @@ def test_empty_depth_is_told_apart_from_no_obstacle():
     assert np.asarray(found.num_obstacles)[1] == 0
 
 
-def test_floors_are_found_with_the_default_configuration():
+def test_find_floors_without_a_configuration_uses_the_defaults():
     frames = made_frames(1)
     found, expected = (find_floors(frames, c, backend="reference") for c in (None, Config()))
     np.testing.assert_array_equal(found.plane.height, expected.plane.height)
@@ -155,7 +155,7 @@ def test_floors_are_found_by_the_kernels_without_loading_jax():
     assert subprocess.check_output(command, text=True) == "False\n"
 
 
-def test_unknown_names_are_errors():
+def test_unknown_backends_and_presets_are_errors():
     with pytest.raises(ConfigError, match="use one of reference, jax"):
         detect(made_frames(1), backend="torch")
     with pytest.raises(ConfigError, match="wheeled"):
@@ -163,7 +163,7 @@ def test_unknown_names_are_errors():
 
 
 def other_settings(config: Config) -> Config:
-    """Other lengths in all parts."""
+    """Return the configuration with other lengths in all sections."""
     return replace(
         config,
         ground=replace(config.ground, min_depth_m=0.3, max_depth_m=2.5, step_height_m=0.08),

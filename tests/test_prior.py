@@ -1,4 +1,4 @@
-"""The prior of each frame's floor: what the sample decides, and the words for it."""
+"""Prior of the floor of each frame: decision by sampled frames, and its report."""
 
 from types import SimpleNamespace
 from typing import Any
@@ -16,7 +16,7 @@ MOUNT = np.array([[0, 0, 1, 0.1], [-1, 0, 0, 0], [0, -1, 0, 0.4], [0, 0, 0, 1.0]
 
 
 class Sampled:
-    """A log of frames 100 ms apart whose floors are stated."""
+    """Log of frames 100 ms apart with given floors."""
 
     name, base_frame = "log", "base_link"
 
@@ -48,7 +48,7 @@ class _Frames(SimpleNamespace):
         return _Frames(self.number, self.valid, plane)
 
 
-def test_a_camera_keeps_its_place_where_heights_and_angles_are_alike():
+def test_a_camera_is_fixed_if_heights_and_angles_agree():
     own, level = np.ones(4, bool), np.zeros(4)
     for heights, pitches, agrees in (
         ([0.3, 0.31, 0.3, 0.29], level, True),
@@ -71,7 +71,7 @@ def words(planes: Planes, frames: int = 4) -> list[str]:
     return planes.sources(np.arange(frames) * 100_000_000)
 
 
-def test_the_log_replaces_what_tf_says() -> None:
+def test_sampled_floors_override_tf() -> None:
     planes = decide([0.30, 0.31, 0.36, 0.9], [True, True, True, False], tf=True)
     assert words(planes) == ["log"] * 4
     assert planes.of(np.zeros(2, np.int64)).height.tolist() == [0.31, 0.31]
@@ -81,11 +81,11 @@ def test_the_log_replaces_what_tf_says() -> None:
     assert words(flags) == ["log"] * 4 and flags.records[0].height_m == 0.3
 
 
-def test_few_frames_do_not() -> None:
+def test_few_sampled_floors_do_not_override_tf() -> None:
     planes = decide([0.3] * 4, [True, True, False, False], tf=True)
     assert words(planes) == ["tf"] * 4
     assert planes.of(np.zeros(1, np.int64)).height[0] == pytest.approx(0.4)
-    assert words(decide([0.3, 0.3], tf=True)) == ["log"] * 4  # all of a shorter log
+    assert words(decide([0.3, 0.3], tf=True)) == ["log"] * 4  # all frames of a shorter log
     assert (
         words(decide([0.3, 0.3], [True, False], camera_height_m=0.5, camera_pitch_rad=0.0))
         == ["flags"] * 4
@@ -93,7 +93,7 @@ def test_few_frames_do_not() -> None:
     assert words(decide([], tf=True)) == ["tf"] * 4
 
 
-def test_where_nothing_is_known_the_camera_must_keep_its_place() -> None:
+def test_without_tf_the_floor_is_sampled_only_if_the_camera_is_fixed() -> None:
     assert words(decide([0.3, 0.31, 0.32, 0.3])) == ["log"] * 4
     moved = decide([0.3, 0.3, 0.6, 0.6])
     assert words(moved) == ["none"] * 4
@@ -104,7 +104,7 @@ def test_where_nothing_is_known_the_camera_must_keep_its_place() -> None:
     assert words(decide([0.3] * 4, source="estimate", tf=True)) == ["log"] * 4
 
 
-def test_windows_are_looked_at_for_themselves() -> None:
+def test_each_time_window_is_decided_separately() -> None:
     heights, own = [0.3] * 4 + [0.5] * 4, [True] * 7 + [False]
     planes = decide(heights, own, window_s=0.2)
     assert words(planes, 9) == ["window"] * 6 + ["none"] * 3
@@ -113,12 +113,12 @@ def test_windows_are_looked_at_for_themselves() -> None:
     assert words(planes, 9) == ["window"] * 6 + ["tf"] * 3
 
 
-def test_the_sample_is_fixed() -> None:
+def test_sampled_frames_are_reproducible() -> None:
     planes = decide([0.3] * 50, sample_frames=5)
     assert planes.records[0].frames_used == 5
 
 
-def test_one_outlier_in_ten_does_not_part_a_log() -> None:
+def test_one_outlier_in_ten_does_not_prevent_a_fixed_floor() -> None:
     height = np.array([0.3] * 9 + [0.8])
     plane = flat_plane(height, 0 * height, 0 * height)
     every = np.ones(10, bool)

@@ -1,4 +1,4 @@
-"""What a run says while it goes on: the step that others wait for, and the rate of each."""
+"""Progress of runs: rates, the slowest step, warnings and failures."""
 
 import os
 import re
@@ -22,13 +22,13 @@ def about(workers: int, devices: int, **busy_s: float) -> LogSummary:
     return found
 
 
-def test_a_process_does_one_step_after_the_other() -> None:
+def test_rates_of_one_process_add_up_over_its_steps() -> None:
     found = about(2, 0, read=1.0, decode=4.0, compute=3.0, write=0.5)
     assert found.bottleneck == "decode"
     assert found.rates == {"read": 2400, "decode": 600, "compute": 800, "write": 4800}
 
 
-def test_gpus_compute_while_workers_read() -> None:
+def test_rates_of_gpus_and_workers_are_separate() -> None:
     busy = {"read": 10.0, "decode": 20.0, "write": 2.0, "wait": 90.0, "transfer": 1.0}
     assert about(16, 1, **busy, compute=1.9).bottleneck == "decode"
     assert about(16, 1, **busy, compute=2.1).bottleneck == "compute"
@@ -36,11 +36,11 @@ def test_gpus_compute_while_workers_read() -> None:
     assert about(16, 2, **busy, compute=2.1).rates["compute"] == pytest.approx(2400 / 2.1)
 
 
-def test_nothing_is_slow_at_first() -> None:
+def test_no_step_is_slowest_before_the_first_frames() -> None:
     assert about(2, 0).bottleneck == "" and about(2, 0).rates == {}
 
 
-def test_line() -> None:
+def test_line_of_progress_by_hand() -> None:
     found = about(16, 1, read=1.2, decode=19.2, transfer=0.02, compute=0.01, write=1.2, wait=9.0)
     state = found.bottleneck, found.rates
     now = Progress("a", 0, 1, 1200, 4000, 0, 950.04, *state)
@@ -67,7 +67,7 @@ def test_a_terminal_of_80_columns_shows_all_of_a_bar(monkeypatch, capsys) -> Non
             assert many or "1200/4000 frames, 11k/s, slowest: decode, 17 not ok" in plain
 
 
-def test_what_goes_on_for_long_has_a_line(monkeypatch, capsys) -> None:
+def test_long_steps_are_reported_in_a_line(monkeypatch, capsys) -> None:
     lines = _Lines()
     for number in range(3):
         lines(Progress("a", 0, 40, 0, 0, 0, None, doing=f"{number} of 39 logs are done"))
@@ -76,7 +76,7 @@ def test_what_goes_on_for_long_has_a_line(monkeypatch, capsys) -> None:
 
 
 @pytest.mark.skipif(not hasattr(os, "openpty"), reason="no terminals on this system")
-def test_a_terminal_that_goes_away_ends_nothing(monkeypatch) -> None:
+def test_a_closed_terminal_does_not_end_the_run(monkeypatch) -> None:
     monkeypatch.setenv("TERM", "xterm")
     ours, theirs = os.openpty()
     with os.fdopen(theirs, "w", encoding="utf-8") as terminal:
@@ -93,7 +93,7 @@ def test_a_terminal_that_goes_away_ends_nothing(monkeypatch) -> None:
             terminal.close()
 
 
-def test_many_logs_have_a_line_each_and_their_warnings_once() -> None:
+def test_each_log_has_a_line_and_equal_warnings_are_printed_once() -> None:
     logs = [LogSummary(f"drive_{number:03}", ()) for number in range(300)]
     for number, log in enumerate(logs):
         log.frames, log.obstacles, log.status = 10, number, Counter(ok=9, no_color=1)
@@ -122,22 +122,22 @@ def test_many_logs_have_a_line_each_and_their_warnings_once() -> None:
     assert line.startswith("  rectangles 3 of 8 start more than 2 cm behind the nearest point")
 
 
-def test_a_floor_that_frames_show_but_the_log_has_not_is_not_unknown() -> None:
+def test_floors_found_only_per_frame_are_not_reported_as_unknown() -> None:
     searched = "each frame is searched alone; %d of 18 sampled frames show their floor"
-    for count, said in ((18, "estimated per frame"), (0, "unknown")):
+    for count, text in ((18, "estimated per frame"), (0, "unknown")):
         record = GroundRecord("none", message=searched % count, frames_used=count)
-        assert ground_text([record]) == f"{said} ({searched % count})"
+        assert ground_text([record]) == f"{text} ({searched % count})"
 
 
 @pytest.mark.parametrize(
     "rate, shown", [(0.21, "0.2"), (9.6, "9.6"), (42.0, "42"), (1540.0, "1.5k"), (97_400.0, "97k")]
 )
-def test_rates(rate: float, shown: str) -> None:
+def test_rates_are_rounded(rate: float, shown: str) -> None:
     assert _thousands(rate) == shown
 
 
 @pytest.mark.parametrize(
-    ("error", "said"),
+    ("error", "text"),
     [
         ("/d/drive.mcap: torn", "/d/drive.mcap: torn"),
         ("/d/images/depth/1.png: torn", "/d/images/depth/1.png: torn"),
@@ -147,6 +147,6 @@ def test_rates(rate: float, shown: str) -> None:
         ("workers can't be started", "d/drive: workers can't be started"),
     ],
 )
-def test_a_failure_names_its_log(error: str, said: str) -> None:
+def test_a_failure_names_its_log(error: str, text: str) -> None:
     paths = ["/d/drive.mcap", "/d/images"]
-    assert failure({"log": "d/drive", "paths": paths, "error": error}) == said
+    assert failure({"log": "d/drive", "paths": paths, "error": error}) == text

@@ -1,4 +1,4 @@
-"""The queries of the help page, run out of the page itself: three engines, the same rows."""
+"""Queries of the help page: pandas, polars and DuckDB return the same rows."""
 
 import ast
 import json
@@ -31,7 +31,7 @@ ENGINES = {"python pandas", "python polars", "sql"}
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Results of two logs, with lost frames and drops put in, and an overhang."""
+    """Return results of two logs, edited to contain lost frames, drops and an overhang."""
     folder = tmp_path_factory.mktemp("queries")
     (folder / "logs").mkdir()
     for name in ("a", "b"):
@@ -39,7 +39,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     run_logs(folder / "logs", folder / "results", backend="reference", pictures=1)
     rows = _rows(folder, "frames")
     for row in rows:
-        row["color_stamp_ns"] += 85  # which float64 can't tell from 0
+        row["color_stamp_ns"] += 85  # lost in float64
     for i, status in ((2, "timeout"), (5, "no_depth"), (9, "timeout"), (10, "timeout")):
         rows[i] |= {"status": status, "free_bearing_rad": None, "free_to_m": None}
         rows[i]["color_stamp_ns"] = None
@@ -55,7 +55,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def _rows(folder: Path, name: str) -> list[dict[str, Any]]:
-    """The rows of a table of both logs."""
+    """Return the rows of a table of both logs."""
     paths = (folder / "results" / log / f"{name}.parquet" for log in "ab")
     return [row for path in paths for row in pq.read_table(path).to_pylist()]
 
@@ -68,7 +68,7 @@ def _write(folder: Path, name: str, rows: list[dict[str, Any]], schema: pa.Schem
 
 
 def last_value(text: str, names: dict[str, Any]) -> Any:
-    """Runs a block of Python and gives the value of its last line."""
+    """Run a block of Python and return the value of its last line."""
     *body, last = ast.parse(text).body
     exec(compile(ast.Module(body, []), str(PAGE), "exec"), names)
     assert isinstance(last, ast.Expr)
@@ -76,7 +76,7 @@ def last_value(text: str, names: dict[str, Any]) -> Any:
 
 
 def answer(engine: str, start: str, text: str) -> tuple[list[str], list[tuple]]:
-    """The columns and rows that a query gives."""
+    """Return the columns and rows of a query."""
     if engine == "sql":
         with duckdb.connect() as database:
             database.execute(start)
@@ -94,7 +94,7 @@ def missing(value: Any) -> bool:
 
 
 def same(one: Any, other: Any) -> bool:
-    """Two values of engines are equal, numbers to float32's precision."""
+    """Return whether two values are equal, numbers in the precision of float32."""
     if missing(one) or missing(other) or isinstance(one, str):
         return one == other or (missing(one) and missing(other))
     return math.isclose(one, other, rel_tol=1e-6)
@@ -109,7 +109,9 @@ def test_the_page_has_ten_queries() -> None:
 
 
 @pytest.mark.parametrize("title", SECTIONS)
-def test_three_engines_agree(title: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_three_engines_return_the_same_rows(
+    title: str, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(folder)
     answers = {
         engine: answer(engine, START[engine], text) for engine, text in SECTIONS[title].items()
@@ -123,7 +125,7 @@ def test_three_engines_agree(title: str, folder: Path, monkeypatch: pytest.Monke
 
 
 @pytest.mark.parametrize("engine", sorted(ENGINES))
-def test_stamps_are_exact_where_some_are_missing(
+def test_timestamps_are_exact_in_columns_with_nulls(
     engine: str, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(folder)
@@ -141,10 +143,10 @@ def test_stamps_are_exact_where_some_are_missing(
 
 
 @pytest.mark.parametrize("engine", sorted(ENGINES))
-def test_results_without_pictures(
+def test_queries_run_on_results_without_pictures(
     engine: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As of ``--pictures 0``."""
+    """Such results are written with ``--pictures 0``."""
     shutil.copytree(folder / "results", tmp_path / "results")
     for path in (tmp_path / "results").glob("*/summary.json"):
         summary = json.loads(path.read_text())
@@ -156,7 +158,7 @@ def test_results_without_pictures(
     assert columns == ["log", "camera", "frame", "picture", "distance_m"] and not rows
 
 
-def test_answers_are_those_of_the_tables(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_answers_agree_with_the_tables(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(folder)
     titles = list(SECTIONS)
     obstacles = _rows(folder, "obstacles")

@@ -78,13 +78,13 @@ def stands_of(
 
 
 @given(st.integers(-9000, 9000), st.integers(-9000, 9000))
-def test_bearings_equal_numpy(right: int, forward: int) -> None:
+def test_bearings_equal_arctan2(right: int, forward: int) -> None:
     units = int(bearings(np.array([right]), np.array([forward]))[0])
     apart = units - np.arctan2(right, forward) * TURN / (2 * np.pi)
     assert abs((apart + TURN / 2) % TURN - TURN / 2) <= 1 or right == forward == 0
 
 
-def test_half_a_cell_of_a_d435() -> None:
+def test_half_a_cell_of_a_d435_in_rays() -> None:
     assert pytest.approx(1.5 / 380, rel=0.02) == HALF / (1 << 13)
 
 
@@ -97,7 +97,7 @@ def test_corners_of_tiles() -> None:
     assert tile_corners(np.ones((2, 1, 1), np.int64)).tolist() == [[[1, 1]] * 2] * 2
 
 
-def test_directions() -> None:
+def test_directions_of_rays() -> None:
     ahead, edges = ray_directions()
     assert ahead[AHEAD].tolist() == [0, 8192] and ahead[AHEAD + RAYS // 4].tolist() == [8192, 0]
     assert edges[AHEAD, 0] < 0 < edges[AHEAD + 1, 0]

@@ -1,4 +1,4 @@
-"""Rays on real recordings: they pass no obstacle, and keep the free floor of columns."""
+"""Rays on recordings: they pass no obstacle and keep the free floor of columns."""
 
 from pathlib import Path
 
@@ -25,7 +25,7 @@ def test_rays_pass_no_contour_and_no_pixel_above_the_step(shared_data: Path, nam
 
 
 @pytest.mark.slow
-def test_all_recordings(shared_data: Path) -> None:
+def test_rays_of_all_recordings_keep_the_free_floor(shared_data: Path) -> None:
     names = [str(path.relative_to(shared_data)) for path in sorted(shared_data.rglob("*.mcap"))]
     found = figures_of(shared_data, [name for name in names if OTHERS not in name])
     assert found.frames >= 100 and found.rays > 25_000

@@ -1,4 +1,4 @@
-"""A results folder read back: every row in order, whatever the chunks, and nothing half."""
+"""Reading of results: all rows in order, in chunks of any size, and no incomplete results."""
 
 import errno
 import json
@@ -28,7 +28,7 @@ OPTIONS = LogOptions(pair_tolerance_s=0.1, color_intrinsics=(150.0, 150.0, 79.5,
 
 
 def write_results(folder: Path) -> Path:
-    """Two logs, one of them broken between the others, in row groups of seven rows."""
+    """Write results of three logs, the second failed, in row groups of seven rows."""
     for name, frames in (("a", 9), ("b", 4)):
         write_log(folder / f"{name}.mcap", SimConfig(frames=frames, width=160, height=120))
     (folder / "ab.mcap").write_bytes(b"no log")
@@ -45,7 +45,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_reading_holds_one_row_group(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """However many there are."""
+    """The number of row groups does not matter."""
     monkeypatch.setattr(writer, "ROWS_PER_GROUP", 1024)
     with Results(make_results(tmp_path / "out", {"a": 40 * 1024})) as results:
         before = pa.total_allocated_bytes()
@@ -54,7 +54,7 @@ def test_reading_holds_one_row_group(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert len(held) == 40 and max(held) < 500_000
 
 
-def test_other_columns_are_not_read_on_from_those_before(tmp_path: Path) -> None:
+def test_chunks_with_other_columns_start_from_the_beginning(tmp_path: Path) -> None:
     with Results(make_results(tmp_path / "out", {"a": 20, "b": 20})) as results:
         first, second = results.logs
         for columns in (["stamp_ns"], ["status"], ["status", "stamp_ns"]):
@@ -71,7 +71,7 @@ def copied(folder: Path, to: Path) -> Path:
 
 
 @pytest.mark.parametrize("size", [1, 3, 1000])
-def test_chunks_are_the_tables(folder: Path, size: int) -> None:
+def test_chunks_add_up_to_the_tables(folder: Path, size: int) -> None:
     with Results(folder) as results:
         assert [log.name for log in results.logs] == ["a", "b"]
         whole = list(results.chunks(size=size))
@@ -88,14 +88,14 @@ def test_chunks_are_the_tables(folder: Path, size: int) -> None:
     assert whole[0].obstacles.num_rows == whole[0].first[-1]
 
 
-def test_chunks_of_some_columns(folder: Path) -> None:
+def test_chunks_have_the_requested_columns(folder: Path) -> None:
     with Results(folder) as results:
         (chunk,) = results.chunks(results.log("b"), ["stamp_ns"], ["distance_m"])
     assert chunk.frames.column_names == ["log", "camera", "frame", "num_obstacles", "stamp_ns"]
     assert chunk.obstacles.column_names == ["log", "camera", "frame", "distance_m"]
 
 
-def test_frames_have_their_obstacles(folder: Path) -> None:
+def test_frames_are_iterated_with_their_obstacles(folder: Path) -> None:
     with Results(folder) as results:
         frames = list(results.frames())
         assert len(frames) == 13 == sum(log.num_frames for log in results.logs)
@@ -105,12 +105,12 @@ def test_frames_have_their_obstacles(folder: Path) -> None:
     assert sum(len(frame.obstacles) for frame in frames) > 13
 
 
-def test_a_folder_is_named_as_text(folder: Path) -> None:
+def test_folders_are_given_as_path_or_text(folder: Path) -> None:
     with Results(str(folder)) as results:
         assert results.folder == folder
 
 
-def test_what_a_run_was_made_with(folder: Path) -> None:
+def test_results_record_version_configuration_and_inputs(folder: Path) -> None:
     with Results(folder) as results:
         assert results.method == CONFIG and results.log_options == OPTIONS
         assert results.version == jaxdet.__version__
@@ -124,7 +124,7 @@ def test_what_a_run_was_made_with(folder: Path) -> None:
             results.log("ab")
 
 
-def test_tables_say_units_configuration_and_inputs(folder: Path) -> None:
+def test_metadata_of_tables_has_units_configuration_and_inputs(folder: Path) -> None:
     for name, schema in (("frames", FRAMES_SCHEMA), ("obstacles", OBSTACLES_SCHEMA)):
         file = pq.ParquetFile(folder / "a" / f"{name}.parquet")
         assert file.schema_arrow.equals(schema)
@@ -146,11 +146,11 @@ def test_tables_say_units_configuration_and_inputs(folder: Path) -> None:
 @pytest.mark.parametrize(
     "name", ["manifest.json", "summary.json", "config.json", "obstacles.parquet"]
 )
-def test_half_a_folder_is_refused(folder: Path, tmp_path: Path, name: str) -> None:
+def test_incomplete_results_are_refused(folder: Path, tmp_path: Path, name: str) -> None:
     half = copied(folder, tmp_path / "half")
     (half / name).unlink()
-    said = f"no (complete )?results .{name}"
-    with pytest.raises(InputError, match=said):
+    message = f"no (complete )?results .{name}"
+    with pytest.raises(InputError, match=message):
         Results(half).tables()
     for damaged in (b"{", b"[]", b"[" * 100_000):
         (half / name).write_bytes(damaged)
@@ -158,7 +158,7 @@ def test_half_a_folder_is_refused(folder: Path, tmp_path: Path, name: str) -> No
             Results(half).tables()
 
 
-def test_what_a_run_has_not_completed_is_not_among_the_logs(folder: Path, tmp_path: Path) -> None:
+def test_logs_that_are_not_finished_are_not_listed(folder: Path, tmp_path: Path) -> None:
     copy = Path(shutil.copytree(folder, tmp_path / "copy"))
     (copy / "a" / "manifest.json").unlink()
     (copy / "mine").mkdir()
@@ -170,8 +170,8 @@ def test_what_a_run_has_not_completed_is_not_among_the_logs(folder: Path, tmp_pa
         Results(copy)
 
 
-def test_names_in_a_received_folder_lead_nowhere(folder: Path, tmp_path: Path) -> None:
-    """They are refused, so that none is used to read or to write a file."""
+def test_names_in_received_results_cannot_leave_the_folder(folder: Path, tmp_path: Path) -> None:
+    """They are refused before a file is read or written."""
     copy = copied(folder, tmp_path / "copy")
     summary = json.loads((copy / "summary.json").read_text("utf-8"))
     summary["logs"][0] |= {
@@ -184,17 +184,17 @@ def test_names_in_a_received_folder_lead_nowhere(folder: Path, tmp_path: Path) -
         Results(copy)
 
 
-def test_a_file_that_is_shut_is_not_called_damaged(
+def test_an_unreadable_file_is_not_reported_as_damaged(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def shut(path: Path, mode: str) -> None:
         raise PermissionError(errno.EACCES, "Failed to open", str(path))
 
-    said = r"%s: can't be read \(%s\); check its permissions"
+    message = r"%s: can't be read \(%s\); check its permissions"
     with monkeypatch.context() as patch, pytest.raises(InputError) as caught:
         patch.setattr(reading, "open_file", shut)
         Results(folder).tables()
-    assert caught.match(said % ("frames.parquet", "Permission denied"))
+    assert caught.match(message % ("frames.parquet", "Permission denied"))
     new = copied(folder, tmp_path / "new")
     (new / "frames.parquet").unlink()
     os.mkfifo(new / "frames.parquet")
@@ -203,11 +203,11 @@ def test_a_file_that_is_shut_is_not_called_damaged(
     (new / "frames.parquet").unlink()
     (new / "summary.json").unlink()
     (new / "summary.json").mkdir()
-    with pytest.raises(InputError, match=said % ("summary.json", "Is a directory")):
+    with pytest.raises(InputError, match=message % ("summary.json", "Is a directory")):
         Results(new)
 
 
-def test_what_does_not_belong_together_is_refused(folder: Path, tmp_path: Path) -> None:
+def test_tables_of_different_runs_are_refused(folder: Path, tmp_path: Path) -> None:
     other = copied(folder, tmp_path / "other")
     table = pq.read_table(other / "frames.parquet")
     about = pq.ParquetFile(other / "frames.parquet").metadata.metadata
@@ -234,7 +234,7 @@ def test_what_does_not_belong_together_is_refused(folder: Path, tmp_path: Path) 
         Results(tmp_path / "missing")
 
 
-def test_a_log_is_no_folder_of_results(tmp_path: Path) -> None:
+def test_a_log_is_not_a_results_folder(tmp_path: Path) -> None:
     (tmp_path / "drive.mcap").touch()
     with pytest.raises(InputError, match="a file, not a folder of results; name the folder"):
         Results(tmp_path / "drive.mcap")
@@ -258,12 +258,12 @@ def test_damaged_rows_are_an_error(folder: Path, tmp_path: Path) -> None:
         ("/a/drive.MCAP", {}, True),
     ],
 )
-def test_results_of_older_versions_do_not_say_that_a_log_is_a_folder_of_images(
+def test_results_of_older_versions_do_not_record_image_folders(
     path: str, described: dict[str, bool], expected: bool
 ) -> None:
     about = {"pose_source": "poses: TF from map", **described}
-    told = {"paths": [path], "description": about}
-    log = ResultLog("a", "c", "a", Path(), False, told, 0, 0)
+    entry = {"paths": [path], "description": about}
+    log = ResultLog("a", "c", "a", Path(), False, entry, 0, 0)
     assert log.poses_from_tf is expected
 
 

@@ -1,4 +1,4 @@
-"""The README's example in Python, and what a package index shows of the README.
+"""The README: its example in Python, and the description on a package index.
 
 tests/test_help_pages.py runs all of its snippets.
 """
@@ -13,11 +13,11 @@ ROOT = Path(__file__).resolve().parents[1]
 README = ROOT / "README.md"
 
 
-def test_it_is_short():
+def test_readme_is_short():
     assert len(README.read_text(encoding="utf-8").splitlines()) <= 110
 
 
-def test_the_example_runs(tmp_path, monkeypatch, capsys):
+def test_the_python_example_runs(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (example,) = re.findall(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), re.S)
     assert len(example.splitlines()) <= 12
@@ -40,11 +40,11 @@ def test_package_description_has_no_relative_links_or_pictures():
     assert re.findall(r"^#.*", shown, re.M) == headings and "which settings matter" in shown
 
 
-def test_picture_moves_and_is_small():
+def test_the_picture_is_a_small_animation():
     (picture,) = re.findall(r"!\[.*?\]\((.*?)\)", README.read_text(encoding="utf-8"))
     assert (ROOT / picture).stat().st_size < 1_500_000
     moving, animation = cv2.imreadanimation(str(ROOT / picture))
     assert moving and len(animation.frames) == 60
-    assert abs(sum(animation.durations) - 10_000) < 200  # ms, the drive in real time
+    assert abs(sum(animation.durations) - 10_000) < 200  # [ms], in real time
     first, later = animation.frames[0], animation.frames[30]
     assert (cv2.absdiff(first, later) > 40).mean() > 0.05

@@ -1,4 +1,4 @@
-"""Results that somebody else wrote: tables with nulls or NaN, links in place of files."""
+"""Results from others: tables with nulls or NaN, links in place of files."""
 
 import json
 import shutil
@@ -16,7 +16,7 @@ from tests.runs import run_logs
 
 @pytest.fixture(scope="module")
 def tracked(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Results of a log, with tracks."""
+    """Return results of a log, with tracks."""
     folder = tmp_path_factory.mktemp("received")
     results = folder / "results"
     run_logs([sim_log(folder / "a.mcap", seed=0)], results, backend="reference", pictures=0)
@@ -40,7 +40,9 @@ def rewrite(table: Path, column: str, value: pa.Scalar, nullable: bool) -> None:
         ("max_speed_mps", pa.scalar(float("nan"), pa.float32()), "is not finite"),
     ],
 )
-def test_values_that_no_run_writes_are_one_line(tracked, tmp_path, capsys, column, value, says):
+def test_values_that_no_run_writes_are_errors_of_one_line(
+    tracked, tmp_path, capsys, column, value, says
+):
     results = tmp_path / "results"
     shutil.copytree(tracked, results)
     rewrite(results / "a/tracks.parquet", column, value, not value.is_valid)
@@ -57,13 +59,13 @@ def test_tracks_are_not_written_through_a_broken_link(tracked, tmp_path):
     table.unlink()
     table.symlink_to(outside)
     manifest = json.loads((results / "a/manifest.json").read_text("utf-8"))
-    own = ("files", "format", "sha256")  # whose values are of the files that are there
+    own = ("files", "format", "sha256")  # values of the existing files
     write_manifest(results / "a", {k: v for k, v in manifest.items() if k not in own})
     main(["track", str(results), "-q"])
     assert not outside.exists()
 
 
-def test_inputs_of_a_received_manifest_are_checked(tracked, tmp_path, capsys):
+def test_inputs_in_a_received_manifest_are_checked(tracked, tmp_path, capsys):
     results = tmp_path / "results"
     shutil.copytree(tracked, results)
     manifest = json.loads((results / "a/manifest.json").read_text("utf-8"))
@@ -71,5 +73,5 @@ def test_inputs_of_a_received_manifest_are_checked(tracked, tmp_path, capsys):
     content = {name: value for name, value in manifest.items() if name not in own}
     write_manifest(results / "a", content | {"inputs": ["drive.mcap"]})
     assert main(["verify", str(results)]) == 1
-    said = capsys.readouterr()
-    assert "inputs[0] must be dict" in said.out and "jaxdet itself" not in said.err
+    message = capsys.readouterr()
+    assert "inputs[0] must be dict" in message.out and "jaxdet itself" not in message.err

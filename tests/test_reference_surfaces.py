@@ -79,7 +79,7 @@ def test_small_components_are_not_surfaces() -> None:
     assert found([[900, 900, 990, 900, 900, 900]], config=config) == [[-1, -1, -1, 0, 0, 0]]
 
 
-def test_depth_unit() -> None:
+def test_steps_are_in_metres_whatever_the_depth_unit() -> None:
     z = np.array([[9000, 9300, 9601]], np.int32)
     assert surfaces(z, z > 0, 0.0001, PLAIN).tolist() == [[0, 0, 1]]
     assert surfaces(z, z > 0, 0.001, PLAIN).tolist() == [[0, 1, 2]]
@@ -94,7 +94,7 @@ def test_a_concave_edge_separates_and_a_convex_one_does_not() -> None:
     assert not surfaces(inside, inside > 0, UNIT, PLAIN).any()
 
 
-def test_an_object_against_a_wall() -> None:
+def test_an_object_against_a_wall_is_separated_by_its_crease() -> None:
     """A box leans on a wall: its side recedes by 25 mm per cell, without a step."""
     profile = [1000] * 10 + [1025, 1050, 1075, 1100] + [1125] * 10
     z = np.tile(profile, (12, 1))
@@ -113,7 +113,7 @@ def test_a_gap_in_a_crease_does_not_connect_surfaces() -> None:
     assert not surfaces(z, z > 0, UNIT, replace(CREASED, crease_margin=0)).any()
 
 
-def test_small_creases_are_noise() -> None:
+def test_creases_below_the_threshold_do_not_separate() -> None:
     z = np.full((20, 30), 1000)
     z[9:11, 14:16] = 1029
     step, fine = np.full(z.shape, 30), replace(CREASED, crease_m=0.005)
@@ -161,8 +161,8 @@ def test_at_the_margins_floor_measured_too_near_has_no_front() -> None:
     forward = np.tile(np.array([2650, 2630, 2700, 2600])[:, None], (1, 24))
     gone = without_bent_floor(label, label < 0, forward, height, UNIT, CREASED) < 0
     np.testing.assert_array_equal(gone, label != 1)
-    for beside in (-59, 0, 59):
-        forward[1] = forward[2] + beside
+    for sideways in (-59, 0, 59):
+        forward[1] = forward[2] + sideways
         kept = without_bent_floor(label, label < 0, forward, height, UNIT, CREASED)
         np.testing.assert_array_equal(kept, label)
 
@@ -261,7 +261,9 @@ def test_a_shift_of_all_depths_has_no_influence(
 
 
 @given(depths, masks)
-def test_mirrored_and_turned(z: np.ndarray, keep: np.ndarray) -> None:
+def test_mirrored_and_rotated_cells_have_the_same_partition(
+    z: np.ndarray, keep: np.ndarray
+) -> None:
     keep = keep & (z > 0)
     label = surfaces(z, keep, UNIT, PLAIN)
     assert same_parts(surfaces(z[:, ::-1], keep[:, ::-1], UNIT, PLAIN)[:, ::-1], label)
@@ -313,7 +315,7 @@ def test_renumbered_is_idempotent_and_keeps_the_partition(label: np.ndarray) -> 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 7), (7, 1), (2, 3), (0, 5), (5, 0)])
 @pytest.mark.parametrize("config", [PLAIN, SurfaceConfig(min_cells=1), SurfaceConfig()])
-def test_small_grids(shape: tuple, config: SurfaceConfig) -> None:
+def test_small_grids_are_supported(shape: tuple, config: SurfaceConfig) -> None:
     z = np.full(shape, 1000, np.int32)
     label = surfaces(z, z > 0, UNIT, config)
     assert label.shape == shape

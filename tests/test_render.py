@@ -1,4 +1,4 @@
-"""Pictures: what must be seen is there, at the right place; edges do not break them."""
+"""Pictures: content and positions, and edge cases."""
 
 from itertools import combinations
 from pathlib import Path
@@ -24,7 +24,7 @@ STILL = Extrinsics((1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0), (0.0, 0.0, 0.0))
 
 
 def scene(width: int = 160, height: int = 120) -> Frames:
-    """A chequered box 1.2 m away, right of the middle; camera level at 0.5 m."""
+    """Return a chequered box 1.2 m away, right of the centre; the camera is level at 0.5 m."""
     v, u = np.mgrid[0:height, 0:width]
     box = (u >= 90) & (u < 140) & (v >= 30) & (v < 80)
     depth = np.where(box, 1200, 0).astype(np.uint16)
@@ -61,7 +61,7 @@ def test_a_frame_shows_its_obstacle_in_both_views() -> None:
     assert not has_color(image[40:-40], canvas.color_of(1))
 
 
-def test_a_frame_without_obstacles_and_floor() -> None:
+def test_a_frame_without_obstacles_and_floor_is_drawn() -> None:
     frames = scene()
     empty = frames._replace(depth=np.zeros_like(frames.depth), plane=unknown_plane(1))
     image = picture(empty)
@@ -81,7 +81,7 @@ def test_cells_of_an_obstacle_are_tinted_in_its_colour() -> None:
 
 
 @pytest.mark.parametrize("why", ["none", "not read", "other size"])
-def test_without_colour_the_picture_is_of_depth(why: str) -> None:
+def test_without_colour_the_picture_shows_depth(why: str) -> None:
     frames = scene()
     assert frames.color is not None
     shown = {
@@ -90,7 +90,7 @@ def test_without_colour_the_picture_is_of_depth(why: str) -> None:
         "other size": {"color": frames.color[:, ::2, ::2]},
     }[why]
     calibration = frames.calibration
-    if why == "other size":  # whose relation to depth is not known
+    if why == "other size":  # its relation to depth is unknown
         calibration = Calibration(calibration.depth)
     given = frames._replace(**shown, calibration=calibration)
     assert not camera.has_color(given, 0) and camera.has_color(frames, 0)
@@ -135,7 +135,7 @@ def test_a_wide_image_keeps_its_shape() -> None:
     assert image.shape[1] < 1550
 
 
-def test_top_view_puts_right_to_the_right() -> None:
+def test_top_view_has_x_to_the_right() -> None:
     view = View(center=100, bottom=200, scale=50)
     np.testing.assert_allclose(view.pixels(np.array([1.0, 2.0])), [150, 100])
     frames = scene()
@@ -149,7 +149,7 @@ def test_top_view_puts_right_to_the_right() -> None:
 
 
 def test_a_scene_shows_free_floor_and_drops() -> None:
-    """A floor with a box on it, which ends 2 m away; beyond is a lower one."""
+    """A floor with a box ends 2 m away, where a lower floor begins."""
     frames, v = scene(), np.arange(120)[:, None]
     below = np.maximum(v - 60, 1e-3) / 120.0
     floor, lower = 500 / below, 900 / below
@@ -170,15 +170,15 @@ def test_a_scene_shows_free_floor_and_drops() -> None:
     assert len(rows) > 2000 and abs(columns.mean() - 270) < 20
 
 
-def test_free_floor_is_drawn_between_neighbours_alone() -> None:
-    """Rays that show none part it."""
+def test_free_floor_is_drawn_only_between_adjacent_rays() -> None:
+    """It is interrupted at rays without free floor."""
     free, ahead = np.zeros((1, RAYS, 2), np.int32), RAYS // 2
     free[0, ahead : ahead + 41] = free[0, ahead - 40] = 500, 2000
     image = np.zeros((200, 200, 3), np.uint8)
     scene: Any = SimpleNamespace(free=free, free_end=np.zeros((1, RAYS), np.int32))
     topview._draw_free(image, View(center=100, bottom=190, scale=80), scene, 0, 0.001)
     first, last = np.flatnonzero(image.any(axis=(0, 2)))[[0, -1]].tolist()
-    right = 100 + 160 * np.sin(np.radians(10))  # from ahead to 40 rays on
+    right = 100 + 160 * np.sin(np.radians(10))  # 40 rays to the right of ahead
     assert abs(first - 100) <= 1 and abs(last - right) < 2
 
 
@@ -193,7 +193,7 @@ def test_labels_of_boxes_stay_in_the_picture() -> None:
 
 
 @pytest.mark.parametrize("far", [1e7, -1e12])
-def test_what_lies_far_outside_is_drawn_towards_there(far: float) -> None:
+def test_lines_to_distant_points_have_the_right_direction(far: float) -> None:
     image = np.zeros((20, 40, 3), np.uint8)
     canvas.line(image, np.array([[20.0, 10.0], [far, 10.0]]), (255, 0, 0))
     half, other = image[9:12, 22:], image[9:12, :18]
@@ -202,7 +202,7 @@ def test_what_lies_far_outside_is_drawn_towards_there(far: float) -> None:
     assert half[..., 0].max(axis=0).all() and not other.any()
 
 
-def test_map_shows_where_it_was_free() -> None:
+def test_map_shows_free_cells() -> None:
     counts, free = np.zeros((2, 40, 80), np.int32)
     counts[:, 40:], free[:20] = 1, 3
     image = draw_map(MapImage(counts, free, (0.0, 0.0), 0.05, np.zeros((0, 2))), "n")
@@ -211,7 +211,7 @@ def test_map_shows_where_it_was_free() -> None:
     assert columns.max() < 0.6 * image.shape[1]
 
 
-def test_map_has_y_up_and_the_path(tmp_path: Path) -> None:
+def test_map_has_y_up_and_the_trajectory(tmp_path: Path) -> None:
     counts = np.zeros((40, 80), np.int32)
     counts[30:40, 60:80] = 7  # large X, large Y: upper right
     counts[0, 0] = 1
@@ -229,13 +229,13 @@ def test_map_has_y_up_and_the_path(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("path", [np.zeros((0, 2)), np.array([[500.0, -300.0]])])
-def test_map_of_one_cell(path: np.ndarray) -> None:
+def test_map_of_one_cell_is_drawn(path: np.ndarray) -> None:
     image = draw_map(MapImage(*np.ones((2, 1, 1), np.int32), (0.0, 0.0), 0.05, path), "n")
     assert max(image.shape) < 1200
 
 
 def test_text_is_drawn_without_the_fonts_of_opencv_5(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Another package may bring OpenCV 4, which has strokes alone, in ASCII."""
+    """Another package may install OpenCV 4, which has only stroke fonts, in ASCII."""
     monkeypatch.setattr(canvas, "_HAS_FONTS", False)
     image = canvas.canvas(40, 300)
     canvas.write(image, "10.0° down", (290, 30), size=20, align="right")

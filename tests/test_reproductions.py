@@ -1,4 +1,4 @@
-"""Faults that a new user and real recordings showed, each with its test."""
+"""Regression tests of bugs found by users and with real recordings."""
 
 import os
 import subprocess
@@ -44,19 +44,19 @@ def test_the_package_is_typed_and_imports_what_it_declares() -> None:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no pseudo-terminals")
-def test_commands_show_that_they_are_at_work(log: Path) -> None:
+def test_commands_show_progress(log: Path) -> None:
     import pty
 
     parent, child = pty.openpty()
     run = [sys.executable, "-m", "jaxdet", "info", str(log)]
     subprocess.run(run, stdout=subprocess.DEVNULL, stderr=child, check=True, timeout=300)
     os.close(child)
-    said = os.read(parent, 1 << 16).decode()
+    printed = os.read(parent, 1 << 16).decode()
     os.close(parent)
-    assert "reading s" in said
+    assert "reading s" in printed
 
 
-def test_a_torn_log_without_a_calibration_says_both(tmp_path: Path) -> None:
+def test_a_truncated_log_without_a_calibration_reports_both(tmp_path: Path) -> None:
     path = tmp_path / "x.mcap"
     with LogFile(path) as file:
         write_images(file, make_scene(3))
@@ -65,7 +65,7 @@ def test_a_torn_log_without_a_calibration_says_both(tmp_path: Path) -> None:
         open_log(path)
 
 
-def test_an_overflow_names_its_page(log: Path, tmp_path: Path, capsys: Captured) -> None:
+def test_an_overflow_warning_names_its_page(log: Path, tmp_path: Path, capsys: Captured) -> None:
     run = ["run", str(log), "--output", str(tmp_path / "out"), "--backend", "reference"]
     few = ["--preset", "paper", "--features.max-corners", "8"]
     assert main([*run, "--pictures", "0", *few]) == 0
@@ -81,13 +81,13 @@ def test_number_of_failed_logs_is_reported(log: Path, tmp_path: Path, capsys: Ca
     assert main([*run, "--pictures", "0"]) == 1
     assert "; 1 of 2 logs failed" in capsys.readouterr().out
     assert main(["run", str(bad), "--output", str(tmp_path / "none")]) == 1
-    said = capsys.readouterr()  # a single log's error is all there is to say
-    assert said.out == "no results\n" and said.err.count("\n") == 1
+    printed = capsys.readouterr()  # for a single log only its error is printed
+    assert printed.out == "no results\n" and printed.err.count("\n") == 1
 
 
 @pytest.mark.parametrize("name, value", [("z", -5), ("x", 400_000)])
-def test_points_that_no_camera_sees_are_clustered_alike(name: str, value: int) -> None:
-    """They were a crash; both backends put them into the same sets."""
+def test_points_outside_of_any_camera_are_clustered_alike(name: str, value: int) -> None:
+    """Such points once caused a crash."""
     config = jaxdet.preset("paper")
     depth = np.full((1, 60, 80), 1500, np.uint16)
     color = np.random.default_rng(0).integers(0, 255, (1, 60, 80, 3), np.uint8)
@@ -108,13 +108,13 @@ def test_points_that_no_camera_sees_are_clustered_alike(name: str, value: int) -
     )
 
 
-def test_low_level_calls_with_what_is_no_batch_of_frames() -> None:
+def test_low_level_functions_refuse_arguments_that_are_not_batches() -> None:
     given = frames(
         small(80, 60), np.zeros((1, 60, 80, 3), np.uint8), np.zeros((1, 60, 80), np.uint16)
     )
     arrays = given.calibration._replace(color_from_depth=Extrinsics(np.eye(3), [0, 0, 0]))
     none = given._replace(color=given.color[:0], depth=given.depth[:0], valid=given.valid[:0])
-    for wrong, said in (
+    for wrong, message in (
         ([given, given], "frames: expected Frames, got list"),
         (
             given._replace(calibration=arrays),
@@ -123,5 +123,5 @@ def test_low_level_calls_with_what_is_no_batch_of_frames() -> None:
         (none, "the batch is empty"),
     ):
         for backend in ("reference", "jax"):
-            with pytest.raises((InputError, CalibrationError), match=said):
+            with pytest.raises((InputError, CalibrationError), match=message):
                 jaxdet.detect(wrong, backend=backend)

@@ -1,4 +1,4 @@
-"""The results folder: schema, nulls, bytes that do not depend on the batch, nothing half."""
+"""Tables of results: schema, nulls, reproducible bytes, errors."""
 
 import json
 import subprocess
@@ -47,7 +47,7 @@ def frame_rows(start: int, stop: int) -> dict:
 
 
 def lists(numbers: np.ndarray, dtype: type) -> Lists:
-    """Of each number as many, and null for every third."""
+    """Return lists of ``n`` times ``n`` for each number, null for every third one."""
     null = numbers % 3 == 0
     length = np.where(null, 0, numbers)
     return Lists.of_lengths(np.repeat(numbers, length).astype(dtype), length, null)
@@ -82,7 +82,7 @@ def write(folder: Path, batch: int, rows: int = 50) -> None:
     write_json(folder / "summary.json", {"b": "é"})
 
 
-def test_round_trip_with_nulls(tmp_path: Path) -> None:
+def test_tables_survive_a_round_trip_with_nulls(tmp_path: Path) -> None:
     write(tmp_path, 7)
     frames = pq.read_table(tmp_path / "frames.parquet", page_checksum_verification=True)
     obstacles = pq.read_table(tmp_path / "obstacles.parquet", page_checksum_verification=True)
@@ -112,12 +112,12 @@ def test_bytes_do_not_depend_on_the_batch(tmp_path: Path, monkeypatch: pytest.Mo
         assert pq.ParquetFile(tmp_path / "1" / name).num_row_groups == 4
 
 
-def test_no_rows_still_give_tables(tmp_path: Path) -> None:
+def test_empty_tables_are_written(tmp_path: Path) -> None:
     write(tmp_path, 5, rows=0)
     assert pq.read_table(tmp_path / "obstacles.parquet").num_rows == 0
 
 
-def test_rows_are_the_same_after_a_file(tmp_path: Path) -> None:
+def test_rows_do_not_change_in_a_round_trip(tmp_path: Path) -> None:
     rows = Tables.of(frame_rows(5, 10), obstacle_rows(5, 10))
     rows.save(tmp_path / "rows")
     for mine, want in zip(Tables.load(tmp_path / "rows"), rows, strict=True):
@@ -142,12 +142,12 @@ assert "pandas" not in sys.modules
     assert found.returncode == 0
 
 
-def test_a_folder_that_is_not_there_is_an_error_of_the_output(tmp_path: Path) -> None:
+def test_a_missing_folder_is_an_error_of_the_output(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="can't be written"):
         TableWriter(tmp_path / "missing")
 
 
-def test_lost_frames_are_a_problem_of_the_run():
+def test_lost_frames_are_reported_as_a_problem():
     lost = "a, frames 5 to 9: worker_crashed (out of memory)"
     log = {"log": "a", "error": None, "frames": 10, "frame_errors": [], "lost": [lost]}
     log["cameras_left_out"] = []
@@ -156,7 +156,7 @@ def test_lost_frames_are_a_problem_of_the_run():
 
 
 def test_a_problem_names_its_log(monkeypatch):
-    """Also where the error is about another file, as of a truth that is not the log's."""
+    """It does so even if the error is about another file, such as ground truth."""
     monkeypatch.chdir("/")
     log = {"log": "day", "paths": ["/logs/day_0.mcap"], "error": "logs/day_0.mcap: is torn"}
     folder = {"log": "room", "paths": ["/logs/room"], "error": "logs/room/rgb/1.png: is torn"}

@@ -1,4 +1,4 @@
-"""The ROS 2 node, with a stub of ROS 2; it was never run with the real one."""
+"""ROS 2 node, run with a stub of ROS 2; it was never run with the real one."""
 
 import importlib
 import re
@@ -46,7 +46,7 @@ def same(a: Any, b: Any) -> bool:
     return a == b
 
 
-def test_messages_are_those_of_the_export(driven_results, frames, tmp_path, monkeypatch):
+def test_messages_equal_those_of_the_export(driven_results, frames, tmp_path, monkeypatch):
     camera, images = frames
     with jaxdet.open_results(driven_results) as results:
         (prior,) = results.logs[0].summary["ground"]
@@ -88,7 +88,7 @@ def test_topics_qos_and_parameters(monkeypatch):
 
 
 def bad_images(camera: Any, depth: np.ndarray) -> dict[str, tuple[Any, Any]]:
-    """Image and calibration by the warning that they cause."""
+    """Return pairs of image and calibration by the warning that they cause."""
     good, small = image_message(7, "camera", depth), image_message(7, "camera", depth[:60])
     short = image_message(7, "camera", depth)
     del short.data[-100:]
@@ -114,16 +114,16 @@ def bad_images(camera: Any, depth: np.ndarray) -> dict[str, tuple[Any, Any]]:
     }
 
 
-def test_of_an_image_that_cannot_be_used_nothing_is_published(frames, monkeypatch):
+def test_nothing_is_published_for_unusable_images(frames, monkeypatch):
     camera, images = frames
     node = install(monkeypatch)
     obstacles = ObstacleNode(node)
     for warning, (image, info) in bad_images(camera, images[0].depth).items():
         node.warnings.clear()
         deliver(node, image, info)
-        (said,) = node.warnings
-        assert warning in said and said.startswith("nothing is published: /cam/depth/")
-        assert "--" not in said and set(node.counts().values()) == {0}
+        (reported,) = node.warnings
+        assert warning in reported and reported.startswith("nothing is published: /cam/depth/")
+        assert "--" not in reported and set(node.counts().values()) == {0}
     deliver(node, image_message(8, "camera", images[0].depth), info_message(8, camera))
     assert set(node.counts().values()) == {1}
     assert str(obstacles) == "7 depth images, 1 with published obstacles"
@@ -136,15 +136,15 @@ def test_images_without_calibration_are_a_warning(frames, monkeypatch):
     for number in range(UNPAIRED + 1):
         assert node.warnings == []
         node.deliver(DEPTH, image_message(number * 10**8, "camera", images[0].depth))
-    (said,) = node.warnings
-    assert said.startswith(f"{INFO}: no CameraInfo within slop_s of the last 31 depth images")
+    (reported,) = node.warnings
+    assert reported.startswith(f"{INFO}: no CameraInfo within slop_s of the last 31 depth images")
     node.deliver(INFO, info_message(UNPAIRED * 10**8 + 4 * 10**7, camera))
     (message,) = node.published["/jaxdet/detections"]
-    assert (message.header.stamp.sec, message.header.stamp.nanosec) == (3, 0)  # the image's
+    assert (message.header.stamp.sec, message.header.stamp.nanosec) == (3, 0)
     assert (obstacles.received, obstacles.published) == (UNPAIRED + 1, 1)
 
 
-def test_changed_calibration_is_used_from_its_image_on(frames, monkeypatch):
+def test_a_changed_calibration_is_used_from_its_image_on(frames, monkeypatch):
     camera, images = frames
     depth, wider = images[0].depth, camera._replace(fx=camera.fx * 0.8, fy=camera.fy * 0.8)
     node = install(monkeypatch, camera_frame="other")
@@ -160,8 +160,8 @@ def test_changed_calibration_is_used_from_its_image_on(frames, monkeypatch):
     assert not same(first.detections[0].bbox, third.detections[0].bbox)
 
 
-def test_float_depth_and_rectified_images(frames, monkeypatch):
-    """Float images are in metres; to a rectified image its distortion is not applied."""
+def test_float_depth_and_rectified_images_are_used(frames, monkeypatch):
+    """Float images are in metres, and rectified images have no distortion."""
     camera, images = frames
     depth, metres = 2 * images[0].depth, images[0].depth.astype("<f4") / 1000
     node = install(monkeypatch, depth_unit_m=0.0005)
@@ -181,14 +181,14 @@ def test_float_depth_and_rectified_images(frames, monkeypatch):
     assert "plumb_bob" not in node.infos[0]
 
 
-def test_mount_from_tf(frames, monkeypatch):
+def test_the_mount_comes_from_tf(frames, monkeypatch):
     camera, images = frames
     node = install(monkeypatch, base_frame="base_link", config="wheeled")
     ObstacleNode(node)
     pair = image_message(0, "camera", images[0].depth), info_message(0, camera)
     deliver(node, *pair)
-    (said,) = node.warnings
-    assert "base_frame base_link: no transform to 'camera'" in said
+    (reported,) = node.warnings
+    assert "base_frame base_link: no transform to 'camera'" in reported
     level = np.array([[0, 0, 1, 0.1], [-1, 0, 0, 0], [0, -1, 0, 0.3], [0, 0, 0, 1.0]])
     node.transforms["base_link", "camera"] = level
     deliver(node, *pair)
@@ -215,7 +215,7 @@ def test_mount_from_tf(frames, monkeypatch):
         ({"camera_height_m": 0.3, "base_frame": "base"}, "camera_height_m: contradicts base_frame"),
     ],
 )
-def test_wrong_parameters_end_the_node_with_one_line(parameters, problem, monkeypatch, capsys):
+def test_wrong_parameters_are_errors_of_one_line(parameters, problem, monkeypatch, capsys):
     install(monkeypatch, **parameters)
     assert main(["--ros-args"]) == 2
     error = capsys.readouterr().err
@@ -234,7 +234,7 @@ def test_node_runs_until_it_is_interrupted(frames, monkeypatch, capsys):
         deliver(node, image, info_message(frame.stamp_ns, camera))
         return True
 
-    install(monkeypatch, spin, camera_height_m=1)  # an integer, as YAML has it
+    install(monkeypatch, spin, camera_height_m=1)  # an integer, as from YAML
     assert main(["--ros-args", "-r", "depth:=/d"]) == 0
     assert capsys.readouterr().err == "2 depth images, 2 with published obstacles\n"
 
@@ -280,7 +280,7 @@ def test_launch_file_sets_every_parameter(capsys):
         assert arguments[name] == text
 
 
-def test_page_names_every_parameter():
+def test_the_page_lists_every_parameter():
     page = (Path(jaxdet.__file__).parent / "help/recipes.md").read_text(encoding="utf-8")
     table = page.partition("| parameter | default |")[2].partition("\n\n")[0]
     cells = [line.split("|")[1] for line in table.splitlines()[2:]]

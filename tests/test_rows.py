@@ -1,4 +1,4 @@
-"""From detections to rows: what a reader finds in each column."""
+"""Conversion of detections to rows: the values of each column."""
 
 import hashlib
 from dataclasses import replace
@@ -37,11 +37,11 @@ POINT_COLUMNS = {
         *("corners_ground", "corners_world"),
     ),
 }
-"""The columns that are of points alone."""
+"""Columns of obstacles made of points."""
 
 
 def boxes() -> Batch:
-    """Three frames of chequered boxes before a wall, the second without depth."""
+    """Return three frames of chequered boxes in front of a wall, the second without depth."""
     calibration = small(160, 120)
     v, u = np.mgrid[0:120, 0:160]
     depth = np.full((3, 120, 160), 3000, np.uint16) + (5 * u).astype(np.uint16)
@@ -67,7 +67,7 @@ def columns(name: str, **options: Any) -> dict[str, dict]:
 
 
 def digest(rows: dict[str, dict]) -> str:
-    """Of the values of the columns of points."""
+    """Return a digest of the columns of points."""
     sums = hashlib.sha256()
     for part, schema in SCHEMAS.items():
         table = to_table(rows[part], schema)
@@ -76,7 +76,7 @@ def digest(rows: dict[str, dict]) -> str:
     return sums.hexdigest()[:16]
 
 
-def test_columns_of_points_keep_their_values() -> None:
+def test_columns_of_points_have_not_changed() -> None:
     assert digest(columns("paper")) == "6dc978f12fdb04e7"
 
 
@@ -119,7 +119,7 @@ def test_surfaces_have_contours_heights_and_free_floor() -> None:
     assert ahead.all() and (np.diff(frame[0]["free_bearing_rad"]) > 0).all()
 
 
-def test_without_a_floor_there_are_no_distances_heights_and_contours() -> None:
+def test_without_a_floor_distances_heights_and_contours_are_null() -> None:
     batch, config = boxes(), Config()
     config = replace(config, ground=replace(config.ground, source="none"))
     given = batch.frames._replace(plane=unknown_plane(3))
@@ -139,12 +139,12 @@ def test_without_a_floor_there_are_no_distances_heights_and_contours() -> None:
     assert obstacle["z_min"].null_count == 0
 
 
-def test_a_frame_that_cant_be_used_says_nothing_of_what_was_found_in_it() -> None:
+def test_unusable_frames_have_null_columns() -> None:
     batch, config = boxes(), Config()
     found = row_inputs(detect(batch.frames, config, backend="reference"))
     assert found.scene is not None
     floor = found.scene.floor.copy()
-    floor[:, 7] = Refusal.NONE  # each frame shows its own
+    floor[:, 7] = Refusal.NONE  # all frames show their floor
     found = found._replace(overflow=np.ones(3, bool), scene=found.scene._replace(floor=floor))
     statuses = FrameStatus.DECODE_ERROR, FrameStatus.OK, FrameStatus.OK
     batch = batch._replace(status=statuses)
@@ -159,7 +159,7 @@ def test_a_frame_that_cant_be_used_says_nothing_of_what_was_found_in_it() -> Non
 
 
 def tables(batch: Batch, found: Any, config: Config) -> list[pa.Table]:
-    """Both tables of a batch whose floor is known."""
+    """Return both tables of a batch with a known floor."""
     plane = batch.frames.plane
     assert plane is not None
     rows = batch_rows("log", "cam", batch, plane, ["flags"] * len(batch.status), found, config)
@@ -168,7 +168,7 @@ def tables(batch: Batch, found: Any, config: Config) -> list[pa.Table]:
 
 
 def frame_of(part: Any, b: int) -> Any:
-    """Frame ``b`` of named tuples of arrays, as a batch of one."""
+    """Return frame ``b`` of nested named tuples of arrays, as a batch of one."""
     if part is None or isinstance(part, Calibration):
         return part
     if isinstance(part, tuple):
@@ -177,7 +177,7 @@ def frame_of(part: Any, b: int) -> Any:
 
 
 @pytest.mark.parametrize("name", ["wheeled", "paper"])
-def test_a_batch_is_its_frames(name: str) -> None:
+def test_rows_of_a_batch_equal_those_of_its_frames(name: str) -> None:
     batch, config = boxes(), preset(name)
     found = detect(batch.frames, config, backend="reference")
     together = tables(batch, row_inputs(found), config)
@@ -198,7 +198,7 @@ def test_a_batch_is_its_frames(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["wheeled", "paper"])
-def test_inputs_can_be_made_on_the_device_and_cut_to_a_few_slots(name: str) -> None:
+def test_inputs_of_rows_may_be_computed_on_the_device_with_few_slots(name: str) -> None:
     batch, config = boxes(), preset(name)
     found = detect(batch.frames, config, backend="reference")
     whole, most = row_inputs(found), int(found.num_obstacles.max())
@@ -213,7 +213,7 @@ def test_inputs_can_be_made_on_the_device_and_cut_to_a_few_slots(name: str) -> N
 
 
 def free(to: list[float], end: list[int], start: float = 0.5) -> FreeFloor:
-    """One frame, columns half a right angle apart in all, left to right."""
+    """Return the free floor of one frame, with rays from -45 to 45 degrees."""
     n = len(to)
     bearing = np.linspace(-np.pi / 4, np.pi / 4, n)[None]
     seen = np.array([to]) > 0
@@ -221,17 +221,17 @@ def free(to: list[float], end: list[int], start: float = 0.5) -> FreeFloor:
     return FreeFloor(seen, way, bearing, np.full((1, n), start), np.array([to]), np.array([end]))
 
 
-def test_a_drop_is_what_five_neighbouring_rays_show() -> None:
+def test_a_drop_requires_five_neighbouring_rays() -> None:
     assert np.isnan(free([1.0] * 4 + [2.0] + [1.0] * 4, [2] * 4 + [1] + [2] * 4).drop_m[0])
     assert free([0.7, 1.0, 1.2, 1.1, 1.0, 1.1, 3.0], [2] * 6 + [0]).drop_m[0] == 1.2
     assert np.isnan(free([1.0] * 4, [2] * 4).drop_m[0])
 
 
-def test_free_polygons_go_over_columns_that_show_floor() -> None:
+def test_free_polygons_cover_columns_with_visible_floor() -> None:
     found = free([2.0, 1.0, 3.0, 0.0, 2.0, 4.0], [1, 1, 0, 0, 3, 3])
     found = FreeFloor(*(np.concatenate([a, a, a]) for a in found))
     T = np.tile(np.eye(4), (3, 1, 1))
-    T[:, :3, :3] = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]  # looks along world Y
+    T[:, :3, :3] = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]  # the camera looks along world Y
     T[:, 0, 3] = 0.0, np.nan, 5.0
     polygons = found.in_world(T)
     assert polygons.corners.tolist() == [8, 4] * 2 and polygons.frame.tolist() == [0, 0, 2, 2]
@@ -260,7 +260,7 @@ def test_contours_of_a_camera_upside_down_go_from_left_to_right():
         assert (np.diff(np.array(row["contour"])[::2]) > 0).all()
 
 
-def test_a_box_outside_of_the_colour_image_is_null_and_says_which_image() -> None:
+def test_a_box_outside_of_the_colour_image_is_null() -> None:
     batch, config = boxes(), preset("wheeled")
     found = row_inputs(detect(batch.frames, config, backend="reference"))
     first = np.array(found.obstacles.uv_max)
@@ -297,7 +297,7 @@ def test_lengths_of_the_preset_paper_refer_to_the_colour_camera() -> None:
     np.testing.assert_allclose(frame["camera_position_world"][0].as_py(), depth[:3, 3])
 
 
-def test_the_stamp_of_the_colour_image_does_not_depend_on_reading_it() -> None:
+def test_the_timestamp_of_colour_does_not_depend_on_reading_it() -> None:
     batch = boxes()._replace(nearest_color_ns=np.array([7, -1, 9]))
     found = row_inputs(detect(batch.frames, Config(), backend="reference"))
     want = [7, None, 9]

@@ -1,4 +1,4 @@
-"""Persistence: how often a place was found occupied, of the frames that look at it."""
+"""Persistence: fraction of the frames that measure a position in which it is occupied."""
 
 from pathlib import Path
 from typing import Any
@@ -29,7 +29,7 @@ def rows_of(folder: Path, name: str) -> list[dict[str, Any]]:
 
 
 def shares_of(folder: Path, frames: list, ends: int = 0) -> list[tuple]:
-    """Persistence and share of floor of each obstacle, rounded."""
+    """Return persistence and fraction of floor of each obstacle, rounded."""
     track_results(by_hand(folder, frames, ends), ANY)
     links = rows_of(folder, "track_links")
     values = [(link["persistence"], link["floor_seen"]) for link in links]
@@ -49,7 +49,7 @@ def shares_of(folder: Path, frames: list, ends: int = 0) -> list[tuple]:
         ([FOUND] + [(*FLOOR, NO_POSE), (*FLOOR, NO_FLOOR)] * 4, (1.0, 0.0)),
     ],
 )
-def test_share_of_the_frames_that_measure_a_place(
+def test_persistence_is_a_fraction_of_the_frames_that_measure_the_position(
     tmp_path: Path, frames: list, expected: tuple[float, float]
 ) -> None:
     shares = shares_of(tmp_path / "r", frames)
@@ -59,26 +59,28 @@ def test_share_of_the_frames_that_measure_a_place(
     )
 
 
-def test_something_too_small_for_an_obstacle_is_neither_found_nor_floor(tmp_path: Path) -> None:
+def test_an_object_too_small_for_an_obstacle_counts_neither_as_found_nor_as_floor(
+    tmp_path: Path,
+) -> None:
     assert shares_of(tmp_path / "r", [FOUND, ([], 1.4)], ends=1) == [(0.5, 0.0)]
     assert shares_of(tmp_path / "s", [FOUND, ([], 1.2)], ends=1) == [(1.0, 0.0)]  # hides it
 
 
 def test_noise_of_a_far_contour_is_not_floor(tmp_path: Path) -> None:
-    """A contour that is 18 cm farther counts at 3.9 m, and not at 1 m."""
+    """A contour that is 18 cm farther away counts as the same at 3.9 m, but not at 1 m."""
     for away, near in ((3.9, True), (1.0, False)):
         frames = [([(0.0, away + 0.1)], away), ([(0.0, away + 0.28)], away + 0.18)] * 2
         first = shares_of(tmp_path / f"{away:g}", frames)[0]
         assert first == ((1.0, 0.0) if near else (0.5, 0.5))
 
 
-def test_without_a_place_in_the_world_nothing_is_known(tmp_path: Path) -> None:
+def test_persistence_is_null_without_poses(tmp_path: Path) -> None:
     for name, other in (("pose", NO_POSE), ("floor", NO_FLOOR)):
         assert shares_of(tmp_path / name, [(*FOUND, other)] * 3) == [(None, None)] * 3
 
 
-def test_what_moves_counts_at_its_own_places(tmp_path: Path) -> None:
-    """A thing that crosses is found in all frames but one, which shows floor where it would be."""
+def test_moving_objects_count_at_their_own_positions(tmp_path: Path) -> None:
+    """A crossing object is found in all frames but one, which shows floor in its place."""
     ways = [[(x, 1.5)] for x in np.linspace(-0.5, 0.5, 12).tolist()]
     frames: list = [(way, 1.4) for way in ways]
     frames[5] = ([], 2.0)
@@ -91,7 +93,7 @@ def test_what_moves_counts_at_its_own_places(tmp_path: Path) -> None:
     assert max(link["persistence"] for link in rows_of(folder, "track_links")) < 0.3
 
 
-def test_a_stationary_track_has_the_sightings_of_all_its_obstacles(tmp_path: Path) -> None:
+def test_a_standing_track_has_the_persistence_of_all_its_obstacles(tmp_path: Path) -> None:
     folder = by_hand(tmp_path / "r", [FOUND] * 6 + [FLOOR] * 2)
     track_results(folder, ANY)
     (track,) = rows_of(folder, "tracks")
@@ -107,8 +109,8 @@ def state_at_its_place(folder: Path) -> int:
     return int(grid.states[row, column])
 
 
-def test_what_floor_was_seen_through_is_left_out_of_maps(tmp_path: Path) -> None:
-    """A phantom that comes and goes, and is there at the end."""
+def test_obstacles_through_which_floor_was_visible_are_not_on_maps(tmp_path: Path) -> None:
+    """A phantom appears now and then, and in the last frame."""
     folder = by_hand(tmp_path / "r", [FOUND] + [FLOOR] * 9 + [FOUND] * 3)
 
     def at_its_place() -> tuple[int, int]:
@@ -125,8 +127,8 @@ def test_what_floor_was_seen_through_is_left_out_of_maps(tmp_path: Path) -> None
     assert at_its_place() == (OCCUPIED, 1)
 
 
-def test_part_of_a_rectangle_that_no_contour_joins_to_a_thing_is_left_out(tmp_path: Path) -> None:
-    """A contour far from its rectangle stands for the corner of one around a bent contour."""
+def test_corners_of_rectangles_without_a_contour_are_not_on_maps(tmp_path: Path) -> None:
+    """A contour far from its rectangle is like a bent contour and the opposite corner."""
     aside = np.array([-0.6, 1.4, -0.5, 1.4, -0.4, 1.4], np.float32)
     bent = {"contour": Lists.of_lengths(aside, np.array([6]), np.array([False]))}
     for name, frame, expected in (("bent", (*FOUND, bent), FREE), ("plain", FOUND, OCCUPIED)):

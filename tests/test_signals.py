@@ -1,4 +1,4 @@
-"""Signals that end a run: raised where that is safe, and a guard for where it never is."""
+"""Signals that stop a run: raised where that is safe, with a guard if it never is."""
 
 import gc
 import os
@@ -22,9 +22,9 @@ guard_process()
 print("ready", flush=True)
 {body}
 """
-"""Code of a process of its own."""
+"""Code of a separate process."""
 NATIVE = "with stops_raised():\n    while True: ctypes.CDLL(None).sleep(30)"
-"""Calls of native code that let go of Python's lock, in code that is not jaxdet's."""
+"""Calls of native code that release the GIL, outside of jaxdet."""
 HELD = """
 import os, time
 from jaxdet.signals import stops_held_back
@@ -36,16 +36,16 @@ except KeyboardInterrupt:
     time.sleep(0.3)
     os._exit(7)
 """
-"""Ends in its own way after a signal that waited."""
+"""A block that ends by itself after a deferred signal."""
 
 
-def test_a_stop_is_raised_in_code_of_jaxdet() -> None:
+def test_a_signal_is_raised_in_code_of_jaxdet() -> None:
     with pytest.raises(Interrupted) as caught, stops_raised():
         stop(signal.SIGTERM)
     assert caught.value.signal == signal.SIGTERM
 
 
-def test_a_stop_waits_for_the_end_of_an_import(tmp_path: Path, monkeypatch) -> None:
+def test_a_signal_is_deferred_to_the_end_of_an_import(tmp_path: Path, monkeypatch) -> None:
     code = (
         "import signal, time\nsignal.raise_signal(signal.SIGINT)\ntime.sleep(0.1)\nwhole = True\n"
     )
@@ -60,7 +60,7 @@ def test_a_stop_waits_for_the_end_of_an_import(tmp_path: Path, monkeypatch) -> N
     assert whole
 
 
-def test_a_stop_is_not_swallowed_by_a_callback_of_the_garbage_collector() -> None:
+def test_a_signal_is_not_swallowed_by_a_callback_of_the_garbage_collector() -> None:
     def callback(phase: str, _: object) -> None:
         if phase == "start":
             signal.raise_signal(signal.SIGINT)
@@ -74,7 +74,7 @@ def test_a_stop_is_not_swallowed_by_a_callback_of_the_garbage_collector() -> Non
         wait_in_jaxdet()
 
 
-def test_a_stop_interrupts_a_waiting_thread() -> None:
+def test_a_signal_interrupts_a_waiting_thread() -> None:
     condition, start = threading.Condition(), time.monotonic()
     other = threading.Thread(target=time.sleep, args=(5,), daemon=True)
     other.start()
@@ -86,8 +86,8 @@ def test_a_stop_interrupts_a_waiting_thread() -> None:
     assert time.monotonic() - start < 3
 
 
-def test_a_stop_leaves_no_lock_that_a_wait_has_to_take_again() -> None:
-    """As at the end of ``Condition.wait``, inside of a ``with`` that releases the lock."""
+def test_a_signal_leaves_no_lock_that_a_wait_must_reacquire() -> None:
+    """The end of ``Condition.wait`` is inside of a ``with`` that releases the lock."""
     code = """
 def take_again():
     signal.raise_signal(signal.SIGINT)
@@ -104,17 +104,17 @@ def take_again():
     assert lock.locked()
 
 
-def test_a_stop_that_could_not_be_raised_inside_is_raised_at_the_end() -> None:
+def test_a_deferred_signal_is_raised_at_the_end_of_the_block() -> None:
     inside = False
     with pytest.raises(Interrupted), stops_raised(), stops_raised():
         signal.raise_signal(signal.SIGINT)
         time.sleep(0.1)
         inside = True
     assert inside
-    time.sleep(0.1)  # nothing comes later
+    time.sleep(0.1)  # no second exception follows
 
 
-def test_a_stop_that_waits_when_a_block_begins_is_raised_inside_it() -> None:
+def test_a_pending_signal_is_raised_inside_of_the_next_block() -> None:
     with pytest.raises(Interrupted) as caught, stops_raised():
         signal.raise_signal(signal.SIGTERM)
         with stops_raised():
@@ -122,7 +122,7 @@ def test_a_stop_that_waits_when_a_block_begins_is_raised_inside_it() -> None:
     assert caught.value.signal == signal.SIGTERM
 
 
-def test_other_threads_change_no_handlers() -> None:
+def test_other_threads_do_not_change_handlers() -> None:
     before, seen = signal.getsignal(signal.SIGINT), []
 
     def look() -> None:
@@ -146,7 +146,9 @@ def test_other_threads_change_no_handlers() -> None:
     ],
     ids=["before it begins", "in native code", "twice", "held back", "when it is done"],
 )
-def test_the_guard_ends_the_process(body: str, stops: int, code: int, most_s: float) -> None:
+def test_the_guard_ends_a_process_that_does_not_stop(
+    body: str, stops: int, code: int, most_s: float
+) -> None:
     pipe = subprocess.PIPE
     command = [sys.executable, "-c", GUARDED.format(body=body)]
     process = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True)

@@ -1,4 +1,4 @@
-"""The simulator: rays against equations, exact truth, the same bytes again."""
+"""Simulator: rays against equations, exact ground truth, reproducible bytes."""
 
 import hashlib
 from dataclasses import replace
@@ -36,11 +36,11 @@ CAMERA = Intrinsics(160, 120, 150.0, 150.0, 79.5, 59.5)
 
 
 def points_of(depth, camera):
-    """Camera points ``(H, W, 3)``."""
+    """Return camera points ``(H, W, 3)``."""
     return rays_of(camera, np.eye(4)) * depth[..., None]
 
 
-def test_box_face_is_where_it_should_be():
+def test_face_of_a_box_has_its_position():
     config = SimConfig(scene="single_box", camera_pitch_rad=0, camera_roll_rad=0, sensor=EXACT)
     config = replace(config, depth_form="aligned", frames=1)
     frame = next(simulate(config))
@@ -54,7 +54,7 @@ def test_box_face_is_where_it_should_be():
     assert v.max() == pytest.approx(bottom, abs=1) and v.min() == pytest.approx(top, abs=1)
 
 
-def test_cylinder_and_wall_by_their_equations():
+def test_cylinder_and_wall_agree_with_their_equations():
     post, wall = Cylinder((2.0, 0.1), 0.2, 3.0), Wall((3.0, -5.0), (3.0, 5.0), 4.0, 0.2)
     T = mount(0.5, 0, 0)
     view = render(Scene(cylinders=(post,), walls=(wall,)), CAMERA, T)
@@ -78,7 +78,7 @@ def test_cylinder_and_wall_by_their_equations():
     st.floats(0.5, 4), st.floats(-1, 1), st.floats(-3.2, 3.2), st.floats(0.05, 1),
     st.floats(0.05, 1), st.floats(-0.6, 0.6), st.floats(0.2, 1.5),
 )  # fmt: skip
-def test_box_by_its_equation(x, y, yaw, size, tall, pitch, height):
+def test_box_agrees_with_its_equation(x, y, yaw, size, tall, pitch, height):
     box = Box((x + size, y), (size, 0.7 * size, tall), yaw)
     T = mount(height, pitch, 0.1)
     camera = Intrinsics(48, 36, 40.0, 40.0, 24.0, 18.0)
@@ -86,13 +86,13 @@ def test_box_by_its_equation(x, y, yaw, size, tall, pitch, height):
     rays = rays_of(camera, T)
     floor = floor_depth(T[:3, 3], rays)
     want = np.minimum(box_depth(T[:3, 3], rays, box.center, box.size, yaw), floor)
-    # A ray that grazes an edge may go either way; the floor ends 60 m away.
+    # A ray along an edge may hit or miss; the floor ends 60 m away.
     same = np.isclose(view.depth, want, rtol=1e-9) | (~np.isfinite(view.depth) & (want > 50))
     assert (~same).sum() <= 2
 
 
 @pytest.mark.parametrize(("pitch", "roll"), [(0, 0), (0.3, 0), (0, 0.2), (0.4, -0.15)])
-def test_floor_lies_where_height_pitch_and_roll_say(pitch, roll):
+def test_floor_agrees_with_height_pitch_and_roll(pitch, roll):
     depth = render(Scene(), CAMERA, mount(0.6, pitch, roll)).depth
     seen = np.isfinite(depth)
     down = down_vector(np.array([pitch]), np.array([roll]))[0]
@@ -110,13 +110,13 @@ def test_both_cameras_see_the_same_world():
     inside = (u >= 0) & (u < 640) & (v >= 0) & (v < 480) & (z < 4)
     there = frame.aligned[v[inside], u[inside]] * 0.001
     error = np.abs(z[inside] - there)
-    # Half a pixel on the floor shifts z by z^2 / (2 f h); beside objects another one is seen.
+    # Half a pixel on the floor shifts z by z^2 / (2 f h); edges of objects differ more.
     assert (error < 0.002 + z[inside] ** 2 / (2 * calibration.image.fy * 0.3)).mean() > 0.98
     assert np.median(error) < 0.002
 
 
 @pytest.mark.parametrize("family", FAMILIES)
-def test_footprints_and_boxes_hold_their_points(family):
+def test_footprints_and_boxes_contain_their_points(family):
     for frame in sample_frames(family, 5, 2, slope_rad=0.05, width=320, height=240):
         truth = frame_truth(frame)
         T = truth.T_world_camera[0]
@@ -149,7 +149,7 @@ def digest(frame):
     return hashlib.sha256(b"".join(a.tobytes() for a in arrays)).hexdigest()
 
 
-def test_seed_decides():
+def test_frames_depend_on_the_seed():
     first = [digest(f) for f in simulate(SMALL)]
     assert first == [digest(f) for f in simulate(replace(SMALL, frames=5))][:3]
     alone = simulate_frame(SMALL, load_scene("demo"), 2)
@@ -157,7 +157,7 @@ def test_seed_decides():
     assert first[0] != digest(next(simulate(replace(SMALL, seed=1))))
 
 
-def test_samples_depend_on_seed_and_number_alone():
+def test_samples_depend_only_on_seed_and_number():
     size = {"width": 96, "height": 72}
     some = [digest(f) for f in sample_frames("mixed", 3, 3, **size)]
     assert some == [digest(f) for f in sample_frames("mixed", 3, 3, **size)]
@@ -170,7 +170,7 @@ def test_samples_depend_on_seed_and_number_alone():
         next(sample_frames("attic", 0, 1))
 
 
-def test_depth_is_taken_later():
+def test_depth_is_exposed_later_than_colour():
     moving = replace(SMALL, sensor=EXACT, depth_delay_s=0.5)
     late = next(simulate(moving))
     assert late.depth_stamp_ns - late.stamp_ns == 500_000_000
@@ -178,7 +178,7 @@ def test_depth_is_taken_later():
     np.testing.assert_array_equal(late.depth, then.depth)
 
 
-def test_bad_values():
+def test_values_out_of_range_are_errors():
     late = {"start_ns": (2**31 - 1) * 10**9}  # stamps of ROS 2 have seconds in int32
     for wrong in ({"rate_hz": 0}, {"frames": -1}, {"width": 3}, {"camera_height_m": 0}, late):
         with pytest.raises(ConfigError, match="out of range"):
@@ -187,7 +187,7 @@ def test_bad_values():
         Scene(cylinders=(Cylinder((1, 0), 0.1, 1),) * 256)
 
 
-def test_contours_are_edges():
+def test_contours_are_at_edges_of_objects():
     frame = next(simulate(SimConfig(frames=1)))
     edges = cv2.Canny(cv2.cvtColor(frame.color, cv2.COLOR_RGB2GRAY), 100, 200)
     near = cv2.dilate(edges, np.ones((5, 5), np.uint8)) > 0

@@ -1,4 +1,4 @@
-"""No two solid things of a drawn scene are in each other."""
+"""Objects of a random scene do not intersect."""
 
 from dataclasses import replace
 from itertools import combinations
@@ -21,7 +21,7 @@ SQUARE = np.array([[-1.0, -1], [1, -1], [1, 1], [-1, 1]])
 
 
 def pierces(one: Mesh, other: Mesh) -> bool:
-    """Whether an edge of a mesh goes through a triangle of another, and on by TOUCH_M and more.
+    """Return whether an edge of a mesh penetrates a triangle of another by TOUCH_M or more.
 
     Möller and Trumbore, Journal of Graphics Tools 2 (1997), 21-28.
     """
@@ -49,7 +49,7 @@ def pierces(one: Mesh, other: Mesh) -> bool:
 
 
 def in_each_other(scene: Scene, times: tuple[float, ...] = (0.0,)) -> list[tuple[str, str]]:
-    """Names of the things of a scene that are in another, one of the two standing and no wall."""
+    """Return names of pairs of intersecting objects, one standing and not a wall."""
     found = []
     objects = scene.objects
     fixed = [isinstance(one, Wall) or getattr(one, "path", None) is not None for one in objects]
@@ -64,21 +64,21 @@ def in_each_other(scene: Scene, times: tuple[float, ...] = (0.0,)) -> list[tuple
 
 
 @pytest.mark.parametrize("family", FAMILIES)
-def test_no_two_things_are_in_each_other(family):
-    """By edges that go through triangles: nothing of it is how scenes are drawn."""
+def test_objects_do_not_intersect(family):
+    """The check, edges against triangles, is independent of how scenes are drawn."""
     for seed in range(2):
         scene = make_scene(family, seed)
         times = tuple(np.arange(0.0, 30.0, 7.4)) if scene.moves else (0.0,)
         assert in_each_other(scene, times) == [], seed
 
 
-def test_scenes_are_drawn_with_things_in_each_other():
-    """Else the test above would show nothing."""
+def test_objects_intersect_before_they_are_moved_apart():
+    """Otherwise the test above would be trivial."""
     drawn = [draw_scene(family, seed) for family in ("room", "tables") for seed in range(5)]
     assert sum(bool(in_each_other(scene)) for scene in drawn) >= 3
 
 
-def test_nothing_changes_where_nothing_is_in_another_thing():
+def test_scenes_without_intersections_do_not_change():
     for family in HARD_FAMILIES:
         for seed in range(2):
             drawn, mended = draw_scene(family, seed), make_scene(family, seed)
@@ -89,7 +89,7 @@ def test_nothing_changes_where_nothing_is_in_another_thing():
             )
 
 
-def test_the_larger_of_two_stays_and_the_other_moves_a_little():
+def test_the_smaller_of_two_intersecting_objects_moves_a_little():
     large, small = Box((2.0, 0.0), (1.0, 1.0, 1.0)), Cylinder((2.3, 0.2), 0.1, 0.5)
     clear = Cylinder((3.5, 0.0), 0.1, 0.5)
     scene = Scene(boxes=(large,), cylinders=(small, clear))
@@ -101,13 +101,13 @@ def test_the_larger_of_two_stays_and_the_other_moves_a_little():
     assert apart(scene, 3) == mended != apart(scene, 4)
 
 
-def test_what_finds_no_place_is_left_out():
+def test_objects_without_free_space_are_left_out():
     everywhere, small = Box((2.0, 0.0), (8.0, 8.0, 0.5)), Cylinder((2.0, 0.0), 0.1, 0.4)
     scene = Scene(boxes=(everywhere,), cylinders=(small,))
     assert apart(scene, 0) == replace(scene, cylinders=())
 
 
-def test_things_stay_before_walls_and_in_range():
+def test_objects_stay_in_front_of_walls_and_in_range():
     wall = Wall((3.0, -3.0), (3.0, 3.0))
     thing = Box((3.0, 0.0), (0.4, 0.4, 0.4))
     for seed in range(8):
@@ -115,7 +115,7 @@ def test_things_stay_before_walls_and_in_range():
         assert 0.9 <= x < 3.0 - 0.25
 
 
-def test_what_stands_keeps_out_of_the_way_of_what_moves():
+def test_standing_objects_avoid_the_paths_of_moving_ones():
     cart = Model("cart", path=Path((2.0, -1.5), np.pi / 2, 3.0, 1.0))
     thing = Box((2.0, 1.4), (0.3, 0.3, 2.0))
     mended = apart(Scene(boxes=(thing,), models=(cart,)), 0)
@@ -127,24 +127,24 @@ def test_what_stands_keeps_out_of_the_way_of_what_moves():
     ("kind", "x", "expected"),
     [("cable_drum", 0.0, False), ("person", 0.0, True), ("person", 0.9, False)],
 )
-def test_a_table_has_room_under_it(kind, x, expected):
+def test_objects_fit_under_a_table(kind, x, expected):
     table = solid_of(build_model("table", 1))
     assert intersect(table, solid_of(build_model(kind, 2).moved(shift(x)))) == expected
 
 
-def test_boxes_touch_hang_and_hold():
+def test_boxes_may_touch_hang_and_contain_others():
     base = solid_of(box((1.0, 1.0, 0.5), WOOD))
     inside = solid_of(cylinder(0.1, 0.3, WOOD).moved(shift(z=0.1)))
     on_top = solid_of(box((0.5, 0.5, 0.5), WOOD, (0.0, 0.0, 0.5)))
-    beside = solid_of(box((1.0, 1.0, 0.5), WOOD, (1.0, 0.0, 0.0)))
+    adjacent = solid_of(box((1.0, 1.0, 0.5), WOOD, (1.0, 0.0, 0.0)))
     into = solid_of(box((1.0, 1.0, 0.5), WOOD, (0.99, 0.0, 0.0)))
-    assert [intersect(base, one) for one in (inside, on_top, beside, into)] == [
+    assert [intersect(base, one) for one in (inside, on_top, adjacent, into)] == [
         True, False, False, True
     ]  # fmt: skip
-    assert intersect(base, beside, CLEAR_M) and not intersect(base, on_top, CLEAR_M)
+    assert intersect(base, adjacent, CLEAR_M) and not intersect(base, on_top, CLEAR_M)
 
 
-def test_gap_of_polygons():
+def test_distance_of_polygons_by_hand():
     turned = SQUARE @ np.array([[np.cos(0.7), np.sin(0.7)], [-np.sin(0.7), np.cos(0.7)]])
     assert gap(SQUARE, SQUARE + (2.5, 0.3)) == pytest.approx(0.5)
     assert gap(SQUARE, SQUARE + (1.9, 0.3)) == pytest.approx(-0.1)

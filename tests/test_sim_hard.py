@@ -1,4 +1,4 @@
-"""The harder families and mounts, and the truth about their floors."""
+"""Harder families and mounts, and the ground truth of their floors."""
 
 import hashlib
 from itertools import pairwise
@@ -40,11 +40,11 @@ CLEAN = {
     "mixed": "6e95e47b8ca5a0a75c21448a6e2563507798696ca2ac011efd5f19cc58e40bde",
     "low_things": "8f297c1638c938b9223a91c060d7e103f33f5a9936d7b0d28031c718939b3ed9",
 }
-"""SHA-256 of images of the default sensor, on which figures were measured."""
+"""SHA-256 of images of the default sensor, with which figures were measured."""
 
 
 @pytest.mark.parametrize("family", CLEAN)
-def test_clean_frames_keep_their_bytes(family):
+def test_frames_of_the_default_sensor_have_not_changed(family):
     digest = hashlib.sha256()
     for frame in sample_frames(family, 3, 2, depth_form="both", **SMALL):
         truth = frame.truth
@@ -60,18 +60,18 @@ def test_families_are_drawn_by_seed(family):
     assert len(set(scenes)) == 6 and scenes[2] == load_scene(family, 2)
     for scene in scenes:
         assert scene.walls and len(scene.objects) > len(scene.walls)
-        # Nothing stands on the robot.
+        # The position of the robot is free.
         near = render(scene, CAMERA, mount(0.3, 0.17, 0.0), light=None).depth
         assert near.min() > 0.3
 
 
 def corners_of(scene):
-    """Outlines on the floor of all objects."""
+    """Return the outlines of all objects on the floor."""
     return [o[~np.isnan(o[:, 0])].astype(float) for o in placed(scene, 0.0)[2]]
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_a_corridor_is_as_wide_as_it_should_be(seed):
+def test_a_corridor_has_its_width(seed):
     scene = load_scene("corridor", seed)
     outlines = corners_of(scene)
     walls = dict(zip([w.name for w in scene.walls], outlines[-len(scene.walls) :], strict=True))
@@ -85,7 +85,7 @@ def test_a_corridor_is_as_wide_as_it_should_be(seed):
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_things_stand_before_a_wall(seed):
+def test_objects_stand_in_front_of_a_wall(seed):
     scene = load_scene("wall_in_range", seed)
     (wall,) = scene.walls
     *things, slab = corners_of(scene)
@@ -98,7 +98,7 @@ def test_things_stand_before_a_wall(seed):
         assert 0.04 < face - (outline @ ahead).max() < 0.6
 
 
-def test_sizes_of_low_things_drops_and_ramps():
+def test_low_objects_drops_and_ramps_have_their_sizes():
     for seed in range(8):
         scene = load_scene("low_clutter", seed)
         tall = placed(scene, 0.0)[0][: -len(scene.walls)]
@@ -111,7 +111,7 @@ def test_sizes_of_low_things_drops_and_ramps():
     assert len({load_scene("drops", seed).ground.drop_steps for seed in range(20)}) > 2
 
 
-def test_tops_hang_in_the_air():
+def test_table_tops_hang_in_the_air():
     bases = [box.base for seed in range(10) for box in load_scene("tables", seed).boxes]
     assert len(bases) > 2 and min(bases) >= 0.3
 
@@ -158,7 +158,7 @@ def test_the_floor_steps_down():
     assert (drivable[floor] <= (along < 2.001)).all() and drivable.sum() > 1000
     distance, seen = floor_edge(frame)
     np.testing.assert_allclose(distance, 2.0 / np.cos(EDGE_BEARINGS_RAD + 0.2), rtol=1e-6)
-    # The box hides the edge behind it, and about 32 degrees to each side end the picture.
+    # The box hides the edge behind it, and the image ends about 32 degrees to each side.
     bearings = np.degrees(EDGE_BEARINGS_RAD)
     assert not seen[np.abs(bearings) > 36].any() and seen[(bearings > 0) & (bearings < 24)].all()
     assert not seen[np.isclose(bearings, round(np.degrees(np.arctan2(-0.3, 1.5))))].any()
@@ -171,7 +171,7 @@ def test_the_floor_steps_down():
 
 
 @pytest.mark.parametrize("family", ["corridor", "drops", "ramps"])
-def test_truth_of_a_log_has_the_floor(family, tmp_path):
+def test_ground_truth_of_a_log_has_the_floor(family, tmp_path):
     path = tmp_path / "hard.mcap"
     config = SimConfig(scene=family, frames=2, seed=4, depth_error=1.0, rock_rad=0.01, **SMALL)
     truth = write_log(path, config)
@@ -186,13 +186,13 @@ def test_truth_of_a_log_has_the_floor(family, tmp_path):
     assert truth_of(kept, [0, 1], ids, None, images).drivable is images
 
 
-def test_a_wrong_mount_is_in_the_log_and_not_in_the_truth(tmp_path):
+def test_a_wrong_mount_is_in_the_log_but_not_in_the_ground_truth(tmp_path):
     wrong = {
         "mount_pitch_error_rad": 0.03, "mount_roll_error_rad": -0.02, "mount_height_error_m": 0.03,
     }  # fmt: skip
     (frame,) = sample_frames("corridor", 2, 1, sensor=EXACT, **wrong, **SMALL)
-    told, true = frame.plane, flat_plane(*frame.mount)
-    assert (told.height[0], told.pitch[0], told.roll[0]) == (0.30, 0.1745, 0.0175)
+    given, true = frame.plane, flat_plane(*frame.mount)
+    assert (given.height[0], given.pitch[0], given.roll[0]) == (0.30, 0.1745, 0.0175)
     np.testing.assert_allclose([true.height, true.pitch, true.roll], [[0.33], [0.2045], [-0.0025]])
     truth = frame_truth(frame)
     assert (truth.camera_height, truth.camera_pitch) == (true.height, true.pitch)
@@ -209,7 +209,7 @@ def test_a_wrong_mount_is_in_the_log_and_not_in_the_truth(tmp_path):
     assert load_truth(path).camera_pitch[0] == pytest.approx(0.2045)
 
 
-def test_a_robot_rocks():
+def test_a_rocking_robot_changes_pitch_and_roll():
     config = SimConfig(scene="empty", rock_rad=0.012, width=16, height=16)
     mounts = np.array([simulate_frame(config, scene_with(), i).mount for i in range(60)])
     assert (mounts[:, 0] == 0.30).all()
@@ -223,6 +223,6 @@ def test_a_robot_rocks():
 @pytest.mark.parametrize(
     "wrong", [{"depth_error": -1}, {"rock_rad": 1}, {"mount_height_error_m": -0.3}]
 )
-def test_bad_values(wrong):
+def test_values_out_of_range_are_errors(wrong):
     with pytest.raises(ConfigError, match="out of range"):
         SimConfig(**wrong)

@@ -1,4 +1,4 @@
-"""What is wrong with whole regions of a depth image."""
+"""Errors of regions of a depth image: bowing, margins, patches, reflections."""
 
 import cv2
 import numpy as np
@@ -21,7 +21,7 @@ QUIET = {"dropout": 0.0, "speckle": 0.0, "noise_px": 0.0}
 
 
 def errors_at(z, sensor, specimen=0, seed=0):
-    """Measured depth less the true one [m], NaN in holes."""
+    """Return measured minus true depth [m], NaN in holes."""
     rng = np.random.default_rng(seed)
     depth = measure_depth(np.full((480, 640), z), CAMERA, sensor, rng, specimen=specimen)
     return np.where(depth > 0, depth * 0.001 - z, np.nan)
@@ -40,7 +40,7 @@ def test_a_bow_is_smooth_and_grows_with_z_squared():
     assert np.nanstd(far - errors_at(4.0, sensor, specimen=1)) > 0.01
 
 
-def test_margins_are_torn_and_bent():
+def test_margins_have_holes_and_are_bent():
     sensor = DepthSensor(**QUIET, margin=0.1, margin_bend_px=4.0, margin_dropout=0.5)
     rng = np.random.default_rng(0)
     error, torn = bend((480, 640), CONSTANT, sensor, rng, 3)
@@ -49,12 +49,12 @@ def test_margins_are_torn_and_bent():
         assert -0.3 * 4 <= outer[0] <= 4 and np.ptp(outer) == 0
     outer = np.hstack([torn[:, :30], torn[:, -30:]])
     assert outer.mean() == pytest.approx(0.5, abs=0.1)
-    # Within a margin the error only grows outwards.
+    # The error grows outwards in a margin.
     assert (np.diff(np.abs(error[0, -64:])) >= 0).all()
     assert not np.any(bend((480, 640), CONSTANT, DepthSensor(), rng, 3))
 
 
-def test_patches_have_their_share_and_size():
+def test_patches_have_their_fraction_and_size():
     for size in (6, 20):
         values = patches((480, 640), size, np.random.default_rng(1))
         for share in (0.1, 0.5):
@@ -64,7 +64,7 @@ def test_patches_have_their_share_and_size():
         assert count > (150 if size == 6 else 15) and (size == 6 or count < 100)
 
 
-def test_errors_scale():
+def test_errors_scale_with_their_parameter():
     assert DepthSensor().with_errors(0.0) == DepthSensor()
     assert DepthSensor().with_errors(1.0) == D435_LIKE
     for scale in (1.0, 2.0, 4.0):
@@ -79,13 +79,13 @@ def room(*things, floor):
     return Scene(boxes=things, walls=(wall,), floor=floor, path=Path(length=0.0))
 
 
-def test_a_floor_mirrors_what_stands_on_it():
+def test_a_glossy_floor_mirrors_objects_on_it():
     T = mount(0.5, 0.3, 0.0)
     scene = room(floor=EPOXY)
     view = render(scene, CAMERA, T, light=None)
     floor = view.obstacle_id == 0
     assert view.mirrored is not None and (np.isnan(view.mirrored) == ~floor).all()
-    # The wall's mirror image goes on straight below the floor: x = 3 on the camera's own ray.
+    # The mirror image of the wall continues below the floor, at x = 3 on the ray of the camera.
     v, u = np.nonzero(floor & np.isfinite(view.mirrored))
     x = T[0, 1] * (v - CAMERA.cy) / CAMERA.fy + T[0, 2] + T[0, 0] * (u - CAMERA.cx) / CAMERA.fx
     np.testing.assert_allclose(view.mirrored[v, u] * x, 3.0, rtol=1e-6)
@@ -115,7 +115,7 @@ def test_reflections_are_ghosts_below_the_floor():
     assert (np.abs(depth - frame.truth.depth)[floor] < 0.1 * depth[floor]).all()
 
 
-def test_panes_show_what_is_behind():
+def test_panes_show_the_background():
     pane = Box((1.5, 0.0), (0.02, 3.0, 3.0), texture=CLEAR_GLASS, name="pane")
     floor = Texture("asphalt")
     frame, depth = measured(room(pane, floor=floor), DepthSensor(**QUIET, pane_holes=0.4))
@@ -127,7 +127,7 @@ def test_panes_show_what_is_behind():
     behind = frame.truth.behind
     assert behind is not None
     assert (np.abs(depth - behind)[seen] < 0.12).all() and behind[seen].min() > 2.5
-    # The colour picture is mostly that of what is behind.
+    # The colour image is mostly that of the background.
     bare, _ = measured(room(floor=floor), DepthSensor(**QUIET))
     solid = Box((1.5, 0.0), (0.02, 3.0, 3.0), name="board")
     board, _ = measured(room(solid, floor=floor), DepthSensor(**QUIET))

@@ -1,4 +1,4 @@
-"""Simulated logs on disk: read back by other people's readers, the truth beside them."""
+"""Simulated logs on disk, read by other libraries, and their ground truth."""
 
 import hashlib
 from dataclasses import replace
@@ -34,7 +34,7 @@ ALIGNED = "/camera/camera/aligned_depth_to_color"
 
 
 def read_all(path):
-    """Messages by topic, as rosbags reads them."""
+    """Return messages by topic, read by rosbags."""
     topics = {}
     with AnyReader([path]) as reader:
         for connection, _, raw in reader.messages():
@@ -54,7 +54,7 @@ def pixels(message, dtype):
 
 
 def transforms(messages):
-    """``T_parent_child`` by (parent, child)."""
+    """Return ``T_parent_child`` by (parent, child)."""
     tree = {}
     for item in (t for m in messages for t in m.transforms):
         q, p = item.transform.rotation, item.transform.translation
@@ -84,7 +84,7 @@ def test_rosbags_reads_the_images(log):
     assert info.distortion_model == "plumb_bob" and list(info.d) == [0] * 5
 
 
-def test_mcap_ros2_reads_the_same(log):
+def test_mcap_ros2_reads_the_same_messages(log):
     theirs = read_all(log[0])
     ours = {}
     with log[0].open("rb") as stream:
@@ -98,7 +98,7 @@ def test_mcap_ros2_reads_the_same(log):
     assert list(ours[f"{COLOR}/camera_info"][0].p) == list(theirs[f"{COLOR}/camera_info"][0].p)
 
 
-def test_tf_tells_mount_and_extrinsics(log):
+def test_tf_has_mount_and_extrinsics(log):
     topics = read_all(log[0])
     tree = transforms(topics["/tf_static"])
     link = tree["base_footprint", "base_link"] @ tree["base_link", "camera_link"]
@@ -110,10 +110,10 @@ def test_tf_tells_mount_and_extrinsics(log):
     np.testing.assert_allclose(link @ color, expected, atol=1e-12)
     T_color_depth = calibration_of(CONFIG).color_from_depth.T
     np.testing.assert_allclose(np.linalg.inv(color) @ depth, T_color_depth, atol=1e-12)
-    told = topics["/camera/camera/extrinsics/depth_to_color"][0]
-    rotation = np.reshape(told.rotation, (3, 3)).T
+    extrinsics = topics["/camera/camera/extrinsics/depth_to_color"][0]
+    rotation = np.reshape(extrinsics.rotation, (3, 3)).T
     np.testing.assert_array_equal(rotation, T_color_depth[:3, :3])
-    np.testing.assert_array_equal(told.translation, T_color_depth[:3, 3])
+    np.testing.assert_array_equal(extrinsics.translation, T_color_depth[:3, 3])
 
 
 def test_odometry_brackets_the_frames(log):
@@ -134,7 +134,7 @@ def test_odometry_brackets_the_frames(log):
     assert moving and topics["/odom"][0].child_frame_id == "base_footprint"
 
 
-def test_truth(log):
+def test_ground_truth_is_next_to_the_log(log):
     path, truth = log
     again = load_truth(path)
     for name, one, other in zip(truth._fields, truth, again, strict=True):
@@ -166,7 +166,7 @@ def test_truth(log):
     assert not np.isnan(truth.T_world_camera).any() and (truth.camera_height == 0.3).all()
 
 
-def test_the_log_opens(log):
+def test_the_log_is_opened_with_aligned_depth(log):
     with open_log(str(log[0])) as opened:
         frames = [batch.frames for batch in opened.batches(4)]
     assert sum(int(f.valid.sum()) for f in frames) == 4
@@ -176,12 +176,12 @@ def test_the_log_opens(log):
     np.testing.assert_array_equal(frames[0].color_stamp_ns[:4], log[1].stamp_ns)
 
 
-def test_no_truth(tmp_path):
+def test_ground_truth_is_optional(tmp_path):
     with pytest.raises(InputError, match="cannot read ground truth"):
         load_truth(tmp_path / "real.mcap")
 
 
-def test_forms_and_options(tmp_path):
+def test_forms_of_depth_and_options_are_written(tmp_path):
     small = replace(CONFIG, frames=1, width=32, height=24)
 
     def topics(**changes):
@@ -203,7 +203,7 @@ def test_forms_and_options(tmp_path):
     assert not [t for t in bare if "extrinsics" in t]
 
 
-def test_the_same_bytes_again(tmp_path):
+def test_logs_are_reproducible(tmp_path):
     small = replace(CONFIG, width=64, height=48)
     sums = []
     for name in ("a.mcap", "b.mcap"):
@@ -215,19 +215,19 @@ def test_the_same_bytes_again(tmp_path):
     assert load_truth(tmp_path / "a.mcap").visible_pixels.shape == (0, 8)
 
 
-def test_static_tree_is_a_tree():
+def test_static_transforms_form_a_tree():
     children = [t.child for t in static_transforms(CONFIG, calibration_of(CONFIG))]
     assert len(set(children)) == len(children)
     assert isinstance(static_transforms(CONFIG, calibration_of(CONFIG))[0], Transform)
 
 
-def test_quaternion_by_scipy():
+def test_quaternions_equal_scipy():
     for R in Rotation.random(50, random_state=0).as_matrix():
         got = Rotation.from_quat(list(quaternion(R).values())).as_matrix()
         np.testing.assert_allclose(got, R, atol=1e-12)
 
 
-def test_wrong_messages():
+def test_invalid_messages_are_errors():
     with pytest.raises(KeyError):
         encode_cdr("geometry_msgs/Point", {"x": 0.0})
     with pytest.raises(ValueError, match="rotation has 3 values"):

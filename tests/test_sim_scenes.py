@@ -48,7 +48,7 @@ def test_drive_passes_obstacles_and_a_person_crosses_in_front():
     assert len(passed) >= 4 and {1.0, -1.0} == set(np.sign(passed[:, 1]))
     crossing = np.flatnonzero(np.diff(np.sign(walker[:, 1])))
     ahead = (walker - robot)[crossing, 0]
-    assert len(ahead) == 1 and 1.0 < ahead[0] < 3.5  # in view of the camera
+    assert len(ahead) == 1 and 1.0 < ahead[0] < 3.5  # visible to the camera
     for way in (walker[:, None], standing[None]):
         assert np.hypot(*(robot[:, None] - way).T).min() > 0.5  # room for the robot
 
@@ -79,8 +79,8 @@ def test_models_have_plausible_sizes(kind):
     assert len(LOW_THINGS) == 6
 
 
-def test_a_footprint_is_what_wheels_do_not_climb():
-    """The foot of a cone is lower than 5 cm; a low thing counts as a whole."""
+def test_footprints_contain_the_parts_above_the_step_height():
+    """The foot of a cone is lower than 5 cm; the footprint of a low object is complete."""
     cone = build_model("cone", 0, 0.0)
     points = cone.corners.reshape(-1, 3)
     x, y = outline(cone).T
@@ -93,13 +93,13 @@ def test_a_footprint_is_what_wheels_do_not_climb():
     )
 
 
-def test_no_such_model():
+def test_unknown_models_are_errors():
     with pytest.raises(ConfigError, match="no model 'dragon'"):
         render(Scene(models=(Model("dragon"),)), CAMERA, mount(0.3, 0.17, 0.02))
 
 
 @pytest.mark.parametrize("name", ["demo", "mixed", "pedestrian", "tree_trunk"])
-def test_scene_files(tmp_path, name):
+def test_scene_files_survive_a_round_trip(tmp_path, name):
     scene = load_scene(name, 4)
     (tmp_path / "scene.json").write_text(json.dumps(asdict(scene)))
     assert load_scene(str(tmp_path / "scene.json")) == scene
@@ -109,7 +109,7 @@ def test_scene_files(tmp_path, name):
         write_scene(scene, tmp_path)
 
 
-def test_scene_file_by_hand(tmp_path):
+def test_a_scene_file_written_by_hand_is_read(tmp_path):
     toml = 'name = "one"\nwalls = []\n[[boxes]]\ncenter = [1.5, 0]\nsize = [0.3, 0.3, 0.4]\n'
     toml += '[boxes.texture]\nkind = "stripes"\ncolor = [200, 0, 0]\n'
     (tmp_path / "one.toml").write_text(toml)
@@ -126,7 +126,7 @@ def test_scene_file_by_hand(tmp_path):
         ("[floor]\nshade = 1", ConfigError), ("= 1", InputError), (None, InputError),
     ],
 )  # fmt: skip
-def test_bad_scene_files(tmp_path, text, error):
+def test_bad_scene_files_are_errors(tmp_path, text, error):
     path = tmp_path / "scene.toml"
     if text is not None:
         path.write_text(text)
@@ -134,6 +134,6 @@ def test_bad_scene_files(tmp_path, text, error):
         load_scene(str(path))
 
 
-def test_unknown_scene():
+def test_unknown_scenes_are_errors():
     with pytest.raises(ConfigError, match="no scene 'attic'"):
         load_scene("attic")

@@ -1,4 +1,4 @@
-"""The simulated cameras: noise, holes, shadows, exposure, the four lights."""
+"""Simulated cameras: noise, holes, shadows, exposure, lights."""
 
 import cv2
 import numpy as np
@@ -27,7 +27,7 @@ def test_depth_noise_grows_with_z_squared():
     assert neighbours > 0.5
 
 
-def test_depth_holes():
+def test_depth_has_holes():
     sensor, rng = DepthSensor(), np.random.default_rng(0)
     lost = (measure_depth(np.full((480, 640), 2.0), CAMERA, sensor, rng)[:, 20:] == 0).mean()
     assert lost == pytest.approx(sensor.dropout + sensor.speckle, rel=0.3)
@@ -37,15 +37,15 @@ def test_depth_holes():
         assert (exact == (0 if z > 65.535 else round(z * 1000))).all()
 
 
-def test_shadow_is_left_of_the_nearer_thing():
+def test_stereo_shadow_is_to_the_left_of_the_nearer_object():
     disparity = np.full((1, 100), 5.0)
     disparity[0, 50:60] = 20.0
     hidden = np.flatnonzero(is_shadowed(disparity)[0])
-    # The thing covers columns 30-39 of the right picture, where the floor's 35-44 would land.
+    # The object covers columns 30-39 of the right image, the positions of floor columns 35-44.
     assert hidden.tolist() == [*range(5), *range(36, 50)]
 
 
-def test_nearer_things_grow():
+def test_nearer_objects_are_smeared():
     disparity = np.full((60, 80), 5.0)
     disparity[20:40, 30:50] = 20.0
     grown = fatten(disparity, 1.5, np.random.default_rng(0)) == 20
@@ -72,7 +72,7 @@ def test_holes_on_dark_shiny_and_bare_surfaces():
     assert holes(bright, 1.5) < 0.03
     assert holes(surface(0.5, 0.004), 3.0) > holes(surface(0.5, 0.05), 3.0) + 0.1
     assert holes(surface(0.5, 0.5, gloss=0.9), 2.0) > 0.5
-    # In the sun the projector's dots drown, and a bare wall has no texture of its own.
+    # In sunlight the pattern of the projector is invisible, and a bare wall has no texture.
     assert holes(surface(0.5, 0.5, lux=30_000.0), 3.0) > 0.5
     speckled = surface(0.5, 0.5, lux=30_000.0)
     speckled.reflectance[::2, ::2] *= 1.2
@@ -90,13 +90,13 @@ def grey_plate(level, light, **changes):
     )
 
 
-def test_reflectance_and_noise():
+def test_exposure_and_noise_by_their_equations():
     linear = illuminate(np.full((1, 1, 3), 128.0), np.zeros((1, 1, 3)), LIGHTS["normal"], 0.8)
     assert linear[0, 0, 0] == pytest.approx(0.9 * 0.21586 * 250, rel=1e-3)
     plain = {"vignetting": 0.0, "blur_px": 0.01, "smooth_px": 0.0, "contrast": 1.0}
     for light in LIGHTS:
         shot = grey_plate(128, light, **plain).astype(float)
-        # Mean 0.18 of full well in sRGB where the exposure reaches it.
+        # The mean is 0.18 of full well in sRGB if the exposure is sufficient.
         if light != "dim":
             assert shot.mean() == pytest.approx(117.5, abs=2 if light != "weaker" else 12)
         else:
@@ -110,7 +110,7 @@ def test_reflectance_and_noise():
     assert noise == pytest.approx(relative * slope, rel=0.15)
 
 
-def test_a_turn_smears_sideways():
+def test_rotation_of_the_camera_smears_sideways():
     color = np.full((480, 640, 3), 60.0, np.float32)
     color[:, 320:] = 200
     surface = color, np.zeros_like(color)
@@ -124,7 +124,7 @@ def test_a_turn_smears_sideways():
     assert steps[1] < 0.5 * steps[0]
 
 
-def test_lights_are_in_order():
+def test_lights_are_ordered_by_brightness():
     brightness, edges = {}, {}
     for light in LIGHTS:
         shots = [f.color for f in sample_frames("mixed", 2, 2, light=light)]

@@ -1,4 +1,4 @@
-"""The simulated world: the ground, the robot's way, what moves, many worlds at once, CUDA."""
+"""Simulated world: ground, path of the robot, pedestrians, batches of worlds, CUDA."""
 
 from dataclasses import replace
 
@@ -20,7 +20,7 @@ SMALL = SimConfig(width=160, height=120, frames=3)
 CAMERA = Intrinsics(160, 120, 150.0, 150.0, 79.5, 59.5)
 
 
-def test_pedestrian_walks():
+def test_a_pedestrian_walks_while_walls_stand_still():
     config = replace(SMALL, scene="pedestrian", rate_hz=1.0, frames=4)
     truths = [frame_truth(frame) for frame in simulate(config)]
     j = list(truths[0].names).index("person")
@@ -31,7 +31,7 @@ def test_pedestrian_walks():
     assert (walls == walls[0]).all()
 
 
-def test_slope_and_robot_on_it():
+def test_the_robot_follows_a_slope():
     scene = Scene(ground=Ground(slope_rad=0.07, slope_start_m=1.0))
     view = render(scene, CAMERA, mount(0.5, 0.1, 0))
     x, _, z = view.points[view.kind == PixelKind.FLOOR].T
@@ -62,7 +62,7 @@ def test_path_is_smooth_and_endless():
     assert drifted(poses[-1], 0.0) == poses[-1]
 
 
-def test_ground_frame():
+def test_ground_frame_of_the_robot():
     origin = pose_at(load_scene("row").path, 1.3)
     T = ground_frame(origin.T)
     ahead = [origin.x + np.cos(origin.yaw), origin.y + np.sin(origin.yaw), 0.2, 1]
@@ -70,7 +70,7 @@ def test_ground_frame():
     assert np.linalg.det(T) == pytest.approx(1)
 
 
-def test_views_of_many_worlds_at_once():
+def test_views_of_a_batch_of_worlds_equal_single_ones():
     scenes = [load_scene("mixed", seed) for seed in range(3)]
     views = [View(mount(0.4, 0.1, 0.02), s.light.direction, 0.05, k) for k, s in enumerate(scenes)]
     together = Caster([world_at(s, 0) for s in scenes]).cast(CAMERA, views, 2)
@@ -80,7 +80,7 @@ def test_views_of_many_worlds_at_once():
 
 
 @pytest.mark.gpu
-def test_cuda_casts_the_same_rays():
+def test_cuda_gives_the_same_depth():
     if not wp.is_cpu_available():
         pytest.skip("Warp has no CPU compiler here, so there is nothing to compare with")
     for scene in [load_scene("mixed", 1), load_scene("demo")]:

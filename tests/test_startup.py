@@ -1,4 +1,4 @@
-"""Compiled programs stay between runs, where the environment says."""
+"""Caches of compiled programs between runs, in folders set by the environment."""
 
 import os
 import subprocess
@@ -38,7 +38,7 @@ print(jax.jit(lambda x: x * 3 + 1)(jax.numpy.arange(4)).tolist())
 @pytest.fixture
 def no_caches(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("JAXDET_CACHE", "JAX_COMPILATION_CACHE_DIR", "WARP_CACHE_PATH", "XDG_CACHE_HOME"):
-        monkeypatch.setenv(name, "")  # so that it is put back
+        monkeypatch.setenv(name, "")  # restored after the test
         monkeypatch.delenv(name)
 
 
@@ -80,8 +80,8 @@ def test_a_folder_that_others_can_write_to_is_not_used(no_caches, monkeypatch, t
     assert found.warp == private.warp
     assert found.jax and found.jax.is_relative_to(tmp_path / "xdg" / "jaxdet")
     assert unsafe_caches() == [private.jax]
-    said = f"{private.jax} can be written to by other users"
-    assert first_time(found).startswith(said) and str(found.jax) in first_time(found)
+    message = f"{private.jax} can be written to by other users"
+    assert first_time(found).startswith(message) and str(found.jax) in first_time(found)
     assert doctor.caches() == (False, f"{private.jax} {UNSAFE}")
     found.jax.mkdir(parents=True, exist_ok=True)
     found.jax.chmod(mode)
@@ -109,7 +109,7 @@ def test_made_folders_are_private(no_caches, monkeypatch, tmp_path):
 
 
 def start(cache: Path, script: Path) -> dict[Path, int]:
-    """Start a process that compiles; return what is kept and when it was written."""
+    """Start a process that compiles; return the cached files and their times."""
     script.write_text(CODE, encoding="utf-8")
     done = subprocess.run(
         [sys.executable, str(script)],

@@ -1,4 +1,4 @@
-"""UnitQueue: every unit once, neighbours to the same worker."""
+"""UnitQueue: each unit is taken once, and adjacent units by the same worker."""
 
 import random
 from itertools import pairwise
@@ -12,7 +12,7 @@ UNITS = list(units_of(range(1000), UnitSizes(32, 128, 8)))
 
 
 def taken(queue: UnitQueue, workers: list[int]) -> dict[int, list[Unit]]:
-    """What workers take that come in an order, until none is left."""
+    """Return the units taken by workers in turns, until the queue is empty."""
     found: dict[int, list[Unit]] = {worker: [] for worker in workers}
     while queue:
         for worker in workers:
@@ -30,30 +30,30 @@ def test_each_unit_is_taken_once(workers):
     assert not queue
 
 
-def test_one_worker_takes_them_in_order():
+def test_one_worker_takes_units_in_order():
     assert taken(UnitQueue(UNITS, 1), [0])[0] == UNITS
 
 
-def test_neighbours_go_to_the_same_worker():
+def test_adjacent_units_go_to_the_same_worker():
     for units in taken(UnitQueue(UNITS, 3), [0, 1, 2]).values():
         apart = sum(a.stop != b.start for a, b in pairwise(units))
         assert len(units) > 10
-        assert apart <= 3  # from the large units to the small ones, and where one has none left
+        assert apart <= 3  # from large to small units, and after the own units are done
 
 
-def test_large_units_go_first():
+def test_large_units_are_taken_first():
     sizes = [unit.stop - unit.start for unit in taken(UnitQueue(UNITS, 3), [1])[1]]
     assert sizes == sorted(sizes, reverse=True)
 
 
-def test_the_later_half_of_a_run_is_taken_over():
+def test_an_idle_worker_takes_the_later_half_of_the_units_of_another():
     queue = UnitQueue(UNITS[:8], 2)  # runs of 4
     assert [queue.take(0) for _ in range(4)] == UNITS[:4]
     assert queue.take(0) == UNITS[6]
     assert [queue.take(1) for _ in range(2)] == UNITS[4:6]
 
 
-def test_what_was_not_done_comes_back():
+def test_units_put_back_are_taken_again():
     queue = UnitQueue(UNITS, 2)
     given = [queue.take(0), queue.take(1), queue.take(1)]
     queue.put_back(given[1:])

@@ -1,4 +1,4 @@
-"""CPU kernels on several cores: equal results for any number of threads, and errors that arrive."""
+"""CPU kernels on several cores: equal results for any number of threads, and errors."""
 
 import os
 import signal
@@ -35,7 +35,7 @@ BATCHES = pytest.mark.parametrize("batch", [1, 3, 7])
 
 @pytest.fixture(params=[1, 3])
 def threads(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
-    """A number of threads; programs that were traced for another number are forgotten."""
+    """Set the number of threads, and clear programs traced for another number."""
     monkeypatch.setenv("PJRT_NPROC", str(request.param))
     pool._pool.cache_clear()
     jax.clear_caches()
@@ -52,8 +52,8 @@ def test_alignment_does_not_depend_on_the_threads(threads, batch):
 
 
 @BATCHES
-def test_a_thread_does_not_see_the_frames_of_others_or_of_earlier_batches(threads, batch):
-    """Memory that is kept between frames holds what must not matter."""
+def test_threads_do_not_depend_on_frames_of_others_or_of_earlier_batches(threads, batch):
+    """Scratch memory still contains values of earlier frames."""
     calibration = small(64, 48)
     for start in 0, batch:
         depth = np.roll(noise_depth(2 * batch, calibration.depth), start, axis=0)[:batch]
@@ -72,8 +72,8 @@ def test_the_pipeline_does_not_depend_on_the_threads(threads, batch):
     assert_equal(detect(given), detect(given, backend="reference"))
 
 
-def test_each_core_has_a_thread_of_its_own(threads):
-    """They are under way at the same time: each waits for all the others."""
+def test_each_core_has_its_own_thread(threads):
+    """The threads run at the same time, as each waits for all others."""
     together, names = threading.Barrier(threads, timeout=30.0), set()
 
     def waits() -> None:
@@ -102,7 +102,7 @@ def test_an_error_in_a_thread_reaches_the_caller(monkeypatch):
     assert_equal(align_all(depth, small()), reference.align(depth, small()))
 
 
-def test_threads_of_a_process_are_its_cores_or_as_many_as_xla_has(monkeypatch):
+def test_the_number_of_threads_is_that_of_cores_or_of_xla(monkeypatch):
     monkeypatch.delenv("PJRT_NPROC", raising=False)
     assert pool.threads() == cores()
     monkeypatch.setenv("PJRT_NPROC", "3")
@@ -113,8 +113,8 @@ def test_threads_of_a_process_are_its_cores_or_as_many_as_xla_has(monkeypatch):
     ("text", "most"),
     [("150000 100000", 2), ("20000 100000", 1), ("100000000 100000", 64), ("max 100000", 64)],
 )
-def test_a_control_group_leaves_whole_cores(tmp_path, monkeypatch, text, most):
-    """One and a half are two: a core more is idle at times, a core less is lost."""
+def test_cores_of_a_control_group_are_rounded_up(tmp_path, monkeypatch, text, most):
+    """1.5 cores count as two: one may be idle at times, but none is lost."""
     monkeypatch.setattr(jaxdet.cores, "_QUOTA", tmp_path / "cpu.max")
     monkeypatch.setattr(os, "sched_getaffinity", lambda process: set(range(64)), raising=False)
     assert cores() == 64  # no such file
@@ -123,7 +123,7 @@ def test_a_control_group_leaves_whole_cores(tmp_path, monkeypatch, text, most):
 
 
 @pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="threads have no affinity")
-def test_the_caller_keeps_an_affinity_that_it_chose_later(monkeypatch):
+def test_an_affinity_set_later_by_the_caller_is_kept(monkeypatch):
     allowed = os.sched_getaffinity(0)
     monkeypatch.setenv("PJRT_NPROC", str(len(allowed)))
     pool._pool.cache_clear()
@@ -139,8 +139,8 @@ def test_the_caller_keeps_an_affinity_that_it_chose_later(monkeypatch):
         pool._pool.cache_clear()
 
 
-def test_a_ctrl_c_waits_for_a_program(monkeypatch):
-    """XLA calls kernels back in the caller's thread, where Python raises KeyboardInterrupt."""
+def test_an_interrupt_is_deferred_to_the_end_of_a_program(monkeypatch):
+    """XLA calls kernels in the thread of the caller, where Python raises KeyboardInterrupt."""
     calibration = small(48, 36)
     depth = smooth_depth(2, calibration.depth)
     images = frames(calibration, blocks(2, 36, 48), depth, plane=level(2))
@@ -160,7 +160,7 @@ def test_a_ctrl_c_waits_for_a_program(monkeypatch):
     assert_equal(detect(images), want)
 
 
-def test_the_engine_finishes_a_batch_before_a_ctrl_c():
+def test_the_engine_finishes_a_batch_before_an_interrupt():
     done = False
     with pytest.raises(KeyboardInterrupt), stops_held_back():
         signal.raise_signal(signal.SIGINT)

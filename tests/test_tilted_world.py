@@ -1,4 +1,4 @@
-"""Poses in a world whose z is not up, as a SLAM's whose world is its first camera."""
+"""Poses in a world whose z axis is not vertical, such as that of some SLAM systems."""
 
 import json
 from collections.abc import Callable
@@ -25,7 +25,7 @@ FRAMES = 6
 
 @pytest.fixture
 def turned(tmp_path: Path) -> Callable[[float], Path]:
-    """Return a function that runs a drive in a world that is turned around its x axis."""
+    """Return a function that runs a drive in a world rotated about its x axis."""
 
     def made(degrees: float) -> Path:
         T = np.eye(4)
@@ -36,7 +36,7 @@ def turned(tmp_path: Path) -> Callable[[float], Path]:
     return made
 
 
-def test_a_world_that_leans_as_a_ramp_has_places(turned: Callable[[float], Path]) -> None:
+def test_a_world_tilted_like_a_ramp_has_positions(turned: Callable[[float], Path]) -> None:
     folder = turned(20)
     corners = pq.read_table(folder / "obstacles.parquet")["corners_world"]
     assert len(corners) and not corners.null_count
@@ -45,7 +45,7 @@ def test_a_world_that_leans_as_a_ramp_has_places(turned: Callable[[float], Path]
 
 
 @pytest.mark.parametrize("degrees", [40, 180])
-def test_a_world_whose_z_is_not_up_has_no_places(
+def test_a_world_without_vertical_z_has_no_positions(
     turned: Callable[[float], Path], tmp_path: Path, degrees: float
 ) -> None:
     folder = turned(degrees)
@@ -67,8 +67,8 @@ def test_a_world_whose_z_is_not_up_has_no_places(
     assert "translation" not in recording_of(folder, tmp_path / "rerun")["/world/floor"]
 
 
-def test_whatever_the_mount() -> None:
-    """The floor's own up in the world counts, not the camera's."""
+def test_the_tilt_of_the_world_does_not_depend_on_the_mount() -> None:
+    """The normal of the floor in the world decides, not the orientation of the camera."""
     pitch, roll = np.radians([[0, 40, -10, 70, 40], [0, 0, 25, -20, 180]])
     lean = np.radians([0, 29, -29, 31, -31])
     down = down_vector(pitch, roll)

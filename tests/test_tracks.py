@@ -1,6 +1,6 @@
-"""Tracks by hand: crossings, occlusions, pieces, what moves; and the tables in a results folder.
+"""Tracks by hand: crossings, occlusions, fragments, motion; and tables in a results folder.
 
-The steps alone are in ``tests/test_tracks_steps.py``.
+Single steps are tested in ``tests/test_tracks_steps.py``.
 """
 
 import dataclasses
@@ -40,7 +40,7 @@ def corners_of(x: float, y: float, size: tuple[float, float] = PERSON, yaw: floa
 
 
 def in_picture(boxes: np.ndarray) -> dict[str, np.ndarray]:
-    """Columns in a picture of 640 of outlines ``(N, 8)`` in the frame of its camera, and x."""
+    """Return image columns (of 640) of outlines ``(N, 8)`` in the camera frame, and x."""
     right, forward = boxes[:, ::2], boxes[:, 1::2]
     u = np.clip(320 + 400 * right / np.maximum(forward, 0.1), 0, 639)
     low, high = right.min(axis=1, initial=99), right.max(axis=1, initial=-99)
@@ -55,8 +55,8 @@ def in_picture(boxes: np.ndarray) -> dict[str, np.ndarray]:
 def sightings(
     frame: np.ndarray, stamps: np.ndarray, boxes: np.ndarray, **other: object
 ) -> Observations:
-    """Outlines ``(N, 8)`` in frames ``(N,)`` as an upright camera at the origin sees them, but for
-    other columns and rolls."""
+    """Return observations of outlines ``(N, 8)`` in frames ``(N,)`` by an upright camera at the
+    origin, optionally with other columns and rolls."""
     count = len(boxes)
     columns = {
         "corners_ground": boxes,
@@ -81,7 +81,7 @@ def follow(
     bottom: dict[tuple[int, int], float] | None = None,
     config: TrackConfig | None = None,
 ) -> tuple[list[Track], list[list[int]]]:
-    """Tracks of outlines by frame, and the track of each of them."""
+    """Track outlines given by frame; return the tracks and the track of each outline."""
     tracker, tracks, of = Tracker(config or TrackConfig()), [], [np.zeros(0, np.int32)]
     stamps = (np.arange(len(frames)) / rate_hz * 1e9).astype(np.int64) + 10**9
     for start in range(0, max(len(frames), 1), window):
@@ -113,7 +113,7 @@ def follow(
     return tracks, [part.tolist() for part in np.split(np.concatenate(of), ends)]
 
 
-def test_a_thing_that_stands_and_one_that_walks():
+def test_a_standing_and_a_walking_object_have_separate_tracks():
     frames = [[corners_of(2, 1), corners_of(3, -1 + f / RATE_HZ)] for f in range(30)]
     (stands, walks), of = follow(frames)
     assert of == [[0, 1]] * 30
@@ -126,8 +126,8 @@ def test_a_thing_that_stands_and_one_that_walks():
     np.testing.assert_allclose((walks.length_m, walks.width_m, walks.top_m), (0.5, 0.4, 1.7))
 
 
-def test_the_sides_of_an_outline_that_change_places():
-    """A to B is the longer side in some frames, the shorter one in others."""
+def test_swapped_sides_of_an_outline_do_not_disturb_a_track():
+    """AB is the longer side in some frames and the shorter one in others."""
     long, wide = corners_of(2, 0, (1.0, 0.4)), corners_of(2, 0, (0.4, 1.0), np.pi / 2)
     (cart,), _ = follow([[long] if f % 2 else [wide] for f in range(10)])
     np.testing.assert_allclose((cart.length_m, cart.width_m), (1.0, 0.4), rtol=1e-6)
@@ -139,8 +139,8 @@ def test_the_sides_of_an_outline_that_change_places():
     assert lorry.moving and lorry.length_m == pytest.approx(2.0)
 
 
-def test_two_people_cross():
-    """Each keeps its number though they pass 0.6 m from each other and change their order."""
+def test_crossing_people_keep_their_tracks():
+    """They pass at a distance of 0.6 m and change their order."""
     frames = []
     for f in range(45):
         along = f / RATE_HZ - 1.5
@@ -153,15 +153,15 @@ def test_two_people_cross():
 
 
 @pytest.mark.parametrize(("hidden_s", "count"), [(2.4, 1), (2.6, 2)])
-def test_what_is_gone_for_long_is_another(hidden_s, count):
-    """It is back where it stood."""
+def test_an_object_hidden_for_too_long_has_a_new_track(hidden_s, count):
+    """It reappears at the same position."""
     box, hidden = [corners_of(2, 0)], round(hidden_s * RATE_HZ)
     tracks, of = follow([box] * 10 + [[]] * (hidden - 1) + [box] * 10)
     assert len(tracks) == count and of[0] == [0] and of[-1] == [count - 1]
 
 
-def test_behind_a_pillar():
-    """A person who is hidden for a second is the same one, with a point in each frame."""
+def test_a_person_hidden_by_a_pillar_keeps_the_track():
+    """The person is hidden for 1 s; the trajectory has a point in each frame."""
     frames = []
     for f in range(60):
         y = f / RATE_HZ - 2
@@ -175,16 +175,16 @@ def test_behind_a_pillar():
 
 
 def part_of(x: float, low: float = -np.inf, high: float = np.inf) -> list:
-    """What is seen of somebody 0.5 m wide at (x, 2) between two places."""
+    """Return the visible part of a person 0.5 m wide at (x, 2), between two limits."""
     left, right = max(x - 0.25, low), min(x + 0.25, high)
     return [corners_of((left + right) / 2, 2, (right - left, 0.4))] if right - left > 0.05 else []
 
 
 @pytest.mark.parametrize("roll_rad", [0.7, np.nan, np.pi, -2.4])
-def test_who_enters_the_picture_is_as_wide_as_later(roll_rad):
-    """The left border hides a part at first, the right one at last; the way is that of the whole
-    body all the time, however the camera is mounted."""
-    edge = 319 / 400 * 1.8  # where the nearer side of the outline meets the border
+def test_trajectories_are_not_bent_at_the_borders_of_the_image(roll_rad):
+    """The left border of the image hides a part at first, the right one at last. The trajectory is
+    that of the complete body, at any roll of the camera."""
+    edge = 319 / 400 * 1.8  # intersection of the nearer side with the border
     x = -1.8 + np.arange(54) / RATE_HZ
     (walks,), _ = follow([part_of(at, -edge, edge) for at in x], roll_rad=roll_rad)
     first = walks.first_frame
@@ -194,9 +194,8 @@ def test_who_enters_the_picture_is_as_wide_as_later(roll_rad):
     assert np.abs(walks.speed - 1).max() < 0.12
 
 
-def test_half_behind_a_pillar():
-    """What something nearer hides is where it would be: neither does the way bend nor the speed
-    change."""
+def test_trajectories_are_not_bent_by_partial_occlusion():
+    """Hidden parts are extrapolated, so neither the direction nor the speed changes."""
     x = -1.2 + np.arange(36) / RATE_HZ
     half = 0.2 * 2 / 1.5
     frames = []
@@ -209,8 +208,8 @@ def test_half_behind_a_pillar():
     assert np.abs(walks.speed - 1).max() < 0.15
 
 
-def test_one_outline_that_holds_more():
-    """An outline that another thing is merged into hardly moves the way."""
+def test_an_outline_merged_with_another_object_hardly_moves_the_trajectory():
+    """One outline contains both objects in a few frames."""
     frames = [[corners_of(2, f / RATE_HZ)] for f in range(30)]
     frames[15] = [corners_of(2.35, 1.2, (1.1, 0.9))]
     (walks,), _ = follow(frames)
@@ -218,15 +217,15 @@ def test_one_outline_that_holds_more():
     np.testing.assert_allclose(walks.speed, 1, atol=0.05)
 
 
-def test_hidden_for_too_long():
+def test_a_walking_person_hidden_for_too_long_has_a_new_track():
     frames = [[corners_of(2, 0)] if f < 20 or f > 60 else [] for f in range(80)]
     tracks, of = follow(frames)
     assert len(tracks) == 2 and of[0] == [0] and of[79] == [1]
 
 
-def test_pieces_of_a_thing():
-    """Legs whose outlines overlap and an arm that floats beside the body are one person; a low
-    thing at the same place stands beside it."""
+def test_fragments_of_an_object_are_one_track():
+    """Legs with overlapping outlines and an arm above the floor belong to one person; a low object
+    at the same position is separate."""
     body, leg, arm = (
         corners_of(2, 0),
         corners_of(2.05, 0.05, (0.2, 0.2)),
@@ -239,9 +238,9 @@ def test_pieces_of_a_thing():
     assert len(tracks) == 2 and of == [[0, 0, 1]] * 10
 
 
-def test_the_piece_that_lasts():
-    """Of a thing that falls into two pieces the first one is lost: the thing goes on as the other,
-    and whatever else stands there does not."""
+def test_a_track_continues_with_the_fragment_that_lasts():
+    """An object splits into two fragments, and the first one disappears. Its track continues with
+    the other, and objects nearby keep their tracks."""
     frames = []
     for f in range(30):
         y = f / RATE_HZ
@@ -255,15 +254,15 @@ def test_the_piece_that_lasts():
     assert len(tracks) == 2
 
 
-def test_a_thing_that_comes_into_sight_does_not_move():
-    """What is seen of it grows at one end."""
+def test_an_object_that_becomes_visible_is_not_moving():
+    """Its visible part grows at one end."""
     frames = [[corners_of(2, 0.25 + f / 40, (0.5, 0.5 + f / 20))] for f in range(30)]
     (shelf,), _ = follow(frames)
     assert not shelf.moving
 
 
-def test_what_would_be_too_fast_stands():
-    """Four sightings of 0.3 m to the side each, at 15 Hz."""
+def test_an_implausibly_fast_object_is_not_moving():
+    """It shifts by 0.3 m in each of four observations at 15 Hz."""
     frames = [[corners_of(0.3 * f, 3.0)] for f in range(4)]
     (track,), _ = follow(frames)
     assert not track.moving and not track.mean_speed_mps
@@ -271,9 +270,9 @@ def test_what_would_be_too_fast_stands():
     assert track.moving and 4.0 < track.mean_speed_mps < 5.0
 
 
-def test_a_track_longer_than_its_pieces():
-    """Something stands in sight for five pieces, then walks on; another walks all the time. Their
-    ways are those of the same in one window."""
+def test_a_track_longer_than_its_pieces_equals_one_piece():
+    """One object stands for five pieces, then walks; another walks all the time. Their trajectories
+    equal those in one window."""
     count = 5 * PIECE_FRAMES + 100
     swing = np.sin(np.arange(count) / 40)
     frames = []
@@ -294,8 +293,8 @@ def test_a_track_longer_than_its_pieces():
     np.testing.assert_allclose(tracks[2].path, [[6, 0]], atol=1e-6)
 
 
-def test_pieces_are_fitted_as_the_whole():
-    """Also where what is before a piece is a gap, and where others are not in pieces yet."""
+def test_pieces_are_fitted_like_a_complete_track():
+    """This holds after a gap, and while other tracks are not in pieces yet."""
     frames = []
     for f in range(4000):
         seldom = [corners_of(4, float(np.sin(f / 400)))] * (f % 42 < 8 and f > 600)
@@ -308,8 +307,8 @@ def test_pieces_are_fitted_as_the_whole():
         np.testing.assert_allclose(one.speed, other.speed, atol=1e-6)
 
 
-def test_what_is_gone_for_longer_than_a_piece():
-    """It goes on where the settings say so."""
+def test_a_gap_may_be_longer_than_a_piece():
+    """The track continues if the settings allow such gaps."""
     box, other = corners_of(2, 0), corners_of(4, 0)
     count = 4 * PIECE_FRAMES
     frames = [[other, box] if f < 9 or f > count - 9 else [other] for f in range(count)]
@@ -318,8 +317,8 @@ def test_what_is_gone_for_longer_than_a_piece():
     assert tracks[1].frames == 17 and tracks[1].last_frame == count - 1
 
 
-def test_visitors_of_many_windows():
-    """Each is another; one who comes seldom keeps those after it waiting for their numbers."""
+def test_tracks_are_numbered_in_order_over_many_windows():
+    """A track with rare observations delays the numbers of later ones."""
     frames, expected = [], []
     for f in range(200):
         visit = 5 <= f % 20 < 13
@@ -335,8 +334,8 @@ def test_visitors_of_many_windows():
 
 
 @pytest.mark.parametrize("seen", [(19,), (18, 20), (17, 19)])
-def test_who_comes_back_at_the_end_of_a_window_is_the_same(seen):
-    """Whether it is seen once in that window or more often."""
+def test_an_object_that_returns_at_the_end_of_a_window_keeps_its_track(seen):
+    """It is observed once or more often in that window."""
     frames, expected = [], []
     for f in range(60):
         there = f < 8 or f in seen or f > 21
@@ -347,15 +346,15 @@ def test_who_comes_back_at_the_end_of_a_window_is_the_same(seen):
     assert tracks[1].frames == sum(map(len, frames)) - 60
 
 
-def test_a_standing_camera_keeps_little_in_memory():
-    """What is kept of things that stand in sight, and of those that come and go, has a bound."""
+def test_memory_of_tracking_with_a_standing_camera_is_bounded():
+    """It is bounded for objects that are always visible and for intermittent ones."""
     config, tracker = TrackConfig(), Tracker(TrackConfig())
     window, boxes = 512, np.array([corners_of(2 * k, 0) for k in range(6)], np.float32)
     kept, rows = [], 0
     for start in range(0, 40 * window, window):
         frame = start + np.arange(window)
         stamps = (frame / RATE_HZ * 1e9).astype(np.int64)
-        # One of six is there every second time for four seconds, another one most of the time.
+        # One of six is visible in every second period of 4 s, another one most of the time.
         there = np.ones((window, 6), bool)
         there[:, 5] = frame // 60 % 2 > 0
         there[:, 4] = frame % (6 * window) > 60
@@ -374,21 +373,21 @@ def test_a_standing_camera_keeps_little_in_memory():
         state = (frames, tracker.stamps, ids.ids, ids._counts, ids._rows)
         state += tracker.begin, tracker.pieces
         kept.append([*map(len, state), sum(len(piece.path) for piece in pieces)])
-        # Of more than 2,048 frames the last 1,024 wait.
+        # The last 1,024 of more than 2,048 frames wait.
         assert {piece.num_frames for piece in tracker.pieces.get(0, ())} <= {3 * window}
         assert all(track.path.shape == (1, 2) for track in tracks)
     limit = 6 * (2 * PIECE_FRAMES + window + RATE_HZ * (config.smooth_s + config.max_gap_s))
     assert np.max(kept, axis=0)[0] <= limit
     assert (np.max(kept[20:], axis=0)[:-1] <= np.max(kept[10:20], axis=0)[:-1]).all()
-    assert kept[-1][-1] <= 6 * 40  # a point for each piece of what stands
+    assert kept[-1][-1] <= 6 * 40  # a point per piece of standing objects
     tracker.finish()
     tracks, decided = tracker.take()
     assert len(tracks) == 6 and rows + sum(map(len, decided)) > 40 * window * 5
 
 
 @pytest.mark.parametrize("rate_hz", [0.45, 1.0, 1.42])
-def test_frames_that_are_seconds_apart(rate_hz):
-    """Farther than ``smooth_s``: speeds are those to the frames next to each."""
+def test_frames_seconds_apart_have_speeds_between_neighbours(rate_hz):
+    """The interval exceeds ``smooth_s``, so speeds are those to the adjacent frames."""
     frames = [[corners_of(4, f / rate_hz - 3), corners_of(6, 0)] for f in range(12)]
     (walks, stands), _ = follow(frames, rate_hz=rate_hz)
     np.testing.assert_allclose(walks.speed, 1, atol=0.01)
@@ -396,34 +395,34 @@ def test_frames_that_are_seconds_apart(rate_hz):
     assert walks.moving and not stands.moving
 
 
-def test_who_is_hidden_where_frames_are_far_apart_goes_on_walking():
-    """For four frames, 2.2 s: who stood still would be far from there."""
+def test_a_hidden_person_continues_walking_at_a_low_frame_rate():
+    """The person is hidden for four frames, 2.2 s, and reappears far away."""
     frames = [[corners_of(4, f / 1.8 - 4)] * (not 5 < f < 9) for f in range(15)]
     [walker], _ = follow(frames, rate_hz=1.8)
     assert walker.frames == 12 and walker.moving
     np.testing.assert_allclose(walker.path[:, 1], np.arange(15) / 1.8 - 4, atol=0.05)
 
 
-def test_a_glimpse_is_no_track():
+def test_few_observations_are_not_a_track():
     frames = [[corners_of(2, 0)] * (f < 3) for f in range(30)]
     assert follow(frames) == ([], [[-1]] * 3 + [[]] * 27)
     legs = [corners_of(2, 0), corners_of(2, 0.1)]
     assert follow([legs] * 3) == ([], [[-1, -1]] * 3)
 
 
-def test_without_poses():
+def test_without_poses_tracks_are_in_the_camera_frame():
     frames = [[corners_of(2, f / RATE_HZ)] for f in range(20)]
     (track,), _ = follow(frames, poses=False)
     assert not track.in_world and track.moving
 
 
-def test_no_frames_and_no_obstacles():
+def test_no_frames_and_no_obstacles_have_no_tracks():
     assert follow([]) == ([], [[]])
     assert follow([[], []]) == ([], [[], []])
 
 
 def random_frames(seed: int, frames: int) -> list[list[list[float]]]:
-    """People who walk, some of them hidden now and then."""
+    """Return outlines of walking people, some of them hidden now and then."""
     rng = np.random.default_rng(seed)
     start, speed = rng.uniform(-3, 3, (5, 2)), rng.uniform(-1, 1, (5, 2))
     found = []
@@ -434,8 +433,8 @@ def random_frames(seed: int, frames: int) -> list[list[list[float]]]:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_the_same_again_and_in_windows(seed):
-    """A track goes on from window to window: only which gaps are looked at together may differ."""
+def test_tracks_are_reproducible_and_nearly_independent_of_windows(seed):
+    """Tracks continue from window to window; only gaps may be resolved in another order."""
     frames = random_frames(seed, 120)
     whole, of = follow(frames)
     again, same = follow(frames)
@@ -447,7 +446,7 @@ def test_the_same_again_and_in_windows(seed):
 
 
 @pytest.mark.parametrize("field", [f.name for f in dataclasses.fields(TrackConfig)])
-def test_settings_out_of_range(field):
+def test_settings_out_of_range_are_errors(field):
     name, whole = field.replace("_", "-"), isinstance(getattr(TrackConfig(), field), int)
     with pytest.raises(ConfigError, match=f"{name} is out of range"):
         TrackConfig(**{field: -1})
@@ -461,7 +460,7 @@ def test_settings_out_of_range(field):
             TrackConfig(**{field: 100.0})
 
 
-def test_settings_at_the_edges_of_their_ranges():
+def test_settings_at_the_limits_of_their_ranges_are_accepted():
     TrackConfig(overlap=1.0, floats_m=0.0, touch_m=0.0, max_gap_frames=1, min_frames=1)
     zero = {"gate_m", "overlap", "max_speed_mps", "max_gap_s", "long_m", "moving_m", "noise_m"}
     for name in sorted(zero | {"smooth_s"}):
@@ -475,7 +474,7 @@ def test_settings_at_the_edges_of_their_ranges():
 
 
 def results(folder: Path, name: str, sim: SimConfig, far_m: float = 4.0, **run: object) -> Path:
-    """The results of simulated logs."""
+    """Return results of a simulated log."""
     write_log(folder / f"{name}.mcap", sim)
     out = folder / name
     config = Config(ground=GroundConfig(max_depth_m=far_m))
@@ -495,7 +494,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(
     ("odometry_hz", "source", "why"), [(0, "auto", "no poses"), (50, "none", "no floor")]
 )
-def test_why_tracks_are_in_the_cameras_frame(
+def test_the_reason_for_tracks_in_the_camera_frame_is_reported(
     tmp_path: Path, capsys: pytest.CaptureFixture, odometry_hz: float, source: str, why: str
 ):
     sim = dataclasses.replace(SIM, odometry_hz=odometry_hz, frames=4)
@@ -506,7 +505,7 @@ def test_why_tracks_are_in_the_cameras_frame(
     assert f"in the camera's frame ({why});" in capsys.readouterr().out
 
 
-def test_tables_of_a_folder(folder: Path, capsys: pytest.CaptureFixture):
+def test_tables_of_tracks_agree_with_the_obstacles(folder: Path, capsys: pytest.CaptureFixture):
     obstacles = (folder / "obstacles.parquet").read_bytes()
     assert main(["track", str(folder)]) == 0
     assert "tracks" in capsys.readouterr().out
@@ -531,7 +530,7 @@ def test_tables_of_a_folder(folder: Path, capsys: pytest.CaptureFixture):
 
 
 def test_repeated_runs_write_identical_bytes(folder: Path, tmp_path: Path):
-    """Again, and whatever the batch of the run."""
+    """Neither repetition nor the batch of the run matters."""
     track_results(folder)
     other = results(tmp_path, "log", SIM, batch_size=5)
     track_results(other)
@@ -543,7 +542,7 @@ def test_repeated_runs_write_identical_bytes(folder: Path, tmp_path: Path):
 
 
 def split(log: Path, count: int, to: Path) -> None:
-    """The messages of a log in ``count`` files, in the order of their times."""
+    """Split the messages of a log into ``count`` files, in the order of their times."""
     to.mkdir()
     with log.open("rb") as file:
         messages = list(make_reader(file).iter_messages())
@@ -563,7 +562,7 @@ def split(log: Path, count: int, to: Path) -> None:
             writer.finish()
 
 
-def test_the_same_bytes_however_the_log_was_split(folder: Path, tmp_path: Path):
+def test_tables_do_not_depend_on_the_split_of_the_log(folder: Path, tmp_path: Path):
     split(folder.parents[1] / "log.mcap", 5, tmp_path / "log")
     out = tmp_path / "out"
     config = Config(ground=GroundConfig(max_depth_m=4.0))
@@ -580,7 +579,7 @@ def test_the_same_bytes_however_the_log_was_split(folder: Path, tmp_path: Path):
         assert (out / name).read_bytes() == (folder / name).read_bytes()
 
 
-def test_other_settings_replace_them(folder: Path, tmp_path: Path):
+def test_other_settings_replace_the_tracks(folder: Path, tmp_path: Path):
     copy = shutil.copytree(folder, tmp_path / "copy")
     (found,) = track_results(copy, TrackConfig(min_frames=1000))
     assert found.tracks == found.linked == 0 < found.obstacles and not found.blind
@@ -589,7 +588,7 @@ def test_other_settings_replace_them(folder: Path, tmp_path: Path):
     assert links["track"].null_count == links.num_rows > 0
 
 
-def test_logs_without_obstacles_or_poses(tmp_path: Path):
+def test_logs_without_obstacles_or_poses_are_tracked(tmp_path: Path):
     empty = results(tmp_path, "empty", dataclasses.replace(SIM, scene="empty", frames=2), 1.0)
     (found,) = track_results(empty)
     assert found.tracks == found.obstacles == 0
@@ -600,7 +599,7 @@ def test_logs_without_obstacles_or_poses(tmp_path: Path):
 
 
 def edited(path: Path, column: str, values: list) -> None:
-    """Gives a column of a table other values."""
+    """Replace the values of a column of a table."""
     table = pq.read_table(path)
     at = table.schema.get_field_index(column)
     new = pa.array(values, table.schema.field(at).type)
@@ -609,7 +608,7 @@ def edited(path: Path, column: str, values: list) -> None:
 
 
 def check_track(track: dict[str, Any], own: list[dict[str, Any]]) -> None:
-    """A row of ``tracks.parquet`` agrees with those of its obstacles."""
+    """Assert that a row of ``tracks.parquet`` agrees with its obstacles."""
     assert track["num_obstacles"] == len(own) and track["camera"] == own[0]["camera"]
     assert track["num_frames"] == len({row["frame"] for row in own})
     for name, row in (("first", own[0]), ("last", own[-1])):
@@ -620,8 +619,8 @@ def check_track(track: dict[str, Any], own: list[dict[str, Any]]) -> None:
     assert track["max_speed_mps"] == max(track["speed_mps"])
 
 
-def test_what_is_told_of_each_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """Of two logs, one without poses; of the other they are lost at first and at last."""
+def test_each_log_is_reported_with_its_tracks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """One log has no poses; those of the other are missing at its start and end."""
     for name, hz in (("a", 50.0), ("b", 0.0)):
         sim = dataclasses.replace(SIM, frames=12, odometry_hz=hz)
         write_log(tmp_path / f"{name}.mcap", sim)
@@ -670,8 +669,8 @@ def test_what_is_told_of_each_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert drawn == [("a", ways)] and not list(out.rglob("*.arrow"))
 
 
-def test_what_is_linked_is_the_tables(folder: Path, tmp_path: Path, monkeypatch):
-    """Windows go on where the last one ended."""
+def test_observations_come_from_the_tables(folder: Path, tmp_path: Path, monkeypatch):
+    """Each window begins after the previous one."""
     copy = shutil.copytree(folder, tmp_path / "copy")
     frames = pq.read_table(copy / "frames.parquet").to_pandas()
     rows = pq.read_table(copy / "obstacles.parquet").to_pandas()
@@ -691,7 +690,7 @@ def test_what_is_linked_is_the_tables(folder: Path, tmp_path: Path, monkeypatch)
     monkeypatch.setattr(tracks_folder, "WINDOW_FRAMES", 5)
     monkeypatch.setattr(tracks_folder, "Tracker", Spy)
     monkeypatch.setattr(tracks_folder, "observations_of", observations_of)
-    track_results(copy, TrackConfig(min_frames=7))  # the first window waits for the second
+    track_results(copy, TrackConfig(min_frames=7))  # tracks continue into the second window
     assert [len(part) for part, *_ in sizes] == [5, 5, 2]
     links = pq.read_table(copy / "track_links.parquet").to_pandas()
     assert links["frame"].tolist() == rows["frame"].tolist() and links["track"].notna().any()
@@ -708,8 +707,8 @@ def test_what_is_linked_is_the_tables(folder: Path, tmp_path: Path, monkeypatch)
         np.testing.assert_array_equal(got, np.stack(rows[name].to_list()))
 
 
-def test_what_tracks_say_of_themselves(folder: Path, tmp_path: Path):
-    """What linked them; which files are theirs."""
+def test_metadata_of_tracks_names_their_settings_and_files(folder: Path, tmp_path: Path):
+    """The manifest lists the files of the tracks."""
     copy, config = shutil.copytree(folder, tmp_path / "copy"), TrackConfig(min_frames=7, gate_m=0.2)
     track_results(copy, config)
     assert tracks_folder.tracking(copy) == config
@@ -719,7 +718,7 @@ def test_what_tracks_say_of_themselves(folder: Path, tmp_path: Path):
     assert all(one.items() > obstacles.items() for one in own)
     table, key = pq.read_table(copy / "tracks.parquet"), tracks_folder.TRACKING_KEY
     wrong = "{", "[1]", '{"speed": 1}', '{"gate_m": -1}', '{"gate_m": "1"}'
-    for own in (None, {"jaxdet.format": "2"}, *({key: told} for told in wrong)):
+    for own in (None, {"jaxdet.format": "2"}, *({key: value} for value in wrong)):
         pq.write_table(table.replace_schema_metadata(own), copy / "tracks.parquet")
         with pytest.raises(InputError, match="the tracking parameters are missing or invalid"):
             tracks_folder.tracking(copy)
@@ -731,7 +730,7 @@ def test_what_tracks_say_of_themselves(folder: Path, tmp_path: Path):
     assert list(filter(tracks_folder.is_track_file, theirs + others)) == theirs
 
 
-def test_damaged_folders(folder: Path, tmp_path: Path):
+def test_damaged_folders_are_errors(folder: Path, tmp_path: Path):
     with pytest.raises(InputError, match="no such folder"):
         track_results(tmp_path / "none")
     copy = shutil.copytree(folder, tmp_path / "copy")

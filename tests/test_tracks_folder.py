@@ -1,4 +1,4 @@
-"""How tracks get into a results folder: one command at a time, all files or none."""
+"""Writing of tracks into a results folder: one command at a time, all files or none."""
 
 import json
 import shutil
@@ -32,8 +32,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return results(tmp_path_factory.mktemp("tracks"), "log", sim)
 
 
-def test_one_at_a_time_works_in_a_folder(folder: Path, tmp_path: Path, monkeypatch):
-    """Neither another ``jaxdet track`` nor a run."""
+def test_only_one_command_at_a_time_writes_to_a_folder(folder: Path, tmp_path: Path, monkeypatch):
+    """Neither another ``jaxdet track`` nor a run starts meanwhile."""
     copy, refused = shutil.copytree(folder.parent, tmp_path / "copy"), []
     log, how = folder.parents[1] / "log.mcap", {"backend": "reference", "overwrite": True}
     others = {"track": lambda: track_results(copy), "run": lambda: run_logs(log, copy, **how)}
@@ -57,19 +57,19 @@ def test_one_at_a_time_works_in_a_folder(folder: Path, tmp_path: Path, monkeypat
     lock.release()
 
 
-def test_two_commands_at_once(folder: Path, tmp_path: Path):
+def test_two_simultaneous_commands_leave_valid_results(folder: Path, tmp_path: Path):
     copy = shutil.copytree(folder.parent, tmp_path / "copy")
     command = [sys.executable, "-m", "jaxdet", "track", str(copy)]
     both = [subprocess.Popen(command, stderr=subprocess.PIPE, text=True) for _ in range(2)]
-    said = [process.communicate()[1] for process in both]
-    ends = sorted((process.returncode, text) for process, text in zip(both, said, strict=True))
+    printed = [process.communicate()[1] for process in both]
+    ends = sorted((process.returncode, text) for process, text in zip(both, printed, strict=True))
     assert ends[0] == (0, "")
     assert ends[1] == (0, "") or (ends[1][0] == 2 and "another run works here" in ends[1][1])
     assert not verify(copy, sample=0).findings
 
 
-def test_a_run_that_is_stopped_while_it_links_goes_on(tmp_path: Path, monkeypatch, capsys):
-    """The results are whole by then; the same command links them, and says so when all is there."""
+def test_a_run_stopped_while_tracking_is_resumed(tmp_path: Path, monkeypatch, capsys):
+    """The results are complete, so the same command only tracks, and reports when it is done."""
     write_log(tmp_path / "log.mcap", SimConfig(frames=6, width=96, height=72))
     command = ["run", str(tmp_path / "log.mcap"), "--backend", "reference", "--pictures", "0"]
     command += ["--tracks", "--output"]
@@ -81,27 +81,26 @@ def test_a_run_that_is_stopped_while_it_links_goes_on(tmp_path: Path, monkeypatc
     for number in (signal.SIGINT, signal.SIGTERM):
         with monkeypatch.context() as patch:
             patch.setattr(tracks_folder, "write_tracks", lambda *_, n=number: stop(n))
-            code, _, said = run("a", *["--quiet"] * (number == signal.SIGINT))
+            code, _, printed = run("a", *["--quiet"] * (number == signal.SIGINT))
         assert code == 128 + number
-        assert said.splitlines()[-1] == (
+        assert printed.splitlines()[-1] == (
             "jaxdet: error: interrupted while linking; run the same command again to resume"
         )
-    code, out, said = run("a")
-    assert (
-        (code, said) == (0, "") and "1 log processed earlier" in out and "obstacles linked" in out
-    )
+    code, out, printed = run("a")
+    assert (code, printed) == (0, "")
+    assert "1 log processed earlier" in out and "obstacles linked" in out
     same_results(tmp_path / "a", tmp_path / "whole")
-    code, out, said = run("a")
-    assert (code, said) == (0, "") and "nothing new" in out and "obstacles linked" not in out
+    code, out, printed = run("a")
+    assert (code, printed) == (0, "") and "nothing new" in out and "obstacles linked" not in out
     assert run("a", "--quiet") == (0, "", "")
     assert json.loads(run("a", "--json")[1])["frames"] == 6
-    code, _, said = run("a", "--quiet", "--ground.max-depth-m", "3")
-    assert code == 2 and "ground.max_depth_m was 4.0 and is 3.0 now" in said
+    code, _, printed = run("a", "--quiet", "--ground.max-depth-m", "3")
+    assert code == 2 and "ground.max_depth_m was 4.0 and is 3.0 now" in printed
     assert not verify(tmp_path / "a", sample=0).findings
 
 
-def test_other_files_stay(folder: Path, tmp_path: Path):
-    """Whatever they are called."""
+def test_other_files_are_kept(folder: Path, tmp_path: Path):
+    """Their names do not matter."""
     copy = shutil.copytree(folder.parent, tmp_path / "copy")
     own = copy / folder.name / "mine.png"
     own.write_bytes(b"mine")

@@ -1,4 +1,4 @@
-"""The steps of tracking, each by hand; the tracks themselves are in ``tests/test_tracks.py``."""
+"""Single steps of tracking, by hand; complete tracks are tested in ``tests/test_tracks.py``."""
 
 from pathlib import Path
 from types import SimpleNamespace
@@ -25,15 +25,15 @@ from tests.test_tracks import RATE_HZ, corners_of, follow, sightings
 
 
 def in_frames(frames: list[list[list[float]]], **other: object) -> Observations:
-    """Outlines by frame as sightings."""
+    """Return outlines by frame as observations."""
     frame = np.repeat(np.arange(len(frames)), [len(boxes) for boxes in frames])
     boxes = np.array([box for boxes in frames for box in boxes], np.float64)
     stamps = other.pop("stamps", frame / RATE_HZ * 1e9)
     return sightings(frame, np.asarray(stamps).astype(np.int64), boxes, **other)
 
 
-def test_sightings_by_hand():
-    """Columns in widths of the image, sides at its border, weights, and where columns go."""
+def test_observations_by_hand():
+    """The result has columns in image widths, sides at the border, and weights."""
     boxes = [corners_of(0, 2)] * 4
     turned = [corners_of(5, 5, yaw=np.pi / 3)] * 3 + [[np.nan] * 8]
     u_min, u_max = [0, 1, 2, 320], [637, 638, 639, 640]
@@ -58,19 +58,19 @@ SIDE = corners_of(0, 0, (1.0, 0.6))
 @pytest.mark.parametrize(
     ("other", "bottoms", "one"),
     [
-        (corners_of(0.55, 0, (0.5, 0.6)), (0, 0), False),  # 0.2 of 0.5 m are shared
+        (corners_of(0.55, 0, (0.5, 0.6)), (0, 0), False),  # 0.2 of 0.5 m overlap
         (corners_of(0.54, 0, (0.5, 0.6)), (0, 0), True),
         (corners_of(0, 0.36, (0.9, 0.3)), (0, 0), False),
         (corners_of(0.84, 0, (0.5, 0.6)), (0, 0.26), True),  # 0.09 m from it
         (corners_of(0.84, 0, (0.5, 0.6)), (0, 0.24), False),
-        (corners_of(0.84, 0, (0.5, 0.6)), (0.5, 0), False),  # the larger one floats
+        (corners_of(0.84, 0, (0.5, 0.6)), (0.5, 0), False),  # the larger one is above the floor
         (corners_of(0.86, 0, (0.5, 0.6)), (0, 0.26), False),
         (corners_of(0, 0, (1.59, 0.6)), (0, 0), True),
         (corners_of(0, 0, (1.61, 0.6)), (0, 0), False),
-        (corners_of(0.61, 0.41, (1.5, 0.3), 0.75 * np.pi), (0, 0), False),  # its sides part them
+        (corners_of(0.61, 0.41, (1.5, 0.3), 0.75 * np.pi), (0, 0), False),  # a gap along its sides
     ],
 )
-def test_which_obstacles_are_one_thing(other, bottoms, one):
+def test_obstacles_that_are_one_observation(other, bottoms, one):
     for turn in (1, -1):
         seen = in_frames([[SIDE, other][::turn]], bottom_m=np.array(bottoms[::turn], float))
         things, thing = merge_overlapping(seen, np.array([9, 4][::turn]), TrackConfig())
@@ -81,8 +81,8 @@ def test_which_obstacles_are_one_thing(other, bottoms, one):
     ("columns", "distance", "one"),
     [((100, 165), 1, False), ((100, 164), 1, True), ((165, 400), 1, False), ((150, 180), 3, True)],
 )
-def test_what_stands_behind_something_nearer_floats_beside_nothing(columns, distance, one):
-    """A post whose foot a bucket hides, beside a crate; the bucket is before half of it or not."""
+def test_parts_with_a_hidden_foot_are_not_above_the_floor(columns, distance, one):
+    """A bucket hides the foot of a post next to a crate, in half of its columns or in fewer."""
     post, crate, bucket = corners_of(0, 2), corners_of(0.35, 2), corners_of(5, 5)
     seen = in_frames(
         [[post, crate, bucket]],
@@ -95,8 +95,8 @@ def test_what_stands_behind_something_nearer_floats_beside_nothing(columns, dist
     assert (thing[0] == thing[1]) == one and len(things.frame) == (2 if one else 3)
 
 
-def test_a_thing_of_several_obstacles_by_hand():
-    """The rectangle around them lies as the one with the most cells, the rest is of all."""
+def test_observation_of_several_obstacles_by_hand():
+    """Their rectangle has the orientation of the one with most cells."""
     boxes = [corners_of(0, 3, (0.4, 0.2)), SIDE, corners_of(0.1, 3.1, (0.2, 0.2), np.pi / 6)]
     seen = in_frames(
         [[*boxes, corners_of(0, 3, (0.1, 0.1))], boxes[:1]],
@@ -137,12 +137,12 @@ def test_a_thing_of_several_obstacles_by_hand():
         ((329, 400), 1, (False, True)),
         ((330, 400), 1, (False, False)),
         ((100, 400), 1, (True, True)),
-        ((192, 320), 1, (False, False)),  # exactly before it
+        ((192, 320), 1, (False, False)),  # exactly in front of it
         ((100, 400), 2, (False, False)),
     ],
 )
-def test_what_something_nearer_hides(columns, distance, hidden):
-    """Of a thing in columns 192 to 320, 2 m away; 1.5 % of the width is 9.6 columns."""
+def test_sides_hidden_by_a_nearer_obstacle(columns, distance, hidden):
+    """The object is in columns 192 to 320, 2 m away; 1.5 % of the width are 9.6 columns."""
     boxes = [corners_of(0, 0), corners_of(9, 0)]
     for turn in (1, -1):
         u_min, u_max = np.array([(192, 320), columns][::turn]).T
@@ -151,8 +151,8 @@ def test_what_something_nearer_hides(columns, distance, hidden):
         assert tuple(marked[0]) == hidden and not marked[1].any()
 
 
-def test_where_hidden_sides_would_be():
-    """Half of what is missing to the usual width, to the side that is hidden."""
+def test_hidden_sides_are_extrapolated():
+    """The centre moves by half of the missing width, towards the hidden side."""
     L, R, both, no = (True, False), (False, True), (True, True), (False, False)
     rows = [
         (0, 0.6, no, 0),
@@ -161,12 +161,12 @@ def test_where_hidden_sides_would_be():
         (0, 0.3, R, 0.1),
         (2, 0.4, L, 0),
         (0, 0.5, no, 0),
-        (0, 0.2, L, -0.1),  # at most twice what is seen
+        (0, 0.2, L, -0.1),  # at most twice the visible width
         (1, 0.5, no, 0),
         (0, 0.7, no, 0),
         (0, 0.2, both, 0),
         (0, 0.6, R, 0),  # wider than usual
-        (1, 0.3, R, 0),  # two whole ones are too few
+        (1, 0.3, R, 0),  # two complete ones are too few
         (3, 0.8, no, 0),
         (3, 0.8, no, 0),
         (3, 0.8, no, 0),
@@ -187,7 +187,7 @@ def test_where_hidden_sides_would_be():
 
 
 def linked(frames: list[list[list[float]]], first: int = 0, **other: object) -> list[int]:
-    """The sighting before each, after the first pass."""
+    """Return the previous observation of each, after the first pass."""
     things = in_frames(frames, **other)
     return link_frames(things, np.full(len(things.frame), -1), first, TrackConfig()).tolist()
 
@@ -204,16 +204,16 @@ def linked(frames: list[list[list[float]]], first: int = 0, **other: object) -> 
         (corners_of(0.5, 2.5, (1, 1), np.pi / 4), False),  # 0.52 m along its own side
     ],
 )
-def test_how_far_edges_move_between_frames(other, is_linked):
+def test_observations_are_linked_if_their_edges_move_little(other, is_linked):
     one = corners_of(0, 2)
     assert linked([[one], [other]]) == [-1, 0 if is_linked else -1]
     assert linked([[other], [one]]) == [-1, 0 if is_linked else -1]
 
 
-def test_links_of_near_frames():
+def test_each_observation_is_linked_at_most_once():
     box, near = corners_of(0, 2), corners_of(0.2, 2)
     assert linked([[box], [], [], [box], [], [], [], [box]]) == [-1, 0, -1]
-    assert linked([[box], [box], [box, near]]) == [-1, 0, 1, -1]  # none goes on twice
+    assert linked([[box], [box], [box, near]]) == [-1, 0, 1, -1]
     assert linked([[box], [box], [box]], first=2) == [-1, -1, 1]
     assert linked([[box], [box]], stamps=[0, 2.5e9]) == [-1, 0]
     assert linked([[box], [box]], stamps=[0, 2.6e9]) == [-1, -1]
@@ -244,8 +244,8 @@ PAIR = corners_of(0, 2), corners_of(0.59, 2)  # 0.09 m from each other
         (4, (corners_of(0, 2, (0.5, 1.7)), corners_of(0.59, 2)), 3, 9, False),
     ],
 )
-def test_which_tracklets_end_as_a_piece(ends, pair, begins, lasts, cut):
-    """One stands from frame 0 to ``ends``, another is beside it from ``begins`` to ``lasts``."""
+def test_tracklets_that_end_as_a_fragment(ends, pair, begins, lasts, cut):
+    """One is visible from frame 0 to ``ends``, one next to it from ``begins`` to ``lasts``."""
     shapes, last = (*pair, corners_of(0, 9)), {}
     spans = (0, ends), (begins, lasts), (0, 9)
     there = [[k for k, (a, b) in enumerate(spans) if a <= f <= b] for f in range(10)]
@@ -256,7 +256,7 @@ def test_which_tracklets_end_as_a_piece(ends, pair, begins, lasts, cut):
     things = in_frames([[shapes[k] for k in row] for row in there])
     left = np.where(cut & (own == 0) & (things.frame >= begins), -1, before)
     assert end_pieces(things, np.array(before), 0, TrackConfig()).tolist() == left.tolist()
-    # A tracklet that began before the window ends none.
+    # A tracklet that began before the window has no such end.
     for first, ended in ((begins, left.tolist()), (begins + 1, before)):
         row = int(np.searchsorted(things.frame, first))
         assert end_pieces(things, np.array(before), row, TrackConfig()).tolist() == ended
@@ -265,8 +265,8 @@ def test_which_tracklets_end_as_a_piece(ends, pair, begins, lasts, cut):
 def chains_of(
     *chains: tuple[int, list[list[float]]], **other: object
 ) -> tuple[Observations, np.ndarray, np.ndarray]:
-    """Outlines of things in successive frames from a first one on, 10 frames a second: sightings,
-    the one before each, and the chain of each."""
+    """Return observations of outlines in successive frames at 10 frames per second, the previous
+    observation of each, and its chain."""
     rows = [(a + k, c, box) for c, (a, boxes) in enumerate(chains) for k, box in enumerate(boxes)]
     rows.sort(key=lambda row: row[:2])
     frame, own = np.array([row[:2] for row in rows]).T
@@ -279,12 +279,12 @@ def chains_of(
 
 
 def walk(x: float, mps: float, frames: int) -> list[list[float]]:
-    """Along x from a place on; 2 m ahead."""
+    """Return outlines that move along x, 2 m ahead."""
     return [corners_of(x + mps * k / 10, 2) for k in range(frames)]
 
 
 def test_tracklets_by_hand():
-    """A walker's way is cut at half a second; the velocity is drawn to standing a little."""
+    """Velocities are fitted over 0.5 s, with a weak prior of 0."""
     away = walk(9, 0, 8)
     walker = [*walk(0, 0, 10), *walk(0, 1.0, 10)]
     things, before, _ = chains_of((0, walker), (3, away), (12, walk(5, 0, 1)))
@@ -298,7 +298,7 @@ def test_tracklets_by_hand():
     np.testing.assert_allclose(found.velocity[:, 0], 0, atol=1e-9)
     np.testing.assert_allclose(found.position[:, 0], [[0, 2], [9, 2], [5, 2]], atol=1e-9)
     np.testing.assert_allclose(found.position[:, 1], [[0.9, 2], [9, 2], [5, 2]], atol=1e-9)
-    # Its last sighting is cut at the right: 0.3 of 0.5 m.
+    # The last observation is cut at the right to 0.3 of 0.5 m.
     hidden, across = things.hidden.copy(), things.across_m.copy()
     hidden[found.end[0]] = False, True
     across[found.end[0], 1] -= 0.2
@@ -307,7 +307,7 @@ def test_tracklets_by_hand():
 
 
 def goes_on(*chains: tuple[int, list[list[float]]], first: int = 0, **other: object) -> list[int]:
-    """The chain that each chain goes on from, -1 for none."""
+    """Return the chain that each chain continues, -1 for none."""
     things, before, own = chains_of(*chains, **other)
     after = link_tracklets(things, before, first, TrackConfig())
     starts = [int(np.flatnonzero(own == c)[0]) for c in range(len(chains))]
@@ -342,15 +342,15 @@ STANDS, WALKS = walk(0, 0, 10), walk(-0.9, 1.0, 10)  # both end at x = 0 in fram
         (STANDS, walk(1.5, 1.0, 10), 19, False),
     ],
 )
-def test_gaps_that_tracklets_go_on_over(one, other, begins, is_linked):
+def test_gaps_over_which_tracklets_continue(one, other, begins, is_linked):
     assert goes_on((0, one), (begins, other)) == [-1, 0 if is_linked else -1]
 
 
-def test_which_tracklet_goes_on():
+def test_the_best_tracklet_is_continued():
     here, aside, far = walk(0, 0, 10), walk(0.1, 0, 10), walk(50, 0, 31)
     broad = [corners_of(0, 2, (1, 0.8))] * 10
     assert goes_on((0, here), (15, broad), (15, aside)) == [-1, -1, 0]
-    # Tracklets that end later begin before it.
+    # Tracklets that end later start before it.
     assert goes_on((0, far), (0, far), (3, here), (20, here)) == [-1, -1, -1, 2]
     _, _, own = chains_of((0, here), (15, here))
     begins = int(np.flatnonzero(own)[0])
@@ -362,14 +362,14 @@ def test_which_tracklet_goes_on():
 
 
 def way_of(boxes: list[list[float]], config: TrackConfig | None = None, **other: object) -> Motion:
-    """What the fit makes of a thing with an outline in each frame."""
+    """Return the fitted motion of an object with an outline per frame."""
     things = in_frames([[box] for box in boxes], **other)
     stamps = (np.arange(len(boxes)) / RATE_HZ * 1e9).astype(np.int64)
     return motion_of(things, np.zeros(1, np.int64), stamps, 0, config or TrackConfig())
 
 
 def between(low: np.ndarray | float, high: np.ndarray | float, frames: int = 60) -> list[list]:
-    """Outlines 0.4 m wide whose ends along x are given by frame."""
+    """Return outlines 0.4 m deep with given ends along x per frame."""
     ends = np.broadcast_arrays(low, high, np.zeros(frames))[:2]
     return [corners_of((a + b) / 2, 2, (b - a, 0.4)) for a, b in zip(*ends, strict=True)]
 
@@ -398,12 +398,12 @@ JUMPS = np.arange(60) % 2 - 0.5
         (3.0 * STEPS + 0.6 * JUMPS, 2 + 3 * STEPS + 0.6 * JUMPS, False),
     ],
 )
-def test_what_moves(low, high, moves):
+def test_objects_are_moving_if_all_of_their_sides_move(low, high, moves):
     motion = way_of(between(low, high))
     assert motion.moving.tolist() == [moves] and motion.velocity.any() == moves
 
 
-def test_what_moves_by_a_setting():
+def test_the_minimum_distance_of_moving_objects_is_a_setting():
     pushed = between(0.8 * STEPS, 2 + 0.8 * STEPS)
     assert way_of(pushed).moving.all()
     assert not way_of(pushed, TrackConfig(moving_m=1.0)).moving.any()
@@ -411,28 +411,28 @@ def test_what_moves_by_a_setting():
     assert way_of(aside).moving.all()
 
 
-def test_what_is_too_fast_most_of_the_time_stands():
+def test_objects_too_fast_most_of_the_time_are_not_moving():
     for stands, runs in ((20, 40), (40, 20)):
         x = [0.0] * stands + [4 * f / RATE_HZ for f in range(runs)]
         assert way_of([corners_of(at, 2) for at in x]).moving.tolist() == [stands > runs]
 
 
-def test_far_sightings_are_no_noise():
+def test_noise_of_distant_observations_is_not_motion():
     far = np.arange(60) % 10 == 7
     boxes = between(STEPS + 1.5 * far, 2 + STEPS + 1.5 * far)
     assert way_of(boxes, distance_m=np.where(far, 15.0, 0.5)).moving.all()
     assert not way_of(boxes, distance_m=np.full(60, 0.5)).moving.any()
 
 
-def test_a_far_sighting_hardly_moves_the_way():
+def test_an_outlier_hardly_moves_the_trajectory():
     boxes = [corners_of(f / RATE_HZ, 2 + 0.5 * (f == 15)) for f in range(30)]
     motion = way_of(boxes, distance_m=np.where(np.arange(30) == 15, 15.0, 0.5))
     np.testing.assert_allclose(motion.position[:, 1], 2, atol=0.002)
     np.testing.assert_allclose(motion.velocity, [[1, 0]] * 30, atol=0.02)
 
 
-def test_frames_between_sightings_hardly_move_the_way():
-    """Somebody is hidden for a second and comes out 1 m to the left."""
+def test_trajectories_are_interpolated_in_gaps():
+    """A person is hidden for 1 s and reappears 1 m to the left."""
     things = in_frames([[corners_of(f / RATE_HZ, 2.0 + (f > 15))] for f in range(31)])
     things = things.take(np.abs(things.frame - 15.5) > 7)
     stamps = (np.arange(-5, 31) / RATE_HZ * 1e9).astype(np.int64)
@@ -442,7 +442,7 @@ def test_frames_between_sightings_hardly_move_the_way():
     np.testing.assert_allclose(motion.position[15, 1], 2 + 7 / 15, atol=0.02)
 
 
-def test_ways_of_several_tracks_are_those_of_each():
+def test_trajectories_of_several_tracks_equal_separate_ones():
     ways = [walk(0, 1.0, 20), between(0.0, 2.0, 9), walk(3, 0, 1), walk(4, -2.0, 12)]
     alone = [way_of(way) for way in ways]
     things = in_frames([[box] for way in ways for box in way])
@@ -456,8 +456,8 @@ def test_ways_of_several_tracks_are_those_of_each():
         np.testing.assert_allclose(getattr(together, name), parts, atol=1e-12)
 
 
-def test_lines_through_frames_at_any_times():
-    """Within 0.7 s of a frame; else the frames next to it, however far."""
+def test_local_lines_are_fitted_to_frames_at_any_times():
+    """Frames within 0.7 s are used, or else the adjacent ones."""
     seconds = np.array([0, 1, 2.5, 3.0, 3.1, 5.0])
     through = [(0, 1), (0, 1, 2), (2, 3, 4), (2, 3, 4), (2, 3, 4), (4, 5)]
     x = np.array([[0, 1, 1, 2, 1.5, 3], [9, 7, 7.5, 5, 5, 2]])
@@ -474,8 +474,8 @@ def test_lines_through_frames_at_any_times():
             assert place[k, 0] == pytest.approx(line)
 
 
-def test_numbers_by_hand():
-    """By first sighting, as soon as it is certain; nothing is kept of what is decided."""
+def test_numbers_of_tracks_by_hand():
+    """Tracks are numbered by their first observation as soon as it is certain."""
     numbers = TrackIds(3)
 
     def add(*chains: int, obstacles: tuple[int, ...] = ()) -> list[list[int]]:
@@ -493,7 +493,7 @@ def test_numbers_by_hand():
     (none,) = numbers.take()
     assert none.dtype == np.int32 and not len(none)
     assert numbers.ids == {3: 2} and numbers.is_track(3)
-    # One that ended is known as long as what it is in waits for others.
+    # A finished chain is kept as long as its track waits for others.
     assert add(3, 4, 4) == [] and numbers.is_track(3)
     numbers.end([3])
     assert numbers.take() == [] and add(4) == [[2, 3, 3], [3]]
@@ -515,8 +515,8 @@ def test_a_piece_of_a_track_by_hand():
     assert np.isnan(blind.top_m)
 
 
-def test_a_track_of_pieces_by_hand():
-    """What stands in a piece has a point for each of its frames; sizes weigh by sightings."""
+def test_a_track_of_several_pieces_by_hand():
+    """A standing piece has a point per frame; sizes are weighted by observations."""
 
     def piece(first: int, frames: int, seen: int, top_m: float, *speed: float) -> Piece:
         count, moving = len(speed), any(speed)
@@ -547,8 +547,8 @@ def test_a_track_of_pieces_by_hand():
 
 @given(st.integers(0, 10**6))
 @settings(max_examples=30, deadline=None)
-def test_choosing_takes_the_cheapest_first(seed):
-    """As a loop does; and with one pair for each row it is the best assignment."""
+def test_greedy_matching_takes_the_cheapest_pairs_first(seed):
+    """It equals a loop; with one pair per row it is the optimal assignment."""
     rng = np.random.default_rng(seed)
     count = int(rng.integers(1, 12))
     a, b = rng.integers(0, 6, (2, count))
@@ -566,7 +566,7 @@ def test_choosing_takes_the_cheapest_first(seed):
     assert (columns[best] == linear_sum_assignment(apart)[1]).all()
 
 
-def test_pairs_chains_and_components():
+def test_pairs_chains_and_components_by_hand():
     a, b = pairs_in_frames(np.array([0, 0, 0, 2, 3, 3]))
     assert list(zip(a.tolist(), b.tolist(), strict=True)) == [(0, 1), (0, 2), (1, 2), (4, 5)]
     assert chain_starts(np.array([-1, 0, -1, 1, 2, 3])).tolist() == [0, 0, 2, 0, 2, 0]
@@ -575,7 +575,7 @@ def test_pairs_chains_and_components():
     assert components(5, np.array([3, 2, 1]), np.array([4, 3, 2])).tolist() == [0, 1, 1, 1, 1]
 
 
-def test_rectangles():
+def test_rectangles_of_outlines_by_hand():
     a = Outlines.of_corners(np.array([corners_of(0, 0, (2, 1)), corners_of(0, 0, (2, 1))]))
     b = Outlines.of_corners(np.array([corners_of(1, 0, (2, 1)), corners_of(3, 0, (2, 1))]))
     np.testing.assert_allclose(overlap(a, b), [0.5, -0.5])
@@ -586,10 +586,10 @@ def test_rectangles():
     )
     np.testing.assert_allclose(displacement(a, grown), [0, 0], atol=1e-12)
     np.testing.assert_allclose(a.area, 2)
-    # Its ends moved by 0.6 and -0.4 m.
+    # The ends moved by 0.6 and -0.4 m.
     wider = Outlines.of_corners(np.array([corners_of(0.1, 0, (3, 1))]))
     np.testing.assert_allclose(displacement(a.take(np.array([0])), wider), 0.1)
-    # Both lie on each other along the sides of the first, but not along those of the second.
+    # They overlap along the sides of the first, but not along those of the second.
     low = Outlines.of_corners(np.array([corners_of(0, 0, (1, 0.6)), corners_of(0, 0, (1, 0.6))]))
     across = 0.5 + 0.27 / np.sqrt(2), 0.3 + 0.27 / np.sqrt(2)
     turned = Outlines.of_corners(
@@ -606,7 +606,9 @@ def test_rectangles():
     assert (point.center == [[1, 2]]).all() and (point.half == 0).all() and point.area == 0
 
 
-def test_rows_of_tracks_come_by_their_numbers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_rows_of_tracks_are_written_in_order_of_numbers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     monkeypatch.setattr(tracks_rows, "PART_ROWS", 2)
     (stands, walks), _ = follow([[corners_of(2, 1), corners_of(3, f / 9)] for f in range(9)])
     path, log = tmp_path / "rows", SimpleNamespace(name="a log", camera="left")

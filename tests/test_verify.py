@@ -1,4 +1,4 @@
-"""jaxdet verify: each thing that can be wrong with results is found, and nothing else."""
+"""``jaxdet verify`` finds each kind of damage to results, and nothing in intact ones."""
 
 import json
 import re
@@ -36,7 +36,7 @@ KEYS = {"log", "camera", "frame", "stamp_ns", *_OF_LOG}
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Results of two logs, ``a`` and ``b``, in units of four frames, with tracks."""
+    """Return results of two logs, ``a`` and ``b``, in units of four frames, with tracks."""
     folder = tmp_path_factory.mktemp("verify")
     for seed, name in enumerate("ab"):
         write_log(folder / f"{name}.mcap", SimConfig(frames=FRAMES, width=96, height=72, seed=seed))
@@ -48,7 +48,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def results(whole: Path, tmp_path: Path) -> Path:
-    """A copy of those of log a, to spoil."""
+    """Return a copy of the results of log a, to damage."""
     return Path(shutil.copytree(whole / "a", tmp_path / "out"))
 
 
@@ -57,13 +57,13 @@ def found(report: Report, but: str = "") -> list[str]:
 
 
 def sealed(folder: Path) -> None:
-    """The manifest knows files as they are now: whoever changed them covered it up."""
+    """Update the checksums in the manifest, as someone would who hides a change."""
     about = json.loads((folder / "manifest.json").read_text("utf-8"))
     write_manifest(folder, {k: v for k, v in about.items() if k not in ("files", "sha256")})
 
 
 def rewrite(folder: Path, tables: Mapping[str, pa.Table], *, inputs: bool = False) -> None:
-    """Writes tables, their logs' figures and the manifest; with ``inputs`` the digests as well."""
+    """Write tables, the figures of their logs, the manifest and, with ``inputs``, the digests."""
     summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
     for log in summary["logs"]:
         for name, table in tables.items():
@@ -92,13 +92,13 @@ def read(folder: Path) -> dict[str, pa.Table]:
 
 
 def frames_of(table: pa.Table, log: str, start: int, stop: int) -> list[int]:
-    """The rows of some frames."""
+    """Return the rows of a range of frames."""
     keys = zip(table["log"].to_pylist(), table["frame"].to_pylist(), strict=True)
     return [row for row, (name, frame) in enumerate(keys) if name == log and start <= frame < stop]
 
 
 def without(tables: Mapping[str, pa.Table], frame: int) -> dict[str, pa.Table]:
-    """Tables in which a frame of log ``a`` is missing."""
+    """Return tables without a frame of log ``a``."""
     left = {}
     for name, table in tables.items():
         gone = {*frames_of(table, "a", frame, frame + 1)}
@@ -106,7 +106,7 @@ def without(tables: Mapping[str, pa.Table], frame: int) -> dict[str, pa.Table]:
     return left
 
 
-def test_what_a_run_wrote_is_as_it_should_be(whole: Path) -> None:
+def test_intact_results_have_no_findings(whole: Path) -> None:
     report = verify(whole, sample=3)
     assert report.findings == report.notes == []
     each = [[pq.read_metadata(whole / log / name).num_rows for log in "ab"] for name in TABLES]
@@ -116,7 +116,7 @@ def test_what_a_run_wrote_is_as_it_should_be(whole: Path) -> None:
     assert report.files == sum(path.is_file() for path in whole.rglob("*")) - 3
 
 
-def test_parts_of_logs_are_as_they_should_be(whole: Path, tmp_path: Path) -> None:
+def test_results_of_parts_of_logs_have_no_findings(whole: Path, tmp_path: Path) -> None:
     log = whole.parent / "a.mcap"
     options = LogOptions(start="0.1", every=3)
     run_logs(log, tmp_path, log=options, pictures=0)
@@ -124,13 +124,13 @@ def test_parts_of_logs_are_as_they_should_be(whole: Path, tmp_path: Path) -> Non
     assert report.findings == report.notes == [] and 1 < report.frames < FRAMES / 2
 
 
-def test_a_log_that_was_read_as_a_whole_is_as_it_should_be(tmp_path: Path) -> None:
+def test_results_of_a_scanned_log_have_no_findings(tmp_path: Path) -> None:
     log = tmp_path / "a.mcap"
     write_random(log, make_scene(2 * FRAMES), chunk_size=1)
     with log.open("rb") as file:
         summary = make_reader(file).get_summary()
     assert summary is not None
-    chunk = summary.chunk_indexes[-FRAMES]  # a depth image that opening does not read
+    chunk = summary.chunk_indexes[-FRAMES]  # a depth image that is not read by opening
     data = bytearray(log.read_bytes())
     data[chunk.chunk_start_offset + chunk.chunk_length - 9] ^= 0xFF
     log.write_bytes(data)
@@ -139,7 +139,7 @@ def test_a_log_that_was_read_as_a_whole_is_as_it_should_be(tmp_path: Path) -> No
     assert report.findings == [] and report.frames == 2 * FRAMES - 1
 
 
-def test_one_flipped_byte_is_found_in_any_file(results: Path) -> None:
+def test_a_flipped_byte_is_found_in_any_file(results: Path) -> None:
     names = [str(p.relative_to(results)) for p in results.rglob("*") if p.is_file()]
     assert {*TABLES, "tracks.parquet", "map.npz", "pictures/000000.png"} <= {*names}
     for name in names:
@@ -160,7 +160,7 @@ def test_one_flipped_byte_is_found_in_any_file(results: Path) -> None:
     assert not report.findings and report.files == len(names) - 1
 
 
-def test_files_that_are_missing_or_too_many_are_named(results: Path) -> None:
+def test_missing_and_additional_files_are_named(results: Path) -> None:
     (results / "map.npz").unlink()
     (results / "map.png").write_bytes(b"")
     (results / "pictures" / "c_000000.png").touch()
@@ -182,7 +182,7 @@ def test_files_that_are_missing_or_too_many_are_named(results: Path) -> None:
     assert finding.startswith("manifest.json: has no complete results")
 
 
-def test_exchanged_units_are_found(results: Path) -> None:
+def test_swapped_units_are_found(results: Path) -> None:
     tables = read(results)
     for name, table in tables.items():
         first, second = (frames_of(table, "a", at, at + 4) for at in (0, 4))
@@ -196,8 +196,8 @@ def test_exchanged_units_are_found(results: Path) -> None:
     ]  # fmt: skip
 
 
-def test_exchanged_contents_are_found(results: Path) -> None:
-    """Rows with the right keys, and all checksums made to fit: the reference tells, and tracks."""
+def test_swapped_contents_are_found(results: Path) -> None:
+    """Keys and checksums fit, so only the reference and the tracks reveal it."""
     tables = read(results)
     frames = tables["frames.parquet"]
     order = [*range(4, 8), *range(4), *range(8, frames.num_rows)]
@@ -226,7 +226,7 @@ def test_exchanged_contents_are_found(results: Path) -> None:
 
 
 def raised(table: pa.Table, name: str, row: int, by: float) -> pa.Table:
-    """A table with another value in a column."""
+    """Return a table with another value in a column."""
     values = table[name].to_pylist()
     values[row] += by
     column = table.column_names.index(name)
@@ -253,7 +253,7 @@ def test_a_changed_value_is_found_by_the_reference(results: Path) -> None:
         ("stamp_ns", "a: stamp_ns of obstacles differs from their frames"),
     ],
 )
-def test_obstacles_that_are_not_their_frames_are_found(
+def test_obstacles_that_do_not_fit_their_frames_are_found(
     results: Path, column: str, problem: str
 ) -> None:
     tables = read(results)
@@ -276,7 +276,7 @@ def test_a_missing_frame_is_found(results: Path, frame: int, problem: str) -> No
     assert found(verify(results), but="tracks") == [problem]
 
 
-def test_the_figures_of_a_missing_frame_are_found(results: Path) -> None:
+def test_figures_that_include_a_missing_frame_are_found(results: Path) -> None:
     for name, table in without(read(results), 11).items():
         about = pq.ParquetFile(results / name).metadata.metadata
         pq.write_table(table.replace_schema_metadata(about), results / name)
@@ -285,7 +285,7 @@ def test_the_figures_of_a_missing_frame_are_found(results: Path) -> None:
     assert problem.endswith("a: 11 rows, but summary.json says 12")
 
 
-def test_figures_that_are_not_those_of_the_rows_are_found(results: Path) -> None:
+def test_figures_that_differ_from_the_rows_are_found(results: Path) -> None:
     path = results / "summary.json"
     summary = json.loads(path.read_text(encoding="utf-8"))
     summary["logs"][0]["status"] = {"ok": 11, "no_color": 1}
@@ -299,7 +299,7 @@ def test_figures_that_are_not_those_of_the_rows_are_found(results: Path) -> None
 
 
 def test_another_log_is_found(whole: Path, tmp_path: Path) -> None:
-    """One with the same number of frames at the same times."""
+    """The other log has as many frames at the same times."""
     other = SimConfig(frames=FRAMES, width=96, height=72, seed=5)
     write_log(tmp_path / "a.mcap", other)
     report = verify(whole, [str(tmp_path / "a.mcap")], sample=2)
@@ -316,7 +316,7 @@ def test_another_log_is_found(whole: Path, tmp_path: Path) -> None:
         verify(whole, [str(tmp_path / "c.mcap")])
 
 
-def test_a_folder_of_images_is_found_where_it_was(
+def test_an_image_folder_is_found_at_its_path(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -327,7 +327,7 @@ def test_a_folder_of_images_is_found_where_it_was(
     assert report.findings == report.notes == [] and report.frames_of_logs == report.frames == 3
 
 
-def test_logs_that_moved_are_given_or_noted(whole: Path, tmp_path: Path) -> None:
+def test_moved_logs_are_given_by_flag_or_noted(whole: Path, tmp_path: Path) -> None:
     shutil.copytree(whole.parent, tmp_path / "all")
     out = tmp_path / "all" / "out"
     for summary in out.glob("*/summary.json"):
@@ -345,9 +345,7 @@ def test_logs_that_moved_are_given_or_noted(whole: Path, tmp_path: Path) -> None
     assert report.findings == report.notes == [] and report.frames_of_logs == 2 * FRAMES
 
 
-def test_logs_with_other_names_now_are_known_by_what_is_in_them(
-    whole: Path, tmp_path: Path
-) -> None:
+def test_renamed_logs_are_recognized_by_their_content(whole: Path, tmp_path: Path) -> None:
     folder = tmp_path / "all"
     shutil.copytree(whole.parent, folder)
     (folder / "a.mcap").rename(folder / "c.mcap")
@@ -360,16 +358,16 @@ def test_logs_with_other_names_now_are_known_by_what_is_in_them(
         verify(folder / "out", [str(folder / "*.mcap")], sample=1)
 
 
-def test_a_run_of_which_not_all_is_complete(whole: Path, tmp_path: Path) -> None:
-    """Findings name the folder of the log."""
+def test_an_incomplete_run_is_a_finding(whole: Path, tmp_path: Path) -> None:
+    """The finding names the folder of the log."""
     copy = Path(shutil.copytree(whole, tmp_path / "copy"))
     (copy / "a" / "map.npz").write_bytes(b"")
     (copy / "b" / "manifest.json").unlink()
     (copy / "mine").mkdir()
     (copy / "c").mkdir()
-    told = {"logs": [{"log": "c", "camera": None, "paths": [], "error": "no", "lost": []}]}
-    told["logs"][0] |= {"frames": 0, "obstacles": 0}
-    (copy / "c" / "failed.json").write_text(json.dumps(told))
+    record = {"logs": [{"log": "c", "camera": None, "paths": [], "error": "no", "lost": []}]}
+    record["logs"][0] |= {"frames": 0, "obstacles": 0}
+    (copy / "c" / "failed.json").write_text(json.dumps(record))
     report = verify(copy, sample=0)
     first, second = found(report)
     assert first.startswith("a/map.npz: expected ")
@@ -380,8 +378,8 @@ def test_a_run_of_which_not_all_is_complete(whole: Path, tmp_path: Path) -> None
     ]
 
 
-def test_tracks_are_linked_again(results: Path, capsys: Any) -> None:
-    """A byte that was changed is found, whoever made its checksum fit."""
+def test_tracks_are_computed_again(results: Path, capsys: Any) -> None:
+    """A changed byte is found even if its checksum was updated."""
     report = verify(results, sample=0)
     rows = pq.read_metadata(results / "track_links.parquet").num_rows
     assert not report.findings and 0 < report.linked <= rows == report.obstacles
@@ -401,7 +399,7 @@ def test_tracks_are_linked_again(results: Path, capsys: Any) -> None:
 
 
 def test_tracks_of_other_obstacles_are_found(results: Path, tmp_path: Path) -> None:
-    """Those of the same results, linked by other rules, are right where they say so."""
+    """Tracks with other settings are right if the settings are recorded."""
     track_results(results, TrackConfig(min_frames=2))
     assert not verify(results, sample=0).findings
     other = shutil.copytree(results, tmp_path / "other")
@@ -416,7 +414,7 @@ def test_tracks_of_other_obstacles_are_found(results: Path, tmp_path: Path) -> N
     ]
 
 
-def test_tracks_on_a_damaged_map_are_one_finding(results: Path) -> None:
+def test_a_damaged_map_of_tracks_is_one_finding(results: Path) -> None:
     content = (results / "map.npz").read_bytes()
     for place in range(0, len(content), len(content) // 40):
         spoiled = bytearray(content)
@@ -426,13 +424,13 @@ def test_tracks_on_a_damaged_map_are_one_finding(results: Path) -> None:
         assert {finding.check for finding in verify(results, sample=0).findings} <= {"tracks"}
 
 
-def test_the_command(results: Path, capsys: Any) -> None:
+def test_the_command_prints_findings_and_exits_with_1(results: Path, capsys: Any) -> None:
     assert main(["verify", str(results), "--sample", "1"]) == 0
     assert capsys.readouterr().out.endswith("no problems found\n")
     (results / "config.json").unlink()
     assert main(["verify", str(results), "--json"]) == 1
-    told = json.loads(capsys.readouterr().out)
-    assert told["findings"][0] == {
+    record = json.loads(capsys.readouterr().out)
+    assert record["findings"][0] == {
         "check": "files", "where": "config.json", "problem": "missing"
     }  # fmt: skip
     assert main(["verify", str(results / "missing")]) == 1

@@ -1,4 +1,4 @@
-"""Logs that workers do whole: the same bytes, whatever happens to the workers."""
+"""Complete logs processed by workers: equal bytes, whatever happens to the workers."""
 
 import os
 import shutil
@@ -24,7 +24,7 @@ FRAMES = 11
 
 
 class Killer:
-    """An observer that ends its process in the second batch of a log, once."""
+    """Observer that kills its process once, in the second batch of a log."""
 
     def __init__(self, once: Path) -> None:
         self._once = once
@@ -40,7 +40,7 @@ class Killer:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Five logs, of two cameras."""
+    """Return a folder of five logs of two cameras."""
     folder = tmp_path_factory.mktemp("whole")
     for seed, width in enumerate((96, 96, 128, 96, 128)):
         config = SimConfig(frames=FRAMES + seed, width=width, height=width * 3 // 4, seed=seed)
@@ -54,7 +54,7 @@ def run(folder: Path, output: Path, **options: Any) -> Summary:
 
 @pytest.fixture
 def shared(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """The logs that are shared out, in order."""
+    """Return a list to which the names of logs split among workers are appended."""
     names = []
 
     def choose(one: Any, log: Any, memory: Any) -> Any:
@@ -64,6 +64,12 @@ def shared(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     real = resources.Resources.choose
     monkeypatch.setattr(resources.Resources, "choose", choose)
     return names
+
+
+@pytest.fixture
+def complete(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let workers process all logs completely."""
+    monkeypatch.setattr(scheduler, "choose_logs", lambda sizes, _: set(sizes))
 
 
 @pytest.fixture(scope="module")
@@ -78,50 +84,48 @@ def same_tables(one: Path, other: Path) -> None:
         assert (one / name).read_bytes() == (other / name).read_bytes(), name
 
 
-def test_workers_do_logs_whole(folder, alone, shared, tmp_path):
+def test_workers_process_complete_logs(folder, alone, shared, tmp_path):
     summary = run(folder, tmp_path / "a", workers=2)
     assert not summary.failed and summary.workers == 2
     assert len(shared) <= 1  # of five, which two workers can't do in equal times
     same_results(alone, tmp_path / "a")
 
 
-def test_a_gpu_computes_for_workers_that_do_logs_whole(
+@pytest.mark.usefixtures("complete")
+def test_a_gpu_computes_for_workers_with_complete_logs(
     folder, alone, shared, tmp_path, monkeypatch
 ):
     with jax.default_device(jax.devices("cpu")[0]):
         on_this_machine(monkeypatch)
-        monkeypatch.setattr(scheduler, "choose_logs", lambda sizes, _: set(sizes))
         summary = run(folder, tmp_path / "a", workers=2)
     assert not summary.failed and summary.workers == 2
-    assert len(shared) == 2  # one of each camera: the device server begins to serve it
+    assert len(shared) == 2  # the first log of each camera
     same_results(alone, tmp_path / "a")
 
 
-def test_a_worker_that_dies_costs_no_log(folder, alone, shared, tmp_path):
+@pytest.mark.usefixtures("complete")
+def test_a_killed_worker_loses_no_log(folder, alone, shared, tmp_path):
     observers = {"odd": Killer(tmp_path / "once")}
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(scheduler, "choose_logs", lambda sizes, _: set(sizes))
-        summary = run(folder, tmp_path / "a", workers=2, observers=observers)
+    summary = run(folder, tmp_path / "a", workers=2, observers=observers)
     assert (tmp_path / "once").exists()
     assert not summary.failed and not any(log.lost for log in summary.logs)
-    assert len(shared) == 1  # the one that it died at
+    assert len(shared) == 1  # the log of the killed worker
     for log in "abcde":
         same_tables(alone / f"log_{log}", tmp_path / "a" / f"log_{log}")
 
 
-def test_what_workers_cannot_do_is_said_by_this_process(folder, shared, tmp_path):
+@pytest.mark.usefixtures("complete")
+def test_failures_in_workers_are_reported_by_the_main_process(folder, shared, tmp_path):
     broken = shutil.copytree(folder, tmp_path / "logs")
     (broken / "log_b.mcap").write_bytes(b"not a log")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(scheduler, "choose_logs", lambda sizes, _: set(sizes))
-        summary = run(broken, tmp_path / "a", workers=2)
+    summary = run(broken, tmp_path / "a", workers=2)
     assert [log.log for log in summary.failed] == ["log_b"] and shared == []
     plain = run(broken, tmp_path / "b", workers=1)
     assert plain.failed[0].error == summary.failed[0].error
     same_results(tmp_path / "a", tmp_path / "b")
 
 
-def test_a_stopped_run_goes_on_with_what_workers_did(folder, alone, shared, tmp_path):
+def test_a_stopped_run_is_resumed_with_the_logs_of_workers(folder, alone, shared, tmp_path):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(scheduler, "choose_logs", lambda sizes, _: set(sizes))
         done = []
@@ -153,19 +157,20 @@ def test_a_stopped_run_goes_on_with_what_workers_did(folder, alone, shared, tmp_
         ([1] * 3, 16, 3),
     ],
 )
-def test_as_many_logs_are_done_whole_as_keep_all_workers_busy(sizes, workers, count):
+def test_logs_are_processed_completely_as_long_as_all_workers_are_busy(sizes, workers, count):
     chosen = choose_logs({str(i): size for i, size in enumerate(sizes)}, workers)
     assert len(chosen) == count
 
 
-def test_large_logs_are_shared_out():
+def test_large_logs_are_split_among_workers():
     sizes = {"large": 100 * OPENING_BYTES, **{str(i): OPENING_BYTES for i in range(50)}}
     chosen = choose_logs(sizes, 16)
     assert "large" not in chosen and 48 <= len(chosen) <= 50
 
 
-def test_each_camera_of_a_gpu_has_images_of_its_own(tmp_path, monkeypatch):
-    """Though images are of one size, and the memory of one camera lies where another's was."""
+@pytest.mark.usefixtures("complete")
+def test_a_gpu_keeps_the_images_of_cameras_apart(tmp_path, monkeypatch):
+    """Images have one size, and memory of one camera is reused for the other."""
     (folder := tmp_path / "logs").mkdir()
     cameras = {"depth_form": "aligned"}, {"extrinsics": "topic"}, {"extrinsics": "tf"}
     for seed in range(6):
@@ -174,11 +179,11 @@ def test_each_camera_of_a_gpu_has_images_of_its_own(tmp_path, monkeypatch):
     run(folder, tmp_path / "a", workers=1)
     with jax.default_device(jax.devices("cpu")[0]):
         on_this_machine(monkeypatch)
-        monkeypatch.setattr(scheduler, "choose_logs", lambda sizes, _: set(sizes))
         assert not run(folder, tmp_path / "b", workers=2).failed
     same_results(tmp_path / "a", tmp_path / "b")
 
 
+@pytest.mark.usefixtures("complete")
 def test_a_gpu_computes_after_a_log_that_fewer_workers_share(
     folder, alone, shared, tmp_path, monkeypatch
 ):
@@ -190,31 +195,30 @@ def test_a_gpu_computes_after_a_log_that_fewer_workers_share(
     monkeypatch.setattr(resources, "memory_plan", plan)
     with jax.default_device(jax.devices("cpu")[0]):
         on_this_machine(monkeypatch)
-        monkeypatch.setattr(scheduler, "choose_logs", lambda sizes, _: set(sizes))
         summary = run(folder, tmp_path / "a", workers=2)
     assert not summary.failed
-    assert shared[0] == "log_e" and len(shared) == 3  # the pool that served the first has ended
+    assert shared[0] == "log_e" and len(shared) == 3  # the pool of the first log has ended
     same_results(alone, tmp_path / "a")
 
 
-def test_logs_of_several_cameras_are_among_others(folder, shared, tmp_path, monkeypatch):
+@pytest.mark.usefixtures("complete")
+def test_logs_of_several_cameras_may_be_among_others(folder, shared, tmp_path):
     logs = shutil.copytree(folder, tmp_path / "logs")
     cameras = {"rear": folder / "log_a.mcap", "front": folder / "log_c.mcap"}
     join_cameras(cameras, logs / "log_bb.mcap")
     run(logs, tmp_path / "alone", workers=1)
     shared.clear()
-    monkeypatch.setattr(scheduler, "choose_logs", lambda sizes, _: set(sizes))
     summary = run(logs, tmp_path / "a", workers=2)
     assert not summary.failed and len(summary.logs) == 7
     assert not shared
     same_results(tmp_path / "alone", tmp_path / "a")
 
 
-def test_whole_logs_are_brought_up_to_date(folder, alone, shared, tmp_path, monkeypatch):
+@pytest.mark.usefixtures("complete")
+def test_complete_logs_are_updated(folder, alone, shared, tmp_path):
     logs = shutil.copytree(folder, tmp_path / "logs")
     (logs / "log_b.mcap").write_bytes(b"not a log")
     (logs / "log_d.mcap").unlink()
-    monkeypatch.setattr(scheduler, "choose_logs", lambda sizes, _: set(sizes))
     assert len(run(logs, tmp_path / "a", workers=2).failed) == 1
     for name in "bd":
         shutil.copy2(folder / f"log_{name}.mcap", logs)
@@ -224,7 +228,7 @@ def test_whole_logs_are_brought_up_to_date(folder, alone, shared, tmp_path, monk
 
 
 @pytest.mark.parametrize("workers", [1, 2])
-def test_observers_that_cannot_go_to_workers_are_refused(folder, tmp_path, workers):
+def test_observers_that_cannot_be_pickled_are_refused(folder, tmp_path, workers):
     odd = SimpleNamespace(summary=lambda seen: seen)
     with pytest.raises(ConfigError, match="observers can't go to other processes"):
         run(folder, tmp_path / "a", workers=workers, observers={"odd": odd})

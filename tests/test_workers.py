@@ -1,4 +1,4 @@
-"""Worker processes: the same bytes as without, and clean ends whatever happens."""
+"""Worker processes: results equal those of one process, and crashes and signals are handled."""
 
 import json
 import multiprocessing
@@ -45,7 +45,7 @@ START_METHODS = multiprocessing.get_all_start_methods()
 
 
 class Odd:
-    """An observer that fails at frame 9, in one way or another."""
+    """Observer that fails at frame 9, in a given way."""
 
     def __init__(self, way: str = "") -> None:
         self.way = way
@@ -74,7 +74,7 @@ class Odd:
 
 
 class Threads(Odd):
-    """Says what the libraries of a worker may use."""
+    """Observer that records the numbers of threads of libraries in a worker."""
 
     def __call__(self, batch: Batch, found: Any) -> Any:
         import cv2
@@ -104,7 +104,7 @@ def run(logs: list[Path], output: Path, **options: Any) -> Summary:
 
 @pytest.fixture(scope="module")
 def plain_run(sim_logs: list[Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What this process makes of the first log, with one frame in a batch."""
+    """Return results of the first log by one process, with one frame per batch."""
     folder = tmp_path_factory.mktemp("plain")
     run(sim_logs[:1], folder, workers=1, batch_size=1, backend="reference")
     return folder / "a"
@@ -144,7 +144,7 @@ def test_bytes_depend_on_neither_workers_nor_batch(sim_logs, tmp_path):
         ("frame", "a.mcap: torn"),
     ],
 )
-def test_an_error_says_where(sim_logs, tmp_path, way, text):
+def test_an_error_names_log_and_frame(sim_logs, tmp_path, way, text):
     options = {"workers": 2, "batch_size": 4, "backend": "reference"}
     summary = run(sim_logs[:1], tmp_path, observers={"odd": Odd(way)}, **options)
     assert (summary.failed[0].error or "").startswith(text)
@@ -155,7 +155,7 @@ def test_an_error_says_where(sim_logs, tmp_path, way, text):
         assert 'raise ZeroDivisionError("by nothing")' in path.read_text(encoding="utf-8")
 
 
-def test_frames_on_which_workers_die_have_rows_that_say_so(sim_logs, plain_run, tmp_path):
+def test_frames_that_kill_workers_have_rows_with_their_status(sim_logs, plain_run, tmp_path):
     options = {"workers": 2, "batch_size": 4, "backend": "reference", "pictures": 0}
     summary = run(sim_logs[:1], tmp_path, observers={"odd": Odd("exit")}, **options)
     assert not summary.failed and summary.frames == FRAMES
@@ -178,7 +178,7 @@ def test_frames_on_which_workers_die_have_rows_that_say_so(sim_logs, plain_run, 
 
 
 @pytest.mark.parametrize("workers", [1, 2])
-def test_a_log_that_is_not_as_its_index_says_is_scanned(
+def test_a_log_that_differs_from_its_index_is_scanned(
     sim_logs, plain_run, tmp_path, monkeypatch, workers
 ):
     opened = []
@@ -200,7 +200,7 @@ def test_a_log_that_is_not_as_its_index_says_is_scanned(
         assert (tmp_path / "a" / "a" / name).read_bytes() == (plain_run / name).read_bytes()
 
 
-def test_observers_have_names_in_the_summary(sim_logs, tmp_path):
+def test_observers_are_named_in_the_summary(sim_logs, tmp_path):
     observers = {"odd": Odd(), "threads": Threads()}
     options = {"workers": 2, "batch_size": 8, "backend": "reference", "pictures": 0}
     run(sim_logs[:1], tmp_path, observers=observers, **options)
@@ -210,7 +210,9 @@ def test_observers_have_names_in_the_summary(sim_logs, tmp_path):
 
 
 @pytest.mark.parametrize("way", [signal.SIGKILL, signal.SIGSTOP])
-def test_a_worker_that_dies_or_stops_costs_nothing(sim_logs, plain_run, tmp_path, monkeypatch, way):
+def test_a_killed_or_stopped_worker_loses_no_frames(
+    sim_logs, plain_run, tmp_path, monkeypatch, way
+):
     def once_more(*args: Any) -> Any:
         monkeypatch.setattr(pool, "NO_PROGRESS_S", 600.0)
         return real(*args)
@@ -234,7 +236,7 @@ def test_a_worker_that_dies_or_stops_costs_nothing(sim_logs, plain_run, tmp_path
 
 
 class SlowLog:
-    """A log whose time windows have a frame each, which takes a while to read and has no depth."""
+    """Log with a frame per time window, without depth and slow to read."""
 
     name, T_base_camera, num_frames = "slow", None, 32
     frames, stamps_ns = range(num_frames), np.arange(num_frames) * 10**9
@@ -244,7 +246,7 @@ class SlowLog:
         return SimpleNamespace(frames=SimpleNamespace(valid=np.zeros(len(numbers), bool)))
 
 
-def test_floors_of_many_time_windows_are_progress(monkeypatch):
+def test_a_worker_that_searches_many_floors_is_not_timed_out(monkeypatch):
     config = Config(ground=GroundConfig(source="estimate", window_s=1.0))
     job = executors.FloorJob(SlowLog(), config, "reference")
     with pool.Pool("reference") as workers:
@@ -254,7 +256,7 @@ def test_floors_of_many_time_windows_are_progress(monkeypatch):
     assert len(planes.windows) == 32
 
 
-def test_time_in_which_the_machine_was_asleep_is_no_hang(monkeypatch):
+def test_time_asleep_does_not_count_for_timeouts(monkeypatch):
     times = iter((0.0, 5000.0))
     monkeypatch.setattr(pool, "time", SimpleNamespace(monotonic=lambda: next(times)))
     monkeypatch.setattr(pool, "wait", lambda pipes, seconds: [])
@@ -264,7 +266,7 @@ def test_time_in_which_the_machine_was_asleep_is_no_hang(monkeypatch):
     assert not list(found._poll()) and 0 < one.idle_s <= 2
 
 
-def test_a_worker_that_is_heard_of_does_not_hang():
+def test_a_worker_with_a_recent_heartbeat_is_not_timed_out():
     process: Any = SimpleNamespace(Process=lambda **given: None)
     found = worker.Worker(process, "reference", None)
     found.pending.append("a unit")
@@ -274,7 +276,7 @@ def test_a_worker_that_is_heard_of_does_not_hang():
     assert list(found.pending) == ["a unit"]
 
 
-def test_workers_that_are_killed_while_they_start_far_apart():
+def test_workers_killed_at_long_intervals_while_starting_are_replaced():
     with pool.Pool("reference") as workers:
         for _ in range(3):
             workers.start()
@@ -296,7 +298,7 @@ class Sleep:
         return seconds
 
 
-def test_nothing_waits_for_a_worker_while_another_has_nothing_to_do():
+def test_tasks_go_to_idle_workers():
     with pool.Pool("reference", 2) as workers:
         answers = workers.each(Sleep(), TaskQueue([1.5, 0.01, 0.02]))
         assert list(answers) == [(0.01, 0.01), (0.02, 0.02), (1.5, 1.5)]
@@ -312,7 +314,7 @@ def test_units_keep_all_workers_busy():
 
 @pytest.mark.parametrize("frames", [range(1), range(5, 900, 3), range(20_040)])
 @pytest.mark.parametrize("workers", [1, 2, 15])
-def test_units_hold_each_frame_once(frames, workers):
+def test_units_contain_each_frame_once(frames, workers):
     sizes = process_log._unit_sizes(len(frames), 16, workers, "jax")
     plan: Any = SimpleNamespace(frames=frames, sizes=sizes)
     units = list(LogPlan.units(plan))
@@ -324,9 +326,7 @@ def test_units_hold_each_frame_once(frames, workers):
 
 
 @pytest.mark.parametrize(("preset", "workers", "size"), [("wheeled", 3, 4), ("paper", 1, 5)])
-def test_one_process_that_computes_for_all_gives_the_same_bytes(
-    sim_logs, tmp_path, monkeypatch, preset, workers, size
-):
+def test_a_device_server_gives_equal_bytes(sim_logs, tmp_path, monkeypatch, preset, workers, size):
     config = PRESETS[preset]
     observers = {"odd": Odd(), "score": TruthScore(sim_logs[0], config)}
     with jax.default_device(jax.devices("cpu")[0]):
@@ -347,7 +347,7 @@ def test_one_process_that_computes_for_all_gives_the_same_bytes(
 
 
 @pytest.mark.parametrize(
-    ("width", "height", "asked", "want"),
+    ("width", "height", "batch_size", "want"),
     [
         (640, 480, None, (16, 256)),
         (640, 480, 24, (16, 32)),
@@ -356,10 +356,10 @@ def test_one_process_that_computes_for_all_gives_the_same_bytes(
         (4096, 3072, None, (1, 16)),
     ],
 )
-def test_the_memory_is_bounded(width, height, asked, want):
+def test_memory_of_batches_is_bounded(width, height, batch_size, want):
     camera = Intrinsics(width, height, 600.0, 600.0, width / 2, height / 2)
     log: Any = SimpleNamespace(depth_shape=(height, width), calibration=Calibration(camera))
-    served = device_server.server_config(log, Config(), asked, device_server.PIECE_FRAMES, 2)
+    served = device_server.server_config(log, Config(), batch_size, device_server.PIECE_FRAMES, 2)
     there = device_server.DeviceServer(served, [], ["gpu"])
     slots = there.memory.slots
     assert (slots.frames, served.pieces * slots.frames) == want
@@ -371,7 +371,7 @@ def test_the_memory_is_bounded(width, height, asked, want):
     there.close()
 
 
-def test_the_preset_paper_has_memory_for_colour():
+def test_memory_includes_colour_for_the_preset_paper():
     camera = Intrinsics(64, 48, 60.0, 60.0, 32.0, 24.0)
     wide = Intrinsics(80, 50, 60.0, 60.0, 40.0, 25.0)
     still = Extrinsics((1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0), (0.0, 0.0, 0.0))
@@ -393,7 +393,7 @@ def test_the_preset_paper_has_memory_for_colour():
         there.close()
 
 
-def test_an_error_of_the_process_that_computes_reaches_the_log(sim_logs, tmp_path, monkeypatch):
+def test_an_error_of_the_device_server_is_that_of_the_log(sim_logs, tmp_path, monkeypatch):
     on_this_machine(monkeypatch)
 
     def fails(*_: Any) -> None:
@@ -406,7 +406,7 @@ def test_an_error_of_the_process_that_computes_reaches_the_log(sim_logs, tmp_pat
         assert "frames" in str(log.error) and "ArithmeticError: out of memory" in str(log.error)
 
 
-def test_a_device_without_memory_computes_smaller_batches(
+def test_a_device_with_little_memory_uses_smaller_batches(
     sim_logs, plain_run, tmp_path, monkeypatch
 ):
     on_this_machine(monkeypatch)
@@ -428,7 +428,7 @@ def test_a_device_without_memory_computes_smaller_batches(
         assert (tmp_path / "a" / "a" / name).read_bytes() == (plain_run / name).read_bytes()
 
 
-def test_a_device_that_runs_out_of_memory_on_the_way_goes_on_with_smaller_batches(
+def test_a_device_that_runs_out_of_memory_continues_with_smaller_batches(
     sim_logs, plain_run, tmp_path, monkeypatch
 ):
     on_this_machine(monkeypatch)
@@ -451,7 +451,7 @@ def test_a_device_that_runs_out_of_memory_on_the_way_goes_on_with_smaller_batche
         assert (tmp_path / "a" / "a" / name).read_bytes() == (plain_run / name).read_bytes()
 
 
-def test_a_worker_of_a_device_that_dies_costs_nothing(sim_logs, plain_run, tmp_path, monkeypatch):
+def test_a_killed_worker_of_a_device_loses_no_frames(sim_logs, plain_run, tmp_path, monkeypatch):
     on_this_machine(monkeypatch)
     killed, others = [], multiprocessing.active_children()
 
@@ -470,13 +470,13 @@ def test_a_worker_of_a_device_that_dies_costs_nothing(sim_logs, plain_run, tmp_p
 
 
 @pytest.mark.parametrize(("flag", "value"), [("workers", 0), ("batch_size", 0)])
-def test_workers_and_batches_are_counted_from_one(tmp_path, flag, value):
+def test_workers_and_batch_size_must_be_at_least_1(tmp_path, flag, value):
     with pytest.raises(ConfigError, match=f"--{flag.replace('_', '-')}.* 1 "):
         engine.RunOptions(tmp_path, **{flag: value})
 
 
 def alive(pid: int) -> bool:
-    """Whether a process is there, for 5 seconds from now."""
+    """Return whether a process still exists after 5 s."""
     for _ in range(50):
         try:
             if Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z":
@@ -488,7 +488,7 @@ def alive(pid: int) -> bool:
 
 
 def descendants(pid: int | str) -> list[str]:
-    """The processes below one."""
+    """Return the descendants of a process."""
     try:
         children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
     except OSError:
@@ -497,20 +497,20 @@ def descendants(pid: int | str) -> list[str]:
 
 
 def left_over(before: set[str]) -> set[str]:
-    """Shared memory and semaphores that are new and that no living process uses.
+    """Return new shared memory and semaphores that no running process uses.
 
-    What another program on the machine has made in the meantime is used by it.
+    Those of other programs are in use.
     """
     left = set(os.listdir("/dev/shm")) - before
     for maps in Path("/proc").glob("[0-9]*/maps"):
-        with suppress(OSError):  # it ended, or is another user's
+        with suppress(OSError):  # the process ended, or belongs to another user
             text = maps.read_text()
             left = {name for name in left if f"/dev/shm/{name}" not in text}
     return left & set(os.listdir("/dev/shm"))
 
 
 def command(logs: list[Path], output: Path, temporary: Path) -> subprocess.CompletedProcess[str]:
-    """A run with workers in a process of its own, with its own folder for temporary files."""
+    """Run with workers in a separate process with its own folder for temporary files."""
     words = ["run", *map(str, logs), "--output", str(output), "--workers", "2", "--pictures", "0"]
     words += ["--backend", "reference", "--quiet"]
     return subprocess.run(
@@ -522,7 +522,7 @@ def command(logs: list[Path], output: Path, temporary: Path) -> subprocess.Compl
 
 
 @pytest.mark.skipif("forkserver" not in START_METHODS, reason="no fork server on this system")
-def test_a_temporary_folder_whose_name_is_too_long(sim_logs, tmp_path):
+def test_a_temporary_folder_with_too_long_a_name_is_an_error(sim_logs, tmp_path):
     temporary = tmp_path / ("long" * 25)
     temporary.mkdir()
     found = command(sim_logs[:1], tmp_path / "out", temporary)
@@ -534,14 +534,14 @@ def test_a_temporary_folder_whose_name_is_too_long(sim_logs, tmp_path):
 
 
 def test_a_run_with_workers_leaves_no_temporary_files(sim_logs, tmp_path):
-    with tempfile.TemporaryDirectory(prefix="t") as temporary:  # of a short name
+    with tempfile.TemporaryDirectory(prefix="t") as temporary:  # has a short name
         found = command(sim_logs[:1], tmp_path / "out", Path(temporary))
         assert (found.returncode, found.stderr) == (0, "")
         assert not list(Path(temporary).iterdir())
 
 
-def test_control_c_while_the_floor_is_looked_for(sim_logs, tmp_path):
-    """It comes as XLA calls a kernel back, where no exception can leave."""
+def test_an_interrupt_during_the_search_for_the_floor_ends_the_run(sim_logs, tmp_path):
+    """It arrives while XLA calls a kernel, through which no exception can propagate."""
     sent = []
 
     def send(frame: Any, event: str, _: Any) -> None:
@@ -562,7 +562,7 @@ def test_control_c_while_the_floor_is_looked_for(sim_logs, tmp_path):
     assert [Path(name).name for name in sent] == ["_program.py"]
 
 
-def test_a_signal_just_before_the_processes_start_does_not_hang(monkeypatch):
+def test_a_signal_just_before_workers_start_does_not_hang(monkeypatch):
     class Late(threading.Thread):
         def start(self) -> None:
             signal.raise_signal(signal.SIGINT)
@@ -576,10 +576,10 @@ def test_a_signal_just_before_the_processes_start_does_not_hang(monkeypatch):
 
 @pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="needs /proc")
 @pytest.mark.parametrize("later", [False, True])
-def test_control_c_ends_everything(sim_logs, tmp_path, later):
-    """The signal goes to the whole group, as a terminal sends it, at the start or later.
+def test_an_interrupt_ends_all_processes(sim_logs, tmp_path, later):
+    """The signal is sent to the process group, as by a terminal, at the start or later.
 
-    The same command goes on, and what it writes is what one run would have written.
+    The same command resumes the run and writes the results of an uninterrupted one.
     """
     output, shared = tmp_path / "results", set(os.listdir("/dev/shm"))
     command = [sys.executable, "-m", "jaxdet", "run", *map(str, sim_logs), "--output", str(output)]
@@ -588,11 +588,11 @@ def test_control_c_ends_everything(sim_logs, tmp_path, later):
         command, stderr=subprocess.PIPE, text=True, start_new_session=True, cwd=tmp_path
     )
     children: list[str] = []
-    wanted = 4 if later else 2  # the resource tracker, the fork server, the workers
+    wanted = 4 if later else 2  # resource tracker, fork server, workers
     while len(children) < wanted and process.poll() is None:
         children = descendants(process.pid)
     while later and not list(output.glob(".jaxdet/logs-*/*/*")) and process.poll() is None:
-        time.sleep(0.01)  # until the first picture is there
+        time.sleep(0.01)  # until the first picture exists
     os.killpg(process.pid, signal.SIGINT)
     _, errors = process.communicate(timeout=30)
     assert process.returncode == 130

@@ -1,4 +1,4 @@
-"""Failure classes of the field that no other test shows by itself: what is wrong is named."""
+"""Failure classes of recordings from the field that other tests do not cover."""
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -32,7 +32,7 @@ IMAGE = "sensor_msgs/msg/Image"
 
 
 @pytest.mark.parametrize(
-    ("data", "said"),
+    ("data", "error"),
     [
         (b"", "is empty"),
         (MAGIC, "has no records"),
@@ -40,14 +40,14 @@ IMAGE = "sensor_msgs/msg/Image"
         (b"x" * 99, "not an MCAP"),
     ],
 )
-def test_errors_for_files_that_are_not_logs_name_the_file(tmp_path, data, said):
+def test_errors_for_files_that_are_not_logs_name_the_file(tmp_path, data, error):
     (tmp_path / "one.mcap").write_bytes(data)
-    with pytest.raises(InputError, match=rf"one\.mcap: .*{said}"):
+    with pytest.raises(InputError, match=rf"one\.mcap: .*{error}"):
         open_log(str(tmp_path / "one.mcap"))
 
 
 @pytest.mark.parametrize("encodings", [("smoke", "ros2msg"), ("cdr", "smoke"), ("cdr", "ros2idl")])
-def test_encodings_that_nobody_knows_are_named_and_other_topics_go_on(tmp_path, encodings):
+def test_unknown_encodings_are_named_and_other_topics_are_read(tmp_path, encodings):
     message, schema = encodings
     scene, text = make_scene(3), STORE.generate_msgdef(IMAGE, ros_version=2)[0].encode()
     with LogFile(tmp_path / "x.mcap") as log:
@@ -57,13 +57,13 @@ def test_encodings_that_nobody_knows_are_named_and_other_topics_go_on(tmp_path, 
         log.raw("/other/image", message, (IMAGE, schema, text), b"\0" * 40, START)
     with open_log(str(tmp_path / "x.mcap")) as log:
         assert_holds(log, scene)
-        [said] = [text for text in log.description.warnings if "/other/image" in text]
-        assert "smoke" in said or "ros2idl" in said
+        [error] = [text for text in log.description.warnings if "/other/image" in text]
+        assert "smoke" in error or "ros2idl" in error
 
 
 @pytest.mark.parametrize("little", [True, False])
-def test_fields_are_where_the_schema_of_the_log_says(little):
-    """An Image that is not the one of ROS: one field more, two in another order."""
+def test_fields_are_read_by_the_schema_of_the_log(little):
+    """The schema of Image differs from that of ROS: an additional field and another order."""
     text = STORE.generate_msgdef(IMAGE, ros_version=2)[0]
     text = text.replace(
         "uint32 height\nuint32 width\n", "float64 extra\nuint32 width\nuint32 height\n"
@@ -88,8 +88,8 @@ def test_fields_are_where_the_schema_of_the_log_says(little):
 
 
 @pytest.mark.parametrize("given", [{}, {"color": COLOR}])
-def test_stamps_before_1970_are_named(tmp_path, given):
-    """As of a robot whose clock was not set."""
+def test_timestamps_before_1970_are_reported(tmp_path, given):
+    """Such timestamps come from robots whose clock was not set."""
     scene = make_scene(3)
     with LogFile(tmp_path / "x.mcap") as log:
         write_calibration(log)
@@ -97,13 +97,13 @@ def test_stamps_before_1970_are_named(tmp_path, given):
             early = at - START - 10**12
             log.ros(COLOR, ros_image(color, "rgb8", early, COLOR_FRAME), at)
             log.ros(DEPTH, ros_image(depth, "16UC1", early, DEPTH_FRAME), at)
-    said = r"3 of 3 messages can't be decoded: header stamp \(-\d+ s, .*1970"
-    with pytest.raises(TopicError, match=said):
+    error = r"3 of 3 messages can't be decoded: header stamp \(-\d+ s, .*1970"
+    with pytest.raises(TopicError, match=error):
         open_log(str(tmp_path / "x.mcap"), LogOptions(**given))
 
 
-def test_depth_of_another_rate_or_clock_is_used_with_its_colour(tmp_path, capsys):
-    """Depth at half the rate has two frames; depth of another clock has four, as its log times."""
+def test_depth_at_another_rate_or_clock_is_paired_with_its_colour(tmp_path, capsys):
+    """Depth at half the rate has two frames; depth of another clock has four, by log times."""
     for late_s, every, frames in ((0, 1, 4), (0, 2, 2), (5, 1, 4)):
         scene, path = make_scene(4), tmp_path / f"{late_s}_{every}.mcap"
         with LogFile(path) as log:
@@ -126,7 +126,7 @@ def test_depth_of_another_rate_or_clock_is_used_with_its_colour(tmp_path, capsys
 
 
 @pytest.mark.parametrize("form", ["millimetres in floats", "tenths of them"])
-def test_a_depth_unit_that_is_wrong_is_suspected(tmp_path, capsys, form):
+def test_a_wrong_depth_unit_causes_a_warning(tmp_path, capsys, form):
     scene, path = make_scene(4), tmp_path / "x.mcap"
     with LogFile(path) as log:
         write_calibration(log)

@@ -1,4 +1,4 @@
-"""Places for tests: buckets in memory, a local S3 server, and the stub of the engine."""
+"""Fixtures: buckets in memory, a local S3 server, and the stub of the engine."""
 
 import os
 import socket
@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 @pytest.fixture
 def engine(monkeypatch, tmp_path):
-    """The stub in this process; the folder of its journal."""
+    """Install the stub in this process; return the folder of its journal."""
     from jaxdet import engine
 
     monkeypatch.setitem(vars(engine), "run_one", stub.run_one)
@@ -36,7 +36,7 @@ def how(tmp_path):
 
 @pytest.fixture
 def stores(monkeypatch):
-    """Addresses of buckets lead to stores in memory; these, by address."""
+    """Replace buckets by stores in memory; return these by address."""
     pytest.importorskip("obstore")
     from obstore.store import MemoryStore
 
@@ -72,7 +72,7 @@ def _start_moto() -> tuple[subprocess.Popen, str]:
 
 
 def started(start):
-    """What ``start`` returns, which may raise twice."""
+    """Return the result of ``start``, called up to three times."""
     for _ in range(2):
         with suppress(Exception):
             return start()
@@ -81,7 +81,7 @@ def started(start):
 
 @pytest.fixture(scope="session")
 def moto():
-    """The address of an S3 server on loopback, which is started up to three times."""
+    """Return the address of an S3 server on loopback."""
     server, url = started(_start_moto)
     yield url
     server.kill()
@@ -90,7 +90,7 @@ def moto():
 
 @pytest.fixture
 def bucket(moto, monkeypatch):
-    """The address of a new bucket, which this process and those it starts can reach."""
+    """Return the address of a new bucket, for this process and its children."""
     import uuid
 
     from jaxdet.fleet import place
@@ -116,7 +116,7 @@ def bucket(moto, monkeypatch):
 
 @pytest.fixture
 def put():
-    """Puts logs, by key, at an address."""
+    """Return a function that writes logs, by key, to an address."""
     from jaxdet.fleet.place import open_place
 
     def put(url: str, **logs: str) -> None:

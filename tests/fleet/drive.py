@@ -1,4 +1,4 @@
-"""Runs a fleet with the stub of the engine: ``drive.py LOGS RESULTS SPOOL [ON] [SHARE]``."""
+"""Run a fleet with the stub of the engine: ``drive.py LOGS RESULTS SPOOL [ON] [SHARE]``."""
 
 import json
 import sys
@@ -18,7 +18,7 @@ def main(logs: str, results: str, spool: str, on: str = "", share: str = "") -> 
 
 
 def run_by_ray_data(logs: str, results: str, how: dict) -> list:
-    """The recipe of the page on fleets."""
+    """Run the recipe of the page on fleets."""
     import ray
 
     from jaxdet.fleet import list_logs, prepare, run_log

@@ -1,6 +1,6 @@
-"""A stub of the engine: logs are texts that say what becomes of the process that runs them.
+"""Stub of the engine: logs are texts with instructions for the process that runs them.
 
-Recorded logs are run by the engine itself.
+Recorded logs are run by the real engine.
 """
 
 import hashlib
@@ -17,7 +17,7 @@ from jaxdet.results.manifest import fingerprint
 from jaxdet.results.record import digest
 
 JOURNAL = "JAXDET_TEST_JOURNAL"
-"""Names the folder that gets a file per computation, ``LOG@PID@NUMBER``."""
+"""Environment variable of the folder that receives a file ``LOG@PID@NUMBER`` per computation."""
 
 
 def install() -> None:
@@ -27,13 +27,13 @@ def install() -> None:
 
 
 def computed(journal: Path, name: str = "") -> list[str]:
-    """The logs that were computed, once per computation."""
+    """Return the names of computed logs, one per computation."""
     found = sorted(path.name.partition("@")[0] for path in journal.iterdir())
     return [log for log in found if name in ("", log)]
 
 
 def run_one(log_path, folder, how):
-    """Writes a table that is a function of the log, and a summary that is not."""
+    """Write a table that depends only on the log, and a summary that does not."""
     path = Path(log_path)
     paths = sorted(path.iterdir()) if path.is_dir() else [path]
     content = b"".join(one.read_bytes() for one in paths)
@@ -82,7 +82,7 @@ def write_manifest(folder: Path, inputs: list[Path], how: dict) -> None:
 
 
 def check_complete(folder: Path) -> str:
-    """Asserts that a folder agrees with its manifest; returns its table."""
+    """Assert that a folder agrees with its manifest; return its table."""
     manifest = json.loads((folder / "manifest.json").read_text())
     assert len(manifest["files"]) == 3
     for name, about in manifest["files"].items():
@@ -92,7 +92,7 @@ def check_complete(folder: Path) -> str:
 
 
 def check_results(url: str, name: str, scratch: Path) -> str:
-    """The same of a log's results in a bucket, which are copied to a new folder."""
+    """Do the same for results of a log in a bucket, copied to a new folder."""
     from jaxdet.fleet import download
 
     return check_complete(download(url, name, scratch / uuid.uuid4().hex))

@@ -23,7 +23,7 @@ pytestmark = pytest.mark.fleet
 
 
 class Machines:
-    """Drivers in processes of their own, on the logs of a bucket."""
+    """Driver processes that work on the logs of a bucket."""
 
     def __init__(self, url: str, journal: Path, scratch: Path) -> None:
         self.logs, self.results = f"{url}/logs", f"{url}/results"
@@ -44,19 +44,19 @@ class Machines:
         return self.end(self.start(*args, **kwargs))
 
     def wait_for(self, logs: int) -> None:
-        """Waits until so many computations have begun."""
+        """Wait until a number of computations have started."""
         until = time.monotonic() + 120
         while len(computed(self.journal)) < logs:
             assert time.monotonic() < until
             time.sleep(0.05)
 
     def check(self, results: str = "") -> dict[str, str]:
-        """All results are complete; the tables."""
+        """Assert that all results are complete; return the tables."""
         found = [url.split("/")[4] for url in result_files(results or self.results)]
         return {name: check_results(results or self.results, name, self.scratch) for name in found}
 
     def most(self) -> int:
-        """How often a log was computed at most."""
+        """Return the largest number of computations of a log."""
         return max(Counter(computed(self.journal)).values())
 
     def left(self) -> list[str]:
@@ -76,7 +76,7 @@ def machines(bucket, tmp_path, monkeypatch):
     return Machines(bucket, journal, tmp_path)
 
 
-def test_four_attempts_at_one_log_at_once(machines, put):
+def test_four_simultaneous_attempts_at_a_log_give_one_result(machines, put):
     put(machines.logs, a="sleep=1")
     drivers = [machines.start() for _ in range(4)]
     states = Counter(machines.end(driver)["a"] for driver in drivers)
@@ -84,7 +84,7 @@ def test_four_attempts_at_one_log_at_once(machines, put):
     assert {*machines.check()} == {"a"} and machines.left() == []
 
 
-def test_shares_at_once_of_which_one_is_killed_and_repeated(machines, put):
+def test_simultaneous_shares_are_completed_after_one_is_killed_and_repeated(machines, put):
     put(machines.logs, **dict.fromkeys(names(9), "sleep=0.3"))
     drivers = [machines.start(share=f"{k}/3") for k in (1, 2, 3)]
     machines.wait_for(3)
@@ -101,7 +101,7 @@ def test_shares_at_once_of_which_one_is_killed_and_repeated(machines, put):
 
 @pytest.fixture(scope="module")
 def cluster_environment(moto, tmp_path_factory):
-    """What every process of the cluster sees: the stub, its journal, the S3 server."""
+    """Set the environment of all processes of the cluster: stub, journal, S3 server."""
     journals = tmp_path_factory.mktemp("journals")
     settings = {
         "PYTHONPATH": f"{ROOT / 'tests/fleet/site'}:{os.environ.get('PYTHONPATH', ROOT)}",
@@ -123,7 +123,7 @@ def cluster_environment(moto, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def cluster(cluster_environment):
-    """A head that computes nothing and two nodes of one core, started up to three times."""
+    """Start a head without cores and two nodes of one core, in up to three attempts."""
     pytest.importorskip("ray")
     made = started(_start_cluster)
     yield made
@@ -154,7 +154,7 @@ def fleet(cluster, bucket, cluster_environment, monkeypatch, tmp_path):
 
 
 @pytest.mark.filterwarnings("default")
-def test_ray_with_a_killed_worker_and_a_log_that_kills_all(fleet, put):
+def test_ray_completes_after_a_killed_worker_and_fails_a_log_that_always_kills(fleet, put):
     logs = dict.fromkeys(names(6), "sleep=0.2")
     put(fleet.logs, **logs, once="kill=1", always="kill=99")
     found = fleet.run(on="ray")
@@ -168,7 +168,7 @@ def test_ray_with_a_killed_worker_and_a_log_that_kills_all(fleet, put):
 
 
 @pytest.mark.filterwarnings("default")
-def test_ray_with_a_node_removed(fleet, cluster, put):
+def test_ray_completes_after_a_node_is_removed(fleet, cluster, put):
     put(fleet.logs, **dict.fromkeys(names(6), "sleep=2"))
     driver = fleet.start(on="ray")
     fleet.wait_for(2)
@@ -179,7 +179,7 @@ def test_ray_with_a_node_removed(fleet, cluster, put):
 
 
 @pytest.mark.filterwarnings("default")
-def test_ray_with_the_driver_killed_and_the_command_repeated(fleet, put):
+def test_ray_completes_after_the_driver_is_killed_and_the_command_repeated(fleet, put):
     put(fleet.logs, **dict.fromkeys(names(6), "sleep=1"))
     driver = fleet.start(on="ray")
     fleet.wait_for(3)
@@ -220,7 +220,7 @@ def test_24_logs_have_the_bytes_of_one_machine_everywhere(fleet, tmp_path):
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    """Tables, maps and pictures by their names."""
+    """Return tables, maps and pictures by their names."""
     files = {path.relative_to(folder).as_posix(): path for path in folder.rglob("*")}
     return {
         name: path.read_bytes()

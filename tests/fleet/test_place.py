@@ -21,7 +21,7 @@ def place(request, tmp_path):
     return open_place("s3://bucket/place")
 
 
-def test_files_are_created_once_and_swapped_if_unchanged(place):
+def test_files_are_created_once_and_replaced_only_if_unchanged(place):
     assert place.get("a/b") is None
     assert place.create("a/b", b"1") and not place.create("a/b", b"2")
     content, tag = place.get("a/b")
@@ -37,7 +37,7 @@ def test_files_are_created_once_and_swapped_if_unchanged(place):
     assert not [e for e in place.list() if "probe" in e.key]
 
 
-def test_a_store_that_ignores_conditions_is_refused(stores, monkeypatch):
+def test_a_store_without_conditional_writes_is_refused(stores, monkeypatch):
     place = open_place("s3://bucket/place")
     put_if = Bucket._put_if
     for ignored in ("create", "swap"):
@@ -84,7 +84,7 @@ def test_credentials_in_an_error_of_the_store_are_not_shown(stores):
     assert "s3://bucket/x/key" in str(raised.value)
 
 
-def test_addresses_have_one_form(tmp_path, monkeypatch):
+def test_addresses_are_normalized(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert address(Path("s3://bucket/a/")) == "s3://bucket/a"
     assert address("gs://bucket") == "gs://bucket"
@@ -135,7 +135,7 @@ def test_a_file_replaced_while_it_is_fetched_is_an_error(logs, monkeypatch, tmp_
         place.fetch(entry, tmp_path / "a", Event())
 
 
-def test_logs_of_a_bucket(stores):
+def test_logs_of_a_bucket_are_listed(stores):
     url = "s3://bucket/logs"
     place = open_place(url)
     names = ["day/a_0.mcap", "day/a_1.mcap", "b.mcap", "b.bag", "c_0.mcap", "c_1.mcap", "x.txt"]
@@ -161,7 +161,7 @@ def test_a_bucket_without_logs_is_an_error(stores):
         list_logs("s3://bucket/nothing")
 
 
-def test_shares_are_a_partition_that_other_logs_dont_change():
+def test_shares_are_a_partition_independent_of_other_logs():
     logs = [{"name": f"log{i}"} for i in range(100)]
     shares = [share_of(logs, f"{k}/7") for k in range(1, 8)]
     assert sorted(log["name"] for share in shares for log in share) == sorted(

@@ -1,4 +1,4 @@
-"""The protocol of publishing: deaths at every step, races, replaced versions."""
+"""Publishing of results: crashes at every step, races, replaced versions."""
 
 import threading
 from pathlib import Path
@@ -18,7 +18,7 @@ WRITES = ("put", "create", "swap", "delete")
     params=["bucket", "folder", "no_exchange", pytest.param("s3", marks=pytest.mark.fleet)]
 )
 def url(request, tmp_path, monkeypatch):
-    """A place for results; one is a folder of a file system that can't exchange two folders."""
+    """Return a place for results, also a folder of a file system that cannot exchange folders."""
     if request.param == "no_exchange":
         monkeypatch.setattr(folders, "exchange", lambda one, other: False)
     if request.param in ("folder", "no_exchange"):
@@ -30,7 +30,7 @@ def url(request, tmp_path, monkeypatch):
 
 
 def about(record: str) -> dict:
-    """What manifests say of the log and of the run."""
+    """Return the part of a manifest about the log and the run."""
     return {"run": record, "inputs": [{"path": "log.mcap", "size": 3, "e_tag": record}]}
 
 
@@ -40,7 +40,7 @@ def target_of(record: str) -> Target:
 
 
 def stage(results, tmp_path: Path, attempt: str, record: str = "r1") -> Path:
-    """A folder with results that an attempt made."""
+    """Return a folder with the results of an attempt."""
     log = tmp_path / f"{attempt}.mcap"
     log.write_text(record)
     staged = results.stage(attempt, tmp_path / attempt)
@@ -49,7 +49,7 @@ def stage(results, tmp_path: Path, attempt: str, record: str = "r1") -> Path:
 
 
 def table(url: str, tmp_path: Path) -> str:
-    """The table of the log, which agrees with its manifest."""
+    """Assert that the results agree with their manifest; return the table."""
     if url.startswith("s3:"):
         return check_results(url, "log", tmp_path)
     return check_complete(Path(url) / "log")
@@ -60,7 +60,7 @@ class Death(BaseException):
 
 
 def die_at(monkeypatch, step: int, before: bool) -> list[str]:
-    """The process dies before or after its ``step``-th write; lists the writes."""
+    """Make the process die before or after its ``step``-th write; return the list of writes."""
     seen: list[str] = []
     places = [(kind, name) for kind in (Bucket, Folder) for name in WRITES]
     for where, name in [*places, (folders, "rename_if_absent"), (folders, "exchange")]:
@@ -81,9 +81,7 @@ def die_at(monkeypatch, step: int, before: bool) -> list[str]:
 
 @pytest.mark.parametrize("before", [True, False])
 @pytest.mark.parametrize("old", [False, True])
-def test_a_death_at_any_step_leaves_old_results_or_new_ones(
-    url, tmp_path, monkeypatch, old, before
-):
+def test_a_crash_at_any_step_leaves_old_or_new_results(url, tmp_path, monkeypatch, old, before):
     steps = 0
     while _dies(f"{url}/{steps}", tmp_path / f"{steps}", monkeypatch, steps + 1, old, before):
         steps += 1
@@ -91,7 +89,7 @@ def test_a_death_at_any_step_leaves_old_results_or_new_ones(
 
 
 def _dies(url, tmp_path, monkeypatch, step, old, before) -> bool:
-    """Whether publishing has this step; the process dies there, and the next one goes on."""
+    """Die at a step and publish again; return whether publishing has this step."""
     tmp_path.mkdir()
     results = open_results(url)
     target = target_of("r2")
@@ -122,7 +120,7 @@ def _dies(url, tmp_path, monkeypatch, step, old, before) -> bool:
     return True
 
 
-def test_of_four_attempts_at_once_one_holds(url, tmp_path):
+def test_one_of_four_simultaneous_attempts_is_published(url, tmp_path):
     results = open_results(url)
     target = target_of("r1")
     staged = [stage(results, tmp_path, f"a{i}") for i in range(4)]
@@ -143,10 +141,10 @@ def test_of_four_attempts_at_once_one_holds(url, tmp_path):
     assert not any(path.exists() for path in staged if not url.startswith("s3:"))
     if isinstance(results, publish.BucketResults):
         kept = {entry.key.split("/")[2] for entry in results.place.list(target.base)}
-        assert len(kept) == 2  # the manifest and one attempt
+        assert len(kept) == 2  # manifest and one attempt
 
 
-def test_an_attempt_that_is_late_does_not_replace_a_newer_version(stores, tmp_path):
+def test_a_late_attempt_does_not_replace_a_newer_version(stores, tmp_path):
     results = open_results("s3://bucket/results")
     old, new = target_of("r1"), target_of("r2")
     late = results.standing(old)
@@ -159,7 +157,7 @@ def test_an_attempt_that_is_late_does_not_replace_a_newer_version(stores, tmp_pa
     assert not [*results.place.list(old.base)]
 
 
-def test_a_failure_does_not_hide_results(url, tmp_path):
+def test_a_failure_does_not_replace_results(url, tmp_path):
     results = open_results(url)
     target = target_of("r1")
     seen = results.standing(target)
@@ -169,7 +167,7 @@ def test_a_failure_does_not_hide_results(url, tmp_path):
     assert results.standing(target).state == "whole" and table(url, tmp_path)
 
 
-def test_results_take_the_place_of_a_failure(url, tmp_path):
+def test_results_replace_a_failure(url, tmp_path):
     results = open_results(url)
     target = target_of("r1")
     failure = {"reason": "no depth", **about("r1")}
@@ -184,7 +182,7 @@ def test_results_take_the_place_of_a_failure(url, tmp_path):
     assert results.standing(target).state == "whole" and table(url, tmp_path)
 
 
-def test_deaths_are_counted_where_they_can_be_told_from_lost_machines(url, monkeypatch):
+def test_crashes_are_counted_if_they_differ_from_lost_machines(url, monkeypatch):
     results = open_results(url)
     target = target_of("r1")
     running = results.begin(target, "a0", "c0")
@@ -196,7 +194,7 @@ def test_deaths_are_counted_where_they_can_be_told_from_lost_machines(url, monke
     assert results.deaths(target) == (1, 1)
     assert results.deaths(target, "a1") == (1, 0) and results.deaths(target, "c0") == (0, 0)
     monkeypatch.setattr(publish, "_DAY_S", -1.0)
-    assert results.deaths(target) == (1, 0)  # no lost attempt counts for ever
+    assert results.deaths(target) == (1, 0)  # lost attempts expire
     monkeypatch.setattr(spool, "machine", lambda: "elsewhere")
-    assert results.deaths(target)[0] == 2  # its witness has said so, and a1's stays
+    assert results.deaths(target)[0] == 2  # reported by its witness, in addition to a1
     results.end(running)

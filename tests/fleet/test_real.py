@@ -1,4 +1,4 @@
-"""The command and the engine itself, through S3: the bytes of a run on one machine."""
+"""The command and the real engine through S3: results equal those of one machine."""
 
 import json
 import re
@@ -16,7 +16,7 @@ SAME += ("map.npz", "map.png", "tracks.png", "pictures/")
 
 
 @pytest.mark.fleet
-def test_results_are_those_of_one_machine(bucket, tmp_path, capsys):
+def test_results_equal_those_of_one_machine(bucket, tmp_path, capsys):
     logs, how = tmp_path / "logs", ["--pictures", "1", "--tracks"]
     for seed in (1, 2):
         path = logs / f"day/run_{'ab'[seed - 1]}.mcap"
@@ -47,8 +47,8 @@ def test_results_are_those_of_one_machine(bucket, tmp_path, capsys):
         ]
     capsys.readouterr()
     assert main([*command, "--json"]) == 1
-    told = json.loads(capsys.readouterr().out)["logs"]
-    assert {log["log"]: log["state"] for log in told} == {
+    reports = json.loads(capsys.readouterr().out)["logs"]
+    assert {log["log"]: log["state"] for log in reports} == {
         "day/bad": "failed",
         "day/run_a": "there",
         "day/run_b": "there",
@@ -56,8 +56,8 @@ def test_results_are_those_of_one_machine(bucket, tmp_path, capsys):
     assert not [*(tmp_path / "spool").rglob("*.mcap")]
 
 
-def test_shares_of_one_folder_are_a_run_of_one_machine(tmp_path, capsys):
-    """A run on one machine finds what shares did, and the other way round."""
+def test_shares_into_one_folder_are_a_run_of_one_machine(tmp_path, capsys):
+    """A run on one machine recognizes the results of shares, and vice versa."""
     logs, out = tmp_path / "logs", str(tmp_path / "out")
     for seed in range(3):
         logs.mkdir(exist_ok=True)
@@ -74,7 +74,7 @@ def test_shares_of_one_folder_are_a_run_of_one_machine(tmp_path, capsys):
     assert main(["verify", out]) == 0
 
 
-def test_recipes_are_yaml_where_they_should_be():
+def test_recipes_are_valid_yaml():
     yaml = pytest.importorskip("yaml")
     page = Path(__file__).parents[2] / "jaxdet/help/fleets.md"
     blocks = re.findall(r"```text\n(apiVersion.*?)```", page.read_text(encoding="utf-8"), re.S)

@@ -1,4 +1,4 @@
-"""One log from a place to a place, with the stub of the engine."""
+"""Running a log from one place to another, with the stub of the engine."""
 
 import json
 import os
@@ -23,12 +23,12 @@ def states(outcomes):
 
 
 def left(how) -> list[str]:
-    """What is left on local disk."""
+    """Return the files left on the local disk."""
     base = spool.base_folder(how["spool"])
     return sorted(path.name for path in base.iterdir()) if base.exists() else []
 
 
-def test_a_run_is_done_once(stores, engine, how, put, tmp_path):
+def test_each_log_is_run_once(stores, engine, how, put, tmp_path):
     put(LOGS, a="a", b="b", c="fail", d="bug")
     outcomes = run_fleet([LOGS], RESULTS, how)
     assert states(outcomes) == {"a": "done", "b": "done", "c": "failed", "d": "failed"}
@@ -47,7 +47,7 @@ def test_a_run_is_done_once(stores, engine, how, put, tmp_path):
     assert not [e.key for e in open_place(RESULTS).list() if "attempts" in e.key]
 
 
-def test_update_tries_failed_logs_again_and_takes_changed_ones(stores, engine, how, put, tmp_path):
+def test_update_runs_failed_and_changed_logs_again(stores, engine, how, put, tmp_path):
     put(LOGS, a="a", b="b", c="fail")
     run_fleet([LOGS], RESULTS, how)
     put(LOGS, b="other")
@@ -83,7 +83,7 @@ def test_another_configuration_is_refused_unless_it_overwrites(stores, engine, h
         run_log(rest, RESULTS, {**late, "overwrites": "else"})
 
 
-def test_a_log_replaced_while_it_is_fetched_fails_and_is_not_noted(
+def test_a_log_replaced_while_it_is_fetched_fails_without_a_record(
     stores, engine, how, put, monkeypatch
 ):
     put(LOGS, a="a" * 1000)
@@ -104,9 +104,7 @@ def test_a_log_replaced_while_it_is_fetched_fails_and_is_not_noted(
     assert states(run_fleet([LOGS], RESULTS, how)) == {"a": "done"}
 
 
-def test_an_upload_that_is_cut_leaves_nothing_that_counts(
-    stores, engine, how, put, monkeypatch, tmp_path
-):
+def test_an_interrupted_upload_is_not_published(stores, engine, how, put, monkeypatch, tmp_path):
     put(LOGS, a="a")
     real = Bucket.put
 
@@ -133,7 +131,9 @@ def test_splits_of_a_recording_are_fetched_together(stores, engine, how, tmp_pat
     check_results(RESULTS, "r--r", tmp_path)
 
 
-def test_the_next_log_is_fetched_meanwhile_within_the_bound(stores, engine, how, put, monkeypatch):
+def test_the_next_log_is_fetched_in_parallel_within_the_limit(
+    stores, engine, how, put, monkeypatch
+):
     put(LOGS, a="a" * 1000, b="sleep=0.5 " + "x" * 890, c="c" * 100, d="d" * 5000)
     held = []
     real = Bucket.fetch
@@ -150,7 +150,7 @@ def test_the_next_log_is_fetched_meanwhile_within_the_bound(stores, engine, how,
     assert max(held) <= 1500 and held == [1000, 900, 1000]
 
 
-def test_what_a_killed_process_left_is_removed_and_counted(stores, engine, how, put):
+def test_files_of_a_killed_process_are_removed_and_counted(stores, engine, how, put):
     put(LOGS, a="a")
     (log,) = list_logs(LOGS)
     ready = prepare(RESULTS, how)
@@ -167,7 +167,7 @@ def test_what_a_killed_process_left_is_removed_and_counted(stores, engine, how, 
     assert json.loads(open_place(RESULTS).get(key)[0])["killed"]
 
 
-def test_logs_and_results_in_folders(engine, how, tmp_path):
+def test_logs_and_results_may_be_in_folders(engine, how, tmp_path):
     logs, results = tmp_path / "logs", tmp_path / "results"
     logs.mkdir()
     for name, text in {"a": "a", "b": "b", "c": "fail"}.items():
@@ -201,7 +201,7 @@ for outcome in run_fleet([sys.argv[1]], sys.argv[2], {"spool": sys.argv[3]}):
 """
 
 
-def test_a_log_that_kills_its_process_three_times_has_failed(engine, how, tmp_path):
+def test_a_log_that_kills_three_processes_has_failed(engine, how, tmp_path):
     logs, results = tmp_path / "logs", tmp_path / "results"
     logs.mkdir()
     (logs / "a.mcap").write_text("kill=9 " + "x" * 100)
@@ -217,7 +217,7 @@ def test_a_log_that_kills_its_process_three_times_has_failed(engine, how, tmp_pa
     assert os.listdir(results / ".fleet/staged") == []
 
 
-def test_credentials_reach_no_file_and_no_line(stores, engine, how, put, monkeypatch, capfd):
+def test_credentials_are_never_written_or_printed(stores, engine, how, put, monkeypatch, capfd):
     monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "topsecretvalue")
     put(LOGS, a="a", b="fail")
     with pytest.raises(ConfigError) as raised:
@@ -237,7 +237,7 @@ def test_tasks_are_largest_first_and_bounded():
     assert sum(map(len, chunks(logs[:1], 0))) == 1 and chunks([], 2) == []
 
 
-def test_a_task_takes_the_smallest_node_that_computes():
+def test_tasks_require_the_smallest_node_with_cores():
     nodes = [
         {"Alive": True, "Resources": {}},
         {"Alive": True, "Resources": {"CPU": 8.0}},
@@ -254,7 +254,7 @@ def test_a_task_takes_the_smallest_node_that_computes():
             _resources(wrong)
 
 
-def test_a_log_that_this_machine_does_not_have_is_not_noted_as_failed(engine, how, tmp_path):
+def test_a_log_missing_on_this_machine_is_not_recorded_as_failed(engine, how, tmp_path):
     log = tmp_path / "a.mcap"
     log.write_text("a")
     logs = list_logs(log)
@@ -265,7 +265,7 @@ def test_a_log_that_this_machine_does_not_have_is_not_noted_as_failed(engine, ho
     assert run_log(logs[0], str(tmp_path / "results"), how)["state"] == "done"
 
 
-def test_other_paths_have_no_spool(engine, how, tmp_path):
+def test_local_paths_have_no_spool(engine, how, tmp_path):
     log = Path(tmp_path / "a.mcap")
     log.write_text("a")
     (outcome,) = run_fleet([log], tmp_path / "results", how)

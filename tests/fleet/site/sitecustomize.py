@@ -1,4 +1,4 @@
-"""Puts the stub of the engine into every process that has this folder on its path."""
+"""Install the stub of the engine in every process with this folder on its path."""
 
 import os
 
