@@ -137,7 +137,12 @@ def hypot(x: ArrayLike, y: ArrayLike) -> np.ndarray:
         >>> hypot([3.0, 3e300], [4.0, 4e300]).tolist()
         [5.0, 5e+300]
     """
-    x, y = np.abs(np.asarray(x, np.float64)), np.abs(np.asarray(y, np.float64))
+    x, y = np.asarray(x, np.float64), np.asarray(y, np.float64)
+    with np.errstate(over="ignore"):
+        square = x * x + y * y
+    if np.all((square > 2.0**-900) & (square < 2.0**1000)):  # as nearly always: no scale
+        return np.sqrt(square)
+    x, y = np.abs(x), np.abs(y)
     most = np.maximum(x, y)
     scale = np.where(most > 2.0**500, 2.0**-600, np.where(most < 2.0**-500, 2.0**600, 1.0))
     x, y = x * scale, y * scale

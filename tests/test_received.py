@@ -52,6 +52,25 @@ def test_values_that_no_run_writes_are_errors_of_one_line(
     assert says in error and "jaxdet itself" not in error and not page.exists()
 
 
+@pytest.mark.parametrize("column", ["path", "speed_mps"])
+@pytest.mark.parametrize("change", [lambda values: values[:-1], lambda values: []])
+def test_paths_have_as_many_points_as_speeds(tracked, tmp_path, capsys, column, change):
+    results = tmp_path / "results"
+    shutil.copytree(tracked, results)
+    table = results / "a/tracks.parquet"
+    rows = pq.read_table(table)
+    at, lists = rows.schema.get_field_index(column), rows[column].to_pylist()
+    field = rows.schema.field(column)
+    changed = pa.array([change(lists[0]), *lists[1:]], field.type)
+    pq.write_table(rows.set_column(at, field, changed), table)
+    for form in ("html", "foxglove"):
+        out = str(tmp_path / form)
+        assert main(["export", str(results), "--to", form, "--output", out]) == 1
+        error = capsys.readouterr().err
+        assert "tracks.parquet: a path has not two numbers for each of its speeds" in error
+        assert "jaxdet itself" not in error
+
+
 def test_tracks_are_not_written_through_a_broken_link(tracked, tmp_path):
     results, outside = tmp_path / "results", tmp_path / "outside"
     shutil.copytree(tracked, results)

@@ -3,6 +3,7 @@
 from collections import defaultdict
 from pathlib import Path
 from typing import NamedTuple
+from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 
 import cv2
 import numpy as np
@@ -210,14 +211,20 @@ def save_map(path: Path, image: MapImage) -> None:
     Its arrays are ``counts`` and ``free`` (H, W) int32, ``origin`` (2,), ``cell_m`` and ``path``
     (F, 2), see :class:`MapImage`.
     """
-    np.savez_compressed(
-        path,
-        counts=image.counts,
-        free=image.free,
-        origin=np.array(image.origin),
-        cell_m=np.array(image.cell_m),
-        path=image.path,
-    )
+    arrays = {
+        "counts": image.counts,
+        "free": image.free,
+        "origin": np.array(image.origin),
+        "cell_m": np.array(image.cell_m),
+        "path": image.path,
+    }
+    # Python's versions differ in how they write the large entries that savez_compressed declares.
+    with ZipFile(path, "w") as file:
+        for name, array in arrays.items():
+            entry = ZipInfo(f"{name}.npy")
+            entry.compress_type = ZIP_DEFLATED
+            with file.open(entry, "w") as part:
+                np.lib.format.write_array(part, array, allow_pickle=False)
 
 
 def load_map(path: Path) -> MapImage:

@@ -287,6 +287,12 @@ class Results:
             return
         with self._table_of_tracks(log, TRACKS) as file, self._reading(log):
             for batch in file.iter_batches(CHUNK_FRAMES):
+                points, numbers = (
+                    batch[name].value_lengths().to_numpy() for name in ("speed_mps", "path")
+                )
+                if not np.all((points > 0) & (numbers == 2 * points)):
+                    problem = "a path has not two numbers for each of its speeds"
+                    raise InputError(problem, path=str(log.folder / TRACKS), remedy=_TRACK_AGAIN)
                 yield from (row for row in batch.to_pylist() if row["camera"] == log.camera)
 
     @cached_property

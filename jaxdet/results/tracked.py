@@ -39,16 +39,20 @@ class TracksInFrames:
         self._row += 1
         while self._next is not None and self._next["first_frame"] <= frame:
             path = np.reshape(self._next["path"], (-1, 2)).astype(np.float64)
-            self._there.append((self._row, {**self._next, "path": path}))
+            velocity = _velocities(path, np.asarray(self._next["speed_mps"], np.float64))
+            self._there.append((self._row, {**self._next, "path": path, "velocity": velocity}))
             self._next = next(self._tracks, None)
         self._there = [(row, track) for row, track in self._there if track["last_frame"] >= frame]
         return [_mover(track, self._row - row) for row, track in self._there]
 
 
 def _mover(track: Mapping[str, Any], point: int) -> Mover:
-    path = track["path"]
-    point = min(point, len(path) - 1)
-    way = path[min(point + 1, len(path) - 1)] - path[max(point - 1, 0)]
-    velocity = track["speed_mps"][point] * way / max(float(hypot(*way)), 1e-9)
+    point = min(point, len(track["path"]) - 1)
     about = track["track"], track["in_world"], track["moving"]
-    return Mover(*about, path[: point + 1], velocity)
+    return Mover(*about, track["path"][: point + 1], track["velocity"][point])
+
+
+def _velocities(path: np.ndarray, speed: np.ndarray) -> np.ndarray:
+    """Return the velocities ``(n, 2)`` at the points of a path, along it, from speeds ``(n,)``."""
+    way = np.concatenate([path[1:], path[-1:]]) - np.concatenate([path[:1], path[:-1]])
+    return speed[:, None] * way / np.maximum(hypot(*way.T), 1e-9)[:, None]

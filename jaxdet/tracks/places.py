@@ -102,12 +102,17 @@ class Places:
         """Count the frames that show floor at the current position of a moving track."""
         tracks = TracksInFrames(row for part in rows.ordered() for row in part.to_pylist())
         for chunk in self._results.chunks(self._log, FRAME_COLUMNS, (), CHUNK_FRAMES):
-            T, free = poses(chunk.frames), free_floor(chunk.frames)
+            frames, numbers, places = [], [], []
             for f, number in enumerate(chunk.frames["frame"].to_pylist()):
                 for track in tracks.at(number):
                     if track.moving and track.in_world:
-                        seen = _shows_floor(free, f, T[f], track.path[-1])
-                        self._floor_of_moving[track.track] += seen
+                        frames.append(f)
+                        numbers.append(track.track)
+                        places.append(track.path[-1])
+            if frames:
+                T, free = poses(chunk.frames), free_floor(chunk.frames)
+                seen = _shows_floor(free, np.array(frames), T[frames], np.stack(places))
+                self._floor_of_moving.update(np.array(numbers)[seen].tolist())
 
     def tracks(self, rows: TrackRows) -> Iterator[pa.Table]:
         """Yield the rows of ``tracks.parquet`` with the columns :data:`COLUMNS`."""
@@ -183,16 +188,25 @@ def with_outlines(image: MapImage, outlines: OccupancyMap) -> MapImage:
     return image._replace(counts=counts)
 
 
-def _shows_floor(free: FreeFloor, frame: int, T: np.ndarray, place: np.ndarray) -> bool:
-    """Return whether a frame shows floor at a world position; False without a pose."""
-    if not np.isfinite(T).all():
-        return False
-    sin, cos = (float(part[0]) for part in world_angle(T[None]))
-    x, y = (place - T[:2, 3]).tolist()
+def _shows_floor(
+    free: FreeFloor, frame: np.ndarray, T: np.ndarray, place: np.ndarray
+) -> np.ndarray:
+    """Return whether frames show floor at places in the world, False without a pose.
+
+    Args:
+        free: Free floor of all frames.
+        frame: Rows of the frames, ``(N,)`` integers.
+        T: Their camera poses, ``(N, 4, 4)`` float64.
+        place: Places ``(N, 2)`` float64 [m].
+    """
+    sin, cos = world_angle(T)
+    x, y = (place - T[:, :2, 3]).T
     right, forward = x * cos - y * sin, x * sin + y * cos
-    ray = (int(np.rint(arctan2(right, forward) / RAY_RAD)) + RAYS // 2) % RAYS
-    distance = float(hypot(right, forward))
-    return bool(free.from_m[frame, ray] <= distance <= free.to_m[frame, ray])
+    known = np.isfinite(T).all(axis=(1, 2)) & np.isfinite(place).all(axis=1)
+    angle = np.where(known, arctan2(right, forward), 0.0)
+    ray = (np.rint(angle / RAY_RAD).astype(np.int64) + RAYS // 2) % RAYS
+    distance = hypot(right, forward)
+    return known & (free.from_m[frame, ray] <= distance) & (distance <= free.to_m[frame, ray])
 
 
 def _columns(persistence: np.ndarray, floor_seen: np.ndarray, in_map: np.ndarray) -> list[pa.Array]:

@@ -197,7 +197,8 @@ def _mutate_table(file: Path, random: Random, place: Path) -> str:
     table = pq.read_table(file)
     number = random.randrange(table.num_columns)
     field, rows = table.schema.field(number), table.num_rows
-    kind = random.choice(("dropped", "text", "null", "extreme", "nan", "short", "twice", "meta"))
+    kinds = "dropped", "text", "null", "extreme", "nan", "short", "twice", "meta", "lists"
+    kind = random.choice(kinds)
     if kind == "dropped":
         table = table.remove_column(number)
     elif kind == "text":
@@ -217,6 +218,8 @@ def _mutate_table(file: Path, random: Random, place: Path) -> str:
             table = table.set_column(number, field, pa.array(values, field.type))
         except (pa.ArrowInvalid, OverflowError, TypeError):
             kind = "as it was"
+    elif kind == "lists":
+        table = _with_other_lists(table, random)
     elif kind == "short":
         table = table.slice(0, random.randrange(rows + 1))
     elif kind == "twice":
@@ -226,6 +229,31 @@ def _mutate_table(file: Path, random: Random, place: Path) -> str:
         table = table.replace_schema_metadata({"jaxdet": random.choice(values)})
     pq.write_table(table, file)
     return f"{field.name} {kind}"
+
+
+def _with_other_lists(table: pa.Table, random: Random) -> pa.Table:
+    """Return a table in which some lists of a column are longer or shorter or have odd values."""
+    listed = [n for n, field in enumerate(table.schema) if pa.types.is_list(field.type)]
+    if not listed or not table.num_rows:
+        return table
+    number = random.choice(listed)
+    kind = table.schema.field(number).type.value_type
+    odd = random.choice((None, 0, 1, 100) if pa.types.is_integer(kind) else _NUMBERS)
+    lists, count = table[number].to_pylist(), random.choice((1, 1, table.num_rows))
+    for row in random.sample(range(len(lists)), count):
+        values = lists[row] or []
+        changed = [[], values[:-1], values[:1], [*values, odd], [odd] * len(values), None]
+        if values:
+            at = random.randrange(len(values))
+            changed.append([*values[:at], odd, *values[at + 1 :]])
+        lists[row] = random.choice(changed)
+    field = table.schema.field(number)
+    if None in lists or any(None in values for values in lists):  # a schema that allows nulls
+        field = pa.field(field.name, pa.list_(kind))
+    return table.set_column(number, field, pa.array(lists, field.type))
+
+
+_NUMBERS = None, 0.0, -1.0, 1e30, float("nan"), float("inf"), float("-inf")
 
 
 def _mutate_map(file: Path, random: Random, place: Path) -> str:

@@ -27,8 +27,9 @@ SUBJECTS = {
     "stops": "Stops",
 }
 """Modules beside this one, and the class in each."""
-MOST_BYTES = 6 << 30
-"""Of addresses above the memory that a process takes at first; threads reserve many."""
+MOST_BYTES = 4 << 30
+"""Limit of writable memory above what a process has at first. Addresses that threads only reserve,
+64 MiB for each of up to eight allocators per core, do not count, so it fits any number of cores."""
 DIES_AFTER_S = 120
 BLOCK = 500
 """Seeds of a process."""
@@ -47,8 +48,8 @@ def work(
     memory = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
     with TemporaryDirectory(prefix="jaxdet-fuzz-", dir=memory) as folder:
         subject, plain = make(name, Path(folder)), _most_bytes()
-        limit = plain + MOST_BYTES
-        resource.setrlimit(resource.RLIMIT_AS, (limit, resource.getrlimit(resource.RLIMIT_AS)[1]))
+        limit = _writable_bytes() + MOST_BYTES
+        resource.setrlimit(resource.RLIMIT_DATA, (limit, resource.RLIM_INFINITY))
         for seed in seeds:
             if time.monotonic() > until:
                 break
@@ -64,6 +65,12 @@ def work(
 def _most_bytes() -> int:
     """Resident memory of this process, at its most."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+
+
+def _writable_bytes() -> int:
+    """Return the size of this process's private writable memory, touched or not."""
+    fields = dict(line.split(":") for line in Path("/proc/self/status").read_text().splitlines())
+    return int(fields["VmData"].split()[0]) * 1024
 
 
 def _keep(case: Case, corpus: Path) -> None:

@@ -159,8 +159,7 @@ class Stops:
 def _as_in_a_terminal() -> None:
     """Give SIGINT its default action, and lift the fuzzer's bound on memory."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
-    _, hard = resource.getrlimit(resource.RLIMIT_AS)
-    resource.setrlimit(resource.RLIMIT_AS, (hard, hard))
+    resource.setrlimit(resource.RLIMIT_DATA, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
 
 
 def _cpu_time(pid: int) -> float:
