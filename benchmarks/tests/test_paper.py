@@ -105,7 +105,7 @@ def test_accuracy_with_negative_samples_is_at_least_that_without(sections):
     for name in ("preset_paper", "paper", *RIVALS):
         assert values[f"table2.{name}.negatives.true"] > 0
         joined = values[f"table2.{name}.joined.accuracy"]
-        assert values[f"table2.{name}.negatives.accuracy"] > joined
+        assert values[f"table2.{name}.negatives.accuracy"] >= joined
 
 
 def test_every_finding_is_judged(sections):

@@ -32,6 +32,9 @@ COLUMNS = ("persistence", "floor_seen", "in_map")
 MAP_NEAR_M, MAP_PER_M = 0.10, 0.015
 """Distance within which a map has a point of a contour [m], and its growth with the square of the
 obstacle's distance [1/m]."""
+BEHIND_M = 0.4
+"""Distance from something occupied within which unknown cells count as part of it [m]: a lidar maps
+the outline of furniture that it saw, and what lies behind the outline stays unknown."""
 IN_MAP = 0.5
 """Minimum share of a contour's points in the map, and of a track's obstacles."""
 
@@ -133,7 +136,10 @@ class Places:
 
 
 def shares_in_map(chunk: Chunk, known: KnownPlaces) -> np.ndarray:
-    """Return the share of each contour that is near something of a map.
+    """Return the share of each contour that a map has.
+
+    It has a point if something occupied is near it, or within :data:`BEHIND_M` of it in a cell that
+    is unknown.
 
     Args:
         chunk: With ``POSE_COLUMNS`` and ``OBSTACLE_COLUMNS`` of :mod:`jaxdet.tracks.looks`.
@@ -149,8 +155,10 @@ def shares_in_map(chunk: Chunk, known: KnownPlaces) -> np.ndarray:
     reach = MAP_NEAR_M + MAP_PER_M * (distance * distance)
     obstacle = np.repeat(np.arange(count), lines.lengths)
     placed = np.isfinite(lines.points).all(axis=1)
-    near = known.near(lines.points, reach[obstacle])
-    total, inside = (np.bincount(obstacle[rows], minlength=count) for rows in (placed, near))
+    behind = known.near(lines.points, np.full(len(lines.points), BEHIND_M))
+    behind &= known.is_unknown(lines.points)
+    mapped = known.near(lines.points, reach[obstacle]) | behind
+    total, inside = (np.bincount(obstacle[rows], minlength=count) for rows in (placed, mapped))
     return np.where(total > 0, inside / np.maximum(total, 1), np.nan)
 
 
