@@ -8,8 +8,10 @@ from typing import NamedTuple
 from benchmarks.paper.lab import Lab
 from benchmarks.paper.plan import CANNY_BOUNDS, DISTANCES_M, LIGHTS, SCENES
 from benchmarks.paper.section import Figure, Section, number, percent
+from benchmarks.paper.section6 import GAPS_M
 from benchmarks.paper.systems import PAPER, RULE
 from benchmarks.scores.bootstrap import Interval
+from jaxdet.presets import preset
 
 WARD, DEFAULTS, RSC = "hierarchical_ward", "hierarchical_default", "rsc"
 INACCURACY_M = 0.02
@@ -198,6 +200,32 @@ def _edges(f: Figures) -> Judged:
     return ", ".join(shown), all(better)
 
 
+def _gaps(f: Figures) -> Judged:
+    splits, merges = (
+        [f.value(f"section6.gap.{gap:g}m.{name}") for gap in GAPS_M]
+        for name in ("splits", "merges")
+    )
+    shown = ", ".join(f"{a:.0f} and {b:.0f}" for a, b in zip(splits, merges, strict=True))
+    holds = splits[0] > splits[-1] and merges[0] < merges[-1]
+    return f"splits and merges, {GAPS_M[0]:g} to {GAPS_M[-1]:g} m: {shown}", holds
+
+
+def _dim_corners(f: Figures) -> Judged:
+    low, high = CANNY_BOUNDS[0]
+    counts = [f.value(f"section6.canny.{low}-{high}.{i}.corners") for i in ("normal", "dim")]
+    return f"{counts[0]:.0f} and {counts[1]:.0f} with bounds {low} and {high}", counts[1] < counts[
+        0
+    ]
+
+
+def _small_gap(f: Figures) -> Judged:
+    small, chosen = (
+        f.value(f"section6.gap.{gap:g}m.dim.accuracy")
+        for gap in (GAPS_M[0], preset("paper").cluster.depth_gap_m)
+    )
+    return f"ACC in dim light {percent(small)} and {percent(chosen)}", small < chosen
+
+
 FINDINGS: tuple[tuple[str, str, str, Judge], ...] = (
     ("acc", "Abstract", "ACC of 82.41 %", _level(f"table2.{PAPER}.accuracy", 0.8241)),
     (
@@ -221,6 +249,9 @@ FINDINGS: tuple[tuple[str, str, str, Judge], ...] = (
     ("person", "Fig. 15", "a pedestrian is found", _level(f"fig15.{PAPER}.person.found", 0.9)),
     ("canny.time", "Table 5", "higher bounds of Canny are faster", _bounds),
     ("canny.success", "Table 5", "without affecting the success rate", _success),
+    ("gaps", "Section 6", "a small d_z divides things, a large one groups them", _gaps),
+    ("corners.dim", "Section 6", "fewer feature points in dim light", _dim_corners),
+    ("gap.dim", "Section 6", "a too small d_z costs successes in dim light", _small_gap),
     ("edges", "Fig. 2", "Canny first: fewer corners inside of objects, more on contours", _edges),
 )
 """Key, place in the paper, finding, and its judge."""

@@ -37,6 +37,7 @@ from benchmarks.paper import (
     own,
     realdata,
     realframes,
+    section6,
     sunrgbd,
     table1_indices,
     table2_detection,
@@ -65,6 +66,7 @@ OF_THE_PAPER: dict[str, Callable[[Lab], Section]] = {
     "fig15": fig15_pedestrian.run,
     "table5": table5_canny.run,
     "fig2": fig2_edges.run,
+    "section6": section6.run,
 }
 """Experiments of the paper, in the order in which they run."""
 BEYOND: dict[str, Callable[[Lab], Section]] = {

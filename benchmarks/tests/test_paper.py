@@ -13,6 +13,7 @@ pytest.importorskip("matplotlib")
 from benchmarks.baselines.registry import Baseline
 from benchmarks.paper import (
     case_list,
+    findings,
     main,
     mounts,
     paper_figures,
@@ -113,6 +114,24 @@ def test_every_finding_is_judged(sections):
     missing = {key for key, value in values.items() if math.isnan(value)}
     # the defaults of scikit-learn are not among the baselines of this run
     assert missing == {"findings.acc.defaults"}
+
+
+def test_findings_by_figures_made_by_hand():
+    def figure(key, value, high=math.nan):
+        return section.Figure(key, value, "", "higher", math.nan, high)
+
+    joined = [f"table2.{name}.{kind}accuracy" for name in ("paper", "rsc") for kind in
+              ("", "joined.", "negatives.")]  # fmt: skip
+    figures = [figure(key, 0.9 - 0.05 * ("rsc" in key)) for key in joined]
+    figures += [figure("table2.preset_paper.accuracy", 0.80, 0.83), figure("fig11.rsc.ratio", 1.9)]
+    found = {one.key: one for one in findings.findings_of(findings.Figures(figures))}
+    assert len(found) == len(findings.FINDINGS)
+    assert found["acc"].verdict == "yes" and found["acc.rsc"].verdict == "yes"
+    assert found["time.rsc"].verdict == "NO" and found["light"].verdict == "not run"
+    figures += [figure("table2.preset_paper.accuracy", 0.80, 0.82)]
+    figures += [figure("table2.rsc.joined.accuracy", 0.95)]
+    found = {one.key: one for one in findings.findings_of(findings.Figures(figures))}
+    assert found["acc"].verdict == "NO" and found["acc.rsc"].verdict == "NO"
 
 
 def test_results_of_tasks_are_kept(tmp_path):
