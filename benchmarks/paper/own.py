@@ -43,11 +43,10 @@ def run(lab: Lab) -> Section:
         section.say("Not run: it needs --log LOG and --truth LABELS.json (or a simulated log).")
         return section
     section.say(
-        f"{lab.log_file.name}, compared with {lab.truth.name} as by jaxdet run --truth: boxes "
-        "match if their IoU is at least 0.5, and frames without labels don't count. The "
-        "parameters of the rule and of its rivals were chosen on the simulated tuning scenes, not "
-        "on this log; --rivals names the methods. Intervals resample frames, which are not "
-        "independent in a log."
+        f"{lab.log_file.name}, compared with {lab.truth.name} as by jaxdet run --truth; frames "
+        "without labels don't count. The parameters of the rule and of its rivals were chosen on "
+        "the simulated tuning scenes, not on this log; --rivals names the methods. Intervals "
+        "resample frames, which are not independent in a log."
     )
     tasks = [Task(lab.log_file, lab.truth, system) for system in lab.systems]
     rows: list[list[str]] = []
@@ -68,7 +67,7 @@ def run(lab: Lab) -> Section:
                 *(percent(one.value(k), one.intervals[k]) for k in ("accuracy", "recall")),
                 percent(one.value("precision"), one.intervals["precision"]),
                 number(errors.nearest_error_m),
-                ", ".join(f"{k} {v}" for k, v in system.params),
+                system.params_text,
             ]
         )
     header = ["Method", "Found", "ACC", "Recall", "Precision", "Distance error, median [m]"]

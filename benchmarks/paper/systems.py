@@ -74,6 +74,14 @@ class System(NamedTuple):
         """How it is run, if it is not ours."""
         return BASELINES[self.method]
 
+    @property
+    def params_text(self) -> str:
+        """Its parameters with three digits."""
+        return ", ".join(
+            f"{name} {value:.3g}" if isinstance(value, float) else f"{name} {value}"
+            for name, value in self.params
+        )
+
 
 def systems(
     config: Config, tuned: dict[str, dict[str, Any]], rivals: Sequence[str] = RIVALS

@@ -76,7 +76,7 @@ def run(lab: Lab) -> Section:
                 f"{percent(other.value('accuracy'))}, {number(other.value('fmi'))}",
                 f"{percent(full, ends)}, {negatives:.0f}",
                 f"{100 * theirs[0]:.2f} %, {theirs[1]:.4f}" if theirs else "",
-                ", ".join(f"{k} {_short(v)}" for k, v in system.params),
+                system.params_text,
             ]
         )
     header = ["Method", "ACC", "FMI", "F1", "Precision", "Recall", "Splits / merges"]
@@ -89,10 +89,6 @@ def run(lab: Lab) -> Section:
     section.table(header, rows)
     _plot(section, lab)
     return section
-
-
-def _short(value: object) -> str:
-    return f"{value:.3g}" if isinstance(value, float) else str(value)
 
 
 def _plot(section: Section, lab: Lab) -> None:

@@ -47,7 +47,8 @@ def negative_samples(
     discs = np.zeros(floor.shape, np.uint8)
     for corner in corners.tolist():
         cv2.circle(discs, corner, int(config.min_distance), (1,), cv2.FILLED)
-    count, groups = cv2.connectedComponents(discs)
+    count, labels = cv2.connectedComponents(discs)
+    groups = np.asarray(labels, np.int64)
     sizes = np.bincount(groups[corners[:, 1], corners[:, 0]], minlength=count)
     sizes[0] = 0
     large = sizes >= MIN_CORNERS

@@ -16,6 +16,7 @@ from benchmarks.paper import (
     findings,
     main,
     mounts,
+    own,
     paper_figures,
     plan,
     realdata,
@@ -223,6 +224,24 @@ def test_recordings(lab, tmp_path):
     empty.mkdir()
     last = realdata.run(lab, empty).blocks[-1]
     assert isinstance(last, section.Text) and "Not read" in last.text
+
+
+def test_a_log_of_ones_own_with_the_baselines(lab, tmp_path):
+    log = tmp_path / "row.mcap"
+    write_log(log, SimConfig(scene="row", frames=2, width=192, height=144))
+    lab.log_file, lab.truth = log, log
+    values = {figure.key: figure.value for figure in own.run(lab).figures}
+    assert values["own.ours.recall"] == 1
+    assert {key.split(".")[1] for key in values} == {"ours", "preset_paper", "paper", *RIVALS}
+    boxes = tmp_path / "labels.json"
+    boxes.write_text('[{"frame": 0, "box": [0, 0, 5, 5]}, {"frame": 1}]')
+    lab.truth = boxes
+    values = {figure.key: figure.value for figure in own.run(lab).figures}
+    assert values["own.dbscan.precision"] == 0  # the boxes are nowhere near the things
+    boxes.write_text('[{"frame": 7}]')
+    lab.log_file = tmp_path / "absent.mcap"
+    for block in own.run(lab).blocks[1:-1]:
+        assert isinstance(block, section.Text) and "not compared" in block.text
 
 
 def test_a_baseline_that_cannot_run_has_a_row(lab, monkeypatch):

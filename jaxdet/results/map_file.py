@@ -254,6 +254,6 @@ class KnownPlaces:
         """
         rows, columns = self._grid.states.shape
         cell = np.floor(self._grid.places(points))
-        inside = ((cell >= 0) & (cell < (columns, rows))).all(axis=1)
-        column, row = np.where(inside[:, None], cell, 0).astype(int).T
-        return inside & (self._grid.states[row, column] == UNKNOWN)
+        inside = np.all((cell >= 0) & (cell < (columns, rows)), axis=1, keepdims=True)
+        column, row = np.where(inside, cell, 0).astype(int).T
+        return inside[:, 0] & (self._grid.states[row, column] == UNKNOWN)
