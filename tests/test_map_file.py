@@ -182,3 +182,10 @@ def test_distances_to_the_map_equal_a_search_over_all_cells(yaw: float) -> None:
         assert near[away < reach + 0.024].all() and not near[away > reach + 0.051].any()
         assert near.any() and not near.all()
     assert not KnownPlaces(grid).near(np.array([[np.nan, 0], [1e9, 0]]), np.ones(2)).any()
+
+
+def test_unknown_places_of_a_map() -> None:
+    states = np.array([[FREE, UNKNOWN], [OCCUPIED, FREE]], np.int8)
+    known = KnownPlaces(Grid(states, (2.0, -3.0), 0.5))
+    points = [(2.6, -2.9), (2.1, -2.9), (2.1, -2.4), (3.1, -2.9), (2.6, -3.1), (np.nan, -2.9)]
+    assert known.is_unknown(np.array(points)).tolist() == [True, *[False] * 5]

@@ -7,6 +7,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from benchmarks.paper.files import KeptTask, run_kept
 from benchmarks.paper.plan import (
     LIGHTS,
     REHEARSAL_SEEDS,
@@ -43,6 +44,8 @@ class Lab:
         config: Ours.
         rehearsal: Draw by other seeds than the test's.
         rivals: Names of the baselines.
+        results: Folder that keeps the results of tasks, of one state of the code; by default that
+            of the frames.
     """
 
     def __init__(
@@ -54,14 +57,19 @@ class Lab:
         *,
         rehearsal: bool = False,
         rivals: Sequence[str] = RIVALS,
+        results: Path | None = None,
     ) -> None:
         self.counts, self.config = counts, config or Config()
         self.store, self.pool = Store(folder, pool), pool
+        self.results = results or folder
+        self.results.mkdir(parents=True, exist_ok=True)
         self.sections: dict[str, Section] = {}
         self.recordings: tuple[Path, ...] = ()
         self.sunrgbd: Path | None = None
         self.scenes = 0
         self.detector: Path | None = None
+        self.log_file: Path | None = None
+        self.truth: Path | None = None
         self.labelled: tuple[str, ...] = ()
         self.quiet, self.rehearsal = False, rehearsal
         self.rivals = tuple(rivals)
@@ -89,8 +97,14 @@ class Lab:
         return Spec(family, seed, count, light, tuple(sorted(changes.items())), **flags)
 
     def run(self, task: Any, items: Iterable[Any]) -> list[Any]:
-        """A task on each item, by the workers where there are any."""
-        return list((self.pool.map if self.pool else map)(task, items))
+        """Run a task on each item, by the workers if there are any; results that are there count.
+
+        Args:
+            task: Function of an item, in a module.
+            items: Arguments; the text of each (``repr``) says all of it.
+        """
+        tasks = [KeptTask(self.results, task, item) for item in items]
+        return list((self.pool.map if self.pool else map)(run_kept, tasks))
 
     def load(self, specs: Sequence[Spec]) -> list[Shot]:
         """Frames of some specs."""

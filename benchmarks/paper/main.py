@@ -1,12 +1,11 @@
 """The command: which experiments, how large, where to."""
 
-import hashlib
 import multiprocessing
 import os
 import platform
 import shlex
+import shutil
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor
@@ -29,13 +28,16 @@ from benchmarks.paper import (
     fig12_light,
     fig14_cylinder,
     fig15_pedestrian,
+    findings,
     floor,
     goals,
     hard,
     missed,
     mounts,
+    own,
     realdata,
     realframes,
+    section6,
     sunrgbd,
     table1_indices,
     table2_detection,
@@ -43,16 +45,17 @@ from benchmarks.paper import (
     table4_distance,
     table5_canny,
 )  # fmt: skip
+from benchmarks.paper.files import fingerprint
 from benchmarks.paper.lab import Lab
 from benchmarks.paper.labelled import BESIDE
 from benchmarks.paper.plan import FULL, QUICK, TUNING_SEEDS
 from benchmarks.paper.report import write, write_json
 from benchmarks.paper.section import Section
-from benchmarks.paper.systems import LEARNT, RIVALS
+from benchmarks.paper.systems import LEARNT, QUICK_RIVALS, RIVALS
 from jaxdet.presets import PRESETS
 from jaxdet.results.versions import versions
 
-EXPERIMENTS: dict[str, Callable[[Lab], Section]] = {
+OF_THE_PAPER: dict[str, Callable[[Lab], Section]] = {
     "table1": table1_indices.run,
     "fig11": fig11_time.run,
     "table2": table2_detection.run,
@@ -63,6 +66,13 @@ EXPERIMENTS: dict[str, Callable[[Lab], Section]] = {
     "fig15": fig15_pedestrian.run,
     "table5": table5_canny.run,
     "fig2": fig2_edges.run,
+    "section6": section6.run,
+}
+"""Experiments of the paper, in the order in which they run."""
+BEYOND: dict[str, Callable[[Lab], Section]] = {
+    "sunrgbd": sunrgbd.run,
+    "realframes": realframes.run,
+    "own": own.run,
     "floor": floor.run,
     "coverage": coverage.run,
     "hard": hard.run,
@@ -70,54 +80,64 @@ EXPERIMENTS: dict[str, Callable[[Lab], Section]] = {
     "mounts": mounts.run,
     "cases": cases.run,
     "failures": failures.run,
-    "realframes": realframes.run,
-    "sunrgbd": sunrgbd.run,
     "goals": goals.run,
 }
-"""In the order in which they run; the goals are judged last and stand first."""
+"""Experiments with other data, and with the default on harder scenes; the goals are judged last."""
+EXPERIMENTS = {**OF_THE_PAPER, **BEYOND, "findings": findings.run}
+"""All; the findings are judged last and stand first."""
 RECORDINGS = "recordings"
+UNFINISHED = "unfinished"
+"""Folder of a run that was stopped, in the output folder; the same command continues."""
 BENCH_PACKAGES = ("scikit-learn", "scipy", "chameleon-cluster", "matplotlib")
 
 
 @dataclass(frozen=True)
 class Options:
-    """The paper's experiments on simulated scenes, beside its figures."""
+    """Run the paper's experiments on simulated scenes and write a report.
+
+    A run that was stopped continues if the same command is given again.
+    """
 
     full: bool = False
-    """Larger counts, for narrower intervals; else it takes half an hour on two quiet cores."""
+    """All experiments, all baselines and larger counts, which takes hours; by default those of the
+    paper, about 10 minutes on two cores."""
     rehearsal: bool = False
-    """Draws by other seeds than the test's, for work on the method: nothing may be tuned on the
+    """Use other seeds than the test seeds, for work on the method: nothing may be tuned on the
     test seeds."""
     output: Path = Path("out/paper")
     """Folder of report.md, report.html and figures/."""
     json_file: Annotated[Path | None, tyro.conf.arg(name="json")] = None
-    """Where to write all figures; by default figures.json in the output folder."""
+    """File of all figures; by default figures.json in the output folder."""
     only: tuple[str, ...] = ()
-    """Names of experiments; by default all. ``recordings`` alone: only the pictures of those."""
+    """Names of experiments. ``recordings``: only the pictures of those."""
     rivals: tuple[str, ...] = ()
-    """Names of the baselines that are tuned and compared; by default all."""
+    """Names of the baselines that are tuned and compared."""
     seeds: int = 0
-    """Seeds used; 0: those of the size."""
+    """Number of test seeds; 0: that of the size."""
     recordings: tuple[Path, ...] = ()
-    """Folders of real recordings, to be pictured; labelled ones are also looked for in and beside
-    them, by default in ../shared/data, for the experiment ``realframes``."""
+    """Folders of real recordings, of which pictures are drawn. Labelled recordings are looked for
+    in and next to them, by default in ../shared/data, for the experiment ``realframes``."""
     sunrgbd: Path | None = None
     """Folder of SUN RGB-D, or of some of its scenes, for the experiment ``sunrgbd``."""
     scenes: int = 0
-    """How many scenes of it are scored, evenly over all; 0: all."""
+    """Number of its scenes that are scored, evenly over all; 0: all."""
     detector: Path | None = None
     """Folder of centernet.json and centernet.bin, for the experiment ``table3`` (TensorFlow)."""
     labelled: tuple[str, ...] = ()
-    """Which labelled recordings ``realframes`` scores, by how their names or groups begin, such as
-    ``mosd`` or ``public.learn``; by default all."""
+    """Labelled recordings that ``realframes`` scores, by the beginning of their names or groups,
+    such as ``mosd`` or ``public.learn``; by default all."""
+    log: Path | None = None
+    """Log of your own, for the experiment ``own``."""
+    truth: Path | None = None
+    """Its labels: a JSON file as for ``jaxdet run --truth``, or a simulated log."""
     frames: Path | None = None
-    """Keeps the simulated frames here for the next run of the same code; by default they go."""
+    """Folder that keeps the simulated frames for the next run of the same simulator."""
     workers: int = 0
-    """Processes; 0: one for each core."""
+    """Number of processes; 0: one per core."""
 
 
 def main(options: Options) -> int:
-    """Runs what is asked for and writes the report; returns the exit code."""
+    """Run the experiments and write the report; return the exit code."""
     unknown = [name for name in options.only if name not in (*EXPERIMENTS, RECORDINGS)]
     if unknown:
         names = ", ".join(EXPERIMENTS)
@@ -127,49 +147,55 @@ def main(options: Options) -> int:
         print(f"no baseline {', '.join(absent)}; there are {', '.join(RIVALS)}", file=sys.stderr)
         return 2
     start = time.perf_counter()
-    with _folder(options.frames) as folder, _pool(options.workers or os.cpu_count() or 1) as pool:
+    frames, results = _folders(options)
+    with _pool(options.workers or os.cpu_count() or 1) as pool:
         counts, rehearsal = FULL if options.full else QUICK, options.rehearsal
+        names = options.only or tuple(EXPERIMENTS if options.full else (*OF_THE_PAPER, "findings"))
         if options.seeds:
             counts = replace(counts, test_seeds=options.seeds)
-        lab = Lab(counts, folder, pool, rehearsal=rehearsal, rivals=options.rivals or RIVALS)
+        rivals = options.rivals or (RIVALS if options.full else QUICK_RIVALS)
+        lab = Lab(counts, frames, pool, rehearsal=rehearsal, rivals=rivals, results=results)
         lab.recordings, lab.labelled = options.recordings or (BESIDE,), options.labelled
         lab.sunrgbd, lab.scenes = options.sunrgbd, options.scenes
         lab.detector = options.detector
-        sections = run(lab, options.only or tuple(EXPERIMENTS))
+        lab.log_file, lab.truth = options.log, options.truth
+        sections = run(lab, names)
         for number, place in enumerate(options.recordings):
             lab.log(f"pictures of {place.name}")
             sections.append(realdata.run(lab, place, number))
         facts = _facts(lab, "full" if options.full else "quick", time.perf_counter() - start)
-    write(options.output, "The paper's experiments on simulated scenes", sections, facts)
+    write(options.output, "The experiments of the paper on simulated scenes", sections, facts)
     write_json(options.json_file or options.output / "figures.json", sections, facts)
+    shutil.rmtree(options.output / UNFINISHED)
     lab.log(f"report: {options.output / 'report.html'}")
     return 0
 
 
 def run(lab: Lab, names: tuple[str, ...]) -> list[Section]:
-    """The sections of some experiments, the goals first."""
+    """Return the sections of some experiments, the findings first."""
     for name in (name for name in EXPERIMENTS if name in names):
         lab.log(name)
         lab.sections[name] = EXPERIMENTS[name](lab)
-    return sorted(lab.sections.values(), key=lambda section: section.name != "goals")
+    return sorted(lab.sections.values(), key=lambda section: section.name != "findings")
 
 
-@contextmanager
-def _folder(kept: Path | None) -> Iterator[Path]:
-    if kept:
-        yield kept / _fingerprint()
-        return
-    with tempfile.TemporaryDirectory(prefix="jaxdet-paper-") as folder:
-        yield Path(folder)
+def _folders(options: Options) -> tuple[Path, Path]:
+    """Return the folders of frames and of results, each named by the code that makes its files.
 
-
-def _fingerprint() -> str:
-    """Names the simulator's code, so that kept frames of other code are not used."""
+    Both are in ``unfinished`` of the output folder, where files of other code are removed.
+    """
     root = Path(__file__).parents[2]
-    files = [*(root / "jaxdet/sim").glob("*.py"), root / "kernels/jaxdet_kernels/raycast.py"]
-    files += [Path(__file__).with_name("shots.py"), root / "jaxdet/eval/truth.py"]
-    digest = hashlib.sha256(b"".join(path.read_bytes() for path in sorted(files)))
-    return digest.hexdigest()[:12]
+    every = root / "jaxdet", root / "kernels", root / "benchmarks"
+    drawing = root / "jaxdet/sim", root / "jaxdet/eval/truth.py", Path(__file__).parent / "shots.py"
+    unfinished = options.output / UNFINISHED
+    results = unfinished / fingerprint(*every)
+    if unfinished.exists():
+        for other in unfinished.iterdir():
+            if other != results:
+                shutil.rmtree(other)
+    kernel = root / "kernels/jaxdet_kernels/raycast.py"
+    frames = options.frames / fingerprint(*drawing, kernel) if options.frames else results
+    return frames, results
 
 
 @contextmanager
@@ -194,17 +220,16 @@ def _facts(lab: Lab, size: str, seconds: float) -> dict[str, str]:
     command = shlex.join(["python", "-m", "benchmarks.paper", *sys.argv[1:]])
     found = {**versions(), **{name: _version(name) for name in BENCH_PACKAGES}}
     tuned = TUNING_SEEDS[: lab.counts.tuning_seeds]
-    name = next((name for name, one in PRESETS.items() if one == lab.config), "changed")
+    name = next((name for name, one in PRESETS.items() if one == lab.config), repr(lab.config))
     return {
-        "Findings": "each claim, equation, figure and table of the paper with a verdict is in "
-        "jaxdet/help/paper.md (jaxdet help paper)",
+        "Page": "jaxdet/help/paper.md (jaxdet help paper) judges each statement of the paper",
         "Data": "simulated scenes (jaxdet.sim); the paper's robot data is not public, so its "
         "figures are for orientation only",
         "Command": command,
         "Size": f"{size}: {lab.counts}",
         "Tuning seeds": f"{_seeds(tuned)} (baselines' parameters only)",
         f"{'Rehearsal' if lab.rehearsal else 'Test'} seeds": f"{_seeds(lab.seeds)} (all figures)",
-        "Ours": f"preset {name}, not tuned here. {LEARNT} {lab.config}",
+        "Ours": f"preset {name}, not tuned here. {LEARNT}",
         "Frames drawn": str(lab.store.drawn),
         "Intervals": "95 %, percentile bootstrap over scenes; shares of successes by Wilson",
         "Machine": f"{os.cpu_count()} cores, {platform.machine()}",

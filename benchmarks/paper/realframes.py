@@ -28,6 +28,7 @@ from jaxdet.eval.boxes import match_boxes
 from jaxdet.eval.frame import cell_points
 from jaxdet.floor.plane import floor_prior
 from jaxdet.io import Log, open_log
+from jaxdet.io.batch import Batch
 from jaxdet.pipeline import detect
 from jaxdet.presets import PRESETS
 from jaxdet.reference._ground import above_floor
@@ -109,15 +110,20 @@ class Judgement(NamedTuple):
     """Pictures of the worst, fewest right first."""
 
 
-def find_obstacles(log: Log, config: Config) -> Iterator[Found]:
-    """Every frame of a log as ``jaxdet run --backend reference`` finds its obstacles."""
+def frames_with_floor(log: Log, config: Config) -> Iterator[Batch]:
+    """Yield the frames of a log, one by one, with the prior of their floor."""
     planes = decide_planes(log, config, "reference")
     for batch in log.batches(1, color=True, need_color=config.cluster.points):
-        frames = batch.frames._replace(plane=planes.of(batch.frames.stamp_ns))
-        read = method_frames(frames, config)
-        yield Found(
-            frames, to_host(detect(read, config, backend="reference", with_cells=True)), config
-        )
+        plane = planes.of(batch.frames.stamp_ns)
+        yield batch._replace(frames=batch.frames._replace(plane=plane))
+
+
+def find_obstacles(log: Log, config: Config) -> Iterator[Found]:
+    """Yield the frames of a log with the obstacles of ``jaxdet run --backend reference``."""
+    for batch in frames_with_floor(log, config):
+        read = method_frames(batch.frames, config)
+        found = to_host(detect(read, config, backend="reference", with_cells=True))
+        yield Found(batch.frames, found, config)
 
 
 def judge(task: Task) -> Judgement:

@@ -43,7 +43,8 @@ def write_json(path: Path, sections: Sequence[Section], facts: Mapping[str, str]
 def markdown(title: str, sections: Sequence[Section], facts: Mapping[str, str]) -> str:
     """The report as Markdown."""
     parts = [f"# {title}", *(f"- {name}: {value}" for name, value in facts.items())]
-    text = "\n".join([parts[0], "", *parts[1:], ""])
+    contents = [f"{n}. {section.title}" for n, section in enumerate(sections, 1)]
+    text = "\n".join([parts[0], "", *parts[1:], "", "## Contents", "", *contents, ""])
     for section in sections:
         body = "\n\n".join(_markdown_block(block) for block in section.blocks)
         text += f"\n## {section.title}\n\n{body}\n"

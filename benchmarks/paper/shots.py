@@ -1,15 +1,14 @@
 """Simulated frames with their truth: drawn once by worker processes, kept in files."""
 
-import pickle
 from collections.abc import Iterable, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import zstandard
 
 from benchmarks.mounts import depth_plane
+from benchmarks.paper.files import load, save
 from jaxdet.eval import FrameTruth, truth_of
 from jaxdet.eval.truth import depth_poses
 from jaxdet.floor.plane import flat_plane
@@ -110,18 +109,15 @@ class Store:
 
 
 def load_shots(path: Path) -> list[Shot]:
-    """The frames in a file that this package wrote."""
-    return pickle.loads(zstandard.decompress(path.read_bytes()))
+    """Return the frames in a file that :func:`draw` wrote."""
+    return load(path)
 
 
 def draw(task: tuple[Path, tuple[Spec, ...]]) -> None:
     """Draws specs into their files; a worker's task."""
     folder, specs = task
     for spec in specs:
-        shots = drawn(spec)
-        part = folder / f"{spec.name}.part"
-        part.write_bytes(zstandard.compress(pickle.dumps(shots, protocol=5), 1))
-        part.rename(folder / f"{spec.name}.zst")
+        save(folder / f"{spec.name}.zst", drawn(spec))
 
 
 def drawn(spec: Spec) -> list[Shot]:

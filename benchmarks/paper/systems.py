@@ -6,9 +6,12 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from benchmarks.baselines import BASELINES, Baseline, Frame, detect_with, prepare, tune
 from benchmarks.paper.shots import Shot, frames_of, load_shots
 from benchmarks.scores.group import group_objects
+from benchmarks.scores.negatives import negative_samples, with_negatives
 from jaxdet import detect
 from jaxdet.camera import cell_side
 from jaxdet.config import ClusterConfig, Config
@@ -23,6 +26,15 @@ RULE = "paper"
 """The paper's rule on the same points as the baselines, and tuned as they are."""
 RIVALS = tuple(name for name, b in BASELINES.items() if name != RULE and not b.missing)
 """The clustering baselines that can run here."""
+QUICK_RIVALS = (
+    "hierarchical_ward",
+    "hierarchical_default",
+    "hierarchical_single",
+    "rsc",
+    "dbscan",
+)
+"""Baselines of a quick report: the paper's own two, with both readings of the traditional method,
+and two that everybody has at hand."""
 MISSING = {name: b.missing for name, b in BASELINES.items() if b.missing}
 JOIN_M = (0.40, 0.10)
 """Lateral and depth gap that make two obstacles one by the paper's definition [m]."""
@@ -42,7 +54,9 @@ INDEXED = (OURS, PAPER, RULE, "hierarchical_ward", "rsc", *CITED)
 INDEXED_LIGHT = "normal"
 """The light of Table 1."""
 JOINED = "joined:"
-"""Before a system's name: scored on the truth with such obstacles joined."""
+"""Prefix of a system's name: scored on the truth with such obstacles joined."""
+NEGATIVES = "negatives:"
+"""Prefix of a system's name: joined, and with true negatives, the paper's definition of ACC."""
 
 
 class System(NamedTuple):
@@ -59,6 +73,14 @@ class System(NamedTuple):
     def baseline(self) -> Baseline:
         """How it is run, if it is not ours."""
         return BASELINES[self.method]
+
+    @property
+    def params_text(self) -> str:
+        """Its parameters with three digits."""
+        return ", ".join(
+            f"{name} {value:.3g}" if isinstance(value, float) else f"{name} {value}"
+            for name, value in self.params
+        )
 
 
 def systems(
@@ -170,26 +192,38 @@ def joined(truth: FrameTruth) -> FrameTruth:
 
 
 def judge(task: tuple[Path, tuple[System, ...]]) -> dict[str, list[Tally]]:
-    """A worker's task: every system on every frame of a file.
+    """Run every system on every frame of a file; a worker's task.
 
     Returns:
-        A tally for each frame by the system's name, and by ``joined:`` and its name.
+        A tally for each frame by the system's name, and by :data:`JOINED` and :data:`NEGATIVES`
+        before its name.
     """
     path, chosen = task
     shots = load_shots(path)
     indexed = INDEXED if shots[0].spec.light == INDEXED_LIGHT else ()
-    prepared = Prepared(shots)
+    prepared, samples = Prepared(shots), [samples_of(shot) for shot in shots]
     out: dict[str, list[Tally]] = {}
     for system in chosen:
         config = system.config
-        mine, together = [], []
+        mine, together, paired = [], [], []
         counted, plainly = eval_config(config, indices=system.name in indexed), eval_config(config)
-        for found, shot in zip(found_by(system, prepared), shots, strict=True):
+        for found, shot, own in zip(found_by(system, prepared), shots, samples, strict=True):
             whole = joined(truth_for(config, shot))
             mine.append(tally_of(shot, found, config, counted))
             together.append(tally_of(shot, found, config, plainly, whole))
-        out[system.name], out[JOINED + system.name] = mine, together
+            side = cell_side(shot.calibration.depth, config.surface.cell_rad)
+            paired.append(with_negatives(together[-1], own, found, shot.calibration, side))
+        out[system.name] = mine
+        out[JOINED + system.name], out[NEGATIVES + system.name] = together, paired
     return out
+
+
+def samples_of(shot: Shot) -> np.ndarray:
+    """Return the negative samples of a frame, by the corners and the range of preset ``paper``."""
+    config = preset("paper")
+    return negative_samples(
+        shot.color, shot.color_truth, config.features, config.ground.max_depth_m
+    )
 
 
 def tuning_objective(figures: Score) -> float:

@@ -1,14 +1,12 @@
 """Times on this machine: in turns, so that a busy machine treats all alike."""
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import jax
 import numpy as np
 
-from jaxdet.config import Config
-from jaxdet.pipeline import detect
 from jaxdet.types import Frames
 
 
@@ -51,18 +49,3 @@ def split_batch(frames: Frames) -> list[Frames]:
 
 def _is_array(value: object) -> bool:
     return isinstance(value, np.ndarray)
-
-
-def process_ms(frames: Frames, config: Config, rounds: int) -> dict[str, np.ndarray]:
-    """Milliseconds of the whole process on single frames, by both backends."""
-    each = split_batch(frames)
-    functions = {
-        "reference": lambda i: detect(each[i], config, backend="reference"),
-        "jax": lambda i: detect(each[i], config, backend="jax"),
-    }
-    return in_turns(functions, len(each), min(rounds, 3))
-
-
-def medians(times: Mapping[str, np.ndarray], names: Sequence[str]) -> list[float]:
-    """The medians over the frames."""
-    return [float(np.median(times[name])) for name in names]

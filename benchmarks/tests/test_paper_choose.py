@@ -7,6 +7,7 @@ import pytest
 pytest.importorskip("matplotlib")
 
 from benchmarks.paper import choose, plan
+from benchmarks.paper.preset_frames import PresetFrames, gradient, with_settings
 from benchmarks.paper.shots import Spec, Store
 from benchmarks.paper.systems import Prepared, found_by, paper, tally_of
 from jaxdet.eval import score
@@ -18,7 +19,7 @@ SMALL = (("height", 240), ("width", 320))
 @pytest.fixture(scope="module")
 def frames(tmp_path_factory):
     specs = [Spec(scene, 100, 1, "normal", SMALL) for scene in ("roadblocks", "tree_trunk")]
-    return choose.Frames(Store(tmp_path_factory.mktemp("frames")).load(specs), preset("paper"))
+    return PresetFrames(Store(tmp_path_factory.mktemp("frames")).load(specs), preset("paper"))
 
 
 def test_the_presets_tallies_are_those_of_the_report(frames):
@@ -36,7 +37,7 @@ def test_the_presets_tallies_are_those_of_the_report(frames):
 
 
 def test_settings_are_those_of_their_parts():
-    config = choose.with_settings(preset("paper"), choose.FIRST)
+    config = with_settings(preset("paper"), choose.FIRST)
     assert (config.features.canny_low, config.features.canny_high) == (100.0, 200.0)
     assert (config.cluster.min_points, config.cluster.depth_gap_m) == (10, 0.1)
     assert config.cluster.points
@@ -47,7 +48,7 @@ def test_settings_are_those_of_their_parts():
 def test_bounds_follow_each_frames_gradients(frames):
     image = np.full((8, 8), 10, np.uint8)
     image[:, 4:] = 110
-    assert np.unique(choose.gradient(image)).tolist() == [0, 400]
+    assert np.unique(gradient(image)).tolist() == [0, 400]
     edges = cv2.Canny(image, 399, 399)
     assert edges.any() and not cv2.Canny(image, 400, 400).any()
     few, many = (frames.with_bounds(share)[0].valid.sum() for share in (0.98, 0.8))

@@ -7,10 +7,16 @@ import pytest
 
 from benchmarks.scores.bootstrap import difference_intervals, intervals
 from benchmarks.scores.group import group_objects
-from jaxdet.eval import Case, Tally, score
+from benchmarks.scores.negatives import negative_samples, with_negatives
+from jaxdet.config import FeaturesConfig
+from jaxdet.eval import Case, FrameTruth, Tally, score
+from jaxdet.sim import SimConfig
+from jaxdet.sim.config import calibration_of
+from jaxdet.types import Detections, Features, Labels, Points
 from tests.score_cases import frame_truth, tallies
 
 NAN = math.nan
+CALIBRATION = calibration_of(SimConfig(width=160, height=120))
 
 
 def test_intervals():
@@ -56,3 +62,43 @@ def test_groups():
     assert group_objects(plain, 0.4, 1.0).visible_pixels.tolist() == [[60, 0, 0, 40]]
     with pytest.raises(ValueError, match="ground_min"):
         group_objects(plain._replace(ground_min=None), 0.4, 0.1)
+
+
+def textured():
+    """Return an image with four patches of texture and its truth: two on floor, an object, far."""
+    color = np.full((120, 160, 3), 128, np.uint8)
+    patch = np.kron(np.indices((5, 5)).sum(axis=0) % 2, np.ones((6, 6))).astype(np.uint8)[..., None]
+    depth, ids = np.full((120, 160), 2.0), np.zeros((120, 160), np.int32)
+    for v, u in ((5, 5), (5, 100), (80, 5), (80, 100)):
+        color[v : v + 30, u : u + 30] = 200 * patch
+    ids[80:110, 5:35] = 1
+    depth[60:, 80:] = 5.0
+    pixels = np.array([[900]])
+    truth = FrameTruth(ids[None], pixels, pixels, pixels, np.array([False]), depth_m=depth[None])
+    return color, truth
+
+
+def test_negative_samples_are_groups_of_corners_on_floor_in_range():
+    samples = negative_samples(*textured(), FeaturesConfig(min_distance=5.0), 3.0)
+    assert samples.shape == (120, 160) and samples.max() == 2
+    for v, u in ((20, 20), (20, 115)):
+        near = samples[v - 20 : v + 20, u - 20 : u + 20]
+        assert len(np.unique(near[near > 0])) == 1
+    assert not samples[60:].any()
+
+
+def test_a_negative_sample_with_a_detected_point_is_no_true_negative():
+    color, truth = textured()
+    samples = negative_samples(color, truth, FeaturesConfig(min_distance=5.0), 3.0)
+    v, u = (axis[:1] for axis in np.nonzero(samples == 1))
+    one, yes = np.ones((1, 1), np.int32), np.ones((1, 1), bool)
+    points = Features(u[None], v[None], one, one, one, yes, yes, overflow=yes[0])
+    tally = Tally(visible=3, found=2, false=1)
+    for label, true_negatives in ((-1, 2), (0, 1)):
+        labels = Labels(np.full((1, 1), label, np.int32), np.array([label + 1]))
+        found = Detections(
+            labels.num_obstacles, yes[0], yes[0], None, points=Points(points, labels)
+        )
+        one_more = with_negatives(tally, samples, found, CALIBRATION)
+        expected = (2 + true_negatives) / (2 + true_negatives + 1 + 1)
+        assert score([one_more]).accuracy == pytest.approx(expected)

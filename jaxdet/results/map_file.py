@@ -242,3 +242,18 @@ class KnownPlaces:
         (x0, y0), (x1, y1) = low.T, high.T
         sums = self._sums
         return sums[y1, x1] - sums[y0, x1] - sums[y1, x0] + sums[y0, x0] > 0
+
+    def is_unknown(self, points: np.ndarray) -> np.ndarray:
+        """Return whether the cell of a point is unknown.
+
+        Args:
+            points: World X and Y ``(P, 2)`` [m].
+
+        Returns:
+            ``(P,)`` bool; False for points that are NaN or off the map.
+        """
+        rows, columns = self._grid.states.shape
+        cell = np.floor(self._grid.places(points))
+        inside = np.all((cell >= 0) & (cell < (columns, rows)), axis=1, keepdims=True)
+        column, row = np.where(inside, cell, 0).astype(int).T
+        return inside[:, 0] & (self._grid.states[row, column] == UNKNOWN)

@@ -1,6 +1,7 @@
-"""Stage 4, cluster: sorts, gap flags and segmented scans."""
+"""Stage 4, cluster: a histogram of depth, a sort by set and x, gap flags and segmented scans."""
 
 from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -16,15 +17,25 @@ from jaxdet.types import MAX_LATERAL, Features, Labels
 PLACE_BITS, VALUE_BITS = 13, 19  # a frame has at most 2^13 points, and at most as many runs
 LAST = (1 << VALUE_BITS) - 1  # larger than all values
 NONE = np.uint32(0xFFFFFFFF)  # larger than all keys, as x + MAX_LATERAL is below LAST
+DEPTHS = 1 << 16  # z is below
 BLOCK = 32  # number of entries that are summed together, see _running_sum
+
+
+class Sizes(NamedTuple):
+    """Sizes that the program is compiled for."""
+
+    most: int
+    """Maximum number of obstacles ``M``, see :func:`most_obstacles`."""
+    bins: int
+    """Number of bins of depth."""
 
 
 def cluster(features: Features, depth_unit: float, config: Config) -> Labels:
     """Cluster points by gaps; twin of :func:`jaxdet.reference.cluster`.
 
-    Sorts and segmented scans over all frames: sort by depth, flag gaps, number the runs between
-    them by prefix sums and count their points; the same by set and x; number the remaining runs. z
-    is below 65536, x at most MAX_LATERAL.
+    Scans over all frames: number the sets of neighbours in depth by their bins and count their
+    points; sort by set and x, flag gaps, number the runs between them by prefix sums, and count
+    their points; number the remaining runs. z is below 65536, x at most MAX_LATERAL.
 
     Raises:
         ConfigError: There are more than 8192 points per frame.
@@ -32,7 +43,7 @@ def cluster(features: Features, depth_unit: float, config: Config) -> Labels:
     points = features.z.shape[1]
     check_points(points)
     settings = gap_settings(config.cluster, depth_unit)
-    return labels(features, settings, most_obstacles(points, config.cluster))
+    return labels(features, settings, sizes(points, config.cluster, depth_unit))
 
 
 def gap_settings(config: ClusterConfig, depth_unit: float) -> np.ndarray:
@@ -41,23 +52,29 @@ def gap_settings(config: ClusterConfig, depth_unit: float) -> np.ndarray:
     return kernel_table([*gaps, config.min_points])
 
 
+def sizes(points: int, config: ClusterConfig, depth_unit: float) -> Sizes:
+    """Return the sizes for ``points`` points per frame."""
+    width = max(1, depth_gap_units(config, depth_unit))
+    bins = 1 << (DEPTHS // width).bit_length()  # a power of 2, so that few programs are compiled
+    return Sizes(most_obstacles(points, config), bins)
+
+
 def most_obstacles(points: int, config: ClusterConfig) -> int:
     """Return ``M``, the largest number of obstacles that ``points`` points can form, at least 1."""
     return max(1, points // (config.min_points + 1))
 
 
-@partial(jax.jit, static_argnames="most")
-def labels(features: Features, settings: jax.Array, most: int) -> Labels:
-    """Return the labels of points, from :func:`gap_settings` and :func:`most_obstacles`."""
+@partial(jax.jit, static_argnames="size")
+def labels(features: Features, settings: jax.Array, size: Sizes) -> Labels:
+    """Return the labels of points, from :func:`gap_settings` and :func:`sizes`."""
     with jax.named_scope("cluster"):
         depth_gap, lateral_gap, min_points = settings
-        x, z, n = features.x, features.z, features.z.shape[1]
-        depth, slot = _sorted(jnp.where(features.kept, z, LAST))
-        run = _runs(depth, depth < LAST, depth_gap)
-        large = _sizes(run, depth < LAST) > min_points
-        column = _put(slot, jnp.where(_take(large, run), run, n))
+        x, z, most = features.x, features.z, size.most
+        column = _sets(z, features.kept, depth_gap, size.bins)
+        large = _sizes(column, features.kept) > min_points
+        kept = features.kept & _take(large, column)
         key = column.astype(jnp.uint32) << VALUE_BITS | (x + MAX_LATERAL).astype(jnp.uint32)
-        key = jnp.where(column < n, key, NONE)
+        key = jnp.where(kept, key, NONE)
         keys = jnp.sort(key, axis=1)
         run = _runs((keys & LAST).astype(jnp.int32), keys >> VALUE_BITS, lateral_gap)
         large = _sizes(run, keys < NONE) > min_points
@@ -65,6 +82,32 @@ def labels(features: Features, settings: jax.Array, most: int) -> Labels:
         # Equal keys are adjacent, so the first of them is sufficient.
         obstacle = _take(obstacle, _take(run, _first_place(keys, key)))
         return _numbered(obstacle, z, most)
+
+
+def _sets(z: jax.Array, kept: jax.Array, gap: jax.Array, bins: int) -> jax.Array:
+    """Number the sets of neighbours in depth (steps 1 to 4) by nearest z, from 0.
+
+    The points of a bin as wide as the gap are neighbours of each other. Those of two bins are
+    neighbours only if the bins are adjacent and no more than the gap lies between the farthest
+    point of one and the nearest of the other.
+
+    Args:
+        z: Depth of the points, ``(B, N)`` int32.
+        kept: Mask of the points that count, ``(B, N)`` bool.
+        gap: Largest difference in depth of neighbours.
+        bins: Number of bins.
+
+    Returns:
+        Set of each point, ``(B, N)`` int32, below ``N``; any number if the point does not count.
+    """
+    place = jnp.where(kept, z // jnp.maximum(gap, 1), bins)
+    shape, row = (len(z), bins), _rows(z)
+    nearest = jnp.full(shape, LAST).at[row, place].min(z, mode="drop")
+    farthest = jnp.full(shape, -LAST).at[row, place].max(z, mode="drop")
+    apart = nearest[:, 1:] - farthest[:, :-1] > gap
+    starts = jnp.pad(apart, ((0, 0), (1, 0)), constant_values=True) & (nearest < LAST)
+    found = _take(_running_sum(starts) - 1, jnp.minimum(place, bins - 1))
+    return jnp.maximum(found, 0)
 
 
 def _runs(values: jax.Array, group: jax.Array, gap: jax.Array) -> jax.Array:

@@ -25,7 +25,7 @@ class _Static(NamedTuple):
     """Sizes that the program is compiled for."""
 
     features: _features.Static
-    most: int  # maximum number of obstacles
+    cluster: _cluster.Sizes
 
 
 def clusters(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
@@ -58,7 +58,7 @@ def _tables(calibration: Calibration, config: Config) -> tuple[_Tables, _Static]
     features, sizes = _features.tables(calibration, config.features)
     gaps = jnp.asarray(_cluster.gap_settings(config.cluster, unit))
     made = _Tables(features, gaps, _footprint.tables(config.footprint, unit))
-    return made, _Static(sizes, _cluster.most_obstacles(sizes.slots, config.cluster))
+    return made, _Static(sizes, _cluster.sizes(sizes.slots, config.cluster, unit))
 
 
 @partial(jax.jit, static_argnames="static")
@@ -71,8 +71,9 @@ def _detect(
     tables, ground, axes = inputs
     corners = _features.on_device(color, depth, tables.features, static.features)
     corners = _ground.keep(corners, ground)
-    labels = _cluster.labels(corners, tables.gaps, static.most)
-    obstacles = _footprint.obstacles(corners, labels, axes, tables.footprint, static.most)
+    labels = _cluster.labels(corners, tables.gaps, static.cluster)
+    most = static.cluster.most
+    obstacles = _footprint.obstacles(corners, labels, axes, tables.footprint, most)
     units = depth.astype(ground.nearest.dtype)  # int32: ``nearest`` may exceed 16 bits
     in_range = (units >= ground.nearest) & (units <= ground.farthest)
     return Detections(

@@ -33,6 +33,9 @@ COLUMNS = ("persistence", "floor_seen", "in_map")
 MAP_NEAR_M, MAP_PER_M = 0.10, 0.015
 """Maximum distance of a contour point from the map [m], and its growth with the square of the
 obstacle's distance [1/m]."""
+BEHIND_M = 0.4
+"""Distance from something occupied within which unknown cells count as part of it [m]: a lidar maps
+the outline of furniture that it saw, and what lies behind the outline stays unknown."""
 IN_MAP = 0.5
 """Minimum fraction of a contour's points in the map, and of a track's obstacles."""
 
@@ -142,7 +145,10 @@ class Places:
 
 
 def shares_in_map(chunk: Tables, known: KnownPlaces) -> np.ndarray:
-    """Return the fraction of each contour that is near occupied cells of a map.
+    """Return the fraction of the points of each contour that a map contains.
+
+    The map contains a point if there is an occupied cell near it, or within :data:`BEHIND_M` of it
+    if its own cell is unknown.
 
     Args:
         chunk: Tables with ``POSE_COLUMNS`` and ``OBSTACLE_COLUMNS`` of
@@ -160,8 +166,10 @@ def shares_in_map(chunk: Tables, known: KnownPlaces) -> np.ndarray:
     reach = MAP_NEAR_M + MAP_PER_M * (distance * distance)
     obstacle = np.repeat(np.arange(count), lines.lengths)
     placed = np.isfinite(lines.points).all(axis=1)
-    near = known.near(lines.points, reach[obstacle])
-    total, inside = (np.bincount(obstacle[rows], minlength=count) for rows in (placed, near))
+    behind = known.near(lines.points, np.full(len(lines.points), BEHIND_M))
+    behind &= known.is_unknown(lines.points)
+    mapped = known.near(lines.points, reach[obstacle]) | behind
+    total, inside = (np.bincount(obstacle[rows], minlength=count) for rows in (placed, mapped))
     return np.where(total > 0, inside / np.maximum(total, 1), np.nan)
 
 
