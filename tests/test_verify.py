@@ -424,6 +424,13 @@ def test_a_damaged_map_of_tracks_is_one_finding(results: Path) -> None:
         assert {finding.check for finding in verify(results, sample=0).findings} <= {"tracks"}
 
 
+def test_an_edited_configuration_of_another_type_is_a_finding(results: Path) -> None:
+    path = results / "config.json"
+    config = json.loads(path.read_text(encoding="utf-8"))
+    path.write_text(json.dumps(config | {"log": []}), encoding="utf-8")
+    assert "config.json" in {finding.where for finding in verify(results, sample=0).findings}
+
+
 def test_the_command_prints_findings_and_exits_with_1(results: Path, capsys: Any) -> None:
     assert main(["verify", str(results), "--sample", "1"]) == 0
     assert capsys.readouterr().out.endswith("no problems found\n")

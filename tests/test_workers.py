@@ -29,7 +29,15 @@ from jaxdet.engine.plan import LogPlan
 from jaxdet.engine.shared_slots import SLOTS, attached
 from jaxdet.engine.tasks import TaskQueue
 from jaxdet.engine.worker import WorkerProcess
-from jaxdet.errors import ConfigError, FrameError, FrameStatus, InputError, Interrupted, RescanError
+from jaxdet.errors import (
+    ConfigError,
+    FrameError,
+    FrameStatus,
+    InputError,
+    Interrupted,
+    RescanError,
+    WorkerError,
+)
 from jaxdet.io import Batch, LogOptions
 from jaxdet.presets import PRESETS
 from jaxdet.results.summary import Summary
@@ -572,6 +580,17 @@ def test_a_signal_just_before_workers_start_does_not_hang(monkeypatch):
     with pytest.raises(Interrupted), stops_raised(), pool.Pool("reference") as some:
         some.start()
     assert not some.started
+
+
+def test_a_fork_server_that_dies_while_workers_start_is_an_error_of_one_line(monkeypatch):
+    """pytest turns an exception that leaves a thread into a failure."""
+
+    def start(self: Any) -> None:
+        raise EOFError("unexpected EOF")
+
+    monkeypatch.setattr("multiprocessing.process.BaseProcess.start", start)
+    with pool.Pool("reference") as workers, pytest.raises(WorkerError, match="can't be started"):
+        workers.call(Sleep(), 0.0, "")
 
 
 @pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="needs /proc")

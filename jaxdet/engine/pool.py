@@ -6,7 +6,7 @@ import signal
 import threading
 import time
 from collections.abc import Generator, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cached_property
 from itertools import chain
 from multiprocessing import forkserver, resource_tracker
@@ -320,7 +320,9 @@ def _wake(workers: list[Worker], ended: threading.Event, awake: threading.Event)
     try:
         for worker in workers:
             if not ended.is_set():
-                worker.start()
+                # If the fork server was killed, the worker's pipe is closed, which is reported.
+                with suppress(EOFError, OSError):
+                    worker.start()
     finally:
         awake.set()
 

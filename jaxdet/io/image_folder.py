@@ -36,7 +36,7 @@ from jaxdet.io.container import FileState
 from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.definition import schema_text
 from jaxdet.io.file_index import FileIndex, FileIntegrity, file_index
-from jaxdet.io.message_fields import MAX_STAMP_S
+from jaxdet.io.message_fields import MAX_ROS2_STAMP_S
 from jaxdet.io.message_file import (
     POSITION_BITS,
     MessageFile,
@@ -525,7 +525,7 @@ def _nanoseconds(text: str, path: Path) -> int:
     """Convert a timestamp in seconds to nanoseconds, exactly."""
     try:
         found = Decimal(text)
-        in_range = 0 <= found < MAX_STAMP_S
+        in_range = 0 <= found < MAX_ROS2_STAMP_S
     except InvalidOperation as error:  # not a number, or NaN
         problem = f"expected a timestamp in seconds, got {text[:40]!a}"
         raise InputError(problem, path=str(path), remedy="correct it") from error

@@ -27,6 +27,8 @@ from jaxdet.io.messages import (
 from jaxdet.io.motion import motion_matrix
 
 MAX_STAMP_S = 9_000_000_000
+MAX_ROS2_STAMP_S = (1 << 31) - 1
+"""Largest number of seconds in a timestamp of ROS 2, an int32."""
 UNIT_TOLERANCE = 0.01
 """Tolerance for the squared norm of a quaternion, as in tf2."""
 

@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxdet.errors import InputError
-from jaxdet.io.message_fields import MAX_STAMP_S
+from jaxdet.io.message_fields import MAX_ROS2_STAMP_S
 from jaxdet.io.motion import motion_matrix
 from jaxdet.types import Intrinsics
 
@@ -106,7 +106,7 @@ def _recording(
 ) -> PhoneRecording:
     """Check and assemble the metadata."""
     known = [bool(np.isfinite(T).all()) for T in poses]
-    in_range = (times_s >= 0) & (times_s < MAX_STAMP_S)
+    in_range = (times_s >= 0) & (times_s < MAX_ROS2_STAMP_S)
     if not (np.isfinite(K).all() and min(size) > 0 and K[0, 0] > 0 and K[1, 1] > 0):
         raise ValueError("the camera matrix is invalid")
     if not in_range.all():

@@ -70,8 +70,8 @@ def table_metadata(
         inputs: Inputs of the rows.
     """
     method = {key: value for key, value in config.items() if key not in _CHANGES_NO_ROW}
-    if "log" in method:  # how a log is opened changes none of its frames
-        method["log"] = {k: v for k, v in method["log"].items() if k != "scan"}
+    if isinstance(log := method.get("log"), Mapping):  # scanning a log changes none of its frames
+        method["log"] = {key: value for key, value in log.items() if key != "scan"}
     return {
         FORMAT_KEY: str(FORMAT),
         VERSION_KEY: jaxdet.__version__,
