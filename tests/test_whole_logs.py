@@ -1,5 +1,6 @@
 """Complete logs processed by workers: equal bytes, whatever happens to the workers."""
 
+import math
 import os
 import shutil
 import signal
@@ -10,6 +11,7 @@ from typing import Any
 import jax
 import pytest
 
+from jaxdet.config import Config, GroundConfig
 from jaxdet.engine import resources, scheduler
 from jaxdet.engine.log_per_worker import OPENING_BYTES, choose_logs
 from jaxdet.errors import ConfigError, Interrupted
@@ -180,6 +182,22 @@ def test_a_gpu_keeps_the_images_of_cameras_apart(tmp_path, monkeypatch):
     with jax.default_device(jax.devices("cpu")[0]):
         on_this_machine(monkeypatch)
         assert not run(folder, tmp_path / "b", workers=2).failed
+    same_results(tmp_path / "a", tmp_path / "b")
+
+
+def test_a_gpu_finds_that_a_camera_is_upside_down(tmp_path, monkeypatch):
+    """Images of the sample are turned over, so they are of another camera than the others."""
+    (folder := tmp_path / "logs").mkdir()
+    for seed in range(3):
+        config = SimConfig(frames=FRAMES, width=96, height=72, seed=seed, camera_roll_rad=math.pi)
+        write_log(folder / f"log_{'abc'[seed]}.mcap", config)
+    config = Config(ground=GroundConfig(source="estimate"))
+    summary = run(folder, tmp_path / "a", workers=1, config=config)
+    assert all("upside down" in " ".join(log.warnings) for log in summary.logs)
+    with jax.default_device(jax.devices("cpu")[0]):
+        on_this_machine(monkeypatch)
+        monkeypatch.setattr(scheduler, "choose_logs", lambda sizes, _: set(sizes))
+        assert not run(folder, tmp_path / "b", workers=2, config=config).failed
     same_results(tmp_path / "a", tmp_path / "b")
 
 

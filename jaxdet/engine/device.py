@@ -15,18 +15,19 @@ from jaxdet.engine.shared_slots import (
     Packing,
     Piece,
     Reply,
-    Sample,
+    ServerConfig,
     ServerPipe,
-    Slots,
     attached,
 )
 from jaxdet.engine.startup import computing
+from jaxdet.errors import WorkerError
+from jaxdet.floor.plane import join_planes, unknown_plane
+from jaxdet.floor.units import FloorFit, floor_fit
 from jaxdet.pipeline import BackendName, detect
 from jaxdet.results.rows import RowInputs, row_inputs, to_host
 from jaxdet.types import Detections, Frames, GroundPlane
 
 if TYPE_CHECKING:
-    from jaxdet.floor.units import FloorFit
     from jaxdet.io import Batch
 
 ImageMemory = Callable[[], np.ndarray | tuple[np.ndarray, np.ndarray]]
@@ -72,7 +73,7 @@ class Device(Protocol):
         """Wait for a batch that :meth:`start` returned."""
         ...
 
-    def find_floors(self, frames: Frames) -> "FloorFit":
+    def find_floors(self, frames: Frames) -> FloorFit:
         """Return the floors of frames, see :func:`jaxdet.pipeline.find_floors`.
 
         No batch may be started and not finished.
@@ -110,7 +111,7 @@ class OwnDevice:
             found = to_host(started.found)
         return Found(row_inputs(found), found if started.whole else None)
 
-    def find_floors(self, frames: Frames) -> "FloorFit":
+    def find_floors(self, frames: Frames) -> FloorFit:
         """Return the floors of frames."""
         return find_here(self._config, self._backend, frames)
 
@@ -131,14 +132,15 @@ class SharedDevice:
     """The device server, which computes for this worker in another process.
 
     Args:
-        slots: Shared memory, see :meth:`jaxdet.engine.pool.Pool.serve`.
+        served: Configuration of the device server, see :meth:`jaxdet.engine.pool.Pool.serve`.
         server_pipe: Connection of this worker to the device server.
     """
 
     ahead, doing = SLOTS - 1, "wait"
 
-    def __init__(self, slots: Slots, server_pipe: ServerPipe) -> None:
-        self._slots, self._server_pipe = slots, server_pipe
+    def __init__(self, served: ServerConfig, server_pipe: ServerPipe) -> None:
+        self.served, self._server_pipe = served, server_pipe
+        self._slots = slots = served.slots
         self._first = server_pipe.number * SLOTS
         self._views = slots.views(attached(slots.path))
         self._turn = 0
@@ -153,28 +155,43 @@ class SharedDevice:
 
     def start(self, batch: "Batch", plane: GroundPlane, *, whole: bool) -> int:
         """Start the batch whose images are in the memory that :attr:`images` returned last."""
-        slot = self._first + self._turn
-        self._server_pipe.pipe.send(Piece(self._server_pipe.number, slot, plane, whole))
-        return slot
+        return self._start(plane, whole)
 
     def finish(self, started: int) -> Found:
         """Wait for a batch; its results are valid until its slot is started again."""
-        _, told, whole, _, busy_s, _ = self._reply(started)
-        if self._results is None or self._results[0] != told:
-            packing: Packing = pickle.loads(told)
-            self._results = told, packing, packing.view(attached(packing.path), self._slots)
+        _, packed, whole, _, busy_s = self._reply(started)
+        if self._results is None or self._results[0] != packed:
+            packing: Packing = pickle.loads(packed)
+            self._results = packed, packing, packing.view(attached(packing.path), self._slots)
         _, packing, rows = self._results
         return Found(packing.unpacked(rows[started]), whole, busy_s)
 
-    def find_floors(self, frames: Frames) -> "FloorFit":
-        """Return the floors of frames, at most as many as a slot has."""
-        count, slot = len(frames.valid), self._first + self._turn
-        self._views[slot].depth[:count] = frames.depth
+    def find_floors(self, frames: Frames) -> FloorFit:
+        """Return the floors of frames, at most as many as a slot has; see :class:`Device`.
+
+        They are computed as a batch, whose results have the floors, but not with the preset
+        ``paper``.
+
+        Raises:
+            WorkerError: The images were turned, so they are of another camera than that of the
+                device server.
+        """
+        if frames.calibration.depth != self.served.calibration.depth:
+            raise WorkerError("the device server doesn't serve this camera")
+        count = len(frames.valid)
+        self._views[self._first + self._turn].depth[:count] = frames.depth
         assert frames.plane is not None
-        self._server_pipe.pipe.send(Sample(self._server_pipe.number, slot, frames.plane))
-        floors = self._reply(slot).floors
-        assert floors is not None
-        return floors
+        plane = join_planes([frames.plane, unknown_plane(self._slots.frames - count)])
+        scene = self.finish(self._start(plane, whole=False)).inputs.scene
+        assert scene is not None
+        floors = np.array(scene.floor[:count])
+        return floor_fit(floors, frames.plane, frames.calibration.depth_unit)
+
+    def _start(self, plane: GroundPlane, whole: bool) -> int:
+        """Start the images in the current slot."""
+        slot = self._first + self._turn
+        self._server_pipe.pipe.send(Piece(self._server_pipe.number, slot, plane, whole))
+        return slot
 
     def _reply(self, slot: int) -> Reply:
         """Wait for the device server's reply to a slot; raise the error in it."""

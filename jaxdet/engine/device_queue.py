@@ -5,46 +5,24 @@ import threading
 import time
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxdet.config import Config
-from jaxdet.engine.floors import find_here
 from jaxdet.engine.shared_slots import (
     SLOTS,
     Leaf,
     Packing,
     Piece,
     Reply,
-    Sample,
+    ServerConfig,
     SharedMemory,
-    Slots,
 )
 from jaxdet.engine.startup import computing
 from jaxdet.floor.plane import join_planes, unknown_plane
 from jaxdet.pipeline import detect
 from jaxdet.results.rows import map_leaves, row_inputs, to_host
-from jaxdet.types import Calibration, Detections, Frames, GroundPlane
-
-if TYPE_CHECKING:
-    from jaxdet.floor.units import FloorFit
-
-
-class ServerConfig(NamedTuple):
-    """Properties that logs must share to be computed by one device server."""
-
-    slots: Slots
-    """Without a path."""
-    pieces: int
-    """Number of pieces in a batch."""
-    calibration: Calibration
-    config: Config
-
-    @property
-    def batch(self) -> int:
-        """Number of frames that are computed together."""
-        return self.pieces * self.slots.frames
+from jaxdet.types import Detections, Frames, GroundPlane
 
 
 class ServerMemory:
@@ -83,12 +61,6 @@ class ServerMemory:
         with self._lock:
             if memory.path not in self._page_locks:
                 self._page_locks[memory.path] = PageLock(memory.map, device, block)
-
-    def find_floors(self, sample: Sample) -> "FloorFit":
-        """Return the floors of a sample, found on JAX's default device."""
-        depth = self.views[sample.slot].depth[: len(sample.plane.valid)]
-        frames = _frames(depth, None, self.served, sample.plane)
-        return find_here(self.served.config, "jax", frames)
 
     def results(self, found: Detections) -> "_Results":
         """Return the memory of results, which is made with the first ones."""

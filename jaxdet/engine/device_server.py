@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from jaxdet.config import Config
 from jaxdet.engine.device import out_of_memory
-from jaxdet.engine.device_queue import DeviceQueue, ServerConfig, ServerMemory
-from jaxdet.engine.shared_slots import Piece, Reply, Sample, Slots
+from jaxdet.engine.device_queue import DeviceQueue, ServerMemory
+from jaxdet.engine.shared_slots import Piece, Reply, ServerConfig, Slots
 
 if TYPE_CHECKING:
     from jaxdet.io import Log
@@ -73,13 +73,11 @@ class DeviceServer:
         self.served, self.pipes, self.devices = served, pipes, devices
         self.memory = ServerMemory(served)
         self.waiting: queue.SimpleQueue[Piece | None] = queue.SimpleQueue()
-        self.samples: queue.SimpleQueue[Sample | None] = queue.SimpleQueue()
         self.sending = threading.Lock()
         """Held while a reply is sent, as two threads may have replies for one worker."""
         self.threads: list[threading.Thread] = []
         self.woken, self.waker = Pipe(duplex=False)
         self._run(self._receive)
-        self._run(self._find_floors)
         for device in devices:
             self._run(self._compute, device)
 
@@ -99,7 +97,7 @@ class DeviceServer:
         thread.start()
 
     def _receive(self) -> None:
-        """Sort what workers send into the queues, until the end."""
+        """Put the pieces that workers send into the queue, until the end."""
         with selectors.DefaultSelector() as ends:
             for end in (*self.pipes, self.woken):
                 ends.register(end, selectors.EVENT_READ)
@@ -107,28 +105,13 @@ class DeviceServer:
                 for key, _ in ends.select():
                     end: Any = key.fileobj
                     if end is self.woken:
-                        self.samples.put(None)
                         for _ in self.devices:
                             self.waiting.put(None)
                         return
                     try:
-                        message: Piece | Sample = end.recv()
+                        self.waiting.put(end.recv())
                     except (EOFError, OSError):  # the worker has died, which its pool reports
                         ends.unregister(end)
-                        continue
-                    if isinstance(message, Sample):
-                        self.samples.put(message)
-                    else:
-                        self.waiting.put(message)
-
-    def _find_floors(self) -> None:
-        """Find the floors of samples, at the same time as batches are computed."""
-        while (sample := self.samples.get()) is not None:
-            try:
-                reply = Reply(sample.slot, b"", None, None, {}, self.memory.find_floors(sample))
-            except Exception as error:
-                reply = Reply(sample.slot, b"", None, error, {})
-            self._send(sample, reply)
 
     def _compute(self, device: Any) -> None:
         """Compute batches on one device while the next one is copied to it.
@@ -191,6 +174,6 @@ class DeviceServer:
             left.append(piece)
         return True
 
-    def _send(self, to: Piece | Sample, reply: Reply) -> None:
+    def _send(self, to: Piece, reply: Reply) -> None:
         with self.sending, suppress(OSError):  # the worker has died, which its pool reports
             self.pipes[to.worker].send(reply)

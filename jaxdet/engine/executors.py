@@ -13,7 +13,7 @@ from jaxdet.engine.memory import BATCH, BATCHES_IN_FLIGHT, READ_AHEAD, Memory, M
 from jaxdet.engine.plan import LogPlan, Unit
 from jaxdet.engine.pool import Pool
 from jaxdet.engine.settings import RunSettings
-from jaxdet.engine.shared_slots import Slots
+from jaxdet.engine.shared_slots import ServerConfig
 from jaxdet.engine.startup import start_up
 from jaxdet.engine.tasks import UnitQueue
 from jaxdet.engine.unit import UnitProcessor
@@ -161,9 +161,9 @@ class InPool:
         """Start the workers."""
         self.pool.start()
         if self.pool.devices:
-            slots, batch = self._serve(log)
-            self.memory = self.memory._replace(batch=batch)
-            return slots.frames
+            served = self._serve(log)
+            self.memory = self.memory._replace(batch=served.batch)
+            return served.slots.frames
         return min(self.memory.batch, max(1, len(log.frames)))
 
     def find_planes(self, log: "Log", at_once: int) -> Planes:
@@ -219,10 +219,10 @@ class InPool:
         return found
 
     def _job(self, log: "Log", plan: LogPlan) -> "UnitJob":
-        """Return the job of units, with the slots of the workers that are there now."""
-        return UnitJob(log, plan, self._serve(log)[0] if self.pool.devices else None)
+        """Return the job of units, with the memory of the device server that is there now."""
+        return UnitJob(log, plan, self._serve(log) if self.pool.devices else None)
 
-    def _serve(self, log: "Log") -> tuple[Slots, int]:
+    def _serve(self, log: "Log") -> ServerConfig:
         options = self.settings.options
         return self.pool.serve(log, self.settings.config, options.batch_size, self.memory.batch)
 
@@ -247,15 +247,15 @@ class UnitJob(NamedTuple):
     log: "Log"
     """Open log; it is sent with its index but without the content of its files."""
     plan: LogPlan
-    slots: Slots | None
-    """Memory shared with the device server; None if workers compute."""
+    served: ServerConfig | None
+    """Configuration of the device server; None if workers compute."""
     lost: Lost | None = None
     """Status that all frames get, without results, instead of being worked on."""
 
     @contextmanager
     def open(self, process: WorkerProcess) -> Iterator[Callable[[Unit], UnitResult]]:
         """Return the function that does a unit."""
-        device = process.device(self.slots, self.plan.config, self.plan.backend)
+        device = process.device(self.served, self.plan.config, self.plan.backend)
         work = UnitProcessor(self.log, self.plan, device, process.report_progress)
         with closing(self.log):
             yield partial(work.mark_lost, lost=self.lost) if self.lost else work.process_unit

@@ -23,7 +23,7 @@ from jaxdet.results.summary import LogSummary
 from jaxdet.types import Calibration
 
 if TYPE_CHECKING:
-    from jaxdet.engine.device_queue import ServerConfig
+    from jaxdet.engine.shared_slots import ServerConfig
     from jaxdet.io import Log, LogFiles
 
 OPENING_BYTES = 128 << 20
@@ -55,7 +55,7 @@ class LogJob(NamedTuple):
     devices: int
     """Number of GPUs."""
     served: "ServerConfig | None"
-    """Slots and camera of the device server; None if workers compute."""
+    """Configuration of the device server; None if workers compute."""
 
     @contextmanager
     def open(self, process: WorkerProcess) -> Iterator[Callable[[LogTask], Any]]:
@@ -92,8 +92,7 @@ class LogJob(NamedTuple):
         if plan.workers < workers or plan.batch < together:
             raise MemoryError("not enough for as many logs at a time")
         plan = plan._replace(batch=served.batch if served else plan.batch, read_ahead=0)
-        slots = served.slots if served else None
-        device = process.device(slots, self.settings.config, self.settings.options.backend)
+        device = process.device(served, self.settings.config, self.settings.options.backend)
         counts = {"together": together, "devices": self.devices, "others": workers - 1}
         return InProcess(self.settings, plan, device, alive=process.report_progress, **counts)
 

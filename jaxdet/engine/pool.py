@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from jaxdet.config import Config
 from jaxdet.engine.device_server import DeviceServer, server_config
-from jaxdet.engine.shared_slots import ServerPipe, Slots
+from jaxdet.engine.shared_slots import ServerConfig, ServerPipe
 from jaxdet.engine.startup import may_use_gpus, start_cuda, start_up
 from jaxdet.engine.tasks import TaskQueue, UnitQueue
 from jaxdet.engine.worker import Failure, Job, Lost, Worker
@@ -24,7 +24,6 @@ from jaxdet.pipeline import BackendName
 from jaxdet.signals import STOPS, stops_held_back
 
 if TYPE_CHECKING:
-    from jaxdet.engine.device_queue import ServerConfig
     from jaxdet.io import Log
 
 WAITING = 2
@@ -155,7 +154,7 @@ class Pool:
 
     def serve(
         self, log: "Log", config: Config, batch_size: int | None, piece_frames: int
-    ) -> tuple[Slots, int]:
+    ) -> ServerConfig:
         """Start the processes and a device server for logs like this one, unless that is done.
 
         Args:
@@ -165,7 +164,7 @@ class Pool:
             piece_frames: Most frames of a slot that there is memory for.
 
         Returns:
-            The slots for the workers, and the frames computed together.
+            Configuration of the device server, see :attr:`serving`.
 
         Raises:
             WorkerError: There is too little memory.
@@ -175,11 +174,11 @@ class Pool:
         if self._server is None or self._server.served != served:
             self._end_server()
             self._server = DeviceServer(served, [ours for ours, _ in self._pipes], self.devices)
-        return self._server.memory.slots, served.batch
+        return self._server.served._replace(slots=self._server.memory.slots)
 
     @property
-    def serving(self) -> "ServerConfig | None":
-        """Slots, camera and configuration of the device server; None without one."""
+    def serving(self) -> ServerConfig | None:
+        """Configuration of the device server, whose slots have a path; None without one."""
         server = self._server
         return server and server.served._replace(slots=server.memory.slots)
 

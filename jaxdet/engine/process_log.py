@@ -1,6 +1,5 @@
 """A log, from its files to the folder of its results."""
 
-from collections.abc import Iterator
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -92,7 +91,7 @@ def process_log(
 
         def run(options: "LogOptions", camera: str = "") -> CameraRun:
             one = CameraRun(*given, camera)
-            stack.callback(one.close)
+            stack.callback(lambda: one.assembly.close())
             one.run(options)
             return one
 
@@ -147,7 +146,7 @@ def _write_results(
     )
     with TableWriter(folder) as writer:
         for one in cameras:
-            for rows in one.rows():
+            for rows in one.assembly.rows():
                 writer.add(rows)
         writer.close(config, told)
     write_json(folder / CONFIG, config)
@@ -178,8 +177,14 @@ class CameraRun:
         self.part = camera_name(self.camera) if self.camera else ""
         """Part of the names of its files if the log has several cameras."""
         self.scratch = self.folder.with_name(f"{self.folder.name}~{self.part}.rows")
-        self.about = self._new()
-        self._assembly = Assembly(self.scratch, self.about)
+        self._begin()
+
+    def _begin(self) -> None:
+        """Begin with an empty summary and no rows."""
+        paths = (str(path.absolute()) for path in self.files.paths)  # export and verify find them
+        self.about = LogSummary(self.files.name, tuple(paths))
+        self.about.file_name = export_name(self.files.name, self.camera)
+        self.assembly = Assembly(self.scratch, self.about)
 
     def run(self, options: "LogOptions") -> None:
         """Do all frames of the camera; an error of the log is noted in the summary.
@@ -201,20 +206,6 @@ class CameraRun:
                 error = InputError("not enough memory", path=self.files.name, remedy=remedy)
             self._fail(error)
 
-    def rows(self) -> Iterator[Any]:
-        """Yield the rows in the order of the frames."""
-        return self._assembly.rows()
-
-    def close(self) -> None:
-        """Remove temporary files."""
-        self._assembly.close()
-
-    def _new(self) -> LogSummary:
-        paths = (str(path.absolute()) for path in self.files.paths)  # export and verify find them
-        about = LogSummary(self.files.name, tuple(paths))
-        about.file_name = export_name(self.files.name, self.camera)
-        return about
-
     @property
     def _prefix(self) -> str:
         return self.part and f"{self.part}_"
@@ -235,9 +226,6 @@ class CameraRun:
     def _run_with_retries(self, options: "LogOptions") -> None:
         """Scan the log if its index is wrong; take fewer workers if its chunks are large."""
         while True:
-            self._assembly.close()
-            self.about = self._new()
-            self._assembly = Assembly(self.scratch, self.about)
             try:
                 self._open_and_run(options)
                 return
@@ -250,6 +238,8 @@ class CameraRun:
                 if fewer is None:
                     raise
                 self.memory = fewer
+            self.assembly.close()
+            self._begin()
 
     def _open_and_run(self, options: "LogOptions") -> None:
         camera = f", {self.camera}" if self.camera else ""
@@ -291,9 +281,9 @@ class CameraRun:
         about.ground = plan.planes.records
         about.warnings += plan.planes.warnings
         self._work(log, plan, executor)
-        notes = self._assembly.finish(plan.observers)
+        notes = self.assembly.finish(plan.observers)
         if plan.maps:
-            self._write_map(self._assembly.map, log, executor.others)
+            self._write_map(self.assembly.map, log, executor.others)
         before = len(log.description.warnings)
         about.description = log.described(total(notes))
         about.warnings += about.description.warnings[before:]
@@ -306,7 +296,7 @@ class CameraRun:
         self.report(about, log.label, count, "starting")
         with closing(executor.work(log, plan)) as parts:
             for unit, part in parts:
-                self._assembly.add(unit, part)
+                self.assembly.add(unit, part)
                 clock.tick()
                 self.report(about, log.label, count, "")
         about.seconds = clock.seconds
@@ -315,22 +305,23 @@ class CameraRun:
         """Return the plan of the log, with ``batch`` frames at a time."""
         settings, count = self.settings, self.settings.options.pictures
         drawn = evenly(np.array(log.frames), count) if count else np.zeros(0, int)
+        backend = settings.options.backend
         return LogPlan(
-            self.files.name,
-            log.camera,
-            log.label,
-            log.frames,
-            settings.config,
-            settings.options.backend,
-            batch,
-            _unit_sizes(len(log.frames), batch, self.about.workers, settings.options.backend),
-            planes,
-            frozenset(drawn.tolist()),
-            self.folder,
-            self.scratch,
-            self._prefix,
-            settings.options.map,
-            settings.observers,
+            log=self.files.name,
+            camera=log.camera,
+            label=log.label,
+            frames=log.frames,
+            config=settings.config,
+            backend=backend,
+            batch_size=batch,
+            sizes=_unit_sizes(len(log.frames), batch, self.about.workers, backend),
+            planes=planes,
+            drawn=frozenset(drawn.tolist()),
+            folder=self.folder,
+            scratch=self.scratch,
+            picture=self._prefix,
+            maps=settings.options.map,
+            observers=settings.observers,
         )
 
     def _write_map(self, occupancy: OccupancyMap, log: "Log", others: int) -> None:

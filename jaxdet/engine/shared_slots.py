@@ -10,16 +10,14 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import prod
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxdet.config import Config
 from jaxdet.errors import WorkerError
 from jaxdet.results.rows import RowInputs, map_leaves
-from jaxdet.types import Detections, GroundPlane
-
-if TYPE_CHECKING:
-    from jaxdet.floor.units import FloorFit
+from jaxdet.types import Calibration, Detections, GroundPlane
 
 SLOTS = 4
 """Slots of each worker: it decodes into one while three are copied, computed, copied back or wait
@@ -74,6 +72,22 @@ class Slots(NamedTuple):
                 color = np.ndarray(shape, np.uint8, memory, start)
             found.append(Images(depth, color))
         return found
+
+
+class ServerConfig(NamedTuple):
+    """Properties that logs must share to be computed by one device server."""
+
+    slots: Slots
+    """Shared memory of images; it has a path if the device server has started."""
+    pieces: int
+    """Number of pieces in a batch."""
+    calibration: Calibration
+    config: Config
+
+    @property
+    def batch(self) -> int:
+        """Number of frames that are computed together."""
+        return self.pieces * self.slots.frames
 
 
 def _pages(nbytes: int) -> int:
@@ -135,16 +149,6 @@ class Piece(NamedTuple):
     whole: bool
 
 
-class Sample(NamedTuple):
-    """Message of a worker: a slot with depth images whose floors are to be found."""
-
-    worker: int
-    slot: int
-    """Number of the slot among those of all workers."""
-    plane: GroundPlane
-    """Prior of each image."""
-
-
 class Reply(NamedTuple):
     """Message to a worker: the results of a slot, or an error."""
 
@@ -155,8 +159,6 @@ class Reply(NamedTuple):
     error: Exception | None
     busy_s: Mapping[str, float]
     """Its share of the times of its batch [s]."""
-    floors: "FloorFit | None" = None
-    """Reply to a :class:`Sample`."""
 
 
 class ServerPipe(NamedTuple):

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple, Protocol
 
 from jaxdet.config import Config
 from jaxdet.engine.device import Device, OwnDevice, SharedDevice, out_of_memory
-from jaxdet.engine.shared_slots import ServerPipe, Slots
+from jaxdet.engine.shared_slots import ServerConfig, ServerPipe
 from jaxdet.engine.startup import start_reading, start_up
 from jaxdet.errors import FrameStatus, JaxdetError, WorkerError
 from jaxdet.pipeline import BackendName
@@ -195,7 +195,7 @@ class WorkerProcess:
     def __init__(self, pipe: Any, server_pipe: ServerPipe | None) -> None:
         self._pipe, self._server_pipe = pipe, server_pipe
         self._next_report = 0.0
-        self._shared: tuple[Slots, SharedDevice] | None = None
+        self._shared: SharedDevice | None = None
 
     def report_progress(self) -> None:
         """Tell the parent that the task makes progress; does nothing if called too often."""
@@ -204,20 +204,20 @@ class WorkerProcess:
             self._next_report = now + _ALIVE_S
             self._pipe.send(_ALIVE)
 
-    def device(self, slots: Slots | None, config: Config, backend: BackendName) -> Device:
+    def device(self, served: ServerConfig | None, config: Config, backend: BackendName) -> Device:
         """Return the device that computes.
 
         Args:
-            slots: Memory shared with the device server; None if this process computes itself.
+            served: Configuration of the device server; None if this process computes itself.
             config: The method's parameters.
             backend: Backend of this process.
         """
-        if slots is None:
+        if served is None:
             return OwnDevice(config, backend, ahead=0)
-        if self._shared is None or self._shared[0] != slots:
+        if self._shared is None or self._shared.served != served:
             assert self._server_pipe is not None
-            self._shared = slots, SharedDevice(slots, self._server_pipe)
-        return self._shared[1]
+            self._shared = SharedDevice(served, self._server_pipe)
+        return self._shared
 
 
 class _OpenJob:
