@@ -50,7 +50,9 @@ def test_a_map_that_is_damaged_anywhere_is_no_map_or_another(tmp_path: Path) -> 
 
 def test_a_map_has_no_bytes_that_depend_on_the_version_of_python(tmp_path: Path) -> None:
     """Entries declared as large have another version in their heads since Python 3.11.4."""
-    image = MapImage(np.ones((2, 3), np.int32), np.ones((2, 3), np.int32), (1.0, 2.0), CELL_M, np.zeros((1, 2)))
+    image = MapImage(
+        np.ones((2, 3), np.int32), np.ones((2, 3), np.int32), (1.0, 2.0), CELL_M, np.zeros((1, 2))
+    )
     save_map(tmp_path / "map.npz", image)
     with ZipFile(tmp_path / "map.npz") as file:
         heads = [(i.filename, i.extract_version, i.flag_bits, i.extra) for i in file.infolist()]
