@@ -10,8 +10,8 @@ from tests.machines import BLAS, PLAINEST, V4, can_run, environments, results, r
 FUNCTIONS = str(Path(__file__).with_name("machine_functions.py"))
 GOLDEN = Path(__file__).parent / "goldens" / "machine_functions.txt"
 """Output of ``python tests/machine_functions.py``. It is the same on an EPYC (AVX2), NumPy 2.4 and
-Python 3.11 and on a Xeon (AVX-512), NumPy 2.5 and Python 3.12, and is updated when a method
-changes."""
+Python 3.11, on a Xeon (AVX-512), NumPy 2.5 and Python 3.12, and on aarch64 in an emulator, and is
+updated when a method changes."""
 CONTROL = """
 import zlib
 import numpy as np
