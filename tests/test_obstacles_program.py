@@ -13,10 +13,10 @@ from jaxdet.config import Config, ObstacleConfig
 from jaxdet.floor.frame import floor_frames
 from jaxdet.floor.plane import depth_range, step_height, unknown_plane
 from jaxdet.io import open_log
-from jaxdet.pipeline import find_floors
 from jaxdet.presets import preset
 from jaxdet.reference._cells import cells
 from jaxdet.reference._detect import _surfaces
+from jaxdet.reference._floor import find_floor
 from jaxdet.reference._obstacles import obstacles as reference
 from jaxdet.reference._surfaces import renumbered
 from jaxdet.reference._view import View
@@ -213,7 +213,7 @@ def surfaces_of(
     """Return the surfaces of frames, and the end of the depth range."""
     unit = given.calibration.depth_unit
     grid = cells(given.depth, given.calibration, config.surface)
-    fit = find_floors(given._replace(plane=prior), config)
+    fit = find_floor(grid.x, grid.y, grid.z, prior, config.floor, unit)
     floors, step = floor_frames(fit.plane, unit), step_height(given.calibration, config)
     found = [_surfaces(grid, b, floor, step, unit, config) for b, floor in enumerate(floors)]
     _, farthest = depth_range(config.ground.min_depth_m, config.ground.max_depth_m, unit)
