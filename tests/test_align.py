@@ -175,8 +175,7 @@ def test_twin_with_every_lens(device, lens, image):
 
 
 @pytest.mark.twin
-@pytest.mark.parametrize("batch", [1, 2, 5])
-@pytest.mark.parametrize("size", [(640, 480), (848, 480)])
+@pytest.mark.parametrize(("batch", "size"), [(2, (640, 480)), (5, (848, 480))])
 def test_twin_at_full_size(device, batch, size):
     depth_camera = resized(D435.depth, *size)
     calibration = Calibration(depth_camera, resized(D435_COLOR, 640, 480), D435_MOTION)

@@ -137,7 +137,7 @@ def test_trimming_and_medians_by_hand(backend, settings, a, b, c):
 
 @BACKENDS
 def test_the_band_in_front_grows_with_distance_squared(backend):
-    """Of points 10 mm apart, 12 mm at 1 m contain two, 48 mm at 2 m five."""
+    """Points are 10 mm apart, so the band of 12 mm at 1 m has two, that of 48 mm at 2 m five."""
     config = replace(CONFIG, footprint=outline(near=0.012))
     for z, c in ((1000, 1000), (2000, 2020)):
         found = measure(backend, np.arange(11), z + 10 * np.arange(11), [0] * 11, config=config)

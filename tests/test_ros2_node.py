@@ -35,7 +35,7 @@ def deliver(node: Node, image: Any, info: Any) -> None:
 
 
 def same(a: Any, b: Any) -> bool:
-    """Whether two messages are equal, NaN too."""
+    """Return whether two messages are equal, including NaN."""
     if isinstance(a, np.ndarray):
         return np.array_equal(a, b, equal_nan=a.dtype.kind == "f")
     if isinstance(a, list):

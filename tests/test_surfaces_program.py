@@ -9,10 +9,10 @@ from jaxdet.config import Config
 from jaxdet.floor.frame import floor_frames
 from jaxdet.floor.plane import flat_plane, step_height, unknown_plane
 from jaxdet.io import open_log
+from jaxdet.pipeline import find_floors
 from jaxdet.presets import preset
 from jaxdet.reference import cells
 from jaxdet.reference._detect import _surfaces
-from jaxdet.reference._floor import find_floor
 from jaxdet.sim import sample_frames
 from jaxdet.sim.config import calibration_of
 from jaxdet.stages._tables import surface_tables as tables
@@ -209,6 +209,6 @@ def test_twin_on_recorded_frames(shared_data, name, config):
         frames = next(iter(log.batches(4))).frames
     grid, unit = cells(frames.depth, frames.calibration, config.surface), UNIT
     assert frames.calibration.depth_unit == unit
-    fit = find_floor(grid.x, grid.y, grid.z, unknown_plane(4), config.floor, unit)
+    fit = find_floors(frames._replace(plane=None), config)
     got = assert_twin(grid.x, grid.y, grid.z, fit.plane, config)
     assert got.num_surfaces.max() > 1

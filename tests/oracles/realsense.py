@@ -31,7 +31,7 @@ def aligner() -> Callable[[Any], Any]:
 
 
 def aligned(process: Callable[[Any], Any], pairs: list[Any]) -> np.ndarray:
-    """What :func:`framesets` returned, aligned to colour, ``(B, H, W)`` uint16."""
+    """Return the result of :func:`framesets` aligned to colour, ``(B, H, W)`` uint16."""
     return np.stack([process(pair).get_depth_frame().get_data() for pair in pairs])
 
 
