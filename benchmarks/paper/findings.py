@@ -60,10 +60,11 @@ class Figures:
         """Return the value of a figure."""
         return self[key].value
 
-    def percent(self, key: str) -> str:
-        """Return a share with its interval, as text."""
+    def text(self, key: str) -> str:
+        """Return a share with its interval: an FMI as a number, others in percent."""
         figure = self[key]
-        return percent(figure.value, Interval(figure.low, figure.high))
+        show = number if key.endswith("fmi") else percent
+        return show(figure.value, Interval(figure.low, figure.high))
 
     def reaches(self, key: str, bound: float) -> bool:
         """Return whether a share or the upper end of its interval is at least a bound."""
@@ -108,7 +109,7 @@ Judge = Callable[[Figures], Judged]
 
 def _level(key: str, bound: float) -> Judge:
     """Judge whether a share reaches a bound."""
-    return lambda f: (f.percent(key), f.reaches(key, bound))
+    return lambda f: (f.text(key), f.reaches(key, bound))
 
 
 def _above(rival: str, figure: str = "accuracy") -> Judge:
@@ -120,8 +121,7 @@ def _above(rival: str, figure: str = "accuracy") -> Judge:
     def judge(f: Figures) -> Judged:
         keys = {kind: [f"table2.{name}.{kind}{figure}" for name in (RULE, rival)] for kind in kinds}
         shown = [
-            f"{kinds[k]} {f.percent(own)} and {f.percent(other)}"
-            for k, (own, other) in keys.items()
+            f"{kinds[k]} {f.text(own)} and {f.text(other)}" for k, (own, other) in keys.items()
         ]
         own, other = (f.value(key) for key in keys["joined."])
         return "; ".join(shown), own > other
@@ -133,7 +133,7 @@ def _light(f: Figures) -> Judged:
     keys = {light: f"fig12.{PAPER}.{light}.accuracy" for light in LIGHTS}
     values = {light: f.value(key) for light, key in keys.items()}
     order = sorted(values, key=lambda light: values[light])
-    shown = ", ".join(f"{light} {f.percent(key)}" for light, key in keys.items())
+    shown = ", ".join(f"{light} {f.text(key)}" for light, key in keys.items())
     return shown, order[0] == "dim" and order[-1] == "normal"
 
 
@@ -161,7 +161,7 @@ def _ratio(rival: str, bound: float) -> Judge:
 
 def _near(f: Figures) -> Judged:
     keys = [f"table4.{PAPER}.{light}.{DISTANCES_M[-1]:g}m" for light in LIGHTS]
-    shown = ", ".join(f"{light} {f.percent(key)}" for light, key in zip(LIGHTS, keys, strict=True))
+    shown = ", ".join(f"{light} {f.text(key)}" for light, key in zip(LIGHTS, keys, strict=True))
     return shown, all(f.value(key) == 1 for key in keys)
 
 
