@@ -23,7 +23,7 @@ struct CellBoxes {
     // row. If it is not in the image, the first is after the last.
     __attribute__((always_inline)) void box(int k, int d, Image image, int* left, int* right, int* top,
                                             int* bottom) const {
-        // Exact for at most 2^18 cells.
+        // The rounding error is too small to reach the next row: a grid has at most 2^18 cells.
         const int row = (int)(((float)k + 0.5f) / (float)columns), column = k - row * columns;
         if (image == ALIGNED) {
             *left = column * side, *right = *left + side - 1;

@@ -55,7 +55,7 @@ struct FloorSlack {
 #if defined(__CUDA_ARCH__)
     int at(int z) const { return base + (int)((z * rate) >> BITS); }
 #else
-    // The product is below 2^46, so it is exact as a double.
+    // The product is below 2^46 because tolerances are below 2^20, so it is exact as a double.
     int at(int z) const { return base + (int)(z * ((double)rate / (1 << BITS))); }
 #endif
 };
@@ -167,9 +167,8 @@ struct FloorRefine {
             return (int)(n / divisor);
         }
 #else
-        // A division costs more than several products. For divisors below 2^44 the rounding error of
-        // the product, at most 2^-46, is smaller than the distance of (n + 1/2) / divisor from the next
-        // integer.
+        // Exact for divisors below 2^44: (n + 1/2) / divisor is at least 2^-45 from the next integer,
+        // and the rounding error of the product is at most 2^-46.
         typedef double Whole;
         double inverse;
         explicit Quotients(Whole divisor) : inverse(1.0 / divisor) {}

@@ -97,19 +97,25 @@ struct Measures {
     // Writes the bounding box in the image of boxes.
     void put_box(int number, ObstacleCells::Range range) const {
         Extremes across, down;
-        // The image is a constant in each call, so that the loops are vectorized.
+#if defined(__CUDA_ARCH__)
+        add_boxes(range, boxes.image(), across, down);
+#else
+        // The image is a constant in each call, so that loops are vectorized.
         switch (boxes.image()) {
             case CellBoxes::ALIGNED: add_boxes(range, CellBoxes::ALIGNED, across, down); break;
             case CellBoxes::PINHOLE: add_boxes(range, CellBoxes::PINHOLE, across, down); break;
             default: add_boxes(range, CellBoxes::DISTORTED, across, down);
         }
+#endif
         across.join(warp);
         down.join(warp);
         CellBoxes::put(across, boxes.last[0], uv_min_out + 2 * number, uv_max_out + 2 * number);
         CellBoxes::put(down, boxes.last[1], uv_min_out + 2 * number + 1, uv_max_out + 2 * number + 1);
     }
 
-    __attribute__((always_inline)) void add_boxes(ObstacleCells::Range range, CellBoxes::Image image, Extremes& across, Extremes& down) const {
+    // Extends `across` (columns) and `down` (rows) by the boxes of this lane's cells.
+    __attribute__((always_inline)) void add_boxes(ObstacleCells::Range range, CellBoxes::Image image,
+                                                  Extremes& across, Extremes& down) const {
         const int *cell = cells.cell, *depth = xyz[2];
         const CellBoxes boxes = this->boxes;
         for (int from = range.first + warp.lane * ABREAST; from < range.end;

@@ -136,7 +136,8 @@ struct Surfaces {
             }
             for (int k = 0; k < AHEAD; ++k) rise[k] = higher(rises[d[k]], d[k] * slope >> SLOPE_BITS);
             for (int k = 0; k < AHEAD; ++k) {
-                const bool on = at[k] >= 0 && place(frame, frame.has_ramp(), at[k], a[k], b[k], d[k], rise[k]);
+                const bool on = at[k] >= 0 && place(frame, frame.has_ramp(), at[k], a[k], b[k], d[k],
+                                                    rise[k]);
                 some |= (at[k] >= 0) & in_range(d[k]);
                 const unsigned those = warp.ballot(on);
                 const int i = first + k;
