@@ -37,6 +37,7 @@ load later; none may start a thread, or Warp."""
 _LOOK_S = 1.0
 """Longest time between two looks at all workers [s]."""
 _SHORT_TMPDIR = "set TMPDIR to a folder with a short name and room, for instance /tmp"
+_AGAIN = "its fork server may have been killed; run the same command again"
 _ENDED_EARLY = "its own message is above; a script needs: if __name__ == '__main__'"
 
 
@@ -293,7 +294,8 @@ class Pool:
                 if not worker.ready and (self._early > 1 or not worker.by_signal):
                     died = worker.death
                     self.close()
-                    raise WorkerStartError(died, remedy=_ENDED_EARLY) from None
+                    remedy = _AGAIN if worker.process.pid is None else _ENDED_EARLY
+                    raise WorkerStartError(died, remedy=remedy) from None
                 if worker.pending:
                     yield worker, Lost(FrameStatus.WORKER_CRASHED, worker.death)
                     return
