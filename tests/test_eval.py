@@ -294,7 +294,8 @@ def test_order_of_points_and_labels_does_not_change_the_counts(points, random):
     assert all(getattr(other, name) == getattr(one, name) for name in same)
     assert one.found + one.false + one.ignored == one.detections == 4
     assert one.matched == one.found <= one.visible == len(one.cases) == 3
-    assert one.on_floor + one.splits <= one.false and one.on_wall <= one.ignored
+    # If half of the points are on the floor and half on an obstacle, both are counted.
+    assert max(one.on_floor, one.splits) <= one.false and one.on_wall <= one.ignored
     assert one.points_right <= one.points <= len(points)
     assert one.pairs_both <= min(one.pairs_detected, one.pairs_true)
 
