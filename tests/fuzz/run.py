@@ -49,7 +49,8 @@ def work(
     with TemporaryDirectory(prefix="jaxdet-fuzz-", dir=memory) as folder:
         subject, plain = make(name, Path(folder)), _most_bytes()
         limit = _writable_bytes() + MOST_BYTES
-        resource.setrlimit(resource.RLIMIT_DATA, (limit, resource.RLIM_INFINITY))
+        _, hard = resource.getrlimit(resource.RLIMIT_DATA)
+        resource.setrlimit(resource.RLIMIT_DATA, (limit, hard))
         for seed in seeds:
             if time.monotonic() > until:
                 break

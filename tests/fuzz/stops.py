@@ -159,7 +159,8 @@ class Stops:
 def _as_in_a_terminal() -> None:
     """Give SIGINT its default action, and lift the fuzzer's bound on memory."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
-    resource.setrlimit(resource.RLIMIT_DATA, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+    _, hard = resource.getrlimit(resource.RLIMIT_DATA)
+    resource.setrlimit(resource.RLIMIT_DATA, (hard, hard))
 
 
 def _cpu_time(pid: int) -> float:
