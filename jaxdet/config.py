@@ -58,7 +58,7 @@ class GroundConfig:
     min_depth_m: float = 0.15
     """Minimum depth [m]."""
     max_depth_m: float = 4.0
-    """Maximum depth of the near end of an obstacle [m], see surface.beyond."""
+    """Maximum depth at which an obstacle may begin [m]; see surface.beyond."""
     step_height_m: float = 0.05
     """Maximum height that the wheels can climb [m]; lower points are floor."""
     step_height_per_m: float = 0.003

@@ -97,7 +97,7 @@ def test_stamps_before_1970_are_named(tmp_path, given):
             early = at - START - 10**12
             log.ros(COLOR, ros_image(color, "rgb8", early, COLOR_FRAME), at)
             log.ros(DEPTH, ros_image(depth, "16UC1", early, DEPTH_FRAME), at)
-    said = r"3 of 3 messages can't be decoded: header stamp \(-\d+ s, .*1970"
+    said = r"3 of 3 messages can't be decoded: header timestamp \(-\d+ s, .*1970"
     with pytest.raises(TopicError, match=said):
         open_log(str(tmp_path / "x.mcap"), LogOptions(**given))
 
