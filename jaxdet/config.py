@@ -307,7 +307,7 @@ class ClusterConfig:
     lateral_gap_m: float = 0.40
     """d_x, lateral gap above which a new cluster starts, the robot's width [m]."""
     min_points: int = 10
-    """N, number of points up to which a cluster is dropped."""
+    """N of the paper: clusters of this many points or fewer are dropped."""
 
     def __post_init__(self) -> None:
         check_fields(self)

@@ -161,7 +161,7 @@ class _Named(NamedTuple):
     target: Path
     """The same path with a link at its end resolved as well."""
     path: Path
-    """Path as in the inputs."""
+    """Path as passed by the user."""
 
 
 def _once(found: Iterable[Path]) -> dict[Path, _Named]:
