@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 MANY_LOGS = 12
-"""If more logs were processed, only the worst are listed."""
+"""Maximum number of logs in a complete list; if there are more, only the worst are listed."""
 MOST_WORST = 12
 """Maximum number of worst logs listed in a report."""
 MOST_REMARKS = 12

@@ -25,7 +25,7 @@ class LogOptions:
     """Camera of a log with several; unset: all of them, one after the other. Its name is the prefix
     of its topics before colour and depth; jaxdet info lists the names."""
     start: str | None = field(default=None, metadata=SHORT)
-    """Start at 12.5s into the log, at 2024-05-01T10:00:00Z, or at a timestamp [ns]. Seconds (the s
+    """Start 12.5s into the log, at 2024-05-01T10:00:00Z, or at a stamp [ns]. Seconds (the s
     is optional) count from the log's first depth image. Times are UTC unless they have a time zone,
     and timestamps in nanoseconds have 16 to 19 digits (1714557600000000000); both refer to header
     timestamps. Frames keep their numbers in the log."""
