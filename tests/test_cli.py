@@ -393,7 +393,7 @@ def test_version_is_printed(capsys: Captured) -> None:
         (["run", "a", "--ground.max-depth", "1"], 2, "did you mean --ground.max-depth-m?"),
         (["run", "a", "--batch-size", "four"], 2, "--batch-size: 'four' is not a whole number"),
         (["run", "a", "--ground.max-depth-m=4m"], 2, "'4m' is not a number"),
-        (["run", "a", "--backend", "Jax"], 2, "unknown value 'Jax'; did you mean jax?"),
+        (["run", "a", "--backend", "Jax"], 2, "--backend: unknown value 'Jax'; did you mean jax?"),
         (
             ["run", "a", "--log.color-intrinsics", "1", "2"],
             2,
