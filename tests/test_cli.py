@@ -528,7 +528,7 @@ def test_run_prints_json_only_when_asked(sim_log: Path, tmp_path: Path, capfd: C
     score = json.loads((tmp_path / "a" / "sim" / "summary.json").read_text())["logs"][0]["score"]
     assert score["ignored"] and f"), {score['ignored']} not counted, F1 " in captured.out
     assert f"distance_m error {score['nearest_error_m'] * 100:.1f} cm" in captured.out
-    assert -0.2 < score["nearest_bias_m"] < 0 and "cm (90 %), too near by " in captured.out
+    assert -0.2 < score["nearest_bias_m"] < 0 and "cm (90th percentile), bias -" in captured.out
     assert captured.out.endswith(f"results: {tmp_path / 'a'} (tables, 2 pictures, 1 map)\n")
     assert "2/2 frames" in captured.err
     assert main([*args, "--overwrite", "--quiet"]) == 0
