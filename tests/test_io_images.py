@@ -303,7 +303,7 @@ def test_images_of_another_size_than_calibrated():
             decode(message, np.zeros((5, 8, 3), np.uint8), LIMIT)
     huge = struct.pack("<iffII", 0, 0, 0, 5700, 5700) + bytes(99)
     for message in (compressed(huge, "16UC1; compressedDepth rvl"), compressed(png(DEPTH), "png")):
-        with pytest.raises(FrameError, match="calibrated is 160x120"):
+        with pytest.raises(FrameError, match="the calibration is for 160x120"):
             decode_compressed_depth(message, np.zeros((120, 160), np.uint16), 0.001, 1 << 26)
 
 
