@@ -69,7 +69,7 @@ def test_stages_refuse_images_of_another_size():
     with pytest.raises(CalibrationError, match="depth images have 96x20 pixels"):
         stages.align(given.depth[:, :20], *pixels, given.calibration)
     for color, depth in ((given.color[:, :30], given.depth), (given.color, given.depth[:, :30])):
-        with pytest.raises(CalibrationError, match="colour images have 96x30 pixels"):
+        with pytest.raises(CalibrationError, match="images have 96x30 pixels"):
             stages.features(color, depth, given.calibration, FeaturesConfig())
 
 

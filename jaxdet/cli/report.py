@@ -198,7 +198,7 @@ def _off(score: Mapping[str, Any]) -> str:
     )
     if math.isnan(middle):
         return "not compared: the true distances are unknown"
-    side = f"bias {bias:+.1f} cm"
+    side = f"bias {bias:+.1f} cm (too {'near' if bias < 0 else 'far'})"
     return f"error {middle:.1f} cm (median), {most:.1f} cm (90th percentile), {side}"
 
 

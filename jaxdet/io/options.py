@@ -61,7 +61,7 @@ class LogOptions:
     """Metres per unit of the recorded depth; unset: 0.001 for 16-bit images, 1 for 32FC1 (0.001 if
     it is in millimetres). From 0.00001 to 0.1, or 1."""
     color_from_depth: tuple[float, float, float, float, float, float, float] | None = None
-    """T_color_depth, the transform from depth to colour camera: tx ty tz qx qy qz qw [m]. It
+    """Transform from depth to colour camera (T_color_depth): tx ty tz qx qy qz qw [m]. It
     overrides the log."""
     color_intrinsics: tuple[float, float, float, float] | None = None
     """fx fy cx cy of the colour camera [pixel]; overrides the log."""
