@@ -132,9 +132,11 @@ def test_each_camera_has_its_own_mask(logs, mask, tmp_path):
     text = read_settings(toml).log.mask
     left, right = (depths(both, camera=name, mask=text) for name in ("left", "right"))
     assert not left[:, *ARM].any() and right[:, *ARM].all()
-    with pytest.raises(InputError, match="unknown camera 'front'; cameras of this log: left, right"):
+    with pytest.raises(
+        InputError, match="unknown camera 'front'; cameras of this log: left, right"
+    ):
         depths(both, camera="left", mask=f"front={mask}")
-    with pytest.raises(ConfigError, match="two masks of left"):
+    with pytest.raises(ConfigError, match="two masks for left"):
         LogOptions(mask=f"left={mask},left={mask}")
 
 
