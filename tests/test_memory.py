@@ -215,7 +215,7 @@ def test_splits_read_only_for_transforms_have_the_same_limit(tmp_path):
     second = str(tmp_path / "a_1.mcap")
     with open_log(second, memory=ReadMemory(60_000)) as log:
         assert log.description.warnings[-1].endswith("were read from the split a_0.mcap")
-    with pytest.raises(InputError, match=r"a_0.mcap: a chunk of .* give --memory"):
+    with pytest.raises(InputError, match=r"a_0.mcap: a chunk of .*; raise --memory by .*MiB"):
         open_log(second, memory=ReadMemory(30_000))
     (tmp_path / "a_0.mcap").write_bytes(b"no log")
     with open_log(second) as log:  # depth only, as there are no extrinsics
@@ -253,7 +253,7 @@ def test_a_chunk_that_exceeds_the_memory_is_refused(tmp_path, scan):
     assert read(ReadMemory()) == ["ok"] * 4
     with pytest.raises(InputError, match=r"a chunk of .* needs .*; raise --memory by .*MiB"):
         read(ReadMemory(chunk=1000))
-    with pytest.raises(InputError, match=r"an index of .* takes .*; give --memory .* more"):
+    with pytest.raises(InputError, match=r"an index of .* needs .*; raise --memory by .*MiB"):
         read(ReadMemory(messages=100))
 
 
