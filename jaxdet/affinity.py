@@ -84,7 +84,7 @@ class Affinity(NamedTuple):
     value: np.ndarray
     """Evidence of the leaves, ``(T, 2**D)`` int64."""
     offset: int
-    """Evidence before the first tree."""
+    """Constant term of the evidence, to which the trees add."""
 
     @property
     def depth(self) -> int:

@@ -243,9 +243,8 @@ class SplatParameters(NamedTuple):
     pinhole: np.ndarray  # (4,) float32, the colour camera's fx fy cx cy [pixel]
     lens: np.ndarray  # (8,) float32, the colour camera's distortion coefficients
     max_r2: np.float32
-    """Maximum squared slope of rays in the colour image; beyond it a lens polynomial folds back
-    Maximum squared slope of rays in the colour image. Beyond it a lens polynomial folds back and
-    would project rays from far outside the field of view into the image."""
+    """Maximum squared slope of rays in the colour image. Beyond it a lens polynomial folds back
+    and would project rays from far outside the field of view into the image."""
     depth_unit: np.float32  # metres in one depth unit
     model: Distortion
     """Lens model of the colour camera; inverse Brown-Conrady is ignored, as in ``rs.align``."""

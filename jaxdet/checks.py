@@ -272,7 +272,7 @@ def check_frames(frames: Frames, config: Config, *, floor_only: bool = False) ->
 
 
 _checked_calibrations: deque[Calibration] = deque(maxlen=16)
-"""Valid calibrations, compared by identity, as equal values may have other types."""
+"""Calibrations that were checked, compared by identity: equal values may differ in type."""
 
 
 def _check_camera_once(calibration: Calibration) -> None:

@@ -58,7 +58,7 @@ class GroundConfig:
     min_depth_m: float = 0.15
     """Minimum depth [m]."""
     max_depth_m: float = 4.0
-    """Maximum depth of the near end of an obstacle [m], see surface.beyond."""
+    """Maximum depth at which an obstacle may begin [m]; see surface.beyond."""
     step_height_m: float = 0.05
     """Maximum height that the wheels can climb [m]; lower points are floor."""
     step_height_per_m: float = 0.003
@@ -307,7 +307,7 @@ class ClusterConfig:
     lateral_gap_m: float = 0.40
     """d_x, lateral gap above which a new cluster starts, the robot's width [m]."""
     min_points: int = 10
-    """N, number of points up to which a cluster is dropped."""
+    """N of the paper: clusters of this many points or fewer are dropped."""
 
     def __post_init__(self) -> None:
         check_fields(self)

@@ -89,9 +89,6 @@ def detect(
         arrays that may still be computed asynchronously. On the CPU, large batches, and those of 9
         or more frames whose number is not a power of two, are computed in several calls
         (:func:`jaxdet.stages._batches.in_parts`) and return NumPy arrays.
-        arrays, perhaps still being computed, or on the CPU NumPy arrays of batches that are
-        computed in parts, see :func:`jaxdet.stages._batches.in_parts`: larger ones, and those of 9
-        frames or more whose number is no power of two.
 
     Raises:
         CalibrationError: The calibration is invalid, or images differ in size from their camera.
@@ -183,7 +180,6 @@ def estimate_plane(
     Returns:
         Median of the floors found in the frames, see :class:`jaxdet.floor.sampled.SampledFloor`;
         not valid if too few frames show the floor.
-        :class:`jaxdet.floor.sampled.SampledFloor`; not valid where too few do.
     """
     check_frames(frames, _checked(config), floor_only=True)
     unknown = unknown_plane(len(frames.depth))

@@ -99,7 +99,7 @@ def test_runs_on_different_logs_are_refused(
     two = make_results(tmp_path / "two", {"b": 5, "c": 5})
     for other, problem in (
         (one, "frame 1 of drive has another timestamp in"),
-        (two, "no log of .*out is in .*two; they hold drive and b, c"),
+        (two, "no log of .*out is in .*two; they have drive and b, c"),
         (tmp_path, "holds no results"),
         (tmp_path / "gone", "gone"),
     ):

@@ -121,10 +121,10 @@ def test_each_camera_has_its_own_images(drive: Path, tmp_path: Path) -> None:
 def test_a_missing_log_and_another_log_are_errors(drive: Path, tmp_path: Path) -> None:
     other = tmp_path / "drive.mcap"
     write_log(other, SimConfig(frames=5, width=160, height=120, rate_hz=7))
-    with pytest.raises(InputError, match=r"not the log 'drive'.*--log"):
+    with pytest.raises(InputError, match=r"is not the log 'drive'.*--log"):
         coco_of(drive / "out", tmp_path / "set", str(other))
     renamed = join_cameras({"front": other}, tmp_path / "front.mcap")
-    with pytest.raises(InputError, match=r"front.mcap: not the log 'drive'.*--log"):
+    with pytest.raises(InputError, match=r"front.mcap: the file is not the log 'drive'.*--log"):
         coco_of(drive / "out", tmp_path / "set", str(renamed))
     gone = make_results(tmp_path / "out", {"gone": 3})
     with pytest.raises(InputError, match=r"gone.mcap: .* original path.*with --log"):
@@ -166,7 +166,9 @@ def test_missing_and_truncated_logs_are_left_out(
 
 def test_clusters_of_points_have_no_masks(tmp_path: Path) -> None:
     folder = make_results(tmp_path / "out", {"a": 3}, preset("paper"))
-    with pytest.raises(ConfigError, match="another preset than paper"):
+    with pytest.raises(
+        ConfigError, match="preset paper has no masks; run jaxdet run with another preset"
+    ):
         coco_of(folder, tmp_path / "set")
 
 

@@ -221,7 +221,7 @@ def test_results_record_the_image_folder(tmp_path):
     found = verify(tmp_path / "out", [str(copy)])
     assert not (found.findings or found.notes) and found.frames_of_logs == len(STAMPS)
     [note] = verify(tmp_path / "out").notes
-    assert note.endswith("the log is not at its original path; name it with --against")
+    assert note.endswith("the log is not at its original path; pass it with --against")
     write_tum(folder)
     for inside in (folder, folder / "out"):
         with pytest.raises(ConfigError, match=r"is in the log .*; give an --output next to it"):

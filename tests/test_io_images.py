@@ -302,8 +302,10 @@ def test_images_of_another_size_than_the_calibration_are_refused():
         with pytest.raises(FrameError, match="colour image is 8x6, but the calibration is for 8x5"):
             decode(message, np.zeros((5, 8, 3), np.uint8), LIMIT)
     huge = struct.pack("<iffII", 0, 0, 0, 5700, 5700) + bytes(99)
-    for message in (compressed(huge, "16UC1; compressedDepth rvl"), compressed(png(DEPTH), "png")):
-        with pytest.raises(FrameError, match="calibrated is 160x120"):
+    rvl = compressed(huge, "16UC1; compressedDepth rvl")
+    for message, size in ((rvl, "5700x5700"), (compressed(png(DEPTH), "png"), "8x6")):
+        error = f"depth image is {size}, but the calibration is for 160x120"
+        with pytest.raises(FrameError, match=error):
             decode_compressed_depth(message, np.zeros((120, 160), np.uint16), 0.001, 1 << 26)
 
 

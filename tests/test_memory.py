@@ -201,7 +201,7 @@ def test_a_log_of_large_chunks_is_read_by_fewer_workers(tmp_path, monkeypatch, e
     same_results(tmp_path / "a", tmp_path / "b")
     (failed,) = run("c", workers=1, memory=f"{ALONE + 33 * MIB}").failed
     assert re.search(
-        r"a chunk of \d+ bytes takes .* allowed; give --memory \d+MiB more$", failed.error
+        r"a chunk of \d+ bytes needs .* are available; raise --memory by \d+MiB$", failed.error
     )
 
 
@@ -214,8 +214,8 @@ def test_splits_read_only_for_transforms_have_the_same_limit(tmp_path):
             write_images(log, Scene(*(part[8 * number :][:8] for part in scene)))
     second = str(tmp_path / "a_1.mcap")
     with open_log(second, memory=ReadMemory(60_000)) as log:
-        assert log.description.warnings[-1].endswith("taken from the split a_0.mcap")
-    with pytest.raises(InputError, match=r"a_0.mcap: a chunk of .* give --memory"):
+        assert log.description.warnings[-1].endswith("were read from the split a_0.mcap")
+    with pytest.raises(InputError, match=r"a_0.mcap: a chunk of .*; raise --memory by .*MiB"):
         open_log(second, memory=ReadMemory(30_000))
     (tmp_path / "a_0.mcap").write_bytes(b"no log")
     with open_log(second) as log:  # depth only, as there are no extrinsics
@@ -251,9 +251,9 @@ def test_a_chunk_that_exceeds_the_memory_is_refused(tmp_path, scan):
                 return [str(status) for batch in again.batches(2) for status in batch.status]
 
     assert read(ReadMemory()) == ["ok"] * 4
-    with pytest.raises(InputError, match=r"a chunk of .* takes .*; give --memory .* more"):
+    with pytest.raises(InputError, match=r"a chunk of .* needs .*; raise --memory by .*MiB"):
         read(ReadMemory(chunk=1000))
-    with pytest.raises(InputError, match=r"an index of .* takes .*; give --memory .* more"):
+    with pytest.raises(InputError, match=r"an index of .* needs .*; raise --memory by .*MiB"):
         read(ReadMemory(messages=100))
 
 

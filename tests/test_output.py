@@ -162,7 +162,9 @@ def test_another_configuration_is_refused_with_the_reason(
     logs: Path, copy: Path, change: dict[str, Any]
 ):
     (name,) = change
-    with pytest.raises(ResultsError, match=rf"but {name} was .* and is .* now; give another"):
+    with pytest.raises(
+        ResultsError, match=rf"but {name} was .* and is .* now; choose another --output"
+    ):
         run_logs(logs, copy, **(HOW | change))
     with pytest.raises(ConfigError, match=r"holds Day.*, which is not among the logs"):
         run_logs(logs / "Day 2", copy, **(HOW | change), overwrite=True)

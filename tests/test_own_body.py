@@ -132,15 +132,17 @@ def test_each_camera_has_its_own_mask(logs, mask, tmp_path):
     text = read_settings(toml).log.mask
     left, right = (depths(both, camera=name, mask=text) for name in ("left", "right"))
     assert not left[:, *ARM].any() and right[:, *ARM].all()
-    with pytest.raises(InputError, match="no camera 'front'; cameras of this log: left, right"):
+    with pytest.raises(
+        InputError, match="unknown camera 'front'; cameras of this log: left, right"
+    ):
         depths(both, camera="left", mask=f"front={mask}")
-    with pytest.raises(ConfigError, match="two masks of left"):
+    with pytest.raises(ConfigError, match="two masks for left"):
         LogOptions(mask=f"left={mask},left={mask}")
 
 
 def test_a_mask_of_another_size_is_refused(logs, tmp_path):
     cv2.imwrite(str(path := tmp_path / "small.png"), np.zeros((60, 80), np.uint8))
-    with pytest.raises(InputError, match=r"80x60, its depth images 160x120"):
+    with pytest.raises(InputError, match=r"80x60, but its depth images are 160x120"):
         depths(logs / "arm.mcap", mask=str(path))
 
 

@@ -153,7 +153,7 @@ def test_queries_run_on_results_without_pictures(
         summary["logs"][0]["pictures"] = []
         path.write_text(json.dumps(summary))
     monkeypatch.chdir(tmp_path)
-    (title,) = (title for title in SECTIONS if "Which picture" in title)
+    (title,) = (title for title in SECTIONS if "Which frame does each picture show" in title)
     columns, rows = answer(engine, START[engine], SECTIONS[title][engine])
     assert columns == ["log", "camera", "frame", "picture", "distance_m"] and not rows
 

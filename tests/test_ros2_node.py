@@ -200,7 +200,9 @@ def test_the_mount_comes_from_tf(frames, monkeypatch):
     )
     node.transforms["base_link", "camera"] = np.diag([1.0, -1.0, -1.0, 1.0])
     deliver(node, *pair)
-    assert "a camera 0 m above the floor" in node.warnings[-1]
+    warning = node.warnings[-1]
+    assert "base_frame base_link: camera height must be above 0 and below 20 m, got 0 m" in warning
+    assert "base_frame must have z = 0 on the floor" in warning
 
 
 @pytest.mark.parametrize(
@@ -208,9 +210,13 @@ def test_the_mount_comes_from_tf(frames, monkeypatch):
     [
         ({"config": "wheeld"}, "unknown preset 'wheeld'"),
         ({"config": "paper"}, "config: this method needs colour images"),
-        ({"depth_unit_m": 1}, "depth_unit_m: a depth unit of 1 m"),
+        ({"depth_unit_m": 1}, "depth_unit_m: the depth unit must be from 1e-05 to 0.1 m, got 1 m"),
         ({"depth_unit_m": "mm"}, "depth_unit_m: expected"),
-        ({"camera_height_m": 30}, "30 m above the floor"),
+        (
+            {"camera_height_m": 30},
+            "camera_height_m: camera height must be above 0 and below 20 m, got 30",
+        ),
+        ({"camera_height_m": 0.3, "camera_roll_rad": 9}, "camera_roll_rad: expected radians from"),
         ({"camera_pitch_rad": 0.1}, "camera_height_m: is required with an angle"),
         ({"camera_height_m": 0.3, "base_frame": "base"}, "camera_height_m: contradicts base_frame"),
     ],

@@ -230,6 +230,6 @@ def test_quaternions_equal_scipy():
 def test_invalid_messages_are_errors():
     with pytest.raises(KeyError):
         encode_cdr("geometry_msgs/Point", {"x": 0.0})
-    with pytest.raises(ValueError, match="rotation has 3 values"):
+    with pytest.raises(ValueError, match="rotation: expected 9 values, got 3"):
         bad = {"rotation": (1, 2, 3), "translation": (0, 0, 0)}
         encode_cdr("realsense2_camera_msgs/Extrinsics", bad)

@@ -94,7 +94,7 @@ def test_footprints_contain_the_parts_above_the_step_height():
 
 
 def test_unknown_models_are_errors():
-    with pytest.raises(ConfigError, match="no model 'dragon'"):
+    with pytest.raises(ConfigError, match="unknown model 'dragon'"):
         render(Scene(models=(Model("dragon"),)), CAMERA, mount(0.3, 0.17, 0.02))
 
 
@@ -135,5 +135,5 @@ def test_bad_scene_files_are_errors(tmp_path, text, error):
 
 
 def test_unknown_scenes_are_errors():
-    with pytest.raises(ConfigError, match="no scene 'attic'"):
+    with pytest.raises(ConfigError, match="unknown scene 'attic'"):
         load_scene("attic")

@@ -97,7 +97,7 @@ def test_timestamps_before_1970_are_reported(tmp_path, given):
             early = at - START - 10**12
             log.ros(COLOR, ros_image(color, "rgb8", early, COLOR_FRAME), at)
             log.ros(DEPTH, ros_image(depth, "16UC1", early, DEPTH_FRAME), at)
-    error = r"3 of 3 messages can't be decoded: header stamp \(-\d+ s, .*1970"
+    error = r"3 of 3 messages can't be decoded: header timestamp \(-\d+ s, .*1970"
     with pytest.raises(TopicError, match=error):
         open_log(str(tmp_path / "x.mcap"), LogOptions(**given))
 

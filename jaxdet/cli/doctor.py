@@ -65,7 +65,7 @@ def jax_devices() -> tuple[bool, str]:
     found = jax.devices()
     text = ", ".join(f"{d.platform}:{d.id} {d.device_kind}" for d in found)
     if gpu_is_visible() and all(device.platform == "cpu" for device in found):
-        text += "; an NVIDIA GPU is present but unused; install jaxdet[cuda13] to use it"
+        text += "; an NVIDIA GPU is unused; run pip install 'jaxdet[cuda13]'"
     return True, text
 
 

@@ -24,9 +24,8 @@ if TYPE_CHECKING:
 _UNCOUNTED = "not counted; pass --check to count"
 
 DESCRIPTION = """\
-Describes logs: topics and rates, calibration and floor, which topics and frames a run would use
-and why, and, with --check, whether the files are intact. Accepts the flags of jaxdet run for
-reading logs.
+Describes logs: topics, rates, calibration, floor, and which topics and frames a run would use and
+why; with --check, also whether the files are intact. Accepts the log flags of jaxdet run.
 
 Example:
   jaxdet info drive.mcap
@@ -57,7 +56,7 @@ class InfoCommand:
     json: bool = False
     """Print JSON."""
     check: bool = False
-    """Read the logs completely: check every CRC, pair all frames, count all poses."""
+    """Read whole logs: check every CRC, pair all frames, count all poses."""
     suggest_mask: Path | None = field(default=None, metadata={"takes": "FILE"})
     """Write a PNG for --log.mask, in which the robot's own body is black: everything above the
     floor that stays less than 1 m from the camera while it moves. Requires a log with one camera.

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 MANY_LOGS = 12
-"""If more logs were processed, only the worst are listed."""
+"""Maximum number of logs in a complete list; if there are more, only the worst are listed."""
 MOST_WORST = 12
 """Maximum number of worst logs listed in a report."""
 MOST_REMARKS = 12
@@ -198,7 +198,7 @@ def _off(score: Mapping[str, Any]) -> str:
     )
     if math.isnan(middle):
         return "not compared: the true distances are unknown"
-    side = f"bias {bias:+.1f} cm"
+    side = f"bias {bias:+.1f} cm (too {'near' if bias < 0 else 'far'})"
     return f"error {middle:.1f} cm (median), {most:.1f} cm (90th percentile), {side}"
 
 

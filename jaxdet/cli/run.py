@@ -108,8 +108,8 @@ class RunCommand:
     config: Path | None = field(default=None, metadata={"takes": "FILE"})
     """TOML file with sections as below, or the config.json of results."""
     truth: Path | None = field(default=None, metadata={"takes": "TRUTH"})
-    """Compare with the ground truth of a simulated log, or with labelled boxes in a JSON file (COCO
-    or a list), see jaxdet help tuning."""
+    """Compare with the truth of a simulated log, or with labelled boxes; see jaxdet help tuning.
+    Boxes are read from a JSON file (COCO or a list)."""
     join: bool = True
     """Join split files into one log per recording."""
     tracks: bool = False

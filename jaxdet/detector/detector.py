@@ -158,8 +158,7 @@ class Detector:
             color: Colour ``(H, W, 3)`` or grey image ``(H, W)``, uint8, for
                 :meth:`FrameResult.draw`; the preset ``paper`` finds corners in it.
             mount: Prior of this frame's floor, for instance from an IMU
-                mount: Prior of this frame's floor, for instance from an IMU
-                    (:meth:`Mount.from_gravity`); None: the detector's mount.
+                (:meth:`Mount.from_gravity`); None: the detector's mount.
             stamp_ns: Timestamp of the frame, an integer [ns], copied to the result; it selects the
                 time window's floor if the detector is from a log with ``ground.window_s``.
             T_world_camera: Pose ``(4, 4)`` of the depth camera's optical frame in the world [m],

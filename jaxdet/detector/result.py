@@ -27,16 +27,17 @@ if TYPE_CHECKING:
 
 
 class FreeFloorLine(NamedTuple):
-    """Free floor along the rays that show any, from left to right."""
+    """Free floor along rays, from left to right; rays without a measurement are omitted."""
 
     bearing_rad: np.ndarray
     """Bearing of the ray, ``(C,)`` float32 [rad], clockwise seen from above, 0 is forward."""
     from_m: np.ndarray
-    """Distance of its start from the camera's ground projection, ``(C,)`` float32 [m]."""
+    """Distance from the camera's ground projection to the start of the free floor, ``(C,)`` float32
+    [m]."""
     to_m: np.ndarray
-    """Distance of its end, ``(C,)`` float32 [m]."""
+    """Distance to the end of the free floor, ``(C,)`` float32 [m]."""
     end: np.ndarray
-    """Kind of end, ``(C,)`` int8, see :class:`jaxdet.types.FreeEnd`."""
+    """What ends the free floor, ``(C,)`` int8, see :class:`jaxdet.types.FreeEnd`."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -117,7 +117,6 @@ def match_boxes(boxes: np.ndarray, found: np.ndarray, least_iou: float) -> np.nd
     Returns:
         Detection of each object, ``(T,)`` int64, -1 = none. In a tie, the pair with the larger
         object number, then detection number, is taken first.
-        object number, then detection number, is taken first.
 
     Example:
         >>> objects = np.array([[0, 0, 9, 9], [0, 0, 9, 7]])

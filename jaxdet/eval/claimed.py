@@ -57,7 +57,6 @@ def measured_floor(
     Returns:
         Positions, NaN also beyond ``floor_range_m`` and where the measured depth is missing or not
         that of the floor.
-        not that of the floor.
     """
     slack = config.depth_slack(z_m)
     true = (z_m > 0) & (np.abs(z_m - np.asarray(true_depth_m, np.float64)) <= slack)
@@ -88,7 +87,6 @@ def claimed_floor(
     Returns:
         A tally per frame without padding, for :func:`jaxdet.eval.score`. Frames with fewer pixels
         than ``min_visible_pixels`` have no fraction of their own.
-        ``min_visible_pixels`` have no fraction of their own.
     """
     config = config or EvalConfig()
     outlines = rectangles(detections.obstacles, depth_unit, config.footprint)

@@ -96,7 +96,7 @@ def evaluate_frames(
 
 @dataclass(frozen=True)
 class _Matched:
-    """Points, ``L`` detections and their matches of a frame."""
+    """Points of a frame, its ``L`` detections, and the matches between detections and objects."""
 
     labels: np.ndarray
     """Label of each point, ``(n,)``."""

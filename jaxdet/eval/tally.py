@@ -52,8 +52,8 @@ class Tally(NamedTuple):
     points: int = 0
     """Kept points that are not on a wall."""
     points_right: int = 0
-    """Correct points: on an obstacle with the label of its matched detection, or without a label on
-    the floor or without an object."""
+    """Number of correctly labelled points: points on an obstacle with the label of its matched
+    detection, and points on the floor or on no object without a label."""
     pairs_both: int = 0
     """Pairs of these points that share a detection and an obstacle."""
     pairs_detected: int = 0

@@ -196,7 +196,7 @@ def _trajectory(row: Row, track: Mover) -> SceneEntity:
     return SceneEntity(
         timestamp=_stamp(row["stamp_ns"]),
         frame_id=name,
-        id=f"trajectory of track {track.track}",
+        id=f"way of track {track.track}",
         metadata=[KeyValuePair(key="speed_mps", value=f"{speed:.6g}")],
         arrows=[arrow],
         lines=[line],

@@ -20,7 +20,6 @@ def map_picture(image: MapImage) -> tuple[np.ndarray, float]:
     Returns:
         Picture ``(h, w, 4)`` uint8, RGBA, with the lowest Y in row 0 and transparent unknown cells;
         and the side of a pixel [m]. The outer corner of pixel (0, 0) is the map's origin.
-        and the side of a pixel [m]. Its outer corner is the map's origin.
     """
     side = -(-max(image.counts.shape) // MOST_CELLS)
     counts, free = _largest(image.counts, side), _largest(image.free, side)

@@ -59,7 +59,6 @@ def local_grid(frame: Frame, reach_m: float) -> Grid | None:
     Returns:
         Grid with cells of :data:`jaxdet.results.occupancy.CELL_M` in the floor frame; None in the
         same cases as :func:`scan`.
-        :func:`scan`.
     """
     if frame.row["camera_height_m"] is None or frame.row["free_end"] is None:
         return None

@@ -129,7 +129,6 @@ def box(obstacle: Row, bottom: float, top: float) -> tuple[np.ndarray, np.ndarra
     Returns:
         Transform from the box's frame to the floor frame, ``(4, 4)`` float64, with the origin in
         the centre and x from A to B; and the size ``(3,)`` float64 [m].
-        middle, x points from A to B; and its size ``(3,)`` float64 [m].
     """
     ring = corners(obstacle)
     along, across = ring[1] - ring[0], ring[3] - ring[0]

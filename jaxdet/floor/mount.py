@@ -48,7 +48,7 @@ class Mount:
                 raise ConfigError(problem, topic=name, remedy=remedy) from error
         if not 0 < self.height_m < HIGHEST_M:
             raise ConfigError(
-                f"expected above 0 and below 20 m, got {self.height_m:g} m",
+                f"camera height must be above 0 and below {HIGHEST_M:g} m, got {self.height_m:g} m",
                 topic="height_m",
                 remedy="pass the height in metres",
             )

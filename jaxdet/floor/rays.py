@@ -40,7 +40,6 @@ def tile_corners(rays: np.ndarray) -> np.ndarray:
     Returns:
         Rays in the same units, ``(2, T + 1, C + 1)`` int64, for T tiles per column; the last tile
         may have fewer rows.
-        may have fewer rows.
 
     Example:
         >>> tile_corners(np.array([[[0, 10, 20]], [[7, 7, 7]]]))[0].tolist()
@@ -59,7 +58,6 @@ def block_settings(ground: GroundConfig, depth_unit: float) -> np.ndarray:
     Returns:
         Coefficients ``(3,)`` float32: constant [depth units], growth with depth, and growth with
         depth and camera height [1/depth unit].
-        depth, and the growth with depth and with the camera's height [1/depth unit].
     """
     step, noise = ground.step_height_m / depth_unit, ground.noise_per_m * depth_unit
     return np.array([step, ground.step_height_per_m, noise], np.float32)

@@ -161,7 +161,7 @@ class _Named(NamedTuple):
     target: Path
     """The same path with a link at its end resolved as well."""
     path: Path
-    """Path as in the inputs."""
+    """Path as passed by the user."""
 
 
 def _once(found: Iterable[Path]) -> dict[Path, _Named]:
@@ -337,7 +337,7 @@ def _nothing(
         where, remedy = str(others[0]), _advice(others[0])
         problem = f"{others[0].suffix} files are not supported, and the input has no others"
     elif exports:
-        where, remedy = str(exports[0]), "pass the log from which it was exported"
+        where, remedy = str(exports[0]), "pass the original log"
         problem = "this is an export of jaxdet, and the input has no other files"
     elif gone:
         where, remedy = str(gone[0]), "correct the link"

@@ -9,7 +9,7 @@ from jaxdet.errors import ConfigError
 _SECONDS = re.compile(r"(\d{1,12}(?:\.\d*)?|\.\d+)s?", re.ASCII)
 """Seconds with up to 12 digits; longer numbers are not valid, in particular not milliseconds."""
 _NANOSECONDS = re.compile(r"\d{16,19}", re.ASCII)
-"""Timestamps in nanoseconds; as seconds they would be 30 million years."""
+"""Timestamps [ns]; their 16 to 19 digits distinguish them from seconds."""
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 MICROSECOND = timedelta(microseconds=1)
 

@@ -25,7 +25,7 @@ class LogOptions:
     """Camera of a log with several; unset: all of them, one after the other. Its name is the prefix
     of its topics before colour and depth; jaxdet info lists the names."""
     start: str | None = field(default=None, metadata=SHORT)
-    """Start at 12.5s into the log, at 2024-05-01T10:00:00Z, or at a timestamp [ns]. Seconds (the s
+    """Start 12.5s into the log, at 2024-05-01T10:00:00Z, or at a stamp [ns]. Seconds (the s
     is optional) count from the log's first depth image. Times are UTC unless they have a time zone,
     and timestamps in nanoseconds have 16 to 19 digits (1714557600000000000); both refer to header
     timestamps. Frames keep their numbers in the log."""
@@ -61,7 +61,7 @@ class LogOptions:
     """Metres per unit of the recorded depth; unset: 0.001 for 16-bit images, 1 for 32FC1 (0.001 if
     it is in millimetres). From 0.00001 to 0.1, or 1."""
     color_from_depth: tuple[float, float, float, float, float, float, float] | None = None
-    """T_color_depth, the transform from depth to colour camera: tx ty tz qx qy qz qw [m]. It
+    """Transform from depth to colour camera (T_color_depth): tx ty tz qx qy qz qw [m]. It
     overrides the log."""
     color_intrinsics: tuple[float, float, float, float] | None = None
     """fx fy cx cy of the colour camera [pixel]; overrides the log."""

@@ -42,7 +42,7 @@ class ImageStream:
         self.probes: list[ImageMessage | CompressedImageMessage | RgbdMessage] = []
         """First ``NUM_PROBES`` decodable messages, without pixels."""
         self.typical: list[float] = []
-        """Median value of each 32FC1 image among them."""
+        """Median value of each 32FC1 image among the probes."""
 
     def images(self, depth: bool) -> list[ImageMessage | CompressedImageMessage]:
         """Return the first depth or colour images, without pixels."""

@@ -87,7 +87,6 @@ def choose_topics(contents: LogContents, options: LogOptions) -> dict[str, Choic
     Returns:
         At least one entry. If several depth topics of one of several cameras qualify, its entry is
         the error.
-        error.
 
     Raises:
         TopicError: No topic can be depth, several topics of the only camera can, or a topic set in

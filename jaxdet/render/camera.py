@@ -41,7 +41,7 @@ class Shown(NamedTuple):
 
 
 class Chip(NamedTuple):
-    """The label of a box."""
+    """Text label of a bounding box and its position."""
 
     box: Box
     """Left, top, right, bottom [pixel]."""

@@ -281,8 +281,12 @@ class _BaseFrame:
             raise InputError(problem, topic=f"base_frame {self._name}", remedy=remedy) from error
         t, q = stamped.transform.translation, stamped.transform.rotation
         translation, rotation = np.array([t.x, t.y, t.z]), np.array([q.x, q.y, q.z, q.w])
-        with _about(f"base_frame {self._name}"):
+        try:
             return Mount.from_transform(motion_matrix(translation, rotation))
+        except JaxdetError as error:
+            remedy = "check this transform; base_frame must have z = 0 on the floor"
+            topic = f"base_frame {self._name}"
+            raise InputError(error.problem, topic=topic, remedy=remedy) from error
 
 
 @contextmanager
@@ -325,4 +329,8 @@ def _mount(settings: Mapping[str, Any]) -> Mount | None:
     if settings["base_frame"]:
         remedy = "set one of both"
         raise ConfigError("contradicts base_frame", topic="camera_height_m", remedy=remedy)
-    return Mount(height, *angles)
+    try:
+        return Mount(height, *angles)
+    except ConfigError as error:
+        topic = f"camera_{error.topic}"
+        raise ConfigError(error.problem, topic=topic, remedy=error.remedy) from error

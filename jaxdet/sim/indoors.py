@@ -123,7 +123,14 @@ def wall_in_range(draft: Draft) -> Scene:
 
 
 def _put_before(draft: Draft, face: np.ndarray, ahead: np.ndarray, gap: float) -> None:
-    """Place an object ``gap`` in front of a wall's face at a point; ``ahead`` points into it."""
+    """Place an object in front of a wall.
+
+    Args:
+        draft: Scene to add to.
+        face: Point on the face of the wall, ``(2,)`` [m].
+        ahead: Unit vector into the wall, ``(2,)``.
+        gap: Gap between object and wall [m].
+    """
     rng = draft.rng
     kind, seed = str(rng.choice(_BEFORE_WALLS)), int(rng.integers(1 << 30))
     yaw = float(np.arctan2(ahead[1], ahead[0]) + rng.normal(0, 0.15))

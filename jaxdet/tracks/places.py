@@ -158,7 +158,6 @@ def shares_in_map(chunk: Tables, known: KnownPlaces) -> np.ndarray:
     Returns:
         Fractions ``(N,)`` float64, NaN without a contour in the world; an obstacle is in the map
         from :data:`IN_MAP` on.
-        in the map.
     """
     count = chunk.obstacles.num_rows
     lines = contours(chunk, poses(chunk.frames))

@@ -110,7 +110,6 @@ class Tracker:
         Returns:
             Tracks that have ended, and the track of each obstacle for each :meth:`add`, int32, -1
             for none.
-            obstacle, -1 for none, int32.
         """
         number, waiting = self.track_ids.ids, []
         tracks = []
