@@ -201,7 +201,7 @@ def test_a_log_of_large_chunks_is_read_by_fewer_workers(tmp_path, monkeypatch, e
     same_results(tmp_path / "a", tmp_path / "b")
     (failed,) = run("c", workers=1, memory=f"{ALONE + 33 * MIB}").failed
     assert re.search(
-        r"a chunk of \d+ bytes takes .* allowed; give --memory \d+MiB more$", failed.error
+        r"a chunk of \d+ bytes needs .* are available; raise --memory by \d+MiB$", failed.error
     )
 
 
@@ -215,7 +215,7 @@ def test_a_split_that_is_only_searched_is_bounded_too(tmp_path):
     second = str(tmp_path / "a_1.mcap")
     with open_log(second, memory=ReadMemory(60_000)) as log:
         assert log.description.warnings[-1].endswith("taken from the split a_0.mcap")
-    with pytest.raises(InputError, match=r"a_0.mcap: a chunk of .* give --memory"):
+    with pytest.raises(InputError, match=r"a_0.mcap: a chunk of .* raise --memory"):
         open_log(second, memory=ReadMemory(30_000))
     (tmp_path / "a_0.mcap").write_bytes(b"no log")
     with open_log(second) as log:  # depth is enough; nothing relates colour to it
@@ -251,9 +251,9 @@ def test_a_chunk_that_takes_more_memory_is_refused(tmp_path, scan):
                 return [str(status) for batch in again.batches(2) for status in batch.status]
 
     assert read(ReadMemory()) == ["ok"] * 4
-    with pytest.raises(InputError, match=r"a chunk of .* takes .*; give --memory .* more"):
+    with pytest.raises(InputError, match=r"a chunk of .* needs .*; raise --memory by "):
         read(ReadMemory(chunk=1000))
-    with pytest.raises(InputError, match=r"an index of .* takes .*; give --memory .* more"):
+    with pytest.raises(InputError, match=r"an index of .* needs .*; raise --memory by "):
         read(ReadMemory(messages=100))
 
 
