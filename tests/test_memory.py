@@ -214,7 +214,7 @@ def test_a_split_that_is_only_searched_is_bounded_too(tmp_path):
             write_images(log, Scene(*(part[8 * number :][:8] for part in scene)))
     second = str(tmp_path / "a_1.mcap")
     with open_log(second, memory=ReadMemory(60_000)) as log:
-        assert log.description.warnings[-1].endswith("taken from the split a_0.mcap")
+        assert log.description.warnings[-1].endswith("read from the split a_0.mcap")
     with pytest.raises(InputError, match=r"a_0.mcap: a chunk of .* raise --memory"):
         open_log(second, memory=ReadMemory(30_000))
     (tmp_path / "a_0.mcap").write_bytes(b"no log")
