@@ -38,7 +38,7 @@ def group_objects(truth: FrameTruth, lateral_gap_m: float, depth_gap_m: float) -
         visible = np.flatnonzero(~truth.is_wall & (truth.visible_pixels[b] > 0))
         low, high = truth.ground_min[b, visible], truth.ground_max[b, visible]
         apart = np.maximum(low[:, None] - high, low - high[:, None])
-        for members in _groups((apart <= gaps).all(axis=-1)):
+        for members in _groups(np.all(apart <= gaps, axis=-1)):
             if len(members) > 1:
                 _join(out, b, visible[members])
     return out
