@@ -116,7 +116,6 @@ def find_floors(
     Returns:
         Planes, and the reason if a frame's own depth does not determine its plane, see
         :class:`jaxdet.floor.units.FloorFit`.
-        :class:`jaxdet.floor.units.FloorFit`.
 
     Raises:
         CalibrationError: The calibration is invalid, or images differ in size from their camera.

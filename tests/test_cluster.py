@@ -191,6 +191,14 @@ def found(features: Features) -> np.ndarray:
     return np.asarray(stages.cluster(features, 0.001, config(20, 60)).labels)
 
 
+@pytest.mark.twin
+@pytest.mark.parametrize("depth_gap", [0, 1])
+def test_twin_with_bins_of_one_depth_unit(depth_gap):
+    z = np.array([[9, 1, 65535, 2, 9, 1, 4, 65534]])
+    given_ = points(np.zeros_like(z), z), 0.001, config(depth_gap, 400, 1)
+    assert_equal(stages.cluster(*given_), reference.cluster(*given_))
+
+
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=20)
 def test_permuting_points_permutes_labels(seed):

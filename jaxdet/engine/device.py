@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxdet.config import Config
 from jaxdet.engine.color import method_frames
-from jaxdet.engine.floors import find_here
+from jaxdet.engine.floors import find_here, find_without_jax
 from jaxdet.engine.shared_slots import (
     SLOTS,
     Packing,
@@ -20,7 +20,6 @@ from jaxdet.engine.shared_slots import (
     attached,
 )
 from jaxdet.engine.startup import computing
-from jaxdet.errors import WorkerError
 from jaxdet.floor.plane import join_planes, unknown_plane
 from jaxdet.floor.units import FloorFit, floor_fit
 from jaxdet.pipeline import BackendName, detect
@@ -169,15 +168,13 @@ class SharedDevice:
     def find_floors(self, frames: Frames) -> FloorFit:
         """Return the floors of frames, at most as many as a slot has; see :class:`Device`.
 
-        They are computed as a batch, whose results have the floors, but not with the preset
-        ``paper``.
-
-        Raises:
-            WorkerError: The images were turned, so they are of another camera than that of the
-                device server.
+        They are computed as a batch, whose results contain the floors. Results of the preset
+        ``paper`` do not, and turned images do not fit the calibration of the device server: those
+        floors are found in this process, and are equal.
         """
-        if frames.calibration.depth != self.served.calibration.depth:
-            raise WorkerError("the device server doesn't serve this camera")
+        config, camera = self.served.config, self.served.calibration
+        if config.cluster.points or frames.calibration.depth != camera.depth:
+            return find_without_jax(config, frames)
         count = len(frames.valid)
         self._views[self._first + self._turn].depth[:count] = frames.depth
         assert frames.plane is not None

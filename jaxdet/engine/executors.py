@@ -188,7 +188,7 @@ class InPool:
         compute, in smaller batches. If that worker is lost too, the unit's frames get a status.
         """
         todo, failure = UnitQueue(plan.units(), self.pool.count), None
-        while todo:
+        while todo and not failure:
             with closing(self.pool.each(self._job(log, plan), todo)) as answers:
                 for unit, answer in answers:
                     if failure:
@@ -238,7 +238,8 @@ class FloorJob(NamedTuple):
     def open(self, process: WorkerProcess) -> Iterator[Callable[[int], Planes]]:
         """Return the function that finds the floors."""
         given = self.log, self.config, self.backend, None
-        yield partial(decide_planes, *given, alive=process.report_progress)
+        with closing(self.log):
+            yield partial(decide_planes, *given, alive=process.report_progress)
 
 
 class UnitJob(NamedTuple):

@@ -145,9 +145,13 @@ def _write_results(
         {**settings.record["config"], "batch_size": summary.batch_size},
     )
     with TableWriter(folder) as writer:
-        for one in cameras:
-            for rows in one.assembly.rows():
-                writer.add(rows)
+        try:
+            for one in cameras:
+                for rows in one.assembly.rows():
+                    writer.add(rows)
+        except MemoryError as error:
+            problem, remedy = "no memory for its rows", "end other programs"
+            raise OutputError(problem, path=str(folder), remedy=remedy) from error
         writer.close(config, told)
     write_json(folder / CONFIG, config)
     write_json(folder / SUMMARY, told)

@@ -133,8 +133,6 @@ class Scheduler:
         """Return the logs that are done one per worker, the largest first."""
         if self.memory.workers == 1 or len(left) == 1:
             return []
-        if self.pool.devices and self.settings.config.cluster.points:
-            return []  # workers can't estimate floors: those of ``paper`` are no part of results
         sizes = {name: sum(map(_size, log.paths)) for name, log in left.items()}
         if sum(sizes.values()) < FEW_BYTES and not self.resources.workers_wanted:
             return []

@@ -5,6 +5,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import pyarrow as pa
+
 from jaxdet.engine.plan import Observer, Unit
 from jaxdet.errors import OutputError
 from jaxdet.results.occupancy import OccupancyMap
@@ -87,14 +89,16 @@ class Assembly:
         """Yield all rows in order.
 
         Raises:
-            OutputError: There is no memory for them.
+            OutputError: A temporary file of rows can't be read.
         """
-        try:
-            for number in sorted(self._parts):
-                yield Tables.load(self._parts[number].rows)
-        except MemoryError as error:
-            problem, remedy = "no memory for its rows", "end other programs"
-            raise OutputError(problem, path=self._about.log, remedy=remedy) from error
+        for number in sorted(self._parts):
+            path = self._parts[number].rows
+            try:
+                rows = Tables.load(path)
+            except (OSError, pa.ArrowInvalid) as error:
+                problem = f"temporary rows can't be read ({error})"
+                raise OutputError(problem, path=str(path), remedy="run the log again") from error
+            yield rows
 
     def close(self) -> None:
         """Remove the temporary files."""

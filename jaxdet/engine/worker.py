@@ -27,6 +27,8 @@ from jaxdet.signals import ignore_stops
 
 _ALIVE, _ALIVE_S = "alive", 1.0
 """Message that reports progress, and the shortest time between two of them [s]."""
+_JOB = "job"
+"""Message that precedes a pickled job."""
 
 
 class Job(Protocol):
@@ -120,7 +122,9 @@ class Worker:
         Sending waits until the worker has read it, so no task may be pending.
         """
         assert not self.pending
-        self._send(packed)
+        self._send(_JOB)
+        with suppress(OSError):  # it has died, which receive() reports
+            self.pipe.send_bytes(packed)
 
     def send_task(self, task: Any) -> None:
         """Send a small task of the last job."""
@@ -261,7 +265,7 @@ def _run_worker(backend: BackendName, pipe: Any, server_pipe: ServerPipe | None)
                 pipe.send(_Answer(job.answer(message.task)))
             else:
                 job.close()
-                job = _OpenJob(message, process)
+                job = _OpenJob(pipe.recv_bytes(), process)
 
 
 def _end_with_parent() -> None:

@@ -19,6 +19,7 @@ LAST = (1 << VALUE_BITS) - 1  # larger than all values
 NONE = np.uint32(0xFFFFFFFF)  # larger than all keys, as x + MAX_LATERAL is below LAST
 DEPTHS = 1 << 16  # z is below
 BLOCK = 32  # number of entries that are summed together, see _running_sum
+MOST_BLOCKS = 512  # from there on the matrix that sums blocks takes more than a megabyte
 
 
 class Sizes(NamedTuple):
@@ -138,6 +139,8 @@ def _running_sum(flags: jax.Array) -> jax.Array:
     and in TF32, as the factors are 0 to ``BLOCK`` and the sums below 2^24.
     """
     count = flags.shape[1]
+    if count > MOST_BLOCKS * BLOCK:
+        return jnp.cumsum(flags, axis=1, dtype=jnp.int32)
     padded = jnp.pad(flags.astype(jnp.float32), ((0, 0), (0, -count % BLOCK)))
     blocks = padded.reshape(len(flags), -1, BLOCK)
     within = blocks @ np.triu(np.ones((BLOCK, BLOCK), np.float32))
