@@ -175,9 +175,11 @@ def test_parameters_of_the_paper_equal_those_of_the_preset():
         cells[0].split(":")[0].split(",")[0]: cells[3] for cells in rows("paper", "Every parameter")
     }
     corners, cluster = paper.features, paper.cluster
-    assert now["Canny's bounds"] == f"**{corners.canny_low:g}, {corners.canny_high:g}**"
-    assert now["distance between corners"].startswith(f"**{corners.min_distance:g}**")
-    assert now["most corners; weakest"] == f"{corners.max_corners}; {corners.quality_level:g}"
+    assert now["Canny thresholds"] == f"**{corners.canny_low:g}, {corners.canny_high:g}**"
+    assert now["minimum distance between corners"].startswith(f"**{corners.min_distance:g}**")
+    assert now["maximum number of corners; minimum quality"] == (
+        f"{corners.max_corners}; {corners.quality_level:g}"
+    )
     assert now["N"] == f"**{cluster.min_points}**"
     assert now["d_z"] == f"**{cluster.depth_gap_m:.2f} m**"
     assert now["d_x"] == f"**{cluster.lateral_gap_m:.2f} m**"
