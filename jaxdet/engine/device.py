@@ -72,7 +72,7 @@ class Device(Protocol):
         ...
 
     def finish(self, started: Any) -> Found:
-        """Return the detections of a batch; ``started`` is the value that :meth:`start` returned."""
+        """Return the detections of a batch; ``started`` is what :meth:`start` returned for it."""
         ...
 
     def find_floors(self, frames: Frames) -> FloorFit:

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from jaxdet.io import Log, LogFiles, LogOptions
 
 UNIT_FRAMES = 256
-"""Maximum number of frames in a unit; they are neighbours, as neighbours share chunks of the log."""
+"""Maximum number of frames in a unit; neighbouring frames are taken, as they share chunks."""
 _CELL_BYTES = 28
 """Memory per cell of a map that is made and drawn: four numbers of 4 bytes, of which a part is
 copied, and a pixel."""

@@ -123,7 +123,7 @@ def used_slots(inputs: RowInputs, count: int) -> RowInputs:
 
 
 def joined_inputs(parts: Sequence[Any]) -> Any:
-    """Concatenate trees of frames' arrays, with as many slots as the largest has."""
+    """Concatenate trees of frames' arrays, with as many slots as the largest tree has."""
     first = parts[0]
     if first is None:
         return None
@@ -170,7 +170,7 @@ def batch_rows(
         camera: Name of the camera.
         batch: Frames, with or without images; padding has no rows.
         plane: Prior of each frame's floor that the detections were made with, ``(B,)``, relative to
-            the depth camera; frames that show their own floor use that.
+            the depth camera; frames that show their own floor use their own.
         sources: Sources of the priors, ``B`` words, see :meth:`jaxdet.engine.Planes.sources`.
         inputs: Detections, see :func:`row_inputs`; NumPy or JAX arrays.
         config: Configuration of the outlines.
