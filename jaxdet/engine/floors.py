@@ -42,7 +42,7 @@ share that show one after the images are turned upright."""
 _TURNS = (2, 1, 3)
 """Numbers of quarter turns of cameras that are mounted upside down, and on either side."""
 _LOW_M = 1.0
-"""Maximum distance of the plane above a camera for which the camera counts as upside down [m]."""
+"""Maximum distance to a plane above the camera for the camera to count as upside down [m]."""
 MIN_HEIGHT_M, MAX_HEIGHT_M = 0.02, 20.0
 """Range of camera heights that are accepted from TF [m]; a base frame in the camera gives 0."""
 
