@@ -195,7 +195,7 @@ def evenly(values: np.ndarray, count: int) -> np.ndarray:
 
 
 def _windows(log: "Log", window_ns: int, wanted: np.ndarray) -> list[tuple[int, np.ndarray]]:
-    """Return the number and all frames of each window with a wanted one, or of the whole log."""
+    """Return the number and all frames of each window with a wanted frame, or of the whole log."""
     frames = np.arange(log.num_frames)
     if not window_ns:
         return [(0, frames)] if frames.size else []
@@ -245,7 +245,7 @@ class _Samples(NamedTuple):
 
         Args:
             sample: Numbers of frames.
-            plane: Prior of each.
+            plane: Prior for each frame, ``B = 1``.
             turns: Quarter turns of the images.
 
         Returns:

@@ -112,7 +112,7 @@ def choose_logs(sizes: Mapping[str, int], workers: int) -> set[str]:
     These are the smallest ones; the others are shared by all workers afterwards.
 
     Args:
-        sizes: Bytes of each log.
+        sizes: Size of each log, by its name [bytes].
         workers: Number of processes.
     """
     costs = sorted((size + OPENING_BYTES, name) for name, size in sizes.items())

@@ -72,7 +72,7 @@ class Memory:
     """Memory of a run.
 
     Args:
-        asked: Value of ``--memory``; by default a share of the machine's memory.
+        asked: Requested memory, the value of ``--memory``; by default ``SHARE`` of the machine's.
         workers: Maximum number of processes.
         devices: Number of GPUs.
         apart: Whether this process leaves all logs to workers, even to a single one, if there is

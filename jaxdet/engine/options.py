@@ -32,9 +32,9 @@ class RunOptions:
     """Number of worker processes, which share the logs, or the frames of one log; results do not
     depend on it. Default: one per core; on the CPU, a single one for a few short logs."""
     memory: str | None = field(default=None, metadata={"takes": "SIZE"})
-    """Maximum memory of all processes together, for instance 4GiB; changes no result. With less memory
-    there are fewer workers, smaller batches and less reading ahead. Default: three quarters of the
-    memory of the machine, or of its control group."""
+    """Maximum memory of all processes together, for instance 4GiB; changes no result. With less
+    memory there are fewer workers, smaller batches and less reading ahead. Default: three quarters
+    of the memory of the machine, or of its control group."""
     pictures: int = 8
     """Number of frames of each log to draw, evenly spaced."""
     map: bool = True

@@ -86,7 +86,7 @@ class OutputFolder:
             logs: Logs of the run.
 
         Returns:
-            Summaries of the cameras of each log that is done, by its name.
+            Summaries of the cameras of each log that is done, by the log's name.
 
         Raises:
             ResultsError: There are results of another configuration or version, or of a log that
@@ -108,7 +108,7 @@ class OutputFolder:
         return found
 
     def _write_record(self) -> None:
-        """Write ``run.json`` unless that of the same record is there."""
+        """Write ``run.json``, unless the existing file holds the same record."""
         place = self.output / RUN
         if not place.exists() or self._reason(place):
             write_whole(self.staging / RUN, to_json(dict(self.record)).encode())

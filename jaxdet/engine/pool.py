@@ -1,4 +1,4 @@
-"""Worker processes: how many, how they start, and what happens when one fails."""
+"""Pool of worker processes: their number, their start, and the handling of lost workers."""
 
 import multiprocessing
 import pickle

@@ -45,8 +45,8 @@ if TYPE_CHECKING:
 UNIT_FRAMES = 256
 """Maximum number of frames in a unit; neighbouring frames are taken, as they share chunks."""
 _CELL_BYTES = 28
-"""Memory per cell of a map that is made and drawn: four numbers of 4 bytes, of which a part is
-copied, and a pixel."""
+"""Memory per cell while a map is made and drawn: four numbers of 4 bytes, copies of some of them,
+and a pixel [bytes]."""
 REPORT = "report.txt"
 """Crash report in the folder of a log that failed by a fault of jaxdet."""
 

@@ -24,7 +24,7 @@ class Resources:
     """Memory and processes of a run.
 
     Args:
-        settings: The run.
+        settings: Settings of the run.
         pool: Worker processes of this and other runs.
         apart: Whether this process leaves all logs to workers, even if there is only one.
 

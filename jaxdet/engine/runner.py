@@ -66,7 +66,7 @@ def run(
     []
 
     Args:
-        logs: Files, folders and globs, as :func:`jaxdet.find_logs` takes them, or what it returns.
+        logs: Files, folders and globs, as for :func:`jaxdet.find_logs`, or the logs it returned.
         output: Folder for the results: ``output/<log>/``, see ``jaxdet help runs``.
         config: Configuration, name of a preset, or file.
         log: Options of reading the logs; by default those of ``jaxdet run``.

@@ -78,7 +78,7 @@ def run_logs(
 
 
 def _standing(done: Collection[str], logs: Sequence[LogFiles], options: RunOptions) -> str:
-    """Return how many logs are done, and how to continue, for people."""
+    """Return a text that says how many logs are done and how to continue the run."""
     some = "no log is done" if not done else f"{len(done)} of {len(logs)} logs are done"
     but = " without --overwrite" if options.overwrite else ""
     return f"{some}; the same command{but} goes on"

@@ -1,4 +1,4 @@
-"""Settings of a run: configuration, options, and the record of both."""
+"""Settings of a run: its configuration, its options, and their record for ``run.json``."""
 
 import pickle
 from collections.abc import Mapping
@@ -26,7 +26,7 @@ class RunSettings(NamedTuple):
     record: Mapping[str, Any]
     """Content of ``run.json``, see :func:`jaxdet.results.record.make_record`."""
     about: Mapping[str, Any]
-    """Entries of each log's manifest: versions, and the digest of the record as ``run``."""
+    """Entries of each log's manifest: versions, and ``run``, the digest of the record."""
 
 
 def make_settings(

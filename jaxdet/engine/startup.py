@@ -209,7 +209,7 @@ def start_cuda() -> bool:
 
 
 def _make_contexts() -> None:
-    """Make the primary context of each GPU, which libraries share."""
+    """Make the primary CUDA context of each GPU, which JAX and Warp share."""
     with suppress(OSError, AttributeError):  # no driver
         cuda = ctypes.CDLL("libcuda.so.1")
         cuda.cuInit(0)

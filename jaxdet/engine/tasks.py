@@ -30,7 +30,7 @@ class TaskQueue:
 
 
 class UnitQueue:
-    """Units of a log, of which each worker takes neighbours (work stealing).
+    """Queue of a log's units, in which each worker takes neighbouring units (work stealing).
 
     Neighbouring units share chunks of the log, which only one worker should decompress. So each
     worker has a run of units, and a worker without units takes the later half of the longest run.

@@ -26,7 +26,7 @@ from jaxdet.pipeline import BackendName
 from jaxdet.signals import ignore_stops
 
 _ALIVE, _ALIVE_S = "alive", 1.0
-"""Message that reports progress, and the shortest time between two of them [s]."""
+"""Message that reports progress, and the minimum time between two such messages [s]."""
 
 
 class Job(Protocol):
@@ -229,7 +229,7 @@ class _OpenJob:
         self._context = ExitStack()
 
     def answer(self, task: Any) -> Any:
-        """Return what the job returns for a task, or a :class:`Failure`."""
+        """Return the job's answer to a task, or a :class:`Failure`."""
         try:
             if self._function is None:
                 job: Job = pickle.loads(self._packed)

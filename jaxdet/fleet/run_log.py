@@ -131,7 +131,7 @@ class _Fetched(NamedTuple):
 
 
 class _Work(NamedTuple):
-    """Work on logs with the same place and options."""
+    """Fetching, computing and publishing of logs with the same options and output address."""
 
     results: Results
     how: Mapping[str, Any]

@@ -24,7 +24,7 @@ class Polygons(NamedTuple):
     corners: np.ndarray
     """Number of corners of each polygon, ``(Q,)`` integer."""
     frame: np.ndarray
-    """Frame of each polygon, ascending, ``(Q,)`` integer."""
+    """Index of the frame that each polygon belongs to, ascending, ``(Q,)`` integer."""
 
 
 class FreeFloor(NamedTuple):
@@ -39,7 +39,7 @@ class FreeFloor(NamedTuple):
     from_m: np.ndarray
     """float64, distance from below the camera to the beginning of the free floor [m]."""
     to_m: np.ndarray
-    """float64, distance to its end [m]; the same if the ray shows only an obstacle."""
+    """float64, distance to its end [m]; equal to ``from_m`` if the ray shows only an obstacle."""
     end: np.ndarray
     """int8, cause of the end, see :class:`jaxdet.types.FreeEnd`."""
 

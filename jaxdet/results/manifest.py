@@ -114,8 +114,8 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     """Read the manifest of a log's folder.
 
     Raises:
-        InputError: It is missing or differs by a byte from what was written, or the folder holds
-            something that is not a regular file.
+        InputError: The manifest is missing or was changed, or the folder holds something that is
+            not a regular file.
     """
     check_regular(folder)
     found = read_json(folder / MANIFEST)

@@ -218,7 +218,7 @@ class KnownPlaces:
         self._grid = grid
         rows, columns = grid.states.shape
         self._sums = np.zeros((rows + 1, columns + 1), np.int32)
-        """Number of occupied cells below and left of each corner of cells."""
+        """Number of occupied cells below and left of each corner of the cell grid."""
         np.cumsum(grid.states == OCCUPIED, axis=0, dtype=np.int32, out=self._sums[1:, 1:])
         np.cumsum(self._sums, axis=1, out=self._sums)
 

@@ -109,7 +109,7 @@ def rename_if_absent(staged: Path, place: Path) -> bool:
 
 
 def exchange(one: Path, other: Path) -> bool:
-    """Exchange two folders in one step; return False, and change nothing, if that can't be done."""
+    """Exchange two folders in one step; return False if the system can't, and change nothing."""
     try:
         rename = ctypes.CDLL(None, use_errno=True).renameat2
     except (AttributeError, OSError, TypeError):  # no such function in this C library

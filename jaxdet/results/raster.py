@@ -10,7 +10,7 @@ from jaxdet.results.occupancy import CELL_M, SHIFT, placed
 
 
 class Layer(NamedTuple):
-    """Shapes that get the same value."""
+    """Shapes whose cells get the same value."""
 
     value: int
     kind: Literal["areas", "outlines", "lines", "dots"]

@@ -1,4 +1,4 @@
-"""Reader of the results of ``jaxdet run``, log by log, without all of them in memory."""
+"""Reader of the results of ``jaxdet run``, which holds only a part of them in memory."""
 
 import dataclasses
 import typing
@@ -57,7 +57,7 @@ LINKED = tuple(LINKS_SCHEMA.names[4:])
 TABLES = {
     FRAMES: FRAMES_SCHEMA, OBSTACLES: OBSTACLES_SCHEMA, TRACKS: TRACKS_SCHEMA, LINKS: LINKS_SCHEMA
 }  # fmt: skip
-"""Columns of each table."""
+"""Schema of each table, by file name."""
 MOST_NAMED = 6
 """Maximum number of logs that an error names."""
 

@@ -115,7 +115,7 @@ class LogSummary(Counts):
     frame_errors: list[str] = field(default_factory=list)
     """Some frames that could not be used, with the reason."""
     lost: list[str] = field(default_factory=list)
-    """Ranges of frames without results, as the processes that worked on them failed twice."""
+    """Ranges of frames without results, as the processes that computed them were lost twice."""
     error: str | None = None
     """Reason why the log failed and has no rows; None if it has rows."""
 
@@ -227,7 +227,7 @@ class LogSummary(Counts):
     def bottleneck(self) -> str:
         """Slowest step of the processes or GPUs that are busy longest; empty before any step.
 
-        GPUs do the steps ``ON_DEVICES``, workers all others.
+        If there are GPUs, they do the steps ``ON_DEVICES``, and workers do all other steps.
         """
         groups = (ON_DEVICES, tuple(what for what in STEPS if what not in ON_DEVICES))
         groups = [*((what,) for what in groups[0]), groups[1]] if self.devices else [STEPS]
