@@ -22,17 +22,17 @@ class RunOptions:
     """Options of a run; they change no byte of the two tables."""
 
     output: Path = field(metadata={"takes": "DIR"})
-    """Folder or s3://BUCKET/PATH for the results, with a subfolder for each log."""
+    """Folder or s3://BUCKET/PATH for the results, one subfolder per log."""
     backend: Literal["jax", "reference"] = "jax"
     """jax: compiled, on the GPU if there is one; reference: plain NumPy. Results are equal."""
     batch_size: int | None = None
     """Number of frames that are computed together; results do not depend on it. Default: 16 on the
     CPU; on a GPU 256, or fewer if images are large."""
     workers: int | None = None
-    """Number of worker processes, which share the logs, or the frames of one log; results do not
-    depend on it. Default: one per core; on the CPU, a single one for a few short logs."""
+    """Number of worker processes, which share logs, or frames of one log; results do not depend on
+    it. Default: one per core; on the CPU, a single one for a few short logs."""
     memory: str | None = field(default=None, metadata={"takes": "SIZE"})
-    """Maximum memory of all processes together, for instance 4GiB; changes no result. With less
+    """Maximum memory, for instance 4GiB, of all processes together. It changes no result: with less
     memory there are fewer workers, smaller batches and less reading ahead. Default: three quarters
     of the memory of the machine, or of its control group."""
     pictures: int = 8
@@ -40,7 +40,7 @@ class RunOptions:
     map: bool = True
     """Make a map of each log that has poses."""
     overwrite: bool = False
-    """Replace existing results of the logs, also those of another configuration or version."""
+    """Replace existing results, even of another configuration or version."""
     update: bool = False
     """Process logs again that failed, lost frames or have changed since."""
 
