@@ -248,6 +248,6 @@ def test_complete_logs_are_updated(folder, alone, shared, tmp_path):
 @pytest.mark.parametrize("workers", [1, 2])
 def test_observers_that_cannot_be_pickled_are_refused(folder, tmp_path, workers):
     odd = SimpleNamespace(summary=lambda seen: seen)
-    with pytest.raises(ConfigError, match="observers can't go to other processes"):
+    with pytest.raises(ConfigError, match="observers can't be sent to other processes"):
         run(folder, tmp_path / "a", workers=workers, observers={"odd": odd})
     assert not (tmp_path / "a").exists()

@@ -4,16 +4,16 @@ Each module calls those below it::
 
     runner, single_log           arguments of a run; worker processes that outlive it
     settings, options            configuration and options of a run, and their record in run.json
-    scheduler, output            order of the logs; which are done already; where results go
+    scheduler, output            order of the logs; logs that are done; folders of results
     resources, memory            numbers of processes and frames that fit into memory
-    process_log, log_per_worker  a log, from its files to its folder, in any process
-    executors, plan, floors      floors and plan of a log, and the processes that do its units
-    pool, worker, tasks          worker processes, which do tasks of a job: units of a log, or logs
-    unit, unit_result            a unit: frames are read, computed and made into rows
+    process_log, log_per_worker  processing of a log, from its files to its folder of results
+    executors, plan, floors      floors and plan of a log, and the processes that work on its units
+    pool, worker, tasks          worker processes, whose tasks are units of a log, or whole logs
+    unit, unit_result            processing of a unit: frames are read, computed, made into rows
     device                       where a batch is computed: in this process, or by the device server
     device_server, device_queue, shared_slots   the process with the GPUs, which serves all workers
 
-A small log is done by one worker, a large one by all of them::
+A small log is processed by one worker, a large log by all workers::
 
     scheduler > pool > worker > LogJob  > process_log > InProcess > UnitProcessor
     scheduler > process_log > InPool > pool > worker > UnitJob > UnitProcessor

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 def method_frames(frames: Frames, config: Config) -> Frames:
     """Return frames with the images that the method reads.
 
-    By default the method reads only depth. The preset ``paper`` reads colour too; it is black if
-    the log has none, whose frames have the status ``no_color``.
+    By default the method reads only depth. The preset ``paper`` reads colour too; if the log has no
+    colour images, black ones are used, and its frames have the status ``no_color``.
     """
     if not config.cluster.points:
         return frames._replace(color=None)
@@ -34,7 +34,7 @@ def shown_color(
 
     Args:
         config: Configuration; the preset ``paper`` reads all.
-        observers: Observers; one with a true attribute ``needs_color`` gets all.
+        observers: Observers; if one has a true attribute ``needs_color``, all images are read.
         drawn: Numbers of the frames in pictures.
 
     Returns:

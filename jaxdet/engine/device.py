@@ -42,7 +42,8 @@ class Found(NamedTuple):
     whole: Detections | None
     """All detections; None unless they were requested."""
     busy_s: Mapping[str, float] = MappingProxyType({})
-    """Time that other processes took for it, see :attr:`jaxdet.results.summary.Counts.busy_s`."""
+    """Time that other processes spent on the batch, by step, as in
+    :attr:`jaxdet.results.summary.Counts.busy_s`."""
 
 
 class Device(Protocol):
@@ -51,11 +52,12 @@ class Device(Protocol):
     ahead: int
     """Number of batches that are started before the first of them is finished."""
     doing: str
-    """Step of this process meanwhile: ``compute``, or ``wait`` for the device server."""
+    """Step to which the time of :meth:`start` and :meth:`finish` belongs: ``compute``, or ``wait``
+    for the device server."""
 
     @property
     def images(self) -> ImageMemory | None:
-        """Memory that the next batch is decoded into; None if it may be any."""
+        """Memory that the next batch is decoded into; None if any memory may be used."""
         ...
 
     def start(self, batch: "Batch", plane: GroundPlane, *, whole: bool) -> Any:
@@ -69,13 +71,13 @@ class Device(Protocol):
         ...
 
     def finish(self, started: Any) -> Found:
-        """Wait for a batch that :meth:`start` returned."""
+        """Return the detections of a batch; ``started`` is what :meth:`start` returned for it."""
         ...
 
     def find_floors(self, frames: Frames) -> FloorFit:
         """Return the floors of frames, see :func:`jaxdet.pipeline.find_floors`.
 
-        No batch may be started and not finished.
+        All batches that were started must have been finished.
         """
         ...
 

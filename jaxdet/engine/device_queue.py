@@ -43,7 +43,7 @@ class ServerMemory:
         self._results: _Results | None = None
         self._lock = threading.Lock()
         self._page_locks: dict[str, Any] = {}
-        """Locks by the path of the memory."""
+        """Page locks by the path of the locked memory."""
 
     def close(self) -> None:
         """Free the memory, which no device uses any more."""
@@ -54,7 +54,7 @@ class ServerMemory:
             self._results.memory.close()
 
     def page_lock(self, memory: SharedMemory, device: Any) -> None:
-        """Page-lock the images, slot by slot, or the results, unless that is done."""
+        """Page-lock the images, slot by slot, or the results, unless they are already locked."""
         from jaxdet.stages._upload import PageLock
 
         block = sum(self.slots.sizes) if memory is self.images else None
@@ -63,7 +63,7 @@ class ServerMemory:
                 self._page_locks[memory.path] = PageLock(memory.map, device, block)
 
     def results(self, found: Detections) -> "_Results":
-        """Return the memory of results, which is made with the first ones."""
+        """Return the memory of results, which is allocated for the first batch."""
         from jax import eval_shape
 
         with self._lock:
@@ -122,26 +122,26 @@ class DeviceQueue:
     Args:
         log: Memory of images and results.
         device: The device.
-        pieces: Most pieces of a batch.
+        pieces: Maximum number of pieces in a batch.
     """
 
     def __init__(self, log: ServerMemory, device: Any, pieces: int) -> None:
         from jaxdet.stages._upload import Uploader, wait_asleep
 
-        wait_asleep(device)  # cores are for the workers
+        wait_asleep(device)  # leaves the CPU cores to the workers
         slots = log.slots
         self.log, self.device, self.rows = log, device, pieces * slots.frames
         kinds = [(slots.depth, np.uint16)] + ([(slots.color, np.uint8)] if slots.color else [])
         self.uploader = Uploader([((self.rows, *shape), kind) for shape, kind in kinds], device)
         self._watch = ThreadPoolExecutor(1, "jaxdet-watch")
         self._ready = 0.0
-        """Time when the last batch was computed."""
+        """Time when the last batch was computed, by ``time.perf_counter`` [s]."""
         # A gigabyte of pages is made and locked while the program is traced and loaded.
         self._copier = ThreadPoolExecutor(1, "jaxdet-copier")
         self._locked = self._copier.submit(log.page_lock, log.images, device)
 
     def compile(self) -> None:
-        """Compute an empty batch, so that the program is compiled and takes its memory."""
+        """Compute an empty batch, so that the program is compiled and allocates its memory."""
         self.finish([], self.start([], self._copied([])))
 
     def close(self) -> None:
@@ -185,7 +185,7 @@ class DeviceQueue:
         ready, begin = started.ready.result(), time.perf_counter()
         self.uploader.download(started.packed, [results.rows[piece.slot] for piece in pieces])
         copying_s = started.copying_s + time.perf_counter() - begin
-        # A batch waits for the one before it, which is not part of its time.
+        # The time for which a batch waits for the previous one is not part of its computing time.
         computing_s = ready - max(self._ready, started.begin)
         self._ready = ready
         times = {"transfer": copying_s, "compute": computing_s}
@@ -201,13 +201,13 @@ class DeviceQueue:
 
 
 def _time_when_ready(found: Any) -> float:
-    """Wait for an array; return the time, by ``time.perf_counter`` [s]."""
+    """Wait until an array is computed; return the time, by ``time.perf_counter`` [s]."""
     found.block_until_ready()
     return time.perf_counter()
 
 
 _packing = threading.Lock()
-"""Held while the function for all devices is made, which is compiled for each device once."""
+"""Lock that is held while :func:`_pack` makes its function, so that it is made only once."""
 
 
 @lru_cache(maxsize=1)

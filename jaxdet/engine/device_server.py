@@ -2,7 +2,7 @@
 
 Images and results are in memory that it shares with the workers. It collects pieces of any workers
 in any order; the queue of a device copies them to its GPU as one batch, and the packed results
-back. Frames don't depend on each other, so neither do results on the pieces of a batch.
+back. Frames don't depend on each other, so the way pieces form batches changes no result.
 """
 
 import queue
@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from jaxdet.io import Log
 
 PIECE_FRAMES, PIECE_BYTES = 16, 24 << 20
-"""Most frames and bytes of a slot; it has at least one frame."""
+"""Maximum number of frames and of bytes in a slot, which holds at least one frame."""
 BATCH_PIECES = 16
-"""Pieces of a batch, which has 256 frames of 640x480."""
+"""Number of pieces in a batch; for images of 640x480 it has 256 frames."""
 
 
 def server_config(

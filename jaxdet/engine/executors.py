@@ -26,12 +26,12 @@ if TYPE_CHECKING:
     from jaxdet.io import Log
 
 _ROW_BYTES, _COLUMN_BYTES = 4096, 9
-"""Memory of a frame's rows while they are packed, and of the free floor per pixel column, where
-some are in memory twice [bytes]."""
+"""Memory of a frame's rows while they are packed, and additional memory per pixel column for the
+free floor, parts of which are in memory twice [bytes]."""
 
 
 class Executor(Protocol):
-    """Works on one camera's log."""
+    """Processes the frames of one camera of a log."""
 
     memory: MemoryPlan
     """Numbers of processes, of frames computed together and of batches read ahead."""
@@ -40,10 +40,10 @@ class Executor(Protocol):
     devices: int
     """Number of GPUs that compute for them."""
     others: int
-    """Number of processes that do other logs in the same memory."""
+    """Number of processes that share the memory and work on other logs."""
 
     def start(self, log: "Log") -> int:
-        """Start processes that are not there yet; return how many frames are read together."""
+        """Start processes that don't run yet; return the number of frames read together."""
         ...
 
     def find_planes(self, log: "Log", at_once: int) -> Planes:
@@ -84,7 +84,8 @@ def memory_plan(
 def _color_bytes(settings: RunSettings, log: "Log", batch: int) -> int:
     """Return the memory of colour images per frame in memory [bytes].
 
-    All frames of the preset ``paper`` have one, else all of a batch in which one is drawn.
+    With the preset ``paper`` all frames have a colour image, otherwise only the frames of batches
+    that contain a frame to draw.
     """
     if settings.config.cluster.points:
         camera = log.calibration.image
@@ -97,7 +98,7 @@ def _color_bytes(settings: RunSettings, log: "Log", batch: int) -> int:
 
 
 class InProcess:
-    """Executor by which the process that it is in does the log.
+    """Executor that processes a log in the current process.
 
     Args:
         settings: The run.
@@ -144,12 +145,12 @@ class InProcess:
 
 
 class InPool:
-    """Executor by which the workers of a pool share the frames of a log.
+    """Executor that divides the frames of a log among the workers of a pool.
 
     Args:
         settings: The run.
         pool: The workers.
-        memory: Memory plan for as many workers.
+        memory: Memory plan, which sets the number of workers.
     """
 
     def __init__(self, settings: RunSettings, pool: Pool, memory: MemoryPlan) -> None:
@@ -182,17 +183,18 @@ class InPool:
         return found
 
     def work(self, log: "Log", plan: LogPlan) -> Generator[tuple[Unit, UnitResult], None, None]:
-        """Let workers do all units of the plan.
+        """Let the workers process all units of the plan.
 
-        A unit whose worker is lost is tried once more while no other is worked on and, if workers
-        compute, in smaller batches. If that worker is lost too, the unit's frames get a status.
+        If the worker of a unit is lost, the unit is tried once more, while no other unit is
+        processed and, if workers compute, in smaller batches. If a worker is lost again, the status
+        of the unit's frames says so.
         """
         todo, failure = UnitQueue(plan.units(), self.pool.count), None
         while todo and not failure:
             with closing(self.pool.each(self._job(log, plan), todo)) as answers:
                 for unit, answer in answers:
                     if failure:
-                        continue  # workers that end what they do can be used again
+                        continue  # workers that complete their tasks can be used again
                     if isinstance(answer, Lost):
                         answer = self._retry(log, plan, unit, answer)
                     if isinstance(answer, Failure):
@@ -219,7 +221,7 @@ class InPool:
         return found
 
     def _job(self, log: "Log", plan: LogPlan) -> "UnitJob":
-        """Return the job of units, with the memory of the device server that is there now."""
+        """Return the job that processes units, with the current device server."""
         return UnitJob(log, plan, self._serve(log) if self.pool.devices else None)
 
     def _serve(self, log: "Log") -> ServerConfig:
@@ -228,7 +230,7 @@ class InPool:
 
 
 class FloorJob(NamedTuple):
-    """Estimate of a log's floors by a worker; the task is the size of batches."""
+    """Job that estimates a log's floors in a worker; its task is the batch size."""
 
     log: "Log"
     config: Config
@@ -243,7 +245,7 @@ class FloorJob(NamedTuple):
 
 
 class UnitJob(NamedTuple):
-    """Units of a log for workers; a task is a unit."""
+    """Job that processes units of a log in workers; each task is a unit."""
 
     log: "Log"
     """Open log; it is sent with its index but without the content of its files."""
@@ -251,11 +253,11 @@ class UnitJob(NamedTuple):
     served: ServerConfig | None
     """Configuration of the device server; None if workers compute."""
     lost: Lost | None = None
-    """Status that all frames get, without results, instead of being worked on."""
+    """Status for all frames if they are not to be processed; None to process them."""
 
     @contextmanager
     def open(self, process: WorkerProcess) -> Iterator[Callable[[Unit], UnitResult]]:
-        """Return the function that does a unit."""
+        """Return the function that processes a unit."""
         device = process.device(self.served, self.plan.config, self.plan.backend)
         work = UnitProcessor(self.log, self.plan, device, process.report_progress)
         with closing(self.log):

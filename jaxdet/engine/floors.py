@@ -1,10 +1,10 @@
 """Prior of the floor of a log's frames, and its source.
 
 Flags or the robot's transforms (TF) give a first prior. The floors of a sample of frames, each
-found for itself, replace it, as mounts are often described wrongly. The prior is decided before the
-frames of a log (or of a fixed time window of it) are worked on, and is never carried from frame to
+found on its own, replace it, as mounts are often described wrongly. The prior is decided before the
+frames of a log (or of a fixed time window of it) are processed, and is never carried from frame to
 frame, so results don't depend on how a run is divided. Each frame's own depth corrects it later;
-only for clusters of points (preset ``paper``) the prior is the floor.
+only for clusters of points (preset ``paper``) the prior itself is used as the floor.
 """
 
 import math
@@ -37,19 +37,19 @@ if TYPE_CHECKING:
 FindFloors = Callable[[Frames], "FloorFit"]
 
 _FEW, _MOST = 0.25, 0.75
-"""Most frames of a sample that show a floor if the camera is turned, and fewest if images are
-turned upright, as shares."""
+"""Maximum share of a sample's frames that show a floor if the camera is mounted turned, and minimum
+share that show one after the images are turned upright."""
 _TURNS = (2, 1, 3)
-"""Quarter turns of cameras that are mounted upside down, and on either side."""
+"""Numbers of quarter turns of cameras that are mounted upside down, and on either side."""
 _LOW_M = 1.0
-"""A camera that sees no floor but a plane above it is upside down if it is lower than this [m]."""
+"""Maximum distance to a plane above the camera for the camera to count as upside down [m]."""
 MIN_HEIGHT_M, MAX_HEIGHT_M = 0.02, 20.0
 """Range of camera heights that are accepted from TF [m]; a base frame in the camera gives 0."""
 
 
 @dataclass(frozen=True)
 class GroundRecord:
-    """Prior of a log or a time window, and its source, for the summary."""
+    """Floor prior of a log or of a time window, and the prior's source, for the summary."""
 
     source: str
     """``flags``, ``tf``, ``estimate`` or ``none``."""
@@ -132,7 +132,7 @@ def decide_planes(
             of their own.
         backend: Backend that finds the floors.
         frames: Numbers of the frames that need a prior; by default all that are read.
-        at_once: Most frames of a sample in memory at a time; by default all.
+        at_once: Maximum number of frames of a sample in memory at a time; by default all.
         alive: Called after each part of a sample.
         find: Finds the floors of frames; by default the backend does, in this process.
 
@@ -182,7 +182,7 @@ def find_here(config: Config, backend: BackendName, frames: Frames) -> "FloorFit
 
 
 def find_without_jax(config: Config, frames: Frames) -> "FloorFit":
-    """Return the same in a process that computes nothing else, without loading JAX."""
+    """Return the floors of frames, found by this process without loading JAX."""
     with computing():
         return find_floors_without_jax(frames, config)
 
@@ -195,7 +195,7 @@ def evenly(values: np.ndarray, count: int) -> np.ndarray:
 
 
 def _windows(log: "Log", window_ns: int, wanted: np.ndarray) -> list[tuple[int, np.ndarray]]:
-    """Return the number and all frames of each window with a wanted one, or of the whole log."""
+    """Return the number and all frames of each window with a wanted frame, or of the whole log."""
     frames = np.arange(log.num_frames)
     if not window_ns:
         return [(0, frames)] if frames.size else []
@@ -205,7 +205,7 @@ def _windows(log: "Log", window_ns: int, wanted: np.ndarray) -> list[tuple[int, 
 
 
 def _stated(log: "Log", ground: GroundConfig) -> tuple[GroundRecord, GroundPlane, tuple[str, ...]]:
-    """Return the prior from flags or TF, with warnings; its source is ``none`` without both."""
+    """Return the prior from flags or TF, with warnings; its source is ``none`` without either."""
     if ground.camera_height_m is not None and ground.source in ("auto", "flags"):
         plane = flagged_plane(ground)
         return _record("flags", plane), plane, ()
@@ -245,7 +245,7 @@ class _Samples(NamedTuple):
 
         Args:
             sample: Numbers of frames.
-            plane: Prior of each.
+            plane: Prior for each frame, ``B = 1``.
             turns: Quarter turns of the images.
 
         Returns:
@@ -271,12 +271,12 @@ class _Samples(NamedTuple):
 def _prior(
     found: SampledFloor | None, known: GroundRecord, plane: GroundPlane, *, alone: bool
 ) -> tuple[GroundRecord, GroundPlane]:
-    """Return the prior after a sample: the floor that its frames show, else the prior before.
+    """Return the prior after a sample: the floor that its frames show, or the previous prior.
 
     Args:
         found: Floor of the sample.
-        known: Record of the prior before.
-        plane: That prior.
+        known: Record of the previous prior.
+        plane: The previous prior.
         alone: Whether a frame can be searched without a prior.
     """
     if found is None:
@@ -307,7 +307,7 @@ def _turned_prior(
     Args:
         each: Floors of the sample for each of :data:`_TURNS`.
         record: Record of the prior without turning images.
-        plane: That prior.
+        plane: The prior without turning images.
     """
     for quarters, found in zip(_TURNS, each, strict=True):
         if found is None or not found.agrees:
@@ -344,7 +344,7 @@ def _sample_text(found: SampledFloor) -> str:
 
 
 def _said(known: GroundRecord, text: str) -> str:
-    """Return a text after the message of a record."""
+    """Return a text followed by the values and the message of a record."""
     if known.height_m is None:
         return text
     pitch, roll = np.degrees([known.pitch_rad or 0.0, known.roll_rad or 0.0])

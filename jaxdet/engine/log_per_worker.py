@@ -1,10 +1,11 @@
-"""Logs that are done one per worker.
+"""Processing of whole logs by single workers.
 
-While a log that all workers share is opened, its floor estimated and its tables written, most of
-them wait: half a second, in which sixteen cores do a thousand frames. So each worker takes one of
-many logs after the other. The largest logs are shared all the same, as one of them would occupy a
-worker after all others have ended. The first process does a log that a worker can't do, with all
-workers, or reports what is wrong.
+If all workers share a log, most workers wait while it is opened, its floor is estimated and its
+tables are written. This takes half a second, in which sixteen cores could process a thousand
+frames. If there are many logs, each worker therefore processes whole logs, one after the other. The
+largest logs are still shared, as a single worker would need longer for one than all other workers
+for the rest. If a worker can't process a log, the first process tries it with all workers, and
+reports the error if that fails too.
 """
 
 import heapq
@@ -29,7 +30,8 @@ if TYPE_CHECKING:
 OPENING_BYTES = 128 << 20
 """Fixed cost of a log, in bytes that a worker processes in the same time."""
 FEW_BYTES = 256 << 20
-"""One process is done with fewer bytes before workers have started."""
+"""Minimum size of all logs for which starting workers is worthwhile [bytes]; one process finishes
+smaller logs before workers have started."""
 
 
 class LogTask(NamedTuple):
@@ -47,7 +49,7 @@ class OtherCamera(NamedTuple):
 
 
 class LogJob(NamedTuple):
-    """Logs for workers, one at a time each."""
+    """Job that processes logs; each worker processes one log at a time."""
 
     settings: RunSettings
     memory: Memory
@@ -68,7 +70,8 @@ class LogJob(NamedTuple):
         """Write the results of a log, see :func:`jaxdet.engine.process_log.process_log`.
 
         Returns:
-            The summaries of its cameras; None if the first process has to do the log.
+            The summaries of its cameras; :class:`OtherCamera` if the device server doesn't serve
+            its camera; None if the first process has to process the log.
         """
         try:
             given = self.memory, partial(self.choose, process), no_report
@@ -82,7 +85,7 @@ class LogJob(NamedTuple):
         """Return the executor of a worker, with its share of the memory.
 
         Raises:
-            MemoryError: The log needs more.
+            MemoryError: The log needs more memory than this share.
         """
         served, workers = self.served, memory.workers
         if served and log.calibration != served.calibration:
@@ -104,12 +107,12 @@ class _OtherCameraError(Exception):
 
 
 def choose_logs(sizes: Mapping[str, int], workers: int) -> set[str]:
-    """Return the logs to do one per worker so that all logs are done soonest.
+    """Return the logs to process one per worker, so that all logs are done soonest.
 
     These are the smallest ones; the others are shared by all workers afterwards.
 
     Args:
-        sizes: Bytes of each log.
+        sizes: Size of each log, by its name [bytes].
         workers: Number of processes.
     """
     costs = sorted((size + OPENING_BYTES, name) for name, size in sizes.items())

@@ -19,73 +19,73 @@ MIB = 1 << 20
 SHARE = 0.75
 """Share of the machine's memory that a run takes by default."""
 ALONE = 608 * MIB
-"""Memory of a process that does everything: JAX, Warp, their programs and temporaries. Measured are
-520 MiB, of which 280 are pages of libraries, and 70 more while kernels are compiled."""
+"""Memory of a process that does everything: JAX, Warp, their programs and temporaries. Measured:
+520 MiB, of which 280 MiB are pages of libraries, and 70 MiB more while kernels are compiled."""
 PARENT = 448 * MIB
-"""Memory of the process that hands out units, of the server that workers are forked from, and pages
-that all share. Measured are 440 MiB."""
+"""Memory of the process that hands out units, of the server that workers are forked from, and of
+pages that all processes share. Measured: 440 MiB."""
 WORKER = 192 * MIB
-"""Memory of a worker that computes, in addition. Measured are 145 to 180 MiB."""
+"""Additional memory of each worker that computes. Measured: 145 to 180 MiB."""
 ON_GPUS = 4096 * MIB
 """Memory of a process that computes on GPUs; not measured."""
 READER = 160 * MIB
-"""Memory of a worker that reads for it."""
+"""Memory of a worker that reads images for a process that computes on GPUs."""
 TABLES = 640 * MIB
 """Memory of the rows of 65,536 frames of 640x480, which are packed together."""
 LEAST_CHUNKS = 64 * MIB
-"""Least memory for chunks in a process. The largest chunk may take half of it, as its packed form
-is in memory too."""
+"""Minimum memory for chunks in a process. The largest chunk may take half of it, as its compressed
+form is in memory too."""
 LEAST_IMAGES = 32 * MIB
-"""Least memory for images in a process: four frames of 1920x1080."""
+"""Minimum memory for images in a process: four frames of 1920x1080."""
 BATCH = 16
 """Number of frames computed together on the CPU, by default."""
 READ_AHEAD = 2
 """Number of batches read ahead by a process that has all cores."""
 BATCHES_IN_FLIGHT = 5
-"""Number of other batches in a process: one is filled, one is computed and one finished, and
-temporaries take as much as two."""
+"""Number of batches in a process besides those read ahead: one is filled, one is computed, one is
+finished, and temporaries take as much memory as two."""
 
 
 class Needs(NamedTuple):
     """Memory that a log needs [bytes]."""
 
     frame: int
-    """Images of a frame."""
+    """Memory of the images of a frame."""
     known: int
-    """Index of its messages, which each process holds."""
+    """Memory of the log's index of messages, which each process holds."""
     rows: int
-    """Rows of the tables that are packed together in this process."""
+    """Memory of the table rows that are packed together in this process."""
 
 
 class MemoryPlan(NamedTuple):
     """Numbers of processes and frames for a log, so that the memory is enough."""
 
     workers: int
-    """Number of processes; 1 is this one alone."""
+    """Number of processes that share the frames of the log."""
     batch: int
     """Number of frames read together by a process; on the CPU they are also computed together."""
     read_ahead: int
-    """Number of batches read ahead by a process that is alone."""
+    """Number of batches that are read ahead if there is only one process."""
 
 
 class Memory:
     """Memory of a run.
 
     Args:
-        asked: Value of ``--memory``; by default a share of the machine's memory.
-        workers: Most processes that would be of use.
+        asked: Requested memory, the value of ``--memory``; by default ``SHARE`` of the machine's.
+        workers: Maximum number of processes.
         devices: Number of GPUs.
         apart: Whether this process leaves all logs to workers, even to a single one, if there is
             memory for both.
-        largest: Bytes of the largest chunk that a log may have.
+        largest: Maximum size of a log's chunks [bytes].
 
     Attributes:
         total: Memory of the run [bytes].
-        workers: Number of processes that fit, at most as many as would be of use.
+        workers: Number of processes that fit, at most the argument ``workers``.
         chunks: Memory for chunks in each process [bytes].
         reading: Limits for reading a log.
         room: Memory besides that of libraries and programs [bytes].
-        apart: Whether a single worker is there besides this process, not in its place.
+        apart: Whether a single worker runs besides this process, not in its place.
 
     Raises:
         ConfigError: ``asked`` is too little for any log.
@@ -120,9 +120,9 @@ class Memory:
         self.reading = ReadMemory(self.chunks // 2, index)
 
     def with_fewer_workers(self) -> "Memory | None":
-        """Return the same for half as many processes, which may read larger chunks.
+        """Return the memory for half as many processes, which may read larger chunks.
 
-        None is returned if there is only one.
+        None is returned if there is only one process.
         """
         if self.workers == 1:
             return None
@@ -130,7 +130,7 @@ class Memory:
         return Memory(*given, apart=self.apart, largest=self._largest)
 
     def allot(self, needs: Needs, batch: int, workers: int, where: str) -> MemoryPlan:
-        """Return the most processes, frames and batches read ahead that fit for a log.
+        """Return the largest numbers of processes, frames and batches read ahead that fit.
 
         Args:
             needs: Memory that the log needs.

@@ -8,41 +8,41 @@ from jaxdet.errors import ConfigError
 from jaxdet.memory import parse_size
 
 MAX_WORKERS = 1024
-"""Largest number of processes; no machine has as many cores."""
+"""Maximum number of worker processes."""
 OF_RUNNER = ("backend", "workers", "memory")
 """Options that are arguments of :class:`jaxdet.Runner`."""
 OF_RUN = ("batch_size", "pictures", "map")
 """Options that are arguments of :meth:`jaxdet.Runner.run`."""
 AGAIN = ("overwrite", "update")
-"""More of these, which choose the logs that are done again."""
+"""More arguments of :meth:`jaxdet.Runner.run`: they choose logs that are processed again."""
 
 
 @dataclass(frozen=True)
 class RunOptions:
-    """How to run; nothing here changes a byte of the two tables."""
+    """Options of a run; they change no byte of the two tables."""
 
     output: Path = field(metadata={"takes": "DIR"})
-    """Folder or s3://BUCKET/PATH for the results, a folder for each log."""
+    """Folder or s3://BUCKET/PATH for the results, one subfolder per log."""
     backend: Literal["jax", "reference"] = "jax"
-    """jax: compiled, on the GPU when there is one; reference: plain NumPy. Equal results."""
+    """jax: compiled, on the GPU if there is one; reference: plain NumPy. Results are equal."""
     batch_size: int | None = None
-    """Frames computed together; changes no result. By default 16 on the CPU; 256 on a GPU, fewer
-    where images are large."""
+    """Number of frames that are computed together; results do not depend on it. Default: 16 on the
+    CPU; on a GPU 256, or fewer if images are large."""
     workers: int | None = None
-    """Processes to share the logs, or the frames of a log; changes no result. By default one a
-    core; on the CPU one for a few short logs."""
+    """Number of worker processes, which share logs, or frames of one log; results do not depend on
+    it. Default: one per core; on the CPU, a single one for a few short logs."""
     memory: str | None = field(default=None, metadata={"takes": "SIZE"})
-    """Most memory of all processes together, 4GiB for instance. Fewer workers, smaller batches and
-    less read ahead take less; changes no result. By default three quarters of the machine's, or of
-    its control group's."""
+    """Maximum memory, for instance 4GiB, of all processes together. It changes no result: with less
+    memory there are fewer workers, smaller batches and less reading ahead. Default: three quarters
+    of the memory of the machine, or of its control group."""
     pictures: int = 8
-    """Frames of each log to draw, evenly spaced."""
+    """Number of frames of each log to draw, evenly spaced."""
     map: bool = True
     """Make a map of each log that has poses."""
     overwrite: bool = False
-    """Replace the results of the logs; also those of another configuration or version."""
+    """Replace existing results, even of another configuration or version."""
     update: bool = False
-    """Also do logs again that failed, lost frames or have changed since."""
+    """Process logs again that failed, lost frames or have changed since."""
 
     def __post_init__(self) -> None:
         if self.batch_size is not None and self.batch_size < 1:

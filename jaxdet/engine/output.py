@@ -1,4 +1,4 @@
-"""Output folder of a run: logs that are done, and the place where others are made."""
+"""Output folder of a run: logs that are done, and staging folders for the others."""
 
 import logging
 import os
@@ -43,14 +43,14 @@ class OutputFolder:
     Args:
         output: The folder, which is made if it is missing.
         record: Configuration and versions, see :func:`jaxdet.results.record.make_record`.
-        options: Of these, ``overwrite`` and ``update`` are used.
+        options: Options of the run, of which ``overwrite`` and ``update`` are used.
 
     Attributes:
         staging: Folder for results that are not complete.
         taken_over: Whether the last run was killed, as it did not release its lock.
 
     Raises:
-        ConfigError: Another run works there, or it is a file.
+        ConfigError: Another run works in the folder, or it is a file.
         InputError: The folder can't be written to, or holds another user's unfinished run.
     """
 
@@ -80,13 +80,13 @@ class OutputFolder:
         self._leave()
 
     def begin(self, logs: Sequence["LogFiles"]) -> dict[str, list[LogSummary]]:
-        """Check that logs can be added, and return those that are done.
+        """Check that logs can be added, and return the summaries of those that are done.
 
         Args:
             logs: Logs of the run.
 
         Returns:
-            Summaries of the cameras of each log that is done, by its name.
+            Summaries of the cameras of each log that is done, by the log's name.
 
         Raises:
             ResultsError: There are results of another configuration or version, or of a log that
@@ -108,7 +108,7 @@ class OutputFolder:
         return found
 
     def _write_record(self) -> None:
-        """Write ``run.json`` unless that of the same record is there."""
+        """Write ``run.json``, unless the existing file holds the same record."""
         place = self.output / RUN
         if not place.exists() or self._reason(place):
             write_whole(self.staging / RUN, to_json(dict(self.record)).encode())
@@ -119,9 +119,9 @@ class OutputFolder:
         return self.staging / log_name(log)
 
     def publish(self, log: str) -> None:
-        """Move the folder of :meth:`staged` to the log's place.
+        """Move the staged folder of a log to its final path.
 
-        If the log failed and complete results are there, those stay.
+        If the log failed, complete results that are already there are kept.
 
         Raises:
             OutputError: The disk is full or broken.
@@ -166,7 +166,7 @@ class OutputFolder:
             raise ConfigError(problem, path=str(self.output), remedy=remedy)
 
     def _reason(self, path: Path) -> str | None:
-        """Return how a ``run.json`` differs from this run's, for people; None if it doesn't."""
+        """Return a text that says how a ``run.json`` differs from this run; None if it doesn't."""
         try:
             return difference(read_json(path), self.record)
         except InputError as error:
@@ -189,7 +189,7 @@ class OutputFolder:
         return None
 
     def _complete(self, log: "LogFiles", folder: Path) -> list[LogSummary] | None:
-        """Return the same for a folder with complete results."""
+        """Return the summaries of a log with complete results; None if it must be done again."""
         update = self.options.update
         manifest = {} if self.options.overwrite else read_manifest(folder)
         if manifest.get("run") != self.run:  # an --overwrite before may have been stopped
@@ -217,7 +217,7 @@ class OutputFolder:
             self._refuse(folder / other, "is not a file of the results that are replaced")
 
     def _count_attempts(self, staged: Path, place: Path) -> None:
-        """Add the attempts at a log that failed before."""
+        """Add the number of earlier attempts at a log that failed before."""
         if is_complete(staged) or not (place / FAILED).is_file():
             return
         told, before = read_json(staged / FAILED), read_json(place / FAILED).get("attempts", 0)
@@ -242,7 +242,7 @@ class OutputFolder:
                     (self.output / RUN).unlink(missing_ok=True)
             self._lock.release()
             with suppress(OSError):
-                self.output.rmdir()  # where nothing is in it
+                self.output.rmdir()  # fails if it is not empty
 
 
 def _summaries(path: Path) -> list[LogSummary]:

@@ -25,7 +25,7 @@ NEAR_M, ABOVE_M = 1.0, 0.04
 _SHARE = 0.9
 """Minimum share of the sampled frames in which a pixel of the body has the same depth."""
 _BAND_M, _BAND = 0.012, 0.04
-"""Tolerance of equal depths [m], and as a share of the depth; the larger one holds."""
+"""Tolerance for equal depths, in metres and as a share of the depth; the larger one is used."""
 _MOVING = 0.25
 """Minimum share of the other pixels above the floor that change while the camera moves."""
 _SMALLEST, _MARGIN = 0.001, 0.008
@@ -35,15 +35,15 @@ _SMALLEST, _MARGIN = 0.001, 0.008
 def find_own_body(log: "Log", config: Config) -> np.ndarray:
     """Return the pixels of a log's depth images that show the robot itself.
 
-    The depth of a sample of frames is compared. Floor, ceilings and walls along a straight way keep
-    their depth too, so only near pixels above the floor count.
+    Parts of the robot have the same depth in all frames of a sample. On a straight path, floors,
+    ceilings and walls do too, so only near pixels above the floor count.
 
     Args:
         log: An open log of a camera that moves.
-        config: Configuration, by which the floor is found.
+        config: Configuration with which the floor is found.
 
     Returns:
-        ``(H, W)`` bool; none is true where nothing was found.
+        ``(H, W)`` bool; all False if no part of the robot was found.
 
     Raises:
         InputError: Too few frames can be read, the floor is not known, or the camera keeps still.
@@ -70,7 +70,7 @@ def find_own_body(log: "Log", config: Config) -> np.ndarray:
 
 
 def _floor(log: "Log", frames: Frames, config: Config) -> GroundPlane:
-    """Return the floor of a log, ``B = 1``: the prior of its frames, else the median of theirs."""
+    """Return the floor of a log, ``B = 1``: its prior, or the median of the frames' own floors."""
     find = partial(find_without_jax, config)
     planes = decide_planes(log, config, "reference", find=find).of(frames.stamp_ns)
     if planes.valid[0]:
@@ -80,7 +80,7 @@ def _floor(log: "Log", frames: Frames, config: Config) -> GroundPlane:
 
 
 def _steady(depth: np.ndarray, unit: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the median depth of each pixel, 0 where it has none, and whether it stays.
+    """Return the median depth of each pixel, 0 if it has none, and whether its depth is constant.
 
     Args:
         depth: ``(n, H, W)`` uint16.
@@ -101,7 +101,7 @@ def _steady(depth: np.ndarray, unit: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _whole_parts(body: np.ndarray) -> np.ndarray:
-    """Leave out small parts, close holes and add a margin, where depth is mixed."""
+    """Remove small parts, close holes, and add a margin for mixed pixels at the edges."""
     width = 2 * round(_MARGIN * body.shape[1]) + 3
     square = np.ones((width, width), np.uint8)
     closed = cv2.morphologyEx(body.astype(np.uint8), cv2.MORPH_CLOSE, square)

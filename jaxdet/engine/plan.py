@@ -1,4 +1,4 @@
-"""Plan of a log: all that is decided before its frames are worked on."""
+"""Plan of a log: the decisions that are made before its frames are processed."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
@@ -15,29 +15,29 @@ if TYPE_CHECKING:
 
 
 class Observer(Protocol):
-    """Callback that gets each batch with its detections, for instance to compare them with truth.
+    """Callback that gets each batch with its detections, for instance to compare with ground truth.
 
-    It is pickled into the processes that work on a log. Its answers may depend on nothing but the
-    log and its public attributes, which are part of the run's record. If it has an attribute
-    ``needs_color`` that is True, colour images are read for every frame.
+    The observer is pickled and sent to the processes that work on a log. Its results may depend
+    only on the log and on the observer's public attributes, which are part of the run's record. If
+    it has an attribute ``needs_color`` that is True, colour images are read for every frame.
     """
 
     def __call__(self, batch: "Batch", found: Detections, /) -> Any:
-        """Return a picklable answer to a batch, whose detections ``found`` are NumPy arrays."""
+        """Return a picklable result for a batch, whose detections ``found`` are NumPy arrays."""
         ...
 
     def summary(self, seen: Sequence[Any], /) -> Any:
-        """Return the entry of a log in ``summary.json``, from the answers to its batches."""
+        """Return the entry of a log in ``summary.json``, from the results for its batches."""
         ...
 
 
 class Unit(NamedTuple):
-    """Range of frames of a log, of which a process takes those in the plan at a time."""
+    """Range of frames of a log; a process works on the range's frames that are in the plan."""
 
     number: int
     start: int
     stop: int
-    """Number after that of the last frame."""
+    """Number of the last frame plus 1."""
 
 
 class UnitSizes(NamedTuple):
@@ -46,9 +46,10 @@ class UnitSizes(NamedTuple):
     size: int
     """Number of frames in a unit."""
     end_frames: int
-    """Approximate number of last frames in smaller units, so that all workers end together."""
+    """Approximate number of frames at the log's end that are in smaller units, so that all workers
+    finish at about the same time."""
     end_size: int
-    """Number of frames in each of those."""
+    """Number of frames in each of the smaller units."""
 
 
 def units_of(frames: range, sizes: UnitSizes) -> Iterator[Unit]:
@@ -62,7 +63,7 @@ def units_of(frames: range, sizes: UnitSizes) -> Iterator[Unit]:
 
 
 class LogPlan(NamedTuple):
-    """Plan of a log, which is the same for all frames; units don't depend on each other."""
+    """Plan of a log, which holds for all its units; they don't depend on each other."""
 
     log: str
     """Name of the log."""
@@ -81,7 +82,7 @@ class LogPlan(NamedTuple):
     drawn: frozenset[int]
     """Numbers of the frames to draw."""
     folder: Path
-    """Folder of the log's results, for pictures."""
+    """Folder of the log's results, to which pictures are written."""
     scratch: Path
     """Folder for temporary files."""
     picture: str
@@ -95,7 +96,7 @@ class LogPlan(NamedTuple):
         return units_of(self.frames, self.sizes)
 
     def where(self, unit: Unit) -> str:
-        """Return the log and the frames of a unit, for people."""
+        """Return a text that names the log and the frames of a unit."""
         first, last = unit.start, unit.stop - 1
         return f"{self.label}, " + (
             f"frames {first} to {last}" if last > first else f"frame {last}"

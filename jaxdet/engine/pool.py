@@ -1,4 +1,4 @@
-"""Worker processes: how many, how they start, and what happens when one fails."""
+"""Pool of worker processes: their number, their start, and the handling of lost workers."""
 
 import multiprocessing
 import pickle
@@ -27,15 +27,15 @@ if TYPE_CHECKING:
     from jaxdet.io import Log
 
 WAITING = 2
-"""Most tasks that a worker holds: the one that it does, and the next."""
+"""Maximum number of tasks assigned to a worker: the current one and the next."""
 NO_PROGRESS_S = 600.0
-"""A worker that reports no progress for this long is lost; programs may have to be compiled [s]."""
+"""Time without progress after which a worker counts as lost; compiling may take long [s]."""
 LOADED = ["jaxdet.engine.log_per_worker", "jaxdet.io.opening", "numpy.ma", "jaxdet_kernels.decode"]
 LOADED_TO_COMPUTE = ["jaxdet.stages._detect", "jaxdet.stages._points"]
-"""Modules that the fork server loads once for all workers, with those that pyarrow and decoders
-load later; none may start a thread, or Warp."""
+"""Modules that the fork server loads once for all workers, including modules that pyarrow and the
+decoders would load later; no module may start a thread or Warp."""
 _LOOK_S = 1.0
-"""Longest time between two looks at all workers [s]."""
+"""Maximum time between two checks of all workers [s]."""
 _SHORT_TMPDIR = "set TMPDIR to a folder with a short name and room, for instance /tmp"
 _AGAIN = "its fork server may have been killed; run the same command again"
 _ENDED_EARLY = "its own message is above; a script needs: if __name__ == '__main__'"
@@ -86,15 +86,15 @@ def _start_server(loaded: list[str]) -> None:
 class Pool:
     """Worker processes; a context manager that ends them.
 
-    On the CPU each does all steps of a unit. With GPUs workers read images and make rows, and this
-    process computes for all of them, see :mod:`jaxdet.engine.device_server`.
+    On the CPU each worker does all steps of a unit. With GPUs, workers read images and make rows,
+    and this process computes for all of them, see :mod:`jaxdet.engine.device_server`.
 
     Workers start when they are first needed and stay for the next log. On Linux and macOS they are
-    forked from a server that has loaded JAX and Warp once; elsewhere each loads them itself. If one
-    dies or makes no progress, all are ended; they start again with the next task.
+    forked from a server that has loaded JAX and Warp once; elsewhere each worker loads them. If a
+    worker dies or makes no progress, all workers are ended; they start again with the next task.
 
     Args:
-        backend: Backend that they compute with.
+        backend: Backend with which the workers compute.
         count: Number of processes, see :meth:`resize`.
     """
 
@@ -107,7 +107,7 @@ class Pool:
         self._context: Any = multiprocessing.get_context(_start_method())
         self._workers: list[Worker] = []
         self._early = 0
-        """Workers that died before they had started up, since the last answer of any."""
+        """Number of workers that died during their start since any worker last answered."""
         self._ended, self._started = threading.Event(), threading.Event()
 
     def __enter__(self) -> "Pool":
@@ -120,7 +120,7 @@ class Pool:
 
     @cached_property
     def devices(self) -> tuple[Any, ...]:
-        """GPUs that compute for the workers; none with the reference backend."""
+        """GPUs that compute for the workers; empty with the reference backend."""
         return gpus() if self._backend == "jax" else ()
 
     @property
@@ -129,7 +129,7 @@ class Pool:
         return bool(self._workers)
 
     def start(self) -> None:
-        """Begin to start the processes, unless that is done."""
+        """Begin to start the processes, unless they have been started."""
         if self._workers:
             return
         compute = self._backend == "jax" and not self.devices
@@ -148,7 +148,7 @@ class Pool:
             threading.Thread(target=_wake, args=given, name="jaxdet-pool", daemon=True).start()
 
     def resize(self, count: int) -> None:
-        """Set the number of processes; if it changes, those that run are ended."""
+        """Set the number of processes; if it changes, running processes are ended."""
         if count != self.count:
             self.close()
             self.count = count
@@ -156,13 +156,14 @@ class Pool:
     def serve(
         self, log: "Log", config: Config, batch_size: int | None, piece_frames: int
     ) -> ServerConfig:
-        """Start the processes and a device server for logs like this one, unless that is done.
+        """Start the processes and a device server for logs like this one, unless they run already.
 
         Args:
             log: Open log.
             config: The method's parameters.
-            batch_size: Frames computed together; by default as many as the memory is meant for.
-            piece_frames: Most frames of a slot that there is memory for.
+            batch_size: Number of frames computed together; by default those of
+                :data:`jaxdet.engine.device_server.BATCH_PIECES` slots.
+            piece_frames: Maximum number of frames in a slot that fit into the memory.
 
         Returns:
             Configuration of the device server, see :attr:`serving`.
@@ -208,10 +209,10 @@ class Pool:
             job: Job of the task.
             task: The task.
             where: Name of the task for errors.
-            tries: Number of workers that may be lost with it, one after the other.
+            tries: Maximum number of tries; the task is tried again if its worker is lost.
 
         Returns:
-            The answer; :class:`Lost` if each try cost a worker.
+            The answer; :class:`Lost` if a worker was lost in each try.
 
         Raises:
             WorkerError: The task raised an unforeseen exception.
@@ -233,13 +234,13 @@ class Pool:
 
         Args:
             job: Job of the tasks.
-            tasks: A worker gets its next task ahead while there are more tasks than workers; the
-                last ones wait for whichever worker is free first.
+            tasks: Queue of tasks. A worker gets its next task in advance while there are more tasks
+                than workers; the last tasks go to the workers that are free first.
 
         Yields:
             A task and its answer, which may be a :class:`Failure`. If a worker is lost, all workers
-            are ended: its task comes last, with :class:`Lost`, and those of the others are put back
-            into ``tasks``.
+            are ended: its task comes last, with :class:`Lost`, and the tasks of the other workers
+            are put back into ``tasks``.
         """
         self.start()
         self._started.wait()
@@ -270,7 +271,7 @@ class Pool:
                 self.close()
 
     def _poll(self) -> Iterator[tuple[Worker, list[tuple[Any, Any]] | Lost]]:
-        """Wait a second at most; yield workers with their answers, or the one that is lost.
+        """Wait a second at most; yield workers with their answers, or with the loss of a worker.
 
         Raises:
             WorkerError: Workers can't start.
@@ -341,7 +342,7 @@ def _stops_kept_from_processes() -> Iterator[None]:
     ):
         yield
         return
-    resource_tracker.ensure_running()  # else the first process starts it, and it ends the mask
+    resource_tracker.ensure_running()  # its start resets the mask, so it must run before
     with stops_held_back():
         mask = signal.pthread_sigmask(signal.SIG_BLOCK, STOPS)
         try:

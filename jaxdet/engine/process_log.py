@@ -1,4 +1,4 @@
-"""A log, from its files to the folder of its results."""
+"""Processing of a log, from its files to the folder of its results."""
 
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
@@ -43,10 +43,10 @@ if TYPE_CHECKING:
     from jaxdet.io import Log, LogFiles, LogOptions
 
 UNIT_FRAMES = 256
-"""Most frames of a unit, which are neighbours, as these share chunks of the log."""
+"""Maximum number of frames in a unit; neighbouring frames are taken, as they share chunks."""
 _CELL_BYTES = 28
-"""Memory per cell of a map that is made and drawn: four numbers of 4 bytes, of which a part is
-copied, and a pixel."""
+"""Memory per cell while a map is made and drawn: four numbers of 4 bytes, copies of some of them,
+and a pixel [bytes]."""
 REPORT = "report.txt"
 """Crash report in the folder of a log that failed by a fault of jaxdet."""
 
@@ -75,7 +75,8 @@ def process_log(
         memory: Memory of the run; if chunks are large, fewer processes share the log.
         choose: Returns the executor of the log.
         report: Called with the progress.
-        keep_memory: Raise an error if the log doesn't fit, instead of taking fewer processes.
+        keep_memory: Whether to raise an error if the log doesn't fit into the memory, instead of
+            using fewer processes.
 
     Returns:
         Summaries of its cameras.
@@ -161,7 +162,7 @@ def _write_results(
 
 @dataclass
 class CameraRun:
-    """Work on one camera of a log; fields are arguments of :func:`process_log`."""
+    """Processing of one camera of a log; fields are arguments of :func:`process_log`."""
 
     settings: RunSettings
     files: "LogFiles"
@@ -191,7 +192,7 @@ class CameraRun:
         self.assembly = Assembly(self.scratch, self.about)
 
     def run(self, options: "LogOptions") -> None:
-        """Do all frames of the camera; an error of the log is noted in the summary.
+        """Process all frames of the camera; an error of the log is recorded in the summary.
 
         Raises:
             CamerasError: There are several cameras, and the options don't choose one.
@@ -215,7 +216,7 @@ class CameraRun:
         return self.part and f"{self.part}_"
 
     def _fail(self, error: Exception) -> None:
-        """Note why the log failed, with a crash report if it is a fault of jaxdet."""
+        """Record why the log failed; write a crash report if it is a fault of jaxdet."""
         text = str(error)
         if not isinstance(error, JaxdetError):
             text = f"{self.files.name}: {type(error).__name__}: {error}"
@@ -228,7 +229,7 @@ class CameraRun:
         self.about.error = text
 
     def _run_with_retries(self, options: "LogOptions") -> None:
-        """Scan the log if its index is wrong; take fewer workers if its chunks are large."""
+        """Run; retry by scanning if the index is wrong, with fewer workers if chunks are large."""
         while True:
             try:
                 self._open_and_run(options)
@@ -329,7 +330,7 @@ class CameraRun:
         )
 
     def _write_map(self, occupancy: OccupancyMap, log: "Log", others: int) -> None:
-        """Write the map, or note why there is none."""
+        """Write the map, or record why the log has no map."""
         about, room = self.about, self.memory.room
         if not any(path.size for path in occupancy.path):
             about.notes.append("no map: no frame has a pose")
@@ -351,7 +352,7 @@ class CameraRun:
             write_png(self.folder / f"{about.map}.png", draw_map(image, log.label))
 
     def _say_why(self, occupancy: OccupancyMap) -> None:
-        """Note why there is no map although frames have poses."""
+        """Record why there is no map although frames have poses."""
         about, floors = self.about, self.about.floor_sources
         if occupancy.cells:
             about.warnings.append("no map: what was seen is too far apart for one")

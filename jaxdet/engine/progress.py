@@ -32,7 +32,7 @@ class Progress(NamedTuple):
     logs_done: int = 0
     """Number of logs that are done."""
     logs_failed: int = 0
-    """Number of these that failed."""
+    """Number of logs that are done because they failed."""
 
 
 ProgressCallback = Callable[[Progress], None]
@@ -44,7 +44,7 @@ Report = Callable[[LogSummary, str, int, str], None]
 
 @dataclass
 class Clock:
-    """Times of a log: that of the first units, and the rate of frames after them."""
+    """Clock of a log: it measures the time of the first units and the frame rate after them."""
 
     about: LogSummary
     workers: int
@@ -59,7 +59,7 @@ class Clock:
         return time.perf_counter() - self.start
 
     def tick(self) -> None:
-        """Update the times after a unit whose frames ``about`` has counted."""
+        """Update the times after a unit, whose frames are already counted in ``about``."""
         about, seconds = self.about, self.seconds
         rest, self.units = about.frames - self.first, self.units + 1
         if self.units <= self.workers:

@@ -16,14 +16,15 @@ if TYPE_CHECKING:
 
 LOGGER = logging.getLogger("jaxdet")
 FRAMES_WORTH_WORKERS = 500
-"""This process is done with a log of fewer frames before workers have started."""
+"""Minimum number of frames for which starting workers is worthwhile; this process finishes a
+shorter log before workers have started."""
 
 
 class Resources:
     """Memory and processes of a run.
 
     Args:
-        settings: The run.
+        settings: Settings of the run.
         pool: Worker processes of this and other runs.
         apart: Whether this process leaves all logs to workers, even if there is only one.
 
@@ -48,7 +49,10 @@ class Resources:
 
     @property
     def workers_wanted(self) -> bool:
-        """Whether workers also do few or short logs, as the user chose or as they are there."""
+        """Whether workers also process few or short logs.
+
+        They do so if the user set their number, if there are GPUs, or if workers are running.
+        """
         return bool(self.settings.options.workers or self.pool.devices or self.pool.started)
 
     def choose(self, log: "Log", memory: Memory) -> Executor:
@@ -56,7 +60,7 @@ class Resources:
 
         Args:
             log: Open log.
-            memory: Memory of the run; that for fewer processes if the log has large chunks.
+            memory: Memory of the run, divided among fewer processes if the log has large chunks.
 
         Raises:
             InputError: There is no room for one frame.

@@ -1,4 +1,4 @@
-"""Runs over many logs: each log in, a folder of results out."""
+"""Runs over many logs, which write a folder of results for each log."""
 
 import time
 from collections.abc import Iterable, Mapping, Sequence
@@ -58,22 +58,22 @@ def run(
     """Find the obstacles in every frame of logs and write a folder of results for each.
 
     Logs that are done already, with this configuration and version, are left as they are, so the
-    same call continues a run that was stopped. A log that fails costs no other; it is in the
-    summary, and its folder holds ``failed.json`` in place of results.
+    same call continues a run that was stopped. If a log fails, the others are still processed; the
+    summary lists it, and its folder holds ``failed.json`` in place of results.
 
     >>> summary = jaxdet.run("bags/", "results", "d435")          # doctest: +SKIP
     >>> [(log.log, log.error) for log in summary.failed]          # doctest: +SKIP
     []
 
     Args:
-        logs: Files, folders and globs, as :func:`jaxdet.find_logs` takes them, or what it returns.
+        logs: Files, folders and globs, as for :func:`jaxdet.find_logs`, or the logs it returned.
         output: Folder for the results: ``output/<log>/``, see ``jaxdet help runs``.
         config: Configuration, name of a preset, or file.
-        log: How to read the logs; by default as the command does.
+        log: Options of reading the logs; by default those of ``jaxdet run``.
         progress: Called after each unit of frames and each log.
-        backend: Flag of ``jaxdet run`` (:class:`jaxdet.engine.RunOptions`), as those below.
+        backend: See :class:`jaxdet.engine.RunOptions`, also for the arguments below.
         workers: Number of processes.
-        memory: Most memory of all processes.
+        memory: Maximum memory of all processes.
         options: ``batch_size``, ``pictures``, ``map``, ``overwrite`` and ``update``.
 
     Returns:
@@ -85,7 +85,7 @@ def run(
         InputError: There are no logs, or the output folder can't be written to.
         OutputError: The disk is full or broken; logs that are done are kept.
         WorkerStartError: Worker processes can't be started.
-        Interrupted: A signal (Ctrl-C) ended it; logs that are done are kept.
+        Interrupted: A signal, for instance Ctrl-C, ended the run; logs that are done are kept.
     """
     with Runner(backend, workers, memory) as runner:
         return runner.run(logs, output, config, log=log, progress=progress, **options)
@@ -99,9 +99,9 @@ class Runner:
     ...         runner.run(name, "results")
 
     Args:
-        backend: See :class:`jaxdet.engine.RunOptions`, as for the others.
+        backend: See :class:`jaxdet.engine.RunOptions`, also for the other arguments.
         workers: Number of processes.
-        memory: Most memory of all processes.
+        memory: Maximum memory of all processes.
 
     Raises:
         ConfigError: There is too little memory for any log, or an argument is wrong.
@@ -114,7 +114,7 @@ class Runner:
         memory: str | None = None,
     ) -> None:
         self._options = RunOptions(Path(), backend=backend, workers=workers, memory=memory)
-        Memory(memory, 1)  # too little is refused before anything is touched
+        Memory(memory, 1)  # too little memory is an error before any file is touched
         self._pool = Pool(backend)
 
     def __enter__(self) -> "Runner":
@@ -137,17 +137,17 @@ class Runner:
         progress: ProgressCallback | None = None,
         **options: Unpack[Hooks],
     ) -> Summary:
-        """Do what :func:`jaxdet.run` does.
+        """Process logs as :func:`jaxdet.run` does.
 
         Args:
-            logs: See there, as the others.
+            logs: See :func:`jaxdet.run`, also for the other arguments.
             output: Folder for the results.
             config: Configuration.
-            log: How to read the logs.
+            log: Options of reading the logs.
             progress: Called after each unit and each log.
-            options: As there, and ``observers`` (which see each batch of every log, and whose
-                answers are in its summary) and ``preset`` (name of the preset that the
-                configuration started from, for ``config.json``).
+            options: Those of :func:`jaxdet.run`, ``observers`` (which get each batch of every log,
+                and whose results are in the log's summary) and ``preset`` (name of the preset that
+                the configuration started from, for ``config.json``).
         """
         found = _find(logs)
         how = {name: options[name] for name in How.__annotations__ if name in options}
@@ -163,7 +163,7 @@ class Runner:
         """Write the results of one log into a new folder outside of any results folder.
 
         Args:
-            settings: How; its backend and number of workers are those of this runner.
+            settings: Settings; their backend and number of workers are those of this runner.
             files: The log.
             folder: New folder for the results.
         """

@@ -1,4 +1,4 @@
-"""Order of the logs of a run, and who does each: one worker, or all together."""
+"""Order of the logs of a run, and whether one worker or all workers process a log."""
 
 import logging
 import os
@@ -43,11 +43,11 @@ def run_logs(
     pool: Pool,
     progress: ProgressCallback | None,
 ) -> Summary:
-    """Do all logs of a run that are not done yet.
+    """Process all logs of a run that are not done yet.
 
     Args:
-        settings: The run.
-        logs: Its logs.
+        settings: Settings of the run.
+        logs: Logs of the run.
         pool: Worker processes.
         progress: Called after each unit and each log.
     """
@@ -78,18 +78,18 @@ def run_logs(
 
 
 def _standing(done: Collection[str], logs: Sequence[LogFiles], options: RunOptions) -> str:
-    """Return how many logs are done, and how to continue, for people."""
+    """Return a text that says how many logs are done and how to continue the run."""
     some = "no log is done" if not done else f"{len(done)} of {len(logs)} logs are done"
     but = " without --overwrite" if options.overwrite else ""
     return f"{some}; the same command{but} goes on"
 
 
 class Scheduler:
-    """Does the logs of a run and moves their results to their place.
+    """Processes the logs of a run and moves their results to the output folder.
 
     Args:
-        settings: The run.
-        logs: All its logs.
+        settings: Settings of the run.
+        logs: All logs of the run.
         output: Folder of the results.
         resources: Memory and worker processes.
         done: Summaries of the cameras of logs that are done, by the logs' names; logs are added.
@@ -111,7 +111,7 @@ class Scheduler:
         self.numbers = {log.name: number for number, log in enumerate(logs)}
 
     def run(self, left: dict[str, LogFiles]) -> None:
-        """Do logs: small ones one per worker, then the others one by one, shared by all workers."""
+        """Process logs: small ones one per worker, then the others, each by all workers."""
         alone = self._for_workers(left)
         cameras: dict[str, Calibration] = {}
         while left:
@@ -130,7 +130,7 @@ class Scheduler:
             self._do_here(left.pop(name))
 
     def _for_workers(self, left: Mapping[str, LogFiles]) -> list[str]:
-        """Return the logs that are done one per worker, the largest first."""
+        """Return the logs to process one per worker, the largest first."""
         if self.memory.workers == 1 or len(left) == 1:
             return []
         sizes = {name: sum(map(_size, log.paths)) for name, log in left.items()}
@@ -139,7 +139,7 @@ class Scheduler:
         return sorted(choose_logs(sizes, self.memory.workers), key=lambda name: -sizes[name])
 
     def _ready(self, camera: "Calibration | None") -> bool:
-        """Whether a worker can do a log of a camera now; None is a camera that isn't known yet."""
+        """Whether a worker can process a log of a camera now; None if the camera is not known."""
         if not self.pool.devices:
             return True
         served = self.pool.serving
@@ -150,13 +150,13 @@ class Scheduler:
     def _by_workers(
         self, logs: Mapping[str, LogFiles]
     ) -> Iterator[tuple[str, list[LogSummary] | OtherCamera | None]]:
-        """Let each worker do one log after the other; yield the logs' names with the answers."""
+        """Let each worker process whole logs; yield the logs' names with the answers."""
         self.pool.resize(self.memory.workers)
         self.resources.workers = self.pool.count
         job = LogJob(self.settings, self.memory, len(self.pool.devices), self.pool.serving)
         tasks = [LogTask(log, self.output.staged(name)) for name, log in logs.items()]
         for task in tasks:
-            remove(task.folder)  # of a worker that was ended
+            remove(task.folder)  # left by a worker that was ended
         first = tasks[0].files.name
         self._report(LogSummary(first, ()), first, 0, "opening")
         for task, answer in self.pool.each(job, TaskQueue(tasks)):
@@ -165,9 +165,9 @@ class Scheduler:
             yield task.files.name, answer
 
     def _do_here(self, log: LogFiles) -> None:
-        """Do a log by this process, or by all workers together."""
+        """Process a log in this process, or divide it among all workers."""
         staged = self.output.staged(log.name)
-        remove(staged)  # of a worker that was lost
+        remove(staged)  # left by a worker that was lost
         given = self.memory, self.resources.choose, self._report
         done = process_log(self.settings, log, staged, *given)
         if any(about.error for about in done):
@@ -175,7 +175,7 @@ class Scheduler:
         self._take(log, done)
 
     def _take(self, log: LogFiles, done: list[LogSummary]) -> None:
-        """Move the results of a log to their place."""
+        """Move the results of a log to the output folder."""
         with stops_held_back():
             self.output.publish(log.name)
             self.done[log.name] = done
@@ -199,13 +199,13 @@ class Scheduler:
             self.progress(Progress(label, number, count, *state, about.rates, doing, *logs))
 
     def _check_there(self, failed: LogFiles) -> None:
-        """Check that the disk of a log that failed is still there.
+        """Check that the disk of a log that failed is still available.
 
-        If other logs are gone too, the disk is. A single log that is gone was removed, which is no
-        reason to end the run.
+        If other logs are missing too, the disk is. If only this log is missing, it was removed,
+        which is no reason to end the run.
 
         Raises:
-            InputError: The disk is gone; logs that are done are kept.
+            InputError: The disk is missing; logs that are done are kept.
         """
         others = [log for log in self.logs if log is not failed and log.name not in self.done]
         if _gone(failed) and (not others or any(map(_gone, others))):
@@ -223,10 +223,10 @@ def make_summary(
     """Return the summary of a run.
 
     Args:
-        settings: The run.
-        resources: Memory and processes; None if there was nothing to do.
+        settings: Settings of the run.
+        resources: Memory and processes; None if all logs were done before.
         logs: Summaries of the cameras of all logs.
-        start: Time when it began, by ``time.perf_counter`` [s].
+        start: Time when the run began, by ``time.perf_counter`` [s].
         kept: Names of the logs that were done before.
     """
     batch = resources.batch if resources else settings.options.batch_size or 0
@@ -252,7 +252,7 @@ def check_outside(output: Path, logs: Sequence[LogFiles]) -> None:
     """Check that results are not written into a log that is a folder.
 
     Raises:
-        ConfigError: The output folder is in one.
+        ConfigError: The output folder is in such a log.
     """
     place = output.resolve()
     for folder in (path for log in logs for path in log.paths if path.is_dir()):

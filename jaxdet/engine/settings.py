@@ -1,4 +1,4 @@
-"""Settings of a run: configuration, options, and the record of both."""
+"""Settings of a run: its configuration, its options, and their record for ``run.json``."""
 
 import pickle
 from collections.abc import Mapping
@@ -26,7 +26,7 @@ class RunSettings(NamedTuple):
     record: Mapping[str, Any]
     """Content of ``run.json``, see :func:`jaxdet.results.record.make_record`."""
     about: Mapping[str, Any]
-    """Entries of each log's manifest: versions, and the digest of the record as ``run``."""
+    """Entries of each log's manifest: versions, and ``run``, the digest of the record."""
 
 
 def make_settings(
@@ -45,7 +45,7 @@ def make_settings(
         options: Options of the run.
         preset: Name of the preset that the configuration started from.
         observers: See :meth:`jaxdet.Runner.run`.
-        about: More entries of the logs' manifests.
+        about: Additional entries of the logs' manifests.
 
     Raises:
         ConfigError: Observers can't be sent to other processes.
@@ -70,5 +70,5 @@ def _check_observers(observers: Mapping[str, Observer]) -> None:
     try:
         pickle.dumps(dict(observers))
     except Exception as error:
-        problem = f"observers can't go to other processes ({error})"
-        raise ConfigError(problem, remedy="make them instances of a module's classes") from error
+        problem = f"observers can't be sent to other processes ({error})"
+        raise ConfigError(problem, remedy="define their classes in a module") from error

@@ -20,8 +20,8 @@ from jaxdet.results.rows import RowInputs, map_leaves
 from jaxdet.types import Calibration, Detections, GroundPlane
 
 SLOTS = 4
-"""Slots of each worker: it decodes into one while three are copied, computed, copied back or wait
-for it."""
+"""Number of slots of each worker: it decodes into one slot while the other three are copied,
+computed, copied back, or wait for the worker."""
 _PAGE = 4096
 _numbers = itertools.count(1)
 
@@ -48,7 +48,7 @@ class Slots(NamedTuple):
     """Shape of a colour image, ``(H, W, 3)`` uint8; None if the method reads only depth."""
     workers: int
     number: int = 0
-    """Number of the memory; its path alone may be that of another one that was freed."""
+    """Number of the memory; its path alone may be equal to that of memory that was freed."""
 
     @property
     def sizes(self) -> tuple[int, int]:
@@ -158,7 +158,7 @@ class Reply(NamedTuple):
     whole: Detections | None
     error: Exception | None
     busy_s: Mapping[str, float]
-    """Its share of the times of its batch [s]."""
+    """The slot's share of the time of each step of its batch [s]."""
 
 
 class ServerPipe(NamedTuple):

@@ -1,4 +1,4 @@
-"""One log into one folder: what other engines than this machine's call."""
+"""Processing of one log into one folder, for systems that distribute logs among machines."""
 
 import atexit
 from collections.abc import Mapping
@@ -28,7 +28,7 @@ def run_one(log_path: str, folder: str | Path, how: Mapping[str, Any]) -> dict[s
             ``preset``, ``config`` (sections of the configuration as in ``config.json``), ``log``
             (fields of :class:`jaxdet.LogOptions`), ``backend``, ``workers``, ``memory``,
             ``batch_size``, ``pictures`` and ``map`` (see :func:`jaxdet.run`), and ``about`` (more
-            for the manifest: where a log was ``fetched`` from, for instance).
+            entries of the manifest, for instance ``fetched``, the address of the log's files).
 
     Returns:
         ``status`` (``done`` or ``failed``), ``name``, ``frames``, ``obstacles``, ``seconds``,
@@ -36,9 +36,9 @@ def run_one(log_path: str, folder: str | Path, how: Mapping[str, Any]) -> dict[s
         log that failed holds ``failed.json`` in place of results.
 
     Raises:
-        ConfigError: Something in ``how`` is wrong.
+        ConfigError: A value in ``how`` is wrong.
         OutputError: The disk is full or broken.
-        Interrupted: A signal ended it.
+        Interrupted: A signal ended the run.
     """
     settings = _settings(how)
     runner = _runner(*(how.get(key) for key in OF_RUNNER))
@@ -65,7 +65,7 @@ def run_one(log_path: str, folder: str | Path, how: Mapping[str, Any]) -> dict[s
 
 
 def record_of(how: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return the content of the ``run.json`` of logs that :func:`run_one` runs like this."""
+    """Return the content of ``run.json`` for logs that :func:`run_one` processes with ``how``."""
     return _settings(how).record
 
 

@@ -22,9 +22,9 @@ from jaxdet.warp_start import start_warp
 ENVIRONMENT = "JAXDET_CACHE"
 """Environment variable with the folder of caches, or ``off``."""
 NOT_KEPT = "can't be written to; set JAXDET_CACHE to a folder that can be, or to off"
-"""Problem and remedy of a folder that is not used."""
+"""Problem and remedy for a cache folder that can't be written to."""
 UNSAFE = "can be written to by other users, so its compiled programs are not used"
-"""Problem of a folder that is not used."""
+"""Problem of a cache folder that is not safe to use."""
 
 
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
@@ -32,12 +32,12 @@ _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
 
 
 class Caches(NamedTuple):
-    """Folders of compiled programs; None where they are not kept."""
+    """Folders of compiled programs; None if programs are not kept."""
 
     jax: Path | None
     """Folder of programs that XLA compiled."""
     warp: Path | None
-    """Folder of kernels that Warp compiled; if it is None, Warp uses its own."""
+    """Folder of kernels that Warp compiled; if it is None, Warp uses its default folder."""
 
 
 def cache_folders() -> Caches:
@@ -121,7 +121,7 @@ def use_caches() -> Caches:
 def _remove_damaged(folder: Path) -> None:
     """Remove programs that have changed since they were first found, as JAX would run them.
 
-    JAX keeps no checksums, so a folder next to this one has a file with that of each program.
+    JAX keeps no checksums, so a folder next to this one holds a checksum file for each program.
     """
     sums = folder.with_name(f"{folder.name}-checksums")
     with suppress(OSError):
@@ -151,9 +151,9 @@ def start_up() -> None:
 
 @contextmanager
 def computing() -> Iterator[None]:
-    """Hold back signals during a call of the method, the first of which compiles.
+    """Hold back signals during a call of the method; the first call compiles it.
 
-    XLA calls kernels back in this thread, where an exception would leave a batch half computed.
+    XLA calls kernels in this thread, where an exception would leave a batch half computed.
 
     Raises:
         OutputError: Compiled programs can't be written to their cache.
@@ -169,7 +169,7 @@ def computing() -> Iterator[None]:
 
 
 def _check_platforms() -> None:
-    """Add the CPU to the platforms of JAX, which the stages need, and check the others."""
+    """Add the CPU, which the stages need, to the platforms of JAX, and check the others."""
     asked = os.environ.get("JAX_PLATFORMS", "")
     if asked in ("", "cpu"):
         return
@@ -196,7 +196,8 @@ def may_use_gpus() -> bool:
 def start_cuda() -> bool:
     """Begin to load the CUDA driver in a thread, while this thread imports modules that use it.
 
-    This takes a quarter of a second, without Python's lock. Errors are reported by later users.
+    Loading takes a quarter of a second, without Python's global lock. If it fails, the modules that
+    use the driver report the error later.
 
     Returns:
         Whether there is a GPU that JAX may use.
@@ -208,7 +209,7 @@ def start_cuda() -> bool:
 
 
 def _make_contexts() -> None:
-    """Make the primary context of each GPU, which libraries share."""
+    """Make the primary CUDA context of each GPU, which JAX and Warp share."""
     with suppress(OSError, AttributeError):  # no driver
         cuda = ctypes.CDLL("libcuda.so.1")
         cuda.cuInit(0)
@@ -240,7 +241,7 @@ def use_warp_cache() -> None:
 def keep_memory() -> None:
     """Make glibc keep the memory of freed arrays of up to 32 MiB for the next ones.
 
-    Otherwise each array gets new pages of the system, which take longer than the work on them.
+    Otherwise the system provides new pages for each array, which takes longer than computing it.
     """
     with suppress(AttributeError, OSError, TypeError):  # another C library, another system
         libc = ctypes.CDLL(None)
@@ -257,7 +258,7 @@ def _user_cache() -> Path | None:
 
 @cache
 def _processor() -> str:
-    """Return a name of the kind of processor that machine code made here runs on."""
+    """Return a name for this kind of processor, as compiled machine code depends on it."""
     features = platform.processor()
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()

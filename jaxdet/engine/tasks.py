@@ -25,16 +25,16 @@ class TaskQueue:
         return self._left.popleft()
 
     def put_back(self, tasks: Iterable[Any]) -> None:
-        """Add tasks at the front that were taken and not done."""
+        """Put tasks that were taken but not done back at the front."""
         self._left.extendleft(tasks)
 
 
 class UnitQueue:
-    """Units of a log, of which each worker takes neighbours (work stealing).
+    """Queue of a log's units, in which each worker takes neighbouring units (work stealing).
 
     Neighbouring units share chunks of the log, which only one worker should decompress. So each
-    worker has a run of units, and one without any takes the later half of the longest run. Large
-    units are taken first; small ones let all workers end together.
+    worker has a run of units, and a worker without units takes the later half of the longest run.
+    Large units are taken first; small units at the end let all workers finish together.
 
     Args:
         units: Units in order.

@@ -1,4 +1,4 @@
-"""Work on a unit: a range of a log's frames is read, computed and made into rows."""
+"""Processing of a unit: a range of a log's frames is read, computed and converted to rows."""
 
 import time
 from collections import Counter, deque
@@ -38,7 +38,7 @@ _END: Any = object()
 
 
 class UnitProcessor:
-    """Works on units of an open log.
+    """Processes units of an open log.
 
     Args:
         log: The log.
@@ -89,7 +89,7 @@ class UnitProcessor:
                     self.device.finish(one.started)
 
     def mark_lost(self, unit: Unit, lost: "Lost") -> UnitResult:
-        """Return the result of a unit that can't be worked on: rows with a status, no obstacles.
+        """Return the result of a unit that can't be processed: rows with a status, no obstacles.
 
         No image is read.
 
@@ -158,7 +158,7 @@ class _InFlight(NamedTuple):
 
     unit: Unit
     numbers: list[int]
-    """Numbers of its frames."""
+    """Numbers of the frames in the batch."""
     batch: "Batch"
     plane: GroundPlane
     """Prior of each frame's floor."""
@@ -229,7 +229,7 @@ class _ResultBuilder:
 
 
 def _ahead(items: Iterator[Item], depth: int) -> Generator[Item, None, None]:
-    """Yield items in order; a thread takes ``depth`` of them ahead.
+    """Yield items in order; a thread takes up to ``depth`` items in advance.
 
     An exception is raised after the items before it. Closing the generator waits for the thread to
     end, so that the source can be closed afterwards.

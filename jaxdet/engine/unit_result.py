@@ -1,4 +1,4 @@
-"""Results of units, and how those of a log become its tables, map and summary."""
+"""Results of units, and their assembly into the tables, map and summary of a log."""
 
 import shutil
 from collections.abc import Iterator, Mapping
@@ -24,18 +24,18 @@ class UnitResult(NamedTuple):
 
     counts: Counts
     rows: Path
-    """Temporary file with its rows, see :meth:`jaxdet.results.tables.Tables.save`."""
+    """Temporary file with the unit's rows, see :meth:`jaxdet.results.tables.Tables.save`."""
     map: OccupancyMap
     errors: list[str]
     """Frames that could not be used, with the reason."""
     pictures: list[str]
-    """Names of its pictures in the log's folder."""
+    """Names of the unit's pictures in the log's folder."""
     seen: dict[str, list[Any]]
-    """Answers of each observer to its batches."""
+    """Results of each observer for the unit's batches."""
     notes: "Notes"
-    """Notes of the reader on its frames."""
+    """Notes of the log reader on the unit's frames."""
     lost: str = ""
-    """Why its frames have no results, if the processes that worked on it were lost."""
+    """Reason why the frames have no results, if the processes that worked on the unit were lost."""
 
 
 def rows_path(scratch: Path, unit: Unit) -> Path:
@@ -44,11 +44,11 @@ def rows_path(scratch: Path, unit: Unit) -> Path:
 
 
 class Assembly:
-    """Results of a log's units, which come in any order, put together in that of the frames.
+    """Assembly of the results of a log's units, which arrive in any order, in frame order.
 
     Args:
         scratch: Folder of temporary files, which :meth:`close` removes.
-        about: Summary of the log; it gets counts with each unit and the rest in :meth:`finish`.
+        about: Summary of the log; :meth:`add` adds a unit's counts, :meth:`finish` the rest.
     """
 
     def __init__(self, scratch: Path, about: LogSummary) -> None:

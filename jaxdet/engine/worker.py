@@ -1,7 +1,7 @@
 """Worker processes: the code that runs in them, and their handles in the process that starts them.
 
-A worker gets a job, which holds what several tasks share (an open log, for instance), then tasks
-one by one, and answers each. It ends with its parent, whatever ends that.
+A worker gets a job, which holds the data that several tasks share (an open log, for instance), then
+tasks one by one, and answers each task. It ends when its parent ends, for any reason.
 """
 
 import multiprocessing
@@ -26,19 +26,19 @@ from jaxdet.pipeline import BackendName
 from jaxdet.signals import ignore_stops
 
 _ALIVE, _ALIVE_S = "alive", 1.0
-"""Message that reports progress, and the shortest time between two of them [s]."""
+"""Message that reports progress, and the minimum time between two such messages [s]."""
 _JOB = "job"
 """Message that precedes a pickled job."""
 
 
 class Job(Protocol):
-    """Tasks of one kind and what they share; it is pickled and sent to each worker once."""
+    """Tasks of one kind and the data that they share; it is pickled and sent to workers once."""
 
     def open(self, process: "WorkerProcess") -> AbstractContextManager[Callable[[Any], Any]]:
-        """Return the function that does a task, in a context that lasts until the next job.
+        """Return the function that performs a task, in a context that lasts until the next job.
 
         Args:
-            process: The worker that it is opened in.
+            process: The worker process in which the job is opened.
         """
         ...
 
@@ -52,7 +52,7 @@ class Failure(NamedTuple):
     out_of_memory: bool
 
     def as_raised(self, where: str) -> Exception:
-        """Return the exception; an unforeseen one names the task, ``where``."""
+        """Return the exception to raise; an unforeseen exception names the task, ``where``."""
         if type(self.error) is not WorkerError:
             return self.error
         error = WorkerError(f"{where}: {self.error}")
@@ -64,7 +64,7 @@ class Lost(NamedTuple):
     """Answer to a task whose worker died, made no progress or ran out of memory."""
 
     status: FrameStatus
-    """Status of frames that are lost with it."""
+    """Status of the task's frames, which have no results."""
     reason: str
 
     def as_raised(self, where: str) -> WorkerError:
@@ -91,7 +91,7 @@ class Worker:
     Args:
         context: Context of :mod:`multiprocessing`, which decides how processes start.
         backend: Backend that computes in the worker.
-        server_pipe: The worker's connection to the device server; None if it computes itself.
+        server_pipe: Connection to the device server; None if the worker computes itself.
 
     Attributes:
         pending: Tasks without an answer, the oldest first.
@@ -119,7 +119,7 @@ class Worker:
     def send_job(self, packed: bytes) -> None:
         """Send a pickled :class:`Job`, to which all further tasks belong.
 
-        Sending waits until the worker has read it, so no task may be pending.
+        The call waits until the worker has read the job, so no task may be pending.
         """
         assert not self.pending
         self._send(_JOB)
@@ -127,16 +127,16 @@ class Worker:
             self.pipe.send_bytes(packed)
 
     def send_task(self, task: Any) -> None:
-        """Send a small task of the last job."""
+        """Send a task of the most recently sent job; its data must be small."""
         self.pending.append(task)
         self._send(_Task(task))
 
     def _send(self, message: Any) -> None:
-        with suppress(OSError):  # it has died, which receive() reports
+        with suppress(OSError):  # the worker has died, which receive() reports
             self.pipe.send(message)
 
     def receive(self) -> list[tuple[Any, Any]]:
-        """Return tasks and their answers since the last call.
+        """Return the tasks that were answered since the last call, with their answers.
 
         Raises:
             EOFError: The process has died.
@@ -170,7 +170,7 @@ class Worker:
 
     @property
     def death(self) -> str:
-        """How the process ended, for people."""
+        """Text that says how the process ended."""
         code = self._exit_code()
         if code is None:
             return "a worker process can't be started"
@@ -225,7 +225,7 @@ class WorkerProcess:
 
 
 class _OpenJob:
-    """A job in a worker, opened by its first task, whose answer tells if that fails."""
+    """A job in a worker. Its first task opens it; if that fails, so does the task."""
 
     def __init__(self, packed: bytes, process: WorkerProcess) -> None:
         self._packed, self._process = packed, process
@@ -233,7 +233,7 @@ class _OpenJob:
         self._context = ExitStack()
 
     def answer(self, task: Any) -> Any:
-        """Return what the job returns for a task, or a :class:`Failure`."""
+        """Return the job's answer to a task, or a :class:`Failure`."""
         try:
             if self._function is None:
                 job: Job = pickle.loads(self._packed)
@@ -251,7 +251,7 @@ class _OpenJob:
 
 
 def _run_worker(backend: BackendName, pipe: Any, server_pipe: ServerPipe | None) -> None:
-    """Do tasks until the parent ends this process or has ended itself."""
+    """Perform tasks until the parent ends this process, or ends."""
     ignore_stops()
     threading.Thread(target=_end_with_parent, daemon=True).start()
     _prepare(backend, reads_only=server_pipe is not None)
@@ -275,7 +275,7 @@ def _end_with_parent() -> None:
 
 
 def _prepare(backend: BackendName, *, reads_only: bool) -> None:
-    """Limit libraries to one thread, and load what computes or reads."""
+    """Limit libraries to one thread, and load the modules that compute or read."""
     os.environ["PJRT_NPROC"] = "1"  # threads of XLA
     import cv2
 

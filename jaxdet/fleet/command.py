@@ -25,7 +25,7 @@ def run_fleet(
     join: bool = True,
     progress: ProgressCallback | None = None,
 ) -> list[dict[str, Any]]:
-    """Run logs at addresses and publish their results at an address; logs done there are skipped.
+    """Run logs at addresses and publish their results at an address; finished logs are skipped.
 
     Args:
         inputs: Addresses, folders or files.

@@ -1,9 +1,9 @@
-"""Logs at a place, as plain values: a dict per log that any engine can carry to another machine.
+"""Logs at an address, as plain values: a dict for each log, which can be sent to other machines.
 
 ``{"log": "monday/drive_1", "name": "monday--drive_1", "url": "s3://bucket/logs", "files": [...]}``:
-``log`` is the name in tables, ``name`` that of the folder of results; ``url`` is empty for local
-logs; ``files`` have ``key`` (a path, of local logs), ``size``, and ``tag``, which is the identity
-of the version that was listed.
+``log`` is the log's name in tables, ``name`` the name of its folder of results; ``url`` is empty
+for local logs. Each of ``files`` has a ``key`` (for local logs the path), a ``size``, and a
+``tag``, which identifies the version of the file that was listed.
 """
 
 import hashlib
@@ -32,13 +32,13 @@ def list_logs(
     """List the logs at addresses, folders and files, ordered by name.
 
     In a bucket the files that one ``metadata.yaml`` of rosbag2 lists are one log; every other
-    ``.mcap``, ``.db3`` or ``.bag`` file is a log of its own. Of a recording that a folder holds in
-    several formats one is taken, MCAP first. Folders of images are not read from buckets. ``join``:
-    as of :func:`jaxdet.find_logs`.
+    ``.mcap``, ``.db3`` or ``.bag`` file is a separate log. If a folder holds a recording in several
+    formats, one of them is used, preferably MCAP. Folders of images are not read from buckets. For
+    ``join`` see :func:`jaxdet.find_logs`.
 
     Raises:
         InputError: An input holds no log.
-        ConfigError: Two logs have one name, or an address is wrong.
+        ConfigError: Two logs have the same name, or an address is wrong.
     """
     items = [inputs] if isinstance(inputs, str | PathLike) else [*inputs]
     logs = [log for item in items if is_url(item) for log in _in_bucket(address(item), join)]
@@ -68,7 +68,7 @@ def entries_of(log: Log) -> list[Entry]:
 def share_of(logs: Sequence[Log], share: str) -> list[Log]:
     """Return the logs of the K-th of N shares, by SHA-256 of their names.
 
-    A log stays in its share whichever other logs there are.
+    The share of a log doesn't depend on the other logs.
 
     Raises:
         ConfigError: ``share`` is not K/N with K from 1 to N.
@@ -77,7 +77,7 @@ def share_of(logs: Sequence[Log], share: str) -> list[Log]:
     number, of = (int(found[1]), int(found[2])) if found else (0, 0)
     if not 1 <= number <= of:
         remedy = "give one from 1/4 to 4/4 to each of four machines, for instance"
-        raise ConfigError(f"--share {share} is no share", remedy=remedy)
+        raise ConfigError(f"--share {share} is not K/N with K from 1 to N", remedy=remedy)
     return [log for log in logs if _digest(log["name"]) % of == number - 1]
 
 

@@ -23,11 +23,11 @@ from jaxdet.errors import ConfigError, InputError, OutputError
 from jaxdet.results.durable import write_whole, writing
 
 RANGE_BYTES = 64 << 20
-"""Bytes per request of a fetch."""
+"""Number of bytes per request of a fetch."""
 CONNECTIONS = 16
-"""Requests of a fetch at a time."""
+"""Maximum number of simultaneous requests of a fetch."""
 _PIECE_BYTES = 4 << 20
-"""Bytes of a response held in memory."""
+"""Minimum number of bytes of a response that are written to disk at a time."""
 _MULTIPART_BYTES = 1 << 30
 """Larger files are uploaded in parts, which stay invisible until the last one is there [bytes]."""
 _URL = re.compile(r"(s3|gs|az):/+(.*)", re.DOTALL | re.IGNORECASE)
@@ -76,16 +76,16 @@ def is_url(text: str | os.PathLike[str]) -> bool:
 
 
 def address(text: str | os.PathLike[str]) -> str:
-    """Return an address in its one form.
+    """Return the canonical form of an address.
 
     Raises:
-        ConfigError: It holds credentials or names no bucket.
+        ConfigError: The address holds credentials, names no bucket, or is of an unsupported kind.
     """
     text = os.fspath(text)
     if not (found := _URL.fullmatch(text)):
         if re.match(r"[a-z][a-z0-9+]*:/", text, re.IGNORECASE):
             remedy = "give a folder, s3://BUCKET/PATH, gs://BUCKET/PATH or az://ACCOUNT/CONTAINER"
-            raise ConfigError("no kind of place that is supported", path=scrub(text), remedy=remedy)
+            raise ConfigError("unsupported kind of address", path=scrub(text), remedy=remedy)
         return str(Path(text).absolute())
     url = f"{found[1].lower()}://{found[2].rstrip('/')}"
     if scrub(url) != url:
@@ -112,7 +112,7 @@ def probe(place: "Place") -> None:
     """Check that a place honours conditional writes.
 
     Raises:
-        ConfigError: It ignores them, so two machines could both believe they were first.
+        ConfigError: The place ignores their conditions, so two machines could both create a file.
     """
     key = f".probe-{secrets.token_hex(8)}"
     try:
@@ -129,7 +129,7 @@ def probe(place: "Place") -> None:
 
 
 class Bucket:
-    """A prefix of a bucket, by obstore."""
+    """A prefix of a bucket, accessed with obstore."""
 
     def __init__(self, url: str) -> None:
         self.url, self.store = url, _store(url)
@@ -179,7 +179,7 @@ class Bucket:
             except (AlreadyExistsError, PreconditionError, FileNotFoundError) as error:
                 if mode == "create" and isinstance(error, FileNotFoundError):
                     raise  # there is no such bucket
-                # A request whose answer was lost is sent again, and meets its own object.
+                # If the answer to a request was lost, it is sent again, and finds its own object.
                 found = self.get(key)
                 return found is not None and found[0] == content
         return True
@@ -188,7 +188,7 @@ class Bucket:
         """Copy a file to local disk, until ``stop`` is set.
 
         Raises:
-            InputError: It is gone or was replaced since it was listed.
+            InputError: The file was removed or replaced since it was listed.
         """
         with path.open("wb") as file, ThreadPoolExecutor(CONNECTIONS) as pool:
             with writing(path):
@@ -236,7 +236,7 @@ class Bucket:
 
     @contextmanager
     def _reached(self, key: str = "") -> Iterator[None]:
-        """Turn errors of the store into ours, without credentials."""
+        """Turn errors of the store into errors of jaxdet, without credentials."""
         from obstore.exceptions import BaseError
 
         try:
@@ -262,7 +262,7 @@ def _store(url: str) -> Any:
         return from_url(url)
     except (BaseError, ValueError) as error:
         text = scrub(str(error).partition("\n")[0])
-        raise ConfigError(f"no place that can be used ({text})", path=url, remedy=_REMEDY) from None
+        raise ConfigError(f"can't be opened ({text})", path=url, remedy=_REMEDY) from None
 
 
 class Folder:

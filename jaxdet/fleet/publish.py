@@ -34,9 +34,10 @@ from jaxdet.results.publish import finish, publish, remove
 
 TRACKS, CURRENT = "tracks.json", "current.json"
 MOST_KILLED = 3
-"""Number of processes that a log may kill."""
+"""Number of killed processes after which a log counts as failed."""
 MOST_LOST = 9
-"""Number of attempts in a day that may be lost with their machines."""
+"""Number of killed processes and of attempts lost with their machines within a day, together, after
+which a log counts as failed."""
 _DAY_S = 86400.0
 _NOTES = f"{FLEET}/"
 _UPLOADS = 8
@@ -49,16 +50,16 @@ class Target(NamedTuple):
     """Name of the log's results."""
     version: str
     record: str
-    """Checksum of configuration, versions and the last ``--overwrite``."""
+    """Checksum of the configuration, the versions and the last ``--overwrite``."""
 
     @property
     def base(self) -> str:
-        """Prefix of its objects."""
+        """Prefix of the keys of the version's objects."""
         return f"{self.name}/{self.version}"
 
 
 class Standing(NamedTuple):
-    """Results of a log at a place."""
+    """State of the results of a log at an address."""
 
     state: str
     """``new`` without results, ``whole`` or ``failed`` in this version, or ``other`` version."""
@@ -75,20 +76,20 @@ def open_results(url: str) -> "Results":
 
 
 def version_of(record: str, files: Iterable[Entry]) -> str:
-    """Return the name of a version: of a record's checksum and the files of a log, by any name."""
+    """Return the name of a version, from a record's checksum and a log's files, by any name."""
     text = json.dumps([record, [(file.size, file.tag) for file in files]], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 class _Attempts:
-    """Notes of attempts while they are computed, at any place."""
+    """Notes of the attempts that are being computed, stored next to the results."""
 
     notes = ""
-    """Prefix of their keys."""
+    """Prefix of the notes' keys."""
     place: Place
 
     def begin(self, target: Target, attempt: str, command: str) -> str:
-        """Note an attempt; return the key of the note."""
+        """Write the note of an attempt; return the note's key."""
         key = f"{self.notes}{target.base}/attempts/{attempt}"
         note = {"process": process(), "time": time.time(), "command": command}
         self.place.put(key, json.dumps(note).encode())
@@ -152,8 +153,8 @@ class BucketResults(_Attempts):
             seen: Results of the log when the attempt began.
 
         Returns:
-            ``done``; ``there`` if another attempt was first; ``replaced`` if a run of another
-            version was.
+            ``done``; ``there`` if another attempt published first; ``replaced`` if a run of another
+            version did.
         """
         first = self._upload(target.base, attempt, staged, None, MANIFEST)
         if not self._point(target, seen.current):
@@ -220,7 +221,7 @@ class BucketResults(_Attempts):
         return False
 
     def _point(self, target: Target, seen: Mapping[str, Any] | None) -> bool:
-        """Swap ``current.json`` to a version; False if it is neither of this one nor ``seen``."""
+        """Make ``current.json`` name a version; False if a run of another version changed it."""
         key = f"{target.name}/{CURRENT}"
         while True:
             found = self.place.get(key)
@@ -320,7 +321,7 @@ def download(url: str, name: str, folder: Path) -> Path:
     """Copy the results of one log from a bucket into ``folder``, as a local run leaves them.
 
     Raises:
-        InputError: There are no results, or they were replaced meanwhile.
+        InputError: There are no results, or they were replaced during the copy.
     """
     results = open_results(url)
     assert isinstance(results, BucketResults)

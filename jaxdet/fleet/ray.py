@@ -11,10 +11,10 @@ from jaxdet.fleet.logs import Log, size_of
 from jaxdet.fleet.run_log import run_logs
 
 _PER_SLOT = 4
-"""Tasks in flight per slot, so that none waits for the driver and autoscalers see demand."""
+"""Number of tasks in flight per slot: no slot waits for the driver, and autoscalers see demand."""
 _LEAST_WINDOW = 32
 _MOST_LOGS = 8
-"""Logs of a task; the next is fetched while one is computed."""
+"""Maximum number of logs in a task; the next log is fetched while one is computed."""
 _PARTS = 16
 """A task has at most 1 / _PARTS of a slot's share of all bytes."""
 
@@ -24,9 +24,9 @@ def run_on_ray(
 ) -> Iterator[dict[str, Any]]:
     """Run logs on the cluster of ``RAY_ADDRESS``, or on a local one; yield outcomes as they come.
 
-    Tasks, not actors, so that a retry runs on any node; their processes stay, so that a program is
-    compiled once per process (``max_calls=0``). Ray repeats a task whose process or node is lost
-    without a limit of its own, as :func:`jaxdet.fleet.run_log` counts attempts in the store.
+    Logs run in tasks, not actors, so that a retry can run on any node; worker processes are reused,
+    so that a program is compiled once per process (``max_calls=0``). Ray repeats a task whose
+    process or node is lost without a limit, as :func:`jaxdet.fleet.run_log` limits the attempts.
 
     Args:
         logs: The logs.
@@ -37,7 +37,7 @@ def run_on_ray(
 
     Raises:
         ConfigError: Ray is not installed, or ``where`` is wrong.
-        JaxdetError: What ended a task other than its log; all others are cancelled.
+        JaxdetError: A task failed for another reason than its log; other tasks are cancelled.
         WorkerError: The cluster is lost.
     """
     try:
@@ -91,7 +91,7 @@ def _task(logs: Sequence[Log], place: str, how: Mapping[str, Any]) -> list[dict[
 
 
 def chunks(logs: Sequence[Log], slots: int) -> list[list[Log]]:
-    """Divide logs into tasks, the largest first, few logs each and fewer where they are large."""
+    """Divide logs into tasks, largest first; a task has few logs, and fewer if they are large."""
     most = sum(map(size_of, logs)) / (max(1, slots) * _PARTS)
     found: list[list[Log]] = []
     room = 0.0
@@ -114,12 +114,12 @@ def _resources(where: str) -> dict[str, float]:
         found = {"": 0.0}
     if engine != "ray" or not {*found} <= {"num_cpus", "num_gpus"}:
         remedy = "give --on ray, or --on ray:num_cpus=16,num_gpus=1 for instance"
-        raise ConfigError(f"--on {where} is no engine", remedy=remedy)
+        raise ConfigError(f"--on {where} is not supported", remedy=remedy)
     return {"num_cpus": 1.0, **found} if found else {}
 
 
 def _of_a_node(nodes: Sequence[Mapping[str, Any]]) -> dict[str, float]:
-    """Return all of the smallest node that computes; those with GPUs where there are some."""
+    """Return the resources of the smallest node that computes, with GPUs if any node has GPUs."""
     alive = [node["Resources"] for node in nodes if node["Alive"] and node["Resources"].get("CPU")]
     with_gpu = [node for node in alive if node.get("GPU")]
     chosen = with_gpu or alive or [{"CPU": 1.0}]

@@ -1,4 +1,4 @@
-"""Run of a log from one address to another: fetch, run, publish; the function for all engines."""
+"""Run of a log from one address to another: fetch, run, publish; every scheduler calls it."""
 
 import json
 import secrets
@@ -42,8 +42,8 @@ def run_log(log: Log, place: str, how: Mapping[str, Any]) -> dict[str, Any]:
         place: Address of the results.
         how: Plain values, all optional: the keys of :func:`jaxdet.engine.run_one`; ``update``
             (replace results of another input, try failed logs again), ``overwrite`` (replace all
-            results), ``tracks``, ``spool`` (folder on local disk), ``spool_size`` (most bytes of
-            logs there, per process). :func:`prepare` returns it with what is decided once per run.
+            results), ``tracks``, ``spool`` (folder on local disk), ``spool_size`` (maximum bytes
+            of logs there, per process). :func:`prepare` adds values that all machines share.
 
     Returns:
         Plain values: ``log``, ``name``, ``state`` (``done``, ``there``, ``failed`` or
@@ -115,7 +115,7 @@ class _Fetched(NamedTuple):
         return text.replace(str(self.path), f"{log['url']}/{first}") if log["url"] else text
 
     def about(self, how: Mapping[str, Any]) -> dict[str, Any]:
-        """Return more entries of the manifest: the address of the log, and of the run."""
+        """Return additional entries of the manifest: the log's files, and the last overwrite."""
         log, overwrites = self.log, how["overwrites"]
         about: dict[str, Any] = {"overwrites": overwrites} if overwrites else {}
         if log["url"]:
@@ -131,7 +131,7 @@ class _Fetched(NamedTuple):
 
 
 class _Work(NamedTuple):
-    """Work on logs with the same place and options."""
+    """Fetching, computing and publishing of logs with the same options and output address."""
 
     results: Results
     how: Mapping[str, Any]
@@ -163,7 +163,7 @@ class _Work(NamedTuple):
                 raise
             return one._replace(
                 outcome=one.as_outcome("failed", error=str(error))
-            )  # for the moment
+            )  # not published, so that a later call tries again
         return one._replace(spool=spool, path=path, held=size, seconds=time.monotonic() - begin)
 
     def _standing(self, one: _Fetched) -> dict[str, Any] | None:
@@ -215,7 +215,7 @@ class _Work(NamedTuple):
                 self.results.end(key)
 
     def _deaths(self, target: Target) -> tuple[int, int]:
-        """Count deaths, of one command if a driver ends all tasks with itself, as Ray's does."""
+        """Count lost attempts; if a driver (as Ray's) ends all its tasks, only this command's."""
         return self.results.deaths(target, self.how["command"] if self.how.get("driven") else None)
 
     def _fail(self, one: _Fetched, error: str, staged: Path | None) -> None:
@@ -270,7 +270,7 @@ def _link(folder: Path) -> str | None:
 
 
 def _fetch(log: Log, folder: Path, stop: Event) -> Path:
-    """Copy a log to local disk; local ones are read where they are."""
+    """Copy a log to local disk; a local log is read where it is."""
     entries = entries_of(log)
     if not log["url"] and not all(Path(entry.key).exists() for entry in entries):
         raise InputError("is not on this machine", path=entries[0].key)
@@ -308,13 +308,13 @@ def _run_one(one: _Fetched, staged: Path, how: Mapping[str, Any]) -> dict[str, A
 
 
 def prepare(place: str, how: Mapping[str, Any]) -> dict[str, Any]:
-    """Compare a run with the ``run.json`` of its place, or create that; once per run.
+    """Compare a run with the ``run.json`` at its address, or create that file; once per run.
 
     Returns:
         ``how`` with ``record``, ``overwrites`` and ``command``, which all machines of a run share.
 
     Raises:
-        ConfigError: The place has results of another configuration or version, the store ignores
+        ConfigError: The address has results of another configuration or version, the store ignores
             conditional writes, or this machine's versions are not those of the run.
     """
     from jaxdet.engine.single_log import record_of

@@ -1,8 +1,8 @@
 """Local disk for fetched logs: limited in size, and cleared however a process ends.
 
 A process has a folder per log, with the machine, the process and its start in its name. If it is
-killed, the next process on that machine removes the folder and notes in the store that the log
-killed a process; seen from other machines, the whole machine could have been lost.
+killed, the next process on that machine removes the folder and records in the store that the log
+killed a process; other machines can't tell whether the whole machine was lost.
 """
 
 import hashlib
@@ -25,13 +25,13 @@ _BOOT = Path("/proc/sys/kernel/random/boot_id")
 
 @cache
 def machine() -> str:
-    """Return the name of this machine since it was started."""
+    """Return a name for this machine that changes with each boot."""
     boot = _BOOT.read_text(encoding="ascii").strip() if _BOOT.exists() else ""
     return hashlib.sha256(f"{os.uname().nodename} {boot}".encode()).hexdigest()[:12]
 
 
 def process() -> str:
-    """Return the name of this process: machine, number, start."""
+    """Return a name for this process, made of the machine, the process number and its start."""
     return f"{machine()}-{os.getpid()}-{_start(os.getpid())}"
 
 
@@ -42,7 +42,7 @@ def is_dead(name: str) -> bool | None:
 
 
 def _start(pid: int) -> str:
-    """Return the time of a process's start, if the system tells it; empty if it has ended."""
+    """Return the start time of a process, or ``0`` if it is unknown; empty if it has ended."""
     try:
         text = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace")
         state, *fields = text.rpartition(")")[2].split()
@@ -67,7 +67,7 @@ class Spool:
             self.path.mkdir(parents=True)
 
     def witness(self, url: str, key: str) -> None:
-        """Note which attempt is being computed, for :func:`sweep`."""
+        """Record which attempt is being computed, for :func:`sweep`."""
         with writing(self.path):
             text = json.dumps({"url": url, "key": key})
             (self.path / _WITNESS).write_text(text, encoding="utf-8")
@@ -88,11 +88,12 @@ def check_room(base: str | None, size: int, bound: int | None, held: int) -> Non
     Args:
         base: See :class:`Spool`.
         size: Bytes of the log.
-        bound: Most bytes of logs per process; by default three quarters of the disk's free space.
-        held: Bytes of logs of this process that are there.
+        bound: Maximum size of a process's logs [bytes]; by default three quarters of the disk's
+            free space.
+        held: Size of this process's logs that are already on the disk [bytes].
 
     Raises:
-        InputError: It doesn't fit.
+        InputError: The log doesn't fit.
     """
     folder = base_folder(base)
     with writing(folder):
@@ -116,7 +117,7 @@ def sweep(base: str | None = None) -> int:
 
 
 def testify(url: str, key: str) -> None:
-    """Note that the process of an attempt died, but not its machine."""
+    """Record that the process of an attempt died while its machine kept running."""
     place = open_place(url)
     if found := place.get(key):
         record = {**json.loads(found[0]), "killed": True}

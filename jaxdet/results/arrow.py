@@ -1,7 +1,8 @@
-"""NumPy columns as Arrow arrays, from their memory, and columns of lists as NumPy arrays.
+"""Conversion of NumPy columns to Arrow arrays, and of columns of lists to NumPy arrays.
 
-``pa.array`` of a NumPy array and, in earlier versions, ``to_pandas_dtype`` import pandas where that
-is installed: a third of a second and 40 MB in each process.
+Arrow arrays are made from the memory of NumPy arrays: ``pa.array`` and, in earlier versions,
+``to_pandas_dtype`` import pandas if it is installed, which takes a third of a second and 40 MB in
+each process.
 """
 
 import os
@@ -46,8 +47,8 @@ def to_array(values: Any, field: pa.Field) -> pa.Array:
     Args:
         values: ``(R,)`` numbers, booleans or strings, ``(R, n)`` for lists of n, or
             :class:`jaxdet.results.lists.Lists`. In a nullable field, masked values, NaN and lists
-            with any of them are null.
-        field: Its type and whether it is nullable.
+            that contain such values are null.
+        field: Field of the column, with its type and whether it is nullable.
     """
     if isinstance(values, Lists):
         flat = _numbers(values.values, field.type.value_type)

@@ -16,10 +16,10 @@ MAKE_ROOM = "make room or give another --output"
 
 @contextmanager
 def writing(path: Path, remedy: str = MAKE_ROOM) -> Iterator[None]:
-    """Turn errors of the system into one that ends the run and not only its log.
+    """Turn system errors into an error that ends the whole run, not only the current log.
 
     Args:
-        path: The path in the error, if the system gives none.
+        path: Path for the error, if the system's error has none.
         remedy: Remedy in the error.
 
     Raises:
@@ -33,7 +33,7 @@ def writing(path: Path, remedy: str = MAKE_ROOM) -> Iterator[None]:
 
 
 def write_whole(path: Path, content: bytes) -> None:
-    """Write a file next to its place, wait until it is on the disk, and rename it to its place."""
+    """Write a file under a temporary name, wait until it is on the disk, and rename it."""
     # A random name, as processes in different containers may have the same number.
     new = path.with_name(f"{path.name}.{secrets.token_hex(8)}")
     with writing(path):
@@ -56,7 +56,7 @@ def sha256(path: Path) -> str:
 
 
 def flush(*paths: Path) -> None:
-    """Wait until files, and the lists of files of folders, are on the disk."""
+    """Wait until files, and the directory entries of folders, are on the disk."""
     with ThreadPoolExecutor() as disk:
         deque(disk.map(_flush, paths), 0)
 

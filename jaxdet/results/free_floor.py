@@ -24,7 +24,7 @@ class Polygons(NamedTuple):
     corners: np.ndarray
     """Number of corners of each polygon, ``(Q,)`` integer."""
     frame: np.ndarray
-    """Frame of each polygon, ascending, ``(Q,)`` integer."""
+    """Index of the frame that each polygon belongs to, ascending, ``(Q,)`` integer."""
 
 
 class FreeFloor(NamedTuple):
@@ -39,7 +39,7 @@ class FreeFloor(NamedTuple):
     from_m: np.ndarray
     """float64, distance from below the camera to the beginning of the free floor [m]."""
     to_m: np.ndarray
-    """float64, distance to its end [m]; the same if the ray shows only an obstacle."""
+    """float64, distance to its end [m]; equal to ``from_m`` if the ray shows only an obstacle."""
     end: np.ndarray
     """int8, cause of the end, see :class:`jaxdet.types.FreeEnd`."""
 
@@ -47,8 +47,8 @@ class FreeFloor(NamedTuple):
     def drop_m(self) -> np.ndarray:
         """Distance of the nearest drop that ``DROP_RAYS`` rays show, ``(B,)`` float64 [m].
 
-        The distance of a drop is that of the farthest of as many neighbouring rays that all end in
-        it. It is NaN without a drop.
+        A drop counts if that many neighbouring rays all end in it; its distance is that of the
+        farthest of these rays. The value is NaN without a drop.
         """
         to = np.where(self.end == FreeEnd.DROP, self.to_m, np.inf)
         last = to.shape[1] - DROP_RAYS + 1
@@ -59,10 +59,11 @@ class FreeFloor(NamedTuple):
         return np.where(np.isfinite(nearest), nearest, np.nan)
 
     def in_world(self, T_world_camera: np.ndarray) -> Polygons:
-        """The free floor between neighbouring rays, joined where they go on.
+        """Return the free floor between neighbouring rays as polygons in the world.
 
-        Between two rays it is free as far as both show it; a ray on which nothing is seen parts
-        polygons. A frame whose pose is unknown has none.
+        Between two rays the floor is free as far as both rays show it. A polygon spans as many
+        neighbouring rays as possible; a ray that shows nothing ends it. A frame whose pose is
+        unknown has no polygons.
 
         Args:
             T_world_camera: ``(B, 4, 4)`` float64, NaN where unknown.
@@ -79,7 +80,7 @@ class FreeFloor(NamedTuple):
         free &= np.isfinite(origin)[:, None] & np.isfinite(sin)
         parts = free.sum(axis=1, dtype=np.int64)
         frame = np.repeat(np.arange(len(parts)), parts)
-        column = np.flatnonzero(free) + frame  # of the way to the left, counted over all frames
+        column = np.flatnonzero(free) + frame  # index of the left ray, counted over all frames
         left, right = way.ravel()[column], way.ravel()[column + 1]
         start, stop = start[free], stop[free]
 
@@ -106,7 +107,7 @@ def free_floor(free: Array, free_end: Array, depth_unit: float) -> FreeFloor:
 
     Args:
         free: ``(B, RAYS, 2)`` int32 [depth units], of :class:`jaxdet.types.Scene`.
-        free_end: ``(B, RAYS)`` int32, of the same.
+        free_end: ``(B, RAYS)`` int32, of the same scene.
         depth_unit: Metres in one depth unit.
     """
     start, stop = np.moveaxis(np.asarray(free), 2, 0)
@@ -147,6 +148,6 @@ def free_columns(free: FreeFloor, good: np.ndarray) -> dict[str, Any]:
 
 
 def no_free_columns(count: int) -> dict[str, Any]:
-    """Return the same columns with nulls, if no free floor is estimated."""
+    """Return the columns of :func:`free_columns` with nulls, if no free floor is estimated."""
     names = ("free_bearing_rad", "free_from_m", "free_to_m", "free_end")
     return {name: Lists.nulls(count) for name in names} | {"drop_m": np.full(count, np.nan)}

@@ -1,4 +1,4 @@
-"""Layout of results: a folder for each log; what marks it as complete.
+"""Layout of results: a folder for each log, with a file that marks it as complete.
 
 ::
 

@@ -13,9 +13,9 @@ from typing import Any
 from jaxdet.errors import ConfigError, InputError, printable
 
 _TRIES = 100
-"""Tries to make the folder and the file, which some file systems never allow."""
+"""Maximum number of tries to make the folder and the file, as some file systems never allow it."""
 _MOST_BYTES = 4096
-"""Longest content of the file."""
+"""Maximum number of bytes that are read from the file."""
 
 
 class Lock:
@@ -27,10 +27,10 @@ class Lock:
         path: The file; its folder is made, and :meth:`release` removes it if nothing else is in it.
 
     Attributes:
-        before: Owner that was killed, for people; None if there was none.
+        before: Text that names the last owner if it was killed, else None.
 
     Raises:
-        ConfigError: Another run has it.
+        ConfigError: Another run holds the lock.
         InputError: The folder can't be written to or is another user's, or its file system has no
             locks.
     """
@@ -40,7 +40,7 @@ class Lock:
         self._file = _locked(path)
         self.before = _owner(os.pread(self._file, _MOST_BYTES, 0))
         owner = path.parent.stat().st_uid
-        if owner != os.geteuid():  # what is in the folder is trusted
+        if owner != os.geteuid():  # the content of the folder is trusted
             os.close(self._file)
             raise InputError(
                 f"holds an unfinished run of another user (number {owner})",
@@ -67,7 +67,7 @@ class Lock:
 
 def _locked(path: Path) -> int:
     """Return the descriptor of the file, which is locked and still at its place."""
-    if path.parent.is_symlink():  # what is in it is removed
+    if path.parent.is_symlink():  # the content of the folder will be removed
         raise InputError("is a link", path=str(path.parent), remedy="remove it")
     tries = 0
     while True:
@@ -103,7 +103,7 @@ def _locked(path: Path) -> int:
 
 
 def _owner(text: bytes) -> str | None:
-    """Return the owner in the content of a lock's file, for people."""
+    """Return a text that names the owner, from the content of a lock file."""
     try:
         found: dict[str, Any] = json.loads(text)
         since = datetime.fromtimestamp(found["since"], UTC).strftime("%Y-%m-%d %H:%M:%S UTC")

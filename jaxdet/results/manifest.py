@@ -92,7 +92,7 @@ def write_manifest(folder: Path, about: Mapping[str, Any], leave_out: Collection
 
     Args:
         folder: Folder of a log's results, not yet in its place.
-        about: More entries: versions, ``log``, ``inputs`` and ``run``, the digest of the
+        about: Additional entries: versions, ``log``, ``inputs`` and ``run``, the digest of the
             configuration.
         leave_out: Names of files that are not results.
 
@@ -114,8 +114,8 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     """Read the manifest of a log's folder.
 
     Raises:
-        InputError: It is missing or differs by a byte from what was written, or the folder holds
-            something that is not a regular file.
+        InputError: The manifest is missing or was changed, or the folder holds something that is
+            not a regular file.
     """
     check_regular(folder)
     found = read_json(folder / MANIFEST)
@@ -125,7 +125,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
         raise InputError(problem, path=str(path), remedy="run jaxdet run again")
     try:
         as_written = to_json(_sealed(found)).encode() == path.read_bytes()
-    except (OSError, ValueError, RecursionError):  # gone meanwhile, or no JSON of ours
+    except (OSError, ValueError, RecursionError):  # removed meanwhile, or not written by jaxdet
         as_written = False
     if not as_written or not isinstance(files, dict) or any(map(leads_out, files)):
         raise InputError("was changed", path=str(path), remedy=AGAIN)

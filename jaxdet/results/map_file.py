@@ -1,4 +1,4 @@
-"""Occupancy grids of the world's floor, and files of them for nav2's map_server.
+"""Occupancy grids of the world's floor, and their files for nav2's map_server.
 
 A file is a picture in grey levels and a YAML file, with the rules of nav2: the occupancy of a pixel
 is its darkness, or its brightness if ``negate`` is set, and thresholds make it a state.
@@ -66,7 +66,7 @@ class Grid(NamedTuple):
 
 
 def write_map(path: Path, grid: Grid, log: str, frame: str) -> None:
-    """Write the picture ``path`` and the YAML file next to it; row 0 of it is the highest Y.
+    """Write the picture ``path``, whose row 0 has the highest Y, and the YAML file next to it.
 
     Args:
         path: Picture, ``.pgm`` or ``.png``.
@@ -93,7 +93,7 @@ def read_map(path: Path) -> Grid:
     """Read a map from its YAML file.
 
     Raises:
-        InputError: It or its picture is missing, damaged, too large or no such map.
+        InputError: The file or its picture is missing, damaged, too large or not a map.
     """
     about = _read_yaml(path)
     try:
@@ -208,7 +208,7 @@ def _size(data: bytes) -> tuple[int, int] | None:
 
 
 class KnownPlaces:
-    """Look-up of what a map has near a place.
+    """Look-up of occupied and unknown cells of a map near given points.
 
     Args:
         grid: Map.
@@ -218,16 +218,16 @@ class KnownPlaces:
         self._grid = grid
         rows, columns = grid.states.shape
         self._sums = np.zeros((rows + 1, columns + 1), np.int32)
-        """Number of occupied cells below and left of each corner of cells."""
+        """Number of occupied cells below and left of each corner of the cell grid."""
         np.cumsum(grid.states == OCCUPIED, axis=0, dtype=np.int32, out=self._sums[1:, 1:])
         np.cumsum(self._sums, axis=1, out=self._sums)
 
     def near(self, points: np.ndarray, reach_m: np.ndarray) -> np.ndarray:
-        """Return whether a cell within reach, to each side, is occupied.
+        """Return whether a square around each point contains an occupied cell.
 
         Args:
             points: World X and Y ``(P, 2)`` [m].
-            reach_m: Reach ``(P,)`` [m].
+            reach_m: Half the side of each square, ``(P,)`` [m].
 
         Returns:
             ``(P,)`` bool; False where a point is NaN or far off the map.

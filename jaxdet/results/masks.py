@@ -15,12 +15,13 @@ def label_image(found: CellLabels, row: int, calibration: Calibration, side: int
 
     Args:
         found: NumPy arrays, with the cells of the frame.
-        row: Row of the frame in them.
+        row: Row of the frame in these arrays.
         calibration: Calibration of the log.
         side: Side of a cell [depth pixel], see :func:`jaxdet.camera.cell_side`.
 
     Returns:
-        ``(H, W)`` int32, -1 = none. Pixels of an obstacle lie in its ``u_min u_max v_min v_max``.
+        Labels ``(H, W)`` int32, -1 without an obstacle. The pixels of an obstacle lie in its box
+        ``u_min u_max v_min v_max``.
     """
     z, camera = found.cells.z[row : row + 1], calibration.image
     low, high, used = (part[0] for part in cell_boxes(z, calibration, side))
@@ -40,16 +41,16 @@ def label_image(found: CellLabels, row: int, calibration: Calibration, side: int
 
 
 def obstacle_points(found: Detections, row: int, unit: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the points of a frame's obstacles: its cells, in the preset ``paper`` its corners.
+    """Return the points of a frame's obstacles: depth cells, or corners with the preset ``paper``.
 
     Args:
         found: NumPy arrays, with cells or points.
-        row: Row of the frame in them.
+        row: Row of the frame in these arrays.
         unit: Metres in a depth unit.
 
     Returns:
-        ``(P, 3)`` float32 in the camera's optical frame [m], and ``(P,)`` int32, the obstacle of
-        each; ``num_points`` of each obstacle.
+        Points ``(P, 3)`` float32 in the camera's optical frame [m], and ``(P,)`` int32, the
+        obstacle of each point. Each obstacle has ``num_points`` points.
     """
     if found.points is not None:
         label, place = found.points.labels.labels[row], found.points.features

@@ -1,7 +1,7 @@
 """Metadata of the result tables: format, version, configuration and inputs.
 
-It is text in the Parquet files' key-value metadata. As the tables' bytes must not, it does not
-depend on the time, the machine, the device, the batch or the paths of files.
+The metadata is text in key-value pairs of the Parquet files. It doesn't depend on the time, the
+machine, the device, the batch or the paths of files, so that the files' bytes don't either.
 """
 
 import hashlib
@@ -23,7 +23,7 @@ CONFIG_KEY, INPUTS_KEY = "jaxdet.config", "jaxdet.inputs"
 
 _KEYS = ("log", "camera")
 _CHANGES_NO_ROW = ("preset", "backend", "batch_size")
-"""Keys of ``config.json``."""
+"""Keys of ``config.json`` that change no row of the tables."""
 
 
 class Inputs:

@@ -42,11 +42,11 @@ def extents(obstacles: Obstacles, depth_unit: float) -> Extents:
     """Return the boxes and centroids of a batch of obstacles.
 
     Args:
-        obstacles: Integer outlines, ``(B, M)`` slots or any others, ``(...)``.
+        obstacles: Integer outlines in slots of any shape ``(...)``, for instance ``(B, M)``.
         depth_unit: Metres in one depth unit.
 
     Returns:
-        The same in metres, computed in float64 and rounded once.
+        Boxes and centroids in metres, computed in float64 and rounded once.
 
     Raises:
         InputError: The arrays are not those of obstacles, or the unit is not a number.
@@ -84,11 +84,11 @@ _PARTS = dict.fromkeys(("a", "b", "c", "direction"), (2,)) | {
     "xyz_sum": (3, 2),
     "span": (4,),
 }
-"""Shape of a part of one obstacle, if it is not a number."""
+"""Shape of each part of an obstacle that is not a single number."""
 
 
 def floors(scene: Scene, depth_unit: float) -> FloorFit:
-    """Return the floor of each frame in metres and radians, its own or its prior.
+    """Return the floor of each frame in metres and radians: its own floor, or the prior.
 
     Args:
         scene: NumPy or JAX arrays.
@@ -129,7 +129,7 @@ def point_distances(obstacles: Obstacles) -> np.ndarray:
 
 
 def distance_text(distance_m: float | None, depth_m: float) -> str:
-    """Return a distance for people, or where the floor is unknown, the depth after ``~``.
+    """Return the text of a distance or, if the distance is unknown, of the depth after ``~``.
 
     Example:
         >>> distance_text(1.234, 1.1), distance_text(None, 1.1)
@@ -172,13 +172,14 @@ def contour_lines(
 
     Args:
         contour: Contours of :class:`jaxdet.types.Scene`, ``(B, M, C, 2)`` int32.
-        contour_points: Numbers of their points, ``(B, M)`` int32.
+        contour_points: Number of points of each contour, ``(B, M)`` int32.
         row: Frames of the obstacles, ``(R,)``.
         slot: Slots of the obstacles, ``(R,)``.
         backward: Whether to reverse each contour, ``(R,)`` bool.
 
     Returns:
-        Points ``(P, 2)`` int32 [depth units], and the number of each obstacle's, ``(R,)`` int32.
+        Points ``(P, 2)`` int32 [depth units], and the number of points per obstacle, ``(R,)``
+        int32.
     """
     count = np.asarray(contour_points)[row, slot]
     contour = np.ascontiguousarray(contour, np.int32)
@@ -218,8 +219,8 @@ def rectangles(obstacles: Obstacles, depth_unit: float, config: FootprintConfig)
     """Return the outline of each obstacle on the floor (Section 3.5, Eq. 7).
 
     AB is one edge. Without a vertex it is extended backward, away from the camera, by the
-    fixed ``extension_m``. With one, the opposite edge lies on the parallel to AB through C,
-    cut by the perpendiculars through A and B.
+    fixed ``extension_m``. With a vertex, the opposite edge lies on the parallel to AB through C,
+    between the perpendiculars through A and B.
 
     The margin, ``margin_m + margin_per_m2 z²`` with the obstacle's smallest z, is added on all
     sides.
@@ -232,7 +233,7 @@ def rectangles(obstacles: Obstacles, depth_unit: float, config: FootprintConfig)
     own line of sight is taken (to the right on that line).
 
     Args:
-        obstacles: Integer outlines, ``(B, M)`` slots or any others, ``(...)``.
+        obstacles: Integer outlines in slots of any shape ``(...)``, for instance ``(B, M)``.
         depth_unit: Metres in one depth unit.
         config: The fixed extension and the margin.
 
@@ -245,7 +246,7 @@ def rectangles(obstacles: Obstacles, depth_unit: float, config: FootprintConfig)
     """
     of_type("config", config, FootprintConfig)
     _check(obstacles, depth_unit, ("has_vertex", "a", "b", "c"))
-    if obstacles.direction is not None:  # which obstacles of other methods have not
+    if obstacles.direction is not None:  # obstacles of other methods have no direction
         _check(obstacles, depth_unit, ("has_vertex", "direction", "span", "xyz_min"))
     if np.any(obstacles.direction):
         return _fitted_rectangles(obstacles, depth_unit, config)
@@ -312,7 +313,7 @@ def _backward_normal(a: np.ndarray, along: np.ndarray) -> np.ndarray:
 
 
 def tilted(orientation: np.ndarray, pitch: np.ndarray, roll: np.ndarray) -> np.ndarray:
-    """Whether floors are tilted by more than ``MOST_TILT_DEG`` in the world, so its z is not up.
+    """Whether floors are tilted by more than ``MOST_TILT_DEG`` in the world: its z is not up then.
 
     Args:
         orientation: ``(B, 4)`` float64, ``camera_orientation_world`` of ``frames.parquet``.

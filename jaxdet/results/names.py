@@ -5,7 +5,7 @@ import re
 import zlib
 
 MOST_BYTES = 80
-"""Longest name of a log or a camera in the name of a file, which may have 255 in all [bytes]."""
+"""Maximum length of the name of a log or camera in a file name, which may have 255 [bytes]."""
 RESERVED = ("run.json", "failed.json")
 """Names of a run's files, which no log's folder may have."""
 _MARK = "~"
@@ -39,9 +39,10 @@ def log_name(path_under_root: str) -> str:
 
 
 def camera_name(camera: str) -> str:
-    """Return the name of one of several cameras of a log in the names of its files.
+    """Return the part of a log's file names that identifies one of its cameras.
 
-    Different cameras have different names: one that can't be read back ends in a checksum.
+    It differs between cameras: if the camera's name can't be read back from it, it ends in a
+    checksum.
     """
     name = _plain(camera.replace("/", "-"))
     if name.replace("-", "/") != camera:

@@ -14,7 +14,7 @@ from jaxdet.results.free_floor import Polygons
 CELL_M = 0.05
 """Side of a cell [m]; cells are counted from the world's origin."""
 TILE = 256
-"""Side of a tile [cell]; only tiles that something touches exist."""
+"""Side of a tile [cell]; a tile is made when a shape first touches it."""
 MAX_CELLS = 1 << 26
 MAX_OUTLINE_CELLS = 1 << 22
 
@@ -22,7 +22,7 @@ Tiles = defaultdict[tuple[int, int], np.ndarray]
 """Counts ``(TILE, TILE)`` int32 by row and column of the tile."""
 
 SHIFT = 6
-"""Fraction bits of places in cells, as OpenCV's drawing functions take them."""
+"""Number of fraction bits of coordinates [cell] that are passed to OpenCV's drawing functions."""
 UNITS = 1 << SHIFT
 
 
@@ -32,7 +32,8 @@ class MapImage(NamedTuple):
     counts: np.ndarray
     """Number of outlines that cover each cell, ``(rows, columns)`` int32."""
     free: np.ndarray
-    """Number of frames that saw each cell free, ``(rows, columns)`` int32; both 0: unknown."""
+    """Number of frames that saw each cell free, ``(rows, columns)`` int32. A cell for which this
+    and the number of outlines are 0 is unknown."""
     origin: tuple[float, float]
     """World X and Y of the outer corner of cell (0, 0) [m]."""
     cell_m: float
@@ -189,7 +190,7 @@ def _add_to_tiles(tiles: Tiles, counts: np.ndarray, x: int, y: int) -> None:
     rows, columns = counts.shape
     for row in range(y // TILE, (y + rows - 1) // TILE + 1):
         for column in range(x // TILE, (x + columns - 1) // TILE + 1):
-            top, left = row * TILE - y, column * TILE - x  # of the tile in them
+            top, left = row * TILE - y, column * TILE - x  # position of the tile in the counts
             up, aside = (top if top > 0 else 0), (left if left > 0 else 0)
             part = counts[up : top + TILE, aside : left + TILE]
             area = tiles[row, column][up - top : rows - top, aside - left : columns - left]
@@ -240,7 +241,7 @@ def load_map(path: Path) -> MapImage:
             image = MapImage(parts["counts"], parts["free"], (x, y), cell, parts["path"])
             _check_map(image)
             return image
-    except Exception as error:  # zip, zlib and NumPy raise what they like of a damaged file
+    except Exception as error:  # a damaged file causes various errors in zip, zlib and NumPy
         raise InputError("is not a map", path=str(path), remedy="run jaxdet run again") from error
 
 

@@ -1,9 +1,9 @@
-"""Replacement of a log's folder: at any time the old or the new one is in place, complete.
+"""Replacement of a log's folder: at any time the complete old or the complete new one is there.
 
 A folder is made in the working folder and renamed when it is complete. If there is one already, the
 two are exchanged in one step. On systems that can't do that, the new folder is renamed into
-``ready`` and holds from then on: readers take it from there, and the next command that works in the
-results moves it to its place (:func:`finish`).
+``ready``, and is valid from then on: readers find it there, and the next command that works in the
+results moves it to its final path (:func:`finish`).
 """
 
 import ctypes
@@ -25,20 +25,20 @@ _CANT = (errno.ENOSYS, errno.EINVAL, errno.ENOTSUP, errno.EOPNOTSUPP)
 def publish(
     staged: Path, results: Path, name: str, unless: Callable[[], bool] = lambda: False
 ) -> bool:
-    """Make a folder that of a log; an older one is removed.
+    """Move a staged folder to the path of a log's results; an older folder is removed.
 
     Args:
         staged: Complete folder, on the same disk; its files are on the disk
             (:func:`flush_folder`).
         results: Results folder.
         name: Name of the log's folder.
-        unless: Called if there is a folder already; returns whether that one stays.
+        unless: Called if there is a folder already; returns whether to keep the old folder.
 
     Returns:
         Whether the folder was moved to its place.
 
     Raises:
-        OutputError: The disk is full or broken. The old folder or the new one is there.
+        OutputError: The disk is full or broken; the old or the new folder is there, complete.
     """
     place = results / name
     with writing(place):
@@ -69,7 +69,7 @@ def finish(results: Path) -> int:
         Number of folders that were moved to their place.
 
     Raises:
-        OutputError: The folder can't be written to; to be called again.
+        OutputError: The folder can't be written to; call this function again later.
     """
     waiting = sorted((results / WORKING / READY).glob("*"))
     with writing(results):
@@ -85,14 +85,14 @@ def finish(results: Path) -> int:
 
 
 def _move(ready: Path, place: Path) -> None:
-    """Move a folder to its place, unless another process has; remove the old one."""
+    """Move a folder to its final path, unless another process did; remove the old folder."""
     old = ready.parents[1] / f"old-{secrets.token_hex(4)}"
     if os.path.lexists(place):
         os.rename(place, old)
     try:
         os.rename(ready, place)
     except FileNotFoundError:
-        os.rename(old, place)  # which is the new one
+        os.rename(old, place)  # another process had moved the new folder there
     else:
         remove(old)
 
@@ -109,7 +109,7 @@ def rename_if_absent(staged: Path, place: Path) -> bool:
 
 
 def exchange(one: Path, other: Path) -> bool:
-    """Exchange two folders in one step; return False, and change nothing, if that can't be done."""
+    """Exchange two folders in one step; return False if the system can't, and change nothing."""
     try:
         rename = ctypes.CDLL(None, use_errno=True).renameat2
     except (AttributeError, OSError, TypeError):  # no such function in this C library

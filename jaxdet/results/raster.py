@@ -10,7 +10,7 @@ from jaxdet.results.occupancy import CELL_M, SHIFT, placed
 
 
 class Layer(NamedTuple):
-    """Shapes that get the same value."""
+    """Shapes whose cells get the same value."""
 
     value: int
     kind: Literal["areas", "outlines", "lines", "dots"]
@@ -31,13 +31,13 @@ class Raster(NamedTuple):
 
 
 def rasterize(layers: Sequence[Layer]) -> Raster | None:
-    """Draw layers, each over those before it.
+    """Draw layers, each over the previous ones.
 
     Args:
         layers: Shapes; those that are too large or too far for a map are left out.
 
     Returns:
-        The smallest raster around them; None if there are none, or it would be too large.
+        The smallest raster around the shapes; None without shapes, or if it would be too large.
     """
     shapes = [shape for layer in layers for shape in layer.shapes]
     if not shapes:
@@ -61,7 +61,7 @@ def rasterize(layers: Sequence[Layer]) -> Raster | None:
 
 
 def _bounds(of: np.ndarray, count: int) -> np.ndarray:
-    """Return the first entry of each value in ascending values, and the one after the last."""
+    """Return, for each value from 0, its first index in sorted ``of`` and that after its last."""
     return np.searchsorted(of, np.arange(count) + [[0], [1]])
 
 

@@ -1,4 +1,4 @@
-"""Reader of the results of ``jaxdet run``, log by log, without all of them in memory."""
+"""Reader of the results of ``jaxdet run``, which holds only a part of them in memory."""
 
 import dataclasses
 import typing
@@ -57,9 +57,9 @@ LINKED = tuple(LINKS_SCHEMA.names[4:])
 TABLES = {
     FRAMES: FRAMES_SCHEMA, OBSTACLES: OBSTACLES_SCHEMA, TRACKS: TRACKS_SCHEMA, LINKS: LINKS_SCHEMA
 }  # fmt: skip
-"""Columns of each table."""
+"""Schema of each table, by file name."""
 MOST_NAMED = 6
-"""Most logs that an error names."""
+"""Maximum number of logs that an error names."""
 
 
 class ResultLog(NamedTuple):
@@ -82,27 +82,27 @@ class ResultLog(NamedTuple):
 
     @property
     def file_name(self) -> str:
-        """Prefix of the names of its files in an export, different for each log of a run."""
+        """Prefix of the names of the log's files in an export, different for each log of a run."""
         return export_name(self.name, self.camera if self.several else "")
 
     @property
     def suffix(self) -> str:
-        """Suffix of the names of its map and of its picture of tracks."""
+        """Suffix of the file names of the log's map and of its picture of tracks."""
         return f"_{camera_name(self.camera)}" if self.several else ""
 
     @property
     def num_frames(self) -> int:
-        """Number of its rows in ``frames.parquet``."""
+        """Number of the log's rows in ``frames.parquet``."""
         return self.summary["frames"]
 
     @property
     def num_obstacles(self) -> int:
-        """Number of its rows in ``obstacles.parquet``."""
+        """Number of the log's rows in ``obstacles.parquet``."""
         return self.summary["obstacles"]
 
     @property
     def paths(self) -> tuple[Path, ...]:
-        """Files that it was read from, by the names that they had."""
+        """Files that the log was read from, by their paths at that time."""
         return tuple(map(Path, self.summary["paths"]))
 
     @property
@@ -145,7 +145,7 @@ def open_results(folder: str | PathLike[str]) -> "Results":
         folder: Folder that ``jaxdet run --output`` was given, or the folder of a log in it.
 
     Raises:
-        InputError: It holds no complete results, or those of another format.
+        InputError: The folder holds no complete results, or results of another format.
     """
     return Results(folder)
 
@@ -157,12 +157,12 @@ class Results:
         folder: Folder of a run or of one log.
 
     Attributes:
-        folder: The same, as a path.
-        config: Content of ``config.json``, which holds for all logs.
-        logs: Logs with results, by name; of a log with several cameras one for each.
+        folder: Folder of the results, as a path.
+        config: Content of ``config.json``, which is the same for all logs.
+        logs: Logs with results, by name; a log with several cameras has an entry for each.
         failed: Logs that failed as a whole.
-        stale: Folders of logs of another configuration or version than that of ``run.json``, which
-            are left out; an --overwrite has not replaced them yet.
+        stale: Names of folders with results of another configuration or version than ``run.json``,
+            which are left out; an --overwrite has not replaced them yet.
     """
 
     def __init__(self, folder: str | PathLike[str]) -> None:
@@ -170,14 +170,14 @@ class Results:
         check_folder(folder)
         self.stale: list[str] = []
         self.manifests: dict[Path, dict[str, Any]] = {}
-        """Manifest by the folder of each log with results."""
+        """Content of ``manifest.json``, by the folder of each log with results."""
         self.summaries: dict[Path, dict[str, Any]] = {}
-        """Content of ``summary.json``, by the same folders."""
+        """Content of ``summary.json``, by the folder of each log with results."""
         self.failed: list[LogFailure] = []
         self.logs = tuple(self._find())
         self.config = self._read_config()
         self.version = str(self.config_source.get("jaxdet", ""))
-        """Version of jaxdet that made them."""
+        """Version of jaxdet that made the results."""
         self._open: list[pq.ParquetFile] = []
 
     def __enter__(self) -> "Results":
@@ -192,7 +192,7 @@ class Results:
             self._open.pop().close(force=True)
 
     def _find(self) -> Iterator[ResultLog]:
-        """Yield the logs with results and note the others."""
+        """Yield the logs with results; add the others to ``failed`` and ``stale``."""
         if is_complete(self.folder):
             yield from self._logs_of(self.folder)
             return
@@ -241,7 +241,7 @@ class Results:
             self.failed.append(LogFailure(str(entry["log"]), str(entry["error"]), entry))
 
     def _read_config(self) -> dict[str, Any]:
-        """Return the configuration of the logs; note the file that it is from."""
+        """Return the configuration of the logs; set ``config_source``, which has its version."""
         one = next(iter(self.manifests), None)
         if one is not None:
             self.config_source = self.manifests[one]
@@ -254,7 +254,7 @@ class Results:
         """Return the rows of a log, or of all logs one after the other, in memory.
 
         Raises:
-            InputError: They can't be read.
+            InputError: The tables can't be read.
         """
         frames, obstacles = [], []
         for chunk in self.chunks(log, size=1 << 16):
@@ -281,7 +281,7 @@ class Results:
         """Yield the rows of ``tracks.parquet`` of a log; none if it has no tracks.
 
         Raises:
-            InputError: They can't be read, or are those of other results.
+            InputError: The tracks can't be read, or belong to other results.
         """
         if not self.tracked(log):
             return
@@ -314,7 +314,7 @@ class Results:
             raise InputError(problem, path=path, remedy=AGAIN) from error
 
     def options_of(self, log: ResultLog) -> LogOptions:
-        """Return options that open the log, or the camera of it, again."""
+        """Return the options that open this log, or this camera of it, again."""
         return dataclasses.replace(self.log_options, camera=log.camera)
 
     def log(self, name: str) -> ResultLog:
@@ -347,7 +347,7 @@ class Results:
                 ``num_obstacles`` are always there.
             obstacles: Columns of the obstacles, by default all, with :data:`LINKED` if the log is
                 :meth:`tracked`; ``log``, ``camera`` and ``frame`` are always there.
-            size: Most frames at a time.
+            size: Maximum number of frames at a time.
 
         Raises:
             InputError: The tables can't be read, or don't belong together.
@@ -412,7 +412,7 @@ class Results:
         return load_map(log.folder / f"map{log.suffix}.npz") if log.summary["map"] else None
 
     def pictures(self, log: ResultLog) -> dict[int, Path]:
-        """Return the pictures by the numbers of their frames."""
+        """Return the paths of a log's pictures, by frame number."""
         names = [name for name in log.summary["pictures"] if not leads_out(name)]
         paths = (log.folder / name for name in names)
         numbers = [(path.stem.rpartition("_")[2], path) for path in paths if path.is_file()]
@@ -467,14 +467,14 @@ def open_table(path: Path) -> pq.ParquetFile:
         InputError: It is missing, can't be read, or is of another format.
     """
     try:
-        if path.exists() and not path.is_file():  # a pipe would be waited for
+        if path.exists() and not path.is_file():  # opening a pipe would block
             raise InputError("is not a file", path=str(path), remedy=AGAIN)
         table = pq.ParquetFile(open_file(path, "rb"), page_checksum_verification=True)
     except FileNotFoundError as error:
         problem = f"has no complete results ({path.name} is missing)"
         raise InputError(problem, path=str(path.parent), remedy=AGAIN) from error
     except (pa.ArrowException, OSError) as error:
-        if getattr(error, "errno", None):  # else it is Parquet's own
+        if getattr(error, "errno", None):  # otherwise the content is damaged
             raise unread(path, error) from error
         raise InputError("is not a Parquet file", path=str(path), remedy=AGAIN) from error
     if (found := _metadata(table).get(FORMAT_KEY, "none")) != str(FORMAT):
@@ -501,7 +501,7 @@ def _has_nulls(table: pq.ParquetFile, column: str) -> bool:
 
 
 def _linked(log: ResultLog, chunk: Tables, links: "_Rows") -> Tables:
-    """Return a chunk whose obstacles have their tracks."""
+    """Return a chunk whose obstacles have the columns of their tracks."""
     taken = links.take(chunk.obstacles.num_rows)
     if not taken["frame"].equals(chunk.obstacles["frame"]):
         problem = f"{LINKS} and {OBSTACLES} don't belong together"
@@ -572,7 +572,7 @@ def _batches(
 ) -> Iterator[pa.RecordBatch]:
     """Yield the rows of row groups, at most ``size`` at a time.
 
-    Each row group has a reader of its own, as a single one would keep parts of all in memory.
+    Each row group has its own reader, as a single reader would keep parts of all in memory.
     """
     for group in groups:
         yield from file.iter_batches(size, [group], columns)

@@ -26,7 +26,7 @@ def make_record(
 ) -> dict[str, Any]:
     """Return the content of ``run.json``; arguments as of :meth:`jaxdet.Runner.run`.
 
-    Workers and batches are not in it, as they change no result.
+    Workers and batches are left out, as they change no result.
 
     Returns:
         Values for JSON: ``about`` with versions, pictures, map and observers, and ``config``, the
@@ -42,17 +42,17 @@ def make_record(
 
 
 def _public(observer: object) -> dict[str, Any]:
-    """Return the attributes of an observer that decide its answers."""
+    """Return the public attributes of an observer, which decide its results."""
     return {name: value for name, value in vars(observer).items() if not name.startswith("_")}
 
 
 def digest(record: Mapping[str, Any]) -> str:
-    """Return a checksum of a record; runs with the same one make equal results of equal logs."""
+    """Return a checksum of a record; runs with equal checksums make equal results of a log."""
     return hashlib.sha256(json.dumps(_own(record), sort_keys=True).encode()).hexdigest()
 
 
 def difference(before: Mapping[str, Any], now: Mapping[str, Any]) -> str | None:
-    """Return the first difference of two records, for people; None if they are equal."""
+    """Return a text with the first difference of two records; None if they are equal."""
     old, new = dict(_flat(_own(before))), dict(_flat(_own(now)))
     keys = [key for key in {**old, **new} if old.get(key, _NOT) != new.get(key, _NOT)]
     if not keys:
@@ -68,7 +68,7 @@ _NOT = object()
 
 
 def _own(record: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the part that decides results; the ``run.json`` of a fleet has more."""
+    """Return the entries that decide results; the ``run.json`` of a fleet has further entries."""
     return {name: record.get(name) for name in ("about", "config")}
 
 

@@ -123,7 +123,7 @@ def used_slots(inputs: RowInputs, count: int) -> RowInputs:
 
 
 def joined_inputs(parts: Sequence[Any]) -> Any:
-    """Concatenate trees of frames' arrays, with as many slots as the largest has."""
+    """Concatenate trees of frames' arrays, with as many slots as the largest tree has."""
     first = parts[0]
     if first is None:
         return None
@@ -170,7 +170,7 @@ def batch_rows(
         camera: Name of the camera.
         batch: Frames, with or without images; padding has no rows.
         plane: Prior of each frame's floor that the detections were made with, ``(B,)``, relative to
-            the depth camera; frames that show their own floor use that.
+            the depth camera; frames that show their own floor use their own.
         sources: Sources of the priors, ``B`` words, see :meth:`jaxdet.engine.Planes.sources`.
         inputs: Detections, see :func:`row_inputs`; NumPy or JAX arrays.
         config: Configuration of the outlines.
@@ -229,7 +229,7 @@ def _of_color_camera(batch: "Batch") -> "Batch":
 
 
 def shown_planes(inputs: RowInputs, plane: GroundPlane, calibration: Calibration) -> GroundPlane:
-    """Return the floor of each frame: its own if it shows one, else its prior.
+    """Return the floor of each frame: the floor that the frame shows, or else its prior.
 
     Args:
         inputs: Inputs of ``B`` frames, see :func:`row_inputs`.
@@ -306,7 +306,7 @@ def _pose_columns(batch: "Batch", count: int) -> dict[str, Any]:
 def _floor_columns(
     fit: FloorFit | None, sources: Sequence[str], good: np.ndarray, config: Config
 ) -> dict[str, Any]:
-    """Return the source of each frame's floor, and why its own depth was refused."""
+    """Return the source of each frame's floor, and why the floor in its own depth was refused."""
     own, refused = np.zeros_like(good), np.zeros(good.size, int)
     if fit is not None and config.ground.source != "none":
         own, refused = good & fit.own, fit.refused

@@ -79,7 +79,7 @@ FRAMES_SCHEMA = _schema(
     ),
     _Column("drop_m", _F32, "m", "distance of the nearest drop on the floor", True),
 )
-"""``frames.parquet``: one row for each depth image of each log, none lost."""
+"""``frames.parquet``: one row for each depth image of each log, also without a result."""
 
 OBSTACLES_SCHEMA = _schema(
     _Column("log", _STRING, "", "name of the log"),
@@ -199,4 +199,4 @@ DICTIONARIES = [
     *("log", "camera", "status", "camera_frame", "world_frame", "floor_source", "floor_refused"),
     *("box_image", "evidence"),
 ]
-"""Columns of few different values."""
+"""Columns with few different values, which are stored with a dictionary."""

@@ -1,4 +1,4 @@
-"""Shapes of the JSON files of results, which may have been edited or come from somebody else."""
+"""Structure of the JSON files of results, which is checked as files may have been edited."""
 
 import math
 from collections.abc import Mapping
@@ -11,7 +11,7 @@ AGAIN = "run jaxdet run again, or name another folder"
 COUNT, NUMBER, TEXT = "a count", "a number", "a line of text"
 """An integer from 0 on; a finite number; text without control characters."""
 MAYBE = "maybe"
-"""First of a pair: null, or the shape in the second place."""
+"""First item of a pair: the value is null, or has the shape in the second item."""
 _LONGEST = 1 << 20
 
 COUNTS = {TEXT: COUNT}

@@ -19,16 +19,16 @@ from jaxdet.results.versions import version, versions
 
 STEPS = ("read", "decode", "transfer", "compute", "write")
 ON_DEVICES = ("transfer", "compute")
-"""Steps of GPUs, if there are any."""
+"""Steps that GPUs do, if there are GPUs."""
 _DERIVED = ("bottleneck", "rates")
-"""Keys of a log's entry that are neither fields nor answers of observers."""
+"""Keys of a log's entry that are neither fields nor results of observers."""
 SHORT_M = 0.02
-"""Rectangles that begin further than this behind their obstacle's nearest point are counted [m]."""
+"""Distance behind an obstacle's nearest point from which on its rectangle counts as short [m]."""
 MANY_REFUSED = 0.1
 """Largest share of frames without a floor of their own that causes no warning."""
 ROLL_FLAG = "--ground.camera-roll"
 STEEP_DEG = 60.0
-"""Pitch or roll from which on a mount may be that of another frame than the camera's."""
+"""Pitch or roll above which a mount may be that of a frame other than the camera's [degree]."""
 MOSTLY_FAR = 0.9
 """Share of frames with a floor far from the prior from which on depth may be wrong."""
 
@@ -49,7 +49,7 @@ class Counts:
     floor_refused: Counter[str] = field(default_factory=Counter)
     """Number of ok frames per ``floor_refused`` of ``frames.parquet``."""
     tilted_frames: int = 0
-    """Number of ok frames without a place in the world, as its z is not up."""
+    """Number of ok frames without a place in the world, as the world's z axis is not up."""
     busy_s: Counter[str] = field(default_factory=Counter)
     """Time of all processes to ``read`` and unpack, ``decode`` images, ``transfer`` to GPUs and
     back, ``compute``, ``write`` rows, and to ``wait`` for the process that computes [s]."""
@@ -90,7 +90,7 @@ class LogSummary(Counts):
     camera: str | None = None
     """Name of the camera; None if the log could not be opened."""
     file_name: str | None = None
-    """Prefix of the names of its files."""
+    """Prefix of the names of the log's files in an export."""
     seconds: float = 0.0
     """Time from the request of the first batch to the last row [s]."""
     first_batch_s: float = 0.0
@@ -103,20 +103,21 @@ class LogSummary(Counts):
     description: Any = None
     """Description by the reader: topics, calibration sources, pairing, integrity, warnings."""
     cameras_left_out: list[str] = field(default_factory=list)
-    """Cameras of the log that can't be used and that nobody chose."""
+    """Cameras of the log that can't be used, if no camera was chosen."""
     map: str | None = None
     pictures: list[str] = field(default_factory=list)
     observed: dict[str, Any] = field(default_factory=dict)
-    """Answer of each observer to the log; ``score`` is the comparison with ground truth."""
+    """Result of each observer for this log, by the observer's name; ``score`` is the comparison
+    with ground truth."""
     warnings: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     """Remarks that are not warnings."""
     frame_errors: list[str] = field(default_factory=list)
     """Some frames that could not be used, with the reason."""
     lost: list[str] = field(default_factory=list)
-    """Ranges of frames without results, as the processes that worked on them failed twice."""
+    """Ranges of frames without results, as the processes that computed them were lost twice."""
     error: str | None = None
-    """Why the log failed and has no rows."""
+    """Reason why the log failed and has no rows; None if it has rows."""
 
     @classmethod
     def from_dict(cls, told: Mapping[str, Any]) -> "LogSummary":
@@ -132,7 +133,7 @@ class LogSummary(Counts):
         return cls(**values, observed=observed)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return values for JSON; answers of observers are under the observers' names."""
+        """Return values for JSON; results of observers are under the observers' names."""
         values = {"log": self.log, "bottleneck": self.bottleneck, "rates": plain(self.rates)}
         values |= plain(self)
         seen = values.pop("observed")
@@ -224,9 +225,9 @@ class LogSummary(Counts):
 
     @property
     def bottleneck(self) -> str:
-        """Slowest step of the processes or GPUs that are busy longest; empty at first.
+        """Slowest step of the processes or GPUs that are busy longest; empty before any step.
 
-        GPUs do the steps ``ON_DEVICES``, workers all others.
+        If there are GPUs, they do the steps ``ON_DEVICES``, and workers do all other steps.
         """
         groups = (ON_DEVICES, tuple(what for what in STEPS if what not in ON_DEVICES))
         groups = [*((what,) for what in groups[0]), groups[1]] if self.devices else [STEPS]
@@ -262,12 +263,12 @@ class Summary:
 
     @property
     def frames(self) -> int:
-        """Rows of ``frames.parquet``."""
+        """Number of frames of all logs with rows in the tables."""
         return sum(log.frames for log in self.whole)
 
     @property
     def obstacles(self) -> int:
-        """Rows of ``obstacles.parquet``."""
+        """Number of obstacles of all logs with rows in the tables."""
         return sum(log.obstacles for log in self.whole)
 
     @property
@@ -304,7 +305,7 @@ class Summary:
 
 
 def problems(told: Mapping[str, Any]) -> list[str]:
-    """Return the problems for which a run ends with an error, a line each.
+    """Return the problems for which a run ends with an error, one line for each.
 
     Args:
         told: Content of ``summary.json``.

@@ -82,7 +82,7 @@ def to_table(columns: Mapping[str, Any], schema: pa.Schema) -> pa.Table:
     """Return columns as an Arrow table.
 
     Args:
-        columns: One for each field, see :func:`jaxdet.results.arrow.to_array`.
+        columns: Columns by the names of the fields, see :func:`jaxdet.results.arrow.to_array`.
         schema: One of :mod:`jaxdet.results.schemas`.
     """
     return pa.Table.from_arrays([to_array(columns[f.name], f) for f in schema], schema=schema)

@@ -13,10 +13,10 @@ class Mover(NamedTuple):
 
     track: int
     in_world: bool
-    """Whether its path is in the world, otherwise it is in the camera's ground frame."""
+    """Whether the path is in the world; otherwise it is in the camera's ground frame."""
     moving: bool
     path: np.ndarray
-    """Its path up to this frame, or its place if it stands, ``(n, 2)`` float64 [m]."""
+    """Path of the track up to this frame, or its position if it stands, ``(n, 2)`` float64 [m]."""
     velocity: np.ndarray
     """``(2,)`` float64 [m/s]."""
 

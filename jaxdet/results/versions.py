@@ -12,7 +12,7 @@ from jaxdet.errors import printable
 
 PACKAGES = ("jax", "jaxlib", "warp-lang", "numpy", "opencv-python-headless", "pyarrow", "mcap")
 _CODE = (".py", ".h", ".json")
-"""Suffixes of Python, of the kernels' C++ and of learnt tables."""
+"""Suffixes of Python files, of the kernels' C++ headers and of learnt tables."""
 
 
 @cache
@@ -40,7 +40,7 @@ def source_digest() -> str:
 
     Returns:
         16 hexadecimal digits of the SHA-256 of the names and contents of all files that decide
-        results. It takes some 10 ms.
+        results. The computation takes about 10 ms.
     """
     from importlib.util import find_spec
 

@@ -1,7 +1,7 @@
 """Writers of the tables of a log as Parquet files, and of its JSON files.
 
 The bytes of the tables are a function of their rows alone: rows are buffered into row groups
-of a fixed size whatever the batch, and the writer's settings are fixed here.
+of a fixed size for any batch size, and the writer's settings are fixed here.
 """
 
 import contextlib
@@ -79,7 +79,7 @@ def parquet_writer(
 
 
 def table_bytes(table: pa.Table) -> bytes:
-    """Return the bytes of a table in a file; they are equal if all values are, to the bit."""
+    """Return a table as the bytes of a file; they are equal if all values are bitwise equal."""
     file = BytesIO()
     with parquet_writer(file, table.schema, store_schema=False) as writer:
         writer.write_table(table.combine_chunks())

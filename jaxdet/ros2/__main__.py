@@ -11,7 +11,7 @@ from jaxdet.ros2.node import PARAMETERS, ObstacleNode, ros
 LAUNCH_FILE = Path(__file__).with_name("jaxdet.launch.xml")
 """Launch file of the node."""
 WAIT_S = 0.2
-"""Maximum time in which Ctrl-C is not noticed while no image comes [s]."""
+"""Maximum delay until Ctrl-C takes effect while no images arrive [s]."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -270,8 +270,8 @@ class _BaseFrame:
             camera: Optical frame of the camera.
 
         Raises:
-            InputError: There is no such transform, or by it the camera is not between 0 and 20 m
-                above the floor.
+            InputError: There is no such transform, or it puts the camera outside 0 to 20 m above
+                the floor.
         """
         try:
             stamped = self._buffer.lookup_transform(self._name, camera, self._latest)
@@ -327,7 +327,7 @@ def _mount(settings: Mapping[str, Any]) -> Mount | None:
             raise ConfigError("is required with an angle", topic="camera_height_m")
         return None
     if settings["base_frame"]:
-        remedy = "set one of both"
+        remedy = "set only one of them"
         raise ConfigError("contradicts base_frame", topic="camera_height_m", remedy=remedy)
     try:
         return Mount(height, *angles)
