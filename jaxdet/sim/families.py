@@ -146,7 +146,8 @@ _HARD: dict[str, Callable[[Draft], Scene]] = {
     "tables": indoors.tables,
 }
 HARD_FAMILIES = tuple(_HARD)
-"""Families with walls in range, low objects, steps down, ramps; plain and mirroring floors."""
+"""Names of the harder families: walls in range, low objects, steps down, ramps; floors that are
+plain or reflect."""
 _FAMILIES: dict[str, Callable[[Draft, float], Scene]] = {
     "people_and_vehicle": _people_and_vehicle,
     "roadblocks": _roadblocks,
