@@ -16,8 +16,8 @@ from jaxdet.io.unpacking import PACKED, is_packed
 
 _RECORDINGS = (".mcap", ".db3", ".bag")
 SUFFIXES = (*_RECORDINGS, *PACKED)
-"""Suffixes of the files that are read, by priority among several formats of the same recording. A
-compressed file has the suffix of its recording before its own."""
+"""Suffixes of the files that are read, by priority among several formats of the same recording. The
+name of a compressed file has two suffixes, such as ``.mcap.zst``."""
 _SPLIT = re.compile(
     r"(?P<stem>.+)_(?P<number>\d{1,5}|00\d{4,})\.(?i:mcap|db3|bag)(?i:\.zstd|\.zst|\.bz2)?"
 )
@@ -159,13 +159,13 @@ class _Named(NamedTuple):
     place: Path
     """See :func:`place_of`."""
     target: Path
-    """The same path with a link at its end resolved as well."""
+    """Path with all links resolved, including a link of the file itself."""
     path: Path
     """Path as passed by the user."""
 
 
 def _once(found: Iterable[Path]) -> dict[Path, _Named]:
-    """Return each file once, by its place; a file with links to it has its own name.
+    """Return each file once, by :func:`place_of`; links to a file that was found are dropped.
 
     Links of files are not resolved for names, as caches of data sets link to files named by a hash.
     """
@@ -181,7 +181,7 @@ def _once(found: Iterable[Path]) -> dict[Path, _Named]:
 
 
 def place_of(path: Path) -> Path:
-    """Return the path of a file with links of its folders resolved, but not its own."""
+    """Return the path of a file with the links of its folders resolved, but not its own link."""
     return _place(path, {})
 
 
@@ -389,7 +389,7 @@ def _preferred(found: Sequence[Path]) -> tuple[list[Path], list[tuple[Path, str]
 
     If a recording exists in several formats, only the file with the preferred one is read. A split
     is read nevertheless if the preferred format has only splits with other numbers and times: the
-    recording may be partly converted, or another one.
+    recording may be partly converted, or it may be a different recording.
     """
     known: dict[tuple[Path, str], dict[str, list[Path]]] = {}
     of = [known.setdefault(recording_of(file), {}) for file in found]

@@ -64,7 +64,7 @@ BESIDE = "._"
 LISTED_COLOR, LISTED_DEPTH = "rgb.txt", "depth.txt"
 _SECOND = 1_000_000_000
 _FIRST_S = 1
-"""Timestamp of frame 0 if frames only have numbers [s]; 0 would mean that there is none."""
+"""Timestamp of frame 0 if frames only have numbers [s], as a timestamp of 0 counts as missing."""
 _MAX_TEXT_BYTES = 64 << 20
 _WITH_TIME = re.compile(r"\d{7}-(\d{12})")
 """Frame number and time [us]."""
@@ -88,8 +88,8 @@ class _Message(NamedTuple):
     channel: int
     head: bytes
     files: tuple[tuple[Path, int], ...] = ()
-    """An image, and for depth optionally its confidences, each with its size; 0 if the file is
-    missing."""
+    """Path and size of an image and, for depth, optionally of its confidences; the size of a
+    missing file is 0."""
 
     @property
     def size(self) -> int:
@@ -193,7 +193,7 @@ class ImageFolder(MessageFile):
         """Fill writable byte views one after the other with a message's data from ``start`` on.
 
         Raises:
-            DamageError: The data end before, or can't be read.
+            DamageError: The data end earlier, or can't be read.
         """
         item, left = self._messages[number], list(parts)
         head = BytesIO(item.head)

@@ -150,7 +150,7 @@ def _read_all(
     Messages that can't be read, such as missing image files, count as not decodable.
 
     Raises:
-        DamageError: The file's own index is used, and a message is not where it says.
+        DamageError: The file's own index is used, and a message is not at its position there.
     """
     trusted = any(file.by_index for file in builder.contents.integrity)
     parts = [(topic, np.arange(topic.num_messages)) for topic in topics]

@@ -36,7 +36,7 @@ MAX_JSON_BYTES = 16 << 20
 """Maximum size of a JSON message [byte]; Python needs up to 50 times as much memory."""
 MAX_TRANSLATION_M = 1e8
 """Maximum translation of a transform or pose [m]; coordinates relative to the Earth's centre are
-within."""
+smaller."""
 
 _INDEX_BYTES = 64
 """Memory per message in an index [byte]."""

@@ -103,7 +103,7 @@ def read_message(
     """Return size and payload of a message, or its first ``most`` bytes.
 
     Raises:
-        DamageError: The message is not there.
+        DamageError: The message is not at the position in the index.
     """
     place = Place(int(messages.file[number]), int(messages.position[number]))
     offset = int(messages.offset[number])

@@ -170,7 +170,7 @@ class SqliteFile(MessageFile):
         """Fill writable byte views one after the other with a message's data from ``start`` on.
 
         Raises:
-            DamageError: The data end before, or can't be read.
+            DamageError: The data end earlier, or can't be read.
         """
         try:
             with self._connection().blobopen("messages", "data", number, readonly=True) as blob:
