@@ -61,17 +61,17 @@ class Score(NamedTuple):
     nearest_error_m: float
     """Median absolute error of ``distance_m`` relative to the nearest visible point [m]."""
     nearest_error_p90_m: float
-    """90th percentile of this error [m]."""
+    """90th percentile of the absolute error of ``distance_m`` [m]."""
     nearest_bias_m: float
     """Median signed error of ``distance_m``, negative if too near [m]."""
     position_error_m: float
     """Median absolute error of the forward coordinate of point C [m]."""
     position_error_p90_m: float
-    """90th percentile of this error [m]."""
+    """90th percentile of the absolute error of the forward coordinate of point C [m]."""
     width_error_m: float
     """Median absolute error of the width [m]."""
     width_error_p90_m: float
-    """90th percentile of this error [m]."""
+    """90th percentile of the absolute error of the width [m]."""
     iou: float
     """Median intersection over union of rectangles and true footprints."""
     tally: Tally

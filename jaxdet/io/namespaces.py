@@ -38,8 +38,8 @@ def namespaces_of_camera(
     """Return the namespaces that belong to a camera.
 
     A namespace above the camera's topic belongs to its robot, as does one that branches off below
-    it. If there is no such namespace, those that have the longest common prefix with the topic
-    belong to the robot. A namespace with a common prefix with another camera belongs to that camera.
+    it. If there is no such namespace, those with the longest common prefix with the topic belong to
+    the robot. A namespace with a common prefix with another camera belongs to that camera.
 
     Args:
         namespaces: Namespaces of the topics with transforms or with poses.

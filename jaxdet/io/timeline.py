@@ -68,7 +68,7 @@ class Window(NamedTuple):
 def nearest(stamps_ns: np.ndarray, others_ns: np.ndarray, tolerance_s: float) -> np.ndarray:
     """Return the index of the nearest other timestamp of each timestamp, ``(n,)``, -1 = none.
 
-    In a tie the earlier one is returned, and the first of equal ones.
+    In a tie the earlier timestamp is used, and of equal timestamps the first.
 
     Args:
         stamps_ns: Timestamps ``(n,)`` int64 [ns].

@@ -44,7 +44,7 @@ class TransformTree:
         self.warnings: list[str] = []
         self.ignored: Counter[str] = Counter()
         self._problems: dict[str, str] = {}
-        """Reason for the first of them, by frame."""
+        """Reason why the first of the ``ignored`` transforms of a frame is invalid, by frame."""
         self._topics: set[str] = set()
 
     @property

@@ -32,8 +32,8 @@ def footprint(
         labels: Their obstacles.
         plane: Floor of each frame, for the axes of the ground frame.
         depth_unit: Metres in one depth unit.
-        config: Its ``footprint`` part; ``M`` follows from N and ``min_points`` of its ``cluster``
-            part.
+        config: Configuration, of which ``footprint`` is used; ``M`` follows from N and
+            ``cluster.min_points``.
 
     Returns:
         ``(B, M)`` obstacles in the order of their labels.

@@ -246,7 +246,7 @@ def _turned(points: np.ndarray, turn: int) -> np.ndarray:
 
 
 def _sides(seen: np.ndarray, turn: int) -> list[tuple[np.ndarray, int]]:
-    """Return columns whose left, and whose right neighbour shows no floor; and the rotation."""
+    """Return the columns without floor to the left, and to the right, and the rotation of each."""
     before, after = np.append(False, seen[:-1]), np.append(seen[1:], False)
     return [(np.flatnonzero(seen & ~before), -turn), (np.flatnonzero(seen & ~after), turn)]
 

@@ -20,10 +20,10 @@ def surfaces(
     ``step_m + step_per_m z^2``; larger differences are depth discontinuities. Cells on both sides
     of at most ``hole_cells`` unmeasured ones are neighbours, too: dark, glossy or blurred objects
     have holes that would divide them into parts that are too small. Where two objects touch, depth
-    is continuous but has a crease (a concave edge): it exceeds the mean of the depths
-    ``crease_cells`` before and after. Those cells (:func:`creases`) are not linked; like components
-    of fewer than ``min_cells`` cells, they are then assigned to the neighbouring surface that is
-    nearest in depth.
+    is continuous but has a crease (a concave edge): the depth of a cell exceeds the mean of the
+    depths ``crease_cells`` before and after. Cells on creases (:func:`creases`) are not linked;
+    like components of fewer than ``min_cells`` cells, they are then assigned to the neighbouring
+    surface that is nearest in depth.
 
     Args:
         z: ``(R, C)`` int32 [depth units], 0 = no measurement.
