@@ -213,7 +213,10 @@ class FrameResult(Sequence[Obstacle]):
 
     @property
     def overflow(self) -> bool:
-        """Whether obstacles may be missing, as there were too many surfaces, obstacles or points."""
+        """Whether obstacles may be missing because a limit was exceeded.
+
+        The limits are those of obstacles and surfaces, in the preset ``paper`` of corners.
+        """
         return bool(self._column("overflow"))
 
     @property
