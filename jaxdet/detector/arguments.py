@@ -400,10 +400,10 @@ def times(name: str, values: Any) -> np.ndarray:
 
 
 def one_of(name: str, value: Any, literal: Any) -> None:
-    """Check that a value is one of those of a Literal type.
+    """Check that a value is one of the values of a Literal type.
 
     Raises:
-        ConfigError: The value is not one of them.
+        ConfigError: The value is unknown.
     """
     allowed = get_args(literal)
     if not isinstance(value, str) or value not in allowed:

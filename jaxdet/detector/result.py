@@ -118,7 +118,7 @@ class FrameResult(Sequence[Obstacle]):
     @overload
     def __getitem__(self, index: slice) -> tuple[Obstacle, ...]: ...
     def __getitem__(self, index: Any) -> Any:
-        """Return an obstacle by its label, or a slice of them."""
+        """Return the obstacle with a label, or the obstacles in a slice."""
         return self.obstacles[index]
 
     def __len__(self) -> int:
@@ -350,7 +350,7 @@ class BatchResult(Sequence[FrameResult]):
     @overload
     def __getitem__(self, index: slice) -> list[FrameResult]: ...
     def __getitem__(self, index: Any) -> Any:
-        """Return a frame's result by its index in the batch, or a slice of them."""
+        """Return the result of a frame by its index in the batch, or the results in a slice."""
         rows = range(len(self))[index]
         if isinstance(rows, range):
             return [FrameResult(self, row) for row in rows]

@@ -76,7 +76,7 @@ def evaluate_boxes(
 
 
 def _error(labels: BoxLabels, distance_m: np.ndarray, j: int, detection: int) -> float:
-    """Return the error of a detection's distance [m], NaN if there is none."""
+    """Return the error of a detection's distance [m], NaN without a detection."""
     return float(distance_m[detection] - labels.distance_m[j]) if detection >= 0 else np.nan
 
 

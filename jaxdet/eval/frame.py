@@ -180,9 +180,9 @@ def objects_of(
 ) -> np.ndarray:
     """Return the object number of each point of frame ``b``, ``(n,)`` int64, 0 = floor.
 
-    It is the object at or next to the point's pixel (:func:`feature_objects`). If the true depth is
-    known and only a neighbouring pixel has the measured depth, it is the object there
-    (:func:`measured_objects`).
+    The object is that at or next to the point's pixel (:func:`feature_objects`). If the true depth
+    is known and only a neighbouring pixel has the measured depth, the object is that in the
+    neighbouring pixel (:func:`measured_objects`).
     """
     u, v, z = points.u, points.v, points.z
     ids = truth.obstacle_id[b]

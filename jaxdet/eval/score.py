@@ -35,8 +35,8 @@ class Score(NamedTuple):
     fmi_pooled: float
     """Fowlkes-Mallows index of the pairs of all frames."""
     fmi_obstacles: float
-    """``sqrt(precision recall)``: the same formula over obstacles, which fits the paper's values:
-    its precision 85.54 and recall 90.22 give 0.8785, its FMI is 0.8773."""
+    """``sqrt(precision recall)``, the Fowlkes-Mallows formula over obstacles. It fits the paper's
+    values: the precision 85.54 and the recall 90.22 give 0.8785, and the stated FMI is 0.8773."""
     silhouette: float
     """Mean over frames of the silhouette coefficient, see
     :func:`jaxdet.eval.indices.silhouette`."""

@@ -167,7 +167,7 @@ class BagFile(LogFile):
         """
         record = self.record(position)
         if record.op != CHUNK:
-            raise DamageError("no chunk where one should be")
+            raise DamageError("no chunk at the expected position")
         name = record.fields.get(b"compression", b"").decode("ascii", "replace")
         place = record.data - position
         size = record.number(b"size")
@@ -336,7 +336,7 @@ def _chunk_index(
     chunk = file.record(position, end)
     size = chunk.number(b"size")
     if chunk.op != CHUNK or size > file.max_bytes or end - chunk.end > file.max_bytes:
-        raise DamageError("no chunk where one should be")
+        raise DamageError("no chunk at the expected position")
     data = file.read(chunk.end, end - chunk.end)
     seen: Counter[int] = Counter()
     for record in records(data):

@@ -47,7 +47,7 @@ class Calibrated(NamedTuple):
     T_frame_camera: np.ndarray | None
     """Transform ``(4, 4)`` float64 from the camera to ``tf_frame``; None if they are the same."""
     color_frame: str
-    """TF frame of the colour images; empty if none are used."""
+    """TF frame of the colour images; empty if colour is not used."""
     has_color: bool
     """Whether colour images have the pixels of ``calibration.image``."""
     has_color_camera: bool

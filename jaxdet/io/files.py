@@ -80,8 +80,9 @@ def find_logs(
     its first file. All other ``.mcap`` files, and ``.db3`` and ``.bag`` files, are separate logs.
     If a folder has a recording in several of these formats, one of them is used, preferably MCAP. A
     folder of colour and depth images (:mod:`jaxdet.io.image_folder`) is a log, unless a recording
-    is in it or next to it, whose images they are. A folder that can't be listed is a log, too;
-    opening it fails. Exports of jaxdet are left out unless they are inputs themselves.
+    is in it or next to it, which is assumed to contain these images. A folder that can't be listed
+    is a log, too; opening it fails. Exports of jaxdet are left out unless they are inputs
+    themselves.
 
     The name of a log is its path relative to the input folder (for a glob: relative to the folder
     before the first ``*``), so it does not depend on other logs. A file that several inputs contain
@@ -262,7 +263,7 @@ def _seen(text: str, skipped: list[Path]) -> list[Path]:
     matches = [Path(match) for match in sorted(glob.glob(text, recursive=True))]
     for match in matches:
         _check_path(match)
-    # A folder may match as well as its contents.
+    # A glob may match both a folder and its contents.
     return list(dict.fromkeys(file for match in matches for file in _within(match, skipped)))
 
 
@@ -385,7 +386,7 @@ def _check_path(path: Path) -> None:
 
 
 def _preferred(found: Sequence[Path]) -> tuple[list[Path], list[tuple[Path, str]]]:
-    """Return the files to read, and the others, each with the reason.
+    """Return the files to read, and the files to leave out, each with the reason.
 
     If a recording exists in several formats, only the file with the preferred one is read. A split
     is read nevertheless if the preferred format has only splits with other numbers and times: the

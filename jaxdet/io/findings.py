@@ -159,8 +159,8 @@ def _frames(
 def _share_known(frames: IndexedFrames, source: PoseSource, *, is_complete: bool) -> float:
     """Return the fraction of sampled frames for which a source has the pose, 0 to 1.
 
-    If the sample has none, the fraction of all frames is returned, reduced so that any source with
-    poses in its sample is preferred.
+    If no sampled frame has a pose, the fraction of all frames is returned, reduced so that any
+    source with poses in its sample is preferred.
 
     Raises:
         RescanError: No sampled frame has a pose, and not all messages were read.

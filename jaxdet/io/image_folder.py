@@ -134,7 +134,7 @@ class ImageFolder(MessageFile):
         return file_index(self.infos, messages, FileIntegrity(self.path, by_index=True))
 
     def rebuild_index(self) -> FileIndex:
-        """Build the same index while reading all files; an unreadable image remains a frame.
+        """Build the index while reading all files; an unreadable image remains a frame.
 
         Raises:
             InputError: The folder was changed meanwhile.
@@ -180,7 +180,7 @@ class ImageFolder(MessageFile):
             DamageError: The message does not exist.
         """
         if not 0 <= number < len(self._messages):
-            raise DamageError("no message where one should be")
+            raise DamageError("no message at the expected position")
         item = self._messages[number]
         return MessageRow(item.channel, item.log_ns, item.size)
 

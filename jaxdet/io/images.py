@@ -198,9 +198,9 @@ def metres_to_units(depth_m: np.ndarray, unit_m: float, row: np.ndarray) -> None
 
 
 def typical_float(image: ImageMessage) -> float:
-    """Return the median of the positive values of a 32FC1 image, in its own unit.
+    """Return the median of the positive values of a 32FC1 image, in the unit of the image.
 
-    It is NaN if there are no such values.
+    The result is NaN if no value is positive.
 
     Raises:
         FrameError: The data don't fit the size.

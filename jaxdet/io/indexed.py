@@ -197,7 +197,7 @@ def _take(builder: ContentsBuilder, topic: TopicMessages, number: int, payload: 
 def _find_topics(
     files: Sequence[LogFile], indexes: Sequence[FileIndex], builder: ContentsBuilder
 ) -> list[TopicMessages]:
-    """Return the topics with useful messages; the others are only recorded and counted."""
+    """Return the topics with useful messages; other topics are only recorded and counted."""
     found: dict[tuple[str, str], tuple[list[MessageDecoder], list[IndexedMessages]]] = {}
     for number, (file, entries) in enumerate(zip(files, indexes, strict=True)):
         builder.next_file(file)

@@ -49,7 +49,7 @@ class ReadMemory(NamedTuple):
     """Memory that reading a log may use in a process [byte]; practically unlimited by default."""
 
     chunk: int = 1 << 40
-    """Memory for the largest chunk or message, and as much again for cached ones."""
+    """Memory for the largest chunk or message, and as much again for cached chunks."""
     messages: int = 1 << 40
     """Memory for the index while a file is opened."""
 

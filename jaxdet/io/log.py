@@ -185,7 +185,7 @@ class Log:
     @overload
     def __getitem__(self, index: slice) -> list[LogFrame]: ...
     def __getitem__(self, index: Any) -> Any:
-        """Return a selected frame or a slice of them, by position in the selection, with colour.
+        """Return the frame at a position in the selection, or the frames in a slice, with colour.
 
         Raises:
             IndexError: There is no such frame.
@@ -272,7 +272,7 @@ class Log:
         ``frames.color`` of a batch is None if no colour image was requested.
 
         Args:
-            batch_size: Number of frames per batch; the last is padded.
+            batch_size: Number of frames per batch; the last batch is padded.
             start: Lower bound of the frame numbers.
             stop: Upper bound of the frame numbers, exclusive; None: no bound.
             images: Memory for the decoded images; by default new arrays.

@@ -15,7 +15,7 @@ class Namespaces(NamedTuple):
     """Namespaces of the camera's robot, the longest first; the global one is empty and comes last.
     """
     others: tuple[str, ...]
-    """Namespaces without a camera; they are searched if the own ones are not sufficient."""
+    """Namespaces without a camera; they are searched if ``own`` is not sufficient."""
 
     @property
     def has_robot(self) -> bool:

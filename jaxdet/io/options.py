@@ -40,9 +40,9 @@ class LogOptions:
     """Topic of the depth images; unset: determined by encoding and name, preferably aligned depth.
     """
     color_info: str | None = None
-    """Topic of the colour camera's calibration; unset: the one next to the colour images."""
+    """Topic of the colour camera's calibration; unset: the topic next to the colour images."""
     depth_info: str | None = None
-    """Topic of the depth camera's calibration; unset: the one next to the depth images."""
+    """Topic of the depth camera's calibration; unset: the topic next to the depth images."""
     tf: bool = True
     """Use the transforms of the log (extrinsics, floor, poses)."""
     odom: str | None = None
@@ -90,7 +90,7 @@ class LogOptions:
     """Maximum size of a chunk or message [MiB], before and after decompression. Larger ones are
     rejected, which limits memory and stops decompression bombs."""
     max_pixels: int = 1 << 25
-    """Maximum size of an image [pixel]; frames with larger ones get an error status."""
+    """Maximum size of an image [pixel]; frames with larger images get an error status."""
 
     scan: bool = False
     """Read the complete log at opening instead of trusting its index."""

@@ -198,7 +198,7 @@ class SqliteFile(MessageFile):
         """
         row = next(self.query(_ROW, (number,)), None)
         if row is None or row[3] != "blob":
-            raise DamageError("no message where one should be")
+            raise DamageError("no message at the expected position")
         return MessageRow(*row[:3]).check()
 
     def _connection(self) -> sqlite3.Connection:

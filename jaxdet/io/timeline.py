@@ -42,7 +42,7 @@ class Window(NamedTuple):
     """Poses ``(n, 4, 4)`` float64, NaN if unknown; None if the log has no poses."""
     notes: Notes = Notes()
     other_calibration: np.ndarray | None = None
-    """Frames with another calibration than the one used, ``(n,)`` bool; None: no frame."""
+    """Frames whose calibration differs from that in use, ``(n,)`` bool; None: no frame."""
     chunks: tuple[Place, ...] = ()
     """Chunks whose CRC must be checked for this window."""
     color_chunks: tuple[Place, ...] = ()

@@ -66,9 +66,9 @@ class Choice(NamedTuple):
     aligned_by_name: bool
     reasons: tuple[str, ...]
     why_no_color: str = ""
-    """Reason in one clause; empty if there is a colour topic."""
+    """Reason for the missing colour topic in one clause; empty if there is a colour topic."""
     remedy: str = ""
-    """Action that gives the log colour; empty if there is a colour topic."""
+    """Remedy for the missing colour topic; empty if there is a colour topic."""
     infrared: bool = False
     """Whether the colour topic is the infrared image of the depth camera."""
 

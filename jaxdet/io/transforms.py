@@ -31,7 +31,7 @@ class _Edge:
 class TransformTree:
     """Static and moving transforms; each frame has one parent, the first one found.
 
-    A static transform takes precedence over moving ones of the same frame. Contradictory
+    A static transform takes precedence over moving transforms of the same frame. Contradictory
     transforms, and those that are not rigid motions, are ignored and reported in ``warnings``.
 
     Attributes:

@@ -33,7 +33,7 @@ def values_of(info: CameraInfoMessage) -> tuple[object, ...] | None:
 
 
 def says_other(info: CameraInfoMessage, used: CameraInfoMessage | None) -> bool:
-    """Return whether a calibration contradicts the one in use."""
+    """Return whether a calibration contradicts the calibration in use."""
     values = values_of(info)
     return used is not None and values is not None and values != values_of(used)
 
@@ -44,7 +44,7 @@ def other_calibration(
     used: CameraInfoMessage,
     by_log_time: bool,
 ) -> np.ndarray:
-    """Return which frames have another calibration than the one in use, ``(F,)`` bool.
+    """Return which frames have a calibration that differs from that in use, ``(F,)`` bool.
 
     A frame has the last calibration that is not later than the frame, or else the first one.
 
@@ -63,7 +63,7 @@ def other_calibration(
 
 
 class CalibrationWindows:
-    """Determines the frames whose calibration differs from the one in use.
+    """Determines the frames whose calibration differs from the calibration in use.
 
     If only the first messages were read at opening, each window checks that the calibration does
     not change.

@@ -25,8 +25,8 @@ class Facing(NamedTuple):
     ``MOST_BETWEEN`` runs of cells lie between; this may occur several times in a line.
     """
 
-    places: np.ndarray  # number of places where they face each other
-    through: np.ndarray  # number of these with floor or something farther between them
+    places: np.ndarray  # number of places where two surfaces face each other
+    through: np.ndarray  # number of ``places`` with floor or something farther in between
     hidden: np.ndarray
     """Number of ``places`` with something nearer, and nothing farther, between the surfaces."""
     holes: np.ndarray

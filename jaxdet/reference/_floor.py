@@ -126,7 +126,7 @@ def floor_of_cells(
 def _take(
     x: np.ndarray, y: np.ndarray, z: np.ndarray, config: FloorConfig, scale: Scale
 ) -> tuple[Sample, Sample]:
-    """Return the measured cells, and every second of them in rows and columns."""
+    """Return the measured cells, and every second measured cell in rows and columns."""
     x, y, z = (a.astype(np.int64) for a in (x, y, z))
     row, column = np.indices(z.shape)
     inner = np.broadcast_to(~margins(z.shape[1]), z.shape)

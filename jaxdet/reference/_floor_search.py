@@ -162,7 +162,7 @@ def least_share(plane: Plane, least: int) -> int:
 def near_planes(cells: Sample, guess: Plane, prior: Plane | None, scale: Scale) -> list[Plane]:
     """Find planes near a guess: the best one of the cells up to each ring, and three of all cells.
 
-    The last one may be steeper than the others.
+    The last plane may be steeper than the others.
 
     Args:
         cells: ``K`` cells.

@@ -17,9 +17,9 @@ def footprint(
     """Measure each obstacle and find its points A, B and C on the floor (Eq. 7).
 
     The points are projected onto the floor (:func:`to_ground`), at most MAX_LATERAL away. A is the
-    leftmost, B the rightmost, C the nearest; ties go to the nearer point, for C to the one further
-    left. If the configuration sets a trim and bands, the outermost and nearest points are trimmed,
-    and A, B and C are medians of bands instead (:func:`_outermost`). C is a vertex unless
+    leftmost, B the rightmost, C the nearest; ties go to the nearer point, for C to the leftmost. If
+    the configuration sets a trim and bands, the outermost and nearest points are trimmed, and A, B
+    and C are medians of bands instead (:func:`_outermost`). C is a vertex unless
 
         min(d_A, d_B) - d_C < d_threshold
 

@@ -22,7 +22,7 @@ def jax_callable(
 ) -> Callable[[Callable[..., None]], Any]:
     """Make a function that launches kernels callable under ``jax.jit``.
 
-    Its arguments are Warp arrays; the last ones are outputs, whose shapes a call passes as
+    Its arguments are Warp arrays; the last of them are outputs, whose shapes a call passes as
     ``output_dims``. Scalars are not supported: Warp numbers the values of scalars without a lock,
     so two threads that trace at the same time could receive each other's values.
 

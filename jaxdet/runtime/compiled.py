@@ -47,7 +47,7 @@ def load_compiled(module: ModuleType) -> bool:
     """Load the kernels of a module for the CPU if some process has compiled them.
 
     Returns:
-        Whether they are loaded.
+        Whether the kernels are loaded.
     """
     with _lock:
         if module.__name__ not in _loaded:

@@ -82,7 +82,7 @@ class SimConfig:
     depth_delay_s: float = 0.0
     """Delay of the depth image relative to colour [s]."""
     odometry_hz: float = 50.0
-    """Odometry messages per second; 0: none, so no world coordinates."""
+    """Odometry messages per second; 0: no odometry, so no world coordinates."""
     odometry_drift: float = 0.0
     """Odometry drift: relative error of the distance, and rotation in radians per metre."""
     start_ns: int = 1_700_000_000_000_000_000

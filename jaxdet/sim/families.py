@@ -1,4 +1,4 @@
-"""Families of random scenes: the paper's four, those of its experiments, and further ones.
+"""Families of random scenes: the paper's four, those of the paper's experiments, and others.
 
 The robot stands at the origin and looks along x. In most scenes objects are farther apart than the
 default lateral gap, but not in all, as close objects matter too.

@@ -122,8 +122,9 @@ def fatten(disparity: np.ndarray, reach_px: float, rng: np.random.Generator) -> 
 def is_shadowed(disparity: np.ndarray) -> np.ndarray:
     """Return the stereo shadow: pixels that the right imager doesn't see.
 
-    A pixel u of the left image is at u - d in the right one. It is hidden if a pixel further right
-    in the left image is further left there, or if u - d is outside of the right image.
+    A pixel at column u of the left image is at column u - d of the right image. It is hidden if a
+    pixel further right in the left image is further left in the right image, or if u - d is outside
+    of the right image.
 
     Args:
         disparity: Disparity ``(H, W)`` float64 [pixel], 0 at infinity.

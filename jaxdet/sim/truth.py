@@ -70,7 +70,7 @@ class Truth(NamedTuple):
     """Minimum coordinates (right, forward) of the surface of ``nearest_m`` in the camera's ground
     frame, ``(F, J, 2)`` float32 [m]; forward is the distance of the nearest face."""
     ground_max: np.ndarray
-    """Maximum coordinates of the same surface, ``(F, J, 2)`` float32 [m]."""
+    """Maximum coordinates of the surface of ``nearest_m``, ``(F, J, 2)`` float32 [m]."""
     edge_m: np.ndarray
     """Distance from the camera's ground projection to the first step down, ``(F, 81)`` float32 [m],
     at the bearings ``EDGE_BEARINGS_RAD`` (-40 to 40 degrees, clockwise); NaN without a step."""
