@@ -9,7 +9,7 @@ from jaxdet.eval.tally import COUNTS, Case, Tally, total
 
 
 class Score(NamedTuple):
-    """Metrics of a log; NaN if there was nothing to count.
+    """Metrics of a log; NaN if a metric has no data.
 
     TP are found obstacles, FN missed ones, FP false detections (:mod:`jaxdet.eval.frame`).
     """

@@ -92,7 +92,7 @@ class _Color(NamedTuple):
 
     usable: bool
     camera: Found | None = None
-    """Camera of the colour images, if they have other pixels than the depth images."""
+    """Camera of the colour images, if their pixels differ from those of the depth images."""
     extrinsics: Extrinsics | None = None
     origin: str = ""
     """Source of the extrinsics."""

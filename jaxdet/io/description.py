@@ -144,7 +144,7 @@ def describe(
 def complete(
     about: LogDescription, notes: Notes, tolerance_s: float, *, has_poses: bool
 ) -> LogDescription:
-    """Add to a description what was found while reading all frames.
+    """Add the results of reading all frames to a description.
 
     Args:
         about: Description at the opening of the log.

@@ -156,7 +156,7 @@ def _squares(
     ground: GroundConfig,
     depth_unit: float,
 ) -> np.ndarray:
-    """Return squared distances of obstacles in cells from the foot, ``(R, C)``; infinity: none."""
+    """Return squared distances of obstacles in cells from the foot, ``(R, C)``; inf = none."""
     pixel, z, is_cell = standing
     nearest, farthest = depth_range(ground.min_depth_m, ground.max_depth_m, depth_unit)
     depth = np.where(is_cell & (pixel < nearest), z, pixel).astype(F32)

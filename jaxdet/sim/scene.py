@@ -87,8 +87,8 @@ class Ground:
     slope_rad: float = 0.0
     """Slope of the ramp [rad], negative downhill."""
     slope_start_m: float = 0.8
-    """Start of the ramp along ``slope_yaw`` from the origin [m]; the robot stands on the ramp if it
-    starts far behind it."""
+    """Start of the ramp along ``slope_yaw`` from the origin [m]; if the ramp starts far behind the
+    robot, the robot stands on it."""
     slope_length_m: float = 200.0
     """Length of the ramp, after which the floor is level [m]."""
     slope_yaw: float = 0.0
