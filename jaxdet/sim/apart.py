@@ -11,8 +11,8 @@ from jaxdet.sim.world import mesh_of
 
 TRIES = 60
 CLEAR_M = 0.10
-"""Minimum gap between a relocated object and all others [m]: the smallest gap at which the report
-expects two objects to be separated."""
+"""Minimum gap between a relocated object and all other objects [m]: at this gap, boxes should still
+be detected as two obstacles (a goal in ``benchmarks/paper/goals.py``)."""
 _FARTHER_M = 0.05
 """Increase of the search radius per try [m]."""
 _LIMITS_M = (0.9, 4.4)
