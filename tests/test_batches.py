@@ -49,7 +49,7 @@ def test_images_on_a_device_are_processed_on_it():
 def test_images_spread_over_devices_are_refused():
     given, devices = scene(2), np.array(jax.devices("cpu"))
     rows = NamedSharding(Mesh(devices, ("frames",)), PartitionSpec("frames"))
-    with pytest.raises(ConfigError, match="spread over 2 devices, but one computes a batch"):
+    with pytest.raises(ConfigError, match="on 2 devices, expected all on one device"):
         detect(given._replace(depth=jax.device_put(given.depth, rows)))
 
 

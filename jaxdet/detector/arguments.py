@@ -120,7 +120,7 @@ class Cameras:
         """Return the calibration of images of these shapes ``(B, H, W, ...)``.
 
         Raises:
-            CalibrationError: The calibration has another image size.
+            CalibrationError: The calibration is for another image size.
         """
         depths, colors = self._depth, self._color
         if self._known is not None:
@@ -231,7 +231,7 @@ def color_images(images: Any, order: ColorOrder) -> np.ndarray:
         order: Channel order, ``rgb`` or ``bgr``.
 
     Raises:
-        InputError: The images have another type or shape.
+        InputError: The type or shape of the images is wrong.
     """
     array = _stacked("color", images)
     if array.dtype == np.uint16:
@@ -259,7 +259,7 @@ def depth_images(images: Any, unit_m: float) -> np.ndarray:
         unit_m: Metres per unit.
 
     Raises:
-        InputError: The images have another type or shape, or are not in metres.
+        InputError: The type or shape of the images is wrong, or are not in metres.
     """
     array = _stacked("depth", images)
     if array.dtype == np.uint8:
@@ -304,7 +304,7 @@ def one_frame(name: str, image: Any) -> np.ndarray:
     """Add a batch axis to a single frame.
 
     Raises:
-        InputError: The argument is not an image, or has several.
+        InputError: The argument is not a single image.
     """
     array = _array(name, image)
     if name == "depth" and array.dtype == np.uint8:
@@ -366,7 +366,7 @@ def world_poses(values: Any, count: int) -> np.ndarray:
     """Return poses ``(count, 4, 4)`` float64; poses that contain NaN are unknown.
 
     Raises:
-        InputError: They have another type or shape, or are not rigid transforms.
+        InputError: The type or shape of the poses is wrong, or they are not rigid transforms.
     """
     poses = numbers("T_world_camera", values, np.float64)
     if poses.shape != (count, 4, 4):
@@ -383,7 +383,7 @@ def times(name: str, values: Any) -> np.ndarray:
     """Return timestamps ``(B,)`` int64 [ns].
 
     Raises:
-        InputError: They have another type or shape, for instance seconds in floats.
+        InputError: The type or shape is wrong, for instance floats in seconds.
     """
     array = _array(name, values)
     if array.dtype.kind == "M":
@@ -400,10 +400,10 @@ def times(name: str, values: Any) -> np.ndarray:
 
 
 def one_of(name: str, value: Any, literal: Any) -> None:
-    """Check that a value is one of those of a Literal type.
+    """Check that a value is one of the values of a Literal type.
 
     Raises:
-        ConfigError: The value is not.
+        ConfigError: The value is unknown.
     """
     allowed = get_args(literal)
     if not isinstance(value, str) or value not in allowed:

@@ -52,9 +52,9 @@ class Detector:
         K: Camera of the depth images: a matrix ``(3, 3)`` or ``fx fy cx cy`` [pixel] for images
             without distortion, or :class:`jaxdet.Intrinsics` with a lens model. If depth is aligned
             to colour, this is the colour camera.
-        color_K: Colour camera in the same form, if colour images are not aligned with depth; boxes
-            then refer to the colour image. It must be :class:`jaxdet.Intrinsics` unless the first
-            frame has a colour image. None: colour is aligned with depth, or unused.
+        color_K: Colour camera in the form of ``K``, if colour images are not aligned with depth;
+            boxes then refer to the colour image. It must be :class:`jaxdet.Intrinsics` unless the
+            first frame has a colour image. None: colour is aligned with depth, or unused.
         T_color_depth: Transform ``(4, 4)`` from the depth camera's optical frame to the colour
             camera's [m], or :class:`jaxdet.Extrinsics`; required with ``color_K``.
         depth_unit_m: Metres per unit of a uint16 depth image; float depth is in metres and rounded
@@ -168,7 +168,7 @@ class Detector:
             Obstacles in the order of their labels. The images may be overwritten after the call.
 
         Raises:
-            InputError: The images have another type or shape.
+            InputError: The type or shape of the images is wrong.
             CalibrationError: The image sizes differ from the calibration.
         """
         poses = None
@@ -193,8 +193,8 @@ class Detector:
             depth: Depth images ``(B, Hd, Wd)``, uint16 or floats in metres, or a sequence of them.
             color: Colour ``(B, H, W, 3)`` or grey images ``(B, H, W)``, uint8, or a sequence of
                 them; None: no images.
-            mounts: Prior of each frame's floor; None, for all or single frames: the detector's
-                mount.
+            mounts: Prior of the floor in each frame; the detector's mount replaces None, for all or
+                for single frames.
             stamps_ns: Timestamps ``(B,)``, integers [ns] or datetime64; None: 0.
             T_world_camera: Poses ``(B, 4, 4)``, NaN if unknown; None: all unknown.
 
@@ -202,7 +202,7 @@ class Detector:
             A sequence of the results of :meth:`__call__` for each frame, with their arrays.
 
         Raises:
-            InputError: The images have another type or shape, or the numbers of frames differ.
+            InputError: The type or shape of the images is wrong, or the numbers of frames differ.
             CalibrationError: The image sizes differ from the calibration.
         """
         depths = depth_images(depth, self._cameras.depth_unit_m)
@@ -238,8 +238,8 @@ class Detector:
     ) -> Iterator[FrameResult]:
         """Detect the obstacles in every frame of the log of :meth:`from_log`.
 
-        The results equal those of ``jaxdet run``; unusable frames have no obstacles and another
-        status than ``ok``.
+        The results equal those of ``jaxdet run``; unusable frames have no obstacles, and a status
+        other than ``ok``.
 
         Args:
             log: Log from :func:`jaxdet.open_log`.

@@ -51,7 +51,7 @@ class Obstacle:
         distance_m: Distance from the camera's ground projection to the nearest point [m]; None if
             the floor is unknown. The depth ``xyz_min[2]`` is always known.
         box: First column and row, last column and row [pixel], in the colour image of a calibrated
-            colour camera, else in the depth image; None if it is outside of the colour image.
+            colour camera, else in the depth image; None if the obstacle is outside of the image.
         xyz_min: Minimum x, y and z in the camera's optical frame, ``(3,)`` float32 [m].
         xyz_max: Maximum x, y and z, ``(3,)`` float32 [m].
         centroid: Centroid x, y and z, ``(3,)`` float32 [m].
@@ -65,8 +65,8 @@ class Obstacle:
         corners_world: Outline in the world, ``(4, 2)`` float64, X and Y [m]; None without a pose or
             a floor.
         num_points: Number of depth cells; in the preset ``paper`` number of corners.
-        evidence: How it was detected: ``surface``; ``free_floor`` for a low object in a notch of
-            the free floor; ``corners`` in the preset ``paper``.
+        evidence: How the obstacle was detected: ``surface``; ``free_floor`` for a low object in a
+            notch of the free floor; ``corners`` in the preset ``paper``.
     """
 
     label: int
@@ -106,7 +106,8 @@ _SIDES = "u_min", "v_min", "u_max", "v_max"
 class FrameResult(Sequence[Obstacle]):
     """Result of a frame: a sequence of obstacles in the order of their labels.
 
-    It keeps the arrays of the batch in memory, including images: 1.3 MB per frame without colour.
+    The result keeps all arrays of the batch in memory, including images: 1.3 MB per frame without
+    colour.
     """
 
     def __init__(self, batch: "BatchResult", row: int) -> None:
@@ -117,7 +118,7 @@ class FrameResult(Sequence[Obstacle]):
     @overload
     def __getitem__(self, index: slice) -> tuple[Obstacle, ...]: ...
     def __getitem__(self, index: Any) -> Any:
-        """Return an obstacle by its label, or a slice of them."""
+        """Return the obstacle with a label, or the obstacles in a slice."""
         return self.obstacles[index]
 
     def __len__(self) -> int:
@@ -200,7 +201,7 @@ class FrameResult(Sequence[Obstacle]):
     def floor_source(self) -> str:
         """Source of the floor: ``frame`` (its own depth), ``mount`` (the prior) or ``none``.
 
-        For frames of a log also ``window``, ``log``, ``tf`` or ``flags``, as in the table.
+        For frames of a log also ``window``, ``log``, ``tf`` or ``flags``, as in ``frames.parquet``.
         """
         return str(self._column("floor_source"))
 
@@ -212,7 +213,10 @@ class FrameResult(Sequence[Obstacle]):
 
     @property
     def overflow(self) -> bool:
-        """Whether obstacles may be missing because there were too many; see the table."""
+        """Whether obstacles may be missing because a limit was exceeded.
+
+        The limits are those of obstacles and surfaces, in the preset ``paper`` of corners.
+        """
         return bool(self._column("overflow"))
 
     @property
@@ -346,7 +350,7 @@ class BatchResult(Sequence[FrameResult]):
     @overload
     def __getitem__(self, index: slice) -> list[FrameResult]: ...
     def __getitem__(self, index: Any) -> Any:
-        """Return a frame's result by its index in the batch, or a slice of them."""
+        """Return the result of a frame by its index in the batch, or the results in a slice."""
         rows = range(len(self))[index]
         if isinstance(rows, range):
             return [FrameResult(self, row) for row in rows]

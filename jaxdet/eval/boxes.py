@@ -14,7 +14,7 @@ from jaxdet.eval.tally import Case, Tally
 MIN_IOU = 0.5
 """Minimum IoU of the boxes of an object and its detection."""
 NEAR_M = 0.08
-"""Depth of the near surface of an object [m]."""
+"""Extent of the near surface of an object in depth [m]."""
 
 
 class BoxLabels(NamedTuple):
@@ -76,7 +76,7 @@ def evaluate_boxes(
 
 
 def _error(labels: BoxLabels, distance_m: np.ndarray, j: int, detection: int) -> float:
-    """Return the error of a detection's distance [m], NaN if there is none."""
+    """Return the error of a detection's distance [m], NaN without a detection."""
     return float(distance_m[detection] - labels.distance_m[j]) if detection >= 0 else np.nan
 
 
@@ -136,7 +136,8 @@ def match_boxes(boxes: np.ndarray, found: np.ndarray, least_iou: float) -> np.nd
 def near_surface(z_m: np.ndarray) -> float:
     """Return the depth of an object's near surface from the depths of its pixels ``(n,)`` [m].
 
-    It is the median of the depths at most ``NEAR_M`` behind their 5th percentile; NaN without any.
+    The result is the median of the depths at most ``NEAR_M`` behind their 5th percentile, NaN for
+    an object without pixels.
 
     Example:
         >>> near_surface(np.array([1.0, 1.0, 1.02, 1.5, 1.5]))

@@ -112,7 +112,8 @@ def _standing(
 ) -> np.ndarray:
     """Return the obstacles of frame ``b`` under which the robot can't drive, ``(L,)``.
 
-    ``floor_known`` has whether each frame's floor is known, ``(B,)`` bool; None without heights.
+    ``floor_known`` states for each frame whether its floor is known, ``(B,)`` bool; None if the
+    detections have no heights.
     """
     numbers = np.arange(int(detections.num_obstacles[b]))
     scene = detections.scene

@@ -1,13 +1,13 @@
 """Evaluation of detections against ground truth, frame by frame.
 
-Each kept point votes for the object in its pixel, or for the one with its depth
+Each kept point votes for the object in its pixel, or for a neighbouring object at its depth
 (:func:`objects_of`). Points are the corners of the preset ``paper``, otherwise the depth cells
 (``detect(..., with_cells=True)``) in the colour image, to which the ground truth refers. A
 detection and an obstacle may match if at least half of the detection's votes are for the obstacle;
 matches are one to one and maximise the votes (:func:`jaxdet.eval.match.match`). Then
 
 - a required obstacle is *found* (true positive) if it is matched, otherwise *missed*;
-- an unmatched detection is *false*, even if it is a second one on an obstacle;
+- an unmatched detection is *false*, even if it is a second detection of an obstacle;
 - an unmatched detection is *ignored* if half of its votes are on walls, if it could match an
   obstacle that is not required (too far, mostly hidden, lower than the step), or if its cells are
   outside of the colour image.
@@ -103,7 +103,7 @@ class _Matched:
     objects: np.ndarray
     """Object number of each point, ``(n,)``."""
     votes: np.ndarray
-    """Votes ``(L, J + 1)``."""
+    """Votes of each detection for each object, ``(L, J + 1)``."""
     pair: np.ndarray
     """Number of the matched obstacle, ``(L,)``, 0 = none."""
     positions: np.ndarray
@@ -180,9 +180,9 @@ def objects_of(
 ) -> np.ndarray:
     """Return the object number of each point of frame ``b``, ``(n,)`` int64, 0 = floor.
 
-    It is the object at or next to the point's pixel (:func:`feature_objects`). If the true depth is
-    known and only a neighbouring pixel has the measured depth, it is the object there
-    (:func:`measured_objects`).
+    The object is that at or next to the point's pixel (:func:`feature_objects`). If the true depth
+    is known and only a neighbouring pixel has the measured depth, the object is that in the
+    neighbouring pixel (:func:`measured_objects`).
     """
     u, v, z = points.u, points.v, points.z
     ids = truth.obstacle_id[b]

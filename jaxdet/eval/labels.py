@@ -17,7 +17,7 @@ _REMEDY = f"pass a COCO file, or a list {_LIST}"
 
 
 class _Row(NamedTuple):
-    """A labelled box, or None for an image without one."""
+    """A labelled box, or an ignored region."""
 
     box: list[float] | None
     distance_m: float

@@ -38,12 +38,12 @@ def measured_objects(
     slack_m: np.ndarray,
     tolerance: int,
 ) -> np.ndarray:
-    """Return the object next to each feature whose true depth equals the measured one.
+    """Return the object next to each feature whose true depth equals the measured depth.
 
     Stereo matching dilates foreground objects, so a background pixel may have the depth of the
     obstacle next to it. The object is that of the nearest pixel within ``tolerance`` (a square)
-    with the feature's depth, unless the feature's own pixel has it. Obstacles take priority over
-    walls, walls over floor.
+    with the feature's depth, unless the feature's own pixel has this depth. Obstacles take priority
+    over walls, walls over floor.
 
     Args:
         obstacle_id: Object numbers ``(H, W)`` integer.

@@ -9,7 +9,7 @@ from jaxdet.eval.tally import COUNTS, Case, Tally, total
 
 
 class Score(NamedTuple):
-    """Metrics of a log; NaN if there was nothing to count.
+    """Metrics of a log; NaN if a metric has no data.
 
     TP are found obstacles, FN missed ones, FP false detections (:mod:`jaxdet.eval.frame`).
     """
@@ -35,8 +35,8 @@ class Score(NamedTuple):
     fmi_pooled: float
     """Fowlkes-Mallows index of the pairs of all frames."""
     fmi_obstacles: float
-    """``sqrt(precision recall)``: the same formula over obstacles, which fits the paper's values:
-    its precision 85.54 and recall 90.22 give 0.8785, its FMI is 0.8773."""
+    """``sqrt(precision recall)``, the Fowlkes-Mallows formula over obstacles. It fits the paper's
+    values: the precision 85.54 and the recall 90.22 give 0.8785, and the stated FMI is 0.8773."""
     silhouette: float
     """Mean over frames of the silhouette coefficient, see
     :func:`jaxdet.eval.indices.silhouette`."""
@@ -61,17 +61,17 @@ class Score(NamedTuple):
     nearest_error_m: float
     """Median absolute error of ``distance_m`` relative to the nearest visible point [m]."""
     nearest_error_p90_m: float
-    """90th percentile of this error [m]."""
+    """90th percentile of the absolute error of ``distance_m`` [m]."""
     nearest_bias_m: float
     """Median signed error of ``distance_m``, negative if too near [m]."""
     position_error_m: float
     """Median absolute error of the forward coordinate of point C [m]."""
     position_error_p90_m: float
-    """90th percentile of this error [m]."""
+    """90th percentile of the absolute error of the forward coordinate of point C [m]."""
     width_error_m: float
     """Median absolute error of the width [m]."""
     width_error_p90_m: float
-    """90th percentile of this error [m]."""
+    """90th percentile of the absolute error of the width [m]."""
     iou: float
     """Median intersection over union of rectangles and true footprints."""
     tally: Tally

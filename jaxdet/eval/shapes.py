@@ -45,8 +45,9 @@ class Shapes:
     def near(self, j: int, config: EvalConfig) -> np.ndarray:
         """Return the footprint points of object ``j`` for the coverage.
 
-        They are on its near side, in range, within the width of its visible surface and not in
-        front of it, as parts beyond the image border can't be covered.
+        The points are on the near side of the object and in range. Points to the left or right of
+        the visible surface, or in front of it, are left out, as detections can't cover parts beyond
+        the image border.
         """
         if self.outline is None or self.true_low is None or self.true_width is None:
             return np.zeros((0, 2))

@@ -12,18 +12,18 @@ class Case(NamedTuple):
     number: int
     """Number of the object in the ground truth images."""
     distance_m: float
-    """True distance of its nearest face, forward in the ground frame [m]."""
+    """True distance of the obstacle's nearest face, forward in the ground frame [m]."""
     found: bool
     position_error_m: float
-    """Forward coordinate of its detection's point C minus ``distance_m`` [m]."""
+    """Forward coordinate of point C of the detection minus ``distance_m`` [m]."""
     width_error_m: float
-    """Width of its detection (right coordinate of B minus that of A) minus the width of its
-    visible surface [m]."""
+    """Width of the detection (right coordinate of B minus that of A) minus the width of the
+    obstacle's visible surface [m]."""
     iou: float
-    """Intersection over union of its detection's rectangle and the true footprint."""
+    """Intersection over union of the detection's rectangle and the true footprint."""
     nearest_error_m: float
-    """Distance of its detection (:func:`jaxdet.results.metric.distances`, the column
-    ``distance_m``) minus the true one, ``FrameTruth.nearest_floor_m`` [m]."""
+    """Distance of the detection (:func:`jaxdet.results.metric.distances`, the column
+    ``distance_m``) minus the true distance, ``FrameTruth.nearest_floor_m`` [m]."""
 
 
 class Tally(NamedTuple):
@@ -42,7 +42,7 @@ class Tally(NamedTuple):
     ignored: int = 0
     """Detections on walls or on obstacles that are not required."""
     on_floor: int = 0
-    """False positives with most votes for the floor or nothing."""
+    """False positives with at least half of the votes for the floor or no object."""
     on_wall: int = 0
     """Ignored detections on walls."""
     splits: int = 0
@@ -55,11 +55,11 @@ class Tally(NamedTuple):
     """Number of correctly labelled points: points on an obstacle with the label of its matched
     detection, and points on the floor or on no object without a label."""
     pairs_both: int = 0
-    """Pairs of these points that share a detection and an obstacle."""
+    """Pairs of ``points`` that share a detection and an obstacle."""
     pairs_detected: int = 0
-    """Pairs that share a detection."""
+    """Pairs of ``points`` that share a detection."""
     pairs_true: int = 0
-    """Pairs that share an obstacle."""
+    """Pairs of ``points`` that share an obstacle."""
     fmi_sum: float = 0.0
     """Sum of the frames' Fowlkes-Mallows indices."""
     fmi_frames: int = 0
@@ -86,7 +86,7 @@ class Tally(NamedTuple):
     """Pixels of ``drivable_pixels`` inside an outline."""
     cases: tuple[Case, ...] = ()
     claims: tuple[float, ...] = ()
-    """Fraction of ``drivable_pixels`` inside an outline, for each frame with enough of them."""
+    """Fraction of ``drivable_pixels`` inside an outline, for each frame with enough pixels."""
 
     @property
     def counts(self) -> tuple[float, ...]:

@@ -93,8 +93,8 @@ class FrameTruth(NamedTuple):
     drivable: np.ndarray | None = None
     """Whether the pixel shows drivable floor, outside all footprints, ``(B, H, W)`` bool."""
     nearest_floor_m: np.ndarray | None = None
-    """Distance on the floor from the camera's ground projection to the nearest point of its visible
-    surface, ``(B, J)`` float [m], NaN if unknown, see :func:`nearest_on_floor`."""
+    """Distance on the floor from the camera's ground projection to the nearest visible point of
+    each object, ``(B, J)`` float [m], NaN if unknown, see :func:`nearest_on_floor`."""
 
     def required(self, config: EvalConfig) -> np.ndarray:
         """Return which objects are required, ``(B, J)`` bool.
@@ -243,10 +243,10 @@ def nearest_on_floor(
 ) -> np.ndarray:
     """Return the distance of each object from the depth camera's ground projection.
 
-    It is the minimum over the object's colour pixels of the distance on the floor plane, like
-    ``distance_m``. Points not higher than the step are ignored if there are higher ones. It is
-    unknown for objects cut off by the left, right or lower image border, as the depth camera may
-    see nearer parts, which ``distance_m`` includes.
+    The result is the minimum over the object's colour pixels of the distance on the floor plane,
+    like ``distance_m``. Points not higher than the step are ignored if there are higher points. The
+    distance is unknown for objects cut off by the left, right or lower image border, as the depth
+    camera may see nearer parts, which ``distance_m`` includes.
 
     Args:
         truth: Ground truth with ``depth_m``.

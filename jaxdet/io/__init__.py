@@ -2,7 +2,7 @@
 
 ``find_logs`` finds the logs in files and folders, ``open_log`` reads the index and the first
 messages of a log, and :class:`Log` reads its frames in batches. Names are imported on first use,
-so that ``LogOptions`` alone imports no decoder.
+so that importing only ``LogOptions`` does not import the decoders.
 
 The modules, from files to frames::
 

@@ -57,9 +57,9 @@ class BagRecord(NamedTuple):
     start: int
     """Position of the record [byte]."""
     data: int
-    """Position of its data [byte]."""
+    """Position of the record's data [byte]."""
     size: int
-    """Size of its data [byte]."""
+    """Size of the record's data [byte]."""
 
     @property
     def end(self) -> int:
@@ -143,7 +143,7 @@ class BagFile(LogFile):
 
         Args:
             position: Start of the record [byte].
-            end: Upper limit for its end [byte]; by default the size of the file.
+            end: Upper limit for the end of the record [byte]; by default the size of the file.
 
         Raises:
             DamageError: There is no complete record.
@@ -167,7 +167,7 @@ class BagFile(LogFile):
         """
         record = self.record(position)
         if record.op != CHUNK:
-            raise DamageError("no chunk where one should be")
+            raise DamageError("no chunk at the expected position")
         name = record.fields.get(b"compression", b"").decode("ascii", "replace")
         place = record.data - position
         size = record.number(b"size")
@@ -218,7 +218,7 @@ def read_record(data: bytes, place: int, start: int = 0) -> BagRecord:
     """Parse the record header at offset ``place`` of data, which begin at file position ``start``.
 
     Raises:
-        DamageError: There is no header. The data of the record may be incomplete.
+        DamageError: The header is damaged. Incomplete data of the record are no error.
     """
     try:
         (size,) = _LENGTH.unpack_from(data, place)
@@ -336,7 +336,7 @@ def _chunk_index(
     chunk = file.record(position, end)
     size = chunk.number(b"size")
     if chunk.op != CHUNK or size > file.max_bytes or end - chunk.end > file.max_bytes:
-        raise DamageError("no chunk where one should be")
+        raise DamageError("no chunk at the expected position")
     data = file.read(chunk.end, end - chunk.end)
     seen: Counter[int] = Counter()
     for record in records(data):

@@ -23,7 +23,7 @@ class LogFrame(NamedTuple):
     """Depth image ``(Hd, Wd)`` uint16 [depth units], 0 = no measurement; all 0 if it can't be
     decoded."""
     color: np.ndarray | None
-    """Nearest colour image ``(H, W, 3)`` uint8, RGB; None if none was read."""
+    """Nearest colour image ``(H, W, 3)`` uint8, RGB; None if there is no colour image."""
     status: FrameStatus
     """``ok``, or the reason why the frame is unusable."""
     error: str
@@ -45,7 +45,7 @@ class LogFrame(NamedTuple):
 
 
 class Batch(NamedTuple):
-    """A batch of decoded frames, with the status of each."""
+    """A batch of decoded frames and their status."""
 
     frames: Frames
     """Frames, padded to the batch size. Padding has zero images, ``valid`` False, and -1 as number
@@ -60,17 +60,16 @@ class Batch(NamedTuple):
     decoding_s: float = 0.0
     """Time spent on decoding images [s]; the rest of the time was spent on reading."""
     camera_frame: str = ""
-    """Name of the depth camera's optical frame; empty if the log has none."""
+    """Name of the depth camera's optical frame; empty if the log does not name it."""
     world_frame: str = ""
-    """Name of the world frame of the poses; empty if there are none."""
+    """Name of the world frame of the poses; empty if there are no poses."""
     log_time_ns: np.ndarray | None = None
-    """Log time of the depth image of each frame, int64 [ns]; None if the frames are not of a log.
-    """
+    """Log time of the depth image of each frame, int64 [ns]; None if there is no log."""
     color_frame: str = ""
-    """Name of the colour camera's optical frame; empty if the log has none."""
+    """Name of the colour camera's optical frame; empty if the log does not name it."""
     nearest_color_ns: np.ndarray | None = None
     """Timestamp in the header of the colour image nearest to each frame, int64 [ns], -1 = none; it
-    does not depend on whether colour was read. None if the frames are not of a log."""
+    does not depend on whether colour was read. None if there is no log."""
 
     def one_by_one(self) -> Iterator[LogFrame]:
         """Yield the frames without the padding."""
@@ -101,7 +100,7 @@ class Batch(NamedTuple):
 
     @classmethod
     def joined(cls, parts: Sequence["Batch"]) -> "Batch":
-        """Concatenate batches of a log, at least one, each :meth:`without_images`."""
+        """Concatenate one or more batches of a log, from :meth:`without_images`."""
         frames = [part.frames for part in parts]
         names = (*_PER_FRAME, "T_world_camera")
         known = {name: _joined([getattr(item, name) for item in frames]) for name in names}

@@ -36,7 +36,7 @@ _MUCH_MORE = 5
 _UNDER = 0.1
 """Maximum fraction of points below the floor: noise and reflections."""
 _FLOOR_M, _FLOOR_SHARE = 0.03, 0.02
-"""Tolerance of floor points: a constant [m], plus this per metre of distance."""
+"""Tolerance of the height of floor points: a constant [m], and a part per metre of depth."""
 _BELOW_M = 0.05
 """Minimum distance of a floor of unknown height below the camera [m]."""
 

@@ -24,7 +24,8 @@ def masks_text(given: str) -> str:
     """Read the files of masks; return the masks as text.
 
     Args:
-        given: ``FILE``, or ``CAMERA=FILE`` per camera, separated by commas. A mask as text is kept.
+        given: ``FILE``, or ``CAMERA=FILE`` per camera, separated by commas. A mask that is already
+            text, instead of a file, is kept.
 
     Raises:
         ConfigError: A file is missing or not a PNG, a camera occurs twice, or a text is invalid.

@@ -43,11 +43,11 @@ class Calibrated(NamedTuple):
     camera_frame: str
     """TF frame of the depth camera; for aligned depth, that of the colour camera."""
     tf_frame: str
-    """The same frame as named by the images, which may be a body frame."""
+    """TF frame that the images name for this camera, which may be a body frame."""
     T_frame_camera: np.ndarray | None
     """Transform ``(4, 4)`` float64 from the camera to ``tf_frame``; None if they are the same."""
     color_frame: str
-    """TF frame of the colour images; empty if none are used."""
+    """TF frame of the colour images; empty if colour is not used."""
     has_color: bool
     """Whether colour images have the pixels of ``calibration.image``."""
     has_color_camera: bool
@@ -62,7 +62,7 @@ class Calibrated(NamedTuple):
     used: dict[str, CameraInfoMessage]
     """Calibration messages used, by topic."""
     of_depth: str
-    """Topic of the calibration of depth among them; empty if flags supply it."""
+    """Topic in ``used`` with the calibration of depth; empty if flags supply the calibration."""
     warnings: tuple[str, ...]
     notes: tuple[str, ...]
 
@@ -92,7 +92,7 @@ class _Color(NamedTuple):
 
     usable: bool
     camera: Found | None = None
-    """Camera of the colour images, if they have other pixels than the depth images."""
+    """Camera of the colour images, if their pixels differ from those of the depth images."""
     extrinsics: Extrinsics | None = None
     origin: str = ""
     """Source of the extrinsics."""
@@ -108,9 +108,9 @@ def calibrate(
 ) -> Calibrated:
     """Return the calibration of the chosen topics.
 
-    Depth that is aligned to colour uses the calibration of the colour camera or, if that has none,
-    its own. If the colour camera has no calibration or extrinsics, its images are not used; this is
-    an error only if options for its calibration are set.
+    Depth that is aligned to colour uses the calibration of the colour camera or, if it is missing,
+    that of the depth topic. If the colour camera has no calibration or extrinsics, its images are
+    not used; this is an error only if options for its calibration are set.
 
     Args:
         contents: Contents of the log.
@@ -287,7 +287,8 @@ def _other_color(
     """Return the relation of the images of a separate colour camera.
 
     Raises:
-        CalibrationError: Its calibration or extrinsics are missing, and options for them are set.
+        CalibrationError: The calibration or extrinsics of the colour camera are missing, and
+            options for them are set.
     """
     if sources.color is None:
         return _Color(False)
@@ -460,7 +461,7 @@ def _source(
 def _info_topic(
     contents: LogContents, stream: ImageStream, depth: bool, override: str | None
 ) -> str:
-    """Return the calibration topic: by flag, else next to the images, else of the same frame."""
+    """Return the calibration topic: set by flag, or next to the images, or with their TF frame."""
     known = contents.calibrations
     if override:
         if override not in known:

@@ -1,4 +1,4 @@
-"""Cameras of a log, and the selection of the one to read."""
+"""Cameras of a log, and the selection of the camera to read."""
 
 from collections.abc import Mapping
 from typing import NamedTuple

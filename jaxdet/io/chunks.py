@@ -26,7 +26,7 @@ PAYLOAD_OFFSET = RECORD_HEAD.size + MESSAGE_HEAD.size
 """Offset of a message's payload from the start of its record [byte]."""
 _CHUNK_HEAD = struct.Struct("<QQQII")
 MAX_TIME_NS = (1 << 63) - 1
-"""Maximum log time; later ones are clipped to it [ns]."""
+"""Maximum log time [ns]; later times are clipped to it."""
 
 PIECE_BYTES = 1 << 18
 """Number of bytes of a chunk that are processed at a time, to stay in a core's cache."""

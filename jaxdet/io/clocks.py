@@ -17,7 +17,8 @@ from jaxdet.io.options import LogOptions
 from jaxdet.io.streams import ImageStream
 
 _LEAST_S = 0.5
-"""Minimum offset between different clocks [s]: images are delayed, and transforms future-dated."""
+"""Minimum offset between different clocks [s]. Smaller offsets are explained by delayed images and
+future-dated transforms."""
 _STEADY = 0.2
 """Maximum deviation of single delays from their median, as a fraction of the offset."""
 _AGREE_NS = 2_000_000
@@ -80,7 +81,7 @@ def pose_offset(
         depth_topic: Topic of the depth images.
         color_topic: Topic of the colour images; may be empty.
         sources: Topic and TF frame of each moving transform, or a pose topic and an empty frame.
-            The offset is 0 if any of them has depth's clock, as others may be future-dated.
+            The offset is 0 if any of them has the clock of depth; the others may be future-dated.
     """
     if options.pose_offset_s is not None:
         return Offset(round(options.pose_offset_s * 1e9))
@@ -105,7 +106,7 @@ def first_stamp(
     """Return the start of a log's time axis [ns], and the number of frames with older timestamps.
 
     The start is the first timestamp. If the clock was not set at first (timestamps of zero, or
-    years before most others), it is the time at which the first image was recorded.
+    years before most of the others), the start is the time at which the first image was recorded.
 
     Args:
         count: Number of frames.

@@ -122,7 +122,7 @@ def decode_compressed_color(
         max_pixels: Maximum number of pixels.
 
     Raises:
-        FrameError: The format or size is another, the data are damaged, or there are more pixels
+        FrameError: The format or size is wrong, the data are damaged, or there are more pixels
             than ``max_pixels``.
     """
     if is_zstd(image.format):
@@ -152,7 +152,7 @@ def decode_compressed_depth(
         max_pixels: Maximum number of pixels.
 
     Raises:
-        FrameError: The format or size is another, the data are damaged, or there are more pixels
+        FrameError: The format or size is wrong, the data are damaged, or there are more pixels
             than ``max_pixels``.
     """
     if is_zstd(image.format):

@@ -25,7 +25,7 @@ _PASSING = errno.EIO, errno.ETIMEDOUT
 _WAITS_S = 0.1, 0.5, 2.0
 """Pauses before a failed read is retried [s]."""
 _PATIENCE_S = 30.0
-"""Maximum total of the pauses per file [s], as it may have many damaged places."""
+"""Maximum total of the pauses per file [s], as a file may have many damaged parts."""
 
 
 class FileState(NamedTuple):
@@ -51,7 +51,7 @@ class LogFile(ABC):
         state: State that the file must have; by default its current state.
 
     Raises:
-        InputError: The file can't be opened, has another format, or another state.
+        InputError: The file can't be opened, or its format or state is not the expected one.
     """
 
     magic: bytes
@@ -129,7 +129,7 @@ class LogFile(ABC):
         check_chunk(size, str(self.path), self.memory)
 
     def check_messages(self, count: int) -> None:
-        """Check that the file can have so many messages, and that their index fits in memory.
+        """Check that ``count`` messages fit in the file, and their index in memory.
 
         Raises:
             InputError: There are too many messages.
@@ -174,7 +174,7 @@ class LogFile(ABC):
         return b""
 
     def chunk_bytes(self, position: int) -> int:
-        """Return the maximum memory :meth:`chunk` needs there [byte]; 0 if there is no chunk."""
+        """Return the maximum memory for :meth:`chunk` at a position [byte]; 0 without a chunk."""
         try:
             head = self.chunk_head(position)
         except DamageError:
@@ -182,14 +182,14 @@ class LogFile(ABC):
         return min(max(head.uncompressed_size, head.data_size), self.max_bytes)
 
     def name_of(self, position: int) -> str:
-        """Return the file name of the image in the chunk; empty if it is not a file of its own."""
+        """Return the file name of the image in the chunk; empty if it has no separate file."""
         return ""
 
     def read(self, position: int, size: int) -> bytes:
         """Return exactly ``size`` bytes from ``position``.
 
         Raises:
-            DamageError: The file ends before, or is unreadable there.
+            DamageError: The file ends earlier, or is unreadable there.
             InputError: The file was changed since it was opened.
         """
         try:
@@ -210,7 +210,7 @@ class LogFile(ABC):
         """Fill writable byte views one after the other with the bytes from ``position`` on.
 
         Raises:
-            DamageError: The file ends before, or is unreadable there.
+            DamageError: The file ends earlier, or is unreadable there.
             InputError: The file was changed since it was opened.
         """
         left = list(parts)

@@ -47,7 +47,7 @@ class TopicInfo:
         self.last_ns = 0
         self.undecodable = 0
         self.why = ""
-        """Reason why the first of these messages can't be decoded."""
+        """Reason why the first of the ``undecodable`` messages can't be decoded."""
         self.problem = ""
         """Reason why the messages are unusable; empty if they are usable."""
 
@@ -69,7 +69,7 @@ class CalibrationTopic:
 
     def __init__(self) -> None:
         self.first: CameraInfoMessage | None = None
-        """First calibration with K[0] other than 0, else the first of all."""
+        """First calibration whose focal length K[0] is not 0, or else the first calibration."""
         self._of_size: dict[ImageSize, CameraInfoMessage] = {}
         self.changes: list[CalibrationChange] = []
         """Changes of the calibration, in file order."""
@@ -86,7 +86,7 @@ class CalibrationTopic:
             self._of_size.setdefault(ImageSize(*size), info)
 
     def of(self, size: ImageSize | None) -> CameraInfoMessage | None:
-        """Return the first calibration for images of this size, else the first of all."""
+        """Return the first calibration for images of this size, or else :attr:`first`."""
         return (size and self._of_size.get(size)) or self.first
 
     @property
@@ -208,12 +208,12 @@ class ContentsBuilder:
             topic.last_ns = max(topic.last_ns, last_ns)
 
     def next_file(self, file: LogFile) -> None:
-        """Start the next file, before its channels."""
+        """Start the next file; to be called before its messages are added."""
         self.path = str(file.path)
         self.bytes += file.size
 
     def take(self, decoder: MessageDecoder, log_ns: int, payload: memoryview) -> None:
-        """Add a message of a kind that is used; images without their pixels."""
+        """Add a message of a kind that is used; the pixels of images are not kept."""
         topic = decoder.channel.topic
         try:
             if decoder.kind in IMAGE_KINDS:
@@ -224,7 +224,7 @@ class ContentsBuilder:
             self.contents.topics[topic].add_undecodable(error.problem)
 
     def is_probe(self, decoder: MessageDecoder) -> bool:
-        """Return whether the next image of a topic is decoded: a first one, or any RGBD message."""
+        """Return whether the next image of a topic is decoded: its first images, RGBD messages."""
         stream = self.contents.streams.get(decoder.channel.topic)
         return decoder.kind is Kind.RGBD or stream is None or len(stream.probes) < NUM_PROBES
 

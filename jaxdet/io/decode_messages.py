@@ -54,7 +54,7 @@ class MessageDecoder:
     """Decoder of the messages of one channel.
 
     Raises:
-        ValueError: The encoding or the schema is not supported; the message says which.
+        ValueError: The encoding or the schema is not supported; the error names it.
     """
 
     def __init__(self, channel: ChannelInfo) -> None:
@@ -127,7 +127,7 @@ class MessageDecoder:
         return self.channel.message_encoding == "ros1" or head[1] in (0, 1)
 
     def after_stamp(self, payload: bytes | memoryview) -> bytes:
-        """Return a message without its leading timestamp; unchanged if it does not lead."""
+        """Return a message without its timestamp, or unchanged if the timestamp is not first."""
         payload = self._expanded(payload)
         return bytes(payload[_STAMP_BYTES:] if self.stamp_leads else payload)
 

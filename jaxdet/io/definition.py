@@ -73,7 +73,7 @@ _LEADING: dict[str, dict[str, tuple[str, ...]]] = {
 
 @cache
 def schema_text(type_name: str) -> str:
-    """Return a definition with those of its member types, concatenated as in ROS 2."""
+    """Return the definitions of a type and its member types, concatenated as in ROS 2."""
     order = [type_name]
     for name in order:
         kinds = (line.split()[0].partition("[")[0] for line in DEFINITIONS[name].splitlines())
@@ -86,8 +86,8 @@ def schema_text(type_name: str) -> str:
 def bare_definition(text: str) -> str:
     """Reduce a definition to types and names, without comments, constants and default values.
 
-    Those do not affect the serialised message, and the parser's time grows with the square of their
-    length.
+    The omitted parts do not affect the serialised message, and the parser's time grows with the
+    square of their length.
 
     Raises:
         ValueError: The definition has more than ``MAX_SCHEMA_LINES`` lines.

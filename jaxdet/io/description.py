@@ -35,7 +35,7 @@ class TopicDescription(NamedTuple):
     rate_hz: float
     """Mean rate by log time [Hz]; 0 for fewer than two messages."""
     chosen_as: str
-    """color, depth, or empty."""
+    """Roles of the topic, separated by spaces: color, depth; empty if it is not used."""
     problem: str
     """Reason why the messages are unusable; empty if they are usable."""
 
@@ -48,7 +48,7 @@ class PairingDescription(NamedTuple):
     num_with_color: int
     """Number of frames with a colour image within the tolerance."""
     median_dt_s: float
-    """Median of ``|colour - depth|`` of these frames [s]; 0 without any."""
+    """Median of ``|colour - depth|`` of these frames [s]; 0 if there are none."""
     max_dt_s: float
 
     @property
@@ -73,13 +73,14 @@ class LogDescription(NamedTuple):
     camera: str
     """Name of the camera."""
     cameras: tuple[str, ...]
-    """Cameras of a log with several, each with its topics or the reason why it is unusable."""
+    """Descriptions of the cameras with their topics, or the reason why they are unusable; empty if
+    there is only one."""
     cameras_left_out: tuple[str, ...]
     """Names of the unusable cameras; the warnings contain the reasons."""
     num_frames: int
     """Number of depth images in the log."""
     part: str
-    """Description of the selected frames; empty if all are."""
+    """Description of the selected frames; empty if all frames are selected."""
     duration_s: float
     """Time from the first to the last depth image [s], by header timestamps."""
     topics: tuple[TopicDescription, ...]
@@ -143,7 +144,7 @@ def describe(
 def complete(
     about: LogDescription, notes: Notes, tolerance_s: float, *, has_poses: bool
 ) -> LogDescription:
-    """Add to a description what was found while reading all frames.
+    """Add the results of reading all frames to a description.
 
     Args:
         about: Description at the opening of the log.
@@ -198,7 +199,7 @@ def with_bad_color(about: LogDescription, notes: Notes) -> LogDescription:
 def describe_topics(
     contents: LogContents, color: str = "", depth: str = ""
 ) -> tuple[TopicDescription, ...]:
-    """Describe the topics in order of their names; ``color`` and ``depth`` are the ones used."""
+    """Describe the topics in order of their names; ``color`` and ``depth`` name the used topics."""
     found = []
     for name, info in sorted(contents.topics.items()):
         span = (info.last_ns - info.first_ns) / 1e9

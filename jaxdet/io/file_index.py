@@ -27,7 +27,7 @@ class FileIntegrity(NamedTuple):
     messages: int = 0
     """Number of messages found."""
     declared_messages: int | None = None
-    """Number of messages in the file's statistics; None without."""
+    """Number of messages according to the file's statistics; None if it has no statistics."""
     has_end: bool = True
     """Whether the end of the data and the closing magic bytes exist."""
     chunks: int = 0
@@ -36,7 +36,7 @@ class FileIntegrity(NamedTuple):
     """Number of rejected records and chunks by reason."""
     lost_bytes: int = 0
     lost_spans_ns: tuple[tuple[int, int], ...] = ()
-    """Log times in the headers of rejected chunks."""
+    """First and last log time in the header of each rejected chunk."""
     last_log_time_ns: int = 0
     """Last log time of the messages found."""
     missing: Mapping[str, int] = {}
@@ -125,12 +125,12 @@ def file_index(
         infos: Channels of the file.
         messages: ``(5, N)`` int64, the last five fields of :class:`FileIndex` for messages in any
             order; unused messages are dropped.
-        integrity: Other results for the file. Message counts are added if it comes from the own
-            index.
+        integrity: Integrity of the file. Message counts are added if the messages are from the
+            file's own index.
         counts: Counts of channels whose messages are not in ``messages``.
 
     Raises:
-        DamageError: A message has an undeclared channel, or one whose id exceeds 16 bits.
+        DamageError: The channel of a message is not declared, or its id exceeds 16 bits.
     """
     if messages.shape[1] and not 0 <= messages[0].min() <= messages[0].max() <= MAX_CHANNEL:
         raise DamageError("number of a channel is out of range")

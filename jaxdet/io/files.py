@@ -16,8 +16,8 @@ from jaxdet.io.unpacking import PACKED, is_packed
 
 _RECORDINGS = (".mcap", ".db3", ".bag")
 SUFFIXES = (*_RECORDINGS, *PACKED)
-"""Suffixes of the files that are read, by priority among several formats of the same recording. A
-compressed file has the suffix of its recording before its own."""
+"""Suffixes of the files that are read, by priority among several formats of the same recording. The
+name of a compressed file has two suffixes, such as ``.mcap.zst``."""
 _SPLIT = re.compile(
     r"(?P<stem>.+)_(?P<number>\d{1,5}|00\d{4,})\.(?i:mcap|db3|bag)(?i:\.zstd|\.zst|\.bz2)?"
 )
@@ -80,8 +80,9 @@ def find_logs(
     its first file. All other ``.mcap`` files, and ``.db3`` and ``.bag`` files, are separate logs.
     If a folder has a recording in several of these formats, one of them is used, preferably MCAP. A
     folder of colour and depth images (:mod:`jaxdet.io.image_folder`) is a log, unless a recording
-    is in it or next to it, whose images they are. A folder that can't be listed is a log, too;
-    opening it fails. Exports of jaxdet are left out unless they are inputs themselves.
+    is in it or next to it, which is assumed to contain these images. A folder that can't be listed
+    is a log, too; opening it fails. Exports of jaxdet are left out unless they are inputs
+    themselves.
 
     The name of a log is its path relative to the input folder (for a glob: relative to the folder
     before the first ``*``), so it does not depend on other logs. A file that several inputs contain
@@ -159,13 +160,13 @@ class _Named(NamedTuple):
     place: Path
     """See :func:`place_of`."""
     target: Path
-    """The same path with a link at its end resolved as well."""
+    """Path with all links resolved, including a link of the file itself."""
     path: Path
     """Path as passed by the user."""
 
 
 def _once(found: Iterable[Path]) -> dict[Path, _Named]:
-    """Return each file once, by its place; a file with links to it has its own name.
+    """Return each file once, by :func:`place_of`; links to a file that was found are dropped.
 
     Links of files are not resolved for names, as caches of data sets link to files named by a hash.
     """
@@ -181,7 +182,7 @@ def _once(found: Iterable[Path]) -> dict[Path, _Named]:
 
 
 def place_of(path: Path) -> Path:
-    """Return the path of a file with links of its folders resolved, but not its own."""
+    """Return the path of a file with the links of its folders resolved, but not its own link."""
     return _place(path, {})
 
 
@@ -262,7 +263,7 @@ def _seen(text: str, skipped: list[Path]) -> list[Path]:
     matches = [Path(match) for match in sorted(glob.glob(text, recursive=True))]
     for match in matches:
         _check_path(match)
-    # A folder may match as well as its contents.
+    # A glob may match both a folder and its contents.
     return list(dict.fromkeys(file for match in matches for file in _within(match, skipped)))
 
 
@@ -385,11 +386,11 @@ def _check_path(path: Path) -> None:
 
 
 def _preferred(found: Sequence[Path]) -> tuple[list[Path], list[tuple[Path, str]]]:
-    """Return the files to read, and the others, each with the reason.
+    """Return the files to read, and the files to leave out, each with the reason.
 
     If a recording exists in several formats, only the file with the preferred one is read. A split
     is read nevertheless if the preferred format has only splits with other numbers and times: the
-    recording may be partly converted, or another one.
+    recording may be partly converted, or it may be a different recording.
     """
     known: dict[tuple[Path, str], dict[str, list[Path]]] = {}
     of = [known.setdefault(recording_of(file), {}) for file in found]

@@ -159,8 +159,8 @@ def _frames(
 def _share_known(frames: IndexedFrames, source: PoseSource, *, is_complete: bool) -> float:
     """Return the fraction of sampled frames for which a source has the pose, 0 to 1.
 
-    If the sample has none, the fraction of all frames is returned, reduced so that any source with
-    poses in its sample is preferred.
+    If no sampled frame has a pose, the fraction of all frames is returned, reduced so that any
+    source with poses in its sample is preferred.
 
     Raises:
         RescanError: No sampled frame has a pose, and not all messages were read.
@@ -223,7 +223,7 @@ def _find(
     options: LogOptions,
     share_known: Callable[[PoseSource], float],
 ) -> tuple[Base, PoseSource]:
-    """Return floor and poses of the depth camera, through the colour frame if TF has only that."""
+    """Return floor and poses of the depth camera, by the colour frame if TF lacks that of depth."""
     frame, T_frame_camera = calibrated.tf_frame, calibrated.T_frame_camera
     motion, frames = calibrated.calibration.color_from_depth, contents.tree.frames
     if motion is not None and frame not in frames and calibrated.color_frame in frames:
@@ -251,7 +251,7 @@ def _find(
 
 @contextmanager
 def _naming_tree(contents: LogContents) -> Iterator[None]:
-    """Add file and topic to errors of the transform tree, which has neither."""
+    """Add file and topic to errors of the transform tree, which does not contain them."""
     try:
         yield
     except TransformError as error:
@@ -268,7 +268,7 @@ def _check_sampled(log: IndexedLog, error: JaxdetError) -> None:
     """Check that unread messages could not change an error.
 
     Raises:
-        RescanError: They could.
+        RescanError: Unread messages could change it.
     """
     if not log.is_complete and (not log.motions.whole or _is_of_first(log, error)):
         problem = f"not found in a sample of messages: {error.problem}"

@@ -64,7 +64,7 @@ BESIDE = "._"
 LISTED_COLOR, LISTED_DEPTH = "rgb.txt", "depth.txt"
 _SECOND = 1_000_000_000
 _FIRST_S = 1
-"""Timestamp of frame 0 if frames only have numbers [s]; 0 would mean that there is none."""
+"""Timestamp of frame 0 if frames only have numbers [s], as a timestamp of 0 counts as missing."""
 _MAX_TEXT_BYTES = 64 << 20
 _WITH_TIME = re.compile(r"\d{7}-(\d{12})")
 """Frame number and time [us]."""
@@ -88,8 +88,8 @@ class _Message(NamedTuple):
     channel: int
     head: bytes
     files: tuple[tuple[Path, int], ...] = ()
-    """An image, and for depth optionally its confidences, each with its size; 0 if the file is
-    missing."""
+    """Path and size of an image and, for depth, optionally of its confidences; the size of a
+    missing file is 0."""
 
     @property
     def size(self) -> int:
@@ -134,7 +134,7 @@ class ImageFolder(MessageFile):
         return file_index(self.infos, messages, FileIntegrity(self.path, by_index=True))
 
     def rebuild_index(self) -> FileIndex:
-        """Build the same index while reading all files; an unreadable image remains a frame.
+        """Build the index while reading all files; an unreadable image remains a frame.
 
         Raises:
             InputError: The folder was changed meanwhile.
@@ -180,7 +180,7 @@ class ImageFolder(MessageFile):
             DamageError: The message does not exist.
         """
         if not 0 <= number < len(self._messages):
-            raise DamageError("no message where one should be")
+            raise DamageError("no message at the expected position")
         item = self._messages[number]
         return MessageRow(item.channel, item.log_ns, item.size)
 
@@ -193,7 +193,7 @@ class ImageFolder(MessageFile):
         """Fill writable byte views one after the other with a message's data from ``start`` on.
 
         Raises:
-            DamageError: The data end before, or can't be read.
+            DamageError: The data end earlier, or can't be read.
         """
         item, left = self._messages[number], list(parts)
         head = BytesIO(item.head)

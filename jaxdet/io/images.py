@@ -136,7 +136,7 @@ def decode_color(image: ImageMessage, row: np.ndarray, max_pixels: int) -> None:
         max_pixels: Maximum number of pixels.
 
     Raises:
-        FrameError: The encoding or size is another, or the data don't fit the size.
+        FrameError: The encoding or size is wrong, or the data don't fit the size.
     """
     name = _color_name(image.encoding)
     if name not in _TO_RGB:
@@ -170,7 +170,7 @@ def decode_depth(image: ImageMessage, row: np.ndarray, unit_m: float, max_pixels
         max_pixels: Maximum number of pixels.
 
     Raises:
-        FrameError: The encoding or size is another, or the data don't fit the size.
+        FrameError: The encoding or size is wrong, or the data don't fit the size.
     """
     name = canonical_encoding(image.encoding)
     if name not in _DEPTH_TYPES:
@@ -198,7 +198,9 @@ def metres_to_units(depth_m: np.ndarray, unit_m: float, row: np.ndarray) -> None
 
 
 def typical_float(image: ImageMessage) -> float:
-    """Return the median of the positive values of a 32FC1 image, in its own unit; NaN if none.
+    """Return the median of the positive values of a 32FC1 image, in the unit of the image.
+
+    The result is NaN if no value is positive.
 
     Raises:
         FrameError: The data don't fit the size.

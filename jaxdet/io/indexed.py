@@ -150,7 +150,7 @@ def _read_all(
     Messages that can't be read, such as missing image files, count as not decodable.
 
     Raises:
-        DamageError: The file's own index is used, and a message is not where it says.
+        DamageError: The file's own index is used, and a message is not at its position there.
     """
     trusted = any(file.by_index for file in builder.contents.integrity)
     parts = [(topic, np.arange(topic.num_messages)) for topic in topics]
@@ -197,7 +197,7 @@ def _take(builder: ContentsBuilder, topic: TopicMessages, number: int, payload: 
 def _find_topics(
     files: Sequence[LogFile], indexes: Sequence[FileIndex], builder: ContentsBuilder
 ) -> list[TopicMessages]:
-    """Return the topics with useful messages; the others are only recorded and counted."""
+    """Return the topics with useful messages; other topics are only recorded and counted."""
     found: dict[tuple[str, str], tuple[list[MessageDecoder], list[IndexedMessages]]] = {}
     for number, (file, entries) in enumerate(zip(files, indexes, strict=True)):
         builder.next_file(file)

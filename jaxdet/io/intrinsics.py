@@ -40,7 +40,7 @@ class CameraSource(NamedTuple):
     """Topic of the calibration; empty if there is none."""
     info: CameraInfoMessage | None
     size: ImageSize | None
-    """Size of the images; None if none could be decoded."""
+    """Size of the images; None if no image could be decoded."""
     rectified: bool
     """Whether the name of the image topic says that the images are rectified."""
     matrix: tuple[float, float, float, float] | None
@@ -78,7 +78,7 @@ def find_intrinsics(source: CameraSource) -> Found:
 
     Raises:
         CalibrationError: There is no calibration, it is implausible, its size differs from the
-            images, or its distortion is not supported. The message names the flag.
+            images, or its distortion is not supported. The error names the flag to set.
     """
     info, flag = source.info, f"--log.{source.name}-intrinsics"
     if info is None and source.matrix is None:
@@ -192,7 +192,7 @@ def _distortion(source: CameraSource, warnings: list[str]) -> tuple[Distortion, 
 
 
 def _means_none(model: str, D: tuple[float, ...]) -> bool:
-    """Return whether there is no distortion; an equidistant lens with zeros has some."""
+    """Return whether there is no distortion; zero coefficients of equidistant lenses mean some."""
     return not any(D) and (not D or _ALIASES.get(model, model) != Distortion.EQUIDISTANT)
 
 

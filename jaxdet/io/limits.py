@@ -36,7 +36,7 @@ MAX_JSON_BYTES = 16 << 20
 """Maximum size of a JSON message [byte]; Python needs up to 50 times as much memory."""
 MAX_TRANSLATION_M = 1e8
 """Maximum translation of a transform or pose [m]; coordinates relative to the Earth's centre are
-within."""
+smaller."""
 
 _INDEX_BYTES = 64
 """Memory per message in an index [byte]."""
@@ -49,7 +49,7 @@ class ReadMemory(NamedTuple):
     """Memory that reading a log may use in a process [byte]; practically unlimited by default."""
 
     chunk: int = 1 << 40
-    """Memory for the largest chunk or message, and as much again for cached ones."""
+    """Memory for the largest chunk or message, and as much again for cached chunks."""
     messages: int = 1 << 40
     """Memory for the index while a file is opened."""
 

@@ -38,8 +38,8 @@ _LOOKED_AT = 256
 """Number of consecutive frames whose messages are looked up together, if no chunk needs to be
 decompressed for that."""
 _FRAMES_KEPT = 14
-"""Number of frames whose chunks are cached: those read together (a single one if images are large),
-and those read to find the order of the next ones."""
+"""Number of frames whose chunks are cached: those that are read together (a single frame if images
+are large), and those read ahead to find the order of the next frames."""
 
 
 ImageMemory = Callable[[], np.ndarray | tuple[np.ndarray, np.ndarray | None]]
@@ -78,9 +78,9 @@ class Log:
             whose z = 0 is the floor; None if the log has no such transform.
         base_frame: Name of the base frame, or None.
         camera_frame: Name of the depth camera's optical frame, or of the colour camera's if depth
-            is aligned to colour; empty if the log has none.
-        color_frame: Name of the colour camera's optical frame; empty if the log has none.
-        world_frame: Name of the world frame of the poses; empty if there are none.
+            is aligned to colour; empty if the log does not name it.
+        color_frame: Name of the colour camera's optical frame; empty if the log does not name it.
+        world_frame: Name of the world frame of the poses; empty if there are no poses.
         num_frames: Number of depth images in the log.
         frames: Numbers of the selected frames; by default all.
         has_color: Whether the log has decodable colour or grey images with the pixels of
@@ -185,7 +185,7 @@ class Log:
     @overload
     def __getitem__(self, index: slice) -> list[LogFrame]: ...
     def __getitem__(self, index: Any) -> Any:
-        """Return a selected frame or a slice of them, by position in the selection, with colour.
+        """Return the frame at a position in the selection, or the frames in a slice, with colour.
 
         Raises:
             IndexError: There is no such frame.
@@ -272,7 +272,7 @@ class Log:
         ``frames.color`` of a batch is None if no colour image was requested.
 
         Args:
-            batch_size: Number of frames per batch; the last is padded.
+            batch_size: Number of frames per batch; the last batch is padded.
             start: Lower bound of the frame numbers.
             stop: Upper bound of the frame numbers, exclusive; None: no bound.
             images: Memory for the decoded images; by default new arrays.
@@ -307,7 +307,7 @@ class Log:
             yield self._batch(some, batch_size, color, need_color, memory, known)
 
     def _together(self, numbers: range, batch_size: int) -> int:
-        """Return the number of frames to look up together, a multiple of the batch; 0: none."""
+        """Return the number of frames to look up together, whole batches; 0: look up each batch."""
         if len(numbers) <= batch_size or numbers.step != 1:
             return 0
         with suppress(DamageError):  # the window reports this error
@@ -491,7 +491,7 @@ def _joined(columns: Iterable[np.ndarray]) -> np.ndarray:
 
 
 def _aligned(shape: tuple[int, ...], kind: type[np.unsignedinteger]) -> np.ndarray:
-    """Return an array that starts at a cache line; XLA would copy others."""
+    """Return an array that starts at a cache line; XLA would copy other arrays."""
     nbytes = math.prod(shape) * np.dtype(kind).itemsize
     memory = np.empty(nbytes + _LINE_BYTES, np.uint8)
     start = -memory.ctypes.data % _LINE_BYTES

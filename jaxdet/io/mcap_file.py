@@ -56,7 +56,7 @@ class McapFile(LogFile):
             size = RECORD_HEAD.size + length
             return ChunkHead(0, 0, size, 0, "", -RECORD_HEAD.size, size, length)
         if opcode != Opcode.CHUNK:
-            raise DamageError("no chunk where one should be")
+            raise DamageError("no chunk at the expected position")
         return read_chunk_head(known[RECORD_HEAD.size :][:length], length)
 
     def chunk_begin(self, position: int, size: int) -> bytes:

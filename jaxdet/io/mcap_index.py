@@ -50,7 +50,7 @@ class ChunkTable(NamedTuple):
     length: np.ndarray
     """Length of the complete record [byte]."""
     index_length: np.ndarray
-    """Length of the message indexes that follow it [byte]."""
+    """Length of the message indexes that follow the chunk [byte]."""
     stored: np.ndarray
     """Size of the data in the file [byte]."""
     size: np.ndarray
@@ -201,7 +201,7 @@ class _Records(NamedTuple):
     first: np.ndarray
     """Smaller log time of the first and the last message [ns]."""
     last: np.ndarray
-    """Larger log time of the two [ns]."""
+    """Larger log time of the first and the last message [ns]."""
 
 
 def read_mcap_index(file: LogFile) -> FileIndex:
@@ -289,7 +289,7 @@ def _entries(
 
     Args:
         data: Message indexes of some chunks.
-        position: Position of each index relative to the first of its chunk.
+        position: Position of each index relative to the first index of its chunk.
         base: Position in ``data`` of the first index of its chunk.
         channel: Expected channel of each index.
         length: Total length of the indexes of its chunk.

@@ -139,7 +139,7 @@ class _Scan:
         self.torn: list[tuple[int, int]] = []
         """Parts of the file that were skipped."""
         self.seen: Counter[tuple[int, int, int, int]] = Counter()
-        """Keys of the chunks found, as they are in the summary."""
+        """Number of chunks found, by :func:`_chunk_key`, for the comparison with the summary."""
 
     def records(self) -> Iterator[FileRecord]:
         """Yield the records up to the end of the data; unparsable parts are ``TORN`` records."""
@@ -209,7 +209,7 @@ class _Scan:
         return opcode, length
 
     def _end(self, position: int) -> None:
-        """Record the end of the data, and read a summary there if the footer's can't be read."""
+        """Record the end of the data; if no summary was read yet, read it after this position."""
         try:
             magic = self.file.read(self.file.size - len(MAGIC), len(MAGIC))
         except DamageError:

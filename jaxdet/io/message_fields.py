@@ -56,7 +56,7 @@ def parse(kind: Kind, message: Any, schema_name: str) -> Message:
         schema_name: Name of the schema from :func:`jaxdet.io.messages.plain_schema_name`.
 
     Raises:
-        Exception: A field is missing or has another type.
+        Exception: A field is missing or has an unexpected type.
     """
     return _PARSE[kind](message, schema_name)
 

@@ -1,7 +1,7 @@
 """Files with separately accessible messages, each of which is an uncompressed chunk.
 
-Message ``number`` has the position ``number << 32``. The bytes from there on are the header it
-would have in an MCAP file, then its payload. Any part of it can be read, and pixels are read
+Message ``number`` has the position ``number << 32``, from which on its bytes are read as if it were
+in an MCAP file: a header, then the payload. Any part can be read separately, and pixels are read
 directly into their arrays.
 """
 
@@ -78,7 +78,7 @@ class MessageFile(LogFile):
         """Fill writable byte views one after the other with a message's payload from ``start`` on.
 
         Raises:
-            DamageError: The payload ends before, or can't be read.
+            DamageError: The payload ends earlier, or can't be read.
         """
 
     def chunk_head(self, position: int) -> ChunkHead:
@@ -105,7 +105,7 @@ class MessageFile(LogFile):
         """Return exactly ``size`` bytes of a message.
 
         Raises:
-            DamageError: The message ends before, or can't be read.
+            DamageError: The message ends earlier, or can't be read.
         """
         found = bytearray(size)
         self.read_into(position, [memoryview(found)])
@@ -115,7 +115,7 @@ class MessageFile(LogFile):
         """Fill writable byte views one after the other with the bytes from ``position`` on.
 
         Raises:
-            DamageError: The message ends before, or can't be read.
+            DamageError: The message ends earlier, or can't be read.
         """
         number, start = position >> POSITION_BITS, position & _WITHIN
         left = list(parts)

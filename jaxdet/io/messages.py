@@ -111,8 +111,8 @@ class CameraInfoMessage(NamedTuple):
         """Return the image sizes that the message allows, each with x and y offset and binning.
 
         By definition width, height, K and P refer to the full sensor; the region of interest is cut
-        out before binning (sensor_msgs/CameraInfo). Some drivers put the size of their images there
-        instead, with K for it, so this size comes first and needs no correction.
+        out before binning (sensor_msgs/CameraInfo). Some drivers store the size of their images as
+        width and height, with K for this size. So it comes first and needs no correction.
         """
         (bx, by), (x, y, width, height) = self.binning, self.roi
         full, part = (self.width, self.height), (width, height) if width and height else None

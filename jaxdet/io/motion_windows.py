@@ -48,7 +48,7 @@ class MotionWindows:
         found: Messages.
         store: Chunks of the log.
         contents: Messages read at opening.
-        whole: Whether these are all messages.
+        whole: Whether all messages were read at opening.
     """
 
     def __init__(

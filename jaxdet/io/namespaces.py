@@ -15,7 +15,7 @@ class Namespaces(NamedTuple):
     """Namespaces of the camera's robot, the longest first; the global one is empty and comes last.
     """
     others: tuple[str, ...]
-    """Namespaces without a camera; they are searched if the own ones are not sufficient."""
+    """Namespaces without a camera; they are searched if ``own`` is not sufficient."""
 
     @property
     def has_robot(self) -> bool:
@@ -38,8 +38,8 @@ def namespaces_of_camera(
     """Return the namespaces that belong to a camera.
 
     A namespace above the camera's topic belongs to its robot, as does one that branches off below
-    it. If there is none, the namespaces with the longest common prefix with the topic do. A
-    namespace with a common prefix with another camera belongs to that camera.
+    it. If there is no such namespace, those with the longest common prefix with the topic belong to
+    the robot. A namespace with a common prefix with another camera belongs to that camera.
 
     Args:
         namespaces: Namespaces of the topics with transforms or with poses.

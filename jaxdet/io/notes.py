@@ -33,7 +33,7 @@ class Notes(NamedTuple):
     apart_ns: np.ndarray = _NONE
     """``|colour - depth|`` of the frames with a colour image, ``(P,)`` int64 [ns]."""
     recorded_apart_ns: np.ndarray = _NONE
-    """The same difference of their log times, ``(P,)`` int64 [ns]."""
+    """Absolute difference of the log times of the same images, ``(P,)`` int64 [ns]."""
     without_color: int = 0
     """Number of frames without a colour image within the tolerance."""
     poses: int = 0
@@ -41,7 +41,7 @@ class Notes(NamedTuple):
     bad_color: int = 0
     """Number of colour images that could not be decoded."""
     why_bad_color: str = ""
-    """Reason for the first of them."""
+    """Reason why the first of the ``bad_color`` images could not be decoded."""
 
 
 def total(notes: Iterable[Notes]) -> Notes:

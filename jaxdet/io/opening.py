@@ -110,7 +110,7 @@ def _opened(files: LogFiles, known: IndexedLog, options: LogOptions) -> Log:
 
 
 class OpenedFiles(NamedTuple):
-    """Open files of a log, with warnings about the others."""
+    """Open files of a log, with warnings about files that are left out."""
 
     files: tuple[LogFile, ...]
     warnings: tuple[str, ...]

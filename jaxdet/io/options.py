@@ -11,7 +11,7 @@ from jaxdet.errors import ConfigError
 from jaxdet.io.moments import parse_moment
 
 NO_COLOR = "none"
-"""Value in place of a colour topic."""
+"""Value of ``color`` that ignores colour."""
 MAX_OFFSET_S = 4e9
 SHORT = {"short": True}
 """Metadata of fields whose flags do not start with ``log.``."""
@@ -19,11 +19,11 @@ SHORT = {"short": True}
 
 @dataclass(frozen=True)
 class LogOptions:
-    """How to read a log. What is not set here is determined from the log."""
+    """Options for reading a log; unset options are determined from the log."""
 
     camera: str | None = field(default=None, metadata=SHORT)
-    """Camera of a log with several; unset: all of them, one after the other. Its name is the prefix
-    of its topics before colour and depth; jaxdet info lists the names."""
+    """Camera to read if a log has several; unset: all cameras, one after the other. The name of a
+    camera is the prefix of its topics before colour and depth; jaxdet info lists the names."""
     start: str | None = field(default=None, metadata=SHORT)
     """Start 12.5s into the log, at 2024-05-01T10:00:00Z, or at a stamp [ns]. Seconds (the s
     is optional) count from the log's first depth image. Times are UTC unless they have a time zone,
@@ -40,9 +40,9 @@ class LogOptions:
     """Topic of the depth images; unset: determined by encoding and name, preferably aligned depth.
     """
     color_info: str | None = None
-    """Topic of the colour camera's calibration; unset: the one next to the colour images."""
+    """Topic of the colour camera's calibration; unset: the topic next to the colour images."""
     depth_info: str | None = None
-    """Topic of the depth camera's calibration; unset: the one next to the depth images."""
+    """Topic of the depth camera's calibration; unset: the topic next to the depth images."""
     tf: bool = True
     """Use the transforms of the log (extrinsics, floor, poses)."""
     odom: str | None = None
@@ -71,7 +71,7 @@ class LogOptions:
     """Lens model of the colour camera: none, plumb_bob, rational_polynomial, equidistant,
     inverse_brown_conrady. The coefficients are those in the log."""
     depth_distortion: str | None = None
-    """Lens model of the depth camera; the same names."""
+    """Lens model of the depth camera; same names as for the colour camera."""
     depth_aligned: bool | None = None
     """Whether the depth images are aligned to colour; unset: determined by topic name, frame and
     calibration."""
@@ -90,7 +90,7 @@ class LogOptions:
     """Maximum size of a chunk or message [MiB], before and after decompression. Larger ones are
     rejected, which limits memory and stops decompression bombs."""
     max_pixels: int = 1 << 25
-    """Maximum size of an image [pixel]; frames with larger ones get an error status."""
+    """Maximum size of an image [pixel]; frames with larger images get an error status."""
 
     scan: bool = False
     """Read the complete log at opening instead of trusting its index."""

@@ -10,8 +10,8 @@ pixels, ``frameTimestamps`` or ``fps``, and ``poses`` (quaternion, position) of 
 whose y axis is up and whose z axis is backward. Its depth is OpenEXR, which is not supported, or
 PNG converted from that.
 
-The y axis of ARKit's world is up; here it is z. Sources: "Data Specification" in Stray Scanner's
-documentation and its ``OdometryEncoder``; Record3D's web page on its formats.
+The y axis of ARKit's world is up; here the z axis is up. Sources: "Data Specification" in Stray
+Scanner's documentation and its ``OdometryEncoder``; Record3D's web page on its formats.
 """
 
 import csv

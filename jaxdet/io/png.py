@@ -53,7 +53,7 @@ def read_png_head(data: bytes | memoryview) -> PngHead:
     """Parse the header of a file, which may be truncated after it.
 
     Raises:
-        ValueError: The file is not a PNG, or is truncated before.
+        ValueError: The file is not a PNG, or its header is truncated.
     """
     start = len(MAGIC) + _CHUNK.size
     if len(data) < start + _HEAD.size or bytes(data[: len(MAGIC)]) != MAGIC:
@@ -71,7 +71,7 @@ def decode_png_depth(data: bytes | memoryview, row: np.ndarray) -> None:
         row: Output ``(H, W)`` uint16, contiguous.
 
     Raises:
-        ValueError: The file is damaged, another kind of image, or of another size.
+        ValueError: The file is damaged, or the kind or size of the image is wrong.
     """
     head = read_png_head(data)
     if not head.is_grey16:
@@ -87,7 +87,7 @@ def decode_png_color(data: bytes | memoryview, row: np.ndarray) -> None:
         row: Output ``(H, W, 3)`` uint8, contiguous.
 
     Raises:
-        ValueError: The file is damaged, another kind of image, or of another size.
+        ValueError: The file is damaged, or the kind or size of the image is wrong.
     """
     # check first, as OpenCV returns the intact part of damaged files
     _lines(data, read_png_head(data), row)

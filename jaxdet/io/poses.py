@@ -37,7 +37,7 @@ class PoseSource(NamedTuple):
     """Description for users."""
     warnings: tuple[str, ...] = ()
     camera: str = ""
-    """TF frame of the camera, or one fixed to it."""
+    """TF frame of the camera, or of a part that is rigidly connected to the camera."""
     world: str = ""
     """TF frame of the world; empty if the poses are not from TF."""
     topic: str = ""
@@ -59,7 +59,7 @@ class PoseSource(NamedTuple):
 
     @property
     def world_frame(self) -> str:
-        """World frame of the poses; empty if there are none."""
+        """World frame of the poses; empty if there are no poses."""
         return self.world or self.parent
 
     def moving(self, tree: TransformTree) -> list[str]:
@@ -90,7 +90,7 @@ class PoseSource(NamedTuple):
 
 
 def find_base(contents: LogContents, options: LogOptions, camera_frame: str) -> Base:
-    """Find the robot's base frame in TF: the flag's, else base_footprint, else base_link.
+    """Find the robot's base frame in TF: set by flag, else base_footprint, else base_link.
 
     Raises:
         CalibrationError: The frame set by the flag is not connected to the camera, or the
@@ -122,9 +122,9 @@ def find_poses(
     In order of priority: the topic of ``--log.odom``, moving transforms up to a world frame, the
     robot's only Odometry or PoseInFrame topic. The frame of ``--log.world-frame`` is always used,
     so the robot's base frame yields robot coordinates. Of the frames map and odom, the first with
-    at least half of the poses is used, else the one with most. A pose topic contains poses of the
-    robot's base, which static transforms connect to the camera; if they don't, there are no poses
-    but a warning.
+    at least half of the poses is used, else the frame with more poses. A pose topic contains poses
+    of the robot's base; if no static transforms connect it to the camera, there are no poses but a
+    warning.
 
     Args:
         contents: Contents of the log.

@@ -24,7 +24,7 @@ _MOTION = struct.Struct("<7d")
 _MAX_AT_ONCE = 1000
 """Maximum number of transforms in a message."""
 _ODOMETRY_REST = 8 * (36 + 6 + 36)
-"""Number of bytes after the pose."""
+"""Number of bytes of an odometry message after its pose."""
 
 
 class Pixels(NamedTuple):
@@ -79,7 +79,7 @@ def read_motions(kind: Kind, payload: bytes) -> tuple[TransformMessage, ...] | N
 
     Raises:
         FrameError: A timestamp is out of range.
-        ValueError: A pose is not a rigid motion. A transform has that as its ``problem``.
+        ValueError: A pose is not a rigid motion. For a transform, ``problem`` is set instead.
     """
     if payload[:2] != b"\0\1":
         return None

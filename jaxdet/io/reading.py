@@ -75,10 +75,10 @@ class ImageReader:
         color: Decoders of the colour topic, which may be the same topic; empty without colour.
         depth_unit: Depth unit, expressed in the unit of 32FC1 depth (usually metres).
         max_pixels: Maximum number of pixels per image.
-        strict: Whether damage of the file is raised; otherwise only the frames in it fail.
+        strict: Whether damage of the file raises an error; otherwise only affected frames fail.
         used: Calibrations used, by topic.
         hidden: Pixels ``(Hd, Wd)`` bool of the robot's own body, whose depth becomes 0
-            (unmeasured); None: none.
+            (unmeasured); None: no such pixels.
     """
 
     def __init__(
@@ -124,7 +124,7 @@ class ImageReader:
         errors = Failures([_other_calibration() if bad else None for bad in other], [None] * count)
         requests = _requests(window.depth, self._depth, ~other, True)
         same: dict[int, int] = {}
-        """Rows with the same colour image as an earlier row, with that row."""
+        """Earlier row with the same colour image, by row."""
         there = np.zeros(count, bool) if wanted is None else wanted.copy()
         if color is not None:
             if window.color is None:
@@ -311,10 +311,10 @@ class _CheckedRead:
             self.crc = deflate.crc32(piece, self.crc)
 
     def skip_to(self, offset: int) -> None:
-        """Read up to an offset in the records for the CRC alone.
+        """Read up to an offset in the records, only for the CRC.
 
         Raises:
-            DamageError: More has been read already.
+            DamageError: Records after the offset have been read already.
         """
         if offset < self._done:
             raise DamageError("messages overlap")
@@ -342,7 +342,7 @@ def _requests(
 
 
 def _repeated(table: FrameTable, wanted: np.ndarray) -> dict[int, int]:
-    """Return the wanted rows with the same message as an earlier row, with that row."""
+    """Return the earlier row with the same message, by wanted row, for rows that have one."""
     first: dict[tuple[Place, int], int] = {}
     found = {}
     rows = np.flatnonzero(wanted)

@@ -103,7 +103,7 @@ def read_message(
     """Return size and payload of a message, or its first ``most`` bytes.
 
     Raises:
-        DamageError: The message is not there.
+        DamageError: The message is not at the position in the index.
     """
     place = Place(int(messages.file[number]), int(messages.position[number]))
     offset = int(messages.offset[number])
@@ -115,11 +115,11 @@ def read_message(
     channel, _, log_ns, _ = MESSAGE_HEAD.unpack_from(known, RECORD_HEAD.size)
     expected = int(messages.channel[number]), int(messages.log_ns[number])
     if opcode != Opcode.MESSAGE or (channel, min(log_ns, MAX_TIME_NS)) != expected:
-        raise DamageError("no message where the index says")
+        raise DamageError("no message at the position in the index")
     size = length - MESSAGE_HEAD.size
     head = store.head(place)
     if head.length != messages.length[number]:
-        raise DamageError("chunk has another length than in its index")
+        raise DamageError("the length of the chunk differs from the index")
     if size < 0 or offset + PAYLOAD_OFFSET + size > head.uncompressed_size:
         raise DamageError("message is longer than its chunk")
     wanted = size if most is None else min(size, most)

@@ -52,7 +52,7 @@ class Signature(NamedTuple):
 
 
 def signature(path: Path) -> Signature | None:
-    """Return the signature of a file from its index; None if that can't be read."""
+    """Return the signature of a file from its index; None if the index can't be read."""
     with suppress(InputError, DamageError):
         file = open_file(path, LogOptions.max_chunk_mib << 20)
         try:

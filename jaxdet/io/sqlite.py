@@ -115,7 +115,7 @@ class SqliteFile(MessageFile):
         """Build an index of all readable messages, with statistics of what was lost.
 
         If a page is damaged, the scan continues at the next reachable message. The topic of a
-        message with damaged data is usually known; otherwise its id counts as lost.
+        message with damaged data can usually be read; if not, only its id is counted as lost.
 
         Raises:
             InputError: The file was changed meanwhile, or has an impossible number of messages.
@@ -170,7 +170,7 @@ class SqliteFile(MessageFile):
         """Fill writable byte views one after the other with a message's data from ``start`` on.
 
         Raises:
-            DamageError: The data end before, or can't be read.
+            DamageError: The data end earlier, or can't be read.
         """
         try:
             with self._connection().blobopen("messages", "data", number, readonly=True) as blob:
@@ -198,7 +198,7 @@ class SqliteFile(MessageFile):
         """
         row = next(self.query(_ROW, (number,)), None)
         if row is None or row[3] != "blob":
-            raise DamageError("no message where one should be")
+            raise DamageError("no message at the expected position")
         return MessageRow(*row[:3]).check()
 
     def _connection(self) -> sqlite3.Connection:
@@ -231,7 +231,7 @@ class SqliteFile(MessageFile):
         """Check that the file is a recording, and was closed.
 
         Raises:
-            InputError: It is not.
+            InputError: The file is not a recording, or was not closed.
         """
         for suffix in ("-wal", "-journal"):
             beside = self.path.with_name(self.path.name + suffix)
@@ -263,7 +263,7 @@ class SqliteFile(MessageFile):
 
 
 def _authorize(action: int, first: str | None, second: str | None, *_: object) -> int:
-    """Allow only reading of a recording's tables: no views, and no functions other than listed."""
+    """Allow SQLite only to read the tables in ``_READ``, not views, and to call ``_FUNCTIONS``."""
     allowed = {
         sqlite3.SQLITE_SELECT: True,
         sqlite3.SQLITE_READ: first in _READ,
@@ -330,7 +330,9 @@ def _declared(file: SqliteFile) -> int | None:
 
 
 def _channels(file: SqliteFile) -> dict[int, ChannelInfo]:
-    """Return the topics with their definitions; before ROS 2 Iron those known to jaxdet.
+    """Return the topics with their definitions.
+
+    Recordings before ROS 2 Iron have no definitions; those of jaxdet are used for them.
 
     Raises:
         DamageError: The table can't be read.

@@ -37,7 +37,7 @@ class ChunkStore:
 
     Args:
         files: Open files of the log.
-        threads: Number of threads that load and decode; 1: only the caller's; None: one per core.
+        threads: Number of threads that load and decode; 1: the caller's thread; None: one per core.
         cache_bytes: Size of the cache [byte]; a single larger chunk is kept as well.
         most_bytes: Upper limit for the cache [byte], also for :meth:`keep`.
     """
@@ -174,7 +174,7 @@ class ChunkStore:
             self.data(place, ahead=True)
 
     def _drop_one(self) -> None:
-        """Drop the least recently used chunk, preferably not a prefetched but unused one."""
+        """Drop the least recently used chunk; chunks prefetched but not yet used come last."""
         used = (place for place in self._chunks if place not in self._ahead)
         place = next(used, next(iter(self._chunks)))
         self._ahead.discard(place)
@@ -196,11 +196,11 @@ class ChunkStore:
             self.checked.add(place)
 
     def peek(self, place: Place, offset: int, size: int, *, whole: bool = True) -> memoryview:
-        """Return up to ``size`` bytes of a chunk's records; uncompressed ones are not checked.
+        """Return up to ``size`` bytes of a chunk's records, unchecked if they are not compressed.
 
         Args:
             place: Chunk.
-            offset: Offset in its records [byte].
+            offset: Offset in the chunk's records [byte].
             size: Maximum number of bytes.
             whole: Whether a compressed chunk is decompressed completely. Otherwise bytes near its
                 start are decompressed separately, without CRC, if the chunk is not in the cache.

@@ -42,7 +42,7 @@ class Window(NamedTuple):
     """Poses ``(n, 4, 4)`` float64, NaN if unknown; None if the log has no poses."""
     notes: Notes = Notes()
     other_calibration: np.ndarray | None = None
-    """Frames with another calibration than the one used, ``(n,)`` bool; None: no frame."""
+    """Frames whose calibration differs from that in use, ``(n,)`` bool; None: no frame."""
     chunks: tuple[Place, ...] = ()
     """Chunks whose CRC must be checked for this window."""
     color_chunks: tuple[Place, ...] = ()
@@ -68,7 +68,7 @@ class Window(NamedTuple):
 def nearest(stamps_ns: np.ndarray, others_ns: np.ndarray, tolerance_s: float) -> np.ndarray:
     """Return the index of the nearest other timestamp of each timestamp, ``(n,)``, -1 = none.
 
-    In a tie the earlier one is returned, and the first of equal ones.
+    In a tie the earlier timestamp is used, and of equal timestamps the first.
 
     Args:
         stamps_ns: Timestamps ``(n,)`` int64 [ns].

@@ -66,9 +66,9 @@ class Choice(NamedTuple):
     aligned_by_name: bool
     reasons: tuple[str, ...]
     why_no_color: str = ""
-    """Reason in one clause; empty if there is a colour topic."""
+    """Reason for the missing colour topic in one clause; empty if there is a colour topic."""
     remedy: str = ""
-    """Action that gives the log colour; empty if there is a colour topic."""
+    """Remedy for the missing colour topic; empty if there is a colour topic."""
     infrared: bool = False
     """Whether the colour topic is the infrared image of the depth camera."""
 
@@ -80,13 +80,13 @@ def choose_topics(contents: LogContents, options: LogOptions) -> dict[str, Choic
     user selects no topic. Priorities: depth that is aligned to colour, according to its name; raw
     before compressed images; separate images before RGBD messages.
 
-    If there is only one camera, its colour topic may have another name; the one with the closest
-    namespace is used, or none if that is ambiguous. Without colour, the infrared image of the depth
-    camera is used.
+    If there is only one camera, its colour topic may have another name; the topic with the closest
+    namespace is used, or no topic if several are equally close. Without colour, the infrared image
+    of the depth camera is used.
 
     Returns:
-        At least one entry. If several depth topics of one of several cameras qualify, its entry is
-        the error.
+        At least one entry. If the log has several cameras and several depth topics of a camera
+        qualify, the entry of this camera is the error.
 
     Raises:
         TopicError: No topic can be depth, several topics of the only camera can, or a topic set in

@@ -31,7 +31,7 @@ class _Edge:
 class TransformTree:
     """Static and moving transforms; each frame has one parent, the first one found.
 
-    A static transform takes precedence over moving ones of the same frame. Contradictory
+    A static transform takes precedence over moving transforms of the same frame. Contradictory
     transforms, and those that are not rigid motions, are ignored and reported in ``warnings``.
 
     Attributes:
@@ -44,7 +44,7 @@ class TransformTree:
         self.warnings: list[str] = []
         self.ignored: Counter[str] = Counter()
         self._problems: dict[str, str] = {}
-        """Reason for the first of them, by frame."""
+        """Reason why the first of the ``ignored`` transforms of a frame is invalid, by frame."""
         self._topics: set[str] = set()
 
     @property

@@ -26,8 +26,8 @@ PACKED = (".zstd", ".zst", ".bz2")
 MAX_UNPACKED_BYTES = 64 << 30
 """Maximum size of a decompressed recording [byte]."""
 _MAX_RATIO, _FREE_BYTES = 200, 64 << 20
-"""Maximum compression ratio, and number of decompressed bytes without a limit; recordings reach 20.
-"""
+"""Maximum compression ratio (recordings reach 20), and number of decompressed bytes that are always
+allowed."""
 _SPARE_BYTES = 1 << 30
 """Disk space that is left free [byte]."""
 _PIECE_BYTES = 4 << 20

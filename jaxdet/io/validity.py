@@ -33,7 +33,7 @@ def values_of(info: CameraInfoMessage) -> tuple[object, ...] | None:
 
 
 def says_other(info: CameraInfoMessage, used: CameraInfoMessage | None) -> bool:
-    """Return whether a calibration contradicts the one in use."""
+    """Return whether a calibration contradicts the calibration in use."""
     values = values_of(info)
     return used is not None and values is not None and values != values_of(used)
 
@@ -44,9 +44,9 @@ def other_calibration(
     used: CameraInfoMessage,
     by_log_time: bool,
 ) -> np.ndarray:
-    """Return which frames have another calibration than the one in use, ``(F,)`` bool.
+    """Return which frames have a calibration that differs from that in use, ``(F,)`` bool.
 
-    The calibration of a frame is the last one that is not later, else the first one.
+    A frame has the last calibration that is not later than the frame, or else the first one.
 
     Args:
         stamps_ns: Timestamps of the frames, ``(F,)`` int64 [ns].
@@ -63,7 +63,7 @@ def other_calibration(
 
 
 class CalibrationWindows:
-    """Determines the frames whose calibration differs from the one in use.
+    """Determines the frames whose calibration differs from the calibration in use.
 
     If only the first messages were read at opening, each window checks that the calibration does
     not change.
@@ -73,8 +73,8 @@ class CalibrationWindows:
         used: Calibration in use by topic.
         store: Chunks of the log.
         path: Path of the log, for errors.
-        changes: Changes of the calibration of depth, with the one in use, if all messages were
-            read; otherwise None.
+        changes: Changes of each calibration of depth, with the calibration in use, if all messages
+            were read; otherwise None.
         by_log_time: Whether the timestamps of the frames are log times.
     """
 
@@ -97,7 +97,7 @@ class CalibrationWindows:
         """Last compared message of each topic."""
 
     def other(self, stamps_ns: np.ndarray) -> np.ndarray | None:
-        """Return which frames have another calibration, by their timestamps; None if none has."""
+        """Return which frames have another calibration; None if the changes are unknown."""
         found = None
         for changes, used in self._changes or ():
             other = other_calibration(stamps_ns, changes, used, self._by_log_time)
@@ -105,9 +105,10 @@ class CalibrationWindows:
         return found
 
     def check(self, begin: int | None, end: int | None) -> set[Place]:
-        """Compare the messages in a range of log times, and the one before it, with those in use.
+        """Compare the calibrations in a range of log times with those in use.
 
-        If only a part of a log is read, that message is in no other window.
+        The last message before the range is compared as well: if only a part of a log is read, no
+        other window contains it.
 
         Args:
             begin: Log time of the first message; None: the start of the log.

@@ -1,4 +1,4 @@
-"""Index of a file from a scan of all of it, for files whose own index is missing or wrong.
+"""Index of a file from a scan of the complete file, if its own index is missing or wrong.
 
 The scan collects intact messages and counts losses. Its result is a
 :class:`jaxdet.io.file_index.FileIndex` like that from the file's own index; no message is decoded.

@@ -56,11 +56,11 @@ class StreamWindows:
 
     Attributes:
         messages: Messages in order of log time, then of arrival.
-        backward: Number of messages that follow one with a later log time in the files.
+        backward: Number of messages that follow a message with a later log time in the files.
         whole: Whether compressed chunks are decompressed completely for timestamps, or only their
             start if possible.
         stamp: Header timestamps of the messages read, of RGBD those of depth, ``(N,)`` int64 [ns].
-        color_stamp: The same, but of RGBD those of colour, ``(N,)`` int64 [ns].
+        color_stamp: Like ``stamp``, but of RGBD messages the timestamps of colour.
         size: Payload sizes, ``(N,)`` int64 [byte]; -1 if a message has not been read.
     """
 
@@ -144,7 +144,7 @@ class StreamWindows:
         return found
 
     def between(self, first_ns: int, last_ns: int) -> np.ndarray:
-        """Return the messages in a range of timestamps, and one on both sides, in order."""
+        """Return the messages in a range of timestamps, in order, with one more on both sides."""
         assert self._order is not None
         ends = np.searchsorted(self.stamp, [first_ns, last_ns + 1], sorter=self._order)
         return self._order[max(0, int(ends[0]) - 1) : int(ends[1]) + 1]

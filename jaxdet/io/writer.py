@@ -59,7 +59,7 @@ class Ros2LogWriter:
     """Context manager that writes one MCAP file with the ``ros2`` profile.
 
     Args:
-        path: File to write; an existing one is replaced.
+        path: File to write; an existing file is replaced.
         compression: Compression of the chunks.
     """
 

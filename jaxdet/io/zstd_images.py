@@ -42,7 +42,7 @@ def is_zstd(format_text: str) -> bool:
 
 
 def read_zstd_head(data: bytes | memoryview) -> ZstdHead | None:
-    """Parse the header of an image, which may be truncated after it; None if there is none."""
+    """Parse the header of an image, which may be truncated after it; None without a header."""
     if len(data) < _HEAD.size or data[: len(_ZSTD)] == _ZSTD:
         return None
     height, width, big_endian, step, length = _HEAD.unpack_from(data)

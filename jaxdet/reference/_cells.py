@@ -11,7 +11,8 @@ from jaxdet.reference._rounding import rounded
 from jaxdet.types import Calibration, Cells
 
 MARGIN = 8
-"""One in MARGIN columns on each side is the margin of the image: stereo depth is bent there."""
+"""One in MARGIN columns on each side belongs to the margin of the image, where stereo depth is
+bent."""
 LEAST = 2
 """At least one in LEAST pixels of a cell must be measured."""
 

@@ -179,7 +179,7 @@ def _view(grid: Cells, b: int, floor: np.ndarray) -> View:
 def _outlines(
     grid: Cells, found: list[Found], count: np.ndarray, calibration: Calibration, config: Config
 ) -> tuple[Obstacles, tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Measure and outline the obstacles from their cells; ``count`` of each frame."""
+    """Measure and outline the obstacles from their cells; ``count`` has their number per frame."""
     batch, unit, settings = len(found), calibration.depth_unit, config.footprint
     flat = [axis.reshape(batch, -1) for axis in grid]
     every = np.ones(flat[0].shape, bool)

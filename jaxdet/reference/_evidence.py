@@ -25,13 +25,13 @@ class Facing(NamedTuple):
     ``MOST_BETWEEN`` runs of cells lie between; this may occur several times in a line.
     """
 
-    places: np.ndarray  # number of places where they face each other
-    through: np.ndarray  # number of these with floor or something farther between them
+    places: np.ndarray  # number of places where two surfaces face each other
+    through: np.ndarray  # number of ``places`` with floor or something farther in between
     hidden: np.ndarray
-    """Number of these with something nearer, and nothing farther, between them."""
+    """Number of ``places`` with something nearer, and nothing farther, between the surfaces."""
     holes: np.ndarray
-    """Number of the remaining ones with something between them: cells without depth, or surfaces at
-    about the same depth."""
+    """Number of the remaining ``places`` with something between the surfaces: cells without depth,
+    or surfaces at about the same depth."""
     agree: np.ndarray
     """Number of ``hidden`` and ``holes`` whose depths agree within the gap and the slope."""
     steps: np.ndarray  # sum of steps in depth, except at ``through`` [depth units]
@@ -58,7 +58,7 @@ def pairs(
     Args:
         label: ``(R, C)`` surfaces, -1 = none.
         free: ``(R, C)`` bool, measured to be free: floor, or beyond the range.
-        view: Where the cells are.
+        view: Positions of the cells.
         unit: Metres in one depth unit.
         config: The gaps.
     """
@@ -112,8 +112,8 @@ def facing(
         free: ``(R, C)`` bool, measured to be free.
         z: ``(R, C)`` int64 [depth units].
         along: Position along the row, ``(R, C)`` int64 [depth units].
-        gap: Maximum difference of depths that agree [depth units]; something is nearer by half of
-            it.
+        gap: Maximum difference of depths that agree [depth units]; cells between two surfaces are
+            nearer if the difference exceeds half of the gap.
 
     Example:
         >>> label, z = np.array([[0, 0, 1, 2, 2]]), np.array([[900, 900, 700, 905, 905]])

@@ -40,9 +40,9 @@ FAR_GAIN = 5
 """Minimum gain of inliers of a plane far from the prior [percent of all cells]."""
 OBSTACLE = 95  # maximum fraction of obstacle cells [percent]
 UNDER = ((10, 2), (3, 8))
-"""With a prior and without: a plane is a table's if more than this percentage of the cells lies
-below it, and more than one cell below it for this number of inliers; a glossy floor mirrors a
-few."""
+"""Thresholds (percentage, number) with a prior, and without. A plane belongs to a table if more
+than this percentage of the cells is below it, and more than one cell per this number of inliers; a
+glossy floor mirrors a few cells."""
 
 
 class _Found(NamedTuple):
@@ -91,8 +91,8 @@ def find_floor(
         depth_unit: Metres per depth unit.
 
     Returns:
-        The planes, and why frames' own planes were refused. A camera pitched by more than 85
-        degrees keeps its prior.
+        The planes, and the reasons why the planes of frames were refused. A camera pitched by more
+        than 85 degrees keeps its prior.
     """
     part = used_cells(z.shape[1:], config)
     x, y, z = (a[:, part, part] for a in (x, y, z))
@@ -126,7 +126,7 @@ def floor_of_cells(
 def _take(
     x: np.ndarray, y: np.ndarray, z: np.ndarray, config: FloorConfig, scale: Scale
 ) -> tuple[Sample, Sample]:
-    """Return the measured cells, and every second of them in rows and columns."""
+    """Return the measured cells, and every second measured cell in rows and columns."""
     x, y, z = (a.astype(np.int64) for a in (x, y, z))
     row, column = np.indices(z.shape)
     inner = np.broadcast_to(~margins(z.shape[1]), z.shape)
@@ -230,7 +230,7 @@ def _judge(
     share, part = UNDER[not has_prior]
     enough, least = on, _permille(config.min_share)
     if not has_prior:
-        # Below a plane through a table there are more cells than a floor has dents.
+        # More cells are below a plane through a table than in the dents of a floor.
         enough -= BELOW_COST * int(np.count_nonzero(2 * deep > 3 * slack))
         least = least_share(plane, _permille(config.min_share_alone))
     refused = Refusal.NONE

@@ -12,7 +12,7 @@ MIN_GAIN = 5
 """Minimum gain of votes of a ramp or step over the best plane [percent of that plane's votes, not
 of the frame, which walls may fill]."""
 OVER_RAMP = 2
-"""Minimum gain of a step over a ramp [percent]; it may be a part of the ramp."""
+"""Minimum gain of votes of a step over a ramp [percent], as the step may be a part of the ramp."""
 ALIKE = 3
 """Planes that differ by at most this angle [angle steps], and in height by at most ``ALIKE_M``, are
 alike: only the first is tried with steps."""

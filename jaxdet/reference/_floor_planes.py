@@ -66,8 +66,8 @@ def down_units(pitch: np.ndarray | int, roll: np.ndarray | int) -> np.ndarray:
 def floor_axes(plane: Plane) -> np.ndarray:
     """Return right, down and forward of a plane with ``DOWN_BITS`` fraction bits, ``(3, 3)`` int64.
 
-    Forward is the derivative of down with respect to pitch; right times the cosine of pitch is that
-    with respect to roll.
+    Forward is the derivative of down with respect to pitch; right times the cosine of pitch is the
+    derivative of down with respect to roll.
     """
     quarter = 90 * ANGLES
     pitch = np.array([0, plane.pitch, plane.pitch + quarter])
@@ -107,12 +107,12 @@ def refine(
     Let ``e`` be the distance of a cell below the plane, ``t`` its distance forward and ``s`` to the
     right, each minus its mean. The rotations a, b that minimise ``sum w (e + a t + b s)^2`` solve
     two equations by Cramer's rule. ``RIDGE`` is added to both squares, so that a rotation that the
-    cells do not determine leads to the prior, or to none. The sums are exact in 64 bits and shifted
+    cells do not determine is that to the prior, or zero. The sums are exact in 64 bits and shifted
     to ``TURN_BITS`` before they are multiplied, so all products are exact too.
 
     Args:
-        plane: Initial plane; it is returned unchanged if fewer than 20 cells are near, or all of
-            these have weight zero.
+        plane: Initial plane; it is returned unchanged if fewer than 20 cells are near, or if all
+            near cells have weight zero.
         cells: ``K`` cells.
         slack: Tolerance; cells within one and a half times the tolerance are used. Their weight is
             its inverse square times Tukey's biweight, so that the feet of walls have little weight.

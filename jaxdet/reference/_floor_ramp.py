@@ -19,8 +19,8 @@ from jaxdet.reference._floor_profile import Ahead, Profile, rises, spread
 
 LEAST_TURN, MOST_TURN = 3 * ANGLES, 12 * ANGLES
 TURNS = np.arange(LEAST_TURN, MOST_TURN + 1, ANGLES // 2)
-"""Candidate slopes: smaller ones are not distinguishable from a wavy floor, and wheeled robots do
-not drive on steeper ones."""
+"""Candidate slopes. Smaller slopes can't be distinguished from a wavy floor, and wheeled robots do
+not drive on steeper slopes."""
 FINE_TURN = ANGLES // 4  # spacing of the fine lattice
 MIN_SHARE = 40
 """Minimum fraction of cells that only the ramp explains, among the cells near the floor where ramp
@@ -59,7 +59,7 @@ def _best(
 
 
 def crossing(level: Plane, steep: Plane) -> Ahead | None:
-    """Return a steeper plane as a ramp ahead of a level one; None if it is not a ramp.
+    """Return a steeper plane as a ramp ahead of a level plane; None if it is not a ramp.
 
     Along the level floor the plane rises by ``a + b t``: b is the tangent of their difference in
     pitch, a the difference of their heights along the level floor's normal.

@@ -26,7 +26,7 @@ from jaxdet.reference._floor_planes import (
 
 PITCHES_DEG, ROLLS_DEG = (-15, 72), (-30, 30)
 """Usual tilts of cameras; a wall in front of a level camera looks like a floor at 90 degrees."""
-ROLLED_DEG = 40  # maximum roll of a plane found from there
+ROLLED_DEG = 40  # maximum roll of a plane after refinement
 FILLS_DEG, FILLS = 35, 12
 """Increase of the minimum inlier fraction per degree of pitch beyond ``FILLS_DEG`` [per mille]: the
 more a camera is pitched, the more floor it sees."""
@@ -37,7 +37,7 @@ NEAR_DEG, STEEP_DEG = 4, 8
 plane."""
 LEAST = np.iinfo(np.int64).min  # fewer votes than any plane has
 RINGS = len(RINGS_M) + 1  # planes are also searched among the cells up to each ring
-MIN_SHARE = 3  # minimum fraction of these cells [percent of all]
+MIN_SHARE = 3  # minimum fraction of the cells up to such a ring [percent of all]
 
 
 def vote(
@@ -50,13 +50,13 @@ def vote(
 ) -> np.ndarray:
     """Compute :func:`score` of planes by direction and height, with the cells up to each ring.
 
-    In contrast to it, cells lower than the tolerance count as clearly below, because the tolerance
-    has room for the spacing of the lattice. This is a Hough transform: for a direction a cell votes
-    for a range of heights, so the ends of the ranges are counted, and their prefix sums are the
-    score.
+    In contrast to :func:`score`, cells lower than the tolerance count as clearly below, because the
+    tolerance includes the spacing of the lattice. This is a Hough transform: for a direction a cell
+    votes for a range of heights, so the ends of the ranges are counted, and their prefix sums are
+    the score.
 
     Args:
-        cells: ``K`` of them.
+        cells: ``K`` cells.
         down: Directions ``(D, 3)``.
         slack: Tolerance ``(K,)`` [depth units].
         heights: Smallest height [depth units], number of heights, and ``bits``: their spacing is
@@ -162,10 +162,10 @@ def least_share(plane: Plane, least: int) -> int:
 def near_planes(cells: Sample, guess: Plane, prior: Plane | None, scale: Scale) -> list[Plane]:
     """Find planes near a guess: the best one of the cells up to each ring, and three of all cells.
 
-    The last one may be steeper than the others.
+    The last plane may be steeper than the others.
 
     Args:
-        cells: ``K`` of them.
+        cells: ``K`` cells.
         guess: Centre of the search range.
         prior: Prior of the angles, or None.
         scale: Depth unit.

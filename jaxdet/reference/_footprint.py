@@ -17,9 +17,9 @@ def footprint(
     """Measure each obstacle and find its points A, B and C on the floor (Eq. 7).
 
     The points are projected onto the floor (:func:`to_ground`), at most MAX_LATERAL away. A is the
-    leftmost, B the rightmost, C the nearest; ties go to the nearer point, for C to the one further
-    left. If the configuration sets a trim and bands, the outermost and nearest points are trimmed,
-    and A, B and C are medians of bands instead (:func:`_outermost`). C is a vertex unless
+    leftmost, B the rightmost, C the nearest; ties go to the nearer point, for C to the leftmost. If
+    the configuration sets a trim and bands, the outermost and nearest points are trimmed, and A, B
+    and C are medians of bands instead (:func:`_outermost`). C is a vertex unless
 
         min(d_A, d_B) - d_C < d_threshold
 
@@ -32,8 +32,8 @@ def footprint(
         labels: Their obstacles.
         plane: Floor of each frame, for the axes of the ground frame.
         depth_unit: Metres in one depth unit.
-        config: Its ``footprint`` part; ``M`` follows from N and ``min_points`` of its ``cluster``
-            part.
+        config: Configuration, of which ``footprint`` is used; ``M`` follows from N and
+            ``cluster.min_points``.
 
     Returns:
         ``(B, M)`` obstacles in the order of their labels.

@@ -15,8 +15,8 @@ def ground(
     Args:
         features: ``(B, N)`` features.
         plane: Floor of each of the ``B`` frames.
-        calibration: For the colour camera and the depth unit.
-        config: Range and step height of its ground part.
+        calibration: Calibration with the colour camera and the depth unit.
+        config: Configuration with the range and the step height.
 
     Returns:
         The features with ``kept`` set.
@@ -40,8 +40,8 @@ def above_floor(
     Args:
         z: Depth at the pixels of the colour image, ``(B, H, W)`` uint16 [depth units].
         plane: Floor of each of the ``B`` frames.
-        calibration: For the colour camera and the depth unit.
-        config: Range and step height of its ground part.
+        calibration: Calibration with the colour camera and the depth unit.
+        config: Configuration with the range and the step height.
 
     Returns:
         ``(B, H, W)`` bool.

@@ -15,7 +15,7 @@ def notches(end: np.ndarray, ahead: np.ndarray, length: int) -> np.ndarray:
         end: Kind of end of each column, ``(C,)`` int32 (:class:`jaxdet.types.FreeEnd`).
         ahead: Distance forward at which the floor of each column ends, ``(C,)`` int64 [depth
             units]; not positive if no floor is visible.
-        length: [depth units].
+        length: Minimum depth of a notch [depth units].
 
     Returns:
         Number of the notch of each column, from 0, left to right, ``(C,)`` int64; -1 = none.
@@ -60,7 +60,7 @@ def with_notches(
         ahead: Distance forward at which the floor of each column ends, ``(C,)`` [depth units].
         forward: Distance forward of the cells, ``(R, C)`` int64 [depth units].
         high: Whether a cell is in range and above half of the step height, ``(R, C)`` bool.
-        length: [depth units].
+        length: Maximum distance of an obstacle's cells behind the end of the floor [depth units].
         least: Minimum number of cells of an obstacle.
 
     Returns:

@@ -37,7 +37,7 @@ def obstacles(
     Args:
         label: ``(R, C)`` surfaces, -1 = none.
         free: ``(R, C)`` bool, measured to be free: floor, or beyond the range.
-        view: Where the cells are.
+        view: Positions of the cells.
         farthest: End of the range [depth units].
         unit: Metres in one depth unit.
         config: The gaps and sizes.

@@ -16,8 +16,8 @@ def contours(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Find the contour of each obstacle on the floor: its nearest cell in each column of cells.
 
-    Nearest is the smallest distance on the floor, and of equal ones the cell farther up. Columns of
-    cells correspond to steps of bearing.
+    The nearest cell is that with the smallest distance on the floor; of equally near cells it is
+    the one farther up. Columns of cells correspond to steps of bearing.
 
     Args:
         label: ``(R, C)`` obstacles, -1 = none.
@@ -161,7 +161,7 @@ def _to_near_edge(places: np.ndarray) -> np.ndarray:
 
 
 def _project(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Project points ``(n, 2)`` along and across each direction, ``(D, n)``; also return these."""
+    """Project points ``(n, 2)`` along and across each direction: ``(D, n)``, and the directions."""
     table = direction_table()
     x, y = points.T
     along = table[:, :1] * x + table[:, 1:] * y

@@ -10,7 +10,7 @@ from jaxdet.types import Detections, Frames, GroundPlane, Points
 
 
 def clusters(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
-    """Find corners with depth, drop those on the floor, cluster the rest by gaps and outline it.
+    """Detect corners, drop those on the floor, cluster the others by gaps and measure the clusters.
 
     Args:
         frames: ``B`` frames with colour; their ``plane`` is not used.

@@ -156,7 +156,7 @@ def _squares(
     ground: GroundConfig,
     depth_unit: float,
 ) -> np.ndarray:
-    """Return squared distances of obstacles in cells from the foot, ``(R, C)``; infinity: none."""
+    """Return squared distances of obstacles in cells from the foot, ``(R, C)``; inf = none."""
     pixel, z, is_cell = standing
     nearest, farthest = depth_range(ground.min_depth_m, ground.max_depth_m, depth_unit)
     depth = np.where(is_cell & (pixel < nearest), z, pixel).astype(F32)
@@ -246,7 +246,7 @@ def _turned(points: np.ndarray, turn: int) -> np.ndarray:
 
 
 def _sides(seen: np.ndarray, turn: int) -> list[tuple[np.ndarray, int]]:
-    """Return columns whose left, and whose right neighbour shows no floor; and the rotation."""
+    """Return the columns without floor to the left, and to the right, and the rotation of each."""
     before, after = np.append(False, seen[:-1]), np.append(seen[1:], False)
     return [(np.flatnonzero(seen & ~before), -turn), (np.flatnonzero(seen & ~after), turn)]
 

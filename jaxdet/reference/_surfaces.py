@@ -18,12 +18,12 @@ def surfaces(
 
     Neighbours in a row or column belong to the same surface if their depths differ by at most
     ``step_m + step_per_m z^2``; larger differences are depth discontinuities. Cells on both sides
-    of at most ``hole_cells`` unmeasured ones are neighbours, too: dark, glossy or blurred objects
+    of at most ``hole_cells`` unmeasured cells are neighbours, too: dark, glossy or blurred objects
     have holes that would divide them into parts that are too small. Where two objects touch, depth
-    is continuous but has a crease (a concave edge): it exceeds the mean of the depths
-    ``crease_cells`` before and after. Those cells (:func:`creases`) are not linked; like components
-    of fewer than ``min_cells`` cells, they are then assigned to the neighbouring surface that is
-    nearest in depth.
+    is continuous but has a crease (a concave edge): the depth of a cell exceeds the mean of the
+    depths ``crease_cells`` before and after. Cells on creases (:func:`creases`) are not linked;
+    like components of fewer than ``min_cells`` cells, they are then assigned to the neighbouring
+    surface that is nearest in depth.
 
     Args:
         z: ``(R, C)`` int32 [depth units], 0 = no measurement.
@@ -143,7 +143,7 @@ def without_bent_floor(
 
 
 def renumbered(label: np.ndarray) -> np.ndarray:
-    """Renumber labels as 0, 1, ... in the order of their first cells; negative ones become -1.
+    """Renumber labels as 0, 1, ... in the order of their first cells; negative labels become -1.
 
     Example:
         >>> renumbered(np.array([7, -1, 3, 7])).tolist()
@@ -217,7 +217,7 @@ def _across_holes(
 ) -> np.ndarray:
     """Merge components ``(R, C)`` whose depth is continuous across unmeasured cells.
 
-    Linked cells of a row or a column on both sides of 1 to ``longest`` unmeasured ones are
+    Linked cells of a row or a column on both sides of 1 to ``longest`` unmeasured cells are
     neighbours.
     """
     cell = np.where(linked, np.arange(z.size).reshape(z.shape), -1)

@@ -13,8 +13,8 @@ from jaxdet.runtime.launch import MULTIPROCESSORS
 from jaxdet.signals import stops_held_back
 
 SCRATCH_SHARE = 8
-"""Maximum scratch memory of all teams on CUDA: one part in ``SCRATCH_SHARE`` of the device's
-memory. If a team needs more, fewer teams are launched."""
+"""All teams on CUDA together use at most ``1 / SCRATCH_SHARE`` of the device's memory as scratch
+memory. If there is too little for all teams, fewer teams are launched."""
 
 
 def jax_callable(
@@ -22,9 +22,9 @@ def jax_callable(
 ) -> Callable[[Callable[..., None]], Any]:
     """Make a function that launches kernels callable under ``jax.jit``.
 
-    Its arguments are Warp arrays; the last ones are outputs, whose shapes a call passes as
+    Its arguments are Warp arrays; the last of them are outputs, whose shapes a call passes as
     ``output_dims``. Scalars are not supported: Warp numbers the values of scalars without a lock,
-    so two threads that trace at the same time could get each other's.
+    so two threads that trace at the same time could receive each other's values.
 
     :func:`warp.jax_callable` is experimental. It runs one function at a time per process. XLA
     records no CUDA graph of it, because arrays move from batch to batch and the graph would have to

@@ -47,7 +47,7 @@ def load_compiled(module: ModuleType) -> bool:
     """Load the kernels of a module for the CPU if some process has compiled them.
 
     Returns:
-        Whether they are loaded.
+        Whether the kernels are loaded.
     """
     with _lock:
         if module.__name__ not in _loaded:
@@ -59,7 +59,7 @@ def load_compiled(module: ModuleType) -> bool:
 
 
 def _folder(module: ModuleType) -> Path:
-    """Return where the compiled kernels of a module lie in Warp's cache, once Warp is started."""
+    """Return a module's folder in Warp's cache, whose location Warp sets when it is started."""
     return Path(str(wp.config.kernel_cache_dir)) / f"{module.__name__}-{_version()}"
 
 
@@ -88,7 +88,7 @@ def _compile(module: ModuleType, folder: Path) -> None:
             (made / _CHECKSUMS).write_text(_checksums(made), encoding="utf-8")
         except Exception as error:
             problem = f"the kernels {module.__name__} can't be compiled: {error}"
-            raise JaxdetError(problem, remedy=f"is there space left in {made.parent}?") from error
+            raise JaxdetError(problem, remedy=f"check the free space in {made.parent}") from error
         shutil.rmtree(folder, ignore_errors=True)
         with suppress(OSError):
             made.rename(folder)

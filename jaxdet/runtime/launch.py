@@ -17,11 +17,11 @@ MULTIPROCESSORS = 132
 """Multiprocessors of an H100 or H200; a launch has as many blocks as fit on them at once."""
 
 registering = Lock()
-"""Lock for Warp's tables of contexts, streams and kernels, which have none: if two threads request
-a module, Warp loads it twice and drops the first."""
+"""Lock for Warp's tables of contexts, streams and kernels, which are not thread-safe: if two
+threads request a module, Warp loads it twice and drops the first copy."""
 
 _lock = Lock()
-"""Lock of the CPU: one kernel at a time runs on all cores, with the memory below."""
+"""Lock that lets one kernel at a time run on the CPU, on all cores, with the memory ``_kept``."""
 
 
 def on_cores(kernel: Any, arguments: Sequence[Any], frames: int, scratch: int) -> None:

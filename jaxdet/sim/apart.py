@@ -11,8 +11,8 @@ from jaxdet.sim.world import mesh_of
 
 TRIES = 60
 CLEAR_M = 0.10
-"""Minimum gap between a relocated object and all others [m]: the smallest gap at which the report
-expects two objects to be separated."""
+"""Minimum gap between a relocated object and all other objects [m]: at this gap, boxes should still
+be detected as two obstacles (a goal in ``benchmarks/paper/goals.py``)."""
 _FARTHER_M = 0.05
 """Increase of the search radius per try [m]."""
 _LIMITS_M = (0.9, 4.4)
@@ -24,10 +24,10 @@ _EDGE_M = 0.3
 def apart(scene: Scene, seed: int) -> Scene:
     """Return a scene without intersecting solid objects.
 
-    The larger of two objects stays. The smaller is moved nearby, to a position from its own random
-    stream, so that scenes without intersections don't change; after ``TRIES`` occupied positions it
-    is dropped. Walls and the paths of moving objects stay (some lead through the wall of a hall),
-    and static objects are moved out of them.
+    The larger of two objects stays. The smaller is moved to a random position nearby, or dropped if
+    ``TRIES`` positions are occupied. Positions are drawn from a separate random stream per object,
+    so that scenes without intersections don't change. Walls and the paths of moving objects stay
+    (some paths lead through the wall of a hall); static objects that intersect them are moved.
 
     Args:
         scene: Random scene.
@@ -84,7 +84,7 @@ def _there_and_back(path: Path) -> list[float]:
 def _elsewhere(
     obj: Box | Cylinder | Model, scene: Scene, rng: np.random.Generator
 ) -> Iterator[Box | Cylinder | Model]:
-    """Yield the object at random positions near its own, in the same zone."""
+    """Yield copies of an object at random positions near its position, in the same zone."""
     where = _where(scene, *obj.center)
     for k in range(TRIES):
         angle, far = rng.uniform(0, 2 * np.pi), _FARTHER_M * (k + 1) * np.sqrt(rng.uniform())

@@ -95,8 +95,8 @@ def tinted(
 ) -> tuple[int, int, int]:
     """Draw a colour near another.
 
-    The standard deviation of the brightness is ``spread`` [grey levels], plus a quarter of it per
-    channel.
+    The standard deviation of the brightness is ``spread`` [grey levels]; a quarter of ``spread`` is
+    added independently to each channel.
     """
     moved = np.asarray(color) + rng.normal(0, spread) + rng.normal(0, spread / 4, 3)
     r, g, b = np.clip(moved, 8, 245).astype(int).tolist()

@@ -43,7 +43,7 @@ class SimConfig:
     """Height of both images [pixel]."""
     depth_form: Literal["raw", "aligned", "both", "metres"] = "raw"
     """Form of depth images: raw, uint16 mm in the depth camera; aligned, in the colour camera;
-    both; metres, as raw but float32 metres."""
+    both; metres, like raw but in float32 [m]."""
     mount_tf: bool = True
     """Write the mount of the camera to TF; if off, the floor must be estimated."""
     extrinsics: Literal["tf", "topic", "both", "none"] = "both"
@@ -59,22 +59,22 @@ class SimConfig:
     mount_pitch_error_rad: float = 0.0
     """True pitch minus ``camera_pitch_rad``, which is in TF [rad]."""
     mount_roll_error_rad: float = 0.0
-    """True roll minus that in TF [rad]."""
+    """True roll minus the roll in TF [rad]."""
     mount_height_error_m: float = 0.0
-    """True mounting height minus that in TF [m]."""
+    """True mounting height minus the height in TF [m]."""
     rock_rad: float = 0.0
-    """Standard deviation of the true pitch and roll between frames, not in TF [rad]."""
+    """Standard deviation of the true pitch and roll between frames, which TF lacks [rad]."""
     sensor: DepthSensor = field(default_factory=DepthSensor)
     """Errors of the depth camera."""
     depth_error: float = 0.0
-    """Scale of a D435's errors on real floors, added to ``sensor``
-    (:meth:`DepthSensor.with_errors`); 0: none."""
+    """Scale of the additional errors of a D435 on real floors (:meth:`DepthSensor.with_errors`);
+    0: only the errors of ``sensor``."""
     exposure: ColorSensor = field(default_factory=ColorSensor)
-    """Sensor, lens and processor of the colour camera."""
+    """Exposure model of the colour camera: sensor, lens and image processor."""
     light: LightName = "normal"
     """Light: strong 30 000 lx, normal 500, weaker 120, dim 50."""
     slope_rad: float | None = None
-    """Rise of a ramp ahead [rad]; unset: the scene's."""
+    """Slope of the ramp ahead [rad]; default: the slope in the scene."""
     distance_m: float = 2.0
     """Distance of the obstacle in the scenes cylinder and approach [m]."""
     device: str = "cpu"
@@ -82,9 +82,9 @@ class SimConfig:
     depth_delay_s: float = 0.0
     """Delay of the depth image relative to colour [s]."""
     odometry_hz: float = 50.0
-    """Odometry messages per second; 0: none, so no world coordinates."""
+    """Odometry messages per second; 0: no odometry, so no world coordinates."""
     odometry_drift: float = 0.0
-    """Odometry drift: fraction of the distance, and radians per metre."""
+    """Odometry drift: relative error of the distance, and rotation in radians per metre."""
     start_ns: int = 1_700_000_000_000_000_000
     """Timestamp of the first colour frame [ns]; at latest a day before ROS 2 times end in 2038."""
 
@@ -112,7 +112,7 @@ class SimConfig:
 
 
 def calibration_of(config: SimConfig) -> Calibration:
-    """Return both cameras at the configured size (the width sets the scale) and extrinsics."""
+    """Return the calibration for images of the configured size; their width sets the scale."""
     width, height = config.width, config.height
     scale = width / 640
     shift = (height - 480 * scale) / 2

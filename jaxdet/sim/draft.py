@@ -43,7 +43,10 @@ class Draft:
     def place(
         self, near: float, far: float, radius: float, gap: float = 0.45
     ) -> tuple[float, float]:
-        """Draw a free position in the field of view, ``gap`` from others if possible, or 5 cm."""
+        """Draw a position in the field of view, ``gap`` [m] from other objects if there is room.
+
+        Otherwise the gap is 5 cm, or objects may overlap.
+        """
         x, y = 0.0, 0.0
         for attempt in range(120):
             x = float(self.rng.uniform(near, far))
@@ -111,7 +114,7 @@ class Draft:
     def enclosed(
         self, family: str, walls: tuple[Wall, ...], floor: Texture, ground: Ground | None = None
     ) -> Scene:
-        """Return the scene with these walls and floor, and a lamp."""
+        """Return the scene with the given walls, texture and shape of the floor, and a lamp."""
         return self._scene(family, walls, floor, ground or Ground(), self._lamp())
 
     def _lamp(self) -> Light:
@@ -127,7 +130,7 @@ class Draft:
 
 
 def hard_floor(rng: np.random.Generator, *, outdoors: bool) -> Texture:
-    """Draw a floor; half of them (outdoors a third) have little texture or mirror."""
+    """Draw a floor's texture; half of the floors (outdoors a third) are plain or reflective."""
     if outdoors:
         return pick(rng, *OUTDOOR_FLOORS, WET, CONCRETE)
     return pick(rng, *HARD_FLOORS) if rng.random() < 0.5 else pick(rng, *INDOOR_FLOORS)

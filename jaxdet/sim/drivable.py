@@ -14,24 +14,24 @@ from jaxdet.sim.scene import Ground
 from jaxdet.sim.world import STEP_M
 
 EDGE_BEARINGS_RAD = np.radians(np.arange(-40.0, 41.0))
-"""Bearings ``(K,)`` of ``Truth.edge_m``: clockwise from above, 0 ahead [rad]."""
+"""Bearings of ``Truth.edge_m``, ``(K,)``, clockwise seen from above, 0 straight ahead [rad]."""
 _HIDDEN = 0.97
-"""Fraction of an edge's depth below which a surface hides it."""
+"""A surface hides an edge if its depth is less than this fraction of the edge's depth."""
 
 
 class FloorTruth(NamedTuple):
-    """Floor in a frame's colour pixels."""
+    """Ground truth of the floor at each pixel of a colour image."""
 
     drivable: np.ndarray
     """Whether the pixel shows drivable floor, ``(H, W)`` bool: on the robot's level (ramps too),
     not beyond a step down, outside of the footprints of objects and walls higher than 5 cm."""
     points_m: np.ndarray
-    """Exact right, forward in the camera's ground frame, ``(H, W, 2)`` float32 [m]; NaN outside of
-    the floor."""
+    """Exact coordinates (right, forward) in the camera's ground frame, ``(H, W, 2)`` float32 [m];
+    NaN outside of the floor."""
 
 
 def floor_truth(frame: SimFrame) -> FloorTruth:
-    """Return the floor of a frame, for instance to measure how much of it detections cover.
+    """Return the floor of a frame, for instance to measure the fraction that detections cover.
 
     Args:
         frame: Frame from :func:`jaxdet.sim.simulate` or :func:`jaxdet.sim.sample_frames`.
@@ -102,7 +102,7 @@ def _seen(frame: SimFrame, points: np.ndarray) -> np.ndarray:
 
 
 def _level(ground: Ground, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Return which positions are in front of the first step down."""
+    """Return which positions are on the robot's level, that is, before the first step down."""
     if not ground.edges_m:
         return np.ones(x.shape, bool)
     along = np.cos(ground.slope_yaw) * x + np.sin(ground.slope_yaw) * y

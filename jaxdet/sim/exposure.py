@@ -47,7 +47,7 @@ LIGHTS: dict[LightName, Illumination] = {
     "weaker": Illumination(120.0, 0.60, 0.06, 2),
     "dim": Illumination(50.0, 0.60, 0.06, 2),
 }
-"""The paper's four light levels, for which it gives no figures. Ours: sun through thin cloud
+"""The paper's four light levels. The paper gives no figures; we assume: sun through thin cloud
 (10-100 klx outdoors); an office (500 lx, EN 12464-1); a corridor (100 lx, EN 12464-1); a room at
 dusk or a street at night (5-50 lx, EN 13201 class C), with exposure and gain at their limits."""
 
@@ -73,7 +73,7 @@ class ColorSensor:
     max_gain: float = 16.0
     """Maximum gain."""
     target: float = 0.18
-    """Mean of the image that the auto exposure aims at, linear, 1 = saturated."""
+    """Mean brightness of the image that auto exposure aims at, linear, 1 = saturated."""
     blur_px: float = 0.55
     """Blur of lens and demosaicing [pixel]."""
     smooth_px: float = 0.22
@@ -141,7 +141,7 @@ def illuminate(
 
 
 def reflectance_of(color: np.ndarray) -> np.ndarray:
-    """Return the reflectance of colours [grey levels], float32, to a quarter of a level."""
+    """Return the reflectance, float32, of colours [grey levels], which are rounded to a quarter."""
     table = (0.9 * _linear(np.arange(1021) / 1020)).astype(np.float32)
     return table[np.clip(color * np.float32(4) + np.float32(0.5), 0, 1020).astype(np.uint16)]
 

@@ -1,4 +1,4 @@
-"""Families of random scenes: the paper's four, those of its experiments, and further ones.
+"""Families of random scenes: the paper's four, those of the paper's experiments, and others.
 
 The robot stands at the origin and looks along x. In most scenes objects are farther apart than the
 default lateral gap, but not in all, as close objects matter too.
@@ -146,7 +146,8 @@ _HARD: dict[str, Callable[[Draft], Scene]] = {
     "tables": indoors.tables,
 }
 HARD_FAMILIES = tuple(_HARD)
-"""Families with walls in range, low objects, steps down, ramps; plain and mirroring floors."""
+"""Names of the harder families: walls in range, low objects, steps down, ramps; floors that are
+plain or reflect."""
 _FAMILIES: dict[str, Callable[[Draft, float], Scene]] = {
     "people_and_vehicle": _people_and_vehicle,
     "roadblocks": _roadblocks,

@@ -1,4 +1,4 @@
-"""Simulation of frames, each from only the seed and its number, several at a time."""
+"""Parallel simulation of frames, each of which depends only on the seed and its number."""
 
 from collections import deque
 from collections.abc import Iterator
@@ -55,7 +55,7 @@ class SimFrame(NamedTuple):
 
     @property
     def plane(self) -> GroundPlane:
-        """Floor in the log's TF, ``B`` = 1, without the errors of the mount."""
+        """Floor according to the log's TF, ``B`` = 1, which ignores the errors of the mount."""
         config = self.config
         mount = config.camera_height_m, config.camera_pitch_rad, config.camera_roll_rad
         return flat_plane(*mount)

@@ -20,7 +20,7 @@ _STANCE_M = 0.2
 def ground_height(ground: Ground, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Return the height of the floor above z = 0 at ``x``, ``y`` [m].
 
-    Bumps end where the floor's mesh has no grid.
+    Bumps fade out towards the border of the grid in the floor's mesh.
     """
     c, s = np.cos(ground.slope_yaw), np.sin(ground.slope_yaw)
     a, b = c * x + s * y, c * y - s * x

@@ -64,7 +64,7 @@ def shift(x: float = 0.0, y: float = 0.0, z: float = 0.0, yaw: float = 0.0) -> n
 def soup(
     corners: np.ndarray, places: np.ndarray, texture: Texture, normals: np.ndarray | None = None
 ) -> Mesh:
-    """Build a mesh of triangles ``(F, 3, 3)``, by default flat-shaded; drop degenerate ones."""
+    """Build a mesh, by default flat-shaded, of triangles ``(F, 3, 3)`` that are not degenerate."""
     if normals is None:
         flat = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         normals = np.repeat(flat[:, None], 3, axis=1)

@@ -10,7 +10,7 @@ from jaxdet.sim.robot import pose_at
 from jaxdet.sim.scene import Box, Model, Path, Scene
 
 DURATION_S = 30.0
-"""Time without collisions [s]."""
+"""Time from the first frame during which moving objects do not collide [s]."""
 _TIMES_S = np.arange(0.0, DURATION_S, 0.1)
 _RADIUS_M = {"walker": 0.4, "cart": 0.6}
 _CLEAR_M = 0.35
@@ -51,7 +51,7 @@ def _trajectory(path: Path) -> np.ndarray:
 
 
 def _send(draft: Draft, kind: str, trajectories: list[tuple[np.ndarray, float]]) -> None:
-    """Add a moving model on a collision-free path; none if no such path is found."""
+    """Add a moving model, unless no path without collisions is found."""
     radius = _RADIUS_M[kind]
     for _ in range(60):
         path = _crossing(draft.rng, kind)

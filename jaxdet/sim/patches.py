@@ -21,10 +21,10 @@ def patches(shape: tuple[int, ...], size_px: int, rng: np.random.Generator) -> n
 
 
 def chosen(share: np.ndarray | float, values: np.ndarray) -> np.ndarray:
-    """Draw a random mask, bool: each pixel with probability ``share``, correlated as ``values``.
+    """Draw a bool mask with the spatial correlation of ``values``.
 
     Args:
-        share: Probability, 0 to 1, a number or an array of the shape of ``values``.
+        share: Probability that a pixel is True, a number or an array of the shape of ``values``.
         values: Normal noise, as from :func:`patches`; a logistic function approximates its
             distribution to 0.01.
     """

@@ -31,7 +31,7 @@ class Hits(NamedTuple):
     """First intersection of each pixel's ray, for ``B`` views."""
 
     face: np.ndarray
-    """Index of the triangle over all worlds, ``(B, H, W)`` int32; -1: none."""
+    """Index of the triangle over all worlds, ``(B, H, W)`` int32; -1: no hit."""
     depth: np.ndarray
     """z in the camera, ``(B, H, W)`` float64 [m]; inf without a hit."""
     color: np.ndarray

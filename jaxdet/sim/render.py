@@ -49,7 +49,8 @@ class Rendering(NamedTuple):
     [m]; inf where it is empty, NaN outside of the floor; None: the floor doesn't mirror."""
     behind: np.ndarray | None = None
     """z behind clear panes, ``(H, W)`` float64 [m]; inf without a hit, NaN outside of panes;
-    None: no clear panes. All other arrays refer to the pane."""
+    None: no clear panes. Colour and light are mixed with those behind the pane; all other arrays
+    refer to the pane."""
 
     @property
     def height(self) -> np.ndarray:

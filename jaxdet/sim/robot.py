@@ -61,7 +61,7 @@ def velocity_at(path: Path, time_s: float, step_s: float = 1e-3) -> tuple[float,
 
 
 def drifted(pose: Pose, drift: float) -> Pose:
-    """Return the odometry of a pose: ``drift`` is the scale error and the turn [rad] per metre."""
+    """Return the pose that odometry measures, with ``drift`` as in ``SimConfig.odometry_drift``."""
     scale = 1 + drift
     return Pose(pose.x * scale, pose.y * scale, pose.yaw + drift * pose.travelled, pose.travelled)
 

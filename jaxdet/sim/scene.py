@@ -87,8 +87,8 @@ class Ground:
     slope_rad: float = 0.0
     """Slope of the ramp [rad], negative downhill."""
     slope_start_m: float = 0.8
-    """Start of the ramp along ``slope_yaw`` from the origin [m]; if far behind the robot, it stands
-    on the ramp."""
+    """Start of the ramp along ``slope_yaw`` from the origin [m]; if the ramp starts far behind the
+    robot, the robot stands on it."""
     slope_length_m: float = 200.0
     """Length of the ramp, after which the floor is level [m]."""
     slope_yaw: float = 0.0
@@ -171,7 +171,7 @@ SceneObject = Box | Cylinder | Model | Wall
 
 @dataclass(frozen=True)
 class Scene:
-    """A world.
+    """Objects, floor, light and the robot's path.
 
     The number of an object is its index in ``boxes + cylinders + models + walls``, from 1.
     """
@@ -202,7 +202,7 @@ class Scene:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the objects; an unnamed model has its kind's."""
+        """Names of the objects; a model without a name is named after its kind."""
         return tuple(o.name or o.kind if isinstance(o, Model) else o.name for o in self.objects)
 
     @property

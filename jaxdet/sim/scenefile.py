@@ -27,7 +27,7 @@ def read_scene(path: str | Path) -> Scene:
 
 
 def write_scene(scene: Scene, path: str | Path) -> None:
-    """Write a scene as TOML; :func:`read_scene` returns an equal one.
+    """Write a scene as TOML, from which :func:`read_scene` restores an equal scene.
 
     Raises:
         InputError: The file can't be written.

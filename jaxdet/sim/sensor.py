@@ -4,9 +4,9 @@ The camera measures disparity d = f B / z, as the Intel D400 family does: noise 
 uniform in disparity, so they grow with z^2. Depth is that of the left imager.
 
 Stereo matching needs contrast, from the surface's texture (standard deviation over mean in the
-matching window) and from the projector's dots, whose share of the light falls with z^2 and with
-ambient light. Imager noise, which is large on dark surfaces, and gloss, which reflects the dots
-away, reduce it. Depth has holes where ``contrast / noise`` is too low.
+matching window) and from the projector's dots, whose share of the light decreases with z^2 and with
+ambient light. Imager noise is large on dark surfaces, and gloss reflects the dots away. Depth has
+holes where ``contrast / noise`` is too low.
 """
 
 import cv2
@@ -114,7 +114,7 @@ def fatten(disparity: np.ndarray, reach_px: float, rng: np.random.Generator) -> 
     for radius in range(1, int(np.ceil(2 * reach_px)) + 1):
         kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
         grown = cv2.dilate(disparity, kernel)
-        # A jump of a pixel is an edge; slanted surfaces have smaller ones.
+        # A jump of a pixel is an edge; slanted surfaces have smaller jumps.
         out = np.where((reach > radius - 0.5) & (grown > disparity + 1), grown, out)
     return out
 
@@ -122,8 +122,9 @@ def fatten(disparity: np.ndarray, reach_px: float, rng: np.random.Generator) -> 
 def is_shadowed(disparity: np.ndarray) -> np.ndarray:
     """Return the stereo shadow: pixels that the right imager doesn't see.
 
-    A pixel u of the left image is at u - d in the right one. It is hidden if a pixel further right
-    in the left image is further left there, or if u - d is outside of the right image.
+    A pixel at column u of the left image is at column u - d of the right image. It is hidden if a
+    pixel further right in the left image is further left in the right image, or if u - d is outside
+    of the right image.
 
     Args:
         disparity: Disparity ``(H, W)`` float64 [pixel], 0 at infinity.

@@ -63,7 +63,7 @@ def intersect(one: Solid, other: Solid, clear_m: float = -TOUCH_M) -> bool:
 def gap(one: np.ndarray, other: np.ndarray) -> float:
     """Return the gap between two convex polygons by the separating axis test.
 
-    It is at most their distance, and negative exactly if they overlap.
+    The gap is at most the distance of the polygons, and negative if and only if they overlap.
 
     Args:
         one: Polygon ``(n, 2)``, counter-clockwise [m].

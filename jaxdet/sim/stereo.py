@@ -36,7 +36,7 @@ class DepthSensor:
     """Mean edge fattening of foreground objects [pixel], half of the effective matching window
     (chosen by eye on real D435 images)."""
     contrast: float = 1.0
-    """Minimum ratio of contrast to noise that is matched; 0: no holes for this reason."""
+    """Minimum ratio of contrast to noise for a match; 0: low contrast causes no holes."""
     projector_lux: float = 500.0
     """Ambient light that equals the brightness of the projector's dots at 1 m [lux]: about 0.36 W
     on 2 m2 in dots of a tenth of the area, with 3-4 W/m2 per klx."""
@@ -47,12 +47,13 @@ class DepthSensor:
     """Standard deviation of a disparity error with wavelengths of a fortieth of the image width
     [pixel], drawn per frame."""
     margin: float = 0.0
-    """Width of the bad bands at the left and right of the image, as a fraction of its width."""
+    """Width of the margins with larger errors, at the left and right of the image, as a fraction of
+    the image width."""
     margin_bend_px: float = 0.0
-    """Maximum disparity error at the outer end of such a band [pixel], constant for a camera;
-    positive is too near, so that a floor bends up."""
+    """Maximum disparity error at the outer end of a margin [pixel], constant for a camera; if it is
+    positive, depth is too small, so that a floor bends up."""
     margin_dropout: float = 0.0
-    """Fraction of the bands without depth, in blotches."""
+    """Fraction of the margins without depth, in blotches."""
     reflection: float = 0.0
     """Fraction of a mirroring floor that shows the depth of the mirror image, below the floor, at
     grazing angles; multiplied by the floor's gloss."""
@@ -62,8 +63,8 @@ class DepthSensor:
     def with_errors(self, scale: float = 1.0) -> "DepthSensor":
         """Add the errors of real D400 cameras on real floors.
 
-        At ``scale`` 1 floors have the holes, the deviation from their plane by distance and the
-        bent margins of a D415's labelled frames (``python -m benchmarks.real_floor``).
+        At ``scale`` 1, holes, deviations from the floor plane by distance, and errors in the
+        margins are as in labelled frames of a D415 (``python -m benchmarks.real_floor``).
 
         Args:
             scale: Scale of the errors, 0 or more; noise grows by half per unit.

@@ -39,7 +39,7 @@ def spectral_noise(rng: np.random.Generator, slope: float, stretch: float = 1.0)
 
 
 def _built(kind: Kind, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return accent and brightness of regular patterns; None for natural ones."""
+    """Return accent and brightness of a regular pattern; None for natural patterns."""
     t, s = np.mgrid[:SIZE, :SIZE] * (PERIODS / SIZE)
     shade = np.zeros((SIZE, SIZE))
     per_cell = rng.normal(0, 7, (8 * PERIODS, 8 * PERIODS))

@@ -50,7 +50,7 @@ class Truth(NamedTuple):
     camera_roll: np.ndarray
     """True roll ``(F,)`` float64, including errors not in TF [rad]."""
     names: np.ndarray
-    """Names of the objects, ``(J,)`` str; for models their kind, as ``person`` or ``cone``."""
+    """Names of the objects, ``(J,)`` str; for models without a name the kind, such as ``cone``."""
     is_wall: np.ndarray
     """Whether each object is a wall, ``(J,)`` bool."""
     height_m: np.ndarray
@@ -67,15 +67,15 @@ class Truth(NamedTuple):
     """Minimum z in the colour camera of the visible surface, ``(F, J)`` float32 [m]; only parts
     above 0.05 m count, if there are any."""
     ground_min: np.ndarray
-    """Minimum right, forward of this surface in the camera's ground frame, ``(F, J, 2)`` float32
-    [m]; forward is the distance of the nearest face."""
+    """Minimum coordinates (right, forward) of the surface of ``nearest_m`` in the camera's ground
+    frame, ``(F, J, 2)`` float32 [m]; forward is the distance of the nearest face."""
     ground_max: np.ndarray
-    """Maximum right, forward of this surface, ``(F, J, 2)`` float32 [m]."""
+    """Maximum coordinates of the surface of ``nearest_m``, ``(F, J, 2)`` float32 [m]."""
     edge_m: np.ndarray
     """Distance from the camera's ground projection to the first step down, ``(F, 81)`` float32 [m],
     at the bearings ``EDGE_BEARINGS_RAD`` (-40 to 40 degrees, clockwise); NaN without a step."""
     edge_seen: np.ndarray
-    """Whether the colour camera sees that edge, ``(F, 81)`` bool."""
+    """Whether the colour camera sees the edge of ``edge_m``, ``(F, 81)`` bool."""
 
 
 def truth_path(log: str | Path) -> Path:
@@ -202,7 +202,7 @@ def load_truth(log: str | Path) -> Truth:
     """Read the ground truth of a log.
 
     Raises:
-        InputError: There is none, or it is invalid.
+        InputError: The file is missing or invalid.
     """
     truth = Truth(*_load(log, Truth._fields))
     sizes = {"F": len(truth.stamp_ns), "J": len(truth.names)}
@@ -252,7 +252,7 @@ def _load(log: str | Path, names: Sequence[str]) -> list[np.ndarray]:
 
 
 def _unreadable(log: str | Path) -> InputError:
-    remedy = "only logs of jaxdet sim have one; simulate logs of older versions again"
+    remedy = "only logs of jaxdet sim have ground truth; simulate logs of older versions again"
     return InputError("cannot read ground truth", path=str(truth_path(log)), remedy=remedy)
 
 

@@ -16,14 +16,16 @@ from jaxdet.sim.solid import hull_between
 OUTLINE_CORNERS = 64
 """Maximum number of corners of a footprint."""
 STEP_M, REACH_M = 0.05, 2.2
-"""Heights between which an object counts for its footprint [m], as a robot could hit it there. Its
-wheels climb lower parts (the foot of a cone), and it passes under higher ones."""
+"""Minimum and maximum height of the parts of an object that count for its footprint [m], as a robot
+could hit them. The wheels climb lower parts (the foot of a cone), and the robot passes under higher
+parts."""
 _WALL_FOOT_M = 1.5
 """Depth to which walls extend below z = 0 if the ground is not level [m]."""
 
 
 Part = Literal["all", "opaque", "objects"]
-"""Rendered part of a world: all; without clear panes; without the floor."""
+"""Part of a world that is rendered; ``opaque``: without clear panes, ``objects``: without the
+floor."""
 
 
 class World(NamedTuple):
@@ -109,15 +111,16 @@ def _walk(path: Path, time_s: float) -> tuple[float, float, float, float]:
 def outline(mesh: Mesh, floor_z: float = 0.0) -> np.ndarray:
     """Compute the footprint of an object: its convex hull, seen from above.
 
-    Only parts between STEP_M and REACH_M above the floor count; all of an object that is lower.
+    Only parts between STEP_M and REACH_M above the floor count; an object lower than STEP_M counts
+    as a whole.
 
     Args:
         mesh: Object in the world.
         floor_z: World z of the floor under it [m].
 
     Returns:
-        Corners ``(n, 2)`` float64, counter-clockwise, n at most OUTLINE_CORNERS [m]; the least
-        significant further corners are dropped, which moves the outline by less than 1 mm.
+        Corners ``(n, 2)`` float64 [m], counter-clockwise. If there are more than OUTLINE_CORNERS,
+        the least significant are dropped, which moves the outline by less than 1 mm.
     """
     step, reach = floor_z + STEP_M, floor_z + REACH_M
     if mesh.corners[..., 2].max() <= step:

@@ -18,7 +18,7 @@ STAGED_PART_BYTES = 12 << 20
 reuses temporaries of this size, but obtains larger ones as fresh pages from the system in every
 call."""
 PAD_BELOW = 8
-"""Minimum size of batches that are not padded."""
+"""Minimum size of batches that the CPU computes without padding."""
 LEAST_CAPABILITY = 8.0
 """Minimum compute capability of GPUs: from 8.0 on a warp sums integers in one instruction."""
 
@@ -34,7 +34,7 @@ def check_device(images: Any) -> None:
     """
     devices = images.devices() if isinstance(images, jax.Array) else {default_device()}
     if len(devices) > 1:
-        problem = f"images are spread over {len(devices)} devices, but one computes a batch"
+        problem = f"images are on {len(devices)} devices, expected all on one device"
         raise ConfigError(problem, remedy="call detect for each device's images")
     check_capability(devices)
 

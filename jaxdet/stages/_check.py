@@ -62,10 +62,10 @@ def digest_of(found: Detections) -> str:
 
 @cache
 def check_kernels(device: Any = None) -> None:
-    """Run only the kernels on two small images.
+    """Check the results of the kernels on two small images.
 
     Args:
-        device: Warp device for which they are loaded; None: the device that JAX computes on.
+        device: Warp device for which the kernels are loaded; None: the device that JAX computes on.
 
     Raises:
         JaxdetError: The results differ from those of the reference.
@@ -94,6 +94,6 @@ def check_kernels(device: Any = None) -> None:
     if digest(found) != ANSWER:
         versions = f"Warp {wp.__version__}, JAX {version('jax')}"
         raise JaxdetError(
-            f"the kernels don't find what they should with {versions} on {device}",
+            f"the kernels give wrong results with {versions} on {device}",
             remedy="use the versions that pyproject.toml names, or --backend reference",
         )

@@ -151,7 +151,7 @@ def _running_sum(flags: jax.Array) -> jax.Array:
 
 
 def _first_place(keys: jax.Array, key: jax.Array) -> jax.Array:
-    """Return the position of ``key`` in each row's ascending ``keys``, ``(B, N)``; first if equal.
+    """Return the first position of ``key`` in each row's ascending ``keys``, ``(B, N)``.
 
     A binary search like ``jnp.searchsorted``, in steps of powers of two and without carried bounds,
     which takes half the time on the CPU.

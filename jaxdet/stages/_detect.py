@@ -49,7 +49,7 @@ def detect(
         with_cells: Whether to return the labels of cells as well.
 
     Returns:
-        The obstacles, which may still be being computed, see :func:`_batches.in_parts`.
+        The obstacles; JAX may still be computing them.
 
     Raises:
         ConfigError: The kernels do not support images or grids of this size.
@@ -134,7 +134,7 @@ class Rows(NamedTuple):
     record: Any
     contour: Any
     work: Any
-    """Empty on the CPU, unless it is requested."""
+    """Intermediate arrays; on the CPU empty unless they are requested."""
 
 
 def _run_steps(
@@ -147,7 +147,7 @@ def _run_steps(
         floors: ``(B, 17)`` int32, :func:`jaxdet.floor.units.prior_units`, then
             :func:`jaxdet.floor.frame.floor_frames`.
         tables: From :func:`jaxdet.stages._program.packed`.
-        static: Its sizes.
+        static: Sizes that the program is compiled for.
         keep_work: Whether to return the intermediate arrays.
     """
     return _called(len(_program.STEPS), depth, floors, tables, static, keep_work)

@@ -97,8 +97,8 @@ def on_device(color: jax.Array, depth: jax.Array, shared: Tables, static: Static
 def lateral(ray: jax.Array, z: jax.Array) -> jax.Array:
     """Return ``(ray * z + half) >> RAY_BITS`` in 32-bit arithmetic, ten fraction bits at a time.
 
-    Holds for rays up to ``MAX_RAY`` and z below 2^16, as the floors nest:
-    ``floor((a + 2^19) / 2^20) = floor((floor(a / 2^10) + 2^9) / 2^10)``.
+    The result is exact for rays up to ``MAX_RAY`` and z below 2^16, as rounding down in two steps
+    is: ``floor((a + 2^19) / 2^20) = floor((floor(a / 2^10) + 2^9) / 2^10)``.
     """
     product = (ray >> 10) * z + (((ray & 1023) * z) >> 10)
     return (product + 512) >> 10

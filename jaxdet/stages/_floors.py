@@ -1,4 +1,4 @@
-"""The floor step on the CPU without JAX, which takes longer to load than a log to describe."""
+"""Floor estimation on the CPU without JAX, as loading JAX takes longer than describing a log."""
 
 from functools import lru_cache
 

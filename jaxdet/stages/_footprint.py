@@ -14,8 +14,8 @@ from jaxdet.stages._tables import kernel_table
 from jaxdet.types import MAX_LATERAL, Features, GroundPlane, Labels, Obstacles
 
 VALUE_BITS = 19
-"""Bits of a coordinate, shifted to be non-negative; the obstacle's number takes the other bits of a
-key."""
+"""Number of bits of a coordinate (made non-negative) in a sort key; the other bits hold the number
+of the obstacle."""
 LAST = jnp.iinfo(jnp.int32).max
 
 
@@ -73,7 +73,7 @@ def obstacles(
 def to_ground(xyz: jax.Array, axes: jax.Array) -> jax.Array:
     """Return ``(xyz . axis + half) >> GROUND_BITS`` in 32-bit arithmetic.
 
-    The coordinates are split at ten bits; the floors nest as in ``lateral``.
+    The coordinates are split at ten bits; rounding down in two steps is exact, as in ``lateral``.
 
     Args:
         xyz: ``(B, N, 3)`` int32 [depth units].

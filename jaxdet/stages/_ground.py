@@ -27,9 +27,9 @@ class Tables(NamedTuple):
     """Arrays for :func:`keep`, from the floors and the configuration."""
 
     limits: jax.Array
-    """Limits of the distinct planes, ``(P, H, W)`` uint16 [depth units]."""
+    """Depth limits of the pixels for each distinct plane, ``(P, H, W)`` uint16 [depth units]."""
     which: jax.Array
-    """Plane of each frame, ``(B,)`` int32."""
+    """Index of the plane of each frame, ``(B,)`` int32."""
     nearest: jax.Array
     farthest: jax.Array
 

@@ -14,7 +14,11 @@ from jaxdet.types import Calibration, Detections, Frames, GroundPlane, Points
 
 
 class _Tables(NamedTuple):
-    """Arrays shared by all frames; as arrays, a new camera or setting needs no compilation."""
+    """Arrays shared by all frames.
+
+    They are arguments of the compiled program, so that a new camera or setting needs no
+    compilation.
+    """
 
     features: _features.Tables
     gaps: jax.Array
@@ -29,7 +33,7 @@ class _Static(NamedTuple):
 
 
 def clusters(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
-    """Find corners with depth, drop those on the floor, cluster the rest by gaps and outline it.
+    """Detect corners, drop those on the floor, cluster the others by gaps and measure the clusters.
 
     Args:
         frames: ``B`` frames with colour; images on the host or already on a device.
@@ -37,7 +41,7 @@ def clusters(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
         config: Configuration of the method; ``cluster.points`` is True.
 
     Returns:
-        The obstacles, see :func:`jaxdet.pipeline.detect`, which may still be being computed.
+        The obstacles, see :func:`jaxdet.pipeline.detect`; JAX may still be computing them.
     """
     _features.check_kernels_size(frames.calibration.image)
     plane = plane_in_color(plane, frames.calibration)

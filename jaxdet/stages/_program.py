@@ -1,4 +1,4 @@
-"""All steps on depth images in one call: its arrays, and the launches of the kernels, without JAX.
+"""Program of all steps on depth images: its arrays and the launches of its kernels, without JAX.
 
 All tables for a camera and a configuration are packed into one buffer, which begins with a header:
 sizes, then the offset of each array. ``program.h`` reads it in the same order. All results of a
@@ -33,7 +33,7 @@ from jaxdet_kernels import program as kernels
 
 STEPS = tuple(kernels.STEPS)
 FLOOR_STEPS = STEPS.index("find_floor") + 1
-"""Number of the first steps that estimate the floor."""
+"""Number of steps up to and including floor estimation."""
 _TEAMS = [TeamKernel(kernel, kernels.WIDTH, kernels.BLOCKS) for kernel in kernels.STEPS.values()]
 _FIXED = (
     "near", "steps", "limits", "rises", "bows", "drops", "bands",

@@ -34,7 +34,8 @@ from jaxdet_kernels.align import PARAMETERS
 
 LIMIT = 1 << 30  # maximum of settings and entries of tables: no length is larger
 MOST_STEP, MOST_LIMIT = 1 << 16, 1 << 17
-"""Depths have 16 bits, bends 17: larger steps and limits have the same effect."""
+"""Maximum step and limit in a table: depths have 16 bits and bends 17, so larger values would have
+the same effect."""
 FARTHEST = 1 << 28
 """Larger than any length that is compared [depth units]; products with it fit in 64 bits."""
 MOST_EVIDENCE = (1 << 15) - 1  # maximum per pair; 256 by 256 of them sum up in 32 bits
@@ -157,7 +158,7 @@ def obstacle_tables(farthest: int, unit: float, config: ObstacleConfig, table: A
     """
     most = int(np.abs(table.value).max(axis=1).sum()) + abs(table.offset)
     if most > MOST_EVIDENCE:
-        raise ValueError(f"evidence of up to {most}, but {MOST_EVIDENCE} is the most there may be")
+        raise ValueError(f"evidence sums up to {most}, expected at most {MOST_EVIDENCE}")
     gaps = config.lateral_gap_m, config.forward_gap_m, config.depth_gap_m, config.contact_m
     sizes = config.bend_m, config.side_m, config.min_size_m
     lengths = (round(m / unit) for m in (*gaps, *sizes))
@@ -211,7 +212,7 @@ def free_tables(calibration: Calibration, config: Config) -> Tables:
 
 
 def parameters(calibration: Calibration) -> np.ndarray:
-    """Return the projection into the colour image as the kernels take it, ``(PARAMETERS + 2,)``."""
+    """Return the parameters of the projection into the colour image, ``(PARAMETERS + 2,)``."""
     splat = splat_parameters(calibration)
     more = splat.max_r2, splat.depth_unit, _MODELS.index(splat.model), splat.fills_corners
     return np.concatenate(

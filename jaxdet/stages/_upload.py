@@ -22,8 +22,8 @@ _BLOCKING_SYNC = 4
 _MADV_POPULATE_WRITE = 23
 """Advice of ``madvise`` that allocates pages."""
 _POPULATING = 4
-"""Threads that allocate pages: most cores are needed by the workers, which start at the same
-time."""
+"""Number of threads that allocate pages; it is small because the workers, which start at the same
+time, need the other cores."""
 
 
 class Uploader:
@@ -105,7 +105,7 @@ class PageLock:
         memory: Memory map; unlock it before it is closed.
         device: One of the devices.
         block: Bytes that are locked together, a multiple of the page size; a copy must not cross
-            blocks. None: all.
+            blocks. None: all memory at once.
 
     Raises:
         OSError: CUDA cannot lock the memory.

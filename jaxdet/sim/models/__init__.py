@@ -38,7 +38,8 @@ _LATER: dict[str, Callable[[np.random.Generator, float], Mesh]] = {
     "cable_drum": cable_drum,
     "cart": cart,
 }
-"""Models added later; appended after the low objects, as the index of a model seeds it."""
+"""Models added later. They come after the low objects, as the index of a model is part of its
+random seed."""
 
 __all__ = ["KINDS", "LOW_THINGS", "STRIDE_M", "build_model"]
 

@@ -23,8 +23,8 @@ struct BitRows {
     int row(int i) const { return i >> shift; }
     int column(int i) const { return (i & ((1 << shift) - 1)) * WIDTH; }
 
-    // Word i shifted so that each bit is that of the neighbouring cell: the previous or next one in the
-    // row, or the one above or below.
+    // Word i shifted so that each bit is that of the neighbouring cell: the previous or next cell in
+    // the row, or the cell above or below.
     unsigned before(int i) const {
         return bits[i] << 1 | (column(i) ? bits[i - 1] >> (WIDTH - 1) : 0);
     }

@@ -97,8 +97,8 @@ struct Canny {
         for (int r = warp.index; r < rows; r += warp.count) {
             const short *a = tile.size[r], *o = tile.size[r + 1], *b = tile.size[r + 2];
             for (int c = warp.lane; c < columns; c += warp.size) {
-                // Without branches, so that the loop can be vectorized. Of equal pixels along a row or
-                // a column the second is kept, on a diagonal neither.
+                // Without branches, so that the loop can be vectorized. Of equal neighbours in a row or
+                // a column the first is kept, on a diagonal neither.
                 const int direction = tile.direction[r + 1][c + 1], m = o[c + 1];
                 const int flat = (direction == FLAT) & (m > o[c]) & (m >= o[c + 2]);
                 const int steep = (direction == STEEP) & (m > a[c + 1]) & (m >= b[c + 1]);

@@ -167,7 +167,7 @@ struct CellRow {
 
     Words& at(int p) { return *(Words*)pixel[p]; }
 
-    // Tolerance of a depth that is given minus one.
+    // Tolerance at a depth; `one` is the depth minus one.
     int reach(unsigned short one) const {
         const int reach = near[(one + 1) & 65535];
         return reach < NONE ? reach : (int)NONE;

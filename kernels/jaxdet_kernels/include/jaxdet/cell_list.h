@@ -97,7 +97,7 @@ struct CellList {
     }
 
 #if defined(__CUDA_ARCH__)
-    // Appends the labelled ones of each lane's AHEAD cells to the list.
+    // Appends the cells with a label, among the AHEAD cells of each lane, to the list.
     void append(
         const Team& team, const Warp& warp, const int* own, const int* from, const int* at_right,
         const int* at_forward

@@ -52,8 +52,8 @@ struct Contraction {
     }
 
     // Each turn merges two nodes and finds the best key of the next turn. `turns` holds the best keys
-    // of this turn, the next and the one after: first those of all nodes, then those of the node that
-    // grew last. Ends in a sync.
+    // of TURNS turns (this turn and those that follow) twice: those of all nodes, then those of the
+    // node that grew last. Ends in a sync.
     void contract(const Team& team) const {
         if (team.rank == 0) {
             for (int k = 0; k < 2 * TURNS; ++k) turns[k] = ~0ull;

@@ -39,8 +39,8 @@ struct Creases {
     static int apart(int a, int b) { return a < b ? b - a : a - b; }
 
     // Rounded mean of the 3 x 3 neighbours that are at most two steps away. The sum of at most nine
-    // depths below 2^20 is exact as a float, and the quotient, below 2^20 and at least a ninth from the
-    // next integer, has a smaller rounding error than that.
+    // depths below 2^20 is exact as a float. The quotient is below 2^20 and at least a ninth from the
+    // next integer, which is more than its rounding error.
     static int mean(int own, int step, int a, int b, int c, int d, int e, int f, int g, int h) {
         const int near = step << (BITS + 1), shift = near - own;
         int total = own, count = 1;

@@ -11,7 +11,7 @@ struct Extents {
     enum { TRIM = 20, SUMS = 1, LEAST = 9, FIELDS = 18, UNTRIMMED = 14, NONE = 1 << 30 };
     int slots, *words;
     // Arrays of `slots` values, one per label. `first` is the first cell in row-major order; `low` and
-    // `high` are minima and maxima; `left`, `right`, `near` and `far` are those of `right` and
+    // `high` are minima and maxima; `left`, `right`, `near` and `far` are the extremes of `right` and
     // `forward` without a twentieth of the cells at each end.
     int *cells, *first, *row_low, *row_high, *column_low, *column_high;
     int *right_low, *right_high, *forward_low, *forward_high, *bottom, *top, *nearest, *leftmost;

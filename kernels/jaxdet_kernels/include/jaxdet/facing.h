@@ -28,11 +28,11 @@ struct Pair {
 
 struct Facing {
     typedef unsigned long long Sum;
-    // Sums of a pair. ROWS: number of places where the surfaces face each other in rows, places of
-    // these with free cells or something farther between them, and places with something nearer between
-    // them, COUNT_BITS each. STEPS: places that agree, and above STEP_SHIFT the sum of depth steps.
-    // COLUMNS: places in columns, places with free cells or something farther, and places with
-    // something nearer or a hole.
+    // Sums of a pair. ROWS holds three counts, COUNT_BITS each: places where the surfaces face each
+    // other in rows; those with free cells or something farther between the surfaces; those with
+    // something nearer between them. STEPS: number of places whose depths agree, and above STEP_SHIFT
+    // the sum of depth steps. COLUMNS holds three counts in columns: places; those with free cells or
+    // something farther; those with something nearer or a hole.
     enum { ROWS, STEPS, COLUMNS, DISTANCE, SUMS, COUNT_BITS = 21, STEP_SHIFT = 20 };
     enum { MOST_BETWEEN = 11, RING = 16, SLOPE = 10, FAR = 1 << 30 };
     // Number of cells whose loads are in flight together on CUDA.

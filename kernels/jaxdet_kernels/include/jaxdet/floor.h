@@ -320,7 +320,7 @@ struct Floor {
         long long sums[4] = {on, low, high, dents};
         group.sum(sums, 4);
         const long long total = all.count;
-        // Below a plane through a table there are more cells than a floor has dents.
+        // More cells are below a plane through a table than in the dents of a floor.
         const long long enough = sums[0] - (has_prior ? 0 : FloorScore::BELOW_COST * sums[3]);
         const int least =
             has_prior ? settings[FloorSetting::MIN_SHARE]

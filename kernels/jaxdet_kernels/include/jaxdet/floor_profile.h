@@ -89,7 +89,7 @@ struct FloorProfile {
                 at[place] = run[i];
             }
         team.sync();
-        // Heights of a distance in order.
+        // Sorts the heights in each distance bin.
         for (int i = team.rank; i < begin()[n]; i += team.size) {
             const int k = at[i], h = sorted[i], from = begin()[k], to = begin()[k + 1];
             int place = from;

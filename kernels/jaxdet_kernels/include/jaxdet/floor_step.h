@@ -63,7 +63,8 @@ struct FloorSteps : FloorProfile {
         return is_seen(team, m % n, found.drop);
     }
 
-    // Whether the other floor is visible over some distance from a given one on; a wall is not.
+    // Whether the other floor, from distance bin `from` on, is visible over some distance, unlike a
+    // wall.
     bool is_seen(const Team& team, int from, int deep) const {
         const int n = runs();
         for (int k = team.rank; k < n; k += team.size) {

@@ -1,4 +1,4 @@
-// Floor frame of the detected floor, or the fallback if that was refused. Twin of `axes` in
+// Floor frame of the detected floor, or the fallback if the floor was refused. Twin of `axes` in
 // jaxdet/floor/frame.py and of `slopes` in jaxdet/floor/units.py.
 #pragma once
 #include "floor_frame.h"

@@ -8,8 +8,8 @@ namespace jaxdet { namespace {
 
 struct FreeFloor {
     // Indices of settings: end of the range; length of floor without a measurement that ends it; limits
-    // of depth and height of what ends rays (3); half of a cell's angle; minimum depth of a notch, and
-    // minimum number of cells of an obstacle in it.
+    // of depth and height of obstacles on rays (3); half of a cell's angle; minimum depth of a notch;
+    // and minimum number of cells of an obstacle in a notch.
     enum { FAR, GAP, NEAREST, IN_RANGE, HIGHEST, HALF_TURN, NOTCH, MIN_CELLS, SETTINGS };
     enum { UNKNOWN, OBSTACLE, DROP, RANGE };
     enum {
@@ -17,7 +17,7 @@ struct FreeFloor {
         RUN = 3,
         // Number of neighbouring columns on each side of a drop; more than half of them must drop too.
         NEIGHBOURS = 14,
-        // Floor farther up must not be nearer than what lies lower by more than one part in SHARE.
+        // Floor farther up must not be nearer than lower cells by more than one part in SHARE.
         SHARE = 5,
         LARGEST = 0x7fffffff,
         DEPTHS = 65536,
@@ -100,8 +100,8 @@ struct FreeFloor {
         team.sync();
     }
 
-    // Finds the nearest obstacle of each column, the uppermost of equal ones, and initializes the
-    // floor.
+    // Finds the nearest obstacle of each column (of equally near cells the uppermost), and initializes
+    // the floor.
     void find_obstacles(Columns& __restrict__ of, int left, int n) const {
         for (int c = 0; c < n; ++c) {
             of.limit[c] = LARGEST;

@@ -6,7 +6,7 @@ namespace jaxdet { namespace {
 
 // Layout of R rows and C columns of cells in a plane of scratch memory with one more row above and
 // below and PAD more columns on both sides. The columns to the right of a row are those to the left of
-// the next one.
+// the next row.
 struct Grid {
     enum { PAD = 16, MOST_COLUMNS = 512 };
     int rows, columns, stride, size;

@@ -148,8 +148,8 @@ struct Measures {
         return found;
     }
 
-    // Writes A, B or C: on one axis the outermost coordinate, on the other the smallest of the cells
-    // that far out.
+    // Writes A, B or C: the outermost coordinate on one axis, and the smallest coordinate on the other
+    // axis among the cells at the outermost coordinate.
     void put_corner(int number, int kind, ObstacleCells::Range range) const {
         const bool near = kind == NEAR;
         const int* values = near ? cells.forward_of : cells.right_of;

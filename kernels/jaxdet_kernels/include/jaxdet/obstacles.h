@@ -224,7 +224,7 @@ struct Obstacles {
     // Splits obstacles that bend around free floor, and measures the parts in `last`.
     void straighten(const Team& team, const Contours& of_whole) const {
         const int groups = counts[GROUPS];
-        int* before = parts + groups;  // extra parts of the groups before each one
+        int* before = parts + groups;  // extra parts of the groups before each group
         const Warp warp(team);
         for (int g = team.rank; g < groups; g += team.size) before[g] = 0;
         if (settings[BEND] > 0) {

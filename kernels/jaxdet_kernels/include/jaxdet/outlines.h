@@ -92,7 +92,7 @@ struct Outlines {
         for (int i = team.rank; i < 4 * slots; i += team.size) span_out[i] = 0;
     }
 
-    // Counts the cells of the parts of each obstacle and finds the nearest one in each column.
+    // Counts the cells of the parts of each obstacle, and finds its nearest cell in each column.
     void count() const {
         const Team& team = cells.team;
         const CellList& listed = cells.listed;
@@ -215,7 +215,7 @@ struct Outlines {
         return best - first;
     }
 
-    // Whether one direction fits better; of equal ones the first does.
+    // Whether direction `one` fits better than `other`; in a tie the first direction is better.
     bool fits_better(int one, int other) const {
         if (cost[one] != cost[other]) return cost[one] < cost[other];
         return area[one] != area[other] ? area[one] < area[other] : one < other;

@@ -4,7 +4,7 @@
 // filter followed by the bytes of its samples, high byte first.
 //
 // A byte depends on the bytes to its left (a), above (b) and above left (c). So each line is processed
-// one pixel behind the one above it, and a step needs only the bytes of the previous one: a is the same
+// one pixel behind the line above, and a step needs only the bytes of the step before: a is the same
 // lane, b the preceding lane, and c the previous b. All filters are one expression, in which inputs
 // that a filter does not use are masked: with a only, Paeth's predictor is a; with b only, it is b.
 #pragma once
@@ -85,9 +85,9 @@ struct PngDepth {
             depth_out[(size_t)v * width + u + k] = pixels[k];
     }
 
-    // Paeth's predictor: the one of a, b and c that is nearest to a + b - c, the first of equally near
-    // ones. With bound = 3 c - a - b it is min(a, b) if both are at most bound, max(a, b) if both are
-    // at least bound, otherwise c: a shorter dependency chain than the three distances.
+    // Paeth's predictor: the value among a, b and c that is nearest to a + b - c; in a tie the first.
+    // With bound = 3 c - a - b it is min(a, b) if both are at most bound, max(a, b) if both are at
+    // least bound, otherwise c, which has a shorter dependency chain than comparing three distances.
     __attribute__((always_inline)) static void paeth(const Lanes& a, const Lanes& b, const Lanes& c,
                                                      Lanes* out) {
         const Lanes low = a < b ? a : b, high = a < b ? b : a, bound = 3 * c - (a + b);
@@ -95,8 +95,8 @@ struct PngDepth {
         *out = bound <= low ? high : not_high;
     }
 
-    // Shifts the lanes, so that each line gets the bytes of the one above it, and the first line the
-    // last lanes of `first`.
+    // Shifts the lanes, so that each line gets the bytes of the line above, and the first line the last
+    // lanes of `first`.
     __attribute__((always_inline)) static void lower(const Lanes& bytes, const Lanes& first,
                                                      Lanes* out) {
         *out = __builtin_shufflevector(first, bytes, 15, 32, 33, 34, 35, 36, 37, 38, 39, 40, 41, 42, 43,

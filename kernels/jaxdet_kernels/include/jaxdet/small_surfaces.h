@@ -1,4 +1,4 @@
-// Merges surfaces that are too small to be an obstacle into the one they touch most. Twin of
+// Merges surfaces that are too small to be an obstacle into the surface they touch most. Twin of
 // `whole_surfaces` in jaxdet/reference/_obstacles.py.
 #pragma once
 #include "warp.h"

@@ -18,7 +18,7 @@ struct Surfaces {
         MOST = 512,  // larger labels become -1
         UNSEEN = 0x7fffffff,
         AHEAD = 4,  // cells whose loads are in flight together on CUDA
-        FEW = 2,    // the same if there are more loads per cell
+        FEW = 2,    // like AHEAD, for loops with more loads per cell
     };
     // Indices of settings: depth range of surfaces; radius, minimum size and dilation of creases
     // [cells]; height up to which surfaces without a steep side are floor; growth of the floor's
@@ -289,7 +289,7 @@ struct Surfaces {
         return 0;
     }
 
-    // Labels linked cells with the root of their component, -1 if that is small. Returns the number of
+    // Labels linked cells with the root of their component, small ones with -1. Returns the number of
     // runs; `has` becomes the bitmap of labelled cells. Ends in a sync.
     int label(const Team& team, const Parts& in, Runs& runs, const BitRows& up, const BitRows& has) const {
         const BitRows &on = runs.on, &starts = runs.starts;
@@ -423,8 +423,8 @@ struct Surfaces {
         return taken;
     }
 
-    // Gives a cell the label of the neighbour nearest in depth within the step, the first of equal ones
-    // in the order left, right, upper, lower; returns whether there is one.
+    // Gives a cell the label of the neighbour nearest in depth within the step (in a tie the first in
+    // the order left, right, upper, lower); returns whether there is such a neighbour.
     bool take(int cell, bool left, bool right, bool upper, bool lower) const {
         const int depth = z[cell];
         int best = steps[depth] + 1, from = -1;

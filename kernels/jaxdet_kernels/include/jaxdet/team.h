@@ -110,7 +110,7 @@ struct Team {
 
 #if !defined(__CUDA_ARCH__)
 // Calls `work(b)` for frames that no other thread has taken until none is left; `next` is the index of
-// the first of these. All frames share one launch because after each launch a Python thread would have
+// the next free frame. All frames share one launch because after each launch a Python thread would have
 // to wait for the interpreter lock.
 template <class Work> void each_frame(int* next, int frames, Work work) {
     for (;;) {

@@ -25,8 +25,8 @@ struct ThreadGroup {
     // index, count  index of this group in the team, and number of groups
     // leads         whether this thread is in the first warp, which does work for the complete team that
     //               would be the same in all warps
-    // broadcast     sends the results of that to the others: at most MOST_SHARED values; between any two
-    //               calls there must be a sum
+    // broadcast     sends results of the first warp to the other threads, at most MOST_SHARED values;
+    //               between any two calls there must be a sum
     // sum           replaces each of at most MOST_SUMS values by its sum over the group; a collective call
     int rank() const { return rows ? team->rank : team->rank % WARP; }
     int size() const { return rows ? team->size : (int)WARP; }
