@@ -9,7 +9,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 
-# Before the first import of JAX or Warp, and inherited by the commands that tests start.
+# Set before JAX and Warp are imported; commands that tests start inherit the variables.
 os.environ["XLA_FLAGS"] = " ".join(
     [os.environ.get("XLA_FLAGS", ""), "--xla_force_host_platform_device_count=2"]
 ).strip()

@@ -97,5 +97,5 @@ def _can_be_read(source: str | LogFiles, options: LogOptions | None) -> bool:
 
 
 def scanning(options: LogOptions | None = None) -> LogOptions:
-    """Return the same options, for a scan."""
+    """Return the options with ``scan`` switched on."""
     return replace(options or LogOptions(), scan=True)

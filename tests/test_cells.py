@@ -63,11 +63,11 @@ def test_only_complete_cells_are_in_the_grid() -> None:
 @pytest.mark.parametrize(
     ("block", "depth"),
     [
-        ([[900, 905], [2000, 2010]], 903),  # the lower median is the object's; 902.5 is rounded up
+        ([[900, 905], [2000, 2010]], 903),  # lower median 905; 902.5 is rounded up
         ([[900, 2005], [2000, 2010]], 2005),  # mostly background
         ([[900, 910], [911, 890]], 900),  # lower median 900: 911 is 11 mm away
         ([[0, 900], [0, 2000]], 900),  # half of the pixels are enough
-        ([[0, 900], [0, 0]], 0),  # fewer are not
+        ([[0, 900], [0, 0]], 0),  # less than half are not
         ([[0, 0], [0, 0]], 0),
         ([[1, 1], [1, 2]], 1),
         ([[65535, 65535], [65535, 65534]], 65535),
@@ -81,8 +81,8 @@ def test_depth_of_a_cell_is_the_mean_near_its_lower_median(
 
 def test_step_grows_with_depth_squared() -> None:
     config = SurfaceConfig(cell_rad=0.02, step_m=0.01, step_per_m=0.01)
-    assert one_cell([[1000, 1020], [1021, 1021]], config) == 1016  # 20 mm at 1.02 m, 31 used
-    assert one_cell([[3000, 3100], [3100, 3100]], config) == 3075  # 106 mm at 3.1 m
+    assert one_cell([[1000, 1020], [1021, 1021]], config) == 1016  # step: 20 mm at 1.02 m
+    assert one_cell([[3000, 3100], [3100, 3100]], config) == 3075  # step: 106 mm at 3.1 m
     assert one_cell([[2990, 3100], [3100, 3100]], config) == 3100
 
 

@@ -526,7 +526,7 @@ def test_labelled_obstacles_of_a_moving_wheelchair_are_found(shared_data: Path) 
 def test_notches_of_the_free_floor_show_objects_lower_than_the_step(
     device: object, upside_down: bool
 ) -> None:
-    """Nothing is measured behind a strip 4 cm high: floor ends there, but not next to it."""
+    """Nothing is measured behind a strip 4 cm high: free floor ends at the strip, not beside it."""
     bare, strip = (cast(POSE, boxes) for boxes in ([], [((-0.1, 2.0, 0.0), (0.1, 2.1, 0.04))]))
     rows, columns = np.nonzero(strip < bare - 0.001)
     depth, plane = strip.copy(), POSE.plane()
@@ -540,12 +540,12 @@ def test_notches_of_the_free_floor_show_objects_lower_than_the_step(
     assert metric.distances(detections)[0, 0] == pytest.approx(2050, abs=55)
     assert 20 < scene.bottom_top[0, 0, 0] <= scene.bottom_top[0, 0, 1] < 45
     assert_equal(detect(given, SURFACES), detections)
-    # If the floor behind it is measured, the strip is floor.
+    # If the floor behind the strip is measured, the strip counts as floor.
     assert count(found(made(strip[None], POSE.plane()))) == 0
 
 
 def test_a_low_carton_with_a_hole_in_its_depth_is_found() -> None:
-    """As on a real pavement, a hole leaves 7 and 4 of its cells above the step."""
+    """As on a real pavement, 7 cells of the carton remain left of the hole and 4 right of it."""
     sensor = DepthSensor(enabled=False)
     carton = Box((3.3, 0.0), (0.25, 0.24, 0.075), 0.0, CARTON)
     scene = Scene("made", (carton,), floor=WOOD, ground=Ground(), path=Way(length=0.0))

@@ -81,10 +81,10 @@ def test_annotations_of_a_simulated_log_cover_its_obstacles(drive: Path, tmp_pat
     for image, _, mask in found:
         objects = truth[f"obstacle_id_{image['frame']:06d}"][mask]
         most = np.bincount(objects).argmax()
-        assert most > 0  # not the background
+        assert most > 0  # an object, not the background
         share.append((objects == most).mean())
         other = taken.setdefault(image["id"], np.zeros_like(mask))
-        assert not (other & mask).any()  # a pixel is one obstacle's
+        assert not (other & mask).any()  # masks do not overlap
         other |= mask
     assert np.median(share) > 0.8 and np.min(share) > 0.6  # stereo smears depth over contours
 

@@ -200,7 +200,7 @@ def test_tolerance_is_not_smaller_for_a_plane_above_the_camera(low: float) -> No
     assert (sharp.of(grid[2].astype(np.int64), -20000) >= sharp.base).all()
 
 
-# anything
+# random cells
 
 
 @pytest.mark.parametrize(

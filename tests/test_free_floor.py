@@ -157,11 +157,11 @@ def test_a_narrow_drop_is_a_reflection() -> None:
     "beyond",
     [
         ((1500, -300), (1700, -300)),  # too few cells
-        ((1500, -40), (1700, -80), (1900, -130)),  # gradually: a far floor that is bowed
-        ((1500, -300), (1501, -500), (1502, -700)),  # upright: a mirrored object
-        ((1500, -300), "1600", (1700, -300)),  # there is an obstacle
+        ((1500, -40), (1700, -80), (1900, -130)),  # a gradual descent: a bowed far floor
+        ((1500, -300), (1501, -500), (1502, -700)),  # an upright surface: a mirrored object
+        ((1500, -300), "1600", (1700, -300)),  # an obstacle in between
         ((1500, -300), (1600, -300), (1700, -300), (1750, 0), (1900, 0)),  # floor continues beyond
-        ((7000, -900), (7400, -940), (7900, -980), (2000, 0)),  # floor beyond a gap, but nearer
+        ((7000, -900), (7400, -940), (7900, -980), (2000, 0)),  # floor above the cells, but nearer
     ],
 )
 def test_cells_that_are_not_a_drop(beyond: tuple) -> None:
@@ -234,10 +234,10 @@ def test_narrow_grids_are_supported(count: int) -> None:
     [
         ([900, 500, 550, 950], "uuuu", [-1, 0, 0, -1]),
         ([900, 500, 550, 850], "uuuu", [-1, -1, -1, -1]),  # not deeper than the minimum
-        ([900, 500, 550, 950], "uudu", [-1, -1, -1, -1]),  # a drop is a known reason
-        ([900, 500, 0, 950], "uuuu", [-1, -1, -1, -1]),  # no floor is visible in one of them
+        ([900, 500, 550, 950], "uudu", [-1, -1, -1, -1]),  # the floor ends at a drop
+        ([900, 500, 0, 950], "uuuu", [-1, -1, -1, -1]),  # one column has no visible floor
         ([500, 100, 100, 500, 900, 590, 950, 900], "uuuuuuuu", [-1, 0, 0, -1, -1, 1, -1, -1]),
-        ([900, 500, 500], "uuu", [-1, -1, -1]),  # the image ends
+        ([900, 500, 500], "uuu", [-1, -1, -1]),  # at the edge of the image
         ([500, 900, 500], "uuu", [-1, -1, -1]),
         ([900, 500, 950], "rur", [-1, 0, -1]),
         ([900], "u", [-1]),

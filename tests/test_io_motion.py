@@ -195,7 +195,7 @@ def test_images_with_equal_timestamps_are_ordered_by_log_time(tmp_path):
         for number, at in (
             (1, START + 9_000_000),
             (0, START + 5_000_000),
-        ):  # the later one is first
+        ):  # the image with the later log time is written first
             log.ros(DEPTH, ros_image(scene.depth[number], "16UC1", START, DEPTH_FRAME), at)
             log.ros(COLOR, ros_image(scene.color[number], "rgb8", START, COLOR_FRAME), at)
     for scan in (False, True):

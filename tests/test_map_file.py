@@ -184,7 +184,7 @@ def test_distances_to_the_map_equal_a_search_over_all_cells(yaw: float) -> None:
     assert not KnownPlaces(grid).near(np.array([[np.nan, 0], [1e9, 0]]), np.ones(2)).any()
 
 
-def test_unknown_places_of_a_map() -> None:
+def test_only_points_inside_of_unknown_cells_of_a_map_are_unknown() -> None:
     states = np.array([[FREE, UNKNOWN], [OCCUPIED, FREE]], np.int8)
     known = KnownPlaces(Grid(states, (2.0, -3.0), 0.5))
     points = [(2.6, -2.9), (2.1, -2.9), (2.1, -2.4), (3.1, -2.9), (2.6, -3.1), (np.nan, -2.9)]

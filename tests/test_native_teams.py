@@ -112,7 +112,7 @@ def compiled(arrays: list[np.ndarray], step: int, static: _program.Static) -> li
 def by_itself(
     program: Path, arrays: list[np.ndarray], step: int, static: _program.Static
 ) -> list[np.ndarray]:
-    """Return the same arrays from the separate program."""
+    """Run a step in the separate program; return the arrays that :func:`compiled` returns."""
     depth, case = arrays[0], program.with_name("case")
     head = [step, len(depth), depth[0].size, *static, *(a.nbytes for a in arrays)]
     case.write_bytes(np.array(head, np.int32).tobytes() + b"".join(a.tobytes() for a in arrays))

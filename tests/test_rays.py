@@ -124,13 +124,13 @@ def test_a_shorter_column_extends_halfway_to_its_neighbours() -> None:
 
 
 def test_a_ray_of_a_pitched_camera_leaves_its_column() -> None:
-    """Farther out it meets the shadow of what ends the floor of an adjacent column."""
+    """Farther out the ray enters a column whose floor ends nearer, at an obstacle."""
     columns = 81
     stop, end = [3000] * columns, [FreeEnd.RANGE] * columns
     stop[60:70], end[60:70] = [1000] * 10, [FreeEnd.OBSTACLE] * 10
     free, why = found(fan(stop, end, behind=500))
     meets = np.flatnonzero((free[:, 1] > 1100) & (free[:, 1] < 2800))
-    meets = meets[np.abs(meets - AHEAD - 44) < 20]  # others meet the sides of the image
+    meets = meets[np.abs(meets - AHEAD - 44) < 20]  # other rays leave the image at its sides
     assert len(meets) >= 4 and (why[meets] == FreeEnd.UNKNOWN).all()
     bearing = np.radians((meets - AHEAD) / 4)
     right, forward = free[meets, 1] * np.array([np.sin(bearing), np.cos(bearing)])

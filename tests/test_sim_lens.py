@@ -40,7 +40,7 @@ def test_a_bow_is_smooth_and_grows_with_z_squared():
     assert np.nanstd(far - errors_at(4.0, sensor, specimen=1)) > 0.01
 
 
-def test_margins_have_holes_and_are_bent():
+def test_image_margins_have_holes_and_depth_distortion():
     sensor = DepthSensor(**QUIET, margin=0.1, margin_bend_px=4.0, margin_dropout=0.5)
     rng = np.random.default_rng(0)
     error, torn = bend((480, 640), CONSTANT, sensor, rng, 3)

@@ -36,7 +36,7 @@ def how(tmp_path):
 
 @pytest.fixture
 def stores(monkeypatch):
-    """Replace buckets by stores in memory; return these by address."""
+    """Replace buckets by stores in memory; return the stores by address."""
     pytest.importorskip("obstore")
     from obstore.store import MemoryStore
 

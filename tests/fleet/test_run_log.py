@@ -71,7 +71,7 @@ def test_another_configuration_is_refused_unless_it_overwrites(stores, engine, h
     old = check_results(RESULTS, "a", tmp_path)
     begun = prepare(RESULTS, {**other, "overwrite": True})
     (log, rest) = list_logs(LOGS)
-    assert run_log(log, RESULTS, begun)["state"] == "done"  # and here the run is killed
+    assert run_log(log, RESULTS, begun)["state"] == "done"  # the run is killed here
     assert check_results(RESULTS, "a", tmp_path) != old
     with pytest.raises(ConfigError):
         run_fleet([LOGS], RESULTS, how)
