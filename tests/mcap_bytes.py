@@ -1,4 +1,4 @@
-"""MCAP files made byte by byte, which no writer would write."""
+"""Parts of MCAP files that no writer would write, made byte by byte."""
 
 import struct
 import zlib

@@ -173,7 +173,7 @@ def test_bounds_of_canny_must_be_integers_in_order(low, high, bounds):
 
 
 def test_backends_agree_at_the_largest_accepted_settings():
-    """This holds for obstacles made of points and of surfaces."""
+    """Backends are compared for obstacles made of points and of surfaces."""
     config = Config(
         features=FeaturesConfig(min_distance=8192.0),
         cluster=ClusterConfig(True, 5.0, 10.0, 8192),
@@ -301,7 +301,7 @@ def mutated(calibration: Calibration, rng: random.Random) -> Calibration:
 
 
 def test_randomly_damaged_calibrations_are_refused_or_give_equal_results():
-    """Otherwise kernels would compute indices outside of their arrays from such numbers."""
+    """Unchecked, such numbers would lead kernels to indices outside of their arrays."""
     rng, count = random.Random(1), {"refused": 0, "used": 0}
     given = made(1)
     for _ in range(150):
@@ -494,7 +494,7 @@ def test_planes_of_any_height_are_accepted(height):
 
 @BACKENDS
 def test_with_source_none_no_floor_is_removed(backend):
-    """This holds whatever plane is given or configured."""
+    """Planes in the frames and in the configuration are ignored."""
     config = Config(GroundConfig(source="none", camera_height_m=0.5, camera_pitch_rad=0.0))
     given = made()._replace(plane=level(2))
     found = detect(given, config, backend=backend)

@@ -173,7 +173,7 @@ def test_nothing_is_above_the_robot_if_the_floor_is_unknown() -> None:
 
 
 def test_cells_with_twice_the_side_raise_the_step_height_by_half_as_much() -> None:
-    """A box is 9 cm high and 2.6 m away, in cells of one pixel and of 2 x 2 equal ones."""
+    """A box 9 cm high is 2.6 m away; cells are single pixels, or 2 x 2 equal pixels."""
     fine_camera = Intrinsics(320, 240, 304.0, 304.0, 159.5, 119.5)
     coarse = made(cast(POSE, [((-0.5, 2.6, 0.0), (0.5, 3.4, 0.09))])[None], POSE.plane())
     depth = np.kron(coarse.depth, np.ones((1, 2, 2), np.uint16))

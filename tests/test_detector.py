@@ -687,7 +687,7 @@ def test_low_level_functions_name_the_wrong_argument():
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no fork")
 def test_detection_in_a_forked_process_is_an_error():
-    """Otherwise it would wait forever for threads that fork does not copy."""
+    """Otherwise detection would wait forever for threads that fork does not copy."""
     code = """
 import os, numpy as np, jaxdet
 images = (np.full((120, 160), 2.0),)

@@ -99,7 +99,7 @@ def test_annotations_of_a_recorded_log_equal_the_table(aims_results: Path, tmp_p
 
 
 def test_each_camera_has_its_own_images(drive: Path, tmp_path: Path) -> None:
-    """Recordings and reports distinguish them as well."""
+    """Recordings and reports distinguish the cameras, too."""
     write_log(tmp_path / "rear.mcap", SimConfig(frames=2, width=320, height=240, seed=5))
     both = {"front": drive / "drive.mcap", "rear": tmp_path / "rear.mcap"}
     log, folder = join_cameras(both, tmp_path / "two.mcap"), tmp_path / "out"

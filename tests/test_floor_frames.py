@@ -135,7 +135,7 @@ def test_table_without_floor_is_refused_if_something_is_visible_below_it():
 def test_reflections_do_not_lead_to_refusal(known, columns):
     """A glossy floor shows mirrored lamps below itself.
 
-    They are up to 14 % of the cells with a prior, 4 % without, and far fewer than the inliers.
+    With a prior, up to 14 % of the cells are reflections, without one 4 %; far fewer than inliers.
     """
     pose = Pose(0.6, 20.0, 0.0)
     z = cast(pose, BOXES)
@@ -207,7 +207,7 @@ def test_the_floor_before_a_step_down_is_found(pose, drop, start):
         assert np.isinf(fit.plane.ramp_start[0])
 
 
-def test_without_a_prior_a_lower_floor_is_a_drop_only_if_it_is_too_far_below_for_a_table():
+def test_without_a_prior_a_lower_floor_is_a_drop_only_if_the_camera_is_far_above_it():
     pose = Pose(1.3, 25.0, 0.0)
     table, drop = (measured(cast_step(pose, down, 2.4), noise=0.002) for down in (0.6, 0.9))
     assert_refused(found(table, unknown_plane(1)), Refusal.TABLE, unknown_plane(1))

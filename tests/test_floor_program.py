@@ -172,7 +172,7 @@ def test_cells_at_the_edge_of_the_tolerance_do_not_move_the_plane() -> None:
 
 
 def test_twin_on_ramps_seen_from_straight_above() -> None:
-    """The plane of a ramp ahead of a steep one is pitched by up to 97 degrees, 90 among them."""
+    """The camera is pitched by at least 80 degrees, planes of ramps by up to 97, 90 among them."""
     depths, known = [], []
     for pitch, turn, start in ((80.0, 7.0, 0.15), (80.0, 9.0, 0.25), (82.0, 8.0, 0.15)):
         pose = Pose(1.5, pitch, 0.0)

@@ -14,9 +14,9 @@ WIDE = 2 * NEIGHBOURS + 1
 
 
 def column(*cells: tuple[int, int] | str | None) -> dict[str, list[int]]:
-    """Return a column from the nearest cell up: (forward, height), ``"4"`` obstacle, None hole.
+    """Return a column, nearest cell first: (forward, height), ``"4"`` an obstacle, None a hole.
 
-    Floor is within 30 mm of the plane, low everything not higher.
+    Cells within 30 mm of the plane are floor; all cells that are not higher are low.
     """
     out: dict[str, list[int]] = {"label": [], "low": [], "floor": [], "forward": [], "height": []}
     for cell in reversed(cells):
@@ -110,7 +110,7 @@ def test_a_column_with_only_an_obstacle_has_no_free_floor() -> None:
 
 @pytest.mark.parametrize("down", [(0, 8192, 0), (0, -8192, 0), (5000, -5000, 0), (8192, 0, 0)])
 def test_free_floor_does_not_depend_on_the_roll_of_the_camera(down: tuple[int, int, int]) -> None:
-    """Upside down, the image is that of an upright camera rotated by half; on its side, unknown."""
+    """The image of a camera upside down is rotated by 180°; on its side, free floor is unknown."""
     cells = column(*floor(500, 900, 1400, 1900, 2400, 2900, 3400, 3600), None)
     arrays = {k: np.array([v, v]).T for k, v in cells.items()}
     right, drop = np.array([[-7, 7]] * 9), np.full((9, 2), DROP)

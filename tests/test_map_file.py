@@ -168,7 +168,7 @@ def test_missing_files_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[s
 
 @pytest.mark.parametrize("yaw", [0.0, 0.7, -2.0])
 def test_distances_to_the_map_equal_a_search_over_all_cells(yaw: float) -> None:
-    """They agree within one cell."""
+    """The distances agree within one cell."""
     rng = np.random.default_rng(1)
     states = np.where(rng.random((30, 40)) < 0.01, OCCUPIED, FREE).astype(np.int8)
     grid = Grid(states, (2.0, -3.0), 0.05, yaw)

@@ -51,7 +51,7 @@ class Picture:
         return obstacles(self.label, self.free, self.view, FAR, UNIT, config)
 
     def numbers(self, config: ObstacleConfig = CONFIG) -> list[int]:
-        """Return the obstacle of each surface, as painted; all cells of a surface have the same."""
+        """Return the obstacle of each painted surface; assert that its cells have the same."""
         label = self.found(config)
         each = [np.unique(label[self.label == n]) for n in range(self.label.max() + 1)]
         assert all(len(one) == 1 for one in each)
@@ -240,7 +240,7 @@ def test_numbers_are_sorted_by_the_nearest_point_without_gaps(things: list[tuple
 
 @given(spans)
 def test_mirrored_frames_have_mirrored_obstacles(things: list[tuple]) -> None:
-    """They are equal except for the order of ties."""
+    """The obstacles are equal except for the order of ties."""
     picture = drawn(things)
     config = replace(CONFIG, bend_m=0.0)
     label = picture.found(config)

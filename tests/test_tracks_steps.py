@@ -96,7 +96,7 @@ def test_parts_with_a_hidden_foot_are_not_above_the_floor(columns, distance, one
 
 
 def test_observation_of_several_obstacles_by_hand():
-    """Their rectangle has the orientation of the one with most cells."""
+    """The rectangle of the observation has the orientation of the obstacle with most cells."""
     boxes = [corners_of(0, 3, (0.4, 0.2)), SIDE, corners_of(0.1, 3.1, (0.2, 0.2), np.pi / 6)]
     seen = in_frames(
         [[*boxes, corners_of(0, 3, (0.1, 0.1))], boxes[:1]],
@@ -548,7 +548,7 @@ def test_a_track_of_several_pieces_by_hand():
 @given(st.integers(0, 10**6))
 @settings(max_examples=30, deadline=None)
 def test_greedy_matching_takes_the_cheapest_pairs_first(seed):
-    """It equals a loop; with one pair per row it is the optimal assignment."""
+    """Matches equal those of a loop; with one pair per row they are the optimal assignment."""
     rng = np.random.default_rng(seed)
     count = int(rng.integers(1, 12))
     a, b = rng.integers(0, 6, (2, count))

@@ -258,7 +258,7 @@ def test_a_worker_that_searches_many_floors_is_not_timed_out(monkeypatch):
     config = Config(ground=GroundConfig(source="estimate", window_s=1.0))
     job = executors.FloorJob(SlowLog(), config, "reference")
     with pool.Pool("reference") as workers:
-        workers.call(Sleep(), 0.0, "")  # it has started
+        workers.call(Sleep(), 0.0, "")  # starts the worker
         monkeypatch.setattr(pool, "NO_PROGRESS_S", 7.0)
         planes = workers.call(job, 1, "")
     assert len(planes.windows) == 32
@@ -401,7 +401,7 @@ def test_memory_includes_colour_for_the_preset_paper():
         there.close()
 
 
-def test_an_error_of_the_device_server_is_that_of_the_log(sim_logs, tmp_path, monkeypatch):
+def test_a_failure_of_the_device_server_is_the_error_of_each_log(sim_logs, tmp_path, monkeypatch):
     on_this_machine(monkeypatch)
 
     def fails(*_: Any) -> None:

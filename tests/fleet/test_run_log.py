@@ -201,7 +201,7 @@ for outcome in run_fleet([sys.argv[1]], sys.argv[2], {"spool": sys.argv[3]}):
 """
 
 
-def test_a_log_that_kills_three_processes_has_failed(engine, how, tmp_path):
+def test_a_log_that_kills_three_processes_is_recorded_as_failed(engine, how, tmp_path):
     logs, results = tmp_path / "logs", tmp_path / "results"
     logs.mkdir()
     (logs / "a.mcap").write_text("kill=9 " + "x" * 100)
