@@ -47,10 +47,10 @@ def test_identity_keeps_every_pixel(align):
 
 
 @BACKENDS
-def test_a_sideways_camera_shifts_near_pixels_and_the_nearest_wins(align):
+def test_a_colour_camera_to_the_side_shifts_near_pixels_more_and_the_nearest_wins(align):
     depth = np.zeros((1, 3, 6), np.uint16)
     depth[0, 1] = 1000, 1000, 500, 0, 0, 1000
-    # 2 px of focal length and 0.5 m sideways: 1 px at 1 m, 2 px at 0.5 m.
+    # For a focal length of 2 px and an offset of 0.5 m, the shift is 1 px at 1 m, 2 px at 0.5 m.
     aligned = np.asarray(align(depth, still(0.5)).depth)
     assert aligned[0, 1].tolist() == [0, 1000, 1000, 0, 500, 0]
     depth[0, 1, 3] = 2000
@@ -58,7 +58,7 @@ def test_a_sideways_camera_shifts_near_pixels_and_the_nearest_wins(align):
 
 
 @BACKENDS
-def test_z_is_in_the_colour_camera(align):
+def test_z_is_measured_in_the_frame_of_the_colour_camera(align):
     behind = Extrinsics(IDENTITY, (0.0, 0.0, 0.25))
     camera = still(0).color
     depth = np.full((1, 3, 6), 1000, np.uint16)
@@ -83,7 +83,7 @@ def test_aligned_depth_is_passed_through(align):
 
 
 @BACKENDS
-def test_missing_extrinsics_name_the_flag(align):
+def test_missing_extrinsics_are_an_error_that_names_the_flag(align):
     with pytest.raises(CalibrationError, match=r"--log\.color-from-depth"):
         align(noise_depth(1, still(0).depth), still(0)._replace(color_from_depth=None))
 

@@ -203,7 +203,7 @@ def test_features_next_to_an_object_count_within_the_tolerance():
         ({"height_m": np.array([[0.05, 0.06, 0.02, 1.0]])}, 1),
     ],
 )
-def test_required_objects(change, visible):
+def test_objects_are_required_by_visibility_distance_kind_and_height(change, visible):
     assert evaluate(detections(on(1, 0), [1100]), truth(**change)).visible == visible
 
 
@@ -254,7 +254,7 @@ def test_shape_errors_by_hand():
     case = got.cases[0]
     assert case.width_error_m == pytest.approx(-0.2) and case.position_error_m == 0
     assert case.iou == pytest.approx(0.4)
-    assert case.nearest_error_m == pytest.approx(-0.1)  # of a, the nearest of A, B and C
+    assert case.nearest_error_m == pytest.approx(-0.1)  # error of A, the nearest of A, B and C
     short = EvalConfig(footprint=config.footprint, coverage_range_m=1.2)
     assert evaluate(found, where, config=short).near_points == round(math.sqrt(0.44) * 100) + 1
     hidden = where._replace(nearest_forward_m=np.array([[1.1, np.nan, np.nan, 8.1]]))

@@ -291,7 +291,7 @@ def test_the_rectangle_holds_all_points(points: np.ndarray) -> None:
 @given(clouds)
 def test_no_direction_has_the_contour_nearer_to_the_visible_edges(points: np.ndarray) -> None:
     def cost(c: int, s: int) -> int:
-        """Return the cost of edges facing the camera at the origin; huge if the camera is inside."""
+        """Return the cost of edges facing the camera at the origin; huge if it is inside."""
         away = [[1 << 40] * len(points)]
         for axis in ((c, s), (-s, c)):
             places = [axis[0] * x + axis[1] * y for x, y in points.tolist()]

@@ -84,11 +84,11 @@ def test_bearings_equal_arctan2(right: int, forward: int) -> None:
     assert abs((apart + TURN / 2) % TURN - TURN / 2) <= 1 or right == forward == 0
 
 
-def test_half_a_cell_of_a_d435_in_rays() -> None:
+def test_half_a_cell_of_a_d435_has_the_angle_in_use() -> None:
     assert pytest.approx(1.5 / 380, rel=0.02) == HALF / (1 << 13)
 
 
-def test_corners_of_tiles() -> None:
+def test_corners_of_tiles_lie_between_their_cells() -> None:
     corners = tile_corners(CELLS)
     rows = [*range(0, ROWS, TILE), ROWS]
     assert corners.shape == (2, len(rows), COLUMNS + 1)
@@ -97,7 +97,7 @@ def test_corners_of_tiles() -> None:
     assert tile_corners(np.ones((2, 1, 1), np.int64)).tolist() == [[[1, 1]] * 2] * 2
 
 
-def test_directions_of_rays() -> None:
+def test_rays_ahead_and_to_the_right_have_exact_directions() -> None:
     ahead, edges = ray_directions()
     assert ahead[AHEAD].tolist() == [0, 8192] and ahead[AHEAD + RAYS // 4].tolist() == [8192, 0]
     assert edges[AHEAD, 0] < 0 < edges[AHEAD + 1, 0]
@@ -194,7 +194,7 @@ def test_floor_on_both_sides_of_the_foot_begins_at_the_foot() -> None:
     assert end[0] == FreeEnd.UNKNOWN
 
 
-def test_no_columns_and_no_obstacles() -> None:
+def test_without_columns_and_obstacles_no_floor_is_free() -> None:
     free, end = found((np.zeros((9, 2, 2), np.int32), np.zeros(9, np.int32)))
     assert not free.any() and not end.any()
 

@@ -130,7 +130,7 @@ def test_results_of_a_scanned_log_have_no_findings(tmp_path: Path) -> None:
     with log.open("rb") as file:
         summary = make_reader(file).get_summary()
     assert summary is not None
-    chunk = summary.chunk_indexes[-FRAMES]  # a depth image that is not read by opening
+    chunk = summary.chunk_indexes[-FRAMES]  # its depth image is not read on opening
     data = bytearray(log.read_bytes())
     data[chunk.chunk_start_offset + chunk.chunk_length - 9] ^= 0xFF
     log.write_bytes(data)
@@ -197,7 +197,7 @@ def test_swapped_units_are_found(results: Path) -> None:
 
 
 def test_swapped_contents_are_found(results: Path) -> None:
-    """Keys and checksums fit, so only the reference and the tracks reveal it."""
+    """Keys and checksums fit, so only the reference and the tracks reveal the change."""
     tables = read(results)
     frames = tables["frames.parquet"]
     order = [*range(4, 8), *range(4), *range(8, frames.num_rows)]

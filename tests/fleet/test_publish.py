@@ -182,7 +182,7 @@ def test_results_replace_a_failure(url, tmp_path):
     assert results.standing(target).state == "whole" and table(url, tmp_path)
 
 
-def test_crashes_are_counted_if_they_differ_from_lost_machines(url, monkeypatch):
+def test_crashes_and_lost_machines_are_counted_separately(url, monkeypatch):
     results = open_results(url)
     target = target_of("r1")
     running = results.begin(target, "a0", "c0")
