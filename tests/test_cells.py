@@ -177,7 +177,7 @@ def test_box_contains_the_projected_pixels(color_scale: float, turn: tuple) -> N
     assert held > 15
 
 
-def test_cells_outside_of_the_colour_image() -> None:
+def test_cells_outside_of_the_colour_image_have_no_box() -> None:
     """The depth camera has the wider field of view: such cells are measured, but have no box."""
     grid = cells(np.full((1, 480, 640), 1000, np.uint16), D435, THREE)
     assert (grid.z == 1000).all()

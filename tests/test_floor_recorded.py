@@ -49,7 +49,7 @@ def test_floor_of_a_recorded_cart_agrees_with_ransac(shared_data):
 @pytest.mark.parametrize(
     ("name", "step", "most"), [("mosd", 0.008, 0.01), ("wheelchair", 0.05, 0.03)]
 )
-def test_labelled_support_is_not_kept(shared_data, name, step, most):
+def test_points_of_labelled_supports_are_hardly_above_the_floor(shared_data, name, step, most):
     cells, depths, calibration = grids(shared_data / f"labelled/{name}.mcap")
     x, y = pixel_rays(calibration.image)
     things = []

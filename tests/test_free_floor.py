@@ -164,7 +164,7 @@ def test_a_narrow_drop_is_a_reflection() -> None:
         ((7000, -900), (7400, -940), (7900, -980), (2000, 0)),  # floor above the cells, but nearer
     ],
 )
-def test_cells_that_are_not_a_drop(beyond: tuple) -> None:
+def test_cells_beyond_the_floor_that_are_not_a_drop(beyond: tuple) -> None:
     _, end = found(*[column(*floor(500, 900, 1300), *beyond)] * WIDE)
     assert FreeEnd.DROP not in end
 
@@ -250,7 +250,7 @@ def test_deep_notches_are_found(ahead: list[int], ends: str, want: list[int]) ->
     assert notches(end[::-1], np.array(ahead[::-1]), 300)[::-1].max() == max(want)
 
 
-def test_obstacles_in_notches() -> None:
+def test_enough_cells_behind_a_notch_are_an_obstacle() -> None:
     label = np.array([[-1, -1, -1, 0, -1], [-1, -1, -1, -1, -1], [-1, -1, -1, -1, -1]])
     notch, ahead = np.array([0, -1, 1, 1, 2]), np.array([500, 900, 500, 600, 400])
     forward = np.array(

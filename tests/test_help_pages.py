@@ -200,7 +200,7 @@ def rows(name: str, section: str) -> list[list[str]]:
 
 
 def type_name(field: pa.Field) -> str:
-    """Return the name of a type on the page."""
+    """Return the name that the page uses for the type of a field."""
     kind, null = field.type, ", nullable" if field.nullable else ""
     many = ""
     if pa.types.is_fixed_size_list(kind):

@@ -149,7 +149,7 @@ def test_less_memory_reduces_workers_first_and_batches_second():
 
 
 def test_larger_chunks_reduce_the_workers():
-    """The last worker may read the largest chunks."""
+    """The fewer workers remain, the larger chunks each may read."""
     memory = Memory("2GiB", 8)
     seen = [(memory.workers, memory.reading.chunk)]
     while memory := memory.with_fewer_workers():

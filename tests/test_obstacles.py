@@ -91,14 +91,14 @@ def test_visible_background_separates_objects() -> None:
     assert left != right
 
 
-def test_two_objects_behind_a_pole_at_different_distances() -> None:
+def test_two_objects_behind_a_pole_at_different_distances_are_two_obstacles() -> None:
     picture = Picture().paint(TALL, slice(30, 55), 2000).paint(TALL, slice(60, 85), 2600)
     picture.paint(slice(0, 24), slice(55, 60), 1200)
     assert picture.numbers() == [1, 2, 0]
 
 
 def test_surfaces_too_far_apart_are_not_compared() -> None:
-    """The two parts are 0.1 m apart behind the pole."""
+    """Two parts are 0.1 m apart behind a pole; the limit is 0.05 m."""
     picture = Picture().paint(TALL, slice(30, 55), 2000).paint(TALL, slice(60, 85), 2000)
     picture.paint(slice(0, 24), slice(55, 60), 1200)
     assert picture.numbers(replace(CONFIG, lateral_gap_m=0.05)) == [1, 2, 0]

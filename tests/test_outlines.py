@@ -43,12 +43,12 @@ def degrees_of(direction: np.ndarray) -> float:
 
 
 def lengths(span: np.ndarray, direction: np.ndarray) -> np.ndarray:
-    """Return the lengths along and across, in the unit of the points."""
+    """Return the lengths of a span along and across its direction, in the unit of the points."""
     return (span[1::2] - span[::2]) / np.linalg.norm(direction)
 
 
 def fitted(direction: np.ndarray, span: np.ndarray) -> Obstacles:
-    """Return one obstacle with this direction and span."""
+    """Return an obstacle whose outline has this direction and span."""
     pair, point = np.zeros((1, 1, 2), np.int32), np.zeros((1, 1, 3), np.int32)
     count, vertex = np.ones((1, 1), np.int32), np.zeros((1, 1), bool)
     outline = direction[None, None].astype(np.int32), span[None, None].astype(np.int32)

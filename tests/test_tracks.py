@@ -373,7 +373,7 @@ def test_memory_of_tracking_with_a_standing_camera_is_bounded():
         state = (frames, tracker.stamps, ids.ids, ids._counts, ids._rows)
         state += tracker.begin, tracker.pieces
         kept.append([*map(len, state), sum(len(piece.path) for piece in pieces)])
-        # The last 1,024 of more than 2,048 frames wait.
+        # If more than 2,048 frames wait, all but the last 1,024 form a piece.
         assert {piece.num_frames for piece in tracker.pieces.get(0, ())} <= {3 * window}
         assert all(track.path.shape == (1, 2) for track in tracks)
     limit = 6 * (2 * PIECE_FRAMES + window + RATE_HZ * (config.smooth_s + config.max_gap_s))

@@ -342,7 +342,7 @@ STANDS, WALKS = walk(0, 0, 10), walk(-0.9, 1.0, 10)  # both end at x = 0 in fram
         (STANDS, walk(1.5, 1.0, 10), 19, False),
     ],
 )
-def test_gaps_over_which_tracklets_continue(one, other, begins, is_linked):
+def test_tracklets_continue_over_gaps_if_position_and_speed_fit(one, other, begins, is_linked):
     assert goes_on((0, one), (begins, other)) == [-1, 0 if is_linked else -1]
 
 

@@ -520,7 +520,7 @@ def left_over(before: set[str]) -> set[str]:
 
 
 def command(logs: list[Path], output: Path, temporary: Path) -> subprocess.CompletedProcess[str]:
-    """Run with workers in a separate process with its own folder for temporary files."""
+    """Run the command with workers, in a process with its own folder for temporary files."""
     words = ["run", *map(str, logs), "--output", str(output), "--workers", "2", "--pictures", "0"]
     words += ["--backend", "reference", "--quiet"]
     return subprocess.run(
