@@ -93,7 +93,7 @@ def test_missing_extrinsics_are_an_error_that_names_the_flag(align):
 
 @pytest.mark.parametrize("name", CASES)
 @BACKENDS
-def test_equals_stored_rs_align(align, name):
+def test_aligned_depth_equals_stored_results_of_rs_align(align, name):
     calibration, depth = CASES[name]
     want = np.load(FILE)[name]
     assert np.count_nonzero(want) > 1000
@@ -114,7 +114,7 @@ LIVE = {
 
 @pytest.mark.parametrize("name", LIVE)
 @pytest.mark.parametrize("image", [noise_depth, smooth_depth])
-def test_equals_rs_align(name, image):
+def test_aligned_depth_equals_rs_align(name, image):
     pytest.importorskip("pyrealsense2", exc_type=ImportError)
     from tests.oracles import realsense
 
@@ -124,7 +124,7 @@ def test_equals_rs_align(name, image):
     assert np.array_equal(reference.align(depth, calibration).depth[0], want)
 
 
-def test_equals_rs_align_on_a_recording(shared_data):
+def test_aligned_depth_of_a_recording_equals_rs_align(shared_data):
     pytest.importorskip("pyrealsense2", exc_type=ImportError)
     from tests.oracles import realsense
 

@@ -149,7 +149,7 @@ def test_surfaces_too_far_apart_are_not_pairs() -> None:
     assert not seen_of([(5, 20, 1000), (40, 20, 2000)])
 
 
-def test_no_surfaces_are_no_pairs() -> None:
+def test_without_surfaces_there_are_no_pairs() -> None:
     label, view = upright([])
     assert pairs(label, (view.z > 0) & (label < 0), view, UNIT, CONFIG).features.shape == (
         0,

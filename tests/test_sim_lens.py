@@ -115,7 +115,7 @@ def test_reflections_are_ghosts_below_the_floor():
     assert (np.abs(depth - frame.truth.depth)[floor] < 0.1 * depth[floor]).all()
 
 
-def test_panes_show_the_background():
+def test_glass_panes_show_the_background():
     pane = Box((1.5, 0.0), (0.02, 3.0, 3.0), texture=CLEAR_GLASS, name="pane")
     floor = Texture("asphalt")
     frame, depth = measured(room(pane, floor=floor), DepthSensor(**QUIET, pane_holes=0.4))
