@@ -19,7 +19,7 @@ os.environ.setdefault("WARP_CACHE_PATH", str(ROOT / ".cache" / "warp"))
 os.environ.setdefault("JAXDET_CACHE", str(ROOT / ".cache" / "jaxdet"))
 os.environ.setdefault("HYPOTHESIS_STORAGE_DIRECTORY", str(ROOT / ".cache" / "hypothesis"))
 
-import hypothesis  # noqa: E402  (it reads its folder when it is imported)
+import hypothesis  # noqa: E402  (Hypothesis reads its folder on import)
 
 hypothesis.settings.register_profile(
     "jaxdet", derandomize=True, database=None, deadline=None, max_examples=50

@@ -1,7 +1,7 @@
 """End runs at their system calls, one after the other; started by ``tests/test_killed.py``.
 
-After each end, a reader finds complete results of a log or none, old or new ones. The same command
-then writes the results of an uninterrupted run.
+After each end, a reader finds complete old or new results of a log, or no results. Repeating the
+command then writes the results of an uninterrupted run.
 """
 
 import os
@@ -42,7 +42,7 @@ def files(output: Path) -> dict[str, bytes]:
 
 
 def check(output: Path, wanted: set[tuple[str, ...]]) -> None:
-    """Assert that each log found by a reader is complete and one of the wanted ones."""
+    """Assert that results found by a reader are complete and among the wanted results."""
     if not is_run(output):
         assert not [*output.glob("*/manifest.json")]
         return

@@ -145,7 +145,7 @@ def test_free_floor_in_front_of_and_next_to_a_box() -> None:
 
 
 def test_an_object_above_the_robot_is_not_an_obstacle() -> None:
-    """A gate has two posts 1.2 m apart and a beam from 0.5 m up, in one plane."""
+    """A gate has two posts 1.2 m apart and, in the same plane, a beam from 0.5 m up."""
     posts = [((-0.8, 2.0, 0.0), (-0.6, 2.2, 1.0)), ((0.6, 2.0, 0.0), (0.8, 2.2, 1.0))]
     gate = made(cast(POSE, [*posts, ((-0.6, 2.0, 0.5), (0.6, 2.2, 1.0))])[None], POSE.plane())
 
@@ -262,7 +262,7 @@ LOOKING_DOWN = {"camera_height_m": 0.6, "camera_pitch_rad": 0.45}
 
 
 def test_sizes_without_noise_are_within_3_cm() -> None:
-    """The front of a tall box, and width and depth of one seen from above, are within 3 cm."""
+    """Tested for the front of a tall box, and width and depth of a low box seen from above."""
     sensor = DepthSensor(enabled=False)
     wide, _, high = sizes(found(of(simulated(CARTON_BOX, sensor=sensor))))[0]
     assert (wide, high) == pytest.approx((0.4, 0.4), abs=0.03)
@@ -466,7 +466,7 @@ def test_a_box_in_a_large_image_is_found_with_its_width() -> None:
 
 
 def test_saturated_depth_has_no_obstacles() -> None:
-    """Some drivers send 65535 for missing measurements; a rotated camera increases it."""
+    """Some drivers send 65535 for missing measurements; for a rotated camera, z exceeds that."""
     depth = np.full((1, 480, 640), 65535, np.uint16)
     color = np.zeros((1, 480, 640, 3), np.uint8)
     assert count(found(frames(D435, color, depth, plane=POSE.plane()))) == 0

@@ -228,7 +228,7 @@ def box(left, right, near, far):
 
 
 def test_shape_errors_by_hand():
-    """Object 1 is the square [0, 1] x [1, 2], its detection the rectangle [0, 0.8] x [1, 1.5]."""
+    """Object 1 is the square [0, 1] x [1, 2], detected as the rectangle [0, 0.8] x [1, 1.5]."""
     low = np.array([[[0, 1], [np.nan, np.nan], [np.nan, np.nan], [9, 9]]])
     high = np.array([[[1, 1], [np.nan, np.nan], [np.nan, np.nan], [9, 9]]])
     outline = np.full((1, 4, 16, 2), np.nan)

@@ -51,7 +51,7 @@ def test_indices_do_not_depend_on_place_and_scale(seed, shift, scale):
 
 
 def alone(labels, first):
-    """Return labels in which each noise point has its own number."""
+    """Return labels in which each noise point is a separate cluster."""
     noise = labels < 0
     return np.where(noise, first + np.cumsum(noise), labels)
 

@@ -98,7 +98,7 @@ CHAIR += [((-0.2, 2.2, 0.4), (0.2, 2.6, 0.45)), ((-0.2, 2.6, 0.45), (0.2, 2.65, 
 @pytest.mark.parametrize("room", [DESK, CHAIR], ids=["desk", "chair"])
 @pytest.mark.parametrize("pose", [Pose(1.06, 0.0, 1.0), Pose(1.3, 5.0, 0.0)])
 def test_a_level_camera_in_a_room_sees_little_floor(pose, room):
-    """Less than a tenth of its image is floor, and nine tenths are walls and furniture."""
+    """Less than a tenth of the image is floor; the rest is walls and furniture."""
     fit = found(measured(cast(pose, room)), unknown_plane(1))
     assert_found(fit, pose, angle=0.4, height=20.0)
     assert fit.share[0] < 0.1

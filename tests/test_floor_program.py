@@ -55,7 +55,7 @@ def assert_same(
 
 
 def priors(plane: GroundPlane) -> list[GroundPlane]:
-    """Return correct priors, some wrong ones, and none."""
+    """Return priors: correct, some of them wrong, and unknown."""
     up, roll = np.radians(2.0), np.radians(-2.0)
     return [
         plane,
@@ -80,7 +80,7 @@ def random_cells(seed: int, batch: int, rows: int, columns: int, part: float = 0
 
 
 def test_twin_on_boxes_and_ramps() -> None:
-    """Ramps up, down and none are found, and planes too far from the prior are refused."""
+    """Scenes have ramps up, ramps down or no ramp; planes too far from the prior are refused."""
     depths, known = [], []
     for pose in POSES:
         for slope in (0.0, -6.0, 6.0):

@@ -31,9 +31,9 @@ def column(*cells: tuple[int, int] | str | None) -> dict[str, list[int]]:
 
 
 def found(*columns: dict[str, list[int]]) -> tuple[np.ndarray, list[FreeEnd]]:
-    """Return lines and ends of adjacent columns, each a millimetre to the right of the last.
+    """Return lines and ends of adjacent columns, each 1 mm to the right of the previous one.
 
-    Nothing is measured in the columns next to them.
+    Nothing is measured in further columns on both sides.
     """
     empty = column(*[None] * len(columns[0]["label"]))
     return narrow(*columns, *[empty] * WIDE, count=len(columns))

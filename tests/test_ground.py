@@ -31,7 +31,7 @@ CALIBRATION = Calibration(CAMERA)
 
 
 def kept(backend: ModuleType, z: np.ndarray, plane: GroundPlane, *given: Any) -> np.ndarray:
-    """Return the mask of features kept, given one at every pixel of images of z ``(B, H, W)``."""
+    """Return the mask of kept features, for a feature at every pixel of z images ``(B, H, W)``."""
     found = backend.ground(at_every_pixel(z), plane, *given)
     return np.asarray(found.kept).reshape(z.shape)
 

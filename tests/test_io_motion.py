@@ -79,7 +79,7 @@ def test_interpolation_equals_slerp():
     sample_ns = np.cumsum(random.integers(10 * MS, 90 * MS, 40))
     rotations = Rotation.random(40, rng=1)
     samples = np.concatenate([random.normal(size=(40, 3)), rotations.as_quat()], axis=1)
-    samples[::3, 3:] *= -1  # the same rotations
+    samples[::3, 3:] *= -1  # negated quaternions are the same rotations
     at = np.sort(random.integers(sample_ns[0], sample_ns[-1], 200))
     T = interpolate(at, sample_ns, samples)
     expected = Slerp(sample_ns / 1e9, rotations)(at / 1e9).as_matrix()

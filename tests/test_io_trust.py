@@ -111,7 +111,7 @@ def test_missing_checksums_are_reported_once(tmp_path):
 
 
 def test_a_chunk_missing_in_the_index_is_reported(tmp_path):
-    """The chunk is between two known ones; the statistics count it."""
+    """The chunk lies between two indexed chunks, and the statistics count it."""
     path = write_format("raw", tmp_path / "x.mcap")
     data = path.read_bytes()
     item = chunks(data)[3]

@@ -83,7 +83,7 @@ def test_colour_and_transparent_pictures_are_read_and_other_modes_refused(tmp_pa
 
 
 def test_yaml_of_other_programs_is_read(tmp_path: Path) -> None:
-    """It has comments, quotes, multi-line lists and other keys."""
+    """Such YAML has comments, quotes, multi-line lists and additional keys."""
     save(tmp_path)
     (tmp_path / "map.yaml").write_text(
         "# a map\nimage: 'map.pgm'  # next to it\nresolution: 0.05\norigin:\n  - -1.0\n"

@@ -34,7 +34,7 @@ def test_a_bow_is_smooth_and_grows_with_z_squared():
     core = slice(40, -40), slice(40, -40)
     ratio = np.nanstd(far[core]) / np.nanstd(near[core])
     assert ratio == pytest.approx((4 / 1.5) ** 2, rel=0.15)
-    # A step of the disparity is 2.6 cm at 4 m; beyond it neighbours agree.
+    # Neighbours agree within a step of the disparity, which is 2.6 cm at 4 m.
     assert np.nanmax(np.abs(np.diff(far[core], axis=1))) < 0.03
     np.testing.assert_array_equal(far, errors_at(4.0, sensor, seed=5))
     assert np.nanstd(far - errors_at(4.0, sensor, specimen=1)) > 0.01

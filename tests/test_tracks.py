@@ -271,8 +271,8 @@ def test_an_implausibly_fast_object_is_not_moving():
 
 
 def test_a_track_longer_than_its_pieces_equals_one_piece():
-    """One object stands for five pieces, then walks; another walks all the time. Their trajectories
-    equal those in one window."""
+    """One object stands for five pieces, then walks; another walks all the time. The trajectories
+    equal those computed in one window."""
     count = 5 * PIECE_FRAMES + 100
     swing = np.sin(np.arange(count) / 40)
     frames = []

@@ -227,7 +227,7 @@ def test_each_observation_is_linked_at_most_once():
     assert linked([[line], [line, box]]) == [-1, 0, -1]
 
 
-PAIR = corners_of(0, 2), corners_of(0.59, 2)  # 0.09 m from each other
+PAIR = corners_of(0, 2), corners_of(0.59, 2)  # a gap of 0.09 m
 
 
 @pytest.mark.parametrize(
@@ -350,7 +350,7 @@ def test_the_best_tracklet_is_continued():
     here, aside, far = walk(0, 0, 10), walk(0.1, 0, 10), walk(50, 0, 31)
     broad = [corners_of(0, 2, (1, 0.8))] * 10
     assert goes_on((0, here), (15, broad), (15, aside)) == [-1, -1, 0]
-    # Tracklets that end later start before it.
+    # Other tracklets start earlier, and end after the new one starts.
     assert goes_on((0, far), (0, far), (3, here), (20, here)) == [-1, -1, -1, 2]
     _, _, own = chains_of((0, here), (15, here))
     begins = int(np.flatnonzero(own)[0])
@@ -493,7 +493,7 @@ def test_numbers_of_tracks_by_hand():
     (none,) = numbers.take()
     assert none.dtype == np.int32 and not len(none)
     assert numbers.ids == {3: 2} and numbers.is_track(3)
-    # A finished chain is kept as long as its track waits for others.
+    # A finished chain is kept while its observations wait for other chains.
     assert add(3, 4, 4) == [] and numbers.is_track(3)
     numbers.end([3])
     assert numbers.take() == [] and add(4) == [[2, 3, 3], [3]]

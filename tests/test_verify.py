@@ -299,7 +299,7 @@ def test_figures_that_differ_from_the_rows_are_found(results: Path) -> None:
 
 
 def test_another_log_is_found(whole: Path, tmp_path: Path) -> None:
-    """The other log has as many frames at the same times."""
+    """The other log has equally many frames with equal timestamps."""
     other = SimConfig(frames=FRAMES, width=96, height=72, seed=5)
     write_log(tmp_path / "a.mcap", other)
     report = verify(whole, [str(tmp_path / "a.mcap")], sample=2)
@@ -399,7 +399,7 @@ def test_tracks_are_computed_again(results: Path, capsys: Any) -> None:
 
 
 def test_tracks_of_other_obstacles_are_found(results: Path, tmp_path: Path) -> None:
-    """Tracks with other settings are right if the settings are recorded."""
+    """Tracks of recorded settings are accepted even if these are not the defaults."""
     track_results(results, TrackConfig(min_frames=2))
     assert not verify(results, sample=0).findings
     other = shutil.copytree(results, tmp_path / "other")

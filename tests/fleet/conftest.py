@@ -90,7 +90,7 @@ def moto():
 
 @pytest.fixture
 def bucket(moto, monkeypatch):
-    """Return the address of a new bucket, for this process and its children."""
+    """Return the address of a new bucket, which child processes can use, too."""
     import uuid
 
     from jaxdet.fleet import place

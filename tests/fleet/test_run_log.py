@@ -1,4 +1,4 @@
-"""Running a log from one place to another, with the stub of the engine."""
+"""Running of logs between folders and buckets, with the stub of the engine."""
 
 import json
 import os
