@@ -157,7 +157,7 @@ def rvl_tail(path: Path) -> Path:
 
 
 def rvl_pixels(path: Path) -> Path:
-    """Write 5700x5700 pixels in runs of one."""
+    """Write RVL depth of 5700x5700 pixels in runs of one pixel."""
     return rvl(path, (5700, 5700), b"\x11" * (5700 * 5700))
 
 

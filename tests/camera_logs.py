@@ -1,4 +1,4 @@
-"""Logs of several cameras, from logs of one."""
+"""Logs of several cameras, composed from logs with one camera each."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -16,9 +16,9 @@ def join_cameras(
     late_ns: int = 0,
     without: Callable[[str], bool] = lambda topic: False,
 ) -> Path:
-    """Write a log with the cameras of several logs under new names, and transforms of the first.
+    """Write the cameras of several logs, under new names, and the other topics of the first log.
 
-    Log times are delayed, and some topics are left out.
+    Log times are delayed by ``late_ns``; topics for which ``without`` is true are left out.
     """
     with path.open("wb") as stream:
         writer = Writer(stream)

@@ -9,7 +9,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 
-# Before the first import of JAX or Warp, and inherited by the commands that tests start.
+# Set before JAX and Warp are imported; commands that tests start inherit the variables.
 os.environ["XLA_FLAGS"] = " ".join(
     [os.environ.get("XLA_FLAGS", ""), "--xla_force_host_platform_device_count=2"]
 ).strip()
@@ -19,7 +19,7 @@ os.environ.setdefault("WARP_CACHE_PATH", str(ROOT / ".cache" / "warp"))
 os.environ.setdefault("JAXDET_CACHE", str(ROOT / ".cache" / "jaxdet"))
 os.environ.setdefault("HYPOTHESIS_STORAGE_DIRECTORY", str(ROOT / ".cache" / "hypothesis"))
 
-import hypothesis  # noqa: E402  (it reads its folder when it is imported)
+import hypothesis  # noqa: E402  (Hypothesis reads its folder on import)
 
 hypothesis.settings.register_profile(
     "jaxdet", derandomize=True, database=None, deadline=None, max_examples=50

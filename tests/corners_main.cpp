@@ -1,6 +1,6 @@
-// The corners of one image as the kernels find them, on the CPU or, with SIMT defined, by the threads
-// of a team on CUDA: tests/test_native.py runs both. The file named has height, width, slots, the
-// settings and colours.
+// Prints the corners that the kernels find in an image, on the CPU or, with SIMT defined, by an
+// emulated CUDA block; tests/test_native.py runs both. The argument is a file with height, width,
+// slots, settings and colours.
 #if defined(SIMT)
 #include "simt.h"
 #endif
@@ -23,7 +23,7 @@ int main(int, char** arguments) {
     std::vector<unsigned char> color(3 * pixels);
     if (fread(color.data(), color.size(), 1, file) != 1) return 1;
     fclose(file);
-    // What memory holds before must not matter. Words are aligned as in the kernels.
+    // Filled, as results must not depend on earlier contents. Words are aligned as in the kernels.
     std::vector<unsigned long long> scratch(Corners::scratch_words(height, width) / 2, ~0ull);
     std::vector<int> u(slots, -1), v(slots, -1);
     static Corners::Shared shared;

@@ -38,10 +38,10 @@ def by_hand(folder: Path, frames: list[tuple], ends: int = 0) -> Path:
     """Write results of a camera at the origin of the world, 1 m up, that looks along X.
 
     Args:
-        folder: Where to write.
+        folder: Folder of the results.
         frames: For each frame, the centres of obstacles, right and forward [m], each 0.2 m wide,
-            and the distance of free floor ahead, 0.5 m to each side at 1 m; and optionally columns
-            in place of others.
+            and the distance of free floor ahead, 0.5 m to each side at 1 m; optionally also values
+            that replace those of columns, by name.
         ends: Kind of end of the free floor, ``free_end``.
     """
     folder.mkdir(parents=True, exist_ok=True)

@@ -82,7 +82,7 @@ def is_indexed(log: Log) -> bool:
 
 
 def open_both_ways(source: str | LogFiles, options: LogOptions | None = None) -> Log:
-    """Open a log; if by its index, compare it with a scan."""
+    """Open a log; if it is opened by its index, compare it with a scan."""
     found = open_log(source, options)
     if is_indexed(found) and _can_be_read(source, options):
         with open_log(source, options) as again, open_log(source, scanning(options)) as scanned:
@@ -97,5 +97,5 @@ def _can_be_read(source: str | LogFiles, options: LogOptions | None) -> bool:
 
 
 def scanning(options: LogOptions | None = None) -> LogOptions:
-    """Return the same options, for a scan."""
+    """Return the options with ``scan`` switched on."""
     return replace(options or LogOptions(), scan=True)

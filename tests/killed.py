@@ -1,4 +1,4 @@
-"""Run a function repeatedly in processes that end at one system call after the other.
+"""End processes right before a chosen system call of a function.
 
 ``tests/killed_runs.py`` uses it, as only a process without threads can fork. Nothing is flushed to
 the disk, which is slow and not needed to survive the end of a process.
@@ -15,7 +15,9 @@ CALLS = ("replace", "rename", "fsync", "mkdir", "unlink", "rmdir")
 
 
 def killed_at(call: int, function: Callable[[], Any]) -> bool:
-    """End a process right before a system call; return whether it got so far."""
+    """Call a function in a child process that ends right before system call number ``call``.
+
+    Return whether the function made so many calls."""
     child = os.fork()
     if not child:
         count = 0
@@ -32,7 +34,7 @@ def killed_at(call: int, function: Callable[[], Any]) -> bool:
 
         for name in CALLS:
             setattr(os, name, counted(getattr(os, name)))
-        publish.exchange = counted(publish.exchange)  # which is a system call
+        publish.exchange = counted(publish.exchange)  # a system call, too
         try:
             function()
         except BaseException:

@@ -1,7 +1,7 @@
 """End runs at their system calls, one after the other; started by ``tests/test_killed.py``.
 
-After each end, a reader finds complete results of a log or none, old or new ones. The same command
-then writes the results of an uninterrupted run.
+After each end, a reader finds complete old or new results of a log, or no results. Repeating the
+command then writes the results of an uninterrupted run.
 """
 
 import os
@@ -42,7 +42,7 @@ def files(output: Path) -> dict[str, bytes]:
 
 
 def check(output: Path, wanted: set[tuple[str, ...]]) -> None:
-    """Assert that each log found by a reader is complete and one of the wanted ones."""
+    """Assert that results found by a reader are complete and among the wanted results."""
     if not is_run(output):
         assert not [*output.glob("*/manifest.json")]
         return
@@ -67,8 +67,8 @@ def main(folder: Path, ways: Sequence[str]) -> None:
 
     Args:
         folder: Empty folder.
-        ways: ``run:17`` and the like: the command, and between which of its calls it is ended; the
-            same command after it is ended at others.
+        ways: Commands with the spacing of the ends, such as ``run:17``: a command is ended at every
+            17th system call, and its repetitions at later calls.
     """
     device.detect = remembered(device.detect)
     # A run after one that was killed leaves its logs to worker processes, which take seconds to
@@ -89,7 +89,7 @@ def main(folder: Path, ways: Sequence[str]) -> None:
 
 
 def end_at_each_call(logs: Path, old: Path, folder: Path, way: str, every: int) -> int:
-    """Return how often a command was ended."""
+    """End a command at each ``every``-th system call; return the number of ends."""
     before = copytree(old, folder / "before")
     if way.startswith("track"):
         track_results(before, TrackConfig(min_frames=1))
@@ -110,7 +110,7 @@ def end_at_each_call(logs: Path, old: Path, folder: Path, way: str, every: int) 
             tries += 1
             check(output, wanted)
         if tries and way == "run":
-            rewrite(output)  # a run that had ended, and only cleaned up
+            rewrite(output)  # in case it was killed while cleaning up
         found = files(output)
         assert found == want, (call, [n for n in {*found, *want} if found.get(n) != want.get(n)])
         rmtree(output)

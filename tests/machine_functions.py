@@ -218,7 +218,7 @@ def digest(part: object) -> str:
 
 
 def main() -> None:
-    """Print a line for each group, or for each part of it with ``--parts``."""
+    """Print a line for each group of functions; with ``--parts``, for each of its parts."""
     for group in (motions, planes, lenses, outlines, tracks):
         parts = [digest(part) for part in group()]
         if "--parts" in sys.argv:

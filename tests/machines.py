@@ -37,7 +37,7 @@ PLAINEST: Environment = {
 
 
 def environments() -> list[Environment]:
-    """Return all combinations, the machine as it is first."""
+    """Return all combinations; the first leaves the machine as it is."""
     variables = (
         [{}, *({"OPENBLAS_CORETYPE": kind} for kind in BLAS)],
         [{}, *({"NPY_DISABLE_CPU_FEATURES": " ".join(names)} for names in (V4, V3))],

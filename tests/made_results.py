@@ -39,7 +39,7 @@ def make_results(folder: Path, logs: Mapping[str, int], config: Config | None = 
     about |= {"run": digest(record), "inputs": []}
     write_json(folder / "run.json", record)
     for seed, (given, count) in enumerate(logs.items()):
-        name = printable(given)  # like find_logs
+        name = printable(given)  # escaped as by find_logs
         _make_log(folder / log_name(name), name, count, seed, record["config"], about)
     failed = LogSummary("torn", ("/nowhere/torn.mcap",), error="torn: no <b>images</b> in it")
     (folder / "torn").mkdir()
@@ -102,7 +102,7 @@ def _rows(name: str, start: int, stop: int, rng: np.random.Generator) -> tuple[A
 
 
 def _table(columns: Mapping[str, Any], schema: pa.Schema) -> pa.Table:
-    """Return a table; missing columns are null, or else zero or empty."""
+    """Return a table; missing columns are null if the schema allows it, otherwise zero or empty."""
     rows = len(columns["log"])
     return pa.Table.from_arrays([_column(columns, f, rows) for f in schema], schema=schema)
 

@@ -1,4 +1,4 @@
-"""MCAP files made byte by byte, which no writer would write."""
+"""Parts of MCAP files that no writer would write, made byte by byte."""
 
 import struct
 import zlib
@@ -47,7 +47,7 @@ def end() -> bytes:
 
 
 def without_end(path: Path) -> bytes:
-    """Return the magic and the records of a file up to the end of its data."""
+    """Return the magic and the records of an MCAP file before the end of its data section."""
     data = path.read_bytes()
     start = struct.unpack_from("<Q", data, len(data) - 8 - 20)[0]
     return data[: start - 13]

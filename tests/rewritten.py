@@ -37,7 +37,7 @@ class Message:
         return flat.reshape(body["height"], body["width"], -1).squeeze()
 
     def show(self, image: np.ndarray, encoding: str = "") -> None:
-        """Put another image into an Image."""
+        """Replace the pixels of an Image message, its size and, if given, its encoding."""
         data = np.ascontiguousarray(image).tobytes()
         self.body |= {
             "height": image.shape[0],
@@ -55,7 +55,7 @@ class Message:
 
 
 Change = Callable[[Message], Iterable[Message] | None]
-"""Edits a message in place and returns None, or returns what takes its place."""
+"""Function that edits a message in place and returns None, or returns messages that replace it."""
 
 
 def read_messages(path: Path) -> list[Message]:

@@ -22,7 +22,7 @@ def only_log(results: Path) -> Path:
 
 
 def run_log(path: Any, output: Path, config: Config | None = None, **options: Any) -> Any:
-    """Run one log; its own folder of results becomes ``output``."""
+    """Run one log; ``output`` becomes the folder of its results, not of all results."""
     output.parent.mkdir(parents=True, exist_ok=True)
     around = output.with_name(f"{output.name}.run")
     summary = run_logs(path, around, config, **options)

@@ -29,7 +29,7 @@ static Place threadIdx, blockDim, gridDim;
 
 struct Simt {
     enum { STACK = 1 << 18 };
-    // Threads that synchronize: a warp or a block. Values are kept for two turns.
+    // A warp or block, whose threads synchronize. Values of the last two operations are kept.
     struct Group {
         int size, arrived, turn;
         const char* kind;
@@ -206,7 +206,7 @@ inline int __syncthreads_or(int mine) {
     for (auto one : all) any |= one != 0;
     return any;
 }
-// For Team::atomic_count: no aggregation.
+// For Team::atomic_count: each thread counts by itself.
 inline unsigned __activemask() { return 1u << threadIdx.x % 32; }
 inline unsigned __match_any_sync(unsigned mask, unsigned long long) { return mask; }
 inline int __ffs(unsigned v) { return __builtin_ffs((int)v); }

@@ -1,7 +1,7 @@
-// A step of the program for tests/test_native_teams.py: by one thread as on the CPU or, with SIMT
-// defined, by teams of threads as CUDA has them, which take turns (tests/simt.h). The file named has
-// the step, the lengths of the arrays in bytes and the arrays; record, contours and work are written
-// back.
+// Runs a step of the program for tests/test_native_teams.py: in one thread as on the CPU or, with
+// SIMT defined, in teams of CUDA threads that take turns (tests/simt.h). The argument is a file
+// with the step, the lengths of the arrays in bytes and the arrays; record, contours and work are
+// written back to it.
 #include <stddef.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -23,7 +23,7 @@ int main(int, char** argv) {
     if (fread(head, sizeof head, 1, file) != 1 || fread(sizes, sizeof sizes, 1, file) != 1) abort();
     const int step = head[0], frames = head[1], pixels = head[2];
     const int rows = head[3], columns = head[4], words = head[5];
-    // Each on its own, so that what lies outside of it is nobody's.
+    // Separate allocations, so that sanitizers detect accesses outside of an array.
     std::vector<unsigned char> arrays[ARRAYS];
     std::vector<int> scratch((size_t)TEAMS * words);
     for (int i = 0; i < ARRAYS; ++i) {

@@ -37,7 +37,7 @@ pairs_seen = st.lists(st.integers(-200, LARGE), min_size=NUM_FEATURES, max_size=
 
 
 def test_evidence_is_the_offset_plus_the_leaves_reached() -> None:
-    """The table has two trees of one node each."""
+    """A table has two trees of one node each."""
     table = Affinity(np.array([[0], [3]]), np.array([[50], [9]]), np.array([[7, -7], [2, -1]]), 100)
     seen = np.zeros((3, NUM_FEATURES), np.int64)
     seen[1, 0], seen[2, 0], seen[2, 3] = 50, 51, 10

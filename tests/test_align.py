@@ -47,10 +47,10 @@ def test_identity_keeps_every_pixel(align):
 
 
 @BACKENDS
-def test_a_sideways_camera_shifts_near_pixels_and_the_nearest_wins(align):
+def test_a_colour_camera_to_the_side_shifts_near_pixels_more_and_the_nearest_wins(align):
     depth = np.zeros((1, 3, 6), np.uint16)
     depth[0, 1] = 1000, 1000, 500, 0, 0, 1000
-    # 2 px of focal length and 0.5 m sideways: 1 px at 1 m, 2 px at 0.5 m.
+    # For a focal length of 2 px and an offset of 0.5 m, the shift is 1 px at 1 m, 2 px at 0.5 m.
     aligned = np.asarray(align(depth, still(0.5)).depth)
     assert aligned[0, 1].tolist() == [0, 1000, 1000, 0, 500, 0]
     depth[0, 1, 3] = 2000
@@ -58,7 +58,7 @@ def test_a_sideways_camera_shifts_near_pixels_and_the_nearest_wins(align):
 
 
 @BACKENDS
-def test_z_is_in_the_colour_camera(align):
+def test_z_is_measured_in_the_frame_of_the_colour_camera(align):
     behind = Extrinsics(IDENTITY, (0.0, 0.0, 0.25))
     camera = still(0).color
     depth = np.full((1, 3, 6), 1000, np.uint16)
@@ -83,7 +83,7 @@ def test_aligned_depth_is_passed_through(align):
 
 
 @BACKENDS
-def test_missing_extrinsics_name_the_flag(align):
+def test_missing_extrinsics_are_an_error_that_names_the_flag(align):
     with pytest.raises(CalibrationError, match=r"--log\.color-from-depth"):
         align(noise_depth(1, still(0).depth), still(0)._replace(color_from_depth=None))
 
@@ -93,7 +93,7 @@ def test_missing_extrinsics_name_the_flag(align):
 
 @pytest.mark.parametrize("name", CASES)
 @BACKENDS
-def test_equals_stored_rs_align(align, name):
+def test_aligned_depth_equals_stored_results_of_rs_align(align, name):
     calibration, depth = CASES[name]
     want = np.load(FILE)[name]
     assert np.count_nonzero(want) > 1000
@@ -114,7 +114,7 @@ LIVE = {
 
 @pytest.mark.parametrize("name", LIVE)
 @pytest.mark.parametrize("image", [noise_depth, smooth_depth])
-def test_equals_rs_align(name, image):
+def test_aligned_depth_equals_rs_align(name, image):
     pytest.importorskip("pyrealsense2", exc_type=ImportError)
     from tests.oracles import realsense
 
@@ -124,7 +124,7 @@ def test_equals_rs_align(name, image):
     assert np.array_equal(reference.align(depth, calibration).depth[0], want)
 
 
-def test_equals_rs_align_on_a_recording(shared_data):
+def test_aligned_depth_of_a_recording_equals_rs_align(shared_data):
     pytest.importorskip("pyrealsense2", exc_type=ImportError)
     from tests.oracles import realsense
 

@@ -63,11 +63,11 @@ def test_only_complete_cells_are_in_the_grid() -> None:
 @pytest.mark.parametrize(
     ("block", "depth"),
     [
-        ([[900, 905], [2000, 2010]], 903),  # the lower median is the object's; 902.5 is rounded up
+        ([[900, 905], [2000, 2010]], 903),  # lower median 905; 902.5 is rounded up
         ([[900, 2005], [2000, 2010]], 2005),  # mostly background
         ([[900, 910], [911, 890]], 900),  # lower median 900: 911 is 11 mm away
         ([[0, 900], [0, 2000]], 900),  # half of the pixels are enough
-        ([[0, 900], [0, 0]], 0),  # fewer are not
+        ([[0, 900], [0, 0]], 0),  # less than half are not
         ([[0, 0], [0, 0]], 0),
         ([[1, 1], [1, 2]], 1),
         ([[65535, 65535], [65535, 65534]], 65535),
@@ -81,8 +81,8 @@ def test_depth_of_a_cell_is_the_mean_near_its_lower_median(
 
 def test_step_grows_with_depth_squared() -> None:
     config = SurfaceConfig(cell_rad=0.02, step_m=0.01, step_per_m=0.01)
-    assert one_cell([[1000, 1020], [1021, 1021]], config) == 1016  # 20 mm at 1.02 m, 31 used
-    assert one_cell([[3000, 3100], [3100, 3100]], config) == 3075  # 106 mm at 3.1 m
+    assert one_cell([[1000, 1020], [1021, 1021]], config) == 1016  # step: 20 mm at 1.02 m
+    assert one_cell([[3000, 3100], [3100, 3100]], config) == 3075  # step: 106 mm at 3.1 m
     assert one_cell([[2990, 3100], [3100, 3100]], config) == 3100
 
 
@@ -92,7 +92,7 @@ def test_step_grows_with_depth_squared() -> None:
 def test_the_step_height_grows_less_for_cells_with_more_pixels(
     focal: float, side: int, at_4_m: int
 ) -> None:
-    """It is 5 cm, plus 3 mm per metre divided by the side of a cell in the depth camera."""
+    """The height is 5 cm, plus 3 mm per metre divided by the side of a cell in the depth camera."""
     config = Config(GroundConfig(step_height_m=0.05, step_height_per_m=0.003), surface=THREE)
     camera = Intrinsics(640, 480, focal, focal, 319.5, 239.5)
     steps = step_height(Calibration(camera), config).table
@@ -105,7 +105,7 @@ def test_the_step_height_grows_less_for_cells_with_more_pixels(
 
 
 def test_step_height_of_tabletop_grows_with_distance() -> None:
-    """It grows by 4 mm per metre for cells of a Kinect, the camera of the training data."""
+    """The height grows by 4 mm per metre for cells of a Kinect, the camera of the training data."""
     kinect = Calibration(Intrinsics(640, 480, 525.0, 525.0, 319.5, 239.5))
     expected = np.rint(8 + 0.004 * np.arange(65536)).astype(np.int64)
     np.testing.assert_array_equal(step_height(kinect, preset("tabletop")).table, expected)
@@ -133,12 +133,12 @@ def test_steps_are_in_metres_whatever_the_depth_unit() -> None:
     camera = Intrinsics(2, 2, 100.0, 100.0, 0.5, 0.5)
     depth = np.array([[[9000, 9050], [9100, 9140]]], np.uint16)
     fine, coarse = Calibration(camera, depth_unit=0.0001), Calibration(camera)
-    assert cells(depth, fine, TWO).z[0, 0, 0] == 9073  # of all four
+    assert cells(depth, fine, TWO).z[0, 0, 0] == 9073  # mean of all four depths
     assert cells(depth, coarse, TWO).z[0, 0, 0] == 9050
 
 
 def test_position_lies_on_the_ray_through_the_centre() -> None:
-    """It equals ``P = d K^-1 p`` in floating point to the nearest unit, for any colour camera."""
+    """The position is ``P = d K^-1 p`` rounded to the nearest unit, for any colour camera."""
     depth = smooth_depth(1, D435_DEPTH)
     depth[0, :200] = 2000
     grid, side = cells(depth, D435, THREE), cell_side(D435_DEPTH, THREE.cell_rad)
@@ -155,7 +155,7 @@ def test_position_lies_on_the_ray_through_the_centre() -> None:
 @pytest.mark.parametrize("color_scale", [0.5, 1.0, 2.5])
 @pytest.mark.parametrize("turn", [(0.0, 0.0, 0.0), (0.0, 0.74, 0.59)])
 def test_box_contains_the_projected_pixels(color_scale: float, turn: tuple) -> None:
-    """Compared with ``align`` of single cells; for a rotated camera, within a pixel."""
+    """Boxes contain the aligned pixels of single cells; for a rotated camera, within a pixel."""
     motion = Extrinsics(rotation(*turn), (0.0143, 0.0006, 0.0006))
     calibration = small(color_scale=color_scale)._replace(color_from_depth=motion)
     config = SurfaceConfig(cell_rad=4 / calibration.depth.fx)
@@ -177,7 +177,7 @@ def test_box_contains_the_projected_pixels(color_scale: float, turn: tuple) -> N
     assert held > 15
 
 
-def test_cells_outside_of_the_colour_image() -> None:
+def test_cells_outside_of_the_colour_image_have_no_box() -> None:
     """The depth camera has the wider field of view: such cells are measured, but have no box."""
     grid = cells(np.full((1, 480, 640), 1000, np.uint16), D435, THREE)
     assert (grid.z == 1000).all()

@@ -1,4 +1,4 @@
-"""The self-check: its stored answer is the reference's, and kernels that differ are refused."""
+"""Self-check: the stored digest is that of the reference, and kernels that differ are refused."""
 
 import numpy as np
 import pytest

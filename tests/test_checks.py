@@ -173,7 +173,7 @@ def test_bounds_of_canny_must_be_integers_in_order(low, high, bounds):
 
 
 def test_backends_agree_at_the_largest_accepted_settings():
-    """This holds for obstacles made of points and of surfaces."""
+    """Backends are compared for obstacles made of points and of surfaces."""
     config = Config(
         features=FeaturesConfig(min_distance=8192.0),
         cluster=ClusterConfig(True, 5.0, 10.0, 8192),
@@ -301,7 +301,7 @@ def mutated(calibration: Calibration, rng: random.Random) -> Calibration:
 
 
 def test_randomly_damaged_calibrations_are_refused_or_give_equal_results():
-    """Otherwise kernels would compute indices outside of their arrays from such numbers."""
+    """Unchecked, such numbers would lead kernels to indices outside of their arrays."""
     rng, count = random.Random(1), {"refused": 0, "used": 0}
     given = made(1)
     for _ in range(150):
@@ -351,8 +351,8 @@ def test_impossible_fields_of_view_are_rejected(focal, view):
 @pytest.mark.parametrize(
     "camera",
     [
-        Intrinsics(640, 240, 613.0, 306.5, 320.0, 119.5),  # of 640x480, rows binned
-        Intrinsics(200, 480, 613.0, 613.0, -120.0, 240.0),  # the right of 640x480
+        Intrinsics(640, 240, 613.0, 306.5, 320.0, 119.5),  # 640x480, rows binned
+        Intrinsics(200, 480, 613.0, 613.0, -120.0, 240.0),  # right part of 640x480
         Intrinsics(4096, 33, 4000.0, 4000.0, 2048.0, 16.5),  # a few rows
         Intrinsics(640, 480, 200.0, 200.0, 320.0, 240.0, Distortion.EQUIDISTANT, (0.0,) * 4),
         Intrinsics(1920, 1200, 9000.0, 9000.0, 960.0, 600.0),  # a long lens
@@ -375,12 +375,12 @@ def test_optical_centres_may_lie_one_image_size_outside(axis):
 
 
 def test_field_of_view_is_that_of_the_cropped_image():
-    part = Intrinsics(100, 100, 1.0, 1.0, 200.0, 200.0)  # of a view of 180°, at its edge
+    part = Intrinsics(100, 100, 1.0, 1.0, 200.0, 200.0)  # a crop at the edge of a view of 180°
     with pytest.raises(CalibrationError, match=r"is 0\.286°"):
         check_calibration(Calibration(part))
     check_calibration(Calibration(part._replace(cx=50.0)))
     squeezed = Intrinsics(640, 480, 600.0, 150.0, 320.0, 240.0)
-    check_calibration(Calibration(squeezed))  # a factor of 4, as with four rows in one
+    check_calibration(Calibration(squeezed))  # a factor of 4 is accepted: rows binned by 4
     with pytest.raises(CalibrationError, match="factor of 4"):
         check_calibration(Calibration(squeezed._replace(fy=149.0)))
 
@@ -494,7 +494,7 @@ def test_planes_of_any_height_are_accepted(height):
 
 @BACKENDS
 def test_with_source_none_no_floor_is_removed(backend):
-    """This holds whatever plane is given or configured."""
+    """Planes in the frames and in the configuration are ignored."""
     config = Config(GroundConfig(source="none", camera_height_m=0.5, camera_pitch_rad=0.0))
     given = made()._replace(plane=level(2))
     found = detect(given, config, backend=backend)

@@ -544,7 +544,7 @@ def test_run_prints_json_only_with_the_flag(sim_log: Path, tmp_path: Path, capfd
 def test_score_states_how_many_frames_were_compared(
     sim_log: Path, tmp_path: Path, capfd: Captured
 ) -> None:
-    part = tmp_path / "part.mcap"  # its ground truth has only the first of the two frames
+    part = tmp_path / "part.mcap"  # ground truth of the first of two frames
     write_log(part, SimConfig(frames=1, width=160, height=120))
     for truth, said in ((part, "truth      in 1 of 2 frames "), (sim_log, "truth      ")):
         args = ["--output", str(tmp_path / truth.stem), "--backend", "reference", "--pictures", "0"]
@@ -557,7 +557,7 @@ def test_score_states_how_many_frames_were_compared(
     args = ["--output", str(tmp_path / "none"), "--backend", "reference", "--pictures", "0"]
     assert main(["run", str(sim_log), *args, "--truth", str(tmp_path / "other.mcap")]) == 0
     assert "truth      not compared in any of 2 frames\n" in capfd.readouterr().out
-    size = {"width": 80, "height": 60}  # other images, with other timestamps
+    size = {"width": 80, "height": 60}  # another image size and other timestamps
     write_log(tmp_path / "small.mcap", SimConfig(frames=1, start_ns=10**18, **size))
     args[1] = str(tmp_path / "small")
     assert main(["run", str(sim_log), *args, "--truth", str(tmp_path / "small.mcap")]) == 0

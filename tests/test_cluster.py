@@ -70,7 +70,7 @@ def test_lateral_gaps_separate_points_of_a_set(backend):
 
 
 @BACKENDS
-def test_sets_of_n_points_or_fewer_are_dropped(backend):
+def test_sets_of_min_points_or_fewer_are_dropped(backend):
     z = [500, 501, 800, 801, 802]
     assert labels(backend, points([0] * 5, z), config()) == [[-1, -1, 0, 0, 0]]
     assert labels(backend, points([0] * 5, z), config(min_points=3)) == [[-1] * 5]
@@ -84,7 +84,7 @@ def test_order_is_nearest_depth_then_smallest_x(backend):
 
 
 @BACKENDS
-def test_only_kept_points_take_part(backend):
+def test_only_kept_points_are_clustered(backend):
     z, kept = [500, 501, 502, 503], [True, False, True, True]
     assert labels(backend, points([0] * 4, z, kept), config()) == [[0, -1, 0, 0]]
     nothing = points([0] * SLOTS, [*z] * 3, [False] * SLOTS)

@@ -57,7 +57,7 @@ def code_in(cache: Path) -> dict[Path, int]:
 
 @pytest.fixture(scope="module")
 def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a cache that two processes filled at the same time."""
+    """Return a cache that two processes filled simultaneously."""
     folder = tmp_path_factory.mktemp("compiled")
     both = [start(folder) for _ in range(2)]
     assert [ended(process) for process in both] == ["1500\n"] * 2

@@ -145,7 +145,7 @@ def test_free_floor_in_front_of_and_next_to_a_box() -> None:
 
 
 def test_an_object_above_the_robot_is_not_an_obstacle() -> None:
-    """A gate has two posts 1.2 m apart and a beam from 0.5 m up, in one plane."""
+    """A gate has two posts 1.2 m apart and, in the same plane, a beam from 0.5 m up."""
     posts = [((-0.8, 2.0, 0.0), (-0.6, 2.2, 1.0)), ((0.6, 2.0, 0.0), (0.8, 2.2, 1.0))]
     gate = made(cast(POSE, [*posts, ((-0.6, 2.0, 0.5), (0.6, 2.2, 1.0))])[None], POSE.plane())
 
@@ -173,7 +173,7 @@ def test_nothing_is_above_the_robot_if_the_floor_is_unknown() -> None:
 
 
 def test_cells_with_twice_the_side_raise_the_step_height_by_half_as_much() -> None:
-    """A box is 9 cm high and 2.6 m away, in cells of one pixel and of 2 x 2 equal ones."""
+    """A box 9 cm high is 2.6 m away; cells are single pixels, or 2 x 2 equal pixels."""
     fine_camera = Intrinsics(320, 240, 304.0, 304.0, 159.5, 119.5)
     coarse = made(cast(POSE, [((-0.5, 2.6, 0.0), (0.5, 3.4, 0.09))])[None], POSE.plane())
     depth = np.kron(coarse.depth, np.ones((1, 2, 2), np.uint16))
@@ -262,7 +262,7 @@ LOOKING_DOWN = {"camera_height_m": 0.6, "camera_pitch_rad": 0.45}
 
 
 def test_sizes_without_noise_are_within_3_cm() -> None:
-    """The front of a tall box, and width and depth of one seen from above, are within 3 cm."""
+    """Tested for the front of a tall box, and width and depth of a low box seen from above."""
     sensor = DepthSensor(enabled=False)
     wide, _, high = sizes(found(of(simulated(CARTON_BOX, sensor=sensor))))[0]
     assert (wide, high) == pytest.approx((0.4, 0.4), abs=0.03)
@@ -466,7 +466,7 @@ def test_a_box_in_a_large_image_is_found_with_its_width() -> None:
 
 
 def test_saturated_depth_has_no_obstacles() -> None:
-    """Some drivers send 65535 for missing measurements; a rotated camera increases it."""
+    """Some drivers send 65535 for missing measurements; for a rotated camera, z exceeds that."""
     depth = np.full((1, 480, 640), 65535, np.uint16)
     color = np.zeros((1, 480, 640, 3), np.uint8)
     assert count(found(frames(D435, color, depth, plane=POSE.plane()))) == 0
@@ -526,7 +526,7 @@ def test_labelled_obstacles_of_a_moving_wheelchair_are_found(shared_data: Path) 
 def test_notches_of_the_free_floor_show_objects_lower_than_the_step(
     device: object, upside_down: bool
 ) -> None:
-    """Nothing is measured behind a strip 4 cm high: floor ends there, but not next to it."""
+    """Nothing is measured behind a strip 4 cm high: free floor ends at the strip, not beside it."""
     bare, strip = (cast(POSE, boxes) for boxes in ([], [((-0.1, 2.0, 0.0), (0.1, 2.1, 0.04))]))
     rows, columns = np.nonzero(strip < bare - 0.001)
     depth, plane = strip.copy(), POSE.plane()
@@ -540,12 +540,12 @@ def test_notches_of_the_free_floor_show_objects_lower_than_the_step(
     assert metric.distances(detections)[0, 0] == pytest.approx(2050, abs=55)
     assert 20 < scene.bottom_top[0, 0, 0] <= scene.bottom_top[0, 0, 1] < 45
     assert_equal(detect(given, SURFACES), detections)
-    # If the floor behind it is measured, the strip is floor.
+    # If the floor behind the strip is measured, the strip counts as floor.
     assert count(found(made(strip[None], POSE.plane()))) == 0
 
 
 def test_a_low_carton_with_a_hole_in_its_depth_is_found() -> None:
-    """As on a real pavement, a hole leaves 7 and 4 of its cells above the step."""
+    """As on a real pavement, 7 cells of the carton remain left of the hole and 4 right of it."""
     sensor = DepthSensor(enabled=False)
     carton = Box((3.3, 0.0), (0.25, 0.24, 0.075), 0.0, CARTON)
     scene = Scene("made", (carton,), floor=WOOD, ground=Ground(), path=Way(length=0.0))

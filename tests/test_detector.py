@@ -1,4 +1,4 @@
-"""Detector: it returns the rows of ``jaxdet run`` for any type of input, and refuses bad input."""
+"""Detector: rows equal those of ``jaxdet run`` for any type of input, and bad input is refused."""
 
 import inspect
 import os
@@ -131,7 +131,7 @@ def test_a_detector_made_from_a_log_refuses_other_logs(sim_log, tmp_path):
 
 def test_detections_use_the_floor_of_their_time_window(sim_log, tmp_path):
     config = replace(Config(), ground=GroundConfig(window_s=0.5, sample_frames=2))
-    config = replace(config, floor=FloorConfig(min_share=0.9))  # no frame shows its own
+    config = replace(config, floor=FloorConfig(min_share=0.9))  # no frame shows its own floor
     assert_rows_of_run(sim_log, tmp_path / "results", config)
 
 
@@ -291,7 +291,7 @@ def test_camera_matrices_of_other_libraries_are_accepted():
     motion = np.eye(4)
     assert Extrinsics.from_matrix(Tensor(motion)) == Extrinsics.from_matrix(motion)
     plain = Intrinsics.from_matrix(K, 96, 60)
-    assert Intrinsics.from_matrix(K, 96, 60, None) == plain  # as OpenCV's functions take it
+    assert Intrinsics.from_matrix(K, 96, 60, None) == plain  # the shape that OpenCV uses
     eight = [0.4, -2.5, 0.0, 0.0, 1.4, 0.3, -2.3, 1.3]
     rational = Intrinsics.from_matrix(K, 96, 60, eight)
     assert Intrinsics.from_matrix(K, 96, 60, np.array([[*eight, *[0.0] * 6]])) == rational
@@ -687,7 +687,7 @@ def test_low_level_functions_name_the_wrong_argument():
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no fork")
 def test_detection_in_a_forked_process_is_an_error():
-    """Otherwise it would wait forever for threads that fork does not copy."""
+    """Otherwise detection would wait forever for threads that fork does not copy."""
     code = """
 import os, numpy as np, jaxdet
 images = (np.full((120, 160), 2.0),)

@@ -113,7 +113,7 @@ class FakeLog:
         return self
 
     def close(self) -> None:
-        """Nothing is open."""
+        """Do nothing, as no file is open."""
 
     def __exit__(self, *_: object) -> None:
         assert not any(t.name.startswith("jaxdet-reader") for t in threading.enumerate())

@@ -152,7 +152,7 @@ def test_results_of_several_cameras_are_read_back(both, two_cameras):
 
 
 def test_results_of_one_of_several_cameras_name_it(two_cameras, tmp_path):
-    """Exports of another camera can be written next to these."""
+    """Topics and file names contain the camera, so exports of several cameras can be combined."""
     run(two_cameras, tmp_path, LogOptions(camera="rear"))
     with Results(tmp_path / "log") as results:
         (log,) = results.logs
@@ -208,7 +208,7 @@ def test_progress_is_one_bar_of_frames_or_of_logs(monkeypatch, logs):
             doing = "" if done else "opening"
             given = label, 0, logs, done, total, 0, None, "", {}, doing, ended, 0
             show(engine.Progress(*given))
-            cells = [cell.cell_contents for cell in show.__closure__ or ()]  # the bars are in it
+            cells = [cell.cell_contents for cell in show.__closure__ or ()]  # include the bars
             tasks = next(cell.tasks for cell in cells if hasattr(cell, "tasks"))
             seen = [(task.description, task.completed, task.total) for task in tasks]
     assert seen == ([("two, rear", 5, 12)] if logs == 1 else [("logs", 1, 3)])

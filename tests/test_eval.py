@@ -95,8 +95,8 @@ def test_a_feature_belongs_to_the_object_at_its_depth():
     depth[:, 10:30, 5:15] = 1.0
     known = truth(depth_m=depth)
     depth[:, 10:30, 18:] = 1.1
-    # On it, next to it with its depth, too far from it, on the floor next to it with a depth that
-    # both have, and on it and on the floor with a depth that nothing there has.
+    # Features on object 1; next to it at its depth; too far from it; on the floor next to it at a
+    # depth near both; on the object, and on the floor, at a depth that no surface there has.
     columns = [(10, 1000), (17, 1010), (19, 500), (18, 1050), (10, 3000), (17, 3000)]
     u, z = (np.array(values, np.int32) for values in zip(*columns, strict=True))
     v, used = np.full_like(u, 20), np.ones(u.shape, bool)
@@ -132,7 +132,7 @@ def test_cells_are_transformed_to_the_colour_camera():
     motion = Extrinsics((1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0), (0.4, 0.0, 0.0))
     calibration = Calibration(CAMERA, CAMERA, motion)
     got = evaluate(cells(label, np.full((4, 6), 1000), 2), truth(), calibration, side=10)
-    # The second is outside of the colour image, so it is neither right nor wrong.
+    # Detection 1 is outside of the colour image: it is ignored.
     assert counted(got) == (3, 1, 2, 1, 0, 1)
 
 
@@ -145,7 +145,7 @@ def test_floor_and_wall_are_false_and_splits_and_merges_are_counted():
     assert counted(got) == (3, 2, 5, 2, 2, 1)
     assert (got.on_floor, got.on_wall, got.splits, got.merges) == (1, 1, 1, 1)
     assert (got.points, got.points_right) == (13, 6)
-    # Detections of 3 (floor), 3, 2 and 5 points; objects of 5, 3 and 2.
+    # Detections have 3 (floor), 3, 2 and 5 points; objects have 5, 3 and 2 points.
     assert (got.pairs_both, got.pairs_detected, got.pairs_true) == (3 + 1 + 3 + 1, 17, 14)
     figures = score([got])
     assert figures.recall == pytest.approx(2 / 3) and figures.precision == pytest.approx(1 / 2)
@@ -173,7 +173,7 @@ def test_objects_that_are_not_required_are_not_false_positives():
 
 
 def test_detections_with_half_of_their_points_on_ignored_objects():
-    """A match is not ignored as well; a detection that is half on a wall is ignored."""
+    """If the other half is on a required object, it is a match; if on the floor, it is ignored."""
     far = truth(nearest_m=np.array([[1.0, 5.0, 3.0, 8.0]]))
     got = evaluate(detections(on(1, 0) + on(2, 0), [1100]), far)
     assert counted(got) == (2, 1, 1, 1, 0, 0)
@@ -203,7 +203,7 @@ def test_features_next_to_an_object_count_within_the_tolerance():
         ({"height_m": np.array([[0.05, 0.06, 0.02, 1.0]])}, 1),
     ],
 )
-def test_required_objects(change, visible):
+def test_objects_are_required_by_visibility_distance_kind_and_height(change, visible):
     assert evaluate(detections(on(1, 0), [1100]), truth(**change)).visible == visible
 
 
@@ -228,7 +228,7 @@ def box(left, right, near, far):
 
 
 def test_shape_errors_by_hand():
-    """Object 1 is the square [0, 1] x [1, 2], its detection the rectangle [0, 0.8] x [1, 1.5]."""
+    """Object 1 is the square [0, 1] x [1, 2], detected as the rectangle [0, 0.8] x [1, 1.5]."""
     low = np.array([[[0, 1], [np.nan, np.nan], [np.nan, np.nan], [9, 9]]])
     high = np.array([[[1, 1], [np.nan, np.nan], [np.nan, np.nan], [9, 9]]])
     outline = np.full((1, 4, 16, 2), np.nan)
@@ -254,7 +254,7 @@ def test_shape_errors_by_hand():
     case = got.cases[0]
     assert case.width_error_m == pytest.approx(-0.2) and case.position_error_m == 0
     assert case.iou == pytest.approx(0.4)
-    assert case.nearest_error_m == pytest.approx(-0.1)  # of a, the nearest of A, B and C
+    assert case.nearest_error_m == pytest.approx(-0.1)  # error of A, the nearest of A, B and C
     short = EvalConfig(footprint=config.footprint, coverage_range_m=1.2)
     assert evaluate(found, where, config=short).near_points == round(math.sqrt(0.44) * 100) + 1
     hidden = where._replace(nearest_forward_m=np.array([[1.1, np.nan, np.nan, 8.1]]))
@@ -282,14 +282,14 @@ points_anywhere = st.lists(
 
 @given(points_anywhere, st.randoms(use_true_random=False))
 def test_order_of_points_and_labels_does_not_change_the_counts(points, random):
-    """Points may have any order. Labels matter only for ties, and the counts add up."""
+    """Counts do not depend on the order of points. Labels matter only for ties."""
     forward = [1000, 2000, 2500, 3000]
     one = evaluate(detections(points, forward), truth())
     shuffled = random.sample(points, len(points))
     assert evaluate(detections(shuffled, forward), truth()) == one
     turned = [(u, v, label if label < 0 else 3 - label) for u, v, label in points]
     other = evaluate(detections(turned, forward[::-1]), truth())
-    # One of two equally good detections is false, either one.
+    # Of two equally good detections, either one may be the false positive.
     same = ("found", "matched", "visible", "points_right", "pairs_both", "pairs_true", "merges")
     assert all(getattr(other, name) == getattr(one, name) for name in same)
     assert one.found + one.false + one.ignored == one.detections == 4

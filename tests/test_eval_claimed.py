@@ -53,7 +53,7 @@ def with_scene(detections: Detections, **parts: object) -> Detections:
 
 
 FLOOR = np.array([[[[0.5, 1.5], [0.9, 1.9], [1.5, 1.5], [0.5, 2.5]]]] * 2)
-"""Two pixels in the first square, one in the second, one behind."""
+"""Two floor pixels are in the first square, one in the second, one behind the first."""
 
 
 def test_claimed_floor_by_hand() -> None:

@@ -51,7 +51,7 @@ def test_indices_do_not_depend_on_place_and_scale(seed, shift, scale):
 
 
 def alone(labels, first):
-    """Return labels in which each noise point has its own number."""
+    """Return labels in which each noise point is a separate cluster."""
     noise = labels < 0
     return np.where(noise, first + np.cumsum(noise), labels)
 
@@ -80,7 +80,7 @@ def test_fowlkes_mallows_by_hand():
     assert pair_counts(np.array([0, 0]), np.array([-1, -1])) == PairCounts(0, 1, 0)
 
 
-def test_match_by_hand():
+def test_matches_of_detections_and_objects_by_hand():
     yes = np.array([False, True, True, False])
     tie = np.array([[0, 3, 3, 0], [0, 5, 0, 0]])
     assert match(tie, yes).tolist() == [2, 1]
@@ -113,7 +113,7 @@ def test_overlap_equals_opencv():
         assert overlap(a, b) == pytest.approx(expected, abs=1e-4)
 
 
-def test_outlines_by_hand():
+def test_area_overlap_and_inside_of_outlines_by_hand():
     assert area(SQUARE) == 4 and area(SQUARE[::-1]) == -4 and area(SQUARE[:2]) == 0
     assert math.isnan(overlap(SQUARE[:2], SQUARE[:2])) and overlap(SQUARE, SQUARE[:2]) == 0
     assert overlap(SQUARE, SQUARE[::-1] + [0, 1]) == pytest.approx(1 / 3)

@@ -77,8 +77,8 @@ def test_nearest_obstacle_on_the_floor_by_hand():
     camera = Calibration(Intrinsics(7, 3, 10.0, 10.0, 6.0, 1.0))
     down = np.full(1, math.pi / 2)
     got = nearest_on_floor(truth, camera, np.ones(1), down, np.zeros(1), 0.05)
-    # The nearer pixel of the first is low, no pixel of the second is above the step, and the
-    # fourth is cut by the picture's left edge.
+    # Object 1: its nearer pixel is below the step. Object 2: no pixel is above the step. Object 4:
+    # cut by the left edge of the image.
     np.testing.assert_allclose(got, [[0.45, 0.291, 0.08, NAN]], atol=1e-3)
     level = nearest_on_floor(truth, camera, np.ones(1), np.zeros(1), np.zeros(1), 0.05)
     np.testing.assert_allclose(level[0, 0], math.hypot(0.9, 0.45), atol=1e-3)

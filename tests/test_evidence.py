@@ -117,7 +117,7 @@ def test_features_of_a_pair_by_hand() -> None:
 
 
 def test_lesser_and_greater_surface_are_ordered_by_size() -> None:
-    """Both have as many cells, so the narrower one, which is nearer, is the lesser."""
+    """Both surfaces have equally many cells; the narrower and nearer surface is the lesser."""
     one, other = ([(20, 10, 1000), (60, 10, 1500)], [(60, 10, 1500), (20, 10, 1000)])
     assert seen_of(one) == seen_of(other)
     (seen,) = seen_of(one)
@@ -149,7 +149,7 @@ def test_surfaces_too_far_apart_are_not_pairs() -> None:
     assert not seen_of([(5, 20, 1000), (40, 20, 2000)])
 
 
-def test_no_surfaces_are_no_pairs() -> None:
+def test_without_surfaces_there_are_no_pairs() -> None:
     label, view = upright([])
     assert pairs(label, (view.z > 0) & (label < 0), view, UNIT, CONFIG).features.shape == (
         0,

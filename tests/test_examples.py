@@ -59,7 +59,7 @@ def test_the_notebook_runs_and_displays_its_results(tmp_path, monkeypatch):
 
 
 def test_the_demo_replaces_the_output_of_an_earlier_one(tmp_path):
-    """The demo runs without its set-up and on a smaller log."""
+    """The demo is run on a smaller log, and its script ``setup`` is replaced."""
     scripts, program = tmp_path / "clone/scripts", tmp_path / "venv/bin/jaxdet"
     for folder in (scripts, program.parent, tmp_path / "out"):
         folder.mkdir(parents=True)

@@ -81,10 +81,10 @@ def test_annotations_of_a_simulated_log_cover_its_obstacles(drive: Path, tmp_pat
     for image, _, mask in found:
         objects = truth[f"obstacle_id_{image['frame']:06d}"][mask]
         most = np.bincount(objects).argmax()
-        assert most > 0  # not the background
+        assert most > 0  # an object, not the background
         share.append((objects == most).mean())
         other = taken.setdefault(image["id"], np.zeros_like(mask))
-        assert not (other & mask).any()  # a pixel is one obstacle's
+        assert not (other & mask).any()  # masks do not overlap
         other |= mask
     assert np.median(share) > 0.8 and np.min(share) > 0.6  # stereo smears depth over contours
 
@@ -99,7 +99,7 @@ def test_annotations_of_a_recorded_log_equal_the_table(aims_results: Path, tmp_p
 
 
 def test_each_camera_has_its_own_images(drive: Path, tmp_path: Path) -> None:
-    """Recordings and reports distinguish them as well."""
+    """Recordings and reports distinguish the cameras, too."""
     write_log(tmp_path / "rear.mcap", SimConfig(frames=2, width=320, height=240, seed=5))
     both = {"front": drive / "drive.mcap", "rear": tmp_path / "rear.mcap"}
     log, folder = join_cameras(both, tmp_path / "two.mcap"), tmp_path / "out"

@@ -61,7 +61,7 @@ def moved(T: np.ndarray, points: Any) -> np.ndarray:
 
 
 def recorded_camera(topics: Topics, stamp_ns: int, camera: str) -> np.ndarray:
-    """Return odom to camera from the TF of the recording, interpolated between its samples."""
+    """Return the pose of the camera in odom, interpolated in the TF of the recording."""
     edges: dict[str, tuple[str, list]] = {}
     for topic in ("/tf_static", "/tf"):
         for _, message in topics[topic]:
@@ -220,7 +220,7 @@ def test_topics_do_not_make_a_log_an_image_folder(driven_log: Path, tmp_path: Pa
 def test_the_floor_frame_agrees_with_the_table(driven_results: Path, tmp_path: Path) -> None:
     topics, frames = exported(driven_results, tmp_path / "out")
     for (_, tree), (row, _) in zip(topics[TF], frames, strict=True):
-        (edge,) = tree.transforms  # the log's own TF joins the camera to the world
+        (edge,) = tree.transforms  # the TF of the log connects camera and world
         T = motion(edge.translation, edge.rotation)
         assert np.linalg.norm(T[:3, 3]) == pytest.approx(row["camera_height_m"], abs=1e-6)
         # The optical axis points below the horizon of the floor by the pitch, and the x axis of
@@ -235,7 +235,7 @@ def test_the_floor_frame_agrees_with_the_table(driven_results: Path, tmp_path: P
 def test_boxes_are_inside_of_the_colour_image(driven_results: Path, tmp_path: Path) -> None:
     topics, frames = exported(driven_results, tmp_path / "out")
     tops = [text for _, shown in topics[BOXES] for text in shown.texts]
-    assert min(text.position.y - text.font_size for text in tops) >= 0  # its lower left corner
+    assert min(text.position.y - text.font_size for text in tops) >= 0  # lower left corner
     boxes = [[o for o in obstacles if o["u_min"] is not None] for _, obstacles in frames]
     assert any(o["v_min"] < tops[0].font_size for own in boxes for o in own)
     assert sum(map(len, boxes)) < sum(len(obstacles) for _, obstacles in frames)

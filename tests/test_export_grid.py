@@ -100,7 +100,7 @@ def test_nav2_loads_the_map_of_a_log(
     assert "exists already" in capsys.readouterr().err
 
 
-def test_without_poses_there_is_no_map(aims_results: Path, tmp_path: Path) -> None:
+def test_logs_without_poses_have_no_map(aims_results: Path, tmp_path: Path) -> None:
     with Results(aims_results) as results, pytest.raises(InputError, match="no log has a map"):
         export(results, "nav2", tmp_path / "maps", {})
     assert list(tmp_path.iterdir()) == []

@@ -290,7 +290,7 @@ def test_browser_shows_lost_frames(made: Path, tmp_path: Path, browser: Any) -> 
 
     assert cards() == len(data["frames"])
     found = [frame for frame in data["frames"] if frame["status"] == "ok"]
-    assert page.locator(".card .plan").count() == len(found)  # there are no pictures
+    assert page.locator(".card .plan").count() == len(found)  # outlines replace missing pictures
     outlines = sum(len(frame["rows"]) for frame in found)
     assert page.locator(".card .plan polygon").count() == outlines > len(found)
     shown = page.locator("#shown").inner_text()
@@ -404,9 +404,9 @@ def test_browser_enlarges_pictures_on_a_phone(
     small = picture.bounding_box()["width"]
     assert 300 < small < 390
     page.locator(".zoom button").tap(position={"x": small - 20, "y": 30})
-    assert picture.bounding_box()["width"] == 1024  # its own size: labels can be read
+    assert picture.bounding_box()["width"] == 1024  # full size, with readable labels
     shown = frame.evaluate("n => [n.clientWidth, n.scrollLeft]")
-    assert shown[0] < 390 and shown[1] > 512  # where it was tapped
+    assert shown[0] < 390 and shown[1] > 512  # scrolled to the tapped position
     page.locator(".zoom button").tap()
     assert picture.bounding_box()["width"] == small
     fits = "tables => tables.map(t => t.scrollWidth - t.clientWidth)"

@@ -142,7 +142,7 @@ def test_recording_of_a_recorded_log_agrees_with_its_tables(
 
 
 def rewrite(path: Path, change: Callable[[list[dict[str, Any]]], list[dict[str, Any]]]) -> int:
-    """Replace the rows of a table; return their new number."""
+    """Replace the rows of a table; return the number of new rows."""
     about = pq.read_metadata(path).metadata
     own = {key: value for key, value in about.items() if key.startswith(b"jaxdet.")}
     table = pq.read_table(path)

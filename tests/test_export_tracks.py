@@ -60,7 +60,7 @@ def test_foxglove_labels_obstacles_with_their_tracks(walkers: Path, tmp_path: Pa
         assert {i for i in ids if i.startswith("track")} >= {*own}
         assert len([i for i in ids if not i.startswith("way")]) == len(of[number])
         for entity in scene.entities:
-            for text in entity.texts:  # above the nearest point
+            for text in entity.texts:  # labels above the nearest point
                 p = text.pose.position
                 about = {pair.key: float(pair.value) for pair in entity.metadata}
                 place = np.linalg.inv(T_camera_floor(row)) @ [p.x, p.y, p.z, 1.0]

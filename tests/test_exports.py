@@ -69,7 +69,7 @@ def test_sidecars_have_the_log_times_of_the_recording(
 
 @pytest.mark.parametrize("to", ["foxglove", "ros2"])
 def test_sidecars_are_not_read_as_logs(to: str, parts: Path, tmp_path: Path) -> None:
-    """Next to a log they are left out; given by name or alone, the error says what they are."""
+    """Next to a log, sidecars are left out; given by name or alone, they are refused as such."""
     folder = exported(parts, to, tmp_path / "out")
     name = "both@rear.jaxdet.mcap"
     with pytest.raises(
@@ -124,7 +124,7 @@ def test_the_command_prints_how_to_open_the_export(
 def test_a_report_is_a_file(
     parts: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """It never replaces a folder, even an empty one; a name without suffix is reported."""
+    """A report never replaces a folder, even an empty one; a name without suffix is reported."""
     command = ["export", str(parts / "results"), "--to", "html", "--output"]
     (tmp_path / "folder").mkdir()
     assert main([*command, str(tmp_path / "folder")]) == 2

@@ -21,7 +21,7 @@ OFFSET = np.array([500_000.0, 5_000_000.0])
 
 @pytest.fixture(scope="module")
 def drives(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    """Results with tracks of a drive with somebody who walks, and of the same drive moved."""
+    """Results with tracks of a drive past a pedestrian, near the origin and moved by ``OFFSET``."""
     near, far = folders = [tmp_path_factory.mktemp(name) / "out" for name in ("near", "far")]
     about: dict[str, Any] = {"scene": "moving", "frames": 10, "seed": 3126, "rate_hz": 8.0}
     about["camera_height_m"] = 0.5

@@ -46,7 +46,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
         runpy.run_path(str(script))["main"](folder)
         return folder
 
-    fl.simulate = simulate  # in this process, and once per log
+    fl.simulate = simulate  # simulates in this process, once per log
     return make
 
 

@@ -47,7 +47,7 @@ def test_floor_frame_of_a_rotated_camera(pitch: int, roll: int, points: list) ->
 
 @given(st.floats(-0.6, 1.3), st.floats(-3.0, 3.0))
 def test_axes_are_those_of_the_plane(pitch: float, roll: float) -> None:
-    """They agree within half a step of both angles plus rounding."""
+    """The axes agree within half a step of both angles, plus rounding."""
     plane = flat_plane(*(np.array([a]) for a in (0.5, pitch, roll)))
     axes = floor_frames(plane, UNIT)[0, :9].reshape(3, 3)
     known = np.concatenate(

@@ -98,7 +98,7 @@ CHAIR += [((-0.2, 2.2, 0.4), (0.2, 2.6, 0.45)), ((-0.2, 2.6, 0.45), (0.2, 2.65, 
 @pytest.mark.parametrize("room", [DESK, CHAIR], ids=["desk", "chair"])
 @pytest.mark.parametrize("pose", [Pose(1.06, 0.0, 1.0), Pose(1.3, 5.0, 0.0)])
 def test_a_level_camera_in_a_room_sees_little_floor(pose, room):
-    """Less than a tenth of its image is floor, and nine tenths are walls and furniture."""
+    """Less than a tenth of the image is floor; the rest is walls and furniture."""
     fit = found(measured(cast(pose, room)), unknown_plane(1))
     assert_found(fit, pose, angle=0.4, height=20.0)
     assert fit.share[0] < 0.1
@@ -135,7 +135,7 @@ def test_table_without_floor_is_refused_if_something_is_visible_below_it():
 def test_reflections_do_not_lead_to_refusal(known, columns):
     """A glossy floor shows mirrored lamps below itself.
 
-    They are up to 14 % of the cells with a prior, 4 % without, and far fewer than the inliers.
+    With a prior, up to 14 % of the cells are reflections, without one 4 %; far fewer than inliers.
     """
     pose = Pose(0.6, 20.0, 0.0)
     z = cast(pose, BOXES)
@@ -199,7 +199,7 @@ def test_a_floor_above_the_camera_is_refused():
 @pytest.mark.parametrize("drop", [0.09, 0.15, 0.25, 0.35, 0.9])
 @pytest.mark.parametrize("start", [1.8, 2.5])
 def test_the_floor_before_a_step_down_is_found(pose, drop, start):
-    """A plane tilted by 1 to 4 degrees would fit the floor before the step and the one beyond."""
+    """A plane tilted by 1 to 4 degrees would fit both the floor before the step and beyond it."""
     z = measured(cast_step(pose, drop, start), noise=0.004)
     for wrong in ((0.0, 0.0, 0.0), (0.03, 1.5, -1.0), (-0.02, -1.5, 1.0), (0.0, 2.0, 0.0)):
         fit = found(z, pose.plane(*wrong))
@@ -207,7 +207,7 @@ def test_the_floor_before_a_step_down_is_found(pose, drop, start):
         assert np.isinf(fit.plane.ramp_start[0])
 
 
-def test_a_step_without_a_prior_is_a_drop_only_if_the_camera_is_too_high_above_a_table():
+def test_without_a_prior_a_lower_floor_is_a_drop_only_if_the_camera_is_far_above_it():
     pose = Pose(1.3, 25.0, 0.0)
     table, drop = (measured(cast_step(pose, down, 2.4), noise=0.002) for down in (0.6, 0.9))
     assert_refused(found(table, unknown_plane(1)), Refusal.TABLE, unknown_plane(1))
@@ -224,14 +224,14 @@ def test_a_step_without_a_prior_is_a_drop_only_if_the_camera_is_too_high_above_a
 )
 @pytest.mark.parametrize("high", [0.065, 0.08, 0.1, 0.13, 0.2])
 def test_the_floor_before_a_kerb_is_found(pose, start, high):
-    """A plane through road and pavement would hide the kerb."""
+    """A plane fitted to both road and pavement would hide the kerb."""
     z = measured(cast(pose, [((-9.0, start, 0.0), (9.0, 9.0, high))]), noise=0.004)
     for wrong in ((0.0, 0.0, 0.0), (0.02, 0.7, -1.0), (-0.02, -0.7, 1.0)):
         assert_found(found(z, pose.plane(*wrong)), pose, angle=0.2, height=5.0)
 
 
 def test_a_wall_behind_the_floor_is_not_a_step():
-    """It has as many cells at any height, but all at one distance."""
+    """A wall has equally many cells at each height, but all are at one distance."""
     pose = Pose(1.7, 29.0, -0.8)
     walls: list[Box] = [((-4.0, 2.6, 0.0), (4.0, 2.7, 2.5)), ((-0.9, 1.4, 0.2), (0.8, 2.6, 0.6))]
     assert_found(found(measured(cast(pose, walls)), pose.plane()), pose)
@@ -243,7 +243,7 @@ def test_a_wall_behind_the_floor_is_not_a_step():
 )
 @pytest.mark.parametrize("high", [0.055, 0.065])
 def test_a_low_object_as_wide_as_the_image_is_not_the_floor(pose, start, end, high):
-    """Beyond it the floor is at the same height as below the camera, so there is no step down."""
+    """Beyond the object, the floor has its previous height, so the object's far edge is no drop."""
     platform: Box = ((-3.0, start, 0.0), (3.0, end, high))
     fit = found(measured(cast(pose, [platform]), noise=0.004), pose.plane())
     height, pitch, _ = errors(fit, pose)

@@ -55,7 +55,7 @@ def assert_same(
 
 
 def priors(plane: GroundPlane) -> list[GroundPlane]:
-    """Return correct priors, some wrong ones, and none."""
+    """Return priors: correct, some of them wrong, and unknown."""
     up, roll = np.radians(2.0), np.radians(-2.0)
     return [
         plane,
@@ -80,7 +80,7 @@ def random_cells(seed: int, batch: int, rows: int, columns: int, part: float = 0
 
 
 def test_twin_on_boxes_and_ramps() -> None:
-    """Ramps up, down and none are found, and planes too far from the prior are refused."""
+    """Scenes have ramps up, ramps down or no ramp; planes too far from the prior are refused."""
     depths, known = [], []
     for pose in POSES:
         for slope in (0.0, -6.0, 6.0):
@@ -172,7 +172,7 @@ def test_cells_at_the_edge_of_the_tolerance_do_not_move_the_plane() -> None:
 
 
 def test_twin_on_ramps_seen_from_straight_above() -> None:
-    """The plane of a ramp ahead of a steep one is pitched by up to 97 degrees, 90 among them."""
+    """The camera is pitched by at least 80 degrees, planes of ramps by up to 97, 90 among them."""
     depths, known = [], []
     for pitch, turn, start in ((80.0, 7.0, 0.15), (80.0, 9.0, 0.25), (82.0, 8.0, 0.15)):
         pose = Pose(1.5, pitch, 0.0)
@@ -200,7 +200,7 @@ def test_tolerance_is_not_smaller_for_a_plane_above_the_camera(low: float) -> No
     assert (sharp.of(grid[2].astype(np.int64), -20000) >= sharp.base).all()
 
 
-# anything
+# random cells
 
 
 @pytest.mark.parametrize(

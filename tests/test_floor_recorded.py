@@ -31,7 +31,7 @@ def grids(path: Path) -> tuple[list[list[np.ndarray]], list[np.ndarray], Calibra
 
 
 def test_floor_of_a_recorded_cart_agrees_with_ransac(shared_data):
-    """RANSAC in README_DATA: height 0.62-0.63 m, pitch 19-20 degrees, roll 9-13 degrees."""
+    """RANSAC results in README_DATA: height 0.62-0.63 m, pitch 19-20 degrees, roll 9-13 degrees."""
     cells, _, _ = grids(shared_data / "aims_slam/aims_slam_18frames.mcap")
     assert len(cells) == 18
     for one in cells:
@@ -49,7 +49,7 @@ def test_floor_of_a_recorded_cart_agrees_with_ransac(shared_data):
 @pytest.mark.parametrize(
     ("name", "step", "most"), [("mosd", 0.008, 0.01), ("wheelchair", 0.05, 0.03)]
 )
-def test_labelled_support_is_not_kept(shared_data, name, step, most):
+def test_points_of_labelled_supports_are_hardly_above_the_floor(shared_data, name, step, most):
     cells, depths, calibration = grids(shared_data / f"labelled/{name}.mcap")
     x, y = pixel_rays(calibration.image)
     things = []
@@ -69,7 +69,7 @@ def test_labelled_support_is_not_kept(shared_data, name, step, most):
 
 
 def test_kitchen_tables_are_not_the_floor(shared_data):
-    """Hand-held among tables: floor is visible in five frames, table tops in most others."""
+    """A hand-held camera among tables sees floor in five frames, table tops in most others."""
     cells, _, _ = grids(shared_data / "look/kitchen.mcap")
     alone = [find_floor(*one, unknown_plane(1), CONFIG, UNIT) for one in cells]
     assert [n for n, fit in enumerate(alone) if fit.own[0]] == [0, 1, 2, 9, 10]
@@ -78,7 +78,7 @@ def test_kitchen_tables_are_not_the_floor(shared_data):
 
 
 def test_floor_in_front_of_walls_agrees_with_ransac_or_is_refused(shared_data):
-    """README_DATA: a camera placed low by hand; a wall is the largest plane in frames 1, 5 and 9.
+    """README_DATA: the camera is near the floor; in frames 1, 5 and 9 a wall is the largest plane.
 
     RANSAC on the lower rows of frame 5, where a fifth of the floor is measured: height 5 to 7 cm,
     pitch -6 to -7 degrees.

@@ -14,9 +14,9 @@ WIDE = 2 * NEIGHBOURS + 1
 
 
 def column(*cells: tuple[int, int] | str | None) -> dict[str, list[int]]:
-    """Return a column from the nearest cell up: (forward, height), ``"4"`` obstacle, None hole.
+    """Return a column, nearest cell first: (forward, height), ``"4"`` an obstacle, None a hole.
 
-    Floor is within 30 mm of the plane, low everything not higher.
+    Cells within 30 mm of the plane are floor; all cells that are not higher are low.
     """
     out: dict[str, list[int]] = {"label": [], "low": [], "floor": [], "forward": [], "height": []}
     for cell in reversed(cells):
@@ -31,9 +31,9 @@ def column(*cells: tuple[int, int] | str | None) -> dict[str, list[int]]:
 
 
 def found(*columns: dict[str, list[int]]) -> tuple[np.ndarray, list[FreeEnd]]:
-    """Return lines and ends of adjacent columns, each a millimetre to the right of the last.
+    """Return lines and ends of adjacent columns, each 1 mm to the right of the previous one.
 
-    Nothing is measured in the columns next to them.
+    Nothing is measured in further columns on both sides.
     """
     empty = column(*[None] * len(columns[0]["label"]))
     return narrow(*columns, *[empty] * WIDE, count=len(columns))
@@ -110,7 +110,7 @@ def test_a_column_with_only_an_obstacle_has_no_free_floor() -> None:
 
 @pytest.mark.parametrize("down", [(0, 8192, 0), (0, -8192, 0), (5000, -5000, 0), (8192, 0, 0)])
 def test_free_floor_does_not_depend_on_the_roll_of_the_camera(down: tuple[int, int, int]) -> None:
-    """Upside down, the image is that of an upright camera rotated by half; on its side, unknown."""
+    """The image of a camera upside down is rotated by 180°; on its side, free floor is unknown."""
     cells = column(*floor(500, 900, 1400, 1900, 2400, 2900, 3400, 3600), None)
     arrays = {k: np.array([v, v]).T for k, v in cells.items()}
     right, drop = np.array([[-7, 7]] * 9), np.full((9, 2), DROP)
@@ -157,14 +157,14 @@ def test_a_narrow_drop_is_a_reflection() -> None:
     "beyond",
     [
         ((1500, -300), (1700, -300)),  # too few cells
-        ((1500, -40), (1700, -80), (1900, -130)),  # gradually: a far floor that is bowed
-        ((1500, -300), (1501, -500), (1502, -700)),  # upright: a mirrored object
-        ((1500, -300), "1600", (1700, -300)),  # there is an obstacle
+        ((1500, -40), (1700, -80), (1900, -130)),  # a gradual descent: a bowed far floor
+        ((1500, -300), (1501, -500), (1502, -700)),  # an upright surface: a mirrored object
+        ((1500, -300), "1600", (1700, -300)),  # an obstacle in between
         ((1500, -300), (1600, -300), (1700, -300), (1750, 0), (1900, 0)),  # floor continues beyond
-        ((7000, -900), (7400, -940), (7900, -980), (2000, 0)),  # floor beyond a gap, but nearer
+        ((7000, -900), (7400, -940), (7900, -980), (2000, 0)),  # floor above the cells, but nearer
     ],
 )
-def test_cells_that_are_not_a_drop(beyond: tuple) -> None:
+def test_cells_beyond_the_floor_that_are_not_a_drop(beyond: tuple) -> None:
     _, end = found(*[column(*floor(500, 900, 1300), *beyond)] * WIDE)
     assert FreeEnd.DROP not in end
 
@@ -234,10 +234,10 @@ def test_narrow_grids_are_supported(count: int) -> None:
     [
         ([900, 500, 550, 950], "uuuu", [-1, 0, 0, -1]),
         ([900, 500, 550, 850], "uuuu", [-1, -1, -1, -1]),  # not deeper than the minimum
-        ([900, 500, 550, 950], "uudu", [-1, -1, -1, -1]),  # a drop is a known reason
-        ([900, 500, 0, 950], "uuuu", [-1, -1, -1, -1]),  # no floor is visible in one of them
+        ([900, 500, 550, 950], "uudu", [-1, -1, -1, -1]),  # the floor ends at a drop
+        ([900, 500, 0, 950], "uuuu", [-1, -1, -1, -1]),  # one column has no visible floor
         ([500, 100, 100, 500, 900, 590, 950, 900], "uuuuuuuu", [-1, 0, 0, -1, -1, 1, -1, -1]),
-        ([900, 500, 500], "uuu", [-1, -1, -1]),  # the image ends
+        ([900, 500, 500], "uuu", [-1, -1, -1]),  # at the edge of the image
         ([500, 900, 500], "uuu", [-1, -1, -1]),
         ([900, 500, 950], "rur", [-1, 0, -1]),
         ([900], "u", [-1]),
@@ -250,7 +250,7 @@ def test_deep_notches_are_found(ahead: list[int], ends: str, want: list[int]) ->
     assert notches(end[::-1], np.array(ahead[::-1]), 300)[::-1].max() == max(want)
 
 
-def test_obstacles_in_notches() -> None:
+def test_enough_cells_behind_a_notch_are_an_obstacle() -> None:
     label = np.array([[-1, -1, -1, 0, -1], [-1, -1, -1, -1, -1], [-1, -1, -1, -1, -1]])
     notch, ahead = np.array([0, -1, 1, 1, 2]), np.array([500, 900, 500, 600, 400])
     forward = np.array(

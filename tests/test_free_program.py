@@ -32,7 +32,7 @@ pytestmark = pytest.mark.twin
 
 
 def pixels_of(batch: Batch, share: float) -> np.ndarray:
-    """Return nearest pixels for a fraction of the cells: mostly the cell's depth, some nearer."""
+    """Return depths of nearest pixels for a fraction of the cells, some nearer than their cell."""
     z = batch.grid.z
     rng = np.random.default_rng(z.size)
     part = rng.choice([0.3, 0.9, 1.0], z.shape, p=[0.1, 0.1, 0.8])
@@ -40,7 +40,7 @@ def pixels_of(batch: Batch, share: float) -> np.ndarray:
 
 
 def on_rays(batch: Batch, frame: np.ndarray) -> Batch:
-    """Return the same cells, moved to the positions of their rays and depths over a floor."""
+    """Return the batch with cells at the positions given by their rays and depths over a floor."""
     camera = batch.calibration.depth
     found, rays = [], cell_rays(camera, cell_side(camera, SURFACES.surface.cell_rad))
     for one in batch.found:

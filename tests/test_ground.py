@@ -31,7 +31,7 @@ CALIBRATION = Calibration(CAMERA)
 
 
 def kept(backend: ModuleType, z: np.ndarray, plane: GroundPlane, *given: Any) -> np.ndarray:
-    """Return the mask of features kept, given one at every pixel of images of z ``(B, H, W)``."""
+    """Return the mask of kept features, for a feature at every pixel of z images ``(B, H, W)``."""
     found = backend.ground(at_every_pixel(z), plane, *given)
     return np.asarray(found.kept).reshape(z.shape)
 
@@ -88,8 +88,8 @@ def test_an_exact_tie_is_floor(backend):
 
 @BACKENDS
 def test_the_step_height_grows_with_depth(backend):
-    # A level camera 0.62 m up: at 2 m the floor ends 0.05 + 2 * 0.01 m high, 16.5 px under the
-    # axis, at 4 m 0.09 m high, 7.95 px under it.
+    # A level camera is 0.62 m up. At 2 m, the step height is 0.05 + 2 * 0.01 m, 16.5 px below the
+    # axis; at 4 m, it is 0.09 m, 7.95 px below the axis.
     config = replace(WIDE, ground=replace(WIDE.ground, step_height_per_m=0.01))
     z = np.zeros((2, 48, 64), np.uint16)
     z[0], z[1] = 2000, 4000
@@ -122,7 +122,7 @@ def test_tilted_floor_is_dropped_and_higher_points_are_kept(pitch, roll):
 @pytest.mark.parametrize("slope", [0.1, 0.4, -0.1, -0.4])
 @pytest.mark.parametrize(("pitch", "roll"), [(0.1, 0.0), (0.3, -0.1), (0.7, 0.05)])
 def test_a_ramp_begins_where_rays_meet_it(pitch, roll, slope):
-    """The limit is the smallest depth at most a step above the plane or the ramp."""
+    """The limit is the depth from which a ray is at most a step above the plane or the ramp."""
     start, step = 0.9, 0.05
     ramp = {"ramp_start": np.array([start]), "ramp_slope": np.array([slope])}
     (limits,), _ = floor_limits(

@@ -66,7 +66,7 @@ def test_tables_are_not_cut_at_the_width_of_the_terminal(columns):
 UNLESS_THERE = "test -e drive.mcap || "
 """Prefix of commands that make the log unless an earlier page made it."""
 SIM = "sim drive.mcap --frames 8 --width 320"
-"""Command of the page that makes the log which other pages use."""
+"""Command that makes the log which the other pages use."""
 
 
 def blocks(text: str) -> Iterator[tuple[str, str]]:
@@ -202,7 +202,7 @@ def rows(name: str, section: str) -> list[list[str]]:
 
 
 def type_name(field: pa.Field) -> str:
-    """Return the name of a type on the page."""
+    """Return the name that the page uses for the type of a field."""
     kind, null = field.type, ", nullable" if field.nullable else ""
     many = ""
     if pa.types.is_fixed_size_list(kind):

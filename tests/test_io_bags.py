@@ -170,7 +170,7 @@ def test_damaged_db3_accounts_for_every_message(db3, tmp_path, where, torn):
 
 @pytest.mark.parametrize("answer", ["SELECT 1 WHERE 0", "SELECT -1, 1, 1, NULL, 1"])
 def test_queries_of_a_damaged_db3_end(db3, monkeypatch, answer):
-    """The query for all rows fails, those for single rows return none or an earlier one."""
+    """The query for all rows fails; queries for single rows return no row or an earlier one."""
     query = SqliteFile.query
 
     def damaged(self: SqliteFile, text: str, values: Any = ()) -> Any:

@@ -12,7 +12,7 @@ from tests.bombs import BOMBS
 from tests.io_helpers import write_log
 
 MOST_S, MOST_MIB = 10, 1024
-"""Limit of the CPU time of the process [s]."""
+"""Limits of a process: CPU time [s] and memory [MiB]."""
 SAID = {
     "schema_memory": "",
     "schema_text": "its schema has 14155787 bytes",

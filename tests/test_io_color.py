@@ -365,7 +365,7 @@ def test_aligned_depth_of_half_the_size_has_scaled_intrinsics(tmp_path):
         np.testing.assert_array_equal(frames.color, scene.color)
 
 
-def test_the_mount_comes_from_the_colour_camera_if_tf_has_only_that(tmp_path):
+def test_the_mount_comes_from_the_colour_camera_if_tf_lacks_the_depth_camera(tmp_path):
     scene = make_scene(3)
     with LogFile(tmp_path / "x.mcap") as log:
         write_calibration(log, tf=False)

@@ -43,7 +43,7 @@ def aligned(tmp_path_factory: pytest.TempPathFactory) -> list[Message]:
 
 @pytest.fixture(scope="module")
 def raw(tmp_path_factory: pytest.TempPathFactory) -> list[Message]:
-    """Return messages of a simulated log whose depth camera differs, with its pose in TF."""
+    """Return messages of a simulated log with a separate depth camera, whose pose is in TF."""
     path = tmp_path_factory.mktemp("sim") / "raw.mcap"
     config = SimConfig(frames=6, width=160, height=120, depth_form="raw", extrinsics="tf")
     write_log(path, config)
@@ -67,7 +67,7 @@ def same(found: np.ndarray | None, expected: np.ndarray | None, atol: float = 1e
 
 
 def moved_by(number: int) -> Change:
-    """Move the odometry of a robot, so that it is that of another robot."""
+    """Move the odometry of a robot, to make another robot of it."""
 
     def change(message: Message) -> None:
         if message.topic == "/tf":

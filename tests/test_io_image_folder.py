@@ -203,7 +203,7 @@ def test_changes_of_a_folder_while_reading_are_reported(tmp_path):
 
 
 def test_results_record_the_image_folder(tmp_path):
-    """The folder is found again, a copy is the same log, and results cannot be written into it."""
+    """The folder is found again, a copy counts as the same log, and results in it are refused."""
     folder = write_tum(tmp_path / "room")
 
     def results(output: Path) -> Path:
@@ -359,7 +359,7 @@ ARKIT_POSES = [(0.1 * i, 1.5, -0.2 * i) for i in range(3)]
 
 
 def assert_phone_poses(log: Log) -> None:
-    """Assert that the camera looks along +y of the world, keeps its x, and z is up."""
+    """Assert that the camera looks along y of a world with z up, at unchanged x."""
     assert log.T_world_camera is not None
     rotation = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]
     for T, (x, y, z) in zip(log.T_world_camera, ARKIT_POSES, strict=True):

@@ -239,7 +239,7 @@ def slow_rvl(stream: bytes, size: int) -> list[int] | None:
 
 
 def assert_rvl(stream: bytes, height: int, width: int) -> None:
-    """Assert that RVL is decoded or refused as by :func:`slow_rvl`, within its memory."""
+    """Assert that RVL is decoded or refused as by :func:`slow_rvl`, and writes only its image."""
     expected = slow_rvl(stream, height * width)
     batch = np.full((3, height, width), 99, np.uint16)
     if expected is None:

@@ -341,7 +341,7 @@ def test_damage_of_chunks_that_are_not_decoded_causes_a_scan(tmp_path, damaged):
             read_all(log)
 
 
-def test_a_log_opened_in_a_worker_does_not_read_the_index(tmp_path, monkeypatch):
+def test_a_log_sent_to_a_worker_does_not_read_the_index_again(tmp_path, monkeypatch):
     path = long_log(tmp_path / "x.mcap", 60)
     with open_only(str(path)) as log:
         expected = read_all(log)

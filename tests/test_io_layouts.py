@@ -32,7 +32,7 @@ class Layout(NamedTuple):
     """Depth of the simulated log: ``raw`` (of another camera), ``aligned`` or ``both``."""
     color: str
     depth: str
-    """Topics of images; for ``both`` the aligned ones."""
+    """Topics of images; if ``form`` is ``both``, ``depth`` is aligned depth."""
     camera: str
     """Name of the camera."""
     frame: str
@@ -52,7 +52,7 @@ class Layout(NamedTuple):
     """Topics and encodings of images that are neither colour nor depth."""
     rate_hz: float = 30.0
     colors: int = 1
-    """Every how many colour images one was recorded."""
+    """Recorded colour images: every ``colors``-th."""
     odom: str = "/odom"
     poses: str = "TF"
     """Source of poses: TF or a topic of odometry; empty if there are none."""

@@ -79,7 +79,7 @@ def test_interpolation_equals_slerp():
     sample_ns = np.cumsum(random.integers(10 * MS, 90 * MS, 40))
     rotations = Rotation.random(40, rng=1)
     samples = np.concatenate([random.normal(size=(40, 3)), rotations.as_quat()], axis=1)
-    samples[::3, 3:] *= -1  # the same rotations
+    samples[::3, 3:] *= -1  # negated quaternions are the same rotations
     at = np.sort(random.integers(sample_ns[0], sample_ns[-1], 200))
     T = interpolate(at, sample_ns, samples)
     expected = Slerp(sample_ns / 1e9, rotations)(at / 1e9).as_matrix()
@@ -195,7 +195,7 @@ def test_images_with_equal_timestamps_are_ordered_by_log_time(tmp_path):
         for number, at in (
             (1, START + 9_000_000),
             (0, START + 5_000_000),
-        ):  # the later one is first
+        ):  # the image with the later log time is written first
             log.ros(DEPTH, ros_image(scene.depth[number], "16UC1", START, DEPTH_FRAME), at)
             log.ros(COLOR, ros_image(scene.color[number], "rgb8", START, COLOR_FRAME), at)
     for scan in (False, True):

@@ -175,7 +175,7 @@ def test_files_matched_twice_by_a_glob_are_read_once(tmp_path, pattern):
     assert logs[0].note.count("a.db3 is left out") == logs[0].note.count("b.svo is left out") == 1
 
 
-def test_splits_next_to_a_single_one_are_found(tmp_path):
+def test_the_other_splits_of_a_given_split_are_found(tmp_path):
     touch(tmp_path, "run_0.mcap", "run_2.mcap", "run_1.mcap", "other_0.mcap")
     [log] = find_logs([str(tmp_path / "run_1.mcap")])
     assert log.name == "run_1"
@@ -207,7 +207,7 @@ def test_opening_one_of_many_numbered_recordings_reads_few_files(tmp_path, monke
     ],
 )
 def test_a_split_that_exists_in_another_format_is_left_out(tmp_path, monkeypatch, names, taken):
-    """It is kept if only files of other times are in the other format.
+    """The split is kept if the files in the other format are of other times.
 
     Split ``n`` covers second ``n``, the MCAP file ``y_0`` the first three seconds.
     """

@@ -130,7 +130,7 @@ def test_an_empty_range_is_an_error_that_names_the_span_of_the_log(log_path):
 
 
 def test_only_the_chunks_of_a_part_are_read(log_path, tmp_path, monkeypatch):
-    monkeypatch.setattr("jaxdet.io.windows._LOOKS", 8)  # no samples at frame 40
+    monkeypatch.setattr("jaxdet.io.windows._LOOKS", 8)  # frame 40 is not among the samples
     with log_path.open("rb") as file:
         summary = make_reader(file).get_summary()
     assert summary is not None

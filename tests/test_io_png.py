@@ -117,7 +117,7 @@ def test_each_kind_and_filter_equals_opencv(kind, dtype, shape, filters):
 
 @pytest.mark.parametrize("shape", [(1, 40), (16, 16), (15, 33), (17, 31), (33, 15), (50, 70)])
 def test_depth_of_any_size_and_filters_equals_opencv(shape):
-    """The decoder processes sixteen lines together, each a pixel behind the previous one."""
+    """The decoder processes sixteen lines together, each delayed by a pixel."""
     for _ in range(20):
         pixels = random_pixels(shape, "grey", np.uint16)
         data = encode(pixels, RANDOM.integers(0, 5, shape[0]).tolist(), "grey")

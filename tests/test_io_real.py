@@ -49,7 +49,7 @@ def test_recorded_logs_without_depth_are_clear_errors(shared_data):
 
 
 def test_recorded_logs_are_equal_by_index_and_by_scan(shared_data):
-    """``test_a_recorded_unaligned_log_is_read`` covers the remaining one."""
+    """``test_a_recorded_unaligned_log_is_read`` covers the log in ``aims_slam``."""
     found = 0
     for path in sorted(shared_data.rglob("*.mcap")):
         if path.parent.name not in ("mcap_real", "aims_slam"):

@@ -111,7 +111,7 @@ def test_missing_checksums_are_reported_once(tmp_path):
 
 
 def test_a_chunk_missing_in_the_index_is_reported(tmp_path):
-    """The chunk is between two known ones; the statistics count it."""
+    """The chunk lies between two indexed chunks, and the statistics count it."""
     path = write_format("raw", tmp_path / "x.mcap")
     data = path.read_bytes()
     item = chunks(data)[3]
@@ -179,7 +179,7 @@ def test_a_topic_may_have_messages_of_several_types(tmp_path):
 
 
 def other_calibration(path: Path, changed: range, K: tuple[float, ...]) -> Path:
-    """Write a log with a CameraInfo per depth image, which differs in a range."""
+    """Write a log with a CameraInfo per depth image; those of ``changed`` have matrix ``K``."""
     with LogFile(path, chunk_size=9000) as log:
         write_calibration(log)
         for number in range(8):
@@ -495,7 +495,7 @@ def test_video_is_refused_with_its_format(tmp_path):
 
 @pytest.mark.parametrize("bad", [(20, 30), (1, 30)], ids=["later", "looked_at"])
 def test_undecodable_transforms_are_counted(tmp_path, monkeypatch, bad):
-    """If it is not read when the log is opened, the log is scanned."""
+    """If such transforms are not read when the log is opened, the log is scanned."""
     monkeypatch.setattr(indexed, "_MAX_MOTIONS", 0)
     monkeypatch.setattr(indexed, "FIRST_MOTIONS", 4)
     monkeypatch.setattr(indexed, "_MOTION_SAMPLE", 2)

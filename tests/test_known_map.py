@@ -69,7 +69,7 @@ def test_unknown_cells_behind_an_outline_of_the_map_belong_to_it(tmp_path: Path)
     folder = by_hand(tmp_path / "r", FRAMES)
     grid = Grid(np.full((120, 120), FREE, np.int8), (-1.0, -3.0), 0.05)
     column, row = np.floor(grid.places(np.array([1.5, -LEFT[0]]))).astype(int)
-    grid.states[row - 8 : row + 9, column - 7] = OCCUPIED  # 35 cm in front of the left thing
+    grid.states[row - 8 : row + 9, column - 7] = OCCUPIED  # 35 cm in front of the left object
     for behind, expected in ((FREE, False), (UNKNOWN, True)):
         grid.states[row - 8 : row + 9, column - 6 : column + 12] = behind
         track_results(folder, TrackConfig(min_frames=1), known=grid)
@@ -77,7 +77,7 @@ def test_unknown_cells_behind_an_outline_of_the_map_belong_to_it(tmp_path: Path)
         assert links == [expected, False] * 6
 
 
-def test_a_changed_copy_of_the_map_is_a_finding(tmp_path: Path) -> None:
+def test_verify_finds_a_changed_copy_of_the_map(tmp_path: Path) -> None:
     folder, known = by_hand(tmp_path / "r", FRAMES), save_map(tmp_path)
     track_results(folder, TrackConfig(min_frames=1), known=read_map(known))
     grid = read_map(folder / "known_map.yaml")

@@ -96,8 +96,8 @@ def test_detections_are_matches_false_positives_or_ignored() -> None:
         [0, 0, 9, 9],  # match
         [20, 0, 29, 9],  # matches an object that is not required
         [42, 0, 60, 9],  # IoU 8 / 21
-        [110, 0, 125, 9],  # 10 of 16 columns ignored
-        [115, 0, 130, 9],  # 5 of 16
+        [110, 0, 125, 9],  # 10 of 16 columns are in the ignored box
+        [115, 0, 130, 9],  # 5 of 16 columns are in the ignored box
         [0, 0, -1, -1],  # outside of the image
     ])  # fmt: skip
     required = np.array([True, False, True])

@@ -35,7 +35,7 @@ def test_imitation_changes_what_libraries_compute():
     assert all(a != b for a, b in zip(here, there, strict=True))
 
 
-def test_functions_are_the_same_on_other_machines():
+def test_functions_return_the_same_on_other_machines():
     here = printed([FUNCTIONS], {})
     assert here == GOLDEN.read_text().splitlines()
     for environment in (PLAINEST, {"NPY_DISABLE_CPU_FEATURES": " ".join(V4)}):
@@ -43,7 +43,7 @@ def test_functions_are_the_same_on_other_machines():
 
 
 @pytest.mark.slow
-def test_functions_are_the_same_in_all_combinations():
+def test_functions_return_the_same_in_all_environments():
     here = printed([FUNCTIONS], {})
     for environment in filter(can_run, environments()):
         assert printed([FUNCTIONS], environment) == here, environment

@@ -83,7 +83,7 @@ def test_colour_and_transparent_pictures_are_read_and_other_modes_refused(tmp_pa
 
 
 def test_yaml_of_other_programs_is_read(tmp_path: Path) -> None:
-    """It has comments, quotes, multi-line lists and other keys."""
+    """Such YAML has comments, quotes, multi-line lists and additional keys."""
     save(tmp_path)
     (tmp_path / "map.yaml").write_text(
         "# a map\nimage: 'map.pgm'  # next to it\nresolution: 0.05\norigin:\n  - -1.0\n"
@@ -168,7 +168,7 @@ def test_missing_files_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[s
 
 @pytest.mark.parametrize("yaw", [0.0, 0.7, -2.0])
 def test_distances_to_the_map_equal_a_search_over_all_cells(yaw: float) -> None:
-    """They agree within one cell."""
+    """The distances agree within one cell."""
     rng = np.random.default_rng(1)
     states = np.where(rng.random((30, 40)) < 0.01, OCCUPIED, FREE).astype(np.int8)
     grid = Grid(states, (2.0, -3.0), 0.05, yaw)
@@ -184,7 +184,7 @@ def test_distances_to_the_map_equal_a_search_over_all_cells(yaw: float) -> None:
     assert not KnownPlaces(grid).near(np.array([[np.nan, 0], [1e9, 0]]), np.ones(2)).any()
 
 
-def test_unknown_places_of_a_map() -> None:
+def test_only_points_inside_of_unknown_cells_of_a_map_are_unknown() -> None:
     states = np.array([[FREE, UNKNOWN], [OCCUPIED, FREE]], np.int8)
     known = KnownPlaces(Grid(states, (2.0, -3.0), 0.5))
     points = [(2.6, -2.9), (2.1, -2.9), (2.1, -2.4), (3.1, -2.9), (2.6, -3.1), (np.nan, -2.9)]

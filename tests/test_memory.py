@@ -149,7 +149,7 @@ def test_less_memory_reduces_workers_first_and_batches_second():
 
 
 def test_larger_chunks_reduce_the_workers():
-    """The last worker may read the largest chunks."""
+    """The fewer workers remain, the larger chunks each may read."""
     memory = Memory("2GiB", 8)
     seen = [(memory.workers, memory.reading.chunk)]
     while memory := memory.with_fewer_workers():
@@ -170,7 +170,7 @@ def test_the_limit_of_chunks_follows_the_memory():
 
 
 def test_a_worker_in_addition_to_this_process_is_counted():
-    """Such a worker is used after a run that crashed, if memory permits."""
+    """After a run that crashed, a log is read by a separate worker if memory permits."""
     whole, apart = Memory("1GiB", 1), Memory("1GiB", 1, apart=True)
     assert apart.apart and whole.room - apart.room == PARENT + WORKER - ALONE
     assert not Memory("704MiB", 1, apart=True).apart
@@ -205,8 +205,8 @@ def test_a_log_of_large_chunks_is_read_by_fewer_workers(tmp_path, monkeypatch, e
     )
 
 
-def test_splits_read_only_for_transforms_have_the_same_limit(tmp_path):
-    """Static transforms that are found do not depend on the memory."""
+def test_split_files_read_only_for_transforms_have_the_same_limit(tmp_path):
+    """The static transforms that are found do not depend on the available memory."""
     scene = make_scene(12)
     for number in (0, 1):
         with LogFile(tmp_path / f"a_{number}.mcap", chunk_size=100_000) as log:

@@ -60,7 +60,7 @@ def test_contours_come_without_their_padding() -> None:
     np.testing.assert_array_equal(points, np.concatenate(expected))
 
 
-def test_no_vertex_extends_away_from_the_camera() -> None:
+def test_without_a_vertex_the_rectangle_extends_away_from_the_camera() -> None:
     found = corners((-300, 1000), (300, 1000), (0, 990))
     np.testing.assert_allclose(found, [[-0.3, 1], [0.3, 1], [0.3, 1.2], [-0.3, 1.2]])
 
@@ -80,7 +80,7 @@ def test_slanted_edge_extends_along_its_normal() -> None:
     np.testing.assert_allclose(found[2] - found[1], found[3] - found[0])
 
 
-def test_vertex_gives_the_parallel_through_c() -> None:
+def test_a_vertex_gives_a_parallel_of_ab_through_c() -> None:
     found = corners((-300, 1200), (300, 1200), (50, 1000), True)
     np.testing.assert_allclose(found, [[-0.3, 1.2], [0.3, 1.2], [0.3, 1.0], [-0.3, 1.0]])
 
@@ -122,7 +122,7 @@ def pose(yaw: float, pitch: float, roll: float, position: tuple) -> np.ndarray:
 
 @pytest.mark.parametrize("yaw", [0.0, 0.7, np.pi / 2, -2.0, np.pi])
 @pytest.mark.parametrize(("pitch", "roll"), [(0, 0), (0.33, -0.17)])
-def test_world_is_the_rigid_transform(yaw: float, pitch: float, roll: float) -> None:
+def test_world_positions_equal_the_rigid_transform(yaw: float, pitch: float, roll: float) -> None:
     T = pose(yaw, pitch, roll, (2.0, -1.0, 0.6))
     sin, cos = metric.world_angle(T)
     theta = np.pi / 2 - yaw
@@ -134,13 +134,13 @@ def test_world_is_the_rigid_transform(yaw: float, pitch: float, roll: float) -> 
     np.testing.assert_allclose(found, expected, atol=3e-3)
 
 
-def test_straight_down_uses_the_image_up() -> None:
+def test_the_heading_of_a_camera_looking_straight_down_is_the_top_of_its_image() -> None:
     T = np.eye(4)
     T[:3, :3] = [[0, -1, 0], [-1, 0, 0], [0, 0, -1]]  # image up is world +X
     assert metric.world_angle(T) == (1.0, 0.0)
 
 
-def test_unknown_pose_is_nan() -> None:
+def test_positions_for_an_unknown_pose_are_nan() -> None:
     found = metric.to_world(np.zeros((1, 2, 4, 2)), np.full((1, 4, 4), np.nan))
     assert np.isnan(found).all()
 
@@ -158,7 +158,7 @@ def test_distance_is_that_of_the_nearest_point():
         ([(-1, 2), (1, 2), (1, 3), (-1, 3)], 2.0),
         ([(1, 3), (1, 2), (-1, 2), (-1, 3)], 2.0),  # reversed
         ([(3, 4), (5, 4), (5, 6), (3, 6)], 5.0),  # a corner
-        ([(-1, -1), (1, -1), (1, 1), (-1, 1)], 0.0),  # the camera stands on it
+        ([(-1, -1), (1, -1), (1, 1), (-1, 1)], 0.0),  # the camera is inside
         ([(3, 4)] * 4, 5.0),  # a point
         ([(-2, 0), (2, 4), (0, 6), (-4, 2)], 2**0.5),
     ],

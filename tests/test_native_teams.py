@@ -45,7 +45,7 @@ class Case(NamedTuple):
 
 
 def simulated() -> Iterator[Case]:
-    """Yield ramps, with and without a prior."""
+    """Yield frames with ramps, with and without a prior."""
     shown = list(sample_frames("ramps", 300, 4, width=320, height=240, depth_error=1.0))
     depth, calibration = np.stack([one.depth for one in shown]), calibration_of(shown[0].config)
     for plane in (level(4, 0.4, 0.1), unknown_plane(4)):
@@ -53,7 +53,7 @@ def simulated() -> Iterator[Case]:
 
 
 def odd() -> Iterator[Case]:
-    """Yield sizes with remainders, lenses, another camera for the boxes, noise."""
+    """Yield noise and smooth depth of unusual sizes, of separate colour cameras and of lenses."""
     cameras = [small(263, 195), small(33, 20), small(9, 8)]
     for lens in ("plumb_bob", "rational", "inverse"):
         cameras.append(Calibration(with_lens(resized(D435_DEPTH, 161, 119), lens)))
@@ -84,7 +84,7 @@ def test_steps_stay_within_their_memory(tmp_path: Path) -> None:
 
 
 def check(program: Path, cases: Iterator[Case] | list[Case]) -> None:
-    """Compare each step with the compiled kernels, on the kernels' results of the steps before."""
+    """Compare each step with the compiled kernels; both start from results of the kernels."""
     device = device_of_jax(kernels)
     for case in cases:
         config, unit = Config(), case.calibration.depth_unit
@@ -112,7 +112,7 @@ def compiled(arrays: list[np.ndarray], step: int, static: _program.Static) -> li
 def by_itself(
     program: Path, arrays: list[np.ndarray], step: int, static: _program.Static
 ) -> list[np.ndarray]:
-    """Return the same arrays from the separate program."""
+    """Run a step in the separate program; return the arrays that :func:`compiled` returns."""
     depth, case = arrays[0], program.with_name("case")
     head = [step, len(depth), depth[0].size, *static, *(a.nbytes for a in arrays)]
     case.write_bytes(np.array(head, np.int32).tobytes() + b"".join(a.tobytes() for a in arrays))

@@ -51,7 +51,7 @@ class Picture:
         return obstacles(self.label, self.free, self.view, FAR, UNIT, config)
 
     def numbers(self, config: ObstacleConfig = CONFIG) -> list[int]:
-        """Return the obstacle of each surface, as painted; all cells of a surface have the same."""
+        """Return the obstacle of each painted surface; assert that its cells have the same."""
         label = self.found(config)
         each = [np.unique(label[self.label == n]) for n in range(self.label.max() + 1)]
         assert all(len(one) == 1 for one in each)
@@ -91,14 +91,14 @@ def test_visible_background_separates_objects() -> None:
     assert left != right
 
 
-def test_two_objects_behind_a_pole_at_different_distances() -> None:
+def test_two_objects_behind_a_pole_at_different_distances_are_two_obstacles() -> None:
     picture = Picture().paint(TALL, slice(30, 55), 2000).paint(TALL, slice(60, 85), 2600)
     picture.paint(slice(0, 24), slice(55, 60), 1200)
     assert picture.numbers() == [1, 2, 0]
 
 
 def test_surfaces_too_far_apart_are_not_compared() -> None:
-    """The two parts are 0.1 m apart behind the pole."""
+    """Two parts are 0.1 m apart behind a pole; the limit is 0.05 m."""
     picture = Picture().paint(TALL, slice(30, 55), 2000).paint(TALL, slice(60, 85), 2000)
     picture.paint(slice(0, 24), slice(55, 60), 1200)
     assert picture.numbers(replace(CONFIG, lateral_gap_m=0.05)) == [1, 2, 0]
@@ -240,7 +240,7 @@ def test_numbers_are_sorted_by_the_nearest_point_without_gaps(things: list[tuple
 
 @given(spans)
 def test_mirrored_frames_have_mirrored_obstacles(things: list[tuple]) -> None:
-    """They are equal except for the order of ties."""
+    """The obstacles are equal except for the order of ties."""
     picture = drawn(things)
     config = replace(CONFIG, bend_m=0.0)
     label = picture.found(config)

@@ -32,7 +32,7 @@ def test_map_counts_do_not_depend_on_order() -> None:
 
 
 def test_a_map_with_a_changed_byte_is_refused_or_differs(tmp_path: Path) -> None:
-    """Fields of zip files, such as versions and encryption, raise various errors in Python."""
+    """Python raises various errors for changed fields of a zip file; each is an InputError here."""
     drawn, path = OccupancyMap(), tmp_path / "map.npz"
     drawn.add(square(0.0, 0.0))
     image = drawn.image()
@@ -49,7 +49,7 @@ def test_a_map_with_a_changed_byte_is_refused_or_differs(tmp_path: Path) -> None
 
 
 def test_a_map_has_no_bytes_that_depend_on_the_version_of_python(tmp_path: Path) -> None:
-    """Entries declared as large have another version in their heads since Python 3.11.4."""
+    """Since Python 3.11.4, zip entries declared as large have another version in their headers."""
     image = MapImage(
         np.ones((2, 3), np.int32), np.ones((2, 3), np.int32), (1.0, 2.0), CELL_M, np.zeros((1, 2))
     )

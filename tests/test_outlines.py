@@ -43,12 +43,12 @@ def degrees_of(direction: np.ndarray) -> float:
 
 
 def lengths(span: np.ndarray, direction: np.ndarray) -> np.ndarray:
-    """Return the lengths along and across, in the unit of the points."""
+    """Return the lengths of a span along and across its direction, in the unit of the points."""
     return (span[1::2] - span[::2]) / np.linalg.norm(direction)
 
 
 def fitted(direction: np.ndarray, span: np.ndarray) -> Obstacles:
-    """Return one obstacle with this direction and span."""
+    """Return an obstacle whose outline has this direction and span."""
     pair, point = np.zeros((1, 1, 2), np.int32), np.zeros((1, 1, 3), np.int32)
     count, vertex = np.ones((1, 1), np.int32), np.zeros((1, 1), bool)
     outline = direction[None, None].astype(np.int32), span[None, None].astype(np.int32)
@@ -190,7 +190,7 @@ def test_an_object_only_in_a_margin_is_measured_there() -> None:
 
 
 def test_the_margin_grows_with_the_square_of_z() -> None:
-    """At 2 m it is 1 cm plus four times 5 mm."""
+    """At 2 m, the margin is 1 cm plus four times 5 mm."""
     one = fitted(np.array([512, 0]), 512 * np.array([-100, 500, 2000, 2300]))
     one = one._replace(xyz_min=np.array([[[-100, 0, 2000]]], np.int32))
     config = FootprintConfig(margin_m=0.01, margin_per_m2=0.005)
@@ -291,7 +291,7 @@ def test_the_rectangle_holds_all_points(points: np.ndarray) -> None:
 @given(clouds)
 def test_no_direction_has_the_contour_nearer_to_the_visible_edges(points: np.ndarray) -> None:
     def cost(c: int, s: int) -> int:
-        """Return the cost of edges that face the camera at the origin, none if it is inside."""
+        """Return the cost of edges facing the camera at the origin; huge if it is inside."""
         away = [[1 << 40] * len(points)]
         for axis in ((c, s), (-s, c)):
             places = [axis[0] * x + axis[1] * y for x, y in points.tolist()]

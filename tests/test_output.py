@@ -37,7 +37,7 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def done(logs: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return their results."""
+    """Return the results of :func:`logs`."""
     output = tmp_path_factory.mktemp("done") / "out"
     assert not run_logs(logs, output, **HOW).failed
     return output

@@ -61,7 +61,7 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def mask(tmp_path: Path) -> Path:
-    """Return the mask of the arm, an image."""
+    """Return the path of an image that masks the arm."""
     image = np.full((120, 160, 3), (0, 0, 255), np.uint8)
     image[ARM] = 0
     cv2.imwrite(str(path := tmp_path / "mask.png"), image)

@@ -104,7 +104,7 @@ def test_without_tf_the_floor_is_sampled_only_if_the_camera_is_fixed() -> None:
     assert words(decide([0.3] * 4, source="estimate", tf=True)) == ["log"] * 4
 
 
-def test_each_time_window_is_decided_separately() -> None:
+def test_the_prior_of_each_time_window_is_decided_separately() -> None:
     heights, own = [0.3] * 4 + [0.5] * 4, [True] * 7 + [False]
     planes = decide(heights, own, window_s=0.2)
     assert words(planes, 9) == ["window"] * 6 + ["none"] * 3

@@ -94,7 +94,7 @@ def test_twin_with_large_images_and_lenses(device, name, lens, depth_size, color
 
 
 def test_results_do_not_change_with_images_in_aligned_memory():
-    """Such images are read in place; results must not change when the images do afterwards."""
+    """Such images are read in place; results must not change if the images are changed later."""
     made = aligned_frames(2, 96, 61)
     memory = np.zeros(made.depth.nbytes + 64, np.uint8)
     start = -memory.ctypes.data % 64

@@ -39,7 +39,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     run_logs(folder / "logs", folder / "results", backend="reference", pictures=1)
     rows = _rows(folder, "frames")
     for row in rows:
-        row["color_stamp_ns"] += 85  # lost in float64
+        row["color_stamp_ns"] += 85  # digits that float64 would lose
     for i, status in ((2, "timeout"), (5, "no_depth"), (9, "timeout"), (10, "timeout")):
         rows[i] |= {"status": status, "free_bearing_rad": None, "free_to_m": None}
         rows[i]["color_stamp_ns"] = None

@@ -84,11 +84,11 @@ def test_bearings_equal_arctan2(right: int, forward: int) -> None:
     assert abs((apart + TURN / 2) % TURN - TURN / 2) <= 1 or right == forward == 0
 
 
-def test_half_a_cell_of_a_d435_in_rays() -> None:
+def test_half_a_cell_of_a_d435_has_the_angle_in_use() -> None:
     assert pytest.approx(1.5 / 380, rel=0.02) == HALF / (1 << 13)
 
 
-def test_corners_of_tiles() -> None:
+def test_corners_of_tiles_lie_between_their_cells() -> None:
     corners = tile_corners(CELLS)
     rows = [*range(0, ROWS, TILE), ROWS]
     assert corners.shape == (2, len(rows), COLUMNS + 1)
@@ -97,7 +97,7 @@ def test_corners_of_tiles() -> None:
     assert tile_corners(np.ones((2, 1, 1), np.int64)).tolist() == [[[1, 1]] * 2] * 2
 
 
-def test_directions_of_rays() -> None:
+def test_rays_ahead_and_to_the_right_have_exact_directions() -> None:
     ahead, edges = ray_directions()
     assert ahead[AHEAD].tolist() == [0, 8192] and ahead[AHEAD + RAYS // 4].tolist() == [8192, 0]
     assert edges[AHEAD, 0] < 0 < edges[AHEAD + 1, 0]
@@ -124,13 +124,13 @@ def test_a_shorter_column_extends_halfway_to_its_neighbours() -> None:
 
 
 def test_a_ray_of_a_pitched_camera_leaves_its_column() -> None:
-    """Farther out it meets the shadow of what ends the floor of an adjacent column."""
+    """Farther out the ray enters a column whose floor ends nearer, at an obstacle."""
     columns = 81
     stop, end = [3000] * columns, [FreeEnd.RANGE] * columns
     stop[60:70], end[60:70] = [1000] * 10, [FreeEnd.OBSTACLE] * 10
     free, why = found(fan(stop, end, behind=500))
     meets = np.flatnonzero((free[:, 1] > 1100) & (free[:, 1] < 2800))
-    meets = meets[np.abs(meets - AHEAD - 44) < 20]  # others meet the sides of the image
+    meets = meets[np.abs(meets - AHEAD - 44) < 20]  # other rays leave the image at its sides
     assert len(meets) >= 4 and (why[meets] == FreeEnd.UNKNOWN).all()
     bearing = np.radians((meets - AHEAD) / 4)
     right, forward = free[meets, 1] * np.array([np.sin(bearing), np.cos(bearing)])
@@ -194,7 +194,7 @@ def test_floor_on_both_sides_of_the_foot_begins_at_the_foot() -> None:
     assert end[0] == FreeEnd.UNKNOWN
 
 
-def test_no_columns_and_no_obstacles() -> None:
+def test_without_columns_and_obstacles_no_floor_is_free() -> None:
     free, end = found((np.zeros((9, 2, 2), np.int32), np.zeros(9, np.int32)))
     assert not free.any() and not end.any()
 

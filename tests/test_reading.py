@@ -171,7 +171,7 @@ def test_logs_that_are_not_finished_are_not_listed(folder: Path, tmp_path: Path)
 
 
 def test_names_in_received_results_cannot_leave_the_folder(folder: Path, tmp_path: Path) -> None:
-    """They are refused before a file is read or written."""
+    """Such names are refused before a file is read or written."""
     copy = copied(folder, tmp_path / "copy")
     summary = json.loads((copy / "summary.json").read_text("utf-8"))
     summary["logs"][0] |= {

@@ -154,7 +154,7 @@ def test_bent_floor_has_no_front() -> None:
 
 
 def test_at_the_margins_floor_measured_too_near_has_no_front() -> None:
-    """A strip is at the left margin, in the middle and at the right margin; then an upright one."""
+    """Sloping strips at the margins are removed; a strip in the middle and upright ones remain."""
     label, height = np.full((4, 24), -1), np.zeros((4, 24), int)
     label[:2, :2], label[:2, 11:13], label[:2, 22:] = 0, 1, 2
     height[label >= 0] = 60

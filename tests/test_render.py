@@ -90,7 +90,7 @@ def test_without_colour_the_picture_shows_depth(why: str) -> None:
         "other size": {"color": frames.color[:, ::2, ::2]},
     }[why]
     calibration = frames.calibration
-    if why == "other size":  # its relation to depth is unknown
+    if why == "other size":  # its alignment with depth is unknown
         calibration = Calibration(calibration.depth)
     given = frames._replace(**shown, calibration=calibration)
     assert not camera.has_color(given, 0) and camera.has_color(frames, 0)
@@ -101,7 +101,7 @@ def test_without_colour_the_picture_shows_depth(why: str) -> None:
     assert has_color(image, canvas.color_of(0)) and not has_color(image, canvas.color_of(1))
 
 
-def test_near_is_warm_and_far_is_cold() -> None:
+def test_near_depth_has_warm_colours_and_far_depth_cold_ones() -> None:
     depth = np.array([[0, 200, 1000, 3900, 60000]], np.uint16)
     none, near, middle, far, beyond = camera.depth_picture(depth, 0.001, 0.15, 4.0)[0].astype(int)
     assert not none.any() and near[0] > 150 > near[2] and far[2] > far[0]

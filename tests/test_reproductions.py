@@ -87,7 +87,7 @@ def test_number_of_failed_logs_is_reported(log: Path, tmp_path: Path, capsys: Ca
 
 @pytest.mark.parametrize("name, value", [("z", -5), ("x", 400_000)])
 def test_points_outside_of_any_camera_are_clustered_alike(name: str, value: int) -> None:
-    """Such points once caused a crash."""
+    """Both backends agree; such points once caused a crash."""
     config = jaxdet.preset("paper")
     depth = np.full((1, 60, 80), 1500, np.uint16)
     color = np.random.default_rng(0).integers(0, 255, (1, 60, 80, 3), np.uint8)

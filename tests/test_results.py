@@ -156,7 +156,7 @@ def test_lost_frames_are_reported_as_a_problem():
 
 
 def test_a_problem_names_its_log(monkeypatch):
-    """It does so even if the error is about another file, such as ground truth."""
+    """The log is named even if the error is about another file, such as ground truth."""
     monkeypatch.chdir("/")
     log = {"log": "day", "paths": ["/logs/day_0.mcap"], "error": "logs/day_0.mcap: is torn"}
     folder = {"log": "room", "paths": ["/logs/room"], "error": "logs/room/rgb/1.png: is torn"}

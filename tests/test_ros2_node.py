@@ -74,7 +74,7 @@ def test_messages_equal_those_of_the_export(driven_results, frames, tmp_path, mo
     assert any(message.detections for message in node.published["/jaxdet/detections"])
 
 
-def test_topics_qos_and_parameters(monkeypatch):
+def test_node_declares_topics_qos_and_parameters(monkeypatch):
     node = install(monkeypatch)
     ObstacleNode(node)
     newest = {"depth": 1, "reliability": "best_effort"}

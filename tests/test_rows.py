@@ -297,7 +297,7 @@ def test_lengths_of_the_preset_paper_refer_to_the_colour_camera() -> None:
     np.testing.assert_allclose(frame["camera_position_world"][0].as_py(), depth[:3, 3])
 
 
-def test_the_timestamp_of_colour_does_not_depend_on_reading_it() -> None:
+def test_the_timestamp_of_colour_does_not_depend_on_whether_colour_is_read() -> None:
     batch = boxes()._replace(nearest_color_ns=np.array([7, -1, 9]))
     found = row_inputs(detect(batch.frames, Config(), backend="reference"))
     want = [7, None, 9]

@@ -42,9 +42,9 @@ def shares_of(folder: Path, frames: list, ends: int = 0) -> list[tuple]:
         ([FOUND] * 4, (1.0, 0.0)),
         ([FOUND] * 4 + [FLOOR] * 4, (0.5, 0.5)),
         ([FOUND] + [FLOOR] * 9, (0.1, 0.9)),
-        ([FOUND] + [SHORT] * 9, (1.0, 0.0)),  # not measured
-        ([FOUND] + [FLOOR] + [BEFORE_IT] * 8, (0.5, 0.5)),  # hidden by something nearer
-        ([FLOOR] * 9 + [FOUND] * 3, (1.0, 0.0)),  # put down later
+        ([FOUND] + [SHORT] * 9, (1.0, 0.0)),  # position not measured
+        ([FOUND] + [FLOOR] + [BEFORE_IT] * 8, (0.5, 0.5)),  # hidden by a nearer object
+        ([FLOOR] * 9 + [FOUND] * 3, (1.0, 0.0)),  # placed there later
         ([FLOOR] * 9 + [FOUND] * 3 + [FLOOR], (0.75, 0.25)),
         ([FOUND] + [(*FLOOR, NO_POSE), (*FLOOR, NO_FLOOR)] * 4, (1.0, 0.0)),
     ],

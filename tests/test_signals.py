@@ -22,7 +22,7 @@ guard_process()
 print("ready", flush=True)
 {body}
 """
-"""Code of a separate process."""
+"""Code of a separate process, which runs ``body`` under a guard."""
 NATIVE = "with stops_raised():\n    while True: ctypes.CDLL(None).sleep(30)"
 """Calls of native code that release the GIL, outside of jaxdet."""
 HELD = """

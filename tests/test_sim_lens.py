@@ -34,13 +34,13 @@ def test_a_bow_is_smooth_and_grows_with_z_squared():
     core = slice(40, -40), slice(40, -40)
     ratio = np.nanstd(far[core]) / np.nanstd(near[core])
     assert ratio == pytest.approx((4 / 1.5) ** 2, rel=0.15)
-    # A step of the disparity is 2.6 cm at 4 m; beyond it neighbours agree.
+    # Neighbours agree within a step of the disparity, which is 2.6 cm at 4 m.
     assert np.nanmax(np.abs(np.diff(far[core], axis=1))) < 0.03
     np.testing.assert_array_equal(far, errors_at(4.0, sensor, seed=5))
     assert np.nanstd(far - errors_at(4.0, sensor, specimen=1)) > 0.01
 
 
-def test_margins_have_holes_and_are_bent():
+def test_image_margins_have_holes_and_depth_distortion():
     sensor = DepthSensor(**QUIET, margin=0.1, margin_bend_px=4.0, margin_dropout=0.5)
     rng = np.random.default_rng(0)
     error, torn = bend((480, 640), CONSTANT, sensor, rng, 3)
@@ -115,7 +115,7 @@ def test_reflections_are_ghosts_below_the_floor():
     assert (np.abs(depth - frame.truth.depth)[floor] < 0.1 * depth[floor]).all()
 
 
-def test_panes_show_the_background():
+def test_glass_panes_show_the_background():
     pane = Box((1.5, 0.0), (0.02, 3.0, 3.0), texture=CLEAR_GLASS, name="pane")
     floor = Texture("asphalt")
     frame, depth = measured(room(pane, floor=floor), DepthSensor(**QUIET, pane_holes=0.4))

@@ -42,7 +42,7 @@ def no_caches(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.delenv(name)
 
 
-def test_the_folders_follow_the_environment(no_caches, monkeypatch, tmp_path):
+def test_environment_variables_choose_the_folders(no_caches, monkeypatch, tmp_path):
     monkeypatch.setenv("HOME", str(tmp_path))
     found = cache_folders()
     assert found.jax and found.jax.is_relative_to(tmp_path / ".cache" / "jaxdet")
@@ -59,7 +59,7 @@ def test_the_folders_follow_the_environment(no_caches, monkeypatch, tmp_path):
     assert cache_folders() == Caches(None, tmp_path / "warp")
 
 
-def test_a_folder_that_cannot_be_made_is_not_used(no_caches, monkeypatch, tmp_path):
+def test_a_folder_that_cannot_be_created_is_not_used(no_caches, monkeypatch, tmp_path):
     (tmp_path / "file").touch()
     monkeypatch.setenv("JAXDET_CACHE", str(tmp_path / "file"))
     config: Any = jax.config
@@ -98,7 +98,7 @@ def test_a_folder_of_another_user_is_not_used(no_caches, monkeypatch, tmp_path):
     assert cache_folders().warp != tmp_path
 
 
-def test_made_folders_are_private(no_caches, monkeypatch, tmp_path):
+def test_created_folders_are_private(no_caches, monkeypatch, tmp_path):
     monkeypatch.setenv("JAXDET_CACHE", str(tmp_path / "cache"))
     before = os.umask(0)
     try:

@@ -164,7 +164,7 @@ def test_twin_with_more_surfaces_than_max_surfaces():
 
 
 def test_twin_on_bent_floor():
-    """A strip at a margin rises gently from the floor, and another one is measured too near."""
+    """A strip at a margin rises gently from the floor; another strip is measured too near."""
     height, z = np.zeros((20, 80), int), np.tile(2000 - 40 * np.arange(20)[:, None], (1, 80))
     height[:15, :9] = 60 + 5 * np.arange(15, 0, -1)[:, None]
     height[15, :9] = 45

@@ -38,7 +38,7 @@ def test_adjacent_units_go_to_the_same_worker():
     for units in taken(UnitQueue(UNITS, 3), [0, 1, 2]).values():
         apart = sum(a.stop != b.start for a, b in pairwise(units))
         assert len(units) > 10
-        assert apart <= 3  # from large to small units, and after the own units are done
+        assert apart <= 3  # from large to small units, and to units of others
 
 
 def test_large_units_are_taken_first():
@@ -47,7 +47,7 @@ def test_large_units_are_taken_first():
 
 
 def test_an_idle_worker_takes_the_later_half_of_the_units_of_another():
-    queue = UnitQueue(UNITS[:8], 2)  # runs of 4
+    queue = UnitQueue(UNITS[:8], 2)  # four adjacent units per worker
     assert [queue.take(0) for _ in range(4)] == UNITS[:4]
     assert queue.take(0) == UNITS[6]
     assert [queue.take(1) for _ in range(2)] == UNITS[4:6]

@@ -114,7 +114,7 @@ def test_the_number_of_threads_is_that_of_cores_or_of_xla(monkeypatch):
     [("150000 100000", 2), ("20000 100000", 1), ("100000000 100000", 64), ("max 100000", 64)],
 )
 def test_cores_of_a_control_group_are_rounded_up(tmp_path, monkeypatch, text, most):
-    """1.5 cores count as two: one may be idle at times, but none is lost."""
+    """A limit of 1.5 cores counts as two: a core may be idle at times, but none is unused."""
     monkeypatch.setattr(jaxdet.cores, "_QUOTA", tmp_path / "cpu.max")
     monkeypatch.setattr(os, "sched_getaffinity", lambda process: set(range(64)), raising=False)
     assert cores() == 64  # no such file

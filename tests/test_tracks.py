@@ -40,7 +40,7 @@ def corners_of(x: float, y: float, size: tuple[float, float] = PERSON, yaw: floa
 
 
 def in_picture(boxes: np.ndarray) -> dict[str, np.ndarray]:
-    """Return image columns (of 640) of outlines ``(N, 8)`` in the camera frame, and x."""
+    """Return ranges of image columns (of 640), and of x, of outlines ``(N, 8)``."""
     right, forward = boxes[:, ::2], boxes[:, 1::2]
     u = np.clip(320 + 400 * right / np.maximum(forward, 0.1), 0, 639)
     low, high = right.min(axis=1, initial=99), right.max(axis=1, initial=-99)
@@ -140,7 +140,7 @@ def test_swapped_sides_of_an_outline_do_not_disturb_a_track():
 
 
 def test_crossing_people_keep_their_tracks():
-    """They pass at a distance of 0.6 m and change their order."""
+    """Two people pass each other at a distance of 0.6 m and change their order."""
     frames = []
     for f in range(45):
         along = f / RATE_HZ - 1.5
@@ -154,7 +154,7 @@ def test_crossing_people_keep_their_tracks():
 
 @pytest.mark.parametrize(("hidden_s", "count"), [(2.4, 1), (2.6, 2)])
 def test_an_object_hidden_for_too_long_has_a_new_track(hidden_s, count):
-    """It reappears at the same position."""
+    """The object reappears at the same position."""
     box, hidden = [corners_of(2, 0)], round(hidden_s * RATE_HZ)
     tracks, of = follow([box] * 10 + [[]] * (hidden - 1) + [box] * 10)
     assert len(tracks) == count and of[0] == [0] and of[-1] == [count - 1]
@@ -255,14 +255,14 @@ def test_a_track_continues_with_the_fragment_that_lasts():
 
 
 def test_an_object_that_becomes_visible_is_not_moving():
-    """Its visible part grows at one end."""
+    """The visible part of the object grows at one end."""
     frames = [[corners_of(2, 0.25 + f / 40, (0.5, 0.5 + f / 20))] for f in range(30)]
     (shelf,), _ = follow(frames)
     assert not shelf.moving
 
 
 def test_an_implausibly_fast_object_is_not_moving():
-    """It shifts by 0.3 m in each of four observations at 15 Hz."""
+    """The object shifts by 0.3 m in each of four observations at 15 Hz."""
     frames = [[corners_of(0.3 * f, 3.0)] for f in range(4)]
     (track,), _ = follow(frames)
     assert not track.moving and not track.mean_speed_mps
@@ -271,8 +271,8 @@ def test_an_implausibly_fast_object_is_not_moving():
 
 
 def test_a_track_longer_than_its_pieces_equals_one_piece():
-    """One object stands for five pieces, then walks; another walks all the time. Their trajectories
-    equal those in one window."""
+    """One object stands for five pieces, then walks; another walks all the time. The trajectories
+    equal those computed in one window."""
     count = 5 * PIECE_FRAMES + 100
     swing = np.sin(np.arange(count) / 40)
     frames = []
@@ -294,7 +294,7 @@ def test_a_track_longer_than_its_pieces_equals_one_piece():
 
 
 def test_pieces_are_fitted_like_a_complete_track():
-    """This holds after a gap, and while other tracks are not in pieces yet."""
+    """Pieces are also fitted after a gap, and while other tracks are not in pieces yet."""
     frames = []
     for f in range(4000):
         seldom = [corners_of(4, float(np.sin(f / 400)))] * (f % 42 < 8 and f > 600)
@@ -335,7 +335,7 @@ def test_tracks_are_numbered_in_order_over_many_windows():
 
 @pytest.mark.parametrize("seen", [(19,), (18, 20), (17, 19)])
 def test_an_object_that_returns_at_the_end_of_a_window_keeps_its_track(seen):
-    """It is observed once or more often in that window."""
+    """The object is observed once or twice near the end of the first window."""
     frames, expected = [], []
     for f in range(60):
         there = f < 8 or f in seen or f > 21
@@ -347,14 +347,14 @@ def test_an_object_that_returns_at_the_end_of_a_window_keeps_its_track(seen):
 
 
 def test_memory_of_tracking_with_a_standing_camera_is_bounded():
-    """It is bounded for objects that are always visible and for intermittent ones."""
+    """The bound holds for objects that are always visible and for intermittently visible ones."""
     config, tracker = TrackConfig(), Tracker(TrackConfig())
     window, boxes = 512, np.array([corners_of(2 * k, 0) for k in range(6)], np.float32)
     kept, rows = [], 0
     for start in range(0, 40 * window, window):
         frame = start + np.arange(window)
         stamps = (frame / RATE_HZ * 1e9).astype(np.int64)
-        # One of six is visible in every second period of 4 s, another one most of the time.
+        # One of six objects is visible in every second period of 4 s, another most of the time.
         there = np.ones((window, 6), bool)
         there[:, 5] = frame // 60 % 2 > 0
         there[:, 4] = frame % (6 * window) > 60
@@ -373,7 +373,7 @@ def test_memory_of_tracking_with_a_standing_camera_is_bounded():
         state = (frames, tracker.stamps, ids.ids, ids._counts, ids._rows)
         state += tracker.begin, tracker.pieces
         kept.append([*map(len, state), sum(len(piece.path) for piece in pieces)])
-        # The last 1,024 of more than 2,048 frames wait.
+        # If more than 2,048 frames wait, all but the last 1,024 form a piece.
         assert {piece.num_frames for piece in tracker.pieces.get(0, ())} <= {3 * window}
         assert all(track.path.shape == (1, 2) for track in tracks)
     limit = 6 * (2 * PIECE_FRAMES + window + RATE_HZ * (config.smooth_s + config.max_gap_s))

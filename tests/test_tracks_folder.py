@@ -100,7 +100,7 @@ def test_a_run_stopped_while_tracking_is_resumed(tmp_path: Path, monkeypatch, ca
 
 
 def test_other_files_are_kept(folder: Path, tmp_path: Path):
-    """Their names do not matter."""
+    """Files that jaxdet did not write are kept, whatever their names."""
     copy = shutil.copytree(folder.parent, tmp_path / "copy")
     own = copy / folder.name / "mine.png"
     own.write_bytes(b"mine")

@@ -58,12 +58,12 @@ SIDE = corners_of(0, 0, (1.0, 0.6))
 @pytest.mark.parametrize(
     ("other", "bottoms", "one"),
     [
-        (corners_of(0.55, 0, (0.5, 0.6)), (0, 0), False),  # 0.2 of 0.5 m overlap
+        (corners_of(0.55, 0, (0.5, 0.6)), (0, 0), False),  # overlap of 0.2 m of 0.5 m
         (corners_of(0.54, 0, (0.5, 0.6)), (0, 0), True),
         (corners_of(0, 0.36, (0.9, 0.3)), (0, 0), False),
-        (corners_of(0.84, 0, (0.5, 0.6)), (0, 0.26), True),  # 0.09 m from it
+        (corners_of(0.84, 0, (0.5, 0.6)), (0, 0.26), True),  # 0.09 m away
         (corners_of(0.84, 0, (0.5, 0.6)), (0, 0.24), False),
-        (corners_of(0.84, 0, (0.5, 0.6)), (0.5, 0), False),  # the larger one is above the floor
+        (corners_of(0.84, 0, (0.5, 0.6)), (0.5, 0), False),  # the larger part is above the floor
         (corners_of(0.86, 0, (0.5, 0.6)), (0, 0.26), False),
         (corners_of(0, 0, (1.59, 0.6)), (0, 0), True),
         (corners_of(0, 0, (1.61, 0.6)), (0, 0), False),
@@ -96,7 +96,7 @@ def test_parts_with_a_hidden_foot_are_not_above_the_floor(columns, distance, one
 
 
 def test_observation_of_several_obstacles_by_hand():
-    """Their rectangle has the orientation of the one with most cells."""
+    """The rectangle of the observation has the orientation of the obstacle with most cells."""
     boxes = [corners_of(0, 3, (0.4, 0.2)), SIDE, corners_of(0.1, 3.1, (0.2, 0.2), np.pi / 6)]
     seen = in_frames(
         [[*boxes, corners_of(0, 3, (0.1, 0.1))], boxes[:1]],
@@ -137,7 +137,7 @@ def test_observation_of_several_obstacles_by_hand():
         ((329, 400), 1, (False, True)),
         ((330, 400), 1, (False, False)),
         ((100, 400), 1, (True, True)),
-        ((192, 320), 1, (False, False)),  # exactly in front of it
+        ((192, 320), 1, (False, False)),  # exactly in front of the object
         ((100, 400), 2, (False, False)),
     ],
 )
@@ -161,11 +161,11 @@ def test_hidden_sides_are_extrapolated():
         (0, 0.3, R, 0.1),
         (2, 0.4, L, 0),
         (0, 0.5, no, 0),
-        (0, 0.2, L, -0.1),  # at most twice the visible width
+        (0, 0.2, L, -0.1),  # extended to at most twice the visible width
         (1, 0.5, no, 0),
         (0, 0.7, no, 0),
         (0, 0.2, both, 0),
-        (0, 0.6, R, 0),  # wider than usual
+        (0, 0.6, R, 0),  # wider than the usual width
         (1, 0.3, R, 0),  # two complete ones are too few
         (3, 0.8, no, 0),
         (3, 0.8, no, 0),
@@ -187,7 +187,7 @@ def test_hidden_sides_are_extrapolated():
 
 
 def linked(frames: list[list[list[float]]], first: int = 0, **other: object) -> list[int]:
-    """Return the previous observation of each, after the first pass."""
+    """Return the previous observation of each observation, found by ``link_frames``."""
     things = in_frames(frames, **other)
     return link_frames(things, np.full(len(things.frame), -1), first, TrackConfig()).tolist()
 
@@ -195,13 +195,13 @@ def linked(frames: list[list[list[float]]], first: int = 0, **other: object) -> 
 @pytest.mark.parametrize(
     ("other", "is_linked"),
     [
-        (corners_of(0.49, 2), True),  # 0.3 m and 0.2 m at 3 m/s
+        (corners_of(0.49, 2), True),  # limit: 0.3 m, plus 0.2 m at 3 m/s
         (corners_of(0.51, 2), False),
-        (corners_of(0.36, 2.36), False),  # 0.51 m
+        (corners_of(0.36, 2.36), False),  # moved by 0.51 m
         (corners_of(0.34, 2.34), True),
-        (corners_of(0.52, 2, (1.54, 0.4)), True),  # its left edge stays
+        (corners_of(0.52, 2, (1.54, 0.4)), True),  # the left edge does not move
         (corners_of(0.8, 2, (0.5, 2.0)), False),
-        (corners_of(0.5, 2.5, (1, 1), np.pi / 4), False),  # 0.52 m along its own side
+        (corners_of(0.5, 2.5, (1, 1), np.pi / 4), False),  # moved by 0.52 m along a side
     ],
 )
 def test_observations_are_linked_if_their_edges_move_little(other, is_linked):
@@ -227,7 +227,7 @@ def test_each_observation_is_linked_at_most_once():
     assert linked([[line], [line, box]]) == [-1, 0, -1]
 
 
-PAIR = corners_of(0, 2), corners_of(0.59, 2)  # 0.09 m from each other
+PAIR = corners_of(0, 2), corners_of(0.59, 2)  # a gap of 0.09 m
 
 
 @pytest.mark.parametrize(
@@ -235,17 +235,17 @@ PAIR = corners_of(0, 2), corners_of(0.59, 2)  # 0.09 m from each other
     [
         (4, PAIR, 3, 9, True),
         (5, PAIR, 3, 9, True),
-        (6, PAIR, 3, 9, False),  # not lost within three frames
+        (6, PAIR, 3, 9, False),  # both are visible in four frames
         (4, PAIR, 3, 5, True),
-        (4, PAIR, 3, 4, False),  # does not outlast it
-        (2, PAIR, 0, 9, False),  # both begin at once
+        (4, PAIR, 3, 4, False),  # both end in frame 4
+        (2, PAIR, 0, 9, False),  # both begin in frame 0
         (4, (corners_of(0, 2), corners_of(0.61, 2)), 3, 9, False),
         (4, (corners_of(0, 2), corners_of(0.59, 2, (0.5, 1.7))), 3, 9, False),
         (4, (corners_of(0, 2, (0.5, 1.7)), corners_of(0.59, 2)), 3, 9, False),
     ],
 )
 def test_tracklets_that_end_as_a_fragment(ends, pair, begins, lasts, cut):
-    """One is visible from frame 0 to ``ends``, one next to it from ``begins`` to ``lasts``."""
+    """A tracklet from frame 0 to ``ends`` is next to one from ``begins`` to ``lasts``."""
     shapes, last = (*pair, corners_of(0, 9)), {}
     spans = (0, ends), (begins, lasts), (0, 9)
     there = [[k for k, (a, b) in enumerate(spans) if a <= f <= b] for f in range(10)]
@@ -323,11 +323,11 @@ STANDS, WALKS = walk(0, 0, 10), walk(-0.9, 1.0, 10)  # both end at x = 0 in fram
 @pytest.mark.parametrize(
     ("one", "other", "begins", "is_linked"),
     [
-        (STANDS, walk(0.84, 0, 10), 19, True),  # 0.35 m and half of one
+        (STANDS, walk(0.84, 0, 10), 19, True),  # limit: 0.35 m + 0.5 m/s * 1 s
         (STANDS, walk(0.86, 0, 10), 19, False),
         (STANDS, walk(0.59, 0, 10), 14, True),
         (STANDS, walk(0.61, 0, 10), 14, False),
-        (STANDS, walk(0, 0, 10), 34, True),  # 2.5 s
+        (STANDS, walk(0, 0, 10), 34, True),  # a gap of 2.5 s
         (STANDS, walk(0, 0, 10), 35, False),
         (STANDS, walk(0, 0, 2), 19, True),
         (STANDS, walk(0, 0, 1), 19, False),
@@ -335,14 +335,14 @@ STANDS, WALKS = walk(0, 0, 10), walk(-0.9, 1.0, 10)  # both end at x = 0 in fram
         (WALKS, walk(1.5, 1.0, 10), 19, True),  # 0.75 m/s for a second
         (WALKS, walk(1.7, 1.0, 10), 19, False),
         (WALKS, walk(-0.2, 1.0, 10), 19, False),
-        (WALKS, walk(0.2, 1.0, 10), 9, False),  # both are in that frame
+        (WALKS, walk(0.2, 1.0, 10), 9, False),  # both are visible in frame 9
         ([*walk(0, 0, 10), *WALKS], walk(1.5, 1.0, 10), 29, True),
         (WALKS, [*walk(1.5, 1.0, 10), *walk(2.4, 0, 10)], 19, True),
         (WALKS, walk(1.5, 0, 10), 19, False),
         (STANDS, walk(1.5, 1.0, 10), 19, False),
     ],
 )
-def test_gaps_over_which_tracklets_continue(one, other, begins, is_linked):
+def test_tracklets_continue_over_gaps_if_position_and_speed_fit(one, other, begins, is_linked):
     assert goes_on((0, one), (begins, other)) == [-1, 0 if is_linked else -1]
 
 
@@ -350,7 +350,7 @@ def test_the_best_tracklet_is_continued():
     here, aside, far = walk(0, 0, 10), walk(0.1, 0, 10), walk(50, 0, 31)
     broad = [corners_of(0, 2, (1, 0.8))] * 10
     assert goes_on((0, here), (15, broad), (15, aside)) == [-1, -1, 0]
-    # Tracklets that end later start before it.
+    # Other tracklets start earlier, and end after the new one starts.
     assert goes_on((0, far), (0, far), (3, here), (20, here)) == [-1, -1, -1, 2]
     _, _, own = chains_of((0, here), (15, here))
     begins = int(np.flatnonzero(own)[0])
@@ -384,7 +384,7 @@ JUMPS = np.arange(60) % 2 - 0.5
         (0.34 * STEPS, 0.5 + 0.34 * STEPS, True),
         (0.28 * STEPS, 0.5 + 0.28 * STEPS, False),
         (0.18 * STEPS, 0.5 + 0.6 * STEPS, True),
-        (0.12 * STEPS, 0.5 + 0.6 * STEPS, False),  # grows
+        (0.12 * STEPS, 0.5 + 0.6 * STEPS, False),  # only one end moves enough
         (0.7 * STEPS + 0.8 * JUMPS, 1 + 0.7 * STEPS + 0.8 * JUMPS, True),
         (0.33 * STEPS + 0.8 * JUMPS, 1 + 0.33 * STEPS + 0.8 * JUMPS, False),
         # Longer than 1.6 m.
@@ -392,7 +392,7 @@ JUMPS = np.arange(60) % 2 - 0.5
         (0.38 * STEPS, 2 + 0.38 * STEPS, False),
         (-1.0 * STEPS, 1.7 + STEPS, False),
         (-1.6 * STEPS, 1.7 + 3.2 * STEPS, False),
-        (0.32 * STEPS + 0.4 * JUMPS, 1.7 + 0.32 * STEPS, False),  # in half of the frames
+        (0.32 * STEPS + 0.4 * JUMPS, 1.7 + 0.32 * STEPS, False),  # jumps in half of them
         (1.0 * STEPS + 0.4 * JUMPS, 2 + STEPS + 0.4 * JUMPS, True),
         (0.5 * STEPS + 0.4 * JUMPS, 2 + 0.5 * STEPS + 0.4 * JUMPS, False),
         (3.0 * STEPS + 0.6 * JUMPS, 2 + 3 * STEPS + 0.6 * JUMPS, False),
@@ -493,7 +493,7 @@ def test_numbers_of_tracks_by_hand():
     (none,) = numbers.take()
     assert none.dtype == np.int32 and not len(none)
     assert numbers.ids == {3: 2} and numbers.is_track(3)
-    # A finished chain is kept as long as its track waits for others.
+    # A finished chain is kept while its observations wait for other chains.
     assert add(3, 4, 4) == [] and numbers.is_track(3)
     numbers.end([3])
     assert numbers.take() == [] and add(4) == [[2, 3, 3], [3]]
@@ -548,7 +548,7 @@ def test_a_track_of_several_pieces_by_hand():
 @given(st.integers(0, 10**6))
 @settings(max_examples=30, deadline=None)
 def test_greedy_matching_takes_the_cheapest_pairs_first(seed):
-    """It equals a loop; with one pair per row it is the optimal assignment."""
+    """Matches equal those of a loop; with one pair per row they are the optimal assignment."""
     rng = np.random.default_rng(seed)
     count = int(rng.integers(1, 12))
     a, b = rng.integers(0, 6, (2, count))

@@ -130,7 +130,7 @@ def test_results_of_a_scanned_log_have_no_findings(tmp_path: Path) -> None:
     with log.open("rb") as file:
         summary = make_reader(file).get_summary()
     assert summary is not None
-    chunk = summary.chunk_indexes[-FRAMES]  # a depth image that is not read by opening
+    chunk = summary.chunk_indexes[-FRAMES]  # its depth image is not read on opening
     data = bytearray(log.read_bytes())
     data[chunk.chunk_start_offset + chunk.chunk_length - 9] ^= 0xFF
     log.write_bytes(data)
@@ -197,7 +197,7 @@ def test_swapped_units_are_found(results: Path) -> None:
 
 
 def test_swapped_contents_are_found(results: Path) -> None:
-    """Keys and checksums fit, so only the reference and the tracks reveal it."""
+    """Keys and checksums fit, so only the reference and the tracks reveal the change."""
     tables = read(results)
     frames = tables["frames.parquet"]
     order = [*range(4, 8), *range(4), *range(8, frames.num_rows)]
@@ -299,7 +299,7 @@ def test_figures_that_differ_from_the_rows_are_found(results: Path) -> None:
 
 
 def test_another_log_is_found(whole: Path, tmp_path: Path) -> None:
-    """The other log has as many frames at the same times."""
+    """The other log has equally many frames with equal timestamps."""
     other = SimConfig(frames=FRAMES, width=96, height=72, seed=5)
     write_log(tmp_path / "a.mcap", other)
     report = verify(whole, [str(tmp_path / "a.mcap")], sample=2)
@@ -399,7 +399,7 @@ def test_tracks_are_computed_again(results: Path, capsys: Any) -> None:
 
 
 def test_tracks_of_other_obstacles_are_found(results: Path, tmp_path: Path) -> None:
-    """Tracks with other settings are right if the settings are recorded."""
+    """Tracks of recorded settings are accepted even if these are not the defaults."""
     track_results(results, TrackConfig(min_frames=2))
     assert not verify(results, sample=0).findings
     other = shutil.copytree(results, tmp_path / "other")

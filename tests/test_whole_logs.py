@@ -89,7 +89,7 @@ def same_tables(one: Path, other: Path) -> None:
 def test_workers_process_complete_logs(folder, alone, shared, tmp_path):
     summary = run(folder, tmp_path / "a", workers=2)
     assert not summary.failed and summary.workers == 2
-    assert len(shared) <= 1  # of five, which two workers can't do in equal times
+    assert len(shared) <= 1  # at most one of the five logs is split
     same_results(alone, tmp_path / "a")
 
 
@@ -172,7 +172,7 @@ def test_large_logs_are_split_among_workers():
 
 @pytest.mark.usefixtures("complete")
 def test_a_gpu_keeps_the_images_of_cameras_apart(tmp_path, monkeypatch):
-    """Images have one size, and memory of one camera is reused for the other."""
+    """All images have one size, so memory of one camera is reused for another camera."""
     (folder := tmp_path / "logs").mkdir()
     cameras = {"depth_form": "aligned"}, {"extrinsics": "topic"}, {"extrinsics": "tf"}
     for seed in range(6):
@@ -186,7 +186,7 @@ def test_a_gpu_keeps_the_images_of_cameras_apart(tmp_path, monkeypatch):
 
 
 def test_a_gpu_finds_that_a_camera_is_upside_down(tmp_path, monkeypatch):
-    """Images of the sample are turned over, so they are of another camera than the others."""
+    """Sampled images are rotated by 180 degrees and so processed as those of another camera."""
     (folder := tmp_path / "logs").mkdir()
     for seed in range(3):
         config = SimConfig(frames=FRAMES, width=96, height=72, seed=seed, camera_roll_rad=math.pi)
@@ -215,12 +215,12 @@ def test_a_gpu_computes_after_a_log_that_fewer_workers_share(
         on_this_machine(monkeypatch)
         summary = run(folder, tmp_path / "a", workers=2)
     assert not summary.failed
-    assert shared[0] == "log_e" and len(shared) == 3  # the pool of the first log has ended
+    assert shared[0] == "log_e" and len(shared) == 3  # the workers of the first log have ended
     same_results(alone, tmp_path / "a")
 
 
 @pytest.mark.usefixtures("complete")
-def test_logs_of_several_cameras_may_be_among_others(folder, shared, tmp_path):
+def test_logs_with_several_cameras_can_be_mixed_with_logs_of_one(folder, shared, tmp_path):
     logs = shutil.copytree(folder, tmp_path / "logs")
     cameras = {"rear": folder / "log_a.mcap", "front": folder / "log_c.mcap"}
     join_cameras(cameras, logs / "log_bb.mcap")

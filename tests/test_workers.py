@@ -258,13 +258,13 @@ def test_a_worker_that_searches_many_floors_is_not_timed_out(monkeypatch):
     config = Config(ground=GroundConfig(source="estimate", window_s=1.0))
     job = executors.FloorJob(SlowLog(), config, "reference")
     with pool.Pool("reference") as workers:
-        workers.call(Sleep(), 0.0, "")  # it has started
+        workers.call(Sleep(), 0.0, "")  # starts the worker
         monkeypatch.setattr(pool, "NO_PROGRESS_S", 7.0)
         planes = workers.call(job, 1, "")
     assert len(planes.windows) == 32
 
 
-def test_time_asleep_does_not_count_for_timeouts(monkeypatch):
+def test_time_while_the_machine_sleeps_does_not_count_for_timeouts(monkeypatch):
     times = iter((0.0, 5000.0))
     monkeypatch.setattr(pool, "time", SimpleNamespace(monotonic=lambda: next(times)))
     monkeypatch.setattr(pool, "wait", lambda pipes, seconds: [])
@@ -334,7 +334,9 @@ def test_units_contain_each_frame_once(frames, workers):
 
 
 @pytest.mark.parametrize(("preset", "workers", "size"), [("wheeled", 3, 4), ("paper", 1, 5)])
-def test_a_device_server_gives_equal_bytes(sim_logs, tmp_path, monkeypatch, preset, workers, size):
+def test_a_device_server_returns_equal_bytes(
+    sim_logs, tmp_path, monkeypatch, preset, workers, size
+):
     config = PRESETS[preset]
     observers = {"odd": Odd(), "score": TruthScore(sim_logs[0], config)}
     with jax.default_device(jax.devices("cpu")[0]):
@@ -379,7 +381,7 @@ def test_memory_of_batches_is_bounded(width, height, batch_size, want):
     there.close()
 
 
-def test_memory_includes_colour_for_the_preset_paper():
+def test_memory_of_batches_includes_colour_for_the_preset_paper():
     camera = Intrinsics(64, 48, 60.0, 60.0, 32.0, 24.0)
     wide = Intrinsics(80, 50, 60.0, 60.0, 40.0, 25.0)
     still = Extrinsics((1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0), (0.0, 0.0, 0.0))
@@ -401,7 +403,7 @@ def test_memory_includes_colour_for_the_preset_paper():
         there.close()
 
 
-def test_an_error_of_the_device_server_is_that_of_the_log(sim_logs, tmp_path, monkeypatch):
+def test_a_failure_of_the_device_server_is_the_error_of_each_log(sim_logs, tmp_path, monkeypatch):
     on_this_machine(monkeypatch)
 
     def fails(*_: Any) -> None:
@@ -507,7 +509,7 @@ def descendants(pid: int | str) -> list[str]:
 def left_over(before: set[str]) -> set[str]:
     """Return new shared memory and semaphores that no running process uses.
 
-    Those of other programs are in use.
+    Memory and semaphores of other programs are in use.
     """
     left = set(os.listdir("/dev/shm")) - before
     for maps in Path("/proc").glob("[0-9]*/maps"):
@@ -518,7 +520,7 @@ def left_over(before: set[str]) -> set[str]:
 
 
 def command(logs: list[Path], output: Path, temporary: Path) -> subprocess.CompletedProcess[str]:
-    """Run with workers in a separate process with its own folder for temporary files."""
+    """Run the command with workers, in a process with its own folder for temporary files."""
     words = ["run", *map(str, logs), "--output", str(output), "--workers", "2", "--pictures", "0"]
     words += ["--backend", "reference", "--quiet"]
     return subprocess.run(
@@ -542,14 +544,14 @@ def test_a_temporary_folder_with_too_long_a_name_is_an_error(sim_logs, tmp_path)
 
 
 def test_a_run_with_workers_leaves_no_temporary_files(sim_logs, tmp_path):
-    with tempfile.TemporaryDirectory(prefix="t") as temporary:  # has a short name
+    with tempfile.TemporaryDirectory(prefix="t") as temporary:  # a folder with a short name
         found = command(sim_logs[:1], tmp_path / "out", Path(temporary))
         assert (found.returncode, found.stderr) == (0, "")
         assert not list(Path(temporary).iterdir())
 
 
 def test_an_interrupt_during_the_search_for_the_floor_ends_the_run(sim_logs, tmp_path):
-    """It arrives while XLA calls a kernel, through which no exception can propagate."""
+    """The signal arrives while XLA calls a kernel, through which no exception can propagate."""
     sent = []
 
     def send(frame: Any, event: str, _: Any) -> None:

@@ -125,14 +125,14 @@ def test_depth_at_another_rate_or_clock_is_paired_with_its_colour(tmp_path, caps
         assert [row["color_stamp_ns"] for row in rows] == stamps[::every]
 
 
-@pytest.mark.parametrize("form", ["millimetres in floats", "tenths of them"])
+@pytest.mark.parametrize("form", ["millimetres in floats", "tenths of millimetres"])
 def test_a_wrong_depth_unit_causes_a_warning(tmp_path, capsys, form):
     scene, path = make_scene(4), tmp_path / "x.mcap"
     with LogFile(path) as log:
         write_calibration(log)
         for color, depth, at in zip(scene.color, scene.depth, scene.color_ns.tolist(), strict=True):
             kind, wrong = "32FC1", depth.astype(np.float32)
-            if form == "tenths of them":
+            if form == "tenths of millimetres":
                 kind, wrong = "16UC1", depth.clip(500, 6000) * np.uint16(10)
             log.ros(DEPTH, ros_image(wrong, kind, at, DEPTH_FRAME), at)
             log.ros(COLOR, ros_image(color, "rgb8", at, COLOR_FRAME), at)

@@ -36,7 +36,7 @@ def how(tmp_path):
 
 @pytest.fixture
 def stores(monkeypatch):
-    """Replace buckets by stores in memory; return these by address."""
+    """Replace buckets by stores in memory; return the stores by address."""
     pytest.importorskip("obstore")
     from obstore.store import MemoryStore
 
@@ -90,7 +90,7 @@ def moto():
 
 @pytest.fixture
 def bucket(moto, monkeypatch):
-    """Return the address of a new bucket, for this process and its children."""
+    """Return the address of a new bucket, which child processes can use, too."""
     import uuid
 
     from jaxdet.fleet import place

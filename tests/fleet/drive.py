@@ -18,7 +18,7 @@ def main(logs: str, results: str, spool: str, on: str = "", share: str = "") -> 
 
 
 def run_by_ray_data(logs: str, results: str, how: dict) -> list:
-    """Run the recipe of the page on fleets."""
+    """Run logs as in the recipe for Ray Data on the help page on fleets."""
     import ray
 
     from jaxdet.fleet import list_logs, prepare, run_log

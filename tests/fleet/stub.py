@@ -92,7 +92,7 @@ def check_complete(folder: Path) -> str:
 
 
 def check_results(url: str, name: str, scratch: Path) -> str:
-    """Do the same for results of a log in a bucket, copied to a new folder."""
+    """Copy the results of a log from a bucket to a new folder, and check that they are complete."""
     from jaxdet.fleet import download
 
     return check_complete(download(url, name, scratch / uuid.uuid4().hex))

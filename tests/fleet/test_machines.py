@@ -56,7 +56,7 @@ class Machines:
         return {name: check_results(results or self.results, name, self.scratch) for name in found}
 
     def most(self) -> int:
-        """Return the largest number of computations of a log."""
+        """Return the maximum number of computations per log."""
         return max(Counter(computed(self.journal)).values())
 
     def left(self) -> list[str]:
@@ -154,7 +154,7 @@ def fleet(cluster, bucket, cluster_environment, monkeypatch, tmp_path):
 
 
 @pytest.mark.filterwarnings("default")
-def test_ray_completes_after_a_killed_worker_and_fails_a_log_that_always_kills(fleet, put):
+def test_ray_retries_after_a_killed_worker_and_fails_a_log_that_always_kills(fleet, put):
     logs = dict.fromkeys(names(6), "sleep=0.2")
     put(fleet.logs, **logs, once="kill=1", always="kill=99")
     found = fleet.run(on="ray")
@@ -196,7 +196,7 @@ SAME = ("frames.parquet", "obstacles.parquet", "map.npz", "map.png", "pictures/"
 
 @pytest.mark.filterwarnings("default")
 def test_24_logs_have_the_bytes_of_one_machine_everywhere(fleet, tmp_path):
-    """Through a bucket: by one machine, three shares at once, Ray on two nodes, and Ray Data."""
+    """Logs of a bucket are run by one process, by three shares at once, by Ray and by Ray Data."""
     logs, alone = tmp_path / "logs", tmp_path / "alone"
     logs.mkdir()
     bucket = open_place(fleet.logs)

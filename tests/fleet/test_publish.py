@@ -18,7 +18,7 @@ WRITES = ("put", "create", "swap", "delete")
     params=["bucket", "folder", "no_exchange", pytest.param("s3", marks=pytest.mark.fleet)]
 )
 def url(request, tmp_path, monkeypatch):
-    """Return a place for results, also a folder of a file system that cannot exchange folders."""
+    """Return an address for results: a folder, also without atomic exchange, or a bucket."""
     if request.param == "no_exchange":
         monkeypatch.setattr(folders, "exchange", lambda one, other: False)
     if request.param in ("folder", "no_exchange"):
@@ -89,7 +89,7 @@ def test_a_crash_at_any_step_leaves_old_or_new_results(url, tmp_path, monkeypatc
 
 
 def _dies(url, tmp_path, monkeypatch, step, old, before) -> bool:
-    """Die at a step and publish again; return whether publishing has this step."""
+    """End publishing at a step and repeat it; return whether publishing has so many steps."""
     tmp_path.mkdir()
     results = open_results(url)
     target = target_of("r2")
@@ -182,7 +182,7 @@ def test_results_replace_a_failure(url, tmp_path):
     assert results.standing(target).state == "whole" and table(url, tmp_path)
 
 
-def test_crashes_are_counted_if_they_differ_from_lost_machines(url, monkeypatch):
+def test_crashes_and_lost_machines_are_counted_separately(url, monkeypatch):
     results = open_results(url)
     target = target_of("r1")
     running = results.begin(target, "a0", "c0")
@@ -194,7 +194,7 @@ def test_crashes_are_counted_if_they_differ_from_lost_machines(url, monkeypatch)
     assert results.deaths(target) == (1, 1)
     assert results.deaths(target, "a1") == (1, 0) and results.deaths(target, "c0") == (0, 0)
     monkeypatch.setattr(publish, "_DAY_S", -1.0)
-    assert results.deaths(target) == (1, 0)  # lost attempts expire
+    assert results.deaths(target) == (1, 0)  # attempts of lost machines expire
     monkeypatch.setattr(spool, "machine", lambda: "elsewhere")
-    assert results.deaths(target)[0] == 2  # reported by its witness, in addition to a1
+    assert results.deaths(target)[0] == 2  # a1, and a2, whose machine is now this one
     results.end(running)

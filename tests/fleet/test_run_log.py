@@ -1,4 +1,4 @@
-"""Running a log from one place to another, with the stub of the engine."""
+"""Running of logs between folders and buckets, with the stub of the engine."""
 
 import json
 import os
@@ -71,7 +71,7 @@ def test_another_configuration_is_refused_unless_it_overwrites(stores, engine, h
     old = check_results(RESULTS, "a", tmp_path)
     begun = prepare(RESULTS, {**other, "overwrite": True})
     (log, rest) = list_logs(LOGS)
-    assert run_log(log, RESULTS, begun)["state"] == "done"  # and here the run is killed
+    assert run_log(log, RESULTS, begun)["state"] == "done"  # the run is killed here
     assert check_results(RESULTS, "a", tmp_path) != old
     with pytest.raises(ConfigError):
         run_fleet([LOGS], RESULTS, how)
@@ -201,7 +201,7 @@ for outcome in run_fleet([sys.argv[1]], sys.argv[2], {"spool": sys.argv[3]}):
 """
 
 
-def test_a_log_that_kills_three_processes_has_failed(engine, how, tmp_path):
+def test_a_log_that_kills_three_processes_is_recorded_as_failed(engine, how, tmp_path):
     logs, results = tmp_path / "logs", tmp_path / "results"
     logs.mkdir()
     (logs / "a.mcap").write_text("kill=9 " + "x" * 100)

@@ -1,1 +1,1 @@
-"""Logs that are changed at random, and what may come of them."""
+"""Fuzzing of logs, calibrations, calls, results and interrupted runs."""

@@ -1,4 +1,4 @@
-"""Calibrations and poses that no camera and no robot has, through whole runs of small logs."""
+"""Runs of small logs with randomly changed, mostly impossible calibrations and poses."""
 
 import math
 import shutil
@@ -57,7 +57,7 @@ PRESETS = "wheeled", "wheeled", "tabletop", "paper"
 
 
 class Camera(NamedTuple):
-    """What a CameraInfo says."""
+    """Contents of a CameraInfo message."""
 
     width: int
     height: int
@@ -68,22 +68,22 @@ class Camera(NamedTuple):
 
 
 class Made(NamedTuple):
-    """All that a log and its user say of the cameras."""
+    """Calibration and poses of a log, from its messages or from flags."""
 
     color: Camera
     depth: Camera
     t: tuple[float, ...]
-    """Of ``T_color_depth`` [m]."""
+    """Translation of ``T_color_depth`` [m]."""
     R: tuple[float, ...]
-    """Its rotation, row by row."""
+    """Rotation of ``T_color_depth``, 9 numbers, row-major."""
     q: tuple[float, ...]
-    """The rotation as quaternion, for TF and flags."""
+    """Rotation of ``T_color_depth`` as a quaternion, for TF and flags."""
     mount: tuple[float, ...]
     """Position and quaternion of the depth camera on the robot."""
     pose: tuple[float, ...]
-    """Of the robot in the world, likewise."""
+    """Position and quaternion of the robot in the world."""
     unit: float
-    """Metres in a depth unit."""
+    """Depth unit [m]."""
 
 
 def _camera(camera: Any) -> Camera:
@@ -106,7 +106,7 @@ PLAIN = Made(
 
 
 def _number(value: float, random: Random) -> float:
-    """Another number: an odd one, or one that is near."""
+    """Return another number: an extreme one from ``ODD``, or one near the value."""
     how = random.random()
     if how < 0.6:
         return random.choice(ODD) * random.choice((1, 1, -1))
@@ -114,7 +114,7 @@ def _number(value: float, random: Random) -> float:
 
 
 def _numbers(values: tuple[float, ...], random: Random) -> tuple[float, ...]:
-    """One or more of them are others, or they are too many or too few."""
+    """Return the values with one or more of them changed, or only the first ones."""
     if not values or random.random() < 0.1:
         return values[: random.randrange(len(values) + 1)]
     found = list(values)
@@ -125,7 +125,7 @@ def _numbers(values: tuple[float, ...], random: Random) -> tuple[float, ...]:
 
 
 def _unit(random: Random) -> tuple[float, ...]:
-    """A quaternion of unit length."""
+    """Return a random quaternion of unit length."""
     q = np.array([random.gauss(0, 1) for _ in range(4)])
     return tuple((q / np.linalg.norm(q)).tolist())
 
@@ -145,7 +145,7 @@ def _changed_camera(camera: Camera, random: Random) -> tuple[Camera, str]:
 
 
 def changed(way: str, random: Random) -> tuple[Made, str]:
-    """A calibration with one to three changes, of what a way of writing it uses."""
+    """Return a calibration with one to three changes to parts that ``way`` uses; name them."""
     made, names = PLAIN, []
     for _ in range(random.choice((1, 1, 2, 3))):
         part = random.choice(USED[way])
@@ -169,7 +169,7 @@ def _seven(values: tuple[float, ...]) -> tuple[tuple[float, ...], tuple[float, .
 
 
 def _info(camera: Camera, at: int, frame: str) -> Any:
-    """A CameraInfo; K and P have a fixed number of numbers there."""
+    """Return a CameraInfo; K and P are padded with zeros or truncated to their fixed lengths."""
     size = camera.width, camera.height
     message = ros_info(size, (1.0, 1.0, 0.0, 0.0), at, frame, camera.model, camera.D)
     K, P = (np.zeros(count) for count in (9, 12))
@@ -227,7 +227,7 @@ USED = {
 
 
 def _options(way: str, made: Made, random: Random) -> LogOptions:
-    """What a user says; raises ConfigError where that can't be."""
+    """Return options of the log; raises ConfigError for options that are refused."""
     if way == "aligned":
         return LogOptions(depth_aligned=True, depth_unit_m=made.unit)
     if way != "flags":
@@ -249,22 +249,22 @@ def _options(way: str, made: Made, random: Random) -> LogOptions:
 
 
 class Calibrations:
-    """Runs logs with mutated calibrations.
+    """Run logs with mutated calibrations.
 
     Args:
-        folder: Where they go.
+        folder: Folder for logs and results.
     """
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        for way in ("tf", "aligned"):  # compiling takes no part in a verdict
+        for way in ("tf", "aligned"):  # so that verdicts do not include compilation
             for name in dict.fromkeys(PRESETS):
                 options = _options(way, PLAIN, Random(0))
                 verdict, _ = self._results(self.write(PLAIN, way), options, name, "jax")
                 assert verdict.kind == "clean", verdict
 
     def one(self, seed: int) -> Case:
-        """Runs the log of a seed, and some by the reference too."""
+        """Run the log of a seed; compare some logs with the reference."""
         random = Random(seed)
         way = random.choice(list(WAYS))
         made, what = changed(way, random)
@@ -274,7 +274,7 @@ class Calibrations:
         return Case(title, verdict, {path.name: path.read_bytes()})
 
     def write(self, made: Made, way: str) -> Path:
-        """A log of two frames."""
+        """Write a log of two frames; return its path."""
         path = self._folder / "x.mcap"
         with LogFile(path, compression="none") as log:
             WAYS[way](log, made)

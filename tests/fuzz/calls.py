@@ -1,6 +1,6 @@
-"""Calls of every public name with arguments that are not what they should be.
+"""Calls of every public name with randomly changed arguments.
 
-Each ends well, or with an error that is one line and names an argument.
+Each call succeeds, or raises an error of one line that names an argument.
 """
 
 import dataclasses
@@ -38,11 +38,11 @@ DETECTOR = {"K": CAMERA.K, "color_K": CALIBRATION.color, "T_color_depth": MOTION
 SETTINGS = {"depth_unit_m": 0.001, "color_order": "rgb", "mount": jaxdet.Mount(0.4)}
 BACKENDS = "jax", "jax", "reference"
 MOST_BYTES = 1 << 30
-"""Of an array that is only declared; no call makes one of its own as large."""
+"""Number of rows of a broadcast array, which uses little memory unless a call copies it."""
 
 
 class Raises:
-    """Every way to make an array of it fails."""
+    """Object whose conversions to an array and to text raise errors."""
 
     def __array__(self, *_: Any, **__: Any) -> np.ndarray:
         raise RuntimeError("no array\nat all")
@@ -57,7 +57,7 @@ class Raises:
 
 
 class Lies:
-    """Says it is an array of a kind and a shape, and gives another."""
+    """Object whose ``shape`` and ``dtype`` differ from those of the array it converts to."""
 
     def __init__(self, like: Any) -> None:
         self.shape, self.dtype = np.shape(like), np.asarray(like).dtype
@@ -71,11 +71,11 @@ class Lies:
 
 
 class Text(str):
-    """A text that is no plain one."""
+    """Subclass of ``str``."""
 
 
 def _arrays(value: np.ndarray, random: Random) -> Iterator[Any]:
-    """An array as it should not be, or as few people give it."""
+    """Yield functions that return invalid or unusual forms of an array."""
     kinds = "?", "b", "B", "h", "H", "i", "q", "Q", "e", "f", "d", "D", "U3", "O", "M8[s]", ">u2"
     with np.errstate(all="ignore"):
         yield lambda: value.astype(random.choice(kinds))
@@ -116,7 +116,7 @@ def _arrays(value: np.ndarray, random: Random) -> Iterator[Any]:
 
 
 def _poisoned(value: np.ndarray, random: Random) -> np.ndarray:
-    """Some entries are odd numbers."""
+    """Return the array with some entries replaced by numbers from ``ODD``."""
     found = np.array(value, np.float64 if value.dtype != np.uint8 else None)
     with np.errstate(all="ignore"):
         for _ in range(random.choice((1, 1, 3, found.size))):
@@ -135,7 +135,7 @@ _ANYTHING: tuple[Any, ...] = (
 
 
 def _mutated(value: Any, random: Random) -> tuple[Any, str]:
-    """Something else than a value, and which part of it that is."""
+    """Return a changed value, and the path of the part that was changed."""
     if random.random() < 0.25:
         return random.choice(_ANYTHING), ""
     if fields := getattr(value, "_fields", ()):
@@ -170,10 +170,10 @@ def _detector(random: Random, **changed: Any) -> jaxdet.Detector:
 
 
 class Calls:
-    """Calls public names.
+    """Call public names.
 
     Args:
-        folder: Where a log is made.
+        folder: Folder for a log.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -189,7 +189,7 @@ class Calls:
             jaxdet.estimate_plane(GOOD, backend=backend)
 
     def _table(self) -> dict[str, tuple[Callable[..., Any], dict[str, Any]]]:
-        """What is called by which name, and good arguments."""
+        """Return, by name, each function with valid arguments."""
         obstacles, config = self._found.obstacles, jaxdet.Config()
         own = jaxdet.Detector.from_log(self._log, backend="reference")
         corners = metric.rectangles(obstacles, 0.001, config.footprint)
@@ -297,7 +297,7 @@ class Calls:
         }
 
     def one(self, seed: int) -> Case:
-        """Makes the call of a seed."""
+        """Make the call of a seed."""
         random = Random(seed)
         name = random.choice(list(self._calls))
         function, good = self._calls[name]
@@ -306,7 +306,7 @@ class Calls:
             argument = random.choice(list(given))
             try:
                 given[argument], part = _mutated(given[argument], random)
-            except (JaxdetError, TypeError, ValueError) as error:  # of making the argument
+            except (JaxdetError, TypeError, ValueError) as error:  # on construction
                 return Case(f"{name} seed {seed}", _named(error, {argument, "config"}), {})
             where.append(f"{argument}{part}")
         title = f"{name} {'+'.join(where)} seed {seed}"
@@ -321,16 +321,16 @@ def _base() -> np.ndarray:
 
 
 def _transformed(how: Callable[..., Any], frames: Any) -> Any:
-    """``detect`` under a transformation of JAX's."""
+    """Call ``detect`` under a transformation of JAX."""
     depth = getattr(frames, "depth", None)
     plain = isinstance(depth, np.ndarray | jax.Array) and depth.dtype.kind in "biuf"
     if not plain or isinstance(depth, np.ma.MaskedArray):
-        return jaxdet.detect(frames)  # JAX itself refuses to trace others
+        return jaxdet.detect(frames)  # JAX refuses to trace others
     return how(lambda depth: jaxdet.detect(frames._replace(depth=depth)))(depth)
 
 
 def _put(part: Any, more: dict[str, Any]) -> Any:
-    """Good frames with a part that is another one."""
+    """Return valid frames in which a part is replaced by its changed copy."""
     made = type(part)(**more)
     if isinstance(part, jaxdet.Frames):
         return made
@@ -361,11 +361,11 @@ def _call(function: Callable[..., Any], given: dict[str, Any], words: set[str]) 
 _OF_PYTHON = re.compile(
     r"argument|ind(ex|ices) must be|not a valid|frames? \[?-?[0-9]+\]? of|out of range|an integer"
 )
-"""What Python says of calls, sequences and enumerations."""
+"""Errors that Python raises for calls, sequences and enumerations."""
 
 
 def _named(error: Exception, words: set[str]) -> Verdict:
-    """Whether an error is one line that names an argument."""
+    """Judge whether an error is one line that names an argument."""
     text = str(error)
     if isinstance(error, JaxdetError):
         return Verdict("error" if text and text.isprintable() else "bad message", text)

@@ -1,4 +1,4 @@
-"""What may come of something hostile, whatever it is."""
+"""Fuzz cases and their verdicts, for all subjects."""
 
 import time
 import traceback
@@ -9,7 +9,8 @@ from typing import NamedTuple, Protocol
 from jaxdet.errors import JaxdetError
 
 MOST_S = 10.0
-"""Of all of the process's threads together, so that a busy machine makes no difference."""
+"""Maximum CPU time of a case, summed over all threads [s]; unlike wall time it is independent of
+other processes."""
 FAILURES = {
     "wrong pixels",
     "silently lost",
@@ -23,43 +24,43 @@ FAILURES = {
 
 
 class Verdict(NamedTuple):
-    """What came of it."""
+    """How a case ended."""
 
     kind: str
-    """``clean``, ``error``, another word for what is right, or one of :data:`FAILURES`."""
+    """``clean``, ``error``, another acceptable end, or one of :data:`FAILURES`."""
     text: str = ""
 
     @property
     def failed(self) -> bool:
-        """Whether it must not be so."""
+        """Whether the case is a failure."""
         return self.kind in FAILURES
 
 
 class Case(NamedTuple):
-    """Something hostile that was tried."""
+    """A random input and its verdict."""
 
     title: str
     verdict: Verdict
     files: dict[str, bytes]
-    """What is kept of a failure, by name."""
+    """Contents of the files that are kept if the case fails, by file name."""
 
 
 class Subject(Protocol):
-    """What is tried again and again, with what a seed makes."""
+    """A part of jaxdet that is fuzzed with an input for each seed."""
 
     def one(self, seed: int) -> Case:
-        """Tries what a seed makes."""
+        """Process the input of a seed."""
         ...
 
 
 def ended(
     function: Callable[[], Verdict], allowed: tuple[type[Exception], ...] = (JaxdetError,)
 ) -> Verdict:
-    """What comes of a function: its own verdict, a clean error, or a failure."""
+    """Call a function; return its verdict, or that of its exception or of too much CPU time."""
     start = time.process_time()
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("error", RuntimeWarning)  # a user would see it
+            warnings.simplefilter("error", RuntimeWarning)  # users would see such warnings
             verdict = function()
     except allowed as error:
         verdict = Verdict("error" if str(error).isprintable() else "bad message", str(error))

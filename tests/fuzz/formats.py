@@ -1,4 +1,4 @@
-"""The logs that are mutated: small, one for each way that images and calibration are written."""
+"""Small logs to mutate, one for each form in which images and calibration are written."""
 
 import base64
 import json
@@ -40,33 +40,33 @@ from tests.io_helpers import (
 
 FRAMES = 8
 MOUNT = (0.1, 0.0, 0.3), (-0.5, 0.5, -0.5, 0.5)
-"""A camera that looks ahead, 0.3 m above the robot's base."""
+"""Position and quaternion of a camera that looks ahead, 0.3 m above the base of the robot."""
 
 
 class Format(NamedTuple):
-    """How a log is written."""
+    """Form in which a log is written."""
 
     name: str
     write: Callable[[LogFile, Scene], None]
     options: dict[str, Any]
     suffix: str = ".mcap"
     compress: str | None = None
-    """Of the chunks of a bag."""
+    """Compression of the chunks of a bag."""
 
     @property
     def has_crc(self) -> bool:
-        """Whether a changed byte of a chunk must be seen."""
+        """Whether chunks have checksums, so that a changed byte in a chunk must be detected."""
         has = self.options.get("crc", True) and self.options.get("use_chunking", True)
         return has and self.suffix == ".mcap"
 
     @property
     def is_counted(self) -> bool:
-        """Whether the log may hold how many messages there are."""
+        """Whether the format can record the number of messages."""
         return self.suffix != ""
 
 
 def _both(log: LogFile, scene: Scene, color: Callable[..., Any], depth: Callable[..., Any]) -> None:
-    """Calibration, then an image of each camera in turns, with poses between."""
+    """Write the calibration, then for each frame poses, a depth image and a colour image."""
     write_calibration(log)
     log.ros("/tf_static", ros_tf(("base_link", DEPTH_FRAME, *MOUNT)), START)
     for number, (c, d, at, depth_at) in enumerate(zip(*scene, strict=True)):
@@ -199,7 +199,7 @@ FORMATS = {
 
 
 def write_format(name: str, path: Path) -> Path:
-    """A log of ``FRAMES`` frames, at a path with its format's suffix."""
+    """Write a log of ``FRAMES`` frames to a path with the suffix of the format; return the path."""
     form = FORMATS[name]
     if not form.suffix:
         return _write_images(path, form.name)
@@ -218,7 +218,7 @@ def write_format(name: str, path: Path) -> Path:
 
 
 def _write_images(folder: Path, name: str) -> Path:
-    """TUM's folder with stamps and poses, or images whose names are numbers; with a camera."""
+    """Write images and a camera file: in the layout of TUM, or with numbers as file names."""
     scene = make_scene(FRAMES, size=COLOR_SIZE)
     form = ".png" if name == "tum" else ".jpg"
     tables: dict[str, list[str]] = {"rgb.txt": [], "depth.txt": [], "groundtruth.txt": []}

@@ -1,4 +1,4 @@
-"""Reads a mutated log and judges what came of it, by the pixels of the log before."""
+"""Verdicts on mutated logs: frames are compared with those of the log before the mutation."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -13,7 +13,7 @@ from tests.fuzz.mutations import WRITER_IS_WRONG
 
 
 class Truth(NamedTuple):
-    """The images of a log before it is mutated, each by its stamp."""
+    """Images by timestamp, and calibration, of a log before it is mutated."""
 
     color: dict[int, bytes]
     depth: dict[int, bytes]
@@ -21,7 +21,7 @@ class Truth(NamedTuple):
 
 
 def truth_of(path: Path) -> Truth:
-    """The frames of an unbroken log."""
+    """Read the frames of an intact log."""
     color, depth = {}, {}
     with open_log(str(path)) as log:
         for frame in log:
@@ -33,7 +33,7 @@ def truth_of(path: Path) -> Truth:
 
 
 def judge(path: Path, truth: Truth, format_name: str, mutation: str) -> Verdict:
-    """Reads the log as a run does, by its index or as a whole, and compares."""
+    """Read the log as a run does, by its index or by a scan, and compare it with the truth."""
     return ended(lambda: _judge(path, truth, format_name, mutation))
 
 
@@ -53,7 +53,7 @@ def _read(
         about = log.described(total(batch.notes for batch in batches))
         said = [*about.warnings, *(file.text for file in about.integrity)]
         same = log.calibration == truth.calibration
-        if not log.has_color and log.color_problem:  # which then has no calibration
+        if not log.has_color and log.color_problem:  # without its calibration
             same = log.calibration == truth.calibration._replace(color=None, color_from_depth=None)
         recovered = any(file.recovered for file in log.description.integrity)
         for batch in batches:
@@ -99,7 +99,7 @@ def _verdict(
 
 
 def _tells(log: Log) -> bool:
-    """Whether a summary is left that counts the messages."""
+    """Return whether the summary is readable and gives the number of messages."""
     return all(
         not file.summary_problem and file.declared_messages is not None
         for file in log.description.integrity

@@ -12,24 +12,24 @@ from tests.fuzz.mutations import MUTATIONS, Files
 
 
 class Logs:
-    """Reads mutated logs.
+    """Read mutated logs.
 
     Args:
-        folder: Where they go.
+        folder: Folder for logs.
     """
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._logs: dict[str, tuple[Files, Truth]] = {}
         self._there: dict[str, Files] = {}
-        """By format, what lies in the folder."""
+        """Files that are in the folder of each format."""
         for name, form in FORMATS.items():
             path = write_format(name, Path(mkdtemp(dir=folder)) / f"log{form.suffix}")
             self._logs[name] = _files(path), truth_of(path)
             shutil.rmtree(path.parent)
 
     def one(self, seed: int) -> Case:
-        """Reads the log of a seed."""
+        """Read the log of a seed."""
         random = Random(seed)
         name = random.choice(list(FORMATS))
         ways = MUTATIONS[FORMATS[name].suffix]
@@ -44,7 +44,7 @@ class Logs:
         return Case(title, judge(self._write(name, files), truth, name, mutation), files)
 
     def _write(self, name: str, files: Files) -> Path:
-        """Lays a log out where the last of its format lies; what is the same stays."""
+        """Write a log to the folder that all logs of its format use; keep files that are equal."""
         folder, there = self._folder / name, self._there.setdefault(name, {})
         for file in there.keys() - files.keys():
             (folder / file).unlink()

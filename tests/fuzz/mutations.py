@@ -1,4 +1,4 @@
-"""What can happen to a log: its bytes, its records, its lengths and what its messages say."""
+"""Mutations of logs: changes to bytes, records, lengths, rows, texts and files."""
 
 import bz2
 import re
@@ -17,7 +17,7 @@ from jaxdet.io import bag
 from tests.mcap_bytes import MAGIC, record
 
 Files = dict[str, bytes]
-"""A log: its files by their names in its folder."""
+"""Contents of the files of a log, by their paths in its folder."""
 
 
 class Record(NamedTuple):
@@ -26,13 +26,13 @@ class Record(NamedTuple):
     opcode: int
     start: int
     head: int
-    """Bytes before its content."""
+    """Number of bytes before the content."""
     size: int
-    """Of its content."""
+    """Number of bytes of the content."""
 
     @property
     def end(self) -> int:
-        """After its content."""
+        """Position after the content."""
         return self.start + self.head + self.size
 
 
@@ -41,7 +41,7 @@ def _is_bag(data: bytes) -> bool:
 
 
 def records(data: bytes) -> list[Record]:
-    """The records of an unbroken file."""
+    """Return the records of an intact file."""
     if _is_bag(data):
         size = len(bag.MAGIC)
         each = bag.records(data[size:])
@@ -55,7 +55,7 @@ def records(data: bytes) -> list[Record]:
 
 
 def chunks(data: bytes) -> list[Record]:
-    """Its chunks."""
+    """Return the chunks of an intact file."""
     kind = bag.CHUNK if _is_bag(data) else 6
     return [item for item in records(data) if item.opcode == kind]
 
@@ -66,14 +66,14 @@ def _flip(data: bytearray, random: Random, places: range) -> None:
 
 
 def flip_bits(data: bytes, random: Random) -> bytes:
-    """Bits anywhere."""
+    """Flip bits anywhere."""
     changed = bytearray(data)
     _flip(changed, random, range(len(data)))
     return bytes(changed)
 
 
 def flip_summary(data: bytes, random: Random) -> bytes:
-    """Bits behind the data."""
+    """Flip bits after the data section."""
     ends = [item.start for item in records(data) if item.opcode == 15]
     if _is_bag(data):
         ends = [item.end for item in records(data) if item.opcode in (bag.CHUNK, bag.INDEX)][-1:]
@@ -83,38 +83,38 @@ def flip_summary(data: bytes, random: Random) -> bytes:
 
 
 def flip_heads(data: bytes, random: Random) -> bytes:
-    """Bits of a record's head and the first bytes of what it holds."""
+    """Flip bits in the first 60 bytes of a record, its head included."""
     item, changed = random.choice(records(data)), bytearray(data)
     _flip(changed, random, range(item.start, min(item.start + 60, item.end)))
     return bytes(changed)
 
 
 def cut(data: bytes, random: Random) -> bytes:
-    """The file ends early."""
+    """Truncate the file."""
     return data[: random.randrange(len(data))]
 
 
 def cut_out(data: bytes, random: Random) -> bytes:
-    """Some bytes are missing."""
+    """Remove some bytes."""
     start = random.randrange(len(data))
     return data[:start] + data[start + random.choice((1, 4, 100, 5000)) :]
 
 
 def zeros(data: bytes, random: Random) -> bytes:
-    """A part was never written."""
+    """Replace a part by zeros, as if it was never written."""
     start, size = random.randrange(len(data)), random.choice((8, 512, 4096))
     size = min(size, len(data) - start)
     return data[:start] + bytes(size) + data[start + size :]
 
 
 def drop_record(data: bytes, random: Random) -> bytes:
-    """A record is missing."""
+    """Remove a record."""
     item = random.choice(records(data))
     return data[: item.start] + data[item.end :]
 
 
 def drop_chunk(data: bytes, random: Random) -> bytes:
-    """A chunk is missing, perhaps with its message indexes."""
+    """Remove a chunk, and in half of the cases its message indexes."""
     all_records, index = records(data), bag.INDEX if _is_bag(data) else 7
     known = chunks(data)
     if not known:
@@ -127,13 +127,13 @@ def drop_chunk(data: bytes, random: Random) -> bytes:
 
 
 def double_record(data: bytes, random: Random) -> bytes:
-    """A record is there twice."""
+    """Duplicate a chunk, or a record if there are no chunks."""
     item = random.choice(chunks(data) or records(data))
     return data[: item.end] + data[item.start : item.end] + data[item.end :]
 
 
 def swap_records(data: bytes, random: Random) -> bytes:
-    """Two records change places."""
+    """Swap two records."""
     pool = chunks(data) if random.random() < 0.7 and len(chunks(data)) > 1 else records(data)
     one, two = sorted(random.sample(pool, 2), key=lambda item: item.start)
     parts = data[two.start : two.end], data[one.end : two.start], data[one.start : one.end]
@@ -141,7 +141,7 @@ def swap_records(data: bytes, random: Random) -> bytes:
 
 
 def lie_length(data: bytes, random: Random) -> bytes:
-    """A record's length is another one."""
+    """Change the declared length of a record."""
     item = random.choice(records(data))
     size = max(0, random.choice((0, 1, item.size + 1, item.size - 1, 2**31, 2**63, 2**64 - 1)))
     form, place = struct.Struct("<Q"), item.start + 1
@@ -152,7 +152,7 @@ def lie_length(data: bytes, random: Random) -> bytes:
 
 
 def lie_numbers(data: bytes, random: Random) -> bytes:
-    """Four or eight bytes anywhere become a number that is dangerous."""
+    """Overwrite four or eight bytes anywhere by an extreme number."""
     form = random.choice(("<I", "<Q", "<d"))
     odd: dict[str, tuple[int | float, ...]] = {
         "<I": (0, 1, 0x7FFFFFFF, 0xFFFFFFFF, 0x10000),
@@ -165,7 +165,7 @@ def lie_numbers(data: bytes, random: Random) -> bytes:
 
 
 def rewrite(data: bytes, random: Random) -> bytes:
-    """What is in a chunk changes and the chunk's CRC with it: the writer itself is wrong."""
+    """Change the content of a chunk and update its CRC, as a faulty writer would."""
     found = chunks(data)
     if not found:
         return lie_numbers(data, random)
@@ -215,7 +215,7 @@ _VALUES = (None, "text", b"", b"\0" * 9, -1, 0, 3, 99, 1 << 40, (1 << 63) - 1, 1
 
 
 def change_rows(data: bytes, random: Random) -> bytes:
-    """The writer of an SQLite file was wrong: rows and tables are not what they should be."""
+    """Change rows, columns or tables of an SQLite file, as a faulty writer would."""
     with closing(sqlite3.connect(":memory:")) as file:
         file.deserialize(data)
         tables = ["messages", "messages", "messages", "topics", "message_definitions", "metadata"]
@@ -224,7 +224,7 @@ def change_rows(data: bytes, random: Random) -> bytes:
         ids = [row[0] for row in file.execute(f"SELECT rowid FROM {table}")]
         column, value, row = random.choice(columns), random.choice(_VALUES), random.choice(ids)
         one = f"UPDATE {table} SET {column} = ? WHERE rowid = ?"
-        with suppress(sqlite3.Error):  # a column may refuse a value
+        with suppress(sqlite3.Error):  # constraints of a column may reject the value
             how = random.randrange(10)
             if how == 0:
                 file.execute(f"DROP TABLE {table}")
@@ -245,7 +245,7 @@ def change_rows(data: bytes, random: Random) -> bytes:
 
 
 def swap_pages(data: bytes, random: Random) -> bytes:
-    """Two pages of an SQLite file change places, or one takes the place of another."""
+    """Swap two pages of an SQLite file, or overwrite one by another."""
     pages = [data[place : place + 4096] for place in range(0, len(data), 4096)]
     one, two = random.randrange(1, len(pages)), random.randrange(1, len(pages))
     pages[one], pages[two] = pages[two], random.choice((pages[one], pages[two]))
@@ -256,7 +256,7 @@ _NUMBER = (b"nan", b"inf", b"-1", b"0", b"1e39", b"1e999999999", b"9" * 5000, b"
 
 
 def change_word(data: bytes, random: Random) -> bytes:
-    """A word of a text is another one; of other files a bit."""
+    """Replace a word of a text file; flip bits of an image."""
     words = re.findall(rb"[\w./+-]+|[^\w./+-]+", data)
     if data.startswith((b"\x89PNG", b"\xff\xd8")) or not words:
         return flip_bits(data, random)
@@ -265,7 +265,7 @@ def change_word(data: bytes, random: Random) -> bytes:
 
 
 def drop_file(files: Files, random: Random) -> Files:
-    """A file is missing, or empty."""
+    """Remove a file, or its content."""
     name = random.choice(sorted(files))
     if random.random() < 0.3:
         return {**files, name: b""}
@@ -273,7 +273,7 @@ def drop_file(files: Files, random: Random) -> Files:
 
 
 def rename_file(files: Files, random: Random) -> Files:
-    """A file has the name of another, or one that says nothing."""
+    """Give a file the name of another one, or an unexpected name."""
     name, other = random.choice(sorted(files)), random.choice(sorted(files))
     odd = ("x.png", "rgb/x.png", "depth/.png", "rgb/1e9.png", "rgb/9999999999999.5.png", "a.json")
     other = random.choice((other, *odd))
@@ -314,6 +314,6 @@ MUTATIONS: dict[str, dict[str, Mutation]] = {
     ".db3": _BYTES | _named(change_rows, swap_pages),
     "": _BYTES | _named(change_word) | _WHOLE,
 }
-"""By the suffix of a log; a folder of images has none."""
+"""Mutations by name, for each suffix of logs; image folders have no suffix."""
 WRITER_IS_WRONG = {"rewrite", "change_rows"}
-"""Mutations after which the file is as its CRCs and its counts say."""
+"""Mutations after which CRCs and counts still agree with the content of the file."""

@@ -1,4 +1,4 @@
-"""Results folders that somebody may have edited, through ``track``, ``export`` and ``verify``."""
+"""Edited results folders, processed by ``track``, ``export`` and ``verify``."""
 
 import io
 import json
@@ -23,7 +23,7 @@ from tests.runs import run_logs
 FORMATS = "html", "nav2", "ros2", "foxglove", "coco"
 COMMANDS = ("track", "verify", *(f"export {name}" for name in FORMATS))
 OUTSIDE = "outside"
-"""Name that mutated paths lead to; nothing may be written there."""
+"""Name of a folder to which mutated paths lead; nothing may be written there."""
 ODD: tuple[Any, ...] = (
     None, True, False, 0, -1, 1, 0.5, -0.0, 1e308, 10**30, float("nan"), float("inf"), "", ".",
     "..", "/", "a/b", f"../{OUTSIDE}/x", f"../../{OUTSIDE}/x", "\x1b[31mred", "a\nb", "\x00",
@@ -33,10 +33,10 @@ ODD: tuple[Any, ...] = (
 
 
 class HostileResults:
-    """Mutates the results of two small logs, and runs a command on them.
+    """Mutate the results of two small logs, and run a command on them.
 
     Args:
-        folder: Where everything is written.
+        folder: Folder for all files.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -45,11 +45,11 @@ class HostileResults:
         self._good = folder / "good"
         run_logs(logs, self._good, backend="reference", pictures=1)
         _run(["track", str(self._good)])
-        _judged("export coco", self._good, folder / "coco")  # which compiles
+        _judged("export coco", self._good, folder / "coco")  # compile before the first case
         self._files = sorted(path for path in self._good.rglob("*") if path.is_file())
 
     def one(self, seed: int) -> Case:
-        """Mutate a file or two, run a command, and judge how it ends."""
+        """Mutate one to three files, run a command, and judge how it ends."""
         random = Random(seed)
         place = self._folder / "case"
         shutil.rmtree(place, ignore_errors=True)
@@ -61,7 +61,7 @@ class HostileResults:
         for good in random.sample(self._files, random.choice((1, 1, 1, 2, 3))):
             file = results / good.relative_to(self._good)
             what.append(f"{file.name}: {_mutate(file, random, place)}")
-        if random.random() < 0.5:  # as somebody would who means it
+        if random.random() < 0.5:  # as somebody would who hides the changes
             _seal(results)
         command = random.choice(COMMANDS)
         title = f"{command.split()[-1]} {'+'.join(what)} seed {seed}".replace("/", "_")
@@ -97,9 +97,9 @@ def _run(argv: list[str]) -> tuple[int, str]:
 
 
 def _seal(results: Path) -> None:
-    """Write the manifests anew, so that no checksum shows what was changed."""
+    """Rewrite the manifests with new checksums, which do not reveal the changes."""
     for path in filter(Path.is_file, results.glob("*/manifest.json")):
-        with suppress(Exception):  # what is there is no manifest any more
+        with suppress(Exception):  # the file may no longer be a valid manifest
             about = json.loads(path.read_text(encoding="utf-8"))
             write_manifest(path.parent, {k: v for k, v in about.items() if k not in _OWN})
 
@@ -108,7 +108,7 @@ _OWN = {"files", "format", "sha256"}
 
 
 def _listing(place: Path) -> dict[str, bytes]:
-    """Return the files of a folder that no command may write."""
+    """Return the contents of files outside of results and output, which no command may change."""
     found = {}
     for path in place.rglob("*"):
         inside = path.relative_to(place).parts[0]
@@ -185,7 +185,7 @@ def _mutate_json(file: Path, random: Random, place: Path) -> str:
 
 
 def _collect(node: Any, spots: list[tuple[Any, Any]]) -> None:
-    """List every place of a tree that holds a value."""
+    """Collect container and key of each value in a tree of dicts and lists."""
     items = node.items() if isinstance(node, dict) else enumerate(node)
     for key, value in items:
         spots.append((node, key))
@@ -232,7 +232,7 @@ def _mutate_table(file: Path, random: Random, place: Path) -> str:
 
 
 def _with_other_lists(table: pa.Table, random: Random) -> pa.Table:
-    """Return a table in which some lists of a column are longer or shorter or have odd values."""
+    """Return a table in which some lists of a column have other lengths or extreme values."""
     listed = [n for n, field in enumerate(table.schema) if pa.types.is_list(field.type)]
     if not listed or not table.num_rows:
         return table
@@ -248,7 +248,7 @@ def _with_other_lists(table: pa.Table, random: Random) -> pa.Table:
             changed.append([*values[:at], odd, *values[at + 1 :]])
         lists[row] = random.choice(changed)
     field = table.schema.field(number)
-    if None in lists or any(None in values for values in lists):  # a schema that allows nulls
+    if None in lists or any(None in values for values in lists):  # the new type allows nulls
         field = pa.field(field.name, pa.list_(kind))
     return table.set_column(number, field, pa.array(lists, field.type))
 

@@ -1,6 +1,6 @@
-"""Tries what is hostile until it is enough: ``scripts/fuzz logs --minutes N``.
+"""Fuzzer for a limited time: ``scripts/fuzz logs --minutes N``.
 
-Each core has a process of its own, which may die. Failures are kept as files.
+Each core has its own process; crashes of processes count as failures. Failures are kept as files.
 """
 
 import argparse
@@ -26,24 +26,24 @@ SUBJECTS = {
     "results": "HostileResults",
     "stops": "Stops",
 }
-"""Modules beside this one, and the class in each."""
+"""Class of each subject, by the module in this package."""
 MOST_BYTES = 4 << 30
 """Limit of writable memory above what a process has at first. Addresses that threads only reserve,
 64 MiB for each of up to eight allocators per core, do not count, so it fits any number of cores."""
 DIES_AFTER_S = 120
 BLOCK = 500
-"""Seeds of a process."""
+"""Number of seeds that a process handles before it is replaced."""
 
 
 def make(name: str, folder: Path) -> Subject:
-    """What tries the seeds of a subject; its files go into a folder."""
+    """Return a subject, by its name, that writes its files into a folder."""
     return getattr(import_module(f"tests.fuzz.{name}"), SUBJECTS[name])(folder)
 
 
 def work(
     name: str, core: int, seeds: range, until: float, corpus: Path, at: Any, ends: Any
 ) -> None:
-    """Tries some seeds until a time, on one core; says how each has ended, and what it took."""
+    """Process seeds on one core until a time; put title, verdict and memory into ``ends``."""
     os.sched_setaffinity(0, {core})
     memory = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
     with TemporaryDirectory(prefix="jaxdet-fuzz-", dir=memory) as folder:
@@ -64,12 +64,12 @@ def work(
 
 
 def _most_bytes() -> int:
-    """Resident memory of this process, at its most."""
+    """Return the peak resident memory of this process [bytes]."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 
 def _writable_bytes() -> int:
-    """Return the size of this process's private writable memory, touched or not."""
+    """Return the private writable memory of this process, used or only reserved [bytes]."""
     fields = dict(line.split(":") for line in Path("/proc/self/status").read_text().splitlines())
     return int(fields["VmData"].split()[0]) * 1024
 
@@ -86,26 +86,26 @@ def _keep(case: Case, corpus: Path) -> None:
 
 
 class Crew:
-    """Processes that share out the seeds.
+    """Processes, one per core, among which seeds are divided.
 
     Args:
-        name: The subject's.
-        seeds: Those to try.
-        until: When to end, by the monotonic clock.
-        corpus: Where failures are kept.
+        name: Name of the subject.
+        seeds: Seeds to process.
+        until: Time of the end, by the monotonic clock.
+        corpus: Folder for failures.
     """
 
     def __init__(self, name: str, seeds: range, until: float, corpus: Path) -> None:
         self.found: Counter[str] = Counter()
         self.forms: defaultdict[str, Counter[str]] = defaultdict(Counter)
-        """The same by the format of a log, or what else a title begins with."""
+        """Numbers of verdicts by the first word of a title, such as the format of a log."""
         self.most_bytes = 0
-        """Memory above what a process takes that has tried nothing."""
+        """Peak memory of a process above that before its first case [bytes]."""
         self._name, self._left, self._until, self._corpus = name, seeds, until, corpus
         self._lock, self._context = threading.Lock(), multiprocessing.get_context("spawn")
 
     def run(self) -> None:
-        """Returns when no seed or no time is left."""
+        """Process seeds until none or no time is left."""
         threads = [
             threading.Thread(target=self._use, args=(core,)) for core in os.sched_getaffinity(0)
         ]
@@ -125,7 +125,7 @@ class Crew:
             seeds = self._try(core, seeds)
 
     def _try(self, core: int, seeds: range) -> range:
-        """Tries some seeds in a process; those behind one that killed it are left."""
+        """Process seeds in a new process; return the seeds after one that killed it."""
         at, ends = self._context.Value("q", seeds[0]), self._context.SimpleQueue()
         job = self._name, core, seeds, self._until, self._corpus, at, ends
         process = self._context.Process(target=work, args=job)
@@ -152,13 +152,13 @@ class Crew:
 
 
 def main() -> int:
-    """The exit code is 1 where something failed."""
+    """Run the command line; return exit status 1 if there were failures."""
     parser = argparse.ArgumentParser(prog="scripts/fuzz", description=__doc__)
     parser.add_argument("subject", choices=list(SUBJECTS))
     parser.add_argument("--minutes", type=float, default=10.0)
-    parser.add_argument("--count", type=int, default=1 << 40, help="end after so many")
-    parser.add_argument("--seed", type=int, default=0, help="the first")
-    parser.add_argument("--corpus", type=Path, default=Path(".cache/fuzz"), help="for failures")
+    parser.add_argument("--count", type=int, default=1 << 40, help="maximum number of seeds")
+    parser.add_argument("--seed", type=int, default=0, help="first seed")
+    parser.add_argument("--corpus", type=Path, default=Path(".cache/fuzz"), help="failures")
     given = parser.parse_args()
     start = time.monotonic()
     seeds = range(given.seed, given.seed + given.count)

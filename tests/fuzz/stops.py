@@ -1,8 +1,8 @@
-"""Runs of the command that get a Ctrl-C at a random moment of theirs.
+"""Runs of the command that are interrupted by Ctrl-C at a random time.
 
-Before the first line of jaxdet the signal ends the process. From there to the end the exit code is
-130 within :data:`MOST_S`, and 0 if the results are complete. The same command then makes what an
-unbroken run makes.
+Before code of jaxdet runs, the signal ends the process. Later the command ends within
+:data:`MOST_S`, with exit status 130, or 0 if the results are complete. Repeating the command then
+writes the results of an uninterrupted run.
 """
 
 import os
@@ -24,14 +24,14 @@ from jaxdet.sim import SimConfig, write_log
 from tests.fuzz.case import Case, Verdict
 
 MOST_S = 2.0
-"""Time from the signal to the end [s]; on a busy machine the best of :data:`TRIES`."""
+"""Maximum time from the signal to the end [s]; one of :data:`TRIES` runs must meet it."""
 TRIES = 3
 HANGS_S = 60.0
 WORKERS = 1, 1, 1, 1, 1, 1, 1, 2
 """Numbers of workers to choose from."""
 TICKS = os.sysconf("SC_CLK_TCK")
 SLACK_S = 0.05
-"""Uncertainty of when a signal comes and of when a file gets its name [s]."""
+"""Uncertainty of the times of signals and of renamed folders [s]."""
 INTERRUPTED = 128 + signal.SIGINT
 
 
@@ -39,34 +39,34 @@ class Ending(NamedTuple):
     """End of an interrupted command."""
 
     code: int | None
-    """Exit code as :mod:`subprocess` has it; None if the process had to be killed."""
+    """Exit code as in :mod:`subprocess`; None if the process had to be killed."""
     delay_s: float
-    """Time from the signal to the end."""
+    """Time from the signal to the end [s]."""
     sent_at: float
-    """Time of the signal, 0 if the command ended before."""
+    """Time of the signal; 0 if the command had ended before."""
     errors: str
 
 
 class Stops:
-    """Interrupts ``jaxdet run`` on a small log.
+    """Interrupt ``jaxdet run`` on a small log.
 
     Args:
-        folder: Where everything is written.
+        folder: Folder for all files.
     """
 
     def __init__(self, folder: Path) -> None:
         self._folder, self._log, self._errors = folder, folder / "log.mcap", folder / "errors"
         write_log(self._log, SimConfig(frames=6, width=160, height=120))
-        self._complete(folder / "first", 1)  # which may compile
+        self._complete(folder / "first", 1)  # a first run may compile
         self._cpu_s = {n: self._complete(folder / f"{n}", n) for n in WORKERS}
         self._good = _tables(folder / f"{WORKERS[0]}" / "log")
 
     def one(self, seed: int) -> Case:
-        """Interrupt a run at the moment of a seed."""
+        """Interrupt a run at a time that depends on the seed."""
         random = Random(seed)
         workers = random.choice(WORKERS)
         cpu_s = random.uniform(0, 1.1 * self._cpu_s[workers])
-        wait_s = random.uniform(0, 0.05)  # so that moments are hit at which the process waits
+        wait_s = random.uniform(0, 0.05)  # so that some signals arrive while the process waits
         output = self._folder / "out"
         title = f"{workers}-workers at {cpu_s:.2f} s seed {seed}"
         verdict = Verdict("hang")
@@ -79,7 +79,7 @@ class Stops:
         return Case(title, verdict, {})
 
     def _interrupt(self, output: Path, workers: int, cpu_s: float, wait_s: float) -> Ending:
-        """Start a run; interrupt it when it has used a given CPU time and some time has passed."""
+        """Start a run; interrupt it ``wait_s`` after it has used a CPU time of ``cpu_s``."""
         process = self._start(output, workers)
         while process.poll() is None and _cpu_time(process.pid) < cpu_s:
             time.sleep(0.004)
@@ -110,7 +110,7 @@ class Stops:
         if code == -signal.SIGINT and not begun:
             return Verdict("not begun", text)
         if code == 1 and "KeyboardInterrupt" in errors and not begun and "/jaxdet/" not in errors:
-            return Verdict("not begun", text)  # Python's own start
+            return Verdict("not begun", text)  # while Python starts
         if code not in (0, INTERRUPTED) or "Traceback" in errors or "jaxdet itself" in errors:
             return Verdict("crash", text)
         if code == 0 and complete_at > sent_at + SLACK_S:
@@ -126,7 +126,7 @@ class Stops:
         return Verdict("interrupted" if code else "complete", text)
 
     def _is_right(self, output: Path) -> bool:
-        """Return whether a reader finds complete results of an unbroken run, or none."""
+        """Return whether a reader finds no results, or those of an uninterrupted run."""
         folders = log_folders(output)
         if not folders:
             return True
@@ -145,7 +145,7 @@ class Stops:
 
     def _start(self, output: Path, workers: int) -> subprocess.Popen[bytes]:
         command = [sys.executable, "-P", "-m", "jaxdet", "run", str(self._log), "-o", str(output)]
-        with self._errors.open("wb") as errors:  # workers may hold a pipe for longer
+        with self._errors.open("wb") as errors:  # a file, as workers may keep a pipe open
             return subprocess.Popen(
                 [*command, "--pictures", "0", "--workers", str(workers)],
                 env={**os.environ, "JAX_PLATFORMS": "cpu"},
@@ -157,7 +157,7 @@ class Stops:
 
 
 def _as_in_a_terminal() -> None:
-    """Give SIGINT its default action, and lift the fuzzer's bound on memory."""
+    """Give SIGINT its default action, and remove the memory limit of the fuzzer."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     _, hard = resource.getrlimit(resource.RLIMIT_DATA)
     resource.setrlimit(resource.RLIMIT_DATA, (hard, hard))
@@ -170,12 +170,12 @@ def _cpu_time(pid: int) -> float:
 
 
 def _complete_at(output: Path) -> float:
-    """Return when the log's results got their name, 0 without results."""
+    """Return the time when the results of the log got their final name; 0 if there are none."""
     return max((folder.stat().st_ctime for folder in log_folders(output).values()), default=0.0)
 
 
 def _tables(folder: Path) -> dict[str, bytes]:
-    """Return tables and maps of a log by name; tables without what they say of the run."""
+    """Return maps and rows of tables by file name, without the metadata of the run."""
     found = {path.name: path.read_bytes() for path in folder.glob("map.*")}
     for path in folder.glob("*.parquet"):
         found[path.name] = repr(pq.read_table(path).to_pylist()).encode()
