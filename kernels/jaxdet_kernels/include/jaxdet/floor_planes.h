@@ -43,7 +43,7 @@ struct FloorDirection {
     }
 };
 
-// Tolerance of inliers of a plane at a given height; below 2^20, so that squares do not overflow.
+// Tolerance of inliers of a plane at a given height; below 2^21, so that squares fit in 64 bits.
 struct FloorSlack {
     enum { BITS = 26 };
     int base;
@@ -55,7 +55,7 @@ struct FloorSlack {
 #if defined(__CUDA_ARCH__)
     int at(int z) const { return base + (int)((z * rate) >> BITS); }
 #else
-    // The product is below 2^46 because tolerances are below 2^20, so it is exact as a double.
+    // The product is below 2^47 because tolerances are below 2^21, so it is exact as a double.
     int at(int z) const { return base + (int)(z * ((double)rate / (1 << BITS))); }
 #endif
 };
