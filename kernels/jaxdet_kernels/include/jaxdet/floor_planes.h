@@ -43,7 +43,8 @@ struct FloorDirection {
     }
 };
 
-// Tolerance of inliers of a plane at a given height; below 2^21, so that squares fit in 64 bits.
+// Tolerance of inliers of a plane at a given height; below 1.4 million (depth 65535 at 20 m and a
+// noise of 1 per metre), so that nine times its square is below 2^44.
 struct FloorSlack {
     enum { BITS = 26 };
     int base;
@@ -55,7 +56,7 @@ struct FloorSlack {
 #if defined(__CUDA_ARCH__)
     int at(int z) const { return base + (int)((z * rate) >> BITS); }
 #else
-    // The product is below 2^47 because tolerances are below 2^21, so it is exact as a double.
+    // The product is below 2^47 because tolerances are below 2^21, so a double is exact.
     int at(int z) const { return base + (int)(z * ((double)rate / (1 << BITS))); }
 #endif
 };
