@@ -45,8 +45,8 @@ MAX_PIXEL_ASPECT = 4.0
 MAX_COEFFICIENT = 1e4
 """Maximum magnitude of a distortion coefficient."""
 MAX_BASELINE_M = 10.0
-"""Maximum distance between depth and colour camera [m]; the depth range limits it too, so that sums
-of products have 32 bits."""
+"""Maximum distance between depth and colour camera [m]; the depth range limits it further, so that
+sums of products fit in 32 bits."""
 
 
 def check_calibration(calibration: Calibration) -> None:

@@ -187,7 +187,7 @@ class SharedDevice:
         return floor_fit(floors, frames.plane, frames.calibration.depth_unit)
 
     def _start(self, plane: GroundPlane, whole: bool) -> int:
-        """Start the images in the current slot."""
+        """Send the images in the current slot to the device server, without waiting for results."""
         slot = self._first + self._turn
         self._server_pipe.pipe.send(Piece(self._server_pipe.number, slot, plane, whole))
         return slot

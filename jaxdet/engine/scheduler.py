@@ -130,7 +130,7 @@ class Scheduler:
             self._do_here(left.pop(name))
 
     def _for_workers(self, left: Mapping[str, LogFiles]) -> list[str]:
-        """Return the logs to process one per worker, the largest first."""
+        """Return the logs that are each processed by a single worker, the largest first."""
         if self.memory.workers == 1 or len(left) == 1:
             return []
         sizes = {name: sum(map(_size, log.paths)) for name, log in left.items()}

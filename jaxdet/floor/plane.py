@@ -215,7 +215,8 @@ class StepHeight(NamedTuple):
     """
 
     table: np.ndarray
-    """First term by z in depth units, ``(65536,)`` int64 [depth units], read-only."""
+    """First term of the step, indexed by z [depth units], ``(65536,)`` int64 [depth units],
+    read-only."""
     noise: int
     """``noise_per_m / s`` for a depth unit, with ``NOISE_BITS`` fraction bits, below 2^31."""
 

@@ -176,8 +176,9 @@ def floor_fit(found: np.ndarray, prior: GroundPlane, unit: float) -> FloorFit:
 
     Args:
         found: Result of the search, ``(B, 8)`` int32: pitch and roll [angle steps] and height
-            [depth units] of the best plane; start [depth units] and turn [angle steps] of its ramp,
-            turn 0 = none; number of inliers, of all cells, and a :class:`Refusal`.
+            [depth units] of the best plane; distance at which its ramp starts [depth units] and
+            angle of the ramp to the plane [angle steps], 0 = no ramp; number of inliers; number of
+            all cells; and a :class:`Refusal`.
         prior: ``B`` planes.
         unit: Metres per depth unit.
     """

@@ -412,7 +412,7 @@ class Log:
         status: tuple[FrameStatus, ...],
         errors: tuple[str, ...],
     ) -> Batch:
-        """Return a batch of the frames of some windows, padded to the number of images."""
+        """Return the frames of some windows as one batch, padded to the number of images."""
         count, size = len(indices), max(len(indices), len(images[0]))
         valid, poses = np.zeros(size, bool), None
         valid[:count] = [item is FrameStatus.OK for item in status]

@@ -27,7 +27,8 @@ LARGEST_TURN = 8 * ANGLES  # maximum rotation of a plane per round of refinement
 BELOW = 4  # cells this many tolerances below a plane are clearly below it
 BELOW_COST = 2  # votes that such a cell costs: nothing is visible through a floor
 TURN_BITS = 24
-"""Bits of the sums that the refinement multiplies: two products and an angle fit in 64."""
+"""Maximum number of bits of the sums that the refinement multiplies, so that the sum of two
+products times an angle fits in 64 bits."""
 RIDGE = 14  # square of 3 cm in levers of 8 mm: a few centimetres of floor do not determine the tilt
 
 

@@ -63,7 +63,7 @@ class Layout:
 
 
 def _octets(words: Any) -> Any:
-    """Return the bytes of 32-bit words; only those of JAX's arrays need JAX."""
+    """Return 32-bit words as bytes; JAX is only imported if the words are a JAX array."""
     if isinstance(words, np.ndarray):
         return np.ascontiguousarray(words).view(np.uint8)
     import jax

@@ -67,8 +67,9 @@ class Truth(NamedTuple):
     """Minimum z in the colour camera of the visible surface, ``(F, J)`` float32 [m]; only parts
     above 0.05 m count, if there are any."""
     ground_min: np.ndarray
-    """Minimum coordinates (right, forward) of the surface of ``nearest_m`` in the camera's ground
-    frame, ``(F, J, 2)`` float32 [m]; forward is the distance of the nearest face."""
+    """Minimum coordinates (right, forward) of the surface measured by ``nearest_m``, in the
+    camera's ground frame, ``(F, J, 2)`` float32 [m]; the second is the distance to its nearest
+    face."""
     ground_max: np.ndarray
     """Maximum coordinates of the surface of ``nearest_m``, ``(F, J, 2)`` float32 [m]."""
     edge_m: np.ndarray

@@ -67,7 +67,7 @@ struct CellGrid {
         for (int row = warp.index; row < rows; row += warp.count)
             for (int column = warp.lane; column < columns; column += Warp::size) {
                 const int k = row * columns + column;
-                // The ray is requested before the depth is computed: both loads wait together.
+                // Load the ray before computing the depth, so that the latencies of both loads overlap.
                 const int ray_x = rays[k], ray_y = rays[all + k];
                 place(k, ray_x, ray_y, cell(row, column).depth(nearest_out + k));
             }

@@ -55,7 +55,7 @@ struct Facing {
     bool in_rows;
     int gap;
     const unsigned char* near;  // per pair: whether it is evaluated
-    Sum* sums;                  // (pairs, SUMS), 0 before
+    Sum* sums;                  // (pairs, SUMS), initialised with 0
 
     // Processes all lines of both directions.
     static void run(const Team& team, const Facing& one, const Facing& other) {

@@ -253,7 +253,7 @@ struct FloorVotes {
         team.sync();
     }
 
-    // Finds the best plane in the near part that is apart from the previous one, with the votes of all
+    // Finds the best plane in the near part that differs from the previous one, by the votes of all
     // cells.
     void next(const Team& team) const {
         const unsigned long long last = best[rings - 1];

@@ -6,7 +6,7 @@
 namespace jaxdet { namespace {
 
 struct Notches {
-    const FreeFloor& floor;  // its columns, after they have been followed
+    const FreeFloor& floor;  // free floor; its columns must have been traced
     const int* settings;
     const int* rises;  // (DEPTHS,) step, indexed by z; `slope` is its growth with noise
     int slope;

@@ -224,7 +224,7 @@ struct Obstacles {
     // Splits obstacles that bend around free floor, and measures the parts in `last`.
     void straighten(const Team& team, const Contours& of_whole) const {
         const int groups = counts[GROUPS];
-        int* before = parts + groups;  // extra parts of the groups before each group
+        int* before = parts + groups;  // exclusive prefix sum of the extra parts of groups
         const Warp warp(team);
         for (int g = team.rank; g < groups; g += team.size) before[g] = 0;
         if (settings[BEND] > 0) {

@@ -31,7 +31,7 @@ struct Outlines {
     int *contour_out, *points_out, *direction_out, *span_out;
     // Lexicographic key per obstacle and column: smallest squared distance, then cell index.
     unsigned long long* nearest;
-    // Criteria per obstacle and direction.
+    // Area and cost of the rectangle per obstacle and direction, which decide its direction.
     long long* area;
     int* cost;
     // Number of contour points in the left and in the right margin, per obstacle.

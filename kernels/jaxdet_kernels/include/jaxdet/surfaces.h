@@ -148,7 +148,7 @@ struct Surfaces {
 #else
         in.grid.frame(team, in.other, Creases::NONE);
         for (int r = 0; r < rows; ++r) {
-            // The ramp is a constant in each call, so that the loop has no branch.
+            // has_ramp is a compile-time constant in each call, so the loop has no branch.
             some |= frame.has_ramp() ? place_row(in, frame, true, slope, r)
                                      : place_row(in, frame, false, slope, r);
             for (int i = in.kept.at(r, 0); i < in.kept.at(r + 1, 0); ++i) {
