@@ -300,7 +300,6 @@ class _CheckedRead:
     def __init__(self, file: LogFile, start: int) -> None:
         self.crc = 0
         self._file, self._start, self._done = file, start, 0
-        self._unused = memoryview(bytearray(PIECE_BYTES))
 
     def read_into(self, memory: memoryview) -> None:
         """Fill memory with the next records; the CRC is computed while they are in the cache."""
@@ -318,8 +317,9 @@ class _CheckedRead:
         """
         if offset < self._done:
             raise DamageError("messages overlap")
+        unused = memoryview(bytearray(min(PIECE_BYTES, offset - self._done)))
         while left := offset - self._done:
-            self.read_into(self._unused[:left])
+            self.read_into(unused[:left])
 
 
 def _other_calibration() -> FrameError:
