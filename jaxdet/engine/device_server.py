@@ -81,6 +81,11 @@ class DeviceServer:
         for device in devices:
             self._run(self._compute, device)
 
+    @property
+    def config(self) -> ServerConfig:
+        """Configuration for workers: ``served``, with the path of the slots."""
+        return self.served._replace(slots=self.memory.slots)
+
     def close(self) -> None:
         """End the threads and free the memory."""
         self.waker.send(None)

@@ -181,8 +181,8 @@ class OutputFolder:
         if is_complete(folder):
             return self._complete(log, folder)
         if (folder / FAILED).is_file():
-            told = read_json(folder / FAILED)
-            again = self.options.update or self.options.overwrite or told.get("run") != self.run
+            content = read_json(folder / FAILED)
+            again = self.options.update or self.options.overwrite or content.get("run") != self.run
             return None if again else _summaries(folder / FAILED)
         if any(folder.iterdir()):
             self._refuse(folder, "was not written by a run")
@@ -220,10 +220,10 @@ class OutputFolder:
         """Add the number of earlier attempts at a log that failed before."""
         if is_complete(staged) or not (place / FAILED).is_file():
             return
-        told, before = read_json(staged / FAILED), read_json(place / FAILED).get("attempts", 0)
+        content, before = read_json(staged / FAILED), read_json(place / FAILED).get("attempts", 0)
         if isinstance(before, int):
-            told["attempts"] += before
-            write_whole(staged / FAILED, to_json(told).encode())
+            content["attempts"] += before
+            write_whole(staged / FAILED, to_json(content).encode())
 
     def _refuse(self, path: Path, problem: str) -> NoReturn:
         raise ConfigError(problem, path=str(path), remedy="move it or give another --output")
@@ -246,5 +246,5 @@ class OutputFolder:
 
 
 def _summaries(path: Path) -> list[LogSummary]:
-    told = read_json(path)
-    return [LogSummary.from_dict(entry) for entry in entries_of(told, path)]
+    content = read_json(path)
+    return [LogSummary.from_dict(entry) for entry in entries_of(content, path)]

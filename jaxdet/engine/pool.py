@@ -176,13 +176,12 @@ class Pool:
         if self._server is None or self._server.served != served:
             self._end_server()
             self._server = DeviceServer(served, [ours for ours, _ in self._pipes], self.devices)
-        return self._server.served._replace(slots=self._server.memory.slots)
+        return self._server.config
 
     @property
     def serving(self) -> ServerConfig | None:
         """Configuration of the device server, whose slots have a path; None without one."""
-        server = self._server
-        return server and server.served._replace(slots=server.memory.slots)
+        return self._server and self._server.config
 
     def _end_server(self) -> None:
         if self._server:

@@ -129,8 +129,8 @@ def write_failure(folder: Path, about: dict[str, Any], logs: list[LogSummary]) -
         logs: Summaries of its cameras.
     """
     reason = "; ".join(log.error for log in logs if log.error)
-    told = {"reason": reason, "attempts": 1, **about, "logs": [log.to_dict() for log in logs]}
-    write_json(folder / FAILED, told)
+    content = {"reason": reason, "attempts": 1, **about, "logs": [log.to_dict() for log in logs]}
+    write_json(folder / FAILED, content)
 
 
 def _write_results(
@@ -141,7 +141,7 @@ def _write_results(
     about: dict[str, Any],
 ) -> None:
     """Write tables, JSON files and the manifest."""
-    told, config = (
+    content, config = (
         summary.to_dict(),
         {**settings.record["config"], "batch_size": summary.batch_size},
     )
@@ -153,9 +153,9 @@ def _write_results(
         except MemoryError as error:
             problem, remedy = "no memory for its rows", "end other programs"
             raise OutputError(problem, path=str(folder), remedy=remedy) from error
-        writer.close(config, told)
+        writer.close(config, content)
     write_json(folder / CONFIG, config)
-    write_json(folder / SUMMARY, told)
+    write_json(folder / SUMMARY, content)
     with writing(folder):
         write_manifest(folder, about)
 
