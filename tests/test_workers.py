@@ -12,6 +12,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -584,15 +585,23 @@ def test_a_signal_just_before_workers_start_does_not_hang(monkeypatch):
     assert not some.started
 
 
-def test_a_fork_server_that_dies_while_workers_start_is_an_error_of_one_line(monkeypatch):
+@pytest.mark.parametrize("deaths", [2, 4])
+def test_workers_start_again_once_if_the_fork_server_dies_while_they_start(monkeypatch, deaths):
     """pytest turns an exception that leaves a thread into a failure."""
+    begin, left = BaseProcess.start, iter(range(deaths))
 
     def start(self: Any) -> None:
-        raise EOFError("unexpected EOF")
+        if next(left, None) is not None:
+            raise EOFError("unexpected EOF")
+        begin(self)
 
-    monkeypatch.setattr("multiprocessing.process.BaseProcess.start", start)
-    with pool.Pool("reference") as workers, pytest.raises(WorkerError, match="can't be started"):
-        workers.call(Sleep(), 0.0, "")
+    monkeypatch.setattr(BaseProcess, "start", start)
+    with pool.Pool("reference", 2) as workers:
+        if deaths > workers.count:
+            with pytest.raises(WorkerError, match="can't be started"):
+                workers.call(Sleep(), 0.0, "", tries=2)
+        else:
+            assert workers.call(Sleep(), 0.0, "", tries=2) == 0.0
 
 
 @pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="needs /proc")
