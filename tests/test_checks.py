@@ -67,10 +67,10 @@ def test_stages_refuse_images_of_another_size():
     given = made()
     pixels = np.zeros((2, 2, 1), np.int32)
     with pytest.raises(CalibrationError, match="depth images have 96x20 pixels"):
-        stages.align(given.depth[:, :20], *pixels, given.calibration)
+        stages.paper.align(given.depth[:, :20], *pixels, given.calibration)
     for color, depth in ((given.color[:, :30], given.depth), (given.color, given.depth[:, :30])):
         with pytest.raises(CalibrationError, match="images have 96x30 pixels"):
-            stages.features(color, depth, given.calibration, FeaturesConfig())
+            stages.paper.features(color, depth, given.calibration, FeaturesConfig())
 
 
 @pytest.mark.parametrize(("width", "height"), [(4097, 3), (3, 4097), (2, 60), (60, 2)])
@@ -82,7 +82,7 @@ def test_images_smaller_or_larger_than_kernels_support_are_refused(width, height
     config = Config(cluster=ClusterConfig(points=True))
     message = rf"{width}x{height} pixels, but the kernels take from 3 to 4096 .*--backend reference"
     with pytest.raises(ConfigError, match=message):
-        stages.features(color, z, Calibration(camera), config.features)
+        stages.paper.features(color, z, Calibration(camera), config.features)
     with pytest.raises(ConfigError, match=message):
         detect(frames(Calibration(camera), color, z, plane=level(1)), config)
 
@@ -90,10 +90,10 @@ def test_images_smaller_or_larger_than_kernels_support_are_refused(width, height
 def test_more_points_than_kernels_support_are_refused():
     many = points(np.zeros(8193, int), np.full(8193, 1000))
     with pytest.raises(ConfigError, match="8193 points"):
-        stages.cluster(many, 0.001, Config())
+        stages.paper.cluster(many, 0.001, Config())
     labels = Labels(np.zeros((1, 8193), np.int32), np.ones(1, np.int32))
     with pytest.raises(ConfigError, match="8193 points"):
-        stages.footprint(many, labels, level(1), 0.001, Config())
+        stages.paper.footprint(many, labels, level(1), 0.001, Config())
 
 
 @pytest.mark.parametrize(

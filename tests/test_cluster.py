@@ -34,7 +34,7 @@ def labels(backend, features: Features, settings_: Config) -> list:
     """Return the labels of the points, padded so that all cases share one program."""
     count = features.z.shape[1]
     padded = padding(features, SLOTS - count)
-    found = np.asarray(backend.cluster(padded, 0.001, settings_).labels)
+    found = np.asarray(backend.paper.cluster(padded, 0.001, settings_).labels)
     assert (found[:, count:] == -1).all()
     return found[:, :count].tolist()
 
@@ -88,15 +88,15 @@ def test_only_kept_points_are_clustered(backend):
     z, kept = [500, 501, 502, 503], [True, False, True, True]
     assert labels(backend, points([0] * 4, z, kept), config()) == [[0, -1, 0, 0]]
     nothing = points([0] * SLOTS, [*z] * 3, [False] * SLOTS)
-    found = backend.cluster(nothing, 0.001, config())
+    found = backend.paper.cluster(nothing, 0.001, config())
     assert np.asarray(found.num_obstacles).tolist() == [0]
 
 
 def test_gaps_scale_with_the_depth_unit():
     z = [5000, 6000, 7000]
-    found = reference.cluster(points([0] * 3, z), 0.0001, config())
+    found = reference.paper.cluster(points([0] * 3, z), 0.0001, config())
     assert found.labels.tolist() == [[0, 0, 0]]
-    found = reference.cluster(points([0] * 3, z), 0.001, config())
+    found = reference.paper.cluster(points([0] * 3, z), 0.001, config())
     assert found.labels.tolist() == [[-1] * 3]
 
 
@@ -134,7 +134,7 @@ def test_same_partition_as_scipy(backend, count, gaps):
     rng = np.random.default_rng(count)
     x, z = rng.integers(-2000, 2000, count), rng.integers(300, 4000, count)
     settings_ = config(*gaps, min_points=2)
-    found = np.asarray(backend.cluster(points(x, z), 0.001, settings_).labels)[0]
+    found = np.asarray(backend.paper.cluster(points(x, z), 0.001, settings_).labels)[0]
     parts = [frozenset(np.flatnonzero(found == n).tolist()) for n in range(found.max() + 1)]
     assert sorted(parts, key=sorted) == single_linkage(x, z, settings_)
 
@@ -156,7 +156,7 @@ def random_points(seed: int, batch: int, n: int, spread: int) -> Features:
 def test_twin(device, batch, n, spread, min_points):
     features = random_points(n + spread, batch, n, spread)
     given_ = features, 0.001, config(30, 60, min_points)
-    assert_equal(stages.cluster(*given_), reference.cluster(*given_))
+    assert_equal(stages.paper.cluster(*given_), reference.paper.cluster(*given_))
 
 
 @pytest.mark.twin
@@ -167,7 +167,7 @@ def test_twin_of_as_many_parts_as_points(device, lateral_gap, share):
     x = MAX_LATERAL - 9 * np.arange(8192)[::-1]
     features = points(x, 7 * np.arange(8192), np.random.default_rng(0).random(8192) < share)
     given_ = features, 0.001, config(5, lateral_gap, 0)
-    assert_equal(stages.cluster(*given_), reference.cluster(*given_))
+    assert_equal(stages.paper.cluster(*given_), reference.paper.cluster(*given_))
 
 
 # laws
@@ -184,11 +184,11 @@ hostile = st.lists(
 def test_twin_on_random_points(rows, depth_gap, lateral_gap, min_points):
     x, z, kept = (np.array(column) for column in zip(*rows, strict=True))
     given_ = points(x, z, kept), 0.001, config(depth_gap, lateral_gap, min_points)
-    assert_equal(stages.cluster(*given_), reference.cluster(*given_))
+    assert_equal(stages.paper.cluster(*given_), reference.paper.cluster(*given_))
 
 
 def found(features: Features) -> np.ndarray:
-    return np.asarray(stages.cluster(features, 0.001, config(20, 60)).labels)
+    return np.asarray(stages.paper.cluster(features, 0.001, config(20, 60)).labels)
 
 
 @pytest.mark.twin
@@ -196,7 +196,7 @@ def found(features: Features) -> np.ndarray:
 def test_twin_with_bins_of_one_depth_unit(depth_gap):
     z = np.array([[9, 1, 65535, 2, 9, 1, 4, 65534]])
     given_ = points(np.zeros_like(z), z), 0.001, config(depth_gap, 400, 1)
-    assert_equal(stages.cluster(*given_), reference.cluster(*given_))
+    assert_equal(stages.paper.cluster(*given_), reference.paper.cluster(*given_))
 
 
 @given(st.integers(0, 2**32 - 1))

@@ -17,7 +17,8 @@ from jaxdet.errors import ConfigError
 from jaxdet.pipeline import find_floors, find_floors_without_jax
 from jaxdet.presets import PRESETS, preset
 from jaxdet.runtime.compiled import load_for_cpu
-from jaxdet.stages import _check, _detect, _points
+from jaxdet.stages import _check, _detect
+from jaxdet.stages.paper import _detect as _paper
 from jaxdet.types import Calibration, Extrinsics, Frames, Intrinsics
 from jaxdet_kernels import program as kernels
 from tests.scenes import D435, IDENTITY, assert_equal, blocks, frames, level, small, smooth_depth
@@ -175,7 +176,7 @@ def other_settings(config: Config) -> Config:
 
 
 @pytest.mark.parametrize(
-    ("name", "program"), [("wheeled", _detect._detect), ("paper", _points._detect)]
+    ("name", "program"), [("wheeled", _detect._detect), ("paper", _paper._detect)]
 )
 def test_settings_and_calibration_are_no_compile_time_constants(device, name, program):
     """Another camera of the same size and other lengths must not compile the program again."""

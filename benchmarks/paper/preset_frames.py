@@ -14,7 +14,7 @@ from jaxdet import reference, stages
 from jaxdet.config import Config, FeaturesConfig
 from jaxdet.eval import FrameTruth, Tally, evaluate_frames
 from jaxdet.floor.plane import plane_in_color
-from jaxdet.reference._canny import grey
+from jaxdet.reference.paper._canny import grey
 from jaxdet.types import Calibration, Detections, Features, GroundPlane, Labels, Points
 
 BATCH = 16
@@ -48,8 +48,8 @@ class PresetFrames:
     def _above_floor(
         self, color: np.ndarray, depth: np.ndarray, plane: GroundPlane, settings: FeaturesConfig
     ) -> Features:
-        found = stages.features(color, depth, self.calibration, settings)
-        found = stages.ground(found, plane, self.calibration, self.config)
+        found = stages.paper.features(color, depth, self.calibration, settings)
+        found = stages.paper.ground(found, plane, self.calibration, self.config)
         return Features(*(np.asarray(a) for a in found))
 
     def with_bounds(self, share: float) -> list[Features]:
@@ -76,7 +76,7 @@ class PresetFrames:
             labels = sort_and_gap(features, unit, config)
             count = (labels.max(axis=1, initial=-1) + 1).astype(np.int32)
             marked = Labels(labels, count)
-            outlines = reference.footprint(features, marked, plane, unit, config)
+            outlines = reference.paper.footprint(features, marked, plane, unit, config)
             for b in range(len(labels)):
                 one = slice(b, b + 1)
                 found = Detections(

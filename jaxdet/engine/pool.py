@@ -31,7 +31,7 @@ WAITING = 2
 NO_PROGRESS_S = 600.0
 """Time without progress after which a worker counts as lost; compiling may take long [s]."""
 LOADED = ["jaxdet.engine.log_per_worker", "jaxdet.io.opening", "numpy.ma", "jaxdet_kernels.decode"]
-LOADED_TO_COMPUTE = ["jaxdet.stages._detect", "jaxdet.stages._points"]
+LOADED_TO_COMPUTE = ["jaxdet.stages._detect", "jaxdet.stages.paper._detect"]
 """Modules that the fork server loads once for all workers, including modules that pyarrow and the
 decoders would load later; no module may start a thread or Warp."""
 _LOOK_S = 1.0

@@ -1,20 +1,6 @@
-__all__ = [
-    "align",
-    "check_kernels",
-    "cluster",
-    "detect",
-    "features",
-    "find_floors",
-    "find_floors_on_cpu",
-    "footprint",
-    "ground",
-]
+__all__ = ["check_kernels", "detect", "find_floors", "find_floors_on_cpu", "paper"]
 
-from ._align import align
+from . import paper
 from ._check import check_kernels
-from ._cluster import cluster
 from ._detect import detect, find_floors
-from ._features import features
 from ._floors import find_floors_on_cpu
-from ._footprint import footprint
-from ._ground import ground

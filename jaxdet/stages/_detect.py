@@ -16,9 +16,8 @@ from jaxdet.runtime.calls import (
     most_teams,
     uninterrupted,
 )
-from jaxdet.stages import _batches, _program
+from jaxdet.stages import _batches, _program, paper
 from jaxdet.stages._check import check_kernels
-from jaxdet.stages._points import clusters
 from jaxdet.stages._program import Static
 from jaxdet.types import (
     MAX_OBSTACLES,
@@ -55,7 +54,7 @@ def detect(
         ConfigError: The kernels do not support images or grids of this size.
     """
     if config.cluster.points:
-        return clusters(frames, plane, config)
+        return paper.detect(frames, plane, config)
     tables, static = _tables(frames.calibration, config)
 
     def run(images: tuple[Any, ...], planes: GroundPlane) -> Detections:

@@ -32,7 +32,7 @@ class Sizes(NamedTuple):
 
 
 def cluster(features: Features, depth_unit: float, config: Config) -> Labels:
-    """Cluster points by gaps; twin of :func:`jaxdet.reference.cluster`.
+    """Cluster points by gaps; twin of :func:`jaxdet.reference.paper.cluster`.
 
     Scans over all frames: number the sets of neighbours in depth by their bins and count their
     points; sort by set and x, flag gaps, number the runs between them by prefix sums, and count
