@@ -111,7 +111,8 @@ def find_floors(
     Args:
         frames: ``B`` frames; if ``plane`` is None, the prior is the configuration's.
         config: Configuration of the method; by default the preset ``wheeled``.
-        backend: Backend; the results are equal.
+        backend: ``jax`` for the compiled kernels, which run on the CPU and do not load JAX;
+            ``reference`` for NumPy. The results are equal.
 
     Returns:
         Planes, and the reason if a frame's own depth does not determine its plane, see
@@ -121,34 +122,9 @@ def find_floors(
         CalibrationError: The calibration is invalid, or images differ in size from their camera.
         InputError: The numbers of images and planes differ.
     """
-    return load_backend(backend).find_floors(*_floor_arguments(frames, config))
-
-
-def find_floors_without_jax(frames: Frames, config: Config | None = None) -> "FloorFit":
-    """Estimate the same floors without importing JAX, for processes that compute nothing else.
-
-    Args:
-        frames: ``B`` frames; if ``plane`` is None, the prior is the configuration's.
-        config: Configuration of the method; by default the preset ``wheeled``.
-
-    Returns:
-        Planes, computed by the kernels if they are already compiled, else by the reference.
-
-    Raises:
-        CalibrationError: The calibration is invalid, or images differ in size from their camera.
-        InputError: The numbers of images and planes differ.
-    """
-    from jaxdet.stages import find_floors_on_cpu
-
-    arguments = _floor_arguments(frames, config)
-    return find_floors_on_cpu(*arguments) or load_backend("reference").find_floors(*arguments)
-
-
-def _floor_arguments(frames: Frames, config: Config | None) -> tuple[Frames, GroundPlane, Config]:
-    """Check the frames, and return the arguments of a backend's ``find_floors``."""
     config = _checked(config)
     check_frames(frames, config, floor_only=True)
-    return frames, floor_prior(frames, config), config
+    return load_backend(backend).find_floors(frames, floor_prior(frames, config), config)
 
 
 def _checked(config: Config | None) -> Config:

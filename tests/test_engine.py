@@ -236,8 +236,8 @@ def test_summary_names_the_source_of_the_floor() -> None:
         source(source="tf")
 
 
-def test_time_windows_of_the_floor_are_aligned_to_absolute_time() -> None:
-    def by_first_frame(frames: Frames) -> FloorFit:
+def test_time_windows_of_the_floor_are_aligned_to_absolute_time(monkeypatch) -> None:
+    def by_first_frame(frames: Frames, config: Config, *, backend: str) -> FloorFit:
         own = frames.valid
         height = np.full(len(own), 0.5 + int(frames.number[0]) / 100)
         plane = flat_plane(height, 0 * height, 0 * height, own)
@@ -245,7 +245,8 @@ def test_time_windows_of_the_floor_are_aligned_to_absolute_time() -> None:
 
     log: Any = FakeLog()
     config = Config(GroundConfig(window_s=0.5), cluster=ClusterConfig(points=True))
-    planes = decide_planes(log, config, "reference", find=by_first_frame)
+    monkeypatch.setattr("jaxdet.engine.floors.find_floors", by_first_frame)
+    planes = decide_planes(log, config, "reference")
     starts = [record.window_start_ns for record in planes.records]
     assert starts == [500_000_000, 1_000_000_000, 1_500_000_000]
     found = planes.of(log.stamps_ns)
@@ -254,7 +255,7 @@ def test_time_windows_of_the_floor_are_aligned_to_absolute_time() -> None:
     assert "1 of 3 time windows" in planes.warnings[0]
     assert not planes.of(np.array([0])).valid.any()
     plain = Config(config.ground)
-    assert not decide_planes(log, plain, "reference", find=by_first_frame).warnings
+    assert not decide_planes(log, plain, "reference").warnings
 
 
 def test_evenly_spaced_samples_include_both_ends() -> None:

@@ -9,7 +9,6 @@ import numpy as np
 
 from jaxdet.config import Config
 from jaxdet.engine.color import method_frames
-from jaxdet.engine.floors import find_here, find_without_jax
 from jaxdet.engine.shared_slots import (
     SLOTS,
     Packing,
@@ -20,11 +19,9 @@ from jaxdet.engine.shared_slots import (
     attached,
 )
 from jaxdet.engine.startup import computing
-from jaxdet.floor.plane import join_planes, unknown_plane
-from jaxdet.floor.units import FloorFit, floor_fit
 from jaxdet.pipeline import BackendName, detect
 from jaxdet.results.rows import RowInputs, row_inputs, to_host
-from jaxdet.types import Detections, Frames, GroundPlane
+from jaxdet.types import Detections, GroundPlane
 
 if TYPE_CHECKING:
     from jaxdet.io import Batch
@@ -74,13 +71,6 @@ class Device(Protocol):
         """Return the detections of a batch; ``started`` is what :meth:`start` returned for it."""
         ...
 
-    def find_floors(self, frames: Frames) -> FloorFit:
-        """Return the floors of frames, see :func:`jaxdet.pipeline.find_floors`.
-
-        All batches that were started must have been finished.
-        """
-        ...
-
 
 class OwnDevice:
     """This process: NumPy, or JAX on its default device.
@@ -111,10 +101,6 @@ class OwnDevice:
         with computing():
             found = to_host(started.found)
         return Found(row_inputs(found), found if started.whole else None)
-
-    def find_floors(self, frames: Frames) -> FloorFit:
-        """Return the floors of frames."""
-        return find_here(self._config, self._backend, frames)
 
 
 class _Started(NamedTuple):
@@ -156,7 +142,9 @@ class SharedDevice:
 
     def start(self, batch: "Batch", plane: GroundPlane, *, whole: bool) -> int:
         """Start the batch whose images are in the memory that :attr:`images` returned last."""
-        return self._start(plane, whole)
+        slot = self._first + self._turn
+        self._server_pipe.pipe.send(Piece(self._server_pipe.number, slot, plane, whole))
+        return slot
 
     def finish(self, started: int) -> Found:
         """Wait for a batch; its results are valid until its slot is started again."""
@@ -166,31 +154,6 @@ class SharedDevice:
             self._results = packed, packing, packing.view(attached(packing.path), self._slots)
         _, packing, rows = self._results
         return Found(packing.unpacked(rows[started]), whole, busy_s)
-
-    def find_floors(self, frames: Frames) -> FloorFit:
-        """Return the floors of frames, at most as many as a slot has; see :class:`Device`.
-
-        They are computed as a batch, whose results contain the floors. Results of the preset
-        ``paper`` do not, and turned images do not fit the calibration of the device server: those
-        floors are found in this process, and are equal.
-        """
-        config, camera = self.served.config, self.served.calibration
-        if config.cluster.points or frames.calibration.depth != camera.depth:
-            return find_without_jax(config, frames)
-        count = len(frames.valid)
-        self._views[self._first + self._turn].depth[:count] = frames.depth
-        assert frames.plane is not None
-        plane = join_planes([frames.plane, unknown_plane(self._slots.frames - count)])
-        scene = self.finish(self._start(plane, whole=False)).inputs.scene
-        assert scene is not None
-        floors = np.array(scene.floor[:count])
-        return floor_fit(floors, frames.plane, frames.calibration.depth_unit)
-
-    def _start(self, plane: GroundPlane, whole: bool) -> int:
-        """Send the images in the current slot to the device server, without waiting for results."""
-        slot = self._first + self._turn
-        self._server_pipe.pipe.send(Piece(self._server_pipe.number, slot, plane, whole))
-        return slot
 
     def _reply(self, slot: int) -> Reply:
         """Wait for the device server's reply to a slot; raise the error in it."""

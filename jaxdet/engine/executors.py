@@ -7,7 +7,7 @@ from math import prod
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from jaxdet.config import Config
-from jaxdet.engine.device import Device, OwnDevice
+from jaxdet.engine.device import Device
 from jaxdet.engine.floors import Planes, decide_planes
 from jaxdet.engine.memory import BATCH, BATCHES_IN_FLIGHT, READ_AHEAD, Memory, MemoryPlan, Needs
 from jaxdet.engine.plan import LogPlan, Unit
@@ -135,8 +135,7 @@ class InProcess:
     def find_planes(self, log: "Log", at_once: int) -> Planes:
         """Find the floors in this process."""
         given = log, self.settings.config, self.settings.options.backend, None, at_once
-        alive = self._alive or (lambda: None)
-        return decide_planes(*given, alive=alive, find=self.device.find_floors)
+        return decide_planes(*given, self._alive or (lambda: None))
 
     def work(self, log: "Log", plan: LogPlan) -> Generator[tuple[Unit, UnitResult], None, None]:
         """Work through all units in order."""
@@ -168,14 +167,12 @@ class InPool:
         return min(self.memory.batch, max(1, len(log.frames)))
 
     def find_planes(self, log: "Log", at_once: int) -> Planes:
-        """Find the floors with the GPU of this process, else in a worker.
+        """Find the floors in a worker, as frames of a damaged log may kill the process.
 
-        Without a GPU this process may not have loaded JAX.
+        Raises:
+            WorkerError: A worker was lost twice.
         """
         config, backend = self.settings.config, self.settings.options.backend
-        if self.pool.devices:
-            device = OwnDevice(config, backend, ahead=1)
-            return decide_planes(log, config, backend, None, at_once, find=device.find_floors)
         where = "before the first frame"
         found = self.pool.call(FloorJob(log, config, backend), at_once, where, tries=2)
         if isinstance(found, Lost):

@@ -5,7 +5,6 @@ __all__ = [
     "detect",
     "features",
     "find_floors",
-    "find_floors_on_cpu",
     "footprint",
     "ground",
 ]
@@ -13,8 +12,8 @@ __all__ = [
 from ._align import align
 from ._check import check_kernels
 from ._cluster import cluster
-from ._detect import detect, find_floors
+from ._detect import detect
 from ._features import features
-from ._floors import find_floors_on_cpu
+from ._floors import find_floors
 from ._footprint import footprint
 from ._ground import ground

@@ -5,10 +5,8 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from jaxdet.config import Config
-from jaxdet.floor.units import FloorFit, floor_fit
 from jaxdet.runtime.calls import (
     by_device,
     device_of_jax,
@@ -66,20 +64,6 @@ def detect(
     return found._replace(scene=found.scene._replace(prior=plane))
 
 
-def find_floors(frames: Frames, prior: GroundPlane, config: Config) -> FloorFit:
-    """Estimate the floors; twin of :func:`jaxdet.reference.find_floors`."""
-    unit = frames.calibration.depth_unit
-    tables, static = _tables(frames.calibration, config)
-
-    def run(images: tuple[Any, ...], planes: GroundPlane) -> jax.Array:
-        floors = jnp.asarray(_program.floors(planes, config, unit))
-        inputs = jax.device_put(*images), (tables, floors)
-        return uninterrupted(_find_floors, *inputs, static)
-
-    found = _batches.in_parts(run, (frames.depth,), prior)
-    return floor_fit(np.asarray(found), prior, unit)
-
-
 @lru_cache(maxsize=8)
 def _tables(calibration: Calibration, config: Config) -> tuple[jax.Array, Static]:
     """Return the tables on the device, and the sizes that a program is compiled for."""
@@ -87,14 +71,6 @@ def _tables(calibration: Calibration, config: Config) -> tuple[jax.Array, Static
     device = device_of_jax(kernels)
     packed = _program.packed(*_program.host_tables(calibration, config), device)
     return jnp.asarray(packed), Static.of(packed)
-
-
-@partial(jax.jit, static_argnames="static")
-def _find_floors(
-    depth: jax.Array, inputs: tuple[jax.Array, jax.Array], static: Static
-) -> jax.Array:
-    tables, floors = inputs
-    return _run_floors(depth, floors, tables, static)
 
 
 @partial(jax.jit, static_argnames=("static", "with_cells"))
@@ -150,26 +126,7 @@ def _run_steps(
         static: Sizes that the program is compiled for.
         keep_work: Whether to return the intermediate arrays.
     """
-    return _called(len(_program.STEPS), depth, floors, tables, static, keep_work)
-
-
-def _run_floors(
-    depth: jax.Array, floors: jax.Array, tables: jax.Array, static: Static
-) -> jax.Array:
-    """Estimate only the floor, ``(B, 8)`` int32; arguments as for :func:`_run_steps`."""
-    found = _called(_program.FLOOR_STEPS, depth, floors, tables, static, keep_work=False)
-    return _program.record_layout().take(found.record, "floor")
-
-
-def _called(
-    steps: int,
-    depth: jax.Array,
-    floors: jax.Array,
-    tables: jax.Array,
-    static: Static,
-    keep_work: bool,
-) -> Rows:
-    batch, program = len(depth), _compiled(steps, static)
+    batch, program = len(depth), _compiled(static)
 
     def call(work: bool, scratch: tuple[int, int]) -> Rows:
         record, contour, words = static.words(work)
@@ -186,8 +143,9 @@ def _called(
 
 
 @lru_cache(maxsize=64)
-def _compiled(steps: int, static: Static) -> Any:
-    """Return a program of the first ``steps`` steps, with the constant arguments as numbers."""
+def _compiled(static: Static) -> Any:
+    """Return the program of all steps, with the constant arguments as numbers."""
+    steps = len(_program.STEPS)
 
     def program(
         depth: Any, floors: Any, tables: Any, record: Any, contour: Any, work: Any, scratch: Any

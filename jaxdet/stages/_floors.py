@@ -1,4 +1,4 @@
-"""Floor estimation on the CPU without JAX, as loading JAX takes longer than describing a log."""
+"""Floor estimation on the CPU, without JAX, whose start takes longer than finding a few floors."""
 
 from functools import lru_cache
 
@@ -7,21 +7,20 @@ import warp as wp
 
 from jaxdet.config import Config
 from jaxdet.floor.units import FloorFit, floor_fit
-from jaxdet.runtime.compiled import load_compiled
+from jaxdet.runtime.compiled import load_for_cpu
 from jaxdet.stages import _program
 from jaxdet.stages._check import check_kernels
 from jaxdet.stages._program import Static, record_layout
 from jaxdet.types import Calibration, Frames, GroundPlane
 
 
-def find_floors_on_cpu(frames: Frames, prior: GroundPlane, config: Config) -> FloorFit | None:
-    """Estimate the floors if the kernels are compiled; twin of ``reference.find_floors``.
+def find_floors(frames: Frames, prior: GroundPlane, config: Config) -> FloorFit:
+    """Estimate the floors; twin of :func:`jaxdet.reference.find_floors`.
 
-    Returns:
-        The floors; None if no process has compiled the kernels yet, which takes 15 s.
+    Raises:
+        ConfigError: The kernels do not support images or grids of this size.
+        JaxdetError: The kernels can't be compiled.
     """
-    if not load_compiled(_program.kernels):
-        return None
     tables, static = _tables(frames.calibration, config)
     unit, batch = frames.calibration.depth_unit, len(frames.depth)
     given = frames.depth, _program.floors(prior, config, unit), tables
@@ -38,6 +37,7 @@ def find_floors_on_cpu(frames: Frames, prior: GroundPlane, config: Config) -> Fl
 
 @lru_cache(maxsize=8)
 def _tables(calibration: Calibration, config: Config) -> tuple[np.ndarray, Static]:
+    load_for_cpu(_program.kernels)
     check_kernels("cpu")
     tables = _program.packed(*_program.host_tables(calibration, config), "cpu")
     return tables, Static.of(tables)
