@@ -16,7 +16,6 @@ from jaxdet.cli.truth import TruthScore
 from jaxdet.config import ClusterConfig, Config, GroundConfig
 from jaxdet.engine import decide_planes, process_log
 from jaxdet.engine.floors import evenly
-from jaxdet.engine.unit import _ahead
 from jaxdet.errors import FrameStatus, InputError, Interrupted
 from jaxdet.floor.plane import flat_plane
 from jaxdet.floor.units import FloorFit
@@ -261,25 +260,3 @@ def test_time_windows_of_the_floor_are_aligned_to_absolute_time(monkeypatch) -> 
 def test_evenly_spaced_samples_include_both_ends() -> None:
     assert evenly(np.arange(10), 4).tolist() == [0, 3, 6, 9]
     assert evenly(np.arange(3), 4).tolist() == [0, 1, 2]
-
-
-@pytest.mark.parametrize("depth", [0, 1, 2])
-def test_reading_ahead_keeps_the_order_and_raises_errors(depth: int) -> None:
-    def items() -> Iterator[int]:
-        yield from range(5)
-        raise InputError("torn")
-
-    seen = []
-    with pytest.raises(InputError, match="torn"):
-        for item in _ahead(items(), depth):
-            seen.append(item)
-    assert seen == list(range(5))
-
-
-def test_reading_ahead_stops_its_thread_when_closed() -> None:
-    taken = []
-    reader = _ahead((taken.append(i) or i for i in range(1000)), 2)
-    assert next(reader) == 0
-    reader.close()
-    assert len(taken) <= 3
-    assert not any(t.name.startswith("jaxdet-reader") for t in threading.enumerate())

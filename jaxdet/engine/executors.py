@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 from jaxdet.config import Config
 from jaxdet.engine.device import Device
 from jaxdet.engine.floors import Planes, decide_planes
-from jaxdet.engine.memory import BATCH, BATCHES_IN_FLIGHT, READ_AHEAD, Memory, MemoryPlan, Needs
+from jaxdet.engine.memory import BATCH, BATCHES_IN_FLIGHT, Memory, MemoryPlan, Needs
 from jaxdet.engine.plan import LogPlan, Unit
 from jaxdet.engine.pool import Pool
 from jaxdet.engine.settings import RunSettings
@@ -34,7 +34,7 @@ class Executor(Protocol):
     """Processes the frames of one camera of a log."""
 
     memory: MemoryPlan
-    """Numbers of processes, of frames computed together and of batches read ahead."""
+    """Numbers of processes and of frames computed together."""
     workers: int
     """Number of processes that share the frames."""
     devices: int
@@ -92,7 +92,7 @@ def _color_bytes(settings: RunSettings, log: "Log", batch: int) -> int:
         return 3 * camera.height * camera.width
     if not log.has_color or log.color_shape is None:
         return 0
-    batches = BATCHES_IN_FLIGHT + READ_AHEAD
+    batches = BATCHES_IN_FLIGHT
     drawn = -(-settings.options.pictures * batches * batch // max(1, len(log.frames)))
     return -(-prod(log.color_shape) * min(drawn, batches) // batches)
 
@@ -140,7 +140,7 @@ class InProcess:
     def work(self, log: "Log", plan: LogPlan) -> Generator[tuple[Unit, UnitResult], None, None]:
         """Work through all units in order."""
         work = UnitProcessor(log, plan, self.device, self._alive or (lambda: None))
-        return work.process_units(plan.units(), self.memory.read_ahead)
+        return work.process_units(plan.units())
 
 
 class InPool:

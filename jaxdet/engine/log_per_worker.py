@@ -94,7 +94,7 @@ class LogJob(NamedTuple):
         together = served.slots.frames if served else plan.batch
         if plan.workers < workers or plan.batch < together:
             raise MemoryError("not enough for as many logs at a time")
-        plan = plan._replace(batch=served.batch if served else plan.batch, read_ahead=0)
+        plan = plan._replace(batch=served.batch if served else plan.batch)
         device = process.device(served, self.settings.config, self.settings.options.backend)
         counts = {"together": together, "devices": self.devices, "others": workers - 1}
         return InProcess(self.settings, plan, device, alive=process.report_progress, **counts)

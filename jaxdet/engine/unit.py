@@ -3,10 +3,9 @@
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Generator, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import closing, suppress
+from contextlib import suppress
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from jaxdet.engine.color import shown_color
 from jaxdet.engine.device import Device, Found
@@ -32,9 +31,6 @@ from jaxdet.types import Detections, GroundPlane
 if TYPE_CHECKING:
     from jaxdet.engine.worker import Lost
     from jaxdet.io import Batch, Log
-
-Item = TypeVar("Item")
-_END: Any = object()
 
 
 class UnitProcessor:
@@ -65,24 +61,18 @@ class UnitProcessor:
         return result
 
     def process_units(
-        self, units: Iterable[Unit], read_ahead: int = 0
+        self, units: Iterable[Unit]
     ) -> Generator[tuple[Unit, UnitResult], None, None]:
-        """Yield units with their results, in order.
-
-        Args:
-            units: The units.
-            read_ahead: Number of batches that a thread reads ahead; changes no result.
-        """
+        """Yield units with their results, in order; a batch is read while others are computed."""
         in_flight: deque[_InFlight] = deque()
         building: list[_ResultBuilder] = []
         try:
-            with closing(_ahead(self._batches(units), read_ahead)) as batches:
-                for unit, batch in batches:
-                    in_flight.append(self._start(unit, batch))
-                    if len(in_flight) > self.device.ahead:
-                        yield from self._finish(in_flight.popleft(), building)
-                while in_flight:
+            for unit, batch in self._batches(units):
+                in_flight.append(self._start(unit, batch))
+                if len(in_flight) > self.device.ahead:
                     yield from self._finish(in_flight.popleft(), building)
+            while in_flight:
+                yield from self._finish(in_flight.popleft(), building)
         finally:
             for one in in_flight:
                 with suppress(Exception):
@@ -226,26 +216,3 @@ class _ResultBuilder:
                     path.parent.mkdir(parents=True, exist_ok=True)
                     write_png(path, picture)
                 yield name
-
-
-def _ahead(items: Iterator[Item], depth: int) -> Generator[Item, None, None]:
-    """Yield items in order; a thread takes up to ``depth`` items in advance.
-
-    An exception is raised after the items before it. Closing the generator waits for the thread to
-    end, so that the source can be closed afterwards.
-    """
-    if not depth:
-        yield from items
-        return
-    thread = ThreadPoolExecutor(1, "jaxdet-reader")
-    try:
-        waiting: deque[Future[Item]] = deque()
-        while True:
-            while len(waiting) <= depth:
-                waiting.append(thread.submit(next, items, _END))
-            item = waiting.popleft().result()
-            if item is _END:
-                return
-            yield item
-    finally:
-        thread.shutdown(cancel_futures=True)
