@@ -1,6 +1,5 @@
 """Devices that find the obstacles of a batch: this process, or the device server with a GPU."""
 
-import pickle
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
@@ -11,7 +10,6 @@ from jaxdet.config import Config
 from jaxdet.engine.color import method_frames
 from jaxdet.engine.shared_slots import (
     SLOTS,
-    Packing,
     Piece,
     Reply,
     ServerConfig,
@@ -129,15 +127,14 @@ class SharedDevice:
         self.served, self._server_pipe = served, server_pipe
         self._slots = slots = served.slots
         self._first = server_pipe.number * SLOTS
-        self._views = slots.views(attached(slots.path))
+        self._arrays = slots.arrays(attached(slots.path))
         self._turn = 0
         self._replies: dict[int, Reply] = {}
-        self._results: tuple[bytes, Packing, np.ndarray] | None = None
 
     def images(self) -> np.ndarray | tuple[np.ndarray, np.ndarray]:
         """Return the memory that the next batch is decoded into."""
         self._turn = (self._turn + 1) % SLOTS
-        depth, color = self._views[self._first + self._turn]
+        depth, color, _ = self._arrays[self._first + self._turn]
         return depth if color is None else (depth, color)
 
     def start(self, batch: "Batch", plane: GroundPlane, *, whole: bool) -> int:
@@ -148,12 +145,9 @@ class SharedDevice:
 
     def finish(self, started: int) -> Found:
         """Wait for a batch; its results are valid until its slot is started again."""
-        _, packed, whole, _, busy_s = self._reply(started)
-        if self._results is None or self._results[0] != packed:
-            packing: Packing = pickle.loads(packed)
-            self._results = packed, packing, packing.view(attached(packing.path), self._slots)
-        _, packing, rows = self._results
-        return Found(packing.unpacked(rows[started]), whole, busy_s)
+        reply = self._reply(started)
+        inputs = self._slots.unpacked(self._arrays[started].results)
+        return Found(inputs, reply.whole, reply.busy_s)
 
     def _reply(self, slot: int) -> Reply:
         """Wait for the device server's reply to a slot; raise the error in it."""
