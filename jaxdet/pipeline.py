@@ -103,6 +103,31 @@ def detect(
     return load_backend(backend).detect(frames, prior, config, with_cells)
 
 
+def detect_on_cpu(frames: Frames, config: Config, *, backend: BackendName) -> Detections:
+    """Detect obstacles as :func:`detect` does, with cells or points, without loading JAX.
+
+    It is meant for a few frames, for instance those of pictures. For the preset ``paper``, whose
+    program needs JAX, the reference computes them.
+
+    Args:
+        frames: ``B`` frames on the host.
+        config: Configuration of the method.
+        backend: ``jax`` for the kernels of the default method, ``reference`` for NumPy.
+
+    Returns:
+        NumPy arrays, equal to those of :func:`detect`.
+    """
+    config = _checked(config)
+    check_frames(frames, config)
+    prior = floor_prior(frames, config)
+    if backend == "reference" or config.cluster.points:
+        return load_backend("reference").detect(frames, prior, config, True)
+    load_backend(backend)
+    from jaxdet.stages import detect_on_cpu as by_kernels
+
+    return by_kernels(frames, prior, config)
+
+
 def find_floors(
     frames: Frames, config: Config | None = None, *, backend: BackendName = "jax"
 ) -> "FloorFit":

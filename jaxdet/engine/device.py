@@ -34,8 +34,6 @@ class Found(NamedTuple):
 
     inputs: RowInputs
     """Part of the detections that rows are made of."""
-    whole: Detections | None
-    """All detections; None unless they were requested."""
     busy_s: Mapping[str, float] = MappingProxyType({})
     """Time that other processes spent on the batch, by step, as in
     :attr:`jaxdet.results.summary.Counts.busy_s`."""
@@ -55,13 +53,12 @@ class Device(Protocol):
         """Memory that the next batch is decoded into; None if any memory may be used."""
         ...
 
-    def start(self, batch: "Batch", plane: GroundPlane, *, whole: bool) -> Any:
+    def start(self, batch: "Batch", plane: GroundPlane) -> Any:
         """Start a batch.
 
         Args:
             batch: Frames with images.
             plane: Prior of each frame's floor.
-            whole: Whether all detections are needed, not only the part that rows are made of.
         """
         ...
 
@@ -87,25 +84,16 @@ class OwnDevice:
         self._config = config
         self._backend: BackendName = backend
 
-    def start(self, batch: "Batch", plane: GroundPlane, *, whole: bool) -> "_Started":
+    def start(self, batch: "Batch", plane: GroundPlane) -> Detections:
         """Start a batch."""
         frames = method_frames(batch.frames._replace(plane=plane), self._config)
         with computing():
-            found = detect(frames, self._config, backend=self._backend, with_cells=whole)
-        return _Started(found, whole)
+            return detect(frames, self._config, backend=self._backend)
 
-    def finish(self, started: "_Started") -> Found:
+    def finish(self, started: Detections) -> Found:
         """Wait for a batch."""
         with computing():
-            found = to_host(started.found)
-        return Found(row_inputs(found), found if started.whole else None)
-
-
-class _Started(NamedTuple):
-    """A batch that has been started."""
-
-    found: Detections
-    whole: bool
+            return Found(to_host(row_inputs(started)))
 
 
 def out_of_memory(error: Exception) -> bool:
@@ -137,17 +125,17 @@ class SharedDevice:
         depth, color, _ = self._arrays[self._first + self._turn]
         return depth if color is None else (depth, color)
 
-    def start(self, batch: "Batch", plane: GroundPlane, *, whole: bool) -> int:
+    def start(self, batch: "Batch", plane: GroundPlane) -> int:
         """Start the batch whose images are in the memory that :attr:`images` returned last."""
         slot = self._first + self._turn
-        self._server_pipe.pipe.send(Piece(self._server_pipe.number, slot, plane, whole))
+        self._server_pipe.pipe.send(Piece(self._server_pipe.number, slot, plane))
         return slot
 
     def finish(self, started: int) -> Found:
         """Wait for a batch; its results are valid until its slot is started again."""
         reply = self._reply(started)
         inputs = self._slots.unpacked(self._arrays[started].results)
-        return Found(inputs, reply.whole, reply.busy_s)
+        return Found(inputs, reply.busy_s)
 
     def _reply(self, slot: int) -> Reply:
         """Wait for the device server's reply to a slot; raise the error in it."""

@@ -12,7 +12,7 @@ from jaxdet.engine.shared_slots import Leaf, Piece, Reply, ServerConfig, SharedM
 from jaxdet.engine.startup import computing
 from jaxdet.floor.plane import join_planes, unknown_plane
 from jaxdet.pipeline import detect
-from jaxdet.results.rows import map_leaves, row_inputs, to_host
+from jaxdet.results.rows import map_leaves, row_inputs
 from jaxdet.types import Detections, Frames, GroundPlane
 
 
@@ -82,7 +82,6 @@ class _Copied(NamedTuple):
 class _Started(NamedTuple):
     """A batch that has been started."""
 
-    found: Detections
     packed: Any
     begin: float
     """Time when it was started, by ``time.perf_counter`` [s]."""
@@ -145,13 +144,12 @@ class DeviceQueue:
         depth, *color = copied.images
         frames = _frames(depth, color[0] if color else None, log.served, plane)
         with computing():
-            whole = any(piece.whole for piece in pieces)
-            found = detect(frames, log.served.config, with_cells=whole)
+            found = detect(frames, log.served.config)
         with _packing:
             pack = _pack()
         packed = pack(_without_prior(found))
         ready = self._watch.submit(_time_when_ready, packed)
-        return _Started(found, packed, begin, copied.seconds, ready)
+        return _Started(packed, begin, copied.seconds, ready)
 
     def finish(self, pieces: list[Piece], started: _Started) -> list[Reply]:
         """Wait for the results and copy them to the slots; return the replies."""
@@ -164,14 +162,7 @@ class DeviceQueue:
         self._ready = ready
         times = {"transfer": copying_s, "compute": computing_s}
         busy_s = {what: taken / max(1, len(pieces)) for what, taken in times.items()}
-        replies, size = [], self.log.slots.frames
-        whole_batch = any(piece.whole for piece in pieces)
-        everything = to_host(started.found) if whole_batch else None
-        for number, piece in enumerate(pieces):
-            part = slice(number * size, (number + 1) * size)
-            whole = map_leaves(lambda a, part=part: a[part], everything) if piece.whole else None
-            replies.append(Reply(piece.slot, whole, None, busy_s))
-        return replies
+        return [Reply(piece.slot, None, busy_s) for piece in pieces]
 
 
 def _time_when_ready(found: Any) -> float:

@@ -16,7 +16,7 @@ import numpy as np
 from jaxdet.config import Config
 from jaxdet.errors import WorkerError
 from jaxdet.results.rows import RowInputs, map_leaves
-from jaxdet.types import Calibration, Detections, GroundPlane
+from jaxdet.types import Calibration, GroundPlane
 
 SLOTS = 4
 """Number of slots of each worker: it decodes into one slot while the other three are copied,
@@ -134,14 +134,12 @@ class Piece(NamedTuple):
     slot: int
     """Number of the slot among those of all workers."""
     plane: GroundPlane
-    whole: bool
 
 
 class Reply(NamedTuple):
     """Message to a worker: the results of a slot, or an error."""
 
     slot: int
-    whole: Detections | None
     error: Exception | None
     busy_s: Mapping[str, float]
     """The slot's share of the time of each step of its batch [s]."""

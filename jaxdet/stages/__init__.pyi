@@ -3,6 +3,7 @@ __all__ = [
     "check_kernels",
     "cluster",
     "detect",
+    "detect_on_cpu",
     "features",
     "find_floors",
     "footprint",
@@ -14,6 +15,6 @@ from ._check import check_kernels
 from ._cluster import cluster
 from ._detect import detect
 from ._features import features
-from ._floors import find_floors
 from ._footprint import footprint
 from ._ground import ground
+from ._on_cpu import detect_on_cpu, find_floors

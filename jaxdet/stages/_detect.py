@@ -1,7 +1,7 @@
 """Complete method as one compiled program, for the CPU and CUDA."""
 
 from functools import lru_cache, partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -17,19 +17,8 @@ from jaxdet.runtime.calls import (
 from jaxdet.stages import _batches, _program
 from jaxdet.stages._check import check_kernels
 from jaxdet.stages._points import clusters
-from jaxdet.stages._program import Static
-from jaxdet.types import (
-    MAX_OBSTACLES,
-    MAX_SURFACES,
-    Calibration,
-    CellLabels,
-    Cells,
-    Detections,
-    Frames,
-    GroundPlane,
-    Obstacles,
-    Scene,
-)
+from jaxdet.stages._program import Rows, Static
+from jaxdet.types import Calibration, Detections, Frames, GroundPlane
 from jaxdet_kernels import program as kernels
 
 
@@ -61,6 +50,7 @@ def detect(
         return uninterrupted(_detect, *images, inputs, static, with_cells)
 
     found = _batches.in_parts(run, (frames.depth,), plane)
+    assert found.scene is not None
     return found._replace(scene=found.scene._replace(prior=plane))
 
 
@@ -81,36 +71,8 @@ def _detect(
     with_cells: bool,
 ) -> Detections:
     tables, floors = inputs
-    found = _run_steps(depth, floors, tables, static, with_cells)
-    record = _program.record_layout()
-    fields = {name: record.take(found.record, name) for name in record.shapes}
-    count, surfaces = fields["num_obstacles"], fields["num_surfaces"]
-    fields["has_vertex"] = fields["has_vertex"] != 0
-    obstacles = Obstacles(**{k: fields[k] for k in Obstacles._fields if k in fields})
-    shape = len(depth), MAX_OBSTACLES, static.columns, 2
-    fields |= {"prior": None, "contour": found.contour.reshape(shape)}  # the prior is on the host
-    cells = None
-    if with_cells:
-        work = _program.work_layout(static.rows, static.columns)
-        label, keep, *grid = (work.take(found.work, n) for n in ("label", "keep", "x", "y", "z"))
-        cells = CellLabels(jnp.where(label < MAX_OBSTACLES, label, -1), keep, Cells(*grid))
-    return Detections(
-        jnp.minimum(count, MAX_OBSTACLES),
-        (count > MAX_OBSTACLES) | (surfaces > MAX_SURFACES),
-        fields["has_depth"] != 0,
-        obstacles,
-        Scene(*(fields[name] for name in Scene._fields)),
-        cells,
-    )
-
-
-class Rows(NamedTuple):
-    """Results of the steps, one row of words per frame."""
-
-    record: Any
-    contour: Any
-    work: Any
-    """Intermediate arrays; on the CPU empty unless they are requested."""
+    rows = _run_steps(depth, floors, tables, static, with_cells)
+    return _program.detections(rows, static, with_cells, jnp)
 
 
 def _run_steps(
