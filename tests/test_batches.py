@@ -11,7 +11,6 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from benchmarks.scene import pin
 from jaxdet import detect
 from jaxdet.errors import ConfigError
-from jaxdet.pipeline import find_floors
 from jaxdet.presets import PRESETS
 from jaxdet.sim import SimConfig, write_log
 from jaxdet.stages import _batches, _detect, _upload
@@ -76,9 +75,7 @@ def test_a_batch_uploaded_in_parts_equals_the_reference(name, monkeypatch):
     frame = given.depth[0].nbytes + (given.color[0].nbytes if name == "paper" else 0)
     for part in "PART_BYTES", "STAGED_PART_BYTES":
         monkeypatch.setattr(_batches, part, 3 * frame)  # two frames
-    found, fit = detect(given, config), find_floors(given, config)
-    assert_equal(found, detect(given, config, backend="reference"))
-    assert_equal(fit, find_floors(given, config, backend="reference"))
+    assert_equal(detect(given, config), detect(given, config, backend="reference"))
 
 
 def first(given: Frames, count: int) -> Frames:

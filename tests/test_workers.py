@@ -374,8 +374,10 @@ def test_memory_of_batches_is_bounded(width, height, batch_size, want):
     there = device_server.DeviceServer(served, [], ["gpu"])
     slots = there.memory.slots
     assert (slots.frames, served.pieces * slots.frames) == want
-    assert slots.nbytes <= 2 * SLOTS * max(device_server.PIECE_BYTES + 8192, 2 * width * height)
-    first, last = slots.views(attached(slots.path))[:: 2 * SLOTS - 1]
+    depth_bytes, color_bytes, _ = slots.sizes
+    most = max(device_server.PIECE_BYTES + 8192, 2 * width * height)
+    assert depth_bytes + color_bytes <= most
+    first, last = slots.arrays(attached(slots.path))[:: 2 * SLOTS - 1]
     assert first.depth.shape == (want[0], height, width) and first.color is None
     assert last.depth.ctypes.data % 4096 == 0
     last.depth[...] = 7
@@ -396,11 +398,12 @@ def test_memory_of_batches_includes_colour_for_the_preset_paper():
         )
         there = device_server.DeviceServer(served, [], ["gpu"])
         slots = there.memory.slots
-        for number, images in enumerate(slots.views(attached(slots.path))):
-            assert images.color is not None and images.color.shape == (3, *shape)
-            images.depth[...], images.color[...] = number, number + 100
-        for number, images in enumerate(slots.views(attached(slots.path))):
-            assert (images.depth == number).all() and (images.color == number + 100).all()
+        for number, one in enumerate(slots.arrays(attached(slots.path))):
+            assert one.color is not None and one.color.shape == (3, *shape)
+            one.depth[...], one.color[...], one.results[...] = number, number + 100, -number
+        for number, one in enumerate(slots.arrays(attached(slots.path))):
+            assert (one.depth == number).all() and (one.color == number + 100).all()
+            assert (one.results == -number).all()
         there.close()
 
 

@@ -1,6 +1,6 @@
-__all__ = ["check_kernels", "detect", "find_floors", "find_floors_on_cpu", "paper"]
+__all__ = ["check_kernels", "detect", "detect_on_cpu", "find_floors", "paper"]
 
 from . import paper
 from ._check import check_kernels
-from ._detect import detect, find_floors
-from ._floors import find_floors_on_cpu
+from ._detect import detect
+from ._on_cpu import detect_on_cpu, find_floors
