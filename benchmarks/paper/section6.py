@@ -61,7 +61,8 @@ def _widths(section: Section, frames: PresetFrames) -> None:
         for name, params in (("chosen", {}), ("width", {"robot_width_m": width_m})):
             one = score(frames.tallies(params, truths=truths))
             section.add(f"robot.{width_m:g}m.{name}.accuracy", one.accuracy, "", "higher")
-            cells.append(f"{percent(one.accuracy)} ({one.tally.splits:.0f}, {one.tally.merges:.0f})")
+            splits, merges = one.tally.splits, one.tally.merges
+            cells.append(f"{percent(one.accuracy)} ({splits:.0f}, {merges:.0f})")
         rows.append([f"{width_m:.2f}", *cells])
     section.table(
         ["Width of the robot [m]", "gaps of the preset", "both gaps equal to the width"],
