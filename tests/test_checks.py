@@ -99,7 +99,7 @@ def test_more_points_than_kernels_support_are_refused():
 @pytest.mark.parametrize(
     ("settings", "names"),
     [
-        (ClusterConfig, ("depth_gap_m", "lateral_gap_m", "min_points")),
+        (ClusterConfig, ("depth_gap_m", "lateral_gap_m", "robot_width_m", "min_points")),
         (FootprintConfig, ("vertex_threshold_m", "trim", "side_band_per_m", "near_band_per_m2")),
         (FootprintConfig, ("extension_m", "margin_m", "margin_per_m2")),
         (FeaturesConfig, ("min_distance",)),
@@ -120,7 +120,7 @@ def test_settings_that_overflow_integers_are_refused(settings, names):
         (SurfaceConfig, {"step_m": 30, "crease_m": 10, "bent_m": 200}),
         (ObstacleConfig, {"lateral_gap_m": 1500, "forward_gap_m": 800, "depth_gap_m": 120}),
         (ObstacleConfig, {"contact_m": 100, "bend_m": 150, "side_m": 1000, "min_size_m": 50}),
-        (ClusterConfig, {"depth_gap_m": 100, "lateral_gap_m": 400}),
+        (ClusterConfig, {"depth_gap_m": 100, "lateral_gap_m": 400, "robot_width_m": 400}),
         (FootprintConfig, {"vertex_threshold_m": 30, "extension_m": 200}),
         (FootprintConfig, {"margin_m": 30, "long_m": 3000}),
     ],

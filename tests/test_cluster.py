@@ -100,6 +100,26 @@ def test_gaps_scale_with_the_depth_unit():
     assert found.labels.tolist() == [[-1] * 3]
 
 
+@BACKENDS
+def test_robots_width_is_the_gap_in_depth_and_sideways(backend):
+    wide = replace(Config(), cluster=ClusterConfig(robot_width_m=0.5, min_points=1))
+    z = [1000, 1500, 2001, 2501]
+    assert labels(backend, points([0] * 4, z), wide) == [[0, 0, 1, 1]]
+    assert labels(backend, points([0, 500, 1001, 1501], [1000] * 4), wide) == [[0, 0, 1, 1]]
+
+
+@pytest.mark.parametrize("gap", ["depth_gap_m", "lateral_gap_m"])
+def test_gap_and_robots_width_together_are_an_error(gap):
+    with pytest.raises(ConfigError, match=f"cluster.{gap.replace('_', '-')} must be unset"):
+        ClusterConfig(robot_width_m=0.5, **{gap: 0.5})
+
+
+def test_gaps_without_robots_width_are_those_that_were_chosen():
+    assert ClusterConfig().gaps_m == (0.15, 0.27)
+    assert ClusterConfig(depth_gap_m=0.0).gaps_m == (0.0, 0.27)
+    assert ClusterConfig(lateral_gap_m=1.0).gaps_m == (0.15, 1.0)
+
+
 def test_values_out_of_range_are_errors_that_name_the_flag():
     with pytest.raises(ConfigError, match=r"cluster\.depth-gap-m"):
         ClusterConfig(depth_gap_m=-1)
@@ -120,11 +140,10 @@ def single_linkage(x: np.ndarray, z: np.ndarray, settings_: Config) -> list[froz
         parts = [index[groups == g] for g in np.unique(groups)]
         return [part for part in parts if len(part) > settings_.cluster.min_points]
 
-    whole = split(np.arange(len(z)), z, settings_.cluster.depth_gap_m)
-    gap = settings_.cluster.lateral_gap_m
-    return sorted(
-        (frozenset(part.tolist()) for w in whole for part in split(w, x, gap)), key=sorted
-    )
+    depth_gap_m, lateral_gap_m = settings_.cluster.gaps_m
+    sets = split(np.arange(len(z)), z, depth_gap_m)
+    parts = [part for one in sets for part in split(one, x, lateral_gap_m)]
+    return sorted((frozenset(part.tolist()) for part in parts), key=sorted)
 
 
 @pytest.mark.parametrize("count", [1, 30, 1000])

@@ -77,7 +77,7 @@ def test_results_hold_rows_pictures_map_and_score(sim_log: Path, tmp_path: Path)
     assert scores["frames"] == 7
     assert scores["recall"] > 0.5
     config = json.loads((tmp_path / "config.json").read_text(encoding="utf-8"))
-    assert config["cluster"]["depth_gap_m"] == 0.1
+    assert config["cluster"]["min_points"] == 10
     assert config["log"]["pair_tolerance_s"] == LogOptions().pair_tolerance_s
 
 
