@@ -38,7 +38,7 @@ class Found(NamedTuple):
     """Detections of a batch, on the host."""
 
     inputs: RowInputs
-    """Part of the detections that rows are made of."""
+    """Part of the detections from which rows are made."""
     whole: Detections | None
     """All detections; None unless they were requested."""
     busy_s: Mapping[str, float] = MappingProxyType({})
@@ -77,7 +77,7 @@ class Device(Protocol):
     def find_floors(self, frames: Frames) -> FloorFit:
         """Return the floors of frames, see :func:`jaxdet.pipeline.find_floors`.
 
-        All batches that were started must have been finished.
+        All started batches must be finished first.
         """
         ...
 
@@ -125,7 +125,7 @@ class _Started(NamedTuple):
 
 
 def out_of_memory(error: Exception) -> bool:
-    """Whether an error says that memory, of this machine or of a GPU, was not enough."""
+    """Return whether an error means that this machine or a GPU ran out of memory."""
     return isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error)
 
 

@@ -108,7 +108,7 @@ class Packing(NamedTuple):
 
     path: str
     inputs: Any
-    """:class:`jaxdet.results.rows.RowInputs` of :class:`Leaf`."""
+    """:class:`jaxdet.results.rows.RowInputs` with a :class:`Leaf` in place of each array."""
 
     @property
     def ints(self) -> int:

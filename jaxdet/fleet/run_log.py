@@ -215,7 +215,10 @@ class _Work(NamedTuple):
                 self.results.end(key)
 
     def _deaths(self, target: Target) -> tuple[int, int]:
-        """Count lost attempts; if a driver (as Ray's) ends all its tasks, only this command's."""
+        """Return the numbers of killed and lost attempts, see :meth:`deaths` of the results.
+
+        If a driver such as Ray's ends all tasks of a command at once, only this command counts.
+        """
         return self.results.deaths(target, self.how["command"] if self.how.get("driven") else None)
 
     def _fail(self, one: _Fetched, error: str, staged: Path | None) -> None:

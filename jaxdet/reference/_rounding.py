@@ -1,4 +1,4 @@
-"""Rounded division of integers, as used by the complete reference."""
+"""Rounded division of integers, for all steps of the reference."""
 
 from typing import Any
 

@@ -37,7 +37,7 @@ class FreeFloor(NamedTuple):
     bearing_rad: np.ndarray
     """float64, bearing of the ray, clockwise from above, 0 ahead [rad]."""
     from_m: np.ndarray
-    """float64, distance from below the camera to the beginning of the free floor [m]."""
+    """float64, distance from the camera's ground projection to the start of the free floor [m]."""
     to_m: np.ndarray
     """float64, distance to its end [m]; equal to ``from_m`` if the ray shows only an obstacle."""
     end: np.ndarray

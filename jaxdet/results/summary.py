@@ -121,7 +121,7 @@ class LogSummary(Counts):
 
     @classmethod
     def from_dict(cls, told: Mapping[str, Any]) -> "LogSummary":
-        """Return the summary that :meth:`to_dict` turned into a dictionary."""
+        """Restore a summary from the result of :meth:`to_dict`."""
         kinds = {part.name: part for part in dataclasses.fields(cls)}
         counters = {part.name for part in dataclasses.fields(Counts) if part.type is not int}
         values: dict[str, Any] = {

@@ -21,7 +21,7 @@ struct Alignment {
         TILE = 8,                     // rows and columns of a tile of depth pixels
         PIXELS = TILE * TILE
     };
-    // The fastest memory of a team.
+    // Shared memory of a team on CUDA, memory on the stack on the CPU.
     struct Near {
         unsigned words[NEAR_WORDS];
     };
@@ -155,7 +155,7 @@ struct Alignment {
         unsigned key[COUNT];
     };
 
-    // Applies the minimum to the keys of the wanted pixels that a tile covers.
+    // Updates the smallest keys of the wanted pixels that a tile covers.
     void lower(const Team& team, const Warp& warp, int tile) const {
         Boxes boxes;
         cover(warp, tile, boxes);

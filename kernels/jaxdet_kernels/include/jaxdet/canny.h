@@ -93,7 +93,7 @@ struct Canny {
     // Non-maximum suppression: keeps pixels larger than both neighbours in the gradient's direction.
     void suppress(const Team& team, Tile& tile, int rows, int columns) const {
         const Warp warp(team);
-        const int low = this->low, high = this->high;  // not reloaded after stores
+        const int low = this->low, high = this->high;  // copies, to avoid reloads after stores
         for (int r = warp.index; r < rows; r += warp.count) {
             const short *a = tile.size[r], *o = tile.size[r + 1], *b = tile.size[r + 2];
             for (int c = warp.lane; c < columns; c += warp.size) {

@@ -247,7 +247,8 @@ struct CellRow {
 #pragma clang loop unroll(full)
 #endif
                 for (int k = apart % part; k + apart < all; ++k) {
-                    // Only every second run of `apart` positions, and only within two parts.
+                    // A step compares positions of every second group of `apart`, both in the same
+                    // pair of parts.
                     if ((k - apart % part) & apart || (k ^ (k + apart)) >= 2 * part) continue;
                     const Words one = at(k), other = at(k + apart);
                     at(k) = one < other ? one : other;

@@ -32,7 +32,7 @@ struct FreeFloor {
 
     // State of columns that are followed together.
     struct Columns {
-        // Distance and row of the nearest obstacle, or the range and -1.
+        // Distance and row of the nearest obstacle; without one, the end of the range and -1.
         int limit[ABREAST], nearest[ABREAST];
         // Rows of the first and the last floor cell so far, -1 = none yet; position of the last one.
         int first[ABREAST], last[ABREAST], forward[ABREAST], height[ABREAST];

@@ -41,7 +41,7 @@ struct PngDepth {
         }
         Lanes bytes = {}, before = {};  // bytes of the last step, and the bytes above them
         for (int u = 0; u < width + count - 1; u += LINES) {
-            // Line r is at column u - r; pixels outside the image count as zeros.
+            // Lane r processes column u - r of its line; pixels outside the image count as zeros.
             const bool inside = u >= LINES && u + LINES <= width && count == LINES;
             Pixels pixels[LINES] = {}, last = {};
             if (inside)
