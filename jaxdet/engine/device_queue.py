@@ -83,9 +83,9 @@ class _Results(NamedTuple):
 
     memory: SharedMemory
     packing: bytes
-    """See :class:`Reply`."""
+    """Pickled :class:`Packing`, see :class:`Reply`."""
     rows: np.ndarray
-    """See :meth:`Packing.view`."""
+    """Results of all slots, see :meth:`Packing.view`."""
 
 
 def _frames(depth: Any, color: Any, served: ServerConfig, plane: GroundPlane) -> Frames:

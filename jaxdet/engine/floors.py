@@ -77,7 +77,7 @@ class Planes:
     otherwise: GroundPlane = field(default_factory=lambda: unknown_plane(1), repr=False)
     """Plane of frames in no window, ``B = 1``."""
     otherwise_source: str = "none"
-    """Source of that plane."""
+    """Source of the plane :attr:`otherwise`."""
 
     def of(self, stamp_ns: np.ndarray) -> GroundPlane:
         """Return the planes of frames with these stamps ``(B,)`` int64."""

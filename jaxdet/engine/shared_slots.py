@@ -30,9 +30,9 @@ class Images(NamedTuple):
     """Images of a slot."""
 
     depth: np.ndarray
-    """``(n, Hd, Wd)`` uint16."""
+    """Depth images ``(n, Hd, Wd)`` uint16."""
     color: np.ndarray | None
-    """``(n, H, W, 3)`` uint8; None if the method reads only depth."""
+    """Colour images ``(n, H, W, 3)`` uint8; None if the method reads only depth."""
 
 
 class Slots(NamedTuple):

@@ -67,7 +67,7 @@ def find(results: Results, given: Sequence[str]) -> dict[str, LogFiles]:
 
 
 def _best(given: Sequence[str], names: Collection[str]) -> list[LogFiles]:
-    """Find the logs with splits joined or not, whichever matches the names in the results."""
+    """Find the logs, with joined or separate splits, whichever match the names in the results."""
     if not given:
         return []
     logs = find_logs(given)

@@ -215,9 +215,10 @@ class _Work(NamedTuple):
                 self.results.end(key)
 
     def _deaths(self, target: Target) -> tuple[int, int]:
-        """Return the numbers of killed and lost attempts, see :meth:`deaths` of the results.
+        """Return the numbers of killed and of lost attempts at a log.
 
-        If a driver such as Ray's ends all tasks of a command at once, only this command counts.
+        A driver such as Ray's may end all tasks of a command: then only attempts of this command
+        are counted.
         """
         return self.results.deaths(target, self.how["command"] if self.how.get("driven") else None)
 

@@ -33,7 +33,7 @@ class Facing(NamedTuple):
     """Number of the remaining ``places`` with something between the surfaces: cells without depth,
     or surfaces at about the same depth."""
     agree: np.ndarray
-    """Number of ``hidden`` and ``holes`` whose depths agree within the gap and the slope."""
+    """Number of places in ``hidden`` or ``holes`` where the depths of both surfaces agree."""
     steps: np.ndarray  # sum of steps in depth, except at ``through`` [depth units]
 
 

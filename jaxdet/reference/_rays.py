@@ -246,7 +246,10 @@ def _turned(points: np.ndarray, turn: int) -> np.ndarray:
 
 
 def _sides(seen: np.ndarray, turn: int) -> list[tuple[np.ndarray, int]]:
-    """Return the columns at the left and the right end of visible floor, with their rotation."""
+    """Return the columns at the left end and at the right end of visible floor.
+
+    Each comes with the rotation from the middle of a column to its outer side.
+    """
     before, after = np.append(False, seen[:-1]), np.append(seen[1:], False)
     return [(np.flatnonzero(seen & ~before), -turn), (np.flatnonzero(seen & ~after), turn)]
 

@@ -31,11 +31,11 @@ class Extents(NamedTuple):
     """Boxes and centroids in the camera's optical frame; 0 in empty slots."""
 
     minimum: np.ndarray
-    """``(..., 3)`` float32, x y z [m]."""
+    """Minimum x, y and z, ``(..., 3)`` float32 [m]."""
     maximum: np.ndarray
-    """``(..., 3)`` float32, x y z [m]."""
+    """Maximum x, y and z, ``(..., 3)`` float32 [m]."""
     centroid: np.ndarray
-    """``(..., 3)`` float32, x y z [m]."""
+    """Centroid x, y and z, ``(..., 3)`` float32 [m]."""
 
 
 def extents(obstacles: Obstacles, depth_unit: float) -> Extents:

@@ -44,11 +44,11 @@ class RowInputs(NamedTuple):
     """Part of the detections of a batch that rows are made of, NumPy or JAX arrays."""
 
     num_obstacles: Array
-    """``(B,)`` int32."""
+    """Number of obstacles, ``(B,)`` int32."""
     overflow: Array
-    """``(B,)`` bool."""
+    """Whether obstacles may be missing, ``(B,)`` bool."""
     has_depth: Array
-    """``(B,)`` bool."""
+    """Whether any depth is in range, ``(B,)`` bool."""
     obstacles: Obstacles
     """M slots, at least the largest of ``num_obstacles``."""
     scene: Scene | None

@@ -187,7 +187,7 @@ def _called(
 
 @lru_cache(maxsize=64)
 def _compiled(steps: int, static: Static) -> Any:
-    """Return a program of the first ``steps`` steps, with the constant arguments as numbers."""
+    """Return a function for ``jax.jit`` that runs the first ``steps`` steps of the program."""
 
     def program(
         depth: Any, floors: Any, tables: Any, record: Any, contour: Any, work: Any, scratch: Any

@@ -26,13 +26,13 @@ struct Alignment {
         unsigned words[NEAR_WORDS];
     };
 
-    const unsigned short* depth;       // (rows, columns)
+    const unsigned short* depth;       // (rows, columns) depth image
     int rows, columns;
-    const float *corner_x, *corner_y;  // (rows + 1, columns + 1)
+    const float *corner_x, *corner_y;  // (rows + 1, columns + 1) rays of the pixels' corners
     const float* tile_rays;            // (tiles, 4), smallest and largest x, then y of a tile's rays
     Projection projection;
     int fills;                         // 1 if a depth pixel covers all colour pixels between its corners, else 0
-    int height, width;                 // of the colour image
+    int height, width;                 // size of the colour image
     // Scratch memory: bitmap of the wanted pixels, and keys, which are valid only at wanted pixels.
     unsigned *wanted, *keys;           // (height, PixelBits::words(width)), (height, width)
 

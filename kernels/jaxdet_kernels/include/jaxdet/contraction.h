@@ -10,8 +10,8 @@ struct Contraction {
     enum { NODE_BITS = 10, NODE = (1 << NODE_BITS) - 1, TURNS = 3 };
     int count;
     int* between;    // (count, count) weights, symmetric, 0 on the diagonal; modified
-    Key* best;       // scratch, (count)
-    Key* turns;      // scratch, (2 * TURNS)
+    Key* best;       // scratch, (count): best key of each node's edges
+    Key* turns;      // scratch, (2 * TURNS): best keys, see `contract`
     int* group;      // result, (count): the smallest node of each node's group
 
     // Lexicographic key, smallest first: falling weight, then the pair of nodes.

@@ -26,9 +26,9 @@ struct Creases {
     // Indexed by depth: surface step, at most 2^16, and limit of bends, at most 2^17.
     const int *steps, *limits;
     const int* z;  // (R, C) depth, 0 = none
-    // (grid) with margins of NONE. `smooth` holds the smoothed depths; on the CPU it holds the depths
-    // with BITS fraction bits at first, `other` is scratch memory and `step` holds each cell's value of
-    // `steps`.
+    // Planes of cells with margins of NONE. `smooth`: smoothed depths; on the CPU, at first the
+    // depths with BITS fraction bits. Only on the CPU: `other` is scratch memory, and `step` is the
+    // value of `steps` for each cell.
     int *smooth, *other, *step;
     // Cells to process. Scratch memory: crease cells, and run starts.
     BitRows kept, found, wide;

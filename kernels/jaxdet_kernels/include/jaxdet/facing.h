@@ -54,8 +54,8 @@ struct Facing {
     int stride, step;
     bool in_rows;
     int gap;
-    const unsigned char* near;  // per pair: whether it is evaluated
-    Sum* sums;                  // (pairs, SUMS), initialised with 0
+    const unsigned char* near;  // whether each pair is evaluated
+    Sum* sums;                  // (pairs, SUMS) statistics, initialised with 0
 
     // Processes all lines of both directions.
     static void run(const Team& team, const Facing& one, const Facing& other) {

@@ -44,7 +44,7 @@ struct FreeFloor {
     int rows, columns, far, gap;
     const int *label, *z, *right, *forward, *height;
     const bool* low;
-    const int *bows, *drops;  // (DEPTHS,), indexed by z
+    const int *bows, *drops;  // (DEPTHS,) tolerance of bowing, and height of a drop, by z
     int *line_out, *end_out;
     int* falls;  // scratch, (columns): whether the floor drops
     bool turned;  // by half a turn: the camera is upside down
@@ -65,7 +65,7 @@ struct FreeFloor {
 
     // Runs for any mounting; the result is unknown for a camera on its side.
     void run(const FloorFrame& frame) {
-        const int aside = frame.axes[6], upright = frame.axes[7];  // of down
+        const int aside = frame.axes[6], upright = frame.axes[7];  // of the down vector
         turned = upright < 0;
         if ((aside < 0 ? -aside : aside) <= (upright < 0 ? -upright : upright)) {
             run();
