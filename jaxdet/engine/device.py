@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from jaxdet.io import Batch
 
 ImageMemory = Callable[[], np.ndarray | tuple[np.ndarray, np.ndarray]]
-"""Returns arrays to decode depth images into, or depth and colour images; see
+"""Function that returns memory for decoded depth images, or depth and colour images; see
 :meth:`Log.batches`."""
 
 
@@ -83,7 +83,7 @@ class Device(Protocol):
 
 
 class OwnDevice:
-    """This process: NumPy, or JAX on its default device.
+    """Device of this process: NumPy, or JAX on its default device.
 
     Args:
         config: The method's parameters.

@@ -184,7 +184,7 @@ class SharedMemory:
         except OSError as error:
             os.close(self._file)
             problem = f"no shared memory of {nbytes >> 20} MiB ({error.strerror})"
-            raise WorkerError(problem, remedy="take fewer --workers") from error
+            raise WorkerError(problem, remedy="use fewer --workers") from error
         self.path = f"/proc/{os.getpid()}/fd/{self._file}"
         self.number = next(_numbers)
 
