@@ -30,7 +30,7 @@ from jaxdet.types import (
 )
 
 MAX_CELL_SIDE = 128
-"""Maximum side of a cell [pixel]: sums of depths have 31 bits."""
+"""Maximum side of a cell [pixel], so that sums of depths fit in 31 bits."""
 MAX_DEPTH_COLUMNS = 4096
 """Maximum number of columns of a depth image that is divided into cells."""
 MAX_FRAMES = 1 << 16

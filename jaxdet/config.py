@@ -63,12 +63,14 @@ class GroundConfig:
     step_height_m: float = 0.05
     """Maximum height that the wheels can climb [m]; lower points are floor."""
     step_height_per_m: float = 0.003
-    """Increase of the step height per metre of depth, for noise; averages over cells of s x s
-    pixels need 1/s of it. For paper, which uses one plane, it is the uncertainty of the floor's
-    tilt (0.003 is 0.2 degrees). The paper itself has 0."""
+    """Increase of the step height per metre of depth, for noise; it is divided by s for cells of s
+    x s pixels. The preset paper, which uses one plane, does not divide it: there it is the
+    uncertainty of the floor's tilt (0.003 is 0.2 degrees). The paper itself has 0.
+    """
     noise_per_m: float = 0.07
-    """Depth noise on the floor [1/m]: the step height is at least this times the camera's height
-    times the depth, 1/s of it with cells of s x s pixels. 0 disables it."""
+    """Depth noise on the floor [1/m]: the step height is at least the product of this value, the
+    camera's height and the depth, divided by s for cells of s x s pixels. 0 disables it.
+    """
     max_height_m: float = 2.0
     """Maximum obstacle height, the robot's clearance [m]. Objects that hang higher are ignored, and
     taller ones are clipped. 0: no limit. Not used by paper."""

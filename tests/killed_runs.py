@@ -62,13 +62,13 @@ def kinds(output: Path) -> set[tuple[str, ...]]:
     return {tuple(a["sha256"] for n, a in t.items() if n not in TIMES) for t in files_of}
 
 
-def main(folder: Path, ways: Sequence[str]) -> None:
+def main(folder: Path, commands: Sequence[str]) -> None:
     """End commands at their system calls.
 
     Args:
         folder: Empty folder.
-        ways: Commands with the spacing of the ends, such as ``run:17``: a command is ended at every
-            17th system call, and its repetitions at later calls.
+        commands: Commands with an interval, such as ``run:17``: the command is killed at every 17th
+            system call, each time in a new process, and killed again while it is repeated.
     """
     device.detect = remembered(device.detect)
     # A run after one that was killed leaves its logs to worker processes, which take seconds to
@@ -79,22 +79,22 @@ def main(folder: Path, ways: Sequence[str]) -> None:
         write_log(logs / f"{name}.mcap", SimConfig(frames=4, width=96, height=72, seed=seed))
     run(logs, folder / "old")
     exchange = publish.exchange
-    for way in ways:
-        name, _, every = way.partition(":")
+    for command in commands:
+        name, _, every = command.partition(":")
         publish.exchange = (lambda one, other: False) if name.endswith("-slow") else exchange
-        (own := folder / way).mkdir()
+        (own := folder / command).mkdir()
         kills = end_at_each_call(logs, folder / "old", own, name, int(every))
-        print(f"{way}: killed {kills} times")
+        print(f"{command}: killed {kills} times")
         rmtree(own)
 
 
-def end_at_each_call(logs: Path, old: Path, folder: Path, way: str, every: int) -> int:
-    """End a command at each ``every``-th system call; return the number of ends."""
+def end_at_each_call(logs: Path, old: Path, folder: Path, command: str, every: int) -> int:
+    """Kill a command at every ``every``-th system call; return how often it was killed."""
     before = copytree(old, folder / "before")
-    if way.startswith("track"):
+    if command.startswith("track"):
         track_results(before, TrackConfig(min_frames=1))
         rewrite: Callable[[Path], Any] = partial(track_results, config=TrackConfig(min_frames=3))
-    elif way.startswith("overwrite"):
+    elif command.startswith("overwrite"):
         rewrite = partial(run, logs, overwrite=True, pictures=2)
     else:
         before, rewrite = folder / "none", partial(run, logs)
@@ -109,7 +109,7 @@ def end_at_each_call(logs: Path, old: Path, folder: Path, way: str, every: int) 
         while killed_at(call + 3 * tries, partial(rewrite, output)):
             tries += 1
             check(output, wanted)
-        if tries and way == "run":
+        if tries and command == "run":
             rewrite(output)  # in case it was killed while cleaning up
         found = files(output)
         assert found == want, (call, [n for n in {*found, *want} if found.get(n) != want.get(n)])

@@ -90,5 +90,5 @@ def test_only_the_newer_table_uses_the_last_five_features() -> None:
     assert affinity("surfaces", UNIT).feature.max() >= PAIR_FEATURES.index("behind")
 
 
-def test_no_pairs_have_no_evidence() -> None:
+def test_without_pairs_there_is_no_evidence() -> None:
     assert len(evidence(np.zeros((0, NUM_FEATURES), np.int64), affinity("surfaces", UNIT))) == 0

@@ -84,7 +84,7 @@ def test_order_is_nearest_depth_then_smallest_x(backend):
 
 
 @BACKENDS
-def test_only_kept_points_are_clustered(backend):
+def test_points_that_are_not_kept_have_no_label(backend):
     z, kept = [500, 501, 502, 503], [True, False, True, True]
     assert labels(backend, points([0] * 4, z, kept), config()) == [[0, -1, 0, 0]]
     nothing = points([0] * SLOTS, [*z] * 3, [False] * SLOTS)
@@ -181,8 +181,8 @@ def test_twin(device, batch, n, spread, min_points):
 @pytest.mark.twin
 @pytest.mark.parametrize("share", [1.0, 0.9])
 @pytest.mark.parametrize("lateral_gap", [5, 10**4])
-def test_twin_of_as_many_parts_as_points(device, lateral_gap, share):
-    """The last point of the last part has the largest x possible."""
+def test_twin_with_as_many_clusters_as_points(device, lateral_gap, share):
+    """Each point may be a cluster; the last one has the largest possible x."""
     x = MAX_LATERAL - 9 * np.arange(8192)[::-1]
     features = points(x, 7 * np.arange(8192), np.random.default_rng(0).random(8192) < share)
     given_ = features, 0.001, config(5, lateral_gap, 0)

@@ -172,7 +172,7 @@ def test_objects_that_are_not_required_are_not_false_positives():
     assert evaluate(detections(points, [1000, 1000, 2000]), low).ignored == 2
 
 
-def test_detections_with_half_of_their_points_on_ignored_objects():
+def test_detections_on_ignored_objects_may_be_matches_or_ignored():
     """If the other half is on a required object, it is a match; if on the floor, it is ignored."""
     far = truth(nearest_m=np.array([[1.0, 5.0, 3.0, 8.0]]))
     got = evaluate(detections(on(1, 0) + on(2, 0), [1100]), far)

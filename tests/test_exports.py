@@ -121,10 +121,10 @@ def test_the_command_prints_how_to_open_the_export(
             assert (output / pattern).is_file()
 
 
-def test_a_report_is_a_file(
+def test_an_html_report_must_be_a_file(
     parts: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A report never replaces a folder, even an empty one; a name without suffix is an error."""
+    """A report never replaces a folder, even an empty one; a file name needs a suffix."""
     command = ["export", str(parts / "results"), "--to", "html", "--output"]
     (tmp_path / "folder").mkdir()
     assert main([*command, str(tmp_path / "folder")]) == 2

@@ -215,7 +215,7 @@ def test_columns_are_independent_except_for_drops(columns: list) -> None:
         assert why == end[c] or {why, end[c]} <= {FreeEnd.UNKNOWN, FreeEnd.DROP}
 
 
-def test_no_cells_have_no_free_floor() -> None:
+def test_without_cells_there_is_no_free_floor() -> None:
     line, end = found(column(None), column(None))
     assert not line.any() and end == [FreeEnd.UNKNOWN] * 2
 

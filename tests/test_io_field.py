@@ -622,7 +622,7 @@ def first_stamps(count: int, at_s: int, kinds: tuple[str, ...] = (ALIGNED, COLOR
 @pytest.mark.parametrize(
     "change", [(1, 5), (2, 5), (2, 946_684_800), (1, 5, (ALIGNED,))], ids=lambda args: str(args)
 )
-def test_start_in_seconds_ignores_stamps_of_an_unset_clock(tmp_path, aligned, change, scan):
+def test_start_in_seconds_ignores_timestamps_of_an_unset_clock(tmp_path, aligned, change, scan):
     start = {"start": "0.08s", "scan": scan}
     with (
         opened(tmp_path, aligned, **start) as whole,

@@ -101,7 +101,7 @@ def test_metres_equal_millimetres(tmp_path):
         assert_holds(log, scene)
 
 
-def test_rgbd_messages_are_pairs_whatever_their_stamps(tmp_path):
+def test_images_of_an_rgbd_message_are_paired_whatever_their_timestamps(tmp_path):
     scene = make_scene(size=COLOR_SIZE)._replace(depth_ns=make_scene().color_ns - SECOND)
     with LogFile(tmp_path / "log.mcap") as log:
         for color, depth, at, depth_at in zip(*scene, strict=True):

@@ -275,10 +275,12 @@ def test_neighbouring_splits_continue_where_the_log_ends(tmp_path):
         ([0], [(0, 1), (1, 2), (2000, 2001), (2001, 2002)], "KKKK", [1]),
     ],
 )
-def test_neighbouring_splits_are_used_with_all_nearer_ones(
+def test_a_neighbouring_split_is_used_only_if_all_nearer_ones_are(
     tmp_path, monkeypatch, own, spans, matrices, neighbours
 ):
-    """Splits without images or calibration take it from nearer ones; a clock may be set back."""
+    """Splits without images or calibration are compared by those of nearer splits; a clock may be
+    set back.
+    """
 
     def fake_signature(path: Path) -> Signature:
         number = int(path.stem.partition("_")[2])

@@ -11,7 +11,9 @@ from benchmarks.feed import PeakMemory
 from jaxdet.sim import SimConfig
 
 SHORT, TIMES = 640, 5
-"""Number of frames of 0.4 MB; fewer would not fill the cache of chunks."""
+"""Number of frames of 0.4 MB in the short log, which fill the cache of chunks; and the ratio of the
+lengths of both logs.
+"""
 
 
 def peak_mib(log: Path, output: Path) -> float:

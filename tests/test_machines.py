@@ -28,14 +28,14 @@ def printed(arguments, environment):
     return done.stdout.splitlines()
 
 
-def test_imitation_changes_what_libraries_compute():
+def test_imitated_machines_change_results_of_numpy():
     if " fma " not in Path("/proc/cpuinfo").read_text():
         pytest.skip("this CPU is the plainest machine itself")
     here, there = (printed(["-c", CONTROL], e) for e in ({}, PLAINEST))
     assert all(a != b for a, b in zip(here, there, strict=True))
 
 
-def test_functions_return_the_same_on_other_machines():
+def test_functions_return_stored_values_on_imitated_machines():
     here = printed([FUNCTIONS], {})
     assert here == GOLDEN.read_text().splitlines()
     for environment in (PLAINEST, {"NPY_DISABLE_CPU_FEATURES": " ".join(V4)}):
@@ -43,7 +43,7 @@ def test_functions_return_the_same_on_other_machines():
 
 
 @pytest.mark.slow
-def test_functions_return_the_same_in_all_environments():
+def test_functions_return_equal_values_on_all_imitated_machines():
     here = printed([FUNCTIONS], {})
     for environment in filter(can_run, environments()):
         assert printed([FUNCTIONS], environment) == here, environment
@@ -51,7 +51,7 @@ def test_functions_return_the_same_in_all_environments():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("backend", ["reference", "jax"])
-def test_tables_are_the_same_on_all_machines(backend, tmp_path):
+def test_tables_are_equal_on_all_imitated_machines(backend, tmp_path):
     log = tmp_path / "drive.mcap"
     write_log(log, SimConfig(scene="demo", frames=48, rate_hz=10.0, width=320, height=240))
     tested = [e for e in environments() if can_run(e)]

@@ -169,7 +169,7 @@ def test_the_limit_of_chunks_follows_the_memory():
     assert 256 * MIB < little.reading.chunk < more.reading.chunk
 
 
-def test_a_worker_in_addition_to_this_process_is_counted():
+def test_memory_for_a_worker_and_this_process_is_reserved():
     """After a run that crashed, a log is read by a separate worker if memory permits."""
     whole, apart = Memory("1GiB", 1), Memory("1GiB", 1, apart=True)
     assert apart.apart and whole.room - apart.room == PARENT + WORKER - ALONE

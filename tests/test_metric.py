@@ -74,30 +74,30 @@ def test_margin_grows_with_the_square_of_the_nearest_depth() -> None:
     np.testing.assert_allclose(found, expected)
 
 
-def test_slanted_edge_extends_along_its_normal() -> None:
+def test_the_rectangle_of_a_slanted_edge_extends_along_its_normal() -> None:
     found = corners((0, 2000), (300, 1600), (300, 1600))
     np.testing.assert_allclose(found[3] - found[0], [0.16, 0.12])
     np.testing.assert_allclose(found[2] - found[1], found[3] - found[0])
 
 
-def test_a_vertex_gives_a_parallel_of_ab_through_c() -> None:
+def test_with_a_vertex_the_opposite_edge_passes_through_c() -> None:
     found = corners((-300, 1200), (300, 1200), (50, 1000), True)
     np.testing.assert_allclose(found, [[-0.3, 1.2], [0.3, 1.2], [0.3, 1.0], [-0.3, 1.0]])
 
 
-def test_single_point_extends_forward() -> None:
+def test_the_rectangle_of_a_single_point_extends_forward() -> None:
     found = corners((100, 1000), (100, 1000), (100, 1000))
     np.testing.assert_allclose(found, [[0.1, 1], [0.1, 1], [0.1, 1.2], [0.1, 1.2]])
 
 
 @pytest.mark.parametrize(("x", "side"), [(-500, -0.2), (500, 0.2), (0, 0.2)])
-def test_edge_along_forward_extends_away_from_the_axis(x: int, side: float) -> None:
+def test_the_rectangle_of_a_forward_edge_extends_away_from_the_axis(x: int, side: float) -> None:
     found = corners((x, 1000), (x, 1500), (x, 1000))
     np.testing.assert_allclose(found[3] - found[0], [side, 0])
 
 
 @given(*[st.tuples(st.integers(-4000, 4000), st.integers(0, 4000)) for _ in range(3)])
-def test_rectangles_are_rectangles(a: tuple, b: tuple, c: tuple) -> None:
+def test_rectangles_have_right_angles(a: tuple, b: tuple, c: tuple) -> None:
     for vertex in (False, True):
         p = corners(a, b, c, vertex)
         np.testing.assert_allclose(p[0] + p[2], p[1] + p[3], atol=1e-12)

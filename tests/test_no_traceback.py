@@ -217,7 +217,7 @@ def test_unavailable_platforms_are_errors_of_one_line(tmp_path, made):
     assert "no device for JAX_PLATFORMS=rocm; unset" in done.stderr
 
 
-def test_internal_errors_are_one_line_and_a_report(capsys, monkeypatch, tmp_path):
+def test_an_internal_error_is_one_line_and_leaves_a_report(capsys, monkeypatch, tmp_path):
     def broken(args: list[str]) -> int:
         raise ZeroDivisionError("not foreseen\n\x1b[31m")
 

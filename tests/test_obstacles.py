@@ -81,7 +81,7 @@ def test_an_object_behind_a_pole_is_one_obstacle() -> None:
 
 
 def test_visible_background_separates_objects() -> None:
-    """Without the pole, floor and wall are visible between the two."""
+    """Without the pole, floor and wall are visible between the two objects."""
     picture = Picture().paint(slice(0, 24), slice(0, 120), 5000)
     picture.paint(TALL, slice(30, 55), 2000).paint(TALL, slice(60, 85), 2000)
     _, left, right = picture.numbers()
@@ -272,7 +272,7 @@ def test_only_small_objects_are_removed(things: list[tuple]) -> None:
 # edges
 
 
-def test_no_surfaces_have_no_obstacles() -> None:
+def test_without_surfaces_there_are_no_obstacles() -> None:
     picture = Picture()
     assert (picture.found() == -1).all()
     picture.z[:] = 0

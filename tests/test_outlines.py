@@ -95,28 +95,28 @@ def test_contours_are_limited_to_the_slots() -> None:
     assert none.tolist() == [0, 0, 0, 0]
 
 
-def test_a_line_has_one_part() -> None:
+def test_a_straight_contour_is_not_split() -> None:
     wall = np.array([(x, 2000 + x // 4) for x in range(-800, 800, 50)])
     assert straight_parts(wall, 150, 400, 400) == [0]
     assert straight_parts(wall[:1], 150, 400, 400) == [0]
     assert straight_parts(wall[:0], 150, 400, 400) == [0]
 
 
-def test_a_corner_around_free_floor_splits_and_that_of_a_box_does_not() -> None:
+def test_an_inner_corner_splits_a_contour_and_an_outer_corner_does_not() -> None:
     room = [(-800, y) for y in range(1000, 3000, 100)] + [(x, 3000) for x in range(-800, 800, 100)]
     assert straight_parts(np.array(room), 150, 400, 400) == [0, 20]
     box = corner(1000, 1200, 50) @ np.array([[1, -1], [1, 1]]) + (0, 2000)
     assert straight_parts(box, 150, 400, 400) == [0]
 
 
-def test_a_corridor_has_three_parts() -> None:
+def test_the_contour_of_a_corridor_is_split_into_three_parts() -> None:
     left = [(-700, y) for y in range(800, 4000, 100)]
     across = [(x, 4000) for x in range(-700, 700, 100)]
     right = [(700, y) for y in range(4000, 800, -100)]
     assert straight_parts(np.array(left + across + right), 150, 400, 400) == [0, 32, 46]
 
 
-def test_small_bends_and_short_sides_do_not_split() -> None:
+def test_contours_are_not_split_at_small_bends_or_into_short_sides() -> None:
     dent = np.array([(x, 2000 + (140 if 0 <= x < 400 else 0)) for x in range(-800, 800, 50)])
     assert straight_parts(dent, 150, 300, 400) == [0]
     niche = [(-200, y) for y in range(1800, 2100, 50)] + [(x, 2100) for x in range(-200, 200, 50)]
@@ -124,8 +124,8 @@ def test_small_bends_and_short_sides_do_not_split() -> None:
     assert len(straight_parts(np.array(niche), 50, 200, 400)) == 2
 
 
-def test_a_bend_must_exceed_the_threshold() -> None:
-    """Behind a chord 1 m long in direction (3, 4), 150 are not more than 150, 151 are."""
+def test_contours_are_split_at_bends_above_the_threshold() -> None:
+    """A bend of 150 is within the threshold of 150, a bend of 151 is not."""
     for deep, parts in ((150, [0]), (151, [0, 10])):
         t = np.arange(21) * 50
         line = np.stack([t, deep - np.abs(t - 500) * deep // 500], axis=1)
@@ -219,7 +219,7 @@ def test_ab_is_the_side_nearest_to_the_camera() -> None:
     assert set(left[0, 0, :2, 0]) == {-700} and set(right[0, 0, :2, 0]) == {700}
 
 
-def test_a_single_point_has_the_margin() -> None:
+def test_the_rectangle_of_a_single_point_has_a_margin() -> None:
     config, point = FootprintConfig(margin_m=0.02, margin_per_m2=0.0), np.array([[300, 1200]])
     direction = fitted_direction(point)
     one = fitted(direction, span_of(point, direction))

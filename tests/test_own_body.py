@@ -196,9 +196,9 @@ def test_no_mask_is_suggested_if_body_and_scene_look_alike(logs, tmp_path, capsy
     log = write_messages(tmp_path / "still.mcap", still)
     suggest = ["--suggest-mask", str(tmp_path / "mask.png")]
     assert main(["info", str(log), *suggest]) == 1
-    assert "the camera keeps still" in capsys.readouterr().err
+    assert "the camera does not move" in capsys.readouterr().err
     how = ["--ground.source", "none"]
     assert main(["info", str(logs / "arm.mcap"), *suggest, *how]) == 1
-    assert "the floor is not known" in capsys.readouterr().err
+    assert "the floor is unknown" in capsys.readouterr().err
     assert main(["info", str(logs), *suggest]) == 2
     assert main(["info", str(log), "--suggest-mask", str(log)]) == 2

@@ -54,7 +54,7 @@ def test_reading_holds_one_row_group(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert len(held) == 40 and max(held) < 500_000
 
 
-def test_chunks_with_other_columns_start_from_the_beginning(tmp_path: Path) -> None:
+def test_chunks_may_be_requested_with_other_columns(tmp_path: Path) -> None:
     with Results(make_results(tmp_path / "out", {"a": 20, "b": 20})) as results:
         first, second = results.logs
         for columns in (["stamp_ns"], ["status"], ["status", "stamp_ns"]):

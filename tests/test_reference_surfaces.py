@@ -134,8 +134,8 @@ def test_noise_of_single_cells_is_not_a_crease() -> None:
     assert not surfaces(z, z > 0, UNIT, CREASED).any()
 
 
-def test_bent_floor_has_no_front() -> None:
-    """A low wedge that rises by a fourth of its distance is floor; the face of a curb is not."""
+def test_surfaces_without_a_steep_front_are_floor() -> None:
+    """A low wedge with a slope of 1 in 4 is removed as bent floor; the face of a kerb is kept."""
     forward = np.tile(np.arange(1500, 900, -100)[:, None], (1, 4))
     label = np.full((6, 4), -1)
     label[:3] = 0
@@ -153,8 +153,10 @@ def test_bent_floor_has_no_front() -> None:
     np.testing.assert_array_equal(off, label)
 
 
-def test_at_the_margins_floor_measured_too_near_has_no_front() -> None:
-    """Sloping strips at the margins are removed; a strip in the middle and upright ones remain."""
+def test_floor_measured_too_near_in_the_margins_is_removed() -> None:
+    """Sloping strips in the margins are removed; a sloping strip in the middle and upright strips
+    in the margins are kept.
+    """
     label, height = np.full((4, 24), -1), np.zeros((4, 24), int)
     label[:2, :2], label[:2, 11:13], label[:2, 22:] = 0, 1, 2
     height[label >= 0] = 60
@@ -342,7 +344,7 @@ def test_a_speck_is_not_merged_with_cells_far_behind_it():
 
 
 @pytest.mark.parametrize(("steep", "kept"), [(4, True), (3, False)])
-def test_a_front_is_two_thirds_of_the_lowest_cells(steep, kept):
+def test_two_thirds_of_the_lowest_cells_must_be_steep(steep, kept):
     label = np.array([[0] * 5, [-1] * 5])
     height = np.array([[60] * 5, [0] * 5])
     forward = np.array([[1000] * steep + [1400] * (5 - steep), [1000] * 5])

@@ -52,8 +52,8 @@ def test_alignment_does_not_depend_on_the_threads(threads, batch):
 
 
 @BATCHES
-def test_threads_do_not_depend_on_frames_of_others_or_of_earlier_batches(threads, batch):
-    """Scratch memory still contains values of earlier frames."""
+def test_results_do_not_depend_on_the_contents_of_scratch_memory(threads, batch):
+    """Scratch memory is filled with other values before each batch."""
     calibration = small(64, 48)
     for start in 0, batch:
         depth = np.roll(noise_depth(2 * batch, calibration.depth), start, axis=0)[:batch]
@@ -102,7 +102,7 @@ def test_an_error_in_a_thread_reaches_the_caller(monkeypatch):
     assert_equal(align_all(depth, small()), reference.paper.align(depth, small()))
 
 
-def test_the_number_of_threads_is_that_of_cores_or_of_xla(monkeypatch):
+def test_the_number_of_threads_is_that_of_cores_unless_set_for_xla(monkeypatch):
     monkeypatch.delenv("PJRT_NPROC", raising=False)
     assert pool.threads() == cores()
     monkeypatch.setenv("PJRT_NPROC", "3")

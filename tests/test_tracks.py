@@ -416,7 +416,7 @@ def test_without_poses_tracks_are_in_the_camera_frame():
     assert not track.in_world and track.moving
 
 
-def test_no_frames_and_no_obstacles_have_no_tracks():
+def test_without_frames_or_obstacles_there_are_no_tracks():
     assert follow([]) == ([], [[]])
     assert follow([[], []]) == ([], [[], []])
 

@@ -70,7 +70,7 @@ SIDE = corners_of(0, 0, (1.0, 0.6))
         (corners_of(0.61, 0.41, (1.5, 0.3), 0.75 * np.pi), (0, 0), False),  # a gap along its sides
     ],
 )
-def test_obstacles_that_are_one_observation(other, bottoms, one):
+def test_obstacles_are_merged_if_they_overlap_or_one_floats_nearby(other, bottoms, one):
     for turn in (1, -1):
         seen = in_frames([[SIDE, other][::turn]], bottom_m=np.array(bottoms[::turn], float))
         things, thing = merge_overlapping(seen, np.array([9, 4][::turn]), TrackConfig())
@@ -244,8 +244,10 @@ PAIR = corners_of(0, 2), corners_of(0.59, 2)  # a gap of 0.09 m
         (4, (corners_of(0, 2, (0.5, 1.7)), corners_of(0.59, 2)), 3, 9, False),
     ],
 )
-def test_tracklets_that_end_as_a_fragment(ends, pair, begins, lasts, cut):
-    """A tracklet from frame 0 to ``ends`` is next to one from ``begins`` to ``lasts``."""
+def test_a_tracklet_ends_at_a_split_if_another_fragment_lasts_longer(
+    ends, pair, begins, lasts, cut
+):
+    """One tracklet lasts from frame 0 to ``ends``, the other one from ``begins`` to ``lasts``."""
     shapes, last = (*pair, corners_of(0, 9)), {}
     spans = (0, ends), (begins, lasts), (0, 9)
     there = [[k for k, (a, b) in enumerate(spans) if a <= f <= b] for f in range(10)]
@@ -411,7 +413,7 @@ def test_the_minimum_distance_of_moving_objects_is_a_setting():
     assert way_of(aside).moving.all()
 
 
-def test_objects_too_fast_most_of_the_time_are_not_moving():
+def test_objects_with_mostly_implausible_speeds_are_not_moving():
     for stands, runs in ((20, 40), (40, 20)):
         x = [0.0] * stands + [4 * f / RATE_HZ for f in range(runs)]
         assert way_of([corners_of(at, 2) for at in x]).moving.tolist() == [stands > runs]

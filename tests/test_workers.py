@@ -513,7 +513,7 @@ def descendants(pid: int | str) -> list[str]:
 def left_over(before: set[str]) -> set[str]:
     """Return new shared memory and semaphores that no running process uses.
 
-    Memory and semaphores of other programs are in use.
+    Those of other programs are left out, since their processes run.
     """
     left = set(os.listdir("/dev/shm")) - before
     for maps in Path("/proc").glob("[0-9]*/maps"):

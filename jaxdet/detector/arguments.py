@@ -259,7 +259,7 @@ def depth_images(images: Any, unit_m: float) -> np.ndarray:
         unit_m: Metres per unit.
 
     Raises:
-        InputError: The type or shape of the images is wrong, or are not in metres.
+        InputError: The type or shape of the images is wrong, or floats are not in metres.
     """
     array = _stacked("depth", images)
     if array.dtype == np.uint8:

@@ -18,7 +18,7 @@ A small log is processed by one worker, a large log by all workers::
     scheduler > pool > worker > LogJob  > process_log > InProcess > UnitProcessor
     scheduler > process_log > InPool > pool > worker > UnitJob > UnitProcessor
 
-Names are loaded on first use, so that options alone cost no import of JAX.
+Names are imported on first use, so that importing only the options does not import JAX.
 """
 
 import lazy_loader

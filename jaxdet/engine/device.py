@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from jaxdet.io import Batch
 
 ImageMemory = Callable[[], np.ndarray | tuple[np.ndarray, np.ndarray]]
-"""Returns arrays to decode depth images into, or depth and colour images; see
+"""Function that returns memory for decoded depth images, or depth and colour images; see
 :meth:`Log.batches`."""
 
 
@@ -33,7 +33,7 @@ class Found(NamedTuple):
     """Detections of a batch, on the host."""
 
     inputs: RowInputs
-    """Part of the detections that rows are made of."""
+    """Part of the detections from which rows are made."""
     busy_s: Mapping[str, float] = MappingProxyType({})
     """Time that other processes spent on the batch, by step, as in
     :attr:`jaxdet.results.summary.Counts.busy_s`."""
@@ -68,7 +68,7 @@ class Device(Protocol):
 
 
 class OwnDevice:
-    """This process: NumPy, or JAX on its default device.
+    """Device of this process: NumPy, or JAX on its default device.
 
     Args:
         config: The method's parameters.
@@ -97,7 +97,7 @@ class OwnDevice:
 
 
 def out_of_memory(error: Exception) -> bool:
-    """Whether an error says that memory, of this machine or of a GPU, was not enough."""
+    """Return whether an error means that this machine or a GPU ran out of memory."""
     return isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error)
 
 

@@ -84,11 +84,11 @@ class _Started(NamedTuple):
 
     packed: Any
     begin: float
-    """Time when it was started, by ``time.perf_counter`` [s]."""
+    """Time at which it was started, by ``time.perf_counter`` [s]."""
     copying_s: float
     """Time of copying its images [s]."""
     ready: "Future[float]"
-    """Time when it was computed, by ``time.perf_counter`` [s]."""
+    """Time at which its results were ready, by ``time.perf_counter`` [s]."""
 
 
 class DeviceQueue:
@@ -172,7 +172,7 @@ def _time_when_ready(found: Any) -> float:
 
 
 _packing = threading.Lock()
-"""Lock that is held while :func:`_pack` makes its function, so that it is made only once."""
+"""Lock that lets only one thread compile the function of :func:`_pack`."""
 
 
 @lru_cache(maxsize=1)

@@ -53,7 +53,7 @@ class Executor(Protocol):
 
 
 ChooseExecutor = Callable[["Log", Memory], Executor]
-"""Returns the executor of an open log."""
+"""Function that returns the executor of an open log."""
 
 
 def memory_plan(

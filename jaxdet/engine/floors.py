@@ -73,7 +73,7 @@ class Planes:
     otherwise: GroundPlane = field(default_factory=lambda: unknown_plane(1), repr=False)
     """Plane of frames in no window, ``B = 1``."""
     otherwise_source: str = "none"
-    """Source of that plane."""
+    """Source of the plane :attr:`otherwise`."""
 
     def of(self, stamp_ns: np.ndarray) -> GroundPlane:
         """Return the planes of frames with these stamps ``(B,)`` int64."""
@@ -286,8 +286,8 @@ def _turned_prior(
     """Return the prior of a camera that may be turned, and a warning or an empty text.
 
     A camera whose images, turned over, show a near floor is taken as upside down; a far one may be
-    the ceiling above an upright camera. For a camera on its side only the flags are named, as
-    walls look like its floor.
+    the ceiling above an upright camera. For a camera on its side the warning only names the flags,
+    since a wall may look like its floor.
 
     Args:
         each: Floors of the sample for each of :data:`_TURNS`.

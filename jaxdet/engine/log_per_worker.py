@@ -78,7 +78,7 @@ class LogJob(NamedTuple):
             return process_log(self.settings, *task, *given, log_per_worker=True)
         except _OtherCameraError as error:
             return OtherCamera(error.calibration)
-        except Exception:  # the first process meets it too, and reports it
+        except Exception:  # the first process tries the log again, and reports the error
             return None
 
     def choose(self, process: WorkerProcess, log: "Log", memory: Memory) -> InProcess:

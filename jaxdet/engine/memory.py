@@ -81,7 +81,7 @@ class Memory:
         chunks: Memory for chunks in each process [bytes].
         reading: Limits for reading a log.
         room: Memory besides that of libraries and programs [bytes].
-        apart: Whether a single worker runs besides this process, not in its place.
+        apart: Whether a single worker runs in addition to this process, not instead of it.
 
     Raises:
         ConfigError: ``asked`` is too little for any log.
@@ -147,7 +147,7 @@ class Memory:
             if size:
                 return MemoryPlan(count, size)
         rest = BATCHES_IN_FLIGHT * needs.frame + 2 * needs.known + needs.rows
-        chunks = max(LEAST_CHUNKS, min(2 * self._largest, rest))  # which get half of what is left
+        chunks = max(LEAST_CHUNKS, min(2 * self._largest, rest))  # half of the remaining memory
         least = size_text(self._fixed(1) + chunks + rest)
         problem = f"its images, index and rows need more memory than {size_text(self.total)}"
         raise InputError(problem, path=where, remedy=f"give --memory {least} or more")

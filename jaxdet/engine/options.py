@@ -50,7 +50,9 @@ class RunOptions:
         if self.memory is not None:
             parse_size(self.memory, "--memory")
         if self.update and self.overwrite:
-            raise ConfigError("--update with --overwrite", remedy="give one of them")
+            raise ConfigError(
+                "--update and --overwrite exclude each other", remedy="give one of them"
+            )
         if self.pictures < 0:
             raise ConfigError(f"{self.pictures} pictures", remedy="give --pictures 0 or more")
         if self.workers is not None and not 1 <= self.workers <= MAX_WORKERS:

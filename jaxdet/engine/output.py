@@ -166,7 +166,7 @@ class OutputFolder:
             raise ConfigError(problem, path=str(self.output), remedy=remedy)
 
     def _reason(self, path: Path) -> str | None:
-        """Return a text that says how a ``run.json`` differs from this run; None if it doesn't."""
+        """Describe how a ``run.json`` differs from this run; None if it doesn't."""
         try:
             return difference(read_json(path), self.record)
         except InputError as error:
@@ -192,7 +192,7 @@ class OutputFolder:
         """Return the summaries of a log with complete results; None if it must be done again."""
         update = self.options.update
         manifest = {} if self.options.overwrite else read_manifest(folder)
-        if manifest.get("run") != self.run:  # an --overwrite before may have been stopped
+        if manifest.get("run") != self.run:  # an earlier --overwrite may have been stopped
             if not (self.options.overwrite or (self.output / RUN).exists()):
                 raise ResultsError(str(self.output), folder.name, reason=f"{RUN} is missing")
             self._check_own(folder)

@@ -46,17 +46,17 @@ def find_own_body(log: "Log", config: Config) -> np.ndarray:
         ``(H, W)`` bool; all False if no part of the robot was found.
 
     Raises:
-        InputError: Too few frames can be read, the floor is not known, or the camera keeps still.
+        InputError: Too few frames can be read, the floor is unknown, or the camera does not move.
     """
     most = max(_FEWEST, _MAX_BYTES // (2 * log.depth_shape[0] * log.depth_shape[1]))
     frames = log.read(evenly(np.array(log.frames), min(_FRAMES, most)).tolist()).frames
     depth = frames.depth[frames.valid]
     if len(depth) < _FEWEST:
-        raise _not_found(log, f"{len(depth)} frames are too few", "take a longer log")
+        raise _not_found(log, f"{len(depth)} frames are too few", "use a longer log")
     plane = _floor(log, frames, config)
     if not plane.valid[0]:
         remedy = "give --ground.camera-height-m and --ground.camera-pitch"
-        raise _not_found(log, "the floor is not known", remedy)
+        raise _not_found(log, "the floor is unknown", remedy)
     unit = log.calibration.depth_unit
     typical, same = _steady(depth, unit)
     x, y = pixel_rays(log.calibration.depth)
@@ -65,7 +65,7 @@ def find_own_body(log: "Log", config: Config) -> np.ndarray:
     body = same & above & (typical * unit < NEAR_M)
     others = above & (typical > 0) & ~body
     if np.count_nonzero(others & same) > (1 - _MOVING) * np.count_nonzero(others):
-        raise _not_found(log, "the camera keeps still", "take a log of a robot that turns")
+        raise _not_found(log, "the camera does not move", "use a log in which the robot turns")
     return _whole_parts(body)
 
 

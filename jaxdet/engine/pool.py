@@ -146,8 +146,8 @@ class Pool:
             ]
             self._ended, self._started = threading.Event(), threading.Event()
             # A thread starts them, as the fork server takes a while to load its modules, and so
-            # that no signal leaves a process half started. It is never joined: a Ctrl-C while
-            # Python joins a thread marks that as ended.
+            # that no signal leaves a process half started. It is never joined, because a Ctrl-C
+            # while Python joins a thread marks the thread as ended.
             given = self._workers, self._ended, self._started
             threading.Thread(target=_wake, args=given, name="jaxdet-pool", daemon=True).start()
 
@@ -281,7 +281,7 @@ class Pool:
         """
         before = time.monotonic()
         readable = wait([worker.pipe for worker in self._workers], _LOOK_S)
-        # If this process was stopped, or the machine asleep, that is no fault of the workers.
+        # Time for which this process was stopped or the machine slept is not counted.
         passed = min(time.monotonic() - before, 2 * _LOOK_S)
         for worker in list(self._workers):
             if worker.pipe not in readable:

@@ -48,7 +48,7 @@ _CELL_BYTES = 28
 """Memory per cell while a map is made and drawn: four numbers of 4 bytes, copies of some of them,
 and a pixel [bytes]."""
 REPORT = "report.txt"
-"""Crash report in the folder of a log that failed by a fault of jaxdet."""
+"""Name of the crash report in the folder of a log that failed because of a bug in jaxdet."""
 
 Inputs = list[dict[str, Any]]
 
@@ -216,7 +216,7 @@ class CameraRun:
         return self.part and f"{self.part}_"
 
     def _fail(self, error: Exception) -> None:
-        """Record why the log failed; write a crash report if it is a fault of jaxdet."""
+        """Record why the log failed; write a crash report if the cause is a bug in jaxdet."""
         text = str(error)
         if not isinstance(error, JaxdetError):
             text = f"{self.files.name}: {type(error).__name__}: {error}"

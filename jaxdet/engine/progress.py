@@ -39,7 +39,7 @@ ProgressCallback = Callable[[Progress], None]
 
 
 Report = Callable[[LogSummary, str, int, str], None]
-"""Called with the progress of a log: summary, label, number of frames, description of the work."""
+"""Function for the progress of a log: summary, label, number of frames, current work."""
 
 
 @dataclass

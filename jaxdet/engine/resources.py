@@ -65,7 +65,7 @@ class Resources:
         Raises:
             InputError: There is no room for one frame.
         """
-        # With ``apart`` the run before this one was killed, maybe by one of these logs.
+        # ``apart`` is set if the previous run was killed, perhaps because of one of these logs.
         apart = bool(self.pool.devices) or memory.apart
         short = len(log.frames) < FRAMES_WORTH_WORKERS
         few = short and not apart and not self.workers_wanted

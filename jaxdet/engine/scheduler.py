@@ -78,7 +78,7 @@ def run_logs(
 
 
 def _standing(done: Collection[str], logs: Sequence[LogFiles], options: RunOptions) -> str:
-    """Return a text that says how many logs are done and how to continue the run."""
+    """Describe how many logs are done and how to continue the run."""
     some = "no log is done" if not done else f"{len(done)} of {len(logs)} logs are done"
     but = " without --overwrite" if options.overwrite else ""
     return f"{some}; the same command{but} goes on"
@@ -139,7 +139,7 @@ class Scheduler:
         return sorted(choose_logs(sizes, self.memory.workers), key=lambda name: -sizes[name])
 
     def _ready(self, camera: "Calibration | None") -> bool:
-        """Whether a worker can process a log of a camera now; None if the camera is not known."""
+        """Return whether a worker can process a log now."""
         if not self.pool.devices:
             return True
         served = self.pool.serving
@@ -201,8 +201,8 @@ class Scheduler:
     def _check_there(self, failed: LogFiles) -> None:
         """Check that the disk of a log that failed is still available.
 
-        If other logs are missing too, the disk is. If only this log is missing, it was removed,
-        which is no reason to end the run.
+        If other logs are missing too, the disk itself is missing. If only this log is missing, it
+        was removed, and the run continues.
 
         Raises:
             InputError: The disk is missing; logs that are done are kept.
@@ -226,7 +226,7 @@ def make_summary(
         settings: Settings of the run.
         resources: Memory and processes; None if all logs were done before.
         logs: Summaries of the cameras of all logs.
-        start: Time when the run began, by ``time.perf_counter`` [s].
+        start: Time at which the run began, by ``time.perf_counter`` [s].
         kept: Names of the logs that were done before.
     """
     batch = resources.batch if resources else settings.options.batch_size or 0

@@ -37,7 +37,7 @@ class SlotArrays(NamedTuple):
     """Arrays of a slot."""
 
     depth: np.ndarray
-    """``(n, Hd, Wd)`` uint16."""
+    """Depth images ``(n, Hd, Wd)`` uint16."""
     color: np.ndarray | None
     """``(n, H, W, 3)`` uint8; None if the method reads only depth."""
     results: np.ndarray
@@ -168,7 +168,7 @@ class SharedMemory:
         except OSError as error:
             os.close(self._file)
             problem = f"no shared memory of {nbytes >> 20} MiB ({error.strerror})"
-            raise WorkerError(problem, remedy="take fewer --workers") from error
+            raise WorkerError(problem, remedy="use fewer --workers") from error
         self.path = f"/proc/{os.getpid()}/fd/{self._file}"
         self.number = next(_numbers)
 

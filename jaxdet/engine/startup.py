@@ -187,7 +187,7 @@ def _check_platforms() -> None:
 
 
 def may_use_gpus() -> bool:
-    """Whether JAX has a plugin for GPUs and may use it; loads nothing."""
+    """Return whether JAX has a plugin for GPUs and may use it, without loading anything."""
     kept = os.environ.get("JAX_PLATFORMS") == "cpu"
     return not kept and importlib.util.find_spec("jax_plugins") is not None
 

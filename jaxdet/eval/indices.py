@@ -13,8 +13,8 @@ def silhouette(points: np.ndarray, labels: np.ndarray) -> float:
     For point i, ``a`` is the mean distance to the other points of its cluster, ``b`` the smallest
     mean distance to another cluster, and ``s(i) = (b - a) / max(a, b)``, or 0 if the cluster has
     only one point; SC is the mean of ``s``. Rousseeuw, Journal of Computational and Applied
-    Mathematics 20 (1987),
-    53-65. Equals ``sklearn.metrics.silhouette_score`` on the labelled points.
+    Mathematics 20 (1987), 53-65. Equals ``sklearn.metrics.silhouette_score`` on the labelled
+    points.
 
     Args:
         points: Points ``(n, d)``.

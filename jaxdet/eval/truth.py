@@ -34,9 +34,10 @@ class EvalConfig:
     """Increase of the tolerance in proportion to z squared [1/m], about four standard deviations of
     a D435."""
     merge_share: float = 0.2
-    """Minimum fraction of a detection's votes for an object that is part of it."""
+    """Minimum fraction of a detection's votes for an object to count it as part of the detection.
+    """
     match_share: float = 0.5
-    """Minimum fraction of a detection's votes for an obstacle that it can match."""
+    """Minimum fraction of a detection's votes for an obstacle to let both match."""
     step_height_m: float = 0.05
     """Minimum height of required obstacles, exclusive [m]: the height that the wheels can climb."""
     footprint: FootprintConfig = field(default_factory=FootprintConfig)
@@ -49,7 +50,9 @@ class EvalConfig:
     floor_range_m: float = 4.0
     """Maximum distance of the evaluated floor from the camera's ground projection [m]."""
     hanging_m: float = 0.5
-    """Height of the lowest cell above the floor from which an obstacle covers no floor [m]."""
+    """Minimum height of an obstacle's lowest cell above the floor at which the robot can drive
+    below the obstacle, so that it covers no floor [m].
+    """
     indices: bool = False
     """Whether to compute the silhouette and the Davies-Bouldin index, which take longer."""
 

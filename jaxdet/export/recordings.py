@@ -67,7 +67,7 @@ def find(results: Results, given: Sequence[str]) -> dict[str, LogFiles]:
 
 
 def _best(given: Sequence[str], names: Collection[str]) -> list[LogFiles]:
-    """Find the logs with splits joined or not, whichever matches the names in the results."""
+    """Find the logs, with joined or separate splits, whichever match the names in the results."""
     if not given:
         return []
     logs = find_logs(given)
@@ -222,7 +222,7 @@ def open_modes(results: Results, log: ResultLog) -> Iterator[LogOptions]:
 
 @contextmanager
 def _opened(log: ResultLog, files: LogFiles, options: LogOptions) -> Iterator[Log]:
-    """Open a log as in the run; a log without its topics is a different log."""
+    """Open a log as in the run; without the topics of the run it is rejected as a different log."""
     try:
         opened = open_log(files, options)
     except (TopicError, CalibrationError) as error:

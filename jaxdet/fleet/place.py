@@ -1,6 +1,6 @@
 """Places for logs and results: a folder, or a prefix of a bucket in S3, Google Cloud or Azure.
 
-A :class:`Folder` and a :class:`Bucket` have the same methods. Two of them decide races: ``create``
+A :class:`Folder` and a :class:`Bucket` have the same methods. Two methods decide races: ``create``
 writes a file only if there is none, ``swap`` only if it is still the one that was read. Credentials
 come from the environment, by the names that the services' own programs use. An address with
 credentials is refused, so that none get into a file, a log line or an error.
@@ -71,7 +71,7 @@ def scrub(text: str) -> str:
 
 
 def is_url(text: str | os.PathLike[str]) -> bool:
-    """Whether an address names a bucket; a :class:`~pathlib.Path` has lost one of its slashes."""
+    """Return whether an address names a bucket, with two slashes or, as a path, with one."""
     return bool(_URL.match(os.fspath(text)))
 
 
@@ -179,7 +179,8 @@ class Bucket:
             except (AlreadyExistsError, PreconditionError, FileNotFoundError) as error:
                 if mode == "create" and isinstance(error, FileNotFoundError):
                     raise  # there is no such bucket
-                # If the answer to a request was lost, it is sent again, and finds its own object.
+                # If the response to a request is lost, obstore repeats the request, which then
+                # finds the object that it created itself.
                 found = self.get(key)
                 return found is not None and found[0] == content
         return True

@@ -1,13 +1,13 @@
-"""Publishing of complete results of a log, never mixed, however many attempts race or die.
+"""Publishing of complete results of a log, which attempts that race or die never mix.
 
 In a bucket::
 
     RESULTS/run.json                          configuration and versions, created once
     RESULTS/LOG/current.json                  the current version, swapped by If-Match
-    RESULTS/LOG/VERSION/manifest.json         the attempt whose results hold: put last, if absent
+    RESULTS/LOG/VERSION/manifest.json         names the valid attempt; written last, if absent
     RESULTS/LOG/VERSION/ATTEMPT/...           a results folder as on one machine
     RESULTS/LOG/VERSION/tracks.json, tracks-ATTEMPT/...    the same for its tracks
-    RESULTS/LOG/VERSION/attempts/ATTEMPT      begun and not ended
+    RESULTS/LOG/VERSION/attempts/ATTEMPT      note of an attempt in progress
     RESULTS/LOG/VERSION/failed.json           why there are no results
 
 ``VERSION`` is a checksum of input, configuration, jaxdet's version and the last ``--overwrite``.
@@ -76,7 +76,7 @@ def open_results(url: str) -> "Results":
 
 
 def version_of(record: str, files: Iterable[Entry]) -> str:
-    """Return the name of a version, from a record's checksum and a log's files, by any name."""
+    """Return the name of a version, from a record's checksum and the contents of a log's files."""
     text = json.dumps([record, [(file.size, file.tag) for file in files]], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
@@ -100,7 +100,7 @@ class _Attempts:
         self.place.delete([key])
 
     def deaths(self, target: Target, command: str | None = None) -> tuple[int, int]:
-        """Return the numbers of processes that a log killed, and of attempts lost with machines.
+        """Return the numbers of attempts whose process was killed, and whose machine was lost.
 
         Args:
             target: Log and version.
@@ -173,7 +173,7 @@ class BucketResults(_Attempts):
         self._upload(target.base, f"tracks-{attempt}", staged, names, TRACKS)
 
     def has_tracks(self, target: Target) -> bool:
-        """Whether a log has tracks."""
+        """Return whether a log has tracks."""
         return self._json(f"{target.base}/{TRACKS}") is not None
 
     def fail(self, target: Target, failure: Mapping[str, Any], seen: Standing) -> None:

@@ -215,7 +215,11 @@ class _Work(NamedTuple):
                 self.results.end(key)
 
     def _deaths(self, target: Target) -> tuple[int, int]:
-        """Count lost attempts; if a driver (as Ray's) ends all its tasks, only this command's."""
+        """Return the numbers of killed and of lost attempts at a log.
+
+        A driver such as Ray's may end all tasks of a command: then only attempts of this command
+        are counted.
+        """
         return self.results.deaths(target, self.how["command"] if self.how.get("driven") else None)
 
     def _fail(self, one: _Fetched, error: str, staged: Path | None) -> None:

@@ -36,7 +36,7 @@ def process() -> str:
 
 
 def is_dead(name: str) -> bool | None:
-    """Whether a process has ended; None if it ran on another machine."""
+    """Return whether a process has ended; None if it ran on another machine."""
     on, pid, start = name.split("-")[:3]
     return None if on != machine() else _start(int(pid)) != start
 

@@ -15,7 +15,7 @@ from jaxdet.types import GroundPlane, Refusal
 
 ANGLES = 32  # angle steps per degree: 0.03 degrees are 2 mm at 4 m
 FARTHEST = 1 << 20  # maximum height, and start of a ramp [depth units]
-SINE_BITS = 15  # fraction bits of sines; a product of two has 32 bits with its sign
+SINE_BITS = 15  # fraction bits of sines; the product of two fits in 32 bits
 _TURN = np.radians(np.arange(-360 * ANGLES, 370 * ANGLES + 1) / ANGLES)
 SINES = np.rint(sin(_TURN) * (1 << SINE_BITS)).astype(np.int64)  # from -360 degrees on
 STEEPEST = 85 * ANGLES  # maximum pitch, up or down; beyond it roll is meaningless

@@ -351,7 +351,7 @@ def _chunk_index(
         found[1] = entries["sec"].astype(np.int64) * 1_000_000_000 + entries["nanosec"]
         found[4] = entries["offset"]
         if len(entries) and found[4].max() > size - PAYLOAD_OFFSET:
-            raise DamageError("message index leaves its chunk")
+            raise DamageError("message index points beyond its chunk")
         seen[number] += len(entries)
         yield found
     if +seen != +Counter(counts):

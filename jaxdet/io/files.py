@@ -158,7 +158,7 @@ class _Named(NamedTuple):
     """A file or folder from the inputs."""
 
     place: Path
-    """See :func:`place_of`."""
+    """Path in which the links of folders are resolved, see :func:`place_of`."""
     target: Path
     """Path with all links resolved, including a link of the file itself."""
     path: Path

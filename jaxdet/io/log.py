@@ -195,7 +195,7 @@ class Log:
             return list(self.read(self.frames[index], color=True).one_by_one())
         place = as_index(index)
         if not -len(self) <= place < len(self):
-            raise IndexError(f"frame {place} of {len(self)}")
+            raise IndexError(f"frame {place} is out of range: {len(self)} frames are selected")
         return next(self.read([self.frames[place]], color=True).one_by_one())
 
     @property
@@ -334,7 +334,7 @@ class Log:
             raise InputError(problem, topic="indices", remedy="pass a list")
         indices = [whole_number("indices", index) for index in indices]
         if not all(0 <= index < self.num_frames for index in indices):
-            raise IndexError(f"frames {list(indices)[:20]} of {self.num_frames}")
+            raise IndexError(f"frames {list(indices)[:20]}: the log has {self.num_frames} frames")
         return self._batch(indices, len(indices), _which_color(color), need_color)
 
     def without_images(self, indices: Sequence[int], status: FrameStatus, error: str) -> Batch:

@@ -138,7 +138,7 @@ class FileBytes:
             DamageError: A position is outside of the buffer, or a number exceeds int64.
         """
         if len(position) and not (position.min() >= 0 and position.max() < self.size):
-            raise DamageError("index leaves its record")
+            raise DamageError("index extends beyond its record")
         found = self._views[kind][position]
         if kind == "<u8" and len(found) and found.max() >= 1 << 63:
             raise DamageError("number in the index is out of range")
@@ -152,7 +152,7 @@ def _parse(data: bytes, start: int, crc_is_right: bool) -> Summary:
         opcode, length = RECORD_HEAD.unpack_from(data, place)
         place += RECORD_HEAD.size
         if place + length > len(data):
-            raise DamageError("record leaves the summary")
+            raise DamageError("record extends beyond the summary")
         odd += not length or not Opcode.SCHEMA <= opcode <= Opcode.SUMMARY_OFFSET
         count += opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS)
         if odd > MAX_ODD_RECORDS or count > MAX_DECLARATIONS:
@@ -239,7 +239,7 @@ def read_mcap_index(file: LogFile) -> FileIndex:
     inside = (log_ns >= chunks.first_ns[chunk]) & (log_ns <= chunks.last_ns[chunk])
     inside &= offset <= chunks.size[chunk] - PAYLOAD_OFFSET
     if not inside.all():
-        raise DamageError("message index leaves its chunk")
+        raise DamageError("message index points beyond its chunk")
     place, length = chunks.start + RECORD_HEAD.size, chunks.length - RECORD_HEAD.size
     messages = np.stack([channel, log_ns, place[chunk], length[chunk], offset])
     checked = len(place) if len(place) and file.chunk_head(int(place[0])).crc else 0
@@ -295,7 +295,7 @@ def _entries(
         length: Total length of the indexes of its chunk.
     """
     if (position < 0).any() or (position + _HEAD_BYTES > length).any():
-        raise DamageError("message index lies elsewhere")
+        raise DamageError("message index is not at the expected position")
     place = position + base
     size = data.at(place + _HEAD_BYTES - 4, "<u4")
     whole = data.at(place, "<u1") == Opcode.MESSAGE_INDEX

@@ -100,7 +100,7 @@ def decode_png_color(data: bytes | memoryview, row: np.ndarray) -> None:
 def _lines(data: bytes | memoryview, head: PngHead, row: np.ndarray) -> np.ndarray:
     """Return the rows ``(H, 1 + bytes)`` uint8, each preceded by its filter type."""
     if head.color_type not in _SAMPLES or head.bits not in (8, 16):
-        raise ValueError("palettes and fewer than 8 bits a sample are not supported")
+        raise ValueError("palettes and fewer than 8 bits per sample are not supported")
     if head.interlace or head.compression or head.filters:
         raise ValueError("interlaced files are not supported")
     if row.shape[:2] != (head.height, head.width):

@@ -35,7 +35,7 @@ class Pixels(NamedTuple):
     width: int
     height: int
     encoding: str
-    """See :func:`jaxdet.io.images.canonical_encoding`."""
+    """Encoding, named as by :func:`jaxdet.io.images.canonical_encoding`."""
 
 
 def is_standard_image(channel: ChannelInfo) -> bool:

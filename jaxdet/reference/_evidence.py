@@ -10,7 +10,7 @@ from jaxdet.reference._outlines import contours
 from jaxdet.reference._view import Extents, View, extents
 
 MOST_BETWEEN = 11
-"""Maximum number of runs of cells between two surfaces of a line that are compared."""
+"""Maximum number of runs of cells between two surfaces that are compared in a line."""
 # surfaces are viewed obliquely: depths may differ by a tenth of the distance between them
 SLOPE = 10
 # contours are close if at most this many gaps apart, even if the surfaces do not face each other
@@ -33,7 +33,7 @@ class Facing(NamedTuple):
     """Number of the remaining ``places`` with something between the surfaces: cells without depth,
     or surfaces at about the same depth."""
     agree: np.ndarray
-    """Number of ``hidden`` and ``holes`` whose depths agree within the gap and the slope."""
+    """Number of places in ``hidden`` or ``holes`` where the depths of both surfaces agree."""
     steps: np.ndarray  # sum of steps in depth, except at ``through`` [depth units]
 
 

@@ -185,7 +185,7 @@ def _refined(
 
 
 def _is_near(plane: Plane, prior: Plane | None, config: FloorConfig, scale: Scale) -> bool:
-    """Return whether a plane is below the camera and near the prior, or usual without a prior."""
+    """Return whether a plane is below the camera and near the prior, or usual if there is none."""
     if prior is None:
         return is_usual(plane)
     turn = round(config.max_turn_deg * ANGLES)
@@ -230,7 +230,8 @@ def _judge(
     share, part = UNDER[not has_prior]
     enough, least = on, _permille(config.min_share)
     if not has_prior:
-        # More cells are below a plane through a table than in the dents of a floor.
+        # Without a prior, cells in dents (more than 1.5 tolerances below the plane) cost inliers,
+        # because below a plane through a table there are many.
         enough -= BELOW_COST * int(np.count_nonzero(2 * deep > 3 * slack))
         least = least_share(plane, _permille(config.min_share_alone))
     refused = Refusal.NONE

@@ -21,7 +21,7 @@ from jaxdet.floor.units import (
 )
 from jaxdet.reference._rounding import rounded
 
-DOWN_BITS = 12  # fraction bits of a direction: products with positions have 32 bits
+DOWN_BITS = 12  # fraction bits of a direction; products with positions fit in 32 bits
 RADIAN = round(180 * ANGLES / np.pi)  # angle steps in a radian
 LARGEST_TURN = 8 * ANGLES  # maximum rotation of a plane per round of refinement
 BELOW = 4  # cells this many tolerances below a plane are clearly below it

@@ -25,12 +25,14 @@ from jaxdet.reference._floor_planes import (
 )
 
 PITCHES_DEG, ROLLS_DEG = (-15, 72), (-30, 30)
-"""Usual tilts of cameras; a wall in front of a level camera looks like a floor at 90 degrees."""
+"""Usual pitch and roll of cameras. They exclude walls: a wall in front of a level camera is like
+the floor of a camera pitched by 90 degrees.
+"""
 ROLLED_DEG = 40  # maximum roll of a plane after refinement
 FILLS_DEG, FILLS = 35, 12
 """Increase of the minimum inlier fraction per degree of pitch beyond ``FILLS_DEG`` [per mille]: the
 more a camera is pitched, the more floor it sees."""
-WINNERS = 6  # number of the first planes that are refined
+WINNERS = 6  # number of the best planes, which are refined
 APART = 12  # planes of neighbouring directions within this many bins are the same
 NEAR_DEG, STEEP_DEG = 4, 8
 """Search range around a guess: the first in pitch and roll; the second in pitch, for one steep
@@ -148,7 +150,7 @@ def shown(ring: np.ndarray) -> np.ndarray:
 
 
 def is_usual(plane: Plane) -> bool:
-    """Return whether the tilt is usual for a camera on a robot or in a hand: no wall is a floor."""
+    """Return whether the camera's tilt is usual on a robot or in a hand, which excludes walls."""
     low, high = (n * ANGLES for n in PITCHES_DEG)
     tilted = low <= plane.pitch <= high and abs(plane.roll) <= ROLLED_DEG * ANGLES
     return tilted and plane.height > 0

@@ -17,8 +17,8 @@ def best_step(
 
     The floor before the step is the plane, the floor beyond is parallel. The other floor must be
     separated from the plane by more than the tolerances and be visible over some distance, which a
-    wall is not. Enough cells must be before the step; otherwise all of the floor is lower or
-    higher.
+    wall is not. At least one in ``OWN`` inliers must be before the step, since otherwise all of the
+    floor is at the other height.
 
     Args:
         seen: Profile above a plane.

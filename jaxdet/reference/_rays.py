@@ -107,11 +107,11 @@ def blocks(
 ) -> np.ndarray:
     """Compute the range of the nearest obstacle on each ray, from the nearest pixels of cells.
 
-    A cell above the step height contributes its nearest pixel, or itself if that pixel is nearer
-    than the depth range. Another cell contributes its nearest pixel if that is above the step
-    height of a single pixel, which has more noise than a cell. The nearest point of a tile, some
-    cells of a column, blocks all sectors that the tile covers. Float32: each operation is rounded
-    separately.
+    A cell above the step height contributes its nearest pixel, or its own depth if that pixel is
+    nearer than the depth range. Another cell contributes its nearest pixel if that is above the
+    step height of a single pixel, which has more noise than a cell. A tile consists of some cells
+    of a column; its nearest point blocks all sectors that the tile covers. Float32: each operation
+    is rounded separately.
 
     Args:
         standing: Cells of a frame.
@@ -246,7 +246,10 @@ def _turned(points: np.ndarray, turn: int) -> np.ndarray:
 
 
 def _sides(seen: np.ndarray, turn: int) -> list[tuple[np.ndarray, int]]:
-    """Return the columns without floor to the left, and to the right, and the rotation of each."""
+    """Return the columns at the left end and at the right end of visible floor.
+
+    Each comes with the rotation from the middle of a column to its outer side.
+    """
     before, after = np.append(False, seen[:-1]), np.append(seen[1:], False)
     return [(np.flatnonzero(seen & ~before), -turn), (np.flatnonzero(seen & ~after), turn)]
 

@@ -101,12 +101,12 @@ def without_bent_floor(
     """Remove surfaces that are floor, bent up by sensor error.
 
     Stereo cameras bend flat floor up at the margins of the image and far away. A surface at most
-    ``bent_m`` high is floor if it has no front: among the lowest cells of its columns that have a
-    floor cell below them in the image, fewer than two thirds rise from it by a third of their
-    distance forward. In the :func:`margins` of the image a front must rise by more than its
-    distance forward or back, as depths that are too small put floor nearer and higher. A surface in
-    the margin without such cells that does not reach the lower edge of the image has no front
-    either.
+    ``bent_m`` high is such floor if it has no steep front. For that, each of its cells directly
+    above a floor cell in the image is compared with that cell: at least two thirds of them must
+    rise by more than a third of the distance forward between both. In the :func:`margins` of the
+    image they must rise by more than that distance, forward or back, since depths that are too
+    small put floor nearer and higher. A surface without such pairs of cells has no front if all of
+    it is in the margins and not at the lower edge of the image.
 
     Args:
         label: ``(R, C)`` surfaces, -1 = none.
@@ -162,11 +162,11 @@ def without_small(mask: np.ndarray, least: int) -> np.ndarray:
     return mask & (np.bincount(label, minlength=mask.size)[label] >= least).reshape(mask.shape)
 
 
-def _neighbours(mask: np.ndarray, ways: tuple[tuple[int, int], ...]) -> np.ndarray:
-    """Return pairs of cells of a mask at the offsets ``ways``, as flat indices ``(2, L)``."""
+def _neighbours(mask: np.ndarray, offsets: tuple[tuple[int, int], ...]) -> np.ndarray:
+    """Return pairs of cells of a mask at ``offsets``, as flat indices ``(2, L)``."""
     cell = np.where(mask, np.arange(mask.size).reshape(mask.shape), -1)
     pairs = []
-    for dv, du in ways:
+    for dv, du in offsets:
         there = _shifted(_shifted(cell + 1, -dv, 0), -du, 1) - 1
         both = mask & (there >= 0)
         pairs.append(np.stack([cell[both], there[both]]))

@@ -33,7 +33,7 @@ def open_file(path: Path, mode: Literal["rb", "wb"]) -> pa.NativeFile:
 
 
 def map_file(path: Path) -> pa.NativeFile:
-    """Map a file into memory for Arrow, also if its path isn't UTF-8.
+    """Map a file into memory for Arrow, even if its path isn't UTF-8.
 
     Raises:
         OSError: It can't be opened.

@@ -31,17 +31,17 @@ class FreeFloor(NamedTuple):
     """Free floor per frame and ray, each ``(B, N)``; 0 where nothing is seen."""
 
     seen: np.ndarray
-    """bool, whether the ray shows the floor or an obstacle."""
+    """Whether the ray shows the floor or an obstacle, bool."""
     way: np.ndarray
-    """complex128, unit vector along the ray: right, and forward times 1j."""
+    """Unit vector along the ray, complex128: right, and forward times 1j."""
     bearing_rad: np.ndarray
-    """float64, bearing of the ray, clockwise from above, 0 ahead [rad]."""
+    """Bearing of the ray, float64 [rad], clockwise from above, 0 is ahead."""
     from_m: np.ndarray
-    """float64, distance from below the camera to the beginning of the free floor [m]."""
+    """Distance from the camera's ground projection to the start of the free floor, float64 [m]."""
     to_m: np.ndarray
-    """float64, distance to its end [m]; equal to ``from_m`` if the ray shows only an obstacle."""
+    """Distance to the end of the free floor, float64 [m]; ``from_m`` if the ray shows no floor."""
     end: np.ndarray
-    """int8, cause of the end, see :class:`jaxdet.types.FreeEnd`."""
+    """Cause of the end, int8, see :class:`jaxdet.types.FreeEnd`."""
 
     @property
     def drop_m(self) -> np.ndarray:

@@ -8,7 +8,7 @@
         frames.parquet obstacles.parquet summary.json config.json
         map.npz map.png pictures/000012.png
         tracks.parquet track_links.parquet tracks.png
-        manifest.json     size and SHA-256 of the others: without it the folder is no result
+        manifest.json     size and SHA-256 of the others: a folder without it is not a result
       drive_2/
         failed.json       why the log has no results, and how often it was tried
       .jaxdet/            files of a command that writes here, while it runs
@@ -53,12 +53,12 @@ def _with_results(folder: Path) -> Iterator[Path]:
 
 
 def is_complete(folder: Path) -> bool:
-    """Whether a folder holds the complete results of a log."""
+    """Return whether a folder holds the complete results of a log."""
     return (folder / MANIFEST).is_file()
 
 
 def is_run(folder: Path) -> bool:
-    """Whether a folder is that of a run, with a folder for each log."""
+    """Return whether a folder is that of a run, with a folder for each log."""
     return (folder / RUN).is_file()
 
 
@@ -95,13 +95,13 @@ def read_json(path: Path) -> dict[str, Any]:
 
 
 def unread(path: Path, error: OSError) -> InputError:
-    """Return the error of a file that can't be read, whatever its content."""
+    """Return the error for a file that the system can't read."""
     problem = f"can't be read ({os.strerror(error.errno or 0)})"
     return InputError(problem, path=str(path), remedy="check its permissions and its disk")
 
 
 def leads_out(name: str) -> bool:
-    """Whether the name of a file of results leads out of its folder."""
+    """Return whether the name of a results file points outside of its folder."""
     return Path(name).is_absolute() or ".." in Path(name).parts or "\0" in name
 
 

@@ -66,7 +66,7 @@ class Lock:
 
 
 def _locked(path: Path) -> int:
-    """Return the descriptor of the file, which is locked and still at its place."""
+    """Lock the file, and return its descriptor after checking that it was not replaced."""
     if path.parent.is_symlink():  # the content of the folder will be removed
         raise InputError("is a link", path=str(path.parent), remedy="remove it")
     tries = 0

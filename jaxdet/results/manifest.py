@@ -69,7 +69,7 @@ def _folder(path: Path) -> dict[str, Any]:
 
 
 def same_inputs(one: object, other: object) -> bool:
-    """Whether files are the same by size, time of the last change and checksum, at any path.
+    """Return whether files have the same size, modification time and checksum, at any path.
 
     Args:
         one: Fingerprints of a log's files, see :func:`fingerprint`.

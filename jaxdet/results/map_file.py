@@ -102,7 +102,7 @@ def read_map(path: Path) -> Grid:
         numbers = [float(part) for part in about["origin"].strip("[]").split(",")]
         cell_m, occupied, free = (float(about[key]) for key in _NUMBERS)
     except (KeyError, ValueError) as error:
-        raise _bad(path, f"a value is none ({error})") from error
+        raise _bad(path, f"has an invalid value ({error})") from error
     x, y, yaw = numbers if len(numbers) == 3 else (math.nan,) * 3
     rules = {
         f"mode {mode}": mode in MODES,

@@ -31,11 +31,11 @@ class Extents(NamedTuple):
     """Boxes and centroids in the camera's optical frame; 0 in empty slots."""
 
     minimum: np.ndarray
-    """``(..., 3)`` float32, x y z [m]."""
+    """Minimum x, y and z, ``(..., 3)`` float32 [m]."""
     maximum: np.ndarray
-    """``(..., 3)`` float32, x y z [m]."""
+    """Maximum x, y and z, ``(..., 3)`` float32 [m]."""
     centroid: np.ndarray
-    """``(..., 3)`` float32, x y z [m]."""
+    """Centroid x, y and z, ``(..., 3)`` float32 [m]."""
 
 
 def extents(obstacles: Obstacles, depth_unit: float) -> Extents:
@@ -98,7 +98,7 @@ def floors(scene: Scene, depth_unit: float) -> FloorFit:
 
 
 def distances(detections: Detections) -> np.ndarray:
-    """Return the distance on the floor from below the camera to each obstacle.
+    """Return the distance on the floor from the camera's ground projection to each obstacle.
 
     Args:
         detections: NumPy or JAX arrays.
@@ -139,7 +139,7 @@ def distance_text(distance_m: float | None, depth_m: float) -> str:
 
 
 def rectangle_distances(corners: np.ndarray) -> np.ndarray:
-    """Return the distance from below the camera to the nearest point of rectangles.
+    """Return the distance from the camera's ground projection to the nearest point of rectangles.
 
     Args:
         corners: ``(..., 4, 2)``, in order around the rectangle, ground frame [m].
@@ -228,9 +228,9 @@ def rectangles(obstacles: Obstacles, depth_unit: float, config: FootprintConfig)
     Obstacles made of surfaces have the ``direction`` and the ``span`` of the rectangle itself, to
     which only the margin is added; AB is the side whose middle is nearest to the camera.
 
-    Where A and B coincide, AB is taken as sideways, so its normal is forward. Where AB points
-    forward it has no side away from the camera; the normal that points away from the camera's
-    own line of sight is taken (to the right on that line).
+    If A and B coincide, AB is assumed to be lateral, so that its normal points forward. If AB
+    points forward, its normals are lateral, and the one that points away from the forward axis is
+    used (to the right, if AB is on the axis).
 
     Args:
         obstacles: Integer outlines in slots of any shape ``(...)``, for instance ``(B, M)``.
@@ -313,7 +313,7 @@ def _backward_normal(a: np.ndarray, along: np.ndarray) -> np.ndarray:
 
 
 def tilted(orientation: np.ndarray, pitch: np.ndarray, roll: np.ndarray) -> np.ndarray:
-    """Whether floors are tilted by more than ``MOST_TILT_DEG`` in the world: its z is not up then.
+    """Return whether floors are tilted in the world by more than ``MOST_TILT_DEG`` (z is not up).
 
     Args:
         orientation: ``(B, 4)`` float64, ``camera_orientation_world`` of ``frames.parquet``.

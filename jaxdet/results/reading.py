@@ -273,7 +273,7 @@ class Results:
             return _metadata(file)
 
     def tracked(self, log: ResultLog) -> bool:
-        """Whether ``jaxdet track`` linked the obstacles of a log."""
+        """Return whether ``jaxdet track`` linked the obstacles of a log."""
         files = self.manifests[log.folder]["files"]
         return TRACKS in files and LINKS in files
 

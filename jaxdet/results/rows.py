@@ -44,11 +44,11 @@ class RowInputs(NamedTuple):
     """Part of the detections of a batch that rows are made of, NumPy or JAX arrays."""
 
     num_obstacles: Array
-    """``(B,)`` int32."""
+    """Number of obstacles, ``(B,)`` int32."""
     overflow: Array
-    """``(B,)`` bool."""
+    """Whether obstacles may be missing, ``(B,)`` bool."""
     has_depth: Array
-    """``(B,)`` bool."""
+    """Whether any depth is in range, ``(B,)`` bool."""
     obstacles: Obstacles
     """M slots, at least the largest of ``num_obstacles``."""
     scene: Scene | None
@@ -201,7 +201,7 @@ def batch_rows(
     frame_columns["status"] = np.array([str(s) for s in status.tolist()], object)
     frame_columns |= _pose_columns(batch, count)
     frame_columns |= _floor_columns(fit, sources[:count], good, config)
-    known = good & plane.valid  # without a floor nothing has a place on it
+    known = good & plane.valid  # distances and heights need a floor
     frame_columns |= free_columns(free, known) if free else no_free_columns(count)
     poses = own_poses = None if frames.T_world_camera is None else frames.T_world_camera[:count]
     if poses is not None:

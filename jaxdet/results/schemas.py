@@ -178,7 +178,7 @@ TRACKS_SCHEMA = _schema(
         "middle of its outline, x and y in turn: a point for each frame from the first to the "
         "last, shown or not; one point where it stands",
     ),
-    _Column("speed_mps", _LIST, "m/s", "speed in each of these frames; one value likewise"),
+    _Column("speed_mps", _LIST, "m/s", "speed in each of these frames; one value if stationary"),
     *_LOOKS,
     _Column("in_map", _BOOL, "", "most of its obstacles are in the map that was given", True),
 )

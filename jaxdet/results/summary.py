@@ -49,7 +49,7 @@ class Counts:
     floor_refused: Counter[str] = field(default_factory=Counter)
     """Number of ok frames per ``floor_refused`` of ``frames.parquet``."""
     tilted_frames: int = 0
-    """Number of ok frames without a place in the world, as the world's z axis is not up."""
+    """Number of ok frames without a position in the world, as the world's z axis is not up."""
     busy_s: Counter[str] = field(default_factory=Counter)
     """Time of all processes to ``read`` and unpack, ``decode`` images, ``transfer`` to GPUs and
     back, ``compute``, ``write`` rows, and to ``wait`` for the process that computes [s]."""
@@ -121,7 +121,7 @@ class LogSummary(Counts):
 
     @classmethod
     def from_dict(cls, told: Mapping[str, Any]) -> "LogSummary":
-        """Return the summary that :meth:`to_dict` turned into a dictionary."""
+        """Restore a summary from the result of :meth:`to_dict`."""
         kinds = {part.name: part for part in dataclasses.fields(cls)}
         counters = {part.name for part in dataclasses.fields(Counts) if part.type is not int}
         values: dict[str, Any] = {
@@ -193,7 +193,7 @@ class LogSummary(Counts):
 
     @property
     def tilt_warning(self) -> str | None:
-        """Warning if frames have no place in the world."""
+        """Warning if frames have no position in the world, as its z axis is not up."""
         if not self.tilted_frames:
             return None
         return (

@@ -37,7 +37,7 @@ class Tables(NamedTuple):
 
     @classmethod
     def of(cls, frames: Mapping[str, Any], obstacles: Mapping[str, Any]) -> "Tables":
-        """Return tables of columns, see :func:`to_table`."""
+        """Build the tables from columns, see :func:`to_table`."""
         return cls(to_table(frames, FRAMES_SCHEMA), to_table(obstacles, OBSTACLES_SCHEMA))
 
     @property

@@ -18,7 +18,7 @@ class Mover(NamedTuple):
     path: np.ndarray
     """Path of the track up to this frame, or its position if it stands, ``(n, 2)`` float64 [m]."""
     velocity: np.ndarray
-    """``(2,)`` float64 [m/s]."""
+    """Velocity ``(2,)`` float64 [m/s]."""
 
 
 class TracksInFrames:

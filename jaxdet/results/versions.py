@@ -58,7 +58,7 @@ def source_digest() -> str:
 
 
 def crash_report(error: BaseException, inputs: Iterable[object] = ()) -> str:
-    """Return a report of a fault of jaxdet: inputs, versions and traceback, fit for a terminal."""
+    """Return the report of a bug in jaxdet: inputs, versions and traceback, printable."""
     lines = [*map(str, inputs), "", f"jaxdet {jaxdet.__version__}, source {source_digest()}"]
     lines += [f"{name} {version}" for name, version in versions().items()]
     lines += ["", *"".join(traceback.format_exception(error)).splitlines()]

@@ -105,7 +105,7 @@ def _run_steps(
 
 @lru_cache(maxsize=64)
 def _compiled(static: Static) -> Any:
-    """Return the program of all steps, with the constant arguments as numbers."""
+    """Return a function for ``jax.jit`` that runs all steps of the program."""
     steps = len(_program.STEPS)
 
     def program(

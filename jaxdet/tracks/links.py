@@ -87,7 +87,7 @@ def end_pieces(
         first: Index of the first observation at which new tracklets are examined.
         config: Limits of distance and time.
 
-    ``before`` without the links after the split.
+    Returns: ``before`` without the links after the split.
     """
     root = chain_starts(before)
     end = np.zeros(len(before), np.int64)  # last frame of each chain, at its first row

@@ -195,7 +195,7 @@ SAME = ("frames.parquet", "obstacles.parquet", "map.npz", "map.png", "pictures/"
 
 
 @pytest.mark.filterwarnings("default")
-def test_24_logs_have_the_bytes_of_one_machine_everywhere(fleet, tmp_path):
+def test_24_logs_give_the_bytes_of_one_machine_with_each_scheduler(fleet, tmp_path):
     """Logs of a bucket are run by one process, by three shares at once, by Ray and by Ray Data."""
     logs, alone = tmp_path / "logs", tmp_path / "alone"
     logs.mkdir()

@@ -18,7 +18,7 @@ WRITES = ("put", "create", "swap", "delete")
     params=["bucket", "folder", "no_exchange", pytest.param("s3", marks=pytest.mark.fleet)]
 )
 def url(request, tmp_path, monkeypatch):
-    """Return an address for results: a folder, also without atomic exchange, or a bucket."""
+    """Return the address of results: a folder with or without atomic exchange, or a bucket."""
     if request.param == "no_exchange":
         monkeypatch.setattr(folders, "exchange", lambda one, other: False)
     if request.param in ("folder", "no_exchange"):

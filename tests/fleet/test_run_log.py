@@ -265,7 +265,7 @@ def test_a_log_missing_on_this_machine_is_not_recorded_as_failed(engine, how, tm
     assert run_log(logs[0], str(tmp_path / "results"), how)["state"] == "done"
 
 
-def test_local_paths_have_no_spool(engine, how, tmp_path):
+def test_local_logs_are_not_copied(engine, how, tmp_path):
     log = Path(tmp_path / "a.mcap")
     log.write_text("a")
     (outcome,) = run_fleet([log], tmp_path / "results", how)

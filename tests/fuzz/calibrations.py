@@ -145,7 +145,7 @@ def _changed_camera(camera: Camera, random: Random) -> tuple[Camera, str]:
 
 
 def changed(way: str, random: Random) -> tuple[Made, str]:
-    """Return a calibration with one to three changes to parts that ``way`` uses; name them."""
+    """Return a calibration with one to three changed parts that ``way`` uses, and their names."""
     made, names = PLAIN, []
     for _ in range(random.choice((1, 1, 2, 3))):
         part = random.choice(USED[way])

@@ -1,4 +1,4 @@
-"""Makes ``rs_align.npz``: small depth images aligned by librealsense.
+"""Make ``rs_align.npz``: small depth images aligned by librealsense.
 
 Run with pyrealsense2 installed, in the project's root:
 
@@ -40,7 +40,7 @@ CASES: dict[str, tuple[Calibration, np.ndarray]] = {
         noise_depth(1, BASE.depth, 3)[0],
     ),
 }
-"""Name to calibration and depth image."""
+"""Calibration and depth image of each case, by name."""
 
 FILE = Path(__file__).with_name("rs_align.npz")
 

@@ -14,7 +14,9 @@ MOST_BINS = 512
 """Maximum number of bins of a timeline; a bin of a longer log is several frames, with their nearest
 obstacle."""
 LOST_KEPT = 12
-"""Maximum number of first frames without a result, and with an overflow, per log."""
+"""Maximum number of frames without a result that are listed per log, and of frames with an
+overflow; the first ones are listed.
+"""
 HISTOGRAM_BINS = 41
 """Number of bins; the last one is open."""
 NEAR_M = (1.0, 0.5)
@@ -148,9 +150,9 @@ class LogFigures:
     near_obstacles: np.ndarray = field(default_factory=lambda: np.zeros(len(NEAR_M), np.int64))
     """Obstacles nearer than each of :data:`NEAR_M`."""
     lost: list[int] = field(default_factory=list)
-    """First frames without a result."""
+    """Numbers of the first frames without a result."""
     overflow: list[int] = field(default_factory=list)
-    """First frames with an overflow."""
+    """Numbers of the first frames with an overflow."""
 
     def add(self, rows: Columns) -> None:
         """Append rows of the log."""

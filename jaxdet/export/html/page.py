@@ -109,14 +109,14 @@ def given_options(options: Any, standard: Any) -> list[list[str]]:
 
 
 def run_lines(results: "Results") -> list[list[str]]:
-    """Return how the results were made: what and its value."""
-    told = list(results.summaries.values())
+    """Return pairs of name and value that describe how the results were made."""
+    summaries = list(results.summaries.values())
     lines = [["jaxdet", results.version], ["backend", str(results.config.get("backend", ""))]]
-    if told:
+    if summaries:
         for key in ("workers", "batch_size"):
-            values = sorted({summary[key] for summary in told if key in summary})
+            values = sorted({summary[key] for summary in summaries if key in summary})
             lines.append([key.replace("_", " "), ", ".join(map(str, values))])
-        lines.append(["took", f"{sum(summary.get('seconds', 0.0) for summary in told):.1f} s"])
+        lines.append(["took", f"{sum(summary.get('seconds', 0.0) for summary in summaries):.1f} s"])
     versions = results.config_source.get("versions") or {}
     return lines + [[k, v] for k, v in versions.items() if v]
 

@@ -5,7 +5,7 @@ import numpy as np
 f32, f64 = np.float32, np.float64
 
 STEP = f32(255 * f64(f32(1 / (4 * 3 * 255))))
-"""Gradient of a step from 0 to 255, in the scale of OpenCV's gradients."""
+"""Gradient at a step from 0 to 255, with OpenCV's scale of gradients, 1 / (4 * 3 * 255)."""
 
 
 def corner_strength(edges: np.ndarray) -> np.ndarray:

@@ -16,10 +16,10 @@ from jaxdet.types import MAX_LATERAL, Features, Labels
 
 PLACE_BITS, VALUE_BITS = 13, 19  # a frame has at most 2^13 points, and at most as many runs
 LAST = (1 << VALUE_BITS) - 1  # larger than all values
-NONE = np.uint32(0xFFFFFFFF)  # larger than all keys, as x + MAX_LATERAL is below LAST
-DEPTHS = 1 << 16  # z is below
+NONE = np.uint32(0xFFFFFFFF)  # larger than all keys, since x + MAX_LATERAL is below LAST
+DEPTHS = 1 << 16  # z is less than this
 BLOCK = 32  # number of entries that are summed together, see _running_sum
-MOST_BLOCKS = 512  # from there on the matrix that sums blocks takes more than a megabyte
+MOST_BLOCKS = 512  # with more blocks, the matrix that sums them exceeds a megabyte
 
 
 class Sizes(NamedTuple):

@@ -21,18 +21,18 @@ struct Alignment {
         TILE = 8,                     // rows and columns of a tile of depth pixels
         PIXELS = TILE * TILE
     };
-    // The fastest memory of a team.
+    // Shared memory of a team on CUDA, memory on the stack on the CPU.
     struct Near {
         unsigned words[NEAR_WORDS];
     };
 
-    const unsigned short* depth;       // (rows, columns)
+    const unsigned short* depth;       // (rows, columns) depth image
     int rows, columns;
-    const float *corner_x, *corner_y;  // (rows + 1, columns + 1)
+    const float *corner_x, *corner_y;  // (rows + 1, columns + 1) rays of the pixels' corners
     const float* tile_rays;            // (tiles, 4), smallest and largest x, then y of a tile's rays
     Projection projection;
     int fills;                         // 1 if a depth pixel covers all colour pixels between its corners, else 0
-    int height, width;                 // of the colour image
+    int height, width;                 // size of the colour image
     // Scratch memory: bitmap of the wanted pixels, and keys, which are valid only at wanted pixels.
     unsigned *wanted, *keys;           // (height, PixelBits::words(width)), (height, width)
 
@@ -155,7 +155,7 @@ struct Alignment {
         unsigned key[COUNT];
     };
 
-    // Applies the minimum to the keys of the wanted pixels that a tile covers.
+    // Updates the smallest keys of the wanted pixels that a tile covers.
     void lower(const Team& team, const Warp& warp, int tile) const {
         Boxes boxes;
         cover(warp, tile, boxes);

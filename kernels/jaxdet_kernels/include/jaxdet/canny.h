@@ -14,10 +14,10 @@ struct Canny {
     // pixels that the grey image needs, its rows are a few columns shorter than a multiple of a warp.
     enum { ROWS = 24, COLUMNS = 248 };
 
-    const unsigned char* color;       // (height, width, 3), RGB
+    const unsigned char* color;       // (height, width, 3) image, RGB
     int height, width;
     int low, high;                    // from -1 to 2047: thresholds of |dx| + |dy|
-    unsigned *weak_out, *strong_out;  // (height, PixelBits::words(width))
+    unsigned *weak_out, *strong_out;  // (height, PixelBits::words(width)) bitmaps
 
     struct Tile {
         short grey[ROWS + 4][COLUMNS + 4];        // begins at row top - 2, column left - 2
@@ -93,7 +93,7 @@ struct Canny {
     // Non-maximum suppression: keeps pixels larger than both neighbours in the gradient's direction.
     void suppress(const Team& team, Tile& tile, int rows, int columns) const {
         const Warp warp(team);
-        const int low = this->low, high = this->high;  // not reloaded after stores
+        const int low = this->low, high = this->high;  // copies, to avoid reloads after stores
         for (int r = warp.index; r < rows; r += warp.count) {
             const short *a = tile.size[r], *o = tile.size[r + 1], *b = tile.size[r + 2];
             for (int c = warp.lane; c < columns; c += warp.size) {

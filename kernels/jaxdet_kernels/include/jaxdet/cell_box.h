@@ -10,7 +10,7 @@ struct CellBoxes {
     // The image of boxes, relative to that of depth.
     enum Image { ALIGNED, PINHOLE, DISTORTED };
     int columns, side;                 // columns of the grid, and side of a cell [depth pixel]
-    const float *corner_x, *corner_y;  // (rows + 1, columns + 1); unused if depth is aligned
+    const float *corner_x, *corner_y;  // (rows + 1, columns + 1) rays of corners; unused if depth is aligned
     Projection projection;
     const int* last;                   // the image's last column and row
     bool aligned;

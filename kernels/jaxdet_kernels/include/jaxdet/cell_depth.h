@@ -79,7 +79,7 @@ struct CellDepth {
 #if defined(__CUDA_ARCH__)
     enum { SMALL = 4 };
 
-    // For a side known at compile time, at most SMALL: the values stay in registers.
+    // Like `depth`, for a side known at compile time, at most SMALL: the values stay in registers.
     __forceinline__ int depth_of_small(int constant, int* nearest) const {
         const int all = constant * constant;
         int value[SMALL * SMALL], sorted[SMALL * SMALL];
@@ -158,7 +158,7 @@ struct CellRow {
     typedef Vectors::Words Words;  // one value per cell
     typedef Vectors::Wide Wide;
     enum { LANES = Vectors::SHORTS, MOST_SIDE = 8, NONE = 65535 };
-    const int* near;  // as in CellDepth
+    const int* near;  // tolerance around the median, as in CellDepth
     // Indexed by the position in the cell: depth minus one, so that a missing measurement is larger
     // than any depth.
     unsigned short pixel[MOST_SIDE * MOST_SIDE][LANES];
@@ -247,7 +247,8 @@ struct CellRow {
 #pragma clang loop unroll(full)
 #endif
                 for (int k = apart % part; k + apart < all; ++k) {
-                    // Only every second run of `apart` positions, and only within two parts.
+                    // A step compares positions of every second group of `apart`, both in the same
+                    // pair of parts.
                     if ((k - apart % part) & apart || (k ^ (k + apart)) >= 2 * part) continue;
                     const Words one = at(k), other = at(k + apart);
                     at(k) = one < other ? one : other;

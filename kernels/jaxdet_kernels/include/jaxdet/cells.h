@@ -8,10 +8,10 @@ namespace jaxdet { namespace {
 
 struct CellGrid {
     enum { RAY_BITS = 20, MOST_COLUMNS = 4096 };
-    const unsigned short* depth;    // (height, width)
+    const unsigned short* depth;    // (height, width) depth image
     int width, rows, columns, side;
-    const int* near;                // indexed by depth, see `CellDepth`
-    const int* rays;                // (2, rows, columns), x / z and y / z with RAY_BITS fraction bits
+    const int* near;                // tolerance around the median, by depth, see `CellDepth`
+    const int* rays;                // (2, rows, columns) x / z and y / z of cells, RAY_BITS fraction bits
     int *x_out, *y_out, *z_out;
     int* nearest_out;               // smallest measured depth of a cell, 0 = none
 

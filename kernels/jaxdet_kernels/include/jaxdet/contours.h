@@ -10,8 +10,8 @@ struct Contours {
     typedef unsigned long long Key;
     enum { ROW_BITS = 9 };
     int count, rows, columns;
-    const int *right, *forward;            // (cells)
-    const int *column_low, *column_high;   // (labels)
+    const int *right, *forward;            // (cells) positions on the floor
+    const int *column_low, *column_high;   // (labels) first and last column of each label
     // Lexicographic key per label and column: smallest squared distance, then uppermost row; all ones
     // if there is no cell. Only the columns of a label are valid.
     Key* nearest;

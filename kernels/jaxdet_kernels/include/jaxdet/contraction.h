@@ -10,8 +10,8 @@ struct Contraction {
     enum { NODE_BITS = 10, NODE = (1 << NODE_BITS) - 1, TURNS = 3 };
     int count;
     int* between;    // (count, count) weights, symmetric, 0 on the diagonal; modified
-    Key* best;       // scratch, (count)
-    Key* turns;      // scratch, (2 * TURNS)
+    Key* best;       // scratch, (count): best key of each node's edges
+    Key* turns;      // scratch, (2 * TURNS): best keys, see `contract`
     int* group;      // result, (count): the smallest node of each node's group
 
     // Lexicographic key, smallest first: falling weight, then the pair of nodes.
@@ -51,9 +51,9 @@ struct Contraction {
         team.sync();
     }
 
-    // Each turn merges two nodes and finds the best key of the next turn. `turns` holds the best keys
-    // of TURNS turns (this turn and those that follow) twice: those of all nodes, then those of the
-    // node that grew last. Ends in a sync.
+    // Each turn merges two nodes and computes the best key of the next turn. `turns` consists of
+    // two ring buffers of TURNS keys, indexed by turn: the best key of all nodes, and the best key
+    // of the node that grew in the turn before. Ends in a sync.
     void contract(const Team& team) const {
         if (team.rank == 0) {
             for (int k = 0; k < 2 * TURNS; ++k) turns[k] = ~0ull;

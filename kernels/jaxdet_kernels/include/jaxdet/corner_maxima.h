@@ -12,9 +12,9 @@ struct CornerMaxima {
     typedef unsigned long long Word;
     typedef unsigned long long Key;  // strength << 32 | place
 
-    const unsigned* edges;    // (height, outer_words(width)), from `mirror`
+    const unsigned* edges;    // (height, outer_words(width)) edge bitmap, from `mirror`
     int height, width;
-    double quality;           // fraction of the largest strength that a corner exceeds
+    double quality;           // minimum strength of a corner, as a fraction of the largest strength
     // Scratch memory.
     int* list;                // (height * PixelBits::words(width)) words that may contain corners
     int* strength;            // (strengths(height, width)) bits of floats, 0 if not a corner

@@ -15,12 +15,12 @@ struct CornerSelection {
     int height, width;
     int limit;            // square of the minimum distance, rounded up; 0: no minimum
     int slots;
-    int *u_out, *v_out;   // (slots), 0 in unused slots
+    int *u_out, *v_out;   // (slots) columns and rows, 0 in unused slots
     // Scratch memory.
     unsigned* blocked;    // (height, PixelBits::words(width)) pixels close to an accepted corner
     // (height) half-width of the disk by vertical distance from its centre; -1: outside
     int* halves;
-    Key* other;           // (count) keys
+    Key* other;           // (count) memory for sorting keys
 
     // Selects corners; returns their number, at most slots + 1. One warp selects.
     int run(const Team& team, Key* keys, int count) const {

@@ -11,7 +11,7 @@ namespace jaxdet { namespace {
 // Settings of Canny and of the corner selection, in the order of jaxdet/stages/_corners.py.
 struct CornerSettings {
     enum { LOW, HIGH, LIMIT, QUALITY, COUNT = QUALITY + 2 };
-    const int* values;  // (COUNT)
+    const int* values;  // (COUNT) settings by index
 
     // Thresholds of Canny, from -1 to 2047.
     int low() const { return values[LOW]; }

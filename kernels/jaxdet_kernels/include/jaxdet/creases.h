@@ -13,8 +13,8 @@ struct Creases {
     enum {
         BITS = 4,           // fraction bits of smoothed depths
         NONE = -(1 << 26),  // placeholder of a missing depth, far from all depths
-        // On CUDA a warp smooths a strip of columns, the outer HALO of which on both sides belong to
-        // its neighbours, down SEGMENT rows; AHEAD loads are in flight together.
+        // On CUDA a warp smooths SEGMENT rows of a strip of columns; the outer HALO columns on each
+        // side belong to the neighbouring strips. AHEAD loads are in flight together.
         HALO = 2,
         SEGMENT = 24,
         AHEAD = 4
@@ -26,9 +26,9 @@ struct Creases {
     // Indexed by depth: surface step, at most 2^16, and limit of bends, at most 2^17.
     const int *steps, *limits;
     const int* z;  // (R, C) depth, 0 = none
-    // (grid) with margins of NONE. `smooth` holds the smoothed depths; on the CPU it holds the depths
-    // with BITS fraction bits at first, `other` is scratch memory and `step` holds each cell's value of
-    // `steps`.
+    // Planes of cells with margins of NONE. `smooth`: smoothed depths; on the CPU, at first the
+    // depths with BITS fraction bits. Only on the CPU: `other` is scratch memory, and `step` is the
+    // value of `steps` for each cell.
     int *smooth, *other, *step;
     // Cells to process. Scratch memory: crease cells, and run starts.
     BitRows kept, found, wide;
@@ -218,7 +218,7 @@ struct Creases {
             const int r = found.row(i), c = found.column(i), left = grid.columns - c;
             const int n = left < BitRows::WIDTH ? left : (int)BitRows::WIDTH;
             const int at = grid.row(r) + c, none = grid.row(-1) + c;
-            // Without rows at that distance above and below there is no vertical bend.
+            // Vertical bends are measured only if there are rows at that distance above and below.
             const bool inside = r >= reach && r + reach < grid.rows;
             const int up = inside ? at - reach * grid.stride : none;
             const int down = inside ? at + reach * grid.stride : none;
@@ -247,7 +247,8 @@ struct Creases {
             const int j = i - words;
             const unsigned here = found[i], above = found[j];
             const unsigned before = found.before(i), over = found.before(j);
-            // The first cell where two runs touch, and cells where they touch only diagonally.
+            // The first cell in which a run touches one above, and cells that touch it only
+            // diagonally.
             unsigned straight = here & above & ~(before & over);
             unsigned left = here & ~above & over & ~before;
             unsigned right = here & ~above & found.after(j) & ~found.after(i);

@@ -40,10 +40,10 @@ struct Evidence {
     Extents extents;
     Contours contours;
     Trees trees;
-    unsigned char* near;  // scratch, (pairs)
-    Sum* sums;            // scratch, (pairs, Facing::SUMS)
+    unsigned char* near;  // scratch, (pairs): whether a pair is near enough to be evaluated
+    Sum* sums;            // scratch, (pairs, Facing::SUMS): statistics of facing cells
     int *list, *listed;   // scratch: nearby pairs, and their number
-    int* between;         // result, (count, count)
+    int* between;         // result, (count, count): evidence between surfaces
     // FAST words of fast memory on CUDA.
     int* fast;
 

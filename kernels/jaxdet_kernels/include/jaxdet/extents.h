@@ -121,11 +121,11 @@ struct Extents {
 // and order statistics.
 struct Trimmed {
     int count, all;
-    const int *label, *value;  // per listed cell
+    const int *label, *value;  // label and value of each listed cell
     // Per label: number of cells, extremes, and number of cells trimmed at each end; if that is 0, the
     // results are the extremes.
     const int *cells, *low, *high, *over;
-    int *least, *most;  // results
+    int *least, *most;  // results: trimmed extremes
     // Scratch: start of each label's values (one more element), position of the next value, and the
     // values.
     int *start, *next, *sorted;

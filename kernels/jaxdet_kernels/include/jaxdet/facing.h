@@ -46,16 +46,16 @@ struct Facing {
     struct Past {
         int label, last, after, z_last, nearest, farthest;
     };
-    // Lines of cells: bitmaps of cells with a surface and of free cells; packed cells, valid where
-    // there is a surface, `stride` apart from line to line and `step` from cell to cell; and their
-    // position along the line.
+    // Bitmaps of the cells with a surface and of the free cells, one row per line. `cells` holds
+    // packed cells, valid only for cells with a surface, and `along` their positions along the
+    // line; lines are `stride` elements apart, the cells of a line `step`.
     BitRows has, free;
     const int *cells, *along;
     int stride, step;
     bool in_rows;
     int gap;
-    const unsigned char* near;  // per pair: whether it is evaluated
-    Sum* sums;                  // (pairs, SUMS), initialised with 0
+    const unsigned char* near;  // whether each pair is evaluated
+    Sum* sums;                  // (pairs, SUMS) statistics, initialised with 0
 
     // Processes all lines of both directions.
     static void run(const Team& team, const Facing& one, const Facing& other) {

@@ -238,7 +238,8 @@ struct Floor {
         return ramp.turn && ramp.start > 0 && ramp.start <= settings[FloorSetting::FARTHEST_RAMP];
     }
 
-    // Whether a plane is below the camera and close to the prior; without a prior, whether it is usual.
+    // Whether a plane is below the camera and close to the prior; without a prior, whether the
+    // camera is tilted as is usual.
     bool is_near(FloorPlane plane) const {
         if (!has_prior) return FloorSearch::is_usual(plane);
         const auto apart = [](long long a, long long b) { return a > b ? a - b : b - a; };
@@ -320,7 +321,8 @@ struct Floor {
         long long sums[4] = {on, low, high, dents};
         group.sum(sums, 4);
         const long long total = all.count;
-        // More cells are below a plane through a table than in the dents of a floor.
+        // Without a prior, each cell in a dent (more than 1.5 tolerances below the plane) costs
+        // BELOW_COST inliers, because below a plane through a table there are many.
         const long long enough = sums[0] - (has_prior ? 0 : FloorScore::BELOW_COST * sums[3]);
         const int least =
             has_prior ? settings[FloorSetting::MIN_SHARE]

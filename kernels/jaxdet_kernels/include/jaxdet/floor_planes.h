@@ -199,7 +199,7 @@ struct FloorRefine {
             const Quotients by_gate(9 * (Quotients::Whole)allowed * allowed);
             const int taper = 64 - by_gate.of(256 * (Quotients::Whole)e * e);
             const int part = by_gate.of(squares) + 1;
-            // At most 4160, so products with distances have 32 bits.
+            // At most 4160, so that products with distances fit in 32 bits.
             const int w = near ? taper * taper * part >> 6 : 0;
             const int t = forward.along(x, y, z) >> lever, s = right.along(x, y, z) >> lever;
             out[i] = w;

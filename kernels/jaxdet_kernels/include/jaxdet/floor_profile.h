@@ -109,7 +109,7 @@ struct FloorProfile {
 #if defined(__CUDA_ARCH__)
         for (int m = 0; m < number; m++) counts[m] = from;
         if (from == to) return;
-        // Few cells are clearly below: the last height is often lower than all cells.
+        // The last height needs no search if it is lower than all cells, which is frequent.
         const int searched = number > 1 && in_order[from] >= heights[number - 1] ? number - 1 : number;
         for (int part = 1 << (31 - __clz(to - from)); part; part >>= 1)
             for (int m = 0; m < searched; m++) {

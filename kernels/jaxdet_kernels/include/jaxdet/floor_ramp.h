@@ -123,8 +123,8 @@ struct FloorRamps : FloorProfile {
         }
     }
 
-    // Start of the ramps that belong to start i of the coarse lattice, including the fine lattice
-    // around it.
+    // Smallest start of the ramps in group `i`: those with start `i` of the coarse lattice, and
+    // those of the fine lattice around it. For i = STARTS it is the end of the last group.
     int begins(int i) const {
         const int around = AROUND * settings[FloorSetting::START_STEP];
         const int* starts = settings + FloorSetting::STARTS;

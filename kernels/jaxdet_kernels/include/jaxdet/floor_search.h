@@ -95,7 +95,8 @@ struct FloorVotes {
     int* row_of(int d) const { return (are_fast() ? counts : votes) + d; }
     int bin_step() const { return padded(); }
 
-    // Counts the ends of the ranges of cells; each lane handles direction k of the table.
+    // Counts the ends of the ranges of heights that cells vote for; each lane handles one direction
+    // k of the table.
     void count(const Warp& warp, const FloorDirection& down, int from, int to, const Table& table,
                int k_of_lane) const {
         int* const ends = table.words + k_of_lane;
@@ -150,7 +151,7 @@ struct FloorVotes {
         __builtin_memcpy(out, &at, sizeof at);
     }
 
-    // Counts the ends of the ranges of cells.
+    // Counts the ends of the ranges of heights that cells vote for.
     void count(const Team&, int first, int from, int to, const Table& table) const {
         Lanes dx, dy, dz;
         for (int k = 0; k < LANES; k++) {

@@ -8,7 +8,8 @@ namespace jaxdet { namespace {
 struct FloorSteps : FloorProfile {
     enum { DROPS = 28, RISES = 10, OWN = 4 };
 
-    // Inliers of the plane nearer than each distance, and inliers of the other floor at each.
+    // Per distance bin: number of inliers of the plane in all nearer bins; number of inliers of the
+    // floor beyond the step in this bin.
     int* own() const { return row(5); }
     int* others() const { return row(6); }
 
@@ -18,10 +19,10 @@ struct FloorSteps : FloorProfile {
         return i < DROPS ? (i + 1) * each : -(i - DROPS + 1) * each;
     }
 
-    // Finds the first step with the most votes, for a plane whose cells are sorted and whose flat votes
-    // have been computed with the fine tolerance, and its votes; returns false if these are fewer than
-    // `least` or the other floor is not visible over some distance. A step down must be deeper than
-    // `deeper`.
+    // Finds the step with the most votes (in a tie the first) and its number of votes; returns
+    // false if there are fewer than `least` votes or the floor beyond the step is not visible over
+    // some distance. A step down must be deeper than `deeper`. The cells must be sorted, and the
+    // flat votes of the plane computed with the fine tolerance.
     bool step(const Team& team, int least, int deeper, FloorAhead& found, int& votes) const {
         const int n = runs(), each = FloorScore::BELOW_COST;
         const Warp warp(team);
@@ -36,7 +37,8 @@ struct FloorSteps : FloorProfile {
         for (int i = warp.index; i < DROPS + RISES; i += warp.count) {
             const int deep = drop(i), size = deep < 0 ? -deep : deep;
             if (deep > 0 && deep <= deeper) continue;
-            // Sums of the other floor beyond the distances of this pass's lanes.
+            // Votes and inliers of the floor beyond the step, in the bins of earlier passes, which
+            // are farther away.
             int beyond = 0, other = 0;
             for (int done = 0; done < n; done += warp.size) {
                 const int k = n - 1 - done - warp.lane;
@@ -63,8 +65,8 @@ struct FloorSteps : FloorProfile {
         return is_seen(team, m % n, found.drop);
     }
 
-    // Whether the other floor, from distance bin `from` on, is visible over some distance, unlike a
-    // wall.
+    // Whether the floor beyond the step, from distance bin `from` on, is visible over some
+    // distance. A wall is not.
     bool is_seen(const Team& team, int from, int deep) const {
         const int n = runs();
         for (int k = team.rank; k < n; k += team.size) {

@@ -32,7 +32,7 @@ struct FreeFloor {
 
     // State of columns that are followed together.
     struct Columns {
-        // Distance and row of the nearest obstacle, or the range and -1.
+        // Distance and row of the nearest obstacle; without one, the end of the range and -1.
         int limit[ABREAST], nearest[ABREAST];
         // Rows of the first and the last floor cell so far, -1 = none yet; position of the last one.
         int first[ABREAST], last[ABREAST], forward[ABREAST], height[ABREAST];
@@ -44,7 +44,7 @@ struct FreeFloor {
     int rows, columns, far, gap;
     const int *label, *z, *right, *forward, *height;
     const bool* low;
-    const int *bows, *drops;  // (DEPTHS,), indexed by z
+    const int *bows, *drops;  // (DEPTHS,) tolerance of bowing, and height of a drop, by z
     int *line_out, *end_out;
     int* falls;  // scratch, (columns): whether the floor drops
     bool turned;  // by half a turn: the camera is upside down
@@ -65,7 +65,7 @@ struct FreeFloor {
 
     // Runs for any mounting; the result is unknown for a camera on its side.
     void run(const FloorFrame& frame) {
-        const int aside = frame.axes[6], upright = frame.axes[7];  // of down
+        const int aside = frame.axes[6], upright = frame.axes[7];  // of the down vector
         turned = upright < 0;
         if ((aside < 0 ? -aside : aside) <= (upright < 0 ? -upright : upright)) {
             run();

@@ -9,7 +9,7 @@ struct Hysteresis {
     typedef unsigned long long Word;
 
     int height, words;  // rows, and 64-bit words per row
-    const Word* weak;   // (height, words)
+    const Word* weak;   // (height, words): weak edges
     Word* edges;        // (height, words): strong edges; result: all edges connected to them
 
     // Grows the edges until nothing changes. A thread sweeps down and up a column of words in a strip

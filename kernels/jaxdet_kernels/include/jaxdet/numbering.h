@@ -9,7 +9,7 @@ struct Numbering {
     enum { NONE = 1 << 30 };
     int count;
     const int *group, *first;  // per label: representative of its group, first cell
-    int *lowest, *rank;        // scratch, (count)
+    int *lowest, *rank;        // scratch, (count) each
     int *number, *total;       // results: number per label, and how many groups there are
 
     // Ends in a sync.

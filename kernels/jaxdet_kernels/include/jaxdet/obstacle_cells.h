@@ -14,7 +14,7 @@ namespace jaxdet { namespace {
 struct ObstacleCells {
     enum { INSIDE, AT_MARGIN, PARTS };
 
-    // Range of cells in the order below, without `end`.
+    // Range of cells in sorted order; `end` is exclusive.
     struct Range {
         int first, end;
         int size() const { return end - first; }
@@ -25,7 +25,8 @@ struct ObstacleCells {
     Margins margins;
     const int *label, *right, *forward;
     CellList listed;  // cells of obstacles; the label is replaced by the part's index
-    // Starts of parts by obstacle and part, plus the end; and fill counts.
+    // Start of each part of each obstacle, then the number of all cells; and the index at which the
+    // next cell of each part is stored.
     int* starts;
     int* filled;
     // In sorted order: cell, and its position on the floor.

@@ -31,7 +31,7 @@ struct Obstacles {
     const unsigned char* free;
     const int* settings;
     Trees trees;
-    int* label;  // result, per cell
+    int* label;  // result: obstacle of each cell, -1 = none
     int* total;  // result: number of obstacles
 
     // Scratch. `pairs` is reused: for contacts between surfaces, values of surfaces, sums of pairs, and
@@ -221,7 +221,7 @@ struct Obstacles {
         evidence.run(team);
     }
 
-    // Splits obstacles that bend around free floor, and measures the parts in `last`.
+    // Splits obstacles that bend around free floor, and stores the extents of the parts in `last`.
     void straighten(const Team& team, const Contours& of_whole) const {
         const int groups = counts[GROUPS];
         int* before = parts + groups;  // exclusive prefix sum of the extra parts of groups

@@ -26,7 +26,7 @@ struct Outlines {
     const Warp& warp;
     const Measures& measures;
     int slots, longest;
-    const int* directions;  // (DIRECTIONS, 2)
+    const int* directions;  // (DIRECTIONS, 2): candidate directions, right and forward
     // Results, (slots); a contour has room for one point per column.
     int *contour_out, *points_out, *direction_out, *span_out;
     // Lexicographic key per obstacle and column: smallest squared distance, then cell index.

@@ -18,9 +18,9 @@ struct PngDepth {
     typedef unsigned short Pixels __attribute__((vector_size(32), aligned(2), may_alias));
     typedef short Lanes __attribute__((vector_size(64)));  // high bytes of the lines, then low bytes
 
-    const unsigned char* lines;  // (height, 1 + 2 width)
+    const unsigned char* lines;  // (height, 1 + 2 width) filtered lines
     int height, width;
-    unsigned short* depth_out;  // (height, width)
+    unsigned short* depth_out;  // (height, width) decoded depth
 
     void run() const {
         for (int v = 0; v < height; v += LINES) undo(v, height - v < LINES ? height - v : LINES);
@@ -41,7 +41,7 @@ struct PngDepth {
         }
         Lanes bytes = {}, before = {};  // bytes of the last step, and the bytes above them
         for (int u = 0; u < width + count - 1; u += LINES) {
-            // Line r is at column u - r; pixels outside the image count as zeros.
+            // Lane r processes column u - r of its line; pixels outside the image count as zeros.
             const bool inside = u >= LINES && u + LINES <= width && count == LINES;
             Pixels pixels[LINES] = {}, last = {};
             if (inside)

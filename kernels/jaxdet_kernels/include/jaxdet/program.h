@@ -38,9 +38,9 @@ struct Frame {
         DEPTHS = 65536,
         SLOTS = 128  // MAX_OBSTACLES
     };
-    const unsigned short* depth;  // (height, width)
+    const unsigned short* depth;  // (height, width) depth image
     const int* floors;            // Floor::PRIOR values, then FloorFrame::VALUES
-    int* contour;                 // (SLOTS, columns, 2)
+    int* contour;                 // (SLOTS, columns, 2) contours, right and forward
 
     int rows, columns;  // size of the grid of cells
     int width, side, trees, leaves, aligned;

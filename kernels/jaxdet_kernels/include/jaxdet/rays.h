@@ -302,7 +302,7 @@ struct RayBlocks {
     int rows, columns;
     const unsigned char* low;
     const int *pixels, *z, *height;
-    const int *rays, *corners;  // (2, rows, columns); corners of tiles (2, tiles + 1, columns + 1)
+    const int *rays, *corners;  // (2, rows, columns) of cells, (2, tiles + 1, columns + 1) of tiles
     // Axes of the floor, scaled for rays with RAY_BITS; height of the camera; step; ramp.
     float axes[3][3], camera, step, growth, noise, ramp_start, ramp_slope;
 

@@ -90,7 +90,7 @@ struct RvlDecoder {
 
     RvlNibbles nibbles;
     unsigned short* pixels_out;
-    long long size;  // of the image [pixel]
+    long long size;  // number of pixels of the image
     RvlWindows table;
 
     // Decodes alternating runs of zeros and of other pixels until the image is full.

@@ -11,9 +11,9 @@ struct SmallSurfaces {
     enum { REACH = 2 };
     int count, rows, columns, step;
     const CellList& listed;
-    const int *label, *z;  // per cell
-    const int* small;      // per surface
-    int* touching;         // scratch, (count, count)
+    const int *label, *z;  // surface and depth of each cell
+    const int* small;      // whether each surface is too small
+    int* touching;         // scratch, (count, count): number of touching cells
     // Input: each surface is its own set. Result, as `parent`: the smallest surface of each set.
     UnionFind sets;
 

@@ -36,8 +36,8 @@ struct Surfaces {
     // which cells are floor.
     const int *steps, *limits, *rises;
     const int* settings;
-    int *right, *forward, *height, *label_out;  // (R, C)
-    unsigned char *keep, *free, *low;           // (R, C)
+    int *right, *forward, *height, *label_out;  // (R, C): position on the floor, and label
+    unsigned char *keep, *free, *low;           // (R, C): masks, see `Found` in the reference
     int* count_out;
     int* has_depth_out;  // whether any depth is in range
     int* scratch;
@@ -45,14 +45,15 @@ struct Surfaces {
     // Scratch memory of a team.
     struct Parts {
         Grid grid;
-        // (grid) each: smoothed depths; on the CPU also a second plane and the steps.
+        // Planes of cells: smoothed depths; on the CPU also scratch memory and the step of each
+        // cell.
         int *depth, *other, *step;
         // Indexed by run; fields of surfaces by their root run: number of cells, first cell, top, and
         // `level`: 2 for each of its lowest cells with floor below, minus 3 for each of these that is
         // steep.
         int *parent, *label, *sizes, *first, *top, *level;
-        // Bitmaps, number of runs that begin before each word, and room for the parents of runs; in
-        // shared memory if they fit.
+        // Bitmaps; number of runs that begin before each word; memory for the parents of runs. They
+        // are in shared memory if they fit.
         BitRows kept, on, starts, up;
         int *before, *near;
         int most_near;
@@ -403,7 +404,8 @@ struct Surfaces {
         }
     };
 
-    // Labels the cells of a word; returns those that got a label. A collective call with the same word.
+    // Labels the cells of a word; returns the bitmap of newly labelled cells. A collective call of
+    // the warp, all lanes with the same word.
     unsigned take_all(
         [[maybe_unused]] const Warp& warp, const BitRows& kept, const BitRows& has, int i
     ) const {

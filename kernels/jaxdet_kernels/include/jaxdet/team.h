@@ -12,7 +12,7 @@
 // The inner namespace of each header is anonymous: a module of kernels is one translation unit, and
 // clang inlines a function with a single caller only if no other unit can see it (7 % of the run time).
 #pragma once
-#if __has_include(<stddef.h>)  // else size_t is predefined
+#if __has_include(<stddef.h>)  // without this header, size_t is predefined
 #include <stddef.h>
 #endif
 
