@@ -32,6 +32,7 @@ class ServerMemory:
         self.memory = SharedMemory(slots.nbytes)
         self.slots = slots._replace(path=self.memory.path, number=self.memory.number)
         self.arrays = self.slots.arrays(self.memory.map)
+        self.pack = _pack()
         self._lock = threading.Lock()
         self._page_lock: Any = None
 
@@ -145,9 +146,7 @@ class DeviceQueue:
         frames = _frames(depth, color[0] if color else None, log.served, plane)
         with computing():
             found = detect(frames, log.served.config)
-        with _packing:
-            pack = _pack()
-        packed = pack(_without_prior(found))
+        packed = log.pack(_without_prior(found))
         ready = self._watch.submit(_time_when_ready, packed)
         return _Started(packed, begin, copied.seconds, ready)
 
@@ -169,10 +168,6 @@ def _time_when_ready(found: Any) -> float:
     """Wait until an array is computed; return the time, by ``time.perf_counter`` [s]."""
     found.block_until_ready()
     return time.perf_counter()
-
-
-_packing = threading.Lock()
-"""Lock that lets only one thread compile the function of :func:`_pack`."""
 
 
 @lru_cache(maxsize=1)

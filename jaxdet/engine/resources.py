@@ -69,12 +69,11 @@ class Resources:
         apart = bool(self.pool.devices) or memory.apart
         short = len(log.frames) < FRAMES_WORTH_WORKERS
         few = short and not apart and not self.workers_wanted
-        alone = few or (memory.workers == 1 and not apart)
-        plan = memory_plan(self.settings, log, memory, 1 if alone else memory.workers)
+        plan = memory_plan(self.settings, log, memory, 1 if few else memory.workers)
         self.batch = max(self.batch, plan.batch)
-        if alone or (plan.workers == 1 and not apart):
-            if not few:
-                self.pool.resize(1)  # there is no memory for others
-            device = OwnDevice(self.settings.config, self.settings.options.backend, ahead=1)
-            return InProcess(self.settings, plan, device)
-        return InPool(self.settings, self.pool, plan)
+        if apart or plan.workers > 1:
+            return InPool(self.settings, self.pool, plan)
+        if not few:
+            self.pool.resize(1)  # there is no memory for others
+        device = OwnDevice(self.settings.config, self.settings.options.backend, ahead=1)
+        return InProcess(self.settings, plan, device)

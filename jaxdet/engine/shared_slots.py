@@ -8,6 +8,7 @@ import itertools
 import mmap
 import os
 from collections.abc import Mapping
+from dataclasses import dataclass
 from math import prod
 from typing import Any, NamedTuple
 
@@ -25,7 +26,8 @@ _PAGE = 4096
 _numbers = itertools.count(1)
 
 
-class Leaf(NamedTuple):
+@dataclass(frozen=True)
+class Leaf:
     """An array of :class:`jaxdet.results.rows.RowInputs` in a row of results."""
 
     shape: tuple[int, ...]
