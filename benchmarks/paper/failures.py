@@ -1,4 +1,4 @@
-"""The worst frames of ours, pictured, and why obstacles were missed."""
+"""Pictures of the worst frames of the default, and reasons of missed obstacles."""
 
 from collections import Counter
 from typing import NamedTuple
@@ -19,10 +19,12 @@ from jaxdet.eval.frame import objects_of, points_of
 from jaxdet.types import Detections
 
 NEAR_M = 2.0
-"""Obstacles missed nearer than this are pictured first."""
+"""Distance up to which missed obstacles of Table 4 are pictured [m]."""
 
 FEW_POINTS = 2
-"""Corners and sampled cells: of the least obstacle eight cells are seen, a fourth are points."""
+"""Maximum number of points of an obstacle of which too little is measured. The smallest obstacle
+covers eight cells, a quarter of which are points.
+"""
 
 
 class Failure(NamedTuple):
@@ -34,12 +36,12 @@ class Failure(NamedTuple):
 
     @property
     def mistakes(self) -> float:
-        """Missed obstacles and false detections."""
+        """Number of missed obstacles and false detections."""
         return self.tally.visible - self.tally.found + self.tally.false
 
 
 def run(lab: Lab) -> Section:
-    """Failing scenes: counts of causes over all test frames, and pictures of the worst."""
+    """Report failing scenes: counts of causes over all test frames, and pictures of the worst."""
     section = Section("failures", "Where ours fails")
     system = next(system for system in lab.systems if system.name == OURS)
     failed = _failures(lab)
@@ -75,7 +77,7 @@ def run(lab: Lab) -> Section:
 
 
 def _failures(lab: Lab) -> list[Failure]:
-    """All test frames with mistakes, the worst first."""
+    """Return all test frames with mistakes, the worst first."""
     each = lab.counts.scenes
     failed = [
         Failure(lab.spec(scene, lab.seeds[i // each], each, light), i % each, tally)
@@ -88,7 +90,7 @@ def _failures(lab: Lab) -> list[Failure]:
 
 
 def reasons(shot: Shot, system: System, tally: Tally) -> list[tuple[int, str]]:
-    """Why each missed obstacle of a frame was missed: its number and the cause."""
+    """Return the number of each missed obstacle of a frame and the cause."""
     missed = [case.number for case in tally.cases if not case.found]
     if not missed:
         return []
@@ -116,7 +118,7 @@ def _reason(found: Detections, shot: Shot, number: int, config: Config) -> str:
 
 
 def _pictures(section: Section, lab: Lab, system: System, failed: list[Failure]) -> None:
-    """The worst of each light in turn, each scene once."""
+    """Add pictures of the worst frames of each light, each scene once."""
     pictures = []
     for failure in worst_of(failed, lab.counts.worst):
         shot, tally = lab.load([failure.spec])[failure.number], failure.tally
@@ -133,7 +135,7 @@ def _pictures(section: Section, lab: Lab, system: System, failed: list[Failure])
 
 
 def worst_of(failed: list[Failure], count: int) -> list[Failure]:
-    """The worst frames of each light in turn, no scene twice."""
+    """Return the worst frames of each light, each scene once."""
     chosen: list[Failure] = []
     seen: set[tuple[str, int, int]] = set()
     for light in LIGHTS:
@@ -148,13 +150,13 @@ def worst_of(failed: list[Failure], count: int) -> list[Failure]:
 
 
 def _text(causes: list[tuple[int, str]]) -> str:
-    """The causes, each once with how often."""
+    """Return the causes as text, each with its count."""
     counted = Counter(cause.removeprefix("missed: ") for _, cause in causes)
     return "; ".join(f"{cause} ({n})" for cause, n in counted.items())
 
 
 def _near(section: Section, lab: Lab, system: System) -> None:
-    """Table 4's misses within two metres, the dangerous ones."""
+    """Add the dangerous misses: obstacles of Table 4 within two metres."""
     if "table4" not in lab.sections:
         return
     cells = [(d, light) for d in DISTANCES_M if d <= NEAR_M for light in LIGHTS]

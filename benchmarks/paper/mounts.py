@@ -1,4 +1,4 @@
-"""Ours with a mount that is not as told: by pitch, height, roll, and on a robot that rocks."""
+"""The default with a wrong mount: pitch, height, roll, and a robot that rocks."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -18,7 +18,7 @@ WRONG_DEG = (-2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0)
 
 
 class Mount(NamedTuple):
-    """How a told mount is wrong: told less true."""
+    """Error of the mount in the log: its value minus the true value."""
 
     name: str
     title: str
@@ -26,10 +26,11 @@ class Mount(NamedTuple):
     pitch_rad: float = 0.0
     roll_rad: float = 0.0
     rock_rad: float = 0.0
-    """Standard deviation of pitch and roll, another one in each frame."""
+    """Standard deviation of additional errors of pitch and roll, which differ in each frame [rad].
+    """
 
-    def told(self, shot: Shot) -> Shot:
-        """The frame with the wrong mount."""
+    def apply(self, shot: Shot) -> Shot:
+        """Return the frame with the wrong mount."""
         seed = [shot.spec.seed, shot.number, *shot.spec.family.encode()]
         pitch, roll = (self.rock_rad * np.random.default_rng(seed).standard_normal(2)).tolist()
         height_m, pitch_rad, roll_rad = shot.mount
@@ -56,12 +57,12 @@ MOUNTS = (
 
 
 def judge_mounts(task: tuple[Path, System]) -> dict[str, list[Tally]]:
-    """A worker's task: a system on all frames of a file, under each mount."""
+    """Run a system on all frames of a file with each mount, the task of a worker."""
     path, system = task
     shots = load_shots(path)
     out: dict[str, list[Tally]] = {}
     for mount in MOUNTS:
-        prepared = Prepared([mount.told(shot) for shot in shots])
+        prepared = Prepared([mount.apply(shot) for shot in shots])
         out[mount.name] = [
             tally_of(shot, found, system.config)
             for shot, found in zip(shots, found_by(system, prepared), strict=True)
@@ -70,7 +71,7 @@ def judge_mounts(task: tuple[Path, System]) -> dict[str, list[Tally]]:
 
 
 def run(lab: Lab) -> Section:
-    """ACC of the paper's four scenes in normal light by how wrong the told mount is."""
+    """Report ACC of the paper's four scenes in normal light by the error of the mount."""
     section = Section("mounts", "A mount that is not as told (ours)")
     seeds = lab.seeds[: lab.counts.mount_seeds]
     specs = [
