@@ -1,4 +1,4 @@
-"""A log of one's own with its labels: the presets, the paper's rule and its rivals."""
+"""The presets, the paper's rule and its rivals on a log of the user with labels."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -20,7 +20,7 @@ from jaxdet.types import Detections, Frames
 
 
 class Task(NamedTuple):
-    """A method on a log."""
+    """Task of a worker: a method on a log."""
 
     log: Path
     truth: Path
@@ -33,7 +33,7 @@ class Judgement(NamedTuple):
     tallies: list[Tally]
     """Counts of each frame with labels."""
     problem: str = ""
-    """Why the log can't be compared; then there are no counts."""
+    """Reason why the log can't be compared; empty if it can."""
 
 
 def run(lab: Lab) -> Section:
