@@ -1,4 +1,4 @@
-"""List of single hard cases, each with the result of an earlier default in a review."""
+"""The list of single hard cases, and what a review found an earlier default to do in each."""
 
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -13,11 +13,10 @@ from jaxdet.sim.appearance import POLISHED
 from jaxdet.sim.draft import Draft
 
 Asked = Literal["found", "drop", "level", "claimed"]
-"""Criterion of a case. found: each object is found; drop: the step down is reported; level: no step
-down is reported; claimed: how much free floor is inside outlines.
-"""
+"""found: each thing is; drop: the step down is reported; level: no step down is reported; claimed:
+how much free floor lies inside outlines."""
 Changes = tuple[tuple[str, Any], ...]
-"""Names and values of fields of :class:`jaxdet.sim.SimConfig` that a case changes."""
+"""Fields of :class:`jaxdet.sim.SimConfig`."""
 STEEP: Changes = (("camera_height_m", 1.2), ("camera_pitch_rad", float(np.radians(35))))
 BOWED: Changes = (("sensor", DepthSensor(noise_px=3 * DepthSensor().noise_px, bow=0.03)),)
 HOLES: dict[str, Changes] = {
@@ -29,21 +28,21 @@ WALL_GAPS_CM = (0, 5, 10, 20)
 
 
 class Case(NamedTuple):
-    """Case: a scene, what is asked about it, and the review's result."""
+    """A case."""
 
     group: str
     key: str
     title: str
     build: Callable[[Draft], Scene]
     review: str = ""
-    """Result of the review: in how many of its scenes the object was found, or in words."""
+    """What the review says of it: found of its scenes, or in words."""
     asked: Asked = "found"
     within_m: float = np.inf
-    """Maximum error of a detection's distance; with a larger one, the object is not found [m]."""
+    """A detection that is this far nearer or farther than its thing does not find it [m]."""
     shown: Literal["", "width_error_m", "iou"] = ""
-    """Measure of the found objects that is reported, if any."""
+    """A measure of the things found."""
     least_pixels: int = 1
-    """Minimum number of visible pixels of an object that is to be found."""
+    """Things that show fewer pixels are not asked for."""
     changes: Changes = ()
 
 
@@ -57,12 +56,12 @@ LOW: dict[tuple[int, float], dict[float, str]] = {
     (15, 10.0): {2.5: "4 of 4", 3.0: "0 of 4"},
     (15, 15.0): {2.5: "4 of 4", 3.0: "3 of 4"},
 }
-"""Review's results for boxes, by side and height [cm], then by distance [m]."""
+"""By side and height of a box [cm], by distance [m]."""
 GAPS: dict[tuple[float, int], dict[int, str]] = {
     (2.0, 30): {5: "none", 10: "none", 15: "none", 20: "all", 30: "all"},
     (3.0, 80): {5: "none", 10: "none", 15: "all", 20: "all", 30: "all"},
 }
-"""Review's results for two boxes, by their distance [m] and height [cm], then by their gap [cm]."""
+"""By distance [m] and height [cm] of two boxes, by the gap between them [cm]."""
 BEFORE_WALL: dict[tuple[int | None, float], tuple[str, ...]] = {
     (40, 2.5): ("0 of 4", "4 of 4", "4 of 4", "4 of 4"),
     (40, 3.5): ("0 of 4", "0 of 4", "0 of 4", "4 of 4"),
@@ -70,9 +69,7 @@ BEFORE_WALL: dict[tuple[int | None, float], tuple[str, ...]] = {
     (None, 2.5): ("", "", "", ""),
     (None, 3.5): ("0 of 4", "0 of 4", "2 of 4", "4 of 4"),
 }
-"""Review's results before a wall, by side of a cube [cm] (None: a person) and distance of the wall
-[m]; one for each gap of ``WALL_GAPS_CM``.
-"""
+"""By side of a cube [cm], None for a person, and distance of the wall [m]; by gap."""
 HOLED = {
     ("approach", "pixels"): "12 of 12",
     ("approach", "blotches"): "12 of 12",
@@ -82,7 +79,7 @@ HOLED = {
     ("low_things", "blotches"): "10 of 16",
 }
 CORRIDORS = {1.2: "57-65 %", 1.6: "21-40 %", 2.0: "31-33 %", 2.4: ""}
-"""Review's results in corridors with noise and bow, by width [m]."""
+"""By width [m], with noise and bow."""
 
 
 def _small_things() -> Iterator[Case]:

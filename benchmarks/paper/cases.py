@@ -1,4 +1,4 @@
-"""The default on single hard cases, next to the results of a review."""
+"""Ours on single hard cases, beside what a review found."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -22,11 +22,11 @@ from jaxdet.types import Detections, FreeEnd
 NEIGHBOURS = 5
 """Minimum number of neighbouring rays ending in a drop for a frame to report one."""
 DROP_WITHIN_M = 0.3
-"""Maximum error of the reported distance of a step down that counts as found [m]."""
+"""A step down is found where it is reported so near to its place."""
 
 
 class Task(NamedTuple):
-    """Task of a worker: one scene of a case."""
+    """A worker's task: a case's scene by a seed."""
 
     key: str
     seed: int
@@ -35,19 +35,19 @@ class Task(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """Result on one scene of a case."""
+    """What came of a case's scene."""
 
     tally: Tally
-    """Counts of the objects to be found."""
+    """Of the things asked for."""
     drop_m: float
-    """Forward distance of the reported step down; NaN if none is reported [m]."""
+    """How far the reported step down is, NaN where none is reported."""
     true_drop_m: float
     claimed: float
     """Share of the free floor inside outlines."""
 
 
 def judge_case(task: Task) -> Outcome:
-    """Simulate a scene and run the system on it."""
+    """Draws a scene and runs the system on it."""
     case = CASES[task.key]
     shot, true_drop_m = _draw(case, task.seed, task.width)
     found = found_by(task.system, Prepared([shot]))[0]
@@ -60,7 +60,7 @@ def judge_case(task: Task) -> Outcome:
 
 
 def _draw(case: Case, seed: int, width: int) -> tuple[Shot, float]:
-    """Return the frame of a case, and the distance of its step down; NaN if it has none [m]."""
+    """A case's frame, and how far its step down is [m]."""
     scene = case.build(Draft(seed, "case"))
     config = SimConfig(seed=seed, frames=1, width=width, height=width * 3 // 4)
     config = replace(config, **dict(case.changes))
@@ -69,7 +69,7 @@ def _draw(case: Case, seed: int, width: int) -> tuple[Shot, float]:
 
 
 def _tally(case: Case, shot: Shot, found: Detections, system: System) -> Tally:
-    """Count the found objects of a case, including low ones and, by default, small ones."""
+    """The counts of the things that a case asks for, however low or small."""
     counted = eval_config(system.config)
     step = counted.step_height_m if case.least_pixels > 1 else 0.0
     counted = replace(counted, min_visible_pixels=case.least_pixels, step_height_m=step)
@@ -82,15 +82,15 @@ def _tally(case: Case, shot: Shot, found: Detections, system: System) -> Tally:
 
 
 def drop_of(found: Detections, unit: float) -> float:
-    """Return the forward distance of the step down that a frame reports.
+    """How far a frame's reported step down is.
 
     Args:
-        found: Detections of one frame, with a scene.
-        unit: Depth unit [m].
+        found: ``B = 1``, with a scene.
+        unit: Metres in a depth unit.
 
     Returns:
-        Median forward distance [m] of the rays in groups of at least :data:`NEIGHBOURS` adjacent
-        rays that all end in a drop; NaN if there are none.
+        The median forward distance [m] of the rays that end in a drop next to others that do, at
+        least :data:`NEIGHBOURS` side by side; NaN where there are none.
     """
     assert found.scene is not None
     ends = np.asarray(found.scene.free_end[0]) == FreeEnd.DROP
@@ -104,7 +104,7 @@ def drop_of(found: Detections, unit: float) -> float:
 
 
 def run(lab: Lab) -> Section:
-    """Run each case several times: poles, low boxes, gaps, walls, slabs, steps down and more."""
+    """Poles, low boxes, gaps, walls, slabs, steps down and more, each case several times."""
     section = Section("cases", "Single hard cases (ours)")
     seeds = lab.seeds[: lab.counts.case_seeds]
     section.say(
@@ -134,7 +134,7 @@ def run(lab: Lab) -> Section:
 
 
 def _cell(section: Section, key: str, case: Case, mine: Sequence[Outcome]) -> str:
-    """Add a case's figures; return them as text."""
+    """Adds a case's figures; returns them as text."""
     if case.asked == "claimed":
         shares = [one.claimed for one in mine]
         section.add(f"{key}.claimed", float(np.mean(shares)), "", "lower")

@@ -1,7 +1,7 @@
-"""Choice of the settings that the paper leaves open, by grid and search like the baselines'.
+"""The settings that the paper leaves open, chosen as the baselines' are: grid, then search.
 
-The paper gives Canny's bounds only as examples, and does not give N, the distance of corners, d_z
-and d_x. ``python -m benchmarks.paper.choose`` tries them on the tuning seeds and prints the best;
+The paper prints Canny's bounds as examples, and neither N nor the corners' distance nor d_z and
+d_x. ``python -m benchmarks.paper.choose`` tries them on the tuning seeds and prints the best;
 :mod:`jaxdet.presets` has what it chose.
 """
 
@@ -33,7 +33,7 @@ FIRST = {
     "depth_gap_m": 0.1,
     "lateral_gap_m": 0.4,
 }
-"""First settings of the preset (commit 297f469), which were guessed."""
+"""What the preset had before (297f469), by guess."""
 JUDGED: dict[str, dict[str, Any]] = {
     "first values": FIRST,
     "first values, N = 3": FIRST | {"min_points": 3},
@@ -49,11 +49,10 @@ GRID: dict[str, tuple[Any, ...]] = {
     "depth_gap_m": (0.05, 0.1, 0.2, 0.4),
     "lateral_gap_m": (0.2, 0.4, 0.6),
 }
-"""Values with which the search starts. Canny's lower bound is half of the upper one, as in all
-bounds that the paper gives.
-"""
+"""Values that the search begins with. Canny's lower bound is half of the upper one, as in all
+bounds that the paper prints."""
 QUANTILES = (0.80, 0.85, 0.90, 0.95)
-"""Quantiles of a frame's gradients that are tried as Canny's upper bound, on the tuning seeds."""
+"""Of a frame's gradients: laws for Canny's upper bound, tried on the tuning seeds."""
 
 
 @dataclass(frozen=True)
@@ -61,17 +60,17 @@ class Options:
     """Choose the preset paper's settings on the tuning seeds."""
 
     frames: Path
-    """Folder in which simulated frames are kept."""
+    """Folder that keeps the simulated frames."""
     seeds: int = len(TUNING_SEEDS)
-    """Number of tuning seeds; the full report tunes the baselines on as many."""
+    """Tuning seeds used; the full report tunes the baselines on as many."""
     judge: bool = False
-    """Only compare the preset with its first settings, on seeds used for nothing else."""
+    """Choose nothing; compare the preset with its first values on seeds used for nothing else."""
     laws: bool = False
-    """Only compare bounds that follow each frame's gradients, on the tuning seeds."""
+    """Choose nothing; compare bounds that follow each frame's gradients, on the tuning seeds."""
 
 
 def main(options: Options) -> None:
-    """Print each better trial, then the best one; or the figures on the held-out seeds."""
+    """Print every better trial, then the best; or the figures on the seeds kept apart."""
     start_worker()
     start, store = time.perf_counter(), Store(options.frames)
     if options.judge:
@@ -104,12 +103,12 @@ def main(options: Options) -> None:
 
 
 def _specs(seeds: Sequence[int]) -> list[Spec]:
-    """Return the specs of one frame of each scene and seed in each light."""
+    """One frame of each scene and seed in each light."""
     return [Spec(scene, seed, 1, light) for scene, seed, light in product(SCENES, seeds, LIGHTS)]
 
 
 def _print(name: str, specs: Sequence[Spec], tallies: Sequence[Tally]) -> None:
-    """Print figures with intervals, in all lights and in each; intervals are over scenes."""
+    """Prints figures with intervals, in all lights and in each; a scene is a unit."""
     for light in (None, *LIGHTS):
         units: dict[tuple[str, int], list[Tally]] = {}
         for spec, tally in zip(specs, tallies, strict=True):

@@ -1,4 +1,4 @@
-"""Coverage of obstacles by their rectangles, with the default."""
+"""Ours: is the whole obstacle inside its rectangle?"""
 
 from benchmarks.paper.lab import Lab
 from benchmarks.paper.measure import measured
@@ -9,7 +9,7 @@ from jaxdet.eval import score
 
 
 def run(lab: Lab) -> Section:
-    """Report the coverage of the true footprints' visible side within 3 m, by light and scene."""
+    """Coverage of the true footprints' visible side within 3 m, by light and by scene."""
     section = Section("coverage", "Footprint coverage within 3 m (ours)")
     section.say(
         "Of the points on the visible side of the true footprints within 3 m of the camera, the "

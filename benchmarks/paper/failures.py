@@ -1,4 +1,4 @@
-"""Pictures of the worst frames of the default, and reasons of missed obstacles."""
+"""The worst frames of ours, pictured, and why obstacles were missed."""
 
 from collections import Counter
 from typing import NamedTuple
@@ -19,12 +19,10 @@ from jaxdet.eval.frame import objects_of, points_of
 from jaxdet.types import Detections
 
 NEAR_M = 2.0
-"""Distance up to which missed obstacles of Table 4 are pictured [m]."""
+"""Obstacles missed nearer than this are pictured first."""
 
 FEW_POINTS = 2
-"""Maximum number of points of an obstacle of which too little is measured. The smallest obstacle
-covers eight cells, a quarter of which are points.
-"""
+"""Corners and sampled cells: of the least obstacle eight cells are seen, a fourth are points."""
 
 
 class Failure(NamedTuple):
@@ -36,12 +34,12 @@ class Failure(NamedTuple):
 
     @property
     def mistakes(self) -> float:
-        """Number of missed obstacles and false detections."""
+        """Missed obstacles and false detections."""
         return self.tally.visible - self.tally.found + self.tally.false
 
 
 def run(lab: Lab) -> Section:
-    """Report failing scenes: counts of causes over all test frames, and pictures of the worst."""
+    """Failing scenes: counts of causes over all test frames, and pictures of the worst."""
     section = Section("failures", "Where ours fails")
     system = next(system for system in lab.systems if system.name == OURS)
     failed = _failures(lab)
@@ -77,7 +75,7 @@ def run(lab: Lab) -> Section:
 
 
 def _failures(lab: Lab) -> list[Failure]:
-    """Return all test frames with mistakes, the worst first."""
+    """All test frames with mistakes, the worst first."""
     each = lab.counts.scenes
     failed = [
         Failure(lab.spec(scene, lab.seeds[i // each], each, light), i % each, tally)
@@ -90,7 +88,7 @@ def _failures(lab: Lab) -> list[Failure]:
 
 
 def reasons(shot: Shot, system: System, tally: Tally) -> list[tuple[int, str]]:
-    """Return the number of each missed obstacle of a frame and the cause."""
+    """Why each missed obstacle of a frame was missed: its number and the cause."""
     missed = [case.number for case in tally.cases if not case.found]
     if not missed:
         return []
@@ -118,7 +116,7 @@ def _reason(found: Detections, shot: Shot, number: int, config: Config) -> str:
 
 
 def _pictures(section: Section, lab: Lab, system: System, failed: list[Failure]) -> None:
-    """Add pictures of the worst frames of each light, each scene once."""
+    """The worst of each light in turn, each scene once."""
     pictures = []
     for failure in worst_of(failed, lab.counts.worst):
         shot, tally = lab.load([failure.spec])[failure.number], failure.tally
@@ -135,7 +133,7 @@ def _pictures(section: Section, lab: Lab, system: System, failed: list[Failure])
 
 
 def worst_of(failed: list[Failure], count: int) -> list[Failure]:
-    """Return the worst frames of each light, each scene once."""
+    """The worst frames of each light in turn, no scene twice."""
     chosen: list[Failure] = []
     seen: set[tuple[str, int, int]] = set()
     for light in LIGHTS:
@@ -150,13 +148,13 @@ def worst_of(failed: list[Failure], count: int) -> list[Failure]:
 
 
 def _text(causes: list[tuple[int, str]]) -> str:
-    """Return the causes as text, each with its count."""
+    """The causes, each once with how often."""
     counted = Counter(cause.removeprefix("missed: ") for _, cause in causes)
     return "; ".join(f"{cause} ({n})" for cause, n in counted.items())
 
 
 def _near(section: Section, lab: Lab, system: System) -> None:
-    """Add the dangerous misses: obstacles of Table 4 within two metres."""
+    """Table 4's misses within two metres, the dangerous ones."""
     if "table4" not in lab.sections:
         return
     cells = [(d, light) for d in DISTANCES_M if d <= NEAR_M for light in LIGHTS]

@@ -1,4 +1,4 @@
-"""Fig. 11: time and memory of clustering alone."""
+"""Fig. 11: time of the clustering alone, and its memory."""
 
 import tracemalloc
 from collections.abc import Callable
@@ -21,7 +21,7 @@ from jaxdet.presets import preset
 
 
 def run(lab: Lab) -> Section:
-    """Report Fig. 11 (clustering time of the methods) as time and as ratio to the paper's rule."""
+    """Fig. 11 (clustering time of the methods) as time and as ratio to the paper's rule."""
     section = Section("fig11", "Fig. 11: clustering time")
     config = of_points(lab.config)
     specs = [lab.spec(scene, seed, lab.counts.scenes) for seed in lab.seeds for scene in SCENES]
@@ -78,7 +78,7 @@ def run(lab: Lab) -> Section:
 
 
 def _peak_mb(function: Callable[[int], Any]) -> float:
-    """Return the maximum memory of Python and NumPy during a call on the first frame [MB]."""
+    """Most memory that Python and NumPy hold during a call on the first frame [MB]."""
     tracemalloc.start()
     function(0)
     peak = tracemalloc.get_traced_memory()[1]

@@ -19,12 +19,12 @@ from jaxdet.sim import exposure
 from jaxdet.types import Detections, Frames
 
 ROWS = (PAPER, RULE, "hierarchical_ward", "rsc", "dbscan", OURS)
-"""Systems in the plot."""
+"""Systems of the plot."""
 FIGURES = {"accuracy": "ACC", "fmi": "FMI", "f1": "F1"}
 
 
 def run(lab: Lab) -> Section:
-    """Report Fig. 12 (a) ACC, (b) FMI, (c) time of the whole process, in four lights; and F1."""
+    """Fig. 12 (a) ACC, (b) FMI, (c) time of the whole process, in four lights; and F1."""
     section = Section("fig12", "Fig. 12: detection by illumination")
     section.say(
         f"The same simulated scenes in four lights: {_levels()}; the paper gives no levels. It "
@@ -67,7 +67,7 @@ def run(lab: Lab) -> Section:
 
 
 def _levels() -> str:
-    """Return the illuminances as text: ``strong 30 000 lx, normal 500 lx``, and so on."""
+    """``strong 30 000 lx, normal 500 lx``, and so on."""
     levels = ((light, f"{exposure.LIGHTS[light].lux:,.0f}".replace(",", " ")) for light in LIGHTS)
     return ", ".join(f"{light} {lux} lx" for light, lux in levels)
 

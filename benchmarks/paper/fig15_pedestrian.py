@@ -20,7 +20,7 @@ PERSON = "person"
 
 
 def run(lab: Lab) -> Section:
-    """Report Fig. 15 (a) the pedestrian in the camera image, (b) the obstacles on the map."""
+    """Fig. 15 (a) the pedestrian in the camera's picture, (b) the obstacles on the map."""
     section = Section("fig15", "Fig. 15: a pedestrian on the map")
     seed = lab.seeds[0]
     spec = lab.spec("pedestrian", seed, lab.counts.log_frames, log=True, rate_hz=RATE_HZ)
@@ -35,7 +35,7 @@ def run(lab: Lab) -> Section:
 
 
 def _system(section: Section, system: System, shots: list[Shot], seed: int) -> None:
-    """Add figures, pictures and maps of one system; the default's keys have no prefix."""
+    """Figures, pictures and maps of one system; the default's keys have no name before them."""
     results = found_by(system, Prepared(shots))
     config, prefix = system.config, "" if system.method == system.name else f"{system.name}."
     corners: list[np.ndarray] = []
@@ -88,7 +88,7 @@ def _figures(
 def _map(
     section: Section, system: System, shots: list[Shot], corners: list[np.ndarray], seed: int
 ) -> None:
-    """Draw the navigation map (the scene's walls) with the detected obstacles."""
+    """The map that navigation has (walls, by the scene), and on it what was detected."""
     figure, axes = plots.canvas(1, 8, 5.6)
     ax = axes[0]
     scene = load_scene("pedestrian", seed)
@@ -98,8 +98,8 @@ def _map(
         for polygon in world:
             ax.fill(*polygon.T, color=plots.OURS, alpha=0.10, lw=0)
     _true_outlines(ax, shots)
-    path = np.array([shot.T_world_camera[:2, 3] for shot in shots])
-    ax.plot(*path.T, color=plots.COLORS[2], lw=2, label="robot")
+    way = np.array([shot.T_world_camera[:2, 3] for shot in shots])
+    ax.plot(*way.T, color=plots.COLORS[2], lw=2, label="robot")
     ax.plot([], [], color=plots.OURS, lw=6, alpha=0.4, label="detected outlines, all frames")
     ax.set_aspect("equal")
     ax.set_xlim(-0.6, 6.0)
@@ -112,7 +112,7 @@ def _map(
 
 
 def _true_outlines(ax: Axes, shots: list[Shot]) -> None:
-    """Draw static objects once, and the person every half second."""
+    """What stands still once, the person every half second."""
     step = max(1, round(RATE_HZ / 2))
     label = "true outlines"
     for shot in shots[::step]:

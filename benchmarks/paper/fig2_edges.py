@@ -14,13 +14,13 @@ from jaxdet.reference._canny import canny, grey
 from jaxdet.render import canvas
 
 CONTOUR_PX = 3
-"""Maximum distance of a corner on a contour from an object's true edge [pixel]."""
+"""A corner this near to an object's edge in the truth is on the contour."""
 
 
 def run(lab: Lab) -> Section:
-    """Report Fig. 2 (Shi-Tomasi on the grey image and on the Canny edges) as picture and counts."""
+    """Fig. 2 (Shi-Tomasi on grey, and on the Canny edges) as picture and counts."""
     section = Section("fig2", "Fig. 2: features with and without Canny")
-    variants = {"without": False, "with": True}
+    ways = {"without": False, "with": True}
     shots = [shot for scene in SCENES for shot in lab.load(lab.test_specs(scene, "normal")[:4])]
     section.say(
         f"Shi-Tomasi corners with the preset paper (no mask) on the grey image and on the Canny "
@@ -29,7 +29,7 @@ def run(lab: Lab) -> Section:
         "pictures and no counts."
     )
     rows: list[list[str]] = []
-    for name, on_edges in variants.items():
+    for name, on_edges in ways.items():
         counts = np.array([_counts(shot, _corners(shot, on_edges)) for shot in shots])
         shares = counts[:, 1:].sum(axis=0) / counts[:, 0].sum()
         section.add(f"{name}.features", float(counts[:, 0].mean()), "", "info")
@@ -41,16 +41,14 @@ def run(lab: Lab) -> Section:
     section.table(header, rows)
     _time(section, shots)
     for shot in (shots[0], shots[-1]):
-        views = [
-            _view(shot, _corners(shot, on_edges), f"{n} Canny") for n, on_edges in variants.items()
-        ]
+        views = [_view(shot, _corners(shot, way), f"{n} Canny") for n, way in ways.items()]
         caption = f"Fig. 2: {shot.title}; all corners before any are dropped."
         section.picture(shot.spec.family, encode(grid(views, 2)), caption)
     return section
 
 
 def _time(section: Section, shots: list[Shot]) -> None:
-    """Add the times of Shi-Tomasi and of Harris, which is slower according to the paper."""
+    """Add the time of Shi-Tomasi and Harris, which the paper says is the slower one."""
     config = preset("paper").features
     selection = config.max_corners, config.quality_level, config.min_distance
     images = [grey(shot.color) for shot in shots]
@@ -70,7 +68,7 @@ def _time(section: Section, shots: list[Shot]) -> None:
 
 
 def _corners(shot: Shot, on_edges: bool) -> np.ndarray:
-    """Return the preset paper's corners ``(n, 2)``, column and row, of edges or the image."""
+    """The preset paper's corners of the Canny edges or the grey image, ``(n, 2)`` column, row."""
     config, image = preset("paper").features, grey(shot.color)
     if on_edges:
         image = canny(image, config.canny_low, config.canny_high)
@@ -79,7 +77,7 @@ def _corners(shot: Shot, on_edges: bool) -> np.ndarray:
 
 
 def _counts(shot: Shot, corners: np.ndarray) -> tuple[int, int, int, int]:
-    """Count corners: all, on contours, inside objects, elsewhere."""
+    """Corners: all, on contours, inside objects, elsewhere."""
     solid = np.concatenate([[False], ~shot.truth.is_wall])
     number = shot.truth.obstacle_id[0].astype(np.uint8)
     shown = np.where(solid[number], number, 0).astype(np.uint8)

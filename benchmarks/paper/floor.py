@@ -1,4 +1,4 @@
-"""Shares of floor and obstacles that the default keeps, for tilted cameras and ramps."""
+"""Ours: how much of the floor is kept, and how much of the obstacles, under tilt and slope."""
 
 from dataclasses import replace
 from itertools import product
@@ -22,23 +22,24 @@ from jaxdet.pipeline import find_floors
 from jaxdet.reference._ground import above_floor
 
 SOURCES = ("tf", "estimate")
-"""Prior of the floor before each frame's depth is used: the camera's mount, or none."""
+"""What is known before each frame's own depth is looked at: the camera's mount on the robot, or
+nothing."""
 PIXELS = "_pixels"
-"""Suffix of a source's name: shares of all pixels that show the floor or an obstacle."""
+"""After a source's name: of all pixels that show the floor, or an obstacle."""
 KINDS = ("", PIXELS)
 DIRECTIONS: dict[str, Direction] = {"floor_kept": "lower", "obstacle_kept": "higher"}
 Key = tuple[str, float, float, float]
 
 
 class Task(NamedTuple):
-    """Task of a worker: the frames of a file under a configuration."""
+    """A worker's task."""
 
     path: Path
     config: Config
 
 
 def judge_floor(task: Task) -> dict[str, list[Tally]]:
-    """Count the pixels kept as above the floor in each frame of a file, by source."""
+    """What is kept above the floor in each frame of a file, by source."""
     out: dict[str, list[Tally]] = {source + kind: [] for source in SOURCES for kind in KINDS}
     ground, counted = task.config.ground, eval_config(task.config)
     for shot in load_shots(task.path):
@@ -63,7 +64,7 @@ def judge_floor(task: Task) -> dict[str, list[Tally]]:
 
 
 def _ground(shot: Shot, source: str, config: Config) -> tuple[np.ndarray, np.ndarray]:
-    """Return which pixels are above the step of cells, ``(H, W)`` bool, and depths ``(H, W)``."""
+    """Pixels that lie higher than the step of cells, ``(H, W)`` bool, and depths ``(H, W)``."""
     frames = frames_of([shot], plane=source == "tf")
     calibration, ground = frames.calibration, config.ground
     plane = color_plane(find_floors(frames, config, backend="reference").plane, calibration)
@@ -75,7 +76,7 @@ def _ground(shot: Shot, source: str, config: Config) -> tuple[np.ndarray, np.nda
 
 
 def tallies_of(lab: Lab) -> dict[Key, list[Tally]]:
-    """Return the tallies of frames by source, pitch, roll and slope [degree]."""
+    """Tallies of frames by source, pitch, roll and slope [degree]."""
     seeds = lab.seeds[: lab.counts.floor_seeds]
     poses = list(product(PITCHES_DEG, ROLLS_DEG, SLOPES_DEG))
     specs = [
@@ -103,7 +104,7 @@ def tallies_of(lab: Lab) -> dict[Key, list[Tally]]:
 
 
 def run(lab: Lab) -> Section:
-    """Report the kept floor and obstacle points by pitch, roll and slope; not in the paper."""
+    """Floor points kept and obstacle points kept, by pitch, roll and slope; not in the paper."""
     section = Section("floor", "Floor and obstacle points kept (ours)")
     section.say(
         f"{lab.counts.floor_seeds} simulated scenes (family mixed) for each tilt, roll and ramp "
@@ -136,7 +137,7 @@ def run(lab: Lab) -> Section:
 
 
 def _pixels(section: Section) -> None:
-    """Add the table of all pixels, by what they show."""
+    """The same of all pixels, by what they show."""
     values = {figure.key: figure.value for figure in section.figures}
     rows = []
     for source, slopes in product(SOURCES, ("level", "all")):
@@ -149,7 +150,7 @@ def _pixels(section: Section) -> None:
 
 
 def _totals(section: Section, every: dict[Key, list[Tally]]) -> None:
-    """Add the figures of all poses together and of the worst one, without and with ramps."""
+    """All poses together, and the worst of them; without ramps and with them."""
     sources = [source + kind for source in SOURCES for kind in KINDS]
     for source, (name, slopes) in product(sources, (("level", (0.0,)), ("all", SLOPES_DEG))):
         poses = [every[key] for key in every if key[0] == source and key[3] in slopes]

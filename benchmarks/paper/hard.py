@@ -1,4 +1,4 @@
-"""The default on harder scenes: walls in range, low objects, drops, ramps, depth errors."""
+"""Ours on the harder families: walls in range, low things, drops, ramps, a real depth camera."""
 
 from itertools import product
 from pathlib import Path
@@ -18,45 +18,45 @@ from jaxdet.sim import HARD_FAMILIES
 
 FAMILIES = (*HARD_FAMILIES, "mixed")
 ERRORS = (0.0, 1.0)
-"""Factors for the errors of a D435: a clean camera, and a real one."""
+"""How much of a real depth camera's errors: none, a D435's."""
 CAMERAS = {0.0: "clean", 1.0: "as a D435"}
 HEIGHTS = ((0.15, 0.0), (0.6, 35.0), (0.8, 20.0), (1.3, 30.0))
-"""Heights [m] and pitches [degree] of other mounts than the robot's 0.3 m and 10 degrees."""
+"""Other mounts than the robot's 0.3 m and 10 degrees: height [m] and pitch [degree]."""
 LEAST_FLOOR = 0.02
-"""Minimum share of pixels with drivable floor; the claimed share of frames below it counts as 0."""
+"""A frame in which less of the picture shows floor to drive on is not the worst by its share."""
 FIGURES: dict[str, Direction] = dict.fromkeys(
     ("accuracy", "recall", "precision", "coverage"), "higher"
 )
 
 COLUMNS = "ACC", "Recall", "Precision", "Coverage", "Floor claimed", "worst frame", "Missed / false"
-"""Column titles of the texts that :func:`_row` returns."""
+"""Of the cells that :func:`_row` makes."""
 
 
 class Judged(NamedTuple):
-    """Result of a system on one frame."""
+    """One frame by one system."""
 
     tally: Tally
     claim: Claim
     pixels: int
-    """Number of pixels of the image."""
+    """Of the picture."""
 
     @property
     def mistakes(self) -> float:
-        """Number of missed obstacles and false detections."""
+        """Missed obstacles and false detections."""
         return self.tally.visible - self.tally.found + self.tally.false
 
     @property
     def claimed(self) -> float:
-        """Share of the drivable floor that is claimed; 0 if too little of it is visible."""
+        """Share of the floor claimed; 0 where too little of it is seen."""
         return self.claim.share if self.claim.drivable >= LEAST_FLOOR * self.pixels else 0.0
 
 
 Cells = dict[tuple[str, float], list[Judged]]
-"""Results by family and factor of depth errors, in the order of the seeds."""
+"""By family and depth error, in the seeds' order."""
 
 
 def judge_hard(task: tuple[Path, System]) -> list[Judged]:
-    """Run a system on all frames of a file, the task of a worker."""
+    """A worker's task: a system on all frames of a file."""
     path, system = task
     shots = load_shots(path)
     return [
@@ -70,7 +70,7 @@ def judge_hard(task: tuple[Path, System]) -> list[Judged]:
 
 
 def specs_of(lab: Lab, family: str, error: float) -> list[Spec]:
-    """Return the specs of a family's scenes."""
+    """The scenes of a family."""
     changes = {"depth_error": error} if error else {}
     return [
         lab.spec(family, seed, lab.counts.hard_scenes, "normal", **changes)
@@ -79,7 +79,7 @@ def specs_of(lab: Lab, family: str, error: float) -> list[Spec]:
 
 
 def cells_of(lab: Lab) -> Cells:
-    """Run the default on all families."""
+    """Ours on all families."""
     keys = list(product(FAMILIES, ERRORS))
     specs = {key: specs_of(lab, *key) for key in keys}
     every = [spec for key in keys for spec in specs[key]]
@@ -91,7 +91,7 @@ def cells_of(lab: Lab) -> Cells:
 
 
 def run(lab: Lab) -> Section:
-    """Report the harder families with a clean depth camera and with a D435's errors."""
+    """The harder families with a clean depth camera and with a real one's errors."""
     section = Section("hard", "Harder scenes (ours)")
     seeds, each = lab.seeds[: lab.counts.hard_seeds], lab.counts.hard_scenes
     section.say(
@@ -119,7 +119,7 @@ def run(lab: Lab) -> Section:
 
 
 def _add_mounts(section: Section, lab: Lab) -> None:
-    """Add all families seen from other heights, with a D435's errors."""
+    """All families from cameras mounted lower or higher, with a D435's errors."""
     seeds, rows = lab.seeds[: lab.counts.mount_seeds], []
     specs = {
         (height, pitch): [
@@ -149,7 +149,7 @@ def _add_mounts(section: Section, lab: Lab) -> None:
 
 
 def _row(section: Section, key: str, judged: list[Judged]) -> list[str]:
-    """Add the figures of some frames; return them as texts."""
+    """Adds the figures of some frames; returns them as texts."""
     one = measured([frame.tally for frame in judged])
     cells = []
     for name, direction in FIGURES.items():
@@ -163,7 +163,7 @@ def _row(section: Section, key: str, judged: list[Judged]) -> list[str]:
 
 
 def _add_claimed(section: Section, key: str, judged: list[Judged]) -> tuple[float, float]:
-    """Add and return the share of claimed floor over some frames, and in the worst of them."""
+    """Adds the share of the floor claimed over some frames and in the worst of them."""
     drivable = sum(frame.claim.drivable for frame in judged)
     claimed = sum(frame.claim.claimed for frame in judged)
     share = claimed / drivable if drivable else float("nan")
@@ -174,7 +174,7 @@ def _add_claimed(section: Section, key: str, judged: list[Judged]) -> tuple[floa
 
 
 def _pictures(section: Section, lab: Lab, cells: Cells) -> None:
-    """Add pictures of the frames with the most mistakes and with the most claimed floor."""
+    """The worst frames: most mistakes, and most floor claimed."""
     system, each = ours(lab.config), lab.counts.hard_scenes
     every = [(key, index, one) for key, cell in cells.items() for index, one in enumerate(cell)]
     orders = {

@@ -1,4 +1,4 @@
-"""Objects that the default misses, by class: apart, under or over others, hardly measured."""
+"""Which things ours misses: those apart, those under others, those hardly measured."""
 
 from itertools import product
 from pathlib import Path
@@ -20,18 +20,18 @@ CLASSES = ("apart", "under or over another", "hardly measured")
 
 
 class Asked(NamedTuple):
-    """Numbers of objects to be found and of found ones, ``(3,)`` int64 each, as in ``CLASSES``."""
+    """Things asked for, and those found, ``(3,)`` int64 each, in the order of ``CLASSES``."""
 
     asked: np.ndarray
     found: np.ndarray
 
 
 def kinds_of(shot: Shot, config: EvalConfig) -> np.ndarray:
-    """Return the index in ``CLASSES`` of each object of a frame, ``(J,)`` int64.
+    """The place in ``CLASSES`` of each thing of a frame, ``(J,)`` int64.
 
-    An object is hardly measured if the depth camera measures it on fewer colour pixels than the
-    minimum of visible pixels (next to nearer objects, or outside of the depth image). An object is
-    under or over another one if their footprints overlap, as of a chair under a table.
+    Hardly measured is what the depth camera measures on fewer colour pixels than it must show
+    (beside nearer things, or beyond the edge of the depth image). Under or over another thing is
+    what has a footprint that overlaps another thing's, as a chair's that stands under a table.
     """
     truth, calibration = shot.truth, shot.calibration
     assert truth.footprint is not None and truth.depth_m is not None
@@ -48,7 +48,7 @@ def kinds_of(shot: Shot, config: EvalConfig) -> np.ndarray:
 
 
 def judge_missed(task: tuple[Path, System]) -> Asked:
-    """Run a system on all frames of a file, the task of a worker."""
+    """A worker's task: a system on all frames of a file."""
     path, system = task
     shots, config = load_shots(path), eval_config(system.config)
     total = Asked(np.zeros(3, np.int64), np.zeros(3, np.int64))
@@ -61,7 +61,7 @@ def judge_missed(task: tuple[Path, System]) -> Asked:
 
 
 def run(lab: Lab) -> Section:
-    """Report how many objects of each class are found, by family."""
+    """How many things of each class are found, by family."""
     section = Section("missed", "What is missed (ours)")
     section.say(
         "Things asked for in the scenes in normal light, as above, in three classes, found of "

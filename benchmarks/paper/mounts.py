@@ -1,4 +1,4 @@
-"""The default with a wrong mount: pitch, height, roll, and a robot that rocks."""
+"""Ours with a mount that is not as told: by pitch, height, roll, and on a robot that rocks."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -18,7 +18,7 @@ WRONG_DEG = (-2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0)
 
 
 class Mount(NamedTuple):
-    """Error of the mount in the log: its value minus the true value."""
+    """How a told mount is wrong: told less true."""
 
     name: str
     title: str
@@ -26,11 +26,10 @@ class Mount(NamedTuple):
     pitch_rad: float = 0.0
     roll_rad: float = 0.0
     rock_rad: float = 0.0
-    """Standard deviation of additional errors of pitch and roll, which differ in each frame [rad].
-    """
+    """Standard deviation of pitch and roll, another one in each frame."""
 
-    def apply(self, shot: Shot) -> Shot:
-        """Return the frame with the wrong mount."""
+    def told(self, shot: Shot) -> Shot:
+        """The frame with the wrong mount."""
         seed = [shot.spec.seed, shot.number, *shot.spec.family.encode()]
         pitch, roll = (self.rock_rad * np.random.default_rng(seed).standard_normal(2)).tolist()
         height_m, pitch_rad, roll_rad = shot.mount
@@ -57,12 +56,12 @@ MOUNTS = (
 
 
 def judge_mounts(task: tuple[Path, System]) -> dict[str, list[Tally]]:
-    """Run a system on all frames of a file with each mount, the task of a worker."""
+    """A worker's task: a system on all frames of a file, under each mount."""
     path, system = task
     shots = load_shots(path)
     out: dict[str, list[Tally]] = {}
     for mount in MOUNTS:
-        prepared = Prepared([mount.apply(shot) for shot in shots])
+        prepared = Prepared([mount.told(shot) for shot in shots])
         out[mount.name] = [
             tally_of(shot, found, system.config)
             for shot, found in zip(shots, found_by(system, prepared), strict=True)
@@ -71,7 +70,7 @@ def judge_mounts(task: tuple[Path, System]) -> dict[str, list[Tally]]:
 
 
 def run(lab: Lab) -> Section:
-    """Report ACC of the paper's four scenes in normal light by the error of the mount."""
+    """ACC of the paper's four scenes in normal light by how wrong the told mount is."""
     section = Section("mounts", "A mount that is not as told (ours)")
     seeds = lab.seeds[: lab.counts.mount_seeds]
     specs = [

@@ -1,4 +1,4 @@
-"""The presets, the paper's rule and its rivals on a log of the user with labels."""
+"""A log of one's own with its labels: the presets, the paper's rule and its rivals."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -20,7 +20,7 @@ from jaxdet.types import Detections, Frames
 
 
 class Task(NamedTuple):
-    """Task of a worker: a method on a log."""
+    """A method on a log."""
 
     log: Path
     truth: Path
@@ -33,7 +33,7 @@ class Judgement(NamedTuple):
     tallies: list[Tally]
     """Counts of each frame with labels."""
     problem: str = ""
-    """Reason why the log can't be compared; empty if it can."""
+    """Why the log can't be compared; then there are no counts."""
 
 
 def run(lab: Lab) -> Section:

@@ -1,4 +1,4 @@
-"""Fig. 8 and Section 4.1.1: found and missed objects in scenes of SUN RGB-D."""
+"""Fig. 8 and Section 4.1.1: scenes of SUN RGB-D, what is found in them and what is missed."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -34,13 +34,13 @@ from jaxdet.results.rows import to_host
 TITLES = "paper", "wheeled"
 """Presets that are compared."""
 ASKED = {"standing": True, "things": False}
-"""Objects to be found, and whether these are only the ones that stand on the floor."""
+"""Which things are asked for: those that stand on the floor, or all."""
 PICTURED, WIDTH = 12, 420
-"""Number of scenes in the picture, at equal intervals, and width of each view [pixel]."""
+"""Scenes in the picture, evenly over all, and the width of each view."""
 
 
 class Task(NamedTuple):
-    """Task of a worker: a scene."""
+    """A scene to be judged."""
 
     root: Path
     folder: Path
@@ -48,14 +48,14 @@ class Task(NamedTuple):
 
 
 class Judgement(NamedTuple):
-    """Result on a scene."""
+    """What is found in a scene."""
 
     problem: str
-    """Reason why the scene can't be read; the other fields are empty then."""
+    """Why it can't be read; then the other fields are empty."""
     tallies: dict[tuple[str, str], BoxTally]
-    """Counts by objects to be found (a key of ``ASKED``) and preset; empty without labels."""
+    """Counts by what is asked for and preset; empty without labels."""
     tilt_rad: float
-    """Angle between the found floor's normal and the dataset's; NaN if one of them is missing."""
+    """Angle between the floor's normal as it was found and the dataset's; NaN without either."""
     views: list[np.ndarray]
     """A picture for each preset."""
 
@@ -113,7 +113,7 @@ def run(lab: Lab) -> Section:
 
 
 def _spread(folders: list[Path], count: int) -> list[Path]:
-    """Return ``count`` of the folders, at equal intervals."""
+    """Return ``count`` folders, evenly over all."""
     numbers = np.linspace(0, len(folders) - 1, min(count, len(folders)))
     return [folders[k] for k in np.rint(numbers).astype(int).tolist()]
 
@@ -157,7 +157,7 @@ def judge(task: Task) -> Judgement:
 
 
 def _found(scene: SunScene, config: Config) -> Found:
-    """Return the obstacles of a scene, with the floor found in its depth image."""
+    """Return the obstacles of a scene, with the floor that its own depth shows."""
     frames = scene.frames
     frames = frames._replace(plane=find_floors(frames, config, backend="reference").plane)
     read = method_frames(frames, config)
@@ -176,7 +176,7 @@ def _tally(scene: SunScene, found: Found, standing: bool) -> BoxTally:
 
 
 def _picture(scene: SunScene, title: str, found: Found) -> np.ndarray:
-    """Draw the detections of a scene and the labelled objects to be found."""
+    """Draw what is found in a scene, and the labelled things that are asked for."""
     shown = shown_image(found.frames, 0, found.config)
     view = camera_view(shown, found.detections, 0, found.config, 1.0)
     text = f"{title}, {scene.name}: no labels"

@@ -1,4 +1,4 @@
-"""Systems that are compared, and functions that run them on frames and score them."""
+"""The systems that are compared, and one task of a worker: run them on some frames and score."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -23,9 +23,9 @@ from jaxdet.types import Detections
 OURS = "ours"
 PAPER = "preset_paper"
 RULE = "paper"
-"""Name of the paper's rule on the same points as the baselines, tuned like them."""
+"""The paper's rule on the same points as the baselines, and tuned as they are."""
 RIVALS = tuple(name for name, b in BASELINES.items() if name != RULE and not b.missing)
-"""Names of the clustering baselines that can run here."""
+"""The clustering baselines that can run here."""
 QUICK_RIVALS = (
     "hierarchical_ward",
     "hierarchical_default",
@@ -33,55 +33,50 @@ QUICK_RIVALS = (
     "rsc",
     "dbscan",
 )
-"""Baselines of a quick report: the paper's two (the traditional one in both interpretations), and
-two that are commonly available.
-"""
+"""Baselines of a quick report: the paper's own two, with both readings of the traditional method,
+and two that everybody has at hand."""
 MISSING = {name: b.missing for name, b in BASELINES.items() if b.missing}
 JOIN_M = (0.40, 0.10)
 """Lateral and depth gap that make two obstacles one by the paper's definition [m]."""
 CITED = ("birch", "perch", "rock", "cure", "chameleon", "ddc", "dcc")
-"""Methods that the paper's Section 2 names besides hierarchical clustering and RSC, in its order.
-"""
+"""What the paper's Section 2 names beside hierarchical clustering and RSC, in its order."""
 LEARNT = (
     "Its weights were learnt from 16,570 simulated frames of the same families and the harder ones "
     "by other seeds, and from two thirds of the labelled real frames; a baseline's two or three "
     "parameters are chosen on one frame of each scene, light and tuning seed."
 )
-"""Sentence of the report on the training data of the default."""
+"""What ours has seen, for the report."""
 LEAST_POINTS = 18
-"""Maximum number of points of clusters that are dropped. There are about 5,000 points; the paper
-drops clusters of 10 points or fewer, but has only corners.
-"""
+"""The baselines' clusters of this many points or fewer are dropped: there are some 5,000 points
+where the paper has corners alone, and drops 10."""
 INDEXED = (OURS, PAPER, RULE, "hierarchical_ward", "rsc", *CITED)
-"""Systems of Table 1, for whose clusters internal indices are computed too."""
+"""The systems of Table 1, whose clusters are judged by internal indices too."""
 INDEXED_LIGHT = "normal"
-"""Light of Table 1."""
+"""The light of Table 1."""
 JOINED = "joined:"
-"""Prefix of a system's name for its scores on the truth with obstacles joined by ``JOIN_M``."""
+"""Prefix of a system's name: scored on the truth with such obstacles joined."""
 NEGATIVES = "negatives:"
-"""Prefix of a system's name for its scores with joined obstacles and true negatives, as in the
-paper's definition of ACC.
-"""
+"""Prefix of a system's name: joined, and with true negatives, the paper's definition of ACC."""
 
 
 class System(NamedTuple):
-    """Method with all its parameters."""
+    """A method with all its parameters."""
 
     name: str
     title: str
     method: str
-    """Method: ``ours``, or a key of :data:`benchmarks.baselines.BASELINES`."""
+    """``ours``, or a key of :data:`benchmarks.baselines.BASELINES`."""
     config: Config
     params: tuple[tuple[str, Any], ...] = ()
 
     @property
     def baseline(self) -> Baseline:
-        """Baseline that runs the method, if it is not ``ours``."""
+        """How it is run, if it is not ours."""
         return BASELINES[self.method]
 
     @property
     def params_text(self) -> str:
-        """Parameters as text, with three digits."""
+        """Its parameters with three digits."""
         return ", ".join(
             f"{name} {value:.3g}" if isinstance(value, float) else f"{name} {value}"
             for name, value in self.params
@@ -91,11 +86,11 @@ class System(NamedTuple):
 def systems(
     config: Config, tuned: dict[str, dict[str, Any]], rivals: Sequence[str] = RIVALS
 ) -> list[System]:
-    """Return the default, the preset ``paper``, and the baselines with their tuned parameters.
+    """Ours as it comes, the paper's preset, and the baselines with their tuned parameters.
 
     Args:
-        config: Configuration of the default; the baselines get the same preprocessing.
-        tuned: Tuned parameters by the baseline's name.
+        config: Ours; the baselines get the same preprocessing.
+        tuned: Parameters by the baseline's name.
         rivals: Names of the baselines.
     """
     theirs = of_points(config)
@@ -107,22 +102,22 @@ def systems(
 
 
 def ours(config: Config) -> System:
-    """Return the system of a configuration of the default."""
+    """What is held against hard conditions."""
     return System(OURS, "Ours (default)", OURS, config)
 
 
 def paper() -> System:
-    """Return the paper's whole method, from alignment to outlines."""
+    """The paper's whole method, from alignment to outlines."""
     return System(PAPER, "Ours (preset paper)", OURS, preset("paper"))
 
 
 def of_points(config: Config) -> Config:
-    """Return the configuration for baselines, which cluster points and have another minimum size."""
+    """What the baselines, which cluster points, get of ours: all but the rule of the least size."""
     return replace(config, cluster=ClusterConfig(points=True, min_points=LEAST_POINTS))
 
 
 def eval_config(config: Config, *, indices: bool = False) -> EvalConfig:
-    """Return the options of the evaluation; computing ``indices`` takes long."""
+    """What counts, by the range and step of the configuration; ``indices`` take long."""
     ground = config.ground
     return EvalConfig(
         ground.min_depth_m,
@@ -134,10 +129,10 @@ def eval_config(config: Config, *, indices: bool = False) -> EvalConfig:
 
 
 class Prepared:
-    """Frames and their preprocessing for the baselines, done once for each configuration.
+    """Frames, and what the baselines get of them, made once for each configuration.
 
     Args:
-        shots: Frames of one camera.
+        shots: Of one camera.
     """
 
     def __init__(self, shots: Sequence[Shot]) -> None:
@@ -145,14 +140,14 @@ class Prepared:
         self._frames: dict[Config, list[Frame]] = {}
 
     def frames(self, config: Config) -> list[Frame]:
-        """Return the preprocessed frames, one for each shot."""
+        """One for each shot."""
         if config not in self._frames:
             self._frames[config] = prepare(frames_of(self.shots), config)
         return self._frames[config]
 
 
 def truth_for(config: Config, shot: Shot) -> FrameTruth:
-    """Return the truth of a frame relative to the camera that a method's lengths refer to."""
+    """The truth of a frame from the camera that a method's lengths refer to."""
     return shot.color_truth if config.cluster.points else shot.truth
 
 
@@ -163,14 +158,14 @@ def tally_of(
     counted: EvalConfig | None = None,
     truth: FrameTruth | None = None,
 ) -> Tally:
-    """Compare a frame's detections with the truth.
+    """A frame's detections compared with the truth.
 
     Args:
         shot: The frame.
-        found: Detections of the frame.
+        found: ``B = 1``.
         config: Configuration of the method.
-        counted: Options of the evaluation; by default :func:`eval_config`.
-        truth: Ground truth; by default that of :func:`truth_for`.
+        counted: What counts; by default :func:`eval_config`.
+        truth: By default that of :func:`truth_for`.
     """
     counted, truth = counted or eval_config(config), truth or truth_for(config, shot)
     side = cell_side(shot.calibration.depth, config.surface.cell_rad)
@@ -178,10 +173,10 @@ def tally_of(
 
 
 def found_by(system: System, prepared: Prepared) -> list[Detections]:
-    """Return the obstacles of each frame, as batches of one.
+    """The obstacles of each frame, batches of one.
 
-    The prior of the floor is the camera's mount; except in preset ``paper``, each frame corrects
-    it.
+    What is known of the floor is the camera's mount; all but the preset ``paper`` have it corrected
+    by each frame.
     """
     config = system.config
     if system.method == OURS:
@@ -192,16 +187,16 @@ def found_by(system: System, prepared: Prepared) -> list[Detections]:
 
 
 def joined(truth: FrameTruth) -> FrameTruth:
-    """Return the truth without outlines, with obstacles joined by ``JOIN_M``."""
+    """The truth with obstacles joined that the robot can't pass between; it has no outlines."""
     return group_objects(truth, *JOIN_M)._replace(footprint=None)
 
 
 def judge(task: tuple[Path, tuple[System, ...]]) -> dict[str, list[Tally]]:
-    """Run every system on every frame of a file, the task of a worker.
+    """Run every system on every frame of a file; a worker's task.
 
     Returns:
-        Tallies of the frames by the system's name, without prefix and with the prefixes
-        :data:`JOINED` and :data:`NEGATIVES`.
+        A tally for each frame by the system's name, and by :data:`JOINED` and :data:`NEGATIVES`
+        before its name.
     """
     path, chosen = task
     shots = load_shots(path)
@@ -232,12 +227,12 @@ def samples_of(shot: Shot) -> np.ndarray:
 
 
 def tuning_objective(figures: Score) -> float:
-    """Return the objective of the baselines' tuning, the mean of accuracy, FMI and F1."""
+    """What the baselines are tuned for: the mean of the three figures they are judged by."""
     return (figures.accuracy + figures.fmi + figures.f1) / 3
 
 
 class TuningTask(NamedTuple):
-    """Task of a worker: a baseline to tune on the frames in some files."""
+    """A baseline to tune on the frames in some files."""
 
     name: str
     paths: tuple[Path, ...]
@@ -245,7 +240,7 @@ class TuningTask(NamedTuple):
 
 
 def tune_one(task: TuningTask) -> tuple[dict[str, Any], float]:
-    """Return the best parameters of a baseline and their objective, the task of a worker."""
+    """A worker's task: the best parameters of a baseline, and the objective there."""
     frames, truths = _tuning_frames(task.paths, task.config)
     counted = eval_config(task.config)
     best = tune(BASELINES[task.name], frames, truths, tuning_objective, task.config, counted)

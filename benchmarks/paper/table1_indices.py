@@ -1,4 +1,4 @@
-"""Table 1 and Fig. 10: compactness and separation of clusters, by scene."""
+"""Table 1 and Fig. 10: how compact and how far apart the clusters are, by scene."""
 
 import numpy as np
 
@@ -18,12 +18,12 @@ ROWS = {
     "hierarchical_ward": "traditional",
     "rsc": "rsc",
 }
-"""Systems, and the rows of the paper's table that they are compared with."""
+"""Our systems and the paper's rows they stand for."""
 INDICES: dict[str, Direction] = {"silhouette": "higher", "davies_bouldin": "lower"}
 
 
 def run(lab: Lab) -> Section:
-    """Report Table 1 (SC and DB in the four scenes) and Fig. 10 (clusters in a frame of each)."""
+    """Table 1 (SC and DB in the four scenes) and Fig. 10 (the clusters in a picture of each)."""
     section = Section("table1", "Table 1 and Fig. 10: clustering indices by scene")
     section.say(
         "Silhouette coefficient SC (larger is better) and Davies-Bouldin index DB (smaller is "
@@ -92,7 +92,7 @@ def _plot(section: Section, found: dict[tuple[str, str], Measured], titles: dict
 
 
 def _clusters(section: Section, lab: Lab, titles: dict[str, str]) -> None:
-    """Add a picture of each scene: the first of the frames with the most obstacles."""
+    """Of each scene the first frame with the most obstacles."""
     chosen = [s for s in lab.systems if s.name in (RULE, "hierarchical_ward", "rsc", OURS)]
     chosen.sort(key=lambda system: list(ROWS).index(system.name))
     strips = []

@@ -1,4 +1,4 @@
-"""Table 2: detection of obstacles by all methods on all test scenes."""
+"""Table 2: are the obstacles found? All baselines on all test scenes."""
 
 from benchmarks.baselines import BASELINES
 from benchmarks.paper import paper_figures, plots
@@ -14,12 +14,12 @@ PAPER_ROWS = {
     RULE: "ours",
     PAPER: "ours",
 }
-"""Systems, and the rows of the paper's table that they are compared with."""
+"""Systems next to rows of the paper's table."""
 SHOWN = ("accuracy", "fmi", "f1")
 
 
 def run(lab: Lab) -> Section:
-    """Report Table 2 (ACC, FMI of each method), with F1, precision, recall, splits and merges."""
+    """Table 2 (ACC and FMI of every method), with F1, precision, recall, splits and merges."""
     section = Section("table2", "Table 2: detection of obstacles")
     frames = sum(len(tallies[OURS]) for tallies in lab.scores.values())
     section.say(

@@ -1,4 +1,4 @@
-"""Table 3: comparison with the paper's figures of deep detectors."""
+"""Table 3: beside what the paper says of deep detectors."""
 
 import time
 
@@ -17,7 +17,7 @@ FIGURES = ("accuracy", "precision", "recall", "f1")
 
 
 def run(lab: Lab) -> Section:
-    """Report Table 3 (ACC, precision, recall, F1, time; YOLOv7 and Swin-Transformer YOLOv5)."""
+    """Table 3 (ACC, precision, recall, F1, time against YOLOv7 and Swin-Transformer YOLOv5)."""
     section = Section("table3", "Table 3: against deep detectors")
     section.say(
         "The paper's detectors are trained on its own images; their weights are not public, and a "
@@ -55,7 +55,7 @@ def _paper(paper: tuple[float, ...]) -> list[str]:
 
 
 def _seconds(system: System, shots: list[Shot]) -> float:
-    """Return the median time of the compiled program per frame, without compilation [s]."""
+    """Median time of the whole process on a frame, by the compiled program, after a first one."""
     times: list[float] = []
     found_by(system, Prepared(shots[:1]))  # compiles
     for shot in shots:

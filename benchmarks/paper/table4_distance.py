@@ -11,17 +11,17 @@ from jaxdet.eval import Tally, total
 
 SHOWN = (OURS, PAPER)
 Cells = dict[tuple[str, float, str], Tally]
-"""Counts by system, distance and light."""
+"""By system, distance and light."""
 
 
 def specs_of(lab: Lab, distance_m: float, light: str) -> list[Spec]:
-    """Return the specs of a cell; the objects are the same in each cell."""
+    """The scenes of a cell: the same things in every cell, at its distance, in its light."""
     count = lab.counts.approach
     return [lab.spec("approach", s, count, light, distance_m=distance_m) for s in lab.seeds]
 
 
 def cells_of(lab: Lab) -> Cells:
-    """Return the counts of each cell with the default and the preset ``paper``."""
+    """The counts of every cell, by ours and by the preset ``paper``."""
     chosen = [system for system in lab.systems if system.name in SHOWN]
     keys = [(distance, light) for distance in DISTANCES_M for light in LIGHTS]
     specs = [spec for key in keys for spec in specs_of(lab, *key)]
@@ -37,7 +37,7 @@ def cells_of(lab: Lab) -> Cells:
 
 
 def run(lab: Lab) -> Section:
-    """Report Table 4 (share of obstacles found, by distance and light) and Fig. 13 (near, far)."""
+    """Table 4 (share of obstacles found at 3 to 1 m in four lights) and Fig. 13 (near and far)."""
     section = Section("table4", "Table 4 and Fig. 13: success rate by distance and illumination")
     cells = cells_of(lab)
     asked = cells[OURS, DISTANCES_M[-1], "normal"].visible
@@ -68,7 +68,7 @@ def run(lab: Lab) -> Section:
 
 
 def _near_and_far(section: Section, lab: Lab) -> None:
-    """Add Fig. 13: the first objects far away and near, with the paper's method."""
+    """Fig. 13: the first things far away and near, by the paper's method."""
     views = []
     for seed in lab.seeds[:2]:
         for distance in (DISTANCES_M[0], DISTANCES_M[-1]):

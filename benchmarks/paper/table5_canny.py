@@ -1,4 +1,4 @@
-"""Table 5: time by Canny's bounds."""
+"""Table 5: time by the Canny bounds."""
 
 from dataclasses import replace
 from functools import partial
@@ -20,13 +20,13 @@ from jaxdet.presets import preset
 
 
 def with_bounds(config: Config, bounds: tuple[int, int]) -> Config:
-    """Return a configuration with other bounds."""
+    """A configuration with other bounds."""
     low, high = map(float, bounds)
     return replace(config, features=replace(config.features, canny_low=low, canny_high=high))
 
 
 def run(lab: Lab) -> Section:
-    """Report Table 5 (time of the features and of the whole detection by Canny's bounds)."""
+    """Table 5 (time of the features and of the whole detection by Canny bounds, normal light)."""
     section = Section("table5", "Table 5: time by Canny bounds")
     specs = [lab.spec(scene, seed, lab.counts.scenes) for seed in lab.seeds for scene in SCENES]
     shots = lab.load(specs[: lab.counts.timed])[: lab.counts.timed]
