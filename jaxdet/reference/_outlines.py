@@ -152,9 +152,9 @@ def fitted_direction(contour: np.ndarray) -> np.ndarray:
 
 
 def _to_near_edge(places: np.ndarray) -> np.ndarray:
-    """Return distances of positions ``(D, n)`` on an axis from the end that faces the camera at 0.
+    """Return distances of positions ``(D, n)`` on axes from the end nearest to the camera.
 
-    The distance is ``FAR`` if neither end faces the camera.
+    The camera is at 0. Distances are ``FAR`` on an axis whose positions are on both sides of it.
     """
     low, high = places.min(axis=1, keepdims=True), places.max(axis=1, keepdims=True)
     return np.where(low > 0, places - low, np.where(high < 0, high - places, FAR))
