@@ -29,7 +29,7 @@ def cases() -> list[Case | Missing]:
             name="vs_reference",
             peer=lambda: _at_pixels(
                 "640x480",
-                reference.align(inputs("640x480").depth, inputs("640x480").calibration).depth,
+                reference.paper.align(inputs("640x480").depth, inputs("640x480").calibration).depth,
             ),
         ),
         first._replace(
@@ -57,7 +57,7 @@ def at(point: Point) -> Case:
     depth = jax.device_put(repeated(given.depth, point.batch))
     return Case(
         name=point.name,
-        run=lambda: stages.align(depth, *_pixels(point.size, point.batch), given.calibration),
+        run=lambda: stages.paper.align(depth, *_pixels(point.size, point.batch), given.calibration),
         frames=point.batch,
         bytes_read=depth.nbytes,
     )
@@ -73,7 +73,7 @@ def _straightened(size: str, batch: int) -> Callable[[], AlignedDepth]:
         color=calibration.color._replace(distortion=Distortion.NONE, coefficients=()),
         depth=calibration.depth._replace(distortion=Distortion.NONE, coefficients=()),
     )
-    return lambda: stages.align(depth, *_pixels(size, batch), straight)
+    return lambda: stages.paper.align(depth, *_pixels(size, batch), straight)
 
 
 @cache
@@ -113,7 +113,7 @@ def _case(size: str) -> Case:
     depth = repeated(given.depth, batch)
     return Case(
         name=size,
-        run=lambda: stages.align(depth, *_pixels(size, batch), given.calibration),
+        run=lambda: stages.paper.align(depth, *_pixels(size, batch), given.calibration),
         frames=batch,
         equal=True,
         peer_frames=BATCH,

@@ -72,11 +72,11 @@ def at(point: Point) -> Case:
 
 def _case(host: Features, config: Config) -> Case:
     features = jax.device_put(host)
-    return Case("", partial(stages.cluster, features, UNIT, config), len(host.x))
+    return Case("", partial(stages.paper.cluster, features, UNIT, config), len(host.x))
 
 
 def _reference(features: Features, config: Config) -> np.ndarray:
-    return reference.cluster(features, UNIT, config).labels
+    return reference.paper.cluster(features, UNIT, config).labels
 
 
 def _metres(features: Features, b: int) -> np.ndarray:

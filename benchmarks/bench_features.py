@@ -42,7 +42,7 @@ def at(point: Point) -> Case:
     color, z = jax.device_put(repeated((given.color, _aligned(given)), point.batch))
     return Case(
         name=point.name,
-        run=lambda: stages.features(color, z, Calibration(given.calibration.image), config),
+        run=lambda: stages.paper.features(color, z, Calibration(given.calibration.image), config),
         frames=point.batch,
         bytes_read=color.nbytes,
     )
@@ -77,7 +77,7 @@ def in_raster_order(corners: np.ndarray) -> np.ndarray:
 
 
 def _aligned(given: Inputs) -> np.ndarray:
-    return reference.align(given.depth, given.calibration).z
+    return reference.paper.align(given.depth, given.calibration).z
 
 
 def _one_frame(color: np.ndarray, canny: Canny) -> np.ndarray:
@@ -96,7 +96,7 @@ def _case(size: str) -> Case:
     z = jax.device_put(z)
     return Case(
         name=size,
-        run=lambda: stages.features(color, z, Calibration(given.calibration.image), CORNERS),
+        run=lambda: stages.paper.features(color, z, Calibration(given.calibration.image), CORNERS),
         frames=batch,
         equal=True,
         peer_frames=BATCH,

@@ -43,11 +43,12 @@ def _require(condition: bool, field_name: str, rule: str) -> None:
 
 
 def _require_within(part: Any, low: float, high: float, *names: str) -> None:
-    """Raise ConfigError if one of the named fields of a section is outside the bounds."""
+    """Raise ConfigError if one of the named fields of a section is set and outside the bounds."""
     section, rule = type(part).__name__.removesuffix("Config").lower(), f"from {low:g} to {high:g}"
     for name in names:
         unit = " m" if name.endswith("_m") and "_per_" not in name else ""
-        within = low <= getattr(part, name) <= high
+        value = getattr(part, name)
+        within = value is None or low <= value <= high
         _require(within, f"{section}.{name.replace('_', '-')}", rule + unit)
 
 
@@ -304,18 +305,39 @@ class ClusterConfig:
     points: bool = False
     """Cluster points, as in the paper, instead of merging surfaces. The other settings of this
     section apply to points only."""
-    depth_gap_m: float = 0.10
-    """d_z, depth gap between neighbouring points above which a new cluster starts [m]."""
-    lateral_gap_m: float = 0.40
-    """d_x, lateral gap above which a new cluster starts, the robot's width [m]."""
+    depth_gap_m: float | None = None
+    """d_z, depth gap between neighbouring points above which a new cluster starts [m]. Unset:
+    robot_width_m; without it, 0.15."""
+    lateral_gap_m: float | None = None
+    """d_x, lateral gap above which a new cluster starts [m]. Unset: robot_width_m; without it,
+    0.27."""
     min_points: int = 10
     """N of the paper: clusters of this many points or fewer are dropped."""
+    robot_width_m: float | None = None
+    """Width that the robot needs to pass [m], used as both gaps: obstacles that it can't pass
+    between are one (Sections 3.4 and 6)."""
 
     def __post_init__(self) -> None:
         check_fields(self)
-        _require_within(self, 0, LARGEST_SIZE_M, "depth_gap_m")
+        _require_within(self, 0, LARGEST_SIZE_M, "depth_gap_m", "robot_width_m")
         _require_within(self, 0, LARGEST_GAP_M, "lateral_gap_m")
         _require_within(self, 0, MAX_POINTS, "min_points")
+        for name, gap_m in (("depth", self.depth_gap_m), ("lateral", self.lateral_gap_m)):
+            _require(
+                self.robot_width_m is None or gap_m is None,
+                f"cluster.{name}-gap-m",
+                "unset (None) if cluster.robot-width-m is given, which sets both gaps",
+            )
+
+    @property
+    def gaps_m(self) -> tuple[float, float]:
+        """Gaps d_z and d_x of Eq. 6 [m]."""
+        width_m = self.robot_width_m
+        depth_m, lateral_m = (0.15, 0.27) if width_m is None else (width_m, width_m)
+        return (
+            depth_m if self.depth_gap_m is None else self.depth_gap_m,
+            lateral_m if self.lateral_gap_m is None else self.lateral_gap_m,
+        )
 
 
 @dataclass(frozen=True)

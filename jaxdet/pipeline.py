@@ -103,6 +103,31 @@ def detect(
     return load_backend(backend).detect(frames, prior, config, with_cells)
 
 
+def detect_on_cpu(frames: Frames, config: Config, *, backend: BackendName) -> Detections:
+    """Detect obstacles as :func:`detect` does, with cells or points, without loading JAX.
+
+    It is meant for a few frames, for instance those of pictures. For the preset ``paper``, whose
+    program needs JAX, the reference computes them.
+
+    Args:
+        frames: ``B`` frames on the host.
+        config: Configuration of the method.
+        backend: ``jax`` for the kernels of the default method, ``reference`` for NumPy.
+
+    Returns:
+        NumPy arrays, equal to those of :func:`detect`.
+    """
+    config = _checked(config)
+    check_frames(frames, config)
+    prior = floor_prior(frames, config)
+    if backend == "reference" or config.cluster.points:
+        return load_backend("reference").detect(frames, prior, config, True)
+    load_backend(backend)
+    from jaxdet.stages import detect_on_cpu as by_kernels
+
+    return by_kernels(frames, prior, config)
+
+
 def find_floors(
     frames: Frames, config: Config | None = None, *, backend: BackendName = "jax"
 ) -> "FloorFit":
@@ -111,7 +136,8 @@ def find_floors(
     Args:
         frames: ``B`` frames; if ``plane`` is None, the prior is the configuration's.
         config: Configuration of the method; by default the preset ``wheeled``.
-        backend: Backend; the results are equal.
+        backend: ``jax`` for the compiled kernels, which run on the CPU and do not load JAX;
+            ``reference`` for NumPy. The results are equal.
 
     Returns:
         Planes, and the reason if a frame's own depth does not determine its plane, see
@@ -121,34 +147,9 @@ def find_floors(
         CalibrationError: The calibration is invalid, or images differ in size from their camera.
         InputError: The numbers of images and planes differ.
     """
-    return load_backend(backend).find_floors(*_floor_arguments(frames, config))
-
-
-def find_floors_without_jax(frames: Frames, config: Config | None = None) -> "FloorFit":
-    """Estimate the same floors without importing JAX, for processes that compute nothing else.
-
-    Args:
-        frames: ``B`` frames; if ``plane`` is None, the prior is the configuration's.
-        config: Configuration of the method; by default the preset ``wheeled``.
-
-    Returns:
-        Planes, computed by the kernels if they are already compiled, else by the reference.
-
-    Raises:
-        CalibrationError: The calibration is invalid, or images differ in size from their camera.
-        InputError: The numbers of images and planes differ.
-    """
-    from jaxdet.stages import find_floors_on_cpu
-
-    arguments = _floor_arguments(frames, config)
-    return find_floors_on_cpu(*arguments) or load_backend("reference").find_floors(*arguments)
-
-
-def _floor_arguments(frames: Frames, config: Config | None) -> tuple[Frames, GroundPlane, Config]:
-    """Check the frames, and return the arguments of a backend's ``find_floors``."""
     config = _checked(config)
     check_frames(frames, config, floor_only=True)
-    return frames, floor_prior(frames, config), config
+    return load_backend(backend).find_floors(frames, floor_prior(frames, config), config)
 
 
 def _checked(config: Config | None) -> Config:

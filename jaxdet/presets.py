@@ -51,7 +51,7 @@ PRESETS: dict[str, Config] = {
     "paper": Config(
         ground=GroundConfig(max_depth_m=3.0, step_height_per_m=0.0),
         features=FeaturesConfig(canny_low=50.0, canny_high=100.0, min_distance=10.5),
-        cluster=ClusterConfig(points=True, depth_gap_m=0.15, lateral_gap_m=0.27, min_points=3),
+        cluster=ClusterConfig(points=True, min_points=3),
         footprint=FootprintConfig(
             trim=0, side_band_per_m=0.0, near_band_per_m2=0.0, margin_per_m2=0.0
         ),

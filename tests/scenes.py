@@ -127,7 +127,7 @@ def every_pixel(batch: int, height: int, width: int) -> tuple[np.ndarray, np.nda
 def align_all(depth: np.ndarray, calibration: Calibration) -> AlignedDepth:
     """Return aligned depth ``(B, H, W)`` of all pixels of the colour image, by the kernel."""
     shape = len(depth), calibration.image.height, calibration.image.width
-    found = stages.align(depth, *every_pixel(*shape), calibration)
+    found = stages.paper.align(depth, *every_pixel(*shape), calibration)
     return AlignedDepth(*(np.asarray(a).reshape(shape) for a in found))
 
 

@@ -25,7 +25,7 @@ from tests.scenes import (
 )
 
 BACKENDS = pytest.mark.parametrize(
-    "align", [reference.align, align_all], ids=["reference", "stages"]
+    "align", [reference.paper.align, align_all], ids=["reference", "stages"]
 )
 TURNED = Extrinsics(rotation(3, -5, 8), (-0.03, 0.01, 0.02))
 
@@ -121,7 +121,7 @@ def test_aligned_depth_equals_rs_align(name, image):
     calibration = LIVE[name]
     depth = image(1, calibration.depth)
     want = realsense.align(depth[0], calibration)
-    assert np.array_equal(reference.align(depth, calibration).depth[0], want)
+    assert np.array_equal(reference.paper.align(depth, calibration).depth[0], want)
 
 
 def test_aligned_depth_of_a_recording_equals_rs_align(shared_data):
@@ -129,7 +129,7 @@ def test_aligned_depth_of_a_recording_equals_rs_align(shared_data):
     from tests.oracles import realsense
 
     depth = cv2.imread(str(shared_data / "realsense_d435_bag/depth.png"), cv2.IMREAD_UNCHANGED)
-    aligned = reference.align(depth[None], D435).depth[0]
+    aligned = reference.paper.align(depth[None], D435).depth[0]
     assert np.count_nonzero(aligned) > 200_000
     assert np.array_equal(aligned, realsense.align(depth, D435))
 
@@ -158,7 +158,7 @@ def test_colour_lens_projects_as_opencv(lens):
     left, top, right, bottom = np.floor(pixels + 0.5).astype(int).ravel()
     want = np.zeros((60, 80), bool)
     want[top : bottom + 1, left : right + 1] = True
-    assert np.array_equal(reference.align(depth, calibration).depth[0] == 1500, want)
+    assert np.array_equal(reference.paper.align(depth, calibration).depth[0] == 1500, want)
 
 
 # twin
@@ -171,7 +171,7 @@ def test_twin_with_every_lens(device, lens, image):
     base = small(97, 61, 1.6)
     calibration = base._replace(color=with_lens(base.color, lens), color_from_depth=TURNED)
     depth = image(3, calibration.depth)
-    assert_equal(align_all(depth, calibration), reference.align(depth, calibration))
+    assert_equal(align_all(depth, calibration), reference.paper.align(depth, calibration))
 
 
 @pytest.mark.twin
@@ -180,7 +180,7 @@ def test_twin_at_full_size(device, batch, size):
     depth_camera = resized(D435.depth, *size)
     calibration = Calibration(depth_camera, resized(D435_COLOR, 640, 480), D435_MOTION)
     depth = noise_depth(batch, depth_camera)
-    assert_equal(align_all(depth, calibration), reference.align(depth, calibration))
+    assert_equal(align_all(depth, calibration), reference.paper.align(depth, calibration))
 
 
 @pytest.mark.twin
@@ -201,7 +201,7 @@ def test_twin_with_large_and_odd_images(device, lens, depth_size, color_size):
     depth[0, ::7, ::5] = 0
     aligned = align_all(depth, calibration)
     assert np.count_nonzero(aligned.depth) > 1000
-    assert_equal(aligned, reference.align(depth, calibration))
+    assert_equal(aligned, reference.paper.align(depth, calibration))
 
 
 @pytest.mark.twin
@@ -212,7 +212,7 @@ def test_twin_if_the_depth_camera_has_distortion(device, lens):
         color=with_lens(base.color, lens), depth=with_lens(base.depth, lens)
     )
     depth = noise_depth(3, calibration.depth)
-    assert_equal(align_all(depth, calibration), reference.align(depth, calibration))
+    assert_equal(align_all(depth, calibration), reference.paper.align(depth, calibration))
 
 
 @pytest.mark.twin
@@ -224,12 +224,12 @@ def test_twin_at_a_few_requested_pixels(device, lens, color_size):
     color = with_lens(resized(base.color, *color_size), lens)
     calibration = base._replace(color=color, color_from_depth=TURNED)
     depth, rng = noise_depth(3, calibration.depth), np.random.default_rng(width)
-    whole = reference.align(depth, calibration)
+    whole = reference.paper.align(depth, calibration)
     for points in (1, 7, 300):
         u, v = (rng.integers(0, n, (3, points)).astype(np.int32) for n in (width, height))
         u[0, 0], v[0, 0], u[-1, -1], v[-1, -1] = 0, 0, width - 1, height - 1
         want = AlignedDepth(*(image[np.arange(3)[:, None], v, u] for image in whole))
-        assert_equal(stages.align(depth, u, v, calibration), want)
+        assert_equal(stages.paper.align(depth, u, v, calibration), want)
     assert np.count_nonzero(want.z) > 100
 
 
@@ -250,10 +250,10 @@ def test_twin_skips_no_tile_that_covers_a_requested_pixel(device, lens):
             calibration = base._replace(color=color, color_from_depth=motion)
             depth = smooth_depth(4, base.depth).astype(np.float64) / 1000 * distance
             depth = np.minimum(depth, 65535).astype(np.uint16)
-            whole = reference.align(depth, calibration)
+            whole = reference.paper.align(depth, calibration)
             u, v = (rng.integers(0, n, (4, 9)).astype(np.int32) for n in (97, 61))
             want = AlignedDepth(*(image[np.arange(4)[:, None], v, u] for image in whole))
-            assert_equal(stages.align(depth, u, v, calibration), want)
+            assert_equal(stages.paper.align(depth, u, v, calibration), want)
             hits += np.count_nonzero(want.z)
     assert hits > 50
 
@@ -261,7 +261,7 @@ def test_twin_skips_no_tile_that_covers_a_requested_pixel(device, lens):
 @pytest.mark.twin
 def test_twin_without_measurements(device):
     depth = np.zeros((2, 60, 80), np.uint16)
-    assert_equal(align_all(depth, small()), reference.align(depth, small()))
+    assert_equal(align_all(depth, small()), reference.paper.align(depth, small()))
     assert not np.asarray(align_all(depth, small()).depth).any()
 
 

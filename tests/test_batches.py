@@ -11,10 +11,10 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from benchmarks.scene import pin
 from jaxdet import detect
 from jaxdet.errors import ConfigError
-from jaxdet.pipeline import find_floors
 from jaxdet.presets import PRESETS
 from jaxdet.sim import SimConfig, write_log
-from jaxdet.stages import _batches, _detect, _points, _upload
+from jaxdet.stages import _batches, _detect, _upload
+from jaxdet.stages.paper import _detect as _paper
 from jaxdet.types import Frames, GroundPlane
 from tests.runs import only_log, run_logs
 from tests.scenes import assert_equal, blocks, frames, level, small, smooth_depth, with_lens
@@ -58,7 +58,7 @@ def test_images_spread_over_devices_are_refused():
     [("wheeled", (5, 4, 3, 2, 1), 4), ("paper", (6, 5), 1)],  # 8, 4, 2 and 1
 )
 def test_batch_sizes_are_rounded_up_to_few_compiled_sizes(name, batches, compiled):
-    program: Any = {"wheeled": _detect._detect, "paper": _points._detect}[name]
+    program: Any = {"wheeled": _detect._detect, "paper": _paper._detect}[name]
     given, config = scene(batches[0]), PRESETS[name]
     want = detect(given, config, backend="reference")
     program.clear_cache()
@@ -75,9 +75,7 @@ def test_a_batch_uploaded_in_parts_equals_the_reference(name, monkeypatch):
     frame = given.depth[0].nbytes + (given.color[0].nbytes if name == "paper" else 0)
     for part in "PART_BYTES", "STAGED_PART_BYTES":
         monkeypatch.setattr(_batches, part, 3 * frame)  # two frames
-    found, fit = detect(given, config), find_floors(given, config)
-    assert_equal(found, detect(given, config, backend="reference"))
-    assert_equal(fit, find_floors(given, config, backend="reference"))
+    assert_equal(detect(given, config), detect(given, config, backend="reference"))
 
 
 def first(given: Frames, count: int) -> Frames:

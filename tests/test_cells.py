@@ -10,8 +10,9 @@ from jaxdet.config import Config, GroundConfig, SurfaceConfig
 from jaxdet.errors import CalibrationError
 from jaxdet.floor.plane import step_height
 from jaxdet.presets import preset
-from jaxdet.reference import align, cells
+from jaxdet.reference import cells
 from jaxdet.reference._cells import cell_boxes
+from jaxdet.reference.paper import align
 from jaxdet.types import Calibration, Extrinsics, Intrinsics
 from tests.scenes import (
     D435,

@@ -67,10 +67,10 @@ def test_stages_refuse_images_of_another_size():
     given = made()
     pixels = np.zeros((2, 2, 1), np.int32)
     with pytest.raises(CalibrationError, match="depth images have 96x20 pixels"):
-        stages.align(given.depth[:, :20], *pixels, given.calibration)
+        stages.paper.align(given.depth[:, :20], *pixels, given.calibration)
     for color, depth in ((given.color[:, :30], given.depth), (given.color, given.depth[:, :30])):
         with pytest.raises(CalibrationError, match="images have 96x30 pixels"):
-            stages.features(color, depth, given.calibration, FeaturesConfig())
+            stages.paper.features(color, depth, given.calibration, FeaturesConfig())
 
 
 @pytest.mark.parametrize(("width", "height"), [(4097, 3), (3, 4097), (2, 60), (60, 2)])
@@ -82,7 +82,7 @@ def test_images_smaller_or_larger_than_kernels_support_are_refused(width, height
     config = Config(cluster=ClusterConfig(points=True))
     message = rf"{width}x{height} pixels, but the kernels take from 3 to 4096 .*--backend reference"
     with pytest.raises(ConfigError, match=message):
-        stages.features(color, z, Calibration(camera), config.features)
+        stages.paper.features(color, z, Calibration(camera), config.features)
     with pytest.raises(ConfigError, match=message):
         detect(frames(Calibration(camera), color, z, plane=level(1)), config)
 
@@ -90,16 +90,16 @@ def test_images_smaller_or_larger_than_kernels_support_are_refused(width, height
 def test_more_points_than_kernels_support_are_refused():
     many = points(np.zeros(8193, int), np.full(8193, 1000))
     with pytest.raises(ConfigError, match="8193 points"):
-        stages.cluster(many, 0.001, Config())
+        stages.paper.cluster(many, 0.001, Config())
     labels = Labels(np.zeros((1, 8193), np.int32), np.ones(1, np.int32))
     with pytest.raises(ConfigError, match="8193 points"):
-        stages.footprint(many, labels, level(1), 0.001, Config())
+        stages.paper.footprint(many, labels, level(1), 0.001, Config())
 
 
 @pytest.mark.parametrize(
     ("settings", "names"),
     [
-        (ClusterConfig, ("depth_gap_m", "lateral_gap_m", "min_points")),
+        (ClusterConfig, ("depth_gap_m", "lateral_gap_m", "robot_width_m", "min_points")),
         (FootprintConfig, ("vertex_threshold_m", "trim", "side_band_per_m", "near_band_per_m2")),
         (FootprintConfig, ("extension_m", "margin_m", "margin_per_m2")),
         (FeaturesConfig, ("min_distance",)),
@@ -120,7 +120,7 @@ def test_settings_that_overflow_integers_are_refused(settings, names):
         (SurfaceConfig, {"step_m": 30, "crease_m": 10, "bent_m": 200}),
         (ObstacleConfig, {"lateral_gap_m": 1500, "forward_gap_m": 800, "depth_gap_m": 120}),
         (ObstacleConfig, {"contact_m": 100, "bend_m": 150, "side_m": 1000, "min_size_m": 50}),
-        (ClusterConfig, {"depth_gap_m": 100, "lateral_gap_m": 400}),
+        (ClusterConfig, {"depth_gap_m": 100, "lateral_gap_m": 400, "robot_width_m": 400}),
         (FootprintConfig, {"vertex_threshold_m": 30, "extension_m": 200}),
         (FootprintConfig, {"margin_m": 30, "long_m": 3000}),
     ],

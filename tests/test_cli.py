@@ -468,6 +468,14 @@ def test_flags_override_the_file_which_overrides_the_preset(tmp_path: Path) -> N
     assert parse([*args, "--preset=zed"]).method.ground == PRESETS["zed"].ground
 
 
+def test_both_gaps_follow_the_robots_width() -> None:
+    args = ["a.mcap", "--output", "x", "--preset", "paper", "--cluster.robot-width-m", "0.4"]
+    assert parse(args).method.cluster.gaps_m == (0.4, 0.4)
+    with pytest.raises(ConfigError, match="depth-gap-m must be unset"):
+        parse([*args, "--cluster.depth-gap-m", "0.2"])
+    assert parse([*args, "--cluster.robot-width-m", "None"]).method == PRESETS["paper"]
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
@@ -503,6 +511,10 @@ def test_flags_override_the_file_which_overrides_the_preset(tmp_path: Path) -> N
             "camera_pitch_rad is given twice",
         ),
         ("[ground]\nmin_depth_m = 9\n", "bad.toml: ground.min-depth-m must be"),
+        (
+            "[cluster]\nrobot_width_m = 0.4\nlateral_gap_m = 0.4\n",
+            r"bad.toml: cluster.lateral-gap-m must be unset \(None\) if cluster.robot-width-m is",
+        ),
         ("[cluster\n", "bad.toml: invalid TOML"),
     ],
 )

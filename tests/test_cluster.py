@@ -34,7 +34,7 @@ def labels(backend, features: Features, settings_: Config) -> list:
     """Return the labels of the points, padded so that all cases share one program."""
     count = features.z.shape[1]
     padded = padding(features, SLOTS - count)
-    found = np.asarray(backend.cluster(padded, 0.001, settings_).labels)
+    found = np.asarray(backend.paper.cluster(padded, 0.001, settings_).labels)
     assert (found[:, count:] == -1).all()
     return found[:, :count].tolist()
 
@@ -88,16 +88,36 @@ def test_points_that_are_not_kept_have_no_label(backend):
     z, kept = [500, 501, 502, 503], [True, False, True, True]
     assert labels(backend, points([0] * 4, z, kept), config()) == [[0, -1, 0, 0]]
     nothing = points([0] * SLOTS, [*z] * 3, [False] * SLOTS)
-    found = backend.cluster(nothing, 0.001, config())
+    found = backend.paper.cluster(nothing, 0.001, config())
     assert np.asarray(found.num_obstacles).tolist() == [0]
 
 
 def test_gaps_scale_with_the_depth_unit():
     z = [5000, 6000, 7000]
-    found = reference.cluster(points([0] * 3, z), 0.0001, config())
+    found = reference.paper.cluster(points([0] * 3, z), 0.0001, config())
     assert found.labels.tolist() == [[0, 0, 0]]
-    found = reference.cluster(points([0] * 3, z), 0.001, config())
+    found = reference.paper.cluster(points([0] * 3, z), 0.001, config())
     assert found.labels.tolist() == [[-1] * 3]
+
+
+@BACKENDS
+def test_robots_width_is_the_gap_in_depth_and_sideways(backend):
+    wide = replace(Config(), cluster=ClusterConfig(robot_width_m=0.5, min_points=1))
+    z = [1000, 1500, 2001, 2501]
+    assert labels(backend, points([0] * 4, z), wide) == [[0, 0, 1, 1]]
+    assert labels(backend, points([0, 500, 1001, 1501], [1000] * 4), wide) == [[0, 0, 1, 1]]
+
+
+@pytest.mark.parametrize("gap", ["depth_gap_m", "lateral_gap_m"])
+def test_gap_and_robots_width_together_are_an_error(gap):
+    with pytest.raises(ConfigError, match=f"cluster.{gap.replace('_', '-')} must be unset"):
+        ClusterConfig(robot_width_m=0.5, **{gap: 0.5})
+
+
+def test_gaps_without_robots_width_are_those_that_were_chosen():
+    assert ClusterConfig().gaps_m == (0.15, 0.27)
+    assert ClusterConfig(depth_gap_m=0.0).gaps_m == (0.0, 0.27)
+    assert ClusterConfig(lateral_gap_m=1.0).gaps_m == (0.15, 1.0)
 
 
 def test_values_out_of_range_are_errors_that_name_the_flag():
@@ -120,11 +140,10 @@ def single_linkage(x: np.ndarray, z: np.ndarray, settings_: Config) -> list[froz
         parts = [index[groups == g] for g in np.unique(groups)]
         return [part for part in parts if len(part) > settings_.cluster.min_points]
 
-    whole = split(np.arange(len(z)), z, settings_.cluster.depth_gap_m)
-    gap = settings_.cluster.lateral_gap_m
-    return sorted(
-        (frozenset(part.tolist()) for w in whole for part in split(w, x, gap)), key=sorted
-    )
+    depth_gap_m, lateral_gap_m = settings_.cluster.gaps_m
+    sets = split(np.arange(len(z)), z, depth_gap_m)
+    parts = [part for one in sets for part in split(one, x, lateral_gap_m)]
+    return sorted((frozenset(part.tolist()) for part in parts), key=sorted)
 
 
 @pytest.mark.parametrize("count", [1, 30, 1000])
@@ -134,7 +153,7 @@ def test_same_partition_as_scipy(backend, count, gaps):
     rng = np.random.default_rng(count)
     x, z = rng.integers(-2000, 2000, count), rng.integers(300, 4000, count)
     settings_ = config(*gaps, min_points=2)
-    found = np.asarray(backend.cluster(points(x, z), 0.001, settings_).labels)[0]
+    found = np.asarray(backend.paper.cluster(points(x, z), 0.001, settings_).labels)[0]
     parts = [frozenset(np.flatnonzero(found == n).tolist()) for n in range(found.max() + 1)]
     assert sorted(parts, key=sorted) == single_linkage(x, z, settings_)
 
@@ -156,7 +175,7 @@ def random_points(seed: int, batch: int, n: int, spread: int) -> Features:
 def test_twin(device, batch, n, spread, min_points):
     features = random_points(n + spread, batch, n, spread)
     given_ = features, 0.001, config(30, 60, min_points)
-    assert_equal(stages.cluster(*given_), reference.cluster(*given_))
+    assert_equal(stages.paper.cluster(*given_), reference.paper.cluster(*given_))
 
 
 @pytest.mark.twin
@@ -167,7 +186,7 @@ def test_twin_with_as_many_clusters_as_points(device, lateral_gap, share):
     x = MAX_LATERAL - 9 * np.arange(8192)[::-1]
     features = points(x, 7 * np.arange(8192), np.random.default_rng(0).random(8192) < share)
     given_ = features, 0.001, config(5, lateral_gap, 0)
-    assert_equal(stages.cluster(*given_), reference.cluster(*given_))
+    assert_equal(stages.paper.cluster(*given_), reference.paper.cluster(*given_))
 
 
 # laws
@@ -184,11 +203,11 @@ hostile = st.lists(
 def test_twin_on_random_points(rows, depth_gap, lateral_gap, min_points):
     x, z, kept = (np.array(column) for column in zip(*rows, strict=True))
     given_ = points(x, z, kept), 0.001, config(depth_gap, lateral_gap, min_points)
-    assert_equal(stages.cluster(*given_), reference.cluster(*given_))
+    assert_equal(stages.paper.cluster(*given_), reference.paper.cluster(*given_))
 
 
 def found(features: Features) -> np.ndarray:
-    return np.asarray(stages.cluster(features, 0.001, config(20, 60)).labels)
+    return np.asarray(stages.paper.cluster(features, 0.001, config(20, 60)).labels)
 
 
 @pytest.mark.twin
@@ -196,7 +215,7 @@ def found(features: Features) -> np.ndarray:
 def test_twin_with_bins_of_one_depth_unit(depth_gap):
     z = np.array([[9, 1, 65535, 2, 9, 1, 4, 65534]])
     given_ = points(np.zeros_like(z), z), 0.001, config(depth_gap, 400, 1)
-    assert_equal(stages.cluster(*given_), reference.cluster(*given_))
+    assert_equal(stages.paper.cluster(*given_), reference.paper.cluster(*given_))
 
 
 @given(st.integers(0, 2**32 - 1))

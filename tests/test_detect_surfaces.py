@@ -16,8 +16,8 @@ from jaxdet.floor.plane import flat_plane, unknown_plane
 from jaxdet.io import open_log
 from jaxdet.pipeline import BackendName
 from jaxdet.presets import preset
-from jaxdet.reference import align
-from jaxdet.reference._ground import above_floor
+from jaxdet.reference.paper import align
+from jaxdet.reference.paper._ground import above_floor
 from jaxdet.results import metric
 from jaxdet.results.free_floor import ray_bearings
 from jaxdet.results.metric import floors

@@ -16,7 +16,6 @@ from jaxdet.cli.truth import TruthScore
 from jaxdet.config import ClusterConfig, Config, GroundConfig
 from jaxdet.engine import decide_planes, process_log
 from jaxdet.engine.floors import evenly
-from jaxdet.engine.unit import _ahead
 from jaxdet.errors import FrameStatus, InputError, Interrupted
 from jaxdet.floor.plane import flat_plane
 from jaxdet.floor.units import FloorFit
@@ -78,7 +77,7 @@ def test_results_hold_rows_pictures_map_and_score(sim_log: Path, tmp_path: Path)
     assert scores["frames"] == 7
     assert scores["recall"] > 0.5
     config = json.loads((tmp_path / "config.json").read_text(encoding="utf-8"))
-    assert config["cluster"]["depth_gap_m"] == 0.1
+    assert config["cluster"]["min_points"] == 10
     assert config["log"]["pair_tolerance_s"] == LogOptions().pair_tolerance_s
 
 
@@ -236,8 +235,8 @@ def test_summary_names_the_source_of_the_floor() -> None:
         source(source="tf")
 
 
-def test_time_windows_of_the_floor_are_aligned_to_absolute_time() -> None:
-    def by_first_frame(frames: Frames) -> FloorFit:
+def test_time_windows_of_the_floor_are_aligned_to_absolute_time(monkeypatch) -> None:
+    def by_first_frame(frames: Frames, config: Config, *, backend: str) -> FloorFit:
         own = frames.valid
         height = np.full(len(own), 0.5 + int(frames.number[0]) / 100)
         plane = flat_plane(height, 0 * height, 0 * height, own)
@@ -245,7 +244,8 @@ def test_time_windows_of_the_floor_are_aligned_to_absolute_time() -> None:
 
     log: Any = FakeLog()
     config = Config(GroundConfig(window_s=0.5), cluster=ClusterConfig(points=True))
-    planes = decide_planes(log, config, "reference", find=by_first_frame)
+    monkeypatch.setattr("jaxdet.engine.floors.find_floors", by_first_frame)
+    planes = decide_planes(log, config, "reference")
     starts = [record.window_start_ns for record in planes.records]
     assert starts == [500_000_000, 1_000_000_000, 1_500_000_000]
     found = planes.of(log.stamps_ns)
@@ -254,31 +254,9 @@ def test_time_windows_of_the_floor_are_aligned_to_absolute_time() -> None:
     assert "1 of 3 time windows" in planes.warnings[0]
     assert not planes.of(np.array([0])).valid.any()
     plain = Config(config.ground)
-    assert not decide_planes(log, plain, "reference", find=by_first_frame).warnings
+    assert not decide_planes(log, plain, "reference").warnings
 
 
 def test_evenly_spaced_samples_include_both_ends() -> None:
     assert evenly(np.arange(10), 4).tolist() == [0, 3, 6, 9]
     assert evenly(np.arange(3), 4).tolist() == [0, 1, 2]
-
-
-@pytest.mark.parametrize("depth", [0, 1, 2])
-def test_reading_ahead_keeps_the_order_and_raises_errors(depth: int) -> None:
-    def items() -> Iterator[int]:
-        yield from range(5)
-        raise InputError("torn")
-
-    seen = []
-    with pytest.raises(InputError, match="torn"):
-        for item in _ahead(items(), depth):
-            seen.append(item)
-    assert seen == list(range(5))
-
-
-def test_reading_ahead_stops_its_thread_when_closed() -> None:
-    taken = []
-    reader = _ahead((taken.append(i) or i for i in range(1000)), 2)
-    assert next(reader) == 0
-    reader.close()
-    assert len(taken) <= 3
-    assert not any(t.name.startswith("jaxdet-reader") for t in threading.enumerate())

@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 
 from jaxdet import reference, stages
 from jaxdet.config import FeaturesConfig
-from jaxdet.reference._canny import canny, grey
-from jaxdet.reference._corners import corner_strength, strongest_corners
-from jaxdet.reference._features import lateral
-from jaxdet.stages._features import lateral as lateral_twin
-from jaxdet.stages._features import on_device
+from jaxdet.reference._rounding import lateral
+from jaxdet.reference.paper._canny import canny, grey
+from jaxdet.reference.paper._corners import corner_strength, strongest_corners
+from jaxdet.stages.paper._features import lateral as lateral_twin
+from jaxdet.stages.paper._features import on_device
 from jaxdet.types import Calibration, Distortion
 from tests.scenes import (
     D435,
@@ -116,7 +116,7 @@ def test_corners_of_a_square_have_depth_and_metric_coordinates():
     camera = resized(D435_COLOR, 64, 48)._replace(fx=50.0, fy=50.0, cx=32.0, cy=24.0)
     z = np.full((1, 48, 64), 1000, np.uint16)
     config = corners_only(max_corners=8)
-    found = reference.features(color, z, Calibration(camera), config)
+    found = reference.paper.features(color, z, Calibration(camera), config)
     assert found.valid[0].tolist() == [True] * 4 + [False] * 4
     at = sorted(zip(found.u[0, :4].tolist(), found.v[0, :4].tolist(), strict=True))
     # The edge is the outermost white pixels of the square; the strongest corners are just inside.
@@ -130,7 +130,7 @@ def test_overflow_is_flagged(device):
     color[1] = 7
     calibration = Calibration(resized(D435_COLOR, 128, 96))
     for backend in (reference, stages):
-        found = backend.features(color, z, calibration, corners_only(max_corners=5))
+        found = backend.paper.features(color, z, calibration, corners_only(max_corners=5))
         assert np.asarray(found.overflow).tolist() == [True, False]
         assert np.asarray(found.valid).sum(1).tolist() == [5, 0]
 
@@ -140,7 +140,7 @@ def test_coordinates_are_undistorted():
         distortion=Distortion.PLUMB_BOB, coefficients=(-0.3, 0.1, 0.001, -0.002, 0.0)
     )
     color, z = blocks(1, 480, 640), np.full((1, 480, 640), 2000, np.uint16)
-    found = reference.features(color, z, Calibration(camera), corners_only())
+    found = reference.paper.features(color, z, Calibration(camera), corners_only())
     n = found.valid[0].sum()
     rays = np.stack([found.x[0, :n], found.y[0, :n], found.z[0, :n]], axis=1) / 2000
     pixels = cv2.projectPoints(
@@ -166,9 +166,9 @@ CONFIGS = {
 def test_twin_of_two_cameras(device):
     depth, color = noise_depth(3, D435.depth), blocks(3, 480, 640)
     given_ = color, depth, D435, FeaturesConfig()
-    want = reference.features(*given_)
+    want = reference.paper.features(*given_)
     assert (want.z > 0).sum() > 1000
-    assert_equal(stages.features(*given_), want)
+    assert_equal(stages.paper.features(*given_), want)
 
 
 @pytest.mark.twin
@@ -182,9 +182,9 @@ def test_twin(device, name, width):
     rng = np.random.default_rng(width)
     z = rng.integers(0, 5000, (3, height, width)).astype(np.uint16)
     given_ = color, z, Calibration(camera), CONFIGS[name]
-    want = reference.features(*given_)
+    want = reference.paper.features(*given_)
     assert want.valid[:2].any()
-    assert_equal(stages.features(*given_), want)
+    assert_equal(stages.paper.features(*given_), want)
 
 
 def test_new_settings_need_no_compilation():
@@ -199,8 +199,8 @@ def test_new_settings_need_no_compilation():
         {"min_distance": 9.5},
     ):
         given_ = color, z, calibration, corners_only(max_corners=300, **changes)
-        found.append(stages.features(*given_))
-        assert_equal(found[-1], reference.features(*given_))
+        found.append(stages.paper.features(*given_))
+        assert_equal(found[-1], reference.paper.features(*given_))
     assert len({np.asarray(each.valid).sum() for each in found}) == len(found)
     assert compiled() == before + 1
 

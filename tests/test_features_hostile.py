@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from jaxdet import reference, stages
 from jaxdet.config import FeaturesConfig
-from jaxdet.reference._corners import STEP
+from jaxdet.reference.paper._corners import STEP
 from jaxdet.types import Calibration
 from tests.scenes import D435_COLOR, assert_equal, recorded_colors, resized
 
@@ -71,9 +71,9 @@ def compare(grey: np.ndarray, config: FeaturesConfig) -> None:
     color = np.repeat(grey[..., None], 3, axis=-1)
     z = np.random.default_rng(0).integers(0, 65536, grey.shape).astype(np.uint16)
     calibration = Calibration(resized(D435_COLOR, width, height))
-    want = reference.features(color, z, calibration, config)
+    want = reference.paper.features(color, z, calibration, config)
     for _ in range(2):
-        assert_equal(stages.features(color, z, calibration, config), want)
+        assert_equal(stages.paper.features(color, z, calibration, config), want)
 
 
 def test_sums_of_products_are_exact():
@@ -107,8 +107,8 @@ def test_twin_on_recordings(device, shared_data):
         z = rng.integers(0, 5000, color.shape[:3]).astype(np.uint16)
         calibration = Calibration(resized(D435_COLOR, image.shape[1], image.shape[0]))
         for config in (FeaturesConfig(), replace(CORNERS, quality_level=0.2)):
-            want = reference.features(color, z, calibration, config)
-            assert_equal(stages.features(color, z, calibration, config), want)
+            want = reference.paper.features(color, z, calibration, config)
+            assert_equal(stages.paper.features(color, z, calibration, config), want)
 
 
 @given(

@@ -10,8 +10,8 @@ from jaxdet import open_log, reference
 from jaxdet.camera import pixel_rays
 from jaxdet.config import Config
 from jaxdet.floor.plane import down_vector, flat_plane, unknown_plane
-from jaxdet.reference import align
 from jaxdet.reference._floor import find_floor
+from jaxdet.reference.paper import align
 from jaxdet.types import Calibration
 from tests.floor_cells import CONFIG, UNIT, positions
 

@@ -12,9 +12,9 @@ from jaxdet.config import ClusterConfig, Config, FootprintConfig
 from jaxdet.errors import ConfigError
 from jaxdet.floor.plane import ground_axes
 from jaxdet.presets import PRESETS
-from jaxdet.reference._footprint import to_ground
+from jaxdet.reference.paper._footprint import to_ground
 from jaxdet.results.metric import point_distances, rectangles
-from jaxdet.stages._footprint import to_ground as to_ground_twin
+from jaxdet.stages.paper._footprint import to_ground as to_ground_twin
 from jaxdet.types import MAX_LATERAL, Features, Labels
 from tests.scenes import assert_equal, level, points
 
@@ -31,7 +31,7 @@ def measure(backend, x, z, labels, config=CONFIG):
     x, z = (np.pad(values, (0, SLOTS - len(values))) for values in (x, z))
     labels = np.pad(np.array(labels, np.int32), (0, SLOTS - len(labels)), constant_values=-1)
     found = Labels(labels[None], np.array([labels.max() + 1], np.int32))
-    return backend.footprint(points(x, z), found, level(1), 0.001, config)
+    return backend.paper.footprint(points(x, z), found, level(1), 0.001, config)
 
 
 # by hand
@@ -170,9 +170,9 @@ def test_twin(device, batch, n, settings):
     config = replace(CONFIG, footprint=settings)
     unit = (0.001, 0.0001, 0.02)[n % 3]
     given_ = *hostile_features(n, batch, n), plane, unit, config
-    want = reference.footprint(*given_)
+    want = reference.paper.footprint(*given_)
     assert (want.num_points[:, :4] > 0).all()
-    assert_equal(stages.footprint(*given_), want)
+    assert_equal(stages.paper.footprint(*given_), want)
 
 
 @pytest.mark.twin
@@ -180,7 +180,7 @@ def test_twin_without_obstacles(device):
     features, labels = hostile_features(0, 3, 300)
     none = Labels(np.full_like(labels.labels, -1), np.zeros(3, np.int32))
     given_ = features, none, level(3), 0.001, CONFIG
-    assert_equal(stages.footprint(*given_), reference.footprint(*given_))
+    assert_equal(stages.paper.footprint(*given_), reference.paper.footprint(*given_))
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(-1.5, 1.5), st.floats(-3, 3))
@@ -200,7 +200,7 @@ def test_permuting_labels_permutes_rows(device):
     features, labels = hostile_features(7, 3, 300)
     swap = np.array([3, 1, 2, 0, -1], np.int32)
     moved = Labels(swap[labels.labels], labels.num_obstacles)
-    before = stages.footprint(features, labels, level(3), 0.001, CONFIG)
-    after = stages.footprint(features, moved, level(3), 0.001, CONFIG)
+    before = stages.paper.footprint(features, labels, level(3), 0.001, CONFIG)
+    after = stages.paper.footprint(features, moved, level(3), 0.001, CONFIG)
     for was, now in zip(before, after, strict=True):
         assert np.array_equal(np.asarray(now)[:, [0, 3]], np.asarray(was)[:, [3, 0]])

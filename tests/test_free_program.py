@@ -11,7 +11,7 @@ from jaxdet.config import Config
 from jaxdet.floor.frame import floor_frames, on_floor
 from jaxdet.floor.plane import flat_plane, unknown_plane
 from jaxdet.reference._detect import _free
-from jaxdet.reference._features import lateral
+from jaxdet.reference._rounding import lateral
 from jaxdet.reference._view import View
 from jaxdet.stages._tables import cell_tables, free_tables, surface_tables
 from jaxdet.types import FreeEnd

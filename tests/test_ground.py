@@ -21,7 +21,7 @@ from jaxdet.floor.plane import (
     plane_from_transform,
     unknown_plane,
 )
-from jaxdet.reference._ground import above_floor
+from jaxdet.reference.paper._ground import above_floor
 from jaxdet.types import Calibration, GroundPlane, Intrinsics
 from tests.scenes import assert_equal, at_every_pixel, level, noise_depth, resized, rotation, small
 
@@ -32,7 +32,7 @@ CALIBRATION = Calibration(CAMERA)
 
 def kept(backend: ModuleType, z: np.ndarray, plane: GroundPlane, *given: Any) -> np.ndarray:
     """Return the mask of kept features, for a feature at every pixel of z images ``(B, H, W)``."""
-    found = backend.ground(at_every_pixel(z), plane, *given)
+    found = backend.paper.ground(at_every_pixel(z), plane, *given)
     return np.asarray(found.kept).reshape(z.shape)
 
 
@@ -208,8 +208,8 @@ def test_twin(device, batch):
     plane.height[-1], plane.valid[0] = 0.3, False
     given = at_every_pixel(z), plane, Calibration(camera), Config()
     given[0].valid[:, ::3] = False
-    assert_equal(stages.ground(*given), reference.ground(*given))
-    assert reference.ground(*given).kept.any()
+    assert_equal(stages.paper.ground(*given), reference.paper.ground(*given))
+    assert reference.paper.ground(*given).kept.any()
 
 
 # laws

@@ -181,8 +181,7 @@ def test_parameters_of_the_paper_equal_those_of_the_preset():
         f"{corners.max_corners}; {corners.quality_level:g}"
     )
     assert now["N"] == f"**{cluster.min_points}**"
-    assert now["d_z"] == f"**{cluster.depth_gap_m:.2f} m**"
-    assert now["d_x"] == f"**{cluster.lateral_gap_m:.2f} m**"
+    assert [now["d_z"], now["d_x"]] == [f"**{gap_m:.2f} m**" for gap_m in cluster.gaps_m]
 
 
 SCHEMAS = {

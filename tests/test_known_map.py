@@ -9,6 +9,7 @@ import pytest
 from jaxdet.cli import main
 from jaxdet.export.html.trajectories import track_rows
 from jaxdet.export.shapes import label
+from jaxdet.results.lists import Lists
 from jaxdet.results.map_file import FREE, OCCUPIED, UNKNOWN, Grid, read_map, write_map
 from jaxdet.results.reading import Results
 from jaxdet.tracks import TrackConfig, track_results
@@ -63,6 +64,14 @@ def test_obstacles_and_tracks_record_whether_they_are_on_the_map(
     track_results(folder, TrackConfig(min_frames=1))
     assert not list(folder.glob("known_map*"))
     assert pq.read_table(folder / "track_links.parquet")["in_map"].null_count == 12
+
+
+def test_obstacles_without_a_contour_are_compared_by_their_front_edge(tmp_path: Path) -> None:
+    folder = by_hand(tmp_path / "r", [([LEFT, RIGHT], 1.4, {"contour": Lists.nulls(2)})] * 6)
+    track_results(folder, TrackConfig(min_frames=1), known=read_map(save_map(tmp_path)))
+    links = pq.read_table(folder / "track_links.parquet")
+    assert links["in_map"].to_pylist() == [True, False] * 6
+    assert links["persistence"].null_count == 12
 
 
 def test_unknown_cells_behind_an_outline_of_the_map_belong_to_it(tmp_path: Path) -> None:

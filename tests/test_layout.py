@@ -10,21 +10,22 @@ from jaxdet import config, reference, stages
 
 ROOT = Path(__file__).resolve().parents[1]
 STAGES = ("align", "ground", "features", "cluster", "footprint")
-"""Stages of obstacles made of points."""
+"""Stages of the published method."""
 STEPS = ("cells", "floor", "surfaces", "obstacles", "outlines", "free")
 """Steps on depth cells, whose programs are headers of kernels."""
 BENCHMARKS = {*STAGES, *STEPS, "pipeline"} - {"ground"}
 SECTIONS = ("ground", "features", "cluster", "footprint", "floor", "surface", "obstacle")
 """Sections of the configuration; that of a step has its name in the singular."""
-EXPORTS = {"detect", "find_floors", *STAGES}
+SIDES = ("reference", "stages")
+EXPORTS = {"detect", "find_floors", "paper"}
 HEAVY = ("cv2", "jax", "matplotlib", "mcap", "numba", "pyarrow", "warp")
 SKIPPED_FOLDERS = {"__pycache__", "dist", "out"}
 
 
 def named_files() -> list[str]:
     """Return the files of stages and steps, relative to the root."""
-    twins = [f"jaxdet/reference/_{name}.py" for name in STAGES + STEPS]
-    twins += [f"jaxdet/stages/_{name}.py" for name in STAGES]
+    twins = [f"jaxdet/reference/_{name}.py" for name in STEPS]
+    twins += [f"jaxdet/{side}/paper/_{name}.py" for side in SIDES for name in STAGES]
     tests = [f"tests/test_{name}.py" for name in STAGES]
     tests += [f"tests/test_{name}_program.py" for name in STEPS]
     return twins + tests + [f"benchmarks/bench_{name}.py" for name in sorted(BENCHMARKS)]
@@ -36,8 +37,9 @@ def layout_faults(root: Path) -> list[str]:
     wanted = {f"{name.capitalize()}Config" for name in SECTIONS}
     faults += [f"jaxdet/config.py lacks {name}" for name in sorted(wanted - set(dir(config)))]
     for package in (reference, stages):
-        hidden = EXPORTS - set(dir(package))
-        faults += [f"{package.__name__} does not export {name}" for name in sorted(hidden)]
+        for module, wanted in ((package, EXPORTS), (package.paper, {"detect", *STAGES})):
+            hidden = wanted - set(dir(module))
+            faults += [f"{module.__name__} does not export {name}" for name in sorted(hidden)]
     timed = {path.stem.removeprefix("bench_") for path in root.glob("benchmarks/bench_*.py")}
     return faults + [f"bench_{name}.py is of no stage" for name in sorted(timed - BENCHMARKS)]
 

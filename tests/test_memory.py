@@ -100,7 +100,7 @@ def test_limits_of_control_groups_are_used(tmp_path, monkeypatch, groups, files,
 def used(memory: Memory, allotted: MemoryPlan, needs: Needs) -> int:
     """Compute the memory of a plan independently, from the constants of the module."""
     processes = ALONE if allotted.workers == 1 else PARENT + allotted.workers * WORKER
-    images = (5 + allotted.read_ahead) * allotted.batch * needs.frame
+    images = 5 * allotted.batch * needs.frame
     all_images = allotted.workers * (images + memory.chunks)
     copies = 1 + allotted.workers + (allotted.workers > 1)
     return processes + all_images + needs.known * copies + needs.rows
@@ -133,8 +133,8 @@ def test_the_plan_never_exceeds_the_memory(total, needs, batch, workers):
 def test_enough_memory_keeps_all_workers_and_the_batch():
     memory = Memory("64GiB", 16)
     needs = Needs(FRAME, 10 * MIB, TABLES)
-    assert memory.allot(needs, BATCH, 16, "a") == (16, BATCH, 0)
-    assert memory.allot(needs, BATCH, 1, "a") == (1, BATCH, 2)
+    assert memory.allot(needs, BATCH, 16, "a") == (16, BATCH)
+    assert memory.allot(needs, BATCH, 1, "a") == (1, BATCH)
     assert memory.reading.chunk == 256 * MIB
 
 

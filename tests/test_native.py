@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from jaxdet.config import FeaturesConfig
-from jaxdet.reference import features
-from jaxdet.stages._corners import corner_settings
+from jaxdet.reference.paper import features
+from jaxdet.stages.paper._corners import corner_settings
 from jaxdet.types import Calibration
 from jaxdet_kernels.build import HEADERS as FILES
 from jaxdet_kernels.build import INCLUDE

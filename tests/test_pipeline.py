@@ -14,12 +14,11 @@ import pytest
 from jaxdet import detect
 from jaxdet.config import ClusterConfig, Config, FeaturesConfig, FootprintConfig, GroundConfig
 from jaxdet.errors import ConfigError
-from jaxdet.pipeline import find_floors, find_floors_without_jax
+from jaxdet.pipeline import detect_on_cpu, find_floors
 from jaxdet.presets import PRESETS, preset
-from jaxdet.runtime.compiled import load_for_cpu
-from jaxdet.stages import _check, _detect, _points
+from jaxdet.stages import _check, _detect
+from jaxdet.stages.paper import _detect as _paper
 from jaxdet.types import Calibration, Extrinsics, Frames, Intrinsics
-from jaxdet_kernels import program as kernels
 from tests.scenes import D435, IDENTITY, assert_equal, blocks, frames, level, small, smooth_depth
 
 pytestmark = pytest.mark.twin
@@ -120,39 +119,43 @@ def test_find_floors_without_a_configuration_uses_the_defaults():
     np.testing.assert_array_equal(found.plane.height, expected.plane.height)
 
 
-@pytest.mark.parametrize("compiled", [True, False])
-def test_floors_are_the_same_without_jax(monkeypatch, tmp_path, compiled):
-    load_for_cpu(kernels)
-    if not compiled:
-        monkeypatch.setattr("jaxdet.runtime.compiled._loaded", set())
-        monkeypatch.setattr("warp.config.kernel_cache_dir", str(tmp_path))
+def test_floors_and_detections_without_jax_equal_those_of_the_reference():
     depth, planes = _check.check_frames()
     numbers = np.arange(len(depth))
     given = Frames(depth, _check.CALIBRATION, numbers, numbers, numbers >= 0, plane=planes)
     expected = find_floors(given, backend="reference")
     assert expected.own.all()
-    assert_equal(find_floors_without_jax(given), expected)
-    assert not [*tmp_path.iterdir()], "nothing is compiled"
+    assert_equal(find_floors(given), expected)
+    found = detect_on_cpu(given, Config(), backend="jax")
+    assert found.cells is not None and found.num_obstacles.any()
+    assert_equal(found, detect(given, backend="reference", with_cells=True))
+
+
+def test_detections_of_paper_without_jax_have_points():
+    found = detect_on_cpu(made_frames(2), preset("paper"), backend="jax")
+    assert found.points is not None
+    assert_equal(found, detect(made_frames(2), preset("paper")))
 
 
 WITHOUT_JAX = """
 import sys
 import numpy as np
-from jaxdet.pipeline import find_floors_without_jax
+from jaxdet.config import Config
+from jaxdet.pipeline import detect_on_cpu, find_floors
 from jaxdet.types import Calibration, Frames, Intrinsics
 numbers = np.arange(2)
 camera = Calibration(Intrinsics(96, 72, 80.0, 80.0, 47.5, 35.5))
 depth = np.full((2, 72, 96), 1500, np.uint16)
-find_floors_without_jax(Frames(depth, camera, numbers, numbers, numbers >= 0))
-assert "jaxdet.stages._floors" in sys.modules and "jax" not in sys.modules
-print("jaxdet.reference" in sys.modules)
+frames = Frames(depth, camera, numbers, numbers, numbers >= 0)
+find_floors(frames)
+detect_on_cpu(frames, Config(), backend="jax")
+print("jax" in sys.modules, "jaxdet.reference" in sys.modules)
 """
 
 
-def test_floors_are_found_by_the_kernels_without_loading_jax():
-    load_for_cpu(kernels)
+def test_frames_are_processed_by_the_kernels_without_loading_jax():
     command = [sys.executable, "-P", "-c", WITHOUT_JAX]
-    assert subprocess.check_output(command, text=True) == "False\n"
+    assert subprocess.check_output(command, text=True) == "False False\n"
 
 
 def test_unknown_backends_and_presets_are_errors():
@@ -175,7 +178,7 @@ def other_settings(config: Config) -> Config:
 
 
 @pytest.mark.parametrize(
-    ("name", "program"), [("wheeled", _detect._detect), ("paper", _points._detect)]
+    ("name", "program"), [("wheeled", _detect._detect), ("paper", _paper._detect)]
 )
 def test_settings_and_calibration_are_no_compile_time_constants(device, name, program):
     """Another camera of the same size and other lengths must not compile the program again."""

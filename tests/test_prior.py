@@ -2,6 +2,7 @@
 
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -32,7 +33,7 @@ class Sampled:
         frames = _Frames(np.array(indices), np.ones(n, bool), None)
         return SimpleNamespace(frames=frames)
 
-    def find(self, frames: Any) -> FloorFit:
+    def find_floors(self, frames: Any, config: Config, *, backend: str) -> FloorFit:
         self.priors.append(frames.plane)
         own = self.own[frames.number]
         height = np.where(own, self.heights[frames.number], frames.plane.height)
@@ -64,7 +65,8 @@ def decide(
 ) -> Planes:
     log: Any = Sampled(heights, [True] * len(heights) if own is None else own, tf)
     config = Config(ground=GroundConfig(**ground), surface=SurfaceConfig(cell_rad=0.01))
-    return decide_planes(log, config, "reference", find=log.find)
+    with patch("jaxdet.engine.floors.find_floors", log.find_floors):
+        return decide_planes(log, config, "reference")
 
 
 def words(planes: Planes, frames: int = 4) -> list[str]:

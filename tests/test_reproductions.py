@@ -100,11 +100,11 @@ def test_points_outside_of_any_camera_are_clustered_alike(name: str, value: int)
     from jaxdet import reference, stages
 
     for module in (reference, stages):
-        labels = module.cluster(given, 0.001, config)
+        labels = module.paper.cluster(given, 0.001, config)
         assert np.asarray(labels.num_obstacles).max() < given.x.shape[1]
     assert np.array_equal(
-        np.asarray(stages.cluster(given, 0.001, config).labels),
-        reference.cluster(given, 0.001, config).labels,
+        np.asarray(stages.paper.cluster(given, 0.001, config).labels),
+        reference.paper.cluster(given, 0.001, config).labels,
     )
 
 

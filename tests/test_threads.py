@@ -48,7 +48,7 @@ def threads(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> 
 @BATCHES
 def test_alignment_does_not_depend_on_the_threads(threads, batch):
     for depth in noise_depth(batch, D435.depth), smooth_depth(batch, D435.depth):
-        assert_equal(align_all(depth, D435), reference.align(depth, D435))
+        assert_equal(align_all(depth, D435), reference.paper.align(depth, D435))
 
 
 @BATCHES
@@ -99,7 +99,7 @@ def test_an_error_in_a_thread_reaches_the_caller(monkeypatch):
         patch.setattr(pool, "on_all_cores", lambda work: plain([work[0], fails]))
         with pytest.raises(jax.errors.JaxRuntimeError, match="in a thread"):
             jax.block_until_ready(align_all(depth, small()))
-    assert_equal(align_all(depth, small()), reference.align(depth, small()))
+    assert_equal(align_all(depth, small()), reference.paper.align(depth, small()))
 
 
 def test_the_number_of_threads_is_that_of_cores_unless_set_for_xla(monkeypatch):

@@ -12,6 +12,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -373,8 +374,10 @@ def test_memory_of_batches_is_bounded(width, height, batch_size, want):
     there = device_server.DeviceServer(served, [], ["gpu"])
     slots = there.memory.slots
     assert (slots.frames, served.pieces * slots.frames) == want
-    assert slots.nbytes <= 2 * SLOTS * max(device_server.PIECE_BYTES + 8192, 2 * width * height)
-    first, last = slots.views(attached(slots.path))[:: 2 * SLOTS - 1]
+    depth_bytes, color_bytes, _ = slots.sizes
+    most = max(device_server.PIECE_BYTES + 8192, 2 * width * height)
+    assert depth_bytes + color_bytes <= most
+    first, last = slots.arrays(attached(slots.path))[:: 2 * SLOTS - 1]
     assert first.depth.shape == (want[0], height, width) and first.color is None
     assert last.depth.ctypes.data % 4096 == 0
     last.depth[...] = 7
@@ -395,11 +398,12 @@ def test_memory_of_batches_includes_colour_for_the_preset_paper():
         )
         there = device_server.DeviceServer(served, [], ["gpu"])
         slots = there.memory.slots
-        for number, images in enumerate(slots.views(attached(slots.path))):
-            assert images.color is not None and images.color.shape == (3, *shape)
-            images.depth[...], images.color[...] = number, number + 100
-        for number, images in enumerate(slots.views(attached(slots.path))):
-            assert (images.depth == number).all() and (images.color == number + 100).all()
+        for number, one in enumerate(slots.arrays(attached(slots.path))):
+            assert one.color is not None and one.color.shape == (3, *shape)
+            one.depth[...], one.color[...], one.results[...] = number, number + 100, -number
+        for number, one in enumerate(slots.arrays(attached(slots.path))):
+            assert (one.depth == number).all() and (one.color == number + 100).all()
+            assert (one.results == -number).all()
         there.close()
 
 
@@ -584,15 +588,23 @@ def test_a_signal_just_before_workers_start_does_not_hang(monkeypatch):
     assert not some.started
 
 
-def test_a_fork_server_that_dies_while_workers_start_is_an_error_of_one_line(monkeypatch):
+@pytest.mark.parametrize("deaths", [2, 4])
+def test_workers_start_again_once_if_the_fork_server_dies_while_they_start(monkeypatch, deaths):
     """pytest turns an exception that leaves a thread into a failure."""
+    begin, left = BaseProcess.start, iter(range(deaths))
 
     def start(self: Any) -> None:
-        raise EOFError("unexpected EOF")
+        if next(left, None) is not None:
+            raise EOFError("unexpected EOF")
+        begin(self)
 
-    monkeypatch.setattr("multiprocessing.process.BaseProcess.start", start)
-    with pool.Pool("reference") as workers, pytest.raises(WorkerError, match="can't be started"):
-        workers.call(Sleep(), 0.0, "")
+    monkeypatch.setattr(BaseProcess, "start", start)
+    with pool.Pool("reference", 2) as workers:
+        if deaths > workers.count:
+            with pytest.raises(WorkerError, match="can't be started"):
+                workers.call(Sleep(), 0.0, "", tries=2)
+        else:
+            assert workers.call(Sleep(), 0.0, "", tries=2) == 0.0
 
 
 @pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="needs /proc")

@@ -155,5 +155,5 @@ def paper(frame: Frame, config: Config, **params: Any) -> np.ndarray:
     """
     chosen = replace(config, cluster=replace(config.cluster, **params))
     unit = frame.calibration.depth_unit
-    found = reference.cluster(frame.features, unit, chosen)
+    found = reference.paper.cluster(frame.features, unit, chosen)
     return found.labels[frame.features.kept]

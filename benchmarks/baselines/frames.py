@@ -11,9 +11,9 @@ from jaxdet.camera import fixed_rays
 from jaxdet.config import MAX_POINTS, Config, FeaturesConfig
 from jaxdet.floor.plane import down_vector, forward_vector, plane_in_color
 from jaxdet.pipeline import find_floors
-from jaxdet.reference._canny import canny, grey
-from jaxdet.reference._features import lateral
-from jaxdet.reference._ground import above_floor
+from jaxdet.reference._rounding import lateral
+from jaxdet.reference.paper._canny import canny, grey
+from jaxdet.reference.paper._ground import above_floor
 from jaxdet.types import (
     Calibration,
     Detections,
@@ -63,7 +63,7 @@ def prepare(frames: Frames, config: Config | None = None) -> list[Frame]:
     assert frames.color is not None
     found = find_floors(frames, config, backend="reference").plane
     plane = color_plane(found, calibration)
-    z = reference.align(frames.depth, calibration).z
+    z = reference.paper.align(frames.depth, calibration).z
     keep = above_floor(z, plane, calibration, config)
     features = _points(frames.color, z, keep, calibration, config.features)
     return [
@@ -190,7 +190,7 @@ def detections_of(frame: Frame, labels: np.ndarray, config: Config) -> Detection
     number = (full.max(axis=1, initial=-1) + 1).astype(np.int32)
     roomy = replace(config, features=replace(config.features, max_corners=MAX_POINTS))
     unit, marked = frame.calibration.depth_unit, Labels(full, number)
-    obstacles = reference.footprint(features, marked, frame.plane, unit, roomy)
+    obstacles = reference.paper.footprint(features, marked, frame.plane, unit, roomy)
     return Detections(
         number,
         features.overflow,

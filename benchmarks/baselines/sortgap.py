@@ -3,7 +3,7 @@
 import numpy as np
 
 from jaxdet.config import Config
-from jaxdet.floor.plane import depth_gap_units
+from jaxdet.floor.plane import gap_units
 from jaxdet.types import MAX_LATERAL, Features
 
 SLOT_BITS = 13
@@ -26,8 +26,7 @@ def sort_and_gap(features: Features, depth_unit: float, config: Config) -> np.nd
     Returns:
         ``(B, N)`` int32 labels, numbered by nearest z, then smallest x.
     """
-    depth_gap = depth_gap_units(config.cluster, depth_unit)
-    lateral_gap = round(config.cluster.lateral_gap_m / depth_unit)
+    depth_gap, lateral_gap = gap_units(config.cluster, depth_unit)
     labels = np.full(features.z.shape, -1, np.int32)
     for b, kept in enumerate(features.kept):
         z, x, least = features.z[b], features.x[b], config.cluster.min_points

@@ -31,7 +31,7 @@ def run(lab: Lab) -> Section:
     functions: dict[str, Callable[[int], Any]] = {
         name: partial(_labels, config, frames, name, lab.tuned.get(name, {})) for name in names
     }
-    functions["stages"] = lambda i: stages.cluster(
+    functions["stages"] = lambda i: stages.paper.cluster(
         frames[i].features, frames[i].calibration.depth_unit, preset("paper")
     )
     times = in_turns(functions, len(frames), lab.counts.rounds)

@@ -74,8 +74,7 @@ def run(lab: Lab) -> Section:
 
 
 def _system(section: Section, system: System, cells: dict[tuple[float, str], Errors]) -> None:
-    """Tables and plot of one system; the default's keys have no name before them."""
-    prefix = "" if system.method == system.name else f"{system.name}."
+    """Add the tables and the plot of one system."""
     for name in NAMES:
         rows: list[list[str]] = []
         for light in LIGHTS:
@@ -84,7 +83,7 @@ def _system(section: Section, system: System, cells: dict[tuple[float, str], Err
                 one = cells[distance, light]
                 middle, high = one.quantile(name, 0.5), one.quantile(name, 0.9)
                 ends = bootstrap(getattr(one, name), 0.5)
-                key = f"{prefix}{light}.{distance:g}m.{name}"
+                key = f"{system.name}.{light}.{distance:g}m.{name}"
                 section.add(f"{key}.median", middle, "m", "lower", ends)
                 section.add(f"{key}.p90", high, "m", "lower")
                 row.append(f"{_cm(middle)} / {_cm(high)}")

@@ -10,7 +10,7 @@ from benchmarks.paper.section import Section, percent
 from benchmarks.paper.shots import Shot
 from benchmarks.paper.timing import in_turns
 from jaxdet.presets import preset
-from jaxdet.reference._canny import canny, grey
+from jaxdet.reference.paper._canny import canny, grey
 from jaxdet.render import canvas
 
 CONTOUR_PX = 3

@@ -221,7 +221,7 @@ def _dim_corners(f: Figures) -> Judged:
 def _small_gap(f: Figures) -> Judged:
     small, chosen = (
         f.value(f"section6.gap.{gap:g}m.dim.accuracy")
-        for gap in (GAPS_M[0], preset("paper").cluster.depth_gap_m)
+        for gap in (GAPS_M[0], preset("paper").cluster.gaps_m[0])
     )
     return f"ACC in dim light {percent(small)} and {percent(chosen)}", small < chosen
 

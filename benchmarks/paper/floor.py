@@ -19,7 +19,7 @@ from jaxdet.camera import cell_side
 from jaxdet.config import Config
 from jaxdet.eval import Tally, keep_shares, total
 from jaxdet.pipeline import find_floors
-from jaxdet.reference._ground import above_floor
+from jaxdet.reference.paper._ground import above_floor
 
 SOURCES = ("tf", "estimate")
 """What is known before each frame's own depth is looked at: the camera's mount on the robot, or
@@ -71,7 +71,7 @@ def _ground(shot: Shot, source: str, config: Config) -> tuple[np.ndarray, np.nda
     side = cell_side(calibration.depth, config.surface.cell_rad)
     step = ground.step_height_per_m / side
     config = replace(config, ground=replace(ground, step_height_per_m=step))
-    aligned = reference.align(frames.depth, frames.calibration)
+    aligned = reference.paper.align(frames.depth, frames.calibration)
     return above_floor(aligned.z, plane, frames.calibration, config)[0], aligned.z[0]
 
 

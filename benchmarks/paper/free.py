@@ -39,7 +39,7 @@ def claim_of(shot: Shot, found: Detections, config: Config) -> Claim:
     assert truth.drivable is not None and truth.depth_m is not None
     # Lengths of clustered points refer to the colour camera.
     lengths = Calibration(calibration.image) if config.cluster.points else calibration
-    z_m = reference.align(shot.depth[None], calibration).z * calibration.depth_unit
+    z_m = reference.paper.align(shot.depth[None], calibration).z * calibration.depth_unit
     place = floor_positions(truth.depth_m, truth.drivable, lengths, shot.T_world_color[None])
     floor = measured_floor(place, truth.depth_m, z_m, counted)
     tally = claimed_floor(found, floor, calibration.depth_unit, counted)[0]

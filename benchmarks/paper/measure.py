@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from benchmarks.scores.bootstrap import Interval, difference_intervals, intervals
+from benchmarks.scores.bootstrap import Interval, intervals
 from jaxdet.eval import Score, Tally, score
 
 
@@ -27,31 +27,3 @@ def measured(tallies: Sequence[Tally]) -> Measured:
     """The figures of some units."""
     units = bare(tallies)
     return Measured(score(units), intervals(units))
-
-
-class Difference(NamedTuple):
-    """How much better ours is than another system in one condition."""
-
-    condition: str
-    rival: str
-    figure: str
-    value: float
-    """Ours less theirs."""
-    interval: Interval
-
-
-def differences(
-    condition: str,
-    rival: str,
-    ours: Sequence[Tally],
-    theirs: Sequence[Tally],
-    figures: Sequence[str],
-) -> list[Difference]:
-    """Ours against another system on the same units."""
-    mine, other = bare(ours), bare(theirs)
-    ends = difference_intervals(mine, other)
-    a, b = score(mine), score(other)
-    return [
-        Difference(condition, rival, name, float(getattr(a, name) - getattr(b, name)), ends[name])
-        for name in figures
-    ]

@@ -35,7 +35,7 @@ def kinds_of(shot: Shot, config: EvalConfig) -> np.ndarray:
     """
     truth, calibration = shot.truth, shot.calibration
     assert truth.footprint is not None and truth.depth_m is not None
-    z_m = reference.align(shot.depth[None], calibration).z[0] * calibration.depth_unit
+    z_m = reference.paper.align(shot.depth[None], calibration).z[0] * calibration.depth_unit
     off = np.abs(z_m - np.asarray(truth.depth_m[0], np.float64))
     measured = truth.obstacle_id[0][(z_m > 0) & (off <= config.depth_slack(z_m))]
     pixels = np.bincount(measured, minlength=len(truth.is_wall) + 1)[1:]

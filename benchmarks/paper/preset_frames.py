@@ -10,11 +10,12 @@ import numpy as np
 from benchmarks.baselines.sortgap import sort_and_gap
 from benchmarks.paper.shots import Shot, frames_of
 from benchmarks.paper.systems import eval_config
+from benchmarks.scores.group import group_objects
 from jaxdet import reference, stages
 from jaxdet.config import Config, FeaturesConfig
 from jaxdet.eval import FrameTruth, Tally, evaluate_frames
 from jaxdet.floor.plane import plane_in_color
-from jaxdet.reference._canny import grey
+from jaxdet.reference.paper._canny import grey
 from jaxdet.types import Calibration, Detections, Features, GroundPlane, Labels, Points
 
 BATCH = 16
@@ -48,8 +49,8 @@ class PresetFrames:
     def _above_floor(
         self, color: np.ndarray, depth: np.ndarray, plane: GroundPlane, settings: FeaturesConfig
     ) -> Features:
-        found = stages.features(color, depth, self.calibration, settings)
-        found = stages.ground(found, plane, self.calibration, self.config)
+        found = stages.paper.features(color, depth, self.calibration, settings)
+        found = stages.paper.ground(found, plane, self.calibration, self.config)
         return Features(*(np.asarray(a) for a in found))
 
     def with_bounds(self, share: float) -> list[Features]:
@@ -66,9 +67,19 @@ class PresetFrames:
             each.append(Features(*(np.concatenate(a) for a in zip(*found, strict=True))))
         return each
 
-    def tallies(self, params: dict[str, Any], corners: list[Features] | None = None) -> list[Tally]:
-        """Return a tally of each frame for the preset with other settings, or other corners."""
-        config = with_settings(self.config, params)
+    def passable(self, width_m: float) -> list[FrameTruth]:
+        """Return the truth of each frame with obstacles joined that are less than a width apart."""
+        joined = (group_objects(shot.color_truth, width_m, width_m) for shot in self.shots)
+        return [_labels_only(truth) for truth in joined]
+
+    def tallies(
+        self,
+        params: dict[str, Any],
+        corners: list[Features] | None = None,
+        truths: list[FrameTruth] | None = None,
+    ) -> list[Tally]:
+        """Return a tally of each frame for the preset with other settings, corners or truths."""
+        config, truths = with_settings(self.config, params), truths or self.truths
         unit = self.calibration.depth_unit
         parts = self.features(config.features) if corners is None else corners
         tallies: list[Tally] = []
@@ -76,7 +87,7 @@ class PresetFrames:
             labels = sort_and_gap(features, unit, config)
             count = (labels.max(axis=1, initial=-1) + 1).astype(np.int32)
             marked = Labels(labels, count)
-            outlines = reference.footprint(features, marked, plane, unit, config)
+            outlines = reference.paper.footprint(features, marked, plane, unit, config)
             for b in range(len(labels)):
                 one = slice(b, b + 1)
                 found = Detections(
@@ -88,7 +99,7 @@ class PresetFrames:
                         Features(*(a[one] for a in features)), Labels(labels[one], count[one])
                     ),
                 )
-                truth = self.truths[number * BATCH + b]
+                truth = truths[number * BATCH + b]
                 tallies += evaluate_frames(found, truth, self.calibration, self.counted)
         return tallies
 

@@ -31,7 +31,7 @@ from jaxdet.io import Log, open_log
 from jaxdet.io.batch import Batch
 from jaxdet.pipeline import detect
 from jaxdet.presets import PRESETS
-from jaxdet.reference._ground import above_floor
+from jaxdet.reference.paper._ground import above_floor
 from jaxdet.render import canvas
 from jaxdet.render.camera import camera_view, shown_image
 from jaxdet.results.metric import extents, floors
@@ -142,7 +142,7 @@ def judge(task: Task) -> Judgement:
 def _held(task: Task, found: Found) -> tuple[FrameLabels | None, BoxTally]:
     """Return the labels and counts of a frame; None and zeros if it has no labels."""
     frames, calibration = found.frames, found.frames.calibration
-    aligned = reference.align(frames.depth, calibration)
+    aligned = reference.paper.align(frames.depth, calibration)
     z_m = np.asarray(aligned.z[0]) * calibration.depth_unit
     labels = labels_of(task.recording, task.folder, int(frames.number[0]), z_m, calibration)
     if labels is None:

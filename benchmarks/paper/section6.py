@@ -13,6 +13,8 @@ from jaxdet.presets import preset
 
 GAPS_M = (0.05, 0.10, 0.15, 0.20, 0.40, 0.60)
 """Depth intervals d_z [m]."""
+WIDTHS_M = (0.30, 0.40, 0.60)
+"""Widths of robots [m]."""
 
 
 def run(lab: Lab) -> Section:
@@ -29,6 +31,7 @@ def run(lab: Lab) -> Section:
         "further thing in a detection."
     )
     _gaps(section, frames, lights)
+    _widths(section, frames)
     _bounds(section, frames, lights)
     return section
 
@@ -49,6 +52,23 @@ def _gaps(section: Section, frames: PresetFrames, lights: np.ndarray) -> None:
         rows.append([f"{gap_m:.2f}", *cells])
     header = ["d_z [m]", "Splits", "Merges", *(f"{light}: ACC (recall)" for light in LIGHTS)]
     section.table(header, rows)
+
+
+def _widths(section: Section, frames: PresetFrames) -> None:
+    rows: list[list[str]] = []
+    for width_m in WIDTHS_M:
+        truths, cells = frames.passable(width_m), []
+        for name, params in (("chosen", {}), ("width", {"robot_width_m": width_m})):
+            one = score(frames.tallies(params, truths=truths))
+            section.add(f"robot.{width_m:g}m.{name}.accuracy", one.accuracy, "", "higher")
+            splits, merges = one.tally.splits, one.tally.merges
+            cells.append(f"{percent(one.accuracy)} ({splits:.0f}, {merges:.0f})")
+        rows.append([f"{width_m:.2f}", *cells])
+    section.table(
+        ["Width of the robot [m]", "gaps of the preset", "both gaps equal to the width"],
+        rows,
+        "ACC (splits, merges) if objects that the robot can't pass between are one obstacle",
+    )
 
 
 def _bounds(section: Section, frames: PresetFrames, lights: np.ndarray) -> None:

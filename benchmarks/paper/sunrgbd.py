@@ -26,7 +26,7 @@ from jaxdet.eval.boxes import MIN_IOU, match_boxes
 from jaxdet.floor.plane import down_vector
 from jaxdet.pipeline import detect, find_floors
 from jaxdet.presets import PRESETS
-from jaxdet.reference._ground import above_floor
+from jaxdet.reference.paper._ground import above_floor
 from jaxdet.render import canvas
 from jaxdet.render.camera import camera_view, shown_image
 from jaxdet.results.rows import to_host

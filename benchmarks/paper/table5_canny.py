@@ -38,9 +38,9 @@ def run(lab: Lab) -> Section:
         module = stages if backend == "jax" else reference
         frame, config = frames[index], configs[bounds].features
         assert frame.color is not None and frame.plane is not None
-        corners = module.features(frame.color, frame.depth, frame.calibration, config)
+        corners = module.paper.features(frame.color, frame.depth, frame.calibration, config)
         plane = plane_in_color(frame.plane, frame.calibration)
-        return module.ground(corners, plane, frame.calibration, paper)
+        return module.paper.ground(corners, plane, frame.calibration, paper)
 
     def whole(bounds: tuple[int, int], index: int) -> object:
         return detect(frames[index], configs[bounds], backend="jax")

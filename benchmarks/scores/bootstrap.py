@@ -42,35 +42,6 @@ def intervals(
     return {name: _interval(values, level) for name, values in figures.items()}
 
 
-def difference_intervals(
-    ours: Sequence[Tally],
-    theirs: Sequence[Tally],
-    level: float = 0.95,
-    resamples: int = RESAMPLES,
-    seed: int = 0,
-) -> dict[str, Interval]:
-    """Percentile intervals of ``ours - theirs``, the same units drawn for both.
-
-    Args:
-        ours: One tally for each unit.
-        theirs: Of the same units in the same order.
-        level: Share of the resampled differences between the two ends.
-        resamples: How many times units are drawn.
-        seed: Of the drawing.
-
-    Returns:
-        By the name of the figure; ours is better with this confidence where both ends have the
-        right sign.
-
-    Raises:
-        ValueError: They are of different numbers of units.
-    """
-    if len(ours) != len(theirs):
-        raise ValueError(f"{len(ours)} units against {len(theirs)}")
-    mine, other = (resampled(tallies, resamples, seed) for tallies in (ours, theirs))
-    return {name: _interval(mine[name] - other[name], level) for name in mine}
-
-
 def resampled(tallies: Sequence[Tally], resamples: int, seed: int) -> dict[str, np.ndarray]:
     """All figures of ``resamples`` draws, by name, each ``(resamples,)`` float64."""
     if not tallies:

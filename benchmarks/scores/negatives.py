@@ -11,7 +11,7 @@ import numpy as np
 from jaxdet.config import FeaturesConfig
 from jaxdet.eval import FrameTruth, Tally
 from jaxdet.eval.frame import points_of
-from jaxdet.reference._canny import canny, grey
+from jaxdet.reference.paper._canny import canny, grey
 from jaxdet.types import Calibration, Detections
 
 CLEAR_PX = 9

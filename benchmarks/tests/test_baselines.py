@@ -36,7 +36,7 @@ from jaxdet import reference
 from jaxdet.config import MAX_POINTS, ClusterConfig
 from jaxdet.eval import EvalConfig, score
 from jaxdet.presets import preset
-from jaxdet.reference._ground import above_floor
+from jaxdet.reference.paper._ground import above_floor
 from jaxdet.sim import sample_frames
 from jaxdet.types import Calibration, Extrinsics, Frames, GroundPlane
 
@@ -108,9 +108,9 @@ def test_the_registry():
 def test_the_paper_s_rule_is_the_reference(frame):
     rule = preset("paper")
     found = detect_with(BASELINES["paper"], frame, rule)
-    expected = reference.cluster(frame.features, 0.001, rule)
+    expected = reference.paper.cluster(frame.features, 0.001, rule)
     np.testing.assert_array_equal(found.points.labels.labels, expected.labels)
-    outlines = reference.footprint(frame.features, expected, LEVEL, 0.001, rule)
+    outlines = reference.paper.footprint(frame.features, expected, LEVEL, 0.001, rule)
     for ours, theirs in zip(found.obstacles, outlines, strict=True):
         np.testing.assert_array_equal(ours[:, :3], theirs[:, :3])
         assert not ours[:, 3:].any()
@@ -199,7 +199,7 @@ def test_prepare_is_the_pipeline():
     )
     prepared = prepare(frames)
     assert len(prepared) == 1
-    aligned = reference.align(frames.depth, CALIBRATION)
+    aligned = reference.paper.align(frames.depth, CALIBRATION)
     keep = above_floor(aligned.z, plane, CALIBRATION, CONFIG)
     corners, found = CONFIG.features.max_corners, prepared[0].features
     u, v, valid = (a[0, :corners] for a in (found.u, found.v, found.valid))
@@ -237,7 +237,7 @@ def test_each_frame_corrects_its_floor():
     plane = color_plane(want.plane, frames.calibration)
     assert want.own[0] and prepared.plane == plane
     assert abs(want.plane.pitch[0] - pitch) < np.radians(1)
-    aligned = reference.align(frames.depth, frames.calibration)
+    aligned = reference.paper.align(frames.depth, frames.calibration)
     keep = above_floor(aligned.z, plane, frames.calibration, CONFIG)
     np.testing.assert_array_equal(prepared.keep, keep[0])
 

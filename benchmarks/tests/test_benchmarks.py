@@ -128,9 +128,9 @@ def test_the_numpy_loop_equals_the_reference(n: int) -> None:
     some = found._replace(kept=np.arange(6 * n).reshape(6, n) % 7 > 0)
     none = found._replace(kept=np.zeros((6, n), bool))
     for features in (found, some, none):
-        want = reference.cluster(features, 0.001, config).labels
+        want = reference.paper.cluster(features, 0.001, config).labels
         np.testing.assert_array_equal(sort_and_gap(features, 0.001, config), want)
-    assert n < 700 or want.max() < reference.cluster(found, 0.001, config).labels.max()
+    assert n < 700 or want.max() < reference.paper.cluster(found, 0.001, config).labels.max()
 
 
 @pytest.mark.parametrize("stage", ["cells", "floor", "surfaces", "obstacles", "outlines", "free"])

@@ -120,7 +120,7 @@ def test_distances_are_in_the_depth_images(shared_data, name):
         assert log.num_frames == FRAMES[name]
         for batch in log.batches(1):
             frames = batch.frames
-            z_m = reference.align(frames.depth, frames.calibration).z[0] * 1e-3
+            z_m = reference.paper.align(frames.depth, frames.calibration).z[0] * 1e-3
             objects, distance, _, _ = boxes[int(frames.number[0])]
             for (u, v, right, bottom), metres in zip(objects, distance, strict=True):
                 part = z_m[v : bottom + 1, u : right + 1]

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from benchmarks.scores.bootstrap import difference_intervals, intervals
+from benchmarks.scores.bootstrap import intervals
 from benchmarks.scores.group import group_objects
 from benchmarks.scores.negatives import negative_samples, with_negatives
 from jaxdet.config import FeaturesConfig
@@ -13,7 +13,7 @@ from jaxdet.eval import Case, FrameTruth, Tally, score
 from jaxdet.sim import SimConfig
 from jaxdet.sim.config import calibration_of
 from jaxdet.types import Detections, Features, Labels, Points
-from tests.score_cases import frame_truth, tallies
+from tests.score_cases import frame_truth
 
 NAN = math.nan
 CALIBRATION = calibration_of(SimConfig(width=160, height=120))
@@ -36,15 +36,6 @@ def test_intervals():
     assert math.isnan(got["coverage"].low) and intervals([]) == {}
     wide = intervals(units, level=0.99, resamples=400)["recall"]
     assert wide.low <= low and wide.high >= high
-
-
-def test_differences():
-    ours, theirs = tallies([(4, 0, 1), (3, 1, 0)] * 20), tallies([(3, 0, 2), (2, 1, 1)] * 20)
-    gain = difference_intervals(ours, theirs, resamples=200)
-    assert gain["recall"].low > 0
-    assert difference_intervals(ours, ours, resamples=50)["f1"] == (0, 0)
-    with pytest.raises(ValueError, match="40 units against 39"):
-        difference_intervals(ours, theirs[1:])
 
 
 def test_groups():

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -144,12 +143,12 @@ def describe(
         CamerasError: The log has several cameras, and none is selected.
         JaxdetError: The log is not usable.
     """
-    from jaxdet.engine.floors import decide_planes, find_without_jax
+    from jaxdet.engine.floors import decide_planes
     from jaxdet.io import open_log
     from jaxdet.results.summary import plain
 
     with open_log(files, options) as log:
-        planes = decide_planes(log, config, "reference", find=partial(find_without_jax, config))
+        planes = decide_planes(log, config, "jax")
         about = {
             "log": log.name,
             "camera": log.camera,

@@ -24,7 +24,7 @@ from jaxdet.eval import (
 )
 from jaxdet.eval.boxes import evaluate_boxes, near_surface
 from jaxdet.eval.labels import read_labels
-from jaxdet.reference import align
+from jaxdet.reference.paper import align
 from jaxdet.results.manifest import fingerprint
 from jaxdet.results.metric import distances
 from jaxdet.sim import Truth, load_depths, load_drivable, load_obstacle_ids, load_truth

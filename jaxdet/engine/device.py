@@ -1,6 +1,5 @@
 """Devices that find the obstacles of a batch: this process, or the device server with a GPU."""
 
-import pickle
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
@@ -9,10 +8,8 @@ import numpy as np
 
 from jaxdet.config import Config
 from jaxdet.engine.color import method_frames
-from jaxdet.engine.floors import find_here, find_without_jax
 from jaxdet.engine.shared_slots import (
     SLOTS,
-    Packing,
     Piece,
     Reply,
     ServerConfig,
@@ -20,11 +17,9 @@ from jaxdet.engine.shared_slots import (
     attached,
 )
 from jaxdet.engine.startup import computing
-from jaxdet.floor.plane import join_planes, unknown_plane
-from jaxdet.floor.units import FloorFit, floor_fit
 from jaxdet.pipeline import BackendName, detect
 from jaxdet.results.rows import RowInputs, row_inputs, to_host
-from jaxdet.types import Detections, Frames, GroundPlane
+from jaxdet.types import Detections, GroundPlane
 
 if TYPE_CHECKING:
     from jaxdet.io import Batch
@@ -39,8 +34,6 @@ class Found(NamedTuple):
 
     inputs: RowInputs
     """Part of the detections from which rows are made."""
-    whole: Detections | None
-    """All detections; None unless they were requested."""
     busy_s: Mapping[str, float] = MappingProxyType({})
     """Time that other processes spent on the batch, by step, as in
     :attr:`jaxdet.results.summary.Counts.busy_s`."""
@@ -60,25 +53,17 @@ class Device(Protocol):
         """Memory that the next batch is decoded into; None if any memory may be used."""
         ...
 
-    def start(self, batch: "Batch", plane: GroundPlane, *, whole: bool) -> Any:
+    def start(self, batch: "Batch", plane: GroundPlane) -> Any:
         """Start a batch.
 
         Args:
             batch: Frames with images.
             plane: Prior of each frame's floor.
-            whole: Whether all detections are needed, not only the part that rows are made of.
         """
         ...
 
     def finish(self, started: Any) -> Found:
         """Return the detections of a batch; ``started`` is what :meth:`start` returned for it."""
-        ...
-
-    def find_floors(self, frames: Frames) -> FloorFit:
-        """Return the floors of frames, see :func:`jaxdet.pipeline.find_floors`.
-
-        All started batches must be finished first.
-        """
         ...
 
 
@@ -99,29 +84,16 @@ class OwnDevice:
         self._config = config
         self._backend: BackendName = backend
 
-    def start(self, batch: "Batch", plane: GroundPlane, *, whole: bool) -> "_Started":
+    def start(self, batch: "Batch", plane: GroundPlane) -> Detections:
         """Start a batch."""
         frames = method_frames(batch.frames._replace(plane=plane), self._config)
         with computing():
-            found = detect(frames, self._config, backend=self._backend, with_cells=whole)
-        return _Started(found, whole)
+            return detect(frames, self._config, backend=self._backend)
 
-    def finish(self, started: "_Started") -> Found:
+    def finish(self, started: Detections) -> Found:
         """Wait for a batch."""
         with computing():
-            found = to_host(started.found)
-        return Found(row_inputs(found), found if started.whole else None)
-
-    def find_floors(self, frames: Frames) -> FloorFit:
-        """Return the floors of frames."""
-        return find_here(self._config, self._backend, frames)
-
-
-class _Started(NamedTuple):
-    """A batch that has been started."""
-
-    found: Detections
-    whole: bool
+            return Found(to_host(row_inputs(started)))
 
 
 def out_of_memory(error: Exception) -> bool:
@@ -143,54 +115,27 @@ class SharedDevice:
         self.served, self._server_pipe = served, server_pipe
         self._slots = slots = served.slots
         self._first = server_pipe.number * SLOTS
-        self._views = slots.views(attached(slots.path))
+        self._arrays = slots.arrays(attached(slots.path))
         self._turn = 0
         self._replies: dict[int, Reply] = {}
-        self._results: tuple[bytes, Packing, np.ndarray] | None = None
 
     def images(self) -> np.ndarray | tuple[np.ndarray, np.ndarray]:
         """Return the memory that the next batch is decoded into."""
         self._turn = (self._turn + 1) % SLOTS
-        depth, color = self._views[self._first + self._turn]
+        depth, color, _ = self._arrays[self._first + self._turn]
         return depth if color is None else (depth, color)
 
-    def start(self, batch: "Batch", plane: GroundPlane, *, whole: bool) -> int:
+    def start(self, batch: "Batch", plane: GroundPlane) -> int:
         """Start the batch whose images are in the memory that :attr:`images` returned last."""
-        return self._start(plane, whole)
+        slot = self._first + self._turn
+        self._server_pipe.pipe.send(Piece(self._server_pipe.number, slot, plane))
+        return slot
 
     def finish(self, started: int) -> Found:
         """Wait for a batch; its results are valid until its slot is started again."""
-        _, packed, whole, _, busy_s = self._reply(started)
-        if self._results is None or self._results[0] != packed:
-            packing: Packing = pickle.loads(packed)
-            self._results = packed, packing, packing.view(attached(packing.path), self._slots)
-        _, packing, rows = self._results
-        return Found(packing.unpacked(rows[started]), whole, busy_s)
-
-    def find_floors(self, frames: Frames) -> FloorFit:
-        """Return the floors of frames, at most as many as a slot has; see :class:`Device`.
-
-        They are computed as a batch, whose results contain the floors. Results of the preset
-        ``paper`` do not, and turned images do not fit the calibration of the device server: those
-        floors are found in this process, and are equal.
-        """
-        config, camera = self.served.config, self.served.calibration
-        if config.cluster.points or frames.calibration.depth != camera.depth:
-            return find_without_jax(config, frames)
-        count = len(frames.valid)
-        self._views[self._first + self._turn].depth[:count] = frames.depth
-        assert frames.plane is not None
-        plane = join_planes([frames.plane, unknown_plane(self._slots.frames - count)])
-        scene = self.finish(self._start(plane, whole=False)).inputs.scene
-        assert scene is not None
-        floors = np.array(scene.floor[:count])
-        return floor_fit(floors, frames.plane, frames.calibration.depth_unit)
-
-    def _start(self, plane: GroundPlane, whole: bool) -> int:
-        """Send the images in the current slot to the device server, without waiting for results."""
-        slot = self._first + self._turn
-        self._server_pipe.pipe.send(Piece(self._server_pipe.number, slot, plane, whole))
-        return slot
+        reply = self._reply(started)
+        inputs = self._slots.unpacked(self._arrays[started].results)
+        return Found(inputs, reply.busy_s)
 
     def _reply(self, slot: int) -> Reply:
         """Wait for the device server's reply to a slot; raise the error in it."""

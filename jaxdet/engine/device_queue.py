@@ -1,6 +1,5 @@
 """Queue of a device: a batch of pieces is copied to it while another one is computed."""
 
-import pickle
 import threading
 import time
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -9,19 +8,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxdet.engine.shared_slots import (
-    SLOTS,
-    Leaf,
-    Packing,
-    Piece,
-    Reply,
-    ServerConfig,
-    SharedMemory,
-)
+from jaxdet.engine.shared_slots import Leaf, Piece, Reply, ServerConfig, SharedMemory
 from jaxdet.engine.startup import computing
 from jaxdet.floor.plane import join_planes, unknown_plane
 from jaxdet.pipeline import detect
-from jaxdet.results.rows import map_leaves, row_inputs, to_host
+from jaxdet.results.rows import map_leaves, row_inputs
 from jaxdet.types import Detections, Frames, GroundPlane
 
 
@@ -36,56 +27,41 @@ class ServerMemory:
     """
 
     def __init__(self, served: ServerConfig) -> None:
-        self.served, self.images = served, SharedMemory(served.slots.nbytes)
-        where = {"path": self.images.path, "number": self.images.number}
-        self.slots = served.slots._replace(**where)
-        self.views = self.slots.views(self.images.map)
-        self._results: _Results | None = None
+        self.served = served
+        slots = served.slots._replace(results=_leaves(served))
+        self.memory = SharedMemory(slots.nbytes)
+        self.slots = slots._replace(path=self.memory.path, number=self.memory.number)
+        self.arrays = self.slots.arrays(self.memory.map)
         self._lock = threading.Lock()
-        self._page_locks: dict[str, Any] = {}
-        """Page locks by the path of the locked memory."""
+        self._page_lock: Any = None
 
     def close(self) -> None:
         """Free the memory, which no device uses any more."""
-        for lock in self._page_locks.values():
-            lock.unlock()
-        self.images.close()
-        if self._results:
-            self._results.memory.close()
+        if self._page_lock:
+            self._page_lock.unlock()
+        self.memory.close()
 
-    def page_lock(self, memory: SharedMemory, device: Any) -> None:
-        """Page-lock the images, slot by slot, or the results, unless they are already locked."""
+    def page_lock(self, device: Any) -> None:
+        """Page-lock the memory, slot by slot, unless it is already locked."""
         from jaxdet.stages._upload import PageLock
 
-        block = sum(self.slots.sizes) if memory is self.images else None
         with self._lock:
-            if memory.path not in self._page_locks:
-                self._page_locks[memory.path] = PageLock(memory.map, device, block)
-
-    def results(self, found: Detections) -> "_Results":
-        """Return the memory of results, which is allocated for the first batch."""
-        from jax import eval_shape
-
-        with self._lock:
-            if self._results is None:
-                inputs = eval_shape(row_inputs, _without_prior(found))
-                leaves = map_leaves(lambda a: Leaf(a.shape[1:], np.dtype(a.dtype)), inputs)
-                ints, slots = Packing("", leaves).ints, self.slots
-                memory = SharedMemory(4 * ints * slots.frames * slots.workers * SLOTS)
-                packing = Packing(memory.path, leaves)
-                rows = packing.view(memory.map, slots)
-                self._results = _Results(memory, pickle.dumps(packing), rows)
-            return self._results
+            if not self._page_lock:
+                self._page_lock = PageLock(self.memory.map, device, sum(self.slots.sizes))
 
 
-class _Results(NamedTuple):
-    """Memory of results."""
+def _leaves(served: ServerConfig) -> Any:
+    """Return the shapes and types of a frame's results.
 
-    memory: SharedMemory
-    packing: bytes
-    """Pickled :class:`Packing`, see :class:`Reply`."""
-    rows: np.ndarray
-    """Results of all slots, see :meth:`Packing.view`."""
+    They are those of the reference for an image without depth, which takes less time than compiling
+    the program.
+    """
+    slots = served.slots
+    depth = np.zeros((1, *slots.depth), np.uint16)
+    color = np.zeros((1, *slots.color), np.uint8) if slots.color else None
+    frames = _frames(depth, color, served, unknown_plane(1))
+    found = row_inputs(detect(frames, served.config, backend="reference"))
+    return map_leaves(lambda part: Leaf(part.shape[1:], part.dtype), found)
 
 
 def _frames(depth: Any, color: Any, served: ServerConfig, plane: GroundPlane) -> Frames:
@@ -106,7 +82,6 @@ class _Copied(NamedTuple):
 class _Started(NamedTuple):
     """A batch that has been started."""
 
-    found: Detections
     packed: Any
     begin: float
     """Time at which it was started, by ``time.perf_counter`` [s]."""
@@ -138,7 +113,7 @@ class DeviceQueue:
         """Time when the last batch was computed, by ``time.perf_counter`` [s]."""
         # A gigabyte of pages is made and locked while the program is traced and loaded.
         self._copier = ThreadPoolExecutor(1, "jaxdet-copier")
-        self._locked = self._copier.submit(log.page_lock, log.images, device)
+        self._locked = self._copier.submit(log.page_lock, device)
 
     def compile(self) -> None:
         """Compute an empty batch, so that the program is compiled and allocates its memory."""
@@ -158,8 +133,7 @@ class DeviceQueue:
         if pieces:
             self._locked.result()
         begin = time.perf_counter()
-        views = (self.log.views[piece.slot] for piece in pieces)
-        images = self.uploader.upload([[a for a in view if a is not None] for view in views])
+        images = self.uploader.upload([self.log.arrays[piece.slot].images for piece in pieces])
         return _Copied(images, time.perf_counter() - begin)
 
     def start(self, pieces: list[Piece], copied: _Copied) -> _Started:
@@ -170,34 +144,25 @@ class DeviceQueue:
         depth, *color = copied.images
         frames = _frames(depth, color[0] if color else None, log.served, plane)
         with computing():
-            whole = any(piece.whole for piece in pieces)
-            found = detect(frames, log.served.config, with_cells=whole)
+            found = detect(frames, log.served.config)
         with _packing:
             pack = _pack()
         packed = pack(_without_prior(found))
         ready = self._watch.submit(_time_when_ready, packed)
-        return _Started(found, packed, begin, copied.seconds, ready)
+        return _Started(packed, begin, copied.seconds, ready)
 
     def finish(self, pieces: list[Piece], started: _Started) -> list[Reply]:
         """Wait for the results and copy them to the slots; return the replies."""
-        results = self.log.results(started.found)
-        self.log.page_lock(results.memory, self.device)
         ready, begin = started.ready.result(), time.perf_counter()
-        self.uploader.download(started.packed, [results.rows[piece.slot] for piece in pieces])
+        results = [self.log.arrays[piece.slot].results for piece in pieces]
+        self.uploader.download(started.packed, results)
         copying_s = started.copying_s + time.perf_counter() - begin
         # The time for which a batch waits for the previous one is not part of its computing time.
         computing_s = ready - max(self._ready, started.begin)
         self._ready = ready
         times = {"transfer": copying_s, "compute": computing_s}
         busy_s = {what: taken / max(1, len(pieces)) for what, taken in times.items()}
-        replies, size = [], self.log.slots.frames
-        whole_batch = any(piece.whole for piece in pieces)
-        everything = to_host(started.found) if whole_batch else None
-        for number, piece in enumerate(pieces):
-            part = slice(number * size, (number + 1) * size)
-            whole = map_leaves(lambda a, part=part: a[part], everything) if piece.whole else None
-            replies.append(Reply(piece.slot, results.packing, whole, None, busy_s))
-        return replies
+        return [Reply(piece.slot, None, busy_s) for piece in pieces]
 
 
 def _time_when_ready(found: Any) -> float:

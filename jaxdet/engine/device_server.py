@@ -149,7 +149,7 @@ class DeviceServer:
                 more = more and (bool(left) or self._collect(left, size, block=True))
                 while left:
                     piece = left.popleft()
-                    self._send(piece, Reply(piece.slot, b"", None, error, {}))
+                    self._send(piece, Reply(piece.slot, error, {}))
         if device_queue:
             device_queue.close()
 

@@ -7,9 +7,9 @@ from math import prod
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from jaxdet.config import Config
-from jaxdet.engine.device import Device, OwnDevice
+from jaxdet.engine.device import Device
 from jaxdet.engine.floors import Planes, decide_planes
-from jaxdet.engine.memory import BATCH, BATCHES_IN_FLIGHT, READ_AHEAD, Memory, MemoryPlan, Needs
+from jaxdet.engine.memory import BATCH, BATCHES_IN_FLIGHT, Memory, MemoryPlan, Needs
 from jaxdet.engine.plan import LogPlan, Unit
 from jaxdet.engine.pool import Pool
 from jaxdet.engine.settings import RunSettings
@@ -34,20 +34,17 @@ class Executor(Protocol):
     """Processes the frames of one camera of a log."""
 
     memory: MemoryPlan
-    """Numbers of processes, of frames computed together and of batches read ahead."""
+    """Numbers of processes and of frames computed together."""
     workers: int
     """Number of processes that share the frames."""
     devices: int
     """Number of GPUs that compute for them."""
-    others: int
-    """Number of processes that share the memory and work on other logs."""
 
-    def start(self, log: "Log") -> int:
-        """Start processes that don't run yet; return the number of frames read together."""
-        ...
+    together: int
+    """Number of frames that are read together."""
 
-    def find_planes(self, log: "Log", at_once: int) -> Planes:
-        """Return the priors of the floors, before any frame is worked on."""
+    def find_planes(self, log: "Log") -> Planes:
+        """Start processes that don't run yet, and return the priors of the floors."""
         ...
 
     def work(self, log: "Log", plan: LogPlan) -> Generator[tuple[Unit, UnitResult], None, None]:
@@ -92,7 +89,7 @@ def _color_bytes(settings: RunSettings, log: "Log", batch: int) -> int:
         return 3 * camera.height * camera.width
     if not log.has_color or log.color_shape is None:
         return 0
-    batches = BATCHES_IN_FLIGHT + READ_AHEAD
+    batches = BATCHES_IN_FLIGHT
     drawn = -(-settings.options.pictures * batches * batch // max(1, len(log.frames)))
     return -(-prod(log.color_shape) * min(drawn, batches) // batches)
 
@@ -105,9 +102,8 @@ class InProcess:
         memory: Memory plan for one process.
         device: Device that computes.
         alive: Called after each batch; None in the process of the run, which is not a worker.
-        together: Number of frames read together; by default as many as are computed together.
+        together: See :class:`Executor`; by default as many as are computed together.
         devices: See :class:`Executor`.
-        others: See :class:`Executor`.
     """
 
     def __init__(
@@ -119,29 +115,24 @@ class InProcess:
         *,
         together: int | None = None,
         devices: int = 0,
-        others: int = 0,
     ) -> None:
         self.settings, self.memory, self.device = settings, memory, device
-        self.workers, self.devices, self.others = 1, devices, others
-        self._together = together or memory.batch
+        self.workers, self.devices = 1, devices
+        self.together = together or memory.batch
         self._alive = alive
 
-    def start(self, log: "Log") -> int:
-        """Load JAX and Warp, if this process computes and is not a worker."""
-        if self.settings.options.backend == "jax" and self._alive is None:
+    def find_planes(self, log: "Log") -> Planes:
+        """Find the floors in this process, which loads JAX and Warp first unless it is a worker."""
+        backend = self.settings.options.backend
+        if backend == "jax" and self._alive is None:
             start_up()
-        return min(self._together, max(1, len(log.frames)))
-
-    def find_planes(self, log: "Log", at_once: int) -> Planes:
-        """Find the floors in this process."""
-        given = log, self.settings.config, self.settings.options.backend, None, at_once
-        alive = self._alive or (lambda: None)
-        return decide_planes(*given, alive=alive, find=self.device.find_floors)
+        given = log, self.settings.config, backend, None, self.together
+        return decide_planes(*given, self._alive or (lambda: None))
 
     def work(self, log: "Log", plan: LogPlan) -> Generator[tuple[Unit, UnitResult], None, None]:
         """Work through all units in order."""
         work = UnitProcessor(log, plan, self.device, self._alive or (lambda: None))
-        return work.process_units(plan.units(), self.memory.read_ahead)
+        return work.process_units(plan.units())
 
 
 class InPool:
@@ -155,29 +146,23 @@ class InPool:
 
     def __init__(self, settings: RunSettings, pool: Pool, memory: MemoryPlan) -> None:
         self.settings, self.pool, self.memory = settings, pool, memory
-        self.workers, self.devices, self.others = memory.workers, len(pool.devices), 0
+        self.workers, self.devices = memory.workers, len(pool.devices)
+        self.together = memory.batch
         pool.resize(self.workers)
 
-    def start(self, log: "Log") -> int:
-        """Start the workers."""
-        self.pool.start()
+    def find_planes(self, log: "Log") -> Planes:
+        """Find the floors in a worker, as frames of a damaged log may kill the process.
+
+        Raises:
+            WorkerError: A worker was lost twice.
+        """
         if self.pool.devices:
             served = self._serve(log)
             self.memory = self.memory._replace(batch=served.batch)
-            return served.slots.frames
-        return min(self.memory.batch, max(1, len(log.frames)))
-
-    def find_planes(self, log: "Log", at_once: int) -> Planes:
-        """Find the floors with the GPU of this process, else in a worker.
-
-        Without a GPU this process may not have loaded JAX.
-        """
-        config, backend = self.settings.config, self.settings.options.backend
-        if self.pool.devices:
-            device = OwnDevice(config, backend, ahead=1)
-            return decide_planes(log, config, backend, None, at_once, find=device.find_floors)
+            self.together = served.slots.frames
+        job = FloorJob(log, self.settings.config, self.settings.options.backend)
         where = "before the first frame"
-        found = self.pool.call(FloorJob(log, config, backend), at_once, where, tries=2)
+        found = self.pool.call(job, self.together, where, tries=2)
         if isinstance(found, Lost):
             raise found.as_raised(where)
         return found

@@ -10,7 +10,6 @@ only for clusters of points (preset ``paper``) the prior itself is used as the f
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -27,14 +26,11 @@ from jaxdet.floor.plane import (
 )
 from jaxdet.floor.sampled import ENOUGH, SampledFloor, sampled_floor
 from jaxdet.floor.turned import turned_back, turned_frames
-from jaxdet.pipeline import BackendName, find_floors, find_floors_without_jax
-from jaxdet.types import Frames, GroundPlane
+from jaxdet.pipeline import BackendName, find_floors
+from jaxdet.types import GroundPlane
 
 if TYPE_CHECKING:
-    from jaxdet.floor.units import FloorFit
     from jaxdet.io import Log
-
-FindFloors = Callable[[Frames], "FloorFit"]
 
 _FEW, _MOST = 0.25, 0.75
 """Maximum share of a sample's frames that show a floor if the camera is mounted turned, and minimum
@@ -115,7 +111,6 @@ def decide_planes(
     frames: np.ndarray | None = None,
     at_once: int | None = None,
     alive: Callable[[], object] = lambda: None,
-    find: FindFloors | None = None,
 ) -> Planes:
     """Return the priors of a log's floors.
 
@@ -134,7 +129,6 @@ def decide_planes(
         frames: Numbers of the frames that need a prior; by default all that are read.
         at_once: Maximum number of frames of a sample in memory at a time; by default all.
         alive: Called after each part of a sample.
-        find: Finds the floors of frames; by default the backend does, in this process.
 
     Returns:
         The planes, with records and warnings for the summary.
@@ -145,7 +139,7 @@ def decide_planes(
     if config.ground.source == "none":
         return Planes((GroundRecord("none", message="asked for"),), {0: unknown_plane(1)})
     known, plane, warnings = _stated(log, config.ground)
-    samples = _Samples(log, find or partial(find_here, config, backend), at_once, alive)
+    samples = _Samples(log, config, backend, at_once, alive)
     records, windows = [], {}
     window_ns = round(config.ground.window_s * 1e9)
     wanted = np.array(log.frames, int) if frames is None else frames
@@ -173,18 +167,6 @@ def decide_planes(
         plane,
         known.source,
     )
-
-
-def find_here(config: Config, backend: BackendName, frames: Frames) -> "FloorFit":
-    """Return the floors of frames, found by this process."""
-    with computing():
-        return find_floors(frames, config, backend=backend)
-
-
-def find_without_jax(config: Config, frames: Frames) -> "FloorFit":
-    """Return the floors of frames, found by this process without loading JAX."""
-    with computing():
-        return find_floors_without_jax(frames, config)
 
 
 def evenly(values: np.ndarray, count: int) -> np.ndarray:
@@ -234,7 +216,8 @@ class _Samples(NamedTuple):
     """Reader of samples of a log; attributes are arguments of :func:`decide_planes`."""
 
     log: "Log"
-    find: FindFloors
+    config: Config
+    backend: BackendName
     at_once: int | None
     alive: Callable[[], object]
 
@@ -258,7 +241,9 @@ class _Samples(NamedTuple):
             frames = self.log.read(sample[first : first + size].tolist()).frames
             for way, quarters in enumerate(turns if frames.valid.any() else ()):
                 images = turned_frames(frames, quarters) if quarters else frames
-                fit = self.find(images._replace(plane=repeat_plane(plane, len(frames.valid))))
+                images = images._replace(plane=repeat_plane(plane, len(frames.valid)))
+                with computing():
+                    fit = find_floors(images, self.config, backend=self.backend)
                 shown[way].append(GroundPlane(*(np.asarray(a)[frames.valid] for a in fit.plane)))
                 own[way].append(np.asarray(fit.own)[frames.valid])
             self.alive()

@@ -75,7 +75,7 @@ class LogJob(NamedTuple):
         """
         try:
             given = self.memory, partial(self.choose, process), no_report
-            return process_log(self.settings, *task, *given, keep_memory=True)
+            return process_log(self.settings, *task, *given, log_per_worker=True)
         except _OtherCameraError as error:
             return OtherCamera(error.calibration)
         except Exception:  # the first process tries the log again, and reports the error
@@ -94,10 +94,10 @@ class LogJob(NamedTuple):
         together = served.slots.frames if served else plan.batch
         if plan.workers < workers or plan.batch < together:
             raise MemoryError("not enough for as many logs at a time")
-        plan = plan._replace(batch=served.batch if served else plan.batch, read_ahead=0)
+        plan = plan._replace(batch=served.batch if served else plan.batch)
         device = process.device(served, self.settings.config, self.settings.options.backend)
-        counts = {"together": together, "devices": self.devices, "others": workers - 1}
-        return InProcess(self.settings, plan, device, alive=process.report_progress, **counts)
+        given = self.settings, plan, device, process.report_progress
+        return InProcess(*given, together=together, devices=self.devices)
 
 
 class _OtherCameraError(Exception):

@@ -3,7 +3,7 @@
 Each process needs memory for libraries and programs, measured with frames of 640x480. The processes
 share the rest: a part is for chunks of the log, which limits the chunks that a file may have, and
 the other part for images. The memory thus decides the number of processes, how many frames they
-compute together and how far they read ahead; none of these changes a byte of the two tables.
+compute together; neither changes a byte of the two tables.
 
 All figures are resident memory; pages that processes share count once.
 """
@@ -39,11 +39,9 @@ LEAST_IMAGES = 32 * MIB
 """Minimum memory for images in a process: four frames of 1920x1080."""
 BATCH = 16
 """Number of frames computed together on the CPU, by default."""
-READ_AHEAD = 2
-"""Number of batches read ahead by a process that has all cores."""
 BATCHES_IN_FLIGHT = 5
-"""Number of batches in a process besides those read ahead: one is filled, one is computed, one is
-finished, and temporaries take as much memory as two."""
+"""Number of batches in a process: one is filled, one is computed, one is finished, and temporaries
+take as much memory as two."""
 
 
 class Needs(NamedTuple):
@@ -64,8 +62,6 @@ class MemoryPlan(NamedTuple):
     """Number of processes that share the frames of the log."""
     batch: int
     """Number of frames read together by a process; on the CPU they are also computed together."""
-    read_ahead: int
-    """Number of batches that are read ahead if there is only one process."""
 
 
 class Memory:
@@ -130,7 +126,7 @@ class Memory:
         return Memory(*given, apart=self.apart, largest=self._largest)
 
     def allot(self, needs: Needs, batch: int, workers: int, where: str) -> MemoryPlan:
-        """Return the largest numbers of processes, frames and batches read ahead that fit.
+        """Return the largest numbers of processes and frames that fit.
 
         Args:
             needs: Memory that the log needs.
@@ -145,13 +141,11 @@ class Memory:
             left = self._left(count) - self.chunks
             # If there are workers, a copy of the index is made to be sent to them.
             left -= (needs.known * (count + 1 + (count > 1)) + needs.rows) // count
-            ahead = READ_AHEAD if count == 1 and not self._devices else 0
             size = batch
-            while size:
-                for waiting in range(ahead, -1, -1):
-                    if (BATCHES_IN_FLIGHT + waiting) * size * needs.frame <= left:
-                        return MemoryPlan(count, size, waiting)
+            while size and BATCHES_IN_FLIGHT * size * needs.frame > left:
                 size //= 2
+            if size:
+                return MemoryPlan(count, size)
         rest = BATCHES_IN_FLIGHT * needs.frame + 2 * needs.known + needs.rows
         chunks = max(LEAST_CHUNKS, min(2 * self._largest, rest))  # half of the remaining memory
         least = size_text(self._fixed(1) + chunks + rest)

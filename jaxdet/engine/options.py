@@ -33,8 +33,8 @@ class RunOptions:
     it. Default: one per core; on the CPU, a single one for a few short logs."""
     memory: str | None = field(default=None, metadata={"takes": "SIZE"})
     """Maximum memory, for instance 4GiB, of all processes together. It changes no result: with less
-    memory there are fewer workers, smaller batches and less reading ahead. Default: three quarters
-    of the memory of the machine, or of its control group."""
+    memory there are fewer workers and smaller batches. Default: three quarters of the memory of the
+    machine, or of its control group."""
     pictures: int = 8
     """Number of frames of each log to draw, evenly spaced."""
     map: bool = True

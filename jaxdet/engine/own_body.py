@@ -1,6 +1,5 @@
 """Parts of a robot in view of its own camera: near, above the floor, of constant depth."""
 
-from functools import partial
 from typing import TYPE_CHECKING
 
 import cv2
@@ -8,10 +7,11 @@ import numpy as np
 
 from jaxdet.camera import pixel_rays
 from jaxdet.config import Config
-from jaxdet.engine.floors import decide_planes, evenly, find_without_jax
+from jaxdet.engine.floors import decide_planes, evenly
 from jaxdet.errors import InputError
 from jaxdet.floor.plane import down_vector
 from jaxdet.floor.sampled import sampled_floor
+from jaxdet.pipeline import find_floors
 from jaxdet.types import Frames, GroundPlane
 
 if TYPE_CHECKING:
@@ -71,11 +71,10 @@ def find_own_body(log: "Log", config: Config) -> np.ndarray:
 
 def _floor(log: "Log", frames: Frames, config: Config) -> GroundPlane:
     """Return the floor of a log, ``B = 1``: its prior, or the median of the frames' own floors."""
-    find = partial(find_without_jax, config)
-    planes = decide_planes(log, config, "reference", find=find).of(frames.stamp_ns)
+    planes = decide_planes(log, config, "jax").of(frames.stamp_ns)
     if planes.valid[0]:
         return GroundPlane(*(part[:1] for part in planes))
-    fit = find(frames._replace(plane=planes))
+    fit = find_floors(frames._replace(plane=planes), config)
     return sampled_floor(fit.plane, fit.own & frames.valid).plane
 
 

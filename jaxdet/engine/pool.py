@@ -31,11 +31,13 @@ WAITING = 2
 NO_PROGRESS_S = 600.0
 """Time without progress after which a worker counts as lost; compiling may take long [s]."""
 LOADED = ["jaxdet.engine.log_per_worker", "jaxdet.io.opening", "numpy.ma", "jaxdet_kernels.decode"]
-LOADED_TO_COMPUTE = ["jaxdet.stages._detect", "jaxdet.stages._points"]
+LOADED_TO_COMPUTE = ["jaxdet.stages._detect", "jaxdet.stages.paper._detect"]
 """Modules that the fork server loads once for all workers, including modules that pyarrow and the
 decoders would load later; no module may start a thread or Warp."""
 _LOOK_S = 1.0
 """Maximum time between two checks of all workers [s]."""
+_ENDING_S = 0.5
+"""Time after which a fork server that was killed has ended, so that a new one is started [s]."""
 _SHORT_TMPDIR = "set TMPDIR to a folder with a short name and room, for instance /tmp"
 _AGAIN = "its fork server may have been killed; run the same command again"
 _ENDED_EARLY = "its own message is above; a script needs: if __name__ == '__main__'"
@@ -107,7 +109,7 @@ class Pool:
         self._context: Any = multiprocessing.get_context(_start_method())
         self._workers: list[Worker] = []
         self._early = 0
-        """Number of workers that died during their start since any worker last answered."""
+        """Number of tasks whose workers died during their start since any worker last answered."""
         self._ended, self._started = threading.Event(), threading.Event()
 
     def __enter__(self) -> "Pool":
@@ -132,6 +134,8 @@ class Pool:
         """Begin to start the processes, unless they have been started."""
         if self._workers:
             return
+        if self._early:
+            time.sleep(_ENDING_S)
         compute = self._backend == "jax" and not self.devices
         _start_server(LOADED + LOADED_TO_COMPUTE * compute)
         with stops_held_back():  # close() waits for the thread
@@ -290,8 +294,8 @@ class Pool:
             try:
                 answers = worker.receive()
             except EOFError:
-                self._early = 0 if worker.ready else self._early + 1
-                if not worker.ready and (self._early > 1 or not worker.by_signal):
+                self._early = 0 if worker.ready else self._early + bool(worker.pending)
+                if not worker.ready and (self._early > 1 or not worker.killed):
                     died = worker.death
                     self.close()
                     remedy = _AGAIN if worker.process.pid is None else _ENDED_EARLY

@@ -61,7 +61,7 @@ def process_log(
     choose: ChooseExecutor,
     report: Report,
     *,
-    keep_memory: bool = False,
+    log_per_worker: bool = False,
 ) -> list[LogSummary]:
     """Write the results of a log into a new folder.
 
@@ -75,8 +75,8 @@ def process_log(
         memory: Memory of the run; if chunks are large, fewer processes share the log.
         choose: Returns the executor of the log.
         report: Called with the progress.
-        keep_memory: Whether to raise an error if the log doesn't fit into the memory, instead of
-            using fewer processes.
+        log_per_worker: Whether each process of the run works on a log of its own: then errors are
+            raised, also that of a log that doesn't fit into this process's share of the memory.
 
     Returns:
         Summaries of its cameras.
@@ -87,7 +87,7 @@ def process_log(
     with writing(folder):
         folder.mkdir()
     inputs = [fingerprint(path) for path in files.paths]
-    given = settings, files, folder, memory, choose, report, keep_memory, inputs
+    given = settings, files, folder, memory, choose, report, log_per_worker, inputs
     with ExitStack() as stack:
 
         def run(options: "LogOptions", camera: str = "") -> CameraRun:
@@ -170,7 +170,7 @@ class CameraRun:
     memory: Memory
     choose: ChooseExecutor
     report: Report
-    keep_memory: bool
+    log_per_worker: bool
     inputs: Inputs
     """Fingerprints of the log's files."""
     camera: str = ""
@@ -204,7 +204,7 @@ class CameraRun:
         except (OutputError, CamerasError, WorkerStartError):
             raise
         except Exception as error:
-            if self.keep_memory:
+            if self.log_per_worker:
                 raise
             if out_of_memory(error):
                 remedy = "give a smaller --batch-size or --memory, or end other programs"
@@ -239,7 +239,7 @@ class CameraRun:
                     raise
                 options = replace(options, scan=True)
             except ChunkMemoryError:
-                fewer = None if self.keep_memory else self.memory.with_fewer_workers()
+                fewer = None if self.log_per_worker else self.memory.with_fewer_workers()
                 if fewer is None:
                     raise
                 self.memory = fewer
@@ -280,15 +280,15 @@ class CameraRun:
         executor = self.choose(log, self.memory)
         about.workers, about.devices = executor.workers, executor.devices
         self.report(about, log.label, len(log.frames), "looking for the floor")
-        together = executor.start(log)
+        planes = executor.find_planes(log)
         self.batch = executor.memory.batch
-        plan = self._plan(log, together, executor.find_planes(log, together))
+        plan = self._plan(log, min(executor.together, max(1, len(log.frames))), planes)
         about.ground = plan.planes.records
         about.warnings += plan.planes.warnings
         self._work(log, plan, executor)
         notes = self.assembly.finish(plan.observers)
         if plan.maps:
-            self._write_map(self.assembly.map, log, executor.others)
+            self._write_map(self.assembly.map, log)
         before = len(log.description.warnings)
         about.description = log.described(total(notes))
         about.warnings += about.description.warnings[before:]
@@ -329,17 +329,18 @@ class CameraRun:
             observers=settings.observers,
         )
 
-    def _write_map(self, occupancy: OccupancyMap, log: "Log", others: int) -> None:
+    def _write_map(self, occupancy: OccupancyMap, log: "Log") -> None:
         """Write the map, or record why the log has no map."""
-        about, room = self.about, self.memory.room
+        about, size = self.about, _CELL_BYTES * occupancy.cells
+        room = self.memory.room // (self.memory.workers if self.log_per_worker else 1)
         if not any(path.size for path in occupancy.path):
             about.notes.append("no map: no frame has a pose")
             return
         if occupancy.skipped:
             about.warnings.append(f"{occupancy.skipped} outlines or views have no place on the map")
-        if others and room // (others + 1) // _CELL_BYTES < occupancy.cells <= MAX_CELLS:
-            raise MemoryError("not enough for as many maps at a time")
-        if (size := _CELL_BYTES * occupancy.cells) > room and occupancy.cells <= MAX_CELLS:
+        if size > room and occupancy.cells <= MAX_CELLS:
+            if self.log_per_worker:
+                raise MemoryError("not enough for as many maps at a time")
             about.warnings.append(f"no map: it takes {size_text(size)}; give --memory more")
             return
         image = occupancy.image()

@@ -1,14 +1,13 @@
 """Memory that workers share with the device server, and their messages.
 
 Each worker has a few slots: it decodes a piece of its unit into one of them while the pieces in the
-others are computed. Results are in a second memory, which is divided into the same slots.
+others are computed. The results of a piece are written to its slot.
 """
 
 import itertools
 import mmap
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
 from math import prod
 from typing import Any, NamedTuple
 
@@ -17,7 +16,7 @@ import numpy as np
 from jaxdet.config import Config
 from jaxdet.errors import WorkerError
 from jaxdet.results.rows import RowInputs, map_leaves
-from jaxdet.types import Calibration, Detections, GroundPlane
+from jaxdet.types import Calibration, GroundPlane
 
 SLOTS = 4
 """Number of slots of each worker: it decodes into one slot while the other three are copied,
@@ -26,17 +25,32 @@ _PAGE = 4096
 _numbers = itertools.count(1)
 
 
-class Images(NamedTuple):
-    """Images of a slot."""
+class Leaf(NamedTuple):
+    """An array of :class:`jaxdet.results.rows.RowInputs` in a row of results."""
+
+    shape: tuple[int, ...]
+    """Shape of a frame's part."""
+    kind: np.dtype
+
+
+class SlotArrays(NamedTuple):
+    """Arrays of a slot."""
 
     depth: np.ndarray
     """Depth images ``(n, Hd, Wd)`` uint16."""
     color: np.ndarray | None
-    """Colour images ``(n, H, W, 3)`` uint8; None if the method reads only depth."""
+    """``(n, H, W, 3)`` uint8; None if the method reads only depth."""
+    results: np.ndarray
+    """``(n, ints)`` int32, see :meth:`Slots.unpacked`."""
+
+    @property
+    def images(self) -> list[np.ndarray]:
+        """Images that the method reads."""
+        return [self.depth] if self.color is None else [self.depth, self.color]
 
 
 class Slots(NamedTuple):
-    """Shared memory of images, and its division into slots; it is sent to the workers."""
+    """Shared memory of images and results, and its division into slots; it is sent to workers."""
 
     path: str
     """Path by which other processes map the memory."""
@@ -49,36 +63,59 @@ class Slots(NamedTuple):
     workers: int
     number: int = 0
     """Number of the memory; its path alone may be equal to that of memory that was freed."""
+    results: Any = None
+    """:class:`jaxdet.results.rows.RowInputs` of :class:`Leaf`; None until the memory exists."""
 
     @property
-    def sizes(self) -> tuple[int, int]:
-        """Size of a slot's depth and colour images, in whole pages [bytes]."""
-        depth, color = 2 * prod(self.depth), prod(self.color) if self.color else 0
-        return _pages(depth * self.frames), _pages(color * self.frames)
+    def ints(self) -> int:
+        """Number of int32 per frame of results."""
+        leaves: list[Leaf] = []
+        map_leaves(leaves.append, self.results)
+        return sum(prod(leaf.shape) for leaf in leaves)
+
+    @property
+    def sizes(self) -> tuple[int, int, int]:
+        """Size of a slot's depth images, colour images and results, in whole pages [bytes]."""
+        frame = 2 * prod(self.depth), prod(self.color) if self.color else 0, 4 * self.ints
+        depth, color, results = (-(-size * self.frames // _PAGE) * _PAGE for size in frame)
+        return depth, color, results
 
     @property
     def nbytes(self) -> int:
         """Size of all slots [bytes]."""
         return self.workers * SLOTS * sum(self.sizes)
 
-    def views(self, memory: mmap.mmap) -> list[Images]:
-        """Return the images of each slot."""
-        found = []
+    def arrays(self, memory: mmap.mmap) -> list[SlotArrays]:
+        """Return the arrays of each slot."""
+        found, (depth_bytes, color_bytes, _) = [], self.sizes
         for start in range(0, self.nbytes, sum(self.sizes)):
             depth = np.ndarray((self.frames, *self.depth), np.uint16, memory, start)
-            color = None
+            color, start = None, start + depth_bytes
             if self.color:
-                shape, start = (self.frames, *self.color), start + self.sizes[0]
-                color = np.ndarray(shape, np.uint8, memory, start)
-            found.append(Images(depth, color))
+                color = np.ndarray((self.frames, *self.color), np.uint8, memory, start)
+            shape = self.frames, self.ints
+            results = np.ndarray(shape, np.int32, memory, start + color_bytes)
+            found.append(SlotArrays(depth, color, results))
         return found
+
+    def unpacked(self, rows: np.ndarray) -> RowInputs:
+        """Return the arrays in results ``(B, ints)``; only boolean ones are copied."""
+        start = 0
+
+        def unpack(leaf: Leaf) -> np.ndarray:
+            nonlocal start
+            stop = start + prod(leaf.shape)
+            part, start = rows[:, start:stop].reshape(len(rows), *leaf.shape), stop
+            return part.astype(leaf.kind, copy=False)
+
+        return map_leaves(unpack, self.results)
 
 
 class ServerConfig(NamedTuple):
     """Properties that logs must share to be computed by one device server."""
 
     slots: Slots
-    """Shared memory of images; it has a path if the device server has started."""
+    """Shared memory; it has a path if the device server has started."""
     pieces: int
     """Number of pieces in a batch."""
     calibration: Calibration
@@ -90,55 +127,6 @@ class ServerConfig(NamedTuple):
         return self.pieces * self.slots.frames
 
 
-def _pages(nbytes: int) -> int:
-    return -(-nbytes // _PAGE) * _PAGE
-
-
-@dataclass(frozen=True)
-class Leaf:
-    """An array of :class:`jaxdet.results.rows.RowInputs` in the packed results."""
-
-    shape: tuple[int, ...]
-    """Shape of a frame's part."""
-    kind: np.dtype
-
-
-class Packing(NamedTuple):
-    """Shared memory of results: a row of int32 for each frame of each slot."""
-
-    path: str
-    inputs: Any
-    """:class:`jaxdet.results.rows.RowInputs` with a :class:`Leaf` in place of each array."""
-
-    @property
-    def ints(self) -> int:
-        """Number of int32 per frame."""
-        return sum(int(np.prod(leaf.shape)) for leaf in _leaves(self.inputs))
-
-    def view(self, memory: mmap.mmap, slots: Slots) -> np.ndarray:
-        """Return the results as ``(slots, frames, ints)`` int32."""
-        shape = slots.workers * SLOTS, slots.frames, self.ints
-        return np.ndarray(shape, np.int32, memory)
-
-    def unpacked(self, rows: np.ndarray) -> RowInputs:
-        """Return the arrays in ``rows`` ``(B, ints)``; only boolean ones are copied."""
-        start = 0
-
-        def unpack(leaf: Leaf) -> np.ndarray:
-            nonlocal start
-            stop = start + int(np.prod(leaf.shape))
-            part, start = rows[:, start:stop].reshape(len(rows), *leaf.shape), stop
-            return part.astype(leaf.kind, copy=False)
-
-        return map_leaves(unpack, self.inputs)
-
-
-def _leaves(tree: Any) -> list[Any]:
-    found: list[Any] = []
-    map_leaves(found.append, tree)
-    return found
-
-
 class Piece(NamedTuple):
     """Message of a worker: a slot with images to compute."""
 
@@ -146,16 +134,12 @@ class Piece(NamedTuple):
     slot: int
     """Number of the slot among those of all workers."""
     plane: GroundPlane
-    whole: bool
 
 
 class Reply(NamedTuple):
     """Message to a worker: the results of a slot, or an error."""
 
     slot: int
-    packing: bytes
-    """Pickled :class:`Packing`, the same in all replies."""
-    whole: Detections | None
     error: Exception | None
     busy_s: Mapping[str, float]
     """The slot's share of the time of each step of its batch [s]."""

@@ -3,16 +3,18 @@
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Generator, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import closing, suppress
-from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from jaxdet.engine.color import shown_color
+import numpy as np
+
+from jaxdet.engine.color import method_frames, shown_color
 from jaxdet.engine.device import Device, Found
 from jaxdet.engine.plan import LogPlan, Unit
+from jaxdet.engine.startup import computing
 from jaxdet.engine.unit_result import UnitResult, rows_path
 from jaxdet.floor.plane import join_planes
+from jaxdet.pipeline import detect_on_cpu
 from jaxdet.render import draw_frame, write_png
 from jaxdet.results.durable import writing
 from jaxdet.results.metric import rectangles
@@ -27,14 +29,11 @@ from jaxdet.results.rows import (
 )
 from jaxdet.results.summary import Counts
 from jaxdet.results.tables import Tables
-from jaxdet.types import Detections, GroundPlane
+from jaxdet.types import Detections, Frames, GroundPlane
 
 if TYPE_CHECKING:
     from jaxdet.engine.worker import Lost
     from jaxdet.io import Batch, Log
-
-Item = TypeVar("Item")
-_END: Any = object()
 
 
 class UnitProcessor:
@@ -65,24 +64,18 @@ class UnitProcessor:
         return result
 
     def process_units(
-        self, units: Iterable[Unit], read_ahead: int = 0
+        self, units: Iterable[Unit]
     ) -> Generator[tuple[Unit, UnitResult], None, None]:
-        """Yield units with their results, in order.
-
-        Args:
-            units: The units.
-            read_ahead: Number of batches that a thread reads ahead; changes no result.
-        """
+        """Yield units with their results, in order; a batch is read while others are computed."""
         in_flight: deque[_InFlight] = deque()
         building: list[_ResultBuilder] = []
         try:
-            with closing(_ahead(self._batches(units), read_ahead)) as batches:
-                for unit, batch in batches:
-                    in_flight.append(self._start(unit, batch))
-                    if len(in_flight) > self.device.ahead:
-                        yield from self._finish(in_flight.popleft(), building)
-                while in_flight:
+            for unit, batch in self._batches(units):
+                in_flight.append(self._start(unit, batch))
+                if len(in_flight) > self.device.ahead:
                     yield from self._finish(in_flight.popleft(), building)
+            while in_flight:
+                yield from self._finish(in_flight.popleft(), building)
         finally:
             for one in in_flight:
                 with suppress(Exception):
@@ -103,7 +96,7 @@ class UnitProcessor:
             some = numbers[first : first + plan.batch_size]
             batch = self.log.without_images(some, lost.status, lost.reason)
             plane = plan.planes.of(batch.frames.stamp_ns)
-            nothing = Found(no_inputs(len(some)), None)
+            nothing = Found(no_inputs(len(some)))
             building.add(_InFlight(unit, some, batch, plane, None), nothing)
         text = f"{plan.where(unit)}: {lost.status} ({lost.reason})"
         return building.complete(unit)._replace(errors=[], lost=text)
@@ -123,10 +116,7 @@ class UnitProcessor:
     def _start(self, unit: Unit, batch: "Batch") -> "_InFlight":
         numbers = batch.frames.number[: len(batch.status)].tolist()
         plane = self.plan.planes.of(batch.frames.stamp_ns)
-        whole = bool(self.plan.observers) or not self.plan.drawn.isdisjoint(numbers)
-        started = self._timed(
-            self.device.doing, partial(self.device.start, batch, plane, whole=whole)
-        )
+        started = self._timed(self.device.doing, self.device.start, batch, plane)
         return _InFlight(unit, numbers, batch, plane, started)
 
     def _finish(
@@ -138,6 +128,7 @@ class UnitProcessor:
         found = self._timed(self.device.doing, self.device.finish, one.started)
         self._busy.update(found.busy_s)
         self._timed("write", building[0].add, one, found)
+        self._timed("write", building[0].show, one)
         self._batch_done()
         if one.numbers[-1] + 1 == one.unit.stop:
             result: UnitResult = self._timed("write", building.pop().complete, one.unit)
@@ -184,11 +175,15 @@ class _ResultBuilder:
         self.held.append((batch.without_images(), plane, used_slots(found.inputs, count)))
         errors = zip(one.numbers, batch.errors, strict=True)
         self.errors += [f"frame {number}: {error}" for number, error in errors if error]
-        if found.whole is not None:
-            shown = shown_planes(found.inputs, one.plane, batch.frames.calibration)
-            self.pictures += self._draw(one, found.whole, shown)
+
+    def show(self, one: _InFlight) -> None:
+        """Draw the pictures of a batch, and pass the batch to the observers."""
+        batch = one.batch
+        self.pictures += self._draw(one)
+        if self.plan.observers:
+            detections = self._detect(batch.frames._replace(plane=one.plane))
             for name, observer in self.plan.observers.items():
-                self.seen[name].append(observer(batch, found.whole))
+                self.seen[name].append(observer(batch, detections))
 
     def complete(self, unit: Unit) -> UnitResult:
         """Return the result of the unit after its last batch; its rows are in a temporary file.
@@ -213,39 +208,34 @@ class _ResultBuilder:
             counts, path, occupancy, self.errors, self.pictures, self.seen, batch.notes
         )
 
-    def _draw(self, one: _InFlight, found: Detections, plane: GroundPlane) -> Iterator[str]:
-        plan, frames = self.plan, one.batch.frames._replace(plane=plane)
+    def _draw(self, one: _InFlight) -> Iterator[str]:
+        """Draw the frames of a batch that have pictures; yield the names of the pictures."""
+        plan, frames = self.plan, one.batch.frames
+        rows = [row for row, number in enumerate(one.numbers) if number in plan.drawn]
+        rows = [row for row in rows if frames.valid[row]]
+        if not rows:
+            return
+        arrays = {k: a[rows] for k, a in frames._asdict().items() if isinstance(a, np.ndarray)}
+        plane = GroundPlane(*(part[rows] for part in one.plane))
+        frames = frames._replace(**arrays, plane=plane)
+        found = self._detect(frames)
+        frames = frames._replace(plane=shown_planes(found, plane, frames.calibration))
         corners = rectangles(found.obstacles, frames.calibration.depth_unit, plan.config.footprint)
-        for row, number in enumerate(one.numbers):
-            if number in plan.drawn and frames.valid[row]:
-                name = f"pictures/{plan.picture}{number:06d}.png"
-                title = f"{plan.label}   frame {number}"
-                picture = draw_frame(frames, found, corners, row, plan.config, title)
-                path = plan.folder / name
-                with writing(path):
-                    path.parent.mkdir(parents=True, exist_ok=True)
-                    write_png(path, picture)
-                yield name
+        for row, number in enumerate(frames.number.tolist()):
+            name = f"pictures/{plan.picture}{number:06d}.png"
+            title = f"{plan.label}   frame {number}"
+            picture = draw_frame(frames, found, corners, row, plan.config, title)
+            path = plan.folder / name
+            with writing(path):
+                path.parent.mkdir(parents=True, exist_ok=True)
+                write_png(path, picture)
+            yield name
 
+    def _detect(self, frames: Frames) -> Detections:
+        """Return all detections of frames, not only those that rows are made of.
 
-def _ahead(items: Iterator[Item], depth: int) -> Generator[Item, None, None]:
-    """Yield items in order; a thread takes up to ``depth`` items in advance.
-
-    An exception is raised after the items before it. Closing the generator waits for the thread to
-    end, so that the source can be closed afterwards.
-    """
-    if not depth:
-        yield from items
-        return
-    thread = ThreadPoolExecutor(1, "jaxdet-reader")
-    try:
-        waiting: deque[Future[Item]] = deque()
-        while True:
-            while len(waiting) <= depth:
-                waiting.append(thread.submit(next, items, _END))
-            item = waiting.popleft().result()
-            if item is _END:
-                return
-            yield item
-    finally:
-        thread.shutdown(cancel_futures=True)
+        This process computes them: the device server returns only what all frames need.
+        """
+        config = self.plan.config
+        with computing():
+            return detect_on_cpu(method_frames(frames, config), config, backend=self.plan.backend)

@@ -164,9 +164,10 @@ class Worker:
         self._theirs.close()
 
     @property
-    def by_signal(self) -> bool:
-        """Whether a signal ended the process."""
-        return (self._exit_code() or 0) < 0
+    def killed(self) -> bool:
+        """Whether a signal ended the process, or the fork server before it started the process."""
+        code = self._exit_code()
+        return code is None or code < 0
 
     @property
     def death(self) -> str:

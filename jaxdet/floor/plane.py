@@ -200,9 +200,10 @@ def _crossing(height: float, s: np.ndarray, depth_unit: float) -> np.ndarray:
     return np.divide(drop, s, out=np.full_like(s, np.inf), where=s > 0)
 
 
-def depth_gap_units(config: ClusterConfig, depth_unit: float) -> int:
-    """Return d_z [depth units], at most 2^20, more than any depth difference."""
-    return min(round(config.depth_gap_m / depth_unit), 1 << 20)
+def gap_units(config: ClusterConfig, depth_unit: float) -> tuple[int, int]:
+    """Return the gaps d_z and d_x [depth units]."""
+    depth_m, lateral_m = config.gaps_m
+    return round(depth_m / depth_unit), round(lateral_m / depth_unit)
 
 
 class StepHeight(NamedTuple):

@@ -5,9 +5,8 @@ import numpy as np
 from jaxdet.camera import cell_rays, cell_side, corner_rays, splat_parameters
 from jaxdet.config import SurfaceConfig
 from jaxdet.floor.plane import quadratic_table
-from jaxdet.reference._align import project_corners
-from jaxdet.reference._features import lateral
-from jaxdet.reference._rounding import rounded
+from jaxdet.reference._lens import project_corners
+from jaxdet.reference._rounding import lateral, rounded
 from jaxdet.types import Calibration, Cells
 
 MARGIN = 8
@@ -97,7 +96,7 @@ def cell_boxes(
 
     If depth is aligned, the box is the square of the cell. Otherwise it is spanned by the
     projections of the cell's upper left and lower right corners into the colour image (Eq. 2-4), in
-    the arithmetic of :func:`jaxdet.reference.align`, and clipped to the image.
+    the arithmetic of :func:`jaxdet.reference.paper.align`, and clipped to the image.
 
     Args:
         z: Depth of the cells, ``(B, R, C)`` int32 [depth units].

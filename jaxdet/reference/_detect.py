@@ -17,15 +17,15 @@ from jaxdet.floor.frame import (
 )
 from jaxdet.floor.plane import StepHeight, depth_range, max_height, quadratic_table, step_height
 from jaxdet.floor.rays import NOTCH_M, half_turn
+from jaxdet.reference import paper
 from jaxdet.reference._cells import cell_boxes, cells, margins, nearest_depths
 from jaxdet.reference._evidence import Pairs, pairs
 from jaxdet.reference._floor import FloorFit, find_floor, floor_of_cells, used_cells
-from jaxdet.reference._footprint import footprint_on_floor
 from jaxdet.reference._free import FloorView, floor_ahead, is_upside_down
+from jaxdet.reference._measures import footprint_on_floor
 from jaxdet.reference._notches import notches, with_notches
 from jaxdet.reference._obstacles import obstacles, whole_surfaces
 from jaxdet.reference._outlines import contours, fitted_direction, fitted_span, inner
-from jaxdet.reference._points import clusters
 from jaxdet.reference._rays import Standing, blocks, rays
 from jaxdet.reference._surfaces import surfaces, without_bent_floor
 from jaxdet.reference._view import View
@@ -72,7 +72,7 @@ def detect(
     """Find floor, surfaces, obstacles, their outlines and the free floor of each frame.
 
     Only depth is read; the preset ``paper`` (``cluster.points``,
-    :func:`jaxdet.reference._points.clusters`) reads colour too.
+    :func:`jaxdet.reference.paper._detect.clusters`) reads colour too.
 
     Args:
         frames: ``B`` frames; their ``plane`` is not used.
@@ -82,7 +82,7 @@ def detect(
         with_cells: Whether to return the labels of cells as well.
     """
     if config.cluster.points:
-        return clusters(frames, plane, config)
+        return paper.detect(frames, plane, config)
     calibration, unit = frames.calibration, frames.calibration.depth_unit
     grid = cells(frames.depth, calibration, config.surface)
     fit = find_floor(grid.x, grid.y, grid.z, plane, config.floor, unit)

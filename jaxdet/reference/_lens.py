@@ -1,4 +1,4 @@
-"""Lens models in the arithmetic of the alignment: every operation is rounded separately."""
+"""Projection into the colour camera and lens models; every operation is rounded separately."""
 
 import numpy as np
 
@@ -48,3 +48,40 @@ def _equidistant(x: np.ndarray, y: np.ndarray, k: np.ndarray) -> tuple[np.ndarra
     bent = theta * (f64(1) + t2 * (k[0] + t2 * (k[1] + t2 * (k[2] + t2 * k[3]))))
     scale = np.where(r > 1e-9, bent / np.where(r > 1e-9, r, f64(1)), f64(1))
     return (x * scale).astype(f32), (y * scale).astype(f32)
+
+
+def project_corners(
+    x: np.ndarray, y: np.ndarray, units: np.ndarray, splat: SplatParameters
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Project points on depth rays into the colour image (Eq. 1-4), in float32.
+
+    Args:
+        x: x over z of the rays in the depth camera, ``(n,)`` float32.
+        y: y over z, ``(n,)`` float32.
+        units: Depth ``(n,)`` uint16 [depth units].
+        splat: Constants of the alignment.
+
+    Returns:
+        Colour column and row, z in the colour camera [depth units], and whether the point is in
+        front of the camera and inside the range of the lens model, each ``(n,)``.
+    """
+    f32, r, t = np.float32, splat.rotation, splat.translation
+    depth = units.astype(f32) * splat.depth_unit
+    px, py = depth * x, depth * y
+    cx, cy, cz = (
+        r[3 * i] * px + (r[3 * i + 1] * py + (r[3 * i + 2] * depth + t[i])) for i in range(3)
+    )
+    ahead = cz > 0
+    cz = np.where(ahead, cz, f32(1))
+    px, py, inside = project(cx / cz, cy / cz, splat)
+    fx, fy, ppx, ppy = splat.pinhole
+    column, fits_u = _to_int(px * fx + ppx + f32(0.5))
+    row, fits_v = _to_int(py * fy + ppy + f32(0.5))
+    z = np.minimum(cz / splat.depth_unit + f32(0.5), f32(65534)).astype(np.uint32)
+    return column, row, z, ahead & inside & fits_u & fits_v
+
+
+def _to_int(value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Round towards zero; also return whether the value is small enough to be near an image."""
+    fits = np.abs(value) < np.float32(1 << 20)
+    return np.where(fits, value, np.float32(0)).astype(np.int32), fits

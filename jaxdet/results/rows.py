@@ -228,20 +228,20 @@ def _of_color_camera(batch: "Batch") -> "Batch":
     return batch._replace(frames=frames._replace(T_world_camera=poses), camera_frame=name)
 
 
-def shown_planes(inputs: RowInputs, plane: GroundPlane, calibration: Calibration) -> GroundPlane:
+def shown_planes(found: Detections, plane: GroundPlane, calibration: Calibration) -> GroundPlane:
     """Return the floor of each frame: the floor that the frame shows, or else its prior.
 
     Args:
-        inputs: Inputs of ``B`` frames, see :func:`row_inputs`.
+        found: Detections of ``B`` frames.
         plane: Priors, ``(B,)``, seen from the depth camera.
         calibration: Calibration of the log.
 
     Returns:
         ``(B,)`` planes seen from the camera that lengths refer to.
     """
-    if inputs.scene is None:
+    if found.scene is None:
         return plane_in_color(plane, calibration)
-    return floor_fit(np.asarray(inputs.scene.floor), plane, calibration.depth_unit).plane
+    return floor_fit(np.asarray(found.scene.floor), plane, calibration.depth_unit).plane
 
 
 def _first(part: Any, count: int) -> Any:

@@ -43,21 +43,6 @@ def load_for_cpu(module: ModuleType) -> None:
         _loaded.add(module.__name__)
 
 
-def load_compiled(module: ModuleType) -> bool:
-    """Load the kernels of a module for the CPU if some process has compiled them.
-
-    Returns:
-        Whether the kernels are loaded.
-    """
-    with _lock:
-        if module.__name__ not in _loaded:
-            start_warp()
-            if not _load(module, _folder(module)):
-                return False
-            _loaded.add(module.__name__)
-        return True
-
-
 def _folder(module: ModuleType) -> Path:
     """Return a module's folder in Warp's cache, whose location Warp sets when it is started."""
     return Path(str(wp.config.kernel_cache_dir)) / f"{module.__name__}-{_version()}"

@@ -12,7 +12,7 @@ from jaxdet.sim.world import mesh_of
 TRIES = 60
 CLEAR_M = 0.10
 """Minimum gap between a relocated object and all other objects [m]: at this gap, boxes should still
-be detected as two obstacles (a goal in ``benchmarks/paper/goals.py``)."""
+be detected as two obstacles."""
 _FARTHER_M = 0.05
 """Increase of the search radius per try [m]."""
 _LIMITS_M = (0.9, 4.4)

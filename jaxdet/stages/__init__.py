@@ -1,6 +1,6 @@
 """JAX and Warp implementation of the functions of :mod:`jaxdet.reference`, on batches.
 
-Names are imported when they are used, so that :func:`find_floors_on_cpu` runs without JAX.
+Names are imported when they are used, so that those of ``_on_cpu`` need no JAX.
 """
 
 import lazy_loader

@@ -1,20 +1,6 @@
-__all__ = [
-    "align",
-    "check_kernels",
-    "cluster",
-    "detect",
-    "features",
-    "find_floors",
-    "find_floors_on_cpu",
-    "footprint",
-    "ground",
-]
+__all__ = ["check_kernels", "detect", "detect_on_cpu", "find_floors", "paper"]
 
-from ._align import align
+from . import paper
 from ._check import check_kernels
-from ._cluster import cluster
-from ._detect import detect, find_floors
-from ._features import features
-from ._floors import find_floors_on_cpu
-from ._footprint import footprint
-from ._ground import ground
+from ._detect import detect
+from ._on_cpu import detect_on_cpu, find_floors

@@ -1,14 +1,12 @@
 """Complete method as one compiled program, for the CPU and CUDA."""
 
 from functools import lru_cache, partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from jaxdet.config import Config
-from jaxdet.floor.units import FloorFit, floor_fit
 from jaxdet.runtime.calls import (
     by_device,
     device_of_jax,
@@ -16,22 +14,10 @@ from jaxdet.runtime.calls import (
     most_teams,
     uninterrupted,
 )
-from jaxdet.stages import _batches, _program
+from jaxdet.stages import _batches, _program, paper
 from jaxdet.stages._check import check_kernels
-from jaxdet.stages._points import clusters
-from jaxdet.stages._program import Static
-from jaxdet.types import (
-    MAX_OBSTACLES,
-    MAX_SURFACES,
-    Calibration,
-    CellLabels,
-    Cells,
-    Detections,
-    Frames,
-    GroundPlane,
-    Obstacles,
-    Scene,
-)
+from jaxdet.stages._program import Rows, Static
+from jaxdet.types import Calibration, Detections, Frames, GroundPlane
 from jaxdet_kernels import program as kernels
 
 
@@ -55,7 +41,7 @@ def detect(
         ConfigError: The kernels do not support images or grids of this size.
     """
     if config.cluster.points:
-        return clusters(frames, plane, config)
+        return paper.detect(frames, plane, config)
     tables, static = _tables(frames.calibration, config)
 
     def run(images: tuple[Any, ...], planes: GroundPlane) -> Detections:
@@ -63,21 +49,8 @@ def detect(
         return uninterrupted(_detect, *images, inputs, static, with_cells)
 
     found = _batches.in_parts(run, (frames.depth,), plane)
+    assert found.scene is not None
     return found._replace(scene=found.scene._replace(prior=plane))
-
-
-def find_floors(frames: Frames, prior: GroundPlane, config: Config) -> FloorFit:
-    """Estimate the floors; twin of :func:`jaxdet.reference.find_floors`."""
-    unit = frames.calibration.depth_unit
-    tables, static = _tables(frames.calibration, config)
-
-    def run(images: tuple[Any, ...], planes: GroundPlane) -> jax.Array:
-        floors = jnp.asarray(_program.floors(planes, config, unit))
-        inputs = jax.device_put(*images), (tables, floors)
-        return uninterrupted(_find_floors, *inputs, static)
-
-    found = _batches.in_parts(run, (frames.depth,), prior)
-    return floor_fit(np.asarray(found), prior, unit)
 
 
 @lru_cache(maxsize=8)
@@ -89,14 +62,6 @@ def _tables(calibration: Calibration, config: Config) -> tuple[jax.Array, Static
     return jnp.asarray(packed), Static.of(packed)
 
 
-@partial(jax.jit, static_argnames="static")
-def _find_floors(
-    depth: jax.Array, inputs: tuple[jax.Array, jax.Array], static: Static
-) -> jax.Array:
-    tables, floors = inputs
-    return _run_floors(depth, floors, tables, static)
-
-
 @partial(jax.jit, static_argnames=("static", "with_cells"))
 def _detect(
     depth: jax.Array,
@@ -105,36 +70,8 @@ def _detect(
     with_cells: bool,
 ) -> Detections:
     tables, floors = inputs
-    found = _run_steps(depth, floors, tables, static, with_cells)
-    record = _program.record_layout()
-    fields = {name: record.take(found.record, name) for name in record.shapes}
-    count, surfaces = fields["num_obstacles"], fields["num_surfaces"]
-    fields["has_vertex"] = fields["has_vertex"] != 0
-    obstacles = Obstacles(**{k: fields[k] for k in Obstacles._fields if k in fields})
-    shape = len(depth), MAX_OBSTACLES, static.columns, 2
-    fields |= {"prior": None, "contour": found.contour.reshape(shape)}  # the prior is on the host
-    cells = None
-    if with_cells:
-        work = _program.work_layout(static.rows, static.columns)
-        label, keep, *grid = (work.take(found.work, n) for n in ("label", "keep", "x", "y", "z"))
-        cells = CellLabels(jnp.where(label < MAX_OBSTACLES, label, -1), keep, Cells(*grid))
-    return Detections(
-        jnp.minimum(count, MAX_OBSTACLES),
-        (count > MAX_OBSTACLES) | (surfaces > MAX_SURFACES),
-        fields["has_depth"] != 0,
-        obstacles,
-        Scene(*(fields[name] for name in Scene._fields)),
-        cells,
-    )
-
-
-class Rows(NamedTuple):
-    """Results of the steps, one row of words per frame."""
-
-    record: Any
-    contour: Any
-    work: Any
-    """Intermediate arrays; on the CPU empty unless they are requested."""
+    rows = _run_steps(depth, floors, tables, static, with_cells)
+    return _program.detections(rows, static, with_cells, jnp)
 
 
 def _run_steps(
@@ -150,26 +87,7 @@ def _run_steps(
         static: Sizes that the program is compiled for.
         keep_work: Whether to return the intermediate arrays.
     """
-    return _called(len(_program.STEPS), depth, floors, tables, static, keep_work)
-
-
-def _run_floors(
-    depth: jax.Array, floors: jax.Array, tables: jax.Array, static: Static
-) -> jax.Array:
-    """Estimate only the floor, ``(B, 8)`` int32; arguments as for :func:`_run_steps`."""
-    found = _called(_program.FLOOR_STEPS, depth, floors, tables, static, keep_work=False)
-    return _program.record_layout().take(found.record, "floor")
-
-
-def _called(
-    steps: int,
-    depth: jax.Array,
-    floors: jax.Array,
-    tables: jax.Array,
-    static: Static,
-    keep_work: bool,
-) -> Rows:
-    batch, program = len(depth), _compiled(steps, static)
+    batch, program = len(depth), _compiled(static)
 
     def call(work: bool, scratch: tuple[int, int]) -> Rows:
         record, contour, words = static.words(work)
@@ -186,8 +104,9 @@ def _called(
 
 
 @lru_cache(maxsize=64)
-def _compiled(steps: int, static: Static) -> Any:
-    """Return a function for ``jax.jit`` that runs the first ``steps`` steps of the program."""
+def _compiled(static: Static) -> Any:
+    """Return a function for ``jax.jit`` that runs all steps of the program."""
+    steps = len(_program.STEPS)
 
     def program(
         depth: Any, floors: Any, tables: Any, record: Any, contour: Any, work: Any, scratch: Any

@@ -28,7 +28,20 @@ from jaxdet.stages._tables import (
     outline_tables,
     surface_tables,
 )
-from jaxdet.types import MAX_CONTOUR, MAX_OBSTACLES, RAYS, Array, Calibration, GroundPlane
+from jaxdet.types import (
+    MAX_CONTOUR,
+    MAX_OBSTACLES,
+    MAX_SURFACES,
+    RAYS,
+    Array,
+    Calibration,
+    CellLabels,
+    Cells,
+    Detections,
+    GroundPlane,
+    Obstacles,
+    Scene,
+)
 from jaxdet_kernels import program as kernels
 
 STEPS = tuple(kernels.STEPS)
@@ -156,6 +169,46 @@ class Static(NamedTuple):
         """Return the number of words of a frame's record, contours and intermediate arrays."""
         work = work_layout(self.rows, self.columns).words if keep_work else 1
         return record_layout().words, MAX_OBSTACLES * self.columns * 2, work
+
+
+class Rows(NamedTuple):
+    """Results of the steps, one row of words per frame, NumPy or JAX arrays."""
+
+    record: Any
+    contour: Any
+    work: Any
+    """Intermediate arrays; on the CPU empty unless they are requested."""
+
+
+def detections(rows: Rows, static: Static, with_cells: bool, xp: Any) -> Detections:
+    """Return the results of all steps as detections; the prior of their scene is None.
+
+    Args:
+        rows: Results of all steps.
+        static: Sizes of the program.
+        with_cells: Whether to return the labels of cells as well.
+        xp: Module of the arrays, NumPy or ``jax.numpy``.
+    """
+    record = record_layout()
+    fields = {name: record.take(rows.record, name) for name in record.shapes}
+    count, surfaces = fields["num_obstacles"], fields["num_surfaces"]
+    fields["has_vertex"] = fields["has_vertex"] != 0
+    obstacles = Obstacles(**{k: fields[k] for k in Obstacles._fields if k in fields})
+    shape = len(rows.record), MAX_OBSTACLES, static.columns, 2
+    fields |= {"prior": None, "contour": rows.contour.reshape(shape)}
+    cells = None
+    if with_cells:
+        work = work_layout(static.rows, static.columns)
+        label, keep, *grid = (work.take(rows.work, n) for n in ("label", "keep", "x", "y", "z"))
+        cells = CellLabels(xp.where(label < MAX_OBSTACLES, label, -1), keep, Cells(*grid))
+    return Detections(
+        xp.minimum(count, MAX_OBSTACLES),
+        (count > MAX_OBSTACLES) | (surfaces > MAX_SURFACES),
+        fields["has_depth"] != 0,
+        obstacles,
+        Scene(*(fields[name] for name in Scene._fields)),
+        cells,
+    )
 
 
 def launch(arrays: list[Any], scratch: Any, first: int, end: int, static: Static) -> None:

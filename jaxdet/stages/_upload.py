@@ -105,16 +105,16 @@ class PageLock:
         memory: Memory map; unlock it before it is closed.
         device: One of the devices.
         block: Bytes that are locked together, a multiple of the page size; a copy must not cross
-            blocks. None: all memory at once.
+            blocks.
 
     Raises:
         OSError: CUDA cannot lock the memory.
     """
 
-    def __init__(self, memory: mmap.mmap, device: Any, block: int | None = None) -> None:
+    def __init__(self, memory: mmap.mmap, device: Any, block: int) -> None:
         self._device = wp.device_from_jax(device)
         first, size = ctypes.addressof(ctypes.c_char.from_buffer(memory)), len(memory)
-        block, portable = block or size, ctypes.c_uint(_PORTABLE)
+        portable = ctypes.c_uint(_PORTABLE)
         blocks = [(first + at, min(block, size - at)) for at in range(0, size, block)]
         self._locked: list[ctypes.c_void_p] = []
         with ThreadPoolExecutor(_POPULATING) as threads:

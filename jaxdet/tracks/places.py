@@ -8,6 +8,7 @@ import numpy as np
 import pyarrow as pa
 
 from jaxdet.elementary import arctan2, hypot
+from jaxdet.results.arrow import vectors
 from jaxdet.results.free_floor import RAY_RAD, FreeFloor
 from jaxdet.results.map_file import Grid, KnownPlaces
 from jaxdet.results.metric import world_angle
@@ -21,6 +22,7 @@ from jaxdet.tracks.sightings import (
     CHUNK_FRAMES,
     FRAME_COLUMNS,
     OBSTACLE_COLUMNS,
+    Lines,
     Sightings,
     contours,
     free_floor,
@@ -36,8 +38,10 @@ obstacle's distance [1/m]."""
 BEHIND_M = 0.4
 """Distance from something occupied within which unknown cells count as part of it [m]: a lidar maps
 the outline of furniture that it saw, and what lies behind the outline stays unknown."""
+EDGE_POINTS = 9
+"""Number of points on the edge AB of an obstacle without a contour (preset ``paper``)."""
 IN_MAP = 0.5
-"""Minimum fraction of a contour's points in the map, and of a track's obstacles."""
+"""Minimum fraction of an edge's points in the map, and of a track's obstacles."""
 
 
 class PlaceRows(NamedTuple):
@@ -47,7 +51,7 @@ class PlaceRows(NamedTuple):
     """Sightings of each place, ``(N, 3)`` int64, see :meth:`jaxdet.tracks.sightings.Sightings.of`.
     """
     in_map: np.ndarray
-    """Fraction of the points in the map, ``(N,)`` float64, NaN without a map or a contour in the
+    """Fraction of the points in the map, ``(N,)`` float64, NaN without a map or a position in the
     world."""
 
     def columns(self) -> list[pa.Array]:
@@ -83,7 +87,7 @@ class Places:
 
         Args:
             chunk: Tables with ``POSE_COLUMNS`` and ``OBSTACLE_COLUMNS`` of
-                :mod:`jaxdet.tracks.sightings`.
+                :mod:`jaxdet.tracks.sightings`, and with ``corners_world``.
             corners_world: Outlines ``(N, 8)`` [m], NaN if unknown.
         """
         sightings = self._sightings.of(chunk)
@@ -145,22 +149,22 @@ class Places:
 
 
 def shares_in_map(chunk: Tables, known: KnownPlaces) -> np.ndarray:
-    """Return the fraction of the points of each contour that a map contains.
+    """Return the fraction of the points of each visible edge that a map contains.
 
     The map contains a point if there is an occupied cell near it, or within :data:`BEHIND_M` of it
     if its own cell is unknown.
 
     Args:
         chunk: Tables with ``POSE_COLUMNS`` and ``OBSTACLE_COLUMNS`` of
-            :mod:`jaxdet.tracks.sightings`.
+            :mod:`jaxdet.tracks.sightings`, and with ``corners_world``.
         known: Known map.
 
     Returns:
-        Fractions ``(N,)`` float64, NaN without a contour in the world; an obstacle is in the map
+        Fractions ``(N,)`` float64, NaN without a position in the world; an obstacle is in the map
         from :data:`IN_MAP` on.
     """
     count = chunk.obstacles.num_rows
-    lines = contours(chunk, poses(chunk.frames))
+    lines = visible_edges(chunk)
     distance = chunk.obstacles["distance_m"].to_numpy().astype(np.float64)
     reach = MAP_NEAR_M + MAP_PER_M * (distance * distance)
     obstacle = np.repeat(np.arange(count), lines.lengths)
@@ -170,6 +174,18 @@ def shares_in_map(chunk: Tables, known: KnownPlaces) -> np.ndarray:
     mapped = known.near(lines.points, reach[obstacle]) | behind
     total, inside = (np.bincount(obstacle[rows], minlength=count) for rows in (placed, mapped))
     return np.where(total > 0, inside / np.maximum(total, 1), np.nan)
+
+
+def visible_edges(chunk: Tables) -> Lines:
+    """Return the contours of all obstacles; of obstacles without one, points on their edge AB."""
+    lines = contours(chunk, poses(chunk.frames))
+    bare = lines.lengths == 0
+    count = np.where(bare, EDGE_POINTS, lines.lengths)
+    a, b = np.split(vectors(chunk.obstacles["corners_world"], 8)[:, None, :4], 2, axis=-1)
+    edges = a + (b - a) * np.linspace(0, 1, EDGE_POINTS)[:, None]
+    points, has_none = np.zeros((count.sum(), 2)), np.repeat(bare, count)
+    points[has_none], points[~has_none] = edges[bare].reshape(-1, 2), lines.points
+    return Lines(points, count)
 
 
 def is_lasting(floor_seen: np.ndarray, most_floor: float) -> np.ndarray:

@@ -9,7 +9,7 @@ from jaxdet.io import LogFiles
 from jaxdet.render import draw_frame
 from jaxdet.results.metric import rectangles
 from jaxdet.results.reading import ResultLog, Results
-from jaxdet.results.rows import row_inputs, shown_planes
+from jaxdet.results.rows import shown_planes
 
 
 def draw_again(
@@ -32,7 +32,7 @@ def draw_again(
         unit = frames.calibration.depth_unit
         corners = rectangles(detections.obstacles, unit, config.footprint)
         assert frames.plane is not None
-        plane = shown_planes(row_inputs(detections), frames.plane, frames.calibration)
+        plane = shown_planes(detections, frames.plane, frames.calibration)
         frames = frames._replace(plane=plane)
         for row, number in enumerate(seen.chunk.frames["frame"].to_pylist()):
             title = f"{log.label}   frame {number}"

@@ -11,21 +11,24 @@ namespace jaxdet { namespace {
 // Boosted regression trees, each complete: node k has the children 2 k + 1 (at most the threshold) and
 // 2 k + 2 (above it).
 struct Trees {
+    // Number of pairs that the CPU weighs together, so that the latencies of their loads overlap.
+    enum { ABREAST = Warp::size > 1 ? 1 : 16 };
     const int *feature, *threshold, *value;
     int trees, leaves, offset;
 
-    // Returns the sum of the values of trees `first`, `first + step`, ... The features are `stride`
-    // words apart.
-    int weigh(const int* features, int stride, int first, int step) const {
-        int sum = 0;
+    // Adds the values of trees `first`, `first + step`, ... to the sums of ABREAST pairs. Features are
+    // `stride` words apart, pairs one word.
+    void weigh(const int* features, int stride, int first, int step, int* sums) const {
         for (int tree = first; tree < trees; tree += step) {
             const int *which = feature + tree * (leaves - 1), *most = threshold + tree * (leaves - 1);
-            int node = 0;
-            while (node < leaves - 1)
-                node = 2 * node + 1 + (features[which[node] * stride] > most[node]);
-            sum += value[tree * leaves + node - (leaves - 1)];
+            int node[ABREAST] = {};
+            for (int wide = 1; wide < leaves; wide *= 2)
+                for (int k = 0; k < ABREAST; ++k) {
+                    const int at = node[k];
+                    node[k] = 2 * at + 1 + (features[which[at] * stride + k] > most[at]);
+                }
+            for (int k = 0; k < ABREAST; ++k) sums[k] += value[tree * leaves + node[k] - (leaves - 1)];
         }
-        return sum;
     }
 };
 
@@ -96,20 +99,30 @@ struct Evidence {
             team.sync();
             const bool weighs = weights[own] != NOT_NEAR;
             team.sync();
-            if (weighs)
-                team.atomic_add(weights + own, trees.weigh(features + own, BATCH, share, shares));
+            if (weighs) {
+                int sum = 0;
+                trees.weigh(features + own, BATCH, share, shares, &sum);
+                team.atomic_add(weights + own, sum);
+            }
             team.sync();
             if (share == 0 && some) {
                 between[a * count + b] = between[b * count + a] = weighs ? weights[own] : 0;
             }
         }
 #else
+        enum { ABREAST = Trees::ABREAST };
+        int features[FEATURES * ABREAST] = {}, some[ABREAST], n = 0;
         for (int item = 0; item < *listed; ++item) {
-            const int a = list[item] >> 16, b = list[item] & 0xffff;
-            int features[FEATURES], weight = 0;
-            if (write_features(a, b, features, 1))
-                weight = trees.offset + trees.weigh(features, 1, 0, 1);
-            between[a * count + b] = between[b * count + a] = weight;
+            some[n] = list[item];
+            n += write_features(some[n] >> 16, some[n] & 0xffff, features + n, ABREAST);
+            if (n < ABREAST && item + 1 < *listed) continue;
+            int sums[ABREAST] = {};
+            trees.weigh(features, ABREAST, 0, 1, sums);
+            for (int k = 0; k < n; ++k) {
+                const int a = some[k] >> 16, b = some[k] & 0xffff;
+                between[a * count + b] = between[b * count + a] = trees.offset + sums[k];
+            }
+            n = 0;
         }
 #endif
         team.sync();

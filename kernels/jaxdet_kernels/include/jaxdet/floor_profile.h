@@ -128,17 +128,44 @@ struct FloorProfile {
 #endif
     }
 
+    // Counts the inliers in a distance bin of N floors, at heights `up` above the plane, and the cells
+    // clearly below each: adds to `on` and `low`.
+    template <int N> void count(int k, const int* up, int slack, int* on, int* low) const {
+#if defined(__CUDA_ARCH__)
+        if (begin()[k] == begin()[k + 1]) return;
+        for (int w = 0; w < N; w++) {
+            const int ends[3] = {index(up[w] + slack), index(up[w] - slack),
+                                 index(up[w] - FloorScore::BELOW * slack)};
+            int under[3];
+            lower(k, ends, under, 3);
+            on[w] += under[0] - under[1];
+            low[w] += under[2];
+        }
+#else
+        const int bits = settings[FloorSetting::RISE_BITS], center = half();
+        int over[N], least[N], deep[N];
+        for (int w = 0; w < N; w++) {
+            over[w] = ((up[w] + slack) >> bits) + center;
+            least[w] = ((up[w] - slack) >> bits) + center;
+            deep[w] = ((up[w] - FloorScore::BELOW * slack) >> bits) + center;
+        }
+        for (int i = begin()[k]; i < begin()[k + 1]; i++) {
+            const int height = sorted()[i];
+            for (int w = 0; w < N; w++) {
+                on[w] += (height >= least[w]) & (height < over[w]);
+                low[w] += height < deep[w];
+            }
+        }
+#endif
+    }
+
     // Number of inliers in a distance bin of a floor at `height` above the plane; `low` is the number
     // of cells clearly below it.
     int on(int k, int height, int slack, int& low) const {
+        int found = 0;
         low = 0;
-        if (begin()[k] == begin()[k + 1]) return 0;
-        const int ends[3] = {index(height + slack), index(height - slack),
-                             index(height - FloorScore::BELOW * slack)};
-        int under[3];
-        lower(k, ends, under, 3);
-        low = under[2];
-        return under[0] - under[1];
+        count<1>(k, &height, slack, &found, &low);
+        return found;
     }
 
     // Finds the distances between which all but a tenth of the cells at each end lie, from the number

@@ -132,38 +132,46 @@ struct FloorRamps : FloorProfile {
     }
 
     // Finds the first ramp of a lattice with the most votes, at least `least`, as a key; `flat` and
-    // `most` must have been computed with the same tolerance. A thread visits its ramps last to first,
-    // so a ramp that ties with the best so far replaces it, and ramps that cannot tie are skipped.
+    // `most` must have been computed with the same tolerance. ABREAST ramps with one turn are tried
+    // together; those that cannot tie with the best so far are skipped.
     void best(const Team& team, const Lattice& tried, const int* slack, int least) const {
-        const int turns = tried.turns, number = tried.starts * turns;
-        const int n = runs(), last = 2 * half(), center = half();
-        const int bits = settings[FloorSetting::RISE_BITS];
-        const int *first = begin(), *level = flat(), *rest = most();
+        const int turns = tried.turns, groups = (tried.starts + ABREAST - 1) / ABREAST * turns;
+        const int n = runs(), *const rest = most();
         int most_votes = least;
-        for (int m = number - 1 - team.rank; m >= 0; m -= team.size) {
-            const int i = m / turns, start = start_of(tried, i);
-            int k = first_beyond(start), votes = level[k];
+        for (int group = groups - 1 - team.rank; group >= 0; group -= team.size) {
+            const int first = group / turns * ABREAST, turn = group % turns;
+            const int slope = angles.slope(turn_of(tried, turn));
+            // The starts increase; surplus ramps repeat the last start.
+            int start[ABREAST], number[ABREAST], votes[ABREAST], highest;
+            for (int w = 0; w < ABREAST; w++) {
+                const int i = first + w < tried.starts ? first + w : tried.starts - 1;
+                start[w] = start_of(tried, i);
+                number[w] = i * turns + turn;
+            }
+            int k = first_beyond(start[0]);
+            for (int w = 0; w < ABREAST; w++) votes[w] = highest = flat()[k];
 #if defined(__CUDA_ARCH__)
             const int others = FloorKey::votes(*(volatile unsigned long long*)key);
             if (others > most_votes) most_votes = others;
 #endif
-            if (votes + rest[k] < most_votes) continue;
-            const int slope = angles.slope(turn_of(tried, m - i * turns));
-            for (; k < n && votes + rest[k] >= most_votes; k++) {
-                if (first[k] == first[k + 1]) continue;
-                const int up = rise(start, slope, middle(k)), s = slack[k];
-                const auto place = [&](int height) {
-                    const int at = (height >> bits) + center;
-                    return at < 0 ? 0 : at > last ? last : at;
-                };
-                const int ends[3] = {place(up + s), place(up - s), place(up - FloorScore::BELOW * s)};
-                int under[3];
-                lower(k, ends, under, 3);
-                votes += under[0] - under[1] - FloorScore::BELOW_COST * under[2];
+            for (; k < n && highest + rest[k] >= most_votes; k++) {
+                if (begin()[k] == begin()[k + 1]) continue;
+                int up[ABREAST], on[ABREAST] = {}, low[ABREAST] = {};
+                const int run = middle(k);
+                for (int w = 0; w < ABREAST; w++)
+                    up[w] = rounded(slope * (run > start[w] ? run - start[w] : 0));
+                count<ABREAST>(k, up, slack[k], on, low);
+                highest = votes[0];
+                for (int w = 0; w < ABREAST; w++) {
+                    votes[w] += on[w] - FloorScore::BELOW_COST * low[w];
+                    highest = votes[w] > highest ? votes[w] : highest;
+                }
             }
-            if (votes < most_votes || k < n) continue;
-            most_votes = votes;
-            team.atomic_min(key, FloorKey::of(votes, m));
+            for (int w = 0; k == n && w < ABREAST; w++) {
+                if (votes[w] < most_votes) continue;
+                most_votes = votes[w];
+                team.atomic_min(key, FloorKey::of(votes[w], number[w]));
+            }
         }
         team.sync();
     }

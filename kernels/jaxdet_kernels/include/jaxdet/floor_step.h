@@ -6,7 +6,9 @@
 namespace jaxdet { namespace {
 
 struct FloorSteps : FloorProfile {
-    enum { DROPS = 28, RISES = 10, OWN = 4 };
+    enum { DROPS = 28, RISES = 10, STEPS = DROPS + RISES, OWN = 4 };
+    // Number of steps that the CPU tries at once.
+    enum { ABREAST = Warp::size > 1 ? 1 : STEPS };
 
     // Per distance bin: number of inliers of the plane in all nearer bins; number of inliers of the
     // floor beyond the step in this bin.
@@ -34,26 +36,40 @@ struct FloorSteps : FloorProfile {
         team.sync();
         if (warp.index == 0) warp.exclusive_sum(own(), n);
         team.sync();
-        for (int i = warp.index; i < DROPS + RISES; i += warp.count) {
-            const int deep = drop(i), size = deep < 0 ? -deep : deep;
-            if (deep > 0 && deep <= deeper) continue;
-            // Votes and inliers of the floor beyond the step, in the bins of earlier passes, which
-            // are farther away.
-            int beyond = 0, other = 0;
-            for (int done = 0; done < n; done += warp.size) {
-                const int k = n - 1 - done - warp.lane;
-                int here = 0, low = 0;
-                if (k >= 0) here = on(k, -deep, coarse()[k], low);
-                const int votes_up_to = warp.inclusive_sum(here - each * low);
-                const int cells_up_to = warp.inclusive_sum(here);
-                if (k >= 0 && size > 2 * coarse()[k]) {
-                    const int all = flat()[k] + beyond + votes_up_to, mine = own()[k];
-                    if (OWN * mine >= mine + other + cells_up_to)
-                        team.atomic_min(key, FloorKey::of(all, i * n + k));
-                }
-                beyond += warp.broadcast(votes_up_to, warp.size - 1);
-                other += warp.broadcast(cells_up_to, warp.size - 1);
+        for (int first = warp.index * ABREAST; first < STEPS; first += warp.count * ABREAST) {
+            int deep[ABREAST], rise[ABREAST];
+            // Most votes so far, and the distance bin of that step.
+            int most[ABREAST], at[ABREAST];
+            // Votes and inliers of the floor beyond the step, in the bins of earlier passes,
+            // which are farther away.
+            int beyond[ABREAST] = {}, other[ABREAST] = {};
+            for (int w = 0; w < ABREAST; ++w) {
+                deep[w] = drop(first + w);
+                rise[w] = -deep[w];
+                most[w] = -0x7fffffff;
+                at[w] = -1;
             }
+            for (int done = 0; done < n; done += warp.size) {
+                const int k = n - 1 - done - warp.lane, place = k < 0 ? 0 : k;
+                int here[ABREAST] = {}, low[ABREAST] = {};
+                if (k >= 0) count<ABREAST>(k, rise, coarse()[k], here, low);
+                const int mine = own()[place], before = flat()[place], wide = 2 * coarse()[place];
+                for (int w = 0; w < ABREAST; ++w) {
+                    const int votes_up_to = warp.inclusive_sum(here[w] - each * low[w]);
+                    const int cells_up_to = warp.inclusive_sum(here[w]);
+                    const int all = before + beyond[w] + votes_up_to;
+                    const int size = deep[w] < 0 ? rise[w] : deep[w];
+                    const bool counts = (k >= 0) & (size > wide) & (all >= most[w]) &
+                                        (OWN * mine >= mine + other[w] + cells_up_to);
+                    most[w] = counts ? all : most[w];
+                    at[w] = counts ? k : at[w];
+                    beyond[w] += warp.broadcast(votes_up_to, warp.size - 1);
+                    other[w] += warp.broadcast(cells_up_to, warp.size - 1);
+                }
+            }
+            for (int w = 0; w < ABREAST; ++w)
+                if (at[w] >= 0 && (deep[w] < 0 || deep[w] > deeper))
+                    team.atomic_min(key, FloorKey::of(most[w], (first + w) * n + at[w]));
         }
         team.sync();
         const unsigned long long best = *key;

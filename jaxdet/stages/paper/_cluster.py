@@ -10,7 +10,7 @@ from jax import lax
 
 from jaxdet.checks import check_points
 from jaxdet.config import ClusterConfig, Config
-from jaxdet.floor.plane import depth_gap_units
+from jaxdet.floor.plane import gap_units
 from jaxdet.stages._tables import kernel_table
 from jaxdet.types import MAX_LATERAL, Features, Labels
 
@@ -32,7 +32,7 @@ class Sizes(NamedTuple):
 
 
 def cluster(features: Features, depth_unit: float, config: Config) -> Labels:
-    """Cluster points by gaps; twin of :func:`jaxdet.reference.cluster`.
+    """Cluster points by gaps; twin of :func:`jaxdet.reference.paper.cluster`.
 
     Scans over all frames: number the sets of neighbours in depth by their bins and count their
     points; sort by set and x, flag gaps, number the runs between them by prefix sums, and count
@@ -49,13 +49,13 @@ def cluster(features: Features, depth_unit: float, config: Config) -> Labels:
 
 def gap_settings(config: ClusterConfig, depth_unit: float) -> np.ndarray:
     """Return the gaps in depth and sideways [depth units] and the minimum number of points."""
-    gaps = depth_gap_units(config, depth_unit), round(config.lateral_gap_m / depth_unit)
-    return kernel_table([*gaps, config.min_points])
+    return kernel_table([*gap_units(config, depth_unit), config.min_points])
 
 
 def sizes(points: int, config: ClusterConfig, depth_unit: float) -> Sizes:
     """Return the sizes for ``points`` points per frame."""
-    width = max(1, depth_gap_units(config, depth_unit))
+    depth_gap, _ = gap_units(config, depth_unit)
+    width = max(1, depth_gap)
     bins = 1 << (DEPTHS // width).bit_length()  # a power of 2, so that few programs are compiled
     return Sizes(most_obstacles(points, config), bins)
 

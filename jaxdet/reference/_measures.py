@@ -1,57 +1,10 @@
-"""Stage 5, footprint: extent and outline of each obstacle on the floor (Section 3.5)."""
+"""Measures of obstacles: boxes, sums and outermost points (Section 3.5)."""
 
 import numpy as np
 
-from jaxdet.config import TRIM_SHARE, Config, FootprintConfig
-from jaxdet.floor.plane import GROUND_BITS, band_table, ground_axes
-from jaxdet.types import MAX_LATERAL, Features, GroundPlane, Labels, Obstacles
-
-
-def footprint(
-    features: Features,
-    labels: Labels,
-    plane: GroundPlane,
-    depth_unit: float,
-    config: Config,
-) -> Obstacles:
-    """Measure each obstacle and find its points A, B and C on the floor (Eq. 7).
-
-    The points are projected onto the floor (:func:`to_ground`), at most MAX_LATERAL away. A is the
-    leftmost, B the rightmost, C the nearest; ties go to the nearer point, for C to the leftmost. If
-    the configuration sets a trim and bands, the outermost and nearest points are trimmed, and A, B
-    and C are medians of bands instead (:func:`_outermost`). C is a vertex unless
-
-        min(d_A, d_B) - d_C < d_threshold
-
-    with d the distance forward. :func:`jaxdet.results.metric.rectangles` draws the rectangle, which
-    need not contain all points: points in front of AB, to the side of C or behind are outside.
-    Therefore ``nearest`` is computed from all points.
-
-    Args:
-        features: ``(B, N)`` points.
-        labels: Their obstacles.
-        plane: Floor of each frame, for the axes of the ground frame.
-        depth_unit: Metres in one depth unit.
-        config: Configuration, of which ``footprint`` is used; ``M`` follows from N and
-            ``cluster.min_points``.
-
-    Returns:
-        ``(B, M)`` obstacles in the order of their labels.
-    """
-    slots = max(1, labels.labels.shape[1] // (config.cluster.min_points + 1))
-    floor = np.clip(to_ground(features, plane), -MAX_LATERAL, MAX_LATERAL)
-    found = footprint_on_floor(features, labels, floor, depth_unit, config.footprint, slots=slots)
-    return found._replace(nearest=_nearest(labels, floor, slots))
-
-
-def _nearest(labels: Labels, floor: np.ndarray, slots: int) -> np.ndarray:
-    """Return squared distances of the obstacles' nearest points, ``(B, M, 2)``: divmod by 2^18."""
-    squared = (floor.astype(np.int64) ** 2).sum(axis=-1)
-    nearest = np.zeros((len(floor), slots), np.int64)
-    for b, count in enumerate(labels.num_obstacles):
-        for label in range(int(count)):
-            nearest[b, label] = squared[b, labels.labels[b] == label].min()
-    return np.stack(np.divmod(nearest, 1 << 18), axis=-1).astype(np.int32)
+from jaxdet.config import TRIM_SHARE, FootprintConfig
+from jaxdet.floor.plane import band_table
+from jaxdet.types import Features, Labels, Obstacles
 
 
 def footprint_on_floor(
@@ -99,18 +52,6 @@ def footprint_on_floor(
             (_, d_a), (_, d_b), (_, d_c) = a_b_c
             out.has_vertex[b, label] = min(d_a, d_b) - d_c >= threshold
     return out._replace(has_vertex=out.has_vertex.astype(bool))
-
-
-def to_ground(features: Features, plane: GroundPlane) -> np.ndarray:
-    """Transform points to the ground frame, in integer depth units.
-
-    Returns:
-        Right and forward ``(B, N, 2)`` int32.
-    """
-    xyz = np.stack([features.x, features.y, features.z], axis=-1).astype(np.int64)
-    axes = ground_axes(plane).astype(np.int64)
-    along = np.einsum("bnk,bak->bna", xyz, axes)  # noqa: TID251, of integers
-    return ((along + (1 << (GROUND_BITS - 1))) >> GROUND_BITS).astype(np.int32)
 
 
 def _outline(

@@ -9,7 +9,8 @@ import jax.numpy as jnp
 from jaxdet.config import Config
 from jaxdet.floor.plane import ground_axes, plane_in_color
 from jaxdet.runtime.calls import uninterrupted
-from jaxdet.stages import _batches, _cluster, _features, _footprint, _ground
+from jaxdet.stages import _batches
+from jaxdet.stages.paper import _cluster, _features, _footprint, _ground
 from jaxdet.types import Calibration, Detections, Frames, GroundPlane, Points
 
 
@@ -32,7 +33,7 @@ class _Static(NamedTuple):
     cluster: _cluster.Sizes
 
 
-def clusters(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
+def detect(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
     """Detect corners, drop those on the floor, cluster the others by gaps and measure the clusters.
 
     Args:

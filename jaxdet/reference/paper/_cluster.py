@@ -3,7 +3,7 @@
 import numpy as np
 
 from jaxdet.config import Config
-from jaxdet.floor.plane import depth_gap_units
+from jaxdet.floor.plane import gap_units
 from jaxdet.types import Features, Labels
 
 
@@ -33,8 +33,7 @@ def cluster(features: Features, depth_unit: float, config: Config) -> Labels:
         [[0, 0, 0, 1, 1, 1]]
     """
     settings = config.cluster
-    depth_gap = depth_gap_units(settings, depth_unit)
-    lateral_gap = round(settings.lateral_gap_m / depth_unit)
+    depth_gap, lateral_gap = gap_units(settings, depth_unit)
     labels = np.full(features.z.shape, -1, np.int32)
     for b, kept in enumerate(features.kept):
         z, x = features.z[b], features.x[b]

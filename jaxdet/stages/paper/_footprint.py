@@ -9,8 +9,8 @@ import jax.numpy as jnp
 from jaxdet.checks import check_points
 from jaxdet.config import TRIM_SHARE, Config, FootprintConfig
 from jaxdet.floor.plane import band_table, ground_axes
-from jaxdet.stages._cluster import most_obstacles
 from jaxdet.stages._tables import kernel_table
+from jaxdet.stages.paper._cluster import most_obstacles
 from jaxdet.types import MAX_LATERAL, Features, GroundPlane, Labels, Obstacles
 
 VALUE_BITS = 19
@@ -22,7 +22,7 @@ LAST = jnp.iinfo(jnp.int32).max
 def footprint(
     features: Features, labels: Labels, plane: GroundPlane, depth_unit: float, config: Config
 ) -> Obstacles:
-    """Measure obstacles, by segment reductions; twin of :func:`jaxdet.reference.footprint`.
+    """Measure obstacles, by segment reductions; twin of :func:`jaxdet.reference.paper.footprint`.
 
     Raises:
         ConfigError: There are more than 8192 points per frame.
@@ -60,7 +60,7 @@ def obstacles(
         labels: Obstacles of the points.
         axes: ``(B, 2, 3)`` int32, from :func:`jaxdet.floor.plane.ground_axes`.
         shared: From :func:`tables`.
-        most: From :func:`jaxdet.stages._cluster.most_obstacles`.
+        most: From :func:`jaxdet.stages.paper._cluster.most_obstacles`.
     """
     with jax.named_scope("footprint"):
         uv = jnp.stack([features.u, features.v], axis=-1)

@@ -11,8 +11,8 @@ from jaxdet.checks import check_size
 from jaxdet.config import FeaturesConfig
 from jaxdet.errors import ConfigError
 from jaxdet.runtime.calls import uninterrupted
-from jaxdet.stages import _align
-from jaxdet.stages._corners import corner_settings, strongest_corners
+from jaxdet.stages.paper import _align
+from jaxdet.stages.paper._corners import corner_settings, strongest_corners
 from jaxdet.types import Array, Calibration, Features, Intrinsics
 from jaxdet_kernels.features import MAX_SIZE
 
@@ -33,7 +33,7 @@ def rays(camera: Intrinsics) -> Rays:
 def features(
     color: Array, depth: Array, calibration: Calibration, config: FeaturesConfig
 ) -> Features:
-    """Detect corners and their positions; twin of :func:`jaxdet.reference.features`.
+    """Detect corners and their positions; twin of :func:`jaxdet.reference.paper.features`.
 
     Raises:
         CalibrationError: The size of the images does not match the cameras.

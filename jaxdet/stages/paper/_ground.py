@@ -15,7 +15,7 @@ from jaxdet.types import Calibration, Features, GroundPlane, Intrinsics
 def ground(
     features: Features, plane: GroundPlane, calibration: Calibration, config: Config
 ) -> Features:
-    """Mark features above the floor; twin of :func:`jaxdet.reference.ground`.
+    """Mark features above the floor; twin of :func:`jaxdet.reference.paper.ground`.
 
     The host tabulates a limit of depth per plane and pixel once
     (:func:`jaxdet.floor.plane.floor_limits`); here each feature is compared with it.

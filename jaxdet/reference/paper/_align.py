@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from jaxdet.camera import SplatParameters, corner_rays, splat_parameters
-from jaxdet.reference._lens import project
+from jaxdet.camera import corner_rays, splat_parameters
+from jaxdet.reference._lens import project_corners
 from jaxdet.types import AlignedDepth, Calibration
 
 NOTHING = np.uint32(0xFFFFFFFF)
@@ -64,43 +64,6 @@ def _align_frame(depth: np.ndarray, calibration: Calibration) -> np.ndarray:
     spans = left, right, top, bottom, key
     _splat(keys, *(a[seen] for a in spans))
     return keys
-
-
-def project_corners(
-    x: np.ndarray, y: np.ndarray, units: np.ndarray, splat: SplatParameters
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Project points on depth rays into the colour image (Eq. 1-4), in float32.
-
-    Args:
-        x: x over z of the rays in the depth camera, ``(n,)`` float32.
-        y: y over z, ``(n,)`` float32.
-        units: Depth ``(n,)`` uint16 [depth units].
-        splat: Constants of the alignment.
-
-    Returns:
-        Colour column and row, z in the colour camera [depth units], and whether the point is in
-        front of the camera and inside the range of the lens model, each ``(n,)``.
-    """
-    f32, r, t = np.float32, splat.rotation, splat.translation
-    depth = units.astype(f32) * splat.depth_unit
-    px, py = depth * x, depth * y
-    cx, cy, cz = (
-        r[3 * i] * px + (r[3 * i + 1] * py + (r[3 * i + 2] * depth + t[i])) for i in range(3)
-    )
-    ahead = cz > 0
-    cz = np.where(ahead, cz, f32(1))
-    px, py, inside = project(cx / cz, cy / cz, splat)
-    fx, fy, ppx, ppy = splat.pinhole
-    column, fits_u = _to_int(px * fx + ppx + f32(0.5))
-    row, fits_v = _to_int(py * fy + ppy + f32(0.5))
-    z = np.minimum(cz / splat.depth_unit + f32(0.5), f32(65534)).astype(np.uint32)
-    return column, row, z, ahead & inside & fits_u & fits_v
-
-
-def _to_int(value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Round towards zero; also return whether the value is small enough to be near an image."""
-    fits = np.abs(value) < np.float32(1 << 20)
-    return np.where(fits, value, np.float32(0)).astype(np.int32), fits
 
 
 def _splat(

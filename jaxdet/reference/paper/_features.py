@@ -2,11 +2,12 @@
 
 import numpy as np
 
-from jaxdet.camera import RAY_BITS, fixed_rays
+from jaxdet.camera import fixed_rays
 from jaxdet.config import FeaturesConfig
-from jaxdet.reference._align import align
-from jaxdet.reference._canny import canny, grey
-from jaxdet.reference._corners import corner_strength, strongest_corners
+from jaxdet.reference._rounding import lateral
+from jaxdet.reference.paper._align import align
+from jaxdet.reference.paper._canny import canny, grey
+from jaxdet.reference.paper._corners import corner_strength, strongest_corners
 from jaxdet.types import Calibration, Features
 
 
@@ -49,22 +50,3 @@ def _corners(image: np.ndarray, config: FeaturesConfig) -> np.ndarray:
     return strongest_corners(
         corner_strength(edges), config.max_corners + 1, config.quality_level, config.min_distance
     )
-
-
-def lateral(ray: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """Return ``ray * z`` rounded to depth units, halves up.
-
-    Args:
-        ray: Rays with ``RAY_BITS`` fraction bits, int32, any shape.
-        z: Depth [depth units], int32, same shape.
-
-    Returns:
-        int32, same shape.
-
-    Example:
-        >>> half = np.array([1 << 19, -(1 << 19)], np.int32)
-        >>> lateral(half, np.array([1001, 1001], np.int32)).tolist()
-        [501, -500]
-    """
-    product = ray.astype(np.int64) * z
-    return ((product + (1 << (RAY_BITS - 1))) >> RAY_BITS).astype(np.int32)

@@ -25,7 +25,7 @@ Tables = tuple[jax.Array, ...]
 
 
 def align(depth: Array, u: Array, v: Array, calibration: Calibration) -> AlignedDepth:
-    """Return depth at pixels of the colour image; twin of :func:`jaxdet.reference.align`.
+    """Return depth at pixels of the colour image; twin of :func:`jaxdet.reference.paper.align`.
 
     On the CPU, images whose memory is aligned to 64 bytes are read in place; do not modify them
     until the results are ready. Tables for the calibration are cached.

@@ -2,14 +2,14 @@
 
 from jaxdet.config import Config
 from jaxdet.floor.plane import depth_range, plane_in_color
-from jaxdet.reference._cluster import cluster
-from jaxdet.reference._features import features
-from jaxdet.reference._footprint import footprint
-from jaxdet.reference._ground import ground
+from jaxdet.reference.paper._cluster import cluster
+from jaxdet.reference.paper._features import features
+from jaxdet.reference.paper._footprint import footprint
+from jaxdet.reference.paper._ground import ground
 from jaxdet.types import Detections, Frames, GroundPlane, Points
 
 
-def clusters(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
+def detect(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
     """Detect corners, drop those on the floor, cluster the others by gaps and measure the clusters.
 
     Args:
