@@ -20,9 +20,9 @@ def contours(
     the one farther up. Columns of cells correspond to steps of bearing.
 
     Args:
-        label: ``(R, C)`` obstacles, -1 = none.
-        right: ``(R, C)`` int64, ground frame [depth units].
-        forward: ``(R, C)`` int64, ground frame [depth units].
+        label: Obstacles ``(R, C)``, -1 = none.
+        right: Positions to the right in the ground frame, ``(R, C)`` int64 [depth units].
+        forward: Positions forward in the ground frame, ``(R, C)`` int64 [depth units].
         slots: ``M``, maximum number of obstacles.
 
     Returns:
@@ -178,7 +178,7 @@ def inner(at_margin: np.ndarray) -> np.ndarray:
         at_margin: Whether each cell is in a margin, ``(n,)`` bool.
 
     Returns:
-        ``(n,)`` bool.
+        Mask ``(n,)`` bool.
 
     Example:
         >>> inner(np.array([True, False, False])).tolist()
