@@ -63,7 +63,7 @@ GROWS = {
 }
 """Monotonic constraints: evidence never decreases (1) or never increases (-1) with a feature."""
 NO_STEP = 10_000
-"""``step`` of two surfaces that do not face each other in any row [mm]."""
+"""Value of the feature ``step`` if two surfaces do not face each other in any row [mm]."""
 BEYOND = 1 << 30
 """Threshold that no feature exceeds."""
 FRACTION_BITS = 8

@@ -1,4 +1,4 @@
-"""align: by hand, against librealsense, and the Warp kernel against the reference."""
+"""align: examples by hand, compared with librealsense, and the kernel against the reference."""
 
 import cv2
 import numpy as np

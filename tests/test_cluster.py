@@ -1,4 +1,4 @@
-"""cluster: by hand, compared with SciPy's single linkage, and the twin."""
+"""cluster: examples by hand, compared with SciPy's single linkage, and kernel against reference."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""features: compared with OpenCV, by hand, and the twin."""
+"""features: compared with OpenCV, examples by hand, and the kernel against the reference."""
 
 from dataclasses import replace
 from typing import Any, cast

@@ -1,4 +1,4 @@
-"""footprint: by hand and the twin. Rectangles are tested in ``test_metric.py``."""
+"""footprint: examples by hand, and kernel against reference; rectangles: ``test_metric.py``."""
 
 from dataclasses import replace
 

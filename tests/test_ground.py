@@ -1,4 +1,4 @@
-"""ground: Eq. 5 in exact arithmetic, tilted cameras by geometry, and the twin."""
+"""ground: Eq. 5 in exact arithmetic, tilted cameras by geometry, and kernel against reference."""
 
 from dataclasses import replace
 from fractions import Fraction

@@ -86,7 +86,7 @@ def test_twin_on_a_batch_with_and_without_obstacles() -> None:
 
 
 def test_twin_on_an_obstacle_in_the_margins() -> None:
-    """Its cells are in the outer eighths, then more and more of them in between."""
+    """The obstacle has cells in the outer eighths, and in each step more of them in between."""
     batch = drawn((1, 12, 40), 1, seed=3, reach=3000)
     column = np.arange(40)
     for inner in range(0, 40, 5):

@@ -278,7 +278,7 @@ def test_mirrored_and_rotated_cells_have_the_same_partition(
 
 
 @given(depths, masks)
-def test_numbers_have_no_gaps(z: np.ndarray, keep: np.ndarray) -> None:
+def test_numbers_of_surfaces_have_no_gaps(z: np.ndarray, keep: np.ndarray) -> None:
     keep = keep & (z > 0)
     for config in (PLAIN, replace(CREASED, min_cells=3)):
         label = surfaces(z, keep, UNIT, config)

@@ -1,4 +1,4 @@
-"""Single steps of tracking, by hand; complete tracks are tested in ``tests/test_tracks.py``."""
+"""Single steps of tracking, examples by hand; complete tracks: ``tests/test_tracks.py``."""
 
 from pathlib import Path
 from types import SimpleNamespace

@@ -1,6 +1,7 @@
-"""An autoencoder of the points of one frame, described by what the picture shows at them.
+"""Autoencoder of descriptors of the points of one frame: position and image patch.
 
-Small, learnt from one frame in JAX, from the same start every time; what DDC and DCC build on.
+It is small and trained on one frame with JAX, always with the same initial weights. DDC and DCC use
+it.
 """
 
 from typing import Any
@@ -13,30 +14,30 @@ import numpy as np
 from benchmarks.baselines.frames import Frame, points_of
 
 SAMPLE = 160
-"""Points of a frame that are learnt from; t-SNE and distances of all n take O(n^2) and more."""
+"""Maximum number of points trained on; t-SNE and the distances of n points take at least O(n^2)."""
 WIDTHS = (32, 4)
-"""Of the encoder's layers; the decoder has them in reverse."""
+"""Widths of the encoder's layers; the decoder's are the same in reverse order."""
 PRETRAINING = 200
-"""Steps of Adam for the autoencoder alone."""
+"""Number of steps of Adam for the autoencoder alone."""
 RATE = 0.01
-"""Of Adam: larger than theirs, for there are fewer steps."""
+"""Learning rate of Adam: larger than the papers' because there are fewer steps."""
 
 Net = list[tuple[jax.Array, jax.Array]]
-"""Weights and biases of the encoder's, then of the decoder's layers."""
+"""Weights and biases of the encoder's layers, then of the decoder's layers."""
 
 
 def descriptors(frame: Frame, depth_scale: float, grey_m: float, patch: int = 9) -> np.ndarray:
-    """Position and grey patch of each kept feature (ours).
+    """Return a descriptor of each feature above the floor: position and grey patch.
 
     Args:
         frame: The frame.
-        depth_scale: Stretch of z.
-        grey_m: Metres that the range from black to white counts for.
+        depth_scale: Factor for z.
+        grey_m: Distance that the difference between black and white is equivalent to [m].
         patch: Side of the patch [pixel].
 
     Returns:
-        ``(n, 6)`` float32: x and z; mean and standard deviation of the grey patch; means of its
-        absolute derivatives along rows and columns [m].
+        Descriptors ``(n, 6)`` float32 [m]: x and z; mean and standard deviation of the grey patch;
+        means of the absolute values of its derivatives along x and y.
     """
     kept = frame.features.kept[0]
     u, v = frame.features.u[0, kept], frame.features.v[0, kept]
@@ -45,35 +46,36 @@ def descriptors(frame: Frame, depth_scale: float, grey_m: float, patch: int = 9)
     side = (patch, patch)
     mean = cv2.blur(grey, side)
     spread = np.sqrt(np.maximum(cv2.blur(grey * grey, side) - mean * mean, 0))
-    looks = [mean, spread, *(cv2.blur(np.abs(slope), side) for slope in slopes)]
+    appearance = [mean, spread, *(cv2.blur(np.abs(slope), side) for slope in slopes)]
     place = points_of(frame) * [1, depth_scale]
-    return np.column_stack([place, *(grey_m * look[v, u] for look in looks)]).astype(np.float32)
+    values = [grey_m * image[v, u] for image in appearance]
+    return np.column_stack([place, *values]).astype(np.float32)
 
 
 def encode(points: np.ndarray) -> np.ndarray:
-    """Codes of points by an autoencoder learnt from them.
+    """Return the codes of points by an autoencoder trained on them.
 
     Args:
-        points: ``(m, d)`` float32, m <= ``SAMPLE``.
+        points: Descriptors ``(m, d)`` float32, m <= ``SAMPLE``.
 
     Returns:
-        ``(m, c)`` float32.
+        Codes ``(m, c)`` float32.
     """
     return np.asarray(code_of(pretrained(points), padded(points)))[: len(points)]
 
 
 def pretrained(points: np.ndarray) -> Net:
-    """An autoencoder learnt from points, from the same start every time."""
+    """Return an autoencoder trained on points, always with the same initial weights."""
     return _pretrained(padded(points), len(points))
 
 
 def padded(points: np.ndarray) -> np.ndarray:
-    """Centred, and as many as any sample can have: one program for all frames."""
+    """Centre the points and pad them to ``SAMPLE``, so that one program serves all frames."""
     return np.pad(points - points.mean(axis=0), ((0, SAMPLE - len(points)), (0, 0)))
 
 
 def _start(width: int) -> Net:
-    """Normal weights as He et al. have them, biases 0."""
+    """Return the initial layers: weights by He et al., biases 0."""
     widths = (width, *WIDTHS, *WIDTHS[-2::-1], width)
     keys = jax.random.split(jax.random.key(0), len(widths) - 1)
     return [
@@ -91,22 +93,22 @@ def _apply(layers: Net, x: jax.Array) -> jax.Array:
 
 @jax.jit
 def code_of(net: Net, points: jax.Array) -> jax.Array:
-    """The encoder's output ``(m, c)`` for points ``(m, d)``."""
+    """Return the encoder's output ``(m, c)`` for points ``(m, d)``."""
     return _apply(net[: len(WIDTHS)], points)
 
 
 def rebuilt(net: Net, code: jax.Array) -> jax.Array:
-    """The decoder's output ``(m, d)`` for a code ``(m, c)``."""
+    """Return the decoder's output ``(m, d)`` for codes ``(m, c)``."""
     return _apply(net[len(WIDTHS) :], code)
 
 
 def adam(loss: Any, start: Any, steps: int) -> Any:
-    """What minimises ``loss(value, step)`` after some steps of Adam (Kingma and Ba, ICLR 2015).
+    """Minimise ``loss(value, step)`` by some steps of Adam (Kingma and Ba, ICLR 2015).
 
     Args:
-        loss: Differentiable; ``step`` counts from 0, int32.
-        start: Where it begins, a tree of arrays.
-        steps: How many.
+        loss: Differentiable function; ``step`` is int32 and starts at 0.
+        start: Initial value, a tree of arrays.
+        steps: Number of steps.
     """
     zeros = jax.tree.map(jnp.zeros_like, start)
 

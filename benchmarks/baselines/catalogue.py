@@ -1,4 +1,4 @@
-"""The baselines, each with its parameters and where it is from."""
+"""The baselines, with their parameters and citations."""
 
 from dataclasses import asdict
 
@@ -7,7 +7,7 @@ from benchmarks.baselines.registry import Baseline
 from jaxdet.presets import preset
 
 SCALES = (1.0, 4.0)
-"""Stretch of z: none, or as the paper's gaps have it, 0.40 m to the side and 0.10 m in depth."""
+"""Factors for z: none, or the ratio of the paper's gaps, 0.40 m sideways and 0.10 m in depth."""
 DISTANCES_M = (0.1, 0.2, 0.3, 0.4, 0.6, 0.9)
 SKLEARN = "scikit-learn: Pedregosa et al., JMLR 12 (2011), 2825-2830"
 RSC = "Xie et al., Information Sciences 527 (2020), 279-292; our reading"
@@ -195,4 +195,4 @@ _ALL = (
 )
 
 BASELINES: dict[str, Baseline] = {baseline.name: baseline for baseline in _ALL}
-"""By name."""
+"""All baselines by name."""

@@ -1,4 +1,4 @@
-"""Clustering by scikit-learn and SciPy, and by the paper's rule, on a frame's kept features."""
+"""Clustering of a frame's features by scikit-learn, SciPy and the paper's rule."""
 
 from dataclasses import replace
 from importlib import import_module
@@ -20,7 +20,7 @@ def hierarchical(
     distance_m: float,
     linkage: Literal["ward", "complete", "average", "single"] = "ward",
 ) -> np.ndarray:
-    """scikit-learn's agglomerative clustering: merges up to ``distance_m`` (for ward, its cost)."""
+    """Cluster by scikit-learn's agglomerative method, up to ``distance_m`` (ward: its cost)."""
     model = AgglomerativeClustering(
         n_clusters=None,  # pyright: ignore[reportArgumentType] (scikit-learn documents None)
         linkage=linkage,
@@ -30,32 +30,32 @@ def hierarchical(
 
 
 def hierarchical_count(points: np.ndarray, clusters: int) -> np.ndarray:
-    """scikit-learn's agglomerative clustering into a number of clusters, by ward's linkage."""
+    """Cluster into a number of clusters by scikit-learn's ward linkage."""
     if len(points) < clusters:
         return np.full(len(points), -1)
     return AgglomerativeClustering(clusters).fit_predict(points)
 
 
 def single_linkage(points: np.ndarray, distance_m: float) -> np.ndarray:
-    """SciPy's single linkage, cut at ``distance_m``."""
+    """Cluster by SciPy's single linkage, cut at ``distance_m``."""
     return fcluster(scipy_linkage(points, "single"), distance_m, "distance") - 1
 
 
 def dbscan(points: np.ndarray, eps_m: float, min_samples: int) -> np.ndarray:
-    """scikit-learn's DBSCAN."""
+    """Cluster by scikit-learn's DBSCAN."""
     return DBSCAN(eps=eps_m, min_samples=min_samples).fit_predict(points)
 
 
 def hdbscan(points: np.ndarray, min_points: int, min_samples: int, single: bool) -> np.ndarray:
-    """scikit-learn's HDBSCAN; its own size rule is the shared one.
+    """Cluster by scikit-learn's HDBSCAN; its minimum size is that of all methods.
 
     Its ``cluster_selection_epsilon`` is left at 0: in scikit-learn 1.9.1 it raises a TypeError
     with NumPy 2.4 as soon as it has something to merge.
 
     Args:
-        points: ``(n, d)`` [m].
+        points: Points ``(n, d)`` [m].
         min_points: Clusters have more points than this.
-        min_samples: Neighbours that make a point dense.
+        min_samples: Number of neighbours of a core point.
         single: Whether all points may be one cluster.
     """
     if len(points) <= max(min_points, min_samples, 1):
@@ -70,7 +70,7 @@ def hdbscan(points: np.ndarray, min_points: int, min_samples: int, single: bool)
 
 
 def birch(points: np.ndarray, threshold_m: float, branching: int = 50) -> np.ndarray:
-    """scikit-learn's BIRCH without a global step: the subclusters of its tree."""
+    """Cluster by scikit-learn's BIRCH without its global step: the subclusters of its tree."""
     model = Birch(
         threshold=threshold_m,
         branching_factor=branching,
@@ -82,20 +82,20 @@ def birch(points: np.ndarray, threshold_m: float, branching: int = 50) -> np.nda
 def chameleon(
     points: np.ndarray, clusters: int, neighbours: int = 10, limit: int = 256
 ) -> np.ndarray:
-    """chameleon-cluster's CHAMELEON: METIS cuts a graph of neighbours, what fits is merged.
+    """Cluster by chameleon-cluster's CHAMELEON: METIS cuts a graph of neighbours, parts are merged.
 
-    A part of the graph that is not connected with others stays a cluster, also beyond
-    ``clusters``.
+    A part of the graph without connection to others stays a cluster, even if there are more than
+    ``clusters`` of them.
 
     Args:
-        points: ``(n, d)`` [m].
-        clusters: Merging ends with so many.
-        neighbours: Of each point in the graph.
-        limit: A random sample of so many points is clustered, all others get the label of its
-            nearest.
+        points: Points ``(n, d)`` [m].
+        clusters: Number of clusters at which merging ends.
+        neighbours: Number of neighbours of each point in the graph.
+        limit: Number of points in the random sample that is clustered; any other point gets the
+            label of the nearest point of the sample.
 
     Returns:
-        ``(n,)`` int64.
+        Labels ``(n,)`` int64.
 
     Raises:
         ImportError: chameleon-cluster is not installed.
@@ -106,18 +106,18 @@ def chameleon(
 
 
 def printed(points: np.ndarray, depth_gap_m: float, lateral_gap_m: float) -> np.ndarray:
-    """The paper's Algorithm 1 as printed, along z and then along x.
+    """Cluster by the paper's Algorithm 1 as printed, along z and then along x.
 
-    It compares with the first point of a set and stops there (line 8), where Step 3 compares with
-    any point of the set: so a set reaches from its first point to less than the gap beyond it.
+    The algorithm compares a point with the first point of a set only (line 8), although Step 3
+    compares it with any point of the set. So a set is shorter than the gap.
 
     Args:
-        points: ``(n, 2)``, x and z [m].
-        depth_gap_m: d along z.
-        lateral_gap_m: d along x.
+        points: Points ``(n, 2)``, x and z [m].
+        depth_gap_m: Gap along z, the paper's d_z [m].
+        lateral_gap_m: Gap along x, the paper's d_x [m].
 
     Returns:
-        ``(n,)`` int64, every point in a set.
+        Labels ``(n,)`` int64; every point belongs to a set.
 
     Example:
         >>> printed(np.array([[0, 1.0], [0, 1.09], [0, 1.18]]), 0.1, 0.4).tolist()
@@ -129,7 +129,7 @@ def printed(points: np.ndarray, depth_gap_m: float, lateral_gap_m: float) -> np.
 
 
 def _from_seeds(values: np.ndarray, group: np.ndarray, gap: float) -> np.ndarray:
-    """Parts of each group: from its least value to less than ``gap`` beyond, then the next."""
+    """Split each group into parts, each from its smallest value to less than ``gap`` above it."""
     order = np.lexsort((values, group))
     parts, number, start = np.zeros(len(values), np.int64), 0, 0
     ends = np.flatnonzero(np.diff(group[order], append=-1)) + 1
@@ -143,15 +143,15 @@ def _from_seeds(values: np.ndarray, group: np.ndarray, gap: float) -> np.ndarray
 
 
 def paper(frame: Frame, config: Config, **params: Any) -> np.ndarray:
-    """The paper's rule: the reference's cluster stage.
+    """Cluster by the paper's rule, with the reference's cluster stage.
 
     Args:
         frame: The frame.
-        config: Its cluster part holds what the parameters leave open.
+        config: Configuration; its cluster part has the values of parameters that are not given.
         **params: Fields of :class:`jaxdet.config.ClusterConfig`.
 
     Returns:
-        ``(n,)`` int32, of the kept features.
+        Labels ``(n,)`` int32 of the features above the floor.
     """
     chosen = replace(config, cluster=replace(config.cluster, **params))
     unit = frame.calibration.depth_unit

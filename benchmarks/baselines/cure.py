@@ -1,9 +1,10 @@
-"""CURE: hierarchical clustering by a few scattered, shrunk points of each cluster.
+"""CURE: hierarchical clustering by a few scattered points of each cluster, moved to its mean.
 
 Guha, Rastogi and Shim, CURE: an efficient clustering algorithm for large databases, SIGMOD 1998,
 73-84. A random sample is clustered, then every point gets the cluster of the nearest
-representative (their Sections 3 and 4). Ours: merging ends at a distance instead of a number of
-clusters, as of the other hierarchical baselines, and outliers are what the shared size rule drops.
+representative (their Sections 3 and 4). Unlike in the paper, merging ends at a distance instead of
+a number of clusters, as in the other hierarchical baselines, and outliers are the clusters below
+the minimum size of all methods.
 """
 
 from typing import NamedTuple
@@ -15,16 +16,16 @@ from scipy.spatial.distance import cdist
 from benchmarks.baselines.sampling import sample
 
 SAMPLE = 256
-"""Points that are clustered; merging all n takes O(n^2) and more."""
+"""Number of points that are clustered; merging n points takes at least O(n^2)."""
 
 
 class Merged(NamedTuple):
     """Clusters of a sample."""
 
     labels: np.ndarray
-    """``(m,)`` int64."""
+    """Cluster of each point, ``(m,)`` int64."""
     representatives: np.ndarray
-    """``(clusters, c, d)``; where a cluster has fewer than c, its first is repeated."""
+    """Points ``(clusters, c, d)``; in a cluster with fewer than c, the first one is repeated."""
 
 
 def cure(
@@ -34,19 +35,19 @@ def cure(
     shrink: float = 0.5,
     limit: int = SAMPLE,
 ) -> np.ndarray:
-    """Flat clusters of all points.
+    """Cluster points by CURE.
 
     Args:
-        points: ``(n, d)`` [m].
-        distance_m: Clusters are merged while the nearest two are at most this far apart, by
-            their representatives.
-        representatives: The paper's c.
-        shrink: The paper's alpha: 0 leaves representatives where they are, 1 puts them all into
-            the mean.
-        limit: Points in the sample.
+        points: Points ``(n, d)`` [m].
+        distance_m: Clusters are merged while the representatives of the nearest two are at most
+            this far apart.
+        representatives: Number of representatives of a cluster, the paper's c.
+        shrink: The paper's alpha: 0 leaves representatives where they are, 1 moves them all to the
+            mean.
+        limit: Maximum number of points in the sample.
 
     Returns:
-        ``(n,)`` int64.
+        Labels ``(n,)`` int64.
     """
     points = np.asarray(points, np.float64)
     chosen = sample(len(points), limit)
@@ -67,14 +68,15 @@ def merge(
     shrink: float,
     clusters: int = 1,
 ) -> Merged:
-    """Merges the nearest two clusters until they are too far apart, or few enough.
+    """Merge the nearest two clusters until they are too far apart, or there are few enough.
 
     Args:
-        points: ``(m, d)`` float64.
-        distance: Nearest clusters farther apart than this are left as they are.
-        representatives: Of a cluster, at most.
-        shrink: How far they are moved to the cluster's mean, 0 to 1.
-        clusters: It ends with so many, at the latest.
+        points: Points ``(m, d)`` float64.
+        distance: Clusters farther apart than this are not
+            merged.
+        representatives: Maximum number of representatives of a cluster.
+        shrink: Fraction by which representatives are moved to the cluster's mean, 0 to 1.
+        clusters: Minimum number of clusters.
     """
     size = len(points)
     members = [[i] for i in range(size)]
@@ -101,18 +103,18 @@ def merge(
 
 
 def scatter(points: np.ndarray, representatives: int, shrink: float) -> np.ndarray:
-    """Points far from each other, moved towards the mean.
+    """Choose points of a cluster that are far from each other, and move them to its mean.
 
-    The first is the farthest from the mean, each next the farthest from those chosen (of equals
-    the first).
+    The first is the farthest from the mean, each next one the farthest from those chosen before; of
+    equally far points, the first counts.
 
     Args:
-        points: ``(m, d)`` float64, a cluster's.
-        representatives: How many.
-        shrink: 0 to 1.
+        points: Points of the cluster, ``(m, d)`` float64.
+        representatives: Number of points to choose.
+        shrink: Fraction of the way to the mean, 0 to 1.
 
     Returns:
-        ``(representatives, d)``; with fewer different points the first is repeated.
+        Points ``(representatives, d)``; if the cluster has fewer, the first is repeated.
     """
     mean = points.mean(axis=0)
     square = np.sum((points - mean) ** 2, axis=1)

@@ -1,9 +1,10 @@
-"""DCC: an autoencoder and a representative of each point, optimised together.
+"""DCC (deep continuous clustering): autoencoder and a representative of each point.
 
-Shah and Koltun, Deep continuous clustering, arXiv 1803.01449 (2018), of descriptors of points.
-Representatives stay near the codes and near those of their neighbours, by robust distances that
-get stricter. Written anew after the authors' code, which needs PyTorch. Ours: it is learnt from a
-random sample of a frame's points; every other point gets the label of the sample's nearest
+Shah and Koltun, Deep continuous clustering, arXiv 1803.01449 (2018), here of descriptors of points.
+The autoencoder and the representatives are optimised together: representatives stay near the codes
+and near the representatives of neighbours, by robust distances whose scale decreases. Own
+implementation after the authors' code, which needs PyTorch. Unlike in the paper, it is trained on a
+random sample of a frame's points; any other point gets the label of the sample's nearest
 descriptor.
 """
 
@@ -32,11 +33,11 @@ from benchmarks.baselines.sampling import cluster_sample
 from jaxdet.config import Config
 
 FINETUNING = 300
-"""Steps of Adam."""
+"""Number of steps of Adam in the optimisation of autoencoder and representatives."""
 EVERY = 20
-"""Steps after which distances get stricter, their M."""
+"""Number of steps after which the scales of the robust distances are halved, the paper's M."""
 NOISE_M = 0.01
-"""Shorter edges, by coordinate, say nothing about the scale."""
+"""Edges with smaller differences of coordinates are ignored when the scale is chosen."""
 
 
 def dcc(
@@ -48,11 +49,11 @@ def dcc(
     depth_scale: float = 1.0,
     grey_m: float = 0.1,
 ) -> np.ndarray:
-    """Deep continuous clustering of descriptors.
+    """Cluster a frame's features by DCC of their descriptors.
 
     Args:
         frame: The frame.
-        config: Has no part in it.
+        config: Not used.
         pull: See :func:`continuous`.
         threshold: See :func:`continuous`.
         neighbours: See :func:`continuous`.
@@ -60,7 +61,7 @@ def dcc(
         grey_m: See :func:`descriptors`.
 
     Returns:
-        ``(n,)`` integer, of the kept features.
+        Labels ``(n,)`` integer of the features above the floor.
     """
     points = descriptors(frame, depth_scale, grey_m)
     return cluster_sample(
@@ -69,22 +70,23 @@ def dcc(
 
 
 def continuous(points: np.ndarray, neighbours: int, pull: float, threshold: float) -> np.ndarray:
-    """DCC: autoencoder and representatives optimised together.
+    """Cluster points by DCC.
 
-    Scales and weights are those of the authors' code, but that the data term's scale starts at 16
-    times its end, without their lower bound. Ours: ``pull`` and ``threshold``, for their code
-    expects data normalised to its own constants and tens of thousands of points.
+    Scales and weights are those of the authors' code, except that the data term's scale starts at
+    16 times its final value, without the code's lower bound. ``pull`` and ``threshold`` are
+    additions: the authors' code expects tens of thousands of points that are normalised to its own
+    constants.
 
     Args:
-        points: ``(m, d)`` float32.
-        neighbours: Edges join mutual nearest neighbours, as many as this, and the minimum
-            spanning tree of the graph of all of them.
-        pull: What their lambda, the weight of the pairs, is multiplied by.
-        threshold: Representatives are in one cluster nearer than this times the mean of the
-            shortest 1 % of the edges.
+        points: Descriptors ``(m, d)`` float32.
+        neighbours: Number of nearest neighbours of each point. Edges join points that are
+            neighbours of each other, and the minimum spanning tree of all neighbours.
+        pull: Factor for the weight of the pairs, the paper's lambda.
+        threshold: Two representatives are in one cluster if their distance is less than this
+            multiple of the mean of the shortest 1 % of the edges.
 
     Returns:
-        ``(m,)`` int64: components of the edges whose representatives are near each other.
+        Labels ``(m,)`` int64: components of the edges whose representatives are near each other.
     """
     count = len(points)
     if count < 3:
@@ -122,20 +124,21 @@ def continuous(points: np.ndarray, neighbours: int, pull: float, threshold: floa
 
 
 def neighbour_edges(points: np.ndarray, neighbours: int) -> np.ndarray:
-    """Mutual nearest neighbours, and the minimum spanning tree of all nearest neighbours.
+    """Return edges: mutual nearest neighbours, and the minimum spanning tree of all neighbours.
 
     Args:
-        points: ``(m, d)``.
-        neighbours: Less than m.
+        points: Points ``(m, d)``.
+        neighbours: Number of nearest neighbours of each point, less than
+            m.
 
     Returns:
-        ``(2, edges)`` int64, the lower index first, sorted.
+        Indices ``(2, edges)`` int64, the lower index first, sorted.
     """
     count = len(points)
     length, index = KDTree(points).query(points, k=neighbours + 1)
     rows = np.repeat(np.arange(count), neighbours + 1)
     other = rows != index.ravel()
-    # The tree takes a length of 0 for no edge.
+    # For minimum_spanning_tree, a length of 0 means no edge.
     lengths = np.maximum(length.ravel(), 1e-9)[other]
     place = (rows[other], index.ravel()[other])
     graph = coo_matrix((lengths, place), shape=(count, count)).tocsr()
@@ -156,7 +159,7 @@ def _finetuned(
     stiffness: jax.Array,
     count: int,
 ) -> jax.Array:
-    """The representatives, after both are optimised."""
+    """Return the representatives, optimised together with the autoencoder."""
     data, data_end, pair, pair_end, balance = stiffness
 
     def loss(value: tuple[Net, jax.Array], step: jax.Array) -> jax.Array:
@@ -173,6 +176,6 @@ def _finetuned(
 
 
 def _robust(difference: jax.Array, scale: jax.Array) -> jax.Array:
-    """Geman and McClure's distance: the square, up to the scale."""
+    """Return Geman and McClure's distance: near 0 the square, at most the scale."""
     square = jnp.sum(difference**2, axis=1)
     return scale * square / (scale + square)

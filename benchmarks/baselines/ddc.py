@@ -1,9 +1,9 @@
-"""DDC: the code of an autoencoder, embedded in the plane, clustered by density.
+"""DDC: density-based clustering of an autoencoder's codes, embedded in the plane.
 
 Ren, Wang, Li and Xu, Deep density-based image clustering, Knowledge-Based Systems 197 (2020),
-105841, of descriptors of points instead of images. Written anew, for the public code (ClustPy)
-needs PyTorch. Ours: it is learnt from a random sample of a frame's points; every other point gets
-the label of the sample's nearest descriptor.
+105841, here of descriptors of points instead of images. Own implementation, because the public code
+(ClustPy) needs PyTorch. Unlike in the paper, it is trained on a random sample of a frame's points;
+any other point gets the label of the sample's nearest descriptor.
 """
 
 from functools import partial
@@ -24,17 +24,17 @@ from jaxdet.config import Config
 def ddc(
     frame: Frame, config: Config, ratio: float, depth_scale: float = 1.0, grey_m: float = 0.1
 ) -> np.ndarray:
-    """Deep density-based image clustering, of descriptors instead of images.
+    """Cluster a frame's features by DDC of their descriptors.
 
     Args:
         frame: The frame.
-        config: Has no part in it.
+        config: Not used.
         ratio: See :func:`density_peaks`.
         depth_scale: See :func:`descriptors`.
         grey_m: See :func:`descriptors`.
 
     Returns:
-        ``(n,)`` integer, of the kept features.
+        Labels ``(n,)`` integer of the features above the floor.
     """
     points = descriptors(frame, depth_scale, grey_m)
     return cluster_sample(points, SAMPLE, partial(_ddc, ratio=ratio))
@@ -47,26 +47,26 @@ def _ddc(points: np.ndarray, ratio: float) -> np.ndarray:
     tsne = TSNE(
         perplexity=min(30.0, (len(points) - 1) / 3), init="pca", max_iter=250, random_state=0
     )
-    with threadpool_limits(1):  # its threads wait for each other in loops
+    with threadpool_limits(1):  # its threads wait in busy loops
         plane = tsne.fit_transform(code)
     return density_peaks(plane.astype(np.float64), ratio)
 
 
 def density_peaks(points: np.ndarray, ratio: float) -> np.ndarray:
-    """DDC's clustering by density, with any number of clusters.
+    """Cluster points by density into any number of clusters, the last step of DDC.
 
     With ``d_c`` the mean distance times ``ratio``, a point's density is the sum of ``exp(-(d /
-    d_c)^2)`` over the others. A point denser than the mean whose nearest denser point is farther
-    than ``d_c`` is a centre; any other belongs where its nearest denser point does. Points
-    denser than their cluster's mean are its core, and clusters with core points nearer than
-    ``d_c`` are joined (their Section 3.2).
+    d_c)^2)`` over all other points. A point denser than the mean whose nearest denser point is
+    farther than ``d_c`` is a centre; any other point belongs to the cluster of its nearest denser
+    point. Points denser than their cluster's mean are its core, and clusters with core points
+    nearer than ``d_c`` to each other are joined (Section 3.2 of the paper).
 
     Args:
-        points: ``(n, d)`` float64, n >= 2.
-        ratio: More than 0.
+        points: Points ``(n, d)`` float64, n >= 2.
+        ratio: Factor of ``d_c``, more than 0.
 
     Returns:
-        ``(n,)`` int64.
+        Labels ``(n,)`` int64.
     """
     count = len(points)
     apart = cdist(points, points)

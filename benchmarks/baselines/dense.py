@@ -9,7 +9,7 @@ from jaxdet.camera import pixel_rays
 
 
 def range_image(frame: Frame, angle_deg: float, stride: int = 1) -> np.ndarray:
-    """Components of neighbouring pixels whose surface is not seen edge-on.
+    """Label connected pixels whose surface is not seen edge-on.
 
     After Bogoslavskyi and Stachniss, Fast Range Image-Based Segmentation of Sparse 3D Laser
     Scans for Online Operation, IROS 2016 (the method of depth_clustering): with ``d1 >= d2`` the
@@ -17,16 +17,17 @@ def range_image(frame: Frame, angle_deg: float, stride: int = 1) -> np.ndarray:
 
         beta = atan2(d2 sin alpha, d1 - d2 cos alpha)
 
-    is the angle between the far ray and the line through both points; they are one object when
-    ``beta > angle``. Written anew for depth images: kept pixels only, rays of the colour camera.
+    is the angle between the farther point's ray and the line through both points; they belong to
+    one object if ``beta > angle``. Own implementation for depth images: only pixels above the
+    floor, rays of the colour camera.
 
     Args:
         frame: The frame.
-        angle_deg: Their theta [degree].
-        stride: Every so many pixels are looked at; a wider step makes beta less noisy.
+        angle_deg: The paper's theta [degree].
+        stride: Step between the rows and columns that are used; a larger one makes beta less noisy.
 
     Returns:
-        ``(H, W)`` int32, -1 = none.
+        Labels ``(H, W)`` int32, -1 = none.
     """
     keep = frame.keep[::stride, ::stride]
     rays = np.stack([*pixel_rays(frame.calibration.image), np.ones(frame.z.shape)], axis=-1)

@@ -1,4 +1,4 @@
-"""What every method gets: one frame after the same preprocessing, and its way back."""
+"""Preprocessed frames, the input of all methods, and conversion of labels to detections."""
 
 from dataclasses import replace
 from typing import Literal, NamedTuple
@@ -25,36 +25,38 @@ from jaxdet.types import (
 )
 
 GRID_COLUMNS = 80
-"""Columns of the grid of pixels that are points besides the corners."""
+"""Number of columns of the grid of pixels that are points in addition to the corners."""
 Space = Literal["xz", "xyz", "frame", "image"]
 
 
 class Frame(NamedTuple):
-    """One frame after alignment, ground removal and feature extraction by our own stages."""
+    """Frame after alignment, ground removal and feature extraction by the reference's stages."""
 
     color: np.ndarray
-    """``(H, W, 3)`` uint8, RGB."""
+    """Image ``(H, W, 3)`` uint8, RGB."""
     z: np.ndarray
-    """``(H, W)`` uint16, the depth that a feature gets, z in the colour camera [depth units]."""
+    """Depth image ``(H, W)`` uint16 in the colour camera, with the depth of the features [depth
+    units].
+    """
     keep: np.ndarray
-    """``(H, W)`` bool, in range and above the floor."""
+    """Mask ``(H, W)`` bool of the pixels in range and above the floor."""
     features: Features
-    """``B = 1``."""
+    """Features of the frame, ``B = 1``."""
     plane: GroundPlane
-    """Floor seen from the colour camera, ``B = 1``."""
+    """Floor relative to the colour camera, ``B = 1``."""
     calibration: Calibration
 
 
 def prepare(frames: Frames, config: Config | None = None) -> list[Frame]:
-    """Runs the reference's stages before clustering on a batch; padding is left out.
+    """Run the reference's stages before clustering on a batch, without padding frames.
 
-    The floor is that of each frame as :func:`jaxdet.detect` finds it, and the points are the
-    default's corners on kept pixels and the kept pixels of a grid of ``GRID_COLUMNS`` columns, so
-    that surfaces without corners are seen by their depth.
+    The floor of each frame is found as by :func:`jaxdet.detect`. Points are the default's corners,
+    and a grid of pixels with ``GRID_COLUMNS`` columns, so that surfaces without corners have points
+    too; both only where pixels are above the floor.
 
     Args:
-        frames: ``B`` frames with colour; ``plane`` is the prior of each frame's floor, where that
-            is None the configuration's.
+        frames: Batch of frames with colour; ``plane`` is the prior of each frame's floor, or None
+            for the configuration's.
         config: Range, floor and feature parameters.
     """
     config, calibration = config or Config(), frames.calibration
@@ -78,11 +80,11 @@ def prepare(frames: Frames, config: Config | None = None) -> list[Frame]:
 
 
 def color_plane(plane: GroundPlane, calibration: Calibration) -> GroundPlane:
-    """Floors seen from the depth camera as the colour camera sees them, with their ramps."""
+    """Convert floors with ramps from the depth camera to the colour camera."""
     motion = calibration.color_from_depth
     if motion is None:
         return plane
-    center = -motion.T[:3, :3].T @ motion.T[:3, 3]  # of the colour camera, in the depth camera
+    center = -motion.T[:3, :3].T @ motion.T[:3, 3]  # of the colour camera, seen from the depth one
     ahead = forward_vector(down_vector(plane.pitch, plane.roll)) @ center
     start, slope = plane.ramp_start - ahead, plane.ramp_slope
     return plane_in_color(plane, calibration)._replace(ramp_start=start, ramp_slope=slope)
@@ -95,7 +97,7 @@ def _points(
     calibration: Calibration,
     config: FeaturesConfig,
 ) -> Features:
-    """Corners on kept pixels, then the kept pixels of a grid with square meshes, row by row."""
+    """Return corners, then a grid of pixels with equal spacing, both only above the floor."""
     batch, height, width = keep.shape
     step = max(1, round(width / GRID_COLUMNS))
     v, u = np.mgrid[step // 2 : height : step, step // 2 : width : step].reshape(2, -1)
@@ -114,7 +116,7 @@ def _points(
 
 
 def _corners(color: np.ndarray, keep: np.ndarray, config: FeaturesConfig) -> np.ndarray:
-    """Column and row ``(n, 2)`` of OpenCV's corners on kept pixels."""
+    """Return column and row ``(n, 2)`` of OpenCV's corners above the floor."""
     edges = canny(grey(color), config.canny_low, config.canny_high)
     selection = config.max_corners, config.quality_level, config.min_distance
     found = cv2.goodFeaturesToTrack(edges, *selection, mask=keep.astype(np.uint8))
@@ -122,23 +124,24 @@ def _corners(color: np.ndarray, keep: np.ndarray, config: FeaturesConfig) -> np.
 
 
 def points_of(frame: Frame, space: Space = "xz") -> np.ndarray:
-    """The kept features in metres, ``(n, 2)`` x z, in other spaces ``(n, 3)`` x y z."""
+    """Return the features above the floor, ``(n, 2)`` x z or ``(n, 3)`` x y z [m]."""
     features, kept = frame.features, frame.features.kept[0]
     axes = (features.x, features.z) if space == "xz" else (features.x, features.y, features.z)
     return np.stack([a[0, kept] for a in axes], axis=-1) * frame.calibration.depth_unit
 
 
 def ordered(labels: np.ndarray, z: np.ndarray, x: np.ndarray, min_points: int) -> np.ndarray:
-    """The rule that all methods share: small clusters go, the rest is numbered as ours are.
+    """Remove clusters that are too small and number the others like :mod:`jaxdet`, for all methods.
 
     Args:
-        labels: ``(n,)`` integer, negative = noise.
-        z: ``(n,)``.
-        x: ``(n,)``.
+        labels: Labels ``(n,)`` integer, negative = noise.
+        z: Forward coordinates ``(n,)``.
+        x: Lateral coordinates ``(n,)``.
         min_points: Clusters of this many points or fewer become noise.
 
     Returns:
-        ``(n,)`` int32, by nearest z, then smallest x; -1 = noise.
+        Labels ``(n,)`` int32, in the order of the clusters' smallest z, then smallest x; -1 =
+        noise.
     """
     out = np.full(len(labels), -1, np.int32)
     names, sizes = np.unique(labels[labels >= 0], return_counts=True)
@@ -150,16 +153,17 @@ def ordered(labels: np.ndarray, z: np.ndarray, x: np.ndarray, min_points: int) -
 
 
 def labels_at(image: np.ndarray, u: np.ndarray, v: np.ndarray, tolerance: int = 2) -> np.ndarray:
-    """The label of each feature in a picture of labels.
+    """Return the label of each feature in a label image.
 
     Args:
-        image: ``(H, W)`` int32, -1 = none.
-        u: ``(n,)`` columns.
-        v: ``(n,)`` rows.
-        tolerance: A feature on no label takes the nearest one this far away [pixel].
+        image: Labels ``(H, W)`` int32, -1 = none.
+        u: Columns ``(n,)`` of the features.
+        v: Rows ``(n,)`` of the features.
+        tolerance: A feature on a pixel without label gets the nearest label that is at most this
+            many rows and columns away [pixel].
 
     Returns:
-        ``(n,)`` int32.
+        Labels ``(n,)`` int32.
     """
     reach = np.arange(-tolerance, tolerance + 1)
     dv, du = (a.ravel() for a in np.meshgrid(reach, reach, indexing="ij"))
@@ -171,12 +175,12 @@ def labels_at(image: np.ndarray, u: np.ndarray, v: np.ndarray, tolerance: int = 
 
 
 def detections_of(frame: Frame, labels: np.ndarray, config: Config) -> Detections:
-    """Labels of one frame as the pipeline's result, outlines by our own last stage.
+    """Convert labels of one frame to detections, with outlines by the reference's last stage.
 
     Args:
-        frame: Where they are from.
-        labels: ``(n,)`` integer of its ``n`` kept features.
-        config: The size rule and the outline's parameters.
+        frame: The frame.
+        labels: Labels ``(n,)`` integer of its ``n`` features above the floor.
+        config: Configuration of the minimum size and the outlines.
     """
     features = frame.features
     kept = features.kept[0]

@@ -1,11 +1,11 @@
-"""PERCH: a binary tree that takes one point after the other and turns its branches.
+"""PERCH: binary tree into which points are inserted one by one, with rotations.
 
 Kobren, Monath, Krishnamurthy and McCallum, A hierarchical algorithm for extreme clustering, KDD
-2017, 255-264. A point becomes the sibling of the nearest leaf; then branches are rotated, upwards
-from there, where a node is nearer to its aunt than to its sibling (masking), and where the tree
-gets better balanced without such nodes. Distances between nodes are bounded by their boxes'
-(their Section 4). Nothing is collapsed. Ours: the nearest leaf is looked for among all, not by the
-tree, with the same result.
+2017, 255-264. A point becomes the sibling of the nearest leaf. Then branches are rotated, upwards
+from there, if a node is nearer to its aunt than to its sibling (masking), and if the tree is better
+balanced afterwards and no such nodes result. Distances between nodes are bounded by those of their
+boxes (Section 4 of the paper). Nodes are not collapsed. The nearest leaf is searched among all
+leaves instead of by the tree, with the same result.
 """
 
 from math import hypot
@@ -13,20 +13,20 @@ from math import hypot
 import numpy as np
 
 Box = tuple[float, float, float, float]
-"""Least x and y, largest x and y."""
+"""Smallest x and y, largest x and y."""
 
 
 def perch(points: np.ndarray, diagonal_m: float) -> np.ndarray:
-    """Flat clusters: the largest branches whose box is small enough.
+    """Cluster points: clusters are the largest branches whose box is small enough.
 
-    The paper cuts into a given number of clusters by the same cost; the threshold is ours.
+    The paper cuts the tree into a given number of clusters by the same cost, without threshold.
 
     Args:
-        points: ``(n, 2)`` [m], in the order in which they come.
-        diagonal_m: Largest diagonal of a cluster's box.
+        points: Points ``(n, 2)`` [m], in the order of their insertion.
+        diagonal_m: Maximum diagonal of a cluster's box [m].
 
     Returns:
-        ``(n,)`` int64.
+        Labels ``(n,)`` int64.
     """
     tree = Tree(points)
     labels = np.zeros(len(points), np.int64)
@@ -36,12 +36,12 @@ def perch(points: np.ndarray, diagonal_m: float) -> np.ndarray:
 
 
 class Tree:
-    """The tree over some points, built by inserting them.
+    """Tree of points, built by inserting one after the other.
 
-    Nodes are numbers: below ``n`` the points, from there on the branches.
+    Nodes are numbers: points below ``n``, branches from ``n`` on.
 
     Args:
-        points: ``(n, 2)``, n >= 1.
+        points: Points ``(n, 2)``, n >= 1.
     """
 
     def __init__(self, points: np.ndarray) -> None:
@@ -57,7 +57,7 @@ class Tree:
             self._insert(leaf, int(np.argmin(square)))
 
     def branches(self, diagonal: float) -> list[list[int]]:
-        """The leaves of each of the largest nodes whose box has at most this diagonal."""
+        """Return the leaves of each of the largest nodes whose box has at most this diagonal."""
         found: list[list[int]] = []
         nodes = [self.root]
         while nodes:
@@ -70,7 +70,7 @@ class Tree:
         return found
 
     def leaves(self, node: int) -> list[int]:
-        """The points under a node."""
+        """Return the points below a node."""
         found, nodes = [], [node]
         while nodes:
             node = nodes.pop()
@@ -81,12 +81,12 @@ class Tree:
         return found
 
     def sibling(self, node: int) -> int:
-        """The other child of the node's parent."""
+        """Return the other child of the node's parent."""
         first, second = self.children[self.parent[node]]
         return second if node == first else first
 
     def masked(self, node: int) -> bool:
-        """Whether a node with an aunt is nearer to it than to its sibling."""
+        """Return whether a node that has an aunt is nearer to its aunt than to its sibling."""
         own, aunt = self.box[node], self.box[self.sibling(self.parent[node])]
         return _most(own, aunt) < _least(own, self.box[self.sibling(node)])
 
@@ -109,7 +109,7 @@ class Tree:
         self._balance(self.sibling(leaf))
 
     def _unmask(self, node: int) -> None:
-        """Rotates upwards until an inner node is not masked."""
+        """Rotate masked nodes, upwards until an inner node is not masked."""
         while self._has_aunt(node):
             if self.masked(node):
                 self._rotate(node)
@@ -118,7 +118,7 @@ class Tree:
             node = self.parent[node]
 
     def _balance(self, node: int) -> None:
-        """Rotates upwards, the smaller of two siblings first."""
+        """Rotate nodes upwards if that balances the tree, the smaller of two siblings first."""
         while self._has_aunt(node):
             pair = sorted((self.sibling(node), node), key=self.size.__getitem__)
             for one in pair:
@@ -129,7 +129,7 @@ class Tree:
             node = self.parent[node]
 
     def _balances(self, node: int) -> bool:
-        """Whether a rotation gives more equal branches and masks nothing."""
+        """Return whether a rotation results in more equal branches and does not mask the node."""
         sibling, aunt = self.sibling(node), self.sibling(self.parent[node])
         own, other, far = self.size[node], self.size[sibling], self.size[aunt]
         if abs(other - own - far) >= abs(own + other - far):
@@ -138,7 +138,7 @@ class Tree:
         return _most(box, self.box[sibling]) > _least(box, self.box[aunt])
 
     def _rotate(self, node: int) -> None:
-        """The node's sibling and its aunt change places."""
+        """Exchange the node's sibling and its aunt."""
         parent = self.parent[node]
         sibling, aunt, top = self.sibling(node), self.sibling(parent), self.parent[parent]
         self.children[top], self.children[parent] = (parent, sibling), (aunt, node)
@@ -159,10 +159,10 @@ def _union(a: Box, b: Box) -> Box:
 
 
 def _least(a: Box, b: Box) -> float:
-    """The least distance between points of two boxes."""
+    """Return the smallest distance between points of two boxes."""
     return hypot(max(a[0] - b[2], b[0] - a[2], 0.0), max(a[1] - b[3], b[1] - a[3], 0.0))
 
 
 def _most(a: Box, b: Box) -> float:
-    """The largest distance between points of two boxes."""
+    """Return the largest distance between points of two boxes."""
     return hypot(max(a[2] - b[0], b[2] - a[0]), max(a[3] - b[1], b[3] - a[1]))

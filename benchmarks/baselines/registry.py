@@ -1,4 +1,4 @@
-"""What a baseline is, and how one is run."""
+"""Baselines: their description, and functions that run one on a frame."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -23,22 +23,22 @@ Params = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Baseline:
-    """A method to compare with.
+    """Method that this project's method is compared with.
 
     Attributes:
-        name: Its key.
-        title: Its name in a table.
-        run: ``run(points, **params) -> labels``. In the spaces ``xz`` and ``xyz`` the points are
-            the frame's kept features, ``(n, 2)`` or ``(n, 3)`` float64 in metres, n >= 2, and the
-            labels ``(n,)`` integer, negative = noise. In the space ``frame`` it is ``run(frame,
-            config, **params)`` with the same labels, in the space ``image`` ``run(frame,
-            **params)`` with labels ``(H, W)``.
-        space: See ``run``.
-        defaults: Every parameter with a value for untuned use.
-        grid: The values that :func:`benchmarks.baselines.tune` begins with, by parameter.
-        citation: Where the method is from.
-        needs: Modules that it imports.
-        sized: ``run`` takes ``min_points``, the shared size rule, because the method has one.
+        name: Key of the baseline.
+        title: Name in a table.
+        run: Function ``run(points, **params) -> labels``. In the spaces ``xz`` and ``xyz``, the
+            points are the frame's features above the floor, ``(n, 2)`` or ``(n, 3)`` float64 in
+            metres, n >= 2, and the labels ``(n,)`` integer, negative = noise. In the space
+            ``frame``, it is ``run(frame, config, **params)`` with the same labels; in the space
+            ``image``, ``run(frame, **params)`` with labels ``(H, W)``.
+        space: Input of ``run``, see there.
+        defaults: Value of each parameter for use without tuning.
+        grid: Values with which :func:`benchmarks.baselines.tune` starts, by parameter.
+        citation: Source of the method.
+        needs: Modules that the method imports.
+        sized: Whether ``run`` has an argument ``min_points``, the minimum size of clusters.
     """
 
     name: str
@@ -53,7 +53,7 @@ class Baseline:
 
     @property
     def missing(self) -> str | None:
-        """Why it can't run here; None where it can."""
+        """Reason why the baseline can't run here; None if it can."""
         for module in self.needs:
             try:
                 import_module(module)
@@ -62,13 +62,13 @@ class Baseline:
         return None
 
     def trials(self) -> list[dict[str, Any]]:
-        """Every combination of the grid's values."""
+        """Return all combinations of the grid's values."""
         return [
             dict(zip(self.grid, values, strict=True)) for values in product(*self.grid.values())
         ]
 
     def numbers(self) -> list[str]:
-        """The parameters of the grid that are numbers, and have several values."""
+        """Return the grid's parameters that are numbers and have several values."""
         return [
             name
             for name, values in self.grid.items()
@@ -79,19 +79,20 @@ class Baseline:
 def labels_of(
     baseline: Baseline, frame: Frame, config: Config | None = None, params: Params | None = None
 ) -> np.ndarray:
-    """What a baseline says of a frame, before the shared size rule; the part to be timed.
+    """Run a baseline on a frame without the minimum size of clusters; only this is timed.
 
-    The parameter ``depth_scale``, in the spaces ``xz`` and ``xyz``, stretches z before the method
-    sees it, since a sensor's depth and its sides deserve different thresholds, as ours have.
+    In the spaces ``xz`` and ``xyz``, the parameter ``depth_scale`` multiplies z before the method
+    runs, because depth and lateral distance need different thresholds.
 
     Args:
         baseline: The method.
         frame: Preprocessed as for ours.
-        config: For the size rule.
+        config: Configuration; only the minimum size of clusters is used, by methods that have one.
         params: Over the defaults.
 
     Returns:
-        ``(n,)`` int32 of the kept features; in the space ``image`` ``(H, W)`` int32.
+        Labels ``(n,)`` int32 of the features above the floor; in the space ``image``, ``(H, W)``
+        int32.
     """
     config, settings = config or Config(), {**baseline.defaults, **(params or {})}
     if baseline.space == "image":
@@ -113,16 +114,16 @@ def detect_with(
     config: Config | None = None,
     params: Params | None = None,
 ) -> Detections:
-    """One frame's obstacles by a baseline, as the pipeline returns them.
+    """Detect the obstacles of a frame by a baseline.
 
     Args:
         baseline: The method.
         frame: Preprocessed as for ours.
-        config: The shared size rule and the outline's parameters.
-        params: Over the baseline's defaults.
+        config: Configuration of the minimum size and the outlines.
+        params: Parameters that replace the baseline's defaults.
 
     Returns:
-        ``B = 1``.
+        Obstacles, ``B = 1``.
     """
     config, features = config or Config(), frame.features
     labels = labels_of(baseline, frame, config, params)

@@ -1,8 +1,9 @@
-"""ROCK: hierarchical clustering by links, the neighbours that points have in common.
+"""ROCK: hierarchical clustering by links, the number of neighbours that two points share.
 
 Guha, Rastogi and Shim, ROCK: a robust clustering algorithm for categorical attributes,
-Information Systems 25 (2000), 345-366. Of points in space, ours: neighbours are the points within
-a radius, each its own too; theta is left in the exponent only, as pyclustering has it.
+Information Systems 25 (2000), 345-366. Here it clusters points in space: the neighbours of a point
+are the points within a radius, including itself; theta is only used in the exponent, as in
+pyclustering.
 """
 
 import numpy as np
@@ -11,26 +12,27 @@ from scipy.spatial.distance import cdist
 from benchmarks.baselines.sampling import sample
 
 SAMPLE = 256
-"""Points that are clustered; links between all n take O(n^2) and more."""
+"""Number of points that are clustered; the links between n points take at least O(n^2)."""
 
 
 def rock(
     points: np.ndarray, radius_m: float, clusters: int, theta: float = 0.5, limit: int = SAMPLE
 ) -> np.ndarray:
-    """Flat clusters: of a random sample by links, of all others by their neighbours in it.
+    """Cluster a random sample by links, and all other points by their neighbours in it.
 
-    A point goes to the cluster with the largest ``neighbours / (size + 1)^f``, where ``f = (1 -
-    theta) / (1 + theta)``; without a neighbour it is noise.
+    A point outside the sample belongs to the cluster with the largest ``neighbours / (size +
+    1)^f``, ``f = (1 - theta) / (1 + theta)``; if it has no neighbours, it is noise.
 
     Args:
-        points: ``(n, d)`` [m].
-        radius_m: Points this near to each other are neighbours.
-        clusters: Merging ends with so many, or where no links are left.
-        theta: 0 to below 1; the smaller it is, the less large clusters attract.
-        limit: Points in the sample.
+        points: Points ``(n, d)`` [m].
+        radius_m: Maximum distance of neighbours [m].
+        clusters: Number of clusters at which merging ends; it ends earlier if no links are left.
+        theta: The paper's theta, 0 to below 1; the smaller it is, the less are large clusters
+            preferred.
+        limit: Maximum number of points in the sample.
 
     Returns:
-        ``(n,)`` int64, -1 = noise.
+        Labels ``(n,)`` int64, -1 = noise.
     """
     points = np.asarray(points, np.float64)
     chosen = sample(len(points), limit)
@@ -46,18 +48,18 @@ def rock(
 
 
 def merge(near: np.ndarray, clusters: int, theta: float) -> np.ndarray:
-    """Merges the two clusters of the largest goodness, while any have links between them.
+    """Merge the two clusters with the largest goodness while there are links between clusters.
 
-    Goodness is the number of links over the number to be expected: ``links / ((m + k)^e - m^e -
+    Goodness is the number of links divided by the expected number: ``links / ((m + k)^e - m^e -
     k^e)`` for clusters of m and k points, ``e = 1 + 2 (1 - theta) / (1 + theta)``.
 
     Args:
-        near: ``(m, m)`` bool, symmetric: which points are neighbours.
-        clusters: It ends with so many.
-        theta: 0 to below 1.
+        near: Whether two points are neighbours, ``(m, m)`` bool, symmetric.
+        clusters: Number of clusters at which merging ends.
+        theta: The paper's theta, 0 to below 1.
 
     Returns:
-        ``(m,)`` int64.
+        Labels ``(m,)`` int64.
     """
     count = len(near)
     power = 1 + 2 * (1 - theta) / (1 + theta)

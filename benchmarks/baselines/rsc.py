@@ -1,14 +1,15 @@
 """RSC (our reading): hierarchical clustering by reciprocal nearest neighbours.
 
 Xie, Lee, Wang, Chen and Zhou, Hierarchical clustering supported by reciprocal nearest neighbors,
-Information Sciences 527 (2020), 279-292. We had its abstract, not its text, and know of no public
-code; what is marked "ours" below is a choice of ours. In any table this is "RSC (our reading)".
+Information Sciences 527 (2020), 279-292. Only the abstract was available, and there is no known
+public code; choices that the abstract leaves open are marked "ours". In tables, the method is named
+"RSC (our reading)".
 
-One level, on points P: ``nn(i)`` is the nearest other point (of equals the lowest index, ours).
-Each component of the graph ``{i, nn(i)}`` holds exactly one reciprocal pair ``(a, b)``, ``nn(a) =
-b`` and ``nn(b) = a``, and its links are a part of the minimum spanning tree. The component is
-replaced by its root, from the pair or from all members (ours, three variants), and the roots are
-the points of the next level, until one is left.
+On each level, ``nn(i)`` is the point nearest to point i (of equally near ones, the one of lowest
+index; ours). Each component of the graph of links ``{i, nn(i)}`` contains exactly one reciprocal
+pair ``(a, b)`` with ``nn(a) = b`` and ``nn(b) = a``, and its links are part of the minimum spanning
+tree. Each component is replaced by its root, computed from the pair or from all members (three
+variants; ours). The roots are the points of the next level, until one is left.
 """
 
 from typing import Literal, NamedTuple
@@ -19,31 +20,31 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 Root = Literal["midpoint", "member", "mean"]
-"""Variant A: the pair's midpoint; B: the pair's point of lower index; C: the mean of all original
-points below (as FINCH has it)."""
+"""Root of a component: the midpoint of its reciprocal pair, the pair's point of lower index, or the
+mean of all its original points (as in FINCH).
+"""
 
 
 class Level(NamedTuple):
-    """The links of one level with ``m`` points."""
+    """Links of one level with ``m`` points."""
 
     nearest: np.ndarray
-    """``(m,)`` int64."""
+    """Index of the point nearest to each, ``(m,)`` int64."""
     length: np.ndarray
-    """``(m,)`` float64."""
+    """Distance to the nearest point, ``(m,)`` float64."""
     parent: np.ndarray
-    """``(m,)`` int64, the point of the next level that each belongs to."""
+    """Index of the next level's point to which each belongs, ``(m,)`` int64."""
 
 
 def rsc_threshold(points: np.ndarray, tau: float, root: Root = "midpoint") -> np.ndarray:
-    """Flat clusters: links longer than ``tau`` are left out at every level.
+    """Cluster points by the links that are at most ``tau`` long, on all levels.
 
-    A point without a link stays a root of its own. Since the links from a point towards the pair
-    never grow longer, what a cut link leaves behind is always a single point. It ends when no
-    link is short enough.
+    A point without a link is its own root. Links never get longer from a point towards the pair, so
+    a removed link always leaves a single point. The last level is the one without links.
 
     Args:
         points: ``(n, d)``.
-        tau: In the units of the points.
+        tau: Maximum length of a link, in the unit of the points.
         root: Which variant.
 
     Returns:
@@ -56,15 +57,14 @@ def rsc_threshold(points: np.ndarray, tau: float, root: Root = "midpoint") -> np
 
 
 def rsc_count(points: np.ndarray, clusters: int, root: Root = "midpoint") -> np.ndarray:
-    """Flat clusters, as many as asked for: down from the top root.
+    """Cluster points into a given number of clusters, from the top root down.
 
-    From the coarsest level down to the first one with more than ``clusters`` points; of the links
-    from there to the level above, the longest are left out until there are ``clusters``
-    components (of equals, those of higher index).
+    The coarsest level with more than ``clusters`` points is chosen. The longest of its links are
+    removed until it has ``clusters`` components; of equally long ones, those of higher index.
 
     Args:
         points: ``(n, d)``.
-        clusters: At least 1; with fewer points each is a cluster.
+        clusters: Number of clusters, at least 1; if there are fewer points, each is a cluster.
         root: Which variant.
 
     Returns:
@@ -106,7 +106,7 @@ def _components(size: int, links: np.ndarray, nearest: np.ndarray) -> np.ndarray
 def _roots(
     points: np.ndarray, weight: np.ndarray, level: Level, tau: float, root: Root
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The next level's points, and how many original points lie below each."""
+    """Return the next level's points, and how many original points belong to each."""
     count = int(level.parent.max()) + 1
     below = np.bincount(level.parent, weight, count)
     if root == "mean":
@@ -123,10 +123,10 @@ def _roots(
 
 
 def nearest_neighbours(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Each point's nearest other point, of equals the lowest index.
+    """Return the point nearest to each; of equally near ones, the one of lowest index.
 
     Args:
-        points: ``(n, d)`` float64, n >= 2.
+        points: Points ``(n, d)`` float64, n >= 2.
 
     Returns:
         Indices ``(n,)`` int64 and distances ``(n,)`` float64.
@@ -138,7 +138,7 @@ def nearest_neighbours(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     length = np.where(other, distance, np.inf).min(axis=1)
     tied = other & (distance == length[:, None])
     nearest = np.where(tied, index, size).min(axis=1).astype(np.int64)
-    # Where the farthest that the tree returned ties too, there may be more of them.
+    # If the farthest point that the tree returned is equally near, there may be more.
     more = np.flatnonzero((distance[:, -1] == length) & (width < size))
     for start in range(0, len(more), 256):
         rows = more[start : start + 256]

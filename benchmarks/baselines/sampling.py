@@ -1,4 +1,4 @@
-"""A random sample of the points, for methods whose time or memory grows with their square."""
+"""Random sample of points, for methods whose time or memory grows with n^2."""
 
 from collections.abc import Callable
 
@@ -7,7 +7,7 @@ from scipy.spatial import KDTree
 
 
 def sample(count: int, limit: int) -> np.ndarray:
-    """Indices of at most ``limit`` of ``count`` points, always the same ones, in order."""
+    """Return indices of at most ``limit`` of ``count`` points, always the same ones, ascending."""
     if count <= limit:
         return np.arange(count)
     return np.sort(np.random.default_rng(0).choice(count, limit, replace=False))
@@ -16,15 +16,15 @@ def sample(count: int, limit: int) -> np.ndarray:
 def cluster_sample(
     points: np.ndarray, limit: int, cluster: Callable[[np.ndarray], np.ndarray]
 ) -> np.ndarray:
-    """Clusters a sample; every other point gets the label of the sample's nearest.
+    """Cluster a sample; any other point gets the label of the sample's nearest point.
 
     Args:
-        points: ``(n, d)``.
-        limit: Most points in the sample.
-        cluster: Of points ``(m, d)``, m <= ``limit``, gives labels ``(m,)``.
+        points: Points ``(n, d)``.
+        limit: Maximum number of points in the sample.
+        cluster: Function that returns labels ``(m,)`` of points ``(m, d)``, m <= ``limit``.
 
     Returns:
-        ``(n,)`` labels.
+        Labels ``(n,)``.
     """
     chosen = sample(len(points), limit)
     labels = np.asarray(cluster(points[chosen]))

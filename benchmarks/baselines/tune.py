@@ -1,4 +1,4 @@
-"""Choosing a method's parameters on tuning frames: by a grid, then by compass search."""
+"""Choice of a method's parameters on tuning frames, by a grid and then a compass search."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -10,17 +10,17 @@ from jaxdet.config import Config
 from jaxdet.eval import EvalConfig, FrameTruth, Score, Tally, evaluate_frames, score
 
 STEP = 1.5
-"""Factor between what the search tries and the best so far."""
+"""Factor between a value that the search tries and the best one so far."""
 
 
 class Tuned(NamedTuple):
-    """The best parameters on the tuning frames."""
+    """Best parameters on the tuning frames."""
 
     params: dict[str, Any]
     value: float
-    """The objective there."""
+    """Objective with these parameters."""
     trials: list[tuple[dict[str, Any], float]]
-    """All that was tried, in order: the grid, then what the search tried."""
+    """All parameters tried and their objective, in order: the grid, then those of the search."""
 
 
 def tune(
@@ -31,10 +31,11 @@ def tune(
     config: Config,
     eval_config: EvalConfig,
 ) -> Tuned:
-    """Tries the whole grid of a method, then looks around its best for better.
+    """Choose a method's parameters: try the grid, then search around its best point.
 
-    Numbers that the grid has several of are made larger and smaller, one by one, as long as that
-    helps (compass search), so that no method is held to the ends of a grid, or to its steps.
+    Numbers with several values in the grid are increased and decreased one by one while that
+    improves the objective (compass search), so that no method is limited by the bounds or steps of
+    its grid.
 
     Args:
         baseline: The method.
@@ -60,11 +61,11 @@ def search(
     numbers: Sequence[str],
     objective: Callable[[dict[str, Any]], float],
 ) -> Tuned:
-    """Try all of ``trials``, then move the best one's ``numbers`` as long as that helps.
+    """Try all of ``trials``, then change ``numbers`` of the best one while that improves it.
 
     Args:
-        trials: Settings of the same names.
-        numbers: Names of settings that are made larger and smaller.
+        trials: Settings, all with the same names.
+        numbers: Names of settings that are increased and decreased.
         objective: What to make large; NaN counts as the worst.
 
     Returns:
@@ -91,7 +92,7 @@ def search(
 
 
 def _moved(params: dict[str, Any], name: str, *, up: bool) -> dict[str, Any]:
-    """The parameters with one larger or smaller; whole numbers by at least 1, and none below 1."""
+    """Increase or decrease one parameter; integers change by at least 1 and stay at least 1."""
     old = params[name]
     new = old * STEP if up else old / STEP
     if isinstance(old, int):
@@ -107,13 +108,13 @@ def run_frames(
     config: Config | None = None,
     eval_config: EvalConfig | None = None,
 ) -> list[Tally]:
-    """A method on some frames, compared with the truth: a tally for each frame.
+    """Run a method on frames and compare it with the truth; return a tally of each frame.
 
     Args:
         baseline: The method.
         frames: The frames.
         truths: Of each, with ``B = 1``.
-        params: Over the method's defaults.
+        params: Parameters that replace the method's defaults.
         config: The shared size rule and outlines.
         eval_config: What counts.
     """

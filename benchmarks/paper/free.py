@@ -1,4 +1,4 @@
-"""Free floor claimed: how much of the floor that can be driven on lies inside outlines."""
+"""Claimed floor: share of the drivable floor that is inside outlines."""
 
 from typing import NamedTuple
 
@@ -11,29 +11,29 @@ from jaxdet.types import Calibration, Detections
 
 
 class Claim(NamedTuple):
-    """Pixels of one frame."""
+    """Numbers of pixels of one frame."""
 
     drivable: int
-    """That show floor to drive on, measured and within range."""
+    """Number of pixels that show drivable floor, are measured and in range."""
     claimed: int
-    """Of those, inside the rectangle of some obstacle."""
+    """Number of drivable pixels inside the rectangle of an obstacle."""
 
     @property
     def share(self) -> float:
-        """Claimed of drivable; 0 where no such floor is seen."""
+        """Share of the drivable pixels that are claimed; 0 if there are none."""
         return self.claimed / self.drivable if self.drivable else 0.0
 
 
 def claim_of(shot: Shot, found: Detections, config: Config) -> Claim:
-    """The drivable floor of a frame that its outlines claim.
+    """Count the drivable floor of a frame, and how much of it the outlines claim.
 
     Args:
         shot: The frame.
-        found: ``B = 1``.
-        config: For the range and the outlines' margin.
+        found: Detections of the frame.
+        config: Configuration of the range and the outlines' margin.
 
     Returns:
-        The pixels that :func:`jaxdet.eval.claimed_floor` counts.
+        Numbers of pixels as counted by :func:`jaxdet.eval.claimed_floor`.
     """
     truth, calibration, counted = shot.truth, shot.calibration, eval_config(config)
     assert truth.drivable is not None and truth.depth_m is not None

@@ -1,4 +1,4 @@
-"""Labelled real recordings: where they are, and what is known of their frames."""
+"""Labelled real recordings: their locations, and the labels of their frames."""
 
 import re
 from collections.abc import Iterator, Sequence
@@ -14,12 +14,12 @@ from jaxdet.errors import InputError
 from jaxdet.types import Calibration
 
 BESIDE = Path(__file__).parents[3] / "shared" / "data"
-"""Where recordings are looked for unless folders are named."""
+"""Folder of recordings if no folders are given."""
 BOXES = stills.LABELS
-"""Boxes labelled for this project, a text file a recording."""
+"""Folder of boxes labelled for this project, with a text file for each recording."""
 KINDS = ("obstacle", "ignore")
 TABLE = ("tabletop", "wheeled")
-"""Presets that are compared where a table top is the ground."""
+"""Presets that are compared if the ground is a table top."""
 
 
 class Recording(NamedTuple):
@@ -27,33 +27,35 @@ class Recording(NamedTuple):
 
     name: str
     place: str
-    """The log, or the folder of stills, under the folder of recordings."""
+    """Path of the log or the folder of stills in the folder of recordings."""
     least_iou: float
-    """Least overlap of a detection and its object."""
+    """Minimum overlap (IoU) of a detection with its object."""
     images: str = ""
-    """Folder of label images beside it; by default the boxes of :data:`BOXES` under its name."""
+    """Folder of label images; if empty, the labels are the boxes in :data:`BOXES` under the
+    recording's name.
+    """
     least_pixels: int = 1
-    """Objects of fewer pixels are not asked for (label images)."""
+    """Minimum number of pixels of an object that is to be found (label images)."""
     least_height_m: float = 0.0
-    """Lower objects are neither missed nor false (label images)."""
+    """Minimum height of objects; lower ones are neither missed nor false (label images) [m]."""
     learnt: bool = True
-    """Frames that are not held out are learnt from where they show what is one thing."""
+    """Whether frames that are not held out are used to train the pairwise evidence."""
     group: str = ""
-    """Recordings of a group are reported together."""
+    """Name of the group with which the recording is reported."""
     held_out: int = 0
-    """Frames whose number leaves this less 1 over when divided by it are held out; 0: none."""
+    """Interval n of held-out frames: numbers n - 1, 2n - 1 and so on; 0 = none is held out."""
     presets: tuple[str, ...] = ("wheeled", "paper")
     """Presets that are compared; pictures show the first."""
 
     def holds_out(self, frame: int) -> bool:
-        """Whether the frame of this number is held out."""
+        """Return whether a frame is held out."""
         return self.held_out > 0 and frame % self.held_out == self.held_out - 1
 
 
 def recordings_of(recipe: Path) -> Iterator[Recording]:
-    """Yield the recordings that scripts/rooms_to_mcap makes of a recipe.
+    """Yield the recordings that scripts/rooms_to_mcap makes from a recipe.
 
-    Their group is the recipe's name, their ``split``, and their ``place`` if the recipe has it.
+    Their group consists of the recipe's name, their ``split``, and their ``place`` if there is one.
     """
     for room in stills.read_recipe(recipe):
         group = [recipe.stem, room["split"], *([room["place"]] if "place" in room else [])]
@@ -91,11 +93,11 @@ RECORDINGS = (
 def find_recordings(
     places: Sequence[Path], names: Sequence[str] = ()
 ) -> list[tuple[Recording, Path]]:
-    """The labelled recordings that are there, with their folder.
+    """Return the labelled recordings that exist, with their folder.
 
     Args:
         places: Folders of recordings, or recordings' own folders.
-        names: Beginnings of the names or groups of those to look for; by default all.
+        names: Prefixes of the names or groups of the recordings to find; by default all.
     """
     starts = tuple(names) or ("",)
     folders = [folder for place in places for folder in (place, place.parent)]
@@ -111,14 +113,14 @@ def find_recordings(
 def labels_of(
     recording: Recording, folder: Path, frame: int, z_m: np.ndarray, calibration: Calibration
 ) -> FrameLabels | None:
-    """What is known of a frame, None where it has no label.
+    """Return the labels of a frame, None if it has none.
 
     Args:
-        recording: Of :data:`RECORDINGS`.
-        folder: Its folder.
-        frame: The frame's number in the log.
-        z_m: ``(H, W)`` float, its forward depth at the colour pixels [m], 0 = none.
-        calibration: Of the log.
+        recording: Recording of :data:`RECORDINGS`.
+        folder: Folder of the recording.
+        frame: Number of the frame in the log.
+        z_m: Forward depth of the colour pixels, ``(H, W)`` float [m], 0 = none.
+        calibration: Calibration of the log.
     """
     camera = calibration.image
     if recording.images:
@@ -140,17 +142,17 @@ class FrameBoxes(NamedTuple):
     """Labelled boxes of a frame with ``T`` obstacles."""
 
     boxes: np.ndarray
-    """``(T, 4)`` int64, boxes of the obstacles [pixel]."""
+    """Boxes of the obstacles, ``(T, 4)`` int64 [pixel]."""
     distance_m: np.ndarray
-    """``(T,)`` float64 [m]."""
+    """Distances of the obstacles, ``(T,)`` float64 [m]."""
     ignored: np.ndarray
-    """``(I, 4)`` int64, ignored regions [pixel]."""
+    """Boxes of ignored regions, ``(I, 4)`` int64 [pixel]."""
     tags: tuple[frozenset[str], ...]
-    """Tags of each obstacle, such as ``low`` (labels/RULE.md has them)."""
+    """Tags of each obstacle, such as ``low``; see labels/RULE.md."""
 
 
 class _Row(NamedTuple):
-    """A line of labels."""
+    """Line of a label file."""
 
     box: list[int]
     distance_m: float
@@ -159,11 +161,11 @@ class _Row(NamedTuple):
 
 
 def read_boxes(path: Path) -> dict[int, FrameBoxes]:
-    """Boxes of a recording's frames, by their number.
+    """Read the boxes of a recording's frames, by the frames' numbers.
 
     Raises:
         InputError: A line is not ``frame u_min v_min u_max v_max distance_m kind name [tags]``,
-            where the tags may be left out.
+            where the tags are optional.
     """
     rows: dict[int, list[_Row]] = {}
     for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
@@ -183,7 +185,7 @@ def read_boxes(path: Path) -> dict[int, FrameBoxes]:
 
 
 def _tags(name: str) -> frozenset[str]:
-    """Tags behind a name: ``low`` and ``cut`` of ``board [low,cut]``."""
+    """Return the tags after a name: ``low`` and ``cut`` of ``board [low,cut]``."""
     tags = re.search(r"\[([a-z, ]+)\]\s*$", name)
     return frozenset(tag.strip() for tag in tags[1].split(",")) if tags else frozenset()
 

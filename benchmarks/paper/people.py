@@ -1,4 +1,4 @@
-"""People and chairs of labelled real frames: a deep detector and the presets (Table 3)."""
+"""Detection of people and chairs on labelled real frames by a deep detector and the presets."""
 
 import time
 from pathlib import Path
@@ -18,15 +18,15 @@ from jaxdet.presets import PRESETS
 
 DETECTOR = "centernet"
 METHODS = ("wheeled", "paper")
-"""Presets that are compared with it."""
+"""Presets that are compared with the detector."""
 PEOPLE = frozenset({"man", "woman", "person"})
 AFTER = frozenset({"with", "on", "behind", "in", "under", "of", "at", "bent"})
-"""Words after which a label's name says no more what the thing is."""
+"""Words with which the part of a label that names the object's class ends."""
 WHERE = frozenset({"left", "right", "front", "middle", "near", "far"})
 
 
 class Task(NamedTuple):
-    """A recording to be judged."""
+    """Task of a worker: a recording."""
 
     recording: Recording
     folder: Path
@@ -39,22 +39,24 @@ class Count(NamedTuple):
     objects: int = 0
     matched: int = 0
     detections: int = 0
-    """Those called so on known ground; the presets call nothing by a name, and have none."""
+    """Number of detections of the class on labelled pixels; 0 for the presets, which don't
+    classify.
+    """
 
 
 class Judgement(NamedTuple):
-    """Frames of a recording."""
+    """Result on a recording."""
 
     frames: int
-    """Those with labels."""
+    """Number of frames with labels."""
     counts: dict[tuple[str, str], Count]
-    """By method and class."""
+    """Counts by method and class."""
     seconds: list[float]
-    """Time of the detector on each frame but the first [s]."""
+    """Time of the detector on each frame except the first [s]."""
 
 
 def class_of(name: str) -> str:
-    """Return the class that a label's name stands for, empty if none is compared.
+    """Return the class of a label's name, empty if it is none of those compared.
 
     Example:
         >>> [class_of(name) for name in ("office chair, left", "chair leg", "man on a stool")]
@@ -68,7 +70,7 @@ def class_of(name: str) -> str:
 
 
 def add_people(lab: Lab, section: Section) -> None:
-    """Add what the detector and the presets find of labelled people and chairs."""
+    """Add the labelled people and chairs that the detector and the presets find."""
     if problem := why_absent(lab.detector):
         section.say(f"CenterNet, whose weights come inside of a package, was not run: {problem}.")
         return
@@ -116,7 +118,7 @@ def _cells(section: Section, method: str, name: str, count: Count) -> list[str]:
 
 
 def classes_of(recording: Recording) -> dict[int, np.ndarray]:
-    """Return the class of each labelled obstacle of the labelled frames, by their number."""
+    """Return the class of each labelled obstacle, by the number of the frame."""
     names = read_names(BOXES / f"{recording.name}.txt")
     return {
         frame: np.array([class_of(name) for name in mine], np.str_) for frame, mine in names.items()
@@ -141,7 +143,7 @@ def judge(task: Task) -> Judgement:
                 labels = labels_of_boxes(known.boxes, known.distance_m, known.ignored, *sides)
                 _add(counts, title, wanted[number], labels, found.boxes, least)
                 if not config.cluster.points or frames.color is None:
-                    continue  # only the preset paper has the colour images read
+                    continue  # colour images are only read for the preset paper
                 start = time.perf_counter()
                 things = detector(frames.color[0])
                 seconds.append(time.perf_counter() - start)
@@ -164,13 +166,13 @@ def _add(
     """Add a frame to the counts.
 
     Args:
-        counts: By method and class.
-        method: Whose boxes they are.
-        classes: ``(T,)`` str, class of each labelled object.
-        labels: Of the frame.
-        boxes: ``(n, 4)`` integer, detections.
+        counts: Counts by method and class, which are changed.
+        method: Method that the boxes are from.
+        classes: Class of each labelled object, ``(T,)`` str.
+        labels: Labels of the frame.
+        boxes: Boxes of the detections, ``(n, 4)`` integer.
         least_iou: Minimum IoU of a pair.
-        only: The class that all boxes have; empty if they have none.
+        only: Class of all boxes; empty if they have no class.
     """
     counted = boxes[on_known_ground(labels, boxes)]
     asked = classes == only if only else np.ones(len(classes), bool)

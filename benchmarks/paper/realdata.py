@@ -22,22 +22,22 @@ from jaxdet.results.rows import to_host
 from jaxdet.types import Calibration, Frames, Intrinsics
 
 SHEET = (3, 5)
-"""Columns and rows of a sheet."""
+"""Numbers of columns and rows of a sheet."""
 WIDTH = 620
 CAMERA_FILE = "cam_params_realsense.json"
 
 
 class Recording(NamedTuple):
-    """Frames of a folder or a log, with what is known of their floor."""
+    """Frames of a folder or a log, with the prior of their floor."""
 
     name: str
     frames: Frames
     numbers: tuple[str, ...]
-    """What each frame is called."""
+    """Name of each frame."""
 
 
 def run(lab: Lab, place: Path, number: int = 0) -> Section:
-    """Contact sheets of all recordings in a folder: logs, and folders of PNG pairs."""
+    """Draw contact sheets of all recordings in a folder: logs, and folders of PNG pairs."""
     section = Section(f"recordings{number}", f"Real recordings: {place.name}")
     section.say(
         "No truth exists for these; the pictures are for reading. The floor is that of each "
@@ -55,10 +55,10 @@ def run(lab: Lab, place: Path, number: int = 0) -> Section:
 
 
 def find(place: Path, config: Config) -> Iterator[Recording]:
-    """The recordings in a folder.
+    """Yield the recordings in a folder.
 
     Raises:
-        InputError: There are none.
+        InputError: The folder contains no recordings.
     """
     data = place / "data" if (place / "data").is_dir() else place
     if (data / CAMERA_FILE).is_file():
@@ -79,7 +79,7 @@ def find(place: Path, config: Config) -> Iterator[Recording]:
 
 
 def _stills(data: Path, name: str) -> Recording:
-    """Aligned stills of a camera held by hand: nothing is known of their floors."""
+    """Return the aligned stills of a hand-held camera, without a prior of the floor."""
     about = json.loads((data / CAMERA_FILE).read_text(encoding="utf-8"))
     K = np.reshape(about["intrinsic_matrix"], (3, 3)).T.tolist()
     size = about["width"], about["height"]
@@ -89,14 +89,14 @@ def _stills(data: Path, name: str) -> Recording:
 
 
 def _pairs(data: Path, name: str, calibration: Calibration, config: Config) -> Recording:
-    """PNG pairs of a mounted camera with the calibration of the log beside them: one floor."""
+    """Return the PNG pairs of a mounted camera, with one floor and the calibration of its log."""
     frames, names = _read(data / "rgb", data / "depth", calibration)
     plane = estimate_plane(frames, config, backend="reference").plane
     return Recording(f"{name} pairs", frames._replace(plane=repeat_plane(plane, len(names))), names)
 
 
 def _read(color: Path, depth: Path, calibration: Calibration) -> tuple[Frames, tuple[str, ...]]:
-    """PNG pairs of the same names, in the order of their numbers."""
+    """Read the PNG pairs with equal names, in the order of their numbers."""
     paths = sorted(color.glob("*.png"), key=lambda p: (len(p.stem), p.stem))
     paths = [path for path in paths if (depth / path.name).is_file()]
     images = [cv2.imread(str(path), cv2.IMREAD_COLOR) for path in paths]
@@ -120,7 +120,7 @@ def _one(frames: Frames, b: int) -> Frames:
 
 
 def add(section: Section, recording: Recording, config: Config) -> None:
-    """Adds a recording's sheets to a section, and how many obstacles were found."""
+    """Add a recording's sheets and its mean number of obstacles to a section."""
     pictures: list[np.ndarray] = []
     counts: list[int] = []
     for b, number in enumerate(recording.numbers):

@@ -1,4 +1,4 @@
-"""Labelled frames of real cameras: found, false, floor taken for obstacles, distances."""
+"""Results on labelled frames of real cameras: recall, precision, floor kept, distances."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -39,11 +39,11 @@ from jaxdet.results.rows import to_host
 from jaxdet.types import Detections, Frames
 
 WORST = 6
-"""Frames pictured of each recording."""
+"""Number of frames of each recording of which pictures are drawn."""
 COLUMNS, WIDTH = 3, 420
 FOUND, MISSED = (255, 255, 255), (255, 40, 40)
 TAGS = ("path", "low")
-"""Tags whose objects have a recall of their own (labels/RULE.md)."""
+"""Tags for whose objects the recall is reported too; see labels/RULE.md."""
 DIRECTIONS: dict[str, Direction] = {
     "recall": "higher",
     "precision": "higher",
@@ -56,28 +56,28 @@ DIRECTIONS: dict[str, Direction] = {
 
 
 class Found(NamedTuple):
-    """A frame of a log and what was found in it, each a batch of one."""
+    """Frame of a log and its detections, each a batch of one."""
 
     frames: Frames
-    """With the floor that was used."""
+    """The frame, with the floor that was used."""
     detections: Detections
     config: Config
 
     @property
     def shown(self) -> np.ndarray:
-        """``(n,)`` bool, obstacles that the colour image shows a part of: others have no label."""
+        """Whether the colour image shows a part of each obstacle, ``(n,)`` bool."""
         return self.detections.obstacles.uv_max[0, : self.detections.num_obstacles[0], 0] >= 0
 
     @property
     def boxes(self) -> np.ndarray:
-        """``(k, 4)`` int32, image boxes of the obstacles that are shown [pixel]."""
+        """Image boxes of the shown obstacles, ``(k, 4)`` int32 [pixel]."""
         count, obstacles = self.detections.num_obstacles[0], self.detections.obstacles
         boxes = np.concatenate([obstacles.uv_min[0], obstacles.uv_max[0]], axis=1)[:count]
         return boxes[self.shown]
 
     @property
     def nearest_m(self) -> np.ndarray:
-        """``(k,)`` float, least forward depth of what is shown of each in the colour camera [m]."""
+        """Smallest forward depth of the shown part of each obstacle, ``(k,)`` float [m]."""
         calibration, count = self.frames.calibration, int(self.detections.num_obstacles[0])
         cells = self.detections.cells
         if cells is None:
@@ -92,22 +92,22 @@ class Found(NamedTuple):
 
 
 class Task(NamedTuple):
-    """A recording to be judged under a configuration."""
+    """Task of a worker: a recording and a configuration."""
 
     recording: Recording
     folder: Path
     config: Config
     pictured: int
-    """How many of the worst frames."""
+    """Number of worst frames of which pictures are drawn."""
 
 
 class Judgement(NamedTuple):
-    """Labelled frames of a recording held against their labels."""
+    """Result on the labelled frames of a recording."""
 
     numbers: list[int]
     tallies: list[BoxTally]
     views: list[np.ndarray]
-    """Pictures of the worst, fewest right first."""
+    """Pictures of the worst frames, the worst first."""
 
 
 def frames_with_floor(log: Log, config: Config) -> Iterator[Batch]:
@@ -127,7 +127,7 @@ def find_obstacles(log: Log, config: Config) -> Iterator[Found]:
 
 
 def judge(task: Task) -> Judgement:
-    """All labelled frames of a recording."""
+    """Compare all labelled frames of a recording with their labels."""
     with open_log(str(task.folder / task.recording.place)) as log:
         each = [(found, *_held(task, found)) for found in find_obstacles(log, task.config)]
     known = [(found, labels, tally) for found, labels, tally in each if labels is not None]
@@ -140,7 +140,7 @@ def judge(task: Task) -> Judgement:
 
 
 def _held(task: Task, found: Found) -> tuple[FrameLabels | None, BoxTally]:
-    """A frame's labels and counts."""
+    """Return the labels and counts of a frame; None and zeros if it has no labels."""
     frames, calibration = found.frames, found.frames.calibration
     aligned = reference.paper.align(frames.depth, calibration)
     z_m = np.asarray(aligned.z[0]) * calibration.depth_unit
@@ -157,13 +157,13 @@ def _held(task: Task, found: Found) -> tuple[FrameLabels | None, BoxTally]:
 
 
 def _right(tally: BoxTally) -> float:
-    """Share of what is there or was found that is both."""
+    """Return the matched objects as a share of all objects and detections; 1 if there are none."""
     every = tally.objects + tally.detections - tally.matched
     return tally.matched / every if every else 1.0
 
 
 def run(lab: Lab) -> Section:
-    """Figures on labelled frames of real cameras; not in the paper."""
+    """Report the figures on labelled frames of real cameras; not in the paper."""
     section = Section("realframes", "Labelled frames of real cameras")
     places = find_recordings(lab.recordings, lab.labelled)
     if not places:
@@ -218,7 +218,7 @@ def run(lab: Lab) -> Section:
 
 
 def parts_of(recording: Recording, judged: Judgement) -> dict[str, list[BoxTally]]:
-    """The frames as they are reported: all, or the tuning part and the held-out part."""
+    """Split the tallies for the report: all together, or the tuning and the held-out part."""
     if not recording.held_out:
         return {recording.group or recording.name: judged.tallies}
     parts: dict[str, list[BoxTally]] = {"tuning": [], "held_out": []}
@@ -228,7 +228,7 @@ def parts_of(recording: Recording, judged: Judgement) -> dict[str, list[BoxTally
 
 
 def _row(section: Section, key: str, tallies: list[BoxTally]) -> list[str]:
-    """Adds the figures of some frames; returns them as texts."""
+    """Add the figures of some frames; return them as texts."""
     score = score_boxes(tallies)
     objects, detections, matched = (
         sum(getattr(tally, name) for tally in tallies)
@@ -262,7 +262,7 @@ def _row(section: Section, key: str, tallies: list[BoxTally]) -> list[str]:
 def _picture(
     recording: Recording, found: Found, labels: FrameLabels, tally: BoxTally
 ) -> np.ndarray:
-    """The camera's view with the labelled boxes over it."""
+    """Draw the camera's view with the labelled boxes."""
     frames = found.frames
     view = camera_view(shown_image(frames, 0, found.config), found.detections, 0, found.config, 1.0)
     counted = found.boxes[on_known_ground(labels, found.boxes)]

@@ -3,8 +3,8 @@
 Each scene is a folder with ``image/*.jpg``, ``depth/*.png`` (aligned to the image, its bits rotated
 by three), ``intrinsics.txt``, ``extrinsics/*.txt`` (the rotation that makes the camera level),
 ``scene.txt`` and, if it is labelled, ``annotation2Dfinal/index.json`` with a polygon and a name for
-each thing. ``depth_bfx``, whose holes are filled, is not read: a robot measures no filled holes.
-``labels/sunrgbd.json`` lists public repositories that hold scenes.
+each object. ``depth_bfx``, in which holes are filled, is not used, because a robot's depth has
+holes. ``labels/sunrgbd.json`` lists public repositories that contain scenes.
 """
 
 import json
@@ -23,30 +23,34 @@ from jaxdet.types import Calibration, Frames, Intrinsics
 LABELS = "annotation2Dfinal/index.json"
 UNIT_M = 0.001
 FLOORS = frozenset({"floor", "ground", "carpet", "rug", "mat", "floormat", "bathmat", "doormat"})
-"""Last words of names that are the floor."""
+"""Last words of names of the floor."""
 ROOM = (
     "wall", "ceiling", "pillar", "column", "beam", "stair", "staircase", "step", "railing", "room",
     "door", "doorway", "doorframe", "doorknob", "window", "windowsill", "sill", "frame", "blind",
     "curtain", "pipe", "vent", "airvent", "hole", "background", "unknown", "other", "object",
 )  # fmt: skip
-"""Last words of names that are parts of the room, or nothing."""
+"""Last words of names of parts of the room, and of names without meaning."""
 HANGING = (
     "board", "whiteboard", "blackboard", "bulletin", "picture", "painting", "poster", "photo",
     "mirror", "light", "lightswitch", "switch", "outlet", "socket",
 )  # fmt: skip
-"""Last words of names that hang on walls and ceilings."""
+"""Last words of names of objects on walls and ceilings."""
 NO_THINGS = frozenset(ROOM + HANGING)
-"""Last words of names that are no things to be found."""
+"""Last words of names that are not objects to be found."""
 MAX_DEPTH_M = 3.0
-"""Things whose near surface is farther are neither missed nor false; the range of ``paper``."""
+"""Maximum distance of objects to be found, the range of preset ``paper`` [m]; farther ones are
+neither missed nor false.
+"""
 MIN_SIDE = 16 / 640
-"""Minimum width and height of a thing's box, as a share of the image's width."""
+"""Minimum width and height of an object's box, as a share of the image's width."""
 STANDS_M, LOWEST = 0.15, 0.01
-"""Things stand on the floor if this quantile of their heights is at most this [m]."""
+"""Maximum height of the lowest points of an object that stands on the floor [m], and the quantile
+of its heights that is compared with it.
+"""
 
 
 class Polygon(NamedTuple):
-    """A labelled outline."""
+    """Labelled outline of an object or the floor."""
 
     name: str
     points: np.ndarray
@@ -54,42 +58,42 @@ class Polygon(NamedTuple):
 
     @property
     def last_word(self) -> str:
-        """Noun that decides what the name stands for, in lower case, singular, without a number."""
+        """Last word of the name, in lower case, singular and without a number."""
         words = "".join(c if c.isalpha() else " " for c in self.name.lower()).split()
         word = words[-1] if words else "unknown"
         return word[:-1] if word.endswith("s") and not word.endswith("ss") else word
 
     @property
     def is_floor(self) -> bool:
-        """Whether it outlines floor."""
+        """Whether the outline is of floor."""
         return self.last_word in FLOORS
 
     @property
     def is_thing(self) -> bool:
-        """Whether it outlines a thing that can be found."""
+        """Whether the outline is of an object that can be found."""
         return not self.is_floor and self.last_word not in NO_THINGS
 
 
 class SunScene(NamedTuple):
-    """A scene."""
+    """Scene of SUN RGB-D."""
 
     name: str
-    """Path of its folder under the root."""
+    """Path of the scene's folder relative to the root."""
     frames: Frames
     """One frame, depth aligned to colour, without a plane."""
     down: np.ndarray | None
-    """Direction of gravity in the camera's optical frame ``(3,)`` float64, if it is there."""
+    """Direction of gravity in the camera's optical frame, ``(3,)`` float64; None if unknown."""
     kind: str
-    """The room, such as ``office``; empty if unknown."""
+    """Kind of room, such as ``office``; empty if unknown."""
     polygons: tuple[Polygon, ...] | None
-    """None if the scene has no labels."""
+    """Labelled outlines; None if the scene has no labels."""
 
 
 def find_scenes(root: Path) -> list[Path]:
     """Return the folders of scenes under a folder, in the order of their paths.
 
     Raises:
-        InputError: There are none.
+        InputError: The folder contains no scenes.
     """
     scenes = sorted(path.parent for path in root.rglob("intrinsics.txt") if _is_scene(path.parent))
     if not scenes:
@@ -103,7 +107,7 @@ def _is_scene(folder: Path) -> bool:
 
 
 def read_scene(folder: Path, root: Path) -> SunScene:
-    """Return a scene.
+    """Read a scene.
 
     Raises:
         InputError: A file is missing or can't be read.
@@ -151,10 +155,11 @@ def _numbers(path: Path, count: int) -> np.ndarray:
 
 
 def read_polygons(path: Path) -> tuple[Polygon, ...]:
-    """Return the outlines of an ``index.json``; those without a name or an area are left out.
+    """Read the outlines of an ``index.json``, except those without a name or an area.
 
     Raises:
-        InputError: The file is no such labels (in the dataset, one name has stray quotes).
+        InputError: The file does not contain labels (in one file of the dataset, a name has stray
+            quotes).
     """
     try:
         read = json.loads(path.read_text(encoding="utf-8"))
@@ -167,7 +172,7 @@ def read_polygons(path: Path) -> tuple[Polygon, ...]:
 
 
 def _polygon(read: dict[str, Any] | None, names: list[str]) -> Polygon | None:
-    """Return an outline, None if it has less than three corners or no object."""
+    """Return an outline, or None if it has less than three corners or no name."""
     if not read or "object" not in read:
         return None
     points = np.stack([np.atleast_1d(np.array(read[axis], np.float64)) for axis in "xy"], axis=1)
@@ -176,15 +181,16 @@ def _polygon(read: dict[str, Any] | None, names: list[str]) -> Polygon | None:
 
 
 def labels_of_scene(scene: SunScene, standing: bool) -> FrameLabels:
-    """Return what is known of a labelled scene.
+    """Return the labels of a scene as boxes and masks.
 
-    A thing is asked for if its near surface is within ``MAX_DEPTH_M`` and its box is not tiny. All
-    else but the floor is unknown: detections there are neither right nor wrong.
+    An object is to be found if its near surface is within ``MAX_DEPTH_M`` and its box has at least
+    ``MIN_SIDE``. Everything else except the floor is unknown: detections there are neither right
+    nor wrong.
 
     Args:
-        scene: Has polygons.
-        standing: Whether only things that stand on the floor are asked for; things on a table are
-            unknown then. Without labelled floor that has a depth, none is known to stand.
+        scene: Scene with polygons.
+        standing: Whether only objects that stand on the floor are to be found; objects on a table
+            are unknown then. If no labelled floor has depth, no object counts as standing.
     """
     assert scene.polygons is not None
     depth, camera = scene.frames.depth[0], scene.frames.calibration.image
@@ -216,7 +222,7 @@ def labels_of_scene(scene: SunScene, standing: bool) -> FrameLabels:
 
 
 def _mask(points: np.ndarray, height: int, width: int) -> np.ndarray:
-    """Return the pixels inside of an outline, ``(H, W)`` bool."""
+    """Return the mask of the pixels inside of an outline, ``(H, W)`` bool."""
     mask = np.zeros((height, width), np.uint8)
     cv2.fillPoly(mask, [np.rint(points).astype(np.int32)], 1)
     return mask > 0

@@ -3,8 +3,8 @@
 A box is ``u_min v_min u_max v_max``, its first and last column and row [pixel], as in the table
 ``obstacles``. A detection and an object are a pair when their boxes overlap by enough, intersection
 over union (IoU; Everingham et al., IJCV 88 (2010), 303-338), one to one, the largest overlap first.
-Only detections on known ground count: at least half of the box's pixels show something that is
-labelled. The others are neither right nor wrong, and pair with nothing.
+A detection counts only if at least half of its box's pixels are labelled. Other detections are
+neither right nor wrong, and are never part of a pair.
 
 >>> score_boxes([BoxTally(objects=4, detections=3, matched=2)]).recall
 0.5
@@ -20,68 +20,68 @@ from jaxdet.eval.boxes import box_sizes, match_boxes, near_surface
 from jaxdet.types import Intrinsics
 
 FLOOR = 1
-"""The label of the floor; 0 is unknown, larger ones an object each."""
+"""Label of the floor; 0 means unknown, each larger label is an object."""
 MIN_PLANE_PIXELS = 50
-"""Fewer pixels of floor with a depth are no plane."""
+"""Minimum number of floor pixels with depth to which a plane is fitted."""
 
 
 class FrameLabels(NamedTuple):
-    """What is known of one real frame, with ``T`` objects."""
+    """Labels of one real frame with ``T`` objects."""
 
     boxes: np.ndarray
-    """``(T, 4)`` int64 [pixel]."""
+    """Boxes of the objects, ``(T, 4)`` int64 [pixel]."""
     distance_m: np.ndarray
-    """``(T,)`` float64, forward depth of the near surface [m]; NaN where unknown."""
+    """Forward depth of each object's near surface, ``(T,)`` float64 [m]; NaN = unknown."""
     floor: np.ndarray
-    """``(H, W)`` bool."""
+    """Mask of the floor, ``(H, W)`` bool."""
     known: np.ndarray
-    """``(H, W)`` bool, where a detection is right or wrong."""
+    """Mask of the labelled pixels, ``(H, W)`` bool."""
     tags: tuple[frozenset[str], ...]
     """Tags of each object, such as ``low``."""
 
 
 class BoxTally(NamedTuple):
-    """Counts of one frame; they add up."""
+    """Counts of one frame; those of several frames are their sums."""
 
     objects: int = 0
     detections: int = 0
-    """Those on known ground."""
+    """Number of detections that count."""
     matched: int = 0
     swamped: int = 0
-    """1 where one box, counted or not, covers more than half of the floor."""
+    """1 if a box covers more than half of the floor, whether or not the detection counts."""
     on_floor: int = 0
-    """Detections without an object of whose box at least half is floor."""
+    """Number of detections without an object whose box is at least half floor."""
     floor_pixels: int = 0
-    """Pixels of the floor that have a depth."""
+    """Number of floor pixels with depth."""
     floor_kept: int = 0
-    """Of those, the ones taken as above the floor."""
+    """Number of floor pixels with depth that are classified as above the floor."""
     errors_m: tuple[float, ...] = ()
-    """Distance of each matched detection less the object's [m], where known."""
+    """Distance of each matched detection minus the object's, if known [m]."""
     tagged: tuple[tuple[str, bool], ...] = ()
-    """Each tag of each object, and whether the object is matched."""
+    """Tags of each object, and whether the object is matched."""
 
 
 COUNTS = tuple(name for name, default in BoxTally._field_defaults.items() if default == 0)
-"""Fields of a tally that are added."""
+"""Fields of a tally that are summed."""
 
 
 class BoxScore(NamedTuple):
-    """Figures of several frames; NaN where there is nothing to divide by."""
+    """Figures of several frames; NaN if there is nothing to divide by."""
 
     recall: float
-    """Objects found, of all."""
+    """Share of the objects that are found."""
     precision: float
-    """Detections that are objects, of those on known ground."""
+    """Share of the detections that count which match an object."""
     swamped: int
-    """Frames where the floor is an obstacle."""
+    """Number of frames in which the floor is detected as an obstacle."""
     on_floor: int
-    """False detections mostly on the floor."""
+    """Number of false detections whose box is at least half floor."""
     floor_kept: float
-    """Share of the floor's measured pixels taken as above the floor."""
+    """Share of the floor's measured pixels that are classified as above the floor."""
     error_median_m: float
-    """Median of the distances' absolute errors [m]."""
+    """Median of the absolute errors of distances [m]."""
     error_p90_m: float
-    """90th percentile of the same."""
+    """90th percentile of the absolute errors of distances [m]."""
 
 
 def tally_boxes(
@@ -92,15 +92,15 @@ def tally_boxes(
     measured: np.ndarray,
     least_iou: float,
 ) -> BoxTally:
-    """Counts of one frame.
+    """Compare the detections of one frame with its labels.
 
     Args:
-        labels: What is known of the frame.
-        found: ``(n, 4)`` integer, boxes of the detections.
-        nearest_m: ``(n,)`` float, nearest forward depth of each [m].
-        kept: ``(H, W)`` bool, pixels taken as above the floor.
-        measured: ``(H, W)`` bool, pixels with a depth.
-        least_iou: Least IoU of a pair, more than 0.
+        labels: Labels of the frame.
+        found: Boxes of the detections, ``(n, 4)`` integer.
+        nearest_m: Smallest forward depth of each detection, ``(n,)`` float [m].
+        kept: Mask of the pixels classified as above the floor, ``(H, W)`` bool.
+        measured: Mask of the pixels with depth, ``(H, W)`` bool.
+        least_iou: Minimum IoU of a pair, more than 0.
     """
     floor = _pixels(labels.floor, found)
     counted = np.flatnonzero(on_known_ground(labels, found))
@@ -129,17 +129,17 @@ def tally_boxes(
 
 
 def on_known_ground(labels: FrameLabels, found: np.ndarray) -> np.ndarray:
-    """Which boxes ``(n, 4)`` count, those of at least half known pixels: ``(n,)`` bool."""
+    """Return whether each box ``(n, 4)`` counts: at least half of its pixels are labelled."""
     return 2 * _pixels(labels.known, found) >= box_sizes(found)
 
 
 def _pixels(mask: np.ndarray, boxes: np.ndarray) -> np.ndarray:
-    """How many pixels of a mask each box holds, ``(n,)`` int64."""
+    """Return how many pixels of a mask are in each box, ``(n,)`` int64."""
     return np.array([mask[v : b + 1, u : r + 1].sum() for u, v, r, b in boxes], np.int64)
 
 
 def score_boxes(tallies: Sequence[BoxTally]) -> BoxScore:
-    """The figures of several frames together."""
+    """Compute the figures of several frames together."""
     total = {k: sum(getattr(t, k) for t in tallies) for k in COUNTS}
     errors = np.abs([error for tally in tallies for error in tally.errors_m])
     middle, high = np.quantile(errors, [0.5, 0.9]).tolist() if errors.size else (np.nan, np.nan)
@@ -155,7 +155,7 @@ def score_boxes(tallies: Sequence[BoxTally]) -> BoxScore:
 
 
 def count_tagged(tallies: Sequence[BoxTally], tag: str) -> tuple[int, int]:
-    """How many objects with a tag are matched, and how many there are.
+    """Return how many objects with a tag are matched, and how many there are.
 
     >>> count_tagged([BoxTally(tagged=(("low", True), ("cut", True), ("low", False)))], "low")
     (1, 2)
@@ -176,17 +176,18 @@ def labels_of_boxes(
     height: int,
     tags: tuple[frozenset[str], ...] = (),
 ) -> FrameLabels:
-    """Labels of a frame whose obstacles have boxes; what has no box is floor.
+    """Return the labels of a frame whose obstacles have boxes; all other pixels are floor.
 
-    Known is all but the ignored regions, and in these the objects.
+    Pixels in ignored regions are unknown unless they are in an object's box.
 
     Args:
-        boxes: ``(T, 4)`` integer, of the objects.
-        distance_m: ``(T,)`` float [m].
-        ignored: ``(I, 4)`` integer, regions whose detections are neither right nor wrong.
-        width: Of the image [pixel].
-        height: Of the image [pixel].
-        tags: Of each object; by default none has any.
+        boxes: Boxes of the objects, ``(T, 4)`` integer.
+        distance_m: Distance of each object, ``(T,)`` float [m].
+        ignored: Boxes of regions in which detections are neither right nor wrong, ``(I, 4)``
+            integer.
+        width: Width of the image [pixel].
+        height: Height of the image [pixel].
+        tags: Tags of each object; none by default.
     """
     tags = tags or (frozenset(),) * len(boxes)
     objects, hidden = (_filled(each, width, height) for each in (boxes, ignored))
@@ -207,17 +208,17 @@ def labels_of_image(
     least_pixels: int = 1,
     least_height_m: float = 0.0,
 ) -> FrameLabels:
-    """Labels of a frame with a label for each pixel: 0 unknown, 1 floor, from 2 an object each.
+    """Return the labels of a frame from a label image: 0 unknown, 1 floor, 2 and more objects.
 
     Args:
-        image: ``(H, W)`` integer, the labels.
+        image: Labels, ``(H, W)`` integer.
         z_m: ``(H, W)`` float, forward depth [m], 0 = none.
         camera: Its camera.
-        least_pixels: Objects of fewer pixels are not asked for; a detection of one is false.
-        least_height_m: Objects less high over the labelled floor are unknown [m].
+        least_pixels: Objects with fewer pixels are no objects; a detection of one is false.
+        least_height_m: Objects less high above the labelled floor are unknown [m].
 
     Raises:
-        ValueError: Heights are asked for and too little floor has a depth.
+        ValueError: A minimum height is given, but too few floor pixels have depth.
     """
     height_m = heights(z_m, image == FLOOR, camera) if least_height_m else None
     known = image > 0
@@ -237,27 +238,27 @@ def labels_of_image(
 
 
 def _top(height_m: np.ndarray) -> float:
-    """A height that a few wrong pixels don't reach [m]; without any, unlimited."""
+    """Return the 95th percentile of heights [m], to ignore a few wrong pixels; inf if empty."""
     return float(np.quantile(height_m, 0.95)) if height_m.size else np.inf
 
 
 def heights(z_m: np.ndarray, floor: np.ndarray, camera: Intrinsics) -> np.ndarray:
-    """Height of each pixel's point over the plane through the floor's points.
+    """Compute the height of each pixel's point above the plane fitted to the floor's points.
 
     A plane at distance ``d`` with the unit normal ``n`` has ``1 / z = (n / d) . ray``, which is
-    linear in ``n / d`` and has the noise of a disparity; it is fitted by least squares, twice
-    again without the points that lie off by more than three times the median.
+    linear in ``n / d`` and has the noise of a disparity. It is fitted by least squares, then twice
+    again without the points whose distance is more than three times the median.
 
     Args:
         z_m: ``(H, W)`` float, forward depth [m], 0 = none.
-        floor: ``(H, W)`` bool, what shows the floor.
+        floor: Mask of the floor, ``(H, W)`` bool.
         camera: Its camera.
 
     Returns:
-        ``(H, W)`` float64 [m]; without a depth, the height of the camera.
+        Heights ``(H, W)`` float64 [m]; where there is no depth, the height of the camera.
 
     Raises:
-        ValueError: Too little floor has a depth.
+        ValueError: Too few floor pixels have depth.
     """
     used = floor & (z_m > 0)
     if used.sum() < MIN_PLANE_PIXELS:

@@ -1,4 +1,4 @@
-"""Obstacles between which the robot can't pass, taken as one."""
+"""Grouping of obstacles between which the robot can't pass."""
 
 import numpy as np
 
@@ -7,23 +7,24 @@ from jaxdet.eval.truth import FrameTruth
 
 
 def group_objects(truth: FrameTruth, lateral_gap_m: float, depth_gap_m: float) -> FrameTruth:
-    """The truth with obstacles joined that the paper's own definition makes one.
+    """Join the obstacles of the truth that are one obstacle by the paper's definition.
 
     "If the space between the two obstacles cannot pass through the robot, the obstacles can be
-    classified as one class" (Section 3.4). In each frame two visible obstacles are joined when
-    their visible surfaces are at most ``lateral_gap_m`` apart to the side and at most
-    ``depth_gap_m`` apart forward, both as intervals in the ground frame; joining is transitive.
-    The definition is the method's, so figures on such a truth favour it: say so, and give the
-    plain ones beside them.
+    classified as one class" (Section 3.4). In each frame, two visible obstacles are joined if the
+    extents of their visible surfaces in the ground frame are at most ``lateral_gap_m`` apart
+    sideways and at most ``depth_gap_m`` apart forward; joining is transitive. The definition is
+    that of the method, so figures on such a truth favour the method: say so, and give the figures
+    on the original truth too.
 
     Args:
-        truth: With ``ground_min`` and ``ground_max``.
-        lateral_gap_m: The robot's width [m].
-        depth_gap_m: Largest step in depth within one obstacle [m].
+        truth: Ground truth with ``ground_min`` and ``ground_max``.
+        lateral_gap_m: Width of the robot [m].
+        depth_gap_m: Maximum step in depth within one obstacle [m].
 
     Returns:
-        The same with each group under its smallest number: pixels summed, extents joined,
-        footprint the convex hull, height the largest. The other members are out of sight.
+        Ground truth in which each group has the number of its first member, with the sum of pixels,
+        the joint extent, the convex hull as footprint and the largest height. The other members are
+        not visible.
 
     Raises:
         ValueError: The truth has no extents.
@@ -45,7 +46,7 @@ def group_objects(truth: FrameTruth, lateral_gap_m: float, depth_gap_m: float) -
 
 
 def _groups(near: np.ndarray) -> list[np.ndarray]:
-    """The connected components of a symmetric ``(n, n)`` bool relation, members ascending."""
+    """Return the connected components of a symmetric ``(n, n)`` bool relation, ascending."""
     names = np.arange(len(near))
     for _ in range(len(near)):
         names = np.where(near, names, len(near)).min(axis=1, initial=len(near))
@@ -53,7 +54,7 @@ def _groups(near: np.ndarray) -> list[np.ndarray]:
 
 
 def _join(truth: FrameTruth, b: int, members: np.ndarray) -> None:
-    """Puts frame ``b``'s objects ``members`` under the first of them, in place."""
+    """Join the objects ``members`` of frame ``b`` under the number of the first one, in place."""
     first, rest = members[0], members[1:]
     assert truth.ground_min is not None and truth.ground_max is not None
     picture = truth.obstacle_id[b]

@@ -1,4 +1,4 @@
-"""Three boards as a preprocessed frame, and their truth; what the baselines are tested on."""
+"""Preprocessed frame of three boards and its truth, for tests of the baselines."""
 
 import numpy as np
 
@@ -13,7 +13,7 @@ CALIBRATION = Calibration(CAMERA)
 LEVEL = flat_plane(np.array([1.0]), np.zeros(1), np.zeros(1))
 CONFIG = Config()
 BOXES = [(10, 40, 1200), (80, 110, 1600), (125, 150, 2600)]
-"""Left and right columns and depth [mm] of three boards in rows 20 to 80."""
+"""First and last columns and depth [mm] of the three boards, which are in rows 20 to 80."""
 
 
 def board_picture():
@@ -25,7 +25,7 @@ def board_picture():
 
 
 def board_frame():
-    """Three boards whose features are a grid every 6 pixels, with 2 mm of noise."""
+    """Return a frame of the boards with a feature every 6 pixels and 2 mm of noise."""
     depth, ids = board_picture()
     rng = np.random.default_rng(0)
     depth = np.where(ids > 0, depth + rng.integers(-2, 3, depth.shape), depth).astype(np.uint16)
@@ -48,6 +48,6 @@ def board_truth():
 
 
 def same_partition(a, b):
-    """Whether two clusterings put the same points together."""
+    """Return whether two clusterings consist of the same clusters."""
     pairs = np.unique(np.stack([a, b]), axis=1).shape[1]
     return pairs == len(np.unique(a)) == len(np.unique(b))

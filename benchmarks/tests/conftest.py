@@ -1,4 +1,4 @@
-"""Fixtures and settings of the tests, which those of benchmarks share."""
+"""Fixtures and settings of the tests, shared with the tests of the benchmarks."""
 
 from tests.conftest import shared_data, started
 

@@ -1,4 +1,4 @@
-"""The systems we compare with: by hand, against other code, and all through one scoring."""
+"""Baselines, compared with results by hand and with other code, and their common scoring."""
 
 import warnings
 from dataclasses import fields, replace
@@ -49,7 +49,7 @@ PARAMS = {
     "rsc_count": {"clusters": 3},
     "ddc": {"ratio": 0.1},
 }
-"""Where the defaults are not for three boards."""
+"""Parameters of baselines whose defaults do not fit three boards."""
 LINKAGES = ("scipy_single", "hierarchical_single")
 
 
@@ -88,7 +88,7 @@ def test_every_baseline_finds_the_boards(name, frame, truth):
 
 
 @pytest.mark.parametrize("name", BASELINES)
-def test_every_baseline_bears_little(name, frame):
+def test_every_baseline_runs_with_few_points(name, frame):
     baseline = runnable(name)
     for count in (0, 1, 2, 3, 11):
         kept = frame.features.kept & (np.arange(frame.features.kept.shape[1]) < count)
@@ -125,7 +125,7 @@ def test_single_linkages_agree(frame):
     np.testing.assert_array_equal(scaled, stretched)
 
 
-def test_order_and_size():
+def test_order_and_minimum_size_of_clusters():
     labels, z = np.array([4, 4, 2, 2, 2, 9, -1]), np.array([5, 3, 1, 9, 9, 0, 0])
     assert ordered(labels, z, z, 1).tolist() == [1, 1, 0, 0, 0, -1, -1]
     assert ordered(labels, z, z, 2).tolist() == [-1, -1, 0, 0, 0, -1, -1]
@@ -139,7 +139,7 @@ def test_range_image_by_hand(frame):
     assert (labels[~frame.keep] == -1).all()
     names = [np.unique(labels[22:78, left + 2 : right - 2]) for left, right, _ in BOXES]
     assert all(len(n) == 1 for n in names) and len({int(n[0]) for n in names}) == 3
-    # A wall seen at an angle whose depth grows by 8 mm a pixel: beta is 50 degrees at 1.2 m.
+    # An oblique wall whose depth grows by 8 mm per pixel: beta is 50 degrees at 1.2 m.
     slope = (1200 + 8 * np.arange(160)).astype(np.uint16)
     wall = frame._replace(z=np.tile(slope, (120, 1)), keep=np.ones((120, 160), bool))
     assert len(np.unique(range_image(wall, 30.0))) == 1
@@ -154,7 +154,7 @@ def test_labels_at():
     assert labels_at(image, u, v, 1).tolist() == [-1, 7, 8, -1]
 
 
-# --- Tuning and preparing ---
+# --- Tuning and preprocessing ---
 
 
 def test_tune(frame, truth):
@@ -169,8 +169,8 @@ def test_tune(frame, truth):
     assert worst.params == {"distance_m": 0.01}
 
 
-def test_no_method_is_held_to_the_ends_of_its_grid(monkeypatch):
-    """Its best is far beyond the grid of one parameter, and between the values of another."""
+def test_tuning_searches_outside_of_the_grid(monkeypatch):
+    """The best value of one parameter is outside of its grid, that of the other between values."""
     tuning = import_module("benchmarks.baselines.tune")
     monkeypatch.setattr(tuning, "run_frames", lambda *given: given[3])
     monkeypatch.setattr(tuning, "score", lambda params: params)
@@ -243,7 +243,7 @@ def test_each_frame_corrects_its_floor():
 
 
 def test_ramps_begin_at_the_same_place_for_both_cameras():
-    """A colour camera 0.2 m ahead of a level depth camera, and 0.1 m above it."""
+    """The colour camera is 0.2 m ahead of a level depth camera and 0.1 m above it."""
     color_from_depth = Extrinsics((1, 0, 0, 0, 1, 0, 0, 0, 1), (0.0, 0.1, -0.2))
     camera = CALIBRATION.depth
     calibration = Calibration(camera, camera, color_from_depth)

@@ -1,4 +1,4 @@
-"""CURE, ROCK, PERCH and CHAMELEON: by hand, against naive forms, and laws."""
+"""CURE, ROCK, PERCH and CHAMELEON: examples by hand, naive implementations, and properties."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ EASY = {
 
 
 def blobs(count):
-    """Four clouds with a spread of 0.1, 3 apart; which is which."""
+    """Return four clouds with a deviation of 0.1, 3 apart, and the cloud of each point."""
     rng = np.random.default_rng(4)
     truth = np.arange(count) % 4
     return np.array([[0, 0], [3, 0], [0, 3], [3, 3]])[truth] + rng.normal(0, 0.1, (count, 2)), truth
@@ -34,7 +34,7 @@ def blobs(count):
 
 @pytest.mark.parametrize("name", EASY)
 @pytest.mark.parametrize("count", [80, 1200])
-def test_far_clouds_are_found_the_same_each_time(name, count):
+def test_distant_clouds_are_found_with_equal_labels_each_time(name, count):
     if name == "chameleon":
         pytest.importorskip("pychameleon")
     run, params = EASY[name]
@@ -58,7 +58,7 @@ def test_sampling():
 
 
 def naive_cure(points, clusters, representatives, shrink):
-    """Merges until so many are left; a list of clusters, each a list of indices."""
+    """Merge until ``clusters`` clusters are left; return the indices of each."""
     found = [[i] for i in range(len(points))]
 
     def stand_ins(own):
@@ -88,7 +88,7 @@ def as_labels(clusters, count):
 
 @settings(max_examples=25)
 @given(seeds, st.integers(2, 14), st.integers(1, 5), st.integers(1, 5), st.floats(0, 0.9))
-def test_cure_equals_the_naive_form(seed, n, clusters, representatives, shrink):
+def test_cure_equals_the_naive_implementation(seed, n, clusters, representatives, shrink):
     points = np.random.default_rng(seed).random((n, 2))
     ours = cure.merge(points, np.inf, representatives, shrink, clusters).labels
     assert same_partition(ours, as_labels(naive_cure(points, clusters, representatives, shrink), n))
@@ -107,7 +107,7 @@ def test_cure_by_hand():
     np.testing.assert_allclose(ends, [[1, 1], [3, 3]])
     np.testing.assert_allclose(cure.scatter(square[:1], 3, 0.5), square[[0, 0, 0]])
     line = np.array([[0.0, 0], [1, 0], [2.4, 0], [9, 0]])
-    # 0 and 1 become 0.25 and 0.75: 2.4 is 1.65 away.
+    # The representatives 0 and 1 are moved to 0.25 and 0.75: 2.4 is 1.65 away.
     assert cure.merge(line, 1.5, 2, 0.5).labels.tolist() == [0, 0, 1, 2]
     assert cure.merge(line, 1.7, 2, 0.5).labels.tolist() == [0, 0, 0, 1]
 
@@ -135,8 +135,8 @@ def naive_rock(near, clusters, theta):
 
 @settings(max_examples=25)
 @given(seeds, st.integers(2, 16), st.integers(1, 5), st.sampled_from([0.2, 0.5, 0.8]))
-def test_rock_equals_the_naive_form(seed, n, clusters, theta):
-    # Of equal goodness, which small examples are full of, both take the lowest indices.
+def test_rock_equals_the_naive_implementation(seed, n, clusters, theta):
+    # Of pairs with equal goodness, frequent in small examples, both take the lowest indices.
     rng = np.random.default_rng(seed)
     near = rng.random((n, n)) < 0.3
     near = near | near.T | np.eye(n, dtype=bool)
@@ -146,7 +146,7 @@ def test_rock_equals_the_naive_form(seed, n, clusters, theta):
 
 
 def test_rock_by_hand():
-    # Two triangles that share no neighbour but for the bridge 2-3.
+    # Two triangles that are connected by the edge 2-3 only.
     near = np.eye(6, dtype=bool)
     for a, b in [(0, 1), (0, 2), (1, 2), (3, 4), (3, 5), (4, 5), (2, 3)]:
         near[a, b] = near[b, a] = True
@@ -156,7 +156,7 @@ def test_rock_by_hand():
     assert rock.merge(near, 1, 0.5).tolist() == [0, 0, 0, 1, 1, 1]
 
 
-def test_rock_leaves_what_has_no_neighbour():
+def test_rock_labels_points_without_neighbours_as_noise():
     points, truth = blobs(400)
     lost = np.setdiff1d(np.arange(400), sample(400, 100))[0]
     points[lost] = 50
@@ -170,7 +170,7 @@ def test_rock_leaves_what_has_no_neighbour():
 
 
 def walk(tree, node):
-    """Every node below, with what it must hold checked."""
+    """Return a node and all nodes below it, after checking their parents and sizes."""
     if node < tree.count:
         return [node]
     below = []
@@ -182,7 +182,7 @@ def walk(tree, node):
 
 
 @given(seeds, st.integers(1, 60))
-def test_perch_keeps_its_tree(seed, n):
+def test_perch_tree_is_consistent(seed, n):
     points = np.random.default_rng(seed).random((n, 2))
     tree = perch.Tree(points)
     nodes = walk(tree, tree.root)
@@ -199,7 +199,8 @@ def test_perch_keeps_its_tree(seed, n):
 
 @given(seeds, st.integers(2, 5), st.integers(2, 8))
 def test_perch_is_pure_where_clusters_are_separated(seed, clusters, each):
-    # Their Theorem 1: farther apart than wide, so each cluster is a node, in any order of points.
+    # Theorem 1 of the paper: if clusters are farther apart than wide, each is a node, in any order
+    # of points.
     rng = np.random.default_rng(seed)
     truth = rng.permutation(np.repeat(np.arange(clusters), each))
     points = np.stack([10.0 * truth, np.zeros(len(truth))], axis=1) + rng.random((len(truth), 2))
@@ -215,7 +216,7 @@ def test_perch_by_hand():
 
 
 def test_perch_rotates_a_masked_node():
-    # 11 comes to 5, whose aunt 0 is nearer to it than 11 is.
+    # 11 becomes the sibling of 5, which is nearer to its aunt 0 than to 11.
     tree = perch.Tree(np.array([[0.0, 0], [5, 0], [11, 0]]))
     assert sorted(map(sorted, tree.branches(5.0))) == [[0, 1], [2]]
 

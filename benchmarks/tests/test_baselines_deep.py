@@ -1,4 +1,4 @@
-"""DDC and DCC: by hand, against naive forms, and laws."""
+"""DDC and DCC: examples by hand, naive implementations, and properties."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ seeds = st.integers(0, 2**32 - 1)
 
 
 def clouds(count, apart=3.0):
-    """Three clouds with a spread of 0.1 in six coordinates; which is which."""
+    """Return three clouds in six coordinates with a deviation of 0.1, and each point's cloud."""
     rng = np.random.default_rng(5)
     truth = np.arange(count) % 3
     centres = np.eye(6)[:3] * apart
@@ -32,7 +32,7 @@ def test_descriptors_by_hand():
     assert plain.shape == (n, 6) and not plain[:, 2:].any()
     np.testing.assert_allclose(plain[:, 0], frame.features.x[0] / 1000, atol=1e-6)
     np.testing.assert_allclose(plain[:, 1], frame.features.z[0] / 250, atol=1e-6)
-    # Grey grows by 2 levels a column: a slope of 2 / 255, a spread of 2 levels x sqrt(20 / 3).
+    # Grey grows by 2 levels per column: a slope of 2 / 255, a deviation of 2 levels x sqrt(20 / 3).
     ramp = np.repeat(2 * np.arange(160)[None, :, None], 120, axis=0).astype(np.int64)
     ramp = np.minimum(np.repeat(ramp, 3, axis=2), 255).astype(np.uint8)
     looks = autoencoder.descriptors(frame._replace(color=ramp), 1.0, 0.5)[:, 2:]
@@ -46,7 +46,7 @@ def test_descriptors_by_hand():
 
 
 def naive_peaks(points, ratio):
-    """Point by point, as the docstring says it."""
+    """Cluster point by point as described in the docstring of ``density_peaks``."""
     n = len(points)
     gap = np.sqrt(((points[:, None] - points) ** 2).sum(-1))
     cutoff = ratio * np.mean([gap[i, j] for i in range(n) for j in range(n) if i != j])
@@ -71,7 +71,7 @@ def naive_peaks(points, ratio):
 
 
 @given(seeds, st.integers(3, 40), st.sampled_from([0.1, 0.2, 0.4]))
-def test_density_peaks_equal_the_naive_form(seed, n, ratio):
+def test_density_peaks_equal_the_naive_implementation(seed, n, ratio):
     rng = np.random.default_rng(seed)
     points = rng.integers(0, 3, (n, 1)) + rng.normal(0, 0.3, (n, 2))
     assert same_partition(ddc.density_peaks(points, ratio), naive_peaks(points, ratio))
@@ -99,7 +99,7 @@ def test_neighbour_edges(seed, n, k):
     assert mutual <= edges
     either = {(min(i, j), max(i, j)) for i in range(n) for j in near[i]}
     assert edges <= either
-    # Of the graph of all nearest neighbours every part stays one part.
+    # Each component of the graph of all nearest neighbours stays connected.
     parts = list(range(n))
     for i, j in edges:
         parts = [parts[i] if p == parts[j] else p for p in parts]
@@ -124,7 +124,7 @@ def test_continuous_joins_each_cloud_and_no_two():
 # --- Both ---
 
 
-def test_the_code_keeps_what_points_are():
+def test_points_can_be_decoded_from_their_codes():
     points, _ = clouds(120)
     net = autoencoder.pretrained(points)
     code = autoencoder.encode(points)
@@ -132,12 +132,12 @@ def test_the_code_keeps_what_points_are():
     middle = points.mean(axis=0)
     again = np.asarray(autoencoder.rebuilt(net, code)) + middle
     assert np.sum((again - points) ** 2) < 0.05 * np.sum((points - middle) ** 2)
-    # Padding is not learnt from: the same points, one program, the same code.
+    # Training is deterministic: equal points result in equal codes.
     np.testing.assert_array_equal(autoencoder.encode(points.copy()), code)
 
 
 @pytest.mark.parametrize("method", [ddc.ddc, dcc.dcc])
-def test_the_same_labels_each_time(method):
+def test_labels_are_deterministic(method):
     frame = board_frame()
     extra = {"ratio": 0.1} if method is ddc.ddc else {}
     labels = method(frame, Config(), **extra)

@@ -1,4 +1,4 @@
-"""RSC (our reading): by hand, against a naive form, and laws."""
+"""RSC (our reading): examples by hand, a naive implementation, and properties."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ seeds = st.integers(0, 2**32 - 1)
 
 
 def naive_rsc(points, tau, root):
-    """Level by level with dictionaries, as the module's text says it."""
+    """Cluster level by level with dictionaries, as described in the module's docstring."""
     clusters = [([i], np.array(p, float)) for i, p in enumerate(points)]
     while len(clusters) > 1:
         centre = np.array([c for _, c in clusters])
@@ -50,7 +50,7 @@ def naive_rsc(points, tau, root):
 @given(
     seeds, st.integers(2, 40), st.floats(0.02, 0.6), st.sampled_from(["midpoint", "member", "mean"])
 )
-def test_rsc_equals_the_naive_form(seed, n, tau, root):
+def test_rsc_equals_the_naive_implementation(seed, n, tau, root):
     points = np.random.default_rng(seed).random((n, 2))
     assert same_partition(rsc_threshold(points, tau, root), naive_rsc(points, tau, root))
 
@@ -66,7 +66,7 @@ def test_rsc_by_hand():
 
 
 @given(seeds, st.integers(2, 60), st.integers(1, 70), st.booleans())
-def test_rsc_gives_the_count_and_nests(seed, n, clusters, grid):
+def test_rsc_clusters_have_the_given_number_and_are_nested(seed, n, clusters, grid):
     rng = np.random.default_rng(seed)
     points = rng.integers(0, 4, (n, 2)).astype(float) if grid else rng.random((n, 2))
     labels = rsc_count(points, clusters)
@@ -77,7 +77,7 @@ def test_rsc_gives_the_count_and_nests(seed, n, clusters, grid):
 
 
 @given(seeds, st.integers(2, 200), st.integers(1, 5))
-def test_nearest_of_equals_is_the_lowest_index(seed, n, values):
+def test_of_equally_near_points_the_lowest_index_is_nearest(seed, n, values):
     points = np.random.default_rng(seed).integers(0, values, (n, 2)).astype(float)
     gap = np.sqrt(((points[:, None] - points) ** 2).sum(-1))
     np.fill_diagonal(gap, np.inf)

@@ -1,4 +1,4 @@
-"""The benchmark's own parts: the gate, the report, and what cases promise."""
+"""Parts of the benchmarks: the gate, the report and the cases."""
 
 import json
 from dataclasses import replace
@@ -149,8 +149,8 @@ def test_the_scene_has_obstacles() -> None:
 # the report
 
 
-def test_a_simulated_run_is_that_by_hand() -> None:
-    """Two logs of 10 GB at 10 GB/s, 1 GB/s computed, and 1 s each besides."""
+def test_a_simulated_run_equals_the_example_by_hand() -> None:
+    """Two logs of 10 GB are read at 10 GB/s and computed at 1 GB/s, plus 1 s each."""
     options = scale.Options(frame_mb=1.0, frames_per_s=1000.0)
     sizes = np.array([10.0, 10.0])
     assert scale.simulate(sizes, 1, 10.0, options).hours * 3600 == pytest.approx(1 + 11 + 11)
@@ -162,7 +162,7 @@ def test_a_simulated_run_is_that_by_hand() -> None:
     assert spot.lost > 0 and spot.hours * 3600 > 180
 
 
-def test_simulated_logs_are_as_large_as_they_should_be() -> None:
+def test_simulated_logs_have_the_given_size() -> None:
     sizes = scale.log_sizes(scale.Options())
     assert sizes.sum() == pytest.approx(1e6, rel=0.1) and list(sizes) == sorted(sizes)[::-1]
     assert sizes.min() >= 1 and sizes.max() <= 100

@@ -1,4 +1,4 @@
-"""Image boxes against labels: by hand, against the script beside the recordings, and laws."""
+"""Image boxes compared with labels: examples by hand, the recordings' script, and properties."""
 
 import json
 import subprocess
@@ -41,7 +41,7 @@ def test_iou_counts_pixels():
     assert box_iou(NONE, one).shape == (0, 1)
 
 
-def test_the_largest_overlap_goes_first():
+def test_the_largest_overlap_is_paired_first():
     objects = np.array([[0, 0, 9, 9], [0, 0, 9, 5]])
     found = np.array([[0, 0, 9, 7]])
     assert match_boxes(objects, found, 0.5).tolist() == [0, -1]
@@ -50,7 +50,7 @@ def test_the_largest_overlap_goes_first():
 
 
 @given(boxes_drawn, boxes_drawn, st.sampled_from([0.1, 0.3, 0.5]))
-def test_pairs_are_one_to_one_and_nothing_is_left(objects, found, least):
+def test_pairs_are_one_to_one_and_complete(objects, found, least):
     pairs = match_boxes(objects, found, least)
     iou = box_iou(objects, found)
     used = pairs[pairs >= 0]
@@ -61,7 +61,7 @@ def test_pairs_are_one_to_one_and_nothing_is_left(objects, found, least):
 
 
 def labels() -> FrameLabels:
-    """A post before a wall and a box on the floor, 40 pixels wide and 20 high."""
+    """Return labels of a post before a wall and a box on the floor, 40 x 20 pixels."""
     objects = np.array([[4, 2, 7, 11], [30, 8, 35, 13]])
     wall = np.array([[0, 0, 19, 9]])
     tags = frozenset({"path"}), frozenset({"low", "path"})
@@ -118,7 +118,7 @@ def test_near_surface():
 
 
 def tilted(low_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """Labels and depth of a floor 0.5 m below a tilted camera, and of blocks parallel to it."""
+    """Return labels and depth of a floor 0.5 m below a tilted camera, with blocks on it."""
     down = np.array([0.1, 0.9, 0.42])
     down /= np.linalg.norm(down)
     slope = np.stack([*pixel_rays(CAMERA), np.ones((48, 64))], axis=-1) @ down

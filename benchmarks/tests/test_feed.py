@@ -1,4 +1,4 @@
-"""The logs of the feed benchmark, and that its peers read them."""
+"""Logs of the feed benchmark, and their decoding by its peers."""
 
 from typing import NamedTuple
 
@@ -11,7 +11,7 @@ from jaxdet.io import open_log
 
 
 class Frame(NamedTuple):
-    """As of the simulator, without what is not written."""
+    """Frame with those fields of a simulated frame that are written to a log."""
 
     color: np.ndarray
     depth: np.ndarray
@@ -30,7 +30,7 @@ def frames() -> list[Frame]:
 
 
 @pytest.mark.parametrize("name", FORMS)
-def test_each_form_is_a_log_that_all_read_alike(name, tmp_path):
+def test_all_readers_return_equal_images_of_each_format(name, tmp_path):
     log, written, form = tmp_path / "log.mcap", frames(), FORMS[name]
     write(log, form, written, count=5)
     check(log, topics_of(form), 5)

@@ -1,4 +1,4 @@
-"""Learning of the affinity tables."""
+"""Training of the affinity tables."""
 
 import json
 from pathlib import Path
@@ -16,7 +16,7 @@ GAP, AGREE = PAIR_FEATURES.index("gap"), PAIR_FEATURES.index("agree")
 
 
 def test_learning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The learnt table joins pairs with a small gap and common rows."""
+    """The trained table joins pairs with a small gap and common rows."""
     rng = np.random.default_rng(1)
     seen = rng.integers(0, 1000, (3000, NUM_FEATURES))
     same = (seen[:, GAP] < 300) & (seen[:, AGREE] > 400)

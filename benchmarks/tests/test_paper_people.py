@@ -1,4 +1,4 @@
-"""People and chairs in the report: names, the detector's graph, counts on a made recording."""
+"""People and chairs in the report: names, the detector's graph, counts on a synthetic recording."""
 
 import base64
 import json
@@ -60,12 +60,12 @@ def test_rows_of_the_network_as_boxes_of_an_image():
 
 
 def coded(*names: str) -> dict[str, object]:
-    """Return an attribute with a list of texts."""
+    """Return a graph attribute that is a list of strings."""
     return {"list": {"s": [base64.b64encode(name.encode()).decode() for name in names]}}
 
 
 def fused(kind: str, after: tuple[str, ...]) -> dict[str, object]:
-    """Return a fused convolution of one pixel in 512."""
+    """Return the node of a fused convolution with a stride of 512 pixels."""
     steps = {"list": {"i": ["1", "512", "512", "1"]}}
     attributes = {
         "T": {"type": "DT_FLOAT"},
@@ -78,7 +78,7 @@ def fused(kind: str, after: tuple[str, ...]) -> dict[str, object]:
     return {"name": "conv", "op": kind, "input": ["tower_0/images", "w", "b"], "attr": attributes}
 
 
-def test_a_fused_node_is_its_parts():
+def test_a_fused_node_is_split_into_its_parts():
     conv, bias, relu = detector.unfused(fused("FusedDepthwiseConv2dNative", ("BiasAdd", "Relu")))
     assert (conv["op"], conv["input"]) == ("DepthwiseConv2dNative", ["tower_0/images", "w"])
     assert (bias["op"], bias["input"]) == ("BiasAdd", [conv["name"], "b"])
@@ -139,7 +139,7 @@ def test_why_the_detector_is_absent(tmp_path, monkeypatch):
 
 @pytest.fixture
 def made(tmp_path, monkeypatch) -> np.ndarray:
-    """A simulated log of four boxes, called a man, two chairs and a bin; its boxes ``(4, 4)``."""
+    """Write a simulated log of four boxes, labelled man, chair, chair and bin; return its boxes."""
     write_log(tmp_path / "row.mcap", SimConfig(scene="row", frames=1, width=320, height=240,
                                                depth_form="aligned"))  # fmt: skip
     ids = load_obstacle_ids(tmp_path / "row.mcap", [0])[0]
@@ -154,7 +154,7 @@ def made(tmp_path, monkeypatch) -> np.ndarray:
     return boxes
 
 
-def test_counts_of_a_made_recording(made, tmp_path, monkeypatch):
+def test_counts_of_a_synthetic_recording(made, tmp_path, monkeypatch):
     chairs = np.array([made[1], made[3]])  # the second is the bin
 
     def fake(_: np.ndarray) -> Detected:

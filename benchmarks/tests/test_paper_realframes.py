@@ -1,4 +1,4 @@
-"""Labelled frames of real cameras in the report: the labels, a made recording, the real ones."""
+"""Labelled frames in the report: the labels, a synthetic recording, and the real ones."""
 
 import json
 import os
@@ -40,7 +40,7 @@ def test_labels_of_the_project(name):
         assert (objects[:, 2:] - objects[:, :2] >= 16).all()
 
 
-def test_a_line_that_is_no_label(tmp_path):
+def test_a_malformed_label_line_is_an_error(tmp_path):
     path = tmp_path / "one.txt"
     good = "3 0 1 8 9 0.50 obstacle a box, open [low, cut]\n\n# no\n3 2 2 4 4 - ignore wall\n"
     path.write_text(good)
@@ -55,7 +55,7 @@ def test_a_line_that_is_no_label(tmp_path):
 
 @pytest.fixture
 def made(tmp_path, monkeypatch) -> Path:
-    """A simulated log of four boxes whose truth is its label images; walls are unknown."""
+    """Write a simulated log of four boxes, with its truth as label images; walls are unknown."""
     config = SimConfig(scene="row", frames=3, width=320, height=240)
     write_log(tmp_path / "row.mcap", config)
     (tmp_path / "labels").mkdir()
@@ -80,7 +80,7 @@ def test_a_made_recording(made):
         assert by_key[stem.format(part, "precision")] == 1
         assert by_key[stem.format(part, "swamped")] == 0
         assert by_key[stem.format(part, "floor_kept")] < 0.02
-        # The least of many cells up to 3 m away, where depth has a deviation of 3.6 cm.
+        # The smallest of many depths up to 3 m, where depth has a deviation of 3.6 cm.
         assert by_key[stem.format(part, "error_p90_m")] < 0.12
     table = next(block for block in found.blocks if isinstance(block, section.Table))
     assert [row[:3] for row in table.rows] == [
@@ -107,7 +107,7 @@ def test_without_recordings(tmp_path):
     assert find_recordings([tmp_path]) == []
 
 
-def test_a_recording_s_own_folder_will_do(made):
+def test_the_folder_of_a_recording_can_be_given(made):
     (made / "deep").mkdir()
     assert [place for _, place in find_recordings([made / "deep"])] == [made]
 
@@ -162,7 +162,7 @@ def test_stills_have_labels_of_their_frames(recipe, tags):
     assert used <= tags and bool(used) == bool(tags)
 
 
-def test_recordings_of_a_part_are_found_by_their_group(tmp_path):
+def test_recordings_are_found_by_their_group(tmp_path):
     """Each recording of public.json is in one of two parts, by its repository."""
     for room in stills.read_recipe(stills.PUBLIC):
         path = tmp_path / "public" / f"{room['name']}.mcap"
@@ -184,8 +184,8 @@ def test_recordings_of_a_part_are_found_by_their_group(tmp_path):
     assert [one.name for one, _ in find_recordings([tmp_path], ["public_den"])] == ["public_den"]
 
 
-def test_stills_of_repositories_become_logs(tmp_path):
-    """One has aligned depth in fifths of a millimetre, others have a depth camera of their own."""
+def test_stills_of_repositories_are_converted_to_logs(tmp_path):
+    """One recording has aligned depth in units of 0.2 mm, others a separate depth camera."""
     rooms = json.loads((BOXES / "rooms.json").read_text(encoding="utf-8"))
     names = "pioneer", "classroom", "profoffice", "pavement_a", "pavement_b"
     chosen = [room for room in rooms if room["name"] in names]
@@ -199,7 +199,7 @@ def test_stills_of_repositories_become_logs(tmp_path):
             image = rng.integers(500, 9000, (480, 640)).astype(np.uint16)
             if color.endswith(".npy"):
                 image = (image + 0.25).astype(np.float32)
-                image[0, 0] = 1e6  # farther than 16 bits have room for
+                image[0, 0] = 1e6  # farther than 16 bits can represent
                 np.save(clone / color, picture)
                 np.save(clone / depth, image)
                 pictures.setdefault(room["name"], picture)

@@ -1,4 +1,4 @@
-"""SUN RGB-D in the report: a made scene folder, read, judged and pictured."""
+"""SUN RGB-D in the report: reading, comparison and pictures of a synthetic folder of scenes."""
 
 import importlib.machinery
 import importlib.util
@@ -60,7 +60,7 @@ def write_labels(folder: Path, polygons: list[object]) -> None:
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory) -> Path:
-    """A folder with a labelled scene, one without labels and one that can't be read."""
+    """Write a folder with a labelled scene, one without labels and one that can't be read."""
     root = tmp_path_factory.mktemp("sun")
     config = SimConfig(scene="row", frames=1, width=WIDTH, height=HEIGHT, depth_form="aligned")
     write_log(root / "row.mcap", config)
@@ -85,7 +85,7 @@ def made(tmp_path_factory) -> Path:
     return root
 
 
-def test_a_made_scene_is_read(made):
+def test_reading_a_scene(made):
     folders = find_scenes(made)
     assert [path.relative_to(made).as_posix() for path in folders] == ["kv1/a", "kv2/b", "xtion/c"]
     scene = read_scene(folders[0], made)
@@ -104,7 +104,7 @@ def test_a_made_scene_is_read(made):
         read_scene(folders[2], made)
 
 
-def test_labels_of_a_made_scene(made):
+def test_labels_of_a_scene(made):
     scene = read_scene(made / "kv1/a", made)
     every, standing = labels_of_scene(scene, standing=False), labels_of_scene(scene, standing=True)
     ids = load_obstacle_ids(made / "row.mcap", [0])[0]
@@ -116,7 +116,7 @@ def test_labels_of_a_made_scene(made):
     assert not every.known[5, 100:].any()  # wall
 
 
-def test_words_that_decide():
+def test_the_last_word_decides_the_class():
     square = np.array([[0, 0], [9, 0], [9, 9]], np.float64)
     assert {name for name in ("chair 2", "glass", "book shelf", "floor lamp", "wall_clock")
             if Polygon(name, square).is_thing} == {
@@ -126,7 +126,7 @@ def test_words_that_decide():
     assert Polygon("wooden floor", square).is_floor and Polygon("rugs", square).is_floor
 
 
-def test_the_section_of_a_made_folder(made, tmp_path):
+def test_the_section_of_a_folder(made, tmp_path):
     lab = Lab(Counts(), tmp_path)
     lab.quiet, lab.sunrgbd = True, made
     found = sunrgbd.run(lab)
@@ -159,15 +159,15 @@ def test_without_a_folder(tmp_path):
 
 
 @pytest.mark.parametrize("text", ['{"frames": []', "[]", '{"objects": [], "frames": []}'])
-def test_labels_that_are_none(tmp_path, text):
+def test_a_file_without_labels_is_an_error(tmp_path, text):
     path = tmp_path / "index.json"
     path.write_text(text)
     with pytest.raises(InputError, match="no labels of SUN RGB-D"):
         sun_scenes.read_polygons(path)
 
 
-def test_scenes_are_assembled_of_parts(made, tmp_path):
-    """A scene whose points are those that VoteNet's preparation makes is the scene again."""
+def test_scenes_can_be_assembled_from_points(made, tmp_path):
+    """A scene assembled from the points that VoteNet's preprocessing writes equals the original."""
     path = Path(__file__).parents[2] / "scripts/sunrgbd_scenes"
     loader = importlib.machinery.SourceFileLoader("sunrgbd_scenes", str(path))
     spec = importlib.util.spec_from_loader(loader.name, loader)

@@ -5,8 +5,8 @@ import numpy as np
 from benchmarks.real_floor import simulated
 
 
-def test_floors_are_as_bad_as_real_ones():
-    """Medians over eight frames within what a D415's labelled frames show, clean ones below."""
+def test_depth_errors_of_floors_are_like_real_ones():
+    """Medians over eight frames are in the range of a D415's frames, clean ones below it."""
     measured, clean = (
         [np.array([[s.no_depth, *s.deviation_m, s.above_step] for s in both]) for both in every]
         for every in (simulated(1.0, (0, 1)), simulated(0.0, (0,)))

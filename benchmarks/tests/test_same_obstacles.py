@@ -19,7 +19,7 @@ FRAME = {"camera_height_m": 0.5, "camera_pitch_rad": 0.0, "camera_roll_rad": 0.0
 
 
 def obstacle(right=0.0, **changes):
-    """A board 30 cm wide, 2 m ahead, its columns 1 cm apart."""
+    """Return a board 30 cm wide, 2 m ahead, with columns 1 cm apart."""
     line = [[right + x / 100, 2.0] for x in range(-15, 16)]
     corners = [[right - 0.15, 2.0], [right + 0.15, 2.0], [right + 0.15, 2.2], [right - 0.15, 2.2]]
     row = dict.fromkeys(("x", "y", "x_min", "x_max", "y_min", "y_max"), 0.0)
@@ -44,7 +44,7 @@ def test_aligned_obstacles_must_be_equal():
     assert other.same == 0 and [part.side for part in other.differences] == ["both", "new"]
 
 
-def test_the_camera_s_move_is_no_difference():
+def test_a_moved_camera_is_no_difference():
     """The depth camera stands 15 mm to the right."""
     found = compared(SHIFTED, [obstacle(0.015)], [obstacle(0.0)])
     assert found.same == 1 and not found.differences

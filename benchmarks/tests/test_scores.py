@@ -28,7 +28,7 @@ def test_intervals():
     got = intervals(units, resamples=400)
     low, high = got["recall"]
     assert low < score(units).recall < high
-    # 800 trials at 0.8: a standard error of 0.0141.
+    # 800 trials with probability 0.8: a standard error of 0.0141.
     assert high - low == pytest.approx(2 * 1.96 * 0.0141, rel=0.25)
     assert got["f1"] == intervals(units, resamples=400)["f1"]
     assert intervals(units, seed=1)["recall"] != got["recall"]

@@ -113,7 +113,7 @@ def _slowest(now: "Progress") -> str:
 
 
 def _steps(now: "Progress") -> str:
-    """Return the slowest step, with the rate of each step by itself."""
+    """Return the slowest step and its rate, then the rates of the other steps."""
     others = [
         f"{what} {_thousands(rate)}" for what, rate in now.rates.items() if what != now.bottleneck
     ]

@@ -19,7 +19,7 @@ AGAIN = ("overwrite", "update")
 
 @dataclass(frozen=True)
 class RunOptions:
-    """Options of a run; they change no byte of the two tables."""
+    """Options of a run that do not change the tables of frames and obstacles."""
 
     output: Path = field(metadata={"takes": "DIR"})
     """Folder or s3://BUCKET/PATH for the results, one subfolder per log."""

@@ -123,8 +123,8 @@ def file_index(
 
     Args:
         infos: Channels of the file.
-        messages: ``(5, N)`` int64, the last five fields of :class:`FileIndex` for messages in any
-            order; unused messages are dropped.
+        messages: Last five fields of :class:`FileIndex` for messages in any order, ``(5, N)``
+            int64; unused messages are dropped.
         integrity: Integrity of the file. Message counts are added if the messages are from the
             file's own index.
         counts: Counts of channels whose messages are not in ``messages``.

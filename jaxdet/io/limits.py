@@ -22,9 +22,9 @@ MAX_SCHEMA_LINES = 10_000
 MAX_DECLARATIONS = 200_000
 """Maximum number of schema and channel records in a summary; ids have 16 bits."""
 MAX_TOPICS = 10_000
-"""Maximum number of topics in a log; large robots have some 500."""
+"""Maximum number of topics in a log; large robots have about 500."""
 MAX_FRAMES_TF = 10_000
-"""Maximum number of TF frames in a log; robots with hands have some 200."""
+"""Maximum number of TF frames in a log; robots with hands have about 200."""
 MAX_ODD_RECORDS = 1000
 """Maximum number of empty or unknown records in a chunk, in a summary or between chunks."""
 MAX_SMALL_BYTES = 1 << 20

@@ -74,8 +74,8 @@ class Log:
         camera: Name of the selected camera.
         label: Name of the log, with the camera if the log has several.
         calibration: Calibration of the chosen topics.
-        T_base_camera: ``(4, 4)`` float64, from the depth optical frame to the robot's base frame,
-            whose z = 0 is the floor; None if the log has no such transform.
+        T_base_camera: Transform from the depth optical frame to the robot's base frame (z = 0 is
+            the floor), ``(4, 4)`` float64; None if the log has no such transform.
         base_frame: Name of the base frame, or None.
         camera_frame: Name of the depth camera's optical frame, or of the colour camera's if depth
             is aligned to colour; empty if the log does not name it.

@@ -145,6 +145,6 @@ def _compressed(data: memoryview) -> bytes | memoryview:
         if name == b"IDAT":
             parts.append(data[start : start + size])
         elif not name[0] & _ANCILLARY and name not in known:
-            raise ValueError(f"chunk {name!a} is not known there")
+            raise ValueError(f"chunk {name!a} is unknown or in the wrong place")
         known = {b"PLTE", b"IEND"}
     return parts[0] if len(parts) == 1 else b"".join(parts)

@@ -28,13 +28,13 @@ def cells(
     position is on the ray through its centre, ``P = d K^-1 p``, in fixed point.
 
     Args:
-        depth: ``(B, Hd, Wd)`` uint16 [depth units], 0 = no measurement.
+        depth: Depth images ``(B, Hd, Wd)`` uint16 [depth units], 0 = no measurement.
         calibration: Calibration of the log.
         config: Size of the cells, and the surface step.
         part: Rows and columns of cells to return; default: all.
 
     Returns:
-        ``(B, R, C)`` cells; pixels to the right of and below the last complete cell are ignored.
+        Cells ``(B, R, C)``; pixels to the right of and below the last complete cell are ignored.
     """
     side = cell_side(calibration.depth, config.cell_rad)
     near = quadratic_table(config.step_m, config.step_per_m, calibration.depth_unit)
@@ -72,7 +72,7 @@ def nearest_depths(depth: np.ndarray, side: int) -> np.ndarray:
     """Return the smallest measured depth of each cell, even if the cell has no depth.
 
     Args:
-        depth: ``(B, Hd, Wd)`` uint16 [depth units], 0 = no measurement.
+        depth: Depth images ``(B, Hd, Wd)`` uint16 [depth units], 0 = no measurement.
         side: Side of a cell [pixel].
 
     Returns:

@@ -56,8 +56,8 @@ def pairs(
     axes at once), and they face each other in some row or column or their contours are close.
 
     Args:
-        label: ``(R, C)`` surfaces, -1 = none.
-        free: ``(R, C)`` bool, measured to be free: floor, or beyond the range.
+        label: Surfaces ``(R, C)``, -1 = none.
+        free: Whether each cell is free, ``(R, C)`` bool: floor, or beyond the range.
         view: Positions of the cells.
         unit: Metres in one depth unit.
         config: The gaps.
@@ -108,9 +108,9 @@ def facing(
     """Count how surfaces face each other along the rows of a frame.
 
     Args:
-        label: ``(R, C)`` surfaces, -1 = none.
-        free: ``(R, C)`` bool, measured to be free.
-        z: ``(R, C)`` int64 [depth units].
+        label: Surfaces ``(R, C)``, -1 = none.
+        free: Whether each cell is free, ``(R, C)`` bool.
+        z: Depths ``(R, C)`` int64 [depth units].
         along: Position along the row, ``(R, C)`` int64 [depth units].
         gap: Maximum difference of depths that agree [depth units]; cells between two surfaces are
             nearer if the difference exceeds half of the gap.

@@ -69,7 +69,7 @@ def profile(plane: Plane, cells: Sample, scale: Scale) -> Profile:
 
 
 def spread(run: np.ndarray, counts: np.ndarray) -> tuple[int, int]:
-    """Return the distances ``(T,)`` between which all but a tenth of the cells at each end lie."""
+    """Return the distances of the nearest and farthest cells, without a tenth at each end."""
     running = np.cumsum(counts)
     first, last = (int(run[np.argmax(10 * running >= n * running[-1])]) for n in (1, 9))
     return first, last

@@ -60,8 +60,9 @@ def free_floor(view: FloorView, far: int, longest_gap: int) -> tuple[np.ndarray,
     From the nearest floor cell on, the floor continues while the next floor cell is at most
     ``longest_gap`` farther and no obstacle of the column is nearer. It is ended by
 
-    - a drop, if the next ``RUN`` measured cells are lower than the last floor cell by a drop at
-      once, lie flat, and no floor continues at its level. Stereo cameras bow far floor down, but
+    - a drop, if the next ``RUN`` measured cells are all lower than the last floor cell by more than
+    the minimum of a drop, lie flat, and no floor continues at its level. Stereo cameras bow far
+    floor down, but
       gradually. Reflections in a glossy floor lie below it too, but floor continues beyond them,
       nearer than they seem to be (nothing is visible through a floor), or they stand upright, and
       they are narrow: more than half of a column and its ``NEIGHBOURS`` columns on each side must

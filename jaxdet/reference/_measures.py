@@ -19,7 +19,7 @@ def footprint_on_floor(
     """Measure obstacles from the positions of their points on the floor, see :func:`footprint`.
 
     Args:
-        features: ``(B, N)`` points.
+        features: Points ``(B, N)``.
         labels: Their obstacles.
         floor: Right and forward ``(B, N, 2)`` integer, at most MAX_LATERAL [depth units].
         depth_unit: Metres in one depth unit.
@@ -27,7 +27,7 @@ def footprint_on_floor(
         slots: ``M``.
 
     Returns:
-        ``(B, M)`` obstacles in the order of their labels; direction and span are zero, nearest is
+        Obstacles ``(B, M)`` in the order of their labels; direction and span are zero, nearest is
         None.
     """
     batch, m = len(labels.labels), slots

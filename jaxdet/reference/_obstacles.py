@@ -35,8 +35,8 @@ def obstacles(
     belongs together.
 
     Args:
-        label: ``(R, C)`` surfaces, -1 = none.
-        free: ``(R, C)`` bool, measured to be free: floor, or beyond the range.
+        label: Surfaces ``(R, C)``, -1 = none.
+        free: Whether each cell is free, ``(R, C)`` bool: floor, or beyond the range.
         view: Positions of the cells.
         farthest: End of the range [depth units].
         unit: Metres in one depth unit.

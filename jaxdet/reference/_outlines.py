@@ -20,9 +20,9 @@ def contours(
     the one farther up. Columns of cells correspond to steps of bearing.
 
     Args:
-        label: ``(R, C)`` obstacles, -1 = none.
-        right: ``(R, C)`` int64, ground frame [depth units].
-        forward: ``(R, C)`` int64, ground frame [depth units].
+        label: Obstacles ``(R, C)``, -1 = none.
+        right: Positions to the right in the ground frame, ``(R, C)`` int64 [depth units].
+        forward: Positions forward in the ground frame, ``(R, C)`` int64 [depth units].
         slots: ``M``, maximum number of obstacles.
 
     Returns:
@@ -152,9 +152,9 @@ def fitted_direction(contour: np.ndarray) -> np.ndarray:
 
 
 def _to_near_edge(places: np.ndarray) -> np.ndarray:
-    """Return distances of positions ``(D, n)`` on an axis from the end that faces the camera at 0.
+    """Return distances of positions ``(D, n)`` on axes from the end nearest to the camera.
 
-    The distance is ``FAR`` if neither end faces the camera.
+    The camera is at 0. Distances are ``FAR`` on an axis whose positions are on both sides of it.
     """
     low, high = places.min(axis=1, keepdims=True), places.max(axis=1, keepdims=True)
     return np.where(low > 0, places - low, np.where(high < 0, high - places, FAR))
@@ -178,7 +178,7 @@ def inner(at_margin: np.ndarray) -> np.ndarray:
         at_margin: Whether each cell is in a margin, ``(n,)`` bool.
 
     Returns:
-        ``(n,)`` bool.
+        Mask ``(n,)`` bool.
 
     Example:
         >>> inner(np.array([True, False, False])).tolist()

@@ -26,8 +26,8 @@ def surfaces(
     surface that is nearest in depth.
 
     Args:
-        z: ``(R, C)`` int32 [depth units], 0 = no measurement.
-        keep: ``(R, C)`` bool, in range and above the floor.
+        z: Depths ``(R, C)`` int32 [depth units], 0 = no measurement.
+        keep: Whether each cell is in range and above the floor, ``(R, C)`` bool.
         depth_unit: Metres in one depth unit.
         config: Steps and creases.
 
@@ -71,7 +71,7 @@ def creases(
     join them.
 
     Returns:
-        ``(R, C)`` bool.
+        Mask ``(R, C)`` bool.
     """
     smooth = z << FRACTION_BITS
     for _ in range(2):
@@ -109,7 +109,7 @@ def without_bent_floor(
     it is in the margins and not at the lower edge of the image.
 
     Args:
-        label: ``(R, C)`` surfaces, -1 = none.
+        label: Surfaces ``(R, C)``, -1 = none.
         low: Whether a cell is measured and not above the step height, ``(R, C)`` bool.
         forward: Distance forward on the floor, ``(R, C)`` int64 [depth units].
         height: Height above the floor, ``(R, C)`` int64 [depth units].

@@ -22,7 +22,7 @@ LOOSE_LABEL = 1 << 20
 _CHIP_TEXT = 16
 _CHIP_HEIGHT = 24
 _TINT, _LOOSE_TINT = 0.42, 0.30
-"""Opacity of cell colours: of obstacles, and without an obstacle."""
+"""Opacity of the colours of cells of obstacles, and of other cells."""
 _BAR = 10, 180
 """Width and height of the depth scale [pixel]."""
 

@@ -66,7 +66,7 @@ class FreeFloor(NamedTuple):
         unknown has no polygons.
 
         Args:
-            T_world_camera: ``(B, 4, 4)`` float64, NaN where unknown.
+            T_world_camera: Poses of the camera, ``(B, 4, 4)`` float64, NaN where unknown.
         """
         sin, cos = world_angle(T_world_camera)
         sin, cos = sin[:, None], cos[:, None]
@@ -106,8 +106,8 @@ def free_floor(free: Array, free_end: Array, depth_unit: float) -> FreeFloor:
     """Return the free floor of a batch in metres, of the rays that any of its frames shows.
 
     Args:
-        free: ``(B, RAYS, 2)`` int32 [depth units], of :class:`jaxdet.types.Scene`.
-        free_end: ``(B, RAYS)`` int32, of the same scene.
+        free: Ends ``(B, RAYS, 2)`` int32 [depth units], of :class:`jaxdet.types.Scene`.
+        free_end: Kinds of ends ``(B, RAYS)`` int32, of the same scene.
         depth_unit: Metres in one depth unit.
     """
     start, stop = np.moveaxis(np.asarray(free), 2, 0)

@@ -142,10 +142,10 @@ def rectangle_distances(corners: np.ndarray) -> np.ndarray:
     """Return the distance from the camera's ground projection to the nearest point of rectangles.
 
     Args:
-        corners: ``(..., 4, 2)``, in order around the rectangle, ground frame [m].
+        corners: Corners ``(..., 4, 2)`` in order around the rectangle, ground frame [m].
 
     Returns:
-        ``(...)`` float64 [m]; 0 if the camera is above the rectangle.
+        Distances ``(...)`` float64 [m]; 0 if the camera is above the rectangle.
 
     Example:
         >>> float(rectangle_distances(np.array([[-1, 2], [1, 2], [1, 3], [-1, 3]])))
@@ -202,7 +202,7 @@ def nearest(points: np.ndarray, count: np.ndarray) -> np.ndarray:
         count: Number of points of each line, ``(R,)`` integer.
 
     Returns:
-        ``(R,)`` float64, 0 for lines without points.
+        Distances ``(R,)`` float64, 0 for lines without points.
     """
     squared, used = np.zeros(len(count)), count > 0
     squared[used] = np.minimum.reduceat(_squared(points), (np.cumsum(count) - count)[used])
@@ -238,8 +238,8 @@ def rectangles(obstacles: Obstacles, depth_unit: float, config: FootprintConfig)
         config: The fixed extension and the margin.
 
     Returns:
-        ``(..., 4, 2)`` float64, ground frame, right and forward [m], in the order A, B, the
-        corner beyond B, the corner beyond A.
+        Right and forward of the corners in the ground frame, ``(..., 4, 2)`` float64 [m]: A, B,
+        the corner beyond B, the corner beyond A.
 
     Raises:
         InputError: The arrays are not those of obstacles, or the unit is not a number.
@@ -316,12 +316,13 @@ def tilted(orientation: np.ndarray, pitch: np.ndarray, roll: np.ndarray) -> np.n
     """Return whether floors are tilted in the world by more than ``MOST_TILT_DEG`` (z is not up).
 
     Args:
-        orientation: ``(B, 4)`` float64, ``camera_orientation_world`` of ``frames.parquet``.
+        orientation: Quaternions ``camera_orientation_world`` of ``frames.parquet``, ``(B, 4)``
+            float64.
         pitch: Pitch of the camera above the floor, ``(B,)`` [rad].
         roll: Roll of the camera, ``(B,)`` [rad].
 
     Returns:
-        ``(B,)`` bool; False if a value is NaN (unknown).
+        One bool per floor, ``(B,)``; False if a value is NaN (unknown).
     """
     T = motion_matrix(np.zeros((len(orientation), 3)), orientation)
     up = -dot(T[:, 2, :3], down_vector(pitch, roll))
@@ -337,7 +338,8 @@ def world_angle(T_world_camera: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     the X axis (REP 103), so θ = π/2 - yaw of the forward direction.
 
     Args:
-        T_world_camera: ``(..., 4, 4)`` float64, camera's optical frame to world; world z is up.
+        T_world_camera: Transforms from the camera's optical frame to the world, ``(..., 4, 4)``
+            float64; world z is up.
 
     Returns:
         ``sin θ`` and ``cos θ``, each ``(...)`` float64, NaN where the pose is.
@@ -350,18 +352,18 @@ def world_angle(T_world_camera: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def to_world(corners: np.ndarray, T_world_camera: np.ndarray) -> np.ndarray:
-    """Return corners from the ground frame in the world (Eq. 8-9).
+    """Transform corners from the ground frame to the world (Eq. 8-9).
 
     ``X = y sin θ + x cos θ + X0`` and ``Y = y cos θ - x sin θ + Y0`` with θ of
     :func:`world_angle` and the camera at ``(X0, Y0)``.
 
     Args:
-        corners: ``(B, M, P, 2)`` float64, outlines of P corners in the ground frame, right and
-            forward [m].
-        T_world_camera: ``(B, 4, 4)`` float64, NaN where the pose is unknown.
+        corners: Right and forward of outlines of P corners in the ground frame, ``(B, M, P, 2)``
+            float64 [m].
+        T_world_camera: Poses of the camera, ``(B, 4, 4)`` float64, NaN where unknown.
 
     Returns:
-        ``(B, M, P, 2)`` float64, world X and Y [m]; NaN where the pose is unknown.
+        World X and Y ``(B, M, P, 2)`` float64 [m]; NaN where the pose is unknown.
 
     Raises:
         InputError: The arrays have other shapes or types.

@@ -237,7 +237,7 @@ def shown_planes(found: Detections, plane: GroundPlane, calibration: Calibration
         calibration: Calibration of the log.
 
     Returns:
-        ``(B,)`` planes seen from the camera that lengths refer to.
+        Planes ``(B,)`` relative to the camera that lengths refer to.
     """
     if found.scene is None:
         return plane_in_color(plane, calibration)

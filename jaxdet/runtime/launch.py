@@ -74,7 +74,7 @@ def by_frame(module: Any, kernel: Any, arguments: Sequence[Any], frames: int, sc
             :func:`on_cores`.
         arguments: Warp arrays.
         frames: ``B``.
-        scratch: ``(teams, words)`` int32; on the CPU only its width is used.
+        scratch: Memory ``(teams, words)`` int32; on the CPU only its width is used.
     """
     teams, words = scratch.shape
     if scratch.device.is_cpu:

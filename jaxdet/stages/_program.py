@@ -216,7 +216,7 @@ def launch(arrays: list[Any], scratch: Any, first: int, end: int, static: Static
 
     Args:
         arrays: Depth, floors, tables, record, contour and work, see :mod:`jaxdet_kernels.program`.
-        scratch: ``(teams, words)`` int32 on CUDA; not used on the CPU.
+        scratch: Memory ``(teams, words)`` int32 on CUDA; not used on the CPU.
         first: Index of the first step.
         end: Index after the last step.
         static: Sizes of the program.

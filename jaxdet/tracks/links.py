@@ -141,7 +141,7 @@ def tracklets_of(obs: Observations, before: np.ndarray) -> Tracklets:
 
 
 def _next(chain: np.ndarray, at: np.ndarray, step: int) -> np.ndarray:
-    """Return the rows ``step`` observations after ``at`` in their chains, where they exist."""
+    """Return the existing rows that are ``step`` observations after ``at`` in their chains."""
     order = np.argsort(chain, kind="stable")
     position = np.empty(len(chain), np.int64)
     position[order] = np.arange(len(chain))

@@ -10,7 +10,7 @@ def pairs_of_frames(frame: np.ndarray, later: np.ndarray, apart: int) -> tuple[n
     """Pair the rows ``later`` with all rows ``apart`` frames before.
 
     Args:
-        frame: ``(N,)`` int64, ascending.
+        frame: Frame of each row, ``(N,)`` int64, ascending.
         later: Rows ``(L,)``.
         apart: Number of frames; 0 pairs rows of the same frame.
 

@@ -189,7 +189,10 @@ def visible_edges(chunk: Tables) -> Lines:
 
 
 def is_lasting(floor_seen: np.ndarray, most_floor: float) -> np.ndarray:
-    """Return whether obstacles are drawn on maps; those without a position in the world are.
+    """Return whether obstacles are drawn on maps.
+
+    Those are drawn whose fraction of floor is at most ``most_floor``, or NaN: without a position
+    in the world.
 
     Example:
         >>> is_lasting(np.array([0.1, 0.9, np.nan]), 0.3).tolist()

@@ -64,7 +64,7 @@ class TrackIds:
         self._number()
 
     def take(self) -> list[np.ndarray]:
-        """Return the track of each obstacle, int32, -1 for none, for each decided :meth:`add`."""
+        """Return the tracks of the obstacles of each decided :meth:`add`, int32, -1 = none."""
         decided = []
         while self._rows and (not self._open or self._rows[0].max(initial=-1) < self._open[0]):
             rows = self._rows.popleft()

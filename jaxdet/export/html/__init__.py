@@ -280,7 +280,7 @@ def _obstacle(part: Mapping[str, Any]) -> list[Any]:
 
 
 def _reasons(errors: Sequence[str]) -> list[tuple[int, str]]:
-    """Return the frame number of each line, and the rest of the line."""
+    """Split the lines of frame errors into frame numbers and reasons."""
     split = (line.removeprefix("frame ").partition(": ") for line in errors)
     return [(int(number), text) for number, _, text in split if number.isdigit()]
 

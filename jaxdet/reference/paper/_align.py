@@ -23,7 +23,7 @@ def align(depth: np.ndarray, calibration: Calibration) -> AlignedDepth:
     the upper left corner. Points behind the colour camera are dropped.
 
     Args:
-        depth: ``(B, Hd, Wd)`` uint16 [depth units], 0 = no measurement.
+        depth: Depth images ``(B, Hd, Wd)`` uint16 [depth units], 0 = no measurement.
         calibration: Calibration of the log. Depth that is already aligned is passed through.
 
     Returns:

@@ -9,10 +9,10 @@ def grey(color: np.ndarray) -> np.ndarray:
     ``(9798 R + 19235 G + 3735 B + 2^14) >> 15``; holds for all 2^24 colours.
 
     Args:
-        color: ``(H, W, 3)`` uint8, RGB.
+        color: Image ``(H, W, 3)`` uint8, RGB.
 
     Returns:
-        ``(H, W)`` uint8.
+        Grey image ``(H, W)`` uint8.
 
     Example:
         >>> grey(np.array([[[255, 0, 0], [10, 10, 10]]], np.uint8)).tolist()
@@ -30,12 +30,12 @@ def canny(image: np.ndarray, low: float, high: float) -> np.ndarray:
     8-connected groups of candidates with at least one magnitude above ``high`` (hysteresis).
 
     Args:
-        image: ``(H, W)`` uint8.
+        image: Grey image ``(H, W)`` uint8.
         low: Lower threshold; the thresholds are swapped if reversed, and rounded down.
         high: Upper threshold.
 
     Returns:
-        ``(H, W)`` uint8, 255 on edges and 0 elsewhere.
+        Image ``(H, W)`` uint8, 255 on edges and 0 elsewhere.
     """
     low, high = np.floor(min(low, high)), np.floor(max(low, high))
     dx, dy = _sobel(image)

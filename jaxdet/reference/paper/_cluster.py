@@ -16,7 +16,7 @@ def cluster(features: Features, depth_unit: float, config: Config) -> Labels:
     printed Algorithm 1 compares only with the set's seed, which contradicts Step 3).
 
     Args:
-        features: ``(B, N)`` points; only ``kept`` ones are clustered.
+        features: Points ``(B, N)``; only ``kept`` ones are clustered.
         depth_unit: Metres per depth unit.
         config: Gaps and N in its ``cluster`` part.
 

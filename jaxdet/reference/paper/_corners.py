@@ -18,10 +18,10 @@ def corner_strength(edges: np.ndarray) -> np.ndarray:
     on the processor and on the rows above.
 
     Args:
-        edges: ``(H, W)`` uint8, 0 or 255.
+        edges: Edge image ``(H, W)`` uint8, 0 or 255.
 
     Returns:
-        ``(H, W)`` float32.
+        Strengths ``(H, W)`` float32.
 
     Example:
         >>> square = np.zeros((7, 7), np.uint8)
@@ -59,7 +59,7 @@ def strongest_corners(
     ``min_distance``.
 
     Args:
-        strength: ``(H, W)`` float32, from :func:`corner_strength`.
+        strength: Strengths ``(H, W)`` float32, from :func:`corner_strength`.
         max_corners: Stop after this many; 0 = no limit.
         quality_level: Minimum strength as a fraction of the strongest corner's.
         min_distance: Minimum distance between corners [pixel]; below 1: no minimum.

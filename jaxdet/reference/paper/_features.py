@@ -20,8 +20,8 @@ def features(
     (:func:`lateral`).
 
     Args:
-        color: ``(B, H, W, 3)`` uint8, RGB.
-        depth: ``(B, Hd, Wd)`` uint16 [depth units], 0 = no measurement.
+        color: Images ``(B, H, W, 3)`` uint8, RGB.
+        depth: Depth images ``(B, Hd, Wd)`` uint16 [depth units], 0 = no measurement.
         calibration: Calibration of the log.
         config: Thresholds of Canny and the corner selection.
 

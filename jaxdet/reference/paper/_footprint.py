@@ -29,7 +29,7 @@ def footprint(
     Therefore ``nearest`` is computed from all points.
 
     Args:
-        features: ``(B, N)`` points.
+        features: Points ``(B, N)``.
         labels: Their obstacles.
         plane: Floor of each frame, for the axes of the ground frame.
         depth_unit: Metres in one depth unit.
@@ -37,7 +37,7 @@ def footprint(
             ``cluster.min_points``.
 
     Returns:
-        ``(B, M)`` obstacles in the order of their labels.
+        Obstacles ``(B, M)`` in the order of their labels.
     """
     slots = max(1, labels.labels.shape[1] // (config.cluster.min_points + 1))
     floor = np.clip(to_ground(features, plane), -MAX_LATERAL, MAX_LATERAL)

@@ -13,7 +13,7 @@ def ground(
     """Keep features whose depth is in range and that are above the floor.
 
     Args:
-        features: ``(B, N)`` features.
+        features: Features ``(B, N)``.
         plane: Floor of each of the ``B`` frames.
         calibration: Calibration with the colour camera and the depth unit.
         config: Configuration with the range and the step height.
@@ -44,7 +44,7 @@ def above_floor(
         config: Configuration with the range and the step height.
 
     Returns:
-        ``(B, H, W)`` bool.
+        Mask ``(B, H, W)`` bool.
     """
     limits, which = floor_limits(calibration.image, plane, config.ground, calibration.depth_unit)
     return _is_above(z, limits[which], calibration.depth_unit, config)

@@ -31,9 +31,9 @@ def align(depth: Array, u: Array, v: Array, calibration: Calibration) -> Aligned
     until the results are ready. Tables for the calibration are cached.
 
     Args:
-        depth: ``(B, Hd, Wd)`` uint16 [depth units], 0 = no measurement.
-        u: ``(B, N)`` int32, columns of pixels of the colour image.
-        v: ``(B, N)`` int32, rows.
+        depth: Depth images ``(B, Hd, Wd)`` uint16 [depth units], 0 = no measurement.
+        u: Columns of pixels of the colour image, ``(B, N)`` int32.
+        v: Rows of the pixels, ``(B, N)`` int32.
         calibration: Calibration of the log.
 
     Returns:
@@ -96,7 +96,7 @@ def tile_rays(rays: np.ndarray) -> np.ndarray:
     """Return bounds of the corner rays of each tile of depth pixels.
 
     Args:
-        rays: ``(2, Hd + 1, Wd + 1)`` float32, x and y over z, see
+        rays: Rays x / z and y / z, ``(2, Hd + 1, Wd + 1)`` float32, see
             :func:`jaxdet.camera.corner_rays`.
 
     Returns:

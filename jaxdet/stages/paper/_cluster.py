@@ -115,8 +115,8 @@ def _runs(values: jax.Array, group: jax.Array, gap: jax.Array) -> jax.Array:
     """Number the runs of ``values`` without a gap (Eq. 6), from 0.
 
     Args:
-        values: ``(B, N)`` int32, ascending within each group.
-        group: ``(B, N)``; entries of a group are adjacent, and a new group starts a new run.
+        values: Values ``(B, N)`` int32, ascending within each group.
+        group: Groups ``(B, N)``; entries of one are adjacent, and a new group starts a new run.
         gap: Largest difference between adjacent entries of a run.
 
     Returns:

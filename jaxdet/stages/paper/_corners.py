@@ -32,7 +32,7 @@ def strongest_corners(
     """Return the strongest corners of the Canny edges of images, as selected by the reference.
 
     Args:
-        color: ``(B, H, W, 3)`` uint8, RGB.
+        color: Images ``(B, H, W, 3)`` uint8, RGB.
         settings: From :func:`corner_settings`.
         slots: ``N``, maximum number of corners of a frame; static.
 

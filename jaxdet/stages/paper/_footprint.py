@@ -56,9 +56,9 @@ def obstacles(
     """Return ``most`` obstacles.
 
     Args:
-        features: ``(B, N)`` points.
+        features: Points ``(B, N)``.
         labels: Obstacles of the points.
-        axes: ``(B, 2, 3)`` int32, from :func:`jaxdet.floor.plane.ground_axes`.
+        axes: Axes ``(B, 2, 3)`` int32, from :func:`jaxdet.floor.plane.ground_axes`.
         shared: From :func:`tables`.
         most: From :func:`jaxdet.stages.paper._cluster.most_obstacles`.
     """
@@ -76,11 +76,11 @@ def to_ground(xyz: jax.Array, axes: jax.Array) -> jax.Array:
     The coordinates are split at ten bits; rounding down in two steps is exact, as in ``lateral``.
 
     Args:
-        xyz: ``(B, N, 3)`` int32 [depth units].
-        axes: ``(B, 2, 3)`` int32 with ``GROUND_BITS = 13`` fraction bits.
+        xyz: Points ``(B, N, 3)`` int32 [depth units].
+        axes: Axes ``(B, 2, 3)`` int32 with ``GROUND_BITS = 13`` fraction bits.
 
     Returns:
-        ``(B, N, 2)`` int32: right and forward [depth units].
+        Right and forward ``(B, N, 2)`` int32 [depth units].
     """
 
     def along(values: jax.Array) -> jax.Array:

@@ -247,8 +247,8 @@ struct Creases {
             const int j = i - words;
             const unsigned here = found[i], above = found[j];
             const unsigned before = found.before(i), over = found.before(j);
-            // The first cell in which a run touches one above, and cells that touch it only
-            // diagonally.
+            // Cells to link with the line above: the first in which a run touches one of that line,
+            // and those that touch it only diagonally.
             unsigned straight = here & above & ~(before & over);
             unsigned left = here & ~above & over & ~before;
             unsigned right = here & ~above & found.after(j) & ~found.after(i);

@@ -130,7 +130,7 @@ struct Trimmed {
     // values.
     int *start, *next, *sorted;
 
-    // Ends in a sync.
+    // Computes the trimmed extremes of all labels. Ends in a sync.
     void run(const Team& team) const {
         const Warp warp(team);
         for (int l = team.rank; l < count; l += team.size) start[l] = over[l] ? cells[l] : 0;

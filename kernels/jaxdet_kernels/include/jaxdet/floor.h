@@ -239,7 +239,7 @@ struct Floor {
     }
 
     // Whether a plane is below the camera and close to the prior; without a prior, whether the
-    // camera is tilted as is usual.
+    // camera has a usual pose.
     bool is_near(FloorPlane plane) const {
         if (!has_prior) return FloorSearch::is_usual(plane);
         const auto apart = [](long long a, long long b) { return a > b ? a - b : b - a; };

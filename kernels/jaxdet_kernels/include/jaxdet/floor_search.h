@@ -178,8 +178,9 @@ struct FloorVotes {
     }
 #endif
 
-    // Sums up the counts of `cells` cells for a vector of directions: `nearer` is the best of the near
-    // part, `all` the best of all bins. The votes are written to `out` if it is not null.
+    // Sums up the counts of `cells` cells to votes, for a vector of directions. Sets `nearer` to
+    // the best bin without the edge bins and `all` to the best bin. Writes the votes to `out`
+    // unless it is null.
     void sum_up(const Table& table, int k, int cells, int* out, Lanes& nearer, Lanes& all) const {
         const int step = bin_step(), from = edge_bins, to = bins - edge_bins;
         Lanes sum = Lanes{} - FloorScore::BELOW_COST * cells;

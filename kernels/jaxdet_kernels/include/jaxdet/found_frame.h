@@ -23,7 +23,8 @@ struct FoundFrame {
         return (a * b + (1 << (bits - 1))) >> bits;
     }
 
-    // `found` has RESULTS values, `given` (the fallback) and `out` have FloorFrame::VALUES.
+    // Writes the frame of the floor `found` (RESULTS values) to `out`, or `given` if no floor was
+    // accepted; both have FloorFrame::VALUES values.
     void run(const int* found, const int* given, int* out) const {
         if (found[REFUSED]) {
             for (int i = 0; i < FloorFrame::VALUES; ++i) out[i] = given[i];

@@ -12,7 +12,7 @@ struct Numbering {
     int *lowest, *rank;        // scratch, (count) each
     int *number, *total;       // results: number per label, and how many groups there are
 
-    // Ends in a sync.
+    // Numbers the groups in the order of their first cells. Ends in a sync.
     void run(const Team& team) const {
         for (int l = team.rank; l < count; l += team.size) lowest[l] = NONE;
         if (team.rank == 0) *total = 0;

@@ -52,7 +52,8 @@ struct ObstacleCells {
         if (team.rank == 0) *listed.count = 0;
     }
 
-    // Computes the starts, in one warp, after all cells are counted. The team must sync afterwards.
+    // Computes where the cells of each obstacle start, in one warp, after all cells are counted.
+    // The team must sync afterwards.
     void order(const Warp& warp) const {
         const int all = PARTS * count;
         for (int i = warp.lane; i < all; i += warp.size) starts[i] = filled[i];

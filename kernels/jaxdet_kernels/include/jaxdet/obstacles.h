@@ -77,7 +77,7 @@ struct Obstacles {
         part_of = (int*)of_surfaces;
     }
 
-    // Ends in a sync.
+    // Groups surfaces into obstacles, sorted by distance. Ends in a sync.
     void run(const Team& team) const {
         if (team.rank == 0) {
             for (int k = 0; k < COUNTS; ++k) counts[k] = 0;

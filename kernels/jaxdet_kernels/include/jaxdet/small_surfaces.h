@@ -17,7 +17,7 @@ struct SmallSurfaces {
     // Input: each surface is its own set. Result, as `parent`: the smallest surface of each set.
     UnionFind sets;
 
-    // Ends in a sync.
+    // Joins each surface that is too small with the one that it touches most. Ends in a sync.
     void run(const Team& team) const {
         const Warp warp(team);
         for (int a = warp.index; a < count; a += warp.count)
