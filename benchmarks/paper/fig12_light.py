@@ -10,7 +10,7 @@ from benchmarks.paper.measure import Measured, measured
 from benchmarks.paper.plan import LIGHTS
 from benchmarks.paper.section import Section, number, percent
 from benchmarks.paper.shots import frames_of
-from benchmarks.paper.systems import OURS, PAPER, RULE
+from benchmarks.paper.systems import DEFAULT, PAPER, RULE
 from benchmarks.paper.timing import in_turns, split_batch
 from jaxdet.config import Config
 from jaxdet.pipeline import BackendName, detect
@@ -18,7 +18,7 @@ from jaxdet.presets import preset
 from jaxdet.sim import exposure
 from jaxdet.types import Detections, Frames
 
-ROWS = (PAPER, RULE, "hierarchical_ward", "rsc", "dbscan", OURS)
+ROWS = (PAPER, RULE, "hierarchical_ward", "rsc", "dbscan", DEFAULT)
 """Systems of the plot."""
 FIGURES = {"accuracy": "ACC", "fmi": "FMI", "f1": "F1"}
 

@@ -8,7 +8,7 @@ from benchmarks.paper import paper_figures, plots
 from benchmarks.paper.lab import Lab
 from benchmarks.paper.plan import DISTANCES_M, LIGHTS
 from benchmarks.paper.section import Section, bootstrap
-from benchmarks.paper.systems import System, ours, paper
+from benchmarks.paper.systems import System, default, paper
 from jaxdet.eval import Tally, total
 
 NAMES = ("position", "width")
@@ -55,7 +55,7 @@ def cells_of(lab: Lab, systems: list[System]) -> dict[tuple[str, float, str], Er
 def run(lab: Lab) -> Section:
     """Fig. 14 (error of width and position of the 9 cm cylinder, four lights)."""
     section = Section("fig14", "Fig. 14: accuracy on a cylinder of 9 cm diameter")
-    systems = [ours(lab.config), paper()]
+    systems = [default(lab.config), paper()]
     cells = cells_of(lab, systems)
     section.say(
         f"{min(lab.counts.cylinder_seeds, len(lab.seeds))} simulated scenes per cell. Position is "

@@ -8,7 +8,7 @@ from benchmarks.paper.lab import Lab
 from benchmarks.paper.pictures import encode, frame_picture, grid, scaled
 from benchmarks.paper.section import Section, bootstrap, percent, wilson
 from benchmarks.paper.shots import Shot, frames_of
-from benchmarks.paper.systems import Prepared, System, found_by, ours, paper, tally_of
+from benchmarks.paper.systems import Prepared, System, default, found_by, paper, tally_of
 from jaxdet.eval import total
 from jaxdet.render import draw_map
 from jaxdet.results.metric import rectangles, to_world
@@ -30,7 +30,7 @@ def run(lab: Lab) -> Section:
         "forward and back, and a person crosses at 1.2 m/s. The paper shows one scene and gives no "
         "figures."
     )
-    for system in (ours(lab.config), paper()):
+    for system in (default(lab.config), paper()):
         _system(section, system, shots, seed)
     return section
 

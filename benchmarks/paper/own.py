@@ -8,7 +8,7 @@ from benchmarks.paper.lab import Lab
 from benchmarks.paper.measure import measured
 from benchmarks.paper.realframes import frames_with_floor
 from benchmarks.paper.section import Section, number, percent
-from benchmarks.paper.systems import OURS, System
+from benchmarks.paper.systems import DEFAULT, System
 from jaxdet.cli.truth import score_against
 from jaxdet.engine.color import method_frames
 from jaxdet.errors import JaxdetError
@@ -97,7 +97,7 @@ def judge(task: Task) -> Judgement:
 def _found(system: System, frames: Frames) -> Detections:
     """Return the obstacles of a frame, a batch of one."""
     read = method_frames(frames, system.config)
-    if system.method == OURS:
+    if system.method == DEFAULT:
         return to_host(detect(read, system.config, backend="jax", with_cells=True))
     (frame,) = prepare(read, system.config)
     return detect_with(system.baseline, frame, system.config, dict(system.params))

@@ -20,8 +20,10 @@ from jaxdet.presets import preset
 from jaxdet.results.rows import to_host
 from jaxdet.types import Detections
 
-OURS = "ours"
+DEFAULT = "default"
+"""Name of the default of jaxdet."""
 PAPER = "preset_paper"
+"""Name of the complete method of the paper."""
 RULE = "paper"
 """Name of the paper's rule, on the same points as the baselines and tuned in the same way."""
 RIVALS = tuple(name for name, b in BASELINES.items() if name != RULE and not b.missing)
@@ -48,7 +50,7 @@ LEARNT = (
 LEAST_POINTS = 18
 """Clusters of the baselines with this many points or fewer are discarded. They cluster corners and
 a grid of pixels, thus more points than the preset ``paper``."""
-INDEXED = (OURS, PAPER, RULE, "hierarchical_ward", "rsc", *CITED)
+INDEXED = (DEFAULT, PAPER, RULE, "hierarchical_ward", "rsc", *CITED)
 """Systems of Table 1, for which internal indices are computed."""
 INDEXED_LIGHT = "normal"
 """Light of Table 1."""
@@ -64,7 +66,7 @@ class System(NamedTuple):
     name: str
     title: str
     method: str
-    """``ours``, or a key of :data:`benchmarks.baselines.BASELINES`."""
+    """:data:`DEFAULT`, or a key of :data:`benchmarks.baselines.BASELINES`."""
     config: Config
     params: tuple[tuple[str, Any], ...] = ()
 
@@ -97,17 +99,17 @@ def systems(
         System(name, BASELINES[name].title, name, theirs, tuple(tuned.get(name, {}).items()))
         for name in (RULE, *rivals)
     ]
-    return [ours(config), paper(), *others]
+    return [default(config), paper(), *others]
 
 
-def ours(config: Config) -> System:
+def default(config: Config) -> System:
     """Return the default method."""
-    return System(OURS, "Ours (default)", OURS, config)
+    return System(DEFAULT, "Default of jaxdet", DEFAULT, config)
 
 
 def paper() -> System:
     """Return the complete method of the paper, from alignment to outlines."""
-    return System(PAPER, "Ours (preset paper)", OURS, preset("paper"))
+    return System(PAPER, "Preset paper", DEFAULT, preset("paper"))
 
 
 def of_points(config: Config) -> Config:
@@ -178,7 +180,7 @@ def found_by(system: System, prepared: Prepared) -> list[Detections]:
     corrects it.
     """
     config = system.config
-    if system.method == OURS:
+    if system.method == DEFAULT:
         each = [frames_of([shot]) for shot in prepared.shots]
         return [to_host(detect(frames, config, backend="jax", with_cells=True)) for frames in each]
     frames, params = prepared.frames(config), dict(system.params)

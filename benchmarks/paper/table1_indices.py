@@ -9,10 +9,10 @@ from benchmarks.paper.measure import Measured, measured
 from benchmarks.paper.pictures import side_by_side
 from benchmarks.paper.plan import SCENE_TITLES, SCENES
 from benchmarks.paper.section import Direction, Section, number
-from benchmarks.paper.systems import CITED, INDEXED_LIGHT, MISSING, OURS, PAPER, RULE
+from benchmarks.paper.systems import CITED, DEFAULT, INDEXED_LIGHT, MISSING, PAPER, RULE
 
 ROWS = {
-    OURS: "ours",
+    DEFAULT: "ours",
     PAPER: "ours",
     RULE: "ours",
     "hierarchical_ward": "traditional",
@@ -93,11 +93,12 @@ def _plot(section: Section, found: dict[tuple[str, str], Measured], titles: dict
 
 def _clusters(section: Section, lab: Lab, titles: dict[str, str]) -> None:
     """Add pictures of the first frame with the most obstacles of each scene."""
-    chosen = [s for s in lab.systems if s.name in (RULE, "hierarchical_ward", "rsc", OURS)]
+    chosen = [s for s in lab.systems if s.name in (RULE, "hierarchical_ward", "rsc", DEFAULT)]
     chosen.sort(key=lambda system: list(ROWS).index(system.name))
     strips = []
     for scene in SCENES:
-        full = int(np.argmax([tally.visible for tally in lab.scores[scene, INDEXED_LIGHT]["ours"]]))
+        tallies = lab.scores[scene, INDEXED_LIGHT][DEFAULT]
+        full = int(np.argmax([tally.visible for tally in tallies]))
         each = lab.counts.scenes
         spec = lab.spec(scene, lab.seeds[full // each], each, INDEXED_LIGHT)
         shot = lab.load([spec])[full % each]

@@ -5,7 +5,7 @@ from benchmarks.paper import paper_figures, plots
 from benchmarks.paper.lab import Lab
 from benchmarks.paper.measure import measured
 from benchmarks.paper.section import Section, number, percent
-from benchmarks.paper.systems import JOINED, LEARNT, MISSING, NEGATIVES, OURS, PAPER, RULE
+from benchmarks.paper.systems import DEFAULT, JOINED, LEARNT, MISSING, NEGATIVES, PAPER, RULE
 
 PAPER_ROWS = {
     "hierarchical_ward": "traditional",
@@ -21,7 +21,7 @@ SHOWN = ("accuracy", "fmi", "f1")
 def run(lab: Lab) -> Section:
     """Table 2 (ACC and FMI of every method), with F1, precision, recall, splits and merges."""
     section = Section("table2", "Table 2: detection of obstacles")
-    frames = sum(len(tallies[OURS]) for tallies in lab.scores.values())
+    frames = sum(len(tallies[DEFAULT]) for tallies in lab.scores.values())
     section.say(
         f"{frames} simulated frames: the four scenes in the four lights, seeds {lab.seeds[0]} to "
         f"{lab.seeds[-1]}; the paper has 100 images of its own robot. ACC is TP / (TP + FP + FN) "

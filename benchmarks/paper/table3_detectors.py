@@ -11,7 +11,7 @@ from benchmarks.paper.people import add_people
 from benchmarks.paper.plan import SCENES
 from benchmarks.paper.section import Section, percent
 from benchmarks.paper.shots import Shot
-from benchmarks.paper.systems import OURS, PAPER, Prepared, System, found_by
+from benchmarks.paper.systems import DEFAULT, PAPER, Prepared, System, found_by
 
 FIGURES = ("accuracy", "precision", "recall", "f1")
 
@@ -27,7 +27,7 @@ def run(lab: Lab) -> Section:
     shots = lab.load(lab.test_specs(SCENES[0], "normal"))[: lab.counts.timed]
     titles = {system.name: system.title for system in lab.systems}
     rows: list[list[str]] = []
-    for name in (OURS, PAPER):
+    for name in (DEFAULT, PAPER):
         system = next(system for system in lab.systems if system.name == name)
         one = measured(lab.tallies(name))
         rows.append(_row(section, titles[name], name, one, _seconds(system, shots)))

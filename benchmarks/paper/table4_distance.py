@@ -6,10 +6,10 @@ from benchmarks.paper.pictures import encode, grid, shot_picture, titled
 from benchmarks.paper.plan import DISTANCES_M, LIGHTS
 from benchmarks.paper.section import Section, percent, wilson
 from benchmarks.paper.shots import Spec
-from benchmarks.paper.systems import OURS, PAPER, paper
+from benchmarks.paper.systems import DEFAULT, PAPER, paper
 from jaxdet.eval import Tally, total
 
-SHOWN = (OURS, PAPER)
+SHOWN = (DEFAULT, PAPER)
 Cells = dict[tuple[str, float, str], Tally]
 """By system, distance and light."""
 
@@ -40,7 +40,7 @@ def run(lab: Lab) -> Section:
     """Table 4 (share of obstacles found at 3 to 1 m in four lights) and Fig. 13 (near and far)."""
     section = Section("table4", "Table 4 and Fig. 13: success rate by distance and illumination")
     cells = cells_of(lab)
-    asked = cells[OURS, DISTANCES_M[-1], "normal"].visible
+    asked = cells[DEFAULT, DISTANCES_M[-1], "normal"].visible
     section.say(
         "One obstacle of the kinds in the paper (person, cone, barrier, bucket, trunk, chair, "
         f"bin, box, table) stands at the given distance. There are {asked:.0f} simulated scenes "

@@ -10,7 +10,7 @@ from benchmarks.paper.lab import Lab
 from benchmarks.paper.plan import CANNY_BOUNDS, SCENES
 from benchmarks.paper.section import Section, bootstrap, percent
 from benchmarks.paper.shots import frames_of
-from benchmarks.paper.systems import OURS, System
+from benchmarks.paper.systems import DEFAULT, System
 from benchmarks.paper.timing import in_turns, split_batch
 from jaxdet import detect, reference, stages
 from jaxdet.config import Config
@@ -52,7 +52,7 @@ def run(lab: Lab) -> Section:
     }
     functions |= {f"whole.{low}-{high}": partial(whole, (low, high)) for low, high in CANNY_BOUNDS}
     times = in_turns(functions, len(frames), min(lab.counts.rounds, 3))
-    chosen = [System(str(b), "", OURS, config) for b, config in configs.items()]
+    chosen = [System(str(b), "", DEFAULT, config) for b, config in configs.items()]
     parts = lab.judge([s for scene in SCENES for s in lab.test_specs(scene, "normal")], chosen)
     section.say(
         f"Times of feature extraction and of the complete detection of {len(frames)} simulated "
