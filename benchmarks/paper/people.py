@@ -1,4 +1,4 @@
-"""People and chairs of labelled real frames: a deep detector and the presets (Table 3)."""
+"""People and chairs in labelled real frames, by a deep detector and the presets (Table 3)."""
 
 import time
 from pathlib import Path
@@ -18,15 +18,15 @@ from jaxdet.presets import PRESETS
 
 DETECTOR = "centernet"
 METHODS = ("wheeled", "paper")
-"""Presets that are compared with it."""
+"""Presets that are compared with the detector."""
 PEOPLE = frozenset({"man", "woman", "person"})
 AFTER = frozenset({"with", "on", "behind", "in", "under", "of", "at", "bent"})
-"""Words after which a label's name says no more what the thing is."""
+"""Words in the name of a label after which the class is not named any more."""
 WHERE = frozenset({"left", "right", "front", "middle", "near", "far"})
 
 
 class Task(NamedTuple):
-    """A recording to be judged."""
+    """Recording to evaluate."""
 
     recording: Recording
     folder: Path
@@ -39,22 +39,22 @@ class Count(NamedTuple):
     objects: int = 0
     matched: int = 0
     detections: int = 0
-    """Those called so on known ground; the presets call nothing by a name, and have none."""
+    """Number of detections of this class on labelled ground; presets have no classes."""
 
 
 class Judgement(NamedTuple):
     """Frames of a recording."""
 
     frames: int
-    """Those with labels."""
+    """Number of frames with labels."""
     counts: dict[tuple[str, str], Count]
-    """By method and class."""
+    """Counts by method and class."""
     seconds: list[float]
     """Time of the detector on each frame but the first [s]."""
 
 
 def class_of(name: str) -> str:
-    """Return the class that a label's name stands for, empty if none is compared.
+    """Return the class of the name of a label; empty if it is not compared.
 
     Example:
         >>> [class_of(name) for name in ("office chair, left", "chair leg", "man on a stool")]
@@ -68,9 +68,9 @@ def class_of(name: str) -> str:
 
 
 def add_people(lab: Lab, section: Section) -> None:
-    """Add what the detector and the presets find of labelled people and chairs."""
+    """Add the figures of the detector and of the presets on labelled people and chairs."""
     if problem := why_absent(lab.detector):
-        section.say(f"CenterNet, whose weights come inside of a package, was not run: {problem}.")
+        section.say(f"CenterNet, whose weights are part of a package, was not run: {problem}.")
         return
     assert lab.detector is not None
     tasks = [
@@ -82,12 +82,12 @@ def add_people(lab: Lab, section: Section) -> None:
     seconds = [one for each in judged for one in each.seconds]
     section.say(
         "CenterNet (MobileNetV3, 512 x 512, COCO; benchmarks/paper/detector.py) on labelled frames "
-        f"of real cameras, scores from {MIN_SCORE:g}. Only labels called a man, woman, person or "
-        "chair are asked for; an object is found if a box overlaps it as in the experiment "
-        "realframes. The detector finds what it was trained on, wherever it stands, and gives no "
-        "distance; the presets find anything that stands on the floor and name nothing, so that "
-        "they have no precision by class. wheeled has learnt from frames of aims_slam and "
-        "d435_boxes, and rules were mended in some of the rooms (experiment realframes). "
+        f"of real cameras, with a score of at least {MIN_SCORE:g}. Only objects labelled as man, "
+        "woman, person or chair are required; an object is found if a box overlaps it as in the "
+        "experiment realframes. The detector finds the classes of its training, anywhere, and "
+        "gives no distance; the presets find any object on the floor and have no classes, so they "
+        "have no precision by class. wheeled was trained on frames of aims_slam and d435_boxes, "
+        "and its rules were changed after some of the rooms had been evaluated (realframes). "
         f"{sum(one.frames for one in judged)} frames of {len(judged)} recordings; CenterNet takes "
         f"{np.median(seconds or [np.nan]):.3f} s per frame on one core."
     )
@@ -116,7 +116,7 @@ def _cells(section: Section, method: str, name: str, count: Count) -> list[str]:
 
 
 def classes_of(recording: Recording) -> dict[int, np.ndarray]:
-    """Return the class of each labelled obstacle of the labelled frames, by their number."""
+    """Return the classes of the obstacles of the labelled frames, by frame number."""
     names = read_names(BOXES / f"{recording.name}.txt")
     return {
         frame: np.array([class_of(name) for name in mine], np.str_) for frame, mine in names.items()
@@ -165,10 +165,10 @@ def _add(
 
     Args:
         counts: By method and class.
-        method: Whose boxes they are.
-        classes: ``(T,)`` str, class of each labelled object.
-        labels: Of the frame.
-        boxes: ``(n, 4)`` integer, detections.
+        method: Name of the method.
+        classes: Class of each labelled object, ``(T,)`` str.
+        labels: Labels of the frame.
+        boxes: Detections, ``(n, 4)`` integer.
         least_iou: Minimum IoU of a pair.
         only: The class that all boxes have; empty if they have none.
     """

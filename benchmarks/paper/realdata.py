@@ -28,21 +28,20 @@ CAMERA_FILE = "cam_params_realsense.json"
 
 
 class Recording(NamedTuple):
-    """Frames of a folder or a log, with what is known of their floor."""
+    """Frames of a folder or a log, with the prior of their floor."""
 
     name: str
     frames: Frames
     numbers: tuple[str, ...]
-    """What each frame is called."""
+    """Title of each frame."""
 
 
 def run(lab: Lab, place: Path, number: int = 0) -> Section:
-    """Contact sheets of all recordings in a folder: logs, and folders of PNG pairs."""
+    """Show contact sheets of all recordings in a folder: logs, and folders of PNG pairs."""
     section = Section(f"recordings{number}", f"Real recordings: {place.name}")
     section.say(
-        "No truth exists for these; the pictures are for reading. The floor is that of each "
-        "frame's own depth; known before is one plane for a recording of a camera that keeps its "
-        "place, nothing of stills of a camera held by hand."
+        "Pictures only, without labels. The floor is estimated in each frame. The prior is one "
+        "plane per recording of a mounted camera; images of a hand-held camera have none."
     )
     try:
         recordings = list(find(place, lab.config))
@@ -55,7 +54,7 @@ def run(lab: Lab, place: Path, number: int = 0) -> Section:
 
 
 def find(place: Path, config: Config) -> Iterator[Recording]:
-    """The recordings in a folder.
+    """Return the recordings in a folder.
 
     Raises:
         InputError: There are none.
@@ -79,7 +78,7 @@ def find(place: Path, config: Config) -> Iterator[Recording]:
 
 
 def _stills(data: Path, name: str) -> Recording:
-    """Aligned stills of a camera held by hand: nothing is known of their floors."""
+    """Return aligned images of a hand-held camera, without a prior of the floor."""
     about = json.loads((data / CAMERA_FILE).read_text(encoding="utf-8"))
     K = np.reshape(about["intrinsic_matrix"], (3, 3)).T.tolist()
     size = about["width"], about["height"]
@@ -89,14 +88,14 @@ def _stills(data: Path, name: str) -> Recording:
 
 
 def _pairs(data: Path, name: str, calibration: Calibration, config: Config) -> Recording:
-    """PNG pairs of a mounted camera with the calibration of the log beside them: one floor."""
+    """Return PNG pairs of a mounted camera, with the calibration of the log next to them."""
     frames, names = _read(data / "rgb", data / "depth", calibration)
     plane = estimate_plane(frames, config, backend="reference").plane
     return Recording(f"{name} pairs", frames._replace(plane=repeat_plane(plane, len(names))), names)
 
 
 def _read(color: Path, depth: Path, calibration: Calibration) -> tuple[Frames, tuple[str, ...]]:
-    """PNG pairs of the same names, in the order of their numbers."""
+    """Return PNG pairs of equal names, in the order of their numbers."""
     paths = sorted(color.glob("*.png"), key=lambda p: (len(p.stem), p.stem))
     paths = [path for path in paths if (depth / path.name).is_file()]
     images = [cv2.imread(str(path), cv2.IMREAD_COLOR) for path in paths]
@@ -120,7 +119,7 @@ def _one(frames: Frames, b: int) -> Frames:
 
 
 def add(section: Section, recording: Recording, config: Config) -> None:
-    """Adds a recording's sheets to a section, and how many obstacles were found."""
+    """Add the sheets of a recording to a section, with the number of obstacles."""
     pictures: list[np.ndarray] = []
     counts: list[int] = []
     for b, number in enumerate(recording.numbers):

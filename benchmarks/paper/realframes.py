@@ -1,4 +1,4 @@
-"""Labelled frames of real cameras: found, false, floor taken for obstacles, distances."""
+"""Labelled frames of real cameras: recall, precision, floor detected as obstacles, distances."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -39,7 +39,7 @@ from jaxdet.results.rows import to_host
 from jaxdet.types import Detections, Frames
 
 WORST = 6
-"""Frames pictured of each recording."""
+"""Number of frames per recording that are shown as pictures."""
 COLUMNS, WIDTH = 3, 420
 FOUND, MISSED = (255, 255, 255), (255, 40, 40)
 TAGS = ("path", "low")
@@ -56,28 +56,28 @@ DIRECTIONS: dict[str, Direction] = {
 
 
 class Found(NamedTuple):
-    """A frame of a log and what was found in it, each a batch of one."""
+    """Frame of a log and its detections, each a batch of one."""
 
     frames: Frames
-    """With the floor that was used."""
+    """Frame with the floor that was used."""
     detections: Detections
     config: Config
 
     @property
     def shown(self) -> np.ndarray:
-        """``(n,)`` bool, obstacles that the colour image shows a part of: others have no label."""
+        """Mask of the obstacles visible in the colour image, ``(n,)`` bool; others have no label."""
         return self.detections.obstacles.uv_max[0, : self.detections.num_obstacles[0], 0] >= 0
 
     @property
     def boxes(self) -> np.ndarray:
-        """``(k, 4)`` int32, image boxes of the obstacles that are shown [pixel]."""
+        """Image boxes of the visible obstacles, ``(k, 4)`` int32 [pixel]."""
         count, obstacles = self.detections.num_obstacles[0], self.detections.obstacles
         boxes = np.concatenate([obstacles.uv_min[0], obstacles.uv_max[0]], axis=1)[:count]
         return boxes[self.shown]
 
     @property
     def nearest_m(self) -> np.ndarray:
-        """``(k,)`` float, least forward depth of what is shown of each in the colour camera [m]."""
+        """Smallest depth in the colour camera of the visible part of each, ``(k,)`` float [m]."""
         calibration, count = self.frames.calibration, int(self.detections.num_obstacles[0])
         cells = self.detections.cells
         if cells is None:
@@ -92,22 +92,22 @@ class Found(NamedTuple):
 
 
 class Task(NamedTuple):
-    """A recording to be judged under a configuration."""
+    """Recording to evaluate with a configuration."""
 
     recording: Recording
     folder: Path
     config: Config
     pictured: int
-    """How many of the worst frames."""
+    """Number of the worst frames that are shown."""
 
 
 class Judgement(NamedTuple):
-    """Labelled frames of a recording held against their labels."""
+    """Result of the labelled frames of a recording."""
 
     numbers: list[int]
     tallies: list[BoxTally]
     views: list[np.ndarray]
-    """Pictures of the worst, fewest right first."""
+    """Pictures of the worst frames, those with the fewest correct detections first."""
 
 
 def frames_with_floor(log: Log, config: Config) -> Iterator[Batch]:
@@ -127,7 +127,7 @@ def find_obstacles(log: Log, config: Config) -> Iterator[Found]:
 
 
 def judge(task: Task) -> Judgement:
-    """All labelled frames of a recording."""
+    """Evaluate all labelled frames of a recording; task of a worker."""
     with open_log(str(task.folder / task.recording.place)) as log:
         each = [(found, *_held(task, found)) for found in find_obstacles(log, task.config)]
     known = [(found, labels, tally) for found, labels, tally in each if labels is not None]
@@ -140,7 +140,7 @@ def judge(task: Task) -> Judgement:
 
 
 def _held(task: Task, found: Found) -> tuple[FrameLabels | None, BoxTally]:
-    """A frame's labels and counts."""
+    """Labels and counts of a frame."""
     frames, calibration = found.frames, found.frames.calibration
     aligned = reference.align(frames.depth, calibration)
     z_m = np.asarray(aligned.z[0]) * calibration.depth_unit
@@ -157,37 +157,41 @@ def _held(task: Task, found: Found) -> tuple[FrameLabels | None, BoxTally]:
 
 
 def _right(tally: BoxTally) -> float:
-    """Share of what is there or was found that is both."""
+    """Intersection of labels and detections, divided by their union."""
     every = tally.objects + tally.detections - tally.matched
     return tally.matched / every if every else 1.0
 
 
 def run(lab: Lab) -> Section:
-    """Figures on labelled frames of real cameras; not in the paper."""
+    """Evaluate labelled frames of real cameras; not in the paper."""
     section = Section("realframes", "Labelled frames of real cameras")
     places = find_recordings(lab.recordings, lab.labelled)
     if not places:
-        section.say("Not run: no labelled recording was found (--recordings FOLDER names one).")
+        section.say(
+            "Not run: no labelled recording was found; pass their folder as --recordings FOLDER."
+        )
         return section
     section.say(
-        "A detection is right when its image box and a labelled object's overlap by enough (IoU "
-        f"{', '.join(f'{one.name} {one.least_iou:g}' for one, _ in places)}), one to one; one on "
-        "mostly unlabelled ground is neither right nor wrong. A frame is swamped when one box "
-        "covers more than half of its floor. Floor kept: share of the floor's measured pixels that "
-        "lie above the floor as it was found; where only boxes are labelled, the floor is what has "
-        "none. Distance: the detection's least forward depth against the near surface's. One plane "
-        "for a recording is known to wheeled before each frame corrects it, and is all that paper "
-        "has, though only aims_slam is one drive. Nothing is learnt from held-out "
-        "frames, but figures of theirs, or of all frames, were looked at when settings were chosen "
-        "(choices.md says which), those of aims_slam are of the same drive as the others, and "
-        "wheelchair's three frames decided settings; wheelchair_5cm leaves out what is lower. The "
-        "rooms (scripts/rooms_to_mcap) were labelled before they were run for the first time, and "
-        "nothing is learnt from them. In those looked at, rules were mended since; by the "
-        "untouched ones nothing was chosen (choices.md has the figures). The public recordings "
-        "were split by repository and labelled before anything had run on them (labels/RULE.md): "
-        "learn may be looked at and learnt from, last not. Where a table top is the ground, "
-        "preset tabletop is compared. Path: recall of what is labelled in the robot's path; low: "
-        "of what is 5 to 10 cm high within 3 m."
+        "A detection is correct if its image box and that of a labelled object overlap by the "
+        f"minimum IoU ({', '.join(f'{one.name} {one.least_iou:g}' for one, _ in places)}), one to "
+        "one. Detections that are mostly on unlabelled ground are ignored. A frame is swamped if "
+        "one box covers more than half of its floor. Floor kept: share of the measured floor "
+        "pixels above the estimated floor; with labels of boxes only, the floor is everything "
+        "outside of them. Distance: smallest depth of the detection, compared with the near "
+        "surface of the object. The prior is one plane per recording, which each frame corrects "
+        "with wheeled, but not with paper, though only aims_slam is one drive.",
+    )
+    section.say(
+        "Use of the recordings: nothing was trained on held-out frames, but figures of some of "
+        "them were known when parameters were chosen (see choices.md). Those of aims_slam are of "
+        "the same drive as its other frames, and the three frames of wheelchair decided "
+        "parameters; wheelchair_5cm excludes lower objects. The rooms (scripts/rooms_to_mcap) were "
+        "labelled before anything was run on them, and nothing was trained on them; rules were "
+        "changed after some of them had been evaluated, but not after those called untouched. The "
+        "public recordings were split by repository and labelled before anything was run on them "
+        "(labels/RULE.md): the part learn may be used for training, the part last may not. If the "
+        "ground is a table top, preset tabletop is compared. Path: recall of objects labelled as "
+        "in the path of the robot; low: recall of objects 5 to 10 cm high within 3 m.",
     )
     tasks = [
         Task(recording, folder, PRESETS[name], 0 if i or recording.least_height_m else WORST)
@@ -218,7 +222,7 @@ def run(lab: Lab) -> Section:
 
 
 def parts_of(recording: Recording, judged: Judgement) -> dict[str, list[BoxTally]]:
-    """The frames as they are reported: all, or the tuning part and the held-out part."""
+    """Return the frames by part: all, or tuning and held-out."""
     if not recording.held_out:
         return {recording.group or recording.name: judged.tallies}
     parts: dict[str, list[BoxTally]] = {"tuning": [], "held_out": []}
@@ -228,7 +232,7 @@ def parts_of(recording: Recording, judged: Judgement) -> dict[str, list[BoxTally
 
 
 def _row(section: Section, key: str, tallies: list[BoxTally]) -> list[str]:
-    """Adds the figures of some frames; returns them as texts."""
+    """Add the figures of some frames; return them as texts."""
     score = score_boxes(tallies)
     objects, detections, matched = (
         sum(getattr(tally, name) for tally in tallies)
@@ -262,7 +266,7 @@ def _row(section: Section, key: str, tallies: list[BoxTally]) -> list[str]:
 def _picture(
     recording: Recording, found: Found, labels: FrameLabels, tally: BoxTally
 ) -> np.ndarray:
-    """The camera's view with the labelled boxes over it."""
+    """Return the camera image with detections and labelled boxes."""
     frames = found.frames
     view = camera_view(shown_image(frames, 0, found.config), found.detections, 0, found.config, 1.0)
     counted = found.boxes[on_known_ground(labels, found.boxes)]

@@ -1,4 +1,4 @@
-"""RGB-D stills of public repositories: recipes, decoded images, pictures to draw labels on."""
+"""RGB-D images of public repositories: recipes, decoding, pictures for labelling."""
 
 import json
 from pathlib import Path
@@ -13,7 +13,7 @@ LABELS = Path(__file__).with_name("labels")
 ROOMS, PUBLIC = LABELS / "rooms.json", LABELS / "public.json"
 """Recipes of recordings, one dictionary each; those of the second have ``place`` and ``split``."""
 SUN_TURN = 3
-"""Bits by which SUN RGB-D turns its depths."""
+"""Bits by which SUN RGB-D rotates its depths."""
 TICK, PICTURE_HEIGHT, MARGIN = 50, 480, 24
 
 
@@ -23,7 +23,7 @@ def read_recipe(path: Path) -> list[dict[str, Any]]:
 
 
 def clone_of(room: dict[str, Any], clones: Path) -> Path | None:
-    """Return the clone of a recording's repository, as ``owner+name`` or ``name``, if there."""
+    """Return the clone of a recording's repository: ``owner+name``, ``name``, or None."""
     owner, name = room["repository"].split("/")
     return next((p for p in (clones / f"{owner}+{name}", clones / name) if p.is_dir()), None)
 
@@ -44,12 +44,12 @@ def read_color(path: Path, size: tuple[int, int] | None = None) -> np.ndarray:
 
 
 def read_depth(path: Path, unit_m: float, coding: str = "") -> np.ndarray:
-    """Return a depth image ``(H, W)`` uint16 [mm], 0 where nothing was measured.
+    """Return a depth image ``(H, W)`` uint16 [mm], 0 for no measurement.
 
     Args:
         path: An image, or an array in a ``.npy`` or ``.mat`` file.
         unit_m: Unit of its values [m].
-        coding: ``sunrgbd`` if its bits are turned as in SUN RGB-D.
+        coding: ``sunrgbd`` if its bits are rotated as in SUN RGB-D.
 
     Raises:
         InputError: The image can't be read.
@@ -72,18 +72,18 @@ def read_depth(path: Path, unit_m: float, coding: str = "") -> np.ndarray:
 
 
 def frame_id(room: dict[str, Any], number: int) -> str:
-    """Return the name of a frame: its recording's and its number there."""
+    """Return the name of a frame: its recording and its number."""
     return f"{room['name']}_{number}"
 
 
 def picture(color: np.ndarray, depth_mm: np.ndarray) -> np.ndarray:
     """Return colour and depth side by side in BGR, with axes in pixels of the colour image.
 
-    Depth is red where it is near, blue where it is far, black where nothing was measured.
+    Near depth is red, far depth blue, and pixels without a measurement are black.
 
     Args:
-        color: ``(H, W, 3)`` uint8, RGB.
-        depth_mm: ``(h, w)`` uint16, of the same view.
+        color: Colour image ``(H, W, 3)`` uint8, RGB.
+        depth_mm: Depth image of the same view, ``(h, w)`` uint16.
     """
     seen = depth_mm > 0
     near, far = np.percentile(depth_mm[seen], [1, 97]) if seen.any() else (0, 1)
