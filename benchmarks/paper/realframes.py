@@ -65,7 +65,7 @@ class Found(NamedTuple):
 
     @property
     def shown(self) -> np.ndarray:
-        """Mask of the obstacles visible in the colour image, ``(n,)`` bool; others have no label."""
+        """Mask of the obstacles in the colour image, ``(n,)`` bool; others have no label."""
         return self.detections.obstacles.uv_max[0, : self.detections.num_obstacles[0], 0] >= 0
 
     @property
@@ -179,7 +179,7 @@ def run(lab: Lab) -> Section:
         "pixels above the estimated floor; with labels of boxes only, the floor is everything "
         "outside of them. Distance: smallest depth of the detection, compared with the near "
         "surface of the object. The prior is one plane per recording, which each frame corrects "
-        "with wheeled, but not with paper, though only aims_slam is one drive.",
+        "with wheeled, but not with paper, though only aims_slam is one drive."
     )
     section.say(
         "Use of the recordings: nothing was trained on held-out frames, but figures of some of "
@@ -191,7 +191,7 @@ def run(lab: Lab) -> Section:
         "public recordings were split by repository and labelled before anything was run on them "
         "(labels/RULE.md): the part learn may be used for training, the part last may not. If the "
         "ground is a table top, preset tabletop is compared. Path: recall of objects labelled as "
-        "in the path of the robot; low: recall of objects 5 to 10 cm high within 3 m.",
+        "in the path of the robot; low: recall of objects 5 to 10 cm high within 3 m."
     )
     tasks = [
         Task(recording, folder, PRESETS[name], 0 if i or recording.least_height_m else WORST)
