@@ -1,4 +1,4 @@
-"""Labelled real recordings: where they are, and what is known of their frames."""
+"""Labelled real recordings, and the labels of their frames."""
 
 import re
 from collections.abc import Iterator, Sequence
@@ -14,39 +14,39 @@ from jaxdet.errors import InputError
 from jaxdet.types import Calibration
 
 BESIDE = Path(__file__).parents[3] / "shared" / "data"
-"""Where recordings are looked for unless folders are named."""
+"""Default folder of recordings."""
 BOXES = stills.LABELS
-"""Boxes labelled for this project, a text file a recording."""
+"""Folder of labelled boxes, with a text file per recording."""
 KINDS = ("obstacle", "ignore")
 TABLE = ("tabletop", "wheeled")
-"""Presets that are compared where a table top is the ground."""
+"""Presets that are compared if the ground is a table top."""
 
 
 class Recording(NamedTuple):
-    """A recording and its labels."""
+    """Recording and its labels."""
 
     name: str
     place: str
-    """The log, or the folder of stills, under the folder of recordings."""
+    """Path of the log, or of the folder of images, in the folder of recordings."""
     least_iou: float
-    """Least overlap of a detection and its object."""
+    """Minimum IoU of a detection and its object."""
     images: str = ""
-    """Folder of label images beside it; by default the boxes of :data:`BOXES` under its name."""
+    """Folder of label images next to it; default: its file of boxes in :data:`BOXES`."""
     least_pixels: int = 1
-    """Objects of fewer pixels are not asked for (label images)."""
+    """Minimum number of pixels of a required object (label images)."""
     least_height_m: float = 0.0
-    """Lower objects are neither missed nor false (label images)."""
+    """Minimum height of objects; lower ones are ignored (label images) [m]."""
     learnt: bool = True
-    """Frames that are not held out are learnt from where they show what is one thing."""
+    """Whether frames that are not held out are used for training."""
     group: str = ""
-    """Recordings of a group are reported together."""
+    """Group whose recordings are reported together."""
     held_out: int = 0
-    """Frames whose number leaves this less 1 over when divided by it are held out; 0: none."""
+    """Every n-th frame is held out, ``frame % n == n - 1``; 0: none."""
     presets: tuple[str, ...] = ("wheeled", "paper")
-    """Presets that are compared; pictures show the first."""
+    """Presets that are compared; pictures show the first one."""
 
     def holds_out(self, frame: int) -> bool:
-        """Whether the frame of this number is held out."""
+        """Return whether the frame with this number is held out."""
         return self.held_out > 0 and frame % self.held_out == self.held_out - 1
 
 
@@ -91,11 +91,11 @@ RECORDINGS = (
 def find_recordings(
     places: Sequence[Path], names: Sequence[str] = ()
 ) -> list[tuple[Recording, Path]]:
-    """The labelled recordings that are there, with their folder.
+    """Return the labelled recordings that exist, with their folders.
 
     Args:
-        places: Folders of recordings, or recordings' own folders.
-        names: Beginnings of the names or groups of those to look for; by default all.
+        places: Folders of recordings, or folders of single recordings.
+        names: Beginnings of names or groups of recordings; default: all.
     """
     starts = tuple(names) or ("",)
     folders = [folder for place in places for folder in (place, place.parent)]
@@ -111,14 +111,14 @@ def find_recordings(
 def labels_of(
     recording: Recording, folder: Path, frame: int, z_m: np.ndarray, calibration: Calibration
 ) -> FrameLabels | None:
-    """What is known of a frame, None where it has no label.
+    """Return the labels of a frame, None without labels.
 
     Args:
-        recording: Of :data:`RECORDINGS`.
-        folder: Its folder.
-        frame: The frame's number in the log.
-        z_m: ``(H, W)`` float, its forward depth at the colour pixels [m], 0 = none.
-        calibration: Of the log.
+        recording: Recording in :data:`RECORDINGS`.
+        folder: Folder of the recording.
+        frame: Number of the frame in the log.
+        z_m: Forward depth at the colour pixels, ``(H, W)`` float [m], 0 for no depth.
+        calibration: Calibration of the log.
     """
     camera = calibration.image
     if recording.images:
@@ -140,17 +140,17 @@ class FrameBoxes(NamedTuple):
     """Labelled boxes of a frame with ``T`` obstacles."""
 
     boxes: np.ndarray
-    """``(T, 4)`` int64, boxes of the obstacles [pixel]."""
+    """Boxes of the obstacles, ``(T, 4)`` int64 [pixel]."""
     distance_m: np.ndarray
-    """``(T,)`` float64 [m]."""
+    """Distances of the obstacles, ``(T,)`` float64 [m]."""
     ignored: np.ndarray
-    """``(I, 4)`` int64, ignored regions [pixel]."""
+    """Ignored regions, ``(I, 4)`` int64 [pixel]."""
     tags: tuple[frozenset[str], ...]
     """Tags of each obstacle, such as ``low`` (labels/RULE.md has them)."""
 
 
 class _Row(NamedTuple):
-    """A line of labels."""
+    """Line of a file of labels."""
 
     box: list[int]
     distance_m: float
@@ -159,7 +159,7 @@ class _Row(NamedTuple):
 
 
 def read_boxes(path: Path) -> dict[int, FrameBoxes]:
-    """Boxes of a recording's frames, by their number.
+    """Return the boxes of a recording, by frame number.
 
     Raises:
         InputError: A line is not ``frame u_min v_min u_max v_max distance_m kind name [tags]``,
@@ -183,7 +183,7 @@ def read_boxes(path: Path) -> dict[int, FrameBoxes]:
 
 
 def _tags(name: str) -> frozenset[str]:
-    """Tags behind a name: ``low`` and ``cut`` of ``board [low,cut]``."""
+    """Return the tags after a name: ``low`` and ``cut`` of ``board [low,cut]``."""
     tags = re.search(r"\[([a-z, ]+)\]\s*$", name)
     return frozenset(tag.strip() for tag in tags[1].split(",")) if tags else frozenset()
 
@@ -199,7 +199,7 @@ def _frame_boxes(rows: list[_Row]) -> FrameBoxes:
 
 
 def read_names(path: Path) -> dict[int, list[str]]:
-    """Return the names of the obstacles of a recording's frames, in the order of their boxes."""
+    """Return the names of the obstacles by frame, in the order of their boxes."""
     names: dict[int, list[str]] = {}
     for line in path.read_text(encoding="utf-8").splitlines():
         if line.strip() and not line.startswith("#"):

@@ -3,7 +3,7 @@
 Each scene is a folder with ``image/*.jpg``, ``depth/*.png`` (aligned to the image, its bits rotated
 by three), ``intrinsics.txt``, ``extrinsics/*.txt`` (the rotation that makes the camera level),
 ``scene.txt`` and, if it is labelled, ``annotation2Dfinal/index.json`` with a polygon and a name for
-each thing. ``depth_bfx``, whose holes are filled, is not read: a robot measures no filled holes.
+each object. ``depth_bfx`` is not read, since its holes are filled.
 ``labels/sunrgbd.json`` lists public repositories that hold scenes.
 """
 
@@ -23,66 +23,66 @@ from jaxdet.types import Calibration, Frames, Intrinsics
 LABELS = "annotation2Dfinal/index.json"
 UNIT_M = 0.001
 FLOORS = frozenset({"floor", "ground", "carpet", "rug", "mat", "floormat", "bathmat", "doormat"})
-"""Last words of names that are the floor."""
+"""Last words of names of the floor."""
 ROOM = (
     "wall", "ceiling", "pillar", "column", "beam", "stair", "staircase", "step", "railing", "room",
     "door", "doorway", "doorframe", "doorknob", "window", "windowsill", "sill", "frame", "blind",
     "curtain", "pipe", "vent", "airvent", "hole", "background", "unknown", "other", "object",
 )  # fmt: skip
-"""Last words of names that are parts of the room, or nothing."""
+"""Last words of names of parts of the room, or of nothing."""
 HANGING = (
     "board", "whiteboard", "blackboard", "bulletin", "picture", "painting", "poster", "photo",
     "mirror", "light", "lightswitch", "switch", "outlet", "socket",
 )  # fmt: skip
-"""Last words of names that hang on walls and ceilings."""
+"""Last words of names of objects on walls and ceilings."""
 NO_THINGS = frozenset(ROOM + HANGING)
-"""Last words of names that are no things to be found."""
+"""Last words of names of objects that are not required."""
 MAX_DEPTH_M = 3.0
-"""Things whose near surface is farther are neither missed nor false; the range of ``paper``."""
+"""Maximum distance of the near surface of objects that count: the range of ``paper`` [m]."""
 MIN_SIDE = 16 / 640
-"""Minimum width and height of a thing's box, as a share of the image's width."""
+"""Minimum width and height of the box of an object, as a fraction of the image width."""
 STANDS_M, LOWEST = 0.15, 0.01
-"""Things stand on the floor if this quantile of their heights is at most this [m]."""
+"""Quantile of the heights of an object, and its maximum for objects that stand on the floor [m]."""
 
 
 class Polygon(NamedTuple):
-    """A labelled outline."""
+    """Labelled outline."""
 
     name: str
     points: np.ndarray
-    """Corners ``(P, 2)`` float64, u and v [pixel]; they can be outside of the image."""
+    """Corners ``(P, 2)`` float64, u and v [pixel]; they may be outside of the image."""
 
     @property
     def last_word(self) -> str:
-        """Noun that decides what the name stands for, in lower case, singular, without a number."""
+        """Noun that decides the kind of object, in lower case, singular, without a number."""
         words = "".join(c if c.isalpha() else " " for c in self.name.lower()).split()
         word = words[-1] if words else "unknown"
         return word[:-1] if word.endswith("s") and not word.endswith("ss") else word
 
     @property
     def is_floor(self) -> bool:
-        """Whether it outlines floor."""
+        """Whether this is an outline of floor."""
         return self.last_word in FLOORS
 
     @property
     def is_thing(self) -> bool:
-        """Whether it outlines a thing that can be found."""
+        """Whether this is an outline of an object that can be detected."""
         return not self.is_floor and self.last_word not in NO_THINGS
 
 
 class SunScene(NamedTuple):
-    """A scene."""
+    """Scene of the dataset."""
 
     name: str
-    """Path of its folder under the root."""
+    """Path of its folder, relative to the root."""
     frames: Frames
-    """One frame, depth aligned to colour, without a plane."""
+    """Frame with depth aligned to colour, without a plane."""
     down: np.ndarray | None
-    """Direction of gravity in the camera's optical frame ``(3,)`` float64, if it is there."""
+    """Direction of gravity in the optical frame, ``(3,)`` float64; None if unknown."""
     kind: str
-    """The room, such as ``office``; empty if unknown."""
+    """Kind of room, such as ``office``; empty if unknown."""
     polygons: tuple[Polygon, ...] | None
-    """None if the scene has no labels."""
+    """Labelled outlines; None without labels."""
 
 
 def find_scenes(root: Path) -> list[Path]:
@@ -154,7 +154,7 @@ def read_polygons(path: Path) -> tuple[Polygon, ...]:
     """Return the outlines of an ``index.json``; those without a name or an area are left out.
 
     Raises:
-        InputError: The file is no such labels (in the dataset, one name has stray quotes).
+        InputError: The file does not contain labels (in the dataset, one name has stray quotes).
     """
     try:
         read = json.loads(path.read_text(encoding="utf-8"))
@@ -167,7 +167,7 @@ def read_polygons(path: Path) -> tuple[Polygon, ...]:
 
 
 def _polygon(read: dict[str, Any] | None, names: list[str]) -> Polygon | None:
-    """Return an outline, None if it has less than three corners or no object."""
+    """Return an outline; None with fewer than three corners or without an object."""
     if not read or "object" not in read:
         return None
     points = np.stack([np.atleast_1d(np.array(read[axis], np.float64)) for axis in "xy"], axis=1)
@@ -176,15 +176,15 @@ def _polygon(read: dict[str, Any] | None, names: list[str]) -> Polygon | None:
 
 
 def labels_of_scene(scene: SunScene, standing: bool) -> FrameLabels:
-    """Return what is known of a labelled scene.
+    """Return the labels of a scene.
 
-    A thing is asked for if its near surface is within ``MAX_DEPTH_M`` and its box is not tiny. All
-    else but the floor is unknown: detections there are neither right nor wrong.
+    An object is required if its near surface is within ``MAX_DEPTH_M`` and its box is not tiny.
+    Detections outside of required objects and floor are ignored.
 
     Args:
-        scene: Has polygons.
-        standing: Whether only things that stand on the floor are asked for; things on a table are
-            unknown then. Without labelled floor that has a depth, none is known to stand.
+        scene: Scene with polygons.
+        standing: Whether only objects that stand on the floor are required, and objects on a table
+            are ignored. Without labelled floor that has a depth, no object is required.
     """
     assert scene.polygons is not None
     depth, camera = scene.frames.depth[0], scene.frames.calibration.image
@@ -216,7 +216,7 @@ def labels_of_scene(scene: SunScene, standing: bool) -> FrameLabels:
 
 
 def _mask(points: np.ndarray, height: int, width: int) -> np.ndarray:
-    """Return the pixels inside of an outline, ``(H, W)`` bool."""
+    """Return the pixels inside an outline, ``(H, W)`` bool."""
     mask = np.zeros((height, width), np.uint8)
     cv2.fillPoly(mask, [np.rint(points).astype(np.int32)], 1)
     return mask > 0
