@@ -42,7 +42,7 @@ MAX_DEPTH_M = 3.0
 MIN_SIDE = 16 / 640
 """Minimum width and height of the box of an object, as a fraction of the image width."""
 STANDS_M, LOWEST = 0.15, 0.01
-"""Quantile of the heights of an object, and its maximum for objects that stand on the floor [m]."""
+"""Objects stand on the floor if this quantile of their heights is at most ``STANDS_M`` [m]."""
 
 
 class Polygon(NamedTuple):
