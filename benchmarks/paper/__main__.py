@@ -1,12 +1,12 @@
-"""``python -m benchmarks.paper``: all experiments, one report."""
+"""``python -m benchmarks.paper``: the experiments of the paper, in one report."""
 
 import os
 import sys
 
 
 def start() -> int:
-    """Reads the command line and runs; workers inherit the environment."""
-    # Before NumPy is loaded: as many workers as cores need one thread each.
+    """Parse the command line and run; workers inherit the environment."""
+    # This must precede the import of NumPy: with one worker per core, each needs one thread.
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
     import tyro

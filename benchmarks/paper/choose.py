@@ -1,8 +1,8 @@
-"""The settings that the paper leaves open, chosen as the baselines' are: grid, then search.
+"""Choice of the parameters that the paper does not state, by a grid and a search.
 
-The paper prints Canny's bounds as examples, and neither N nor the corners' distance nor d_z and
-d_x. ``python -m benchmarks.paper.choose`` tries them on the tuning seeds and prints the best;
-:mod:`jaxdet.presets` has what it chose.
+The paper states examples of Canny thresholds, but not N, the distance of corners, d_z and d_x.
+``python -m benchmarks.paper.choose`` tries values on the tuning seeds, as for the baselines, and
+prints the best, which :mod:`jaxdet.presets` contains.
 """
 
 import math
@@ -33,7 +33,7 @@ FIRST = {
     "depth_gap_m": 0.1,
     "lateral_gap_m": 0.4,
 }
-"""What the preset had before (297f469), by guess."""
+"""Values of the preset before the choice (297f469), which were guesses."""
 JUDGED: dict[str, dict[str, Any]] = {
     "first values": FIRST,
     "first values, N = 3": FIRST | {"min_points": 3},
@@ -41,7 +41,7 @@ JUDGED: dict[str, dict[str, Any]] = {
     "preset paper with d_z 0.10, d_x 0.40": {"depth_gap_m": 0.1, "lateral_gap_m": 0.4},
     "preset paper": {},
 }
-"""Variants that are evaluated on the held-out seeds; no setting is chosen by them."""
+"""Variants that are evaluated on the held-out seeds, on which no parameter is chosen."""
 GRID: dict[str, tuple[Any, ...]] = {
     "canny_high": (100.0, 150.0, 200.0, 300.0),
     "min_distance": (2.0, 3.0, 5.0, 7.0),
@@ -49,28 +49,27 @@ GRID: dict[str, tuple[Any, ...]] = {
     "depth_gap_m": (0.05, 0.1, 0.2, 0.4),
     "lateral_gap_m": (0.2, 0.4, 0.6),
 }
-"""Values that the search begins with. Canny's lower bound is half of the upper one, as in all
-bounds that the paper prints."""
+"""Values of the grid. The lower Canny threshold is half of the upper one, as in the paper."""
 QUANTILES = (0.80, 0.85, 0.90, 0.95)
-"""Of a frame's gradients: laws for Canny's upper bound, tried on the tuning seeds."""
+"""Quantiles of the gradients of a frame, tried as upper Canny threshold on the tuning seeds."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """Choose the preset paper's settings on the tuning seeds."""
+    """Choose the parameters of the preset paper on the tuning seeds."""
 
     frames: Path
-    """Folder that keeps the simulated frames."""
+    """Folder in which simulated frames are stored."""
     seeds: int = len(TUNING_SEEDS)
-    """Tuning seeds used; the full report tunes the baselines on as many."""
+    """Number of tuning seeds; the full report tunes the baselines on as many."""
     judge: bool = False
-    """Choose nothing; compare the preset with its first values on seeds used for nothing else."""
+    """Choose nothing; compare the preset with its first values on the held-out seeds."""
     laws: bool = False
-    """Choose nothing; compare bounds that follow each frame's gradients, on the tuning seeds."""
+    """Choose nothing; compare thresholds at quantiles of each frame's gradients."""
 
 
 def main(options: Options) -> None:
-    """Print every better trial, then the best; or the figures on the seeds kept apart."""
+    """Print each trial that is better than those before, then the best; or compare."""
     start_worker()
     start, store = time.perf_counter(), Store(options.frames)
     if options.judge:
@@ -103,12 +102,12 @@ def main(options: Options) -> None:
 
 
 def _specs(seeds: Sequence[int]) -> list[Spec]:
-    """One frame of each scene and seed in each light."""
+    """Return one frame per scene, seed and light."""
     return [Spec(scene, seed, 1, light) for scene, seed, light in product(SCENES, seeds, LIGHTS)]
 
 
 def _print(name: str, specs: Sequence[Spec], tallies: Sequence[Tally]) -> None:
-    """Prints figures with intervals, in all lights and in each; a scene is a unit."""
+    """Print figures with intervals over scenes, for all lights together and for each."""
     for light in (None, *LIGHTS):
         units: dict[tuple[str, int], list[Tally]] = {}
         for spec, tally in zip(specs, tallies, strict=True):

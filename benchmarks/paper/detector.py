@@ -26,7 +26,7 @@ SIDE = 512
 MIN_SCORE = 0.3
 """Minimum score of a detection, that of CenterNet's own demonstration."""
 CLASSES = {"person": 0, "chair": 56}
-"""Numbers of classes of COCO."""
+"""Classes of COCO by number."""
 IMAGES, DETECTIONS = "tower_0/images:0", "tower_0/detections:0"
 FUSED = {"_FusedConv2D": "Conv2D", "FusedDepthwiseConv2dNative": "DepthwiseConv2dNative"}
 OPS = frozenset((
@@ -35,7 +35,7 @@ OPS = frozenset((
     "Placeholder", "Relu", "Relu6", "Reshape", "ResizeBilinear", "Sigmoid", "StridedSlice", "Sub",
     "TopKV2",
 ))  # fmt: skip
-"""Operations of the graph; a file with others, which could read files, is refused."""
+"""Operations of the graph; files with other operations, which could read files, are refused."""
 
 
 class Detected(NamedTuple):
@@ -52,7 +52,7 @@ Detector = Callable[[np.ndarray], Detected]
 
 
 def why_absent(folder: Path | None) -> str:
-    """Return why the detector can't run, empty if it can."""
+    """Return the reason why the detector can't run; empty if it can."""
     if folder is None:
         return "no folder with centernet.json was named (--detector FOLDER)"
     if not (folder / "centernet.json").is_file():
@@ -110,7 +110,7 @@ def to_pixels(rows: np.ndarray, shape: tuple[int, ...]) -> Detected:
 
 
 def _weights(manifest: list[dict[str, Any]], path: Path) -> dict[str, np.ndarray]:
-    """Return the constants by name; floats are kept as float16 in the file."""
+    """Return the constants by name; floats are stored as float16."""
     read, first, found = path.read_bytes(), 0, {}
     for one in manifest:
         stored = np.dtype(one.get("quantization", one)["dtype"])

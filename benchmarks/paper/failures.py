@@ -1,4 +1,4 @@
-"""The worst frames of ours, pictured, and why obstacles were missed."""
+"""Pictures of the worst frames of the default, and the causes of missed obstacles."""
 
 from collections import Counter
 from typing import NamedTuple
@@ -10,7 +10,7 @@ from benchmarks.paper.pictures import encode, grid, shot_picture, titled
 from benchmarks.paper.plan import DISTANCES_M, LIGHTS, SCENES
 from benchmarks.paper.section import Section, percent
 from benchmarks.paper.shots import Shot, Spec
-from benchmarks.paper.systems import OURS, Prepared, System, eval_config, found_by, tally_of
+from benchmarks.paper.systems import DEFAULT, Prepared, System, eval_config, found_by, tally_of
 from benchmarks.paper.table4_distance import specs_of
 from jaxdet.camera import cell_side
 from jaxdet.config import Config
@@ -19,14 +19,14 @@ from jaxdet.eval.frame import objects_of, points_of
 from jaxdet.types import Detections
 
 NEAR_M = 2.0
-"""Obstacles missed nearer than this are pictured first."""
+"""Frames with an obstacle missed within this distance are shown first [m]."""
 
 FEW_POINTS = 2
-"""Corners and sampled cells: of the least obstacle eight cells are seen, a fourth are points."""
+"""Maximum number of points (corners and sampled cells) of an obstacle with too few points."""
 
 
 class Failure(NamedTuple):
-    """A frame with mistakes."""
+    """Frame with errors."""
 
     spec: Spec
     number: int
@@ -34,14 +34,14 @@ class Failure(NamedTuple):
 
     @property
     def mistakes(self) -> float:
-        """Missed obstacles and false detections."""
+        """Number of missed obstacles and false detections."""
         return self.tally.visible - self.tally.found + self.tally.false
 
 
 def run(lab: Lab) -> Section:
-    """Failing scenes: counts of causes over all test frames, and pictures of the worst."""
-    section = Section("failures", "Where ours fails")
-    system = next(system for system in lab.systems if system.name == OURS)
+    """Count the causes of errors in all test frames, and show the worst frames."""
+    section = Section("failures", "Errors of the default")
+    system = next(system for system in lab.systems if system.name == DEFAULT)
     failed = _failures(lab)
     causes = {light: Counter[str]() for light in LIGHTS}
     missed: list[str] = []
@@ -55,7 +55,7 @@ def run(lab: Lab) -> Section:
         )
         rest = failure.tally.false - failure.tally.splits
         causes[failure.spec.light]["false: anything else"] += int(rest)
-    frames = sum(len(by[OURS]) for by in lab.scores.values())
+    frames = sum(len(by[DEFAULT]) for by in lab.scores.values())
     section.say(
         f"{len(failed)} of {frames} test frames have a missed obstacle or a false detection "
         f"({percent(len(failed) / frames)}). Missed, by kind: "
@@ -75,20 +75,20 @@ def run(lab: Lab) -> Section:
 
 
 def _failures(lab: Lab) -> list[Failure]:
-    """All test frames with mistakes, the worst first."""
+    """Return all test frames with errors, the worst first."""
     each = lab.counts.scenes
     failed = [
         Failure(lab.spec(scene, lab.seeds[i // each], each, light), i % each, tally)
         for scene in SCENES
         for light in LIGHTS
-        for i, tally in enumerate(lab.scores[scene, light][OURS])
+        for i, tally in enumerate(lab.scores[scene, light][DEFAULT])
     ]
     failed = [failure for failure in failed if failure.mistakes > 0]
     return sorted(failed, key=lambda failure: -failure.mistakes)
 
 
 def reasons(shot: Shot, system: System, tally: Tally) -> list[tuple[int, str]]:
-    """Why each missed obstacle of a frame was missed: its number and the cause."""
+    """Return the number of each missed obstacle of a frame, and the cause."""
     missed = [case.number for case in tally.cases if not case.found]
     if not missed:
         return []
@@ -116,7 +116,7 @@ def _reason(found: Detections, shot: Shot, number: int, config: Config) -> str:
 
 
 def _pictures(section: Section, lab: Lab, system: System, failed: list[Failure]) -> None:
-    """The worst of each light in turn, each scene once."""
+    """Return the worst frames of each light in turn, each scene once."""
     pictures = []
     for failure in worst_of(failed, lab.counts.worst):
         shot, tally = lab.load([failure.spec])[failure.number], failure.tally
@@ -133,7 +133,7 @@ def _pictures(section: Section, lab: Lab, system: System, failed: list[Failure])
 
 
 def worst_of(failed: list[Failure], count: int) -> list[Failure]:
-    """The worst frames of each light in turn, no scene twice."""
+    """Add pictures of the worst frames of each light in turn, each scene once."""
     chosen: list[Failure] = []
     seen: set[tuple[str, int, int]] = set()
     for light in LIGHTS:
@@ -148,13 +148,13 @@ def worst_of(failed: list[Failure], count: int) -> list[Failure]:
 
 
 def _text(causes: list[tuple[int, str]]) -> str:
-    """The causes, each once with how often."""
+    """Return the causes with their counts, as text."""
     counted = Counter(cause.removeprefix("missed: ") for _, cause in causes)
     return "; ".join(f"{cause} ({n})" for cause, n in counted.items())
 
 
 def _near(section: Section, lab: Lab, system: System) -> None:
-    """Table 4's misses within two metres, the dangerous ones."""
+    """Add the number of obstacles of Table 4 that were missed within two metres."""
     if "table4" not in lab.sections:
         return
     cells = [(d, light) for d in DISTANCES_M if d <= NEAR_M for light in LIGHTS]

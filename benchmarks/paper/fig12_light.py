@@ -1,4 +1,4 @@
-"""Fig. 12: detection by illumination, and the time of the whole process."""
+"""Fig. 12: detection by illumination, and the time of the complete detection."""
 
 from functools import partial
 
@@ -10,7 +10,7 @@ from benchmarks.paper.measure import Measured, measured
 from benchmarks.paper.plan import LIGHTS
 from benchmarks.paper.section import Section, number, percent
 from benchmarks.paper.shots import frames_of
-from benchmarks.paper.systems import OURS, PAPER, RULE
+from benchmarks.paper.systems import DEFAULT, PAPER, RULE
 from benchmarks.paper.timing import in_turns, split_batch
 from jaxdet.config import Config
 from jaxdet.pipeline import BackendName, detect
@@ -18,18 +18,18 @@ from jaxdet.presets import preset
 from jaxdet.sim import exposure
 from jaxdet.types import Detections, Frames
 
-ROWS = (PAPER, RULE, "hierarchical_ward", "rsc", "dbscan", OURS)
+ROWS = (PAPER, RULE, "hierarchical_ward", "rsc", "dbscan", DEFAULT)
 """Systems of the plot."""
 FIGURES = {"accuracy": "ACC", "fmi": "FMI", "f1": "F1"}
 
 
 def run(lab: Lab) -> Section:
-    """Fig. 12 (a) ACC, (b) FMI, (c) time of the whole process, in four lights; and F1."""
+    """Fig. 12 (a) ACC, (b) FMI, (c) time of the complete detection, in four lights; and F1."""
     section = Section("fig12", "Fig. 12: detection by illumination")
     section.say(
-        f"The same simulated scenes in four lights: {_levels()}; the paper gives no levels. It "
-        "prints an ACC of 91.72 % in normal and 71.4 % in dim light, the other bars of its figure "
-        "have no numbers. They stand next to the preset paper, which is its method."
+        f"The same simulated scenes in four lights: {_levels()}; the paper gives no levels. Its "
+        "ACC is 91.72 % in normal and 71.4 % in dim light; the other bars of its figure have no "
+        "numbers. These two values are shown with the preset paper, which is its method."
     )
     names = [system.name for system in lab.systems]
     titles = {system.name: system.title for system in lab.systems}
@@ -61,13 +61,13 @@ def run(lab: Lab) -> Section:
         plots.bars(ax, LIGHTS, series, label)
         ax.set_ylim(0, 1)
     plots.legend(shown, axes[0], 4)
-    section.picture("light", plots.png(shown), "By illumination; diamonds are the paper's ACC.")
+    section.picture("light", plots.png(shown), "By illumination; diamonds: ACC in the paper.")
     _time(section, lab)
     return section
 
 
 def _levels() -> str:
-    """``strong 30 000 lx, normal 500 lx``, and so on."""
+    """Return the levels as ``strong 30 000 lx, normal 500 lx``, and so on."""
     levels = ((light, f"{exposure.LIGHTS[light].lux:,.0f}".replace(",", " ")) for light in LIGHTS)
     return ", ".join(f"{light} {lux} lx" for light, lux in levels)
 
@@ -96,7 +96,7 @@ def _time(section: Section, lab: Lab) -> None:
         rows.append([light, *(f"{np.median(ms):.1f}" for ms in times.values())])
     caption = (
         "Fig. 12 (c): complete detection [ms] by the preset paper (reference and JAX) and by the "
-        "default, one frame at a time on the CPU of this machine; the paper has 53 ms on a TX2."
+        "default, one frame at a time on the CPU of this machine; the paper: 53 ms on a TX2."
     )
     section.table(["Light", *titles.values()], rows, caption)
 

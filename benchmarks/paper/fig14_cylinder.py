@@ -1,4 +1,4 @@
-"""Fig. 14: how exactly a cylinder of 9 cm diameter is measured, by distance and illumination."""
+"""Fig. 14: errors on a cylinder of 9 cm diameter, by distance and illumination."""
 
 from typing import NamedTuple
 
@@ -8,35 +8,35 @@ from benchmarks.paper import paper_figures, plots
 from benchmarks.paper.lab import Lab
 from benchmarks.paper.plan import DISTANCES_M, LIGHTS
 from benchmarks.paper.section import Section, bootstrap
-from benchmarks.paper.systems import System, ours, paper
+from benchmarks.paper.systems import System, default, paper
 from jaxdet.eval import Tally, total
 
 NAMES = ("position", "width")
 
 
 class Errors(NamedTuple):
-    """Of one cell; a cylinder that was not found has an infinite error."""
+    """Errors of one cell; a cylinder that was not found has an infinite error."""
 
     position: np.ndarray
-    """``(n,)`` absolute error of the forward distance of point C [m]."""
+    """Absolute error of the forward distance of point C, ``(n,)`` [m]."""
     width: np.ndarray
-    """``(n,)`` absolute error of its width [m]."""
+    """Absolute error of the width, ``(n,)`` [m]."""
 
     def quantile(self, name: str, share: float) -> float:
-        """An order statistic, so that infinite errors don't spread by interpolation."""
+        """Return an order statistic, so that infinite errors don't spread by interpolation."""
         values = getattr(self, name)
         return float(np.quantile(values, share, method="higher")) if len(values) else float("nan")
 
 
 def errors_of(tally: Tally) -> Errors:
-    """The errors of all cylinders asked for."""
+    """Return the errors of all required cylinders."""
     every = np.array([(c.position_error_m, c.width_error_m) for c in tally.cases]).reshape(-1, 2)
     found = np.array([case.found for case in tally.cases], bool)
     return Errors(*np.where(found[:, None], np.abs(every), np.inf).T)
 
 
 def cells_of(lab: Lab, systems: list[System]) -> dict[tuple[str, float, str], Errors]:
-    """The errors in every cell, by system, distance and light."""
+    """Return the errors in every cell, by system, distance and light."""
     seeds = lab.seeds[: lab.counts.cylinder_seeds]
     keys = [(distance, light) for distance in DISTANCES_M for light in LIGHTS]
     specs = [
@@ -55,14 +55,14 @@ def cells_of(lab: Lab, systems: list[System]) -> dict[tuple[str, float, str], Er
 def run(lab: Lab) -> Section:
     """Fig. 14 (error of width and position of the 9 cm cylinder, four lights)."""
     section = Section("fig14", "Fig. 14: accuracy on a cylinder of 9 cm diameter")
-    systems = [ours(lab.config), paper()]
+    systems = [default(lab.config), paper()]
     cells = cells_of(lab, systems)
     section.say(
-        f"{lab.counts.cylinder_seeds} simulated scenes a cell. Position is the forward distance "
-        "of point C, width the lateral distance from A to B, both against the visible "
-        "surface. The table has the median and the 90th percentile of the absolute errors in "
-        "cm; a cylinder that was not found counts with an infinite error. The paper draws its "
-        f"figure without numbers; by its text: {paper_figures.CYLINDER}."
+        f"{min(lab.counts.cylinder_seeds, len(lab.seeds))} simulated scenes per cell. Position is "
+        "the forward distance of point C, width the lateral distance from A to B, both compared "
+        "with the visible surface. The tables have the median and the 90th percentile of the "
+        "absolute errors in cm; a cylinder that was not found has an infinite error. The figure of "
+        f"the paper has no numbers; its text states: {paper_figures.CYLINDER}."
     )
     for system in systems:
         _system(
@@ -103,7 +103,7 @@ def _system(section: Section, system: System, cells: dict[tuple[float, str], Err
         ax.set_xlabel("distance [m]")
         ax.set_ylim(bottom=0)
     plots.legend(figure, axes[0], 4)
-    caption = f"Errors of {system.title} on the cylinder; dotted the paper's bound of 2 cm."
+    caption = f"Errors of {system.title} on the cylinder; dotted: the 2 cm of the paper."
     section.picture(f"{system.name}_errors", plots.png(figure), caption)
 
 

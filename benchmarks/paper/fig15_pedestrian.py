@@ -1,4 +1,4 @@
-"""Fig. 15: a pedestrian on the map of a rolling robot."""
+"""Fig. 15: a pedestrian on the map of a moving robot."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -8,7 +8,7 @@ from benchmarks.paper.lab import Lab
 from benchmarks.paper.pictures import encode, frame_picture, grid, scaled
 from benchmarks.paper.section import Section, bootstrap, percent, wilson
 from benchmarks.paper.shots import Shot, frames_of
-from benchmarks.paper.systems import Prepared, System, found_by, ours, paper, tally_of
+from benchmarks.paper.systems import Prepared, System, default, found_by, paper, tally_of
 from jaxdet.eval import total
 from jaxdet.render import draw_map
 from jaxdet.results.metric import rectangles, to_world
@@ -26,18 +26,19 @@ def run(lab: Lab) -> Section:
     spec = lab.spec("pedestrian", seed, lab.counts.log_frames, log=True, rate_hz=RATE_HZ)
     shots = lab.load([spec])
     section.say(
-        f"A simulated log of {len(shots)} frames at {RATE_HZ:g} Hz: the robot rolls 1.6 m to and "
-        "fro, a person crosses at 1.2 m/s. The paper shows one scene and no figures."
+        f"A simulated log of {len(shots)} frames at {RATE_HZ:g} Hz: the robot moves 1.6 m "
+        "forward and back, and a person crosses at 1.2 m/s. The paper shows one scene and gives no "
+        "figures."
     )
-    for system in (ours(lab.config), paper()):
+    for system in (default(lab.config), paper()):
         _system(section, system, shots, seed)
     return section
 
 
 def _system(section: Section, system: System, shots: list[Shot], seed: int) -> None:
-    """Figures, pictures and maps of one system; the default's keys have no name before them."""
+    """Add the figures, pictures and maps of one system."""
     results = found_by(system, Prepared(shots))
-    config, prefix = system.config, "" if system.method == system.name else f"{system.name}."
+    config = system.config
     corners: list[np.ndarray] = []
     occupancy = OccupancyMap()
     tallies = []
@@ -50,25 +51,23 @@ def _system(section: Section, system: System, shots: list[Shot], seed: int) -> N
         occupancy.add(world.reshape(-1, 8).astype(np.float32))
         occupancy.add_path(shot.T_world_camera[None])
         tallies.append(tally_of(shot, found, config))
-    _figures(section, system, shots, tallies, prefix)
+    _figures(section, system, shots, tallies)
     pictures = []
     for index in np.linspace(0, len(shots) - 1, 4).round().astype(int).tolist():
         frame, found = frames_of([shots[index]]), results[index]
         title = f"pedestrian, frame {index}, {index / RATE_HZ:.1f} s"
         pictures.append(scaled(frame_picture(frame, found, config, title), 640))
-    caption = f"Fig. 15 (a), {system.title}: the walking person from the robot, four moments."
+    caption = f"Fig. 15 (a), {system.title}: the pedestrian as seen from the robot, in four frames."
     section.picture(f"{system.name}_frames", encode(grid(pictures, 2)), caption)
     _map(section, system, shots, corners, seed)
     image = occupancy.image()
     if image is not None:
         drawn = draw_map(image, "pedestrian")
-        caption = f"{system.title}: the same as the occupancy map of a run."
+        caption = f"{system.title}: the occupancy map of the run."
         section.picture(f"{system.name}_counts", encode(drawn), caption)
 
 
-def _figures(
-    section: Section, system: System, shots: list[Shot], tallies: list, prefix: str
-) -> None:
+def _figures(section: Section, system: System, shots: list[Shot], tallies: list) -> None:
     walker = shots[0].names.index(PERSON) + 1
     cases = [case for case in total(tallies).cases if case.number == walker]
     found = [case for case in cases if case.found]
@@ -76,19 +75,19 @@ def _figures(
     ends = wilson(len(found), len(cases))
     rate = len(found) / len(cases) if cases else float("nan")
     middle = float(np.median(off)) if len(off) else float("nan")
-    section.add(f"{prefix}person.found", rate, "", "higher", ends)
-    section.add(f"{prefix}person.position", middle, "m", "lower", bootstrap(off, 0.5))
+    section.add(f"{system.name}.person.found", rate, "", "higher", ends)
+    section.add(f"{system.name}.person.position", middle, "m", "lower", bootstrap(off, 0.5))
     section.say(
         f"{system.title}: the person was found in {len(found)} of the {len(cases)} frames in which "
-        f"it was to be found ({percent(rate, ends)}); the forward distance of its point C was off "
-        f"by {100 * middle:.1f} cm (median)."
+        f"it is required ({percent(rate, ends)}); the median error of the forward distance of its "
+        f"point C is {100 * middle:.1f} cm."
     )
 
 
 def _map(
     section: Section, system: System, shots: list[Shot], corners: list[np.ndarray], seed: int
 ) -> None:
-    """The map that navigation has (walls, by the scene), and on it what was detected."""
+    """Add the map of the walls with the detected outlines."""
     figure, axes = plots.canvas(1, 8, 5.6)
     ax = axes[0]
     scene = load_scene("pedestrian", seed)
@@ -107,12 +106,12 @@ def _map(
     ax.set_xlabel("world X [m]")
     ax.set_ylabel("world Y [m]")
     ax.legend(loc="upper left", fontsize=8, frameon=True)
-    caption = f"Fig. 15 (b), {system.title}: outlines on the map by Eq. 8-9, all frames."
+    caption = f"Fig. 15 (b), {system.title}: outlines of all frames on the map, by Eq. 8-9."
     section.picture(f"{system.name}_map", plots.png(figure), caption)
 
 
 def _true_outlines(ax: Axes, shots: list[Shot]) -> None:
-    """What stands still once, the person every half second."""
+    """Draw the true outlines: static objects once, the person every half second."""
     step = max(1, round(RATE_HZ / 2))
     label = "true outlines"
     for shot in shots[::step]:

@@ -14,7 +14,7 @@ from jaxdet.reference.paper._canny import canny, grey
 from jaxdet.render import canvas
 
 CONTOUR_PX = 3
-"""A corner this near to an object's edge in the truth is on the contour."""
+"""Maximum distance of corners on a contour from the true edge of an object [pixel]."""
 
 
 def run(lab: Lab) -> Section:
@@ -23,10 +23,10 @@ def run(lab: Lab) -> Section:
     ways = {"without": False, "with": True}
     shots = [shot for scene in SCENES for shot in lab.load(lab.test_specs(scene, "normal")[:4])]
     section.say(
-        f"Shi-Tomasi corners with the preset paper (no mask) on the grey image and on the Canny "
-        f"edges, {len(shots)} simulated frames in normal light. A corner is on a contour when it "
-        f"lies within {CONTOUR_PX} pixels of an object's edge in the truth. The paper shows two "
-        "pictures and no counts."
+        "Shi-Tomasi corners on the grey image and on the Canny edges, with the settings of the "
+        f"preset paper, in {len(shots)} simulated frames in normal light. A corner is on a contour "
+        f"if it is within {CONTOUR_PX} pixels of the true edge of an object. The paper shows two "
+        "pictures and gives no counts."
     )
     rows: list[list[str]] = []
     for name, on_edges in ways.items():
@@ -37,18 +37,18 @@ def run(lab: Lab) -> Section:
             section.add(f"{name}.{part}", float(share), "", "info")
         title = f"{name} Canny"
         rows.append([title, f"{counts[:, 0].mean():.0f}", *(percent(s) for s in shares)])
-    header = ["", "Corners a frame", "on contours", "inside objects", "on floor and background"]
+    header = ["", "Corners per frame", "on contours", "inside objects", "on floor and background"]
     section.table(header, rows)
     _time(section, shots)
     for shot in (shots[0], shots[-1]):
         views = [_view(shot, _corners(shot, way), f"{n} Canny") for n, way in ways.items()]
-        caption = f"Fig. 2: {shot.title}; all corners before any are dropped."
+        caption = f"Fig. 2: {shot.title}; all corners, also those on the floor."
         section.picture(shot.spec.family, encode(grid(views, 2)), caption)
     return section
 
 
 def _time(section: Section, shots: list[Shot]) -> None:
-    """Add the time of Shi-Tomasi and Harris, which the paper says is the slower one."""
+    """Add the times of Shi-Tomasi and of Harris, which is slower according to the paper."""
     config = preset("paper").features
     selection = config.max_corners, config.quality_level, config.min_distance
     images = [grey(shot.color) for shot in shots]
@@ -68,7 +68,7 @@ def _time(section: Section, shots: list[Shot]) -> None:
 
 
 def _corners(shot: Shot, on_edges: bool) -> np.ndarray:
-    """The preset paper's corners of the Canny edges or the grey image, ``(n, 2)`` column, row."""
+    """Return corners of the Canny edges or of the grey image, ``(n, 2)`` column and row."""
     config, image = preset("paper").features, grey(shot.color)
     if on_edges:
         image = canny(image, config.canny_low, config.canny_high)
@@ -77,7 +77,7 @@ def _corners(shot: Shot, on_edges: bool) -> np.ndarray:
 
 
 def _counts(shot: Shot, corners: np.ndarray) -> tuple[int, int, int, int]:
-    """Corners: all, on contours, inside objects, elsewhere."""
+    """Return the numbers of corners: all, on contours, inside objects, elsewhere."""
     solid = np.concatenate([[False], ~shot.truth.is_wall])
     number = shot.truth.obstacle_id[0].astype(np.uint8)
     shown = np.where(solid[number], number, 0).astype(np.uint8)

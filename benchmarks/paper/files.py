@@ -1,4 +1,4 @@
-"""Files of a run: simulated frames, and the results of tasks, so that a stopped run continues."""
+"""Files from which a stopped run continues: simulated frames and the results of tasks."""
 
 import hashlib
 import pickle
@@ -22,16 +22,16 @@ def load(path: Path) -> Any:
 
 
 class KeptTask(NamedTuple):
-    """A task whose result is kept in a file."""
+    """Task whose result is stored in a file."""
 
     folder: Path
     function: Callable[[Any], Any]
     item: Any
-    """Argument of the function; equal texts (``repr``) stand for equal items."""
+    """Argument of the function; items are equal if their ``repr`` is."""
 
 
 def run_kept(task: KeptTask) -> Any:
-    """Return the result of a task, which is computed unless its file is there."""
+    """Return the result of a task; it is computed unless its file exists."""
     name = f"{task.function.__module__}.{task.function.__qualname__}"
     key = hashlib.sha256(f"{name} {task.item!r}".encode()).hexdigest()[:24]
     path = task.folder / f"{key}.result"
@@ -43,7 +43,7 @@ def run_kept(task: KeptTask) -> Any:
 
 
 def fingerprint(*folders: Path) -> str:
-    """Return a name for the state of the source files and tables in some folders, or files."""
+    """Return a checksum of the source files and tables in some folders, or of files."""
     files = [f for each in folders for f in ([each] if each.is_file() else each.rglob("*"))]
     suffixes = {".py", ".h", ".npz", ".json", ".txt", ".toml"}
     sources = sorted(f for f in files if f.suffix in suffixes and "__pycache__" not in f.parts)

@@ -1,4 +1,4 @@
-"""The findings of the paper, each next to the figures of the run, with a verdict."""
+"""Findings of the paper, with the figures of the run and a verdict."""
 
 import math
 from collections.abc import Callable, Iterable
@@ -19,7 +19,7 @@ INACCURACY_M = 0.02
 
 
 class Finding(NamedTuple):
-    """A finding and what the run has of it."""
+    """Finding of the paper, and the result of the run."""
 
     key: str
     place: str
@@ -27,7 +27,7 @@ class Finding(NamedTuple):
     shown: str = ""
     """Figures of the run."""
     holds: bool | None = None
-    """None: the run lacks the figures."""
+    """Whether the finding is confirmed; None if the run has no figures for it."""
 
     @property
     def verdict(self) -> str:
@@ -72,15 +72,14 @@ class Figures:
 
 
 def run(lab: Lab) -> Section:
-    """List the findings of the paper, 'not run' if the run lacks their experiment."""
+    """List the findings of the paper; without their experiment they are 'not run'."""
     section = Section("findings", "Findings of the paper: which hold in this run")
     section.say(
-        "The preset is the paper's complete method on its own corners, the rule its Section 3.4 "
-        "alone on the same points as RSC and the traditional method. A finding about a level holds "
-        "if the 95 % interval reaches it, one about an order if the values have that order; ACC "
-        "and FMI are compared with obstacles joined as the paper defines them. "
-        "jaxdet/help/paper.md (jaxdet help paper) judges every statement of the paper, with the "
-        "reasons."
+        "The preset is the complete method of the paper on its own corners; the rule is its "
+        "Section 3.4 alone, on the same points as RSC and the traditional method. A level is "
+        "confirmed if the 95 % interval reaches it, an order if the values have this order. For "
+        "orders of ACC and FMI, obstacles are joined as the paper defines them. `jaxdet help "
+        "paper` (jaxdet/help/paper.md) has a verdict on every statement of the paper, with reasons."
     )
     figures = Figures(figure for one in lab.sections.values() for figure in one.figures)
     found = findings_of(figures)
@@ -114,7 +113,7 @@ def _level(key: str, bound: float) -> Judge:
 
 def _above(rival: str, figure: str = "accuracy") -> Judge:
     """Judge whether the rule is above a rival if obstacles are joined as the paper defines them."""
-    kinds = {"": "each thing", "joined.": "joined", "negatives.": "with negatives"}
+    kinds = {"": "every object", "joined.": "joined", "negatives.": "with negatives"}
     if figure != "accuracy":
         del kinds["negatives."]
 
@@ -212,10 +211,8 @@ def _gaps(f: Figures) -> Judged:
 
 def _dim_corners(f: Figures) -> Judged:
     low, high = CANNY_BOUNDS[0]
-    counts = [f.value(f"section6.canny.{low}-{high}.{i}.corners") for i in ("normal", "dim")]
-    return f"{counts[0]:.0f} and {counts[1]:.0f} with bounds {low} and {high}", counts[1] < counts[
-        0
-    ]
+    normal, dim = (f.value(f"section6.canny.{low}-{high}.{i}.corners") for i in ("normal", "dim"))
+    return f"{normal:.0f} and {dim:.0f} with thresholds {low} and {high}", dim < normal
 
 
 def _small_gap(f: Figures) -> Judged:
@@ -247,11 +244,11 @@ FINDINGS: tuple[tuple[str, str, str, Judge], ...] = (
     ("approach", "Table 4", "the nearer, the more is found", _approached),
     ("cylinder", "Fig. 14", "error of at most 2 cm within 3 m in normal light", _cylinder),
     ("person", "Fig. 15", "a pedestrian is found", _level(f"fig15.{PAPER}.person.found", 0.9)),
-    ("canny.time", "Table 5", "higher bounds of Canny are faster", _bounds),
+    ("canny.time", "Table 5", "higher Canny thresholds are faster", _bounds),
     ("canny.success", "Table 5", "without affecting the success rate", _success),
-    ("gaps", "Section 6", "a small d_z divides things, a large one groups them", _gaps),
+    ("gaps", "Section 6", "a small d_z divides objects, a large one joins them", _gaps),
     ("corners.dim", "Section 6", "fewer feature points in dim light", _dim_corners),
-    ("gap.dim", "Section 6", "a too small d_z costs successes in dim light", _small_gap),
-    ("edges", "Fig. 2", "Canny first: fewer corners inside of objects, more on contours", _edges),
+    ("gap.dim", "Section 6", "a too small d_z reduces the success rate in dim light", _small_gap),
+    ("edges", "Fig. 2", "Canny first: fewer corners inside objects, more on contours", _edges),
 )
 """Key, place in the paper, finding, and its judge."""

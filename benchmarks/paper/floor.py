@@ -1,4 +1,4 @@
-"""Ours: how much of the floor is kept, and how much of the obstacles, under tilt and slope."""
+"""Floor and obstacle pixels above the estimated floor, by pitch, roll and slope."""
 
 from dataclasses import replace
 from itertools import product
@@ -22,24 +22,23 @@ from jaxdet.pipeline import find_floors
 from jaxdet.reference.paper._ground import above_floor
 
 SOURCES = ("tf", "estimate")
-"""What is known before each frame's own depth is looked at: the camera's mount on the robot, or
-nothing."""
+"""Priors of the floor: the mount of the camera, or none."""
 PIXELS = "_pixels"
-"""After a source's name: of all pixels that show the floor, or an obstacle."""
+"""Suffix of a source: figures of all pixels that show the floor or an obstacle."""
 KINDS = ("", PIXELS)
 DIRECTIONS: dict[str, Direction] = {"floor_kept": "lower", "obstacle_kept": "higher"}
 Key = tuple[str, float, float, float]
 
 
 class Task(NamedTuple):
-    """A worker's task."""
+    """Task of a worker."""
 
     path: Path
     config: Config
 
 
 def judge_floor(task: Task) -> dict[str, list[Tally]]:
-    """What is kept above the floor in each frame of a file, by source."""
+    """Count the pixels above the floor in each frame of a file, by source."""
     out: dict[str, list[Tally]] = {source + kind: [] for source in SOURCES for kind in KINDS}
     ground, counted = task.config.ground, eval_config(task.config)
     for shot in load_shots(task.path):
@@ -64,7 +63,7 @@ def judge_floor(task: Task) -> dict[str, list[Tally]]:
 
 
 def _ground(shot: Shot, source: str, config: Config) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels that lie higher than the step of cells, ``(H, W)`` bool, and depths ``(H, W)``."""
+    """Return the pixels higher than the step of cells, ``(H, W)`` bool, and depths ``(H, W)``."""
     frames = frames_of([shot], plane=source == "tf")
     calibration, ground = frames.calibration, config.ground
     plane = color_plane(find_floors(frames, config, backend="reference").plane, calibration)
@@ -104,18 +103,18 @@ def tallies_of(lab: Lab) -> dict[Key, list[Tally]]:
 
 
 def run(lab: Lab) -> Section:
-    """Floor points kept and obstacle points kept, by pitch, roll and slope; not in the paper."""
-    section = Section("floor", "Floor and obstacle points kept (ours)")
+    """Measure the shares of floor and obstacle pixels above the floor, by pitch, roll and slope."""
+    section = Section("floor", "Floor and obstacle pixels above the floor")
     section.say(
-        f"{lab.counts.floor_seeds} simulated scenes (family mixed) for each tilt, roll and ramp "
-        "ahead, normal light. Of the pixels in range: the share of true floor that is kept as "
-        "above the floor (wrong; the step is that of cells), and of true obstacle above the step "
-        "height (right). A pixel that shows the floor beside a thing and has the thing's depth, as "
-        "a stereo camera gives it, is no point of the floor (the rule of the features' votes); the "
-        "last table counts all pixels by what they show. Each frame's own depth gives its plane "
-        "and the ramp ahead; known before is the camera's mount (tf), which doesn't tell of the "
-        "ramp, or nothing (estimate). Where nothing is known and a frame shows too little floor, "
-        "all is kept. The paper has no such figure."
+        f"{lab.counts.floor_seeds} simulated scenes (family mixed) per pitch, roll and ramp ahead, "
+        "normal light. Shares of the pixels in range that count as above the floor: of true floor "
+        "(an error; the step is that of cells), and of true obstacles above the step height "
+        "(correct). Pixels that show floor next to an object, but have the depth of the object, as "
+        "stereo cameras measure it, don't count as floor; the last table counts all pixels by the "
+        "object that they show. The plane and the ramp ahead are estimated from the depth of each "
+        "frame, with the mount of the camera (tf), which doesn't contain the ramp, or without a "
+        "prior (estimate). Without a prior, all pixels of a frame that shows too little floor are "
+        "above it. The paper has no such figures."
     )
     every = tallies_of(lab)
     _totals(section, every)
@@ -137,7 +136,7 @@ def run(lab: Lab) -> Section:
 
 
 def _pixels(section: Section) -> None:
-    """The same of all pixels, by what they show."""
+    """Add the figures of all pixels, by the object that they show."""
     values = {figure.key: figure.value for figure in section.figures}
     rows = []
     for source, slopes in product(SOURCES, ("level", "all")):
@@ -150,7 +149,7 @@ def _pixels(section: Section) -> None:
 
 
 def _totals(section: Section, every: dict[Key, list[Tally]]) -> None:
-    """All poses together, and the worst of them; without ramps and with them."""
+    """Add the figures of all poses and of the worst, without and with ramps."""
     sources = [source + kind for source in SOURCES for kind in KINDS]
     for source, (name, slopes) in product(sources, (("level", (0.0,)), ("all", SLOPES_DEG))):
         poses = [every[key] for key in every if key[0] == source and key[3] in slopes]

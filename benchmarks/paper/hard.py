@@ -1,4 +1,4 @@
-"""Ours on the harder families: walls in range, low things, drops, ramps, a real depth camera."""
+"""Detections of the default in harder families: walls, low objects, drops, ramps, depth errors."""
 
 from itertools import product
 from pathlib import Path
@@ -12,51 +12,51 @@ from benchmarks.paper.measure import measured
 from benchmarks.paper.pictures import encode, grid, shot_picture, titled
 from benchmarks.paper.section import Direction, Section, percent
 from benchmarks.paper.shots import Spec, load_shots
-from benchmarks.paper.systems import OURS, Prepared, System, found_by, ours, tally_of
+from benchmarks.paper.systems import DEFAULT, Prepared, System, default, found_by, tally_of
 from jaxdet.eval import Tally
 from jaxdet.sim import HARD_FAMILIES
 
 FAMILIES = (*HARD_FAMILIES, "mixed")
 ERRORS = (0.0, 1.0)
-"""How much of a real depth camera's errors: none, a D435's."""
+"""Scale of the depth errors: none, and those of a D435."""
 CAMERAS = {0.0: "clean", 1.0: "as a D435"}
 HEIGHTS = ((0.15, 0.0), (0.6, 35.0), (0.8, 20.0), (1.3, 30.0))
-"""Other mounts than the robot's 0.3 m and 10 degrees: height [m] and pitch [degree]."""
+"""Mounts other than 0.3 m and 10 degrees: height [m] and pitch [degree]."""
 LEAST_FLOOR = 0.02
-"""A frame in which less of the picture shows floor to drive on is not the worst by its share."""
+"""Minimum share of drivable floor in the image of a frame that counts as the worst."""
 FIGURES: dict[str, Direction] = dict.fromkeys(
     ("accuracy", "recall", "precision", "coverage"), "higher"
 )
 
 COLUMNS = "ACC", "Recall", "Precision", "Coverage", "Floor claimed", "worst frame", "Missed / false"
-"""Of the cells that :func:`_row` makes."""
+"""Titles of the cells of :func:`_row`."""
 
 
 class Judged(NamedTuple):
-    """One frame by one system."""
+    """Result of a system on a frame."""
 
     tally: Tally
     claim: Claim
     pixels: int
-    """Of the picture."""
+    """Number of pixels of the image."""
 
     @property
     def mistakes(self) -> float:
-        """Missed obstacles and false detections."""
+        """Number of missed obstacles and false detections."""
         return self.tally.visible - self.tally.found + self.tally.false
 
     @property
     def claimed(self) -> float:
-        """Share of the floor claimed; 0 where too little of it is seen."""
+        """Share of the floor inside outlines; 0 if too little floor is visible."""
         return self.claim.share if self.claim.drivable >= LEAST_FLOOR * self.pixels else 0.0
 
 
 Cells = dict[tuple[str, float], list[Judged]]
-"""By family and depth error, in the seeds' order."""
+"""Results by family and depth error, in the order of seeds."""
 
 
 def judge_hard(task: tuple[Path, System]) -> list[Judged]:
-    """A worker's task: a system on all frames of a file."""
+    """Run a system on all frames of a file; task of a worker."""
     path, system = task
     shots = load_shots(path)
     return [
@@ -70,7 +70,7 @@ def judge_hard(task: tuple[Path, System]) -> list[Judged]:
 
 
 def specs_of(lab: Lab, family: str, error: float) -> list[Spec]:
-    """The scenes of a family."""
+    """Return the scenes of a family."""
     changes = {"depth_error": error} if error else {}
     return [
         lab.spec(family, seed, lab.counts.hard_scenes, "normal", **changes)
@@ -79,30 +79,30 @@ def specs_of(lab: Lab, family: str, error: float) -> list[Spec]:
 
 
 def cells_of(lab: Lab) -> Cells:
-    """Ours on all families."""
+    """Return the results of the default on all families."""
     keys = list(product(FAMILIES, ERRORS))
     specs = {key: specs_of(lab, *key) for key in keys}
     every = [spec for key in keys for spec in specs[key]]
     lab.log(f"{len(every)} frames of harder scenes")
     lab.store.ensure(every)
-    system = ours(lab.config)
+    system = default(lab.config)
     parts = iter(lab.run(judge_hard, [(lab.store.path(spec), system) for spec in every]))
     return {key: [one for _ in specs[key] for one in next(parts)] for key in keys}
 
 
 def run(lab: Lab) -> Section:
-    """The harder families with a clean depth camera and with a real one's errors."""
-    section = Section("hard", "Harder scenes (ours)")
+    """Evaluate the default on harder families, without and with depth errors."""
+    section = Section("hard", "Harder scenes")
     seeds, each = lab.seeds[: lab.counts.hard_seeds], lab.counts.hard_scenes
     section.say(
-        f"Families of the simulator with walls in range, things of 6 to 20 cm, steps down, ramps, "
-        f"tables, plain and mirroring floors; {each * len(seeds)} scenes each, normal light, the "
-        "mount as the log says. Each with a clean depth camera and with the holes, bent margins, "
-        "bow, noise and reflections of a D435 on real floors. ACC, recall, precision and coverage "
-        "as above. Free floor claimed: of the pixels that truly show floor to drive on, measured "
-        "within 4 m, the share inside the rectangle of any detection that does not hang, walls' "
-        f"too; worst frame: of those in which {percent(LEAST_FLOOR, digits=0)} of the picture are "
-        "such floor."
+        "Families of the simulator with walls in range, objects of 6 to 20 cm, steps down, ramps, "
+        f"tables, plain and reflective floors; {each * len(seeds)} scenes each, normal light, the "
+        "mount of the log. Depth is without errors, or with the holes, blurred edges, stereo "
+        "bowing, noise and reflections of a D435 on real floors. ACC, recall, precision and "
+        "coverage as above. Free floor claimed: share of the pixels of drivable floor, measured "
+        "within 4 m, that are inside the rectangle of a detection that does not hang (walls "
+        f"included); worst frame: of those with at least {percent(LEAST_FLOOR, digits=0)} of such "
+        "floor in the image."
     )
     cells = cells_of(lab)
     for error in ERRORS:
@@ -110,16 +110,16 @@ def run(lab: Lab) -> Section:
         for family in (*FAMILIES, "all"):
             chosen = FAMILIES if family == "all" else (family,)
             judged = [one for name in chosen for one in cells[name, error]]
-            rows.append([family, *_row(section, f"{OURS}.{family}.{error:g}", judged)])
+            rows.append([family, *_row(section, f"{DEFAULT}.{family}.{error:g}", judged)])
         section.table(["Family", *COLUMNS], rows, f"Depth camera {CAMERAS[error]}")
-    _add_claimed(section, f"{OURS}.all", [one for cell in cells.values() for one in cell])
+    _add_claimed(section, f"{DEFAULT}.all", [one for cell in cells.values() for one in cell])
     _add_mounts(section, lab)
     _pictures(section, lab, cells)
     return section
 
 
 def _add_mounts(section: Section, lab: Lab) -> None:
-    """All families from cameras mounted lower or higher, with a D435's errors."""
+    """Add the figures of all families for lower or higher cameras, with the errors of a D435."""
     seeds, rows = lab.seeds[: lab.counts.mount_seeds], []
     specs = {
         (height, pitch): [
@@ -137,19 +137,19 @@ def _add_mounts(section: Section, lab: Lab) -> None:
         for height, pitch in HEIGHTS
     }
     lab.log(f"{sum(map(len, specs.values()))} frames of them from other heights")
-    system = ours(lab.config)
+    system = default(lab.config)
     for (height, pitch), every in specs.items():
         lab.store.ensure(every)
         parts = lab.run(judge_hard, [(lab.store.path(spec), system) for spec in every])
         judged = [one for part in parts for one in part]
         title = f"{height:g} m, {pitch:g}° down"
-        rows.append([title, *_row(section, f"{OURS}.{height:g}m.{pitch:g}deg", judged)])
+        rows.append([title, *_row(section, f"{DEFAULT}.{height:g}m.{pitch:g}deg", judged)])
     title = f"All families, {CAMERAS[ERRORS[-1]]}, mounted elsewhere"
     section.table(["Mounted", *COLUMNS], rows, title)
 
 
 def _row(section: Section, key: str, judged: list[Judged]) -> list[str]:
-    """Adds the figures of some frames; returns them as texts."""
+    """Add the figures of some frames; return them as texts."""
     one = measured([frame.tally for frame in judged])
     cells = []
     for name, direction in FIGURES.items():
@@ -163,7 +163,7 @@ def _row(section: Section, key: str, judged: list[Judged]) -> list[str]:
 
 
 def _add_claimed(section: Section, key: str, judged: list[Judged]) -> tuple[float, float]:
-    """Adds the share of the floor claimed over some frames and in the worst of them."""
+    """Add the share of the floor inside outlines, over some frames and in the worst of them."""
     drivable = sum(frame.claim.drivable for frame in judged)
     claimed = sum(frame.claim.claimed for frame in judged)
     share = claimed / drivable if drivable else float("nan")
@@ -174,8 +174,8 @@ def _add_claimed(section: Section, key: str, judged: list[Judged]) -> tuple[floa
 
 
 def _pictures(section: Section, lab: Lab, cells: Cells) -> None:
-    """The worst frames: most mistakes, and most floor claimed."""
-    system, each = ours(lab.config), lab.counts.hard_scenes
+    """Add pictures of the frames with the most errors, and with the most floor inside outlines."""
+    system, each = default(lab.config), lab.counts.hard_scenes
     every = [(key, index, one) for key, cell in cells.items() for index, one in enumerate(cell)]
     orders = {
         "mistakes": lambda item: (item[2].mistakes, item[2].claimed),

@@ -1,4 +1,4 @@
-"""What the experiments share: frames, tuned baselines, scores of the test scenes."""
+"""Data that experiments share: frames, tuned baselines, scores of the test scenes."""
 
 import time
 from collections.abc import Iterable, Sequence
@@ -35,17 +35,17 @@ Scores = dict[tuple[str, str], dict[str, list[Tally]]]
 
 
 class Lab:
-    """One run of the report.
+    """Run of the report.
 
     Args:
-        counts: How much is drawn.
-        folder: Where frames are kept.
-        pool: Worker processes; None: everything runs here.
-        config: Ours.
-        rehearsal: Draw by other seeds than the test's.
+        counts: Numbers of scenes and frames.
+        folder: Folder of simulated frames.
+        pool: Worker processes; None: everything runs in this process.
+        config: Configuration of the default method.
+        rehearsal: Whether to use other seeds than the test seeds.
         rivals: Names of the baselines.
-        results: Folder that keeps the results of tasks, of one state of the code; by default that
-            of the frames.
+        results: Folder of the results of tasks, for one state of the code; by default that of the
+            frames.
     """
 
     def __init__(
@@ -77,19 +77,19 @@ class Lab:
 
     @property
     def seeds(self) -> tuple[int, ...]:
-        """The test seeds of this run; in a rehearsal, others."""
+        """Seeds of this run: test seeds, or other seeds in a rehearsal."""
         every = REHEARSAL_SEEDS if self.rehearsal else TEST_SEEDS
         return every[: self.counts.test_seeds]
 
     def log(self, text: str) -> None:
-        """Tells how far the run is."""
+        """Print a line of progress."""
         if not self.quiet:
             print(f"{time.perf_counter() - self.start:6.0f} s  {text}", flush=True)
 
     def spec(
         self, family: str, seed: int, count: int, light: str = "normal", **changes: Any
     ) -> Spec:
-        """What to draw, at the run's image size."""
+        """Return a specification of frames with the image size of this run."""
         flags = {name: bool(changes.pop(name, False)) for name in ("log", "heights")}
         width = self.counts.width
         if width != Counts().width:
@@ -97,33 +97,33 @@ class Lab:
         return Spec(family, seed, count, light, tuple(sorted(changes.items())), **flags)
 
     def run(self, task: Any, items: Iterable[Any]) -> list[Any]:
-        """Run a task on each item, by the workers if there are any; results that are there count.
+        """Run a task on each item, in the workers if there are any; stored results are reused.
 
         Args:
-            task: Function of an item, in a module.
-            items: Arguments; the text of each (``repr``) says all of it.
+            task: Function of an item, at the top level of a module.
+            items: Arguments; items are equal if their ``repr`` is.
         """
         tasks = [KeptTask(self.results, task, item) for item in items]
         return list((self.pool.map if self.pool else map)(run_kept, tasks))
 
     def load(self, specs: Sequence[Spec]) -> list[Shot]:
-        """Frames of some specs."""
+        """Return frames; missing ones are made."""
         return self.store.load(specs)
 
     def judge(
         self, specs: Sequence[Spec], chosen: Sequence[System]
     ) -> list[dict[str, list[Tally]]]:
-        """All systems on all frames: for each spec a tally a frame by the system's name."""
+        """Return for each specification a tally per frame, by the name of the system."""
         self.store.ensure(specs)
         return self.run(judge, [(self.store.path(spec), tuple(chosen)) for spec in specs])
 
     def test_specs(self, scene: str, light: str) -> list[Spec]:
-        """The test scenes of a family in a light."""
+        """Return the test scenes of a family in a light."""
         return [self.spec(scene, seed, self.counts.scenes, light) for seed in self.seeds]
 
     @cached_property
     def tuned(self) -> dict[str, dict[str, Any]]:
-        """The baselines' parameters, chosen on the tuning seeds for the same preprocessing."""
+        """Parameters of the baselines, chosen on the tuning seeds with the same preprocessing."""
         seeds = TUNING_SEEDS[: self.counts.tuning_seeds]
         specs = [
             self.spec(scene, seed, 1, light)
@@ -142,12 +142,12 @@ class Lab:
 
     @cached_property
     def systems(self) -> list[System]:
-        """All that are compared."""
+        """Systems that are compared."""
         return systems(self.config, self.tuned, self.rivals)
 
     @cached_property
     def scores(self) -> Scores:
-        """Tallies of all systems on the test scenes, by scene and light, in the seeds' order."""
+        """Tallies of all systems on the test scenes, by scene and light, in the order of seeds."""
         keys = [(scene, light) for scene in SCENES for light in LIGHTS]
         specs = [spec for scene, light in keys for spec in self.test_specs(scene, light)]
         self.log(
@@ -166,12 +166,12 @@ class Lab:
         scenes: Sequence[str] | None = None,
         lights: Sequence[str] | None = None,
     ) -> list[Tally]:
-        """A system's tallies, one for each scene: the same scene in several lights is one unit."""
+        """Return a tally of a system per scene; a scene in several lights is one unit."""
         return units(self.scores, system, scenes or SCENES, lights or LIGHTS)
 
 
 def units(scores: Scores, system: str, scenes: Sequence[str], lights: Sequence[str]) -> list[Tally]:
-    """One tally for each scene, its lights together."""
+    """Return a tally per scene, summed over lights."""
     found: list[Tally] = []
     for scene in scenes:
         every = [scores[scene, light][system] for light in lights]

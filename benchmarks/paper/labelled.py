@@ -23,7 +23,7 @@ TABLE = ("tabletop", "wheeled")
 
 
 class Recording(NamedTuple):
-    """A recording and its labels."""
+    """Recording and its labels."""
 
     name: str
     place: str
@@ -45,7 +45,7 @@ class Recording(NamedTuple):
     held_out: int = 0
     """Interval n of held-out frames: numbers n - 1, 2n - 1 and so on; 0 = none is held out."""
     presets: tuple[str, ...] = ("wheeled", "paper")
-    """Presets that are compared; pictures show the first."""
+    """Presets that are compared; pictures show the first one."""
 
     def holds_out(self, frame: int) -> bool:
         """Return whether a frame is held out."""
@@ -201,7 +201,7 @@ def _frame_boxes(rows: list[_Row]) -> FrameBoxes:
 
 
 def read_names(path: Path) -> dict[int, list[str]]:
-    """Return the names of the obstacles of a recording's frames, in the order of their boxes."""
+    """Return the names of the obstacles by frame, in the order of their boxes."""
     names: dict[int, list[str]] = {}
     for line in path.read_text(encoding="utf-8").splitlines():
         if line.strip() and not line.startswith("#"):

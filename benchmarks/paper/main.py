@@ -1,4 +1,4 @@
-"""The command: which experiments, how large, where to."""
+"""Command line of the report: experiments, their size and the output."""
 
 import multiprocessing
 import os
@@ -82,10 +82,10 @@ BEYOND: dict[str, Callable[[Lab], Section]] = {
 }
 """Experiments with other data, and with the default on harder scenes."""
 EXPERIMENTS = {**OF_THE_PAPER, **BEYOND, "findings": findings.run}
-"""All; the findings are judged last and stand first."""
+"""All experiments; the findings are judged last and come first in the report."""
 RECORDINGS = "recordings"
 UNFINISHED = "unfinished"
-"""Folder of a run that was stopped, in the output folder; the same command continues."""
+"""Folder in the output folder, with the results of a stopped run; the same command continues it."""
 BENCH_PACKAGES = ("scikit-learn", "scipy", "chameleon-cluster", "matplotlib")
 
 
@@ -111,25 +111,25 @@ class Options:
     rivals: tuple[str, ...] = ()
     """Names of the baselines that are tuned and compared."""
     seeds: int = 0
-    """Number of test seeds; 0: that of the size."""
+    """Number of test seeds; 0: 5, or all 20 with --full."""
     recordings: tuple[Path, ...] = ()
-    """Folders of real recordings, of which pictures are drawn. Labelled recordings are looked for
-    in and next to them, by default in ../shared/data, for the experiment ``realframes``."""
+    """Folders of real recordings. Pictures of them are drawn; the experiment ``realframes`` also
+    searches them, and folders next to them, for labelled recordings (default: ../shared/data)."""
     sunrgbd: Path | None = None
     """Folder of SUN RGB-D, or of some of its scenes, for the experiment ``sunrgbd``."""
     scenes: int = 0
-    """Number of its scenes that are scored, evenly over all; 0: all."""
+    """Number of scenes of SUN RGB-D that are scored, evenly spaced; 0: all."""
     detector: Path | None = None
     """Folder of centernet.json and centernet.bin, for the experiment ``table3`` (TensorFlow)."""
     labelled: tuple[str, ...] = ()
     """Labelled recordings that ``realframes`` scores, by the beginning of their names or groups,
-    such as ``mosd`` or ``public.learn``; by default all."""
+    such as ``mosd`` or ``public.learn``; default: all."""
     log: Path | None = None
-    """Log of your own, for the experiment ``own``."""
+    """Your own log, for the experiment ``own``."""
     truth: Path | None = None
-    """Its labels: a JSON file as for ``jaxdet run --truth``, or a simulated log."""
+    """Labels of your log: a JSON file as for ``jaxdet run --truth``, or a simulated log."""
     frames: Path | None = None
-    """Folder that keeps the simulated frames for the next run of the same simulator."""
+    """Folder in which simulated frames are stored for later runs of the same simulator."""
     workers: int = 0
     """Number of processes; 0: one per core."""
 
@@ -178,9 +178,9 @@ def run(lab: Lab, names: tuple[str, ...]) -> list[Section]:
 
 
 def _folders(options: Options) -> tuple[Path, Path]:
-    """Return the folders of frames and of results, each named by the code that makes its files.
+    """Return the folders of frames and of results, each named by a checksum of the code.
 
-    Both are in ``unfinished`` of the output folder, where files of other code are removed.
+    Both are in ``unfinished`` of the output folder, where the files of other code are removed.
     """
     root = Path(__file__).parents[2]
     every = root / "jaxdet", root / "kernels", root / "benchmarks"
@@ -208,28 +208,28 @@ def _pool(workers: int) -> Iterator[Executor | None]:
 
 
 def start_worker() -> None:
-    """Keeps a process to one thread and quiet."""
+    """Limit a process to one thread, without messages."""
     cv2.setNumThreads(1)
     wp.config.log_level = wp.LOG_ERROR
 
 
 def _facts(lab: Lab, size: str, seconds: float) -> dict[str, str]:
-    """How the report came about."""
+    """Return the facts at the head of the report: page, data, command, seeds, machine, versions."""
     command = shlex.join(["python", "-m", "benchmarks.paper", *sys.argv[1:]])
     found = {**versions(), **{name: _version(name) for name in BENCH_PACKAGES}}
     tuned = TUNING_SEEDS[: lab.counts.tuning_seeds]
     name = next((name for name, one in PRESETS.items() if one == lab.config), repr(lab.config))
     return {
         "Page": "jaxdet/help/paper.md (jaxdet help paper) judges each statement of the paper",
-        "Data": "simulated scenes (jaxdet.sim); the paper's robot data is not public, so its "
-        "figures are for orientation only",
+        "Data": "simulated scenes (jaxdet.sim), since the robot data of the paper are not public; "
+        "its figures are shown for orientation",
         "Command": command,
         "Size": f"{size}: {lab.counts}",
-        "Tuning seeds": f"{_seeds(tuned)} (baselines' parameters only)",
+        "Tuning seeds": f"{_seeds(tuned)} (to choose the parameters of the baselines)",
         f"{'Rehearsal' if lab.rehearsal else 'Test'} seeds": f"{_seeds(lab.seeds)} (all figures)",
-        "Ours": f"preset {name}, not tuned here. {LEARNT}",
-        "Frames drawn": str(lab.store.drawn),
-        "Intervals": "95 %, percentile bootstrap over scenes; shares of successes by Wilson",
+        "The default of jaxdet": f"preset {name}, not tuned here. {LEARNT}",
+        "Frames simulated": str(lab.store.drawn),
+        "Intervals": "95 %, percentile bootstrap over scenes; success rates: Wilson score interval",
         "Machine": f"{os.cpu_count()} cores, {platform.machine()}",
         "Run time": f"{seconds / 60:.1f} min",
         "Versions": ", ".join(f"{k} {v or 'not installed'}" for k, v in found.items()),

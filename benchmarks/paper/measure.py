@@ -8,22 +8,22 @@ from jaxdet.eval import Score, Tally, score
 
 
 class Measured(NamedTuple):
-    """A score and the intervals of its shares and indices."""
+    """Score, and the intervals of its rates and indices."""
 
     score: Score
     intervals: dict[str, Interval]
 
     def value(self, name: str) -> float:
-        """A figure by its name."""
+        """Return a figure by its name."""
         return float(getattr(self.score, name))
 
 
 def bare(tallies: Sequence[Tally]) -> list[Tally]:
-    """Without the single cases, which shares don't need and which make intervals slow."""
+    """Return tallies without their cases, which rates don't need and which make intervals slow."""
     return [tally._replace(cases=()) for tally in tallies]
 
 
 def measured(tallies: Sequence[Tally]) -> Measured:
-    """The figures of some units."""
+    """Return the figures of some independent units, such as scenes."""
     units = bare(tallies)
     return Measured(score(units), intervals(units))

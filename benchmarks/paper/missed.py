@@ -1,4 +1,4 @@
-"""Which things ours misses: those apart, those under others, those hardly measured."""
+"""Objects that the default misses, by class: apart, overlapping others, hardly measured."""
 
 from itertools import product
 from pathlib import Path
@@ -11,7 +11,15 @@ from benchmarks.paper.lab import Lab
 from benchmarks.paper.plan import SCENES
 from benchmarks.paper.section import Section, percent
 from benchmarks.paper.shots import Shot, load_shots
-from benchmarks.paper.systems import OURS, Prepared, System, eval_config, found_by, ours, tally_of
+from benchmarks.paper.systems import (
+    DEFAULT,
+    Prepared,
+    System,
+    default,
+    eval_config,
+    found_by,
+    tally_of,
+)
 from jaxdet import reference
 from jaxdet.eval import EvalConfig
 from jaxdet.eval.polygon import overlap
@@ -20,18 +28,18 @@ CLASSES = ("apart", "under or over another", "hardly measured")
 
 
 class Asked(NamedTuple):
-    """Things asked for, and those found, ``(3,)`` int64 each, in the order of ``CLASSES``."""
+    """Numbers of required and of found objects, ``(3,)`` int64, in the order of ``CLASSES``."""
 
     asked: np.ndarray
     found: np.ndarray
 
 
 def kinds_of(shot: Shot, config: EvalConfig) -> np.ndarray:
-    """The place in ``CLASSES`` of each thing of a frame, ``(J,)`` int64.
+    """Return the index in ``CLASSES`` of each object of a frame, ``(J,)`` int64.
 
-    Hardly measured is what the depth camera measures on fewer colour pixels than it must show
-    (beside nearer things, or beyond the edge of the depth image). Under or over another thing is
-    what has a footprint that overlaps another thing's, as a chair's that stands under a table.
+    An object is hardly measured if the depth camera measures it on fewer colour pixels than
+    required (next to nearer objects, or beyond the edge of the depth image). It is under or over
+    another one if their footprints overlap, like those of a table and a chair under it.
     """
     truth, calibration = shot.truth, shot.calibration
     assert truth.footprint is not None and truth.depth_m is not None
@@ -48,7 +56,7 @@ def kinds_of(shot: Shot, config: EvalConfig) -> np.ndarray:
 
 
 def judge_missed(task: tuple[Path, System]) -> Asked:
-    """A worker's task: a system on all frames of a file."""
+    """Run a system on all frames of a file; task of a worker."""
     path, system = task
     shots, config = load_shots(path), eval_config(system.config)
     total = Asked(np.zeros(3, np.int64), np.zeros(3, np.int64))
@@ -61,18 +69,18 @@ def judge_missed(task: tuple[Path, System]) -> Asked:
 
 
 def run(lab: Lab) -> Section:
-    """How many things of each class are found, by family."""
-    section = Section("missed", "What is missed (ours)")
+    """Count the objects found of each class, by family."""
+    section = Section("missed", "Missed objects")
     section.say(
-        "Things asked for in the scenes in normal light, as above, in three classes, found of "
-        "asked. Apart: measured, and no other footprint overlaps its own. Under or over another: "
-        "one does, as a table's does that of a chair under it. Hardly measured: of the pixels that "
-        "the colour camera sees, 400 or more, the depth camera measures fewer than 400."
+        "Required objects in the scenes in normal light, as above, in three classes: number found "
+        "of number required. Apart: measured, and no other footprint overlaps. Under or over "
+        "another: footprints overlap, like those of a table and a chair under it. Hardly measured: "
+        "of the 400 or more pixels in the colour image, fewer than 400 have a measured depth."
     )
     specs = {name: lab.test_specs(name, "normal") for name in SCENES}
     for family, error in product(FAMILIES, ERRORS):
         specs[f"{family}, {CAMERAS[error]}"] = specs_of(lab, family, error)
-    rows, system = [], ours(lab.config)
+    rows, system = [], default(lab.config)
     every = Asked(np.zeros(3, np.int64), np.zeros(3, np.int64))
     for family, own in specs.items():
         lab.store.ensure(own)
@@ -83,7 +91,7 @@ def run(lab: Lab) -> Section:
     rows.append(["all", *_cells(every)])
     section.table(["Family", *(name.capitalize() for name in CLASSES)], rows)
     for name, asked, found in zip(CLASSES, *every, strict=True):
-        key = f"{OURS}.{name.replace(' ', '_')}.recall"
+        key = f"{DEFAULT}.{name.replace(' ', '_')}.recall"
         section.add(key, float(found / asked) if asked else float("nan"), "", "higher")
     return section
 

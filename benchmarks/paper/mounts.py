@@ -1,4 +1,4 @@
-"""Ours with a mount that is not as told: by pitch, height, roll, and on a robot that rocks."""
+"""Detections of the default with a wrong mount: pitch, height, roll, and a rocking robot."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -11,14 +11,14 @@ from benchmarks.paper.measure import measured
 from benchmarks.paper.plan import SCENES
 from benchmarks.paper.section import Section, percent
 from benchmarks.paper.shots import Shot, load_shots
-from benchmarks.paper.systems import OURS, Prepared, System, found_by, ours, tally_of
+from benchmarks.paper.systems import DEFAULT, Prepared, System, default, found_by, tally_of
 from jaxdet.eval import Tally
 
 WRONG_DEG = (-2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0)
 
 
 class Mount(NamedTuple):
-    """How a told mount is wrong: told less true."""
+    """Error of a mount: configured minus true."""
 
     name: str
     title: str
@@ -26,10 +26,10 @@ class Mount(NamedTuple):
     pitch_rad: float = 0.0
     roll_rad: float = 0.0
     rock_rad: float = 0.0
-    """Standard deviation of pitch and roll, another one in each frame."""
+    """Standard deviation of pitch and roll, which differ by frame."""
 
-    def told(self, shot: Shot) -> Shot:
-        """The frame with the wrong mount."""
+    def applied(self, shot: Shot) -> Shot:
+        """Return the frame with the wrong mount."""
         seed = [shot.spec.seed, shot.number, *shot.spec.family.encode()]
         pitch, roll = (self.rock_rad * np.random.default_rng(seed).standard_normal(2)).tolist()
         height_m, pitch_rad, roll_rad = shot.mount
@@ -56,12 +56,12 @@ MOUNTS = (
 
 
 def judge_mounts(task: tuple[Path, System]) -> dict[str, list[Tally]]:
-    """A worker's task: a system on all frames of a file, under each mount."""
+    """Run a system on all frames of a file with each mount; task of a worker."""
     path, system = task
     shots = load_shots(path)
     out: dict[str, list[Tally]] = {}
     for mount in MOUNTS:
-        prepared = Prepared([mount.told(shot) for shot in shots])
+        prepared = Prepared([mount.applied(shot) for shot in shots])
         out[mount.name] = [
             tally_of(shot, found, system.config)
             for shot, found in zip(shots, found_by(system, prepared), strict=True)
@@ -70,8 +70,8 @@ def judge_mounts(task: tuple[Path, System]) -> dict[str, list[Tally]]:
 
 
 def run(lab: Lab) -> Section:
-    """ACC of the paper's four scenes in normal light by how wrong the told mount is."""
-    section = Section("mounts", "A mount that is not as told (ours)")
+    """Measure ACC in the paper's four scenes in normal light, by error of the mount."""
+    section = Section("mounts", "Wrong mounts")
     seeds = lab.seeds[: lab.counts.mount_seeds]
     specs = [
         lab.spec(scene, seed, lab.counts.scenes, "normal") for scene in SCENES for seed in seeds
@@ -79,13 +79,13 @@ def run(lab: Lab) -> Section:
     frames = sum(spec.frames for spec in specs)
     section.say(
         f"{frames} of the test frames in normal light ({len(seeds)} seeds of the four scenes), the "
-        "same for each mount: told less true. Taken as it is, a pitch told too small lets the "
-        "floor rise in the picture, and one told too large hides low things; each frame corrects "
-        "it. A robot that rocks has another pitch and roll in each frame than is told."
+        "same for each mount; errors are configured minus true values. Without a correction, too "
+        "small a pitch makes distant floor an obstacle, and too large a pitch hides low objects; "
+        "each frame corrects the mount. On a rocking robot, pitch and roll differ by frame."
     )
     lab.log(f"{frames} frames under {len(MOUNTS)} mounts")
     lab.store.ensure(specs)
-    system = ours(lab.config)
+    system = default(lab.config)
     parts = lab.run(judge_mounts, [(lab.store.path(spec), system) for spec in specs])
     found = {
         mount.name: measured([tally for part in parts for tally in part[mount.name]])
@@ -95,7 +95,7 @@ def run(lab: Lab) -> Section:
     for mount in MOUNTS:
         one = found[mount.name]
         value, ends, tally = one.value("accuracy"), one.intervals["accuracy"], one.score.tally
-        section.add(f"{OURS}.{mount.name}.accuracy", value, "", "higher", ends)
+        section.add(f"{DEFAULT}.{mount.name}.accuracy", value, "", "higher", ends)
         mistakes = f"{tally.visible - tally.found:.0f} / {tally.false:.0f}"
         rows.append([mount.title, percent(value, ends), mistakes])
     section.table(["Told less true", "ACC", "missed / false"], rows)
@@ -109,8 +109,8 @@ def run(lab: Lab) -> Section:
         )
     }
     plots.lines(axes[0], WRONG_DEG, series, "ACC")
-    axes[0].set_xlabel("pitch told less true [°]")
+    axes[0].set_xlabel("error of the pitch [°]")
     axes[0].set_ylim(-0.03, 1.03)
     plots.legend(figure, axes[0], 2)
-    section.picture("pitch", plots.png(figure), "ACC by the told pitch's error, bands 95 %.")
+    section.picture("pitch", plots.png(figure), "ACC by error of the pitch, with 95 % bands.")
     return section

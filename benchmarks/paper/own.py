@@ -1,4 +1,4 @@
-"""A log of one's own with its labels: the presets, the paper's rule and its rivals."""
+"""The user's own log with labels: the presets, the paper's rule and the baselines."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -8,7 +8,7 @@ from benchmarks.paper.lab import Lab
 from benchmarks.paper.measure import measured
 from benchmarks.paper.realframes import frames_with_floor
 from benchmarks.paper.section import Section, number, percent
-from benchmarks.paper.systems import OURS, System
+from benchmarks.paper.systems import DEFAULT, System
 from jaxdet.cli.truth import score_against
 from jaxdet.engine.color import method_frames
 from jaxdet.errors import JaxdetError
@@ -20,7 +20,7 @@ from jaxdet.types import Detections, Frames
 
 
 class Task(NamedTuple):
-    """A method on a log."""
+    """Method and log."""
 
     log: Path
     truth: Path
@@ -33,20 +33,20 @@ class Judgement(NamedTuple):
     tallies: list[Tally]
     """Counts of each frame with labels."""
     problem: str = ""
-    """Why the log can't be compared; then there are no counts."""
+    """Reason why the log can't be compared; empty if it can."""
 
 
 def run(lab: Lab) -> Section:
-    """Compare the methods on a log that is named on the command line."""
-    section = Section("own", "A log of one's own")
+    """Compare the methods on the log of ``--log``."""
+    section = Section("own", "Your own log")
     if lab.log_file is None or lab.truth is None:
         section.say("Not run: it needs --log LOG and --truth LABELS.json (or a simulated log).")
         return section
     section.say(
         f"{lab.log_file.name}, compared with {lab.truth.name} as by jaxdet run --truth; frames "
-        "without labels don't count. The parameters of the rule and of its rivals were chosen on "
-        "the simulated tuning scenes, not on this log; --rivals names the methods. Intervals "
-        "resample frames, which are not independent in a log."
+        "without labels don't count. The parameters of the rule and of the baselines (--rivals) "
+        "were chosen on the simulated tuning scenes, not on this log. Intervals are too narrow, "
+        "since the frames of a log are not independent."
     )
     tasks = [Task(lab.log_file, lab.truth, system) for system in lab.systems]
     rows: list[list[str]] = []
@@ -76,7 +76,7 @@ def run(lab: Lab) -> Section:
 
 
 def judge(task: Task) -> Judgement:
-    """Run a method on all frames of a log, a worker's task."""
+    """Run a method on all frames of a log; task of a worker."""
     system, tallies = task.system, []
     try:
         compare = score_against(task.truth, system.config, 1)
@@ -97,7 +97,7 @@ def judge(task: Task) -> Judgement:
 def _found(system: System, frames: Frames) -> Detections:
     """Return the obstacles of a frame, a batch of one."""
     read = method_frames(frames, system.config)
-    if system.method == OURS:
+    if system.method == DEFAULT:
         return to_host(detect(read, system.config, backend="jax", with_cells=True))
     (frame,) = prepare(read, system.config)
     return detect_with(system.baseline, frame, system.config, dict(system.params))

@@ -72,7 +72,7 @@ def class_of(name: str) -> str:
 def add_people(lab: Lab, section: Section) -> None:
     """Add the labelled people and chairs that the detector and the presets find."""
     if problem := why_absent(lab.detector):
-        section.say(f"CenterNet, whose weights come inside of a package, was not run: {problem}.")
+        section.say(f"CenterNet, whose weights are part of a package, was not run: {problem}.")
         return
     assert lab.detector is not None
     tasks = [
@@ -84,12 +84,12 @@ def add_people(lab: Lab, section: Section) -> None:
     seconds = [one for each in judged for one in each.seconds]
     section.say(
         "CenterNet (MobileNetV3, 512 x 512, COCO; benchmarks/paper/detector.py) on labelled frames "
-        f"of real cameras, scores from {MIN_SCORE:g}. Only labels called a man, woman, person or "
-        "chair are asked for; an object is found if a box overlaps it as in the experiment "
-        "realframes. The detector finds what it was trained on, wherever it stands, and gives no "
-        "distance; the presets find anything that stands on the floor and name nothing, so that "
-        "they have no precision by class. wheeled has learnt from frames of aims_slam and "
-        "d435_boxes, and rules were mended in some of the rooms (experiment realframes). "
+        f"of real cameras, with a score of at least {MIN_SCORE:g}. Only objects labelled as man, "
+        "woman, person or chair are required; an object is found if a box overlaps it as in the "
+        "experiment realframes. The detector finds the classes of its training, anywhere, and "
+        "gives no distance; the presets find any object on the floor and have no classes, so they "
+        "have no precision by class. wheeled was trained on frames of aims_slam and d435_boxes, "
+        "and its rules were changed after some of the rooms had been evaluated (realframes). "
         f"{sum(one.frames for one in judged)} frames of {len(judged)} recordings; CenterNet takes "
         f"{np.median(seconds or [np.nan]):.3f} s per frame on one core."
     )

@@ -1,4 +1,4 @@
-"""Pictures of frames for the report, by the project's own drawing."""
+"""Pictures of frames for the report, drawn by :mod:`jaxdet.render`."""
 
 from collections.abc import Sequence
 
@@ -18,18 +18,18 @@ CAPTION = 30
 
 
 def encode(image: np.ndarray) -> bytes:
-    """An RGB picture as a PNG file."""
+    """Return an RGB picture as a PNG file."""
     return cv2.imencode(".png", image[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 9])[1].tobytes()
 
 
 def scaled(image: np.ndarray, width: int) -> np.ndarray:
-    """A picture made smaller."""
+    """Return a picture scaled to a width."""
     height = round(image.shape[0] * width / image.shape[1])
     return cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
 
 
 def titled(image: np.ndarray, text: str, width: int) -> np.ndarray:
-    """A picture scaled to a width, under a line of text."""
+    """Return a picture scaled to a width, below a line of text."""
     small = scaled(image, width)
     out = canvas.canvas(len(small) + CAPTION, width)
     out[CAPTION:] = small
@@ -41,7 +41,7 @@ def titled(image: np.ndarray, text: str, width: int) -> np.ndarray:
 
 
 def grid(images: Sequence[np.ndarray], columns: int, gap: int = 6) -> np.ndarray:
-    """Pictures of one width in rows."""
+    """Return pictures of equal width, arranged in rows."""
     width = images[0].shape[1]
     rows = [images[i : i + columns] for i in range(0, len(images), columns)]
     heights = [max(image.shape[0] for image in row) for row in rows]
@@ -56,9 +56,9 @@ def grid(images: Sequence[np.ndarray], columns: int, gap: int = 6) -> np.ndarray
 
 
 def frame_picture(frames: Frames, found: Detections, config: Config, title: str) -> np.ndarray:
-    """A batch of one frame as :func:`jaxdet.render.draw_frame` shows it."""
+    """Return the picture of a batch of one frame, drawn by :func:`jaxdet.render.draw_frame`."""
     calibration, plane = frames.calibration, frames.plane
-    if config.cluster.points and plane is not None:  # whose lengths refer to the colour camera
+    if config.cluster.points and plane is not None:  # lengths refer to the colour camera
         frames = frames._replace(plane=plane_in_color(plane, calibration))
     unit = calibration.depth_unit
     corners = rectangles(found.obstacles, unit, config.footprint)
@@ -66,13 +66,13 @@ def frame_picture(frames: Frames, found: Detections, config: Config, title: str)
 
 
 def shot_picture(shot: Shot, system: System) -> np.ndarray:
-    """What a system finds in a frame."""
+    """Return the picture of the detections of a system in a frame."""
     found = found_by(system, Prepared([shot]))[0]
     return frame_picture(frames_of([shot]), found, system.config, shot.title)
 
 
 def side_by_side(shot: Shot, systems: Sequence[System], titles: Sequence[str]) -> bytes:
-    """The camera's view by several systems, as a PNG file."""
+    """Return the detections of several systems in a frame, as a PNG file."""
     views, prepared = [], Prepared([shot])
     for system, title in zip(systems, titles, strict=True):
         found = found_by(system, prepared)[0]

@@ -1,24 +1,24 @@
-"""What is drawn: seeds, scenes, lights, distances, and how many of each."""
+"""Seeds, scenes, lights and distances of the experiments, and the number of each."""
 
 from dataclasses import dataclass
 
 TUNING_SEEDS = tuple(range(100, 110))
-"""Parameters are chosen on these and on no others."""
+"""Seeds on which parameters are chosen."""
 TEST_SEEDS = tuple(range(1000, 1020))
-"""The report's figures come from these and from no others. 900 to 919 were the test seeds of an
-earlier default and may be used for tuning."""
+"""Seeds of the figures of the report. 900 to 919 were the test seeds of an earlier default and may
+be used for tuning."""
 REHEARSAL_SEEDS = tuple(range(500, 520))
-"""For looking at the report while the method is still being changed (``--rehearsal``)."""
+"""Seeds for reports during work on the method (``--rehearsal``)."""
 PRESET_SEEDS = tuple(range(6000, 6012))
-"""The preset ``paper`` was judged on these once, after it had been chosen on the tuning seeds."""
+"""Seeds on which the preset ``paper`` was evaluated, once its parameters had been chosen."""
 SCENES = ("people_and_vehicle", "roadblocks", "bucket", "tree_trunk")
 """The paper's four scenes, as families of :mod:`jaxdet.sim`."""
 SCENE_TITLES = ("People and vehicle", "Roadblocks", "Bucket", "Tree trunk")
 LIGHTS = ("strong", "normal", "weaker", "dim")
 DISTANCES_M = (3.0, 2.5, 2.0, 1.5, 1.25, 1.0)
-"""Of the paper's Table 4."""
+"""Distances of the paper's Table 4."""
 CANNY_BOUNDS = ((100, 200), (125, 250), (150, 300))
-"""Of the paper's Table 5."""
+"""Canny thresholds of the paper's Table 5."""
 PITCHES_DEG = (0.0, 10.0, 25.0)
 ROLLS_DEG = (0.0, 12.0)
 SLOPES_DEG = (-4.0, 0.0, 4.0)
@@ -26,38 +26,38 @@ SLOPES_DEG = (-4.0, 0.0, 4.0)
 
 @dataclass(frozen=True)
 class Counts:
-    """How much is drawn; every draw is a new scene."""
+    """Numbers of scenes and frames; each is simulated separately."""
 
     scenes: int = 2
-    """Scenes a test seed of each of the four families, each in all lights."""
+    """Scenes per test seed and family, each in all lights."""
     test_seeds: int = 5
-    """Test seeds used; experiments may use fewer of them."""
+    """Number of test seeds; some experiments use fewer."""
     tuning_seeds: int = 4
-    """Tuning seeds used, one scene each of each family and light."""
+    """Number of tuning seeds, with one scene per family and light."""
     approach: int = 1
-    """Scenes a test seed in each cell of Table 4."""
+    """Scenes per test seed and cell of Table 4."""
     cylinder_seeds: int = 12
-    """Test seeds used, one scene each in each cell of Fig. 14."""
+    """Number of test seeds of Fig. 14, with one scene per cell."""
     floor_seeds: int = 2
-    """Test seeds used, one scene each for each tilt, roll and slope."""
+    """Number of test seeds of the floor, with one scene per pitch, roll and slope."""
     hard_seeds: int = 20
-    """Test seeds used for the harder families."""
+    """Number of test seeds of the harder families."""
     hard_scenes: int = 1
-    """Scenes a test seed of each harder family, each with a clean and a real depth camera."""
+    """Scenes per test seed and harder family, each without and with depth errors."""
     mount_seeds: int = 5
-    """Test seeds whose scenes in normal light are looked at with each wrong mount."""
+    """Number of test seeds of the wrong mounts, in normal light."""
     case_seeds: int = 4
-    """Test seeds used, one scene each of each case."""
+    """Number of test seeds of the cases, with one scene per case."""
     log_frames: int = 48
-    """Frames of the log with the pedestrian."""
+    """Number of frames of the log with the pedestrian."""
     timed: int = 8
-    """Frames that are timed in each condition."""
+    """Number of frames that are timed per condition."""
     rounds: int = 5
-    """How often they are timed."""
+    """Number of times that each frame is timed."""
     width: int = 640
-    """Of the images; the height is three quarters of it [pixel]."""
+    """Width of the images [pixel]; the height is three quarters of it."""
     worst: int = 8
-    """Failing frames that are pictured."""
+    """Number of frames with errors that are shown as pictures."""
 
 
 QUICK = Counts()

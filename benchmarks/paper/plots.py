@@ -1,4 +1,4 @@
-"""Plots of the report, by matplotlib without a display."""
+"""Plots of the report with matplotlib, which needs no display."""
 
 import io
 from collections.abc import Mapping, Sequence
@@ -29,7 +29,7 @@ matplotlib.rcParams.update(
 
 
 class Series(NamedTuple):
-    """Values with intervals, and the paper's beside them."""
+    """Values with intervals, and the values of the paper."""
 
     values: Sequence[float]
     low: Sequence[float] | None = None
@@ -38,7 +38,7 @@ class Series(NamedTuple):
 
 
 def canvas(columns: int = 1, width: float = 9.0, height: float = 3.8) -> tuple[Figure, list[Axes]]:
-    """An empty figure with plots side by side."""
+    """Return an empty figure with plots side by side."""
     figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots(1, columns, squeeze=False)[0]
@@ -46,16 +46,16 @@ def canvas(columns: int = 1, width: float = 9.0, height: float = 3.8) -> tuple[F
 
 
 def png(figure: Figure) -> bytes:
-    """The figure as a file."""
+    """Return a figure as a PNG file."""
     buffer = io.BytesIO()
     figure.savefig(buffer, dpi=110, metadata={"Software": None})
     return buffer.getvalue()
 
 
 def bars(axes: Axes, groups: Sequence[str], series: Mapping[str, Series], unit: str) -> None:
-    """Groups of bars with their intervals; the paper's values are diamonds."""
+    """Draw groups of bars with intervals, and the values of the paper as diamonds."""
     width = 0.8 / max(len(series), 1)
-    told = False
+    labelled = False
     for k, (name, one) in enumerate(series.items()):
         x = np.arange(len(groups)) + (k - (len(series) - 1) / 2) * width
         values = np.asarray(one.values, np.float64)
@@ -68,16 +68,16 @@ def bars(axes: Axes, groups: Sequence[str], series: Mapping[str, Series], unit: 
             known = [(a, p) for a, p in zip(x, one.paper, strict=True) if p is not None]
             if known:
                 spots = tuple(zip(*known, strict=True))
-                label = None if told else "the paper (its data)"
+                label = None if labelled else "the paper (its data)"
                 axes.scatter(*spots, marker="D", s=26, c="white", ec=INK, zorder=3, label=label)
-                told = True
+                labelled = True
     axes.set_xticks(np.arange(len(groups)), groups)
     axes.grid(visible=False, axis="x")
     axes.set_ylabel(unit)
 
 
 def lines(axes: Axes, x: Sequence[float], series: Mapping[str, Series], unit: str) -> None:
-    """Lines with intervals; the paper's values are dashed."""
+    """Draw lines with intervals, and the values of the paper as dashed lines."""
     for k, (name, one) in enumerate(series.items()):
         color = COLORS[k % len(COLORS)]
         axes.plot(x, one.values, "o-", color=color, label=name, lw=2, ms=4)
@@ -89,6 +89,6 @@ def lines(axes: Axes, x: Sequence[float], series: Mapping[str, Series], unit: st
 
 
 def legend(figure: Figure, axes: Axes, columns: int = 1) -> None:
-    """One legend for the whole figure, under it."""
+    """Add a legend below the figure."""
     handles, labels = axes.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=columns, fontsize=9)

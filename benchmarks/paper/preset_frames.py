@@ -1,4 +1,4 @@
-"""The preset paper with other settings on simulated frames, whose corners are found once."""
+"""The preset ``paper`` with other settings on simulated frames; corners are stored."""
 
 from dataclasses import replace
 from functools import lru_cache
@@ -22,11 +22,11 @@ BATCH = 16
 
 
 class PresetFrames:
-    """Frames with their floor; the corners of each setting are found once.
+    """Frames with their floor; the corners are computed once per setting.
 
     Args:
-        shots: Of one camera.
-        config: The preset whose settings are tried.
+        shots: Frames of one camera.
+        config: Preset whose settings are changed.
     """
 
     def __init__(self, shots: list[Shot], config: Config) -> None:
@@ -54,7 +54,7 @@ class PresetFrames:
         return Features(*(np.asarray(a) for a in found))
 
     def with_bounds(self, share: float) -> list[Features]:
-        """Return corners with the upper bound at a quantile of each frame's own gradients."""
+        """Return corners with the upper threshold at a quantile of the gradients of each frame."""
         each: list[Features] = []
         for color, depth, plane in self.parts:
             found = []
@@ -112,7 +112,7 @@ def _labels_only(truth: FrameTruth) -> FrameTruth:
 def with_settings(config: Config, params: dict[str, Any]) -> Config:
     """Return a configuration with other settings, by the names of their fields.
 
-    Canny's lower bound is half of the upper one, as in all bounds that the paper prints.
+    The lower Canny threshold is half of the upper one, as in the paper.
     """
     corners = {k: v for k, v in params.items() if hasattr(config.features, k)}
     if "canny_high" in corners:

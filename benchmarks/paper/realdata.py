@@ -40,9 +40,8 @@ def run(lab: Lab, place: Path, number: int = 0) -> Section:
     """Draw contact sheets of all recordings in a folder: logs, and folders of PNG pairs."""
     section = Section(f"recordings{number}", f"Real recordings: {place.name}")
     section.say(
-        "No truth exists for these; the pictures are for reading. The floor is that of each "
-        "frame's own depth; known before is one plane for a recording of a camera that keeps its "
-        "place, nothing of stills of a camera held by hand."
+        "Pictures only, without labels. The floor is estimated in each frame. The prior is one "
+        "plane per recording of a mounted camera; images of a hand-held camera have none."
     )
     try:
         recordings = list(find(place, lab.config))

@@ -167,27 +167,31 @@ def run(lab: Lab) -> Section:
     section = Section("realframes", "Labelled frames of real cameras")
     places = find_recordings(lab.recordings, lab.labelled)
     if not places:
-        section.say("Not run: no labelled recording was found (--recordings FOLDER names one).")
+        section.say(
+            "Not run: no labelled recording was found; pass their folder as --recordings FOLDER."
+        )
         return section
     section.say(
-        "A detection is right when its image box and a labelled object's overlap by enough (IoU "
-        f"{', '.join(f'{one.name} {one.least_iou:g}' for one, _ in places)}), one to one; one on "
-        "mostly unlabelled ground is neither right nor wrong. A frame is swamped when one box "
-        "covers more than half of its floor. Floor kept: share of the floor's measured pixels that "
-        "lie above the floor as it was found; where only boxes are labelled, the floor is what has "
-        "none. Distance: the detection's least forward depth against the near surface's. One plane "
-        "for a recording is known to wheeled before each frame corrects it, and is all that paper "
-        "has, though only aims_slam is one drive. Nothing is learnt from held-out "
-        "frames, but figures of theirs, or of all frames, were looked at when settings were chosen "
-        "(choices.md says which), those of aims_slam are of the same drive as the others, and "
-        "wheelchair's three frames decided settings; wheelchair_5cm leaves out what is lower. The "
-        "rooms (scripts/rooms_to_mcap) were labelled before they were run for the first time, and "
-        "nothing is learnt from them. In those looked at, rules were mended since; by the "
-        "untouched ones nothing was chosen (choices.md has the figures). The public recordings "
-        "were split by repository and labelled before anything had run on them (labels/RULE.md): "
-        "learn may be looked at and learnt from, last not. Where a table top is the ground, "
-        "preset tabletop is compared. Path: recall of what is labelled in the robot's path; low: "
-        "of what is 5 to 10 cm high within 3 m."
+        "A detection is correct if its image box and that of a labelled object overlap by the "
+        f"minimum IoU ({', '.join(f'{one.name} {one.least_iou:g}' for one, _ in places)}), one to "
+        "one. Detections that are mostly on unlabelled ground are ignored. A frame is swamped if "
+        "one box covers more than half of its floor. Floor kept: share of the measured floor "
+        "pixels above the estimated floor; with labels of boxes only, the floor is everything "
+        "outside of them. Distance: smallest depth of the detection, compared with the near "
+        "surface of the object. The prior is one plane per recording, which each frame corrects "
+        "with wheeled, but not with paper, though only aims_slam is one drive."
+    )
+    section.say(
+        "Use of the recordings: nothing was trained on held-out frames, but figures of some of "
+        "them were known when parameters were chosen (see choices.md). Those of aims_slam are of "
+        "the same drive as its other frames, and the three frames of wheelchair decided "
+        "parameters; wheelchair_5cm excludes lower objects. The rooms (scripts/rooms_to_mcap) were "
+        "labelled before anything was run on them, and nothing was trained on them; rules were "
+        "changed after some of them had been evaluated, but not after those called untouched. The "
+        "public recordings were split by repository and labelled before anything was run on them "
+        "(labels/RULE.md): the part learn may be used for training, the part last may not. If the "
+        "ground is a table top, preset tabletop is compared. Path: recall of objects labelled as "
+        "in the path of the robot; low: recall of objects 5 to 10 cm high within 3 m."
     )
     tasks = [
         Task(recording, folder, PRESETS[name], 0 if i or recording.least_height_m else WORST)

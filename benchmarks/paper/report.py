@@ -1,4 +1,4 @@
-"""The report as Markdown with its pictures beside it, as one HTML file, and as JSON."""
+"""Files of the report: Markdown with pictures, one HTML file, and JSON."""
 
 import base64
 import html
@@ -21,7 +21,7 @@ figure{margin:1rem 0}img{max-width:100%}figcaption,.caption{font-size:.86rem;col
 
 
 def write(folder: Path, title: str, sections: Sequence[Section], facts: Mapping[str, str]) -> None:
-    """Writes ``report.md``, ``figures/`` and ``report.html`` into a folder."""
+    """Write ``report.md``, ``figures/`` and ``report.html`` into a folder."""
     pictures = folder / "figures"
     pictures.mkdir(parents=True, exist_ok=True)
     for section in sections:
@@ -33,7 +33,7 @@ def write(folder: Path, title: str, sections: Sequence[Section], facts: Mapping[
 
 
 def write_json(path: Path, sections: Sequence[Section], facts: Mapping[str, str]) -> None:
-    """Writes all figures, with what they are of."""
+    """Write all figures and the facts of the run."""
     figures = [figure.to_dict() for section in sections for figure in section.figures]
     path.parent.mkdir(parents=True, exist_ok=True)
     text = json.dumps({"run": dict(facts), "figures": figures}, indent=1)
@@ -41,7 +41,7 @@ def write_json(path: Path, sections: Sequence[Section], facts: Mapping[str, str]
 
 
 def markdown(title: str, sections: Sequence[Section], facts: Mapping[str, str]) -> str:
-    """The report as Markdown."""
+    """Return the report as Markdown."""
     parts = [f"# {title}", *(f"- {name}: {value}" for name, value in facts.items())]
     contents = [f"{n}. {section.title}" for n, section in enumerate(sections, 1)]
     text = "\n".join([parts[0], "", *parts[1:], "", "## Contents", "", *contents, ""])
@@ -63,7 +63,7 @@ def _markdown_block(block: Block) -> str:
 
 
 def page(title: str, sections: Sequence[Section], facts: Mapping[str, str]) -> str:
-    """The report as one HTML file that needs no other."""
+    """Return the report as one self-contained HTML file."""
     contents = "".join(
         f"<li><a href='#{section.name}'>{html.escape(section.title)}</a></li>"
         for section in sections

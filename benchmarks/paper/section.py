@@ -1,4 +1,4 @@
-"""What an experiment returns: text, tables, pictures, and the figures for the JSON file."""
+"""Section of the report: text, tables, pictures, and the figures for the JSON file."""
 
 import math
 from dataclasses import dataclass, field
@@ -12,32 +12,33 @@ Direction = Literal["higher", "lower", "info"]
 
 
 class Figure(NamedTuple):
-    """One number."""
+    """Figure of the report."""
 
     key: str
     value: float
     unit: str
     direction: Direction
-    """Which way is better."""
+    """Whether higher or lower values are better; ``info`` for neither."""
     low: float = math.nan
-    """Lower end of its 95 % interval."""
+    """Lower end of the 95 % interval."""
     high: float = math.nan
+    """Upper end of the 95 % interval."""
     paper: float | str | None = None
-    """What the paper has."""
+    """Value in the paper."""
 
     def to_dict(self) -> dict[str, float | str | None]:
-        """As JSON has it: no NaN."""
+        """Return the values for JSON, None for NaN."""
         return {k: plain(v) for k, v in self._asdict().items()}
 
 
 class Text(NamedTuple):
-    """A paragraph."""
+    """Paragraph."""
 
     text: str
 
 
 class Table(NamedTuple):
-    """A table of texts."""
+    """Table of texts."""
 
     header: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
@@ -45,10 +46,10 @@ class Table(NamedTuple):
 
 
 class Picture(NamedTuple):
-    """A plot or a photograph."""
+    """Plot or image."""
 
     name: str
-    """For its file."""
+    """Name of its file, without the extension."""
     png: bytes
     caption: str
 
@@ -58,7 +59,7 @@ Block = Text | Table | Picture
 
 @dataclass
 class Section:
-    """An experiment's part of the report."""
+    """Section of an experiment."""
 
     name: str
     title: str
@@ -66,15 +67,15 @@ class Section:
     figures: list[Figure] = field(default_factory=list)
 
     def say(self, text: str) -> None:
-        """Adds a paragraph."""
+        """Add a paragraph."""
         self.blocks.append(Text(text))
 
     def table(self, header: list[str], rows: list[list[str]], caption: str = "") -> None:
-        """Adds a table."""
+        """Add a table."""
         self.blocks.append(Table(tuple(header), tuple(map(tuple, rows)), caption))
 
     def picture(self, name: str, png: bytes, caption: str) -> None:
-        """Adds a picture."""
+        """Add a picture."""
         self.blocks.append(Picture(f"{self.name}_{name}", png, caption))
 
     def add(
@@ -86,7 +87,7 @@ class Section:
         interval: Interval | None = None,
         paper: float | str | None = None,
     ) -> None:
-        """Adds a figure under the section's name."""
+        """Add a figure; its key is prefixed by the name of the section."""
         ends = interval or Interval(math.nan, math.nan)
         self.figures.append(
             Figure(f"{self.name}.{key}", value, unit, direction, *ends, paper=paper)
@@ -94,14 +95,14 @@ class Section:
 
 
 def plain(value: float | str | None) -> float | str | None:
-    """A value without NaN and infinities, rounded for reading."""
+    """Return a value rounded to six digits, None for NaN and infinity."""
     if not isinstance(value, float | np.floating):
         return value
     return float(f"{value:.6g}") if math.isfinite(value) else None
 
 
 def percent(value: float, interval: Interval | None = None, digits: int = 1) -> str:
-    """``91.2 % [88.0, 94.1]``."""
+    """Return a share as ``91.2 % [88.0, 94.1]``."""
     if math.isnan(value):
         return "-"
     text = f"{100 * value:.{digits}f} %"
@@ -111,7 +112,7 @@ def percent(value: float, interval: Interval | None = None, digits: int = 1) -> 
 
 
 def number(value: float, interval: Interval | None = None, digits: int = 3) -> str:
-    """``0.912 [0.880, 0.941]``."""
+    """Return a number as ``0.912 [0.880, 0.941]``."""
     if math.isnan(value):
         return "-"
     text = f"{value:.{digits}f}"
@@ -121,7 +122,9 @@ def number(value: float, interval: Interval | None = None, digits: int = 3) -> s
 
 
 def wilson(hits: int, trials: int, z: float = 1.959964) -> Interval:
-    """Wilson's 95 % interval of a share; it does not shrink to a point at 0 and 100 %.
+    """Return the Wilson score interval (95 %) of a success rate.
+
+    It has a width at 0 and 100 %, too.
 
     Wilson, Journal of the American Statistical Association 22 (1927), 209-212.
     """
@@ -134,7 +137,7 @@ def wilson(hits: int, trials: int, z: float = 1.959964) -> Interval:
 
 
 def bootstrap(values: np.ndarray, quantile: float, resamples: int = 1000) -> Interval:
-    """The 95 % percentile interval of a quantile of independent values."""
+    """Return the 95 % bootstrap percentile interval of a quantile of independent values."""
     if not len(values):
         return Interval(math.nan, math.nan)
     drawn = np.random.default_rng(0).integers(0, len(values), (resamples, len(values)))

@@ -1,4 +1,4 @@
-"""Section 6: how the depth interval and Canny's bounds change what the paper's method finds."""
+"""Section 6: influence of the depth interval, the robot's width and the Canny thresholds."""
 
 from collections.abc import Sequence
 
@@ -18,17 +18,17 @@ WIDTHS_M = (0.30, 0.40, 0.60)
 
 
 def run(lab: Lab) -> Section:
-    """Vary the two parameters that Section 6 names, d_z and the bounds of Canny."""
+    """Vary the parameters that Section 6 names: d_z, the robot's width and the Canny thresholds."""
     section = Section("section6", "Section 6: parameters and light")
     specs = [spec for i in LIGHTS for scene in SCENES for spec in lab.test_specs(scene, i)]
     frames = PresetFrames(lab.load(specs), preset("paper"))
     lights = np.array([shot.spec.light for shot in frames.shots])
     section.say(
-        f"The preset paper on {len(lights)} test frames with one parameter changed at a time. The "
-        "paper: the larger the depth interval, the more obstacles are grouped together, and a "
-        "small one divides things into layers; in dim light feature points become fewer, and a "
-        "small interval costs successes. A split is a second detection of a thing, a merge a "
-        "further thing in a detection."
+        f"The preset paper on {len(lights)} test frames with one parameter changed at a time. "
+        "According to the paper, a large depth interval groups obstacles together, and a small one "
+        "divides objects into layers; in dim light there are fewer feature points, and a small "
+        "interval reduces the success rate. A split is a second detection of an object, a merge a "
+        "further object in a detection."
     )
     _gaps(section, frames, lights)
     _widths(section, frames)
@@ -87,7 +87,7 @@ def _bounds(section: Section, frames: PresetFrames, lights: np.ndarray) -> None:
             section.add(f"canny.{low}-{high}.{light}.accuracy", one.accuracy, "", "higher")
             cells.append(f"{count:.0f}, {percent(one.accuracy)}")
         rows.append([f"{low}, {high}", *cells])
-    header = ["Bounds of Canny", *(f"{light}: corners, ACC" for light in LIGHTS)]
+    header = ["Canny thresholds", *(f"{light}: corners, ACC" for light in LIGHTS)]
     section.table(header, rows, "Corners above the floor and in range, median per frame")
 
 

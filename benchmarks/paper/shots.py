@@ -1,4 +1,4 @@
-"""Simulated frames with their truth: drawn once by worker processes, kept in files."""
+"""Simulated frames with ground truth, made once by worker processes and stored in files."""
 
 from collections.abc import Iterable, Sequence
 from concurrent.futures import Executor
@@ -18,7 +18,7 @@ from jaxdet.types import Calibration, Frames
 
 
 class Spec(NamedTuple):
-    """What to draw: ``frames`` scenes of a family by one seed, or a log of ``frames`` frames."""
+    """Frames to simulate: ``frames`` scenes of a family, or a log of ``frames`` frames."""
 
     family: str
     seed: int
@@ -27,13 +27,13 @@ class Spec(NamedTuple):
     changes: tuple[tuple[str, Any], ...] = ()
     """Other fields of :class:`jaxdet.sim.SimConfig`."""
     log: bool = False
-    """One scene through time instead of many scenes."""
+    """Whether the frames are a log of one scene, instead of separate scenes."""
     heights: bool = False
-    """Keep the true heights too."""
+    """Whether to store the true heights."""
 
     @property
     def name(self) -> str:
-        """A file name for it."""
+        """Name of the file, without its extension."""
         parts = [f"{k}={v:.6g}" for k, v in self.changes]
         kind = ["log"] if self.log else []
         high = ["heights"] if self.heights else []
@@ -42,45 +42,45 @@ class Spec(NamedTuple):
 
 
 class Shot(NamedTuple):
-    """One frame and all that is true of it."""
+    """Frame with its ground truth."""
 
     spec: Spec
     number: int
     color: np.ndarray
-    """``(H, W, 3)`` uint8, RGB."""
+    """Colour image ``(H, W, 3)`` uint8, RGB."""
     depth: np.ndarray
-    """``(Hd, Wd)`` uint16 on the depth camera's rays."""
+    """Depth image ``(Hd, Wd)`` uint16 of the depth camera."""
     calibration: Calibration
     mount: tuple[float, float, float]
-    """Height [m], pitch and roll [rad] of the depth camera, as a log's TF has them: without the
-    mount's errors, which the poses have."""
+    """Height [m], pitch and roll [rad] of the depth camera, as in the TF of a log: without the
+    errors of the mount, which the poses include."""
     T_world_camera: np.ndarray
     """Pose of the depth camera, ``(4, 4)`` float64."""
     T_world_color: np.ndarray
     """Pose of the colour camera, ``(4, 4)`` float64."""
     truth: FrameTruth
-    """``B = 1``; lengths refer to the depth camera."""
+    """Ground truth of the frame, ``B = 1``; lengths refer to the depth camera."""
     color_truth: FrameTruth
-    """The same with lengths that refer to the colour camera, as those of clustered points do."""
+    """The same, but lengths refer to the colour camera, as those of clustered points do."""
     names: tuple[str, ...]
-    """Of the objects."""
+    """Names of the objects."""
     height: np.ndarray | None
-    """``(H, W)`` float16, true height above the floor, NaN where nothing is [m]."""
+    """True height above the floor ``(H, W)`` float16 [m], NaN without an object or floor."""
 
     @property
     def title(self) -> str:
-        """Which frame it is."""
+        """Title with family, light, seed and other settings."""
         own = " ".join(f"{k} {v:.3g}" for k, v in self.spec.changes if k not in ("width", "height"))
         where = f"{self.spec.family} {self.spec.light} seed {self.spec.seed}.{self.number}"
         return f"{where} {own}".strip()
 
 
 class Store:
-    """Draws what is asked for and not there yet.
+    """Simulated frames in files; missing ones are made.
 
     Args:
-        folder: Where the frames are kept.
-        pool: Draws; None: this process does.
+        folder: Folder of the files.
+        pool: Worker processes; None: frames are made in this process.
     """
 
     def __init__(self, folder: Path, pool: Executor | None = None) -> None:
@@ -89,11 +89,11 @@ class Store:
         folder.mkdir(parents=True, exist_ok=True)
 
     def path(self, spec: Spec) -> Path:
-        """Where its frames lie."""
+        """Return the file of some frames."""
         return self.folder / f"{spec.name}.zst"
 
     def ensure(self, specs: Iterable[Spec]) -> None:
-        """Draws the missing ones; lights of the same scenes go to the same worker."""
+        """Make missing frames; the same worker makes all lights of a scene."""
         groups: dict[Spec, list[Spec]] = {}
         for spec in specs:
             if not self.path(spec).exists():
@@ -103,7 +103,7 @@ class Store:
         list((self.pool.map if self.pool else map)(draw, tasks))
 
     def load(self, specs: Sequence[Spec]) -> list[Shot]:
-        """Their frames, drawn if need be."""
+        """Return frames; missing ones are made."""
         self.ensure(specs)
         return [shot for spec in specs for shot in load_shots(self.path(spec))]
 
@@ -114,14 +114,14 @@ def load_shots(path: Path) -> list[Shot]:
 
 
 def draw(task: tuple[Path, tuple[Spec, ...]]) -> None:
-    """Draws specs into their files; a worker's task."""
+    """Make the files of some frames; task of a worker."""
     folder, specs = task
     for spec in specs:
         save(folder / f"{spec.name}.zst", drawn(spec))
 
 
 def drawn(spec: Spec) -> list[Shot]:
-    """Its frames, drawn again."""
+    """Return simulated frames without reading their file."""
     return [shot_of(spec, frame) for frame in _frames(spec)]
 
 
@@ -137,7 +137,7 @@ def _frames(spec: Spec) -> Iterable[SimFrame]:
 
 
 def shot_of(spec: Spec, frame: SimFrame) -> Shot:
-    """A simulated frame with its truth."""
+    """Return a simulated frame with its ground truth."""
     truth, config = frame_truth(frame), frame.config
     assert frame.depth is not None
     calibration, floor = calibration_of(config), depth_plane(config)
@@ -163,12 +163,12 @@ def shot_of(spec: Spec, frame: SimFrame) -> Shot:
 
 
 def frames_of(shots: Sequence[Shot], *, plane: bool = True) -> Frames:
-    """Frames of one camera as a batch.
+    """Return frames of one camera as a batch.
 
     Args:
-        shots: ``B`` of them.
-        plane: Whether the floor is given by the camera's mount on the robot, as a log's TF does;
-            else it is left to an estimate.
+        shots: ``B`` frames.
+        plane: Whether to include the floor that follows from the mount of the camera, as from the
+            TF of a log; otherwise it is estimated.
     """
     count = len(shots)
     height, pitch, roll = np.array([shot.mount for shot in shots], np.float64).T

@@ -54,7 +54,7 @@ class Polygon(NamedTuple):
 
     name: str
     points: np.ndarray
-    """Corners ``(P, 2)`` float64, u and v [pixel]; they can be outside of the image."""
+    """Corners ``(P, 2)`` float64, u and v [pixel]; they may be outside of the image."""
 
     @property
     def last_word(self) -> str:
@@ -80,7 +80,7 @@ class SunScene(NamedTuple):
     name: str
     """Path of the scene's folder relative to the root."""
     frames: Frames
-    """One frame, depth aligned to colour, without a plane."""
+    """Frame with depth aligned to colour, without a plane."""
     down: np.ndarray | None
     """Direction of gravity in the camera's optical frame, ``(3,)`` float64; None if unknown."""
     kind: str

@@ -1,4 +1,4 @@
-"""Fig. 8 and Section 4.1.1: scenes of SUN RGB-D, what is found in them and what is missed."""
+"""Fig. 8 and Section 4.1.1: detections in scenes of SUN RGB-D."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -34,13 +34,13 @@ from jaxdet.results.rows import to_host
 TITLES = "paper", "wheeled"
 """Presets that are compared."""
 ASKED = {"standing": True, "things": False}
-"""Which things are asked for: those that stand on the floor, or all."""
+"""Required objects: those that stand on the floor, or all."""
 PICTURED, WIDTH = 12, 420
-"""Scenes in the picture, evenly over all, and the width of each view."""
+"""Number of scenes in the picture, evenly spaced, and width of each view [pixel]."""
 
 
 class Task(NamedTuple):
-    """A scene to be judged."""
+    """Scene to evaluate."""
 
     root: Path
     folder: Path
@@ -48,20 +48,20 @@ class Task(NamedTuple):
 
 
 class Judgement(NamedTuple):
-    """What is found in a scene."""
+    """Result of a scene."""
 
     problem: str
-    """Why it can't be read; then the other fields are empty."""
+    """Reason why the scene can't be read; then the other fields are empty."""
     tallies: dict[tuple[str, str], BoxTally]
-    """Counts by what is asked for and preset; empty without labels."""
+    """Counts by required objects and preset; empty without labels."""
     tilt_rad: float
-    """Angle between the floor's normal as it was found and the dataset's; NaN without either."""
+    """Angle between the estimated normal of the floor and the dataset's; NaN without either."""
     views: list[np.ndarray]
-    """A picture for each preset."""
+    """Pictures, one per preset."""
 
 
 def run(lab: Lab) -> Section:
-    """Score and picture the scenes of a folder."""
+    """Score the scenes of a folder and show pictures of them."""
     section = Section("sunrgbd", "Fig. 8: scenes of SUN RGB-D")
     if lab.sunrgbd is None:
         section.say("Not run: no folder of SUN RGB-D was named (--sunrgbd ROOT names one).")
@@ -82,17 +82,17 @@ def run(lab: Lab) -> Section:
         f"{len(chosen)} of {len(folders)} scenes; {len(labelled)} have labels, {len(problems)} "
         f"can't be read{': ' if problems else ''}{'; '.join(problems[:3])}. Objects are the "
         "polygons of annotation2Dfinal whose near surface is within "
-        f"{MAX_DEPTH_M:g} m. Not asked for is what is called {', '.join(sorted(NO_THINGS))}; "
-        f"{', '.join(sorted(FLOORS))} are floor. Standing: the object reaches down to the labelled "
-        "floor; those on a table or shelf are neither missed nor false. A detection is right if "
-        f"the boxes' IoU is at least {MIN_IOU:g}; only detections on labelled floor and objects "
-        "count. The depth is as it was measured (folder depth), and each frame's floor is found in "
-        "it."
+        f"{MAX_DEPTH_M:g} m. Objects called {', '.join(sorted(NO_THINGS))} are not required; "
+        f"{', '.join(sorted(FLOORS))} are floor. Standing objects reach down to the labelled "
+        "floor; objects on a table or shelf are ignored. A detection is correct if the IoU of the "
+        f"boxes is at least {MIN_IOU:g}; only detections on labelled floor and objects count. The "
+        "depth is the measured one (folder depth), from which the floor of each frame is "
+        "estimated."
     )
     if len(tilts):
         section.say(
-            f"The floor's normal differs from the dataset's by {np.median(tilts):.1f} degrees "
-            f"(median of {len(tilts)} scenes)."
+            "The normal of the floor differs from that of the dataset by "
+            f"{np.median(tilts):.1f} degrees (median of {len(tilts)} scenes)."
         )
     rows = [
         [
@@ -113,7 +113,7 @@ def run(lab: Lab) -> Section:
 
 
 def _spread(folders: list[Path], count: int) -> list[Path]:
-    """Return ``count`` folders, evenly over all."""
+    """Return ``count`` evenly spaced folders."""
     numbers = np.linspace(0, len(folders) - 1, min(count, len(folders)))
     return [folders[k] for k in np.rint(numbers).astype(int).tolist()]
 
@@ -133,7 +133,7 @@ def _row(section: Section, key: str, tallies: list[BoxTally]) -> list[str]:
 
 
 def judge(task: Task) -> Judgement:
-    """Find the obstacles of a scene by each preset."""
+    """Detect the obstacles of a scene with each preset; task of a worker."""
     try:
         scene = read_scene(task.folder, task.root)
         found = {name: _found(scene, PRESETS[name]) for name in TITLES}
@@ -157,7 +157,7 @@ def judge(task: Task) -> Judgement:
 
 
 def _found(scene: SunScene, config: Config) -> Found:
-    """Return the obstacles of a scene, with the floor that its own depth shows."""
+    """Return the obstacles of a scene, with the floor estimated from its depth."""
     frames = scene.frames
     frames = frames._replace(plane=find_floors(frames, config, backend="reference").plane)
     read = method_frames(frames, config)
@@ -176,7 +176,7 @@ def _tally(scene: SunScene, found: Found, standing: bool) -> BoxTally:
 
 
 def _picture(scene: SunScene, title: str, found: Found) -> np.ndarray:
-    """Draw what is found in a scene, and the labelled things that are asked for."""
+    """Draw the detections and the required labelled objects of a scene."""
     shown = shown_image(found.frames, 0, found.config)
     view = camera_view(shown, found.detections, 0, found.config, 1.0)
     text = f"{title}, {scene.name}: no labels"

@@ -1,4 +1,4 @@
-"""The systems that are compared, and one task of a worker: run them on some frames and score."""
+"""Systems that are compared, and the task of a worker: run them on some frames and score them."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -20,12 +20,14 @@ from jaxdet.presets import preset
 from jaxdet.results.rows import to_host
 from jaxdet.types import Detections
 
-OURS = "ours"
+DEFAULT = "default"
+"""Name of the default of jaxdet."""
 PAPER = "preset_paper"
+"""Name of the complete method of the paper."""
 RULE = "paper"
-"""The paper's rule on the same points as the baselines, and tuned as they are."""
+"""Name of the paper's rule, on the same points as the baselines and tuned in the same way."""
 RIVALS = tuple(name for name, b in BASELINES.items() if name != RULE and not b.missing)
-"""The clustering baselines that can run here."""
+"""Names of the clustering baselines whose packages are installed."""
 QUICK_RIVALS = (
     "hierarchical_ward",
     "hierarchical_default",
@@ -33,50 +35,49 @@ QUICK_RIVALS = (
     "rsc",
     "dbscan",
 )
-"""Baselines of a quick report: the paper's own two, with both readings of the traditional method,
-and two that everybody has at hand."""
+"""Baselines of a quick report: RSC, two readings of the traditional method, two common methods."""
 MISSING = {name: b.missing for name, b in BASELINES.items() if b.missing}
 JOIN_M = (0.40, 0.10)
-"""Lateral and depth gap that make two obstacles one by the paper's definition [m]."""
+"""Largest lateral and depth gap between obstacles that are joined [m]."""
 CITED = ("birch", "perch", "rock", "cure", "chameleon", "ddc", "dcc")
-"""What the paper's Section 2 names beside hierarchical clustering and RSC, in its order."""
+"""Methods in Section 2 of the paper other than hierarchical clustering and RSC, in its order."""
 LEARNT = (
-    "Its weights were learnt from 16,570 simulated frames of the same families and the harder ones "
-    "by other seeds, and from two thirds of the labelled real frames; a baseline's two or three "
-    "parameters are chosen on one frame of each scene, light and tuning seed."
+    "Its weights were trained on 16,570 simulated frames of the same and of harder families, with "
+    "other seeds, and on two thirds of the labelled real frames. The two or three parameters of a "
+    "baseline are chosen on one frame per scene, light and tuning seed."
 )
-"""What ours has seen, for the report."""
+"""Training data of the default, for the report."""
 LEAST_POINTS = 18
-"""The baselines' clusters of this many points or fewer are dropped: there are some 5,000 points
-where the paper has corners alone, and drops 10."""
-INDEXED = (OURS, PAPER, RULE, "hierarchical_ward", "rsc", *CITED)
-"""The systems of Table 1, whose clusters are judged by internal indices too."""
+"""Clusters of the baselines with this many points or fewer are discarded. They cluster corners and
+a grid of pixels, thus more points than the preset ``paper``."""
+INDEXED = (DEFAULT, PAPER, RULE, "hierarchical_ward", "rsc", *CITED)
+"""Systems of Table 1, for which internal indices are computed."""
 INDEXED_LIGHT = "normal"
-"""The light of Table 1."""
+"""Light of Table 1."""
 JOINED = "joined:"
-"""Prefix of a system's name: scored on the truth with such obstacles joined."""
+"""Prefix of a system's name: scores with obstacles joined by :data:`JOIN_M`."""
 NEGATIVES = "negatives:"
-"""Prefix of a system's name: joined, and with true negatives, the paper's definition of ACC."""
+"""Prefix of a system's name: scores with joined obstacles and negative samples, as in the paper."""
 
 
 class System(NamedTuple):
-    """A method with all its parameters."""
+    """Method with its parameters."""
 
     name: str
     title: str
     method: str
-    """``ours``, or a key of :data:`benchmarks.baselines.BASELINES`."""
+    """:data:`DEFAULT`, or a key of :data:`benchmarks.baselines.BASELINES`."""
     config: Config
     params: tuple[tuple[str, Any], ...] = ()
 
     @property
     def baseline(self) -> Baseline:
-        """How it is run, if it is not ours."""
+        """Baseline of this system."""
         return BASELINES[self.method]
 
     @property
     def params_text(self) -> str:
-        """Its parameters with three digits."""
+        """Parameters with three digits."""
         return ", ".join(
             f"{name} {value:.3g}" if isinstance(value, float) else f"{name} {value}"
             for name, value in self.params
@@ -86,11 +87,11 @@ class System(NamedTuple):
 def systems(
     config: Config, tuned: dict[str, dict[str, Any]], rivals: Sequence[str] = RIVALS
 ) -> list[System]:
-    """Ours as it comes, the paper's preset, and the baselines with their tuned parameters.
+    """Return the default, the preset ``paper``, and the baselines with their tuned parameters.
 
     Args:
-        config: Ours; the baselines get the same preprocessing.
-        tuned: Parameters by the baseline's name.
+        config: Configuration of the default; the baselines have the same preprocessing.
+        tuned: Parameters by the name of the baseline.
         rivals: Names of the baselines.
     """
     theirs = of_points(config)
@@ -98,26 +99,26 @@ def systems(
         System(name, BASELINES[name].title, name, theirs, tuple(tuned.get(name, {}).items()))
         for name in (RULE, *rivals)
     ]
-    return [ours(config), paper(), *others]
+    return [default(config), paper(), *others]
 
 
-def ours(config: Config) -> System:
-    """What is held against hard conditions."""
-    return System(OURS, "Ours (default)", OURS, config)
+def default(config: Config) -> System:
+    """Return the default method."""
+    return System(DEFAULT, "Default of jaxdet", DEFAULT, config)
 
 
 def paper() -> System:
-    """The paper's whole method, from alignment to outlines."""
-    return System(PAPER, "Ours (preset paper)", OURS, preset("paper"))
+    """Return the complete method of the paper, from alignment to outlines."""
+    return System(PAPER, "Preset paper", DEFAULT, preset("paper"))
 
 
 def of_points(config: Config) -> Config:
-    """What the baselines, which cluster points, get of ours: all but the rule of the least size."""
+    """Return the configuration of the baselines: the default's, with clustering of points."""
     return replace(config, cluster=ClusterConfig(points=True, min_points=LEAST_POINTS))
 
 
 def eval_config(config: Config, *, indices: bool = False) -> EvalConfig:
-    """What counts, by the range and step of the configuration; ``indices`` take long."""
+    """Return the evaluation for the range and step of a configuration; ``indices`` take long."""
     ground = config.ground
     return EvalConfig(
         ground.min_depth_m,
@@ -129,10 +130,10 @@ def eval_config(config: Config, *, indices: bool = False) -> EvalConfig:
 
 
 class Prepared:
-    """Frames, and what the baselines get of them, made once for each configuration.
+    """Frames, and the points that baselines cluster, computed once per configuration.
 
     Args:
-        shots: Of one camera.
+        shots: Frames of one camera.
     """
 
     def __init__(self, shots: Sequence[Shot]) -> None:
@@ -140,14 +141,14 @@ class Prepared:
         self._frames: dict[Config, list[Frame]] = {}
 
     def frames(self, config: Config) -> list[Frame]:
-        """One for each shot."""
+        """Return the prepared frames, one per shot."""
         if config not in self._frames:
             self._frames[config] = prepare(frames_of(self.shots), config)
         return self._frames[config]
 
 
 def truth_for(config: Config, shot: Shot) -> FrameTruth:
-    """The truth of a frame from the camera that a method's lengths refer to."""
+    """Return the ground truth for the camera that the lengths of a method refer to."""
     return shot.color_truth if config.cluster.points else shot.truth
 
 
@@ -158,14 +159,14 @@ def tally_of(
     counted: EvalConfig | None = None,
     truth: FrameTruth | None = None,
 ) -> Tally:
-    """A frame's detections compared with the truth.
+    """Compare the detections of a frame with the ground truth.
 
     Args:
-        shot: The frame.
-        found: ``B = 1``.
+        shot: Frame.
+        found: Its detections, ``B = 1``.
         config: Configuration of the method.
-        counted: What counts; by default :func:`eval_config`.
-        truth: By default that of :func:`truth_for`.
+        counted: Configuration of the evaluation; default: :func:`eval_config`.
+        truth: Ground truth; default: :func:`truth_for`.
     """
     counted, truth = counted or eval_config(config), truth or truth_for(config, shot)
     side = cell_side(shot.calibration.depth, config.surface.cell_rad)
@@ -173,13 +174,13 @@ def tally_of(
 
 
 def found_by(system: System, prepared: Prepared) -> list[Detections]:
-    """The obstacles of each frame, batches of one.
+    """Return the obstacles of each frame, as batches of one.
 
-    What is known of the floor is the camera's mount; all but the preset ``paper`` have it corrected
-    by each frame.
+    The floor follows from the mount of the camera; except with the preset ``paper``, each frame
+    corrects it.
     """
     config = system.config
-    if system.method == OURS:
+    if system.method == DEFAULT:
         each = [frames_of([shot]) for shot in prepared.shots]
         return [to_host(detect(frames, config, backend="jax", with_cells=True)) for frames in each]
     frames, params = prepared.frames(config), dict(system.params)
@@ -187,16 +188,16 @@ def found_by(system: System, prepared: Prepared) -> list[Detections]:
 
 
 def joined(truth: FrameTruth) -> FrameTruth:
-    """The truth with obstacles joined that the robot can't pass between; it has no outlines."""
+    """Return the ground truth with obstacles joined by :data:`JOIN_M`, without outlines."""
     return group_objects(truth, *JOIN_M)._replace(footprint=None)
 
 
 def judge(task: tuple[Path, tuple[System, ...]]) -> dict[str, list[Tally]]:
-    """Run every system on every frame of a file; a worker's task.
+    """Run every system on every frame of a file; task of a worker.
 
     Returns:
-        A tally for each frame by the system's name, and by :data:`JOINED` and :data:`NEGATIVES`
-        before its name.
+        A tally per frame, by the name of the system, also with the prefixes :data:`JOINED` and
+        :data:`NEGATIVES`.
     """
     path, chosen = task
     shots = load_shots(path)
@@ -227,12 +228,12 @@ def samples_of(shot: Shot) -> np.ndarray:
 
 
 def tuning_objective(figures: Score) -> float:
-    """What the baselines are tuned for: the mean of the three figures they are judged by."""
+    """Return the objective of tuning: the mean of ACC, FMI and F1."""
     return (figures.accuracy + figures.fmi + figures.f1) / 3
 
 
 class TuningTask(NamedTuple):
-    """A baseline to tune on the frames in some files."""
+    """Baseline to tune on the frames in some files."""
 
     name: str
     paths: tuple[Path, ...]
@@ -240,7 +241,7 @@ class TuningTask(NamedTuple):
 
 
 def tune_one(task: TuningTask) -> tuple[dict[str, Any], float]:
-    """A worker's task: the best parameters of a baseline, and the objective there."""
+    """Return the best parameters of a baseline and their objective; task of a worker."""
     frames, truths = _tuning_frames(task.paths, task.config)
     counted = eval_config(task.config)
     best = tune(BASELINES[task.name], frames, truths, tuning_objective, task.config, counted)

@@ -1,4 +1,4 @@
-"""Table 1 and Fig. 10: how compact and how far apart the clusters are, by scene."""
+"""Table 1 and Fig. 10: silhouette coefficient and Davies-Bouldin index by scene."""
 
 import numpy as np
 
@@ -9,16 +9,16 @@ from benchmarks.paper.measure import Measured, measured
 from benchmarks.paper.pictures import side_by_side
 from benchmarks.paper.plan import SCENE_TITLES, SCENES
 from benchmarks.paper.section import Direction, Section, number
-from benchmarks.paper.systems import CITED, INDEXED_LIGHT, MISSING, OURS, PAPER, RULE
+from benchmarks.paper.systems import CITED, DEFAULT, INDEXED_LIGHT, MISSING, PAPER, RULE
 
 ROWS = {
-    OURS: "ours",
+    DEFAULT: "ours",
     PAPER: "ours",
     RULE: "ours",
     "hierarchical_ward": "traditional",
     "rsc": "rsc",
 }
-"""Our systems and the paper's rows they stand for."""
+"""Systems, and the rows of the paper with which they are compared."""
 INDICES: dict[str, Direction] = {"silhouette": "higher", "davies_bouldin": "lower"}
 
 
@@ -27,13 +27,13 @@ def run(lab: Lab) -> Section:
     section = Section("table1", "Table 1 and Fig. 10: clustering indices by scene")
     section.say(
         "Silhouette coefficient SC (larger is better) and Davies-Bouldin index DB (smaller is "
-        "better), means over the frames with at least two clusters, normal light. Points without a "
-        "label take no part, so these indices reward a method that throws points away; they say "
-        "nothing about the truth. DB is not bounded by 1. Points are corners and, of the default, "
-        "a sample of its cells, of the others but the preset paper a grid of pixels; the paper's "
-        "rule on those points has its own row, to be compared with RSC and ward. The paper has "
-        "one picture of each scene, we have a family of simulated ones. Below its rows are the "
-        "methods that it cites in Section 2, with parameters tuned as in Table 2."
+        "better): means over the frames with at least two clusters, in normal light. Points "
+        "without a label are left out, so these indices reward a method that discards points, and "
+        "they don't depend on the ground truth. DB is not bounded by 1. The paper's rule, RSC, "
+        "ward and the other baselines cluster the same corners and grid of pixels; the preset "
+        "paper clusters its own corners, the default corners and a sample of its cells. The paper "
+        "has one picture per scene; here each scene is a family of simulated ones. The methods "
+        "that it cites in Section 2 follow, with parameters tuned as in Table 2."
     )
     titles = {system.name: system.title for system in lab.systems}
     found = {
@@ -70,7 +70,7 @@ def _table(
         if name in MISSING
     ]
     header = ["Method", *(f"{t} {i}" for t in SCENE_TITLES for i in ("SC", "DB"))]
-    section.table(header, rows, "Ours on simulated scenes with 95 % intervals (the paper's value)")
+    section.table(header, rows, "Simulated scenes, with 95 % intervals (the paper's value)")
 
 
 def _plot(section: Section, found: dict[tuple[str, str], Measured], titles: dict[str, str]) -> None:
@@ -88,20 +88,21 @@ def _plot(section: Section, found: dict[tuple[str, str], Measured], titles: dict
         }
         plots.bars(ax, SCENE_TITLES, series, ("SC, larger is better", "DB, smaller is better")[j])
     plots.legend(figure, axes[0], 5)
-    section.picture("indices", plots.png(figure), "Table 1 as a plot; diamonds are the paper's.")
+    section.picture("indices", plots.png(figure), "Table 1 as a plot; diamonds: the paper.")
 
 
 def _clusters(section: Section, lab: Lab, titles: dict[str, str]) -> None:
-    """Of each scene the first frame with the most obstacles."""
-    chosen = [s for s in lab.systems if s.name in (RULE, "hierarchical_ward", "rsc", OURS)]
+    """Add pictures of the first frame with the most obstacles of each scene."""
+    chosen = [s for s in lab.systems if s.name in (RULE, "hierarchical_ward", "rsc", DEFAULT)]
     chosen.sort(key=lambda system: list(ROWS).index(system.name))
     strips = []
     for scene in SCENES:
-        full = int(np.argmax([tally.visible for tally in lab.scores[scene, INDEXED_LIGHT]["ours"]]))
+        tallies = lab.scores[scene, INDEXED_LIGHT][DEFAULT]
+        full = int(np.argmax([tally.visible for tally in tallies]))
         each = lab.counts.scenes
         spec = lab.spec(scene, lab.seeds[full // each], each, INDEXED_LIGHT)
         shot = lab.load([spec])[full % each]
         strips.append(side_by_side(shot, chosen, [titles[s.name] for s in chosen]))
     for scene, strip in zip(SCENES, strips, strict=True):
-        caption = f"Fig. 10, {scene}: points coloured by cluster, white in none, grey dropped."
+        caption = f"Fig. 10, {scene}: points coloured by cluster (white: none, grey: discarded)."
         section.picture(scene, strip, caption)

@@ -1,4 +1,4 @@
-"""Table 3: beside what the paper says of deep detectors."""
+"""Table 3: comparison with the figures that the paper gives for deep detectors."""
 
 import time
 
@@ -11,7 +11,7 @@ from benchmarks.paper.people import add_people
 from benchmarks.paper.plan import SCENES
 from benchmarks.paper.section import Section, percent
 from benchmarks.paper.shots import Shot
-from benchmarks.paper.systems import OURS, PAPER, Prepared, System, found_by
+from benchmarks.paper.systems import DEFAULT, PAPER, Prepared, System, found_by
 
 FIGURES = ("accuracy", "precision", "recall", "f1")
 
@@ -20,14 +20,14 @@ def run(lab: Lab) -> Section:
     """Table 3 (ACC, precision, recall, F1, time against YOLOv7 and Swin-Transformer YOLOv5)."""
     section = Section("table3", "Table 3: against deep detectors")
     section.say(
-        "The paper's detectors are trained on its own images; their weights are not public, and a "
-        "detector of others' classes would have to know buckets and tree trunks: of them there "
-        "are the paper's figures alone. Ours are of all test scenes in all lights."
+        "The detectors of the paper were trained on its own images, and their weights are not "
+        "public, so only their figures in the paper are shown. Our figures are for all test scenes "
+        "in all lights."
     )
     shots = lab.load(lab.test_specs(SCENES[0], "normal"))[: lab.counts.timed]
     titles = {system.name: system.title for system in lab.systems}
     rows: list[list[str]] = []
-    for name in (OURS, PAPER):
+    for name in (DEFAULT, PAPER):
         system = next(system for system in lab.systems if system.name == name)
         one = measured(lab.tallies(name))
         rows.append(_row(section, titles[name], name, one, _seconds(system, shots)))
@@ -55,7 +55,7 @@ def _paper(paper: tuple[float, ...]) -> list[str]:
 
 
 def _seconds(system: System, shots: list[Shot]) -> float:
-    """Median time of the whole process on a frame, by the compiled program, after a first one."""
+    """Return the median time of the complete detection on a frame [s], without compilation."""
     times: list[float] = []
     found_by(system, Prepared(shots[:1]))  # compiles
     for shot in shots:

@@ -1,4 +1,4 @@
-"""Times on this machine: in turns, so that a busy machine treats all alike."""
+"""Wall times on this machine, measured in turns, so that other load affects all functions alike."""
 
 import time
 from collections.abc import Callable, Mapping
@@ -11,15 +11,15 @@ from jaxdet.types import Frames
 
 
 def in_turns(functions: Mapping[str, Callable[[int], Any]], frames: int, rounds: int) -> dict:
-    """Milliseconds of each function on each frame.
+    """Return the time of each function on each frame [ms].
 
     Args:
-        functions: By name; called with a frame's number.
-        frames: How many.
-        rounds: The best of so many counts, after a first call that doesn't.
+        functions: Functions of a frame's number, by name.
+        frames: Number of frames.
+        rounds: Number of calls of which the fastest counts, after a first call that does not.
 
     Returns:
-        ``(frames,)`` float64 by name.
+        Times ``(frames,)`` float64, by name.
     """
     best = {name: np.full(frames, np.inf) for name in functions}
     for turn in range(rounds + 1):
@@ -34,7 +34,7 @@ def in_turns(functions: Mapping[str, Callable[[int], Any]], frames: int, rounds:
 
 
 def split_batch(frames: Frames) -> list[Frames]:
-    """Batches of one frame each."""
+    """Return batches of one frame each."""
     plane = frames.plane
     out: list[Frames] = []
     for b in range(len(frames.depth)):

@@ -183,8 +183,8 @@ def test_figures_as_json(sections, tmp_path):
     by_key = {row["key"]: row for row in rows}
     paper = by_key["table2.preset_paper.accuracy"]
     assert paper["paper"] == 0.8241 and paper["low"] <= paper["value"] <= paper["high"]
-    assert by_key["table2.ours.accuracy"]["paper"] is None
-    assert by_key["table4.ours.normal.3m"]["paper"] == 0.873
+    assert by_key["table2.default.accuracy"]["paper"] is None
+    assert by_key["table4.default.normal.3m"]["paper"] == 0.873
     assert by_key["table1.rsc.roadblocks.davies_bouldin"]["direction"] == "lower"
     assert by_key["table1.cure.roadblocks.silhouette"]["paper"] is None
 
@@ -230,8 +230,8 @@ def test_a_log_of_ones_own_with_the_baselines(lab, tmp_path):
     write_log(log, SimConfig(scene="row", frames=2, width=192, height=144))
     lab.log_file, lab.truth = log, log
     values = {figure.key: figure.value for figure in own.run(lab).figures}
-    assert values["own.ours.recall"] == 1
-    assert {key.split(".")[1] for key in values} == {"ours", "preset_paper", "paper", *RIVALS}
+    assert values["own.default.recall"] == 1
+    assert {key.split(".")[1] for key in values} == {"default", "preset_paper", "paper", *RIVALS}
     boxes = tmp_path / "labels.json"
     boxes.write_text('[{"frame": 0, "box": [0, 0, 5, 5]}, {"frame": 1}]')
     lab.truth = boxes

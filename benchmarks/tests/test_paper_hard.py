@@ -86,18 +86,18 @@ def test_what_is_under_another_thing_and_what_is_hardly_measured():
     assert kinds_of(blind, config).tolist() == [hidden] * 3
 
 
-def test_a_told_mount_is_wrong_by_what_is_said(box):
+def test_wrong_mounts_differ_from_the_true_one_by_their_error(box):
     shot = box[0]
     height, pitch, roll = shot.mount
-    told = {mount.name: mount.told(shot) for mount in MOUNTS}
-    assert told["pitch+0"].mount == shot.mount
-    assert told["pitch-2"].mount == pytest.approx((height, pitch - np.radians(2), roll))
-    assert told["height+3"].mount == pytest.approx((height + 0.03, pitch, roll))
-    assert told["roll-2"].mount == pytest.approx((height, pitch, roll - np.radians(2)))
-    rocked = told["rocks"].mount
+    wrong = {mount.name: mount.applied(shot) for mount in MOUNTS}
+    assert wrong["pitch+0"].mount == shot.mount
+    assert wrong["pitch-2"].mount == pytest.approx((height, pitch - np.radians(2), roll))
+    assert wrong["height+3"].mount == pytest.approx((height + 0.03, pitch, roll))
+    assert wrong["roll-2"].mount == pytest.approx((height, pitch, roll - np.radians(2)))
+    rocked = wrong["rocks"].mount
     assert rocked[0] == height and rocked[1] != pitch and rocked[2] != roll
-    again = next(mount for mount in MOUNTS if mount.name == "rocks").told(shot)
-    assert again.mount == told["rocks"].mount
+    again = next(mount for mount in MOUNTS if mount.name == "rocks").applied(shot)
+    assert again.mount == wrong["rocks"].mount
 
 
 def test_a_step_down_is_reported_with_its_distance():
