@@ -433,11 +433,11 @@ def test_an_unknown_flag_is_an_error_that_suggests_the_nearest(capsys: Captured)
 
 
 def test_values_may_begin_with_a_minus_sign(tmp_path: Path) -> None:
-    T = ["-0.1", "0", "-1e-3", "0", "0", "0", "1"]
+    T = ["-0.1", "-.2e1", "-1e-3", "0", "0", "0", "1"]
     words = ["--output=x", "--log.color_from_depth", *T, *PITCH, "-10deg", "--pictures", "3"]
     command = parse(["a", *words, "--log.no-tf", "--pictures", "2", "b", "--", "--c.mcap"])
     assert command.logs == ("a", "b", "--c.mcap")
-    assert command.log.color_from_depth == (-0.1, 0.0, -1e-3, 0.0, 0.0, 0.0, 1.0)
+    assert command.log.color_from_depth == (-0.1, -2.0, -1e-3, 0.0, 0.0, 0.0, 1.0)
     assert command.method.ground.camera_pitch_rad == -math.radians(10)
     assert (command.run.pictures, command.log.tf) == (2, False)
     assert (command.log.depth_aligned, command.run.output) == (None, Path("x"))
@@ -454,7 +454,7 @@ def test_flags_override_the_file_which_overrides_the_preset(tmp_path: Path) -> N
     file.write_text(
         'preset = "d455"\n[cluster]\ndepth_gap_m = 1\nmin_points = 4\n'
         "[features]\nmax_corners = 77\n"
-        "[log]\ncolor_intrinsics = [600, 600, 320, 240.5]\n"
+        "[log]\ncolor_intrinsics = [600, 600, 320, 240.5]\ntf = false\n"
     )
     args = ["a.mcap", "--output", "x", "--config", str(file), "--cluster.min-points", "7"]
     command = parse(args)
@@ -465,6 +465,7 @@ def test_flags_override_the_file_which_overrides_the_preset(tmp_path: Path) -> N
     assert command.method.ground == PRESETS["d455"].ground
     assert command.method.features.max_corners == 77
     assert command.log.color_intrinsics == (600.0, 600.0, 320.0, 240.5)
+    assert (command.log.tf, parse([*args, "--log.tf"]).log.tf) == (False, True)
     assert parse([*args, "--preset=zed"]).method.ground == PRESETS["zed"].ground
 
 

@@ -50,6 +50,11 @@ def test_indices_do_not_depend_on_place_and_scale(seed, shift, scale):
     assert davies_bouldin(moved, labels) == pytest.approx(davies_bouldin(points, labels), rel=1e-5)
 
 
+def test_a_hull_has_no_points_on_its_edges():
+    on_edges = np.array([[1.0, 0.0], [2.0, 1.5], [0.5, 2.0], [0.0, 1.0], [1.0, 1.0]])
+    assert hull(np.vstack([on_edges, SQUARE])).tolist() == SQUARE.tolist()
+
+
 def alone(labels, first):
     """Return labels in which each noise point is a separate cluster."""
     noise = labels < 0
@@ -89,6 +94,11 @@ def test_matches_of_detections_and_objects_by_hand():
     assert match(purer, yes).tolist() == [0, 1] == match(purer[::-1], yes)[::-1].tolist()
     assert match(np.zeros((0, 4), int), yes).tolist() == []
     assert match(np.zeros((2, 4), int), yes).tolist() == [0, 0]
+
+
+def test_a_vote_outweighs_all_fractions_of_votes():
+    votes = np.array([[0, 50, 0, 48, 0], [0, 0, 50, 0, 49], [0, 1, 0, 0, 0], [0, 0, 1, 0, 0]])
+    assert match(votes, np.arange(5) > 0, 0.4).tolist() == [1, 2, 0, 0]
 
 
 @given(seeds, st.integers(3, 9))

@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from jaxdet.errors import InputError
-from jaxdet.export import foxglove
+from jaxdet.export import foxglove, ros2
 from jaxdet.export.shapes import T_camera_floor
 from jaxdet.results.reading import Results
 from jaxdet.tracks import TrackConfig, track_results
@@ -108,6 +108,10 @@ def test_ros2_and_coco_have_the_tracks(walkers: Path, tmp_path: Path) -> None:
     for frame, (_, message) in zip(frames, topics["/jaxdet/detections"], strict=True):
         ids = [one.id for one in message.detections]
         assert ids == ["" if t is None else str(t) for t in of[frame.row["frame"]]]
+    frame = next(frame for frame in frames if frame.obstacles)
+    for track, name in ((None, ""), (0, "0"), (17, "17")):
+        frame.obstacles[0] |= {"track": track, "obstacle": 5}
+        assert ros2.detections(frame)["detections"][0]["id"] == name
     coco = coco_of(folder, tmp_path / "coco", str(log))
     found = [one["track_id"] for one in coco.loadAnns(coco.getAnnIds())]
     inside = [  # rows with a box in the colour image

@@ -111,6 +111,18 @@ def test_twin_on_steps() -> None:
     assert (found != flat).any(axis=1).sum() > 20
 
 
+def test_twin_on_ramps_that_are_seen_over_just_enough() -> None:
+    """In units of 1 cm the minimum length is a multiple of the distance bins, so it occurs."""
+    ahead, length = np.arange(80, 300), np.arange(40, 90)[:, None]
+    z = np.where(ahead < 200 + length, ahead, 0)
+    y = 50 - np.tan(np.radians(10.0)) * np.maximum(ahead - 200, 0)
+    columns = [np.repeat(np.rint(a * (z > 0)).astype(np.int32)[..., None], 30, 2) for a in (y, z)]
+    x = np.arange(-15, 15, dtype=np.int32) * (columns[1] > 0)
+    prior = repeat_plane(flat_plane(*(np.array([a]) for a in (0.5, 0.0, 0.0))), len(length))
+    turn = assert_same([x, *columns], prior, CONFIG, 0.01)[:, 4]
+    assert 10 < np.count_nonzero(turn) < 40
+
+
 def test_twin_on_tables_walls_and_few_cells() -> None:
     pose = POSES[3]
     things = [

@@ -135,8 +135,12 @@ def test_odometry_comes_from_the_robot_of_the_camera(tmp_path, aligned, prefix):
         return [] if message.topic in ("/tf", "/odom") else None
 
     one = changed(aligned, without_moving)
+    def only_odometry(message: Message) -> list[Message] | None:
+        return None if message.topic == "/odom" else []
+
     first, second = under(prefix), under("/robot2")
     both = changed(one, first) + changed(one, moved_by(1), second)
+    both += changed(one, moved_by(2), only_odometry)  # outside of both namespaces
     with opened(tmp_path, one) as alone, opened(tmp_path, both, camera=prefix.strip("/")) as log:
         same(log.T_world_camera, alone.T_world_camera)
     lacking = changed(changed(aligned, without_odometry), first) + changed(one, second)

@@ -424,6 +424,7 @@ def test_record3d_folders_with_depth_in_png_are_read(tmp_path):
         assert log.calibration.image[2:6] == (90, 91, width / 2, height / 2) and log.has_color
         np.testing.assert_array_equal(log[1].depth, depths[1])
         assert np.diff(log.stamps_ns).tolist() == pytest.approx([1e9 / 60] * 2, abs=2)
+        assert log.stamps_ns[0] == 10**9  # zero would mean that there is no timestamp
         assert_phone_poses(log)
     for path in (tmp_path / "depth").iterdir():
         path.rename(path.with_suffix(".exr"))

@@ -140,3 +140,11 @@ def test_jpegs_with_a_scan_per_component_are_decoded():
     row = np.zeros((H, W, 3), np.uint8)
     decode_jpeg(memoryview(plain), row)
     assert np.abs(row.astype(int) - color()[..., ::-1]).mean() < 3
+
+
+def test_scans_after_the_only_scan_of_a_jpeg_do_not_count():
+    """The decoder stops after a scan with all components; a preview may follow."""
+    filled = plain(H, ".jpg").replace(b"\xff\xc0", b"\xff\xff\xc0", 1)  # fill before a marker
+    row = np.zeros((H, W, 3), np.uint8)
+    decode_jpeg(memoryview(filled + b"\xff\xda" * (MOST_SCANS + 1)), row)
+    assert np.abs(row.astype(int) - color()[..., ::-1]).mean() < 3

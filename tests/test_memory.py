@@ -29,7 +29,7 @@ from jaxdet.engine.memory import (
 )
 from jaxdet.errors import ConfigError, InputError
 from jaxdet.io import LogOptions, open_log
-from jaxdet.io.limits import ReadMemory
+from jaxdet.io.limits import ReadMemory, check_chunk, check_index
 from jaxdet.memory import machine_memory, parse_size, size_text
 from tests.io_helpers import (
     START,
@@ -220,6 +220,19 @@ def test_split_files_read_only_for_transforms_have_the_same_limit(tmp_path):
     (tmp_path / "a_0.mcap").write_bytes(b"no log")
     with open_log(second) as log:  # depth only, as there are no extrinsics
         assert not log.has_color and log.color_problem
+
+
+@pytest.mark.parametrize("total", [704, 1100, 1371, 2500])
+def test_memory_raised_as_an_error_says_is_enough(total):
+    """Below 1376 MiB chunks get their minimum, which added memory raises only later."""
+    memory = Memory(f"{total}MiB", 1)
+    chunk, index = memory.reading.chunk + 5 * MIB, memory.reading.messages // 64 + 5000
+    for check, size in (check_chunk, chunk), (check_index, index):
+        with pytest.raises(InputError, match="raise --memory by") as caught:
+            check(size, "a.mcap", memory.reading)
+        more = re.search(r"by (\d+)MiB$", str(caught.value))
+        assert more
+        check(size, "a.mcap", Memory(f"{total + int(more[1])}MiB", 1).reading)
 
 
 def test_the_default_is_always_sufficient(monkeypatch):

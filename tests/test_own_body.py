@@ -93,9 +93,8 @@ def test_all_forms_of_depth_are_masked(tmp_path, mask, form):
     assert (masked == plain).all()
 
 
-@pytest.mark.parametrize("backend", ["reference", "jax"])
-def test_a_masked_body_is_not_an_obstacle_and_hides_no_floor(logs, mask, tmp_path, backend):
-    how = {"backend": backend, "pictures": 0, "workers": 1}
+def test_a_masked_body_is_not_an_obstacle_and_hides_no_floor(logs, mask, tmp_path):
+    how = {"pictures": 0, "workers": 1}
     run_log(logs / "arm.mcap", tmp_path / "arm", log=LogOptions(mask=str(mask)), **how)
     run_log(logs / "hole.mcap", tmp_path / "hole", **how)
     run_log(logs / "arm.mcap", tmp_path / "unmasked", **how)

@@ -65,28 +65,12 @@ def test_backends_are_equal_on_a_recording(device, shared_data, name):
     assert_equal(detect(*given), want)
 
 
-def test_a_batch_is_a_stack_of_singles(device):
-    whole = made_frames(4)
-    together = detect(whole)
-    for b in range(4):
-        part = slice(b, b + 1)
-        one = frames(whole.calibration, whole.color[part], whole.depth[part], plane=level(1))
-        alone = detect(one)
-        assert alone.num_obstacles[0] == together.num_obstacles[b]
-        assert np.array_equal(alone.obstacles.num_points[0], together.obstacles.num_points[b])
-        assert np.array_equal(alone.obstacles.a[0], together.obstacles.a[b])
-
-
-@pytest.mark.parametrize(
-    ("batch", "name"),
-    [(1, "wheeled"), (7, "wheeled"), (512, "wheeled"), (1, "paper"), (512, "paper")],
-)
-def test_any_batch_equals_the_reference_twice(device, batch, name):
+@pytest.mark.parametrize("name", ["wheeled", "paper"])
+def test_a_large_batch_equals_the_reference_twice(device, name):
     """Synthetic frames are repeated; two runs give equal bytes."""
-    few, config = min(batch, 16), PRESETS[name]
-    given = made_frames(few)
-    rows = np.arange(batch) % few
-    many = frames(given.calibration, given.color[rows], given.depth[rows], plane=level(batch))
+    given, config = made_frames(16), PRESETS[name]
+    rows = np.arange(512) % 16
+    many = frames(given.calibration, given.color[rows], given.depth[rows], plane=level(512))
     want = detect(given, config, backend="reference")
     want = jax.tree.map(lambda values: np.asarray(values)[rows], want)
     for _ in range(2):

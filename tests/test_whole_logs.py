@@ -185,8 +185,8 @@ def test_a_gpu_keeps_the_images_of_cameras_apart(tmp_path, monkeypatch):
     same_results(tmp_path / "a", tmp_path / "b")
 
 
-def test_a_gpu_finds_that_a_camera_is_upside_down(tmp_path, monkeypatch):
-    """Sampled images are rotated by 180 degrees and so processed as those of another camera."""
+def test_a_gpu_finds_that_a_camera_is_upside_down(tmp_path, shared, monkeypatch):
+    """Sampled images are rotated by quarter turns and so processed as those of other cameras."""
     (folder := tmp_path / "logs").mkdir()
     for seed in range(3):
         config = SimConfig(frames=FRAMES, width=96, height=72, seed=seed, camera_roll_rad=math.pi)
@@ -194,10 +194,12 @@ def test_a_gpu_finds_that_a_camera_is_upside_down(tmp_path, monkeypatch):
     config = Config(ground=GroundConfig(source="estimate"))
     summary = run(folder, tmp_path / "a", workers=1, config=config)
     assert all("upside down" in " ".join(log.warnings) for log in summary.logs)
+    shared.clear()
     with jax.default_device(jax.devices("cpu")[0]):
         on_this_machine(monkeypatch)
         monkeypatch.setattr(scheduler, "choose_logs", lambda sizes, _: set(sizes))
         assert not run(folder, tmp_path / "b", workers=2, config=config).failed
+    assert len(shared) == 1  # the first log of the camera
     same_results(tmp_path / "a", tmp_path / "b")
 
 

@@ -251,7 +251,7 @@ class SlowLog:
     frames, stamps_ns = range(num_frames), np.arange(num_frames) * 10**9
 
     def read(self, numbers: list[int]) -> Any:
-        time.sleep(0.25)
+        time.sleep(0.15)
         return SimpleNamespace(frames=SimpleNamespace(valid=np.zeros(len(numbers), bool)))
 
 
@@ -260,7 +260,7 @@ def test_a_worker_that_searches_many_floors_is_not_timed_out(monkeypatch):
     job = executors.FloorJob(SlowLog(), config, "reference")
     with pool.Pool("reference") as workers:
         workers.call(Sleep(), 0.0, "")  # starts the worker
-        monkeypatch.setattr(pool, "NO_PROGRESS_S", 7.0)
+        monkeypatch.setattr(pool, "NO_PROGRESS_S", 4.0)
         planes = workers.call(job, 1, "")
     assert len(planes.windows) == 32
 

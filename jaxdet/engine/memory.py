@@ -113,7 +113,7 @@ class Memory:
         self.chunks = max(LEAST_CHUNKS, min(2 * largest, left // 2))
         self.room = self.total - self._fixed(self.workers)
         index = (self.total - self._fixed(1) - self.chunks) // 2
-        self.reading = ReadMemory(self.chunks // 2, index)
+        self.reading = ReadMemory(self.chunks // 2, index, max(0, 2 * LEAST_CHUNKS - left))
 
     def with_fewer_workers(self) -> "Memory | None":
         """Return the memory for half as many processes, which may read larger chunks.

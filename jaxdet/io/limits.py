@@ -52,6 +52,8 @@ class ReadMemory(NamedTuple):
     """Memory for the largest chunk or message, and as much again for cached chunks."""
     messages: int = 1 << 40
     """Memory for the index while a file is opened."""
+    short: int = 0
+    """Memory that has to be added before chunks get a part of what is added."""
 
 
 def check_index(count: int, path: str, memory: ReadMemory) -> None:
@@ -62,7 +64,7 @@ def check_index(count: int, path: str, memory: ReadMemory) -> None:
     """
     if count * _INDEX_BYTES > memory.messages:
         what, most = f"an index of {count} messages", memory.messages
-        raise _too_large(InputError, what, count * _INDEX_BYTES, most, path)
+        raise _too_large(InputError, what, count * _INDEX_BYTES, most, 0, path)
 
 
 def check_chunk(nbytes: int, path: str, memory: ReadMemory) -> None:
@@ -73,13 +75,15 @@ def check_chunk(nbytes: int, path: str, memory: ReadMemory) -> None:
     """
     if nbytes > memory.chunk:
         what = f"a chunk of {nbytes} bytes"
-        raise _too_large(ChunkMemoryError, what, nbytes, memory.chunk, path)
+        raise _too_large(ChunkMemoryError, what, nbytes, memory.chunk, memory.short, path)
 
 
-def _too_large(kind: type[InputError], what: str, nbytes: int, most: int, path: str) -> InputError:
+def _too_large(
+    kind: type[InputError], what: str, nbytes: int, most: int, short: int, path: str
+) -> InputError:
     problem = f"{what} needs {size_text(nbytes)}, but only {size_text(most)} are available"
     # A chunk gets a quarter of the memory of a process, and the index half.
-    remedy = f"raise --memory by {size_text(4 * (nbytes - most))}"
+    remedy = f"raise --memory by {size_text(4 * (nbytes - most) + short)}"
     return kind(problem, path=path, remedy=remedy)
 
 

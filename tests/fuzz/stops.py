@@ -58,7 +58,7 @@ class Stops:
         self._folder, self._log, self._errors = folder, folder / "log.mcap", folder / "errors"
         write_log(self._log, SimConfig(frames=6, width=160, height=120))
         self._complete(folder / "first", 1)  # a first run may compile
-        self._cpu_s = {n: self._complete(folder / f"{n}", n) for n in WORKERS}
+        self._cpu_s = {n: self._complete(folder / f"{n}", n) for n in set(WORKERS)}
         self._good = _tables(folder / f"{WORKERS[0]}" / "log")
 
     def one(self, seed: int) -> Case:
