@@ -251,7 +251,7 @@ def _going_on(
         number, found = _split(path)[1], signature(path)
         if path.resolve() not in own:
             steps = sign * (number - near)
-            pair = (known, found)[::sign]
+            pair = (known, found) if sign > 0 else (found, known)
             if steps <= 0 or gap(*pair, steps):
                 return
             if difference(*pair, steps):

@@ -17,6 +17,7 @@ from jaxdet.io.chunks import PAYLOAD_OFFSET, PIECE_BYTES, DamageError
 from jaxdet.io.compressed import decode_compressed_color, decode_compressed_depth
 from jaxdet.io.container import LogFile
 from jaxdet.io.decode_messages import MessageDecoder
+from jaxdet.io.file_index import Place
 from jaxdet.io.images import decode_color, decode_depth
 from jaxdet.io.messages import (
     CameraInfoMessage,
@@ -27,7 +28,7 @@ from jaxdet.io.messages import (
     bad_frame,
 )
 from jaxdet.io.raw_messages import HEAD_BYTES, find_pixels, is_standard_image
-from jaxdet.io.store import ChunkStore, Place
+from jaxdet.io.store import ChunkStore
 from jaxdet.io.timeline import FrameTable, Window
 from jaxdet.io.validity import says_other
 
