@@ -228,10 +228,16 @@ def test_binning_and_regions_of_interest_are_applied(
         assert log.has_color and not log.description.warnings
 
 
-def test_images_that_fit_no_region_are_refused_with_all_sizes(tmp_path, aligned):
+@pytest.mark.parametrize("region", [(0, 0, 0, 0), (5, 5, 160, 120)])
+def test_images_that_fit_no_region_are_refused_with_all_sizes(tmp_path, aligned, region):
+    """Images of the size of the region contradict the binning."""
+
     def other(message: Message) -> None:
         if message.kind == INFO:
-            message.body |= {"width": 640, "height": 480, "binning_x": 3, "binning_y": 3}
+            names = "x_offset", "y_offset", "width", "height"
+            roi = {**dict(zip(names, region, strict=True)), "do_rectify": False}
+            size = {"width": 640, "height": 480, "binning_x": 3, "binning_y": 3}
+            message.body |= {**size, "roi": roi}
 
     with pytest.raises(CalibrationError, match=r"640x480 \(region of interest: .*binning 3x3"):
         opened(tmp_path, changed(aligned, other))
@@ -395,6 +401,27 @@ def test_millimetres_are_noticed_in_sparse_depth(tmp_path, aligned):
     assert "looks like millimetres" in text
 
 
+def as_png(message: Message) -> list[Message] | None:
+    if message.topic != ALIGNED:
+        return None
+    body = {"header": message.body["header"], "format": "16UC1; png compressed "}
+    body["data"] = cv2.imencode(".png", message.pixels)[1].tobytes()
+    return [Message(f"{ALIGNED}/compressed", "sensor_msgs/CompressedImage", body, message.log_ns)]
+
+
+@pytest.mark.parametrize("form", [(), (as_png,)])
+def test_the_largest_depth_means_that_nothing_was_measured(tmp_path, aligned, form):
+    def saturated(message: Message) -> None:
+        if message.topic == ALIGNED:
+            message.show(np.where(message.pixels > 0, message.pixels, np.uint16(65535)))
+
+    with (
+        opened(tmp_path, aligned) as whole,
+        opened(tmp_path, changed(aligned, saturated, *form)) as log,
+    ):
+        np.testing.assert_array_equal(depths(log), depths(whole))
+
+
 @pytest.mark.parametrize(
     ("topic", "form"),
     [
@@ -474,23 +501,39 @@ def test_damaged_compressed_files_and_bombs_are_clear_errors(tmp_path, aligned, 
         open_log(str(bomb))
 
 
-@pytest.mark.parametrize("scan", [False, True])
-@pytest.mark.parametrize("which", ["aligned", "raw"])
-def test_compressed_messages_are_read(tmp_path, request, which, scan):
-    messages = request.getfixturevalue(which)
-    source, packed = write_messages(tmp_path / "x.mcap", messages), tmp_path / "packed.mcap"
-    with source.open("rb") as file, packed.open("wb") as target:
+def stored(
+    source: Path, payload: Callable[[bytes], bytes], schema: tuple[str, bytes] | None
+) -> Path:
+    """Copy a log with other payloads and, if given, another encoding and text of its schemas."""
+    path = source.with_name("stored.mcap")
+    with source.open("rb") as file, path.open("wb") as target:
         writer = Writer(target)
         writer.start("ros2", "tests")
         channels: dict[int, int] = {}
-        for schema, channel, message in make_reader(file).iter_messages():
-            assert schema is not None
+        for known, channel, message in make_reader(file).iter_messages():
+            assert known is not None
             if channel.id not in channels:
-                number = writer.register_schema(schema.name, schema.encoding, schema.data)
+                text = schema or (known.encoding, known.data)
+                number = writer.register_schema(known.name, *text)
                 channels[channel.id] = writer.register_channel(channel.topic, "cdr", number)
-            data = zstandard.ZstdCompressor().compress(message.data)
-            writer.add_message(channels[channel.id], message.log_time, data, message.publish_time)
+            at = message.log_time, payload(message.data), message.publish_time
+            writer.add_message(channels[channel.id], *at)
         writer.finish()
+    return path
+
+
+@pytest.mark.parametrize("scan", [False, True])
+@pytest.mark.parametrize("which", ["aligned", "raw"])
+@pytest.mark.parametrize(
+    ("payload", "schema"),
+    [(zstandard.ZstdCompressor().compress, None), (bytes, ("", b"")), (bytes, ("ros2msg", b""))],
+    ids=["compressed", "no_definition", "empty_definition"],
+)
+def test_messages_as_stored_by_the_recorder_are_read(
+    tmp_path, request, which, scan, payload, schema
+):
+    source = write_messages(tmp_path / "x.mcap", request.getfixturevalue(which))
+    packed = stored(source, payload, schema)
     with open_log(str(source)) as whole, open_log(str(packed), LogOptions(scan=scan)) as log:
         np.testing.assert_array_equal(depths(log), depths(whole))
         np.testing.assert_array_equal(log.stamps_ns, whole.stamps_ns)
@@ -671,6 +714,18 @@ def test_duplicates_in_a_merged_recording_count_once(tmp_path, aligned, late_ns,
         assert any(
             "occur twice (same timestamp and content)" in t for t in log.description.warnings
         )
+
+
+@pytest.mark.parametrize("topics", [("/tf", "/odom"), ("/camera/camera/aligned",)])
+@pytest.mark.parametrize("later_s", [0.7, 2.0])
+def test_offsets_of_clocks_are_estimated_in_a_merged_recording(tmp_path, aligned, topics, later_s):
+    wrong = changed(aligned, late(1000, *topics))
+    again = changed(wrong)
+    for message in again:
+        message.log_ns += round(later_s * SECOND)
+    with opened(tmp_path, aligned) as whole, opened(tmp_path, wrong + again) as log:
+        assert log.num_frames == whole.num_frames
+        same(log.T_world_camera, whole.T_world_camera)
 
 
 def test_different_images_with_equal_timestamps_both_count(tmp_path, aligned):

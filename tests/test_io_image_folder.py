@@ -439,3 +439,14 @@ def test_redwood_folders_have_timestamps_in_file_names(tmp_path, color):
     with open_log(str(tmp_path), LogOptions(color_intrinsics=K)) as log:
         assert np.diff(log.stamps_ns).tolist() == [33_369_000] * 2
         assert not any("no timestamps" in text for text in log.description.warnings)
+
+
+@pytest.mark.parametrize("times", [False, True])
+def test_depth_of_sun3d_folders_is_rotated_by_three_bits(tmp_path, times):
+    names = [f"{i + 1:07d}" + f"-{i * 33_369:012d}" * times for i in range(3)]
+    write(tmp_path, [f"image/{n}.jpg" for n in names], [f"depth/{n}.png" for n in names])
+    (tmp_path / "intrinsics.txt").write_text(f"{K[0]} 0 {K[2]}\n0 {K[1]} {K[3]}\n0 0 1\n")
+    with open_log(str(tmp_path)) as log:
+        assert log.calibration.depth[2:6] == K
+        for frame, stored in zip(log, images()[1], strict=True):
+            np.testing.assert_array_equal((frame.depth << 3) | (frame.depth >> 13), stored)

@@ -129,6 +129,42 @@ def test_files_with_unreadable_times_are_separate_logs(tmp_path):
     assert "don't have the times of the images" in logs[0].about
 
 
+def test_a_split_without_index_belongs_to_its_recording(tmp_path):
+    """A recorder that is killed writes neither the index of its last file nor metadata.yaml."""
+    splits(tmp_path, 0, 0.2)
+    last = tmp_path / "run_1.mcap"
+    write_log(last, moved(make_scene(2), 200_000_000), use_chunking=False)
+    last.write_bytes(last.read_bytes()[: last.stat().st_size * 3 // 4])
+    [log] = find_logs([str(tmp_path)])
+    with open_log(log) as opened:
+        assert len(log.paths) == 2 and opened.num_frames == 4
+        assert any("run_1.mcap: recovered" in text for text in opened.description.warnings)
+
+
+def test_splits_of_ros_1_have_times_in_their_names(tmp_path):
+    """Two recordings of two files each, whose names begin alike; then one without a prefix."""
+    names = []
+    for start, late_s in (
+        ("10-00-00_0", 0),
+        ("10-00-01_1", 0.2),
+        ("11-00-00_0", 3600),
+        ("11-00-01_1", 3600.2),
+    ):
+        names.append(f"run_2024-05-01-{start}.mcap")
+        write_log(tmp_path / names[-1], moved(make_scene(2), int(late_s * 10**9)))
+    logs = find_logs([str(tmp_path)])
+    assert [log.name for log in logs] == ["run_2024-05-01-10-00-00", "run_2024-05-01-11-00-00"]
+    assert [path.name for log in logs for path in log.paths] == names
+    for number, other in enumerate((1, 0, 3, 2)):
+        [log] = find_logs([str(tmp_path / names[number])])
+        assert [path.name for path in siblings(log)] == [names[other]]
+    for name in names:
+        (tmp_path / name).rename(tmp_path / name.removeprefix("run_"))
+    assert [log.name for log in find_logs([str(tmp_path)])] == [
+        *("2024-05-01-10-00-00", "2024-05-01-11-00-00")
+    ]
+
+
 def test_links_have_their_own_names(tmp_path):
     touch(tmp_path, "blobs/a0", "blobs/b1", "drives/one.mcap")
     for number, blob in enumerate(("a0", "b1")):

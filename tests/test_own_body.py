@@ -182,6 +182,20 @@ def test_the_suggested_mask_covers_the_body_and_little_else(logs, tmp_path, caps
     assert f"--log.mask {path}" in capsys.readouterr().out
 
 
+def test_a_run_reports_that_a_mask_can_be_suggested(logs, mask, tmp_path):
+    """No mask is suggested if there is one, or if nothing is near."""
+    arm_log = logs / "arm.mcap"
+    for name, path, options in (
+        ("arm", arm_log, LogOptions()),
+        ("masked", arm_log, LogOptions(mask=str(mask))),
+        ("plain", logs / "plain.mcap", LogOptions()),
+    ):
+        [log] = run_log(path, tmp_path / name, log=options).logs
+        found = [text for text in log.notes if "--suggest-mask mask.png" in text]
+        assert len(found) == (name == "arm")
+        assert not found or f"robot itself: jaxdet info {arm_log} --suggest" in found[0]
+
+
 def test_no_mask_is_suggested_for_a_floor(logs, tmp_path, capsys):
     path = tmp_path / "mask.png"
     assert main(["info", str(logs / "plain.mcap"), "--suggest-mask", str(path)]) == 0

@@ -1,5 +1,6 @@
 """Parts of a robot in view of its own camera: near, above the floor, of constant depth."""
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import cv2
@@ -8,7 +9,7 @@ import numpy as np
 from jaxdet.camera import pixel_rays
 from jaxdet.config import Config
 from jaxdet.engine.floors import decide_planes, evenly
-from jaxdet.errors import InputError
+from jaxdet.errors import InputError, JaxdetError, printable
 from jaxdet.floor.plane import down_vector
 from jaxdet.floor.sampled import sampled_floor
 from jaxdet.pipeline import find_floors
@@ -16,6 +17,7 @@ from jaxdet.types import Frames, GroundPlane
 
 if TYPE_CHECKING:
     from jaxdet.io import Log
+    from jaxdet.results.tables import Tables
 
 _FRAMES, _FEWEST = 32, 8
 _MAX_BYTES = 128 << 20
@@ -67,6 +69,35 @@ def find_own_body(log: "Log", config: Config) -> np.ndarray:
     if np.count_nonzero(others & same) > (1 - _MOVING) * np.count_nonzero(others):
         raise _not_found(log, "the camera does not move", "use a log in which the robot turns")
     return _whole_parts(body)
+
+
+def own_body_note(log: "Log", config: Config, results: Iterable["Tables"], path: str) -> str:
+    """Return a note on parts of the robot in the images, with the commands that mask them.
+
+    The result is empty if there are none. The images are examined only if nearly all frames have a
+    near obstacle.
+
+    Args:
+        log: An open log.
+        config: Configuration of the run.
+        results: Frames of the log with their obstacles, in parts.
+        path: Path of the log for the command.
+    """
+    near = frames = 0
+    for part in results:
+        frames += part.frames.num_rows
+        depth = part.obstacles["z_min"].to_numpy()
+        near += len(np.unique(part.obstacles["frame"].to_numpy()[depth < NEAR_M]))
+    if near < _SHARE * frames:
+        return ""
+    try:
+        share = find_own_body(log, config).mean()
+    except JaxdetError:  # for example because the camera keeps still
+        return ""
+    camera = f" --camera {log.camera}" if log.label != log.name else ""
+    command = printable(f"jaxdet info {path}{camera} --suggest-mask mask.png")
+    text = f"{100 * share:.1f} % of the depth image may show the robot itself"
+    return f"{text}: {command} suggests a mask for --log.mask" if share else ""
 
 
 def _floor(log: "Log", frames: Frames, config: Config) -> GroundPlane:

@@ -11,6 +11,7 @@ from jaxdet.engine.device import out_of_memory
 from jaxdet.engine.executors import ChooseExecutor, Executor
 from jaxdet.engine.floors import Planes, evenly
 from jaxdet.engine.memory import Memory
+from jaxdet.engine.own_body import own_body_note
 from jaxdet.engine.plan import LogPlan, UnitSizes
 from jaxdet.engine.progress import Clock, Report
 from jaxdet.engine.settings import RunSettings
@@ -287,6 +288,10 @@ class CameraRun:
         about.warnings += plan.planes.warnings
         self._work(log, plan, executor)
         notes = self.assembly.finish(plan.observers)
+        source = self.files.paths[0]
+        source = str(source if len(self.files.paths) == 1 else source.parent)
+        body = own_body_note(log, self.settings.config, self.assembly.rows(), source)
+        about.notes += [body] if body else []
         if plan.maps:
             self._write_map(self.assembly.map, log)
         before = len(log.description.warnings)

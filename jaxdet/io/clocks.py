@@ -87,7 +87,7 @@ def pose_offset(
         return Offset(round(options.pose_offset_s * 1e9))
     depth = contents.streams[depth_topic]
     seen = [contents.delays[key].first for key in sources if key in contents.delays]
-    delays = [np.array(one, np.int64) for one in seen if one]
+    delays = [np.array([*one.values()], np.int64) for one in seen if one]
     found = [_difference(one, _delays(depth)) for one in delays]
     if not found or not all(found):
         return Offset()
@@ -138,10 +138,14 @@ def unset_clock_text(topic: str, count: int, first_ns: int) -> str:
 
 
 def _delays(stream: ImageStream) -> np.ndarray:
-    """Return timestamp minus log time of the first images [ns]; empty if all stamps are zero."""
-    if not any(image.stamp_ns for image in stream.first):
-        return np.zeros(0, np.int64)
-    return np.array([image.stamp_ns - image.log_ns for image in stream.first], np.int64)
+    """Return timestamp minus log time of the first images [ns]; empty if all stamps are zero.
+
+    Repeated images count once, at their first log time.
+    """
+    first: dict[int, int] = {}
+    for image in stream.first:
+        first.setdefault(image.stamp_ns, image.stamp_ns - image.log_ns)
+    return np.array([*first.values()] if any(first) else [], np.int64)
 
 
 def _difference(first: np.ndarray, second: np.ndarray) -> int:

@@ -6,7 +6,8 @@ quantisation), followed by a PNG, or by two counts (columns, rows) and an RVL st
 image_transport_plugins, ``compressed_depth_image_transport``.
 
 In folders of images, a depth image may be followed by a PNG with its confidences (ARKit's, 0 to 2),
-as noted in its format string; pixels with a confidence below ``MIN_CONFIDENCE`` are unmeasured.
+as noted in its format string; pixels with a confidence below ``MIN_CONFIDENCE`` are unmeasured. The
+format string also notes whether depth is rotated by three bits, as in SUN3D.
 """
 
 import struct
@@ -34,6 +35,8 @@ _DEPTH_HEAD = struct.Struct("<iff")
 _RVL_HEAD = struct.Struct("<II")
 MIN_CONFIDENCE = 1
 _CONFIDENCE = "; confidence at "
+ROTATED = "; rotated left by 3 bits"
+"""Suffix of ``format`` for depth whose three highest bits are its lowest ones."""
 
 
 def with_confidence(place: int) -> str:
@@ -178,6 +181,8 @@ def decode_compressed_depth(
     if headed and image.format.partition(";")[0].strip().lower() == "32fc1":
         _, a, b = _DEPTH_HEAD.unpack_from(data)
         np.take(_inverse_depths(a, b, unit_m), row, out=row)
+    if image.format.endswith(ROTATED):
+        np.bitwise_or(row >> 3, row << 13, out=row)
 
 
 def _decode_masked(data: memoryview, place_text: str, row: np.ndarray) -> None:

@@ -107,15 +107,16 @@ class Delays:
     """Header timestamps minus log times [ns], for a pose topic or the transforms of a frame."""
 
     def __init__(self, delay_ns: int) -> None:
-        self.first: list[int] = []
-        """Delays of the topic's first ``FIRST_MOTIONS`` messages."""
+        self.first: dict[int, int] = {}
+        """Delays in the topic's first ``FIRST_MOTIONS`` messages by timestamp; of repeated messages
+        the first counts, since the others may have been recorded later."""
         self.least = self.most = delay_ns
 
-    def add(self, delay_ns: int, *, is_first: bool) -> None:
+    def add(self, stamp_ns: int, delay_ns: int, *, is_first: bool) -> None:
         """Add a delay."""
         self.least, self.most = min(self.least, delay_ns), max(self.most, delay_ns)
         if is_first:
-            self.first.append(delay_ns)
+            self.first.setdefault(stamp_ns, delay_ns)
 
 
 class LogContents:
@@ -325,7 +326,7 @@ class ContentsBuilder:
             delay = item.stamp_ns - log_ns
             if key not in self.contents.delays:
                 self.contents.delays[key] = Delays(delay)
-            self.contents.delays[key].add(delay, is_first=seen <= FIRST_MOTIONS)
+            self.contents.delays[key].add(item.stamp_ns, delay, is_first=seen <= FIRST_MOTIONS)
         if decoder.kind is Kind.TRANSFORM:
             if decoder.is_static or self.images:
                 tree = self.contents.trees.setdefault(namespace_of(topic), TransformTree())

@@ -22,6 +22,7 @@ from jaxdet.io.definition import (
     bare_definition,
     is_standard,
     stamp_leads,
+    with_definition,
     with_ros2_names,
 )
 from jaxdet.io.limits import (
@@ -64,7 +65,7 @@ class MessageDecoder:
         if channel.schema_size > MAX_SCHEMA_BYTES:
             size = f"{channel.schema_size} bytes, more than the maximum of {MAX_SCHEMA_BYTES}"
             raise ValueError(f"its schema has {size}")
-        self.channel = channel
+        self.channel = channel = with_definition(channel)
         self.kind: Kind = kind
         self._name = plain_schema_name(channel.schema_name)
         self.is_foxglove: bool = self._name.startswith("foxglove.")

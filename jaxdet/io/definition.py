@@ -137,6 +137,17 @@ def fields_of(text: str) -> dict[str, tuple[str, ...]]:
     return found
 
 
+def with_definition(channel: ChannelInfo) -> ChannelInfo:
+    """Return a channel with the standard definition of ROS 2 if the log has none for its type.
+
+    The recorder omits definitions that it does not find, and all of them before ROS 2 Iron.
+    """
+    name = plain_schema_name(channel.schema_name)
+    if channel.schema_size or channel.message_encoding != "cdr" or name not in DEFINITIONS:
+        return channel
+    return channel._replace(schema_encoding="ros2msg", schema_data=schema_text(name).encode())
+
+
 @lru_cache(64)
 def is_standard(channel: ChannelInfo) -> bool:
     """Return whether the messages of a channel are CDR with the standard ROS 2 definition.

@@ -5,7 +5,7 @@ complete file (:mod:`jaxdet.io.walk`). All readers of messages use these arrays 
 their source.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple
@@ -90,11 +90,67 @@ class ChannelCount(NamedTuple):
     last_ns: int
 
 
-class FileIndex(NamedTuple):
-    """Index of a file.
+class Place(NamedTuple):
+    """Identifier of a chunk in a log."""
 
-    The arrays ``(N,)`` int64 have the messages of useful kinds in file order.
-    """
+    file: int
+    """Number of the file."""
+    position: int
+    """Position of the chunk, see :meth:`jaxdet.io.container.LogFile.chunk_head`."""
+
+
+class IndexedMessages(NamedTuple):
+    """Positions of messages, ``(N,)`` int64 each."""
+
+    channel: np.ndarray
+    """Id of the channel in the file."""
+    log_ns: np.ndarray
+    """Log time [ns]."""
+    position: np.ndarray
+    """Position of the chunk in the file, see :class:`Place`."""
+    length: np.ndarray
+    """Length of the chunk's content in the file."""
+    offset: np.ndarray
+    """Offset of the message's record in the decompressed chunk [byte]."""
+    file: np.ndarray
+    """Number of the file in the log; 0 in the index of a file."""
+    decoder: np.ndarray
+    """Index of the decoder; 0 in the index of a file."""
+
+    @classmethod
+    def joined(cls, parts: Sequence["IndexedMessages"]) -> "IndexedMessages":
+        """Concatenate messages."""
+        none = cls(*[np.zeros(0, np.int64)] * 7)
+        return cls(*map(np.concatenate, zip(none, *parts, strict=True)))
+
+    def rows(self, which: np.ndarray | slice) -> "IndexedMessages":
+        """Return a selection of the messages."""
+        return IndexedMessages(*(column[which] for column in self))
+
+    def in_file_order(self) -> "IndexedMessages":
+        """Return the messages sorted by their position in the files."""
+        return self.rows(np.lexsort((self.offset, self.position, self.file)))
+
+    def between(self, begin: int | None, end: int | None) -> slice:
+        """Return the messages in a range of log times, end exclusive; None: unbounded.
+
+        The messages must be in order of log time.
+        """
+        first, last = np.searchsorted(self.log_ns, [begin or 0, end or 0]).tolist()
+        return slice(0 if begin is None else first, len(self.log_ns) if end is None else last)
+
+    def places(self, which: np.ndarray | slice = slice(None)) -> list[Place]:
+        """Return the chunk of each selected message; by default of all."""
+        pairs = zip(self.file[which].tolist(), self.position[which].tolist(), strict=True)
+        return [Place(*pair) for pair in pairs]
+
+    def chunks(self, which: np.ndarray | slice) -> set[Place]:
+        """Return the chunks of the selected messages."""
+        return set(self.places(which))
+
+
+class FileIndex(NamedTuple):
+    """Index of a file."""
 
     infos: dict[int, ChannelInfo]
     """All channels by id."""
@@ -102,15 +158,8 @@ class FileIndex(NamedTuple):
     """Counts of all channels that have messages. If the chunks of an MCAP file are not in order of
     log time, the time ranges of unused channels are approximate."""
     integrity: FileIntegrity
-    channel: np.ndarray
-    log_ns: np.ndarray
-    """Log time [ns]."""
-    position: np.ndarray
-    """Position of the message's chunk, see :meth:`jaxdet.io.container.LogFile.chunk_head`."""
-    length: np.ndarray
-    """Length of the chunk's content."""
-    offset: np.ndarray
-    """Offset of the message's record in the decompressed chunk."""
+    messages: IndexedMessages
+    """Messages of useful kinds, in file order."""
 
 
 def file_index(
@@ -123,8 +172,8 @@ def file_index(
 
     Args:
         infos: Channels of the file.
-        messages: Last five fields of :class:`FileIndex` for messages in any order, ``(5, N)``
-            int64; unused messages are dropped.
+        messages: ``(5, N)`` int64, the first five fields of :class:`IndexedMessages`, in any order;
+            unused messages are dropped.
         integrity: Integrity of the file. Message counts are added if the messages are from the
             file's own index.
         counts: Counts of channels whose messages are not in ``messages``.
@@ -137,12 +186,13 @@ def file_index(
     counts = (counts or {}) | _counts(*messages[:2])
     if counts.keys() - infos.keys():
         raise DamageError("message index of an undeclared channel")
-    which = np.flatnonzero(np.isin(messages[0], useful_channels(infos)))
-    which = which[np.lexsort(messages[[4, 2]][:, which])]
+    useful = messages[:, np.isin(messages[0], useful_channels(infos))]
+    zero = np.zeros(useful.shape[1], np.int64)
     if integrity.by_index:
         count = sum(item.messages for item in counts.values())
         integrity = integrity._replace(messages=count, declared_messages=count)
-    return FileIndex(infos, counts, integrity, *messages[:, which])
+    found = IndexedMessages(*useful, file=zero, decoder=zero).in_file_order()
+    return FileIndex(infos, counts, integrity, found)
 
 
 def useful_channels(infos: dict[int, ChannelInfo]) -> np.ndarray:

@@ -29,6 +29,8 @@ _LATE = re.compile(
 """Splits with six-digit numbers, if the split :data:`_BEFORE_LATE` exists, which is not a valid
 time."""
 _BEFORE_LATE = "009999"
+_BEGIN = re.compile(r"(?:^|_)\d{4}(?:-\d\d){5}$")
+"""Time in the name of a split of ROS 1, at which the file begins."""
 _OTHERS = {
     ".zstd": "rename the recording to NAME.mcap.zstd",
     ".zst": "rename the recording to NAME.mcap.zst",
@@ -40,6 +42,7 @@ _OTHERS = {
     ".svo2": "play it to ROS 2 topics and record them as MCAP",
     ".mkv": "play it to ROS 2 topics and record them as MCAP",
     ".oni": "play it to ROS 2 topics and record them as MCAP",
+    ".sens": "export its images with ScanNet's SensReader",
     ".r3d": "in Record3D, export it as EXR + JPG sequence, and convert its depth to PNG as jaxdet "
     "help logs shows",
 }
@@ -74,15 +77,15 @@ def find_logs(
 ) -> list[LogFiles]:
     """Find the logs in files, folders (with their subfolders) and globs.
 
-    Files ``NAME_0.mcap``, ``NAME_1.mcap``, ... in a folder are one log named ``NAME`` if
-    ``metadata.yaml`` lists them, or if their numbers, topics, calibrations and times are
-    consecutive (:mod:`jaxdet.io.splits`). If the first number is above 1, the log has the name of
-    its first file. All other ``.mcap`` files, and ``.db3`` and ``.bag`` files, are separate logs.
-    If a folder has a recording in several of these formats, one of them is used, preferably MCAP. A
-    folder of colour and depth images (:mod:`jaxdet.io.image_folder`) is a log, unless a recording
-    is in it or next to it, which is assumed to contain these images. A folder that can't be listed
-    is a log, too; opening it fails. Exports of jaxdet are left out unless they are inputs
-    themselves.
+    Files ``NAME_0.mcap``, ``NAME_1.mcap``, ... (in ROS 1 ``NAME_TIME_0.bag``, ...) in a folder are
+    one log named ``NAME`` (``NAME_TIME``) if ``metadata.yaml`` lists them, or if their numbers,
+    topics, calibrations and times are consecutive (:mod:`jaxdet.io.splits`). If the first number is
+    above 1, the log has the name of its first file. All other ``.mcap`` files, and ``.db3`` and
+    ``.bag`` files, are separate logs. If a folder has a recording in several of these formats, one
+    of them is used, preferably MCAP. A folder of colour and depth images
+    (:mod:`jaxdet.io.image_folder`) is a log, unless a recording is in it or next to it, which is
+    assumed to contain these images. A folder that can't be listed is a log, too; opening it fails.
+    Exports of jaxdet are left out unless they are inputs themselves.
 
     The name of a log is its path relative to the input folder (for a glob: relative to the folder
     before the first ``*``), so it does not depend on other logs. A file that several inputs contain
@@ -116,7 +119,7 @@ def find_logs(
     paths = _once(chosen)
     groups: dict[tuple[Path, str, str], list[Path]] = {}
     for (_, stem, number, _), path in sorted((_order(path), path) for path in paths):
-        key = path.parent, path.name if number < 0 or not join else stem, path.suffix
+        key = path.parent, path.name if number < 0 or not join else _series(stem), path.suffix
         groups.setdefault(key, []).append(path)
     logs = []
     for group in groups.values():
@@ -214,30 +217,44 @@ def siblings(log: LogFiles) -> tuple[Path, ...]:
     stem, first = _split(begin)
     if first < 0:
         return ()
-    named = begin.parent.glob(f"{glob.escape(stem)}_*{begin.suffix}")
-    splits = [path for path in sorted(named, key=_order) if _split(path)[0] == stem]
-    before = [path for path in splits if _split(path)[1] < first]
+    series = _series(stem)
+    named = begin.parent.glob(f"{glob.escape(series)}*{begin.suffix}")
+    known = {path: _split(path) for path in sorted(named, key=_order)}
+    splits = [path for path, (own, at) in known.items() if at >= 0 and _series(own) == series]
+    before = [path for path in splits if _order(path) < _order(begin)]
     after = [path for path in splits[len(before) :] if path.resolve() != begin.resolve()]
     if not (before or after):
         return ()
     own = signature(begin)
-    return (*reversed([*_going_on(log, own, before[::-1])]), *_going_on(log, own, after))
+    earlier, later = (
+        _going_on(log, own, part, sign) for part, sign in ((before[::-1], -1), (after, 1))
+    )
+    return (*reversed([*earlier]), *later)
 
 
-def _going_on(log: LogFiles, known: Signature | None, splits: Iterable[Path]) -> Iterator[Path]:
+def _going_on(
+    log: LogFiles, known: Signature | None, splits: Iterable[Path], sign: int
+) -> Iterator[Path]:
     """Yield neighbouring splits of the same recording, from near to far.
 
-    Splits that do not match are skipped; the first one with a gap in time ends the search.
+    Splits that do not match are skipped; the first one with a gap in time ends the search, as does
+    a number that shows that another recording begins.
+
+    Args:
+        log: Files of the log.
+        known: Signature of the first file.
+        splits: Splits from near to far.
+        sign: 1 for later splits, -1 for earlier ones.
     """
     own, near = {path.resolve() for path in log.paths}, _split(log.paths[0])[1]
     for path in splits:
         number, found = _split(path)[1], signature(path)
         if path.resolve() not in own:
-            steps = number - near
-            pair = (known, found) if steps > 0 else (found, known)
-            if gap(*pair, abs(steps)):
+            steps = sign * (number - near)
+            pair = (known, found) if sign > 0 else (found, known)
+            if steps <= 0 or gap(*pair, steps):
                 return
-            if difference(*pair, abs(steps)):
+            if difference(*pair, steps):
                 continue
             yield path
         known = joined(known, found)
@@ -472,6 +489,11 @@ def _split(path: Path) -> tuple[str, int]:
     """Return the common name of a recording's splits, and the split number; -1: not a split."""
     match = _SPLIT.fullmatch(path.name) or _late_split(path)
     return (match["stem"], int(match["number"])) if match else (_bare_name(path), -1)
+
+
+def _series(stem: str) -> str:
+    """Return the part of a recording's name that its splits share."""
+    return _BEGIN.sub("", stem)
 
 
 def _late_split(path: Path) -> re.Match[str] | None:

@@ -11,17 +11,20 @@ a JSON file the camera matrix: ``intrinsic_matrix`` (nine numbers, column-major)
 - ScanNet has the camera matrices of both images in ``intrinsic``, and poses in ``pose``;
 - 7-Scenes has all files in one folder: ``frame-000000.color.png``, ``.depth.png``, ``.pose.txt``;
 - Redwood has ``image`` or ``rgb``, and microseconds in the names, ``NUMBER-TIME.png``;
+- SUN3D and SUN RGB-D have the camera matrix in ``intrinsics.txt``, and depth whose bits are rotated
+  left by three;
 - recordings of an iPhone's LiDAR have confidences, see :mod:`jaxdet.io.phone_folder`.
 
 Sources: "File Formats" of the TUM benchmark; Open3D's ``PinholeCameraIntrinsic`` and
-``RGBDVideoMetadata``; ScanNet's ``SensReader``; the web pages of 7-Scenes and Redwood.
+``RGBDVideoMetadata``; ScanNet's ``SensReader``; SUN3D's ``SUN3Dsfm``; the web pages of 7-Scenes and
+Redwood.
 """
 
 import json
 import os
 import re
 import struct
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from decimal import Decimal, InvalidOperation
 from io import BytesIO, RawIOBase
 from pathlib import Path
@@ -31,7 +34,7 @@ import numpy as np
 
 from jaxdet.errors import FrameError, InputError
 from jaxdet.io.chunks import PAYLOAD_OFFSET, DamageError
-from jaxdet.io.compressed import compressed_size, with_confidence
+from jaxdet.io.compressed import ROTATED, compressed_size, with_confidence
 from jaxdet.io.container import FileState
 from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.definition import schema_text
@@ -57,6 +60,8 @@ FLAT = ".color", ".depth"
 DEPTH_NAMES = ("depth",)
 COLOR_SUFFIXES = (".png", ".jpg", ".jpeg")
 DEPTH_SUFFIXES = (".png",)
+SUN3D_MATRIX = "intrinsics.txt"
+"""File with the camera matrix (three rows) in folders of SUN3D and SUN RGB-D."""
 CONFIDENCE = "confidence"
 """Folder with a confidence PNG per depth image, with the same name."""
 BESIDE = "._"
@@ -330,6 +335,7 @@ def _image_messages(
         files = tuple((one, one.stat().st_size if one.is_file() else 0) for one in paths)
         form = "16UC1; png" if channel == _DEPTH else "png"
         form += with_confidence(files[0][1]) if has_mask else ""
+        form += ROTATED if channel == _DEPTH and (folder / SUN3D_MATRIX).is_file() else ""
         message = {"header": header(stamp_ns, _FRAME), "format": form, "data": b""}
         head = encode_cdr("sensor_msgs/CompressedImage", message)
         head = head[:-4] + sum(size for _, size in files).to_bytes(4, "little")
@@ -384,8 +390,13 @@ def _stamp_of(path: Path, is_stamp: bool, phone: PhoneRecording | None) -> int:
 
 def _calibration(folder: Path, log_ns: int) -> list[_Message]:
     """Return calibration and depth unit of the camera, from a JSON file or ScanNet's folder."""
-    if (folder / "intrinsic").is_dir():
-        return _scannet_calibration(folder, log_ns)
+    if (folder / SUN3D_MATRIX).is_file():
+        files = {_INFO: (folder / SUN3D_MATRIX, COLOR_NAMES, COLOR_SUFFIXES)}
+        return _matrix_calibrations(folder, log_ns, files, 3)
+    if (part := folder / "intrinsic").is_dir():
+        color = part / "intrinsic_color.txt", COLOR_NAMES, COLOR_SUFFIXES
+        depth = part / "intrinsic_depth.txt", DEPTH_NAMES, DEPTH_SUFFIXES
+        return _matrix_calibrations(folder, log_ns, {_INFO: color, _DEPTH_INFO: depth}, 4)
     found = [(path, value) for path in sorted(folder.glob("*.json")) if (value := _camera(path))]
     if not found:
         return []
@@ -409,18 +420,26 @@ def _calibration(folder: Path, log_ns: int) -> list[_Message]:
     return [_Message(log_ns, _INFO, head), _Message(log_ns, _UNIT, unit)]
 
 
-def _scannet_calibration(folder: Path, log_ns: int) -> list[_Message]:
-    """Return the calibrations of both images, each with the size of its first image."""
+def _matrix_calibrations(
+    folder: Path,
+    log_ns: int,
+    files: Mapping[int, tuple[Path, Sequence[str], Sequence[str]]],
+    rows: int,
+) -> list[_Message]:
+    """Return calibrations from files with a matrix, each with the size of its first image.
+
+    Args:
+        folder: Folder of images.
+        log_ns: Log time of the messages [ns].
+        files: File of the matrix, and names and suffixes of the images, by channel.
+        rows: Number of rows and columns of the matrices.
+    """
     found = []
-    for kind, channel, names, suffixes in (
-        ("color", _INFO, COLOR_NAMES, COLOR_SUFFIXES),
-        ("depth", _DEPTH_INFO, DEPTH_NAMES, DEPTH_SUFFIXES),
-    ):
-        path = folder / "intrinsic" / f"intrinsic_{kind}.txt"
+    for channel, (path, names, suffixes) in files.items():
         images = _images(folder, names, suffixes)
         if not path.is_file() or not images:
             continue
-        K, (width, height) = _matrix(path), _image_size(images[0])
+        K, (width, height) = _matrix(path, rows), _image_size(images[0])
         camera = Intrinsics(width, height, K[0, 0], K[1, 1], K[0, 2], K[1, 2])
         head = encode_cdr("sensor_msgs/CameraInfo", camera_info(log_ns, _FRAME, camera))
         found.append(_Message(log_ns, channel, head))
@@ -440,12 +459,12 @@ def _image_size(path: Path) -> tuple[int, int]:
         raise InputError(error.problem, path=str(path), remedy="remove it") from error
 
 
-def _matrix(path: Path) -> np.ndarray:
-    """Read a ``(4, 4)`` matrix from a text file."""
+def _matrix(path: Path, rows: int) -> np.ndarray:
+    """Read a square matrix from a text file."""
     try:
-        return np.array(_table(path, 4), np.float64).reshape(4, 4)
+        return np.array(_table(path, rows), np.float64).reshape(rows, rows)
     except ValueError as error:
-        problem = "expected four rows of four numbers"
+        problem = f"expected {rows} rows of {rows} numbers"
         raise InputError(problem, path=str(path), remedy="correct it") from error
 
 
@@ -458,7 +477,7 @@ def _matrix_poses(folder: Path, images: Sequence[_Message]) -> list[_Message]:
         name = _frame_name(item.path)
         near = [folder / "pose" / f"{name}.txt", item.path.with_name(f"{name}.pose.txt")]
         path = next((one for one in near if one.is_file()), None)
-        T = _matrix(path) if path else np.full((4, 4), np.nan)
+        T = _matrix(path, 4) if path else np.full((4, 4), np.nan)
         if is_rigid(T):
             found.append(_pose(item.log_ns, T))
     return found

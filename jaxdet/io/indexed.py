@@ -14,13 +14,13 @@ from jaxdet.io.chunks import DamageError
 from jaxdet.io.container import LogFile
 from jaxdet.io.contents import FIRST_MOTIONS, ContentsBuilder, LogContents
 from jaxdet.io.decode_messages import MessageDecoder
-from jaxdet.io.file_index import FileIndex
+from jaxdet.io.file_index import FileIndex, IndexedMessages, Place
 from jaxdet.io.limits import check_count, check_topics
 from jaxdet.io.messages import IMAGE_KINDS, Kind, kind_of
-from jaxdet.io.motion_windows import MotionMessages, MotionWindows
-from jaxdet.io.records import IndexedMessages, TopicMessages, read_message
+from jaxdet.io.motion_windows import MotionWindows
+from jaxdet.io.records import TopicMessages, read_message
 from jaxdet.io.repeats import drop_repeated
-from jaxdet.io.store import ChunkStore, Place
+from jaxdet.io.store import ChunkStore
 from jaxdet.io.streams import NUM_PROBES
 from jaxdet.io.windows import StreamWindows
 
@@ -85,7 +85,7 @@ def open_index(
         contents.warnings += drop_repeated(streams.values(), store)
     else:
         _read_first(topics, store, builder, whole=whole)
-    windows = _motion_windows(contents, motions, store, whole)
+    windows = MotionWindows(motions, store, contents, whole)
     infos = {topic.topic: topic.in_time() for topic in topics if topic.kind is Kind.INFO}
     return IndexedLog(contents, streams, windows, infos, store, complete)
 
@@ -179,7 +179,7 @@ def _in_file_order(
     """Yield topics and message numbers in file order, with their chunks loaded."""
     which = np.repeat(np.arange(len(parts)), [len(numbers) for _, numbers in parts])
     numbers = np.concatenate([np.zeros(0, np.int64), *(numbers for _, numbers in parts)])
-    messages = _joined([topic.messages.rows(numbers) for topic, numbers in parts], in_order=False)
+    messages = IndexedMessages.joined([topic.messages.rows(rows) for topic, rows in parts])
     order = np.lexsort((messages.offset, messages.position, messages.file))
     file, position = messages.file[order], messages.position[order]
     starts = np.flatnonzero((np.diff(file, prepend=-1) != 0) | (np.diff(position, prepend=-1) != 0))
@@ -212,24 +212,17 @@ def _find_topics(
             decoder = builder.decoder(info)
             if decoder is None or not builder.wants(decoder):
                 continue
-            mine = entries.channel == key
             # A topic may have messages of several types.
             kind = "image" if decoder.kind in IMAGE_KINDS else decoder.kind.value
             decoders, messages = found.setdefault((info.topic, kind), ([], []))
-            same = np.full(int(mine.sum()), 0, np.int64)
-            messages.append(
-                IndexedMessages(
-                    entries.log_ns[mine],
-                    same + number,
-                    entries.position[mine],
-                    entries.length[mine],
-                    entries.offset[mine],
-                    same + key,
-                    same + len(decoders),
-                )
-            )
+            mine = entries.messages.rows(entries.messages.channel == key)
+            zero = np.zeros_like(mine.file)
+            messages.append(mine._replace(file=zero + number, decoder=zero + len(decoders)))
             decoders.append(decoder)
-    topics = [TopicMessages(tuple(known), _joined(parts)) for known, parts in found.values()]
+    topics = [
+        TopicMessages(tuple(known), IndexedMessages.joined(parts).in_file_order())
+        for known, parts in found.values()
+    ]
     small = 0
     for topic in topics:
         small += topic.num_messages * (topic.kind not in IMAGE_KINDS)
@@ -249,29 +242,3 @@ def _probes(topic: TopicMessages, whole: bool) -> np.ndarray:
     first, sample = (_STATIC, 0) if topic.is_static else (FIRST_MOTIONS, _MOTION_SAMPLE)
     spread = np.linspace(0, count - 1, sample).astype(np.int64)
     return np.unique(np.concatenate([np.arange(min(count, first)), spread]))
-
-
-def _motion_windows(
-    contents: LogContents, topics: Sequence[TopicMessages], store: ChunkStore, whole: bool
-) -> MotionWindows:
-    """Return the windows on the messages of all topics with transforms and poses."""
-    parts, decoders = [], []
-    for topic in topics:
-        parts.append(topic.messages._replace(decoder=topic.messages.decoder + len(decoders)))
-        decoders += topic.decoders
-    messages = _joined(parts)
-    order = np.argsort(messages.log_ns, kind="stable")
-    found = MotionMessages(messages.rows(order), order, tuple(decoders))
-    return MotionWindows(found, store, contents, whole)
-
-
-def _joined(parts: Sequence[IndexedMessages], *, in_order: bool = True) -> IndexedMessages:
-    """Concatenate messages of several topics or channels, optionally sorted by file position."""
-    if len(parts) == 1:
-        return parts[0]
-    none = IndexedMessages(*[np.zeros(0, np.int64)] * 7)
-    columns = zip(none, *parts, strict=True)
-    messages = IndexedMessages(*map(np.concatenate, columns))
-    if not in_order:
-        return messages
-    return messages.rows(np.lexsort((messages.offset, messages.position, messages.file)))

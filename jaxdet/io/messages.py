@@ -112,17 +112,15 @@ class CameraInfoMessage(NamedTuple):
 
         By definition width, height, K and P refer to the full sensor; the region of interest is cut
         out before binning (sensor_msgs/CameraInfo). Some drivers store the size of their images as
-        width and height, with K for this size. So it comes first and needs no correction.
+        width and height, with K for this size. So it comes first and needs no correction. Images
+        with the size of a region are not accepted if they should be binned: the region may be in
+        pixels before or after binning.
         """
         (bx, by), (x, y, width, height) = self.binning, self.roi
-        full, part = (self.width, self.height), (width, height) if width and height else None
-        sizes = {full: (0, 0, 1, 1)}
-        binned = part or full
-        sizes.setdefault(
-            (binned[0] // bx, binned[1] // by), (x, y, bx, by) if part else (0, 0, bx, by)
-        )
-        if part:
-            sizes.setdefault(part, (x, y, 1, 1))
+        if not (width and height):
+            x, y, width, height = 0, 0, self.width, self.height
+        sizes = {(self.width, self.height): (0, 0, 1, 1)}
+        sizes.setdefault((width // bx, height // by), (x, y, bx, by))
         return sizes
 
 

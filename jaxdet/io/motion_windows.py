@@ -8,18 +8,19 @@ first messages and an even sample, and each window checks its messages against i
 from collections import OrderedDict
 from collections.abc import Sequence
 from copy import copy
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from jaxdet.errors import FrameError, RescanError
 from jaxdet.io.contents import LogContents
 from jaxdet.io.decode_messages import MessageDecoder
+from jaxdet.io.file_index import IndexedMessages, Place
 from jaxdet.io.messages import Kind, TransformMessage
 from jaxdet.io.motion import MotionSamples
 from jaxdet.io.poses import PoseSource
-from jaxdet.io.records import IndexedMessages, read_message
-from jaxdet.io.store import ChunkStore, Place
+from jaxdet.io.records import TopicMessages, read_message
+from jaxdet.io.store import ChunkStore
 from jaxdet.io.transforms import TransformTree
 
 _SLACK_NS = 250_000_000
@@ -31,30 +32,28 @@ _MAX_MESSAGES = 20_000
 _MAX_DECODED = 1 << 15
 
 
-class MotionMessages(NamedTuple):
-    """All transforms and poses, in order of log time, then of arrival."""
-
-    messages: IndexedMessages
-    arrival: np.ndarray
-    """Order of arrival in the files, ``(N,)`` int64."""
-    decoders: tuple[MessageDecoder, ...]
-    """Decoders; ``decoder`` of a message is an index into them."""
-
-
 class MotionWindows:
     """Transforms and poses of a log, read on demand.
 
     Args:
-        found: Messages.
+        topics: Topics with transforms or poses.
         store: Chunks of the log.
         contents: Messages read at opening.
         whole: Whether all messages were read at opening.
     """
 
     def __init__(
-        self, found: MotionMessages, store: ChunkStore, contents: LogContents, whole: bool
+        self, topics: Sequence[TopicMessages], store: ChunkStore, contents: LogContents, whole: bool
     ) -> None:
-        self._messages, self._arrival, self._decoders = found
+        parts, self._decoders = [], list[MessageDecoder]()
+        for topic in topics:
+            some = topic.messages
+            parts.append(some._replace(decoder=some.decoder + len(self._decoders)))
+            self._decoders += topic.decoders
+        messages = IndexedMessages.joined(parts).in_file_order()
+        self._arrival = np.argsort(messages.log_ns, kind="stable")
+        """Number of each message in file order; messages are in order of log time."""
+        self._messages = messages.rows(self._arrival)
         self._store, self._tree, self._tracks = store, TransformTree(), contents.tracks
         self._path, self._seen, self.whole = contents.path, contents.delays, whole
         self._decoded: OrderedDict[int, list[tuple[str, TransformMessage]]] = OrderedDict()

@@ -17,6 +17,7 @@ from jaxdet.io.chunks import PAYLOAD_OFFSET, PIECE_BYTES, DamageError
 from jaxdet.io.compressed import decode_compressed_color, decode_compressed_depth
 from jaxdet.io.container import LogFile
 from jaxdet.io.decode_messages import MessageDecoder
+from jaxdet.io.file_index import Place
 from jaxdet.io.images import decode_color, decode_depth
 from jaxdet.io.messages import (
     CameraInfoMessage,
@@ -27,7 +28,7 @@ from jaxdet.io.messages import (
     bad_frame,
 )
 from jaxdet.io.raw_messages import HEAD_BYTES, find_pixels, is_standard_image
-from jaxdet.io.store import ChunkStore, Place
+from jaxdet.io.store import ChunkStore
 from jaxdet.io.timeline import FrameTable, Window
 from jaxdet.io.validity import says_other
 
@@ -54,6 +55,8 @@ class Span(NamedTuple):
     """Destination, which has the size of the part."""
 
 
+SATURATED = 65535
+"""Largest 16-bit depth, which is never a measurement; 7-Scenes marks missing ones by it."""
 Failure = tuple[int, bool, FrameError]
 """Row, whether it is the depth image, and the error."""
 
@@ -151,12 +154,19 @@ class ImageReader:
             bad = [row for row, error in enumerate(problems) if error is not None]
             if images is not None and bad:
                 images[bad] = 0
-        if self._hidden is not None:
-            depth[:, self._hidden] = 0
+        self._remove_invalid(depth)
         if color is not None:
             for row, first in same.items():
                 color[row], errors.color[row] = color[first], errors.color[first]
         return errors
+
+    def _remove_invalid(self, depth: np.ndarray) -> None:
+        """Set pixels to 0 that are no measurements of the scene: saturated, or of the robot."""
+        for image in depth:
+            if image.max(initial=0) == SATURATED:
+                image[image == SATURATED] = 0
+        if self._hidden is not None:
+            depth[:, self._hidden] = 0
 
     def decoding_s(self) -> float:
         """Return the decoding time since the last call, divided by the number of threads [s]."""

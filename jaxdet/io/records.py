@@ -7,51 +7,12 @@ from mcap.opcode import Opcode
 
 from jaxdet.io.chunks import MAX_TIME_NS, MESSAGE_HEAD, PAYLOAD_OFFSET, RECORD_HEAD, DamageError
 from jaxdet.io.decode_messages import MessageDecoder
+from jaxdet.io.file_index import IndexedMessages, Place
 from jaxdet.io.messages import Kind
-from jaxdet.io.store import ChunkStore, Place
+from jaxdet.io.store import ChunkStore
 
 _FIRST_BYTES = 1024
 """Number of bytes read first of a message of unknown size."""
-
-
-class IndexedMessages(NamedTuple):
-    """Positions of messages, ``(N,)`` int64 each."""
-
-    log_ns: np.ndarray
-    """Log time [ns]."""
-    file: np.ndarray
-    """Number of the file in the log."""
-    position: np.ndarray
-    """Position of the chunk in the file, see :meth:`jaxdet.io.container.LogFile.chunk_head`."""
-    length: np.ndarray
-    """Length of the chunk's content in the file."""
-    offset: np.ndarray
-    """Offset of the message's record in the decompressed chunk [byte]."""
-    channel: np.ndarray
-    """Id of the channel in the file."""
-    decoder: np.ndarray
-    """Index of the decoder."""
-
-    def rows(self, which: np.ndarray | slice) -> "IndexedMessages":
-        """Return a selection of the messages."""
-        return IndexedMessages(*(column[which] for column in self))
-
-    def between(self, begin: int | None, end: int | None) -> slice:
-        """Return the messages in a range of log times, end exclusive; None: unbounded.
-
-        The messages must be in order of log time.
-        """
-        first, last = np.searchsorted(self.log_ns, [begin or 0, end or 0]).tolist()
-        return slice(0 if begin is None else first, len(self.log_ns) if end is None else last)
-
-    def places(self, which: np.ndarray | slice = slice(None)) -> list[Place]:
-        """Return the chunk of each selected message; by default of all."""
-        pairs = zip(self.file[which].tolist(), self.position[which].tolist(), strict=True)
-        return [Place(*pair) for pair in pairs]
-
-    def chunks(self, which: np.ndarray | slice) -> set[Place]:
-        """Return the chunks of the selected messages."""
-        return set(self.places(which))
 
 
 class TopicMessages(NamedTuple):

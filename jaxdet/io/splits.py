@@ -1,15 +1,16 @@
 """Grouping of numbered files into recordings.
 
 rosbag2 names the files of a recording ``NAME_0.mcap``, ``NAME_1.mcap``, ...; so do people who
-number their recordings. Files listed in a ``metadata.yaml`` next to them are one recording. Other
-files are joined only if that is certain: their numbers are consecutive, they have the same topics,
-schemas and calibration, and the images of each begin within about a second of the end of the
-previous ones, without overlap.
+number their recordings. ROS 1 adds the time at which each file begins,
+``NAME_2024-05-01-10-00-00_0.bag``. Files listed in a ``metadata.yaml`` next to them are one
+recording. Other files are joined only if that is certain: their numbers are consecutive, they have
+the same topics, schemas and calibration, and the images of each begin within about a second of the
+end of the previous ones, without overlap.
 """
 
 import re
 from collections.abc import Sequence
-from contextlib import suppress
+from contextlib import closing, suppress
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
@@ -17,6 +18,7 @@ from jaxdet.errors import InputError
 from jaxdet.io.chunks import DamageError
 from jaxdet.io.container import LogFile
 from jaxdet.io.contents import ContentsBuilder, LogContents
+from jaxdet.io.file_index import FileIndex
 from jaxdet.io.formats import open_file
 from jaxdet.io.indexed import search_index
 from jaxdet.io.messages import IMAGE_KINDS, kind_of
@@ -51,19 +53,27 @@ class Signature(NamedTuple):
     """Mean interval of the images on the slowest topic [ns]; 0 if there are too few."""
 
 
-def signature(path: Path) -> Signature | None:
-    """Return the signature of a file from its index; None if the index can't be read."""
-    with suppress(InputError, DamageError):
-        file = open_file(path, LogOptions.max_chunk_mib << 20)
+def signature(path: Path, *, scan: bool = False) -> Signature | None:
+    """Return the signature of a file from its index; None if the index can't be read.
+
+    Args:
+        path: File.
+        scan: Whether to scan a file whose index can't be read, for example the last split of a
+            recorder that was not stopped.
+    """
+    with suppress(InputError, DamageError), closing(_open(path)) as file:
         try:
-            return _signature_of(file)
-        finally:
-            file.close()
+            return _signature_of(file, file.read_index())
+        except DamageError:
+            return _signature_of(file, file.rebuild_index()) if scan else None
     return None
 
 
-def _signature_of(file: LogFile) -> Signature:
-    entries = file.read_index()
+def _open(path: Path) -> LogFile:
+    return open_file(path, LogOptions.max_chunk_mib << 20)
+
+
+def _signature_of(file: LogFile, entries: FileIndex) -> Signature:
     counts = entries.counts
     useful = {key: info for key, info in entries.infos.items() if kind_of(info.schema_name)}
     images = [key for key, info in useful.items() if kind_of(info.schema_name) in IMAGE_KINDS]
@@ -160,7 +170,7 @@ def recordings(files: Sequence[tuple[int, Path]]) -> list[Recording]:
     notes: list[list[str]] = []
     before: tuple[int, Signature | None] = (0, None)
     for number, path in files:
-        now = signature(path)
+        now = signature(path, scan=True)
         why = _why_apart(*before, number, now) if found else ""
         if why or not found:
             found.append([])

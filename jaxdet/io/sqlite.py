@@ -22,7 +22,6 @@ from jaxdet.errors import InputError
 from jaxdet.io.chunks import PAYLOAD_OFFSET, DamageError
 from jaxdet.io.container import FileState, LogFile
 from jaxdet.io.declarations import ChannelInfo
-from jaxdet.io.definition import DEFINITIONS, schema_text
 from jaxdet.io.file_index import FileIndex, FileIntegrity, file_index
 from jaxdet.io.limits import MAX_SCHEMA_BYTES, check_topics
 from jaxdet.io.message_file import MessageFile, MessageRow, indexed_messages, position_of
@@ -332,8 +331,6 @@ def _declared(file: SqliteFile) -> int | None:
 def _channels(file: SqliteFile) -> dict[int, ChannelInfo]:
     """Return the topics with their definitions.
 
-    Recordings before ROS 2 Iron have no definitions; those of jaxdet are used for them.
-
     Raises:
         DamageError: The table can't be read.
     """
@@ -344,7 +341,7 @@ def _channels(file: SqliteFile) -> dict[int, ChannelInfo]:
         known = {row[0]: row[1:] for row in (rows if "message_definitions" in file.tables else ())}
     found = {}
     for number, topic, name, encoding in topics:
-        schema, text = known.get(name) or ("ros2msg", _definition(str(name)))
+        schema, text = known.get(name, ("", ""))
         data = str(text).encode()
         useful = kind_of(str(name)) is not None
         kept = data if useful else b""
@@ -352,8 +349,3 @@ def _channels(file: SqliteFile) -> dict[int, ChannelInfo]:
             str(topic), str(encoding), str(name), str(schema), kept, len(data)
         )
     return found
-
-
-def _definition(name: str) -> str:
-    plain = name.replace("/msg/", "/")
-    return schema_text(plain) if plain in DEFINITIONS else ""

@@ -5,11 +5,12 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from threading import Lock
-from typing import NamedTuple, TypeVar
+from typing import TypeVar
 
 from jaxdet.cores import cores
 from jaxdet.io.chunks import ChunkHead, DamageError
 from jaxdet.io.container import LogFile
+from jaxdet.io.file_index import Place
 from jaxdet.io.limits import ReadMemory
 
 T = TypeVar("T")
@@ -21,15 +22,6 @@ BEGIN_BYTES = 4096
 """Size of the beginning of a large compressed chunk that can be read separately [byte]."""
 LARGE_BYTES = 1 << 18
 _MAX_HEADS = 4096
-
-
-class Place(NamedTuple):
-    """Identifier of a chunk in a log."""
-
-    file: int
-    """Number of the file."""
-    position: int
-    """Position of the chunk, see :meth:`jaxdet.io.container.LogFile.chunk_head`."""
 
 
 class ChunkStore:

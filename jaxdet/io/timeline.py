@@ -5,9 +5,8 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxdet.errors import printable
+from jaxdet.io.file_index import IndexedMessages, Place
 from jaxdet.io.notes import Notes
-from jaxdet.io.records import IndexedMessages
-from jaxdet.io.store import Place
 
 
 class FrameTable(NamedTuple):

@@ -11,9 +11,10 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxdet.errors import FrameError, RescanError
+from jaxdet.io.file_index import Place
 from jaxdet.io.messages import CameraInfoMessage
 from jaxdet.io.records import TopicMessages, read_message
-from jaxdet.io.store import ChunkStore, Place
+from jaxdet.io.store import ChunkStore
 
 _MAX_VARIANTS = 16
 

@@ -26,12 +26,13 @@ import numpy as np
 from jaxdet.errors import FrameError, RescanError
 from jaxdet.io.chunks import PAYLOAD_OFFSET
 from jaxdet.io.contents import image_stamps
+from jaxdet.io.file_index import Place
 from jaxdet.io.messages import Kind
 from jaxdet.io.motion_windows import MotionWindows
 from jaxdet.io.notes import Notes, StreamNotes
 from jaxdet.io.poses import PoseSource
 from jaxdet.io.records import TopicMessages, read_message
-from jaxdet.io.store import BEGIN_BYTES, ChunkStore, Place
+from jaxdet.io.store import BEGIN_BYTES, ChunkStore
 from jaxdet.io.timeline import FrameTable, Window, apart, nearest
 from jaxdet.io.validity import CalibrationWindows
 
