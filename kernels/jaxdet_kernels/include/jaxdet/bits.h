@@ -1,6 +1,6 @@
 // Bitmap with one bit per cell; rows are padded to a power of two of 32-bit words.
 #pragma once
-#include "team.h"
+#include "vectors.h"
 
 namespace jaxdet { namespace {
 
@@ -52,13 +52,31 @@ struct BitRows {
 
     // Packs bit `shift` of each of n bytes into a word; n is at most WIDTH.
     static unsigned packed(const unsigned char* bytes, int shift, int n) {
+#if defined(__clang__) && !defined(__CUDA_ARCH__)
+        if (n >= WIDTH) return packed(*(const Vectors::Bytes*)bytes >> (unsigned char)shift & 1);
+#endif
         unsigned word = 0;
-        if (n >= WIDTH)
-            for (int k = 0; k < WIDTH; ++k) word |= (unsigned)(bytes[k] >> shift & 1) << k;
-        else
-            for (int k = 0; k < n; ++k) word |= (unsigned)(bytes[k] >> shift & 1) << k;
+        for (int k = 0; k < n && k < WIDTH; ++k) word |= (unsigned)(bytes[k] >> shift & 1) << k;
         return word;
     }
+
+    // Packs whether each of n labels is at least 0; n is at most WIDTH.
+    static unsigned labelled(const int* labels, int n) {
+#if defined(__clang__) && !defined(__CUDA_ARCH__)
+        if (n >= WIDTH) return packed(*(const Vectors::Wide*)labels >= 0);
+#endif
+        unsigned word = 0;
+        for (int k = 0; k < n && k < WIDTH; ++k) word |= (unsigned)(labels[k] >= 0) << k;
+        return word;
+    }
+
+#if defined(__clang__) && !defined(__CUDA_ARCH__)
+    // Packs whether each element of a vector of WIDTH elements is not 0: one instruction per register.
+    template <class Elements> static unsigned packed(const Elements& elements) {
+        typedef bool Flags __attribute__((ext_vector_type(WIDTH)));
+        return __builtin_bit_cast(unsigned, __builtin_convertvector(elements, Flags));
+    }
+#endif
 
     // Writes the transpose: bit r of word w of row c of `out` is the bit of column c in row 32 w + r.
     void transpose(const Team& team, const BitRows& out) const {

@@ -48,14 +48,12 @@ struct CellList {
         }
 #else
         int n = 0;
-        unsigned char some[BitRows::WIDTH];
         for (int i = 0; i < has.count(); ++i) {
             const int from = has.row(i) * columns + has.column(i), left = columns - has.column(i);
             const int wide = left < BitRows::WIDTH ? left : (int)BitRows::WIDTH;
             if (wide <= 0) continue;
             for (int k = 0; k < wide; ++k) out[from + k] = labels[from + k];
-            for (int k = 0; k < wide; ++k) some[k] = labels[from + k] >= 0;
-            has[i] = BitRows::packed(some, 0, wide);
+            has[i] = BitRows::labelled(labels + from, wide);
             open[i] = BitRows::packed(free + from, 0, wide);
             for (unsigned those = has[i]; those; those &= those - 1) {
                 const int at = from + BitRows::lowest(those), own = labels[at];
@@ -89,8 +87,13 @@ struct CellList {
         }
 #else
         int n = 0;
-        for (int i = 0; i < cells; ++i)
-            if (labels[i] >= 0 && labels[i] < limit) put(n++, i, labels[i], at_right, at_forward);
+        for (int first = 0; first < cells; first += BitRows::WIDTH) {
+            const int wide = cells - first < BitRows::WIDTH ? cells - first : (int)BitRows::WIDTH;
+            for (unsigned some = BitRows::labelled(labels + first, wide); some; some &= some - 1) {
+                const int i = first + BitRows::lowest(some);
+                if (labels[i] < limit) put(n++, i, labels[i], at_right, at_forward);
+            }
+        }
         *count = n;
 #endif
         team.sync();

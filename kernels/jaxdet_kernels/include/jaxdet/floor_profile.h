@@ -44,11 +44,6 @@ struct FloorProfile {
         return (k << bits) + (1 << bits >> 1);
     }
 
-    int index(int height) const {
-        const int place = (height >> settings[FloorSetting::RISE_BITS]) + half();
-        return place < 0 ? 0 : place > 2 * half() ? 2 * half() : place;
-    }
-
     // Computes the tolerances at each distance, and sorts the cells by distance above a plane, with
     // their heights.
     void sort(const Team& team, FloorPlane plane) const {
@@ -89,6 +84,7 @@ struct FloorProfile {
                 at[place] = run[i];
             }
         team.sync();
+#if defined(__CUDA_ARCH__)
         // Sorts the heights in each distance bin.
         for (int i = team.rank; i < begin()[n]; i += team.size) {
             const int k = at[i], h = sorted[i], from = begin()[k], to = begin()[k + 1];
@@ -97,16 +93,17 @@ struct FloorProfile {
             high[place] = h;
         }
         team.sync();
+#endif
     }
 
-    // Heights of the cells, sorted by distance bin, then by height.
-    const int* sorted() const { return places + cells.count; }
+    // Heights of the cells, by distance bin; on CUDA in order in each bin.
+    const int* heights() const { return places + (Warp::size > 1 ? 1 : 2) * cells.count; }
 
+#if defined(__CUDA_ARCH__)
     // Counts the cells of a distance bin that are lower than each of `number` heights of the profile.
     void lower(int k, const int* heights, int* counts, int number) const {
-        const int* in_order = sorted();
+        const int* in_order = this->heights();
         const int from = begin()[k], to = begin()[k + 1];
-#if defined(__CUDA_ARCH__)
         for (int m = 0; m < number; m++) counts[m] = from;
         if (from == to) return;
         // The last height needs no search if it is lower than all cells, which is frequent.
@@ -117,46 +114,48 @@ struct FloorProfile {
                 if (next <= to && in_order[next - 1] < heights[m]) counts[m] = next;
             }
         for (int m = 0; m < number; m++) counts[m] -= from;
-#else
-        // Linear and vectorized, which is faster than bisection for so few cells.
-        for (int m = 0; m < number; m++) {
-            const int height = heights[m];
-            int count = 0;
-            for (int i = from; i < to; i++) count += in_order[i] < height;
-            counts[m] = count;
-        }
-#endif
     }
+#endif
 
-    // Counts the inliers in a distance bin of N floors, at heights `up` above the plane, and the cells
-    // clearly below each: adds to `on` and `low`.
-    template <int N> void count(int k, const int* up, int slack, int* on, int* low) const {
+    // N ranges of heights of the profile: inliers are from `least` to below `over`, and cells below
+    // `deep` are clearly below the floor.
+    template <int N> struct Ranges {
+        int over[N], least[N], deep[N];
+    };
+
+    // Counts the cells of a distance bin in N ranges: adds the inliers to `on`, and the cells clearly
+    // below the floor to `low`.
+    template <int N> void count(int k, const Ranges<N>& ranges, int* on, int* low) const {
 #if defined(__CUDA_ARCH__)
-        if (begin()[k] == begin()[k + 1]) return;
         for (int w = 0; w < N; w++) {
-            const int ends[3] = {index(up[w] + slack), index(up[w] - slack),
-                                 index(up[w] - FloorScore::BELOW * slack)};
+            const int ends[3] = {ranges.over[w], ranges.least[w], ranges.deep[w]};
             int under[3];
             lower(k, ends, under, 3);
             on[w] += under[0] - under[1];
             low[w] += under[2];
         }
 #else
-        const int bits = settings[FloorSetting::RISE_BITS], center = half();
-        int over[N], least[N], deep[N];
-        for (int w = 0; w < N; w++) {
-            over[w] = ((up[w] + slack) >> bits) + center;
-            least[w] = ((up[w] - slack) >> bits) + center;
-            deep[w] = ((up[w] - FloorScore::BELOW * slack) >> bits) + center;
-        }
         for (int i = begin()[k]; i < begin()[k + 1]; i++) {
-            const int height = sorted()[i];
+            const int height = heights()[i];
             for (int w = 0; w < N; w++) {
-                on[w] += (height >= least[w]) & (height < over[w]);
-                low[w] += height < deep[w];
+                on[w] += (height >= ranges.least[w]) & (height < ranges.over[w]);
+                low[w] += height < ranges.deep[w];
             }
         }
 #endif
+    }
+
+    // Counts the cells of a distance bin for N floors at heights `up` above the plane.
+    template <int N> void count(int k, const int* up, int slack, int* on, int* low) const {
+        if (begin()[k] == begin()[k + 1]) return;
+        const int bits = settings[FloorSetting::RISE_BITS];
+        Ranges<N> ranges;
+        for (int w = 0; w < N; w++) {
+            ranges.over[w] = ((up[w] + slack) >> bits) + half();
+            ranges.least[w] = ((up[w] - slack) >> bits) + half();
+            ranges.deep[w] = ((up[w] - FloorScore::BELOW * slack) >> bits) + half();
+        }
+        count<N>(k, ranges, on, low);
     }
 
     // Number of inliers in a distance bin of a floor at `height` above the plane; `low` is the number
@@ -183,10 +182,10 @@ struct FloorProfile {
 
     // Number of cells in a distance bin that are lower than a height above the plane.
     int under(int k, int height) const {
-        if (begin()[k] == begin()[k + 1]) return 0;
-        const int end = index(height);
-        int count;
-        lower(k, &end, &count, 1);
+        const int end = (height >> settings[FloorSetting::RISE_BITS]) + half();
+        const Ranges<1> range = {{end}, {0}, {0}};
+        int count = 0, none = 0;
+        this->count<1>(k, range, &count, &none);
         return count;
     }
 };

@@ -52,7 +52,7 @@ struct FloorRamps : FloorProfile {
     // is at h, no inlier is below h - 2 s, and all cells below h - 5 s are subtracted.
     void limits(const Team& team, const int* slack) const {
         const int bits = settings[FloorSetting::RISE_BITS], each = FloorScore::BELOW_COST;
-        const int *heights = sorted(), *at = places + 3 * cells.count;
+        const int *heights = this->heights(), *at = places + 3 * cells.count;
         for (int k = team.rank; k <= runs(); k += team.size) most()[k] = flat()[k] = 0;
         team.sync();
         for (int k = team.rank; k < runs(); k += team.size) {
@@ -60,14 +60,23 @@ struct FloorRamps : FloorProfile {
             const int here = on(k, 0, slack[k], low);
             flat()[k] = here - each * low;
         }
-        for (int i = team.rank; i < begin()[runs()]; i += team.size) {
-            const int k = at[i], s = slack[k], from = begin()[k], h = heights[i];
+        // The CPU takes up to CELLS cells of a distance bin at a time.
+        enum { CELLS = Warp::size > 1 ? 1 : 8 };
+        for (int i = team.rank, n = 1; i < begin()[runs()]; i += n * team.size) {
+            const int k = at[i], s = slack[k];
             const int width = 2 * s >> bits, deep = (FloorScore::BELOW + 1) * s >> bits;
-            const int ends[2] = {h - width, h - deep};
-            int under[2];
-            lower(k, ends, under, 2);
-            worth()[i] = i + 1 - from - under[0] - each * under[1];
-            team.atomic_max(most() + k, worth()[i]);
+            Ranges<CELLS> ranges;
+            for (int w = 0; w < CELLS; w++) {
+                const int h = heights[i + w];
+                ranges.over[w] = h + 1, ranges.least[w] = h - width, ranges.deep[w] = h - deep;
+            }
+            int here[CELLS] = {}, low[CELLS] = {};
+            count<CELLS>(k, ranges, here, low);
+            n = begin()[k + 1] - i < CELLS ? begin()[k + 1] - i : (int)CELLS;
+            for (int w = 0; w < n; w++) {
+                worth()[i + w] = here[w] - each * low[w];
+                team.atomic_max(most() + k, worth()[i + w]);
+            }
         }
         team.sync();
         // Prefix sums of the flat votes, suffix sums of the upper bounds.
@@ -83,7 +92,7 @@ struct FloorRamps : FloorProfile {
     // Computes an upper bound of the votes of any ramp, after `limits`: ramps are grouped by start and
     // turn.
     void limit(const Team& team, const int* slack, int* found) const {
-        const int *heights = sorted(), bits = settings[FloorSetting::RISE_BITS], middle_rise = half();
+        const int *heights = this->heights(), bits = settings[FloorSetting::RISE_BITS], middle_rise = half();
         for (int first = team.rank * ABREAST; first < STARTS * SECTORS; first += team.size * ABREAST) {
             const int sector = first / STARTS;
             const int turn = sector < SECTORS / 2 ? -MOST_TURN + sector * SECTOR

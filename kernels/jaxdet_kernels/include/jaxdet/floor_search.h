@@ -415,6 +415,7 @@ struct FloorSearch {
         int count = 0;
         for (int n = 0; n < RINGS; n++) {
             if (ring_ends[n] < lattice.fewest) continue;
+            if (n > 0 && ring_ends[n] == ring_ends[n - 1]) continue;  // the same cells and plane
             ends[count] = ring_ends[n];
             if (team.rank == 0) planes[count] = lattice.plane(lattice.best[n]);
             count++;
@@ -431,12 +432,15 @@ struct FloorSearch {
         int ends[NEAR_PLANES];
         int count = best_of_rings(team, lattice, planes, ends);
         lattice.next(team);
+        // The best plane of the complete lattice, unless it is that of all rings.
+        const FloorPlane any = lattice.plane(*lattice.whole);
+        const bool is_new = !(any == planes[count - 1]);
         if (team.rank == 0) {
             planes[count] = lattice.plane(lattice.best[RINGS - 1]);
-            planes[count + 1] = lattice.plane(*lattice.whole);
+            if (is_new) planes[count + 1] = any;
         }
         ends[count] = ends[count + 1] = cells.count;
-        count += 2;
+        count += 1 + is_new;
         team.sync();
         ThreadGroup group(team);
         const FloorRefine refine = {angles, settings, guess, is_prior,

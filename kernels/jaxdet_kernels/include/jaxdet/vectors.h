@@ -8,6 +8,7 @@ namespace jaxdet { namespace {
 #if !defined(__CUDA_ARCH__)
 struct Vectors {
     enum { SHORTS = 32 };
+    typedef unsigned char Bytes __attribute__((vector_size(32), aligned(1), may_alias));
     typedef unsigned short Words __attribute__((vector_size(64), aligned(2), may_alias));
     typedef int Wide __attribute__((vector_size(128), aligned(4), may_alias));
     typedef int Ints __attribute__((vector_size(64), aligned(4), may_alias));
