@@ -135,6 +135,7 @@ def test_odometry_comes_from_the_robot_of_the_camera(tmp_path, aligned, prefix):
         return [] if message.topic in ("/tf", "/odom") else None
 
     one = changed(aligned, without_moving)
+
     def only_odometry(message: Message) -> list[Message] | None:
         return None if message.topic == "/odom" else []
 
