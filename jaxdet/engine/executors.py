@@ -39,7 +39,6 @@ class Executor(Protocol):
     """Number of processes that share the frames."""
     devices: int
     """Number of GPUs that compute for them."""
-
     together: int
     """Number of frames that are read together."""
 
@@ -89,9 +88,9 @@ def _color_bytes(settings: RunSettings, log: "Log", batch: int) -> int:
         return 3 * camera.height * camera.width
     if not log.has_color or log.color_shape is None:
         return 0
-    batches = BATCHES_IN_FLIGHT
-    drawn = -(-settings.options.pictures * batches * batch // max(1, len(log.frames)))
-    return -(-prod(log.color_shape) * min(drawn, batches) // batches)
+    pictures, in_flight = settings.options.pictures, BATCHES_IN_FLIGHT
+    drawn = -(-pictures * in_flight * batch // max(1, len(log.frames)))
+    return -(-prod(log.color_shape) * min(drawn, in_flight) // in_flight)
 
 
 class InProcess:
