@@ -368,7 +368,7 @@ def test_a_device_server_returns_equal_bytes(
     ],
 )
 def test_memory_of_batches_is_bounded(width, height, batch_size, want):
-    camera = Intrinsics(width, height, 600.0, 600.0, width / 2, height / 2)
+    camera = Intrinsics(width, height, width, width, width / 2, height / 2)
     log: Any = SimpleNamespace(depth_shape=(height, width), calibration=Calibration(camera))
     served = device_server.server_config(log, Config(), batch_size, device_server.PIECE_FRAMES, 2)
     there = device_server.DeviceServer(served, [], ["gpu"])

@@ -14,7 +14,6 @@ from jaxdet.engine.plan import LogPlan, Unit
 from jaxdet.engine.pool import Pool
 from jaxdet.engine.settings import RunSettings
 from jaxdet.engine.shared_slots import ServerConfig
-from jaxdet.engine.startup import start_up
 from jaxdet.engine.tasks import UnitQueue
 from jaxdet.engine.unit import UnitProcessor
 from jaxdet.engine.unit_result import UnitResult
@@ -39,7 +38,6 @@ class Executor(Protocol):
     """Number of processes that share the frames."""
     devices: int
     """Number of GPUs that compute for them."""
-
     together: int
     """Number of frames that are read together."""
 
@@ -89,9 +87,9 @@ def _color_bytes(settings: RunSettings, log: "Log", batch: int) -> int:
         return 3 * camera.height * camera.width
     if not log.has_color or log.color_shape is None:
         return 0
-    batches = BATCHES_IN_FLIGHT
-    drawn = -(-settings.options.pictures * batches * batch // max(1, len(log.frames)))
-    return -(-prod(log.color_shape) * min(drawn, batches) // batches)
+    pictures, in_flight = settings.options.pictures, BATCHES_IN_FLIGHT
+    drawn = -(-pictures * in_flight * batch // max(1, len(log.frames)))
+    return -(-prod(log.color_shape) * min(drawn, in_flight) // in_flight)
 
 
 class InProcess:
@@ -101,7 +99,7 @@ class InProcess:
         settings: The run.
         memory: Memory plan for one process.
         device: Device that computes.
-        alive: Called after each batch; None in the process of the run, which is not a worker.
+        alive: Called after each batch.
         together: See :class:`Executor`; by default as many as are computed together.
         devices: See :class:`Executor`.
     """
@@ -111,7 +109,7 @@ class InProcess:
         settings: RunSettings,
         memory: MemoryPlan,
         device: Device,
-        alive: Callable[[], object] | None = None,
+        alive: Callable[[], object] = lambda: None,
         *,
         together: int | None = None,
         devices: int = 0,
@@ -122,16 +120,13 @@ class InProcess:
         self._alive = alive
 
     def find_planes(self, log: "Log") -> Planes:
-        """Find the floors in this process, which loads JAX and Warp first unless it is a worker."""
-        backend = self.settings.options.backend
-        if backend == "jax" and self._alive is None:
-            start_up()
-        given = log, self.settings.config, backend, None, self.together
-        return decide_planes(*given, self._alive or (lambda: None))
+        """Find the floors in this process."""
+        config, backend = self.settings.config, self.settings.options.backend
+        return decide_planes(log, config, backend, None, self.together, self._alive)
 
     def work(self, log: "Log", plan: LogPlan) -> Generator[tuple[Unit, UnitResult], None, None]:
         """Work through all units in order."""
-        work = UnitProcessor(log, plan, self.device, self._alive or (lambda: None))
+        work = UnitProcessor(log, plan, self.device, self._alive)
         return work.process_units(plan.units())
 
 

@@ -42,10 +42,12 @@ class LogTask(NamedTuple):
     """New folder for its results."""
 
 
-class OtherCamera(NamedTuple):
-    """Answer to the task of a log whose camera the device server doesn't serve."""
+class OtherCameraError(Exception):
+    """The device server doesn't serve the camera of a log; it is the answer to the log's task."""
 
-    calibration: Calibration
+    def __init__(self, calibration: Calibration) -> None:
+        super().__init__(calibration)
+        self.calibration = calibration
 
 
 class LogJob(NamedTuple):
@@ -66,18 +68,18 @@ class LogJob(NamedTuple):
 
     def process_log(
         self, process: WorkerProcess, task: LogTask
-    ) -> list[LogSummary] | OtherCamera | None:
+    ) -> list[LogSummary] | OtherCameraError | None:
         """Write the results of a log, see :func:`jaxdet.engine.process_log.process_log`.
 
         Returns:
-            The summaries of its cameras; :class:`OtherCamera` if the device server doesn't serve
-            its camera; None if the first process has to process the log.
+            The summaries of its cameras; an error if the device server doesn't serve its camera;
+            None if the first process has to process the log.
         """
         try:
             given = self.memory, partial(self.choose, process), no_report
             return process_log(self.settings, *task, *given, log_per_worker=True)
-        except _OtherCameraError as error:
-            return OtherCamera(error.calibration)
+        except OtherCameraError as error:
+            return error
         except Exception:  # the first process tries the log again, and reports the error
             return None
 
@@ -89,7 +91,7 @@ class LogJob(NamedTuple):
         """
         served, workers = self.served, memory.workers
         if served and log.calibration != served.calibration:
-            raise _OtherCameraError(log.calibration)
+            raise OtherCameraError(log.calibration)
         plan = memory_plan(self.settings, log, memory, workers, packing=workers)
         together = served.slots.frames if served else plan.batch
         if plan.workers < workers or plan.batch < together:
@@ -98,12 +100,6 @@ class LogJob(NamedTuple):
         device = process.device(served, self.settings.config, self.settings.options.backend)
         given = self.settings, plan, device, process.report_progress
         return InProcess(*given, together=together, devices=self.devices)
-
-
-class _OtherCameraError(Exception):
-    def __init__(self, calibration: Calibration) -> None:
-        super().__init__()
-        self.calibration = calibration
 
 
 def choose_logs(sizes: Mapping[str, int], workers: int) -> set[str]:

@@ -30,7 +30,10 @@ WAITING = 2
 """Maximum number of tasks assigned to a worker: the current one and the next."""
 NO_PROGRESS_S = 600.0
 """Time without progress after which a worker counts as lost; compiling may take long [s]."""
-LOADED = ["jaxdet.engine.log_per_worker", "jaxdet.io.opening", "numpy.ma", "jaxdet_kernels.decode"]
+LOADED = [
+    *("jaxdet.engine.log_per_worker", "jaxdet.io.opening", "jaxdet.stages._on_cpu"),
+    *("jaxdet_kernels.decode", "numpy.ma"),
+]
 LOADED_TO_COMPUTE = ["jaxdet.stages._detect", "jaxdet.stages.paper._detect"]
 """Modules that the fork server loads once for all workers, including modules that pyarrow and the
 decoders would load later; no module may start a thread or Warp."""

@@ -9,6 +9,7 @@ from jaxdet.engine.executors import Executor, InPool, InProcess, memory_plan
 from jaxdet.engine.memory import Memory
 from jaxdet.engine.pool import Pool
 from jaxdet.engine.settings import RunSettings
+from jaxdet.engine.startup import start_up
 from jaxdet.memory import size_text
 
 if TYPE_CHECKING:
@@ -75,5 +76,8 @@ class Resources:
             return InPool(self.settings, self.pool, plan)
         if not few:
             self.pool.resize(1)  # there is no memory for others
-        device = OwnDevice(self.settings.config, self.settings.options.backend, ahead=1)
+        backend = self.settings.options.backend
+        if backend == "jax":
+            start_up()
+        device = OwnDevice(self.settings.config, backend, ahead=1)
         return InProcess(self.settings, plan, device)

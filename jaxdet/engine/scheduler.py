@@ -13,7 +13,7 @@ from jaxdet.engine.log_per_worker import (
     FEW_BYTES,
     LogJob,
     LogTask,
-    OtherCamera,
+    OtherCameraError,
     choose_logs,
 )
 from jaxdet.engine.options import RunOptions
@@ -112,22 +112,22 @@ class Scheduler:
 
     def run(self, left: dict[str, LogFiles]) -> None:
         """Process logs: small ones one per worker, then the others, each by all workers."""
-        alone = self._for_workers(left)
-        cameras: dict[str, Calibration] = {}
+        alone: dict[str, Calibration | None] = dict.fromkeys(self._for_workers(left))
+        """Camera of each small log, None until it is known."""
         while left:
-            ready = [name for name in alone if self._ready(cameras.get(name))]
-            if ready:
-                for name, answer in self._by_workers({name: left[name] for name in ready}):
-                    if isinstance(answer, OtherCamera):
-                        cameras[name] = answer.calibration
-                    elif isinstance(answer, list):
-                        alone.remove(name)
-                        self._take(left.pop(name), answer)
-                    else:
-                        alone.remove(name)
+            ready = {name: left[name] for name, camera in alone.items() if self._ready(camera)}
+            if not ready:
+                name = next((name for name in left if name not in alone), None) or next(iter(alone))
+                alone.pop(name, None)
+                self._do_here(left.pop(name))
                 continue
-            name = next((name for name in left if name not in alone), None) or alone.pop(0)
-            self._do_here(left.pop(name))
+            for name, answer in self._by_workers(ready):
+                if isinstance(answer, OtherCameraError):
+                    alone[name] = answer.calibration
+                    continue
+                del alone[name]
+                if isinstance(answer, list):
+                    self._take(left.pop(name), answer)
 
     def _for_workers(self, left: Mapping[str, LogFiles]) -> list[str]:
         """Return the logs that are each processed by a single worker, the largest first."""
@@ -149,7 +149,7 @@ class Scheduler:
 
     def _by_workers(
         self, logs: Mapping[str, LogFiles]
-    ) -> Iterator[tuple[str, list[LogSummary] | OtherCamera | None]]:
+    ) -> Iterator[tuple[str, list[LogSummary] | OtherCameraError | None]]:
         """Let each worker process whole logs; yield the logs' names with the answers."""
         self.pool.resize(self.memory.workers)
         self.resources.workers = self.pool.count

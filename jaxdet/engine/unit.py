@@ -68,14 +68,13 @@ class UnitProcessor:
     ) -> Generator[tuple[Unit, UnitResult], None, None]:
         """Yield units with their results, in order; a batch is read while others are computed."""
         in_flight: deque[_InFlight] = deque()
-        building: list[_ResultBuilder] = []
         try:
-            for unit, batch in self._batches(units):
-                in_flight.append(self._start(unit, batch))
+            for builder, batch in self._batches(units):
+                in_flight.append(self._start(builder, batch))
                 if len(in_flight) > self.device.ahead:
-                    yield from self._finish(in_flight.popleft(), building)
+                    yield from self._finish(in_flight.popleft())
             while in_flight:
-                yield from self._finish(in_flight.popleft(), building)
+                yield from self._finish(in_flight.popleft())
         finally:
             for one in in_flight:
                 with suppress(Exception):
@@ -90,51 +89,50 @@ class UnitProcessor:
             unit: The unit.
             lost: Status of its frames, and the reason.
         """
-        plan, building = self.plan, _ResultBuilder(self.plan)
+        plan, builder = self.plan, _ResultBuilder(self.plan, unit)
         numbers = [number for number in plan.frames if unit.start <= number < unit.stop]
         for first in range(0, len(numbers), plan.batch_size):
             some = numbers[first : first + plan.batch_size]
             batch = self.log.without_images(some, lost.status, lost.reason)
             plane = plan.planes.of(batch.frames.stamp_ns)
-            nothing = Found(no_inputs(len(some)))
-            building.add(_InFlight(unit, some, batch, plane, None), nothing)
+            one = _InFlight(builder, some, batch, plane, None)
+            builder.add(one, Found(no_inputs(len(some))))
         text = f"{plan.where(unit)}: {lost.status} ({lost.reason})"
-        return building.complete(unit)._replace(errors=[], lost=text)
+        return builder.complete()._replace(errors=[], lost=text)
 
-    def _batches(self, units: Iterable[Unit]) -> Iterator[tuple[Unit, "Batch"]]:
+    def _batches(self, units: Iterable[Unit]) -> Iterator[tuple["_ResultBuilder", "Batch"]]:
+        """Yield the batches of units, each with the builder of its unit's result."""
         plan = self.plan
         color = shown_color(plan.config, plan.observers.values(), plan.drawn)
         given = {"images": self.device.images, "color": color}
         given["need_color"] = plan.config.cluster.points
         for unit in units:
+            builder = _ResultBuilder(plan, unit)
             batches = self.log.batches(plan.batch_size, unit.start, unit.stop, **given)
             while (batch := self._timed("read", next, batches, None)) is not None:
                 self._busy["decode"] += batch.decoding_s
                 self._busy["read"] -= batch.decoding_s
-                yield unit, batch
+                yield builder, batch
 
-    def _start(self, unit: Unit, batch: "Batch") -> "_InFlight":
+    def _start(self, builder: "_ResultBuilder", batch: "Batch") -> "_InFlight":
         numbers = batch.frames.number[: len(batch.status)].tolist()
         plane = self.plan.planes.of(batch.frames.stamp_ns)
         started = self._timed(self.device.doing, self.device.start, batch, plane)
-        return _InFlight(unit, numbers, batch, plane, started)
+        return _InFlight(builder, numbers, batch, plane, started)
 
-    def _finish(
-        self, one: "_InFlight", building: list["_ResultBuilder"]
-    ) -> Iterator[tuple[Unit, UnitResult]]:
+    def _finish(self, one: "_InFlight") -> Iterator[tuple[Unit, UnitResult]]:
         """Wait for a batch; if it is the last of its unit, yield the unit's result."""
-        if not building:
-            building.append(_ResultBuilder(self.plan))
+        builder, unit = one.builder, one.builder.unit
         found = self._timed(self.device.doing, self.device.finish, one.started)
         self._busy.update(found.busy_s)
-        self._timed("write", building[0].add, one, found)
-        self._timed("write", building[0].show, one)
+        self._timed("write", builder.add, one, found)
+        self._timed("write", builder.show, one)
         self._batch_done()
-        if one.numbers[-1] + 1 == one.unit.stop:
-            result: UnitResult = self._timed("write", building.pop().complete, one.unit)
+        if one.numbers[-1] + 1 == unit.stop:
+            result: UnitResult = self._timed("write", builder.complete)
             busy, self._busy = self._busy, Counter()
             result.counts.busy_s.update(busy)
-            yield one.unit, result
+            yield unit, result
 
     def _timed(self, what: str, function: Callable[..., Any], *args: Any) -> Any:
         start = time.perf_counter()
@@ -147,7 +145,8 @@ class UnitProcessor:
 class _InFlight(NamedTuple):
     """A batch of a unit that has been started."""
 
-    unit: Unit
+    builder: "_ResultBuilder"
+    """Builder of the unit's result."""
     numbers: list[int]
     """Numbers of the frames in the batch."""
     batch: "Batch"
@@ -160,8 +159,8 @@ class _InFlight(NamedTuple):
 class _ResultBuilder:
     """Collects the batches of a unit and makes its rows together, as arrays of all frames."""
 
-    def __init__(self, plan: LogPlan) -> None:
-        self.plan = plan
+    def __init__(self, plan: LogPlan, unit: Unit) -> None:
+        self.plan, self.unit = plan, unit
         self.held: list[tuple[Batch, GroundPlane, RowInputs]] = []
         """Inputs of the rows of each batch."""
         self.errors: list[str] = []
@@ -185,7 +184,7 @@ class _ResultBuilder:
             for name, observer in self.plan.observers.items():
                 self.seen[name].append(observer(batch, detections))
 
-    def complete(self, unit: Unit) -> UnitResult:
+    def complete(self) -> UnitResult:
         """Return the result of the unit after its last batch; its rows are in a temporary file.
 
         Raises:
@@ -202,7 +201,7 @@ class _ResultBuilder:
             occupancy.add_path(rows.T_world_camera)
             occupancy.add(rows.obstacles["corners_world"])
             occupancy.add_free(rows.free_world)
-        path = rows_path(plan.scratch, unit)
+        path = rows_path(plan.scratch, self.unit)
         Tables.of(rows.frames, rows.obstacles).save(path)
         return UnitResult(
             counts, path, occupancy, self.errors, self.pictures, self.seen, batch.notes

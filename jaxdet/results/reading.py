@@ -539,29 +539,20 @@ class _Rows:
         sizes = [file.metadata.row_group(i).num_rows for i in range(file.num_row_groups)]
         ends = np.cumsum(sizes, dtype=np.int64)
         group = int(np.searchsorted(ends, start, side="right"))
-        groups = list(range(group, len(sizes)))
         names = file.schema_arrow.names if named is None else named
-        self.schema = pa.schema([file.schema_arrow.field(name) for name in names])
-        self._batches = _batches(file, groups, named)
-        self._waiting: list[pa.RecordBatch] = []
-        self._skip = start - int(ends[group - 1]) if group else start
+        schema = pa.schema([file.schema_arrow.field(name) for name in names])
+        self._batches = _batches(file, range(group, len(sizes)), named)
+        self._waiting = schema.empty_table()
+        self.take(start - sum(sizes[:group]))  # rows of other cameras
 
     def take(self, count: int) -> pa.Table:
         """Return the next ``count`` rows, or fewer at the end of the table."""
-        found: list[pa.RecordBatch] = []
-        while count:
-            batch = self._waiting.pop() if self._waiting else next(self._batches, None)
-            if batch is None:
-                break
-            skip, self._skip = min(self._skip, batch.num_rows), max(0, self._skip - batch.num_rows)
-            batch = batch.slice(skip)
-            part = batch.slice(0, count)
-            if part.num_rows < batch.num_rows:
-                self._waiting.append(batch.slice(count))
-            if part.num_rows:
-                found.append(part.select(self.schema.names))
-            count -= part.num_rows
-        return pa.Table.from_batches(found, schema=self.schema).combine_chunks()
+        waiting = self._waiting
+        while waiting.num_rows < count and (batch := next(self._batches, None)) is not None:
+            part = pa.Table.from_batches([batch.select(waiting.column_names)], waiting.schema)
+            waiting = pa.concat_tables([waiting, part])
+        self._waiting = waiting.slice(count)
+        return waiting.slice(0, count).combine_chunks()
 
 
 def _batches(
