@@ -191,8 +191,7 @@ def _folders(options: Options) -> tuple[Path, Path]:
         for other in unfinished.iterdir():
             if other != results:
                 shutil.rmtree(other)
-    kernel = root / "kernels/jaxdet_kernels/raycast.py"
-    frames = options.frames / fingerprint(*drawing, kernel) if options.frames else results
+    frames = options.frames / fingerprint(*drawing) if options.frames else results
     return frames, results
 
 

@@ -7,11 +7,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import warp as wp
 
+from jaxdet.sim import ray_kernels as kernels
 from jaxdet.sim.appearance import Texture
 from jaxdet.sim.texture import pattern
 from jaxdet.sim.world import World
 from jaxdet.types import Intrinsics
-from jaxdet_kernels import raycast as kernels
 
 
 class View(NamedTuple):

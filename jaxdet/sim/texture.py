@@ -9,8 +9,8 @@ from typing import get_args
 
 import numpy as np
 
+from jaxdet.sim import ray_kernels as kernels
 from jaxdet.sim.appearance import Kind
-from jaxdet_kernels import raycast as kernels
 
 SIZE = int(kernels.SIZE)
 """Side of a pattern's finest image [texel]."""

@@ -199,8 +199,9 @@ struct CellRow {
             Words median = at(0);
             for (int p = 1; p <= (all - 1) / 2; ++p)
                 median = (count - 1) / 2 == (unsigned short)p ? at(p) : median;
-            unsigned short reaches[LANES];
-            for (int k = 0; k < LANES; ++k) reaches[k] = (unsigned short)reach(median[k]);
+            unsigned short medians[LANES], reaches[LANES];
+            *(Words*)medians = median;
+            for (int k = 0; k < LANES; ++k) reaches[k] = (unsigned short)reach(medians[k]);
             const Words most_apart = *(Words*)reaches;
             count = (Words){};
             for (int p = 0; p < all; ++p) {

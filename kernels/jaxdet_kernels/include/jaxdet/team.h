@@ -44,7 +44,6 @@ struct Team {
     int atomic_max(int* place, int value) const { return atomicMax(place, value); }
     void atomic_min(unsigned* place, unsigned value) const { atomicMin(place, value); }
     int atomic_or(int* place, int bits) const { return atomicOr(place, bits); }
-    int atomic_exchange(int* place, int value) const { return atomicExch(place, value); }
     int atomic_cas(int* place, int expected, int value) const {
         return atomicCAS(place, expected, value);
     }
@@ -93,7 +92,6 @@ struct Team {
         return value > *place ? replace(place, value) : *place;
     }
     int atomic_or(int* place, int bits) const { return replace(place, *place | bits); }
-    int atomic_exchange(int* place, int value) const { return replace(place, value); }
     int atomic_cas(int* place, int expected, int value) const {
         return *place == expected ? replace(place, value) : *place;
     }
