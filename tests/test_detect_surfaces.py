@@ -526,7 +526,7 @@ def test_labelled_obstacles_of_a_moving_wheelchair_are_found(shared_data: Path) 
 def test_notches_of_the_free_floor_show_objects_lower_than_the_step(
     device: object, upside_down: bool
 ) -> None:
-    """Nothing is measured behind a strip 4 cm high: free floor ends at the strip, not beside it."""
+    """Nothing is measured behind a strip 4 cm high: free floor ends there, not next to it."""
     bare, strip = (cast(POSE, boxes) for boxes in ([], [((-0.1, 2.0, 0.0), (0.1, 2.1, 0.04))]))
     rows, columns = np.nonzero(strip < bare - 0.001)
     depth, plane = strip.copy(), POSE.plane()
