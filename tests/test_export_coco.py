@@ -176,8 +176,8 @@ def test_pixels_belong_to_the_nearest_cell() -> None:
     """Of three cells of two pixels, the nearer one in the middle is shifted to the right."""
     depth = Intrinsics(6, 2, 10.0, 10.0, 3.0, 1.0)
     color = Intrinsics(9, 2, 10.0, 10.0, 3.0, 1.0)
-    beside = Extrinsics((1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0), (0.1, 0.0, 0.0))
-    calibration = Calibration(depth, color, beside)
+    motion = Extrinsics((1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0), (0.1, 0.0, 0.0))
+    calibration = Calibration(depth, color, motion)
     z, label = np.array([[[1000, 500, 1000]]], np.int32), np.array([[[0, -1, 2]]], np.int32)
     found = CellLabels(label, label >= 0, Cells(0 * z, 0 * z, z))
     first, last, _ = cell_boxes(z, calibration, 2)

@@ -196,7 +196,7 @@ def test_a_floor_above_the_camera_is_refused():
 
 
 @pytest.mark.parametrize("pose", [Pose(0.3, 10, 1), Pose(0.8, 20, 1), Pose(1.3, 30, -2)])
-@pytest.mark.parametrize("drop", [0.09, 0.15, 0.25, 0.35, 0.9])
+@pytest.mark.parametrize("drop", [0.09, 0.25, 0.9])
 @pytest.mark.parametrize("start", [1.8, 2.5])
 def test_the_floor_before_a_step_down_is_found(pose, drop, start):
     """A plane tilted by 1 to 4 degrees would fit both the floor before the step and beyond it."""
@@ -222,7 +222,7 @@ def test_without_a_prior_a_lower_floor_is_a_drop_only_if_the_camera_is_far_above
         (Pose(1.3, 30, -2), 1.8),
     ],
 )
-@pytest.mark.parametrize("high", [0.065, 0.08, 0.1, 0.13, 0.2])
+@pytest.mark.parametrize("high", [0.065, 0.1, 0.2])
 def test_the_floor_before_a_kerb_is_found(pose, start, high):
     """A plane fitted to both road and pavement would hide the kerb."""
     z = measured(cast(pose, [((-9.0, start, 0.0), (9.0, 9.0, high))]), noise=0.004)

@@ -222,7 +222,7 @@ def test_split_files_read_only_for_transforms_have_the_same_limit(tmp_path):
         assert not log.has_color and log.color_problem
 
 
-@pytest.mark.parametrize("total", [704, 1100, 1371, 2500])
+@pytest.mark.parametrize("total", [704, 1100, 1371, 1500])
 def test_memory_raised_as_an_error_says_is_enough(total):
     """Below 1376 MiB chunks get their minimum, which added memory raises only later."""
     memory = Memory(f"{total}MiB", 1)

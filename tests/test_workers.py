@@ -420,47 +420,30 @@ def test_a_failure_of_the_device_server_is_the_error_of_each_log(sim_logs, tmp_p
         assert "frames" in str(log.error) and "ArithmeticError: out of memory" in str(log.error)
 
 
-def test_a_device_with_little_memory_uses_smaller_batches(
-    sim_logs, plain_run, tmp_path, monkeypatch
+@pytest.mark.parametrize(
+    ("step", "failing", "sizes"),
+    [("start", (1, 2), [16, 8, 4]), ("finish", (2, 3), [16, 16, 8, 4])],
+)
+def test_a_device_without_enough_memory_uses_smaller_batches(
+    sim_logs, plain_run, tmp_path, monkeypatch, step, failing, sizes
 ):
+    """Memory is used up before the first batch, or after it."""
     on_this_machine(monkeypatch)
-    sizes = []
+    tried = []
 
-    def start(small: Any, *given: Any) -> Any:
-        sizes.append(small.rows)
-        if small.rows > 4:
-            raise RuntimeError("RESOURCE_EXHAUSTED: Out of memory while trying to allocate")
-        return real(small, *given)
+    def limited(queue: Any, pieces: Any, *given: Any) -> Any:
+        if pieces or step == "start":
+            tried.append(queue.rows)
+            if len(tried) in failing:
+                raise RuntimeError("RESOURCE_EXHAUSTED: Out of memory while trying to allocate")
+        return real(queue, pieces, *given)
 
-    real = device_queue.DeviceQueue.start
-    monkeypatch.setattr(device_queue.DeviceQueue, "start", start)
+    real = getattr(device_queue.DeviceQueue, step)
+    monkeypatch.setattr(device_queue.DeviceQueue, step, limited)
     monkeypatch.setattr(device_server, "PIECE_FRAMES", 2)
     with jax.default_device(jax.devices("cpu")[0]):
         summary = run(sim_logs[:1], tmp_path / "a", workers=2, batch_size=16, pictures=0)
-    assert not summary.failed and not summary.logs[0].lost and sizes[:3] == [16, 8, 4]
-    for name in ("frames.parquet", "obstacles.parquet", "map.npz"):
-        assert (tmp_path / "a" / "a" / name).read_bytes() == (plain_run / name).read_bytes()
-
-
-def test_a_device_that_runs_out_of_memory_continues_with_smaller_batches(
-    sim_logs, plain_run, tmp_path, monkeypatch
-):
-    on_this_machine(monkeypatch)
-    sizes = []
-
-    def finish(small: Any, pieces: list[Any], *given: Any) -> Any:
-        if pieces:
-            sizes.append(small.rows)
-        if pieces and len(sizes) in (2, 3):
-            raise RuntimeError("RESOURCE_EXHAUSTED: Out of memory while trying to allocate")
-        return real(small, pieces, *given)
-
-    real = device_queue.DeviceQueue.finish
-    monkeypatch.setattr(device_queue.DeviceQueue, "finish", finish)
-    monkeypatch.setattr(device_server, "PIECE_FRAMES", 2)
-    with jax.default_device(jax.devices("cpu")[0]):
-        summary = run(sim_logs[:1], tmp_path / "a", workers=2, batch_size=16, pictures=0)
-    assert not summary.failed and not summary.logs[0].lost and sizes[:4] == [16, 16, 8, 4]
+    assert not summary.failed and not summary.logs[0].lost and tried[: len(sizes)] == sizes
     for name in ("frames.parquet", "obstacles.parquet", "map.npz"):
         assert (tmp_path / "a" / "a" / name).read_bytes() == (plain_run / name).read_bytes()
 

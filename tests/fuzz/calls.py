@@ -369,7 +369,7 @@ def _named(error: Exception, words: set[str]) -> Verdict:
     text = str(error)
     if isinstance(error, JaxdetError):
         return Verdict("error" if text and text.isprintable() else "bad message", text)
-    said = set(re.findall(r"\w+", text)) & words
-    if text.isprintable() and (said or _OF_PYTHON.search(text)):
+    named = set(re.findall(r"\w+", text)) & words
+    if text.isprintable() and (named or _OF_PYTHON.search(text)):
         return Verdict("error", text)
     return Verdict("bad message", "".join(traceback.format_exception(error)[-6:]))

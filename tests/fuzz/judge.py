@@ -51,7 +51,7 @@ def _read(
     with open_log(str(path), options) as log:
         batches = list(log.batches(3, color=log.has_color))
         about = log.described(total(batch.notes for batch in batches))
-        said = [*about.warnings, *(file.text for file in about.integrity)]
+        messages = [*about.warnings, *(file.text for file in about.integrity)]
         same = log.calibration == truth.calibration
         if not log.has_color and log.color_problem:  # without its calibration
             same = log.calibration == truth.calibration._replace(color=None, color_from_depth=None)
@@ -66,7 +66,7 @@ def _read(
                 elif not _is_of(frame, truth):
                     wrong.append(frame.stamp_ns)
         counts = seen, bad, wrong, same, recovered
-        return _verdict(log, (format_name, mutation), counts, said)
+        return _verdict(log, (format_name, mutation), counts, messages)
 
 
 def _is_of(frame: LogFrame, truth: Truth) -> bool:
@@ -78,12 +78,12 @@ def _verdict(
     log: Log,
     how: tuple[str, str],
     counts: tuple[int, int, list[int], bool, bool],
-    said: list[str],
+    messages: list[str],
 ) -> Verdict:
     seen, bad, wrong, same, recovered = counts
     form, honest = FORMATS[how[0]], how[1] not in WRITER_IS_WRONG
     checked = form.has_crc and honest
-    text = f"{seen} frames, {bad} bad, wrong {wrong}: {'; '.join(said)}"
+    text = f"{seen} frames, {bad} bad, wrong {wrong}: {'; '.join(messages)}"
     if (wrong or not same) and checked:
         return Verdict("wrong pixels", text)
     if seen < FRAMES and not recovered and honest and form.is_counted and _tells(log):
