@@ -37,7 +37,7 @@ class Executor(Protocol):
     workers: int
     """Number of processes that share the frames."""
     devices: int
-    """Number of GPUs that compute for them."""
+    """Number of GPUs that compute for the processes."""
     together: int
     """Number of frames that are read together."""
 

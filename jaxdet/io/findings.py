@@ -223,7 +223,10 @@ def _find(
     options: LogOptions,
     share_known: Callable[[PoseSource], float],
 ) -> tuple[Base, PoseSource]:
-    """Return floor and poses of the depth camera, by the colour frame if TF lacks that of depth."""
+    """Return floor and poses of the depth camera.
+
+    If TF lacks the frame of the depth camera, they follow from that of the colour camera.
+    """
     frame, T_frame_camera = calibrated.tf_frame, calibrated.T_frame_camera
     motion, frames = calibrated.calibration.color_from_depth, contents.tree.frames
     if motion is not None and frame not in frames and calibrated.color_frame in frames:

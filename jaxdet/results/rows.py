@@ -65,7 +65,7 @@ class Rows(NamedTuple):
     plane: GroundPlane
     """Floor of each frame, ``(B,)``, relative to the camera that lengths refer to."""
     T_world_camera: np.ndarray | None
-    """Poses of that camera, ``(B, 4, 4)``; None without poses."""
+    """Poses of the camera that lengths refer to, ``(B, 4, 4)``; None without poses."""
     free_world: Polygons | None
     """Free floor of each frame in the world; None without poses."""
 

@@ -36,7 +36,7 @@ BLOCK = 500
 
 
 def make(name: str, folder: Path) -> Subject:
-    """Return a subject, by its name, that writes its files into a folder."""
+    """Return the fuzzed subject of a name; it writes its files into ``folder``."""
     return getattr(import_module(f"tests.fuzz.{name}"), SUBJECTS[name])(folder)
 
 

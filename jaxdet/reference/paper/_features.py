@@ -45,7 +45,7 @@ def features(
 
 
 def _corners(image: np.ndarray, config: FeaturesConfig) -> np.ndarray:
-    """Detect the corners of one frame, up to one more than slots; ``(n, 2)`` int32 column, row."""
+    """Return column and row of the corners, ``(n, 2)`` int32, at most ``max_corners`` + 1."""
     edges = canny(grey(image), config.canny_low, config.canny_high)
     return strongest_corners(
         corner_strength(edges), config.max_corners + 1, config.quality_level, config.min_distance

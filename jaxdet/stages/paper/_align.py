@@ -51,7 +51,10 @@ def align(depth: Array, u: Array, v: Array, calibration: Calibration) -> Aligned
 def align_arrays(
     depth: jax.Array, u: jax.Array, v: jax.Array, tables: Tables, size: tuple[int, int] | None
 ) -> tuple[jax.Array, jax.Array]:
-    """Return depth and z at pixels, from :func:`tables` and :func:`moved_size`."""
+    """Return depth and z at pixels.
+
+    Args as for :func:`align`, with the results of :func:`tables` and :func:`moved_size`.
+    """
     if size is None:
         found = depth[jnp.arange(len(depth))[:, None], v, u]
         return found, found

@@ -116,7 +116,7 @@ def _measure(
         return jnp.where(some.reshape(-1, *[1] * (out.ndim - 1)), out, 0)
 
     def least(values: jax.Array, best: jax.Array, of: jax.Array) -> jax.Array:
-        """Return the minimum of ``values`` of each obstacle where ``of`` equals its ``best``."""
+        """Return each obstacle's minimum of ``values`` over its points with ``of == best``."""
         tied = of == best[jnp.minimum(own, m - 1)]
         return extreme("min", jnp.where(tied, values, LAST))
 

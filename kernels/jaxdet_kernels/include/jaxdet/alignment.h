@@ -105,7 +105,7 @@ struct Alignment {
 
     // Smallest and largest measured depth in each column of a tile.
     struct Depths {
-        // smallest, minus one
+        // smallest depth minus one
         unsigned short less[TILE] = {NONE, NONE, NONE, NONE, NONE, NONE, NONE, NONE};
         unsigned short most[TILE] = {};
         enum : unsigned short { NONE = 0xffff };  // 0 minus one

@@ -15,7 +15,7 @@ struct FloorSteps : FloorProfile {
     int* own() const { return row(5); }
     int* others() const { return row(6); }
 
-    // Candidate steps, steps down first.
+    // Drop of the floor at candidate step `i`; steps down come first.
     int drop(int i) const {
         const int each = settings[FloorSetting::DROP_SPACING];
         return i < DROPS ? (i + 1) * each : -(i - DROPS + 1) * each;

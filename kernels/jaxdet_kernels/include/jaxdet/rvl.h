@@ -15,7 +15,7 @@ struct RvlWindows {
     struct Window {
         short sum[3];  // prefix sums of the complete differences, the last one repeated
         unsigned char count;  // number of complete differences
-        unsigned char bits;   // number of bits of these
+        unsigned char bits;   // number of bits of the complete differences
     };
     Window windows[1 << BITS];  // no sum exceeds REACH in magnitude
 
