@@ -10,14 +10,14 @@ from pathlib import Path
 from typing import NamedTuple
 
 from jaxdet.errors import InputError, printable
+from jaxdet.io.container import RECORDINGS
 from jaxdet.io.image_folder import BESIDE, image_folders, stamp_note
 from jaxdet.io.splits import Recording, Signature, difference, gap, joined, recordings, signature
 from jaxdet.io.unpacking import PACKED, is_packed
 
-_RECORDINGS = (".mcap", ".db3", ".bag")
-SUFFIXES = (*_RECORDINGS, *PACKED)
-"""Suffixes of the files that are read, by priority among several formats of the same recording. The
-name of a compressed file has two suffixes, such as ``.mcap.zst``."""
+SUFFIXES = (*RECORDINGS, *PACKED)
+"""Suffixes of the files that are read, by priority. The name of a compressed file has two suffixes,
+such as ``.mcap.zst``."""
 _SPLIT = re.compile(
     r"(?P<stem>.+)_(?P<number>\d{1,5}|00\d{4,})\.(?i:mcap|db3|bag)(?i:\.zstd|\.zst|\.bz2)?"
 )
@@ -358,7 +358,7 @@ def _nothing(
 
 def _is_recording(file: Path) -> bool:
     """Return whether the format of a file is supported, by its name."""
-    return (file.with_suffix("") if is_packed(file) else file).suffix.lower() in _RECORDINGS
+    return (file.with_suffix("") if is_packed(file) else file).suffix.lower() in RECORDINGS
 
 
 def _bare_name(file: Path) -> str:

@@ -101,7 +101,7 @@ def find(log: IndexedLog, options: LogOptions, *, is_body: bool = False) -> Find
         base,
         frames._replace(source=poses),
         (*contents.tree.warnings, *warnings),
-        (of_color.text,) if of_color.text else (),
+        tuple(filter(None, (of_color.text, choice.note))),
     )
 
 
