@@ -274,6 +274,9 @@ def test_bag_without_rosbags_names_the_extra(bag, monkeypatch):
         ("a.db3", b"SQLite format 3\0" + bytes(99), "can't be read"),
         ("a.db3", b"x" * 99, "not a rosbag2 SQLite file"),
         ("a.db3", b"", "is empty"),
+        ("a.mcap", b"x" * 99, "not an MCAP file; record it again"),
+        ("a.mcap.gz", b"x" * 99, "not an MCAP file; unpack it, or convert it to MCAP"),
+        ("a.sens", b"x" * 99, "not supported; export its images with ScanNet's SensReader"),
     ],
 )
 def test_files_that_are_not_recordings_are_refused(tmp_path, name, content, problem):

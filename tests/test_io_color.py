@@ -32,6 +32,7 @@ from tests.io_helpers import (
     ros_tf,
     ros_type,
     write_calibration,
+    write_images,
 )
 
 ALIGNED = "/cam/aligned_depth_to_color/image_raw"
@@ -414,3 +415,19 @@ def test_two_depth_cameras_without_colour_require_a_choice(tmp_path):
                 log.ros(f"/{name}/depth/image_raw", ros_image(depth, "16UC1", at, name), at)
     with open_both_ways(str(tmp_path / "x.mcap"), LogOptions(camera="rear")) as log:
         assert log.camera_frame == "rear" and log.num_frames == 3
+
+
+@pytest.mark.parametrize(("every", "reported"), [(1, False), (3, True)])
+def test_a_depth_topic_with_more_images_is_a_note(tmp_path, every, reported):
+    """Depth is aligned on the robot, which is too slow for some of the images."""
+    scene = make_scene(6)
+    with LogFile(tmp_path / "x.mcap") as log:
+        write_calibration(log)
+        write_images(log, scene)
+        for depth, at in list(zip(scene.depth, scene.color_ns.tolist(), strict=True))[::every]:
+            image = np.resize(depth, COLOR_SIZE[::-1])
+            log.ros(ALIGNED, ros_image(image, "16UC1", at, COLOR_FRAME), at)
+    with open_both_ways(str(tmp_path / "x.mcap")) as log:
+        assert log.num_frames == 6 // every
+        text = f"/cam/depth/image_rect_raw has 6 depth images, but {ALIGNED}, which is used, has 2"
+        assert any(text in note for note in log.description.notes) == reported

@@ -277,21 +277,6 @@ def test_numbers_of_splits_may_begin_with_zeros(tmp_path):
     assert [path.stem for path in log.paths] == [f"run_00000{number}" for number in range(3)]
 
 
-def test_numbers_of_splits_may_exceed_their_zero_padding(tmp_path):
-    """A file 0099 shows that numbers are not times of day; without it, 0100 may be 01:00."""
-    touch(tmp_path, *(f"x_{number:06d}.mcap" for number in (9998, 9999, 10000, 10001)))
-    touch(tmp_path, "y_005959.mcap", "y_010000.mcap", "run_100000.mcap", "run_100500.mcap")
-    list_files(tmp_path, *(f"x_{number:06d}.mcap" for number in (9998, 9999, 10000, 10001)))
-    logs = find_logs([str(tmp_path)])
-    assert [(log.name, len(log.paths)) for log in logs] == [
-        *(("run_100000", 1), ("run_100500", 1), ("x_009998", 4)),
-        *(("y_005959", 1), ("y_010000", 1)),
-    ]
-    assert [path.name for path in logs[2].paths][1:3] == ["x_009999.mcap", "x_010000.mcap"]
-    [one] = find_logs([str(tmp_path / "x_010000.mcap")])
-    assert len(siblings(one)) == 3 and not missing_splits(logs[2])
-
-
 def test_neighbouring_splits_continue_where_the_log_ends(tmp_path):
     for number in range(6):
         scene = moved(make_scene(2), (number + 100 * (number > 3)) * 10**9)

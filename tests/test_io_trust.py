@@ -158,12 +158,11 @@ def test_a_file_that_changes_before_a_worker_opens_it_is_an_error(tmp_path):
 def test_a_file_truncated_while_scanning_is_an_error(tmp_path):
     path = write_log(tmp_path / "x.mcap", SCENE, compression="none", chunk_size=6000)
     [source] = find_logs([str(path)])
-    opened = open_files(source, LogOptions(), ReadMemory())
+    [file], _ = open_files(source, LogOptions(), ReadMemory())
     os.truncate(path, 5000)
     with pytest.raises(InputError, match="changed while it was read"):
-        opened.files[0].rebuild_index()
-    for file in opened.files:
-        file.close()
+        file.rebuild_index()
+    file.close()
 
 
 def test_a_topic_may_have_messages_of_several_types(tmp_path):

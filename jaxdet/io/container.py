@@ -18,6 +18,8 @@ from jaxdet.io.chunks import ChunkHead, DamageError
 from jaxdet.io.file_index import FileIndex
 from jaxdet.io.limits import ReadMemory, check_chunk, check_count, check_index
 
+RECORDINGS = (".mcap", ".db3", ".bag")
+"""Suffixes of recordings, by priority among several formats of the same recording."""
 _MAX_PARTS = 512
 """Maximum number of buffers per system call, below the limit of any system."""
 _PASSING = errno.EIO, errno.ETIMEDOUT
@@ -80,7 +82,13 @@ class LogFile(ABC):
                 problem = "the file is empty" if not self.size else f"not {self.kind} file"
                 if magic == self.magic:
                     problem = f"the {self.kind.partition(' ')[2]} file has no records"
-                raise InputError(problem, path=str(path), remedy="record it again or exclude it")
+                remedy = "record it again or exclude it"
+                if path.suffix.lower() not in RECORDINGS:
+                    remedy = (
+                        "unpack it, or convert it to MCAP or to a folder of images, see jaxdet "
+                    )
+                    remedy += "help logs"
+                raise InputError(problem, path=str(path), remedy=remedy)
             failed.pop_all()
 
     def __reduce__(self) -> tuple:

@@ -115,7 +115,7 @@ def describe(
         first_ns: Start of the log's time axis [ns].
     """
     warnings = [*contents.warnings, *found.warnings]
-    warnings += [*found.calibrated.warnings, *found.poses.warnings, *found.cameras.warnings]
+    warnings += [*found.calibrated.warnings, *found.frames.source.warnings, *found.cameras.warnings]
     count, color = found.frames.num_frames, found.choice.color
     return LogDescription(
         name=files.name,
@@ -127,12 +127,12 @@ def describe(
         num_frames=count,
         part=_part_text(numbers, found.frames, first_ns),
         duration_s=(found.frames.stamp_ns(count - 1) - first_ns) / 1e9,
-        topics=describe_topics(contents, color if found.color else "", found.choice.depth),
+        topics=describe_topics(contents, color if found.frames.color else "", found.choice.depth),
         choices=found.choice.reasons,
         calibration=found.calibrated.origins,
         extrinsics_source=found.calibrated.extrinsics_source,
         base_source=found.base.source,
-        pose_source=found.poses.text,
+        pose_source=found.frames.source.text,
         num_poses=None,
         pairing=None,
         integrity=tuple(contents.integrity),

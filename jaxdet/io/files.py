@@ -10,25 +10,18 @@ from pathlib import Path
 from typing import NamedTuple
 
 from jaxdet.errors import InputError, printable
+from jaxdet.io.container import RECORDINGS
 from jaxdet.io.image_folder import BESIDE, image_folders, stamp_note
 from jaxdet.io.splits import Recording, Signature, difference, gap, joined, recordings, signature
 from jaxdet.io.unpacking import PACKED, is_packed
 
-_RECORDINGS = (".mcap", ".db3", ".bag")
-SUFFIXES = (*_RECORDINGS, *PACKED)
-"""Suffixes of the files that are read, by priority among several formats of the same recording. The
-name of a compressed file has two suffixes, such as ``.mcap.zst``."""
+SUFFIXES = (*RECORDINGS, *PACKED)
+"""Suffixes of the files that are read, by priority. The name of a compressed file has two suffixes,
+such as ``.mcap.zst``."""
 _SPLIT = re.compile(
     r"(?P<stem>.+)_(?P<number>\d{1,5}|00\d{4,})\.(?i:mcap|db3|bag)(?i:\.zstd|\.zst|\.bz2)?"
 )
-"""Numbers with more digits that do not start with two zeros are times or dates, except for those of
-:data:`_LATE`."""
-_LATE = re.compile(
-    r"(?P<stem>.+)_(?P<number>(?!00)\d{6})\.(?i:mcap|db3|bag)(?i:\.zstd|\.zst|\.bz2)?"
-)
-"""Splits with six-digit numbers, if the split :data:`_BEFORE_LATE` exists, which is not a valid
-time."""
-_BEFORE_LATE = "009999"
+"""Numbers with more digits that do not start with two zeros are times or dates."""
 _BEGIN = re.compile(r"(?:^|_)\d{4}(?:-\d\d){5}$")
 """Time in the name of a split of ROS 1, at which the file begins."""
 _OTHERS = {
@@ -365,7 +358,7 @@ def _nothing(
 
 def _is_recording(file: Path) -> bool:
     """Return whether the format of a file is supported, by its name."""
-    return (file.with_suffix("") if is_packed(file) else file).suffix.lower() in _RECORDINGS
+    return (file.with_suffix("") if is_packed(file) else file).suffix.lower() in RECORDINGS
 
 
 def _bare_name(file: Path) -> str:
@@ -487,21 +480,13 @@ def _within(path: Path, skipped: list[Path]) -> Iterable[Path]:
 
 def _split(path: Path) -> tuple[str, int]:
     """Return the common name of a recording's splits, and the split number; -1: not a split."""
-    match = _SPLIT.fullmatch(path.name) or _late_split(path)
+    match = _SPLIT.fullmatch(path.name)
     return (match["stem"], int(match["number"])) if match else (_bare_name(path), -1)
 
 
 def _series(stem: str) -> str:
     """Return the part of a recording's name that its splits share."""
     return _BEGIN.sub("", stem)
-
-
-def _late_split(path: Path) -> re.Match[str] | None:
-    match = _LATE.fullmatch(path.name)
-    if match is None:
-        return None
-    before = path.with_name(f"{match['stem']}_{_BEFORE_LATE}{path.suffix}")
-    return match if os.path.exists(before) else None
 
 
 def _order(path: Path) -> tuple[str, str, int, str]:

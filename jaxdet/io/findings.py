@@ -1,6 +1,6 @@
 """Topics, calibration, poses and frames of a log, determined before images are decoded."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from typing import NamedTuple
@@ -19,7 +19,6 @@ from jaxdet.io.calibration import Calibrated, calibrate
 from jaxdet.io.cameras import Cameras, find_cameras
 from jaxdet.io.clocks import color_offset, pose_offset
 from jaxdet.io.contents import LogContents
-from jaxdet.io.decode_messages import MessageDecoder
 from jaxdet.io.indexed import IndexedLog
 from jaxdet.io.messages import Kind, kind_of
 from jaxdet.io.options import LogOptions
@@ -42,12 +41,7 @@ class Findings(NamedTuple):
     choice: Choice
     calibrated: Calibrated
     base: Base
-    poses: PoseSource
     frames: IndexedFrames
-    depth: Sequence[MessageDecoder]
-    """Decoders of the depth topic; ``decoder`` of a message is an index into them."""
-    color: Sequence[MessageDecoder]
-    """Decoders of the colour topic, which may be the same topic; empty if colour is not used."""
     warnings: tuple[str, ...]
     """Warnings about the transforms and the frames."""
     notes: tuple[str, ...] = ()
@@ -105,12 +99,9 @@ def find(log: IndexedLog, options: LogOptions, *, is_body: bool = False) -> Find
         choice,
         calibrated,
         base,
-        poses,
         frames._replace(source=poses),
-        frames.depth.decoders,
-        frames.color.decoders if frames.color else (),
         (*contents.tree.warnings, *warnings),
-        (of_color.text,) if of_color.text else (),
+        tuple(filter(None, (of_color.text, choice.note))),
     )
 
 

@@ -48,7 +48,6 @@ class IndexedLog(NamedTuple):
 
 
 def open_index(
-    files: Sequence[LogFile],
     indexes: Sequence[FileIndex],
     store: ChunkStore,
     use_tf: bool,
@@ -59,8 +58,7 @@ def open_index(
     """Read the first messages of a log, or all small messages, by the indexes of its files.
 
     Args:
-        files: Open files of the log.
-        indexes: Indexes of the files.
+        indexes: Indexes of the files in ``store``.
         store: Chunks of the files.
         use_tf: Whether transforms are used.
         path: Path of the log, for errors.
@@ -72,7 +70,7 @@ def open_index(
     """
     contents = LogContents(path)
     builder = ContentsBuilder(contents, use_tf)
-    topics = _find_topics(files, indexes, builder)
+    topics = _find_topics(store.files, indexes, builder)
     motions = [topic for topic in topics if topic.kind in _MOTIONS]
     whole = complete or sum(topic.num_messages for topic in motions) <= _MAX_MOTIONS
     streams = {

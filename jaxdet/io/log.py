@@ -108,25 +108,25 @@ class Log:
         self.camera_frame, self.color_frame = about.camera_frame, about.color_frame
         self.has_color, self.has_color_camera = about.has_color, about.has_color_camera
         self.color_problem = about.color_problem
-        self.world_frame = found.poses.world_frame
-        self.num_frames, self.has_poses = found.frames.num_frames, found.poses.known
+        frames = found.frames
+        self.world_frame, self.has_poses = frames.source.world_frame, frames.source.known
+        self.num_frames = frames.num_frames
         self._tolerance_s, self._path = options.pair_tolerance_s, str(files.paths[0])
-        self._frames, self._store = found.frames, store
+        self._frames, self._store = frames, store
         self.camera = found.choice.camera
         several = len(found.cameras.names) > 1
         self.label = f"{self.name}, {self.camera}" if several else self.name
         part = options.start, options.stop, options.every
         self.frames = range(self.num_frames)
-        frames = found.frames
         begin_ns, before = first_stamp(frames.num_frames, frames.stamp_ns, frames.log_ns)
         if part != (None, None, 1):
-            about_ns, stamp_ns = found.frames.about_ns(), found.frames.stamp_ns
-            self.frames = find_part(begin_ns, about_ns, stamp_ns, *part, self._path)
+            times = frames.about_ns(), frames.stamp_ns
+            self.frames = find_part(begin_ns, *times, *part, self._path)
         if before and frames.stamp_ns(0):
             text = unset_clock_text(found.choice.depth, before, frames.stamp_ns(0))
             found = found._replace(warnings=(*found.warnings, text))
         self.description = describe(files, contents, found, self.frames, begin_ns)
-        if found.frames.depth.is_complete:
+        if frames.depth.is_complete:
             self.description = self.described(self._window(0, self.num_frames).notes)
         unit, limit = about.unit_in_floats, options.max_pixels
         trusted = any(file.by_index for file in contents.integrity)
@@ -134,7 +134,7 @@ class Log:
         about_mask = self.camera, found.cameras.names, (depth.width, depth.height), self._path
         hidden = hidden_pixels(options.mask, *about_mask)
         self._reader = ImageReader(
-            store, found.depth, found.color, unit, limit, trusted, about.used_for_depth, hidden
+            frames, store, unit, limit, trusted, about.used_for_depth, hidden
         )
         self.depth_shape = depth.height, depth.width
         self.color_shape = (image.height, image.width, 3) if self.has_color else None

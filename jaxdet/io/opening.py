@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from contextlib import closing, suppress
 from os import PathLike
 from pathlib import Path
-from typing import NamedTuple
 
 from jaxdet.arguments import of_type
 from jaxdet.errors import (
@@ -61,33 +60,35 @@ def open_log(
             raise InputError(problem, path=str(source), remedy=remedy)
         source = logs[0]
     memory = memory or ReadMemory()
-    opened = open_files(source, options, memory)
-    store = ChunkStore(opened.files, most_bytes=memory.chunk)
+    files, left_out = open_files(source, options, memory)
+    store = ChunkStore(files, most_bytes=memory.chunk)
     try:
         if not options.scan:
             with suppress(DamageError):
-                indexes = [file.read_index() for file in opened.files]
+                indexes = [file.read_index() for file in files]
                 for complete in (False, True):
                     with suppress(RescanError):
-                        found = _find_contents(
-                            opened, indexes, store, source, options, complete=complete
-                        )
-                        return _opened(source, found, options)
-        indexes = [file.rebuild_index() for file in opened.files]
-        found = _find_contents(opened, indexes, store, source, options, complete=True)
-        return _opened(source, found, options)
+                        found = _find_contents(indexes, store, source, options, complete=complete)
+                        return _opened(source, found, options, left_out)
+        indexes = [file.rebuild_index() for file in files]
+        found = _find_contents(indexes, store, source, options, complete=True)
+        return _opened(source, found, options, left_out)
     except BaseException:
         store.close()
         raise
 
 
-def _opened(files: LogFiles, known: IndexedLog, options: LogOptions) -> Log:
+def _opened(
+    files: LogFiles, known: IndexedLog, options: LogOptions, left_out: Sequence[str]
+) -> Log:
     """Create the log; repeat with a body frame for depth if the depth images show one.
 
     Raises:
         JaxdetError: See :func:`open_log`; the error lists damaged files and topics.
     """
     contents, store = known.contents, known.store
+    contents.warnings += left_out
+    _note(contents, files)
     try:
         found = find(known, options)
     except (TopicError, CalibrationError) as error:
@@ -109,17 +110,10 @@ def _opened(files: LogFiles, known: IndexedLog, options: LogOptions) -> Log:
     return log
 
 
-class OpenedFiles(NamedTuple):
-    """Open files of a log, with warnings about files that are left out."""
-
-    files: tuple[LogFile, ...]
-    warnings: tuple[str, ...]
-    memory: ReadMemory
-    """Limits of the memory for reading."""
-
-
-def open_files(log: LogFiles, options: LogOptions, memory: ReadMemory) -> OpenedFiles:
-    """Open the files of a log; a split that can't be read is left out with a warning.
+def open_files(
+    log: LogFiles, options: LogOptions, memory: ReadMemory
+) -> tuple[list[LogFile], list[str]]:
+    """Return the open files of a log, and a warning for each split that can't be read.
 
     Args:
         log: Names of the files.
@@ -138,8 +132,7 @@ def open_files(log: LogFiles, options: LogOptions, memory: ReadMemory) -> Opened
             failures.append(error)
     if not files:
         raise failures[0]
-    left_out = tuple(f"{error}; the file is left out" for error in failures)
-    return OpenedFiles(tuple(files), left_out, memory)
+    return files, [f"{error}; the file is left out" for error in failures]
 
 
 def _open(path: Path, options: LogOptions, memory: ReadMemory) -> LogFile:
@@ -149,7 +142,6 @@ def _open(path: Path, options: LogOptions, memory: ReadMemory) -> LogFile:
 
 
 def _find_contents(
-    opened: OpenedFiles,
     indexes: Sequence[FileIndex],
     store: ChunkStore,
     log: LogFiles,
@@ -160,7 +152,6 @@ def _find_contents(
     """Read the contents of a log by the indexes of its files.
 
     Args:
-        opened: Open files.
         indexes: Indexes of the files.
         store: Chunks of the files.
         log: Paths of the files.
@@ -171,15 +162,11 @@ def _find_contents(
         DamageError: An index is wrong.
         RescanError: The first messages show that all messages must be read.
     """
-    path = str(log.paths[0])
-    found = open_index(opened.files, indexes, store, options.tf, path, complete=complete)
-    contents = found.contents
-    if options.tf and not contents.has_static:
-        _search_siblings(contents, opened.memory, log, options)
-    for tree in contents.trees.values():
+    found = open_index(indexes, store, options.tf, str(log.paths[0]), complete=complete)
+    if options.tf and not found.contents.has_static:
+        _search_siblings(found.contents, store.files[0].memory, log, options)
+    for tree in found.contents.trees.values():
         tree.settle()
-    contents.warnings += opened.warnings
-    _note(contents, log)
     return found
 
 

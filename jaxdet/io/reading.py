@@ -31,6 +31,7 @@ from jaxdet.io.raw_messages import HEAD_BYTES, find_pixels, is_standard_image
 from jaxdet.io.store import ChunkStore
 from jaxdet.io.timeline import FrameTable, Window
 from jaxdet.io.validity import says_other
+from jaxdet.io.windows import IndexedFrames
 
 
 class Request(NamedTuple):
@@ -73,9 +74,8 @@ class ImageReader:
     """Reader of depth images, and colour images if requested, into arrays.
 
     Args:
+        frames: Frames of the log.
         store: Chunks of the log.
-        depth: Decoders of the depth topic; ``decoder`` of a message is an index into them.
-        color: Decoders of the colour topic, which may be the same topic; empty without colour.
         depth_unit: Depth unit, expressed in the unit of 32FC1 depth (usually metres).
         max_pixels: Maximum number of pixels per image.
         strict: Whether damage of the file raises an error; otherwise only affected frames fail.
@@ -86,9 +86,8 @@ class ImageReader:
 
     def __init__(
         self,
+        frames: IndexedFrames,
         store: ChunkStore,
-        depth: Sequence[MessageDecoder],
-        color: Sequence[MessageDecoder],
         depth_unit: float,
         max_pixels: int,
         strict: bool,
@@ -96,7 +95,8 @@ class ImageReader:
         hidden: np.ndarray | None = None,
     ) -> None:
         self._store, self._strict = store, strict
-        self._depth, self._color = depth, color
+        self._depth = frames.depth.decoders
+        self._color = frames.color.decoders if frames.color else ()
         self._used = used
         self._unit, self._max_pixels, self._hidden = depth_unit, max_pixels, hidden
         self._took: list[float] = []

@@ -45,6 +45,8 @@ _IMAGE_WORDS = (
 )
 """Words in topics that are not part of a camera's name."""
 _MAX_LISTED = 12
+_MANY_MORE = 1.5
+"""Ratio of the numbers of depth images from which on it is reported."""
 
 
 class Candidate(NamedTuple):
@@ -71,6 +73,8 @@ class Choice(NamedTuple):
     """Remedy for the missing colour topic; empty if there is a colour topic."""
     infrared: bool = False
     """Whether the colour topic is the infrared image of the depth camera."""
+    note: str = ""
+    """Note on a depth topic with more images than the chosen one; empty if there is none."""
 
 
 def choose_topics(contents: LogContents, options: LogOptions) -> dict[str, Choice | TopicError]:
@@ -174,7 +178,18 @@ def _choose(
         reasons.append(f"colour: {printable(color.topic)}, {color.why}{_others(colors, color)}")
     topic, aligned = color.topic if color else "", _says_aligned(depth.topic)
     name = camera_name(depth.topic)
-    return Choice(name, depth.topic, topic, aligned, tuple(reasons), why, remedy, infrared)
+    note = _more_images(contents, depth, depths)
+    return Choice(name, depth.topic, topic, aligned, tuple(reasons), why, remedy, infrared, note)
+
+
+def _more_images(contents: LogContents, chosen: Candidate, depths: Sequence[Candidate]) -> str:
+    """Return a note if another depth topic has many more images than the chosen one, else ""."""
+    most = max(depths, key=lambda item: contents.topics[item.topic].count).topic
+    counts = [contents.topics[topic].count for topic in (chosen.topic, most)]
+    if counts[1] < _MANY_MORE * counts[0]:
+        return ""
+    text = f"{printable(most)} has {counts[1]} depth images, but {printable(chosen.topic)}"
+    return f"{text}, which is used, has {counts[0]}; --log.depth chooses another topic"
 
 
 def _why_no_color(
