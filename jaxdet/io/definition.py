@@ -143,7 +143,8 @@ def with_definition(channel: ChannelInfo) -> ChannelInfo:
     The recorder omits definitions that it does not find, and all of them before ROS 2 Iron.
     """
     name = plain_schema_name(channel.schema_name)
-    if channel.schema_size or channel.message_encoding != "cdr" or name not in DEFINITIONS:
+    given = channel.schema_data or channel.schema_size
+    if given or channel.message_encoding != "cdr" or name not in DEFINITIONS:
         return channel
     return channel._replace(schema_encoding="ros2msg", schema_data=schema_text(name).encode())
 
