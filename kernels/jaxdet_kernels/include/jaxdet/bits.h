@@ -72,7 +72,7 @@ struct BitRows {
 
 #if defined(__clang__) && !defined(__CUDA_ARCH__)
     // Packs whether each element of a vector of WIDTH elements is not 0: one instruction per register.
-    template <class Elements> static unsigned packed(const Elements& elements) {
+    template <class Elements> static unsigned packed(Elements elements) {
         typedef bool Flags __attribute__((ext_vector_type(WIDTH)));
         return __builtin_bit_cast(unsigned, __builtin_convertvector(elements, Flags));
     }
