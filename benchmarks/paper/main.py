@@ -238,7 +238,7 @@ def _facts(lab: Lab, size: str, seconds: float) -> dict[str, str]:
 
 
 def _seeds(seeds: tuple[int, ...]) -> str:
-    return f"{seeds[0]} to {seeds[-1]}" if len(seeds) > 1 else str(seeds[0])
+    return " to ".join(map(str, dict.fromkeys((seeds[0], seeds[-1]))))
 
 
 def _version(name: str) -> str | None:
