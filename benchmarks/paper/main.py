@@ -223,7 +223,8 @@ def _facts(lab: Lab, size: str, seconds: float) -> dict[str, str]:
         "Data": "simulated scenes (jaxdet.sim), since the robot data of the paper are not public; "
         "its figures are shown for orientation",
         "Command": command,
-        "Size": f"{size}: {lab.counts}",
+        "Size": f"{size} (benchmarks/paper/plan.py): {lab.counts.scenes} scenes per test seed, "
+        f"family and light, {lab.counts.approach} per test seed and cell of Table 4",
         "Tuning seeds": f"{_seeds(tuned)} (to choose the parameters of the baselines)",
         f"{'Rehearsal' if lab.rehearsal else 'Test'} seeds": f"{_seeds(lab.seeds)} (all figures)",
         "The default of jaxdet": f"preset {name}, not tuned here. {LEARNT}",
@@ -236,7 +237,7 @@ def _facts(lab: Lab, size: str, seconds: float) -> dict[str, str]:
 
 
 def _seeds(seeds: tuple[int, ...]) -> str:
-    return f"{seeds[0]} to {seeds[-1]}"
+    return " to ".join(map(str, dict.fromkeys((seeds[0], seeds[-1]))))
 
 
 def _version(name: str) -> str | None:
