@@ -104,7 +104,7 @@ struct FloorProfile {
     void lower(int k, const int* heights, int* counts, int number) const {
         const int* in_order = this->heights();
         const int from = begin()[k], to = begin()[k + 1];
-        for (int m = 0; m < number; m++) counts[m] = from;
+        for (int m = 0; m < number; m++) counts[m] = from == to ? 0 : from;
         if (from == to) return;
         // The last height needs no search if it is lower than all cells, which is frequent.
         const int searched = number > 1 && in_order[from] >= heights[number - 1] ? number - 1 : number;

@@ -60,7 +60,8 @@ struct FloorRamps : FloorProfile {
             const int here = on(k, 0, slack[k], low);
             flat()[k] = here - each * low;
         }
-        // The CPU takes up to CELLS cells of a distance bin at a time.
+        // The CPU takes up to CELLS cells of a distance bin at a time, and ignores the counts of heights
+        // that belong to the next bin.
         enum { CELLS = Warp::size > 1 ? 1 : 8 };
         for (int i = team.rank, n = 1; i < begin()[runs()]; i += n * team.size) {
             const int k = at[i], s = slack[k];
@@ -92,7 +93,8 @@ struct FloorRamps : FloorProfile {
     // Computes an upper bound of the votes of any ramp, after `limits`: ramps are grouped by start and
     // turn.
     void limit(const Team& team, const int* slack, int* found) const {
-        const int *heights = this->heights(), bits = settings[FloorSetting::RISE_BITS], middle_rise = half();
+        const int *heights = this->heights(), middle_rise = half();
+        const int bits = settings[FloorSetting::RISE_BITS];
         for (int first = team.rank * ABREAST; first < STARTS * SECTORS; first += team.size * ABREAST) {
             const int sector = first / STARTS;
             const int turn = sector < SECTORS / 2 ? -MOST_TURN + sector * SECTOR

@@ -43,12 +43,15 @@ struct FloorSteps : FloorProfile {
             // Votes and inliers of the floor beyond the step, in the bins of earlier passes,
             // which are farther away.
             int beyond[ABREAST] = {}, other[ABREAST] = {};
+            bool some = false;
             for (int w = 0; w < ABREAST; ++w) {
                 deep[w] = drop(first + w);
                 rise[w] = -deep[w];
                 most[w] = -0x7fffffff;
                 at[w] = -1;
+                some |= deep[w] < 0 || deep[w] > deeper;
             }
+            if (!some) continue;
             for (int done = 0; done < n; done += warp.size) {
                 const int k = n - 1 - done - warp.lane, place = k < 0 ? 0 : k;
                 int here[ABREAST] = {}, low[ABREAST] = {};
