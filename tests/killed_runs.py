@@ -103,10 +103,10 @@ def end_at_each_call(logs: Path, old: Path, folder: Path, command: str, every: i
     want, wanted = files(folder / "new"), kinds(folder / "new")
     assert RUN in want
     wanted |= kinds(before) if is_run(before) else set()
-    call, kills, ended = 0, 0, True
+    call, kills, ended, later = 0, 0, True, max(3, every // 4)
     while ended:
         output, tries = copytree(before, folder / f"{call}"), 0
-        while killed_at(call + 3 * tries, partial(rewrite, output)):
+        while killed_at(call + later * tries, partial(rewrite, output)):
             tries += 1
             check(output, wanted)
         if tries and command == "run":

@@ -134,11 +134,10 @@ def test_odometry_comes_from_the_robot_of_the_camera(tmp_path, aligned, prefix):
     def without_odometry(message: Message) -> list[Message] | None:
         return [] if message.topic in ("/tf", "/odom") else None
 
-    one = changed(aligned, without_moving)
-
     def only_odometry(message: Message) -> list[Message] | None:
         return None if message.topic == "/odom" else []
 
+    one = changed(aligned, without_moving)
     first, second = under(prefix), under("/robot2")
     both = changed(one, first) + changed(one, moved_by(1), second)
     both += changed(one, moved_by(2), only_odometry)  # outside of both namespaces

@@ -20,7 +20,7 @@ from tests.runs import run_logs
 ROOT = Path(__file__).resolve().parents[1]
 
 
-WAYS = ("run:17", "overwrite:127", "overwrite-slow:127", "track:61", "track-slow:61")
+WAYS = ("run:17", "overwrite:37", "overwrite-slow:37", "track:31", "track-slow:31")
 EACH = [pytest.param((f"{way.partition(':')[0]}:3",), marks=pytest.mark.slow) for way in WAYS]
 
 

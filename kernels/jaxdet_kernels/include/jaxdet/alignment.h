@@ -190,7 +190,8 @@ struct Alignment {
         for (int k = 0; k < Boxes::COUNT; ++k) {
             const bool covers = (boxes.left[k] <= x) & (x <= boxes.right[k]) & (boxes.top[k] <= y) &
                                 (y <= boxes.bottom[k]);
-            least = covers & (boxes.key[k] < least) ? boxes.key[k] : least;
+            const bool nearer = covers & (boxes.key[k] < least);
+            least = nearer ? boxes.key[k] : least;
         }
         least = warp.min(least);
         if (warp.lane == 0 && least != NOTHING)
