@@ -300,15 +300,17 @@ def _turned_prior(
         if found.decided < max(ENOUGH, _MOST * found.looked_at):
             continue
         turned = turned_back(found.plane, quarters)
-        told = _record("estimate", turned, _sample_text(found))
+        turned_record = _record("estimate", turned, _sample_text(found))
         height, pitch, roll = (float(part[0]) for part in turned[:3])
         degrees = f"{math.degrees(pitch):.0f}deg", f"{math.degrees(roll):.0f}deg"
         flags = f"--ground.camera-height-m {height:.2f} --ground.camera-pitch {degrees[0]} "
         flags += f"--ground.camera-roll {degrees[1]}"
         if quarters == 2 and height < _LOW_M and record.source == "none":
             text = f"the camera is taken to be mounted upside down ({flags}): turned over, "
-            told = replace(told, height_spread_m=found.height_spread_m, frames_used=found.decided)
-            return told, turned, f"{text}{_sample_text(found)}"
+            turned_record = replace(
+                turned_record, height_spread_m=found.height_spread_m, frames_used=found.decided
+            )
+            return turned_record, turned, f"{text}{_sample_text(found)}"
         text = f"if the camera is mounted so, give {flags}: turned, {_sample_text(found)}"
         return record, plane, text
     return record, plane, ""

@@ -233,9 +233,9 @@ class SqliteFile(MessageFile):
             InputError: The file is not a recording, or was not closed.
         """
         for suffix in ("-wal", "-journal"):
-            beside = self.path.with_name(self.path.name + suffix)
-            if beside.exists() and beside.stat().st_size:
-                problem = f"the recording was not closed, {beside.name} has part of it"
+            journal = self.path.with_name(self.path.name + suffix)
+            if journal.exists() and journal.stat().st_size:
+                problem = f"the recording was not closed, {journal.name} has part of it"
                 raise InputError(
                     problem,
                     path=str(self.path),

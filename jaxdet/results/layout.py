@@ -105,14 +105,14 @@ def leads_out(name: str) -> bool:
     return Path(name).is_absolute() or ".." in Path(name).parts or "\0" in name
 
 
-def entries_of(told: Mapping[str, Any], where: Path) -> list[dict[str, Any]]:
+def entries_of(content: Mapping[str, Any], where: Path) -> list[dict[str, Any]]:
     """Return the entries of a log's cameras in ``summary.json`` or ``failed.json``.
 
     Raises:
         InputError: They have another shape than jaxdet writes.
     """
-    check_shape(told, LOGS, where)
-    logs: list[dict[str, Any]] = told["logs"]
+    check_shape(content, LOGS, where)
+    logs: list[dict[str, Any]] = content["logs"]
     for entry in logs:
         names = [entry["file_name"] or "", entry["map"] or "", *entry["pictures"]]
         if not (entry["error"] or entry["camera"]) or any(map(leads_out, names)):

@@ -236,8 +236,8 @@ class Results:
             frame, obstacle = frame + entry["frames"], obstacle + entry["obstacles"]
 
     def _note_failure(self, folder: Path) -> None:
-        told = read_json(folder / FAILED)
-        for entry in entries_of(told, folder / FAILED):
+        content = read_json(folder / FAILED)
+        for entry in entries_of(content, folder / FAILED):
             self.failed.append(LogFailure(str(entry["log"]), str(entry["error"]), entry))
 
     def _read_config(self) -> dict[str, Any]:

@@ -120,16 +120,16 @@ class LogSummary(Counts):
     """Reason why the log failed and has no rows; None if it has rows."""
 
     @classmethod
-    def from_dict(cls, told: Mapping[str, Any]) -> "LogSummary":
+    def from_dict(cls, content: Mapping[str, Any]) -> "LogSummary":
         """Restore a summary from the result of :meth:`to_dict`."""
         kinds = {part.name: part for part in dataclasses.fields(cls)}
         counters = {part.name for part in dataclasses.fields(Counts) if part.type is not int}
         values: dict[str, Any] = {
             name: Counter(value) if name in counters else value
-            for name, value in told.items()
+            for name, value in content.items()
             if name in kinds
         }
-        observed = {k: v for k, v in told.items() if k not in {*kinds, *_DERIVED}}
+        observed = {k: v for k, v in content.items() if k not in {*kinds, *_DERIVED}}
         return cls(**values, observed=observed)
 
     def to_dict(self) -> dict[str, Any]:
@@ -304,14 +304,14 @@ class Summary:
         }
 
 
-def problems(told: Mapping[str, Any]) -> list[str]:
+def problems(content: Mapping[str, Any]) -> list[str]:
     """Return the problems for which a run ends with an error, one line for each.
 
     Args:
-        told: Content of ``summary.json``.
+        content: Content of ``summary.json``.
     """
-    whole = [log for log in told["logs"] if not log["error"]]
-    found = [failure(log) for log in told["logs"] if log["error"]]
+    whole = [log for log in content["logs"] if not log["error"]]
+    found = [failure(log) for log in content["logs"] if log["error"]]
     found += [_unusable(log) for log in whole if log["frames"] and not _good(log)]
     scores = [(log["log"], log.get("score") or {}) for log in whole]
     found += [f"{log}: no score: {score['error']}" for log, score in scores if "error" in score]
