@@ -485,6 +485,19 @@ def test_compressed_splits_are_one_recording(tmp_path, aligned):
         assert log.name == "run" and log.num_frames == 6
 
 
+def test_damage_in_a_compressed_file_is_reported_by_its_name(tmp_path, aligned):
+    source = write_messages(tmp_path / "x.mcap", aligned)
+    source.write_bytes(source.read_bytes()[:-100])
+    packed = packed_file(source, ".zst")
+    with open_log(str(packed)) as log:
+        assert log.num_frames == 6
+        [text] = [text for text in log.description.warnings if "recovered" in text]
+        assert text.startswith(f"{packed}: ")
+    packed.write_bytes(zstandard.ZstdCompressor().compress(b"not a log"))
+    with pytest.raises(InputError, match=r"x\.mcap\.zst: not an MCAP file"):
+        open_log(str(packed))
+
+
 @pytest.mark.parametrize("ending", [".zstd", ".bz2"])
 def test_damaged_compressed_files_and_bombs_are_clear_errors(tmp_path, aligned, ending):
     packed = packed_file(write_messages(tmp_path / "x.mcap", aligned), ending)

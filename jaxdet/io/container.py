@@ -52,6 +52,9 @@ class LogFile(ABC):
         max_bytes: Maximum size of a chunk or message, before and after decompression.
         state: State that the file must have; by default its current state.
 
+    Attributes:
+        named: Path for messages, of the compressed file if ``path`` is its decompressed copy.
+
     Raises:
         InputError: The file can't be opened, or its format or state is not the expected one.
     """
@@ -64,7 +67,7 @@ class LogFile(ABC):
     """Limits of the memory for reading."""
 
     def __init__(self, path: Path, max_bytes: int, state: FileState | None = None) -> None:
-        self.path, self.max_bytes = path, max_bytes
+        self.path, self.named, self.max_bytes = path, path, max_bytes
         self._patience_s = _PATIENCE_S
         with ExitStack() as failed:
             try:
@@ -94,7 +97,7 @@ class LogFile(ABC):
     def __reduce__(self) -> tuple:
         """Pickle the arguments; another process opens the file again."""
         arguments = self.path, self.max_bytes, self.state
-        return type(self), arguments, {"memory": self.memory}
+        return type(self), arguments, {"memory": self.memory, "named": self.named}
 
     def close(self) -> None:
         """Close the file."""
@@ -115,7 +118,7 @@ class LogFile(ABC):
         if found != {self.state}:
             problem = "the file was changed while it was read"
             remedy = "wait until nothing writes to it, then run again"
-            raise InputError(problem, path=str(self.path), remedy=remedy)
+            raise InputError(problem, path=str(self.named), remedy=remedy)
 
     def check_size(self, size: int, what: str = "chunk") -> None:
         """Check that a chunk, or other data read at once, has at most ``max_bytes``.
@@ -134,7 +137,7 @@ class LogFile(ABC):
             ChunkMemoryError: There is too little memory.
         """
         self.check_size(size, what)
-        check_chunk(size, str(self.path), self.memory)
+        check_chunk(size, str(self.named), self.memory)
 
     def check_messages(self, count: int) -> None:
         """Check that ``count`` messages fit in the file, and their index in memory.
@@ -142,8 +145,8 @@ class LogFile(ABC):
         Raises:
             InputError: There are too many messages.
         """
-        check_count("messages", count, self.size, str(self.path))
-        check_index(count, str(self.path), self.memory)
+        check_count("messages", count, self.size, str(self.named))
+        check_index(count, str(self.named), self.memory)
 
     @abstractmethod
     def read_index(self) -> FileIndex:

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from jaxdet.errors import InputError
 from jaxdet.io.bag import BagFile
 from jaxdet.io.container import LogFile
 from jaxdet.io.image_folder import ImageFolder
@@ -23,7 +24,16 @@ def open_file(path: Path, max_bytes: int) -> LogFile:
     Raises:
         InputError: The file can't be opened, or does not have the format of its suffix.
     """
-    if is_packed(path) and path.is_file():
-        path = unpacked(path)
+    if not is_packed(path) or not path.is_file():
+        return _open(path, max_bytes)
+    try:
+        file = _open(unpacked(path), max_bytes)
+    except InputError as error:
+        raise InputError(error.problem, path=str(path), remedy=error.remedy) from error
+    file.named = path
+    return file
+
+
+def _open(path: Path, max_bytes: int) -> LogFile:
     kind = ImageFolder if path.is_dir() else _SUFFIXES.get(path.suffix.lower(), McapFile)
     return kind(path, max_bytes)

@@ -118,7 +118,7 @@ class ImageFolder(MessageFile):
     kind = "a folder of images"
 
     def __init__(self, path: Path, max_bytes: int, state: FileState | None = None) -> None:
-        self.path, self.max_bytes = path, max_bytes
+        self.path, self.named, self.max_bytes = path, path, max_bytes
         try:
             self.state = state or _state(path)
             self.check_unchanged()

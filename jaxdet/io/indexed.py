@@ -201,7 +201,7 @@ def _find_topics(
         builder.next_file(file)
         check_topics(len(entries.infos), builder.path)
         if builder.images:
-            builder.contents.integrity.append(entries.integrity)
+            builder.contents.integrity.append(entries.integrity._replace(path=file.named))
         for key, count in sorted(entries.counts.items(), key=lambda item: item[1].first_ns):
             builder.count(entries.infos[key], *count)
         for key, info in entries.infos.items():

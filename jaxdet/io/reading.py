@@ -154,19 +154,12 @@ class ImageReader:
             bad = [row for row, error in enumerate(problems) if error is not None]
             if images is not None and bad:
                 images[bad] = 0
-        self._remove_invalid(depth)
+        if self._hidden is not None:
+            depth[:, self._hidden] = 0
         if color is not None:
             for row, first in same.items():
                 color[row], errors.color[row] = color[first], errors.color[first]
         return errors
-
-    def _remove_invalid(self, depth: np.ndarray) -> None:
-        """Set pixels to 0 that are no measurements of the scene: saturated, or of the robot."""
-        for image in depth:
-            if image.max(initial=0) == SATURATED:
-                image[image == SATURATED] = 0
-        if self._hidden is not None:
-            depth[:, self._hidden] = 0
 
     def decoding_s(self) -> float:
         """Return the decoding time since the last call, divided by the number of threads [s]."""
@@ -192,6 +185,8 @@ class ImageReader:
             try:
                 if payload is not None:
                     self._decode(request, payload, *images)
+                if request.depth:
+                    _remove_saturated(images[0][request.row])
             except FrameError as error:  # its traceback would keep the images in memory
                 name = self._store.files[chunk.file].name_of(chunk.position)
                 lost = FrameError(error.problem, status=error.status, path=name)
@@ -330,6 +325,12 @@ class _CheckedRead:
         unused = memoryview(bytearray(min(PIECE_BYTES, offset - self._done)))
         while left := offset - self._done:
             self.read_into(unused[:left])
+
+
+def _remove_saturated(depth: np.ndarray) -> None:
+    """Set the pixels of a depth image to 0 (unmeasured) that are saturated."""
+    if depth.max(initial=0) == SATURATED:
+        depth[depth == SATURATED] = 0
 
 
 def _other_calibration() -> FrameError:
