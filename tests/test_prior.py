@@ -1,5 +1,6 @@
 """Prior of the floor of each frame: decision by sampled frames, and its report."""
 
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 from unittest.mock import patch
@@ -12,6 +13,9 @@ from jaxdet.engine import Planes, decide_planes
 from jaxdet.floor.plane import flat_plane, unknown_plane
 from jaxdet.floor.sampled import sampled_floor
 from jaxdet.floor.units import FloorFit
+from jaxdet.io import LogOptions, open_log
+from jaxdet.sim import SimConfig, write_log
+from tests.rewritten import Message, changed, read_messages, write_messages
 
 MOUNT = np.array([[0, 0, 1, 0.1], [-1, 0, 0, 0], [0, -1, 0, 0.4], [0, 0, 0, 1.0]])
 
@@ -130,3 +134,42 @@ def test_one_outlier_in_ten_does_not_prevent_a_fixed_floor() -> None:
     assert not sampled_floor(turned, every).agrees
     assert not sampled_floor(unknown_plane(4), np.zeros(4, bool)).plane.valid[0]
     assert not sampled_floor(unknown_plane(0), np.zeros(0, bool)).plane.valid[0]
+
+
+@pytest.fixture(scope="module")
+def level_log(tmp_path_factory: pytest.TempPathFactory) -> list[Message]:
+    """Return messages of a simulated log whose ``base_link`` is 0.1 m above the floor."""
+    path = tmp_path_factory.mktemp("sim") / "sim.mcap"
+    write_log(path, SimConfig(frames=4, width=160, height=120))
+    return read_messages(path)
+
+
+@pytest.mark.parametrize(
+    "lower_m, tilt, lower",
+    [(0.0, 0.0, "0.10 m"), (0.1, 0.0, "0.20 m"), (0.1, 0.05, ""), (-0.6, 0.0, "")],
+)
+def test_a_floor_below_the_base_frame_and_parallel_to_it_is_used(
+    tmp_path: Path, level_log: list[Message], lower_m: float, tilt: float, lower: str
+) -> None:
+    """What is above the floor of TF, or tilted, may be a table or a wall, and is not used."""
+
+    def mount(message: Message) -> None:
+        if message.topic == "/tf_static":
+            for item in message.body["transforms"]:
+                if item["child_frame_id"] == "camera_link":
+                    item["transform"]["translation"]["z"] -= lower_m
+                    quaternion = item["transform"]["rotation"]
+                    quaternion["y"] += tilt
+                    length = np.linalg.norm([*quaternion.values()])
+                    quaternion |= {axis: part / length for axis, part in quaternion.items()}
+
+    path = write_messages(tmp_path / "a.mcap", changed(level_log, mount))
+    with open_log(str(path), LogOptions(base_frame="base_link")) as log:
+        planes = decide_planes(log, Config(), "jax")
+    (record,) = planes.records
+    if lower:
+        assert record.source == "estimate" and record.height_m == pytest.approx(0.3, abs=0.005)
+        assert f"is {lower} lower than z = 0" in planes.warnings[0]
+        assert "--log.base-frame" in planes.warnings[0]
+    else:
+        assert record.source == "tf" and planes.warnings == ()

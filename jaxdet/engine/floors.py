@@ -24,7 +24,7 @@ from jaxdet.floor.plane import (
     repeat_plane,
     unknown_plane,
 )
-from jaxdet.floor.sampled import ENOUGH, SampledFloor, sampled_floor
+from jaxdet.floor.sampled import SampledFloor, sampled_floor
 from jaxdet.floor.turned import turned_back, turned_frames
 from jaxdet.pipeline import BackendName, find_floors
 from jaxdet.types import GroundPlane
@@ -37,6 +37,8 @@ _FEW, _MOST = 0.25, 0.75
 share that show one after the images are turned upright."""
 _TURNS = (2, 1, 3)
 """Numbers of quarter turns of cameras that are mounted upside down, and on either side."""
+_PARALLEL_RAD = math.radians(3.0)
+"""Maximum difference in pitch and roll between floors that count as parallel [rad]."""
 _LOW_M = 1.0
 """Maximum distance to a plane above the camera for the camera to count as upside down [m]."""
 MIN_HEIGHT_M, MAX_HEIGHT_M = 0.02, 20.0
@@ -149,8 +151,11 @@ def decide_planes(
         record, windows[number] = _prior(found, known, plane, alone=not config.cluster.points)
         few = record.frames_used is not None and record.frames_used <= _FEW * len(sample)
         if few and record.source in ("none", "tf") and not config.cluster.points:
-            turned = samples.floors(sample, unknown_plane(1), _TURNS)
-            record, windows[number], text = _turned_prior(turned, record, plane)
+            upright, *turned = samples.floors(sample, unknown_plane(1), (0, *_TURNS))
+            of_images = _raised_prior(upright, record, plane) or _turned_prior(
+                turned, record, plane
+            )
+            record, windows[number], text = of_images
             warnings = (*warnings, text) if text else warnings
         start = number * window_ns if window_ns else None
         records.append(replace(record, window_start_ns=start))
@@ -280,6 +285,39 @@ def _prior(
     return record, found.plane
 
 
+def _raised_prior(
+    found: SampledFloor | None, record: GroundRecord, plane: GroundPlane
+) -> tuple[GroundRecord, GroundPlane, str] | None:
+    """Return the prior of a robot whose base frame is above the floor, and a warning.
+
+    None is returned unless the images show a floor below the one of TF and parallel to it: a plane
+    above it, or of another direction, may be a table, a platform or a wall.
+
+    Args:
+        found: Floor of the sample, searched without a prior.
+        record: Record of the prior from TF.
+        plane: The prior from TF.
+    """
+    if found is None or record.source != "tf" or not found.shown_by(_MOST):
+        return None
+    height, pitch, roll = (
+        float(a[0] - b[0]) for a, b in zip(found.plane[:3], plane[:3], strict=True)
+    )
+    if height < 0 or max(abs(pitch), abs(roll)) > _PARALLEL_RAD:
+        return None
+    new = replace(
+        _record("estimate", found.plane),
+        height_spread_m=found.height_spread_m,
+        frames_used=found.decided,
+        message=f"without transforms, {_sample_text(found)}; with them, {record.message}",
+    )
+    text = (
+        f"the floor is {height:.2f} m lower than z = 0 of the robot's base frame "
+        f"({_sample_text(found)}), and is used; name the frame on the floor with --log.base-frame"
+    )
+    return new, found.plane, text
+
+
 def _turned_prior(
     each: Sequence[SampledFloor | None], record: GroundRecord, plane: GroundPlane
 ) -> tuple[GroundRecord, GroundPlane, str]:
@@ -295,9 +333,7 @@ def _turned_prior(
         plane: The prior without turning images.
     """
     for quarters, found in zip(_TURNS, each, strict=True):
-        if found is None or not found.agrees:
-            continue
-        if found.decided < max(ENOUGH, _MOST * found.looked_at):
+        if found is None or not found.shown_by(_MOST):
             continue
         turned = turned_back(found.plane, quarters)
         turned_record = _record("estimate", turned, _sample_text(found))

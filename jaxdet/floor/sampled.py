@@ -36,6 +36,10 @@ class SampledFloor(NamedTuple):
         near = self.height_spread_m <= NEAR_M and self.angle_spread_rad <= NEAR_RAD
         return bool(self.plane.valid[0]) and near
 
+    def shown_by(self, share: float) -> bool:
+        """Return whether the floors agree, and enough frames, at least this share, show one."""
+        return self.agrees and self.decided >= max(ENOUGH, share * self.looked_at)
+
 
 def sampled_floor(planes: GroundPlane, own: np.ndarray) -> SampledFloor:
     """Compute the median of the floors found in frames.
