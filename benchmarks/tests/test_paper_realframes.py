@@ -199,7 +199,7 @@ def test_stills_of_repositories_are_converted_to_logs(tmp_path):
             image = rng.integers(500, 9000, (480, 640)).astype(np.uint16)
             if color.endswith(".npy"):
                 image = (image + 0.25).astype(np.float32)
-                image[0, 0] = 1e6  # farther than 16 bits can represent
+                image[0, 0] = 1e6  # farther than 16 bits can represent: read as missing
                 np.save(clone / color, picture)
                 np.save(clone / depth, image)
                 pictures.setdefault(room["name"], picture)
@@ -210,7 +210,7 @@ def test_stills_of_repositories_are_converted_to_logs(tmp_path):
                 else:
                     cv2.imwrite(str(clone / depth), image)
             stored = np.rint(image * room["depth_unit_m"] * 1000)
-            depths.setdefault(room["name"], np.minimum(stored, 65535))
+            depths.setdefault(room["name"], np.where(stored < 65535, stored, 0))
     script = str(Path(__file__).parents[2] / "scripts" / "rooms_to_mcap")
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
     command = [sys.executable, script, str(tmp_path / "clones"), str(tmp_path / "rooms")]
