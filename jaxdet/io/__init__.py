@@ -11,7 +11,7 @@ The modules, from files to frames::
                                       position
         mcap_file, chunks             MCAP: mcap_index; if that is damaged, mcap_scan
         bag                           ROS 1
-        message_file                  single messages: sqlite (ROS 2), image_folder
+        message_file                  single messages: sqlite (ROS 2), image_folder (folders)
       file_index                    positions of all messages as arrays, in the same form for all
                                       formats; from the file's own index, or rebuilt (walk)
       opening, indexed              messages by topic (records); the first of each topic are decoded

@@ -12,7 +12,7 @@ from jaxdet.errors import CalibrationError, TransformError, printable
 from jaxdet.io.body_frames import T_BODY_OPTICAL, body_frame_text, optical_frame
 from jaxdet.io.contents import LogContents
 from jaxdet.io.extrinsics import find_extrinsics
-from jaxdet.io.image_folder import LISTED_DEPTH
+from jaxdet.io.folders.basic import LISTED_DEPTH
 from jaxdet.io.intrinsics import CameraSource, Found, find_intrinsics
 from jaxdet.io.messages import CameraInfoMessage, Kind
 from jaxdet.io.namespaces import affinity

@@ -63,6 +63,8 @@ class LogFile(ABC):
     """Magic bytes at the start of the file."""
     kind: str
     """Name of the format, for messages."""
+    note: str = ""
+    """Warning about the contents; empty if there is none."""
     memory: ReadMemory = ReadMemory()
     """Limits of the memory for reading."""
 

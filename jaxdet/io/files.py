@@ -11,7 +11,8 @@ from typing import NamedTuple
 
 from jaxdet.errors import InputError, printable
 from jaxdet.io.container import RECORDINGS
-from jaxdet.io.image_folder import BESIDE, image_folders, stamp_note
+from jaxdet.io.folders.layouts import LAYOUTS, image_folders
+from jaxdet.io.folders.recording import BESIDE
 from jaxdet.io.splits import Recording, Signature, difference, gap, joined, recordings, signature
 from jaxdet.io.unpacking import PACKED, is_packed
 
@@ -76,7 +77,7 @@ def find_logs(
     above 1, the log has the name of its first file. All other ``.mcap`` files, and ``.db3`` and
     ``.bag`` files, are separate logs. If a folder has a recording in several of these formats, one
     of them is used, preferably MCAP. A folder of colour and depth images
-    (:mod:`jaxdet.io.image_folder`) is a log, unless a recording is in it or next to it, which is
+    (:mod:`jaxdet.io.folders`) is a log, unless a recording is in it or next to it, which is
     assumed to contain these images. A folder that can't be listed is a log, too; opening it fails.
     Exports of jaxdet are left out unless they are inputs themselves.
 
@@ -300,9 +301,8 @@ def _files(text: str) -> tuple[list[Path], dict[Path, str]]:
     images = image_folders(seen)
     copies = {item for item in images if places & {item, item.parent}}
     folders = [item for item in images if item not in copies]
-    stamps = {item: note for item in folders if (note := stamp_note(item))}
     if not found and (folders or shut):
-        return [*folders, *shut], stamps
+        return [*folders, *shut], {}
     exr = [file for file in seen if file.suffix.lower() == ".exr"]
     if not found and exr:
         problem = "depth in OpenEXR files (for example from Record3D) is not supported"
@@ -321,7 +321,7 @@ def _files(text: str) -> tuple[list[Path], dict[Path, str]]:
     left += [(item, "a LeRobot dataset") for item in datasets]
     notes = [f"{_within_input(item, path)} is left out: {why}" for item, why in left[:_MAX_LISTED]]
     more = [f"and {len(left) - _MAX_LISTED} more"] if len(left) > _MAX_LISTED else []
-    return [*taken, *folders, *shut], {taken[0]: "; ".join([*notes, *more]), **stamps}
+    return [*taken, *folders, *shut], {taken[0]: "; ".join([*notes, *more])}
 
 
 def _within_input(file: Path, named: Path) -> str:
@@ -341,8 +341,12 @@ def _nothing(
     text: str, others: Sequence[Path], exports: Sequence[Path], gone: Sequence[Path]
 ) -> InputError:
     """Return the error for an input without logs, depending on its other contents."""
-    where, remedy = text, "pass an MCAP file or a folder; see jaxdet help logs for the layouts of "
-    remedy += "folders of images"
+    known = ", ".join(layout.names for layout in LAYOUTS)
+    where, remedy = (
+        text,
+        f"pass an MCAP file, or a folder of images in one of these layouts: {known}",
+    )
+    remedy += " (jaxdet help logs describes them)"
     problem = "no .mcap, .bag or .db3 file and no folder of images found"
     if others:
         where, remedy = str(others[0]), _advice(others[0])

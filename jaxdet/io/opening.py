@@ -113,7 +113,7 @@ def _opened(
 def open_files(
     log: LogFiles, options: LogOptions, memory: ReadMemory
 ) -> tuple[list[LogFile], list[str]]:
-    """Return the open files of a log, and a warning for each split that can't be read.
+    """Return the open files of a log, and warnings of them and for splits that can't be read.
 
     Args:
         log: Names of the files.
@@ -132,7 +132,8 @@ def open_files(
             failures.append(error)
     if not files:
         raise failures[0]
-    return files, [f"{error}; the file is left out" for error in failures]
+    warnings = [f"{error}; the file is left out" for error in failures]
+    return files, warnings + [file.note for file in files if file.note]
 
 
 def _open(path: Path, options: LogOptions, memory: ReadMemory) -> LogFile:

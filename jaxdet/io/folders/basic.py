@@ -1,0 +1,153 @@
+"""Basic layout of folders of images: TUM's RGB-D benchmark, Open3D, Redwood.
+
+A folder has a subfolder of colour images (``rgb color colour image``: PNG, JPEG) and one of depth
+images (``depth``: 16-bit PNG, aligned to colour). Optional files:
+
+- ``rgb.txt`` and ``depth.txt`` list timestamps [s] and names. Without them, names with a decimal
+  point are timestamps, ``NUMBER-TIME.png`` has microseconds (Redwood), and the last number in other
+  names is a frame number at :data:`RATE_HZ`.
+- ``groundtruth.txt`` has the camera's poses (timestamp, tx ty tz, qx qy qz qw). A matrix per frame
+  can be in ``pose/NAME.txt``, or in ``NAME.pose.txt`` next to the depth image.
+- A JSON file has the camera matrix: ``intrinsic_matrix`` (nine numbers, column-major), ``width``,
+  ``height`` and optionally ``depth_scale`` (depth units per metre).
+
+Sources: "File Formats" of the TUM benchmark; Open3D's ``PinholeCameraIntrinsic`` and
+``RGBDVideoMetadata``; Redwood's web page.
+"""
+
+import json
+import re
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxdet.errors import InputError
+from jaxdet.io.folders.recording import COLOR, DEPTH, Cameras, Image, ImageFiles, Pose, Recording
+from jaxdet.io.folders.text import SECOND, nanoseconds, read_matrix, read_table
+from jaxdet.types import Intrinsics, is_rigid
+
+RATE_HZ = 30
+LISTED_COLOR, LISTED_DEPTH = "rgb.txt", "depth.txt"
+_FIRST_NS = SECOND
+"""Timestamp of frame 0 if frames only have numbers, as a timestamp of 0 counts as missing [ns]."""
+_MAX_JSON_BYTES = 1 << 20
+_MAX_FLOAT32 = float(np.finfo(np.float32).max)
+_WITH_TIME = re.compile(r"\d{7}-(\d{12})")
+"""Frame number and time [us]."""
+_NUMBER = re.compile(r"(\d+)\D*$")
+
+
+def read_cameras(folder: Path, *_unused: Sequence[Image]) -> Cameras:
+    """Read camera and depth unit from the JSON file with a camera matrix, if there is one."""
+    found = [(path, about) for path in sorted(folder.glob("*.json")) if (about := _camera(path))]
+    if not found:
+        return Cameras()
+    if len(found) > 1:
+        names = ", ".join(path.name for path, _ in found)
+        raise InputError(f"several calibrations: {names}", path=str(folder), remedy="keep one")
+    path, about = found[0]
+    try:
+        fx, _, lower, _, fy, row, cx, cy, one = (float(item) for item in about["intrinsic_matrix"])
+        if (lower, row, one) != (0, 0, 1):
+            raise ValueError("not column-major")
+        width, height = int(about["width"]), int(about["height"])
+        unit_m = 1 / float(about.get("depth_scale", 1000))
+        if not 0 <= min(width, height) <= max(width, height) < 1 << 32:
+            raise ValueError("width or height is out of range")
+        if abs(unit_m) > _MAX_FLOAT32:
+            raise ValueError("depth_scale is out of range")
+    except (ArithmeticError, KeyError, TypeError, ValueError) as error:
+        problem = f"the calibration can't be read ({type(error).__name__}: {error})"
+        remedy = "it must have intrinsic_matrix (nine numbers, column-major), width and height"
+        raise InputError(problem, path=str(path), remedy=remedy) from error
+    return Cameras(Intrinsics(width, height, fx, fy, cx, cy), depth_unit_m=unit_m)
+
+
+def read(
+    folder: Path,
+    color: ImageFiles = COLOR,
+    depth: ImageFiles = DEPTH,
+    cameras: Callable[[Path, Sequence[Image], Sequence[Image]], Cameras] = read_cameras,
+) -> Recording:
+    """Read a folder.
+
+    Args:
+        folder: Folder of the recording.
+        color: Files of colour images.
+        depth: Files of depth images.
+        cameras: Function that reads the calibration of a folder with these images.
+
+    Raises:
+        InputError: A file, or the name of an image, is not as expected.
+    """
+    colors, has_color_stamps = _images(folder, color, LISTED_COLOR)
+    depths, has_depth_stamps = _images(folder, depth, LISTED_DEPTH)
+    poses = _listed_poses(folder) + _poses_of_frames(folder, depths, depth)
+    has_stamps = has_color_stamps and has_depth_stamps
+    return Recording(colors, depths, cameras(folder, colors, depths), poses, has_stamps)
+
+
+def _images(folder: Path, files: ImageFiles, listed: str) -> tuple[list[Image], bool]:
+    """Return images, and whether their timestamps were recorded."""
+    if (path := folder / listed).exists():
+        rows = read_table(path, 2)
+        return [Image(nanoseconds(stamp, path), folder / name) for stamp, name in rows], True
+    images = {image: files.frame_name(image) for image in files.paths(folder)}
+    if all("." in name for name in images.values()):
+        return [Image(nanoseconds(name, path), path) for path, name in images.items()], True
+    stamps = [_stamp_in_name(name, path) for path, name in images.items()]
+    has_times = all(map(_WITH_TIME.fullmatch, images.values()))
+    return list(map(Image, stamps, images)), has_times
+
+
+def _stamp_in_name(name: str, path: Path) -> int:
+    """Return the timestamp for the time or number in a frame's name [ns]."""
+    if timed := _WITH_TIME.fullmatch(name):
+        return _FIRST_NS + int(timed[1]) * 1000
+    match = _NUMBER.search(name)
+    if match is None or len(match[1]) > 9:
+        problem = "the name has neither a timestamp in seconds nor a frame number"
+        raise InputError(problem, path=str(path), remedy="number the images, or write rgb.txt")
+    return _FIRST_NS + int(match[1]) * SECOND // RATE_HZ
+
+
+def _camera(path: Path) -> dict[str, Any] | None:
+    """Return the contents of a JSON file with a camera matrix; None for other files."""
+    if path.stat().st_size > _MAX_JSON_BYTES:
+        return None
+    try:
+        found = json.loads(path.read_bytes())
+    except (ValueError, RecursionError):
+        return None
+    return found if isinstance(found, dict) and "intrinsic_matrix" in found else None
+
+
+def _listed_poses(folder: Path) -> list[Pose]:
+    """Read the poses in ``groundtruth.txt``."""
+    path = folder / "groundtruth.txt"
+    if not path.exists():
+        return []
+    found = []
+    for stamp, *words in read_table(path, 8):
+        stamp_ns = nanoseconds(stamp, path)
+        try:
+            numbers = [float(word) for word in words]
+        except ValueError as error:
+            problem = "a pose is not numeric"
+            raise InputError(problem, path=str(path), remedy="correct it") from error
+        found.append(Pose(stamp_ns, numbers[:3], numbers[3:]))
+    return found
+
+
+def _poses_of_frames(folder: Path, images: Sequence[Image], files: ImageFiles) -> list[Pose]:
+    """Read the poses in files per depth image; invalid ones are left out."""
+    found = []
+    for stamp_ns, image in images:
+        name = files.frame_name(image)
+        near = folder / "pose" / f"{name}.txt", image.with_name(f"{name}.pose.txt")
+        path = next((path for path in near if path.is_file()), None)
+        if path is not None and is_rigid(T := read_matrix(path, 4)):
+            found.append(Pose.of_matrix(stamp_ns, T))
+    return found

@@ -1,0 +1,123 @@
+"""The form that all layouts of image folders are read into."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxdet.errors import FrameError, InputError
+from jaxdet.io.compressed import compressed_size
+from jaxdet.io.messages import CompressedImageMessage
+from jaxdet.io.motion import quaternions
+from jaxdet.types import Intrinsics
+
+BESIDE = "._"
+"""Prefix of the files that macOS adds on disks of other systems and in archives."""
+
+
+class ImageFiles(NamedTuple):
+    """Rule for the files of colour or depth images; upper and lower case are equal."""
+
+    folders: tuple[str, ...]
+    """Possible names of the subfolder with the images; empty if they are in the folder itself."""
+    endings: tuple[str, ...]
+    """Ends of the file names. The first one that matches is not part of the frame's name."""
+
+    def folder_of(self, file: Path) -> Path | None:
+        """Return the folder of the recording with this image; None if it is not an image."""
+        if not file.name.lower().endswith(self.endings):
+            return None
+        if not self.folders:
+            return file.parent
+        return file.parent.parent if file.parent.name.lower() in self.folders else None
+
+    def paths(self, folder: Path) -> list[Path]:
+        """Return the images of a recording in order of name.
+
+        Raises:
+            InputError: Several subfolders have images.
+        """
+        parts = [folder]
+        if self.folders:
+            parts = sorted(part for part in folder.iterdir() if part.name.lower() in self.folders)
+        if len(parts) > 1:
+            problem = f"several folders of images: {', '.join(part.name for part in parts)}"
+            raise InputError(problem, path=str(folder), remedy="keep one")
+        files = (file for part in parts for file in part.iterdir())
+        files = (file for file in files if not file.name.startswith(BESIDE))
+        return sorted(file for file in files if file.name.lower().endswith(self.endings))
+
+    def frame_name(self, image: Path) -> str:
+        """Return the name of an image's frame, without the ending."""
+        name = image.name.lower()
+        end = next((end for end in self.endings if name.endswith(end)), image.suffix)
+        return image.name[: len(name) - len(end)]
+
+
+COLOR = ImageFiles(
+    ("rgb", "color", "colour", "image"),
+    (".color.png", ".color.jpg", ".color.jpeg", ".png", ".jpg", ".jpeg"),
+)
+DEPTH = ImageFiles(("depth",), (".depth.png", ".png"))
+
+
+class Image(NamedTuple):
+    """An image of a recording."""
+
+    stamp_ns: int
+    """Timestamp [ns]."""
+    path: Path
+    """File, which may be missing."""
+
+
+class Pose(NamedTuple):
+    """Pose of the camera's optical frame in the world at a time."""
+
+    stamp_ns: int
+    translation: Sequence[float]
+    """Translation x y z [m]."""
+    quaternion: Sequence[float]
+    """Unit quaternion x y z w."""
+
+    @classmethod
+    def of_matrix(cls, stamp_ns: int, T: np.ndarray) -> "Pose":
+        """Return the pose of a rigid transform ``T_world_camera``, ``(4, 4)`` float64."""
+        return cls(stamp_ns, T[:3, 3].tolist(), quaternions(T[:3, :3]).tolist())
+
+
+class Cameras(NamedTuple):
+    """Calibration of a recording; None for what it does not contain."""
+
+    color: Intrinsics | None = None
+    depth: Intrinsics | None = None
+    """Camera of the depth images if they are not aligned to colour."""
+    depth_unit_m: float | None = None
+
+
+class Recording(NamedTuple):
+    """Contents of a folder of images."""
+
+    color: Sequence[Image]
+    depth: Sequence[Image]
+    cameras: Cameras
+    poses: Sequence[Pose]
+    has_stamps: bool = True
+    """Whether the timestamps were recorded; otherwise they are frame numbers at a fixed rate."""
+    is_rotated: bool = False
+    """Whether the bits of depth are rotated left by three."""
+
+
+def image_size(images: Sequence[Image]) -> tuple[int, int] | None:
+    """Return width and height of the first existing image from its header; None without images.
+
+    Raises:
+        InputError: The image is damaged.
+    """
+    path = next((image.path for image in images if image.path.is_file()), None)
+    if path is None:
+        return None
+    try:
+        return compressed_size(CompressedImageMessage(0, "", "", path.read_bytes()[: 1 << 20]))
+    except FrameError as error:
+        raise InputError(error.problem, path=str(path), remedy="remove it") from error
