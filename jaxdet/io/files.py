@@ -105,11 +105,12 @@ def find_logs(
     said: dict[Path, str] = {}
     for item in named:
         text = os.fspath(item)
-        found, notes = _files(text)
+        found, note = _files(text)
         root = _root(text)
         for path in found:
             chosen[path] = min(root, chosen.get(path, root), key=lambda root: len(root.parts))
-        said |= {path.resolve(): note for path, note in notes.items()}
+        if note:
+            said[found[0].resolve()] = note
     paths = _once(chosen)
     groups: dict[tuple[Path, str, str], list[Path]] = {}
     for (_, stem, number, _), path in sorted((_order(path), path) for path in paths):
@@ -278,8 +279,8 @@ def _seen(text: str, skipped: list[Path]) -> list[Path]:
     return list(dict.fromkeys(file for match in matches for file in _within(match, skipped)))
 
 
-def _files(text: str) -> tuple[list[Path], dict[Path, str]]:
-    """Return the readable files of an input, at least one, and notes by file."""
+def _files(text: str) -> tuple[list[Path], str]:
+    """Return the readable files of an input, at least one, and which others are left out."""
     if Path(text).name == "metadata.yaml" and Path(text).is_file():
         text = str(Path(text).parent)  # metadata.yaml of rosbag2 names the files in its folder
     path, seen, rest, above = Path(text), list[Path](), list[Path](), list[Path]()
@@ -296,13 +297,13 @@ def _files(text: str) -> tuple[list[Path], dict[Path, str]]:
         if others:
             problem = f"{path.suffix} files are not supported"
             raise InputError(problem, path=text, remedy=_advice(path))
-        return seen, {}
+        return seen, ""
     places = {file.parent for file in found}
     images = image_folders(seen)
     copies = {item for item in images if places & {item, item.parent}}
     folders = [item for item in images if item not in copies]
     if not found and (folders or shut):
-        return [*folders, *shut], {}
+        return [*folders, *shut], ""
     exr = [file for file in seen if file.suffix.lower() == ".exr"]
     if not found and exr:
         problem = "depth in OpenEXR files (for example from Record3D) is not supported"
@@ -321,7 +322,7 @@ def _files(text: str) -> tuple[list[Path], dict[Path, str]]:
     left += [(item, "a LeRobot dataset") for item in datasets]
     notes = [f"{_within_input(item, path)} is left out: {why}" for item, why in left[:_MAX_LISTED]]
     more = [f"and {len(left) - _MAX_LISTED} more"] if len(left) > _MAX_LISTED else []
-    return [*taken, *folders, *shut], {taken[0]: "; ".join([*notes, *more])}
+    return [*taken, *folders, *shut], "; ".join([*notes, *more])
 
 
 def _within_input(file: Path, named: Path) -> str:

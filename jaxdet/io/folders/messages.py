@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from jaxdet.io.compressed import ROTATED, with_confidence
-from jaxdet.io.folders.recording import Image, Pose, Recording
+from jaxdet.io.folders.recording import Pose, Recording
 from jaxdet.io.writer_cdr import camera_info, encode_cdr, header, xyz
 
 CONFIDENCE = "confidence"
@@ -51,36 +51,30 @@ def encode_recording(folder: Path, recording: Recording) -> list[FolderMessage]:
     Raises:
         OSError: A file can't be read.
     """
-    found = [_image(image, _COLOR, "png") for image in recording.color]
-    form = "16UC1; png"
-    masks = folder / CONFIDENCE if (folder / CONFIDENCE).is_dir() else None
-    rotated = ROTATED if recording.is_rotated else ""
-    found += [_image(image, _DEPTH, form, masks, rotated) for image in recording.depth]
+    found = [_image(_COLOR, "png", image.stamp_ns, image.path) for image in recording.color]
+    has_confidence = (folder / CONFIDENCE).is_dir()
+    for stamp_ns, path in recording.depth:
+        masks = [folder / CONFIDENCE / path.name] if has_confidence else []
+        form = "16UC1; png" + (with_confidence(_size(path)) if masks else "")
+        form += ROTATED if recording.is_rotated else ""
+        found.append(_image(_DEPTH, form, stamp_ns, path, *masks))
     first_ns = min((message.log_ns for message in found), default=0)
     found += _cameras(recording, first_ns)
     found += [_transform(pose) for pose in recording.poses]
     return sorted(found, key=lambda message: message[:2])
 
 
-def _image(
-    image: Image, channel: int, form: str, masks: Path | None = None, rotated: str = ""
-) -> FolderMessage:
-    """Return the message of an image.
-
-    Args:
-        image: Image.
-        channel: Channel.
-        form: Start of the message's ``format``.
-        masks: Folder of confidences.
-        rotated: End of ``format``.
-    """
-    paths = (image.path, masks / image.path.name) if masks else (image.path,)
-    files = tuple((path, path.stat().st_size if path.is_file() else 0) for path in paths)
-    form += (with_confidence(files[0][1]) if masks else "") + rotated
-    about = {"header": header(image.stamp_ns, _FRAME), "format": form, "data": b""}
+def _image(channel: int, form: str, stamp_ns: int, *paths: Path) -> FolderMessage:
+    """Return the message with the contents of files as data, and with ``form`` as ``format``."""
+    files = tuple((path, _size(path)) for path in paths)
+    about = {"header": header(stamp_ns, _FRAME), "format": form, "data": b""}
     head = encode_cdr(_TYPES[channel], about)
     head = head[:-4] + sum(size for _, size in files).to_bytes(4, "little")
-    return FolderMessage(image.stamp_ns, channel, head, files)
+    return FolderMessage(stamp_ns, channel, head, files)
+
+
+def _size(path: Path) -> int:
+    return path.stat().st_size if path.is_file() else 0
 
 
 def _cameras(recording: Recording, log_ns: int) -> Iterator[FolderMessage]:

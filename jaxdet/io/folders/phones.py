@@ -56,15 +56,13 @@ def read_stray_scanner(folder: Path) -> Recording | None:
     if not ((folder / ODOMETRY).is_file() and (folder / MATRIX).is_file()):
         return None
     with _damage_as_error(folder):
-        rows = list(
-            csv.reader(read_text(folder / ODOMETRY).splitlines()[1:], skipinitialspace=True)
-        )
+        lines = read_text(folder / ODOMETRY).splitlines()[1:]
+        rows = list(csv.reader(lines, skipinitialspace=True))
         values = np.array([row[:9] for row in rows if row], np.float64).reshape(-1, 9)
         K = np.array([*csv.reader(read_text(folder / MATRIX).splitlines())], np.float64)
         poses = motion_matrix(values[:, 2:5], values[:, 5:9])
         numbers = values[:, 1].astype(np.int64).tolist()
-        K = K.reshape(3, 3)
-        return _recording(folder, numbers, values[:, 0], poses, K, _VIDEO_SIZE)
+        return _recording(folder, numbers, values[:, 0], poses, K.reshape(3, 3), _VIDEO_SIZE)
 
 
 def read_record3d(folder: Path) -> Recording | None:
@@ -123,12 +121,11 @@ def _recording(
         raise ValueError("a timestamp is out of range")
     # A timestamp of zero would mean that there is none.
     stamps = np.round(times_s * 1e9).astype(np.int64) + (SECOND if not times_s.all() else 0)
-    world = zip(numbers, _Z_UP @ poses, strict=True)
     stamp_of = dict(zip(numbers, stamps.tolist(), strict=True))
-    T_of = {number: T for number, T in world if np.isfinite(T).all()}
     color, depth = (_images(folder, files, stamp_of) for files in (COLOR, DEPTH))
     cameras = Cameras(_camera(K, size, color), _camera(K, size, depth))
-    posed = [Pose.of_matrix(stamp_of[number], T) for number, T in T_of.items()]
+    world = zip(stamps.tolist(), _Z_UP @ poses, strict=True)
+    posed = [Pose.of_matrix(stamp_ns, T) for stamp_ns, T in world if np.isfinite(T).all()]
     return Recording(color, depth, cameras, posed)
 
 
@@ -136,11 +133,11 @@ def _images(folder: Path, files: ImageFiles, stamp_of: dict[int, int]) -> list[I
     found = []
     for path in files.paths(folder):
         name = files.frame_name(path)
-        number = int(name[-9:]) if name.isdecimal() else -1
-        if number not in stamp_of:
+        stamp_ns = stamp_of.get(int(name[-9:])) if name.isdecimal() else None
+        if stamp_ns is None:
             problem = "the recording has no timestamp of this frame"
             raise InputError(problem, path=str(path), remedy="remove the image")
-        found.append(Image(stamp_of[number], path))
+        found.append(Image(stamp_ns, path))
     return found
 
 
