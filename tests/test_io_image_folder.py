@@ -427,6 +427,19 @@ def test_a_depth_image_without_its_confidences_is_a_frame_with_an_error(tmp_path
         open_log(str(tmp_path))
 
 
+def test_a_missing_depth_image_with_confidences_is_a_frame_with_an_error(tmp_path):
+    folder = write_tum(tmp_path)
+    (folder / "confidence").mkdir()
+    for stamp in STAMPS:
+        ones = np.ones(SIZE[::-1], np.uint8)
+        assert cv2.imwrite(str(folder / "confidence" / f"{stamp}.png"), ones)
+    name = f"depth/{STAMPS[1]}.png"
+    (folder / name).unlink()
+    with open_log(str(folder), GIVEN) as log:
+        errors = [frame.error for frame in log]
+        assert errors[::2] == ["", ""] and f"{name} can't be read (No such file" in errors[1]
+
+
 def test_record3d_folders_with_depth_in_png_are_read(tmp_path):
     write(tmp_path, [f"rgb/{i}.png" for i in range(3)], [f"depth/{i}.png" for i in range(3)])
     color, depths = images()
@@ -454,6 +467,15 @@ def test_redwood_folders_have_timestamps_in_file_names(tmp_path, color):
     with open_log(str(tmp_path), LogOptions(color_intrinsics=K)) as log:
         assert np.diff(log.stamps_ns).tolist() == [33_369_000] * 2
         assert not any("no timestamps" in text for text in log.description.warnings)
+
+
+def test_times_in_the_names_of_only_one_kind_of_image_cause_a_warning(tmp_path):
+    times, numbers = ["0000001-000000000000"], ["000000"]
+    for folder, color, depth in (("a", times, numbers), ("b", numbers, times), ("c", times, times)):
+        write(tmp_path / folder, [f"rgb/{n}.jpg" for n in color], [f"depth/{n}.png" for n in depth])
+        with open_log(str(tmp_path / folder), LogOptions(color_intrinsics=K)) as log:
+            warns = NO_STAMPS.format(folder) in log.description.warnings
+            assert warns == (folder != "c")
 
 
 @pytest.mark.parametrize("times", [False, True])
