@@ -37,7 +37,8 @@ struct Evidence {
     // Number of threads that share the search for the smallest distance between two contours.
     enum { PARTS = Warp::size > 1 ? 8 : 1 };
     enum { CONTACT = 2, PERCENT = 100, FEATURES = 26 };
-    // Number of pairs whose evidence a block computes together; its size is a multiple of BATCH threads.
+    // Number of pairs whose evidence a block computes together; the number of its threads is a
+    // multiple.
     enum { BATCH = 64, FAST = (FEATURES + 1) * BATCH, NOT_NEAR = 1 << 30 };
     int count, lateral_gap, forward_gap, gap, no_step;
     Extents extents;

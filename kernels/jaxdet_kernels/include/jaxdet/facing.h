@@ -33,7 +33,8 @@ struct Facing {
     // with free cells or something farther between the surfaces; places with something nearer between
     // them. STEPS packs the number of places in rows whose depths agree and, from bit STEP_SHIFT on, the
     // sum of depth steps. COLUMNS packs three counts of places in columns: all places; places with free
-    // cells or something farther between; places with something nearer or a hole between.
+    // cells or something farther between; places with something nearer or a hole between. DISTANCE is
+    // used by `Evidence`.
     enum { ROWS, STEPS, COLUMNS, DISTANCE, SUMS, COUNT_BITS = 21, STEP_SHIFT = 20 };
     enum { MOST_BETWEEN = 11, RING = 16, SLOPE = 10, FAR = 1 << 30 };
     // Number of cells that a thread loads at a time on CUDA.
