@@ -171,7 +171,10 @@ def _find(
 def _refined(
     plane: Plane, ahead: Ahead | None, cells: Sample, prior: Plane | None, scale: Scale
 ) -> tuple[Plane, Ahead | None]:
-    """Refine a plane on all cells, or on those before its ramp or step, and the ramp beyond."""
+    """Refine a plane on all cells or, if it has a ramp or a step, on the cells before its start.
+
+    A ramp is refined on the cells beyond its start.
+    """
     if not ahead:
         return refined(plane, cells, (0, 1, 5), prior, scale), None
     beyond = distance(plane, cells) >= ahead.start
@@ -185,7 +188,10 @@ def _refined(
 
 
 def _is_near(plane: Plane, prior: Plane | None, config: FloorConfig, scale: Scale) -> bool:
-    """Return whether a plane is below the camera and near the prior, or usual if there is none."""
+    """Return whether a plane is below the camera and near the prior.
+
+    Without a prior, the camera's tilt must be usual instead.
+    """
     if prior is None:
         return is_usual(plane)
     turn = round(config.max_turn_deg * ANGLES)
@@ -200,7 +206,7 @@ def _is_near(plane: Plane, prior: Plane | None, config: FloorConfig, scale: Scal
 def _as_ramp(
     steep: Plane, prior: Plane, config: FloorConfig, scale: Scale
 ) -> tuple[Plane, Ahead] | None:
-    """Return a plane far from the prior as a ramp ahead of it, if the two cross."""
+    """Return the prior and a plane far from it as a ramp ahead; None if the two do not cross."""
     level = prior._replace(roll=steep.roll)
     ramp = crossing(level, steep) if _is_near(level, prior, config, scale) else None
     return (level, ramp) if ramp and 0 < ramp.start <= scale.length(RAMP_M) else None
