@@ -245,7 +245,7 @@ def test_opening_one_of_many_numbered_recordings_reads_few_files(tmp_path, monke
 def test_a_split_that_exists_in_another_format_is_left_out(tmp_path, monkeypatch, names, taken):
     """A split is kept if the files in the other format cover other times.
 
-    Split ``n`` covers second ``n``, except that the MCAP file ``y_0`` covers the first three seconds.
+    Split ``n`` covers second ``n``; only the MCAP file ``y_0`` covers the first three seconds.
     """
 
     def fake_signature(path: Path) -> Signature:
