@@ -66,9 +66,9 @@ def rays(
         turned: Half of a cell's angle, from :func:`jaxdet.floor.rays.half_turn`.
 
     Returns:
-        Ranges at which free floor begins and ends, ``(RAYS, 2)`` int32 [depth units], both equal if
-        only something above the step height is visible and zero if nothing is; and the kind of end,
-        ``(RAYS,)`` int32 (:class:`jaxdet.types.FreeEnd`).
+        Ranges at which free floor begins and ends, ``(RAYS, 2)`` int32 [depth units], and the kind
+        of its end, ``(RAYS,)`` int32 (:class:`jaxdet.types.FreeEnd`). Both ranges are those of the
+        nearest obstacle if no floor but only an obstacle is visible, and 0 if nothing is visible.
     """
     near, far = line.astype(np.int64).transpose(1, 0, 2)
     alone = (near == far).all(axis=1) & (end == FreeEnd.OBSTACLE)
@@ -110,8 +110,8 @@ def blocks(
     A cell above the step height contributes its nearest pixel, or its own depth if that pixel is
     nearer than the depth range. Another cell contributes its nearest pixel if that is above the
     step height of a single pixel, which has more noise than a cell. A tile consists of some cells
-    of a column; its nearest point blocks all sectors that the tile covers. Float32: each operation
-    is rounded separately.
+    of a column; its nearest point blocks all sectors that the tile covers. The arithmetic is
+    float32, and each operation is rounded separately.
 
     Args:
         standing: Cells of a frame.
@@ -156,7 +156,7 @@ def _squares(
     ground: GroundConfig,
     depth_unit: float,
 ) -> np.ndarray:
-    """Return squared distances of obstacles in cells from the foot, ``(R, C)``; inf = none."""
+    """Return the squared range of the obstacle in each cell, ``(R, C)``, inf if there is none."""
     pixel, z, is_cell = standing
     nearest, farthest = depth_range(ground.min_depth_m, ground.max_depth_m, depth_unit)
     depth = np.where(is_cell & (pixel < nearest), z, pixel).astype(F32)
@@ -186,10 +186,11 @@ def bearings(right: np.ndarray, forward: np.ndarray) -> np.ndarray:
 
     Args:
         right: Position to the right, integer [depth units], below 2^19.
-        forward: Position forward.
+        forward: Position forward, as ``right``.
 
     Returns:
-        Bearings, int64, in sixteenths of the spacing of rays, above -``TURN`` / 2 to ``TURN`` / 2.
+        Bearings, int64, in sixteenths of the spacing of rays; greater than -``TURN`` / 2, and at
+        most ``TURN`` / 2.
 
     Example:
         >>> bearings(np.array([0, 5, 5, -5]), np.array([7, 5, 0, 0])).tolist()
@@ -204,7 +205,7 @@ def bearings(right: np.ndarray, forward: np.ndarray) -> np.ndarray:
 
 
 def _packed(length: np.ndarray, why: np.ndarray | int) -> np.ndarray:
-    """Pack ranges with the kind of end; of equal ranges an obstacle is smallest, then a drop."""
+    """Pack ranges with kinds of end; of equal ranges an obstacle is smallest, then a drop."""
     return (length << END_BITS) | ((why - 1) & 3)
 
 
