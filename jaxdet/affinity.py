@@ -71,20 +71,21 @@ FRACTION_BITS = 8
 
 
 class Affinity(NamedTuple):
-    """``T`` gradient-boosted regression trees, each complete with depth ``D``.
+    """An ensemble of ``T`` gradient-boosted regression trees.
 
-    Friedman, *Greedy function approximation: a gradient boosting machine*, Annals of Statistics
-    29(5), 2001. Node ``k`` has the children ``2 k + 1`` (at most the threshold) and ``2 k + 2``.
+    Each tree is a complete binary tree of depth ``D``. Node ``k`` has the children ``2 k + 1``, for
+    features up to its threshold, and ``2 k + 2``, for larger ones (Friedman, *Greedy function
+    approximation: a gradient boosting machine*, Annals of Statistics 29(5), 2001).
     """
 
     feature: np.ndarray
     """Feature that a node compares, index in :data:`PAIR_FEATURES`, ``(T, 2**D - 1)`` int64."""
     threshold: np.ndarray
-    """Thresholds ``(T, 2**D - 1)`` int64; larger values go to the second child."""
+    """Threshold of each node, ``(T, 2**D - 1)`` int64."""
     value: np.ndarray
-    """Evidence of the leaves, ``(T, 2**D)`` int64."""
+    """Evidence of each leaf, ``(T, 2**D)`` int64."""
     offset: int
-    """Constant term of the evidence, to which the trees add."""
+    """Constant term of the evidence; the evidence of the trees is added to it."""
 
     @property
     def depth(self) -> int:

@@ -48,10 +48,10 @@ def cos(x: ArrayLike) -> np.ndarray:
 
 
 def sin_cos(x: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-    """Sine and cosine of angles [rad], see :func:`sin`.
+    """Sine and cosine of angles [rad], with the accuracy and range of :func:`sin`.
 
-    The angle is reduced to at most π/4, as a sum of two numbers (Cody and Waite 1980), for which
-    the Taylor series of both functions are evaluated.
+    The angle is reduced to at most π/4 and kept as a sum of two numbers (Cody and Waite 1980). The
+    Taylor series of both functions are evaluated at this sum.
     """
     x = np.asarray(x, np.float64)
     if not np.all(np.abs(x) <= _FARTHEST):

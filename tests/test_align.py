@@ -167,7 +167,7 @@ def test_colour_lens_projects_as_opencv(lens):
 @pytest.mark.twin
 @pytest.mark.parametrize("lens", LENSES)
 @pytest.mark.parametrize("image", [noise_depth, smooth_depth])
-def test_twin_with_every_lens(device, lens, image):
+def test_aligned_depth_equals_the_reference_with_every_lens(device, lens, image):
     base = small(97, 61, 1.6)
     calibration = base._replace(color=with_lens(base.color, lens), color_from_depth=TURNED)
     depth = image(3, calibration.depth)
@@ -176,7 +176,7 @@ def test_twin_with_every_lens(device, lens, image):
 
 @pytest.mark.twin
 @pytest.mark.parametrize(("batch", "size"), [(2, (640, 480)), (5, (848, 480))])
-def test_twin_at_full_size(device, batch, size):
+def test_aligned_depth_equals_the_reference_at_full_size(device, batch, size):
     depth_camera = resized(D435.depth, *size)
     calibration = Calibration(depth_camera, resized(D435_COLOR, 640, 480), D435_MOTION)
     depth = noise_depth(batch, depth_camera)
@@ -194,7 +194,9 @@ def test_twin_at_full_size(device, batch, size):
         ("equidistant", (4095, 33), (65, 4096)),
     ],
 )
-def test_twin_with_large_and_odd_images(device, lens, depth_size, color_size):
+def test_aligned_depth_equals_the_reference_with_large_and_odd_images(
+    device, lens, depth_size, color_size
+):
     color = with_lens(resized(D435.color, *color_size), lens)
     calibration = Calibration(resized(D435.depth, *depth_size), color, TURNED)
     depth = smooth_depth(1, calibration.depth)
@@ -206,7 +208,7 @@ def test_twin_with_large_and_odd_images(device, lens, depth_size, color_size):
 
 @pytest.mark.twin
 @pytest.mark.parametrize("lens", LENSES)
-def test_twin_if_the_depth_camera_has_distortion(device, lens):
+def test_aligned_depth_equals_the_reference_if_the_depth_camera_has_distortion(device, lens):
     base = small(97, 61, 0.7)
     calibration = base._replace(
         color=with_lens(base.color, lens), depth=with_lens(base.depth, lens)
@@ -218,7 +220,7 @@ def test_twin_if_the_depth_camera_has_distortion(device, lens):
 @pytest.mark.twin
 @pytest.mark.parametrize("color_size", [(97, 61), (640, 480), (1921, 1083), (33, 20)])
 @pytest.mark.parametrize("lens", LENSES)
-def test_twin_at_a_few_requested_pixels(device, lens, color_size):
+def test_aligned_depth_equals_the_reference_at_a_few_requested_pixels(device, lens, color_size):
     """Depth pixels cover 1 to about 30 colour pixels each, and few pixels are requested."""
     base, (width, height) = small(97, 61), color_size
     color = with_lens(resized(base.color, *color_size), lens)
@@ -235,7 +237,7 @@ def test_twin_at_a_few_requested_pixels(device, lens, color_size):
 
 @pytest.mark.twin
 @pytest.mark.parametrize("lens", LENSES)
-def test_twin_skips_no_tile_that_covers_a_requested_pixel(device, lens):
+def test_no_tile_that_covers_a_requested_pixel_is_skipped(device, lens):
     """Surfaces are near and far, rotations and translations between the cameras small and large.
 
     Smooth depth makes the intervals of a tile narrow, so that most tiles are skipped.
@@ -259,7 +261,7 @@ def test_twin_skips_no_tile_that_covers_a_requested_pixel(device, lens):
 
 
 @pytest.mark.twin
-def test_twin_without_measurements(device):
+def test_aligned_depth_equals_the_reference_without_measurements(device):
     depth = np.zeros((2, 60, 80), np.uint16)
     assert_equal(align_all(depth, small()), reference.paper.align(depth, small()))
     assert not np.asarray(align_all(depth, small()).depth).any()

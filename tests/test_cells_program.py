@@ -1,4 +1,4 @@
-"""The kernel of cells equals the reference."""
+"""cells: the results of the kernel equal the reference."""
 
 from dataclasses import replace
 from typing import Any
@@ -41,14 +41,14 @@ def assert_same(depth: np.ndarray, calibration: Calibration, config: SurfaceConf
 
 
 @pytest.mark.parametrize("lens", ["pinhole", "plumb_bob", "inverse"])
-def test_twin_with_every_lens(lens: str, device: Any) -> None:
+def test_cells_equal_the_reference_with_every_lens(lens: str, device: Any) -> None:
     calibration = Calibration(with_lens(D435_DEPTH, lens))
     depth = np.concatenate([noise_depth(1, D435_DEPTH), smooth_depth(2, D435_DEPTH)])
     assert_same(depth, calibration, THREE)
 
 
 @pytest.mark.parametrize("side", [1, 2, 3, 7, 8, 9, 15])
-def test_twin_with_cells_of_any_side(side: int, device: Any) -> None:
+def test_cells_equal_the_reference_with_cells_of_any_side(side: int, device: Any) -> None:
     """Cells of nine pixels and more per side compute the median by bisection."""
     calibration = small(263, 195)
     camera = calibration.depth
@@ -59,17 +59,17 @@ def test_twin_with_cells_of_any_side(side: int, device: Any) -> None:
 
 @settings(max_examples=20)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([1e-4, 0.00025, 0.001, 0.01]))
-def test_twin_in_any_depth_unit(seed: int, unit: float) -> None:
+def test_cells_equal_the_reference_in_any_depth_unit(seed: int, unit: float) -> None:
     calibration = small(40, 30)._replace(depth_unit=unit)
     assert_same(noise_depth(2, calibration.depth, seed), calibration, replace(THREE, cell_rad=0.04))
 
 
-def test_twin_of_images_smaller_than_a_cell(device: Any) -> None:
+def test_cells_equal_the_reference_on_images_smaller_than_a_cell(device: Any) -> None:
     camera = Intrinsics(7, 5, 640.0, 640.0, 3.5, 2.5)
     assert_same(np.full((3, 5, 7), 800, np.uint16), Calibration(camera), THREE)
 
 
-def test_twin_without_depth_and_in_batches(device: Any) -> None:
+def test_cells_equal_the_reference_without_depth_and_in_batches(device: Any) -> None:
     calibration = small(64, 48)
     assert_same(np.zeros((1, 48, 64), np.uint16), calibration, replace(THREE, cell_rad=0.05))
     assert_same(noise_depth(9, calibration.depth), calibration, replace(THREE, cell_rad=0.05))

@@ -172,7 +172,7 @@ def random_points(seed: int, batch: int, n: int, spread: int) -> Features:
     ("batch", "n", "min_points"), [(1, 1, 0), (1, 7, 0), (3, 100, 2), (2, 1024, 10), (2, 5000, 2)]
 )
 @pytest.mark.parametrize("spread", [3, 500, 65535])
-def test_twin(device, batch, n, spread, min_points):
+def test_clusters_equal_the_reference_on_points_of_any_spread(device, batch, n, spread, min_points):
     features = random_points(n + spread, batch, n, spread)
     given_ = features, 0.001, config(30, 60, min_points)
     assert_equal(stages.paper.cluster(*given_), reference.paper.cluster(*given_))
@@ -181,7 +181,7 @@ def test_twin(device, batch, n, spread, min_points):
 @pytest.mark.twin
 @pytest.mark.parametrize("share", [1.0, 0.9])
 @pytest.mark.parametrize("lateral_gap", [5, 10**4])
-def test_twin_with_as_many_clusters_as_points(device, lateral_gap, share):
+def test_clusters_equal_the_reference_with_as_many_clusters_as_points(device, lateral_gap, share):
     """Each point may be a cluster; the last one has the largest possible x."""
     x = MAX_LATERAL - 9 * np.arange(8192)[::-1]
     features = points(x, 7 * np.arange(8192), np.random.default_rng(0).random(8192) < share)
@@ -200,7 +200,7 @@ hostile = st.lists(
 @pytest.mark.twin
 @given(hostile, st.integers(0, 60), st.integers(0, 60), st.sampled_from([0, 3]))
 @settings(max_examples=80)
-def test_twin_on_random_points(rows, depth_gap, lateral_gap, min_points):
+def test_clusters_equal_the_reference_on_random_points(rows, depth_gap, lateral_gap, min_points):
     x, z, kept = (np.array(column) for column in zip(*rows, strict=True))
     given_ = points(x, z, kept), 0.001, config(depth_gap, lateral_gap, min_points)
     assert_equal(stages.paper.cluster(*given_), reference.paper.cluster(*given_))
@@ -212,7 +212,7 @@ def found(features: Features) -> np.ndarray:
 
 @pytest.mark.twin
 @pytest.mark.parametrize("depth_gap", [0, 1])
-def test_twin_with_bins_of_one_depth_unit(depth_gap):
+def test_clusters_equal_the_reference_with_bins_of_one_depth_unit(depth_gap):
     z = np.array([[9, 1, 65535, 2, 9, 1, 4, 65534]])
     given_ = points(np.zeros_like(z), z), 0.001, config(depth_gap, 400, 1)
     assert_equal(stages.paper.cluster(*given_), reference.paper.cluster(*given_))

@@ -198,7 +198,7 @@ def test_coco_has_the_images_of_both_cameras(parts: Path, tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("to", [name for name, form in FORMATS.items() if not form.of_logs])
-def test_a_log_for_a_format_that_reads_none_is_refused(
+def test_a_log_for_a_format_that_uses_no_logs_is_refused(
     to: str, parts: Path, tmp_path: Path
 ) -> None:
     with (

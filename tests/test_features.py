@@ -163,7 +163,7 @@ CONFIGS = {
 
 
 @pytest.mark.twin
-def test_twin_of_two_cameras(device):
+def test_features_equal_the_reference_with_two_cameras(device):
     depth, color = noise_depth(3, D435.depth), blocks(3, 480, 640)
     given_ = color, depth, D435, FeaturesConfig()
     want = reference.paper.features(*given_)
@@ -174,7 +174,7 @@ def test_twin_of_two_cameras(device):
 @pytest.mark.twin
 @pytest.mark.parametrize("width", [640, 424, 97, 31])
 @pytest.mark.parametrize("name", CONFIGS)
-def test_twin(device, name, width):
+def test_features_equal_the_reference_with_any_settings_and_width(device, name, width):
     height = 3 * width // 4
     color = blocks(3, height, width, width)
     color[2] = 0
@@ -210,7 +210,7 @@ def test_new_settings_need_no_compilation():
     st.lists(st.integers(-(4 << 20), 4 << 20), min_size=1, max_size=50),
     st.integers(0, 65535),
 )
-def test_lateral_twin_stays_in_32_bits(rays, z):
+def test_lateral_positions_are_exact_in_32_bits(rays, z):
     ray = np.array(rays, np.int32)
     depth = np.full(len(rays), z, np.int32)
     exact = [(int(r) * z + (1 << 19)) >> 20 for r in rays]

@@ -1,4 +1,4 @@
-"""features: the twin on adversarial images, and on those that hypothesis finds."""
+"""features equals the reference on adversarial images, and on images that hypothesis finds."""
 
 from dataclasses import replace
 from itertools import product
@@ -66,7 +66,7 @@ SETTINGS = {
 
 
 def compare(grey: np.ndarray, config: FeaturesConfig) -> None:
-    """Compare both implementations on grey images ``(B, H, W)``; two runs return equal bytes."""
+    """Assert that two runs equal the reference on grey images ``(B, H, W)``."""
     height, width = grey.shape[1:]
     color = np.repeat(grey[..., None], 3, axis=-1)
     z = np.random.default_rng(0).integers(0, 65536, grey.shape).astype(np.uint16)
@@ -96,11 +96,11 @@ OF_THE_LONGEST = ("default", "full", "weak corners", "far apart")
     ("size", "name"),
     [*product(SIZES[:1], SETTINGS), *product(SIZES[1:] + LONGEST, OF_THE_LONGEST)],
 )
-def test_twin_on_adversarial_images(device, size, name):
+def test_features_equal_the_reference_on_adversarial_images(device, size, name):
     compare(np.stack(list(hostile(*size).values())), SETTINGS[name])
 
 
-def test_twin_on_recordings(device, shared_data):
+def test_features_equal_the_reference_on_recordings(device, shared_data):
     rng = np.random.default_rng(2)
     for image in recorded_colors(shared_data)[::4]:
         color = image[None]
@@ -120,7 +120,9 @@ def test_twin_on_recordings(device, shared_data):
     coarse=st.integers(1, 6),
 )
 @settings(max_examples=60)
-def test_twin_on_random_images(seed, levels, width, quality, distance, coarse):
+def test_features_equal_the_reference_on_random_images(
+    seed, levels, width, quality, distance, coarse
+):
     rng = np.random.default_rng(seed)
     size = 2, 24 + seed % 2 * 13, width
     grey = rng.integers(0, levels, size) * (255 // (levels - 1))

@@ -1,4 +1,4 @@
-"""The kernel of the floor equals the reference."""
+"""find_floor: the results of the kernel equal the reference."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -79,7 +79,7 @@ def random_cells(seed: int, batch: int, rows: int, columns: int, part: float = 0
 # made by hand
 
 
-def test_twin_on_boxes_and_ramps() -> None:
+def test_floors_equal_the_reference_on_boxes_and_ramps() -> None:
     """Scenes have ramps up, ramps down or no ramp; planes too far from the prior are refused."""
     depths, known = [], []
     for pose in POSES:
@@ -95,7 +95,7 @@ def test_twin_on_boxes_and_ramps() -> None:
     assert set(refused.tolist()) >= {0, 3}
 
 
-def test_twin_on_steps() -> None:
+def test_floors_equal_the_reference_on_steps() -> None:
     """Steps down and up are found from any height, with correct, wrong and no priors."""
     depths, known = [], []
     for pose in (Pose(0.3, 10.0, 1.0), Pose(0.8, 20.0, 1.0), Pose(1.3, 30.0, -2.0)):
@@ -111,7 +111,7 @@ def test_twin_on_steps() -> None:
     assert (found != flat).any(axis=1).sum() > 20
 
 
-def test_twin_on_ramps_that_are_seen_over_just_enough() -> None:
+def test_floors_equal_the_reference_on_ramps_of_just_the_minimum_visible_length() -> None:
     """In units of 1 cm the minimum length is a multiple of the distance bins, so it occurs."""
     ahead, length = np.arange(80, 300), np.arange(40, 90)[:, None]
     z = np.where(ahead < 200 + length, ahead, 0)
@@ -123,7 +123,7 @@ def test_twin_on_ramps_that_are_seen_over_just_enough() -> None:
     assert 10 < np.count_nonzero(turn) < 40
 
 
-def test_twin_on_tables_walls_and_few_cells() -> None:
+def test_floors_equal_the_reference_on_tables_walls_and_few_cells() -> None:
     pose = POSES[3]
     things = [
         ([((-2.0, 0.2, 0.5), (2.0, 1.1, 0.54)), ((-4.0, 2.0, 0.0), (4.0, 2.1, 2.5))], False),
@@ -152,7 +152,7 @@ def test_twin_on_tables_walls_and_few_cells() -> None:
         FloorConfig(noise_per_m=0.05, max_depth_m=65.0),
     ],
 )
-def test_twin_with_any_settings(config: FloorConfig) -> None:
+def test_floors_equal_the_reference_with_any_settings(config: FloorConfig) -> None:
     depths, known = [], []
     for pose, slope in zip(POSES, (0.0, 6.0, -6.0, 4.0), strict=True):
         ramp = (1.3, float(np.tan(np.radians(slope)))) if slope else None
@@ -163,7 +163,7 @@ def test_twin_with_any_settings(config: FloorConfig) -> None:
 
 
 @pytest.mark.parametrize("unit", [0.0001, 0.01, 0.1])
-def test_twin_in_any_depth_unit(unit: float) -> None:
+def test_floors_equal_the_reference_in_any_depth_unit(unit: float) -> None:
     pose = POSES[1]
     shown = cast(pose, BOXES, ramp=(1.3, 0.1)), cast_step(pose, 0.25, 1.8)
     grid = positions(np.stack([measured(z) for z in shown]), CAMERA)
@@ -183,7 +183,7 @@ def test_cells_at_the_edge_of_the_tolerance_do_not_move_the_plane() -> None:
         assert found[:3].tolist() == [0, 0, 50]
 
 
-def test_twin_on_ramps_seen_from_straight_above() -> None:
+def test_floors_equal_the_reference_on_ramps_seen_from_straight_above() -> None:
     """The camera is pitched by at least 80 degrees, planes of ramps by up to 97, 90 among them."""
     depths, known = [], []
     for pitch, turn, start in ((80.0, 7.0, 0.15), (80.0, 9.0, 0.25), (82.0, 8.0, 0.15)):
@@ -218,7 +218,7 @@ def test_tolerance_is_not_smaller_for_a_plane_above_the_camera(low: float) -> No
 @pytest.mark.parametrize(
     ("batch", "rows", "columns"), [(1, 1, 1), (1, 7, 5), (3, 61, 83), (2, 160, 213), (5, 24, 31)]
 )
-def test_twin_on_random_cells(batch: int, rows: int, columns: int) -> None:
+def test_floors_equal_the_reference_on_random_cells(batch: int, rows: int, columns: int) -> None:
     one = flat_plane(*(np.array([a]) for a in (0.5, 0.0, 0.02)))
     for part in (0.0, 0.05, 0.7, 1.0):
         grid = random_cells(rows, batch, rows, columns, part)
@@ -226,7 +226,7 @@ def test_twin_on_random_cells(batch: int, rows: int, columns: int) -> None:
             assert_same(grid, prior)
 
 
-def test_twin_on_fewer_cells_than_in_the_grid() -> None:
+def test_floors_equal_the_reference_on_fewer_cells_than_in_the_grid() -> None:
     config = replace(CONFIG, max_cells=300)
     plane = flat_plane(*(np.array([a]) for a in (0.5, 0.0, 0.02)))
     for prior in priors(plane):
@@ -234,7 +234,7 @@ def test_twin_on_fewer_cells_than_in_the_grid() -> None:
 
 
 @pytest.mark.parametrize("roll_deg", [-180.0, -177.0, 90.0, 178.0])
-def test_twin_at_any_roll(roll_deg: float) -> None:
+def test_floors_equal_the_reference_at_any_roll(roll_deg: float) -> None:
     """The camera may have any roll, for instance hang upside down."""
     plane = flat_plane(*(np.array([a]) for a in (0.5, 0.2, np.radians(roll_deg))))
     for grid in (random_cells(5, 1, 40, 50), [-a for a in random_cells(6, 1, 40, 50)]):
@@ -255,7 +255,7 @@ def test_twin_at_any_roll(roll_deg: float) -> None:
         ("drops", 1.0),
     ],
 )
-def test_twin_on_simulated_frames(family: str, depth_error: float) -> None:
+def test_floors_equal_the_reference_on_simulated_frames(family: str, depth_error: float) -> None:
     frames = list(sample_frames(family, 300, 1, depth_error=depth_error))
     calibration = calibration_of(frames[0].config)
     depth = np.stack([f.depth for f in frames if f.depth is not None])
@@ -281,7 +281,9 @@ def test_a_steep_plane_through_a_hedge_is_not_the_floor() -> None:
     [one for one in RECORDINGS if one.place.endswith(".mcap") and one.learnt],
     ids=lambda one: one.name,
 )
-def test_twin_on_recorded_frames(recording: Recording, shared_data: Path) -> None:
+def test_floors_equal_the_reference_on_recorded_frames(
+    recording: Recording, shared_data: Path
+) -> None:
     with open_log(str(shared_data / recording.place)) as log:
         batch = next(iter(log.batches(4)))
     frames, unit = batch.frames, batch.frames.calibration.depth_unit

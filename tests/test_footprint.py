@@ -164,7 +164,7 @@ def hostile_features(seed: int, batch: int, n: int) -> tuple[Features, Labels]:
     [outline(), FootprintConfig(), outline(trim=8192), outline(2, 0.1), outline(0, 1.0, 1.0)],
 )
 @pytest.mark.parametrize(("batch", "n"), [(3, 300), (1, 8192)])
-def test_twin(device, batch, n, settings):
+def test_footprints_equal_the_reference_with_any_settings(device, batch, n, settings):
     plane = level(batch, 0.5, 0.3, -0.2)
     plane.pitch[-1], plane.valid[0] = -0.1, False
     config = replace(CONFIG, footprint=settings)
@@ -176,7 +176,7 @@ def test_twin(device, batch, n, settings):
 
 
 @pytest.mark.twin
-def test_twin_without_obstacles(device):
+def test_footprints_equal_the_reference_without_obstacles(device):
     features, labels = hostile_features(0, 3, 300)
     none = Labels(np.full_like(labels.labels, -1), np.zeros(3, np.int32))
     given_ = features, none, level(3), 0.001, CONFIG

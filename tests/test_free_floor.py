@@ -1,4 +1,4 @@
-"""free_floor: visible extent of the floor, and what ends it."""
+"""free_floor: visible extent of the floor, and the reason of its end."""
 
 import numpy as np
 import pytest
@@ -144,7 +144,7 @@ def test_a_wall_below_a_step_may_reach_the_height_of_the_floor() -> None:
 
 
 def test_a_narrow_drop_is_a_reflection() -> None:
-    """More than half of a column and its neighbours must drop."""
+    """A drop of at most half of a column and its neighbours is not reported: the end is unknown."""
     plain = column(*floor(500, 900, 1300, 1700, 2100, 2500), None)
     _, end = found(*[plain] * NEIGHBOURS, *[STEP_DOWN] * NEIGHBOURS, *[plain] * NEIGHBOURS)
     assert FreeEnd.DROP not in end

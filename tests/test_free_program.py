@@ -1,4 +1,4 @@
-"""The kernel of the free floor equals the reference in every column."""
+"""free_floor: the results of the kernel equal the reference in every column."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -53,7 +53,11 @@ def on_rays(batch: Batch, frame: np.ndarray) -> Batch:
 def assert_twins(
     batch: Batch, config: Config = SURFACES, pixel_share: float = 0.95, placed: bool = False
 ) -> set[int]:
-    """Assert that kernel and reference are equal, for any roll; return the kinds of end."""
+    """Assert that the results of the kernel equal the reference, at any roll.
+
+    Returns:
+        Reasons for which the free floor of a column ends, as :class:`FreeEnd`.
+    """
     pixels, ends = pixels_of(batch, pixel_share), set[int]()
     cells = cell_tables(batch.calibration, config.surface)
     shared = surface_tables(batch.calibration, config) | free_tables(batch.calibration, config)
@@ -74,14 +78,18 @@ def assert_twins(
 
 @pytest.mark.parametrize("reach", [40, 3000, 300000])
 @pytest.mark.parametrize("shape", [(1, 1, 1), (1, 40, 1), (3, 31, 45), (2, 7, 19), (5, 64, 22)])
-def test_twin_on_random_frames(shape: tuple[int, int, int], reach: int) -> None:
+def test_free_floor_equals_the_reference_on_random_frames(
+    shape: tuple[int, int, int], reach: int
+) -> None:
     ends = assert_twins(drawn(shape, 9, seed=sum(shape), reach=reach), placed=True)
     assert FreeEnd.OBSTACLE in ends or shape == (1, 1, 1)  # its cell is out of range
 
 
 @pytest.mark.parametrize("step", [0, 60, 300])
 @pytest.mark.parametrize("shape", [(3, 40, 61), (1, 160, 213), (2, 57, 512)])
-def test_twin_on_floors_with_drops(shape: tuple[int, int, int], step: int) -> None:
+def test_free_floor_equals_the_reference_on_floors_with_drops(
+    shape: tuple[int, int, int], step: int
+) -> None:
     batch = drawn(shape, 2, seed=5, block=3)
     batch = batch._replace(found=[one._replace(label=one.label * 0 - 1) for one in batch.found])
     for far in (1500, 5000):
@@ -91,7 +99,7 @@ def test_twin_on_floors_with_drops(shape: tuple[int, int, int], step: int) -> No
 
 
 @pytest.mark.parametrize("times", [1.1, 4.0])
-def test_twin_on_reflections(times: float) -> None:
+def test_free_floor_equals_the_reference_on_reflections(times: float) -> None:
     """Some cells are deep below the floor and farther away; the floor continues beyond them."""
     batch = drawn((3, 60, 90), 2, seed=7, block=3)
     batch = batch._replace(found=[one._replace(label=one.label * 0 - 1) for one in batch.found])
@@ -114,12 +122,12 @@ def test_twin_on_reflections(times: float) -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_twin_on_floors_with_obstacles(seed: int) -> None:
+def test_free_floor_equals_the_reference_on_floors_with_obstacles(seed: int) -> None:
     batch = with_floor(drawn((2, 50, 60), 4, seed, block=12), seed, far=4500, step=80)
     assert FreeEnd.OBSTACLE in assert_twins(batch, pixel_share=0.0)
 
 
-def test_twin_with_any_settings() -> None:
+def test_free_floor_equals_the_reference_with_any_settings() -> None:
     batch = with_floor(drawn((2, 50, 60), 3, 9, block=12), 9, far=4500, step=60)
     floors = ({"gap_m": 0.0}, {"gap_m": 10.0}, {"drop_m": 0.0}, {"drop_m": 5.0},
               {"noise_per_m": 1.0, "bow_per_m": 1.0}, {"bow_per_m": 0.0})  # fmt: skip
@@ -131,20 +139,22 @@ def test_twin_with_any_settings() -> None:
     assert_twins(simulated("room"), near, placed=True)
 
 
-def test_twin_without_depth() -> None:
+def test_free_floor_equals_the_reference_without_depth() -> None:
     depth = np.zeros((2, 60, 80), np.uint16)
     ends = assert_twins(batch_of(depth, small(), unknown_plane(2), SURFACES))
     assert ends == {FreeEnd.UNKNOWN}
 
 
 @pytest.mark.parametrize("family", ["mixed", "drops", "ramps", "corridor", "room", "tables"])
-def test_twin_on_simulated_frames(family: str) -> None:
+def test_free_floor_equals_the_reference_on_simulated_frames(family: str) -> None:
     ends = assert_twins(simulated(family), placed=True)
     assert FreeEnd.OBSTACLE in ends or family in ("drops", "ramps")
 
 
 @pytest.mark.parametrize(("name", "frames"), [("mosd", 4), ("wheelchair", 2), ("aims_slam", 2)])
-def test_twin_on_recorded_frames(shared_data: Path, name: str, frames: int) -> None:
+def test_free_floor_equals_the_reference_on_recorded_frames(
+    shared_data: Path, name: str, frames: int
+) -> None:
     batches = recorded(shared_data, name, frames)
     if not batches:
         pytest.skip(f"no {name}")

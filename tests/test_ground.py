@@ -201,7 +201,7 @@ def test_values_out_of_range_are_errors_that_name_the_flag():
 
 @pytest.mark.twin
 @pytest.mark.parametrize("batch", [1, 4])
-def test_twin(device, batch):
+def test_ground_points_equal_the_reference(device, batch):
     camera = resized(small().color, 97, 61)
     z = noise_depth(batch, camera)
     plane = level(batch, 0.5, 0.2, -0.1)

@@ -57,7 +57,7 @@ OTHERS += ("--launch-file", "--ros-args")
 
 @pytest.mark.parametrize("columns", [40, 80, 100])
 def test_tables_are_not_cut_at_the_width_of_the_terminal(columns):
-    """Long flags in tables continue in the next line."""
+    """Long flags in tables continue on the next line."""
     for name, text in pages().items():
         shown = io.StringIO()
         Console(file=shown, width=columns).print(formatted(text))
@@ -65,7 +65,7 @@ def test_tables_are_not_cut_at_the_width_of_the_terminal(columns):
 
 
 UNLESS_THERE = "test -e drive.mcap || "
-"""Prefix of commands that make the log unless an earlier page made it."""
+"""Prefix of a command that makes the log; a shell skips the command if the log exists."""
 SIM = "sim drive.mcap --frames 8 --width 320"
 """Command that makes the log which the other pages use."""
 

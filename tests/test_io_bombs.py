@@ -15,7 +15,7 @@ MOST_S, MOST_MIB = 10, 1024
 """Limits of a process: CPU time [s] and memory [MiB]."""
 SAID = {
     "schema_memory": "",
-    "schema_text": "its schema has 14155787 bytes",
+    "schema_text": "schema .* has 14155787 bytes",
     "schema_comment": "messages can't be decoded",
     "schema_fields": "more than the maximum of 10000",
     "many_topics": "InputError.*at least 60005 topics",

@@ -29,7 +29,7 @@ class Layout(NamedTuple):
     """Topics, frames and encodings that a driver publishes."""
 
     form: str
-    """Depth of the simulated log: ``raw`` (of another camera), ``aligned`` or ``both``."""
+    """Depth in the simulated log: ``raw`` (not aligned to colour), ``aligned`` or ``both``."""
     color: str
     depth: str
     """Topics of images; if ``form`` is ``both``, ``depth`` is aligned depth."""
@@ -52,7 +52,7 @@ class Layout(NamedTuple):
     """Topics and encodings of images that are neither colour nor depth."""
     rate_hz: float = 30.0
     colors: int = 1
-    """Recorded colour images: every ``colors``-th."""
+    """Every ``colors``-th colour image is recorded."""
     odom: str = "/odom"
     poses: str = "TF"
     """Source of poses: TF or a topic of odometry; empty if there are none."""

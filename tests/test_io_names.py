@@ -243,9 +243,9 @@ def test_opening_one_of_many_numbered_recordings_reads_few_files(tmp_path, monke
     ],
 )
 def test_a_split_that_exists_in_another_format_is_left_out(tmp_path, monkeypatch, names, taken):
-    """The split is kept if the files in the other format are of other times.
+    """A split is kept if the files in the other format cover other times.
 
-    Split ``n`` covers second ``n``, the MCAP file ``y_0`` the first three seconds.
+    Split ``n`` covers second ``n``; only the MCAP file ``y_0`` covers the first three seconds.
     """
 
     def fake_signature(path: Path) -> Signature:
@@ -260,7 +260,7 @@ def test_a_split_that_exists_in_another_format_is_left_out(tmp_path, monkeypatch
 
 
 def test_times_and_dates_in_names_are_not_numbers_of_splits(tmp_path):
-    """The files are 300 s apart both by their images and by their names."""
+    """The images of the two files are 300 s apart, and so are the times in their names."""
     for name, later_s in (("100000", 0), ("100500", 300)):
         scene = moved(make_scene(2), later_s * 10**9)
         write_log(tmp_path / f"drive_2024-05-01_{name}.mcap", scene)

@@ -1,4 +1,4 @@
-"""The kernel of obstacles under jit equals the reference."""
+"""obstacles: the results of the kernel under jit equal the reference."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -47,7 +47,11 @@ def assert_twin(
     farthest: int = 6000,
     unit: float = UNIT,
 ) -> list[int]:
-    """Assert that kernel and reference are equal; return the numbers of obstacles."""
+    """Assert that the results of the kernel equal the reference.
+
+    Returns:
+        Number of obstacles of each frame.
+    """
     table = affinity(config.affinity, unit)
     shared = obstacle_tables(farthest, unit, config, table)
     parts = zip(*(one.view for one in given), strict=True)
@@ -104,26 +108,26 @@ def scattered(seed: int, rows: int, columns: int, surfaces: int) -> FrameSurface
 
 
 @pytest.mark.parametrize("columns", [1, 40])
-def test_twin_without_depth(columns: int) -> None:
+def test_obstacles_equal_the_reference_without_depth(columns: int) -> None:
     none = np.zeros((30, columns), np.int64)
     given = FrameSurfaces(none - 1, none > 0, View(*(6 * [none])))
     assert assert_twin([given, given]) == [0, 0]
 
 
-def test_twin_on_one_surface() -> None:
+def test_obstacles_equal_the_reference_on_one_surface() -> None:
     given = painted(0, 24, 40, 1)
     whole = given._replace(label=np.zeros_like(given.label))
     assert assert_twin([whole], replace(CONFIG, bend_m=0.0)) == [1]
 
 
-def test_twin_on_one_cell() -> None:
+def test_obstacles_equal_the_reference_on_one_cell() -> None:
     one = np.full((1, 1), 700)
     given = FrameSurfaces(one * 0, one < 0, View(one, one, one, one, one, one))
     assert assert_twin([given], replace(CONFIG, min_size_m=0.0, min_cells=1)) == [1]
     assert assert_twin([given]) == [0]
 
 
-def test_twin_on_a_room_split_at_its_corners() -> None:
+def test_obstacles_equal_the_reference_on_a_room_split_at_its_corners() -> None:
     """Two side walls are connected by one across."""
     room = painted(0, 20, 120, 1)
     depth = np.tile(
@@ -176,7 +180,9 @@ def test_a_grid_that_is_too_large_is_an_error() -> None:
 @pytest.mark.parametrize(
     ("rows", "columns", "things"), [(37, 61, 25), (60, 83, 60), (7, 9, 6), (64, 96, 30)]
 )
-def test_twin_on_overlapping_objects(rows: int, columns: int, things: int) -> None:
+def test_obstacles_equal_the_reference_on_overlapping_objects(
+    rows: int, columns: int, things: int
+) -> None:
     several = [painted(seed, rows, columns, things) for seed in range(10)]
     assert len(set(assert_twin(several))) > 1
     assert_twin(several[:1])
@@ -186,7 +192,7 @@ def test_twin_on_overlapping_objects(rows: int, columns: int, things: int) -> No
 
 
 @pytest.mark.parametrize("surfaces", [2, 30, 512])
-def test_twin_on_random_labels_and_positions(surfaces: int) -> None:
+def test_obstacles_equal_the_reference_on_random_labels_and_positions(surfaces: int) -> None:
     given = [scattered(seed, 41, 67, surfaces) for seed in range(1 if surfaces > 100 else 3)]
     assert {one.label.max() + 1 for one in given} == {surfaces}
     if surfaces < 100:
@@ -196,7 +202,7 @@ def test_twin_on_random_labels_and_positions(surfaces: int) -> None:
 
 
 @pytest.mark.parametrize("unit", [0.0001, 0.004])
-def test_twin_in_other_depth_units(unit: float) -> None:
+def test_obstacles_equal_the_reference_in_other_depth_units(unit: float) -> None:
     """Depth units are 0.1 mm and 4 mm."""
     given = [painted(seed, 37, 61, 20) for seed in range(6)]
     if unit < UNIT:
@@ -220,7 +226,7 @@ def surfaces_of(
     return [FrameSurfaces(one.label, one.free, one.view) for one in found], farthest
 
 
-def test_twin_on_simulated_frames() -> None:
+def test_obstacles_equal_the_reference_on_simulated_frames() -> None:
     given, farthest, config = [], 0, Config()
     for family in ("corridor", "room", "tables", "low_clutter", "mixed"):
         for frame in sample_frames(family, 300, 1, width=424, height=240, depth_error=1.0):
@@ -239,7 +245,9 @@ def test_twin_on_simulated_frames() -> None:
         ("aims_slam/aims_slam_18frames.mcap", "wheeled"),
     ],
 )
-def test_twin_on_recorded_frames(shared_data: Path, place: str, name: str) -> None:
+def test_obstacles_equal_the_reference_on_recorded_frames(
+    shared_data: Path, place: str, name: str
+) -> None:
     if not (shared_data / place).is_file():
         pytest.skip(f"no {place}")
     config = preset(name)

@@ -1,4 +1,4 @@
-"""The kernel of outlines equals the reference, field by field."""
+"""outlines: the results of the kernel equal the reference, field by field."""
 
 from pathlib import Path
 
@@ -29,7 +29,7 @@ pytestmark = pytest.mark.twin
 
 
 def assert_twins(batch: Batch, config: Config = SURFACES) -> int:
-    """Assert that kernel and reference are equal; return the number of obstacles."""
+    """Assert that the results of the kernel equal the reference; return the number of obstacles."""
     label = batch.label
     count = (label.max(axis=(1, 2)) + 1).astype(np.int32)
     kept = np.minimum(count, MAX_OBSTACLES)
@@ -57,7 +57,9 @@ def assert_twins(batch: Batch, config: Config = SURFACES) -> int:
     ],
 )
 @pytest.mark.parametrize("reach", [4, 3000, 300000])
-def test_twin_on_random_frames(shape: tuple[int, int, int], obstacles: int, reach: int) -> None:
+def test_outlines_equal_the_reference_on_random_frames(
+    shape: tuple[int, int, int], obstacles: int, reach: int
+) -> None:
     assert assert_twins(drawn(shape, obstacles, seed=sum(shape), reach=reach)) > 0
 
 
@@ -65,18 +67,18 @@ def test_twin_on_random_frames(shape: tuple[int, int, int], obstacles: int, reac
     {"trim": 0}, {"trim": 9, "long_m": 0.1}, {"trim": 8192, "side_band_per_m": 0.5},
     {"vertex_threshold_m": 0.5, "long_m": 0.0}, {"near_band_per_m2": 1.0, "long_m": 65.0},
 ])  # fmt: skip
-def test_twin_with_any_settings(footprint: dict[str, float]) -> None:
+def test_outlines_equal_the_reference_with_any_settings(footprint: dict[str, float]) -> None:
     batch = drawn((2, 30, 50), 6, seed=2, reach=2500, block=7)
     assert assert_twins(batch, changed(**footprint)) == 12
 
 
-def test_twin_with_more_obstacles_than_slots() -> None:
+def test_outlines_equal_the_reference_with_more_obstacles_than_slots() -> None:
     batch = drawn((2, 80, 90), 200, seed=4, block=4)
     assert batch.label.max() > 150
     assert assert_twins(batch) == 2 * MAX_OBSTACLES
 
 
-def test_twin_on_a_batch_with_and_without_obstacles() -> None:
+def test_outlines_equal_the_reference_on_a_batch_with_and_without_obstacles() -> None:
     some, none = drawn((1, 20, 30), 5, seed=1), drawn((1, 20, 30), 5, seed=2)
     empty = none.found[0]._replace(label=np.full((20, 30), -1))
     grid = type(some.grid)(
@@ -85,7 +87,7 @@ def test_twin_on_a_batch_with_and_without_obstacles() -> None:
     assert 0 < assert_twins(Batch(grid, [empty, some.found[0]], some.calibration)) <= 5
 
 
-def test_twin_on_an_obstacle_in_the_margins() -> None:
+def test_outlines_equal_the_reference_on_an_obstacle_in_the_margins() -> None:
     """The obstacle has cells in the outer eighths, and in each step more of them in between."""
     batch = drawn((1, 12, 40), 1, seed=3, reach=3000)
     column = np.arange(40)
@@ -97,7 +99,7 @@ def test_twin_on_an_obstacle_in_the_margins() -> None:
             assert assert_twins(batch._replace(found=found), changed(long_m=long_m)) == 1
 
 
-def test_twin_with_sums_beyond_32_bits() -> None:
+def test_outlines_equal_the_reference_with_sums_beyond_32_bits() -> None:
     """A wall at 6 m fills the image, in units of 0.1 mm."""
     batch = drawn((1, 200, 220), 1, seed=6, reach=60000)
     one, z = batch.found[0], np.full((1, 200, 220), 60000, np.int32)
@@ -113,21 +115,23 @@ def test_twin_with_sums_beyond_32_bits() -> None:
 
 
 @pytest.mark.parametrize("family", ["mixed", "queue", "corridor", "room", "tables"])
-def test_twin_on_simulated_frames(family: str) -> None:
+def test_outlines_equal_the_reference_on_simulated_frames(family: str) -> None:
     assert assert_twins(simulated(family)) > 0
 
 
-def test_twin_on_a_large_frame() -> None:
+def test_outlines_equal_the_reference_on_a_large_frame() -> None:
     assert assert_twins(simulated("room", 640)) > 0
 
 
-def test_twin_without_depth() -> None:
+def test_outlines_equal_the_reference_without_depth() -> None:
     depth = np.zeros((2, 60, 80), np.uint16)
     assert assert_twins(batch_of(depth, small(), unknown_plane(2), SURFACES)) == 0
 
 
 @pytest.mark.parametrize(("name", "frames"), [("mosd", 4), ("wheelchair", 2), ("aims_slam", 2)])
-def test_twin_on_recorded_frames(shared_data: Path, name: str, frames: int) -> None:
+def test_outlines_equal_the_reference_on_recorded_frames(
+    shared_data: Path, name: str, frames: int
+) -> None:
     batches = recorded(shared_data, name, frames)
     if not batches:
         pytest.skip(f"no {name}")

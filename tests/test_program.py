@@ -45,7 +45,7 @@ def aligned_frames(batch: int, width: int, height: int, lens: str = "pinhole") -
     ("size", "name"),
     [*product([(96, 61), (33, 20), (9, 8)], ["default", "near"]), ((33, 20), "paper")],
 )
-def test_twin_with_aligned_depth(device, size, lens, name):
+def test_detections_equal_the_reference_with_aligned_depth(device, size, lens, name):
     given_ = aligned_frames(3, *size, lens), CONFIGS[name]
     want = detect(*given_, backend="reference")
     assert not want.has_depth[0]
@@ -55,7 +55,7 @@ def test_twin_with_aligned_depth(device, size, lens, name):
 
 @given(st.sampled_from([1, 15, 40]), st.sampled_from([1, 16, 33]), st.integers(0, 65535))
 @settings(max_examples=30)
-def test_twin_with_one_pixel_of_depth(width, height, units):
+def test_detections_equal_the_reference_with_one_pixel_of_depth(width, height, units):
     """The depth image has the minimum size, smaller than the tiles of the alignment."""
     calibration = small(48, 36)
     middle = {"cx": (width - 1) / 2, "cy": (height - 1) / 2}
@@ -78,7 +78,9 @@ def test_twin_with_one_pixel_of_depth(width, height, units):
         ("wheeled", "pinhole", (4096, 3072), (639, 481), 100),
     ],
 )
-def test_twin_with_large_images_and_lenses(device, name, lens, depth_size, color_size, corners):
+def test_detections_equal_the_reference_with_large_images_and_lenses(
+    device, name, lens, depth_size, color_size, corners
+):
     """Images are up to 2^20 pixels and more, as large as cameras have, some with odd sides."""
     calibration = small()._replace(
         color=with_lens(small(*color_size).image, lens), depth=small(*depth_size).depth

@@ -47,7 +47,10 @@ def frame_rows(start: int, stop: int) -> dict:
 
 
 def lists(numbers: np.ndarray, dtype: type) -> Lists:
-    """Return lists of ``n`` times ``n`` for each number, null for every third one."""
+    """Return one list per number ``n``: it has ``n`` elements equal to ``n``.
+
+    The list is null if ``n`` is divisible by 3.
+    """
     null = numbers % 3 == 0
     length = np.where(null, 0, numbers)
     return Lists.of_lengths(np.repeat(numbers, length).astype(dtype), length, null)

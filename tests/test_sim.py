@@ -40,7 +40,7 @@ def points_of(depth, camera):
     return rays_of(camera, np.eye(4)) * depth[..., None]
 
 
-def test_face_of_a_box_has_its_position():
+def test_the_face_of_a_box_has_its_exact_depth_and_pixels():
     config = SimConfig(scene="single_box", camera_pitch_rad=0, camera_roll_rad=0, sensor=EXACT)
     config = replace(config, depth_form="aligned", frames=1)
     frame = next(simulate(config))

@@ -1,4 +1,4 @@
-"""The kernel of surfaces equals the reference."""
+"""surfaces: the results of the kernel equal the reference."""
 
 from dataclasses import replace
 
@@ -42,7 +42,7 @@ def assert_twin(
     config: Config = SURFACES,
     unit: float = UNIT,
 ) -> Surfaces:
-    """Assert that all results of the kernel equal the reference; return them."""
+    """Assert that the results of the kernel equal the reference; return them."""
     floors, step = floor_frames(plane, unit), step_height(camera(unit), config)
     got = surfaces(x, y, z, floors, tables(camera(unit), config))
     grid = Cells(x, y, z)
@@ -108,7 +108,7 @@ SHAPES = [
 
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("noise", [0, 15])
-def test_twin_on_slanted_objects(shape, noise):
+def test_surfaces_equal_the_reference_on_slanted_objects(shape, noise):
     rng = np.random.default_rng(noise)
     assert_twin(*sideways(slanted(rng, shape, noise)), planes(rng, shape[0]))
 
@@ -127,13 +127,13 @@ def test_twin_on_slanted_objects(shape, noise):
     ],
     ids=["tabletop", "wide", "sharp", "endless", "none", "large", "low", "high"],
 )
-def test_twin_with_any_settings(config):
+def test_surfaces_equal_the_reference_with_any_settings(config):
     rng = np.random.default_rng(1)
     assert_twin(*sideways(slanted(rng, (4, 41, 67), 3)), planes(rng, 4), config)
 
 
 @pytest.mark.parametrize("unit", [0.001, 0.0001])
-def test_twin_on_random_depths_and_positions(unit):
+def test_surfaces_equal_the_reference_on_random_depths_and_positions(unit):
     """Depths are arbitrary, and positions are up to 2^18 - 1 units sideways."""
     rng = np.random.default_rng(2)
     z = rng.integers(0, 65536, (4, 37, 59)).astype(np.int32)
@@ -143,14 +143,14 @@ def test_twin_on_random_depths_and_positions(unit):
 
 
 @pytest.mark.parametrize("depth", [0, 1500])
-def test_twin_on_constant_depth(depth):
+def test_surfaces_equal_the_reference_on_constant_depth(depth):
     """Nothing is measured, or a wall fills the image."""
     got = assert_twin(*sideways(np.full((2, 31, 45), depth)), unknown_plane(2))
     assert got.num_surfaces.tolist() == [depth > 0] * 2
     assert (got.label == (0 if depth else -1)).all() and (got.keep == (depth > 0)).all()
 
 
-def test_twin_with_more_surfaces_than_max_surfaces():
+def test_surfaces_equal_the_reference_with_more_surfaces_than_max_surfaces():
     """Every cell is a surface; from the 513th on they have no label but are kept."""
     v, u = np.mgrid[:40, :50]
     z = 1000 + 200 * ((u + 2 * v) % 5)
@@ -163,7 +163,7 @@ def test_twin_with_more_surfaces_than_max_surfaces():
     assert got.keep.all()
 
 
-def test_twin_on_bent_floor():
+def test_surfaces_equal_the_reference_on_bent_floor():
     """A strip at a margin rises gently from the floor; another strip is measured too near."""
     height, z = np.zeros((20, 80), int), np.tile(2000 - 40 * np.arange(20)[:, None], (1, 80))
     height[:15, :9] = 60 + 5 * np.arange(15, 0, -1)[:, None]
@@ -184,7 +184,7 @@ def test_twin_on_bent_floor():
     "family",
     ["corridor", "room", "tables", "ramps", "drops", "low_clutter", "mixed", "people_and_vehicle"],
 )
-def test_twin_on_simulated_frames(family):
+def test_surfaces_equal_the_reference_on_simulated_frames(family):
     rng = np.random.default_rng(4)
     shots = list(sample_frames(family, 300, 2, width=424, height=240, depth_error=1.0))
     depth = np.stack([shot.depth for shot in shots])
@@ -204,7 +204,7 @@ def test_twin_on_simulated_frames(family):
         ("aims_slam/aims_slam_18frames.mcap", SURFACES),
     ],
 )
-def test_twin_on_recorded_frames(shared_data, name, config):
+def test_surfaces_equal_the_reference_on_recorded_frames(shared_data, name, config):
     with open_log(str(shared_data / name)) as log:
         frames = next(iter(log.batches(4))).frames
     grid, unit = cells(frames.depth, frames.calibration, config.surface), UNIT

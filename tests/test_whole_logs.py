@@ -186,7 +186,7 @@ def test_a_gpu_keeps_the_images_of_cameras_apart(tmp_path, monkeypatch):
 
 
 def test_a_gpu_finds_that_a_camera_is_upside_down(tmp_path, shared, monkeypatch):
-    """Sampled images are rotated by quarter turns and so processed as those of other cameras."""
+    """Sampled images are rotated by quarter turns, and processed as images of other cameras."""
     (folder := tmp_path / "logs").mkdir()
     for seed in range(3):
         config = SimConfig(frames=FRAMES, width=96, height=72, seed=seed, camera_roll_rad=math.pi)
@@ -204,7 +204,7 @@ def test_a_gpu_finds_that_a_camera_is_upside_down(tmp_path, shared, monkeypatch)
 
 
 @pytest.mark.usefixtures("complete")
-def test_a_gpu_computes_after_a_log_that_fewer_workers_share(
+def test_a_gpu_is_used_for_the_logs_after_one_that_was_split_among_fewer_workers(
     folder, alone, shared, tmp_path, monkeypatch
 ):
     def plan(settings: Any, log: Any, *given: Any) -> Any:

@@ -108,7 +108,7 @@ def _remarks(kind: str, each: Sequence[tuple["LogSummary", Sequence[str]]]) -> l
 
 
 def _named(labels: Sequence[str]) -> str:
-    """Join the first labels, with the number of the others."""
+    """Join the first ``MOST_NAMED`` labels with commas, and append how many are left out."""
     left = len(labels) - MOST_NAMED
     return ", ".join(labels[:MOST_NAMED]) + (f" and {left} more" if left > 0 else "")
 

@@ -32,7 +32,10 @@ BATCH_PIECES = 16
 def server_config(
     log: "Log", config: Config, batch_size: int | None, piece_frames: int, workers: int
 ) -> ServerConfig:
-    """Return slots and batches for a log; see :meth:`jaxdet.engine.pool.Pool.serve`."""
+    """Return the properties of a device server for a log, with the sizes of slots and batches.
+
+    The arguments are those of :meth:`jaxdet.engine.pool.Pool.serve`.
+    """
     depth, color = log.depth_shape, None
     if config.cluster.points:
         camera = log.calibration.image
@@ -55,10 +58,11 @@ _NOTHING = _Batch([], None)
 
 
 class DeviceServer:
-    """Computes images that workers decode, in a thread for each GPU, until :meth:`close`.
+    """Server that computes the images that workers decode, with a thread per GPU.
 
-    It has page-locked memory for each worker: ``SLOTS`` times ``PIECE_BYTES`` of images, or
-    ``SLOTS`` frames if that is more, and their results (0.25 MB per frame of 640x480).
+    It runs until :meth:`close`. It has page-locked memory for each worker: ``SLOTS`` times
+    ``PIECE_BYTES`` of images, or ``SLOTS`` frames if that is more, and their results (0.25 MB per
+    frame of 640x480).
 
     Args:
         served: Properties that all logs share.

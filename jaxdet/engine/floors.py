@@ -353,7 +353,7 @@ def _turned_prior(
 
 
 def _record(source: str, plane: GroundPlane, message: str = "") -> GroundRecord:
-    """Return the record of a plane, ``B = 1``."""
+    """Return a prior ``plane`` (``B = 1``) as it is recorded in the results."""
     height, pitch, roll = (float(part[0]) for part in (plane.height, plane.pitch, plane.roll))
     return GroundRecord(source, None, height, pitch, roll, message=message)
 

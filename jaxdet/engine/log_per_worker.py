@@ -28,10 +28,10 @@ if TYPE_CHECKING:
     from jaxdet.io import Log, LogFiles
 
 OPENING_BYTES = 128 << 20
-"""Fixed cost of a log, in bytes that a worker processes in the same time."""
+"""Fixed time per log, expressed as the number of bytes that a worker processes in that time."""
 FEW_BYTES = 256 << 20
-"""Minimum size of all logs for which starting workers is worthwhile [bytes]; one process finishes
-smaller logs before workers have started."""
+"""Minimum total size of logs at which workers are started [bytes]; one process finishes smaller
+logs before workers have started."""
 
 
 class LogTask(NamedTuple):

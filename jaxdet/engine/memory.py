@@ -1,9 +1,9 @@
 """Division of the memory of a run among its processes.
 
 Each process needs memory for libraries and programs, measured with frames of 640x480. The processes
-share the rest: a part is for chunks of the log, which limits the chunks that a file may have, and
-the other part for images. The memory thus decides the number of processes, how many frames they
-compute together; neither changes a byte of the two tables.
+share the rest. One part of it is for chunks of the log, which limits the size of chunks that a file
+may have; the other part is for images. So the memory determines the number of processes, and how
+many frames they compute together. Neither changes a byte of the two tables.
 
 All figures are resident memory; pages that processes share count once.
 """
@@ -17,7 +17,7 @@ from jaxdet.memory import machine_memory, parse_size, size_text
 
 MIB = 1 << 20
 SHARE = 0.75
-"""Share of the machine's memory that a run takes by default."""
+"""Fraction of the machine's memory that a run uses by default."""
 ALONE = 608 * MIB
 """Memory of a process that does everything: JAX, Warp, their programs and temporaries. Measured:
 520 MiB, of which 280 MiB are pages of libraries, and 70 MiB more while kernels are compiled."""
@@ -56,7 +56,7 @@ class Needs(NamedTuple):
 
 
 class MemoryPlan(NamedTuple):
-    """Numbers of processes and frames for a log, so that the memory is enough."""
+    """Numbers of processes and frames for a log that fit into the memory."""
 
     workers: int
     """Number of processes that share the frames of the log."""

@@ -207,7 +207,7 @@ class OutputFolder:
         return None if update and any(one.lost or one.error for one in about) else about
 
     def _check_own(self, folder: Path) -> None:
-        """Check that a folder that is replaced holds nothing but results."""
+        """Check that a folder that will be replaced contains only results."""
         try:
             files = read_manifest(folder)["files"]
         except InputError:

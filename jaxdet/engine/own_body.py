@@ -25,13 +25,13 @@ _MAX_BYTES = 128 << 20
 NEAR_M, ABOVE_M = 1.0, 0.04
 """Maximum depth of the body, and its minimum height above the floor [m]."""
 _SHARE = 0.9
-"""Minimum share of the sampled frames in which a pixel of the body has the same depth."""
+"""Minimum fraction of the sampled frames in which a pixel of the body has the same depth."""
 _BAND_M, _BAND = 0.012, 0.04
-"""Tolerance for equal depths, in metres and as a share of the depth; the larger one is used."""
+"""Tolerance for equal depths [m], and as a fraction of the depth; the larger one is used."""
 _MOVING = 0.25
-"""Minimum share of the other pixels above the floor that change while the camera moves."""
+"""Minimum fraction of the other pixels above the floor that change while the camera moves."""
 _SMALLEST, _MARGIN = 0.001, 0.008
-"""Minimum size of a part as a share of the pixels, and its margin as a share of the width."""
+"""Minimum fraction of the pixels in a part, and its margin as a fraction of the image width."""
 
 
 def find_own_body(log: "Log", config: Config) -> np.ndarray:
@@ -45,7 +45,7 @@ def find_own_body(log: "Log", config: Config) -> np.ndarray:
         config: Configuration with which the floor is found.
 
     Returns:
-        ``(H, W)`` bool; all False if no part of the robot was found.
+        Mask ``(H, W)`` bool; all False if no part of the robot was found.
 
     Raises:
         InputError: Too few frames can be read, the floor is unknown, or the camera does not move.
@@ -113,11 +113,11 @@ def _steady(depth: np.ndarray, unit: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the median depth of each pixel, 0 if it has none, and whether its depth is constant.
 
     Args:
-        depth: ``(n, H, W)`` uint16.
+        depth: Depth images ``(n, H, W)`` uint16 [depth units], 0 = no measurement.
         unit: Metres in a depth unit.
 
     Returns:
-        ``(H, W)`` float64 [depth units], and bool.
+        Median depths ``(H, W)`` float64 [depth units], and a mask ``(H, W)`` bool.
     """
     typical = np.zeros(depth.shape[1:])
     same = np.zeros(depth.shape[1:], bool)

@@ -32,7 +32,7 @@ class Observer(Protocol):
 
 
 class Unit(NamedTuple):
-    """Range of frames of a log; a process works on the range's frames that are in the plan."""
+    """Range of frames of a log; one process works on those of its frames that are in the plan."""
 
     number: int
     start: int

@@ -1,4 +1,4 @@
-"""Progress of a run: frames that are done, and their rate."""
+"""Progress of a run: number of frames that are done, and frames per second."""
 
 import time
 from collections.abc import Callable, Mapping

@@ -203,7 +203,7 @@ class WorkerProcess:
         self._shared: SharedDevice | None = None
 
     def report_progress(self) -> None:
-        """Tell the parent that the task makes progress; does nothing if called too often."""
+        """Report to the parent that the task makes progress, at most once per ``_ALIVE_S``."""
         now = time.monotonic()
         if now >= self._next_report:
             self._next_report = now + _ALIVE_S

@@ -14,7 +14,7 @@ from jaxdet.eval.tally import Case, Tally
 MIN_IOU = 0.5
 """Minimum IoU of the boxes of an object and its detection."""
 NEAR_M = 0.08
-"""Extent of the near surface of an object in depth [m]."""
+"""Maximum depth of an object's near surface behind its nearest points [m]."""
 
 
 class BoxLabels(NamedTuple):

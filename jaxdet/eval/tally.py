@@ -42,7 +42,7 @@ class Tally(NamedTuple):
     ignored: int = 0
     """Detections on walls or on obstacles that are not required."""
     on_floor: int = 0
-    """False positives with at least half of the votes for the floor or no object."""
+    """False positives on the floor: at least half of their votes are for the floor or no object."""
     on_wall: int = 0
     """Ignored detections on walls."""
     splits: int = 0

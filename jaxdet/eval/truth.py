@@ -34,10 +34,9 @@ class EvalConfig:
     """Increase of the tolerance in proportion to z squared [1/m], about four standard deviations of
     a D435."""
     merge_share: float = 0.2
-    """Minimum fraction of a detection's votes for an object to count it as part of the detection.
-    """
+    """Minimum fraction of a detection's votes that an object must have to be part of it."""
     match_share: float = 0.5
-    """Minimum fraction of a detection's votes for an obstacle to let both match."""
+    """Minimum fraction of a detection's votes that an obstacle must have to be matched to it."""
     step_height_m: float = 0.05
     """Minimum height of required obstacles, exclusive [m]: the height that the wheels can climb."""
     footprint: FootprintConfig = field(default_factory=FootprintConfig)

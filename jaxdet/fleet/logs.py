@@ -53,12 +53,15 @@ def list_logs(
 
 
 def size_of(log: Log) -> int:
-    """Return the bytes of a log."""
+    """Return the total size of the files of a log [bytes]."""
     return sum(int(file["size"]) for file in log["files"])
 
 
 def entries_of(log: Log) -> list[Entry]:
-    """Return the files of a log; engines that keep tables may have added empty fields."""
+    """Return the files of a log, without empty fields of their tags.
+
+    An engine that keeps the files of all logs in one table gives their tags the same fields.
+    """
     return [
         Entry(file["key"], int(file["size"]), {k: v for k, v in file["tag"].items() if v})
         for file in log["files"]

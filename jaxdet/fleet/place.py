@@ -29,7 +29,7 @@ CONNECTIONS = 16
 _PIECE_BYTES = 4 << 20
 """Minimum number of bytes of a response that are written to disk at a time."""
 _MULTIPART_BYTES = 1 << 30
-"""Larger files are uploaded in parts, which stay invisible until the last one is there [bytes]."""
+"""Size above which a file is uploaded in parts [bytes]; it becomes visible after the last part."""
 _URL = re.compile(r"(s3|gs|az):/+(.*)", re.DOTALL | re.IGNORECASE)
 _SECRET = re.compile(r"(?<=:/)(/*)(?:[^/\s@]*@|[^/\s]*:\S*@)|[?#][^\s\"')]*")
 """User parts of addresses, whose secrets may hold slashes, and queries."""

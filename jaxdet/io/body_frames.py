@@ -28,29 +28,32 @@ _NEAR_RAD = 0.26
 _LOOKS = 8
 """Number of frames in which a floor is searched."""
 _STEEP = 0.5
-"""Vertical component of the optical axis above which a mount is checked."""
+"""Minimum vertical component of the optical axis, up or down, at which a mount is checked."""
 _LEAST = 0.05
 """Minimum fraction of floor points."""
 _MUCH_MORE = 5
-"""Minimum ratio of floor points with and without the optical rotation."""
+"""Minimum ratio of the number of floor points with the optical rotation to that without."""
 _UNDER = 0.1
 """Maximum fraction of points below the floor: noise and reflections."""
 _FLOOR_M, _FLOOR_SHARE = 0.03, 0.02
-"""Tolerance of the height of floor points: a constant [m], and a part per metre of depth."""
+"""Tolerance of the height of floor points [m], and its increase per metre of depth."""
 _BELOW_M = 0.05
-"""Minimum distance of a floor of unknown height below the camera [m]."""
+"""Minimum distance from the camera down to the floor, if the floor's height is unknown [m]."""
 
 
 class Turned(NamedTuple):
-    """Transform between two cameras in optical axes."""
+    """Transform from the depth to the colour camera, both in optical axes."""
 
     T_color_depth: np.ndarray
+    """Transform ``(4, 4)`` float64 [m]."""
     depth_is_body: bool
+    """Whether the frame named by the depth images is a body frame."""
     color_is_body: bool
+    """Whether the frame named by the colour images is a body frame."""
 
 
 def in_optical_axes(T_color_depth: np.ndarray, depth_is_body: bool) -> Turned:
-    """Convert the transform from depth to colour camera to optical frames.
+    """Convert the transform from the depth to the colour camera to optical axes.
 
     Args:
         T_color_depth: Transform ``(4, 4)`` float64 between the frames named by the images.

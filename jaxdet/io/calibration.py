@@ -88,7 +88,7 @@ class _Sources(NamedTuple):
 
 
 class _Color(NamedTuple):
-    """Relation of the colour images to the depth images."""
+    """Calibration of the colour images, and their extrinsics relative to the depth images."""
 
     usable: bool
     camera: Found | None = None
@@ -257,7 +257,7 @@ def _without_images(
 def _aligned_color(
     sources: _Sources, source: CameraSource, camera: Intrinsics, topic: str
 ) -> _Color:
-    """Return the relation of colour to aligned depth, whose size may differ."""
+    """Return the calibration of colour images to which depth is aligned; their sizes may differ."""
     color, size = sources.color, (camera.width, camera.height)
     if color is None:
         return _Color(False)
@@ -284,7 +284,7 @@ def _other_color(
     depth: Intrinsics,
     is_body: bool,
 ) -> _Color:
-    """Return the relation of the images of a separate colour camera.
+    """Return the calibration and the extrinsics of a separate colour camera.
 
     Raises:
         CalibrationError: The calibration or extrinsics of the colour camera are missing, and

@@ -202,7 +202,10 @@ def _decode_masked(data: memoryview, place_text: str, row: np.ndarray) -> None:
 
 @lru_cache(maxsize=4)
 def _inverse_depths(a: float, b: float, unit_m: float) -> np.ndarray:
-    """Return the depth ``A / (q - B)`` of each ``q`` in depth units, computed in float32."""
+    """Return the depth of each 16-bit code ``q``, ``(65536,)`` uint16 [depth units].
+
+    It is ``A / (q - B)`` [m], computed in float32; 0 for code 0.
+    """
     codes, units = np.arange(1 << 16), np.empty((1, 1 << 16), np.uint16)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         metres = np.float32(a) / (codes.astype(np.float32) - np.float32(b))

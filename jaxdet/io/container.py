@@ -27,7 +27,7 @@ _PASSING = errno.EIO, errno.ETIMEDOUT
 _WAITS_S = 0.1, 0.5, 2.0
 """Pauses before a failed read is retried [s]."""
 _PATIENCE_S = 30.0
-"""Maximum total of the pauses per file [s], as a file may have many damaged parts."""
+"""Maximum total time of these pauses per file [s]; a damaged disk may fail in many parts of it."""
 
 
 class FileState(NamedTuple):

@@ -64,7 +64,7 @@ class MessageDecoder:
             raise ValueError(f"schema {channel.schema_name!r} is not used")
         if channel.schema_size > MAX_SCHEMA_BYTES:
             size = f"{channel.schema_size} bytes, more than the maximum of {MAX_SCHEMA_BYTES}"
-            raise ValueError(f"its schema has {size}")
+            raise ValueError(f"schema {channel.schema_name!r} has {size}")
         self.channel = channel = with_definition(channel)
         self.kind: Kind = kind
         self._name = plain_schema_name(channel.schema_name)

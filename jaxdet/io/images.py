@@ -91,9 +91,10 @@ def check_size(width: int, height: int, max_pixels: int) -> None:
         FrameError: The image has no pixels or too many.
     """
     if width <= 0 or height <= 0:
-        raise bad_frame(f"image of {width}x{height} pixels")
+        raise bad_frame(f"the image has {width}x{height} pixels, expected at least 1x1")
     if width * height > max_pixels:
-        raise bad_frame(f"image of {width}x{height} pixels is larger than --log.max-pixels")
+        size = f"{width}x{height} pixels, more than the maximum of {max_pixels}"
+        raise bad_frame(f"the image has {size} (--log.max-pixels)")
 
 
 def check_pixels(image: ImageMessage) -> None:

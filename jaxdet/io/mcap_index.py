@@ -199,9 +199,9 @@ class _Records(NamedTuple):
     messages: np.ndarray
     """Number of messages."""
     first: np.ndarray
-    """Smaller log time of the first and the last message [ns]."""
+    """Log time of the first or the last message, whichever is earlier [ns]."""
     last: np.ndarray
-    """Larger log time of the first and the last message [ns]."""
+    """Log time of the first or the last message, whichever is later [ns]."""
 
 
 def read_mcap_index(file: LogFile) -> FileIndex:

@@ -80,21 +80,22 @@ class Choice(NamedTuple):
 def choose_topics(contents: LogContents, options: LogOptions) -> dict[str, Choice | TopicError]:
     """Choose the depth and the colour topic of each camera; return them by camera name, in order.
 
-    There are several cameras if the names of depth topics differ (see :func:`camera_name`) and the
-    user selects no topic. Priorities: depth that is aligned to colour, according to its name; raw
-    before compressed images; separate images before RGBD messages.
+    The log has several cameras if the camera names of its depth topics differ (see
+    :func:`camera_name`) and the user sets no topic. Depth topics are preferred in this order: those
+    that are aligned to colour, according to their names; raw before compressed images; separate
+    images before RGBD messages.
 
-    If there is only one camera, its colour topic may have another name; the topic with the closest
-    namespace is used, or no topic if several are equally close. Without colour, the infrared image
-    of the depth camera is used.
+    If there is only one camera, its colour topic may have another camera name: the topic with the
+    closest namespace is used, or no topic if several are equally close. If there is no colour
+    topic, the infrared image of the depth camera is used.
 
     Returns:
-        At least one entry. If the log has several cameras and several depth topics of a camera
-        qualify, the entry of this camera is the error.
+        At least one entry. If the log has several cameras, and the depth topic of one of them is
+        ambiguous, its entry is the error.
 
     Raises:
-        TopicError: No topic can be depth, several topics of the only camera can, or a topic set in
-            the options is unusable.
+        TopicError: No topic can be depth; or the log has one camera, and its depth topic is
+            ambiguous; or a topic set in the options is unusable.
     """
     depths = _candidates(contents, options.depth, True)
     prefer_rect = any("depth_registered" in item.topic for item in depths)

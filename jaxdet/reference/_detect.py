@@ -179,7 +179,15 @@ def _view(grid: Cells, b: int, floor: np.ndarray) -> View:
 def _outlines(
     grid: Cells, found: list[Found], count: np.ndarray, calibration: Calibration, config: Config
 ) -> tuple[Obstacles, tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Measure and outline the obstacles from their cells; ``count`` has their number per frame."""
+    """Measure obstacles from their cells and compute their outlines.
+
+    Args:
+        grid: Cells of ``B`` frames.
+        found: Labelled cells of each frame.
+        count: Number of obstacles of each frame, ``(B,)``.
+        calibration: Calibration of the log.
+        config: Configuration of the method.
+    """
     batch, unit, settings = len(found), calibration.depth_unit, config.footprint
     flat = [axis.reshape(batch, -1) for axis in grid]
     every = np.ones(flat[0].shape, bool)

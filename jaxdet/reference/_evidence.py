@@ -19,7 +19,7 @@ PERCENT = 100
 
 
 class Facing(NamedTuple):
-    """Statistics of surfaces that face each other in lines (rows, columns), each ``(S, S)`` int64.
+    """Statistics of surfaces that face each other in rows or in columns, each ``(S, S)`` int64.
 
     Only the upper triangle is used. Two surfaces face each other where neither of them and at most
     ``MOST_BETWEEN`` runs of cells lie between; this may occur several times in a line.
@@ -52,8 +52,9 @@ def pairs(
 ) -> Pairs:
     """Find the pairs of surfaces that may belong to one object, and compute their features.
 
-    Their distance on the floor is at most ``lateral_gap_m`` and ``forward_gap_m`` (Eq. 6 on both
-    axes at once), and they face each other in some row or column or their contours are close.
+    Their distance on the floor is at most ``lateral_gap_m`` sideways and ``forward_gap_m`` forward
+    (Eq. 6 on both axes at once). Also, they face each other in some row or column, or their
+    contours are close.
 
     Args:
         label: Surfaces ``(R, C)``, -1 = none.
@@ -184,7 +185,10 @@ def _contour_gaps(label: np.ndarray, view: View, count: int) -> np.ndarray:
 
 
 def _extent_gaps(extent: Extents) -> tuple[np.ndarray, np.ndarray]:
-    """Return gaps between surfaces on the floor, sideways and forward, ``(S, S)``; < 0: overlap."""
+    """Return the gaps between surfaces on the floor, sideways and forward, ``(S, S)`` each.
+
+    A gap is negative if the surfaces overlap [depth units].
+    """
     aside = np.maximum(extent.left, extent.left[:, None])
     aside = aside - np.minimum(extent.right, extent.right[:, None])
     ahead = np.maximum(extent.near, extent.near[:, None])

@@ -40,9 +40,9 @@ FAR_GAIN = 5
 """Minimum gain of inliers of a plane far from the prior [percent of all cells]."""
 OBSTACLE = 95  # maximum fraction of obstacle cells [percent]
 UNDER = ((10, 2), (3, 8))
-"""Thresholds (percentage, number) with a prior, and without. A plane belongs to a table if more
-than this percentage of the cells is below it, and more than one cell per this number of inliers; a
-glossy floor mirrors a few cells."""
+"""Two thresholds with a prior, and two without. A plane belongs to a table if more than the first
+[percent] of all cells are below it, and if there is more than one such cell per second threshold of
+inliers. A few cells may be below a floor, because a glossy floor mirrors objects."""
 
 
 class _Found(NamedTuple):
@@ -72,11 +72,11 @@ def find_floor(
     """Estimate the floor plane of each frame, and a ramp or step ahead, from that frame only.
 
     A fourth of the cells vote for planes on a fixed lattice of pitch, roll and height, around the
-    prior or over all usual camera poses: one vote per inlier, within a tolerance that grows with
-    depth, minus two per cell clearly below. The best planes are refined by weighted least squares
-    on the cells near them, in a fixed number of rounds. Planes that get votes mainly from nearer
-    cells are tried with ramps and steps ahead; a ramp or step is accepted if it gets clearly more
-    votes.
+    prior or over all usual camera poses. A plane gets one vote per inlier, within a tolerance that
+    grows with depth, and loses two per cell clearly below it. The best planes are refined by
+    weighted least squares on the cells near them, in a fixed number of rounds. Planes that get
+    votes mainly from nearer cells are tried with ramps and steps ahead; a ramp or step is accepted
+    if it gets clearly more votes.
 
     Every decision is made on integers: angles of 1/32 degree and integer depth units. Only the
     tables of sines and tangents are rounded from floating point.
@@ -126,7 +126,7 @@ def floor_of_cells(
 def _take(
     x: np.ndarray, y: np.ndarray, z: np.ndarray, config: FloorConfig, scale: Scale
 ) -> tuple[Sample, Sample]:
-    """Return the measured cells, and every second measured cell in rows and columns."""
+    """Return the measured cells, and those of every second row and column."""
     x, y, z = (a.astype(np.int64) for a in (x, y, z))
     row, column = np.indices(z.shape)
     inner = np.broadcast_to(~margins(z.shape[1]), z.shape)
@@ -171,7 +171,10 @@ def _find(
 def _refined(
     plane: Plane, ahead: Ahead | None, cells: Sample, prior: Plane | None, scale: Scale
 ) -> tuple[Plane, Ahead | None]:
-    """Refine a plane on all cells, or on those before its ramp or step, and the ramp beyond."""
+    """Refine a plane on all cells or, if it has a ramp or a step, on the cells before its start.
+
+    A ramp is refined on the cells beyond its start.
+    """
     if not ahead:
         return refined(plane, cells, (0, 1, 5), prior, scale), None
     beyond = distance(plane, cells) >= ahead.start
@@ -185,7 +188,10 @@ def _refined(
 
 
 def _is_near(plane: Plane, prior: Plane | None, config: FloorConfig, scale: Scale) -> bool:
-    """Return whether a plane is below the camera and near the prior, or usual if there is none."""
+    """Return whether a plane is below the camera and near the prior.
+
+    Without a prior, the camera's tilt must be usual instead.
+    """
     if prior is None:
         return is_usual(plane)
     turn = round(config.max_turn_deg * ANGLES)
@@ -200,7 +206,7 @@ def _is_near(plane: Plane, prior: Plane | None, config: FloorConfig, scale: Scal
 def _as_ramp(
     steep: Plane, prior: Plane, config: FloorConfig, scale: Scale
 ) -> tuple[Plane, Ahead] | None:
-    """Return a plane far from the prior as a ramp ahead of it, if the two cross."""
+    """Return the prior and a plane far from it as a ramp ahead; None if the two do not cross."""
     level = prior._replace(roll=steep.roll)
     ramp = crossing(level, steep) if _is_near(level, prior, config, scale) else None
     return (level, ramp) if ramp and 0 < ramp.start <= scale.length(RAMP_M) else None

@@ -12,7 +12,7 @@ MIN_GAIN = 5
 """Minimum gain of votes of a ramp or step over the best plane [percent of that plane's votes, not
 of the frame, which walls may fill]."""
 OVER_RAMP = 2
-"""Minimum gain of votes of a step over a ramp [percent], as the step may be a part of the ramp."""
+"""Minimum gain of votes of a step over a ramp [percent], as a step may fit a part of a ramp."""
 ALIKE = 3
 """Planes that differ by at most this angle [angle steps], and in height by at most ``ALIKE_M``, are
 alike: only the first is tried with steps."""
@@ -21,7 +21,7 @@ alike: only the first is tried with steps."""
 def find_ahead(
     flat: Plane, planes: list[Plane], cells: Sample, scale: Scale, farthest: int | None
 ) -> tuple[Plane, Ahead | None]:
-    """Select the plane, and a ramp or step if that gets clearly more votes than any plane.
+    """Select the plane, and a ramp or step if it gets clearly more votes than any plane alone.
 
     Args:
         flat: Plane that is returned if there is no ramp or step.

@@ -23,7 +23,13 @@ class Ahead(NamedTuple):
 
 
 def rises(starts: np.ndarray, turns: np.ndarray, run: np.ndarray) -> np.ndarray:
-    """Return heights of ramps above the plane at distances ``(T,)``, ``(..., T)`` [depth units]."""
+    """Return the heights of ramps above the plane, ``(..., T)`` [depth units].
+
+    Args:
+        starts: Distance at which each ramp begins, ``(...)`` [depth units].
+        turns: Pitch of each ramp relative to the plane, ``(...)`` [angle steps].
+        run: Distances ``(T,)`` [depth units].
+    """
     beyond = np.maximum(run - starts[..., None], 0)
     return (slopes(turns)[..., None] * beyond + (1 << (SLOPE_BITS - 1))) >> SLOPE_BITS
 
@@ -69,7 +75,12 @@ def profile(plane: Plane, cells: Sample, scale: Scale) -> Profile:
 
 
 def spread(run: np.ndarray, counts: np.ndarray) -> tuple[int, int]:
-    """Return the distances of the nearest and farthest cells, without a tenth at each end."""
+    """Return the distances of the nearest and the farthest cell, without a tenth at each end.
+
+    Args:
+        run: Distances in ascending order, ``(T,)`` [depth units].
+        counts: Number of cells at each distance, ``(T,)``.
+    """
     running = np.cumsum(counts)
     first, last = (int(run[np.argmax(10 * running >= n * running[-1])]) for n in (1, 9))
     return first, last

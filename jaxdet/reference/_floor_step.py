@@ -15,16 +15,16 @@ def best_step(
 ) -> tuple[int, Ahead]:
     """Find the step with the most votes.
 
-    The floor before the step is the plane, the floor beyond is parallel. The other floor must be
-    separated from the plane by more than the tolerances and be visible over some distance, which a
-    wall is not. At least one in ``OWN`` inliers must be before the step, since otherwise all of the
-    floor is at the other height.
+    The floor before the step is the plane, and the floor beyond is parallel to it. The two must be
+    separated by more than the tolerances, and the floor beyond must be visible over some distance,
+    which a wall is not. At least one in ``OWN`` inliers must be before the step; otherwise there is
+    no step but a floor at another height.
 
     Args:
         seen: Profile above a plane.
-        coarse: Tolerance of the other floor at each distance, ``(T,)`` [depth units].
-        fine: Tolerance of the plane.
-        deeper: Lower limit of the depth of a step down [depth units].
+        coarse: Tolerance of the floor beyond the step at each distance, ``(T,)`` [depth units].
+        fine: Tolerance of the plane at each distance, ``(T,)`` [depth units].
+        deeper: Depth that a step down must exceed [depth units].
         unit: Metres per depth unit.
 
     Returns:

@@ -61,12 +61,11 @@ def free_floor(view: FloorView, far: int, longest_gap: int) -> tuple[np.ndarray,
     ``longest_gap`` farther and no obstacle of the column is nearer. It is ended by
 
     - a drop, if the next ``RUN`` measured cells are all lower than the last floor cell by more than
-    the minimum of a drop, lie flat, and no floor continues at its level. Stereo cameras bow far
-    floor down, but
-      gradually. Reflections in a glossy floor lie below it too, but floor continues beyond them,
-      nearer than they seem to be (nothing is visible through a floor), or they stand upright, and
-      they are narrow: more than half of a column and its ``NEIGHBOURS`` columns on each side must
-      drop;
+      the minimum of a drop and lie flat, and if no floor continues at its level. Stereo cameras bow
+      far floor down too, but gradually. Reflections in a glossy floor are below it too, but they
+      stand upright, or floor continues beyond them and is nearer than they seem to be, since
+      nothing is visible through a floor. Reflections are also narrow, so more than half of a column
+      and its ``NEIGHBOURS`` columns on each side must drop;
     - an obstacle, if the nearest one of the column is at most ``longest_gap`` farther;
     - the end of the range, if that is at most ``longest_gap`` farther;
     - otherwise for an unknown reason.
@@ -78,8 +77,9 @@ def free_floor(view: FloorView, far: int, longest_gap: int) -> tuple[np.ndarray,
 
     Returns:
         Start and end of the floor, ``(C, 2, 2)`` int32, right and forward in the ground frame
-        [depth units], both equal if only an obstacle is visible and zero if nothing is; and the
-        kind of end ``(C,)`` int32 (:class:`jaxdet.types.FreeEnd`). Distances are compared forward.
+        [depth units], and the kind of its end, ``(C,)`` int32 (:class:`jaxdet.types.FreeEnd`). Both
+        points are that of the nearest obstacle if no floor but only an obstacle is visible, and 0
+        if nothing is visible. Distances are compared forward.
     """
     columns = view.label.shape[1]
     line, end = np.zeros((columns, 2, 2), np.int32), np.zeros(columns, np.int32)

@@ -118,7 +118,10 @@ def _regrouped(label: np.ndarray, group: np.ndarray) -> np.ndarray:
 
 
 def _contacts(label: np.ndarray, view: View, step: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return pairs of surfaces in contact, with at most a step in depth, and their contacts."""
+    """Return the pairs of surfaces in contact, and the number of contacts of each pair.
+
+    Cells are in contact if their depths differ by at most ``step`` [depth units].
+    """
     found = []
     for axis in (0, 1):
         for away in (1, 2):
@@ -157,7 +160,7 @@ def _straightened(label: np.ndarray, view: View, unit: float, config: ObstacleCo
 def _ordered(
     label: np.ndarray, view: View, farthest: int, unit: float, config: ObstacleConfig
 ) -> np.ndarray:
-    """Sort obstacles by distance; those that are too small or too far away become -1."""
+    """Renumber obstacles by distance; the label of those too small or too far away becomes -1."""
     extent = extents(label, view)
     size = np.maximum(extent.width, extent.top - extent.bottom)
     good = (size >= round(config.min_size_m / unit)) & (extent.cells >= config.min_cells)

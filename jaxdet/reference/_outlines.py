@@ -161,7 +161,10 @@ def _to_near_edge(places: np.ndarray) -> np.ndarray:
 
 
 def _project(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Project points ``(n, 2)`` along and across each direction: ``(D, n)``, and the directions."""
+    """Return coordinates of points ``(n, 2)`` along and across each direction, and the directions.
+
+    The coordinates are ``(D, n)`` each.
+    """
     table = direction_table()
     x, y = points.T
     along = table[:, :1] * x + table[:, 1:] * y

@@ -66,9 +66,9 @@ def rays(
         turned: Half of a cell's angle, from :func:`jaxdet.floor.rays.half_turn`.
 
     Returns:
-        Ranges at which free floor begins and ends, ``(RAYS, 2)`` int32 [depth units], both equal if
-        only something above the step height is visible and zero if nothing is; and the kind of end,
-        ``(RAYS,)`` int32 (:class:`jaxdet.types.FreeEnd`).
+        Ranges at which free floor begins and ends, ``(RAYS, 2)`` int32 [depth units], and the kind
+        of its end, ``(RAYS,)`` int32 (:class:`jaxdet.types.FreeEnd`). Both ranges are those of the
+        nearest obstacle if no floor but only an obstacle is visible, and 0 if nothing is visible.
     """
     near, far = line.astype(np.int64).transpose(1, 0, 2)
     alone = (near == far).all(axis=1) & (end == FreeEnd.OBSTACLE)
@@ -110,8 +110,8 @@ def blocks(
     A cell above the step height contributes its nearest pixel, or its own depth if that pixel is
     nearer than the depth range. Another cell contributes its nearest pixel if that is above the
     step height of a single pixel, which has more noise than a cell. A tile consists of some cells
-    of a column; its nearest point blocks all sectors that the tile covers. Float32: each operation
-    is rounded separately.
+    of a column; its nearest point blocks all sectors that the tile covers. The arithmetic is
+    float32, and each operation is rounded separately.
 
     Args:
         standing: Cells of a frame.
@@ -156,7 +156,7 @@ def _squares(
     ground: GroundConfig,
     depth_unit: float,
 ) -> np.ndarray:
-    """Return squared distances of obstacles in cells from the foot, ``(R, C)``; inf = none."""
+    """Return the squared range of the obstacle in each cell, ``(R, C)``, inf if there is none."""
     pixel, z, is_cell = standing
     nearest, farthest = depth_range(ground.min_depth_m, ground.max_depth_m, depth_unit)
     depth = np.where(is_cell & (pixel < nearest), z, pixel).astype(F32)
@@ -186,10 +186,11 @@ def bearings(right: np.ndarray, forward: np.ndarray) -> np.ndarray:
 
     Args:
         right: Position to the right, integer [depth units], below 2^19.
-        forward: Position forward.
+        forward: Position forward, as ``right``.
 
     Returns:
-        Bearings, int64, in sixteenths of the spacing of rays, above -``TURN`` / 2 to ``TURN`` / 2.
+        Bearings, int64, in sixteenths of the spacing of rays; greater than -``TURN`` / 2, and at
+        most ``TURN`` / 2.
 
     Example:
         >>> bearings(np.array([0, 5, 5, -5]), np.array([7, 5, 0, 0])).tolist()
@@ -204,7 +205,7 @@ def bearings(right: np.ndarray, forward: np.ndarray) -> np.ndarray:
 
 
 def _packed(length: np.ndarray, why: np.ndarray | int) -> np.ndarray:
-    """Pack ranges with the kind of end; of equal ranges an obstacle is smallest, then a drop."""
+    """Pack ranges with kinds of end; of equal ranges an obstacle is smallest, then a drop."""
     return (length << END_BITS) | ((why - 1) & 3)
 
 
@@ -225,7 +226,10 @@ def _counted(count: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _ranges(points: np.ndarray, bearing: np.ndarray) -> np.ndarray:
-    """Return the distance of points ``(n, 2)`` from the foot, along the ray of their sector."""
+    """Return the distance of points ``(n, 2)`` from the foot, along the ray of their sector.
+
+    The foot is the ground projection of the camera.
+    """
     way = ray_directions()[0][_sector(bearing) % RAYS]
     return np.abs((points * way).sum(axis=-1) + (1 << (RAY_BITS - 1))) >> RAY_BITS
 
@@ -241,14 +245,19 @@ def _foot_inside(near: np.ndarray, far: np.ndarray, seen: np.ndarray) -> bool:
 
 
 def _turned(points: np.ndarray, turn: int) -> np.ndarray:
-    """Rotate points ``(n, 2)`` clockwise about the foot by a small angle, with ``TURN_BITS``."""
+    """Rotate points ``(n, 2)`` clockwise about the foot by a small angle.
+
+    Args:
+        points: Points on the floor.
+        turn: Angle [rad] with ``TURN_BITS`` fraction bits.
+    """
     return points + (points[:, ::-1] * np.array([turn, -turn]) >> TURN_BITS)
 
 
 def _sides(seen: np.ndarray, turn: int) -> list[tuple[np.ndarray, int]]:
-    """Return the columns at the left end and at the right end of visible floor.
+    """Return the columns at the left ends and those at the right ends of visible floor.
 
-    Each comes with the rotation from the middle of a column to its outer side.
+    Both come with the angle from the middle of a column to its outer side, as in :func:`_turned`.
     """
     before, after = np.append(False, seen[:-1]), np.append(seen[1:], False)
     return [(np.flatnonzero(seen & ~before), -turn), (np.flatnonzero(seen & ~after), turn)]
@@ -257,7 +266,7 @@ def _sides(seen: np.ndarray, turn: int) -> list[tuple[np.ndarray, int]]:
 def _near_edges(
     near: np.ndarray, seen: np.ndarray, turn: int
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return where floor begins: segments from one point to another, ``(n, 2)`` each."""
+    """Return the segments where floor begins, as arrays of their two ends, ``(n, 2)`` each."""
     both = np.flatnonzero(seen[:-1] & seen[1:])
     ends = [(near[c], _turned(near[c], by)) for c, by in _sides(seen, turn)]
     return [(near[both], near[both + 1]), *ends]
@@ -266,10 +275,16 @@ def _near_edges(
 def _far_edges(
     near: np.ndarray, far: np.ndarray, end: np.ndarray, seen: np.ndarray, turn: int
 ) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Return where floor ends: segments from one point to another ``(n, 2)``, and why ``(n,)``.
+    """Return the segments where floor ends, and the reason for each.
 
-    Segments go from the end of the shorter of two columns halfway to the longer one, along that,
-    and on to the end of the longer one. Floor hidden by an obstacle ends for an unknown reason.
+    There are three segments between the ends of two neighbouring columns. The first leads from the
+    end of the shorter column halfway to the longer one, at the same forward distance. The second
+    follows the longer column to its end, still halfway between the two. The third leads to the end
+    of the longer column. If the shorter column ends at an obstacle, the obstacle hides the floor
+    next to the second segment, so its reason is unknown.
+
+    Returns:
+        Groups of segments: their two ends, ``(n, 2)`` each, and their reasons, ``(n,)``.
     """
     left = np.flatnonzero(seen[:-1] & seen[1:])
     nearer = far[left, 1] <= far[left + 1, 1]
@@ -298,16 +313,16 @@ def _far_edges(
 def _swept(
     first: np.ndarray, last: np.ndarray, least: bool
 ) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
-    """Return the sectors that segments cross, and their smallest or largest range in each.
+    """Return the sectors that segments cross, and the range of each segment in each of them.
 
     Args:
         first: First end of each segment, ``(n, 2)``.
         last: Other end, ``(n, 2)``.
-        least: Whether the smallest range is returned.
+        least: Whether the smallest range is returned, otherwise the largest.
 
     Returns:
-        Sector and segment, ``(k,)`` each, and the range ``(k,)``, where a segment crosses the edges
-        of the sector or ends in it.
+        Indices of sector and segment, ``(k,)`` each; and the smallest or the largest range ``(k,)``
+        of the points where the segment crosses the edges of the sector or ends in it.
     """
     at, to = (bearings(p[:, 0], p[:, 1]) for p in (first, last))
     turn = (to - at + TURN // 2) % TURN - TURN // 2

@@ -206,7 +206,7 @@ def _smoothed(values: np.ndarray, measured: np.ndarray, near: np.ndarray) -> np.
 
 
 def _components(z: np.ndarray, step: np.ndarray, linked: np.ndarray) -> np.ndarray:
-    """Return the smallest cell of each cell's component, ``(R, C)``."""
+    """Return the smallest flat index of a cell in each cell's component, ``(R, C)``."""
     both = _neighbours(linked, ((0, 1), (1, 0)))
     (one, other), most = z.ravel()[both], step.ravel()[both].min(axis=0)
     return components(z.size, *both[:, np.abs(one - other) <= most]).reshape(z.shape)
@@ -217,8 +217,8 @@ def _across_holes(
 ) -> np.ndarray:
     """Merge components ``(R, C)`` whose depth is continuous across unmeasured cells.
 
-    Linked cells of a row or a column on both sides of 1 to ``longest`` unmeasured cells are
-    neighbours.
+    Two linked cells of a row or a column are neighbours if 1 to ``longest`` cells between them, and
+    all of these, are unmeasured.
     """
     cell = np.where(linked, np.arange(z.size).reshape(z.shape), -1)
     pairs = [np.zeros((2, 0), np.int64)]
@@ -238,7 +238,7 @@ def _across_holes(
 def _grown(
     label: np.ndarray, z: np.ndarray, step: np.ndarray, keep: np.ndarray, rounds: int
 ) -> np.ndarray:
-    """Grow regions: kept cells without a label take that of the neighbour nearest in depth."""
+    """Grow regions: a kept cell without a label takes that of the neighbour nearest in depth."""
     for _ in range(rounds):
         free = keep & (label < 0)
         best, taken = np.full(z.shape, 1 << 40), label.copy()

@@ -34,12 +34,12 @@ class Extents(NamedTuple):
 
     @property
     def width(self) -> np.ndarray:
-        """Trimmed width, sideways."""
+        """Trimmed extent sideways, ``(S,)`` int64 [depth units]."""
         return self.right - self.left
 
     @property
     def depth(self) -> np.ndarray:
-        """Trimmed depth, forward."""
+        """Trimmed extent forward, ``(S,)`` int64 [depth units]."""
         return self.far - self.near
 
 

@@ -32,7 +32,8 @@ def draw_frame(
     and drops. The preset ``paper`` has corners instead of cells.
 
     Args:
-        frames: Batch; its planes are relative to the camera to which lengths refer.
+        frames: Batch; its planes are relative to the depth camera (preset ``paper``: to the colour
+            camera).
         found: Detections, as NumPy arrays, with cells.
         corners: Outlines in the ground frame, ``(B, M, 4, 2)`` float64 [m].
         row: Row of the frame in the batch.

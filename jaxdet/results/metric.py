@@ -218,15 +218,15 @@ def _squared(points: np.ndarray) -> np.ndarray:
 def rectangles(obstacles: Obstacles, depth_unit: float, config: FootprintConfig) -> np.ndarray:
     """Return the outline of each obstacle on the floor (Section 3.5, Eq. 7).
 
-    AB is one edge. Without a vertex it is extended backward, away from the camera, by the
-    fixed ``extension_m``. With a vertex, the opposite edge lies on the parallel to AB through C,
-    between the perpendiculars through A and B.
-
-    The margin, ``margin_m + margin_per_m2 z²`` with the obstacle's smallest z, is added on all
+    The outline is a rectangle. A and B, the leftmost and the rightmost point of the obstacle, are
+    the ends of one of its edges. If C, the nearest point, is a vertex, the opposite edge is on the
+    parallel to AB through C. Otherwise it is ``extension_m`` behind AB, away from the camera. Then
+    the margin ``margin_m + margin_per_m2 z²``, with the obstacle's smallest z, is added on all
     sides.
 
-    Obstacles made of surfaces have the ``direction`` and the ``span`` of the rectangle itself, to
-    which only the margin is added; AB is the side whose middle is nearest to the camera.
+    Obstacles made of surfaces have a fitted rectangle instead, in the fields ``direction`` and
+    ``span``. Only the margin is added to it, and AB is the side whose middle is nearest to the
+    camera.
 
     If A and B coincide, AB is assumed to be lateral, so that its normal points forward. If AB
     points forward, its normals are lateral, and the one that points away from the forward axis is
@@ -238,8 +238,8 @@ def rectangles(obstacles: Obstacles, depth_unit: float, config: FootprintConfig)
         config: The fixed extension and the margin.
 
     Returns:
-        Right and forward of the corners in the ground frame, ``(..., 4, 2)`` float64 [m]: A, B,
-        the corner beyond B, the corner beyond A.
+        Corners in the ground frame, right and forward, ``(..., 4, 2)`` float64 [m], in the order A,
+        B, the corner opposite A, the corner opposite B.
 
     Raises:
         InputError: The arrays are not those of obstacles, or the unit is not a number.
@@ -271,7 +271,7 @@ def rectangles(obstacles: Obstacles, depth_unit: float, config: FootprintConfig)
 def _fitted_rectangles(
     obstacles: Obstacles, depth_unit: float, config: FootprintConfig
 ) -> np.ndarray:
-    """Return rectangles of direction and span with a margin, ``(..., 4, 2)`` float64 [m]."""
+    """Return the fitted rectangles of obstacles with a margin, ``(..., 4, 2)`` float64 [m]."""
     edge = np.asarray(obstacles.direction).astype(np.float64)
     length = norm(edge)[..., None]
     scale = np.where(length > 0, length, 1.0)

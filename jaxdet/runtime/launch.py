@@ -14,7 +14,7 @@ from jaxdet.runtime.layout import LINE
 INT32: Any = wp.int32
 
 MULTIPROCESSORS = 132
-"""Multiprocessors of an H100 or H200; a launch has as many blocks as fit on them at once."""
+"""Number of multiprocessors of an H100 or H200; a launch has as many blocks as fit on them."""
 
 registering = Lock()
 """Lock for Warp's tables of contexts, streams and kernels, which are not thread-safe: if two
@@ -33,7 +33,7 @@ def on_cores(kernel: Any, arguments: Sequence[Any], frames: int, scratch: int) -
             taken.
         arguments: Warp arrays and numbers.
         frames: ``B``.
-        scratch: Words of scratch memory per thread.
+        scratch: Number of words of scratch memory per thread.
     """
     count = min(threads.threads(), frames)
     with _lock:
@@ -69,7 +69,7 @@ def by_frame(module: Any, kernel: Any, arguments: Sequence[Any], frames: int, sc
     """Launch a kernel whose threads on the CPU, or teams of threads on CUDA, take frames in turn.
 
     Args:
-        module: Module with ``WIDTH``, the threads per team.
+        module: Module with ``WIDTH``, the number of threads per team.
         kernel: Kernel with parameters ``arguments``, ``scratch`` and ``next``, see
             :func:`on_cores`.
         arguments: Warp arrays.
@@ -93,9 +93,9 @@ class TeamKernel(NamedTuple):
 
     kernel: Any
     width: int
-    """Threads per block."""
+    """Number of threads per block."""
     blocks: int
-    """Blocks that are resident on a multiprocessor at once."""
+    """Number of blocks that are resident on a multiprocessor at once."""
 
     def launch(self, arguments: Sequence[Any], frames: int, most: int) -> None:
         """Launch the kernel on the device of the first array, with at most ``most`` teams."""
@@ -105,7 +105,7 @@ class TeamKernel(NamedTuple):
 
 
 def reported_words(module: Any, inputs: Sequence[Any], device: Any) -> int:
-    """Return the words of scratch memory per thread or team, as reported by a module's kernels.
+    """Return the number of words of scratch memory per thread or team, as the kernels report it.
 
     Args:
         module: Module with ``WIDTH`` and the kernel ``scratch_words``.

@@ -1,4 +1,4 @@
-"""Named arrays packed into rows of 32-bit words, one row per frame or one for all."""
+"""Named arrays packed into rows of 32-bit words; there is one row per frame, or one for all."""
 
 import math
 from collections.abc import Mapping
@@ -10,13 +10,13 @@ from jaxdet.types import Array
 
 Shapes = Mapping[str, tuple[int, ...]]
 LINE = 16
-"""Words of a cache line, at which each array begins."""
+"""Number of words per cache line; each array begins at a multiple of it."""
 
 
 class Layout:
     """Offsets of named arrays in a row.
 
-    An array of bool takes a byte per element, others a word.
+    Arrays of bool have one byte per element, and other arrays have one word.
 
     Args:
         shapes: Shapes of the arrays, in the order in which C++ reads their offsets, without the
@@ -28,7 +28,7 @@ class Layout:
         self.shapes, self.bools = dict(shapes), bools
         self.begin: dict[str, int] = {}
         self.words = 0
-        """Length of a row, at least one line."""
+        """Number of words of a row, at least those of one cache line."""
         for name, shape in self.shapes.items():
             self.begin[name] = self.words
             self.words += -(-self._length(name, shape) // LINE) * LINE

@@ -61,7 +61,8 @@ class ColorSensor:
     f_number: float = 2.0
     """F-number of the lens."""
     pixel_um: float = 3.15
-    """Side of an output pixel on the chip [um]: 1.4 times 1080 / 480 rows."""
+    """Side of an output pixel on the sensor [um]: that of a sensor pixel, 1.4 um, times 1080 / 480,
+    as 1080 rows of the sensor become 480 rows of the image."""
     efficiency: float = 0.30
     """Quantum efficiency behind the colour filters [electrons per photon]."""
     read_noise_e: float = 6.0

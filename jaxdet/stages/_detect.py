@@ -80,10 +80,9 @@ def _run_steps(
     """Run all steps on a batch, under ``jax.jit``.
 
     Args:
-        depth: ``(B, Hd, Wd)`` uint16 [depth units], 0 = no measurement.
-        floors: ``(B, 17)`` int32, :func:`jaxdet.floor.units.prior_units`, then
-            :func:`jaxdet.floor.frame.floor_frames`.
-        tables: From :func:`jaxdet.stages._program.packed`.
+        depth: Depth images ``(B, Hd, Wd)`` uint16 [depth units], 0 = no measurement.
+        floors: Priors ``(B, 17)`` int32, from :func:`jaxdet.stages._program.floors`.
+        tables: Header and tables, from :func:`jaxdet.stages._program.packed`.
         static: Sizes that the program is compiled for.
         keep_work: Whether to return the intermediate arrays.
     """

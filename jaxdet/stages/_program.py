@@ -59,22 +59,22 @@ _TABLES = (
     "sines", "feature", "threshold", "value", "obstacle_settings",
 )  # fmt: skip
 _HEADER = 32
-"""Words of the header, rounded up to complete cache lines."""
+"""Number of words of the header, a multiple of those of a cache line."""
 
 
 class Sizes(NamedTuple):
-    """Sizes of images and grid."""
+    """Sizes of the depth images and of their grid of cells."""
 
-    height: int
-    width: int
+    height: int  # rows of pixels
+    width: int  # columns of pixels
     side: int  # side of a cell [pixel]
-    rows: int
-    columns: int
+    rows: int  # rows of cells
+    columns: int  # columns of cells
 
 
 @lru_cache(maxsize=64)
 def work_layout(rows: int, columns: int) -> Layout:
-    """Return the layout of intermediate arrays: cells relative to the floor, and floor frame."""
+    """Return the layout of a frame's intermediate arrays: its floor frame, and fields of cells."""
     by_cell = "x", "y", "z", "nearest_pixel", "right", "forward", "height", "surface", "label"
     bools = "keep", "free_cell", "low"
     shapes = {"frame": (13,), **dict.fromkeys((*by_cell, *bools), (rows, columns))}
@@ -83,7 +83,7 @@ def work_layout(rows: int, columns: int) -> Layout:
 
 @lru_cache(maxsize=1)
 def record_layout() -> Layout:
-    """Return the layout of a frame's results, fields of ``Obstacles`` and ``Scene``."""
+    """Return the layout of a frame's results: the fields of ``Obstacles`` and ``Scene``."""
     one, two, three = (MAX_OBSTACLES,), (MAX_OBSTACLES, 2), (MAX_OBSTACLES, 3)
     return Layout(
         {
@@ -120,13 +120,16 @@ def host_tables(calibration: Calibration, config: Config) -> tuple[Sizes, Tables
 
 
 def floors(planes: GroundPlane, config: Config, unit: float) -> np.ndarray:
-    """Return the prior of each frame's floor in the program's format, ``(B, 17)`` int32."""
+    """Return the prior of each frame's floor, as the program reads it, ``(B, 17)`` int32.
+
+    These are the results of :func:`prior_units` and of :func:`floor_frames`.
+    """
     prior = prior_units(planes, Scale(unit, config.floor.noise_per_m))
     return np.hstack([prior, floor_frames(planes, unit)])
 
 
 def packed(sizes: Sizes, tables: Mapping[str, Array], device: Any) -> np.ndarray:
-    """Pack the header and all tables of a program as int32; tables of floats bit by bit.
+    """Pack the header and all tables of a program into int32 words; floats keep their bits.
 
     Args:
         sizes: Sizes of the images and the grid.
@@ -172,16 +175,20 @@ class Static(NamedTuple):
 
 
 class Rows(NamedTuple):
-    """Results of the steps, one row of words per frame, NumPy or JAX arrays."""
+    """Results of the steps, one row of words per frame, as NumPy or JAX arrays."""
 
     record: Any
+    """Results, in the order of :func:`record_layout`."""
     contour: Any
+    """Contours of the obstacles."""
     work: Any
     """Intermediate arrays; on the CPU empty unless they are requested."""
 
 
 def detections(rows: Rows, static: Static, with_cells: bool, xp: Any) -> Detections:
-    """Return the results of all steps as detections; the prior of their scene is None.
+    """Return the results of all steps as detections.
+
+    The field ``prior`` of their scene is None; the caller, which has the prior, sets it.
 
     Args:
         rows: Results of all steps.

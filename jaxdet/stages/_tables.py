@@ -37,8 +37,8 @@ MOST_STEP, MOST_LIMIT = 1 << 16, 1 << 17
 """Maximum step and limit in a table: depths have 16 bits and bends 17, so larger values would have
 the same effect."""
 FARTHEST = 1 << 28
-"""Larger than any length that is compared [depth units]; products with it fit in 64 bits."""
-MOST_EVIDENCE = (1 << 15) - 1  # maximum per pair; 256 by 256 of them sum up in 32 bits
+"""Length greater than any that is compared [depth units]; products with it fit in 64 bits."""
+MOST_EVIDENCE = (1 << 15) - 1  # maximum per pair; the sum over 256 x 256 pairs fits in 32 bits
 _MODELS = Distortion.NONE, Distortion.PLUMB_BOB, Distortion.RATIONAL, Distortion.EQUIDISTANT
 """Lens models in the order of ``projection.h``."""
 
@@ -74,7 +74,9 @@ def floor_tables(cells: int, config: FloorConfig, unit: float) -> Tables:
 
 
 def _floor_settings(cells: int, config: FloorConfig, unit: float) -> dict[str, Any]:
-    """Return the settings [depth units], in the order of ``floor_planes.h``.
+    """Return the settings of the floor search, in the order of ``floor_planes.h``.
+
+    Lengths are in depth units, and angles in angle steps.
 
     Args:
         cells: Number of cells of the grid, rows times columns.
@@ -127,7 +129,7 @@ def _floor_settings(cells: int, config: FloorConfig, unit: float) -> dict[str, A
 
 
 def surface_tables(calibration: Calibration, config: Config) -> Tables:
-    """Return the tables of surfaces, clipped."""
+    """Return the tables of the segmentation into surfaces, with clipped lengths."""
     ground, surface, unit = config.ground, config.surface, calibration.depth_unit
     nearest, farthest = depth_range(ground.min_depth_m, ground.max_depth_m, unit)
     steps = quadratic_table(surface.step_m, surface.step_per_m, unit)
@@ -212,7 +214,11 @@ def free_tables(calibration: Calibration, config: Config) -> Tables:
 
 
 def parameters(calibration: Calibration) -> np.ndarray:
-    """Return the parameters of the projection into the colour image, ``(PARAMETERS + 2,)``."""
+    """Return the parameters of the projection into the colour image, ``(PARAMETERS + 2,)`` float32.
+
+    The last two elements are the lens model, and whether a depth pixel covers all colour pixels
+    between its corners.
+    """
     splat = splat_parameters(calibration)
     more = splat.max_r2, splat.depth_unit, _MODELS.index(splat.model), splat.fills_corners
     return np.concatenate(

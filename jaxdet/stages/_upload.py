@@ -104,8 +104,8 @@ class PageLock:
     Args:
         memory: Memory map; unlock it before it is closed.
         device: One of the devices.
-        block: Bytes that are locked together, a multiple of the page size; a copy must not cross
-            blocks.
+        block: Number of bytes that are locked together, a multiple of the page size; a copy must
+            not cross blocks.
 
     Raises:
         OSError: CUDA cannot lock the memory.

@@ -75,11 +75,11 @@ def _stretch(a: Outlines, b: Outlines) -> np.ndarray:
 def end_pieces(
     obs: Observations, before: np.ndarray, first: int, config: TrackConfig
 ) -> np.ndarray:
-    """End tracklets at a split, if the other fragment outlasts them.
+    """End tracklets at a split if they follow the fragment that is lost.
 
-    If a detection splits and the fragment followed by its tracklet is lost within
-    ``max_gap_frames``, the object continues as the other fragment, whose tracklet started next to
-    it.
+    A detection splits if a new tracklet starts next to it. If the fragment that the old tracklet
+    follows is lost within ``max_gap_frames`` and the other one lasts longer, the object continues
+    as the other fragment. So the old tracklet ends at the split.
 
     Args:
         obs: ``N`` observations.
@@ -87,7 +87,8 @@ def end_pieces(
         first: Index of the first observation at which new tracklets are examined.
         config: Limits of distance and time.
 
-    Returns: ``before`` without the links after the split.
+    Returns:
+        ``before`` without the links of these tracklets from the split on.
     """
     root = chain_starts(before)
     end = np.zeros(len(before), np.int64)  # last frame of each chain, at its first row

@@ -33,11 +33,11 @@ from jaxdet.types import RAYS
 
 COLUMNS = ("persistence", "floor_seen", "in_map")
 MAP_NEAR_M, MAP_PER_M = 0.10, 0.015
-"""Maximum distance of a contour point from the map [m], and its growth with the square of the
-obstacle's distance [1/m]."""
+"""Maximum distance of a contour point from an occupied cell of the map [m], and its increase with
+the square of the obstacle's distance [1/m]."""
 BEHIND_M = 0.4
-"""Distance from something occupied within which unknown cells count as part of it [m]: a lidar maps
-the outline of furniture that it saw, and what lies behind the outline stays unknown."""
+"""Maximum distance from an occupied cell at which an unknown cell counts as occupied [m]: a lidar
+maps the visible outline of furniture, and the cells behind the outline stay unknown."""
 EDGE_POINTS = 9
 """Number of points on the edge AB of an obstacle without a contour (preset ``paper``)."""
 IN_MAP = 0.5
@@ -97,7 +97,12 @@ class Places:
         return PlaceRows(sightings, shares_in_map(chunk, self._known))
 
     def count(self, tracks: np.ndarray, places: PlaceRows) -> None:
-        """Add places of obstacles to those of their tracks ``(N,)``, -1 for none."""
+        """Add the places of obstacles to those of their tracks.
+
+        Args:
+            tracks: Track number of each obstacle, ``(N,)``, -1 for none.
+            places: Places of these obstacles.
+        """
         if (more := int(tracks.max(initial=-1)) + 1 - len(self._of_tracks)) > 0:
             self._of_tracks = np.concatenate([self._of_tracks, np.zeros((more, 5), np.int64)])
         compared = np.stack([~np.isnan(places.in_map), places.in_map >= IN_MAP], axis=1)

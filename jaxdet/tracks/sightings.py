@@ -31,7 +31,7 @@ from jaxdet.types import RAYS, FreeEnd
 CHUNK_FRAMES = 64
 """Number of frames that are processed together."""
 NEAR_M, PER_M = 0.05, 0.01
-"""Noise of a contour: a constant [m], plus this times the distance squared [1/m]."""
+"""Noise of a contour [m], and its increase with the square of the distance [1/m]."""
 FOUND, FLOOR, OTHER = 0, 1, 2
 """Kinds of sightings: an obstacle, floor, and other points above the step height."""
 POSE_COLUMNS = ("camera_position_world", *TILT, "floor_source")

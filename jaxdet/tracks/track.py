@@ -16,7 +16,7 @@ class Track(NamedTuple):
     number: int
     """Number in the log, from 0, in the order of first observations."""
     in_world: bool
-    """Whether the path is in the world frame, else in the camera's ground frame."""
+    """Whether the path is in the world frame; otherwise it is in the camera's ground frame."""
     first_frame: int
     """Number of the first frame with an observation."""
     last_frame: int

@@ -56,7 +56,7 @@ class TrackIds:
         return self._counts[chain] >= self.min_observations
 
     def end(self, chains: Iterable[int]) -> None:
-        """End chains, which get no further observations."""
+        """End the given chains: they get no further observations."""
         for chain in chains:
             if not self.is_track(chain):
                 self.ids[chain] = -1

@@ -16,8 +16,8 @@ from jaxdet.tracks.track import Piece, Track, piece_of, track_of
 from jaxdet.tracks.track_ids import TrackIds
 
 PIECE_FRAMES = 1024
-"""Minimum number of frames per piece, for tracks longer than twice this. It affects the results, as
-size and motion are determined per piece."""
+"""Minimum number of frames per piece of a track with more than twice as many frames. It affects the
+results, as size and motion are determined per piece."""
 
 
 class Tracker:

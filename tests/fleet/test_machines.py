@@ -195,8 +195,8 @@ SAME = ("frames.parquet", "obstacles.parquet", "map.npz", "map.png", "pictures/"
 
 
 @pytest.mark.filterwarnings("default")
-def test_24_logs_give_the_bytes_of_one_machine_with_each_scheduler(fleet, tmp_path):
-    """Logs of a bucket are run by one process, by three shares at once, by Ray and by Ray Data."""
+def test_results_of_24_logs_are_the_same_bytes_on_each_scheduler_as_on_one_machine(fleet, tmp_path):
+    """The logs are in a bucket. One process, three shares at once, Ray and Ray Data run them."""
     logs, alone = tmp_path / "logs", tmp_path / "alone"
     logs.mkdir()
     bucket = open_place(fleet.logs)
@@ -220,7 +220,7 @@ def test_24_logs_give_the_bytes_of_one_machine_with_each_scheduler(fleet, tmp_pa
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    """Return tables, maps and pictures by their names."""
+    """Return the bytes of tables, maps and pictures, by their paths in a folder."""
     files = {path.relative_to(folder).as_posix(): path for path in folder.rglob("*")}
     return {
         name: path.read_bytes()

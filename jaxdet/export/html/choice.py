@@ -6,13 +6,13 @@ from itertools import chain, zip_longest
 from jaxdet.export.html.collect import LogFigures
 
 EACH = 12
-"""Maximum number of frames per kind: nearest, most obstacles, overflow."""
+"""Maximum number of chosen frames of each of the kinds nearest, most obstacles, and overflow."""
 RARE = 10
-"""At most this fraction (1 / RARE) of the frames is marked as nearest, and as most obstacles."""
+"""At most one in ``RARE`` frames is marked as nearest, and at most one as most obstacles."""
 LOST = 36
-"""Maximum number of frames without a result."""
+"""Maximum number of chosen frames without a result."""
 SAMPLED = 36
-"""Maximum number of further frames with a picture."""
+"""Maximum number of further chosen frames, which have a picture."""
 
 Key = tuple[str, int]
 """Log and frame number."""

@@ -16,9 +16,9 @@ from jaxdet_kernels import features as kernels
 def corner_settings(config: FeaturesConfig) -> np.ndarray:
     """Return the settings for the kernels, ``(5,)`` int32.
 
-    Canny's thresholds, the square of the minimum distance rounded up (integer squared distances
-    below that are below the square itself), and the quality level as the two words of a float64,
-    low word first.
+    These are Canny's two thresholds; the square of the minimum distance, rounded up (squared
+    distances are integers, so the same ones are smaller); and the quality level as the two words of
+    a float64, low word first.
     """
     distance, quality = config.min_distance, struct.pack("<d", config.quality_level)
     limit = math.ceil(distance * distance) if distance >= 1 else 0
@@ -37,8 +37,8 @@ def strongest_corners(
         slots: ``N``, maximum number of corners of a frame; static.
 
     Returns:
-        Columns and rows ``(B, N)`` int32, strongest first, zero in empty slots, and the number of
-        corners ``(B,)`` int32, at most ``N + 1``.
+        Columns and rows ``(B, N)`` int32, strongest first, zero in empty slots; and the number of
+        corners ``(B,)`` int32, which is ``N + 1`` if there are more than ``N``.
     """
     batch, height, width, _ = color.shape
     words = reported_words(kernels, [height, width], device_of_jax(kernels))

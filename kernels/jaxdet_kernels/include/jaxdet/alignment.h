@@ -1,10 +1,10 @@
 // Depth at given pixels of the colour image: depth pixels are projected there, and the nearest wins.
-// Twin of jaxdet/reference/_align.py.
+// Twin of jaxdet/reference/paper/_align.py.
 //
-// A key is `depth << 16 | z` (depth in the depth camera, z in the colour camera), so one unsigned
-// minimum decides on both, independent of the order of the writes. z stays below 65535, so that no key
-// equals NOTHING. A tile of depth pixels is projected only if the bounds of its projection, from its
-// smallest and largest depth, contain a wanted pixel.
+// A key is `depth << 16 | z` with the depth in the depth camera and z in the colour camera. So a single
+// unsigned minimum selects both, and the order of the writes does not matter. z is below 65535, so that
+// no key equals NOTHING. A tile of depth pixels is projected only if the bounds of its projection, which
+// follow from its smallest and largest depth, contain a wanted pixel.
 #pragma once
 #include "bits.h"
 #include "pixel_bits.h"
@@ -29,7 +29,7 @@ struct Alignment {
     const unsigned short* depth;       // (rows, columns) depth image
     int rows, columns;
     const float *corner_x, *corner_y;  // (rows + 1, columns + 1) rays of the pixels' corners
-    const float* tile_rays;            // (tiles, 4), smallest and largest x, then y of a tile's rays
+    const float* tile_rays;            // (tiles, 4) smallest and largest x, smallest and largest y of rays
     Projection projection;
     int fills;                         // 1 if a depth pixel covers all colour pixels between its corners, else 0
     int height, width;                 // size of the colour image

@@ -6,8 +6,8 @@ namespace jaxdet { namespace {
 
 struct BitRows {
     enum { WIDTH = 32 };
-    // Words of a row that hold cells, and the binary logarithm of the row length in words. Bits beyond
-    // the last cell of a row are 0.
+    // Number of rows; number of words per row that hold cells; binary logarithm of the row length in
+    // words, with padding. Bits after the last cell of a row are 0.
     int rows, words, shift;
     unsigned* bits;
 
@@ -18,13 +18,14 @@ struct BitRows {
 
     int count() const { return rows << shift; }
     unsigned& operator[](int i) const { return bits[i]; }
-    // Index of word w of row r; row of word i, and column of its first cell.
+    // `at` is the index of word w of row r; `row` is the row of word i; `column` is the column of the
+    // first cell of word i.
     int at(int r, int w) const { return r << shift | w; }
     int row(int i) const { return i >> shift; }
     int column(int i) const { return (i & ((1 << shift) - 1)) * WIDTH; }
 
-    // Word i shifted so that each bit is that of the neighbouring cell: the previous or next cell in
-    // the row, or the cell above or below.
+    // The bits of the neighbours of the cells of word i, one neighbour per cell: the previous or the
+    // next cell in the row, or the cell above or below. Cells outside the grid have bit 0.
     unsigned before(int i) const {
         return bits[i] << 1 | (column(i) ? bits[i - 1] >> (WIDTH - 1) : 0);
     }
@@ -34,7 +35,7 @@ struct BitRows {
     unsigned above(int i) const { return row(i) ? bits[i - (1 << shift)] : 0; }
     unsigned below(int i) const { return row(i) + 1 < rows ? bits[i + (1 << shift)] : 0; }
 
-    // Number of set bits, and index of the lowest set bit.
+    // `popcount` is the number of set bits; `lowest` is the index of the lowest set bit.
     static int popcount(unsigned word) {
 #if defined(__CUDA_ARCH__)
         return __popc(word);
@@ -60,7 +61,7 @@ struct BitRows {
         return word;
     }
 
-    // Packs whether each of n labels is at least 0; n is at most WIDTH.
+    // Sets bit k of a word if label k of n labels is at least 0; n is at most WIDTH.
     static unsigned labelled(const int* labels, int n) {
 #if defined(__clang__) && !defined(__CUDA_ARCH__)
         if (n >= WIDTH) return packed(*(const Vectors::Wide*)labels >= 0);
@@ -71,14 +72,16 @@ struct BitRows {
     }
 
 #if defined(__clang__) && !defined(__CUDA_ARCH__)
-    // Packs whether each element of a vector of WIDTH elements is not 0: one instruction per register.
+    // Sets bit k of a word if element k of a vector of WIDTH elements is not 0; this takes one
+    // instruction per register.
     template <class Elements> static unsigned packed(Elements elements) {
         typedef bool Flags __attribute__((ext_vector_type(WIDTH)));
         return __builtin_bit_cast(unsigned, __builtin_convertvector(elements, Flags));
     }
 #endif
 
-    // Writes the transpose: bit r of word w of row c of `out` is the bit of column c in row 32 w + r.
+    // Writes the transpose to `out`: its bit at row c and column r is this bitmap's bit at row r and
+    // column c.
     void transpose(const Team& team, const BitRows& out) const {
         for (int block = team.rank; block < words * out.words; block += team.size) {
             const int w = block % words, top = block / words * WIDTH;

@@ -9,7 +9,7 @@ struct CellDepth {
     const unsigned short* first;  // upper left pixel of the cell
     int stride;                   // distance between rows [pixel]
     int side;                     // side of the cell [pixel], at most 128, so that sums fit in 31 bits
-    const int* near;              // tolerance around the median, indexed by the median; non-decreasing
+    const int* near;              // tolerance around each median [depth units]; it grows with the median
 
     // Statistics of the measured depths of a cell.
     struct Pixels {
@@ -70,8 +70,8 @@ struct CellDepth {
             }
     }
 
-    // Mean, rounded half up; 0 if the count is 0. Such quotients are at least 2^-9 below the next
-    // integer, so float64 never rounds them up to it.
+    // Mean of the depths, rounded to the nearest integer, halves up; 0 if the count is 0. The quotients
+    // are at least 2^-9 below the next integer, so float64 never rounds them up to it.
     static int mean(int sum, int count) {
         return count ? (int)((2.0 * sum + count) / (2.0 * count)) : 0;
     }
@@ -79,7 +79,8 @@ struct CellDepth {
 #if defined(__CUDA_ARCH__)
     enum { SMALL = 4 };
 
-    // Like `depth`, for a side known at compile time, at most SMALL: the values stay in registers.
+    // Returns the same as `depth`, for a side that is a compile-time constant of at most SMALL pixels, so
+    // that the values stay in registers.
     __forceinline__ int depth_of_small(int constant, int* nearest) const {
         const int all = constant * constant;
         int value[SMALL * SMALL], sorted[SMALL * SMALL];
@@ -138,8 +139,8 @@ struct CellDepth {
     }
 #endif
 
-    // Returns the depth. `nearest` becomes the smallest measured depth, even if too few pixels are
-    // measured for a depth.
+    // Returns the depth of the cell, 0 if too few of its pixels are measured. Sets `nearest` to its
+    // smallest measured depth, 0 if no pixel is measured.
     int depth(int* nearest) const {
 #if defined(__CUDA_ARCH__)
         if (side == 3) return depth_of_small(3, nearest);
@@ -159,8 +160,8 @@ struct CellRow {
     typedef Vectors::Wide Wide;
     enum { LANES = Vectors::SHORTS, MOST_SIDE = 8, NONE = 65535 };
     const int* near;  // tolerance around the median, as in CellDepth
-    // Indexed by the position in the cell: depth minus one, so that a missing measurement is larger
-    // than any depth.
+    // Depth minus one of each pixel, indexed by its position in the cell. So a missing measurement is
+    // larger than any depth.
     unsigned short pixel[MOST_SIDE * MOST_SIDE][LANES];
 
     explicit CellRow(const int* near) : near(near) {}
@@ -214,8 +215,8 @@ struct CellRow {
             for (int p = 0; p < all; ++p)
                 sum += __builtin_convertvector((Words)(at(p) + 1), Wide);
         }
-        // Rounded half up. Such quotients are at least 2^-7 below the next integer, so float32 never
-        // rounds them up to it.
+        // The mean is rounded to the nearest integer, halves up. The quotients are at least 2^-7 below
+        // the next integer, so float32 never rounds them up to it.
         const Wide parts = __builtin_convertvector(count, Wide);
         const Vectors::WideFloats mean =
             __builtin_convertvector(sum * 2 + parts, Vectors::WideFloats)

@@ -8,8 +8,8 @@ namespace jaxdet { namespace {
 struct CellList {
     enum { AHEAD = 4 };
     int* count;
-    // Per listed cell: its index, its label, and its position on the floor. Cells of a row are listed
-    // in order; on CUDA, groups of AHEAD words of cells are listed in any order.
+    // Index, label and position on the floor of each listed cell. The cells of a row are listed in order;
+    // on CUDA, groups of AHEAD words of cells are listed in any order.
     int *cell, *label, *right, *forward;
 
     // Lists all cells with a label. Also writes the bitmaps of labelled cells to `has` and of free

@@ -10,7 +10,7 @@ struct CellGrid {
     enum { RAY_BITS = 20, MOST_COLUMNS = 4096 };
     const unsigned short* depth;    // (height, width) depth image
     int width, rows, columns, side;
-    const int* near;                // tolerance around the median, by depth, see `CellDepth`
+    const int* near;                // tolerance around the median of a cell, see `CellDepth`
     const int* rays;                // (2, rows, columns) x / z and y / z of cells, RAY_BITS fraction bits
     int *x_out, *y_out, *z_out;
     int* nearest_out;               // smallest measured depth of a cell, 0 = none
@@ -32,7 +32,7 @@ struct CellGrid {
     }
 
 #if !defined(__CUDA_ARCH__)
-    // Computes the depths of a row of cells.
+    // Computes the depths of a row of cells, and their smallest measured depths.
     void depths(int row, CellRow& row_depths, int* d) const {
         enum { LANES = CellRow::LANES };
         if (side > CellRow::MOST_SIDE || columns < LANES) {

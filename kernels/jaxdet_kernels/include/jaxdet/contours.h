@@ -10,10 +10,11 @@ struct Contours {
     typedef unsigned long long Key;
     enum { ROW_BITS = 9 };
     int count, rows, columns;
-    const int *right, *forward;            // (cells) positions on the floor
+    const int *right, *forward;            // (cells) positions on the floor [depth units]
     const int *column_low, *column_high;   // (labels) first and last column of each label
-    // Lexicographic key per label and column: smallest squared distance, then uppermost row; all ones
-    // if there is no cell. Only the columns of a label are valid.
+    // Key of the nearest cell of each label in each column: its squared distance, then its row, so that
+    // the uppermost of equally near cells has the smallest key. All bits are 1 if there is no cell. Only
+    // the columns from `column_low` to `column_high` of a label are valid.
     Key* nearest;
     // The points of label `l` are `start[l]` to `start[l + 1]` - 1, from left to right.
     int *start, *x, *y, *column;

@@ -14,7 +14,7 @@ struct Contraction {
     Key* turns;      // scratch, (2 * TURNS): best keys, see `contract`
     int* group;      // result, (count): the smallest node of each node's group
 
-    // Lexicographic key, smallest first: falling weight, then the pair of nodes.
+    // Key by which edges are compared, smallest first: larger weights first, then by the pair of nodes.
     Key key(int weight, int one, int other) const {
         if (weight <= 0) return ~0ull;
         return ((Key)(0x7fffffff - weight) << NODE_BITS | one) << NODE_BITS | other;
@@ -30,7 +30,7 @@ struct Contraction {
         return key(largest, one, with);
     }
 
-    // Words of fast memory, aligned to 16 bytes, that hold all arrays but the result.
+    // Number of words of fast memory, aligned to 16 bytes, that hold all arrays but the result.
     int words() const { return 2 * (2 * TURNS + count) + count * count + count; }
 
     // Runs the contraction. `fast` has `room` words of fast memory and is used if that is enough. Ends

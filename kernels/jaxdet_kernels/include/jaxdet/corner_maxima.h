@@ -1,5 +1,5 @@
 // Local maxima of the corner strength of an edge image. Twin of `strongest_corners` in
-// jaxdet/reference/_corners.py, without the minimum distance, for which see corner_selection.h.
+// jaxdet/reference/paper/_corners.py, without the minimum distance, for which see corner_selection.h.
 #pragma once
 #include "corner_strength.h"
 #include "pixel_bits.h"

@@ -1,5 +1,5 @@
 // Greedy non-maximum suppression of corners by a minimum distance. Twin of `_without_near` in
-// jaxdet/reference/_corners.py: in order of decreasing strength (equal corners in reverse raster
+// jaxdet/reference/paper/_corners.py: in order of decreasing strength (equal corners in reverse raster
 // order), a corner is accepted unless an accepted corner is closer than the distance.
 #pragma once
 #include "key_sort.h"

@@ -1,5 +1,5 @@
 // Corner strength of an edge image: the smaller eigenvalue of the gradients' covariance in a 3x3 window
-// (Shi and Tomasi). Twin of `corner_strength` in jaxdet/reference/_corners.py.
+// (Shi and Tomasi). Twin of `corner_strength` in jaxdet/reference/paper/_corners.py.
 //
 // A pixel is 0 or 255, so a gradient takes few values: dx = h k in float32, h = -4 .. 4, and dy = g k -
 // g' k, g = 0 .. 4. Their products are multiples of 2^-31, so integer sums are exact and independent of

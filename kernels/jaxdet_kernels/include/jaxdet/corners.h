@@ -8,7 +8,7 @@
 
 namespace jaxdet { namespace {
 
-// Settings of Canny and of the corner selection, in the order of jaxdet/stages/_corners.py.
+// Settings of Canny and of the corner selection, in the order of jaxdet/stages/paper/_corners.py.
 struct CornerSettings {
     enum { LOW, HIGH, LIMIT, QUALITY, COUNT = QUALITY + 2 };
     const int* values;  // (COUNT) settings by index

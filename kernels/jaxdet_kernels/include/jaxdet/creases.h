@@ -14,7 +14,7 @@ struct Creases {
         BITS = 4,           // fraction bits of smoothed depths
         NONE = -(1 << 26),  // placeholder of a missing depth, far from all depths
         // On CUDA a warp smooths SEGMENT rows of a strip of columns; the outer HALO columns on each
-        // side belong to the neighbouring strips. AHEAD loads are in flight together.
+        // side belong to the neighbouring strips. AHEAD rows are loaded at a time.
         HALO = 2,
         SEGMENT = 24,
         AHEAD = 4
@@ -23,14 +23,15 @@ struct Creases {
     // Distance of the cells between which the bend is measured, minimum number of cells of a crease,
     // and dilation [cells].
     int reach, least, margin;
-    // Indexed by depth: surface step, at most 2^16, and limit of bends, at most 2^17.
+    // Maximum depth step of a surface, at most 2^16, and limit of bends, at most 2^17, at each depth
+    // [depth units].
     const int *steps, *limits;
     const int* z;  // (R, C) depth, 0 = none
-    // Planes of cells with margins of NONE. `smooth`: smoothed depths; on the CPU, at first the
-    // depths with BITS fraction bits. Only on the CPU: `other` is scratch memory, and `step` is the
-    // value of `steps` for each cell.
+    // Grids of cells with margins of NONE. `smooth` holds the smoothed depths; on the CPU it first holds
+    // the depths with BITS fraction bits. `other` and `step` are used only on the CPU: `other` holds the
+    // depths after the first smoothing, and `step` holds the value of `steps` for each cell.
     int *smooth, *other, *step;
-    // Cells to process. Scratch memory: crease cells, and run starts.
+    // Bitmap of the cells to process, and two bitmaps of scratch memory: crease cells, and run starts.
     BitRows kept, found, wide;
     Runs runs;
     int* near;
@@ -38,9 +39,9 @@ struct Creases {
 
     static int apart(int a, int b) { return a < b ? b - a : a - b; }
 
-    // Rounded mean of the 3 x 3 neighbours that are at most two steps away. The sum of at most nine
-    // depths below 2^20 is exact as a float. The quotient is below 2^20 and at least a ninth from the
-    // next integer, which is more than its rounding error.
+    // Rounded mean of those of the 3 x 3 neighbours that differ by at most two steps. The sum of at most
+    // nine depths below 2^20 is exact as a float. The quotient is below 2^20 and, unless it is an
+    // integer, at least a ninth away from any integer, which is more than its rounding error.
     static int mean(int own, int step, int a, int b, int c, int d, int e, int f, int g, int h) {
         const int near = step << (BITS + 1), shift = near - own;
         int total = own, count = 1;
@@ -60,7 +61,7 @@ struct Creases {
     }
 
 #if defined(__CUDA_ARCH__)
-    // Window of 3 x 3 cells, newest row last; each lane holds the window of its own column.
+    // Window of 3 x 3 cells, with the newest row last. Each lane holds the window of its own column.
     struct Window {
         int left[3], own[3], right[3];
 
@@ -81,8 +82,8 @@ struct Creases {
         }
     };
 
-    // Whether a cell of a block, or at most `reach` cells away, is to be processed; a collective call
-    // of the warp.
+    // Whether a cell of a block, or a cell at most `reach` cells away from it, is to be processed. All
+    // lanes of the warp must call it.
     bool is_used(const Warp& warp, int top, int bottom, int left, int right) const {
         const int from = left - reach < 0 ? 0 : (left - reach) / BitRows::WIDTH;
         const int to = (right + reach) / BitRows::WIDTH;
@@ -93,7 +94,7 @@ struct Creases {
         return warp.ballot(some != 0);
     }
 
-    // Smooths twice in one pass, down strips of columns, wherever the result is used.
+    // Smooths the depths twice in one pass down strips of columns, at all cells whose result is used.
     void smoothed(const Team& team) const {
         enum { INNER = Warp::size - 2 * HALO };
         const Warp warp(team);
@@ -133,7 +134,7 @@ struct Creases {
         team.sync();
     }
 
-    // Finds the cells that bend, one word per warp.
+    // Finds the cells where depth bends more than the limit. A warp processes one word at a time.
     void find(const Team& team) const {
         const Warp warp(team);
         const int words = found.words, count = grid.rows * words;
@@ -247,8 +248,8 @@ struct Creases {
             const int j = i - words;
             const unsigned here = found[i], above = found[j];
             const unsigned before = found.before(i), over = found.before(j);
-            // Cells to link with the line above: the first in which a run touches one of that line,
-            // and those that touch it only diagonally.
+            // Cells to link with the row above: the first cell of a run that touches a run of that row,
+            // and cells that touch it only diagonally.
             unsigned straight = here & above & ~(before & over);
             unsigned left = here & ~above & over & ~before;
             unsigned right = here & ~above & found.after(j) & ~found.after(i);
@@ -279,7 +280,7 @@ struct Creases {
         team.sync();
     }
 
-    // Dilates by one cell in all directions, into `to`. Ends in a sync.
+    // Dilates by one cell in all directions; the result is `to`. Ends in a sync.
     void dilate(const Team& team, const BitRows& from, const BitRows& to) const {
         const int count = from.count(), words = from.at(1, 0);
         const auto wider = [&](int i) { return from[i] | from.before(i) | from.after(i); };
@@ -292,8 +293,8 @@ struct Creases {
         team.sync();
     }
 
-    // Returns the crease cells, also those that are not in `kept`. A collective call, after a sync;
-    // ends in a sync.
+    // Returns the bitmap of crease cells, including those that are not in `kept`. All threads of the team
+    // must call it after a sync. Ends in a sync.
     BitRows run(const Team& team) {
         smoothed(team);
         find(team);

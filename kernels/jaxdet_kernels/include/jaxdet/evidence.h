@@ -8,16 +8,16 @@
 
 namespace jaxdet { namespace {
 
-// Boosted regression trees, each complete: node k has the children 2 k + 1 (at most the threshold) and
-// 2 k + 2 (above it).
+// Ensemble of boosted regression trees; each is a complete binary tree. Node k has the children 2 k + 1,
+// for features up to the threshold, and 2 k + 2, for larger ones.
 struct Trees {
     // Number of pairs that the CPU weighs together, so that the latencies of their loads overlap.
     enum { ABREAST = Warp::size > 1 ? 1 : 16 };
     const int *feature, *threshold, *value;
     int trees, leaves, offset;
 
-    // Adds the values of trees `first`, `first + step`, ... to the sums of ABREAST pairs. Features are
-    // `stride` words apart, pairs one word.
+    // Adds the values of the trees `first`, `first + step`, ... to the sums of ABREAST pairs. The features
+    // of a pair are `stride` words apart; the same feature of the next pair is in the next word.
     void weigh(const int* features, int stride, int first, int step, int* sums) const {
         for (int tree = first; tree < trees; tree += step) {
             const int *which = feature + tree * (leaves - 1), *most = threshold + tree * (leaves - 1);
@@ -37,7 +37,8 @@ struct Evidence {
     // Number of threads that share the search for the smallest distance between two contours.
     enum { PARTS = Warp::size > 1 ? 8 : 1 };
     enum { CONTACT = 2, PERCENT = 100, FEATURES = 26 };
-    // Number of pairs that a block of BATCH threads, or a multiple of it, weighs at once.
+    // Number of pairs whose evidence a block computes together; the number of its threads is a
+    // multiple.
     enum { BATCH = 64, FAST = (FEATURES + 1) * BATCH, NOT_NEAR = 1 << 30 };
     int count, lateral_gap, forward_gap, gap, no_step;
     Extents extents;
@@ -47,13 +48,14 @@ struct Evidence {
     Sum* sums;            // scratch, (pairs, Facing::SUMS): statistics of facing cells
     int *list, *listed;   // scratch: nearby pairs, and their number
     int* between;         // result, (count, count): evidence between surfaces
-    // FAST words of fast memory on CUDA.
+    // FAST words of shared memory on CUDA.
     int* fast;
 
     int least(int a, int b) const { return a < b ? a : b; }
     int most(int a, int b) const { return a > b ? a : b; }
 
-    // Lists the pairs within the gaps on the floor and clears their sums. Ends in a sync.
+    // Lists the pairs whose distance on the floor is within the gaps, and clears their sums. Ends in a
+    // sync.
     void find_near(const Team& team) const {
         if (team.rank == 0) *listed = 0;
         team.sync();
@@ -79,7 +81,7 @@ struct Evidence {
         return most(most(extents.near[a], extents.near[b]) - least(extents.far[a], extents.far[b]), 0);
     }
 
-    // Computes the evidence after the sums of `Facing` are complete. Ends in a sync.
+    // Computes the evidence of the listed pairs; the sums of `Facing` must be complete. Ends in a sync.
     void run(const Team& team) const {
         for (int item = team.rank; item < *listed * PARTS; item += team.size) {
             measure(team, list[item / PARTS], item % PARTS);
@@ -176,8 +178,8 @@ struct Evidence {
         return extents.top[a] != extents.top[b] ? extents.top[a] < extents.top[b] : a < b;
     }
 
-    // Writes the features of two surfaces, `stride` words apart; returns false if the surfaces are not
-    // close.
+    // Writes the features of a pair of surfaces to every `stride`-th word; returns false if the surfaces
+    // are not close.
     bool write_features(int a, int b, int* features, int stride) const {
         const Sum* own = sums + (size_t)Pair(a, b).place * Facing::SUMS;
         if (own[Facing::DISTANCE] == ~0ull) return false;

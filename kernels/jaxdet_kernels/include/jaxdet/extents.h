@@ -21,7 +21,7 @@ struct Extents {
     void allocate(int* place, int labels) {
         slots = labels;
         words = place;
-        // Order: sums, minima, maxima, trimmed extremes.
+        // The arrays are in the order: sums, minima, maxima, trimmed extremes.
         int** each[] = {&cells, &first, &row_low, &column_low, &right_low, &forward_low,
                         &bottom, &nearest, &leftmost, &row_high, &column_high, &right_high,
                         &forward_high, &top, &left, &right, &near, &far};
@@ -122,12 +122,12 @@ struct Extents {
 struct Trimmed {
     int count, all;
     const int *label, *value;  // label and value of each listed cell
-    // Per label: number of cells, extremes, and number of cells trimmed at each end; if that is 0, the
-    // results are the extremes.
+    // For each label: number of cells; extremes; and number of cells that are trimmed at each end. If
+    // no cells are trimmed, the results are the extremes.
     const int *cells, *low, *high, *over;
     int *least, *most;  // results: trimmed extremes
-    // Scratch: start of each label's values (one more element), position of the next value, and the
-    // values.
+    // Scratch: index of the first value of each label, then the number of values; index at which the
+    // next value of each label is stored; and the values, sorted by label.
     int *start, *next, *sorted;
 
     // Computes the trimmed extremes of all labels. Ends in a sync.

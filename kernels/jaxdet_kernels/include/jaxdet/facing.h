@@ -28,17 +28,19 @@ struct Pair {
 
 struct Facing {
     typedef unsigned long long Sum;
-    // Sums of a pair. ROWS holds three counts, COUNT_BITS each: places where the surfaces face each
-    // other in rows; those with free cells or something farther between the surfaces; those with
-    // something nearer between them. STEPS: number of places whose depths agree, and above STEP_SHIFT
-    // the sum of depth steps. COLUMNS holds three counts in columns: places; those with free cells or
-    // something farther; those with something nearer or a hole.
+    // Indices of the sums of a pair. A place is where the two surfaces face each other in a row or a
+    // column. ROWS packs three counts of places in rows, with COUNT_BITS bits each: all places; places
+    // with free cells or something farther between the surfaces; places with something nearer between
+    // them. STEPS packs the number of places in rows whose depths agree and, from bit STEP_SHIFT on, the
+    // sum of depth steps. COLUMNS packs three counts of places in columns: all places; places with free
+    // cells or something farther between; places with something nearer or a hole between. DISTANCE is
+    // used by `Evidence`.
     enum { ROWS, STEPS, COLUMNS, DISTANCE, SUMS, COUNT_BITS = 21, STEP_SHIFT = 20 };
     enum { MOST_BETWEEN = 11, RING = 16, SLOPE = 10, FAR = 1 << 30 };
-    // Number of cells whose loads are in flight together on CUDA.
+    // Number of cells that a thread loads at a time on CUDA.
     enum { AHEAD = Warp::size > 1 ? 8 : 1 };
-    // Run of cells of one label in a line. `before` and `after` count the free cells of the line before
-    // its first cell and up to and including its last.
+    // Run of cells with the same label in a line, i.e. a row or a column. `before` is the number of free
+    // cells of the line before the first cell of the run; `after` is their number up to its last cell.
     struct Run {
         int label, first, last, before, after, z_first, z_last, nearest, farthest;
     };
@@ -46,9 +48,9 @@ struct Facing {
     struct Past {
         int label, last, after, z_last, nearest, farthest;
     };
-    // Bitmaps of the cells with a surface and of the free cells, one row per line. `cells` holds
-    // packed cells, valid only for cells with a surface, and `along` their positions along the
-    // line; lines are `stride` elements apart, the cells of a line `step`.
+    // Bitmaps of the cells with a surface and of the free cells, with one row per line. `cells` holds
+    // packed cells, which are valid only for cells with a surface; `along` holds their positions along
+    // the line. Lines are `stride` elements apart, and the cells of a line are `step` elements apart.
     BitRows has, free;
     const int *cells, *along;
     int stride, step;

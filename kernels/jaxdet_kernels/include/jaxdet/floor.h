@@ -17,7 +17,7 @@ struct Floor {
         UNDER_PART = 2,
         UNDER_ALONE = 3,
         UNDER_PART_ALONE = 8,
-        // Planes that are scored together; a search near a guess has fewer.
+        // Maximum number of planes that are scored together; a search near a guess has fewer.
         PLANES = FloorSearch::ANY_PLANES,
         RESULTS = 8,
         PRIOR = 4,
@@ -26,12 +26,13 @@ struct Floor {
         MOSTLY_OBSTACLE = 2,
         FAR = 3,
         TABLE = 4,
-        // Indices of `counts`: 0 to 3 are numbers of cells; then the ends of rings, then the position
-        // of the next cell of each ring.
+        // Indices of `counts`. ALL, INNER, BEFORE and BEYOND are numbers of cells; ENDS begins the
+        // indices in `few` after the last cell of each ring; NEXT begins the indices in `few` at which
+        // `take` writes the next cell of each ring.
         ALL = 0, INNER = 1, BEFORE = 2, BEYOND = 3, ENDS = 4, NEXT = ENDS + FloorSearch::RINGS,
         COUNTS = NEXT + FloorSearch::RINGS,
         MOST_THREADS = 256,
-        // Words of shared memory on CUDA: five blocks fit on a multiprocessor with 228 KB.
+        // Number of words of shared memory on CUDA; five blocks fit on a multiprocessor with 228 KB.
         SHARED = 11264
     };
     const Team& team;
@@ -45,8 +46,9 @@ struct Floor {
     int *rows, *places, *lattice, *ends;
     int most, most_few, room;
 
-    // Allocates the arrays. On CUDA `fast` has SHARED words, used first: for arrays that are always
-    // needed, then for those that parts of the search use one after the other.
+    // Allocates the arrays. On CUDA `fast` is shared memory of SHARED words. First the arrays that are
+    // always needed are placed there. Those that are used one after the other share the words that are
+    // left, each if it fits.
     Floor(const Team& team, const int* settings, const int* sines, const int* prior_in, int rows_in,
           int columns_in, Arena& arena, int* fast)
         : team(team), settings(settings), angles{sines}, prior{prior_in[0], prior_in[1], prior_in[2]},
@@ -85,7 +87,7 @@ struct Floor {
         lattice = arena.words(FloorSearch::lattice_words(settings));
     }
 
-    // Number of sampled cells along a side, beginning at the middle of the first step.
+    // Number of sampled cells along a side of `size` cells: every `stride`-th, from index stride / 2.
     int part(int size, int stride) const {
         return size > stride / 2 ? (size - stride / 2 + stride - 1) / stride : 0;
     }
@@ -94,7 +96,8 @@ struct Floor {
         return {xyz + from, xyz + room + from, xyz + 2 * room + from, count};
     }
 
-    // Collects the sampled cells, and every second of them in rows and columns, sorted by rings.
+    // Collects the measured cells of the sample in `cells`, those of every second of its rows and
+    // columns in `few`, sorted by ring, and those of `few` inside the margins in `inner`.
     void take(const int* x, const int* y, const int* z, int rows, int columns) const {
         const int stride = settings[FloorSetting::STRIDE], half = stride / 2;
         const int r = part(rows, stride), c = part(columns, stride);
@@ -146,7 +149,8 @@ struct Floor {
         team.sync();
     }
 
-    // Writes the floor: the RESULTS values of `_Found`.
+    // Writes the floor to `out`: the RESULTS integers that `floor_fit` in jaxdet/floor/units.py
+    // documents.
     void run(const int* x, const int* y, const int* z, int rows, int columns, int* out) const {
         take(x, y, z, rows, columns);
         const int number = counts[ENDS + FloorSearch::RINGS - 1];
@@ -198,8 +202,8 @@ struct Floor {
                 const FloorPlane one = all[n < 0 ? first : n];
                 bool is_new = n < 0 || is_near(one);
                 for (int k = 0; k < others; k++) is_new = is_new && !(different[k] == one);
-                // All threads count, and the others read only what the first thread wrote before a
-                // sync.
+                // All threads count the planes, but only the first thread writes them; the others
+                // read them after a sync.
                 if (is_new && team.rank == 0) different[others] = one;
                 team.sync();
                 others += is_new;
@@ -238,8 +242,8 @@ struct Floor {
         return ramp.turn && ramp.start > 0 && ramp.start <= settings[FloorSetting::FARTHEST_RAMP];
     }
 
-    // Whether a plane is below the camera and close to the prior; without a prior, whether the
-    // camera has a usual pose.
+    // Whether a plane is below the camera and near the prior; without a prior, whether it is below the
+    // camera and the camera's tilt above it is usual.
     bool is_near(FloorPlane plane) const {
         if (!has_prior) return FloorSearch::is_usual(plane);
         const auto apart = [](long long a, long long b) { return a > b ? a - b : b - a; };
@@ -249,8 +253,8 @@ struct Floor {
                apart(plane.height, prior.height) <= settings[FloorSetting::MAX_SHIFT];
     }
 
-    // Refines the plane on all cells, or on those before its ramp or step, and the ramp on the cells
-    // beyond.
+    // Refines the plane on all cells or, if there is a ramp or a step, on the cells before its start.
+    // Refines a ramp on the cells beyond its start.
     void refine(ThreadGroup& group, FloorPlane& plane, FloorAhead& ahead) const {
         const FloorCells all = of(cells, most, 0, counts[ALL]);
         const FloorRamps ramp = ramps();
@@ -273,7 +277,7 @@ struct Floor {
             before = counts[BEFORE];
             beyond = counts[BEYOND];
         }
-        // A single call site, so that it is compiled once.
+        // There is a single call of `run`, so that it is inlined only once.
         for (int n = 0; n <= (ahead.turn != 0); n++) {
             const FloorPlane start = n ? steep : plane;
             const FloorRefine refined = {angles, settings, n ? steep : prior, n || has_prior, weights};
@@ -291,7 +295,8 @@ struct Floor {
         if (is_ahead(between)) ahead = between;
     }
 
-    // Judges a floor: writes its number of inliers, the number of all cells, and a refusal or NONE.
+    // Judges a floor. Writes its number of inliers to found[0], the number of all cells to found[1],
+    // and the reason of its refusal, or NONE, to found[2].
     void judge(ThreadGroup& group, FloorPlane plane, FloorAhead ahead, int* found) const {
         const FloorCells all = of(cells, most, 0, counts[ALL]);
         const FloorDirection down = angles.down(plane), forward = angles.forward(plane);

@@ -10,14 +10,16 @@ struct FloorOutlook {
     enum { MIN_GAIN = 5, OVER_RAMP = 2, ALIKE = 3 };
     FloorRamps ramps;
     FloorSteps steps;
-    // Whether there is a prior, and the largest height of the camera above its floor.
+    // Whether there is a prior; if there is one, the largest height above the floor that the camera may
+    // have [depth units].
     bool has_prior;
     int farthest;
-    // Scratch, (planes).
+    // Scratch, one word per plane: upper bound of the votes of a ramp ahead of the plane.
     int* most_ramp;
 
-    // Returns the plane, and the ramp or step if that gets clearly more votes than any plane. Planes
-    // are distinct; the first is returned if there is no ramp or step.
+    // Chooses among distinct planes, each alone or with a ramp or a step ahead of it. If a plane with a
+    // ramp or a step has clearly more votes than any plane alone, returns this plane, and writes the
+    // ramp or step to `out`. Otherwise returns the first plane, and `out` has no ramp and no step.
     FloorPlane run(const Team& team, const FloorPlane* planes, int count, FloorAhead& out) const {
         const int none = -0x7fffffff;
         int most_alone = none, best_plane = 0, best_votes = none;

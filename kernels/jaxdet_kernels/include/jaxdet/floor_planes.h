@@ -5,7 +5,8 @@
 
 namespace jaxdet { namespace {
 
-// Index of each setting, in the order of jaxdet/stages/_tables.py; lengths are integer depth units.
+// Index of each setting, in the order of `_floor_settings` in jaxdet/stages/_tables.py. Lengths are
+// integers in depth units. RINGS has 6 values, and STARTS has 16.
 struct FloorSetting {
     enum {
         STRIDE, MAX_DEPTH, NOISE,
@@ -19,6 +20,7 @@ struct FloorSetting {
     };
 };
 
+// Plane by the pose of the camera above it: pitch and roll [angle steps] and height [depth units].
 struct FloorPlane {
     int pitch, roll, height;
 
@@ -27,13 +29,13 @@ struct FloorPlane {
     }
 };
 
-// Positions of measured cells in the camera optical frame.
+// Positions of measured cells in the camera optical frame [depth units].
 struct FloorCells {
     const int *x, *y, *z;
     int count;
 };
 
-// Direction with DOWN_BITS fraction bits; its product with positions up to 2^18 fits in 32 bits.
+// Unit vector with DOWN_BITS fraction bits; its product with positions up to 2^18 fits in 32 bits.
 struct FloorDirection {
     enum { DOWN_BITS = 12 };
     int x, y, z;
@@ -43,12 +45,12 @@ struct FloorDirection {
     }
 };
 
-// Tolerance of inliers of a plane at a given height; below 1.4 million (depth 65535 at 20 m and a
-// noise of 1 per metre), so that nine times its square is below 2^44.
+// Tolerance of the inliers of a plane at a given height [depth units]. It is below 1.4 million, its
+// value at depth 65535, 20 m and a noise of 1 per metre, so nine times its square is below 2^44.
 struct FloorSlack {
     enum { BITS = 26 };
     int base;
-    long long rate;
+    long long rate;  // increase per depth unit of z, BITS fraction bits
 
     FloorSlack(int base, int per_z, int noise, int height)
         : base(base), rate(per_z + (long long)noise * (height > 0 ? height : 0)) {}
@@ -56,7 +58,7 @@ struct FloorSlack {
 #if defined(__CUDA_ARCH__)
     int at(int z) const { return base + (int)((z * rate) >> BITS); }
 #else
-    // The product is below 2^47 because tolerances are below 2^21, so a double is exact.
+    // z * rate is below 2^47 because tolerances are below 2^21, so a double is exact.
     int at(int z) const { return base + (int)(z * ((double)rate / (1 << BITS))); }
 #endif
 };
@@ -69,7 +71,7 @@ struct FloorAngles {
         RADIAN = 1833,
         SLOPE_BITS = 14
     };
-    // Table of sines, beginning at -360 degrees.
+    // Sines with SINE_BITS fraction bits, one per angle step; the first is the sine of -360 degrees.
     const int* sines;
 
     int sine(int angle) const { return sines[angle + 360 * ANGLES]; }
@@ -89,13 +91,13 @@ struct FloorAngles {
     FloorDirection down(FloorPlane p) const { return down(p.pitch, p.roll); }
     FloorDirection forward(FloorPlane p) const { return down(p.pitch + 90 * ANGLES, p.roll); }
 
-    // a / b rounded down; b must be positive.
+    // Quotient a / b, rounded down; b must be positive.
     long long quotient(long long a, long long b) const {
         const long long whole = a / b;
         return whole - (a < 0 && whole * b != a);
     }
 
-    // a / b rounded to nearest, halves up.
+    // Quotient a / b, rounded to the nearest integer, halves up; b must be positive.
     long long rounded(long long a, long long b) const { return quotient(2 * a + b, 2 * b); }
 
     // Tangent of an angle, with SLOPE_BITS fraction bits.
@@ -118,7 +120,8 @@ struct FloorScore {
     }
 };
 
-// Lexicographic key of a candidate, smallest first: most votes, then lowest index.
+// Key by which candidates are compared. The best candidate has the smallest key: it has the most votes
+// and, among candidates with equal votes, the lowest index.
 struct FloorKey {
     typedef unsigned long long Word;
 
@@ -133,17 +136,18 @@ struct FloorRefine {
     enum { LARGEST_TURN = 8 * FloorAngles::ANGLES, TURN_BITS = 24, RIDGE = 14, FEWEST = 20 };
     FloorAngles angles;
     const int* settings;
-    // Prior of the angles, if `is_given`. A copy, because a value whose address is taken is kept in
-    // memory.
+    // Prior of the angles, if `is_given`. It is a copy, because a value whose address is taken would
+    // be kept in memory instead of registers.
     FloorPlane prior;
     bool is_given;
     // Scratch, one word per cell, private to the group.
     int* weights;
 
-    // Runs rounds with a rough, a fine and a sharp tolerance.
+    // Refines a plane: at most `rough` rounds with the rough tolerance, then at most `fine` rounds with
+    // the fine one, then at most `sharp` rounds with the sharp one. Returns the refined plane.
     FloorPlane run(ThreadGroup& group, FloorPlane plane, const FloorCells& cells, int rough, int fine,
                    int sharp) const {
-        // A single loop, so that `round` is compiled once.
+        // There is a single loop, so that `round` is inlined only once.
         for (int k = 0, n = 0; k < 3;) {
             const int* slack = settings + FloorSetting::ROUGH_BASE + 2 * k;
             const int rounds = k == 0 ? rough : k == 1 ? fine : sharp;
@@ -157,7 +161,8 @@ struct FloorRefine {
         return plane;
     }
 
-    // Quotients by an integer, rounded down, between 0 and 64.
+    // Divides integers by a fixed divisor and rounds down. The dividends must not be negative, and the
+    // quotients must be at most 64.
     struct Quotients {
 #if defined(__CUDA_ARCH__)
         typedef long long Whole;
@@ -168,8 +173,8 @@ struct FloorRefine {
             return (int)(n / divisor);
         }
 #else
-        // Exact for divisors below 2^44: (n + 1/2) / divisor is at least 2^-45 from the next integer,
-        // and the rounding error of the product is at most 2^-46.
+        // The result is exact for divisors below 2^44: (n + 1/2) / divisor is at least 2^-45 away from
+        // any integer, and the rounding error of the product is at most 2^-46.
         typedef double Whole;
         double inverse;
         explicit Quotients(Whole divisor) : inverse(1.0 / divisor) {}
@@ -177,8 +182,8 @@ struct FloorRefine {
 #endif
     };
 
-    // Performs one step of weighted least squares; returns false if too few cells are within the
-    // tolerance.
+    // Refines the plane by one round of weighted least squares. Returns false, with the plane
+    // unchanged, if fewer than FEWEST cells are near the plane or if all weights are 0.
     bool round(ThreadGroup& group, FloorPlane& plane, const FloorCells& cells, int base,
                int per_z) const {
         const FloorDirection down = angles.down(plane);
@@ -199,7 +204,7 @@ struct FloorRefine {
             const Quotients by_gate(9 * (Quotients::Whole)allowed * allowed);
             const int taper = 64 - by_gate.of(256 * (Quotients::Whole)e * e);
             const int part = by_gate.of(squares) + 1;
-            // At most 4160, so that products with distances fit in 32 bits.
+            // The weight is at most 4160, so that its products with distances fit in 32 bits.
             const int w = near ? taper * taper * part >> 6 : 0;
             const int t = forward.along(x, y, z) >> lever, s = right.along(x, y, z) >> lever;
             out[i] = w;
@@ -233,7 +238,8 @@ struct FloorRefine {
         return true;
     }
 
-    // Writes pitch and roll of the plane after a step.
+    // Writes pitch and roll of the plane after a round [angle steps] to out[0] and out[1]. `sums` has
+    // the elements of `sums` in `round`.
     void turn(const long long* sums, FloorPlane plane, int* out) const {
         int pitch, side;
         turns(sums, plane, pitch, side);
@@ -244,9 +250,9 @@ struct FloorRefine {
         out[1] = roll + wide - (int)angles.quotient(roll + wide, 2 * wide) * 2 * wide - wide;
     }
 
-    // Solves for the rotations about the right and forward axes by Cramer's rule. Sums about the means
-    // are computed as sum w a b - m_a sum w b - m_b sum w a + m_a m_b sum w, which is exact for any
-    // integers m.
+    // Solves for the rotations about the right axis, `pitch`, and the forward axis, `side`, by Cramer's
+    // rule [angle steps]. The sum of w (a - m_a) (b - m_b), where m_a and m_b are the rounded means, is
+    // computed as sum w a b - m_a sum w b - m_b sum w a + m_a m_b sum w.
     void turns(const long long* sums, FloorPlane plane, int& pitch, int& side) const {
         const long long total = sums[1], we = sums[2], wt = sums[3], ws = sums[4];
         const long long e = angles.rounded(we, total), t = angles.rounded(wt, total);

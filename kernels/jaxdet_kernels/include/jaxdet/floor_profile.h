@@ -1,4 +1,4 @@
-// Profile of the floor above a plane: cells by distance and height. Twin of
+// Profile of the floor: the cells by forward distance and by height above a plane. Twin of
 // jaxdet/reference/_floor_profile.py, which documents the constants.
 #pragma once
 #include "floor_planes.h"
@@ -8,44 +8,50 @@ namespace jaxdet { namespace {
 
 // Shape of the floor ahead of its plane: a ramp, or a step down or up.
 struct FloorAhead {
-    // Distance at which it begins; pitch of the ramp relative to the plane, positive uphill; height of
-    // the step, positive downwards. 0: none.
+    // Distance at which it begins [depth units]; pitch of the ramp relative to the plane, positive
+    // uphill, 0 if there is no ramp [angle steps]; height of the step, positive downwards, 0 if there
+    // is no step [depth units].
     int start = 0, turn = 0, drop = 0;
 };
 
 struct FloorProfile {
     enum {
-        // Arrays per distance: start of its cells, flat votes, upper bounds, tolerances (2), counts of
-        // the cells of a ramp or a step (2), position of the next cell.
+        // Number of arrays with a value per distance bin. In this order they hold: index of the bin's
+        // first cell; votes for a flat floor; upper bound of votes; two tolerances; two counts of the
+        // cells of a ramp or a step; index at which `sort` writes the bin's next cell.
         ROW_ARRAYS = 8
     };
     FloorAngles angles;
     const int* settings;
-    // The cells inside the margins.
+    // The measured cells inside the left and right margins of the image.
     FloorCells cells;
-    // Scratch: a `FloorKey`; ROW_ARRAYS (runs + 1) words; 4 words per cell.
+    // Scratch: `key` holds one `FloorKey`, `rows` ROW_ARRAYS * (runs + 1) words, and `places` 4 words
+    // per cell.
     unsigned long long* key;
     int *rows, *places;
 
+    // Number of distance bins, and half the number of height bins. Height bin half() begins at the
+    // plane.
     int runs() const { return settings[FloorSetting::RUNS]; }
     int half() const { return settings[FloorSetting::HALF]; }
     int* row(int k) const { return rows + k * (runs() + 1); }
-    // Start of the cells of each distance in `sorted`.
+    // Index of the first cell of each distance bin, in the order of sorted cells.
     int* begin() const { return row(0); }
-    // Votes of the cells nearer than each distance for a floor that stays flat.
+    // Votes for a flat floor by the cells of all nearer distance bins, for each distance bin.
     int* flat() const { return row(1); }
+    // Tolerances at each distance bin, on the first and on the fine lattice [depth units].
     int* coarse() const { return row(3); }
     int* fine() const { return row(4); }
     int* cursor() const { return row(7); }
 
-    // Centre of a distance bin.
+    // Distance of the centre of bin k [depth units].
     int middle(int k) const {
         const int bits = settings[FloorSetting::RUN_BITS];
         return (k << bits) + (1 << bits >> 1);
     }
 
-    // Computes the tolerances at each distance, and sorts the cells by distance above a plane, with
-    // their heights.
+    // Computes the tolerances at each distance bin, and sorts the heights of the cells above the plane
+    // by distance bin.
     void sort(const Team& team, FloorPlane plane) const {
         const int n = runs(), run_bits = settings[FloorSetting::RUN_BITS];
         const int rise_bits = settings[FloorSetting::RISE_BITS], middle_rise = half();
@@ -96,17 +102,18 @@ struct FloorProfile {
 #endif
     }
 
-    // Heights of the cells, by distance bin; on CUDA in order in each bin.
+    // Height bins of the cells, sorted by distance bin; on CUDA they are also in ascending order in
+    // each distance bin.
     const int* heights() const { return places + (Warp::size > 1 ? 1 : 2) * cells.count; }
 
 #if defined(__CUDA_ARCH__)
-    // Counts the cells of a distance bin that are lower than each of `number` heights of the profile.
+    // Writes, for each of `number` height bins, how many cells of distance bin k are lower.
     void lower(int k, const int* heights, int* counts, int number) const {
         const int* in_order = this->heights();
         const int from = begin()[k], to = begin()[k + 1];
         for (int m = 0; m < number; m++) counts[m] = from == to ? 0 : from;
         if (from == to) return;
-        // The last height needs no search if it is lower than all cells, which is frequent.
+        // Often no cell is lower than the last height; then it needs no search.
         const int searched = number > 1 && in_order[from] >= heights[number - 1] ? number - 1 : number;
         for (int part = 1 << (31 - __clz(to - from)); part; part >>= 1)
             for (int m = 0; m < searched; m++) {
@@ -117,8 +124,8 @@ struct FloorProfile {
     }
 #endif
 
-    // N ranges of heights of the profile: inliers are from `least` to below `over`, and cells below
-    // `deep` are clearly below the floor.
+    // N ranges of height bins: inliers are from `least` to `over` - 1, and cells lower than `deep` are
+    // clearly below the floor.
     template <int N> struct Ranges {
         int over[N], least[N], deep[N];
     };
@@ -145,7 +152,8 @@ struct FloorProfile {
 #endif
     }
 
-    // Counts the cells of a distance bin for N floors at heights `up` above the plane.
+    // Counts the cells of distance bin k for N floors at heights `up` above the plane, with tolerance
+    // `slack` [depth units]: adds the inliers to `on`, and the cells clearly below the floor to `low`.
     template <int N> void count(int k, const int* up, int slack, int* on, int* low) const {
         if (begin()[k] == begin()[k + 1]) return;
         const int bits = settings[FloorSetting::RISE_BITS];
@@ -158,8 +166,8 @@ struct FloorProfile {
         count<N>(k, ranges, on, low);
     }
 
-    // Number of inliers in a distance bin of a floor at `height` above the plane; `low` is the number
-    // of cells clearly below it.
+    // Returns the number of inliers in distance bin k of a floor at `height` above the plane [depth
+    // units]. Sets `low` to the number of cells clearly below this floor.
     int on(int k, int height, int slack, int& low) const {
         int found = 0;
         low = 0;
@@ -167,8 +175,9 @@ struct FloorProfile {
         return found;
     }
 
-    // Finds the distances between which all but a tenth of the cells at each end lie, from the number
-    // of cells per distance.
+    // Sets `first` and `last` to the distance bins of the nearest and the farthest cell that remain if
+    // the nearest and the farthest tenth of the cells are left out. `counts` has the number of cells
+    // per distance bin.
     void spread(const int* counts, int& first, int& last) const {
         long long total = 0, running = 0;
         for (int k = 0; k < runs(); k++) total += counts[k];
@@ -180,7 +189,7 @@ struct FloorProfile {
         }
     }
 
-    // Number of cells in a distance bin that are lower than a height above the plane.
+    // Number of cells in distance bin k that are lower than `height` above the plane [depth units].
     int under(int k, int height) const {
         const int end = (height >> settings[FloorSetting::RISE_BITS]) + half();
         const Ranges<1> range = {{end}, {0}, {0}};

@@ -16,25 +16,32 @@ struct FloorRamps : FloorProfile {
         FINE = 2 * AROUND + 1,
         FINE_TURN = FloorAngles::ANGLES / 4,
         MIN_SHARE = 40,
-        // Groups of ramps with one upper bound: a sector of three degrees, and ABREAST starts that are
-        // processed together.
+        // `limit` groups ramps by turn, in SECTORS sectors of three degrees, and by start. ABREAST
+        // starts are processed together.
         SECTOR = 3 * FloorAngles::ANGLES,
         SECTORS = 2 * (MOST_TURN - LEAST_TURN) / SECTOR,
         ABREAST = Warp::size > 1 ? 1 : STARTS
     };
 
-    // Lattice of candidate ramps by start and turn: all of them (sign 0), or those around one ramp.
+    // Lattice of candidate ramps, with the numbers of starts and turns. If `sign` is 0, it is the
+    // coarse lattice of all ramps; otherwise it is the fine lattice around the ramp with this start and
+    // with turn `sign` * `turn`.
     struct Lattice {
         int starts, turns, start, turn, sign;
     };
 
-    // Upper bound of the votes of any ramp from each distance on, after `limits`.
+    // Upper bound of the votes of any ramp by the cells of this and all farther distance bins, for each
+    // distance bin; computed by `limits`.
     int* most() const { return row(2); }
+    // Results of `is_seen` per distance bin: number of cells that are inliers of the ramp but not of
+    // the plane; number of cells that are not clearly above either, -1 where ramp and plane do not
+    // differ.
     int* ramp_cells() const { return row(5); }
     int* all_cells() const { return row(6); }
-    // Upper bound per cell in `sorted`.
+    // Upper bound of the votes in the distance bin of each sorted cell; see `limits`.
     int* worth() const { return places; }
 
+    // Height of a ramp above the plane at the distance `run`; lengths are in depth units.
     int rise(int start, int slope, int run) const {
         const int beyond = run > start ? run - start : 0;
         return (int)(((long long)slope * beyond + (1 << (FloorAngles::SLOPE_BITS - 1))) >>
@@ -46,10 +53,12 @@ struct FloorRamps : FloorProfile {
         return (product + (1 << (FloorAngles::SLOPE_BITS - 1))) >> FloorAngles::SLOPE_BITS;
     }
 
-    // Computes, per distance, the votes for a flat floor and an upper bound of the votes for any ramp;
-    // per cell, an upper bound if it is the highest inlier: with tolerance s, a ramp that passes at
-    // height p counts the cells from p - s to p + s, minus those below p - 4 s. If the highest inlier
-    // is at h, no inlier is below h - 2 s, and all cells below h - 5 s are subtracted.
+    // Computes, for each distance bin, the votes for a flat floor and an upper bound of the votes for
+    // any ramp. For each cell it also computes an upper bound of the votes, in the cell's distance bin,
+    // for a ramp whose highest inlier there is this cell. Let s be the tolerance and p the height of a
+    // ramp in the bin: its inliers are from p - s to p + s, and cells below p - 4 s cost votes. If the
+    // highest inlier is at height h, p is at least h - s, so no inlier is below h - 2 s, and all cells
+    // below h - 5 s cost votes.
     void limits(const Team& team, const int* slack) const {
         const int bits = settings[FloorSetting::RISE_BITS], each = FloorScore::BELOW_COST;
         const int *heights = this->heights(), *at = places + 3 * cells.count;
@@ -80,7 +89,7 @@ struct FloorRamps : FloorProfile {
             }
         }
         team.sync();
-        // Prefix sums of the flat votes, suffix sums of the upper bounds.
+        // Replaces the flat votes by their prefix sums, and the upper bounds by their suffix sums.
         const Warp warp(team);
         if (warp.index == 0) warp.exclusive_sum(flat(), runs());
         if (warp.index == 1 % warp.count) {
@@ -90,8 +99,8 @@ struct FloorRamps : FloorProfile {
         team.sync();
     }
 
-    // Computes an upper bound of the votes of any ramp, after `limits`: ramps are grouped by start and
-    // turn.
+    // Raises `found` to an upper bound of the votes of any ramp: the largest bound of all groups of
+    // ramps with similar start and turn. `limits` must have run with the same tolerance.
     void limit(const Team& team, const int* slack, int* found) const {
         const int *heights = this->heights(), middle_rise = half();
         const int bits = settings[FloorSetting::RISE_BITS];
@@ -134,17 +143,17 @@ struct FloorRamps : FloorProfile {
         }
     }
 
-    // Smallest start of the ramps in group `i`: those with start `i` of the coarse lattice, and
-    // those of the fine lattice around it. For i = STARTS it is the end of the last group.
+    // Smallest start of the ramps in group `i` of `limit` [depth units]; the largest is begins(i + 1).
+    // The groups cover the starts of the coarse lattice and of all fine lattices.
     int begins(int i) const {
         const int around = AROUND * settings[FloorSetting::START_STEP];
         const int* starts = settings + FloorSetting::STARTS;
         return i < STARTS ? starts[i] - around : starts[STARTS - 1] + around;
     }
 
-    // Finds the first ramp of a lattice with the most votes, at least `least`, as a key; `flat` and
-    // `most` must have been computed with the same tolerance. ABREAST ramps with one turn are tried
-    // together; those that cannot tie with the best so far are skipped.
+    // Lowers `key` to the `FloorKey` of the first ramp of a lattice with the most votes, if it has at
+    // least `least` votes. `limits` must have run with the same tolerance. ABREAST ramps with the same
+    // turn are tried together; ramps that cannot have as many votes as the best one so far are skipped.
     void best(const Team& team, const Lattice& tried, const int* slack, int least) const {
         const int turns = tried.turns, groups = (tried.starts + ABREAST - 1) / ABREAST * turns;
         const int n = runs(), *const rest = most();
@@ -187,7 +196,7 @@ struct FloorRamps : FloorProfile {
         team.sync();
     }
 
-    // First distance bin whose centre lies beyond a start.
+    // First distance bin whose centre lies beyond `start` [depth units].
     int first_beyond(int start) const {
         const int bits = settings[FloorSetting::RUN_BITS];
         const int k = start < 0 ? 0 : start >> bits;
@@ -195,6 +204,7 @@ struct FloorRamps : FloorProfile {
         return found;
     }
 
+    // Start of the ramps with index i [depth units], and turn of the ramps with index j [angle steps].
     int start_of(const Lattice& tried, int i) const {
         if (!tried.sign) return settings[FloorSetting::STARTS + i];
         return tried.start + (i - AROUND) * settings[FloorSetting::START_STEP];
@@ -209,8 +219,8 @@ struct FloorRamps : FloorProfile {
         return tried.sign * (turn < LEAST_TURN ? LEAST_TURN : turn > MOST_TURN ? MOST_TURN : turn);
     }
 
-    // Finds the best ramp of a plane whose cells are sorted, and its votes; returns false if these are
-    // fewer than `least` or the ramp is not visible.
+    // Finds the ramp with the most votes above a plane, and its votes. `sort` must have run for this
+    // plane. Returns false if the ramp has fewer than `least` votes or is not visible.
     bool ramp(const Team& team, int least, FloorAhead& found, int& votes) const {
         Lattice tried = {STARTS, 2 * TURNS, 0, 0, 0};
         for (int pass = 0; pass < 2; pass++) {
@@ -230,7 +240,9 @@ struct FloorRamps : FloorProfile {
         return is_seen(team, found, fine());
     }
 
-    // Whether the ramp is visible from close to its start over some distance.
+    // Whether the ramp is visible close to its start and over some distance. Of the cells that are not
+    // clearly above the floor, at the distances where ramp and plane differ, at least MIN_SHARE percent
+    // must be inliers of the ramp but not of the plane.
     bool is_seen(const Team& team, FloorAhead ramp, const int* slack) const {
         const int slope = angles.slope(ramp.turn);
         const bool uphill = ramp.turn > 0;
@@ -259,7 +271,8 @@ struct FloorRamps : FloorProfile {
                middle(last) - middle(first) > settings[FloorSetting::SPREAD];
     }
 
-    // Ramp equivalent to a steeper plane ahead of a level one.
+    // Ramp that begins where two planes cross and continues as the plane `steep`; no ramp if the angle
+    // between the planes is not in the range of turns.
     FloorAhead crossing(FloorPlane level, FloorPlane steep) const {
         const int turn = steep.pitch - level.pitch, size = turn < 0 ? -turn : turn;
         if (size < LEAST_TURN || size > MOST_TURN) return {};
@@ -272,7 +285,7 @@ struct FloorRamps : FloorProfile {
         return {angles.clipped(start, 1 << 30), turn};
     }
 
-    // Plane of a ramp, with the pitch limited to that of planes; the inverse of `crossing`.
+    // Plane in which a ramp lies, with pitch limited to STEEPEST; the inverse of `crossing`.
     FloorPlane steeper(FloorPlane level, FloorAhead ramp) const {
         const long long up = (long long)ramp.start * angles.slope(ramp.turn);
         const long long height = level.height + (up >> FloorAngles::SLOPE_BITS);

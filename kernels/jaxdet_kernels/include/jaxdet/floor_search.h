@@ -7,11 +7,12 @@
 
 namespace jaxdet { namespace {
 
-// Hough transform: votes for planes on a lattice of pitch, roll and height, by the cells up to each
-// ring. For each direction a cell votes for a range of heights: the ends of the ranges are counted, and
-// the votes are the prefix sums of the counts. On the CPU all cells are processed for a vector of
-// directions at a time. On CUDA each lane of a warp handles one direction, the warps share the cells,
-// and as many directions are counted at once as fit in shared memory.
+// Hough transform: the cells up to each ring vote for planes on a lattice of pitch, roll and height. A
+// direction is a pair of pitch and roll. For each direction a cell votes for a range of heights. The
+// ends of the ranges are counted, and the votes are the prefix sums of the counts. On the CPU all cells
+// are processed for a vector of directions at a time. On CUDA each lane of a warp handles one
+// direction, the warps share the cells, and as many directions are counted at once as fit in shared
+// memory.
 struct FloorVotes {
     // Number of directions that a thread sums up together.
 #if defined(__CUDA_ARCH__)
@@ -25,21 +26,25 @@ struct FloorVotes {
     enum { APART = 12, BIN_BITS = 10, NOTHING = -0x7fffffff };
     FloorAngles angles;
     FloorCells cells;
-    // Tolerance per cell.
+    // Tolerance of each cell [depth units].
     const int* slack;
-    // Number of cells up to each ring, by which the cells are sorted; rings with fewer than `fewest`
-    // cells are skipped.
+    // Number of cells up to the end of each ring; the cells are sorted by ring. Rings up to which there
+    // are fewer than `fewest` cells are skipped.
     const int* ring_ends;
     int rings, fewest;
-    // The lattice, in angle steps and depth units.
+    // Lattice of planes: first pitch and first roll, and their spacing [angle steps]; number of pitches
+    // and of rolls; lowest height [depth units]; number of heights. The spacing of heights is 2^bits
+    // depth units.
     int pitch0, roll0, step, pitches, rolls, lowest, bins, bits;
-    // The near part of the lattice excludes this many pitches and heights at each end.
+    // Number of pitches and of heights at each end of the lattice that its near part excludes.
     int edge_pitches, edge_bins;
-    // Votes of all cells, bins + 1 words per direction; and counts, LANES times as many words, or on
-    // CUDA `room` words of shared memory.
+    // `votes` holds the votes of all cells, bins + 1 words per direction. `counts` holds the counts for
+    // LANES directions, or on CUDA `room` words of shared memory.
     int *votes, *counts;
     int room;
-    // Best key of each ring in the near part, of the complete lattice, and of each direction.
+    // `best` has, for each ring, the best key of the near part, with the votes of the cells up to the
+    // ring. `whole` is the best key of the complete lattice, with the votes of all cells.
+    // `of_direction` has the best key of each direction in the near part, with the votes of all cells.
     unsigned long long *best, *whole, *of_direction;
 
     int directions() const { return pitches * rolls; }
@@ -55,31 +60,33 @@ struct FloorVotes {
         return {pitch, roll0 + d % rolls * step, lowest + ((index - d * bins) << bits)};
     }
 
-    // `FloorKey` of a direction and a bin.
+    // `FloorKey` of direction d and height bin `bin`.
     unsigned long long key(int votes, int d, int bin) const {
         return FloorKey::of(votes, d * bins + bin);
     }
 
-    // `FloorKey` from packed votes and bin; the packed value is larger for more votes, then for a lower
-    // bin.
+    // `FloorKey` of direction d from `most`, which packs votes and bin as votes * 2^BIN_BITS - bin. So
+    // it is larger for more votes and, among equal votes, for a lower bin.
     unsigned long long key(int most, int d) const {
         const int bin = -most & ((1 << BIN_BITS) - 1);
         return key((most + bin) >> BIN_BITS, d, bin);
     }
 
-    // Range of directions in the near part.
+    // The near part has the directions first_near() to end_near() - 1.
     int first_near() const { return edge_pitches * rolls; }
     int end_near() const { return (pitches - edge_pitches) * rolls; }
     bool is_near(int d) const { return d >= first_near() && d < end_near(); }
 
-    // Memory layout of counts: `words[b * span + k]` for direction k and bin b; if packed, the halves
-    // of `words[n * span + k]` hold bins 2 n and 2 n + 1.
+    // Counts for the directions of one pass. `words[b * span + k]` is the count of direction k and bin
+    // b. If counts are packed, the lower half of `words[n * span + k]` is that of bin 2 n, and the
+    // upper half is that of bin 2 n + 1.
     struct Table {
-        enum { MOST_PACKED = 10000 };  // cells: all counts of a bin stay below 2^15
+        enum { MOST_PACKED = 10000 };  // maximum number of cells, so that counts are below 2^15
         int* words;
         int span;
         bool is_shared, is_packed;
 
+        // Adds the counts of bin b to `sum`, for LANES directions from k on.
         void add(int k, int b, Lanes* sum) const {
             const Lanes word = *(const Lanes*)(words + (is_packed ? b >> 1 : b) * span + k);
             const Lanes high = (word + (1 << 15)) >> 16;
@@ -91,12 +98,13 @@ struct FloorVotes {
     // Number of directions, padded to complete warps.
     int padded() const { return (directions() + Warp::size - 1) / Warp::size * Warp::size; }
     bool are_fast() const { return padded() * (bins + 1) <= room; }
-    // Votes of a direction, and the stride between its bins.
+    // `row_of` is the first vote of direction d; `bin_step` is the number of words from each vote of a
+    // direction to the next.
     int* row_of(int d) const { return (are_fast() ? counts : votes) + d; }
     int bin_step() const { return padded(); }
 
-    // Counts the ends of the ranges of heights that cells vote for; each lane handles one direction
-    // k of the table.
+    // Counts the ends of the ranges of heights that the cells `from` to `to` - 1 vote for. Each lane
+    // handles one direction `down`, with index `k_of_lane` in the table.
     void count(const Warp& warp, const FloorDirection& down, int from, int to, const Table& table,
                int k_of_lane) const {
         int* const ends = table.words + k_of_lane;
@@ -144,14 +152,16 @@ struct FloorVotes {
     int* row_of(int d) const { return votes + d / LANES * LANES * (bins + 1) + d % LANES; }
     int bin_step() const { return LANES; }
 
-    // Position of a bin in each lane's counts.
+    // Writes the index of each lane's height bin in the counts, without the index of the lane; bins are
+    // clipped to 0 .. bins.
     void place(const Lanes& bin, int* out) const {
         const Lanes none = {}, last = none + bins;
         const Lanes at = (bin < none ? none : bin > last ? last : bin) * (int)LANES;
         __builtin_memcpy(out, &at, sizeof at);
     }
 
-    // Counts the ends of the ranges of heights that cells vote for.
+    // Counts the ends of the ranges of heights that the cells `from` to `to` - 1 vote for, for LANES
+    // directions from `first` on.
     void count(const Team&, int first, int from, int to, const Table& table) const {
         Lanes dx, dy, dz;
         for (int k = 0; k < LANES; k++) {
@@ -178,9 +188,9 @@ struct FloorVotes {
     }
 #endif
 
-    // Sums up the counts of `cells` cells to votes, for a vector of directions. Sets `nearer` to
-    // the best bin without the edge bins and `all` to the best bin. Writes the votes to `out`
-    // unless it is null.
+    // Sums up the counts of `cells` cells to votes, for LANES directions from k on. Sets `nearer` to
+    // the votes and bin of the best bin of the near part, and `all` to those of the best of all bins,
+    // both packed as in `key`. Writes the votes to `out` unless it is null.
     void sum_up(const Table& table, int k, int cells, int* out, Lanes& nearer, Lanes& all) const {
         const int step = bin_step(), from = edge_bins, to = bins - edge_bins;
         Lanes sum = Lanes{} - FloorScore::BELOW_COST * cells;
@@ -196,7 +206,7 @@ struct FloorVotes {
         all = highest;
     }
 
-    // Votes for the directions of a table, beginning at `first`.
+    // Computes the votes for the `table.span` directions from `first` on, and updates the best keys.
     void run(const Team& team, int first, const Table& table) const {
         const Warp warp(team);
         const int span = table.span, end_of_all = directions();
@@ -235,7 +245,7 @@ struct FloorVotes {
         }
     }
 
-    // Votes for all directions. `best` and `whole` are initialized before the sync.
+    // Computes the votes for all directions, and the best keys.
     void run(const Team& team) const {
         for (int n = team.rank; n < rings; n += team.size) best[n] = ~0ull;
         if (team.rank == 0) *whole = ~0ull;
@@ -255,8 +265,8 @@ struct FloorVotes {
         team.sync();
     }
 
-    // Finds the best plane in the near part that differs from the previous one, by the votes of all
-    // cells.
+    // Replaces the last key of `best` by that of the next best plane in the near part, with the votes
+    // of all cells. Planes similar to the previous ones are left out: their votes are overwritten.
     void next(const Team& team) const {
         const unsigned long long last = best[rings - 1];
         const int index = FloorKey::number(last), d = index / bins, h = index - d * bins;
@@ -313,38 +323,40 @@ struct FloorSearch {
     };
     FloorAngles angles;
     const int* settings;
-    // The cells that vote, sorted by ring, and the end of each ring.
+    // The cells that vote, sorted by ring, and the number of cells up to the end of each ring.
     FloorCells cells;
     const int* ring_ends;
-    // Scratch: one word per cell; the weights of all groups; KEY_WORDS; votes of all directions; counts
-    // of FloorVotes::LANES directions, or on CUDA `room` words of shared memory.
+    // Scratch: `slack` has one word per cell; `weights` has one word per cell for each ThreadGroup;
+    // `keys` has KEY_WORDS words; `votes` has the votes of all directions; `counts` has the counts for
+    // FloorVotes::LANES directions, or on CUDA `room` words of shared memory.
     int *slack, *weights;
     unsigned long long* keys;
     int *votes, *counts;
     int room;
 
-    // Whether a camera on a robot or in a hand is commonly tilted like this.
+    // Whether a plane is below the camera and the camera's tilt is usual on a robot or in a hand.
     static bool is_usual(FloorPlane plane) {
         const int one = FloorAngles::ANGLES, roll = ROLLED_DEG * one;
         return plane.pitch >= PITCH_LEAST * one && plane.pitch <= PITCH_MOST * one &&
                plane.roll <= roll && -plane.roll <= roll && plane.height > 0;
     }
 
-    // Minimum inlier fraction of a plane [per mille], `least` for a level camera: the more a camera is
-    // pitched, the more floor it sees.
+    // Minimum inlier fraction of a plane [per mille]. It is `least` for a level camera, and increases
+    // with pitch beyond FILLS_DEG, because a camera that is pitched more sees more floor.
     static int least_share(FloorPlane plane, int least) {
         const int beyond = plane.pitch - FILLS_DEG * FloorAngles::ANGLES;
         return least + (beyond > 0 ? FILLS * beyond / FloorAngles::ANGLES : 0);
     }
 
-    // Number of bins of the largest lattice, plus one.
+    // Number of heights of the largest lattice, plus one.
     static int most_bins(const int* settings) {
         const int span = 2 * settings[FloorSetting::SPAN];
         const int range = settings[FloorSetting::HIGHEST] - settings[FloorSetting::LOWEST];
         return ((span > range ? span : range) >> settings[FloorSetting::BIN_BITS]) + 2;
     }
 
-    // Number of words of the largest lattice: directions padded to complete warps, one extra bin each.
+    // Number of words for the votes of the largest lattice. Directions are padded to complete warps,
+    // and each has one word more than there are heights.
     static size_t lattice_words(const int* settings) {
         const auto words = [&](size_t directions, int span) {
             return (directions + 31) / 32 * 32 * ((span >> settings[FloorSetting::BIN_BITS]) + 2);
@@ -356,7 +368,8 @@ struct FloorSearch {
         return near > wide ? near : wide;
     }
 
-    // Computes the tolerances of votes for the spacing of directions; they do not depend on the height.
+    // Computes the tolerance of each cell for votes, in `slack`. It includes the spacing of directions
+    // in `per_z`, and is the same for all heights of the camera.
     void coarse(const Team& team, int per_z) const {
         const int noise = settings[FloorSetting::NOISE];
         const FloorSlack rough(settings[FloorSetting::ROUGH_BASE], per_z, noise, 0);
@@ -367,13 +380,15 @@ struct FloorSearch {
         team.sync();
     }
 
-    // Lattice of planes around a given one.
+    // Lattice of planes around `middle`: up to `turn` degrees of pitch and `roll` degrees of roll on
+    // each side, one degree apart.
     FloorVotes around(FloorPlane middle, int turn, int roll) const {
         const int one = FloorAngles::ANGLES, span = settings[FloorSetting::SPAN];
         return lattice(middle.pitch - turn * one, middle.roll - roll * one, one, 2 * turn + 1,
                        2 * roll + 1, middle.height - span, 2 * span);
     }
 
+    // Lattice with the parameters of FloorVotes; `span` is the range of heights [depth units].
     FloorVotes lattice(int pitch0, int roll0, int step, int pitches, int rolls, int lowest,
                        int span) const {
         const int rings = 1, fewest = 0, edges = 0, bits = settings[FloorSetting::BIN_BITS];
@@ -407,7 +422,8 @@ struct FloorSearch {
         team.sync();
     }
 
-    // Votes by rings: writes the best plane of the cells up to each ring and the number of these cells.
+    // Finds the best plane of the near part for the cells up to each ring. Writes the planes to
+    // `planes` and the numbers of these cells to `ends`; returns the number of planes.
     int best_of_rings(const Team& team, FloorVotes& lattice, FloorPlane* planes, int* ends) const {
         lattice.rings = RINGS;
         lattice.fewest = (MIN_SHARE * cells.count + 99) / 100;
@@ -432,7 +448,8 @@ struct FloorSearch {
         int ends[NEAR_PLANES];
         int count = best_of_rings(team, lattice, planes, ends);
         lattice.next(team);
-        // The best plane of the complete lattice, unless it is that of all rings.
+        // `any` is the best plane of the complete lattice; it is omitted if the near
+        // part has the same best plane.
         const FloorPlane any = lattice.plane(*lattice.whole);
         const bool is_new = !(any == planes[count - 1]);
         if (team.rank == 0) {

@@ -7,24 +7,24 @@ namespace jaxdet { namespace {
 
 struct FloorSteps : FloorProfile {
     enum { DROPS = 28, RISES = 10, STEPS = DROPS + RISES, OWN = 4 };
-    // Number of steps that the CPU tries at once.
+    // Number of candidate steps that are tried together: all of them on the CPU.
     enum { ABREAST = Warp::size > 1 ? 1 : STEPS };
 
-    // Per distance bin: number of inliers of the plane in all nearer bins; number of inliers of the
-    // floor beyond the step in this bin.
+    // `own` is the number of inliers of the plane in all nearer distance bins; `others` is the number
+    // of inliers of the floor beyond the step in this distance bin.
     int* own() const { return row(5); }
     int* others() const { return row(6); }
 
-    // Drop of the floor at candidate step `i`; steps down come first.
+    // Drop of the floor at candidate step `i` [depth units]; the steps down come first.
     int drop(int i) const {
         const int each = settings[FloorSetting::DROP_SPACING];
         return i < DROPS ? (i + 1) * each : -(i - DROPS + 1) * each;
     }
 
-    // Finds the step with the most votes (in a tie the first) and its number of votes; returns
-    // false if there are fewer than `least` votes or the floor beyond the step is not visible over
-    // some distance. A step down must be deeper than `deeper`. The cells must be sorted, and the
-    // flat votes of the plane computed with the fine tolerance.
+    // Finds the step with the most votes, the first of several with equal votes, and its number of
+    // votes. Returns false if it has fewer than `least` votes, or if the floor beyond the step is not
+    // visible over some distance. A step down must be deeper than `deeper` [depth units]. `sort` and
+    // FloorRamps::limits must have run for this plane, with the fine tolerance.
     bool step(const Team& team, int least, int deeper, FloorAhead& found, int& votes) const {
         const int n = runs(), each = FloorScore::BELOW_COST;
         const Warp warp(team);
@@ -38,10 +38,10 @@ struct FloorSteps : FloorProfile {
         team.sync();
         for (int first = warp.index * ABREAST; first < STEPS; first += warp.count * ABREAST) {
             int deep[ABREAST], rise[ABREAST];
-            // Most votes so far, and the distance bin of that step.
+            // Most votes so far, and the distance bin at which the step with these votes begins.
             int most[ABREAST], at[ABREAST];
-            // Votes and inliers of the floor beyond the step, in the bins of earlier passes,
-            // which are farther away.
+            // Votes and inliers of the floor beyond the step in the bins of earlier passes; these bins
+            // are farther away.
             int beyond[ABREAST] = {}, other[ABREAST] = {};
             bool some = false;
             for (int w = 0; w < ABREAST; ++w) {
@@ -84,8 +84,8 @@ struct FloorSteps : FloorProfile {
         return is_seen(team, m % n, found.drop);
     }
 
-    // Whether the floor beyond the step, from distance bin `from` on, is visible over some
-    // distance. A wall is not.
+    // Whether the floor beyond the step is visible over some distance, which a wall is not. It begins
+    // at distance bin `from`, `deep` depth units below the plane.
     bool is_seen(const Team& team, int from, int deep) const {
         const int n = runs();
         for (int k = team.rank; k < n; k += team.size) {

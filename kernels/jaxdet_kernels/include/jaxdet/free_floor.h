@@ -1,4 +1,5 @@
-// Visible free floor in each column of cells, and what ends it. Twin of jaxdet/reference/_free.py.
+// Visible free floor in each column of cells, and the reason of its end. Twin of
+// jaxdet/reference/_free.py.
 #pragma once
 #include "floor_frame.h"
 #include "rays.h"
@@ -7,22 +8,24 @@
 namespace jaxdet { namespace {
 
 struct FreeFloor {
-    // Indices of settings: end of the range; length of floor without a measurement that ends it; limits
-    // of depth and height of obstacles on rays (3); half of a cell's angle; minimum depth of a notch;
-    // and minimum number of cells of an obstacle in a notch.
+    // Indices of settings; lengths are in depth units. FAR: end of the range. GAP: floor ends at a
+    // longer gap without measurements. NEAREST, IN_RANGE and HIGHEST: minimum depth, maximum depth and
+    // maximum height of obstacles on rays. HALF_TURN: half the angle of a cell. NOTCH: minimum depth of
+    // a notch. MIN_CELLS: minimum number of cells of an obstacle in a notch.
     enum { FAR, GAP, NEAREST, IN_RANGE, HIGHEST, HALF_TURN, NOTCH, MIN_CELLS, SETTINGS };
     enum { UNKNOWN, OBSTACLE, DROP, RANGE };
     enum {
-        // Number of consecutive measured cells, lower than the last floor by a drop, that make a drop.
+        // Floor ends at a drop if this many consecutive measured cells are lower than it by a drop.
         RUN = 3,
         // Number of neighbouring columns on each side of a drop; more than half of them must drop too.
         NEIGHBOURS = 14,
-        // Floor farther up must not be nearer than lower cells by more than one part in SHARE.
+        // The cells beyond a drop must not be behind floor that is farther up in the image: such floor
+        // may be nearer than the nearest of them by at most one part in SHARE of its distance.
         SHARE = 5,
         LARGEST = 0x7fffffff,
         DEPTHS = 65536,
-        // On CUDA a thread follows one column, and the loads of this many cells are in flight together:
-        // while searching the nearest obstacle, following the floor, and looking beyond its end. On the
+        // On CUDA a thread follows one column. It loads several cells at a time: SEEK in the search of
+        // the nearest obstacle, AHEAD along the floor, and BEHIND beyond the end of the floor. On the
         // CPU, ABREAST columns are followed together, in loops that are vectorized.
         SEEK = Warp::size > 1 ? 8 : 1,
         AHEAD = Warp::size > 1 ? 4 : 1,
@@ -32,11 +35,14 @@ struct FreeFloor {
 
     // State of columns that are followed together.
     struct Columns {
-        // Distance and row of the nearest obstacle; without one, the end of the range and -1.
+        // Distance [depth units] and row of the nearest obstacle; if there is none, the end of the
+        // range and -1.
         int limit[ABREAST], nearest[ABREAST];
-        // Rows of the first and the last floor cell so far, -1 = none yet; position of the last one.
+        // Rows of the first and of the last floor cell so far, -1 if there is none yet; forward
+        // distance and height of the last one [depth units].
         int first[ABREAST], last[ABREAST], forward[ABREAST], height[ABREAST];
-        // Whether the floor has ended, and whether it drops there, -1 = not tested yet.
+        // Whether the floor has ended; whether it drops after its last cell, -1 if that is not tested
+        // yet.
         int ended[ABREAST], falls[ABREAST];
     };
 
@@ -44,17 +50,18 @@ struct FreeFloor {
     int rows, columns, far, gap;
     const int *label, *z, *right, *forward, *height;
     const bool* low;
-    const int *bows, *drops;  // (DEPTHS,) tolerance of bowing, and height of a drop, by z
+    const int *bows, *drops;  // (DEPTHS,) tolerance of bowing, and minimum height of a drop, by z
     int *line_out, *end_out;
-    int* falls;  // scratch, (columns): whether the floor drops
-    bool turned;  // by half a turn: the camera is upside down
+    int* falls;  // scratch, (columns): whether the floor of each column drops
+    bool turned;  // whether the camera is upside down, so that rows and columns are reversed
 
     int at(int row, int column) const {
         const int k = row * columns + column;
         return turned ? rows * columns - 1 - k : k;
     }
 
-    // Loads n cells of a row, to the right from `left`, or to the left if the cells are turned.
+    // Copies n cells of a row from column `left` on to `out`; `turned` is taken into account as in
+    // `at`.
     void take(const int* from, int row, int left, int n, int* __restrict__ out) const {
         const int* const cell = from + at(row, left);
         if (turned)
@@ -63,7 +70,7 @@ struct FreeFloor {
             for (int c = 0; c < n; ++c) out[c] = cell[c];
     }
 
-    // Runs for any mounting; the result is unknown for a camera on its side.
+    // Finds the free floor for a camera in any orientation; it is unknown if the camera is on its side.
     void run(const FloorFrame& frame) {
         const int aside = frame.axes[6], upright = frame.axes[7];  // of the down vector
         turned = upright < 0;
@@ -100,8 +107,8 @@ struct FreeFloor {
         team.sync();
     }
 
-    // Finds the nearest obstacle of each column (of equally near cells the uppermost), and initializes
-    // the floor.
+    // Finds the nearest obstacle cell of each column, the uppermost of equally near ones, and
+    // initializes the floor.
     void find_obstacles(Columns& __restrict__ of, int left, int n) const {
         for (int c = 0; c < n; ++c) {
             of.limit[c] = LARGEST;
@@ -182,8 +189,9 @@ struct FreeFloor {
         }
     }
 
-    // Whether the next RUN measured cells up a column are lower than its last floor by a drop and lie
-    // flat, and no floor farther up is clearly nearer than they are.
+    // Whether the next RUN measured cells up column c are lower than its last floor cell by a drop and
+    // lie flat, and no floor farther up is clearly nearer than they are. `i` is the index of the column
+    // in `of`. The result is stored in `of.falls`.
     int falls_after(Columns& of, int i, int c) const {
         if (of.falls[i] < 0) of.falls[i] = look_behind(of.last[i], of.height[i], c);
         return of.falls[i];
@@ -220,8 +228,8 @@ struct FreeFloor {
         return found == RUN;
     }
 
-    // Writes where the free floor of a column begins and ends; drops in too few columns are removed
-    // later.
+    // Writes where the free floor of column c begins and ends, and the reason of its end; `i` is the
+    // index of the column in `of`. Drops in too few columns are removed later.
     void put(Columns& of, int i, int c) const {
         const int obstacle = of.nearest[i];
         const bool blocked = obstacle >= 0, seen = of.first[i] >= 0;
@@ -234,6 +242,8 @@ struct FreeFloor {
         end_out[c] = falls_off ? DROP : up_to ? OBSTACLE : close ? RANGE : UNKNOWN;
     }
 
+    // Writes the position of a cell on the floor as the first (0) or the last (1) end of the line of
+    // column c; zeros if `row` is -1.
     void put_place(int end, int row, int c) const {
         int* place = line_out + 4 * c + 2 * end;
         place[0] = row < 0 ? 0 : right[at(row, c)];

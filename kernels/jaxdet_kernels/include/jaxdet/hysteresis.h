@@ -1,5 +1,5 @@
 // Hysteresis, the last step of Canny: keeps weak edges that are 8-connected to strong ones. Twin of
-// `_connected_to` in jaxdet/reference/_canny.py. Works on bitmaps, see pixel_bits.h.
+// `_connected_to` in jaxdet/reference/paper/_canny.py. The images are bitmaps, see pixel_bits.h.
 #pragma once
 #include "pixel_bits.h"
 

@@ -1,5 +1,5 @@
-// Sizes of obstacles: extents of their cells in space and in the image of boxes, and the points A, B
-// and C on the floor. Twin of jaxdet/reference/_footprint.py.
+// Sizes of obstacles: extents of their cells in space and in the image in which boxes are reported, and
+// their points A, B and C on the floor. Twin of jaxdet/reference/_measures.py.
 #pragma once
 #include "cell_box.h"
 #include "obstacle_cells.h"
@@ -9,18 +9,22 @@ namespace jaxdet { namespace {
 
 struct Measures {
     enum { MOST_LATERAL = (1 << 18) - 1, DEPTHS = 65536, TRIM_SHARE = 16 };
-    // Number of cells whose boxes are computed in a vectorized loop on the CPU.
+    // Number of cells whose boxes are computed together, in a vectorized loop on the CPU.
     enum { ABREAST = Warp::size > 1 ? 1 : 64 };
-    // Measurements that are separate units of work.
+    // Measurements of an obstacle; each is a unit of work for a warp. LEFT, RIGHT and NEAR are A, B and
+    // C.
     enum { PLACE, BOX, HEIGHT, LEFT, RIGHT, NEAR, KINDS };
 
     const ObstacleCells& cells;
     const Warp& warp;
+    // Maximum number of outermost cells that are trimmed; minimum distance of C in front of A and B at
+    // which C is a vertex [depth units].
     int trim, threshold;
-    const int* bands;  // (DEPTHS, 2) lateral and forward band, by the nearest distance
+    const int* bands;  // (DEPTHS, 2) widths of the lateral and the forward band, by nearest distance
+    // Positions of the cells in the camera optical frame, and their heights [depth units].
     const int *xyz[3], *height;
     CellBoxes boxes;
-    // Results, (slots).
+    // Results, one row per slot; see `Obstacles` in jaxdet/types.py.
     int *count_out, *uv_min_out, *uv_max_out, *xyz_min_out, *xyz_max_out, *xyz_sum_out;
     int *a_out, *b_out, *c_out, *bottom_top_out;
     int* vertex_out;
@@ -43,7 +47,7 @@ struct Measures {
             xyz_min_out[i] = xyz_max_out[i] = xyz_sum_out[2 * i] = xyz_sum_out[2 * i + 1] = 0;
     }
 
-    // Sets whether C is a vertex, after A, B and C are known.
+    // Writes whether C is a vertex, for each obstacle; A, B and C must have been written.
     void find_vertices() const {
         for (int i = cells.team.rank; i < cells.count; i += cells.team.size) {
             const int a = a_out[2 * i + 1], b = b_out[2 * i + 1];
@@ -52,7 +56,7 @@ struct Measures {
         }
     }
 
-    // Takes one measurement of an obstacle, all but the vertex, after the cells are sorted.
+    // Writes one measurement of an obstacle; `cells` must be sorted by obstacle.
     void measure(int number, int kind) const {
         const ObstacleCells::Range all = cells.all(number);
         if (all.size() == 0)
@@ -88,19 +92,20 @@ struct Measures {
         count_out[number] = range.size();
     }
 
+    // Joins the extremes of the lanes of the warp, and writes them.
     void put(Extremes found, int* low, int* high) const {
         found.join(warp);
         *low = found.low;
         *high = found.high;
     }
 
-    // Writes the bounding box in the image of boxes.
+    // Writes the bounding box of an obstacle, in pixels of the image in which boxes are reported.
     void put_box(int number, ObstacleCells::Range range) const {
         Extremes across, down;
 #if defined(__CUDA_ARCH__)
         add_boxes(range, boxes.image(), across, down);
 #else
-        // The image is a constant in each call, so that loops are vectorized.
+        // Each call has a constant as the image, so that its loops are vectorized.
         switch (boxes.image()) {
             case CellBoxes::ALIGNED: add_boxes(range, CellBoxes::ALIGNED, across, down); break;
             case CellBoxes::PINHOLE: add_boxes(range, CellBoxes::PINHOLE, across, down); break;
@@ -133,6 +138,7 @@ struct Measures {
         }
     }
 
+    // Writes the smallest and the largest height of an obstacle's cells.
     void put_height(int number, ObstacleCells::Range range) const {
         Extremes found;
         for (int i = range.first + warp.lane; i < range.end; i += warp.size)
@@ -140,7 +146,7 @@ struct Measures {
         put(found, bottom_top_out + 2 * number, bottom_top_out + 2 * number + 1);
     }
 
-    // Extremes of values in the order of sorted cells.
+    // Smallest and largest of `values`, which are in the order of the sorted cells.
     Extremes extremes(const int* values, ObstacleCells::Range range) const {
         Extremes found;
         for (int i = range.first + warp.lane; i < range.end; i += warp.size) found.add(values[i]);
@@ -148,8 +154,8 @@ struct Measures {
         return found;
     }
 
-    // Writes A, B or C: the outermost coordinate on one axis, and the smallest coordinate on the other
-    // axis among the cells at the outermost coordinate.
+    // Writes A, B or C. Its coordinate on one axis is that of `outermost`; its coordinate on the other
+    // axis is the smallest among the cells with this coordinate.
     void put_corner(int number, int kind, ObstacleCells::Range range) const {
         const bool near = kind == NEAR;
         const int* values = near ? cells.forward_of : cells.right_of;
@@ -171,7 +177,9 @@ struct Measures {
         out[!near] = least;
     }
 
-    // Median of the values within `band` of the outermost one, after trimming.
+    // Removes the outermost values (at most `trim`, and at most one in TRIM_SHARE), and returns the
+    // median of the remaining values that are within `band` of the outermost one. With `flip` 0 the
+    // outermost value is the smallest, with `flip` -1 the largest.
     int outermost(const int* values, int flip, Extremes all, int band,
                   ObstacleCells::Range range) const {
         const Ranks ranks(warp);

@@ -10,19 +10,20 @@ struct Notches {
     const int* settings;
     const int* rises;  // (DEPTHS,) step, indexed by z; `slope` is its growth with noise
     int slope;
-    // Scratch: notch of each column, -1 = none; number of cells of each notch, replaced by the number
-    // of its obstacle.
+    // Scratch. `notch` is the notch of each column, -1 if there is none. `size` is first the number of
+    // cells of each notch, then the number of its obstacle, -1 if it has too few cells. `most` is the
+    // number of notches.
     int *notch, *size, *most;
     int* label;
     int *num_obstacles, *first;
 
-    // Forward distance at which the floor of a column ends, 0 if no floor is visible; and whether it
-    // ends for an unknown reason.
+    // `ahead` is the forward distance at which the floor of column c ends [depth units], 0 if no floor
+    // is visible. `is_short` is whether floor is visible and ends for an unknown reason.
     int ahead(int c) const { return floor.line_out[4 * of(c) + 3]; }
     bool is_short(int c) const { return floor.end_out[of(c)] == FreeFloor::UNKNOWN && ahead(c) > 0; }
     int of(int c) const { return floor.turned ? floor.columns - 1 - c : c; }
 
-    // Adds obstacles; returns whether there are any.
+    // Adds an obstacle for each notch with enough cells; returns whether there are any.
     bool run() const {
         const Team& team = floor.team;
         if (team.rank == 0) *most = find();
@@ -48,7 +49,8 @@ struct Notches {
         return any;
     }
 
-    // Numbers the notches, in one thread: runs of short columns between longer ones.
+    // Numbers the notches, i.e. runs of short columns between longer ones; returns how many there are.
+    // Only one thread may call it.
     int find() const {
         const int columns = floor.columns, length = settings[FreeFloor::NOTCH];
         int found = 0;

@@ -25,11 +25,11 @@ struct ObstacleCells {
     Margins margins;
     const int *label, *right, *forward;
     CellList listed;  // cells of obstacles; the label is replaced by the part's index
-    // Start of each part of each obstacle, then the number of all cells; and the index at which the
-    // next cell of each part is stored.
+    // `starts` has, for each part of each obstacle, the index of its first cell in sorted order, then
+    // the number of all cells. `filled` has the index at which the next cell of each part is stored.
     int* starts;
     int* filled;
-    // In sorted order: cell, and its position on the floor.
+    // Index and position on the floor of each cell, in sorted order.
     int *cell, *right_of, *forward_of;
 
     // Allocates the arrays, with room for `slots` obstacles.
@@ -52,8 +52,8 @@ struct ObstacleCells {
         if (team.rank == 0) *listed.count = 0;
     }
 
-    // Computes where the cells of each obstacle start, in one warp, after all cells are counted.
-    // The team must sync afterwards.
+    // Computes `starts` in one warp; the cells of each part must have been counted. The team must sync
+    // afterwards.
     void order(const Warp& warp) const {
         const int all = PARTS * count;
         for (int i = warp.lane; i < all; i += warp.size) starts[i] = filled[i];
@@ -61,7 +61,7 @@ struct ObstacleCells {
         for (int i = warp.lane; i < all; i += warp.size) filled[i] = starts[i];
     }
 
-    // Sorts the cells, after their labels have been replaced. The team must sync afterwards.
+    // Sorts the cells; their labels must have been replaced by parts. The team must sync afterwards.
     void sort() const {
         for (int i = team.rank; i < *listed.count; i += team.size) {
             const int at = team.atomic_count(filled + listed.label[i]);
@@ -73,7 +73,8 @@ struct ObstacleCells {
 
     Range all(int number) const { return parts(number, INSIDE, PARTS); }
 
-    // Cells inside the margins, or all if more than half are in the margins.
+    // Cells of an obstacle inside the margins, or all of its cells if more than half are in the
+    // margins.
     Range relied(int number) const {
         const Range every = all(number), inside = parts(number, INSIDE, AT_MARGIN);
         return 2 * (every.size() - inside.size()) > every.size() ? every : inside;

@@ -16,17 +16,19 @@ struct Obstacles {
     enum { MAX_SURFACES = 512, MAX_LABELS = 1024, THINNEST = 3 };
     // Indices of `counts`.
     enum { SURFACES, WHOLE, GROUPS, NEAR, PARTS, LISTED, COUNTS };
-    // Indices of `settings`, in the order of jaxdet/stages/_tables.py. NO_STEP: depth step of surfaces
-    // that do not face each other; OFFSET: initial evidence.
+    // Indices of `settings`, in the order of `obstacle_tables` in jaxdet/stages/_tables.py; lengths are
+    // in depth units. NO_STEP is the depth step of surfaces that do not face each other, and OFFSET is
+    // the constant term of the evidence.
     enum {
         FARTHEST, LATERAL, FORWARD, GAP, CONTACT, BEND, SIDE, MIN_SIZE, MIN_CELLS, NO_STEP, OFFSET
     };
-    // Words of fast memory: shared memory on CUDA, none on the CPU.
+    // Number of words of fast memory, which is shared memory on CUDA. The CPU has none.
     enum { FAST = Warp::size > 1 ? 4096 : 0 };
     static_assert((int)FAST == 0 || (int)FAST >= (int)Evidence::FAST, "room for a batch of pairs");
     int* fast;  // reused by one stage after the other, aligned to 16 bytes
     int rows, columns;
-    // Per cell.
+    // Surface, position in the camera optical frame, and position on and height above the floor, of
+    // each cell [depth units]; and whether it is free.
     const int *surface, *x, *y, *z, *right, *forward, *height;
     const unsigned char* free;
     const int* settings;
@@ -34,14 +36,14 @@ struct Obstacles {
     int* label;  // result: obstacle of each cell, -1 = none
     int* total;  // result: number of obstacles
 
-    // Scratch. `pairs` is reused: for contacts between surfaces, values of surfaces, sums of pairs, and
-    // the nearest cells of contours of obstacles.
+    // Scratch. `pairs` holds, one after the other: contacts between surfaces, values of surfaces, sums
+    // of pairs, and the nearest cells of the contours of obstacles.
     int slots;
     Key *pairs, *of_surfaces, *best, *turns;
     int *between, *list, *packed, *stack, *line_x, *line_y, *line_column, *start;
     unsigned char* near_pairs;
     int* bits;
-    CellList listed;  // the label changes: surface, merged surface, part of an obstacle
+    CellList listed;  // labels are first surfaces, then merged surfaces, then parts of obstacles
     Extents first, whole, last;
     int *group, *number, *small, *spare, *over, *counts, *parts, *part_of;
 
@@ -109,7 +111,7 @@ struct Obstacles {
         extents.measure(team, count, listed, columns, x, z, height);
     }
 
-    // Computes the trimmed extremes of a value for labels with `over` set.
+    // Computes the trimmed extremes of a value for each label: `over` cells are trimmed at each end.
     void trim(
         const Team& team, const Extents& extents, int count, const int* value, const int* low,
         const int* high, int* least, int* most
@@ -120,8 +122,9 @@ struct Obstacles {
         trimmed.run(team);
     }
 
-    // Sets `over`, the number of cells to trim, for this thread's labels whose size test depends on the
-    // trimmed width; returns whether there are any. For other labels the untrimmed width is sufficient.
+    // Sets `over`, the number of cells to trim, for this thread's labels. It is 0 for labels whose size
+    // test does not depend on the trimmed width, since their untrimmed width is sufficient. Returns
+    // whether any is not 0.
     bool width_decides(const Team& team, const Extents& extents, int count) const {
         bool some = false;
         for (int l = team.rank; l < count; l += team.size) {
@@ -135,7 +138,7 @@ struct Obstacles {
         return some;
     }
 
-    // Measures the trimmed width, after `over` is set.
+    // Measures the trimmed width of each label; `over` must have been set.
     void measure_width(const Team& team, const Extents& extents, int count) const {
         trim(team, extents, count, listed.right, extents.right_low, extents.right_high, extents.left,
              extents.right);
@@ -151,7 +154,8 @@ struct Obstacles {
         numbering.run(team);
     }
 
-    // Merges small surfaces into others: sets `number` of each surface, and the extents `whole`.
+    // Merges small surfaces into others. Sets `number`, the merged surface of each surface, and the
+    // extents `whole` of merged surfaces.
     void join_small(const Team& team) const {
         const int count = counts[SURFACES];
         measure(team, first, count);
@@ -172,7 +176,7 @@ struct Obstacles {
         whole.join(team, counts[WHOLE], first, count, number);
     }
 
-    // Bitmaps of cells with a surface (0) and of free cells (1), by rows and by columns.
+    // Bitmap of the cells with a surface (0) or of the free cells (1), by rows or by columns.
     BitRows rows_bits() const { return BitRows(rows, columns, nullptr); }
     BitRows columns_bits() const { return BitRows(columns, rows, nullptr); }
     BitRows bits_of(int k) const {

@@ -9,16 +9,17 @@
 namespace jaxdet { namespace {
 
 struct Outlines {
-    // Settings: cells trimmed before A, B and C; minimum distance by which a vertex is nearer than A
-    // and B; length from which the long sides of a rectangle are trimmed.
+    // Indices of settings. TRIM: number of outermost cells that are trimmed before A, B and C. VERTEX:
+    // minimum distance by which a vertex is nearer than A and B. LONG: length from which the long sides
+    // of a rectangle are trimmed. Lengths are in depth units.
     enum { TRIM, VERTEX, LONG, SETTINGS };
     enum {
         DIRECTIONS = 90,
         DIRECTION_BITS = 9,
         LONG_TRIM = 20,
-        // Bits of a cell index.
+        // Number of bits of a cell index.
         CELL_BITS = 20,
-        // Larger than any sum of distances to edges, after the fraction is dropped.
+        // This is larger than any sum of distances to edges without fraction bits.
         NO_EDGE = 1 << 30
     };
 
@@ -27,16 +28,16 @@ struct Outlines {
     const Measures& measures;
     int slots, longest;
     const int* directions;  // (DIRECTIONS, 2): candidate directions, right and forward
-    // Results, (slots); a contour has room for one point per column.
+    // Results, one row per slot; a contour has room for one point per column.
     int *contour_out, *points_out, *direction_out, *span_out;
-    // Lexicographic key per obstacle and column: smallest squared distance, then cell index.
+    // Key of the nearest cell of each obstacle in each column: its squared distance, then its index.
     unsigned long long* nearest;
-    // Area and cost of the rectangle per obstacle and direction, which decide its direction.
+    // Area and cost of the rectangle of each obstacle in each direction; they decide the direction.
     long long* area;
     int* cost;
     // Number of contour points in the left and in the right margin, per obstacle.
     int* margins;
-    // Coordinate along or across the direction, in the order of sorted cells.
+    // Coordinate of each cell along or across the direction, in the order of the sorted cells.
     int* projected;
 
     // Allocates the arrays, then those of `grid`, which is `cells`.
@@ -106,7 +107,7 @@ struct Outlines {
         }
     }
 
-    // Lexicographic key of a cell: squared distance, then cell index.
+    // Key by which the cells of a column are compared: squared distance, then cell index.
     unsigned long long key(int k, long long x, long long y) const {
         return (unsigned long long)(x * x + y * y) << CELL_BITS | (unsigned)k;
     }
@@ -215,7 +216,7 @@ struct Outlines {
         return best - first;
     }
 
-    // Whether direction `one` fits better than `other`; in a tie the first direction is better.
+    // Whether direction `one` fits better than `other`; if both fit equally well, the first is better.
     bool fits_better(int one, int other) const {
         if (cost[one] != cost[other]) return cost[one] < cost[other];
         return area[one] != area[other] ? area[one] < area[other] : one < other;
@@ -228,7 +229,7 @@ struct Outlines {
         measures.put(all, found, found + 1);
     }
 
-    // Trims one in LONG_TRIM cells at each end.
+    // Returns the extremes after one in LONG_TRIM cells is removed at each end.
     void trim(ObstacleCells::Range range, int ax, int ay, int* side) const {
         const Ranks ranks(warp);
         const int passed = range.size() / LONG_TRIM, first = range.first, end = range.end;

@@ -33,20 +33,20 @@ struct Header {
 // values read from memory would occupy registers.
 struct Frame {
     enum {
-        STATIC = 3,   // header words at the start that only Python reads
-        HEADER = 32,  // words of the complete header
+        STATIC = 3,   // number of words at the start of the header that only Python reads
+        HEADER = 32,  // number of words of the header
         DEPTHS = 65536,
         SLOTS = 128  // MAX_OBSTACLES
     };
     const unsigned short* depth;  // (height, width) depth image
-    const int* floors;            // Floor::PRIOR values, then FloorFrame::VALUES
+    const int* floors;            // prior, Floor::PRIOR words; its floor frame, FloorFrame::VALUES words
     int* contour;                 // (SLOTS, columns, 2) contours, right and forward
 
     int rows, columns;  // size of the grid of cells
     int width, side, trees, leaves, aligned;
-    int work_words;  // words of the intermediate arrays
-    // Tables.
-    const int *near, *steps, *limits, *rises, *bows, *drops, *bands;  // indexed by depth
+    int work_words;  // number of words of the intermediate arrays
+    // Tables; those of the first line have an entry per depth.
+    const int *near, *steps, *limits, *rises, *bows, *drops, *bands;
     const int *surface_settings, *outline_settings, *free_settings, *last, *directions;
     const int *bearings, *ray_directions;
     const float *block_settings, *parameters, *corner_x, *corner_y;

@@ -1,6 +1,6 @@
-// Projection of points on depth rays into the colour image (Eq. 1-4), as librealsense computes it.
-// Twin of `project_corners` in jaxdet/reference/_align.py and of jaxdet/reference/_lens.py, operation
-// by operation: compile without fused multiply-add, so that every operation is rounded on its own.
+// Projection of points on rays of the depth camera into the colour image (Eq. 1-4), with the operations
+// of librealsense. Twin of jaxdet/reference/_lens.py. Each operation must be rounded separately, so
+// compile without fused multiply-add.
 #pragma once
 #include "interval.h"
 #include "square_root.h"
@@ -9,23 +9,26 @@ namespace jaxdet { namespace {
 
 struct Projection {
     enum { PINHOLE, PLUMB_BOB, RATIONAL, EQUIDISTANT, PARAMETERS = 26 };
-    enum { FAR = 1 << 20 };  // farther than any column or row of an image
-    // Rotation 0-8, translation 9-11, fx fy cx cy 12-15, lens 16-23, largest squared slope 24,
-    // metres per depth unit 25.
+    enum { FAR = 1 << 20 };  // larger than the index of any column or row of an image
+    // Parameters, by index: 0-8 rotation from the depth to the colour camera; 9-11 translation [m];
+    // 12-15 fx, fy, cx and cy [pixel]; 16-23 lens coefficients; 24 largest x^2 + y^2 of a visible ray
+    // (x, y, 1) of the colour camera; 25 metres per depth unit.
     const float* p;
     int model;
 
-    // The lens model follows the parameters.
+    // The lens model is stored in the element after the parameters.
     static Projection of(const float* parameters) {
         return {parameters, static_cast<int>(parameters[PARAMETERS])};
     }
 
+    // Column and row in the colour image, depth in the colour camera [depth units], and whether the
+    // point is in front of the camera and inside the range of the lens model.
     struct Point {
         int u, v, z;
         bool seen;
     };
 
-    // Cephes `atan` for x >= 0, from basic arithmetic only and without a branch.
+    // Arctangent of x >= 0 [rad], as in Cephes, with basic arithmetic only and without branches.
     __attribute__((always_inline)) static double arctangent(double x) {
         const bool large = x > 2.414213562373095, middle = !large & (x > 0.66);
         const double offset = large ? 1.5707963267948966 : middle ? 0.7853981633974483 : 0.0;
@@ -45,7 +48,7 @@ struct Projection {
         return offset + (t * (z * above / below) + t);
     }
 
-    // Kannala-Brandt, in float64.
+    // Distorts a ray (x, y, 1) by the model of Kannala and Brandt, in float64.
     __attribute__((always_inline)) void equidistant(float& x, float& y) const {
         const double wx = x, wy = y, r = SquareRoot::rounded(wx * wx + wy * wy);
         const double theta = arctangent(r), t2 = theta * theta;
@@ -56,7 +59,8 @@ struct Projection {
         y = (float)(wy * scale);
     }
 
-    // OpenCV's radial and tangential distortion, for floats or intervals.
+    // Distorts a ray (x, y, 1) by OpenCV's radial and tangential distortion; x and y are floats or
+    // intervals, and r2 is x^2 + y^2.
     template <class T>
     __attribute__((always_inline)) void brown_conrady(T& x, T& y, T r2) const {
         T radial = 1.0f + r2 * (p[16] + r2 * (p[17] + r2 * p[20]));
@@ -69,11 +73,13 @@ struct Projection {
         y = dy;
     }
 
-    // A point in the colour camera frame [m], as floats or intervals.
+    // Point in the colour camera's optical frame [m], as floats or intervals.
     template <class T> struct Moved {
         T x, y, z;
     };
 
+    // Transforms the point at `depth` [m] on the ray (x, y, 1) of the depth camera to the colour
+    // camera.
     template <class T>
     __attribute__((always_inline)) Moved<T> moved(T depth, T x, T y) const {
         const T px = depth * x, py = depth * y;
@@ -82,10 +88,11 @@ struct Projection {
                 p[6] * px + (p[7] * py + (p[8] * depth + p[11]))};
     }
 
-    // Computes the pixel of the point at depth `units` on the ray (x, y) of the depth camera; `bends`
-    // is true for a lens with distortion. The only branch is on the model, functions are inlined and
-    // points that are not visible take the same path, so that loops over points can be vectorized. The
-    // result is an output parameter because a returned struct would be packed into words.
+    // Computes the pixel of the point at depth `units` [depth units] on the ray (x, y, 1) of the depth
+    // camera; `bends` is true for a lens with distortion. Loops over points can be vectorized, because
+    // the only branch is on the model, functions are inlined, and points that are not visible take the
+    // same path. The result is an output parameter because a returned struct would be packed into
+    // words.
     __attribute__((always_inline)) void through(
         int units, float x, float y, bool bends, Point* at) const {
         const float depth = (float)units * p[25];
@@ -110,12 +117,13 @@ struct Projection {
         at->seen = seen;
     }
 
-    // Box of pixels from (left, top) to (right, bottom), inclusive.
+    // Box of pixels from (left, top) to (right, bottom), both included.
     struct Bounds {
         int left, top, right, bottom;
     };
 
-    // Bounds of the pixels that `through` computes for points at `units` on rays (x, y).
+    // Bounds of the pixels that `through` computes for points at the depths `units` [depth units] on
+    // the rays (x, y, 1).
     Bounds bounds(Interval units, Interval x, Interval y) const {
         const Bounds unbounded{-FAR, -FAR, FAR, FAR};
         const Moved<Interval> point = moved(units * p[25], x, y);
@@ -129,6 +137,7 @@ struct Projection {
         return {whole(column.low), whole(row.low), whole(column.high), whole(row.high)};
     }
 
+    // Rounds towards zero, after clipping to -FAR .. FAR.
     static int whole(float value) {
         const float limit = FAR;
         return (int)(value > limit ? limit : value < -limit ? -limit : value);

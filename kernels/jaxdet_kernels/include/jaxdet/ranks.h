@@ -1,8 +1,8 @@
-// Order statistics: the k-th smallest of many values, by a search over the range of values that counts
-// values up to a bound.
+// Order statistics: the k-th smallest of many values. It is found by a search over the range of values,
+// in which each round counts the values that are at most a bound.
 //
-// With `flip` 0 the order is ascending; with `flip` -1 it is descending: then v stands for ~v, as do
-// the bounds and the result, and `^ flip` converts both ways.
+// With `flip` 0 the order is ascending, and with `flip` -1 it is descending. In descending order, bounds
+// and results are complements: ~v instead of v. `^ flip` converts in both directions.
 #pragma once
 #include "warp.h"
 
@@ -13,7 +13,8 @@ struct Ranks {
 
     explicit Ranks(const Warp& warp) : warp(warp) {}
 
-    // Number of the values first .. end - 1 that are at most `limit`; a collective call of the warp.
+    // Number of the values first .. end - 1 that are at most `limit`. All lanes of the warp must call
+    // it.
     int up_to(const int* values, int flip, int first, int end, int limit) const {
         int count = 0;
         for (int i = first + warp.lane; i < end; i += warp.size)
@@ -21,11 +22,12 @@ struct Ranks {
         return warp.sum(count);
     }
 
-    // Returns the value at index `place` of the sorted values first .. end - 1, if it lies within low
-    // .. high: the smallest that at least `place` + 1 values do not exceed. A collective call of the
-    // warp. Other values may lie outside the bounds.
+    // Returns the value at index `place` of the values first .. end - 1 in sorted order, i.e. the
+    // smallest v such that at least `place` + 1 of them are at most v. This value must lie within low ..
+    // high; the others need not. All lanes of the warp must call it.
     //
-    // Each round counts at three values between the bounds and leaves a quarter of the range.
+    // Each round divides the range at three bounds, counts the values up to each of them, and continues
+    // with one quarter.
     int at(const int* values, int flip, int first, int end, int place, int low, int high) const {
         while (low < high) {
             const int part = (high - low) >> 2;

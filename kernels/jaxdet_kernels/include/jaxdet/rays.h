@@ -1,5 +1,5 @@
-// Free floor along fixed bearings from the ground projection of the camera (the foot). Twin of
-// jaxdet/reference/_rays.py.
+// Free floor along fixed bearings from the ground projection of the camera, here called the foot.
+// Lengths are in depth units. Twin of jaxdet/reference/_rays.py.
 #pragma once
 #include "cells.h"
 #include "floor_frame.h"
@@ -23,23 +23,25 @@ struct Rays {
         INFINITE = 0x7f800000  // infinity as float32
     };
     enum { UNKNOWN, OBSTACLE };  // as in FreeFloor
+    // Point on the floor: position, bearing in units of 1 / TURN of a turn, and range from the foot.
     struct Point { int right, forward, bearing, range; };
 
     const Team& team;
     int columns;
     const int* angles;       // (2^RATIO_BITS + 1,) bearings up to an eighth of a turn, by tangent
     const int* directions;   // (2, RAYS, 2): directions of rays, and of the left edges of their sectors
-    const int *line, *ends;  // (columns, 2, 2), (columns,): start and end of columns, and why they end
-    // Per ray: start of the floor; packed end of the floor; squared range of the nearest obstacle, as
-    // the bits of a float32.
+    // Start and end of the floor of each column, (columns, 2, 2), and reason of its end, (columns,).
+    const int *line, *ends;
+    // For each ray: start of the floor; end of the floor, as in `packed`; squared range of the nearest
+    // obstacle, as the bits of a float32.
     int *start, *stop, *block;
     int* polar;  // (columns, 2, 2): bearing and range of the start and end of columns
     int turn;    // half a cell's angle [rad], with TURN_BITS fraction bits
 
     static int magnitude(int a) { return a < 0 ? -a : a; }
 
-    // Quotients rounded down, for a below 2^52 and b from 1 to 2^33. In float64, which is faster on
-    // CPUs, quotients below 2^19 are exact after rounding down; larger ones may be rounded up.
+    // Quotient a / b, rounded down, for a below 2^52 and b from 1 to 2^33. It is computed in float64 on
+    // CPUs, which is faster there: quotients below 2^19 are exact, but larger ones may be rounded up.
     static long long floored(long long a, long long b) {
 #if defined(__CUDA_ARCH__)
         const long long all = a / b;
@@ -73,7 +75,7 @@ struct Rays {
     }
 #endif
 
-    // Bearing of a point, clockwise from above, 0 ahead.
+    // Bearing of a point, 0 ahead, clockwise as seen from above.
     __attribute__((always_inline)) int bearing(int right, int forward) const {
         const int aside = magnitude(right), ahead = magnitude(forward);
         const int low = aside < ahead ? aside : ahead, high = aside < ahead ? ahead : aside;
@@ -89,7 +91,7 @@ struct Rays {
         return by >= TURN / 2 ? by - TURN : by < -TURN / 2 ? by + TURN : by;
     }
 
-    // Index of the sector of a bearing, not wrapped.
+    // Index of the sector of a bearing, before `wrapped` brings it to 0 .. RAYS - 1.
     static int sector(int bearing) { return (bearing + TURN / 2 + UNITS / 2) >> UNIT_BITS; }
     static int wrapped(int sector) {
         return sector < 0 ? sector + RAYS : sector < RAYS ? sector : sector - RAYS;
@@ -106,7 +108,8 @@ struct Rays {
         return {right, forward, at, range(right, forward, at)};
     }
 
-    // Lexicographic key: range, then obstacles before drops before other ends.
+    // Key by which ends of the floor are compared, smallest first: by range, then an obstacle before a
+    // drop before other reasons.
     static int packed(int range, int why) { return range << END_BITS | ((why - 1) & 3); }
 
     void begin() const {
@@ -118,7 +121,7 @@ struct Rays {
         team.sync();
     }
 
-    // Start (0) or end (1) of a column.
+    // Start (`which` 0) or end (1) of the floor of column c.
     Point end_point(int c, int which) const {
         const int k = 2 * c + which;
         return {line[2 * k], line[2 * k + 1], polar[2 * k], polar[2 * k + 1]};
@@ -143,8 +146,8 @@ struct Rays {
         return any && !(a.right == b.right && a.forward == b.forward && ends[c] == OBSTACLE);
     }
 
-    // Whether the floor of a column extends from behind the foot to in front of it, and the lateral
-    // position at which it passes the foot.
+    // Whether the floor of a column begins behind the foot and ends in front of it. If so, sets
+    // `crossing` to the lateral position at which it passes the foot.
     bool passes(int c, long long* crossing) const {
         if (!is_seen(c)) return false;
         const Point a = near(c), b = far(c);
@@ -164,8 +167,8 @@ struct Rays {
         return team.any(found);
     }
 
-    // Calls `put` with each sector that a segment crosses, and its smallest or largest range in the
-    // sector.
+    // Calls `put` with each sector that a segment crosses and with the smallest or the largest range of
+    // the segment in this sector.
     template <bool LEAST, class Put> void sweep(Point first, Point last, Put put) const {
         const int turn = turn_to(first.bearing, last.bearing);
         const Point &leftmost = turn < 0 ? last : first, &rightmost = turn < 0 ? first : last;
@@ -205,13 +208,14 @@ struct Rays {
             });
     }
 
-    // Rotates a point clockwise about the foot by a small angle.
+    // Rotates a point clockwise about the foot by a small angle [rad], with TURN_BITS fraction bits.
     Point turned(Point p, int by) const {
         return point(p.right + (int)((long long)p.forward * by >> TURN_BITS),
                      p.forward + (int)((long long)p.right * -by >> TURN_BITS));
     }
 
-    // Adds the side of a column whose neighbour shows no floor.
+    // Adds the side of a column whose neighbour shows no floor; `by` is the angle from the middle of
+    // the column to this side, as in `turned`.
     void add_side(int c, int by, bool foot_inside) const {
         const Point begin = turned(near(c), by), end = turned(far(c), by);
         begin_at(near(c), begin, foot_inside);
@@ -219,8 +223,10 @@ struct Rays {
         end_at(end, begin, UNKNOWN);
     }
 
-    // Adds the boundary between a column and the next one: from the end of the shorter one halfway to
-    // the longer one, along the latter, and on to the end of the longer one.
+    // Adds the far boundary of the floor between column c and the next one, as three segments. The
+    // first begins at the end of the column that ends nearer, and leads halfway to the point of the
+    // other column at the same forward distance. The second follows the other column to its end, still
+    // halfway between the two. The third leads to the end of the other column.
     void add_between(int c) const {
         const bool nearer = far(c).forward <= far(c + 1).forward;
         const int brief = nearer ? c : c + 1, lasting = nearer ? c + 1 : c;
@@ -260,7 +266,7 @@ struct Rays {
         team.sync();
     }
 
-    // Range at which the floor that the columns show on a ray ends, 0 if they show none.
+    // Range at which the floor on a ray ends, according to the columns; 0 if they show no floor there.
     int floor_end(int ray, bool foot_inside) const {
         return (foot_inside || start[ray] >= 0) && stop[ray] < NONE ? stop[ray] >> END_BITS : 0;
     }
@@ -272,7 +278,8 @@ struct Rays {
         return range > 1 ? range : 1;
     }
 
-    // Writes the result, after a sync: `free_out` (RAYS, 2), `end_out` (RAYS,). Ends in a sync.
+    // Writes start and end of the free floor on each ray to `free_out` (RAYS, 2), and the reason of its
+    // end to `end_out` (RAYS,). The team must have synced before. Ends in a sync.
     void put(bool foot_inside, int* free_out, int* end_out) const {
         for (int i = team.rank; i < RAYS; i += team.size) {
             const int blocked = range_of_block(i);
@@ -289,24 +296,27 @@ struct Rays {
     }
 };
 
-// Nearest obstacle above the step height by bearing, from the nearest pixel of each cell or the cell
-// itself. Float32 as in the reference, with each operation rounded separately.
+// Nearest obstacle above the step height in each sector of bearings. The position of an obstacle is
+// that of the nearest pixel of its cell or, if that is too near, of the cell itself. The computation is
+// in float32 as in the reference, with each operation rounded separately.
 struct RayBlocks {
     // A tile is TILE rows of a column of cells; its nearest point blocks all sectors that the tile
     // covers.
     enum { TILE = 4, ABREAST = 8, CORNER_BITS = 12, WIDEST = Rays::TURN / 4 };
-    // Indices of settings: height of the step for pixels at the camera, its growth with depth, and the
-    // noise of depth.
+    // Indices of settings: STEP is the step height at depth 0; GROWTH is its increase per depth unit;
+    // NOISE is the noise of depth.
     enum { STEP, GROWTH, NOISE, SETTINGS };
-    int nearest, farthest, highest;  // depth range, and largest height
+    int nearest, farthest, highest;  // minimum and maximum depth, and maximum height, of obstacles
     int rows, columns;
     const unsigned char* low;
     const int *pixels, *z, *height;
-    const int *rays, *corners;  // (2, rows, columns) of cells, (2, tiles + 1, columns + 1) of tiles
-    // Axes of the floor, scaled for rays with RAY_BITS; height of the camera; step; ramp.
+    // Rays of cells, (2, rows, columns), and of corners of tiles, (2, tiles + 1, columns + 1).
+    const int *rays, *corners;
+    // Axes of the floor, the first two components for rays with RAY_BITS fraction bits; height of the
+    // camera; step height; start and slope of the ramp.
     float axes[3][3], camera, step, growth, noise, ramp_start, ramp_slope;
 
-    // If the floor is unknown, all points have the same height.
+    // If the floor is unknown, all points get the same height, so that all of them may be obstacles.
     RayBlocks(int nearest, int farthest, int highest, int rows, int columns,
               const FloorFrame& frame, const unsigned char* low, const int* pixels, const int* z,
               const int* height, const int* rays, const int* corners, const float* settings)
@@ -332,8 +342,8 @@ struct RayBlocks {
         return axes[axis][0] * x + axes[axis][1] * y + axes[axis][2];
     }
 
-    // Squared distance from the foot of the obstacle in cell k, infinite if there is none, as the bits
-    // of a float32.
+    // Squared range of the obstacle in cell k from the foot, as the bits of a float32; infinity if the
+    // cell has no obstacle.
     __attribute__((always_inline)) int square(int k) const {
         const int pixel = pixels[k], own = z[k], high = height[k];
         const bool is_cell =
@@ -349,7 +359,7 @@ struct RayBlocks {
         return (is_cell | is_pixel) ? Rays::bits_of(found) : (int)Rays::INFINITE;
     }
 
-    // Updates N minima with cells k .. k + N - 1.
+    // Lowers N minima of squared ranges to those of the cells k .. k + N - 1.
     template <int N> __attribute__((always_inline)) void find_least(int k, int* least) const {
         for (int i = 0; i < N; ++i) {
             const int found = square(k + i);

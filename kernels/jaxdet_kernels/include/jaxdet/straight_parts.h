@@ -14,8 +14,8 @@ struct StraightParts {
     const int *x, *y;  // the contour, from left to right
     int points;
     long long bend, shortest, jump;
-    // Scratch, (points); result, (points + 1): the first point of each part. Every lane writes the same
-    // values and reads back its own writes.
+    // `stack` is scratch memory, (points). `parts` is the result, (points + 1): the first point of each
+    // part. Every lane writes the same values and reads back its own writes.
     int *stack, *parts;
 
     long long squared(int a, int b) const {
@@ -33,7 +33,7 @@ struct StraightParts {
     long long behind(int first, int last, int* tip) const {
         const long long right = x[last] - x[first], forward = y[last] - y[first];
         const bool faces = right * y[first] - forward * x[first] >= 0;
-        // Lexicographic key, smallest first: falling area, then the first point.
+        // Key by which points are compared, smallest first: larger areas first, then the first point.
         unsigned long long best = ~0ull;
         for (int k = first + 1 + warp.lane; k <= last; k += warp.size) {
             const long long area = right * (y[k] - y[first]) - forward * (x[k] - x[first]);
@@ -46,7 +46,7 @@ struct StraightParts {
         return best == ~0ull ? 0 : MOST_AREA - (long long)(best >> POINT_BITS);
     }
 
-    // Returns the point at which to split, -1 if none.
+    // Returns the index of the point at which the contour is split, -1 if it is not split.
     int corner(int first, int last) const {
         if (last - first < FEWEST - 1) return -1;
         int at;

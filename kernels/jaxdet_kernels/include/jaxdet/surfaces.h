@@ -15,25 +15,27 @@ namespace jaxdet { namespace {
 
 struct Surfaces {
     enum {
-        MOST = 512,  // larger labels become -1
+        MOST = 512,  // number of labels; cells of further surfaces get the label -1
         UNSEEN = 0x7fffffff,
-        AHEAD = 4,  // cells whose loads are in flight together on CUDA
-        FEW = 2,    // like AHEAD, for loops with more loads per cell
+        AHEAD = 4,  // number of cells that a thread loads at a time on CUDA
+        FEW = 2,    // the same for loops that load more values per cell
     };
-    // Indices of settings: depth range of surfaces; radius, minimum size and dilation of creases
-    // [cells]; height up to which surfaces without a steep side are floor; growth of the floor's
-    // tolerance by noise, per depth and height of the camera, with NOISE_BITS fraction bits; height
-    // from which the robot passes below obstacles; end of the depth range; and largest hole [cells].
+    // Indices of settings; lengths are in depth units. NEAREST and FARTHEST: depth range of surfaces.
+    // CREASE_CELLS, MIN_CELLS and CREASE_MARGIN: radius, minimum size and dilation of creases [cells].
+    // BENT: height up to which surfaces without a steep side are floor. NOISE: growth of the floor's
+    // tolerance per depth and per height of the camera, with NOISE_BITS fraction bits. HIGHEST: height
+    // above which the robot passes below obstacles. IN_RANGE: end of the depth range. HOLE: largest
+    // hole [cells].
     enum {
         NEAREST, FARTHEST, CREASE_CELLS, MIN_CELLS, CREASE_MARGIN, BENT, NOISE, HIGHEST, IN_RANGE,
         HOLE, SETTINGS
     };
     enum { NOISE_BITS = 34, SLOPE_BITS = 14, STEEPEST_NOISE = 32767 };
     int rows, columns;
-    const int *x, *y, *z;  // (R, C): cells of the frame, z = 0: none
+    const int *x, *y, *z;  // (R, C): positions of cells in the camera; z is 0 for unmeasured cells
     const int* floor;
-    // Indexed by depth: step of a surface, at most 2^16; limit of bends, at most 2^17; height up to
-    // which cells are floor.
+    // Maximum depth step of a surface, at most 2^16; limit of bends, at most 2^17; and height up to
+    // which cells are floor, at each depth [depth units].
     const int *steps, *limits, *rises;
     const int* settings;
     int *right, *forward, *height, *label_out;  // (R, C): position on the floor, and label
@@ -45,15 +47,15 @@ struct Surfaces {
     // Scratch memory of a team.
     struct Parts {
         Grid grid;
-        // Planes of cells: smoothed depths; on the CPU also scratch memory and the step of each
-        // cell.
+        // Grids of cells. `depth` holds smoothed depths. `other` and `step` are used only on the CPU,
+        // see `Creases`.
         int *depth, *other, *step;
-        // Indexed by run; fields of surfaces by their root run: number of cells, first cell, top, and
-        // `level`: 2 for each of its lowest cells with floor below, minus 3 for each of these that is
-        // steep.
+        // `parent` and `label` have a value per run. The others have a value per surface, at the index
+        // of its root run: number of cells; first cell; top; and `level`, the sum over those of its
+        // lowest cells that have floor below, of 2 per cell and of -3 per cell whose side is steep.
         int *parent, *label, *sizes, *first, *top, *level;
-        // Bitmaps; number of runs that begin before each word; memory for the parents of runs. They
-        // are in shared memory if they fit.
+        // Bitmaps of cells; `before`, the number of runs that begin before each word; and `near`,
+        // memory for the parents of runs. They are in shared memory if they fit there.
         BitRows kept, on, starts, up;
         int *before, *near;
         int most_near;
@@ -105,7 +107,8 @@ struct Surfaces {
         return on;
     }
 
-    // Growth of the floor's tolerance by noise with depth, with SLOPE_BITS fraction bits.
+    // Increase of the floor's tolerance per depth unit of z that noise causes, with SLOPE_BITS fraction
+    // bits.
     static int noise(const FloorFrame& frame, int setting) {
         const long long high = frame.height > 0 ? frame.height : 0;
         const long long slope = high * setting >> (NOISE_BITS - SLOPE_BITS);
@@ -277,8 +280,9 @@ struct Surfaces {
         }
     }
 
-    // Distance in cells from a cell to the measured cell behind a hole; cells are `away` apart and
-    // there are `most` in all. 0 if there is no hole or depth is not continuous.
+    // Number of steps from a cell to the measured cell behind a hole, 0 if there is no hole or depth is
+    // not continuous across it. Cells are `away` elements apart, and there are
+    // `most` of them from this cell on.
     int across(int cell, int away, int most) const {
         const int end = most < settings[HOLE] + 2 ? most : settings[HOLE] + 2;
         for (int n = 1; n < end; ++n) {
@@ -360,9 +364,9 @@ struct Surfaces {
         return all;
     }
 
-    // Breadth-first region growing: kept cells without a label take that of the neighbour nearest in
-    // depth. Labels of a round are visible in the next, as marked in `has`. Returns the bitmap of
-    // labelled cells; ends in a sync.
+    // Region growing, breadth first: a kept cell without a label takes the label of the neighbour that
+    // is nearest in depth. Labels that are set in a round are used from the next round on, as marked in
+    // `has`. Returns the bitmap of labelled cells. Ends in a sync.
     BitRows grow(const Team& team, const BitRows& kept, BitRows has, BitRows next) const {
         const Warp warp(team);
         const int rounds = settings[CREASE_CELLS] + settings[CREASE_MARGIN] + 1;
@@ -392,7 +396,7 @@ struct Surfaces {
         return has;
     }
 
-    // Bitmaps of the cells of a word whose left, right, upper and lower neighbour has a label.
+    // Four bitmaps: the cells of a word whose left, right, upper or lower neighbour has a label.
     struct Neighbours {
         unsigned left, right, upper, lower;
 
@@ -404,8 +408,8 @@ struct Surfaces {
         }
     };
 
-    // Labels the cells of a word; returns the bitmap of newly labelled cells. A collective call of
-    // the warp, all lanes with the same word.
+    // Labels the cells of a word; returns the bitmap of newly labelled cells. All lanes of the warp
+    // must call it with the same word.
     unsigned take_all(
         [[maybe_unused]] const Warp& warp, const BitRows& kept, const BitRows& has, int i
     ) const {
@@ -425,8 +429,8 @@ struct Surfaces {
         return taken;
     }
 
-    // Gives a cell the label of the neighbour nearest in depth within the step (in a tie the first in
-    // the order left, right, upper, lower); returns whether there is such a neighbour.
+    // Gives a cell the label of the neighbour nearest in depth, among those within the step; of equally
+    // near neighbours, the first in the order left, right, upper, lower. Returns whether there is one.
     bool take(int cell, bool left, bool right, bool upper, bool lower) const {
         const int depth = z[cell];
         int best = steps[depth] + 1, from = -1;
@@ -445,8 +449,9 @@ struct Surfaces {
         return from >= 0;
     }
 
-    // Updates the fields of a surface, by its root; `sizes` becomes 1 for surfaces with a lowest cell
-    // that has floor below, a cell inside the margins, or one at the lower edge of the image.
+    // Updates the fields of the surface with root `label`. Sets `sizes` to 1 if `sure` is true: the
+    // surface has a lowest cell with floor below, a cell inside the margins, or a cell at the lower
+    // edge of the image.
     void update(
         const Team& team, const Parts& in, int label, int first, int top, int level, bool sure
     ) const {
@@ -456,14 +461,15 @@ struct Surfaces {
         if (sure) in.sizes[label] = 1;
     }
 
-    // Whether the side of a surface above floor is steep; `outer`: in the margins of the image.
+    // Whether the side of a surface above floor is steep; it rises by `rises` and recedes by `goes`
+    // [depth units]. `outer` is true in the margins of the image.
     bool is_steep(int rises, int goes, bool outer) const {
         const int away = goes < 0 ? -goes : goes;
         return outer ? rises > away : 3 * rises > goes;
     }
 
 #if defined(__CUDA_ARCH__)
-    // Measures FEW words; index -1: no word.
+    // Measures the cells of FEW words, given by their indices; an index of -1 is skipped.
     void measure_words(
         const Team& team, const Warp& warp, const Parts& in, const BitRows& has, const int* words
     ) const {
@@ -600,7 +606,7 @@ struct Surfaces {
         team.sync();
     }
 
-    // A collective call of the team.
+    // Finds the surfaces of a frame. All threads of the team must call it.
     void run(const Team& team) const {
         Arena arena{scratch};
         const Parts in(rows, columns, arena);
