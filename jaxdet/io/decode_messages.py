@@ -91,11 +91,8 @@ class MessageDecoder:
         """
         payload = self._expanded(payload)
         if len(payload) > self._most_bytes:
-            problem = (
-                f"{self.kind.value} message of {len(payload)} bytes, more than the maximum of "
-            )
-            problem += f"{self._most_bytes}"
-            raise bad_frame(problem)
+            size = f"{len(payload)} bytes, more than the maximum of {self._most_bytes}"
+            raise bad_frame(f"the {self.kind.value} message has {size}")
         readable = self._readable(payload)
         try:
             found = read_motions(self.kind, readable) if self._in_place else None
@@ -199,7 +196,7 @@ def _raw_decoder(
             problem = "ROS 1 messages need the package rosbags; install jaxdet[rosbag]"
             raise ValueError(problem) from error
         except Exception as error:  # parsers may raise any exception
-            raise ValueError(f"its schema can't be read ({_short(error)})") from error
+            raise ValueError(f"schema {name!r} can't be read ({_short(error)})") from error
     decode = None
     try:
         if message_encoding == "cdr" and schema_encoding == "ros2msg":
@@ -215,7 +212,7 @@ def _raw_decoder(
             with redirect_stderr(StringIO()), redirect_stdout(StringIO()):
                 decode = Ros2Factory().decoder_for(message_encoding, schema)
     except Exception as error:  # parsers may raise any exception
-        raise ValueError(f"its schema can't be read ({_short(error)})") from error
+        raise ValueError(f"schema {name!r} can't be read ({_short(error)})") from error
     if decode is None:
         what = f"{message_encoding} with {schema_encoding} schema"
         raise ValueError(

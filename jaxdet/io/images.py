@@ -144,7 +144,8 @@ def decode_color(image: ImageMessage, row: np.ndarray, max_pixels: int) -> None:
         raise bad_frame(f"colour encoding {image.encoding!a} is not supported")
     how = _TO_RGB[name]
     if image.width % how.even[0] or image.height % how.even[1]:
-        raise bad_frame(f"{name} image of odd size {image.width}x{image.height}")
+        size = f"{image.width}x{image.height}, expected multiples of {how.even[0]}x{how.even[1]}"
+        raise bad_frame(f"the size of the {name} image is {size}")
     check_size(image.width, image.height, max_pixels)
     check_row("colour", image.width, image.height, row)
     if how.half_plane:

@@ -104,7 +104,8 @@ def _lines(data: bytes | memoryview, head: PngHead, row: np.ndarray) -> np.ndarr
     if head.interlace or head.compression or head.filters:
         raise ValueError("interlaced files are not supported")
     if row.shape[:2] != (head.height, head.width):
-        raise ValueError(f"its size is {head.width}x{head.height}")
+        expected = f"{row.shape[1]}x{row.shape[0]}"
+        raise ValueError(f"its size is {head.width}x{head.height}, expected {expected}")
     line = 1 + head.width * _SAMPLES[head.color_type] * head.bits // 8
     compressed = _compressed(memoryview(data))
     # Incompressible data are stored with little overhead. More bytes could be blocks that inflate

@@ -40,9 +40,9 @@ FAR_GAIN = 5
 """Minimum gain of inliers of a plane far from the prior [percent of all cells]."""
 OBSTACLE = 95  # maximum fraction of obstacle cells [percent]
 UNDER = ((10, 2), (3, 8))
-"""Two thresholds with a prior, and two without. A plane belongs to a table if more than the first
-[percent] of all cells are below it, and if there is more than one such cell per second threshold of
-inliers. A few cells may be below a floor, because a glossy floor mirrors objects."""
+"""Limits ``(percent, inliers)`` with a prior, and without. A plane belongs to a table if more than
+``percent`` of all cells are below it, and more than one cell per ``inliers`` inliers. A few cells
+may be below a floor, because a glossy floor mirrors objects."""
 
 
 class _Found(NamedTuple):

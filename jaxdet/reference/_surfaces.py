@@ -217,8 +217,8 @@ def _across_holes(
 ) -> np.ndarray:
     """Merge components ``(R, C)`` whose depth is continuous across unmeasured cells.
 
-    Two linked cells of a row or a column are neighbours if 1 to ``longest`` cells between them, and
-    all of these, are unmeasured.
+    Two linked cells of a row or a column are neighbours if there are 1 to ``longest`` cells between
+    them, all of which are unmeasured.
     """
     cell = np.where(linked, np.arange(z.size).reshape(z.shape), -1)
     pairs = [np.zeros((2, 0), np.int64)]
