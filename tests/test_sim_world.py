@@ -62,7 +62,7 @@ def test_path_is_smooth_and_endless():
     assert drifted(poses[-1], 0.0) == poses[-1]
 
 
-def test_ground_frame_of_the_robot():
+def test_the_ground_frame_is_below_the_robot_with_y_ahead():
     origin = pose_at(load_scene("row").path, 1.3)
     T = ground_frame(origin.T)
     ahead = [origin.x + np.cos(origin.yaw), origin.y + np.sin(origin.yaw), 0.2, 1]

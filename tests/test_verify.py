@@ -425,7 +425,7 @@ def test_a_damaged_map_of_tracks_is_one_finding(results: Path) -> None:
         assert {finding.check for finding in verify(results, sample=0).findings} <= {"tracks"}
 
 
-def test_an_edited_configuration_of_another_type_is_a_finding(results: Path) -> None:
+def test_a_configuration_value_that_was_edited_to_another_type_is_reported(results: Path) -> None:
     path = results / "config.json"
     config = json.loads(path.read_text(encoding="utf-8"))
     path.write_text(json.dumps(config | {"log": []}), encoding="utf-8")

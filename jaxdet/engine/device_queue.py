@@ -130,7 +130,7 @@ class DeviceQueue:
         return self._copier.submit(self._copied, pieces)
 
     def _copied(self, pieces: list[Piece]) -> _Copied:
-        """Copy pieces to the device."""
+        """Copy the images of pieces to the device; return the arrays on the device."""
         if pieces:
             self._locked.result()
         begin = time.perf_counter()

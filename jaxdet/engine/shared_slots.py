@@ -64,7 +64,7 @@ class Slots(NamedTuple):
     """Shape of a colour image, ``(H, W, 3)`` uint8; None if the method reads only depth."""
     workers: int
     number: int = 0
-    """Number of the memory; its path alone may be equal to that of memory that was freed."""
+    """Number that identifies the memory, as a path is used again after memory is freed."""
     results: Any = None
     """:class:`jaxdet.results.rows.RowInputs` of :class:`Leaf`; None until the memory exists."""
 

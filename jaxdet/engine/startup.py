@@ -151,7 +151,7 @@ def start_up() -> None:
 
 @contextmanager
 def computing() -> Iterator[None]:
-    """Hold back signals during a call of the method; the first call compiles it.
+    """Hold back signals while the detection program is called; the first call compiles it.
 
     XLA calls kernels in this thread, where an exception would leave a batch half computed.
 

@@ -39,10 +39,10 @@ def find_extrinsics(
 ) -> FoundExtrinsics:
     """Return ``T_color_depth``: from the flag, else equal frames, the extrinsics topic, or TF.
 
-    Two images in the same TF frame have no transform between them if they are from the same lens,
+    The result is the identity if both images are in the same TF frame and from the same lens,
     regardless of their sizes and of any topic. The lenses are compared because some drivers use the
-    same frame for all cameras. A difference between topic and TF is a warning. If no source is
-    found, this is an error; the identity is never assumed.
+    same frame for all cameras. A difference between topic and TF is a warning. Without any source
+    there is an error: the identity is not a default.
 
     Args:
         contents: Contents of the log.

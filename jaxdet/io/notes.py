@@ -33,7 +33,8 @@ class Notes(NamedTuple):
     apart_ns: np.ndarray = _NONE
     """``|colour - depth|`` of the frames with a colour image, ``(P,)`` int64 [ns]."""
     recorded_apart_ns: np.ndarray = _NONE
-    """Absolute difference of the log times of the same images, ``(P,)`` int64 [ns]."""
+    """Absolute difference between the log times of the colour and the depth image of each of these
+    frames, ``(P,)`` int64 [ns]."""
     without_color: int = 0
     """Number of frames without a colour image within the tolerance."""
     poses: int = 0

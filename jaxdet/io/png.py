@@ -117,7 +117,7 @@ def _lines(data: bytes | memoryview, head: PngHead, row: np.ndarray) -> np.ndarr
     except deflate.DeflateError as error:
         raise ValueError("its pixels can't be inflated, or are too many") from error
     if len(inflated) != head.height * line:
-        raise ValueError("its pixels are too few")
+        raise ValueError("it has fewer pixels than its header says")
     lines = np.frombuffer(inflated, np.uint8).reshape(head.height, line)
     if lines[:, 0].max() > _LAST_FILTER:
         raise ValueError("a filter is unknown")

@@ -1,7 +1,8 @@
 """Reading of a log's images into arrays, chunk by chunk.
 
-Pixels in an uncompressed chunk are read directly into their rows if they have the right format,
-other messages into buffers of their own; the rest is only read for the CRC.
+Pixels of the right format in an uncompressed chunk are read directly into the rows of the arrays.
+Other messages are read into separate buffers. All other bytes of the chunk are read only to compute
+its CRC.
 """
 
 import time

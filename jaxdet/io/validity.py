@@ -25,7 +25,7 @@ class CalibrationChange(NamedTuple):
     stamp_ns: int
     log_ns: int
     values: tuple[object, ...]
-    """Values from :func:`values_of`."""
+    """New values of the calibration, in the order of :func:`values_of`."""
 
 
 def values_of(info: CameraInfoMessage) -> tuple[object, ...] | None:

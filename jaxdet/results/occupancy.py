@@ -102,7 +102,7 @@ class OccupancyMap:
 
     @property
     def cells(self) -> int:
-        """Number of cells of the rectangle of tiles around all counts."""
+        """Number of cells in the smallest rectangle of tiles that contains all counts."""
         _, shape = self._place()
         return int(shape[0]) * int(shape[1])
 

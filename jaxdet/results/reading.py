@@ -107,7 +107,7 @@ class ResultLog(NamedTuple):
 
     @property
     def poses_from_tf(self) -> bool:
-        """Whether the log has transforms from the camera to the world, for other programs.
+        """Whether the log itself has transforms from the camera to the world, for other readers.
 
         Poses of a folder of images come from ``groundtruth.txt`` instead.
         """
@@ -241,7 +241,7 @@ class Results:
             self.failed.append(LogFailure(str(entry["log"]), str(entry["error"]), entry))
 
     def _read_config(self) -> dict[str, Any]:
-        """Return the configuration of the logs; set ``config_source``, which has its version."""
+        """Return the configuration of the logs; set ``config_source``, which names the version."""
         one = next(iter(self.manifests), None)
         if one is not None:
             self.config_source = self.manifests[one]

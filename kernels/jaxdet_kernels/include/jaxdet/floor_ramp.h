@@ -161,7 +161,7 @@ struct FloorRamps : FloorProfile {
         for (int group = groups - 1 - team.rank; group >= 0; group -= team.size) {
             const int first = group / turns * ABREAST, turn = group % turns;
             const int slope = angles.slope(turn_of(tried, turn));
-            // The starts increase; surplus ramps repeat the last start.
+            // Start, number and votes of each ramp; the starts increase, surplus ramps repeat the last.
             int start[ABREAST], number[ABREAST], votes[ABREAST], highest;
             for (int w = 0; w < ABREAST; w++) {
                 const int i = first + w < tried.starts ? first + w : tried.starts - 1;

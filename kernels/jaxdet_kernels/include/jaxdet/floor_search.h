@@ -188,9 +188,9 @@ struct FloorVotes {
     }
 #endif
 
-    // Sums up the counts of `cells` cells to votes, for LANES directions from k on. Sets `nearer` to
-    // the votes and bin of the best bin of the near part, and `all` to those of the best of all bins,
-    // both packed as in `key`. Writes the votes to `out` unless it is null.
+    // Adds up the counts of `cells` cells to votes, for LANES directions from k on. Sets `nearer` to
+    // the best bin of the near part and `all` to the best of all bins, each with its votes, packed as
+    // in `key`. Writes the votes to `out` unless it is null.
     void sum_up(const Table& table, int k, int cells, int* out, Lanes& nearer, Lanes& all) const {
         const int step = bin_step(), from = edge_bins, to = bins - edge_bins;
         Lanes sum = Lanes{} - FloorScore::BELOW_COST * cells;

@@ -27,7 +27,7 @@ struct Runs {
 
     // Numbers the runs, each of which becomes its own component; returns their number. A collective
     // call, after a sync; ends in a sync. `near` has room for the parents of `most` runs and is used if
-    // there are no more runs.
+    // there are at most that many.
     int number(const Team& team, int* near, int most) {
         const int count = this->count(team);
         if (count <= most) sets.parent = near;

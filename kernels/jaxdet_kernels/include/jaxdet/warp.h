@@ -56,7 +56,7 @@ struct Warp {
 #if defined(__CUDACC__)
         const unsigned at = (unsigned)__cvta_generic_to_shared(place);
         asm volatile("red.shared.add.s32 [%0], %1;" ::"r"(at), "r"(value) : "memory");
-#else  // tests on the CPU
+#else  // built for the CPU, by tests
         *place += value;
 #endif
     }
