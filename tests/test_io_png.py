@@ -164,7 +164,7 @@ def damaged() -> dict[str, tuple[list[tuple[bytes, bytes]], str]]:
     return {
         "bomb": ([GREY16, bomb, *NO_DATA], "too many"),
         "one byte more": ([GREY16, (b"IDAT", zlib.compress(LINES + b"\0")), *NO_DATA], "too many"),
-        "short": ([GREY16, (b"IDAT", zlib.compress(LINES[:-1])), *NO_DATA], "too few"),
+        "short": ([GREY16, (b"IDAT", zlib.compress(LINES[:-1])), *NO_DATA], "fewer pixels"),
         "no data": ([GREY16, *NO_DATA], "inflated"),
         "noise": ([GREY16, (b"IDAT", RANDOM.bytes(90)), *NO_DATA], "inflated"),
         "sum": ([GREY16, sum_wrong, *NO_DATA], "inflated"),
