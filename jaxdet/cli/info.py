@@ -117,12 +117,13 @@ def _suggest_mask(files: "LogFiles", options: LogOptions, config: Config, path: 
     import cv2
     import numpy as np
 
+    from jaxdet.engine.floors import decide_planes
     from jaxdet.engine.own_body import NEAR_M, find_own_body
     from jaxdet.io import open_log
     from jaxdet.results.durable import write_whole
 
     with SPINNER.shown(f"reading {files.name}"), open_log(files, options) as log:
-        body = find_own_body(log, config)
+        body = find_own_body(log, config, decide_planes(log, config, "jax"))
     if not body.any():
         seen = f"no part of the robot is visible (nothing stays within {NEAR_M:g} m)"
         print(f"{log.label}: {seen}; no mask is needed")

@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxdet.camera import pixel_rays
 from jaxdet.config import Config
-from jaxdet.engine.floors import decide_planes, evenly
+from jaxdet.engine.floors import Planes, evenly
 from jaxdet.errors import InputError, JaxdetError, printable
 from jaxdet.floor.plane import down_vector
 from jaxdet.floor.sampled import sampled_floor
@@ -34,7 +34,7 @@ _SMALLEST, _MARGIN = 0.001, 0.008
 """Minimum fraction of the pixels in a part, and its margin as a fraction of the image width."""
 
 
-def find_own_body(log: "Log", config: Config) -> np.ndarray:
+def find_own_body(log: "Log", config: Config, planes: Planes) -> np.ndarray:
     """Return the pixels of a log's depth images that show the robot itself.
 
     Parts of the robot have the same depth in all frames of a sample. On a straight path, floors,
@@ -43,6 +43,7 @@ def find_own_body(log: "Log", config: Config) -> np.ndarray:
     Args:
         log: An open log of a camera that moves.
         config: Configuration with which the floor is found.
+        planes: Priors of the log's floors.
 
     Returns:
         Mask ``(H, W)`` bool; all False if no part of the robot was found.
@@ -55,7 +56,7 @@ def find_own_body(log: "Log", config: Config) -> np.ndarray:
     depth = frames.depth[frames.valid]
     if len(depth) < _FEWEST:
         raise _not_found(log, f"{len(depth)} frames are too few", "use a longer log")
-    plane = _floor(log, frames, config)
+    plane = _floor(frames, config, planes)
     if not plane.valid[0]:
         remedy = "give --ground.camera-height-m and --ground.camera-pitch"
         raise _not_found(log, "the floor is unknown", remedy)
@@ -71,7 +72,9 @@ def find_own_body(log: "Log", config: Config) -> np.ndarray:
     return _whole_parts(body)
 
 
-def own_body_note(log: "Log", config: Config, results: Iterable["Tables"], path: str) -> str:
+def own_body_note(
+    log: "Log", config: Config, planes: Planes, results: Iterable["Tables"], path: str
+) -> str:
     """Return a note on parts of the robot in the images, with the commands that mask them.
 
     The result is empty if there are none. The images are examined only if nearly all frames have a
@@ -80,6 +83,7 @@ def own_body_note(log: "Log", config: Config, results: Iterable["Tables"], path:
     Args:
         log: An open log.
         config: Configuration of the run.
+        planes: Priors of the log's floors.
         results: Frames of the log with their obstacles, in parts.
         path: Path of the log for the command.
     """
@@ -91,7 +95,7 @@ def own_body_note(log: "Log", config: Config, results: Iterable["Tables"], path:
     if near < _SHARE * frames:
         return ""
     try:
-        share = find_own_body(log, config).mean()
+        share = find_own_body(log, config, planes).mean()
     except JaxdetError:  # for example because the camera keeps still
         return ""
     camera = f" --camera {log.camera}" if log.label != log.name else ""
@@ -100,12 +104,12 @@ def own_body_note(log: "Log", config: Config, results: Iterable["Tables"], path:
     return f"{text}: {command} suggests a mask for --log.mask" if share else ""
 
 
-def _floor(log: "Log", frames: Frames, config: Config) -> GroundPlane:
+def _floor(frames: Frames, config: Config, planes: Planes) -> GroundPlane:
     """Return the floor of a log, ``B = 1``: its prior, or the median of the frames' own floors."""
-    planes = decide_planes(log, config, "jax").of(frames.stamp_ns)
-    if planes.valid[0]:
-        return GroundPlane(*(part[:1] for part in planes))
-    fit = find_floors(frames._replace(plane=planes), config)
+    priors = planes.of(frames.stamp_ns)
+    if priors.valid[0]:
+        return GroundPlane(*(part[:1] for part in priors))
+    fit = find_floors(frames._replace(plane=priors), config)
     return sampled_floor(fit.plane, fit.own & frames.valid).plane
 
 
@@ -122,11 +126,14 @@ def _steady(depth: np.ndarray, unit: float) -> tuple[np.ndarray, np.ndarray]:
     typical = np.zeros(depth.shape[1:])
     same = np.zeros(depth.shape[1:], bool)
     for row, values in enumerate(np.moveaxis(depth, 1, 0)):
-        measured = np.where(values > 0, values, np.nan)
-        there = (values > 0).mean(axis=0) > 0.5
-        typical[row, there] = np.nanmedian(measured[:, there], axis=0)
+        frames, ordered = len(values), np.sort(values, axis=0).astype(np.float64)
+        count = np.count_nonzero(values, axis=0)
+        middles = frames - count + np.stack([np.maximum(count, 1) - 1, count]) // 2
+        low, high = np.take_along_axis(ordered, np.minimum(middles, frames - 1), axis=0)
+        typical[row] = np.where(2 * count > frames, (low + high) / 2, 0)
         band = np.maximum(_BAND_M / unit, _BAND * typical[row])
-        same[row] = (abs(measured - typical[row]) <= band).mean(axis=0) >= _SHARE
+        near = (values > 0) & (abs(values - typical[row]) <= band)
+        same[row] = near.mean(axis=0) >= _SHARE
     return typical, same & (typical > 0)
 
 

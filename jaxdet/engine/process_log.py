@@ -290,7 +290,8 @@ class CameraRun:
         notes = self.assembly.finish(plan.observers)
         source = self.files.paths[0]
         source = str(source if len(self.files.paths) == 1 else source.parent)
-        body = own_body_note(log, self.settings.config, self.assembly.rows(), source)
+        given = self.settings.config, plan.planes, self.assembly.rows(), source
+        body = own_body_note(log, *given)
         about.notes += [body] if body else []
         if plan.maps:
             self._write_map(self.assembly.map, log)
