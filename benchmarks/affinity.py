@@ -29,9 +29,9 @@ from sklearn.ensemble import HistGradientBoostingClassifier
 
 from benchmarks.paper.hard import ERRORS, FAMILIES
 from benchmarks.paper.labelled import (
-    BESIDE,
     BOXES,
     RECORDINGS,
+    SHARED_DATA,
     FrameBoxes,
     Recording,
     find_recordings,
@@ -202,13 +202,13 @@ def learnt_frames() -> Examples:
     """Return the pairs of the mOSD frames that are not held out, with and without added noise."""
     recording = next(one for one in RECORDINGS if one.name == "mosd")
     rng, parts, tabletop = np.random.default_rng(0), [], preset("tabletop")
-    with open_log(str(BESIDE / recording.place)) as log:
+    with open_log(str(SHARED_DATA / recording.place)) as log:
         batches = [batch.frames for batch in log.batches(1)]
     for frames in batches:
         number = int(frames.number[0])
         if recording.holds_out(number):
             continue
-        path = BESIDE / recording.images / f"{number:03d}.png"
+        path = SHARED_DATA / recording.images / f"{number:03d}.png"
         labels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
         if labels is None:
             raise InputError("the labels of a frame are missing", path=str(path))
@@ -228,7 +228,7 @@ def learnt_frames() -> Examples:
 def learnt_boxes() -> Examples:
     """Return the pairs of the real frames with labelled boxes that are not held out."""
     parts = []
-    for recording, folder in find_recordings([BESIDE]):
+    for recording, folder in find_recordings([SHARED_DATA]):
         path = BOXES / f"{recording.name}.txt"
         if path.is_file() and recording.learnt:
             parts += in_recording(recording, folder / recording.place, read_boxes(path))

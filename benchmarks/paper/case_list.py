@@ -12,7 +12,7 @@ from jaxdet.sim import DepthSensor, Scene
 from jaxdet.sim.appearance import POLISHED
 from jaxdet.sim.draft import Draft
 
-Asked = Literal["found", "drop", "level", "claimed"]
+Expected = Literal["found", "drop", "level", "claimed"]
 """Criterion. found: each object is found; drop: the step down is reported; level: no step down is
 reported; claimed: share of the free floor inside outlines."""
 Changes = tuple[tuple[str, Any], ...]
@@ -33,7 +33,7 @@ class Case(NamedTuple):
     key: str
     title: str
     build: Callable[[Draft], Scene]
-    asked: Asked = "found"
+    expected: Expected = "found"
     within_m: float = np.inf
     """Largest difference in distance between a detection and its object [m]."""
     shown: Literal["", "width_error_m", "iou"] = ""
@@ -140,7 +140,7 @@ def _steps() -> Iterator[Case]:
         build = partial(case_scenes.level_floor, floor=floor)
         title = f"{name} floor without a step, camera as a D435: none reported"
         changes = (("depth_error", 1.0),)
-        yield Case(group, f"no_drop.{name}", title, build, asked="level", changes=changes)
+        yield Case(group, f"no_drop.{name}", title, build, expected="level", changes=changes)
 
 
 def _others() -> Iterator[Case]:

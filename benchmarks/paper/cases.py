@@ -141,21 +141,23 @@ def run(lab: Lab) -> Section:
 
 def _cell(section: Section, key: str, case: Case, mine: Sequence[Outcome]) -> str:
     """Add the figures of a case; return them as text."""
-    if case.asked == "claimed":
+    if case.expected == "claimed":
         shares = [one.claimed for one in mine]
         section.add(f"{key}.claimed", float(np.mean(shares)), "", "lower")
         section.add(f"{key}.claimed_worst", max(shares), "", "lower")
         return f"{percent(float(np.mean(shares)))}, worst {percent(max(shares))}"
-    if case.asked == "found":
+    if case.expected == "found":
         return _found_cell(section, key, case, [one.tally for one in mine])
     found_m, true = ([getattr(one, name) for one in mine] for name in ("drop_m", "true_drop_m"))
     reported = [drop for drop in found_m if np.isfinite(drop)]
     off = np.abs(np.subtract(found_m, true))
-    right = int((off <= DROP_WITHIN_M).sum() if case.asked == "drop" else np.isnan(found_m).sum())
-    name = "reported" if case.asked == "drop" else "none_reported"
+    right = int(
+        (off <= DROP_WITHIN_M).sum() if case.expected == "drop" else np.isnan(found_m).sum()
+    )
+    name = "reported" if case.expected == "drop" else "none_reported"
     section.add(f"{key}.{name}", right / len(mine), "", "higher", wilson(right, len(mine)))
     text = f"{right} of {len(mine)}"
-    if case.asked == "drop" and reported:
+    if case.expected == "drop" and reported:
         middle = float(np.median(reported))
         section.add(f"{key}.distance_off", middle - mine[0].true_drop_m, "m", "info")
         text += f", at {middle:.2f} m"

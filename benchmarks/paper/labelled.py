@@ -13,7 +13,7 @@ from benchmarks.scores.boxes import FrameLabels, labels_of_boxes, labels_of_imag
 from jaxdet.errors import InputError
 from jaxdet.types import Calibration
 
-BESIDE = Path(__file__).parents[3] / "shared" / "data"
+SHARED_DATA = Path(__file__).parents[3] / "shared" / "data"
 """Folder of recordings if no folders are given."""
 BOXES = stills.LABELS
 """Folder of boxes labelled for this project, with a text file for each recording."""

@@ -46,7 +46,7 @@ from benchmarks.paper import (
 )  # fmt: skip
 from benchmarks.paper.files import fingerprint
 from benchmarks.paper.lab import Lab
-from benchmarks.paper.labelled import BESIDE
+from benchmarks.paper.labelled import SHARED_DATA
 from benchmarks.paper.plan import FULL, QUICK, TUNING_SEEDS
 from benchmarks.paper.report import write, write_json
 from benchmarks.paper.section import Section
@@ -153,7 +153,7 @@ def main(options: Options) -> int:
             counts = replace(counts, test_seeds=options.seeds)
         rivals = options.rivals or (RIVALS if options.full else QUICK_RIVALS)
         lab = Lab(counts, frames, pool, rehearsal=rehearsal, rivals=rivals, results=results)
-        lab.recordings, lab.labelled = options.recordings or (BESIDE,), options.labelled
+        lab.recordings, lab.labelled = options.recordings or (SHARED_DATA,), options.labelled
         lab.sunrgbd, lab.scenes = options.sunrgbd, options.scenes
         lab.detector = options.detector
         lab.log_file, lab.truth = options.log, options.truth

@@ -40,10 +40,10 @@ def run(lab: Lab) -> Section:
     """Table 4 (share of obstacles found at 3 to 1 m in four lights) and Fig. 13 (near and far)."""
     section = Section("table4", "Table 4 and Fig. 13: success rate by distance and illumination")
     cells = cells_of(lab)
-    asked = cells[DEFAULT, DISTANCES_M[-1], "normal"].visible
+    standing = cells[DEFAULT, DISTANCES_M[-1], "normal"].visible
     section.say(
         "One obstacle of the kinds in the paper (person, cone, barrier, bucket, trunk, chair, "
-        f"bin, box, table) stands at the given distance. There are {asked:.0f} simulated scenes "
+        f"bin, box, table) stands at the given distance. There are {standing:.0f} simulated scenes "
         "per cell, the same in all cells (the paper: 20 sets). An obstacle is found if a detection "
         "of its own has at least half of its points on it. Intervals are Wilson score intervals: "
         "20 of 20 has one from 84 to 100 %. The range of the preset paper ends at 3 m, and objects "

@@ -277,12 +277,7 @@ def _prior(
         if alone:
             message = f"each frame is searched alone; {message}"
         return replace(known, frames_used=found.decided, message=message), plane
-    record = replace(
-        _record("estimate", found.plane, message),
-        height_spread_m=found.height_spread_m,
-        frames_used=found.decided,
-    )
-    return record, found.plane
+    return _estimate(found, found.plane, message), found.plane
 
 
 def _raised_prior(
@@ -305,12 +300,8 @@ def _raised_prior(
     )
     if height < 0 or max(abs(pitch), abs(roll)) > _PARALLEL_RAD:
         return None
-    new = replace(
-        _record("estimate", found.plane),
-        height_spread_m=found.height_spread_m,
-        frames_used=found.decided,
-        message=f"without transforms, {_sample_text(found)}; with them, {record.message}",
-    )
+    message = f"without transforms, {_sample_text(found)}; with them, {record.message}"
+    new = _estimate(found, found.plane, message)
     text = (
         f"the floor is {height:.2f} m lower than z = 0 of the robot's base frame "
         f"({_sample_text(found)}), and is used; name the frame on the floor with --log.base-frame"
@@ -336,20 +327,23 @@ def _turned_prior(
         if found is None or not found.shown_by(_MOST):
             continue
         turned = turned_back(found.plane, quarters)
-        turned_record = _record("estimate", turned, _sample_text(found))
         height, pitch, roll = (float(part[0]) for part in turned[:3])
         degrees = f"{math.degrees(pitch):.0f}deg", f"{math.degrees(roll):.0f}deg"
         flags = f"--ground.camera-height-m {height:.2f} --ground.camera-pitch {degrees[0]} "
         flags += f"--ground.camera-roll {degrees[1]}"
         if quarters == 2 and height < _LOW_M and record.source == "none":
             text = f"the camera is taken to be mounted upside down ({flags}): turned over, "
-            turned_record = replace(
-                turned_record, height_spread_m=found.height_spread_m, frames_used=found.decided
-            )
-            return turned_record, turned, f"{text}{_sample_text(found)}"
+            message = _sample_text(found)
+            return _estimate(found, turned, message), turned, f"{text}{message}"
         text = f"if the camera is mounted so, give {flags}: turned, {_sample_text(found)}"
         return record, plane, text
     return record, plane, ""
+
+
+def _estimate(found: SampledFloor, plane: GroundPlane, message: str) -> GroundRecord:
+    """Return the record of a plane that was estimated from a sample."""
+    record = _record("estimate", plane, message)
+    return replace(record, height_spread_m=found.height_spread_m, frames_used=found.decided)
 
 
 def _record(source: str, plane: GroundPlane, message: str = "") -> GroundRecord:

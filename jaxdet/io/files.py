@@ -12,7 +12,7 @@ from typing import NamedTuple
 from jaxdet.errors import InputError, printable
 from jaxdet.io.container import RECORDINGS
 from jaxdet.io.folders.layouts import LAYOUTS, image_folders
-from jaxdet.io.folders.recording import BESIDE
+from jaxdet.io.folders.recording import APPLE_DOUBLE
 from jaxdet.io.splits import Recording, Signature, difference, gap, joined, recordings, signature
 from jaxdet.io.unpacking import PACKED, is_packed
 
@@ -446,7 +446,7 @@ def format_of(path: Path) -> str:
 
 
 def _within(path: Path, skipped: list[Path]) -> Iterable[Path]:
-    """Yield a file, or all files in a folder and its subfolders except :data:`BESIDE`.
+    """Yield a file, or all files in a folder and its subfolders except :data:`APPLE_DOUBLE`.
 
     A folder that can't be listed, or whose files can't be accessed, is yielded itself. Links to
     parent folders are not followed but added to ``skipped``.
@@ -479,7 +479,7 @@ def _within(path: Path, skipped: list[Path]) -> Iterable[Path]:
         up = [name for name in links if own.is_relative_to(Path(folder, name).resolve())]
         skipped += [Path(folder, n) for n in up if Path(folder, n).resolve() != own]
         folders[:] = [name for name in folders if name not in up]
-        yield from (Path(folder, name) for name in files if not name.startswith(BESIDE))
+        yield from (Path(folder, name) for name in files if not name.startswith(APPLE_DOUBLE))
     yield from shut
 
 

@@ -543,7 +543,9 @@ class _Rows:
         schema = pa.schema([file.schema_arrow.field(name) for name in names])
         self._batches = _batches(file, range(group, len(sizes)), named)
         self._waiting = schema.empty_table()
-        self.take(start - sum(sizes[:group]))  # rows of other cameras
+        skipped = start - sum(sizes[:group])  # rows of other cameras
+        for first in range(0, skipped, CHUNK_FRAMES):
+            self.take(min(CHUNK_FRAMES, skipped - first))
 
     def take(self, count: int) -> pa.Table:
         """Return the next ``count`` rows, or fewer at the end of the table."""

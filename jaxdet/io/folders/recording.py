@@ -12,7 +12,7 @@ from jaxdet.io.messages import CompressedImageMessage
 from jaxdet.io.motion import quaternions
 from jaxdet.types import Intrinsics
 
-BESIDE = "._"
+APPLE_DOUBLE = "._"
 """Prefix of the files that macOS adds on disks of other systems and in archives."""
 
 
@@ -45,7 +45,7 @@ class ImageFiles(NamedTuple):
             problem = f"several folders of images: {', '.join(part.name for part in parts)}"
             raise InputError(problem, path=str(folder), remedy="keep one")
         files = (file for part in parts for file in part.iterdir())
-        files = (file for file in files if not file.name.startswith(BESIDE))
+        files = (file for file in files if not file.name.startswith(APPLE_DOUBLE))
         return sorted(file for file in files if file.name.lower().endswith(self.endings))
 
     def frame_name(self, image: Path) -> str:
