@@ -68,10 +68,10 @@ def test_foxglove_labels_obstacles_with_their_tracks(walkers: Path, tmp_path: Pa
                 assert place[2] == pytest.approx(about["top_m"] + 0.08, abs=2e-3)
         there = [t for t in tracks if t["first_frame"] <= number <= t["last_frame"]]
         ways = {e.id: e for e in scene.entities if e.id.startswith("way")}
-        assert {*ways} == {f"way of track {t['track']}" for t in there if t["moving"]}
+        assert {*ways} == {f"trajectory of track {t['track']}" for t in there if t["moving"]}
         for track in there:
             if track["moving"]:
-                way, at = ways[f"way of track {track['track']}"], number - track["first_frame"]
+                way, at = ways[f"trajectory of track {track['track']}"], number - track["first_frame"]
                 (arrow,), (line,) = way.arrows, way.lines
                 assert way.frame_id == row["world_frame"]
                 speed = arrow.shaft_length + arrow.head_length

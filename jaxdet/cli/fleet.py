@@ -43,7 +43,7 @@ def run_on_machines(
     quiet: bool,
     as_json: bool,
 ) -> int:
-    """Run the command; return the exit code.
+    """Run the command on several machines, or on a share of the logs; return the exit code.
 
     Args:
         logs: Addresses, folders or files.

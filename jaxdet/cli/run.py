@@ -127,7 +127,7 @@ class RunCommand:
 
 
 def parse(args: list[str]) -> RunCommand:
-    """Parse the arguments on top of the preset and the TOML file."""
+    """Parse the arguments; they override the TOML file, which overrides the preset."""
     config, log, name = defaults(args)
     start = {"preset": name, "method": config, "log": log}
     return parse_flags(RunCommand, args, "jaxdet run", DESCRIPTION, COMMON, start, GROUPS)
@@ -246,7 +246,7 @@ def _exit_code(summary: "Summary", *, updated: bool) -> int:
 
 
 def _link(command: RunCommand) -> None:
-    """Make the tracks that are missing."""
+    """Link the obstacles of logs without tracks, and print a summary."""
     from jaxdet.cli.track import track_lines
     from jaxdet.tracks import track_results
 

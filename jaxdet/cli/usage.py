@@ -13,7 +13,8 @@ from jaxdet.cli.fields import Option
 
 WIDTH, INDENT = 100, 31
 NARROW, NARROWEST, NARROW_INDENT = 72, 32, 8
-"""Narrower terminals show the description of a flag below it."""
+"""Width below which descriptions are shown below their flags, minimum width, and indent of these
+descriptions [column]."""
 _UNITS = {"_m": "M", "_s": "S", "_hz": "HZ", "_mib": "MIB"}
 
 

@@ -50,7 +50,8 @@ def last_grid(results: Results, log: ResultLog, known: KnownPlaces | None = None
     first = np.rint(np.array(counted.origin) / counted.cell_m).astype(np.int64)
     odds = np.zeros(counted.counts.shape, np.int16)
     most_floor = tracking(log.folder).most_floor if results.tracked(log) else 1.0
-    # Frame counts of floor, outlines and contours per cell; floor counts after the first outline.
+    # Number of frames in which each cell is floor (counted from its first outline on), inside an
+    # outline, and on a contour.
     sightings = np.zeros((3, *counted.counts.shape), np.int32)
     seen_floor = np.zeros(counted.counts.shape, bool)
     for frame in _frames(results, log, most_floor, known):

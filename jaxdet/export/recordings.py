@@ -1,4 +1,4 @@
-"""Logs of results, read again for formats with images or points."""
+"""Logs of results, read again for exports with images or points."""
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -59,7 +59,7 @@ def find(results: Results, given: Sequence[str]) -> dict[str, LogFiles]:
         name = _by_content(results, log)
         if name is None or name in found:
             some = ", ".join(sorted(names)[:MOST_NAMED]) or "none"
-            problem = f"the results have no log {log.name!r}, but {some}"
+            problem = f"the results have no log {log.name!r}; their logs are {some}"
             remedy = "logs are identified by name, else by content"
             raise InputError(problem, path=str(results.folder), remedy=remedy)
         found[name] = log
@@ -67,7 +67,7 @@ def find(results: Results, given: Sequence[str]) -> dict[str, LogFiles]:
 
 
 def _best(given: Sequence[str], names: Collection[str]) -> list[LogFiles]:
-    """Find the logs, with joined or separate splits, whichever match the names in the results."""
+    """Find logs; splits of a recording are joined unless the results have separate logs of them."""
     if not given:
         return []
     logs = find_logs(given)
@@ -222,7 +222,7 @@ def open_modes(results: Results, log: ResultLog) -> Iterator[LogOptions]:
 
 @contextmanager
 def _opened(log: ResultLog, files: LogFiles, options: LogOptions) -> Iterator[Log]:
-    """Open a log as in the run; without the topics of the run it is rejected as a different log."""
+    """Open a log as in the run; if it lacks the run's topics, it is rejected as a different log."""
     try:
         opened = open_log(files, options)
     except (TopicError, CalibrationError) as error:

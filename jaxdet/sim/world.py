@@ -29,7 +29,7 @@ floor."""
 
 
 class World(NamedTuple):
-    """A scene at a point in time."""
+    """Mesh of a scene at a point in time."""
 
     mesh: Mesh
     """Mesh of all objects, the floor first."""
