@@ -155,7 +155,7 @@ def _log_lines(log: "LogSummary") -> list[str]:
 
 
 def _floor_text(log: "LogSummary") -> str:
-    """Return the number of frames with a floor of their own, and the floor sources of the others."""
+    """Return how many frames have a floor of their own, and the floor sources of the others."""
 
     def source_text(name: str) -> str:
         return "none" if name == "none" else f"that of {name}"

@@ -27,8 +27,8 @@ class Score(NamedTuple):
     without them the value can only be lower."""
     point_accuracy: float
     """ACC of the clustering literature: fraction of points with the correct label, after one-to-one
-    matching of labels and obstacles. For points on the floor or without an object, no label is
-    correct."""
+    matching of labels and obstacles. Points on the floor or without an object are correct if they
+    have no label."""
     fmi: float
     """Mean over frames of the Fowlkes-Mallows index of points, see
     :func:`jaxdet.eval.partition.fowlkes_mallows`."""
@@ -75,6 +75,7 @@ class Score(NamedTuple):
     iou: float
     """Median intersection over union of rectangles and true footprints."""
     tally: Tally
+    """Counts from which the metrics are computed."""
 
     def to_dict(self) -> dict[str, float]:
         """Return all metrics and counts by name."""

@@ -79,7 +79,7 @@ def axes(pitch: np.ndarray, roll: np.ndarray) -> list[np.ndarray | int]:
 def on_floor(frame: np.ndarray, xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Project points onto the floor, and compute their height above it.
 
-    A ramp raises the floor by its slope times the distance of a point beyond its start.
+    A ramp raises the floor by its slope times the distance of a point beyond the ramp's start.
 
     Args:
         frame: Floor frame ``(FLOOR_VALUES,)`` int32, from :func:`floor_frames`.

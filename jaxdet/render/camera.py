@@ -52,8 +52,8 @@ class Chip(NamedTuple):
 def shown_image(frames: Frames, row: int, config: Config) -> Shown:
     """Return the background image of a frame.
 
-    It is the colour image if there is one and it is calibrated, else the depth image in false
-    colours, with near pixels warm and unmeasured ones black.
+    This is the colour image if a calibrated one exists, else the depth image in false colours, with
+    near pixels warm and unmeasured ones black.
 
     Args:
         frames: Batch.

@@ -84,7 +84,7 @@ def check_log(
                     _check_sample(results, log, opened, sample, found)
         except JaxdetError as error:
             found.add("log", log.label, str(error))
-        if not found.findings:  # with findings, repeat by a scan, as the run may have needed one
+        if not found.findings:  # otherwise repeat with a scan, as the run may have needed one
             break
     report.findings += found.findings
     report.frames_of_logs += found.frames_of_logs
@@ -154,7 +154,7 @@ def _compare(log: ResultLog, want: Tables, found: Tables, report: Report) -> Non
 
 
 def _different(want: "pa.Table", found: "pa.Table") -> list[str]:
-    """Return the columns of ``found`` that would be written as other bytes."""
+    """Return the columns of ``found`` that, written as bytes, differ from those of ``want``."""
     if want.num_rows != found.num_rows:
         return ["number of rows"]
     if table_bytes(want.select(found.column_names)) == table_bytes(found):
