@@ -56,7 +56,7 @@ def check(output: Path, wanted: set[tuple[str, ...]]) -> None:
 
 
 def kinds(output: Path) -> set[tuple[str, ...]]:
-    """Return the logs of results, as checksums of their files."""
+    """Return the checksums of the files of each log in the results, without files with times."""
     with open_results(output) as results:
         files_of = [manifest["files"] for manifest in results.manifests.values()]
     return {tuple(a["sha256"] for n, a in t.items() if n not in TIMES) for t in files_of}

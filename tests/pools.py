@@ -1,4 +1,4 @@
-"""Runs with workers: comparison of results, and the CPU in place of a GPU."""
+"""Helpers for tests of runs with workers: comparison of results, and the CPU in place of a GPU."""
 
 from pathlib import Path
 from types import SimpleNamespace
@@ -22,7 +22,7 @@ def same_results(one: Path, other: Path) -> None:
 
 
 def on_this_machine(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """Use the code for GPUs with the CPU; return a list of the sizes of copies."""
+    """Use the code for GPUs on the CPU; return a list that grows by the elements of each copy."""
     copies = []
 
     def copy(

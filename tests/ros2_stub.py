@@ -73,10 +73,10 @@ class Node:
 
     Attributes:
         parameters: Values that are set from outside, by name.
-        remaps: Topics by the names in the node.
+        remaps: Topics by the names that the node uses for them.
         transforms: Poses ``(4, 4)`` by target and source frame, for ``tf2_ros``.
         published: Messages by topic, in order.
-        qos: QoS profiles by topic, or depths.
+        qos: QoS profiles, or depths of queues, by topic.
         warnings: Logged warnings.
         infos: Other logged lines.
     """

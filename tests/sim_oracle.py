@@ -13,7 +13,7 @@ def rays_of(camera: Intrinsics, T_world_camera: np.ndarray) -> np.ndarray:
 
 
 def floor_depth(origin: np.ndarray, rays: np.ndarray) -> np.ndarray:
-    """Return the depth of z = 0."""
+    """Return the depth of the floor z = 0."""
     with np.errstate(divide="ignore"):
         depth = -origin[2] / rays[..., 2]
     return np.where(depth > 0, depth, np.inf)

@@ -136,7 +136,7 @@ def drawn(
 
 
 def with_floor(batch: Batch, seed: int, far: int, step: int) -> Batch:
-    """Return the batch with positions on a floor that has steps down, from bottom to top.
+    """Return the batch with cells on a floor that steps down with distance.
 
     Args:
         batch: Frames.

@@ -105,7 +105,7 @@ def gpus() -> list:
 
 
 @pytest.mark.gpu
-def test_a_log_through_page_locked_memory_gives_the_bytes_of_the_reference(gpus, tmp_path):
+def test_a_log_read_into_page_locked_memory_gives_the_bytes_of_the_reference(gpus, tmp_path):
     path = tmp_path / "sim.mcap"
     write_log(path, SimConfig(frames=41, width=320, height=240, device="cuda:0"))
     runs(path, tmp_path, [("reference", 41), ("jax", 1), ("jax", 3), ("jax", 64)])
@@ -121,7 +121,7 @@ def test_a_log_through_page_locked_memory_gives_the_bytes_of_the_reference(gpus,
         (512, "plumb_bob", (160, 120)),
     ],
 )
-def test_frames_on_page_locked_memory_equal_the_reference(gpus, name, batch, lens, size):
+def test_results_of_frames_in_page_locked_memory_equal_the_reference(gpus, name, batch, lens, size):
     given, config = scene(min(batch, 8), lens, size), PRESETS[name]
     want = detect(given, config, backend="reference")
     rows = np.arange(batch) % len(given.color)

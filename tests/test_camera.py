@@ -85,7 +85,7 @@ def test_depth_pixels_fill_the_colour_pixels_between_their_corners_if_coarser(de
     assert splat_parameters(calibration).fills_corners is fills
 
 
-def test_fixed_rays_are_rounded():
+def test_fixed_point_rays_are_rounded():
     x, y = fixed_rays(D435_COLOR)
     assert x.dtype == y.dtype == np.int32
     assert np.abs(x / 2**20 - pixel_rays(D435_COLOR)[0]).max() <= 2**-21

@@ -70,7 +70,7 @@ def wide(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "120")
 
 
-def test_help_is_short_and_help_all_has_the_rest(capsys: Captured) -> None:
+def test_help_is_short_and_help_all_is_complete(capsys: Captured) -> None:
     for command, most in (("run", 64), ("info", 34), ("sim", 34)):
         main([command, "--help"])
         brief = capsys.readouterr().out
@@ -116,7 +116,9 @@ def test_short_flags_equal_long_ones(tmp_path: Path, capsys: Captured) -> None:
     assert "unknown flag -qy; see" in capsys.readouterr().err
 
 
-def test_progress_on_a_dumb_terminal_is_complete_lines(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_progress_on_a_dumb_terminal_is_printed_in_complete_lines(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Terminals such as Emacs' shell cannot overwrite a line."""
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
     monkeypatch.setenv("TERM", "xterm")
@@ -172,7 +174,7 @@ def test_help_command_shows_commands_and_pages(capsys: Captured) -> None:
         ("jaxdet fly --", set()),
     ],
 )
-def test_completions_of_a_word(
+def test_the_last_word_of_a_command_is_completed(
     line: str, offered: set[str], capsys: Captured, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COMP_LINE", line + " --quiet")
@@ -469,7 +471,7 @@ def test_flags_override_the_file_which_overrides_the_preset(tmp_path: Path) -> N
     assert parse([*args, "--preset=zed"]).method.ground == PRESETS["zed"].ground
 
 
-def test_both_gaps_follow_the_robots_width() -> None:
+def test_the_robots_width_sets_both_gaps() -> None:
     args = ["a.mcap", "--output", "x", "--preset", "paper", "--cluster.robot-width-m", "0.4"]
     assert parse(args).method.cluster.gaps_m == (0.4, 0.4)
     with pytest.raises(ConfigError, match="depth-gap-m must be unset"):
@@ -605,7 +607,7 @@ def test_missing_ground_truth_is_an_error_before_the_run(
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full on this system")
 @pytest.mark.parametrize("streams", ["", "2>/dev/full", "2>&-", "<&- >&- 2>&-"])
-def test_a_run_succeeds_if_its_streams_cannot_be_used(
+def test_a_run_succeeds_if_its_standard_streams_cannot_be_used(
     sim_log: Path, tmp_path: Path, streams: str
 ) -> None:
     """The reader of a pipe has ended, the disk is full, or streams are closed."""
@@ -661,7 +663,7 @@ def test_info_shows_which_topics_are_used_and_why(sim_log: Path, capsys: Capture
     assert json.loads(capsys.readouterr().out)["logs"][0]["frames"] == 2
 
 
-def test_sim_draws_hard_scenes(tmp_path: Path, capsys: Captured) -> None:
+def test_sim_writes_hard_scenes_with_errors_of_the_mount(tmp_path: Path, capsys: Captured) -> None:
     path = tmp_path / "hard.mcap"
     args = ["sim", str(path), "--frames", "1", "--width", "64", "--height", "48"]
     errors = ["--depth-error", "1", "--mount-pitch-error-rad", "0.02", "--rock-rad", "0.01"]

@@ -139,7 +139,7 @@ def test_cells_are_transformed_to_the_colour_camera():
     assert counted(got) == (3, 1, 2, 1, 0, 1)
 
 
-def test_floor_and_wall_are_false_and_splits_and_merges_are_counted():
+def test_detections_of_the_floor_are_false_and_splits_and_merges_are_counted():
     floor = [(20, 37, 0), (21, 37, 0), (22, 37, 0)]
     wall = [(30, 1, 1), (31, 1, 1)]
     split = [*on(1, 2, 3), (10, 25, 3), (11, 25, 3)]
@@ -166,7 +166,7 @@ def test_half_of_the_points_must_be_on_the_obstacle():
     assert evaluate(detections(points, [1000]), truth(), config=loose).found == 1
 
 
-def test_objects_that_are_not_required_are_not_false_positives():
+def test_detections_of_objects_that_are_not_required_are_ignored():
     far = truth(nearest_m=np.array([[5.0, 2.0, 3.0, 8.0]]))
     points = on(1, 0) + [(10, 25, 1), (11, 25, 1)] + on(2, 2)
     got = evaluate(detections(points, [1000, 1000, 2000]), far)
@@ -176,7 +176,11 @@ def test_objects_that_are_not_required_are_not_false_positives():
 
 
 def test_detections_on_ignored_objects_may_be_matches_or_ignored():
-    """If the other half is on a required object, it is a match; if on the floor, it is ignored."""
+    """Half of a detection is on an ignored object.
+
+    If the other half is on a required object, the detection is a match; if that is on the floor,
+    the detection is ignored.
+    """
     far = truth(nearest_m=np.array([[1.0, 5.0, 3.0, 8.0]]))
     got = evaluate(detections(on(1, 0) + on(2, 0), [1100]), far)
     assert counted(got) == (2, 1, 1, 1, 0, 0)

@@ -53,7 +53,8 @@ def with_scene(detections: Detections, **parts: object) -> Detections:
 
 
 FLOOR = np.array([[[[0.5, 1.5], [0.9, 1.9], [1.5, 1.5], [0.5, 2.5]]]] * 2)
-"""Two floor pixels are in the first square, one in the second, one behind the first."""
+"""Positions of four floor pixels, right and forward [m]: two are in the first square of
+:func:`found`, one is in the second, and one is behind the first."""
 
 
 def test_claimed_floor_by_hand() -> None:
@@ -78,7 +79,7 @@ def test_claimed_floor_by_hand() -> None:
     assert claimed_floor(points, FLOOR, 0.001, CONFIG)[0].drivable_claimed == 3
 
 
-def test_frames_with_little_floor_have_no_share() -> None:
+def test_frames_with_little_floor_have_no_fraction_of_claimed_floor() -> None:
     floor = FLOOR.copy()
     floor[0, 0, 1:3] = np.nan
     tallies = claimed_floor(found()._replace(scene=None), floor, 0.001, CONFIG)
@@ -95,7 +96,7 @@ def test_floor_is_measured_only_where_depth_agrees_with_it() -> None:
     assert np.isfinite(got).all(axis=-1).tolist() == [[True, False, False, False, False]]
 
 
-def test_positions_equal_those_of_the_simulator() -> None:
+def test_floor_positions_equal_those_of_the_simulator() -> None:
     (frame,) = sample_frames("corridor", 0, 1, width=160, height=120)
     truth = floor_truth(frame)
     calibration = calibration_of(frame.config)

@@ -50,7 +50,7 @@ def test_indices_do_not_depend_on_place_and_scale(seed, shift, scale):
     assert davies_bouldin(moved, labels) == pytest.approx(davies_bouldin(points, labels), rel=1e-5)
 
 
-def test_a_hull_has_no_points_on_its_edges():
+def test_points_on_the_edges_of_a_hull_are_left_out():
     on_edges = np.array([[1.0, 0.0], [2.0, 1.5], [0.5, 2.0], [0.0, 1.0], [1.0, 1.0]])
     assert hull(np.vstack([on_edges, SQUARE])).tolist() == SQUARE.tolist()
 
@@ -96,7 +96,7 @@ def test_matches_of_detections_and_objects_by_hand():
     assert match(np.zeros((2, 4), int), yes).tolist() == [0, 0]
 
 
-def test_a_vote_outweighs_all_fractions_of_votes():
+def test_the_number_of_votes_goes_before_their_fraction():
     votes = np.array([[1, 500, 0, 499], [0, 0, 6, 4], [0, 1, 0, 0], [997, 0, 3, 0]])
     assert match(votes, np.arange(4) > 0, 0.0).tolist() == [1, 3, 0, 2]
 

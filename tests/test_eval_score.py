@@ -57,7 +57,7 @@ def test_totals_are_sums_over_frames():
     assert score([Tally(pairs_true=3)]).fmi_pooled == 0 and math.isnan(score([one]).fmi_pooled)
 
 
-def test_kept_shares_count_measured_pixels_of_floor_and_obstacles():
+def test_kept_fractions_are_of_measured_pixels_of_floor_and_obstacles():
     ids = np.array([[0, 0, 0, 0, 1, 1, 1, 2]])
     heights = np.array([[0, 0, 0, NAN, 0.03, 0.2, 0.3, 1.0]])
     z = np.array([[1, 1, 0, 1, 1, 1, 1, 1.0]])

@@ -31,7 +31,7 @@ SIZES = [(480, 640), (61, 96), (240, 320), (33, 64)]
 
 
 def grey_images() -> list[np.ndarray]:
-    """Return grey images with a width of a multiple of 32, for which OpenCV's bits are equal."""
+    """Return rendered, random, empty and chequered grey images; widths are multiples of 32."""
     rng = np.random.default_rng(3)
     images = [grey(blocks(1, *size)[0]) for size in SIZES]
     images.append(rng.integers(0, 256, (120, 160)).astype(np.uint8))

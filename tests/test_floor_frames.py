@@ -97,7 +97,7 @@ CHAIR += [((-0.2, 2.2, 0.4), (0.2, 2.6, 0.45)), ((-0.2, 2.6, 0.45), (0.2, 2.65, 
 
 @pytest.mark.parametrize("room", [DESK, CHAIR], ids=["desk", "chair"])
 @pytest.mark.parametrize("pose", [Pose(1.06, 0.0, 1.0), Pose(1.3, 5.0, 0.0)])
-def test_a_level_camera_in_a_room_sees_little_floor(pose, room):
+def test_floor_is_found_by_a_level_camera_that_sees_little_of_it(pose, room):
     """Less than a tenth of the image is floor; the rest is walls and furniture."""
     fit = found(measured(cast(pose, room)), unknown_plane(1))
     assert_found(fit, pose, angle=0.4, height=20.0)
@@ -207,7 +207,7 @@ def test_the_floor_before_a_step_down_is_found(pose, drop, start):
         assert np.isinf(fit.plane.ramp_start[0])
 
 
-def test_without_a_prior_a_lower_floor_is_a_drop_only_if_the_camera_is_far_above_it():
+def test_without_a_prior_a_drop_must_be_deeper_than_a_table_is_high():
     pose = Pose(1.3, 25.0, 0.0)
     table, drop = (measured(cast_step(pose, down, 2.4), noise=0.002) for down in (0.6, 0.9))
     assert_refused(found(table, unknown_plane(1)), Refusal.TABLE, unknown_plane(1))
@@ -251,7 +251,7 @@ def test_a_low_object_as_wide_as_the_image_is_not_the_floor(pose, start, end, hi
 
 
 def test_floor_beyond_a_step_counts_as_floor():
-    """The lower floor is neither the surroundings of a table nor missing."""
+    """Cells on the lower floor count as inliers, not as floor below a table."""
     pose = Pose(1.3, 30.0, 0.0)
     shown = cast_step(pose, 0.25, 1.8), cast(pose, [])
     share = [found(measured(z), pose.plane()).share[0] for z in shown]

@@ -112,7 +112,7 @@ def test_floors_equal_the_reference_on_steps() -> None:
 
 
 def test_floors_equal_the_reference_on_ramps_of_just_the_minimum_visible_length() -> None:
-    """In units of 1 cm the minimum length is a multiple of the distance bins, so it occurs."""
+    """In units of 1 cm this length is a multiple of the distance bins, so some ramps have it."""
     ahead, length = np.arange(80, 300), np.arange(40, 90)[:, None]
     z = np.where(ahead < 200 + length, ahead, 0)
     y = 50 - np.tan(np.radians(10.0)) * np.maximum(ahead - 200, 0)

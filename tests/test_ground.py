@@ -54,7 +54,7 @@ def test_range_bounds_are_inclusive(backend):
 
 
 @BACKENDS
-def test_in_fine_units_all_depths_may_be_too_near(backend):
+def test_in_fine_depth_units_all_depths_may_be_too_near(backend):
     z = np.full((1, 48, 64), 65535, np.uint16)
     for nearest, some in ((0.65, True), (0.8, False)):
         config = replace(Config(), ground=GroundConfig(min_depth_m=nearest))
@@ -154,15 +154,15 @@ def test_depth_0_is_outside_of_any_range():
     assert depth_range(0.15, 4.0, 0.00025) == (600, 16000)
 
 
-def test_pitch_and_roll_signs():
-    """Looking down: gravity leans forward. Rolled clockwise: gravity leans to the right."""
+def test_pitch_is_positive_downward_and_roll_clockwise():
+    """In a camera pitched down, gravity has a component forward; rolled clockwise, to the right."""
     assert down_vector(np.array([0.5]), np.array([0.0]))[0][2] > 0
     assert down_vector(np.array([0.0]), np.array([0.5]))[0][0] > 0
     plane = plane_from_down(down_vector(np.array([0.3]), np.array([-0.2])), np.array([0.7]))
     assert np.allclose([plane.pitch[0], plane.roll[0], plane.height[0]], [0.3, -0.2, 0.7])
 
 
-def test_plane_from_a_mount_transform():
+def test_the_plane_of_a_mount_has_its_height_pitch_and_roll():
     # Base: x forward, y left, z up. Level camera: z forward, x right, y down.
     T = np.eye(4)
     T[:3, :3] = [[0, 0, 1], [-1, 0, 0], [0, -1, 0]]

@@ -1,4 +1,4 @@
-"""ROS 1 bags and SQLite bags of rosbag2: they give the frames of MCAP, damaged or not."""
+"""ROS 1 bags and SQLite bags of rosbag2 give the frames of equal MCAP files, even if damaged."""
 
 import bz2
 import importlib.util

@@ -198,7 +198,7 @@ def test_a_missing_summary_loses_no_frames(tmp_path):
         assert "no end of file" in log.description.integrity[0].text
 
 
-def test_missing_crcs_are_a_note(tmp_path):
+def test_missing_crcs_are_reported_in_a_note(tmp_path):
     with open_log(str(write_log(tmp_path / "x.mcap", SCENE, crc=False))) as log:
         assert log.description.integrity[0].text == "not checkable (no CRC in file)"
 

@@ -43,7 +43,7 @@ def aligned(tmp_path_factory: pytest.TempPathFactory) -> list[Message]:
 
 @pytest.fixture(scope="module")
 def raw(tmp_path_factory: pytest.TempPathFactory) -> list[Message]:
-    """Return messages of a simulated log with a separate depth camera, whose pose is in TF."""
+    """Return messages of a simulated log with a separate depth camera; TF has the pose of it."""
     path = tmp_path_factory.mktemp("sim") / "raw.mcap"
     config = SimConfig(frames=6, width=160, height=120, depth_form="raw", extrinsics="tf")
     write_log(path, config)
@@ -67,7 +67,7 @@ def same(found: np.ndarray | None, expected: np.ndarray | None, atol: float = 1e
 
 
 def moved_by(number: int) -> Change:
-    """Move the odometry of a robot, to make another robot of it."""
+    """Return a change that moves the odometry of a robot, to make another robot of it."""
 
     def change(message: Message) -> None:
         if message.topic == "/tf":
@@ -586,7 +586,7 @@ def test_body_frames_are_converted_to_optical_frames(tmp_path, aligned, named):
 
 
 def test_a_body_frame_is_recognized_from_poses_in_the_world(tmp_path, raw):
-    """TF of a tracked camera has no robot, so only the world gives the vertical."""
+    """TF of a tracked camera has no frame of a robot, so only the world defines the vertical."""
     with opened(tmp_path, raw) as whole:
         expected = whole.T_world_camera
     assert expected is not None

@@ -79,7 +79,7 @@ def test_bad_frames_have_their_status_and_the_others_are_read(bad_log):
     assert not batch.notes.bad_color and not batch.frames.depth[4:6].any()
 
 
-def test_bad_colour_is_only_a_note(bad_log):
+def test_bad_colour_is_only_reported_in_a_note(bad_log):
     log, scene = bad_log
     [batch] = log.batches(8, color=True)
     assert statuses(batch) == BAD and not batch.frames.color[1:4].any()

@@ -299,8 +299,8 @@ def test_neighbouring_splits_continue_where_the_log_ends(tmp_path):
 def test_a_neighbouring_split_is_used_only_if_all_nearer_ones_are(
     tmp_path, monkeypatch, own, spans, matrices, neighbours
 ):
-    """Splits without images or calibration are compared by those of nearer splits; a clock may be
-    set back.
+    """For splits without images or a calibration, the values of the next nearer split are compared.
+    The clock may be set back between splits.
     """
 
     def fake_signature(path: Path) -> Signature:

@@ -1,4 +1,4 @@
-"""C++ of the kernels: each header compiles separately, and corners run under sanitizers."""
+"""C++ of the kernels: headers compile separately, and corner detection runs under sanitizers."""
 
 import shutil
 import subprocess

@@ -82,7 +82,7 @@ def test_contour_is_the_nearest_cell_of_each_column() -> None:
     assert points.shape == (3, 4, 2) and points.dtype == np.int32
 
 
-def test_contours_are_limited_to_the_slots() -> None:
+def test_contours_are_limited_to_the_number_of_slots() -> None:
     label = np.array([[0, 1, 2]])
     points, count = contours(label, label, label + 5, 2)
     assert count.tolist() == [1, 1] and points[:, 0].tolist() == [[0, 5], [1, 6]]
@@ -149,7 +149,7 @@ def test_a_jump_is_a_corner_only_when_it_is_deep() -> None:
     assert len(straight_parts(np.array(legs), 150, 400, 500)) > 1
 
 
-def test_direction_of_lines_and_single_points() -> None:
+def test_fitted_directions_of_lines_and_single_points_by_hand() -> None:
     one = 1 << DIRECTION_BITS
     assert fitted_direction(np.array([[700, 900]])).tolist() == [one, 0]
     flat = np.stack([np.arange(-300, 300, 20), np.full(30, 1200)], axis=1)
@@ -228,7 +228,7 @@ def test_the_rectangle_of_a_single_point_has_a_margin() -> None:
     np.testing.assert_allclose(corners.max(axis=0), [0.32, 1.22])
 
 
-# a known rectangle, and somebody else's code
+# known rectangles, and OpenCV
 
 
 @pytest.mark.parametrize("angle", [0, 10, 27, 45, 63, 80])
@@ -291,7 +291,7 @@ def test_the_rectangle_holds_all_points(points: np.ndarray) -> None:
 @given(clouds)
 def test_no_direction_has_the_contour_nearer_to_the_visible_edges(points: np.ndarray) -> None:
     def cost(c: int, s: int) -> int:
-        """Return the cost of edges facing the camera at the origin; huge if it is inside."""
+        """Return the cost of edges that face the camera at the origin; huge if none does."""
         away = [[1 << 40] * len(points)]
         for axis in ((c, s), (-s, c)):
             places = [axis[0] * x + axis[1] * y for x, y in points.tolist()]

@@ -180,7 +180,7 @@ def test_overwriting_replaces_the_results_of_another_configuration(
     same_results(copy, done)
 
 
-def test_a_stopped_overwriting_run_is_resumed(
+def test_a_run_that_overwrites_is_resumed_after_a_stop(
     logs: Path, done: Path, copy: Path, monkeypatch: pytest.MonkeyPatch
 ):
     """Each log is run once, and readers see only results of the new configuration."""

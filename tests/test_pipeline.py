@@ -164,7 +164,7 @@ def other_settings(config: Config) -> Config:
 @pytest.mark.parametrize(
     ("name", "program"), [("wheeled", _detect._detect), ("paper", _paper._detect)]
 )
-def test_settings_and_calibration_are_no_compile_time_constants(device, name, program):
+def test_settings_and_calibration_are_not_compile_time_constants(device, name, program):
     """Another camera of the same size and other lengths must not compile the program again."""
     given, config = made_frames(3), PRESETS[name]
     detect(given, config)

@@ -84,7 +84,7 @@ def test_bearings_equal_arctan2(right: int, forward: int) -> None:
     assert abs((apart + TURN / 2) % TURN - TURN / 2) <= 1 or right == forward == 0
 
 
-def test_half_a_cell_of_a_d435_has_the_angle_in_use() -> None:
+def test_the_angle_of_half_a_cell_used_here_is_that_of_a_d435() -> None:
     assert pytest.approx(1.5 / 380, rel=0.02) == HALF / (1 << 13)
 
 
@@ -103,7 +103,7 @@ def test_rays_ahead_and_to_the_right_have_exact_directions() -> None:
     assert edges[AHEAD, 0] < 0 < edges[AHEAD + 1, 0]
 
 
-def test_level_columns_are_rays() -> None:
+def test_columns_of_a_level_camera_are_rays() -> None:
     free, end = found(fan([3000] * 41, [FreeEnd.RANGE] * 41))
     seen = np.flatnonzero(free[:, 1])
     assert seen.tolist() == list(range(seen[0], seen[-1] + 1))

@@ -68,7 +68,7 @@ def test_cells_not_kept_or_not_measured_separate_surfaces() -> None:
 
 
 def test_the_step_of_the_nearer_cell_is_used() -> None:
-    """10 mm and 10 mm per square metre: 20 mm at 1 m, 50 mm at 2 m."""
+    """The step is 10 mm plus 10 mm times the squared depth: 20 mm at 1 m, 50 mm at 2 m."""
     config = replace(PLAIN, step_m=0.01, step_per_m=0.01)
     assert found([[1000, 1020, 1041]], config=config) == [[0, 0, 1]]
     assert found([[2000, 2050, 2103]], config=config) == [[0, 0, 1]]
@@ -177,7 +177,7 @@ def test_only_bent_surfaces_are_removed() -> None:
     assert left.tolist() == [[-1, -1, 0, 0], [-1, -1, 0, 0], [-1, -1, -1, -1]]
 
 
-# somebody else's code
+# SciPy
 
 
 def test_the_size_of_a_surface_includes_parts_behind_a_hole() -> None:

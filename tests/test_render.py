@@ -130,7 +130,7 @@ def test_the_preset_paper_shows_its_corners() -> None:
     assert has_color(image[46:586, 10:730], canvas.color_of(0))
 
 
-def test_a_wide_image_keeps_its_shape() -> None:
+def test_a_wide_image_keeps_its_aspect_ratio() -> None:
     image = picture(scene(width=400, height=120))
     assert image.shape[1] < 1550
 
@@ -178,7 +178,7 @@ def test_free_floor_is_drawn_only_between_adjacent_rays() -> None:
     scene: Any = SimpleNamespace(free=free, free_end=np.zeros((1, RAYS), np.int32))
     topview._draw_free(image, View(center=100, bottom=190, scale=80), scene, 0, 0.001)
     first, last = np.flatnonzero(image.any(axis=(0, 2)))[[0, -1]].tolist()
-    right = 100 + 160 * np.sin(np.radians(10))  # 40 rays to the right of ahead
+    right = 100 + 160 * np.sin(np.radians(10))  # 40 rays to the right of straight ahead
     assert abs(first - 100) <= 1 and abs(last - right) < 2
 
 

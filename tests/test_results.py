@@ -145,7 +145,7 @@ assert "pandas" not in sys.modules
     assert found.returncode == 0
 
 
-def test_a_missing_folder_is_an_error_of_the_output(tmp_path: Path) -> None:
+def test_a_missing_folder_is_an_output_error(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="can't be written"):
         TableWriter(tmp_path / "missing")
 

@@ -61,7 +61,7 @@ def test_a_working_folder_that_is_a_link_is_left_alone(two, tmp_path):
 
 
 def test_results_replaced_while_they_are_opened_are_read_again(two, tmp_path, monkeypatch):
-    """Both results have as many rows, so row counts reveal nothing."""
+    """Old and new results have equally many rows, so the mixture is not revealed by row counts."""
     run(tmp_path, two)
     real, opened = reading.entries_of, []
 

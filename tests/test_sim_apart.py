@@ -49,7 +49,9 @@ def pierces(one: Mesh, other: Mesh) -> bool:
 
 
 def in_each_other(scene: Scene, times: tuple[float, ...] = (0.0,)) -> list[tuple[str, str]]:
-    """Return names of pairs of intersecting objects, one standing and not a wall."""
+    """Return the names of pairs of intersecting objects; pairs of walls or moving objects are left
+    out.
+    """
     found = []
     objects = scene.objects
     fixed = [isinstance(one, Wall) or getattr(one, "path", None) is not None for one in objects]
@@ -132,7 +134,7 @@ def test_objects_fit_under_a_table(kind, x, expected):
     assert intersect(table, solid_of(build_model(kind, 2).moved(shift(x)))) == expected
 
 
-def test_boxes_may_touch_hang_and_contain_others():
+def test_boxes_that_touch_do_not_intersect_and_contained_ones_do():
     base = solid_of(box((1.0, 1.0, 0.5), WOOD))
     inside = solid_of(cylinder(0.1, 0.3, WOOD).moved(shift(z=0.1)))
     on_top = solid_of(box((0.5, 0.5, 0.5), WOOD, (0.0, 0.0, 0.5)))

@@ -170,7 +170,7 @@ def test_the_log_is_opened_with_aligned_depth(log):
     with open_log(str(log[0])) as opened:
         frames = [batch.frames for batch in opened.batches(4)]
     assert sum(int(f.valid.sum()) for f in frames) == 4
-    # Aligned depth goes first, which has the colour camera's pixels.
+    # Of both forms of depth, the one aligned to the colour camera is used.
     np.testing.assert_allclose(frames[0].T_world_camera[:4], log[1].T_world_camera, atol=1e-3)
     np.testing.assert_array_equal(frames[0].stamp_ns[:4], log[1].depth_stamp_ns)
     np.testing.assert_array_equal(frames[0].color_stamp_ns[:4], log[1].stamp_ns)

@@ -40,7 +40,7 @@ def corners_of(x: float, y: float, size: tuple[float, float] = PERSON, yaw: floa
 
 
 def in_picture(boxes: np.ndarray) -> dict[str, np.ndarray]:
-    """Return ranges of image columns (of 640), and of x, of outlines ``(N, 8)``."""
+    """Return the first and last image column (of 640), and the range of x, of each outline."""
     right, forward = boxes[:, ::2], boxes[:, 1::2]
     u = np.clip(320 + 400 * right / np.maximum(forward, 0.1), 0, 639)
     low, high = right.min(axis=1, initial=99), right.max(axis=1, initial=-99)
@@ -270,9 +270,9 @@ def test_an_implausibly_fast_object_is_not_moving():
     assert track.moving and 4.0 < track.mean_speed_mps < 5.0
 
 
-def test_a_track_longer_than_its_pieces_equals_one_piece():
-    """One object stands for five pieces, then walks; another walks all the time. The trajectories
-    equal those computed in one window."""
+def test_a_track_fitted_in_pieces_equals_one_fitted_as_a_whole():
+    """One object stands for five pieces, then walks; another walks all the time. Their trajectories
+    are those of tracks that are not divided into pieces."""
     count = 5 * PIECE_FRAMES + 100
     swing = np.sin(np.arange(count) / 40)
     frames = []

@@ -63,7 +63,7 @@ def sealed(folder: Path) -> None:
 
 
 def rewrite(folder: Path, tables: Mapping[str, pa.Table], *, inputs: bool = False) -> None:
-    """Write tables, the figures of their logs, the manifest and, with ``inputs``, the digests."""
+    """Write tables, figures, manifests and, with ``inputs``, the digests of the logs."""
     summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
     for log in summary["logs"]:
         for name, table in tables.items():
